@@ -13,8 +13,8 @@ use super::{Outcome, Output, artefact, output, protocols, value};
 use crate::base::clock;
 use crate::catalogue::{AxesFinding, PortFinding, ProtocolFinding};
 use crate::daemon::{
-    ALARM_SHARE, Acquisition, AxesSource, Ending, Lines, MountDetector, Options, Progress, Schedule, Server,
-    Summary, stop_on_signal, zero,
+    ALARM_SHARE, Acquisition, AxesSource, Controller, Ending, MountDetector, Options, Progress, Schedule,
+    Server, Summary, stop_on_signal, zero,
 };
 use crate::device::axes::AxesAddress;
 use crate::device::port::{self, PortAddress};
@@ -103,14 +103,14 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if let (Some(axes), Some(address)) = (&axes, &args.axes) {
         out.progress(format!("axes over {} at {}", address.protocol().name(), axes.address()));
     }
-    let lines = Lines { ekrl: server, axes };
+    let controller = Controller { ekrl: server, axes };
     if args.port == PortAddress::Sim {
-        let address = lines.ekrl.as_ref().map(Server::address);
+        let address = controller.ekrl.as_ref().map(Server::address);
         // Telegrams are stamped with the host's time: the simulation must run in real time.
         let speed = if address.is_some() { "1" } else { "0" };
         let cell = simulated::Cell::start(args.plan.as_deref(), speed, simulated::HALT_S, address, out)?;
         let args = Args { port: cell.port().clone(), plan: Some(cell.plan().into()), ..args.clone() };
-        let summary = record(&args, identity, lines, out)?;
+        let summary = record(&args, identity, controller, out)?;
         // If the run ended earlier, the simulator still waits for a reader.
         if matches!(summary.ending, Ending::Mark) {
             cell.finish()?;
@@ -118,7 +118,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         out.document(&summary)?;
         return Ok(Outcome::Done);
     }
-    out.document(&record(args, identity, lines, out)?)?;
+    out.document(&record(args, identity, controller, out)?)?;
     Ok(Outcome::Done)
 }
 
@@ -155,7 +155,7 @@ const ZEROED: &str = "the bar's reading was set to zero before the run";
 pub(super) fn record(
     args: &Args,
     identity: Identity,
-    lines: Lines,
+    controller: Controller,
     out: &Output,
 ) -> Result<Summary, Diagnostic> {
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
@@ -184,12 +184,13 @@ pub(super) fn record(
         out: args.out.clone(),
         plan,
         identity,
+        controller,
         duration_s: args.duration,
         gone_s: args.gone,
         feed: None,
         sync_s: args.sync_every,
     };
-    let acquisition = Acquisition::start_with(lines, options, stop)?;
+    let acquisition = Acquisition::start(options, stop)?;
     if args.zero {
         acquisition.mark(ZEROED.into());
     }

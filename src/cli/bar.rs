@@ -9,7 +9,7 @@ use super::child::LOOPBACK;
 use super::{Outcome, Output, acquire, protocols, value};
 use crate::base::{FileSet, files, serialised};
 use crate::catalogue::BarFinding;
-use crate::daemon::{Attempt, Lines, Search};
+use crate::daemon::{Attempt, Controller, Search};
 use crate::device::port::PortAddress;
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
@@ -156,7 +156,7 @@ fn check(args: &Check, out: &Output) -> Result<Outcome, Diagnostic> {
     let Check { protocol, params, duration, .. } = args;
     let port = bar_at(&args.port)?;
     let run = acquire::Args::timed(port, protocol.clone(), params.clone(), capture.clone(), *duration);
-    acquire::record(&run, Identity::default(), Lines::default(), out)?;
+    acquire::record(&run, Identity::default(), Controller::default(), out)?;
     let definition = protocols::load_with(protocol, params)?;
     let mut builder =
         StreamBuilder::new(definition.clock.map(Into::into)).sequence(definition.sequence_modulo);

@@ -163,7 +163,12 @@ impl Cell<'_> {
         };
         let corrected = points.compensate(text, robot, args.limit);
         let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
-        Ok(Corrected { texts: vec![(source, corrected)], sources: vec![traced], moved, left: points.not_corrected })
+        Ok(Corrected {
+            texts: vec![(source, corrected)],
+            sources: vec![traced],
+            moved,
+            left: points.not_corrected,
+        })
     }
 
     /// Refuses an output directory where a file of the program would be overwritten.

@@ -9,7 +9,7 @@ use serde_json::json;
 use super::acquire::simulated;
 use super::{Outcome, Output};
 use crate::base::files;
-use crate::daemon::{self, Bench, Config, Level, Log, Program};
+use crate::daemon::{self, Config, Halt, Level, Log, MakeCell};
 use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
 
@@ -37,18 +37,18 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let config = args.config.as_deref().map(Config::read).transpose()?.unwrap_or_default();
-    let (address, data) = (config.door.address, config.data.display().to_string());
+    let (address, data) = (config.endpoint.address, config.data.display().to_string());
     check_writable(&config.data)?;
     if args.check {
         out.document(&json!({
             "address": address.to_string(), "data": data, "plans": config.plans.display().to_string(),
             "port": config.port.map(|port| port.to_string()), "protocol": config.protocol.as_ref().map(|one| &one.id),
-            "token": config.door.token.is_some(),
+            "token": config.endpoint.token.is_some(),
         }))?;
         out.result(format!("the configuration is sound: http://{address}/, runs in {data}"));
         return Ok(Outcome::Done);
     }
-    daemon::serve(config, Arc::new(Lines { out: out.clone() }), bench(out.clone()))?;
+    daemon::serve(config, Arc::new(Lines { out: out.clone() }), make_cell(out.clone()))?;
     Ok(Outcome::Done)
 }
 
@@ -60,16 +60,16 @@ fn check_writable(directory: &Path) -> Result<(), Diagnostic> {
     file.map(drop).map_err(files::unwritable(directory))
 }
 
-/// Starts the simulated cell of the port `sim`, in real time.
-fn bench(out: Output) -> Option<Bench> {
-    let start = move |plan: Option<&Path>, program: Program| -> Result<Box<dyn daemon::Cell>, Diagnostic> {
-        let halt_s = match program {
-            Program::Runs => simulated::HALT_S,
-            Program::Waits => "86400",
+/// Creates the simulated cell of the port `sim`, which runs in real time.
+fn make_cell(out: Output) -> Option<MakeCell> {
+    let make = move |plan: Option<&Path>, halt: Halt| -> Result<Box<dyn daemon::Cell>, Diagnostic> {
+        let halt_s = match halt {
+            Halt::Continue => simulated::HALT_S,
+            Halt::Wait => "86400",
         };
         Ok(Box::new(simulated::Cell::start(plan, "1", halt_s, None, &out)?))
     };
-    Some(Box::new(start))
+    Some(Box::new(make))
 }
 
 impl daemon::Cell for simulated::Cell {
@@ -91,7 +91,7 @@ pub(super) struct Lines {
 }
 
 impl Log for Lines {
-    fn say(&self, level: Level, event: &str, fields: &[(&str, &dyn Display)]) {
+    fn event(&self, level: Level, event: &str, fields: &[(&str, &dyn Display)]) {
         let word = match level {
             Level::Info => "info",
             Level::Warning => "warning",

@@ -1,4 +1,4 @@
-//! A run: reading thread -> bounded channel -> recorder, until something ends it.
+//! A run: reader thread -> bounded channel -> recorder thread.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,14 +10,11 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::axes::{AxesArrival, AxesSource};
-use super::ekrl::Server;
+use super::ekrl::{BarLine, Server, Telegrams};
 use super::live_state::Feed;
-use super::polling::Polling;
-use super::progress::Progress;
-use super::recorder::Recorder;
+use super::recorder::{Progress, Recorder};
 use super::schedule::{ALARM_SHARE, Schedule};
-use super::session::{self, Opened};
-use super::telegrams::{Line, Telegrams};
+use super::session::{self, Opened, Polling};
 use crate::base::sync::lock;
 use crate::base::units::HostNs;
 use crate::base::{clock, serialised};
@@ -29,36 +26,36 @@ use crate::provenance::{self, Identity};
 use crate::recording::capture::{Event, Writer};
 use crate::recording::run::{ATTACHED_IDENTITY, PlanFiles};
 
-/// Longest wait between two attempts to open a port that went away, s.
+/// Longest pause between two attempts to reopen a port, s.
 const LONGEST_BACKOFF_S: f64 = 0.5;
 
-/// The lines to the controller beside the bar's.
+/// Connections to the robot controller.
 #[derive(Debug, Default)]
-pub struct Lines {
-    /// The program reports its dwells here.
+pub struct Controller {
+    /// Receives the dwell reports of the program.
     pub ekrl: Option<Server>,
-    /// The controller publishes its axes here.
+    /// Receives the published axes.
     pub axes: Option<AxesSource>,
 }
 
-/// What a run is to do.
 #[derive(Debug)]
 pub struct Options {
     pub port: PortAddress,
     pub definition: Definition,
     /// The capture to write.
     pub out: PathBuf,
-    /// The plan that the robot executes; the capture carries its files.
+    /// The plan that the robot executes. Its files are attached to the capture.
     pub plan: Option<PlanFiles>,
-    /// What is stated of this run beside its plan.
+    /// Identity data of this run, in addition to those of the plan.
     pub identity: Identity,
-    /// Ends the run after so many seconds of host time.
+    pub controller: Controller,
+    /// The run ends after this host time.
     pub duration_s: Option<f64>,
-    /// Ends the run when the port has been away for so many seconds.
+    /// The run ends when the port has been absent for this time.
     pub gone_s: f64,
-    /// Shows the run to those who look on.
+    /// Shows the run to clients.
     pub feed: Option<Feed>,
-    /// How often the disk is made to hold what was written, s: what a loss of power costs at most.
+    /// Interval between syncs of the capture to the disk: a power failure costs at most this time.
     pub sync_s: f64,
 }
 
@@ -68,25 +65,22 @@ pub struct Options {
 pub enum Ending {
     /// The program's end mark.
     Mark,
-    /// The time was up.
     Duration,
     Stopped,
-    /// The port stayed away.
+    /// The port stayed absent.
     Gone,
 }
 
-/// A run that is over.
+/// The result of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// The capture: another than was asked for where that was taken away.
+    /// The capture. It differs from [`Options::out`] if that file was removed or replaced during the run.
     pub capture: PathBuf,
-    /// What ended it.
     pub ending: Ending,
-    /// Its last counts.
     pub progress: Progress,
 }
 
-/// A run that goes on in a thread of its own.
+/// A run in progress, recorded by a thread of its own.
 pub struct Acquisition {
     shared: Arc<Shared>,
     recorder: JoinHandle<Result<Summary, Diagnostic>>,
@@ -94,9 +88,9 @@ pub struct Acquisition {
 
 struct Shared {
     progress: Mutex<Progress>,
-    /// What others say that is to be written.
+    /// Events of other threads that are to be written.
     notes: Mutex<Vec<Event>>,
-    /// What others did to the capture.
+    /// Findings about interference with the capture file.
     findings: Mutex<Vec<Diagnostic>>,
     stop: Arc<AtomicBool>,
 }
@@ -113,43 +107,28 @@ impl Ending {
 }
 
 impl Acquisition {
-    /// Opens the port, makes the capture and begins. The run ends early when `stop` is raised.
-    ///
-    /// # Errors
-    /// When the port cannot be opened or the capture not be made.
+    /// Opens the port, creates the capture and starts the recorder. Setting `stop` ends the run.
     pub fn start(options: Options, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
-        Self::start_with(Lines::default(), options, stop)
-    }
-
-    /// The same with lines to the controller.
-    ///
-    /// # Errors
-    /// As [`Self::start`].
-    pub fn start_with(lines: Lines, options: Options, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
         if options.out.exists() {
             let name = options.out.display().to_string();
             return Err(Diagnostic::file(&name, RecordingFinding::CaptureExists));
         }
-        // The port comes first: without it no file is left behind.
+        // The port is opened first: if that fails, no file is left behind.
         let opened = session::open(&options.port, &options.definition)?;
         let writer = Writer::create(&options.out)?;
-        Self::record(lines, options, opened, writer, stop)
+        Self::record(writer, options, opened, stop)
     }
 
-    /// As [`Acquisition::start`], into a capture that was begun elsewhere.
-    ///
-    /// # Errors
-    /// When the port cannot be opened or the capture not be written.
+    /// The same, into an open writer.
     pub fn start_on(writer: Writer, options: Options, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
         let opened = session::open(&options.port, &options.definition)?;
-        Self::record(Lines::default(), options, opened, writer, stop)
+        Self::record(writer, options, opened, stop)
     }
 
     fn record(
-        lines: Lines,
+        writer: Writer,
         mut options: Options,
         opened: Opened,
-        writer: Writer,
         stop: Arc<AtomicBool>,
     ) -> Result<Self, Diagnostic> {
         let began = opened.began;
@@ -167,7 +146,7 @@ impl Acquisition {
             recorder.attach(began, ATTACHED_IDENTITY, serialised::toml(&options.identity)?.as_bytes())?;
         }
         recorder.attach(began, "protocol.toml", options.definition.text.as_bytes())?;
-        let port = begin(&mut recorder, &options.port, opened)?;
+        let port = record_opened(&mut recorder, &options.port, opened)?;
         let shared = Arc::new(Shared {
             progress: Mutex::default(),
             notes: Mutex::default(),
@@ -175,17 +154,15 @@ impl Acquisition {
             stop,
         });
         let identity = port::identity(&options.port);
-        let telegrams = lines.ekrl.map(|server| Telegrams::new(server, schedule));
-        let axes = lines.axes;
-        let run = Run { options, identity, recorder, telegrams, axes, shared: Arc::clone(&shared), began };
+        let telegrams = options.controller.ekrl.take().map(|server| Telegrams::new(server, schedule));
+        let run = Run { options, identity, recorder, telegrams, shared: Arc::clone(&shared), began };
         let recorder = std::thread::Builder::new()
             .name("recorder".into())
-            .spawn(move || run.whole(port))
+            .spawn(move || run.record(port))
             .map_err(|error| ServiceFinding::NoSystem { why: error.to_string() })?;
         Ok(Self { shared, recorder })
     }
 
-    /// How it is going.
     pub fn progress(&self) -> Progress {
         *lock(&self.shared.progress)
     }
@@ -195,37 +172,32 @@ impl Acquisition {
         self.note(Event::Mark { text });
     }
 
-    /// Writes what happened beside the line into the capture.
+    /// Writes an event into the capture.
     pub fn note(&self, event: Event) {
         lock(&self.shared.notes).push(event);
     }
 
-    /// What is to be said of the capture since it was asked for last.
+    /// The findings about the capture file since the last call.
     pub fn findings(&self) -> Vec<Diagnostic> {
         std::mem::take(&mut *lock(&self.shared.findings))
     }
 
-    /// Whether it is over.
     pub fn is_over(&self) -> bool {
         self.recorder.is_finished()
     }
 
-    /// Waits for its end.
-    ///
-    /// # Errors
-    /// When the capture could not be written on.
     pub fn join(self) -> Result<Summary, Diagnostic> {
         self.recorder.join().map_err(|_| ServiceFinding::RecorderDied)?
     }
 }
 
-/// Records that the bar was opened, and what came with its start.
-fn begin(recorder: &mut Recorder, address: &PortAddress, opened: Opened) -> Result<Port, Diagnostic> {
+/// Records that the bar was opened, and the bytes that came with its start.
+fn record_opened(recorder: &mut Recorder, address: &PortAddress, opened: Opened) -> Result<Port, Diagnostic> {
     let now = clock::now();
     let Opened { port, stale, first, .. } = opened;
     recorder.event(now, Event::Opened { port: address.to_string(), stamps: Some(port.stamps()) })?;
     if stale > 0 {
-        let text = format!("{stale} bytes of an earlier stream were thrown away before the start");
+        let text = format!("{stale} bytes of an earlier stream were discarded before the start");
         recorder.event(now, Event::Mark { text })?;
     }
     if !first.is_empty() {
@@ -234,32 +206,26 @@ fn begin(recorder: &mut Recorder, address: &PortAddress, opened: Opened) -> Resu
     Ok(port)
 }
 
-/// The recorder's thread.
+/// The state of the recorder thread.
 struct Run {
     options: Options,
-    /// The address by which the port is found again.
+    /// The address under which the port is opened again.
     identity: PortAddress,
     recorder: Recorder,
     telegrams: Option<Telegrams>,
-    axes: Option<AxesSource>,
     shared: Arc<Shared>,
     began: HostNs,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum PortState {
-    Open,
-    Gone,
-}
-
-/// How a session on an open port ended.
+/// How the recording from an open port ended.
 enum Session {
     Over(Ending),
+    /// Since when, and the reason.
     Gone(HostNs, String),
 }
 
 impl Run {
-    fn whole(mut self, mut port: Port) -> Result<Summary, Diagnostic> {
+    fn record(mut self, mut port: Port) -> Result<Summary, Diagnostic> {
         let ending = loop {
             let (since, why) = match self.session(&port)? {
                 Session::Over(ending) => {
@@ -270,25 +236,26 @@ impl Run {
             };
             drop(port);
             self.recorder.interrupted(since)?;
+            self.recorder.progress.gone = true;
             let reopened = self.reopen(since)?;
+            self.recorder.progress.gone = false;
             let now = clock::now();
             let away_s = now.seconds_since(since);
             self.recorder.progress.silent_s += away_s;
-            let seconds = Some(away_s);
             let reason = format!("the port was gone: {why}");
-            self.recorder.event(now, Event::Gap { seconds, missing: None, reason })?;
+            self.recorder.event(now, Event::Gap { seconds: Some(away_s), missing: None, reason })?;
             match reopened {
                 Ok(again) => {
                     self.recorder.restarted();
-                    port = begin(&mut self.recorder, &self.identity, again)?;
+                    port = record_opened(&mut self.recorder, &self.identity, again)?;
                 }
                 Err(ending) => break ending,
             }
         };
         self.write_notes()?;
-        self.beside(Line::Idle)?;
+        self.record_controller(BarLine::Idle)?;
         let progress = self.recorder.finish(clock::now(), ending.reason());
-        self.say();
+        self.publish_findings();
         Ok(Summary { capture: self.recorder.path().into(), ending, progress: progress? })
     }
 
@@ -300,13 +267,13 @@ impl Run {
             Mode::Stream | Mode::Push => None,
         };
         let idle = self.options.definition.idle;
+        let has_controller = self.telegrams.is_some() || self.options.controller.axes.is_some();
+        let longest = if has_controller { Telegrams::PATIENCE } else { Duration::from_millis(50) };
         loop {
             if let Some(ending) = self.ending() {
                 return Ok(Session::Over(ending));
             }
-            let beside = self.telegrams.is_some() || self.axes.is_some();
-            let unhurried = if beside { Telegrams::PATIENCE } else { Duration::from_millis(50) };
-            let mut patience = idle.unwrap_or(unhurried);
+            let mut patience = idle.unwrap_or(longest);
             if let Some(polling) = &mut polling {
                 match polling.step(&self.options.definition, &mut self.recorder)? {
                     Ok(wait) => patience = patience.min(wait),
@@ -314,7 +281,7 @@ impl Run {
                 }
             }
             let arrival = arrivals.recv_timeout(patience);
-            let line = if arrival.is_err() { Line::Idle } else { Line::Busy };
+            let line = if arrival.is_err() { BarLine::Idle } else { BarLine::Busy };
             match arrival {
                 Ok(Arrival::Bytes(host, bytes)) => {
                     let before = self.recorder.answers();
@@ -336,14 +303,14 @@ impl Run {
                     return Ok(Session::Gone(clock::now(), "the reading thread ended".into()));
                 }
             }
-            self.beside(line)?;
-            self.publish(PortState::Open)?;
+            self.record_controller(line)?;
+            self.publish()?;
         }
     }
 
-    /// Records what came from the controller.
-    fn beside(&mut self, line: Line) -> Result<(), Diagnostic> {
-        while let Some((host, arrival)) = self.axes.as_ref().and_then(AxesSource::next) {
+    /// Records the axes and telegrams of the controller.
+    fn record_controller(&mut self, line: BarLine) -> Result<(), Diagnostic> {
+        while let Some((host, arrival)) = self.options.controller.axes.as_ref().and_then(AxesSource::next) {
             match arrival {
                 AxesArrival::Bytes(bytes) => self.recorder.axes(host, bytes)?,
                 AxesArrival::Event(event) => self.recorder.event(host, event)?,
@@ -366,13 +333,13 @@ impl Run {
         }
     }
 
-    /// Waits for the port to come back: more patiently each time, until it has been away too long.
+    /// Opens the port again, with growing pauses between the attempts, or returns what ended the run meanwhile.
     fn reopen(&mut self, since: HostNs) -> Result<Result<Opened, Ending>, Diagnostic> {
         let mut backoff = 0.1;
         let mut next = 0.0;
         loop {
-            self.beside(Line::Idle)?;
-            self.publish(PortState::Gone)?;
+            self.record_controller(BarLine::Idle)?;
+            self.publish()?;
             if let Some(ending) = self.ending() {
                 return Ok(Err(ending));
             }
@@ -393,10 +360,8 @@ impl Run {
         }
     }
 
-    /// Hands over what was found about the capture.
-    fn say(&mut self) {
-        let mut findings = lock(&self.shared.findings);
-        findings.append(&mut self.recorder.findings);
+    fn publish_findings(&mut self) {
+        lock(&self.shared.findings).append(&mut self.recorder.findings);
     }
 
     fn write_notes(&mut self) -> Result<(), Diagnostic> {
@@ -404,13 +369,11 @@ impl Run {
         notes.into_iter().try_for_each(|event| self.recorder.event(clock::now(), event))
     }
 
-    /// Writes the notes of others and publishes the counts.
-    fn publish(&mut self, port: PortState) -> Result<(), Diagnostic> {
+    fn publish(&mut self) -> Result<(), Diagnostic> {
         self.write_notes()?;
         self.recorder.tick(clock::now())?;
-        self.say();
-        let progress = Progress { gone: port == PortState::Gone, ..self.recorder.progress };
-        *lock(&self.shared.progress) = progress;
+        self.publish_findings();
+        *lock(&self.shared.progress) = self.recorder.progress;
         Ok(())
     }
 }

@@ -1,7 +1,7 @@
-//! The line to a controller that publishes its axes: a listener for KUKA RSI (UDP), a client of UR RTDE (TCP).
+//! The connection to a controller that publishes its axes: a listener for KUKA RSI (UDP) or a client of UR RTDE (TCP).
 //!
-//! A thread reads, stamps and hands over; the recorder writes and decodes. Nothing is sent to an RSI controller unless
-//! the address asks for it: a wrong answer could move the robot, one that is missing may stop it.
+//! A thread reads and timestamps; the recorder writes and decodes. Nothing is sent to an RSI controller unless the address
+//! requests it: a wrong answer could move the robot, a missing one may stop it.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
@@ -17,25 +17,23 @@ use crate::device::axes::{Answer, AxesAddress, AxesDecoder, AxesProtocol, Packet
 use crate::device::port::NetworkAddress;
 use crate::recording::capture::Event;
 
-/// Arrivals that wait for the recorder: several seconds.
+/// Arrivals that may wait for the recorder: several seconds.
 const QUEUE: usize = 4096;
-/// How often the thread looks whether the run is over.
+/// Interval at which the thread checks whether the run is over.
 const PATIENCE: Duration = Duration::from_millis(20);
-/// How long a controller may take to accept, and to answer a request.
-const ANSWER: Duration = Duration::from_secs(2);
-/// Pause between attempts to reach a controller that went away, s.
+/// Timeout for a connection and for an answer.
+const ANSWER_TIME: Duration = Duration::from_secs(2);
+/// Pause between attempts to reconnect, s.
 const BACKOFF_S: f64 = 0.5;
 
-/// What comes from the controller.
 #[derive(Debug)]
 pub(super) enum AxesArrival {
     /// A datagram, or the bytes of one read.
     Bytes(Vec<u8>),
-    /// What is to be said in the capture.
     Event(Event),
 }
 
-/// Listens to a controller, or asks it, until it is dropped.
+/// Receives the packets of a controller until it is dropped.
 #[derive(Debug)]
 pub struct AxesSource {
     address: SocketAddr,
@@ -44,27 +42,23 @@ pub struct AxesSource {
 }
 
 impl AxesSource {
-    /// Listens, or connects and agrees on what is sent.
-    ///
-    /// # Errors
-    /// When the address cannot be listened on, or the controller is away or refuses.
+    /// Listens for RSI, or connects to an RTDE server and sets up its output.
     pub fn open(address: &AxesAddress) -> Result<Self, AxesFinding> {
         let (sender, arrivals) = sync_channel(QUEUE);
         let stop = Arc::new(AtomicBool::new(false));
         let line = Line { address: address.clone(), sender, stop: Arc::clone(&stop) };
         let address = match *address {
             AxesAddress::Rsi { listen, answer } => line.listen(listen, answer)?,
-            AxesAddress::Rtde { .. } => line.ask()?,
+            AxesAddress::Rtde { .. } => line.poll()?,
         };
         Ok(Self { address, arrivals, stop })
     }
 
-    /// Where it listens, or the controller's address.
+    /// The address that it listens on, or the controller's.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// What came next, and when.
     pub(super) fn next(&self) -> Option<(HostNs, AxesArrival)> {
         self.arrivals.try_recv().ok()
     }
@@ -76,7 +70,7 @@ impl Drop for AxesSource {
     }
 }
 
-/// The thread's end.
+/// The state of the thread.
 struct Line {
     address: AxesAddress,
     sender: SyncSender<(HostNs, AxesArrival)>,
@@ -88,18 +82,28 @@ impl Line {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Hands over; nobody takes it once the run is over.
+    fn away(&self, error: io::Error) -> AxesFinding {
+        ControllerAway { address: self.address.to_string(), why: error.to_string() }
+    }
+
+    /// Ignored once the run is over.
     fn send(&self, host: HostNs, arrival: AxesArrival) {
         let _ = self.sender.send((host, arrival));
     }
 
+    fn event(&self, event: Event) {
+        self.send(clock::now(), AxesArrival::Event(event));
+    }
+
     fn remark(&self, text: String) {
-        self.send(clock::now(), AxesArrival::Event(Event::Mark { text: format!("axes: {text}") }));
+        self.event(Event::Mark { text: format!("axes: {text}") });
     }
 
     fn opened(&self) {
-        let (address, protocol) = (self.address.to_string(), self.address.protocol());
-        self.send(clock::now(), AxesArrival::Event(Event::AxesOpened { address, protocol }));
+        self.event(Event::AxesOpened {
+            address: self.address.to_string(),
+            protocol: self.address.protocol(),
+        });
     }
 
     fn listen(self, listen: SocketAddr, answer: Answer) -> Result<SocketAddr, AxesFinding> {
@@ -108,21 +112,21 @@ impl Line {
         let socket = UdpSocket::bind(listen).map_err(wrong)?;
         socket.set_read_timeout(Some(PATIENCE)).map_err(wrong)?;
         let bound = socket.local_addr().map_err(wrong)?;
-        let failed = NotListening { address: self.address.to_string(), why: "no thread".into() };
+        let no_thread = wrong(io::Error::other("no thread"));
         self.opened();
         std::thread::Builder::new()
             .name("axes".into())
             .spawn(move || self.receive(&socket, answer))
-            .map_err(|_| failed)?;
+            .map_err(|_| no_thread)?;
         Ok(bound)
     }
 
-    /// Takes the datagrams of the first controller that sends any.
+    /// Receives the datagrams of the first controller that sends one.
     fn receive(&self, socket: &UdpSocket, answer: Answer) {
         let mut room = vec![0; rsi::LONGEST + 1];
         let (mut controller, mut unrecorded, mut strangers): (Option<IpAddr>, u64, u64) = (None, 0, 0);
         while !self.over() {
-            // An error of an earlier answer (nobody is at its port) is none of what comes.
+            // The error may refer to an earlier answer: nobody listens at that port.
             let Ok((count, from)) = socket.recv_from(&mut room) else { continue };
             let host = clock::now();
             let bytes = room.get(..count).unwrap_or_default();
@@ -132,14 +136,14 @@ impl Line {
             if *controller.get_or_insert(from.ip()) != from.ip() {
                 strangers += 1;
                 if strangers == 1 {
-                    self.remark(format!("{from} sends as well, and is not listened to"));
+                    self.remark(format!("{from} sends as well, and is ignored"));
                 }
                 continue;
             }
             if answer == Answer::Zero
                 && let Ok(sample) = rsi::read(bytes)
             {
-                // A controller that is gone takes no answer.
+                // Fails if the controller is gone.
                 let _ = socket.send_to(rsi::zero_answer(sample.ticks).as_bytes(), from);
             }
             match self.sender.try_send((host, AxesArrival::Bytes(bytes.to_vec()))) {
@@ -154,12 +158,10 @@ impl Line {
         }
     }
 
-    fn ask(self) -> Result<SocketAddr, AxesFinding> {
+    fn poll(self) -> Result<SocketAddr, AxesFinding> {
         let mut stream = self.connect()?;
-        let wrong =
-            |error: io::Error| ControllerAway { address: self.address.to_string(), why: error.to_string() };
-        let controller = stream.peer_addr().map_err(wrong)?;
-        let failed = ControllerAway { address: self.address.to_string(), why: "no thread".into() };
+        let controller = stream.peer_addr().map_err(|error| self.away(error))?;
+        let no_thread = self.away(io::Error::other("no thread"));
         std::thread::Builder::new()
             .name("axes".into())
             .spawn(move || {
@@ -173,29 +175,24 @@ impl Line {
                     stream = again;
                 }
             })
-            .map_err(|_| failed)?;
+            .map_err(|_| no_thread)?;
         Ok(controller)
     }
 
-    /// Connects, and agrees on the recipe; what came meanwhile is handed over.
+    /// Connects and sets up the output recipe. The bytes of the set-up are recorded too.
     fn connect(&self) -> Result<TcpStream, AxesFinding> {
         let AxesAddress::Rtde { server: NetworkAddress { host, port }, rate_hz } = &self.address else {
             return Err(Refused { address: self.address.to_string(), step: "protocol" });
         };
-        let away =
-            |error: io::Error| ControllerAway { address: self.address.to_string(), why: error.to_string() };
-        let mut last = io::Error::new(ErrorKind::NotFound, "the name has no address");
-        let mut connected = None;
+        let away = |error| self.away(error);
+        let mut connected = Err(io::Error::new(ErrorKind::NotFound, "the name has no address"));
         for socket in (host.as_str(), *port).to_socket_addrs().map_err(away)? {
-            match TcpStream::connect_timeout(&socket, ANSWER) {
-                Ok(stream) => {
-                    connected = Some(stream);
-                    break;
-                }
-                Err(error) => last = error,
+            connected = TcpStream::connect_timeout(&socket, ANSWER_TIME);
+            if connected.is_ok() {
+                break;
             }
         }
-        let mut stream = connected.ok_or(last).map_err(away)?;
+        let mut stream = connected.map_err(away)?;
         stream.set_nodelay(true).and_then(|()| stream.set_read_timeout(Some(PATIENCE))).map_err(away)?;
         self.opened();
         let mut decoder = AxesDecoder::new(AxesProtocol::Rtde);
@@ -208,11 +205,11 @@ impl Line {
         Ok(stream)
     }
 
-    /// Whether the request that was sent last is accepted, in time.
+    /// Whether the controller accepts the last request in time.
     fn accepted(&self, stream: &mut TcpStream, decoder: &mut AxesDecoder) -> io::Result<bool> {
         let began = clock::now();
         let mut room = [0; 4096];
-        while clock::now().seconds_since(began) < ANSWER.as_secs_f64() {
+        while clock::now().seconds_since(began) < ANSWER_TIME.as_secs_f64() {
             let count = match stream.read(&mut room) {
                 Ok(0) => return Ok(false),
                 Ok(count) => count,
@@ -234,7 +231,7 @@ impl Line {
         Ok(false)
     }
 
-    /// Hands over what comes until the connection ends; why it did.
+    /// Reads until the connection ends, and returns the reason.
     fn read(&self, stream: &mut TcpStream) -> String {
         let mut room = [0; 4096];
         while !self.over() {
@@ -253,13 +250,13 @@ impl Line {
         String::new()
     }
 
-    /// Tries until the controller is back; `None` when the run is over.
+    /// `None` when the run is over.
     fn reconnect(&self) -> Option<TcpStream> {
         while !self.over() {
-            match self.connect() {
-                Ok(stream) => return Some(stream),
-                Err(_) => clock::sleep(BACKOFF_S),
+            if let Ok(stream) = self.connect() {
+                return Some(stream);
             }
+            clock::sleep(BACKOFF_S);
         }
         None
     }

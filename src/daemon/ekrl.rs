@@ -1,10 +1,10 @@
-//! The server of the channel over which a program reports its dwells: EthernetKRL, TCP.
+//! EthernetKRL: the TCP server for the dwell reports (telegrams) of a program, and their recording.
 //!
-//! The controller connects for each module and closes at its end; one that was switched off closes
-//! nothing, so a new connection is taken while an old one is still open. A telegram is answered when it
-//! is in the capture, not before. One that cannot be meant (not readable, of another plan, of a row that
-//! the plan does not have) is answered with 0, at which the program halts.
+//! The controller connects for each module and closes at its end. A controller that was switched off closes nothing, so a new
+//! connection is accepted while an old one is open. A telegram is answered after it has been recorded. A telegram that is
+//! malformed, of another plan or of a row without a dwell is answered with 0, which halts the program.
 
+use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,32 +12,34 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use super::recorder::Recorder;
+use super::schedule::{Mismatch, Schedule};
 use crate::base::clock;
 use crate::base::sync::lock;
 use crate::base::units::HostNs;
 use crate::catalogue::PortFinding::{self, NotListening};
+use crate::diagnostic::Diagnostic;
+use crate::recording::capture::Event;
 use crate::recording::{Telegram, TelegramReader, TelegramResult};
 
-/// Connections at a time: the controller's, and some that it left behind. A further one takes the place of that which
-/// has sent no telegram for the longest.
-const MOST: usize = 8;
-/// What was heard and is not recorded yet; each connection waits for its answer, so there is never more.
-const QUEUE: usize = 4 * MOST;
-/// How often the threads look whether the run is over.
+/// Connections at a time: the controller's and stale ones. A new connection replaces the one that has been idle longest.
+const MOST_CLIENTS: usize = 8;
+/// Events that are not recorded yet. Each client waits for its answer, so the queue never fills.
+const QUEUE: usize = 4 * MOST_CLIENTS;
+/// Interval at which the threads check whether the run is over.
 const PATIENCE: Duration = Duration::from_millis(20);
 
-/// Something that happened on the channel.
 #[derive(Debug)]
-pub(super) enum ChannelEvent {
-    /// A telegram, and where its answer is waited for: the `Id` of the acknowledgement.
+enum ChannelEvent {
+    /// A telegram, and the channel for the `Id` of its acknowledgement.
     Telegram(Telegram, SyncSender<u32>),
-    /// What is worth a remark in the capture.
+    /// A remark for the capture.
     Remark(String),
     /// The last connection was closed.
     Quiet,
 }
 
-/// Listens, and hands over what happens.
+/// Receives the telegrams until it is dropped.
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
@@ -46,10 +48,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Listens at an address; port 0 is any that is free.
-    ///
-    /// # Errors
-    /// When the address is taken or none of this computer's.
+    /// Port 0 means any free port.
     pub fn listen(address: SocketAddr) -> Result<Self, PortFinding> {
         let error = |error: io::Error| NotListening { address: address.to_string(), why: error.to_string() };
         let listener = TcpListener::bind(address).map_err(error)?;
@@ -65,14 +64,8 @@ impl Server {
         Ok(Self { address, events, stop })
     }
 
-    /// Where it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
-    }
-
-    /// What happened next, with the time at which it came.
-    pub(super) fn next(&self) -> Option<(HostNs, ChannelEvent)> {
-        self.events.try_recv().ok()
     }
 }
 
@@ -82,7 +75,7 @@ impl Drop for Server {
     }
 }
 
-/// What the threads of the connections share.
+/// Shared by the threads of the connections.
 #[derive(Clone)]
 struct Channel {
     sender: SyncSender<(HostNs, ChannelEvent)>,
@@ -90,12 +83,10 @@ struct Channel {
     open: Arc<Mutex<Vec<Arc<Client>>>>,
 }
 
-/// A connection.
 #[derive(Debug, Default)]
 struct Client {
-    /// When its last telegram came, ns; 0 for none.
+    /// Time of its last telegram, ns; 0 for none.
     heard_ns: AtomicU64,
-    /// Whether another one has its place.
     replaced: AtomicBool,
 }
 
@@ -104,7 +95,7 @@ impl Channel {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Hands over; nobody listens any more once the run is over.
+    /// Ignored once the run is over.
     fn send(&self, event: ChannelEvent) {
         let _ = self.sender.send((clock::now(), event));
     }
@@ -118,7 +109,7 @@ impl Channel {
                     self.take(stream, from);
                 }
                 Err(error) => {
-                    // Said once, not fifty times a second.
+                    // Remarked once, not fifty times a second.
                     if error.kind() != ErrorKind::WouldBlock && !std::mem::replace(&mut failing, true) {
                         self.send(ChannelEvent::Remark(format!("EthernetKRL: nobody can connect: {error}")));
                     }
@@ -134,17 +125,15 @@ impl Channel {
         let spawned = std::thread::Builder::new().name("ekrl-client".into()).spawn(move || {
             channel.send(ChannelEvent::Remark(format!("EthernetKRL: {from} has connected")));
             let (reader, why) = channel.serve(stream, &client);
-            let left = match (reader.pending(), reader.skipped()) {
-                (0, 0) => String::new(),
-                (0, skipped) => format!(", {skipped} bytes of it were no telegram"),
-                (pending, 0) => format!(" in the middle of a telegram ({pending} bytes)"),
-                (pending, skipped) => {
-                    format!(
-                        " in the middle of a telegram ({pending} bytes), {skipped} bytes were no telegram"
-                    )
-                }
+            let pending = match reader.pending() {
+                0 => String::new(),
+                bytes => format!(" in the middle of a telegram ({bytes} bytes)"),
             };
-            channel.send(ChannelEvent::Remark(format!("EthernetKRL: {from} {why}{left}")));
+            let skipped = match reader.skipped() {
+                0 => String::new(),
+                bytes => format!(", {bytes} bytes were no telegram"),
+            };
+            channel.send(ChannelEvent::Remark(format!("EthernetKRL: {from} {why}{pending}{skipped}")));
             if channel.leave(&client) == 0 {
                 channel.send(ChannelEvent::Quiet);
             }
@@ -155,11 +144,11 @@ impl Channel {
         }
     }
 
-    /// A place for a client, that of another if there is none.
+    /// Registers a client, in place of the one that has been idle longest if there are too many.
     fn enter(&self) -> Arc<Client> {
         let client = Arc::<Client>::default();
         let mut open = lock(&self.open);
-        if open.len() >= MOST {
+        if open.len() >= MOST_CLIENTS {
             let heard = |at: &usize| open[*at].heard_ns.load(Ordering::Relaxed);
             if let Some(idle) = (0..open.len()).min_by_key(heard) {
                 open.remove(idle).replaced.store(true, Ordering::Relaxed);
@@ -169,14 +158,14 @@ impl Channel {
         client
     }
 
-    /// How many are left.
+    /// Returns the number of remaining clients.
     fn leave(&self, client: &Arc<Client>) -> usize {
         let mut open = lock(&self.open);
         open.retain(|other| !Arc::ptr_eq(other, client));
         open.len()
     }
 
-    /// Answers one client until it goes; what its reader has left, and why it went.
+    /// Answers one client until it disconnects. Also returns the reason in words.
     fn serve(&self, mut stream: TcpStream, client: &Client) -> (TelegramReader, String) {
         let mut reader = TelegramReader::default();
         let set = stream
@@ -190,7 +179,7 @@ impl Channel {
         let mut bytes = [0; 2048];
         while !self.over() {
             if client.replaced.load(Ordering::Relaxed) {
-                return (reader, format!("was idle the longest of {MOST}, and was left for another"));
+                return (reader, format!("was idle the longest of {MOST_CLIENTS}, and was left for another"));
             }
             let count = match stream.read(&mut bytes) {
                 Ok(0) => return (reader, "has closed".into()),
@@ -212,7 +201,7 @@ impl Channel {
         (reader, "was left: the run is over".into())
     }
 
-    /// Hands a telegram over and waits until it is recorded; `None` when the run is over.
+    /// Waits until the telegram is recorded. `None` when the run is over.
     fn answer(&self, heard: TelegramResult) -> Option<u32> {
         match heard {
             TelegramResult::Telegram(telegram) => {
@@ -225,5 +214,87 @@ impl Channel {
                 Some(0)
             }
         }
+    }
+}
+
+/// Records the telegrams of a run, and tells when the program is over.
+pub(super) struct Telegrams {
+    server: Server,
+    schedule: Schedule,
+    waiting: VecDeque<(HostNs, ChannelEvent)>,
+    last_dwell_over: bool,
+    closed: bool,
+}
+
+/// Bytes of the bar that arrived before a telegram are recorded before it, if the reader delivers them within this time.
+const BEFORE_S: f64 = 0.02;
+
+/// Whether bytes of the bar may be waiting to be recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum BarLine {
+    Busy,
+    Idle,
+}
+
+impl Telegrams {
+    /// Longest wait for the bar while telegrams may come.
+    pub(super) const PATIENCE: Duration = Duration::from_millis(4);
+
+    pub(super) fn new(server: Server, schedule: Schedule) -> Self {
+        Self { server, schedule, waiting: VecDeque::new(), last_dwell_over: false, closed: false }
+    }
+
+    /// Records and answers the telegrams that are old enough; all of them while the bar is idle.
+    pub(super) fn step(&mut self, recorder: &mut Recorder, line: BarLine) -> Result<(), Diagnostic> {
+        self.waiting.extend(self.server.events.try_iter());
+        let now = clock::now();
+        while let Some((host, event)) = self
+            .waiting
+            .pop_front_if(|(host, _)| line == BarLine::Idle || now.seconds_since(*host) > BEFORE_S)
+        {
+            match event {
+                ChannelEvent::Telegram(telegram, answer) => {
+                    let id = self.record(recorder, host, &telegram)?;
+                    // The client may have disconnected.
+                    let _ = answer.send(id);
+                }
+                ChannelEvent::Remark(text) => recorder.event(host, Event::Mark { text })?,
+                ChannelEvent::Quiet => self.closed = self.last_dwell_over,
+            }
+        }
+        Ok(())
+    }
+
+    /// Records a telegram and returns the `Id` of the answer.
+    fn record(
+        &mut self,
+        recorder: &mut Recorder,
+        host: HostNs,
+        telegram: &Telegram,
+    ) -> Result<u32, Diagnostic> {
+        let Telegram { run, index, phase, axes_deg } = *telegram;
+        if let Some(mismatch) = self.schedule.mismatch(telegram) {
+            let why = match mismatch {
+                Mismatch::Run { expected } => {
+                    format!("it is of run {run}, the plan's program is run {expected}")
+                }
+                Mismatch::NoDwell => format!("row {index} of the plan is no dwell"),
+            };
+            recorder.progress.refused += 1;
+            recorder.event(host, Event::Mark { text: format!("EthernetKRL: refused a telegram: {why}") })?;
+            return Ok(0);
+        }
+        recorder.progress.telegrams += 1;
+        if phase == 2 {
+            recorder.progress.dwells += 1;
+            self.last_dwell_over |= self.schedule.is_last(index);
+        }
+        recorder.event(host, Event::Controller { index, phase, axes_deg })?;
+        Ok(index)
+    }
+
+    /// Whether the program has reported its last dwell and closed the channel.
+    pub(super) fn over(&self) -> bool {
+        self.closed
     }
 }

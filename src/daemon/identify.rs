@@ -1,4 +1,4 @@
-//! First contact with a bar: what comes over a line, and which definition explains it.
+//! Identification of the protocol of a bar: which definition explains the bytes on its line.
 
 use std::time::Duration;
 
@@ -10,58 +10,55 @@ use crate::catalogue::PortFinding::{self, BarSilent};
 use crate::device::port::{LineSettings, Port, PortAddress, Transport};
 use crate::device::protocol::{Definition, Evidence, Mode};
 
-/// A board that restarts when its line is opened sends after this at the latest, s.
+/// Longest start of a board that resets when its line is opened, s.
 const WAKE_S: f64 = 2.5;
-/// How long a rate is listened to before it is given up, s.
+/// Listening time per baud rate, s.
 const SNIFF_S: f64 = 0.5;
-/// How long a device that was asked may take to say something, s.
+/// Timeout for an answer to a request, s.
 const ANSWER_S: f64 = 0.7;
 const SLICE: Duration = Duration::from_millis(50);
 
-/// What is to be found out.
 pub struct Search<'a> {
     pub port: &'a PortAddress,
     pub definitions: &'a [Definition],
-    /// How long bytes are gathered, s.
+    /// Time for which bytes are collected.
     pub span_s: f64,
-    /// Whether a bar that says nothing by itself is asked, in the words of each definition.
+    /// Whether the commands of each definition are sent to a silent bar.
     pub asks: bool,
 }
 
-/// What was heard with one setting of the line.
+/// The bytes received with one setting of the line.
 #[derive(Clone, Debug, Serialize)]
 pub struct Attempt {
-    /// The definition whose commands were sent; none where the line was only listened to.
+    /// The definition whose commands were sent; `None` if nothing was sent.
     pub asked: Option<String>,
-    /// The line's rate; none where it has none.
+    /// `None` for a line without a baud rate.
     pub baud: Option<u32>,
     pub bytes: usize,
-    /// The best definition first; those that explain nothing are left out.
+    /// The definitions that explain some bytes, the best first.
     pub ranked: Vec<Evidence>,
 }
 
 impl Attempt {
-    /// The definition that explains the bytes.
+    /// The identified definition.
     pub fn found(&self) -> Option<&Evidence> {
         self.ranked.first().filter(|evidence| evidence.is_enough())
     }
 }
 
 impl Search<'_> {
-    /// Listens at each rate of the definitions, then asks; ends as soon as the bytes are explained.
-    ///
-    /// # Errors
-    /// When the line cannot be opened or goes away.
-    pub fn attempts(&self, mut say: impl FnMut(&Attempt)) -> Result<Vec<Attempt>, PortFinding> {
+    /// Listens at each baud rate of the definitions, then sends their commands, until the bytes are explained. `report` is
+    /// called after each attempt.
+    pub fn attempts(&self, mut report: impl FnMut(&Attempt)) -> Result<Vec<Attempt>, PortFinding> {
         let mut attempts = Vec::new();
         let mut patience_s = WAKE_S;
         for line in self.lines() {
-            let (attempt, waited_s, has_rate) = self.listen(&line, patience_s)?;
-            say(&attempt);
-            let (silent, done) = (attempt.bytes == 0, attempt.found().is_some());
+            let (attempt, waited_s) = self.listen(&line, patience_s)?;
+            report(&attempt);
+            // A bar that sends is received at any rate, though as garbage.
+            let last = attempt.bytes == 0 || attempt.found().is_some() || attempt.baud.is_none();
             attempts.push(attempt);
-            // What sends is heard at any rate.
-            if done || silent || !has_rate {
+            if last {
                 break;
             }
             patience_s = waited_s + SNIFF_S;
@@ -70,7 +67,7 @@ impl Search<'_> {
         let speaks = |definition: &&Definition| !(definition.poll.is_empty() && definition.start.is_empty());
         for definition in self.definitions.iter().filter(speaks).filter(|_| self.asks && !heard) {
             let attempt = self.ask(definition)?;
-            say(&attempt);
+            report(&attempt);
             let done = attempt.found().is_some();
             attempts.push(attempt);
             if done {
@@ -80,7 +77,7 @@ impl Search<'_> {
         Ok(attempts)
     }
 
-    /// The settings of the line that the definitions have, each once.
+    /// The distinct line settings of the definitions.
     fn lines(&self) -> Vec<LineSettings> {
         let mut lines: Vec<LineSettings> = Vec::new();
         for Definition { line, .. } in self.definitions {
@@ -99,9 +96,8 @@ impl Search<'_> {
         lines
     }
 
-    /// Listens until something has come, and on if it may be a bar; how long the first byte took, s, and whether the line
-    /// has a rate.
-    fn listen(&self, line: &LineSettings, patience_s: f64) -> Result<(Attempt, f64, bool), PortFinding> {
+    /// Waits for the first byte, and listens longer if the bytes may be of a bar. Also returns the time until the first byte, s.
+    fn listen(&self, line: &LineSettings, patience_s: f64) -> Result<(Attempt, f64), PortFinding> {
         let mut port = Port::open(self.port, line)?;
         let has_rate = matches!(port.stamps().transport, Transport::Tty | Transport::Rfc2217);
         let began = clock::now();
@@ -112,7 +108,7 @@ impl Search<'_> {
         let waited_s = clock::now().seconds_since(began);
         let baud = has_rate.then_some(line.baud);
         if bytes.is_empty() {
-            return Ok((Attempt { asked: None, baud, bytes: 0, ranked: Vec::new() }, waited_s, has_rate));
+            return Ok((self.attempt(None, baud, &[]), waited_s));
         }
         bytes.extend(port.listen(Duration::from_secs_f64(SNIFF_S.min(self.span_s)), &[])?);
         let promising =
@@ -120,20 +116,18 @@ impl Search<'_> {
         if promising && self.span_s > SNIFF_S {
             bytes.extend(port.listen(Duration::from_secs_f64(self.span_s - SNIFF_S), &[])?);
         }
-        Ok((self.attempt(None, baud, &bytes), waited_s, has_rate))
+        Ok((self.attempt(None, baud, &bytes), waited_s))
     }
 
-    /// Starts or polls the bar as a definition has it.
+    /// Starts or polls the bar with the commands of a definition.
     fn ask(&self, definition: &Definition) -> Result<Attempt, PortFinding> {
         let asked = Some(definition.id.clone());
-        let opened = match session::open(self.port, definition) {
-            Ok(opened) => opened,
-            Err(BarSilent { .. }) => {
-                return Ok(Attempt { asked, baud: Some(definition.line.baud), bytes: 0, ranked: Vec::new() });
-            }
+        let baud = Some(definition.line.baud);
+        let (mut port, mut bytes) = match session::open(self.port, definition) {
+            Ok(opened) => (opened.port, opened.first),
+            Err(BarSilent { .. }) => return Ok(self.attempt(asked, baud, &[])),
             Err(error) => return Err(error),
         };
-        let (mut port, mut bytes) = (opened.port, opened.first);
         let period = match definition.mode {
             Mode::Poll { hz, .. } => Duration::from_secs_f64(1.0 / hz),
             Mode::Stream | Mode::Push => SLICE,
@@ -148,7 +142,7 @@ impl Search<'_> {
             bytes.extend(port.listen(period, &[])?);
         }
         session::close(port, definition);
-        Ok(self.attempt(asked, Some(definition.line.baud), &bytes))
+        Ok(self.attempt(asked, baud, &bytes))
     }
 
     fn attempt(&self, asked: Option<String>, baud: Option<u32>, bytes: &[u8]) -> Attempt {

@@ -1,56 +1,55 @@
-//! Whether the bar is mounted: one that is not mounted yet, or no more, reads what means nothing.
+//! Detects whether the bar is mounted. The readings of a bar that is not mounted are meaningless.
 
 use super::schedule::Schedule;
 use crate::live::Alarm;
 
-/// Hands that mount a bar do not hold it still for so long, s.
+/// Longer than hands hold the bar within its stroke while they mount it, s.
 const SETTLED_S: f64 = 1.0;
 
-/// What is read at a time.
 #[derive(Clone, Copy, Debug)]
 pub struct Reading {
     pub t_s: f64,
     pub reading_mm: f64,
-    /// Whether the bar vouches for it.
+    /// As flagged by the bar.
     pub valid: bool,
-    /// Dwells that are over.
+    /// Completed dwells.
     pub dwells: u32,
 }
 
-/// A bar counts as mounted once its readings were valid and inside the stroke for a second, until the dwells that the plan
-/// has before it is taken off are over and it reads something else. Without a plan it stays mounted.
+/// A bar is mounted once its readings were valid and inside the stroke for a second. It is taken off when the dwells before a
+/// planned removal are complete and its reading leaves the stroke. Without a plan it stays mounted.
 #[derive(Clone, Debug, Default)]
 pub struct MountDetector {
     mounted: bool,
-    /// Since when it reads what a mounted bar may read, s.
+    /// Since when the readings are valid and inside the stroke, s.
     inside_since_s: Option<f64>,
-    /// How often it was to be taken off, by the dwells.
-    times_off: usize,
-    /// How many dwells were over the last time, if it is still on.
-    leaving: Option<u32>,
+    /// Planned removals so far.
+    removals: usize,
+    /// Completed dwells at the last planned removal, while the bar is still on.
+    removal_due: Option<u32>,
 }
 
 impl MountDetector {
-    /// How near the reading is to the end of the stroke; `None` where no bar is mounted.
+    /// The alarm of a mounted bar; `None` if no bar is mounted.
     pub fn alarm(&mut self, schedule: &Schedule, now: Reading) -> Option<Alarm> {
         let Reading { t_s, reading_mm, valid, dwells } = now;
         let alarm = schedule.alarm(reading_mm);
         let inside = valid && alarm != Alarm::Over;
         self.inside_since_s = inside.then(|| self.inside_since_s.unwrap_or(t_s));
-        let times_off = schedule.taken_off.iter().filter(|off| **off <= dwells).count();
-        if times_off != self.times_off {
-            self.times_off = times_off;
-            self.leaving = self.mounted.then_some(dwells);
+        let removals = schedule.taken_off.iter().filter(|off| **off <= dwells).count();
+        if removals != self.removals {
+            self.removals = removals;
+            self.removal_due = self.mounted.then_some(dwells);
             self.mounted = false;
         }
-        match self.leaving {
-            // It was on all the time.
-            Some(since) if inside && dwells > since => (self.leaving, self.mounted) = (None, true),
+        match self.removal_due {
+            // It was not taken off.
+            Some(since) if inside && dwells > since => (self.removal_due, self.mounted) = (None, true),
             Some(_) if inside => {}
-            Some(_) => self.leaving = None,
+            Some(_) => self.removal_due = None,
             None => {
                 let settled = self.inside_since_s.is_some_and(|since| t_s - since >= SETTLED_S);
-                self.mounted |= settled && (times_off == 0 || times_off < schedule.taken_off.len());
+                self.mounted |= settled && (removals == 0 || removals < schedule.taken_off.len());
             }
         }
         if self.mounted { Some(alarm) } else { inside.then_some(Alarm::None) }
@@ -61,9 +60,9 @@ impl MountDetector {
 mod tests {
     use super::*;
 
-    /// Two balls with three dwells each: what the bar reads from its box to its box.
+    /// Two base balls with three dwells each, from the bar's case and back.
     #[test]
-    fn only_a_mounted_bar_raises_the_alarm() {
+    fn only_a_mounted_bar_raises_an_alarm() {
         let mut schedule = Schedule::bare(Some([-1.0, 1.0]), 0.9);
         schedule.taken_off = vec![3, 6];
         let mut detector = MountDetector::default();

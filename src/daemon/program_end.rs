@@ -1,16 +1,15 @@
-//! The end of the program by the strobe: dwells and modules that are over, while the run goes on.
+//! Counts dwells and modules by the strobe during a run, and detects the end of the program.
 
 use crate::measurement::sample::Sample;
 use crate::recording::{StrobeDecoder, StrobeEvent};
 
-/// Without a plan the program is over when nothing follows an end mark for so long, s.
+/// Without a plan the program is over when the strobe stays low for this time after an end mark, s.
 const OVER_S: f64 = 20.0;
 
-/// Counts what the strobe shows.
 #[derive(Clone, Debug)]
 pub(super) struct ProgramEnd {
     decoder: StrobeDecoder,
-    /// Modules that the plan has; unknown without a plan.
+    /// Modules of the plan; unknown without a plan.
     modules: Option<usize>,
     pub(super) dwells: u32,
     pub(super) modules_over: u32,
@@ -22,14 +21,13 @@ impl ProgramEnd {
         Self { decoder: StrobeDecoder::default(), modules, dwells: 0, modules_over: 0, now_s: 0.0 }
     }
 
-    /// The strobe of a sample at a time, s; times do not go back.
+    /// Adds a sample. Times do not decrease.
     pub(super) fn push(&mut self, t_s: f64, sample: &Sample) {
         self.now_s = t_s;
         let event = self.decoder.push(t_s, sample.trigger);
         self.count(event);
     }
 
-    /// The stream ends.
     pub(super) fn finish(&mut self) {
         let event = self.decoder.finish();
         self.count(event);
@@ -43,7 +41,7 @@ impl ProgramEnd {
         }
     }
 
-    /// Since when the strobe is high, s.
+    /// When the strobe rose, s, while it is high.
     pub(super) fn high_since_s(&self) -> Option<f64> {
         self.decoder.high_since_s()
     }
@@ -60,7 +58,7 @@ impl ProgramEnd {
 mod tests {
     use super::*;
 
-    /// Plays pulses (low before, high) sampled at 100 Hz, then `quiet_s` seconds.
+    /// Samples pulses (time low, time high) at 100 Hz, then `quiet_s` seconds of low strobe.
     fn play(end: &mut ProgramEnd, pulses: &[(f64, f64)], quiet_s: f64) {
         let spans = pulses.iter().flat_map(|(low_s, high_s)| [(*low_s, false), (*high_s, true)]);
         for (seconds, strobe) in spans.chain([(quiet_s, false)]) {
@@ -74,7 +72,7 @@ mod tests {
     const END: [(f64, f64); 2] = [(0.4, 0.2); 2];
 
     #[test]
-    fn a_plan_ends_with_its_last_module() {
+    fn a_program_with_a_plan_ends_with_the_last_module() {
         let mut end = ProgramEnd::new(Some(2));
         for module in 1..=2 {
             play(&mut end, &[(2.0, 1.0), (3.0, 1.0)], 1.5);
@@ -87,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_plan_twenty_quiet_seconds_end_it() {
+    fn a_program_without_a_plan_ends_after_twenty_seconds_without_strobe() {
         let mut end = ProgramEnd::new(None);
         play(&mut end, &[(1.0, 1.0)], 2.0);
         play(&mut end, &END, 19.0);

@@ -1,29 +1,72 @@
-//! Writes what arrives, raw first, then what it decodes to, and counts. It reads no clock: who hands over the
-//! bytes says when they came, so a recorded line can be put through it again.
+//! The recorder writes arriving bytes raw, then decodes them and writes the samples and faults, and counts. It reads no
+//! clock: the caller gives the time of each arrival, so that a recorded line can be replayed.
 
 use std::path::Path;
 
-use super::live_state::{Counted, Feed};
+use serde::Serialize;
+
+use super::live_state::Feed;
 use super::program_end::ProgramEnd;
-use super::progress::Progress;
 use crate::base::units::HostNs;
 use crate::catalogue::RecordingFinding;
 use crate::device::protocol::{Decoded, Decoder, Definition, Fault, FaultKind};
 use crate::diagnostic::Diagnostic;
 use crate::measurement::sample::Sample;
-use crate::recording::axes::{AxesReceiver, AxesRecords};
+use crate::recording::axes::{AxesReceiver, AxesRecords, PacketCounts};
 use crate::recording::capture::{Event, Record, Writer};
 use crate::recording::{DeviceTime, SequenceStep, Stamp, sequence_step};
 
-/// Silence below this is not worth a record where sequence numbers show what is missing, s: radio links
-/// hand over batches of a second.
+/// Shorter silence is not recorded where sequence numbers show losses, s: radio links deliver batches of a second.
 const SILENCE_S: f64 = 2.5;
-/// Silence below this may be that of a host that is busy, s.
+/// Shorter silence may be caused by a busy host, s.
 const SILENT_S: f64 = 1.0;
-/// So many faults in a row have a record each; more of the same kind share one.
+/// The first faults in a row have one record each. Further faults of the same kind share one.
 const ONE_BY_ONE: u32 = 16;
-/// How often the capture is looked after, s.
-const LOOK_S: f64 = 0.5;
+/// Interval between checks of the capture file, s.
+const CHECK_S: f64 = 0.5;
+
+/// The counts of a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Progress {
+    /// Host time.
+    pub elapsed_s: f64,
+    /// Device time since the first sample, if the device has a clock.
+    pub device_s: Option<f64>,
+    pub bytes: u64,
+    pub samples: u64,
+    /// Samples that the device flags as invalid.
+    pub invalid: u64,
+    /// Over the last second.
+    pub rate_hz: f64,
+    /// The last reading, and whether the device flags it as valid.
+    pub reading_mm: Option<f64>,
+    pub valid: bool,
+    pub faults: u64,
+    /// Replies of the device without a reading.
+    pub rejected: u64,
+    pub unanswered: u64,
+    pub gaps: u64,
+    /// Time in which nothing came for more than a second, or the port was absent.
+    pub silent_s: f64,
+    /// Samples missing by their sequence numbers.
+    pub missing: u64,
+    /// Bytes lost between port and recorder.
+    pub lost_bytes: u64,
+    /// Completed dwells, by the strobe or by telegrams.
+    pub dwells: u32,
+    /// Completed modules, by their end marks.
+    pub modules: u32,
+    /// Recorded telegrams of the program.
+    pub telegrams: u64,
+    /// Telegrams of another plan or of no dwell.
+    pub refused: u64,
+    /// Packets of a controller that publishes its axes.
+    pub axes: Option<PacketCounts>,
+    /// Whether consecutive frames were decoded without a fault.
+    pub in_step: bool,
+    /// Whether the port is absent at this moment.
+    pub gone: bool,
+}
 
 /// The recorder of one run.
 pub struct Recorder {
@@ -35,39 +78,37 @@ pub struct Recorder {
     batch_host: HostNs,
     /// Faults since the last sample.
     faults_in_a_row: u32,
-    /// The fault that is not written yet.
+    /// Not written yet: the next fault may join it.
     fault: Option<(HostNs, Fault)>,
     program: ProgramEnd,
     time: Option<DeviceTime>,
     sequence_modulo: Option<u32>,
     last_sequence: Option<u32>,
-    /// Silence that is recorded, s.
+    /// Longer silence is recorded, s.
     silence_s: Option<f64>,
     last_bytes: Option<HostNs>,
     last_sync: HostNs,
-    last_look: HostNs,
+    last_check: HostNs,
     sync_s: f64,
     rate_since: HostNs,
     rate_samples: u64,
-    /// When the reading that is on its way was asked for, where that dates it.
+    /// Time of the last request of a polled device.
     requested: Option<HostNs>,
+    /// Whether the reading belongs to the time of the request, `latch_delay_ns` later.
     at_request: bool,
     latch_delay_ns: u64,
     in_a_row: u32,
     sync_frames: u32,
     began: HostNs,
-    /// The counts so far.
     pub progress: Progress,
-    /// What others did to the capture.
+    /// Interference of other programs with the capture file.
     pub(super) findings: Vec<Diagnostic>,
     axes: AxesRecords,
-    /// Who looks on.
     pub(super) feed: Option<Feed>,
 }
 
 impl Recorder {
-    /// Of a device's stream into a capture that was begun, of a program of so many modules. The disk is made to hold what
-    /// was written every `sync_s` seconds.
+    /// `modules` is the number of modules of the plan's program. The capture is synced to the disk every `sync_s` seconds.
     pub fn new(
         writer: Writer,
         definition: &Definition,
@@ -91,7 +132,7 @@ impl Recorder {
             silence_s: stall.map(|s| if definition.sequence_modulo.is_some() { s.max(SILENCE_S) } else { s }),
             last_bytes: None,
             last_sync: now,
-            last_look: now,
+            last_check: now,
             sync_s,
             rate_since: now,
             rate_samples: 0,
@@ -113,10 +154,6 @@ impl Recorder {
         self.program.is_over()
     }
 
-    /// Something happened around the bytes.
-    ///
-    /// # Errors
-    /// When the capture cannot be written.
     pub fn event(&mut self, host: HostNs, event: Event) -> Result<(), Diagnostic> {
         if matches!(event, Event::Gap { .. }) {
             self.progress.gaps += 1;
@@ -128,10 +165,7 @@ impl Recorder {
         self.writer.write(host, &record)
     }
 
-    /// Bytes came from the controller that publishes its axes.
-    ///
-    /// # Errors
-    /// When the capture cannot be written.
+    /// Records bytes of a controller that publishes its axes.
     pub fn axes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
         let record = Record::Axes(bytes);
         self.writer.write(host, &record)?;
@@ -143,10 +177,7 @@ impl Recorder {
         self.writer.write(host, &Record::Attachment { name: name.into(), content: content.to_vec() })
     }
 
-    /// Bytes came: they are on their way to the disk before anyone looks into them.
-    ///
-    /// # Errors
-    /// When the capture cannot be written.
+    /// Records bytes of the bar: they are written before they are decoded.
     pub fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
         self.silent(host, 0.0)?;
         self.last_bytes = Some(host);
@@ -159,48 +190,44 @@ impl Recorder {
         self.decoded(host)
     }
 
-    /// Records that nothing came for long, if so; for at least `least_s`.
+    /// Records a silence since the last bytes, if it exceeds the limit of the device and `least_s`.
     fn silent(&mut self, host: HostNs, least_s: f64) -> Result<(), Diagnostic> {
-        let silent_s = self.last_bytes.map(|last| host.seconds_since(last));
-        match silent_s.zip(self.silence_s).filter(|(silent_s, limit)| *silent_s > limit.max(least_s)) {
-            Some((silent_s, _)) => {
-                if silent_s > SILENT_S {
-                    self.progress.silent_s += silent_s;
-                }
-                let reason = "nothing was received".into();
-                self.event(host, Event::Gap { seconds: Some(silent_s), missing: None, reason })
-            }
-            None => Ok(()),
+        let (Some(last), Some(limit)) = (self.last_bytes, self.silence_s) else { return Ok(()) };
+        let silent_s = host.seconds_since(last);
+        if silent_s <= limit.max(least_s) {
+            return Ok(());
         }
+        if silent_s > SILENT_S {
+            self.progress.silent_s += silent_s;
+        }
+        let reason = "nothing was received".into();
+        self.event(host, Event::Gap { seconds: Some(silent_s), missing: None, reason })
     }
 
-    /// A reading was asked for.
+    /// Notes a request to a polled device.
     pub(super) fn requested(&mut self, host: HostNs) {
         self.requested = Some(host);
     }
 
-    /// A reading that was asked for did not come: what came of it is no part of the next.
+    /// A request was not answered in time. Bytes of a partial reply do not belong to the next one.
     pub(super) fn unanswered(&mut self, host: HostNs) -> Result<(), Diagnostic> {
         self.progress.unanswered += 1;
         self.decoder.interrupt(&mut self.decoded);
         self.decoded(host)
     }
 
-    /// Readings and refusals so far.
+    /// Replies so far: samples and refusals.
     pub(super) fn answers(&self) -> u64 {
         self.progress.samples + self.progress.rejected
     }
 
-    /// Nothing came for as long as ends a frame, where silence does.
+    /// The line was idle for long enough to end a frame.
     pub(super) fn silence(&mut self, host: HostNs) -> Result<(), Diagnostic> {
         self.decoder.silence(&mut self.decoded);
         self.decoded(host)
     }
 
-    /// Bytes were thrown away before they came here.
-    ///
-    /// # Errors
-    /// When the capture cannot be written.
+    /// Bytes were lost between port and recorder.
     pub fn lost(&mut self, host: HostNs, bytes: u64) -> Result<(), Diagnostic> {
         self.progress.lost_bytes += bytes;
         self.interrupted(host)?;
@@ -208,10 +235,7 @@ impl Recorder {
         self.event(host, Event::Gap { seconds: None, missing: None, reason })
     }
 
-    /// The stream broke off: what is pending will not be completed.
-    ///
-    /// # Errors
-    /// When the capture cannot be written.
+    /// The stream was interrupted: a pending frame will not be completed.
     pub fn interrupted(&mut self, host: HostNs) -> Result<(), Diagnostic> {
         self.decoder.interrupt(&mut self.decoded);
         self.last_bytes = None;
@@ -261,7 +285,7 @@ impl Recorder {
         self.writer.write(host, &Record::Fault(json))
     }
 
-    /// Writes the samples that wait: what comes after them must not stand before them.
+    /// Writes the pending samples. Records keep the order of arrival.
     fn flush(&mut self) -> Result<(), Diagnostic> {
         if self.batch.is_empty() {
             return Ok(());
@@ -276,7 +300,7 @@ impl Recorder {
     }
 
     fn sample(&mut self, host: HostNs, sample: &Sample) -> Result<(), Diagnostic> {
-        // A polled reading is that of its request, not of the reply, which comes up to 70 ms later.
+        // A polled reading belongs to the time of its request. The reply comes up to 70 ms later.
         let host = match self.requested.filter(|_| self.at_request) {
             Some(HostNs(ns)) => HostNs(ns.saturating_add(self.latch_delay_ns)),
             None => host,
@@ -301,21 +325,18 @@ impl Recorder {
         self.progress.device_s = device_s;
         self.progress.dwells = self.progress.dwells.max(self.program.dwells);
         self.progress.modules = self.program.modules_over;
-        if let Some(feed) = &mut self.feed {
-            let high_since_s = self.program.high_since_s();
-            let counted = Counted { dwells: self.progress.dwells, high_since_s };
-            if let Some(note) = feed.sample(host, device_s, sample, counted) {
-                self.event(host, Event::Finding { code: note.code.0.into(), text: note.text })?;
-            }
+        let Some(feed) = &mut self.feed else { return Ok(()) };
+        feed.dwell(self.progress.dwells, self.program.high_since_s(), sample);
+        match feed.sample(host, device_s, sample, self.progress.dwells) {
+            Some(note) => self.event(host, Event::Finding { code: note.code.0.into(), text: note.text }),
+            None => Ok(()),
         }
-        Ok(())
     }
 
-    /// Compares the sequence number with the one before.
+    /// Records a gap in the sequence numbers.
     fn missing(&mut self, host: HostNs, sample: &Sample) -> Result<(), Diagnostic> {
         let (Some(modulo), Some(sequence)) = (self.sequence_modulo, sample.sequence) else { return Ok(()) };
-        let last = self.last_sequence.replace(sequence);
-        let Some(last) = last else { return Ok(()) };
+        let Some(last) = self.last_sequence.replace(sequence) else { return Ok(()) };
         let (missing, reason) = match sequence_step(modulo, last, sequence) {
             SequenceStep::Next => return Ok(()),
             SequenceStep::Missing(few) => {
@@ -327,19 +348,16 @@ impl Recorder {
         self.event(host, Event::Gap { seconds: None, missing, reason })
     }
 
-    /// The device was stopped and started: its numbers may begin again.
+    /// The device was restarted: its sequence numbers may begin again.
     pub(super) fn restarted(&mut self) {
         self.last_sequence = None;
     }
 
-    /// Every so often the disk is made to hold what was written; once a second the rate is taken.
-    ///
-    /// # Errors
-    /// When the capture cannot be written.
+    /// Regular work: sync, rate, live frames, checks of the capture file.
     pub fn tick(&mut self, now: HostNs) -> Result<(), Diagnostic> {
         self.progress.elapsed_s = now.seconds_since(self.began);
         self.progress.axes = self.axes.receiver().map(AxesReceiver::counts);
-        if self.fault.as_ref().is_some_and(|(since, _)| now.seconds_since(*since) >= LOOK_S) {
+        if self.fault.as_ref().is_some_and(|(since, _)| now.seconds_since(*since) >= CHECK_S) {
             self.flush_fault()?;
         }
         if let Some(feed) = &mut self.feed {
@@ -354,29 +372,25 @@ impl Recorder {
             self.writer.sync()?;
             self.last_sync = now;
         }
-        if now.seconds_since(self.last_look) >= LOOK_S {
-            self.last_look = now;
-            self.look_after()?;
+        if now.seconds_since(self.last_check) >= CHECK_S {
+            self.last_check = now;
+            self.check_file()?;
         }
         Ok(())
     }
 
-    fn look_after(&mut self) -> Result<(), Diagnostic> {
+    fn check_file(&mut self) -> Result<(), Diagnostic> {
         self.findings.extend(self.writer.look_after()?);
         Ok(())
     }
 
-    /// Where the capture is.
     pub(super) fn path(&self) -> &Path {
         self.writer.path()
     }
 
-    /// Ends the file.
-    ///
-    /// # Errors
-    /// When the capture cannot be written.
+    /// Completes the capture.
     pub fn finish(&mut self, now: HostNs, reason: &str) -> Result<Progress, Diagnostic> {
-        // Shorter than this the end of the run may be what ended the stream.
+        // Shorter silence may be caused by the end of the run itself.
         self.silent(now, SILENT_S)?;
         self.interrupted(now)?;
         self.flush_fault()?;
@@ -384,9 +398,9 @@ impl Recorder {
         self.progress.dwells = self.progress.dwells.max(self.program.dwells);
         self.progress.elapsed_s = now.seconds_since(self.began);
         self.progress.axes = self.axes.receiver().map(AxesReceiver::counts);
-        self.look_after()?;
+        self.check_file()?;
         self.writer.finish(now, reason, self.progress.missing)?;
-        self.look_after()?;
+        self.check_file()?;
         Ok(self.progress)
     }
 }

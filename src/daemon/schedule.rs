@@ -1,4 +1,4 @@
-//! The schedule of a run by its plan: the dwells to come, its modules, the stroke, and when the bar is taken off.
+//! The schedule of a run according to its plan: dwells, modules, stroke, and removals of the bar.
 
 use std::collections::BTreeSet;
 
@@ -6,28 +6,27 @@ use crate::live::{Alarm, NextPose, Point};
 use crate::plan::{Kind, Motion, Plan};
 use crate::recording::{Telegram, run_number};
 
-/// Share of the stroke from its middle beyond which the alarm is raised.
+/// Share of the half stroke beyond which the alarm is raised.
 pub const ALARM_SHARE: f64 = 0.9;
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Schedule {
     /// Length of the bar at reading zero, mm.
     pub bar_length_mm: Option<f64>,
-    /// Lowest and highest reading that the bar allows, mm.
+    /// Lowest and highest reading, mm.
     pub stroke_mm: Option<[f64; 2]>,
-    /// Share of the stroke from its middle beyond which the alarm is raised.
+    /// Share of the half stroke beyond which the alarm is raised.
     pub alarm_share: f64,
-    dwells: Vec<Expected>,
+    dwells: Vec<PlannedDwell>,
     /// Time of the whole plan, s.
     duration_s: Option<f64>,
-    /// How many dwells are over when the bar is taken off, each time.
+    /// Completed dwells at each removal of the bar.
     pub(super) taken_off: Vec<u32>,
     program: Option<Program>,
 }
 
-/// A dwell of the plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Expected {
+struct PlannedDwell {
     index: u32,
     circle: u32,
     angle_deg: Option<f64>,
@@ -37,12 +36,12 @@ struct Expected {
     left_s: f64,
 }
 
-/// What is known of the plan's program.
+/// The plan's program.
 #[derive(Clone, Debug, PartialEq)]
 struct Program {
-    /// Its modules: the circles of the plan.
+    /// One per circle of the plan.
     modules: usize,
-    /// The number that it gives in its telegrams.
+    /// The run number in its telegrams.
     run: Option<u32>,
     /// The rows whose end it reports: dwells, and ends of passes without stops.
     reported: BTreeSet<u32>,
@@ -50,7 +49,7 @@ struct Program {
 
 /// Why a telegram is not of the plan's program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Stranger {
+pub(super) enum Mismatch {
     Run { expected: u32 },
     NoDwell,
 }
@@ -66,12 +65,11 @@ impl Program {
 }
 
 impl Schedule {
-    /// Without a plan.
+    /// A schedule without a plan.
     pub fn bare(stroke_mm: Option<[f64; 2]>, alarm_share: f64) -> Self {
         Self { stroke_mm, alarm_share, ..Self::default() }
     }
 
-    /// Of a plan.
     pub fn of(plan: &Plan, alarm_share: f64) -> Self {
         let places = plan.circle_places();
         let duration_s = plan.duration_s();
@@ -80,16 +78,16 @@ impl Schedule {
             Some(left_s.max(0.0))
         });
         let rows = plan.rows.iter().zip(&places).zip(left).filter(|((row, _), _)| row.kind != Kind::Transit);
-        let dwells = rows.map(|((row, place), left_s)| Expected {
+        let dwells = rows.map(|((row, place), left_s)| PlannedDwell {
             index: row.index,
             circle: row.circle,
-            // A reference pose is no part of the circle's picture.
+            // A reference pose is not drawn on the circle.
             angle_deg: place.filter(|_| row.kind == Kind::Measure).map(|place| place.angle_deg),
             clockwise: place.is_some_and(|place| place.clockwise),
             length_mm: row.length_mm,
             left_s,
         });
-        // The bar is off on every PTP, and after the end.
+        // The bar is off during every PTP motion, and after the end.
         let off = plan.rows.iter().filter(|row| row.motion == Motion::Ptp).map(|row| row.index);
         let over = |index: u32| {
             plan.rows.iter().filter(|row| row.kind != Kind::Transit && row.index < index).count() as u32
@@ -108,31 +106,30 @@ impl Schedule {
         }
     }
 
-    /// Modules of the plan's program.
     pub(super) fn modules(&self) -> Option<usize> {
         self.program.as_ref().map(|program| program.modules)
     }
 
-    /// Why a telegram is not of the plan's program; `None` where it is, or without a plan.
-    pub(super) fn stranger(&self, telegram: &Telegram) -> Option<Stranger> {
+    /// `None` if the telegram is of the plan's program, or without a plan.
+    pub(super) fn mismatch(&self, telegram: &Telegram) -> Option<Mismatch> {
         let program = self.program.as_ref()?;
         match program.run {
-            Some(expected) if expected != telegram.run => Some(Stranger::Run { expected }),
-            _ => (!program.reported.contains(&telegram.index)).then_some(Stranger::NoDwell),
+            Some(expected) if expected != telegram.run => Some(Mismatch::Run { expected }),
+            _ => (!program.reported.contains(&telegram.index)).then_some(Mismatch::NoDwell),
         }
     }
 
-    /// Whether the row is the last one whose end the program reports.
+    /// Whether the row is the last one that the program reports.
     pub(super) fn is_last(&self, index: u32) -> bool {
         self.program.as_ref().is_some_and(|program| program.reported.last() == Some(&index))
     }
 
-    /// Dwells of the plan; none without a plan.
+    /// Dwells of the plan.
     pub fn poses(&self) -> Option<u32> {
         self.bar_length_mm.and_then(|_| u32::try_from(self.dwells.len()).ok())
     }
 
-    /// Time that the plan takes after so many dwells, at full override, s.
+    /// Remaining time of the plan after so many dwells, at full override, s.
     pub(super) fn left_s(&self, dwells: u32) -> Option<f64> {
         match (dwells as usize).checked_sub(1) {
             None => self.duration_s,
@@ -140,13 +137,12 @@ impl Schedule {
         }
     }
 
-    /// The dwell that follows so many.
+    /// The pose of the next dwell.
     pub(super) fn next(&self, dwells: u32) -> Option<NextPose> {
-        let Expected { index, circle, angle_deg, .. } = *self.dwells.get(dwells as usize)?;
+        let PlannedDwell { index, circle, angle_deg, .. } = *self.dwells.get(dwells as usize)?;
         Some(NextPose { index, circle, angle_deg })
     }
 
-    /// How near a reading is to the end of the stroke.
     pub fn alarm(&self, reading_mm: f64) -> Alarm {
         let Some([low, high]) = self.stroke_mm else { return Alarm::None };
         let share = (reading_mm - 0.5 * (low + high)).abs() / (0.5 * (high - low));
@@ -162,17 +158,16 @@ impl Schedule {
 
     /// The dwell of number `dwell` (from 1) with its mean reading.
     pub(super) fn point(&self, dwell: u32, reading_mm: f64) -> Point {
-        let expected = (dwell as usize).checked_sub(1).and_then(|at| self.dwells.get(at));
+        let planned = (dwell as usize).checked_sub(1).and_then(|at| self.dwells.get(at));
+        let lengths_mm = planned.map(|planned| planned.length_mm).zip(self.bar_length_mm);
         Point {
             dwell,
-            index: expected.map(|expected| expected.index),
-            circle: expected.map(|expected| expected.circle),
-            angle_deg: expected.and_then(|expected| expected.angle_deg),
-            clockwise: expected.is_some_and(|expected| expected.clockwise),
+            index: planned.map(|planned| planned.index),
+            circle: planned.map(|planned| planned.circle),
+            angle_deg: planned.and_then(|planned| planned.angle_deg),
+            clockwise: planned.is_some_and(|planned| planned.clockwise),
             reading_mm,
-            deviation_mm: expected
-                .zip(self.bar_length_mm)
-                .map(|(expected, length_mm)| length_mm + reading_mm - expected.length_mm),
+            deviation_mm: lengths_mm.map(|(planned_mm, bar_mm)| bar_mm + reading_mm - planned_mm),
         }
     }
 }
@@ -182,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_alarm_follows_the_stroke() {
+    fn alarms_depend_on_the_share_of_the_stroke() {
         let schedule = Schedule::bare(Some([-1.0, 3.0]), 0.9);
         for (reading, alarm) in [
             (1.0, Alarm::None),

@@ -1,111 +1,154 @@
-//! The bar on its line: opening it, its start and stop commands.
+//! The bar on its line: opening, start and stop commands, polling.
 
 use std::time::Duration;
 
+use super::recorder::Recorder;
 use crate::base::clock;
 use crate::base::units::HostNs;
 use crate::catalogue::PortFinding::{self, BarSilent};
 use crate::device::port::{Port, PortAddress};
 use crate::device::protocol::{Definition, Step};
+use crate::diagnostic::Diagnostic;
 
-/// A bar that has been opened and started.
+/// An open and started bar.
 pub(super) struct Opened {
     pub(super) port: Port,
-    /// When the line was about to be opened.
+    /// Before the line was opened.
     pub(super) began: HostNs,
-    /// How many bytes of an earlier stream were thrown away.
+    /// Discarded bytes of an earlier stream.
     pub(super) stale: u64,
-    /// What came behind the answer to the start command: the stream has begun.
+    /// Bytes of the stream that followed the answer to the start command.
     pub(super) first: Vec<u8>,
 }
 
-/// Opens the line, silences the bar (it may still send from an earlier run) and starts it.
+/// Opens the line, stops the bar (it may still send from an earlier run) and starts it.
 pub(super) fn open(address: &PortAddress, definition: &Definition) -> Result<Opened, PortFinding> {
     let began = clock::now();
-    let (mut port, stale) = silence(address, definition)?;
+    let (mut port, stale) = open_stopped(address, definition)?;
     perform(&mut port, &definition.init)?;
     let first = perform(&mut port, &definition.start)?.rest;
     Ok(Opened { port, began, stale, first })
 }
 
 /// Sets the bar's present reading to zero.
-///
-/// # Errors
-/// When the port cannot be opened, or the bar does not answer where it should.
 pub fn zero(address: &PortAddress, definition: &Definition) -> Result<(), PortFinding> {
-    let (mut port, _) = silence(address, definition)?;
-    let heard = perform(&mut port, &definition.zero)?;
-    if heard.answered {
+    let (mut port, _) = open_stopped(address, definition)?;
+    let received = perform(&mut port, &definition.zero)?;
+    if received.answered {
         Ok(())
     } else {
         Err(BarSilent { port: address.to_string(), bauds: definition.line.baud.to_string() })
     }
 }
 
-/// Opens the line and silences the bar; how many bytes of an earlier stream were thrown away.
-fn silence(address: &PortAddress, definition: &Definition) -> Result<(Port, u64), PortFinding> {
+/// Opens the line and stops the bar. Also returns the number of discarded bytes of an earlier stream.
+fn open_stopped(address: &PortAddress, definition: &Definition) -> Result<(Port, u64), PortFinding> {
     let mut port = Port::open(address, &definition.line)?;
     clock::sleep(definition.line.settle.as_secs_f64());
-    let mut stale = find(&mut port, address, definition)?;
-    stale += perform(&mut port, &definition.stop)?.thrown();
+    let mut stale = find_rate(&mut port, address, definition)?;
+    stale += perform(&mut port, &definition.stop)?.count();
     if definition.stop.is_empty() {
         stale += port.drain(Duration::from_millis(1))?.len() as u64;
     }
     Ok((port, stale))
 }
 
-/// Tries the rates that the bar may be set to until it answers; how many bytes were thrown away.
-fn find(port: &mut Port, address: &PortAddress, definition: &Definition) -> Result<u64, PortFinding> {
-    let mut thrown = 0;
+/// Tries the baud rates of the definition until the bar answers. Returns the number of discarded bytes.
+fn find_rate(port: &mut Port, address: &PortAddress, definition: &Definition) -> Result<u64, PortFinding> {
+    let mut discarded = 0;
     if definition.ident.is_empty() {
-        return Ok(thrown);
+        return Ok(discarded);
     }
     let rates: Vec<u32> =
         std::iter::once(definition.line.baud).chain(definition.line.baud_probe.iter().copied()).collect();
     for baud in &rates {
         port.set_baud(*baud)?;
-        let heard = perform(port, &definition.ident)?;
-        let answered = heard.answered;
-        thrown += heard.thrown();
+        let received = perform(port, &definition.ident)?;
+        let answered = received.answered;
+        discarded += received.count();
         if answered {
-            return Ok(thrown);
+            return Ok(discarded);
         }
     }
     let bauds = rates.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
     Err(BarSilent { port: address.to_string(), bauds })
 }
 
-/// Silences the bar; a bar that is gone is silent.
+/// Stops the bar. An absent bar needs no stop.
 pub(super) fn close(mut port: Port, definition: &Definition) {
     let _ = perform(&mut port, &definition.stop);
 }
 
-/// Asks for a reading.
+/// Requests a reading.
 pub(super) fn ask(port: &mut Port, definition: &Definition) -> Result<(), PortFinding> {
     perform(port, &definition.poll).map(drop)
 }
 
-/// What came while a command was performed.
-struct Heard {
-    /// Bytes that were thrown away, or were an answer.
+/// Polls a device: one request at a time.
+pub(super) struct Polling {
+    port: Port,
+    period_s: f64,
+    timeout_s: f64,
+    /// Time of the request that is not answered yet.
+    pending: Option<HostNs>,
+    last: Option<HostNs>,
+}
+
+impl Polling {
+    pub(super) fn new(port: Port, hz: f64, timeout: Duration) -> Self {
+        Self { port, period_s: 1.0 / hz, timeout_s: timeout.as_secs_f64(), pending: None, last: None }
+    }
+
+    pub(super) fn answered(&mut self) {
+        self.pending = None;
+    }
+
+    /// Sends a request if one is due, and returns the time until the next step. The inner error means that the port is gone.
+    pub(super) fn step(
+        &mut self,
+        definition: &Definition,
+        recorder: &mut Recorder,
+    ) -> Result<Result<Duration, PortFinding>, Diagnostic> {
+        let now = clock::now();
+        let left = |since: HostNs, span: f64| span - now.seconds_since(since);
+        let wait = match (self.pending, self.last) {
+            (Some(asked), _) if left(asked, self.timeout_s) > 0.0 => left(asked, self.timeout_s),
+            (None, Some(last)) if left(last, self.period_s) > 0.0 => left(last, self.period_s),
+            (unanswered, _) => {
+                if unanswered.is_some() {
+                    recorder.unanswered(now)?;
+                }
+                recorder.requested(clock::now());
+                if let Err(gone) = ask(&mut self.port, definition) {
+                    return Ok(Err(gone));
+                }
+                (self.pending, self.last) = (Some(now), Some(now));
+                self.timeout_s.min(self.period_s)
+            }
+        };
+        Ok(Ok(Duration::from_secs_f64(wait.clamp(0.0, 1.0))))
+    }
+}
+
+/// The bytes received while a command was performed.
+struct Received {
+    /// Discarded bytes and answers.
     drained: u64,
-    /// What came behind the last answer.
+    /// Bytes after the last answer.
     rest: Vec<u8>,
-    /// Whether everything that was asked was answered.
+    /// Whether every step was answered.
     answered: bool,
 }
 
-impl Heard {
-    /// All of its bytes, where none of them matter.
-    fn thrown(self) -> u64 {
+impl Received {
+    fn count(self) -> u64 {
         self.drained + self.rest.len() as u64
     }
 }
 
-/// Performs the steps of a command. A device that does not answer as expected is given up after its
-/// retries: whether it sends is seen soon enough.
-fn perform(port: &mut Port, steps: &[Step]) -> Result<Heard, PortFinding> {
-    let mut heard = Heard { drained: 0, rest: Vec::new(), answered: true };
+/// Performs the steps of a command. A missing answer is not an error: the caller sees whether the device sends.
+fn perform(port: &mut Port, steps: &[Step]) -> Result<Received, PortFinding> {
+    let mut received = Received { drained: 0, rest: Vec::new(), answered: true };
     for step in steps {
         match step {
             Step::Send(bytes) => port.send(bytes)?,
@@ -113,25 +156,25 @@ fn perform(port: &mut Port, steps: &[Step]) -> Result<Heard, PortFinding> {
                 let mut answered = false;
                 for _ in 0..=*retries {
                     port.send(send)?;
-                    heard.drained += std::mem::take(&mut heard.rest).len() as u64;
+                    received.drained += std::mem::take(&mut received.rest).len() as u64;
                     let mut answer = port.listen(*timeout, expect)?;
                     let place = answer.windows(expect.len().max(1)).position(|part| part == &expect[..]);
                     answered = place.is_some();
-                    heard.rest = answer.split_off(place.map_or(answer.len(), |at| at + expect.len()));
-                    heard.drained += answer.len() as u64;
+                    received.rest = answer.split_off(place.map_or(answer.len(), |at| at + expect.len()));
+                    received.drained += answer.len() as u64;
                     if answered {
                         break;
                     }
                 }
-                heard.answered &= answered;
+                received.answered &= answered;
             }
             Step::DtrPulse(duration) => port.pulse_dtr(*duration)?,
             Step::Wait(duration) => clock::sleep(duration.as_secs_f64()),
             Step::Drain(quiet) => {
-                let thrown = port.drain(*quiet)?.len() + std::mem::take(&mut heard.rest).len();
-                heard.drained += thrown as u64;
+                let discarded = port.drain(*quiet)?.len() + std::mem::take(&mut received.rest).len();
+                received.drained += discarded as u64;
             }
         }
     }
-    Ok(heard)
+    Ok(received)
 }

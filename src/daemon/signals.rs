@@ -1,4 +1,4 @@
-//! Signals that end a process: the run ends as it should.
+//! Signals that end the process after the run has been completed.
 
 use std::io;
 use std::sync::Arc;
@@ -8,11 +8,8 @@ use std::task::Poll;
 use crate::catalogue::ServiceFinding;
 use crate::diagnostic::Diagnostic;
 
-/// A flag that the first signal raises: SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1 or SIGUSR2; on Windows Ctrl-C, Ctrl-Break,
-/// the closing of the window or the session, the shutdown.
-///
-/// # Errors
-/// When the system gives no thread or no signal handler.
+/// A flag that is set by SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1 or SIGUSR2; on Windows by Ctrl-C, Ctrl-Break, the end of
+/// the window or the session, or the shutdown.
 pub fn stop_on_signal() -> Result<Arc<AtomicBool>, Diagnostic> {
     raised_on_signal().map_err(|error| ServiceFinding::NoSystem { why: error.to_string() }.into())
 }
@@ -21,7 +18,7 @@ fn raised_on_signal() -> io::Result<Arc<AtomicBool>> {
     let flag = Arc::new(AtomicBool::new(false));
     let raised = Arc::clone(&flag);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    // The handlers are in place before the caller goes on.
+    // The handlers are installed before this function returns.
     let mut signals = runtime.block_on(async { Signals::new() })?;
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(signals.wait());
@@ -44,7 +41,7 @@ impl Signals {
             SignalKind::user_defined1(),
             SignalKind::user_defined2(),
         ];
-        // What `nohup` started goes on when the terminal goes.
+        // A process that `nohup` started continues when the terminal closes.
         if !is_ignored(SignalKind::hangup()) {
             kinds.push(SignalKind::hangup());
         }
@@ -60,7 +57,7 @@ impl Signals {
     }
 }
 
-/// Whether who started this process has it ignore the signal; Linux shows it.
+/// Whether the parent process set this signal to be ignored (Linux only).
 #[cfg(unix)]
 fn is_ignored(kind: tokio::signal::unix::SignalKind) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -69,8 +66,7 @@ fn is_ignored(kind: tokio::signal::unix::SignalKind) -> bool {
     mask >> (kind.as_raw_value() - 1) & 1 == 1
 }
 
-/// The keys Ctrl-C and Ctrl-Break, the closing window, the end of the session, the shutdown. The system waits a few seconds
-/// for a process that has been asked to close.
+/// Windows waits a few seconds for a process that was asked to close.
 #[cfg(windows)]
 pub(super) struct Signals {
     ctrl_c: tokio::signal::windows::CtrlC,

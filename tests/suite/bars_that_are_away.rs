@@ -83,6 +83,7 @@ fn bar_that_disappears_ends_the_run() {
         out: path.clone(),
         plan: None,
         identity: Identity::default(),
+        controller: daemon::Controller::default(),
         duration_s: None,
         gone_s: 0.3,
         feed: None,

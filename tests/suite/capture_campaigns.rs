@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, OnceLock};
 
 use dbbd::base::clock;
 use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::daemon::{Acquisition, Ending, Options, Progress};
+use dbbd::daemon::{Acquisition, Controller, Ending, Options, Progress};
 use dbbd::device::protocol::Definition;
 use dbbd::measurement::sample::Sample;
 use dbbd::provenance::Identity;
@@ -364,6 +364,7 @@ fn stalled(port: String, stall_s: f64) -> (Capture, Progress) {
         out: "run".into(),
         plan: None,
         identity: Identity::default(),
+        controller: Controller::default(),
         duration_s: None,
         gone_s: 1.0,
         feed: None,

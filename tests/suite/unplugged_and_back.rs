@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use dbbd::base::clock;
 use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::daemon::{Acquisition, Options};
+use dbbd::daemon::{Acquisition, Controller, Options};
 use dbbd::device::port::PortAddress;
 use dbbd::device::protocol::Definition;
 use dbbd::measurement::sample::Sample;
@@ -215,6 +215,7 @@ fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
         out: out.clone(),
         plan: None,
         identity: Identity::default(),
+        controller: Controller::default(),
         duration_s: None,
         gone_s: 1e9,
         sync_s: 1.0,

@@ -16,7 +16,7 @@ use crate::base::{clock, files, serialised};
 use crate::catalogue::{ArchiveFinding, CliFinding, ProvenanceFinding};
 use crate::cli::serve::Lines;
 use crate::cli::{Outcome, Output, artefact};
-use crate::daemon::{Door, serve_plant};
+use crate::daemon::{Endpoint, serve_plant};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Provenance, VERSION};
 
@@ -60,10 +60,10 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             export(&mut archive, &selection, *format, directory, out)
         }
         What::Serve { listen, token_file, host, interval, limit } => {
-            let door = Door::new(listen, token_file.as_deref(), host)?;
+            let endpoint = Endpoint::new(listen, token_file.as_deref(), host)?;
             let options = PlantOptions { interval_days: *interval, limit_mm: *limit };
             let pages = PlantPages::open(addresses, options)?;
-            serve_plant(door, Arc::new(Lines { out: out.clone() }), Arc::new(pages))?;
+            serve_plant(endpoint, Arc::new(Lines { out: out.clone() }), Arc::new(pages))?;
             Ok(Outcome::Done)
         }
         What::Get { run, out: directory } => get(&mut Archive::open(&addresses)?, run, directory, out),

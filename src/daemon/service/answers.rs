@@ -1,4 +1,4 @@
-//! What the service answers to the pages.
+//! The service as the pages call it.
 
 use std::fmt::Display;
 use std::sync::atomic::Ordering;
@@ -6,15 +6,17 @@ use std::sync::atomic::Ordering;
 use serde_json::Value;
 use tokio::sync::{broadcast, watch};
 
-use super::begin::Aim;
+use super::begin::Purpose;
 use super::log::Level;
-use super::state::{Run, Supervisor};
-use super::{catalogue, jobs, names, runs};
+use super::state::{Run, Running, Supervisor};
+use super::{catalogue, jobs, runs};
+use crate::base::clock;
 use crate::base::sync::lock;
 use crate::catalogue::ServiceFinding::{
-    NoPortChosen, NoRunIsOn, NoSuchPort, NoSuchProtocol, RunDuration, RunIsOn, RunIsStarting, RunName,
-    ThisRunIsOn,
+    NoRunIsOn, NoSuchPort, NoSuchProtocol, NoZeroCommand, NotRead, RunDuration, RunIsOn, RunIsStarting,
+    RunName, ThisRunIsOn,
 };
+use crate::daemon::session;
 use crate::device::port::{self, PortAddress};
 use crate::device::protocol::Definition;
 use crate::diagnostic::Diagnostic;
@@ -22,18 +24,39 @@ use crate::live::{
     Act, Catalogue, CheckItem, Download, Job, JobKind, JobRequest, Journal, Message, Point, RunEntry,
     Service, StartRequest, Status,
 };
+use crate::recording::capture::Event;
 
-/// The longest run that may be asked for, s.
+/// The longest run that may be requested, s.
 const LONGEST_S: f64 = 1e6;
+/// Operator actions that are kept until a run begins. The oldest are dropped.
+const MOST_NOTES: usize = 100;
 
-/// The place of a run that is starting: free again where the start panics.
-struct Place<'a>(&'a Supervisor);
+/// Frees the reserved line if the start of a run panics.
+struct StartGuard<'a>(&'a Supervisor);
 
-impl Drop for Place<'_> {
+impl Drop for StartGuard<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.0.inner().run = Run::None;
         }
+    }
+}
+
+impl Supervisor {
+    /// Logs an action of the operator, and writes it into the capture of the current run or of the next one.
+    fn note(&self, action: &str, detail: &str) {
+        self.log.event(Level::Info, "operator", &[("action", &action), ("detail", &detail)]);
+        let unix_ms = clock::unix_ns() / 1_000_000;
+        let event = Event::Operator { unix_ms, action: action.into(), detail: detail.into() };
+        let mut inner = self.inner();
+        if let Run::On(running) = &inner.run {
+            running.acquisition.note(event);
+            return;
+        }
+        if inner.notes.len() >= MOST_NOTES {
+            inner.notes.remove(0);
+        }
+        inner.notes.push(event);
     }
 }
 
@@ -53,7 +76,7 @@ impl Service for Supervisor {
     }
 
     fn points(&self) -> Vec<Point> {
-        lock(&self.live.points).clone()
+        lock(&self.live.run).points.clone()
     }
 
     fn catalogue(&self, which: Catalogue) -> Result<Value, Diagnostic> {
@@ -62,7 +85,7 @@ impl Service for Supervisor {
 
     fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Diagnostic> {
         if matches!(self.inner().run, Run::Reading(_)) {
-            self.end_reading()?;
+            self.disconnect()?;
         }
         let mut inner = self.inner();
         if !matches!(inner.run, Run::None) {
@@ -70,7 +93,7 @@ impl Service for Supervisor {
         }
         let address = port.as_deref().map(str::parse::<PortAddress>).transpose()?;
         if let Some((port, address)) = port.as_ref().zip(address.as_ref()) {
-            // Only what is a serial port may be opened, or what the configuration named.
+            // Clients may open listed serial ports and the configured port, nothing else.
             let listed =
                 port::list()?.iter().any(|one| one.port == *port || one.by_id.as_ref() == Some(port));
             if !listed && !self.is_simulated(address) && self.config.port.as_ref() != Some(address) {
@@ -82,27 +105,59 @@ impl Service for Supervisor {
             let found = configured.map(Ok).or_else(|| Definition::by_name(name));
             inner.protocol = Some(found.ok_or_else(|| NoSuchProtocol { protocol: name.clone() })??);
         }
-        let chosen = [&port, &protocol].map(|one| one.clone().unwrap_or_default()).join(" ");
         if address.is_some() {
             inner.port = address;
         }
-        let status = self.look(&inner);
+        let status = self.current_status(&inner);
         drop(inner);
         self.status.send_replace(status);
+        let chosen = [port, protocol].map(Option::unwrap_or_default).join(" ");
         self.note("choose", chosen.trim());
         Ok(())
     }
 
     fn connect(&self, plan: Option<String>) -> Result<(), Diagnostic> {
-        self.read(plan)
+        if let Some(before) = self.reserve_line()? {
+            before.end();
+        }
+        let detail = plan.clone().unwrap_or_default();
+        self.release_line(self.begin(Purpose::Reading { plan }).map(Some))?;
+        self.note("connect", &detail);
+        Ok(())
     }
 
     fn disconnect(&self) -> Result<(), Diagnostic> {
-        self.end_reading()
+        let before = self.reserve_line()?;
+        let was_connected = before.is_some();
+        if let Some(before) = before {
+            before.end();
+        }
+        self.release_line(Ok(None))?;
+        if was_connected {
+            self.note("disconnect", "");
+        }
+        Ok(())
     }
 
+    /// Ends the reading meanwhile: the command needs the line for itself.
     fn zero(&self) -> Result<(), Diagnostic> {
-        self.set_zero()
+        let Some(running) = self.reserve_line()? else {
+            self.release_line(Ok(None))?;
+            return Err(NotRead.into());
+        };
+        let definition = running.definition.clone();
+        if definition.zero.is_empty() {
+            self.release_line(Ok(Some(running)))?;
+            return Err(NoZeroCommand { protocol: definition.id }.into());
+        }
+        let Running { plan, line, acquisition, stop, .. } = running;
+        let before_mm = acquisition.progress().reading_mm;
+        stop.store(true, Ordering::Relaxed);
+        let zeroed = acquisition.join().and_then(|_| Ok(session::zero(&line.port, &definition)?));
+        self.release_line(self.open(Purpose::Reading { plan }, line).map(Some))?;
+        zeroed?;
+        self.note("zero", &before_mm.map_or(String::new(), |mm| format!("{mm:.4} mm before")));
+        Ok(())
     }
 
     fn act(&self, act: Act) {
@@ -110,46 +165,38 @@ impl Service for Supervisor {
     }
 
     fn start(&self, request: StartRequest) -> Result<(), Diagnostic> {
-        if !names::is_sound(&request.name) {
+        if !runs::is_sound(&request.name) {
             return Err(RunName.into());
         }
         if request.duration_s.is_some_and(|s| !(s > 0.0 && s <= LONGEST_S)) {
             return Err(RunDuration { most_s: LONGEST_S }.into());
         }
-        let reading = self.take_place()?;
-        let _place = Place(self);
+        let reading = self.reserve_line()?;
+        let _guard = StartGuard(self);
         if let Some(reading) = reading {
             reading.end();
         }
-        let (port, protocol) = {
-            let inner = self.inner();
-            (inner.port.clone(), inner.protocol.clone())
-        };
         let (name, plan) = (request.name.clone(), request.plan.clone().unwrap_or_default());
         let checked: Vec<&str> = request.checked.iter().copied().map(CheckItem::name).collect();
-        let checked = checked.join(" ");
-        let begun = match port {
-            Some(port) => self.begin(Aim::Run(request), port, protocol),
-            None => Err(NoPortChosen.into()),
-        };
+        let begun = self.begin(Purpose::Run(request));
         let mut inner = self.inner();
         match begun {
             Ok(running) => {
-                self.log.say(Level::Info, "run_started", &[("run", &name), ("plan", &plan)]);
+                self.log.event(Level::Info, "run_started", &[("run", &name), ("plan", &plan)]);
                 std::mem::take(&mut inner.notes).into_iter().for_each(|note| running.acquisition.note(note));
                 inner.run = Run::On(Box::new(running));
                 inner.failed = None;
                 drop(inner);
-                self.note("checked", &checked);
+                self.note("checked", &checked.join(" "));
                 self.note("start", &name);
                 self.tick();
                 Ok(())
             }
             Err(refusal) => {
                 inner.run = Run::None;
-                let fields: [(&str, &dyn Display); 3] =
-                    [("run", &name), ("code", &refusal.code), ("reason", &refusal)];
-                self.log.say(Level::Warning, "run_refused", &fields);
+                let fields: &[(&str, &dyn Display)] =
+                    &[("run", &name), ("code", &refusal.code), ("reason", &refusal)];
+                self.log.event(Level::Warning, "run_refused", fields);
                 Err(refusal)
             }
         }
@@ -195,9 +242,9 @@ impl Service for Supervisor {
         let args = jobs::arguments(&request)?;
         let directory = runs::evaluable(&self.config.data, &request.run, request.kind)?;
         let job = self.jobs.submit(request, args, directory)?;
-        let fields: [(&str, &dyn Display); 3] =
-            [("job", &job.id), ("kind", &job.kind.name()), ("run", &job.run)];
-        self.log.say(Level::Info, "job_taken", &fields);
+        let fields: &[(&str, &dyn Display)] =
+            &[("job", &job.id), ("kind", &job.kind.name()), ("run", &job.run)];
+        self.log.event(Level::Info, "job_taken", fields);
         Ok(job)
     }
 

@@ -1,197 +1,176 @@
-//! Runs that are over go to the archive: `dbbd archive push` as a child process, one after the other.
+//! Completed runs go to the archive: `dbbd archive push` as a child process, one run at a time.
 
-use std::io;
+use std::fs;
+use std::io::{self, Read as _};
+use std::path::{Path, absolute};
+use std::process::Stdio;
 use std::sync::Arc;
-use std::sync::mpsc::Receiver;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::Duration;
 
-use super::state::Supervisor;
+use super::config::ToArchive;
+use super::log::Level;
+use super::state::{Run, Supervisor};
+use super::{jobs, runs};
+use crate::archive::{LocalRun, Secrets, Spool};
+use crate::base::{files, hash::sha256, program, sync::lock};
+use crate::catalogue::ArchiveFinding;
+use crate::diagnostic::Finding as _;
+use crate::live::Archiving;
 
-/// Starts the thread that pushes, where there is an archive; `over` says that a run or a job is over.
-#[cfg(feature = "archive")]
+/// File beside a run with the hash of the state that was handed over. It is not pushed.
+const HANDED_OVER: &str = ".archive";
+/// Interval between checks while no run waits, s.
+const IDLE_S: f64 = 3600.0;
+
+enum Pushed {
+    /// The archive confirmed it, perhaps with a warning.
+    Confirmed(Option<String>),
+    /// It is in the spool, with the reason.
+    Waits(String),
+    /// Neither pushed nor spooled, with the reason.
+    Failed(String),
+}
+
+/// Starts the thread that pushes, if there is an archive. `over` is notified when a run or a job ends.
 pub(super) fn start(supervisor: &Arc<Supervisor>, over: Receiver<()>) -> io::Result<()> {
     if supervisor.config.archive.is_none() {
         return Ok(());
     }
     let supervisor = Arc::clone(supervisor);
-    std::thread::Builder::new().name("archive".into()).spawn(move || push::all(&supervisor, &over)).map(drop)
+    std::thread::Builder::new().name("archive".into()).spawn(move || push_all(&supervisor, &over)).map(drop)
 }
 
-#[cfg(not(feature = "archive"))]
-pub(super) fn start(_: &Arc<Supervisor>, _: Receiver<()>) -> io::Result<()> {
-    Ok(())
+/// Pushes every completed run that is new or has changed, and the runs in the spool.
+fn push_all(supervisor: &Supervisor, over: &Receiver<()>) {
+    let Some(archive) = &supervisor.config.archive else { return };
+    let mut confirmed = 0;
+    loop {
+        let state = round(supervisor, archive, confirmed);
+        confirmed = state.confirmed;
+        let waits = state.waiting > 0;
+        let before = lock(&supervisor.archiving).replace(state.clone());
+        if before.as_ref() != Some(&state) {
+            let level = if waits { Level::Warning } else { Level::Info };
+            let reason = state.reason.unwrap_or_default();
+            supervisor.log.event(level, "archive", &[("waiting", &state.waiting), ("reason", &reason)]);
+        }
+        let pause = Duration::from_secs_f64(if waits { archive.retry_s } else { IDLE_S });
+        if over.recv_timeout(pause) == Err(RecvTimeoutError::Disconnected) {
+            return;
+        }
+        while over.try_recv().is_ok() {}
+    }
 }
 
-#[cfg(feature = "archive")]
-mod push {
-    use std::fs;
-    use std::io::{self, Read as _};
-    use std::path::{Path, absolute};
-    use std::process::Stdio;
-    use std::sync::mpsc::{Receiver, RecvTimeoutError};
-    use std::time::Duration;
-
-    use crate::archive::{LocalRun, Secrets, Spool};
-    use crate::base::{files, hash::sha256, program, sync::lock};
-    use crate::catalogue::ArchiveFinding;
-    use crate::daemon::service::config::ToArchive;
-    use crate::daemon::service::log::Level;
-    use crate::daemon::service::state::{Run, Supervisor};
-    use crate::daemon::service::{jobs, names, runs};
-    use crate::diagnostic::Finding as _;
-    use crate::live::Archiving;
-
-    /// In the directory of a run: which of its states was handed over. It is no file of the run.
-    const HANDED_OVER: &str = ".archive";
-    /// How often is looked where nothing waits, s.
-    const IDLE_S: f64 = 3600.0;
-
-    /// What became of a push.
-    enum Pushed {
-        /// The archive confirmed it, and what is doubtful in it.
-        Confirmed(Option<String>),
-        /// It is in the spool, and why.
-        Waits(String),
-        /// It is where it was, and why.
-        Failed(String),
-    }
-
-    /// Hands over every run that is over and was not yet, and sends what waits.
-    pub(super) fn all(supervisor: &Supervisor, over: &Receiver<()>) {
-        let Some(archive) = &supervisor.config.archive else { return };
-        let mut confirmed = 0;
-        loop {
-            let state = round(supervisor, archive, confirmed);
-            confirmed = state.confirmed;
-            let waits = state.waiting > 0;
-            let before = lock(&supervisor.archiving).replace(state.clone());
-            if before.as_ref() != Some(&state) {
-                let level = if waits { Level::Warning } else { Level::Info };
-                let reason = state.reason.unwrap_or_default();
-                supervisor.log.say(level, "archive", &[("waiting", &state.waiting), ("reason", &reason)]);
+/// `confirmed` is the number of runs confirmed before.
+fn round(supervisor: &Supervisor, archive: &ToArchive, confirmed: u64) -> Archiving {
+    let mut state = Archiving::default();
+    let spooled = || Spool::count(&archive.spool).map_or(1, |waiting| waiting as u64);
+    let (before, mut handed_over) = (spooled(), 0);
+    let mut sent = false;
+    let names = completed(supervisor).unwrap_or_else(|error| {
+        (state.refused, state.reason) = (1, Some(error.to_string()));
+        Vec::new()
+    });
+    for name in names {
+        let directory = supervisor.config.data.join(&name);
+        let pushed = hand_over(archive, &directory);
+        match pushed {
+            Ok(None) => {}
+            Ok(Some(Pushed::Confirmed(doubt))) => {
+                (sent, handed_over) = (true, handed_over + 1);
+                let level = if doubt.is_some() { Level::Warning } else { Level::Info };
+                let doubt = doubt.unwrap_or_default();
+                supervisor.log.event(level, "archived", &[("run", &name), ("doubt", &doubt)]);
             }
-            let pause = Duration::from_secs_f64(if waits { archive.retry_s } else { IDLE_S });
-            if over.recv_timeout(pause) == Err(RecvTimeoutError::Disconnected) {
-                return;
+            // Counted in the spool.
+            Ok(Some(Pushed::Waits(why))) => {
+                (sent, handed_over, state.reason) = (true, handed_over + 1, Some(why));
             }
-            while over.try_recv().is_ok() {}
+            Ok(Some(Pushed::Failed(why))) => (state.refused, state.reason) = (state.refused + 1, Some(why)),
+            Err(error) => (state.refused, state.reason) = (state.refused + 1, Some(error.to_string())),
         }
     }
-
-    /// `confirmed`: runs that the archive confirmed before.
-    fn round(supervisor: &Supervisor, archive: &ToArchive, confirmed: u64) -> Archiving {
-        let mut state = Archiving::default();
-        let spooled = || Spool::count(&archive.spool).map_or(1, |waiting| waiting as u64);
-        let (before, mut handed_over) = (spooled(), 0);
-        let mut sent = false;
-        let names = over(supervisor).unwrap_or_else(|error| {
-            (state.refused, state.reason) = (1, Some(error.to_string()));
-            Vec::new()
-        });
-        for name in names {
-            let directory = supervisor.config.data.join(&name);
-            let pushed = hand_over(archive, &directory);
-            match pushed {
-                Ok(None) => {}
-                Ok(Some(Pushed::Confirmed(doubt))) => {
-                    (sent, handed_over) = (true, handed_over + 1);
-                    let level = if doubt.is_some() { Level::Warning } else { Level::Info };
-                    let doubt = doubt.unwrap_or_default();
-                    supervisor.log.say(level, "archived", &[("run", &name), ("doubt", &doubt)]);
-                }
-                // It is counted in the spool.
-                Ok(Some(Pushed::Waits(why))) => {
-                    (sent, handed_over, state.reason) = (true, handed_over + 1, Some(why));
-                }
-                Ok(Some(Pushed::Failed(why))) => {
-                    (state.refused, state.reason) = (state.refused + 1, Some(why))
-                }
-                Err(error) => (state.refused, state.reason) = (state.refused + 1, Some(error.to_string())),
-            }
-        }
-        if spooled() > 0 && !sent {
-            state.reason = match push(archive, None) {
-                Ok(Pushed::Confirmed(_)) => state.reason,
-                Ok(Pushed::Waits(why) | Pushed::Failed(why)) => Some(why),
-                Err(error) => Some(error.to_string()),
-            };
-        }
-        let left = spooled();
-        state.confirmed = confirmed + (before + handed_over).saturating_sub(left);
-        state.waiting = left + state.refused;
-        state
-    }
-
-    /// The names of the runs to which nothing is added now. They are listed first: a run that begins meanwhile is not
-    /// among them.
-    fn over(supervisor: &Supervisor) -> io::Result<Vec<String>> {
-        let entries = match fs::read_dir(&supervisor.config.data) {
-            // Nothing was recorded yet.
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-            entries => entries?.collect::<io::Result<Vec<_>>>()?,
+    if spooled() > 0 && !sent {
+        state.reason = match push(archive, None) {
+            Ok(Pushed::Confirmed(_)) => state.reason,
+            Ok(Pushed::Waits(why) | Pushed::Failed(why)) => Some(why),
+            Err(error) => Some(error.to_string()),
         };
-        let names = entries.into_iter().filter_map(|entry| entry.file_name().into_string().ok());
-        let is_run = |name: &String| {
-            let directory = supervisor.config.data.join(name);
-            names::is_sound(name)
-                && runs::is_plain_directory(&directory)
-                && directory.join(runs::CAPTURE).is_file()
-        };
-        let mut names: Vec<String> = names.filter(is_run).collect();
-        match &supervisor.inner().run {
-            Run::Starting => names.clear(),
-            Run::On(running) => names.retain(|name| *name != running.name),
-            Run::None | Run::Reading(_) => {}
-        }
-        names.retain(|name| !supervisor.jobs.concern(name));
-        names.sort();
-        Ok(names)
     }
+    let left = spooled();
+    state.confirmed = confirmed + (before + handed_over).saturating_sub(left);
+    state.waiting = left + state.refused;
+    state
+}
 
-    /// Pushes the run in `directory`, unless this state of it was.
-    fn hand_over(archive: &ToArchive, directory: &Path) -> io::Result<Option<Pushed>> {
-        let state = LocalRun::state(directory).map_err(io::Error::other)?;
-        let state = sha256(format!("{}\n{}\n{state}", archive.database, archive.store));
-        let noted = directory.join(HANDED_OVER);
-        if fs::read_to_string(&noted).is_ok_and(|noted| noted == state) {
-            return Ok(None);
-        }
-        let pushed = push(archive, Some(directory))?;
-        if !matches!(pushed, Pushed::Failed(_)) {
-            files::write(&noted, state).map_err(io::Error::other)?;
-        }
-        Ok(Some(pushed))
+/// The names of the runs that no run or job is writing. The directory is listed first, so that a run that begins meanwhile is
+/// not among them.
+fn completed(supervisor: &Supervisor) -> io::Result<Vec<String>> {
+    let entries = match fs::read_dir(&supervisor.config.data) {
+        // No run was recorded yet.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries?.collect::<io::Result<Vec<_>>>()?,
+    };
+    let names = entries.into_iter().filter_map(|entry| entry.file_name().into_string().ok());
+    let is_run = |name: &String| {
+        let directory = supervisor.config.data.join(name);
+        runs::is_sound(name)
+            && runs::is_plain_directory(&directory)
+            && directory.join(runs::CAPTURE).is_file()
+    };
+    let mut names: Vec<String> = names.filter(is_run).collect();
+    match &supervisor.inner().run {
+        Run::Starting => names.clear(),
+        Run::On(running) => names.retain(|name| *name != running.name),
+        Run::None | Run::Reading(_) => {}
     }
+    names.retain(|name| !supervisor.jobs.has_open_job(name));
+    names.sort();
+    Ok(names)
+}
 
-    /// Sends what waits in the spool, and this run.
-    fn push(archive: &ToArchive, run: Option<&Path>) -> io::Result<Pushed> {
-        let mut command = program::own()?;
-        command.args(["archive", "push"]).args(run.map(absolute).transpose()?);
-        command.arg("--spool").arg(absolute(&archive.spool)?);
-        command.arg(format!("--archive={}", archive.database)).arg(format!("--store={}", archive.store));
-        if !archive.base.as_os_str().is_empty() {
-            command.current_dir(&archive.base);
-        }
-        command.envs(Secrets::variables()).env("NO_COLOR", "1").stdout(Stdio::null()).stderr(Stdio::piped());
-        let mut child = command.spawn()?;
-        jobs::first_to_go(&child);
-        let _kept = child.stdin.take();
-        let mut said = Vec::new();
-        if let Some(mut stderr) = child.stderr.take() {
-            stderr.read_to_end(&mut said)?;
-        }
-        let said = String::from_utf8_lossy(&said);
-        let first = |label: &str| said.lines().find(|line| line.starts_with(label)).map(str::to_owned);
-        let (waits, doubt) = (first(&format!("warning[{}]", waits())), first("warning["));
-        Ok(match (child.wait()?.code(), waits) {
-            (Some(0), _) => Pushed::Confirmed(None),
-            (Some(3), None) => Pushed::Confirmed(doubt),
-            (Some(3), Some(why)) => Pushed::Waits(why),
-            _ => Pushed::Failed(first("error[").or(doubt).unwrap_or_else(|| said.trim().to_owned())),
-        })
+/// Pushes the run in `directory` unless its present state was handed over before.
+fn hand_over(archive: &ToArchive, directory: &Path) -> io::Result<Option<Pushed>> {
+    let state = LocalRun::state(directory).map_err(io::Error::other)?;
+    let state = sha256(format!("{}\n{}\n{state}", archive.database, archive.store));
+    let noted = directory.join(HANDED_OVER);
+    if fs::read_to_string(&noted).is_ok_and(|noted| noted == state) {
+        return Ok(None);
     }
+    let pushed = push(archive, Some(directory))?;
+    if !matches!(pushed, Pushed::Failed(_)) {
+        files::write(&noted, state).map_err(io::Error::other)?;
+    }
+    Ok(Some(pushed))
+}
 
-    /// The code of a run that waits in the spool.
-    fn waits() -> &'static str {
-        ArchiveFinding::SpoolWaits { runs: 0 }.code().0
+/// Pushes the runs in the spool, and this run.
+fn push(archive: &ToArchive, run: Option<&Path>) -> io::Result<Pushed> {
+    let mut command = program::own()?;
+    command.args(["archive", "push"]).args(run.map(absolute).transpose()?);
+    command.arg("--spool").arg(absolute(&archive.spool)?);
+    command.arg(format!("--archive={}", archive.database)).arg(format!("--store={}", archive.store));
+    if !archive.base.as_os_str().is_empty() {
+        command.current_dir(&archive.base);
     }
+    command.envs(Secrets::variables()).env("NO_COLOR", "1").stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut child = command.spawn()?;
+    jobs::prefer_for_oom_kill(&child);
+    let _kept = child.stdin.take();
+    let mut said = Vec::new();
+    if let Some(mut stderr) = child.stderr.take() {
+        stderr.read_to_end(&mut said)?;
+    }
+    let said = String::from_utf8_lossy(&said);
+    let first = |label: &str| said.lines().find(|line| line.starts_with(label)).map(str::to_owned);
+    let spooled = ArchiveFinding::SpoolWaits { runs: 0 }.code().0;
+    let (waits, doubt) = (first(&format!("warning[{spooled}]")), first("warning["));
+    Ok(match (child.wait()?.code(), waits) {
+        (Some(0), _) => Pushed::Confirmed(None),
+        (Some(3), None) => Pushed::Confirmed(doubt),
+        (Some(3), Some(why)) => Pushed::Waits(why),
+        _ => Pushed::Failed(first("error[").or(doubt).unwrap_or_else(|| said.trim().to_owned())),
+    })
 }

@@ -1,7 +1,7 @@
-//! What begins a run or a reading: its line, its plan, its directory.
+//! The begin of a run or a reading: port, plan, directory.
 
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -9,47 +9,55 @@ use std::sync::atomic::AtomicBool;
 use serde_json::json;
 
 use super::log::Level;
-use super::state::{Line, Running, Supervisor};
-use super::trial_cell::Program;
+use super::state::{Line, Run, Running, Supervisor};
 use super::{catalogue, runs};
 use crate::base::clock;
 use crate::base::sync::lock;
-use crate::catalogue::ServiceFinding::{DataUnwritable, NameTaken, NoPlan, ProtocolNotBuiltIn};
-use crate::daemon::live_state::{Feed, LiveState};
-use crate::daemon::{Acquisition, Options, Schedule};
+use crate::catalogue::ServiceFinding::{
+    DataUnwritable, Ending, NameTaken, NoPlan, NoPortChosen, ProtocolNotBuiltIn, RunIsOn, RunIsStarting,
+};
+use crate::daemon::live_state::{Feed, LiveRun};
+use crate::daemon::{Acquisition, Controller, Options, Schedule};
 use crate::device::port::{self, PortAddress};
 use crate::device::protocol::Definition;
 use crate::diagnostic::{Diagnostic, Finding};
-use crate::live::{Message, Mounting, StartRequest};
+use crate::live::{Message, StartRequest};
 use crate::plan::{DEFAULT_PROTOCOL, SIGMA_UM};
 use crate::recording::capture::{Disk, Writer};
 use crate::recording::mounting::{Expected, Rest};
 use crate::recording::run::PlanFiles;
 use crate::robot::Robot;
 
-/// What the bar is read for.
-pub(super) enum Aim {
+/// What the program of a simulated cell does at its HALT.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Halt {
+    /// It continues once the bar is read.
+    Continue,
+    /// It waits, so that the bar can be mounted.
+    Wait,
+}
+
+/// Creates a simulated cell that runs this plan, or a plan of its own.
+pub type MakeCell = Box<dyn Fn(Option<&Path>, Halt) -> Result<Box<dyn Cell>, Diagnostic> + Send + Sync>;
+
+/// A simulated cell. Its program begins when its bar is read; the cell ends when it is dropped.
+pub trait Cell: Send {
+    /// The port of its bar.
+    fn port(&self) -> &PortAddress;
+    fn plan(&self) -> &Path;
+}
+
+/// Why the bar is read.
+pub(super) enum Purpose {
     Run(StartRequest),
-    /// To see it against the stroke of a plan.
+    /// To show the bar against the stroke of a plan.
     Reading {
         plan: Option<String>,
     },
 }
 
-/// Keeps nothing.
-struct Nowhere;
-
-impl Write for Nowhere {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl Disk for Nowhere {
+/// A capture that is not kept.
+impl Disk for io::Sink {
     fn sync(&mut self) -> io::Result<()> {
         Ok(())
     }
@@ -63,63 +71,88 @@ impl Disk for Nowhere {
     }
 }
 
-/// A capture that is not kept.
-fn nowhere() -> Result<Writer, Diagnostic> {
-    Writer::on(Box::new(Nowhere), Path::new("live"))
-}
-
 impl Supervisor {
-    /// The line to the bar at `port`; where that is simulated, its cell is made.
+    /// Reserves the line to the bar. Returns the reading that uses it, which the caller must end.
+    pub(super) fn reserve_line(&self) -> Result<Option<Running>, Diagnostic> {
+        let mut inner = self.inner();
+        if inner.ending {
+            return Err(Ending.into());
+        }
+        match std::mem::replace(&mut inner.run, Run::Starting) {
+            Run::None => Ok(None),
+            Run::Reading(running) => Ok(Some(*running)),
+            taken @ (Run::On(_) | Run::Starting) => {
+                let refusal = if matches!(taken, Run::On(_)) { RunIsOn } else { RunIsStarting };
+                inner.run = taken;
+                Err(refusal.into())
+            }
+        }
+    }
+
+    /// Gives the reserved line to a reading, or frees it. An error is passed on.
+    pub(super) fn release_line(
+        &self,
+        reading: Result<Option<Running>, Diagnostic>,
+    ) -> Result<(), Diagnostic> {
+        let (run, result) = match reading {
+            Ok(Some(running)) => (Run::Reading(Box::new(running)), Ok(())),
+            Ok(None) => (Run::None, Ok(())),
+            Err(refusal) => (Run::None, Err(refusal)),
+        };
+        self.inner().run = run;
+        self.tick();
+        result
+    }
+
+    /// Opens the selected device and begins to read. The caller has reserved the line.
+    pub(super) fn begin(&self, purpose: Purpose) -> Result<Running, Diagnostic> {
+        let (port, protocol) = {
+            let inner = self.inner();
+            (inner.port.clone(), inner.protocol.clone())
+        };
+        let line = self.line(&purpose, port.ok_or(NoPortChosen)?, protocol)?;
+        self.open(purpose, line)
+    }
+
+    /// The line to the bar at `port`. For a simulated port its cell is created.
     fn line(
         &self,
-        aim: &Aim,
+        purpose: &Purpose,
         mut port: PortAddress,
         protocol: Option<Definition>,
     ) -> Result<Line, Diagnostic> {
         let find = |name: &String| {
             catalogue::plan_file(&self.config.plans, name).ok_or_else(|| NoPlan { plan: name.clone() })
         };
-        let (plan, program) = match aim {
-            Aim::Run(request) => (&request.plan, Program::Runs),
-            Aim::Reading { plan } => (plan, Program::Waits),
+        let (plan, halt) = match purpose {
+            Purpose::Run(request) => (&request.plan, Halt::Continue),
+            Purpose::Reading { plan } => (plan, Halt::Wait),
         };
         let mut plan = plan.as_ref().map(find).transpose()?;
-        let cell = match &self.bench {
-            Some(bench) if port == PortAddress::Sim => Some(bench(plan.as_deref(), program)?),
+        let cell = match &self.make_cell {
+            Some(make_cell) if port == PortAddress::Sim => Some(make_cell(plan.as_deref(), halt)?),
             _ => None,
         };
         if let Some(cell) = &cell {
             (port, plan) = (cell.port().clone(), Some(cell.plan().into()));
         }
         if let Some(finding) = port::blur(&port) {
-            let fields: [(&str, &dyn std::fmt::Display); 2] = [("code", &finding.code()), ("text", &finding)];
-            self.log.say(Level::Warning, "times_are_blurred", &fields);
+            let fields: &[(&str, &dyn std::fmt::Display)] = &[("code", &finding.code()), ("text", &finding)];
+            self.log.event(Level::Warning, "times_are_blurred", fields);
         }
         Ok(Line { port, protocol, plan, _cell: cell })
     }
 
-    /// Opens the device and begins; the caller holds the place of the run.
-    pub(super) fn begin(
-        &self,
-        aim: Aim,
-        port: PortAddress,
-        protocol: Option<Definition>,
-    ) -> Result<Running, Diagnostic> {
-        let line = self.line(&aim, port, protocol)?;
-        self.open(aim, line)
-    }
-
-    /// The same on a line.
-    pub(super) fn open(&self, aim: Aim, line: Line) -> Result<Running, Diagnostic> {
+    pub(super) fn open(&self, purpose: Purpose, line: Line) -> Result<Running, Diagnostic> {
         let files = line.plan.as_deref().map(PlanFiles::read).transpose()?;
         let definition = line.protocol.clone().map_or_else(|| protocol_of(files.as_ref()), Ok)?;
         let schedule = match &files {
             Some(files) => Schedule::of(&files.plan, self.config.alarm_share),
             None => Schedule::bare(self.config.stroke_mm, self.config.alarm_share),
         };
-        // The program of a run that was stopped goes on.
+        // After a run was stopped its program may still move the robot.
         let rest = if self.inner().last.is_some() { Rest::UnderWay } else { Rest::Standing };
-        let expected = expected(&aim, files.as_ref(), rest).with_resolution(definition.resolution_mm());
+        let expected = expected(&purpose, files.as_ref(), rest).with_resolution(definition.resolution_mm());
         let robot = files.as_ref().and_then(|files| {
             Robot::from_toml("robot", &files.plan.header.robot).ok().map(|robot| robot.name)
         });
@@ -130,19 +163,21 @@ impl Supervisor {
             out: PathBuf::new(),
             plan: None,
             identity: self.config.identity.clone(),
+            controller: Controller::default(),
             duration_s: None,
             gone_s: f64::INFINITY,
             sync_s: f64::INFINITY,
             feed: Some(Feed::new(self.live.clone(), schedule.clone(), expected)),
         };
-        self.forget();
-        let (name, plan, acquisition) = match aim {
-            Aim::Reading { plan } => {
-                let acquisition = Acquisition::start_on(nowhere()?, options, Arc::clone(&stop))?;
+        *lock(&self.live.run) = LiveRun::default();
+        let (name, plan, acquisition) = match purpose {
+            Purpose::Reading { plan } => {
+                let nowhere = Writer::on(Box::new(io::sink()), Path::new("live"))?;
+                let acquisition = Acquisition::start_on(nowhere, options, Arc::clone(&stop))?;
                 (String::new(), plan, acquisition)
             }
-            Aim::Run(request) => {
-                let directory = self.reserve(&request.name)?;
+            Purpose::Run(request) => {
+                let directory = self.create_directory(&request.name)?;
                 let begin = json!({ "name": request.name, "plan": request.plan });
                 let _ = self.live.messages.send(Message::new("begin", &begin));
                 options.out = directory.join(runs::CAPTURE);
@@ -150,18 +185,17 @@ impl Supervisor {
                 (options.gone_s, options.sync_s) = (self.config.gone_s, 1.0);
                 let begun = Acquisition::start(options, Arc::clone(&stop));
                 let acquisition = begun.inspect_err(|_| {
-                    // Nothing was recorded: the name stays free. What else is in there stays.
+                    // Nothing was recorded: free the name. Fails if the directory has other files, which stay.
                     let _ = fs::remove_dir(&directory);
                 })?;
                 (request.name, request.plan, acquisition)
             }
         };
-        let started_unix_ms = clock::unix_ns() / 1_000_000;
         Ok(Running {
             name,
             plan,
             robot,
-            started_unix_ms,
+            started_unix_ms: clock::unix_ns() / 1_000_000,
             schedule,
             acquisition,
             interferences: Vec::new(),
@@ -171,16 +205,8 @@ impl Supervisor {
         })
     }
 
-    /// What is shown is that of the run to come.
-    fn forget(&self) {
-        let LiveState { points, clock_ahead_ms, mounting, .. } = &self.live;
-        lock(points).clear();
-        *lock(clock_ahead_ms) = None;
-        *lock(mounting) = Mounting::default();
-    }
-
-    /// A directory for a run of that name.
-    fn reserve(&self, name: &str) -> Result<PathBuf, Diagnostic> {
+    /// Creates the directory of a run.
+    fn create_directory(&self, name: &str) -> Result<PathBuf, Diagnostic> {
         let unwritable = |error: io::Error| DataUnwritable { why: error.to_string() };
         fs::create_dir_all(&self.config.data).map_err(unwritable)?;
         let directory = runs::directory(&self.config.data, name)?;
@@ -192,19 +218,19 @@ impl Supervisor {
     }
 }
 
-/// What is expected of the bar's readings.
-fn expected(aim: &Aim, files: Option<&PlanFiles>, rest: Rest) -> Expected {
-    match (aim, files) {
-        (Aim::Run(_), Some(files)) => Expected::of(&files.plan, Rest::Program),
-        (Aim::Run(_), None) => Expected::unplanned(SIGMA_UM),
-        (Aim::Reading { .. }, files) => {
+/// What the mounting monitor expects of the readings.
+fn expected(purpose: &Purpose, files: Option<&PlanFiles>, rest: Rest) -> Expected {
+    match (purpose, files) {
+        (Purpose::Run(_), Some(files)) => Expected::of(&files.plan, Rest::Program),
+        (Purpose::Run(_), None) => Expected::unplanned(SIGMA_UM),
+        (Purpose::Reading { .. }, files) => {
             let sigma_um = files.map_or(SIGMA_UM, |files| files.plan.header.job.bar.sigma_um);
             Expected { rest, ..Expected::standing(sigma_um) }
         }
     }
 }
 
-/// The protocol that the plan names, else the default; both built in.
+/// The protocol that the plan names, else the default. Both must be built in.
 fn protocol_of(plan: Option<&PlanFiles>) -> Result<Definition, Diagnostic> {
     let name = plan.map_or(DEFAULT_PROTOCOL, |files| &files.plan.header.job.bar.protocol);
     Definition::by_name(name).ok_or_else(|| ProtocolNotBuiltIn { protocol: name.into() })?

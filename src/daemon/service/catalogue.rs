@@ -1,4 +1,4 @@
-//! What there is to choose from: ports, protocols, robots, plans.
+//! The lists to choose from: ports, protocols, robots, plans.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -8,7 +8,7 @@ use std::time::SystemTime;
 
 use serde_json::{Value, json};
 
-use super::names;
+use super::runs::is_sound;
 use crate::base::sync::lock;
 use crate::device::port;
 use crate::device::protocol::Definition;
@@ -18,7 +18,7 @@ use crate::plan::Kind;
 use crate::recording::run;
 use crate::robot::Robot;
 
-/// One of the lists, under its name.
+/// A JSON object with the list under its name.
 pub(super) fn list(which: Catalogue, plans: &Plans, directory: &Path) -> Result<Value, Diagnostic> {
     Ok(match which {
         Catalogue::Ports => json!({ "ports": port::list()? }),
@@ -43,15 +43,15 @@ fn protocols() -> Vec<Value> {
         .collect()
 }
 
-/// The file of a plan by its name, where the name is one.
+/// The file of a plan; `None` for an invalid name.
 pub(super) fn plan_file(plans: &Path, name: &str) -> Option<PathBuf> {
-    Some(plans.join(name).join("plan.csv")).filter(|path| names::is_sound(name) && path.is_file())
+    Some(plans.join(name).join("plan.csv")).filter(|path| is_sound(name) && path.is_file())
 }
 
-/// The newest plans that are listed.
-const MOST: usize = 200;
+/// Plans that are listed.
+const MOST_LISTED: usize = 200;
 
-/// Size and time of a plan's two files: while they are the same, so is the plan.
+/// Size and time of a plan's two files. A changed plan has another stamp.
 type Stamp = [Option<(u64, SystemTime)>; 2];
 
 fn stamp(csv: &Path) -> Stamp {
@@ -61,12 +61,12 @@ fn stamp(csv: &Path) -> Stamp {
     })
 }
 
-/// What the plans are, read once each. Whoever asks meanwhile waits: one plan at a time is in memory.
+/// A cache of the descriptions of plans. Concurrent requests wait, so that only one plan at a time is in memory.
 #[derive(Default)]
 pub(super) struct Plans(Mutex<BTreeMap<String, (Stamp, Value)>>);
 
 impl Plans {
-    /// The newest first: it is the one that is driven next.
+    /// The newest first.
     fn list(&self, plans: &Path) -> Vec<Value> {
         let mut known = lock(&self.0);
         let entries = fs::read_dir(plans).into_iter().flatten().flatten();
@@ -81,7 +81,7 @@ impl Plans {
         found.sort_by(|(a, first, _), (b, second, _)| {
             written(b).cmp(&written(a)).then_with(|| first.cmp(second))
         });
-        found.truncate(MOST);
+        found.truncate(MOST_LISTED);
         let mut described = BTreeMap::new();
         let mut listed = Vec::new();
         for (stamp, name, csv) in found {

@@ -1,4 +1,4 @@
-//! The service's configuration: TOML, an unknown key is an error with its line and column.
+//! The configuration of the service. It is a TOML file; `docs/reference/service.md` explains its keys.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -23,65 +23,60 @@ use crate::diagnostic::{Diagnostic, Finding};
 use crate::live::Token;
 use crate::provenance::Identity;
 
-/// How long a port may stay away during a run before the run ends, s.
+/// Default of [`Config::gone_s`].
 const GONE_S: f64 = 60.0;
-/// An alarm in a smaller share of the stroke is raised always.
+/// A smaller share raises the alarm permanently.
 const LEAST_SHARE: f64 = 0.05;
-/// No bar reads further from its middle, mm: other numbers are in micrometres.
+/// No bar has a longer stroke, mm: larger numbers are micrometres.
 const MOST_STROKE_MM: f64 = 500.0;
-
-/// How often what waits for the archive is tried again, s.
+/// Default of [`ToArchive::retry_s`].
 #[cfg(feature = "archive")]
 const RETRY_S: f64 = 60.0;
-/// Who waits for a port for longer gave ms, s.
+/// No user waits longer for a port, s: larger numbers are milliseconds.
 const MOST_GONE_S: f64 = 14_400.0;
 
-/// Where a service listens, and who may ask.
+/// The address of a service, its host names and its token.
 #[derive(Debug)]
-pub struct Door {
+pub struct Endpoint {
     pub address: SocketAddr,
-    /// Names under which it is reached, beside its addresses.
+    /// Host names besides its addresses.
     pub hosts: Vec<String>,
-    /// What whoever asks must know.
     pub token: Option<Token>,
 }
 
-/// What the service is to do.
 #[derive(Debug)]
 pub struct Config {
-    pub door: Door,
-    /// Where the runs go: a directory for each.
+    pub endpoint: Endpoint,
+    /// The directory of the runs.
     pub data: PathBuf,
-    /// Where plans are looked for: `NAME/plan.csv`.
+    /// The directory of the plans: `NAME/plan.csv`.
     pub plans: PathBuf,
-    /// The port of the bar.
     pub port: Option<PortAddress>,
-    /// Its protocol; none: that of the plan.
+    /// `None`: the protocol of the plan.
     pub protocol: Option<Definition>,
-    /// How long a port may stay away during a run before the run ends, s.
+    /// A run ends when its port has been absent for this time.
     pub gone_s: f64,
-    /// Share of the stroke from its middle beyond which the alarm is raised.
+    /// Share of the half stroke beyond which the alarm is raised.
     pub alarm_share: f64,
-    /// The stroke where no plan gives it, mm.
+    /// The stroke without a plan, mm.
     pub stroke_mm: Option<[f64; 2]>,
-    /// What every run states of itself.
+    /// Identity data of every run.
     pub identity: Identity,
-    /// Where runs that are over go.
     pub archive: Option<ToArchive>,
 }
 
-/// The archive of the plant, and what waits for it.
+/// The archive that receives completed runs.
 #[derive(Debug)]
 pub struct ToArchive {
     /// As of `dbbd archive --archive`.
     pub database: String,
     /// As of `dbbd archive --store`.
     pub store: String,
-    /// Whence relative paths in the two count.
+    /// Base of relative paths in both.
     pub base: PathBuf,
-    /// Where runs wait while the archive cannot be reached.
+    /// Directory of the runs that wait while the archive is unreachable.
     pub spool: PathBuf,
-    /// How often what waits is tried again, s.
+    /// Interval between attempts while runs wait.
     pub retry_s: f64,
 }
 
@@ -131,7 +126,7 @@ struct ArchiveTable {
 impl Default for Config {
     fn default() -> Self {
         Self {
-            door: Door {
+            endpoint: Endpoint {
                 address: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8230),
                 hosts: Vec::new(),
                 token: None,
@@ -149,7 +144,7 @@ impl Default for Config {
     }
 }
 
-/// Where messages point to, and whence relative paths count.
+/// The file, for messages and relative paths.
 struct Source<'a> {
     file: String,
     text: &'a str,
@@ -161,7 +156,6 @@ impl Source<'_> {
         Diagnostic::span(&self.file, self.text, span, finding)
     }
 
-    /// A finite number within a range, or what is wrong with it.
     fn number(&self, value: &Spanned<f64>, low: f64, high: f64) -> Result<f64, Diagnostic> {
         let number = *value.get_ref();
         if number.is_finite() && (low..=high).contains(&number) {
@@ -171,20 +165,17 @@ impl Source<'_> {
     }
 }
 
-impl Door {
-    /// At an address with a port, for whoever knows the token of a file, under these names besides.
-    ///
-    /// # Errors
-    /// What of them is not valid, and others that could reach the address where no token is asked for.
+impl Endpoint {
+    /// An address that other computers can reach needs a token.
     pub fn new(address: &str, token_file: Option<&Path>, hosts: &[String]) -> Result<Self, ServiceFinding> {
-        let mut door = Config::default().door;
-        door.token = token_file.map(token).transpose()?;
-        door.listen(address)?;
-        hosts.iter().try_for_each(|host| door.add_host(host))?;
-        Ok(door)
+        let mut endpoint = Config::default().endpoint;
+        endpoint.token = token_file.map(token).transpose()?;
+        endpoint.listen(address)?;
+        hosts.iter().try_for_each(|host| endpoint.add_host(host))?;
+        Ok(endpoint)
     }
 
-    /// The token first: without it nobody else may reach the address.
+    /// Sets the address. The token must be set before.
     fn listen(&mut self, address: &str) -> Result<(), ServiceFinding> {
         self.address = address.parse().map_err(|_| NotAnAddress)?;
         if !self.address.ip().is_loopback() && self.token.is_none() {
@@ -204,10 +195,7 @@ impl Door {
 }
 
 impl Config {
-    /// Reads the file at `path`; paths in it count from its directory.
-    ///
-    /// # Errors
-    /// Names the line and column of what is wrong.
+    /// Reads a file. Relative paths in it start at its directory.
     pub fn read(path: &Path) -> Result<Self, Diagnostic> {
         let file = path.display().to_string();
         let text = files::read(path)?;
@@ -239,14 +227,14 @@ impl Config {
         }
         if let Some(path) = &table.token_file {
             let file = source.base.join(path.get_ref());
-            config.door.token = Some(token(&file).map_err(|wrong| source.wrong(path.span(), wrong))?);
+            config.endpoint.token = Some(token(&file).map_err(|wrong| source.wrong(path.span(), wrong))?);
         }
         if let Some(address) = &table.address {
-            let listen = config.door.listen(address.get_ref());
+            let listen = config.endpoint.listen(address.get_ref());
             listen.map_err(|wrong| source.wrong(address.span(), wrong))?;
         }
         for host in table.hosts {
-            config.door.add_host(host.get_ref()).map_err(|wrong| source.wrong(host.span(), wrong))?;
+            config.endpoint.add_host(host.get_ref()).map_err(|wrong| source.wrong(host.span(), wrong))?;
         }
         if let Some(port) = table.device.port {
             let address = port.get_ref().parse();
@@ -287,7 +275,7 @@ fn check_stroke([low, high]: [f64; 2]) -> Result<(), ServiceFinding> {
     if let Some(value) = [low, high].into_iter().find(|end| end.abs() > MOST_STROKE_MM) {
         return Err(OutOfRange { value, least: -MOST_STROKE_MM, most: MOST_STROKE_MM });
     }
-    // Readings are about zero: what is far from it are lengths.
+    // Readings are near zero. Numbers far from it are lengths.
     if low.max(-high) > high - low { Err(NotReadings { low, high }) } else { Ok(()) }
 }
 
@@ -312,7 +300,7 @@ fn to_archive(source: &Source, table: Spanned<ArchiveTable>) -> Result<ToArchive
     })
 }
 
-/// A protocol by its built-in name or its file.
+/// A built-in protocol or a protocol file.
 fn definition(
     source: &Source,
     name: &Spanned<String>,

@@ -1,4 +1,4 @@
-//! Jobs: the verbs as child processes of this same program, one after the other.
+//! Jobs: commands of this program as child processes, one at a time.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
@@ -21,17 +21,14 @@ use crate::catalogue::ServiceFinding::{
 use crate::diagnostic::{Diagnostic, Finding};
 use crate::live::{Job, JobKind, JobRequest, JobState, Message};
 
-/// Jobs that may wait.
 const MOST_WAITING: usize = 16;
-/// Jobs that are remembered.
 const MOST_KEPT: usize = 100;
-/// Lines of a job that are kept, and their longest length in characters.
+/// Output lines that are kept per job, and their longest length in characters.
 const MOST_LINES: usize = 200;
 const LONGEST_LINE: usize = 400;
-/// Lines of it in the live stream.
+/// Output lines of a job in a message of the live stream.
 const LINES_STREAMED: usize = 12;
 
-/// The jobs of this process.
 pub(super) struct Jobs {
     shared: Arc<Shared>,
     queue: Sender<Task>,
@@ -41,7 +38,7 @@ struct Shared {
     jobs: Mutex<VecDeque<Kept>>,
     child: Mutex<Option<(u64, Child)>>,
     messages: broadcast::Sender<Message>,
-    /// Is sent that a job is over.
+    /// Signals the end of each job.
     over: Sender<()>,
 }
 
@@ -56,7 +53,7 @@ struct Task {
     args: Vec<String>,
 }
 
-/// The verb with its options; what is no list of names is refused.
+/// The command line of a job. Option values must be lists of names.
 pub(super) fn arguments(request: &JobRequest) -> Result<Vec<String>, Diagnostic> {
     let kind = request.kind.name();
     let mut args = vec![kind.to_owned(), CAPTURE.to_owned()];
@@ -82,7 +79,7 @@ pub(super) fn arguments(request: &JobRequest) -> Result<Vec<String>, Diagnostic>
 }
 
 impl Jobs {
-    /// Starts the thread that does them.
+    /// Starts the worker thread.
     pub(super) fn start(messages: broadcast::Sender<Message>, over: Sender<()>) -> io::Result<Self> {
         let shared = Arc::new(Shared { jobs: Mutex::default(), child: Mutex::default(), messages, over });
         let (queue, tasks) = channel();
@@ -91,7 +88,7 @@ impl Jobs {
         Ok(Self { shared, queue })
     }
 
-    /// Takes a job: the verb with `args`, on the run in `directory`.
+    /// Queues a job: the command `args`, run in `directory`.
     pub(super) fn submit(
         &self,
         request: JobRequest,
@@ -127,33 +124,28 @@ impl Jobs {
         lock(&self.shared.jobs).iter().rev().map(Kept::now).collect()
     }
 
-    /// Whether one writes results of a run, or will.
+    /// Whether a waiting or running job belongs to this run.
     #[cfg(feature = "archive")]
-    pub(super) fn concern(&self, run: &str) -> bool {
-        let open = |job: &Job| matches!(job.state, JobState::Waiting | JobState::Running);
-        lock(&self.shared.jobs).iter().any(|kept| kept.job.run == run && open(&kept.job))
+    pub(super) fn has_open_job(&self, run: &str) -> bool {
+        lock(&self.shared.jobs).iter().any(|kept| kept.job.run == run && kept.is_open())
     }
 
     pub(super) fn get(&self, id: u64) -> Result<Job, Diagnostic> {
         self.shared.get(id).ok_or_else(|| NoJob { job: id.to_string() }.into())
     }
 
-    /// Ends a job before its time; one that is over stays as it is.
     pub(super) fn cancel(&self, id: u64) -> Result<Job, Diagnostic> {
-        let job = self.get(id)?;
-        if matches!(job.state, JobState::Waiting | JobState::Running) {
+        if matches!(self.get(id)?.state, JobState::Waiting | JobState::Running) {
             self.shared.change(id, |job| job.state = JobState::Cancelled);
             self.kill(|running| running == id);
         }
         self.get(id)
     }
 
-    /// Ends them all, for the process ends.
+    /// Cancels all jobs before the process ends.
     pub(super) fn end(&self) {
-        for kept in lock(&self.shared.jobs).iter_mut() {
-            if matches!(kept.job.state, JobState::Waiting | JobState::Running) {
-                kept.job.state = JobState::Cancelled;
-            }
+        for kept in lock(&self.shared.jobs).iter_mut().filter(|kept| kept.is_open()) {
+            kept.job.state = JobState::Cancelled;
         }
         self.kill(|_| true);
     }
@@ -162,13 +154,17 @@ impl Jobs {
         if let Some((id, child)) = &mut *lock(&self.shared.child)
             && meant(*id)
         {
-            // One that has just ended needs no end.
+            // Fails if it has just ended.
             let _ = child.kill();
         }
     }
 }
 
 impl Kept {
+    fn is_open(&self) -> bool {
+        matches!(self.job.state, JobState::Waiting | JobState::Running)
+    }
+
     fn now(&self) -> Job {
         let mut job = self.job.clone();
         if let (Some(began), JobState::Running) = (self.began, job.state) {
@@ -192,9 +188,9 @@ impl Shared {
 
     fn publish(&self, id: u64) {
         if let Some(mut job) = self.get(id) {
-            // The whole log is to be had by asking; the stream carries what is new.
+            // The stream carries the newest lines. The API gives the whole log.
             job.log.drain(..job.log.len().saturating_sub(LINES_STREAMED));
-            // Nobody may be looking.
+            // Fails without a receiver.
             let _ = self.messages.send(Message::new("job", &job));
         }
     }
@@ -216,15 +212,12 @@ impl Shared {
 fn work(shared: &Arc<Shared>, tasks: &Receiver<Task>) {
     for task in tasks {
         let id = task.id;
-        let mut waits = false;
-        if let Some(kept) = lock(&shared.jobs).iter_mut().find(|kept| kept.job.id == id)
-            && kept.job.state == JobState::Waiting
-        {
-            (kept.job.state, kept.began, waits) = (JobState::Running, Some(clock::now()), true);
-        }
-        if !waits {
-            continue;
-        }
+        let mut jobs = lock(&shared.jobs);
+        let waits = |kept: &&mut Kept| kept.job.id == id && kept.job.state == JobState::Waiting;
+        // A job that was cancelled or dropped from the list does not run.
+        let Some(kept) = jobs.iter_mut().find(waits) else { continue };
+        (kept.job.state, kept.began) = (JobState::Running, Some(clock::now()));
+        drop(jobs);
         shared.publish(id);
         let state = run(shared, &task).unwrap_or_else(|error| {
             let finding = CommandFailed { why: error.to_string() };
@@ -237,12 +230,12 @@ fn work(shared: &Arc<Shared>, tasks: &Receiver<Task>) {
                 (job.state, job.elapsed_s, job.percent) = (state, elapsed_s, 100);
             }
         });
-        // Without an archive nobody waits for it.
+        // Fails without an archive.
         let _ = shared.over.send(());
     }
 }
 
-/// Runs a task to its end; what it says goes into its log.
+/// Runs a command to its end and collects its output.
 fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
     if task.args.first().is_some_and(|verb| verb == "sync") {
         std::fs::create_dir_all(task.directory.join("sync"))?;
@@ -255,11 +248,11 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
         .spawn()?;
-    first_to_go(&child);
+    prefer_for_oom_kill(&child);
     let _kept = child.stdin.take();
     let outputs = (child.stdout.take(), child.stderr.take());
     *lock(&shared.child) = Some((task.id, child));
-    // It may have been cancelled while it was being started.
+    // The job may have been cancelled while its process was starting.
     if shared.get(task.id).is_some_and(|job| job.state == JobState::Cancelled)
         && let Some((_, child)) = &mut *lock(&shared.child)
     {
@@ -273,7 +266,7 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
             listen(shared, task.id, stderr);
         }
     });
-    // Its outputs are closed: it has ended or is about to.
+    // Its outputs are closed: the process ends.
     let Some((_, mut child)) = lock(&shared.child).take() else {
         return Err(io::Error::other("the child process was lost"));
     };
@@ -284,9 +277,9 @@ fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
     })
 }
 
-/// Where memory runs out, the system ends an evaluation and not the recorder.
-pub(super) fn first_to_go(child: &Child) {
-    // Only Linux has this file; without it the system chooses by size.
+/// If memory runs out, the system kills this evaluation and not the recorder.
+pub(super) fn prefer_for_oom_kill(child: &Child) {
+    // Only Linux has this file.
     let _ = std::fs::write(format!("/proc/{}/oom_score_adj", child.id()), "1000");
 }
 

@@ -1,4 +1,4 @@
-//! What the service has to say while it goes on: events with fields, for a line each.
+//! The log of the service: events with fields.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -9,65 +9,60 @@ use crate::base::sync::lock;
 use crate::base::units::HostNs;
 use crate::live::Journal;
 
-/// Between two lines of an event that strangers cause, s: they could fill the disk with it.
+/// Least time between two lines of an event that clients cause, s: they could fill the disk.
 const REPEAT_S: f64 = 10.0;
 
-/// How much an event matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Level {
-    /// As it should be.
     Info,
-    /// To be seen.
     Warning,
-    /// Something failed.
     Error,
 }
 
-/// Where the service says what happens; it prints nothing itself.
+/// Receives the events of the service, which prints nothing itself.
 pub trait Log: Send + Sync {
-    /// Says an event and its fields.
-    fn say(&self, level: Level, event: &str, fields: &[(&str, &dyn Display)]);
+    fn event(&self, level: Level, event: &str, fields: &[(&str, &dyn Display)]);
 }
 
-/// Warnings, of which those that come again and again are counted.
-pub(super) struct Warnings {
+/// Warnings that clients cause. Repeated events are counted and logged at intervals.
+pub(super) struct RateLimitedLog {
     log: Arc<dyn Log>,
     repeats: Mutex<BTreeMap<&'static str, Repeat>>,
 }
 
 struct Repeat {
-    said: HostNs,
+    logged: HostNs,
     times: u64,
 }
 
-impl Journal for Warnings {
+impl Journal for RateLimitedLog {
     fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]) {
         if let Some(times) = self.due(event) {
             let mut fields = fields.to_vec();
             fields.push(("times", &times));
-            self.log.say(Level::Warning, event, &fields);
+            self.log.event(Level::Warning, event, &fields);
         }
     }
 }
 
-impl Warnings {
+impl RateLimitedLog {
     pub(super) fn new(log: Arc<dyn Log>) -> Self {
         Self { log, repeats: Mutex::default() }
     }
 
-    /// How often the event came since it was last said, where it is time to say it again.
+    /// The number of events since the last line, if a line is due.
     fn due(&self, event: &'static str) -> Option<u64> {
         let mut repeats = lock(&self.repeats);
         let now = clock::now();
         let Some(repeat) = repeats.get_mut(event) else {
-            repeats.insert(event, Repeat { said: now, times: 0 });
+            repeats.insert(event, Repeat { logged: now, times: 0 });
             return Some(1);
         };
         repeat.times += 1;
-        if now.seconds_since(repeat.said) < REPEAT_S {
+        if now.seconds_since(repeat.logged) < REPEAT_S {
             return None;
         }
-        repeat.said = now;
+        repeat.logged = now;
         Some(std::mem::take(&mut repeat.times))
     }
 }

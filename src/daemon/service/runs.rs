@@ -1,40 +1,61 @@
-//! The runs in the data directory: `NAME/run.dbbd`, and results in `NAME/sync`, `NAME/identify`, `NAME/circle`.
+//! The runs in the data directory: captures `NAME/run.dbbd`, and results in `NAME/sync`, `NAME/identify`, `NAME/circle`.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use super::names;
 use crate::catalogue::ServiceFinding::{DataUnreadable, LinkedResults, NoFile, NoResult, NoRun};
 use crate::diagnostic::Diagnostic;
 use crate::live::{Download, Ended, JobKind, ResultFile, RunEntry, RunState};
 use crate::recording::capture::{self, Event, RunEnd};
 
-/// Name of a run's capture.
 pub(super) const CAPTURE: &str = "run.dbbd";
-/// The begin and the end of a capture tell when it began and how it ended, bytes.
+/// Bytes at the begin and the end of a capture that are read for its entry.
 const GLIMPSE: u64 = 4096;
 /// Runs that are listed.
-const MOST: usize = 500;
+const MOST_LISTED: usize = 500;
+
+/// Longest name of a run, a plan or a file, bytes.
+const LONGEST_NAME: usize = 64;
+/// Device names of Windows. The last two are followed by a digit.
+const WINDOWS_DEVICES: [&str; 6] = ["con", "prn", "aux", "nul", "com", "lpt"];
+
+/// Whether a name from a client may be a file name: letters, digits, `.`, `_`, `-` without a leading dot or dash, so that it is
+/// no path, no hidden file and no command option. Names that Windows reserves are refused, so that runs can be copied there.
+pub(super) fn is_sound(name: &str) -> bool {
+    let sound = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
+    name.len() <= LONGEST_NAME
+        && name.bytes().all(sound)
+        && name.bytes().next().is_some_and(|first| first.is_ascii_alphanumeric())
+        && !name.ends_with('.')
+        && !is_windows_device(name)
+}
+
+/// `con`, `NUL.txt`, `COM5`.
+fn is_windows_device(name: &str) -> bool {
+    let stem = name.split('.').next().unwrap_or_default().to_ascii_lowercase();
+    let numbered = stem.len() == 4 && stem.ends_with(|last: char| last.is_ascii_digit());
+    let kind = if numbered { &stem[..3] } else { &stem[..] };
+    WINDOWS_DEVICES.iter().position(|device| *device == kind).is_some_and(|place| numbered == (place >= 4))
+}
 
 fn missing(name: &str) -> Diagnostic {
     NoRun { run: name.into() }.into()
 }
 
-/// Where a run lives, or will.
 pub(super) fn directory(data: &Path, name: &str) -> Result<PathBuf, Diagnostic> {
-    if !names::is_sound(name) {
+    if !is_sound(name) {
         return Err(missing(name));
     }
     Ok(data.join(name))
 }
 
-/// Whether a path is a directory, and not a link to one.
+/// Whether a path is a directory and not a link.
 pub(super) fn is_plain_directory(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|data| data.is_dir())
 }
 
-/// Opens what is a file itself: no link leads out of the data directory, no pipe is waited for.
+/// Opens a regular file: no link, which could lead out of the data directory, and no pipe, which could block.
 fn open_plain(path: &Path) -> io::Result<File> {
     let no_file = || io::Error::other("is no plain file");
     if !path.parent().is_some_and(is_plain_directory) {
@@ -45,7 +66,7 @@ fn open_plain(path: &Path) -> io::Result<File> {
         return Err(no_file());
     }
     let file = File::open(path)?;
-    // It may have been replaced in between.
+    // The file may have been replaced in between.
     if same_file(&before, &file.metadata()?) { Ok(file) } else { Err(no_file()) }
 }
 
@@ -60,7 +81,7 @@ fn same_file(_: &fs::Metadata, other: &fs::Metadata) -> bool {
     other.is_file()
 }
 
-/// A run that is over and whose results may be written: neither it nor they are links to elsewhere.
+/// The directory of a run whose results may be written: neither it nor its results are links.
 pub(super) fn evaluable(data: &Path, name: &str, kind: JobKind) -> Result<PathBuf, Diagnostic> {
     let directory = directory(data, name)?;
     if !is_plain_directory(&directory) || open_plain(&directory.join(CAPTURE)).is_err() {
@@ -81,7 +102,7 @@ pub(super) fn evaluable(data: &Path, name: &str, kind: JobKind) -> Result<PathBu
     }
 }
 
-/// All runs, the newest first; `running` is the one that is on.
+/// All runs, the newest first; `running` is the run in progress.
 pub(super) fn list(data: &Path, running: Option<&str>) -> Result<Vec<RunEntry>, Diagnostic> {
     let entries = match fs::read_dir(data) {
         Ok(entries) => entries,
@@ -91,11 +112,10 @@ pub(super) fn list(data: &Path, running: Option<&str>) -> Result<Vec<RunEntry>, 
     let names = entries.flatten().filter_map(|entry| entry.file_name().into_string().ok());
     let mut runs: Vec<RunEntry> = names.filter_map(|name| entry(data, &name, running).ok()).collect();
     runs.sort_by(|a, b| b.started_unix_ms.cmp(&a.started_unix_ms).then_with(|| b.name.cmp(&a.name)));
-    runs.truncate(MOST);
+    runs.truncate(MOST_LISTED);
     Ok(runs)
 }
 
-/// One run.
 pub(super) fn entry(data: &Path, name: &str, running: Option<&str>) -> Result<RunEntry, Diagnostic> {
     let directory = directory(data, name)?;
     if !is_plain_directory(&directory) {
@@ -142,7 +162,7 @@ fn results(directory: &Path) -> Vec<ResultFile> {
             let Ok(file) = entry.file_name().into_string() else { continue };
             if let Ok(data) = entry.metadata()
                 && data.is_file()
-                && names::is_sound(&file)
+                && is_sound(&file)
             {
                 found.push(ResultFile { kind, file, bytes: data.len() });
             }
@@ -152,14 +172,12 @@ fn results(directory: &Path) -> Vec<ResultFile> {
     found
 }
 
-/// A file of a run, open: its capture or a result.
+/// Opens the capture of a run or a file of its results.
 pub(super) fn open(data: &Path, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Diagnostic> {
     let directory = directory(data, run)?;
     let (path, name) = match result {
         None => (directory.join(CAPTURE), format!("{run}.dbbd")),
-        Some((kind, file)) if names::is_sound(file) => {
-            (directory.join(kind.name()).join(file), file.to_owned())
-        }
+        Some((kind, file)) if is_sound(file) => (directory.join(kind.name()).join(file), file.to_owned()),
         Some((_, file)) => return Err(NoResult { file: file.into() }.into()),
     };
     let gone = || NoFile { run: run.into(), file: name.clone() };
@@ -169,4 +187,23 @@ pub(super) fn open(data: &Path, run: &str, result: Option<(JobKind, &str)>) -> R
     let file = open_plain(&path).map_err(|_| gone())?;
     let bytes = file.metadata().map_err(|_| gone())?.len();
     Ok(Download { file, name, bytes })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_sound;
+
+    #[test]
+    fn unsafe_file_names_are_refused() {
+        for name in ["run-1", "2026-11-21_cell.3", "a", "com10", "console", "con-1", "com"] {
+            assert!(is_sound(name), "{name}");
+        }
+        let long = "a".repeat(65);
+        for name in [
+            "", ".", "..", "../a", "a/b", "a\\b", "/etc", ".hidden", "-rf", "a\0", "é", "a b", "NUL",
+            "con.txt", "Com5", "lpt1.a", "a.", &long,
+        ] {
+            assert!(!is_sound(name), "{name:?}");
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! The service from its first word to its last: runtime, signals, sign of life.
+//! The service process: start, web thread, watchdog, shutdown.
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -8,14 +8,10 @@ use std::{io, panic, process, thread};
 
 use tokio::sync::watch;
 
-use super::archiving;
-use super::config::{Config, Door};
-#[cfg(feature = "archive")]
-use super::log::Warnings;
+use super::begin::MakeCell;
+use super::config::{Config, Endpoint};
 use super::log::{Level, Log};
-use super::notify::{notify, watchdog_s};
 use super::state::Supervisor;
-use super::trial_cell::Bench;
 use crate::base::clock;
 use crate::base::sync::lock;
 use crate::base::units::HostNs;
@@ -24,19 +20,17 @@ use crate::daemon::signals;
 use crate::diagnostic::Diagnostic;
 use crate::live::{self, Access, Site, State};
 
-/// How often the state is looked at, s.
-const LOOK_S: f64 = 0.2;
-/// The pages' thread counts as alive when it moved within so many seconds.
+/// Interval of the main loop, s.
+const TICK_S: f64 = 0.2;
+/// The web thread is alive if its heartbeat is younger, s.
 const ALIVE_S: f64 = 5.0;
-
-/// Questions of clients that wait for disk or device at a time.
-const MOST_WAITING: usize = 16;
-
-/// Name of the threads that answer clients. A panic on any other thread ends the process.
+/// Blocking requests of clients at a time.
+const MOST_BLOCKING: usize = 16;
+/// Name of the web threads.
 const WEB: &str = "web";
 
-/// Ends the process with a thread that panics: a recorder without one of its threads would only look alive. Threads
-/// that answer clients may go: what they did is lost, the run is not.
+/// Makes a panic abort the process: a recorder without one of its threads would only seem to work. Web threads are the
+/// exception: their panic loses a request, not the run.
 pub fn abort_on_panic() {
     let report = panic::take_hook();
     panic::set_hook(Box::new(move |panicked| {
@@ -47,24 +41,23 @@ pub fn abort_on_panic() {
     }));
 }
 
-/// Serves until SIGINT or SIGTERM; a run that is on then ends as it should. `bench` makes the cell of the
-/// port `sim`.
-///
-/// # Errors
-/// When the address cannot be had or the system gives no threads.
-pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Result<(), Diagnostic> {
-    let (address, access) = open(&mut config.door, &*log);
+/// Serves until SIGINT or SIGTERM, which also end the run in progress. `make_cell` creates the cell of the port `sim`.
+pub fn serve(mut config: Config, log: Arc<dyn Log>, make_cell: Option<MakeCell>) -> Result<(), Diagnostic> {
+    let (address, access) = open(&mut config.endpoint, &*log);
     let signalled = signals::stop_on_signal()?;
-    let (supervisor, over) = Supervisor::new(config, Arc::clone(&log), bench).map_err(no_system)?;
+    let (supervisor, over) = Supervisor::new(config, Arc::clone(&log), make_cell).map_err(no_system)?;
     let supervisor = Arc::new(supervisor);
-    archiving::start(&supervisor, over).map_err(no_system)?;
+    #[cfg(feature = "archive")]
+    super::archiving::start(&supervisor, over).map_err(no_system)?;
+    #[cfg(not(feature = "archive"))]
+    drop(over);
     let (stop, stopped) = watch::channel(false);
     let site = live::cell_site(supervisor.clone(), access, stopped.clone());
     let web = Web::new(site, Arc::clone(&log), address, stopped);
-    let served = look(&web, &signalled, || {
+    let served = main_loop(&web, &signalled, || {
         let state = supervisor.tick();
-        // A run is worth more than pages that hang.
-        Look { status: state.name(), goes_on: state == State::Running }
+        // The run is more important than pages that hang.
+        Tick { status: state.name(), keep_alive: state == State::Running }
     });
     notify("STOPPING=1");
     stop.send_replace(true);
@@ -72,91 +65,91 @@ pub fn serve(mut config: Config, log: Arc<dyn Log>, bench: Option<Bench>) -> Res
     close(served?, &*log)
 }
 
-/// Serves the page of a plant until SIGINT or SIGTERM.
-///
-/// # Errors
-/// When the address cannot be had or the system gives no threads.
+/// Serves the pages of a plant until SIGINT or SIGTERM.
 #[cfg(feature = "archive")]
-pub fn serve_plant(mut door: Door, log: Arc<dyn Log>, plant: Arc<dyn live::Plant>) -> Result<(), Diagnostic> {
-    let (address, access) = open(&mut door, &*log);
+pub fn serve_plant(
+    mut endpoint: Endpoint,
+    log: Arc<dyn Log>,
+    plant: Arc<dyn live::Plant>,
+) -> Result<(), Diagnostic> {
+    let (address, access) = open(&mut endpoint, &*log);
     let signalled = signals::stop_on_signal()?;
     let (stop, stopped) = watch::channel(false);
-    let site = live::plant_site(plant, access, Arc::new(Warnings::new(Arc::clone(&log))))?;
+    let site = live::plant_site(plant, access, Arc::new(super::log::RateLimitedLog::new(Arc::clone(&log))))?;
     let web = Web::new(site, Arc::clone(&log), address, stopped);
-    let served = look(&web, &signalled, || Look { status: "serving", goes_on: false });
+    let served = main_loop(&web, &signalled, || Tick { status: "serving", keep_alive: false });
     notify("STOPPING=1");
     stop.send_replace(true);
     close(served?, &*log)
 }
 
-/// Where it listens and who may ask; the log has what is dangerous about it.
-fn open(door: &mut Door, log: &dyn Log) -> (SocketAddr, Arc<Access>) {
-    let address = door.address;
+/// Logs what is dangerous about the address and the user of the process.
+fn open(endpoint: &mut Endpoint, log: &dyn Log) -> (SocketAddr, Arc<Access>) {
+    let address = endpoint.address;
     if !address.ip().is_loopback() {
-        log.say(Level::Warning, "open_to_the_network_without_encryption", &[("address", &address)]);
+        log.event(Level::Warning, "open_to_the_network_without_encryption", &[("address", &address)]);
     }
     if is_root() {
-        log.say(Level::Warning, "running_as_root", &[("help", &"docs/how-to/service.md")]);
+        log.event(Level::Warning, "running_as_root", &[("help", &"docs/how-to/service.md")]);
     }
-    (address, Arc::new(Access::new(address.ip(), &door.hosts, door.token.take())))
+    (address, Arc::new(Access::new(address.ip(), &endpoint.hosts, endpoint.token.take())))
 }
 
 fn close(served: Served, log: &dyn Log) -> Result<(), Diagnostic> {
     match served.join() {
         Ok(served) => served?,
-        Err(_) => log.say(Level::Error, "web_died", &[]),
+        Err(_) => log.event(Level::Error, "web_died", &[]),
     }
-    log.say(Level::Info, "stopped", &[]);
+    log.event(Level::Info, "stopped", &[]);
     Ok(())
 }
 
 type Served = thread::JoinHandle<Result<(), Diagnostic>>;
 
-/// What a look at the state finds.
-struct Look {
+struct Tick {
     status: &'static str,
-    /// Whether it must go on although the pages hang.
-    goes_on: bool,
+    /// Whether the service manager must not restart the process although the pages hang.
+    keep_alive: bool,
 }
 
-/// Keeps the state up to date, notifies the service manager, and starts the web's thread again when it died. Returns
-/// that thread when all is to end.
-fn look(web: &Web, signalled: &AtomicBool, tick: impl Fn() -> Look) -> Result<Served, Diagnostic> {
+/// Updates the state, serves the watchdog of the service manager, and restarts the web thread after a panic. Returns the web
+/// thread on a signal.
+fn main_loop(web: &Web, signalled: &AtomicBool, tick: impl Fn() -> Tick) -> Result<Served, Diagnostic> {
     let mut served = web.start().map_err(no_system)?;
     let mut notified = None;
-    let (pause_s, mut signed) = (watchdog_s(), clock::now());
+    let (watchdog_s, mut served_at) = (watchdog_s(), clock::now());
     while !signalled.load(Ordering::Relaxed) {
-        let Look { status, goes_on } = tick();
+        let Tick { status, keep_alive } = tick();
         if notified.replace(status) != Some(status) {
             notify(&format!("STATUS={status}"));
         }
         if served.is_finished() {
             match served.join() {
-                // It ends by itself only where it cannot begin.
+                // It returns by itself only if it cannot start.
                 Ok(ended) => ended?,
-                Err(_) => web.log.say(Level::Error, "web_died", &[]),
+                Err(_) => web.log.event(Level::Error, "web_died", &[]),
             }
             served = web.start().map_err(no_system)?;
         }
         let now = clock::now();
         let alive = now.seconds_since(HostNs(web.beat.load(Ordering::Relaxed))) < ALIVE_S;
-        if (alive || goes_on) && pause_s.is_some_and(|pause_s| now.seconds_since(signed) >= pause_s) {
+        if (alive || keep_alive) && watchdog_s.is_some_and(|s| now.seconds_since(served_at) >= s) {
             notify("WATCHDOG=1");
-            signed = now;
+            served_at = now;
         }
-        clock::sleep(LOOK_S);
+        clock::sleep(TICK_S);
     }
     Ok(served)
 }
 
-/// What answers clients, on threads of its own.
+/// The web server and its threads.
 #[derive(Clone)]
 struct Web {
     site: Site,
     log: Arc<dyn Log>,
-    /// Where it listens: with the port that the system gave, once it has.
+    /// With the port that the system assigned, once it has.
     address: Arc<Mutex<SocketAddr>>,
-    /// When its loop was last alive.
+    /// Time of the last heartbeat, ns.
     beat: Arc<AtomicU64>,
     stopped: watch::Receiver<bool>,
 }
@@ -174,7 +167,7 @@ impl Web {
 
     fn run(self) -> Result<(), Diagnostic> {
         let mut builder = tokio::runtime::Builder::new_current_thread();
-        let builder = builder.enable_all().thread_name(WEB).max_blocking_threads(MOST_WAITING);
+        let builder = builder.enable_all().thread_name(WEB).max_blocking_threads(MOST_BLOCKING);
         let runtime = builder.build().map_err(no_system)?;
         let Self { site, log, address, beat, stopped } = self;
         let wanted = *lock(&address);
@@ -187,12 +180,12 @@ impl Web {
             });
             let ready = |given: SocketAddr| {
                 *lock(&address) = given;
-                log.say(Level::Info, "listening", &[("address", &format!("http://{given}/"))]);
+                log.event(Level::Info, "listening", &[("address", &format!("http://{given}/"))]);
                 notify("READY=1");
             };
             live::serve(wanted, site, stopped, ready).await
         });
-        // A question that never returns must not hold up the end.
+        // A request that never returns must not delay the shutdown.
         runtime.shutdown_timeout(Duration::from_secs(1));
         served.map_err(|error| NotServing { address: wanted.to_string(), why: error.to_string() }.into())
     }
@@ -202,7 +195,7 @@ fn no_system(error: io::Error) -> ServiceFinding {
     NoSystem { why: error.to_string() }
 }
 
-/// Whether this process may do everything, which it needs not.
+/// The service needs no root rights.
 #[cfg(target_os = "linux")]
 fn is_root() -> bool {
     use std::os::unix::fs::MetadataExt;
@@ -212,4 +205,31 @@ fn is_root() -> bool {
 #[cfg(not(target_os = "linux"))]
 fn is_root() -> bool {
     false
+}
+
+/// Notifies the service manager over its datagram socket (sd_notify), as `READY=1`.
+#[cfg(target_os = "linux")]
+fn notify(text: &str) {
+    use std::os::linux::net::SocketAddrExt;
+    use std::os::unix::ffi::OsStrExt;
+    use std::os::unix::net::{SocketAddr, UnixDatagram};
+
+    let Some(path) = std::env::var_os("NOTIFY_SOCKET") else { return };
+    let address = match path.as_bytes().strip_prefix(b"@") {
+        Some(name) => SocketAddr::from_abstract_name(name),
+        None => SocketAddr::from_pathname(&path),
+    };
+    // Fails without a service manager that listens.
+    if let (Ok(address), Ok(socket)) = (address, UnixDatagram::unbound()) {
+        let _ = socket.send_to_addr(text.as_bytes(), &address);
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn notify(_: &str) {}
+
+/// Interval for the watchdog of the service manager, s: half of its timeout.
+fn watchdog_s() -> Option<f64> {
+    let allowed_us: f64 = std::env::var("WATCHDOG_USEC").ok()?.parse().ok()?;
+    (allowed_us > 0.0).then_some(allowed_us * 1e-6 / 2.0)
 }

@@ -1,4 +1,4 @@
-//! The state machine: no device, idle, running, failed.
+//! The state machine of the service: no device, idle, running, failed.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,11 +7,11 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use tokio::sync::{broadcast, watch};
 
+use super::begin::{Cell, MakeCell};
 use super::catalogue::Plans;
 use super::config::Config;
 use super::jobs::Jobs;
-use super::log::{Level, Log, Warnings};
-use super::trial_cell::{Bench, Cell};
+use super::log::{Level, Log, RateLimitedLog};
 use crate::base::clock;
 use crate::base::sync::lock;
 use crate::catalogue::ServiceFinding;
@@ -23,27 +23,26 @@ use crate::diagnostic::Diagnostic;
 use crate::live::{Archiving, Device, LastRun, Message, RunStatus, State, Status};
 use crate::recording::capture::Event;
 
-/// Messages that a slow client may be behind before it loses some: about ten seconds.
+/// Messages that a client may lag behind before it loses some: about ten seconds.
 const BACKLOG: usize = 256;
 
 /// The service behind the pages.
 pub(super) struct Supervisor {
     pub(super) config: Config,
     pub(super) log: Arc<dyn Log>,
-    pub(super) bench: Option<Bench>,
+    pub(super) make_cell: Option<MakeCell>,
     pub(super) status: watch::Sender<Status>,
     pub(super) live: LiveState,
     pub(super) jobs: Jobs,
     pub(super) plans: Plans,
-    pub(super) journal: Warnings,
-    /// What waits for the archive.
+    pub(super) journal: RateLimitedLog,
     pub(super) archiving: Mutex<Option<Archiving>>,
-    /// Is sent that a run is over.
+    /// Signals the end of each run.
     over: Sender<()>,
     inner: Mutex<Inner>,
 }
 
-/// What changes.
+/// The mutable state.
 pub(super) struct Inner {
     pub(super) port: Option<PortAddress>,
     pub(super) protocol: Option<Definition>,
@@ -51,58 +50,59 @@ pub(super) struct Inner {
     /// Why the last run failed.
     pub(super) failed: Option<Diagnostic>,
     pub(super) last: Option<LastRun>,
-    /// What the operator did since the last run began.
+    /// Actions of the operator since the last run began.
     pub(super) notes: Vec<Event>,
-    /// Whether the process is about to end: no run may begin.
+    /// The process is about to end: no run may begin.
     pub(super) ending: bool,
 }
 
-/// The place of the one run, or of what reads the bar without one.
+/// Who uses the line to the bar.
 pub(super) enum Run {
     None,
     /// The port is being opened.
     Starting,
     On(Box<Running>),
+    /// The bar is read without a run.
     Reading(Box<Running>),
 }
 
 /// The line to a bar, not yet open.
 pub(super) struct Line {
     pub(super) port: PortAddress,
-    /// Its protocol; none: that of the plan.
+    /// `None`: the protocol of the plan.
     pub(super) protocol: Option<Definition>,
-    /// The plan's file.
+    /// File of the plan.
     pub(super) plan: Option<PathBuf>,
-    /// What goes on beside it, where it is simulated.
+    /// Keeps the simulated cell running.
     pub(super) _cell: Option<Box<dyn Cell>>,
 }
 
-/// A run that is on, or a reading.
+/// A run or a reading in progress.
 pub(super) struct Running {
-    /// Its name; empty of a reading.
+    /// Empty for a reading.
     pub(super) name: String,
     pub(super) plan: Option<String>,
     pub(super) robot: Option<String>,
     pub(super) started_unix_ms: u64,
     pub(super) schedule: Schedule,
     pub(super) acquisition: Acquisition,
-    /// What others did to its capture.
+    /// Findings about interference with the capture file.
     pub(super) interferences: Vec<Diagnostic>,
     pub(super) stop: Arc<AtomicBool>,
     pub(super) definition: Definition,
-    /// The line, to open it again.
+    /// To open the line again.
     pub(super) line: Line,
 }
 
 impl Supervisor {
-    /// With the end at which it is heard that a run or a job is over.
+    /// Also returns the receiver that is notified when a run or a job ends.
     pub(super) fn new(
         config: Config,
         log: Arc<dyn Log>,
-        bench: Option<Bench>,
+        make_cell: Option<MakeCell>,
     ) -> std::io::Result<(Self, Receiver<()>)> {
         let messages = broadcast::Sender::new(BACKLOG);
-        let (over, heard) = channel();
+        let (over, notified) = channel();
         let inner = Inner {
             port: config.port.clone(),
             protocol: config.protocol.clone(),
@@ -114,38 +114,33 @@ impl Supervisor {
         };
         let supervisor = Self {
             config,
-            journal: Warnings::new(Arc::clone(&log)),
+            journal: RateLimitedLog::new(Arc::clone(&log)),
             log,
-            bench,
+            make_cell,
             status: watch::Sender::new(Status::default()),
             jobs: Jobs::start(messages.clone(), over.clone())?,
-            live: LiveState {
-                messages,
-                points: Arc::default(),
-                clock_ahead_ms: Arc::default(),
-                mounting: Arc::default(),
-            },
+            live: LiveState { messages, run: Arc::default() },
             plans: Plans::default(),
             archiving: Mutex::default(),
             over,
             inner: Mutex::new(inner),
         };
-        Ok((supervisor, heard))
+        Ok((supervisor, notified))
     }
 
     pub(super) fn inner(&self) -> MutexGuard<'_, Inner> {
         lock(&self.inner)
     }
 
-    /// Looks after the run that is on, and publishes the state.
+    /// Handles the end of a run and publishes the state.
     pub(super) fn tick(&self) -> State {
         let over = {
             let mut inner = self.inner();
             if let Run::On(running) = &mut inner.run {
                 for finding in running.acquisition.findings() {
-                    let fields: [(&str, &dyn std::fmt::Display); 2] =
-                        [("code", &finding.code), ("text", &finding)];
-                    self.log.say(Level::Error, "capture_taken_away", &fields);
+                    let fields: &[(&str, &dyn std::fmt::Display)] =
+                        &[("code", &finding.code), ("text", &finding)];
+                    self.log.event(Level::Error, "capture_taken_away", fields);
                     running.interferences.push(finding);
                 }
             }
@@ -157,16 +152,16 @@ impl Supervisor {
             Some(Run::Reading(running)) => running.end(),
             _ => {}
         }
-        let status = self.look(&self.inner());
+        let status = self.current_status(&self.inner());
         let state = status.state;
         let changed = self.status.borrow().state != state;
         if changed {
             let reason = status.reason.clone().unwrap_or_default();
-            self.log.say(Level::Info, "state", &[("state", &state.name()), ("reason", &reason)]);
+            self.log.event(Level::Info, "state", &[("state", &state.name()), ("reason", &reason)]);
         }
         let message = Message::new("status", &status);
         self.status.send_replace(status);
-        // Nobody may be looking.
+        // Fails without a receiver.
         let _ = self.live.messages.send(message);
         state
     }
@@ -175,7 +170,7 @@ impl Supervisor {
         let Running { name, acquisition, interferences, .. } = running;
         let samples = acquisition.progress().samples;
         let mut interferences = interferences.into_iter().chain(acquisition.findings());
-        // A run whose capture was taken away is not whole, however it ended.
+        // A run fails if its capture file was removed or replaced, whatever ended it.
         let joined = acquisition.join().and_then(|summary| interferences.next().map_or(Ok(summary), Err));
         let ending = match &joined {
             Ok(summary) => summary.ending.reason().to_owned(),
@@ -185,36 +180,32 @@ impl Supervisor {
         let code = joined.as_ref().err().map_or("", |error| error.code.0);
         let fields: [(&str, &dyn std::fmt::Display); 4] =
             [("run", &name), ("ending", &ending), ("samples", &samples), ("code", &code)];
-        self.log.say(level, "run_over", if joined.is_err() { &fields } else { &fields[..3] });
+        self.log.event(level, "run_over", if joined.is_err() { &fields } else { &fields[..3] });
         let mut inner = self.inner();
         inner.last = Some(LastRun { name, ending, failed: joined.is_err(), samples });
         inner.failed = joined.err();
-        // Without an archive nobody waits for it.
+        // Fails without an archive.
         let _ = self.over.send(());
     }
 
-    pub(super) fn look(&self, inner: &Inner) -> Status {
-        let there =
+    pub(super) fn current_status(&self, inner: &Inner) -> Status {
+        let is_present =
             |port: &PortAddress| *port != PortAddress::Sim && port.is_present() || self.is_simulated(port);
-        let present = inner.port.as_ref().is_some_and(there);
-        let run = match &inner.run {
-            Run::On(running) => Some(self.run_status(running)),
-            Run::None | Run::Starting | Run::Reading(_) => None,
+        let present = inner.port.as_ref().is_some_and(is_present);
+        let port = inner.port.as_ref().map(PortAddress::to_string);
+        let (run, reading) = match &inner.run {
+            Run::On(running) => (Some(self.run_status(running)), None),
+            Run::Reading(running) => (None, Some(self.run_status(running))),
+            Run::None | Run::Starting => (None, None),
         };
-        let reading = match &inner.run {
-            Run::Reading(running) => Some(self.run_status(running)),
-            Run::None | Run::Starting | Run::On(_) => None,
-        };
-        let (state, finding) = if run.is_some() {
-            (State::Running, None)
-        } else if let Some(failed) = &inner.failed {
-            (State::Failed, Some(failed.clone()))
-        } else if present {
-            (State::Idle, None)
-        } else {
-            let port = inner.port.as_ref().map(PortAddress::to_string);
-            let finding = port.map_or(ServiceFinding::NoPortChosen, |port| ServiceFinding::PortAway { port });
-            (State::NoDevice, Some(finding.into()))
+        let (state, finding) = match (&inner.failed, &port) {
+            _ if run.is_some() => (State::Running, None),
+            (Some(failed), _) => (State::Failed, Some(failed.clone())),
+            _ if present => (State::Idle, None),
+            (None, Some(port)) => {
+                (State::NoDevice, Some(ServiceFinding::PortAway { port: port.clone() }.into()))
+            }
+            (None, None) => (State::NoDevice, Some(ServiceFinding::NoPortChosen.into())),
         };
         let code = finding.as_ref().map(|finding| finding.code);
         let reason = finding.map(|finding| match state {
@@ -222,13 +213,12 @@ impl Supervisor {
             _ => finding.to_string(),
         });
         let protocol = inner.protocol.as_ref().map(|definition| definition.id.clone());
-        let device = Device { port: inner.port.as_ref().map(PortAddress::to_string), present, protocol };
         Status {
             version: crate::provenance::VERSION,
             state,
             reason,
             code,
-            device,
+            device: Device { port, present, protocol },
             run,
             reading,
             last: inner.last.clone(),
@@ -236,36 +226,38 @@ impl Supervisor {
         }
     }
 
-    /// Whether the port is that of the simulated cell, and there is one.
+    /// Whether this is the port of the simulated cell, and there is one.
     pub(super) fn is_simulated(&self, port: &PortAddress) -> bool {
-        *port == PortAddress::Sim && self.bench.is_some()
+        *port == PortAddress::Sim && self.make_cell.is_some()
     }
 
     fn run_status(&self, running: &Running) -> RunStatus {
+        let Running { schedule, definition, .. } = running;
         let progress = running.acquisition.progress();
+        let live = lock(&self.live.run);
         RunStatus {
             name: running.name.clone(),
             plan: running.plan.clone(),
             robot: running.robot.clone(),
-            left_s: running.schedule.left_s(progress.dwells),
-            next: running.schedule.next(progress.dwells),
-            mounting: lock(&self.live.mounting).clone(),
-            can_zero: !running.definition.zero.is_empty(),
+            left_s: schedule.left_s(progress.dwells),
+            next: schedule.next(progress.dwells),
+            mounting: live.mounting.clone(),
+            can_zero: !definition.zero.is_empty(),
             started_unix_ms: running.started_unix_ms,
             elapsed_s: progress.elapsed_s,
             device_s: progress.device_s,
-            clock_ahead_ms: *lock(&self.live.clock_ahead_ms),
+            clock_ahead_ms: live.clock_ahead_ms,
             gone: progress.gone,
             in_step: progress.in_step,
             rate_hz: progress.rate_hz,
             bytes: progress.bytes,
             samples: progress.samples,
             reading_mm: progress.reading_mm,
-            bar_length_mm: running.schedule.bar_length_mm,
-            stroke_mm: running.schedule.stroke_mm,
-            alarm_share: running.schedule.alarm_share,
+            bar_length_mm: schedule.bar_length_mm,
+            stroke_mm: schedule.stroke_mm,
+            alarm_share: schedule.alarm_share,
             dwells: progress.dwells,
-            poses: running.schedule.poses(),
+            poses: schedule.poses(),
             modules: progress.modules,
             gaps: progress.gaps,
             missing: progress.missing,
@@ -276,6 +268,7 @@ impl Supervisor {
         }
     }
 
+    /// The name of the run in progress.
     pub(super) fn running(&self) -> Option<String> {
         match &self.inner().run {
             Run::On(running) => Some(running.name.clone()),
@@ -283,7 +276,7 @@ impl Supervisor {
         }
     }
 
-    /// Ends the run as it should, and the job at work.
+    /// Stops the run and the jobs, and waits for the end of the run.
     pub(super) fn end(&self) {
         self.inner().ending = true;
         self.jobs.end();
@@ -296,5 +289,13 @@ impl Supervisor {
             self.tick();
             clock::sleep(0.02);
         }
+    }
+}
+
+impl Running {
+    /// Stops a reading and waits for its end. Its result is of no interest.
+    pub(super) fn end(self) {
+        self.stop.store(true, Ordering::Relaxed);
+        let _ = self.acquisition.join();
     }
 }
