@@ -1,4 +1,4 @@
-//! Where the archive is, and the secrets that open it.
+//! Addresses of the database and the store, and their secrets.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -13,44 +13,42 @@ use crate::catalogue::ArchiveFinding::{
 };
 use crate::diagnostic::Diagnostic;
 
-/// The password, its file and the file with the keys of the store, in the order of [`Secrets`].
+/// The environment variables of [`Secrets`], in the order of its fields.
 const VARIABLES: [&str; 3] = ["PGPASSWORD", "DBBD_ARCHIVE_PASSWORD_FILE", "DBBD_STORE_SECRET_FILE"];
 const ARCHIVE: &str = "--archive";
 const STORE: &str = "--store";
 
-/// Where a database is.
 #[derive(Clone)]
 pub(super) enum DatabaseAddress {
     Sqlite(PathBuf),
-    /// With the certificate of its authority where the connection is encrypted.
+    /// With the certificate file of its authority if the connection is encrypted.
     Postgres(Box<postgres::Config>, Option<PathBuf>),
 }
 
-/// Where objects are.
 #[derive(Clone)]
 pub(super) enum StoreAddress {
     Directory(PathBuf),
     S3 { bucket: String, prefix: String, keys: Option<[String; 2]> },
 }
 
-/// Where the two halves of an archive are. It holds passwords, so nothing shows it.
+/// The addresses of an archive. They hold passwords, so there is no `Debug`.
 #[derive(Clone)]
 pub struct Addresses {
     pub(super) archive: DatabaseAddress,
     pub(super) store: StoreAddress,
 }
 
-/// What the environment states: never the command line.
+/// Secrets from the environment. They are never on the command line.
 #[derive(Default)]
 pub struct Secrets {
     pub password: Option<String>,
     pub password_file: Option<PathBuf>,
-    /// The key's identity and the secret, a line each.
+    /// A file with two lines: key identity and secret key.
     pub store_file: Option<PathBuf>,
 }
 
 impl Secrets {
-    /// The variables of this process that open an archive, for a child that reaches it.
+    /// The environment variables that a child process needs to reach an archive.
     pub fn variables() -> impl Iterator<Item = (OsString, OsString)> {
         std::env::vars_os().filter(|(name, _)| {
             let name = name.to_string_lossy();
@@ -58,7 +56,6 @@ impl Secrets {
         })
     }
 
-    /// Those of the environment of this process.
     pub fn of_environment() -> Self {
         let [password, password_file, store_file] = VARIABLES.map(std::env::var_os);
         Self {
@@ -70,10 +67,7 @@ impl Secrets {
 }
 
 impl Addresses {
-    /// From the texts of the command line or of the environment.
-    ///
-    /// # Errors
-    /// What is missing or not valid, and a secret where others can read it.
+    /// Parses the addresses. A secret that others can read is an error.
     pub fn read(archive: Option<&str>, store: Option<&str>, secrets: &Secrets) -> Result<Self, Diagnostic> {
         let missing =
             |option: &str, variable: &str| NoAddress { option: option.into(), variable: variable.into() };
@@ -82,10 +76,7 @@ impl Addresses {
         Ok(Self { archive: database(archive, secrets)?, store: objects(store, secrets)? })
     }
 
-    /// That a spool is a directory of its own; paths count from `base`.
-    ///
-    /// # Errors
-    /// It is in the store.
+    /// Checks that the spool is not in the store. Relative paths start at `base`.
     pub fn check_spool(&self, base: &Path, spool: &Path) -> Result<(), Diagnostic> {
         let StoreAddress::Directory(store) = &self.store else { return Ok(()) };
         let place = |path: &Path| {
@@ -98,7 +89,7 @@ impl Addresses {
 
 fn database(text: &str, secrets: &Secrets) -> Result<DatabaseAddress, Diagnostic> {
     if let Some(path) = text.strip_prefix("sqlite:") {
-        // SQLite takes these for a database that nobody sees again.
+        // SQLite would open a temporary database.
         if ["", ":memory:"].contains(&path) {
             return Err(NoPath { option: ARCHIVE.into() }.into());
         }
@@ -188,7 +179,7 @@ fn keys(path: &Path) -> Result<[String; 2], Diagnostic> {
     }
 }
 
-/// The text of a file that nobody else may read.
+/// The content of a file. Others must not be able to read it.
 fn secret(path: &Path) -> Result<String, Diagnostic> {
     let name = path.display().to_string();
     let text = std::fs::read_to_string(path)

@@ -1,4 +1,4 @@
-//! How a robot or a bar changes with time: the straight line through its results, and when a robot must be checked again.
+//! Drift of a robot or a bar: the straight line through its results, and the date of a robot's next check.
 
 use serde::Serialize;
 
@@ -8,24 +8,23 @@ use crate::math::distributions::{coverage_95, two_sided_tail};
 use crate::math::straight_line::{Reached, Sighting, StraightLine};
 use crate::report::plot::{DriftLine, DriftPoint};
 
-/// Fewer values make no line.
+/// Fewest values for a line.
 pub(super) const LEAST: usize = 4;
-/// A forecast is drawn so many days beyond the last value, and days beyond the second number have no date.
+/// A forecast is drawn this far beyond the last value, and later days than the second number have no date.
 const AHEAD_DAYS: f64 = 365.0;
 const LAST_DAY: f64 = 200_000.0;
 const YEAR_DAYS: f64 = 365.25;
-/// Values that weigh alike take their deviation from their scatter; so small a one of their own adds nothing to it, mm.
+/// Equal weights: a standard deviation that is negligible beside the scatter of the values, mm.
 const NO_SD_MM: f64 = 1e-9;
 
-/// How a line weighs its values.
+/// Weights of the values of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Weights {
-    Alike,
-    /// By their intervals.
-    Intervals,
+    Equal,
+    /// By the uncertainties of the values.
+    Uncertainties,
 }
 
-/// The straight line through values in time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Trend {
     line: StraightLine,
@@ -36,11 +35,11 @@ pub(super) struct Trend {
 }
 
 impl Trend {
-    /// Of values in the order of time. `None` of fewer than [`LEAST`], or of a single day.
+    /// From values in the order of time. `None` for fewer than [`LEAST`] values, or a single day.
     pub(super) fn of(points: &[DriftPoint], weights: Weights, limit_mm: Option<f64>) -> Option<Self> {
         let sd = |point: &DriftPoint| match weights {
-            Weights::Alike => NO_SD_MM,
-            Weights::Intervals => point.u95 / coverage_95(None),
+            Weights::Equal => NO_SD_MM,
+            Weights::Uncertainties => point.u95 / coverage_95(None),
         };
         let sighting = |point: &DriftPoint| Sighting { x: point.day, y: point.value, sd: sd(point) };
         let sightings: Vec<Sighting> = points.iter().map(sighting).filter(|one| one.sd > 0.0).collect();
@@ -53,24 +52,23 @@ impl Trend {
         Some(Self { line, coverage, significant, last, reached })
     }
 
-    /// What the chart draws: a trend is led on to where it reaches the limit, within bounds.
-    pub(super) fn drawn(&self) -> DriftLine {
+    /// The line of the chart. A significant trend is extended to where it reaches the limit, within bounds.
+    pub(super) fn line(&self) -> DriftLine {
         let ahead =
             self.reached.map_or(AHEAD_DAYS, |reached| (reached.at - self.last).clamp(30.0, AHEAD_DAYS));
         let until = if self.significant { self.last + ahead } else { self.last };
         DriftLine { line: self.line, coverage: self.coverage, until }
     }
 
-    /// The day on which the limit is reached: the last one where it is exceeded already.
+    /// The day on which the limit is reached; the last day if it is exceeded already.
     fn reaches(&self, limit_mm: f64) -> Option<f64> {
         let now = if self.significant { self.line.at(self.last) } else { self.line.level };
         if now >= limit_mm { Some(self.last) } else { self.reached.map(|reached| reached.at) }
     }
 
-    /// In words for the page.
-    pub(super) fn shown(&self) -> TrendShown {
+    pub(super) fn forecast(&self) -> Forecast {
         let reached = self.reached.filter(|reached| reached.at < LAST_DAY);
-        TrendShown {
+        Forecast {
             slope_a_year: self.line.slope * YEAR_DAYS,
             u95_a_year: self.coverage * self.line.slope_sd * YEAR_DAYS,
             significant: self.significant,
@@ -81,9 +79,9 @@ impl Trend {
     }
 }
 
-/// A trend in mm a year, and the dates of its forecast.
+/// The slope in mm per year, and the dates at which the limit is reached.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct TrendShown {
+pub(super) struct Forecast {
     slope_a_year: f64,
     u95_a_year: f64,
     significant: bool,
@@ -99,7 +97,7 @@ pub(super) struct Checked<'a> {
     pub(super) failed: bool,
 }
 
-/// When a robot must be checked again.
+/// The date of a robot's next check.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Due {
     date: String,
@@ -117,8 +115,7 @@ enum DueBy {
 }
 
 impl Due {
-    /// So many days after the last check, at once after one that failed, or when the drift reaches the limit if that is
-    /// earlier.
+    /// `interval_days` after the last check, at once after a failed one, or when the drift reaches the limit if that is earlier.
     pub(super) fn of(
         checked: &Checked<'_>,
         interval_days: f64,
@@ -138,7 +135,7 @@ impl Due {
     }
 }
 
-/// The day of a date or of a date and time, since 1970-01-01; `None` of what is none.
+/// Days since 1970-01-01 of a date or a date with time; `None` for another text.
 pub(super) fn day_of(moment: &str) -> Option<f64> {
     if !date::is_moment(moment) {
         return None;
@@ -172,12 +169,12 @@ mod tests {
 
     /// Slope by hand: (2 (0.505 - 0.100) + (0.395 - 0.205)) / 10 = 0.1 mm in 100 days.
     #[test]
-    fn a_trend_is_led_to_its_limit_and_scatter_is_none() {
+    fn trends_are_forecast_and_scatter_is_not_significant() {
         let rising = points(&[0.100, 0.205, 0.300, 0.395, 0.505]);
-        let trend = Trend::of(&rising, Weights::Alike, Some(0.8)).unwrap();
-        let shown = trend.shown();
-        assert!((shown.slope_a_year / YEAR_DAYS - 1.0e-3).abs() < 1e-12, "{shown:?}");
-        assert!(shown.significant);
+        let trend = Trend::of(&rising, Weights::Equal, Some(0.8)).unwrap();
+        let forecast = trend.forecast();
+        assert!((forecast.slope_a_year / YEAR_DAYS - 1.0e-3).abs() < 1e-12, "{forecast:?}");
+        assert!(forecast.significant);
         // 0.8 mm: 500 days after the mean day at the mean 0.301, 20 200.
         let passed = Checked { on: Some("2024-10-04T00:00:00Z"), failed: false };
         let due = Due::of(&passed, 365.0, Some((&trend, 0.8)), 20_301.0).unwrap();
@@ -186,16 +183,16 @@ mod tests {
         assert_eq!((due.by, due.overdue), (DueBy::Forecast, true));
         let due = Due::of(&Checked { failed: true, ..passed }, 365.0, None, 20_401.0).unwrap();
         assert_eq!((due.by, due.date.as_str()), (DueBy::Failed, "2024-10-04"));
-        let flat = Trend::of(&points(&[0.3, 0.31, 0.29, 0.31, 0.3]), Weights::Alike, Some(0.8)).unwrap();
-        assert!(!flat.shown().significant && flat.shown().reached.is_none());
+        let flat = Trend::of(&points(&[0.3, 0.31, 0.29, 0.31, 0.3]), Weights::Equal, Some(0.8)).unwrap();
+        assert!(!flat.forecast().significant && flat.forecast().reached.is_none());
         let never = Checked { on: None, failed: false };
         let due = Due::of(&never, 365.0, Some((&flat, 0.2)), 0.0);
         assert!(due.is_some_and(|due| due.by == DueBy::Forecast));
-        assert!(Trend::of(&points(&[0.1, 0.2, 0.3]), Weights::Alike, None).is_none());
+        assert!(Trend::of(&points(&[0.1, 0.2, 0.3]), Weights::Equal, None).is_none());
     }
 
     #[test]
-    fn days_have_their_dates() {
+    fn days_convert_to_dates_and_back() {
         assert_eq!(day_text(day_of("2024-02-29T12:00:00Z").unwrap()), "2024-02-29");
         assert_eq!(day_of("2024-02-29T12:00:00Z").unwrap() - day_of("2024-02-28").unwrap(), 1.5);
         assert!(["soon", "2024-02-29Tnoon", "2024-2-29"].into_iter().all(|text| day_of(text).is_none()));

@@ -1,4 +1,4 @@
-//! A run on this computer: its capture, and what was made from it.
+//! A run on this computer: its capture and its results.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -20,9 +20,8 @@ use crate::recording::run;
 
 /// The name of the capture among the files of a run.
 pub(super) const CAPTURE: &str = "run.dbbd";
-/// The decision of an interim check.
+/// The result of an interim check, and its decisions.
 const CHECK: &str = "check/check.json";
-/// What it can be.
 const DECISIONS: [&str; 3] = ["pass", "fail", "undecided"];
 
 /// A file of a run.
@@ -34,23 +33,22 @@ pub(super) struct LocalFile {
     pub(super) bytes: u64,
 }
 
-/// A run on this computer.
 pub struct LocalRun {
     pub(super) record: ArchivedRun,
     pub(super) files: Vec<LocalFile>,
-    /// What is damaged in it, is not stored, or is not known of it.
-    doubts: Vec<Diagnostic>,
+    /// Findings: damages, files that are not stored, missing data.
+    findings: Vec<Diagnostic>,
 }
 
-/// What is in the directory of a run.
+/// The content of the directory of a run.
 #[derive(Default)]
 struct Listed {
     files: Vec<(String, PathBuf)>,
-    /// What the archive does not take.
-    left: Vec<PathBuf>,
+    /// Entries that are not stored.
+    skipped: Vec<PathBuf>,
 }
 
-/// A name of one or two parts that leads nowhere else.
+/// Whether a name is a relative path of one or two safe parts.
 pub(super) fn is_sound(name: &str) -> bool {
     let part = |part: &str| {
         (1..=100).contains(&part.len())
@@ -61,10 +59,7 @@ pub(super) fn is_sound(name: &str) -> bool {
 }
 
 impl LocalRun {
-    /// The runs at `path`: a capture, the directory of a run, or a directory of such.
-    ///
-    /// # Errors
-    /// There is none.
+    /// The runs at `path`: a capture, the directory of a run, or a directory of run directories.
     pub fn find(path: &Path) -> Result<Vec<PathBuf>, Diagnostic> {
         if path.is_file() || path.join(CAPTURE).is_file() {
             return Ok(vec![path.to_owned()]);
@@ -84,10 +79,7 @@ impl LocalRun {
         Ok(found)
     }
 
-    /// Reads the run at `path`: a capture, or the directory of a run.
-    ///
-    /// # Errors
-    /// What cannot be read, or is no capture.
+    /// Reads the run at `path`: a capture or the directory of a run.
     pub fn read(path: &Path) -> Result<Self, Diagnostic> {
         let mut found = Listed::default();
         if path.is_dir() {
@@ -95,8 +87,8 @@ impl LocalRun {
         } else {
             found.files.push((CAPTURE.to_owned(), path.to_owned()));
         }
-        let left = found.left.iter().map(|path| NotStored { file: path.display().to_string() }.into());
-        let mut doubts: Vec<Diagnostic> = left.collect();
+        let skipped = found.skipped.iter().map(|path| NotStored { file: path.display().to_string() }.into());
+        let mut findings: Vec<Diagnostic> = skipped.collect();
         let found = found.files;
         let capture = found.iter().find(|(name, _)| name == CAPTURE).map(|(_, path)| path.clone());
         let capture = capture.ok_or_else(|| Diagnostic::file(&path.display().to_string(), NothingToPush))?;
@@ -105,13 +97,13 @@ impl LocalRun {
             let bytes = fs::metadata(&path).map_err(files::unreadable(path.display()))?.len();
             kept.push(LocalFile { sha256: files::sha256(&path)?, name, path, bytes });
         }
-        // The capture last: where it is in the store, all that was made from it is.
+        // The capture comes last: if it is in the store, so are its results.
         kept.sort_by_key(|file| (file.name == CAPTURE, file.name.clone()));
-        let record = record(&capture, &kept, &mut doubts)?;
-        Ok(Self { record, files: kept, doubts })
+        let record = record(&capture, &kept, &mut findings)?;
+        Ok(Self { record, files: kept, findings })
     }
 
-    /// What changes whenever a file of the run in `directory` does: a hash of names, lengths and times. Nothing is read.
+    /// A hash of the names, lengths and times of the files of a run, which changes with each of them. No file is read.
     pub fn state(directory: &Path) -> Result<String, Diagnostic> {
         let mut found = Listed::default();
         list(directory, "", &mut found)?;
@@ -119,7 +111,6 @@ impl LocalRun {
         let mut text = String::new();
         for (name, path) in found.files {
             let data = fs::metadata(&path).map_err(files::unreadable(path.display()))?;
-            // A system without times of files has lengths.
             let at = data.modified().ok().and_then(|at| at.duration_since(UNIX_EPOCH).ok());
             text += &format!("{name} {} {}\n", data.len(), at.map_or(0, |at| at.as_nanos()));
         }
@@ -131,20 +122,19 @@ impl LocalRun {
         &self.record.sha256
     }
 
-    /// What is damaged in it, is not stored, or is not known of it.
-    pub fn doubts(&self) -> &[Diagnostic] {
-        &self.doubts
+    pub fn findings(&self) -> &[Diagnostic] {
+        &self.findings
     }
 }
 
-/// Plain files with sound names, one level deep: no link is followed.
+/// Lists the plain files with safe names, one level deep. Links are not followed.
 fn list(directory: &Path, prefix: &str, found: &mut Listed) -> Result<(), Diagnostic> {
     let unreadable = files::unreadable(directory.display());
     for entry in fs::read_dir(directory).map_err(&unreadable)? {
         let entry = entry.map_err(&unreadable)?;
         let (kind, own) = (entry.file_type().map_err(&unreadable)?, entry.file_name());
         let own = own.to_string_lossy();
-        // What others keep beside a run is none of its files, nor is what is being written.
+        // Hidden and partial files do not belong to the run.
         if own.starts_with('.') || own.ends_with(".part") {
             continue;
         }
@@ -154,17 +144,17 @@ fn list(directory: &Path, prefix: &str, found: &mut Listed) -> Result<(), Diagno
         } else if kind.is_dir() && prefix.is_empty() {
             list(&entry.path(), &format!("{name}/"), found)?;
         } else {
-            found.left.push(entry.path());
+            found.skipped.push(entry.path());
         }
     }
     Ok(())
 }
 
-/// What the registry states of a run, and what it cannot.
+/// The row of a run. Missing data are added to the findings.
 fn record(
     capture: &Path,
     kept: &[LocalFile],
-    doubts: &mut Vec<Diagnostic>,
+    findings: &mut Vec<Diagnostic>,
 ) -> Result<ArchivedRun, Diagnostic> {
     let (mut attachments, mut started, mut version) = (BTreeMap::new(), None, None);
     let pass = Pass::over(capture, |stamped| {
@@ -181,9 +171,9 @@ fn record(
         Ok(())
     })?;
     let file = capture.display().to_string();
-    doubts.extend(pass.doubts().into_iter().map(|doubt| Diagnostic::file(&file, doubt)));
+    findings.extend(pass.doubts().into_iter().map(|doubt| Diagnostic::file(&file, doubt)));
     let unread = run::unread(&file, &attachments, started);
-    doubts.extend(unread.map(|why| NotRegistered { why: why.to_string() }.into()));
+    findings.extend(unread.map(|why| NotRegistered { why: why.to_string() }.into()));
     let (plan, provenance) = run::sources(&attachments, started, version)?;
     let own = kept.iter().find(|file| file.name == CAPTURE);
     let (sha256, bytes) = own.map_or_else(Default::default, |own| (own.sha256.clone(), own.bytes));
@@ -199,7 +189,7 @@ fn record(
     let measured = measured.or_else(|| started.map(date::utc)).unwrap_or_default();
     if robot.is_none() {
         let run = sha256.clone();
-        doubts
+        findings
             .push(kind.clone().map_or(NoRobot { run: run.clone() }, |robot| NoSerial { run, robot }).into());
     }
     Ok(ArchivedRun {
@@ -214,13 +204,13 @@ fn record(
         measured,
         plan: plan.map(|plan| plan.header.hash),
         bytes,
-        decision: decision(kept, doubts),
+        decision: decision(kept, findings),
         provenance: serialised::json_line(&provenance)?,
     })
 }
 
-/// That of the check beside the capture.
-fn decision(kept: &[LocalFile], doubts: &mut Vec<Diagnostic>) -> Option<String> {
+/// The decision of the check beside the capture.
+fn decision(kept: &[LocalFile], findings: &mut Vec<Diagnostic>) -> Option<String> {
     const MOST_BYTES: u64 = 64 << 20;
     let check = kept.iter().find(|file| file.name == CHECK)?;
     let text = files::read_at_most(&check.path, MOST_BYTES).ok();
@@ -228,7 +218,7 @@ fn decision(kept: &[LocalFile], doubts: &mut Vec<Diagnostic>) -> Option<String> 
     let decision = json.and_then(|json| json.get("decision").and_then(Value::as_str).map(str::to_owned));
     let decision = decision.filter(|decision| DECISIONS.contains(&decision.as_str()));
     if decision.is_none() {
-        doubts.push(Diagnostic::file(&check.path.display().to_string(), NotACheck));
+        findings.push(Diagnostic::file(&check.path.display().to_string(), NotACheck));
     }
     decision
 }

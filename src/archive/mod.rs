@@ -1,8 +1,8 @@
-//! Runs of many cells: a database with who measured what and when, and an object store with the files.
+//! The archive of a plant: a database of the runs of many cells, and an object store with their files.
 //!
-//! A run is known by the SHA-256 of its capture, and so is every file. A row of the database is written when all files of
-//! its run are in the store and were read back, so a run in the list is whole. On one machine the database is SQLite and
-//! the store a directory; the verbs are the same.
+//! The SHA-256 of its capture identifies a run, as that of its content does a file. The row of a run is written after all of its
+//! files have been stored and read back, so every run in the database is complete. The database is SQLite or PostgreSQL, the
+//! store a directory or a bucket.
 
 mod address;
 mod database;
@@ -11,13 +11,11 @@ mod local;
 mod pages;
 mod parquet;
 mod plant;
-mod posterior;
 mod push;
 mod query;
 mod schema;
 mod spool;
 mod store;
-mod tls;
 mod work;
 
 pub use address::{Addresses, Secrets};
@@ -26,22 +24,20 @@ pub use local::LocalRun;
 pub use pages::{PlantOptions, PlantPages};
 pub use parquet::{ColumnKind, parquet};
 pub use plant::RunJob;
-pub use posterior::WrittenPosterior;
 pub use push::{Damage, Pushed};
 pub use query::{ArchivedFile, ArchivedRun, Selection};
 pub use spool::Spool;
 pub use store::Store;
-pub use work::{ArchivedResult, Job, Queue, Settings, Summary, Worker};
+pub use work::{ArchivedResult, Job, Queue, Settings, Summary, Worker, WrittenPosterior};
 
 use crate::catalogue::ArchiveFinding;
 use crate::diagnostic::{Diagnostic, Finding as _};
 
-/// Whether the archive could not be reached: what failed may be tried again.
+/// Whether the archive could not be reached, so that the operation may be repeated.
 pub fn is_away(why: &Diagnostic) -> bool {
     why.code == ArchiveFinding::NotReached { what: String::new(), why: String::new() }.code()
 }
 
-/// A database with its store.
 pub struct Archive {
     pub(crate) database: Database,
     pub(crate) store: Store,
@@ -49,30 +45,21 @@ pub struct Archive {
 }
 
 impl Archive {
-    /// Opens an archive whose form is that of this version.
-    ///
-    /// # Errors
-    /// It cannot be reached, or has another form.
+    /// Opens an archive with the schema of this version.
     pub fn open(addresses: &Addresses) -> Result<Self, Diagnostic> {
         let mut archive = Self::connect(addresses)?;
         schema::check(&mut archive.database)?;
         Ok(archive)
     }
 
-    /// The same, for what reads or writes objects: the store is that of an archive.
-    ///
-    /// # Errors
-    /// The store was not initialised.
+    /// The same, and checks that the store was initialised.
     pub fn open_whole(addresses: &Addresses) -> Result<Self, Diagnostic> {
         let archive = Self::open(addresses)?;
         archive.store.check_mark()?;
         Ok(archive)
     }
 
-    /// Makes a new archive, or brings an older one forward; how many steps that took.
-    ///
-    /// # Errors
-    /// It cannot be reached, or is of a newer version.
+    /// Creates or migrates an archive. Returns the number of migrations.
     pub fn init(addresses: &Addresses) -> Result<usize, Diagnostic> {
         let mut archive = Self::connect(addresses)?;
         archive.store.check()?;
@@ -84,10 +71,7 @@ impl Archive {
         Ok(Self { database, store, addresses: addresses.clone() })
     }
 
-    /// Connects to the database anew, after the connection was lost.
-    ///
-    /// # Errors
-    /// It cannot be reached.
+    /// Connects to the database again after the connection was lost.
     pub fn reconnect(&mut self) -> Result<(), Diagnostic> {
         self.database = Database::open(&self.addresses.archive)?;
         Ok(())

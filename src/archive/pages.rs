@@ -1,26 +1,26 @@
-//! The pages of a plant, made from what the archive holds.
+//! The pages of a plant.
 
 use std::io::{Seek as _, Write as _};
 use std::sync::Mutex;
 
 use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, json};
 
-use super::drift::{Due, LEAST, Trend, TrendShown, Weights, day_of, day_text};
+use super::drift::{Due, Forecast, LEAST, Trend, Weights, day_of, day_text};
 use super::plant::{Found, PAGE_ROWS, Past, RobotState, Subject};
 use super::query::{ArchivedRun, Place, Selection};
-use super::{Addresses, Archive, WrittenPosterior};
+use super::{Addresses, Archive, WrittenPosterior, is_away};
 use crate::base::clock;
 use crate::base::sync::lock;
-use crate::catalogue::ArchiveFinding::{NoReport, NotACursor, NotADate, NotReached};
+use crate::catalogue::ArchiveFinding::{NoReport, NotACursor, NotADate};
 use crate::catalogue::ServiceFinding::NoSystem;
-use crate::diagnostic::{Diagnostic, Finding as _};
+use crate::diagnostic::Diagnostic;
 use crate::live::{Download, Filter, Name, PageFile, Plant, PlantNumbers, Question, RunFilter};
 use crate::math::distributions::coverage_95;
 use crate::report::plant::{PlantPage, SIGN_IN_JS, STYLE};
 use crate::report::plot::{Drift, DriftPoint};
 
-/// Results that a chart shows and a forecast is made from.
+/// Results in a chart and a forecast.
 const MOST_POINTS: u64 = 60;
 /// Runs on the page of a robot or a bar.
 const LAST_RUNS: u64 = 10;
@@ -30,28 +30,27 @@ const FILES: [PageFile; 2] = [
     PageFile { path: "/sign-in.js", kind: "text/javascript; charset=utf-8", content: SIGN_IN_JS },
 ];
 
-/// What the plant holds itself to; both are above 0.
+/// Requirements of the plant. Both numbers are positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlantOptions {
-    /// A robot is checked again after so many days.
+    /// Interval between the checks of a robot.
     pub interval_days: f64,
-    /// Mean position error that a robot must not reach, mm.
+    /// Limit of a robot's mean position error, mm.
     pub limit_mm: Option<f64>,
 }
 
-/// The pages of an archive, with connections that are used again.
+/// The pages, with a pool of connections.
 pub struct PlantPages {
     addresses: Addresses,
     options: PlantOptions,
     idle: Mutex<Vec<Archive>>,
 }
 
-/// A row of a list of runs.
 #[derive(Serialize)]
 struct RunLine {
     #[serde(flatten)]
     run: ArchivedRun,
-    /// The state of its newest job.
+    /// State of its newest job.
     job: Option<String>,
 }
 
@@ -63,44 +62,30 @@ struct RobotLine {
     error_mm: Option<f64>,
 }
 
-/// The history of a robot or a bar.
 struct History {
     points: Vec<DriftPoint>,
     trend: Option<Trend>,
 }
 
-/// Where a list has further pages.
-#[derive(Serialize)]
-struct Pager {
-    page: u64,
-    pages: u64,
-    found: u64,
-    before: Option<String>,
-    next: Option<String>,
-}
-
 impl PlantPages {
-    /// # Errors
-    /// The archive cannot be reached, or has another form.
     pub fn open(addresses: Addresses, options: PlantOptions) -> Result<Self, Diagnostic> {
         let first = Archive::open(&addresses)?;
         Ok(Self { addresses, options, idle: Mutex::new(vec![first]) })
     }
 
-    /// Asks on a connection that is free. One that broke meanwhile is replaced once.
+    /// Runs queries on an idle connection. A broken connection is replaced once.
     fn ask<T>(&self, question: impl Fn(&mut Archive) -> Result<T, Diagnostic>) -> Result<T, Diagnostic> {
         let idle = || lock(&self.idle);
         let kept = idle().pop();
         let used = kept.is_some();
         let mut archive = kept.map_or_else(|| Archive::open(&self.addresses), Ok)?;
         let mut answer = question(&mut archive);
-        let gone = NotReached { what: String::new(), why: String::new() }.code();
-        if used && answer.as_ref().is_err_and(|why| why.code == gone) {
+        if used && answer.as_ref().is_err_and(is_away) {
             idle().clear();
             archive = Archive::open(&self.addresses)?;
             answer = question(&mut archive);
         }
-        if answer.as_ref().map_or_else(|why| why.code != gone, |_| true) {
+        if !answer.as_ref().is_err_and(is_away) {
             idle().push(archive);
         }
         answer
@@ -113,8 +98,8 @@ impl PlantPages {
         };
         let points: Vec<DriftPoint> = past.iter().filter_map(|past| point(past, subject)).collect();
         let (weights, limit_mm) = match subject {
-            Subject::Robot(_) => (Weights::Alike, self.options.limit_mm),
-            Subject::Bar(_) => (Weights::Intervals, None),
+            Subject::Robot(_) => (Weights::Equal, self.options.limit_mm),
+            Subject::Bar(_) => (Weights::Uncertainties, None),
         };
         let trend = Trend::of(&points, weights, limit_mm);
         Ok(History { points, trend })
@@ -136,11 +121,13 @@ impl PlantPages {
             let due = self.due(&state, &history);
             robots.push(RobotLine { state, due, error_mm: history.points.last().map(|point| point.value) });
         }
-        PlantPage::Robots.html(&json!({
-            "totals": totals, "filter": filter, "robots": robots, "interval_days": interval_days,
-            "limit_mm": limit_mm, "page": pager.page, "pages": pager.pages, "found": pager.found,
-            "before": pager.before, "next": pager.next,
-        }))
+        PlantPage::Robots.html(&List {
+            pager,
+            content: json!({
+                "totals": totals, "filter": filter, "robots": robots, "interval_days": interval_days,
+                "limit_mm": limit_mm,
+            }),
+        })
     }
 
     fn robot(&self, archive: &mut Archive, name: &str) -> Result<String, Diagnostic> {
@@ -153,7 +140,7 @@ impl PlantPages {
         let chart = history.chart("Mean position error of the nominal model", limit_mm);
         PlantPage::Robot.html(&json!({
             "robot": RobotLine { state, due, error_mm: None }, "runs": runs, "chart": chart, "least": LEAST,
-            "trend": history.trend_shown(), "points": history.points.len(), "limit_mm": limit_mm,
+            "trend": history.forecast(), "points": history.points.len(), "limit_mm": limit_mm,
         }))
     }
 
@@ -168,10 +155,7 @@ impl PlantPages {
             line["offset_mm"] = json!(newest.map(|newest| newest.value));
             bars.push(line);
         }
-        PlantPage::Bars.html(&json!({
-            "filter": filter, "bars": bars, "page": pager.page, "pages": pager.pages, "found": pager.found,
-            "before": pager.before, "next": pager.next,
-        }))
+        PlantPage::Bars.html(&List { pager, content: json!({ "filter": filter, "bars": bars }) })
     }
 
     fn bar(&self, archive: &mut Archive, name: &str) -> Result<String, Diagnostic> {
@@ -181,22 +165,22 @@ impl PlantPages {
         let runs = lines(archive, &last)?;
         PlantPage::Bar.html(&json!({
             "bar": state, "runs": runs, "chart": history.chart("Offset of the bar", None), "least": LEAST,
-            "trend": history.trend_shown(), "points": history.points.len(),
+            "trend": history.forecast(), "points": history.points.len(),
         }))
     }
 }
 
 impl History {
     fn chart(&self, title: &str, limit: Option<f64>) -> String {
-        Drift { title, points: &self.points, line: self.trend.map(|trend| trend.drawn()), limit }.to_svg()
+        Drift { title, points: &self.points, line: self.trend.map(|trend| trend.line()), limit }.to_svg()
     }
 
-    fn trend_shown(&self) -> Option<TrendShown> {
-        self.trend.map(|trend| trend.shown())
+    fn forecast(&self) -> Option<Forecast> {
+        self.trend.map(|trend| trend.forecast())
     }
 }
 
-/// A result as the chart of its subject shows it.
+/// The point of a result in the chart of its subject.
 fn point(past: &Past, subject: Subject<'_>) -> Option<DriftPoint> {
     let (value, u95) = match subject {
         Subject::Robot(_) => (past.error_mm?, 0.0),
@@ -214,19 +198,26 @@ fn today() -> f64 {
     (clock::unix_ns() / 1_000_000_000) as f64 / 86_400.0
 }
 
-fn pager<T>(path: &str, filter: &Filter, found: &Found<T>) -> Pager {
-    let (page, pages) = (u64::from(filter.page.max(1)), found.count.div_ceil(PAGE_ROWS).max(1));
-    let place = |page: u64| {
-        let filter = Filter { page: u32::try_from(page).unwrap_or(u32::MAX), ..filter.clone() };
-        link(path, &filter)
-    };
-    let before = (page > 1).then(|| place((page - 1).min(pages)));
-    Pager { page, pages, found: found.count, before, next: (page < pages).then(|| place(page + 1)) }
+/// The page of a list with the links to its other pages.
+#[derive(Serialize)]
+struct List {
+    #[serde(flatten)]
+    pager: Value,
+    #[serde(flatten)]
+    content: Value,
 }
 
-/// The address of a list.
+fn pager<T>(path: &str, filter: &Filter, found: &Found<T>) -> Value {
+    let (page, pages) = (u64::from(filter.page.max(1)), found.count.div_ceil(PAGE_ROWS).max(1));
+    let link_to =
+        |page: u64| link(path, &Filter { page: u32::try_from(page).unwrap_or(u32::MAX), ..filter.clone() });
+    let before = (page > 1).then(|| link_to((page - 1).min(pages)));
+    let next = (page < pages).then(|| link_to(page + 1));
+    json!({ "page": page, "pages": pages, "found": found.count, "before": before, "next": next })
+}
+
 fn link(path: &str, filter: &impl Serialize) -> String {
-    // Every filter has plain fields, which take this form.
+    // Filters have plain fields, which this form can hold.
     format!("{path}?{}", serde_urlencoded::to_string(filter).unwrap_or_default())
 }
 

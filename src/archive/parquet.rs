@@ -1,4 +1,4 @@
-//! Tables as Parquet files, for programs that analyse many runs.
+//! Export of tables as Parquet files.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use crate::catalogue::CliFinding;
 
-/// What a column holds; every one may have gaps.
+/// Type of a column. Every column is nullable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
     Text,
@@ -32,10 +32,7 @@ impl ColumnKind {
     }
 }
 
-/// A Parquet file of rows: the fields of these names.
-///
-/// # Errors
-/// A value that JSON or its column cannot hold.
+/// The content of a Parquet file. The rows serialise to objects with a field per column.
 pub fn parquet(
     columns: &[(&str, ColumnKind)],
     rows: impl IntoIterator<Item = impl Serialize>,
@@ -85,5 +82,5 @@ fn write<T: DataType>(
 }
 
 fn other(cell: &Value) -> ParquetError {
-    ParquetError::General(format!("{cell} is of another kind than its column"))
+    ParquetError::General(format!("{cell} does not have the type of its column"))
 }

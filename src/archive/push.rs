@@ -1,6 +1,8 @@
-//! A run on its way into the archive: its files first, each read back, then its row.
+//! Storing a run: first its files, each of which is read back, then its row.
 
 use std::fs::File;
+
+use serde_json::json;
 
 use super::Archive;
 use super::local::{LocalFile, LocalRun};
@@ -9,24 +11,22 @@ use crate::base::files;
 use crate::catalogue::ArchiveFinding::ChangedMeanwhile;
 use crate::diagnostic::{Diagnostic, Finding as _};
 
-/// What became of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Pushed {
     New,
-    /// The archive held it; files that it lacked were added.
+    /// The archive had it already. Missing files were added.
     HeldAlready(Damage),
 }
 
-/// What the store had lost of a run.
+/// Objects that the store had lost.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Damage {
-    /// Objects that this push brought again.
+    /// Objects that this push restored.
     pub restored: usize,
     /// Files that are still missing.
     pub lost: Vec<String>,
 }
 
-/// What became of a file.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Stored {
     Now,
@@ -34,12 +34,11 @@ enum Stored {
 }
 
 impl Archive {
-    /// Stores a run. When this returns, all of its files were read back from the store and its row is written; a push that
-    /// ends anywhere before leaves objects that the next one finds.
+    /// Stores a run. When this returns, all of its files have been read back from the store and its row is written. A push that
+    /// is interrupted leaves objects that the next one uses.
     pub fn push(&mut self, run: &LocalRun) -> Result<Pushed, Diagnostic> {
         let known = "SELECT sha256 FROM run_file WHERE run = $1";
-        let known = self.database.query(known, &[run.sha256().into()])?;
-        let known: Vec<String> = known.iter().map(|row| row.text(0)).collect::<Result<_, _>>()?;
+        let known: Vec<String> = self.database.tuples(known, run.sha256())?;
         let mut restored = 0;
         for file in &run.files {
             let stored = self.store_file(file)?;
@@ -48,21 +47,19 @@ impl Archive {
         let new = self.database.transaction(|database| {
             let new = run.record.insert(database)?;
             let sha256 = run.sha256();
-            // A run of another cell is not seen here, and whole as that pushed it.
-            let seen = "SELECT 1 FROM run WHERE sha256 = $1";
-            if !new && database.query(seen, &[sha256.into()])?.is_empty() {
+            // The run of another cell is invisible to this role, and complete as that cell pushed it.
+            let visible = "SELECT 1 FROM run WHERE sha256 = $1";
+            if !new && database.tuples::<u64>(visible, sha256)?.is_empty() {
                 return Ok(false);
             }
             for file in &run.files {
-                let sql = "INSERT INTO run_file (run, name, sha256, bytes, pushed_at) \
-                    VALUES ($1, $2, $3, $4, {now}) ON CONFLICT DO NOTHING";
-                let values = [sha256.into(), (&file.name).into(), (&file.sha256).into(), file.bytes.into()];
-                database.execute(sql, &values)?;
+                let LocalFile { name, sha256: content, bytes, .. } = file;
+                let row = json!({ "run": sha256, "name": name, "sha256": content, "bytes": bytes });
+                database.insert("run_file", row, Some("pushed_at"))?;
             }
             if new {
-                let sql =
-                    "INSERT INTO job (run, settings, version) VALUES ($1, $2, '') ON CONFLICT DO NOTHING";
-                database.execute(sql, &[sha256.into(), Settings::USUAL.into()])?;
+                let job = json!({ "run": sha256, "settings": Settings::DEFAULT, "version": "" });
+                database.insert("job", job, None)?;
             }
             Ok(new)
         })?;
@@ -72,29 +69,28 @@ impl Archive {
         Ok(Pushed::HeldAlready(Damage { restored, lost: self.lost(run)? }))
     }
 
-    /// The files of a run and of its results that the store lacks, and that are not pushed with it.
+    /// The files of a run and its results that are neither in the store nor among the pushed files.
     fn lost(&mut self, run: &LocalRun) -> Result<Vec<String>, Diagnostic> {
         let sql = "SELECT name, sha256, bytes FROM run_file WHERE run = $1 \
             UNION SELECT name, sha256, bytes FROM result_file WHERE run = $1 ORDER BY name";
         let mut lost = Vec::new();
-        for row in self.database.query(sql, &[run.sha256().into()])? {
-            let sha256 = row.text(1)?;
+        for (name, sha256, bytes) in self.database.tuples::<(String, String, u64)>(sql, run.sha256())? {
             let is_here = run.files.iter().any(|file| file.sha256 == sha256);
-            if !is_here && !self.store.holds(&sha256, row.count(2)?)? {
-                lost.push(row.text(0)?);
+            if !is_here && !self.store.holds(&sha256, bytes)? {
+                lost.push(name);
             }
         }
         lost.dedup();
         Ok(lost)
     }
 
-    /// Stores a file unless it is there, and reads it back.
+    /// Stores a file unless the store has it, and reads it back.
     fn store_file(&self, file: &LocalFile) -> Result<Stored, Diagnostic> {
         let named = |wrong: Diagnostic| {
             let changed = wrong.code == ChangedMeanwhile.code();
             if changed { Diagnostic::file(&file.path.display().to_string(), ChangedMeanwhile) } else { wrong }
         };
-        // What is there may be damaged: then it is stored again.
+        // A damaged object is stored again.
         if self.store.holds(&file.sha256, file.bytes)? && self.store.verify(&file.sha256).is_ok() {
             return Ok(Stored::Before);
         }

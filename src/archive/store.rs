@@ -1,4 +1,4 @@
-//! Objects by their SHA-256: a directory, or a bucket of an S3-compatible store.
+//! The object store: a directory or an S3 bucket. Objects are named by their SHA-256.
 
 use std::fs::File;
 use std::future::Future;
@@ -24,16 +24,15 @@ use crate::catalogue::ArchiveFinding::{
 use crate::catalogue::{FileFinding, ServiceFinding};
 use crate::diagnostic::Diagnostic;
 
-/// A file is sent in parts of so many bytes, of which a few are on their way at a time.
+/// Size of the parts of an upload, bytes, and their number at a time.
 const PART: usize = 8 << 20;
 const PARTS_AT_A_TIME: usize = 4;
-/// How long a request that fails is tried again.
+/// Retries of a failed request.
 const PATIENCE: Duration = Duration::from_secs(20);
 const TRIES: usize = 4;
-/// The object that a store gets when it is initialised.
+/// The object that marks an initialised store.
 const MARK: &str = "dbbd archive\n";
 
-/// An object store.
 pub struct Store {
     objects: Arc<dyn ObjectStore>,
     prefix: String,
@@ -53,7 +52,7 @@ impl Store {
                 (Arc::new(directory), String::new(), true)
             }
             StoreAddress::S3 { bucket, prefix, keys } => {
-                // Another part of this program may have chosen it already.
+                // Fails if another part of this program has installed it already.
                 let _ = rustls::crypto::ring::default_provider().install_default();
                 let retry = RetryConfig { max_retries: TRIES, retry_timeout: PATIENCE, ..Default::default() };
                 let mut builder = AmazonS3Builder::from_env().with_bucket_name(bucket).with_retry(retry);
@@ -66,7 +65,6 @@ impl Store {
         Ok(Self { objects, prefix, is_directory, runtime })
     }
 
-    /// Objects are spread over 256 directories.
     fn place(&self, sha256: &str) -> Place {
         let prefix = if self.prefix.is_empty() { String::new() } else { format!("{}/", self.prefix) };
         Place::from(format!("{prefix}objects/{}/{sha256}", sha256.get(..2).unwrap_or_default()))
@@ -87,20 +85,20 @@ impl Store {
         }
     }
 
-    /// That it can be written and read.
+    /// Writes the mark and reads it back.
     pub(super) fn check(&self) -> Result<(), Diagnostic> {
         let name = sha256(MARK);
         self.put(&name, &mut MARK.as_bytes(), MARK.len() as u64)?;
         self.verify(&name)
     }
 
-    /// That it was initialised: what a mistyped address names was not.
+    /// Checks for the mark, which a mistyped address does not have.
     pub(super) fn check_mark(&self) -> Result<(), Diagnostic> {
         let is_marked = self.holds(&sha256(MARK), MARK.len() as u64)?;
         if is_marked { Ok(()) } else { Err(StoreNotInitialised.into()) }
     }
 
-    /// Whether an object of this size is there.
+    /// Whether the store has an object of this size.
     pub(super) fn holds(&self, sha256: &str, bytes: u64) -> Result<bool, Diagnostic> {
         match self.runtime.block_on(self.objects.head(&self.place(sha256))) {
             Ok(found) => Ok(found.size == bytes),
@@ -109,10 +107,7 @@ impl Store {
         }
     }
 
-    /// Stores what `from` gives, whole or not at all.
-    ///
-    /// # Errors
-    /// The store refuses, or the content has another SHA-256.
+    /// Stores the content of `from` atomically. Its SHA-256 must be `name`.
     pub(super) fn put(&self, name: &str, from: &mut dyn Read, bytes: u64) -> Result<(), Diagnostic> {
         let place = self.place(name);
         if bytes <= PART as u64 {
@@ -132,7 +127,7 @@ impl Store {
                     Ok(0) => break,
                     Ok(read) => piece.get(..read).unwrap_or_default(),
                     Err(error) => {
-                        // What was sent of it goes with it; the reason is what counts.
+                        // An error of the abort is less important than its reason.
                         let _ = parts.abort().await;
                         return Err(files::unreadable(name)(error));
                     }
@@ -150,10 +145,7 @@ impl Store {
         sent.map(drop)
     }
 
-    /// Reads an object piece by piece into `to`.
-    ///
-    /// # Errors
-    /// It is not there, or has another SHA-256.
+    /// Reads an object in pieces and checks its SHA-256.
     fn read(&self, name: &str, mut to: impl FnMut(&[u8]) -> std::io::Result<()>) -> Result<(), Diagnostic> {
         let found = self.runtime.block_on(async {
             let mut hash = Sha256::default();
@@ -171,12 +163,12 @@ impl Store {
         if found == name { Ok(()) } else { Err(Differs { object: name.into(), found }.into()) }
     }
 
-    /// That an object reads back as what its name states.
+    /// Reads an object and checks its SHA-256.
     pub(super) fn verify(&self, name: &str) -> Result<(), Diagnostic> {
         self.read(name, |_| Ok(()))
     }
 
-    /// An object in memory, for what is small.
+    /// The content of a small object.
     pub(super) fn get(&self, name: &str) -> Result<Vec<u8>, Diagnostic> {
         let mut content = Vec::new();
         self.read(name, |piece| {
@@ -186,7 +178,7 @@ impl Store {
         Ok(content)
     }
 
-    /// An object as a file, whole or not at all.
+    /// Writes an object to a file atomically.
     pub(super) fn fetch(&self, name: &str, path: &Path) -> Result<(), Diagnostic> {
         let unwritable = files::unwritable(path);
         let mut beside = path.as_os_str().to_owned();
@@ -195,14 +187,14 @@ impl Store {
         let read = self.read(name, |piece| file.write_all(piece));
         let done = read.and_then(|()| std::fs::rename(&beside, path).map_err(&unwritable));
         if done.is_err() {
-            // A part of a file is of no use.
+            // A partial file is useless.
             let _ = std::fs::remove_file(&beside);
         }
         done
     }
 }
 
-/// The cause of a failure, without the chain of who passed it on.
+/// The root cause of an error.
 fn innermost(error: &Error) -> String {
     let mut cause: &dyn std::error::Error = error;
     while let Some(source) = cause.source() {

@@ -1,40 +1,33 @@
-//! Work of the archive: jobs that any number of workers share.
+//! The job queue of the archive, shared by any number of workers, and the results.
 //!
-//! A worker claims a job for a while and says again and again that it is at it. When it goes silent, the job is another's.
-//! What two workers find of one job is the same, and is kept once.
+//! A worker claims a job with a lease and renews it. When the lease ends, another worker may claim the job. Two workers find the
+//! same result for a job, which is kept once.
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::{Value, json};
 
-use super::database::{Row, Value};
 use super::query::Selection;
 use super::{Archive, ColumnKind};
 use crate::base::hash::sha256;
 use crate::catalogue::ArchiveFinding::{GivenUp, NotASetting, OtherValue};
 use crate::diagnostic::Diagnostic;
+use crate::robot::ParamId;
 use crate::robot::parameter::{self, SetUp};
 
-/// A job that lost its worker so often is not tried again.
+/// A job whose worker was lost this often has failed.
 const MOST_ATTEMPTS: u64 = 5;
 
-/// How a run is identified: options of `dbbd identify`.
+/// Options of `dbbd identify`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Settings(String);
 
 impl Settings {
-    /// Every run's: the geometry with the robot's tolerance as prior, which any number of lengths bears.
-    pub const USUAL: &'static str = "--model=geometric --prior=datasheet";
+    /// The settings of every new run: the geometry, with the robot's tolerances as prior, so that few lengths suffice.
+    pub const DEFAULT: &'static str = "--model=geometric --prior=datasheet";
 
-    /// Those of every run.
-    pub fn usual() -> Self {
-        Self(Self::USUAL.into())
-    }
-
-    /// Options and their values, those that are given.
-    ///
-    /// # Errors
-    /// A value that is no list of names, or that `dbbd identify` would refuse for every run.
+    /// From options and their values. Values that `dbbd identify` would refuse for every run are errors.
     pub fn new(options: &[(&str, Option<&str>)]) -> Result<Self, Diagnostic> {
         let mut given = Vec::new();
         for (option, value) in options {
@@ -48,17 +41,16 @@ impl Settings {
             given.push(format!("--{option}={value}"));
         }
         given.sort();
-        Ok(Self(if given.is_empty() { Self::USUAL.into() } else { given.join(" ") }))
+        Ok(Self(if given.is_empty() { Self::DEFAULT.into() } else { given.join(" ") }))
     }
 
-    /// Those of a job. Only what [`Settings::new`] makes is executed.
+    /// The settings of a job in the database, which are not trusted.
     fn of_job(text: &str) -> Result<Self, Diagnostic> {
         let options: Vec<(&str, Option<&str>)> = text
             .split(' ')
             .map(|part| {
-                part.strip_prefix("--")
-                    .and_then(|part| part.split_once('='))
-                    .map_or((part, Some("")), |(a, b)| (a, Some(b)))
+                let option = part.strip_prefix("--").and_then(|part| part.split_once('='));
+                option.map_or((part, Some("")), |(name, value)| (name, Some(value)))
             })
             .collect();
         match options.iter().find(|(option, _)| !["estimate", "hold", "model", "prior"].contains(option)) {
@@ -71,23 +63,22 @@ impl Settings {
         &self.0
     }
 
-    /// As arguments of a command.
+    /// The arguments of the command.
     pub fn arguments(&self) -> impl Iterator<Item = &str> {
         self.0.split(' ')
     }
 }
 
-/// A job that a worker has claimed.
+/// A claimed job.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Job {
     /// SHA-256 of the run's capture.
     pub run: String,
     pub settings: Settings,
-    /// The version that is asked for; empty for any.
+    /// The requested version; empty for any.
     asked: String,
 }
 
-/// Who works, and for how long it may be silent.
 #[derive(Clone, Debug)]
 pub struct Worker {
     pub name: String,
@@ -98,6 +89,7 @@ pub struct Worker {
 /// What an identification found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
+    #[serde(deserialize_with = "flag")]
     pub doubtful: bool,
     pub lengths: u64,
     pub sigma_mm: Option<f64>,
@@ -105,12 +97,46 @@ pub struct Summary {
     pub rms_after_mm: Option<f64>,
     pub error_nominal_mm: Option<f64>,
     pub error_identified_mm: Option<f64>,
-    /// JSON of [`crate::estimation::fleet::RunPosterior`].
+    /// JSON of [`WrittenPosterior`].
     pub posterior: Option<String>,
 }
 
-/// A result in the archive.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+/// Databases without a type for flags have 0 and 1.
+fn flag<'a, D: Deserializer<'a>>(column: D) -> Result<bool, D::Error> {
+    i64::deserialize(column).map(|flag| flag != 0)
+}
+
+/// The posterior of robot and bar after a run; lengths in mm, angles in rad.
+#[derive(Deserialize)]
+pub struct WrittenPosterior {
+    pub parameters: Vec<ParamId>,
+    /// From the nominal values.
+    pub corrections: Vec<f64>,
+    /// The lower triangle, a row per parameter.
+    pub covariance: Vec<Vec<f64>>,
+    /// Prior standard deviations; `None` for a free parameter.
+    pub prior: Vec<Option<f64>>,
+}
+
+impl WrittenPosterior {
+    /// `None` if it is malformed or its sizes differ.
+    pub fn read(text: &str) -> Option<Self> {
+        let written: Self = serde_json::from_str(text).ok()?;
+        let size = written.parameters.len();
+        let triangle = written.covariance.iter().enumerate().all(|(at, row)| row.len() == at + 1);
+        let fits = [written.corrections.len(), written.covariance.len(), written.prior.len()] == [size; 3];
+        (triangle && fits).then_some(written)
+    }
+
+    /// Difference of the first bar's length from its certificate, and its standard deviation, mm.
+    pub fn bar_offset(&self) -> Option<[f64; 2]> {
+        let at = self.parameters.iter().position(|id| matches!(id, ParamId::BarOffset(_)))?;
+        Some([*self.corrections.get(at)?, self.covariance.get(at)?.get(at)?.sqrt()])
+    }
+}
+
+/// A result of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ArchivedResult {
     pub run: String,
     pub robot: String,
@@ -122,7 +148,7 @@ pub struct ArchivedResult {
 }
 
 impl ArchivedResult {
-    /// What a table of results has of each.
+    /// The columns of an exported table.
     pub const TABLE: [(&'static str, ColumnKind); 12] = [
         ("run", ColumnKind::Text),
         ("robot", ColumnKind::Text),
@@ -139,7 +165,7 @@ impl ArchivedResult {
     ];
 }
 
-/// The jobs by state.
+/// Numbers of jobs by state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Queue {
     pub waiting: u64,
@@ -148,40 +174,8 @@ pub struct Queue {
     pub failed: u64,
 }
 
-impl ArchivedResult {
-    /// The columns that [`Self::of_row`] reads.
-    fn columns() -> String {
-        let of = |name: &str| if ["robot", "measured"].contains(&name) { "run" } else { "result" };
-        let names = Self::TABLE.iter().map(|(name, _)| *name).chain(["posterior"]);
-        names.map(|name| format!("{}.{name}", of(name))).collect::<Vec<_>>().join(", ")
-    }
-
-    fn of_row(row: &Row) -> Result<Self, Diagnostic> {
-        let found = Summary {
-            doubtful: row.int(5)? != 0,
-            lengths: row.count(6)?,
-            sigma_mm: row.some_real(7)?,
-            rms_before_mm: row.some_real(8)?,
-            rms_after_mm: row.some_real(9)?,
-            error_nominal_mm: row.some_real(10)?,
-            error_identified_mm: row.some_real(11)?,
-            posterior: row.some_text(12)?,
-        };
-        let [run, robot, measured, settings, version] = [0, 1, 2, 3, 4].map(|at| row.text(at));
-        Ok(Self {
-            run: run?,
-            robot: robot?,
-            measured: measured?,
-            settings: settings?,
-            version: version?,
-            found,
-        })
-    }
-}
-
 impl Archive {
-    /// Asks for the runs of a selection to be identified by `version`, where that was not asked for before or failed; how
-    /// many.
+    /// Queues the runs of a selection for identification by `version`, unless they are queued or done. Returns their number.
     pub fn ask(
         &mut self,
         selection: &Selection,
@@ -189,45 +183,40 @@ impl Archive {
         version: &str,
     ) -> Result<u64, Diagnostic> {
         let (condition, mut values) = selection.limited();
-        let count = values.len();
         values.extend([settings.text().into(), version.into()]);
+        let (at_settings, at_version) = (values.len() - 1, values.len());
         let sql = format!(
-            "INSERT INTO job (run, settings, version) SELECT sha256, ${}, ${} FROM run WHERE {condition} \
-             ON CONFLICT (run, settings, version) DO UPDATE SET state = 'waiting', attempts = 0, code = NULL, \
-             message = NULL WHERE job.state = 'failed'",
-            count + 1,
-            count + 2
+            "INSERT INTO job (run, settings, version) SELECT sha256, ${at_settings}, ${at_version} FROM run \
+             WHERE {condition} ON CONFLICT (run, settings, version) DO UPDATE SET state = 'waiting', attempts = 0, \
+             code = NULL, message = NULL WHERE job.state = 'failed'"
         );
-        Ok(self.database.execute(&sql, &values)? + self.ask_for_lost(&condition, &values)?)
-    }
-
-    /// Asks again for results of which the store lost a file. The last two values are settings and version.
-    fn ask_for_lost(&mut self, condition: &str, values: &[Value]) -> Result<u64, Diagnostic> {
+        let asked = self.database.execute(&sql, &values)?;
         let sql = format!(
             "SELECT f.run, f.sha256, f.bytes FROM result_file f JOIN run ON run.sha256 = f.run \
-             WHERE {condition} AND f.settings = ${} AND f.version = ${} ORDER BY f.run",
-            values.len() - 1,
-            values.len()
+             WHERE {condition} AND f.settings = ${at_settings} AND f.version = ${at_version} ORDER BY f.run"
         );
+        Ok(asked + self.ask_for_lost(&sql, &values, (settings.text(), version))?)
+    }
+
+    /// Queues again the results of which the store lost a file. `sql` selects run, SHA-256 and size of the files.
+    fn ask_for_lost(
+        &mut self,
+        sql: &str,
+        values: &[Value],
+        (settings, version): (&str, &str),
+    ) -> Result<u64, Diagnostic> {
         let mut lost = Vec::new();
-        for row in self.database.query(&sql, values)? {
-            let run = row.text(0)?;
-            if !lost.contains(&run) && !self.store.holds(&row.text(1)?, row.count(2)?)? {
+        for (run, sha256, bytes) in self.database.tuples::<(String, String, u64)>(sql, values)? {
+            if !lost.contains(&run) && !self.store.holds(&sha256, bytes)? {
                 lost.push(run);
             }
         }
-        let mut asked = 0;
-        let wanted = values.get(values.len().saturating_sub(2)..).unwrap_or_default();
-        for run in lost {
-            let sql = "UPDATE job SET state = 'waiting', attempts = 0 \
-                WHERE settings = $1 AND version = $2 AND run = $3 AND state = 'done'";
-            let values = [wanted, &[(&run).into()]].concat();
-            asked += self.database.execute(sql, &values)?;
-        }
-        Ok(asked)
+        let sql = "UPDATE job SET state = 'waiting', attempts = 0 \
+            WHERE settings = $1 AND version = $2 AND run = $3 AND state = 'done'";
+        lost.iter().map(|run| self.database.execute(sql, (settings, version, run))).sum()
     }
 
-    /// How many runs of a selection this version could not identify with these settings.
+    /// The number of runs of a selection whose identification by this version failed.
     pub fn failed(
         &mut self,
         selection: &Selection,
@@ -242,54 +231,52 @@ impl Archive {
             values.len() - 1,
             values.len()
         );
-        self.database.query(&sql, &values)?.first().map_or(Ok(0), |row| row.count(0))
+        Ok(self.database.tuples(&sql, values)?.pop().unwrap_or(0))
     }
 
-    /// The next job, which is this worker's until its lease ends.
+    /// Claims the next job until the lease ends.
     pub fn claim(&mut self, worker: &Worker) -> Result<Option<Job>, Diagnostic> {
         let sql = "UPDATE job SET state = 'running', worker = $1, lease_until = {now} + $2, attempts = attempts + 1 \
             WHERE (run, settings, version) = (SELECT run, settings, version FROM job \
                 WHERE (state = 'waiting' OR (state = 'running' AND lease_until < {now})) \
                 AND attempts < $3 AND version IN ('', $4) ORDER BY asked_at, run LIMIT 1 {skip_locked}) \
             RETURNING run, settings, version";
-        let values = [(&worker.name).into(), lease(worker), MOST_ATTEMPTS.into(), (&worker.version).into()];
-        let Some(row) = self.database.query(sql, &values)?.pop() else {
+        let parameters = (&worker.name, lease_ms(worker), MOST_ATTEMPTS, &worker.version);
+        let claimed: Option<(String, String, String)> = self.database.tuples(sql, parameters)?.pop();
+        let Some((run, settings, asked)) = claimed else {
             self.give_up()?;
             return Ok(None);
         };
-        let (run, settings, asked) = (row.text(0)?, row.text(1)?, row.text(2)?);
         match Settings::of_job(&settings) {
             Ok(known) if known.text() == settings => Ok(Some(Job { run, settings: known, asked })),
             _ => {
-                // Not from here: it is never executed.
+                // Not written by this program, so it is not executed.
                 let sql = "UPDATE job SET state = 'failed', code = 'E2411', message = 'unknown settings' \
                     WHERE run = $1 AND settings = $2 AND version = $3";
-                let values = [(&run).into(), (&settings).into(), (&asked).into()];
-                self.database.execute(sql, &values)?;
+                self.database.execute(sql, (run, settings, asked))?;
                 self.claim(worker)
             }
         }
     }
 
-    /// Jobs that lost their worker too often have failed.
+    /// Fails the jobs that lost their worker too often.
     fn give_up(&mut self) -> Result<(), Diagnostic> {
         let why = Diagnostic::from(GivenUp { attempts: MOST_ATTEMPTS });
         let sql = "UPDATE job SET state = 'failed', code = $1, message = $2 \
             WHERE state = 'running' AND lease_until < {now} AND attempts >= $3";
-        let values = [why.code.0.into(), why.to_string().as_str().into(), MOST_ATTEMPTS.into()];
-        self.database.execute(sql, &values).map(drop)
+        self.database.execute(sql, (why.code.0, why.to_string(), MOST_ATTEMPTS)).map(drop)
     }
 
-    /// Says that the worker is still at it; whether the job is still its own.
+    /// Renews the lease. Returns whether the job is still this worker's.
     pub fn keep(&mut self, job: &Job, worker: &Worker) -> Result<bool, Diagnostic> {
         let sql = "UPDATE job SET lease_until = {now} + $1 \
             WHERE run = $2 AND settings = $3 AND version = $4 AND worker = $5 AND state = 'running'";
-        let [run, settings, asked] = key(job);
-        let values = [lease(worker), run, settings, asked, (&worker.name).into()];
-        Ok(self.database.execute(sql, &values)? == 1)
+        let Job { run, settings, asked } = job;
+        let parameters = (lease_ms(worker), run, settings.text(), asked, &worker.name);
+        Ok(self.database.execute(sql, parameters)? == 1)
     }
 
-    /// Keeps what a job found, with its files by name and content; what is there already stays.
+    /// Stores the result of a job and its files (name and content). An existing result stays.
     pub fn finish(
         &mut self,
         job: &Job,
@@ -306,55 +293,39 @@ impl Archive {
             self.store.verify(&sha256)?;
             stored.push((name, sha256, bytes));
         }
+        let Job { run, settings, asked } = job;
+        let (settings, version) = (settings.text(), &worker.version);
         self.database.transaction(|database| {
-            let [run, settings, asked] = key(job);
-            let version = || Value::from(&worker.version);
-            let sql = "INSERT INTO result (run, settings, version, made_at, worker, doubtful, lengths, sigma_mm, \
-                rms_before_mm, rms_after_mm, error_nominal_mm, error_identified_mm, posterior) \
-                VALUES ($1, $2, $3, {now}, $4, $5, $6, $7, $8, $9, $10, $11, $12) ON CONFLICT DO NOTHING";
-            let values = [
-                run.clone(),
-                settings.clone(),
-                version(),
-                (&worker.name).into(),
-                i64::from(found.doubtful).into(),
-                found.lengths.into(),
-                found.sigma_mm.into(),
-                found.rms_before_mm.into(),
-                found.rms_after_mm.into(),
-                found.error_nominal_mm.into(),
-                found.error_identified_mm.into(),
-                found.posterior.as_ref().into(),
-            ];
-            if database.execute(sql, &values)? == 1 {
+            let mut row = json!(found);
+            row["run"] = json!(run);
+            row["settings"] = json!(settings);
+            row["version"] = json!(version);
+            row["worker"] = json!(worker.name);
+            if database.insert("result", row, Some("made_at"))? {
                 for (name, sha256, bytes) in &stored {
                     let sql = "INSERT INTO result_file VALUES ($1, $2, $3, $4, $5, $6)";
-                    let (name, sha256) = (Value::from(*name), Value::from(sha256));
-                    let values = [run.clone(), settings.clone(), version(), name, sha256, (*bytes).into()];
-                    database.execute(sql, &values)?;
+                    database.execute(sql, (run, settings, version, name, sha256, bytes))?;
                 }
             }
             let sql = "UPDATE job SET state = 'done', code = NULL, message = NULL \
                 WHERE run = $1 AND settings = $2 AND version = $3";
-            database.execute(sql, &[run, settings, asked]).map(drop)
+            database.execute(sql, (run, settings, asked)).map(drop)
         })
     }
 
-    /// Notes why a run cannot be identified.
+    /// Fails a job, with the reason.
     pub fn fail(&mut self, job: &Job, code: &str, message: &str) -> Result<(), Diagnostic> {
         let sql = "UPDATE job SET state = 'failed', code = $4, message = $5 \
             WHERE run = $1 AND settings = $2 AND version = $3 AND state = 'running'";
-        let [run, settings, asked] = key(job);
+        let Job { run, settings, asked } = job;
         let message: String = message.chars().take(1000).collect();
-        self.database.execute(sql, &[run, settings, asked, code.into(), (&message).into()]).map(drop)
+        self.database.execute(sql, (run, settings.text(), asked, code, message)).map(drop)
     }
 
-    /// How many jobs are in which state.
     pub fn queue(&mut self) -> Result<Queue, Diagnostic> {
         let mut queue = Queue::default();
-        for row in self.database.query("SELECT state, jobs FROM queue", &[])? {
-            let jobs = row.count(1)?;
-            match row.text(0)?.as_str() {
+        for (state, jobs) in self.database.tuples::<(String, u64)>("SELECT state, jobs FROM queue", ())? {
+            match state.as_str() {
                 "waiting" => queue.waiting = jobs,
                 "running" => queue.running = jobs,
                 "done" => queue.done = jobs,
@@ -364,7 +335,7 @@ impl Archive {
         Ok(queue)
     }
 
-    /// The results of a selection of runs, in the order of robots and time; of these settings where they are given.
+    /// The results of a selection of runs, by robot and time; only those with `settings` if given.
     pub fn results(
         &mut self,
         selection: &Selection,
@@ -381,31 +352,29 @@ impl Archive {
     pub(super) fn results_where(
         &mut self,
         condition: &str,
-        values: &[Value],
+        parameters: impl Serialize,
     ) -> Result<Vec<ArchivedResult>, Diagnostic> {
-        let columns = ArchivedResult::columns();
         let sql = format!(
-            "SELECT {columns} FROM result JOIN run ON run.sha256 = result.run WHERE {condition} \
+            "SELECT result.*, run.robot, run.measured FROM result JOIN run ON run.sha256 = result.run WHERE {condition} \
              ORDER BY run.robot, run.measured, result.settings, result.made_at"
         );
-        self.database.query(&sql, values)?.iter().map(ArchivedResult::of_row).collect()
+        self.database.query(&sql, parameters)
     }
 
-    /// The content of a file of a run's newest result; `None` where there is none.
+    /// The content of a file of a run's newest result.
     pub fn result_file(&mut self, run: &str, name: &str) -> Result<Option<Vec<u8>>, Diagnostic> {
         self.result_object(run, name)?.map(|object| self.store.get(&object)).transpose()
     }
 
-    /// The SHA-256 of that file.
+    /// The SHA-256 of a file of a run's newest result.
     pub(super) fn result_object(&mut self, run: &str, name: &str) -> Result<Option<String>, Diagnostic> {
         let sql = "SELECT f.sha256 FROM result_file f JOIN result r ON r.run = f.run AND r.settings = f.settings \
             AND r.version = f.version WHERE f.run = $1 AND f.name = $2 ORDER BY r.made_at DESC LIMIT 1";
-        let rows = self.database.query(sql, &[run.into(), name.into()])?;
-        rows.first().map(|row| row.text(0)).transpose()
+        Ok(self.database.tuples(sql, (run, name))?.pop())
     }
 }
 
-/// That a value of an option is one for some run: each run has its own balls and bars.
+/// Checks that a value is valid for some run: each run has its own balls and bars.
 fn check_value(option: &str, value: &str) -> Result<(), Diagnostic> {
     let known: &[&str] = match option {
         "prior" => &["none", "datasheet", "posterior"],
@@ -423,10 +392,6 @@ fn check_value(option: &str, value: &str) -> Result<(), Diagnostic> {
     Err(OtherValue { option, value, known }.into())
 }
 
-fn lease(worker: &Worker) -> Value {
-    u64::try_from(worker.lease.as_millis()).unwrap_or(u64::MAX).into()
-}
-
-fn key(job: &Job) -> [Value; 3] {
-    [(&job.run).into(), job.settings.text().into(), (&job.asked).into()]
+fn lease_ms(worker: &Worker) -> i64 {
+    i64::try_from(worker.lease.as_millis()).unwrap_or(i64::MAX)
 }

@@ -38,7 +38,7 @@ findings! {
         cause: "The role may not do this, the disk is full, or the database was changed by others.",
         cure: "The message is the database's own. docs/how-to/archive.md lists what each role may do." {
             Refused { why: String } => "the database refuses: {why}";
-            NotAValue { column: usize } => "column {column} of a row is not what it should be";
+            NotAValue { why: String } => "a value of a row or a parameter is not as expected: {why}";
         }
         E2406 "the store refuses",
         cause: "The keys may not do this, the bucket does not exist, or the disk is full.",

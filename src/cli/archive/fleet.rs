@@ -38,7 +38,7 @@ pub(super) fn run(
     directory: &Path,
     out: &Output,
 ) -> Result<Outcome, Diagnostic> {
-    let settings = Settings::usual();
+    let settings = Settings::new(&[])?;
     let results = archive.results(selection, Some(&settings))?;
     let runs: BTreeMap<String, [String; 2]> =
         archive.list(selection)?.into_iter().map(|run| (run.sha256, [run.kind, run.bar])).collect();

@@ -136,7 +136,7 @@ fn waits(run: &str, why: &Diagnostic) -> ArchiveFinding {
 /// Reads a run, and reports what is damaged, missing or unknown in it.
 fn read(path: &Path, out: &Output) -> Result<LocalRun, Diagnostic> {
     let run = LocalRun::read(path)?;
-    out.findings(run.doubts().iter().cloned());
+    out.findings(run.findings().iter().cloned());
     Ok(run)
 }
 
