@@ -1,21 +1,20 @@
-//! Least-squares circle by the exact distance: no linear removal of the centre, which would leave
-//! e^2 / (2 R) of a set-up error e in the data.
+//! Least-squares circle with exact distances. Removing the centre linearly would leave e^2 / (2 R) of a set-up error e in the data.
 
 use nalgebra::{Matrix3, Vector3};
 
-/// A programmed point, seen from the programmed centre (mm), and the length measured there (mm).
+/// A programmed point relative to the programmed centre, and the length measured there, mm.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
     pub point: [f64; 2],
     pub length_mm: f64,
 }
 
-/// The circle that fits in the least-squares sense: length = |point - centre| + offset.
+/// The least-squares circle: length = |point - centre| + offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Circle {
-    /// The base ball, seen from the programmed centre, mm.
+    /// The base ball relative to the programmed centre, mm.
     pub centre: [f64; 2],
-    /// What every length is longer than programmed, mm.
+    /// Mean radial deviation, mm.
     pub offset_mm: f64,
     /// Condition number of the three columns, each scaled to unit norm.
     pub condition: f64,
@@ -28,7 +27,7 @@ impl Ray {
     #[inline]
     pub fn reach(&self, centre: [f64; 2]) -> (f64, [f64; 2]) {
         let (x, y) = (self.point[0] - centre[0], self.point[1] - centre[1]);
-        // `hypot` guards against overflow, which millimetres do not meet, and is several times slower.
+        // `hypot` guards against overflow, which does not occur here, and is several times slower.
         let reach = (x * x + y * y).sqrt();
         (reach, [x / reach, y / reach])
     }
@@ -40,11 +39,11 @@ impl Ray {
     }
 }
 
-/// Steps after which Gauss-Newton must have converged; each squares the error.
+/// Largest number of Gauss-Newton steps.
 const STEPS: usize = 20;
 
-/// Fits centre and offset by Gauss-Newton from the programmed centre; `None` when the points do not
-/// determine them (fewer than three directions) or are no circle about a centre near the programmed one.
+/// Fits centre and offset by Gauss-Newton from the programmed centre. `None` if the points do not determine them (fewer than three
+/// directions) or the iteration does not converge.
 pub fn fit(rays: impl Iterator<Item = Ray> + Clone) -> Option<Circle> {
     let mut centre = [0.0; 2];
     for _ in 0..STEPS {
@@ -58,7 +57,7 @@ pub fn fit(rays: impl Iterator<Item = Ray> + Clone) -> Option<Circle> {
         }
         let covariance = normal.try_inverse()?;
         let solved = covariance * right;
-        // One refinement takes out what the inverse rounded.
+        // One refinement removes the rounding error of the inverse.
         let step = solved + covariance * (right - normal * solved);
         centre = [centre[0] + step[0], centre[1] + step[1]];
         let moved = step[0].hypot(step[1]);

@@ -1,4 +1,4 @@
-//! Harmonics of the deviation by sense, and what they mean for a machine with two linear axes.
+//! Harmonics of the deviation per sense, and their interpretation for a machine with two linear axes.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -12,7 +12,7 @@ pub struct Harmonics {
     pub sense: Sense,
     /// r, a, b, c2, s2, mm.
     pub values_mm: [f64; TERMS],
-    /// Their 95 % half widths from the noise of the lengths, mm.
+    /// Half widths of their 95 % intervals from the noise of the lengths, mm.
     pub u95_mm: [f64; TERMS],
 }
 
@@ -20,18 +20,17 @@ pub const TERM_NAMES: [&str; TERMS] = ["r", "a", "b", "c2", "s2"];
 const TERMS: usize = 5;
 const NORMAL: f64 = 1.96;
 
-/// What the harmonics mean. Empty on an arc, where they are linearly dependent.
+/// The interpretation of the harmonics. Empty for an arc, where they are linearly dependent.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Diagnosis {
     pub harmonics: Vec<Harmonics>,
-    /// Scale error of the first axis less that of the second: 2 c2 / R, mean of the senses.
+    /// Scale error of the first axis minus that of the second: 2 c2 / R, mean of the senses. With half width.
     pub scale_mismatch: Option<[f64; 2]>,
-    /// Squareness, rad: s2 / R summed over both senses; twice the one sense's where there is one, and
-    /// then a servo mismatch is in it.
+    /// Squareness, rad: s2 / R summed over both senses. With one sense, twice its value, which includes a servo mismatch.
     pub squareness_rad: Option<[f64; 2]>,
-    /// Whether both senses were there to separate squareness from servo mismatch.
+    /// Whether both senses separate squareness from servo mismatch.
     pub both_senses: bool,
-    /// By how much the second axis lags behind the first, s, where times give the speed.
+    /// Lag of the second axis behind the first, s, if times give the speed.
     pub servo_mismatch_s: Option<[f64; 2]>,
 }
 
@@ -87,7 +86,7 @@ fn fit_sense(traces: &[Trace], rays: &Rays, noise: &Noise, sense: Sense) -> Opti
     })
 }
 
-/// Speed along the circle where all points have times and the motion did not stop, mm/s.
+/// Median speed along the circle, mm/s, if all points have times.
 fn speed_mm_s(traces: &[Trace], radius_mm: f64) -> Option<f64> {
     let mut speeds = Vec::new();
     for trace in traces {

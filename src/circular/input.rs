@@ -5,18 +5,18 @@ use crate::base::table::{Row, Table};
 use crate::catalogue::CircularFinding;
 use crate::diagnostic::Diagnostic;
 
-/// Longer bars and hotter ones are given in other units.
+/// Larger numbers are in other units.
 const LONGEST_MM: f64 = 10_000.0;
 const HOTTEST_C: f64 = 150.0;
 
 const REQUIRED: [&str; 4] = ["run", "direction", "angle_deg", "length_mm"];
 
-/// Reads the traces of a text as [`traces_from_table`].
+/// As [`traces_from_table`].
 pub fn traces_from_csv(file: &str, text: &str) -> Result<Vec<Trace>, Diagnostic> {
     traces_from_table(&mut Table::of(file, text)?)
 }
 
-/// Reads the traces: one for each run and direction, in the order of their first rows.
+/// Reads one trace per run and direction, in the order of their first rows.
 pub fn traces_from_table(table: &mut Table<'_>) -> Result<Vec<Trace>, Diagnostic> {
     let [run, direction, angle, length] = table.required(REQUIRED).map_err(|absent| {
         absent.help("a circular test has the columns run,direction,angle_deg,length_mm[,t_s,temp_c]")
@@ -38,7 +38,7 @@ pub fn traces_from_table(table: &mut Table<'_>) -> Result<Vec<Trace>, Diagnostic
             axes_deg: None,
             drives: None,
         };
-        // The last trace first: the rows of a trace follow each other.
+        // Search from the last trace: the rows of a trace follow each other.
         match traces.iter_mut().rev().find(|trace| trace.run == row.text(run) && trace.sense == sense) {
             Some(trace) => trace.points.push(point),
             None => traces.push(Trace { run: row.text(run).to_owned(), sense, points: vec![point] }),

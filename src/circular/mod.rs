@@ -1,17 +1,15 @@
 //! The circular test: the quantities of ISO 230-4 from the lengths of a ball-bar.
 //!
-//! `docs/reference/circular-test.md` gives the definitions, their sources, and what of the standard's text could
-//! not be read. Pure: lengths in, numbers out.
+//! `docs/reference/circular-test.md` gives the definitions and their sources, and says which parts of the standard were not
+//! available.
 
-mod doubts;
 mod fit;
 mod harmonics;
 mod input;
 mod noise;
+mod plausibility;
 mod quantities;
 mod reversal;
-mod smooth;
-mod step;
 mod temperature;
 mod uncertainty;
 mod zone;
@@ -21,8 +19,7 @@ pub use harmonics::{Diagnosis, Harmonics, TERM_NAMES};
 pub use input::{traces_from_csv, traces_from_table};
 pub use noise::SigmaSource;
 pub use quantities::{NAMES, TRACE_NAMES};
-pub use reversal::Reversal;
-pub use step::{Mover, Step};
+pub use reversal::{Mover, Reversal, Step};
 pub use temperature::Temperature;
 pub use zone::{Zone, minimum_zone};
 
@@ -30,13 +27,11 @@ use crate::catalogue::CircularFinding as Finding;
 
 use quantities::{Allowed, Rays, evaluate};
 
-/// The sense in which a circle is passed.
+/// The sense of motion along a circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 pub enum Sense {
-    /// Angles grow.
     #[serde(rename = "ccw")]
     CounterClockwise,
-    /// Angles fall.
     #[serde(rename = "cw")]
     Clockwise,
 }
@@ -51,35 +46,33 @@ impl Sense {
     }
 }
 
-/// One length on the circle.
+/// A length on the circle. Optional values are known or not.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
     /// Programmed angle, degrees, counter-clockwise from the plane's first axis; need not be wrapped.
     pub angle_deg: f64,
     /// Distance between the ball centres, mm.
     pub length_mm: f64,
-    /// Its standard uncertainty, mm, where known.
+    /// Standard uncertainty.
     pub sigma_mm: Option<f64>,
-    /// Time, s, where known.
     pub t_s: Option<f64>,
-    /// Temperature of bar and machine, degrees Celsius, where known.
+    /// Temperature of bar and machine.
     pub temp_c: Option<f64>,
-    /// The robot's axis angles there, degrees, where known.
     pub axes_deg: Option<[f64; 6]>,
-    /// How it was reached and what each joint does to the length there, where known.
+    /// The joints, for the estimation of backlash.
     pub drives: Option<[Drive; 6]>,
 }
 
-/// A joint at a point.
+/// The state of a joint at a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drive {
-    /// Change of the length with the joint, mm/rad.
+    /// Derivative of the length by the joint angle, mm/rad.
     pub lever_mm: f64,
-    /// 1 or -1: the sense of the joint's last move to the point; 0 where it is not known.
+    /// Sense of the joint's last motion to the point: 1 or -1; 0 if unknown.
     pub sense: i8,
 }
 
-/// One pass of the circle, in the order in which it was driven.
+/// One pass of the circle, in the order of the motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trace {
     pub run: String,
@@ -87,17 +80,15 @@ pub struct Trace {
     pub points: Vec<Point>,
 }
 
-/// What is known besides the lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     pub radius_mm: f64,
-    /// Standard uncertainty of a single length, mm; without it that of the points, or their scatter.
+    /// Standard uncertainty of a single length; `None`: that of the points, or their scatter.
     pub sigma_mm: Option<f64>,
-    /// Standard uncertainty of the bar's length (certificate), mm: common to all lengths.
+    /// Standard uncertainty of the bar's length, which is common to all lengths.
     pub bar_u_mm: f64,
-    /// How lengths are referred to 20 degrees Celsius.
     pub temperature: Temperature,
-    /// Draws of the Monte Carlo; 0 for none.
+    /// Monte Carlo draws; 0 for none.
     pub draws: usize,
     pub seed: u64,
 }
@@ -109,35 +100,33 @@ impl Settings {
     }
 }
 
-/// Fewer points do not determine centre, radius and a deviation from them.
+/// Fewest points that determine centre, radius and a deviation.
 pub const LEAST_POINTS: usize = 5;
-/// Lengths may differ from the radius by this share of it.
+/// Largest relative difference of a length from the radius.
 const FAR_OFF: f64 = 0.2;
-/// Beyond this condition number a free centre is refused: arcs of about 75 degrees and less.
+/// Largest condition number for a free centre: excludes arcs of about 75 degrees and less.
 pub const MOST_CONDITION: f64 = 30.0;
-/// A gap of the angles beyond this is more than the spacing of a sparse full circle, degrees.
+/// Largest spacing of a full circle, degrees.
 const GAP_DEG: f64 = 60.0;
 
-/// How much of the circle there is.
+/// The covered arc.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Arc {
     /// First angle, degrees, 0..360.
     pub from_deg: f64,
-    /// Angle passed from there, degrees; 360 when it is full.
+    /// 360 for a full circle.
     pub span_deg: f64,
-    /// Largest gap between neighbours, degrees.
+    /// Largest gap between neighbours.
     pub largest_gap_deg: f64,
-    /// Whether it is the full circle.
     pub full: bool,
-    /// Condition number of centre and radius from it.
+    /// Condition number of centre and radius.
     pub condition: f64,
 }
 
-/// A value with the half width of its 95 % interval; `None` where it is refused or does not exist.
+/// A value and the half width of its 95 % interval; `None` if undefined.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Quantity {
     pub value: Option<f64>,
-    /// Half width of its 95 % interval.
     pub u95: Option<f64>,
 }
 
@@ -146,30 +135,28 @@ pub struct TraceResult {
     pub run: String,
     pub sense: Sense,
     pub points: usize,
-    /// By the names of [`TRACE_NAMES`], mm.
+    /// In the order of [`TRACE_NAMES`], mm.
     pub quantities: Vec<Quantity>,
-    /// Angle (degrees) and deviation about the joint centre (mm), in the order driven.
+    /// Angle (degrees) and deviation about the joint centre (mm), in the order of the motion.
     pub deviations: Vec<[f64; 2]>,
 }
 
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Evaluation {
     pub radius_mm: f64,
-    /// How much of the circle there is.
     pub arc: Arc,
-    /// By the names of [`NAMES`], mm, referred to 20 degrees where that could be done.
+    /// In the order of [`NAMES`], mm, referred to 20 degrees if possible.
     pub quantities: Vec<Quantity>,
-    /// The same as measured, where temperatures changed it.
+    /// The same without the temperature correction, if there is one.
     pub as_measured: Option<Vec<Option<f64>>>,
-    /// Whether F is about the least-squares centre (b), else about the instrument's (a).
+    /// Whether F is about the least-squares centre (b) or that of the instrument (a).
     pub free_centre: bool,
     pub traces: Vec<TraceResult>,
-    /// Second harmonics by sense and what they mean.
     pub diagnosis: Diagnosis,
     pub reversals: Vec<Reversal>,
-    /// How much each axis or joint loses as it reverses, where that is identifiable.
+    /// The backlash of each axis or joint, if identifiable.
     pub steps: Vec<Step>,
-    /// Standard uncertainty of a single length that the draws used, mm: the mean over the points.
+    /// Standard uncertainty of a single length, mean over the points.
     pub sigma_mm: f64,
     pub sigma_source: SigmaSource,
     pub draws: usize,
@@ -177,7 +164,7 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
-    /// The quantity of a name of [`NAMES`].
+    /// A quantity by its name in [`NAMES`].
     pub fn get(&self, name: &str) -> Quantity {
         let at = NAMES.iter().position(|known| *known == name);
         at.and_then(|at| self.quantities.get(at)).copied().unwrap_or_default()
@@ -192,7 +179,7 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
     let mut measured = rays(corrected.as_deref().unwrap_or(traces));
     let joint = fit(measured.all()).ok_or(Finding::NoCircle)?;
     let arc = arc(traces, joint.condition);
-    let unequal = doubts::unequal(traces, &arc);
+    let unequal = plausibility::unequal(traces, &arc);
     let allowed = Allowed { both: unequal.is_none(), ..Allowed::of(&arc) };
     measured.centre = if allowed.free_centre { joint.centre } else { [0.0; 2] };
     let values = evaluate(&measured, allowed).ok_or(Finding::NoCircle)?;
@@ -207,25 +194,24 @@ pub fn circular(traces: &[Trace], settings: &Settings) -> Result<Evaluation, Fin
     let results =
         results.map(|((trace, rays), quantities)| TraceResult::new(trace, rays, measured.centre, quantities));
     let mut notes: Vec<Finding> = arc_finding(&arc, allowed).into_iter().collect();
-    notes.extend(
-        traces
-            .iter()
-            .filter(|trace| !in_sense(trace))
-            .map(|trace| Finding::AgainstDirection { run: trace.run.clone(), direction: trace.sense.word() }),
-    );
-    notes.extend(doubts::of(traces, settings.radius_mm));
+    for trace in traces.iter().filter(|trace| !in_sense(trace)) {
+        notes.push(Finding::AgainstDirection { run: trace.run.clone(), direction: trace.sense.word() });
+    }
+    notes.extend(plausibility::check(traces, settings.radius_mm));
     let g_mm = quantities.first().and_then(|quantity| quantity.value);
-    notes.extend(g_mm.and_then(|g_mm| doubts::too_large(g_mm, settings.radius_mm)));
+    notes.extend(g_mm.and_then(|g_mm| plausibility::too_large(g_mm, settings.radius_mm)));
     if arc.full && unequal.is_none() {
-        notes.extend(doubts::apart(traces, &measured));
+        notes.extend(plausibility::apart(traces, &measured));
     }
     notes.extend(unequal);
-    notes.extend(settings.sigma_mm.and_then(|sigma_mm| doubts::other_sigma(traces, &measured, sigma_mm)));
+    notes.extend(
+        settings.sigma_mm.and_then(|sigma_mm| plausibility::other_sigma(traces, &measured, sigma_mm)),
+    );
     if corrected.is_none() {
         notes.push(Finding::AsMeasured);
     }
-    let reversals = reversal::of(traces);
-    let steps = if arc.full { step::fit(traces, &measured) } else { Vec::new() };
+    let reversals = reversal::reversals(traces);
+    let steps = if arc.full { reversal::backlash(traces, &measured) } else { Vec::new() };
     let joints: std::collections::BTreeSet<usize> = reversals.iter().map(|reversal| reversal.joint).collect();
     if steps.is_empty() && !joints.is_empty() {
         notes.push(Finding::StepsNotSeparable { joints: joints.len() });
@@ -288,7 +274,7 @@ fn check(traces: &[Trace], settings: &Settings) -> Result<(), Finding> {
         if points.len() < LEAST_POINTS {
             return Err(Finding::TooFewPoints { run, direction, points: points.len(), least: LEAST_POINTS });
         }
-        // A value that is not a number is as far off as can be.
+        // NaN counts as far from the radius.
         let near = |point: &&Point| (point.length_mm - radius_mm).abs() <= FAR_OFF * radius_mm;
         if let Some(&Point { angle_deg, length_mm, .. }) = points.iter().find(|point| !near(point)) {
             return Err(Finding::FarFromRadius { run, direction, angle_deg, length_mm, radius_mm });
@@ -297,7 +283,7 @@ fn check(traces: &[Trace], settings: &Settings) -> Result<(), Finding> {
     Ok(())
 }
 
-/// Whether most steps go in the trace's sense.
+/// Whether most steps are in the sense of the trace.
 fn in_sense(trace: &Trace) -> bool {
     let steps = trace.points.windows(2).map(|pair| {
         let step = (pair[1].angle_deg - pair[0].angle_deg + 180.0).rem_euclid(360.0) - 180.0;

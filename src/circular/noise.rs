@@ -8,9 +8,9 @@ use crate::math::robust::{SIGMA_OF_MAD, median};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub enum SigmaSource {
     Given,
-    /// Of each length; the repeatability of the robot is not in it.
+    /// Of each length, without the repeatability of the robot.
     Lengths,
-    /// Of each length, not less than the difference of repeated passes.
+    /// Of each length, at least the difference of repeated passes.
     LengthsAndPasses,
     /// The difference of repeated passes.
     Passes,
@@ -19,7 +19,7 @@ pub enum SigmaSource {
 }
 
 impl SigmaSource {
-    /// As circle.json and the page have it.
+    /// The text in circle.json and on the page.
     pub fn word(self) -> &'static str {
         match self {
             Self::Given => "as given",
@@ -37,13 +37,12 @@ struct Scatter {
     freedom: f64,
 }
 
-/// What each length's standard uncertainty is taken to be.
 #[derive(Clone, Debug)]
 pub(super) struct Noise {
-    /// For each trace and point, mm.
+    /// Per trace and point, mm.
     pub(super) sigma_mm: Vec<Vec<f64>>,
     pub(super) source: SigmaSource,
-    /// Degrees of freedom with which it was estimated; `None` where it is known.
+    /// Degrees of freedom of an estimate; `None` if it is known.
     pub(super) freedom: Option<f64>,
 }
 
@@ -53,9 +52,9 @@ impl Noise {
         self.sigma_mm.iter().flatten().sum::<f64>() / count as f64
     }
 
-    /// Student's t over the normal distribution's half width, for 95 %.
+    /// Ratio of the 95 % quantiles of Student's t and the normal distribution.
     pub(super) fn student(&self) -> f64 {
-        // Abramowitz and Stegun 26.7.5; 1 % too small at three degrees of freedom.
+        // Abramowitz and Stegun 26.7.5. 1 % too small at three degrees of freedom.
         let [one, two, three] = [1.210_4, 1.440_1, 1.304];
         self.freedom.map_or(1.0, |freedom| {
             let f = freedom.max(3.0);
@@ -64,7 +63,7 @@ impl Noise {
     }
 }
 
-/// What was given, else the points' own, but not less than what repeated passes differ by; else the
+/// The given uncertainty, else that of the points but at least the difference of repeated passes, else that difference, else the
 /// scatter between neighbours.
 pub(super) fn of(traces: &[Trace], rays: &Rays, given: Option<f64>) -> Noise {
     let all = |sigma: f64| traces.iter().map(|trace| vec![sigma; trace.points.len()]).collect();
@@ -88,7 +87,7 @@ pub(super) fn of(traces: &[Trace], rays: &Rays, given: Option<f64>) -> Noise {
     Noise { sigma_mm, source: SigmaSource::LengthsAndPasses, freedom: Some(freedom) }
 }
 
-/// Indices of a trace's points in the order of their angles.
+/// Indices of the points in the order of their angles.
 fn by_angle(trace: &Trace) -> Vec<usize> {
     let mut order: Vec<usize> = (0..trace.points.len()).collect();
     let angle = |at: usize| trace.points[at].angle_deg.rem_euclid(360.0);
@@ -96,7 +95,7 @@ fn by_angle(trace: &Trace) -> Vec<usize> {
     order
 }
 
-/// Standard deviation between passes in one sense at the same angles, and its degrees of freedom; `None` without such.
+/// Standard deviation between passes in the same sense at the same angles; `None` without such passes.
 fn repeated(traces: &[Trace], rays: &Rays) -> Option<Scatter> {
     let (mut squares, mut freedom) = (0.0, 0);
     for sense in [Sense::CounterClockwise, Sense::Clockwise] {
@@ -124,24 +123,23 @@ fn repeated(traces: &[Trace], rays: &Rays) -> Option<Scatter> {
     (freedom > 0).then(|| Scatter { sigma_mm: (squares / freedom as f64).sqrt(), freedom: freedom as f64 })
 }
 
-/// Robust scatter of second differences between neighbours, and its degrees of freedom: noise, and on a sparse circle
-/// form as well.
+/// Robust scatter of second differences between neighbours. On a sparse circle it includes the form.
 fn neighbours(traces: &[Trace], rays: &Rays) -> Scatter {
-    /// Degrees of freedom for each second difference: the median has 0.37 of the efficiency of the variance, and the
-    /// correlations of neighbours, -2/3 and 1/6, cost a factor 1 + 2 (4/9 + 1/36).
+    /// Degrees of freedom per second difference: the median has 0.37 of the efficiency of the variance, and the correlations of
+    /// neighbours, -2/3 and 1/6, cost a factor 1 + 2 (4/9 + 1/36).
     const FREEDOM: f64 = 0.19;
     let mut second = differences(traces, rays, [1.0, -2.0, 1.0]);
     let freedom = FREEDOM * second.len() as f64;
     Scatter { sigma_mm: SIGMA_OF_MAD * median(&mut second).unwrap_or(0.0), freedom }
 }
 
-/// Robust scatter of fourth differences, mm: less of the form is in them.
+/// Robust scatter of fourth differences, which include less of the form, mm.
 pub(super) fn without_form(traces: &[Trace], rays: &Rays) -> f64 {
     let mut fourth = differences(traces, rays, [1.0, -4.0, 6.0, -4.0, 1.0]);
     SIGMA_OF_MAD * median(&mut fourth).unwrap_or(0.0)
 }
 
-/// Magnitudes of differences between neighbours, with the variance of a single length.
+/// Magnitudes of weighted differences of neighbours, scaled to the variance of a single length.
 fn differences<const N: usize>(traces: &[Trace], rays: &Rays, weights: [f64; N]) -> Vec<f64> {
     let norm = weights.iter().map(|weight| weight * weight).sum::<f64>().sqrt();
     let mut found: Vec<f64> = Vec::new();

@@ -1,37 +1,35 @@
-//! The quantities from lengths. The draws of the Monte Carlo call the same function.
+//! The quantities of ISO 230-4 from lengths. The Monte Carlo calls the same function.
 
 use super::fit::{Ray, fit};
 use super::zone::{extremes, minimum_zone, width};
 use super::{Arc, MOST_CONDITION, Quantity, Sense, Trace};
 
-/// What a whole test says, in this order: circular deviation about the least-squares centre and of the
-/// minimum zone (the greater of the traces, each about its own centre), bi-directional circular
-/// deviation, mean radial deviation, greatest and least radial deviation, hysteresis (1996), and the
-/// base ball seen from the programmed centre.
+/// The quantities of a test: circular deviation about the least-squares centre and of the minimum zone (the largest of the traces, each
+/// about its own centre), bi-directional circular deviation, mean radial deviation, largest and smallest radial deviation, hysteresis
+/// (1996), and the base ball relative to the programmed centre.
 pub const NAMES: [&str; 9] = ["G_lsc", "G_mzc", "Gb", "D", "F_max", "F_min", "H", "x", "y"];
-/// What a trace says alone, about its own centre (F about the test's).
+/// The quantities of a single trace, about its own centre (F about that of the test).
 pub const TRACE_NAMES: [&str; 7] = ["G_lsc", "G_mzc", "D", "F_max", "F_min", "x", "y"];
 
 #[derive(Clone, Debug)]
 pub(super) struct Rays {
     pub(super) traces: Vec<Vec<Ray>>,
-    /// Counter-clockwise trace, clockwise trace, and which points of them face each other.
     pub(super) pairs: Vec<Facing>,
-    /// About what their deviations are taken, mm: the programmed centre until another is known.
+    /// Centre of the deviations, mm.
     pub(super) centre: [f64; 2],
 }
 
-/// A counter-clockwise and a clockwise trace of one circle.
+/// A counter-clockwise and a clockwise trace, and which of their points face each other.
 #[derive(Clone, Debug)]
 pub(super) struct Facing {
     ccw: usize,
     cw: usize,
-    /// A counter-clockwise point, the clockwise ones on either side of it, and the weight of the second.
+    /// A counter-clockwise point, the clockwise points on either side of it, and the weight of the second.
     points: Vec<(usize, [usize; 2], f64)>,
 }
 
 impl Facing {
-    /// The same pair where it is not known which points face each other.
+    /// The pair without its facing points.
     pub(super) fn unresolved(&self) -> Self {
         Self { points: Vec::new(), ..*self }
     }
@@ -41,9 +39,9 @@ impl Facing {
 pub(super) struct Allowed {
     /// Whether a centre can be fitted.
     pub(super) free_centre: bool,
-    /// Whether F may be about it: on a full circle only.
+    /// Whether F is about the fitted centre: on a full circle only.
     pub(super) full: bool,
-    /// Whether both senses pass one arc.
+    /// Whether both senses cover the same arc.
     pub(super) both: bool,
 }
 
@@ -54,7 +52,7 @@ impl Allowed {
     }
 }
 
-/// The values of all quantities; NaN where there is none.
+/// The values of all quantities; NaN if undefined.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Quantities {
     /// By [`NAMES`].
@@ -80,7 +78,7 @@ impl Rays {
         Self { traces: traces.iter().map(rays).collect(), pairs, centre: [0.0; 2] }
     }
 
-    /// The facing points of two traces: one, those on either side of it, and the weight of the second.
+    /// The facing points of two traces, as in [`Facing`].
     pub(super) fn facing(
         &self,
         ccw: usize,
@@ -94,13 +92,12 @@ impl Rays {
         self.traces.iter().flatten().copied()
     }
 
-    /// Of a point of a trace, mm.
     pub(super) fn deviation(&self, trace: usize, point: usize) -> f64 {
         self.traces[trace][point].deviation(self.centre)
     }
 }
 
-/// For each point of `there` the points of `back` on either side, where they are not far.
+/// The points of `back` on either side of each point of `there`, if they are near.
 fn facing(there: &Trace, back: &Trace) -> Vec<(usize, [usize; 2], f64)> {
     let wrapped = |trace: &Trace, at: usize| trace.points[at].angle_deg.rem_euclid(360.0);
     let mut order: Vec<usize> = (0..back.points.len()).collect();
@@ -122,7 +119,7 @@ fn facing(there: &Trace, back: &Trace) -> Vec<(usize, [usize; 2], f64)> {
         .collect()
 }
 
-/// Evaluates; `None` when the points tell no circle.
+/// `None` if the points determine no circle.
 pub(super) fn evaluate(rays: &Rays, allowed: Allowed) -> Option<Quantities> {
     let nothing = f64::NAN;
     let joint = if allowed.free_centre { Some(fit(rays.all())?) } else { None };
@@ -144,7 +141,7 @@ pub(super) fn evaluate(rays: &Rays, allowed: Allowed) -> Option<Quantities> {
         })
         .collect();
     let most = |at: usize| alone.iter().map(|values| values[at]).fold(f64::NEG_INFINITY, f64::max);
-    // A trace that is not determined must not hide behind one that is.
+    // The largest value is undefined if that of any trace is.
     let most_of_all =
         |at: usize| if alone.iter().any(|values| values[at].is_nan()) { nothing } else { most(at) };
     let least = alone.iter().map(|values| values[4]).fold(f64::INFINITY, f64::min);
@@ -163,7 +160,7 @@ pub(super) fn evaluate(rays: &Rays, allowed: Allowed) -> Option<Quantities> {
     Some(Quantities { overall, alone })
 }
 
-/// Greatest difference between the two senses at one angle, about one centre, mm.
+/// Largest difference between the two senses at the same angle, mm.
 fn hysteresis(rays: &Rays, centre: [f64; 2]) -> f64 {
     let mut most = f64::NAN;
     for Facing { ccw, cw, points } in &rays.pairs {
@@ -187,7 +184,7 @@ impl Quantities {
         self.overall.iter().map(|value| value.is_finite().then_some(*value)).collect()
     }
 
-    /// The values with their uncertainties, given in the order of [`Quantities::row`].
+    /// The values with their uncertainties, which are in the order of [`Quantities::row`].
     pub(super) fn with(&self, u95: Option<&Vec<f64>>) -> (Vec<Quantity>, Vec<Vec<Quantity>>) {
         let mut all = self.row().enumerate().map(|(at, value)| Quantity {
             value: value.is_finite().then_some(value),

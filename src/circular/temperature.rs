@@ -5,11 +5,11 @@ use super::Trace;
 /// Reference temperature of length measurement (ISO 1), degrees Celsius.
 pub(super) const REFERENCE_C: f64 = 20.0;
 
-/// How lengths depend on temperature. Both expansions are 0 when nothing is known.
+/// Thermal expansion of bar and machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Temperature {
     pub bar_per_k: Option<f64>,
-    /// Temperature at which the bar's length was certified, degrees Celsius.
+    /// Temperature of the bar's certified length, degrees Celsius.
     pub certified_c: f64,
     pub machine_per_k: Option<f64>,
 }
@@ -21,16 +21,15 @@ impl Default for Temperature {
 }
 
 impl Temperature {
-    /// A length (bar's length plus reading, mm) measured at `temp_c`: the warm bar is longer than its
-    /// certificate says, and the machine's circle is larger than at 20 degrees.
+    /// Refers a length (bar's length plus reading) measured at `temp_c` to 20 degrees: the warm bar is longer than certified, and the
+    /// machine's circle is larger.
     pub fn referred_mm(&self, length_mm: f64, temp_c: f64) -> f64 {
         let bar = 1.0 + self.bar_per_k.unwrap_or(0.0) * (temp_c - self.certified_c);
         let machine = 1.0 + self.machine_per_k.unwrap_or(0.0) * (temp_c - REFERENCE_C);
         length_mm * bar / machine
     }
 
-    /// The traces with their lengths referred; `None` when no expansion is known or a point has no
-    /// temperature.
+    /// The traces with corrected lengths; `None` if no expansion is known or a point has no temperature.
     pub(super) fn apply(&self, traces: &[Trace]) -> Option<Vec<Trace>> {
         if self.bar_per_k.is_none() && self.machine_per_k.is_none() {
             return None;

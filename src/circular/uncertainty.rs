@@ -1,5 +1,8 @@
-//! Uncertainty: G, F and H are extremes, for which the law of propagation does not hold, and are drawn by Monte Carlo
-//! (GUM Supplement 1); centre and radius are linear in the lengths and follow from the fit.
+//! Uncertainty. G, F and H are extremes, for which the law of propagation does not hold: Monte Carlo (GUM Supplement 1). Centre and
+//! radius are linear in the lengths and follow from the fit.
+//!
+//! The Monte Carlo draws about a smoothed form of the circle. If it drew about the lengths, an extreme that noise has raised would
+//! be raised again, and the noise would seem to add least where it has added most. Only the intervals use the smoothed form.
 
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -9,20 +12,18 @@ use rand_pcg::Pcg64;
 use super::fit::{Ray, fit};
 use super::noise::Noise;
 use super::quantities::{Allowed, Facing, Quantities, Rays, evaluate};
-use super::smooth::form;
 use super::zone::outermost;
 use super::{NAMES, Settings, TRACE_NAMES};
 
-/// Traces with more points are drawn by their outermost points alone.
+/// Of traces with more points only the outermost are drawn.
 const MANY: usize = 4000;
 const SHARE: f64 = 0.95;
-/// The same for a normal distribution, in standard deviations.
+/// Coverage factor of 95 % of a normal distribution.
 const NORMAL: f64 = 1.96;
-/// Quantities that are never less than none.
+/// Quantities that are not negative.
 const WIDTHS: [&str; 4] = ["G_lsc", "G_mzc", "Gb", "H"];
 
-/// For each value of [`super::quantities::Quantities::row`] the half width of its 95 % interval, mm;
-/// `None` without draws.
+/// The half widths of the 95 % intervals of the values of [`Quantities::row`], mm; `None` without draws.
 pub(super) fn u95(
     rays: &Rays,
     values: &Quantities,
@@ -37,18 +38,15 @@ pub(super) fn u95(
         let (few, sigma_mm) = outermost_of(rays, noise);
         (few, sigma_mm, 1.0)
     } else {
-        let form = form(rays, &noise.sigma_mm);
-        (
-            Rays { traces: form.traces, pairs: rays.pairs.clone(), centre: rays.centre },
-            noise.sigma_mm.clone(),
-            form.left,
-        )
+        let (traces, left) = smoothed(rays, &noise.sigma_mm);
+        let base = Rays { traces, pairs: rays.pairs.clone(), centre: rays.centre };
+        (base, noise.sigma_mm.clone(), left)
     };
     let drawn = draw(&base, &sigma_mm, allowed, settings)?;
     let student = noise.student();
     let mut u95: Vec<f64> =
         drawn.into_iter().map(|mut added| student * half_width(&mut added, left)).collect();
-    // A width that noise alone shows as well may be none.
+    // A width that noise alone can cause may be zero.
     let few = Settings { draws: settings.draws / 4 + 1, ..*settings };
     let alone = draw(&round(&base), &sigma_mm, allowed, &few)?;
     let names = NAMES.iter().chain(TRACE_NAMES.iter().cycle());
@@ -72,7 +70,53 @@ pub(super) fn u95(
     Some(u95)
 }
 
-/// For each value what every draw of noise adds to it, mm; `None` where the points determine no circle.
+/// Candidate numbers of neighbours on either side for the smoothing.
+const REACHES: [usize; 8] = [0, 1, 2, 3, 4, 6, 8, 12];
+
+/// The traces with their deviations replaced by means over neighbours, and the share of the variance of the noise that is left. The
+/// number of neighbours has the least expected squared error by Stein's unbiased estimate.
+fn smoothed(rays: &Rays, sigma_mm: &[Vec<f64>]) -> (Vec<Vec<Ray>>, f64) {
+    let Rays { traces, centre, .. } = rays;
+    let deviations: Vec<Vec<f64>> =
+        traces.iter().map(|trace| trace.iter().map(|ray| ray.deviation(*centre)).collect()).collect();
+    let mut best = (f64::INFINITY, 0, 1.0);
+    for reach in REACHES {
+        let (mut risk, mut left, mut count) = (0.0, 0.0, 0.0);
+        for (deviations, sigma_mm) in deviations.iter().zip(sigma_mm) {
+            for ((at, deviation), sigma) in deviations.iter().enumerate().zip(sigma_mm) {
+                let (mean, weight) = mean(deviations, at, reach);
+                risk += (deviation - mean).powi(2) + 2.0 * sigma * sigma * weight;
+                left += weight;
+                count += 1.0;
+            }
+        }
+        if risk < best.0 {
+            best = (risk, reach, left / count);
+        }
+    }
+    let (_, reach, left) = best;
+    let traces = traces
+        .iter()
+        .zip(&deviations)
+        .map(|(trace, deviations)| {
+            let smooth = |(at, ray): (usize, &Ray)| {
+                let length_mm = ray.length_mm - deviations[at] + mean(deviations, at, reach).0;
+                Ray { length_mm, ..*ray }
+            };
+            trace.iter().enumerate().map(smooth).collect()
+        })
+        .collect();
+    (traces, left)
+}
+
+/// The mean over a point and its neighbours, and the weight of each.
+fn mean(values: &[f64], at: usize, reach: usize) -> (f64, f64) {
+    let reach = reach.min(at).min(values.len() - 1 - at);
+    let weight = 1.0 / (2 * reach + 1) as f64;
+    (values[at - reach..=at + reach].iter().sum::<f64>() * weight, weight)
+}
+
+/// What each draw of noise adds to each value, mm; `None` if the points determine no circle.
 fn draw(base: &Rays, sigma_mm: &[Vec<f64>], allowed: Allowed, settings: &Settings) -> Option<Vec<Vec<f64>>> {
     let nominal: Vec<f64> = evaluate(base, allowed)?.row().collect();
     let mut random = Pcg64::seed_from_u64(settings.seed);
@@ -95,9 +139,9 @@ fn draw(base: &Rays, sigma_mm: &[Vec<f64>], allowed: Allowed, settings: &Setting
     Some(added)
 }
 
-/// Half width from what draws of noise added to the value. Noise makes extremes greater, and does so as its standard
-/// deviation; of what the form has `left` (a share of the variance) one part of the bias is there before the draw, so that
-/// the draw shows sqrt(1 + left) - sqrt(left) of it alone. NaN when a draw is not a number.
+/// The half width from what the draws of noise added to a value. Noise increases extremes in proportion to its standard deviation.
+/// The smoothed form still has the share `left` of the variance of the noise, so a part of the bias is there before the draw, which
+/// shows only sqrt(1 + left) - sqrt(left) of it. NaN if a draw is not a number.
 fn half_width(added: &mut [f64], left: f64) -> f64 {
     if added.is_empty() || added.iter().any(|value| value.is_nan()) {
         return f64::NAN;
@@ -109,20 +153,20 @@ fn half_width(added: &mut [f64], left: f64) -> f64 {
     within(added)
 }
 
-/// What 95 % of the values do not exceed; NaN without values.
+/// The 95th percentile; NaN without values.
 fn within(values: &mut [f64]) -> f64 {
     let at = ((SHARE * values.len() as f64).ceil() as usize).clamp(1, values.len().max(1)) - 1;
     if at < values.len() { *values.select_nth_unstable_by(at, f64::total_cmp).1 } else { f64::NAN }
 }
 
-/// The rays on a circle without any deviation.
+/// The rays without any deviation.
 fn round(rays: &Rays) -> Rays {
     let mut round = rays.clone();
     round.traces.iter_mut().flatten().for_each(|ray| ray.length_mm = ray.reach(rays.centre).0);
     round
 }
 
-/// Standard uncertainties of x, y and D of the circle through the rays, mm; `bar_mm` is common to all lengths and so in D alone.
+/// Standard uncertainties of x, y and D of the fitted circle, mm. `bar_mm` is common to all lengths and affects D only.
 fn fitted(rays: &[Ray], sigma_mm: &[f64], bar_mm: f64) -> [f64; 3] {
     let Some(circle) = fit(rays.iter().copied()) else { return [f64::NAN; 3] };
     let mut variance = [0.0, 0.0, bar_mm * bar_mm];

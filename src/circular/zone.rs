@@ -1,8 +1,8 @@
-//! The minimum zone: the two concentric circles, of least radial distance, between which all points lie.
+//! The minimum zone: the two concentric circles of least radial distance between which all points lie.
 //!
-//! About a given centre the problem is a linear programme in centre, offset and half width. It is
-//! solved in its dual by the simplex method: a basis of four points, exchanged one by one for the
-//! point that the zone misses most. Where the centre moves, the distances are taken anew, until it rests.
+//! Linearised about a centre, the problem is a linear programme in centre, offset and half width. Its dual is solved by the simplex
+//! method: in a basis of four points, one is exchanged in each step for the point farthest outside the zone. The linearisation is
+//! repeated until the centre does not move.
 
 use nalgebra::{Matrix4, Vector4};
 
@@ -10,23 +10,22 @@ use super::fit::Ray;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Zone {
-    /// Its centre: the base ball, seen from the programmed centre, mm.
+    /// The base ball relative to the programmed centre, mm.
     pub centre: [f64; 2],
     pub width_mm: f64,
 }
 
-/// Angular sectors whose outermost points stand for all at first.
+/// Angular sectors whose outermost points are the first candidates.
 const SECTORS: usize = 360;
-/// Above this many points sectors pay.
+/// With more points the sectors save time.
 const MANY: usize = 2 * SECTORS;
-/// Changes of the centre, and misses of the zone, below this are none, mm: some rounding steps of a length.
-const RESTS_MM: f64 = 1e-11;
+/// Convergence limit of centre and zone, mm: a few rounding errors of a length.
+const CONVERGED_MM: f64 = 1e-11;
 
-/// The minimum zone, searched from `centre` (that of the least-squares circle). `None` when the points
-/// have fewer than three directions.
+/// The minimum zone, starting at the centre of the least-squares circle. `None` if the points have fewer than three directions.
 pub fn minimum_zone(rays: &[Ray], centre: [f64; 2]) -> Option<Zone> {
     if rays.len() <= MANY {
-        return rest(rays, centre);
+        return converge(rays, centre);
     }
     let mut zone = Zone { centre, width_mm: 0.0 };
     let mut chosen: Vec<usize> = Vec::new();
@@ -39,26 +38,26 @@ pub fn minimum_zone(rays: &[Ray], centre: [f64; 2]) -> Option<Zone> {
             return Some(zone);
         }
         let few: Vec<Ray> = chosen.iter().map(|&at| rays[at]).collect();
-        zone = rest(&few, zone.centre)?;
-        if width(rays, zone.centre) - zone.width_mm < RESTS_MM {
+        zone = converge(&few, zone.centre)?;
+        if width(rays, zone.centre) - zone.width_mm < CONVERGED_MM {
             return Some(zone);
         }
     }
 }
 
-/// Repeats the linear programme until the centre rests.
-fn rest(rays: &[Ray], mut centre: [f64; 2]) -> Option<Zone> {
+/// Repeats the linear programme until the centre does not move.
+fn converge(rays: &[Ray], mut centre: [f64; 2]) -> Option<Zone> {
     for _ in 0..20 {
         let [x, y] = shift(rays, centre)?;
         centre = [centre[0] + x, centre[1] + y];
-        if x.hypot(y) < RESTS_MM {
+        if x.hypot(y) < CONVERGED_MM {
             break;
         }
     }
     Some(Zone { centre, width_mm: width(rays, centre) })
 }
 
-/// Distance between the circles about `centre` that hold all points, mm.
+/// Width of the zone of all points about `centre`, mm.
 pub(super) fn width(rays: &[Ray], centre: [f64; 2]) -> f64 {
     let [low, high] = extremes(rays, centre);
     high - low
@@ -71,7 +70,7 @@ pub(super) fn extremes(rays: &[Ray], centre: [f64; 2]) -> [f64; 2] {
         .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], d| [low.min(d), high.max(d)])
 }
 
-/// For each sector the points with the least and the greatest deviation.
+/// The points with the least and the greatest deviation of each sector.
 pub(super) fn outermost(rays: &[Ray], centre: [f64; 2]) -> Vec<usize> {
     let mut sectors = [None::<[(usize, f64); 2]>; SECTORS];
     for (at, ray) in rays.iter().enumerate() {
@@ -90,7 +89,7 @@ pub(super) fn outermost(rays: &[Ray], centre: [f64; 2]) -> Vec<usize> {
     sectors.into_iter().flatten().flatten().map(|(at, _)| at).collect()
 }
 
-/// The sector of a direction. Any numbering that grows with the angle serves: this one needs no arctangent.
+/// The sector of a direction. The numbering only has to increase with the angle, so no arctangent is needed.
 fn sector(x: f64, y: f64) -> usize {
     let along = y.abs() / (x.abs() + y.abs());
     let turn = match (x >= 0.0, y >= 0.0) {
@@ -102,16 +101,16 @@ fn sector(x: f64, y: f64) -> usize {
     ((turn * (SECTORS / 4) as f64) as usize).min(SECTORS - 1)
 }
 
-/// A column of the dual: a point as one that touches the outer (`sign` 1) or the inner circle (-1).
+/// A column of the dual: a point that touches the outer (`sign` 1) or the inner circle (-1).
 #[derive(Clone, Copy)]
 struct Column {
     ray: usize,
     sign: f64,
 }
 
-/// By how much the minimum zone's centre differs from `centre`, to first order.
+/// The shift of the minimum zone's centre from `centre`, to first order.
 fn shift(rays: &[Ray], centre: [f64; 2]) -> Option<[f64; 2]> {
-    /// Exchanges before the rule that cannot cycle takes over, and before the search is given up.
+    /// Exchanges before Bland's rule, which cannot cycle, takes over, and before the search is given up.
     const FAST: usize = 60;
     const MOST: usize = 2000;
     let row = |column: Column| {
@@ -134,7 +133,7 @@ fn shift(rays: &[Ray], centre: [f64; 2]) -> Option<[f64; 2]> {
             costs[at] = cost;
         }
         let inverse = matrix.try_inverse()?;
-        // x, y, offset, half width of the zone that the basis touches.
+        // x, y, offset and half width of the zone through the basis.
         let solved = inverse.transpose() * costs;
         let solved = solved + inverse.transpose() * (costs - matrix.transpose() * solved);
         let [x, y, offset, half] = [solved[0], solved[1], solved[2], solved[3]];
@@ -143,7 +142,7 @@ fn shift(rays: &[Ray], centre: [f64; 2]) -> Option<[f64; 2]> {
             let (reach, unit) = ray.reach(centre);
             let rest = ray.length_mm - reach + unit[0] * x + unit[1] * y - offset;
             let beyond = rest.abs() - half;
-            if beyond > entering.map_or(RESTS_MM, |(_, most)| most) {
+            if beyond > entering.map_or(CONVERGED_MM, |(_, most)| most) {
                 entering = Some((Column { ray: at, sign: rest.signum() }, beyond));
                 if round > FAST {
                     break;
@@ -162,7 +161,7 @@ fn shift(rays: &[Ray], centre: [f64; 2]) -> Option<[f64; 2]> {
     None
 }
 
-/// Three points in directions far apart.
+/// Three points in distant directions.
 fn spread(rays: &[Ray], centre: [f64; 2]) -> Option<[usize; 3]> {
     let [ax, ay] = rays.first()?.reach(centre).1;
     let best = |merit: &dyn Fn([f64; 2]) -> f64| {

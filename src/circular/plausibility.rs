@@ -1,4 +1,4 @@
-//! Lengths that no circular test gives: mistakes in a table.
+//! Plausibility of the input: findings about lengths, angles and times that no circular test gives.
 
 use std::cmp::Ordering;
 
@@ -7,21 +7,22 @@ use super::{Arc, Point, Sense, Trace, fit, noise};
 use crate::catalogue::CircularFinding as Finding;
 use crate::math::robust::median;
 
-/// Times the usual difference from the neighbours, and mm: no reversal makes such a peak at a single point.
+/// A spike exceeds this multiple of the median difference from the neighbours, and this many mm. No reversal causes such a peak at a
+/// single point.
 const SPIKE: f64 = 20.0;
 const LEAST_SPIKE_MM: f64 = 0.2;
-/// Share of the radius by which the mean length may be off.
+/// Largest relative difference of the mean length from the radius.
 const MOST_APART: f64 = 0.01;
-/// No controller makes more turns in one run of a circular test, degrees.
+/// Largest angle of one run, degrees.
 const MOST_TURNED_DEG: f64 = 750.0;
-/// Nobody measures in a warmer room, degrees Celsius: 50 degrees Fahrenheit and more are.
+/// Higher temperatures are in degrees Fahrenheit.
 const WARMEST_C: f64 = 45.0;
-/// No bar warms by more in the minutes of a test, K.
+/// Largest change of the bar's temperature during a test, K.
 const MOST_WARMED_K: f64 = 8.0;
-/// Points from which neighbours are near.
+/// Fewest points whose neighbours are near.
 const LEAST_POINTS: usize = 12;
 
-pub(super) fn of(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
+pub(super) fn check(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
     let mut found: Vec<Finding> = traces.iter().filter_map(spike).collect();
     found.extend(traces.iter().filter_map(rows_twice));
     found.extend(traces.iter().filter_map(many_turns));
@@ -43,7 +44,7 @@ pub(super) fn of(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
     found
 }
 
-/// Lengths that all have so few decimals that the intervals, which rest on the noise, are too narrow.
+/// Lengths with so few decimals that the intervals, which follow from the noise, are too narrow.
 fn rounded(traces: &[Trace]) -> Option<Finding> {
     const STEP_MM: f64 = 0.01;
     let steps: Vec<f64> =
@@ -54,7 +55,7 @@ fn rounded(traces: &[Trace]) -> Option<Finding> {
         .then_some(Finding::RoundedLengths { step_um: 1e3 * STEP_MM })
 }
 
-/// Equal lengths one after the other, more than the share of equal neighbours elsewhere lets expect by chance.
+/// A run of equal lengths that is too long for the share of equal neighbours elsewhere.
 fn equal_run(traces: &[Trace]) -> Option<Finding> {
     const CHANCE: f64 = 1e-6;
     let runs = traces.iter().flat_map(|trace| {
@@ -66,7 +67,7 @@ fn equal_run(traces: &[Trace]) -> Option<Finding> {
     let pairs = || traces.iter().flat_map(|trace| trace.points.windows(2));
     let equal = pairs().filter(|pair| pair[0].length_mm == pair[1].length_mm).count();
     let (own, all) = (run.len() - 1, pairs().count());
-    // By the rule of succession.
+    // Rule of succession.
     let share = (equal - own + 1) as f64 / (all - own + 2) as f64;
     let chance = all as f64 * share.powi(i32::try_from(own).unwrap_or(i32::MAX));
     let (angle_deg, length_mm) = run.first().map(|point| (point.angle_deg, point.length_mm))?;
@@ -74,16 +75,16 @@ fn equal_run(traces: &[Trace]) -> Option<Finding> {
         .then(|| Finding::EqualRun { run: trace.run.clone(), points: own + 1, angle_deg, length_mm })
 }
 
-/// Two senses about other centres, or of other radii, while they are alike otherwise: between them the ball moved or the
-/// zero changed. What reverses makes steps.
+/// The two senses have different centres or radii but the same form: the ball moved between them, or the zero changed. Backlash
+/// causes steps instead.
 pub(super) fn apart(traces: &[Trace], rays: &Rays) -> Option<Finding> {
-    /// A steel bar that warms by 3 K, share of its length.
+    /// Relative expansion of a steel bar that warms by 3 K.
     const WARMED: f64 = 3.0 * 11.5e-6;
-    /// Deviate that is no chance.
+    /// Significant deviate.
     const DEVIATE: f64 = 5.0;
-    /// Size of the rest over that of the change of centre; of a square wave, which play makes, 0.48.
+    /// Largest ratio of the rest to the change of centre. Backlash makes a square wave, whose ratio is 0.48.
     const SMOOTH: f64 = 0.25;
-    // Joints turn otherwise in either sense: their play shifts mean and centre alike.
+    // Joints turn differently in the two senses: their backlash shifts mean and centre.
     if traces.iter().flat_map(|trace| &trace.points).any(|point| point.drives.is_some()) {
         return None;
     }
@@ -108,7 +109,7 @@ pub(super) fn apart(traces: &[Trace], rays: &Rays) -> Option<Finding> {
         .then_some(Finding::CentresApart { apart_um: 1e3 * centres_mm })
 }
 
-/// Root mean square of the difference of two traces at facing points, each about its own centre, mm.
+/// Root mean square difference of two traces at facing points, each about its own centre, mm.
 fn rest_between(rays: &Rays, [(ccw, there), (cw, back)]: [(usize, [f64; 2]); 2]) -> Option<f64> {
     let facing = rays.facing(ccw, cw)?;
     let squares: Vec<f64> = facing
@@ -121,7 +122,7 @@ fn rest_between(rays: &Rays, [(ccw, there), (cw, back)]: [(usize, [f64; 2]); 2])
     (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
-/// A form that no machine has.
+/// A deviation that is too large for a machine.
 pub(super) fn too_large(g_mm: f64, radius_mm: f64) -> Option<Finding> {
     (g_mm > MOST_APART * radius_mm).then_some(Finding::LargeDeviation { g_mm, radius_mm })
 }
@@ -150,7 +151,7 @@ fn warm(traces: &[Trace]) -> Option<Finding> {
     (mean_c > WARMEST_C).then_some(Finding::WarmBar { mean_c }).or(warmed)
 }
 
-/// Angles 1, 2, 3, ..: no circle is measured from 1 degree on.
+/// Angles 1, 2, 3, .. are counts: no circle starts at 1 degree.
 fn counted(trace: &Trace) -> Option<Finding> {
     let points = trace.points.len();
     let counts = trace.points.iter().zip(1..).all(|(point, number)| point.angle_deg == f64::from(number));
@@ -159,18 +160,18 @@ fn counted(trace: &Trace) -> Option<Finding> {
         .then(|| Finding::CountedPoints { run: trace.run.clone(), points })
 }
 
-/// Steps of angle in the sense of a trace and against it.
+/// Numbers of angle steps in the sense of a trace and against it.
 fn steps(trace: &Trace) -> [usize; 2] {
     let sign = if trace.sense == Sense::CounterClockwise { 1.0 } else { -1.0 };
     let step = |pair: &[Point]| sign * (pair[1].angle_deg - pair[0].angle_deg);
-    // Over the begin of the circle the step is large.
+    // The step across 0 degrees is large.
     let steps: Vec<f64> = trace.points.windows(2).map(step).filter(|step| step.abs() < 180.0).collect();
     [steps.iter().filter(|step| **step > 0.0).count(), steps.iter().filter(|step| **step < 0.0).count()]
 }
 
-/// Steps that are all against the sense are said elsewhere.
+/// Steps in both senses. Steps that are all against the sense have a finding of their own.
 fn turns_back(trace: &Trace) -> Option<Finding> {
-    /// Share of the steps: the ends of a motion may swing back.
+    /// Largest share of steps against the sense: the ends of a motion may swing back.
     const MOST_BACK: f64 = 0.1;
     let [with, against] = steps(trace);
     let is_mixed = with.min(against) as f64 > MOST_BACK * trace.points.len() as f64;
@@ -178,30 +179,30 @@ fn turns_back(trace: &Trace) -> Option<Finding> {
     is_mixed.then_some(Finding::TurnsBack { run, direction, steps: against })
 }
 
-/// The senses that do not pass one arc, `whole` being that of both.
-pub(super) fn unequal(traces: &[Trace], whole: &Arc) -> Option<Finding> {
+/// The senses do not cover the same arc. `joint` is the arc of both.
+pub(super) fn unequal(traces: &[Trace], joint: &Arc) -> Option<Finding> {
     const MOST_APART_DEG: f64 = 30.0;
-    /// Points of the senses may lie between each other.
+    /// The points of the senses may alternate.
     const BETWEEN: f64 = 1.5;
     let arc = |sense: Sense| {
         let of = || traces.iter().filter(|trace| trace.sense == sense);
         let points = of().map(|trace| trace.points.len()).max()?;
         let least_deg = MOST_APART_DEG.max(BETWEEN * 360.0 / points as f64);
-        let own = super::arc(of(), whole.condition);
-        Some((own.span_deg, own.largest_gap_deg - whole.largest_gap_deg > least_deg))
+        let own = super::arc(of(), joint.condition);
+        Some((own.span_deg, own.largest_gap_deg - joint.largest_gap_deg > least_deg))
     };
     let ((ccw_deg, ccw_lacks), (cw_deg, cw_lacks)) =
         arc(Sense::CounterClockwise).zip(arc(Sense::Clockwise))?;
     (ccw_lacks || cw_lacks).then_some(Finding::UnequalSenses { ccw_deg, cw_deg })
 }
 
-/// A standard deviation that was given and that the lengths contradict.
+/// The lengths contradict the given standard deviation.
 pub(super) fn other_sigma(traces: &[Trace], rays: &Rays, sigma_mm: f64) -> Option<Finding> {
-    /// Times the scatter, either way: units differ by a thousand.
+    /// Largest ratio to the scatter: a wrong unit makes a factor of a thousand.
     const FAR: f64 = 10.0;
-    /// Neighbours of a motion without stops scatter by less than its lengths, mm.
+    /// In a motion without stops the scatter of neighbours is less than that of the lengths, mm.
     const LARGE_MM: f64 = 0.1;
-    /// On a sparse circle the form is in the scatter.
+    /// On a circle with fewer points the scatter includes the form.
     const DENSE: usize = 36;
     if traces.iter().any(|trace| trace.points.len() < DENSE) {
         return None;
@@ -216,7 +217,7 @@ pub(super) fn other_sigma(traces: &[Trace], rays: &Rays, sigma_mm: f64) -> Optio
 }
 
 fn times_back(trace: &Trace) -> Option<Finding> {
-    /// No circle takes longer, s.
+    /// Longest test, s.
     const LONGEST_S: f64 = 6.0 * 3600.0;
     let times: Vec<f64> = trace.points.iter().filter_map(|point| point.t_s).collect();
     let span_s = times.last()? - times.first()?;
@@ -227,7 +228,7 @@ fn times_back(trace: &Trace) -> Option<Finding> {
     Some(Finding::TimesBack { run: trace.run.clone(), t_s: back[1] })
 }
 
-/// The point that is the farthest from the mean of its neighbours, if no circle has it.
+/// A point that is too far from the mean of its neighbours.
 fn spike(trace: &Trace) -> Option<Finding> {
     if trace.points.len() < LEAST_POINTS {
         return None;
