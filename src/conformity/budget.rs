@@ -1,9 +1,9 @@
 //! The uncertainty budget of a calibrated robot's position.
 //!
-//! The measurand is the position of the tool ball over the workspace, after the best rigid alignment, which lengths do not
-//! determine; each contribution is the root mean square of the 3-D error that its source alone leaves. The sources are
-//! independent, so their squares add (GUM 5.1.2). The expanded uncertainty is twice the root mean square: a normal 3-D error
-//! exceeds it with a probability of at most 4.6 %, which is reached where it lies along one direction.
+//! The measurand is the position of the tool ball over the workspace after the best rigid alignment, which lengths do not
+//! determine. A contribution is the root mean square of the 3-D error that its source alone causes. The sources are independent,
+//! so the squares add (GUM 5.1.2). The expanded uncertainty is twice the root of the sum: a normal 3-D error exceeds it with a
+//! probability of at most 4.6 %, the value for an error along one direction.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,14 +13,12 @@ use crate::measurement::Measurements;
 use crate::provenance::Identity;
 use crate::robot::{BarId, ParamId};
 
-/// Factor of the expanded uncertainty.
 pub const COVERAGE_FACTOR: f64 = 2.0;
 
-/// The budget; lengths in mm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Budget {
     pub lines: Vec<BudgetLine>,
-    /// Root of the sum of the squares of the contributions that are known.
+    /// Root sum of squares of the known contributions.
     pub combined_mm: f64,
     pub coverage_factor: f64,
     pub expanded_mm: f64,
@@ -30,46 +28,43 @@ pub struct Budget {
 pub struct BudgetLine {
     pub source: Source,
     pub basis: Basis,
-    /// Standard uncertainty of a length by this source, mm; of the geometry there is none.
+    /// Standard uncertainty of a length from this source; `None` for the geometry.
     pub length_mm: Option<f64>,
-    /// Its contribution to the position, mm; `None` of what is not determined.
+    /// Contribution to the position; `None` if it is not determined.
     pub position_mm: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
-    /// The bar's length.
+    /// Length of the bar.
     Bar,
-    /// The bar's temperature.
+    /// Temperature of the bar.
     Temperature,
-    /// The robot's repeatability.
     Repeatability,
-    /// The noise of the bar's readings.
+    /// Noise of the bar's readings.
     Noise,
-    /// What the lengths scatter beyond noise and repeatability: the model does not hold it.
+    /// Scatter of the lengths beyond noise and repeatability.
     Model,
-    /// What the lengths do not determine of the robot.
+    /// Parameters of the robot that the lengths do not determine.
     Geometry,
 }
 
-/// Where the figure of a line comes from.
+/// The origin of the figure of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Basis {
-    /// A certificate.
     Certificate,
     /// Stated by the user or a file.
     Stated,
-    /// From the residuals.
     Residuals,
-    /// Assumed, because nothing is known.
+    /// A default, because nothing is known.
     Assumed,
-    /// By the propagation of prior and lengths.
+    /// Propagation of prior and lengths.
     Prediction,
-    /// The lengths determine it.
+    /// Determined by the lengths.
     Lengths,
-    /// Taken as exact by the user.
+    /// Declared exact by the user.
     Exact,
     NotDetermined,
 }
@@ -103,7 +98,7 @@ impl Basis {
 }
 
 impl Budget {
-    /// Of a result from these lengths; `bar_u_mm` is the standard uncertainty of the bar's length, where it is known.
+    /// The budget of a result from these lengths. `bar_u_mm` is the standard uncertainty of the bar's length, if known.
     pub fn of(
         found: &CalibrationResult,
         lengths: &Measurements,
@@ -120,7 +115,7 @@ impl Budget {
     }
 }
 
-/// Standard uncertainty of the bar's length that the estimate went by, mm.
+/// Prior standard uncertainty of the bar's length, mm.
 fn bar_sd_mm(found: &CalibrationResult, bar_u_mm: Option<f64>) -> f64 {
     Priors::datasheet(&found.robot, bar_u_mm).sd(ParamId::BarOffset(BarId::FIRST))
 }
@@ -140,7 +135,7 @@ fn bar(found: &CalibrationResult, bar_u_mm: Option<f64>) -> BudgetLine {
     BudgetLine { source: Source::Bar, basis, length_mm, position_mm: Some(position_mm) }
 }
 
-/// An error of the bar's temperature is one of its length, u = L alpha u(T), and moves the position as that does.
+/// An error of the bar's temperature changes its length by u = L alpha u(T), and the position as an error of length does.
 fn temperature(found: &CalibrationResult, bar_u_mm: Option<f64>, identity: &Identity) -> BudgetLine {
     let of_bar = identity.temperatures.iter().find(|found| found.of == "bar").and_then(|found| found.u_k);
     let length_mm = identity.bar.length_mm.zip(identity.bar.expansion_per_k).zip(of_bar);
@@ -154,22 +149,22 @@ fn temperature(found: &CalibrationResult, bar_u_mm: Option<f64>, identity: &Iden
     }
 }
 
-/// The scatter of the lengths by what is known of it; the contributions are as the variances.
+/// Splits the scatter of the lengths into its known sources. The contributions are in the ratio of the variances.
 fn scatter(found: &CalibrationResult, lengths: &Measurements) -> Vec<BudgetLine> {
     let squares = lengths.rows.iter().map(|row| row.sigma_mm.map(|mm| mm * mm)).sum::<Option<f64>>();
-    let whole = found.sigma.mm.powi(2);
+    let total = found.sigma.mm.powi(2);
     let sd = found.robot.repeatability_sd_mm();
     let repeatability = sd.map_or(0.0, |mm| mm * mm);
-    // One that the user gave in place of the data's holds the repeatability.
+    // A standard deviation that the user gave includes the repeatability.
     let is_given = found.sigma.source == SigmaSource::Given;
-    let given = is_given.then_some((whole - repeatability).max(0.0));
+    let given = is_given.then_some((total - repeatability).max(0.0));
     let of_rows = squares.map(|sum| sum / lengths.rows.len().max(1) as f64);
-    let of_rows = of_rows.filter(|rows| !is_given || (rows - whole).abs() <= 1e-9 * whole);
+    let of_rows = of_rows.filter(|rows| !is_given || (rows - total).abs() <= 1e-9 * total);
     let stated = of_rows.or(given);
-    let noise = stated.unwrap_or(0.0).min(whole);
-    let repeated = repeatability.min(whole - noise);
+    let noise = stated.unwrap_or(0.0).min(total);
+    let repeated = repeatability.min(total - noise);
     let of = |source, basis, variance: f64| {
-        let share = if whole > 0.0 { (variance / whole).sqrt() } else { 0.0 };
+        let share = if total > 0.0 { (variance / total).sqrt() } else { 0.0 };
         let position_mm = Some(share * found.position_parts.noise_mm);
         BudgetLine { source, basis, length_mm: Some(variance.sqrt()), position_mm }
     };
@@ -182,20 +177,20 @@ fn scatter(found: &CalibrationResult, lengths: &Measurements) -> Vec<BudgetLine>
     vec![
         known(Source::Noise, stated.is_some(), noise),
         match sd {
-            // The residuals leave no room for it.
+            // The residuals are smaller than the stated repeatability.
             Some(_) if repeated < repeatability => of(Source::Repeatability, Basis::Residuals, repeated),
             known_sd => known(Source::Repeatability, known_sd.is_some(), repeated),
         },
-        of(Source::Model, Basis::Residuals, (whole - noise - repeated).max(0.0)),
+        of(Source::Model, Basis::Residuals, (total - noise - repeated).max(0.0)),
     ]
 }
 
-/// What is left of the predicted position uncertainty.
+/// The rest of the predicted position uncertainty.
 fn geometry(found: &CalibrationResult) -> BudgetLine {
-    let whole =
+    let total =
         found.map.iter().map(|point| point.rms_mm.powi(2)).sum::<f64>() / found.map.len().max(1) as f64;
     let parts = found.position_parts;
-    let rest = (whole - parts.bar_mm.powi(2) - parts.noise_mm.powi(2)).max(0.0).sqrt();
+    let rest = (total - parts.bar_mm.powi(2) - parts.noise_mm.powi(2)).max(0.0).sqrt();
     BudgetLine {
         source: Source::Geometry,
         basis: Basis::Prediction,

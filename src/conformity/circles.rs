@@ -1,4 +1,4 @@
-//! Circular tests of one machine in the order of time.
+//! Comparison of circular tests of one machine over time.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
@@ -11,34 +11,33 @@ use crate::diagnostic::Diagnostic;
 use crate::math::straight_line::Reached;
 use crate::provenance::Provenance;
 
-/// The schema that is known.
 const SCHEMA: u32 = 1;
-/// Half width of a 95 % interval in standard deviations.
+/// Coverage factor of a 95 % interval.
 const COVERAGE: f64 = 1.96;
-/// Quantities that say where the base ball is, which mounting changes.
+/// Position of the base ball, which changes with its mounting.
 const PLACES: [&str; 2] = ["x", "y"];
-/// The circular deviation, to which the tolerance applies: the first that is in the tests.
+/// The circular deviation to which the tolerance applies: the first of these that the tests have.
 const DEVIATIONS: [&str; 2] = ["Gb", "G_lsc"];
 
-/// A circle.json that was read.
+/// The content of a circle.json.
 #[derive(Clone, Debug)]
 pub struct CircleFile {
     pub file: String,
     pub circles: Vec<CircleRead>,
-    /// SHA-256 of what it was made from.
+    /// SHA-256 of its source.
     made_from: Option<String>,
 }
 
 /// A circle of a circle.json.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CircleRead {
-    /// Its number in the plan, where there is one.
+    /// Number in the plan.
     pub circle: Option<u32>,
     pub radius_mm: f64,
-    /// By [`NAMES`], with half widths of 95 % intervals made standard deviations.
+    /// In the order of [`NAMES`], with standard deviations from the 95 % intervals.
     quantities: Vec<Option<Value>>,
     pub traces: Vec<TraceRead>,
-    /// The angle that it covers, degrees; not in files of earlier versions.
+    /// Covered angle, degrees; `None` in files of earlier versions.
     span_deg: Option<f64>,
 }
 
@@ -51,7 +50,7 @@ pub struct TraceRead {
     pub deviations: Vec<[f64; 2]>,
 }
 
-/// A circle side by side.
+/// A circle in all files.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CircleCompared {
     pub circle: Option<u32>,
@@ -59,12 +58,11 @@ pub struct CircleCompared {
     pub quantities: Vec<Tracked<&'static str>>,
     /// When the trend of the circular deviation reaches the tolerance.
     pub reaches_tolerance: Option<Reached>,
-    /// Of each file.
+    /// Per file.
     #[serde(skip)]
     pub traces: Vec<Vec<TraceRead>>,
 }
 
-/// That a file has the schema that is known.
 pub(super) fn check_schema(json: &Json, known: u32) -> Result<(), ConformityFinding> {
     match json.get("schema") {
         Some(schema) if schema.as_u64() == Some(u64::from(known)) => Ok(()),
@@ -76,8 +74,6 @@ pub(super) fn check_schema(json: &Json, known: u32) -> Result<(), ConformityFind
 }
 
 impl CircleFile {
-    /// # Errors
-    /// What is no circle.json of the known schema.
     pub fn from_json(file: &str, json: &Json) -> Result<Self, Diagnostic> {
         let wrong = |finding| Diagnostic::file(file, finding);
         check_schema(json, SCHEMA).map_err(wrong)?;
@@ -85,7 +81,7 @@ impl CircleFile {
             Some(tests) => tests.iter().map(CircleRead::from_json).collect(),
             None => CircleRead::from_json(json).map(|circle| vec![circle]),
         };
-        // The newest source comes last.
+        // The last source is the newest.
         let made = json.get("provenance").and_then(|made| Provenance::deserialize(made).ok());
         let made_from = made.and_then(|made| Some(made.from.last()?.sha256.clone()));
         Ok(Self { file: file.into(), circles: circles.map_err(wrong)?, made_from })
@@ -121,16 +117,16 @@ impl CircleRead {
         })
     }
 
-    /// Whether two are tests of one circle.
-    fn is_again(&self, other: &Self) -> bool {
+    /// Whether both are tests of the same circle.
+    fn is_same_circle(&self, other: &Self) -> bool {
         self.circle == other.circle && self.radius_mm == other.radius_mm
     }
 }
 
-/// Two arcs whose spans differ by more are not one circle measured again, degrees.
+/// Arcs whose spans differ by more are not comparable, degrees.
 const ALIKE_DEG: f64 = 20.0;
 
-/// What is not alike in tests that are compared.
+/// Findings about tests that are not comparable.
 pub fn unlike(files: &[CircleFile]) -> Vec<ConformityFinding> {
     let Some((first, others)) = files.split_first() else { return Vec::new() };
     let mut findings = Vec::new();
@@ -141,7 +137,7 @@ pub fn unlike(files: &[CircleFile]) -> Vec<ConformityFinding> {
             findings.push(ConformityFinding::SameLengths { file, first });
         }
         for circle in &file.circles {
-            let again = first.circles.iter().find(|first| first.is_again(circle));
+            let again = first.circles.iter().find(|first| first.is_same_circle(circle));
             let spans = circle.span_deg.zip(again.and_then(|again| again.span_deg));
             if let Some((span_deg, first_deg)) = spans.filter(|(one, other)| (one - other).abs() > ALIKE_DEG)
             {
@@ -153,11 +149,8 @@ pub fn unlike(files: &[CircleFile]) -> Vec<ConformityFinding> {
     findings
 }
 
-/// Compares the circles that are in all files. `repeat_u_mm` is the standard uncertainty by which a quantity repeats from
-/// run to run, mm.
-///
-/// # Errors
-/// No circle that is in all.
+/// Compares the circles that are in all files. `repeat_u_mm` is the standard uncertainty of the repeatability of a quantity from run
+/// to run. It is an error if no circle is in all files.
 pub fn compare_circles(
     files: &[CircleFile],
     timeline: &Timeline,
@@ -167,10 +160,10 @@ pub fn compare_circles(
     let Some((first, others)) = files.split_first() else { return Ok(Vec::new()) };
     let mut compared = Vec::new();
     for circle in &first.circles {
-        let again = others.iter().map(|file| file.circles.iter().find(|other| other.is_again(circle)));
+        let again = others.iter().map(|file| file.circles.iter().find(|other| other.is_same_circle(circle)));
         let Some(again) = again.collect::<Option<Vec<&CircleRead>>>() else { continue };
         let tests: Vec<&CircleRead> = std::iter::once(circle).chain(again).collect();
-        compared.push(Tests { tests: &tests, timeline, repeat_u_mm }.compared(tolerance_mm));
+        compared.push(compare(&tests, timeline, tolerance_mm, repeat_u_mm));
     }
     if compared.is_empty() {
         let last = files.last().map_or("", |file| file.file.as_str());
@@ -180,35 +173,31 @@ pub fn compare_circles(
     Ok(compared)
 }
 
-/// The tests of one circle.
-struct Tests<'a> {
-    tests: &'a [&'a CircleRead],
-    timeline: &'a Timeline,
+/// Compares the tests of one circle.
+fn compare(
+    tests: &[&CircleRead],
+    timeline: &Timeline,
+    tolerance_mm: Option<f64>,
     repeat_u_mm: f64,
-}
-
-impl Tests<'_> {
-    fn compared(&self, tolerance_mm: Option<f64>) -> CircleCompared {
-        let named = NAMES.iter().enumerate().filter(|(_, name)| !PLACES.contains(name));
-        let series = named.filter_map(|(at, name)| {
-            let values: Option<Vec<Value>> = self.tests.iter().map(|test| test.quantities[at]).collect();
-            let repeated = |value: Value| Value { sd: value.sd.hypot(self.repeat_u_mm), ..value };
-            let values = values?.into_iter().map(repeated).collect();
-            Some(Series { name: *name, unit: "mm", values })
-        });
-        let quantities = track(series.collect(), self.timeline);
-        let deviation = DEVIATIONS.iter().find_map(|name| quantities.iter().find(|q| q.name == *name));
-        let trend = deviation.and_then(|quantity| quantity.trend).filter(|trend| trend.significant);
-        let reaches_tolerance = trend
-            .zip(tolerance_mm)
-            .and_then(|(trend, tolerance)| trend.line.reaches(tolerance, self.timeline.last(), COVERAGE));
-        let first = self.tests.first();
-        CircleCompared {
-            circle: first.and_then(|test| test.circle),
-            radius_mm: first.map_or(f64::NAN, |test| test.radius_mm),
-            quantities,
-            reaches_tolerance,
-            traces: self.tests.iter().map(|test| test.traces.clone()).collect(),
-        }
+) -> CircleCompared {
+    let named = NAMES.iter().enumerate().filter(|(_, name)| !PLACES.contains(name));
+    let series = named.filter_map(|(at, name)| {
+        let values: Option<Vec<Value>> = tests.iter().map(|test| test.quantities[at]).collect();
+        let repeated = |value: Value| Value { sd: value.sd.hypot(repeat_u_mm), ..value };
+        Some(Series { name: *name, unit: "mm", values: values?.into_iter().map(repeated).collect() })
+    });
+    let quantities = track(series.collect(), timeline);
+    let deviation = DEVIATIONS.iter().find_map(|name| quantities.iter().find(|q| q.name == *name));
+    let trend = deviation.and_then(|quantity| quantity.trend).filter(|trend| trend.significant);
+    let reaches_tolerance = trend
+        .zip(tolerance_mm)
+        .and_then(|(trend, tolerance)| trend.line.reaches(tolerance, timeline.last(), COVERAGE));
+    let first = tests.first();
+    CircleCompared {
+        circle: first.and_then(|test| test.circle),
+        radius_mm: first.map_or(f64::NAN, |test| test.radius_mm),
+        quantities,
+        reaches_tolerance,
+        traces: tests.iter().map(|test| test.traces.clone()).collect(),
     }
 }

@@ -1,14 +1,13 @@
-//! The decision on conformity with a tolerance by the distribution of what is measured (JCGM 106:2012).
+//! The decision on conformity with a tolerance, from the distribution of the measurand (JCGM 106:2012).
 
 use serde::Serialize;
 
-/// How the decision is made.
+/// The decision rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rule {
-    /// Pass, or fail, only where the probability of the contrary is at most `risk`; undecided between (guard bands,
-    /// JCGM 106 8.3).
+    /// Guard bands (JCGM 106 8.3): pass or fail only if the probability of the contrary is at most `risk`, else undecided.
     GuardBand { risk: f64 },
-    /// By the median alone (shared risk, JCGM 106 8.2).
+    /// Shared risk (JCGM 106 8.2): the median decides.
     SimpleAcceptance,
 }
 
@@ -20,41 +19,37 @@ pub enum Outcome {
     Undecided,
 }
 
-/// A decision with its rule and the risk that it is wrong.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Decision {
     pub decision: Outcome,
-    /// The rule in a word: `guard_band`, `simple_acceptance`, or `change` where no tolerance was given.
+    /// `guard_band`, `simple_acceptance`, or `change` without a tolerance.
     pub rule: &'static str,
     pub tolerance_mm: Option<f64>,
-    /// The position error that 95 % of the poses do not exceed: its median,
+    /// Median of the position error (the 95th percentile over the poses).
     pub position_error_mm: f64,
-    /// and the value that it exceeds with the risk allowed (a twentieth where none is stated).
+    /// The value that the position error exceeds with the allowed risk (0.05 if the rule states none).
     pub upper_mm: f64,
-    /// Distance from the tolerance that the median must keep to pass.
+    /// Least distance of the median from the tolerance to pass.
     pub guard_band_mm: Option<f64>,
-    /// The probability that the decision is wrong; of `undecided` that the tolerance is exceeded.
+    /// Probability that the decision is wrong. If undecided: that the tolerance is exceeded.
     pub specific_risk: Option<f64>,
 }
 
-/// A risk where the rule states none.
-const USUAL_RISK: f64 = 0.05;
+const DEFAULT_RISK: f64 = 0.05;
 
-/// Decides by drawn values (ascending) of what the tolerance applies to; without a tolerance by whether anything changed.
+/// Decides by ascending draws of the position error; without a tolerance by whether anything changed.
 pub fn decide(sizes_mm: &[f64], tolerance_mm: Option<f64>, rule: Rule, changed: bool) -> Decision {
     let at = |share: f64| {
-        let place = (share * sizes_mm.len() as f64).ceil() as usize;
-        sizes_mm
-            .get(place.saturating_sub(1).min(sizes_mm.len().saturating_sub(1)))
-            .copied()
-            .unwrap_or(f64::NAN)
+        let count = (share * sizes_mm.len() as f64).ceil() as usize;
+        let at = count.clamp(1, sizes_mm.len().max(1)) - 1;
+        sizes_mm.get(at).copied().unwrap_or(f64::NAN)
     };
     let risk = match rule {
         Rule::GuardBand { risk } => risk,
-        Rule::SimpleAcceptance => USUAL_RISK,
+        Rule::SimpleAcceptance => DEFAULT_RISK,
     };
     let (median, upper) = (at(0.5), at(1.0 - risk));
-    let whole = Decision {
+    let by_change = Decision {
         decision: if changed { Outcome::Fail } else { Outcome::Pass },
         rule: "change",
         tolerance_mm,
@@ -63,33 +58,33 @@ pub fn decide(sizes_mm: &[f64], tolerance_mm: Option<f64>, rule: Rule, changed: 
         guard_band_mm: None,
         specific_risk: None,
     };
-    let Some(tolerance) = tolerance_mm else { return whole };
+    let Some(tolerance) = tolerance_mm else { return by_change };
     let within = sizes_mm.partition_point(|size| *size <= tolerance);
     let share = |count: usize| count as f64 / sizes_mm.len().max(1) as f64;
-    let (keeps, exceeds) = (share(within), share(sizes_mm.len() - within));
+    let (conforms, exceeds) = (share(within), share(sizes_mm.len() - within));
     let (decision, rule) = match rule {
         Rule::SimpleAcceptance if median <= tolerance => (Outcome::Pass, "simple_acceptance"),
         Rule::SimpleAcceptance => (Outcome::Fail, "simple_acceptance"),
         Rule::GuardBand { risk } if exceeds <= risk => (Outcome::Pass, "guard_band"),
-        Rule::GuardBand { risk } if keeps <= risk => (Outcome::Fail, "guard_band"),
+        Rule::GuardBand { risk } if conforms <= risk => (Outcome::Fail, "guard_band"),
         Rule::GuardBand { .. } => (Outcome::Undecided, "guard_band"),
     };
     Decision {
         decision,
         rule,
         guard_band_mm: (rule == "guard_band").then_some(upper - median),
-        specific_risk: Some(if decision == Outcome::Fail { keeps } else { exceeds }),
-        ..whole
+        specific_risk: Some(if decision == Outcome::Fail { conforms } else { exceeds }),
+        ..by_change
     }
 }
 
 impl Decision {
-    /// Where a failure is no finding of the lengths.
-    pub(super) fn unless_failed(self) -> Self {
+    /// Turns a failure into `undecided`, if lengths that agree with the robot would fail as well.
+    pub(super) fn failure_as_undecided(self) -> Self {
         if self.decision != Outcome::Fail {
             return self;
         }
-        let specific_risk = self.specific_risk.map(|keeps| 1.0 - keeps);
+        let specific_risk = self.specific_risk.map(|conforms| 1.0 - conforms);
         Self { decision: Outcome::Undecided, specific_risk, ..self }
     }
 }
@@ -99,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_decision_keeps_its_risk() {
+    fn decisions_respect_the_allowed_risk() {
         let sizes: Vec<f64> = (1..=100).map(f64::from).collect();
         let rule = Rule::GuardBand { risk: 0.05 };
         for (tolerance, decision, risk) in [

@@ -1,4 +1,4 @@
-//! An interim check of a calibrated robot: what changed, how uncertain its position is now, and the decision.
+//! The interim check of a calibrated robot: what changed, the position uncertainty now, and the decision.
 
 use nalgebra::{DMatrix, DVector};
 use rand::SeedableRng;
@@ -18,55 +18,48 @@ use crate::math::distributions::chi_square_tail;
 use crate::measurement::{LengthModel, Measurements, PreparedMeasurement};
 use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, RobotPosterior, RobotUncertainty};
 
-/// Lengths beyond those that place the balls, at least.
+/// Least number of lengths beyond those that determine the base balls.
 pub const LEAST_FREEDOM: usize = 4;
-/// Robots that are drawn for the uncertainty of the position, and their seed.
+/// Monte Carlo draws of the robot for the position uncertainty, and their seed.
 const DRAWS: usize = 400;
 const SEED: u64 = 1;
-/// A hypothesis that leaves an innovation of a smaller chance explains it badly.
+/// A hypothesis explains the innovation badly if the rest has a smaller p-value.
 const BADLY_EXPLAINED: f64 = 1e-3;
-/// A base ball that is given so far from where the calibration had it is not mounted there, mm: places are known to
-/// centimetres.
+/// A base ball that is farther from its calibrated position is not the same mounting, mm: positions are stated to centimetres.
 const MOST_ASTRAY_MM: f64 = 50.0;
-/// So improbably small an innovation is none of lengths with this standard deviation.
+/// An innovation that is this improbably small contradicts the standard deviation of the lengths.
 const TOO_GOOD: f64 = 1e-4;
 
-/// What an interim check is of.
 #[derive(Clone, Copy)]
 pub struct CheckInput<'a> {
-    /// The calibrated robot, with its posterior.
+    /// The calibrated robot with its posterior.
     pub robot: &'a Robot,
-    /// Its geometry with the base balls of the check.
+    /// Its geometry, with the base balls of the check.
     pub start: &'a LengthModel,
     pub readings: &'a [PreparedMeasurement],
     pub bars: usize,
-    /// Standard deviation of a length, mm: noise, repeatability and what the model lacks.
+    /// Standard deviation of a length, mm: noise, repeatability and model error.
     pub sigma_mm: f64,
     pub mounting: Mounting,
     pub tolerance_mm: Option<f64>,
     pub rule: Rule,
-    /// Axis vectors (rad) over which the position error is taken.
+    /// Axis vectors (rad) over which the position error is evaluated.
     pub workspace: &'a [[f64; AXES]],
 }
 
-/// The standard deviation of lengths as the data and their robot's repeatability have it, mm, where either does.
+/// The standard deviation of the lengths according to the data and the robot's repeatability, mm, if either states one.
 pub fn own_sigma_mm(observations: &Measurements, robot: &Robot) -> Option<f64> {
     let squares = observations.rows.iter().map(|row| row.sigma_mm.map(|sigma| sigma * sigma));
     let bar = squares.sum::<Option<f64>>().map(|sum| (sum / observations.rows.len() as f64).sqrt());
     bar.or(robot.repeatability_sd_mm().map(|_| 0.0)).map(|bar| length_sd_mm(bar, robot))
 }
 
-/// The standard deviation of a check's lengths, mm: at least that which the calibration found, which has what its model
-/// lacks.
-///
-/// # Errors
-/// Nothing is known of it.
+/// The standard deviation of the lengths of a check, mm: at least that of the calibration, which includes the model error.
 pub fn sigma_mm(own: Option<f64>, of_calibration: Option<f64>) -> Result<f64, ConformityFinding> {
     let sigma_mm = own.into_iter().chain(of_calibration).reduce(f64::max);
     sigma_mm.filter(|mm| *mm > 0.0).ok_or(ConformityFinding::NoNoise)
 }
 
-/// The result of an interim check.
 #[derive(Clone, Debug, Serialize)]
 pub struct InterimCheck {
     pub schema: u32,
@@ -76,16 +69,16 @@ pub struct InterimCheck {
     #[serde(flatten)]
     pub decision: Decision,
     pub test: ChangeTest,
-    /// What probably changed, likeliest first; empty where the test finds no change.
+    /// The probable changes, the likeliest first; empty if the test finds no change.
     pub changes: Vec<Hypothesis>,
     /// Probability that nothing changed.
     pub unchanged_probability: f64,
     pub predicted_position_uncertainty_mm: PositionNow,
     pub detectable: Vec<Detectable>,
-    /// Of each robot drawn the position error that 95 % of the poses do not exceed, ascending, mm.
+    /// The 95th percentile of the position error over the poses, for each drawn robot, ascending, mm.
     #[serde(skip)]
     pub position_errors_mm: Vec<f64>,
-    /// Position uncertainty over the workspace now.
+    /// Position uncertainty over the workspace after the check.
     #[serde(skip)]
     pub map: Vec<MapPoint>,
     #[serde(skip)]
@@ -97,17 +90,15 @@ pub struct InterimCheck {
 /// Predicted position uncertainty over the workspace, mm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PositionNow {
-    /// As the calibration left it.
+    /// After the calibration.
     pub calibrated: ErrorSummary,
-    /// Of the robot as its file has it, after this check.
+    /// Of the robot file, after this check.
     pub now: ErrorSummary,
-    /// Of the robot as this check identifies what changed; `None` where nothing changed.
+    /// Of the robot that this check updates; `None` if nothing changed.
     pub updated: Option<ErrorSummary>,
 }
 
 impl CheckInput<'_> {
-    /// # Errors
-    /// A robot without a posterior of its values, too few lengths, numbers that are not finite.
     pub fn check(&self) -> Result<InterimCheck, ConformityFinding> {
         let known = self.known()?;
         let expected = Expected::new(&known, self.bars, self.mounting);
@@ -131,9 +122,9 @@ impl CheckInput<'_> {
         let undecidable = self.tolerance_mm.is_some_and(|tolerance| tolerance < least_mm);
         let position_errors_mm = position.sizes(&now);
         let mut decision = decide(&position_errors_mm, self.tolerance_mm, self.rule, test.changed);
-        // Where lengths that agree would fail as well, only a change is evidence of failure.
+        // If lengths that agree with the robot would fail as well, only a change is evidence of failure.
         if undecidable && !test.changed {
-            decision = decision.unless_failed();
+            decision = decision.failure_as_undecided();
         }
         Ok(InterimCheck {
             schema: 1,
@@ -157,10 +148,7 @@ impl CheckInput<'_> {
         })
     }
 
-    /// What the check will find by lengths at these poses, before they are measured.
-    ///
-    /// # Errors
-    /// As of the check.
+    /// The power of a check with lengths at these poses, before they are measured.
     pub fn power(&self) -> Result<CheckPower, ConformityFinding> {
         let expected = self.expected()?;
         self.enough()?;
@@ -179,20 +167,16 @@ impl CheckInput<'_> {
         })
     }
 
-    /// The robot before its check.
-    ///
-    /// # Errors
-    /// A robot without a posterior of its values.
+    /// The state of the robot before the check.
     pub fn expected(&self) -> Result<Expected, ConformityFinding> {
         Ok(Expected::new(&self.known()?, self.bars, self.mounting))
     }
 
-    /// The noise of the lengths.
     pub fn noise(&self) -> LengthNoise<'_> {
         LengthNoise::of(self.sigma_mm, self.robot.uncertainty.as_deref())
     }
 
-    /// The robot of the file with base balls and bar fitted to the lengths, nothing else.
+    /// The model of the robot file with base balls and bar fitted to the lengths.
     pub fn set_up(&self) -> Option<LengthModel> {
         let balls = (0..self.start.balls.len()).flat_map(|ball| {
             Coordinate::ALL.map(|axis| (ParamId::Ball(BallId::at(ball), axis), FREE_BALL_MM))
@@ -203,14 +187,14 @@ impl CheckInput<'_> {
         Some(found.model)
     }
 
-    /// The smallest tolerance with which lengths that agree with the calibrated robot pass.
+    /// The smallest tolerance at which lengths that agree with the calibrated robot pass.
     fn least_tolerance(&self, expected: &Expected, position: &Position) -> Option<f64> {
         let best = expected.posterior.after(self.readings, self.noise())?;
         let best = decide(&position.sizes(&position.of(&best, 1.0)), None, self.rule, false);
         Some(if self.rule == Rule::SimpleAcceptance { best.position_error_mm } else { best.upper_mm })
     }
 
-    /// The parameters and the tool ball as the calibration left them.
+    /// The posterior of the calibration.
     fn known(&self) -> Result<Posterior, ConformityFinding> {
         let robot = || self.robot.name.clone();
         let Some(known) = &self.robot.posterior else {
@@ -241,7 +225,7 @@ impl CheckInput<'_> {
         if lengths < least { Err(ConformityFinding::TooFewLengths { lengths, least }) } else { Ok(()) }
     }
 
-    /// What this hypothesis leaves, of the parameters that the calibration determined.
+    /// The posterior under a hypothesis.
     fn updated(&self, expected: &Expected, hypothesis: &Hypothesis) -> Option<Posterior> {
         let parameters = [hypothesis.parameters.as_slice(), &hypothesis.alike].concat();
         expected.changed(&parameters).posterior.learn(self.readings, self.noise())
@@ -294,7 +278,7 @@ impl CheckInput<'_> {
 }
 
 impl InterimCheck {
-    /// The robot with what changed identified anew; `None` where nothing changed, or nothing explains the lengths.
+    /// The robot with the changed parameters identified again; `None` if nothing changed or no hypothesis explains the lengths.
     pub fn update(&self) -> Option<&Robot> {
         self.update.as_ref().filter(|_| self.is_explained())
     }
@@ -307,23 +291,23 @@ impl InterimCheck {
     }
 }
 
-/// The rows of the root for these parameters, then those of the coefficients.
+/// The rows of the root for these parameters, then for the joint error coefficients.
 fn rows_of(posterior: &Posterior, ids: &[ParamId]) -> Vec<usize> {
     places(posterior, ids).chain(posterior.ids().len()..posterior.root().nrows()).collect()
 }
 
-/// The rows of the root for those of these parameters that it has.
+/// The rows of the root for these parameters, as far as it has them.
 fn places(posterior: &Posterior, ids: &[ParamId]) -> impl Iterator<Item = usize> {
     ids.iter().filter_map(|id| posterior.ids().iter().position(|other| other == id))
 }
 
-/// Of these parameters at a model, then of the coefficients of the joints' errors that a posterior has.
+/// The values of these parameters in a model, then of the joint error coefficients that the posterior has.
 fn values(posterior: &Posterior, ids: &[ParamId], model: &LengthModel) -> DVector<f64> {
     let coefficients = model.geometry.joint_errors.coefficients().into_iter().take(posterior.coefficients());
     DVector::from_vec(ids.iter().map(|id| model.value(*id)).chain(coefficients).collect())
 }
 
-/// The workspace in which the errors of the calibrated parameters count.
+/// The workspace over which position errors are evaluated.
 struct Position {
     workspace: Workspace,
     start: LengthModel,
@@ -340,7 +324,7 @@ impl Position {
         Self { workspace, start: known.model.clone() }
     }
 
-    /// Drawn errors of the model of `posterior`, a column each, of a share of the draws.
+    /// Draws of the parameter errors of `posterior`, a column each; `share` of all draws.
     fn of(&self, posterior: &Posterior, share: f64) -> DMatrix<f64> {
         let ids: &[ParamId] = self.workspace.ids();
         let rows = rows_of(posterior, ids);
@@ -351,7 +335,7 @@ impl Position {
         root * normal
     }
 
-    /// Drawn errors of the robot's file after the lengths, over all hypotheses by their probability.
+    /// Draws of the parameter errors of the robot file after the check, over all hypotheses by their probability.
     fn now(
         &self,
         expected: &Expected,
@@ -377,7 +361,7 @@ impl Position {
         self.workspace.displacements(errors)
     }
 
-    /// Of each draw the position error that 95 % of the poses do not exceed, ascending, mm.
+    /// The 95th percentile of the position error over the poses, for each draw, ascending, mm.
     fn sizes(&self, errors: &DMatrix<f64>) -> Vec<f64> {
         let moved = self.moved(errors);
         let mut sizes: Vec<f64> = (0..moved.ncols())

@@ -1,8 +1,7 @@
-//! Whether a calibrated robot is still what it was: its interim check, and results and circular tests side by side in
-//! time.
+//! Conformity of a calibrated robot over time: interim check (ISO/IEC 17025 7.7.1), decision rule (JCGM 106), uncertainty budget,
+//! and the comparison of results and circular tests.
 //!
-//! Changes are tested at one level for all quantities of a family together (Holm, Scand. J. Statist. 6, 1979). Pure:
-//! results in, numbers out.
+//! The changes of all quantities of a family are tested together at one level (Holm, Scand. J. Statist. 6, 1979).
 
 mod budget;
 mod circles;
@@ -26,28 +25,26 @@ pub use results::{
 pub use timeline::{TimeUnit, Timeline};
 pub use tracked::{Change, LEVEL, Tracked, Trend, Value};
 
-/// Results or circular tests side by side, in the order of time.
+/// A comparison of results or circular tests in the order of time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
     pub schema: u32,
     pub inputs: Vec<Input>,
-    /// Probability of a change that is none among all quantities of a family.
+    /// Probability of a false significant change in a family of quantities.
     pub level: f64,
     pub time_unit: TimeUnit,
-    /// Of the position over the workspace, or of the circular deviation.
+    /// For the position over the workspace, or for the circular deviation.
     pub tolerance_mm: Option<f64>,
     #[serde(flatten)]
     pub subject: Subject,
 }
 
-/// A file that is compared.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Input {
     pub file: String,
     pub date: Option<String>,
 }
 
-/// What is compared.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "lowercase")]
 pub enum Subject {

@@ -1,4 +1,4 @@
-//! Calibrations of one robot in the order of time.
+//! Comparison of calibrations of one robot over time.
 
 use std::collections::BTreeMap;
 
@@ -14,14 +14,13 @@ use crate::estimation::{ErrorSummary, Options, ResultFile, Workspace};
 use crate::math::straight_line::{Reached, StraightLine};
 use crate::robot::{ParamId, Robot};
 
-/// The schema that is known.
 const SCHEMA: u32 = 1;
-/// Nominal values that are equal to this share are one.
+/// Relative difference below which nominal values are equal.
 const SAME: f64 = 1e-9;
-/// Half width of a 95 % interval in standard deviations.
+/// Coverage factor of a 95 % interval.
 const COVERAGE: f64 = 1.96;
 
-/// A result that was read, with its parameters by their names.
+/// The parameters of a result.json.
 #[derive(Clone, Debug)]
 pub struct ResultRead {
     pub file: String,
@@ -33,17 +32,16 @@ pub struct ResultRead {
 struct Estimated {
     nominal: f64,
     identified: f64,
-    /// `None` of what was not estimated.
+    /// `None` if it was not estimated.
     value: Option<Value>,
 }
 
-/// The calibrations of a robot side by side.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ResultsCompared {
     pub robot: String,
-    /// The robot's own parameters.
+    /// Parameters of the robot.
     pub parameters: Vec<Tracked<ParamId>>,
-    /// Tool ball, base balls and bar: mounting changes them.
+    /// Tool ball, base balls and bar, which mounting changes.
     pub set_up: Vec<Tracked<ParamId>>,
     pub not_compared: Vec<NotCompared>,
     pub position_change_mm: PositionChange,
@@ -53,28 +51,26 @@ pub struct ResultsCompared {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct NotCompared {
     pub name: ParamId,
-    /// The places of the results that estimate it, from 0.
+    /// Indices of the results that estimate it, from 0.
     pub estimated_in: Vec<usize>,
 }
 
-/// How far the identified robot's position moved over the workspace, after one best rigid alignment, mm.
+/// Change of the identified robot's position over the workspace, after the best rigid alignment, mm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PositionChange {
     /// Between the first and the last result.
     pub whole: ErrorSummary,
-    /// By the parameters alone whose changes are significant.
+    /// From the significant changes only.
     pub significant: ErrorSummary,
     #[serde(skip)]
     pub map: Vec<MapPoint>,
-    /// Of the position that 95 % of the poses do not exceed, by the significant trends; `None` where none is.
+    /// Drift of the 95th percentile over the poses, from the significant trends; `None` without one.
     pub drift: Option<StraightLine>,
-    /// When this drift reaches the tolerance; `None` without a tolerance or a drift.
+    /// When the drift reaches the tolerance.
     pub reaches_tolerance: Option<Reached>,
 }
 
 impl ResultRead {
-    /// # Errors
-    /// What is no result of the known schema, or has a parameter or unit that dbbd does not know.
     pub fn from_json(file: &str, json: serde_json::Value) -> Result<Self, Diagnostic> {
         let wrong = |finding| Diagnostic::file(file, finding);
         super::circles::check_schema(&json, SCHEMA).map_err(wrong)?;
@@ -104,10 +100,7 @@ impl ResultRead {
     }
 }
 
-/// That all are of this robot.
-///
-/// # Errors
-/// Another name.
+/// Checks that all results are of this robot.
 pub fn of_robot(results: &[ResultRead], name: &str) -> Result<(), ConformityFinding> {
     match results.iter().find(|result| result.robot != name) {
         Some(ResultRead { file, robot, .. }) => Err(ConformityFinding::OtherRobot {
@@ -119,10 +112,7 @@ pub fn of_robot(results: &[ResultRead], name: &str) -> Result<(), ConformityFind
     }
 }
 
-/// That all are of the robot of the first.
-///
-/// # Errors
-/// Another name, or another nominal value of the robot's own parameters.
+/// Checks that all results have the robot and the nominal values of the first.
 pub fn same_robot(results: &[ResultRead]) -> Result<(), Diagnostic> {
     let Some((first, others)) = results.split_first() else { return Ok(()) };
     for other in others {
@@ -143,10 +133,7 @@ pub fn same_robot(results: &[ResultRead]) -> Result<(), Diagnostic> {
     Ok(())
 }
 
-/// Compares results of one robot; `robot` has its axes and limits.
-///
-/// # Errors
-/// Nothing that is estimated in all.
+/// Compares results of one robot. It is an error if no parameter is estimated in all of them.
 pub fn compare_results(
     robot: &Robot,
     results: &[ResultRead],
@@ -186,10 +173,10 @@ pub fn compare_results(
     })
 }
 
-/// The workspace in which the change of the position is taken.
+/// The workspace over which the position is compared.
 struct Position {
     workspace: Workspace,
-    /// Change of every parameter that moves the tool ball.
+    /// Change of each parameter that moves the tool ball.
     whole: DMatrix<f64>,
 }
 
@@ -241,8 +228,7 @@ impl Position {
         ErrorSummary::of(&self.workspace.displacements(&column))
     }
 
-    /// The significant trends together, as a line from the first result; its deviation from those of the slopes, which
-    /// count as independent.
+    /// The significant trends combined, as a line from the first result. The slopes count as independent.
     fn drift(&self, parameters: &[Tracked<ParamId>]) -> Option<StraightLine> {
         let lines = parameters.iter().filter_map(|parameter| {
             parameter.trend.filter(|trend| trend.significant).map(|trend| (parameter.name, trend.line))

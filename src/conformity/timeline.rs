@@ -1,22 +1,20 @@
-//! When the results were made.
+//! The times of the compared results.
 
 use serde::Serialize;
 
 use crate::base::date::day_number;
 use crate::catalogue::ConformityFinding;
 
-/// What is counted along a trend.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TimeUnit {
-    /// From the first result.
+    /// Since the first result.
     Days,
-    /// The number of the result, from 0.
+    /// Number of the result, from 0.
     Results,
 }
 
 impl TimeUnit {
-    /// One of it.
     pub fn word(self) -> &'static str {
         match self {
             Self::Days => "day",
@@ -25,7 +23,7 @@ impl TimeUnit {
     }
 }
 
-/// The times of the results: days from the first where their dates are known, else their numbers.
+/// Days since the first result if the dates are known, else the numbers of the results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timeline {
     pub unit: TimeUnit,
@@ -33,41 +31,30 @@ pub struct Timeline {
 }
 
 impl Timeline {
-    /// Of so many results in their order.
     pub fn numbered(results: usize) -> Self {
         Self { unit: TimeUnit::Results, times: (0..results).map(|at| at as f64).collect() }
     }
 
-    /// Of dates `YYYY-MM-DD`, one for each of so many results.
-    ///
-    /// # Errors
-    /// Another number of dates, what is no date, or one that is not after the one before.
+    /// From ascending dates `YYYY-MM-DD`, one per result.
     pub fn dated(dates: &[String], results: usize) -> Result<Self, ConformityFinding> {
         if dates.len() != results {
             return Err(ConformityFinding::DateCount { dates: dates.len(), results });
         }
-        let mut days: Vec<f64> = Vec::new();
-        let mut before: Option<&String> = None;
-        for date in dates {
-            let day = day_number(date).ok_or(ConformityFinding::NotADate { date: date.clone() })?;
-            if let Some((before, last)) = before.zip(days.last())
-                && day <= *last
-            {
-                return Err(ConformityFinding::NotAfter { date: date.clone(), before: before.clone() });
-            }
-            days.push(day);
-            before = Some(date);
+        let day = |date: &String| day_number(date).ok_or(ConformityFinding::NotADate { date: date.clone() });
+        let days: Vec<f64> = dates.iter().map(day).collect::<Result<_, _>>()?;
+        if let Some(at) = days.windows(2).position(|pair| pair[1] <= pair[0]) {
+            let (before, date) = (dates[at].clone(), dates[at + 1].clone());
+            return Err(ConformityFinding::NotAfter { date, before });
         }
         let first = days.first().copied().unwrap_or(0.0);
         Ok(Self { unit: TimeUnit::Days, times: days.into_iter().map(|day| day - first).collect() })
     }
 
-    /// Two values are a difference: any line fits them.
+    /// Two values have no trend: a line fits them exactly.
     pub fn has_trend(&self) -> bool {
         self.times.len() > 2
     }
 
-    /// The time of the last result.
     pub fn last(&self) -> f64 {
         self.times.last().copied().unwrap_or(0.0)
     }
@@ -78,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dates_are_days_apart_and_ascend() {
+    fn dates_become_days_and_must_ascend() {
         let dated = |dates: &[&str]| {
             let dates: Vec<String> = dates.iter().map(ToString::to_string).collect();
             Timeline::dated(&dates, dates.len())

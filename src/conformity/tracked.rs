@@ -1,4 +1,4 @@
-//! A quantity that was determined several times: its change, and its trend.
+//! A quantity that was determined several times: its change and its trend.
 
 use serde::Serialize;
 
@@ -6,20 +6,19 @@ use super::Timeline;
 use crate::math::distributions::two_sided_tail;
 use crate::math::straight_line::{Sighting, StraightLine};
 
-/// Probability of a change that is none, for all quantities of a family together.
+/// Probability of a false significant change in a family of quantities.
 pub const LEVEL: f64 = 0.01;
 
-/// A value with its standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Value {
     pub value: f64,
     pub sd: f64,
-    /// Degrees of freedom of the standard deviation, where it was estimated.
+    /// Degrees of freedom of an estimated standard deviation.
     #[serde(skip)]
     pub freedom: Option<f64>,
 }
 
-/// A quantity in the order of time.
+/// The values of a quantity in the order of time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Tracked<N> {
     pub name: N,
@@ -28,22 +27,22 @@ pub struct Tracked<N> {
     pub values: Vec<Value>,
     /// From the first to the last.
     pub change: Change,
-    /// `None` of fewer than three values, and where all times are one.
+    /// `None` for fewer than three values or equal times.
     pub trend: Option<Trend>,
 }
 
-/// A difference and how far chance explains it.
+/// A difference and its significance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Change {
     pub change: f64,
     pub sd: f64,
-    /// Probability of such a change where there is none: of this quantity alone, and as the largest of all (Holm).
+    /// p-value of this quantity alone.
     pub p: f64,
+    /// Adjusted for the family (Holm).
     pub p_holm: f64,
     pub significant: bool,
 }
 
-/// A straight line through the values.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Trend {
     #[serde(flatten)]
@@ -52,7 +51,6 @@ pub struct Trend {
     pub significant: bool,
 }
 
-/// A quantity before its test.
 pub(super) struct Series<N> {
     pub(super) name: N,
     pub(super) unit: &'static str,
@@ -70,10 +68,10 @@ pub(super) fn track<N>(family: Vec<Series<N>>, timeline: &Timeline) -> Vec<Track
         timeline.has_trend().then(|| StraightLine::through(&sightings(&series.values, timeline))).flatten()
     };
     let lines: Vec<Option<StraightLine>> = family.iter().map(line).collect();
-    let chances = |line: &Option<StraightLine>| {
+    let p = |line: &Option<StraightLine>| {
         line.map_or(1.0, |line| two_sided_tail(line.slope / line.slope_sd, None))
     };
-    let slopes = holm(&lines.iter().map(chances).collect::<Vec<f64>>());
+    let slopes = holm(&lines.iter().map(p).collect::<Vec<f64>>());
     let trend = |(line, p_holm): (Option<StraightLine>, f64)| {
         line.map(|line| Trend { line, p_holm, significant: p_holm < LEVEL })
     };
@@ -88,7 +86,7 @@ fn sightings(values: &[Value], timeline: &Timeline) -> Vec<Sighting> {
     places.map(|(x, value)| Sighting { x: *x, y: value.value, sd: value.sd }).collect()
 }
 
-/// From the first to the last value; the degrees of freedom of the difference by Welch and Satterthwaite.
+/// The change from the first to the last value. Its degrees of freedom are those of Welch and Satterthwaite.
 fn change(values: &[Value]) -> Change {
     let nothing = Value { value: 0.0, sd: 0.0, freedom: None };
     let [first, last] = [values.first(), values.last()].map(|value| value.copied().unwrap_or(nothing));
@@ -100,13 +98,13 @@ fn change(values: &[Value]) -> Change {
     Change { change, sd, p, p_holm: p, significant: false }
 }
 
-/// Holm's adjusted probabilities, in the order given.
-fn holm(chances: &[f64]) -> Vec<f64> {
-    let mut order: Vec<usize> = (0..chances.len()).collect();
-    order.sort_by(|a, b| chances[*a].total_cmp(&chances[*b]));
-    let (mut adjusted, mut most) = (vec![1.0; chances.len()], 0.0);
+/// Holm's adjusted p-values, in the given order.
+fn holm(p: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..p.len()).collect();
+    order.sort_by(|a, b| p[*a].total_cmp(&p[*b]));
+    let (mut adjusted, mut most) = (vec![1.0; p.len()], 0.0);
     for (rank, at) in order.into_iter().enumerate() {
-        most = (chances[at] * (chances.len() - rank) as f64).min(1.0).max(most);
+        most = (p[at] * (p.len() - rank) as f64).min(1.0).max(most);
         adjusted[at] = most;
     }
     adjusted
@@ -116,9 +114,9 @@ fn holm(chances: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// Values of R: p.adjust(c(0.01, 0.04, 0.03, 0.005), "holm").
+    /// Expected values from R: p.adjust(c(0.01, 0.04, 0.03, 0.005), "holm").
     #[test]
-    fn probabilities_are_adjusted_by_holm() {
+    fn p_values_are_adjusted_by_holm() {
         let adjusted = holm(&[0.01, 0.04, 0.03, 0.005]);
         for (found, expected) in adjusted.iter().zip([0.03, 0.06, 0.06, 0.02]) {
             assert!((found - expected).abs() < 1e-12, "{adjusted:?}");
@@ -126,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_counts_the_freedom_of_both_deviations() {
+    fn the_degrees_of_freedom_of_a_change_are_those_of_welch() {
         let value = |value, freedom| Value { value, sd: 1.0, freedom };
         // Welch: 2^2 / (1/5 + 1/5) = 10 degrees of freedom; scipy.stats.t.sf(3 / sqrt(2), 10) * 2.
         let found = change(&[value(0.0, Some(5.0)), value(3.0, Some(5.0))]);
