@@ -1,7 +1,7 @@
 //! SQLite and PostgreSQL with the same SQL statements, whose parameters are `$1`, `$2`, ..
 //!
-//! Expressions that differ between the two have a name in braces: `{now}`, `{user}`, `{skip_locked}`. Parameters and rows are
-//! JSON values, so that serde converts them.
+//! Expressions that differ between the two have a name in braces: `{now}`, `{user}`, `{skip_locked}`. Parameters and
+//! rows are JSON values, so that serde converts them.
 
 use std::error::Error as _;
 use std::path::Path;
@@ -124,8 +124,8 @@ impl Database {
         }
     }
 
-    /// Inserts a row with a column per field, unless its key exists. Returns whether it was inserted. `now` is a column for the
-    /// present time.
+    /// Inserts a row with a column per field, unless its key exists. Returns whether it was inserted. `now` is a column
+    /// for the present time.
     pub(super) fn insert(
         &mut self,
         table: &str,
@@ -303,8 +303,8 @@ impl ToSql for Parameter {
     to_sql_checked!();
 }
 
-/// TLS for PostgreSQL: the certificate chain and the host name are verified. Trusts the authority in the PEM file `root`
-/// and no other.
+/// TLS for PostgreSQL: the certificate chain and the host name are verified. Trusts the authority in the PEM file
+/// `root` and no other.
 fn tls(root: &Path) -> Result<MakeRustlsConnect, Diagnostic> {
     let wrong = |why: String| {
         Diagnostic::file(&root.display().to_string(), NotAnAddress { option: "sslrootcert".into(), why })

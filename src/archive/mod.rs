@@ -1,8 +1,8 @@
 //! The archive of a plant: a database of the runs of many cells, and an object store with their files.
 //!
-//! The SHA-256 of its capture identifies a run, as that of its content does a file. The row of a run is written after all of its
-//! files have been stored and read back, so every run in the database is complete. The database is SQLite or PostgreSQL, the
-//! store a directory or a bucket.
+//! The SHA-256 of its capture identifies a run, as that of its content does a file. The row of a run is written after
+//! all of its files have been stored and read back, so every run in the database is complete. The database is SQLite or
+//! PostgreSQL, the store a directory or a bucket.
 
 mod address;
 mod database;

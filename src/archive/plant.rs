@@ -187,7 +187,8 @@ impl Archive {
         Ok(totals)
     }
 
-    /// The newest results with the default settings, one per run, in the order of time. Runs without a date are left out.
+    /// The newest results with the default settings, one per run, in the order of time. Runs without a date are left
+    /// out.
     pub(super) fn history(&mut self, subject: Subject<'_>, most: u64) -> Result<Vec<Past>, Diagnostic> {
         let (name, from) = subject.results();
         let sql = format!("{from} ORDER BY run.measured DESC, run.sha256, result.made_at DESC LIMIT $3");

@@ -34,8 +34,8 @@ enum Stored {
 }
 
 impl Archive {
-    /// Stores a run. When this returns, all of its files have been read back from the store and its row is written. A push that
-    /// is interrupted leaves objects that the next one uses.
+    /// Stores a run. When this returns, all of its files have been read back from the store and its row is written. A
+    /// push that is interrupted leaves objects that the next one uses.
     pub fn push(&mut self, run: &LocalRun) -> Result<Pushed, Diagnostic> {
         let known = "SELECT sha256 FROM run_file WHERE run = $1";
         let known: Vec<String> = self.database.tuples(known, run.sha256())?;

@@ -1,4 +1,5 @@
-//! The schema of the database and its migrations. A released migration is never changed: the database holds its SHA-256.
+//! The schema of the database and its migrations. A released migration is never changed: the database holds its
+//! SHA-256.
 
 use super::database::Database;
 use crate::base::hash::sha256;

@@ -17,7 +17,8 @@ pub struct Spool<'a> {
 }
 
 impl<'a> Spool<'a> {
-    /// Locks the spool for this process, and waits until others release it. Partial runs of a killed process are removed.
+    /// Locks the spool for this process, and waits until others release it. Partial runs of a killed process are
+    /// removed.
     pub fn open(directory: &'a Path) -> Result<Self, Diagnostic> {
         let lock = files::exclusive(directory)?;
         let (mut stale, _) = listed(directory)?;

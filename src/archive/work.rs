@@ -1,7 +1,7 @@
 //! The job queue of the archive, shared by any number of workers, and the results.
 //!
-//! A worker claims a job with a lease and renews it. When the lease ends, another worker may claim the job. Two workers find the
-//! same result for a job, which is kept once.
+//! A worker claims a job with a lease and renews it. When the lease ends, another worker may claim the job. Two workers
+//! find the same result for a job, which is kept once.
 
 use std::time::Duration;
 
@@ -175,7 +175,8 @@ pub struct Queue {
 }
 
 impl Archive {
-    /// Queues the runs of a selection for identification by `version`, unless they are queued or done. Returns their number.
+    /// Queues the runs of a selection for identification by `version`, unless they are queued or done. Returns their
+    /// number.
     pub fn ask(
         &mut self,
         selection: &Selection,

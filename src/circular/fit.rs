@@ -1,4 +1,5 @@
-//! Least-squares circle with exact distances. Removing the centre linearly would leave e^2 / (2 R) of a set-up error e in the data.
+//! Least-squares circle with exact distances. Removing the centre linearly would leave e^2 / (2 R) of a set-up error e
+//! in the data.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -42,8 +43,8 @@ impl Ray {
 /// Largest number of Gauss-Newton steps.
 const STEPS: usize = 20;
 
-/// Fits centre and offset by Gauss-Newton from the programmed centre. `None` if the points do not determine them (fewer than three
-/// directions) or the iteration does not converge.
+/// Fits centre and offset by Gauss-Newton from the programmed centre. `None` if the points do not determine them (fewer
+/// than three directions) or the iteration does not converge.
 pub fn fit(rays: impl Iterator<Item = Ray> + Clone) -> Option<Circle> {
     let mut centre = [0.0; 2];
     for _ in 0..STEPS {

@@ -26,7 +26,8 @@ pub struct Diagnosis {
     pub harmonics: Vec<Harmonics>,
     /// Scale error of the first axis minus that of the second: 2 c2 / R, mean of the senses. With half width.
     pub scale_mismatch: Option<[f64; 2]>,
-    /// Squareness, rad: s2 / R summed over both senses. With one sense, twice its value, which includes a servo mismatch.
+    /// Squareness, rad: s2 / R summed over both senses. With one sense, twice its value, which includes a servo
+    /// mismatch.
     pub squareness_rad: Option<[f64; 2]>,
     /// Whether both senses separate squareness from servo mismatch.
     pub both_senses: bool,

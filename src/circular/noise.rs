@@ -63,8 +63,8 @@ impl Noise {
     }
 }
 
-/// The given uncertainty, else that of the points but at least the difference of repeated passes, else that difference, else the
-/// scatter between neighbours.
+/// The given uncertainty, else that of the points but at least the difference of repeated passes, else that difference,
+/// else the scatter between neighbours.
 pub(super) fn of(traces: &[Trace], rays: &Rays, given: Option<f64>) -> Noise {
     let all = |sigma: f64| traces.iter().map(|trace| vec![sigma; trace.points.len()]).collect();
     if let Some(sigma) = given {
@@ -125,8 +125,8 @@ fn repeated(traces: &[Trace], rays: &Rays) -> Option<Scatter> {
 
 /// Robust scatter of second differences between neighbours. On a sparse circle it includes the form.
 fn neighbours(traces: &[Trace], rays: &Rays) -> Scatter {
-    /// Degrees of freedom per second difference: the median has 0.37 of the efficiency of the variance, and the correlations of
-    /// neighbours, -2/3 and 1/6, cost a factor 1 + 2 (4/9 + 1/36).
+    /// Degrees of freedom per second difference: the median has 0.37 of the efficiency of the variance, and the
+    /// correlations of neighbours, -2/3 and 1/6, cost a factor 1 + 2 (4/9 + 1/36).
     const FREEDOM: f64 = 0.19;
     let mut second = differences(traces, rays, [1.0, -2.0, 1.0]);
     let freedom = FREEDOM * second.len() as f64;

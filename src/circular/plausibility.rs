@@ -7,8 +7,8 @@ use super::{Arc, Point, Sense, Trace, fit, noise};
 use crate::catalogue::CircularFinding as Finding;
 use crate::math::robust::median;
 
-/// A spike exceeds this multiple of the median difference from the neighbours, and this many mm. No reversal causes such a peak at a
-/// single point.
+/// A spike exceeds this multiple of the median difference from the neighbours, and this many mm. No reversal causes
+/// such a peak at a single point.
 const SPIKE: f64 = 20.0;
 const LEAST_SPIKE_MM: f64 = 0.2;
 /// Largest relative difference of the mean length from the radius.
@@ -75,8 +75,8 @@ fn equal_run(traces: &[Trace]) -> Option<Finding> {
         .then(|| Finding::EqualRun { run: trace.run.clone(), points: own + 1, angle_deg, length_mm })
 }
 
-/// The two senses have different centres or radii but the same form: the ball moved between them, or the zero changed. Backlash
-/// causes steps instead.
+/// The two senses have different centres or radii but the same form: the ball moved between them, or the zero changed.
+/// Backlash causes steps instead.
 pub(super) fn apart(traces: &[Trace], rays: &Rays) -> Option<Finding> {
     /// Relative expansion of a steel bar that warms by 3 K.
     const WARMED: f64 = 3.0 * 11.5e-6;

@@ -4,9 +4,9 @@ use super::fit::{Ray, fit};
 use super::zone::{extremes, minimum_zone, width};
 use super::{Arc, MOST_CONDITION, Quantity, Sense, Trace};
 
-/// The quantities of a test: circular deviation about the least-squares centre and of the minimum zone (the largest of the traces, each
-/// about its own centre), bi-directional circular deviation, mean radial deviation, largest and smallest radial deviation, hysteresis
-/// (1996), and the base ball relative to the programmed centre.
+/// The quantities of a test: circular deviation about the least-squares centre and of the minimum zone (the largest of
+/// the traces, each about its own centre), bi-directional circular deviation, mean radial deviation, largest and
+/// smallest radial deviation, hysteresis (1996), and the base ball relative to the programmed centre.
 pub const NAMES: [&str; 9] = ["G_lsc", "G_mzc", "Gb", "D", "F_max", "F_min", "H", "x", "y"];
 /// The quantities of a single trace, about its own centre (F about that of the test).
 pub const TRACE_NAMES: [&str; 7] = ["G_lsc", "G_mzc", "D", "F_max", "F_min", "x", "y"];

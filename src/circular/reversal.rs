@@ -1,11 +1,11 @@
 //! Reversals of the axes or joints along the circle, and the backlash of each, estimated from the steps that it causes.
 //!
-//! On a robot the reversals are not at 0, 90, 180 and 270 degrees but where the axis angles turn. With a backlash b a drive
-//! stops b/2 short of its target, on the side that it came from: the length changes by -b/2 times the sense of its motion times
-//! its lever. The levers of two linear axes are cos t and sin t; that of a robot's joint is the derivative of the length, mm/rad.
-//! The steps of linear axes are fitted together with the form of the circle, harmonics up to the third order. The form of a
-//! robot's circle is not of low order if the orientation changes along it. Its steps are fitted to the differences between the two
-//! senses at the same poses, in which the form cancels.
+//! On a robot the reversals are not at 0, 90, 180 and 270 degrees but where the axis angles turn. With a backlash b a
+//! drive stops b/2 short of its target, on the side that it came from: the length changes by -b/2 times the sense of
+//! its motion times its lever. The levers of two linear axes are cos t and sin t; that of a robot's joint is the
+//! derivative of the length, mm/rad. The steps of linear axes are fitted together with the form of the circle,
+//! harmonics up to the third order. The form of a robot's circle is not of low order if the orientation changes along
+//! it. Its steps are fitted to the differences between the two senses at the same poses, in which the form cancels.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -176,8 +176,8 @@ fn along(traces: &[Trace], rays: &Rays) -> Vec<Row> {
     rows
 }
 
-/// Rows of the joints of a robot: the difference of the lengths of a pose in the two senses, in which the form of the circle
-/// cancels. Besides the backlash it has a constant, the drift between the passes.
+/// Rows of the joints of a robot: the difference of the lengths of a pose in the two senses, in which the form of the
+/// circle cancels. Besides the backlash it has a constant, the drift between the passes.
 fn between_senses(traces: &[Trace], rays: &Rays) -> Vec<Row> {
     let of = |sense| traces.iter().enumerate().filter(move |(_, trace)| trace.sense == sense);
     let mut rows = Vec::new();
@@ -209,8 +209,8 @@ fn linear(theta: f64, sense: Sense) -> Vec<Drive> {
     vec![Drive { lever_mm: cos, sense: sign(-sin) }, Drive { lever_mm: sin, sense: sign(cos) }]
 }
 
-/// Least squares with columns scaled to unit norm: solution, covariance for unit variance, and variance of the residuals. `None`
-/// if the columns are not separable.
+/// Least squares with columns scaled to unit norm: solution, covariance for unit variance, and variance of the
+/// residuals. `None` if the columns are not separable.
 fn solve(mut matrix: DMatrix<f64>, values: DVector<f64>) -> Option<(DVector<f64>, DMatrix<f64>, f64)> {
     let (rows, columns) = matrix.shape();
     let norms: Vec<f64> = matrix.column_iter().map(|column| column.norm()).collect();

@@ -21,8 +21,8 @@ impl Default for Temperature {
 }
 
 impl Temperature {
-    /// Refers a length (bar's length plus reading) measured at `temp_c` to 20 degrees: the warm bar is longer than certified, and the
-    /// machine's circle is larger.
+    /// Refers a length (bar's length plus reading) measured at `temp_c` to 20 degrees: the warm bar is longer than
+    /// certified, and the machine's circle is larger.
     pub fn referred_mm(&self, length_mm: f64, temp_c: f64) -> f64 {
         let bar = 1.0 + self.bar_per_k.unwrap_or(0.0) * (temp_c - self.certified_c);
         let machine = 1.0 + self.machine_per_k.unwrap_or(0.0) * (temp_c - REFERENCE_C);

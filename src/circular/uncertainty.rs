@@ -1,8 +1,9 @@
-//! Uncertainty. G, F and H are extremes, for which the law of propagation does not hold: Monte Carlo (GUM Supplement 1). Centre and
-//! radius are linear in the lengths and follow from the fit.
+//! Uncertainty. G, F and H are extremes, for which the law of propagation does not hold: Monte Carlo (GUM Supplement
+//! 1). Centre and radius are linear in the lengths and follow from the fit.
 //!
-//! The Monte Carlo draws about a smoothed form of the circle. If it drew about the lengths, an extreme that noise has raised would
-//! be raised again, and the noise would seem to add least where it has added most. Only the intervals use the smoothed form.
+//! The Monte Carlo draws about a smoothed form of the circle. If it drew about the lengths, an extreme that noise has
+//! raised would be raised again, and the noise would seem to add least where it has added most. Only the intervals use
+//! the smoothed form.
 
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -73,8 +74,8 @@ pub(super) fn u95(
 /// Candidate numbers of neighbours on either side for the smoothing.
 const REACHES: [usize; 8] = [0, 1, 2, 3, 4, 6, 8, 12];
 
-/// The traces with their deviations replaced by means over neighbours, and the share of the variance of the noise that is left. The
-/// number of neighbours has the least expected squared error by Stein's unbiased estimate.
+/// The traces with their deviations replaced by means over neighbours, and the share of the variance of the noise that
+/// is left. The number of neighbours has the least expected squared error by Stein's unbiased estimate.
 fn smoothed(rays: &Rays, sigma_mm: &[Vec<f64>]) -> (Vec<Vec<Ray>>, f64) {
     let Rays { traces, centre, .. } = rays;
     let deviations: Vec<Vec<f64>> =
@@ -139,9 +140,9 @@ fn draw(base: &Rays, sigma_mm: &[Vec<f64>], allowed: Allowed, settings: &Setting
     Some(added)
 }
 
-/// The half width from what the draws of noise added to a value. Noise increases extremes in proportion to its standard deviation.
-/// The smoothed form still has the share `left` of the variance of the noise, so a part of the bias is there before the draw, which
-/// shows only sqrt(1 + left) - sqrt(left) of it. NaN if a draw is not a number.
+/// The half width from what the draws of noise added to a value. Noise increases extremes in proportion to its standard
+/// deviation. The smoothed form still has the share `left` of the variance of the noise, so a part of the bias is there
+/// before the draw, which shows only sqrt(1 + left) - sqrt(left) of it. NaN if a draw is not a number.
 fn half_width(added: &mut [f64], left: f64) -> f64 {
     if added.is_empty() || added.iter().any(|value| value.is_nan()) {
         return f64::NAN;

@@ -1,8 +1,8 @@
 //! The minimum zone: the two concentric circles of least radial distance between which all points lie.
 //!
-//! Linearised about a centre, the problem is a linear programme in centre, offset and half width. Its dual is solved by the simplex
-//! method: in a basis of four points, one is exchanged in each step for the point farthest outside the zone. The linearisation is
-//! repeated until the centre does not move.
+//! Linearised about a centre, the problem is a linear programme in centre, offset and half width. Its dual is solved by
+//! the simplex method: in a basis of four points, one is exchanged in each step for the point farthest outside the
+//! zone. The linearisation is repeated until the centre does not move.
 
 use nalgebra::{Matrix4, Vector4};
 
@@ -22,7 +22,8 @@ const MANY: usize = 2 * SECTORS;
 /// Convergence limit of centre and zone, mm: a few rounding errors of a length.
 const CONVERGED_MM: f64 = 1e-11;
 
-/// The minimum zone, starting at the centre of the least-squares circle. `None` if the points have fewer than three directions.
+/// The minimum zone, starting at the centre of the least-squares circle. `None` if the points have fewer than three
+/// directions.
 pub fn minimum_zone(rays: &[Ray], centre: [f64; 2]) -> Option<Zone> {
     if rays.len() <= MANY {
         return converge(rays, centre);

@@ -1,9 +1,9 @@
 //! The uncertainty budget of a calibrated robot's position.
 //!
-//! The measurand is the position of the tool ball over the workspace after the best rigid alignment, which lengths do not
-//! determine. A contribution is the root mean square of the 3-D error that its source alone causes. The sources are independent,
-//! so the squares add (GUM 5.1.2). The expanded uncertainty is twice the root of the sum: a normal 3-D error exceeds it with a
-//! probability of at most 4.6 %, the value for an error along one direction.
+//! The measurand is the position of the tool ball over the workspace after the best rigid alignment, which lengths do
+//! not determine. A contribution is the root mean square of the 3-D error that its source alone causes. The sources are
+//! independent, so the squares add (GUM 5.1.2). The expanded uncertainty is twice the root of the sum: a normal 3-D
+//! error exceeds it with a probability of at most 4.6 %, the value for an error along one direction.
 
 use serde::{Deserialize, Serialize};
 
@@ -135,7 +135,8 @@ fn bar(found: &CalibrationResult, bar_u_mm: Option<f64>) -> BudgetLine {
     BudgetLine { source: Source::Bar, basis, length_mm, position_mm: Some(position_mm) }
 }
 
-/// An error of the bar's temperature changes its length by u = L alpha u(T), and the position as an error of length does.
+/// An error of the bar's temperature changes its length by u = L alpha u(T), and the position as an error of length
+/// does.
 fn temperature(found: &CalibrationResult, bar_u_mm: Option<f64>, identity: &Identity) -> BudgetLine {
     let of_bar = identity.temperatures.iter().find(|found| found.of == "bar").and_then(|found| found.u_k);
     let length_mm = identity.bar.length_mm.zip(identity.bar.expansion_per_k).zip(of_bar);

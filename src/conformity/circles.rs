@@ -149,8 +149,8 @@ pub fn unlike(files: &[CircleFile]) -> Vec<ConformityFinding> {
     findings
 }
 
-/// Compares the circles that are in all files. `repeat_u_mm` is the standard uncertainty of the repeatability of a quantity from run
-/// to run. It is an error if no circle is in all files.
+/// Compares the circles that are in all files. `repeat_u_mm` is the standard uncertainty of the repeatability of a
+/// quantity from run to run. It is an error if no circle is in all files.
 pub fn compare_circles(
     files: &[CircleFile],
     timeline: &Timeline,

@@ -5,7 +5,8 @@ use serde::Serialize;
 /// The decision rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rule {
-    /// Guard bands (JCGM 106 8.3): pass or fail only if the probability of the contrary is at most `risk`, else undecided.
+    /// Guard bands (JCGM 106 8.3): pass or fail only if the probability of the contrary is at most `risk`, else
+    /// undecided.
     GuardBand { risk: f64 },
     /// Shared risk (JCGM 106 8.2): the median decides.
     SimpleAcceptance,

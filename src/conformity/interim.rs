@@ -25,7 +25,8 @@ const DRAWS: usize = 400;
 const SEED: u64 = 1;
 /// A hypothesis explains the innovation badly if the rest has a smaller p-value.
 const BADLY_EXPLAINED: f64 = 1e-3;
-/// A base ball that is farther from its calibrated position is not the same mounting, mm: positions are stated to centimetres.
+/// A base ball that is farther from its calibrated position is not the same mounting, mm: positions are stated to
+/// centimetres.
 const MOST_ASTRAY_MM: f64 = 50.0;
 /// An innovation that is this improbably small contradicts the standard deviation of the lengths.
 const TOO_GOOD: f64 = 1e-4;
@@ -54,7 +55,8 @@ pub fn own_sigma_mm(observations: &Measurements, robot: &Robot) -> Option<f64> {
     bar.or(robot.repeatability_sd_mm().map(|_| 0.0)).map(|bar| length_sd_mm(bar, robot))
 }
 
-/// The standard deviation of the lengths of a check, mm: at least that of the calibration, which includes the model error.
+/// The standard deviation of the lengths of a check, mm: at least that of the calibration, which includes the model
+/// error.
 pub fn sigma_mm(own: Option<f64>, of_calibration: Option<f64>) -> Result<f64, ConformityFinding> {
     let sigma_mm = own.into_iter().chain(of_calibration).reduce(f64::max);
     sigma_mm.filter(|mm| *mm > 0.0).ok_or(ConformityFinding::NoNoise)
@@ -278,7 +280,8 @@ impl CheckInput<'_> {
 }
 
 impl InterimCheck {
-    /// The robot with the changed parameters identified again; `None` if nothing changed or no hypothesis explains the lengths.
+    /// The robot with the changed parameters identified again; `None` if nothing changed or no hypothesis explains the
+    /// lengths.
     pub fn update(&self) -> Option<&Robot> {
         self.update.as_ref().filter(|_| self.is_explained())
     }

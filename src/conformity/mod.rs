@@ -1,5 +1,5 @@
-//! Conformity of a calibrated robot over time: interim check (ISO/IEC 17025 7.7.1), decision rule (JCGM 106), uncertainty budget,
-//! and the comparison of results and circular tests.
+//! Conformity of a calibrated robot over time: interim check (ISO/IEC 17025 7.7.1), decision rule (JCGM 106),
+//! uncertainty budget, and the comparison of results and circular tests.
 //!
 //! The changes of all quantities of a family are tested together at one level (Holm, Scand. J. Statist. 6, 1979).
 

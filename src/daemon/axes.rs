@@ -1,7 +1,7 @@
 //! The connection to a controller that publishes its axes: a listener for KUKA RSI (UDP) or a client of UR RTDE (TCP).
 //!
-//! A thread reads and timestamps; the recorder writes and decodes. Nothing is sent to an RSI controller unless the address
-//! requests it: a wrong answer could move the robot, a missing one may stop it.
+//! A thread reads and timestamps; the recorder writes and decodes. Nothing is sent to an RSI controller unless the
+//! address requests it: a wrong answer could move the robot, a missing one may stop it.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{IpAddr, SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};

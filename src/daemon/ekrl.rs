@@ -1,8 +1,8 @@
 //! EthernetKRL: the TCP server for the dwell reports (telegrams) of a program, and their recording.
 //!
-//! The controller connects for each module and closes at its end. A controller that was switched off closes nothing, so a new
-//! connection is accepted while an old one is open. A telegram is answered after it has been recorded. A telegram that is
-//! malformed, of another plan or of a row without a dwell is answered with 0, which halts the program.
+//! The controller connects for each module and closes at its end. A controller that was switched off closes nothing, so
+//! a new connection is accepted while an old one is open. A telegram is answered after it has been recorded. A telegram
+//! that is malformed, of another plan or of a row without a dwell is answered with 0, which halts the program.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read, Write};
@@ -22,7 +22,8 @@ use crate::diagnostic::Diagnostic;
 use crate::recording::capture::Event;
 use crate::recording::{Telegram, TelegramReader, TelegramResult};
 
-/// Connections at a time: the controller's and stale ones. A new connection replaces the one that has been idle longest.
+/// Connections at a time: the controller's and stale ones. A new connection replaces the one that has been idle
+/// longest.
 const MOST_CLIENTS: usize = 8;
 /// Events that are not recorded yet. Each client waits for its answer, so the queue never fills.
 const QUEUE: usize = 4 * MOST_CLIENTS;
@@ -226,7 +227,8 @@ pub(super) struct Telegrams {
     closed: bool,
 }
 
-/// Bytes of the bar that arrived before a telegram are recorded before it, if the reader delivers them within this time.
+/// Bytes of the bar that arrived before a telegram are recorded before it, if the reader delivers them within this
+/// time.
 const BEFORE_S: f64 = 0.02;
 
 /// Whether bytes of the bar may be waiting to be recorded.

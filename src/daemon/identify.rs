@@ -47,8 +47,8 @@ impl Attempt {
 }
 
 impl Search<'_> {
-    /// Listens at each baud rate of the definitions, then sends their commands, until the bytes are explained. `report` is
-    /// called after each attempt.
+    /// Listens at each baud rate of the definitions, then sends their commands, until the bytes are explained. `report`
+    /// is called after each attempt.
     pub fn attempts(&self, mut report: impl FnMut(&Attempt)) -> Result<Vec<Attempt>, PortFinding> {
         let mut attempts = Vec::new();
         let mut patience_s = WAKE_S;
@@ -96,7 +96,8 @@ impl Search<'_> {
         lines
     }
 
-    /// Waits for the first byte, and listens longer if the bytes may be of a bar. Also returns the time until the first byte, s.
+    /// Waits for the first byte, and listens longer if the bytes may be of a bar. Also returns the time until the first
+    /// byte, s.
     fn listen(&self, line: &LineSettings, patience_s: f64) -> Result<(Attempt, f64), PortFinding> {
         let mut port = Port::open(self.port, line)?;
         let has_rate = matches!(port.stamps().transport, Transport::Tty | Transport::Rfc2217);

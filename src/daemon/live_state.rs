@@ -1,5 +1,5 @@
-//! The live state of a run: frames a few times a second, and a point per dwell. The stream drops messages that are not read,
-//! so that no client can hold up the recorder.
+//! The live state of a run: frames a few times a second, and a point per dwell. The stream drops messages that are not
+//! read, so that no client can hold up the recorder.
 
 use std::sync::{Arc, Mutex};
 
@@ -81,8 +81,8 @@ impl Feed {
         }
     }
 
-    /// Adds a recorded sample; `device_s` is its device time since the first one, `dwells` the completed dwells. Returns what
-    /// it shows of the mounting.
+    /// Adds a recorded sample; `device_s` is its device time since the first one, `dwells` the completed dwells.
+    /// Returns what it shows of the mounting.
     pub(super) fn sample(
         &mut self,
         host: HostNs,

@@ -16,8 +16,8 @@ pub struct Reading {
     pub dwells: u32,
 }
 
-/// A bar is mounted once its readings were valid and inside the stroke for a second. It is taken off when the dwells before a
-/// planned removal are complete and its reading leaves the stroke. Without a plan it stays mounted.
+/// A bar is mounted once its readings were valid and inside the stroke for a second. It is taken off when the dwells
+/// before a planned removal are complete and its reading leaves the stroke. Without a plan it stays mounted.
 #[derive(Clone, Debug, Default)]
 pub struct MountDetector {
     mounted: bool,

@@ -103,7 +103,8 @@ impl Polling {
         self.pending = None;
     }
 
-    /// Sends a request if one is due, and returns the time until the next step. The inner error means that the port is gone.
+    /// Sends a request if one is due, and returns the time until the next step. The inner error means that the port is
+    /// gone.
     pub(super) fn step(
         &mut self,
         definition: &Definition,

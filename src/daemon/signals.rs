@@ -8,8 +8,8 @@ use std::task::Poll;
 use crate::catalogue::ServiceFinding;
 use crate::diagnostic::Diagnostic;
 
-/// A flag that is set by SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1 or SIGUSR2; on Windows by Ctrl-C, Ctrl-Break, the end of
-/// the window or the session, or the shutdown.
+/// A flag that is set by SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1 or SIGUSR2; on Windows by Ctrl-C, Ctrl-Break, the
+/// end of the window or the session, or the shutdown.
 pub fn stop_on_signal() -> Result<Arc<AtomicBool>, Diagnostic> {
     raised_on_signal().map_err(|error| ServiceFinding::NoSystem { why: error.to_string() }.into())
 }

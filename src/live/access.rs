@@ -1,7 +1,7 @@
 //! Access control: the Host and Origin headers of a request, and its token or session cookie.
 //!
-//! DNS rebinding: a page of another site that resolves its name to this machine sends its own name as Host. Only addresses
-//! and configured names are accepted as Host, and only the same host as Origin.
+//! DNS rebinding: a page of another site that resolves its name to this machine sends its own name as Host. Only
+//! addresses and configured names are accepted as Host, and only the same host as Origin.
 
 use std::collections::VecDeque;
 use std::hint::black_box;

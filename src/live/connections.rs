@@ -1,8 +1,8 @@
 //! Limits on the number of open connections.
 //!
-//! A new connection is always accepted; otherwise a client that holds all places would keep the operator from *stop*. At a
-//! limit another connection is closed for it: first one that has not authenticated, then one without a request in progress,
-//! then the one that has been idle longest.
+//! A new connection is always accepted; otherwise a client that holds all places would keep the operator from *stop*.
+//! At a limit another connection is closed for it: first one that has not authenticated, then one without a request in
+//! progress, then the one that has been idle longest.
 
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard};

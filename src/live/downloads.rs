@@ -17,8 +17,8 @@ const PIECE: usize = 64 * 1024;
 /// The script of a report.
 const VIEWER: &str = include_str!("../report/viewer.js");
 
-/// Content security policy of a report: its own style and images, no script but the viewer's, and an opaque origin, so that it
-/// cannot reach the service.
+/// Content security policy of a report: its own style and images, no script but the viewer's, and an opaque origin, so
+/// that it cannot reach the service.
 fn report_policy() -> String {
     format!(
         "default-src 'none'; script-src 'sha256-{}'; style-src 'unsafe-inline'; img-src data:; sandbox allow-scripts; \

@@ -1,7 +1,7 @@
 //! The web side of the service: HTTP API, live stream, pages, metrics.
 //!
-//! This module knows no ports and captures. It reads a watch channel and a lossy broadcast and calls a [`Service`], so that no
-//! client can slow the recorder down or end a run by disconnecting.
+//! This module knows no ports and captures. It reads a watch channel and a lossy broadcast and calls a [`Service`], so
+//! that no client can slow the recorder down or end a run by disconnecting.
 
 mod access;
 mod api;

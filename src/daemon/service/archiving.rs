@@ -105,8 +105,8 @@ fn round(supervisor: &Supervisor, archive: &ToArchive, confirmed: u64) -> Archiv
     state
 }
 
-/// The names of the runs that no run or job is writing. The directory is listed first, so that a run that begins meanwhile is
-/// not among them.
+/// The names of the runs that no run or job is writing. The directory is listed first, so that a run that begins
+/// meanwhile is not among them.
 fn completed(supervisor: &Supervisor) -> io::Result<Vec<String>> {
     let entries = match fs::read_dir(&supervisor.config.data) {
         // No run was recorded yet.

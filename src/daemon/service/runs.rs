@@ -1,4 +1,5 @@
-//! The runs in the data directory: captures `NAME/run.dbbd`, and results in `NAME/sync`, `NAME/identify`, `NAME/circle`.
+//! The runs in the data directory: captures `NAME/run.dbbd`, and results in `NAME/sync`, `NAME/identify`,
+//! `NAME/circle`.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
@@ -20,8 +21,9 @@ const LONGEST_NAME: usize = 64;
 /// Device names of Windows. The last two are followed by a digit.
 const WINDOWS_DEVICES: [&str; 6] = ["con", "prn", "aux", "nul", "com", "lpt"];
 
-/// Whether a name from a client may be a file name: letters, digits, `.`, `_`, `-` without a leading dot or dash, so that it is
-/// no path, no hidden file and no command option. Names that Windows reserves are refused, so that runs can be copied there.
+/// Whether a name from a client may be a file name: letters, digits, `.`, `_`, `-` without a leading dot or dash, so
+/// that it is no path, no hidden file and no command option. Names that Windows reserves are refused, so that runs can
+/// be copied there.
 pub(super) fn is_sound(name: &str) -> bool {
     let sound = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
     name.len() <= LONGEST_NAME

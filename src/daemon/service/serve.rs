@@ -112,8 +112,8 @@ struct Tick {
     keep_alive: bool,
 }
 
-/// Updates the state, serves the watchdog of the service manager, and restarts the web thread after a panic. Returns the web
-/// thread on a signal.
+/// Updates the state, serves the watchdog of the service manager, and restarts the web thread after a panic. Returns
+/// the web thread on a signal.
 fn main_loop(web: &Web, signalled: &AtomicBool, tick: impl Fn() -> Tick) -> Result<Served, Diagnostic> {
     let mut served = web.start().map_err(no_system)?;
     let mut notified = None;
