@@ -40,7 +40,7 @@ impl Source for Program {
 }
 
 #[test]
-fn a_reading_that_was_set_to_zero_says_so_in_the_capture() {
+fn zeroing_is_noted_in_the_capture() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let path = path.to_str().unwrap();
@@ -130,7 +130,7 @@ impl Source for Spoiled {
 }
 
 #[test]
-fn spoiled_frames_are_faults_and_gaps_and_a_doubt() {
+fn damaged_frames_are_recorded_and_give_a_warning() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let (port, _bar) = play(0.0, Spoiled(0));
@@ -155,7 +155,7 @@ fn spoiled_frames_are_faults_and_gaps_and_a_doubt() {
 }
 
 #[test]
-fn signals_end_a_run_well() {
+fn signals_complete_the_run() {
     for name in ["INT", "TERM", "HUP", "QUIT", "USR1", "USR2"] {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("run");
@@ -171,7 +171,7 @@ fn signals_end_a_run_well() {
 }
 
 #[test]
-fn a_run_under_nohup_goes_on_without_its_terminal() {
+fn a_run_under_nohup_survives_its_terminal() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let (port, _bar) = play(1.0, endless());
@@ -247,7 +247,7 @@ fn a_kill_keeps_what_was_written() {
 }
 
 #[test]
-fn a_torn_capture_is_recovered_with_a_doubt() {
+fn a_torn_capture_is_recovered_with_a_warning() {
     let directory = tempfile::tempdir().unwrap();
     let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
     let (port, _bar) = play(0.0, endless());

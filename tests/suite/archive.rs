@@ -59,7 +59,7 @@ pub(crate) fn command(dir: &Path, args: &[&str], variables: &[(&str, &str)]) -> 
 
 #[cfg(not(feature = "archive"))]
 #[test]
-fn without_the_feature_the_verb_says_how_to_get_it() {
+fn without_the_feature_the_command_explains_how_to_get_it() {
     let dir = tempfile::tempdir().unwrap();
     let output = archive(dir.path(), &["list"]);
     assert_eq!((output.status.code(), crate::cell::codes(&output)), (Some(1), vec!["E2401".to_owned()]));

@@ -289,7 +289,7 @@ fn rsi_is_answered_only_on_request() {
 }
 
 #[test]
-fn an_address_of_no_use_is_named() {
+fn unusable_addresses_are_refused_with_a_code() {
     let dir = tempfile::tempdir().unwrap();
     let acquire = |axes: &str| {
         let output = dbbd(dir.path(), &["acquire", "--port", "none", "--axes", axes, "--out", "run"]);

@@ -290,7 +290,7 @@ fn misbehaving_client_loses_only_its_own_telegrams() {
 }
 
 #[test]
-fn an_address_of_no_use_is_named() {
+fn unusable_addresses_are_refused_with_a_code() {
     let dir = tempfile::tempdir().unwrap();
     for (address, code, words) in
         [("192.0.2.1:1", 1, "cannot listen"), ("nowhere", 2, "invalid value 'nowhere'")]

@@ -54,7 +54,7 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-fn a_drift_is_named_and_forecast() {
+fn a_drift_is_found_and_forecast() {
     let step = 0.02f64.to_radians();
     let dir = calibrations(3, step);
     let dates = "2025-01-01,2025-01-31,2025-03-02";
@@ -84,7 +84,7 @@ fn a_drift_is_named_and_forecast() {
 }
 
 #[test]
-fn nothing_is_named_where_nothing_changed_and_inputs_are_checked() {
+fn no_change_is_found_without_one_and_inputs_are_checked() {
     let dir = calibrations(2, 0.0);
     let at = dir.path();
     let found = compared(at, &["r0", "r1"]);
@@ -159,7 +159,7 @@ fn circle_csv(ellipse_mm: f64, seed: u64) -> String {
 }
 
 #[test]
-fn circles_are_overlaid_and_their_deviation_is_forecast() {
+fn circular_tests_are_compared_and_forecast() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     for number in 0..4 {

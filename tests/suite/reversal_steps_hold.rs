@@ -147,7 +147,7 @@ const PATTERNS: [&str; 3] =
     ["\"seed\"\namplitude_deg = 15.0", "\"fixed\"", "\"random\"\namplitude_deg = 10.0"];
 
 #[test]
-fn some_steps_hold_their_intervals() {
+fn step_intervals_cover_the_backlash() {
     let (reported, held) = coverage(PATTERNS[0], 40);
     assert!(reported >= 40 && held as f64 >= 0.88 * reported as f64, "{held} of {reported}");
 }

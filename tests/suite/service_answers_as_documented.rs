@@ -14,7 +14,7 @@ fn document() -> Value {
 }
 
 #[test]
-fn the_document_has_every_route_and_no_other() {
+fn openapi_describes_exactly_the_routes() {
     let served: BTreeSet<(String, String)> = live::routes()
         .into_iter()
         .flat_map(|(path, methods)| {
@@ -104,7 +104,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn a_configuration_is_checked_with_line_and_column() {
+fn configuration_errors_have_line_and_column() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join("short"), "too-short\n").unwrap();
     for (text, place, code) in CONFIGURATIONS {

@@ -42,7 +42,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn strangers_keep_nobody_out() {
+fn unauthenticated_connections_do_not_lock_out_the_operator() {
     let dir = tempfile::tempdir().unwrap();
     let server = with_token(dir.path());
     let mut operator = server.connect();
@@ -62,7 +62,7 @@ fn strangers_keep_nobody_out() {
 }
 
 #[test]
-fn streams_without_a_token_keep_nobody_out() {
+fn unauthenticated_streams_do_not_lock_out_the_operator() {
     let dir = tempfile::tempdir().unwrap();
     let server = Server::start(dir.path(), "");
     let held: Vec<_> = (0..300).map(|_| ask_and_stay(&server, "/api/v1/stream")).collect();
@@ -73,7 +73,7 @@ fn streams_without_a_token_keep_nobody_out() {
 }
 
 #[test]
-fn tokens_are_not_tried_by_the_thousand() {
+fn wrong_tokens_are_rate_limited() {
     let dir = tempfile::tempdir().unwrap();
     let server = with_token(dir.path());
     let login = |token: &str| server.post("/api/v1/session", &format!("{{\"token\":\"{token}\"}}"));
@@ -97,7 +97,7 @@ fn tokens_are_not_tried_by_the_thousand() {
 }
 
 #[test]
-fn no_link_and_no_pipe_is_followed() {
+fn links_and_pipes_are_not_opened() {
     let dir = tempfile::tempdir().unwrap();
     let runs = dir.path().join("dbbd-runs");
     let outside = dir.path().join("outside");
@@ -169,7 +169,7 @@ fn child_of(parent: u32, word: &str) -> Option<u32> {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn the_simulator_knows_no_secret_and_ends_with_the_service() {
+fn the_simulator_gets_no_secret_and_ends_with_the_service() {
     let dir = tempfile::tempdir().unwrap();
     let mut server = Server::start(dir.path(), "[device]\nport = \"sim\"\n");
     server.wait("/api/v1/status", |status| status["state"] == "idle");
@@ -233,7 +233,7 @@ fn a_replaced_program_goes_on() {
 }
 
 #[test]
-fn long_values_do_not_fill_the_log_and_no_answer_needs_the_date() {
+fn long_values_are_cut_in_the_log_and_answers_have_no_date() {
     let dir = tempfile::tempdir().unwrap();
     let server = Server::start(dir.path(), "[device]\nport = \"/dev/none\"\n");
     let request = format!("{{\"name\":\"a\",\"plan\":\"{}\"}}", "p".repeat(60_000));

@@ -68,7 +68,7 @@ fn foreign_hosts_and_origins_are_refused() {
 }
 
 #[test]
-fn the_token_is_asked_for() {
+fn requests_without_the_token_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let server = with_token(dir.path());
     for path in ["/api/v1/status", "/api/v1/stream", "/api/v1/runs/a/capture", "/metrics", "/api/v1/none"] {
@@ -130,7 +130,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn bodies_and_heads_have_limits() {
+fn bodies_and_heads_are_limited() {
     let dir = tempfile::tempdir().unwrap();
     let server = Server::start(dir.path(), "");
     let long = format!("{{\"name\":\"{}\"}}", "a".repeat(70_000));
@@ -159,7 +159,7 @@ fn bodies_and_heads_have_limits() {
 
 /// A head that never ends holds its connection for ten seconds, and nobody else's.
 #[test]
-fn a_slow_head_is_cut_off() {
+fn slow_request_heads_time_out() {
     let dir = tempfile::tempdir().unwrap();
     let server = Server::start(dir.path(), "");
     let mut slow = server.connect();
@@ -183,7 +183,7 @@ fn a_slow_head_is_cut_off() {
 }
 
 #[test]
-fn no_name_leaves_the_data_directory() {
+fn names_cannot_leave_the_data_directory() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join("secret"), "secret").unwrap();
     std::fs::create_dir_all(dir.path().join("dbbd-runs/a/identify")).unwrap();
@@ -230,7 +230,7 @@ fn no_name_leaves_the_data_directory() {
 }
 
 #[test]
-fn every_answer_forbids_what_the_page_does_not_need() {
+fn answers_have_security_headers() {
     let dir = tempfile::tempdir().unwrap();
     let server = Server::start(dir.path(), "");
     for path in ["/", "/app.js", "/api/v1/status", "/nothing"] {

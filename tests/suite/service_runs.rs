@@ -47,7 +47,7 @@ fn hear(server: &Server, wanted: &[&str]) -> Vec<(String, serde_json::Value)> {
 }
 
 #[test]
-fn a_run_goes_from_start_to_stop_whoever_looks() {
+fn runs_start_and_stop_with_any_number_of_clients() {
     let dir = tempfile::tempdir().unwrap();
     let port = swinging();
     let config = format!("[device]\nport = \"{port}\"\n[alarm]\nstroke_mm = [-1.0, 1.0]\n");
@@ -124,7 +124,7 @@ fn resting(name: &str) -> String {
 }
 
 #[test]
-fn a_bar_is_read_and_set_to_zero_before_the_run_and_the_run_knows() {
+fn operator_actions_before_a_run_are_in_its_capture() {
     let dir = tempfile::tempdir().unwrap();
     let port = resting("usdigital-qsb");
     let config = format!(
@@ -174,7 +174,7 @@ fn a_bar_is_read_and_set_to_zero_before_the_run_and_the_run_knows() {
 
 /// The recording goes on at the same place, and the run has failed however it is ended.
 #[test]
-fn a_run_whose_capture_is_taken_away_has_failed() {
+fn a_run_with_a_removed_capture_fails() {
     let dir = tempfile::tempdir().unwrap();
     let server = Server::start(dir.path(), &format!("[device]\nport = \"{}\"\n", swinging()));
     server.wait("/api/v1/status", |status| status["state"] == "idle");
@@ -194,7 +194,7 @@ fn a_run_whose_capture_is_taken_away_has_failed() {
 }
 
 #[test]
-fn a_missing_device_is_a_state_and_not_an_end() {
+fn a_missing_device_does_not_end_the_service() {
     let dir = tempfile::tempdir().unwrap();
     let link = dir.path().join("bar");
     let server = Server::start(dir.path(), "data = \"file\"\n[device]\nport = \"bar\"\n");
@@ -228,7 +228,7 @@ fn plan(dir: &Path) {
 }
 
 #[test]
-fn a_killed_run_is_there_again_and_can_be_identified() {
+fn a_killed_run_is_listed_and_can_be_identified() {
     let dir = tempfile::tempdir().unwrap();
     plan(dir.path());
     // An older one, though its name comes first.
@@ -278,7 +278,7 @@ fn a_killed_run_is_there_again_and_can_be_identified() {
 }
 
 #[test]
-fn the_simulated_cell_needs_nothing() {
+fn the_simulated_cell_needs_no_files() {
     let dir = tempfile::tempdir().unwrap();
     let server = Server::start(dir.path(), "[device]\nport = \"sim\"\n");
     server.wait("/api/v1/status", |status| status["device"]["present"] == true);
@@ -299,7 +299,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn what_the_computer_lacks_has_a_code() {
+fn missing_system_resources_have_a_code() {
     let dir = tempfile::tempdir().unwrap();
     let [taken, unreadable] = COMPUTER;
     let server = Server::start(dir.path(), "data = \"runs\"\n");

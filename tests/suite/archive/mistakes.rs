@@ -24,7 +24,7 @@ fn ends(output: &Output, exit: i32, expected: &[&str]) {
 }
 
 #[test]
-fn a_selection_that_cannot_be_is_not_empty_in_silence() {
+fn empty_selections_give_a_reason() {
     let dir = pushed(2);
     let at = dir.path();
     for (choice, exit, code) in [
@@ -54,7 +54,7 @@ fn a_selection_that_cannot_be_is_not_empty_in_silence() {
 }
 
 #[test]
-fn settings_that_no_run_takes_make_no_jobs() {
+fn invalid_settings_create_no_jobs() {
     let dir = pushed(1);
     let at = dir.path();
     for (settings, code) in [
@@ -72,7 +72,7 @@ fn settings_that_no_run_takes_make_no_jobs() {
 }
 
 #[test]
-fn what_a_run_lacks_is_said_when_it_is_pushed() {
+fn missing_data_of_a_run_give_warnings() {
     let dir = plant_of(3);
     let at = dir.path();
     let capture = at.join("runs/run-0/run.dbbd");
@@ -95,7 +95,7 @@ fn what_a_run_lacks_is_said_when_it_is_pushed() {
 }
 
 #[test]
-fn what_the_store_lost_is_restored_and_said() {
+fn lost_objects_are_restored_and_reported() {
     let dir = pushed(1);
     let at = dir.path();
     let worked = archive(at, &["reprocess"]);
@@ -119,7 +119,7 @@ fn what_the_store_lost_is_restored_and_said() {
 }
 
 #[test]
-fn another_store_is_refused() {
+fn an_uninitialised_store_is_refused() {
     let dir = pushed(1);
     let at = dir.path();
     for verb in [&["push", "runs"][..], &["worker", "--until-empty"], &["reprocess"]] {
@@ -148,7 +148,7 @@ fn another_store_is_refused() {
 
 /// The only copy of another run, and a table of the user's.
 #[test]
-fn files_in_the_way_stay() {
+fn existing_files_are_not_replaced() {
     let dir = pushed(1);
     let at = dir.path();
     let listed = json(&archive(at, &["list", "--json"]));

@@ -28,7 +28,7 @@ pub(super) fn objects(dir: &Path) -> Vec<PathBuf> {
 }
 
 #[test]
-fn a_run_goes_in_once_and_comes_out_as_it_was() {
+fn a_run_is_stored_once_and_fetched_unchanged() {
     let dir = plant_of(3);
     let at = dir.path();
     let first = archive(at, &["push", "runs", "--json"]);
@@ -70,7 +70,7 @@ fn a_run_goes_in_once_and_comes_out_as_it_was() {
 }
 
 #[test]
-fn a_push_that_was_cut_is_taken_up_and_damage_is_found() {
+fn an_interrupted_push_is_resumed_and_damage_is_found() {
     let dir = plant_of(1);
     let at = dir.path();
     assert_eq!(archive(at, &["push", "runs"]).status.code(), Some(0));
@@ -102,7 +102,7 @@ fn a_push_that_was_cut_is_taken_up_and_damage_is_found() {
 }
 
 #[test]
-fn while_the_archive_is_away_runs_wait_and_are_sent_once() {
+fn runs_wait_in_the_spool_and_are_pushed_once() {
     let dir = plant_of(2);
     let at = dir.path();
     let away = [("DBBD_ARCHIVE", "sqlite:no/such/plant.db"), ("DBBD_STORE", "file:objects")];
@@ -128,7 +128,7 @@ fn while_the_archive_is_away_runs_wait_and_are_sent_once() {
 }
 
 #[test]
-fn what_cannot_be_is_refused_with_its_code() {
+fn invalid_commands_are_refused_with_a_code() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     fs::write(at.join("open"), "secret-of-the-plant").unwrap();

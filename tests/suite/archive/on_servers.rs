@@ -88,7 +88,7 @@ impl Drop for Plant {
 }
 
 #[test]
-fn a_cell_sees_and_writes_its_own_runs_alone() {
+fn a_cell_sees_and_writes_only_its_own_runs() {
     let Some(plant) = Plant::new("roles", 3) else { return };
     for (role, run) in [("a", "runs/run-0"), ("a", "runs/run-1"), ("b", "runs/run-2")] {
         let pushed = plant.run_as(role, &["push", run]);
@@ -150,7 +150,7 @@ fn a_cell_sees_and_writes_its_own_runs_alone() {
 }
 
 #[test]
-fn cells_that_push_at_once_and_workers_that_are_killed_do_each_run_once() {
+fn concurrent_pushes_and_killed_workers_process_each_run_once() {
     let Some(plant) = Plant::new("work", 4) else { return };
     let address = ["a", "b", "w"].map(|role| plant.address(role));
     let start = |address: &str, args: &[&str]| {
@@ -197,7 +197,7 @@ fn cells_that_push_at_once_and_workers_that_are_killed_do_each_run_once() {
 
 /// Every name of a run as a piece of SQL: it is stored, found and exported as it is.
 #[test]
-fn sql_in_names_does_nothing() {
+fn sql_in_names_is_harmless() {
     let Some(plant) = Plant::new("inert", 0) else { return };
     let names =
         ["'; DROP TABLE run CASCADE; --", "$1); DELETE FROM job; --", "\" OR 1=1 \\", "%_' {now} {user}"];
@@ -235,7 +235,7 @@ fn sql_in_names_does_nothing() {
 
 /// Runs that are identified anew are compared with what was found before; nothing is overwritten.
 #[test]
-fn work_is_done_once_and_anew_with_other_settings() {
+fn jobs_are_done_once_per_settings() {
     let dir = tempdir().unwrap();
     let at: &Path = dir.path();
     plant::directory(&at.join("runs"), 2);

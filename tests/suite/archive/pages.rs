@@ -142,7 +142,7 @@ fn robots_bars_and_runs_are_found_page_by_page() {
 }
 
 #[test]
-fn names_with_markup_and_sql_are_shown_as_they_are() {
+fn names_with_markup_and_sql_are_escaped() {
     let dir = filled(4);
     let server = serve(dir.path(), &[]);
     let name = encoded(HOSTILE);
@@ -196,7 +196,7 @@ fn names_with_markup_and_sql_are_shown_as_they_are() {
 
 /// A run as a cell pushed it and a worker identified it: its page and its stored report.
 #[test]
-fn the_report_of_a_run_is_shown_in_its_sandbox() {
+fn reports_are_sandboxed() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     plant::directory(&at.join("runs"), 1);
@@ -216,7 +216,7 @@ fn the_report_of_a_run_is_shown_in_its_sandbox() {
 }
 
 #[test]
-fn whoever_has_no_token_gets_the_page_that_asks_for_it() {
+fn requests_without_a_token_get_the_sign_in_page() {
     let dir = filled(1);
     let at = dir.path();
     std::fs::write(at.join("token"), format!("{TOKEN}\n")).unwrap();
@@ -254,7 +254,7 @@ fn whoever_has_no_token_gets_the_page_that_asks_for_it() {
 }
 
 #[test]
-fn a_page_without_its_archive_says_so() {
+fn an_unreachable_archive_gives_an_error_page() {
     let dir = tempdir().unwrap();
     let none = archive(dir.path(), &["serve", "--listen", "127.0.0.1:0"]);
     assert_eq!((none.status.code(), crate::cell::codes(&none)), (Some(1), vec!["E2407".to_owned()]));
@@ -262,7 +262,7 @@ fn a_page_without_its_archive_says_so() {
 
 /// Every query of the dashboard is one that a viewer may ask of PostgreSQL.
 #[test]
-fn the_example_of_a_dashboard_asks_what_the_views_have() {
+fn the_dashboard_example_matches_the_views() {
     let Some(plant) = Plant::new("grafana", 1) else { return };
     let dashboard: Value =
         serde_json::from_str(include_str!("../../../examples/grafana/archive.json")).unwrap();

@@ -35,7 +35,7 @@ fn held(dir: &Path) -> Vec<(String, u64)> {
 }
 
 #[test]
-fn runs_of_the_service_reach_the_archive_by_themselves() {
+fn the_service_pushes_its_runs() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let config = config();
@@ -80,7 +80,7 @@ fn runs_of_the_service_reach_the_archive_by_themselves() {
 }
 
 #[test]
-fn an_archive_of_the_service_that_cannot_be_is_refused() {
+fn an_invalid_archive_configuration_is_refused() {
     let dir = tempdir().unwrap();
     for (table, code) in [
         ("database = \"mysql:x\"\nstore = \"file:o\"", "E2402"),
