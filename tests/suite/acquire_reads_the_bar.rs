@@ -1,4 +1,4 @@
-//! `dbbd acquire` over a real pseudo terminal, with a virtual bar on its other side.
+//! `dbbd acquire` over a pseudo-terminal with a virtual bar.
 #![cfg(unix)]
 
 use std::path::Path;
@@ -23,7 +23,7 @@ fn strobe(t_s: f64) -> bool {
     [(1.0, 2.0), (4.0, 5.0), (6.0, 6.2), (6.6, 6.8)].iter().any(|(from, to)| (*from..*to).contains(&t_s))
 }
 
-/// The program of [`strobe`]; when it is over the bar goes on until the host says stop.
+/// The program of [`strobe`]. After its end the bar continues until the host sends stop.
 struct Program {
     over: bool,
 }
@@ -81,7 +81,7 @@ fn a_program_is_recorded_to_its_end_mark() {
         assert_eq!(sample.trigger, Some(strobe(frame as f64 / RATE_HZ)));
         assert_eq!(sample.ticks.unwrap().0, ((1u64 << 32) - 2_000_000 + 1000 * frame) % (1 << 32));
     }
-    // The raw bytes come to the disk before what they decode to.
+    // Raw bytes are written before the decoded samples.
     let first = |wanted: fn(&Record) -> bool| capture.records.iter().position(|s| wanted(&s.record)).unwrap();
     assert!(first(|r| matches!(r, Record::Raw(_))) < first(|r| matches!(r, Record::Samples(_))));
     assert!(capture.attachment("protocol.toml").is_some());
@@ -113,7 +113,7 @@ fn a_program_is_recorded_to_its_end_mark() {
     assert_eq!(info["protocol"], "dbb-cobs-1");
 }
 
-/// A bar whose line spoils every hundredth frame.
+/// A line that damages every hundredth frame.
 struct Spoiled(u64);
 
 impl Source for Spoiled {
@@ -150,7 +150,7 @@ fn damaged_frames_are_recorded_and_give_a_warning() {
     let faults = capture.records.iter().filter(|stamped| matches!(stamped.record, Record::Fault(_))).count();
     let expected = samples(&capture).len() as u64 / 99;
     assert!(expected > 5 && missing.abs_diff(expected) <= 1, "{missing} of {expected}");
-    // The last fault may be a frame that the end cut through; a spoiled byte may end its frame early.
+    // The last fault may be a frame that the end of the run cut. A damaged byte may end its frame early.
     assert!((faults as u64).abs_diff(expected) <= 2 + expected / 50, "{faults} of {expected}");
 }
 
@@ -186,7 +186,7 @@ fn a_run_under_nohup_survives_its_terminal() {
     assert!(read(&path).ended());
 }
 
-/// A bar between whose frames zeros come: each ends a frame that has nothing in it.
+/// A bar that sends zeros between frames: each zero ends an empty frame.
 struct Zeros;
 
 impl Source for Zeros {
@@ -227,7 +227,7 @@ fn a_kill_keeps_what_was_written() {
     let size = std::fs::metadata(&path).unwrap().len();
     let capture = read(&path);
     assert!(!capture.ended());
-    // At most the record that was being written is torn, at the very end.
+    // At most the last record is torn.
     match &capture.damages[..] {
         [] => {}
         [torn] => assert_eq!(torn.offset + torn.bytes, size),
@@ -240,7 +240,7 @@ fn a_kill_keeps_what_was_written() {
     }
     let info = run(&["info", path.to_str().unwrap()]);
     assert_eq!(info.status.code(), Some(3), "a run that was cut off is a doubt: {}", stderr(&info));
-    // The bar can be started again, by the same name.
+    // The bar can be started again under the same name.
     let again = directory.path().join("again");
     let output = run(&["acquire", "--port", &port, "--out", again.to_str().unwrap(), "--duration", "0.5"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
@@ -263,7 +263,7 @@ fn a_torn_capture_is_recovered_with_a_warning() {
     assert_eq!(codes(&recovered), ["W0410", "W0410", "W0411"], "{}", stderr(&recovered));
     let (before, after) = (capture::read(&bytes), read(Path::new(&path("whole"))));
     assert_eq!((after.records, after.damages.len()), (before.records, 0));
-    // It lacks its end for ever; a whole run lacks nothing.
+    // Its end stays missing. A complete run misses nothing.
     let again = run(&["recover", &path("whole"), "--out", &path("more")]);
     assert_eq!(again.status.code(), Some(3), "{}", stderr(&again));
     assert!(stderr(&again).contains("cut off"), "{}", stderr(&again));
@@ -294,7 +294,7 @@ fn the_plan_goes_into_the_capture_and_its_last_module_ends_the_run() {
     let (port, bar) = play(0.0, Program { over: false });
     let output = run(&["acquire", "--port", &port, "--plan", &path("plan.csv"), "--out", &path("run")]);
     bar.join().unwrap();
-    // Two dwells are no twelve poses.
+    // Two dwells do not cover twelve poses.
     assert_eq!(output.status.code(), Some(3));
     assert!(codes(&output).contains(&"W1003".to_owned()), "{}", stderr(&output));
     let capture = read(Path::new(&path("run")));

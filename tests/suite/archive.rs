@@ -1,4 +1,4 @@
-//! The archive holds each run once and whole, whatever happens on the way.
+//! The archive stores each run once and completely, whatever fails in between.
 #![cfg_attr(not(feature = "archive"), allow(dead_code))]
 
 use std::path::Path;

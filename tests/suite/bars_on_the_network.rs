@@ -102,7 +102,7 @@ fn the_simulator_serves_each_transport() {
         let at = directory.path().to_owned();
         let first = thread::spawn(move || acquire(&at, &port, "2", &[]));
         clock::sleep(1.0);
-        // The line has one user.
+        // Only one client may use the line.
         let second = refusal(directory.path(), &bar.port);
         assert_eq!(second, (vec![BLURS.into(), CLOSES.into()], Some(1)));
         let run = first.join().unwrap();

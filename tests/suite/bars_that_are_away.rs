@@ -107,7 +107,7 @@ fn port_that_disappears_during_a_command() {
     let name = serialport::SerialPort::name(&host).unwrap();
     drop(host);
     let pulled = std::thread::spawn(move || {
-        // Nobody has the line open at first.
+        // At first the line is not open.
         let came =
             |line: &mut serialport::TTYPort| std::io::Read::read(line, &mut [0; 1]).is_ok_and(|n| n > 0);
         while !came(&mut line) {
@@ -137,7 +137,7 @@ fn bar_that_stays_unplugged_is_reported() {
     wait_for(Path::new(&path("run")), 20_000);
     simulator.kill().unwrap();
     simulator.wait().unwrap();
-    // Its terminal may become another test's.
+    // Another test may get the same terminal.
     std::fs::remove_file(path("bar")).unwrap();
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));

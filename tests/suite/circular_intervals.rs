@@ -1,4 +1,4 @@
-//! The intervals of the circular test hold the truth as often as they say.
+//! Coverage of the intervals of the circular test.
 
 use dbbd::circular::{Evaluation, NAMES, Settings, circular};
 use rand::SeedableRng;
@@ -10,7 +10,7 @@ use crate::circular_cases::{CASES, Case, exactly};
 /// Noise of a length, mm.
 const SIGMA_MM: f64 = 0.001;
 
-/// How often the interval of each quantity holds the truth, of so many runs.
+/// How often the interval of each quantity covers the true value in this many runs.
 fn coverage(case: Case, sigma_mm: Option<f64>, runs: u64) -> [u64; 9] {
     let truth = exactly(&case.traces(), case.radius);
     let noise = Normal::new(0.0, SIGMA_MM).unwrap();
@@ -53,7 +53,7 @@ fn intervals_cover_the_truth_in_1000_runs() {
     let case = CASES[0];
     let covered = coverage(case, Some(SIGMA_MM), 1000);
     assert!(covered.iter().all(|count| (930..=990).contains(count)), "{covered:?}");
-    // No hysteresis at all, as much as noise shows; few and many points; noise that the lengths themselves must tell.
+    // No hysteresis, and as much as the noise; few and many points; noise that is estimated from the lengths.
     for (backlash, points, sigma_mm) in [
         ([0.0; 2], 72, Some(SIGMA_MM)),
         ([0.0, 0.002], 72, Some(SIGMA_MM)),

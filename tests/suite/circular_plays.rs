@@ -1,4 +1,4 @@
-//! What axes and joints lose as they reverse comes back from the circle.
+//! The backlash of axes and joints is estimated from the circular test.
 
 use dbbd::circular::Mover;
 
@@ -6,8 +6,8 @@ use crate::cell;
 use crate::circular_cases::{CASES, exactly};
 use crate::process::Simulator;
 
-/// The plays of the two axes come back from the steps at their reversals; the form of order 7 and 11 and
-/// the harmonics are not mistaken for them.
+/// The backlash of two axes is estimated from the steps at their reversals. The form of order 7 and 11 and
+/// the harmonics do not disturb it.
 pub(crate) fn provoked() -> Vec<&'static str> {
     vec!["I0421"]
 }
@@ -26,11 +26,11 @@ fn reversal_steps_are_fitted() {
             assert!((step.most_mm - step.play.abs()).abs() < 1e-6);
         }
     }
-    // Half a circle tells no play.
+    // Half a circle does not determine the backlash.
     assert!(exactly(&CASES[1].traces(), CASES[1].radius).steps.is_empty());
 }
 
-/// A simulated robot with play in a joint: the play comes back from a capture.
+/// A simulated robot with backlash in a joint: it is estimated from a capture.
 #[test]
 fn joint_backlash_is_recovered_from_a_capture() {
     let dir = tempfile::tempdir().unwrap();
@@ -60,7 +60,7 @@ fn joint_backlash_is_recovered_from_a_capture() {
     step(&["circle", "run.dbbd", "--out", "circle"]);
     let text = std::fs::read_to_string(dir.path().join("circle/circle.json")).unwrap();
     let found: serde_json::Value = serde_json::from_str(&text).unwrap();
-    // Joint 3 has its play and its size; the page bounds what the others could have unseen.
+    // The backlash of joint 3 is found with its size. The page states upper bounds for the others.
     let page = std::fs::read_to_string(dir.path().join("circle/circle.html")).unwrap();
     let cells = |joint: usize| -> Vec<String> {
         let mut rows = page.split("<tr>");

@@ -225,7 +225,7 @@ fn misbehaving_client_loses_only_its_own_telegrams() {
     let Listening { _simulator, acquire, address } = listen(dir.path());
     let good = |phase| written(&Telegram { run, ..telegram(index, phase) });
 
-    // The run has the address once it can be connected to.
+    // Wait until the server accepts connections.
     let mut first = connect(address);
     let taken =
         dbbd(dir.path(), &["acquire", "--port", "bar", "--ekrl", &address.to_string(), "--out", "third"]);

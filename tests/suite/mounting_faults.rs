@@ -40,7 +40,7 @@ struct Cell {
     dice: Pcg64,
     halt_s: f64,
     halted_s: Option<f64>,
-    /// The last moment, and since when the robot rests.
+    /// The last time, and since when the robot is at rest.
     last: Option<Moment>,
     rests_s: f64,
     hands_mm: f64,

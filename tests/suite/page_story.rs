@@ -1,5 +1,5 @@
-//! The page in a browser: the whole story of an operator, by `tests/clients/page.py`, where Chromium, playwright and axe
-//! are installed.
+//! The page in a browser: the workflow of an operator, played by `tests/clients/page.py` if Chromium, playwright and
+//! axe are installed.
 #![cfg(unix)]
 
 use std::ffi::OsStr;

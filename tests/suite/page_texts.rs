@@ -1,4 +1,4 @@
-//! The page says the same in every language: all have the same keys, and every key that the page asks for exists.
+//! The texts of the page: all languages have the same keys, and every key that the page uses exists.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -21,7 +21,7 @@ fn values(text: &Value) -> BTreeSet<String> {
     parts.map(|part| part.split_once('}').unwrap().0.to_owned()).collect()
 }
 
-/// What stands between a mark and a quote, after each mark.
+/// The texts between a mark and the next quote.
 fn quoted<'a>(text: &'a str, mark: &'a str) -> impl Iterator<Item = &'a str> {
     text.split(mark).skip(1).filter_map(|rest| rest.split_once('"')).map(|(key, _)| key)
 }

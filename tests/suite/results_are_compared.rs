@@ -1,4 +1,4 @@
-//! `dbbd compare`: what changed is found and nothing else, and what cannot be compared is refused.
+//! `dbbd compare`: changes are found without false alarms, and inputs that are not comparable are refused.
 
 use std::fs;
 use std::path::Path;

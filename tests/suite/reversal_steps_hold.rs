@@ -1,4 +1,4 @@
-//! The reversal steps of a robot's joints hold their 95 %, whatever the orientation does along the circle.
+//! Coverage of the 95 % intervals of the backlash of a robot's joints, for any orientation along the circle.
 
 use std::path::Path;
 
@@ -34,7 +34,8 @@ fn job(orientation: &str, direction: &str) -> String {
     [head, &circle, tail].concat()
 }
 
-/// A planned circle as it is driven: for each dwell the axes that are commanded (rad) and the sense of their last moves.
+/// A planned circle as it is driven: for each dwell the axes that are commanded (rad) and the sense of their last
+/// moves.
 struct Driven {
     plan: Plan,
     dwells: Vec<([f64; 6], [f64; 6])>,
@@ -110,13 +111,13 @@ impl Driven {
     }
 }
 
-/// Of so many circles the steps that were reported, and those whose interval holds the true play.
+/// The number of reported steps in this many circles, and of those whose interval covers the true backlash.
 fn coverage(orientation: &str, circles: u64) -> (usize, usize) {
     let driven = Driven::new(orientation);
     let (mut reported, mut held, mut largest, mut silent) = (0, 0, 0.0_f64, 0);
     for seed in 1..=circles {
         let mut random = Pcg64::seed_from_u64(1_000_000 + seed);
-        // Every second robot has no play at all.
+        // Every second robot has no backlash.
         let plays: [f64; 6] = std::array::from_fn(|_| match seed % 2 {
             0 => random.random_range(0.0..0.005_f64).to_radians(),
             _ => 0.0,
@@ -167,7 +168,8 @@ fn a_thousand_circles() {
     }
 }
 
-/// A capture of a circle on a robot without backlash whose orientation changes, through the binary: its notes and steps.
+/// A capture of a circle on a robot without backlash whose orientation changes, through the binary: its notes and
+/// steps.
 fn captured(dir: &Path, direction: &str) -> serde_json::Value {
     let step = |args: &[&str]| {
         let output = dbbd(dir, args);

@@ -1,4 +1,4 @@
-//! A running `dbbd serve`, and a client that sends exactly the bytes it is told.
+//! Test support: a `dbbd serve` process and a client that sends given bytes.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -32,7 +32,7 @@ impl Answer {
 }
 
 impl Server {
-    /// Starts it in `dir` on a free port, with `config` after the address.
+    /// Starts the service in `dir` on a free port. `config` follows the address in its configuration.
     pub(crate) fn start(dir: &Path, config: &str) -> Self {
         Self::start_at(dir, "127.0.0.1:0", config)
     }
@@ -41,7 +41,7 @@ impl Server {
         Self::start_program(Path::new(env!("CARGO_BIN_EXE_dbbd")), dir, address, config)
     }
 
-    /// The same of another file than the one that was built.
+    /// The same with another executable.
     pub(crate) fn start_program(program: &Path, dir: &Path, address: &str, config: &str) -> Self {
         std::fs::write(dir.join("dbbd.toml"), format!("address = \"{address}\"\n{config}")).unwrap();
         let mut command = Command::new(program);
@@ -49,7 +49,7 @@ impl Server {
         Self::start_command(command)
     }
 
-    /// A command that says where it listens.
+    /// Starts a command that logs its address.
     pub(crate) fn start_command(mut command: Command) -> Self {
         let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
@@ -57,7 +57,7 @@ impl Server {
         let listening = listening.expect("the service listens");
         let (_, address) = listening.split_once("http://").unwrap();
         let port = address.trim_end_matches(['/', '"']).rsplit_once(':').unwrap().1.parse().unwrap();
-        // The log goes on; nobody may block on it.
+        // Read the whole log, so that the process never blocks on it.
         let log = Arc::new(Mutex::new(Vec::new()));
         let kept = Arc::clone(&log);
         std::thread::spawn(move || {
@@ -90,7 +90,7 @@ impl Server {
     /// Sends bytes and reads the answer until the service closes.
     pub(crate) fn raw(&self, request: &[u8]) -> Answer {
         let mut stream = self.connect();
-        // What is refused early may not be read to its end.
+        // The service may refuse a request before it has read all of it.
         let _ = stream.write_all(request);
         let mut bytes = Vec::new();
         let _ = stream.read_to_end(&mut bytes);
@@ -115,7 +115,7 @@ impl Server {
         self.ask("POST", path, "Content-Type: application/json\r\n", body)
     }
 
-    /// Asks again until the answer is as wanted.
+    /// Repeats a request until the answer satisfies the condition.
     pub(crate) fn wait(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         for _ in 0..600 {
             let answer = self.get(path).json();

@@ -1,4 +1,4 @@
-//! The API's document and the API say the same; the configuration is checked with line and column.
+//! The API agrees with its OpenAPI document; configuration errors have line and column.
 #![cfg(unix)]
 
 use std::collections::BTreeSet;
@@ -41,7 +41,7 @@ fn resolved<'a>(document: &'a Value, schema: &'a Value) -> &'a Value {
     }
 }
 
-/// A content has exactly the properties that its schema names.
+/// Checks that a JSON document has exactly the properties of its schema.
 fn assert_fits(document: &Value, schema: &Value, content: &Value, at: &str) {
     let schema = resolved(document, schema);
     if let (Some(properties), Some(object)) = (schema["properties"].as_object(), content.as_object()) {
@@ -84,7 +84,7 @@ fn answers_have_the_documented_form() {
     assert!(metrics.contains("\ndbbd_running 0\n"), "{metrics}");
 }
 
-/// A configuration that is refused, the place that is named, and the code.
+/// An invalid configuration, the reported position, and the code.
 const CONFIGURATIONS: &[(&str, &str, &str)] = &[
     ("adress = \"127.0.0.1:1\"\n", "dbbd.toml:1:1:", "E0120"),
     ("[device]\nport = 7\n", "dbbd.toml:2:8:", "E0120"),

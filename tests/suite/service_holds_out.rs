@@ -1,5 +1,5 @@
-//! The service against those who have a connection or a place in its directories: nobody keeps the operator out, no
-//! link leads out of the data directory, nothing hangs or grows, and what it starts ends with it.
+//! The service against clients and users with access to its directories: nobody locks out the operator, no
+//! link leads out of the data directory, nothing hangs or grows, and its child processes end with it.
 #![cfg(unix)]
 
 use std::fs;
@@ -26,7 +26,7 @@ fn bearer(server: &Server, token: &str) -> u16 {
     server.ask("GET", "/api/v1/status", &format!("Authorization: Bearer {token}\r\n"), "").status
 }
 
-/// Asks over a connection that stays open; the beginning of the answer.
+/// Sends a request over a connection that stays open, and returns the beginning of the answer.
 fn ask_and_stay(server: &Server, path: &str) -> Option<TcpStream> {
     let mut stream = server.connect();
     stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n").as_bytes()).ok()?;
@@ -150,7 +150,7 @@ fn a_huge_plan_is_not_read() {
     assert!(peak_kb.is_none_or(|kb| kb < 60_000), "{peak_kb:?} kB");
 }
 
-/// The state of a process that was started by another one, by what its command line has.
+/// The id of a child process whose command line has this word.
 #[cfg(target_os = "linux")]
 fn child_of(parent: u32, word: &str) -> Option<u32> {
     let of_parent = |id: &u32| {
@@ -240,6 +240,6 @@ fn long_values_are_cut_in_the_log_and_answers_have_no_date() {
     assert_eq!(server.post("/api/v1/run", &request).status, 404);
     let lines = server.logged("run_refused");
     assert!(lines.len() == 1 && lines[0].len() < 1000, "{lines:?}");
-    // The library's own ends the process in the year 10000.
+    // The date header of the library panics in the year 10000.
     assert!(!server.get("/").head.contains("\ndate:"));
 }

@@ -1,4 +1,4 @@
-//! What docs/reference/security.md promises, line by line.
+//! The statements of docs/reference/security.md, one by one.
 #![cfg(unix)]
 
 use std::io::{Read, Write};
@@ -55,7 +55,7 @@ fn foreign_hosts_and_origins_are_refused() {
         let headers = format!("Content-Type: application/json\r\nOrigin: {origin}\r\n");
         server.ask("POST", "/api/v1/run", &headers, "{\"name\":\"a\"}").status
     };
-    // Without a port the run itself is a conflict: the guard has let it pass.
+    // 409 because no port is selected: the request passed the access control.
     assert_eq!(from(&format!("http://{own}")), 409);
     for bad in ["http://evil.example", "null", "http://127.0.0.1:1", &own] {
         assert_eq!(from(bad), 403, "{bad}");
@@ -83,9 +83,9 @@ fn requests_without_the_token_are_refused() {
     for wrong in ["", "0123456789abcdef-tokeN", "0123456789abcdef", &format!("{TOKEN}{TOKEN}")] {
         assert_eq!(bearer(wrong), 401, "{wrong}");
     }
-    // In the address it is no token.
+    // A token in the address is not accepted.
     assert_eq!(server.get(&format!("/api/v1/status?token={TOKEN}")).status, 401);
-    // The page shows it once and has a cookie then.
+    // The page sends the token once and then has a cookie.
     assert_eq!(server.get("/").status, 200);
     assert_eq!(server.post("/api/v1/session", "{\"token\":\"wrong\"}").status, 401);
     let answer = server.post("/api/v1/session", &format!("{{\"token\":\"{TOKEN}\"}}"));
@@ -122,7 +122,7 @@ const REQUESTS: &[(&str, &str, &str, u16, &str)] = &[
     ("DELETE", "/api/v1/run", "", 405, "E1509"),
 ];
 
-/// The code for a client that may not ask.
+/// The code for a client without valid credentials.
 const STRANGER: &str = "E1508";
 
 pub(crate) fn provoked() -> Vec<&'static str> {
@@ -157,7 +157,7 @@ fn bodies_and_heads_are_limited() {
     assert_eq!(server.get("/api/v1/status").status, 200, "it goes on");
 }
 
-/// A head that never ends holds its connection for ten seconds, and nobody else's.
+/// A request head without an end blocks its own connection for ten seconds, and no other.
 #[test]
 fn slow_request_heads_time_out() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! A run by the service: started, marked and stopped over HTTP; no client and no kill takes it away.
+//! Runs of the service: start, remarks and stop over HTTP, with clients that disconnect and processes that are killed.
 #![cfg(unix)]
 
 use std::fs;
@@ -56,7 +56,7 @@ fn runs_start_and_stop_with_any_number_of_clients() {
     assert_eq!(server.post("/api/v1/run/stop", "").status, 409);
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"first\"}").status, 201);
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"second\"}").status, 409, "one at a time");
-    // A client that listens and goes away, in the middle of whatever is sent.
+    // A client disconnects in the middle of the stream.
     let events = hear(&server, &["status", "points", "frame", "point"]);
     let all = |wanted: &str| {
         events.iter().filter(|(name, _)| name == wanted).map(|(_, data)| data.clone()).collect::<Vec<_>>()
@@ -94,14 +94,14 @@ fn runs_start_and_stop_with_any_number_of_clients() {
     assert_eq!(server.get("/api/v1/points").json()["points"][0]["dwell"], 1);
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"first\"}").status, 409, "a name is never used twice");
 
-    // SIGTERM in the middle of a run ends it as it should.
+    // SIGTERM completes the run.
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"second\"}").status, 201);
     server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(100));
     assert_eq!(server.signal("TERM"), Some(0));
     assert!(capture::read(&fs::read(dir.path().join("dbbd-runs/second/run.dbbd")).unwrap()).ended());
 }
 
-/// What is done on the page before the run and during it.
+/// The actions on the page before and during the run.
 fn operator(recorded: &capture::Capture) -> Vec<String> {
     let acts = recorded.events().filter_map(|event| match event {
         Event::Operator { action, detail, .. } => Some(format!("{action} {detail}").trim_end().to_owned()),
@@ -110,7 +110,7 @@ fn operator(recorded: &capture::Capture) -> Vec<String> {
     acts.collect()
 }
 
-/// A bar that says 1.5 mm, of a protocol with a command that sets it to zero.
+/// A bar that reads 1.5 mm, with a protocol that has a zero command.
 fn resting(name: &str) -> String {
     let terminal = Terminal::new().unwrap();
     let port = terminal.address().to_string();
@@ -161,7 +161,7 @@ fn operator_actions_before_a_run_are_in_its_capture() {
     assert_eq!(acts[0], "connect");
     assert!(acts[1].starts_with("zero ") && acts[1].ends_with(" mm before"), "{acts:?}");
     assert_eq!(acts[2..], ["sound_off", "checked ball_clean t1", "start first", "stop"]);
-    // After the run it is read again, and the next run has only what was done since.
+    // The bar is read again after the run. The next run has only the later actions.
     assert_eq!(server.post("/api/v1/reading", "{}").status, 202);
     assert_eq!(server.ask("DELETE", "/api/v1/reading", "", "").status, 202);
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"second\"}").status, 201);
@@ -172,7 +172,7 @@ fn operator_actions_before_a_run_are_in_its_capture() {
     assert_eq!(operator(&recorded), ["connect", "disconnect", "checked", "start second", "stop"]);
 }
 
-/// The recording goes on at the same place, and the run has failed however it is ended.
+/// Recording continues in a new file, and the run counts as failed.
 #[test]
 fn a_run_with_a_removed_capture_fails() {
     let dir = tempfile::tempdir().unwrap();
@@ -203,11 +203,11 @@ fn a_missing_device_does_not_end_the_service() {
     let refused = server.post("/api/v1/run", "{\"name\":\"a\"}");
     assert_eq!(refused.status, 409);
     assert_eq!(refused.json()["code"], "E0201", "{}", refused.json());
-    // No trace of the run that could not begin: its name is free.
+    // A run that could not begin leaves its name free.
     assert!(!dir.path().join("file/a").exists());
     std::os::unix::fs::symlink(swinging(), &link).unwrap();
     server.wait("/api/v1/status", |status| status["state"] == "idle");
-    // A data directory that cannot be had is told as well.
+    // A data directory that cannot be created is an error as well.
     fs::remove_dir_all(dir.path().join("file")).unwrap();
     fs::write(dir.path().join("file"), "in the way").unwrap();
     let refused = server.post("/api/v1/run", "{\"name\":\"a\"}");
@@ -231,7 +231,7 @@ fn plan(dir: &Path) {
 fn a_killed_run_is_listed_and_can_be_identified() {
     let dir = tempfile::tempdir().unwrap();
     plan(dir.path());
-    // An older one, though its name comes first.
+    // An older plan whose name sorts first.
     fs::create_dir(dir.path().join("again")).unwrap();
     for name in ["plan.csv", "plan.json"] {
         fs::copy(dir.path().join("plan").join(name), dir.path().join("again").join(name)).unwrap();
@@ -268,7 +268,7 @@ fn a_killed_run_is_listed_and_can_be_identified() {
         assert!(report.head.contains(part), "{}", report.head);
     }
     assert_eq!(report.body, fs::read(dir.path().join("dbbd-runs/killed/identify/report.html")).unwrap());
-    // What cannot be done is said, not hidden.
+    // Errors are reported.
     let job =
         server.post("/api/v1/jobs", "{\"kind\":\"identify\",\"run\":\"killed\",\"estimate\":\"nonsense\"}");
     let path = format!("/api/v1/jobs/{}", job.json()["id"]);
@@ -289,7 +289,7 @@ fn the_simulated_cell_needs_no_files() {
     server.wait("/api/v1/status", |status| status["last"]["name"] == "tried");
 }
 
-/// The codes for what the computer lacks: an address that is taken, a directory.
+/// The codes of missing system resources: the address is in use, the directory cannot be created.
 const COMPUTER: [&str; 2] = ["E1502", "E1507"];
 /// The code for a bar that cannot be set to zero.
 const NOT_ZEROED: &str = "E1520";

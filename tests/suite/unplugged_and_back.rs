@@ -224,7 +224,7 @@ fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
     let stop = Arc::new(AtomicBool::new(false));
     let acquisition = Acquisition::start(options, Arc::clone(&stop)).unwrap();
     let away = bar.join().unwrap();
-    // The last leaving is for good.
+    // The last absence has no end.
     stop.store(true, Ordering::Relaxed);
     let samples = acquisition.join().unwrap().progress.samples;
     let capture = capture::read(&std::fs::read(&out).unwrap());

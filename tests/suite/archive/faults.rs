@@ -1,4 +1,4 @@
-//! Kills and cuts while cells push and workers identify: no run is lost, none is there twice, no result is without its run.
+//! Kills and network cuts while cells push and workers identify: no run is lost or duplicated, no result lacks its run.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -100,7 +100,7 @@ impl Campaign {
         command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
     }
 
-    /// Workers and pushers that ended are started again. What a push took, by its exit code, is deleted in the cell.
+    /// Restarts workers and pushers that ended. Runs that were pushed (exit code) are deleted in the cell.
     fn tend(&mut self) {
         for worker in 0..WORKERS {
             let ended = self.workers[worker].as_mut().is_none_or(|child| child.try_wait().unwrap().is_some());
@@ -146,7 +146,7 @@ impl Campaign {
         }
     }
 
-    /// One fault at a time, each in the middle of what goes on.
+    /// Injects one fault at a time.
     fn fault(&mut self) {
         let pause = self.rng.random_range(0.05..0.6);
         self.wait(pause);
@@ -187,7 +187,7 @@ impl Campaign {
         name
     }
 
-    /// Without further faults all comes to its end.
+    /// Waits for the end of all work without further faults.
     fn settle(&mut self) {
         let spooled = |own: &Self| -> usize {
             let count =
@@ -237,7 +237,7 @@ impl Campaign {
         }
         for row in client.query("SELECT sha256 FROM result_file", &[]).unwrap() {
             let sha256: String = row.get(0);
-            // The store answers a request that is signed somehow.
+            // The store accepts any signature.
             let place = format!("/dbbd/plant/objects/{}/{sha256}?Signature=x", &sha256[..2]);
             assert_eq!(self.s3.ask("GET", &place), Some(200), "{place}");
         }

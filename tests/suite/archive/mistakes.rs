@@ -1,4 +1,4 @@
-//! Mistakes with the archive: each is refused, or doubted with a code and exit code 3.
+//! Mistakes of users: each is refused, or gives a warning with a code and exit code 3.
 
 use std::fs;
 use std::path::PathBuf;
@@ -44,11 +44,11 @@ fn empty_selections_give_a_reason() {
     ] {
         for verb in [&["list"][..], &["export", "--out", "tables"], &["reprocess", "--ask-only"]] {
             let output = archive(at, &[verb, choice].concat());
-            // A wrong usage is the parser's.
+            // The command line parser refuses wrong usage.
             ends(&output, exit, if exit == 2 { &[] } else { code });
         }
     }
-    // The limit holds for every verb: the newest.
+    // The limit applies to every command: the newest runs.
     let asked = archive(at, &["reprocess", "--ask-only", "--limit", "1", "--prior", "none", "--json"]);
     assert_eq!(json(&asked)["asked"], 1);
 }
@@ -65,7 +65,7 @@ fn invalid_settings_create_no_jobs() {
     ] {
         ends(&archive(at, &[&["reprocess", "--ask-only"], settings].concat()), 1, &[code]);
     }
-    // A job that fails is counted where it was asked for, and not by the next call.
+    // A failed job is counted by the call that requested it, not by the next one.
     let bad = archive(at, &["reprocess", "--estimate", "centre9_x", "--prior", "none"]);
     says(&bad, 3, "W2414");
     ends(&archive(at, &["reprocess"]), 0, &[]);

@@ -77,7 +77,7 @@ fn an_interrupted_push_is_resumed_and_damage_is_found() {
     let listed = json(&archive(at, &["list", "--json"]));
     let run = listed[0]["sha256"].as_str().unwrap().to_owned();
     let object = objects(at).into_iter().find(|path| path.ends_with(&run)).unwrap();
-    // Cut at any byte, changed with its length kept, gone: `get` refuses, and the next push mends it.
+    // Truncated, changed with the same length, or missing: `get` refuses, and the next push repairs it.
     let whole = fs::read(&object).unwrap();
     let mut changed = whole.clone();
     changed[whole.len() / 2] ^= 1;
@@ -113,9 +113,9 @@ fn runs_wait_in_the_spool_and_are_pushed_once() {
         assert_eq!((waits.status.code(), codes(&waits)), (Some(3), vec!["W2412".to_owned(); 2]));
         assert_eq!(fs::read_dir(at.join("spool")).unwrap().count(), 2);
     }
-    // What a kill left in the middle is no run.
+    // A partial run of a killed process is ignored.
     fs::create_dir(at.join(format!("spool/{}.part", "0".repeat(64)))).unwrap();
-    // What somebody damaged keeps no other run back.
+    // A damaged run does not block the others.
     let damaged = at.join("spool").join("0".repeat(64));
     fs::create_dir(&damaged).unwrap();
     fs::remove_dir_all(at.join("runs")).unwrap();

@@ -1,5 +1,5 @@
-//! PostgreSQL with its roles, and workers that share the work. What needs a server is skipped loudly where there is none;
-//! with DBBD_REQUIRE_SERVERS set it fails.
+//! PostgreSQL with its roles, and workers that share the queue. Tests that need a server print that they are skipped;
+//! with DBBD_REQUIRE_SERVERS set they fail.
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -14,12 +14,13 @@ use super::servers::skipped;
 use super::{archive, command, plant};
 use crate::cell::{codes, stderr};
 
-/// Where the databases of these tests are made: an address without a database, of a role that may make databases and roles.
+/// Where the databases of these tests are made: an address without a database, of a role that may make databases and
+/// roles.
 fn server() -> String {
     std::env::var("DBBD_TEST_POSTGRES").unwrap_or_else(|_| "postgres://postgres@127.0.0.1:5432".into())
 }
 
-/// A database of its own with four roles, gone at the end.
+/// A database with four roles, which is dropped at the end.
 pub(crate) struct Plant {
     pub(crate) name: String,
     pub(crate) dir: TempDir,
@@ -94,7 +95,7 @@ fn a_cell_sees_and_writes_only_its_own_runs() {
         let pushed = plant.run_as(role, &["push", run]);
         assert_eq!(pushed.status.code(), Some(0), "{}", stderr(&pushed));
     }
-    // The run of another cell: held once, and not shown.
+    // The run of another cell is stored once and not visible.
     let again = plant.run_as("b", &["push", "runs/run-0"]);
     assert_eq!((again.status.code(), codes(&again)), (Some(0), vec!["I2413".to_owned()]));
     assert_eq!(["a", "b", "v", "w"].map(|role| plant.listed(role)), [2, 1, 3, 3]);
@@ -267,7 +268,7 @@ fn jobs_are_done_once_per_settings() {
     }
     let refused = archive(at, &["reprocess", "--estimate", "a1;rm -rf"]);
     assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E2411".to_owned()]));
-    // Its worker was lost too often: it is given up, and asked for anew it is done.
+    // The worker was lost too often: the job fails. Requested again, it is done.
     let database = rusqlite::Connection::open(at.join("plant.db")).unwrap();
     let lost =
         "UPDATE job SET state = 'running', attempts = 5, lease_until = 0 WHERE version = '' AND run = ?1";

@@ -1,4 +1,4 @@
-//! The page of the plant: what it shows, whom it lets in, and what names with markup and SQL in them do to it.
+//! The pages of the plant: content, access control, and names with markup and SQL.
 
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
@@ -34,8 +34,8 @@ fn encoded(text: &str) -> String {
     text.bytes().map(|byte| format!("%{byte:02x}")).collect()
 }
 
-/// An archive with `robots` robots of three runs each, a year apart; the error of each grows by 0.1 mm a year, and every
-/// fourth was never checked.
+/// An archive with `robots` robots of three runs each, a year apart; the error of each grows by 0.1 mm a year, and
+/// every fourth was never checked.
 fn filled(robots: usize) -> TempDir {
     let dir = tempdir().unwrap();
     assert_eq!(archive(dir.path(), &["init"]).status.code(), Some(0));

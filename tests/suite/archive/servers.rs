@@ -1,5 +1,5 @@
-//! Servers of one test: PostgreSQL in a temporary directory, an S3 store, and lines to them that can be cut. What is not
-//! installed is skipped loudly; with DBBD_REQUIRE_SERVERS set the test fails.
+//! Servers of one test: PostgreSQL in a temporary directory, an S3 store, and lines to them that can be cut. What is
+//! not installed is skipped loudly; with DBBD_REQUIRE_SERVERS set the test fails.
 
 use std::ffi::OsString;
 use std::fs;
@@ -93,7 +93,7 @@ impl Cluster {
             .unwrap()
     }
 
-    /// kill -9 of the server, and its start on what it left.
+    /// Kills the server (SIGKILL) and starts it again on its data.
     pub(crate) fn kill_and_start(&mut self) {
         self.server.kill().unwrap();
         self.server.wait().unwrap();
@@ -104,7 +104,8 @@ impl Cluster {
         format!("postgres://{role}@127.0.0.1:{}/{database}", self.port)
     }
 
-    /// Waits until it answers. A server that finds the processes of one that was killed ends again: it is started again.
+    /// Waits until it answers. A server that finds the processes of one that was killed ends again: it is started
+    /// again.
     pub(crate) fn client(&mut self, database: &str) -> Client {
         for _ in 0..600 {
             if self.server.try_wait().unwrap().is_some() {
@@ -185,7 +186,7 @@ pub(crate) enum Fault {
     Status500,
 }
 
-/// A line to a port of this computer.
+/// A proxy for a port of this computer.
 pub(crate) struct Line {
     pub(crate) port: u16,
     fault: Arc<AtomicU8>,

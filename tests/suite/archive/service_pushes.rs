@@ -1,4 +1,4 @@
-//! `dbbd serve` hands its runs over by itself.
+//! `dbbd serve` pushes its runs to the archive.
 
 use std::fs;
 use std::path::Path;
@@ -42,7 +42,7 @@ fn the_service_pushes_its_runs() {
     let mut server = Server::start(at, &config);
     begin(&server, "first");
     assert_eq!(server.post("/api/v1/run/stop", "").status, 202);
-    // There is no archive yet: the run waits in the spool, also when what the service recorded is gone.
+    // There is no archive yet: the run waits in the spool, even if the recorded run is deleted.
     let status = waiting(&server, 1);
     assert!(status["archive"]["reason"].as_str().unwrap().contains("W2412"), "{status}");
     assert_eq!((&status["archive"]["confirmed"], &status["archive"]["refused"]), (&0.into(), &0.into()));
@@ -55,7 +55,7 @@ fn the_service_pushes_its_runs() {
     assert_eq!(first.len(), 1);
     assert_eq!(archive(at, &["get", &first[0].0, "--out", "back"]).status.code(), Some(0));
     assert_eq!(fs::read(at.join("back/run.dbbd")).unwrap(), capture);
-    // A run that is on is not pushed; one that a kill ended is, by the next service, and once.
+    // A run in progress is not pushed. A killed run is pushed once by the next service.
     begin(&server, "second");
     assert_eq!(held(at).len(), 1);
     server.child.kill().unwrap();
@@ -68,7 +68,7 @@ fn the_service_pushes_its_runs() {
         assert_eq!((held.len(), held.iter().filter(|run| run.1 == bytes).count()), (2, 1));
         assert!(at.join("dbbd-runs/second/run.dbbd").is_file(), "what is local stays");
     }
-    // Results that come later follow.
+    // Later results are pushed as well.
     fs::create_dir(at.join("dbbd-runs/second/identify")).unwrap();
     fs::write(at.join("dbbd-runs/second/identify/result.json"), "{}").unwrap();
     let server = Server::start(at, &config);

@@ -154,7 +154,7 @@ fn taps() {
         match read(opened) {
             Some(bytes) if bytes.is_empty() => {}
             Some(bytes) => {
-                // What nobody takes is lost, as on a line.
+                // Bytes that are not read are lost, as on a real line.
                 let _ = line.write_all(&bytes);
                 tell(What::Bar(bytes));
             }
