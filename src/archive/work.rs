@@ -13,6 +13,8 @@ use super::{Archive, ColumnKind};
 use crate::base::hash::sha256;
 use crate::catalogue::ArchiveFinding::{GivenUp, NotASetting, OtherValue};
 use crate::diagnostic::Diagnostic;
+use crate::estimation::ResultFile;
+use crate::estimation::priors::Priors;
 use crate::robot::ParamId;
 use crate::robot::parameter::{self, SetUp};
 
@@ -106,20 +108,52 @@ fn flag<'a, D: Deserializer<'a>>(column: D) -> Result<bool, D::Error> {
     i64::deserialize(column).map(|flag| flag != 0)
 }
 
-/// The posterior of robot and bar after a run; lengths in mm, angles in rad.
-#[derive(Deserialize)]
+/// The posterior of robot and bar after a run, as the archive stores it; lengths in mm, angles in rad. Balls and tool
+/// differ between runs.
+#[derive(Serialize, Deserialize)]
 pub struct WrittenPosterior {
     pub parameters: Vec<ParamId>,
     /// From the nominal values.
     pub corrections: Vec<f64>,
     /// The lower triangle, a row per parameter.
     pub covariance: Vec<Vec<f64>>,
-    /// Prior standard deviations; `None` for a free parameter.
+    /// Prior standard deviations; `None` for a parameter without a prior.
     pub prior: Vec<Option<f64>>,
 }
 
 impl WrittenPosterior {
-    /// `None` if it is malformed or its sizes differ.
+    /// The posterior of a result with the text of its `covariance.csv`; `None` if they do not fit each other.
+    pub fn of(result: &ResultFile, covariance: &str, priors: &Priors) -> Option<Self> {
+        let mut lines = covariance.lines().map(|line| line.split(',').skip(1));
+        let ids = lines.next()?.map(|name| name.parse::<ParamId>().ok()).enumerate();
+        let kept: Vec<(usize, ParamId)> = ids
+            .filter_map(|(at, id)| Some((at, id?)))
+            .filter(|(_, id)| id.is_geometric() || matches!(id, ParamId::BarOffset(_)))
+            .collect();
+        let rows: Vec<Vec<f64>> =
+            lines.map(|cells| cells.map(|cell| cell.parse().ok()).collect()).collect::<Option<_>>()?;
+        let parameters: Vec<ParamId> = kept.iter().map(|(_, id)| *id).collect();
+        let correction = |id: &ParamId| {
+            let name = id.to_string();
+            Some(result.parameters.iter().find(|parameter| parameter.name == name)?.correction)
+        };
+        let triangle = kept.iter().enumerate().map(|(row, (at, _))| {
+            kept[..=row].iter().map(|(to, _)| rows.get(*at)?.get(*to).copied()).collect()
+        });
+        Some(Self {
+            corrections: parameters.iter().map(correction).collect::<Option<_>>()?,
+            covariance: triangle.collect::<Option<_>>()?,
+            prior: parameters.iter().map(|id| priors.bound(*id, &[])).collect(),
+            parameters,
+        })
+    }
+
+    /// The stored text.
+    pub fn write(&self) -> String {
+        json!(self).to_string()
+    }
+
+    /// Reads the stored text; `None` if it is malformed or its sizes differ.
     pub fn read(text: &str) -> Option<Self> {
         let written: Self = serde_json::from_str(text).ok()?;
         let size = written.parameters.len();
