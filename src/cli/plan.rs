@@ -111,7 +111,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         None => Known::after(job, robot, &measured.files, out)?,
     };
     let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
-        out.findings(refusal.shown().cloned());
+        out.findings(refusal.printed().cloned());
         Diagnostic { file: name.clone(), ..refusal.into() }
     })?;
     plan.header.provenance = provenance;

@@ -1,16 +1,13 @@
 //! From a job to a plan, or to its refusal.
 
-use super::cell::{Cell, StrokeMargin};
-use super::check::{Inspector, Worst, judge, note_speed, path, summary, unreachable};
-use super::quantity::{Check, Quantity};
+use super::check::{Inspection, summary, unreachable};
+use super::quantity::Check;
 use super::recommend::recommendations;
 use super::refusal::Refusal;
-use super::rig::Rig;
-use super::risk::over_run;
-use super::solve::runs;
+use super::rig::{Rig, runs};
 use super::steps::{Step, steps};
-use super::timing::{Pace, move_times};
-use super::{Header, Job, Plan, PlanRow, PlanningPrior, Taught, optimise, orientations, pass};
+use super::timing::{AFTER_STROBE_S, move_times};
+use super::{Header, Job, Plan, PlanRow, PlanningPrior, Taught, files, optimise, orientations, pass};
 use crate::catalogue::PlanFinding;
 use crate::diagnostic::Diagnostic;
 use crate::provenance::Provenance;
@@ -22,7 +19,7 @@ use crate::robot::{AXES, Robot};
 struct Caution {
     /// Of the risk that is allowed.
     risk_share: f64,
-    /// Beyond the least clearance, mm: a way is tried in coarser steps than it is checked.
+    /// Beyond the least clearance, mm: ways are tried in coarser steps than they are checked.
     clearance_mm: f64,
 }
 
@@ -32,56 +29,21 @@ const CAUTION: [Caution; 3] = [
     Caution { risk_share: 0.3, clearance_mm: 3.0 },
     Caution { risk_share: 0.1, clearance_mm: 8.0 },
 ];
-/// How many branches are followed finely before the best one is refused.
+/// Starts of a run that are followed finely before the best one is refused.
 const TRIED: usize = 4;
 
-/// Rows that were followed finely.
-#[derive(Default)]
-struct Inspected {
-    rows: Vec<PlanRow>,
-    paces: Vec<Option<Pace>>,
-    worst: Vec<Worst>,
-    findings: Vec<PlanFinding>,
-    /// The worst pose of each row, for the risk of all runs together.
-    margins: Vec<StrokeMargin>,
-}
-
-impl Inspected {
-    fn refused(finding: PlanFinding) -> Self {
-        Self { findings: vec![finding], ..Self::default() }
-    }
-
-    fn append(&mut self, mut run: Self) {
-        self.rows.append(&mut run.rows);
-        self.paces.append(&mut run.paces);
-        self.worst.append(&mut run.worst);
-        self.findings.append(&mut run.findings);
-        self.margins.append(&mut run.margins);
-    }
-
-    fn judge(&self, job: &Job) -> Vec<Check> {
-        judge(job, &self.rows, &self.worst)
-    }
-}
-
 impl Plan {
-    /// Plans a job for a robot. Where the robot was identified (it carries its nominal one), the poses
-    /// are those that the controller, which computes with the nominal one, must be commanded.
-    ///
-    /// # Errors
-    /// Every unsafe or impossible row, with value and limit.
+    /// Plans a job for a robot. For an identified robot (which carries its nominal one) the poses are those to command
+    /// to its controller, which computes with the nominal one.
     pub fn build(job: &Job, robot: &Robot) -> Result<Self, Refusal> {
         Self::build_with(job, robot, &PlanningPrior::datasheet(job, robot))
     }
 
     /// As [`Plan::build`], with what is known of the robot.
-    ///
-    /// # Errors
-    /// As [`Plan::build`].
     pub fn build_with(job: &Job, robot: &Robot, prior: &PlanningPrior) -> Result<Self, Refusal> {
         job.check().map_err(|misplaced| misplaced.finding)?;
         let plan = Self::cautious(job, robot, prior);
-        // Before the first length a ball may be moved: how it was taught must not bar what another way allows.
+        // Before the first length a ball can still be taught from elsewhere: try without `taught_deg`.
         let taught = job.centres.iter().any(|table| table.taught_deg.is_some());
         match plan {
             Err(refusal) if refusal.is_for_place() && prior.lengths == 0 && taught => {
@@ -96,60 +58,51 @@ impl Plan {
         }
     }
 
-    /// With chosen poses of less and less risk, farther and farther from what is in the way: the ways between them count as
-    /// well.
+    /// Chooses poses ever more cautiously while the paths between them are refused.
     fn cautious(job: &Job, robot: &Robot, prior: &PlanningPrior) -> Result<Self, Refusal> {
         let [first, further @ ..] = CAUTION;
-        let plan = Self::attempt(job, robot, prior, first);
-        let mut further = further.iter();
-        let refused = |plan: &Result<Self, Refusal>| match plan {
-            Err(refusal) => refusal.is_for_caution() && job.circles.is_empty(),
-            Ok(_) => false,
-        };
-        if !refused(&plan) {
-            return plan;
+        match Self::attempt(job, robot, prior, first) {
+            Err(refusal) if refusal.is_for_caution() && job.circles.is_empty() => {
+                let mut plans = further.into_iter().map(|caution| Self::attempt(job, robot, prior, caution));
+                plans.find_map(Result::ok).ok_or(refusal)
+            }
+            plan => plan,
         }
-        further.find_map(|caution| Self::attempt(job, robot, prior, *caution).ok()).map_or(plan, Ok)
     }
 
     fn attempt(job: &Job, robot: &Robot, prior: &PlanningPrior, caution: Caution) -> Result<Self, Refusal> {
-        let rig = Rig::new(robot);
-        let job = orientations::chosen(job, &rig, prior)?;
+        let job = orientations::chosen(&Rig::new(job, robot), prior)?;
         let mut steps = steps(&job)?;
         let (mut notes, mut stage) = (Vec::new(), None);
         if job.optimise.is_some() {
             let mut wary = job.clone();
             wary.limits.min_clearance_mm += caution.clearance_mm;
-            let chosen = optimise::steps(&wary, &rig, prior, caution.risk_share)?;
+            let chosen = optimise::steps(&Rig::new(&wary, robot), prior, caution.risk_share)?;
             steps.extend(chosen.steps);
             (notes, stage) = (chosen.notes, chosen.stage);
         }
-        let planner = Planner { job: &job, robot, rig: &rig };
-        let (mut inspected, taught) = planner.inspect_all(&steps, prior);
+        let rig = Rig::new(&job, robot);
+        let (mut found, taught) = rig.inspect(&steps, prior);
         // One robot makes all the runs: their risks are not independent.
-        let stroke_risk = over_run(&inspected.margins);
-        if let Some(last) = inspected.worst.last_mut() {
-            last.note(Quantity::RunRisk, stroke_risk);
+        let stroke_risk = found.note_run_risk();
+        if !found.findings.is_empty() {
+            return Err(rig.refusal(&found));
         }
-        if !inspected.findings.is_empty() {
-            return Err(planner.refusal(&inspected));
-        }
-        let seed = u64::from(job.seed);
-        let mut moves = move_times(&inspected.rows, &inspected.paces, &job.motion, robot, seed);
-        for worst in &mut inspected.worst {
+        let mut moves = move_times(&found.rows, &found.paces, &job.motion, robot, u64::from(job.seed));
+        for worst in &mut found.worst {
             let at = worst.position();
-            if let (Some(Some(pace)), Some(time)) = (inspected.paces.get(at), moves.get(at)) {
-                note_speed(worst, pace, time);
+            if let (Some(Some(pace)), Some(time)) = (found.paces.get(at), moves.get(at)) {
+                worst.note_speed(pace, time);
             }
         }
-        let checks = inspected.judge(&job);
+        let checks = found.checks(&job);
         if !checks.iter().all(Check::holds) {
-            return Err(planner.refusal(&inspected));
+            return Err(rig.refusal(&found));
         }
-        let rows = inspected.rows;
+        let rows = found.rows;
         let passes = pass::passes(&job, &rows, &mut moves).map_err(Diagnostic::from)?;
         let header = Header {
-            schema: super::files::SCHEMA,
+            schema: files::SCHEMA,
             hash: String::new(),
             text_hash: String::new(),
             robot: robot.to_toml().map_err(Diagnostic::from)?,
@@ -179,30 +132,24 @@ impl Plan {
     pub fn row_times_s(&self) -> impl Iterator<Item = f64> {
         let motion = &self.header.job.motion;
         self.rows.iter().zip(&self.header.moves).map(|(row, time)| {
-            // A pass is waited for as a dwell is, and none follows.
+            // The robot waits at the end of a pass as it does for a dwell, of length 0.
             let stops = row.dwell_s > 0.0 || self.header.passes.iter().any(|pass| pass.end == row.index);
-            let still_s = motion.settle_s + row.dwell_s + super::timing::AFTER_STROBE_S;
+            let still_s = motion.settle_s + row.dwell_s + AFTER_STROBE_S;
             time.duration_s + if stops { still_s } else { 0.0 }
         })
     }
 }
 
-struct Planner<'a> {
-    job: &'a Job,
-    robot: &'a Robot,
-    rig: &'a Rig<'a>,
-}
-
-impl Planner<'_> {
+impl Rig<'_> {
     /// All runs, each in its best branch, and the balls that are to be taught for them.
-    fn inspect_all(&self, steps: &[Step], prior: &PlanningPrior) -> (Inspected, Vec<Taught>) {
-        let (mut all, mut taught, mut prior) = (Inspected::default(), Vec::new(), prior.clone());
+    fn inspect(&self, steps: &[Step], prior: &PlanningPrior) -> (Inspection, Vec<Taught>) {
+        let (mut all, mut taught, mut prior) = (Inspection::default(), Vec::new(), prior.clone());
         for run in runs(steps) {
             let first_index = run.start as u32 + 1;
             let best = self.best(steps.get(run).unwrap_or_default(), first_index, &prior, all.rows.last());
             if let Some(start) = best.rows.first() {
                 let axes = start.axes_deg.map(f64::to_radians);
-                let start = prior.at_start(self.job, self.rig.controller, start.centre, &axes);
+                let start = prior.at_start(self, start.centre, &axes);
                 taught.extend(prior.begin(start));
             }
             all.append(best);
@@ -210,92 +157,51 @@ impl Planner<'_> {
         (all, taught)
     }
 
-    /// The run in its best branch: that with the largest margin that has no finding; when all have, that with the
-    /// largest margin.
+    /// The run in the branch and turn with the largest margin that is safe; if none is, with the largest margin.
     fn best(
         &self,
         run: &[Step],
         first_index: u32,
         prior: &PlanningPrior,
         before: Option<&PlanRow>,
-    ) -> Inspected {
-        let Some(first) = run.first() else { return Inspected::default() };
+    ) -> Inspection {
+        let Some(first) = run.first() else { return Inspection::default() };
         let first_pose =
-            |why: &Unsolved| Inspected::refused(unreachable(first_index, first.pose.position.into(), why));
-        let starts = match self.rig.starts(first) {
+            |why: &Unsolved| Inspection::refused(unreachable(first_index, first.pose.position.into(), why));
+        let starts = match self.starts(first) {
             Ok(starts) => starts,
             Err(why) => return first_pose(&why),
         };
         let mut failed = None;
         let mut turns: Vec<(f64, [f64; AXES])> = Vec::new();
         for start in &starts {
-            match self.rig.follow(self.job, run, first_index, start) {
+            match self.follow(run, first_index, start) {
                 Ok(branch) => turns.extend(branch.starts),
                 Err(finding) => failed = failed.or(Some(finding)),
             }
         }
         turns.sort_by(|(a, _), (b, _)| b.total_cmp(a));
-        let mut best: Option<Inspected> = None;
+        let mut best: Option<Inspection> = None;
         for (_, start) in turns.into_iter().take(TRIED) {
-            let Ok(branch) = self.rig.follow(self.job, run, first_index, &start) else { continue };
-            let inspected = self.inspect(branch.rows, prior, before);
-            if inspected.findings.is_empty() && inspected.judge(self.job).iter().all(Check::holds) {
-                return inspected;
+            let Ok(branch) = self.follow(run, first_index, &start) else { continue };
+            let found = Inspection::new(self, prior, branch.rows, before);
+            if found.is_safe(self.job) {
+                return found;
             }
-            best = best.or(Some(inspected));
+            best = best.or(Some(found));
         }
-        match (best, failed) {
-            (Some(best), _) => best,
-            (None, Some(finding)) => Inspected::refused(finding),
-            (None, None) => first_pose(&Unsolved::OutOfReach),
-        }
-    }
-
-    /// Follows all motions of a run finely.
-    fn inspect(&self, rows: Vec<PlanRow>, prior: &PlanningPrior, before: Option<&PlanRow>) -> Inspected {
-        let Some(start) = rows.first() else { return Inspected::default() };
-        let axes = start.axes_deg.map(f64::to_radians);
-        let cell = Cell::new(self.job, self.rig, prior, start.centre, &axes);
-        let mut inspector = Inspector::new(&cell, self.robot, start);
-        let mut paces = Vec::with_capacity(rows.len());
-        let mut from = before;
-        let mut aux = None;
-        let passes = match pass::groups(&rows) {
-            Ok(passes) => passes,
-            Err(ungrouped) => return Inspected::refused(ungrouped.finding),
-        };
-        for (at, row) in rows.iter().enumerate() {
-            let pass = passes.iter().find(|pass| pass.holds(at));
-            let path = match pass {
-                Some(pass) if at == pass.end => pass.path(self.job, from, &rows),
-                Some(_) => {
-                    paces.push(None);
-                    continue;
-                }
-                None if row.is_auxiliary() => {
-                    aux = Some(row);
-                    paces.push(None);
-                    continue;
-                }
-                None => from.map(|from| path(from, aux.take(), row)),
-            };
-            paces.push(inspector.follow(from.zip(path), row));
-            from = Some(row);
-        }
-        inspector.finish();
-        let Inspector { worst, findings, margins, .. } = inspector;
-        Inspected { rows, paces, worst, findings, margins }
+        let refused = || failed.map_or_else(|| first_pose(&Unsolved::OutOfReach), Inspection::refused);
+        best.unwrap_or_else(refused)
     }
 
     /// What cannot be reached, then the limits that are not kept.
-    fn refusal(&self, inspected: &Inspected) -> Refusal {
-        let Inspected { rows, findings: lost, .. } = inspected;
-        let mut broken = inspected.judge(self.job);
+    fn refusal(&self, found: &Inspection) -> Refusal {
+        let mut broken = found.checks(self.job);
         broken.retain(|check| !check.holds());
-        let recommended = recommendations(self.job, self.rig, rows, lost, &broken);
+        let recommended = recommendations(self, &found.rows, &found.findings, &broken);
         let limits = broken.iter().map(|check| PlanFinding::from(check).into());
         Refusal {
-            findings: lost.iter().cloned().map(Diagnostic::from).chain(limits).collect(),
+            findings: found.findings.iter().cloned().map(Diagnostic::from).chain(limits).collect(),
             recommendations: recommended.into_iter().map(Diagnostic::from).collect(),
         }
     }

@@ -1,66 +1,57 @@
-//! What one position of the arm comes near to: limits, singularities, cups, obstacles, the stroke's ends.
+//! The checked quantities at one position of the arm: limits, singularities, cups, obstacles, stroke.
 
 use nalgebra::{DVector, Vector3};
 
 use super::PlanningPrior;
 use super::clearance::{IN_CUP_MM, Segment};
-use super::job::Job;
-use super::quantity::{Quantity, limit};
+use super::quantity::Quantity;
 use super::rig::Rig;
 use crate::design::{Candidate, Near, Sphere};
 use crate::estimation::Posterior;
 use crate::robot::inverse::{clearance, status};
 use crate::robot::{AXES, BallId};
 
-/// The robot in its cell, with what is known of it.
+/// The robot in its cell with what is known of it when a run starts.
 pub(crate) struct Cell<'a> {
-    pub(crate) job: &'a Job,
-    pub(crate) rig: &'a Rig<'a>,
+    pub(crate) rig: Rig<'a>,
     posterior: Posterior,
 }
 
-/// How near a reading comes to the ends of the stroke, for the risk over a run.
+/// Distance of a reading from the ends of the stroke, with its uncertainty.
 #[derive(Clone)]
 pub(crate) struct StrokeMargin {
-    /// Room to the lower and to the upper end of the stroke, mm.
+    /// To the lower and to the upper end of the stroke, mm.
     pub(crate) room: [f64; 2],
     /// The reading's derivative in the coordinates of the prior, mm.
     pub(crate) design_row: DVector<f64>,
-    /// Probability of this pose alone.
+    /// Probability of leaving the stroke at this pose.
     pub(crate) risk: f64,
 }
 
-/// Whether the bar is mounted; without it only the arm counts.
+/// Whether the bar is mounted; without it only limits and clearance of the arm count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mounted {
     Yes,
     No,
 }
 
-/// Which candidates are wanted.
+/// Conditions on candidates.
 pub(crate) struct Reach {
     /// Greatest risk of one pose.
     pub(crate) risk: f64,
-    /// The branch of the arm, if only one.
+    /// Status bits of the only branch, if it matters.
     pub(crate) branch: Option<u8>,
-    /// Near which orientation of the tool.
     pub(crate) near: Option<Near>,
 }
 
 impl<'a> Cell<'a> {
-    /// With what is known, when the run about base ball `centre` (from 1) starts at these axis angles (rad).
-    pub(crate) fn new(
-        job: &'a Job,
-        rig: &'a Rig<'a>,
-        prior: &PlanningPrior,
-        centre: u32,
-        start: &[f64; AXES],
-    ) -> Self {
-        Self { job, rig, posterior: prior.at_start(job, rig.controller, centre, start).posterior }
+    /// For a run about base ball `centre` (from 1) that starts at axis angles in rad.
+    pub(crate) fn new(rig: Rig<'a>, prior: &PlanningPrior, centre: u32, start: &[f64; AXES]) -> Self {
+        Self { rig, posterior: prior.at_start(&rig, centre, start).posterior }
     }
 
-    /// Notes all quantities at axis angles in rad, what is soon computed first, until `note` gives `None`.
-    pub(crate) fn look(
+    /// Computes all quantities at axis angles in rad, the cheap ones first, until `note` returns `None`.
+    pub(crate) fn evaluate(
         &self,
         axes: &[f64; AXES],
         centre: u32,
@@ -68,7 +59,8 @@ impl<'a> Cell<'a> {
         note: &mut impl FnMut(Quantity, f64) -> Option<()>,
     ) -> Option<StrokeMargin> {
         note(Quantity::AxisMarginDeg, self.rig.controller.limit_margin_deg(axes))?;
-        let table = self.job.ball(centre)?;
+        let job = self.rig.job;
+        let table = job.ball(centre)?;
         let base = Vector3::from(table.xyz_mm);
         let ball = self.rig.arm.ball(axes);
         if mounted == Mounted::No {
@@ -80,7 +72,7 @@ impl<'a> Cell<'a> {
             note(Quantity::ElbowDeg, clear.elbow.to_degrees())?;
             note(Quantity::OverheadMm, clear.overhead)?;
         }
-        let bar = &self.job.bar;
+        let bar = &job.bar;
         let along = ball.position - base;
         let reading = along.norm() - bar.length_mm;
         note(Quantity::ReadingLowMm, reading)?;
@@ -88,7 +80,7 @@ impl<'a> Cell<'a> {
         if let (Some(cup), Some(_)) = (table.cup_axis, table.cup_limit_deg) {
             note(Quantity::CupDeg, along.angle(&Vector3::from(cup)).to_degrees())?;
         }
-        if let (Some(cup), Some(_)) = (self.job.tool.cup_axis, self.job.tool.cup_limit_deg) {
+        if let (Some(cup), Some(_)) = (job.tool.cup_axis, job.tool.cup_limit_deg) {
             let out = ball.rotation * Vector3::from(cup);
             note(Quantity::ToolCupDeg, (-along).angle(&out).to_degrees())?;
         }
@@ -100,56 +92,57 @@ impl<'a> Cell<'a> {
         Some(StrokeMargin { room, design_row, risk })
     }
 
-    /// Whether all limits are kept, the risk of the stroke at this pose being at most `risk`.
+    /// Whether all limits are kept, with a stroke risk of at most `risk`.
     pub(crate) fn allows(&self, axes: &[f64; AXES], centre: u32, risk: f64) -> bool {
         let kept = |quantity: Quantity, value: f64| {
             let limit = match quantity {
                 Quantity::StrokeRisk => risk,
-                _ => limit(self.job, centre, quantity),
+                _ => quantity.limit(self.rig.job, centre),
             };
             (if quantity.at_least() { value >= limit } else { value <= limit }).then_some(())
         };
-        self.look(axes, centre, Mounted::Yes, &mut { kept }).is_some()
+        self.evaluate(axes, centre, Mounted::Yes, &mut { kept }).is_some()
     }
 
     /// Candidates about a base ball (from 1).
     pub(crate) fn candidates(&self, centre: u32, count: usize, reach: &Reach) -> Vec<Candidate> {
-        let Some(table) = self.job.ball(centre) else { return Vec::new() };
+        let job = self.rig.job;
+        let Some(table) = job.ball(centre) else { return Vec::new() };
         let sphere = Sphere {
             arm: self.rig.arm,
             controller: self.rig.controller,
             id: BallId::numbered(centre),
             ball: Vector3::from(table.xyz_mm),
-            radius_mm: self.job.bar.length_mm,
+            radius_mm: job.bar.length_mm,
             near: reach.near.as_ref(),
         };
-        let seed = u64::from(self.job.seed) << 8 | u64::from(centre);
+        let seed = u64::from(job.seed) << 8 | u64::from(centre);
         sphere.candidates(count, seed, |axes| {
             reach.branch.is_none_or(|branch| status(self.rig.arm, axes) & 7 == branch)
                 && self.allows(axes, centre, reach.risk)
         })
     }
 
-    /// Standard deviation of the length of a pose as the robot is known, mm.
+    /// Standard deviation of the length of a pose, mm.
     pub(crate) fn sd_mm(&self, pose: &Candidate) -> f64 {
         self.posterior.design_row(&pose.axes, pose.ball).norm()
     }
 
-    /// The probability that the length of this pose leaves the stroke.
+    /// The probability that the length of a pose leaves the stroke.
     pub(crate) fn risk(&self, pose: &Candidate) -> f64 {
         self.risk_out(pose, 0.0)
     }
 
-    /// The same `out` mm farther out.
+    /// The same `out` mm farther from the ball.
     pub(crate) fn risk_out(&self, pose: &Candidate, out: f64) -> f64 {
-        let margin = self.look(&pose.axes, pose.ball.number(), Mounted::Yes, &mut |_, _| Some(()));
+        let margin = self.evaluate(&pose.axes, pose.ball.number(), Mounted::Yes, &mut |_, _| Some(()));
         margin.map_or(1.0, |one| self.leaves([one.room[0] + out, one.room[1] - out], &one.design_row))
     }
 
     /// The probability that a length with this room (mm) leaves the stroke.
     fn leaves(&self, room: [f64; 2], design_row: &DVector<f64>) -> f64 {
-        // Never quite zero: at the start itself the bar's own noise is left.
-        let sd = design_row.norm().max(self.job.bar.sigma_um * 1e-3);
+        // At the start itself only the bar's own noise is left.
+        let sd = design_row.norm().max(self.rig.job.bar.sigma_um * 1e-3);
         (normal_tail(room[1] / sd) + normal_tail(room[0] / sd)).min(1.0)
     }
 
@@ -160,10 +153,11 @@ impl<'a> Cell<'a> {
         ball: &Vector3<f64>,
         note: &mut impl FnMut(Quantity, f64) -> Option<()>,
     ) -> Option<()> {
-        if self.job.obstacles.is_empty() {
+        let job = self.rig.job;
+        if job.obstacles.is_empty() {
             return Some(());
         }
-        let tool = &self.job.tool;
+        let tool = &job.tool;
         let joints = self.rig.arm.skeleton(axes);
         let mut parts: Vec<(Segment, f64)> =
             joints.windows(2).skip(1).map(|pair| ([pair[0], pair[1]], tool.arm_radius_mm)).collect();
@@ -174,10 +168,10 @@ impl<'a> Cell<'a> {
         parts.push(([joints[AXES - 1], *ball], tool.radius_mm));
         if let Some(base) = base {
             let along = (ball - base).normalize();
-            parts.push(([base + along * IN_CUP_MM, *ball], self.job.bar.radius_mm));
+            parts.push(([base + along * IN_CUP_MM, *ball], job.bar.radius_mm));
         }
         let distances = parts.iter().flat_map(|(segment, radius)| {
-            self.job.obstacles.iter().map(move |obstacle| obstacle.from_segment(segment) - radius)
+            job.obstacles.iter().map(move |obstacle| obstacle.from_segment(segment) - radius)
         });
         note(Quantity::ClearanceMm, distances.fold(f64::INFINITY, f64::min))
     }

@@ -1,24 +1,25 @@
-//! Is it safe? Each motion is followed finely, and what comes nearest to a limit is kept.
+//! Safety checks along the path: each motion is followed in fine steps, and the worst value of each quantity is kept.
 
 use super::cell::{Cell, Mounted, StrokeMargin};
 use super::job::Job;
 use super::path::Path;
-use super::quantity::{Check, JUMP_DEG, Quantity, limit};
+use super::quantity::{Check, JUMP_DEG, Quantity};
+use super::rig::Rig;
 use super::risk::over_run;
 use super::timing::{ACCELERATION_DEG_S2, ACCELERATION_MM_S2, PTP_ACCELERATION_PERCENT, Pace};
-use super::{Motion, MoveTime, PlanRow};
+use super::{Motion, MoveTime, PlanRow, PlanningPrior, pass};
 use crate::catalogue::PlanFinding;
 use crate::robot::inverse::{Unsolved, nearest, status};
 use crate::robot::{AXES, Pose, Robot};
 
-/// Finest step along a path: 1 mm and 1 degree, be it of the tool or (PTP) of an axis.
+/// Finest step along a path, of the ball and of the tool's orientation or (PTP) of an axis.
 const STEP_MM: f64 = 1.0;
 const STEP_DEG: f64 = 1.0;
 
 /// The worst of each quantity on the way to one row.
 pub(crate) struct Worst {
     row: u32,
-    values: [Option<f64>; Quantity::ALL.len()],
+    values: [Option<f64>; Quantity::COUNT],
 }
 
 impl Worst {
@@ -29,31 +30,144 @@ impl Worst {
 
     pub(crate) fn note(&mut self, quantity: Quantity, value: f64) {
         let kept = &mut self.values[quantity as usize];
-        let worse = match *kept {
-            None => true,
-            Some(worst) => (value < worst) == quantity.at_least() || value.is_nan(),
-        };
+        let worse = kept.is_none_or(|worst| (value < worst) == quantity.at_least() || value.is_nan());
         if worse {
             *kept = Some(value);
         }
     }
+
+    /// The greatest axis speed and acceleration on the way to the row at the speeds chosen, percent of the limits.
+    pub(crate) fn note_speed(&mut self, pace: &Pace, time: &MoveTime) {
+        let (speed, acceleration) = match pace.path {
+            Path::Axes { .. } => (time.axis_percent, PTP_ACCELERATION_PERCENT),
+            Path::Line { .. } | Path::Arc { .. } => {
+                let share = |speed: f64, whole: f64| if whole > 0.0 { speed / whole } else { f64::INFINITY };
+                let (length, turn) = (pace.path.length_mm(), pace.path.turn_deg());
+                let rate = share(time.feed_mm_s, length).min(share(time.turn_deg_s, turn));
+                let ramp = share(ACCELERATION_MM_S2, length).min(share(ACCELERATION_DEG_S2, turn));
+                if rate.is_finite() && ramp.is_finite() {
+                    let acceleration = pace.slope_s2 * ramp + pace.bend_s2 * rate * rate;
+                    (100.0 * (rate * pace.axis_s), 100.0 * acceleration)
+                } else {
+                    (0.0, 0.0)
+                }
+            }
+        };
+        self.note(Quantity::AxisSpeedPercent, speed);
+        self.note(Quantity::AxisAccelerationPercent, acceleration);
+    }
 }
 
-/// A pose that has no axis angles.
 pub(crate) fn unreachable(row: u32, xyz_mm: [f64; 3], why: &Unsolved) -> PlanFinding {
     let [x_mm, y_mm, z_mm] = xyz_mm;
     PlanFinding::Unreachable { row, x_mm, y_mm, z_mm, why: why.to_string() }
 }
 
-/// Follows the motions of a run of rows in which the bar stays on.
-pub(crate) struct Inspector<'a> {
-    cell: &'a Cell<'a>,
-    robot: &'a Robot,
-    began: u8,
-    strayed: bool,
-    pub(crate) margins: Vec<StrokeMargin>,
+/// Rows with what their motions come near to.
+#[derive(Default)]
+pub(crate) struct Inspection {
+    pub(crate) rows: Vec<PlanRow>,
+    pub(crate) paces: Vec<Option<Pace>>,
     pub(crate) worst: Vec<Worst>,
+    /// Poses and paths that cannot be reached.
     pub(crate) findings: Vec<PlanFinding>,
+    /// The pose of the greatest stroke risk of each row.
+    pub(crate) margins: Vec<StrokeMargin>,
+}
+
+impl Inspection {
+    pub(crate) fn refused(finding: PlanFinding) -> Self {
+        Self { findings: vec![finding], ..Self::default() }
+    }
+
+    /// Follows a run of rows from where the robot is at row `before`.
+    pub(crate) fn new(
+        rig: &Rig<'_>,
+        prior: &PlanningPrior,
+        rows: Vec<PlanRow>,
+        before: Option<&PlanRow>,
+    ) -> Self {
+        let Some(start) = rows.first() else { return Self::default() };
+        let cell = Cell::new(*rig, prior, start.centre, &start.axes_deg.map(f64::to_radians));
+        let mut inspector = Inspector { cell, began: start.status, strayed: false, found: Self::default() };
+        let passes = match pass::groups(&rows) {
+            Ok(passes) => passes,
+            Err(ungrouped) => return Self::refused(ungrouped.finding),
+        };
+        let (mut from, mut aux) = (before, None);
+        for (at, row) in rows.iter().enumerate() {
+            let pass = passes.iter().find(|pass| pass.holds(at));
+            let path = match pass {
+                Some(pass) if at == pass.end => pass.path(rig.job, from, &rows),
+                None if !row.is_auxiliary() => from.map(|from| path(from, aux.take(), row)),
+                Some(_) | None => {
+                    aux = if pass.is_none() { Some(row) } else { aux };
+                    inspector.found.paces.push(None);
+                    continue;
+                }
+            };
+            let pace = inspector.follow(from.zip(path), row);
+            inspector.found.paces.push(pace);
+            from = Some(row);
+        }
+        let mut found = Self { rows, ..inspector.found };
+        found.note_run_risk();
+        found
+    }
+
+    /// Notes the risk of all rows together at the last one.
+    pub(crate) fn note_run_risk(&mut self) -> f64 {
+        let risk = over_run(&self.margins);
+        if let Some(last) = self.worst.last_mut() {
+            last.note(Quantity::RunRisk, risk);
+        }
+        risk
+    }
+
+    pub(crate) fn append(&mut self, mut run: Self) {
+        self.rows.append(&mut run.rows);
+        self.paces.append(&mut run.paces);
+        self.worst.append(&mut run.worst);
+        self.findings.append(&mut run.findings);
+        self.margins.append(&mut run.margins);
+    }
+
+    /// The worst of each quantity on the way to each row, with its limit.
+    pub(crate) fn checks(&self, job: &Job) -> Vec<Check> {
+        let mut checks = Vec::new();
+        for there in &self.worst {
+            let ball = self.rows.get(there.position()).map_or(1, |row| row.centre);
+            for quantity in Quantity::all() {
+                if let Some(worst) = there.values[quantity as usize] {
+                    checks.push(Check { quantity, worst, limit: quantity.limit(job, ball), row: there.row });
+                }
+            }
+        }
+        checks
+    }
+
+    pub(crate) fn is_safe(&self, job: &Job) -> bool {
+        self.findings.is_empty() && self.checks(job).iter().all(Check::holds)
+    }
+}
+
+/// Of each quantity the check that is nearest to its limit.
+pub(crate) fn summary(checks: &[Check]) -> Vec<Check> {
+    let worst = |quantity: Quantity| {
+        let same = checks.iter().filter(|check| check.quantity == quantity);
+        same.min_by(|a, b| a.slack().total_cmp(&b.slack())).cloned()
+    };
+    Quantity::all().filter_map(worst).collect()
+}
+
+/// Follows the motions of a run of rows in which the bar stays on.
+struct Inspector<'a> {
+    cell: Cell<'a>,
+    /// Status bits of the first row.
+    began: u8,
+    /// Whether a change of the status was reported.
+    strayed: bool,
+    found: Inspection,
 }
 
 /// What the axes do along one motion, step by step.
@@ -69,9 +183,11 @@ struct Stepper {
 
 impl Stepper {
     fn new(path: &Path, row: &PlanRow, start: [f64; AXES]) -> Self {
-        let there = row.axes_deg.map(f64::to_radians);
-        let widest = (0..AXES).map(|i| (there[i] - start[i]).abs().to_degrees()).fold(0.0, f64::max);
-        let turn = if row.motion == Motion::Ptp { widest } else { path.turn_deg() };
+        let turn = if row.motion == Motion::Ptp {
+            widest_deg(&row.axes_deg.map(f64::to_radians), &start)
+        } else {
+            path.turn_deg()
+        };
         let parts = (path.length_mm() / STEP_MM).max(turn / STEP_DEG).ceil().clamp(1.0, 1e5) as u32;
         Self { parts, start, last: start, before: None, axis_s: 0.0, slope_s2: 0.0, bend_s2: 0.0 }
     }
@@ -96,30 +212,23 @@ impl Stepper {
     }
 }
 
-impl<'a> Inspector<'a> {
-    pub(crate) fn new(cell: &'a Cell<'a>, robot: &'a Robot, start: &PlanRow) -> Self {
-        let (margins, worst, findings) = (Vec::new(), Vec::new(), Vec::new());
-        Self { cell, robot, began: start.status, strayed: false, margins, worst, findings }
-    }
+/// The widest turn of an axis between two sets of axis angles in rad, degrees.
+fn widest_deg(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
+    (0..AXES).map(|i| (a[i] - b[i]).abs().to_degrees()).fold(0.0, f64::max)
+}
 
-    /// Ends the run: its risk as a whole is noted at its last row.
-    pub(crate) fn finish(&mut self) {
-        let risk = over_run(&self.margins);
-        if let Some(last) = self.worst.last_mut() {
-            last.note(Quantity::RunRisk, risk);
-        }
-    }
-
-    /// Follows the motion into `row`: from which row, and on which path. The bar is on all the way, but
-    /// for a PTP motion, at whose end it is mounted.
-    pub(crate) fn follow(&mut self, motion: Option<(&PlanRow, Path)>, row: &PlanRow) -> Option<Pace> {
-        let mut worst = Worst { row: row.index, values: [None; Quantity::ALL.len()] };
+impl Inspector<'_> {
+    /// Follows the motion into `row`: from which row, and on which path. The bar is on all the way, except in a PTP
+    /// motion, at whose end it is mounted.
+    fn follow(&mut self, motion: Option<(&PlanRow, Path)>, row: &PlanRow) -> Option<Pace> {
+        let mut worst = Worst { row: row.index, values: [None; Quantity::COUNT] };
         let there = row.axes_deg.map(f64::to_radians);
         let Some((from, path)) = motion else {
-            self.margins.extend(self.look(&mut worst, &there, row.centre, Mounted::Yes));
-            self.worst.push(worst);
+            self.found.margins.extend(self.evaluate(&mut worst, &there, row.centre, Mounted::Yes));
+            self.found.worst.push(worst);
             return None;
         };
+        let Rig { controller, robot, .. } = self.cell.rig;
         let mounted = if row.motion == Motion::Ptp { Mounted::No } else { Mounted::Yes };
         let mut stepper = Stepper::new(&path, row, from.axes_deg.map(f64::to_radians));
         let mut least: Option<StrokeMargin> = None;
@@ -128,47 +237,46 @@ impl<'a> Inspector<'a> {
             let axes = match path.pose(share) {
                 _ if part == stepper.parts && path.length_mm() == 0.0 => there,
                 None => std::array::from_fn(|i| stepper.start[i] + (there[i] - stepper.start[i]) * share),
-                Some(pose) => match nearest(&self.cell.rig.controller.geometry, &pose, &stepper.last) {
+                Some(pose) => match nearest(&controller.geometry, &pose, &stepper.last) {
                     Ok(axes) => axes,
                     Err(reason) => {
-                        self.findings.push(unreachable(row.index, pose.position.into(), &reason));
+                        self.found.findings.push(unreachable(row.index, pose.position.into(), &reason));
                         return None;
                     }
                 },
             };
-            stepper.advance(axes, self.robot, &mut worst);
-            let margin = self.look(&mut worst, &axes, row.centre, mounted);
+            stepper.advance(axes, robot, &mut worst);
+            let margin = self.evaluate(&mut worst, &axes, row.centre, mounted);
             if margin.as_ref().is_some_and(|one| least.as_ref().is_none_or(|kept| one.risk > kept.risk)) {
                 least = margin;
             }
-            let became = status(&self.cell.rig.controller.geometry, &axes);
-            if became != self.began && row.motion != Motion::Ptp && !self.strayed {
+            let (began, became) = (self.began, status(&controller.geometry, &axes));
+            if became != began && row.motion != Motion::Ptp && !self.strayed {
                 // What follows from it is not reported again.
                 self.strayed = true;
-                self.findings.push(PlanFinding::BranchLeft { row: row.index, began: self.began, became });
+                self.found.findings.push(PlanFinding::BranchLeft { row: row.index, began, became });
                 break;
             }
         }
         // The fine path must end where the row says that it does, full turns included.
-        let last = stepper.last;
-        let astray = (0..AXES).map(|i| (last[i] - there[i]).abs().to_degrees()).fold(0.0, f64::max);
+        let astray = widest_deg(&stepper.last, &there);
         if astray > 1.0 {
             worst.note(Quantity::AxisJumpDeg, astray.max(JUMP_DEG * 2.0));
         }
-        self.worst.push(worst);
-        self.margins.extend(least);
+        self.found.worst.push(worst);
+        self.found.margins.extend(least);
         let Stepper { axis_s, slope_s2, bend_s2, .. } = stepper;
         Some(Pace { path, axis_s, slope_s2, bend_s2 })
     }
 
-    fn look(
+    fn evaluate(
         &self,
         worst: &mut Worst,
         axes: &[f64; AXES],
         centre: u32,
         mounted: Mounted,
     ) -> Option<StrokeMargin> {
-        self.cell.look(axes, centre, mounted, &mut |quantity, value| {
+        self.cell.evaluate(axes, centre, mounted, &mut |quantity, value| {
             worst.note(quantity, value);
             Some(())
         })
@@ -185,53 +293,4 @@ pub fn path(from: &PlanRow, aux: Option<&PlanRow>, row: &PlanRow) -> Path {
         (Motion::Circ, Some(aux)) => Path::arc(pose(from), &aux.xyz_mm.into(), pose(row)),
         (Motion::Circ | Motion::Lin, _) => Path::Line { from: pose(from), to: pose(row) },
     }
-}
-
-/// All checks: the worst of each quantity on the way to each row.
-pub(crate) fn judge(job: &Job, rows: &[PlanRow], worst: &[Worst]) -> Vec<Check> {
-    let mut checks = Vec::new();
-    for there in worst {
-        let (row, centre) = (there.row, rows.get(there.position()).map_or(1, |row| row.centre));
-        for quantity in Quantity::ALL {
-            if let Some(worst) = there.values[quantity as usize] {
-                checks.push(Check { quantity, worst, limit: limit(job, centre, quantity), row });
-            }
-        }
-    }
-    checks
-}
-
-/// Of each quantity the check that is nearest to its limit.
-pub(crate) fn summary(checks: &[Check]) -> Vec<Check> {
-    let slack = |check: &Check| {
-        if check.quantity.at_least() { check.worst - check.limit } else { check.limit - check.worst }
-    };
-    Quantity::ALL
-        .iter()
-        .filter_map(|quantity| {
-            let same = checks.iter().filter(|check| check.quantity == *quantity);
-            same.min_by(|a, b| slack(a).total_cmp(&slack(b))).cloned()
-        })
-        .collect()
-}
-
-/// The greatest axis speed and acceleration on the way to a row at the speeds chosen, percent of the greatest.
-pub(crate) fn note_speed(worst: &mut Worst, pace: &Pace, time: &MoveTime) {
-    let (speed, acceleration) = match pace.path {
-        Path::Axes { .. } => (time.axis_percent, PTP_ACCELERATION_PERCENT),
-        Path::Line { .. } | Path::Arc { .. } => {
-            let share = |speed: f64, whole: f64| if whole > 0.0 { speed / whole } else { f64::INFINITY };
-            let (length, turn) = (pace.path.length_mm(), pace.path.turn_deg());
-            let rate = share(time.feed_mm_s, length).min(share(time.turn_deg_s, turn));
-            let ramp = share(ACCELERATION_MM_S2, length).min(share(ACCELERATION_DEG_S2, turn));
-            if rate.is_finite() && ramp.is_finite() {
-                (rate * pace.axis_s, pace.slope_s2 * ramp + pace.bend_s2 * rate * rate)
-            } else {
-                (0.0, 0.0)
-            }
-        }
-    };
-    let percent = if matches!(pace.path, Path::Axes { .. }) { 1.0 } else { 100.0 };
-    worst.note(Quantity::AxisSpeedPercent, percent * speed);
-    worst.note(Quantity::AxisAccelerationPercent, percent * acceleration);
 }

@@ -1,4 +1,4 @@
-//! A circle of the job: its plane, its points in order, and how the tool is held.
+//! A circle of the job: its plane, its points in order, and the orientation of the tool.
 
 use nalgebra::{Matrix3, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -8,7 +8,7 @@ use super::job::{CircleTable, Direction, Job, Orientation, Plane};
 use crate::catalogue::JobFinding;
 use crate::robot::pose::{Pose, rot_x, rot_y, rot_z};
 
-/// How many points stand between two visits of the reference pose.
+/// Points between two visits of the reference pose.
 pub const REFERENCE_EVERY: u32 = 20;
 
 /// Amplitude of an orientation pattern when the job does not say, degrees (the paper's).
@@ -22,7 +22,6 @@ impl CircleTable {
         points.saturating_add(points.div_ceil(REFERENCE_EVERY))
     }
 
-    /// Whether its ends meet.
     pub(crate) fn is_closed(&self) -> bool {
         self.arc_deg >= 360.0
     }
@@ -47,8 +46,8 @@ impl CircleTable {
         }
     }
 
-    /// The angles of the points in the order in which they are visited, rad from the first, not
-    /// wrapped: the path between two goes through the angles between them.
+    /// The angles of the points in the order in which they are visited, rad from the first, not wrapped: the path between
+    /// two of them goes through the angles between them.
     pub(crate) fn angles(&self) -> Vec<f64> {
         let step = self.step();
         let last = if self.is_closed() { self.points } else { self.points.saturating_sub(1) };
@@ -68,7 +67,7 @@ pub(crate) struct Circle {
     centre: Vector3<f64>,
     first: Vector3<f64>,
     second: Vector3<f64>,
-    /// Radius, mm.
+    /// mm.
     pub(crate) radius: f64,
     start: f64,
     orientation: Orientation,
@@ -136,12 +135,11 @@ impl Circle {
         if angle < 360.0 { angle } else { 0.0 }
     }
 
-    /// The base ball, mm.
     pub(crate) fn centre(&self) -> Vector3<f64> {
         self.centre
     }
 
-    /// The tool's orientation at `angle` (rad from the first point): the same in whichever pass.
+    /// The tool's orientation at `angle` (rad from the first point), the same in both passes.
     pub(crate) fn orientation(&self, angle: f64) -> Matrix3<f64> {
         let down = self.down;
         let (t, q) = (self.start + angle, self.amplitude);
@@ -169,7 +167,7 @@ impl Circle {
         rot_z(a) * rot_y(b) * rot_x(c) * self.down
     }
 
-    /// The number of the point at an angle, from 0: the same in whichever pass.
+    /// The number of the point at an angle, from 0, the same in both passes.
     pub(crate) fn point(&self, angle: f64) -> u64 {
         let whole = (std::f64::consts::TAU / self.step).round().max(1.0);
         (angle / self.step).round().rem_euclid(whole) as u64

@@ -1,14 +1,13 @@
-//! How near bar, tool and arm come to what is in the way.
+//! The distance of bar, tool and arm from obstacles.
 //!
-//! Each moving part is a capsule: a segment with a radius. The distance of a point from a convex body is
-//! a convex function of the point, so that along a segment it has one least value, which a golden-section
-//! search finds.
+//! Each moving part is a capsule: a segment with a radius. The distance of a point from a convex body is a convex function of
+//! the point, so that along a segment it has one minimum, which a golden-section search finds.
 
 use nalgebra::Vector3;
 
 use super::job::ObstacleTable;
 
-/// Near its ball the bar is in the cup, whose limit guards it there: this much of it is left out, mm.
+/// Length of the bar from its ball that is not checked, mm: there it is in the cup, whose limit guards it.
 pub(crate) const IN_CUP_MM: f64 = 50.0;
 
 /// A segment from one point to another, mm.
@@ -18,7 +17,7 @@ pub type Segment = [Vector3<f64>; 2];
 const STEPS: u32 = 36;
 
 impl ObstacleTable {
-    /// Distance of a point from it, mm; 0 inside.
+    /// Distance of a point from the obstacle, mm; 0 inside.
     pub fn from_point(&self, point: &Vector3<f64>) -> f64 {
         match *self {
             Self::Box { low_mm, high_mm } => {
@@ -37,7 +36,7 @@ impl ObstacleTable {
         }
     }
 
-    /// Distance of a segment from it, mm; 0 where they meet.
+    /// Distance of a segment from the obstacle, mm; 0 where they meet.
     pub fn from_segment(&self, [from, to]: &Segment) -> f64 {
         const GOLDEN: f64 = 0.618_033_988_749_895;
         let at = |share: f64| self.from_point(&from.lerp(to, share));

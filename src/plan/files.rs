@@ -1,116 +1,64 @@
 //! `plan.csv` and `plan.json`: a pair that belongs together.
 
-use serde::{Deserialize, Serialize};
-
 use super::{Header, Kind, Motion, Plan, PlanRow, pass};
 use crate::base::serialised;
 use crate::base::table::wrong_csv;
-use crate::catalogue::{CliFinding, PlanFinding};
+use crate::catalogue::{CliFinding, FileFinding, PlanFinding};
 use crate::diagnostic::Diagnostic;
+use crate::measurement::table::APPROACH;
 use crate::provenance::{Artefact, Role, Traced};
-use crate::robot::Approach;
+use crate::robot::{AXES, Approach};
 
 /// Version of the form of `plan.json`.
 pub(crate) const SCHEMA: u32 = 1;
 
-/// A row as it is in the file: its fields are the columns, in order.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Line {
-    index: u32,
-    circle: u32,
-    centre: u32,
-    kind: Kind,
-    r#move: Motion,
-    x_mm: f64,
-    y_mm: f64,
-    z_mm: f64,
-    a_deg: f64,
-    b_deg: f64,
-    c_deg: f64,
-    a1_deg: f64,
-    a2_deg: f64,
-    a3_deg: f64,
-    a4_deg: f64,
-    a5_deg: f64,
-    a6_deg: f64,
-    status: u8,
-    turn: u8,
-    length_mm: f64,
-    dwell_s: f64,
-    /// The sense of each axis's last move before the pose; it follows from the rows.
-    #[serde(default)]
-    approach1: i8,
-    #[serde(default)]
-    approach2: i8,
-    #[serde(default)]
-    approach3: i8,
-    #[serde(default)]
-    approach4: i8,
-    #[serde(default)]
-    approach5: i8,
-    #[serde(default)]
-    approach6: i8,
+/// The columns of `plan.csv`. The senses of approach come after them: they follow from the rows, are not read, and are absent
+/// in files of older versions.
+const COLUMNS: &str = "index,circle,centre,kind,move,x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,\
+    a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,status,turn,length_mm,dwell_s";
+
+fn all_columns() -> String {
+    format!("{COLUMNS},{}", APPROACH.join(","))
 }
 
-impl Line {
-    fn of(row: &PlanRow, approach: Approach) -> Self {
-        let [approach1, approach2, approach3, approach4, approach5, approach6] = approach.senses();
-        let ([x_mm, y_mm, z_mm], [a_deg, b_deg, c_deg]) = (row.xyz_mm, row.abc_deg);
-        let [a1_deg, a2_deg, a3_deg, a4_deg, a5_deg, a6_deg] = row.axes_deg;
-        Self {
-            index: row.index,
-            circle: row.circle,
-            centre: row.centre,
-            kind: row.kind,
-            r#move: row.motion,
-            x_mm,
-            y_mm,
-            z_mm,
-            a_deg,
-            b_deg,
-            c_deg,
-            a1_deg,
-            a2_deg,
-            a3_deg,
-            a4_deg,
-            a5_deg,
-            a6_deg,
-            status: row.status,
-            turn: row.turn,
-            length_mm: row.length_mm,
-            dwell_s: row.dwell_s,
-            approach1,
-            approach2,
-            approach3,
-            approach4,
-            approach5,
-            approach6,
-        }
-    }
-}
+/// The cells that are read of a line, in the order of the columns.
+type Cells = (u32, u32, u32, Kind, Motion, [f64; 3], [f64; 3], [f64; AXES], u8, u8, f64, f64);
 
-impl From<Line> for PlanRow {
-    fn from(line: Line) -> Self {
+impl From<Cells> for PlanRow {
+    fn from(cells: Cells) -> Self {
+        let (
+            index,
+            circle,
+            centre,
+            kind,
+            motion,
+            xyz_mm,
+            abc_deg,
+            axes_deg,
+            status,
+            turn,
+            length_mm,
+            dwell_s,
+        ) = cells;
         Self {
-            index: line.index,
-            circle: line.circle,
-            centre: line.centre,
-            kind: line.kind,
-            motion: line.r#move,
-            xyz_mm: [line.x_mm, line.y_mm, line.z_mm],
-            abc_deg: [line.a_deg, line.b_deg, line.c_deg],
-            axes_deg: [line.a1_deg, line.a2_deg, line.a3_deg, line.a4_deg, line.a5_deg, line.a6_deg],
-            status: line.status,
-            turn: line.turn,
-            length_mm: line.length_mm,
-            dwell_s: line.dwell_s,
+            index,
+            circle,
+            centre,
+            kind,
+            motion,
+            xyz_mm,
+            abc_deg,
+            axes_deg,
+            status,
+            turn,
+            length_mm,
+            dwell_s,
         }
     }
 }
 
 impl PlanRow {
-    /// What the columns' types do not say.
+    /// Checks what the types of the columns do not say; `at` is the position from 0.
     fn check(&self, at: usize) -> Result<(), PlanFinding> {
         let &Self { index, status, turn, dwell_s, .. } = self;
         if index as usize != at + 1 {
@@ -137,13 +85,14 @@ impl PlanRow {
 
 impl Plan {
     /// The text of `plan.csv`.
-    ///
-    /// # Errors
-    /// None is known: see [`serialised`].
     pub fn to_csv(&self) -> Result<String, CliFinding> {
-        serialised::csv(
-            self.rows.iter().zip(self.approaches()).map(|(row, approach)| Line::of(row, approach)),
-        )
+        let cells = |(row, approach): (&PlanRow, Approach)| {
+            let r = row.clone();
+            let place = (r.index, r.circle, r.centre, r.kind, r.motion, r.xyz_mm, r.abc_deg, r.axes_deg);
+            (place, r.status, r.turn, r.length_mm, r.dwell_s, approach.senses())
+        };
+        let rows = self.rows.iter().zip(self.approaches()).map(cells);
+        serialised::csv_table(all_columns().split(','), rows)
     }
 
     /// How the moves bring the axes to each row.
@@ -158,18 +107,12 @@ impl Plan {
     }
 
     /// The plan as an artefact.
-    ///
-    /// # Errors
-    /// As [`Self::to_csv`].
     pub fn traced(&self) -> Result<Traced, CliFinding> {
         let artefact = Artefact::new(Role::Plan, &self.header.hash, self.to_csv()?);
         Ok(Traced { artefact, provenance: self.header.provenance.clone() })
     }
 
     /// The texts of `plan.csv` and `plan.json`.
-    ///
-    /// # Errors
-    /// As [`Self::to_csv`].
     pub fn to_files(&self) -> Result<(String, String), CliFinding> {
         let mut header = self.header.clone();
         let csv = self.to_csv()?;
@@ -180,10 +123,7 @@ impl Plan {
         Ok((csv, json))
     }
 
-    /// Reads a plan from its two files.
-    ///
-    /// # Errors
-    /// Names the line of what is not a plan, or says that the two do not belong together.
+    /// Reads a plan from its two files, and checks that they belong together.
     pub fn from_files(
         csv_name: &str,
         csv_text: &str,
@@ -199,9 +139,7 @@ impl Plan {
         if header.schema != SCHEMA {
             return Err(wrong(PlanFinding::Schema { schema: header.schema, known: SCHEMA }));
         }
-        if let Err(misplaced) = header.job.check() {
-            return Err(Diagnostic::file(json_name, misplaced.finding));
-        }
+        header.job.check().map_err(|misplaced| Diagnostic::file(json_name, misplaced.finding))?;
         let indices = header.moves.iter().map(|time| time.index);
         if !indices.eq(rows.iter().map(|row| row.index)) {
             return Err(wrong(PlanFinding::Moves { rows: rows.len(), moves: header.moves.len() }));
@@ -229,7 +167,13 @@ impl Plan {
 fn read_rows(name: &str, text: &str) -> Result<Vec<PlanRow>, Diagnostic> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let mut rows: Vec<PlanRow> = Vec::new();
-    for (at, line) in reader.deserialize::<Line>().enumerate() {
+    let columns = reader.headers().map_err(|error| wrong_csv(name, &error))?;
+    let columns = columns.iter().collect::<Vec<_>>().join(",");
+    if columns != COLUMNS && columns != all_columns() {
+        let why = format!("the columns must be {}", all_columns());
+        return Err(Diagnostic::line(name, 1, FileFinding::NotACell { column: 0, why }));
+    }
+    for (at, line) in reader.deserialize::<Cells>().enumerate() {
         let row = PlanRow::from(line.map_err(|error| wrong_csv(name, &error))?);
         row.check(at).map_err(|finding| Diagnostic::line(name, at + 2, finding))?;
         rows.push(row);

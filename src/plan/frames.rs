@@ -1,4 +1,4 @@
-//! The frames in which the program runs: poses as they are commanded, and back.
+//! The frames of the program: poses as they are commanded, and back.
 
 use super::{MotionTable, PlanRow};
 use crate::robot::Pose;
@@ -15,7 +15,7 @@ pub struct Frames {
 }
 
 impl MotionTable {
-    /// The frames of the job: null but for what it says.
+    /// The frames of the job; null where it gives none.
     pub fn frames(&self) -> Frames {
         let [.., a, b, c] = self.tool.unwrap_or_default();
         let [x, y, z, u, v, w] = self.base.unwrap_or_default();
@@ -36,7 +36,7 @@ impl Frames {
 
     /// A row's numbers as KRL prints them.
     pub fn printed(&self, row: &PlanRow) -> ([f64; 3], [f64; 3]) {
-        // At B = 90 degrees a pose has A and C of many kinds.
+        // At B = 90 degrees A and C are ambiguous: keep those of the row.
         if self.null {
             (row.xyz_mm, row.abc_deg)
         } else {
@@ -44,7 +44,7 @@ impl Frames {
         }
     }
 
-    /// The pose that the controller takes such numbers for, in the robot base: X, Y, Z and the flange's A, B, C.
+    /// The pose that the controller drives for printed numbers, in the robot base: X, Y, Z and the flange's A, B, C.
     pub(crate) fn as_driven(&self, (xyz_mm, abc_deg): ([f64; 3], [f64; 3])) -> ([f64; 3], [f64; 3]) {
         if self.null {
             return (xyz_mm, abc_deg);

@@ -1,4 +1,4 @@
-//! Circles and pose sets: what the robot is to do, checked before anything moves.
+//! From a job to a plan: circles and chosen poses, checked before anything moves.
 
 mod build;
 mod cell;
@@ -13,7 +13,6 @@ mod optimise;
 mod orientations;
 mod pass;
 pub mod path;
-mod places;
 pub mod prediction;
 mod prior;
 mod quantity;
@@ -24,7 +23,6 @@ mod rig;
 mod risk;
 mod route;
 pub mod rows;
-mod solve;
 mod stage;
 mod steps;
 pub mod timing;
@@ -42,12 +40,11 @@ pub use frames::Frames;
 pub use job::{DEFAULT_PROTOCOL, Job, MotionTable, SIGMA_UM};
 pub use module::MODULE_DWELLS;
 pub use pass::Pass;
-pub use places::CirclePlace;
 pub use prediction::Prediction;
 pub use prior::{PlanningPrior, Taught};
 pub use quantity::{Check, Quantity};
 pub use refusal::Refusal;
-pub use rows::{Motion, PlanRow};
+pub use rows::{CirclePlace, Motion, PlanRow};
 pub use stage::Stage;
 
 /// A plan: the rows of `plan.csv` and the header in `plan.json`.
@@ -63,37 +60,35 @@ pub struct Plan {
 pub struct Header {
     /// Version of this form: 1.
     pub schema: u32,
-    /// What the program does and with what: CRC-64/XZ over the text of `plan.csv` with job, robot, moves and passes, sixteen
-    /// hexadecimal digits.
+    /// CRC-64/XZ over the text of `plan.csv` with job, robot, moves and passes, sixteen hexadecimal digits.
     pub hash: String,
-    /// The same over both files, with these digits 0, while it is in a file; absent in those of older versions, whose
-    /// `hash` is that of `plan.csv` alone.
+    /// The same over both files, computed with these digits as 0; present only in a file. Absent in files of older versions,
+    /// whose `hash` is that of `plan.csv` alone.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub text_hash: String,
-    /// The job it was made from.
     pub job: Job,
-    /// The robot it was made for, as its file's text.
+    /// The text of the robot's file.
     pub robot: String,
     /// The files that it was made from.
     #[serde(default, skip_serializing_if = "Provenance::is_empty")]
     pub provenance: Provenance,
-    /// How long each move lasts: one entry for each row, in order.
+    /// One entry for each row, in order.
     pub moves: Vec<MoveTime>,
     /// The passes of continuous circles, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub passes: Vec<Pass>,
-    /// Of each quantity that was checked the worst value, its limit, and where.
+    /// The worst value of each quantity that was checked.
     pub checks: Vec<Check>,
-    /// What was found about the chosen poses; for people, not read back.
+    /// Findings about the chosen poses; for people, not read back.
     #[serde(default, skip_serializing_if = "Vec::is_empty", with = "notes")]
     pub notes: Vec<PlanFinding>,
-    /// The base balls that are to be taught before the bar is mounted, and how; the risk rests on it.
+    /// The base balls that are to be taught before the bar is mounted; the risk depends on it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub taught: Vec<Taught>,
-    /// Probability that a robot within its tolerance leaves the stroke anywhere while the bar is on.
+    /// Probability that a robot within its tolerance leaves the stroke anywhere while the bar is mounted.
     #[serde(default)]
     pub stroke_risk: f64,
-    /// Where not every pose that can be reached is allowed yet: what this stage bars.
+    /// Present if not every pose that can be reached is allowed yet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage: Option<Stage>,
     /// What the plan will determine; for people, not read back.
@@ -125,10 +120,9 @@ fn not_read<'de, D: Deserializer<'de>, T: Default>(from: D) -> Result<T, D::Erro
     IgnoredAny::deserialize(from).map(|_| T::default())
 }
 
-/// The time code: how a row's move is driven, so that every interval between dwells is its own.
+/// The time code: speeds and duration of a row's move, chosen so that all intervals between dwells differ.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MoveTime {
-    /// The row's index.
     pub index: u32,
     /// Speed of the ball along its path, mm/s (LIN, CIRC).
     pub feed_mm_s: f64,
@@ -136,6 +130,6 @@ pub struct MoveTime {
     pub turn_deg_s: f64,
     /// Share of the greatest axis speeds, percent (PTP).
     pub axis_percent: f64,
-    /// How long the move lasts at full override, s, from leaving the last pose to reaching this one.
+    /// Duration of the move from the last pose to this one at full override, s.
     pub duration_s: f64,
 }

@@ -1,5 +1,5 @@
-//! A module of chosen poses: from the start, which is the reference, from pose to pose on the sphere about
-//! one base ball, with its sync markers.
+//! A module of chosen poses: from pose to pose on the sphere about one base ball, with sync markers; the start pose is the
+//! reference.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -12,15 +12,15 @@ use crate::catalogue::PlanFinding;
 use crate::design::Candidate;
 use crate::robot::Pose;
 
-/// Following poses that are tried when the next cannot be reached.
+/// Poses that are tried in order when the next one cannot be reached.
 const AHEAD: usize = 12;
-/// Dwells that a module numbers at most: their index goes out on eight outputs.
+/// Most dwells of a module: their index goes out on eight outputs.
 pub const MODULE_DWELLS: u32 = 255;
-/// After so many steps another module begins: a controller takes so many lines in one.
+/// After so many steps another module begins: a controller limits the lines of one.
 const MOST_STEPS: usize = 400;
 
-/// One module, or several where it grows long: to the start pose, sync markers, the poses in order with visits of the
-/// first as reference, sync markers. `risk` is the greatest one of a pose; the poses that were left out.
+/// Appends one module, or several where it grows long: sync markers, the poses in order with visits of the reference pose,
+/// sync markers. `risk` is the greatest stroke risk of a pose. Returns findings about poses that were left out.
 pub(crate) fn module(
     walk: &mut Walk,
     cell: &Cell<'_>,
@@ -56,29 +56,29 @@ pub(crate) fn module(
     notes
 }
 
-/// The way through chosen poses about one base ball.
+/// The path through chosen poses about one base ball.
 struct Chain<'a, 'c> {
     walk: &'a mut Walk,
     router: Router<'c>,
     start: &'a Candidate,
-    /// The pose at which the robot is.
+    /// The current pose.
     here: Candidate,
     /// The first step of the module.
     began: usize,
     dwells: u32,
-    /// Visits of the reference that no path leads to.
+    /// Visits of the reference to which there is no path.
     missed: usize,
 }
 
 impl Chain<'_, '_> {
-    /// From pose to pose; those that cannot be reached are left.
+    /// Visits the poses; those that cannot be reached are left in `poses`.
     fn visit(&mut self, poses: &mut Vec<Candidate>) {
         let (mut count, mut skipped) = (1_u32, 0);
         while !poses.is_empty() {
             let ahead = 0..poses.len().min(AHEAD);
             let next = ahead.into_iter().find_map(|at| Some((at, self.router.way(&self.here, &poses[at])?)));
             let Some((at, way)) = next else {
-                // Nothing ahead can be reached from here: the first waits till the end, once.
+                // Nothing ahead can be reached from here: try the first pose again at the end.
                 skipped += 1;
                 poses.rotate_left(1);
                 if skipped > poses.len() {
@@ -91,7 +91,7 @@ impl Chain<'_, '_> {
             self.walk.go(way, &pose, Kind::Measure);
             self.here = pose;
             (count, self.dwells) = (count + 1, self.dwells + 1);
-            // A visit of the reference, the last pose and the last visit may follow.
+            // Leave room for a visit of the reference, the last pose and the last visit.
             let full = self.walk.steps.len() - self.began > MOST_STEPS || self.dwells + 2 >= MODULE_DWELLS;
             if full && !poses.is_empty() {
                 self.next_module();
@@ -102,7 +102,7 @@ impl Chain<'_, '_> {
         }
     }
 
-    /// Another module; the bar stays on.
+    /// Begins another module; the bar stays on.
     fn next_module(&mut self) {
         self.markers(End::Finish);
         (self.began, self.dwells) = (self.walk.steps.len(), 0);
@@ -111,14 +111,17 @@ impl Chain<'_, '_> {
         self.markers(End::Start);
     }
 
-    /// The sync markers of an end of the module, where the robot is.
+    /// The sync markers of an end of the module, at the current pose.
     fn markers(&mut self, end: End) {
         let Router { cell, ball, radius, risk, .. } = self.router;
-        let out = safe_marker(&cell.job.bar, radius, risk, |out| cell.risk_out(&self.here, out));
-        self.walk.radial_markers(end, &self.here.pose, &ball, out);
+        let length = safe_marker(&cell.rig.job.bar, radius, risk, |out| cell.risk_out(&self.here, out));
+        let rest = self.here.pose;
+        let along = (rest.position - ball).normalize();
+        let out = Pose { rotation: rest.rotation, position: rest.position + along * length };
+        self.walk.markers(end, rest, out);
     }
 
-    /// Back to the reference pose; at it already, a step aside and back.
+    /// Visits the reference pose; from the pose itself by a step aside and back.
     fn reference(&mut self) {
         if self.here == *self.start {
             let pose = self.here.pose;
@@ -134,7 +137,7 @@ impl Chain<'_, '_> {
     }
 }
 
-/// The pose a little further on the sphere.
+/// A pose nearby on the sphere.
 fn aside(pose: &Pose, ball: &Vector3<f64>) -> Pose {
     let along = pose.position - ball;
     let across = if along.x.abs() < 0.9 * along.norm() { Vector3::x() } else { Vector3::y() };

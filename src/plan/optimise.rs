@@ -1,12 +1,12 @@
-//! Poses chosen from what can be reached, as steps: one module for each base ball.
+//! Poses chosen among those that can be reached, as steps: one module for each base ball.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::PlanningPrior;
 use super::cell::{Cell, Reach};
-use super::job::{CentreTable, Job, Optimise};
+use super::job::{CentreTable, Optimise};
 use super::module::module;
-use super::prior::{length_sigma_mm, touching};
+use super::prior::length_sigma_mm;
 use super::refusal::Refusal;
 use super::rig::Rig;
 use super::stage::Stage;
@@ -22,30 +22,51 @@ use crate::robot::inverse::status;
 use crate::robot::parameter;
 use crate::robot::pose::{rot_x, rot_z};
 
-/// Poses of the workspace over which the 3-D error is made least.
+/// Poses of the workspace over which the 3-D error is minimised.
 const POSES: usize = 400;
-/// Start poses that are tried where the ball is known by touching it alone, and poses by which they are compared.
+/// Start poses that are tried about a ball, and poses by which they are compared.
 const STARTS: usize = 40;
 const COMPARED: usize = 150;
 /// Poses of the smallest stage.
 const FEWEST: u32 = 6;
 
-/// The steps of the chosen poses, and what was found about them.
 pub(crate) struct Chosen {
     pub(crate) steps: Vec<Step>,
     pub(crate) notes: Vec<PlanFinding>,
-    /// Where not every pose is allowed yet.
+    /// Present if not every pose is allowed yet.
     pub(crate) stage: Option<Stage>,
 }
 
-/// What can be measured about one base ball.
+/// The poses about one base ball that can be reached, whatever their stroke risk.
+struct Scan {
+    ball: BallId,
+    /// In any orientation.
+    reach: Vec<Candidate>,
+    /// Near the orientation in which the ball was taught, or with the tool down.
+    near: Vec<Candidate>,
+}
+
+impl Scan {
+    /// The poses from which a run may start: from there the ball can be touched with the same orientation.
+    fn starts<'c>(&'c self, rig: &'c Rig<'_>) -> impl Iterator<Item = &'c Candidate> {
+        let touches = |start: &&Candidate| rig.touching(self.ball.number(), &start.axes).is_some();
+        self.near.iter().chain(&self.reach).filter(touches)
+    }
+
+    /// The controller's axis angles at which it touches the ball, with the orientation of the first start, degrees.
+    fn touching(&self, rig: &Rig<'_>) -> Option<String> {
+        let axes = self.starts(rig).find_map(|start| rig.touching(self.ball.number(), &start.axes))?;
+        Some(axes.map(|angle| format!("{:.4}", angle.to_degrees())).join(", "))
+    }
+}
+
+/// The safe poses about one base ball.
 struct About<'a> {
     cell: Cell<'a>,
     start: Candidate,
-    /// Poses that can be reached, and how many of them the risk bars.
+    /// Poses that can be reached, and how many of them are barred by their risk.
     reachable: usize,
     barred: usize,
-    /// Poses that are allowed.
     allowed: Vec<Candidate>,
 }
 
@@ -56,62 +77,34 @@ impl About<'_> {
     }
 }
 
-/// What can be reached about one base ball.
-struct Scan {
-    ball: BallId,
-    /// Anywhere.
-    reach: Vec<Candidate>,
-    /// Near the orientation in which the ball was taught, or with the tool down.
-    near: Vec<Candidate>,
-}
-
-impl Scan {
-    /// The poses from which a run may start: from there the ball can be touched with the tool held alike.
-    fn starts<'c>(&'c self, chooser: &'c Chooser<'_>) -> impl Iterator<Item = &'c Candidate> {
-        let touches = |start: &&Candidate| {
-            touching(chooser.job, chooser.rig.controller, self.ball.number(), &start.axes).is_some()
-        };
-        self.near.iter().chain(&self.reach).filter(touches)
-    }
-
-    /// The controller's axis angles at which it touches the ball, as at the first start, degrees.
-    fn touching(&self, chooser: &Chooser<'_>) -> Option<String> {
-        let axes = self.starts(chooser).find_map(|start| {
-            touching(chooser.job, chooser.rig.controller, self.ball.number(), &start.axes)
-        })?;
-        Some(axes.map(|angle| format!("{:.4}", angle.to_degrees())).join(", "))
-    }
-}
-
-/// What can be measured about all base balls, for a number of poses.
+/// The safe poses about all base balls, for a number of poses to choose.
 struct Survey<'a> {
     points: u32,
-    /// Greatest risk of one pose: that of the whole run is shared among its poses.
+    /// Greatest risk of one pose: an equal share of that of the whole run.
     risk: f64,
     abouts: Vec<About<'a>>,
     stage: Stage,
 }
 
 impl Survey<'_> {
-    /// Poses to choose, besides the starts, and those to choose from.
+    /// Poses to choose besides the starts.
     fn count(&self) -> usize {
         (self.points as usize).saturating_sub(self.abouts.len())
     }
 
+    /// Poses to choose from.
     fn pool(&self) -> usize {
         self.abouts.iter().map(|about| about.others().count()).sum()
     }
 }
 
-/// Chooses the job's poses, of this share of the risk that is allowed.
-///
-/// # Errors
-/// Why none could be chosen, and what would help.
-pub(crate) fn steps(job: &Job, rig: &Rig<'_>, prior: &PlanningPrior, share: f64) -> Result<Chosen, Refusal> {
+/// Chooses the job's poses, with this share of the risk that is allowed.
+pub(crate) fn steps(rig: &Rig<'_>, prior: &PlanningPrior, share: f64) -> Result<Chosen, Refusal> {
+    let job = rig.job;
     let wanted = job.optimise.clone().unwrap_or_default();
     let risk = share * job.limits.max_stroke_risk;
-    let chooser =
-        Chooser { job, rig, prior, risk, share: wanted.candidates as usize / job.centres.len().max(1) };
+    let candidates = wanted.candidates as usize / job.centres.len().max(1);
+    let chooser = Chooser { rig: *rig, prior, risk, candidates };
     let scans: Result<Vec<Scan>, PlanFinding> = job.centres.iter().map(|table| chooser.scan(table)).collect();
     let scans = scans.map_err(|finding| Refusal {
         findings: vec![finding.into()],
@@ -139,17 +132,16 @@ pub(crate) fn steps(job: &Job, rig: &Rig<'_>, prior: &PlanningPrior, share: f64)
 }
 
 struct Chooser<'a> {
-    job: &'a Job,
-    rig: &'a Rig<'a>,
+    rig: Rig<'a>,
     prior: &'a PlanningPrior,
     /// Greatest risk of all poses together.
     risk: f64,
-    /// Candidates for each base ball.
-    share: usize,
+    /// Number for each base ball.
+    candidates: usize,
 }
 
 impl<'a> Chooser<'a> {
-    /// What can be measured safely: all poses wanted, or as many of a stage as can be, down to the fewest.
+    /// The safe poses: for all poses wanted, else for a stage, which is halved down to the fewest.
     fn safe(&self, scans: &[Scan], wanted: &Optimise) -> Result<Survey<'a>, Refusal> {
         let halves = std::iter::successors(Some(wanted.stage_points), |points| Some(points / 2));
         let stages = halves.take_while(|points| *points >= FEWEST).filter(|points| *points < wanted.points);
@@ -168,7 +160,7 @@ impl<'a> Chooser<'a> {
                 return Ok(survey);
             }
             let few = PlanFinding::TooFewPoses { allowed: survey.pool(), wanted: points as usize };
-            // Where the risk bars none, fewer poses make none safer.
+            // If the risk bars no pose, choosing fewer does not help.
             if survey.stage.barred == 0 {
                 let reach = PlanFinding::FewInReach { reachable: survey.stage.reachable, wanted: points };
                 return Err(Refusal { findings: vec![few.into()], recommendations: vec![reach.into()] });
@@ -178,11 +170,6 @@ impl<'a> Chooser<'a> {
         let help = scans.iter().filter_map(|scan| self.help(scan)).map(Diagnostic::from).collect();
         let findings = refused.into_iter().map(Diagnostic::from).collect();
         Err(Refusal { findings, recommendations: help })
-    }
-
-    /// Of the smallest stage.
-    fn least_risk(&self) -> f64 {
-        self.risk / f64::from(FEWEST)
     }
 
     fn survey(&self, scans: &[Scan], points: u32) -> Result<Survey<'a>, PlanFinding> {
@@ -197,45 +184,40 @@ impl<'a> Chooser<'a> {
         Ok(Survey { points, risk, abouts, stage })
     }
 
-    /// What makes the fewest poses of a stage about a ball safe: that it is taught, or a stroke.
+    /// What would make a smallest stage about a ball safe: that the ball is taught, or a longer stroke.
     fn help(&self, scan: &Scan) -> Option<PlanFinding> {
-        let ball = scan.ball;
-        if let Some(axes_deg) = self.prior.untaught(ball).then(|| scan.touching(self)).flatten() {
-            return Some(PlanFinding::TeachFirst { ball: ball.number(), axes_deg });
+        let (job, ball) = (self.rig.job, scan.ball.number());
+        // After lengths it matters how the ball was taught.
+        let untaught = self.prior.lengths > 0 && job.ball(ball)?.taught_deg.is_none();
+        if let Some(axes_deg) = untaught.then(|| scan.touching(&self.rig)).flatten() {
+            return Some(PlanFinding::TeachFirst { ball, axes_deg });
         }
+        let least_risk = self.risk / f64::from(FEWEST);
         let needed = |start: &Candidate| {
             let cell = self.cell(start);
             let mut sd: Vec<f64> = scan.near.iter().chain(&scan.reach).map(|pose| cell.sd_mm(pose)).collect();
             sd.sort_by(f64::total_cmp);
             let most = sd.get(FEWEST as usize)?.max(cell.sd_mm(start));
-            Some(
-                normal_deviate(self.least_risk().ln()) * most
-                    + least_marker(&self.job.bar, self.job.bar.length_mm),
-            )
+            Some(normal_deviate(least_risk.ln()) * most + least_marker(&job.bar, job.bar.length_mm))
         };
-        let starts = scan.starts(self).take(STARTS).filter_map(needed);
+        let starts = scan.starts(&self.rig).take(STARTS).filter_map(needed);
         let half_mm = starts.fold(f64::INFINITY, f64::min);
-        let [low_mm, high_mm] = self.job.bar.stroke_mm;
-        half_mm.is_finite().then_some(PlanFinding::StrokeNeeded {
-            ball: ball.number(),
-            half_mm,
-            low_mm,
-            high_mm,
-        })
+        let [low_mm, high_mm] = job.bar.stroke_mm;
+        half_mm.is_finite().then_some(PlanFinding::StrokeNeeded { ball, half_mm, low_mm, high_mm })
     }
 
     /// The cell for a run that starts there.
     fn cell(&self, start: &Candidate) -> Cell<'a> {
-        Cell::new(self.job, self.rig, self.prior, start.ball.number(), &start.axes)
+        Cell::new(self.rig, self.prior, start.ball.number(), &start.axes)
     }
 
     fn notes(&self, survey: &Survey<'_>, staged: bool) -> Vec<PlanFinding> {
-        let few = survey.abouts.iter().filter(|about| about.reachable < self.share);
+        let few = survey.abouts.iter().filter(|about| about.reachable < self.candidates);
         let mut notes: Vec<PlanFinding> = few
             .map(|about| PlanFinding::FewCandidates {
                 ball: about.start.ball.number(),
                 found: about.reachable,
-                wanted: self.share,
+                wanted: self.candidates,
             })
             .collect();
         let Stage { lengths, barred, reachable } = survey.stage;
@@ -248,18 +230,17 @@ impl<'a> Chooser<'a> {
         notes
     }
 
-    /// What can be reached about one base ball, be it safe or not.
     fn scan(&self, table: &CentreTable) -> Result<Scan, PlanFinding> {
-        let &Self { job, rig, prior, share, .. } = self;
+        let rig = &self.rig;
         let ball = BallId::new(table.id).unwrap_or(BallId::FIRST);
-        // Nothing is barred here: only the limits and the rest of the cell count.
-        let anywhere = Cell::new(job, rig, prior, table.id, &[0.0; 6]);
+        // With a risk of 1 only the limits and the obstacles count, so that any start does.
+        let anywhere = Cell::new(*rig, self.prior, table.id, &[0.0; 6]);
         let candidates =
             |count, branch, near| anywhere.candidates(table.id, count, &Reach { risk: 1.0, branch, near });
-        // Where the ball was taught the risk is least in that branch, with the tool held as then.
+        // Where the ball was taught the risk is least in that branch and orientation.
         let taught = table.taught_deg.map(|deg| deg.map(f64::to_radians));
         let branch = taught.map(|axes| status(rig.arm, &axes) & 7);
-        let reach = candidates(share, branch, None);
+        let reach = candidates(self.candidates, branch, None);
         let first = reach.first().ok_or(PlanFinding::NoPose { ball: table.id })?;
         let branch = Some(status(rig.arm, &first.axes) & 7);
         let near = match taught {
@@ -268,7 +249,7 @@ impl<'a> Chooser<'a> {
                 let exactly = candidates(COMPARED / 2, branch, Some(Near::exactly(orientation)));
                 [exactly, candidates(COMPARED, branch, Some(Near::about(orientation)))].concat()
             }
-            // Else with the tool down, from where the others can be reached.
+            // Else with the tool down, in the branch of the others.
             None => [0.0, FRAC_PI_2, PI, -FRAC_PI_2]
                 .map(|spin| candidates(COMPARED, branch, Some(Near::about(rot_x(PI) * rot_z(spin)))))
                 .into_iter()
@@ -278,7 +259,7 @@ impl<'a> Chooser<'a> {
         Ok(Scan { ball, reach, near })
     }
 
-    /// Start and candidates about one base ball, each of a risk of at most `risk`.
+    /// Start and candidates about one base ball with a risk of at most `risk` each.
     fn about(&self, scan: &Scan, risk: f64) -> Result<About<'a>, PlanFinding> {
         let ball = scan.ball.number();
         let start = self.start(scan, risk).ok_or(PlanFinding::NoSafeStart { ball })?;
@@ -290,15 +271,16 @@ impl<'a> Chooser<'a> {
         if barred > reachable / 10 {
             let branch = Some(status(self.rig.arm, &start.axes) & 7);
             let near = Some(Near::about(start.pose.rotation));
-            allowed = cell.candidates(ball, self.share, &Reach { risk, branch, near });
+            allowed = cell.candidates(ball, self.candidates, &Reach { risk, branch, near });
         }
         Ok(About { cell, start, reachable, barred, allowed })
     }
 
     /// The start from which most of the poses are safe.
     fn start(&self, scan: &Scan, risk: f64) -> Option<Candidate> {
-        let marker = least_marker(&self.job.bar, self.job.bar.length_mm);
-        scan.starts(self)
+        let bar = &self.rig.job.bar;
+        let marker = least_marker(bar, bar.length_mm);
+        scan.starts(&self.rig)
             .filter(|start| self.cell(start).risk_out(start, marker) <= risk)
             .take(STARTS)
             .map(|start| {
@@ -310,15 +292,13 @@ impl<'a> Chooser<'a> {
             .map(|(start, _)| start.clone())
     }
 
-    /// The poses that determine most, besides the starts, which are measured as well.
+    /// The most informative poses besides the starts, which are measured as well.
     fn choose(&self, survey: &Survey<'_>) -> Result<Vec<Candidate>, Diagnostic> {
-        let mut pool: Vec<Candidate> = Vec::new();
-        for about in &survey.abouts {
-            pool.extend(about.others().cloned());
-        }
-        let criterion = self.job.optimise.as_ref().map(|optimise| optimise.criterion).unwrap_or_default();
+        let job = self.rig.job;
+        let pool: Vec<Candidate> = survey.abouts.iter().flat_map(About::others).cloned().collect();
+        let criterion = job.optimise.as_ref().map(|optimise| optimise.criterion).unwrap_or_default();
         let unknown = self.unknown()?;
-        let sigma_mm = length_sigma_mm(self.job, self.rig.controller);
+        let sigma_mm = length_sigma_mm(job, self.rig.controller);
         let rows = design_rows(&unknown, &pool, sigma_mm);
         let mut exchange = match (criterion, &self.prior.calibrated) {
             (Criterion::Change, None) => return Err(PlanFinding::NotCalibrated.into()),
@@ -326,7 +306,7 @@ impl<'a> Chooser<'a> {
                 Exchange::for_changes(&rows, change_rows(expected, &pool, sigma_mm))
             }
             (Criterion::D | Criterion::I, _) => {
-                let poses = workspace(self.job, self.rig.controller, POSES);
+                let poses = workspace(job, self.rig.controller, POSES);
                 Exchange::new(&rows, &workspace_rows(&unknown, &poses))
             }
         };
@@ -334,19 +314,18 @@ impl<'a> Chooser<'a> {
         Ok(chosen.iter().filter_map(|&at| pool.get(at).cloned()).collect())
     }
 
-    /// What the poses are to determine: all that is not known, or only the parameters that the job lists, with what
-    /// the maker promises of these.
+    /// The unknown parameters that the poses are to determine: all, or those that the job lists, with the maker's tolerances
+    /// as their prior.
     fn unknown(&self) -> Result<Posterior, JobFinding> {
-        let &Self { job, rig, prior, .. } = self;
-        let robot = rig.controller;
+        let (Rig { job, controller, .. }, prior) = (self.rig, &self.prior.posterior);
         let Some(list) = job.optimise.as_ref().and_then(|wanted| wanted.parameters.clone()) else {
-            return Ok(prior.posterior.clone());
+            return Ok(prior.clone());
         };
-        let ids = parameter::parse_list(&list, &robot.parallel_joints(), job.centres.len())
+        let ids = parameter::parse_list(&list, &controller.parallel_joints(), job.centres.len())
             .map_err(|why| JobFinding::Parameters { list: list.clone(), why: why.to_string() })?;
-        let all = PlanningPrior::of_maker(job, robot);
+        let all = PlanningPrior::of_maker(job, controller);
         let sd: Option<Vec<f64>> = ids.iter().map(|id| all.sd(*id)).collect();
         let sd = sd.ok_or(JobFinding::ParametersWithoutPrior { list })?;
-        Ok(Posterior::new(prior.posterior.model.clone(), &ids, &sd))
+        Ok(Posterior::new(prior.model.clone(), &ids, &sd))
     }
 }

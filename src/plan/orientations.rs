@@ -1,4 +1,4 @@
-//! The orientation pattern of a circle whose orientation is optimal: of many draws at each point those that determine most.
+//! Optimal orientation patterns: of many random orientations at each point of a circle, the most informative combination.
 
 use std::ops::Range;
 
@@ -19,70 +19,57 @@ use crate::diagnostic::Diagnostic;
 use crate::robot::inverse::{branches, nearest, status, turns_within};
 use crate::robot::{AXES, BallId, Pose};
 
-/// Draws for each point; the first is no turn.
+/// Draws for each point; the first is the base orientation.
 const DRAWS: usize = 24;
-/// Poses of the workspace over which the 3-D error is made least.
+/// Poses of the workspace over which the 3-D error is minimised.
 const POSES: usize = 300;
 
-/// A pose that may be taken, and how the tool is turned for it, degrees about Z, Y, X.
+/// A safe pose, and the turn of the tool from its base orientation, degrees about Z, Y, X.
 struct Draw {
     pose: Candidate,
     turn_deg: [f64; 3],
 }
 
-/// The draws of one point, by their places among all.
-struct Point {
-    /// Position of its circle in the job, and its own on the circle, from 0.
-    circle: usize,
-    point: usize,
-    draws: Range<usize>,
-}
-
-/// The job with the turns of its optimal circles chosen; all of them together make the 3-D error least.
-///
-/// # Errors
-/// The circle with a point at which no draw can be reached within the limits and the stroke.
-pub(crate) fn chosen(job: &Job, rig: &Rig<'_>, prior: &PlanningPrior) -> Result<Job, Diagnostic> {
-    let mut chosen = job.clone();
+/// The job with the turns of its optimal circles chosen: together they minimise the 3-D error.
+pub(crate) fn chosen(rig: &Rig<'_>, prior: &PlanningPrior) -> Result<Job, Diagnostic> {
+    let mut job = rig.job.clone();
     let mut draws: Vec<Draw> = Vec::new();
-    let mut points: Vec<Point> = Vec::new();
-    for (number, table) in (1_u32..).zip(&job.circles) {
+    // For each point: position of the circle in the job, number of the point on it, its draws.
+    let (mut points, mut ranges): (Vec<[usize; 2]>, Vec<Range<usize>>) = (Vec::new(), Vec::new());
+    for (number, table) in (1_u32..).zip(&rig.job.circles) {
         if table.orientation != Orientation::Optimal || !table.turns_deg.is_empty() {
             continue;
         }
-        let circle = Circle::new(job, table, number)?;
-        let drawer = Drawer::new(job, rig, prior, table, &circle)?;
+        let circle = Circle::new(rig.job, table, number)?;
+        let drawer = Drawer::new(rig, prior, table, &circle)?;
         let mut near = drawer.start;
         for angle in table.angles().into_iter().take(table.points as usize) {
             let first = draws.len();
             draws.extend(drawer.draws(angle, &mut near)?);
-            let point = circle.point(angle) as usize;
-            points.push(Point { circle: number as usize - 1, point, draws: first..draws.len() });
+            points.push([number as usize - 1, circle.point(angle) as usize]);
+            ranges.push(first..draws.len());
         }
     }
     if points.is_empty() {
-        return Ok(chosen);
+        return Ok(job);
     }
     let poses: Vec<Candidate> = draws.iter().map(|draw| draw.pose.clone()).collect();
-    let columns = design_rows(&prior.posterior, &poses, length_sigma_mm(job, rig.controller));
-    let moved = workspace_rows(&prior.posterior, &workspace(job, rig.controller, POSES));
-    let ranges: Vec<Range<usize>> = points.iter().map(|point| point.draws.clone()).collect();
+    let columns = design_rows(&prior.posterior, &poses, length_sigma_mm(rig.job, rig.controller));
+    let moved = workspace_rows(&prior.posterior, &workspace(rig.job, rig.controller, POSES));
     let mut exchange = Exchange::new(&columns, &moved);
     exchange.one_of_each(&ranges, Criterion::I);
-    for (point, chosen_draw) in points.iter().zip(exchange.chosen()) {
-        if let (Some(table), Some(draw)) = (chosen.circles.get_mut(point.circle), draws.get(*chosen_draw)) {
+    for ([circle, point], chosen) in points.into_iter().zip(exchange.chosen()) {
+        if let (Some(table), Some(draw)) = (job.circles.get_mut(circle), draws.get(*chosen)) {
             let turns = &mut table.turns_deg;
-            turns.resize(turns.len().max(point.point + 1), [0.0; 3]);
-            turns[point.point] = draw.turn_deg;
+            turns.resize(turns.len().max(point + 1), [0.0; 3]);
+            turns[point] = draw.turn_deg;
         }
     }
-    Ok(chosen)
+    Ok(job)
 }
 
-/// Draws orientations at the points of one circle, in the branch in which it begins.
+/// Draws orientations at the points of one circle, in the branch of its first point.
 struct Drawer<'a> {
-    job: &'a Job,
-    rig: &'a Rig<'a>,
     table: &'a CircleTable,
     circle: &'a Circle,
     cell: Cell<'a>,
@@ -91,8 +78,7 @@ struct Drawer<'a> {
 
 impl<'a> Drawer<'a> {
     fn new(
-        job: &'a Job,
-        rig: &'a Rig<'a>,
+        rig: &Rig<'a>,
         prior: &PlanningPrior,
         table: &'a CircleTable,
         circle: &'a Circle,
@@ -103,37 +89,36 @@ impl<'a> Drawer<'a> {
             .flat_map(|axes| turns_within(axes, rig.controller))
             .min_by(|a, b| largest(a).total_cmp(&largest(b)))
             .ok_or(PlanFinding::FirstPointUnreachable { circle: circle.number })?;
-        let cell = Cell::new(job, rig, prior, table.centre, &start);
-        Ok(Self { job, rig, table, circle, cell, start })
+        Ok(Self { table, circle, cell: Cell::new(*rig, prior, table.centre, &start), start })
     }
 
-    /// The draws at an angle that can be taken; `near` are the axis angles of the point before, then of this one.
+    /// The safe draws at an angle; `near` are the axis angles of the point before, then of this one.
     fn draws(&self, angle: f64, near: &mut [f64; AXES]) -> Result<Vec<Draw>, PlanFinding> {
-        let Self { job, rig, table, circle, .. } = *self;
-        let (number, risk) = (u64::from(circle.number), job.limits.max_stroke_risk);
+        let Self { table, circle, cell, .. } = self;
+        let Rig { job, arm, .. } = cell.rig;
         let position = circle.pose(angle, 0.0).position;
-        let branch = status(rig.arm, &self.start);
-        let seed = u64::from(job.seed) << 32 | number << 16 | circle.point(angle);
+        let branch = status(arm, &self.start);
+        let seed = u64::from(job.seed) << 32 | u64::from(circle.number) << 16 | circle.point(angle);
         let mut random = Pcg64::seed_from_u64(seed);
         let ball = BallId::numbered(table.centre);
-        let mut found = Vec::new();
+        let mut safe = Vec::new();
         for draw in 0..DRAWS {
             let q = circle.amplitude();
             let turn = [(); 3].map(|()| if draw == 0 { 0.0 } else { random.random_range(-q..=q) });
             let pose = Pose { rotation: circle.turned(turn), position };
-            let Ok(axes) = nearest(rig.arm, &pose, near) else { continue };
+            let Ok(axes) = nearest(arm, &pose, near) else { continue };
             if draw == 0 {
                 *near = axes;
             }
-            if status(rig.arm, &axes) == branch && self.cell.allows(&axes, table.centre, risk) {
+            if status(arm, &axes) == branch && cell.allows(&axes, table.centre, job.limits.max_stroke_risk) {
                 let pose = Candidate { ball, axes, pose };
-                found.push(Draw { pose, turn_deg: turn.map(f64::to_degrees) });
+                safe.push(Draw { pose, turn_deg: turn.map(f64::to_degrees) });
             }
         }
-        if found.is_empty() {
+        if safe.is_empty() {
             let angle_deg = angle.to_degrees() + table.start_deg;
             return Err(PlanFinding::NoOrientation { circle: circle.number, angle_deg });
         }
-        Ok(found)
+        Ok(safe)
     }
 }

@@ -1,9 +1,9 @@
-//! A continuous circle: each pass is one motion, measured while it goes.
+//! Continuous circles: each pass is one motion, measured without stops.
 //!
-//! In the plan's rows a pass is: two auxiliary points a third and two thirds round (transit, `circ`), the
-//! points that are passed (measure, `circ`, no dwell), and the end of the overshoot, where it stops (transit,
-//! `circ`). It begins where the row before it left the robot. Feed-in and overshoot arcs are as long as each
-//! other, so that the way back has the same circle; on the points the speed is the feed.
+//! The rows of a pass are: two auxiliary points at a third and two thirds of a turn (transit, `circ`), the measured points
+//! (measure, `circ`, no dwell), and the end of the overshoot, where the robot stops (transit, `circ`). A pass begins where
+//! the row before it ends. Feed-in and overshoot are equally long, so that the pass back is on the same circle; at the
+//! points the speed is the feed.
 
 use std::ops::Range;
 
@@ -16,32 +16,30 @@ use super::{Kind, Motion, MoveTime, Plan, PlanRow};
 use crate::catalogue::PlanFinding;
 use crate::robot::Pose;
 
-/// A pass, as in `plan.json`: indices of rows, and the one motion that goes by them.
+/// A pass, as in `plan.json`: the indices of its rows, and its motion.
 ///
-/// A time is that of the commanded motion from its begin, at full override: constant acceleration, the feed,
-/// constant deceleration.
+/// Times are those of the commanded motion from its beginning, at full override: constant acceleration, the feed, constant
+/// deceleration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pass {
-    /// The circle's number, from 1.
+    /// Number of the circle, from 1.
     pub circle: u32,
     /// Whether it goes against growing angles.
     pub clockwise: bool,
-    /// The two auxiliary rows; the row before them is where the robot is.
+    /// The two auxiliary rows.
     pub through: [u32; 2],
-    /// First and last row that is passed.
+    /// The first and the last measured row.
     pub points: [u32; 2],
     /// The row at which it stops.
     pub end: u32,
-    /// Angle of the whole motion, feed-in and overshoot included, degrees, above 0.
+    /// Angle of the whole motion with feed-in and overshoot, degrees, above 0.
     pub sweep_deg: f64,
     /// Length of the whole arc, mm.
     pub length_mm: f64,
-    /// Speed of the ball, mm/s.
     pub feed_mm_s: f64,
-    /// Its acceleration and deceleration, mm/s^2.
+    /// Acceleration and deceleration.
     pub acceleration_mm_s2: f64,
-    /// How long the motion lasts, s.
     pub duration_s: f64,
 }
 
@@ -52,7 +50,7 @@ impl Pass {
         (speed, speed / self.acceleration_mm_s2)
     }
 
-    /// The share (0..=1) of the arc that is done `t_s` seconds after the motion began.
+    /// The share (0..=1) of the arc that is travelled `t_s` seconds after the motion began.
     pub fn share(&self, t_s: f64) -> f64 {
         let (speed, ramp_s) = self.ramp();
         let left_s = self.duration_s - t_s;
@@ -70,7 +68,7 @@ impl Pass {
         done_mm / self.length_mm
     }
 
-    /// The time from the motion's begin at which a share (0..=1) of the arc is done, s.
+    /// The time from the beginning of the motion at which a share (0..=1) of the arc is travelled, s.
     pub fn time_s(&self, share: f64) -> f64 {
         let (speed, ramp_s) = self.ramp();
         let done_mm = share.clamp(0.0, 1.0) * self.length_mm;
@@ -87,15 +85,14 @@ impl Pass {
 }
 
 impl PlanRow {
-    /// Whether it is a point that is measured as the robot passes it.
+    /// Whether it is measured without a stop.
     pub fn is_passed(&self) -> bool {
         self.kind != Kind::Transit && self.dwell_s == 0.0
     }
 }
 
 impl Plan {
-    /// The arc of a pass as its program drives it, through the points as they are printed; `None` where
-    /// the pass names rows that are not there.
+    /// The arc of a pass as its program drives it, through the printed points; `None` if the pass names rows that do not exist.
     pub fn pass_path(&self, pass: &Pass) -> Option<Path> {
         let at = |index: u32| self.rows.get((index as usize).checked_sub(1)?);
         let through = [at(pass.through[0])?, at(pass.through[1])?];
@@ -103,7 +100,7 @@ impl Plan {
     }
 }
 
-/// The arc from where the robot is through two points, round to `end`.
+/// The arc from a row through two points to `end`.
 fn arc(from: &PlanRow, through: [&PlanRow; 2], end: &PlanRow, sweep_deg: f64) -> Path {
     let pose = |row: &PlanRow| Pose::from_kuka(row.xyz_mm, row.abc_deg);
     match Path::arc(pose(from), &through[0].xyz_mm.into(), pose(through[1])) {
@@ -136,12 +133,11 @@ pub(crate) struct Group {
 }
 
 impl Group {
-    /// Whether a row belongs to it.
     pub(crate) fn holds(&self, at: usize) -> bool {
         (self.through[0]..=self.end).contains(&at)
     }
 
-    /// Its arc; `None` where it begins nowhere.
+    /// Its arc; `None` without a row before it.
     pub(crate) fn path(&self, job: &Job, from: Option<&PlanRow>, rows: &[PlanRow]) -> Option<Path> {
         let [a, b, end] = [self.through[0], self.through[1], self.end].map(|at| rows.get(at));
         let table = job.circles.get((end?.circle as usize).checked_sub(1)?)?;
@@ -149,10 +145,7 @@ impl Group {
     }
 }
 
-/// The passes among the rows.
-///
-/// # Errors
-/// A `circ` row that belongs to no arc.
+/// The passes among the rows; refuses a `circ` row that belongs to no arc.
 pub(crate) fn groups(rows: &[PlanRow]) -> Result<Vec<Group>, Ungrouped> {
     let arc = |at| Err(Ungrouped { at, finding: PlanFinding::ArcRows });
     let pass = |at| Err(Ungrouped { at, finding: PlanFinding::PassPattern });
@@ -184,11 +177,8 @@ pub(crate) fn groups(rows: &[PlanRow]) -> Result<Vec<Group>, Ungrouped> {
     if auxiliary.is_empty() { Ok(found) } else { arc(rows.len().saturating_sub(1)) }
 }
 
-/// The passes of rows that were planned, and the times of their points into `moves`, which has the whole
-/// motion's at each pass's end.
-///
-/// # Errors
-/// Rows that are no pass.
+/// The passes of planned rows. Sets the times of their points in `moves`, which has the time of the whole motion at the end of
+/// each pass.
 pub(super) fn passes(job: &Job, rows: &[PlanRow], moves: &mut [MoveTime]) -> Result<Vec<Pass>, PlanFinding> {
     let mut passes = Vec::new();
     let mut backward: Option<u32> = None;
@@ -218,7 +208,7 @@ pub(super) fn passes(job: &Job, rows: &[PlanRow], moves: &mut [MoveTime]) -> Res
         };
         let step = table.step().to_degrees() / table.sweep_deg();
         let first = table.overshoot_deg / table.sweep_deg();
-        // A closed circle's way back begins at its first point, as the way there does.
+        // On a closed circle the pass back begins at the first point as well.
         let mut before_s = 0.0;
         for (count, at) in group.points.clone().enumerate() {
             let t_s = pass.time_s(first + step * count as f64);
@@ -236,7 +226,7 @@ pub(super) fn passes(job: &Job, rows: &[PlanRow], moves: &mut [MoveTime]) -> Res
     Ok(passes)
 }
 
-/// Whether the passes of `plan.json` are those of its rows.
+/// Checks that the passes of `plan.json` are those of its rows.
 pub(super) fn check(rows: &[PlanRow], passes: &[Pass]) -> Result<(), PlanFinding> {
     let groups = groups(rows)?;
     if groups.len() != passes.len() {

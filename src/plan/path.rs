@@ -1,4 +1,4 @@
-//! What the controller does between two rows: straight line, arc, or all axes together.
+//! The motion of the controller between two rows: straight line, arc, or all axes together.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
@@ -8,37 +8,16 @@ use crate::robot::{AXES, Pose};
 /// A motion of the tool ball from one pose to the next.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Path {
-    /// All axes start and stop together.
-    Axes {
-        /// Axis angles at the start, rad.
-        from: [f64; AXES],
-        /// Axis angles at the end, rad.
-        to: [f64; AXES],
-    },
+    /// All axes start and stop together; axis angles in rad.
+    Axes { from: [f64; AXES], to: [f64; AXES] },
     /// The ball on a straight line.
-    Line {
-        /// The start.
-        from: Pose,
-        /// The end.
-        to: Pose,
-    },
-    /// The ball on an arc.
-    Arc {
-        /// The start.
-        from: Pose,
-        /// The end.
-        to: Pose,
-        /// Centre of the arc, mm.
-        centre: Vector3<f64>,
-        /// Unit axis about which the arc turns.
-        axis: Vector3<f64>,
-        /// Angle of the arc, rad, in 0..2 pi.
-        angle: f64,
-    },
+    Line { from: Pose, to: Pose },
+    /// The ball on an arc of `angle` rad about the unit vector `axis` through `centre`, mm.
+    Arc { from: Pose, to: Pose, centre: Vector3<f64>, axis: Vector3<f64>, angle: f64 },
 }
 
 impl Path {
-    /// The arc from `from` through `aux` to `to`; a line where the three are on one.
+    /// The arc from `from` through `aux` to `to`, of less than a full turn; a line if the three are on one.
     pub fn arc(from: Pose, aux: &Vector3<f64>, to: Pose) -> Self {
         let (a, b) = (aux - from.position, to.position - from.position);
         let normal = a.cross(&b);
@@ -54,7 +33,7 @@ impl Path {
         Self::Arc { from, to, centre, axis, angle }
     }
 
-    /// Length of the ball's path, mm; 0 for [`Path::Axes`], whose ball goes as the axes do.
+    /// Length of the ball's path, mm; 0 for [`Path::Axes`].
     pub fn length_mm(&self) -> f64 {
         match self {
             Self::Axes { .. } => 0.0,
@@ -71,8 +50,8 @@ impl Path {
         }
     }
 
-    /// The pose at `share` (0..=1) of a line or an arc: the orientation turns about one axis in step
-    /// with the path; `None` for [`Path::Axes`].
+    /// The pose at `share` (0..=1) of a line or an arc: the orientation turns about one axis in proportion to the path.
+    /// `None` for [`Path::Axes`].
     pub fn pose(&self, share: f64) -> Option<Pose> {
         let (from, to, position) = match self {
             Self::Axes { .. } => return None,

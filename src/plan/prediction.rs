@@ -21,15 +21,15 @@ use crate::robot::{AXES, BallId, Robot};
 
 /// Poses over which the 3-D error is taken, as in an identification.
 const POSES: usize = 2000;
-/// Of these so many where it is taken for many pose sets.
+/// The same where it is taken for many pose sets.
 const FEW_POSES: usize = 300;
 /// A second ball helps when it leaves less than this share of the error.
 const HELPS: f64 = 0.85;
 
-/// What the poses of a plan will determine, with lengths of the bar's sigma and the robot's repeatability.
+/// What the poses of a plan will determine, with the bar's sigma and the robot's repeatability as noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Prediction {
-    /// Lengths that will be measured.
+    /// Number of lengths that will be measured.
     pub lengths: usize,
     /// Standard deviation of one length, mm: of the bar and of the robot's repeatability together.
     pub sigma_mm: f64,
@@ -47,20 +47,19 @@ pub struct Prediction {
     /// The same for a terminal.
     #[serde(skip)]
     pub dependent_in_short: Vec<String>,
-    /// 3-D error over the workspace after one best rigid alignment, mm, as the robot is known now.
+    /// 3-D error over the workspace after the best rigid alignment, mm, as the robot is known now.
     pub now_mm: ErrorSummary,
     /// The same after an identification with the datasheet as prior, mm.
     pub identified_mm: ErrorSummary,
-    /// What fewer and more lengths determine.
+    /// The same for fewer and for more lengths.
     pub against: Vec<LengthCount>,
     /// The error left afterwards by the distance from the base balls.
     pub regions: Vec<Region>,
-    /// How many lengths are enough, how far the result is valid, where a second ball would help.
     #[serde(rename = "advice")]
     pub recommendations: Vec<Diagnostic>,
 }
 
-/// One parameter's standard deviations, mm or rad.
+/// The standard deviations of one parameter, mm or rad.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PredictedParameter {
     pub name: String,
@@ -70,13 +69,13 @@ pub struct PredictedParameter {
     pub before: f64,
     /// Posterior standard deviation.
     pub sd: f64,
-    /// From the lengths alone; absent for one outside the base set.
+    /// From the lengths without the prior; absent outside the base set.
     pub alone: Option<f64>,
     #[serde(rename = "fate")]
     pub identifiability: Identifiability,
 }
 
-/// What the lengths alone make of a parameter.
+/// Whether the lengths without the prior determine a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Identifiability {
@@ -85,7 +84,7 @@ pub enum Identifiability {
     /// Worse than that.
     #[serde(rename = "too_weak")]
     PoorlyObservable,
-    /// Only in a combination that another parameter carries.
+    /// Only in a combination that another parameter represents.
     Dependent,
     /// It changes no length.
     #[serde(rename = "unseen")]
@@ -104,8 +103,8 @@ impl PlanRow {
 }
 
 impl Plan {
-    /// Predicts what this plan will add to `prior`, into the header; the map of the error that is left, which is empty
-    /// when a number is not finite.
+    /// Predicts what this plan will add to `prior`, and stores it in the header. Returns the map of the error that is left,
+    /// empty if a number is not finite.
     pub fn predict(&mut self, robot: &Robot, prior: &PlanningPrior) -> Vec<MapPoint> {
         let dwells = self.rows.iter().filter(|row| row.kind != Kind::Transit);
         let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
@@ -117,7 +116,7 @@ impl Plan {
         let few = poses.get(..FEW_POSES).unwrap_or(&poses);
         let against = by_count(&prior.posterior, &readings, sigma_mm, few);
         let regions = regions(&self.header.job, &seen.map);
-        // In a stage the next plan is the one that matters.
+        // After a stage only the next plan matters.
         let recommendations = if self.header.stage.is_some() {
             Vec::new()
         } else {
@@ -133,12 +132,7 @@ impl Plan {
             condition: seen.analysis.base.condition,
             parameters: seen.parameters.iter().map(|known| predicted(&seen, known)).collect(),
             dependent_in_short: wording::in_short(&seen.analysis.combinations()),
-            dependent: seen
-                .analysis
-                .combinations()
-                .into_iter()
-                .map(|combination| combination.to_string())
-                .collect(),
+            dependent: seen.analysis.combinations().iter().map(ToString::to_string).collect(),
             now_mm: seen.error_mm[0],
             identified_mm: seen.error_mm[1],
             observability: seen.observability,
@@ -149,7 +143,7 @@ impl Plan {
         seen.map
     }
 
-    /// Whether a second ball would help; `None` for a job with several balls, or where nothing can be chosen.
+    /// Whether a second ball would help; `None` for a job with several balls, or if no pose can be chosen.
     fn second_ball(&self, robot: &Robot, lengths: usize, workspace: &[[f64; AXES]]) -> Option<PlanFinding> {
         let job = &self.header.job;
         let [table] = job.centres.as_slice() else { return None };

@@ -3,32 +3,30 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::rig::Rig;
 use super::{Job, Plan};
 use crate::catalogue::{EstimationFinding, JobFinding, PlanFinding};
 use crate::estimation::expected::Expected;
 use crate::estimation::{Posterior, Priors, beyond_repeatability, largest_plausible, length_sd_mm};
 use crate::measurement::{LengthModel, PreparedMeasurement};
-use crate::robot::inverse::nearest;
-use crate::robot::{AXES, BallId, BarId, ParamId, Pose, Robot, RobotPosterior};
+use crate::robot::{AXES, BallId, BarId, ParamId, Robot, RobotPosterior};
 
-/// A taught ball may be off by this much from where its axis angles say, mm: more is a mistake in one of the two.
+/// Greatest distance between `xyz_mm` of a ball and the tool ball at its `taught_deg`, mm: more is a mistake in one of them.
 const TAUGHT_MM: f64 = 1.0;
-/// The program's tool may be off by this much from the tool ball, mm: what KRL prints.
+/// Greatest distance between the program's tool and the tool ball, mm: the resolution of KRL.
 const TOOL_MM: f64 = 1e-3;
 
-/// What is known of robot and set-up when a plan is made.
+/// The robot and the set-up as they are known when a plan is made.
 #[derive(Clone, Debug)]
 pub struct PlanningPrior {
     /// The model and its covariance.
     pub posterior: Posterior,
-    /// Lengths that it was determined from.
+    /// Number of lengths that it was determined from.
     pub lengths: usize,
-    /// For each base ball whether it has been measured or taught. One that has not will be taught before its first
-    /// run: put where the tool ball is, it is wrong as the robot is wrong there.
+    /// Whether each base ball was measured or taught. One that was not is taught before its first run: it is put where the
+    /// controller has the tool ball, so that its error is that of the robot there.
     located: Vec<bool>,
-    /// For each base ball whether the job says how it was taught.
-    taught: Vec<bool>,
-    /// A calibrated robot in a new set-up, where its check is planned.
+    /// A calibrated robot in a new set-up, whose check is planned.
     pub(crate) calibrated: Option<Expected>,
 }
 
@@ -36,14 +34,14 @@ pub struct PlanningPrior {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Taught {
-    /// The ball, from 1.
+    /// Number of the ball, from 1.
     pub centre: u32,
-    /// The controller's axis angles at which the tool ball is to stand on it, degrees.
+    /// The controller's axis angles with the tool ball on it, degrees.
     pub axes_deg: [f64; AXES],
 }
 
 impl PlanningPrior {
-    /// The robot's tolerance and the bar's certificate alone.
+    /// The robot's tolerance and the bar's certificate, without the taught balls.
     pub(crate) fn of_maker(job: &Job, robot: &Robot) -> Posterior {
         let model = LengthModel::new(robot.geometry.clone(), &job.balls());
         Posterior::prior(robot, model, &Priors::datasheet(robot, job.bar.u_mm()))
@@ -54,13 +52,12 @@ impl PlanningPrior {
         Self::with_taught(job, robot, Self::of_maker(job, robot))
     }
 
-    /// Before its check: what the calibration left unknown and what mounting changes, the balls that were taught.
+    /// Before a check: the posterior of the calibration, what mounting again changes, the balls that were taught.
     pub fn of_check(job: &Job, robot: &Robot, expected: Expected) -> Self {
         let known = Self::with_taught(job, robot, expected.posterior.clone());
         Self { calibrated: Some(expected), ..known }
     }
 
-    /// With the balls that were taught.
     fn with_taught(job: &Job, robot: &Robot, mut posterior: Posterior) -> Self {
         let sd_mm = length_sigma_mm(job, robot.controller());
         for (at, table) in job.centres.iter().enumerate() {
@@ -68,15 +65,15 @@ impl PlanningPrior {
                 posterior = posterior.touched(BallId::at(at), &taught.map(f64::to_radians), sd_mm);
             }
         }
-        let taught: Vec<bool> = job.centres.iter().map(|table| table.taught_deg.is_some()).collect();
-        Self { posterior, lengths: 0, located: taught.clone(), taught, calibrated: None }
+        let located = job.centres.iter().map(|table| table.taught_deg.is_some()).collect();
+        Self { posterior, lengths: 0, located, calibrated: None }
     }
 
-    /// After lengths: the likeliest robot (with the given one as its nominal) and base balls, and their covariance.
+    /// After lengths: the most probable robot (with the given one as its nominal) and base balls, and their covariance.
     ///
     /// # Errors
-    /// When a number is not finite, a length is to a ball that the job does not have, or the lengths are those of a bar
-    /// that is longer or shorter than the job's by more than its stroke.
+    /// A number is not finite, a length is to a ball that the job does not have, or the bar of the lengths is longer or
+    /// shorter than the job's by more than its stroke.
     pub fn after_lengths(
         job: &Job,
         robot: &Robot,
@@ -101,7 +98,7 @@ impl PlanningPrior {
         Ok(Self { posterior, lengths: readings.len(), located, ..before })
     }
 
-    /// That the lengths fit the robot that was learnt from them far worse than it repeats, or another bar far better.
+    /// Doubts about the lengths: their residual far exceeds the robot's repeatability, or another bar fits far better.
     pub fn doubts(
         &self,
         job: &Job,
@@ -118,7 +115,7 @@ impl PlanningPrior {
         worse.into_iter().chain(other).collect()
     }
 
-    /// The job and the robot as they are now known: base balls and geometry moved to the likeliest.
+    /// Job and robot with the most probable base balls and geometry.
     pub fn applied(&self, job: &Job, robot: &Robot) -> (Job, Robot) {
         let (mut job, nominal) = (job.clone(), robot.controller());
         for (table, centre) in job.centres.iter_mut().zip(&self.posterior.model.balls) {
@@ -133,7 +130,7 @@ impl PlanningPrior {
         (job, robot)
     }
 
-    /// What is known of the robot's own values, so that lengths measured on the plan add to it.
+    /// The posterior of the robot's own parameters, so that lengths measured on the plan add to it.
     fn of_robot(&self) -> Option<RobotPosterior> {
         let posterior = &self.posterior;
         let is_own = |id: &ParamId| id.is_geometric() || matches!(id, ParamId::Tool(_));
@@ -142,32 +139,21 @@ impl PlanningPrior {
         RobotPosterior::new(&ids, &posterior.model.geometry, &posterior.root().select_rows(&own))
     }
 
-    /// Whether lengths to a base ball were measured, and it is not known how it was taught.
-    pub(crate) fn untaught(&self, ball: BallId) -> bool {
-        self.lengths > 0 && self.taught.get(ball.index()) == Some(&false)
-    }
-
-    /// At the start of a run about base ball `centre` (from 1) at axis angles in rad: where the ball was neither
-    /// measured nor taught, it is touched before with the tool held as there.
-    pub(crate) fn at_start(
-        &self,
-        job: &Job,
-        controller: &Robot,
-        centre: u32,
-        start: &[f64; AXES],
-    ) -> RunStart {
+    /// What is known when a run about base ball `centre` (from 1) starts at axis angles in rad. A ball that was neither
+    /// measured nor taught is touched before, with the orientation of the tool at the start.
+    pub(crate) fn at_start(&self, rig: &Rig<'_>, centre: u32, start: &[f64; AXES]) -> RunStart {
         let unlocated = |ball: &BallId| self.located.get(ball.index()) == Some(&false);
         let Some(ball) = BallId::new(centre).filter(unlocated) else {
             return RunStart { posterior: self.posterior.clone(), taught: None };
         };
-        let axes = touching(job, controller, centre, start).unwrap_or(*start);
+        let axes = rig.touching(centre, start).unwrap_or(*start);
         let axes_deg = axes.map(|angle| (angle.to_degrees() * 1e4).round() / 1e4);
-        let sd_mm = length_sigma_mm(job, controller);
+        let sd_mm = length_sigma_mm(rig.job, rig.controller);
         let posterior = self.posterior.touched(ball, &axes_deg.map(f64::to_radians), sd_mm);
         RunStart { posterior, taught: Some(Taught { centre, axes_deg }) }
     }
 
-    /// Goes on from such a start; the ball that is to be taught for it.
+    /// Continues with what is known at a start; the ball that is to be taught for it.
     pub(crate) fn begin(&mut self, start: RunStart) -> Option<Taught> {
         let taught = start.taught?;
         self.posterior = start.posterior;
@@ -179,15 +165,15 @@ impl PlanningPrior {
     }
 }
 
-/// By how much longer a bar the lengths would be those of a robot within its tolerance.
+/// By how much the bar would have to be longer for a robot within its tolerance to explain the lengths.
 struct BarOff {
     off_mm: f64,
     sd_mm: f64,
 }
 
 impl BarOff {
-    /// By a bar of which nothing is known.
     fn by_lengths(job: &Job, robot: &Robot, readings: &[PreparedMeasurement]) -> Option<Self> {
+        // A prior standard deviation so wide that nothing is known of the bar.
         const UNKNOWN_MM: f64 = 1e3;
         let model = LengthModel::new(robot.geometry.clone(), &job.balls());
         let prior = Posterior::prior(robot, model, &Priors::datasheet(robot, Some(UNKNOWN_MM)));
@@ -197,7 +183,7 @@ impl BarOff {
         Some(Self { off_mm: found.model.bar_offset(BarId::FIRST), sd_mm })
     }
 
-    /// Whether it is beyond what certificate and tolerance leave open.
+    /// Whether it is implausible by the bar's certificate and the robot's tolerance.
     fn is_contradicted(&self, job: &Job) -> bool {
         let u_mm = Priors::certified_bar_mm(job.bar.u_mm());
         self.off_mm.abs() > largest_plausible(true) * self.sd_mm.hypot(u_mm)
@@ -211,20 +197,6 @@ pub(crate) struct RunStart {
     pub(crate) taught: Option<Taught>,
 }
 
-/// The controller's axis angles, rad, at which the tool ball is where the job has base ball `centre`, the
-/// tool held as at `start`; `None` where it cannot be reached.
-pub(crate) fn touching(
-    job: &Job,
-    controller: &Robot,
-    centre: u32,
-    start: &[f64; AXES],
-) -> Option<[f64; AXES]> {
-    let table = job.ball(centre)?;
-    let rotation = controller.geometry.ball(start).rotation;
-    let pose = Pose { rotation, position: Vector3::from(table.xyz_mm) };
-    nearest(&controller.geometry, &pose, start).ok()
-}
-
 impl Plan {
     /// How each base ball was taught, or is to be taught before this run.
     pub fn taught(&self) -> impl Iterator<Item = Taught> {
@@ -236,11 +208,8 @@ impl Plan {
 }
 
 impl Job {
-    /// Whether each ball's `taught_deg` brings the tool ball of the controller's robot to its `xyz_mm`, and the program's
-    /// tool is at that ball.
-    ///
-    /// # Errors
-    /// What does not fit, with both values.
+    /// Checks that each ball's `taught_deg` brings the controller's tool ball to its `xyz_mm`, and that the program's tool is
+    /// at the tool ball.
     pub fn check_against(&self, controller: &Robot) -> Result<(), JobFinding> {
         for table in &self.centres {
             let Some(taught) = table.taught_deg else { continue };

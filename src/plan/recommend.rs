@@ -1,10 +1,9 @@
-//! What would help: another orientation of the tool where a circle fails at the axis limits or the wrist, a stage before
-//! it where the stroke is at risk.
+//! Recommendations for a refused plan: another orientation of the tool where a circle fails at the axis limits or the wrist,
+//! a stage before it where the stroke is at risk.
 
 use super::job::CircleTable;
 use super::quantity::{Check, Quantity};
-use super::rig::Rig;
-use super::solve::runs;
+use super::rig::{Rig, runs};
 use super::steps::steps;
 use super::{Job, PlanRow};
 use crate::catalogue::PlanFinding;
@@ -16,13 +15,12 @@ const SPINS_DEG: [f64; 12] =
 /// Points by which a circle is tried, and the margin that these must keep, degrees.
 const POINTS: u32 = 40;
 const MARGIN_DEG: f64 = 1.0;
-/// Poses of the stage that is offered.
+/// Poses of the recommended stage.
 const STAGE_POINTS: u32 = 20;
 
 /// For each circle that fails so: tilt and spin that keep axis limits, wrist and branch at its points. For a length
 /// that might leave the stroke: a stage. `lost` are the poses and paths that cannot be reached, `broken` the limits.
 pub(crate) fn recommendations(
-    job: &Job,
     rig: &Rig<'_>,
     rows: &[PlanRow],
     lost: &[PlanFinding],
@@ -38,10 +36,10 @@ pub(crate) fn recommendations(
             Quantity::AxisMarginDeg | Quantity::WristDeg | Quantity::AxisJumpDeg | Quantity::AxisSpeedPercent
         )
     };
-    let whole = steps(job).unwrap_or_default();
+    let steps = steps(rig.job).unwrap_or_default();
     let circle_of = |row: u32| {
         let at = (row as usize).checked_sub(1)?;
-        rows.get(at).map(|row| row.circle).or_else(|| whole.get(at).map(|step| step.circle))
+        rows.get(at).map(|row| row.circle).or_else(|| steps.get(at).map(|step| step.circle))
     };
     let turned = broken.iter().filter(by_orientation).map(|check| check.row);
     let mut circles: Vec<u32> =
@@ -50,19 +48,18 @@ pub(crate) fn recommendations(
     circles.dedup();
     let risky = broken.iter().any(|check| matches!(check.quantity, Quantity::StrokeRisk | Quantity::RunRisk));
     let stage =
-        (risky && !job.circles.is_empty()).then_some(PlanFinding::StageFirst { points: STAGE_POINTS });
-    circles.into_iter().filter_map(|number| orientation(job, rig, number)).chain(stage).collect()
+        (risky && !rig.job.circles.is_empty()).then_some(PlanFinding::StageFirst { points: STAGE_POINTS });
+    circles.into_iter().filter_map(|number| orientation(rig, number)).chain(stage).collect()
 }
 
-fn orientation(job: &Job, rig: &Rig<'_>, circle: u32) -> Option<PlanFinding> {
-    let table = job.circles.get((circle as usize).checked_sub(1)?)?;
-    let mut alone = Job { optimise: None, circles: vec![table.clone()], ..job.clone() };
+fn orientation(rig: &Rig<'_>, circle: u32) -> Option<PlanFinding> {
+    let table = rig.job.circle(circle)?;
     let mut grid = TILTS_DEG.iter().flat_map(|tilt| SPINS_DEG.iter().map(move |spin| (*tilt, *spin)));
-    let found = grid.find(|(tilt_deg, spin_deg)| {
+    let found = grid.find(|&(tilt_deg, spin_deg)| {
         let points = table.points.min(POINTS);
-        let tried = CircleTable { tilt_deg: *tilt_deg, spin_deg: *spin_deg, points, ..table.clone() };
-        alone.circles = vec![tried];
-        passes(&alone, rig)
+        let tried = CircleTable { tilt_deg, spin_deg, points, ..table.clone() };
+        let alone = Job { optimise: None, circles: vec![tried], ..rig.job.clone() };
+        passes(&Rig { job: &alone, ..*rig })
     });
     Some(match found {
         Some((tilt_deg, spin_deg)) => PlanFinding::OrientationPasses { circle, tilt_deg, spin_deg },
@@ -70,13 +67,13 @@ fn orientation(job: &Job, rig: &Rig<'_>, circle: u32) -> Option<PlanFinding> {
     })
 }
 
-fn passes(job: &Job, rig: &Rig<'_>) -> bool {
-    let Ok(steps) = steps(job) else { return false };
+fn passes(rig: &Rig<'_>) -> bool {
+    let Ok(steps) = steps(rig.job) else { return false };
     runs(&steps).into_iter().all(|run| {
         let run = steps.get(run).unwrap_or_default();
         let starts = run.first().and_then(|first| rig.starts(first).ok()).unwrap_or_default();
         starts.iter().any(|start| {
-            rig.follow(job, run, 1, start).is_ok_and(|branch| {
+            rig.follow(run, 1, start).is_ok_and(|branch| {
                 let began = branch.rows.first().map(|row| row.status);
                 branch.starts.iter().any(|(margin_deg, _)| *margin_deg >= MARGIN_DEG)
                     && branch.rows.iter().all(|row| Some(row.status) == began)

@@ -3,44 +3,44 @@
 use crate::catalogue::{JobFinding, PlanFinding};
 use crate::diagnostic::Diagnostic;
 
-/// How many findings of a refusal are shown.
-const SHOWN: usize = 10;
-/// Why a plan would not be safe, or not be possible.
+/// Findings of a refusal that are printed.
+const PRINTED: usize = 10;
+
+/// Why a plan would be unsafe or impossible.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refusal {
     /// In the order of the rows.
     pub findings: Vec<Diagnostic>,
-    /// What would help.
     pub recommendations: Vec<Diagnostic>,
 }
 
 impl Refusal {
-    /// Whether other poses may help: nothing is refused but a risk of leaving the stroke, or a clearance.
+    /// Whether other poses may help: only stroke risk or clearance is refused.
     pub(super) fn is_for_caution(&self) -> bool {
         self.findings.iter().all(|finding| matches!(finding.code.0, "E0706" | "E0708"))
     }
 
-    /// Whether another place of the base ball may help: for that risk, or where too few poses can be chosen.
+    /// Whether another place of the base ball may help: only stroke risk or too few poses are refused.
     pub(super) fn is_for_place(&self) -> bool {
         self.findings.iter().all(|finding| matches!(finding.code.0, "E0706" | "E0710"))
     }
 
-    /// The first findings, and what would help.
-    pub fn shown(&self) -> impl Iterator<Item = &Diagnostic> {
-        self.findings.iter().take(SHOWN).chain(&self.recommendations)
+    /// The findings to print: the first ones, then the recommendations.
+    pub fn printed(&self) -> impl Iterator<Item = &Diagnostic> {
+        self.findings.iter().take(PRINTED).chain(&self.recommendations)
     }
 }
 
 impl std::fmt::Display for Refusal {
     fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        self.shown().try_for_each(|finding| writeln!(out, "{}: {finding}", finding.code))
+        self.printed().try_for_each(|finding| writeln!(out, "{}: {finding}", finding.code))
     }
 }
 
 impl From<Refusal> for Diagnostic {
     fn from(refusal: Refusal) -> Self {
         let findings = refusal.findings.len();
-        PlanFinding::Refused { findings, shown: findings.min(SHOWN) }.into()
+        PlanFinding::Refused { findings, shown: findings.min(PRINTED) }.into()
     }
 }
 

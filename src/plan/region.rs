@@ -1,4 +1,4 @@
-//! How far from the base balls a result is valid.
+//! The predicted error by the distance from the base balls: up to where a result is valid.
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -7,25 +7,25 @@ use super::Job;
 use crate::catalogue::PlanFinding;
 use crate::estimation::result::MapPoint;
 
-/// Distances from the nearest base ball that are kept apart, mm.
+/// Outer radii of the shells about the base balls, mm.
 const WITHIN_MM: [f64; 5] = [300.0, 600.0, 1000.0, 1500.0, f64::INFINITY];
-/// Up to this many times the least error of a shell the result counts as equally good.
+/// A result is valid in shells with an error of up to this many times the least one.
 const ALIKE: f64 = 2.0;
 /// Fewest poses of a shell.
 const FEWEST: usize = 10;
 
-/// What is left in a shell about the base balls.
+/// The error in a shell about the base balls.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Region {
-    /// Farther than this from the nearest base ball, mm,
+    /// Least distance from the nearest base ball, mm.
     pub beyond_mm: f64,
-    /// and up to this; absent for all that is beyond.
+    /// Greatest distance, absent for the outermost shell.
     pub within_mm: Option<f64>,
-    /// Root mean square of the predicted 3-D error there, mm.
+    /// Root mean square of the predicted 3-D error, mm.
     pub error_mm: f64,
 }
 
-/// The shells about the job's base balls in which a map (ball, mm, and its error there, mm) has poses.
+/// The shells about the job's base balls in which the map has enough poses.
 pub(crate) fn regions(job: &Job, map: &[MapPoint]) -> Vec<Region> {
     let far = |place: &Vector3<f64>| {
         let off = |ball: &[f64; 3]| (place - Vector3::from(*ball)).norm();
@@ -46,7 +46,7 @@ pub(crate) fn regions(job: &Job, map: &[MapPoint]) -> Vec<Region> {
     regions
 }
 
-/// Up to which distance the result is valid; `None` without a region.
+/// Up to which distance the result is valid.
 pub(crate) fn validity(regions: &[Region]) -> Option<PlanFinding> {
     let least_mm = regions.iter().map(|region| region.error_mm).fold(f64::INFINITY, f64::min);
     let good = regions.iter().take_while(|region| region.error_mm <= ALIKE * least_mm).last()?;

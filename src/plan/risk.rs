@@ -1,8 +1,8 @@
 //! The probability that a run leaves the stroke anywhere.
 //!
-//! The readings of one robot move together, so that the sum of the risks of all poses would be far too
-//! much and the largest too little. Robots are drawn from the prior, each row's worst pose is
-//! evaluated to first order, and the share that leaves the stroke at any of them is counted.
+//! The readings of one robot are correlated: the sum of the risks of all poses is far too large, the greatest one too small.
+//! Robots are drawn from the prior, the worst pose of each row is evaluated to first order, and the share of robots that
+//! leave the stroke at any of them is counted.
 
 use nalgebra::DVector;
 use rand::SeedableRng;
@@ -11,17 +11,16 @@ use rand_pcg::Pcg64;
 
 use super::cell::StrokeMargin;
 
-/// Robots drawn: at a risk of 1e-3 the share is known to a fifth of itself.
+/// Robots drawn: at a risk of 1e-3 the share has a relative standard deviation of a fifth.
 const ROBOTS: usize = 20_000;
-/// Poses of less risk than this share of the largest do not count: all of them together are less.
+/// Poses with less than this share of the greatest risk are neglected.
 const NEGLIGIBLE: f64 = 1e-4;
 
-/// The share of robots drawn that leave the stroke at any of the poses; the sum of the poses' risks where
-/// that is less.
+/// The share of drawn robots that leave the stroke at any of the poses; the sum of the risks if that is less.
 pub(crate) fn over_run(poses: &[StrokeMargin]) -> f64 {
     let sum: f64 = poses.iter().map(|pose| pose.risk).sum();
     let largest = poses.iter().map(|pose| pose.risk).fold(0.0, f64::max);
-    // What so many robots could not show needs none.
+    // A smaller risk is below the resolution of the draws.
     if sum < 1.0 / ROBOTS as f64 {
         return sum;
     }

@@ -1,9 +1,8 @@
-//! A way through chosen poses: short, continuous, the ball always on the sphere about its base ball.
+//! Ways between chosen poses: short, continuous, the ball always on the sphere about its base ball.
 //!
-//! From pose to pose the ball goes along a great circle: as one arc with the orientation turning about
-//! one axis, which is what the controller does, or, where that fails, in short chords whose orientation
-//! follows the axes from one pose to the next, so that the wrist does not pass through its singularity;
-//! the last try goes past the cup's axis. Every way is followed before it is taken.
+//! The ball goes along a great circle: as one arc with the orientation turning about one axis, as the controller does it, or
+//! where that fails in short chords whose orientation follows the axes from one pose to the next, so that the wrist does
+//! not pass its singularity. The last try goes past the cup's axis. Every way is checked before it is taken.
 
 use std::f64::consts::PI;
 
@@ -21,16 +20,16 @@ const STEP_MM: f64 = 2.0;
 const STEP_DEG: f64 = 2.0;
 /// Greatest turn of an axis in one chord, rad.
 const CHORD_TURN: f64 = 0.2;
-/// Greatest turn of an axis in one arc, rad: the end of a larger one leaves the full turns open.
+/// Greatest turn of an axis in one arc, rad: after a larger one the full turns are ambiguous.
 const ARC_TURN: f64 = 1.5;
-/// An axis may be off by this much at the end of a way; more is another turn of it, rad.
+/// Greatest deviation of an axis at the end of a way, rad: more is another turn of it.
 const ASTRAY: f64 = 0.01;
 
-/// How to come from one pose to the next.
+/// A way from one pose to the next.
 pub(crate) enum Way {
     /// One arc through this auxiliary pose.
     Arc(Pose),
-    /// Straight lines to these poses, the last but one stop before the end.
+    /// Straight lines from pose to pose; the last one is the end.
     Chords(Vec<Pose>),
 }
 
@@ -42,14 +41,14 @@ pub(crate) struct Router<'a> {
     pub(crate) radius: f64,
     /// Greatest risk of one pose.
     pub(crate) risk: f64,
-    /// How far a chord may come inside the sphere, mm.
+    /// Greatest sagitta of a chord, mm.
     pub(crate) sagitta: f64,
 }
 
 impl<'a> Router<'a> {
     /// `None` where the job has no such ball.
     pub(crate) fn new(cell: &'a Cell<'a>, centre: u32, risk: f64) -> Option<Self> {
-        let (bar, ball) = (&cell.job.bar, Vector3::from(cell.job.ball(centre)?.xyz_mm));
+        let (bar, ball) = (&cell.rig.job.bar, Vector3::from(cell.rig.job.ball(centre)?.xyz_mm));
         let sagitta = (0.25 * room(bar, bar.length_mm)).clamp(0.02, 0.2);
         Some(Self { cell, centre, ball, radius: bar.length_mm, risk, sagitta })
     }
@@ -62,7 +61,7 @@ impl<'a> Router<'a> {
         if bend < PI - 0.1 && bend > 1e-3 && turn < ARC_TURN {
             let rotation = between(&from.pose.rotation, &to.pose.rotation, 0.5);
             let aux = Pose { rotation, position: self.ball + on_arc(&u, &v, 0.5) * self.radius };
-            // The controller goes along an arc of its own, which is none of the arm's.
+            // The arc is one of the controller's model, and not of the arm's.
             let half: [f64; AXES] = std::array::from_fn(|i| 0.5 * (from.axes[i] + to.axes[i]));
             let rig = self.cell.rig;
             let [start, end] = [from, to].map(|pose| rig.controller.geometry.ball(&pose.axes));
@@ -71,13 +70,13 @@ impl<'a> Router<'a> {
                 return Some(Way::Arc(aux));
             }
         }
-        let table = self.cell.job.ball(self.centre)?;
+        let table = self.cell.rig.job.ball(self.centre)?;
         let up = table.cup_axis.map_or(Vector3::z(), |axis| Vector3::from(axis).normalize());
         let over = (u + v + up * 1.5).try_normalize(1e-6)?;
         self.chords(from, to, &[u, v]).or_else(|| self.chords(from, to, &[u, over, v])).map(Way::Chords)
     }
 
-    /// Chords past the directions given, the orientation following the axes.
+    /// Chords past these directions, with an orientation that follows the axes.
     fn chords(&self, from: &Candidate, to: &Candidate, past: &[Vector3<f64>]) -> Option<Vec<Pose>> {
         let widest = 2.0 * (1.0 - self.sagitta / self.radius).clamp(-1.0, 1.0).acos();
         let legs: Vec<f64> = past.windows(2).map(|pair| arc_angle(&pair[0], &pair[1])).collect();
@@ -103,7 +102,7 @@ impl<'a> Router<'a> {
         (apart(&axes, &to.axes) < ASTRAY).then_some(poses)
     }
 
-    /// The axis angles at the end of a path that keeps all limits and its branch.
+    /// The axis angles at the end of a path, if it keeps all limits and its branch.
     fn passes(&self, path: &Path, start: &[f64; AXES]) -> Option<[f64; AXES]> {
         let arm = &self.cell.rig.controller.geometry;
         let began = status(arm, start);
@@ -112,7 +111,7 @@ impl<'a> Router<'a> {
         let mut axes = *start;
         for part in 1..=parts {
             let next = nearest(arm, &path.pose(f64::from(part) / f64::from(parts))?, &axes).ok()?;
-            // Twice the step of the path: more is a wrist that turns about.
+            // A larger turn than this in one step is a wrist that flips.
             let fits = apart(&next, &axes) < 0.3 && status(arm, &next) == began;
             if !(fits && self.cell.allows(&next, self.centre, self.risk)) {
                 return None;
@@ -127,8 +126,7 @@ impl<'a> Router<'a> {
     }
 }
 
-/// The poses in an order in which the axes turn little: the nearest next, then any stretch turned about
-/// while that is shorter. The first stays first.
+/// Orders the poses so that the axes turn little: nearest neighbour, then 2-opt. The first stays first.
 pub(crate) fn order(poses: &mut [Candidate]) {
     for at in 1..poses.len() {
         let next = (at..poses.len()).min_by(|&a, &b| {

@@ -1,11 +1,13 @@
-//! The rows of `plan.csv`.
+//! The rows of a plan, and the place of each on its circle.
 
 use serde::{Deserialize, Serialize};
 
+use super::Plan;
+use super::circle::Circle;
 use crate::measurement::Kind;
 use crate::robot::AXES;
 
-/// How the robot comes to a row's pose.
+/// How the robot moves to a row's pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Motion {
@@ -20,21 +22,19 @@ pub enum Motion {
 /// One row of the plan: a pose of the tool ball and what happens there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanRow {
-    /// Number from 1, over all rows.
+    /// From 1, over all rows.
     pub index: u32,
     /// Number of the circle, from 1; 0 for rows of no circle.
     pub circle: u32,
     /// Number of the base ball, from 1.
     pub centre: u32,
-    /// What the row is for.
     pub kind: Kind,
-    /// How the robot comes there.
     pub motion: Motion,
     /// Tool ball in the robot base, mm, as KRL prints it (three decimals).
     pub xyz_mm: [f64; 3],
     /// KUKA's A, B, C of the flange's orientation, degrees, as KRL prints them (four decimals).
     pub abc_deg: [f64; 3],
-    /// The controller's axis angles there, degrees.
+    /// The controller's axis angles, degrees.
     pub axes_deg: [f64; AXES],
     /// KUKA's status bits.
     pub status: u8,
@@ -47,8 +47,39 @@ pub struct PlanRow {
 }
 
 impl PlanRow {
-    /// Whether it is no pose to measure at but a point through which an arc goes, or the end of a pass.
+    /// Whether it is the auxiliary point of an arc, or the end of a pass.
     pub fn is_auxiliary(&self) -> bool {
         self.kind == Kind::Transit && self.motion == Motion::Circ
+    }
+}
+
+/// The place of a dwell on its circle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CirclePlace {
+    /// Angle of its pose as rounded for the program, degrees from the plane's first axis, 0..360.
+    pub angle_deg: f64,
+    /// Whether the pass goes against growing angles.
+    pub clockwise: bool,
+    /// Nominal radius of the circle, mm.
+    pub radius_mm: f64,
+}
+
+impl Plan {
+    /// The place of each row on its circle; `None` for transit rows and rows of no circle.
+    pub fn circle_places(&self) -> Vec<Option<CirclePlace>> {
+        let job = &self.header.job;
+        let mut measured = vec![0_u32; job.circles.len()];
+        self.rows
+            .iter()
+            .map(|row| {
+                let table = job.circle(row.circle).filter(|_| row.kind != Kind::Transit)?;
+                let circle = Circle::new(job, table, row.circle).ok()?;
+                let visited = measured.get_mut(row.circle as usize - 1)?;
+                let clockwise = table.is_clockwise(*visited >= table.points);
+                *visited += u32::from(row.kind == Kind::Measure);
+                let angle_deg = circle.angle_deg(row.xyz_mm.into());
+                Some(CirclePlace { angle_deg, clockwise, radius_mm: circle.radius })
+            })
+            .collect()
     }
 }

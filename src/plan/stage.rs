@@ -1,23 +1,23 @@
-//! A stage: a few poses whose length is safe as the robot is known now, to be measured before the rest.
+//! Stages: a few poses whose length is safe as the robot is known now, measured before the rest.
 
 use serde::{Deserialize, Serialize};
 
 use super::job::{Job, Optimise};
 use crate::design::Criterion;
 
-/// Up to this share of the poses may be barred without a stage: of a robot of which nothing was measured yet, and later.
+/// Share of the poses that may be barred without a stage: before the first length, and later.
 const FEW_AT_FIRST: f64 = 1.0 / 3.0;
 const FEW_LATER: f64 = 0.01;
 
-/// What a stage bars.
+/// The poses that are barred in a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
-    /// Lengths that were known before it.
+    /// Lengths that were measured before it.
     pub lengths: usize,
-    /// Poses drawn that can be reached, and
+    /// Candidates that can be reached.
     pub reachable: usize,
-    /// those of them whose length might leave the stroke.
+    /// Of these, the ones whose length might leave the stroke.
     pub barred: usize,
 }
 
@@ -29,7 +29,7 @@ impl Stage {
 }
 
 impl Job {
-    /// The job without how its base balls were taught.
+    /// The job without `taught_deg`.
     #[must_use]
     pub(crate) fn untaught(&self) -> Self {
         let mut job = self.clone();
@@ -44,7 +44,7 @@ impl Job {
         self.with_poses(Optimise { stage_points: points, ..before })
     }
 
-    /// The job with `points` poses about its base balls that see most of a change, in place of its circles.
+    /// The job with `points` poses about its base balls that detect changes best, in place of its circles.
     #[must_use]
     pub fn as_check(&self, points: u32) -> Self {
         let before = self.optimise.clone().unwrap_or_default();

@@ -1,17 +1,17 @@
-//! What the robot is to do, circle by circle, before any axis angle is known.
+//! The steps of a job's circles, before axis angles are known.
 //!
-//! One module for each circle: to the start pose with all axes (the bar is off; the program halts there
-//! to have it mounted), three sync markers, the points along the arc, two markers. The start pose lies one step
-//! before the first point, so that the first point is reached as all others are.
+//! One module for each circle: a PTP motion to the start pose (the bar is off; the program halts there to have it mounted),
+//! three sync markers, the points along the arc, two markers. The start pose is one step before the first point, so that
+//! the first point is reached as all others are.
 //!
-//! The reference pose is the first point. It is visited after every twenty points and after the last,
-//! along the circle itself, the shorter way round: that is the one way of which it is known that the
-//! bar's length stays, and it costs three turns of the circle for eighty points.
+//! The reference pose is the first point. It is visited after every twenty points and after the last, along the circle,
+//! the shorter way round: on this path the bar's length is known to stay in the stroke. It costs three turns of the circle
+//! for eighty points.
 //!
 //! A continuous circle has no reference pose; its passes go over it from end to end (`pass.rs`).
 //!
-//! Between two circles about one base ball the bar stays on: the robot goes along the sphere, in short
-//! chords, to the next start pose, and the next module's motion to it is none. To another base ball the bar comes off.
+//! Between two circles about one base ball the bar stays on: the robot goes along the sphere in short chords to the next
+//! start pose, where the next module begins. Before a circle about another base ball the bar is taken off.
 
 use std::f64::consts::TAU;
 
@@ -26,9 +26,9 @@ use crate::catalogue::JobFinding;
 use crate::design::Candidate;
 use crate::robot::{AXES, Pose};
 
-/// How far a sync marker goes, mm, where the stroke has room.
+/// Length of a sync marker where the stroke has room, mm.
 const MARKER_MM: f64 = 0.3;
-/// Shares of it that are taken where the length is not known well enough.
+/// Shares of it that are tried where the length is not known well enough.
 const SMALLER: [f64; 3] = [1.0, 0.7, 0.4];
 /// How far to step aside where two dwells follow at one place, rad.
 pub(crate) const DETOUR: f64 = 0.035;
@@ -36,7 +36,7 @@ pub(crate) const DETOUR: f64 = 0.035;
 const START_MARKERS: u32 = 3;
 const END_MARKERS: u32 = 2;
 
-/// A pose that the tool ball is to take.
+/// A pose of the tool ball to which the robot is to go.
 pub(crate) struct Step {
     pub(crate) circle: u32,
     pub(crate) centre: u32,
@@ -44,14 +44,11 @@ pub(crate) struct Step {
     pub(crate) motion: Motion,
     pub(crate) pose: Pose,
     pub(crate) dwell_s: f64,
-    /// The branch and turn in which the arm is to stand there, where they are known: axis angles, rad.
+    /// Axis angles, rad, where branch and turn are known.
     pub(crate) axes: Option<[f64; AXES]>,
 }
 
-/// All steps of the job's circles.
-///
-/// # Errors
-/// A circle without plane or base ball, which a checked job does not have.
+/// All steps of the job's circles; an error only in a job that was not checked.
 pub(crate) fn steps(job: &Job) -> Result<Vec<Step>, JobFinding> {
     let mut walk = Walk::new(job);
     for (number, table) in (1_u32..).zip(&job.circles) {
@@ -59,21 +56,21 @@ pub(crate) fn steps(job: &Job) -> Result<Vec<Step>, JobFinding> {
         let angles = table.angles();
         let Some(&first) = angles.first() else { continue };
         let sense = if table.direction == Direction::Cw { -1.0 } else { 1.0 };
-        // Outside an open arc may be what it was left open for: there the start is inside.
+        // Outside an open arc may be an obstacle: its start is inside.
         let outside = if table.is_closed() { sense } else { -sense } * table.step();
         let start = match table.mode {
             Mode::Continuous => first - sense * table.overshoot_deg.to_radians(),
             Mode::Dwell => first - outside,
         };
         if walk.centre == table.centre {
-            // Half of the room inwards at most, and no more than a marker.
+            // At most half of the stroke that is left inwards, and no more than a marker.
             let sagitta = (0.5 * room(&job.bar, circle.radius)).clamp(0.02, MARKER_MM);
             walk.along_the_sphere(circle.centre(), &circle.pose(start, 0.0), sagitta);
         }
         (walk.circle, walk.centre) = (number, table.centre);
         walk.push(Kind::Transit, Motion::Ptp, circle.pose(start, 0.0));
         let out = marker(&job.bar, circle.radius);
-        walk.markers(START_MARKERS, &circle, start, out);
+        walk.markers(End::Start, circle.pose(start, 0.0), circle.pose(start, out));
         let end = match table.mode {
             Mode::Continuous => {
                 let sweep = table.sweep_deg().to_radians();
@@ -82,12 +79,12 @@ pub(crate) fn steps(job: &Job) -> Result<Vec<Step>, JobFinding> {
             }
             Mode::Dwell => walk.dwells(&circle, table, start, outside),
         };
-        walk.markers(END_MARKERS, &circle, end, out);
+        walk.markers(End::Finish, circle.pose(end, 0.0), circle.pose(end, out));
     }
     Ok(walk.steps)
 }
 
-/// How far out a sync marker goes, mm: within the room that the stroke leaves, inwards where there is none.
+/// Length of a sync marker outwards, mm, within the stroke; negative (inwards) where there is more room.
 pub(crate) fn marker(bar: &Bar, radius: f64) -> f64 {
     let reading = radius - bar.length_mm;
     let out = bar.stroke_mm[1] - bar.margin_mm - reading;
@@ -95,24 +92,24 @@ pub(crate) fn marker(bar: &Bar, radius: f64) -> f64 {
     if out >= MARKER_MM || out >= inwards { MARKER_MM.min(0.8 * out) } else { -MARKER_MM.min(0.8 * inwards) }
 }
 
-/// The least of the markers at a radius that [`safe_marker`] would take, mm.
+/// The shortest marker that [`safe_marker`] tries at a radius, mm.
 pub(crate) fn least_marker(bar: &Bar, radius: f64) -> f64 {
     marker(bar, radius) * SMALLER[SMALLER.len() - 1]
 }
 
-/// The largest marker at a radius of which the risk is at most `most`, mm; the least one where all have more.
+/// The longest marker at a radius with a risk of at most `most`, mm; the shortest one where all have more.
 pub(crate) fn safe_marker(bar: &Bar, radius: f64, most: f64, risk: impl Fn(f64) -> f64) -> f64 {
     let markers = SMALLER.map(|share| marker(bar, radius) * share);
     markers.into_iter().find(|out| risk(*out) <= most).unwrap_or(least_marker(bar, radius))
 }
 
-/// Room of the bar inwards at a radius, mm.
+/// Stroke that is left inwards at a radius, mm.
 pub(crate) fn room(bar: &Bar, radius: f64) -> f64 {
     radius - bar.length_mm - bar.stroke_mm[0] - bar.margin_mm
 }
 
 /// An end of a module.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy)]
 pub(crate) enum End {
     Start,
     Finish,
@@ -131,7 +128,7 @@ impl Walk {
         Self { steps: Vec::new(), circle: 0, centre: 0, dwell_s: job.motion.dwell_s }
     }
 
-    /// To a pose with all axes.
+    /// A PTP motion to a pose with these axis angles, rad.
     pub(crate) fn ptp(&mut self, pose: Pose, axes: [f64; AXES]) {
         self.push(Kind::Transit, Motion::Ptp, pose);
         if let Some(step) = self.steps.last_mut() {
@@ -139,7 +136,7 @@ impl Walk {
         }
     }
 
-    /// To a dwell, the way that was found.
+    /// Along a way to a dwell.
     pub(crate) fn go(&mut self, way: Way, to: &Candidate, kind: Kind) {
         match way {
             Way::Arc(aux) => {
@@ -153,7 +150,7 @@ impl Walk {
         }
     }
 
-    /// In straight lines to a dwell at the last of the poses.
+    /// In straight lines from pose to pose, to a dwell at the last one.
     pub(crate) fn lines(&mut self, poses: Vec<Pose>, kind: Kind) {
         let last = poses.len().saturating_sub(1);
         for (at, pose) in poses.into_iter().enumerate() {
@@ -161,14 +158,15 @@ impl Walk {
         }
     }
 
-    /// The sync markers of a module's start or end, out from the base ball and back.
-    pub(crate) fn radial_markers(&mut self, end: End, pose: &Pose, ball: &Vector3<f64>, out: f64) {
-        let along = (pose.position - ball).normalize();
-        let count = if end == End::Start { START_MARKERS } else { END_MARKERS };
+    /// The sync markers of an end of a module: short moves from `rest` out and back.
+    pub(crate) fn markers(&mut self, end: End, rest: Pose, out: Pose) {
+        let count = match end {
+            End::Start => START_MARKERS,
+            End::Finish => END_MARKERS,
+        };
         for _ in 0..count {
-            let position = pose.position + along * out;
-            self.push(Kind::Transit, Motion::Lin, Pose { rotation: pose.rotation, position });
-            self.push(Kind::Transit, Motion::Lin, *pose);
+            self.push(Kind::Transit, Motion::Lin, out);
+            self.push(Kind::Transit, Motion::Lin, rest);
         }
     }
 
@@ -176,13 +174,6 @@ impl Walk {
         let dwell_s = if kind == Kind::Transit { 0.0 } else { self.dwell_s };
         let (circle, centre) = (self.circle, self.centre);
         self.steps.push(Step { circle, centre, kind, motion, pose, dwell_s, axes: None });
-    }
-
-    fn markers(&mut self, count: u32, circle: &Circle, angle: f64, out: f64) {
-        for _ in 0..count {
-            self.push(Kind::Transit, Motion::Lin, circle.pose(angle, out));
-            self.push(Kind::Transit, Motion::Lin, circle.pose(angle, 0.0));
-        }
     }
 
     /// Along the circle to a dwell, through the middle of the arc.
@@ -194,8 +185,8 @@ impl Walk {
         self.push(kind, Motion::Circ, end);
     }
 
-    /// The dwells of a circle from `start` with the visits of its reference pose, the first point; the angle of the last.
-    /// `outside` is the step to where no point is.
+    /// The dwells of a circle from `start`, with the visits of the reference pose; the angle of the last one. `outside` is
+    /// the step towards the side on which no point is.
     fn dwells(&mut self, circle: &Circle, table: &CircleTable, start: f64, outside: f64) -> f64 {
         let angles = table.angles();
         let Some(&first) = angles.first() else { return start };
@@ -217,17 +208,17 @@ impl Walk {
     fn visit(&mut self, circle: &Circle, [from, to]: [f64; 2], kind: Kind, outside: f64) {
         let mut at = from;
         if (to - at).abs() < 1e-9 {
-            // To stay would leave no interval of its own between two dwells.
+            // Without a move there would be no interval between the two dwells.
             at = to + outside.clamp(-DETOUR, DETOUR);
             self.push(Kind::Transit, Motion::Lin, circle.pose(at, 0.0));
         }
         self.arc(circle, at, to, kind);
     }
 
-    /// A pass without stops, from where the robot is at angle `from`; the angle at which it stops.
+    /// A pass without stops from angle `from`; the angle at which it stops.
     fn pass(&mut self, circle: &Circle, from: f64, points: &[f64], sweep: f64) -> f64 {
         let sense = points.first().map_or(1.0, |first| (first - from).signum());
-        // Through points far from each other the rounding of the poses hardly moves the circle.
+        // With auxiliary points far apart the rounding of the poses hardly moves the circle.
         let third = sense * sweep.min(TAU) / 3.0;
         for share in [1.0, 2.0] {
             self.push(Kind::Transit, Motion::Circ, circle.pose(from + share * third, 0.0));
@@ -243,8 +234,7 @@ impl Walk {
         end
     }
 
-    /// Along the sphere about the base ball at `centre` from where the robot is to `to`, in chords that
-    /// come nearer to the ball by `sagitta` mm at most.
+    /// Along the sphere about the base ball at `centre` to the pose `to`, in chords of at most this sagitta, mm.
     fn along_the_sphere(&mut self, centre: Vector3<f64>, to: &Pose, sagitta: f64) {
         let Some(from) = self.steps.last().map(|step| step.pose) else {
             return;
@@ -258,7 +248,7 @@ impl Walk {
         }
         let normal = u.cross(&v);
         let angle = normal.norm().atan2(u.dot(&v));
-        // At opposite ends any great circle will do: over the pole, or beside it.
+        // At opposite ends any great circle will do.
         let axis = if normal.norm() > 1e-9 {
             normal.normalize()
         } else if u.z.abs() < 0.9 {

@@ -1,9 +1,8 @@
-//! How long a move lasts, and the time code that makes every interval between dwells its own.
+//! The durations of moves, and the time code, which makes all intervals between dwells different.
 //!
-//! The controller ramps each motion up and down with constant acceleration: over a distance d at speed
-//! v and acceleration a it takes d/v + v/a. The ball's path and the orientation have a ramp each; the
-//! slower one sets the pace. Both speeds of a row are chosen for the row's time, so that either alone
-//! would take as long.
+//! The controller ramps each motion up and down with constant acceleration: over a distance d at speed v and acceleration a
+//! it takes d/v + v/a. The ball's path and the orientation have a ramp each; the slower one sets the duration. Both speeds
+//! of a row are chosen for the same duration.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -23,19 +22,19 @@ pub const PTP_ACCELERATION_PERCENT: f64 = 20.0;
 /// Wait after the strobe falls, s.
 pub const AFTER_STROBE_S: f64 = 0.1;
 
-/// Share of the axis speeds that a coded move may use: the rest is for the true robot's other path.
+/// Share of the axis speeds that a coded move may use: the axes of the true robot move differently.
 const AXIS_SHARE: f64 = 0.5;
-/// Shortest coded move, s, and how much longer the longest is.
+/// Shortest coded move, and the range of the durations, s.
 const SHORTEST_S: f64 = 0.8;
 const SPREAD_S: f64 = 2.2;
-/// How far the durations of the moves into a module's dwells are apart, s.
+/// Least difference between the durations of the moves into a module's dwells, s.
 const APART_S: f64 = 0.005;
-/// Less than this (mm, degrees) is the rounding of printed poses: that part is at rest.
+/// A smaller motion (mm, degrees) is the rounding of printed poses.
 const STILL: f64 = 0.01;
-/// Speed of a sync marker, mm/s: slow enough to be seen in the stream of a slow gauge.
+/// Speed of a sync marker, mm/s: slow enough for the stream of a slow bar.
 pub(crate) const MARKER_MM_S: f64 = 1.0;
 
-/// Time over `distance` at `speed` with ramps of `acceleration` (any one unit of length), s.
+/// Duration of a motion over `distance` at `speed` with ramps of `acceleration`, s; any unit of length or angle.
 pub fn ramped_s(distance: f64, speed: f64, acceleration: f64) -> f64 {
     if distance <= 0.0 {
         0.0
@@ -46,26 +45,26 @@ pub fn ramped_s(distance: f64, speed: f64, acceleration: f64) -> f64 {
     }
 }
 
-/// The speed at which `distance` takes `duration`; `None` where the ramps alone take longer.
+/// The speed at which `distance` takes `duration`; `None` if the ramps alone take longer.
 fn speed_for(distance: f64, duration: f64, acceleration: f64) -> Option<f64> {
     let ramp = acceleration * duration;
     let root = ramp * ramp - 4.0 * acceleration * distance;
-    // The smaller root, without the difference of near numbers.
+    // The smaller root, without cancellation.
     (root >= 0.0 && ramp > 0.0).then(|| 2.0 * acceleration * distance / (ramp + root.sqrt()))
 }
 
-/// A path and how fast its axes must go: what a row's time depends on.
+/// A path with the derivatives of the axis angles along it, by the share of the path from 0 to 1.
 pub(crate) struct Pace {
     pub(crate) path: Path,
-    /// Greatest of the axes' travel per share of the path over their greatest speed, s.
+    /// Largest first derivative of an axis over its greatest speed, s.
     pub(crate) axis_s: f64,
-    /// Greatest of the same over the axes' greatest accelerations, s^2, and of the second derivative.
+    /// Largest first and second derivative of an axis over its greatest acceleration, s^2.
     pub(crate) slope_s2: f64,
     pub(crate) bend_s2: f64,
 }
 
-/// Speeds and durations of all rows. `paces` has the motion into each row; `None` where there is none
-/// (auxiliary points, and the first row, which is reached from wherever the robot is).
+/// Speeds and durations of all rows. `paces` has the motion into each row; `None` for auxiliary points and for the first row,
+/// which is reached from wherever the robot is.
 pub(crate) fn move_times(
     rows: &[PlanRow],
     paces: &[Option<Pace>],
@@ -114,28 +113,28 @@ fn is_marker(path: &Path) -> bool {
     matches!(path, Path::Line { .. }) && path.length_mm() < 1.0
 }
 
-/// What is added to the shortest time of each dwell's move: a shuffled even ladder, so that all rungs
-/// differ and no run of them repeats.
+/// What is added to the shortest duration of the move into each dwell: equally spaced values in random order, so that all
+/// differ and no sequence repeats.
 fn code(count: usize, seed: u64) -> Vec<f64> {
-    let mut rungs: Vec<f64> = (0..count).map(|i| SPREAD_S * (i as f64 + 0.5) / count as f64).collect();
+    let mut extra: Vec<f64> = (0..count).map(|i| SPREAD_S * (i as f64 + 0.5) / count as f64).collect();
     let mut rng = Pcg64::seed_from_u64(seed);
     for i in (1..count).rev() {
-        rungs.swap(i, rng.random_range(0..=i));
+        extra.swap(i, rng.random_range(0..=i));
     }
-    rungs
+    extra
 }
 
-/// The speeds of a line or arc: at most `feed` and `turn`, the axes within their share, and lasting
-/// `wanted` seconds if that is said.
+/// The speeds of a line or arc: at most `feed` and `turn`, the axes within their share, with a duration of `wanted` seconds if
+/// it is given.
 fn paced(still: MoveTime, pace: &Pace, feed: f64, turn: f64, wanted: Option<f64>) -> MoveTime {
     let (distance, angle) = (pace.path.length_mm(), pace.path.turn_deg());
-    // Shares of the path per second that feed, orientation and axes allow.
+    // Shares of the path per second within the limits of feed, orientation and axes.
     let allowed = |speed: f64, whole: f64| if whole > STILL { speed / whole } else { f64::INFINITY };
     let rate = allowed(feed, distance).min(allowed(turn, angle)).min(allowed(AXIS_SHARE, pace.axis_s));
     let chosen = |limit: f64, whole: f64, acceleration: f64| {
         let fastest = if rate.is_finite() { limit.min(rate * whole) } else { limit };
         let coded = wanted.and_then(|duration| speed_for(whole, duration, acceleration)).unwrap_or(fastest);
-        // As KRL prints it, and never zero: a part at rest keeps the limit; nothing is slower than a hundredth.
+        // As KRL prints it, and never below a hundredth; a part at rest keeps the limit.
         if whole > STILL { (coded.min(fastest) * 1e3).round().max(10.0) / 1e3 } else { limit }
     };
     let feed_mm_s = chosen(feed, distance, ACCELERATION_MM_S2);
@@ -144,12 +143,12 @@ fn paced(still: MoveTime, pace: &Pace, feed: f64, turn: f64, wanted: Option<f64>
     MoveTime { feed_mm_s, turn_deg_s, duration_s, ..still }
 }
 
-/// Time of a line or arc over `distance` mm and `angle` degrees at the speeds given, s.
+/// Duration of a line or arc over `distance` mm and `angle` degrees at the speeds given, s.
 pub fn line_s(distance: f64, angle: f64, feed_mm_s: f64, turn_deg_s: f64) -> f64 {
     ramped_s(distance, feed_mm_s, ACCELERATION_MM_S2).max(ramped_s(angle, turn_deg_s, ACCELERATION_DEG_S2))
 }
 
-/// Time of a PTP motion between axis angles in rad, s: the slowest axis sets the pace.
+/// Duration of a PTP motion between axis angles in rad, s: that of the slowest axis.
 pub fn axes_s(robot: &Robot, from: &[f64; AXES], to: &[f64; AXES]) -> f64 {
     let acceleration = robot.acceleration_deg_s2();
     (0..AXES)

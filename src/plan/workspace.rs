@@ -1,4 +1,4 @@
-//! Where the robot shall be good.
+//! The workspace over which the 3-D error is taken.
 
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -10,10 +10,10 @@ use crate::robot::inverse::nearest;
 use crate::robot::pose::{rot_x, rot_y, rot_z};
 use crate::robot::{AXES, Pose, Robot};
 
-/// Seed of the poses: that of an identification.
+/// Seed of the poses, as in an identification.
 const SEED: u64 = 1;
 
-/// Axis vectors (rad) over which an error is taken: in the user's box if there is one, else uniform within the limits.
+/// Axis vectors (rad) over which an error is taken: in the job's box if it has one, else uniform within the limits.
 pub fn workspace(job: &Job, robot: &Robot, count: usize) -> Vec<[f64; AXES]> {
     let limits = robot.controller();
     let Some([low, high]) = job.optimise.as_ref().and_then(|optimise| optimise.workspace_mm) else {
@@ -22,8 +22,8 @@ pub fn workspace(job: &Job, robot: &Robot, count: usize) -> Vec<[f64; AXES]> {
     in_box(robot, low, high, count)
 }
 
-/// Axis vectors (rad) of `count` poses with the ball uniform in a box (mm), the tool down but for turns of up to
-/// 45 degrees about each axis, the arm in front and its elbow up: where and how production work is done.
+/// Axis vectors (rad) of up to `count` poses with the ball uniform in a box (mm), the tool down and turned by up to 45 degrees
+/// about each axis, the arm in front and its elbow up, as in production work.
 pub fn in_box(robot: &Robot, low: [f64; 3], high: [f64; 3], count: usize) -> Vec<[f64; AXES]> {
     let mut random = Pcg64::seed_from_u64(SEED);
     let home = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians);

@@ -82,9 +82,9 @@ pub fn html(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Result<String, Diag
 fn check(check: &Check) -> CheckLine {
     let quantity = check.quantity;
     CheckLine {
-        quantity: quantity.words().0,
-        worst: quantity.shown(check.worst),
-        limit: quantity.shown(check.limit),
+        quantity: quantity.description(),
+        worst: quantity.format(check.worst),
+        limit: quantity.format(check.limit),
         at_least: quantity.at_least(),
         row: check.row,
         passed: check.holds(),

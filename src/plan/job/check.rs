@@ -1,7 +1,7 @@
-//! Reading a job file: what TOML's types do not say, with the line of what is wrong.
+//! Reading a job file, and checking what its types do not say, with the line of what is wrong.
 
 use super::values::{MOST, Misplaced, Table};
-use super::{CentreTable, CircleTable, Job, Mode, ObstacleTable, Orientation};
+use super::{CentreTable, CircleTable, Job, LEAST_OBSTACLE_MM, Mode, ObstacleTable, Orientation};
 use crate::base::parse::from_toml;
 use crate::catalogue::JobFinding;
 use crate::diagnostic::Diagnostic;
@@ -10,38 +10,36 @@ use crate::measurement::{BallId, BaseBall};
 use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
 use crate::provenance::{CERTIFIED_C, LENGTH_U_MM, check_text};
+use crate::robot::Robot;
 use crate::robot::pose::is_part_of_turn;
 
 /// Chosen poses of a plan: with more the run takes hours, in which everything drifts.
-const MOST_POINTS: u32 = 1000;
+const MOST_POINTS: f64 = 1000.0;
 /// Candidates to choose from.
-const MOST_CANDIDATES: u32 = 100_000;
-/// A bar is mounted: the speed of a controller's test mode is the most, mm/s. The least is no speed in m/s.
+const MOST_CANDIDATES: f64 = 100_000.0;
+/// With a mounted bar the speed of a controller's test mode is the most, mm/s. A speed below the least is in m/s.
 const FEED_MM_S: [f64; 2] = [0.5, 250.0];
-/// In a shorter dwell no bar sends enough readings, s.
-const LEAST_DWELL_S: f64 = 0.05;
+/// In a shorter dwell no bar sends enough readings; a longer wait is a mistake, s.
+const DWELL_S: [f64; 2] = [0.05, 60.0];
 /// From carbon fibre to zinc, 1/K.
 const EXPANSION_PER_K: [f64; 2] = [-2e-6, 5e-5];
 /// Base balls are larger: nearer places are one, mm.
 const LEAST_APART_MM: f64 = 10.0;
 /// A shorter arc is one in radians, degrees.
-const LEAST_ARC_DEG: f64 = 7.0;
-/// A smaller box, cylinder, height or place is one in metres, mm.
-const LEAST_OBSTACLE_MM: f64 = 3.0;
+const ARC_DEG: [f64; 2] = [7.0, 360.0];
 /// Bars, tools and arms are thicker; a smaller radius is one in metres, mm.
-const LEAST_RADIUS_MM: f64 = 1.0;
-/// Longest wait and dwell, s.
-const MOST_WAIT_S: f64 = 60.0;
+const RADIUS_MM: [f64; 2] = [1.0, MOST];
 /// Digital outputs that a controller has.
 const OUTPUTS: std::ops::RangeInclusive<u32> = 1..=4096;
+/// Keys and tables of the robot file that no table of the job has.
+const OF_ROBOT: [&str; 6] = ["ball_mm", "joint", "tolerance", "mass", "payload", "repeatability_mm"];
+
+type Checked = Result<(), Misplaced>;
 
 impl Job {
-    /// Reads a job file.
-    ///
-    /// # Errors
-    /// Names the line of an unknown or missing key, or of a value that cannot be.
+    /// Reads and checks a job file.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        let job: Self = from_toml(file, text).map_err(of_robot)?;
+        let job: Self = from_toml(file, text).map_err(key_of_robot)?;
         job.check().map_err(|wrong| match wrong.line(text) {
             Some(line) => {
                 let column = text.lines().nth(line - 1).map_or(0, |l| l.len() - l.trim_start().len()) + 1;
@@ -65,18 +63,33 @@ impl Job {
         self.centres.get((number as usize).checked_sub(1)?)
     }
 
-    /// The table of a circle by its number, from 1; 0 is that of chosen poses, which have none.
+    /// The table of a circle by its number, from 1; `None` for 0, the number of chosen poses.
     pub(crate) fn circle(&self, number: u32) -> Option<&CircleTable> {
         self.circles.get((number as usize).checked_sub(1)?)
     }
 
-    /// What the types do not say.
-    pub(crate) fn check(&self) -> Result<(), Misplaced> {
+    /// Parts of the job without effect: balls without a circle, floors that this robot does not reach.
+    pub fn without_effect(&self, robot: &Robot) -> Vec<JobFinding> {
+        let is_used = |ball: u32| self.circles.iter().any(|circle| circle.centre == ball);
+        let given = self.optimise.is_none() && !self.circles.is_empty();
+        let unused = self.centres.iter().map(|table| table.id).filter(|ball| given && !is_used(*ball));
+        let hand_mm = robot.geometry.rows[5].d.abs() + robot.geometry.tool.norm();
+        let lowest_mm = -(robot.reach_mm() + hand_mm);
+        let floors = self.obstacles.iter().filter_map(|obstacle| match *obstacle {
+            ObstacleTable::Floor { z_mm } if z_mm < lowest_mm => {
+                Some(JobFinding::FloorBelow { z_mm, lowest_mm })
+            }
+            _ => None,
+        });
+        unused.map(|ball| JobFinding::BallWithoutCircle { ball }).chain(floors).collect()
+    }
+
+    /// Checks what the types do not say.
+    pub(crate) fn check(&self) -> Checked {
+        self.check_ranges()?;
         self.check_bar()?;
         self.check_identity()?;
-        self.check_motion()?;
         self.check_outputs()?;
-        self.check_limits()?;
         let missing = if self.centres.is_empty() {
             Some("[[centre]]")
         } else {
@@ -85,8 +98,10 @@ impl Job {
         if let Some(table) = missing {
             return Err(Table::new("").wrong("", JobFinding::MissingTable { table: table.into() }));
         }
-        self.check_optimise()?;
-        self.check_tool()?;
+        if let Some([low, high]) = self.optimise.as_ref().and_then(|optimise| optimise.workspace_mm) {
+            Table::new("[optimise]").corners("workspace_mm", low, high)?;
+        }
+        Table::new("[tool]").cup(self.tool.cup_axis, self.tool.cup_limit_deg)?;
         for (at, obstacle) in self.obstacles.iter().enumerate() {
             check_obstacle(Table::nth("[[obstacle]]", at), obstacle)?;
         }
@@ -94,27 +109,53 @@ impl Job {
         self.circles.iter().enumerate().try_for_each(|(at, circle)| self.check_circle(at, circle))
     }
 
-    fn check_bar(&self) -> Result<(), Misplaced> {
-        let (bar, table) = (&self.bar, Table::new("[bar]"));
-        table.positive("length_mm", bar.length_mm)?;
-        table.positive("sigma_um", bar.sigma_um)?;
-        let ([low_mm, high_mm], length_mm) = (bar.stroke_mm, bar.length_mm);
-        if !(low_mm.abs() < length_mm && high_mm.abs() < length_mm && low_mm < high_mm) {
-            return Err(table.wrong("stroke_mm", JobFinding::StrokeOrder { low_mm, high_mm, length_mm }));
+    /// The values of the single tables that have a range of their own.
+    fn check_ranges(&self) -> Checked {
+        let Self { bar, motion, limits, tool, .. } = self;
+        let [bar_table, motion_table] = ["[bar]", "[motion]"].map(Table::new);
+        bar_table.positive("length_mm", bar.length_mm)?;
+        bar_table.positive("sigma_um", bar.sigma_um)?;
+        motion_table.positive("turn_deg_s", motion.turn_deg_s)?;
+        motion_table.positive_to("settle_s", motion.settle_s, DWELL_S[1])?;
+        let optimise = self.optimise.as_ref();
+        let count = |of: fn(&super::Optimise) -> u32| optimise.map(|optimise| f64::from(of(optimise)));
+        let candidates = [10.0 * count(|o| o.points).unwrap_or(0.0), MOST_CANDIDATES];
+        let ranges = [
+            ("[bar]", "radius_mm", Some(bar.radius_mm), RADIUS_MM),
+            ("[bar]", "length_u_mm", bar.length_u_mm, LENGTH_U_MM),
+            ("[bar]", "temperature_c", bar.temperature_c, CERTIFIED_C),
+            ("[bar]", "expansion_per_k", bar.expansion_per_k, EXPANSION_PER_K),
+            ("[motion]", "feed_mm_s", Some(motion.feed_mm_s), FEED_MM_S),
+            ("[motion]", "dwell_s", Some(motion.dwell_s), DWELL_S),
+            ("[limits]", "min_a5_deg", Some(limits.min_a5_deg), [0.0, 90.0]),
+            ("[limits]", "min_elbow_deg", Some(limits.min_elbow_deg), [0.0, 90.0]),
+            ("[limits]", "min_overhead_mm", Some(limits.min_overhead_mm), [0.0, 1e4]),
+            ("[limits]", "max_stroke_risk", Some(limits.max_stroke_risk), [0.0, 1.0]),
+            ("[limits]", "min_clearance_mm", Some(limits.min_clearance_mm), [0.0, 1e4]),
+            ("[tool]", "radius_mm", Some(tool.radius_mm), RADIUS_MM),
+            ("[tool]", "arm_radius_mm", Some(tool.arm_radius_mm), RADIUS_MM),
+            ("[optimise]", "points", count(|o| o.points), [6.0, MOST_POINTS]),
+            ("[optimise]", "candidates", count(|o| o.candidates), candidates),
+            ("[optimise]", "stage_points", count(|o| o.stage_points), [6.0, MOST_POINTS]),
+        ];
+        for (header, key, value, range) in ranges {
+            value.map_or(Ok(()), |value| Table::new(header).within(key, value, range))?;
         }
-        table.within("radius_mm", bar.radius_mm, [LEAST_RADIUS_MM, MOST])?;
-        bar.length_u_mm.map_or(Ok(()), |u| table.within("length_u_mm", u, LENGTH_U_MM))?;
-        bar.temperature_c.map_or(Ok(()), |t| table.within("temperature_c", t, CERTIFIED_C))?;
-        bar.expansion_per_k
-            .map_or(Ok(()), |value| table.within("expansion_per_k", value, EXPANSION_PER_K))?;
-        let (margin_mm, stroke_mm) = (bar.margin_mm, high_mm - low_mm);
-        if !(margin_mm >= 0.0 && 2.0 * margin_mm < stroke_mm) {
-            return Err(table.wrong("margin_mm", JobFinding::NoStrokeLeft { margin_mm, stroke_mm }));
-        }
-        Ok(())
+        check_frame(motion_table, "tool", motion.tool)?;
+        check_frame(motion_table, "base", motion.base)
     }
 
-    fn check_identity(&self) -> Result<(), Misplaced> {
+    fn check_bar(&self) -> Checked {
+        let (bar, table) = (&self.bar, Table::new("[bar]"));
+        let ([low_mm, high_mm], length_mm, margin_mm) = (bar.stroke_mm, bar.length_mm, bar.margin_mm);
+        let ordered = low_mm.abs() < length_mm && high_mm.abs() < length_mm && low_mm < high_mm;
+        table.ensure("stroke_mm", ordered, || JobFinding::StrokeOrder { low_mm, high_mm, length_mm })?;
+        let stroke_mm = high_mm - low_mm;
+        let left = margin_mm >= 0.0 && 2.0 * margin_mm < stroke_mm;
+        table.ensure("margin_mm", left, || JobFinding::NoStrokeLeft { margin_mm, stroke_mm })
+    }
+
+    fn check_identity(&self) -> Checked {
         let in_table = |table: Table, checked: Result<(), (&'static str, JobFinding)>| {
             checked.map_err(|(key, finding)| table.wrong(key, finding))
         };
@@ -135,76 +176,28 @@ impl Job {
         in_table(Table::new("[identity]"), other.and_then(|()| self.identity().check_all()))
     }
 
-    fn check_optimise(&self) -> Result<(), Misplaced> {
-        let Some(optimise) = &self.optimise else { return Ok(()) };
-        let table = Table::new("[optimise]");
-        let count = |key, value: u32, least: u32, most: u32| {
-            table.within(key, f64::from(value), [f64::from(least), f64::from(most)])
-        };
-        count("points", optimise.points, 6, MOST_POINTS)?;
-        count("candidates", optimise.candidates, 10 * optimise.points, MOST_CANDIDATES)?;
-        count("stage_points", optimise.stage_points, 6, MOST_POINTS)?;
-        optimise.workspace_mm.map_or(Ok(()), |[low, high]| table.corners("workspace_mm", low, high))
-    }
-
-    fn check_tool(&self) -> Result<(), Misplaced> {
-        let (tool, table) = (&self.tool, Table::new("[tool]"));
-        table.cup(tool.cup_axis, tool.cup_limit_deg)?;
-        table.within("radius_mm", tool.radius_mm, [LEAST_RADIUS_MM, MOST])?;
-        table.within("arm_radius_mm", tool.arm_radius_mm, [LEAST_RADIUS_MM, MOST])
-    }
-
-    fn check_motion(&self) -> Result<(), Misplaced> {
-        let (motion, table) = (&self.motion, Table::new("[motion]"));
-        table.within("feed_mm_s", motion.feed_mm_s, FEED_MM_S)?;
-        table.positive("turn_deg_s", motion.turn_deg_s)?;
-        table.positive_to("settle_s", motion.settle_s, MOST_WAIT_S)?;
-        table.within("dwell_s", motion.dwell_s, [LEAST_DWELL_S, MOST_WAIT_S])?;
-        table.frame("tool", motion.tool)?;
-        table.frame("base", motion.base)
-    }
-
-    fn check_outputs(&self) -> Result<(), Misplaced> {
+    fn check_outputs(&self) -> Checked {
         let (strobe, [first, last]) = (self.motion.outputs.strobe, self.motion.outputs.index);
         let table = Table::new("outputs");
-        if !(OUTPUTS.contains(&strobe) && OUTPUTS.contains(&first) && first.checked_add(7) == Some(last)) {
-            return Err(table.wrong("", JobFinding::Outputs { strobe, first, last }));
-        }
-        if (first..=last).contains(&strobe) {
-            return Err(table.wrong("", JobFinding::StrobeInIndex { strobe }));
-        }
-        Ok(())
+        let exist =
+            OUTPUTS.contains(&strobe) && OUTPUTS.contains(&first) && first.checked_add(7) == Some(last);
+        table.ensure("", exist, || JobFinding::Outputs { strobe, first, last })?;
+        table.ensure("", !(first..=last).contains(&strobe), || JobFinding::StrobeInIndex { strobe })
     }
 
-    fn check_limits(&self) -> Result<(), Misplaced> {
-        let (limits, table) = (&self.limits, Table::new("[limits]"));
-        [
-            ("min_a5_deg", limits.min_a5_deg, 90.0),
-            ("min_elbow_deg", limits.min_elbow_deg, 90.0),
-            ("min_overhead_mm", limits.min_overhead_mm, 1e4),
-            ("max_stroke_risk", limits.max_stroke_risk, 1.0),
-            ("min_clearance_mm", limits.min_clearance_mm, 1e4),
-        ]
-        .into_iter()
-        .try_for_each(|(key, value, most)| table.within(key, value, [0.0, most]))
-    }
-
-    fn check_centres(&self) -> Result<(), Misplaced> {
+    fn check_centres(&self) -> Checked {
         for (at, centre) in self.centres.iter().enumerate() {
-            let table = Table::nth("[[centre]]", at);
-            if centre.id as usize != at + 1 {
-                let finding = JobFinding::BallNumber { id: centre.id as usize, expected: at + 1 };
-                return Err(table.wrong("id", finding));
-            }
-            table.within("id", f64::from(centre.id), [1.0, MOST_BALLS as f64])?;
-            centre.xyz_mm.iter().try_for_each(|mm| table.within("xyz_mm", *mm, [-MOST, MOST]))?;
+            let (table, id, expected) = (Table::nth("[[centre]]", at), centre.id, at + 1);
+            let counts = id as usize == expected;
+            table.ensure("id", counts, || JobFinding::BallNumber { id: id as usize, expected })?;
+            table.within("id", f64::from(id), [1.0, MOST_BALLS as f64])?;
+            table.finite("xyz_mm", &centre.xyz_mm)?;
             let from_mm = |other: &CentreTable| {
                 let steps = centre.xyz_mm.iter().zip(other.xyz_mm);
                 steps.map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
             };
             if let Some(other) = self.centres[..at].iter().find(|other| from_mm(other) < LEAST_APART_MM) {
-                let finding = JobFinding::BallsAtOnePlace { one: other.id, other: centre.id };
-                return Err(table.wrong("xyz_mm", finding));
+                return Err(table.wrong("xyz_mm", JobFinding::BallsAtOnePlace { one: other.id, other: id }));
             }
             table.finite("taught_deg", centre.taught_deg.iter().flatten())?;
             table.cup(centre.cup_axis, centre.cup_limit_deg)?;
@@ -212,13 +205,11 @@ impl Job {
         Ok(())
     }
 
-    fn check_circle(&self, at: usize, circle: &CircleTable) -> Result<(), Misplaced> {
+    fn check_circle(&self, at: usize, circle: &CircleTable) -> Checked {
         let (table, number) = (Table::nth("[[circle]]", at), at + 1);
         let (centre, balls) = (circle.centre as usize, self.centres.len());
-        if !(1..=balls).contains(&centre) {
-            let finding = JobFinding::NoSuchBall { circle: number, centre, balls };
-            return Err(table.wrong("centre", finding));
-        }
+        let exists = (1..=balls).contains(&centre);
+        table.ensure("centre", exists, || JobFinding::NoSuchBall { circle: number, centre, balls })?;
         match (circle.plane, circle.normal) {
             (Some(_), Some(_)) => {
                 return Err(table.wrong("normal", JobFinding::PlaneAndNormal { circle: number }));
@@ -231,37 +222,34 @@ impl Job {
         table.finite("start_deg", [&circle.start_deg])?;
         table.finite("tilt_deg", [&circle.tilt_deg])?;
         table.finite("spin_deg", [&circle.spin_deg])?;
-        table.within("arc_deg", circle.arc_deg, [LEAST_ARC_DEG, 360.0])?;
+        table.within("arc_deg", circle.arc_deg, ARC_DEG)?;
         match circle.mode {
             Mode::Continuous => self.check_continuous(table, number, circle),
             Mode::Dwell => check_dwells(table, number, circle),
         }
     }
 
-    fn check_continuous(&self, table: Table, number: usize, circle: &CircleTable) -> Result<(), Misplaced> {
+    fn check_continuous(&self, table: Table, number: usize, circle: &CircleTable) -> Checked {
         table.within("points", f64::from(circle.points), [12.0, 3600.0])?;
-        if circle.orientation != Orientation::Fixed || circle.amplitude_deg.is_some() {
-            return Err(table.wrong("orientation", JobFinding::NotFixed { circle: number }));
-        }
-        let overshoot_deg = circle.overshoot_deg;
+        let fixed = circle.orientation == Orientation::Fixed && circle.amplitude_deg.is_none();
+        table.ensure("orientation", fixed, || JobFinding::NotFixed { circle: number })?;
+        let (overshoot_deg, feed_mm_s) = (circle.overshoot_deg, self.motion.feed_mm_s);
         table.positive_to("overshoot_deg", overshoot_deg, 180.0)?;
-        let feed_mm_s = self.motion.feed_mm_s;
         let radius_mm = circle.radius_mm.unwrap_or(self.bar.length_mm);
         let needed_deg = (0.5 * feed_mm_s * feed_mm_s / ACCELERATION_MM_S2 / radius_mm).to_degrees();
-        if overshoot_deg < needed_deg {
-            let finding = JobFinding::OvershootShort { circle: number, overshoot_deg, needed_deg, feed_mm_s };
-            return Err(table.wrong("overshoot_deg", finding));
-        }
-        Ok(())
+        let finding = || JobFinding::OvershootShort { circle: number, overshoot_deg, needed_deg, feed_mm_s };
+        table.ensure("overshoot_deg", overshoot_deg >= needed_deg, finding)
     }
 }
 
-fn check_dwells(table: Table, number: usize, circle: &CircleTable) -> Result<(), Misplaced> {
+fn check_dwells(table: Table, number: usize, circle: &CircleTable) -> Checked {
     let (points, dwells) = (circle.points, circle.dwells());
-    if points < 3 || dwells > MODULE_DWELLS {
-        let finding = JobFinding::DwellCount { circle: number, points, dwells, most: MODULE_DWELLS };
-        return Err(table.wrong("points", finding));
-    }
+    table.ensure("points", points >= 3 && dwells <= MODULE_DWELLS, || JobFinding::DwellCount {
+        circle: number,
+        points,
+        dwells,
+        most: MODULE_DWELLS,
+    })?;
     table.finite("turns_deg", circle.turns_deg.iter().flatten())?;
     match (circle.orientation, circle.amplitude_deg) {
         (Orientation::Fixed | Orientation::Turning, Some(_)) => {
@@ -272,7 +260,7 @@ fn check_dwells(table: Table, number: usize, circle: &CircleTable) -> Result<(),
     }
 }
 
-fn check_obstacle(table: Table, obstacle: &ObstacleTable) -> Result<(), Misplaced> {
+fn check_obstacle(table: Table, obstacle: &ObstacleTable) -> Checked {
     match *obstacle {
         ObstacleTable::Box { low_mm, high_mm } => {
             table.finite("high_mm", &high_mm)?;
@@ -294,38 +282,21 @@ fn check_obstacle(table: Table, obstacle: &ObstacleTable) -> Result<(), Misplace
     }
 }
 
-impl Table {
-    /// That a frame is in mm and degrees.
-    fn frame(self, key: &'static str, frame: Option<[f64; 6]>) -> Result<(), Misplaced> {
-        let Some(frame) = frame else { return Ok(()) };
-        self.finite(key, &frame)?;
-        let [x, y, z, angles @ ..] = frame;
-        if let Some(value) = angles.into_iter().find(|value| is_part_of_turn(*value)) {
-            return Err(self.wrong(key, JobFinding::FrameInRadians { key: key.into(), value }));
-        }
-        let size_mm = x.abs().max(y.abs()).max(z.abs());
-        if size_mm > 0.0 && size_mm < LEAST_OBSTACLE_MM {
-            return Err(self.wrong(key, JobFinding::FrameInMetres { key: key.into(), size_mm }));
-        }
-        Ok(())
+/// Checks that a frame is finite, in mm and degrees.
+fn check_frame(table: Table, key: &'static str, frame: Option<[f64; 6]>) -> Checked {
+    let Some(frame) = frame else { return Ok(()) };
+    table.finite(key, &frame)?;
+    let [x, y, z, angles @ ..] = frame;
+    if let Some(value) = angles.into_iter().find(|value| is_part_of_turn(*value)) {
+        return Err(table.wrong(key, JobFinding::FrameInRadians { key: key.into(), value }));
     }
-
-    /// That an obstacle of this size, mm, is not one in metres.
-    fn large(self, key: &'static str, size: [f64; 3]) -> Result<(), Misplaced> {
-        match size.into_iter().map(f64::abs).fold(0.0, f64::max) {
-            size_mm if size_mm < LEAST_OBSTACLE_MM => {
-                Err(self.wrong(key, JobFinding::TinyObstacle { key: key.into(), size_mm }))
-            }
-            _ => Ok(()),
-        }
-    }
+    let size_mm = x.abs().max(y.abs()).max(z.abs());
+    let tiny = size_mm > 0.0 && size_mm < LEAST_OBSTACLE_MM;
+    table.ensure(key, !tiny, || JobFinding::FrameInMetres { key: key.into(), size_mm })
 }
 
-/// Keys and tables of the robot file, which no table of the job has.
-const OF_ROBOT: [&str; 6] = ["ball_mm", "joint", "tolerance", "mass", "payload", "repeatability_mm"];
-
-/// A key that the job does not know, but the robot file, at the same place.
-fn of_robot(unread: Diagnostic) -> Diagnostic {
+/// A key that is unknown in the job but known in the robot file, at the same place.
+fn key_of_robot(unread: Diagnostic) -> Diagnostic {
     let known = unread.message.strip_prefix("unknown field `").and_then(|rest| rest.split('`').next());
     let Some(key) = known.filter(|key| OF_ROBOT.contains(key)) else { return unread };
     let finding = Diagnostic::line(&unread.file, unread.line, JobFinding::KeyOfRobot { key: key.into() });

@@ -1,7 +1,6 @@
 //! The job file: bar, base balls, circles, motion, limits.
 
 mod check;
-mod doubts;
 mod obstacle;
 mod values;
 
@@ -14,7 +13,13 @@ use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, BarIdentity, Identity, Provenance, Role, Traced};
 use crate::robot::AXES;
 pub use obstacle::ObstacleTable;
-pub use values::{DEFAULT_PROTOCOL, SIGMA_UM};
+
+/// Standard deviation of a length where the job gives none, micrometres.
+pub const SIGMA_UM: f64 = 2.0;
+/// The protocol of a bar where nothing names one.
+pub const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
+/// A smaller box, cylinder, height or place is one in metres, mm.
+const LEAST_OBSTACLE_MM: f64 = 3.0;
 
 /// What is to be measured, with what, and within which limits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -28,10 +33,9 @@ pub struct Job {
     /// Serial numbers, people, place and circumstances.
     #[serde(default, skip_serializing_if = "Identity::is_empty")]
     pub identity: Identity,
-    /// Seed of what is drawn: the time code and random orientations.
-    #[serde(default = "first_seed")]
+    /// Seed of the time code and of random orientations.
+    #[serde(default = "one")]
     pub seed: u32,
-    /// The bar.
     pub bar: Bar,
     /// The base balls, numbered from 1 in this order.
     #[serde(rename = "centre")]
@@ -39,29 +43,25 @@ pub struct Job {
     /// The circles, in the order in which they are measured.
     #[serde(rename = "circle", default, skip_serializing_if = "Vec::is_empty")]
     pub circles: Vec<CircleTable>,
-    /// Poses that are chosen, after the circles.
+    /// Chosen poses, measured after the circles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub optimise: Option<Optimise>,
-    /// What bar, tool and arm must keep clear of.
     #[serde(rename = "obstacle", default, skip_serializing_if = "Vec::is_empty")]
     pub obstacles: Vec<ObstacleTable>,
-    /// The tool.
     #[serde(default)]
     pub tool: ToolTable,
-    /// The motion.
     #[serde(default)]
     pub motion: MotionTable,
-    /// The limits beyond those of the robot.
     #[serde(default)]
     pub limits: Limits,
 }
 
-fn first_seed() -> u32 {
+fn one() -> u32 {
     1
 }
 
 impl Job {
-    /// Whose measurement this is to be: its table, and what robot, bar and balls say of themselves.
+    /// The table [identity] with the serial numbers of robot, bar and balls.
     pub fn identity(&self) -> Identity {
         let serials =
             self.centres.iter().filter_map(|ball| Some((ball.id.to_string(), ball.serial.clone()?)));
@@ -76,16 +76,12 @@ impl Job {
     }
 
     /// The job as an artefact, `path` being its file.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub fn traced(&self, path: &Path) -> Result<Traced, Diagnostic> {
         let artefact = Artefact { serial: self.bar.serial.clone(), ..Artefact::file(Role::Job, path)? };
         Ok(Traced { artefact, provenance: Provenance { identity: self.identity(), ..Provenance::default() } })
     }
 }
 
-/// The ball-bar.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Bar {
@@ -97,7 +93,7 @@ pub struct Bar {
     #[serde(default)]
     pub margin_mm: f64,
     /// Standard deviation of one length, um.
-    #[serde(default = "values::default_sigma")]
+    #[serde(default = "default_sigma")]
     pub sigma_um: f64,
     /// Expanded uncertainty (k = 2) of the length by its certificate, mm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -108,10 +104,9 @@ pub struct Bar {
     /// Thermal expansion of the bar, 1/K.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expansion_per_k: Option<f64>,
-    /// Radius of the bar's body, mm: what keeps clear of the obstacles.
-    #[serde(default = "values::default_radius")]
+    /// Radius of the bar's body, mm, for the distance from obstacles.
+    #[serde(default = "default_radius")]
     pub radius_mm: f64,
-    /// Serial number of the bar.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
     /// Number of the certificate of its length, its date YYYY-MM-DD, and the laboratory that issued it.
@@ -122,12 +117,24 @@ pub struct Bar {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub certified_by: Option<String>,
     /// Name or file of the protocol that the bar speaks.
-    #[serde(default = "values::default_protocol")]
+    #[serde(default = "default_protocol")]
     pub protocol: String,
 }
 
+fn default_sigma() -> f64 {
+    SIGMA_UM
+}
+
+fn default_radius() -> f64 {
+    15.0
+}
+
+fn default_protocol() -> String {
+    DEFAULT_PROTOCOL.into()
+}
+
 impl Bar {
-    /// Standard uncertainty of the length, mm, where it has a certificate.
+    /// Standard uncertainty of the length, mm, if it has a certificate.
     pub fn u_mm(&self) -> Option<f64> {
         self.identity().u_mm()
     }
@@ -150,46 +157,43 @@ impl Bar {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CentreTable {
-    /// Its number, from 1.
+    /// From 1.
     pub id: u32,
     /// Its centre in the robot base, mm.
     pub xyz_mm: [f64; 3],
-    /// Its serial number.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
     /// The axis of its cup, out of the cup, in the robot base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cup_axis: Option<[f64; 3]>,
-    /// How far the bar may lean from the cup's axis, degrees.
+    /// Greatest angle between the bar and the cup's axis, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cup_limit_deg: Option<f64>,
-    /// The controller's axis angles, degrees, at which the tool ball stood where this ball is, when `xyz_mm` was taken
-    /// from the controller. When absent: with the tool held as at the start of the run.
+    /// The controller's axis angles, degrees, with the tool ball at this ball's place, when `xyz_mm` was taken from the
+    /// controller. When absent: with the orientation of the tool at the start of the run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub taught_deg: Option<[f64; AXES]>,
 }
 
-/// Poses that are chosen among many that can be reached: those that tell most.
+/// Poses that are chosen among many that can be reached: the most informative ones.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Optimise {
     /// Poses to choose for all base balls together.
     pub points: u32,
-    /// What is made least.
     #[serde(default)]
     pub criterion: Criterion,
-    /// The parameters that the poses are to tell, as `identify --estimate` lists them, all others being exact; when absent
-    /// every parameter is unknown.
+    /// The unknown parameters, as `identify --estimate` lists them, all others being exact; all when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub parameters: Option<String>,
-    /// Poses of a stage: while some that can be reached are barred by the risk of leaving the stroke, so many of the
-    /// others are chosen, to be measured before the rest.
+    /// Poses of a stage: while some poses are barred by the risk of leaving the stroke, this many of the others are chosen,
+    /// to be measured before the rest.
     #[serde(default = "default_stage_points")]
     pub stage_points: u32,
     /// Candidates to choose from.
     #[serde(default = "default_candidates")]
     pub candidates: u32,
-    /// Lowest and highest corner of the box in which the robot shall be good, mm; all of its reach when absent.
+    /// Lowest and highest corner of the box in which accuracy matters, mm; all of the robot's reach when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub workspace_mm: Option<[[f64; 3]; 2]>,
 }
@@ -222,7 +226,7 @@ pub struct ToolTable {
     /// The axis of the tool ball's cup, out of the cup, in the flange frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cup_axis: Option<[f64; 3]>,
-    /// How far the bar may lean from it, degrees.
+    /// Greatest angle between the bar and it, degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cup_limit_deg: Option<f64>,
     /// Radius of the tool from the flange to its ball, mm.
@@ -237,50 +241,46 @@ impl Default for ToolTable {
     }
 }
 
-/// A circle.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CircleTable {
-    /// The base ball about which it goes.
-    #[serde(default = "first_centre")]
+    /// Number of the base ball at its centre.
+    #[serde(default = "one")]
     pub centre: u32,
-    /// Its plane; or else `normal`.
+    /// Either this or `normal`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plane: Option<Plane>,
-    /// The normal of its plane in the robot base; or else `plane`.
+    /// The normal of its plane in the robot base.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub normal: Option<[f64; 3]>,
-    /// Its radius, mm; the bar's length when absent.
+    /// The bar's length when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radius_mm: Option<f64>,
     /// Points in one pass.
     pub points: u32,
-    /// In which sense it is passed, seen against the plane's second axis turned onto from the first.
     #[serde(default)]
     pub direction: Direction,
-    /// How the tool is held.
     #[serde(default)]
     pub orientation: Orientation,
-    /// How far `seed`, `random` and `optimal` turn the tool about each axis, degrees; 45 when absent.
+    /// Greatest turn of the tool about each axis by `seed`, `random` and `optimal`, degrees; 45 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub amplitude_deg: Option<f64>,
-    /// Of `optimal`, how the tool is turned at each point, degrees about Z, Y, X: chosen when planning.
+    /// The turn of the tool at each point by `optimal`, degrees about Z, Y, X; chosen when planning.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub turns_deg: Vec<[f64; 3]>,
-    /// A constant lean of the tool about the base's Y, degrees: it keeps the wrist from being straight.
-    /// The tool then points down but for it: R0 = Ry(tilt) Rx(180) Rz(spin).
+    /// A constant tilt of the tool about the base's Y, degrees, which keeps the wrist from its singularity: the base
+    /// orientation is R0 = Ry(tilt) Rx(180) Rz(spin).
     #[serde(default)]
     pub tilt_deg: f64,
-    /// A constant turn of the tool about its own axis, degrees: it moves the range of axis 6.
+    /// A constant turn of the tool about its own axis, degrees, which shifts the range of axis 6.
     #[serde(default)]
     pub spin_deg: f64,
     /// Angle of the first point from the plane's first axis, degrees.
     #[serde(default)]
     pub start_deg: f64,
-    /// How much of the circle is passed, degrees; less than 360 has a point at both ends.
+    /// Length of the arc, degrees; one of less than 360 has a point at both ends.
     #[serde(default = "whole_circle")]
     pub arc_deg: f64,
-    /// Whether the robot stops at each point, or goes on.
     #[serde(default)]
     pub mode: Mode,
     /// Feed-in before the first point and overshoot past the last in a continuous circle, degrees.
@@ -296,30 +296,23 @@ fn overshoot() -> f64 {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mode {
-    /// The robot is at rest at each.
+    /// The robot stops at each.
     #[default]
     Dwell,
-    /// The robot passes them at the feed, in one motion for each pass; the tool is held as it is.
+    /// One motion at the feed for each pass, with a constant orientation of the tool.
     Continuous,
-}
-
-fn first_centre() -> u32 {
-    1
 }
 
 fn whole_circle() -> f64 {
     360.0
 }
 
-/// A plane by its axes: the first axis is where a circle's angle is 0, the second where it is 90 degrees.
+/// A plane by its axes: a circle's angle is 0 at the first axis and 90 degrees at the second.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub enum Plane {
-    /// Horizontal: X, then Y.
     Xy,
-    /// Upright: X, then Z.
     Xz,
-    /// Upright: Y, then Z.
     Yz,
 }
 
@@ -336,12 +329,12 @@ pub enum Direction {
     Both,
 }
 
-/// How the tool is held along a circle. R0 is the base orientation: the tool points down, Rx(180), but
-/// for the circle's tilt and spin.
+/// The orientation pattern of the tool along a circle. R0 is the base orientation: the tool points down, Rx(180), turned by
+/// the circle's tilt and spin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Orientation {
-    /// Always the same.
+    /// Constant.
     Fixed,
     /// Rz(q sin 2t) Ry(q sin 3t) Rx(q sin 5t) R0 with t the circle's angle and q the amplitude.
     #[default]
@@ -350,7 +343,7 @@ pub enum Orientation {
     Random,
     /// Rz(t) R0: the tool turns about the vertical as the bar does.
     Turning,
-    /// As random, but of many draws for each point those that tell most together.
+    /// As random, but of many draws for each point the most informative combination.
     Optimal,
 }
 
@@ -366,14 +359,13 @@ pub struct MotionTable {
     pub settle_s: f64,
     /// Strobe time at a pose, s.
     pub dwell_s: f64,
-    /// The program's $TOOL, X Y Z in mm and A B C in degrees: its origin is the tool ball; the ball with the flange's
+    /// The program's $TOOL, X Y Z in mm and A B C in degrees, with its origin in the tool ball; with the flange's
     /// orientation when absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tool: Option<[f64; 6]>,
     /// The program's $BASE in the robot base, X Y Z in mm and A B C in degrees; the robot base when absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub base: Option<[f64; 6]>,
-    /// Digital outputs.
     pub outputs: Outputs,
 }
 
@@ -407,18 +399,18 @@ impl Default for Outputs {
     }
 }
 
-/// What a plan must keep besides the robot's own limits.
+/// The limits of a plan besides the robot's own.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limits {
-    /// Least |A5|, degrees: nearer to 0 the wrist is singular.
+    /// Least |A5|, degrees: at 0 the wrist is singular.
     pub min_a5_deg: f64,
-    /// Least angle between upper arm and forearm from stretched, degrees.
+    /// Least angle of the elbow from stretched, degrees.
     pub min_elbow_deg: f64,
     /// Least distance of the wrist centre from axis 1, mm.
     pub min_overhead_mm: f64,
-    /// Greatest probability that a robot within its tolerance leaves the stroke anywhere on a run in which the bar
-    /// stays on, the base ball having been taught.
+    /// Greatest probability that a robot within its tolerance leaves the stroke anywhere on a run in which the bar stays
+    /// mounted, with a taught base ball.
     pub max_stroke_risk: f64,
     /// Least distance of bar, tool and arm from the obstacles, mm.
     pub min_clearance_mm: f64,

@@ -1,35 +1,20 @@
-//! What is in the way.
+//! Obstacles.
 
 use serde::{Deserialize, Serialize};
 
-/// What is in the way, in the robot base.
+/// An obstacle in the robot base.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Flat", tag = "shape", rename_all = "lowercase")]
 pub enum ObstacleTable {
-    /// A box along the axes.
-    Box {
-        /// Its lowest corner, mm.
-        low_mm: [f64; 3],
-        /// Its highest corner, mm.
-        high_mm: [f64; 3],
-    },
-    /// A round column.
-    Cylinder {
-        /// Centre of one end, mm.
-        from_mm: [f64; 3],
-        /// Centre of the other end, mm.
-        to_mm: [f64; 3],
-        /// Its radius, mm.
-        radius_mm: f64,
-    },
-    /// All that is below a height.
-    Floor {
-        /// The height, mm.
-        z_mm: f64,
-    },
+    /// A box along the axes, by its lowest and its highest corner.
+    Box { low_mm: [f64; 3], high_mm: [f64; 3] },
+    /// A cylinder by the centres of its ends.
+    Cylinder { from_mm: [f64; 3], to_mm: [f64; 3], radius_mm: f64 },
+    /// Everything below a height.
+    Floor { z_mm: f64 },
 }
 
-/// As it is read: with the keys of all shapes, so that the place of a wrong one is known.
+/// The form that is read, with the keys of all shapes, so that the place of a wrong one is known.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Flat {
