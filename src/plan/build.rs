@@ -1,10 +1,10 @@
 //! From a job to a plan, or to its refusal.
 
-use super::check::{Inspection, summary, unreachable};
+use super::check::{Inspection, summary};
 use super::quantity::Check;
 use super::recommend::recommendations;
 use super::refusal::Refusal;
-use super::rig::{Rig, runs};
+use super::rig::{Rig, runs, unreachable};
 use super::steps::{Step, steps};
 use super::timing::{AFTER_STROBE_S, move_times};
 use super::{Header, Job, Plan, PlanRow, PlanningPrior, Taught, files, optimise, orientations, pass};

@@ -37,7 +37,6 @@ pub(crate) enum Mounted {
 
 /// Conditions on candidates.
 pub(crate) struct Reach {
-    /// Greatest risk of one pose.
     pub(crate) risk: f64,
     /// Status bits of the only branch, if it matters.
     pub(crate) branch: Option<u8>,

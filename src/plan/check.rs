@@ -4,12 +4,12 @@ use super::cell::{Cell, Mounted, StrokeMargin};
 use super::job::Job;
 use super::path::Path;
 use super::quantity::{Check, JUMP_DEG, Quantity};
-use super::rig::Rig;
+use super::rig::{Rig, unreachable};
 use super::risk::over_run;
 use super::timing::{ACCELERATION_DEG_S2, ACCELERATION_MM_S2, PTP_ACCELERATION_PERCENT, Pace};
 use super::{Motion, MoveTime, PlanRow, PlanningPrior, pass};
 use crate::catalogue::PlanFinding;
-use crate::robot::inverse::{Unsolved, nearest, status};
+use crate::robot::inverse::{nearest, status};
 use crate::robot::{AXES, Pose, Robot};
 
 /// Finest step along a path, of the ball and of the tool's orientation or (PTP) of an axis.
@@ -58,11 +58,6 @@ impl Worst {
     }
 }
 
-pub(crate) fn unreachable(row: u32, xyz_mm: [f64; 3], why: &Unsolved) -> PlanFinding {
-    let [x_mm, y_mm, z_mm] = xyz_mm;
-    PlanFinding::Unreachable { row, x_mm, y_mm, z_mm, why: why.to_string() }
-}
-
 /// Rows with what their motions come near to.
 #[derive(Default)]
 pub(crate) struct Inspection {
@@ -97,14 +92,15 @@ impl Inspection {
         let (mut from, mut aux) = (before, None);
         for (at, row) in rows.iter().enumerate() {
             let pass = passes.iter().find(|pass| pass.holds(at));
+            // Between the ends of a pass, and at the auxiliary point of an arc, no motion ends.
+            if pass.map_or(row.is_auxiliary(), |pass| at != pass.end) {
+                aux = pass.is_none().then_some(row);
+                inspector.found.paces.push(None);
+                continue;
+            }
             let path = match pass {
-                Some(pass) if at == pass.end => pass.path(rig.job, from, &rows),
-                None if !row.is_auxiliary() => from.map(|from| path(from, aux.take(), row)),
-                Some(_) | None => {
-                    aux = if pass.is_none() { Some(row) } else { aux };
-                    inspector.found.paces.push(None);
-                    continue;
-                }
+                Some(pass) => pass.path(rig.job, from, &rows),
+                None => from.map(|from| path(from, aux.take(), row)),
             };
             let pace = inspector.follow(from.zip(path), row);
             inspector.found.paces.push(pace);

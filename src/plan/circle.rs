@@ -60,30 +60,25 @@ impl CircleTable {
     }
 }
 
-/// A circle in the robot base.
-pub(crate) struct Circle {
-    /// From 1.
+/// A circle in the robot base, mm and rad.
+pub(crate) struct Circle<'a> {
     pub(crate) number: u32,
-    centre: Vector3<f64>,
+    table: &'a CircleTable,
+    pub(crate) centre: Vector3<f64>,
     first: Vector3<f64>,
     second: Vector3<f64>,
-    /// mm.
     pub(crate) radius: f64,
     start: f64,
-    orientation: Orientation,
-    amplitude: f64,
+    /// Greatest turn of the tool about each axis.
+    pub(crate) amplitude: f64,
+    /// The base orientation of the tool.
     down: Matrix3<f64>,
-    step: f64,
-    turns_deg: Vec<[f64; 3]>,
     seed: u64,
 }
 
-impl Circle {
-    /// The circle number `number` (from 1) of the job.
-    ///
-    /// # Errors
-    /// The table has no plane or no base ball, which a checked job has.
-    pub(crate) fn new(job: &Job, table: &CircleTable, number: u32) -> Result<Self, JobFinding> {
+impl<'a> Circle<'a> {
+    /// The circle number `number` (from 1) of the job; an error only in a job that was not checked.
+    pub(crate) fn new(job: &Job, table: &'a CircleTable, number: u32) -> Result<Self, JobFinding> {
         let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
         let (first, second) = match (table.plane, table.normal) {
             (Some(Plane::Xy), _) => (x, y),
@@ -105,18 +100,16 @@ impl Circle {
         })?;
         Ok(Self {
             number,
+            table,
             centre: Vector3::from(centre.xyz_mm),
             first,
             second,
             radius: table.radius_mm.unwrap_or(job.bar.length_mm),
             start: table.start_deg.to_radians(),
-            orientation: table.orientation,
             amplitude: table.amplitude_deg.unwrap_or(AMPLITUDE_DEG).to_radians(),
             down: rot_y(table.tilt_deg.to_radians())
                 * rot_x(std::f64::consts::PI)
                 * rot_z(table.spin_deg.to_radians()),
-            step: table.step(),
-            turns_deg: table.turns_deg.clone(),
             seed: u64::from(job.seed) << 32 | u64::from(number) << 16,
         })
     }
@@ -135,28 +128,25 @@ impl Circle {
         if angle < 360.0 { angle } else { 0.0 }
     }
 
-    pub(crate) fn centre(&self) -> Vector3<f64> {
-        self.centre
-    }
-
     /// The tool's orientation at `angle` (rad from the first point), the same in both passes.
     pub(crate) fn orientation(&self, angle: f64) -> Matrix3<f64> {
         let down = self.down;
         let (t, q) = (self.start + angle, self.amplitude);
-        match self.orientation {
+        match self.table.orientation {
             Orientation::Fixed => down,
             Orientation::Turning => rot_z(t) * down,
             Orientation::Seed => {
                 rot_z(q * (2.0 * t).sin()) * rot_y(q * (3.0 * t).sin()) * rot_x(q * (5.0 * t).sin()) * down
             }
             Orientation::Random => {
-                let mut rng = Pcg64::seed_from_u64(self.seed.wrapping_add(self.point(angle)));
+                let mut rng = Pcg64::seed_from_u64(self.seed(angle));
                 let mut drawn = || rng.random_range(-1.0..=1.0) * q;
                 let (a, b, c) = (drawn(), drawn(), drawn());
                 self.turned([a, b, c])
             }
             Orientation::Optimal => {
-                let turn = self.turns_deg.get(self.point(angle) as usize).copied().unwrap_or_default();
+                let turn = self.table.turns_deg.get(self.point(angle) as usize);
+                let turn = turn.copied().unwrap_or_default();
                 self.turned(turn.map(f64::to_radians))
             }
         }
@@ -169,13 +159,14 @@ impl Circle {
 
     /// The number of the point at an angle, from 0, the same in both passes.
     pub(crate) fn point(&self, angle: f64) -> u64 {
-        let whole = (std::f64::consts::TAU / self.step).round().max(1.0);
-        (angle / self.step).round().rem_euclid(whole) as u64
+        let step = self.table.step();
+        let whole = (std::f64::consts::TAU / step).round().max(1.0);
+        (angle / step).round().rem_euclid(whole) as u64
     }
 
-    /// Greatest turn of the tool about each axis, rad.
-    pub(crate) fn amplitude(&self) -> f64 {
-        self.amplitude
+    /// Seed of the random orientations at an angle.
+    pub(crate) fn seed(&self, angle: f64) -> u64 {
+        self.seed.wrapping_add(self.point(angle))
     }
 
     /// The pose of the tool ball at `angle`, `out` mm outside the circle.

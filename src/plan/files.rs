@@ -84,7 +84,6 @@ impl PlanRow {
 }
 
 impl Plan {
-    /// The text of `plan.csv`.
     pub fn to_csv(&self) -> Result<String, CliFinding> {
         let cells = |(row, approach): (&PlanRow, Approach)| {
             let r = row.clone();

@@ -58,7 +58,6 @@ pub struct Plan {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Header {
-    /// Version of this form: 1.
     pub schema: u32,
     /// CRC-64/XZ over the text of `plan.csv` with job, robot, moves and passes, sixteen hexadecimal digits.
     pub hash: String,
@@ -69,7 +68,6 @@ pub struct Header {
     pub job: Job,
     /// The text of the robot's file.
     pub robot: String,
-    /// The files that it was made from.
     #[serde(default, skip_serializing_if = "Provenance::is_empty")]
     pub provenance: Provenance,
     /// One entry for each row, in order.

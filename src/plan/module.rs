@@ -61,7 +61,6 @@ struct Chain<'a, 'c> {
     walk: &'a mut Walk,
     router: Router<'c>,
     start: &'a Candidate,
-    /// The current pose.
     here: Candidate,
     /// The first step of the module.
     began: usize,

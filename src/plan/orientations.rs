@@ -71,7 +71,7 @@ pub(crate) fn chosen(rig: &Rig<'_>, prior: &PlanningPrior) -> Result<Job, Diagno
 /// Draws orientations at the points of one circle, in the branch of its first point.
 struct Drawer<'a> {
     table: &'a CircleTable,
-    circle: &'a Circle,
+    circle: &'a Circle<'a>,
     cell: Cell<'a>,
     start: [f64; AXES],
 }
@@ -81,7 +81,7 @@ impl<'a> Drawer<'a> {
         rig: &Rig<'a>,
         prior: &PlanningPrior,
         table: &'a CircleTable,
-        circle: &'a Circle,
+        circle: &'a Circle<'a>,
     ) -> Result<Self, PlanFinding> {
         let start = branches(rig.arm, &circle.pose(0.0, 0.0))
             .unwrap_or_default()
@@ -98,12 +98,11 @@ impl<'a> Drawer<'a> {
         let Rig { job, arm, .. } = cell.rig;
         let position = circle.pose(angle, 0.0).position;
         let branch = status(arm, &self.start);
-        let seed = u64::from(job.seed) << 32 | u64::from(circle.number) << 16 | circle.point(angle);
-        let mut random = Pcg64::seed_from_u64(seed);
+        let mut random = Pcg64::seed_from_u64(circle.seed(angle));
         let ball = BallId::numbered(table.centre);
         let mut safe = Vec::new();
         for draw in 0..DRAWS {
-            let q = circle.amplitude();
+            let q = circle.amplitude;
             let turn = [(); 3].map(|()| if draw == 0 { 0.0 } else { random.random_range(-q..=q) });
             let pose = Pose { rotation: circle.turned(turn), position };
             let Ok(axes) = nearest(arm, &pose, near) else { continue };

@@ -23,11 +23,9 @@ use crate::robot::Pose;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pass {
-    /// Number of the circle, from 1.
     pub circle: u32,
     /// Whether it goes against growing angles.
     pub clockwise: bool,
-    /// The two auxiliary rows.
     pub through: [u32; 2],
     /// The first and the last measured row.
     pub points: [u32; 2],
@@ -35,10 +33,8 @@ pub struct Pass {
     pub end: u32,
     /// Angle of the whole motion with feed-in and overshoot, degrees, above 0.
     pub sweep_deg: f64,
-    /// Length of the whole arc, mm.
     pub length_mm: f64,
     pub feed_mm_s: f64,
-    /// Acceleration and deceleration.
     pub acceleration_mm_s2: f64,
     pub duration_s: f64,
 }

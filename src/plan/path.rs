@@ -16,6 +16,14 @@ pub enum Path {
     Arc { from: Pose, to: Pose, centre: Vector3<f64>, axis: Vector3<f64>, angle: f64 },
 }
 
+/// A way from one pose to the next.
+pub(crate) enum Way {
+    /// One arc through this auxiliary pose.
+    Arc(Pose),
+    /// Straight lines from pose to pose; the last one is the end.
+    Chords(Vec<Pose>),
+}
+
 impl Path {
     /// The arc from `from` through `aux` to `to`, of less than a full turn; a line if the three are on one.
     pub fn arc(from: Pose, aux: &Vector3<f64>, to: Pose) -> Self {

@@ -63,11 +63,8 @@ pub struct Prediction {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PredictedParameter {
     pub name: String,
-    /// `mm` or `rad`.
     pub unit: String,
-    /// Prior standard deviation.
     pub before: f64,
-    /// Posterior standard deviation.
     pub sd: f64,
     /// From the lengths without the prior; absent outside the base set.
     pub alone: Option<f64>,

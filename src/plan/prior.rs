@@ -19,7 +19,6 @@ const TOOL_MM: f64 = 1e-3;
 /// The robot and the set-up as they are known when a plan is made.
 #[derive(Clone, Debug)]
 pub struct PlanningPrior {
-    /// The model and its covariance.
     pub posterior: Posterior,
     /// Number of lengths that it was determined from.
     pub lengths: usize,
@@ -34,7 +33,6 @@ pub struct PlanningPrior {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Taught {
-    /// Number of the ball, from 1.
     pub centre: u32,
     /// The controller's axis angles with the tool ball on it, degrees.
     pub axes_deg: [f64; AXES],

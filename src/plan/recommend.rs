@@ -15,7 +15,6 @@ const SPINS_DEG: [f64; 12] =
 /// Points by which a circle is tried, and the margin that these must keep, degrees.
 const POINTS: u32 = 40;
 const MARGIN_DEG: f64 = 1.0;
-/// Poses of the recommended stage.
 const STAGE_POINTS: u32 = 20;
 
 /// For each circle that fails so: tilt and spin that keep axis limits, wrist and branch at its points. For a length

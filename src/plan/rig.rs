@@ -4,7 +4,6 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 
-use super::check::unreachable;
 use super::job::Job;
 use super::steps::Step;
 use super::{Kind, Motion, PlanRow};
@@ -160,6 +159,11 @@ impl<'a> Rig<'a> {
         };
         Ok(Branch { rows, starts: starts.into_iter().map(|turned| (margin_deg(&turned), turned)).collect() })
     }
+}
+
+pub(crate) fn unreachable(row: u32, xyz_mm: [f64; 3], why: &Unsolved) -> PlanFinding {
+    let [x_mm, y_mm, z_mm] = xyz_mm;
+    PlanFinding::Unreachable { row, x_mm, y_mm, z_mm, why: why.to_string() }
 }
 
 /// The runs of steps in which the bar stays on: each begins with a PTP motion to a pose at which the robot is not yet.

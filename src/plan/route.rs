@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 use nalgebra::{Rotation3, Vector3};
 
 use super::cell::Cell;
-use super::path::{Path, between};
+use super::path::{Path, Way, between};
 use super::steps::room;
 use crate::design::Candidate;
 use crate::robot::inverse::{nearest, status};
@@ -24,14 +24,6 @@ const CHORD_TURN: f64 = 0.2;
 const ARC_TURN: f64 = 1.5;
 /// Greatest deviation of an axis at the end of a way, rad: more is another turn of it.
 const ASTRAY: f64 = 0.01;
-
-/// A way from one pose to the next.
-pub(crate) enum Way {
-    /// One arc through this auxiliary pose.
-    Arc(Pose),
-    /// Straight lines from pose to pose; the last one is the end.
-    Chords(Vec<Pose>),
-}
 
 /// Ways about one base ball.
 pub(crate) struct Router<'a> {

@@ -36,9 +36,7 @@ pub struct PlanRow {
     pub abc_deg: [f64; 3],
     /// The controller's axis angles, degrees.
     pub axes_deg: [f64; AXES],
-    /// KUKA's status bits.
     pub status: u8,
-    /// KUKA's turn bits.
     pub turn: u8,
     /// Nominal distance between the ball centres, mm.
     pub length_mm: f64,
@@ -60,7 +58,6 @@ pub struct CirclePlace {
     pub angle_deg: f64,
     /// Whether the pass goes against growing angles.
     pub clockwise: bool,
-    /// Nominal radius of the circle, mm.
     pub radius_mm: f64,
 }
 

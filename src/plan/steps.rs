@@ -19,8 +19,7 @@ use nalgebra::{Rotation3, Vector3};
 
 use super::circle::{Circle, REFERENCE_EVERY};
 use super::job::{Bar, CircleTable, Direction, Job, Mode};
-use super::path::between;
-use super::route::Way;
+use super::path::{Way, between};
 use super::{Kind, Motion};
 use crate::catalogue::JobFinding;
 use crate::design::Candidate;
@@ -65,7 +64,7 @@ pub(crate) fn steps(job: &Job) -> Result<Vec<Step>, JobFinding> {
         if walk.centre == table.centre {
             // At most half of the stroke that is left inwards, and no more than a marker.
             let sagitta = (0.5 * room(&job.bar, circle.radius)).clamp(0.02, MARKER_MM);
-            walk.along_the_sphere(circle.centre(), &circle.pose(start, 0.0), sagitta);
+            walk.along_the_sphere(circle.centre, &circle.pose(start, 0.0), sagitta);
         }
         (walk.circle, walk.centre) = (number, table.centre);
         walk.push(Kind::Transit, Motion::Ptp, circle.pose(start, 0.0));
@@ -108,7 +107,6 @@ pub(crate) fn room(bar: &Bar, radius: f64) -> f64 {
     radius - bar.length_mm - bar.stroke_mm[0] - bar.margin_mm
 }
 
-/// An end of a module.
 #[derive(Clone, Copy)]
 pub(crate) enum End {
     Start,
@@ -177,7 +175,7 @@ impl Walk {
     }
 
     /// Along the circle to a dwell, through the middle of the arc.
-    fn arc(&mut self, circle: &Circle, from: f64, to: f64, kind: Kind) {
+    fn arc(&mut self, circle: &Circle<'_>, from: f64, to: f64, kind: Kind) {
         let end = circle.pose(to, 0.0);
         let mut aux = circle.pose(0.5 * (from + to), 0.0);
         aux.rotation = between(&circle.orientation(from), &end.rotation, 0.5);
@@ -187,7 +185,7 @@ impl Walk {
 
     /// The dwells of a circle from `start`, with the visits of the reference pose; the angle of the last one. `outside` is
     /// the step towards the side on which no point is.
-    fn dwells(&mut self, circle: &Circle, table: &CircleTable, start: f64, outside: f64) -> f64 {
+    fn dwells(&mut self, circle: &Circle<'_>, table: &CircleTable, start: f64, outside: f64) -> f64 {
         let angles = table.angles();
         let Some(&first) = angles.first() else { return start };
         let mut at = start;
@@ -205,7 +203,7 @@ impl Walk {
     }
 
     /// Along the circle to a dwell, with a step aside where the robot is at its pose already.
-    fn visit(&mut self, circle: &Circle, [from, to]: [f64; 2], kind: Kind, outside: f64) {
+    fn visit(&mut self, circle: &Circle<'_>, [from, to]: [f64; 2], kind: Kind, outside: f64) {
         let mut at = from;
         if (to - at).abs() < 1e-9 {
             // Without a move there would be no interval between the two dwells.
@@ -216,7 +214,7 @@ impl Walk {
     }
 
     /// A pass without stops from angle `from`; the angle at which it stops.
-    fn pass(&mut self, circle: &Circle, from: f64, points: &[f64], sweep: f64) -> f64 {
+    fn pass(&mut self, circle: &Circle<'_>, from: f64, points: &[f64], sweep: f64) -> f64 {
         let sense = points.first().map_or(1.0, |first| (first - from).signum());
         // With auxiliary points far apart the rounding of the poses hardly moves the circle.
         let third = sense * sweep.min(TAU) / 3.0;

@@ -169,7 +169,10 @@ fn the_plan_shows_every_check_and_parameter() {
     assert!(html.contains(&plan.header.hash));
     assert!(html.contains(HOSTILE_ESCAPED) && !html.contains(HOSTILE));
     let checks = &plan.header.checks;
-    assert_eq!(checks.iter().filter(|check| html.contains(check.quantity.words().0)).count(), checks.len());
+    assert_eq!(
+        checks.iter().filter(|check| html.contains(check.quantity.description())).count(),
+        checks.len()
+    );
     assert_eq!(html.matches("class=\"failed\"").count(), 1);
     assert!(place(&html, "class=\"doubt\"") < place(&html, "aria-label=\"Summary\""));
     for parameter in &plan.header.predictions.as_ref().unwrap().parameters {

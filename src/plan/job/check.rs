@@ -15,7 +15,6 @@ use crate::robot::pose::is_part_of_turn;
 
 /// Chosen poses of a plan: with more the run takes hours, in which everything drifts.
 const MOST_POINTS: f64 = 1000.0;
-/// Candidates to choose from.
 const MOST_CANDIDATES: f64 = 100_000.0;
 /// With a mounted bar the speed of a controller's test mode is the most, mm/s. A speed below the least is in m/s.
 const FEED_MM_S: [f64; 2] = [0.5, 250.0];
@@ -37,7 +36,6 @@ const OF_ROBOT: [&str; 6] = ["ball_mm", "joint", "tolerance", "mass", "payload",
 type Checked = Result<(), Misplaced>;
 
 impl Job {
-    /// Reads and checks a job file.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let job: Self = from_toml(file, text).map_err(key_of_robot)?;
         job.check().map_err(|wrong| match wrong.line(text) {
@@ -50,7 +48,6 @@ impl Job {
         Ok(job)
     }
 
-    /// The base balls by their numbers.
     pub fn balls(&self) -> Vec<BaseBall> {
         self.centres
             .iter()

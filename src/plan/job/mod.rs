@@ -25,7 +25,6 @@ const LEAST_OBSTACLE_MM: f64 = 3.0;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Job {
-    /// Name or file of the robot.
     pub robot: String,
     /// Serial number of the robot in this cell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -153,13 +152,10 @@ impl Bar {
     }
 }
 
-/// A base ball.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CentreTable {
-    /// From 1.
     pub id: u32,
-    /// Its centre in the robot base, mm.
     pub xyz_mm: [f64; 3],
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
