@@ -6,7 +6,7 @@ use crate::base::date;
 use crate::conformity::LEVEL;
 use crate::math::distributions::{coverage_95, two_sided_tail};
 use crate::math::straight_line::{Reached, Sighting, StraightLine};
-use crate::report::plot::{DriftLine, DriftPoint};
+use crate::report::plot::{TrendLine, TrendPoint};
 
 /// Fewest values for a line.
 pub(super) const LEAST: usize = 4;
@@ -36,14 +36,14 @@ pub(super) struct Trend {
 
 impl Trend {
     /// From values in the order of time. `None` for fewer than [`LEAST`] values, or a single day.
-    pub(super) fn of(points: &[DriftPoint], weights: Weights, limit_mm: Option<f64>) -> Option<Self> {
-        let sd = |point: &DriftPoint| match weights {
+    pub(super) fn of(points: &[TrendPoint], weights: Weights, limit_mm: Option<f64>) -> Option<Self> {
+        let sd = |point: &TrendPoint| match weights {
             Weights::Equal => NO_SD_MM,
             Weights::Uncertainties => point.u95 / coverage_95(None),
         };
-        let sighting = |point: &DriftPoint| Sighting { x: point.day, y: point.value, sd: sd(point) };
+        let sighting = |point: &TrendPoint| Sighting { x: point.time, y: point.value, sd: sd(point) };
         let sightings: Vec<Sighting> = points.iter().map(sighting).filter(|one| one.sd > 0.0).collect();
-        let last = points.last()?.day;
+        let last = points.last()?.time;
         let line = StraightLine::through(&sightings).filter(|_| sightings.len() >= LEAST)?;
         let freedom = Some((sightings.len() - 2) as f64);
         let significant = two_sided_tail(line.slope / line.slope_sd, freedom) < LEVEL;
@@ -53,11 +53,11 @@ impl Trend {
     }
 
     /// The line of the chart. A significant trend is extended to where it reaches the limit, within bounds.
-    pub(super) fn line(&self) -> DriftLine {
+    pub(super) fn line(&self) -> TrendLine {
         let ahead =
             self.reached.map_or(AHEAD_DAYS, |reached| (reached.at - self.last).clamp(30.0, AHEAD_DAYS));
         let until = if self.significant { self.last + ahead } else { self.last };
-        DriftLine { line: self.line, coverage: self.coverage, until }
+        TrendLine { line: self.line, coverage: Some(self.coverage), until }
     }
 
     /// The day on which the limit is reached; the last day if it is exceeded already.
@@ -157,9 +157,9 @@ pub(super) fn day_text(day: f64) -> String {
 mod tests {
     use super::*;
 
-    fn points(values: &[f64]) -> Vec<DriftPoint> {
-        let point = |(at, value): (usize, &f64)| DriftPoint {
-            day: 20_000.0 + 100.0 * at as f64,
+    fn points(values: &[f64]) -> Vec<TrendPoint> {
+        let point = |(at, value): (usize, &f64)| TrendPoint {
+            time: 20_000.0 + 100.0 * at as f64,
             value: *value,
             u95: 0.0,
             doubtful: false,

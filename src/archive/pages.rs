@@ -18,7 +18,7 @@ use crate::diagnostic::Diagnostic;
 use crate::live::{Download, Filter, Name, PageFile, Plant, PlantNumbers, Question, RunFilter};
 use crate::math::distributions::coverage_95;
 use crate::report::plant::{PlantPage, SIGN_IN_JS, STYLE};
-use crate::report::plot::{Drift, DriftPoint};
+use crate::report::plot::{TrendPlot, TrendPoint};
 
 /// Results in a chart and a forecast.
 const MOST_POINTS: u64 = 60;
@@ -63,7 +63,7 @@ struct RobotLine {
 }
 
 struct History {
-    points: Vec<DriftPoint>,
+    points: Vec<TrendPoint>,
     trend: Option<Trend>,
 }
 
@@ -96,7 +96,7 @@ impl PlantPages {
             Subject::Robot(_) => archive.history(subject, MOST_POINTS)?,
             Subject::Bar(bar) => archive.life_of_bar(bar, MOST_POINTS)?,
         };
-        let points: Vec<DriftPoint> = past.iter().filter_map(|past| point(past, subject)).collect();
+        let points: Vec<TrendPoint> = past.iter().filter_map(|past| point(past, subject)).collect();
         let (weights, limit_mm) = match subject {
             Subject::Robot(_) => (Weights::Equal, self.options.limit_mm),
             Subject::Bar(_) => (Weights::Uncertainties, None),
@@ -172,7 +172,8 @@ impl PlantPages {
 
 impl History {
     fn chart(&self, title: &str, limit: Option<f64>) -> String {
-        Drift { title, points: &self.points, line: self.trend.map(|trend| trend.line()), limit }.to_svg()
+        let line = self.trend.map(|trend| trend.line());
+        TrendPlot::against_dates(title, &self.points, line, limit).to_svg()
     }
 
     fn forecast(&self) -> Option<Forecast> {
@@ -181,7 +182,7 @@ impl History {
 }
 
 /// The point of a result in the chart of its subject.
-fn point(past: &Past, subject: Subject<'_>) -> Option<DriftPoint> {
+fn point(past: &Past, subject: Subject<'_>) -> Option<TrendPoint> {
     let (value, u95) = match subject {
         Subject::Robot(_) => (past.error_mm?, 0.0),
         Subject::Bar(_) => {
@@ -190,7 +191,7 @@ fn point(past: &Past, subject: Subject<'_>) -> Option<DriftPoint> {
         }
     };
     let finite = value.is_finite() && u95.is_finite();
-    finite.then_some(DriftPoint { day: past.day, value, u95, doubtful: past.doubtful })
+    finite.then_some(TrendPoint { time: past.day, value, u95, doubtful: past.doubtful })
 }
 
 /// Days since 1970-01-01.

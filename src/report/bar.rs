@@ -1,16 +1,16 @@
-//! `bar.html`: how well a bar at rest reads.
+//! `bar.html`: the check of a bar at rest.
 
 use serde::Serialize;
 
 use super::page::{findings, render};
-use super::plot::{Series, TrendPlot, histogram};
-use super::scale::{Unit, magnitude};
+use super::plot::{PANEL, Series, Time, TrendLine, TrendPlot, TrendPoint, histogram};
+use super::scale::{COVERAGE, Unit, magnitude};
 use crate::diagnostic::Diagnostic;
 use crate::math::straight_line::StraightLine;
 use crate::provenance::Provenance;
 use crate::recording::bar_check::BarCheck;
 
-/// Most values of the histogram; more change no bar of it.
+/// Most values of the histogram; more are sampled evenly.
 const MOST_VALUES: usize = 20_000;
 
 #[derive(Serialize)]
@@ -21,20 +21,23 @@ struct Page<'a> {
     provenance: &'a Provenance,
 }
 
-/// The page `bar.html`.
-///
-/// # Errors
-/// Only a fault of the template itself.
 pub fn html(check: &BarCheck, provenance: &Provenance) -> Result<String, Diagnostic> {
-    // About their mean: a scale of micrometres has no room for the length.
-    let off = |&[t_s, mm, sd]: &[f64; 3]| [t_s, mm - check.mean_mm, sd];
-    let values: Vec<[f64; 3]> = check.means.iter().map(off).collect();
+    // The means are drawn about their mean, on a scale of micrometres.
+    let point = |&[time, mm, sd]: &[f64; 3]| TrendPoint {
+        time,
+        value: mm - check.mean_mm,
+        u95: COVERAGE * sd,
+        doubtful: false,
+    };
+    let points: Vec<TrendPoint> = check.means.iter().map(point).collect();
+    let line = StraightLine { level: 0.0, ..check.line };
     let trend = TrendPlot {
         title: "Means of one second about their mean",
-        unit: Unit::length(magnitude(values.iter().map(|value| value[1]))),
-        time_name: "time (s)",
-        values,
-        line: Some(StraightLine { level: 0.0, ..check.line }),
+        size: PANEL,
+        unit: Unit::length(magnitude(points.iter().map(|point| point.value))),
+        time: Time::Numbers("time (s)"),
+        points: &points,
+        line: points.last().map(|last| TrendLine { line, coverage: None, until: last.time }),
         limit: None,
     };
     let every = check.residual_mm.len().div_ceil(MOST_VALUES).max(1);

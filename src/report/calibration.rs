@@ -1,4 +1,4 @@
-//! `report.html`: what a calibration found, in the order in which one asks.
+//! `report.html`: the result of a calibration.
 
 use std::collections::BTreeMap;
 
@@ -9,10 +9,10 @@ use super::export::mastering::{AxisOffset, offsets};
 use super::page::render;
 use super::parameters::{Group, NotEstimated, groups, not_estimated};
 use super::plot::{
-    HeatMap, PolarPlot, PolarTrace, ResidualPoint, Series, Shown, against_axis, histogram, joint_error,
+    HeatMap, PolarPlot, PolarTrace, ResidualPoint, ResidualSet, Series, against_axis, histogram, joint_error,
     residuals,
 };
-use super::scene::{Posed, Scene, SceneBall, skeleton};
+use super::scene::{BallMark, Posed, Scene, skeleton};
 use crate::conformity::{Budget, BudgetLine};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::result::Recommendation;
@@ -21,19 +21,18 @@ use crate::measurement::{Kind, Measurements};
 use crate::provenance::Provenance;
 use crate::robot::{AXES, BallId, BarId, CircleId, Datum, Joint};
 
-/// Lengths that are drawn at most: an even sample of more.
+/// Most lengths that are drawn; more are sampled evenly.
 const DRAWN: usize = 20_000;
-/// The same of the panels of one axis each.
+/// The same in the panels of the axes.
 const DRAWN_BY_AXIS: usize = 1500;
 
 #[derive(Serialize)]
 struct Page<'a> {
     result: &'a ResultFile,
-    /// The robot that "before" is about.
+    /// The robot that "before" refers to.
     before: String,
-    /// Lengths and positions.
     made_from: String,
-    /// What each recommendation says to measure.
+    /// The measurement that each recommendation proposes.
     further: Vec<String>,
     counts: Counts,
     figures: Figures,
@@ -42,40 +41,23 @@ struct Page<'a> {
     zeros: Vec<AxisOffset>,
     balls: Vec<Frame>,
     budget: &'a Budget,
-    contributions: Vec<Contribution>,
+    /// Source and basis of each line of the budget, in words.
+    contributions: Vec<(&'static str, &'static str, &'a BudgetLine)>,
     identity: Vec<(String, String)>,
     /// Data of the viewer.
     scene: String,
     provenance: &'a Provenance,
 }
 
-/// A line of the budget in words.
-#[derive(Serialize)]
-struct Contribution {
-    name: &'static str,
-    basis: &'static str,
-    length_mm: Option<f64>,
-    position_mm: Option<f64>,
-}
-
-impl From<&BudgetLine> for Contribution {
-    fn from(line: &BudgetLine) -> Self {
-        let &BudgetLine { source, basis, length_mm, position_mm } = line;
-        Self { name: source.words(), basis: basis.words(), length_mm, position_mm }
-    }
-}
-
-/// How many lengths of which kind there are.
 #[derive(Serialize)]
 struct Counts {
     per_ball: BTreeMap<BallId, usize>,
     positions: usize,
     at_reference: usize,
-    /// Each how-manieth is drawn.
+    /// One length in so many is drawn.
     stride: usize,
 }
 
-/// SVG texts.
 #[derive(Serialize)]
 struct Figures {
     maps: Vec<String>,
@@ -86,10 +68,6 @@ struct Figures {
     joints: Vec<String>,
 }
 
-/// The page `report.html`.
-///
-/// # Errors
-/// Only a fault of the template itself.
 pub fn html(
     found: &CalibrationResult,
     observations: &Measurements,
@@ -111,7 +89,7 @@ pub fn html(
         zeros: offsets(found),
         balls: frames(found),
         budget,
-        contributions: budget.lines.iter().map(Contribution::from).collect(),
+        contributions: budget.lines.iter().map(|l| (l.source.words(), l.basis.words(), l)).collect(),
         identity: provenance.identity.facts(),
         scene: scene(found, &points).json()?,
         provenance,
@@ -156,45 +134,37 @@ fn points(found: &CalibrationResult, observations: &Measurements, stride: usize)
 
 impl Figures {
     fn of(found: &CalibrationResult, points: &[ResidualPoint]) -> Self {
-        let sound: Vec<&ResidualPoint> = points.iter().filter(|point| !point.outlier).collect();
+        let inliers: Vec<&ResidualPoint> = points.iter().filter(|point| !point.outlier).collect();
+        let arm = points.first().map_or_else(Vec::new, |point| skeleton(&found.robot, &point.axes_deg));
         Self {
-            maps: maps(found, points),
-            circles: circles(&sound),
+            maps: HeatMap::of_uncertainty(&found.map, &arm, &balls(found)),
+            circles: circles(&inliers),
             residuals: per_datum(points, found.sigma.mm),
-            histograms: histograms(&sound),
-            axes: axes(&sound),
-            joints: joints(found, &sound),
+            histograms: histograms(&inliers),
+            axes: axes(&inliers),
+            joints: joints(found, &inliers),
         }
     }
 }
 
 /// The base balls as identified.
-fn balls(found: &CalibrationResult) -> impl Iterator<Item = (BallId, [f64; 3])> {
-    found.posterior.model.balls.iter().enumerate().map(|(at, ball)| (BallId::at(at), (*ball).into()))
+fn balls(found: &CalibrationResult) -> Vec<BallMark> {
+    let balls = (1..).zip(&found.posterior.model.balls);
+    balls.map(|(id, ball)| BallMark { id, at: (*ball).into() }).collect()
 }
 
-/// The maps, with the arm at the first pose.
-fn maps(found: &CalibrationResult, points: &[ResidualPoint]) -> Vec<String> {
-    let arm = points.first().map_or_else(Vec::new, |point| skeleton(&found.robot, &point.axes_deg));
-    let balls: Vec<_> = balls(found).map(|(ball, at)| (format!("ball {ball}"), at)).collect();
-    HeatMap::of_uncertainty(&found.map, &arm, &balls).iter().map(HeatMap::to_svg).collect()
-}
-
-/// What the viewer shows.
 fn scene(found: &CalibrationResult, points: &[ResidualPoint]) -> Scene {
-    let id = |ball: BallId| u32::try_from(ball.index() + 1).unwrap_or(u32::MAX);
     let posed = points.iter().filter(|point| !point.outlier).filter_map(|point| {
         let (index, axes_deg, residual_mm) = (point.index, point.axes_deg, Some(point.after_mm));
-        Some(Posed { index, ball: id(point.datum.ball()?), axes_deg, residual_mm })
+        Some(Posed { index, ball: point.datum.ball()?.number(), axes_deg, residual_mm })
     });
-    let balls = balls(found).map(|(ball, at)| SceneBall { id: id(ball), at }).collect();
-    Scene::new(&found.robot, balls, &posed.collect::<Vec<_>>(), &[])
+    Scene::new(&found.robot, &balls(found), &posed.collect::<Vec<_>>(), &[])
 }
 
 /// For each circle: before and after on one scale, and after alone on its own.
-fn circles(sound: &[&ResidualPoint]) -> Vec<String> {
+fn circles(inliers: &[&ResidualPoint]) -> Vec<String> {
     let mut circles: BTreeMap<(CircleId, BallId), [Vec<[f64; 2]>; 2]> = BTreeMap::new();
-    for point in sound {
+    for point in inliers {
         if let Some(((circle, angle_deg), ball)) = point.on_circle.zip(point.datum.ball()) {
             let [before, after] = circles.entry((circle, ball)).or_default();
             before.push([angle_deg, point.before_mm]);
@@ -228,19 +198,19 @@ fn per_datum(points: &[ResidualPoint], sigma_mm: f64) -> Vec<String> {
                 Datum::Plane(coordinate) => format!("Tracker, {coordinate}"),
             };
             [
-                residuals(&format!("{what}: before and after"), &points, Shown::BeforeAndAfter),
-                residuals(&format!("{what}: after, magnified"), &points, Shown::After { sigma_mm }),
+                residuals(&format!("{what}: before and after"), &points, ResidualSet::BeforeAndAfter),
+                residuals(&format!("{what}: after, magnified"), &points, ResidualSet::After { sigma_mm }),
             ]
         })
         .collect()
 }
 
-fn histograms(sound: &[&ResidualPoint]) -> Vec<String> {
-    if sound.is_empty() {
+fn histograms(inliers: &[&ResidualPoint]) -> Vec<String> {
+    if inliers.is_empty() {
         return Vec::new();
     }
-    let before: Vec<f64> = sound.iter().map(|point| point.before_mm).collect();
-    let after: Vec<f64> = sound.iter().map(|point| point.after_mm).collect();
+    let before: Vec<f64> = inliers.iter().map(|point| point.before_mm).collect();
+    let after: Vec<f64> = inliers.iter().map(|point| point.after_mm).collect();
     vec![
         histogram("Residuals before", &before, Series::First),
         histogram("Residuals after", &after, Series::Second),
@@ -248,28 +218,28 @@ fn histograms(sound: &[&ResidualPoint]) -> Vec<String> {
 }
 
 /// A panel for each axis, all on one scale.
-fn axes(sound: &[&ResidualPoint]) -> Vec<String> {
-    let stride = sound.len().div_ceil(DRAWN_BY_AXIS).max(1);
-    let shown: Vec<&ResidualPoint> = sound.iter().copied().step_by(stride).collect();
-    if shown.is_empty() {
+fn axes(inliers: &[&ResidualPoint]) -> Vec<String> {
+    let stride = inliers.len().div_ceil(DRAWN_BY_AXIS).max(1);
+    let drawn: Vec<&ResidualPoint> = inliers.iter().copied().step_by(stride).collect();
+    if drawn.is_empty() {
         return Vec::new();
     }
-    let sizes = shown.iter().map(|point| point.after_mm.abs()).filter(|size| size.is_finite());
+    let sizes = drawn.iter().map(|point| point.after_mm.abs()).filter(|size| size.is_finite());
     let largest_mm = sizes.fold(0.0, f64::max);
-    (0..AXES).map(|axis| against_axis(axis, &shown, largest_mm)).collect()
+    (0..AXES).map(|axis| against_axis(axis, &drawn, largest_mm)).collect()
 }
 
-/// The error of each joint, where the robot has one.
-fn joints(found: &CalibrationResult, sound: &[&ResidualPoint]) -> Vec<String> {
+/// The errors of the joints, if they were estimated.
+fn joints(found: &CalibrationResult, inliers: &[&ResidualPoint]) -> Vec<String> {
     if found.joints.is_none() {
         return Vec::new();
     }
-    let stride = sound.len().div_ceil(DRAWN_BY_AXIS).max(1);
+    let stride = inliers.len().div_ceil(DRAWN_BY_AXIS).max(1);
     let draw = |joint: Joint| {
         let axis = joint.index();
         let coupling = &found.robot.geometry.coupling;
         let angle_deg = |point: &&ResidualPoint| coupling.joints(&point.axes_deg)[axis];
-        let measured: Vec<f64> = sound.iter().step_by(stride).map(angle_deg).collect();
+        let measured: Vec<f64> = inliers.iter().step_by(stride).map(angle_deg).collect();
         joint_error(axis, &joint_curve(&found.robot, joint), &measured)
     };
     Joint::ALL.into_iter().map(draw).collect()

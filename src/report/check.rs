@@ -8,7 +8,7 @@ use super::scale::Unit;
 use crate::conformity::InterimCheck;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::DistanceQuantities;
-use crate::estimation::change::{Detectable, Hypothesis};
+use crate::estimation::change::Hypothesis;
 use crate::provenance::Provenance;
 use crate::robot::parameter;
 
@@ -16,14 +16,13 @@ use crate::robot::parameter;
 struct Page<'a> {
     check: &'a InterimCheck,
     hypotheses: Vec<Row>,
-    detectable: Vec<Smallest>,
     maps: Vec<String>,
     findings: Vec<Diagnostic>,
     distance: Option<&'a DistanceQuantities>,
     provenance: &'a Provenance,
 }
 
-/// A hypothesis of what changed, in units for people.
+/// A hypothesis of what changed, in mm and degrees.
 #[derive(Serialize)]
 struct Row {
     parts: Vec<Part>,
@@ -41,17 +40,6 @@ struct Part {
     interval95: [f64; 2],
 }
 
-#[derive(Serialize)]
-pub(super) struct Smallest {
-    name: String,
-    unit: &'static str,
-    smallest: Option<f64>,
-}
-
-/// The page `check.html`.
-///
-/// # Errors
-/// Only a fault of the template itself.
 pub fn html(
     check: &InterimCheck,
     distance: Option<&DistanceQuantities>,
@@ -60,11 +48,7 @@ pub fn html(
     let page = Page {
         check,
         hypotheses: check.changes.iter().map(row).collect(),
-        detectable: smallest_changes(&check.detectable),
-        maps: HeatMap::of_positions("Position error of the robot file now", &check.map)
-            .iter()
-            .map(HeatMap::to_svg)
-            .collect(),
+        maps: HeatMap::of_positions("Position error of the robot file now", &check.map),
         findings: findings(&check.findings),
         distance,
         provenance,
@@ -72,15 +56,11 @@ pub fn html(
     render("check.html", include_str!("check.html"), &page)
 }
 
-/// Degrees and millimetres.
-fn unit(unit: parameter::Unit) -> Unit {
-    if unit == parameter::Unit::Rad { Unit::DEG } else { Unit::MM }
-}
-
 fn row(hypothesis: &Hypothesis) -> Row {
     let part = |at: usize| {
         let id = hypothesis.parameters[at];
-        let Unit { sign, factor } = unit(id.unit());
+        let unit = if id.unit() == parameter::Unit::Rad { Unit::DEG } else { Unit::MM };
+        let Unit { sign, factor } = unit;
         Part {
             name: id.to_string(),
             unit: sign,
@@ -95,17 +75,4 @@ fn row(hypothesis: &Hypothesis) -> Row {
         probability: hypothesis.probability,
         p_rest: hypothesis.p_rest,
     }
-}
-
-/// In units for people.
-pub(super) fn smallest_changes(detectable: &[Detectable]) -> Vec<Smallest> {
-    let smallest = |found: &Detectable| {
-        let Unit { sign, factor } = unit(found.unit);
-        Smallest {
-            name: found.name.to_string(),
-            unit: sign,
-            smallest: found.smallest.map(|size| size * factor),
-        }
-    };
-    detectable.iter().map(smallest).collect()
 }

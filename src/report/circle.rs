@@ -9,12 +9,10 @@ use crate::circular::{Evaluation, Mover, NAMES, Sense, Step, TRACE_NAMES};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::Provenance;
 
-/// A circle that was evaluated.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CircleTest {
-    /// Where its lengths come from.
     pub source: String,
-    /// Number of the circle in its plan, where there is one.
+    /// Number of the circle in its plan.
     pub circle: Option<u32>,
     pub evaluation: Evaluation,
 }
@@ -44,12 +42,12 @@ struct Panel<'a> {
 struct ReversalError {
     drive: String,
     error: String,
-    /// In the length, um: where the error is within its interval, the bound that it does not exceed.
+    /// In the length, um: an upper bound if the error is not significant.
     largest_step: String,
 }
 
 impl CircleTest {
-    /// The polar plot, with the joints' reversals on the outermost ring.
+    /// The polar plot, with ticks where joints reverse.
     pub fn svg(&self) -> String {
         let found = &self.evaluation;
         let passes = |sense: Sense| found.traces.iter().filter(move |trace| trace.sense == sense).count();
@@ -73,10 +71,6 @@ impl CircleTest {
     }
 }
 
-/// The page of the tests, in the order given.
-///
-/// # Errors
-/// Only a fault of the template itself.
 pub fn html(tests: &[CircleTest], provenance: &Provenance) -> Result<String, Diagnostic> {
     let page = Page {
         tests: tests.iter().map(panel).collect(),
@@ -107,9 +101,9 @@ fn reversal_error(step: &Step) -> ReversalError {
         Mover::Joint(joint) => (format!("joint {joint}"), 1e6, "µrad"),
     };
     let significant_error = step.play.abs() > step.u95;
-    // No gear has a reversal error of a degree: such a joint hardly changes the length.
+    // A bound of more than a degree means that the joint hardly changes the length.
     let (bound, degree) = (step.play.abs() + step.u95, 1f64.to_radians());
-    // A step is in proportion to its error.
+    // The step is proportional to the error.
     let bound_um = if step.play == 0.0 { f64::NAN } else { 1e3 * step.most_mm * bound / step.play.abs() };
     let largest_step = match step.mover {
         _ if significant_error => significant(1e3 * step.most_mm, 2),
@@ -128,8 +122,7 @@ fn reversal_error(step: &Step) -> ReversalError {
     ReversalError { drive, error, largest_step }
 }
 
-/// The tests in the order of their circles, where a circle was tested more than once: the circles of one
-/// run are no trend.
+/// The tests of circles that were tested more than once, in the order of the circles.
 fn trend(tests: &[CircleTest]) -> Vec<&CircleTest> {
     let times = |circle: Option<u32>| tests.iter().filter(|test| test.circle == circle).count();
     let mut again: Vec<&CircleTest> = tests.iter().filter(|test| times(test.circle) > 1).collect();

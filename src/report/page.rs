@@ -1,21 +1,20 @@
-//! What all pages share: style, provenance, and the template engine with its filters.
+//! The frame of all pages: style, provenance, and the template engine with its filters.
 
 use minijinja::value::Serde;
 use minijinja::{Environment, UndefinedBehavior};
 use serde::Serialize;
 
-use super::scale::{self, fixed, plain, rounded, signed, significant, typeset};
+use super::scale::{fixed, index, plain, rounded, signed, significant, typeset};
 use super::svg::plot_css;
 use crate::base::serialised;
 use crate::catalogue::ReportFinding::NoPage;
 use crate::diagnostic::{Diagnostic, Finding};
 
 const PAGE_CSS: &str = include_str!("page.css");
-/// What turns and zooms the viewer, and shows what is wider than the page.
 const VIEWER_JS: &str = include_str!("viewer.js");
-/// What every page begins with, also those of a service.
+/// The skeleton of every page, also of a service.
 const FRAME_HTML: &str = include_str!("frame.html");
-/// Style and provenance, about what a page has of its own; and the macros of all pages.
+/// The skeleton of a report, with style and provenance.
 const PAGE_HTML: &str = include_str!("page.html");
 const MACROS: &str = include_str!("macros.html");
 
@@ -36,7 +35,7 @@ pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Resul
     fill(&[&[("page.html", PAGE_HTML), ("macros.html", MACROS)], &[(name, template)][..]].concat(), &context)
 }
 
-/// Fills the last of these templates, which may use those before and `frame.html`.
+/// Fills the last of these templates, which may use the ones before and `frame.html`.
 pub(super) fn fill(templates: &[Template<'_>], context: &impl Serialize) -> Result<String, Diagnostic> {
     let name = templates.last().map_or("", |(name, _)| name);
     filled(name, templates, context).map_err(|error| {
@@ -52,21 +51,21 @@ fn filled(
 ) -> Result<String, minijinja::Error> {
     let mut engine = Environment::new();
     engine.set_undefined_behavior(UndefinedBehavior::Strict);
-    let or_dash = |text: Option<String>| text.unwrap_or_else(|| "–".into());
-    engine.add_filter("fixed", move |value: Option<f64>, decimals: usize| {
-        or_dash(value.map(|value| fixed(value, decimals)))
-    });
-    engine.add_filter("signed", move |value: Option<f64>, decimals: usize| {
-        or_dash(value.map(|value| signed(value, decimals)))
-    });
-    engine.add_filter("plain", move |value: Option<f64>, decimals: usize| {
-        or_dash(value.map(|value| plain(value, decimals)))
-    });
-    engine.add_filter("significant", move |value: Option<f64>, figures: usize| {
-        or_dash(value.map(|value| significant(value, figures)))
-    });
-    engine.add_filter("index", move |value: Option<f64>| or_dash(value.map(scale::index)));
-    engine.add_filter("rounded", rounded);
+    type Format = fn(f64, usize) -> String;
+    let formats: [(&str, Format); 5] = [
+        ("fixed", fixed),
+        ("signed", signed),
+        ("plain", plain),
+        ("significant", significant),
+        ("rounded", rounded),
+    ];
+    for (name, format) in formats {
+        engine.add_filter(name, move |value: Option<f64>, digits: usize| {
+            value.map_or_else(dash, |value| format(value, digits))
+        });
+    }
+    engine.add_filter("index", |value: Option<f64>| value.map_or_else(dash, index));
+    engine.add_filter("degrees", |value: Option<f64>| value.map(f64::to_degrees));
     engine.add_filter("times", |value: Option<f64>, factor: f64| value.map(|value| value * factor));
     engine.add_filter("um", um);
     engine.add_filter("typeset", typeset);
@@ -79,7 +78,12 @@ fn filled(
     engine.get_template(name)?.render(Serde(context))
 }
 
-/// Micrometres of millimetres, to as many decimals as the uncertainty needs.
+/// What stands for a value that does not exist.
+fn dash() -> String {
+    "–".into()
+}
+
+/// A length in mm as micrometres, with the decimals that its uncertainty needs.
 fn um(value: Option<f64>, u95: Option<f64>) -> String {
     let decimals = match u95.map(|u| 1e3 * u) {
         Some(u) if u >= 10.0 => 0,
@@ -87,21 +91,20 @@ fn um(value: Option<f64>, u95: Option<f64>) -> String {
         Some(u) if u >= 0.1 => 2,
         _ => 3,
     };
-    value.map_or("–".into(), |value| fixed(1e3 * value, decimals))
+    value.map_or_else(dash, |value| fixed(1e3 * value, decimals))
 }
 
-/// A value as JSON within a script element: no `<` closes it.
+/// A value as JSON within a script element, escaped so that nothing closes the element.
 pub(super) fn script_json(value: &impl Serialize) -> Result<String, Diagnostic> {
     Ok(serialised::json_line(value)?.replace('<', "\\u003c").replace('/', "\\/"))
 }
 
-/// With a capital letter first.
 pub(super) fn capitalised(text: &str) -> String {
     let mut letters = text.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// A text within the quotes of a style sheet.
+/// A text escaped for the quotes of a style sheet.
 fn css(text: String) -> String {
     let escaped = |c: char| {
         if c.is_alphanumeric() || " .,:-".contains(c) {
@@ -113,7 +116,7 @@ fn css(text: String) -> String {
     text.chars().map(escaped).collect()
 }
 
-/// The findings of a result as the pages show them.
+/// The findings of a result with code and text.
 pub(super) fn findings<F: Finding + Clone>(findings: &[F]) -> Vec<Diagnostic> {
     findings.iter().cloned().map(Diagnostic::new).collect()
 }

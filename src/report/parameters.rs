@@ -1,4 +1,4 @@
-//! Parameters as a reader wants them: in groups of one unit, to the digits that their sd supports.
+//! Tables of parameters: in groups of one unit, with the digits that their standard deviations support.
 
 use serde::Serialize;
 
@@ -12,18 +12,18 @@ use crate::robot::{ParamId, Robot};
 #[derive(Serialize)]
 pub(super) struct Group<'a> {
     title: &'static str,
-    /// Of the values, with decimals.
-    value: Shown,
-    /// Of corrections and standard deviations, with decimals.
-    small: Shown,
+    /// Of values.
+    value: Column,
+    /// Of corrections and standard deviations.
+    small: Column,
     parameters: Vec<&'a ParameterResult>,
-    /// The corrections with their intervals, where some were estimated.
+    /// The corrections with their intervals, if some were estimated.
     chart: Option<String>,
 }
 
 /// A unit and its decimals, the same for a whole column so that points align.
 #[derive(Clone, Copy, Serialize)]
-struct Shown {
+struct Column {
     unit: Unit,
     decimals: usize,
 }
@@ -36,7 +36,7 @@ pub(super) struct NotEstimated<'a> {
     pub(super) reason: &'a str,
 }
 
-/// What a parameter belongs to, in the order of the tables.
+/// The kinds of parameters, in the order of the tables.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Lengths,
@@ -48,17 +48,17 @@ enum Kind {
     Transmission,
 }
 
-impl Kind {
-    const ALL: [Self; 7] = [
-        Self::Lengths,
-        Self::Angles,
-        Self::Tool,
-        Self::Balls,
-        Self::Tracker,
-        Self::Compliance,
-        Self::Transmission,
-    ];
+const KINDS: [(Kind, &str); 7] = [
+    (Kind::Lengths, "Robot: lengths"),
+    (Kind::Angles, "Robot: angles"),
+    (Kind::Tool, "Set-up: tool ball, targets and bar"),
+    (Kind::Balls, "Set-up: base balls"),
+    (Kind::Tracker, "Set-up: frame of the tracker (mm, rad)"),
+    (Kind::Compliance, "Joint compliance"),
+    (Kind::Transmission, "Transmission errors"),
+];
 
+impl Kind {
     fn of(id: ParamId) -> Self {
         match id {
             ParamId::Tool(_) | ParamId::Target(..) | ParamId::BarOffset(_) => Self::Tool,
@@ -68,18 +68,6 @@ impl Kind {
             ParamId::Compliance(_) => Self::Compliance,
             ParamId::GearCos(_) | ParamId::GearSin(_) => Self::Transmission,
             ParamId::Alpha(_) | ParamId::Beta(_) | ParamId::Theta(_) => Self::Angles,
-        }
-    }
-
-    fn title(self) -> &'static str {
-        match self {
-            Self::Lengths => "Robot: lengths",
-            Self::Angles => "Robot: angles",
-            Self::Tool => "Set-up: tool ball, targets and bar",
-            Self::Balls => "Set-up: base balls",
-            Self::Tracker => "Set-up: frame of the tracker (mm, rad)",
-            Self::Compliance => "Joint compliance",
-            Self::Transmission => "Transmission errors",
         }
     }
 
@@ -96,7 +84,7 @@ impl Kind {
         }
     }
 
-    /// One standard deviation of what the robot's maker promises, mm or rad.
+    /// The maker's tolerance as a standard deviation, mm or rad.
     fn tolerance(self, robot: &Robot) -> Option<f64> {
         match self {
             Self::Lengths => Some(robot.tolerance.length_mm),
@@ -106,19 +94,20 @@ impl Kind {
     }
 }
 
-/// A parameter, and as it is written.
+/// A parameter, typed and as it is written.
 type Member<'a> = (&'a result::ParameterResult, &'a ParameterResult);
 
 /// The tables of the kinds that have members; `file` is the result as it is written.
 pub(super) fn groups<'a>(found: &'a CalibrationResult, file: &'a ResultFile) -> Vec<Group<'a>> {
-    let of_kind = |kind| {
+    let of_kind = |(kind, title)| {
         let members = found.parameters.iter().zip(&file.parameters);
-        group(kind, members.filter(|(parameter, _)| Kind::of(parameter.id) == kind).collect(), &found.robot)
+        let members = members.filter(|(parameter, _)| Kind::of(parameter.id) == kind).collect();
+        group(kind, title, members, &found.robot)
     };
-    Kind::ALL.into_iter().filter_map(of_kind).collect()
+    KINDS.into_iter().filter_map(of_kind).collect()
 }
 
-fn group<'a>(kind: Kind, members: Vec<Member<'a>>, robot: &Robot) -> Option<Group<'a>> {
+fn group<'a>(kind: Kind, title: &'static str, members: Vec<Member<'a>>, robot: &Robot) -> Option<Group<'a>> {
     if members.is_empty() {
         return None;
     }
@@ -127,12 +116,11 @@ fn group<'a>(kind: Kind, members: Vec<Member<'a>>, robot: &Robot) -> Option<Grou
     let sds = found.iter().filter_map(|parameter| parameter.sd).filter(|sd| *sd > 0.0);
     let smallest = sds.fold(f64::INFINITY, f64::min);
     // Two figures of the smallest sd.
-    let shown = |unit: Unit| {
+    let column = |unit: Unit| {
         let figures = (decimals(smallest * unit.factor) + 1).min(6);
-        Shown { unit, decimals: if smallest.is_finite() { figures } else { 3 } }
+        Column { unit, decimals: if smallest.is_finite() { figures } else { 3 } }
     };
-    let [value, small] = kind.units(largest).map(shown);
-    let title = kind.title();
+    let [value, small] = kind.units(largest).map(column);
     let chart = Intervals {
         title: format!("{title}, correction"),
         description: "Correction with its 95 % interval",
@@ -149,7 +137,7 @@ fn interval(parameter: &result::ParameterResult) -> Option<Interval> {
     Some(Interval { name, value, half_width: 0.5 * (high - low) })
 }
 
-/// What was not estimated, by reason.
+/// The parameters that were not estimated, by reason.
 pub(super) fn not_estimated(parameters: &[ParameterResult]) -> Vec<NotEstimated<'_>> {
     let mut lines: Vec<NotEstimated<'_>> = Vec::new();
     let estimated = |status: Status| matches!(status, Status::Identified | Status::Prior);

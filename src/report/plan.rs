@@ -1,13 +1,12 @@
-//! `plan.html`: what the robot is about to do, and what will be identifiable afterwards.
+//! `plan.html`: the path with its checks, and what will be identifiable afterwards.
 
 use nalgebra::Matrix6;
 use serde::Serialize;
 
-use super::check::{Smallest, smallest_changes};
 use super::page::render;
 use super::plot::{HeatMap, NARROW, Projection, Trace, View, WIDE};
 use super::scale::plain;
-use super::scene::{Posed, Scene, SceneBall, skeleton, wireframe};
+use super::scene::{BallMark, Posed, Scene, skeleton, wireframe};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::result::MapPoint;
 use crate::measurement::Kind;
@@ -28,14 +27,12 @@ struct Page<'a> {
     duration_min: f64,
     checks: Vec<CheckLine>,
     figures: Figures,
-    detectable: Vec<Smallest>,
     /// Data of the viewer.
     scene: String,
     identity: Vec<(String, String)>,
     provenance: &'a Provenance,
 }
 
-/// A check as it reads.
 #[derive(Serialize)]
 struct CheckLine {
     quantity: &'static str,
@@ -46,7 +43,6 @@ struct CheckLine {
     passed: bool,
 }
 
-/// SVG texts.
 #[derive(Serialize)]
 struct Figures {
     reading: Option<String>,
@@ -57,9 +53,6 @@ struct Figures {
 }
 
 /// The page of a plan for `robot`; `map` is the predicted position uncertainty over the workspace.
-///
-/// # Errors
-/// Only a fault of the template itself.
 pub fn html(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Result<String, Diagnostic> {
     let count = |kind: Kind| plan.rows.iter().filter(|row| row.kind == kind).count();
     let page = Page {
@@ -71,7 +64,6 @@ pub fn html(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Result<String, Diag
         duration_min: plan.duration_s() / 60.0,
         checks: plan.header.checks.iter().map(check).collect(),
         figures: figures(plan, robot, map),
-        detectable: plan.header.check.iter().flat_map(|power| smallest_changes(&power.detectable)).collect(),
         scene: scene(plan, robot).json()?,
         identity: plan.header.provenance.identity.facts(),
         provenance: &plan.header.provenance,
@@ -94,7 +86,7 @@ fn check(check: &Check) -> CheckLine {
 fn figures(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Figures {
     let arm = plan.rows.iter().find(|row| row.kind == Kind::Measure);
     let arm = arm.map_or_else(Vec::new, |row| skeleton(robot, &row.axes_deg));
-    let maps = HeatMap::of_uncertainty(map, &arm, &balls(plan)).iter().map(HeatMap::to_svg).collect();
+    let maps = HeatMap::of_uncertainty(map, &arm, &balls(plan));
     if plan.rows.is_empty() {
         return Figures { reading: None, views: Vec::new(), axes: Vec::new(), manipulability: None, maps };
     }
@@ -127,11 +119,10 @@ fn figures(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Figures {
     }
 }
 
-/// Each projection twice: with the robot, and around the balls.
+/// Each projection with the robot, and enlarged about the balls.
 fn views(plan: &Plan, robot: &Robot) -> Vec<String> {
     let (balls, skeletons) = (balls(plan), skeletons(plan, robot));
-    let places: Vec<[f64; 3]> = balls.iter().map(|(_, at)| *at).collect();
-    let edges = plan.header.job.obstacles.iter().flat_map(|obstacle| wireframe(obstacle, &places));
+    let edges = plan.header.job.obstacles.iter().flat_map(|obstacle| wireframe(obstacle, &balls));
     let obstacles: Vec<Vec<[f64; 3]>> = edges.collect();
     let cell = View {
         title: "robot and path",
@@ -145,21 +136,16 @@ fn views(plan: &Plan, robot: &Robot) -> Vec<String> {
     Projection::ALL.into_iter().flat_map(draw).collect()
 }
 
-/// Names and places of the base balls.
-fn balls(plan: &Plan) -> Vec<(String, [f64; 3])> {
-    let centres = plan.header.job.centres.iter();
-    centres.map(|centre| (format!("ball {}", centre.id), centre.xyz_mm)).collect()
+fn balls(plan: &Plan) -> Vec<BallMark> {
+    plan.header.job.centres.iter().map(|centre| BallMark { id: centre.id, at: centre.xyz_mm }).collect()
 }
 
-/// What the viewer shows.
 fn scene(plan: &Plan, robot: &Robot) -> Scene {
-    let job = &plan.header.job;
-    let balls = job.centres.iter().map(|centre| SceneBall { id: centre.id, at: centre.xyz_mm }).collect();
     let measured = plan.rows.iter().filter(|row| row.kind == Kind::Measure);
     let poses: Vec<Posed> = measured
         .map(|row| Posed { index: row.index, ball: row.centre, axes_deg: row.axes_deg, residual_mm: None })
         .collect();
-    Scene::new(robot, balls, &poses, &job.obstacles)
+    Scene::new(robot, &balls(plan), &poses, &plan.header.job.obstacles)
 }
 
 /// The robot as lines at a few of the poses.

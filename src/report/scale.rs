@@ -1,18 +1,18 @@
-//! Scales, ticks at 1-2-5 steps, and numbers as a reader wants them.
+//! Scales, ticks at 1-2-5 steps, display units, and numbers as text.
 
 use crate::base::text;
+
+/// Half width of a 95 % interval in standard deviations.
+pub(crate) const COVERAGE: f64 = 1.96;
 
 /// A linear map from values to pixels.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scale {
-    /// Values at the ends.
     pub(crate) values: [f64; 2],
-    /// Pixels at the ends.
     pub(crate) pixels: [f64; 2],
 }
 
 impl Scale {
-    /// The pixel of a value.
     pub(crate) fn at(&self, value: f64) -> f64 {
         let [low, high] = self.values;
         let [from, to] = self.pixels;
@@ -23,14 +23,12 @@ impl Scale {
 /// Ticks at steps of 1, 2 or 5 times a power of ten.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Ticks {
-    /// Distance between two.
     pub(crate) step: f64,
-    /// The values, ascending.
     pub(crate) values: Vec<f64>,
 }
 
 impl Ticks {
-    /// About `count` ticks inside `range`; none where the range is empty or not finite.
+    /// About `count` ticks inside `range`; none if it is empty or not finite.
     pub(crate) fn inside(range: [f64; 2], count: f64) -> Self {
         let [low, high] = range;
         Self::stepped([low, high], step(high - low, count))
@@ -51,13 +49,13 @@ impl Ticks {
         Self { step, values }
     }
 
-    /// A tick's label, with the decimals that the step needs and a proper minus sign.
+    /// A tick's label, with the decimals that the step needs.
     pub(crate) fn label(&self, value: f64) -> String {
         fixed(value, decimals(self.step))
     }
 }
 
-/// The 1-2-5 step that divides `span` into about `count`; 0 for what cannot be divided.
+/// The 1-2-5 step that divides `span` into about `count`; 0 if there is none.
 pub(crate) fn step(span: f64, count: f64) -> f64 {
     let raw = span / count;
     if !raw.is_finite() || raw <= 0.0 {
@@ -68,7 +66,7 @@ pub(crate) fn step(span: f64, count: f64) -> f64 {
     factor.unwrap_or(10.0) * power
 }
 
-/// A range that holds all finite values, wider where they are equal; 0 to 1 where there is none.
+/// The range of the finite values, widened if they are equal; 0 to 1 without a value.
 pub(crate) fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let [low, high] = values
         .filter(|value| value.is_finite())
@@ -83,26 +81,23 @@ pub(crate) fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     }
 }
 
-/// The largest magnitude of the finite values; a thousandth where there is none.
+/// The largest magnitude of the finite values; a thousandth without one.
 pub(crate) fn magnitude(values: impl Iterator<Item = f64>) -> f64 {
     let largest =
         values.filter(|value| value.is_finite()).fold(0.0, |most: f64, value| most.max(value.abs()));
     if largest > 0.0 { largest } else { 1e-3 }
 }
 
-/// A display unit: its sign and how many make one of the base unit.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub(crate) struct Unit {
-    /// Its sign.
     pub(crate) sign: &'static str,
     /// Display value = factor * base value.
     pub(crate) factor: f64,
 }
 
 impl Unit {
-    /// Millimetres.
     pub(crate) const MM: Self = Self { sign: "mm", factor: 1.0 };
-    /// Degrees, of an angle in rad.
+    /// Of an angle in rad.
     pub(crate) const DEG: Self = Self { sign: "deg", factor: 180.0 / std::f64::consts::PI };
 
     /// For deviations up to `largest_mm`.
@@ -125,7 +120,7 @@ pub(crate) fn decimals(size: f64) -> usize {
     if size.is_finite() && size > 0.0 { (-(size.log10() + 1e-9).floor()).clamp(0.0, 9.0) as usize } else { 0 }
 }
 
-/// A number with fixed decimals, a proper minus sign and no minus zero; a dash for what is none.
+/// A number with fixed decimals, a minus sign (U+2212) and no negative zero; a dash if it is not finite.
 pub(crate) fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return "–".to_owned();
@@ -138,7 +133,7 @@ pub(crate) fn fixed(value: f64, decimals: usize) -> String {
     }
 }
 
-/// A text with a proper minus sign before its numbers, where it has the hyphen of a terminal.
+/// A text with minus signs (U+2212) in place of the hyphens before its numbers.
 pub(crate) fn typeset(text: String) -> String {
     let mut set = String::with_capacity(text.len());
     let mut before = ' ';
@@ -152,7 +147,6 @@ pub(crate) fn typeset(text: String) -> String {
     set
 }
 
-/// A number with an explicit sign.
 pub(crate) fn signed(value: f64, decimals: usize) -> String {
     let text = fixed(value, decimals);
     if value > 0.0 && text.chars().any(|digit| matches!(digit, '1'..='9')) {
@@ -162,18 +156,17 @@ pub(crate) fn signed(value: f64, decimals: usize) -> String {
     }
 }
 
-/// A number without useless zeros at its end.
 pub(crate) fn plain(value: f64, decimals: usize) -> String {
     text::without_end_zeros(&fixed(value, decimals)).to_owned()
 }
 
-/// A number rounded to `figures` significant figures also before the point, as a magnification is.
+/// A number rounded to `figures` significant figures, also before the decimal point.
 pub(crate) fn rounded(value: f64, figures: usize) -> String {
     let place = 10f64.powf(value.abs().max(1e-300).log10().floor() + 1.0 - figures as f64);
     significant((value / place).round() * place, figures)
 }
 
-/// A number to `figures` significant figures, never in powers of ten for what people measure.
+/// A number with the decimals of `figures` significant figures; in powers of ten only if it is extreme.
 pub(crate) fn significant(value: f64, figures: usize) -> String {
     let extra = figures.saturating_sub(1);
     let size = value.abs();

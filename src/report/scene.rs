@@ -1,4 +1,4 @@
-//! The cell in three dimensions: arm, base balls, poses with their residuals, obstacles; for the views and the viewer.
+//! The cell in three dimensions for the views and the viewer: arm, base balls, poses with their residuals, obstacles.
 
 use serde::Serialize;
 
@@ -8,25 +8,32 @@ use crate::robot::{AXES, Robot};
 
 use super::page::script_json;
 
-/// Poses that the viewer has at most: an even sample of more.
+/// Most poses in the viewer; more are sampled evenly.
 const MOST_POSES: usize = 400;
-/// Lines of a round obstacle.
+/// Sides of the polygon that stands for a circle.
 const SIDES: usize = 24;
 
-/// What the viewer shows; robot base, mm, rounded.
+/// The data of the viewer; robot base, mm, rounded.
 #[derive(Serialize)]
 pub(super) struct Scene {
-    pub(super) balls: Vec<SceneBall>,
+    balls: Vec<BallMark>,
     poses: Vec<ScenePose>,
     obstacles: Vec<Vec<[f64; 3]>>,
     /// Size of a residual at which its colour is full, mm.
     largest: f64,
 }
 
-#[derive(Serialize)]
-pub(super) struct SceneBall {
-    pub(super) id: u32,
-    pub(super) at: [f64; 3],
+/// A base ball in the robot base, mm.
+#[derive(Clone, Copy, Serialize)]
+pub(crate) struct BallMark {
+    pub(crate) id: u32,
+    pub(crate) at: [f64; 3],
+}
+
+impl BallMark {
+    pub(crate) fn name(&self) -> String {
+        format!("ball {}", self.id)
+    }
 }
 
 #[derive(Serialize)]
@@ -34,12 +41,10 @@ struct ScenePose {
     ball: u32,
     at: [f64; 3],
     arm: Vec<[f64; 3]>,
-    /// Residual, mm.
     value: Option<f64>,
     text: String,
 }
 
-/// A pose as the pages know it.
 pub(super) struct Posed {
     pub(super) index: u32,
     pub(super) ball: u32,
@@ -50,23 +55,22 @@ pub(super) struct Posed {
 impl Scene {
     pub(super) fn new(
         robot: &Robot,
-        balls: Vec<SceneBall>,
+        balls: &[BallMark],
         poses: &[Posed],
         obstacles: &[ObstacleTable],
     ) -> Self {
         let stride = poses.len().div_ceil(MOST_POSES).max(1);
         let residuals = poses.iter().filter_map(|pose| pose.residual_mm).map(f64::abs);
         let largest = residuals.filter(|size| size.is_finite()).fold(0.0, f64::max);
-        let all: Vec<[f64; 3]> = balls.iter().map(|ball| ball.at).collect();
         Self {
-            obstacles: obstacles.iter().flat_map(|found| wireframe(found, &all)).map(rounded).collect(),
-            balls: balls.into_iter().map(|ball| SceneBall { at: ball.at.map(f64::round), ..ball }).collect(),
+            obstacles: obstacles.iter().flat_map(|one| wireframe(one, balls)).map(rounded).collect(),
+            balls: balls.iter().map(|ball| BallMark { at: ball.at.map(f64::round), ..*ball }).collect(),
             poses: poses.iter().step_by(stride).map(|pose| ScenePose::of(robot, pose)).collect(),
             largest: if largest > 0.0 { largest } else { 1.0 },
         }
     }
 
-    /// The data of the viewer, within a script element.
+    /// As JSON within a script element.
     pub(super) fn json(&self) -> Result<String, Diagnostic> {
         script_json(self)
     }
@@ -100,8 +104,8 @@ pub(super) fn skeleton(robot: &Robot, axes_deg: &[f64; AXES]) -> Vec<[f64; 3]> {
     std::iter::once([0.0; 3]).chain(joints).chain([ball.into()]).collect()
 }
 
-/// The edges of an obstacle; a floor is shown below `places`.
-pub(super) fn wireframe(obstacle: &ObstacleTable, places: &[[f64; 3]]) -> Vec<Vec<[f64; 3]>> {
+/// The edges of an obstacle; a floor is drawn below the balls.
+pub(super) fn wireframe(obstacle: &ObstacleTable, balls: &[BallMark]) -> Vec<Vec<[f64; 3]>> {
     match *obstacle {
         ObstacleTable::Box { low_mm: [x0, y0, z0], high_mm: [x1, y1, z1] } => {
             let ring = |z| vec![[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z], [x0, y0, z]];
@@ -110,7 +114,8 @@ pub(super) fn wireframe(obstacle: &ObstacleTable, places: &[[f64; 3]]) -> Vec<Ve
         }
         ObstacleTable::Cylinder { from_mm, to_mm, radius_mm } => cylinder(from_mm, to_mm, radius_mm),
         ObstacleTable::Floor { z_mm } => {
-            let most = places.iter().flatten().fold(500.0, |most: f64, value| most.max(1.5 * value.abs()));
+            let coordinates = balls.iter().flat_map(|ball| ball.at);
+            let most = coordinates.fold(500.0, |most: f64, value| most.max(1.5 * value.abs()));
             let corners = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]];
             vec![corners.map(|[x, y]| [x * most, y * most, z_mm]).to_vec()]
         }
@@ -120,7 +125,7 @@ pub(super) fn wireframe(obstacle: &ObstacleTable, places: &[[f64; 3]]) -> Vec<Ve
 fn cylinder(from_mm: [f64; 3], to_mm: [f64; 3], radius_mm: f64) -> Vec<Vec<[f64; 3]>> {
     let [from, to] = [from_mm, to_mm].map(nalgebra::Vector3::from);
     let Some(axis) = (to - from).try_normalize(1e-9) else { return Vec::new() };
-    // The base's axis that is least along it gives a direction across.
+    // The coordinate axis that is least parallel gives a direction across.
     let least = axis.iamin();
     let across = axis.cross(&nalgebra::Vector3::ith(least, 1.0)).normalize();
     let other = axis.cross(&across);

@@ -1,17 +1,14 @@
-//! A small SVG builder: colours by class (`plot.css`), and no number that is not finite.
+//! A small SVG builder; the colours are classes of `plot.css`.
 
 use std::fmt::Write as _;
 
 const PLOT_CSS: &str = include_str!("plot.css");
 
-/// The place of a text relative to its point.
+/// Which part of a text is at its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// The point is its left end.
     Start,
-    /// The point is its middle.
     Middle,
-    /// The point is its right end.
     End,
 }
 
@@ -25,17 +22,14 @@ impl Anchor {
     }
 }
 
-/// An SVG under construction, in pixels with y downwards.
-///
-/// An element with a coordinate that is not finite is left out, so a hole in the data is a hole in
-/// the picture.
+/// An SVG under construction, in pixels with y downwards. An element with a coordinate that is not finite is left out.
 #[derive(Clone, Debug)]
 pub struct Svg {
     text: String,
 }
 
 impl Svg {
-    /// Begins a picture; `title` is what a screen reader says, with `description`.
+    /// Begins a picture; a screen reader reads `title` and `description`.
     pub fn new(width: f64, height: f64, title: &str, description: &str) -> Self {
         let title = escape(title);
         let (w, h) = (px(width), px(height));
@@ -44,13 +38,11 @@ impl Svg {
         Self { text }
     }
 
-    /// Ends the picture.
     pub fn finish(mut self) -> String {
         self.text.push_str("</svg>");
         self.text
     }
 
-    /// A line.
     pub fn line(&mut self, class: &str, from: [f64; 2], to: [f64; 2]) {
         if finite(&from) && finite(&to) {
             let [x1, y1, x2, y2] = [from[0], from[1], to[0], to[1]].map(px);
@@ -61,7 +53,7 @@ impl Svg {
         }
     }
 
-    /// A rectangle between two corners.
+    /// A rectangle between two corners; `tip` is its tooltip, if not empty.
     pub fn rect(&mut self, class: &str, a: [f64; 2], b: [f64; 2], tip: &str) {
         if finite(&a) && finite(&b) {
             let [x, y] = [a[0].min(b[0]), a[1].min(b[1])].map(px);
@@ -72,7 +64,7 @@ impl Svg {
         }
     }
 
-    /// A rectangle of its own colour `#rrggbb` (a cell of a map).
+    /// A rectangle of colour `#rrggbb`: a cell of a map.
     pub fn cell(&mut self, colour: &str, corner: [f64; 2], size: [f64; 2], tip: &str) {
         if finite(&corner) && finite(&size) {
             let [x, y, w, h] = [corner[0], corner[1], size[0], size[1]].map(px);
@@ -84,7 +76,7 @@ impl Svg {
         }
     }
 
-    /// A circle; `tip` shows when pointed at (none when empty).
+    /// A circle; `tip` is its tooltip, if not empty.
     pub fn circle(&mut self, class: &str, centre: [f64; 2], radius: f64, tip: &str) {
         if finite(&centre) && radius.is_finite() {
             let [x, y, r] = [centre[0], centre[1], radius].map(px);
@@ -112,7 +104,7 @@ impl Svg {
         }
     }
 
-    /// An upright cross, turned by 45 degrees: the mark of an outlier.
+    /// A diagonal cross: the mark of an outlier.
     pub fn cross(&mut self, class: &str, [x, y]: [f64; 2], arm: f64) {
         self.line(class, [x - arm, y - arm], [x + arm, y + arm]);
         self.line(class, [x - arm, y + arm], [x + arm, y - arm]);
@@ -152,13 +144,12 @@ impl Svg {
     }
 }
 
-/// A picture made by this room as a file of its own, with its colours.
+/// A picture as a file of its own, with its colours.
 pub fn standalone(svg: &str) -> String {
     let named = svg.replacen("<svg ", "<svg xmlns=\"http://www.w3.org/2000/svg\" ", 1);
     named.replacen("<title>", &format!("<style>{PLOT_CSS}svg{{background:var(--paper)}}</style><title>"), 1)
 }
 
-/// The colours and lines of the plots, for a page's style sheet.
 pub(crate) fn plot_css() -> &'static str {
     PLOT_CSS
 }
@@ -173,7 +164,7 @@ pub(crate) fn escape(text: &str) -> String {
             '>' => escaped.push_str("&gt;"),
             '"' => escaped.push_str("&quot;"),
             '\'' => escaped.push_str("&#39;"),
-            // Control characters cannot stand in XML at all.
+            // XML has no control characters.
             control if control.is_control() => escaped.push(' '),
             other => escaped.push(other),
         }
@@ -185,7 +176,7 @@ fn finite(point: &[f64; 2]) -> bool {
     point.iter().all(|value| value.is_finite())
 }
 
-/// A coordinate to a tenth of a pixel, without a useless end.
+/// A coordinate to a tenth of a pixel.
 fn px(value: f64) -> String {
     let text = format!("{value:.1}");
     let text = text.strip_suffix(".0").unwrap_or(&text);

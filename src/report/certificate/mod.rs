@@ -1,6 +1,6 @@
-//! The certificate of a calibration: one content as a page for print, as a DCC and, with the feature `pdf`, as a PDF/A-3.
+//! The certificate of a calibration: the same contents as a page for print, as a DCC and, with the feature `pdf`, as a PDF/A-3.
 //!
-//! It is a draft: nobody is accredited by a program, and its signature fields are empty.
+//! It is a draft: a program is not accredited, and its signature fields are empty.
 
 mod dcc;
 #[cfg(feature = "pdf")]
@@ -26,10 +26,9 @@ use sections::Section;
 #[cfg(feature = "pdf")]
 use super::page::capitalised;
 
-/// What the draft calls itself.
 const DRAFT: &str = "Draft, not accredited, not signed";
 
-/// `result.json` with all that it holds beside the result.
+/// `result.json` with budget and provenance.
 #[derive(Deserialize)]
 struct ResultRead {
     #[serde(flatten)]
@@ -39,7 +38,7 @@ struct ResultRead {
     provenance: Provenance,
 }
 
-/// What `check.json` states of the conformity.
+/// The decision in `check.json`.
 #[derive(Clone, Debug, Deserialize)]
 struct Check {
     robot: String,
@@ -61,7 +60,7 @@ pub struct Certificate {
     budget: Budget,
     provenance: Provenance,
     check: Option<Check>,
-    /// What was stated since against what the result carries.
+    /// Between what is stated now and what the result carries.
     contradictions: Vec<CertificateFinding>,
     /// First digits of the SHA-256 of `result.json`.
     number: String,
@@ -79,10 +78,6 @@ struct Page<'a> {
 }
 
 impl Certificate {
-    /// Of the text of `result.json`.
-    ///
-    /// # Errors
-    /// It is no result, or has no budget.
     pub fn read(text: &str) -> Result<Self, CertificateFinding> {
         let read: ResultRead =
             serde_json::from_str(text).map_err(|error| NoResult { why: error.to_string() })?;
@@ -92,10 +87,8 @@ impl Certificate {
         Ok(Self { result, budget, provenance, check: None, contradictions: Vec::new(), number })
     }
 
-    /// With the decision in the text of `check.json`; `robot` is the file that was written with the result.
-    ///
-    /// # Errors
-    /// It is no check, or that of another robot or of another calibration.
+    /// With the decision in the text of `check.json`; `robot` is the file that was written with the result. Refuses a check of
+    /// another robot or another calibration.
     pub fn with_check(self, text: &str, robot: Option<&Artefact>) -> Result<Self, CertificateFinding> {
         let check: Check = serde_json::from_str(text).map_err(|error| NoCheck { why: error.to_string() })?;
         if check.robot != self.result.robot {
@@ -113,7 +106,7 @@ impl Certificate {
         Ok(Self { check: Some(check), ..self })
     }
 
-    /// With what is stated now in place of what the result carries.
+    /// With this identity in place of what the result carries.
     pub fn with_identity(mut self, identity: &Identity) -> Self {
         let found = self.provenance.identity.contradictions(identity).into_iter();
         self.contradictions = found
@@ -125,6 +118,12 @@ impl Certificate {
 
     fn identity(&self) -> &Identity {
         &self.provenance.identity
+    }
+
+    /// Whether the bar's length has a certificate with its uncertainty.
+    fn is_traceable(&self) -> bool {
+        let bar = &self.identity().bar;
+        bar.certificate.is_some() && bar.length_u_mm.is_some()
     }
 
     fn title(&self) -> String {
@@ -139,7 +138,7 @@ impl Certificate {
         self.result.warnings.iter().filter(|warning| warning.kind == WarningKind::Doubt).count()
     }
 
-    /// What the certificate lacks, or throws doubt on it.
+    /// What the certificate lacks, and doubts about it.
     pub fn findings(&self) -> Vec<CertificateFinding> {
         let Identity { robot, laboratory, country, operator, customer, measured, bar, temperatures, .. } =
             self.identity();
@@ -166,10 +165,6 @@ impl Certificate {
         empty.into_iter().chain(self.contradictions.iter().cloned()).chain(other).chain(doubtful).collect()
     }
 
-    /// `certificate.html`.
-    ///
-    /// # Errors
-    /// Only a fault of the template itself.
     pub fn html(&self) -> Result<String, Diagnostic> {
         let page = Page {
             title: self.title(),
@@ -183,25 +178,17 @@ impl Certificate {
         render("certificate.html", include_str!("../certificate.html"), &page)
     }
 
-    /// `dcc.xml`, DCC 3.3.0.
-    ///
-    /// # Errors
-    /// When it cannot be written.
     pub fn dcc(&self) -> Result<Vec<u8>, Diagnostic> {
         dcc::write(self)
     }
 
-    /// `certificate.pdf` with `dcc.xml` in it; `None` where this build has no PDF.
-    ///
-    /// # Errors
-    /// A character that its font lacks.
+    /// `certificate.pdf` with `dcc.xml` embedded; `None` without the feature `pdf`. Fails on a character that its font lacks.
     #[cfg(feature = "pdf")]
     pub fn pdf(&self, dcc: &[u8]) -> Result<Option<Vec<u8>>, Diagnostic> {
         pdf::write(self, dcc).map(Some).map_err(|why| CertificateFinding::PdfFailed { why }.into())
     }
 
-    /// # Errors
-    /// None: this build has no PDF.
+    /// This build has no PDF.
     #[cfg(not(feature = "pdf"))]
     pub fn pdf(&self, _: &[u8]) -> Result<Option<Vec<u8>>, Diagnostic> {
         Ok(None)

@@ -1,4 +1,4 @@
-//! The certificate as PDF/A-3b with the DCC embedded: A4, heads and feet, heads of tables on every page.
+//! The certificate as PDF/A-3b with the DCC embedded: A4, with headers and footers; table heads repeat on every page.
 
 use krilla::configure::{Archival, ConfigurationBuilder};
 use krilla::embed::{AssociationKind, EmbeddedFile, MimeType};
@@ -19,9 +19,9 @@ const LEFT: f32 = 51.0;
 const RIGHT: f32 = PAGE[0] - 51.0;
 const TOP: f32 = 78.0;
 const BOTTOM: f32 = PAGE[1] - 62.0;
-/// Distance of lines in sizes of the letters.
+/// Line spacing in font sizes.
 const LEADING: f32 = 1.4;
-/// Between columns, and the column of names, points.
+/// Gap between columns, and width of the column of names, points.
 const GAP: f32 = 10.0;
 const NAMES: f32 = 165.0;
 
@@ -43,13 +43,13 @@ struct Style {
     weight: Weight,
 }
 
-/// What is drawn on a page, in points from the upper left corner.
+/// A mark on a page, in points from the upper left corner.
 enum Mark {
     Text { at: [f32; 2], style: Style, text: String },
     Rule { y: f32, from: f32, to: f32 },
 }
 
-/// The widths of letters.
+/// Font metrics.
 struct Letters {
     regular: Face<'static>,
     bold: Face<'static>,
@@ -75,7 +75,7 @@ impl Letters {
         units as f32 * style.size / f32::from(face.units_per_em())
     }
 
-    /// The text in lines of at most `width` points; a word that is longer is broken.
+    /// The text in lines of at most `width` points; a longer word is broken.
     fn wrapped(&self, text: &str, style: Style, width: f32) -> Vec<String> {
         let mut lines = vec![String::new()];
         for word in text.split_whitespace() {
@@ -106,7 +106,7 @@ impl Letters {
         lines
     }
 
-    /// A character that the font lacks.
+    /// The first character that the font lacks.
     fn lacks(&self, text: &str) -> Option<char> {
         text.chars().find(|c| self.regular.glyph_index(*c).is_none())
     }
@@ -119,7 +119,7 @@ struct TableRows {
     widths: Vec<f32>,
     head: Row,
     rows: Vec<Row>,
-    /// So many points stay on one page: a short table as a whole.
+    /// Height that stays on one page, points: that of the whole table if it is short.
     together: f32,
 }
 
@@ -130,7 +130,7 @@ struct Layout {
 }
 
 impl Layout {
-    /// Makes sure that so many points are left on the page; whether a new one was begun.
+    /// Begins a new page if fewer points than `height` are left; whether it did.
     fn room(&mut self, height: f32) -> bool {
         let full = self.pages.is_empty() || self.y + height > BOTTOM;
         if full {
@@ -162,7 +162,7 @@ impl Layout {
     }
 
     fn section(&mut self, number: usize, section: &Section) {
-        // A heading is not left alone at the end of a page.
+        // No heading alone at the end of a page.
         let follows = match section.blocks.first() {
             Some(Block::Table(table)) => self.table_rows(table).together,
             _ => 4.0 * BODY.size,
@@ -233,7 +233,7 @@ impl Layout {
         self.mark(Mark::Rule { y: self.y, from: LEFT, to: RIGHT });
     }
 
-    /// Numbers are as wide as they are; texts share what is left.
+    /// Columns of numbers get their natural width; columns of text share the rest.
     fn widths(&self, table: &Table) -> Vec<f32> {
         let columns = table.head.len();
         let natural: Vec<f32> = (0..columns)
@@ -267,7 +267,7 @@ impl Layout {
         self.y += 20.0;
     }
 
-    /// Head and foot of each page.
+    /// Header and footer of each page.
     fn margins(&mut self, certificate: &Certificate) {
         let count = self.pages.len();
         for (at, page) in self.pages.iter_mut().enumerate() {
@@ -292,10 +292,8 @@ fn height(cells: &[Vec<String>]) -> f32 {
     BODY.size * LEADING * lines as f32 + 3.0
 }
 
-/// Why it could not be written.
-type Failed = String;
-
-pub(super) fn write(certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, Failed> {
+/// The error says why it could not be written.
+pub(super) fn write(certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, String> {
     let mut layout = Layout { letters: Letters::new()?, pages: Vec::new(), y: TOP };
     layout.room(0.0);
     layout.paragraph(&certificate.title(), TITLE);
@@ -314,7 +312,7 @@ pub(super) fn write(certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, Fa
     draw(&layout.pages, certificate, dcc)
 }
 
-fn draw(pages: &[Vec<Mark>], certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, Failed> {
+fn draw(pages: &[Vec<Mark>], certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, String> {
     let configuration = ConfigurationBuilder::new().with_archival_validator(Archival::A3_B).finish();
     let configuration = configuration.map_err(|error| format!("{error:?}"))?;
     let settings = SerializeSettings { configuration, enable_tagging: false, ..SerializeSettings::default() };
@@ -365,7 +363,7 @@ fn draw(pages: &[Vec<Mark>], certificate: &Certificate, dcc: &[u8]) -> Result<Ve
     document.finish().map_err(|error| format!("{error:?}"))
 }
 
-/// That of the measurement: the same result gives the same bytes.
+/// The date of the measurement, so that the same result gives the same bytes.
 fn date(certificate: &Certificate) -> DateTime {
     let part = |range| certificate.measured().get(range).and_then(|digits: &str| digits.parse::<u16>().ok());
     let small = |range| part(range).and_then(|value| u8::try_from(value).ok()).unwrap_or(1);

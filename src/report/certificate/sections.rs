@@ -1,10 +1,11 @@
-//! What a certificate states, in the order of its sections (ISO/IEC 17025 7.8).
+//! The contents of a certificate in the order of its sections (ISO/IEC 17025 7.8).
 
 use serde::Serialize;
 
 use super::{Certificate, Check, DRAFT};
+use crate::conformity::BudgetLine;
 use crate::estimation::result::Status;
-use crate::estimation::result_file::ParameterResult;
+use crate::estimation::result_file::{ParameterResult, Warning};
 use crate::report::parameters::not_estimated;
 use crate::report::scale::{decimals, fixed, signed, significant, typeset};
 use crate::robot::Unit;
@@ -19,18 +20,20 @@ pub(super) struct Section {
 #[serde(rename_all = "snake_case")]
 pub(super) enum Block {
     Text(String),
-    /// Name and value.
-    Facts(Vec<(String, String)>),
+    Facts(Vec<Fact>),
     Table(Table),
-    /// Empty lines to sign on.
+    /// Lines to sign on.
     Signatures(Vec<&'static str>),
 }
+
+/// Name and value.
+type Fact = (String, String);
 
 #[derive(Serialize)]
 pub(super) struct Table {
     pub(super) head: Vec<Head>,
     pub(super) rows: Vec<Vec<String>>,
-    /// The last row is the sum.
+    /// Whether the last row is the sum.
     pub(super) sum: bool,
 }
 
@@ -48,9 +51,22 @@ const fn number(title: &'static str) -> Head {
     Head { title, number: true }
 }
 
-/// What no length to base balls determines.
+fn fact(name: &str, value: impl Into<String>) -> Fact {
+    (name.to_owned(), value.into())
+}
+
+fn mm(value: f64) -> String {
+    format!("{} mm", significant(value, 3))
+}
+
+/// A number or a dash.
+fn or_dash(text: Option<String>) -> String {
+    text.unwrap_or_else(|| "–".to_owned())
+}
+
+/// What lengths to base balls never determine.
 pub(super) const NEVER_DETERMINED: [&str; 4] = [
-    "Where the robot base and its zero direction are in the cell: lengths do not change when all is moved together. The position uncertainty is after the best rigid alignment.",
+    "Position and orientation of the robot base in the cell: lengths do not change when robot and balls are moved together. The position uncertainty is after the best rigid alignment.",
     "The orientation of the tool: the tool ball is a point.",
     "Behaviour at other temperatures, loads and speeds than those of the measurement, and the drift since.",
     "Pose accuracy by ISO 9283, which needs the base frame.",
@@ -75,31 +91,27 @@ impl Certificate {
         ]
     }
 
-    fn object(&self) -> Vec<(String, String)> {
+    fn object(&self) -> Vec<Fact> {
         let identity = self.identity();
         let stated = |text: &Option<String>| text.clone().unwrap_or_else(|| "not stated".into());
-        let fact = |name: &str, value: String| (name.to_owned(), value);
         let mut facts = vec![
-            fact("Number of the draft", self.number.clone()),
-            fact("Robot", self.result.robot.clone()),
+            fact("Number of the draft", &self.number),
+            fact("Robot", &self.result.robot),
             fact("Serial number", stated(&identity.robot)),
             fact("Serial number of the controller", stated(&identity.controller)),
             fact("Customer", stated(&identity.customer)),
             fact("Laboratory", stated(&identity.laboratory)),
             fact("Cell", stated(&identity.cell)),
             fact("Operator", stated(&identity.operator)),
-            fact("Date of measurement", self.measured().to_owned()),
-            fact("Date of issue", String::new()),
+            fact("Date of measurement", self.measured()),
+            fact("Date of issue", ""),
         ];
         facts.extend(identity.load_kg.map(|kg| fact("Load at the flange", format!("{kg} kg"))));
         facts
     }
 
     fn traceability(&self) -> Vec<Block> {
-        let identity = self.identity();
-        let bar = &identity.bar;
-        let traced = bar.certificate.is_some() && bar.length_u_mm.is_some();
-        let statement = if traced {
+        let statement = if self.is_traceable() {
             "The lengths are traceable to the SI through the certificate of the bar's length."
         } else {
             "The lengths are not traceable to the SI: no certificate of the bar's length with its uncertainty is stated."
@@ -108,7 +120,7 @@ impl Certificate {
             ["robot", "controller", "laboratory", "operator", "customer", "cell", "measured", "country"];
         let kept =
             |name: &str| !of_object.iter().any(|word| name.ends_with(word)) && !name.starts_with("load");
-        let facts: Vec<_> = identity.facts().into_iter().filter(|(name, _)| kept(name)).collect();
+        let facts: Vec<_> = self.identity().facts().into_iter().filter(|(name, _)| kept(name)).collect();
         let mut blocks = vec![Block::Text(statement.into())];
         if !facts.is_empty() {
             blocks.push(Block::Facts(facts));
@@ -116,51 +128,40 @@ impl Certificate {
         blocks
     }
 
-    fn results(&self) -> Vec<(String, String)> {
+    fn results(&self) -> Vec<Fact> {
         let result = &self.result;
         let (residual, predicted) = (&result.residual_mm, &result.predicted_position_error_mm);
-        let mm = |value: f64| format!("{} mm", significant(value, 3));
+        let (nominal, identified) = (&predicted.nominal, &predicted.identified);
         let pair = |name: &str, before: f64, after: f64| {
-            (name.to_owned(), format!("{} before, {} after", mm(before), mm(after)))
+            fact(name, format!("{} before, {} after", mm(before), mm(after)))
         };
+        let used = format!("{} used, {} excluded as outliers", result.observations, result.outliers.len());
         let mut facts = vec![
-            (
-                "Lengths".to_owned(),
-                format!("{} used, {} excluded as outliers", result.observations, result.outliers.len()),
-            ),
-            ("Standard deviation of a length".to_owned(), mm(result.sigma_mm)),
+            fact("Lengths", used),
+            fact("Standard deviation of a length", mm(result.sigma_mm)),
             pair("Residual of the lengths, rms", residual.before.rms, residual.after.rms),
         ];
-        facts.extend(
-            result
-                .folds
-                .map(|folds| ("Held-out residual by cross-validation, rms".to_owned(), mm(folds.rms))),
-        );
+        let held_out = "Held-out residual by cross-validation, rms";
+        facts.extend(result.folds.map(|folds| fact(held_out, mm(folds.rms))));
         facts.extend(result.validation.map(|separate| {
             pair("Residual of separate lengths, rms", separate.before.rms, separate.after.rms)
         }));
-        facts.push(pair("Position uncertainty, mean", predicted.nominal.mean, predicted.identified.mean));
-        facts.push(pair(
-            "Position uncertainty, 95 % of the poses",
-            predicted.nominal.p95,
-            predicted.identified.p95,
-        ));
+        facts.push(pair("Position uncertainty, mean", nominal.mean, identified.mean));
+        facts.push(pair("Position uncertainty, 95 % of the poses", nominal.p95, identified.p95));
         let (k, expanded) = (self.budget.coverage_factor, self.budget.expanded_mm);
-        facts.push(("Expanded position uncertainty".to_owned(), format!("U = {} (k = {k})", mm(expanded))));
+        facts.push(fact("Expanded position uncertainty", format!("U = {} (k = {k})", mm(expanded))));
         facts
     }
 
     fn budget_blocks(&self) -> Vec<Block> {
         let budget = &self.budget;
-        let um = |mm: Option<f64>| mm.map_or_else(|| "–".to_owned(), |mm| significant(1e3 * mm, 3));
-        let share = |mm: Option<f64>| {
-            let share =
-                mm.map(|mm| 100.0 * (mm / budget.combined_mm).powi(2)).filter(|share| share.is_finite());
-            share.map_or_else(|| "–".to_owned(), |share| fixed(share, 1))
-        };
-        let row = |line: &crate::conformity::BudgetLine| {
+        let um = |mm: Option<f64>| or_dash(mm.map(|mm| significant(1e3 * mm, 3)));
+        let share = |mm: f64| 100.0 * (mm / budget.combined_mm).powi(2);
+        let row = |line: &BudgetLine| {
+            let share = line.position_mm.map(share).filter(|share| share.is_finite());
+            let share = or_dash(share.map(|share| fixed(share, 1)));
             let (source, basis) = (line.source.words().to_owned(), line.basis.words().to_owned());
-            vec![source, basis, um(line.length_mm), um(line.position_mm), share(line.position_mm)]
+            vec![source, basis, um(line.length_mm), um(line.position_mm), share]
         };
         let mut rows: Vec<Vec<String>> = budget.lines.iter().map(row).collect();
         let (k, combined) = (budget.coverage_factor, budget.combined_mm);
@@ -183,12 +184,8 @@ impl Certificate {
     }
 
     fn conformity(&self) -> Vec<Block> {
-        let Some(check) = &self.check else {
-            return vec![Block::Text(
-                "No decision: no tolerance was stated. The results are no statement of conformity.".into(),
-            )];
-        };
-        vec![Block::Facts(decision(check))]
+        let none = "No decision: no tolerance was stated. The results are no statement of conformity.";
+        vec![self.check.as_ref().map_or(Block::Text(none.into()), |check| Block::Facts(decision(check)))]
     }
 
     fn not_determined(&self) -> Vec<Block> {
@@ -219,9 +216,8 @@ impl Certificate {
     }
 
     fn warnings(&self) -> Vec<Block> {
-        let line = |warning: &crate::estimation::result_file::Warning| {
-            Block::Text(format!("{} {}", warning.code, typeset(warning.text.clone())))
-        };
+        let line =
+            |warning: &Warning| Block::Text(format!("{} {}", warning.code, typeset(warning.text.clone())));
         let mut blocks: Vec<Block> = self.result.warnings.iter().map(line).collect();
         if !self.result.converged {
             blocks.insert(0, Block::Text("The solver did not converge.".into()));
@@ -244,39 +240,36 @@ impl Certificate {
 }
 
 /// The decision with its rule.
-fn decision(check: &Check) -> Vec<(String, String)> {
-    let mm = |value: f64| format!("{} mm", significant(value, 3));
+fn decision(check: &Check) -> Vec<Fact> {
     let rule = match check.rule.as_str() {
         "guard_band" => {
-            "guard band (JCGM 106:2012, 8.3): pass or fail only where the probability of the contrary is at most the risk"
+            "guard band (JCGM 106:2012, 8.3): pass or fail only if the probability of the contrary is at most the risk"
         }
         "simple_acceptance" => {
-            "simple acceptance (JCGM 106:2012, 8.2): by the likeliest value alone, shared risk"
+            "simple acceptance (JCGM 106:2012, 8.2): by the most probable value alone, shared risk"
         }
-        "change" => "no tolerance: pass where the check finds no change since the calibration",
+        "change" => "no tolerance: pass if the check finds no change since the calibration",
         other => other,
     };
     let mut facts = vec![
-        ("Decision".to_owned(), check.decision.clone()),
-        ("Rule".to_owned(), rule.to_owned()),
-        ("By".to_owned(), format!("an interim check with {} lengths", check.lengths)),
+        fact("Decision", &check.decision),
+        fact("Rule", rule),
+        fact("By", format!("an interim check with {} lengths", check.lengths)),
     ];
-    let tolerance =
-        check.tolerance_mm.map(|tolerance| ("Tolerance, 95 % of the poses".to_owned(), mm(tolerance)));
-    facts.extend(tolerance);
-    facts.push(("Position error, 95 % of the poses".to_owned(), mm(check.position_error_mm)));
-    facts.push(("Its upper limit".to_owned(), mm(check.upper_mm)));
-    facts.extend(check.guard_band_mm.map(|band| ("Guard band".to_owned(), mm(band))));
+    facts.extend(check.tolerance_mm.map(|tolerance| fact("Tolerance, 95 % of the poses", mm(tolerance))));
+    facts.push(fact("Position error, 95 % of the poses", mm(check.position_error_mm)));
+    facts.push(fact("Its upper limit", mm(check.upper_mm)));
+    facts.extend(check.guard_band_mm.map(|band| fact("Guard band", mm(band))));
     let risk = if check.decision == "undecided" {
         "Probability that the tolerance is exceeded"
     } else {
         "Specific risk of a wrong decision"
     };
-    facts.extend(check.specific_risk.map(|value| (risk.to_owned(), significant(value, 2))));
+    facts.extend(check.specific_risk.map(|value| fact(risk, significant(value, 2))));
     facts
 }
 
-/// Millimetres and degrees, to two figures of the uncertainty.
+/// In mm and degrees, with two figures of the uncertainty.
 fn parameter_row(parameter: &ParameterResult) -> Vec<String> {
     let (unit, factor) = match parameter.unit.as_str() {
         unit if unit == Unit::Rad.name() => ("deg", 180.0 / std::f64::consts::PI),
@@ -290,6 +283,6 @@ fn parameter_row(parameter: &ParameterResult) -> Vec<String> {
         fixed(factor * parameter.nominal, places),
         fixed(factor * parameter.identified, places),
         signed(factor * parameter.correction, places),
-        u.map_or_else(|| "–".to_owned(), |u| fixed(u, places)),
+        or_dash(u.map(|u| fixed(u, places))),
     ]
 }

@@ -1,4 +1,4 @@
-//! Tool ball and base balls as KRL frames, with the mastering offsets: a data list that a controller loads.
+//! A KRL data list for the controller: tool ball and base balls as frames, and the mastering offsets.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use super::mastering::{AxisOffset, remark};
 use crate::estimation::result::{CalibrationResult, ParameterResult, Status};
 use crate::robot::{BallId, Coordinate, ParamId};
 
-/// Name of the data list: the file must have it too.
+/// Name of the data list and of its file.
 pub const MODULE: &str = "DBB_RESULT";
 
 /// Characters of a comment line.
@@ -26,7 +26,7 @@ pub struct Frame {
     pub corrections_mm: [f64; 3],
     /// Of each coordinate.
     pub statuses: [Status; 3],
-    /// What to know of each coordinate.
+    /// On each coordinate.
     pub remarks: [String; 3],
 }
 
@@ -61,7 +61,7 @@ fn frame(variable: String, what: String, place: [&ParameterResult; 3]) -> Frame 
     }
 }
 
-/// `DBB_RESULT.dat`: frames and offsets, each with what is to be known of it as a comment.
+/// `DBB_RESULT.dat`: frames and offsets, each with its remark as a comment.
 pub fn data_list(robot: &str, frames: &[Frame], offsets: &[AxisOffset]) -> String {
     let mut text = format!("&ACCESS RVO\n&COMMENT dbbd\nDEFDAT {MODULE} PUBLIC\n");
     text.push_str(&comment(&format!("Identified from ball-bar lengths on {robot}")));
@@ -90,13 +90,13 @@ fn krl(place_mm: &[f64; 3]) -> String {
     format!("X {x},Y {y},Z {z}")
 }
 
-/// Four decimals, never minus zero.
+/// Four decimals, without a negative zero.
 fn number(value: f64) -> String {
     let text = format!("{value:.4}");
     if text == "-0.0000" { "0.0000".into() } else { text }
 }
 
-/// A comment in ASCII, in lines that a controller's editor shows.
+/// A comment in ASCII, in lines that fit a controller's editor.
 fn comment(text: &str) -> String {
     let mut lines = String::from(";");
     let mut length = 1;

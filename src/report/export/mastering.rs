@@ -1,7 +1,7 @@
-//! The joints' zero errors as mastering offsets, in the controller's degrees and sense.
+//! Zero errors of the joints as mastering offsets, in the controller's degrees and sense.
 //!
-//! A joint turns by theta = sign A + offset. Where the identified offset is larger than the nominal one by delta, the
-//! axis that shows A is at A + sign delta. Of a coupled joint this is the offset of its own angle, which its drive turns.
+//! A joint turns by theta = sign A + offset. If the identified offset exceeds the nominal one by delta, an axis for which the
+//! controller shows A is at A + sign delta. For a coupled joint this is the offset of its own angle, which its drive turns.
 
 use serde::Serialize;
 
@@ -10,21 +10,18 @@ use crate::diagnostic::Diagnostic;
 use crate::estimation::result::{CalibrationResult, ParameterResult, Reason, Status};
 use crate::robot::{Joint, ParamId};
 
-/// The zero error of one axis.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AxisOffset {
-    /// Axis, from 1.
+    /// From 1.
     pub axis: usize,
-    /// Where the axis truly is minus what the controller shows, degrees; 0 where it is not identified.
+    /// True angle minus the controller's, degrees; 0 if it is not identified.
     pub offset_deg: f64,
     pub sd_deg: Option<f64>,
-    /// Of the joint's theta; the offset means something by itself only where this is `Identified`.
+    /// Of the joint's theta; the offset is meaningful by itself only if this is `Identified`.
     pub status: Status,
-    /// What to know of it, in words.
     pub remark: String,
 }
 
-/// The offsets of the six axes.
 pub fn offsets(result: &CalibrationResult) -> Vec<AxisOffset> {
     Joint::ALL
         .into_iter()
@@ -46,7 +43,7 @@ pub fn offsets(result: &CalibrationResult) -> Vec<AxisOffset> {
         .collect()
 }
 
-/// What to know of a parameter's value by itself.
+/// A remark on a parameter's value by itself.
 pub(super) fn remark(found: &ParameterResult) -> String {
     let reason = found.reason_text();
     match (found.status(), &found.reason) {
@@ -58,9 +55,6 @@ pub(super) fn remark(found: &ParameterResult) -> String {
 }
 
 /// `mastering.csv`: `axis,offset_deg,sd_deg,identified,status,remark`.
-///
-/// # Errors
-/// Only what the CSV writer has to say.
 pub fn csv(offsets: &[AxisOffset]) -> Result<Vec<u8>, Diagnostic> {
     let write = || {
         let mut table = csv::Writer::from_writer(Vec::new());

@@ -1,10 +1,10 @@
-//! The robot as a URDF: metres and radians, a joint variable is the controller's axis angle; of a coupled joint, for which a
-//! URDF has no form, it is the joint's own angle, a sum of two.
+//! The robot as a URDF, in metres and radians. A joint variable is the controller's axis angle; that of a coupled joint, for
+//! which URDF has no form, is the joint's own angle, a sum of axis angles.
 //!
-//! Row i is `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`. A URDF joint is a fixed origin followed by a turn about
-//! its axis, so joint i's origin is the shift d of the row before, then `Ry(beta) Rx(alpha) Tx(a) Rz(offset)`, and
-//! its axis is z with the sense of the controller's angle. Compliance and errors of the joints have no place in a URDF: a
-//! comment says how far the ball is off without them.
+//! Row i is `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`. A URDF joint is a fixed origin followed by a turn about its axis, so
+//! that joint i's origin is the shift d of the row before, then `Ry(beta) Rx(alpha) Tx(a) Rz(offset)`, and its axis is z with
+//! the sense of the controller's angle. URDF has no compliance and no errors of joints: a comment states the position error
+//! without them.
 
 use std::fmt::Write;
 
@@ -63,7 +63,6 @@ pub struct CoupledJoint {
     pub sum: String,
 }
 
-/// The coupled joints of a robot.
 pub fn coupled(robot: &Robot) -> impl Iterator<Item = CoupledJoint> {
     Joint::ALL.into_iter().filter_map(|joint| {
         let number = joint.number();
@@ -112,15 +111,15 @@ pub(super) fn origin_tag(place_mm: &Vector3<f64>, rotation: &Matrix3<f64>) -> St
     format!("<origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"/>")
 }
 
-/// R = Rz(yaw) Ry(pitch) Rx(roll). The roll is read off after the yaw has been taken out, so that the three give R
-/// to rounding also where pitch is a right angle.
+/// R = Rz(yaw) Ry(pitch) Rx(roll). The yaw is removed before the roll is computed, so that the three give R to rounding also
+/// at a pitch of a right angle.
 fn roll_pitch_yaw(r: &Matrix3<f64>) -> [f64; 3] {
     let yaw = r[(1, 0)].atan2(r[(0, 0)]);
     let level = rot_z(-yaw) * r;
     [(-level[(1, 2)]).atan2(level[(1, 1)]), (-level[(2, 0)]).atan2(level[(0, 0)]), yaw]
 }
 
-/// A name that every reader of URDF takes.
+/// A name that every reader of URDF accepts.
 fn name(words: &str) -> String {
     let plain: String =
         words.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' }).collect();
@@ -128,7 +127,7 @@ fn name(words: &str) -> String {
     if plain.is_empty() { "robot".into() } else { plain.into() }
 }
 
-/// Text within a comment, where two dashes would end it.
+/// Text within a comment, which two dashes would end.
 fn comment(words: &str) -> String {
     words.replace(|c: char| c.is_control() || "<>-".contains(c), " ")
 }

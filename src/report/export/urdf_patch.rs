@@ -1,9 +1,9 @@
-//! A user's own URDF with the origins of its six joints as identified; every other byte stays.
+//! Patches a user's own URDF: the origins of its six joints become the identified ones; every other byte is kept.
 //!
-//! Link i of the URDF is fixed to frame i of the robot's table by C_i, which the nominal robot gives: a turn that takes
+//! Link i of the URDF is fixed to frame i of the robot's DH table by C_i, which the nominal robot gives: a rotation that takes
 //! the joint's axis to the frame's z in the controller's sense, and a shift along it. The new origin of joint i is
-//! `C_(i-1)^-1 M_i C_i`, where M_i is the identified row at axis angle 0. So link 6, and all that is fixed to it,
-//! moves exactly as the identified flange. C_0 is the place of the URDF's root link in the robot base.
+//! `C_(i-1)^-1 M_i C_i`, where M_i is the identified row at axis angle 0. So link 6, and all that is fixed to it, moves
+//! exactly as the identified flange. C_0 is the place of the URDF's root link in the robot base.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -20,11 +20,11 @@ use crate::robot::kinematics::DhRow;
 use crate::robot::pose::{rot_x, rot_y, rot_z};
 use crate::robot::{AXES, Geometry, Pose, Robot};
 
-/// A joint farther from the nominal robot's than this is another robot's, or has another zero.
+/// A larger deviation from the nominal robot's joint means another robot or another zero position.
 const OTHER_ROBOT_MM: f64 = 5.0;
 const OTHER_ROBOT_DEG: f64 = 0.5;
 
-/// The URDF and what changed in it.
+/// The new URDF and its changes.
 #[derive(Debug, Serialize)]
 pub struct PatchedUrdf {
     #[serde(skip)]
@@ -32,23 +32,20 @@ pub struct PatchedUrdf {
     pub joints: Vec<PatchedJoint>,
 }
 
-/// A joint of the URDF.
 #[derive(Debug, Serialize)]
 pub struct PatchedJoint {
     pub name: String,
-    /// Its axis before, from that of the nominal robot: distance and angle.
+    /// Deviation of its axis from the nominal robot's, before the patch.
     pub from_nominal_mm: f64,
     pub from_nominal_deg: f64,
-    /// The change of its origin.
     pub moved_mm: f64,
     pub turned_deg: f64,
 }
 
-/// A joint as the URDF has it.
 struct UrdfJoint<'a> {
     node: Node<'a, 'a>,
     name: &'a str,
-    /// From the link of the movable joint before to the frame in which the origin is given.
+    /// The fixed joints between the movable joint before and this one.
     fixed_before: Pose,
     origin: Pose,
     /// Unit vector in the joint's frame.
@@ -92,7 +89,7 @@ pub fn patch(file: &str, text: &str, robot: &Robot, names: &[String]) -> Result<
     Ok(PatchedUrdf { text: rewritten(text, &changes), joints: patched })
 }
 
-/// The text with the origins in place of those that it has.
+/// The text with new origins of these joints.
 fn rewritten(text: &str, changes: &[(Node<'_, '_>, Pose)]) -> String {
     let mut edits: Vec<_> = changes
         .iter()
@@ -100,7 +97,7 @@ fn rewritten(text: &str, changes: &[(Node<'_, '_>, Pose)]) -> String {
             let tag = origin_tag(&origin.position, &origin.rotation);
             match child(*joint, "origin") {
                 Some(old) => (old.range(), tag),
-                // A joint has children, its links, so that the tag has a place before the first of them.
+                // Before the first child; a joint always has children, its links.
                 None => {
                     let at =
                         joint.first_element_child().map_or(joint.range().end, |first| first.range().start);
@@ -133,14 +130,13 @@ fn frames(geometry: &Geometry) -> [Pose; AXES] {
     })
 }
 
-/// The URDF's joints beside those of the nominal robot.
+/// The URDF's joints and those of the nominal robot.
 struct Placement<'a> {
     nominal: &'a [Pose; AXES],
     signs: [f64; AXES],
     joints: &'a [UrdfJoint<'a>],
 }
 
-/// How far an axis is from another.
 struct AxisDeviation {
     mm: f64,
     deg: f64,
@@ -159,7 +155,7 @@ impl Placement<'_> {
         self.nominal[at].rotation.column(2) * self.signs[at]
     }
 
-    /// How far the axis of a joint is from that of the nominal robot, with the root link at `root`.
+    /// Deviation of a joint's axis from the nominal robot's, with the root link at `root`.
     fn deviation(&self, root: &Pose, at: usize) -> AxisDeviation {
         let frame = root.then(&self.joint_frame(at));
         let z = self.direction(at);
@@ -171,8 +167,8 @@ impl Placement<'_> {
         }
     }
 
-    /// The root link in the robot base: a quarter turn without a shift where that fits, as the files of most makers
-    /// have it, and else the best fit of the six axes.
+    /// The root link in the robot base: a multiple of a quarter turn without a shift if one fits, as in the files of most
+    /// makers, else the best fit of the six axes.
     fn root(&self) -> Pose {
         let quarters = [0.0, 2.0, 1.0, 3.0]
             .map(|quarter| Pose { rotation: rot_z(quarter * FRAC_PI_2), position: Vector3::zeros() });
@@ -185,7 +181,7 @@ impl Placement<'_> {
         quarters.into_iter().find(fits).unwrap_or_else(|| self.fitted_root())
     }
 
-    /// Directions by Kabsch's rotation, then the shift that brings the joints' origins nearest to the axes.
+    /// Kabsch's rotation of the directions, then the shift that brings the joints' origins nearest to the axes.
     fn fitted_root(&self) -> Pose {
         let frames: Vec<Pose> = (0..AXES).map(|at| self.joint_frame(at)).collect();
         let covariance = (0..AXES).fold(Matrix3::zeros(), |sum, at| {
@@ -203,7 +199,7 @@ impl Placement<'_> {
         Pose { rotation, position }
     }
 
-    /// C_i: the joint's frame in the frame of the table, its axis made the frame's z.
+    /// C_i: the joint's frame in the frame of the table, with its axis turned to the frame's z.
     fn fixed_to_frame(&self, root: &Pose, at: usize) -> Pose {
         let apart = self.nominal[at].inverse().then(&root.then(&self.joint_frame(at)));
         let axis = apart.rotation * self.joints[at].axis;
@@ -214,7 +210,6 @@ impl Placement<'_> {
     }
 }
 
-/// The URDF as XML.
 struct Reader<'a> {
     file: &'a str,
     text: &'a str,
@@ -234,7 +229,7 @@ impl<'a> Reader<'a> {
     /// The joints from the root to this one.
     fn path(&self, joint: Node<'a, 'a>) -> Vec<Node<'a, 'a>> {
         let mut path = vec![joint];
-        // No path is longer than the file, so that a circle of links ends.
+        // A joint that is on the path already ends it: the links form a loop.
         while let Some(parent) = link(path[path.len() - 1], "parent")
             && let Some(before) = self.joints().find(|joint| link(*joint, "child") == Some(parent))
             && !path.contains(&before)
@@ -245,7 +240,7 @@ impl<'a> Reader<'a> {
         path
     }
 
-    /// The six joints of the arm: those that are named, or the first six of every chain.
+    /// The six joints of the arm: those with these names, or the first six of every chain.
     fn six(&self, names: &[String]) -> Result<Vec<UrdfJoint<'a>>, Diagnostic> {
         let root = self.document.root_element();
         if !root.has_tag_name("robot") {
@@ -318,7 +313,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Three numbers of an attribute, zeros where it is absent.
+    /// The three numbers of an attribute; zeros if it is absent.
     fn numbers(&self, node: Node<'_, '_>, attribute: &str) -> Result<Vector3<f64>, Diagnostic> {
         let Some(text) = node.attribute(attribute) else { return Ok(Vector3::zeros()) };
         let numbers: Option<Vec<f64>> = text
@@ -356,13 +351,13 @@ fn movable(joint: Node<'_, '_>) -> bool {
     kind(joint) != "fixed"
 }
 
-/// Where a path ends that has six movable joints.
+/// The end of a path after its sixth movable joint.
 fn sixth(path: &[Node<'_, '_>]) -> Option<usize> {
     path.iter().enumerate().filter(|(_, joint)| movable(**joint)).nth(AXES - 1).map(|(at, _)| at + 1)
 }
 
-/// What a rigid model such as a URDF cannot hold of a robot: how far its tool ball is moved by gear errors, compliance and
-/// the joints' errors without backlash, mm.
+/// What a rigid model such as a URDF leaves out of a robot: the displacement of its tool ball by gear errors, compliance and
+/// errors of joints without backlash, mm.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct LeftOut {
     pub mean_mm: f64,
@@ -370,7 +365,7 @@ pub struct LeftOut {
 }
 
 impl LeftOut {
-    /// Over poses (axis angles, rad); nothing where the robot is rigid.
+    /// Over poses (axis angles, rad); `None` for a rigid robot.
     pub fn of(geometry: &Geometry, poses: &[[f64; AXES]]) -> Option<Self> {
         let rigid = geometry.rigid();
         let moved: Vec<f64> = poses

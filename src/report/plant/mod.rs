@@ -1,4 +1,4 @@
-//! The pages of a plant: `dbbd archive serve`. Their templates take what the archive found.
+//! The pages of a plant: `dbbd archive serve`.
 
 use serde::Serialize;
 
@@ -6,7 +6,6 @@ use super::page::{Template, fill};
 use crate::diagnostic::Diagnostic;
 use crate::provenance::VERSION;
 
-/// The style of all pages of the plant.
 pub const STYLE: &str =
     concat!(include_str!("../plot.css"), include_str!("../page.css"), include_str!("plant.css"));
 /// The script of the page that asks for the token.
@@ -15,7 +14,6 @@ pub const SIGN_IN_JS: &str = include_str!("sign-in.js");
 const SHARED: [Template<'_>; 2] =
     [("plant.html", include_str!("plant.html")), ("plant_macros.html", include_str!("macros.html"))];
 
-/// A page of the plant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlantPage {
     Robots,
@@ -42,8 +40,6 @@ impl PlantPage {
         }
     }
 
-    /// # Errors
-    /// Only a fault of the template itself.
     pub fn html(self, page: &impl Serialize) -> Result<String, Diagnostic> {
         #[derive(Serialize)]
         struct Context<'a, T> {

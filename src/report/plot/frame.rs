@@ -1,4 +1,4 @@
-//! Two straight axes: the area within the picture, scales, grid, ticks and names.
+//! A plot with two straight axes: its area, scales, grid, ticks and names.
 
 use crate::report::scale::{Scale, Ticks};
 use crate::report::svg::{Anchor, Svg};
@@ -7,7 +7,9 @@ use crate::report::svg::{Anchor, Svg};
 pub(crate) const NARROW: f64 = 480.0;
 /// Width of a figure across the page, pixels.
 pub(crate) const WIDE: f64 = 990.0;
-/// Below the area: ticks and the name of the x axis, pixels.
+/// Size of a figure beside two others, pixels.
+pub(crate) const PANEL: [f64; 2] = [330.0, 230.0];
+/// Height of the ticks and the name of the x axis, pixels.
 const BELOW: f64 = 42.0;
 
 /// The area of a plot within a picture of this width, edges in pixels.
@@ -21,13 +23,13 @@ pub(super) struct Area {
 }
 
 impl Area {
-    /// With room for a title, a legend and labels in a picture of this size.
+    /// The area in a picture of this size, with room for title, legend and labels.
     pub(super) fn of([width, height]: [f64; 2]) -> Self {
         Self { width, left: 56.0, right: width - 14.0, top: 44.0, bottom: height - BELOW }
     }
 }
 
-/// The words of a plot; a screen reader says title and description.
+/// The texts of a plot; a screen reader reads title and description.
 pub(super) struct Labels<'a> {
     pub(super) title: &'a str,
     pub(super) description: &'a str,
@@ -63,7 +65,7 @@ impl Frame {
         Self { svg, x, y }
     }
 
-    /// The usual axes: lines across, marks below.
+    /// The usual axes: grid lines across, marks below.
     pub(super) fn axes(&mut self) {
         let [left, right] = self.x.pixels;
         let bottom = self.y.pixels[0];
@@ -84,7 +86,7 @@ impl Frame {
         }
     }
 
-    /// Lines across at the usual distance.
+    /// Grid lines across at the usual distance.
     pub(super) fn y_axis_lines(&mut self) {
         let [bottom, top] = self.y.pixels;
         self.y_axis(&Ticks::inside(self.y.values, ((bottom - top) / 30.0).max(2.0)), Grid::Lines);
@@ -117,8 +119,7 @@ impl Frame {
         self.svg.line(class, [x, self.y.pixels[0]], [x, self.y.pixels[1]]);
     }
 
-    /// The point of a pair of values, and none where the value is outside of the area.
-    #[cfg(feature = "archive")]
+    /// The point of a pair of values; NaN if the value is outside the area.
     pub(super) fn inside(&self, x: f64, y: f64) -> [f64; 2] {
         let [low, high] = self.y.values;
         if (low..=high).contains(&y) { self.at(x, y) } else { [f64::NAN; 2] }

@@ -3,15 +3,16 @@
 use super::frame::{Area, Frame, Grid, Labels, NARROW};
 use crate::estimation::result::MapPoint;
 use crate::report::scale::{Scale, Ticks, Unit, range, significant};
+use crate::report::scene::BallMark;
 use crate::report::svg::{Anchor, Svg};
 
 const AREA: Area = Area { width: NARROW, left: 56.0, right: 390.0, top: 30.0, bottom: 30.0 };
 const LEGEND: f64 = 404.0;
-/// Colours of the legend.
+/// Steps of the colour bar.
 const STEPS: u32 = 40;
 /// Cells along the longer side of a map.
 const CELLS: usize = 24;
-/// Dark blue to yellow through grey: even steps of lightness, the same for every kind of sight.
+/// Dark blue to yellow through grey: lightness in even steps, also for colour-blind readers.
 const COLOURS: [[f64; 3]; 5] = [
     [0.0, 34.0, 78.0],
     [66.0, 78.0, 107.0],
@@ -28,11 +29,9 @@ pub struct HeatMap {
     pub axis_names: [String; 2],
     /// First and last edge of the grid along x and along y.
     pub extent: [[f64; 2]; 2],
-    /// Number of cells along x.
     pub columns: usize,
-    /// Row by row from the lowest y; not finite where there is none.
+    /// Row by row from the lowest y; not finite in an empty cell.
     pub values_mm: Vec<f64>,
-    /// What is drawn over it.
     pub overlay: Overlay,
 }
 
@@ -45,35 +44,36 @@ pub struct Overlay {
 }
 
 impl HeatMap {
-    /// The predicted position uncertainty with the arm and the base balls in it.
-    pub(crate) fn of_uncertainty(
-        found: &[MapPoint],
-        arm: &[[f64; 3]],
-        balls: &[(String, [f64; 3])],
-    ) -> Vec<Self> {
-        let mut maps = Self::of_positions("Predicted position uncertainty", found);
+    /// Maps of the predicted position uncertainty with the arm and the base balls.
+    pub(crate) fn of_uncertainty(points: &[MapPoint], arm: &[[f64; 3]], balls: &[BallMark]) -> Vec<String> {
+        let mut maps = Self::binned_from_two_sides("Predicted position uncertainty", points);
         let projections = [|[x, y, _]: [f64; 3]| [x, y], |[x, y, z]: [f64; 3]| [x.hypot(y), z]];
         for (map, project) in maps.iter_mut().zip(projections) {
             map.overlay = Overlay {
                 arm: arm.iter().map(|joint| project(*joint)).collect(),
-                balls: balls.iter().map(|(name, at)| (name.clone(), project(*at))).collect(),
+                balls: balls.iter().map(|ball| (ball.name(), project(ball.at))).collect(),
             };
         }
-        maps
+        maps.iter().map(Self::to_svg).collect()
     }
 
-    /// A quantity of the position, such as its predicted uncertainty, seen from above and from the side.
-    pub(crate) fn of_positions(quantity: &str, found: &[MapPoint]) -> Vec<Self> {
-        let above = found.iter().map(|point| (point.position.xy().into(), point.rms_mm)).collect();
+    /// Maps of a quantity of the position.
+    pub(crate) fn of_positions(quantity: &str, points: &[MapPoint]) -> Vec<String> {
+        Self::binned_from_two_sides(quantity, points).iter().map(Self::to_svg).collect()
+    }
+
+    /// From above and from the side.
+    fn binned_from_two_sides(quantity: &str, points: &[MapPoint]) -> Vec<Self> {
+        let above = points.iter().map(|point| (point.position.xy().into(), point.rms_mm)).collect();
         let from_axis_1 = |point: &MapPoint| [point.position.xy().norm(), point.position.z];
-        let side = found.iter().map(|point| (from_axis_1(point), point.rms_mm)).collect();
-        let title = |from: &str| format!("{quantity}, {from}");
-        let from_above = Self::binned(title("from above"), ["X (mm)", "Y (mm)"], above);
-        let from_side = Self::binned(title("from the side"), ["distance from axis 1 (mm)", "Z (mm)"], side);
-        [from_above, from_side].into_iter().flatten().collect()
+        let side = points.iter().map(|point| (from_axis_1(point), point.rms_mm)).collect();
+        let above = Self::binned(format!("{quantity}, from above"), ["X (mm)", "Y (mm)"], above);
+        let names = ["distance from axis 1 (mm)", "Z (mm)"];
+        let side = Self::binned(format!("{quantity}, from the side"), names, side);
+        [above, side].into_iter().flatten().collect()
     }
 
-    /// The root mean square of the values in each cell of a grid; none where all places are one.
+    /// The root mean square of the values in each cell of a grid; `None` if all places are the same.
     fn binned(title: String, names: [&str; 2], places: Vec<([f64; 2], f64)>) -> Option<Self> {
         let ends = [0, 1].map(|axis| {
             let values = places.iter().map(|(place, _)| place[axis]);
@@ -137,12 +137,11 @@ impl HeatMap {
     }
 
     fn overlay(&self, frame: &mut Frame) {
-        let place = |frame: &Frame, [x, y]: [f64; 2]| frame.at(x, y);
-        let arm: Vec<[f64; 2]> = self.overlay.arm.iter().map(|joint| place(frame, *joint)).collect();
+        let arm: Vec<[f64; 2]> = self.overlay.arm.iter().map(|[x, y]| frame.at(*x, *y)).collect();
         ["arm", "arm-core"].into_iter().for_each(|class| frame.svg.path(class, &arm, false));
         arm.into_iter().for_each(|joint| frame.svg.circle("joint", joint, 2.6, ""));
-        for (name, ball) in &self.overlay.balls {
-            let [x, y] = place(frame, *ball);
+        for (name, [x, y]) in &self.overlay.balls {
+            let [x, y] = frame.at(*x, *y);
             frame.svg.circle("d-ball", [x, y], 5.0, name);
             frame.svg.text("halo", [x + 7.0, y - 7.0], Anchor::Start, name);
         }
@@ -159,20 +158,19 @@ impl HeatMap {
             let corner = [left + size[0] * column as f64, bottom - size[1] * (row + 1) as f64];
             let value = value * unit.factor;
             let tip = format!("{} {}", significant(value, 3), unit.sign);
-            // Each over the one before: edges rounded to a pixel leave no gap.
+            // Cells overlap, so that edges rounded to a pixel leave no gap.
             let size = size.map(|side| side + 0.6);
             frame.svg.cell(&colour((value - scale[0]) / (scale[1] - scale[0])), corner, size, &tip);
         }
     }
 }
 
-/// The legend: a column of all colours with their values.
 fn colours(svg: &mut Svg, scale: &Scale) {
     let [bottom, top] = scale.pixels;
     let height = (bottom - top) / f64::from(STEPS);
     for part in 0..STEPS {
         let at = [LEGEND, bottom - height * f64::from(part + 1)];
-        // Each over the one below: edges rounded to a pixel leave no gap.
+        // Steps overlap, so that edges rounded to a pixel leave no gap.
         let overlap = if part > 0 { 0.6 } else { 0.0 };
         svg.cell(&colour(f64::from(part) / f64::from(STEPS - 1)), at, [14.0, height + overlap], "");
     }

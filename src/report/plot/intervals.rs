@@ -18,7 +18,7 @@ pub(crate) struct Intervals {
     pub(crate) tolerance: Option<f64>,
 }
 
-/// A value with half of its interval, in its own unit.
+/// A value with the half width of its interval, in its own unit.
 pub(crate) struct Interval {
     pub(crate) name: String,
     pub(crate) value: f64,
@@ -26,26 +26,21 @@ pub(crate) struct Interval {
 }
 
 impl Intervals {
-    /// None where there is no value. The values set the scale, and an interval that is wider runs to the edge.
+    /// `None` without a value. The values set the scale; a wider interval ends at the edge.
     pub(crate) fn to_svg(&self) -> Option<String> {
         if self.rows.is_empty() {
             return None;
         }
         let factor = self.unit.factor;
-        let shown = |row: &Interval| Interval {
-            name: row.name.clone(),
-            value: row.value * factor,
-            half_width: row.half_width * factor,
-        };
-        let rows: Vec<Interval> = self.rows.iter().map(shown).collect();
         let tolerance = self.tolerance.map(|width| width * factor);
         let tolerance = tolerance.filter(|width| width.is_finite() && *width > 0.0);
-        let ends = rows.iter().flat_map(|row| {
-            let half = row.half_width.min(3.0 * row.value.abs());
-            [row.value - half, row.value + half]
+        let ends = self.rows.iter().flat_map(|row| {
+            let (value, half) = (row.value * factor, row.half_width * factor);
+            let half = half.min(3.0 * value.abs());
+            [value - half, value + half]
         });
         let most = 1.06 * magnitude(ends.chain(tolerance));
-        let bottom = TOP + ROW * rows.len() as f64 + 4.0;
+        let bottom = TOP + ROW * self.rows.len() as f64 + 4.0;
         let area = Area { width: NARROW, left: 104.0, right: 466.0, top: TOP, bottom };
         let labels = Labels {
             title: &self.title,
@@ -53,7 +48,7 @@ impl Intervals {
             x: &format!("({})", self.unit.sign),
             y: "",
         };
-        let mut frame = Frame::new(area, &labels, [-most, most], [rows.len() as f64 + 4.0 / ROW, 0.0]);
+        let mut frame = Frame::new(area, &labels, [-most, most], [self.rows.len() as f64 + 4.0 / ROW, 0.0]);
         let mut legend = Legend::new(34.0);
         if let Some(width) = tolerance {
             frame.svg.rect("band", [frame.x.at(-width), TOP], [frame.x.at(width), bottom], "");
@@ -62,14 +57,15 @@ impl Intervals {
         legend.add(&mut frame.svg, Key::Interval, "value, 95 % interval");
         frame.x_axis(&Ticks::inside([-most, most], 6.0), Grid::Lines);
         frame.upright("zero", 0.0);
-        for (number, row) in rows.iter().enumerate() {
+        for (number, row) in self.rows.iter().enumerate() {
             self.draw(&mut frame, number, row);
         }
         Some(frame.svg.finish())
     }
 
     fn draw(&self, frame: &mut Frame, number: usize, row: &Interval) {
-        let &Interval { ref name, value, half_width } = row;
+        let (name, factor) = (&row.name, self.unit.factor);
+        let (value, half_width) = (row.value * factor, row.half_width * factor);
         let [left, right] = frame.x.pixels;
         let [x, y] = frame.at(value, number as f64 + 0.5);
         let [low, high] =

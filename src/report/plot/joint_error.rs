@@ -1,18 +1,15 @@
-//! The error of a joint over its axis, with its band and the angles that were measured.
+//! The error of a joint against its angle, with its 95 % band and the measured angles.
 
 use super::frame::{Area, Frame, Labels};
 use super::{Key, Legend, Series};
 use crate::estimation::JointPoint;
-use crate::report::scale::{Unit, magnitude};
+use crate::report::scale::{COVERAGE, Unit, magnitude, range};
 
 const SIZE: [f64; 2] = [480.0, 250.0];
-/// Half of a 95 % interval in standard deviations.
-const BAND: f64 = 1.96;
 
-/// The error of axis `axis` (from 0), about its mean; `measured_deg` are the poses' angles.
+/// The error of axis `axis` (from 0) about its mean; `measured_deg` are the angles of the poses.
 pub(crate) fn joint_error(axis: usize, curve: &[JointPoint], measured_deg: &[f64]) -> String {
-    let within = measured_deg.iter().copied();
-    let [low, high] = crate::report::scale::range(within);
+    let [low, high] = range(measured_deg.iter().copied());
     let seen: Vec<&JointPoint> =
         curve.iter().filter(|point| point.angle_deg >= low - 5.0 && point.angle_deg <= high + 5.0).collect();
     let middle = |point: &JointPoint| 0.5 * (point.rising + point.falling);
@@ -32,8 +29,9 @@ pub(crate) fn joint_error(axis: usize, curve: &[JointPoint], measured_deg: &[f64
     let at = |frame: &Frame, angle: f64, value: f64| {
         frame.at(angle, ((value - mean) * unit.factor).clamp(-top, top))
     };
-    let edge =
-        |side: f64| seen.iter().map(move |point| (point.angle_deg, middle(point) + side * BAND * point.sd));
+    let edge = |side: f64| {
+        seen.iter().map(move |point| (point.angle_deg, middle(point) + side * COVERAGE * point.sd))
+    };
     let band: Vec<[f64; 2]> =
         edge(1.0).chain(edge(-1.0).rev()).map(|(angle, value)| at(&frame, angle, value)).collect();
     frame.svg.path("band", &band, true);

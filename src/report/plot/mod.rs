@@ -1,32 +1,23 @@
 //! The plots: typed data drawn as SVG texts.
 
-mod against_axis;
-#[cfg(feature = "archive")]
-mod drift;
 mod frame;
 mod heat_map;
-mod histogram;
 mod intervals;
 mod joint_error;
 mod polar;
 mod residuals;
-mod thinning;
 mod trace;
 mod trend;
 mod view;
 
-pub(super) use against_axis::against_axis;
-#[cfg(feature = "archive")]
-pub use drift::{Drift, DriftLine, DriftPoint};
-pub(super) use frame::{NARROW, WIDE};
+pub(super) use frame::{NARROW, PANEL, WIDE};
 pub use heat_map::{HeatMap, Overlay};
-pub(super) use histogram::histogram;
 pub(super) use intervals::{Interval, Intervals};
 pub(super) use joint_error::joint_error;
 pub use polar::{PolarPlot, PolarTrace};
-pub(super) use residuals::{ResidualPoint, Shown, residuals};
+pub(super) use residuals::{ResidualPoint, ResidualSet, against_axis, histogram, residuals};
 pub(super) use trace::Trace;
-pub(super) use trend::TrendPlot;
+pub(crate) use trend::{Time, TrendLine, TrendPlot, TrendPoint};
 pub(super) use view::{Projection, View};
 
 use super::svg::{Anchor, Svg};
@@ -43,31 +34,29 @@ pub enum Series {
 }
 
 impl Series {
-    fn line(self) -> &'static str {
+    /// The classes of `plot.css` for lines, dots and bars.
+    fn classes(self) -> [&'static str; 3] {
         match self {
-            Self::First => "l-before",
-            Self::Second => "l-after",
-            Self::Third => "l-third",
+            Self::First => ["l-before", "d-before", "f-before"],
+            Self::Second => ["l-after", "d-after", "f-after"],
+            Self::Third => ["l-third", "d-third", "f-after"],
         }
+    }
+
+    fn line(self) -> &'static str {
+        self.classes()[0]
     }
 
     fn dot(self) -> &'static str {
-        match self {
-            Self::First => "d-before",
-            Self::Second => "d-after",
-            Self::Third => "d-third",
-        }
+        self.classes()[1]
     }
 
     fn bar(self) -> &'static str {
-        match self {
-            Self::First => "f-before",
-            Self::Second | Self::Third => "f-after",
-        }
+        self.classes()[2]
     }
 }
 
-/// What is before a name in a legend.
+/// The symbol before a name in a legend.
 #[derive(Clone, Copy)]
 enum Key {
     Dot(Series),
@@ -76,7 +65,7 @@ enum Key {
     Interval,
 }
 
-/// Names with their keys, from left to right.
+/// Names with their symbols, from left to right.
 struct Legend {
     x: f64,
     baseline: f64,

@@ -1,4 +1,4 @@
-//! Radial deviation against the angle on the circle, magnified: the ball-bar's own picture.
+//! The polar plot of a circular test: radial deviation against the angle on the circle, magnified.
 
 use super::frame::NARROW;
 use super::{Key, Legend, Series};
@@ -10,38 +10,36 @@ const CENTRE: [f64; 2] = [240.0, 258.0];
 /// Radius of the outermost ring and of the ring of no deviation, pixels.
 const OUTER: f64 = 192.0;
 const ZERO: f64 = 108.0;
-/// Neighbours further apart than this are not joined, degrees.
+/// Neighbours farther apart than this are not joined, degrees.
 const GAP_DEG: f64 = 40.0;
-/// Above this number of points the dots would hide the line.
+/// With more points than this the dots would hide the line.
 const MOST_DOTS: usize = 400;
-/// Marks nearer to each other than this share one word, degrees.
+/// Marks closer together than this share a label, degrees.
 const APART_DEG: f64 = 6.0;
-/// Half of the room of the name at each quarter, degrees.
+/// Half width of the label at each quarter, degrees.
 const NAME_DEG: f64 = 8.0;
 
 /// A polar plot of radial deviations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolarPlot {
     pub title: String,
-    /// Nominal radius, mm; with it the magnification is stated.
+    /// Nominal radius, mm, from which the magnification is computed.
     pub radius_mm: Option<f64>,
-    /// Drawn in order.
     pub traces: Vec<PolarTrace>,
-    /// Ticks on the outermost ring: angle (degrees) and a short word.
+    /// Ticks on the outermost ring: angle (degrees) and label.
     pub marks: Vec<(f64, String)>,
 }
 
 /// One trace: a direction, or the state before or after.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolarTrace {
-    /// Its name in the legend.
     pub name: String,
     pub series: Series,
     /// Angle on the circle (degrees) and deviation (mm, outward positive), in any order.
     pub points: Vec<[f64; 2]>,
 }
 
-/// The rings about the one of no deviation.
+/// The rings about the ring of zero deviation.
 struct Rings {
     unit: Unit,
     /// Between two rings, in the unit.
@@ -61,7 +59,7 @@ impl Rings {
         Self { unit, spacing, count: count as i32, px_per_unit: (OUTER - ZERO) / (count * spacing) }
     }
 
-    /// In pixels, of a deviation in the unit.
+    /// The radius of a deviation (in the unit), pixels.
     fn radius(&self, deviation: f64) -> f64 {
         ZERO + deviation * self.px_per_unit
     }
@@ -120,7 +118,7 @@ impl PolarTrace {
             .collect();
         points.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let place = |&[angle, deviation]: &[f64; 2]| polar(angle, rings.radius(deviation).max(0.0));
-        // Under dots the line only leads the eye.
+        // Under dots the line is pale.
         let dots = points.len() <= MOST_DOTS;
         let class = format!("{}{}", self.series.line(), if dots { " web" } else { "" });
         let near = |from: &[f64; 2], to: &[f64; 2]| to[0] - from[0] <= GAP_DEG;
@@ -177,7 +175,7 @@ fn ring_labels(svg: &mut Svg, rings: &Rings) {
     }
 }
 
-/// Ticks across the outermost ring, with their words outside.
+/// Ticks across the outermost ring, with their labels outside.
 fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
     let mut sorted: Vec<(f64, &str)> =
         marks.iter().map(|(angle, word)| (angle.rem_euclid(360.0), word.as_str())).collect();
@@ -193,7 +191,7 @@ fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
     for (angle, mut words) in groups {
         words.sort_unstable();
         words.dedup();
-        // Beside the degrees of the quarters, not on them.
+        // Beside the labels of the quarters, not on them.
         let off = (angle + 45.0).rem_euclid(90.0) - 45.0;
         let beside = if off.abs() < NAME_DEG { NAME_DEG.copysign(off) - off } else { 1.0 };
         let [x, y] = polar(angle + beside, OUTER + 15.0);

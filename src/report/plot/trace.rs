@@ -15,9 +15,8 @@ pub(crate) struct Trace<'a> {
     pub(crate) y_name: &'a str,
     pub(crate) rows: &'a [PlanRow],
     pub(crate) value: &'a dyn Fn(&PlanRow) -> f64,
-    /// Lowest and highest value allowed; they are in the picture even where the line stays far from them.
+    /// Lowest and highest value allowed, always inside the picture.
     pub(crate) limits: [f64; 2],
-    /// Distance that is kept from the limits.
     pub(crate) margin: f64,
 }
 

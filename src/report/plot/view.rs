@@ -4,6 +4,7 @@ use super::frame::{Area, Frame, Grid, Labels, NARROW};
 use crate::measurement::Kind;
 use crate::plan::PlanRow;
 use crate::report::scale::{Scale, Ticks, range};
+use crate::report::scene::BallMark;
 use crate::report::svg::Anchor;
 
 const LEFT: f64 = 60.0;
@@ -12,7 +13,6 @@ const TOP: f64 = 30.0;
 /// Tallest plot area, pixels.
 const TALL: f64 = 400.0;
 
-/// From where one looks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Projection {
     /// From above: X to the right, Y up.
@@ -38,13 +38,11 @@ impl Projection {
 /// The cell in the robot base, mm.
 pub(crate) struct View<'a> {
     pub(crate) title: &'a str,
-    /// Base balls: name and centre.
-    pub(crate) balls: &'a [(String, [f64; 3])],
-    /// The path in order.
+    pub(crate) balls: &'a [BallMark],
     pub(crate) rows: &'a [PlanRow],
     /// Polylines through the robot's joints, base first.
     pub(crate) skeletons: &'a [Vec<[f64; 3]>],
-    /// Edges of the obstacles; what is outside of the rest is cut.
+    /// Edges of the obstacles, clipped to the extent of the rest.
     pub(crate) obstacles: &'a [Vec<[f64; 3]>],
 }
 
@@ -105,18 +103,18 @@ impl View<'_> {
         for (_, at) in self.rows.iter().zip(path).filter(|(row, _)| row.kind != Kind::Transit) {
             frame.svg.circle("d-after", at, 1.8, "");
         }
-        for (name, centre) in self.balls {
-            let [x, y] = place(&frame, centre);
-            frame.svg.circle("d-ball", [x, y], 5.0, name);
-            frame.svg.text("halo", [x + 7.0, y - 8.0], Anchor::Start, name);
+        for ball in self.balls {
+            let (name, [x, y]) = (ball.name(), place(&frame, &ball.at));
+            frame.svg.circle("d-ball", [x, y], 5.0, &name);
+            frame.svg.text("halo", [x + 7.0, y - 8.0], Anchor::Start, &name);
         }
         frame.svg.finish()
     }
 
-    /// Both hold everything, at the same mm per pixel.
+    /// Scales that contain everything, with the same mm per pixel.
     fn scales(&self, axes: [usize; 2]) -> [Scale; 2] {
         let everything = || {
-            let balls = self.balls.iter().map(|(_, centre)| centre);
+            let balls = self.balls.iter().map(|ball| &ball.at);
             balls.chain(self.rows.iter().map(|row| &row.xyz_mm)).chain(self.skeletons.iter().flatten())
         };
         let [[x0, x1], [y0, y1]] = axes.map(|axis| {

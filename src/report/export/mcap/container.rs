@@ -1,5 +1,4 @@
-//! The container of MCAP (<https://mcap.dev/spec>): chunks that are not compressed, their indexes, attachments, a summary,
-//! and checksums of them all.
+//! The MCAP container (<https://mcap.dev/spec>): uncompressed chunks with their indexes, attachments, a summary, checksums.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -8,11 +7,11 @@ use std::mem;
 use crc::{CRC_32_ISO_HDLC, Crc, Digest, Table};
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
-/// A chunk that is longer ends before the next message, bytes.
+/// A chunk ends before the next message if it is longer than this, bytes.
 const CHUNK: usize = 1 << 20;
 static CRC_32: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
-/// The first byte of a record.
+/// The opcode of a record.
 #[derive(Clone, Copy)]
 enum Kind {
     Header = 0x01,
@@ -30,7 +29,7 @@ enum Kind {
     DataEnd = 0x0F,
 }
 
-/// Fields of a record, one after the other.
+/// The serialised fields of a record.
 #[derive(Default)]
 struct Fields(Vec<u8>);
 
@@ -50,7 +49,7 @@ impl Fields {
         self
     }
 
-    /// Bytes behind their number.
+    /// Bytes after their count.
     fn bytes(self, bytes: &[u8]) -> Self {
         let mut fields = self.u32(bytes.len() as u32);
         fields.0.extend(bytes);
@@ -96,11 +95,11 @@ impl Span {
 struct Chunk {
     records: Vec<u8>,
     span: Span,
-    /// Of each channel, the time of each message and its place in the records.
+    /// For each channel the time of each message and its offset in the records.
     indexes: BTreeMap<u16, Fields>,
 }
 
-/// Records of the summary of one kind.
+/// Records of one kind for the summary.
 #[derive(Default)]
 struct Group {
     records: Vec<u8>,
@@ -114,7 +113,6 @@ impl Group {
     }
 }
 
-/// What is attached to a file.
 pub(super) struct Attachment<'a> {
     pub(super) at_ns: u64,
     pub(super) name: &'a str,
@@ -163,7 +161,7 @@ impl<W: Write> Container<W> {
         self.to.write_all(bytes)
     }
 
-    /// Adds a channel of JSON with the JSON Schema of its messages; its number.
+    /// Adds a channel of JSON messages with their JSON Schema; returns its number.
     pub(super) fn add_channel(&mut self, topic: &str, schema_name: &str, schema: &[u8]) -> u16 {
         let id = self.channels.count as u16 + 1;
         let schema = Fields::default().u16(id).text(schema_name).text("jsonschema").bytes(schema);
@@ -257,7 +255,7 @@ impl<W: Write> Container<W> {
         }
         let offsets_begin = begin + summary.len() as u64;
         summary.extend(offsets);
-        // The checksum covers the footer as far as itself.
+        // The checksum covers the footer up to the checksum itself.
         let footer = Fields::default().u64(begin).u64(offsets_begin).u32(0).record(Kind::Footer);
         summary.extend(&footer[..footer.len() - 4]);
         let check = CRC_32.checksum(&summary);

@@ -1,8 +1,8 @@
 //! A capture as MCAP, the log format that Foxglove, Python's `mcap` and the tools of ROS read.
 //!
-//! Channels `raw`, `samples`, `faults`, `events`, `gaps`, `axes`, each message a JSON object with `host_ns`, the
-//! capture's own time; a message's log time is that on the wall clock at which the run began. The
-//! capture's attachments are the file's. Chunks are not compressed and carry checksums.
+//! Channels `raw`, `samples`, `faults`, `events`, `gaps`, `axes`; each message is a JSON object with `host_ns`, the capture's
+//! own time. Log times are on the wall clock at the beginning of the run. The attachments of the capture are copied.
+//! Chunks are not compressed and have checksums.
 
 mod container;
 
@@ -21,7 +21,7 @@ use crate::recording::capture::{Event, Record, Stamped};
 /// Names of the channels, in the order of their counts.
 pub const CHANNELS: [&str; 6] = ["raw", "samples", "faults", "events", "gaps", "axes"];
 
-/// A channel: its place among [`CHANNELS`].
+/// An index of [`CHANNELS`].
 #[derive(Clone, Copy)]
 enum Channel {
     Raw,
@@ -37,16 +37,12 @@ pub struct McapFile<W> {
     file: Container<W>,
     channels: [u16; CHANNELS.len()],
     counts: [u32; CHANNELS.len()],
-    /// Host time and wall clock (ns since the Unix epoch) of the run's beginning.
+    /// Host time and wall clock (ns since the Unix epoch) at the beginning of the run.
     began: Option<(HostNs, u64)>,
     axes: AxesRecords,
 }
 
 impl<W: Write> McapFile<W> {
-    /// Begins a file.
-    ///
-    /// # Errors
-    /// When it cannot be written.
     pub fn new(to: W) -> Result<Self, Diagnostic> {
         let library = concat!("dbbd ", env!("CARGO_PKG_VERSION"));
         let mut file = Container::new(to, library).map_err(unwritable)?;
@@ -54,10 +50,7 @@ impl<W: Write> McapFile<W> {
         Ok(Self { file, channels, counts: [0; CHANNELS.len()], began: None, axes: AxesRecords::default() })
     }
 
-    /// Appends a record of the capture.
-    ///
-    /// # Errors
-    /// When the file cannot be written, or a record that must hold JSON does not.
+    /// Appends a record of the capture; an error also if a record that must be JSON is not.
     pub fn add(&mut self, stamped: &Stamped) -> Result<(), Diagnostic> {
         let host = stamped.host;
         let mut axes = Vec::new();
@@ -96,10 +89,7 @@ impl<W: Write> McapFile<W> {
         }
     }
 
-    /// Ends the file; how many messages each of [`CHANNELS`] has.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
+    /// Ends the file; the number of messages in each of [`CHANNELS`].
     pub fn finish(self) -> Result<[u32; CHANNELS.len()], Diagnostic> {
         self.file.finish().map_err(unwritable)?;
         Ok(self.counts)
