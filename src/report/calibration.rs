@@ -12,7 +12,7 @@ use super::plot::{
     HeatMap, PolarPlot, PolarTrace, ResidualPoint, ResidualSet, Series, against_axis, histogram, joint_error,
     residuals,
 };
-use super::scene::{BallMark, Posed, Scene, skeleton};
+use super::scene::{BallMark, Scene, ScenePose, skeleton};
 use crate::conformity::{Budget, BudgetLine};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::result::Recommendation;
@@ -154,11 +154,11 @@ fn balls(found: &CalibrationResult) -> Vec<BallMark> {
 }
 
 fn scene(found: &CalibrationResult, points: &[ResidualPoint]) -> Scene {
-    let posed = points.iter().filter(|point| !point.outlier).filter_map(|point| {
-        let (index, axes_deg, residual_mm) = (point.index, point.axes_deg, Some(point.after_mm));
-        Some(Posed { index, ball: point.datum.ball()?.number(), axes_deg, residual_mm })
+    let poses = points.iter().filter(|point| !point.outlier).filter_map(|point| {
+        let ball = point.datum.ball()?.number();
+        Some(ScenePose::new(&found.robot, point.index, ball, &point.axes_deg, Some(point.after_mm)))
     });
-    Scene::new(&found.robot, &balls(found), &posed.collect::<Vec<_>>(), &[])
+    Scene::new(&balls(found), poses.collect(), &[])
 }
 
 /// For each circle: before and after on one scale, and after alone on its own.

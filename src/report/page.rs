@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_template_that_does_not_fit_is_a_finding() {
+    fn a_template_error_is_a_finding() {
         let wrong = render("wrong.html", "{{ page.no_such_field }}", &[0]);
         assert_eq!(wrong.unwrap_err().code.0, "E1701");
     }

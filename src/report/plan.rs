@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::page::render;
 use super::plot::{HeatMap, NARROW, Projection, Trace, View, WIDE};
 use super::scale::plain;
-use super::scene::{BallMark, Posed, Scene, skeleton, wireframe};
+use super::scene::{BallMark, Scene, ScenePose, skeleton, wireframe};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::result::MapPoint;
 use crate::measurement::Kind;
@@ -142,10 +142,8 @@ fn balls(plan: &Plan) -> Vec<BallMark> {
 
 fn scene(plan: &Plan, robot: &Robot) -> Scene {
     let measured = plan.rows.iter().filter(|row| row.kind == Kind::Measure);
-    let poses: Vec<Posed> = measured
-        .map(|row| Posed { index: row.index, ball: row.centre, axes_deg: row.axes_deg, residual_mm: None })
-        .collect();
-    Scene::new(robot, &balls(plan), &poses, &plan.header.job.obstacles)
+    let poses = measured.map(|row| ScenePose::new(robot, row.index, row.centre, &row.axes_deg, None));
+    Scene::new(&balls(plan), poses.collect(), &plan.header.job.obstacles)
 }
 
 /// The robot as lines at a few of the poses.

@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_read_as_a_metrologist_writes_them() {
+    fn numbers_are_formatted_for_readers() {
         assert_eq!(fixed(-0.0004, 2), "0.00");
         assert_eq!(fixed(f64::NAN, 2), "–");
         assert_eq!(significant(0.041234, 3), "0.0412");

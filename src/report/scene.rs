@@ -37,35 +37,23 @@ impl BallMark {
 }
 
 #[derive(Serialize)]
-struct ScenePose {
+pub(super) struct ScenePose {
     ball: u32,
     at: [f64; 3],
     arm: Vec<[f64; 3]>,
+    /// Residual, mm.
     value: Option<f64>,
     text: String,
 }
 
-pub(super) struct Posed {
-    pub(super) index: u32,
-    pub(super) ball: u32,
-    pub(super) axes_deg: [f64; AXES],
-    pub(super) residual_mm: Option<f64>,
-}
-
 impl Scene {
-    pub(super) fn new(
-        robot: &Robot,
-        balls: &[BallMark],
-        poses: &[Posed],
-        obstacles: &[ObstacleTable],
-    ) -> Self {
+    pub(super) fn new(balls: &[BallMark], poses: Vec<ScenePose>, obstacles: &[ObstacleTable]) -> Self {
         let stride = poses.len().div_ceil(MOST_POSES).max(1);
-        let residuals = poses.iter().filter_map(|pose| pose.residual_mm).map(f64::abs);
-        let largest = residuals.filter(|size| size.is_finite()).fold(0.0, f64::max);
+        let largest = poses.iter().filter_map(|pose| pose.value).map(f64::abs).fold(0.0, f64::max);
         Self {
             obstacles: obstacles.iter().flat_map(|one| wireframe(one, balls)).map(rounded).collect(),
             balls: balls.iter().map(|ball| BallMark { at: ball.at.map(f64::round), ..*ball }).collect(),
-            poses: poses.iter().step_by(stride).map(|pose| ScenePose::of(robot, pose)).collect(),
+            poses: poses.into_iter().step_by(stride).collect(),
             largest: if largest > 0.0 { largest } else { 1.0 },
         }
     }
@@ -77,17 +65,19 @@ impl Scene {
 }
 
 impl ScenePose {
-    fn of(robot: &Robot, pose: &Posed) -> Self {
-        let arm = rounded(skeleton(robot, &pose.axes_deg));
-        let value = pose.residual_mm.filter(|mm| mm.is_finite());
+    /// The arm at axis angles in degrees, with the residual of the length in mm.
+    pub(super) fn new(
+        robot: &Robot,
+        index: u32,
+        ball: u32,
+        axes_deg: &[f64; AXES],
+        residual_mm: Option<f64>,
+    ) -> Self {
+        let arm = rounded(skeleton(robot, axes_deg));
+        let value = residual_mm.filter(|mm| mm.is_finite());
         let residual = value.map_or_else(String::new, |mm| format!(": {:+.1} µm", 1e3 * mm));
-        Self {
-            ball: pose.ball,
-            at: arm.last().copied().unwrap_or_default(),
-            arm,
-            value,
-            text: format!("pose {}, ball {}{residual}", pose.index, pose.ball),
-        }
+        let text = format!("pose {index}, ball {ball}{residual}");
+        Self { ball, at: arm.last().copied().unwrap_or_default(), arm, value, text }
     }
 }
 

@@ -90,7 +90,7 @@ fn the_budget_adds_up_and_follows_its_sources() {
 }
 
 #[test]
-fn three_forms_state_the_result() {
+fn html_dcc_and_pdf_state_the_result() {
     let dir = cell();
     let at = dir.path();
     let mut result = identify(at, "result", &["--estimate", "a1-3,bar", "--prior", "none"]);

@@ -24,7 +24,7 @@ fn paths(value: &Value, found: &mut Vec<String>) {
 }
 
 #[test]
-fn the_layout_asks_for_what_the_export_has() {
+fn the_layout_uses_channels_of_the_export() {
     let dir = tempdir().unwrap();
     let path = dir.path().join("empty.mcap");
     McapFile::new(File::create(&path).unwrap()).unwrap().finish().unwrap();

@@ -155,7 +155,7 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 }
 
 #[test]
-fn a_taught_ball_and_a_tool_that_are_elsewhere_are_refused() {
+fn a_taught_ball_or_tool_at_another_place_is_refused() {
     let robot = Robot::by_name("kr60ha").unwrap().unwrap();
     for (from, to, code) in ELSEWHERE {
         assert!(EXAMPLES[3].1.contains(from));

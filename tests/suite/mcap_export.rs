@@ -48,7 +48,7 @@ fn written_again(file: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn the_formats_own_library_writes_the_same_file() {
+fn the_mcap_library_writes_the_same_file() {
     let empty = exported([]);
     assert_eq!(empty, written_again(&empty));
 

@@ -226,7 +226,7 @@ fn taught_deg(plan: &std::path::Path) -> serde_json::Value {
 /// A robot of 1 mm and 0.1 degrees and a short stroke: what the plan prints to teach may be entered; left out, the
 /// lengths carry it; the simulator has the robot of the plan.
 #[test]
-fn what_was_taught_only_widens_what_is_safe() {
+fn teaching_a_ball_never_bars_poses() {
     use crate::cell::{codes, dbbd, stderr};
     let dir = tempfile::tempdir().unwrap();
     let at = dir.path();

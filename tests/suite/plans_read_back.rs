@@ -134,7 +134,7 @@ fn both_directions_pass_every_point_twice() {
 }
 
 #[test]
-fn the_verb_writes_the_pair_and_an_identified_robot_is_commanded_through_its_nominal_one() {
+fn the_command_writes_the_pair_and_commands_an_identified_robot_through_its_nominal_one() {
     let dir = tempfile::tempdir().unwrap();
     let job = format!("{}/examples/seed-experiment.toml", env!("CARGO_MANIFEST_DIR"));
     let mut identified = Robot::by_name("kr60ha").unwrap().unwrap();

@@ -145,7 +145,7 @@ fn the_flange_is_where_the_model_has_it() {
 }
 
 #[test]
-fn what_is_no_urdf_of_this_robot_is_refused() {
+fn a_urdf_of_another_robot_is_refused() {
     let dir = tempdir().unwrap();
     let good = users(&kr60(), pose([0.0; 3], [0.0; 3]), 1).text;
     fs::write(dir.path().join("robot.toml"), identified().to_toml().unwrap()).unwrap();
@@ -186,7 +186,7 @@ fn what_is_no_urdf_of_this_robot_is_refused() {
 
 /// A compliant robot: what a URDF leaves out is said in millimetres.
 #[test]
-fn what_a_urdf_cannot_hold_is_said() {
+fn effects_that_a_urdf_cannot_model_are_reported() {
     let dir = tempdir().unwrap();
     let mut robot = identified();
     robot.geometry.gear[1] = [1e-3, 0.0];

@@ -249,23 +249,12 @@ impl<'a> Reader<'a> {
         if !names.is_empty() && names.len() != AXES {
             return Err(self.refused(root, OtherCount { named: names.len() }));
         }
-        let chains = self.joints().filter(|joint| movable(*joint)).map(|joint| self.path(joint));
-        let mut chains: Vec<Vec<_>> = if names.is_empty() {
-            let mut chains: Vec<Vec<_>> = chains
-                .map(|path| sixth(&path).map_or_else(Vec::new, |end| path[..end].to_vec()))
-                .filter(|path| !path.is_empty())
-                .collect();
-            chains.dedup();
-            chains
-        } else {
-            let named = |path: &Vec<Node<'_, '_>>| {
-                path.iter()
-                    .filter(|joint| movable(**joint))
-                    .map(|joint| name(*joint))
-                    .eq(names.iter().map(String::as_str))
-            };
-            chains.filter(named).collect()
+        let is_arm = |path: &Vec<Node<'_, '_>>| {
+            let found = path.iter().copied().filter(|joint| movable(*joint)).map(name);
+            if names.is_empty() { found.count() == AXES } else { found.eq(names.iter().map(String::as_str)) }
         };
+        let joints = self.joints().filter(|joint| movable(*joint));
+        let mut chains: Vec<Vec<_>> = joints.map(|joint| self.path(joint)).filter(is_arm).collect();
         let finding = self.no_chain(names, chains.len());
         let chain = chains.pop().filter(|_| chains.is_empty()).ok_or_else(|| self.refused(root, finding))?;
         let mut six = Vec::new();
@@ -349,11 +338,6 @@ fn kind<'a>(joint: Node<'a, '_>) -> &'a str {
 
 fn movable(joint: Node<'_, '_>) -> bool {
     kind(joint) != "fixed"
-}
-
-/// The end of a path after its sixth movable joint.
-fn sixth(path: &[Node<'_, '_>]) -> Option<usize> {
-    path.iter().enumerate().filter(|(_, joint)| movable(**joint)).nth(AXES - 1).map(|(at, _)| at + 1)
 }
 
 /// What a rigid model such as a URDF leaves out of a robot: the displacement of its tool ball by gear errors, compliance and
