@@ -129,6 +129,8 @@ fn html_dcc_and_pdf_state_the_result() {
     }
     let combined = format!("<si:value>{}</si:value>", result["budget"]["combined_mm"]);
     assert!(dcc.contains(&combined), "{combined}");
+    let is_traceable = |word: &str| dcc.contains(&format!("<dcc:traceable>{word}</dcc:traceable>"));
+    assert!(is_traceable("true") || is_traceable("false"), "an xs:boolean");
     // The same result gives the same bytes, and another robot's check is none of it.
     let first = ["certificate.html", "dcc.xml"].map(|file| fs::read(at.join("cert").join(file)).unwrap());
     dbbd(at, &args);
