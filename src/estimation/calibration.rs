@@ -101,7 +101,7 @@ impl<'a> Input<'a> {
                 found = estimate(&setting, lengths, asked)?;
             }
         }
-        if !joint_errors::carries(lengths, &found) {
+        if !joint_errors::can_be_determined(lengths, &found) {
             return Ok(None);
         }
         Ok(joint_errors::fit(&setting, lengths, found).map(|found| (setting, found)))
@@ -232,7 +232,7 @@ impl<'a> Calibration<'a> {
             solver: SolverSummary { iterations: estimate.fit.iterations, converged: estimate.fit.converged },
             sigma: self.sigma,
             prior: PriorUsed::of(&setting.options.prior, setting.priors.scale()),
-            joints: estimate.joints.as_ref().map(JointFit::summary),
+            joints: estimate.joints.as_ref().and_then(JointFit::summary),
             monte_carlo: self.monte_carlo,
             residual_mm: self.residual_mm,
             folds: self.folds,

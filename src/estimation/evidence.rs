@@ -5,7 +5,7 @@
 //! Machine Learning, 5.4). A group that explains nothing shrinks to nothing: no test need choose it. Free unknowns are
 //! taken out of the rows before, so that they cost no prior.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
 
 use super::priors::{Group, HYPERS, HyperPrior};
 use crate::robot::Process;
@@ -16,8 +16,6 @@ const MOST_STEPS: usize = 60;
 const REST: f64 = 1e-3;
 /// No step changes the logarithm of a variance's root by more.
 const LONGEST_STEP: f64 = 1.0;
-/// The step that begins, as a share of the gradient.
-const FIRST_STEP: f64 = 0.05;
 /// A gain of this share of what the gradient promises suffices.
 const ARMIJO: f64 = 1e-4;
 
@@ -47,7 +45,7 @@ impl Hypers {
     /// What the smooth functions are the sum of: a quick and a slow process.
     pub(super) fn processes(&self) -> [Process; 2] {
         Self::PROCESSES
-            .map(|[sd, length]| Process { sd_rad: self.0[sd].exp(), likeness_rad: self.0[length].exp() })
+            .map(|[sd, length]| Process { sd_rad: self.0[sd].exp(), length_scale_rad: self.0[length].exp() })
     }
 
     /// The places of their standard deviations and lengths.
@@ -92,7 +90,7 @@ impl Variance {
                 let whole = self.value(hypers);
                 for ([sd, length], part) in Hypers::PROCESSES.into_iter().zip(hypers.processes()) {
                     let share = part.spectral_density(frequency) / whole;
-                    let a2 = 5.0 / part.likeness_rad.powi(2);
+                    let a2 = 5.0 / part.length_scale_rad.powi(2);
                     each(sd, 2.0 * share);
                     each(length, share * (6.0 * a2 / (a2 + frequency * frequency) - 5.0));
                 }
@@ -116,9 +114,9 @@ impl Variance {
     }
 }
 
-/// Rows of unit noise, what is free taken out: their normal equations.
+/// Normal equations of rows of unit noise, free unknowns taken out.
 #[derive(Clone, Debug)]
-pub(super) struct Normal {
+pub(super) struct NormalEquations {
     pub(super) gram: DMatrix<f64>,
     pub(super) rhs: DVector<f64>,
     /// Sum of the squares of the right-hand side.
@@ -129,130 +127,113 @@ pub(super) struct Normal {
     pub(super) ln_whitening: f64,
 }
 
-/// The unknowns at given variances.
-pub(super) struct Solved {
-    /// Square roots of the prior variances.
-    pub(super) roots: DVector<f64>,
-    cholesky: Cholesky<f64, Dyn>,
-    /// The unknowns in units of their prior standard deviations.
+/// The posterior of the coefficients at given variances.
+pub(super) struct Coefficients {
+    /// Prior standard deviations.
+    prior_sds: DVector<f64>,
+    /// The inverse of the lower Cholesky factor of B.
+    inverse_factor: DMatrix<f64>,
+    /// The mean in units of the prior standard deviations.
     scaled: DVector<f64>,
     /// Logarithm of the marginal likelihood.
-    pub(super) ln_likelihood: f64,
+    ln_likelihood: f64,
 }
 
-impl Solved {
-    /// The likeliest unknowns.
-    pub(super) fn unknowns(&self) -> DVector<f64> {
-        self.scaled.component_mul(&self.roots)
+impl Coefficients {
+    pub(super) fn mean(&self) -> DVector<f64> {
+        self.scaled.component_mul(&self.prior_sds)
     }
 
     /// A root of their covariance, C = root root'.
-    pub(super) fn root(&self) -> Option<DMatrix<f64>> {
-        let mut root = self.inverse()?.transpose();
-        for (mut row, scale) in root.row_iter_mut().zip(&self.roots) {
+    pub(super) fn root(&self) -> DMatrix<f64> {
+        let mut root = self.inverse_factor.transpose();
+        for (mut row, scale) in root.row_iter_mut().zip(&self.prior_sds) {
             row *= *scale;
         }
-        Some(root)
+        root
     }
 
-    /// The inverse of the lower factor of B.
-    fn inverse(&self) -> Option<DMatrix<f64>> {
-        let (count, factor) = (self.roots.len(), self.cholesky.l_dirty());
-        let mut inverse = DMatrix::identity(count, count);
-        // Above its diagonal a column is zero.
-        for at in 0..count {
-            let left = count - at;
-            let mut column = inverse.view_mut((at, at), (left, 1));
-            if !factor.view((at, at), (left, left)).solve_lower_triangular_mut(&mut column) {
-                return None;
-            }
-        }
-        Some(inverse)
-    }
-
-    /// How much of each unknown the data determine, from 0 to 1.
-    pub(super) fn determined(&self) -> Option<Vec<f64>> {
-        Some(self.inverse()?.column_iter().map(|column| 1.0 - column.norm_squared()).collect())
+    /// How much of each the data determine, from 0 to 1.
+    pub(super) fn determined(&self) -> Vec<f64> {
+        self.inverse_factor.column_iter().map(|column| 1.0 - column.norm_squared()).collect()
     }
 }
 
-/// A problem of evidence.
-pub(super) struct Evidence<'a> {
-    pub(super) normal: &'a Normal,
-    pub(super) variances: &'a [Variance],
+/// Coefficients whose variances maximise the marginal likelihood.
+#[derive(Clone)]
+pub(super) struct Evidence {
+    pub(super) normal: NormalEquations,
+    pub(super) variances: Vec<Variance>,
     /// Whether sigma stays as it is.
     pub(super) sigma_is_given: bool,
 }
 
-/// The likeliest variances with the logarithm of likelihood and hyper-priors.
+/// The hyper-parameters of the largest marginal likelihood under their priors.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Found {
+pub(super) struct Optimum {
     pub(super) hypers: Hypers,
-    pub(super) value: f64,
+    /// Logarithm of marginal likelihood and hyper-priors.
+    pub(super) ln_evidence: f64,
 }
 
-/// Where the search is.
-struct Here {
+/// A point of the search.
+struct Point {
     hypers: Hypers,
-    solved: Solved,
-    /// The logarithm of likelihood and hyper-priors.
-    value: f64,
+    coefficients: Coefficients,
+    ln_evidence: f64,
 }
 
-impl Evidence<'_> {
-    /// The unknowns at these variances; `None` when a number is not finite.
-    pub(super) fn solve(&self, hypers: &Hypers) -> Option<Solved> {
-        let roots = DVector::from_iterator(
-            self.variances.len(),
-            self.variances.iter().map(|variance| variance.sd(hypers)),
-        );
+/// Gradient and expected information by the hyper-parameters.
+struct Slopes {
+    gradient: SVector<f64, HYPERS>,
+    information: SMatrix<f64, HYPERS, HYPERS>,
+}
+
+impl Evidence {
+    /// The coefficients at these variances; `None` when a number is not finite.
+    pub(super) fn coefficients(&self, hypers: &Hypers) -> Option<Coefficients> {
+        let sds = self.variances.iter().map(|variance| variance.sd(hypers));
+        let prior_sds = DVector::from_iterator(self.variances.len(), sds);
         let precision = hypers.sigma_mm().powi(-2);
-        let count = roots.len();
-        let mut b = DMatrix::zeros(count, count);
-        for column in 0..count {
-            let scale = precision * roots[column];
-            for row in column..count {
-                b[(row, column)] = self.normal.gram[(row, column)] * roots[row] * scale;
-            }
-            b[(column, column)] += 1.0;
+        let mut b = self.normal.gram.clone();
+        for (column, mut values) in b.column_iter_mut().enumerate() {
+            let scale = precision * prior_sds[column];
+            values.zip_apply(&prior_sds, |value, sd| *value *= sd * scale);
+            values[column] += 1.0;
         }
-        let right = self.normal.rhs.component_mul(&roots) * precision;
-        let cholesky = Cholesky::new(b)?;
-        let scaled = cholesky.solve(&right);
-        let ln_determinant: f64 = cholesky.l_dirty().diagonal().iter().map(|pivot| 2.0 * pivot.ln()).sum();
+        let right = self.normal.rhs.component_mul(&prior_sds) * precision;
+        let [factor, inverse_factor] = cholesky_with_inverse(&b)?;
+        let scaled = inverse_factor.tr_mul(&(&inverse_factor * &right));
+        let ln_determinant = 2.0 * factor.diagonal().map(f64::ln).sum();
         let chi = self.normal.squares * precision - right.dot(&scaled);
         let ln_noise = self.normal.freedom * (2.0 * std::f64::consts::PI / precision).ln();
         let ln_likelihood = -0.5 * (ln_noise + self.normal.ln_whitening + ln_determinant + chi);
-        ln_likelihood.is_finite().then_some(Solved { roots, cholesky, scaled, ln_likelihood })
+        ln_likelihood.is_finite().then_some(Coefficients { prior_sds, inverse_factor, scaled, ln_likelihood })
     }
 
-    /// The likeliest variances, from `start`.
-    pub(super) fn maximise(&self, start: Hypers) -> Option<Found> {
+    /// The optimum near `start`, by Fisher's scoring.
+    pub(super) fn maximise(&self, start: Hypers) -> Option<Optimum> {
         let mut here = self.at(start)?;
-        let mut gradient = self.gradient(&here)?;
-        let mut inverse = DMatrix::<f64>::identity(HYPERS, HYPERS) * FIRST_STEP;
         for _ in 0..MOST_STEPS {
-            let mut step = &inverse * &gradient;
+            let Slopes { gradient, information } = self.slopes(&here);
+            let mut step = Cholesky::new(information)?.solve(&gradient);
             let longest = step.amax();
             if longest > LONGEST_STEP {
                 step *= LONGEST_STEP / longest;
             }
             let promised = gradient.dot(&step);
             let Some(there) = self.better(&here, &step, promised) else { break };
-            let gain = there.value - here.value;
-            let moved = DVector::from_fn(HYPERS, |at, _| there.hypers.0[at] - here.hypers.0[at]);
+            let gain = there.ln_evidence - here.ln_evidence;
             here = there;
             if gain < REST && promised < 10.0 * REST {
                 break;
             }
-            let before = std::mem::replace(&mut gradient, self.gradient(&here)?);
-            update(&mut inverse, &moved, &(before - &gradient));
         }
-        Some(Found { hypers: here.hypers, value: here.value })
+        Some(Optimum { hypers: here.hypers, ln_evidence: here.ln_evidence })
     }
 
     /// The end of the step, or of a shorter one, where the evidence is higher.
-    fn better(&self, here: &Here, step: &DVector<f64>, promised: f64) -> Option<Here> {
+    fn better(&self, here: &Point, step: &SVector<f64, HYPERS>, promised: f64) -> Option<Point> {
         let mut share = 1.0;
         for _ in 0..8 {
             let mut hypers = here.hypers;
@@ -261,7 +242,7 @@ impl Evidence<'_> {
                 *value = (*value + share * step[at]).clamp(low.ln(), high.ln());
             }
             if let Some(there) = self.at(hypers)
-                && there.value > here.value + ARMIJO * share * promised
+                && there.ln_evidence > here.ln_evidence + ARMIJO * share * promised
             {
                 return Some(there);
             }
@@ -270,55 +251,89 @@ impl Evidence<'_> {
         None
     }
 
-    fn at(&self, hypers: Hypers) -> Option<Here> {
-        let solved = self.solve(&hypers)?;
-        let mut value = solved.ln_likelihood;
+    fn at(&self, hypers: Hypers) -> Option<Point> {
+        let coefficients = self.coefficients(&hypers)?;
+        let mut ln_evidence = coefficients.ln_likelihood;
         for (at, prior) in HyperPrior::ALL.into_iter().enumerate() {
-            value -= 0.5 * prior.off(hypers.0[at]).powi(2);
+            ln_evidence -= 0.5 * prior.off(hypers.0[at]).powi(2);
         }
-        Some(Here { hypers, solved, value })
+        Some(Point { hypers, coefficients, ln_evidence })
     }
 
-    fn gradient(&self, here: &Here) -> Option<DVector<f64>> {
-        let Here { hypers, solved, .. } = here;
-        let mut gradient = DVector::zeros(HYPERS);
-        let inverse = solved.inverse()?;
-        let mut trace = 0.0;
-        for (at, (variance, scaled)) in self.variances.iter().zip(&solved.scaled).enumerate() {
-            let left = inverse.view((at, at), (inverse.nrows() - at, 1)).norm_squared();
-            trace += left;
-            // By the logarithm of the variance.
-            let slope = 0.5 * (scaled * scaled + left - 1.0);
-            variance.slopes(hypers, |place, by| gradient[place] += slope * by);
+    /// With C = B^-1: d ln Z / d ln v_i = (m_i^2 + C_ii - 1) / 2, whose information is (I - C)_ij^2 / 2; by ln sigma
+    /// r'r / sigma^2 + p - tr C - n, with the information 2 (n - p + tr C^2), and (C - C^2)_ii across.
+    fn slopes(&self, here: &Point) -> Slopes {
+        let Point { hypers, coefficients, .. } = here;
+        let count = self.variances.len();
+        let covariance = coefficients.inverse_factor.transpose() * &coefficients.inverse_factor;
+        let mut by_hyper = DMatrix::zeros(count, HYPERS);
+        let mut by_sigma = DVector::zeros(count);
+        let mut gradient = SVector::zeros();
+        for (at, variance) in self.variances.iter().enumerate() {
+            let (mean, left) = (coefficients.scaled[at], covariance[(at, at)]);
+            variance.slopes(hypers, |place, slope| {
+                by_hyper[(at, place)] = slope;
+                gradient[place] += 0.5 * (mean * mean + left - 1.0) * slope;
+            });
+            by_sigma[at] = left - covariance.column(at).norm_squared();
         }
-        let unknowns = solved.unknowns();
-        let residual = self.normal.squares - 2.0 * self.normal.rhs.dot(&unknowns)
-            + unknowns.dot(&(&self.normal.gram * &unknowns));
-        if !self.sigma_is_given {
-            gradient[HyperPrior::SIGMA] = residual / hypers.sigma_mm().powi(2) + solved.roots.len() as f64
-                - trace
-                - self.normal.freedom;
+        let mut squared = covariance.map(|value| value * value);
+        for at in 0..count {
+            squared[(at, at)] = (1.0 - covariance[(at, at)]).powi(2);
+        }
+        let halved = 0.5 * by_hyper.transpose() * (squared * &by_hyper);
+        let mut information = SMatrix::from_fn(|i, j| halved[(i, j)]);
+        if self.sigma_is_given {
+            information[(HyperPrior::SIGMA, HyperPrior::SIGMA)] = 1.0;
+        } else {
+            let mean = coefficients.mean();
+            let residual = self.normal.squares - 2.0 * self.normal.rhs.dot(&mean)
+                + mean.dot(&(&self.normal.gram * &mean));
+            let further = self.normal.freedom - count as f64;
+            gradient[HyperPrior::SIGMA] = residual / hypers.sigma_mm().powi(2) - covariance.trace() - further;
+            let across = by_hyper.tr_mul(&by_sigma);
+            for place in 0..HYPERS {
+                information[(HyperPrior::SIGMA, place)] = across[place];
+                information[(place, HyperPrior::SIGMA)] = across[place];
+            }
+            information[(HyperPrior::SIGMA, HyperPrior::SIGMA)] = 2.0 * (further + covariance.norm_squared());
         }
         for (at, prior) in HyperPrior::ALL.into_iter().enumerate() {
             if let Some(ln_sd) = prior.ln_sd {
                 gradient[at] -= prior.off(hypers.0[at]) / ln_sd;
+                information[(at, at)] += ln_sd.powi(-2);
             }
         }
-        Some(gradient)
+        Slopes { gradient, information }
     }
 }
 
-/// The inverse of the Hessian after a step (Broyden, Fletcher, Goldfarb and Shanno); `change` is that of the negative
-/// gradient.
-fn update(inverse: &mut DMatrix<f64>, moved: &DVector<f64>, change: &DVector<f64>) {
-    let curvature = moved.dot(change);
-    if curvature <= 1e-12 * moved.norm() * change.norm() {
-        return;
+/// The lower Cholesky factor of a symmetric matrix, and its inverse. By halves, so that products do most of the work;
+/// `None` of a matrix that is not positive definite.
+fn cholesky_with_inverse(matrix: &DMatrix<f64>) -> Option<[DMatrix<f64>; 2]> {
+    /// Smaller matrices are not halved.
+    const LEAF: usize = 24;
+    let count = matrix.nrows();
+    if count <= LEAF {
+        let factor = Cholesky::new(matrix.clone())?.unpack();
+        let inverse = factor.solve_lower_triangular(&DMatrix::identity(count, count))?;
+        return Some([factor, inverse]);
     }
-    let turned = &*inverse * change;
-    let scale = (curvature + change.dot(&turned)) / (curvature * curvature);
-    *inverse += moved * moved.transpose() * scale
-        - (&turned * moved.transpose() + moved * turned.transpose()) / curvature;
+    let half = count / 2;
+    let rest = count - half;
+    let [first, first_inverse] = cholesky_with_inverse(&matrix.view((0, 0), (half, half)).into_owned())?;
+    let across = matrix.view((half, 0), (rest, half)) * first_inverse.transpose();
+    let left = matrix.view((half, half), (rest, rest)) - &across * across.transpose();
+    let [last, last_inverse] = cholesky_with_inverse(&left)?;
+    let across_inverse = -(&last_inverse * (&across * &first_inverse));
+    let joined = |first: &DMatrix<f64>, across: &DMatrix<f64>, last: &DMatrix<f64>| {
+        let mut all = DMatrix::zeros(count, count);
+        all.view_mut((0, 0), (half, half)).copy_from(first);
+        all.view_mut((half, 0), (rest, half)).copy_from(across);
+        all.view_mut((half, half), (rest, rest)).copy_from(last);
+        all
+    };
+    Some([joined(&first, &across, &last), joined(&first_inverse, &across_inverse, &last_inverse)])
 }
 
 #[cfg(test)]
@@ -326,45 +341,58 @@ mod tests {
     use super::*;
 
     /// Rows of 40 unknowns of one group and 10 of another that explains nothing.
-    fn problem() -> (Normal, Vec<Variance>) {
+    fn problem() -> Evidence {
         let wave = |at: usize| (12.9898 * at as f64).sin() * 43758.5453;
         let random = |at: usize| 2.0 * (wave(at) - wave(at).floor()) - 1.0;
         let rows = DMatrix::from_fn(300, 50, |i, j| random(i * 50 + j) * 1e3);
         let truth = DVector::from_fn(50, |j, _| if j < 40 { 1e-4 * random(90_000 + j) } else { 0.0 });
         let y = &rows * truth + DVector::from_fn(300, |i, _| 0.02 * random(95_000 + i));
         let (gram, rhs) = (rows.tr_mul(&rows), rows.tr_mul(&y));
-        let normal = Normal { gram, rhs, squares: y.norm_squared(), freedom: 300.0, ln_whitening: 0.0 };
+        let squares = y.norm_squared();
+        let normal = NormalEquations { gram, rhs, squares, freedom: 300.0, ln_whitening: 0.0 };
         let of = |j: usize| Variance::Of(if j < 40 { Group::Harmonic } else { Group::Backlash }, 1.0);
-        (normal, (0..50).map(of).collect())
+        Evidence { normal, variances: (0..50).map(of).collect(), sigma_is_given: false }
+    }
+
+    #[test]
+    fn a_factor_by_halves_is_that_of_the_matrix() {
+        for count in [0, 1, 24, 61] {
+            let rows = DMatrix::from_fn(count + 5, count, |i, j| ((3 * i + 5 * j) as f64).sin());
+            let matrix = DMatrix::identity(count, count) + rows.tr_mul(&rows);
+            let [factor, inverse] = cholesky_with_inverse(&matrix).unwrap();
+            assert!((&factor * factor.transpose() - &matrix).amax() < 1e-12 * (1.0 + matrix.amax()));
+            assert!((factor * inverse - DMatrix::identity(count, count)).amax() < 1e-12);
+        }
+        let mut indefinite = DMatrix::identity(60, 60);
+        indefinite[(50, 50)] = -1.0;
+        assert!(cholesky_with_inverse(&indefinite).is_none());
     }
 
     #[test]
     fn a_group_that_explains_nothing_shrinks() {
-        let (normal, variances) = problem();
-        let evidence = Evidence { normal: &normal, variances: &variances, sigma_is_given: false };
+        let evidence = problem();
         let hypers = evidence.maximise(Hypers::start(0.05)).unwrap().hypers;
         // Uniform numbers have a standard deviation of 1/sqrt(3).
         assert!((hypers.sd(Group::Harmonic) / 0.577e-4 - 1.0).abs() < 0.25, "{hypers:?}");
         assert!((hypers.sigma_mm() / 0.01155 - 1.0).abs() < 0.15, "{hypers:?}");
         assert!(hypers.sd(Group::Backlash) < 1e-5);
-        let determined = evidence.solve(&hypers).unwrap().determined().unwrap();
+        let determined = evidence.coefficients(&hypers).unwrap().determined();
         assert!(determined[..40].iter().all(|share| *share > 0.95));
     }
 
     #[test]
     fn the_gradient_is_that_of_the_evidence() {
-        let (normal, mut variances) = problem();
-        for (at, variance) in variances.iter_mut().enumerate().skip(20).take(20) {
+        let mut evidence = problem();
+        for (at, variance) in evidence.variances.iter_mut().enumerate().skip(20).take(20) {
             *variance = Variance::Spectral(at as f64 * 0.4);
         }
-        let evidence = Evidence { normal: &normal, variances: &variances, sigma_is_given: false };
         let here = evidence.at(Hypers::start(0.03)).unwrap();
-        let gradient = evidence.gradient(&here).unwrap();
+        let gradient = evidence.slopes(&here).gradient;
         for at in 0..HYPERS {
             let moved = |step: f64| {
                 let mut hypers = here.hypers;
                 hypers.0[at] += step;
-                evidence.at(hypers).unwrap().value
+                evidence.at(hypers).unwrap().ln_evidence
             };
             let numeric = (moved(1e-5) - moved(-1e-5)) / 2e-5;
             let size = numeric.abs().max(1.0);

@@ -1,5 +1,7 @@
 //! The error of a joint as a table: the correction of its angle over the axis, by either sense, with its uncertainty.
 
+use nalgebra::DMatrix;
+
 use crate::robot::{AXES, Approach, Joint, ParamId, Robot, TermKind};
 
 /// Angles of a table.
@@ -21,10 +23,12 @@ pub struct JointPoint {
 pub fn joint_curve(robot: &Robot, joint: Joint) -> Vec<JointPoint> {
     let [low, high] = robot.joint_range_deg(joint);
     let angle_deg = |step: usize| low + (high - low) * step as f64 / (STEPS - 1) as f64;
-    (0..STEPS).map(|step| point(robot, joint, angle_deg(step))).collect()
+    let angles_deg: Vec<f64> = (0..STEPS).map(angle_deg).collect();
+    let sds = sds(robot, joint, &angles_deg);
+    angles_deg.iter().zip(sds).map(|(angle_deg, sd)| point(robot, joint, *angle_deg, sd)).collect()
 }
 
-fn point(robot: &Robot, joint: Joint, angle_deg: f64) -> JointPoint {
+fn point(robot: &Robot, joint: Joint, angle_deg: f64, sd: f64) -> JointPoint {
     let (angle, at) = (angle_deg.to_radians(), joint.index());
     let geometry = &robot.geometry;
     let sign = geometry.row(joint).sign;
@@ -33,36 +37,38 @@ fn point(robot: &Robot, joint: Joint, angle_deg: f64) -> JointPoint {
     let error = geometry.joint_errors.of(joint);
     let of_angle = cos_part * cos + sin_part * sin + error.map_or(0.0, |error| error.of_angle(angle));
     let backlash = error.map_or(0.0, |error| error.backlash);
-    JointPoint {
-        angle_deg,
-        rising: sign * (of_angle + backlash),
-        falling: sign * (of_angle - backlash),
-        sd: sd(robot, joint, angle),
-    }
+    JointPoint { angle_deg, rising: sign * (of_angle + backlash), falling: sign * (of_angle - backlash), sd }
 }
 
 /// One standard deviation of the correction by the angle alone, rad.
-fn sd(robot: &Robot, joint: Joint, angle: f64) -> f64 {
-    let Some(unknown) = robot.uncertainty.as_deref() else { return 0.0 };
-    let (sin, cos) = angle.sin_cos();
-    let mut row = unknown.root.row(0) * 0.0;
-    for (at, id) in unknown.parameters.iter().enumerate() {
-        match id {
-            ParamId::GearCos(own) if *own == joint => row += unknown.root.row(at) * cos,
-            ParamId::GearSin(own) if *own == joint => row += unknown.root.row(at) * sin,
-            _ => {}
-        }
-    }
+fn sds(robot: &Robot, joint: Joint, angles_deg: &[f64]) -> Vec<f64> {
+    let Some(uncertainty) = robot.uncertainty.as_deref() else { return vec![0.0; angles_deg.len()] };
     let errors = &robot.geometry.joint_errors;
-    let (terms, mut at, mut beside) = (errors.terms(), 0, unknown.smooth_variance());
-    errors.derivatives(&[angle; AXES], Approach::default(), |place, value| {
-        if place == joint.index() && terms[at].kind != TermKind::Backlash {
-            row += unknown.root.row(unknown.parameters.len() + at) * value;
-            if let TermKind::Smooth { frequency } = terms[at].kind {
-                beside -= unknown.spectral_density(frequency) * value * value;
+    let terms = errors.terms();
+    // By the angle a row, by what the root is of a column.
+    let mut derivatives = DMatrix::zeros(angles_deg.len(), uncertainty.root.nrows());
+    let mut outside = vec![uncertainty.smooth_variance(); angles_deg.len()];
+    for (row, angle_deg) in angles_deg.iter().enumerate() {
+        let angle = angle_deg.to_radians();
+        for (at, id) in uncertainty.parameters.iter().enumerate() {
+            match id {
+                ParamId::GearCos(own) if *own == joint => derivatives[(row, at)] = angle.cos(),
+                ParamId::GearSin(own) if *own == joint => derivatives[(row, at)] = angle.sin(),
+                _ => {}
             }
         }
-        at += 1;
-    });
-    (row.norm_squared() + beside.max(0.0)).sqrt()
+        let mut at = 0;
+        errors.derivatives(&[angle; AXES], Approach::default(), |place, value| {
+            if place == joint.index() && terms[at].kind != TermKind::Backlash {
+                derivatives[(row, uncertainty.parameters.len() + at)] = value;
+                if let TermKind::Smooth { frequency } = terms[at].kind {
+                    outside[row] -= uncertainty.spectral_density(frequency) * value * value;
+                }
+            }
+            at += 1;
+        });
+    }
+    let moved = derivatives * &uncertainty.root;
+    let sd = |(row, outside): (usize, f64)| (moved.row(row).norm_squared() + outside.max(0.0)).sqrt();
+    outside.into_iter().enumerate().map(sd).collect()
 }

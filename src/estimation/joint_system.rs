@@ -1,129 +1,180 @@
-//! The rows of lengths by parameters and coefficients of the joints' errors, whitened pose by pose, what is free taken out.
+//! The linearised lengths, whitened pose by pose, and the posterior of their unknowns: parameters, then coefficients of the
+//! joints' errors.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-use super::evidence::{Normal, Solved, Variance};
+use super::evidence::{Coefficients, Evidence, Hypers, NormalEquations, Optimum, Variance};
 use super::noise_shape::NoiseShape;
-use super::pose_rows::PoseRows;
+use super::pose_rows::{PoseRows, Whitening};
 use super::priors::Group;
 
-/// Rows at a model.
-#[derive(Clone)]
+/// Design rows at a model.
 pub(super) struct System {
-    pub(super) lines: PoseRows,
+    pub(super) rows: PoseRows,
     /// Measured minus what the model without its corrections predicts, to first order.
     pub(super) right: DVector<f64>,
     /// The given standard deviations about their mean.
     pub(super) weights: Vec<f64>,
-    pub(super) variances: Vec<Variance>,
-    /// Places of the free and of the bound unknowns.
-    pub(super) free: Vec<usize>,
-    pub(super) bound: Vec<usize>,
+    /// `None` of free unknowns.
+    pub(super) variances: Vec<Option<Variance>>,
+    pub(super) sigma_is_given: bool,
 }
 
-/// The normal equations of a system with what is needed for what is free.
-pub(super) struct Reduced {
-    pub(super) normal: Normal,
-    free: Option<Cholesky<f64, Dyn>>,
+/// A system of unit noise.
+pub(super) struct Whitened {
+    pub(super) shape: NoiseShape,
+    pub(super) whitening: Whitening,
+    pub(super) rows: DMatrix<f64>,
+    pub(super) right: DVector<f64>,
+    pub(super) equations: Equations,
+}
+
+/// Normal equations with what is needed for the free unknowns.
+pub(super) struct Equations {
+    evidence: Evidence,
+    /// Places of the bound and of the free unknowns among all.
+    bound: Vec<usize>,
+    free: Vec<usize>,
+    unknowns: usize,
+    factor: Cholesky<f64, Dyn>,
     /// Gram matrix of free by bound, and the right-hand side of the free.
-    cross: DMatrix<f64>,
+    across: DMatrix<f64>,
     free_right: DVector<f64>,
 }
 
+/// The posterior of all unknowns at given hyper-parameters.
+pub(super) struct SystemPosterior<'a> {
+    equations: &'a Equations,
+    coefficients: Coefficients,
+    sigma_mm: f64,
+    /// Of what is free the step.
+    pub(super) mean: DVector<f64>,
+}
+
 impl System {
-    pub(super) fn bound_variances(&self) -> Vec<Variance> {
-        self.bound.iter().map(|&k| self.variances[k]).collect()
-    }
-
-    /// The same with those groups only.
-    pub(super) fn with_groups(&self, groups: &[Group]) -> Self {
-        let is_kept = |k: &usize| self.variances[*k].group().is_none_or(|group| groups.contains(&group));
-        Self { bound: self.bound.iter().copied().filter(is_kept).collect(), ..self.clone() }
-    }
-
-    /// What these unknowns leave, mm.
-    pub(super) fn residual(&self, unknowns: &DVector<f64>) -> DMatrix<f64> {
-        let left = &self.right - &self.lines.values * unknowns;
-        DMatrix::from_column_slice(left.len(), 1, left.as_slice())
+    /// Without the coefficients of the joints' errors.
+    pub(super) fn of_geometry(&self) -> Self {
+        let group = |k: usize| self.variances[k].and_then(Variance::group);
+        let kept: Vec<usize> = (0..self.variances.len()).filter(|&k| group(k).is_none()).collect();
+        Self {
+            rows: self.rows.with_columns(&kept),
+            right: self.right.clone(),
+            weights: self.weights.clone(),
+            variances: kept.iter().map(|&k| self.variances[k]).collect(),
+            sigma_is_given: self.sigma_is_given,
+        }
     }
 
     /// Mean square of the residuals that these unknowns leave, mm^2.
     pub(super) fn mean_square(&self, unknowns: &DVector<f64>) -> f64 {
-        self.residual(unknowns).norm_squared() / self.lines.values.nrows() as f64
-    }
-
-    /// The normal equations of rows of unit noise, what is free taken out.
-    pub(super) fn reduced(&self, shape: NoiseShape) -> Option<Reduced> {
-        let order: Vec<usize> = self.free.iter().chain(&self.bound).copied().collect();
-        let count = order.len();
-        let mut whole = DMatrix::zeros(self.lines.values.nrows(), count + 1);
-        for (to, from) in order.iter().enumerate() {
-            whole.column_mut(to).copy_from(&self.lines.values.column(*from));
-        }
-        whole.column_mut(count).copy_from(&self.right);
-        let ln_whitening = self.whiten_all(&mut whole, shape)?;
-        let gram = whole.transpose() * &whole;
-        let (f, b) = (self.free.len(), self.bound.len());
-        let cross = gram.view((0, f), (f, b)).into_owned();
-        let free_right = gram.view((0, count), (f, 1)).column(0).into_owned();
-        let mut normal = Normal {
-            gram: gram.view((f, f), (b, b)).into_owned(),
-            rhs: gram.view((f, count), (b, 1)).column(0).into_owned(),
-            squares: gram[(count, count)],
-            freedom: (self.lines.values.nrows() - f) as f64,
-            ln_whitening,
-        };
-        if f == 0 {
-            return Some(Reduced { normal, free: None, cross, free_right });
-        }
-        let free = Cholesky::new(gram.view((0, 0), (f, f)).into_owned())?;
-        let taken = free.l().solve_lower_triangular(&cross)?;
-        let right = free.l().solve_lower_triangular(&free_right)?;
-        normal.gram -= taken.transpose() * &taken;
-        normal.rhs -= taken.tr_mul(&right);
-        normal.squares -= right.norm_squared();
-        normal.ln_whitening += free.l_dirty().diagonal().iter().map(|pivot| 2.0 * pivot.ln()).sum::<f64>();
-        Some(Reduced { normal, free: Some(free), cross, free_right })
-    }
-
-    /// Brings rows to unit noise of the pose; the logarithm of the determinant of their covariance.
-    pub(super) fn whiten_all(&self, whole: &mut DMatrix<f64>, shape: NoiseShape) -> Option<f64> {
-        self.lines.whiten(whole, &shape.of_rows(&self.lines, &self.weights))
+        (&self.right - &self.rows.values * unknowns).norm_squared() / self.right.len() as f64
     }
 
     /// Root of the mean variance of the lengths, in units of that of a pose.
-    pub(super) fn rms_sd(&self, shape: NoiseShape) -> f64 {
-        self.lines.rms_sd(&shape.of_rows(&self.lines, &self.weights))
+    pub(super) fn rms_sd(&self, shape: NoiseShape, sigma_mm: f64) -> f64 {
+        self.rows.rms_sd(&shape.of_rows(&self.rows, &self.weights, sigma_mm))
     }
 
-    /// All unknowns; of what is free the step.
-    pub(super) fn all(&self, reduced: &Reduced, solved: &Solved) -> DVector<f64> {
-        let bound = solved.unknowns();
-        let mut all = DVector::zeros(self.lines.values.ncols());
-        self.bound.iter().zip(&bound).for_each(|(k, value)| all[*k] = *value);
-        if let Some(free) = &reduced.free {
-            let step = free.solve(&(&reduced.free_right - &reduced.cross * bound));
-            self.free.iter().zip(&step).for_each(|(k, value)| all[*k] = *value);
+    /// Of unit noise, where that of a pose is sigma. `None` where noise or free unknowns are not determined.
+    pub(super) fn whitened(&self, shape: NoiseShape, sigma_mm: f64) -> Option<Whitened> {
+        let whitening = self.rows.whitening(&shape.of_rows(&self.rows, &self.weights, sigma_mm))?;
+        let (mut rows, mut right) = (self.rows.values.clone(), self.right.clone());
+        whitening.apply(&mut rows);
+        whitening.apply(&mut right);
+        let equations = Equations::of(self, &rows, &right, whitening.ln_determinant())?;
+        Some(Whitened { shape, whitening, rows, right, equations })
+    }
+}
+
+impl Equations {
+    fn of(system: &System, rows: &DMatrix<f64>, right: &DVector<f64>, mut ln_whitening: f64) -> Option<Self> {
+        let unknowns = system.variances.len();
+        let (free, bound): (Vec<usize>, Vec<usize>) =
+            (0..unknowns).partition(|&k| system.variances[k].is_none());
+        let transposed = rows.transpose();
+        let whole = &transposed * rows;
+        let whole_right = transposed * right;
+        let of_free = whole.select_rows(&free);
+        let factor = Cholesky::new(of_free.select_columns(&free))?;
+        let across = of_free.select_columns(&bound);
+        let free_right = whole_right.select_rows(&free);
+        let explained = factor.l().solve_lower_triangular(&across)?;
+        let explained_right = factor.l().solve_lower_triangular(&free_right)?;
+        ln_whitening += 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
+        let normal = NormalEquations {
+            gram: whole.select_rows(&bound).select_columns(&bound) - explained.transpose() * &explained,
+            rhs: whole_right.select_rows(&bound) - explained.tr_mul(&explained_right),
+            squares: right.norm_squared() - explained_right.norm_squared(),
+            freedom: (rows.nrows() - free.len()) as f64,
+            ln_whitening,
+        };
+        let variances = bound.iter().filter_map(|&k| system.variances[k]).collect();
+        let evidence = Evidence { normal, variances, sigma_is_given: system.sigma_is_given };
+        Some(Self { evidence, bound, free, unknowns, factor, across, free_right })
+    }
+
+    /// The same with those groups only; the coefficients of the others are zero.
+    pub(super) fn with_groups(&self, groups: &[Group]) -> Self {
+        let Evidence { normal, variances, .. } = &self.evidence;
+        let is_kept = |at: &usize| variances[*at].group().is_none_or(|group| groups.contains(&group));
+        let kept: Vec<usize> = (0..variances.len()).filter(is_kept).collect();
+        let normal = NormalEquations {
+            gram: normal.gram.select_rows(&kept).select_columns(&kept),
+            rhs: normal.rhs.select_rows(&kept),
+            ..normal.clone()
+        };
+        let variances = kept.iter().map(|&at| variances[at]).collect();
+        Self {
+            evidence: Evidence { normal, variances, ..self.evidence },
+            bound: kept.iter().map(|&at| self.bound[at]).collect(),
+            across: self.across.select_columns(&kept),
+            free: self.free.clone(),
+            factor: self.factor.clone(),
+            free_right: self.free_right.clone(),
+            ..*self
         }
-        all
     }
 
+    /// The optimum of the hyper-parameters near `start`.
+    pub(super) fn maximise(&self, start: Hypers) -> Option<Optimum> {
+        self.evidence.maximise(start)
+    }
+
+    pub(super) fn posterior(&self, hypers: &Hypers) -> Option<SystemPosterior<'_>> {
+        let coefficients = self.evidence.coefficients(hypers)?;
+        let of_bound = coefficients.mean();
+        let of_free = self.factor.solve(&(&self.free_right - &self.across * &of_bound));
+        let mut mean = DVector::zeros(self.unknowns);
+        self.bound.iter().zip(&of_bound).for_each(|(k, value)| mean[*k] = *value);
+        self.free.iter().zip(&of_free).for_each(|(k, value)| mean[*k] = *value);
+        Some(SystemPosterior { equations: self, coefficients, sigma_mm: hypers.sigma_mm(), mean })
+    }
+}
+
+impl SystemPosterior<'_> {
     /// A root of the covariance of all unknowns.
-    pub(super) fn root(&self, reduced: &Reduced, solved: &Solved, sigma_mm: f64) -> Option<DMatrix<f64>> {
-        let bound = solved.root()?;
-        let (f, b) = (self.free.len(), self.bound.len());
-        let mut root = DMatrix::zeros(self.lines.values.ncols(), b + f);
-        for (at, k) in self.bound.iter().enumerate() {
-            root.view_mut((*k, 0), (1, b)).copy_from(&bound.row(at));
+    pub(super) fn root(&self) -> Option<DMatrix<f64>> {
+        let Equations { bound, free, factor, across, unknowns, .. } = self.equations;
+        let of_bound = self.coefficients.root();
+        let (b, f) = (bound.len(), free.len());
+        let follows = -factor.solve(&(across * &of_bound));
+        let own = factor.l().transpose().solve_upper_triangular(&DMatrix::identity(f, f))? * self.sigma_mm;
+        let mut root = DMatrix::zeros(*unknowns, b + f);
+        for (at, k) in bound.iter().enumerate() {
+            root.view_mut((*k, 0), (1, b)).copy_from(&of_bound.row(at));
         }
-        if let Some(free) = &reduced.free {
-            let follows = -free.solve(&(&reduced.cross * &bound));
-            let own = free.l().transpose().solve_upper_triangular(&DMatrix::identity(f, f))? * sigma_mm;
-            for (at, k) in self.free.iter().enumerate() {
-                root.view_mut((*k, 0), (1, b)).copy_from(&follows.row(at));
-                root.view_mut((*k, b), (1, f)).copy_from(&own.row(at));
-            }
+        for (at, k) in free.iter().enumerate() {
+            root.view_mut((*k, 0), (1, b)).copy_from(&follows.row(at));
+            root.view_mut((*k, b), (1, f)).copy_from(&own.row(at));
         }
         root.iter().all(|value| value.is_finite()).then_some(root)
+    }
+
+    /// How much of each unknown the data determine, from 0 to 1.
+    pub(super) fn determined(&self) -> Vec<f64> {
+        let mut determined = vec![1.0; self.equations.unknowns];
+        let of_bound = self.coefficients.determined();
+        self.equations.bound.iter().zip(of_bound).for_each(|(k, share)| determined[*k] = share);
+        determined
     }
 }

@@ -97,7 +97,7 @@ pub(super) fn linear_system_by_pose(
     let unknowns = lines.values.ncols();
     let mut rows = lines.values.clone().insert_column(unknowns, 0.0);
     rows.set_column(unknowns, &lines.residual);
-    lines.whiten(&mut rows, &lines.noise(&noise, model))?;
+    lines.whitening(&lines.noise(&noise, model))?.apply(&mut rows);
     let mut triangle = Triangle::new(unknowns);
     for row in rows.row_iter() {
         let values: Vec<f64> = row.iter().copied().collect();

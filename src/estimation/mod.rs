@@ -26,6 +26,7 @@ mod joint_errors;
 mod joint_fit;
 mod joint_prediction;
 mod joint_system;
+mod joint_unknowns;
 mod lengths;
 pub mod linear_system;
 mod monte_carlo;

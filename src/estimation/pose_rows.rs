@@ -6,10 +6,10 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Cholesky, DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dim, Dyn, Matrix, StorageMut};
 
 use super::linear_system::Rows;
-use super::position::beside;
+use super::position::RemainingErrors;
 use crate::measurement::{LengthModel, MeasurementPieces};
 use crate::robot::{AXES, Approach, Joint, ParamId, RobotUncertainty};
 
@@ -98,8 +98,8 @@ pub(super) struct PoseRows {
     pub(super) poses: Vec<Vec<usize>>,
 }
 
-/// A row on its way into the matrix.
-struct Line {
+/// A row before all are in one matrix.
+struct Row {
     place: usize,
     values: Vec<f64>,
     residual: f64,
@@ -118,13 +118,13 @@ impl PoseRows {
     ) -> Self {
         let geometry = &model.geometry;
         let (own, further) = (ids.len(), geometry.joint_errors.count());
-        let pieces = Rows { model, ids, further }.fold(lengths, Vec::new, |lines: &mut Vec<Line>, row| {
+        let pieces = Rows { model, ids, further }.fold(lengths, Vec::new, |made: &mut Vec<Row>, row| {
             if row.weight == 0.0 {
                 return;
             }
             let (reading, by) = (row.reading, row.derivatives);
             by.joint_terms(geometry, &reading.axes, reading.approach, &mut row.values[own..]);
-            lines.push(Line {
+            made.push(Row {
                 place: row.place,
                 values: row.values.to_vec(),
                 residual: row.residual,
@@ -134,23 +134,33 @@ impl PoseRows {
                 levers: Joint::ALL.map(|joint| by.derivative(ParamId::Theta(joint))),
             });
         });
-        let lines: Vec<Line> = pieces.into_iter().flatten().collect();
+        let rows: Vec<Row> = pieces.into_iter().flatten().collect();
         let mut poses: BTreeMap<_, Vec<usize>> = BTreeMap::new();
-        for (at, line) in lines.iter().enumerate() {
-            poses.entry((line.axes.map(f64::to_bits), line.approach.senses())).or_default().push(at);
+        for (at, row) in rows.iter().enumerate() {
+            poses.entry((row.axes.map(f64::to_bits), row.approach.senses())).or_default().push(at);
         }
         Self {
-            values: DMatrix::from_fn(lines.len(), own + further, |row, column| lines[row].values[column]),
-            residual: DVector::from_iterator(lines.len(), lines.iter().map(|line| line.residual)),
-            places: lines.iter().map(|line| line.place).collect(),
-            units: lines.iter().map(|line| line.unit).collect(),
-            axes: lines.iter().map(|line| line.axes).collect(),
-            joints: lines.iter().map(|line| geometry.coupling.joints(&line.axes)).collect(),
-            senses: lines.iter().map(|line| geometry.coupling.senses(line.approach).senses()).collect(),
-            approaches: lines.iter().map(|line| line.approach).collect(),
-            levers: lines.iter().map(|line| line.levers).collect(),
+            values: DMatrix::from_fn(rows.len(), own + further, |row, column| rows[row].values[column]),
+            residual: DVector::from_iterator(rows.len(), rows.iter().map(|row| row.residual)),
+            places: rows.iter().map(|row| row.place).collect(),
+            units: rows.iter().map(|row| row.unit).collect(),
+            axes: rows.iter().map(|row| row.axes).collect(),
+            joints: rows.iter().map(|row| geometry.coupling.joints(&row.axes)).collect(),
+            senses: rows.iter().map(|row| geometry.coupling.senses(row.approach).senses()).collect(),
+            approaches: rows.iter().map(|row| row.approach).collect(),
+            levers: rows.iter().map(|row| row.levers).collect(),
             poses: poses.into_values().collect(),
         }
+    }
+
+    /// By these unknowns alone.
+    pub(super) fn with_columns(&self, columns: &[usize]) -> Self {
+        Self { values: self.values.select_columns(columns), ..self.clone() }
+    }
+
+    /// Whether a pose has several lengths.
+    pub(super) fn share_poses(&self) -> bool {
+        self.poses.iter().any(|rows| rows.len() > 1)
     }
 
     /// The noise of the rows of a robot at `model`. The scatter of lengths contains backlash of unknown sense: it is taken out
@@ -162,16 +172,16 @@ impl PoseRows {
             let moved: f64 = moves.map(|joint| (self.levers[row][joint] * backlash[joint]).powi(2)).sum();
             (noise.length_mm.powi(2) - moved).max(LEAST_OWN * noise.length_mm.powi(2)).sqrt()
         };
-        let unknown = |row: usize| {
-            noise.joints.map_or([0.0; AXES], |unknown| {
-                beside(&model.geometry, unknown, &self.axes[row], self.approaches[row])
-            })
+        let remaining = noise.joints.map(|unknown| RemainingErrors::new(&model.geometry, unknown));
+        let of_joints = |row: usize| {
+            let sds = |remaining: &RemainingErrors<'_>| remaining.sds(&self.axes[row], self.approaches[row]);
+            remaining.as_ref().map_or([0.0; AXES], sds)
         };
         let rows = self.values.nrows();
         RowNoise {
             pose: noise.pose_mm,
             own: (0..rows).map(own).collect(),
-            joints: (0..rows).map(unknown).collect(),
+            joints: (0..rows).map(of_joints).collect(),
         }
     }
 
@@ -186,33 +196,46 @@ impl PoseRows {
         ((0..rows).map(of).sum::<f64>() / rows as f64).sqrt()
     }
 
-    /// Brings rows to unit noise; the logarithm of the determinant of their covariance. `None` where it has no inverse.
-    pub(super) fn whiten(&self, whole: &mut DMatrix<f64>, noise: &RowNoise) -> Option<f64> {
-        let mut ln_determinant = 0.0;
-        for rows in &self.poses {
-            ln_determinant += self.whiten_pose(whole, rows, noise)?;
+    /// What brings these rows to unit noise. `None` where their covariance has no inverse.
+    pub(super) fn whitening(&self, noise: &RowNoise) -> Option<Whitening> {
+        let factor = |rows: &Vec<usize>| {
+            let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
+                let [u, v] = [rows[i], rows[j]].map(|row| self.units[row]);
+                let mut shared = (u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * (noise.pose * noise.pose);
+                let [u, v] = [rows[i], rows[j]].map(|row| self.levers[row]);
+                for (joint, sd) in noise.joints[rows[i]].iter().enumerate() {
+                    shared += u[joint] * v[joint] * sd * sd;
+                }
+                let own = if i == j { noise.own[rows[i]].powi(2) } else { 0.0 };
+                shared + own
+            });
+            Some((rows.clone(), Cholesky::new(covariance)?.unpack()))
+        };
+        Some(Whitening { poses: self.poses.iter().map(factor).collect::<Option<_>>()? })
+    }
+}
+
+/// The Cholesky factor of the covariance of each pose's rows.
+pub(super) struct Whitening {
+    poses: Vec<(Vec<usize>, DMatrix<f64>)>,
+}
+
+impl Whitening {
+    /// Brings rows to unit noise.
+    pub(super) fn apply<C: Dim, S: StorageMut<f64, Dyn, C>>(&self, matrix: &mut Matrix<f64, Dyn, C, S>) {
+        for mut column in matrix.column_iter_mut() {
+            for (rows, factor) in &self.poses {
+                for i in 0..rows.len() {
+                    let before: f64 = (0..i).map(|j| factor[(i, j)] * column[rows[j]]).sum();
+                    column[rows[i]] = (column[rows[i]] - before) / factor[(i, i)];
+                }
+            }
         }
-        Some(ln_determinant)
     }
 
-    fn whiten_pose(&self, whole: &mut DMatrix<f64>, rows: &[usize], noise: &RowNoise) -> Option<f64> {
-        let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
-            let [u, v] = [rows[i], rows[j]].map(|row| self.units[row]);
-            let mut shared = (u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * (noise.pose * noise.pose);
-            let [u, v] = [rows[i], rows[j]].map(|row| self.levers[row]);
-            for (joint, sd) in noise.joints[rows[i]].iter().enumerate() {
-                shared += u[joint] * v[joint] * sd * sd;
-            }
-            let own = if i == j { noise.own[rows[i]].powi(2) } else { 0.0 };
-            shared + own
-        });
-        let factor = Cholesky::new(covariance)?.l();
-        for mut column in whole.column_iter_mut() {
-            for i in 0..rows.len() {
-                let before: f64 = (0..i).map(|j| factor[(i, j)] * column[rows[j]]).sum();
-                column[rows[i]] = (column[rows[i]] - before) / factor[(i, i)];
-            }
-        }
-        Some(factor.diagonal().iter().map(|pivot| 2.0 * pivot.ln()).sum())
+    /// The logarithm of the determinant of the covariance of all rows.
+    pub(super) fn ln_determinant(&self) -> f64 {
+        let of_pose = |factor: &DMatrix<f64>| 2.0 * factor.diagonal().map(f64::ln).sum();
+        self.poses.iter().map(|(_, factor)| of_pose(factor)).sum()
     }
 }

@@ -12,7 +12,8 @@ use rand_pcg::Pcg64;
 use super::workspace::{Workspace, take_out_rigid_motion};
 use crate::measurement::{ApproachedPose, LengthModel};
 use crate::robot::{
-    AXES, Approach, At, Chain, Geometry, Joint, JointSinCos, ParamId, Robot, RobotUncertainty, TermKind,
+    AXES, Approach, At, Chain, Geometry, Joint, JointSinCos, JointTerm, ParamId, Robot, RobotUncertainty,
+    TermKind,
 };
 
 /// Fewer poses say too little of where the robot's base is: poses of the workspace are added.
@@ -57,8 +58,9 @@ impl Positions {
         let all: Vec<([f64; AXES], Approach)> =
             given.chain(more.iter().map(|axes| (*axes, Approach::default()))).collect();
         let motion = BallMotion::new(geometry, &all, &unknown.parameters);
+        let remaining = RemainingErrors::new(geometry, unknown);
         let joints = all.iter().zip(&motion.levers).map(|((axes, approach), levers)| {
-            let sds = beside(geometry, unknown, axes, *approach);
+            let sds = remaining.sds(axes, *approach);
             std::array::from_fn(|i| Lever { column: levers[i], sd_rad: sds[i] })
         });
         let joints = joints.collect();
@@ -142,39 +144,51 @@ impl BallMotion {
     }
 }
 
-/// The standard deviation of each joint's error beside what the root holds, rad.
-pub(super) fn beside(
-    geometry: &Geometry,
-    unknown: &RobotUncertainty,
-    axes: &[f64; AXES],
-    approach: Approach,
-) -> [f64; AXES] {
-    let joints = geometry.coupling.joints(axes);
-    let here = smooth_variance(geometry, unknown, &joints);
-    let errors = &geometry.joint_errors;
-    let nearest = |place: usize| errors.at(place).map(|error| error.smooth.nearest_measured(joints[place]));
-    let nearest: [f64; AXES] = std::array::from_fn(|place| nearest(place).unwrap_or(joints[place]));
-    let measured = smooth_variance(geometry, unknown, &nearest);
-    let senses = geometry.coupling.senses(approach).senses();
-    std::array::from_fn(|place| {
-        let backlash = if senses[place] == 0 { unknown.unapproached_rad[place] } else { 0.0 };
-        // Among measured angles what the basis lacks is in the noise of the lengths already.
-        let held = if measured[place] > 0.0 { (here[place] / measured[place]).min(1.0) } else { 0.0 };
-        (unknown.smooth_variance() * (1.0 - held)).sqrt().hypot(backlash)
-    })
+/// The errors of joints beside what the root of an uncertainty holds.
+pub(super) struct RemainingErrors<'a> {
+    geometry: &'a Geometry,
+    uncertainty: &'a RobotUncertainty,
+    /// Prior variance of each coefficient of the smooth functions; 0 of the others.
+    variances: Vec<f64>,
 }
 
-/// The variance that the basis of each joint's smooth function has at joint angles (rad) before any length, rad^2.
-fn smooth_variance(geometry: &Geometry, unknown: &RobotUncertainty, joints: &[f64; AXES]) -> [f64; AXES] {
-    let mut variance = [0.0; AXES];
-    let terms = geometry.joint_errors.terms();
-    let mut terms = terms.iter();
-    geometry.joint_errors.derivatives(joints, Approach::default(), |place, value| {
-        if let Some(TermKind::Smooth { frequency }) = terms.next().map(|term| term.kind) {
-            variance[place] += unknown.spectral_density(frequency) * value * value;
-        }
-    });
-    variance
+impl<'a> RemainingErrors<'a> {
+    pub(super) fn new(geometry: &'a Geometry, uncertainty: &'a RobotUncertainty) -> Self {
+        let variance = |term: &JointTerm| match term.kind {
+            TermKind::Smooth { frequency } => uncertainty.spectral_density(frequency),
+            _ => 0.0,
+        };
+        let variances = geometry.joint_errors.terms().iter().map(variance).collect();
+        Self { geometry, uncertainty, variances }
+    }
+
+    /// The standard deviation of each joint's error at axis angles (rad), rad.
+    pub(super) fn sds(&self, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
+        let Self { geometry, uncertainty, .. } = self;
+        let joints = geometry.coupling.joints(axes);
+        let errors = &geometry.joint_errors;
+        let nearest = |place: usize| Some(errors.at(place)?.smooth.nearest_measured(joints[place]));
+        let nearest: [f64; AXES] = std::array::from_fn(|place| nearest(place).unwrap_or(joints[place]));
+        let here = self.smooth_variance(&joints);
+        let measured = if nearest == joints { here } else { self.smooth_variance(&nearest) };
+        let senses = geometry.coupling.senses(approach).senses();
+        std::array::from_fn(|place| {
+            let backlash = if senses[place] == 0 { uncertainty.unapproached_rad[place] } else { 0.0 };
+            // Among measured angles what the basis lacks is in the noise of the lengths already.
+            let held = if measured[place] > 0.0 { (here[place] / measured[place]).min(1.0) } else { 0.0 };
+            (uncertainty.smooth_variance() * (1.0 - held)).sqrt().hypot(backlash)
+        })
+    }
+
+    /// The variance that the basis of each joint's smooth function has at joint angles (rad) before any length, rad^2.
+    fn smooth_variance(&self, joints: &[f64; AXES]) -> [f64; AXES] {
+        let mut variance = [0.0; AXES];
+        let mut of_term = self.variances.iter();
+        self.geometry.joint_errors.derivatives(joints, Approach::default(), |place, value| {
+            variance[place] += of_term.next().map_or(0.0, |prior| prior * value * value);
+        });
+        variance
+    }
 }
 
 /// Columns of a root that a robot's file holds.

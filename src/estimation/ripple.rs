@@ -6,12 +6,14 @@
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
-use super::joint_system::System;
-use super::noise_shape::NoiseShape;
+use super::joint_system::Whitened;
+use super::pose_rows::PoseRows;
 use crate::robot::{AXES, Joint};
 
 /// Cycles a turn that are tried.
 const ORDERS: std::ops::RangeInclusive<u32> = 3..=180;
+/// Candidates whose products are formed at once.
+const TOGETHER: usize = 64;
 /// So much more than the number of candidates asks for must speak for the best.
 const MARGIN: f64 = 2.0;
 
@@ -35,55 +37,58 @@ pub(super) fn ln_candidates() -> f64 {
     (AXES as f64 * f64::from(ORDERS.end() - ORDERS.start() + 1)).ln()
 }
 
-/// A fit beside which candidates are judged.
-pub(super) struct Beside<'a> {
-    pub(super) system: &'a System,
-    pub(super) shape: NoiseShape,
+/// A posterior beside which candidates are judged.
+pub(super) struct RippleSearch<'a> {
+    pub(super) rows: &'a PoseRows,
+    pub(super) whitened: &'a Whitened,
     pub(super) sigma_mm: f64,
+    pub(super) mean: &'a DVector<f64>,
     /// A root of the covariance of all unknowns.
     pub(super) root: &'a DMatrix<f64>,
-    pub(super) unknowns: &'a DVector<f64>,
     /// One standard deviation of a coefficient before, rad.
     pub(super) sd_rad: f64,
+    /// Joints that moved.
+    pub(super) joints: &'a [Joint],
 }
 
-impl Beside<'_> {
-    /// The candidate that most speaks for.
+impl RippleSearch<'_> {
+    /// The candidate of the largest Bayes factor.
     pub(super) fn strongest(&self) -> Option<Candidate> {
-        let Self { system, shape, sigma_mm, .. } = *self;
-        let mut rows = system.lines.values.clone();
-        system.whiten_all(&mut rows, shape)?;
-        let mut residual = system.residual(self.unknowns);
-        system.whiten_all(&mut residual, shape)?;
-        // Rows of the posterior, over sigma^2.
-        let known = (rows * self.root).transpose() / (sigma_mm * sigma_mm);
-        let mut best: Option<Candidate> = None;
-        for order in ORDERS {
-            let mut columns = DMatrix::zeros(system.lines.values.nrows(), 2 * AXES);
-            for (row, (angles, levers)) in system.lines.joints.iter().zip(&system.lines.levers).enumerate() {
-                for joint in 0..AXES {
-                    let (sin, cos) = (f64::from(order) * angles[joint]).sin_cos();
-                    columns[(row, 2 * joint)] = levers[joint] * cos;
-                    columns[(row, 2 * joint + 1)] = levers[joint] * sin;
-                }
-            }
-            system.whiten_all(&mut columns, shape)?;
-            let gram = columns.transpose() * &columns / (sigma_mm * sigma_mm);
-            let taken = &known * &columns;
-            let gradients = columns.transpose() * &residual / (sigma_mm * sigma_mm);
-            for joint in Joint::ALL {
-                let at = 2 * joint.index();
-                let taken = taken.columns(at, 2);
-                let own = gram.fixed_view::<2, 2>(at, at) - taken.transpose() * taken;
-                let own = Matrix2::from_fn(|i, j| own[(i, j)]);
-                let gradient = Vector2::new(gradients[(at, 0)], gradients[(at + 1, 0)]);
-                let Some(ln_bayes) = self.ln_bayes(own, gradient) else { continue };
-                if best.is_none_or(|best| ln_bayes > best.ln_bayes) {
-                    best = Some(Candidate { joint, order, ln_bayes });
+        let Self { whitened, sigma_mm, .. } = *self;
+        let residual = (&whitened.right - &whitened.rows * self.mean) / sigma_mm;
+        let known = (&whitened.rows * self.root).transpose() / sigma_mm;
+        let candidates: Vec<(u32, Joint)> =
+            ORDERS.flat_map(|order| self.joints.iter().map(move |joint| (order, *joint))).collect();
+        let judged = candidates.chunks(TOGETHER).flat_map(|candidates| {
+            let columns = self.columns(candidates);
+            let explained = &known * &columns;
+            let judge = |(at, &(order, joint)): (usize, &(u32, Joint))| {
+                let [own, explained] = [&columns, &explained].map(|all| all.fixed_columns::<2>(2 * at));
+                let information = own.tr_mul(&own) - explained.tr_mul(&explained);
+                let ln_bayes = self.ln_bayes(information, own.tr_mul(&residual))?;
+                Some(Candidate { joint, order, ln_bayes })
+            };
+            candidates.iter().enumerate().filter_map(judge).collect::<Vec<Candidate>>()
+        });
+        judged.max_by(|a, b| a.ln_bayes.total_cmp(&b.ln_bayes))
+    }
+
+    /// Cosine and sine of each candidate, of unit noise.
+    fn columns(&self, candidates: &[(u32, Joint)]) -> DMatrix<f64> {
+        let rows = self.rows;
+        let mut columns = DMatrix::zeros(rows.levers.len(), 2 * candidates.len());
+        for (at, &(order, joint)) in candidates.iter().enumerate() {
+            let joint = joint.index();
+            for of_pose in &rows.poses {
+                let (sin, cos) = (f64::from(order) * rows.joints[of_pose[0]][joint]).sin_cos();
+                for &row in of_pose {
+                    columns[(row, 2 * at)] = rows.levers[row][joint] * cos;
+                    columns[(row, 2 * at + 1)] = rows.levers[row][joint] * sin;
                 }
             }
         }
-        best
+        self.whitened.whitening.apply(&mut columns);
+        columns / self.sigma_mm
     }
 
     fn ln_bayes(&self, own: Matrix2<f64>, gradient: Vector2<f64>) -> Option<f64> {

@@ -10,7 +10,7 @@ use nalgebra::{Cholesky, DMatrix, DVector};
 
 use super::estimate::Estimate;
 use super::lengths::{Lengths, Sigma};
-use super::pose_rows::{PoseRows, RowNoise};
+use super::pose_rows::{PoseRows, RowNoise, Whitening};
 use super::posterior::inverse_root;
 use crate::catalogue::EstimationFinding;
 use crate::math::distributions::ln_f_tail;
@@ -168,7 +168,7 @@ pub(super) fn zero_change(
 /// The whitened regression of an estimate, to which further columns are added.
 struct Regression {
     lines: PoseRows,
-    noise: RowNoise,
+    whitening: Whitening,
     residual: DVector<f64>,
     /// Rows times the root of the posterior covariance.
     unknown: DMatrix<f64>,
@@ -202,13 +202,14 @@ impl Regression {
             Some(fit) => {
                 let mean = used.by(Sigma::Given).rms_sigma();
                 let weights: Vec<f64> = given.map(|given| given / mean).collect();
-                fit.shape.of_rows(&lines, &weights).times(fit.noise.pose_mm)
+                fit.shape.of_rows(&lines, &weights, fit.noise.pose_mm).times(fit.noise.pose_mm)
             }
             None => RowNoise::independent(given.map(|given| estimate.noise.sigma.of(given)).collect()),
         };
         let mut whole = lines.values.clone().insert_column(lines.values.ncols(), 0.0);
         whole.set_column(lines.values.ncols(), &lines.residual);
-        lines.whiten(&mut whole, &noise)?;
+        let whitening = lines.whitening(&noise)?;
+        whitening.apply(&mut whole);
         let values = whole.columns(0, lines.values.ncols()).into_owned();
         let root = match (&estimate.joints, &estimate.prior) {
             (Some(fit), _) => fit.root.clone(),
@@ -220,7 +221,7 @@ impl Regression {
         // Otherwise the fit did not converge for these rows, as if its set of outliers had not settled.
         let explained = unknown.tr_mul(&residual).norm_squared();
         let balanced = BALANCED * unknown.ncols() as f64 * residual.norm_squared() / freedom;
-        (explained <= balanced).then_some(Self { lines, noise, residual, unknown, freedom })
+        (explained <= balanced).then_some(Self { lines, whitening, residual, unknown, freedom })
     }
 
     /// The drift and the steps of each reference.
@@ -244,7 +245,7 @@ impl Regression {
 
     /// `None` if a column depends on the parameters.
     fn test(&self, mut columns: DMatrix<f64>) -> Option<Tested> {
-        self.lines.whiten(&mut columns, &self.noise)?;
+        self.whitening.apply(&mut columns);
         let shares = self.unknown.tr_mul(&columns);
         let whole = columns.tr_mul(&columns);
         let gram = &whole - shares.tr_mul(&shares);

@@ -8,12 +8,13 @@ use super::{AXES, ParamId, Robot};
 /// Digits of the root that a file holds.
 const DIGITS: usize = 4;
 
-/// A Gaussian process of an angle with Matern-5/2 covariance: its standard deviation, and the angle over which it is alike.
+/// A Gaussian process of an angle with Matern-5/2 covariance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Process {
     pub sd_rad: f64,
-    pub likeness_rad: f64,
+    #[serde(rename = "likeness_rad")]
+    pub length_scale_rad: f64,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,7 +75,7 @@ impl RobotUncertainty {
         self.root.nrows() == self.parameters.len() + robot.geometry.joint_errors.count()
             && self.root.iter().all(|value| value.is_finite())
             && self.pose_mm.is_finite()
-            && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.likeness_rad > 0.0)
+            && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.length_scale_rad > 0.0)
     }
 
     /// The variance of a smooth function, rad^2.
@@ -91,8 +92,8 @@ impl RobotUncertainty {
 impl Process {
     /// The spectral density at an angular frequency (1/rad), rad^3.
     pub fn spectral_density(&self, frequency: f64) -> f64 {
-        let a2 = 5.0 / self.likeness_rad.powi(2);
-        self.sd_rad.powi(2) * (16.0 / 3.0) * a2.powf(2.5) / (a2 + frequency * frequency).powi(3)
+        let a2 = 5.0 / self.length_scale_rad.powi(2);
+        self.sd_rad * self.sd_rad * (16.0 / 3.0) * a2 * a2 * a2.sqrt() / (a2 + frequency * frequency).powi(3)
     }
 }
 

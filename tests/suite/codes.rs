@@ -103,7 +103,7 @@ fn unserialisable_value_is_an_error() {
         serialised::json(&map),
         serialised::json_line(&map),
         serialised::toml(&map),
-        serialised::csv_rows([&[1][..], &[1, 2]]),
+        serialised::csv_table(["a"], [&[1][..], &[1, 2]]),
     ];
     for text in texts {
         assert_eq!(text.unwrap_err().code().0, UNWRITTEN);

@@ -218,6 +218,17 @@ fn joint_error_model_improves_a_robot_with_joint_errors() {
 }
 
 #[test]
+fn lengths_of_a_pose_share_its_noise_without_errors_of_joints() {
+    let truth = drawn(4);
+    let found = identified(&lengths(&truth, 70, 3, 1), 3, ErrorModel::Joints);
+    assert!(found.joints.is_none());
+    let pose_mm = found.robot.uncertainty.as_ref().unwrap().pose_mm;
+    assert!((pose_mm / POSE_MM - 1.0).abs() < 0.2, "{pose_mm}");
+    let covered = judged(&truth, &found.robot, Senses::Known, 2).covered;
+    assert!(covered > 0.85, "{covered}");
+}
+
+#[test]
 #[ignore = "800 identifications: see docs/explanation/accuracy.md"]
 fn four_hundred_drawn_robots() {
     campaign(400, 70, 3, Senses::Known);
