@@ -74,7 +74,7 @@ impl LocalRun {
         found.retain(|path| path.join(CAPTURE).is_file());
         found.sort();
         if found.is_empty() {
-            return Err(Diagnostic::file(&path.display().to_string(), NothingToPush));
+            return Err(Diagnostic::file(path.display().to_string(), NothingToPush));
         }
         Ok(found)
     }
@@ -91,7 +91,7 @@ impl LocalRun {
         let mut findings: Vec<Diagnostic> = skipped.collect();
         let found = found.files;
         let capture = found.iter().find(|(name, _)| name == CAPTURE).map(|(_, path)| path.clone());
-        let capture = capture.ok_or_else(|| Diagnostic::file(&path.display().to_string(), NothingToPush))?;
+        let capture = capture.ok_or_else(|| Diagnostic::file(path.display().to_string(), NothingToPush))?;
         let mut kept = Vec::new();
         for (name, path) in found {
             let bytes = fs::metadata(&path).map_err(files::unreadable(path.display()))?.len();

@@ -180,7 +180,7 @@ impl Link {
     pub fn new(path: &Path, target: &str) -> Result<Self, Diagnostic> {
         let wrong = |error: std::io::Error| {
             let finding = SimulationFinding::NoLink { why: error.to_string() };
-            Diagnostic::file(&path.display().to_string(), finding)
+            Diagnostic::file(path.display().to_string(), finding)
         };
         if fs::symlink_metadata(path).is_ok_and(|data| data.file_type().is_symlink()) {
             fs::remove_file(path).map_err(wrong)?;

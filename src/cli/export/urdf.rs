@@ -42,9 +42,7 @@ pub(super) fn run(args: &Args, urdf: &Path, out: &Output) -> Result<Outcome, Dia
         ));
     }
     out.result(format!("{}: written", to.display()));
-    out.findings(
-        coupled(&robot).into_iter().map(|CoupledJoint { number: joint, sum }| CoupledInUrdf { joint, sum }),
-    );
+    out.findings(coupled(&robot).map(|CoupledJoint { number: joint, sum }| CoupledInUrdf { joint, sum }));
     let workspace = Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED);
     let left_out = LeftOut::of(&robot.geometry, &workspace);
     out.findings(left_out.as_ref().map(|&LeftOut { mean_mm, max_mm }| NotInUrdf { mean_mm, max_mm }));

@@ -217,13 +217,13 @@ impl Config {
         }
         let is_file = |path: &Path| path.exists() && !path.is_dir();
         if let Some(path) = [&config.data, &config.plans].into_iter().find(|path| is_file(path)) {
-            return Err(Diagnostic::file(&path.display().to_string(), NotADirectory));
+            return Err(Diagnostic::file(path.display().to_string(), NotADirectory));
         }
         if files::same_place(&config.data, &config.plans) {
-            return Err(Diagnostic::file(&config.data.display().to_string(), OneDirectory));
+            return Err(Diagnostic::file(config.data.display().to_string(), OneDirectory));
         }
         if !config.plans.is_dir() {
-            return Err(Diagnostic::file(&config.plans.display().to_string(), NoPlans));
+            return Err(Diagnostic::file(config.plans.display().to_string(), NoPlans));
         }
         if let Some(path) = &table.token_file {
             let file = source.base.join(path.get_ref());

@@ -40,7 +40,7 @@ impl Program {
         mut file: impl FnMut(&str) -> Result<Option<(String, String)>, Diagnostic>,
     ) -> Result<Self, Diagnostic> {
         let name = name.to_ascii_uppercase();
-        let missing = Diagnostic::file(&format!("{name}.src"), ProgramFinding::NoModuleFile);
+        let missing = Diagnostic::file(format!("{name}.src"), ProgramFinding::NoModuleFile);
         let mut wanted = vec![Wanted { name, missing }];
         let mut modules: Vec<Module> = Vec::new();
         while let Some(Wanted { name, missing }) = wanted.get(modules.len()).cloned() {

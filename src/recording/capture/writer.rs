@@ -30,7 +30,7 @@ impl Writer {
                 ErrorKind::AlreadyExists => RecordingFinding::CaptureExists,
                 _ => RecordingFinding::CaptureNotMade { why: error.to_string() },
             };
-            Diagnostic::file(&path.display().to_string(), finding)
+            Diagnostic::file(path.display().to_string(), finding)
         };
         let file = create(path).map_err(wrong)?;
         Self::on(Box::new(file), path).inspect_err(|_| {
@@ -150,7 +150,7 @@ impl Writer {
     }
 
     fn wrong(&self, finding: RecordingFinding) -> Diagnostic {
-        Diagnostic::file(&self.path.display().to_string(), finding)
+        Diagnostic::file(self.path.display().to_string(), finding)
     }
 }
 

@@ -106,5 +106,5 @@ pub(super) fn attached_text<'a>(
     name: &str,
 ) -> Result<Option<&'a str>, Diagnostic> {
     let text = attachments.get(name).map(|content| std::str::from_utf8(content));
-    text.transpose().map_err(|_| Diagnostic::file(&format!("{run}: {name}"), FileFinding::NotUtf8))
+    text.transpose().map_err(|_| Diagnostic::file(format!("{run}: {name}"), FileFinding::NotUtf8))
 }
