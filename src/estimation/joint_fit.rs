@@ -150,6 +150,8 @@ impl JointFit {
         };
         let of_coefficient = |place: Option<usize>| place.map_or(0.0, |place| root.row(place).norm());
         let unapproached_rad = match shape.backlash {
+            // Several lengths show the scatter of a pose in other directions too: what more backlash adds, sigma loses.
+            BacklashNoise::Sought(sds) if system.rows.share_poses() => sds,
             BacklashNoise::Sought(_) => score.rms_rad()?,
             BacklashNoise::Known(sds) => {
                 std::array::from_fn(|joint| sds[joint].hypot(of_coefficient(backlash_places[joint])))
