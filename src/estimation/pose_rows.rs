@@ -163,26 +163,27 @@ impl PoseRows {
         self.poses.iter().any(|rows| rows.len() > 1)
     }
 
-    /// The noise of the rows of a robot at `model`. The scatter of lengths contains backlash of unknown sense: it is taken out
-    /// of what each length has of its own.
+    /// The noise of the rows of a robot at `model`. The scatter of lengths, a mean over the rows, contains backlash of unknown
+    /// sense: its mean is taken out of what the lengths that it moves have of their own.
     pub(super) fn noise(&self, noise: &LengthNoise<'_>, model: &LengthModel) -> RowNoise {
+        let rows = self.values.nrows();
         let backlash = noise.joints.map_or([0.0; AXES], |unknown| unknown.unapproached_rad);
-        let own = |row: usize| {
-            let moves = (0..AXES).filter(|joint| self.senses[row][*joint] == 0);
-            let moved: f64 = moves.map(|joint| (self.levers[row][joint] * backlash[joint]).powi(2)).sum();
-            (noise.length_mm.powi(2) - moved).max(LEAST_OWN * noise.length_mm.powi(2)).sqrt()
+        let moved = |row: usize| -> f64 {
+            let unknown = (0..AXES).filter(|joint| self.senses[row][*joint] == 0);
+            unknown.map(|joint| (self.levers[row][joint] * backlash[joint]).powi(2)).sum()
         };
+        let moved: Vec<f64> = (0..rows).map(moved).collect();
+        let count = moved.iter().filter(|moved| **moved > 0.0).count();
+        let mean_moved = moved.iter().sum::<f64>() / count.max(1) as f64;
+        let variance = noise.length_mm.powi(2);
+        let scattered = (variance - mean_moved).max(LEAST_OWN * variance).sqrt();
+        let own = moved.iter().map(|moved| if *moved > 0.0 { scattered } else { noise.length_mm }).collect();
         let remaining = noise.joints.map(|unknown| RemainingErrors::new(&model.geometry, unknown));
         let of_joints = |row: usize| {
             let sds = |remaining: &RemainingErrors<'_>| remaining.sds(&self.axes[row], self.approaches[row]);
             remaining.as_ref().map_or([0.0; AXES], sds)
         };
-        let rows = self.values.nrows();
-        RowNoise {
-            pose: noise.pose_mm,
-            own: (0..rows).map(own).collect(),
-            joints: (0..rows).map(of_joints).collect(),
-        }
+        RowNoise { pose: noise.pose_mm, own, joints: (0..rows).map(of_joints).collect() }
     }
 
     /// Root of the mean variance of the rows.
