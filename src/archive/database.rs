@@ -307,7 +307,7 @@ impl ToSql for Parameter {
 /// `root` and no other.
 fn tls(root: &Path) -> Result<MakeRustlsConnect, Diagnostic> {
     let wrong = |why: String| {
-        Diagnostic::file(&root.display().to_string(), NotAnAddress { option: "sslrootcert".into(), why })
+        Diagnostic::file(root.display().to_string(), NotAnAddress { option: "sslrootcert".into(), why })
     };
     let mut roots = RootCertStore::empty();
     for certificate in CertificateDer::pem_file_iter(root).map_err(|error| wrong(error.to_string()))? {

@@ -218,7 +218,7 @@ fn decision(kept: &[LocalFile], findings: &mut Vec<Diagnostic>) -> Option<String
     let decision = json.and_then(|json| json.get("decision").and_then(Value::as_str).map(str::to_owned));
     let decision = decision.filter(|decision| DECISIONS.contains(&decision.as_str()));
     if decision.is_none() {
-        findings.push(Diagnostic::file(&check.path.display().to_string(), NotACheck));
+        findings.push(Diagnostic::file(check.path.display().to_string(), NotACheck));
     }
     decision
 }

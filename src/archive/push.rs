@@ -88,7 +88,7 @@ impl Archive {
     fn store_file(&self, file: &LocalFile) -> Result<Stored, Diagnostic> {
         let named = |wrong: Diagnostic| {
             let changed = wrong.code == ChangedMeanwhile.code();
-            if changed { Diagnostic::file(&file.path.display().to_string(), ChangedMeanwhile) } else { wrong }
+            if changed { Diagnostic::file(file.path.display().to_string(), ChangedMeanwhile) } else { wrong }
         };
         // A damaged object is stored again.
         if self.store.holds(&file.sha256, file.bytes)? && self.store.verify(&file.sha256).is_ok() {
