@@ -24,7 +24,7 @@ pub struct Combination {
 }
 
 impl Combination {
-    /// The members with their coefficients in units of [`typical_error`].
+    /// The members with their coefficients in units of `typical_error`.
     pub fn scaled(&self) -> impl Iterator<Item = (ParamId, f64)> {
         let unit = typical_error(self.kept);
         self.members.iter().map(move |(id, coefficient)| (*id, coefficient * typical_error(*id) / unit))

@@ -5,7 +5,7 @@
 //! observable parameters are fixed, or bound by a prior. Every number has its standard deviation or the reason why it has
 //! none.
 //!
-//! [`linear_system`] alone forms design rows, [`priors`] alone has prior standard deviations and limits, [`posterior`] alone
+//! [`linear_system()`] alone forms design rows, [`priors`] alone has prior standard deviations and limits, [`posterior`] alone
 //! holds a covariance, and [`Calibration::result`] alone makes a result.
 
 mod calibration;

@@ -60,7 +60,7 @@ fn one() -> u32 {
 }
 
 impl Job {
-    /// The table [identity] with the serial numbers of robot, bar and balls.
+    /// The table `identity` with the serial numbers of robot, bar and balls.
     pub fn identity(&self) -> Identity {
         let serials =
             self.centres.iter().filter_map(|ball| Some((ball.id.to_string(), ball.serial.clone()?)));

@@ -1,7 +1,7 @@
 //! A controller that executes a program in virtual time; the program is its only source of motion.
 //!
 //! It knows only the NOMINAL robot: like a real controller it converts Cartesian positions to axis angles by the nominal
-//! inverse kinematics. KRL is interpreted ([`krl`]). Of other languages the list of actions is executed ([`listed`]), with the
+//! inverse kinematics. KRL is interpreted (`krl`). Of other languages the list of actions is executed (`listed`), with the
 //! stopping behaviour of their controllers.
 
 mod arm;
