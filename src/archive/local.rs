@@ -7,7 +7,7 @@ use std::time::UNIX_EPOCH;
 
 use serde_json::Value;
 
-use super::query::ArchivedRun;
+use super::query::{ArchivedRun, is_sound};
 use crate::base::hash::sha256;
 use crate::base::{date, files, serialised};
 use crate::catalogue::ArchiveFinding::{
@@ -46,16 +46,6 @@ struct Listed {
     files: Vec<(String, PathBuf)>,
     /// Entries that are not stored.
     skipped: Vec<PathBuf>,
-}
-
-/// Whether a name is a relative path of one or two safe parts.
-pub(super) fn is_sound(name: &str) -> bool {
-    let part = |part: &str| {
-        (1..=100).contains(&part.len())
-            && !part.starts_with('.')
-            && part.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._-".contains(&byte))
-    };
-    name.split('/').count() <= 2 && name.split('/').all(part)
 }
 
 impl LocalRun {

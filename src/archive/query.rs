@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::database::Database;
-use super::local::is_sound;
 use super::{Archive, ColumnKind};
 use crate::base::{date, files};
 use crate::catalogue::ArchiveFinding::{
@@ -247,4 +246,14 @@ impl Archive {
         }
         Ok(found)
     }
+}
+
+/// Whether a name is a relative path of one or two safe parts.
+pub(super) fn is_sound(name: &str) -> bool {
+    let part = |part: &str| {
+        (1..=100).contains(&part.len())
+            && !part.starts_with('.')
+            && part.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._-".contains(&byte))
+    };
+    name.split('/').count() <= 2 && name.split('/').all(part)
 }

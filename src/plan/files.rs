@@ -7,7 +7,7 @@ use crate::catalogue::{CliFinding, FileFinding, PlanFinding};
 use crate::diagnostic::Diagnostic;
 use crate::measurement::table::APPROACH;
 use crate::provenance::{Artefact, Role, Traced};
-use crate::robot::{AXES, Approach};
+use crate::robot::Approach;
 
 /// Version of the form of `plan.json`.
 pub(crate) const SCHEMA: u32 = 1;
@@ -19,42 +19,6 @@ const COLUMNS: &str = "index,circle,centre,kind,move,x_mm,y_mm,z_mm,a_deg,b_deg,
 
 fn all_columns() -> String {
     format!("{COLUMNS},{}", APPROACH.join(","))
-}
-
-/// The cells that are read of a line, in the order of the columns.
-type Cells = (u32, u32, u32, Kind, Motion, [f64; 3], [f64; 3], [f64; AXES], u8, u8, f64, f64);
-
-impl From<Cells> for PlanRow {
-    fn from(cells: Cells) -> Self {
-        let (
-            index,
-            circle,
-            centre,
-            kind,
-            motion,
-            xyz_mm,
-            abc_deg,
-            axes_deg,
-            status,
-            turn,
-            length_mm,
-            dwell_s,
-        ) = cells;
-        Self {
-            index,
-            circle,
-            centre,
-            kind,
-            motion,
-            xyz_mm,
-            abc_deg,
-            axes_deg,
-            status,
-            turn,
-            length_mm,
-            dwell_s,
-        }
-    }
 }
 
 impl PlanRow {
@@ -85,12 +49,7 @@ impl PlanRow {
 
 impl Plan {
     pub fn to_csv(&self) -> Result<String, CliFinding> {
-        let cells = |(row, approach): (&PlanRow, Approach)| {
-            let r = row.clone();
-            let place = (r.index, r.circle, r.centre, r.kind, r.motion, r.xyz_mm, r.abc_deg, r.axes_deg);
-            (place, r.status, r.turn, r.length_mm, r.dwell_s, approach.senses())
-        };
-        let rows = self.rows.iter().zip(self.approaches()).map(cells);
+        let rows = self.rows.iter().zip(self.approaches()).map(|(row, approach)| (row, approach.senses()));
         serialised::csv_table(all_columns().split(','), rows)
     }
 
@@ -165,15 +124,16 @@ impl Plan {
 
 fn read_rows(name: &str, text: &str) -> Result<Vec<PlanRow>, Diagnostic> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let mut rows: Vec<PlanRow> = Vec::new();
     let columns = reader.headers().map_err(|error| wrong_csv(name, &error))?;
     let columns = columns.iter().collect::<Vec<_>>().join(",");
     if columns != COLUMNS && columns != all_columns() {
         let why = format!("the columns must be {}", all_columns());
         return Err(Diagnostic::line(name, 1, FileFinding::NotACell { column: 0, why }));
     }
-    for (at, line) in reader.deserialize::<Cells>().enumerate() {
-        let row = PlanRow::from(line.map_err(|error| wrong_csv(name, &error))?);
+    let mut rows: Vec<PlanRow> = Vec::new();
+    for (at, record) in reader.records().enumerate() {
+        let row = record.and_then(|record| record.deserialize(None));
+        let row: PlanRow = row.map_err(|error| wrong_csv(name, &error))?;
         row.check(at).map_err(|finding| Diagnostic::line(name, at + 2, finding))?;
         rows.push(row);
     }

@@ -19,8 +19,8 @@ pub enum Motion {
     Circ,
 }
 
-/// One row of the plan: a pose of the tool ball and what happens there.
-#[derive(Clone, Debug, PartialEq)]
+/// One row of the plan: a pose of the tool ball and what happens there. The fields are the columns of `plan.csv`, in their order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlanRow {
     /// From 1, over all rows.
     pub index: u32,

@@ -9,7 +9,7 @@ use std::sync::atomic::AtomicBool;
 use serde_json::json;
 
 use super::log::Level;
-use super::state::{Line, Run, Running, Supervisor};
+use super::state::{Halt, Line, Run, Running, Supervisor};
 use super::{catalogue, runs};
 use crate::base::clock;
 use crate::base::sync::lock;
@@ -27,25 +27,6 @@ use crate::recording::capture::{Disk, Writer};
 use crate::recording::mounting::{Expected, Rest};
 use crate::recording::run::PlanFiles;
 use crate::robot::Robot;
-
-/// What the program of a simulated cell does at its HALT.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Halt {
-    /// It continues once the bar is read.
-    Continue,
-    /// It waits, so that the bar can be mounted.
-    Wait,
-}
-
-/// Creates a simulated cell that runs this plan, or a plan of its own.
-pub type MakeCell = Box<dyn Fn(Option<&Path>, Halt) -> Result<Box<dyn Cell>, Diagnostic> + Send + Sync>;
-
-/// A simulated cell. Its program begins when its bar is read; the cell ends when it is dropped.
-pub trait Cell: Send {
-    /// The port of its bar.
-    fn port(&self) -> &PortAddress;
-    fn plan(&self) -> &Path;
-}
 
 /// Why the bar is read.
 pub(super) enum Purpose {

@@ -8,10 +8,9 @@ use std::{io, panic, process, thread};
 
 use tokio::sync::watch;
 
-use super::begin::MakeCell;
 use super::config::{Config, Endpoint};
 use super::log::{Level, Log};
-use super::state::Supervisor;
+use super::state::{MakeCell, Supervisor};
 use crate::base::clock;
 use crate::base::sync::lock;
 use crate::base::units::HostNs;

@@ -1,13 +1,12 @@
 //! The state machine of the service: no device, idle, running, failed.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use tokio::sync::{broadcast, watch};
 
-use super::begin::{Cell, MakeCell};
 use super::catalogue::Plans;
 use super::config::Config;
 use super::jobs::Jobs;
@@ -25,6 +24,25 @@ use crate::recording::capture::Event;
 
 /// Messages that a client may lag behind before it loses some: about ten seconds.
 const BACKLOG: usize = 256;
+
+/// What the program of a simulated cell does at its HALT.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Halt {
+    /// It continues once the bar is read.
+    Continue,
+    /// It waits, so that the bar can be mounted.
+    Wait,
+}
+
+/// Creates a simulated cell that runs this plan, or a plan of its own.
+pub type MakeCell = Box<dyn Fn(Option<&Path>, Halt) -> Result<Box<dyn Cell>, Diagnostic> + Send + Sync>;
+
+/// A simulated cell. Its program begins when its bar is read; the cell ends when it is dropped.
+pub trait Cell: Send {
+    /// The port of its bar.
+    fn port(&self) -> &PortAddress;
+    fn plan(&self) -> &Path;
+}
 
 /// The service behind the pages.
 pub(super) struct Supervisor {

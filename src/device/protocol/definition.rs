@@ -7,7 +7,7 @@ use super::check::Check;
 use super::decoder::Decoder;
 use super::encoder::Encoder;
 use super::engine::Engine;
-use super::field::STROBE;
+use super::field::{Clock, STROBE};
 use super::layout::{self, Part};
 use super::table::Sim;
 use crate::device::port::LineSettings;
@@ -59,13 +59,6 @@ pub struct Definition {
     /// Stops streaming.
     pub stop: Vec<Step>,
     pub(super) engine: Arc<Engine>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Clock {
-    pub tick_ns: u32,
-    /// The counter wraps to 0 after 2^wrap_bits ticks.
-    pub wrap_bits: u32,
 }
 
 /// Who speaks first.

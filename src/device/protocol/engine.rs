@@ -1,9 +1,8 @@
 //! The compiled form of frames that decoder and encoder share.
 
 use super::check::Check;
-use super::definition::Clock;
 use super::fault::FaultKind;
-use super::field::{Field, Reading, Role};
+use super::field::{Clock, Field, Reading, Role};
 use super::framing::Framing;
 use super::table::{Code, Match};
 use crate::measurement::sample::Sample;

@@ -1,7 +1,6 @@
 //! Fields of a frame: the form of a value, and its role in the sample.
 
 use super::decimal::Decimal;
-use super::definition::Clock;
 use super::table::Endian;
 use crate::base::units::DeviceTicks;
 use crate::measurement::sample::Sample;
@@ -50,6 +49,13 @@ pub(super) enum Role {
     Unit(Vec<Option<f64>>),
     /// A figure of merit; the reading is valid within these limits.
     Quality(f64, f64),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Clock {
+    pub tick_ns: u32,
+    /// The counter wraps to 0 after 2^wrap_bits ticks.
+    pub wrap_bits: u32,
 }
 
 /// Name of the status flag that carries the strobe of the controller.

@@ -22,9 +22,10 @@ mod table;
 mod tagged;
 
 pub use decoder::{Decoded, Decoder};
-pub use definition::{Clock, Definition, Mode, Step};
+pub use definition::{Definition, Mode, Step};
 pub use encoder::Encoder;
 pub use evidence::Evidence;
 pub use fault::{Fault, FaultKind};
+pub use field::Clock;
 pub use layout::Part;
 pub use table::Sim;

@@ -9,7 +9,6 @@ use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::plant::Moments;
 use super::{FleetType, RunPosterior, inverse};
 use crate::robot::ParamId;
 
@@ -25,6 +24,14 @@ pub(super) struct Kind {
     pub(super) scale: DVector<f64>,
     /// Of a robot about the mean of its type.
     pub(super) covariance: DMatrix<f64>,
+}
+
+/// The posterior of a robot.
+pub(super) struct Moments {
+    pub(super) mean: DVector<f64>,
+    pub(super) covariance: DMatrix<f64>,
+    /// Second moment about the mean of its type.
+    pub(super) about_mean: DMatrix<f64>,
 }
 
 impl Kind {

@@ -8,6 +8,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::bars::{Column, histories};
+use super::kind::Moments;
 use super::{Assumptions, Fleet, FleetRobot, Folded, ITERATIONS, Kind, Knot, SETTLED, inverse};
 use crate::math::distributions::chi_square_exceeded;
 
@@ -36,14 +37,6 @@ struct Information {
 struct Solved {
     values: DVector<f64>,
     covariance: DMatrix<f64>,
-}
-
-/// The posterior of a robot.
-pub(super) struct Moments {
-    mean: DVector<f64>,
-    covariance: DMatrix<f64>,
-    /// Second moment about the mean of its type.
-    pub(super) about_mean: DMatrix<f64>,
 }
 
 impl Plant {

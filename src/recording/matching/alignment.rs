@@ -6,30 +6,9 @@
 //! nearly certain. The best (Viterbi) path does not suffice: it exists even if nothing can be identified.
 
 use super::program::{Commanded, Pace};
-use super::trellis::{Answer, BEAM, LEAST_OVERRIDE, MOST_OVERRIDE, SEARCH_SLACK, Trellis};
-
-/// Evidence of a detected dwell.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DwellEvidence {
-    /// Start, s of the stream.
-    pub start_s: f64,
-    /// Standard deviation of the start, s.
-    pub start_sd_s: f64,
-    /// Duration, s, if it is known.
-    pub duration_s: Option<f64>,
-    /// Reading plus length of the bar, mm.
-    pub length_mm: f64,
-    /// Whether the clock broke since the dwell before.
-    pub after_break: bool,
-}
-
-/// Lengths that a model predicts for each pose.
-#[derive(Clone, Copy, Debug)]
-pub struct Expected<'a> {
-    pub length_mm: &'a [f64],
-    /// Their standard deviation, mm.
-    pub sigma_mm: f64,
-}
+use super::trellis::{
+    Answer, BEAM, DwellEvidence, Expected, LEAST_OVERRIDE, MOST_OVERRIDE, SEARCH_SLACK, Trellis,
+};
 
 /// The dwell of a pose (index from 0) and its posterior; of an ambiguous pose the most probable dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -35,7 +35,7 @@ use crate::measurement::{AxisAngles, BallId, BarId, CircleId, Column, Context, M
 use crate::plan::{Plan, PlanRow};
 use crate::robot::{AXES, Approach, Datum, TargetId};
 
-pub use alignment::{Alignment, DwellEvidence, Expected, Pairing, align};
+pub use alignment::{Alignment, Pairing, align};
 pub use drift::Drift;
 pub use lag::BarLag;
 pub use markers::Markers;
@@ -44,6 +44,7 @@ pub use passes::Lag;
 pub use program::Commanded;
 pub use published::{AxesReport, PublishedAxes};
 pub use stillness::still_dwells;
+pub use trellis::{DwellEvidence, Expected};
 
 use outcome::ExpectedTimes;
 use passes::{PassPoint, Passes};

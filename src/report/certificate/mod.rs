@@ -185,7 +185,7 @@ impl Certificate {
     /// `certificate.pdf` with `dcc.xml` embedded; `None` without the feature `pdf`. Fails on a character that its font lacks.
     #[cfg(feature = "pdf")]
     pub fn pdf(&self, dcc: &[u8]) -> Result<Option<Vec<u8>>, Diagnostic> {
-        pdf::write(self, dcc).map(Some).map_err(|why| CertificateFinding::PdfFailed { why }.into())
+        Ok(Some(pdf::write(self, dcc)?))
     }
 
     /// This build has no PDF.

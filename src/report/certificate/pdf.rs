@@ -1,5 +1,7 @@
 //! The certificate as PDF/A-3b with the DCC embedded: A4, with headers and footers; table heads repeat on every page.
 
+use std::fmt::Display;
+
 use krilla::configure::{Archival, ConfigurationBuilder};
 use krilla::embed::{AssociationKind, EmbeddedFile, MimeType};
 use krilla::geom::{PathBuilder, Point};
@@ -12,6 +14,7 @@ use ttf_parser::Face;
 
 use super::sections::{Block, Section, Table};
 use super::{Certificate, DRAFT};
+use crate::catalogue::CertificateFinding;
 
 /// A4 and its margins, points.
 const PAGE: [f32; 2] = [595.28, 841.89];
@@ -56,8 +59,8 @@ struct Letters {
 }
 
 impl Letters {
-    fn new() -> Result<Self, String> {
-        let face = |data| Face::parse(data, 0).map_err(|error| error.to_string());
+    fn new() -> Result<Self, CertificateFinding> {
+        let face = |data| Face::parse(data, 0).map_err(failed);
         Ok(Self { regular: face(dejavu::sans::regular())?, bold: face(dejavu::sans::bold())? })
     }
 
@@ -292,8 +295,11 @@ fn height(cells: &[Vec<String>]) -> f32 {
     BODY.size * LEADING * lines as f32 + 3.0
 }
 
-/// The error says why it could not be written.
-pub(super) fn write(certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, String> {
+fn failed(why: impl Display) -> CertificateFinding {
+    CertificateFinding::PdfFailed { why: why.to_string() }
+}
+
+pub(super) fn write(certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, CertificateFinding> {
     let mut layout = Layout { letters: Letters::new()?, pages: Vec::new(), y: TOP };
     layout.room(0.0);
     layout.paragraph(&certificate.title(), TITLE);
@@ -306,21 +312,25 @@ pub(super) fn write(certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, St
         if let Mark::Text { text, .. } = mark
             && let Some(character) = layout.letters.lacks(text)
         {
-            return Err(format!("its font has no `{character}` (U+{:04X})", u32::from(character)));
+            return Err(failed(format_args!(
+                "its font has no `{character}` (U+{:04X})",
+                u32::from(character)
+            )));
         }
     }
     draw(&layout.pages, certificate, dcc)
 }
 
-fn draw(pages: &[Vec<Mark>], certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, String> {
+fn draw(pages: &[Vec<Mark>], certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, CertificateFinding> {
     let configuration = ConfigurationBuilder::new().with_archival_validator(Archival::A3_B).finish();
-    let configuration = configuration.map_err(|error| format!("{error:?}"))?;
+    let configuration = configuration.map_err(|error| failed(format_args!("{error:?}")))?;
     let settings = SerializeSettings { configuration, enable_tagging: false, ..SerializeSettings::default() };
     let mut document = Document::new_with(settings);
-    let font = |data: &'static [u8]| Font::new(data.into(), 0).ok_or("the font cannot be read".to_owned());
+    let font =
+        |data: &'static [u8]| Font::new(data.into(), 0).ok_or_else(|| failed("the font cannot be read"));
     let (regular, bold) = (font(dejavu::sans::regular())?, font(dejavu::sans::bold())?);
     for marks in pages {
-        let size = PageSettings::from_wh(PAGE[0], PAGE[1]).ok_or("no page".to_owned())?;
+        let size = PageSettings::from_wh(PAGE[0], PAGE[1]).ok_or_else(|| failed("no page"))?;
         let mut page = document.start_page_with(size);
         let mut surface = page.surface();
         for mark in marks {
@@ -359,8 +369,8 @@ fn draw(pages: &[Vec<Mark>], certificate: &Certificate, dcc: &[u8]) -> Result<Ve
         compress: Some(true),
         location: None,
     });
-    embedded.ok_or("dcc.xml cannot be embedded".to_owned())?;
-    document.finish().map_err(|error| format!("{error:?}"))
+    embedded.ok_or_else(|| failed("dcc.xml cannot be embedded"))?;
+    document.finish().map_err(|error| failed(format_args!("{error:?}")))
 }
 
 /// The date of the measurement, so that the same result gives the same bytes.

@@ -13,8 +13,7 @@ use crate::catalogue::ProtocolFinding::{
     SequenceModulo, SkipBytes, TemperatureUnit, TooManyWords, UnitKind, UnitWithoutMm, UnitWords, ValidRange,
 };
 use crate::device::protocol::decimal::Decimal;
-use crate::device::protocol::definition::Clock;
-use crate::device::protocol::field::{Field, Flags, Form, Limits, Role, Scale};
+use crate::device::protocol::field::{Clock, Field, Flags, Form, Limits, Role, Scale};
 use crate::device::protocol::framing::LONGEST_FRAME;
 use crate::device::protocol::table::{Endian, FieldKind, FieldTable, Fill, RoleName, Unit};
 
