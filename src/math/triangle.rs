@@ -76,7 +76,8 @@ impl Triangle {
             let (head, tail) = self.block.split_at_mut((k + 1) * BLOCK);
             let pivot = &head[k * BLOCK..k * BLOCK + rows];
             let below = dot(pivot, pivot);
-            if below == 0.0 {
+            // With more unknowns than rows, rounding shrinks what is left of them until its square is no normal number.
+            if below < f64::MIN_POSITIVE {
                 continue;
             }
             let diagonal = self.r[k * width + k];
@@ -165,6 +166,14 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rows_of_rounding_errors_stay_finite() {
+        let mut triangle = Triangle::new(2);
+        triangle.push(&[1e-161, 1.0], 2.0);
+        assert!(triangle.factor().iter().chain(triangle.rhs().iter()).all(|x| x.is_finite()));
+        assert_eq!(triangle.rhs()[1].abs(), 2.0);
+    }
 
     /// A straight line through points.
     #[test]
