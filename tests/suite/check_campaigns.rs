@@ -180,6 +180,8 @@ struct Counts {
     /// Changes of at least the size that is found with 95 % probability.
     detectable: usize,
     detectable_found: usize,
+    /// Found changes that a hypothesis explains.
+    repaired: usize,
     /// Mean 3-D error of the robots that were repaired, and of the same ones as the calibration left them, mm.
     repaired_mm: f64,
     calibrated_mm: f64,
@@ -222,13 +224,15 @@ fn campaign(mounting: Mounting, robots: usize, seed: u64) -> Counts {
             let likeliest = innovation.hypotheses().into_iter().find(|h| !h.parameters.is_empty()).unwrap();
             let names = [likeliest.parameters, likeliest.alike].concat();
             counts.named += usize::from(change.iter().any(|(id, _)| names.contains(id)));
-            let check = input.check().unwrap();
-            counts.repaired_mm += bench.errors_mm(check.update().unwrap(), &drawn.truth)[0];
-            counts.calibrated_mm += bench.errors_mm(&bench.robot, &drawn.calibrated)[0];
+            if let Some(update) = input.check().unwrap().update() {
+                counts.repaired += 1;
+                counts.repaired_mm += bench.errors_mm(update, &drawn.truth)[0];
+                counts.calibrated_mm += bench.errors_mm(&bench.robot, &drawn.calibrated)[0];
+            }
         }
     }
-    counts.repaired_mm /= counts.found.max(1) as f64;
-    counts.calibrated_mm /= counts.found.max(1) as f64;
+    counts.repaired_mm /= counts.repaired.max(1) as f64;
+    counts.calibrated_mm /= counts.repaired.max(1) as f64;
     counts
 }
 

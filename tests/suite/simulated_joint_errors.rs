@@ -276,7 +276,8 @@ fn checked(seed: u64, checks: u64, balls: usize) -> [u64; 2] {
                 rule: Rule::GuardBand { risk: 0.05 },
                 workspace: &[],
             };
-            let innovation = Innovation::of(&input.expected().unwrap(), &readings, input.noise()).unwrap();
+            let innovation = Innovation::of(&input.expected().unwrap(), &readings, input.noise())
+                .unwrap_or_else(|| panic!("robot {seed}, check {check}"));
             *count += u64::from(innovation.test().changed);
         }
     }
