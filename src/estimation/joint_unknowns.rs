@@ -10,7 +10,7 @@ use super::lengths::{Sigma, Weighted};
 use super::noise_shape::BacklashNoise;
 use super::options::Setting;
 use super::pose_rows::PoseRows;
-use super::priors::Group;
+use super::priors::{Group, largest_plausible};
 use crate::measurement::LengthModel;
 use crate::robot::{AXES, JointError, JointErrors, JointTerm, ParamId, Smooth, TermKind, Visited, parameter};
 
@@ -62,8 +62,14 @@ impl JointUnknowns {
         let mut ids: Vec<ParamId> = estimate.kept.iter().copied().chain(optional).collect();
         ids.sort();
         let own = |id: &ParamId| estimate.kept.iter().position(|kept| kept == id);
+        // An implausible correction that the geometry finds, as of a lost zero, is no draw from the prior: the prior takes its
+        // size, so that it costs errors of the joints and geometry the same.
+        let widened = |id: &ParamId, sd: f64| {
+            let correction = (estimate.fit.model.value(*id) - setting.start.value(*id)).abs();
+            if correction > largest_plausible(true) * sd { correction } else { sd }
+        };
         let variance = |id: &ParamId| match (own(id), id) {
-            (Some(at), _) => prior.sd(at).map(Variance::Fixed),
+            (Some(at), _) => prior.sd(at).map(|sd| Variance::Fixed(widened(id, sd))),
             (None, ParamId::Compliance(_)) => Some(Variance::Of(Group::Compliance, setting.priors.sd(*id))),
             (None, _) => Some(Variance::Of(Group::Harmonic, 1.0)),
         };

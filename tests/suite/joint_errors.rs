@@ -143,3 +143,21 @@ fn a_robot_without_errors_of_joints_has_none() {
     let geometric = identify(dir.path(), &data, &["--model", "geometric"]);
     assert_eq!(result["parameters"], geometric["parameters"]);
 }
+
+#[test]
+fn a_lost_zero_is_not_taken_for_errors_of_joints() {
+    let dir = tempdir().unwrap();
+    let mut data = lengths(&truth::draw(&kr60(), 5, 0.5), 140, 4);
+    data.rows.retain(|row| row.datum == Datum::Ball(BallId::FIRST, BarId::FIRST));
+    for (index, row) in (1..).zip(&mut data.rows) {
+        let mut axes_deg = row.axes.degrees();
+        axes_deg[2] += 1.5;
+        (row.index, row.axes) = (index, AxisAngles::from_degrees(axes_deg));
+    }
+    let result = identify(dir.path(), &data, &["--prior", "datasheet"]);
+    let codes: Vec<&str> =
+        result["findings"].as_array().unwrap().iter().filter_map(|finding| finding["code"].as_str()).collect();
+    assert!(codes.contains(&"W1312"), "{codes:?}");
+    let predicted = &result["predicted_position_uncertainty_mm"];
+    assert!(predicted["after"]["mean"].as_f64().unwrap() < 1.0, "{predicted}");
+}
