@@ -3,10 +3,12 @@
 use std::fs;
 use std::path::Path;
 
+use serde::Deserialize;
 use serde_json::{Map, Value};
 
 use super::Output;
 use crate::base::{clock, files, serialised};
+use crate::catalogue::FileFinding;
 use crate::catalogue::ProvenanceFinding::{self, OtherThanPlanned, SerialOfNoBall};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Job;
@@ -115,6 +117,44 @@ pub(super) fn other_run(job: &Identity, balls: usize, stated: &Identity) -> Vec<
     let is_further = |ball: &&String| ball.parse::<usize>().is_ok_and(|number| number > balls);
     let further = stated.balls.keys().filter(is_further);
     other.chain(further.map(|ball| SerialOfNoBall { ball: ball.clone(), balls })).collect()
+}
+
+/// An earlier result of which a new one takes the place.
+#[derive(Default, Deserialize)]
+pub(super) struct Earlier {
+    #[serde(default)]
+    robot: Option<String>,
+    #[serde(default)]
+    pub(super) provenance: Provenance,
+}
+
+impl Earlier {
+    /// Empty if there is no readable result.
+    pub(super) fn read(file: &Path) -> Self {
+        let text = files::read_if_file(file).and_then(Result::ok);
+        text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+    }
+}
+
+/// Refuses to replace the result of another robot, by the serial numbers if both are known, else by the names.
+pub(super) fn check_replaced(
+    file: &Path,
+    robot: Option<&str>,
+    provenance: &Provenance,
+) -> Result<(), Diagnostic> {
+    let earlier = Earlier::read(file);
+    let differ =
+        |(known, new): &(Option<&str>, Option<&str>)| known.is_some() && new.is_some() && known != new;
+    let serials = (earlier.provenance.identity.robot.as_deref(), provenance.identity.robot.as_deref());
+    let earlier_name = earlier.robot.or_else(|| earlier.provenance.robot().map(|robot| robot.name.clone()));
+    let names = (earlier_name.as_deref(), robot);
+    match [serials, names].iter().find(|pair| differ(pair)) {
+        Some((Some(known), _)) => {
+            let finding = FileFinding::OtherRobot { robot: (*known).into() };
+            Err(Diagnostic::file(file.display(), finding))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Prints an artefact and its chain.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::identify::{Given, LENGTHS, Named, ROBOT, read_workspace};
-use super::{Outcome, Output, value};
+use super::{Outcome, Output, artefact, value};
 use crate::base::{FileSet, files, serialised};
 use crate::catalogue::{ConformityFinding, EstimationFinding};
 use crate::conformity::{self, CheckInput, InterimCheck, Rule};
@@ -92,6 +92,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         return Err(EstimationFinding::LengthsOnly.into());
     }
     given.check_planned_robot()?;
+    let earlier = args.out.join("check.json");
+    artefact::check_replaced(&earlier, Some(&given.robot.name), &given.provenance)?;
     out.findings_in(&args.robot, given.robot.doubtful());
     let start = LengthModel::new(given.robot.geometry.clone(), &given.centres);
     let readings: Vec<PreparedMeasurement> =

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Outcome, Output, value};
+use super::{Outcome, Output, artefact, value};
 use crate::base::{FileSet, serialised};
 use crate::catalogue::{CircularFinding, MatchingFinding, ProvenanceFinding};
 use crate::circular::{self, Evaluation, NAMES, Settings, Temperature, Trace};
@@ -82,6 +82,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         return Err(unused.into());
     }
     let provenance = Provenance::of(&sources);
+    let robot = provenance.robot().map(|robot| robot.name.as_str());
+    artefact::check_replaced(&args.out.join("circle.json"), robot, &provenance)?;
     let (mut tests, count) = (Vec::new(), circles.len());
     for (at, circle) in circles.into_iter().enumerate() {
         out.done(50 + u8::try_from(40 * at / count).unwrap_or(40));

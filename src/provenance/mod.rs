@@ -180,8 +180,7 @@ impl Traced {
 
     /// The last robot in the chain.
     pub fn robot(&self) -> Option<&Artefact> {
-        let robots = [Role::Robot, Role::IdentifiedRobot];
-        self.chain().rev().find(|artefact| robots.contains(&artefact.role))
+        last_robot(self.chain())
     }
 
     /// The error that this artefact was made for one robot and another one is given.
@@ -222,7 +221,17 @@ pub fn one_robot<'a>(all: impl IntoIterator<Item = (String, &'a Traced)>) -> Res
     }
 }
 
+/// The last robot in a chain.
+fn last_robot<'a>(chain: impl DoubleEndedIterator<Item = &'a Artefact>) -> Option<&'a Artefact> {
+    chain.rev().find(|artefact| [Role::Robot, Role::IdentifiedRobot].contains(&artefact.role))
+}
+
 impl Provenance {
+    /// The last robot in the chain.
+    pub fn robot(&self) -> Option<&Artefact> {
+        last_robot(self.from.iter())
+    }
+
     /// The provenance of what this version makes from `inputs`.
     pub fn of<'a>(inputs: impl IntoIterator<Item = &'a Traced>) -> Self {
         let mut made = Self { dbbd: VERSION.into(), ..Self::default() };

@@ -174,7 +174,8 @@ fn read(args: &Args, out: &Output) -> Result<Given, Diagnostic> {
         identity.extend(&stated);
     }
     out.findings(identity.old_certificate(&date::utc(clock::unix_ns())));
-    tables::check_robot(&args.out, &given.robot.name, identity.robot.as_deref())?;
+    let earlier = args.out.join(tables::RESULT);
+    artefact::check_replaced(&earlier, Some(&given.robot.name), &given.provenance)?;
     Ok(given)
 }
 

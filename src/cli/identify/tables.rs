@@ -2,11 +2,10 @@
 
 use std::path::Path;
 
-use serde::Deserialize;
-
+use super::super::artefact::Earlier;
 use super::Recorded;
-use crate::base::{FileSet, files, serialised};
-use crate::catalogue::{CliFinding, FileFinding};
+use crate::base::{FileSet, serialised};
+use crate::catalogue::CliFinding;
 use crate::conformity::Budget;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::{CalibrationResult, JointPoint, Posterior, ResultFile, joint_curve};
@@ -23,7 +22,7 @@ pub(crate) const LENGTHS: &str = "lengths.csv";
 pub(crate) const POSITIONS: &str = "positions.csv";
 /// The correction of each axis, if the result has errors of the joints.
 const JOINT_ERRORS: &str = "joint-errors.csv";
-const RESULT: &str = "result.json";
+pub(super) const RESULT: &str = "result.json";
 /// The identified robot.
 pub(crate) const ROBOT: &str = "robot-identified.toml";
 
@@ -41,7 +40,7 @@ pub(super) fn write_results(
 ) -> Result<Provenance, Diagnostic> {
     let file = ResultFile::from(result);
     let is_used = |place: usize| result.uses(place);
-    let (mut set, earlier) = (FileSet::begin(dir)?, Earlier::read(dir).provenance);
+    let (mut set, earlier) = (FileSet::begin(dir)?, Earlier::read(&dir.join(RESULT)).provenance);
     let lengths =
         (result.made_from.lengths > 0).then(|| set.write_pieces(LENGTHS, observations.csv_pieces(is_used)));
     let positions = observations.positions_csv(is_used).map(|text| set.write_pieces(POSITIONS, [text]));
@@ -71,34 +70,6 @@ pub(super) fn write_results(
     set.write("report.html", calibration::html(result, observations, &provenance, budget)?)?;
     set.finish()?;
     Ok(provenance)
-}
-
-/// The earlier result in the directory.
-#[derive(Default, Deserialize)]
-struct Earlier {
-    robot: String,
-    provenance: Provenance,
-}
-
-impl Earlier {
-    /// Empty if there is no readable result.
-    fn read(dir: &Path) -> Self {
-        let text = files::read_if_file(&dir.join(RESULT)).and_then(Result::ok);
-        text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
-    }
-}
-
-/// Refuses to replace the result of another robot, by the serial numbers if both are known, else by the names.
-pub(super) fn check_robot(dir: &Path, name: &str, serial: Option<&str>) -> Result<(), Diagnostic> {
-    let Earlier { robot, provenance } = Earlier::read(dir);
-    let known = provenance.identity.robot;
-    let other = match (known.as_deref(), serial) {
-        (Some(known), Some(serial)) if known != serial => known,
-        _ if !robot.is_empty() && robot != name => &robot,
-        _ => return Ok(()),
-    };
-    let finding = FileFinding::OtherRobot { robot: other.into() };
-    Err(Diagnostic::file(dir.join(RESULT).display(), finding))
 }
 
 fn parameters_csv(file: &ResultFile) -> Result<String, CliFinding> {
