@@ -83,6 +83,7 @@ findings! {
             RowsTwice { run: String, rows: usize } => "run {run}: {rows} rows are duplicates";
             ManyTurns { run: String, span_deg: f64 } => "run {run}: the angles span {span_deg:.0} degrees in one sense";
             CountedPoints { run: String, points: usize } => "run {run}: the angles count the {points} points: degrees are needed";
+            Gon { run: String, last_deg: f64 } => "run {run}: the angles go to {last_deg:.1} in equal steps that divide 400: are they in gon?";
             TurnsBack { run: String, direction: &'static str, steps: usize } => "run {run}, {direction}: {steps} steps are against the direction: are two senses in one run?";
             UnequalSenses { ccw_deg: f64, cw_deg: f64 } => "{ccw_deg:.0} degrees are passed counter-clockwise and {cw_deg:.0} clockwise: what needs both senses, such as G(b) and H, is refused";
             LongTest { run: String, span_s: f64 } => "run {run}: the times span {span_s:.0} s: are they in ms?";

@@ -197,6 +197,11 @@ findings! {
         cure: "Nothing: [posterior] is not used. To identify again, give the nominal robot; to go on, give only new lengths." {
             KnownLengths { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot already: its [posterior] is not used";
         }
+        W1335 "the sigma given is far larger than the residuals",
+        cause: "--sigma or the column sigma_mm is in micrometres, or it is not that of these lengths. Lengths that seem so poor leave most of the robot at its nominal values.",
+        cure: "Give sigma in mm, or leave it out." {
+            FarBelowSigma { sigma_mm: f64, times: f64 } => "sigma is {sigma_mm:.3} mm, and the residuals are only {times:.2} times as large: is it in micrometres?";
+        }
         W1381 "the residuals are far larger than the repeatability of the robot",
         cause: "The lengths do not belong to their poses (a column sorted or shifted, bars of two lengths under one number, another unit), or the model lacks most of the error (transmission error, backlash, sag, a list of parameters that is too short).",
         cure: "Look at the residuals in report.html: by row they show a mistake in the table, by axis an error of a joint. Check `bar`, `centre`, --robot and --estimate." {

@@ -70,6 +70,16 @@ findings! {
             BallWithoutCircle { ball: u32 } => "base ball {ball} has no circle: it is not measured";
             FloorBelow { z_mm: f64, lowest_mm: f64 } => "the floor at {z_mm} mm is below the reach of the robot ({lowest_mm:.0} mm)";
         }
+        W0682 "an obstacle is where the robot stands",
+        cause: "A floor, a box or a cylinder encloses a part of the robot's own base: its height, its corner or its frame is another one. The way is checked against this obstacle, so that the clearances of the plan are not those of the cell.",
+        cure: "Obstacles are in the robot base, mm, whose origin is in the robot's foot. Correct the obstacle; a pedestal ends below the robot." {
+            ObstacleInRobot { obstacle: usize, z_mm: f64 } => "[[obstacle]] {obstacle} encloses axis 1 of the robot, {z_mm:.0} mm above its foot";
+        }
+        W0683 "a dwell is too short for the bar",
+        cause: "The bar is read at the rate of its protocol. A dwell with too few readings has no length.",
+        cure: "Make dwell_s longer, or raise poll_hz of the definition if the device answers faster." {
+            ShortDwell { dwell_s: f64, hz: f64, least: usize } => "dwell_s = {dwell_s}: at {hz} readings per second a dwell can have fewer than the {least} readings that a length needs";
+        }
         E0680 "a text or a date of an identity cannot be used",
         cause: "A text of [identity], [bar] or [[centre]] is empty, too long or has control characters, a date does not exist or is impossible, a country is not an ISO code, or balls or temperatures are given twice.",
         cure: "Write texts in one line of at most 200 characters, and dates as \"2026-03-31\"." {

@@ -48,6 +48,7 @@ findings! {
         W1280 "standard deviations of some lengths are missing or of another magnitude",
         cause: "The column sigma_mm is empty in some rows: unless every row has a value, none is used and all lengths have equal weight. Or a value was mistyped or is in another unit.",
         cure: "Correct the column, or leave it out and give --sigma." {
+            SigmaUnit { usual_mm: f64 } => "sigma_mm is usually {usual_mm}: is it in another unit than mm?";
             OtherSigma { index: u32, sigma_mm: f64, usual_mm: f64 } => "index {index} has sigma_mm = {sigma_mm}; the usual value is {usual_mm}";
             SigmaMissing { without: usize, rows: usize } => "{without} of {rows} rows have no sigma_mm: none is used, and all lengths have equal weight";
         }

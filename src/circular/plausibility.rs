@@ -27,6 +27,7 @@ pub(super) fn check(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
     found.extend(traces.iter().filter_map(rows_twice));
     found.extend(traces.iter().filter_map(many_turns));
     found.extend(traces.iter().filter_map(counted));
+    found.extend(traces.iter().filter_map(in_gon));
     found.extend(traces.iter().filter_map(times_back));
     found.extend(traces.iter().filter_map(turns_back));
     found.extend(warm(traces));
@@ -149,6 +150,22 @@ fn warm(traces: &[Trace]) -> Option<Finding> {
         - found.iter().fold(f64::MAX, |least, t| least.min(*t));
     let warmed = (span_k > MOST_WARMED_K).then_some(Finding::WarmedBar { span_k });
     (mean_c > WARMEST_C).then_some(Finding::WarmBar { mean_c }).or(warmed)
+}
+
+/// Angles from 0 on whose equal steps close a circle of 400: no circle ends between one turn and two.
+fn in_gon(trace: &Trace) -> Option<Finding> {
+    const TURN_GON: f64 = 400.0;
+    /// Largest part of a step by which the circle stays open.
+    const OPEN: f64 = 0.1;
+    let mut angles: Vec<f64> = trace.points.iter().map(|point| point.angle_deg).collect();
+    angles.sort_by(f64::total_cmp);
+    let (first, last) = (*angles.first()?, *angles.last()?);
+    let step = (last - first) / (angles.len() - 1).max(1) as f64;
+    let is_even = angles.windows(2).all(|pair| (pair[1] - pair[0] - step).abs() < OPEN * step);
+    let closes = (TURN_GON - (last - first)) / step;
+    let is_closed = [0.0, 1.0].iter().any(|steps| (closes - steps).abs() < OPEN);
+    (angles.len() >= LEAST_POINTS && first.abs() < step && is_even && is_closed)
+        .then(|| Finding::Gon { run: trace.run.clone(), last_deg: last })
 }
 
 /// Angles 1, 2, 3, .. are counts: no circle starts at 1 degree.

@@ -18,6 +18,7 @@ use crate::measurement::{BaseBall, PreparedMeasurement};
 use crate::plan::prediction::Identifiability;
 use crate::plan::{Check, Job, Kind, Plan, PlanningPrior, Prediction, Stage, Taught};
 use crate::provenance::{Artefact, Provenance, Role, Traced, one_robot};
+use crate::recording::dwell;
 use crate::report;
 use crate::robot::{Robot, RobotRead};
 
@@ -91,13 +92,15 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let job = args.stage.map_or_else(|| job.clone(), |points| job.as_stage(points));
     // The file of a definition may exist only on the computer that records.
     if !job.bar.protocol.ends_with(".toml") {
-        protocols::load_with(&job.bar.protocol, &[])
+        let bar = protocols::load_with(&job.bar.protocol, &[])
             .map_err(|why| Diagnostic { file: name.clone(), ..why })?;
+        out.findings_in(&name, dwell::too_short(job.motion.dwell_s, &bar));
     }
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
     let RobotRead { robot, source, .. } = with_serial(&job, robots::read_for_measurement(robot_name, out)?)?;
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
     out.findings_in(&name, job.without_effect(&robot));
+    out.findings_in(&name, job.in_robot(&robot));
     let check = args.check.then(|| PlannedCheck::new(args, &job, &robot, out)).transpose()?;
     let measured =
         if args.check { Measured::default() } else { Measured::find(args, robot_name, &source, out)? };

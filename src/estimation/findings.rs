@@ -23,6 +23,11 @@ const LEAST_LENGTHS: usize = 20;
 /// Residuals beyond so many standard deviations of noise and repeatability are mainly errors that the model lacks.
 const FAR: f64 = 5.0;
 
+/// Residuals below this fraction of sigma contradict it,
+const FAR_BELOW: f64 = 0.2;
+/// if it is larger than that of any bar, mm.
+const LARGE_MM: f64 = 0.1;
+
 /// The findings of a calibration, most severe first.
 pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     let fit = &of.estimate.fit;
@@ -121,7 +126,13 @@ fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
             Some(EstimationFinding::BeyondSigmaOfFew { times })
         }
         ChiSquare::Greater => Some(EstimationFinding::AboveSigma { times }),
-        ChiSquare::Less => Some(EstimationFinding::BelowSigma { times }),
+        ChiSquare::Less => {
+            let sigma_mm = used.rms_sigma();
+            Some(match times < FAR_BELOW && sigma_mm > LARGE_MM {
+                true => EstimationFinding::FarBelowSigma { sigma_mm, times },
+                false => EstimationFinding::BelowSigma { times },
+            })
+        }
         ChiSquare::AsExpected => None,
     }
 }

@@ -1,5 +1,7 @@
 //! Checks of the inputs of an estimation before anything is computed.
 
+use std::ops::RangeInclusive;
+
 use nalgebra::Vector3;
 
 use crate::catalogue::EstimationFinding::{self, PositionsElsewhere, PositionsMirrored};
@@ -59,13 +61,18 @@ pub fn doubts(
         .collect()
 }
 
-/// A standard deviation of a row that is far from the median.
+/// Standard deviations that no bar has, or one that is far from the median.
 fn other_sigma(observations: &Measurements) -> Option<MeasurementFinding> {
     /// Ratio to the median or its inverse.
     const FAR: f64 = 50.0;
+    /// From 10 nm to a rope; other values are in another unit, mm.
+    const OF_ANY_MM: RangeInclusive<f64> = 1e-5..=1.0;
     let given = observations.rows.iter().filter_map(|row| Some((row.index, row.sigma_mm?)));
     let given: Vec<(u32, f64)> = given.collect();
     let usual_mm = median(&mut given.iter().map(|(_, sigma_mm)| *sigma_mm).collect::<Vec<_>>())?;
+    if !OF_ANY_MM.contains(&usual_mm) {
+        return Some(MeasurementFinding::SigmaUnit { usual_mm });
+    }
     let is_far = |sigma_mm: f64| sigma_mm > FAR * usual_mm || sigma_mm * FAR < usual_mm;
     let &(index, sigma_mm) = given.iter().find(|(_, sigma_mm)| is_far(*sigma_mm))?;
     Some(MeasurementFinding::OtherSigma { index, sigma_mm, usual_mm })

@@ -1,6 +1,8 @@
 //! A dwell: its interval in the stream, and what was read in it.
 
 use super::stream::Stream;
+use crate::catalogue::JobFinding;
+use crate::device::protocol::{Definition, Mode};
 use crate::math::robust;
 
 /// A detected dwell; times in s of the stream.
@@ -63,6 +65,20 @@ pub(super) fn least_u_mm() -> f64 {
 }
 /// Least number of samples of a dwell.
 const LEAST_SAMPLES: usize = 3;
+/// A finding if a dwell of `dwell_s` can have too few readings of a bar.
+pub fn too_short(dwell_s: f64, bar: &Definition) -> Option<JobFinding> {
+    let hz = match bar.mode {
+        Mode::Poll { hz, .. } => hz,
+        Mode::Stream => bar.nominal_hz?,
+        Mode::Push => return None,
+    };
+    (dwell_s * hz < LEAST_SAMPLES as f64).then_some(JobFinding::ShortDwell {
+        dwell_s,
+        hz,
+        least: LEAST_SAMPLES,
+    })
+}
+
 /// A change is creep from this number of standard deviations on.
 const CREEP: f64 = 4.0;
 

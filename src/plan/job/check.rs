@@ -1,5 +1,7 @@
 //! Reading a job file, and checking what its types do not say, with the line of what is wrong.
 
+use nalgebra::Vector3;
+
 use super::values::{MOST, Misplaced, Table};
 use super::{CentreTable, CircleTable, Job, LEAST_OBSTACLE_MM, Mode, ObstacleTable, Orientation};
 use crate::base::parse::from_toml;
@@ -10,8 +12,8 @@ use crate::measurement::{BallId, BaseBall};
 use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
 use crate::provenance::{CERTIFIED_C, LENGTH_U_MM, check_text};
-use crate::robot::Robot;
 use crate::robot::pose::is_part_of_turn;
+use crate::robot::{AXES, Robot};
 
 /// Chosen poses of a plan: with more the run takes hours, in which everything drifts.
 const MOST_POINTS: f64 = 1000.0;
@@ -20,6 +22,8 @@ const MOST_CANDIDATES: f64 = 100_000.0;
 const FEED_MM_S: [f64; 2] = [0.5, 250.0];
 /// In a shorter dwell no bar sends enough readings; a longer wait is a mistake, s.
 const DWELL_S: [f64; 2] = [0.05, 60.0];
+/// No bar is better than the least; a smaller value is in mm.
+const SIGMA_UM: [f64; 2] = [0.01, 1e3];
 /// From carbon fibre to zinc, 1/K.
 const EXPANSION_PER_K: [f64; 2] = [-2e-6, 5e-5];
 /// Base balls are larger: nearer places are one, mm.
@@ -81,6 +85,18 @@ impl Job {
         unused.map(|ball| JobFinding::BallWithoutCircle { ball }).chain(floors).collect()
     }
 
+    /// Obstacles that enclose a part of axis 1 between the robot's foot and its shoulder.
+    pub fn in_robot(&self, robot: &Robot) -> Vec<JobFinding> {
+        /// What the robot stands on may reach so far up its foot.
+        const FOOT: f64 = 0.3;
+        let [shoulder, ..] = robot.geometry.skeleton(&[0.0; AXES]);
+        let column = [FOOT, 1.0].map(|share| Vector3::new(0.0, 0.0, share * shoulder.z));
+        let is_inside = |obstacle: &ObstacleTable| obstacle.from_segment(&column) <= 0.0;
+        let inside = self.obstacles.iter().zip(1..).filter(|(obstacle, _)| is_inside(obstacle));
+        let z_mm = column[0].z;
+        inside.map(|(_, obstacle)| JobFinding::ObstacleInRobot { obstacle, z_mm }).collect()
+    }
+
     /// Checks what the types do not say.
     pub(crate) fn check(&self) -> Checked {
         self.check_ranges()?;
@@ -111,7 +127,6 @@ impl Job {
         let Self { bar, motion, limits, tool, .. } = self;
         let [bar_table, motion_table] = ["[bar]", "[motion]"].map(Table::new);
         bar_table.positive("length_mm", bar.length_mm)?;
-        bar_table.positive("sigma_um", bar.sigma_um)?;
         motion_table.positive("turn_deg_s", motion.turn_deg_s)?;
         motion_table.positive_to("settle_s", motion.settle_s, DWELL_S[1])?;
         let optimise = self.optimise.as_ref();
@@ -119,6 +134,7 @@ impl Job {
         let candidates = [10.0 * count(|o| o.points).unwrap_or(0.0), MOST_CANDIDATES];
         let ranges = [
             ("[bar]", "radius_mm", Some(bar.radius_mm), RADIUS_MM),
+            ("[bar]", "sigma_um", Some(bar.sigma_um), SIGMA_UM),
             ("[bar]", "length_u_mm", bar.length_u_mm, LENGTH_U_MM),
             ("[bar]", "temperature_c", bar.temperature_c, CERTIFIED_C),
             ("[bar]", "expansion_per_k", bar.expansion_per_k, EXPANSION_PER_K),
