@@ -21,10 +21,16 @@ findings! {
             FixedTool { name: String } => "{name} moves the workpiece against a fixed tool (#TCP)",
                 help: "only a tool on the flange (#BASE) can be compensated";
         }
-        E0915 "a frame is in another unit",
-        cause: "X, Y and Z of a tool or a base are in metres where millimetres are needed, or the other way round.",
-        cure: "Give frames in mm (in URScript in m)." {
+        E0915 "a frame or the points are in another unit",
+        cause: "X, Y and Z of a tool, a base or most points are in metres where millimetres are needed, or the other way round.",
+        cure: "Give frames and points in mm (in URScript in m)." {
+            PointsInMetres { points: usize, size_mm: f64 } => "{points} points are within {size_mm:.3} mm of the origin of their frame: are they in metres?";
             FrameInOtherUnit { frame: &'static str, size_mm: f64 } => "{frame} is {size_mm:.3} mm away: is it in another unit?";
+        }
+        W0916 "an external axis moves",
+        cause: "The points of the program have different positions of a rail or a positioner. The model of the robot does not have this axis: its points are corrected as if robot and work stood where they are.",
+        cure: "Check the corrected points, or correct one program for each position of the external axis, with its own base." {
+            ExternalAxis { axis: usize, name: String, at: f64, before: f64 } => "external axis {axis} is at {at} at {name}, and at {before} before: it is not corrected";
         }
         E0902 "--tool or --base contradicts the program",
         cause: "The program sets the frame to another value, or uses several frames that it does not define.",
@@ -87,10 +93,10 @@ findings! {
         }
         E0910 "the arguments of compensate do not fit",
         cause: "The program named is a .dat file, the results would replace the program, or the limit is not a length.",
-        cure: "Name the .src, another directory for --out, and a --limit above 0." {
+        cure: "Name the .src, another directory for --out, and a --limit above 0 in mm." {
             DataNamed => "the file contains the points of a program but no motion", help: "name the .src; the .dat beside it is corrected with it";
             WouldOverwrite { directory: String } => "--out {directory} would overwrite the program itself";
-            BadLimit { limit_mm: f64 } => "--limit {limit_mm} must be above 0";
+            BadLimit { limit_mm: f64, most_mm: f64 } => "--limit {limit_mm} must be above 0 and at most {most_mm} mm";
             FrameUnused { language: &'static str } => "a program in {language} does not take these frames",
                 help: "in RAPID a module with tools and work objects is given by --config, in URScript the TCP by --tool";
             FrameInRadians => "six numbers in mm and degrees are needed: an angle seems to be in radians";

@@ -10,8 +10,9 @@ use crate::base::hash::sha256;
 use crate::base::{FileSet, files};
 use crate::catalogue::{CompensationFinding, EstimationFinding, ProgramFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
+use crate::program::compensate::in_metres;
 use crate::program::krl::{self, Files, Given};
-use crate::program::{Language, Moved, Text, provenance, rapid, stamped, urscript};
+use crate::program::{Language, Moved, Target, Text, provenance, rapid, stamped, urscript};
 use crate::provenance::{Artefact, Provenance, Role, Traced};
 use crate::robot::{Pose, Robot, RobotRead};
 
@@ -51,6 +52,9 @@ pub(crate) struct Args {
     limit: f64,
 }
 
+/// No calibration moves a point so far: a larger limit is in another unit, mm.
+const MOST_MM: f64 = 100.0;
+
 /// A corrected program.
 struct Corrected {
     /// Its files with their new texts.
@@ -63,8 +67,9 @@ struct Corrected {
 }
 
 pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
-    if !(args.limit.is_finite() && args.limit > 0.0) {
-        return Err(Diagnostic::new(CompensationFinding::BadLimit { limit_mm: args.limit }));
+    if !(args.limit > 0.0 && args.limit <= MOST_MM) {
+        let (limit_mm, most_mm) = (args.limit, MOST_MM);
+        return Err(Diagnostic::new(CompensationFinding::BadLimit { limit_mm, most_mm }));
     }
     let RobotRead { robot, source: identified, .. } = robots::read(&args.robot, out)?;
     if robot.nominal.is_none() {
@@ -135,6 +140,8 @@ impl Cell<'_> {
             config: config.as_ref().map(Program::text),
         };
         let points = krl::read(program, Given { tool: args.tool, base: args.base })?;
+        check_unit(&source, points.points.iter().map(|point| &point.target))?;
+        out.findings(points.doubts.iter().cloned());
         let corrected = krl::compensate(program, &points, robot, args.limit)
             .map_err(|refused| self.refused(&source, &refused))?;
         let texts = [(source, corrected.source)].into_iter().chain(data.zip(corrected.data)).collect();
@@ -161,6 +168,8 @@ impl Cell<'_> {
             Language::Urscript => urscript::read(text, args.tool)?,
             _ => rapid::read(text, config.as_ref().map(Program::text))?,
         };
+        check_unit(&source, points.points.iter().map(|point| &point.target))?;
+        out.findings(points.doubts.iter().cloned());
         let corrected = points.compensate(text, robot, args.limit);
         let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
         Ok(Corrected {
@@ -186,6 +195,12 @@ impl Cell<'_> {
         self.out.findings(points.iter().cloned());
         Diagnostic::file(&source.name, CompensationFinding::PointsRefused { points: points.len() })
     }
+}
+
+/// Refuses a program whose points are in metres.
+fn check_unit<'a>(program: &Program, targets: impl Iterator<Item = &'a Target>) -> Result<(), Diagnostic> {
+    let refused = |finding| Err(Diagnostic::file(&program.name, finding));
+    in_metres(targets).map_or(Ok(()), refused)
 }
 
 /// Refuses a program that was corrected before, or was made for another robot.

@@ -235,6 +235,42 @@ pub struct Moved {
     pub turn_bits: Option<[u8; 2]>,
 }
 
+/// A finding if most places are so near the origin of their frame that they must be in metres.
+pub(crate) fn in_metres<'a>(targets: impl IntoIterator<Item = &'a Target>) -> Option<CompensationFinding> {
+    /// Farther than any robot reaches, m.
+    const REACH_M: f64 = 5.0;
+    let sizes = targets.into_iter().filter_map(|target| match target {
+        Target::Pose { xyz_mm: [x, y, z], .. } => Some(x.hypot(*y).hypot(*z)),
+        Target::Axes(_) => None,
+    });
+    let (near, far): (Vec<f64>, Vec<f64>) = sizes.partition(|size| *size < REACH_M);
+    let size_mm = near.iter().copied().fold(0.0, f64::max);
+    (near.len() > far.len().max(1) && size_mm > 0.0)
+        .then_some(CompensationFinding::PointsInMetres { points: near.len(), size_mm })
+}
+
+/// Positions of external axes; `None` for one that the robot does not have.
+pub(crate) type External = [Option<f64>; 6];
+
+/// The first point, by its index, at which an external axis is elsewhere than before.
+pub(crate) fn external_motion<'a>(
+    points: impl IntoIterator<Item = (&'a str, External)>,
+) -> Option<(usize, CompensationFinding)> {
+    let mut before: External = [None; 6];
+    for (place, (name, external)) in points.into_iter().enumerate() {
+        for ((at, before), axis) in external.into_iter().zip(&mut before).zip(1..) {
+            match (at, *before) {
+                (Some(at), Some(before)) if at != before => {
+                    let name = name.to_owned();
+                    return Some((place, CompensationFinding::ExternalAxis { axis, name, at, before }));
+                }
+                _ => *before = at.or(*before),
+            }
+        }
+    }
+    None
+}
+
 /// Corrects all points for `robot`, in the order of their first use; `rewrite` writes the new numbers of one.
 ///
 /// # Errors

@@ -3,11 +3,14 @@
 use std::fs;
 use std::path::Path;
 
+use dbbd::robot::Robot;
+
 use crate::cell::{codes, dbbd, stderr};
 use crate::nothing_wrong_is_silent::{JOB, cell, identify, says};
+use crate::rapid_and_urscript::named;
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E0181", "W1283", "W1922", "W1908"]
+    vec!["E0181", "W1283", "W1922", "W1908", "W0682", "W0683", "W0916", "W1335"]
 }
 
 #[test]
@@ -47,6 +50,96 @@ fn base_frames_and_floors_of_jobs() {
     says(&dbbd(at, &["plan", "bad.toml", "--out", "plan"]), 1, "E0601");
 }
 
+#[test]
+fn sigmas_in_micrometres() {
+    let (dir, mut data) = cell();
+    let at = dir.path();
+    for (sigma_mm, code) in [(2.0, "W1280"), (2e-6, "W1280"), (0.5, "W1335")] {
+        data.rows.iter_mut().for_each(|row| row.sigma_mm = Some(sigma_mm));
+        says(&identify(at, &data.to_csv(), &["--prior", "datasheet"]), 3, code);
+    }
+    says(&identify(at, &data.to_csv(), &["--sigma", "2"]), 3, "W1335");
+    fs::write(at.join("bad.toml"), JOB.replace("length_mm", "sigma_um = 0.002\nlength_mm")).unwrap();
+    says(&dbbd(at, &["plan", "bad.toml", "--out", "plan"]), 1, "E0601");
+}
+
+#[test]
+fn obstacles_in_the_robot_and_short_dwells() {
+    let (dir, _) = cell();
+    let at = dir.path();
+    let plan = |job: String| {
+        fs::write(at.join("job.toml"), job).unwrap();
+        dbbd(at, &["plan", "job.toml", "--out", "plan"])
+    };
+    let with = |obstacle: &str| plan(format!("{JOB}[[obstacle]]\n{obstacle}\n"));
+    for obstacle in [
+        "shape = \"box\"\nlow_mm = [-300.0, -300.0, 0.0]\nhigh_mm = [300.0, 300.0, 500.0]",
+        "shape = \"floor\"\nz_mm = 300.0",
+    ] {
+        says(&with(obstacle), 3, "W0682");
+    }
+    // A pedestal, and the plate that the robot's foot stands in.
+    let pedestal = "shape = \"box\"\nlow_mm = [-300.0, -300.0, -800.0]\nhigh_mm = [300.0, 300.0, 30.0]";
+    assert_eq!(with(pedestal).status.code(), Some(0));
+    let polled = |dwell: &str| {
+        let job = JOB.replace("dwell_s = 0.4", dwell);
+        plan(job.replace("length_mm", "protocol = \"mitutoyo-idh\"\nlength_mm"))
+    };
+    assert_eq!(polled("dwell_s = 0.4").status.code(), Some(0));
+    says(&polled("dwell_s = 0.2"), 3, "W0683");
+}
+
+/// Points of a program in metres, or of a robot on a rail.
+#[test]
+fn programs_in_metres_and_on_rails() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    let fixture = |name: &str| {
+        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/krl").join(name)).unwrap()
+    };
+    let identified = |robot: &str| {
+        let robot = named(robot);
+        let known = Robot { nominal: Some(Box::new(robot.clone())), ..robot };
+        fs::write(at.join("id.toml"), known.to_toml().unwrap()).unwrap();
+    };
+    let corrected = |program: &str, more: &[&str]| {
+        dbbd(at, &[&["compensate", program, "--robot", "id.toml", "--out", "new"], more].concat())
+    };
+    for name in ["GLUE01.src", "GLUE01.dat", "config.dat"] {
+        fs::write(at.join(name), fixture(name)).unwrap();
+    }
+    identified("kr60ha");
+    let krl = |data: String| {
+        fs::write(at.join("GLUE01.dat"), data).unwrap();
+        corrected("GLUE01.src", &["--config", "config.dat"])
+    };
+    let sound = krl(fixture("GLUE01.dat"));
+    assert!(!codes(&sound).contains(&"W0916".to_owned()), "{}", stderr(&sound));
+    let rail = fixture("GLUE01.dat").replacen("S 2,T 11,E1 0.0", "S 2,T 11,E1 500.0", 1);
+    says(&krl(rail), 3, "W0916");
+    let coordinate = |part: &str| -> String {
+        match part.split_once(['X', 'Y', 'Z']).and_then(|(_, mm)| mm.trim().parse::<f64>().ok()) {
+            Some(mm) if part.len() < 16 => part.replace(&mm.to_string(), &(mm / 1e3).to_string()),
+            _ => part.to_owned(),
+        }
+    };
+    let lines = fixture("GLUE01.dat");
+    let metres = lines.split(',').map(|part| match part.split_once('{') {
+        Some((head, x)) if x.starts_with("X ") => format!("{head}{{{}", coordinate(x)),
+        _ => coordinate(part),
+    });
+    says(&krl(metres.collect::<Vec<_>>().join(",")), 1, "E0915");
+    says(&corrected("GLUE01.src", &["--config", "config.dat", "--limit", "5000"]), 1, "E0910");
+    identified("irb1600-10-145");
+    let module = "MODULE A\nCONST jointtarget p1 := [[0,0,0,0,30,0],[0,9E9,9E9,9E9,9E9,9E9]];\n\
+        CONST jointtarget p2 := [[10,0,0,0,30,0],[500,9E9,9E9,9E9,9E9,9E9]];\n\
+        PROC main()\nMoveAbsJ p1,v100,fine,tool0;\nMoveAbsJ p2,v100,fine,tool0;\nENDPROC\nENDMODULE\n";
+    fs::write(at.join("A.mod"), module).unwrap();
+    says(&corrected("A.mod", &[]), 3, "W0916");
+    fs::write(at.join("A.mod"), module.replace("[500,", "[0,")).unwrap();
+    assert_eq!(corrected("A.mod", &[]).status.code(), Some(0));
+}
+
 /// A circle of 72 points. Each line has angle, length, time and temperature.
 fn circle(at: &Path, name: &str, line: &dyn Fn(u32) -> [f64; 4]) -> std::process::Output {
     let rows = (0..72).map(|point| {
@@ -77,6 +170,7 @@ fn angles_times_and_temperatures_of_circles() {
     };
     assert_eq!(circle(at, "first.csv", &sound).status.code(), Some(0));
     says(&changed(0, &|point| f64::from(point + 1), "counted.csv"), 3, "W1482");
+    says(&changed(0, &|point| f64::from(point) * 400.0 / 72.0, "gon.csv"), 3, "W1482");
     says(&changed(2, &|point| f64::from(point % 40), "back.csv"), 3, "W1482");
     says(&changed(3, &|point| 20.0 + 0.3 * f64::from(point), "warmed.csv"), 3, "W1482");
     // Evaluated twice, and an arc beside a circle.
@@ -124,6 +218,26 @@ fn results_of_another_calibration() {
     assert!(!codes(&sound).contains(&"W1922".to_owned()), "{}", stderr(&sound));
     fs::copy(at.join("out/result.json"), at.join("first/result.json")).unwrap();
     says(&check(), 3, "W1922");
+}
+
+#[test]
+fn checks_of_another_robot() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    let check = |name: &str, serial: &str| {
+        let robot = Robot { name: name.into(), serial: Some(serial.into()), ..named("kr60ha") };
+        fs::write(at.join("own.toml"), robot.to_toml().unwrap()).unwrap();
+        let identified = identify(at, &data.to_csv(), &["--robot", "own.toml", "--prior", "datasheet"]);
+        assert_eq!(identified.status.code(), Some(0), "{}", stderr(&identified));
+        let robot = at.join(format!("{serial}.toml"));
+        fs::rename(at.join("out/robot-identified.toml"), &robot).unwrap();
+        fs::remove_dir_all(at.join("out")).unwrap();
+        let robot = robot.display().to_string();
+        dbbd(at, &["check", "obs.csv", "--robot", &robot, "--centres", "C.csv", "--out", "checked"])
+    };
+    assert_ne!(check("KUKA KR 60 HA", "A1").status.code(), Some(1));
+    assert_ne!(check("KUKA KR 60 HA", "A1").status.code(), Some(1));
+    says(&check("KUKA KR 60 HA", "B2"), 1, "E0181");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use crate::catalogue::ProgramFinding;
 use crate::program::Target;
 
 pub(crate) const AXIS_NAMES: [&str; 6] = ["A1", "A2", "A3", "A4", "A5", "A6"];
+pub(crate) const EXTERNAL_NAMES: [&str; 6] = ["E1", "E2", "E3", "E4", "E5", "E6"];
 pub(crate) const POSE_NAMES: [&str; 6] = ["X", "Y", "Z", "A", "B", "C"];
 
 /// A finding with its bytes in the file.

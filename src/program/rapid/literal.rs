@@ -1,11 +1,12 @@
 //! Values of RAPID's data types: targets, tools, work objects, speeds.
 
 use crate::program::Target;
+use crate::program::compensate::External;
 use crate::program::script::value::{Content, Value};
 use crate::robot::Pose;
 
 /// The target of a `jointtarget` `[[rax_1,..,rax_6],[..]]` or of a `robtarget`
-/// `[[x,y,z],[q1,q2,q3,q4],[cf1,cf4,cf6,cfx],[..]]` with its configuration. External axes are ignored.
+/// `[[x,y,z],[q1,q2,q3,q4],[cf1,cf4,cf6,cfx],[..]]` with its configuration.
 pub(super) fn taught(value: &Value) -> Option<(Target, Option<[i32; 4]>)> {
     match value.list()? {
         [axes, _] => Some((Target::Axes(axes.numbers()?), None)),
@@ -16,6 +17,14 @@ pub(super) fn taught(value: &Value) -> Option<(Target, Option<[i32; 4]>)> {
         }
         _ => None,
     }
+}
+
+/// The external axes of such a target.
+pub(super) fn external(target: &Value) -> External {
+    /// The value of an axis that the robot does not have.
+    const ABSENT: f64 = 9e9;
+    let axes: Option<[f64; 6]> = target.list().and_then(|parts| parts.last()?.numbers());
+    axes.map_or([None; 6], |axes| axes.map(|at| (at != ABSENT).then_some(at)))
 }
 
 /// A quaternion; `None` if no controller accepts it because its norm is not 1.

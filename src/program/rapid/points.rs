@@ -3,13 +3,13 @@
 use std::collections::HashMap;
 
 use super::instruction::Instruction;
-use super::literal::{predefined, taught};
+use super::literal::{external, predefined, taught};
 use super::parser::{Module, parse};
 use super::program::declared;
 use crate::catalogue::CompensationFinding;
 use crate::diagnostic::Diagnostic;
 use crate::program::Motion;
-use crate::program::compensate::{Branch, Corrected, Corrector};
+use crate::program::compensate::{Branch, Corrected, Corrector, external_motion};
 use crate::program::script::expression::{Statement, StatementKind};
 use crate::program::script::points::{OtherInstructions, Point, Points, elements, replaced};
 use crate::program::script::value::evaluated;
@@ -45,7 +45,14 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
     for statement in statements() {
         reader.statement(statement)?;
     }
-    Ok(reader.points.completed())
+    let mut points = reader.points.completed();
+    let external = external_motion(points.points.iter().map(|point| {
+        let name = point.value.name.as_deref().unwrap_or("inline");
+        (name, external(&point.value))
+    }));
+    let external = external.map(|(at, finding)| text.wrong(&points.points[at].first_use, finding));
+    points.doubts.extend(external);
+    Ok(points)
 }
 
 struct Reader<'a> {

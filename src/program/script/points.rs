@@ -36,6 +36,8 @@ pub struct Points {
     /// Uses of points that are not corrected: in instructions that are not read, of points that are computed or of another
     /// file.
     pub not_corrected: Vec<Diagnostic>,
+    /// What makes all corrections doubtful.
+    pub doubts: Vec<Diagnostic>,
     /// The index of each point by the first byte of its literal.
     by_start: HashMap<usize, usize>,
     /// Uses in calls that are not motions, by the first byte of the point's literal.
@@ -54,8 +56,8 @@ pub(crate) struct OtherInstructions {
 
 impl Points {
     pub(crate) fn new(write: Write) -> Self {
-        let (points, not_corrected) = (Vec::new(), Vec::new());
-        Self { write, points, not_corrected, by_start: HashMap::new(), other_uses: Vec::new() }
+        let (points, not_corrected, doubts) = (Vec::new(), Vec::new(), Vec::new());
+        Self { write, points, not_corrected, doubts, by_start: HashMap::new(), other_uses: Vec::new() }
     }
 
     /// Adds the point of a motion, with `frames` if it is a pose. A point that is computed or not written in this file (the

@@ -13,12 +13,13 @@ use std::collections::HashMap;
 use self::frames::{ActiveFrames, Definitions, FrameKind, FrameTracker, unknown};
 use self::line::{Line, lines};
 use super::data::{Constant, Constants, Origin, key};
-use super::evaluate::{AXIS_NAMES, POSE_NAMES, constant_target};
+use super::evaluate::{AXIS_NAMES, EXTERNAL_NAMES, POSE_NAMES, constant_target};
 use super::statement::motion_of;
 use super::syntax::{DataItem, Expression, ExpressionKind, Part, Place, Span, Text};
 use crate::catalogue::{CompensationFinding, ProgramFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plan::Motion;
+use crate::program::compensate::{External, external_motion};
 use crate::program::lexer::Token;
 use crate::program::{Frames, Target};
 use crate::robot::Pose;
@@ -60,6 +61,7 @@ pub struct TaughtPoint {
     pub numbers: [Span; 6],
     /// The bytes of its turn bits.
     pub turn: Option<Span>,
+    external: External,
     /// The frames that are active there; `None` for axis angles.
     pub frames: Option<Frames>,
 }
@@ -84,6 +86,8 @@ pub struct PointProgram {
     pub points: Vec<TaughtPoint>,
     /// Uses of points that are not corrected: relative motions, points declared elsewhere, arguments of routines.
     pub not_corrected: Vec<Diagnostic>,
+    /// What makes all corrections doubtful.
+    pub doubts: Vec<Diagnostic>,
 }
 
 /// A tool or base of the user that differs by more (mm, or of the rotation matrix) from the program's is another one.
@@ -211,6 +215,10 @@ impl<'a> Reader<'a> {
             .into_iter()
             .map(|(name, span)| file.wrong(&span, CompensationFinding::PointInStatement { name }));
         self.program.not_corrected.extend(in_statements);
+        let points = &self.program.points;
+        let external = external_motion(points.iter().map(|point| (point.name.as_str(), point.external)));
+        let external = external.map(|(at, finding)| file.wrong(&points[at].first_use, finding));
+        self.program.doubts.extend(external);
         Ok(self.program)
     }
 
@@ -359,6 +367,13 @@ impl<'a> Reader<'a> {
             }
             _ => None,
         };
+        let number = |name: &str| match &value.kind {
+            ExpressionKind::Aggregate(fields) => {
+                let field = fields.iter().find(|field| field.name == name)?;
+                field.value.constant().ok()?.number().ok()
+            }
+            _ => None,
+        };
         let names = if matches!(target, Target::Axes(_)) { AXIS_NAMES } else { POSE_NAMES };
         let [Some(a), Some(b), Some(c), Some(d), Some(e), Some(f)] = names.map(span) else {
             return Err(incomplete(ProgramFinding::NoPosition.to_string()));
@@ -379,6 +394,7 @@ impl<'a> Reader<'a> {
             target,
             numbers: [a, b, c, d, e, f],
             turn: span("T"),
+            external: EXTERNAL_NAMES.map(number),
             frames,
         })
     }
