@@ -349,7 +349,7 @@ impl<'a> Cell<'a> {
         Ok(())
     }
 
-    /// Sends the controller's telegrams to the server and hands over the answers. Device time stands still meanwhile.
+    /// Sends the controller's telegrams to the server and hands over the answers. Device time does not advance meanwhile.
     fn exchange(&mut self) -> Result<(), Diagnostic> {
         let Some(server) = self.server else { return Ok(()) };
         if !self.controller.ekrl_open() {

@@ -218,7 +218,7 @@ impl Channel {
     }
 }
 
-/// Records the telegrams of a run, and tells when the program is over.
+/// Records the telegrams of a run, and reports when the program is over.
 pub(super) struct Telegrams {
     server: Server,
     schedule: Schedule,

@@ -1,4 +1,4 @@
-//! The live stream: server-sent events. A client that reads too slowly loses messages and is told how many.
+//! The live stream: server-sent events. A client that reads too slowly loses messages and receives their number.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;

@@ -22,7 +22,7 @@ pub(super) enum Token {
     End,
 }
 
-/// A sign that begins with another stands before it.
+/// A sign that begins with another comes before it.
 const KRL_SIGNS: &[&str] =
     &["==", "<>", "<=", ">=", "(", ")", "{", "}", "[", "]", ",", ":", ".", "=", "<", ">", "+", "-", "*", "/"];
 const SCRIPT_SIGNS: &[&str] = &[

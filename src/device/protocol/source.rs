@@ -1,4 +1,4 @@
-//! The text of a definition file with its parameters: `${name}` stands for a value that the user sets.
+//! The text of a definition file with its parameters: `${name}` is a value that the user sets.
 //!
 //! Parameters are substituted before the text is parsed, so that a key that takes a number may be written as
 //! `"${name}"`. `${name:04}` writes an integer with four digits, `${name:02x}` in hexadecimal.

@@ -14,7 +14,7 @@ enum Block {
     Other,
 }
 
-/// Parses the routines of a script. A routine stands after those inside it; the last one, without a name, has the lines
+/// Parses the routines of a script. A routine follows those inside it; the last one, without a name, has the lines
 /// outside of any.
 pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
     let mut tokens = Tokens::new(text, Language::Urscript)?;
