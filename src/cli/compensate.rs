@@ -12,7 +12,7 @@ use crate::catalogue::{CompensationFinding, EstimationFinding, ProgramFinding, P
 use crate::diagnostic::Diagnostic;
 use crate::program::compensate::in_metres;
 use crate::program::krl::{self, Files, Given};
-use crate::program::{Language, Moved, Target, Text, provenance, rapid, stamped, urscript};
+use crate::program::{Language, Moved, Target, Text, check_one_plan, provenance, rapid, stamped, urscript};
 use crate::provenance::{Artefact, Provenance, Role, Traced};
 use crate::robot::{Pose, Robot, RobotRead};
 
@@ -133,7 +133,7 @@ impl Cell<'_> {
         self.check_not_overwritten(&files)?;
         let sources = files.iter().map(|file| file.traced()).collect::<Result<Vec<_>, _>>()?;
         sources.iter().try_for_each(|program| check_robot(program, identified, out))?;
-        check_one_plan(&files, &sources)?;
+        data.iter().try_for_each(|data| check_one_plan(source.text(), data.text()))?;
         let program = Files {
             source: source.text(),
             data: data.as_ref().map(Program::text),
@@ -209,10 +209,8 @@ fn check_robot(program: &Traced, identified: &Traced, out: &Output) -> Result<()
         let before = ProvenanceFinding::CorrectedBefore { source: source.to_string() };
         return Err(Diagnostic::file(&program.artefact.name, before));
     }
+    program.check_made_for(&identified.artefact)?;
     let Some(made_for) = program.robot() else { return Ok(()) };
-    if made_for.differs(&identified.artefact).is_some() {
-        return Err(program.of_another_robot(made_for, &identified.artefact).into());
-    }
     if let Some(nominal) = identified.provenance.from.iter().find(|source| source.role == Role::Robot)
         && !identified.provenance.has(made_for)
     {
@@ -220,22 +218,6 @@ fn check_robot(program: &Traced, identified: &Traced, out: &Output) -> Result<()
         out.finding(ProvenanceFinding::RobotChanged { artefact, made_for, given });
     }
     Ok(())
-}
-
-/// Refuses source and data of a module that were written for different plans, if both name theirs.
-fn check_one_plan(files: &[&Program], sources: &[Traced]) -> Result<(), Diagnostic> {
-    let ([program, data], [program_source, data_source]) = (files, sources) else { return Ok(()) };
-    let plan = |traced: &Traced| {
-        let mut plans = traced.provenance.from.iter().rev();
-        plans.find(|artefact| artefact.role == Role::Plan).map(|plan| plan.name.clone())
-    };
-    match plan(program_source).zip(plan(data_source)).filter(|(plan, data_plan)| plan != data_plan) {
-        Some((plan, data_plan)) => {
-            let data = data.name.clone();
-            Err(Diagnostic::file(&program.name, ProgramFinding::OtherPlansData { data, plan, data_plan }))
-        }
-        None => Ok(()),
-    }
 }
 
 fn report(args: &Args, corrected: &Corrected, out: &Output) -> Result<(), Diagnostic> {

@@ -15,7 +15,9 @@ use crate::device::axes::AxesAddress;
 use crate::device::port::PortAddress;
 use crate::diagnostic::Diagnostic;
 use crate::plan::DEFAULT_PROTOCOL;
-use crate::program::{Language, Program, krl, rapid, urscript};
+use crate::program::{Language, Program, Text, krl, provenance, rapid, urscript};
+use crate::provenance::{Artefact, Role, Traced};
+use crate::robot::RobotRead;
 use crate::sim::axes::{AxesLine, Publisher};
 #[cfg(unix)]
 use crate::sim::bar::Link;
@@ -216,6 +218,14 @@ fn open(path: &Path) -> Result<Program, Diagnostic> {
     }
 }
 
+/// A program as an artefact.
+fn traced(program: &Program) -> Result<Traced, Diagnostic> {
+    let Text { file, text } = program.first();
+    let name = Path::new(file).file_name().unwrap_or_default().to_string_lossy();
+    let artefact = Artefact::new(Role::Program, name, text);
+    Ok(Traced { artefact, provenance: provenance(file, text)? })
+}
+
 /// The axes that the controller publishes.
 struct Axes {
     line: AxesLine,
@@ -291,12 +301,13 @@ impl Source for &mut Cell<'_> {
 
 impl<'a> Cell<'a> {
     fn new(args: &Args, faults: &Faults, out: &'a Output) -> Result<Self, Diagnostic> {
-        let nominal = robots::named(&args.nominal, out)?;
+        let RobotRead { robot: nominal, source, .. } = robots::read(&args.nominal, out)?;
         let robot = match &args.robot {
             Some(name) => robots::named(name, out)?,
             None => truth::draw(&nominal, args.seed, 1.0),
         };
         let program = open(&args.program)?;
+        traced(&program)?.check_made_for(&source.artefact)?;
         let world_text = args.world.as_deref().map(files::read).transpose()?;
         let world_name = args.world.as_ref().map(|path| path.display().to_string());
         let setup = Setup::new(&program.setups(), world_name.as_deref().zip(world_text.as_deref()))?;

@@ -1,10 +1,10 @@
 //! The provenance of a program, as comments after its first line.
 
-use super::Language;
+use super::{Language, Text};
 use crate::base::serialised;
-use crate::catalogue::{CliFinding, ProvenanceFinding};
+use crate::catalogue::{CliFinding, ProgramFinding, ProvenanceFinding};
 use crate::diagnostic::Diagnostic;
-use crate::provenance::{Artefact, Provenance};
+use crate::provenance::{Artefact, Provenance, Role};
 
 /// What the comments begin with, after the comment sign.
 const BY: &str = " made by dbbd ";
@@ -53,6 +53,21 @@ pub fn provenance(file: &str, text: &str) -> Result<Provenance, Diagnostic> {
         }
     }
     Ok(provenance)
+}
+
+/// Refuses source and data of a module that were written for different plans, if both name theirs.
+pub fn check_one_plan(source: Text<'_>, data: Text<'_>) -> Result<(), Diagnostic> {
+    let plan = |Text { file, text }: Text<'_>| {
+        let mut chain = provenance(file, text)?.from.into_iter().rev();
+        Ok::<_, Diagnostic>(chain.find(|artefact| artefact.role == Role::Plan).map(|plan| plan.name))
+    };
+    match plan(source)?.zip(plan(data)?).filter(|(plan, data_plan)| plan != data_plan) {
+        Some((plan, data_plan)) => {
+            let data = data.file.to_owned();
+            Err(Diagnostic::file(source.file, ProgramFinding::OtherPlansData { data, plan, data_plan }))
+        }
+        None => Ok(()),
+    }
 }
 
 /// The program with the comments of `provenance` after the line that begins its first routine, data list or module, and

@@ -38,6 +38,14 @@ impl From<Listing> for Program {
 }
 
 impl Program {
+    /// The file in which execution begins.
+    pub(crate) fn first(&self) -> Text<'_> {
+        match self {
+            Self::Krl(program) => program.first(),
+            Self::Listed(listing) => listing.text(0),
+        }
+    }
+
     /// The set-up of each module that has one.
     pub fn setups(&self) -> Vec<Setup> {
         match self {

@@ -20,7 +20,7 @@ pub mod urscript;
 pub use crate::plan::Motion;
 pub use compensate::Moved;
 pub use emission::{Sync, Written};
-pub use header::{provenance, stamped};
+pub use header::{check_one_plan, provenance, stamped};
 pub use language::Language;
 pub use listing::{Listing, Program, Setup};
 pub use target::{Frames, Target};

@@ -183,6 +183,14 @@ impl Traced {
         last_robot(self.chain())
     }
 
+    /// Refuses another robot than that for which this artefact was made, if it records one.
+    pub fn check_made_for(&self, given: &Artefact) -> Result<(), ProvenanceFinding> {
+        match self.robot().filter(|made_for| made_for.differs(given).is_some()) {
+            Some(made_for) => Err(self.of_another_robot(made_for, given)),
+            None => Ok(()),
+        }
+    }
+
     /// The error that this artefact was made for one robot and another one is given.
     pub fn of_another_robot(&self, made_for: &Artefact, given: &Artefact) -> ProvenanceFinding {
         let [artefact, made_for, given] = [&self.artefact, made_for, given].map(ToString::to_string);

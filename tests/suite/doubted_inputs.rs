@@ -178,6 +178,15 @@ fn simulations() {
         simulator(at, &["--listen", "tcp://127.0.0.1:0", "--speed", "0", "--ekrl", "127.0.0.1:9"]);
     step(at, &["acquire", "--port", &port, "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
     says(&child.wait_with_output().unwrap(), 3, "W1611");
+    // The program of another robot, and the .dat of another plan.
+    let simulate = ["simulate", "--program", "krl/DBB_MAIN.src", "--nominal"];
+    says(&dbbd(at, &[&simulate[..], &["kr16-2"]].concat()), 1, "E1802");
+    let job = fs::read_to_string(at.join("job.toml")).unwrap().replace("points = 12", "points = 10");
+    fs::write(at.join("other.toml"), job).unwrap();
+    step(at, &["plan", "other.toml", "--out", "other"]);
+    step(at, &["krl", "other/plan.csv", "--out", "other-krl"]);
+    fs::copy(at.join("other-krl/DBB_C001.dat"), at.join("krl/DBB_C001.dat")).unwrap();
+    says(&dbbd(at, &[&simulate[..], &["kr60ha"]].concat()), 1, "E0806");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use super::parser::{parse_data, parse_source};
 use super::syntax::{Block, Data, Routine, Source, Span, StatementKind};
 use crate::catalogue::ProgramFinding;
 use crate::diagnostic::Diagnostic;
-use crate::program::Setup;
+use crate::program::{Setup, Text, check_one_plan};
 
 /// Routines of the controller that a program may call.
 pub const BUILT_IN: &[&str] = &["BAS", "IR_STOPM"];
@@ -53,7 +53,7 @@ impl Program {
                 Some((data_name, text)) => Some(parse_data(&data_name, &text)?),
             };
             let module = Module { name, source, data };
-            module.check_names()?;
+            module.check_files()?;
             for (span, called) in module.calls_elsewhere() {
                 if !wanted.iter().any(|wanted| wanted.name == called) {
                     let nowhere = ProgramFinding::NoSuchRoutine { name: called.into() };
@@ -76,6 +76,12 @@ impl Program {
         Some((at, routines(at)?.first()?))
     }
 
+    /// The file in which execution begins.
+    pub(crate) fn first(&self) -> Text<'_> {
+        let first = self.modules.first();
+        first.map_or(Text { file: "", text: "" }, |module| module.source.as_text())
+    }
+
     /// The set-up of each module that has one.
     pub fn setups(&self) -> Vec<Setup> {
         self.modules.iter().filter_map(|module| read_setup(module.data.as_ref()?)).collect()
@@ -83,20 +89,19 @@ impl Program {
 }
 
 impl Module {
-    /// Refuses a routine or data list with another name than the file.
-    fn check_names(&self) -> Result<(), Diagnostic> {
+    /// Refuses a routine or data list with another name than the file, and data of another plan.
+    fn check_files(&self) -> Result<(), Diagnostic> {
         let file = &self.name;
         if let Some(first) = self.source.routines.first().filter(|first| first.name != *file) {
             let other = ProgramFinding::OtherModuleName { routine: first.name.clone(), file: file.clone() };
             return Err(self.source.as_text().wrong(&first.span, other));
         }
-        match self.data.as_ref().filter(|data| data.name != *file) {
-            Some(data) => {
-                let other = ProgramFinding::OtherDataName { data: data.name.clone(), module: file.clone() };
-                Err(Diagnostic::file(&data.file, other))
-            }
-            None => Ok(()),
+        let Some(data) = &self.data else { return Ok(()) };
+        if data.name != *file {
+            let other = ProgramFinding::OtherDataName { data: data.name.clone(), module: file.clone() };
+            return Err(Diagnostic::file(&data.file, other));
         }
+        check_one_plan(self.source.as_text(), data.as_text())
     }
 
     /// The calls of routines that are neither in this module nor built in.
