@@ -23,9 +23,10 @@ findings! {
             NoCircle => "the points determine no circle: their angles are too few or too near to each other";
         }
         E1404 "a cell of a circular test is not possible",
-        cause: "The cell holds a word or a unit that the column does not have.",
+        cause: "The cell holds a word, a unit or a quantity that the column does not have.",
         cure: "A circular test has the columns run,direction,angle_deg,length_mm[,t_s,temp_c]; direction is cw or ccw, lengths are in mm, temperatures in degrees Celsius." {
             Direction { cell: String } => "column `direction`: `{cell}` must be cw or ccw";
+            NoLengthOfBar { length_mm: f64 } => "column `length_mm`: {length_mm} is not a length between ball centres, in mm", help: "give lengths, not deviations from the radius";
             LengthTooLong { length_mm: f64 } => "column `length_mm`: no bar is {length_mm} mm long: lengths are in mm";
             TooHot { temp_c: f64 } => "column `temp_c`: no bar is at {temp_c} degrees: temperatures are in Celsius";
         }

@@ -39,11 +39,12 @@ findings! {
             TwoFrames { option: &'static str, first: String, second: String } => "{option} would stand for two frames: {first}, and elsewhere {second}";
         }
         E0903 "a point has no fixed value",
-        cause: "The point is computed while the program runs, or a component of it is missing.",
-        cure: "Write the point with all six components, and its frame as $BASE." {
+        cause: "The point is computed while the program runs, a component of it is missing, or its quaternion is not of unit length.",
+        cure: "Write the point with all components as taught, and in KRL its frame as $BASE." {
             PointComputed { name: String, line: usize } => "{name} is computed in line {line}";
             PointExpression => "a motion to a point that is computed cannot be compensated";
             PointIncomplete { name: String, why: String } => "{name}: {why}";
+            PointNorm { name: String, norm: f64 } => "{name}: the quaternion is of length {norm:.3}, not 1", help: "teach the point again, or correct its components";
             PointShape { numbers: usize } => "the point is not written as a list with {numbers} numbers where they are needed";
         }
         E0904 "a point is used with two tools or bases",

@@ -135,6 +135,7 @@ findings! {
             NotHeader { why: String } => "{why}";
             Schema { schema: u32, known: u32 } => "has schema {schema}: this version reads schema {known}";
             NoRows => "has no rows: it is not a plan";
+            OtherColumns { columns: String } => "the columns are not those of a plan: {columns}", help: "plan again: was the file saved by another program, such as a spreadsheet?";
             RowIndex { index: u32, expected: usize } => "index = {index} must be {expected}: rows count from 1";
             NotFinite { value: f64 } => "{value} is not a finite number";
             StatusTurn { status: u8, turn: u8 } => "status = {status}, turn = {turn}: at most 7 and 63";

@@ -108,7 +108,7 @@ findings! {
         cause: "The bar is outside of its stroke, or is not mounted.",
         cure: "Mount the bar between its balls and repeat the run." {
             NoLength { refusals: u64 } => "the bar sent no length, but {refusals} times that it has none: is it within its stroke?";
-            NoValid { samples: u64 } => "the bar marked all of its {samples} readings as not valid: is it within its stroke?";
+            FewValid { valid: u64, samples: u64 } => "the bar marked only {valid} of its {samples} readings as valid: is it within its stroke?";
         }
         W0223 "samples are missing",
         cause: "The line lost bytes, the bar's buffer overflowed, or the computer was too slow.",

@@ -51,7 +51,8 @@ pub fn traces_from_table(table: &mut Table<'_>) -> Result<Vec<Trace>, Diagnostic
 }
 
 fn millimetres(row: &Row<'_>, at: usize) -> Result<f64, Diagnostic> {
-    match row.positive(at)? {
+    match row.number(at)? {
+        length_mm if length_mm <= 0.0 => Err(row.line(CircularFinding::NoLengthOfBar { length_mm })),
         length_mm if length_mm > LONGEST_MM => Err(row.line(CircularFinding::LengthTooLong { length_mm })),
         mm => Ok(mm),
     }

@@ -26,7 +26,7 @@ pub(super) fn check(traces: &[Trace], radius_mm: f64) -> Vec<Finding> {
     let mut found: Vec<Finding> = traces.iter().filter_map(spike).collect();
     found.extend(traces.iter().filter_map(rows_twice));
     found.extend(traces.iter().filter_map(many_turns));
-    found.extend(traces.iter().filter_map(counted));
+    found.extend(traces.iter().filter_map(|trace| counted(trace, traces)));
     found.extend(traces.iter().filter_map(in_gon));
     found.extend(traces.iter().filter_map(times_back));
     found.extend(traces.iter().filter_map(turns_back));
@@ -168,12 +168,15 @@ fn in_gon(trace: &Trace) -> Option<Finding> {
         .then(|| Finding::Gon { run: trace.run.clone(), last_deg: last })
 }
 
-/// Angles 1, 2, 3, .. are counts: no circle starts at 1 degree.
-fn counted(trace: &Trace) -> Option<Finding> {
+/// Angles 1, 2, 3, .. are counts: no circle starts at 1 degree. So are 0, 1, 2, .. in both senses: angles rise in one only.
+fn counted(trace: &Trace, all: &[Trace]) -> Option<Finding> {
     let points = trace.points.len();
-    let counts = trace.points.iter().zip(1..).all(|(point, number)| point.angle_deg == f64::from(number));
+    let counts = |trace: &Trace, first: i32| {
+        trace.points.iter().zip(first..).all(|(point, number)| point.angle_deg == f64::from(number))
+    };
+    let both = || all.iter().any(|other| other.sense != trace.sense && counts(other, 0));
     let is_turn = points % 360 < 2;
-    (counts && points >= LEAST_POINTS && !is_turn)
+    ((counts(trace, 1) || counts(trace, 0) && both()) && points >= LEAST_POINTS && !is_turn)
         .then(|| Finding::CountedPoints { run: trace.run.clone(), points })
 }
 

@@ -277,8 +277,11 @@ fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<(), Diagnost
 }
 
 fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {
+    /// A run has more than one valid reading in so many, also with long pauses without the bar.
+    const FEW_IN: u64 = 100;
     let Summary { ending, progress, .. } = *summary;
     let Progress { missing, lost_bytes, gaps, silent_s, .. } = progress;
+    let valid = progress.samples.saturating_sub(progress.invalid);
     let doubts = [
         (ending == Ending::Gone, PortFinding::StayedAway { port: args.port.to_string(), gone_s: args.gone }),
         (progress.bytes == 0, PortFinding::NothingReceived),
@@ -287,10 +290,7 @@ fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {
             progress.samples == 0 && progress.rejected > 0,
             PortFinding::NoLength { refusals: progress.rejected },
         ),
-        (
-            progress.samples > 0 && progress.invalid == progress.samples,
-            PortFinding::NoValid { samples: progress.samples },
-        ),
+        (progress.samples > FEW_IN * valid, PortFinding::FewValid { valid, samples: progress.samples }),
         (silent_s > 0.0, PortFinding::FellSilent { silent_s, gaps }),
         (missing > 0 || lost_bytes > 0, PortFinding::SamplesMissing { missing, lost_bytes, gaps }),
         (progress.unanswered > 0, PortFinding::Unanswered { requests: progress.unanswered }),

@@ -19,9 +19,7 @@ use crate::recording::run::PlanFiles;
 /// The size of a record with lines of the trace, bytes.
 const BLOCK: usize = 1 << 16;
 
-/// A trace shorter than this share of the plan's duration is doubtful: no override exceeds 100 %.
-const LEAST: f64 = 0.9;
-/// A trace longer than this multiple of it is doubtful: the lowest override is 1 %.
+/// A trace longer than this multiple of the plan's duration is doubtful: the lowest override is 1 %.
 const MOST: f64 = 100.0;
 /// A trace longer than this multiple of it is reported.
 const LONG: f64 = 1.5;
@@ -73,7 +71,8 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let begin = HostNs(0);
     let version = provenance::VERSION.to_owned();
     writer.write(begin, &Record::Event(Event::Started { unix_ns, version }))?;
-    let (planned_s, dwell_s) = (files.plan.duration_s(), files.plan.header.job.motion.dwell_s);
+    let (planned_s, least_s) = (files.plan.duration_s(), files.plan.least_duration_s());
+    let dwell_s = files.plan.header.job.motion.dwell_s;
     for (name, content) in files.attachments().into_iter().chain([("mapping.toml", map_text)]) {
         let record = Record::Attachment { name: name.into(), content: content.into_bytes() };
         writer.write(begin, &record)?;
@@ -93,7 +92,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if invalid > 0 {
         out.finding(Diagnostic::file(&name, ImportFinding::NotValid { readings: invalid }));
     }
-    if !(LEAST * planned_s..=MOST * planned_s).contains(&seconds) {
+    if !(least_s..=MOST * planned_s).contains(&seconds) {
         out.finding(Diagnostic::file(&name, ImportFinding::Duration { seconds, planned_s }));
     } else if seconds > LONG * planned_s {
         let times = seconds / planned_s;

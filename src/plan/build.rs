@@ -128,6 +128,11 @@ impl Plan {
         self.row_times_s().sum()
     }
 
+    /// The shortest time of a run, s: no override exceeds 100 %, but controllers may accelerate faster than planned.
+    pub fn least_duration_s(&self) -> f64 {
+        0.95 * self.duration_s()
+    }
+
     /// The time of each row: the move to it, and the stop there, s.
     pub fn row_times_s(&self) -> impl Iterator<Item = f64> {
         let motion = &self.header.job.motion;

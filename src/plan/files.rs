@@ -3,7 +3,7 @@
 use super::{Header, Kind, Motion, Plan, PlanRow, pass};
 use crate::base::serialised;
 use crate::base::table::wrong_csv;
-use crate::catalogue::{CliFinding, FileFinding, PlanFinding};
+use crate::catalogue::{CliFinding, PlanFinding};
 use crate::diagnostic::Diagnostic;
 use crate::measurement::table::APPROACH;
 use crate::provenance::{Artefact, Role, Traced};
@@ -127,8 +127,7 @@ fn read_rows(name: &str, text: &str) -> Result<Vec<PlanRow>, Diagnostic> {
     let columns = reader.headers().map_err(|error| wrong_csv(name, &error))?;
     let columns = columns.iter().collect::<Vec<_>>().join(",");
     if columns != COLUMNS && columns != all_columns() {
-        let why = format!("the columns must be {}", all_columns());
-        return Err(Diagnostic::line(name, 1, FileFinding::NotACell { column: 0, why }));
+        return Err(Diagnostic::line(name, 1, PlanFinding::OtherColumns { columns: all_columns() }));
     }
     let mut rows: Vec<PlanRow> = Vec::new();
     for (at, record) in reader.records().enumerate() {

@@ -690,7 +690,7 @@ CASES = [
     ("angles in gon", "circle", circle(each(lambda v: v / 0.9, "angle_deg")), ("W1482",)),
     ("numbers of points in place of angles", "circle", circle(lambda table: [r.update(angle_deg=str(at % 72)) for at, r in enumerate(table)] and None), ("W1482",)),
     ("angles counted clockwise", "circle", circle(each(lambda v: -v, "angle_deg")), ("I1411",)),
-    ("angle and length exchanged", "circle", circle(swapped("angle_deg", "length_mm")), ("E1402", "E0111 length_mm")),
+    ("angle and length exchanged", "circle", circle(swapped("angle_deg", "length_mm")), ("E1402", "E1404")),
     ("lengths sorted", "circle", circle(column(lambda c: sorted(c, key=float), "length_mm")), ("W1480",)),
     ("lengths of one direction reversed", "circle", circle(column(lambda c: c[:72] + c[72:][::-1], "length_mm")), ("W1480",)),
     ("file pasted twice", "circle", circle(lambda table: table + table), ("W1482",)),

@@ -178,6 +178,13 @@ fn simulations() {
         simulator(at, &["--listen", "tcp://127.0.0.1:0", "--speed", "0", "--ekrl", "127.0.0.1:9"]);
     step(at, &["acquire", "--port", &port, "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
     says(&child.wait_with_output().unwrap(), 3, "W1611");
+    // A bar that is longer than the circles' radius.
+    fs::write(at.join("world.toml"), "[bar]\nlength_mm = 320.0\n").unwrap();
+    let (mut child, port) =
+        simulator(at, &["--listen", "tcp://127.0.0.1:0", "--speed", "0", "--world", "world.toml"]);
+    let acquire = ["acquire", "--port", &port, "--plan", "plan/plan.csv", "--out", "longer.dbbd"];
+    says(&dbbd(at, &acquire), 3, "W0222");
+    let _ = child.wait();
     // The program of another robot, and the .dat of another plan.
     let simulate = ["simulate", "--program", "krl/DBB_MAIN.src", "--nominal"];
     says(&dbbd(at, &[&simulate[..], &["kr16-2"]].concat()), 1, "E1802");

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
+use dbbd::recording::run::read_plan;
 use dbbd::robot::Robot;
 use dbbd::sim::truth;
 use tempfile::tempdir;
@@ -186,11 +187,20 @@ fn lengths_measured_before_and_traces() {
     let rows: String = rows.lines().map(|row| format!("{row},-127\n")).collect();
     says(&identify(at, &format!("{header},temp_c\n{rows}"), &PRIOR), 3, "W1842");
 
-    let trace: String = (0..4800)
-        .map(|n| format!("{},{}\n", f64::from(n) / 20.0, 300.0 + 0.001 * f64::from(n % 7)))
-        .collect();
-    fs::write(at.join("trace.csv"), format!("t_s,length_mm\n{trace}")).unwrap();
-    says(&dbbd(at, &["import", "trace.csv", "--plan", "plan/plan.csv", "--out", "run"]), 0, "I1113");
+    let planned_s = read_plan(&at.join("plan/plan.csv")).unwrap().duration_s();
+    // Traces as multiples of the plan: waits for the operator, and a clock that runs slow.
+    for (times, exit, code) in [(20.0, 0, "I1113"), (0.93, 3, "W1110")] {
+        let trace: String = (0..4800)
+            .map(|n| {
+                let share = f64::from(n) / 4799.0;
+                format!("{},{}\n", share * times * planned_s, 300.0 + 0.001 * f64::from(n % 7))
+            })
+            .collect();
+        fs::write(at.join("trace.csv"), format!("t_s,length_mm\n{trace}")).unwrap();
+        let _ = fs::remove_file(at.join("run"));
+        let import = ["import", "trace.csv", "--plan", "plan/plan.csv", "--out", "run"];
+        says(&dbbd(at, &import), exit, code);
+    }
 }
 
 const RAPID: &str = "MODULE Weld\nPERS tooldata tGun:=[TRUE,[[0,0,0],[1,0,0,0]],[3,[0,0,80],[1,0,0,0],0,0,0]];\n\
@@ -205,6 +215,7 @@ const OF_RAPID: &[(&str, &str, i32, &str)] = &[
     ("ENDPROC", "MoveL *,v100,fine,tGun;\nENDPROC", 3, "W0905"),
     ("MoveJ", "PDispSet d10;\nMoveJ", 3, "W0905"),
     ("MoveJ", "p10.trans.x:=900;\nMoveJ", 1, "E0903"),
+    ("[0.0,0.991444861", "[2.5,0.991444861", 1, "E0903"),
     ("MoveJ", "tGun.tframe.trans.z:=100;\nMoveJ", 1, "E0901"),
     ("MoveJ", "wFix:=wOther;\nMoveJ", 1, "E0901"),
     ("[FALSE,TRUE,\"\"", "[FALSE,FALSE,\"STN1\"", 1, "E0901"),

@@ -202,6 +202,11 @@ fn plans_programs_and_traces() {
     fs::write(at.join("mixed/plan.json"), edited).unwrap();
     says(&dbbd(at, &["krl", "mixed/plan.csv", "--out", "krl"]), 1, "E0730");
 
+    // Saved by a German spreadsheet.
+    let german = fs::read_to_string(at.join("plan/plan.csv")).unwrap().replace(',', ";").replace('.', ",");
+    fs::write(at.join("mixed/plan.csv"), german).unwrap();
+    says(&dbbd(at, &["krl", "mixed/plan.csv", "--out", "krl"]), 1, "E0731");
+
     let krl = |more: &[&str]| dbbd(at, &[&["krl", "plan/plan.csv", "--out", "krl"], more].concat());
     says(&krl(&["--server", "10.0.0.1:54600"]), 1, "E0880");
     says(&krl(&["--sync", "ekrl", "--server", "10.0.0.1:0"]), 1, "E0880");

@@ -202,6 +202,27 @@ fn impossible_circles() {
     says(&changed(&|_, mm| format!("{:.2}", mm.parse::<f64>().unwrap())), 3, "W1480");
     let frozen = |at: usize, mm: &str| if (20..40).contains(&at) { "150.0012".into() } else { mm.to_owned() };
     says(&changed(&frozen), 3, "W1480");
+    let deviations_um = |_: usize, mm: &str| (1e3 * (mm.parse::<f64>().unwrap() - 150.0)).to_string();
+    says(&changed(&deviations_um), 1, "E1404");
+    // The numbers of the points of both runs in place of the angles.
+    let numbered = text.lines().enumerate().map(|(at, line)| match line.split(',').collect::<Vec<_>>()[..] {
+        [run, direction, _, mm] if at > 0 => format!("{run},{direction},{},{mm}\n", (at - 1) % 72),
+        _ => format!("{line}\n"),
+    });
+    fs::write(at.join("c.csv"), numbered.collect::<String>()).unwrap();
+    says(&dbbd(at, &["circle", "c.csv", "--out", "q", "--monte-carlo", "0"]), 3, "W1482");
+    // An arc that is passed to and fro in steps of a degree is sound.
+    let arc = (0..72).map(|deg| ("1,ccw", deg)).chain((0..72).rev().map(|deg| ("2,cw", deg)));
+    let arc = arc.map(|(run, deg)| {
+        format!(
+            "{run},{deg},{}\n",
+            150.0 + 0.02 * f64::from(deg).to_radians().cos() + 0.0005 * (7.7 * f64::from(deg)).sin()
+        )
+    });
+    fs::write(at.join("c.csv"), format!("run,direction,angle_deg,length_mm\n{}", arc.collect::<String>()))
+        .unwrap();
+    let arc = dbbd(at, &["circle", "c.csv", "--out", "q", "--monte-carlo", "0"]);
+    assert!(!codes(&arc).contains(&"W1482".to_owned()), "{}", stderr(&arc));
 }
 
 #[test]

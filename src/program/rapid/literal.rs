@@ -1,5 +1,6 @@
 //! Values of RAPID's data types: targets, tools, work objects, speeds.
 
+use crate::catalogue::CompensationFinding;
 use crate::program::Target;
 use crate::program::compensate::External;
 use crate::program::script::value::{Content, Value};
@@ -29,10 +30,24 @@ pub(super) fn external(target: &Value) -> External {
 
 /// A quaternion; `None` if no controller accepts it because its norm is not 1.
 fn quaternion(value: &Value) -> Option<[f64; 4]> {
+    value.numbers().filter(|quaternion| is_unit(norm(quaternion)))
+}
+
+fn norm(quaternion: &[f64; 4]) -> f64 {
+    quaternion.iter().map(|part| part * part).sum::<f64>().sqrt()
+}
+
+fn is_unit(norm: f64) -> bool {
     const ROUNDED: f64 = 0.01;
-    let quaternion: [f64; 4] = value.numbers()?;
-    let norm = quaternion.iter().map(|part| part * part).sum::<f64>().sqrt();
-    ((norm - 1.0).abs() < ROUNDED).then_some(quaternion)
+    (norm - 1.0).abs() < ROUNDED
+}
+
+/// The finding if the quaternion of a `robtarget` is not of unit length.
+pub(super) fn not_of_unit_length(value: &Value) -> Option<CompensationFinding> {
+    let [_, orientation, _, _] = value.list()? else { return None };
+    let norm = norm(&orientation.numbers()?);
+    let name = value.name.clone().unwrap_or_else(|| "inline".into());
+    (!is_unit(norm)).then_some(CompensationFinding::PointNorm { name, norm })
 }
 
 /// `[[x,y,z],[q1,q2,q3,q4]]`

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use super::instruction::Instruction;
-use super::literal::{external, predefined, taught};
+use super::literal::{external, not_of_unit_length, predefined, taught};
 use super::parser::{Module, parse};
 use super::program::declared;
 use crate::catalogue::CompensationFinding;
@@ -84,6 +84,9 @@ impl Reader<'_> {
             return Err(text.wrong(span, why));
         }
         for argument in instruction.points() {
+            if let Some(why) = argument.value.as_ref().and_then(not_of_unit_length) {
+                return Err(text.wrong(span, why));
+            }
             let taught = argument.value.as_ref().and_then(taught).map(|(target, configuration)| {
                 let is_ptp = instruction.motion == Motion::Ptp;
                 let branch = configuration.filter(|_| is_ptp).map_or(Branch::Nearest, Branch::ByQuadrants);

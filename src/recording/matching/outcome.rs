@@ -130,7 +130,7 @@ pub fn nothing_matched(plan: &Plan, stream: &Stream) -> Finding {
         Finding::NothingValid
     } else if high - low < STILL_MM {
         Finding::NothingMoves { reading_mm: low }
-    } else if !(0.9 * planned_s..=LONGEST * planned_s).contains(&seconds) {
+    } else if !(plan.least_duration_s()..=LONGEST * planned_s).contains(&seconds) {
         Finding::OtherDuration { seconds, planned_s }
     } else {
         Finding::NothingMatched
