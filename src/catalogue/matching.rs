@@ -24,6 +24,11 @@ findings! {
         cure: "Check the scale with a gauge block or a known move of the robot (`dbbd bar check`), correct protocol or mapping, and measure again." {
             ReadingScaled { waves: usize, scale: f64, sd: f64 } => "at {waves} sync marks the reading changes by {scale:.3} +- {sd:.3} times the motion of the robot";
         }
+        W1083 "the reading comes too late for the signals of the dwells",
+        cause: "Strobe and length came by different ways: a filter, a buffer or a network delays the reading, or a column of the trace was shifted. Lengths at the dwells are then those of the motion before.",
+        cure: "Take strobe and length from one device, or shift the column back, and import again." {
+            ReadingLate { waves: usize, late_s: f64 } => "at {waves} sync marks the reading comes {late_s:.2} s or more after the signals of the dwells";
+        }
         W1002 "poses were dropped as ambiguous",
         cause: "The program was stopped or started again, the override changed on the way, or the program is not this plan's.",
         cure: "The poses that remain are right with more than 99 %. Where many are dropped, write the program with `krl --sync output` or `ekrl`." {

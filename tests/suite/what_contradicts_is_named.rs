@@ -11,7 +11,7 @@ use crate::cell::{codes, dbbd, stderr};
 use crate::nothing_wrong_is_silent::{cell, identify, says};
 
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["W0391", "W0416", "E1082", "W1081", "I1341"]
+    vec!["W0391", "W0416", "E1082", "W1081", "W1083", "I1341"]
 }
 
 const PRIOR: [&str; 2] = ["--prior", "datasheet"];
@@ -82,6 +82,10 @@ fn sign_scale_and_temperature_of_a_run() {
     for factor in [0.5, 2.0, 1.0 / 25.4] {
         says(&run.with("reading_mm", times(factor)), 3, "W1081");
     }
+    // Half a second behind the strobe.
+    let place = run.rows[0].iter().position(|name| name == "reading_mm").unwrap();
+    let late = |at: usize, _: &str| run.rows[at.saturating_sub(100).max(1)][place].clone();
+    says(&run.with("reading_mm", late), 3, "W1083");
     says(&run.with("temperature_c", |_, _| "0.0".into()), 3, "W0481");
     let loose = |at: usize, _: &str| if (at / 500).is_multiple_of(2) { "20.0".into() } else { "28.0".into() };
     says(&run.with("temperature_c", loose), 3, "W0481");

@@ -1,5 +1,6 @@
 //! Checks that the reading follows the sync markers. Their height is commanded, so they show sign and scale of the
-//! bar. The lengths at the poses do not: a worse robot would explain them as well.
+//! bar. The lengths at the poses do not: a worse robot would explain them as well. Their times show whether the
+//! reading comes later than the signals of the dwells.
 
 use super::PoseMatching;
 use super::outcome::PoseOutcome;
@@ -12,7 +13,7 @@ use crate::recording::stream::Stream;
 /// A linear move shorter than this is a marker, mm.
 const LONGEST_MM: f64 = 1.0;
 /// Range and step of the search for a wave, s at full override.
-const SEARCH_S: f64 = 1.0;
+const SEARCH_S: f64 = 1.5;
 const STEP_S: f64 = 0.01;
 /// Pauses of a controller between two exact stops, s.
 const PAUSES_S: [f64; 4] = [0.0, 0.05, 0.1, 0.2];
@@ -26,6 +27,8 @@ const SURE: f64 = 5.0;
 /// Allowed error of a marker, in repeatabilities of the robot: too short (by backlash), and too long.
 const LESS: f64 = 2.0;
 const MORE: f64 = 1.0;
+/// A reading that comes later by less is not late, s.
+const LEAST_LATE_S: f64 = 0.2;
 /// Repeatability of a robot that states none, mm.
 const REPEATABILITY_MM: f64 = 0.1;
 
@@ -37,6 +40,9 @@ pub struct Markers {
     pub sd: f64,
     /// Mean absolute height as commanded, mm.
     pub height_mm: f64,
+    /// How much later than by the dwells beside them all waves come at least, s. Another speed or pauses of the controller
+    /// move waves after a dwell and before one in opposite senses. 0 if waves of one kind are not seen.
+    pub late_s: f64,
     pub waves: usize,
 }
 
@@ -44,6 +50,8 @@ pub struct Markers {
 struct Wave {
     /// Start by the dwell beside it, s of the stream.
     begins_s: f64,
+    /// Whether that dwell is the one before it.
+    follows_dwell: bool,
     moves_s: Vec<f64>,
     /// Length at its corners less the length before, mm.
     corners_mm: Vec<f64>,
@@ -52,6 +60,7 @@ struct Wave {
 /// How well the reading follows a wave.
 #[derive(Clone, Copy)]
 struct Fit {
+    begins_s: f64,
     share: f64,
     scale: f64,
 }
@@ -61,23 +70,27 @@ impl Markers {
     pub fn seen(plan: &Plan, stream: &Stream, matching: &PoseMatching) -> Option<Self> {
         let stretch = matching.override_factor.unwrap_or(1.0).recip();
         let waves = waves(plan, matching, stretch);
-        let seen: Vec<(f64, f64)> = waves
-            .iter()
-            .filter_map(|wave| Some((wave.fit(stream, stretch)?.scale, wave.height_mm())))
-            .collect();
+        let seen: Vec<(&Wave, Fit)> =
+            waves.iter().filter_map(|wave| Some((wave, wave.fit(stream, stretch)?))).collect();
         if seen.len() < LEAST_WAVES {
             return None;
         }
         let count = seen.len() as f64;
-        let scale = seen.iter().map(|(scale, _)| scale).sum::<f64>() / count;
-        let squares: f64 = seen.iter().map(|(one, _)| (one - scale).powi(2)).sum();
-        let height_mm = seen.iter().map(|(_, height_mm)| height_mm).sum::<f64>() / count;
-        Some(Self { scale, sd: (squares / (count - 1.0) / count).sqrt(), height_mm, waves: seen.len() })
+        let scale = seen.iter().map(|(_, fit)| fit.scale).sum::<f64>() / count;
+        let squares: f64 = seen.iter().map(|(_, fit)| (fit.scale - scale).powi(2)).sum();
+        let sd = (squares / (count - 1.0) / count).sqrt();
+        let height_mm = seen.iter().map(|(wave, _)| wave.height_mm()).sum::<f64>() / count;
+        let late_s = |follows: bool| {
+            let waves = seen.iter().filter(|(wave, _)| wave.follows_dwell == follows);
+            waves.map(|(wave, fit)| fit.begins_s - wave.begins_s).min_by(f64::total_cmp)
+        };
+        let late_s = late_s(true).zip(late_s(false)).map_or(0.0, |(after, before)| after.min(before));
+        Some(Self { scale, sd, height_mm, late_s, waves: seen.len() })
     }
 
     /// A wrong sign or scale, beyond chance and beyond the error of the robot.
     pub fn finding(&self, repeatability_mm: Option<f64>) -> Option<Finding> {
-        let &Self { scale, sd, height_mm, waves } = self;
+        let &Self { scale, sd, height_mm, waves, .. } = self;
         let off = scale - 1.0;
         let allowed = if off < 0.0 { LESS } else { MORE } * repeatability_mm.unwrap_or(REPEATABILITY_MM);
         if off.abs() * height_mm < allowed || off.abs() < SURE * sd {
@@ -88,6 +101,12 @@ impl Markers {
         } else {
             Finding::ReadingScaled { waves, scale, sd }
         })
+    }
+
+    /// A reading that is so late that within the dwells it is one of the motion. `settle_s` is between motion and dwell.
+    pub fn late(&self, settle_s: f64) -> Option<Finding> {
+        let &Self { late_s, waves, .. } = self;
+        (late_s > settle_s.max(LEAST_LATE_S)).then_some(Finding::ReadingLate { waves, late_s })
     }
 }
 
@@ -117,17 +136,17 @@ fn waves(plan: &Plan, matching: &PoseMatching, stretch: f64) -> Vec<Wave> {
         let timed = |at: &usize| rows[*at].motion != Motion::Ptp;
         let after = (end..rows.len()).take_while(timed).find(stops);
         let before = || (0..first).rev().take_while(timed).find(stops);
-        let begins_s = match after.and_then(|at| reading(matching, rows[at].index)) {
+        let (begins_s, follows_dwell) = match after.and_then(|at| reading(matching, rows[at].index)) {
             Some(dwell) => {
                 let settle_s = plan.header.job.motion.settle_s;
-                dwell.0 - settle_s - between_s(first, after? + 1)
+                (dwell.0 - settle_s - between_s(first, after? + 1), false)
             }
             None => {
                 let at = before()?;
-                reading(matching, rows[at].index)?.1 + AFTER_S + between_s(at + 1, first)
+                (reading(matching, rows[at].index)?.1 + AFTER_S + between_s(at + 1, first), true)
             }
         };
-        Some(Wave { begins_s, moves_s, corners_mm })
+        Some(Wave { begins_s, follows_dwell, moves_s, corners_mm })
     };
     groups.filter_map(wave).collect()
 }
@@ -190,7 +209,8 @@ fn fit(knots: &[[f64; 2]], stream: &Stream, begins_s: f64) -> Option<Fit> {
     let product = |one: &[f64], other: &[f64]| one.iter().zip(other).map(|(a, b)| a * b).sum::<f64>();
     let (both, own, all) =
         (product(&commanded, &read), product(&commanded, &commanded), product(&read, &read));
-    (own > 0.0 && all > 0.0).then(|| Fit { share: both * both / (own * all), scale: both / own })
+    let share = both * both / (own * all);
+    (own > 0.0 && all > 0.0).then(|| Fit { begins_s, share, scale: both / own })
 }
 
 /// The values less their straight line over time.

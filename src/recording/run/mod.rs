@@ -114,6 +114,8 @@ impl Run {
         });
         let repeatability_mm = robot.as_ref().and_then(|robot| robot.controller().repeatability_mm);
         let markers = Markers::seen(&self.plan, &self.stream, &matching);
+        let settle_s = self.plan.header.job.motion.settle_s;
+        matching.findings.extend(markers.and_then(|markers| markers.late(settle_s)));
         match markers.and_then(|markers| markers.finding(repeatability_mm)) {
             Some(inverted @ MatchingFinding::ReadingInverted { .. }) => Err(inverted.into()),
             scaled => {
