@@ -6,7 +6,7 @@ use serde_json::json;
 
 use super::identify::ROBOT;
 use super::{Outcome, Output, artefact};
-use crate::base::{FileSet, files, serialised};
+use crate::base::{FileSet, clock, date, files, serialised};
 use crate::catalogue::CertificateFinding;
 use crate::diagnostic::Diagnostic;
 use crate::provenance::{Artefact, Role};
@@ -57,6 +57,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         certificate = certificate.with_identity(&artefact::identity(path)?);
     }
     out.findings(certificate.findings());
+    out.findings(certificate.identity().old_certificate(&date::utc(clock::unix_ns())));
     let dcc = certificate.dcc()?;
     let pdf = certificate.pdf(&dcc)?;
     let mut set = FileSet::begin(&args.out)?;

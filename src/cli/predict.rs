@@ -9,6 +9,8 @@ use crate::base::{files, serialised};
 use crate::diagnostic::Diagnostic;
 use crate::estimation::Positions;
 use crate::measurement::{self, APPROACH, Measurements};
+use crate::provenance::{Role, Traced};
+use crate::robot::RobotRead;
 
 /// Predict the position of the tool ball at axis angles, with its uncertainty.
 ///
@@ -40,7 +42,10 @@ struct Predicted {
 pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     files::keeps(&args.out, [args.axes.as_path(), Path::new(&args.robot)])?;
     files::is_earlier(&args.out, (columns().join(",") + "\n").as_bytes())?;
-    let robot = robots::named(&args.robot, out)?;
+    let RobotRead { robot, source, .. } = robots::read(&args.robot, out)?;
+    let (table, changed) = Traced::table(Role::Measurements, &args.axes)?;
+    out.findings(changed);
+    table.check_made_for(&source.artefact)?;
     let poses = out.table(&args.axes, Measurements::poses_from_table)?;
     out.findings_in(&args.robot, robots::edited(&robot));
     let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));

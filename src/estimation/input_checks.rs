@@ -1,5 +1,6 @@
 //! Checks of the inputs of an estimation before anything is computed.
 
+use std::f64::consts::PI;
 use std::ops::RangeInclusive;
 
 use nalgebra::Vector3;
@@ -153,7 +154,10 @@ fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) ->
 }
 
 /// Units in which lengths are given by mistake, and their number in a millimetre.
-const LENGTHS: [(&str, f64); 3] = [("metres", 1e-3), ("inches", 1.0 / 25.4), ("micrometres", 1e3)];
+const LENGTHS: [(&str, f64); 4] =
+    [("metres", 1e-3), ("centimetres", 0.1), ("inches", 1.0 / 25.4), ("micrometres", 1e3)];
+/// Units in which angles are given by mistake, and how many degrees they have.
+const ANGLES: [(&str, f64); 2] = [("radians", 180.0 / PI), ("gon", 0.9)];
 /// A length agrees with the nominal one within this fraction: tool and ball are known to some centimetres.
 const AGREES: f64 = 0.15;
 /// The fraction of lengths that must agree.
@@ -166,6 +170,12 @@ const FEWEST: usize = 4;
 struct UnitMistake {
     columns: &'static str,
     unit: &'static str,
+}
+
+impl UnitMistake {
+    fn of_angles((unit, _): &(&'static str, f64)) -> Self {
+        Self { columns: "a1_deg..a6_deg", unit }
+    }
 }
 
 /// The length of a row by the nominal robot at axis angles (rad), mm; `None` for a position or an unknown ball.
@@ -181,24 +191,23 @@ fn nominal_mm(
 /// Compares the lengths in several units with those of the nominal robot.
 fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measurement]) -> Option<UnitMistake> {
     let lengths: Vec<&Measurement> = rows.iter().filter(|row| !row.datum.is_plane()).collect();
-    let agree = |axes: fn(&Measurement) -> [f64; AXES], per_mm: f64| {
+    let agree = |degrees: f64, per_mm: f64| {
         let is_near = |row: &&&Measurement| {
-            nominal_mm(geometry, centres, row, &axes(row))
+            nominal_mm(geometry, centres, row, &row.axes.radians().map(|angle| degrees * angle))
                 .is_some_and(|mm| (row.length_mm - per_mm * mm).abs() <= AGREES * per_mm * mm)
         };
         let count = lengths.len();
         count >= FEWEST && lengths.iter().filter(is_near).count() as f64 >= MOST * count as f64
     };
-    if agree(|row| row.axes.radians(), 1.0) {
+    if agree(1.0, 1.0) {
         return None;
     }
-    if let Some((unit, _)) = LENGTHS.iter().find(|(_, per_mm)| agree(|row| row.axes.radians(), *per_mm)) {
+    if let Some((unit, _)) = LENGTHS.iter().find(|(_, per_mm)| agree(1.0, *per_mm)) {
         return Some(UnitMistake { columns: "length_mm", unit });
     }
-    agree(|row| row.axes.degrees(), 1.0).then_some(IN_RADIANS)
+    ANGLES.iter().find(|(_, degrees)| agree(*degrees, 1.0)).map(UnitMistake::of_angles)
 }
 
-const IN_RADIANS: UnitMistake = UnitMistake { columns: "a1_deg..a6_deg", unit: "radians" };
 /// Fewer positions can be fitted to any poses.
 const FEWEST_POSITIONS: usize = 8;
 /// Iterations of fitting target and frame in turn.
@@ -234,8 +243,8 @@ fn unit_of_positions(
         let found = fit_frame(places, flanges, geometry.tool);
         found.is_some_and(|found| found.misfit <= AGREES && is_near(found.scale, 1.0))
     };
-    if fits(&places, &flanges(1f64.to_radians().recip())) {
-        return Ok(Some(IN_RADIANS));
+    if let Some(mistake) = ANGLES.iter().find(|(_, degrees)| fits(&places, &flanges(*degrees))) {
+        return Ok(Some(UnitMistake::of_angles(mistake)));
     }
     let mirrored: Vec<Vector3<f64>> =
         places.iter().map(|place| Vector3::new(-place.x, place.y, place.z)).collect();

@@ -165,6 +165,12 @@ fn refused_and_doubted(at: &Path) {
     )
     .unwrap();
     assert_eq!(codes(&certificate(&text, &["--identity", "other.toml"])), ["E0680"]);
+    fs::write(
+        at.join("other.toml"),
+        IDENTITY.replace("certified_on = '2026-03-01'", "certified_on = '2015-03-01'"),
+    )
+    .unwrap();
+    assert!(codes(&certificate(&text, &["--identity", "other.toml"])).contains(&"I1846".to_owned()));
     assert_eq!(codes(&certificate(&text.replace("\"budget\"", "\"no_budget\""), &[])), ["E2001"]);
     let none = certificate(&text.replace("\"operator\"", "\"cell\""), &[]);
     assert!(codes(&none).contains(&"I2004".to_owned()) && none.status.code() == Some(0));

@@ -311,6 +311,7 @@ fn table_of_lengths_has_the_chain_of_its_run() {
         &["circle", "KR-1.dbbd", "KR-2.dbbd", "--out", "q"][..],
         &["identify", "KR-2.csv", "--robot", "first.toml", "--centres", "C.csv", "--out", "out"],
         &["plan", "job.toml", "--measured", "KR-2.csv", "--out", "plan"],
+        &["predict", "obs.csv", "--robot", "other.toml", "--out", "p.csv"],
     ] {
         let other = dbbd(at, args);
         assert_eq!(said(&other, "E1802"), (Some(1), true), "{args:?} {}", stderr(&other));

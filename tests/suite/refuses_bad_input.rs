@@ -69,8 +69,10 @@ fn plans_and_tables_in_other_units() {
     };
     for (column, factor, unit) in [
         ("length_mm", 1e-3, "metres"),
+        ("length_mm", 0.1, "centimetres"),
         ("length_mm", 1.0 / 25.4, "inches"),
         ("_deg", 1_f64.to_radians(), "radians"),
+        ("_deg", 1.0 / 0.9, "gon"),
     ] {
         let table = table(&|name| if name.ends_with(column) { factor } else { 1.0 });
         refused(&table, &["bad.csv"], unit);

@@ -116,7 +116,7 @@ impl Certificate {
         self
     }
 
-    fn identity(&self) -> &Identity {
+    pub fn identity(&self) -> &Identity {
         &self.provenance.identity
     }
 
