@@ -563,7 +563,7 @@ CASES = [
     ("tool ball forgotten", "identify", own(options="--prior datasheet --tool 0,0,0"), OTHER),
     ("tool ball in metres", "identify", own(options="--prior datasheet --tool 0.03,0.02,0.01"), ("E1305 metres",)),
     ("tool ball in another order", "identify", own(options="--prior datasheet --tool 10,20,30"), OTHER),
-    ("sigma in um", "identify", own(options="--prior datasheet --sigma 14"), ("I1317", "W1280", "E0003")),
+    ("sigma in um", "identify", own(options="--prior datasheet --sigma 14"), ("W1335", "W1280", "E0003")),
     ("uncertainty of the bar in um", "identify", own(replace=("--bar-u 0.001", "--bar-u 1")), ("E0003",)),
     ("another length of the bar", "identify", own(lengthened(lambda at, row: 0.5)), ("W1312 bar",)),
     ("centres in metres", "identify", own(balls=each(lambda v: v / 1000, "x_mm", "y_mm", "z_mm")), OTHER + ("E1204",)),
