@@ -1,5 +1,6 @@
 //! Sets `DBBD_VERSION`: the version of the package, and the commit if this directory is the top of a git work tree.
 
+use std::env;
 use std::path::Path;
 use std::process::Command;
 
@@ -14,7 +15,8 @@ fn main() {
 
 /// The commit, with `-dirty` if sources were changed since. `None` for a tarball, also inside another repository.
 fn commit() -> Option<String> {
-    let here = Path::new(env!("CARGO_MANIFEST_DIR")).canonicalize().ok()?;
+    // At run time: clones that share a target directory share this program.
+    let here = Path::new(&env::var_os("CARGO_MANIFEST_DIR")?).canonicalize().ok()?;
     let top = Path::new(&git(&["rev-parse", "--show-toplevel"])?).canonicalize().ok()?;
     if top != here {
         return None;

@@ -245,7 +245,7 @@ pub(crate) fn in_metres<'a>(targets: impl IntoIterator<Item = &'a Target>) -> Op
     });
     let (near, far): (Vec<f64>, Vec<f64>) = sizes.partition(|size| *size < REACH_M);
     let size_mm = near.iter().copied().fold(0.0, f64::max);
-    (near.len() > far.len().max(1) && size_mm > 0.0)
+    (near.len() > far.len().max(2) && size_mm > 0.0)
         .then_some(CompensationFinding::PointsInMetres { points: near.len(), size_mm })
 }
 
