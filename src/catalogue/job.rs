@@ -70,7 +70,7 @@ findings! {
             BallWithoutCircle { ball: u32 } => "base ball {ball} has no circle: it is not measured";
             FloorBelow { z_mm: f64, lowest_mm: f64 } => "the floor at {z_mm} mm is below the reach of the robot ({lowest_mm:.0} mm)";
         }
-        W0682 "an obstacle is where the robot stands",
+        W0682 "an obstacle encloses the robot's base",
         cause: "A floor, a box or a cylinder encloses a part of the robot's own base: its height, its corner or its frame is another one. The way is checked against this obstacle, so that the clearances of the plan are not those of the cell.",
         cure: "Obstacles are in the robot base, mm, whose origin is in the robot's foot. Correct the obstacle; a pedestal ends below the robot." {
             ObstacleInRobot { obstacle: usize, z_mm: f64 } => "[[obstacle]] {obstacle} encloses axis 1 of the robot, {z_mm:.0} mm above its foot";

@@ -65,6 +65,7 @@ pub(super) fn least_u_mm() -> f64 {
 }
 /// Least number of samples of a dwell.
 const LEAST_SAMPLES: usize = 3;
+
 /// A finding if a dwell of `dwell_s` can have too few readings of a bar.
 pub fn too_short(dwell_s: f64, bar: &Definition) -> Option<JobFinding> {
     let hz = match bar.mode {

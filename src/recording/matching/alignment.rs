@@ -5,10 +5,9 @@
 //! apart with every pause. Forward and backward sums give the posterior of each pair, and a pair is kept if it is
 //! nearly certain. The best (Viterbi) path does not suffice: it exists even if nothing can be identified.
 
+use super::evidence::{DwellEvidence, Expected};
 use super::program::{Commanded, Pace};
-use super::trellis::{
-    Answer, BEAM, DwellEvidence, Expected, LEAST_OVERRIDE, MOST_OVERRIDE, SEARCH_SLACK, Trellis,
-};
+use super::trellis::{Answer, BEAM, LEAST_OVERRIDE, MOST_OVERRIDE, SEARCH_SLACK, Trellis};
 
 /// The dwell of a pose (index from 0) and its posterior; of an ambiguous pose the most probable dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -8,6 +8,7 @@ mod alignment;
 mod by_axes;
 mod drift;
 mod duration;
+mod evidence;
 mod frozen;
 mod inferred;
 mod lag;
@@ -37,6 +38,7 @@ use crate::robot::{AXES, Approach, Datum, TargetId};
 
 pub use alignment::{Alignment, Pairing, align};
 pub use drift::Drift;
+pub use evidence::{DwellEvidence, Expected};
 pub use lag::BarLag;
 pub use markers::Markers;
 pub use outcome::{MatchOutcome, PoseOutcome, nothing_matched};
@@ -44,7 +46,6 @@ pub use passes::Lag;
 pub use program::Commanded;
 pub use published::{AxesReport, PublishedAxes};
 pub use stillness::still_dwells;
-pub use trellis::{DwellEvidence, Expected};
 
 use outcome::ExpectedTimes;
 use passes::{PassPoint, Passes};

@@ -3,6 +3,7 @@
 use std::cell::Cell;
 
 use super::duration::{MISSED, SPURIOUS, StillInterval};
+use super::evidence::{DwellEvidence, Expected};
 use super::program::{BROKEN, Commanded, Densities, Elapsed, Interval, MOST_LOG_DENSITY, Pace, Program};
 
 /// Probability that an outage of the bar starts at a pose, and that it continues at the next. It is low, because a
@@ -33,29 +34,6 @@ const LEAST_START_SD_S: f64 = 0.02;
 /// Variance of the time between two starts with these standard deviations, s2.
 pub(super) fn interval_variance_s2(start_sd_s: [f64; 2]) -> f64 {
     start_sd_s.iter().map(|sd_s| sd_s.max(LEAST_START_SD_S).powi(2)).sum()
-}
-
-/// Evidence of a detected dwell.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DwellEvidence {
-    /// Start, s of the stream.
-    pub start_s: f64,
-    /// Standard deviation of the start, s.
-    pub start_sd_s: f64,
-    /// Duration, s, if it is known.
-    pub duration_s: Option<f64>,
-    /// Reading plus length of the bar, mm.
-    pub length_mm: f64,
-    /// Whether the clock broke since the dwell before.
-    pub after_break: bool,
-}
-
-/// Lengths that a model predicts for each pose.
-#[derive(Clone, Copy, Debug)]
-pub struct Expected<'a> {
-    pub length_mm: &'a [f64],
-    /// Their standard deviation, mm.
-    pub sigma_mm: f64,
 }
 
 /// The dwell belongs to the pose.
