@@ -4,10 +4,14 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dbbd::design::calibrate;
-use dbbd::estimation::{AngleSource, Input, Options};
-use dbbd::measurement::{BaseBall, Datum, LengthModel, Measurement, Measurements, Selection, TargetId};
-use dbbd::robot::{Approach, AxisAngles, BallId, BarId, LengthRow, ParamId, Robot, Unit, parameter};
+use dbbd_model::design::calibrate;
+use dbbd_model::estimation::{AngleSource, Input, Options};
+use dbbd_model::measurement::{
+    BaseBall, ColumnSelection, Datum, LengthModel, Measurement, Measurements, TargetId,
+};
+use dbbd_model::robot::{
+    Approach, AxisAngles, BallId, BarId, LengthRow, ParamId, ParamUnit, Robot, parameter,
+};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
@@ -19,7 +23,7 @@ fn problem(poses: usize) -> (Robot, Measurements, Vec<BaseBall>) {
     let robot = Robot::by_name("kr60ha").expect("built in").expect("reads");
     let mut truth = robot.geometry.clone();
     for id in parameter::parse_list("alpha1-5,a1-5,d4-6", &[], 1).expect("a list") {
-        let sd = if id.unit() == Unit::Mm { 0.5 } else { 0.05f64.to_radians() };
+        let sd = if id.unit() == ParamUnit::Mm { 0.5 } else { 0.05f64.to_radians() };
         *truth.value_mut(id).expect("geometric") += sd * random.sample::<f64, _>(rand_distr::StandardNormal);
     }
     let centre = Vector3::new(1300.0, 0.0, 800.0);
@@ -78,7 +82,7 @@ fn benches(c: &mut Criterion) {
     }
     let (robot, observations, centres) = problem(1000);
     let readings: Vec<_> =
-        observations.rows.iter().map(dbbd::measurement::PreparedMeasurement::from).collect();
+        observations.rows.iter().map(dbbd_model::measurement::PreparedMeasurement::from).collect();
     // Divide by 1000 for one pose; sines and cosines of the axis angles are taken in the first, once before in the second.
     c.bench_function("1000 Jacobian rows of all columns, from axis angles", |b| {
         b.iter(|| {
@@ -88,8 +92,8 @@ fn benches(c: &mut Criterion) {
         });
     });
     let model = LengthModel::new(robot.geometry.clone(), &centres);
-    let ids = parameter::all(&robot.parallel_joints(), 1);
-    let selection = Selection::new(&ids);
+    let ids = parameter::all_parameters(&robot.parallel_joints(), 1);
+    let selection = ColumnSelection::new(&ids);
     c.bench_function(&format!("1000 Jacobian rows of {} columns, in the solver", ids.len()), |b| {
         let (mut derivatives, mut row) = (LengthRow::default(), vec![0.0; ids.len()]);
         b.iter(|| {

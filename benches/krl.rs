@@ -6,12 +6,12 @@ use std::fmt::Write;
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dbbd::plan::{Job, Kind, Plan};
-use dbbd::program::krl::{
+use dbbd_job::plan::{Job, Plan, PoseKind};
+use dbbd_job::program::krl::{
     Controller, Files, Given, Options, Sync, Text, compensate, emit, parse_data, parse_source, read,
 };
-use dbbd::robot::{Robot, inverse};
-use dbbd::sim::truth;
+use dbbd_job::sim::truth;
+use dbbd_model::robot::{Robot, inverse};
 
 const POINTS: usize = 100_000;
 const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
@@ -22,7 +22,7 @@ const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6
 fn plan(robot: &Robot) -> Plan {
     let mut plan = Plan::build(&Job::from_toml("job", JOB).expect("a job"), robot).expect("a plan");
     let (rows, moves) = (plan.rows.clone(), plan.header.moves.clone());
-    let dwells = rows.iter().filter(|row| row.kind == Kind::Measure).count();
+    let dwells = rows.iter().filter(|row| row.kind == PoseKind::Measure).count();
     (plan.rows, plan.header.moves) = (Vec::new(), Vec::new());
     for circle in 1..=POINTS.div_ceil(dwells) {
         for (row, time) in rows.iter().zip(&moves) {
@@ -100,7 +100,8 @@ fn benches(c: &mut Criterion) {
     };
     let points = read(files, Given::default()).expect("points");
     assert_eq!(points.points.len(), POINTS);
-    let identified = Robot { nominal: Some(Box::new(robot.clone())), ..truth::draw(&robot, 1, 1.0) };
+    let identified =
+        Robot { nominal: Some(Box::new(robot.clone())), ..truth::draw_true_robot(&robot, 1, 1.0) };
     group.bench_function("read for compensation", |b| {
         b.iter(|| read(files, Given::default()).expect("points").points.len())
     });

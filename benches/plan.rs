@@ -5,10 +5,10 @@
 use std::hint::black_box;
 
 use criterion::{Criterion as Bench, criterion_group, criterion_main};
-use dbbd::design::{Criterion, Exchange, Sphere, design_rows, workspace_rows};
-use dbbd::estimation::{Posterior, Priors, Workspace};
-use dbbd::measurement::{BaseBall, LengthModel};
-use dbbd::robot::{BallId, Robot};
+use dbbd_model::design::{Criterion, Exchange, Sphere, design_rows, workspace_rows};
+use dbbd_model::estimation::{Posterior, Priors, Workspace};
+use dbbd_model::measurement::{BaseBall, LengthModel};
+use dbbd_model::robot::{BallId, Robot};
 use nalgebra::Vector3;
 
 fn benches(c: &mut Bench) {

@@ -4,13 +4,13 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use dbbd::base::units::DeviceTicks;
-use dbbd::device::protocol::Definition;
-use dbbd::measurement::sample::Sample;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_model::base::units::DeviceTicks;
+use dbbd_model::measurement::sample::Sample;
 
 const FRAMES: u32 = 10_000;
 
-fn stream(definition: &Definition) -> Vec<u8> {
+fn stream(definition: &ProtocolDefinition) -> Vec<u8> {
     let (encoder, mut bytes) = (definition.encoder(), Vec::new());
     for frame in 0..FRAMES {
         let sample = Sample {
@@ -53,13 +53,13 @@ fn bare(bytes: &[u8], crc: &crc::Crc<u16, crc::Table<1>>) -> u64 {
 
 fn decoding(c: &mut Criterion) {
     let mut group = c.benchmark_group("decode");
-    let cobs = stream(&Definition::by_name("dbb-cobs-1").unwrap().unwrap());
+    let cobs = stream(&ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap());
     let crc = crc::Crc::<u16, crc::Table<1>>::new(&crc::CRC_16_IBM_3740);
     assert_eq!(bare(&cobs, &crc), u64::from(FRAMES));
     group.throughput(Throughput::Bytes(cobs.len() as u64));
     group.bench_function("bare COBS and CRC", |b| b.iter(|| bare(black_box(&cobs), &crc)));
-    for (name, _) in Definition::built_in() {
-        let definition = Definition::by_name(name).unwrap().unwrap();
+    for (name, _) in ProtocolDefinition::built_in() {
+        let definition = ProtocolDefinition::by_name(name).unwrap().unwrap();
         let bytes = stream(&definition);
         group.throughput(Throughput::Bytes(bytes.len() as u64));
         let mut out = Vec::new();

@@ -5,8 +5,8 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dbbd::robot::inverse::branches;
-use dbbd::robot::{Geometry, Robot};
+use dbbd_model::robot::inverse::branches;
+use dbbd_model::robot::{Geometry, Robot};
 
 fn built_in(name: &str) -> Geometry {
     Robot::by_name(name).expect("built in").expect("reads").geometry

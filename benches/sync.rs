@@ -7,20 +7,20 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::circular::{Point, Sense, Settings, Trace, circular};
-use dbbd::measurement::sample::Sample;
-use dbbd::plan::{Job, Kind, Plan};
-use dbbd::recording::matching::{Input, match_poses};
-use dbbd::recording::{DeviceClock, Stream, StreamBuilder};
-use dbbd::robot::Robot;
+use dbbd_job::plan::{Job, Plan, PoseKind};
+use dbbd_job::recording::matching::{MatchingInput, match_poses};
+use dbbd_job::recording::{DeviceClock, SampleStream, StreamBuilder};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::circular::{CirclePoint, CircleSense, CircleTrace, CircularSettings, circular};
+use dbbd_model::measurement::sample::Sample;
+use dbbd_model::robot::Robot;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 const SAMPLES: u64 = 3_600_000;
 
 /// The demonstration's circles with 240 points each, driven once: 750 dwells fill most of the hour.
-fn run() -> (Plan, Stream) {
+fn run() -> (Plan, SampleStream) {
     let text = include_str!("../examples/demo.toml").replace("points = 80", "points = 240");
     let job = Job::from_toml("demo.toml", &text).expect("reads");
     let plan = Plan::build(&job, &Robot::by_name("kr60ha").expect("built in").expect("reads")).expect("safe");
@@ -31,7 +31,7 @@ fn run() -> (Plan, Stream) {
         let to = random.random_range(-0.3..0.3);
         edges.push((t_s, t_s + time.duration_s, level, to));
         t_s += time.duration_s;
-        if row.kind != Kind::Transit {
+        if row.kind != PoseKind::Transit {
             t_s += job.motion.settle_s + row.dwell_s + 0.1;
         }
         level = to;
@@ -55,18 +55,18 @@ fn run() -> (Plan, Stream) {
     (plan, stream.build())
 }
 
-fn circle() -> Vec<Trace> {
+fn circle() -> Vec<CircleTrace> {
     let mut random = Pcg64::seed_from_u64(2);
     let half = SAMPLES / 2;
-    [Sense::CounterClockwise, Sense::Clockwise]
+    [CircleSense::CounterClockwise, CircleSense::Clockwise]
         .map(|sense| {
-            let sign = if sense == Sense::Clockwise { -1.0 } else { 1.0 };
+            let sign = if sense == CircleSense::Clockwise { -1.0 } else { 1.0 };
             let point = |k: u64| {
                 let angle_deg = sign * 360.0 * k as f64 / half as f64;
                 let theta = angle_deg.to_radians();
                 let form = 0.005 * (2.0 * theta).sin() + 0.1 * theta.cos();
                 let length_mm = 150.0 + form + random.random_range(-0.001..0.001);
-                Point {
+                CirclePoint {
                     angle_deg,
                     length_mm,
                     sigma_mm: None,
@@ -76,7 +76,7 @@ fn circle() -> Vec<Trace> {
                     drives: None,
                 }
             };
-            Trace { run: "1".into(), sense, points: (0..half).map(point).collect() }
+            CircleTrace { run: "1".into(), sense, points: (0..half).map(point).collect() }
         })
         .into()
 }
@@ -85,10 +85,12 @@ fn hour(bench: &mut Criterion) {
     let mut group = bench.benchmark_group("an hour at 1 kHz");
     group.sample_size(10);
     let (plan, stream) = run();
-    group.bench_function("sync", |bench| bench.iter(|| match_poses(black_box(&Input::new(&plan, &stream)))));
+    group.bench_function("sync", |bench| {
+        bench.iter(|| match_poses(black_box(&MatchingInput::new(&plan, &stream))))
+    });
     drop(stream);
     let traces = circle();
-    let settings = Settings { draws: 100, ..Settings::new(150.0) };
+    let settings = CircularSettings { draws: 100, ..CircularSettings::new(150.0) };
     group.bench_function("circle", |bench| bench.iter(|| circular(black_box(&traces), &settings)));
     group.finish();
 }

@@ -4,19 +4,19 @@
 
 use std::sync::OnceLock;
 
-use dbbd::base::table::Table;
-use dbbd::base::units::HostNs;
-use dbbd::device::axes::{AxesDecoder, AxesProtocol, rsi, rtde};
-use dbbd::device::protocol::{Decoded, Definition};
 use dbbd::live::{JobRequest, StartRequest};
-use dbbd::measurement::{BaseBall, Measurements};
-use dbbd::plan::{Job, Plan};
-use dbbd::program::krl::{self, Files, Given, Text};
-use dbbd::recording::TelegramReader;
-use dbbd::recording::axes::AxesReceiver;
-use dbbd::recording::capture;
-use dbbd::robot::Robot;
-use dbbd::sim::Controller;
+use dbbd_device::axes::{AxesDecoder, AxesProtocol, rsi, rtde};
+use dbbd_device::protocol::{DecodedItem, ProtocolDefinition};
+use dbbd_job::plan::{Job, Plan};
+use dbbd_job::program::krl::{self, Files, Given, Text};
+use dbbd_job::recording::TelegramReader;
+use dbbd_job::recording::axes::AxesReceiver;
+use dbbd_job::recording::capture;
+use dbbd_job::sim::SimulatedController;
+use dbbd_model::base::table::TableReader;
+use dbbd_model::base::units::HostNs;
+use dbbd_model::measurement::{BaseBall, Measurements};
+use dbbd_model::robot::Robot;
 
 /// An entrance.
 pub(crate) type Entry = fn(&[u8]);
@@ -44,13 +44,13 @@ pub(crate) fn ended_by_silence() -> String {
     LENGTH.replace(length, "kind = \"gap\"\nidle_us = 2000\n")
 }
 
-fn definitions() -> &'static [Definition] {
-    static ALL: OnceLock<Vec<Definition>> = OnceLock::new();
+fn definitions() -> &'static [ProtocolDefinition] {
+    static ALL: OnceLock<Vec<ProtocolDefinition>> = OnceLock::new();
     ALL.get_or_init(|| {
         let silent = ended_by_silence();
-        let built_in = Definition::built_in().iter().map(|(_, text)| *text);
+        let built_in = ProtocolDefinition::built_in().iter().map(|(_, text)| *text);
         let all = built_in.chain([LENGTH, silent.as_str()]);
-        all.map(|text| Definition::from_toml("definition", text).expect("a definition that is good"))
+        all.map(|text| ProtocolDefinition::from_toml("definition", text).expect("a definition that is good"))
             .collect()
     })
 }
@@ -63,9 +63,9 @@ fn decoder(data: &[u8]) {
     let (mut decoder, mut again) = (definition.decoder(), definition.decoder());
     decoder.push(stream, &mut whole);
     stream.chunks(usize::from(*piece).max(1)).for_each(|piece| again.push(piece, &mut pieces));
-    let same = |(one, other): (&Decoded, &Decoded)| match (one, other) {
+    let same = |(one, other): (&DecodedItem, &DecodedItem)| match (one, other) {
         // A reading may be one that equals nothing.
-        (Decoded::Sample(a, n), Decoded::Sample(b, m)) => {
+        (DecodedItem::Sample(a, n), DecodedItem::Sample(b, m)) => {
             (a.offset, a.reading_mm.to_bits(), a.sequence, n)
                 == (b.offset, b.reading_mm.to_bits(), b.sequence, m)
         }
@@ -77,10 +77,10 @@ fn decoder(data: &[u8]) {
         definition.id
     );
     decoder.interrupt(&mut whole);
-    let accounted: u64 = whole.iter().map(Decoded::bytes).sum();
+    let accounted: u64 = whole.iter().map(DecodedItem::bytes).sum();
     assert_eq!((accounted, decoder.pending()), (stream.len() as u64, 0), "{}", definition.id);
     for one in &whole {
-        if let Decoded::Sample(sample, _) = one {
+        if let DecodedItem::Sample(sample, _) = one {
             // What a device has said can be said, or is refused.
             let _ = definition.encoder().encode(sample, &mut Vec::new());
             let _ = definition.flags(sample.status);
@@ -112,7 +112,7 @@ fn axes(data: &[u8]) {
             assert!(sample.measured_deg.iter().all(|deg| deg.is_finite()));
             // What was understood is understood again.
             if protocol == AxesProtocol::Rsi {
-                let read = rsi::read(rsi::write(&sample).as_bytes());
+                let read = rsi::read_datagram(rsi::write_datagram(&sample).as_bytes());
                 assert_eq!(read.map(|read| read.ticks), Ok(sample.ticks));
             }
         });
@@ -125,13 +125,13 @@ fn axes(data: &[u8]) {
 
 fn definition(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
-    match Definition::from_toml("definition.toml", text) {
+    match ProtocolDefinition::from_toml("definition.toml", text) {
         Ok(definition) => {
             let (mut decoder, mut out) = (definition.decoder(), Vec::new());
             let bytes: Vec<u8> = (0..=255).chain(data.iter().copied()).collect();
             decoder.push(&bytes, &mut out);
             decoder.interrupt(&mut out);
-            assert_eq!(out.iter().map(Decoded::bytes).sum::<u64>(), bytes.len() as u64);
+            assert_eq!(out.iter().map(DecodedItem::bytes).sum::<u64>(), bytes.len() as u64);
             let _ = (definition.layout(), definition.framing(), definition.resolution_mm());
         }
         Err(wrong) => assert!(!wrong.to_string().is_empty()),
@@ -167,7 +167,7 @@ fn execute(source: &str, data: &str) {
     let open = |wanted: &str| Ok(file(wanted).map(|(name, text)| ((*name).to_owned(), (*text).to_owned())));
     let Ok(program) = krl::Program::open("M", open) else { return };
     let Some(Ok(robot)) = Robot::by_name("kr60ha") else { return };
-    let Ok(mut controller) = Controller::new(program, &robot, 100.0) else { return };
+    let Ok(mut controller) = SimulatedController::new(program, &robot, 100.0) else { return };
     for _ in 0..4 {
         match controller.step(0.5) {
             Ok(moment) if moment.done => return,
@@ -179,7 +179,7 @@ fn execute(source: &str, data: &str) {
 
 fn capture_reader(data: &[u8]) {
     let look = |bytes: &[u8]| {
-        let whole = capture::read(bytes);
+        let whole = capture::read_capture(bytes);
         let damaged: u64 = whole.damages.iter().map(|damage| damage.bytes).sum();
         assert!(damaged <= bytes.len() as u64);
         let _ = (whole.ended(), whole.attachment("plan.csv"), whole.samples().count());
@@ -248,7 +248,7 @@ fn tables(data: &[u8]) {
     let whole = reader.push(data);
     let pieces: Vec<_> = data.chunks(3).flat_map(|piece| slow.push(piece)).collect();
     assert_eq!(whole, pieces);
-    let table = || Table::of("table.csv", data);
+    let table = || TableReader::of("table.csv", data);
     if let Ok(observations) = table().and_then(|mut table| Measurements::from_table(&mut table)) {
         let again = Measurements::from_csv("observations.csv", &observations.to_csv());
         assert!(again.is_ok_and(|again| again == observations), "not read as they were written");
@@ -259,7 +259,7 @@ fn tables(data: &[u8]) {
     }
     if let Ok(positions) = table().and_then(|mut table| Measurements::positions_from_table(&mut table)) {
         let text = positions.positions_csv(|_| true).unwrap_or_default();
-        let again = Table::of("positions.csv", &text)
+        let again = TableReader::of("positions.csv", &text)
             .and_then(|mut table| Measurements::positions_from_table(&mut table));
         assert!(again.is_ok_and(|again| again == positions), "not read as they were written");
     }

@@ -3,13 +3,13 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use dbbd::base::clock;
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::device::protocol::Definition;
-use dbbd::measurement::sample::Sample;
-use dbbd::plan::{Kind, Plan};
-use dbbd::recording::capture::{Event, Record, Writer};
-use dbbd::recording::run::PlanFiles;
+use dbbd_device::clock;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_job::plan::{Plan, PoseKind};
+use dbbd_job::recording::capture::{CaptureRecord, CaptureWriter, RunEvent};
+use dbbd_job::recording::run::PlanFiles;
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::measurement::sample::Sample;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -27,26 +27,29 @@ fn write(path: &Path, plan_csv: &Path, samples: u64) {
         let to = random.random_range(-0.3..0.3);
         edges.push((t_s, t_s + time.duration_s, level, to));
         t_s += time.duration_s;
-        if row.kind != Kind::Transit {
+        if row.kind != PoseKind::Transit {
             t_s += plan.header.job.motion.settle_s + row.dwell_s + 0.1;
         }
         level = to;
     }
-    let definition = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
+    let definition = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap();
     let encoder = definition.encoder();
-    let mut writer = Writer::create(path).unwrap();
+    let mut writer = CaptureWriter::create(path).unwrap();
     writer
         .write(
             HostNs(0),
-            &Record::Event(Event::Started { unix_ns: 1_700_000_000_000_000_000, version: "0".into() }),
+            &CaptureRecord::Event(RunEvent::Started {
+                unix_ns: 1_700_000_000_000_000_000,
+                version: "0".into(),
+            }),
         )
         .unwrap();
     for (name, content) in PlanFiles::read(plan_csv).unwrap().attachments() {
-        let record = Record::Attachment { name: name.into(), content: content.into_bytes() };
+        let record = CaptureRecord::Attachment { name: name.into(), content: content.into_bytes() };
         writer.write(HostNs(0), &record).unwrap();
     }
     let content = definition.text.clone().into_bytes();
-    writer.write(HostNs(0), &Record::Attachment { name: "protocol.toml".into(), content }).unwrap();
+    writer.write(HostNs(0), &CaptureRecord::Attachment { name: "protocol.toml".into(), content }).unwrap();
     let (mut at, mut offset) = (0, 0);
     for k in 0..samples {
         let t_s = k as f64 * 1e-3;
@@ -70,8 +73,8 @@ fn write(path: &Path, plan_csv: &Path, samples: u64) {
         encoder.encode(&sample, &mut raw).unwrap();
         offset += raw.len() as u64;
         let host = HostNs(k * 1_000_000 + 2_000_000 + random.random_range(0..100_000));
-        writer.write(host, &Record::Raw(raw)).unwrap();
-        writer.write(host, &Record::Samples(vec![sample])).unwrap();
+        writer.write(host, &CaptureRecord::Raw(raw)).unwrap();
+        writer.write(host, &CaptureRecord::Samples(vec![sample])).unwrap();
     }
     writer.finish(HostNs(samples * 1_000_000 + 3_000_000), "done", 0).unwrap();
 }

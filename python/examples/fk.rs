@@ -3,7 +3,7 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use dbbd::robot::{Pose, Robot};
+use dbbd_model::robot::{Pose, Robot};
 
 fn main() {
     let Some(Ok(robot)) = Robot::by_name("kr60ha") else { return };

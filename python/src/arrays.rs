@@ -1,6 +1,6 @@
 //! NumPy arrays in and out.
 
-use dbbd::robot::{AXES, Approach, Pose};
+use dbbd_model::robot::{AXES, Approach, Pose};
 use numpy::{AllowTypeChange, PyArray, PyArrayDyn, PyArrayLikeDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;

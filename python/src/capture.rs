@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use dbbd::diagnostic::Diagnostic;
-use dbbd::recording::capture::{Event, Pass, Record};
-use dbbd::recording::run;
+use dbbd_job::recording::capture::{CaptureRecord, CaptureSummary, RunEvent};
+use dbbd_job::recording::run;
+use dbbd_model::diagnostic::Diagnostic;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -44,9 +44,9 @@ impl PyCapture {
     fn read(path: PathBuf) -> Result<Self, Failure> {
         let name = path.display().to_string();
         let (mut samples, mut events, mut attachments) = (Samples::default(), Vec::new(), BTreeMap::new());
-        let pass = Pass::over(&path, |stamped| {
+        let pass = CaptureSummary::over(&path, |stamped| {
             match stamped.record {
-                Record::Samples(read) => {
+                CaptureRecord::Samples(read) => {
                     for sample in read {
                         samples.host_ns.push(stamped.host.0);
                         samples.reading_mm.push(sample.reading_mm);
@@ -59,11 +59,11 @@ impl PyCapture {
                         samples.offset.push(sample.offset);
                     }
                 }
-                Record::Event(event) => events.push(with_time(stamped.host.0, &event)),
-                Record::Attachment { name, content } => {
+                CaptureRecord::Event(event) => events.push(with_time(stamped.host.0, &event)),
+                CaptureRecord::Attachment { name, content } => {
                     attachments.insert(name, content);
                 }
-                Record::Raw(_) | Record::Fault(_) | Record::Axes(_) => {}
+                CaptureRecord::Raw(_) | CaptureRecord::Fault(_) | CaptureRecord::Axes(_) => {}
             }
             Ok(())
         })?;
@@ -72,7 +72,7 @@ impl PyCapture {
     }
 }
 
-fn with_time(host_ns: u64, event: &Event) -> Value {
+fn with_time(host_ns: u64, event: &RunEvent) -> Value {
     let mut value = serde_json::to_value(event).unwrap_or_default();
     if let Some(object) = value.as_object_mut() {
         object.insert("host_ns".into(), host_ns.into());
@@ -135,7 +135,7 @@ impl PyCapture {
     fn lengths<'py>(&self, py: Python<'py>) -> Result<(Bound<'py, PyDict>, Py<PyAny>), Failure> {
         let (matching, balls, found) = py.detach(|| {
             let mut found = Vec::new();
-            let run = run::open(&self.path, None, &[], &mut |finding| found.push(finding))?;
+            let run = run::open_run(&self.path, None, &[], &mut |finding| found.push(finding))?;
             let matching = run.matching(None)?;
             found.extend(matching.findings.iter().cloned().map(Diagnostic::from));
             Ok::<_, Diagnostic>((matching, run.centres(), found))

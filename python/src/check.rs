@@ -1,10 +1,10 @@
 //! `check` and `Check`.
 
-use dbbd::conformity::{self, CheckInput, InterimCheck, Rule};
-use dbbd::estimation::expected::{BallMounting, Mounting};
-use dbbd::estimation::{Beside, Options, ResultFile};
-use dbbd::measurement::{LengthModel, PreparedMeasurement};
-use dbbd::robot::AXES;
+use dbbd_model::conformity::{self, CheckInput, DecisionRule, InterimCheck};
+use dbbd_model::estimation::expected::{BallMounting, Mounting};
+use dbbd_model::estimation::{Beside, Options, ResultFile};
+use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
+use dbbd_model::robot::AXES;
 use pyo3::prelude::*;
 
 use crate::arrays::{Numbers, Rows, Wholes};
@@ -51,7 +51,7 @@ impl PyCheck {
 /// Standard deviation of a length of the result beside a robot's file, mm.
 fn sigma_of_result(robot: &PyRobot) -> Result<Option<f64>, Failure> {
     let Some(file) = &robot.file else { return Ok(None) };
-    let (_, beside) = ResultFile::beside(file, robot.robot(), dbbd::base::files::read_if_file)?;
+    let (_, beside) = ResultFile::beside(file, robot.robot(), dbbd_job::files::read_if_file)?;
     match beside {
         Beside::Own(result) => Ok(Some(result.sigma_mm)),
         Beside::Another | Beside::Nothing => Ok(None),
@@ -125,7 +125,7 @@ pub(crate) fn check<'py>(
             sigma_mm,
             mounting,
             tolerance_mm,
-            rule: risk.map_or(Rule::SimpleAcceptance, |risk| Rule::GuardBand { risk }),
+            rule: risk.map_or(DecisionRule::SimpleAcceptance, |risk| DecisionRule::GuardBand { risk }),
             workspace: &workspace.workspace_poses(of),
         };
         Ok(PyCheck { found: input.check().map_err(failed)? })

@@ -1,6 +1,6 @@
 //! Findings of the library as Python's exception and as Python's values.
 
-use dbbd::diagnostic::{Diagnostic, Finding};
+use dbbd_model::diagnostic::{Diagnostic, Finding};
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -40,7 +40,7 @@ impl From<Failure> for PyErr {
             Failure::Python(error) => return error,
         };
         Python::attach(|py| match CLASS.import(py, "dbbd._error", "DbbdError") {
-            Ok(class) => PyErr::from_type(class.clone(), (finding.code.0, finding.to_string())),
+            Ok(class) => PyErr::from_type(class.clone(), (finding.code().as_str(), finding.to_string())),
             Err(error) => error,
         })
     }
@@ -52,7 +52,7 @@ impl From<Failure> for PyErr {
 /// Warnings are errors to the caller.
 pub(crate) fn warn(py: Python<'_>, finding: &Diagnostic) -> PyResult<()> {
     let class = py.import("dbbd._error")?.getattr("DbbdWarning")?;
-    let warning = class.call1((finding.code.0, finding.to_string()))?;
+    let warning = class.call1((finding.code().as_str(), finding.to_string()))?;
     py.import("warnings")?.call_method1("warn", (warning,))?;
     Ok(())
 }

@@ -2,17 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use dbbd::base::serialised;
-use dbbd::catalogue::RobotFinding;
-use dbbd::conformity::Budget;
-use dbbd::design::{Calibrated, calibrate_run};
-use dbbd::diagnostic::Diagnostic;
-use dbbd::estimation::{
+use dbbd_model::base::serialised;
+use dbbd_model::conformity::UncertaintyBudget;
+use dbbd_model::design::{Calibrated, calibrate_run};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::{
     AngleSource, CalibrationResult, ErrorModel, Input, Options, Positions, Prior, ResultFile,
 };
-use dbbd::measurement::{ApproachedPose, LengthModel, Measurements};
-use dbbd::robot::parameter::{SetUp, parse_list};
-use dbbd::robot::{AXES, AxisAngles, ParamId, Robot};
+use dbbd_model::measurement::{ApproachedPose, LengthModel, Measurements};
+use dbbd_model::robot::RobotFinding;
+use dbbd_model::robot::parameter::{SetUpCounts, parse_list};
+use dbbd_model::robot::{AXES, AxisAngles, ParamId, Robot};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use serde::Serialize;
@@ -33,7 +33,7 @@ pub(crate) enum PriorGiven {
 #[pyclass(name = "Result", module = "dbbd", frozen)]
 pub(crate) struct PyResult_ {
     found: CalibrationResult,
-    budget: Budget,
+    budget: UncertaintyBudget,
 }
 
 /// As `result.json` has it, without the files that a result in memory was not made from.
@@ -41,7 +41,7 @@ pub(crate) struct PyResult_ {
 struct Recorded<'a> {
     #[serde(flatten)]
     result: &'a ResultFile,
-    budget: &'a Budget,
+    budget: &'a UncertaintyBudget,
 }
 
 #[pymethods]
@@ -143,7 +143,7 @@ impl Asked<'_> {
         self,
         robot: &Robot,
         lengths: &Measurements,
-        set_up: SetUp,
+        set_up: SetUpCounts,
     ) -> Outcome<(Options, Vec<Diagnostic>)> {
         let Self { estimate, hold, prior, model, rest } = self;
         let refused = matches!(&prior, Some(PriorGiven::Name(name)) if name == "none");
@@ -166,7 +166,7 @@ fn prior(
     given: Option<PriorGiven>,
     robot: &Robot,
     lengths: usize,
-    set_up: SetUp,
+    set_up: SetUpCounts,
 ) -> Outcome<(Prior, Vec<Diagnostic>)> {
     let continued = || Prior::continued(robot, lengths, || Ok::<_, Failure>(0));
     let prior = match given {
@@ -179,7 +179,7 @@ fn prior(
             "datasheet" => Prior::Datasheet,
             "posterior" => match continued()? {
                 (Prior::Posterior, _) => Prior::Posterior,
-                _ => return Err(failed(dbbd::catalogue::EstimationFinding::NoPosterior)),
+                _ => return Err(failed(dbbd_model::estimation::EstimationFinding::NoPosterior)),
             },
             _ => {
                 let why = "prior is 'none', 'datasheet', 'posterior' or a dictionary of standard deviations";
@@ -304,7 +304,7 @@ pub(crate) fn identify<'py>(
         };
         let Calibrated { result: found, observations } = calibrate_run(&input, findings).map_err(failed)?;
         let lengths = observations.as_ref().unwrap_or(&lengths);
-        let budget = Budget::of(&found, lengths, bar_u_mm, &robot.provenance.identity);
+        let budget = UncertaintyBudget::of(&found, lengths, bar_u_mm, &robot.provenance.identity);
         Ok(PyResult_ { found, budget })
     })
 }

@@ -1,10 +1,10 @@
 //! Lengths and positions at poses, as arrays.
 
-use dbbd::catalogue::MeasurementFinding;
-use dbbd::diagnostic::Diagnostic;
-use dbbd::estimation::{check_measurements, doubts};
-use dbbd::measurement::{BaseBall, Distinct, Measurement, Measurements};
-use dbbd::robot::{AXES, AxisAngles, BallId, BarId, Coordinate, Datum, Robot, TargetId};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::{check_measurements, doubts};
+use dbbd_model::measurement::MeasurementFinding;
+use dbbd_model::measurement::{BaseBall, DistinctMeasurements, Measurement, Measurements};
+use dbbd_model::robot::{AXES, AxisAngles, BallId, BarId, Coordinate, Datum, Robot, TargetId};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -54,7 +54,7 @@ impl Given<'_, '_> {
             context: None,
         };
         let table = Measurements::new((0..count).map(row).collect(), Vec::new()).map_err(failed)?;
-        let Distinct { measurements, repeated } = table.distinct().map_err(failed)?;
+        let DistinctMeasurements { measurements, repeated } = table.distinct().map_err(failed)?;
         let found = (repeated > 0)
             .then(|| Diagnostic::file(ARRAYS, MeasurementFinding::Repeated { repeated, rows: count }));
         Ok((measurements, found.into_iter().collect()))

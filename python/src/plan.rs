@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use dbbd::base::files;
-use dbbd::measurement::{BaseBall, Kind};
-use dbbd::plan::{Job, Plan, PlanRow, PlanningPrior};
-use dbbd::provenance::Provenance;
-use dbbd::recording::run::read_plan;
-use dbbd::report;
-use dbbd::robot::{AXES, Robot, RobotRead};
+use dbbd_job::files;
+use dbbd_job::plan::{Job, Plan, PlanRow, PlanningPrior};
+use dbbd_job::recording::run::read_plan;
+use dbbd_job::report;
+use dbbd_model::measurement::{BaseBall, PoseKind};
+use dbbd_model::provenance::Provenance;
+use dbbd_model::robot::{AXES, LoadedRobot, Robot};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -32,7 +32,7 @@ impl PyPlan {
     }
 
     fn dwells(&self) -> impl Iterator<Item = &PlanRow> {
-        self.plan.rows.iter().filter(|row| row.kind != Kind::Transit && row.dwell_s > 0.0)
+        self.plan.rows.iter().filter(|row| row.kind != PoseKind::Transit && row.dwell_s > 0.0)
     }
 }
 
@@ -92,12 +92,12 @@ impl PyPlan {
         let (csv, json) = self.plan.to_files().map_err(failed)?;
         let _writing = files::exclusive(&directory)?;
         let file = |name: &str| -> PathBuf { directory.join(name) };
-        files::write(&file("plan.csv"), csv)?;
-        files::write(&file("plan.json"), json)?;
+        files::write_file(&file("plan.csv"), csv)?;
+        files::write_file(&file("plan.json"), json)?;
         if let Some(page) = &self.page {
-            files::write(&file("plan.html"), page)?;
+            files::write_file(&file("plan.html"), page)?;
         }
-        Ok(files::write(&file("centres.csv"), BaseBall::to_csv(&self.plan.header.job.balls()))?)
+        Ok(files::write_file(&file("centres.csv"), BaseBall::to_csv(&self.plan.header.job.balls()))?)
     }
 
     fn __repr__(&self) -> String {
@@ -111,9 +111,9 @@ impl PyPlan {
 pub(crate) fn plan(py: Python<'_>, job: PathBuf, robot: Option<&PyRobot>) -> Result<PyPlan, Failure> {
     py.detach(|| {
         let name = job.display().to_string();
-        let read = Job::from_toml(&name, &files::read(&job)?)?;
+        let read = Job::from_toml(&name, &files::read_text(&job)?)?;
         let own;
-        let RobotRead { robot, source, .. } = match robot {
+        let LoadedRobot { robot, source, .. } = match robot {
             Some(robot) => &robot.read,
             None => {
                 own = Robot::named(&read.robot, |path: &Path| files::if_there(path, ".toml"))?;
@@ -123,8 +123,8 @@ pub(crate) fn plan(py: Python<'_>, job: PathBuf, robot: Option<&PyRobot>) -> Res
         read.check_against(robot.controller()).map_err(failed)?;
         let prior = PlanningPrior::datasheet(&read, robot);
         let mut plan = Plan::build_with(&read, robot, &prior)
-            .map_err(|refusal| dbbd::diagnostic::Diagnostic { file: name.clone(), ..refusal.into() })?;
-        plan.header.provenance = Provenance::of([&read.traced(&job)?, source]);
+            .map_err(|refusal| dbbd_model::diagnostic::Diagnostic { file: name.clone(), ..refusal.into() })?;
+        plan.header.provenance = dbbd_job::artefact::made_from([&read.traced(&job)?, source]);
         let map = plan.predict(robot, &prior);
         let page = report::plan::html(&plan, robot, &map)?;
         Ok(PyPlan { plan, page: Some(page) })

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use dbbd::base::files;
-use dbbd::diagnostic::Diagnostic;
-use dbbd::math::map_pieces;
-use dbbd::report::export::{urdf, urdf_patch};
-use dbbd::robot::inverse::{branches, nearest};
-use dbbd::robot::{AXES, Geometry, Pose, Robot, RobotRead};
-use dbbd::sim::truth;
+use dbbd_job::files;
+use dbbd_job::report::export::{urdf, urdf_patch};
+use dbbd_job::sim::truth;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::math::map_pieces;
+use dbbd_model::robot::inverse::{branches, nearest};
+use dbbd_model::robot::{AXES, Geometry, LoadedRobot, Pose, Robot};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -41,7 +41,7 @@ impl Angle {
 /// A robot: its geometry, limits and tolerance, and what its identification left unknown.
 #[pyclass(name = "Robot", module = "dbbd", frozen)]
 pub(crate) struct PyRobot {
-    pub(crate) read: RobotRead,
+    pub(crate) read: LoadedRobot,
     /// The file that it was read from.
     pub(crate) file: Option<PathBuf>,
 }
@@ -54,7 +54,7 @@ impl PyRobot {
     /// Of a robot that is in no file.
     pub(crate) fn of(robot: Robot) -> Outcome<Self> {
         let source = robot.traced(&robot.to_toml().map_err(failed)?);
-        Ok(Self { read: RobotRead { robot, source, findings: Vec::new() }, file: None })
+        Ok(Self { read: LoadedRobot { robot, source, findings: Vec::new() }, file: None })
     }
 
     fn fk<'py>(&self, py: Python<'py>, q: &Numbers<'py>, frame: &str, unit: Angle) -> PyResult<Floats<'py>> {
@@ -190,7 +190,7 @@ impl PyRobot {
     /// A true robot drawn from `scale` times the tolerance of this one; the same seed gives the same robot.
     #[pyo3(signature = (seed, scale=1.0))]
     fn drawn(&self, seed: u64, scale: f64) -> Result<Self, Failure> {
-        Self::of(truth::draw(self.robot(), seed, scale))
+        Self::of(truth::draw_true_robot(self.robot(), seed, scale))
     }
 
     /// Poses at axis angles (degrees, N x 6 or 6): homogeneous matrices in the robot base, mm, N x 4 x 4 or 4 x 4. `frame` is
@@ -244,12 +244,12 @@ impl PyRobot {
 
     /// Writes the robot as a TOML file, in full precision.
     fn save(&self, path: PathBuf) -> Result<(), Failure> {
-        Ok(files::write(&path, self.robot().to_toml().map_err(failed)?)?)
+        Ok(files::write_file(&path, self.robot().to_toml().map_err(failed)?)?)
     }
 
     /// Writes the robot as a URDF (m, rad); a joint variable is the controller's axis angle.
     fn to_urdf(&self, path: PathBuf) -> Result<(), Failure> {
-        Ok(files::write(&path, urdf::urdf(self.robot()))?)
+        Ok(files::write_file(&path, urdf::urdf(self.robot()))?)
     }
 
     /// Your URDF with this robot's joints, as text, and what became of each joint; nothing else of it changes. `joints` names
@@ -261,7 +261,7 @@ impl PyRobot {
         users_urdf: PathBuf,
         joints: Vec<String>,
     ) -> Result<(String, Py<PyAny>), Failure> {
-        let (name, text) = (users_urdf.display().to_string(), files::read(&users_urdf)?);
+        let (name, text) = (users_urdf.display().to_string(), files::read_text(&users_urdf)?);
         let patched = urdf_patch::patch(&name, &text, self.robot(), &joints)?;
         let joints = to_python(py, &patched.joints)?;
         Ok((patched.text, joints))

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use dbbd::robot::AXES;
-use dbbd::sim::World;
-use dbbd::sim::world::{Bar, Setup};
+use dbbd_job::sim::World;
+use dbbd_job::sim::world::{TrueBar, WorldSetup};
+use dbbd_model::robot::AXES;
 use pyo3::prelude::*;
 
 use crate::arrays::{Floats, Numbers, Rows, Wholes, array, column};
@@ -38,9 +38,15 @@ pub(crate) fn simulate<'py>(
     let numbers = column(&ball, "ball", q.rows.len())?;
     let centres_mm: BTreeMap<u32, [f64; 3]> =
         balls(&balls_mm)?.iter().map(|ball| (ball.id.number(), ball.position.into())).collect();
-    let bar =
-        Bar { length_mm: bar_mm, stroke_mm, noise_um, resolution_um, rate_hz: 200.0, temperature_c: 20.0 };
-    let setup = Setup {
+    let bar = TrueBar {
+        length_mm: bar_mm,
+        stroke_mm,
+        noise_um,
+        resolution_um,
+        rate_hz: 200.0,
+        temperature_c: 20.0,
+    };
+    let setup = WorldSetup {
         centres_mm,
         taught_deg: BTreeMap::new(),
         bar,
@@ -54,7 +60,7 @@ pub(crate) fn simulate<'py>(
         let poses = q.rows.iter().zip(&numbers);
         let poses = poses.map(|(axes, ball)| (axes.map(f64::to_radians), u32::try_from(*ball).unwrap_or(0)));
         let read = World::new(geometry, setup, seed).readings(poses);
-        let length = |read: dbbd::sim::world::Measured| {
+        let length = |read: dbbd_job::sim::world::TrueReading| {
             if read.in_stroke { bar_mm + read.reading_mm } else { f64::NAN }
         };
         read.into_iter().map(length).collect::<Vec<f64>>()

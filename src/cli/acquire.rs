@@ -9,20 +9,22 @@ use std::time::Duration;
 
 use indicatif::ProgressBar;
 
-use super::{Outcome, Output, artefact, output, protocols, value};
-use crate::base::clock;
-use crate::catalogue::{AxesFinding, PortFinding, ProtocolFinding};
+use super::{CommandOutcome, CommandOutput, artefact, output, protocols, value};
 use crate::daemon::{
-    ALARM_SHARE, Acquisition, AxesSource, Controller, Ending, MountDetector, Options, Progress, Schedule,
-    Server, Summary, stop_on_signal, zero,
+    ALARM_SHARE, Acquisition, AcquisitionOptions, AcquisitionSummary, AxesSource, ControllerConnections,
+    EkrlServer, EndReason, MountDetector, RunProgress, Schedule, stop_on_signal, zero_bar,
 };
-use crate::device::axes::AxesAddress;
-use crate::device::port::{self, PortAddress};
-use crate::diagnostic::Diagnostic;
-use crate::plan::DEFAULT_PROTOCOL;
-use crate::provenance::Identity;
-use crate::recording::axes::PacketCounts;
-use crate::recording::run::{self, PlanFiles};
+use dbbd_device::axes::AxesAddress;
+use dbbd_device::axes::AxesFinding;
+use dbbd_device::clock;
+use dbbd_device::port::PortFinding;
+use dbbd_device::port::{self, PortAddress};
+use dbbd_device::protocol::ProtocolFinding;
+use dbbd_job::plan::DEFAULT_PROTOCOL;
+use dbbd_job::recording::axes::PacketCounts;
+use dbbd_job::recording::run::{self, PlanFiles};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::provenance::Identity;
 
 /// The interval between lines of progress if stderr is not a terminal, s.
 const LINE_EVERY_S: f64 = 5.0;
@@ -43,7 +45,7 @@ new file.";
 /// after the process is killed. More: docs/reference/capture.md.
 #[derive(clap::Args, Clone)]
 #[command(after_help = ENDS)]
-pub(crate) struct Args {
+pub(crate) struct AcquireArgs {
     /// Address of the bar: a serial port (/dev/ttyUSB0, COM3, by-id/NAME or by-path/NAME, see `dbbd ports`), a raw serial
     /// server as tcp://HOST:PORT, a serial server with remote control of the line as rfc2217://HOST:PORT, or `sim`: a
     /// simulated cell that runs the plan, or without a plan that of the demo.
@@ -89,9 +91,9 @@ pub(crate) struct Args {
     sync_every: f64,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &AcquireArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let identity = args.identity.as_deref().map(artefact::identity).transpose()?.unwrap_or_default();
-    let server = args.ekrl.map(Server::listen).transpose()?;
+    let server = args.ekrl.map(EkrlServer::listen).transpose()?;
     if let Some(server) = &server {
         let address = server.address();
         out.progress(format!("listening for the program's telegrams on {address}"));
@@ -103,26 +105,27 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if let (Some(axes), Some(address)) = (&axes, &args.axes) {
         out.progress(format!("axes over {} at {}", address.protocol().name(), axes.address()));
     }
-    let controller = Controller { ekrl: server, axes };
+    let controller = ControllerConnections { ekrl: server, axes };
     if args.port == PortAddress::Sim {
-        let address = controller.ekrl.as_ref().map(Server::address);
+        let address = controller.ekrl.as_ref().map(EkrlServer::address);
         // Telegrams are stamped with the host's time: the simulation must run in real time.
         let speed = if address.is_some() { "1" } else { "0" };
-        let cell = simulated::Cell::start(args.plan.as_deref(), speed, simulated::HALT_S, address, out)?;
-        let args = Args { port: cell.port().clone(), plan: Some(cell.plan().into()), ..args.clone() };
+        let cell =
+            simulated::PlanSimulator::start(args.plan.as_deref(), speed, simulated::HALT_S, address, out)?;
+        let args = AcquireArgs { port: cell.port().clone(), plan: Some(cell.plan().into()), ..args.clone() };
         let summary = record(&args, identity, controller, out)?;
         // If the run ended earlier, the simulator still waits for a reader.
-        if matches!(summary.ending, Ending::Mark) {
+        if matches!(summary.ending, EndReason::Mark) {
             cell.finish()?;
         }
         out.document(&summary)?;
-        return Ok(Outcome::Done);
+        return Ok(CommandOutcome::Done);
     }
     out.document(&record(args, identity, controller, out)?)?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
-impl Args {
+impl AcquireArgs {
     /// The arguments to record for so many seconds without a plan.
     pub(super) fn timed(
         port: PortAddress,
@@ -153,11 +156,11 @@ const ZEROED: &str = "the bar's reading was set to zero before the run";
 
 /// Records until the run is over, and reports its result and its doubts.
 pub(super) fn record(
-    args: &Args,
+    args: &AcquireArgs,
     identity: Identity,
-    controller: Controller,
-    out: &Output,
-) -> Result<Summary, Diagnostic> {
+    controller: ControllerConnections,
+    out: &CommandOutput,
+) -> Result<AcquisitionSummary, Diagnostic> {
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
     if let Some(files) = &plan {
         let job = &files.plan.header.job;
@@ -174,11 +177,11 @@ pub(super) fn record(
         if definition.zero.is_empty() {
             return Err(ProtocolFinding::NoZeroCommand { id: definition.id }.into());
         }
-        zero(&args.port, &definition)?;
+        zero_bar(&args.port, &definition)?;
         out.progress(ZEROED);
     }
     let stop = stop_on_signal()?;
-    let options = Options {
+    let options = AcquisitionOptions {
         port: args.port.clone(),
         definition,
         out: args.out.clone(),
@@ -195,7 +198,7 @@ pub(super) fn record(
         acquisition.mark(ZEROED.into());
     }
     out.progress(format!("reading {} into {}", args.port, args.out.display()));
-    show(&acquisition, &schedule, out);
+    show_progress(&acquisition, &schedule, out);
     out.findings(acquisition.findings());
     let summary = acquisition.join()?;
     conclude(&summary, args, out)?;
@@ -203,7 +206,7 @@ pub(super) fn record(
 }
 
 /// Shows the progress of the run until it is over.
-fn show(acquisition: &Acquisition, schedule: &Schedule, out: &Output) {
+fn show_progress(acquisition: &Acquisition, schedule: &Schedule, out: &CommandOutput) {
     let line = out.decorated().then(ProgressBar::new_spinner);
     if let Some(line) = &line {
         line.set_style(output::style("{spinner} {msg}"));
@@ -216,7 +219,7 @@ fn show(acquisition: &Acquisition, schedule: &Schedule, out: &Output) {
         out.findings(acquisition.findings());
         let progress = acquisition.progress();
         if let Some(line) = &line {
-            line.set_message(view::lines(&progress, schedule, &mut mount));
+            line.set_message(view::progress_lines(&progress, schedule, &mut mount));
         } else if clock::now().seconds_since(last_line) >= LINE_EVERY_S {
             last_line = clock::now();
             out.progress(status(&progress));
@@ -227,7 +230,7 @@ fn show(acquisition: &Acquisition, schedule: &Schedule, out: &Output) {
     }
 }
 
-fn status(progress: &Progress) -> String {
+fn status(progress: &RunProgress) -> String {
     if progress.gone {
         return format!("{:.0} s: the port is gone, waiting for it", progress.elapsed_s);
     }
@@ -243,7 +246,7 @@ fn status(progress: &Progress) -> String {
 }
 
 /// What was lost or damaged so far, and the packets with axes.
-fn losses(progress: &Progress) -> String {
+fn losses(progress: &RunProgress) -> String {
     let losses = output::nonzero([
         (progress.gaps, "gaps"),
         (progress.missing, "samples missing"),
@@ -257,8 +260,8 @@ fn losses(progress: &Progress) -> String {
     losses + &axes.unwrap_or_default()
 }
 
-fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<(), Diagnostic> {
-    let Summary { capture, ending, progress } = summary;
+fn conclude(summary: &AcquisitionSummary, args: &AcquireArgs, out: &CommandOutput) -> Result<(), Diagnostic> {
+    let AcquisitionSummary { capture, ending, progress } = summary;
     out.result(format!(
         "{}: {} samples, {} dwells, {} bytes in {:.1} s; {}",
         capture.display(),
@@ -276,14 +279,17 @@ fn conclude(summary: &Summary, args: &Args, out: &Output) -> Result<(), Diagnost
     Ok(())
 }
 
-fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {
+fn doubts(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<PortFinding> {
     /// A run has more than one valid reading in so many, also with long pauses without the bar.
     const FEW_IN: u64 = 100;
-    let Summary { ending, progress, .. } = *summary;
-    let Progress { missing, lost_bytes, gaps, silent_s, .. } = progress;
+    let AcquisitionSummary { ending, progress, .. } = *summary;
+    let RunProgress { missing, lost_bytes, gaps, silent_s, .. } = progress;
     let valid = progress.samples.saturating_sub(progress.invalid);
     let doubts = [
-        (ending == Ending::Gone, PortFinding::StayedAway { port: args.port.to_string(), gone_s: args.gone }),
+        (
+            ending == EndReason::Gone,
+            PortFinding::StayedAway { port: args.port.to_string(), gone_s: args.gone },
+        ),
         (progress.bytes == 0, PortFinding::NothingReceived),
         (progress.bytes > 0 && !progress.in_step && progress.rejected == 0, PortFinding::NotThisProtocol),
         (
@@ -300,7 +306,7 @@ fn doubts(summary: &Summary, args: &Args) -> Vec<PortFinding> {
     doubts.into_iter().filter_map(|(found, finding)| found.then_some(finding)).collect()
 }
 
-fn axes_doubts(summary: &Summary, args: &Args) -> Vec<AxesFinding> {
+fn axes_doubts(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<AxesFinding> {
     let Some(address) = args.axes.as_ref().map(ToString::to_string) else { return Vec::new() };
     let counts = summary.progress.axes.unwrap_or_default();
     let PacketCounts { packets, used, lost, malformed, restarts, late_answers, .. } = counts;

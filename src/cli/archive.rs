@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use super::{Outcome, Output, value};
-use crate::diagnostic::Diagnostic;
+use super::{CommandOutcome, CommandOutput, value};
+use dbbd_model::diagnostic::Diagnostic;
 
 #[cfg(feature = "archive")]
 mod fleet;
@@ -17,7 +17,7 @@ mod work;
 /// A database (SQLite or PostgreSQL) records who measured what and when; a store (a directory or S3) contains the files, each
 /// under its SHA-256. Passwords are in files or in the environment, never in an address. More: docs/how-to/archive.md.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct ArchiveArgs {
     /// The database: `sqlite:FILE` or `postgres://USER@HOST/DATABASE[?sslmode=verify-full&sslrootcert=FILE]`
     /// [default: DBBD_ARCHIVE].
     #[arg(long, value_name = "URL", global = true)]
@@ -26,11 +26,11 @@ pub(crate) struct Args {
     #[arg(long, value_name = "URL", global = true)]
     store: Option<String>,
     #[command(subcommand)]
-    what: What,
+    what: ArchiveVerb,
 }
 
 #[derive(clap::Subcommand)]
-enum What {
+enum ArchiveVerb {
     /// Create an archive, or migrate an older one to this version.
     Init,
     /// Store runs: captures, directories of runs, or a directory of these. A run that is in the archive is not stored again.
@@ -43,7 +43,7 @@ enum What {
         spool: Option<PathBuf>,
     },
     /// List runs, the newest first.
-    List(#[command(flatten)] Choice),
+    List(#[command(flatten)] RunChoice),
     /// Show a run, its files and its results.
     Show {
         /// The first digits of the SHA-256 of its capture.
@@ -71,7 +71,7 @@ enum What {
     /// Identify a selection of runs again with this version and these settings, and compare the results with the earlier ones.
     Reprocess {
         #[command(flatten)]
-        choice: Choice,
+        choice: RunChoice,
         /// As for `dbbd identify`.
         #[arg(long, value_name = "LIST")]
         estimate: Option<String>,
@@ -92,7 +92,7 @@ enum What {
     /// each bar, and for each type a robot file that serves as the prior of a new robot (`dbbd identify --robot FILE`).
     Fleet {
         #[command(flatten)]
-        choice: Choice,
+        choice: RunChoice,
         /// Directory for the files.
         #[arg(long, value_name = "DIR")]
         out: PathBuf,
@@ -118,7 +118,7 @@ enum What {
     /// Write the tables of runs and results of a selection.
     Export {
         #[command(flatten)]
-        choice: Choice,
+        choice: RunChoice,
         /// The format: runs.csv and results.csv, or runs.parquet and results.parquet.
         #[arg(long, value_enum, default_value = "csv")]
         format: TableFormat,
@@ -137,7 +137,7 @@ enum TableFormat {
 
 /// A selection of runs, which meet all conditions that are given.
 #[derive(clap::Args)]
-struct Choice {
+struct RunChoice {
     /// Serial number of the robot.
     #[arg(long, value_name = "SERIAL")]
     robot: Option<String>,
@@ -165,11 +165,11 @@ struct Choice {
 }
 
 #[cfg(feature = "archive")]
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &ArchiveArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     verbs::run(args, out)
 }
 
 #[cfg(not(feature = "archive"))]
-pub(crate) fn run(_: &Args, _: &Output) -> Result<Outcome, Diagnostic> {
-    Err(crate::catalogue::ArchiveFinding::NotBuilt.into())
+pub(crate) fn run(_: &ArchiveArgs, _: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
+    Err(dbbd_plant::ArchiveFinding::NotBuilt.into())
 }

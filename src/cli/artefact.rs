@@ -1,26 +1,29 @@
 //! Recognises the artefacts that dbbd reads and writes by their content.
 
+use dbbd_model::base::text::unreadable;
 use std::fs;
 use std::path::Path;
 
 use serde::Deserialize;
 use serde_json::{Map, Value};
 
-use super::Output;
-use crate::base::{clock, files, serialised};
-use crate::catalogue::FileFinding;
-use crate::catalogue::ProvenanceFinding::{self, OtherThanPlanned, SerialOfNoBall};
-use crate::diagnostic::Diagnostic;
-use crate::plan::Job;
-use crate::program::{self, Language};
-use crate::provenance::{Artefact, Contradiction, Identity, Provenance, Role, Traced};
-use crate::recording::run;
-use crate::robot::Robot;
+use super::CommandOutput;
+use dbbd_device::clock;
+use dbbd_job::files;
+use dbbd_job::plan::Job;
+use dbbd_job::program::{self, Language};
+use dbbd_job::recording::run;
+use dbbd_model::base::FileFinding;
+use dbbd_model::base::serialised;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::provenance::ProvenanceFinding::{self, OtherThanPlanned, SerialOfNoBall};
+use dbbd_model::provenance::{ArtefactRole, Contradiction, Identity, Provenance, TracedArtefact};
+use dbbd_model::robot::Robot;
 
 /// An artefact with its chain; `None` if the file is of another kind. Captures are not recognised here.
-pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnostic> {
+pub(super) fn read_traced(path: &Path, out: &CommandOutput) -> Result<Option<TracedArtefact>, Diagnostic> {
     let name = path.display().to_string();
-    let bytes = fs::read(path).map_err(files::unreadable(&name))?;
+    let bytes = fs::read(path).map_err(unreadable(&name))?;
     // A program may be in an old code page. What is read of it here is ASCII.
     let text = String::from_utf8_lossy(&bytes);
     let first_line = text.lines().next().unwrap_or_default();
@@ -36,7 +39,7 @@ pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnost
     }
     if let Ok(table) = toml::from_str::<toml::Table>(&text) {
         if table.contains_key("joint") {
-            let text = files::read(path)?;
+            let text = files::read_text(path)?;
             return Ok(Some(Robot::from_toml(&name, &text)?.traced(&text)));
         }
         if table.contains_key("bar") && table.contains_key("robot") {
@@ -45,11 +48,11 @@ pub(super) fn read(path: &Path, out: &Output) -> Result<Option<Traced>, Diagnost
     } else if first_line.starts_with("index,circle,centre,kind,move") {
         return plan(path);
     } else if first_line.split(',').any(|column| column == "length_mm") {
-        let (table, changed) = Traced::table(Role::Measurements, path)?;
+        let (table, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, path)?;
         out.findings(changed);
         return Ok(Some(table));
     } else if Language::of_text(&text).is_some() {
-        return with(Role::Program, path, program::provenance(&name, &text)?);
+        return with(ArtefactRole::Program, path, program::provenance(&name, &text)?);
     }
     Ok(None)
 }
@@ -58,8 +61,8 @@ fn of_json(
     path: &Path,
     text: &str,
     json: &Map<String, Value>,
-    out: &Output,
-) -> Result<Option<Traced>, Diagnostic> {
+    out: &CommandOutput,
+) -> Result<Option<TracedArtefact>, Diagnostic> {
     let has = |key: &str| json.contains_key(key);
     if has("job") && has("hash") && has("moves") {
         return plan(path);
@@ -67,7 +70,7 @@ fn of_json(
     if let Some(table) = json.get("table").and_then(Value::as_str)
         && has("provenance")
     {
-        return read(&path.with_file_name(table), out);
+        return read_traced(&path.with_file_name(table), out);
     }
     // The files above have a `sha256` of their own kind.
     serialised::check_seal(text).map_err(|finding| Diagnostic::file(path.display(), finding))?;
@@ -75,11 +78,11 @@ fn of_json(
         return Ok(None);
     }
     let role = if has("decision") {
-        Role::Check
+        ArtefactRole::Check
     } else if has("inputs") {
-        Role::Comparison
+        ArtefactRole::Comparison
     } else {
-        Role::Result
+        ArtefactRole::Result
     };
     let recorded = json.get("provenance").cloned().map(serde_json::from_value).transpose();
     with(role, path, recorded.map_err(|error| damaged(path, &error))?.unwrap_or_default())
@@ -89,19 +92,23 @@ fn damaged(path: &Path, error: &serde_json::Error) -> Diagnostic {
     Diagnostic::file(path.display(), ProvenanceFinding::Damaged { why: error.to_string() })
 }
 
-fn with(role: Role, path: &Path, provenance: Provenance) -> Result<Option<Traced>, Diagnostic> {
-    Ok(Some(Traced { artefact: Artefact::file(role, path)?, provenance }))
+fn with(
+    role: ArtefactRole,
+    path: &Path,
+    provenance: Provenance,
+) -> Result<Option<TracedArtefact>, Diagnostic> {
+    Ok(Some(TracedArtefact { artefact: dbbd_job::artefact::of_file(role, path)?, provenance }))
 }
 
 /// `plan.csv` and `plan.json` are one artefact.
-fn plan(path: &Path) -> Result<Option<Traced>, Diagnostic> {
+fn plan(path: &Path) -> Result<Option<TracedArtefact>, Diagnostic> {
     Ok(Some(run::read_plan(&path.with_extension("csv"))?.traced()?))
 }
 
 /// Reads the identity of a measurement from a TOML file.
 pub(super) fn identity(path: &Path) -> Result<Identity, Diagnostic> {
     let file = path.display().to_string();
-    let identity = Identity::from_toml(&file, &files::read(path)?)?;
+    let identity = Identity::from_toml(&file, &files::read_text(path)?)?;
     identity.check_dates(clock::unix_ns()).map_err(|(_, finding)| Diagnostic::file(&file, finding))?;
     Ok(identity)
 }
@@ -121,14 +128,14 @@ pub(super) fn other_run(job: &Identity, balls: usize, stated: &Identity) -> Vec<
 
 /// An earlier result of which a new one takes the place.
 #[derive(Default, Deserialize)]
-pub(super) struct Earlier {
+pub(super) struct EarlierResult {
     #[serde(default)]
     robot: Option<String>,
     #[serde(default)]
     pub(super) provenance: Provenance,
 }
 
-impl Earlier {
+impl EarlierResult {
     /// Empty if there is no readable result.
     pub(super) fn read(file: &Path) -> Self {
         let text = files::read_if_file(file).and_then(Result::ok);
@@ -142,7 +149,7 @@ pub(super) fn check_replaced(
     robot: Option<&str>,
     provenance: &Provenance,
 ) -> Result<(), Diagnostic> {
-    let earlier = Earlier::read(file);
+    let earlier = EarlierResult::read(file);
     let differ =
         |(known, new): &(Option<&str>, Option<&str>)| known.is_some() && new.is_some() && known != new;
     let serials = (earlier.provenance.identity.robot.as_deref(), provenance.identity.robot.as_deref());
@@ -158,8 +165,8 @@ pub(super) fn check_replaced(
 }
 
 /// Prints an artefact and its chain.
-pub(super) fn show(traced: &Traced, out: &Output) {
-    let Traced { artefact, provenance } = traced;
+pub(super) fn show_artefact(traced: &TracedArtefact, out: &CommandOutput) {
+    let TracedArtefact { artefact, provenance } = traced;
     out.field(&artefact.role.to_string(), &artefact.name);
     out.field("SHA-256", &artefact.sha256);
     if let Some(serial) = &artefact.serial {
@@ -169,7 +176,7 @@ pub(super) fn show(traced: &Traced, out: &Output) {
 }
 
 /// Prints the identity and the sources of an artefact, the last source first.
-pub(super) fn show_chain(provenance: &Provenance, out: &Output) {
+pub(super) fn show_chain(provenance: &Provenance, out: &CommandOutput) {
     for (name, value) in provenance.identity.facts() {
         out.field(&name, value);
     }

@@ -6,37 +6,39 @@ use std::thread;
 use serde::Serialize;
 
 use super::child::LOOPBACK;
-use super::{Outcome, Output, acquire, protocols, value};
-use crate::base::{FileSet, files, serialised};
-use crate::catalogue::BarFinding;
-use crate::daemon::{Attempt, Controller, Search};
-use crate::device::port::PortAddress;
-use crate::device::protocol::Definition;
-use crate::diagnostic::Diagnostic;
-use crate::plan::DEFAULT_PROTOCOL;
-use crate::provenance::{Artefact, Identity, Provenance, Role};
-use crate::recording::StreamBuilder;
-use crate::recording::bar_check::BarCheck;
-use crate::recording::capture::{Pass, Record};
-use crate::report;
-use crate::sim::{self, bar::Terminal};
+use super::{CommandOutcome, CommandOutput, acquire, protocols, value};
+use crate::daemon::{ControllerConnections, ProbeAttempt, ProtocolSearch};
+use dbbd_device::port::PortAddress;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_job::file_set::FileSet;
+use dbbd_job::files;
+use dbbd_job::plan::DEFAULT_PROTOCOL;
+use dbbd_job::recording::BarFinding;
+use dbbd_job::recording::StreamBuilder;
+use dbbd_job::recording::bar_check::BarCheck;
+use dbbd_job::recording::capture::{CaptureRecord, CaptureSummary};
+use dbbd_job::report;
+use dbbd_job::sim::{self, bar::Terminal};
+use dbbd_model::base::serialised;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::provenance::{ArtefactRole, Identity};
 
 /// Readings per second of the simulated bar.
 const RATE_HZ: f64 = 1000.0;
 /// The seed of its noise.
-const SEED: u64 = 1;
+const SIMULATED_NOISE_SEED: u64 = 1;
 
 /// Identify the protocol of a bar, or measure its noise.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct BarArgs {
     #[command(subcommand)]
-    what: What,
+    what: BarVerb,
 }
 
 #[derive(clap::Subcommand)]
-enum What {
-    Identify(Identify),
-    Check(Check),
+enum BarVerb {
+    Identify(BarIdentifyArgs),
+    Check(BarCheckArgs),
 }
 
 /// Identify the protocol of a bar.
@@ -46,7 +48,7 @@ enum What {
 /// they explain, and by how improbable as many readings are in the same bytes in random order. Exit code 3: the protocol is
 /// unknown, or no bytes arrived.
 #[derive(clap::Args)]
-struct Identify {
+struct BarIdentifyArgs {
     /// Address of the bar, as for `dbbd acquire`.
     #[arg(long, value_name = "PORT")]
     port: PortAddress,
@@ -64,7 +66,7 @@ struct Identify {
 /// of a length at a dwell. Writes `bar.toml` (the section [bar] of a job), `bar.html` (plots), `bar.json` (numbers) and
 /// `bar.dbbd` (the capture). Exit code 3: the bar was not at rest, drifts, or lost readings.
 #[derive(clap::Args)]
-struct Check {
+struct BarCheckArgs {
     /// Address of the bar, as for `dbbd acquire`.
     #[arg(long, value_name = "PORT")]
     port: PortAddress,
@@ -84,17 +86,17 @@ struct Check {
 
 /// The JSON document of `bar identify`.
 #[derive(Serialize)]
-struct Identified<'a> {
+struct IdentifiedBar<'a> {
     port: String,
     /// The protocol, if the bytes identify it.
     protocol: Option<&'a str>,
-    attempts: &'a [Attempt],
+    attempts: &'a [ProbeAttempt],
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &BarArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     match &args.what {
-        What::Identify(args) => identify(args, out),
-        What::Check(args) => check(args, out),
+        BarVerb::Identify(args) => identify(args, out),
+        BarVerb::Check(args) => run_bar_check(args, out),
     }
 }
 
@@ -106,22 +108,25 @@ fn bar_at(port: &PortAddress) -> Result<PortAddress, Diagnostic> {
     let definition = protocols::load_with(DEFAULT_PROTOCOL, &[])?;
     let terminal = Terminal::listen(&LOOPBACK.parse()?)?;
     let address = terminal.address().clone();
-    let options = sim::bar::Options { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
+    let options = sim::bar::VirtualBarOptions { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
     // The thread ends with the process.
-    thread::spawn(move || sim::bar::serve(terminal, &definition, options, sim::bar::at_rest(SEED)));
+    thread::spawn(move || {
+        sim::bar::serve_bar(terminal, &definition, options, sim::bar::at_rest(SIMULATED_NOISE_SEED))
+    });
     Ok(address)
 }
 
-fn identify(args: &Identify, out: &Output) -> Result<Outcome, Diagnostic> {
-    let definitions: Vec<Definition> = Definition::built_in()
+fn identify(args: &BarIdentifyArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
+    let definitions: Vec<ProtocolDefinition> = ProtocolDefinition::built_in()
         .iter()
-        .filter_map(|(name, _)| Definition::by_name(name))
+        .filter_map(|(name, _)| ProtocolDefinition::by_name(name))
         .collect::<Result<_, _>>()?;
     let port = bar_at(&args.port)?;
-    let search = Search { port: &port, definitions: &definitions, span_s: args.duration, asks: !args.listen };
+    let search =
+        ProtocolSearch { port: &port, definitions: &definitions, span_s: args.duration, asks: !args.listen };
     let attempts = search.attempts(|attempt| out.progress(progress(attempt)))?;
     let last = attempts.iter().max_by_key(|attempt| (attempt.found().is_some(), attempt.bytes));
-    let protocol = last.and_then(Attempt::found).map(|evidence| evidence.protocol.as_str());
+    let protocol = last.and_then(ProbeAttempt::found).map(|evidence| evidence.protocol.as_str());
     if protocol.is_none() {
         out.finding(match last.map_or(0, |attempt| attempt.bytes) {
             0 => BarFinding::SaysNothing { port: args.port.to_string() },
@@ -140,35 +145,38 @@ fn identify(args: &Identify, out: &Output) -> Result<Outcome, Diagnostic> {
     if let Some(protocol) = protocol {
         out.result(format!("dbbd acquire --port {} --protocol {protocol} --out RUN", args.port));
     }
-    out.document(&Identified { port: args.port.to_string(), protocol, attempts: &attempts })?;
-    Ok(Outcome::Done)
+    out.document(&IdentifiedBar { port: args.port.to_string(), protocol, attempts: &attempts })?;
+    Ok(CommandOutcome::Done)
 }
 
-fn progress(attempt: &Attempt) -> String {
+fn progress(attempt: &ProbeAttempt) -> String {
     let baud = attempt.baud.map_or(String::new(), |baud| format!(" at {baud} baud"));
     let how = attempt.asked.as_ref().map_or("listened".to_owned(), |name| format!("asked as {name}"));
     format!("{how}{baud}: {} bytes", attempt.bytes)
 }
 
-fn check(args: &Check, out: &Output) -> Result<Outcome, Diagnostic> {
+fn run_bar_check(args: &BarCheckArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     files::directory(&args.out)?;
     let capture = args.out.join("bar.dbbd");
-    let Check { protocol, params, duration, .. } = args;
+    let BarCheckArgs { protocol, params, duration, .. } = args;
     let port = bar_at(&args.port)?;
-    let run = acquire::Args::timed(port, protocol.clone(), params.clone(), capture.clone(), *duration);
-    acquire::record(&run, Identity::default(), Controller::default(), out)?;
+    let run = acquire::AcquireArgs::timed(port, protocol.clone(), params.clone(), capture.clone(), *duration);
+    acquire::record(&run, Identity::default(), ControllerConnections::default(), out)?;
     let definition = protocols::load_with(protocol, params)?;
     let mut builder =
         StreamBuilder::new(definition.clock.map(Into::into)).sequence(definition.sequence_modulo);
-    Pass::over(&capture, |stamped| {
-        if let Record::Samples(samples) = &stamped.record {
+    CaptureSummary::over(&capture, |stamped| {
+        if let CaptureRecord::Samples(samples) = &stamped.record {
             samples.iter().for_each(|sample| builder.push(stamped.host, sample));
         }
         Ok(())
     })?;
     let check = BarCheck::of(&builder.build(), &definition)?;
     out.findings(check.findings.iter().cloned());
-    let provenance = Provenance::of([&Artefact::file(Role::Capture, &capture)?.into()]);
+    let provenance =
+        dbbd_job::artefact::made_from(
+            [&dbbd_job::artefact::of_file(ArtefactRole::Capture, &capture)?.into()],
+        );
     let mut set = FileSet::begin(&args.out)?;
     set.write("bar.toml", check.to_toml())?;
     set.write("bar.json", serialised::json(&check)? + "\n")?;
@@ -185,5 +193,5 @@ fn check(args: &Check, out: &Output) -> Result<Outcome, Diagnostic> {
     ));
     out.result(args.out.join("bar.html").display().to_string());
     out.document(&check)?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

@@ -5,12 +5,16 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 
 use super::identify::ROBOT;
-use super::{Outcome, Output, artefact};
-use crate::base::{FileSet, clock, date, files, serialised};
-use crate::catalogue::CertificateFinding;
-use crate::diagnostic::Diagnostic;
-use crate::provenance::{Artefact, Role};
-use crate::report::certificate::Certificate;
+use super::{CommandOutcome, CommandOutput, artefact};
+use dbbd_device::clock;
+use dbbd_job::file_set::FileSet;
+use dbbd_job::files;
+use dbbd_job::report::certificate::Certificate;
+use dbbd_job::report::certificate::CertificateFinding;
+use dbbd_model::base::date;
+use dbbd_model::base::serialised;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::provenance::ArtefactRole;
 
 /// Write the draft of a calibration certificate.
 ///
@@ -19,7 +23,7 @@ use crate::report::certificate::Certificate;
 /// conditions, results, uncertainty budget, the decision of a check with its rule, and what was not determined. The draft is
 /// not accredited and not signed. More: docs/reference/certificate.md.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct CertificateArgs {
     /// result.json of `dbbd identify`, or its directory.
     #[arg(value_name = "RESULT")]
     result: PathBuf,
@@ -36,20 +40,23 @@ pub(crate) struct Args {
 }
 
 /// The name and the text of a file, which may be named by its directory.
-fn read(path: &Path, name: &str) -> Result<(String, String), Diagnostic> {
+fn read_named_file(path: &Path, name: &str) -> Result<(String, String), Diagnostic> {
     let path = if path.is_dir() { path.join(name) } else { path.to_owned() };
-    let (name, text) = (path.display().to_string(), files::read(&path)?);
+    let (name, text) = (path.display().to_string(), files::read_text(&path)?);
     serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
     Ok((name, text))
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
-    let (certificate_of, text) = read(&args.result, "result.json")?;
+pub(crate) fn run(args: &CertificateArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
+    let (certificate_of, text) = read_named_file(&args.result, "result.json")?;
     let mut certificate = Certificate::read(&text).map_err(|why| Diagnostic::file(&certificate_of, why))?;
     if let Some(path) = &args.check {
-        let (file, text) = read(path, "check.json")?;
+        let (file, text) = read_named_file(path, "check.json")?;
         let robot = Path::new(&certificate_of).with_file_name(ROBOT);
-        let robot = robot.is_file().then(|| Artefact::file(Role::IdentifiedRobot, &robot)).transpose()?;
+        let robot = robot
+            .is_file()
+            .then(|| dbbd_job::artefact::of_file(ArtefactRole::IdentifiedRobot, &robot))
+            .transpose()?;
         certificate =
             certificate.with_check(&text, robot.as_ref()).map_err(|why| Diagnostic::file(&file, why))?;
     }
@@ -78,5 +85,5 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         written.join(", "),
         args.out.display()
     ));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

@@ -4,19 +4,22 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::identify::{Given, LENGTHS, Named, ROBOT, read_workspace};
-use super::{Outcome, Output, artefact, value};
-use crate::base::{FileSet, files, serialised};
-use crate::catalogue::{ConformityFinding, EstimationFinding};
-use crate::conformity::{self, CheckInput, InterimCheck, Rule};
-use crate::diagnostic::Diagnostic;
-use crate::estimation::change::Hypothesis;
-use crate::estimation::expected::{BallMounting, Mounting};
-use crate::estimation::{Beside, DistanceQuantities, Options, Priors, ResultFile};
-use crate::measurement::{LengthModel, PreparedMeasurement};
-use crate::provenance::Provenance;
-use crate::report;
-use crate::robot::{Coordinate, ParamId, Robot, Unit};
+use super::identify::{LENGTHS, LoadedInputs, NamedInputs, ROBOT, read_workspace};
+use super::{CommandOutcome, CommandOutput, artefact, value};
+use dbbd_job::file_set::FileSet;
+use dbbd_job::files;
+use dbbd_job::report;
+use dbbd_model::base::serialised;
+use dbbd_model::conformity::ConformityFinding;
+use dbbd_model::conformity::{self, CheckInput, DecisionRule, InterimCheck};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::change::Hypothesis;
+use dbbd_model::estimation::expected::{BallMounting, Mounting};
+use dbbd_model::estimation::{Beside, DistanceQuantities, Options, Priors, ResultFile};
+use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
+use dbbd_model::provenance::Provenance;
+use dbbd_model::robot::{Coordinate, ParamId, ParamUnit, Robot};
 
 /// Check whether a calibrated robot has changed.
 ///
@@ -24,7 +27,7 @@ use crate::robot::{Coordinate, ParamId, Robot, Unit};
 /// repeatability. Names the most likely change, and decides on a tolerance. Exit code 0: pass; 3: undecided; 4: fail (without
 /// --tolerance: changed). More: docs/explanation/check.md.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct CheckArgs {
     /// Measurements CSV, or a capture, as for `dbbd identify`; 12 to 24 poses per ball suffice.
     #[arg(value_name = "RUN|CSV")]
     input: PathBuf,
@@ -75,11 +78,11 @@ pub(crate) struct Args {
     update: bool,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &CheckArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     if args.update {
         files::keeps(&args.out.join(ROBOT), [Path::new(&args.robot)])?;
     }
-    let named = Named {
+    let named = NamedInputs {
         input: &args.input,
         positions: None,
         robot: Some(&args.robot),
@@ -87,7 +90,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         centres: args.centres.as_deref(),
         bar_u: args.bar_u,
     };
-    let given = Given::read(named, out)?;
+    let given = LoadedInputs::read(named, out)?;
     if given.observations.set_up(0).trackers > 0 {
         return Err(EstimationFinding::LengthsOnly.into());
     }
@@ -101,7 +104,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let workspace =
         args.workspace.as_deref().map(|path| read_workspace(path, &given.robot, out)).transpose()?;
     let workspace = Options { workspace, ..Options::default() };
-    let noise = Noise::of(args, &given)?;
+    let noise = LengthSigma::of(args, &given)?;
     out.findings(noise.finding);
     let input = CheckInput {
         robot: &given.robot,
@@ -121,28 +124,32 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     out.findings(given.findings());
     out.findings(findings(args, &check));
-    let written = Written {
+    let written = CheckDocument {
         check: &check,
         distance: input.set_up().and_then(|model| DistanceQuantities::of(&given.observations.rows, &model)),
         provenance: &given.provenance,
     };
-    write(args, &written, &given)?;
+    write_check(args, &written, &given)?;
     out.document(&written)?;
-    lines(&check).into_iter().for_each(|line| out.result(line));
+    check_lines(&check).into_iter().for_each(|line| out.result(line));
     out.result(format!("results in {}", args.out.display()));
     Ok(match check.decision.decision {
-        conformity::Outcome::Pass => Outcome::Done,
-        conformity::Outcome::Undecided => Outcome::Doubt,
-        conformity::Outcome::Fail => Outcome::Failed,
+        conformity::ConformityOutcome::Pass => CommandOutcome::Done,
+        conformity::ConformityOutcome::Undecided => CommandOutcome::Doubt,
+        conformity::ConformityOutcome::Fail => CommandOutcome::Failed,
     })
 }
 
-fn rule(args: &Args) -> Rule {
-    if args.simple_acceptance { Rule::SimpleAcceptance } else { Rule::GuardBand { risk: args.risk } }
+fn rule(args: &CheckArgs) -> DecisionRule {
+    if args.simple_acceptance {
+        DecisionRule::SimpleAcceptance
+    } else {
+        DecisionRule::GuardBand { risk: args.risk }
+    }
 }
 
 /// What mounting changes. The posterior does not hold another tool ball: its place has the datasheet's prior.
-fn mounting(args: &Args, given: &Given) -> Mounting {
+fn mounting(args: &CheckArgs, given: &LoadedInputs) -> Mounting {
     let datasheet = || Priors::datasheet(&given.robot, given.bar_u_mm).sd(ParamId::Tool(Coordinate::X));
     let tool_mm = if args.tool.is_some() { datasheet() } else { args.tool_repeat };
     let balls = match args.ball_repeat {
@@ -154,12 +161,12 @@ fn mounting(args: &Args, given: &Given) -> Mounting {
 }
 
 /// The standard deviation of a length, mm, and a finding if a part of it is unknown.
-pub(super) struct Noise {
+pub(super) struct LengthSigma {
     pub(super) sigma_mm: f64,
     pub(super) finding: Option<ConformityFinding>,
 }
 
-impl Noise {
+impl LengthSigma {
     /// The standard deviation of bar and repeatability, at least that in the result.json beside a robot file.
     pub(super) fn at_least(own: Option<f64>, file: &str, robot: &Robot) -> Result<Self, Diagnostic> {
         let (path, beside) = ResultFile::beside(Path::new(file), robot, files::read_if_file)?;
@@ -177,7 +184,7 @@ impl Noise {
     }
 
     /// The standard deviation that is given, else that of the data.
-    fn of(args: &Args, given: &Given) -> Result<Self, Diagnostic> {
+    fn of(args: &CheckArgs, given: &LoadedInputs) -> Result<Self, Diagnostic> {
         if let Some(sigma_mm) = args.sigma {
             return Ok(Self { sigma_mm, finding: None });
         }
@@ -185,10 +192,10 @@ impl Noise {
     }
 }
 
-fn findings(args: &Args, check: &InterimCheck) -> Vec<ConformityFinding> {
+fn findings(args: &CheckArgs, check: &InterimCheck) -> Vec<ConformityFinding> {
     let mut findings = check.findings.clone();
     let decision = &check.decision;
-    if let (conformity::Outcome::Undecided, Some(tolerance_mm), Some(risk)) =
+    if let (conformity::ConformityOutcome::Undecided, Some(tolerance_mm), Some(risk)) =
         (decision.decision, decision.tolerance_mm, decision.specific_risk)
     {
         let position_error_mm = decision.position_error_mm;
@@ -202,7 +209,7 @@ fn findings(args: &Args, check: &InterimCheck) -> Vec<ConformityFinding> {
 
 /// `check.json`.
 #[derive(Serialize)]
-struct Written<'a> {
+struct CheckDocument<'a> {
     #[serde(flatten)]
     check: &'a InterimCheck,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -210,8 +217,12 @@ struct Written<'a> {
     provenance: &'a Provenance,
 }
 
-fn write(args: &Args, written: &Written<'_>, given: &Given) -> Result<(), Diagnostic> {
-    let &Written { check, ref distance, provenance } = written;
+fn write_check(
+    args: &CheckArgs,
+    written: &CheckDocument<'_>,
+    given: &LoadedInputs,
+) -> Result<(), Diagnostic> {
+    let &CheckDocument { check, ref distance, provenance } = written;
     let mut set = FileSet::begin(&args.out)?;
     set.write("check.json", serialised::sealed_json(written)?)?;
     set.write("check.html", report::check::html(check, distance.as_ref(), provenance)?)?;
@@ -224,9 +235,9 @@ fn write(args: &Args, written: &Written<'_>, given: &Given) -> Result<(), Diagno
 }
 
 /// The check on the terminal.
-fn lines(check: &InterimCheck) -> Vec<String> {
+fn check_lines(check: &InterimCheck) -> Vec<String> {
     /// More hypotheses are in check.json.
-    const MOST_CHANGES: usize = 3;
+    const MAX_PRINTED_CHANGES: usize = 3;
     let (test, decision) = (&check.test, &check.decision);
     let mut lines = vec![format!(
         "{}: {} lengths, sigma {:.4} mm; innovation chi-square {:.1} of {} degrees of freedom, p {:.1e}",
@@ -237,7 +248,7 @@ fn lines(check: &InterimCheck) -> Vec<String> {
             "changed, but no single hypothesis explains it; the most likely ones are in check.json".into(),
         );
     } else if test.changed {
-        lines.extend(check.changes.iter().take(MOST_CHANGES).map(change));
+        lines.extend(check.changes.iter().take(MAX_PRINTED_CHANGES).map(change));
     } else {
         lines.push(format!("nothing changed (probability {:.3})", check.unchanged_probability));
     }
@@ -254,9 +265,9 @@ fn lines(check: &InterimCheck) -> Vec<String> {
         lines.push(format!("with what changed identified anew (--update): {:.3} mm", updated.p95));
     }
     let word = match decision.decision {
-        conformity::Outcome::Pass => "pass",
-        conformity::Outcome::Fail => "fail",
-        conformity::Outcome::Undecided => "undecided",
+        conformity::ConformityOutcome::Pass => "pass",
+        conformity::ConformityOutcome::Fail => "fail",
+        conformity::ConformityOutcome::Undecided => "undecided",
     };
     lines.push(match (decision.tolerance_mm, decision.specific_risk) {
         (Some(tolerance), Some(risk)) => {
@@ -271,7 +282,7 @@ fn change(hypothesis: &Hypothesis) -> String {
     let parts = hypothesis.parameters.iter().zip(&hypothesis.change).zip(&hypothesis.sd);
     let parts: Vec<String> = parts
         .map(|((id, change), sd)| match id.unit() {
-            Unit::Rad => format!("{id} {:+.4} +- {:.4} deg", change.to_degrees(), sd.to_degrees()),
+            ParamUnit::Rad => format!("{id} {:+.4} +- {:.4} deg", change.to_degrees(), sd.to_degrees()),
             _ => format!("{id} {change:+.4} +- {sd:.4} mm"),
         })
         .collect();

@@ -4,19 +4,21 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use super::Output;
-use crate::base::{clock, files, program};
-use crate::catalogue::SimulationFinding;
-use crate::device::port::PortAddress;
-use crate::diagnostic::Diagnostic;
+use super::CommandOutput;
+use dbbd_device::clock;
+use dbbd_device::port::PortAddress;
+use dbbd_job::child_process;
+use dbbd_job::files;
+use dbbd_job::sim::SimulationFinding;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// The address on which a simulator of our own listens: only on this computer, on a free port.
 pub(crate) const LOOPBACK: &str = "tcp://127.0.0.1:0";
 
 /// Runs commands in a directory.
-pub(crate) struct Steps<'a> {
+pub(crate) struct ChildCommands<'a> {
     dir: &'a Path,
-    out: &'a Output,
+    out: &'a CommandOutput,
 }
 
 /// A running `dbbd simulate`.
@@ -25,8 +27,8 @@ pub(crate) struct Simulator {
     port: PortAddress,
 }
 
-impl<'a> Steps<'a> {
-    pub(crate) fn new(dir: &'a Path, out: &'a Output) -> Self {
+impl<'a> ChildCommands<'a> {
+    pub(crate) fn new(dir: &'a Path, out: &'a CommandOutput) -> Self {
         Self { dir, out }
     }
 
@@ -46,7 +48,7 @@ impl<'a> Steps<'a> {
 
     fn command(&self, args: &[&str]) -> Result<Command, Diagnostic> {
         self.out.progress(format!("$ dbbd {}", args.join(" ")));
-        let mut command = program::own().map_err(|error| not_started(args, error))?;
+        let mut command = child_process::own().map_err(|error| not_started(args, error))?;
         command.args(args).current_dir(self.dir);
         if self.out.is_quiet() {
             command.arg("--quiet");

@@ -2,22 +2,27 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Outcome, Output, artefact, value};
-use crate::base::{FileSet, serialised};
-use crate::catalogue::{CircularFinding, MatchingFinding, ProvenanceFinding};
-use crate::circular::{self, Evaluation, NAMES, Settings, Temperature, Trace};
-use crate::diagnostic::Diagnostic;
-use crate::provenance::{Artefact, Provenance, Role, Traced, one_robot};
-use crate::recording::run;
-use crate::report;
-use crate::report::circle::CircleTest;
+use super::{CommandOutcome, CommandOutput, artefact, value};
+use dbbd_job::file_set::FileSet;
+use dbbd_job::recording::matching::MatchingFinding;
+use dbbd_job::recording::run;
+use dbbd_job::report;
+use dbbd_job::report::circle::CircleTest;
+use dbbd_model::base::serialised;
+use dbbd_model::circular::CircularFinding;
+use dbbd_model::circular::{
+    self, CircleTrace, CircularEvaluation, CircularSettings, QUANTITY_NAMES, ThermalExpansion,
+};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::provenance::ProvenanceFinding;
+use dbbd_model::provenance::{ArtefactRole, TracedArtefact, one_robot};
 
 /// Evaluate circular tests according to ISO 230-4.
 ///
 /// Computes G, G(b), D, F and H, each with a 95 % interval, and the reversal error of each axis or joint.
 /// docs/reference/circular-test.md says which parts of the standard could not be consulted.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct CircleArgs {
     /// Captures that contain a plan, or CSV files run,direction,angle_deg,length_mm[,t_s,temp_c] (direction cw or ccw;
     /// length between ball centres). Several inputs are shown as a trend, in this order.
     #[arg(required = true, value_name = "RUN|CSV")]
@@ -58,20 +63,20 @@ pub(crate) struct Args {
 }
 
 /// The circle of an input, before its evaluation.
-struct Circle {
+struct CircleInput {
     source: String,
     number: Option<u32>,
     radius_mm: f64,
-    traces: Vec<Trace>,
+    traces: Vec<CircleTrace>,
     notes: Vec<CircularFinding>,
     /// The expansion of the bar and the temperature of its certificate, if known.
-    certified: Option<Temperature>,
+    certified: Option<ThermalExpansion>,
     /// Standard uncertainty of the bar's length, mm, if known.
     bar_u_mm: Option<f64>,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
-    let (circles, sources) = read(args, out)?;
+pub(crate) fn run(args: &CircleArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
+    let (circles, sources) = read_circles(args, out)?;
     for (at, source) in sources.iter().enumerate() {
         if sources[..at].iter().any(|other| other.artefact.sha256 == source.artefact.sha256) {
             out.finding(ProvenanceFinding::GivenTwice { lengths: source.artefact.to_string() });
@@ -81,7 +86,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if let Some(unused) = unused_option(args, &circles) {
         return Err(unused.into());
     }
-    let provenance = Provenance::of(&sources);
+    let provenance = dbbd_job::artefact::made_from(&sources);
     let robot = provenance.robot().map(|robot| robot.name.as_str());
     artefact::check_replaced(&args.out.join("circle.json"), robot, &provenance)?;
     let (mut tests, count) = (Vec::new(), circles.len());
@@ -106,13 +111,16 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         out.findings_in(source, evaluation.notes.iter().cloned());
     }
     out.document(&document)?;
-    tests.iter().for_each(|test| show(test, out));
+    tests.iter().for_each(|test| show_circular_test(test, out));
     out.result(format!("results in {}", args.out.display()));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// The circles of all inputs, and the inputs.
-fn read(args: &Args, out: &Output) -> Result<(Vec<Circle>, Vec<Traced>), Diagnostic> {
+fn read_circles(
+    args: &CircleArgs,
+    out: &CommandOutput,
+) -> Result<(Vec<CircleInput>, Vec<TracedArtefact>), Diagnostic> {
     let captures = args.inputs.iter().map(|path| run::is_capture(path)).collect::<Result<Vec<_>, _>>()?;
     if !captures.contains(&true) && (args.plan.is_some() || !args.axes.is_empty()) {
         return Err(CircularFinding::NoCapture.into());
@@ -126,18 +134,18 @@ fn read(args: &Args, out: &Output) -> Result<(Vec<Circle>, Vec<Traced>), Diagnos
         } else {
             let traces = out.table(path, circular::traces_from_table)?;
             circles.push(from_csv(&path.display().to_string(), traces, args.radius));
-            sources.push(Artefact::file(Role::Measurements, path)?.into());
+            sources.push(dbbd_job::artefact::of_file(ArtefactRole::Measurements, path)?.into());
         }
     }
     Ok((circles, sources))
 }
 
 /// The first temperature option that has no effect on any circle.
-fn unused_option(args: &Args, circles: &[Circle]) -> Option<CircularFinding> {
-    let has_temperatures = |circle: &&Circle| {
+fn unused_option(args: &CircleArgs, circles: &[CircleInput]) -> Option<CircularFinding> {
+    let has_temperatures = |circle: &&CircleInput| {
         circle.traces.iter().flat_map(|trace| &trace.points).all(|point| point.temp_c.is_some())
     };
-    let warm: Vec<&Circle> = circles.iter().filter(has_temperatures).collect();
+    let warm: Vec<&CircleInput> = circles.iter().filter(has_temperatures).collect();
     let options = [
         ("--expansion", args.expansion),
         ("--machine-expansion", args.machine_expansion),
@@ -154,14 +162,14 @@ fn unused_option(args: &Args, circles: &[Circle]) -> Option<CircularFinding> {
     }
 }
 
-fn evaluate(circle: Circle, args: &Args) -> Result<CircleTest, Diagnostic> {
-    let Circle { source, number, radius_mm, traces, notes, certified, bar_u_mm } = circle;
-    let settings = Settings {
+fn evaluate(circle: CircleInput, args: &CircleArgs) -> Result<CircleTest, Diagnostic> {
+    let CircleInput { source, number, radius_mm, traces, notes, certified, bar_u_mm } = circle;
+    let settings = CircularSettings {
         sigma_mm: args.sigma,
         bar_u_mm: args.bar_u.or(bar_u_mm).unwrap_or(0.0),
         temperature: temperature(args, certified),
         draws: args.monte_carlo,
-        ..Settings::new(radius_mm)
+        ..CircularSettings::new(radius_mm)
     };
     let mut evaluation =
         circular::circular(&traces, &settings).map_err(|finding| Diagnostic::file(&source, finding))?;
@@ -173,16 +181,16 @@ fn evaluate(circle: Circle, args: &Args) -> Result<CircleTest, Diagnostic> {
 }
 
 /// The temperature settings of the command line, else those of the certificate.
-fn temperature(args: &Args, certified: Option<Temperature>) -> Temperature {
+fn temperature(args: &CircleArgs, certified: Option<ThermalExpansion>) -> ThermalExpansion {
     let certified = certified.unwrap_or_default();
-    Temperature {
+    ThermalExpansion {
         bar_per_k: args.expansion.or(certified.bar_per_k),
         certified_c: args.certified.unwrap_or(certified.certified_c),
         machine_per_k: args.machine_expansion,
     }
 }
 
-fn from_csv(name: &str, traces: Vec<Trace>, radius: Option<f64>) -> Circle {
+fn from_csv(name: &str, traces: Vec<CircleTrace>, radius: Option<f64>) -> CircleInput {
     let mut notes = Vec::new();
     let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
     let mean: f64 = lengths().sum::<f64>() / lengths().count().max(1) as f64;
@@ -191,7 +199,7 @@ fn from_csv(name: &str, traces: Vec<Trace>, radius: Option<f64>) -> Circle {
         notes.push(CircularFinding::RadiusAssumed { radius_mm: mean.round() });
         mean.round()
     });
-    Circle {
+    CircleInput {
         source: name.to_owned(),
         number: None,
         radius_mm,
@@ -206,15 +214,19 @@ fn from_csv(name: &str, traces: Vec<Trace>, radius: Option<f64>) -> Circle {
 fn other_radius(radius_mm: f64, mean_mm: f64) -> Option<CircularFinding> {
     /// How many times nearer the whole millimetre must be.
     const NEARER: f64 = 5.0;
-    const LEAST_MM: f64 = 0.1;
+    const MIN_OTHER_RADIUS_MM: f64 = 0.1;
     let off_mm = (mean_mm - radius_mm).abs();
-    let is_other = off_mm > LEAST_MM && off_mm > NEARER * (mean_mm - mean_mm.round()).abs();
+    let is_other = off_mm > MIN_OTHER_RADIUS_MM && off_mm > NEARER * (mean_mm - mean_mm.round()).abs();
     (is_other && radius_mm != mean_mm.round()).then_some(CircularFinding::OtherRadius { mean_mm, radius_mm })
 }
 
 /// The circles of a capture, and the capture.
-fn from_capture(path: &Path, args: &Args, out: &Output) -> Result<(Vec<Circle>, Traced), Diagnostic> {
-    let run = run::open(path, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
+fn from_capture(
+    path: &Path,
+    args: &CircleArgs,
+    out: &CommandOutput,
+) -> Result<(Vec<CircleInput>, TracedArtefact), Diagnostic> {
+    let run = run::open_run(path, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
     let (certified, bar_u_mm) = (run.certificate(), run.plan.header.job.bar.u_mm());
     let circles = run.circles()?;
     out.findings(circles.findings);
@@ -223,12 +235,12 @@ fn from_capture(path: &Path, args: &Args, out: &Output) -> Result<(Vec<Circle>, 
     if measured.is_empty() {
         return Err(Diagnostic::file(path.display(), MatchingFinding::NoCircle));
     }
-    let without_length = |circle: run::Circle| CircularFinding::CircleWithoutLength {
+    let without_length = |circle: run::MeasuredCircle| CircularFinding::CircleWithoutLength {
         circle: circle.number,
         poses: circle.lost,
     };
     out.findings_in(path.display(), empty.into_iter().map(without_length));
-    let circles = measured.into_iter().map(|circle| Circle {
+    let circles = measured.into_iter().map(|circle| CircleInput {
         source: format!("{}, circle {}", path.display(), circle.number),
         number: Some(circle.number),
         radius_mm: args.radius.unwrap_or(circle.radius_mm),
@@ -241,7 +253,7 @@ fn from_capture(path: &Path, args: &Args, out: &Output) -> Result<(Vec<Circle>, 
 }
 
 /// Findings about lost poses of a circle, and about a --radius that is not the plan's.
-fn notes(circle: &run::Circle, radius: Option<f64>) -> Vec<CircularFinding> {
+fn notes(circle: &run::MeasuredCircle, radius: Option<f64>) -> Vec<CircularFinding> {
     /// The resolution of printed plans, mm.
     const PRINTED_MM: f64 = 0.01;
     let planned_mm = circle.radius_mm;
@@ -253,14 +265,14 @@ fn notes(circle: &run::Circle, radius: Option<f64>) -> Vec<CircularFinding> {
     without_length.into_iter().chain(other).collect()
 }
 
-fn show(test: &CircleTest, out: &Output) {
-    let Evaluation { radius_mm, arc, traces, .. } = &test.evaluation;
+fn show_circular_test(test: &CircleTest, out: &CommandOutput) {
+    let CircularEvaluation { radius_mm, arc, traces, .. } = &test.evaluation;
     let points: usize = traces.iter().map(|trace| trace.points).sum();
     out.result(format!(
         "{}: radius {radius_mm} mm, {points} points, {:.0} degrees, condition {:.1}",
         test.source, arc.span_deg, arc.condition
     ));
-    for (name, quantity) in NAMES.iter().zip(&test.evaluation.quantities) {
+    for (name, quantity) in QUANTITY_NAMES.iter().zip(&test.evaluation.quantities) {
         if let Some(value) = quantity.value {
             let u95 = quantity.u95.map_or(String::new(), |u| format!(" +- {u:.5}"));
             out.result(format!("  {name:6} {value:10.5}{u95} mm"));

@@ -1,24 +1,31 @@
 //! `dbbd compare`.
 
+use dbbd_model::base::InternalFinding;
+use dbbd_model::estimation::ResultFinding;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use serde_json::Value as Json;
 
 use super::identify::ROBOT;
-use super::{Outcome, Output, artefact, robots, value};
-use crate::base::date::{day_number, is_after};
-use crate::base::{FileSet, clock, files, serialised};
-use crate::catalogue::{CliFinding, ConformityFinding, Names, ProvenanceFinding};
-use crate::conformity::{
-    CircleFile, Comparison, Input, LEVEL, ResultRead, Subject, Timeline, Tracked, compare_circles,
-    compare_results, of_robot, same_robot, unlike_circles,
+use super::{CommandOutcome, CommandOutput, artefact, robots, value};
+use dbbd_device::clock;
+use dbbd_job::file_set::FileSet;
+use dbbd_job::files;
+use dbbd_job::report::compare;
+use dbbd_model::base::date::{day_number, is_after};
+use dbbd_model::base::serialised;
+use dbbd_model::conformity::ConformityFinding;
+use dbbd_model::conformity::{
+    CircleFile, ComparedInput, ComparisonSubject, ResultComparison, ResultTimeline, SIGNIFICANCE_LEVEL,
+    StoredResult, TrackedQuantity, compare_circles, compare_results, of_robot, same_robot, unlike_circles,
 };
-use crate::diagnostic::Diagnostic;
-use crate::math::straight_line::Reached;
-use crate::provenance::{Artefact, Identity, Provenance, Role, Traced, one_robot};
-use crate::report::compare;
-use crate::robot::Robot;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::diagnostic::Names;
+use dbbd_model::math::straight_line::LevelCrossing;
+use dbbd_model::provenance::ProvenanceFinding;
+use dbbd_model::provenance::{Artefact, ArtefactRole, Identity, Provenance, TracedArtefact, one_robot};
+use dbbd_model::robot::Robot;
 
 /// Compare calibrations of a robot, or circular tests, over time.
 ///
@@ -26,7 +33,7 @@ use crate::robot::Robot;
 /// a map of the change of position over the workspace, overlaid circles, and a trend with the time at which a tolerance is
 /// reached.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct CompareArgs {
     /// result.json of `dbbd identify` or circle.json of `dbbd circle`, or their directories, the oldest first.
     #[arg(required = true, num_args = 2.., value_name = "RESULT|CIRCLE")]
     inputs: Vec<PathBuf>,
@@ -52,43 +59,49 @@ pub(crate) struct Args {
 const KNOWN: [&str; 2] = ["result.json", "circle.json"];
 
 /// A file whose kind is not known yet.
-struct Document {
+struct ComparedFile {
     path: PathBuf,
     name: String,
     text: String,
     json: Json,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &CompareArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     if let Some(date) = args.dates.iter().find(|date| is_after(date, clock::unix_ns())) {
         return Err(ConformityFinding::FutureDate { date: date.clone() }.into());
     }
-    let documents: Vec<Document> = args.inputs.iter().map(|path| read(path)).collect::<Result<_, _>>()?;
+    let documents: Vec<ComparedFile> =
+        args.inputs.iter().map(|path| read_document(path)).collect::<Result<_, _>>()?;
     check_different(&documents)?;
-    let sources: Vec<Traced> = documents.iter().map(|one| traced(one, out)).collect::<Result<_, _>>()?;
+    let sources: Vec<TracedArtefact> =
+        documents.iter().map(|one| traced(one, out)).collect::<Result<_, _>>()?;
     one_robot(documents.iter().map(|one| one.name.clone()).zip(&sources))?;
     for ((date, document), source) in args.dates.iter().zip(&documents).zip(&sources) {
         out.findings_in(&document.name, other_date(date, &source.provenance.identity));
     }
     let timeline = if args.dates.is_empty() {
-        Timeline::numbered(documents.len())
+        ResultTimeline::numbered(documents.len())
     } else {
-        Timeline::dated(&args.dates, documents.len()).map_err(Diagnostic::from)?
+        ResultTimeline::dated(&args.dates, documents.len()).map_err(Diagnostic::from)?
     };
     let subject = subject(args, &documents, &timeline, out)?;
     let dates = args.dates.iter().cloned().map(Some).chain(std::iter::repeat(None));
-    let input = |(document, date): (&Document, Option<String>)| Input { file: document.name.clone(), date };
-    let comparison = Comparison {
+    let input = |(document, date): (&ComparedFile, Option<String>)| ComparedInput {
+        file: document.name.clone(),
+        date,
+    };
+    let comparison = ResultComparison {
         schema: 1,
         inputs: documents.iter().zip(dates).map(input).collect(),
-        level: LEVEL,
+        level: SIGNIFICANCE_LEVEL,
         time_unit: timeline.unit,
         tolerance_mm: args.tolerance,
         subject,
     };
-    let written = Written { comparison: &comparison, provenance: Provenance::of(&sources) };
-    write(args, &written, &timeline)?;
-    if let Subject::Results(results) = &comparison.subject {
+    let written =
+        ComparisonDocument { comparison: &comparison, provenance: dbbd_job::artefact::made_from(&sources) };
+    write_comparison(args, &written, &timeline)?;
+    if let ComparisonSubject::Results(results) = &comparison.subject {
         if !results.not_compared.is_empty() {
             let parameters = Names::of(results.not_compared.iter().map(|parameter| parameter.name));
             out.finding(ConformityFinding::DifferentlyEstimated { parameters });
@@ -96,29 +109,29 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         out.findings(doubts_of_results(&documents, &sources));
     }
     out.document(&written)?;
-    lines(&comparison).into_iter().for_each(|line| out.result(line));
+    comparison_lines(&comparison).into_iter().for_each(|line| out.result(line));
     out.result(format!("results in {}", args.out.display()));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
-fn read(path: &Path) -> Result<Document, Diagnostic> {
+fn read_document(path: &Path) -> Result<ComparedFile, Diagnostic> {
     let mut path = path.to_path_buf();
     if path.is_dir() {
         let known = KNOWN.iter().map(|name| path.join(name)).find(|file| file.exists());
-        path = known.ok_or_else(|| Diagnostic::file(path.display(), ConformityFinding::NoFileInDirectory))?;
+        path = known.ok_or_else(|| Diagnostic::file(path.display(), ResultFinding::NoFileInDirectory))?;
     }
     let name = path.display().to_string();
-    let text = files::read(&path)?;
+    let text = files::read_text(&path)?;
     serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
     let json = serde_json::from_str(&text).map_err(|error| {
-        let finding = ConformityFinding::NotJson { why: error.to_string() };
+        let finding = ResultFinding::NotJson { why: error.to_string() };
         Diagnostic::position(&name, &text, error.line(), error.column(), finding)
     })?;
-    Ok(Document { path, name, text, json })
+    Ok(ComparedFile { path, name, text, json })
 }
 
 /// Refuses a result that is given twice.
-fn check_different(documents: &[Document]) -> Result<(), Diagnostic> {
+fn check_different(documents: &[ComparedFile]) -> Result<(), Diagnostic> {
     for (at, document) in documents.iter().enumerate() {
         if let Some(first) = documents[..at].iter().find(|first| first.text == document.text) {
             let finding = ConformityFinding::Twice { first: first.name.clone() };
@@ -139,11 +152,10 @@ fn other_date(date: &str, identity: &Identity) -> Option<ConformityFinding> {
 
 /// Why the difference of results may be doubtful: a result is doubtful itself, two rest on the same lengths, or they are not
 /// in the order of time.
-fn doubts_of_results(documents: &[Document], sources: &[Traced]) -> Vec<Diagnostic> {
+fn doubts_of_results(documents: &[ComparedFile], sources: &[TracedArtefact]) -> Vec<Diagnostic> {
     let mut findings = Vec::new();
     for (at, (document, source)) in documents.iter().zip(sources).enumerate() {
-        let mut doubt =
-            |finding: Diagnostic| findings.push(Diagnostic { file: document.name.clone(), ..finding });
+        let mut doubt = |finding: Diagnostic| findings.push(finding.in_file(&document.name));
         let doubts = doubts(&document.json);
         if !doubts.is_empty() {
             let (robot, doubts) = (document.name.clone(), Names::of(doubts));
@@ -157,7 +169,7 @@ fn doubts_of_results(documents: &[Document], sources: &[Traced]) -> Vec<Diagnost
                 doubt(ProvenanceFinding::SameLengths { lengths, first: first.name.clone() }.into());
             }
         }
-        let day = |source: &Traced| source.provenance.identity.day().map(str::to_owned);
+        let day = |source: &TracedArtefact| source.provenance.identity.day().map(str::to_owned);
         if let Some((before, now)) =
             at.checked_sub(1).and_then(|before| day(&sources[before])).zip(day(source))
             && day_number(&now) < day_number(&before)
@@ -180,56 +192,56 @@ fn doubts(result: &Json) -> Vec<String> {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Kind {
+enum ComparedKind {
     Result,
     Circle,
 }
 
 /// The kind of a file, by keys that no other kind has.
-fn kind(document: &Document) -> Result<Kind, Diagnostic> {
+fn kind(document: &ComparedFile) -> Result<ComparedKind, Diagnostic> {
     let has = |key| document.json.get(key).is_some();
     match (has("parameters") && has("residual_mm"), has("radius_mm") && has("traces")) {
-        (true, _) => Ok(Kind::Result),
-        (_, true) => Ok(Kind::Circle),
-        _ => Err(Diagnostic::file(&document.name, ConformityFinding::NeitherResultNorCircle)),
+        (true, _) => Ok(ComparedKind::Result),
+        (_, true) => Ok(ComparedKind::Circle),
+        _ => Err(Diagnostic::file(&document.name, ResultFinding::NeitherResultNorCircle)),
     }
 }
 
 fn subject(
-    args: &Args,
-    documents: &[Document],
-    timeline: &Timeline,
-    out: &Output,
-) -> Result<Subject, Diagnostic> {
-    let kinds: Vec<Kind> = documents.iter().map(kind).collect::<Result<_, _>>()?;
+    args: &CompareArgs,
+    documents: &[ComparedFile],
+    timeline: &ResultTimeline,
+    out: &CommandOutput,
+) -> Result<ComparisonSubject, Diagnostic> {
+    let kinds: Vec<ComparedKind> = documents.iter().map(kind).collect::<Result<_, _>>()?;
     if let Some(other) = kinds.iter().position(|kind| *kind != kinds[0]) {
         let finding = ConformityFinding::OtherKind { first: documents[0].name.clone() };
         return Err(Diagnostic::file(&documents[other].name, finding));
     }
     let unused = match kinds[0] {
-        Kind::Circle => args.robot.as_ref().map(|_| "--robot"),
-        Kind::Result => args.repeat_u.map(|_| "--repeat-u"),
+        ComparedKind::Circle => args.robot.as_ref().map(|_| "--robot"),
+        ComparedKind::Result => args.repeat_u.map(|_| "--repeat-u"),
     };
     if let Some(option) = unused {
         return Err(ConformityFinding::Unused { option }.into());
     }
-    if kinds[0] == Kind::Circle {
+    if kinds[0] == ComparedKind::Circle {
         let files = documents.iter().map(|document| CircleFile::from_json(&document.name, &document.json));
         let files: Vec<CircleFile> = files.collect::<Result<_, _>>()?;
         out.findings(unlike_circles(&files));
         let circles = compare_circles(&files, timeline, args.tolerance, args.repeat_u.unwrap_or(0.0))?;
-        return Ok(Subject::Circles { circles });
+        return Ok(ComparisonSubject::Circles { circles });
     }
-    let read = |document: &Document| ResultRead::from_json(&document.name, document.json.clone());
-    let results: Vec<ResultRead> = documents.iter().map(read).collect::<Result<_, _>>()?;
+    let read = |document: &ComparedFile| StoredResult::from_json(&document.name, document.json.clone());
+    let results: Vec<StoredResult> = documents.iter().map(read).collect::<Result<_, _>>()?;
     same_robot(&results)?;
     let robot = robot(args, &documents[0], out)?;
     of_robot(&results, &robot.name)
         .map_err(|finding| Diagnostic::file(args.robot.as_deref().unwrap_or(ROBOT), finding))?;
-    Ok(Subject::Results(Box::new(compare_results(&robot, &results, timeline, args.tolerance)?)))
+    Ok(ComparisonSubject::Results(Box::new(compare_results(&robot, &results, timeline, args.tolerance)?)))
 }
 
-fn robot(args: &Args, first: &Document, out: &Output) -> Result<Robot, Diagnostic> {
+fn robot(args: &CompareArgs, first: &ComparedFile, out: &CommandOutput) -> Result<Robot, Diagnostic> {
     if let Some(name) = &args.robot {
         return robots::named(name, out);
     }
@@ -243,22 +255,26 @@ fn robot(args: &Args, first: &Document, out: &Output) -> Result<Robot, Diagnosti
 
 /// `compare.json`.
 #[derive(Serialize)]
-struct Written<'a> {
+struct ComparisonDocument<'a> {
     #[serde(flatten)]
-    comparison: &'a Comparison,
+    comparison: &'a ResultComparison,
     provenance: Provenance,
 }
 
 /// A result with its chain.
-fn traced(document: &Document, out: &Output) -> Result<Traced, Diagnostic> {
-    match artefact::read(&document.path, out)? {
+fn traced(document: &ComparedFile, out: &CommandOutput) -> Result<TracedArtefact, Diagnostic> {
+    match artefact::read_traced(&document.path, out)? {
         Some(traced) => Ok(traced),
-        None => Artefact::file(Role::Result, &document.path).map(Traced::from),
+        None => dbbd_job::artefact::of_file(ArtefactRole::Result, &document.path).map(TracedArtefact::from),
     }
 }
 
-fn write(args: &Args, written: &Written<'_>, timeline: &Timeline) -> Result<(), Diagnostic> {
-    let Written { comparison, provenance } = written;
+fn write_comparison(
+    args: &CompareArgs,
+    written: &ComparisonDocument<'_>,
+    timeline: &ResultTimeline,
+) -> Result<(), Diagnostic> {
+    let ComparisonDocument { comparison, provenance } = written;
     let mut set = FileSet::begin(&args.out)?;
     set.write("compare.json", serialised::sealed_json(written)?)?;
     set.write("compare.csv", csv(comparison)?)?;
@@ -267,7 +283,7 @@ fn write(args: &Args, written: &Written<'_>, timeline: &Timeline) -> Result<(), 
 }
 
 /// One row per quantity: family and name, value and deviation of each input, change and trend.
-fn csv(comparison: &Comparison) -> Result<String, CliFinding> {
+fn csv(comparison: &ResultComparison) -> Result<String, InternalFinding> {
     let owned = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
     let mut columns = owned(&["family", "name", "unit"]);
     columns.extend((1..=comparison.inputs.len()).flat_map(|at| [format!("value_{at}"), format!("sd_{at}")]));
@@ -276,9 +292,9 @@ fn csv(comparison: &Comparison) -> Result<String, CliFinding> {
 }
 
 /// The rows of the table. The quantities of a family are tested together.
-fn rows(comparison: &Comparison) -> Vec<Vec<String>> {
-    fn rows<N: std::fmt::Display>(family: &str, tracked: &[Tracked<N>]) -> Vec<Vec<String>> {
-        let row = |tracked: &Tracked<N>| {
+fn rows(comparison: &ResultComparison) -> Vec<Vec<String>> {
+    fn rows<N: std::fmt::Display>(family: &str, tracked: &[TrackedQuantity<N>]) -> Vec<Vec<String>> {
+        let row = |tracked: &TrackedQuantity<N>| {
             let mut row = vec![family.to_owned(), tracked.name.to_string(), tracked.unit.to_owned()];
             row.extend(
                 tracked.values.iter().flat_map(|value| [value.value, value.sd].map(|x| x.to_string())),
@@ -295,10 +311,10 @@ fn rows(comparison: &Comparison) -> Vec<Vec<String>> {
         tracked.iter().map(row).collect()
     }
     match &comparison.subject {
-        Subject::Results(results) => {
+        ComparisonSubject::Results(results) => {
             [rows("robot", &results.parameters), rows("set-up", &results.set_up)].concat()
         }
-        Subject::Circles { circles } => {
+        ComparisonSubject::Circles { circles } => {
             let name = |circle: Option<u32>| circle.map_or("circle".into(), |at| format!("circle {at}"));
             circles.iter().flat_map(|circle| rows(&name(circle.circle), &circle.quantities)).collect()
         }
@@ -306,17 +322,17 @@ fn rows(comparison: &Comparison) -> Vec<Vec<String>> {
 }
 
 /// The comparison on the terminal.
-fn lines(comparison: &Comparison) -> Vec<String> {
+fn comparison_lines(comparison: &ResultComparison) -> Vec<String> {
     let word = comparison.time_unit.word();
     let mut lines = Vec::new();
-    let reached = |reached: Option<Reached>| {
-        reached.map(|Reached { at, earliest, latest, .. }| {
+    let reached = |reached: Option<LevelCrossing>| {
+        reached.map(|LevelCrossing { at, earliest, latest, .. }| {
             let latest = latest.map_or("never".into(), |latest| format!("{latest:.1}"));
             format!("tolerance reached {at:.1} {word}s after the first (95 %: {earliest:.1} to {latest})")
         })
     };
     match &comparison.subject {
-        Subject::Results(results) => {
+        ComparisonSubject::Results(results) => {
             let position = &results.position_change_mm;
             let (mean, p95) = (position.whole.mean, position.whole.p95);
             lines.push(format!("{}: {} results", results.robot, comparison.inputs.len()));
@@ -329,7 +345,7 @@ fn lines(comparison: &Comparison) -> Vec<String> {
             }
             lines.extend(reached(position.reaches_tolerance));
         }
-        Subject::Circles { circles } => {
+        ComparisonSubject::Circles { circles } => {
             for circle in circles {
                 let number = circle.circle.map_or(String::new(), |number| format!(" {number}"));
                 lines.push(format!("circle{number}, radius {} mm", circle.radius_mm));
@@ -341,7 +357,7 @@ fn lines(comparison: &Comparison) -> Vec<String> {
     lines
 }
 
-fn significant<N: std::fmt::Display>(tracked: &[Tracked<N>]) -> Vec<String> {
+fn significant<N: std::fmt::Display>(tracked: &[TrackedQuantity<N>]) -> Vec<String> {
     let changed: Vec<String> = tracked
         .iter()
         .filter(|tracked| tracked.change.significant)

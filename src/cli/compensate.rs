@@ -1,20 +1,27 @@
 //! `dbbd compensate`.
 
+use dbbd_model::base::text::unreadable;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, program, robots, value};
-use crate::base::hash::sha256;
-use crate::base::{FileSet, files};
-use crate::catalogue::{CompensationFinding, EstimationFinding, ProgramFinding, ProvenanceFinding};
-use crate::diagnostic::Diagnostic;
-use crate::program::compensate::in_metres;
-use crate::program::krl::{self, Files, Given};
-use crate::program::{Language, Moved, Target, Text, check_one_plan, provenance, rapid, stamped, urscript};
-use crate::provenance::{Artefact, Provenance, Role, Traced};
-use crate::robot::{Pose, Robot, RobotRead};
+use super::{CommandOutcome, CommandOutput, program, robots, value};
+use dbbd_job::file_set::FileSet;
+use dbbd_job::files;
+use dbbd_job::program::CompensationFinding;
+use dbbd_job::program::ProgramFinding;
+use dbbd_job::program::compensate::in_metres;
+use dbbd_job::program::krl::{self, Files, Given};
+use dbbd_job::program::{
+    Language, Moved, Target, Text, check_one_plan, provenance, rapid, stamped, urscript,
+};
+use dbbd_model::base::hash::sha256;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::provenance::ProvenanceFinding;
+use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact};
+use dbbd_model::robot::{LoadedRobot, Pose, Robot};
 
 /// Correct the points of a program for an identified robot.
 ///
@@ -27,7 +34,7 @@ use crate::robot::{Pose, Robot, RobotRead};
 /// own base ($ROBROOT null). Lengths do not determine the place of the ball on the flange either: it is taken from the
 /// nominal robot file. $TOOL is that of the program, never the ball.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct CompensateArgs {
     /// The program: .src of KRL (motions by PTP, LIN, CIRC, SPTP, SLIN, SCIRC and SPL, inline forms or plain), .mod of
     /// RAPID (MoveAbsJ, MoveJ, MoveL, MoveC) or .script of URScript (movej, movel, movec).
     #[arg(value_name = "PROGRAM")]
@@ -53,25 +60,25 @@ pub(crate) struct Args {
 }
 
 /// No calibration moves a point so far: a larger limit is in another unit, mm.
-const MOST_MM: f64 = 100.0;
+const MAX_LIMIT_MM: f64 = 100.0;
 
 /// A corrected program.
-struct Corrected {
+struct CorrectedProgram {
     /// Its files with their new texts.
-    texts: Vec<(Program, String)>,
+    texts: Vec<(ProgramFile, String)>,
     /// Its files with their chains.
-    sources: Vec<Traced>,
+    sources: Vec<TracedArtefact>,
     moved: Vec<Moved>,
     /// The points that are not corrected, with the reasons.
     left: Vec<Diagnostic>,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
-    if !(args.limit > 0.0 && args.limit <= MOST_MM) {
-        let (limit_mm, most_mm) = (args.limit, MOST_MM);
+pub(crate) fn run(args: &CompensateArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
+    if !(args.limit > 0.0 && args.limit <= MAX_LIMIT_MM) {
+        let (limit_mm, most_mm) = (args.limit, MAX_LIMIT_MM);
         return Err(Diagnostic::new(CompensationFinding::BadLimit { limit_mm, most_mm }));
     }
-    let RobotRead { robot, source: identified, .. } = robots::read(&args.robot, out)?;
+    let LoadedRobot { robot, source: identified, .. } = robots::read_named_robot(&args.robot, out)?;
     if robot.nominal.is_none() {
         return Err(Diagnostic::file(&args.robot, CompensationFinding::NotIdentified));
     }
@@ -83,23 +90,23 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         let (robot, language) = (robot.name.clone(), other.to_owned());
         return Err(Diagnostic::file(&args.robot, ProgramFinding::OtherLanguage { robot, language, wanted }));
     }
-    let cell = Cell { args, robot: &robot, identified: &identified, out };
+    let cell = CorrectionContext { args, robot: &robot, identified: &identified, out };
     let corrected = match language {
         Language::Krl => cell.krl()?,
         Language::Rapid | Language::Urscript => cell.one_file(language)?,
     };
-    let provenance = Provenance::of(corrected.sources.iter().chain([&identified]));
+    let provenance = dbbd_job::artefact::made_from(corrected.sources.iter().chain([&identified]));
     let mut set = FileSet::begin(&args.out)?;
     for (program, text) in &corrected.texts {
         program.write(&mut set, &stamped(language, text, &provenance)?)?;
     }
     set.finish()?;
     report(args, &corrected, out)?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Reports a file with tools and bases that is not a `$config.dat`.
-fn check_config(config: &Program, out: &Output) {
+fn check_config(config: &ProgramFile, out: &CommandOutput) {
     let words =
         |line: &str| line.split_whitespace().take(2).collect::<Vec<_>>().join(" ").to_ascii_uppercase();
     let begins = config.content.lines().map(words).find(|line| line.starts_with("DEFDAT"));
@@ -110,34 +117,34 @@ fn check_config(config: &Program, out: &Output) {
 }
 
 /// What a program is corrected with.
-struct Cell<'a> {
-    args: &'a Args,
+struct CorrectionContext<'a> {
+    args: &'a CompensateArgs,
     robot: &'a Robot,
-    identified: &'a Traced,
-    out: &'a Output,
+    identified: &'a TracedArtefact,
+    out: &'a CommandOutput,
 }
 
-impl Cell<'_> {
-    fn krl(&self) -> Result<Corrected, Diagnostic> {
+impl CorrectionContext<'_> {
+    fn krl(&self) -> Result<CorrectedProgram, Diagnostic> {
         let Self { args, robot, identified, out } = *self;
-        let source = Program::open(&args.program)?;
+        let source = ProgramFile::open(&args.program)?;
         if args.program.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("dat")) {
             return Err(Diagnostic::file(&source.name, CompensationFinding::DataNamed));
         }
-        let data = data_file(&args.program).map(|path| Program::open(&path)).transpose()?;
-        let config = args.config.as_deref().map(Program::open).transpose()?;
+        let data = data_file(&args.program).map(|path| ProgramFile::open(&path)).transpose()?;
+        let config = args.config.as_deref().map(ProgramFile::open).transpose()?;
         config.iter().for_each(|config| check_config(config, out));
         source.check("DEF", &source)?;
         data.iter().try_for_each(|data| data.check("DEFDAT", &source))?;
-        let files: Vec<&Program> = [&source].into_iter().chain(&data).collect();
+        let files: Vec<&ProgramFile> = [&source].into_iter().chain(&data).collect();
         self.check_not_overwritten(&files)?;
         let sources = files.iter().map(|file| file.traced()).collect::<Result<Vec<_>, _>>()?;
         sources.iter().try_for_each(|program| check_robot(program, identified, out))?;
         data.iter().try_for_each(|data| check_one_plan(source.text(), data.text()))?;
         let program = Files {
             source: source.text(),
-            data: data.as_ref().map(Program::text),
-            config: config.as_ref().map(Program::text),
+            data: data.as_ref().map(ProgramFile::text),
+            config: config.as_ref().map(ProgramFile::text),
         };
         let points = krl::read(program, Given { tool: args.tool, base: args.base })?;
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
@@ -145,17 +152,17 @@ impl Cell<'_> {
         let corrected = krl::compensate(program, &points, robot, args.limit)
             .map_err(|refused| self.refused(&source, &refused))?;
         let texts = [(source, corrected.source)].into_iter().chain(data.zip(corrected.data)).collect();
-        Ok(Corrected { texts, sources, moved: corrected.moved, left: points.not_corrected })
+        Ok(CorrectedProgram { texts, sources, moved: corrected.moved, left: points.not_corrected })
     }
 
     /// A program in a language whose points are in one file.
-    fn one_file(&self, language: Language) -> Result<Corrected, Diagnostic> {
+    fn one_file(&self, language: Language) -> Result<CorrectedProgram, Diagnostic> {
         let Self { args, robot, identified, out } = *self;
-        let source = Program::open(&args.program)?;
+        let source = ProgramFile::open(&args.program)?;
         self.check_not_overwritten(&[&source])?;
         let traced = source.traced()?;
         check_robot(&traced, identified, out)?;
-        let config = args.config.as_deref().map(Program::open).transpose()?;
+        let config = args.config.as_deref().map(ProgramFile::open).transpose()?;
         let has_unused_option = match language {
             Language::Urscript => config.is_some() || args.base.is_some(),
             _ => args.tool.is_some() || args.base.is_some(),
@@ -166,13 +173,13 @@ impl Cell<'_> {
         let text = source.text();
         let points = match language {
             Language::Urscript => urscript::read(text, args.tool)?,
-            _ => rapid::read(text, config.as_ref().map(Program::text))?,
+            _ => rapid::read(text, config.as_ref().map(ProgramFile::text))?,
         };
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
         out.findings(points.doubts.iter().cloned());
         let corrected = points.compensate(text, robot, args.limit);
         let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
-        Ok(Corrected {
+        Ok(CorrectedProgram {
             texts: vec![(source, corrected)],
             sources: vec![traced],
             moved,
@@ -181,7 +188,7 @@ impl Cell<'_> {
     }
 
     /// Refuses an output directory where a file of the program would be overwritten.
-    fn check_not_overwritten(&self, programs: &[&Program]) -> Result<(), Diagnostic> {
+    fn check_not_overwritten(&self, programs: &[&ProgramFile]) -> Result<(), Diagnostic> {
         let out = &self.args.out;
         if programs.iter().any(|program| files::same_place(&out.join(&program.file_name), &program.path)) {
             let directory = out.display().to_string();
@@ -191,27 +198,34 @@ impl Cell<'_> {
     }
 
     /// Reports the points that cannot be corrected.
-    fn refused(&self, source: &Program, points: &[Diagnostic]) -> Diagnostic {
+    fn refused(&self, source: &ProgramFile, points: &[Diagnostic]) -> Diagnostic {
         self.out.findings(points.iter().cloned());
         Diagnostic::file(&source.name, CompensationFinding::PointsRefused { points: points.len() })
     }
 }
 
 /// Refuses a program whose points are in metres.
-fn check_unit<'a>(program: &Program, targets: impl Iterator<Item = &'a Target>) -> Result<(), Diagnostic> {
+fn check_unit<'a>(
+    program: &ProgramFile,
+    targets: impl Iterator<Item = &'a Target>,
+) -> Result<(), Diagnostic> {
     let refused = |finding| Err(Diagnostic::file(&program.name, finding));
     in_metres(targets).map_or(Ok(()), refused)
 }
 
 /// Refuses a program that was corrected before, or was made for another robot.
-fn check_robot(program: &Traced, identified: &Traced, out: &Output) -> Result<(), Diagnostic> {
+fn check_robot(
+    program: &TracedArtefact,
+    identified: &TracedArtefact,
+    out: &CommandOutput,
+) -> Result<(), Diagnostic> {
     if let Some(source) = program.provenance.corrected_by() {
         let before = ProvenanceFinding::CorrectedBefore { source: source.to_string() };
         return Err(Diagnostic::file(&program.artefact.name, before));
     }
     program.check_made_for(&identified.artefact)?;
     let Some(made_for) = program.robot() else { return Ok(()) };
-    if let Some(nominal) = identified.provenance.from.iter().find(|source| source.role == Role::Robot)
+    if let Some(nominal) = identified.provenance.from.iter().find(|source| source.role == ArtefactRole::Robot)
         && !identified.provenance.has(made_for)
     {
         let [artefact, made_for, given] = [&program.artefact, made_for, nominal].map(ToString::to_string);
@@ -220,8 +234,12 @@ fn check_robot(program: &Traced, identified: &Traced, out: &Output) -> Result<()
     Ok(())
 }
 
-fn report(args: &Args, corrected: &Corrected, out: &Output) -> Result<(), Diagnostic> {
-    let Corrected { moved, left, .. } = corrected;
+fn report(
+    args: &CompensateArgs,
+    corrected: &CorrectedProgram,
+    out: &CommandOutput,
+) -> Result<(), Diagnostic> {
+    let CorrectedProgram { moved, left, .. } = corrected;
     out.findings(left.iter().cloned());
     let left = left.len();
     if moved.is_empty() {
@@ -253,7 +271,7 @@ fn report(args: &Args, corrected: &Corrected, out: &Output) -> Result<(), Diagno
 
 /// A file of a program. Its comments may be in any old code page: each byte is then read as the character of that number, and
 /// written back unchanged.
-struct Program {
+struct ProgramFile {
     path: PathBuf,
     /// The path as text.
     name: String,
@@ -263,10 +281,10 @@ struct Program {
     is_utf8: bool,
 }
 
-impl Program {
+impl ProgramFile {
     fn open(path: &Path) -> Result<Self, Diagnostic> {
         let name = path.display().to_string();
-        let bytes = fs::read(path).map_err(files::unreadable(&name))?;
+        let bytes = fs::read(path).map_err(unreadable(&name))?;
         let sha256 = sha256(&bytes);
         let file_name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let (content, is_utf8) = match String::from_utf8(bytes) {
@@ -276,10 +294,10 @@ impl Program {
         Ok(Self { path: path.into(), name, file_name, sha256, content, is_utf8 })
     }
 
-    fn traced(&self) -> Result<Traced, Diagnostic> {
+    fn traced(&self) -> Result<TracedArtefact, Diagnostic> {
         let (name, sha256) = (self.file_name.clone(), self.sha256.clone());
-        let artefact = Artefact { role: Role::Program, name, serial: None, sha256 };
-        Ok(Traced { artefact, provenance: provenance(&self.name, &self.content)? })
+        let artefact = Artefact { role: ArtefactRole::Program, name, serial: None, sha256 };
+        Ok(TracedArtefact { artefact, provenance: provenance(&self.name, &self.content)? })
     }
 
     /// Refuses a file that is cut off, and data of another module than that of `source`.

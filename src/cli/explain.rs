@@ -2,15 +2,17 @@
 
 use serde::Serialize;
 
-use super::{Outcome, Output};
-use crate::catalogue::{self, CliFinding, Entry};
-use crate::diagnostic::Diagnostic;
+use super::{CommandOutcome, CommandOutput};
+use crate::catalogue;
+use crate::cli::CliFinding;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::diagnostic::Entry;
 
 /// Explain a code that dbbd printed, such as E0101: its cause and its cure.
 ///
 /// Every error, warning and note has a stable code. Without a code, lists all of them.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct ExplainArgs {
     /// The code.
     code: Option<String>,
     /// Print all codes as the page docs/troubleshooting.md.
@@ -19,7 +21,7 @@ pub(crate) struct Args {
 }
 
 #[derive(Serialize)]
-struct Explained {
+struct ExplainedCode {
     code: &'static str,
     title: &'static str,
     cause: &'static str,
@@ -27,31 +29,31 @@ struct Explained {
     sentences: &'static [&'static str],
 }
 
-impl From<&Entry> for Explained {
+impl From<&Entry> for ExplainedCode {
     fn from(entry: &Entry) -> Self {
         let &Entry { code, title, cause, cure, sentences } = entry;
-        Self { code: code.0, title, cause, cure, sentences }
+        Self { code: code.as_str(), title, cause, cure, sentences }
     }
 }
 
-pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(super) fn run(args: &ExplainArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     if args.page {
         out.result(catalogue::page());
-        return Ok(Outcome::Done);
+        return Ok(CommandOutcome::Done);
     }
     let Some(code) = &args.code else {
         for entry in catalogue::entries() {
             out.result(format!("{}  {}", entry.code, entry.title));
         }
-        out.list(&catalogue::entries().map(Explained::from).collect::<Vec<_>>())?;
-        return Ok(Outcome::Done);
+        out.list(&catalogue::entries().map(ExplainedCode::from).collect::<Vec<_>>())?;
+        return Ok(CommandOutcome::Done);
     };
     let wanted = code.to_uppercase();
     let Some(entry) = catalogue::entry(&wanted) else {
-        let known = catalogue::entries().map(|entry| entry.code.0);
+        let known = catalogue::entries().map(|entry| entry.code.as_str());
         return Err(Diagnostic::new(CliFinding::UnknownCode { code: wanted.clone() }).nearest(&wanted, known));
     };
     out.result(catalogue::explanation(entry).trim_end());
-    out.document(&Explained::from(entry))?;
-    Ok(Outcome::Done)
+    out.document(&ExplainedCode::from(entry))?;
+    Ok(CommandOutcome::Done)
 }

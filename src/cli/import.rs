@@ -4,23 +4,22 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{Outcome, Output};
-use crate::base::files;
-use crate::base::table::Table;
-use crate::base::units::HostNs;
-use crate::catalogue::ImportFinding;
-use crate::diagnostic::Diagnostic;
-use crate::measurement::sample::Sample;
-use crate::provenance;
-use crate::recording::capture::{Event, Record, Writer};
-use crate::recording::import::{Bar, Counts, Mapping, Read, Trace};
-use crate::recording::run::PlanFiles;
+use super::{CommandOutcome, CommandOutput};
+use dbbd_job::files;
+use dbbd_job::recording::capture::{CaptureRecord, CaptureWriter, RunEvent};
+use dbbd_job::recording::import::ImportFinding;
+use dbbd_job::recording::import::{TraceBar, TraceCounts, TraceMapping, TraceReader, TraceRow};
+use dbbd_job::recording::run::PlanFiles;
+use dbbd_model::base::table::TableReader;
+use dbbd_model::base::units::HostNs;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::measurement::sample::Sample;
 
 /// The size of a record with lines of the trace, bytes.
 const BLOCK: usize = 1 << 16;
 
 /// A trace longer than this multiple of the plan's duration is doubtful: the lowest override is 1 %.
-const MOST: f64 = 100.0;
+const MAX_DURATION_RATIO: f64 = 100.0;
 /// A trace longer than this multiple of it is reported.
 const LONG: f64 = 1.5;
 
@@ -37,7 +36,7 @@ number from 1. examples/mapping.toml explains each key.";
 /// small mapping file describes the layout of the text.
 #[derive(clap::Args)]
 #[command(after_help = LAYOUT)]
-pub(crate) struct Args {
+pub(crate) struct ImportArgs {
     /// The trace: text with one reading per line.
     file: PathBuf,
     /// Plan that the robot executed; it and the plan.json beside it are copied into the capture.
@@ -51,35 +50,35 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &ImportArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let name = args.file.display().to_string();
-    let map_text = args.mapping.as_deref().map(files::read).transpose()?.unwrap_or_default();
+    let map_text = args.mapping.as_deref().map(files::read_text).transpose()?.unwrap_or_default();
     let map_name = args.mapping.as_ref().map_or_else(String::new, |path| path.display().to_string());
-    let mapping = Mapping::from_toml(&map_name, &map_text)?;
+    let mapping = TraceMapping::from_toml(&map_name, &map_text)?;
     let files = PlanFiles::read(&args.plan)?;
     let bar = &files.plan.header.job.bar;
-    let bar = Bar { length_mm: bar.length_mm, stroke_mm: bar.stroke_mm };
+    let bar = TraceBar { length_mm: bar.length_mm, stroke_mm: bar.stroke_mm };
     // A first pass checks every line, so that a wrong one leaves no capture behind.
     let (counts, findings) = rows(args, &mapping, bar, out, |_| Ok(()))?;
     out.findings(findings);
-    let Counts { samples, invalid, unix_ns, .. } = counts;
+    let TraceCounts { samples, invalid, unix_ns, .. } = counts;
     if let Some([low_mm, high_mm]) = counts.range_mm.filter(|_| invalid == samples) {
         let invalid = ImportFinding::AllInvalid { readings: samples, low_mm, high_mm };
         return Err(Diagnostic::file(&name, invalid));
     }
-    let mut writer = Writer::create(&args.out)?;
+    let mut writer = CaptureWriter::create(&args.out)?;
     let begin = HostNs(0);
-    let version = provenance::VERSION.to_owned();
-    writer.write(begin, &Record::Event(Event::Started { unix_ns, version }))?;
+    let version = dbbd_job::artefact::VERSION.to_owned();
+    writer.write(begin, &CaptureRecord::Event(RunEvent::Started { unix_ns, version }))?;
     let (planned_s, least_s) = (files.plan.duration_s(), files.plan.least_duration_s());
     let dwell_s = files.plan.header.job.motion.dwell_s;
     for (name, content) in files.attachments().into_iter().chain([("mapping.toml", map_text)]) {
-        let record = Record::Attachment { name: name.into(), content: content.into_bytes() };
+        let record = CaptureRecord::Attachment { name: name.into(), content: content.into_bytes() };
         writer.write(begin, &record)?;
     }
-    writer.write(begin, &Record::Event(Event::Mark { text: format!("imported from {name}") }))?;
+    writer.write(begin, &CaptureRecord::Event(RunEvent::Mark { text: format!("imported from {name}") }))?;
     let mut last = begin;
-    let mut block = Block::default();
+    let mut block = ImportBlock::default();
     rows(args, &mapping, bar, out, |read| {
         last = read.sample.map_or(last, |(host, _)| host);
         block.text.extend(read.text.into_bytes());
@@ -92,7 +91,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if invalid > 0 {
         out.finding(Diagnostic::file(&name, ImportFinding::NotValid { readings: invalid }));
     }
-    if !(least_s..=MOST * planned_s).contains(&seconds) {
+    if !(least_s..=MAX_DURATION_RATIO * planned_s).contains(&seconds) {
         out.finding(Diagnostic::file(&name, ImportFinding::Duration { seconds, planned_s }));
     } else if seconds > LONG * planned_s {
         let times = seconds / planned_s;
@@ -101,20 +100,20 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     out.findings_in(&name, counts.doubts(seconds, dwell_s));
     out.document(&json!({ "samples": samples, "invalid": invalid, "seconds": seconds }))?;
     out.result(format!("{}: {samples} samples over {seconds:.1} s", args.out.display()));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Calls `each` with every row and its text.
 fn rows(
-    args: &Args,
-    mapping: &Mapping,
-    bar: Bar,
-    out: &Output,
-    mut each: impl FnMut(Read) -> Result<(), Diagnostic>,
-) -> Result<(Counts, Vec<Diagnostic>), Diagnostic> {
+    args: &ImportArgs,
+    mapping: &TraceMapping,
+    bar: TraceBar,
+    out: &CommandOutput,
+    mut each: impl FnMut(TraceRow) -> Result<(), Diagnostic>,
+) -> Result<(TraceCounts, Vec<Diagnostic>), Diagnostic> {
     let (source, _busy) = out.source(&args.file)?;
-    let table = Table::new(&args.file.display().to_string(), source, mapping.layout())?;
-    let mut trace = Trace::new(table, mapping, bar);
+    let table = TableReader::new(&args.file.display().to_string(), source, mapping.layout())?;
+    let mut trace = TraceReader::new(table, mapping, bar);
     loop {
         let read = trace.row()?;
         let last = read.sample.is_none();
@@ -127,18 +126,18 @@ fn rows(
 
 /// Lines and samples that are not written yet.
 #[derive(Default)]
-struct Block {
+struct ImportBlock {
     text: Vec<u8>,
     samples: Vec<(HostNs, Sample)>,
 }
 
-impl Block {
+impl ImportBlock {
     /// Writes the text and then its samples. A text without a sample is stamped with `otherwise`.
-    fn write(&mut self, writer: &mut Writer, otherwise: HostNs) -> Result<(), Diagnostic> {
+    fn write(&mut self, writer: &mut CaptureWriter, otherwise: HostNs) -> Result<(), Diagnostic> {
         let host = self.samples.first().map_or(otherwise, |(host, _)| *host);
-        writer.write(host, &Record::Raw(std::mem::take(&mut self.text)))?;
+        writer.write(host, &CaptureRecord::Raw(std::mem::take(&mut self.text)))?;
         for (host, sample) in self.samples.drain(..) {
-            writer.write(host, &Record::Samples(vec![sample]))?;
+            writer.write(host, &CaptureRecord::Samples(vec![sample]))?;
         }
         Ok(())
     }

@@ -5,18 +5,18 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output, artefact, output};
-use crate::base::files;
-use crate::base::units::HostNs;
-use crate::catalogue::RecordingFinding;
-use crate::device::axes::{AxesFault, AxesProtocol};
-use crate::device::port::Stamps;
-use crate::device::protocol::{Definition, Fault, FaultKind};
-use crate::diagnostic::{Code, Diagnostic, Finding};
-use crate::provenance::Provenance;
-use crate::recording::axes::{AxesRecords, PacketCounts};
-use crate::recording::capture::{Event, Pass, Record, Stamped};
-use crate::recording::run;
+use super::{CommandOutcome, CommandOutput, artefact, output};
+use dbbd_device::axes::{AxesFault, AxesProtocol};
+use dbbd_device::port::StampAccuracy;
+use dbbd_device::protocol::{LineFault, LineFaultKind, ProtocolDefinition};
+use dbbd_job::files;
+use dbbd_job::recording::RecordingFinding;
+use dbbd_job::recording::axes::{AxesRecords, PacketCounts};
+use dbbd_job::recording::capture::{CaptureRecord, CaptureSummary, RunEvent, StampedRecord};
+use dbbd_job::recording::run;
+use dbbd_model::base::units::HostNs;
+use dbbd_model::diagnostic::{Diagnostic, Finding, FindingCode};
+use dbbd_model::provenance::Provenance;
 
 /// Show what a file is and what it was made from.
 ///
@@ -24,18 +24,18 @@ use crate::recording::run;
 /// its contents, samples, gaps and faults, the range of its readings, how it ended, and every damage of the file; if it
 /// contains a plan, also the share of poses and of their readings that is lost.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct InfoArgs {
     /// A capture, robot file, job, plan.csv or plan.json, KRL program or result.
     file: PathBuf,
 }
 
 /// The JSON document.
 #[derive(Default, Serialize)]
-struct Info {
+struct CaptureInfo {
     format: Option<u32>,
     protocol: Option<String>,
     /// The transport of the bytes, and how exact their times are.
-    stamps: Option<Stamps>,
+    stamps: Option<StampAccuracy>,
     started_unix_ns: Option<u64>,
     dbbd: Option<String>,
     ended: Option<String>,
@@ -71,20 +71,20 @@ struct AxesInfo {
 struct DamageInfo {
     offset: u64,
     bytes: u64,
-    code: Code,
+    code: FindingCode,
     text: String,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &InfoArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let path = args.file.as_path();
     // A capture with a damaged head is not recognised as one, and neither as another artefact.
-    if let Some(traced) = if run::is_capture(path)? { None } else { artefact::read(path, out)? } {
+    if let Some(traced) = if run::is_capture(path)? { None } else { artefact::read_traced(path, out)? } {
         out.document(&traced)?;
-        artefact::show(&traced, out);
-        return Ok(Outcome::Done);
+        artefact::show_artefact(&traced, out);
+        return Ok(CommandOutcome::Done);
     }
-    let mut collected = Collected::default();
-    let pass = Pass::over(path, |stamped| {
+    let mut collected = CollectedInfo::default();
+    let pass = CaptureSummary::over(path, |stamped| {
         collected.add(stamped);
         Ok(())
     })?;
@@ -93,7 +93,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let name = path.display().to_string();
     out.findings_in(&name, pass.doubts());
     let planned = ["plan.csv", "plan.json"].iter().all(|file| info.attachments.contains_key(*file));
-    let mut outcome = Outcome::Done;
+    let mut outcome = CommandOutcome::Done;
     let losses = match info.samples {
         0 => Err(Diagnostic::file(&name, RecordingFinding::NoSample)),
         _ if planned => run::losses(path),
@@ -104,71 +104,74 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         // The contents of the capture are shown even if its plan cannot be used.
         Err(unusable) => {
             out.finding(unusable);
-            outcome = Outcome::Doubt;
+            outcome = CommandOutcome::Doubt;
         }
     }
     out.document(&info)?;
-    show(path, &info, out);
+    show_capture(path, &info, out);
     Ok(outcome)
 }
 
 /// What one pass over the capture collects.
 #[derive(Default)]
-struct Collected {
-    info: Info,
+struct CollectedInfo {
+    info: CaptureInfo,
     span: Option<(HostNs, HostNs)>,
     attachments: BTreeMap<String, Vec<u8>>,
     axes: AxesRecords,
 }
 
-impl Collected {
-    fn add(&mut self, stamped: Stamped) {
+impl CollectedInfo {
+    fn add(&mut self, stamped: StampedRecord) {
         self.axes.add(stamped.host, &stamped.record, |_, _, _| {});
         let info = &mut self.info;
         match stamped.record {
-            Record::Attachment { name, content } => {
+            CaptureRecord::Attachment { name, content } => {
                 info.attachments.insert(name.clone(), content.len());
                 self.attachments.insert(name, content);
             }
-            Record::Raw(raw) => {
+            CaptureRecord::Raw(raw) => {
                 info.raw_bytes += raw.len() as u64;
                 let first = self.span.map_or(stamped.host, |(first, _)| first);
                 self.span = Some((first, stamped.host));
             }
-            Record::Samples(samples) => {
+            CaptureRecord::Samples(samples) => {
                 for sample in &samples {
                     info.invalid += u64::from(!sample.valid);
                     let [low, high] = info.reading_mm.unwrap_or([sample.reading_mm; 2]);
                     info.reading_mm = Some([low.min(sample.reading_mm), high.max(sample.reading_mm)]);
                 }
             }
-            Record::Fault(json) => {
-                let fault = serde_json::from_slice::<Fault>(&json);
+            CaptureRecord::Fault(json) => {
+                let fault = serde_json::from_slice::<LineFault>(&json);
                 let (name, count) =
                     fault.map_or(("unreadable", 1), |fault| (fault_word(&fault.kind), fault.count));
                 let faults = info.faults.entry(name.to_owned()).or_default();
                 *faults = faults.saturating_add(count);
             }
-            Record::Event(Event::Started { unix_ns, version }) => {
+            CaptureRecord::Event(RunEvent::Started { unix_ns, version }) => {
                 info.started_unix_ns = Some(unix_ns);
                 info.dbbd = Some(version);
             }
-            Record::Event(Event::Gap { missing, .. }) => {
+            CaptureRecord::Event(RunEvent::Gap { missing, .. }) => {
                 info.gaps += 1;
                 info.missing = info.missing.saturating_add(missing.unwrap_or(0));
             }
-            Record::Event(Event::Controller { .. }) => info.controller_events += 1,
-            Record::Event(Event::Mark { text }) => info.remarks.push(text),
-            Record::Event(Event::Opened { stamps, .. }) => info.stamps = info.stamps.or(stamps),
-            Record::Event(Event::Operator { action, detail, .. }) => {
+            CaptureRecord::Event(RunEvent::Controller { .. }) => info.controller_events += 1,
+            CaptureRecord::Event(RunEvent::Mark { text }) => info.remarks.push(text),
+            CaptureRecord::Event(RunEvent::Opened { stamps, .. }) => info.stamps = info.stamps.or(stamps),
+            CaptureRecord::Event(RunEvent::Operator { action, detail, .. }) => {
                 info.remarks.push(format!("operator: {action} {detail}").trim_end().to_owned());
             }
-            Record::Event(Event::Finding { code, text }) => info.remarks.push(format!("{code}: {text}")),
-            Record::Axes(_) | Record::Event(Event::AxesOpened { .. } | Event::Ended(_)) => {}
+            CaptureRecord::Event(RunEvent::Finding { code, text }) => {
+                info.remarks.push(format!("{code}: {text}"))
+            }
+            CaptureRecord::Axes(_)
+            | CaptureRecord::Event(RunEvent::AxesOpened { .. } | RunEvent::Ended(_)) => {}
         }
     }
 
-    fn finish(self, pass: &Pass) -> Result<Info, Diagnostic> {
+    fn finish(self, pass: &CaptureSummary) -> Result<CaptureInfo, Diagnostic> {
         let mut info = self.info;
         info.format = pass.version;
         info.samples = pass.samples;
@@ -186,7 +189,7 @@ impl Collected {
         let protocol = self.attachments.get("protocol.toml");
         info.protocol = protocol
             .and_then(|text| std::str::from_utf8(text).ok())
-            .and_then(|text| Definition::from_toml("protocol.toml", text).ok())
+            .and_then(|text| ProtocolDefinition::from_toml("protocol.toml", text).ok())
             .map(|definition| definition.id);
         info.damages = pass
             .damages
@@ -202,23 +205,23 @@ impl Collected {
     }
 }
 
-pub(crate) fn fault_word(kind: &FaultKind) -> &'static str {
+pub(crate) fn fault_word(kind: &LineFaultKind) -> &'static str {
     match kind {
-        FaultKind::Framing => "framing",
-        FaultKind::Check => "check",
-        FaultKind::TooLong => "too_long",
-        FaultKind::Content => "content",
-        FaultKind::Reject(_) => "reject",
-        FaultKind::Ignored => "ignored",
+        LineFaultKind::Framing => "framing",
+        LineFaultKind::Check => "check",
+        LineFaultKind::TooLong => "too_long",
+        LineFaultKind::Content => "content",
+        LineFaultKind::Reject(_) => "reject",
+        LineFaultKind::Ignored => "ignored",
     }
 }
 
-fn show(path: &Path, info: &Info, out: &Output) {
-    const MOST_REMARKS: usize = 5;
+fn show_capture(path: &Path, info: &CaptureInfo, out: &CommandOutput) {
+    const MAX_REMARKS: usize = 5;
     let list = |names: Vec<String>| if names.is_empty() { "none".into() } else { names.join(", ") };
     out.field("capture", path.display());
     out.field("protocol", info.protocol.as_deref().unwrap_or("unknown"));
-    if let Some(Stamps { transport, held_ms }) = info.stamps {
+    if let Some(StampAccuracy { transport, held_ms }) = info.stamps {
         let held = held_ms.map_or(String::new(), |ms| format!(", bytes held back for {ms:.1} ms or more"));
         out.field("line", format!("{transport}{held}"));
     }
@@ -238,10 +241,10 @@ fn show(path: &Path, info: &Info, out: &Output) {
     if let Some(AxesInfo { protocol, counts, .. }) = &info.axes {
         out.field("axes", format!("{}, {}", protocol.name(), output::packets(counts)));
     }
-    for remark in info.remarks.iter().take(MOST_REMARKS) {
+    for remark in info.remarks.iter().take(MAX_REMARKS) {
         out.field("remark", remark);
     }
-    if let Some(more @ 1..) = info.remarks.len().checked_sub(MOST_REMARKS) {
+    if let Some(more @ 1..) = info.remarks.len().checked_sub(MAX_REMARKS) {
         out.field("", format!("and {more} more: `dbbd export` writes all to events.csv"));
     }
     let files = info.attachments.iter().map(|(name, len)| format!("{name} ({len} bytes)"));

@@ -1,26 +1,26 @@
 //! `dbbd man`.
 
+use dbbd_model::base::InternalFinding;
 use std::io;
 
 use clap::{Command, CommandFactory};
 
-use super::{Cli, Outcome, Output};
-use crate::catalogue::CliFinding;
-use crate::diagnostic::Diagnostic;
+use super::{Cli, CommandOutcome, CommandOutput};
+use dbbd_model::diagnostic::Diagnostic;
 
 /// Print the manual page of all commands on stdout.
 ///
 /// To read it: `dbbd man | man -l -`.
 #[derive(clap::Args)]
-pub(crate) struct Args {}
+pub(crate) struct ManArgs {}
 
-pub(crate) fn run(_args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(_args: &ManArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let mut command = Cli::command();
     command.build();
     let mut page = Vec::new();
-    render(&command, &mut page).map_err(|error| CliFinding::NoOutput { why: error.to_string() })?;
+    render(&command, &mut page).map_err(|error| InternalFinding::NoOutput { why: error.to_string() })?;
     out.text(&page);
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Writes the page of a command, and then those of its subcommands.

@@ -1,5 +1,8 @@
 //! The command line: one file per command. The only module that prints.
 
+mod catalogue;
+pub use catalogue::CliFinding;
+
 mod acquire;
 mod archive;
 mod artefact;
@@ -32,15 +35,14 @@ mod simulate;
 mod sync;
 mod value;
 
+use dbbd_model::base::InternalFinding;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
-use crate::base;
-use crate::catalogue::ServiceFinding;
-use crate::diagnostic::Diagnostic;
-pub(crate) use output::Output;
+use dbbd_model::diagnostic::Diagnostic;
+pub(crate) use output::CommandOutput;
 
 /// The heading of the options that every command takes.
 const EVERYWHERE: &str = "Options of every command";
@@ -52,17 +54,17 @@ stderr. NO_COLOR is honoured. `dbbd explain CODE` explains the code of a message
 
 /// Calibrates an industrial robot with a telescoping double ball-bar.
 #[derive(Parser)]
-#[command(name = "dbbd", version = crate::provenance::VERSION, max_term_width = 100, propagate_version = true, after_help = EXITS)]
+#[command(name = "dbbd", version = dbbd_job::artefact::VERSION, max_term_width = 100, propagate_version = true, after_help = EXITS)]
 struct Cli {
     #[command(flatten)]
-    common: Common,
+    common: CommonOptions,
     #[command(subcommand)]
     verb: Verb,
 }
 
 /// The options of every command.
 #[derive(Args, Clone, Copy, Debug)]
-pub(crate) struct Common {
+pub(crate) struct CommonOptions {
     /// Print more on stderr.
     #[arg(short, long, global = true, help_heading = EVERYWHERE)]
     verbose: bool,
@@ -83,38 +85,38 @@ pub(crate) struct Common {
 /// The commands. The doc comment of each `Args` is the help text, and the text of README.md and docs/reference/commands.md.
 #[derive(Subcommand)]
 enum Verb {
-    Plan(plan::Args),
-    Krl(krl::Args),
-    Program(program::Args),
-    Simulate(simulate::Args),
-    Bar(bar::Args),
-    Acquire(acquire::Args),
-    Sync(sync::Args),
-    Identify(identify::Args),
-    Predict(predict::Args),
-    Circle(circle::Args),
-    Check(check::Args),
-    Compare(compare::Args),
-    Certificate(certificate::Args),
-    Compensate(compensate::Args),
-    Serve(serve::Args),
-    Archive(archive::Args),
-    Demo(demo::Args),
-    Import(import::Args),
-    Info(info::Args),
-    Recover(recover::Args),
-    Export(export::Args),
-    Explain(explain::Args),
-    Robots(robots::Args),
-    Protocols(protocols::Args),
-    Ports(ports::Args),
-    Completions(completions::Args),
-    Man(man::Args),
+    Plan(plan::PlanArgs),
+    Krl(krl::KrlArgs),
+    Program(program::ProgramArgs),
+    Simulate(simulate::SimulateArgs),
+    Bar(bar::BarArgs),
+    Acquire(acquire::AcquireArgs),
+    Sync(sync::SyncArgs),
+    Identify(identify::IdentifyArgs),
+    Predict(predict::PredictArgs),
+    Circle(circle::CircleArgs),
+    Check(check::CheckArgs),
+    Compare(compare::CompareArgs),
+    Certificate(certificate::CertificateArgs),
+    Compensate(compensate::CompensateArgs),
+    Serve(serve::ServeArgs),
+    Archive(archive::ArchiveArgs),
+    Demo(demo::DemoArgs),
+    Import(import::ImportArgs),
+    Info(info::InfoArgs),
+    Recover(recover::RecoverArgs),
+    Export(export::ExportArgs),
+    Explain(explain::ExplainArgs),
+    Robots(robots::RobotsArgs),
+    Protocols(protocols::ProtocolsArgs),
+    Ports(ports::PortsArgs),
+    Completions(completions::CompletionsArgs),
+    Man(man::ManArgs),
 }
 
 /// The outcome of a command that did not fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Outcome {
+pub(crate) enum CommandOutcome {
     /// Exit code 0.
     Done,
     /// A loss or a doubt that the user must see: exit code 3.
@@ -146,11 +148,11 @@ pub fn main_with(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Ok(cli) => cli,
         Err(usage) => return output::wrong_usage(&usage),
     };
-    let out = Output::new(cli.common);
+    let out = CommandOutput::new(cli.common);
     if cli.common.until_stdin_closes
-        && let Err(error) = base::program::end_with_stdin()
+        && let Err(error) = dbbd_job::child_process::end_with_stdin()
     {
-        let finding = ServiceFinding::NoSystem { why: error.to_string() };
+        let finding = InternalFinding::NoSystem { why: error.to_string() };
         return output::finish(&out, Err(Diagnostic::new(finding)));
     }
     let ended = match &cli.verb {

@@ -1,5 +1,6 @@
 //! Prints results on stdout, and progress, warnings and errors on stderr. Determines the exit code.
 
+use dbbd_model::base::text::unreadable;
 use std::borrow::Cow;
 use std::error::Error;
 use std::fmt::Display;
@@ -13,24 +14,27 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::{Common, Outcome};
-use crate::base::files;
-use crate::base::program::{PROGRESS, PROGRESS_VARIABLE};
-use crate::base::serialised;
-use crate::base::sync::lock;
-use crate::base::table::{Layout, Table};
-use crate::catalogue::{CliFinding, CompensationFinding, EstimationFinding, FileFinding, PortFinding};
-use crate::diagnostic::{Code, Diagnostic, Finding, Severity};
-use crate::estimation::Observability;
-use crate::recording::axes::PacketCounts;
+use super::{CommandOutcome, CommonOptions};
+use crate::cli::CliFinding;
+use dbbd_device::port::PortFinding;
+use dbbd_device::sync::lock;
+use dbbd_job::child_process::{PROGRESS, PROGRESS_VARIABLE};
+use dbbd_job::program::CompensationFinding;
+use dbbd_job::recording::axes::PacketCounts;
+use dbbd_model::base::FileFinding;
+use dbbd_model::base::serialised;
+use dbbd_model::base::table::{TableLayout, TableReader};
+use dbbd_model::diagnostic::{Diagnostic, Finding, FindingCode, Severity};
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::Observability;
 
 /// The period of the progress indicator.
 const TICK: Duration = Duration::from_millis(100);
 
 /// The output of a command. Clones share the reported findings.
 #[derive(Clone)]
-pub(crate) struct Output {
-    common: Common,
+pub(crate) struct CommandOutput {
+    common: CommonOptions,
     reported: Arc<Mutex<Vec<Diagnostic>>>,
     /// The first error of writing to stdout.
     stdout_error: Arc<OnceLock<String>>,
@@ -38,7 +42,7 @@ pub(crate) struct Output {
 
 /// A result with the findings that were reported before it.
 #[derive(Serialize)]
-struct Document<'a, T> {
+struct ReportedDocument<'a, T> {
     #[serde(flatten)]
     result: &'a T,
     #[serde(skip_serializing_if = "<[Diagnostic]>::is_empty")]
@@ -46,18 +50,18 @@ struct Document<'a, T> {
 }
 
 /// A progress indicator on the terminal. It is cleared when it is dropped.
-pub(crate) struct Busy {
+pub(crate) struct ProgressIndicator {
     line: ProgressBar,
 }
 
-impl Drop for Busy {
+impl Drop for ProgressIndicator {
     fn drop(&mut self) {
         self.line.finish_and_clear();
     }
 }
 
-impl Output {
-    pub(super) fn new(common: Common) -> Self {
+impl CommandOutput {
+    pub(super) fn new(common: CommonOptions) -> Self {
         Self { common, reported: Arc::default(), stdout_error: Arc::default() }
     }
 
@@ -91,7 +95,7 @@ impl Output {
 
     /// With `--json`, prints a struct or a map as JSON on stdout, with the findings reported so far as `findings`.
     pub(crate) fn document(&self, result: &impl Serialize) -> Result<(), Diagnostic> {
-        self.json(&Document { result, findings: &lock(&self.reported) })
+        self.json(&ReportedDocument { result, findings: &lock(&self.reported) })
     }
 
     /// With `--json`, prints a list as JSON on stdout.
@@ -123,7 +127,7 @@ impl Output {
     /// Reports a finding on stderr; information not with `--quiet`. A warning makes the exit code 3.
     pub(crate) fn finding(&self, finding: impl Into<Diagnostic>) {
         let finding = finding.into();
-        if finding.code.severity() > Severity::Info || !self.common.quiet {
+        if finding.severity() > Severity::Info || !self.common.quiet {
             write_line(&mut io::stderr(), &labelled(&finding));
         }
         lock(&self.reported).push(finding);
@@ -147,10 +151,10 @@ impl Output {
     pub(crate) fn table<T>(
         &self,
         path: &Path,
-        read: impl FnOnce(&mut Table<'_>) -> Result<T, Diagnostic>,
+        read: impl FnOnce(&mut TableReader<'_>) -> Result<T, Diagnostic>,
     ) -> Result<T, Diagnostic> {
         let (source, busy) = self.source(path)?;
-        let mut table = Table::new(&path.display().to_string(), source, Layout::default())?;
+        let mut table = TableReader::new(&path.display().to_string(), source, TableLayout::default())?;
         let content = read(&mut table)?;
         drop(busy);
         self.findings(table.findings());
@@ -158,9 +162,12 @@ impl Output {
     }
 
     /// Opens a file, and shows on the terminal how much of it is read.
-    pub(crate) fn source(&self, path: &Path) -> Result<(impl BufRead + use<>, Busy), Diagnostic> {
+    pub(crate) fn source(
+        &self,
+        path: &Path,
+    ) -> Result<(impl BufRead + use<>, ProgressIndicator), Diagnostic> {
         let name = path.display().to_string();
-        let unreadable = files::unreadable(&name);
+        let unreadable = unreadable(&name);
         let file = File::open(path).map_err(&unreadable)?;
         let bytes = file.metadata().map_err(&unreadable)?.len();
         let busy = self.busy(&format!("reading {name}"), Some(bytes));
@@ -175,7 +182,7 @@ impl Output {
     }
 
     /// Shows a progress indicator on the terminal, with the share of `of` that is done if `of` is given.
-    pub(crate) fn busy(&self, what: &str, of: Option<u64>) -> Busy {
+    pub(crate) fn busy(&self, what: &str, of: Option<u64>) -> ProgressIndicator {
         let line = if self.decorated() { ProgressBar::no_length() } else { ProgressBar::hidden() };
         let template = match of {
             Some(length) => {
@@ -187,7 +194,7 @@ impl Output {
         line.set_style(style(template));
         line.set_message(what.to_owned());
         line.enable_steady_tick(TICK);
-        Busy { line }
+        ProgressIndicator { line }
     }
 
     pub(crate) fn is_quiet(&self) -> bool {
@@ -222,12 +229,12 @@ fn plain(text: &str) -> Cow<'_, str> {
 
 /// A finding as a line `warning[W0123]: FILE:LINE: ..`.
 fn labelled(finding: &Diagnostic) -> String {
-    let label = match finding.code.severity() {
+    let label = match finding.severity() {
         Severity::Info => "note",
         Severity::Warning => "warning",
         Severity::Error => "error",
     };
-    format!("{label}[{}]: {finding}", finding.code)
+    format!("{label}[{}]: {finding}", finding.code())
 }
 
 /// Reports a wrong command line, with the code of the finding if a value was refused. Returns the exit code.
@@ -246,8 +253,8 @@ pub(super) fn wrong_usage(usage: &clap::Error) -> ExitCode {
 }
 
 /// The code of the finding with which a parser of `value.rs` refused a value.
-fn code(why: &(dyn Error + 'static)) -> Option<Code> {
-    fn of<F: Finding + Error + 'static>(why: &(dyn Error + 'static)) -> Option<Code> {
+fn code(why: &(dyn Error + 'static)) -> Option<FindingCode> {
+    fn of<F: Finding + Error + 'static>(why: &(dyn Error + 'static)) -> Option<FindingCode> {
         why.downcast_ref::<F>().map(Finding::code)
     }
     of::<CliFinding>(why)
@@ -257,17 +264,17 @@ fn code(why: &(dyn Error + 'static)) -> Option<Code> {
 }
 
 /// Reports the error, if there is one, and returns the exit code. A command that reported a warning ends with a doubt.
-pub(super) fn finish(out: &Output, result: Result<Outcome, Diagnostic>) -> ExitCode {
+pub(super) fn finish(out: &CommandOutput, result: Result<CommandOutcome, Diagnostic>) -> ExitCode {
     let result = match out.stdout_error.get() {
         Some(why) => {
             result.and(Err(Diagnostic::file("stdout", FileFinding::Unwritable { why: why.clone() })))
         }
         None => result,
     };
-    let warned = lock(&out.reported).iter().any(|finding| finding.code.severity() == Severity::Warning);
+    let warned = lock(&out.reported).iter().any(|finding| finding.severity() == Severity::Warning);
     match result {
-        Ok(Outcome::Done) if !warned => ExitCode::SUCCESS,
-        Ok(Outcome::Failed) => ExitCode::from(4),
+        Ok(CommandOutcome::Done) if !warned => ExitCode::SUCCESS,
+        Ok(CommandOutcome::Failed) => ExitCode::from(4),
         Ok(_) => ExitCode::from(if out.common.strict { 1 } else { 3 }),
         Err(error) => {
             write_line(&mut io::stderr(), &labelled(&error));

@@ -8,19 +8,23 @@ use check::PlannedCheck;
 use serde::Serialize;
 
 use super::identify::{LENGTHS, lengths, measurements};
-use super::{Outcome, Output, output, protocols, robots, value};
-use crate::base::{FileSet, clock, files};
-use crate::catalogue::{MeasurementFinding, PlanFinding, ProvenanceFinding};
-use crate::diagnostic::Diagnostic;
-use crate::estimation::change::CheckPower;
-use crate::estimation::{check_measurements, doubts};
-use crate::measurement::{BaseBall, PreparedMeasurement};
-use crate::plan::prediction::Identifiability;
-use crate::plan::{Check, Job, Kind, Plan, PlanningPrior, Prediction, Stage, Taught};
-use crate::provenance::{Artefact, Provenance, Role, Traced, one_robot};
-use crate::recording::dwell;
-use crate::report;
-use crate::robot::{Robot, RobotRead};
+use super::{CommandOutcome, CommandOutput, output, protocols, robots, value};
+use dbbd_device::clock;
+use dbbd_job::file_set::FileSet;
+use dbbd_job::files;
+use dbbd_job::plan::PlanFinding;
+use dbbd_job::plan::prediction::Identifiability;
+use dbbd_job::plan::{Job, Plan, PlanCheck, PlanPrediction, PlanningPrior, PoseKind, Stage, TaughtBall};
+use dbbd_job::recording::dwell;
+use dbbd_job::report;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::change::CheckPower;
+use dbbd_model::estimation::{check_measurements, doubts};
+use dbbd_model::measurement::MeasurementFinding;
+use dbbd_model::measurement::{BaseBall, PreparedMeasurement};
+use dbbd_model::provenance::ProvenanceFinding;
+use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact, one_robot};
+use dbbd_model::robot::{LoadedRobot, Robot};
 
 /// Plan the poses of a calibration from a job, and check them.
 ///
@@ -30,7 +34,7 @@ use crate::robot::{Robot, RobotRead};
 /// limit. If only the risk is too great, plans a few safe poses to be measured first. plan.html shows the poses and what they
 /// identify. More: docs/explanation/planning.md.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct PlanArgs {
     /// The job: bar, base balls, circles, motion, limits (examples/*.toml explain every key).
     job: PathBuf,
     /// Directory for plan.csv, plan.json, plan.html and centres.csv (the base balls, for `identify --centres`).
@@ -69,69 +73,73 @@ pub(crate) struct Args {
 
 /// The JSON document.
 #[derive(Serialize)]
-struct Summary<'a> {
+struct PlanSummary<'a> {
     robot: &'a str,
     hash: &'a str,
     rows: usize,
     measure: usize,
     reference: usize,
     duration_s: f64,
-    checks: &'a [Check],
+    checks: &'a [PlanCheck],
     stage: Option<Stage>,
-    taught: &'a [Taught],
-    predictions: Option<&'a Prediction>,
+    taught: &'a [TaughtBall],
+    predictions: Option<&'a PlanPrediction>,
     #[serde(skip_serializing_if = "Option::is_none")]
     check: Option<&'a CheckPower>,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &PlanArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let name = args.job.display().to_string();
-    let job = Job::from_toml(&name, &files::read(&args.job)?)?;
+    let job = Job::from_toml(&name, &files::read_text(&args.job)?)?;
     job.identity().check_dates(clock::unix_ns()).map_err(|(_, why)| Diagnostic::file(&name, why))?;
     let made_from = job.traced(&args.job)?;
     let job = args.stage.map_or_else(|| job.clone(), |points| job.as_stage(points));
     // The file of a definition may exist only on the computer that records.
     if !job.bar.protocol.ends_with(".toml") {
-        let bar = protocols::load_with(&job.bar.protocol, &[])
-            .map_err(|why| Diagnostic { file: name.clone(), ..why })?;
+        let bar = protocols::load_with(&job.bar.protocol, &[]).map_err(|why| why.in_file(&name))?;
         out.findings_in(&name, dwell::too_short(job.motion.dwell_s, &bar));
     }
     let robot_name = args.robot.as_deref().unwrap_or(&job.robot);
-    let RobotRead { robot, source, .. } = with_serial(&job, robots::read_for_measurement(robot_name, out)?)?;
+    let LoadedRobot { robot, source, .. } =
+        with_serial(&job, robots::read_for_measurement(robot_name, out)?)?;
     job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
     out.findings_in(&name, job.without_effect(&robot));
     out.findings_in(&name, job.in_robot(&robot));
     let check = args.check.then(|| PlannedCheck::new(args, &job, &robot, out)).transpose()?;
-    let measured =
-        if args.check { Measured::default() } else { Measured::find(args, robot_name, &source, out)? };
+    let measured = if args.check {
+        EarlierMeasurements::default()
+    } else {
+        EarlierMeasurements::find(args, robot_name, &source, out)?
+    };
     let files = measured.files.iter().map(|path| path.display().to_string());
     one_robot(files.zip(&measured.sources).chain([(robot_name.to_owned(), &source)]))?;
     // With lengths measured before, their own findings report this.
     out.findings(robot.asked_repeatability().filter(|_| measured.files.is_empty()));
-    let provenance = Provenance::of([&made_from, &source].into_iter().chain(&measured.sources));
-    let Known { job, robot, prior } = match &check {
+    let provenance =
+        dbbd_job::artefact::made_from([&made_from, &source].into_iter().chain(&measured.sources));
+    let PlanningKnowledge { job, robot, prior } = match &check {
         Some(check) => check.known(&job)?,
-        None => Known::after(job, robot, &measured.files, out)?,
+        None => PlanningKnowledge::after(job, robot, &measured.files, out)?,
     };
     let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
         out.findings(refusal.printed().cloned());
-        Diagnostic { file: name.clone(), ..refusal.into() }
+        Diagnostic::from(refusal).in_file(&name)
     })?;
     plan.header.provenance = provenance;
     let map = match &check {
         Some(check) => check.predict(&mut plan, out)?,
         None => plan.predict(&robot, &prior),
     };
-    write(&plan, report::plan::html(&plan, &robot, &map)?, &args.out)?;
+    write_plan(&plan, report::plan::html(&plan, &robot, &map)?, &args.out)?;
     out.findings(plan.header.notes.iter().cloned());
     let predictions = plan.header.predictions.iter();
     out.findings(predictions.flat_map(|prediction| prediction.recommendations.iter().cloned()));
     report(&plan, &robot, out)?;
     out.progress(format!("wrote plan.csv, plan.json, plan.html and centres.csv to {}", args.out.display()));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
-fn write(plan: &Plan, page: String, directory: &Path) -> Result<(), Diagnostic> {
+fn write_plan(plan: &Plan, page: String, directory: &Path) -> Result<(), Diagnostic> {
     let (csv, json) = plan.to_files()?;
     let mut set = FileSet::begin(directory)?;
     set.write("plan.csv", csv)?;
@@ -141,14 +149,14 @@ fn write(plan: &Plan, page: String, directory: &Path) -> Result<(), Diagnostic> 
     set.finish()
 }
 
-fn report(plan: &Plan, robot: &Robot, out: &Output) -> Result<(), Diagnostic> {
-    let count = |kind: Kind| plan.rows.iter().filter(|row| row.kind == kind).count();
-    let summary = Summary {
+fn report(plan: &Plan, robot: &Robot, out: &CommandOutput) -> Result<(), Diagnostic> {
+    let count = |kind: PoseKind| plan.rows.iter().filter(|row| row.kind == kind).count();
+    let summary = PlanSummary {
         robot: &robot.name,
         hash: &plan.header.hash,
         rows: plan.rows.len(),
-        measure: count(Kind::Measure),
-        reference: count(Kind::Reference),
+        measure: count(PoseKind::Measure),
+        reference: count(PoseKind::Reference),
         duration_s: plan.duration_s(),
         checks: &plan.header.checks,
         stage: plan.header.stage,
@@ -176,14 +184,14 @@ fn report(plan: &Plan, robot: &Robot, out: &Output) -> Result<(), Diagnostic> {
             ball.centre
         ));
     }
-    summary.predictions.into_iter().flat_map(lines).for_each(|line| out.result(line));
-    summary.check.into_iter().flat_map(check::lines).for_each(|line| out.result(line));
+    summary.predictions.into_iter().flat_map(prediction_lines).for_each(|line| out.result(line));
+    summary.check.into_iter().flat_map(check::check_power_lines).for_each(|line| out.result(line));
     Ok(())
 }
 
 /// The robot with the serial number of the job. Refuses a robot with another one.
-fn with_serial(job: &Job, read: RobotRead) -> Result<RobotRead, Diagnostic> {
-    let RobotRead { mut robot, mut source, findings } = read;
+fn with_serial(job: &Job, read: LoadedRobot) -> Result<LoadedRobot, Diagnostic> {
+    let LoadedRobot { mut robot, mut source, findings } = read;
     if let (Some(of_job), Some(of_robot)) = (&job.serial, &robot.serial)
         && of_job != of_robot
     {
@@ -195,22 +203,27 @@ fn with_serial(job: &Job, read: RobotRead) -> Result<RobotRead, Diagnostic> {
         robot.nominal.iter_mut().for_each(|nominal| nominal.serial = Some(serial.clone()));
         source.artefact.serial = Some(serial.clone());
     }
-    Ok(RobotRead { robot, source, findings })
+    Ok(LoadedRobot { robot, source, findings })
 }
 
 /// Tables of lengths measured before, each once.
 #[derive(Default)]
-struct Measured {
+struct EarlierMeasurements {
     files: Vec<PathBuf>,
-    sources: Vec<Traced>,
+    sources: Vec<TracedArtefact>,
 }
 
-impl Measured {
+impl EarlierMeasurements {
     /// The tables of the command line, and the lengths.csv beside an identified robot. Refuses one of another result.
-    fn find(args: &Args, robot_name: &str, robot: &Traced, out: &Output) -> Result<Self, Diagnostic> {
+    fn find(
+        args: &PlanArgs,
+        robot_name: &str,
+        robot: &TracedArtefact,
+        out: &CommandOutput,
+    ) -> Result<Self, Diagnostic> {
         let mut measured = Self::default();
         args.measured.iter().try_for_each(|path| measured.add(path, out))?;
-        if robot.artefact.role != Role::IdentifiedRobot {
+        if robot.artefact.role != ArtefactRole::IdentifiedRobot {
             return Ok(measured);
         }
         let path = Path::new(robot_name).with_file_name(LENGTHS);
@@ -218,8 +231,9 @@ impl Measured {
             out.finding(PlanFinding::NoLengths { file: path.display().to_string() });
             return Ok(measured);
         }
-        let lengths = Artefact::file(Role::Measurements, &path)?;
-        let of_result = |source: &&Artefact| source.role == Role::Measurements && source.name == lengths.name;
+        let lengths = dbbd_job::artefact::of_file(ArtefactRole::Measurements, &path)?;
+        let of_result =
+            |source: &&Artefact| source.role == ArtefactRole::Measurements && source.name == lengths.name;
         if let Some(expected) = robot.provenance.from.iter().rev().find(of_result)
             && expected.sha256 != lengths.sha256
         {
@@ -230,8 +244,8 @@ impl Measured {
         Ok(measured)
     }
 
-    fn add(&mut self, path: &Path, out: &Output) -> Result<(), Diagnostic> {
-        let (lengths, changed) = Traced::table(Role::Measurements, path)?;
+    fn add(&mut self, path: &Path, out: &CommandOutput) -> Result<(), Diagnostic> {
+        let (lengths, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, path)?;
         out.findings(changed);
         if self.sources.iter().any(|source| source.artefact.sha256 == lengths.artefact.sha256) {
             out.finding(ProvenanceFinding::GivenTwice { lengths: lengths.artefact.to_string() });
@@ -244,14 +258,14 @@ impl Measured {
 }
 
 /// Job and robot after the earlier measurements, with what is known of them.
-struct Known {
+struct PlanningKnowledge {
     job: Job,
     robot: Robot,
     prior: PlanningPrior,
 }
 
-impl Known {
-    fn after(job: Job, robot: Robot, measured: &[PathBuf], out: &Output) -> Result<Self, Diagnostic> {
+impl PlanningKnowledge {
+    fn after(job: Job, robot: Robot, measured: &[PathBuf], out: &CommandOutput) -> Result<Self, Diagnostic> {
         if measured.is_empty() {
             let prior = PlanningPrior::datasheet(&job, &robot);
             return Ok(Self { job, robot, prior });
@@ -290,7 +304,7 @@ impl Known {
 }
 
 /// A prediction on the terminal.
-fn lines(prediction: &Prediction) -> Vec<String> {
+fn prediction_lines(prediction: &PlanPrediction) -> Vec<String> {
     let count =
         |of: Identifiability| prediction.parameters.iter().filter(|p| p.identifiability == of).count();
     let (now, then) = (prediction.now_mm, prediction.identified_mm);

@@ -1,30 +1,30 @@
 //! `dbbd ports`.
 
-use super::{Outcome, Output};
-use crate::catalogue::PortFinding;
-use crate::device::port;
-use crate::diagnostic::Diagnostic;
+use super::{CommandOutcome, CommandOutput};
+use dbbd_device::port;
+use dbbd_device::port::PortFinding;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// List the serial ports.
 ///
 /// Prints the names by-id/.. and by-path/.. too, which remain when the device is plugged in again.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct PortsArgs {
     #[command(subcommand)]
-    what: Option<What>,
+    what: Option<PortsVerb>,
 }
 
 #[derive(clap::Subcommand)]
-enum What {
+enum PortsVerb {
     /// List the serial ports (the default).
     List,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &PortsArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     match args.what {
-        None | Some(What::List) => {}
+        None | Some(PortsVerb::List) => {}
     }
-    let ports = port::list()?;
+    let ports = port::list_ports()?;
     out.list(&ports)?;
     if ports.is_empty() {
         out.finding(PortFinding::NoPorts);
@@ -37,5 +37,5 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             out.finding(PortFinding::AdapterHoldsBack { device, hold_ms });
         }
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

@@ -4,20 +4,21 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output, robots};
-use crate::base::{files, serialised};
-use crate::diagnostic::Diagnostic;
-use crate::estimation::Positions;
-use crate::measurement::{self, APPROACH, Measurements};
-use crate::provenance::{Role, Traced};
-use crate::robot::RobotRead;
+use super::{CommandOutcome, CommandOutput, robots};
+use dbbd_job::files;
+use dbbd_model::base::serialised;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::Positions;
+use dbbd_model::measurement::{self, APPROACH, Measurements};
+use dbbd_model::provenance::ArtefactRole;
+use dbbd_model::robot::LoadedRobot;
 
 /// Predict the position of the tool ball at axis angles, with its uncertainty.
 ///
 /// Use it to compare an identified robot with a tracker. Backlash is applied if the sense of approach is given; if it is
 /// unknown, its variance is added. So is the variance of a joint's smooth error at angles that were not measured.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct PredictArgs {
     /// Poses: CSV a1_deg,..,a6_deg[,approach1,..,approach6] with the controller's axis angles, and the direction of the last
     /// move of each axis (1: rising angle, -1: falling angle, 0 or absent: unknown).
     axes: PathBuf,
@@ -32,18 +33,18 @@ pub(crate) struct Args {
 }
 
 #[derive(Serialize)]
-struct Predicted {
+struct PredictedBall {
     axes_deg: [f64; 6],
     approach: [i8; 6],
     ball_mm: [f64; 3],
     sd_mm: f64,
 }
 
-pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     files::keeps(&args.out, [args.axes.as_path(), Path::new(&args.robot)])?;
     files::is_earlier(&args.out, (columns().join(",") + "\n").as_bytes())?;
-    let RobotRead { robot, source, .. } = robots::read(&args.robot, out)?;
-    let (table, changed) = Traced::table(Role::Measurements, &args.axes)?;
+    let LoadedRobot { robot, source, .. } = robots::read_named_robot(&args.robot, out)?;
+    let (table, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, &args.axes)?;
     out.findings(changed);
     table.check_made_for(&source.artefact)?;
     let poses = out.table(&args.axes, Measurements::poses_from_table)?;
@@ -51,8 +52,8 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
     out.findings_in(args.axes.display(), measurement::beyond(angles, robot.controller()));
     let positions = Positions::of(&robot, &poses);
-    let predicted: Vec<Predicted> = (0..poses.len())
-        .map(|at| Predicted {
+    let predicted: Vec<PredictedBall> = (0..poses.len())
+        .map(|at| PredictedBall {
             axes_deg: poses[at].axes.degrees(),
             approach: poses[at].approach.senses(),
             ball_mm: positions.balls[at].into(),
@@ -60,7 +61,7 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         })
         .collect();
     let rows = predicted.iter().map(|row| (row.axes_deg, row.approach, row.ball_mm, row.sd_mm));
-    files::write(&args.out, serialised::csv_table(columns(), rows)?)?;
+    files::write_file(&args.out, serialised::csv_table(columns(), rows)?)?;
     out.document(&predicted)?;
     let mean = predicted.iter().map(|row| row.sd_mm).sum::<f64>() / predicted.len() as f64;
     let largest = predicted.iter().map(|row| row.sd_mm).fold(0.0, f64::max);
@@ -70,7 +71,7 @@ pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         predicted.len(),
         args.out.display()
     ));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 fn columns() -> Vec<String> {

@@ -1,19 +1,21 @@
 //! `dbbd program`.
 
+use crate::cli::value;
 use std::net::SocketAddrV4;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, protocols};
-use crate::base::FileSet;
-use crate::catalogue::{CompensationFinding, ProgramFinding};
-use crate::diagnostic::Diagnostic;
-use crate::plan::Plan;
-use crate::program::krl::{self, Controller, Options};
-use crate::program::{self, Language, Written, rapid, urscript};
-use crate::recording::run;
-use crate::robot::Robot;
+use super::{CommandOutcome, CommandOutput, protocols};
+use dbbd_job::file_set::FileSet;
+use dbbd_job::plan::Plan;
+use dbbd_job::program::CompensationFinding;
+use dbbd_job::program::ProgramFinding;
+use dbbd_job::program::krl::{self, Controller, Options};
+use dbbd_job::program::{self, Language, Written, rapid, urscript};
+use dbbd_job::recording::run;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::Robot;
 
 /// Write the programs of a plan in the language of the robot's controller.
 ///
@@ -21,12 +23,12 @@ use crate::robot::Robot;
 /// program moves, waits and marks each dwell. It never starts by itself. None of these programs has run on a real
 /// controller. More: docs/reference/krl.md, docs/reference/rapid.md and docs/reference/urscript.md.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct ProgramArgs {
     /// The plan; its .json is read beside it.
     #[arg(value_name = "PLAN.csv")]
     pub(super) plan: PathBuf,
     /// The language [default: that of the plan's robot].
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = value::one_of(&Language::ALL, Language::name))]
     pub(super) language: Option<Language>,
     /// Directory for the program: DBB_MAIN, and DBB_C001 and so on, one for each circle.
     #[arg(long, value_name = "DIR")]
@@ -35,31 +37,31 @@ pub(crate) struct Args {
     /// markers in the length alone; no output is set. `ekrl`: in KRL only, see `dbbd krl --help` [default: output if the
     /// bar's protocol carries the strobe, else marker].
     #[arg(long, value_enum)]
-    pub(super) sync: Option<Sync>,
+    pub(super) sync: Option<SyncChoice>,
     /// For `ekrl`: the address where dbbd listens, as seen from the controller's network (IPv4).
     #[arg(long, value_name = "ADDR:PORT", required_if_eq("sync", "ekrl"))]
     pub(super) server: Option<SocketAddrV4>,
     /// The KUKA controller that runs a KRL program [default: krc4].
-    #[arg(long, value_enum)]
+    #[arg(long, value_parser = value::one_of(&Controller::ALL, Controller::name))]
     pub(super) controller: Option<Controller>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum Sync {
+pub(super) enum SyncChoice {
     Marker,
     Output,
     Ekrl,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &ProgramArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let plan = run::read_plan(&args.plan)?;
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
     let language = args.language.unwrap_or_else(|| Language::of_robot(&robot));
     check_language(args, &robot, language, out)?;
     let sync = match sync(args.sync, &plan, out)? {
-        Sync::Marker => program::Sync::Marker,
-        Sync::Output => program::Sync::Output,
-        Sync::Ekrl => program::Sync::Ekrl { server: args.server.ok_or(ProgramFinding::NoServer)? },
+        SyncChoice::Marker => program::Sync::Marker,
+        SyncChoice::Output => program::Sync::Output,
+        SyncChoice::Ekrl => program::Sync::Ekrl { server: args.server.ok_or(ProgramFinding::NoServer)? },
     };
     if let Some(server) = args.server {
         let is_used = matches!(sync, program::Sync::Ekrl { .. });
@@ -90,7 +92,7 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     out.document(&json!({ "plan": plan.header.hash, "files": written }))?;
     out.result(format!("{} files in {}; start DBB_MAIN", written.len(), args.out.display()));
     out.progress("not proven on a real controller: run it first in T1, slowly, without the bar");
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// The language of a program file by its extension; KRL if it has none.
@@ -107,7 +109,7 @@ fn check_server(
     server: SocketAddrV4,
     is_used: bool,
     is_simulated: bool,
-    out: &Output,
+    out: &CommandOutput,
 ) -> Result<(), ProgramFinding> {
     if !is_used {
         return Err(ProgramFinding::ServerUnused);
@@ -126,7 +128,7 @@ fn check_server(
 }
 
 /// The modules of another plan in the directory. The controller would load them with the new ones.
-fn stale(args: &Args, written: &Written) -> Vec<String> {
+fn stale(args: &ProgramArgs, written: &Written) -> Vec<String> {
     let is_module = |name: &String| {
         let (stem, extension) = name.rsplit_once('.').unwrap_or((name, ""));
         stem.to_ascii_uppercase().starts_with("DBB_C") && Language::of_extension(extension).is_some()
@@ -140,7 +142,12 @@ fn stale(args: &Args, written: &Written) -> Vec<String> {
 }
 
 /// Refuses a language that the plan's robot is not programmed in, and --controller where it has no effect.
-fn check_language(args: &Args, robot: &Robot, language: Language, out: &Output) -> Result<(), Diagnostic> {
+fn check_language(
+    args: &ProgramArgs,
+    robot: &Robot,
+    language: Language,
+    out: &CommandOutput,
+) -> Result<(), Diagnostic> {
     let (name, wanted) = (robot.name.clone(), language.name());
     match robot.controller_language() {
         _ if args.controller == Some(Controller::Simulated) => {}
@@ -158,21 +165,21 @@ fn check_language(args: &Args, robot: &Robot, language: Language, out: &Output) 
 }
 
 /// How the program marks dwells: as asked for, else as the plan's bar can read it.
-fn sync(asked: Option<Sync>, plan: &Plan, out: &Output) -> Result<Sync, Diagnostic> {
+fn sync(asked: Option<SyncChoice>, plan: &Plan, out: &CommandOutput) -> Result<SyncChoice, Diagnostic> {
     let (protocol, passes) = (plan.header.job.bar.protocol.clone(), !plan.header.passes.is_empty());
     // The file of a definition may exist only on the computer that records.
     let strobe = protocols::load_with(&protocol, &[]).ok().map(|definition| definition.has_strobe());
     match (asked, strobe) {
         (None, None) => Err(ProgramFinding::ProtocolNotHere { protocol }.into()),
-        (None, Some(true)) => Ok(Sync::Output),
+        (None, Some(true)) => Ok(SyncChoice::Output),
         (None, Some(false)) if passes => Err(ProgramFinding::PassWithoutStrobe { protocol }.into()),
         (None, Some(false)) => {
             out.finding(ProgramFinding::MarkerChosen { protocol });
-            Ok(Sync::Marker)
+            Ok(SyncChoice::Marker)
         }
-        (Some(Sync::Output), Some(false)) => Err(ProgramFinding::NoStrobe { protocol }.into()),
+        (Some(SyncChoice::Output), Some(false)) => Err(ProgramFinding::NoStrobe { protocol }.into()),
         (Some(asked), _) => {
-            if passes && asked == Sync::Marker {
+            if passes && asked == SyncChoice::Marker {
                 out.finding(ProgramFinding::PassWithMarker);
             }
             Ok(asked)

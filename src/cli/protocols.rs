@@ -4,26 +4,26 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use super::{Outcome, Output, value};
-use crate::base::files;
-use crate::base::units::DeviceTicks;
-use crate::catalogue::ProtocolFinding::{self, UnknownProtocol};
-use crate::device::protocol::Definition;
-use crate::diagnostic::Diagnostic;
-use crate::measurement::sample::Sample;
+use super::{CommandOutcome, CommandOutput, value};
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_device::protocol::ProtocolFinding::{self, UnknownProtocol};
+use dbbd_job::files;
+use dbbd_model::base::units::DeviceTicks;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::measurement::sample::Sample;
 
 /// List, show or check protocol definitions.
 ///
 /// A definition is a TOML file that describes how the bytes of a bar become lengths. A new device needs no code. More:
 /// docs/reference/protocols.md, docs/how-to/build-a-bar.md.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct ProtocolsArgs {
     #[command(subcommand)]
-    what: Option<What>,
+    what: Option<ProtocolsVerb>,
 }
 
 #[derive(clap::Subcommand)]
-enum What {
+enum ProtocolsVerb {
     /// List the built-in definitions (the default).
     List,
     /// Print a definition, with the layout of its frame and an example as comments: a template for a new one.
@@ -44,38 +44,42 @@ enum What {
     },
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &ProtocolsArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     match &args.what {
-        None | Some(What::List) => list(out),
-        Some(What::Show { name, params }) => {
+        None | Some(ProtocolsVerb::List) => list_protocols(out),
+        Some(ProtocolsVerb::Show { name, params }) => {
             let definition = load_with(name, params)?;
             out.document(&summary(&definition))?;
             layout(&definition, out);
             out.result(definition.text.trim_end());
-            Ok(Outcome::Done)
+            Ok(CommandOutcome::Done)
         }
-        Some(What::Check { file, params }) => check(file, params, out),
+        Some(ProtocolsVerb::Check { file, params }) => check_definition(file, params, out),
     }
 }
 
-fn check(file: &Path, params: &[(String, String)], out: &Output) -> Result<Outcome, Diagnostic> {
+fn check_definition(
+    file: &Path,
+    params: &[(String, String)],
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
     let definition = from_file(file, params)?;
     let table: Option<toml::Table> = definition.text.parse().ok();
     if table.as_ref().is_some_and(|table| !table.contains_key("test")) {
         out.finding(Diagnostic::file(file.display(), ProtocolFinding::NoTests));
     }
-    let same_id = Definition::built_in().iter().find(|(id, _)| *id == definition.id);
+    let same_id = ProtocolDefinition::built_in().iter().find(|(id, _)| *id == definition.id);
     if same_id.is_some_and(|(_, text)| text.parse().ok() != table) {
         let id = definition.id.clone();
         out.finding(Diagnostic::file(file.display(), ProtocolFinding::IdOfBuiltIn { id }));
     }
     out.document(&summary(&definition))?;
     out.result(format!("{}: `{}` is sound; its test vectors pass", file.display(), definition.id));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Prints the frame as a table and as bytes, in comments: the output is a definition file.
-fn layout(definition: &Definition, out: &Output) {
+fn layout(definition: &ProtocolDefinition, out: &CommandOutput) {
     out.result(format!("# frame: {}", definition.framing()));
     out.result(format!("# {:>4}  {:>5}  {:40}  says", "byte", "bytes", "written"));
     let number = |value: Option<usize>| value.map_or("-".to_owned(), |value| value.to_string());
@@ -105,7 +109,7 @@ fn layout(definition: &Definition, out: &Output) {
 }
 
 /// How well the check of a definition detects damaged frames.
-fn undetected(definition: &Definition) -> String {
+fn undetected(definition: &ProtocolDefinition) -> String {
     let share = definition.undetected();
     if share < 1.0 {
         format!("a damaged frame of the right form passes with a probability of {share:.2e}")
@@ -115,24 +119,24 @@ fn undetected(definition: &Definition) -> String {
 }
 
 /// A definition by built-in name or by file.
-pub(crate) fn load_with(name: &str, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
-    if let Some(built_in) = Definition::by_name_with(name, params) {
+pub(crate) fn load_with(name: &str, params: &[(String, String)]) -> Result<ProtocolDefinition, Diagnostic> {
+    if let Some(built_in) = ProtocolDefinition::by_name_with(name, params) {
         return built_in;
     }
     let path = Path::new(name);
     if path.exists() || name.ends_with(".toml") {
         return from_file(path, params);
     }
-    let known: Vec<&str> = Definition::built_in().iter().map(|(name, _)| *name).collect();
+    let known: Vec<&str> = ProtocolDefinition::built_in().iter().map(|(name, _)| *name).collect();
     let unknown = UnknownProtocol { name: name.into(), built_in: known.join(", ") };
     Err(Diagnostic::new(unknown).nearest(name, known))
 }
 
-fn from_file(path: &Path, params: &[(String, String)]) -> Result<Definition, Diagnostic> {
-    Definition::from_toml_with(&path.display().to_string(), &files::read(path)?, params)
+fn from_file(path: &Path, params: &[(String, String)]) -> Result<ProtocolDefinition, Diagnostic> {
+    ProtocolDefinition::from_toml_with(&path.display().to_string(), &files::read_text(path)?, params)
 }
 
-fn summary(definition: &Definition) -> serde_json::Value {
+fn summary(definition: &ProtocolDefinition) -> serde_json::Value {
     json!({
         "id": definition.id,
         "title": definition.title,
@@ -148,10 +152,10 @@ fn summary(definition: &Definition) -> serde_json::Value {
     })
 }
 
-fn list(out: &Output) -> Result<Outcome, Diagnostic> {
+fn list_protocols(out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let mut all = Vec::new();
-    for (name, text) in Definition::built_in() {
-        let definition = Definition::from_toml(name, text)?;
+    for (name, text) in ProtocolDefinition::built_in() {
+        let definition = ProtocolDefinition::from_toml(name, text)?;
         let tried = match definition.tested_on.as_slice() {
             [] => ", not tried on hardware".to_owned(),
             devices => format!(", tried on {}", devices.join(", ")),
@@ -164,5 +168,5 @@ fn list(out: &Output) -> Result<Outcome, Diagnostic> {
         all.push(summary(&definition));
     }
     out.list(&all)?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

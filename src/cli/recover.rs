@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{Outcome, Output};
-use crate::diagnostic::Diagnostic;
-use crate::recording::capture::{Pass, Writer};
+use super::{CommandOutcome, CommandOutput};
+use dbbd_job::recording::capture::{CaptureSummary, CaptureWriter};
+use dbbd_model::diagnostic::Diagnostic;
 
 /// Copy every undamaged record of a damaged capture into a new capture.
 ///
@@ -15,7 +15,7 @@ use crate::recording::capture::{Pass, Writer};
 #[command(
     after_help = "Exit codes: 0 nothing was lost; 3 something was lost, and is reported; 1 no undamaged record is left."
 )]
-pub(crate) struct Args {
+pub(crate) struct RecoverArgs {
     /// The damaged capture; it is not changed.
     run: PathBuf,
     /// Capture to write; an existing file is not overwritten.
@@ -23,13 +23,13 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &RecoverArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     // The file is created with the first record, so that nothing is left if there is none.
     let mut writer = None;
-    let pass = Pass::over(&args.run, |stamped| {
+    let pass = CaptureSummary::over(&args.run, |stamped| {
         let writer = match &mut writer {
             Some(writer) => writer,
-            none => none.insert(Writer::create(&args.out)?),
+            none => none.insert(CaptureWriter::create(&args.out)?),
         };
         writer.write(stamped.host, &stamped.record)
     })?;
@@ -46,5 +46,5 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         "{}: {records} records ({samples} samples); {lost_bytes} bytes in {damages} damages are lost",
         args.out.display(),
     ));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

@@ -2,26 +2,26 @@
 
 use serde::Serialize;
 
-use super::{Outcome, Output};
-use crate::base::files;
-use crate::catalogue::EstimationFinding;
-use crate::diagnostic::Diagnostic;
-use crate::robot::Tolerance;
-use crate::robot::joint_table::{CouplingTable, JointTable};
-use crate::robot::{Robot, RobotRead};
+use super::{CommandOutcome, CommandOutput};
+use dbbd_job::files;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::robot::Tolerance;
+use dbbd_model::robot::joint_table::{CouplingTable, JointTable};
+use dbbd_model::robot::{LoadedRobot, Robot};
 
 /// List, show or check robots.
 ///
 /// A robot is a TOML file with its modified-DH table, axis limits, speeds and tolerance. The built-in ones are in `robots/` of
 /// the source.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct RobotsArgs {
     #[command(subcommand)]
-    what: Option<What>,
+    what: Option<RobotsVerb>,
 }
 
 #[derive(clap::Subcommand)]
-enum What {
+enum RobotsVerb {
     /// List the built-in robots (the default).
     List,
     /// Show a robot's table, limits and speeds: mm, degrees, degrees/s.
@@ -39,26 +39,26 @@ enum What {
 }
 
 /// Reads a robot by built-in name or file, and reports a doubtful identification.
-pub(crate) fn read(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
+pub(crate) fn read_named_robot(name: &str, out: &CommandOutput) -> Result<LoadedRobot, Diagnostic> {
     let read = read_for_measurement(name, out)?;
     out.findings_in(name, read.robot.doubtful());
     Ok(read)
 }
 
-/// As [`read`], but a doubtful identification is not reported: a further measurement is its cure.
-pub(crate) fn read_for_measurement(name: &str, out: &Output) -> Result<RobotRead, Diagnostic> {
+/// As [`read_named_robot`], but a doubtful identification is not reported: a further measurement is its cure.
+pub(crate) fn read_for_measurement(name: &str, out: &CommandOutput) -> Result<LoadedRobot, Diagnostic> {
     let mut read = Robot::named(name, |path| files::if_there(path, ".toml"))?;
     out.findings(std::mem::take(&mut read.findings));
     Ok(read)
 }
 
-/// As [`read`], without the provenance.
-pub(crate) fn named(name: &str, out: &Output) -> Result<Robot, Diagnostic> {
-    read(name, out).map(|read| read.robot)
+/// As [`read_named_robot`], without the provenance.
+pub(crate) fn named(name: &str, out: &CommandOutput) -> Result<Robot, Diagnostic> {
+    read_named_robot(name, out).map(|read| read.robot)
 }
 
 #[derive(Serialize)]
-struct Entry<'a> {
+struct RobotEntry<'a> {
     id: &'a str,
     name: &'a str,
     reach_mm: f64,
@@ -74,9 +74,9 @@ pub(crate) fn edited(robot: &Robot) -> Option<EstimationFinding> {
 
 /// The JSON document of `robots show`.
 #[derive(Serialize)]
-struct Document<'a> {
+struct RobotDocument<'a> {
     #[serde(flatten)]
-    entry: Entry<'a>,
+    entry: RobotEntry<'a>,
     joints: Vec<JointTable>,
     tool_ball_mm: [f64; 3],
     tolerance: Tolerance,
@@ -85,40 +85,40 @@ struct Document<'a> {
     source: Option<&'a str>,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &RobotsArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     match &args.what {
-        None | Some(What::List) => list(out),
-        Some(What::Show { name }) => show(name, out),
-        Some(What::Check { name }) => {
+        None | Some(RobotsVerb::List) => list_robots(out),
+        Some(RobotsVerb::Show { name }) => show_robot(name, out),
+        Some(RobotsVerb::Check { name }) => {
             let robot = named(name, out)?;
             out.findings_in(name, edited(&robot));
-            out.document(&Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() })?;
+            out.document(&RobotEntry { id: name, name: &robot.name, reach_mm: robot.reach_mm() })?;
             out.result(format!("{name}: {}, reach {:.1} mm: no mistake found", robot.name, robot.reach_mm()));
-            Ok(Outcome::Done)
+            Ok(CommandOutcome::Done)
         }
     }
 }
 
-fn list(out: &Output) -> Result<Outcome, Diagnostic> {
+fn list_robots(out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let mut robots = Vec::new();
     for (id, text) in Robot::built_in() {
         robots.push((*id, Robot::from_toml(id, text)?));
     }
-    let entries: Vec<Entry<'_>> = robots
+    let entries: Vec<RobotEntry<'_>> = robots
         .iter()
-        .map(|(id, robot)| Entry { id, name: &robot.name, reach_mm: robot.reach_mm() })
+        .map(|(id, robot)| RobotEntry { id, name: &robot.name, reach_mm: robot.reach_mm() })
         .collect();
     out.list(&entries)?;
     for entry in &entries {
         out.result(format!("{:<12} {}, reach {:.1} mm", entry.id, entry.name, entry.reach_mm));
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
-fn show(name: &str, out: &Output) -> Result<Outcome, Diagnostic> {
+fn show_robot(name: &str, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let robot = named(name, out)?;
-    let shown = Document {
-        entry: Entry { id: name, name: &robot.name, reach_mm: robot.reach_mm() },
+    let shown = RobotDocument {
+        entry: RobotEntry { id: name, name: &robot.name, reach_mm: robot.reach_mm() },
         joints: robot.joint_tables(),
         tool_ball_mm: robot.geometry.tool.into(),
         tolerance: robot.tolerance,
@@ -166,5 +166,5 @@ fn show(name: &str, out: &Output) -> Result<Outcome, Diagnostic> {
     if let Some(source) = shown.source {
         out.result(source);
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

@@ -7,11 +7,11 @@ use std::sync::Arc;
 use serde_json::json;
 
 use super::acquire::simulated;
-use super::{Outcome, Output};
-use crate::base::files;
-use crate::daemon::{self, Config, Halt, Level, Log, MakeCell};
-use crate::device::port::PortAddress;
-use crate::diagnostic::Diagnostic;
+use super::{CommandOutcome, CommandOutput};
+use crate::daemon::{self, HaltBehaviour, LogLevel, MakeCell, ServiceConfig, ServiceLog};
+use dbbd_device::port::PortAddress;
+use dbbd_job::files;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// Printed below the options.
 const MORE: &str = "Without a configuration the service listens on 127.0.0.1:8230, stores runs in ./dbbd-runs and looks for \
@@ -26,7 +26,7 @@ and its alarm is not a safety function.";
 /// docs/reference/security.md.
 #[derive(clap::Args)]
 #[command(after_help = MORE)]
-pub(crate) struct Args {
+pub(crate) struct ServeArgs {
     /// Configuration: a TOML file. Relative paths in it start from its directory.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -35,8 +35,8 @@ pub(crate) struct Args {
     check: bool,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
-    let config = args.config.as_deref().map(Config::read).transpose()?.unwrap_or_default();
+pub(crate) fn run(args: &ServeArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
+    let config = args.config.as_deref().map(ServiceConfig::read).transpose()?.unwrap_or_default();
     let (address, data) = (config.endpoint.address, config.data.display().to_string());
     check_writable(&config.data)?;
     if args.check {
@@ -46,10 +46,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
             "token": config.endpoint.token.is_some(),
         }))?;
         out.result(format!("the configuration is sound: http://{address}/, runs in {data}"));
-        return Ok(Outcome::Done);
+        return Ok(CommandOutcome::Done);
     }
-    daemon::serve(config, Arc::new(Lines { out: out.clone() }), make_cell(out.clone()))?;
-    Ok(Outcome::Done)
+    daemon::serve(config, Arc::new(LogLines { out: out.clone() }), make_cell(out.clone()))?;
+    Ok(CommandOutcome::Done)
 }
 
 /// Checks that files can be written in a directory, or in its nearest ancestor that exists.
@@ -61,18 +61,20 @@ fn check_writable(directory: &Path) -> Result<(), Diagnostic> {
 }
 
 /// Creates the simulated cell of the port `sim`, which runs in real time.
-fn make_cell(out: Output) -> Option<MakeCell> {
-    let make = move |plan: Option<&Path>, halt: Halt| -> Result<Box<dyn daemon::Cell>, Diagnostic> {
+fn make_cell(out: CommandOutput) -> Option<MakeCell> {
+    let make = move |plan: Option<&Path>,
+                     halt: HaltBehaviour|
+          -> Result<Box<dyn daemon::SimulatedCell>, Diagnostic> {
         let halt_s = match halt {
-            Halt::Continue => simulated::HALT_S,
-            Halt::Wait => "86400",
+            HaltBehaviour::Continue => simulated::HALT_S,
+            HaltBehaviour::Wait => "86400",
         };
-        Ok(Box::new(simulated::Cell::start(plan, "1", halt_s, None, &out)?))
+        Ok(Box::new(simulated::PlanSimulator::start(plan, "1", halt_s, None, &out)?))
     };
     Some(Box::new(make))
 }
 
-impl daemon::Cell for simulated::Cell {
+impl daemon::SimulatedCell for simulated::PlanSimulator {
     fn port(&self) -> &PortAddress {
         self.port()
     }
@@ -86,16 +88,16 @@ impl daemon::Cell for simulated::Cell {
 const LONGEST_VALUE: usize = 300;
 
 /// The log: each event is a line `level=.. event=.. key=value` on stderr.
-pub(super) struct Lines {
-    pub(super) out: Output,
+pub(super) struct LogLines {
+    pub(super) out: CommandOutput,
 }
 
-impl Log for Lines {
-    fn event(&self, level: Level, event: &str, fields: &[(&str, &dyn Display)]) {
+impl ServiceLog for LogLines {
+    fn event(&self, level: LogLevel, event: &str, fields: &[(&str, &dyn Display)]) {
         let word = match level {
-            Level::Info => "info",
-            Level::Warning => "warning",
-            Level::Error => "error",
+            LogLevel::Info => "info",
+            LogLevel::Warning => "warning",
+            LogLevel::Error => "error",
         };
         let mut line = format!("level={word} event={event}");
         for (name, value) in fields {
@@ -109,8 +111,8 @@ impl Log for Lines {
             line.push_str(&if bare { format!(" {name}={value}") } else { format!(" {name}={value:?}") });
         }
         match level {
-            Level::Info => self.out.progress(line),
-            Level::Warning | Level::Error => self.out.always(line),
+            LogLevel::Info => self.out.progress(line),
+            LogLevel::Warning | LogLevel::Error => self.out.always(line),
         }
     }
 }

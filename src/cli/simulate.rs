@@ -1,5 +1,6 @@
 //! `dbbd simulate`.
 
+use dbbd_model::base::text::unreadable;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -7,25 +8,26 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::json;
 
-use super::{Outcome, Output, program, protocols, robots, value};
-use crate::base::files;
-use crate::catalogue::{FileFinding, SimulationFinding};
+use super::{CommandOutcome, CommandOutput, program, protocols, robots, value};
 use crate::daemon::stop_on_signal;
-use crate::device::axes::AxesAddress;
-use crate::device::port::PortAddress;
-use crate::diagnostic::Diagnostic;
-use crate::plan::DEFAULT_PROTOCOL;
-use crate::program::{Language, Program, Text, krl, provenance, rapid, urscript};
-use crate::provenance::{Artefact, Role, Traced};
-use crate::robot::RobotRead;
-use crate::sim::axes::{AxesLine, Publisher};
+use dbbd_device::axes::AxesAddress;
+use dbbd_device::port::PortAddress;
+use dbbd_job::files;
+use dbbd_job::plan::DEFAULT_PROTOCOL;
+use dbbd_job::program::{Language, Program, Text, krl, provenance, rapid, urscript};
+use dbbd_job::sim::SimulationFinding;
+use dbbd_job::sim::axes::{AxesLine, AxesPublisher};
 #[cfg(unix)]
-use crate::sim::bar::Link;
-use crate::sim::bar::{Options, Reading, Source, Terminal, serve_over};
-use crate::sim::ekrl::Client;
-use crate::sim::fault::{BadLine, Faults};
-use crate::sim::world::Setup;
-use crate::sim::{Controller, Moment, World, truth};
+use dbbd_job::sim::bar::TerminalLink;
+use dbbd_job::sim::bar::{ReadingSource, SimulatedReading, Terminal, VirtualBarOptions, serve_over};
+use dbbd_job::sim::ekrl::EkrlClient;
+use dbbd_job::sim::fault::{FaultyLine, InjectedFaults};
+use dbbd_job::sim::world::WorldSetup;
+use dbbd_job::sim::{ControllerMoment, SimulatedController, World, truth};
+use dbbd_model::base::FileFinding;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact};
+use dbbd_model::robot::LoadedRobot;
 
 /// How long the bar streams after the end of the program, s, so that the end mark is complete.
 const AFTER_END_S: f64 = 3.0;
@@ -41,7 +43,7 @@ const FIRST_TICKS: u64 = 300_000_000;
 /// selects KRL, RAPID or URScript; in the last two, programs that `dbbd program` writes are executed. Exit code 3: a reading
 /// at a dwell was outside the stroke.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct SimulateArgs {
     /// The program: .src of KRL, with its .dat and the modules that it calls beside it; .mod of RAPID, likewise; or
     /// .script of URScript.
     #[arg(long, value_name = "FILE")]
@@ -110,7 +112,7 @@ pub(crate) struct Args {
     override_percent: f64,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &SimulateArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let ranges = [("--halt", args.halt, 0.0, 86_400.0), ("--override", args.override_percent, 1.0, 100.0)];
     for (option, value, low, high) in ranges {
         if !(low..=high).contains(&value) {
@@ -128,27 +130,28 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     }
     let faults = faults(args)?;
     let definition = protocols::load_with(&args.protocol, &args.params)?;
-    let mut cell = Cell::new(args, &faults, out)?;
+    let mut cell = CellSimulation::new(args, &faults, out)?;
     cell.stop = stop_on_signal()?;
-    let options = Options { rate_hz: cell.world.setup().bar.rate_hz, speed: args.speed, first_ticks: 0 };
+    let options =
+        VirtualBarOptions { rate_hz: cell.world.setup().bar.rate_hz, speed: args.speed, first_ticks: 0 };
     let terminal = terminal(args)?;
     let port = terminal.address().to_string();
     out.document(&json!({ "port": port }))?;
     out.result(port);
-    let bad = BadLine::new(faults, args.seed);
+    let bad = FaultyLine::new(faults, args.seed);
     let frames = serve_over(bad, terminal, &definition, options, &mut cell)?;
     if let Some(failure) = cell.failure {
         return Err(failure);
     }
     if cell.stop.load(Ordering::Relaxed) {
         out.finding(SimulationFinding::Stopped { dwells: cell.controller.dwells() });
-        return Ok(Outcome::Done);
+        return Ok(CommandOutcome::Done);
     }
     if let Some(directory) = &args.save {
         files::directory(directory)?;
         for (path, text) in cell.controller.saved() {
             let name = Path::new(&path).file_name().unwrap_or(path.as_ref());
-            files::write(&directory.join(name), text)?;
+            files::write_file(&directory.join(name), text)?;
         }
     }
     out.progress(format!("{} dwells, {frames} frames, {:.1} s", cell.controller.dwells(), cell.t_s));
@@ -158,22 +161,22 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     if cell.strayed > 0 {
         out.finding(SimulationFinding::OutOfStroke { readings: cell.strayed });
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Opens the terminal through which the bar is read.
-fn terminal(args: &Args) -> Result<Terminal, Diagnostic> {
+fn terminal(args: &SimulateArgs) -> Result<Terminal, Diagnostic> {
     let terminal = args.listen.as_ref().map_or_else(Terminal::new, Terminal::listen)?;
     #[cfg(unix)]
     if let Some(path) = &args.link {
-        let link = Link::new(path, &terminal.address().to_string())?;
+        let link = TerminalLink::new(path, &terminal.address().to_string())?;
         return Ok(terminal.with_link(link));
     }
     Ok(terminal)
 }
 
-fn faults(args: &Args) -> Result<Faults, Diagnostic> {
-    let mut faults = Faults::default();
+fn faults(args: &SimulateArgs) -> Result<InjectedFaults, Diagnostic> {
+    let mut faults = InjectedFaults::default();
     for (name, value) in &args.faults {
         let Ok(number) = value.parse() else {
             let (name, value) = (name.clone(), value.clone());
@@ -185,11 +188,11 @@ fn faults(args: &Args) -> Result<Faults, Diagnostic> {
 }
 
 /// Reads a program with the modules beside it.
-fn open(path: &Path) -> Result<Program, Diagnostic> {
+fn open_program(path: &Path) -> Result<Program, Diagnostic> {
     let language = program::language(path)?;
     let directory = files::directory_of(path);
-    let read = |path: &Path| Ok::<_, Diagnostic>((path.display().to_string(), files::read(path)?));
-    let entries = || directory.read_dir().map_err(files::unreadable(directory.display()));
+    let read = |path: &Path| Ok::<_, Diagnostic>((path.display().to_string(), files::read_text(path)?));
+    let entries = || directory.read_dir().map_err(unreadable(directory.display()));
     match language {
         Language::Urscript => Ok(urscript::open(read(path)?)?.into()),
         Language::Rapid => {
@@ -219,32 +222,32 @@ fn open(path: &Path) -> Result<Program, Diagnostic> {
 }
 
 /// A program as an artefact.
-fn traced(program: &Program) -> Result<Traced, Diagnostic> {
+fn traced(program: &Program) -> Result<TracedArtefact, Diagnostic> {
     let Text { file, text } = program.first();
     let name = Path::new(file).file_name().unwrap_or_default().to_string_lossy();
-    let artefact = Artefact::new(Role::Program, name, text);
-    Ok(Traced { artefact, provenance: provenance(file, text)? })
+    let artefact = Artefact::new(ArtefactRole::Program, name, text);
+    Ok(TracedArtefact { artefact, provenance: provenance(file, text)? })
 }
 
 /// The axes that the controller publishes.
-struct Axes {
+struct AxesOutput {
     line: AxesLine,
-    publisher: Publisher,
+    publisher: AxesPublisher,
     /// The time of the next packet, s.
     next_s: f64,
 }
 
 /// The robot cell: controller, true robot and bar.
-struct Cell<'a> {
-    controller: Controller,
+struct CellSimulation<'a> {
+    controller: SimulatedController,
     world: World,
     /// The EthernetKRL server.
     server: Option<SocketAddr>,
     /// The connection to it while the program has the channel open.
-    ekrl: Option<Client>,
+    ekrl: Option<EkrlClient>,
     reported_to_server: bool,
-    axes: Option<Axes>,
-    out: &'a Output,
+    axes: Option<AxesOutput>,
+    out: &'a CommandOutput,
     halt_s: f64,
     t_s: f64,
     halted_at_s: Option<f64>,
@@ -258,8 +261,8 @@ struct Cell<'a> {
     stop: Arc<AtomicBool>,
 }
 
-impl Source for &mut Cell<'_> {
-    fn reading(&mut self, t_s: f64) -> Option<Reading> {
+impl ReadingSource for &mut CellSimulation<'_> {
+    fn reading(&mut self, t_s: f64) -> Option<SimulatedReading> {
         let moment = match self.publish(t_s).and_then(|()| self.controller.step(t_s - self.t_s)) {
             Ok(moment) => moment,
             Err(failure) => {
@@ -287,7 +290,12 @@ impl Source for &mut Cell<'_> {
         let valid = measured.in_stroke;
         self.strayed += u64::from(moment.strobe && !valid);
         let temperature_c = self.world.setup().bar.temperature_c;
-        Some(Reading { reading_mm: measured.reading_mm, strobe: moment.strobe, valid, temperature_c })
+        Some(SimulatedReading {
+            reading_mm: measured.reading_mm,
+            strobe: moment.strobe,
+            valid,
+            temperature_c,
+        })
     }
 
     fn over(&self) -> bool {
@@ -299,31 +307,31 @@ impl Source for &mut Cell<'_> {
     }
 }
 
-impl<'a> Cell<'a> {
-    fn new(args: &Args, faults: &Faults, out: &'a Output) -> Result<Self, Diagnostic> {
-        let RobotRead { robot: nominal, source, .. } = robots::read(&args.nominal, out)?;
+impl<'a> CellSimulation<'a> {
+    fn new(args: &SimulateArgs, faults: &InjectedFaults, out: &'a CommandOutput) -> Result<Self, Diagnostic> {
+        let LoadedRobot { robot: nominal, source, .. } = robots::read_named_robot(&args.nominal, out)?;
         let robot = match &args.robot {
             Some(name) => robots::named(name, out)?,
-            None => truth::draw(&nominal, args.seed, 1.0),
+            None => truth::draw_true_robot(&nominal, args.seed, 1.0),
         };
-        let program = open(&args.program)?;
+        let program = open_program(&args.program)?;
         traced(&program)?.check_made_for(&source.artefact)?;
-        let world_text = args.world.as_deref().map(files::read).transpose()?;
+        let world_text = args.world.as_deref().map(files::read_text).transpose()?;
         let world_name = args.world.as_ref().map(|path| path.display().to_string());
-        let setup = Setup::new(&program.setups(), world_name.as_deref().zip(world_text.as_deref()))?;
+        let setup = WorldSetup::new(&program.setups(), world_name.as_deref().zip(world_text.as_deref()))?;
         let accuracy = args.accuracy.as_deref().map(|name| robots::named(name, out)).transpose()?;
         let mut controller =
-            Controller::new(program, accuracy.as_ref().unwrap_or(&nominal), args.override_percent)?;
+            SimulatedController::new(program, accuracy.as_ref().unwrap_or(&nominal), args.override_percent)?;
         if accuracy.is_some() {
             controller.set_absolute_accuracy();
         }
         if args.ekrl.is_some() {
             controller.link_ekrl();
         }
-        let axes = args.axes.as_ref().map(|address| -> Result<Axes, Diagnostic> {
+        let axes = args.axes.as_ref().map(|address| -> Result<AxesOutput, Diagnostic> {
             let line = AxesLine::open(address)?;
-            let publisher = Publisher::new(line.protocol(), faults, args.seed, FIRST_TICKS);
-            Ok(Axes { line, publisher, next_s: 0.0 })
+            let publisher = AxesPublisher::new(line.protocol(), faults, args.seed, FIRST_TICKS);
+            Ok(AxesOutput { line, publisher, next_s: 0.0 })
         });
         Ok(Self {
             controller,
@@ -369,7 +377,7 @@ impl<'a> Cell<'a> {
         }
         let client = match &mut self.ekrl {
             Some(client) => client,
-            None => self.ekrl.insert(Client::connect(server)?),
+            None => self.ekrl.insert(EkrlClient::connect(server)?),
         };
         while let Some(telegram) = self.controller.telegram() {
             self.reported_to_server = true;
@@ -379,7 +387,7 @@ impl<'a> Cell<'a> {
     }
 
     /// Prints each HALT, the end, and every tenth dwell.
-    fn report(&mut self, moment: &Moment) {
+    fn report(&mut self, moment: &ControllerMoment) {
         let dwells = self.controller.dwells();
         let (file, line) = self.controller.position();
         if moment.halted && self.halted_at_s.is_none() {

@@ -4,17 +4,17 @@ use std::path::PathBuf;
 
 use serde_json::{Value, json};
 
-use super::{Outcome, Output, output};
-use crate::base::files;
-use crate::catalogue::MatchingFinding;
-use crate::diagnostic::{Diagnostic, Finding};
-use crate::provenance::{Artefact, Provenance, Role};
-use crate::recording::Stream;
-use crate::recording::axes::Following;
-use crate::recording::matching::{
-    self, AxesReport, BarLag, DwellSource, Lag, MatchOutcome, PoseMatching, PoseOutcome,
+use super::{CommandOutcome, CommandOutput, output};
+use dbbd_job::files;
+use dbbd_job::recording::SampleStream;
+use dbbd_job::recording::axes::FollowingError;
+use dbbd_job::recording::matching::MatchingFinding;
+use dbbd_job::recording::matching::{
+    self, AxesReport, BarLag, DwellSource, MatchOutcome, PassLag, PoseMatching, PoseOutcome,
 };
-use crate::recording::run;
+use dbbd_job::recording::run;
+use dbbd_model::diagnostic::{Diagnostic, Finding};
+use dbbd_model::provenance::ArtefactRole;
 
 /// Match the lengths of a capture to the commanded poses.
 ///
@@ -22,7 +22,7 @@ use crate::recording::run;
 /// matches them to the plan. A pair is kept if its probability exceeds 99 %, else dropped and listed with the reason. More:
 /// docs/explanation/pose-matching.md.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct SyncArgs {
     /// The capture.
     run: PathBuf,
     /// The plan that the robot executed, with its .json beside it [default: the one in the capture].
@@ -37,30 +37,31 @@ pub(crate) struct Args {
     out: PathBuf,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &SyncArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     files::keeps(&args.out, args.axes.iter().chain(&args.plan).chain([&args.run]).map(PathBuf::as_path))?;
     files::is_earlier(&args.out, b"index,centre,")?;
-    let run = run::open(&args.run, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
+    let run =
+        run::open_run(&args.run, args.plan.as_deref(), &args.axes, &mut |finding| out.finding(finding))?;
     out.done(40);
     let matching = run.matching(None)?;
     out.done(90);
     out.findings(matching.findings.iter().cloned());
     out.document(&document(&matching, &run.stream))?;
-    show(&matching, out);
+    show_matching(&matching, out);
     out.result(format!("times: {}", times(&run.stream)));
     if matching.observations.rows.is_empty() {
         let finding = matching::nothing_matched(&run.plan, &run.stream);
         return Err(Diagnostic::file(args.run.display(), finding));
     }
-    let mut provenance = Provenance::of([&run.traced(&args.run)?]);
+    let mut provenance = dbbd_job::artefact::made_from([&run.traced(&args.run)?]);
     for path in &args.axes {
-        provenance.add(&Artefact::file(Role::Program, path)?);
+        provenance.add(&dbbd_job::artefact::of_file(ArtefactRole::Program, path)?);
     }
     let table = matching.observations.to_csv();
-    provenance.write_beside(&args.out, &table)?;
-    files::write(&args.out, table)?;
+    dbbd_job::artefact::write_beside(&provenance, &args.out, &table)?;
+    files::write_file(&args.out, table)?;
     out.result(format!("{}: {} observations", args.out.display(), matching.observations.rows.len()));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 fn source_word(source: DwellSource) -> &'static str {
@@ -73,7 +74,7 @@ fn source_word(source: DwellSource) -> &'static str {
 }
 
 /// The clock of the times, and its accuracy.
-fn times(stream: &Stream) -> String {
+fn times(stream: &SampleStream) -> String {
     let Some(clock) = stream.clock() else { return "the host's stamps at arrival or request".into() };
     let wraps = if clock.wraps > 0 { format!("; it wrapped {} times", clock.wraps) } else { String::new() };
     let Some((drift, bound_s)) = clock.drift().zip(clock.bound_s()) else {
@@ -85,7 +86,7 @@ fn times(stream: &Stream) -> String {
     )
 }
 
-fn show(matching: &PoseMatching, out: &Output) {
+fn show_matching(matching: &PoseMatching, out: &CommandOutput) {
     let (matched, all) = (matching.observations.rows.len(), matching.outcomes.len());
     let source = source_word(matching.source);
     out.result(format!("{matched} of {all} poses have a length (dwells by {source})"));
@@ -102,7 +103,7 @@ fn show(matching: &PoseMatching, out: &Output) {
     if !matching.spurious.is_empty() {
         out.result(format!("{} detected dwells match no pose", matching.spurious.len()));
     }
-    for Lag { circle, lag_s, sd_s, hysteresis_mm } in &matching.lags {
+    for PassLag { circle, lag_s, sd_s, hysteresis_mm } in &matching.lags {
         let [lag_ms, sd_ms] = [lag_s, sd_s].map(|s| 1000.0 * s);
         out.result(format!(
             "circle {circle}: the reading comes {lag_ms:.1} +- {sd_ms:.1} ms after the command; the senses differ by {:.1} um",
@@ -119,7 +120,7 @@ fn show(matching: &PoseMatching, out: &Output) {
     }
 }
 
-fn show_axes(axes: &AxesReport, out: &Output) {
+fn show_axes(axes: &AxesReport, out: &CommandOutput) {
     out.result(format!("axes over {}: {}", axes.protocol, output::packets(&axes.packets)));
     if let Some(BarLag { lag_s, sd_s, windows }) = axes.lag {
         let [lag_ms, sd_ms] = [lag_s, sd_s].map(|s| 1000.0 * s);
@@ -127,7 +128,7 @@ fn show_axes(axes: &AxesReport, out: &Output) {
             "the reading comes {lag_ms:.2} +- {sd_ms:.2} ms after the axes ({windows} windows of motion)"
         ));
     }
-    for Following { axis, lag_s, moving_rms_deg, moving_max_deg, rest_max_deg, settling_s } in
+    for FollowingError { axis, lag_s, moving_rms_deg, moving_max_deg, rest_max_deg, settling_s } in
         axes.following.iter().flatten()
     {
         let settling = settling_s.map_or(String::new(), |s| format!(", settles in {:.0} ms", 1000.0 * s));
@@ -153,7 +154,7 @@ fn axes_document(axes: &AxesReport) -> Value {
     })
 }
 
-fn document(matching: &PoseMatching, stream: &Stream) -> Value {
+fn document(matching: &PoseMatching, stream: &SampleStream) -> Value {
     let poses: Vec<Value> = matching.outcomes.iter().map(pose_document).collect();
     let drift = matching.drift.map(|drift| {
         json!({
@@ -161,7 +162,7 @@ fn document(matching: &PoseMatching, stream: &Stream) -> Value {
             "significant": drift.significant,
         })
     });
-    let lag = |lag: &Lag| {
+    let lag = |lag: &PassLag| {
         json!({
             "circle": lag.circle, "lag_s": lag.lag_s, "sd_s": lag.sd_s, "hysteresis_mm": lag.hysteresis_mm,
         })
@@ -189,7 +190,7 @@ fn pose_document(PoseOutcome { index, outcome }: &PoseOutcome) -> Value {
     }
 }
 
-fn clock_document(stream: &Stream) -> Option<Value> {
+fn clock_document(stream: &SampleStream) -> Option<Value> {
     let clock = stream.clock()?;
     let breaks = clock.breaks.iter().map(|broken| {
         let t_s = stream.t_s.get(broken.at);

@@ -1,9 +1,14 @@
 //! Parsers of option values. Their errors state the valid range.
 
-use crate::catalogue::{CliFinding, CompensationFinding, EstimationFinding};
-use crate::provenance::CERTIFIED_C;
-use crate::robot::Pose;
-use crate::robot::pose::is_part_of_turn;
+use std::fmt;
+
+use crate::cli::CliFinding;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use dbbd_job::program::CompensationFinding;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::provenance::CERTIFIED_C;
+use dbbd_model::robot::Pose;
+use dbbd_model::robot::pose::is_part_of_turn;
 
 fn number(text: &str, is_valid: impl Fn(f64) -> bool, refusal: CliFinding) -> Result<f64, CliFinding> {
     text.parse().ok().filter(|value: &f64| value.is_finite() && is_valid(*value)).ok_or(refusal)
@@ -56,10 +61,11 @@ pub(super) fn certified(text: &str) -> Result<f64, CliFinding> {
 
 /// The number of Monte Carlo draws, or 0. Fewer than 50 give no 95 % interval.
 pub(super) fn draws(text: &str) -> Result<usize, CliFinding> {
-    const LEAST: usize = 50;
-    const MOST: usize = 1_000_000;
-    let refusal = CliFinding::Outside { least: LEAST as f64, most: MOST as f64, unit: "draws, or 0" };
-    text.parse().ok().filter(|draws| *draws == 0 || (LEAST..=MOST).contains(draws)).ok_or(refusal)
+    const MIN_DRAWS: usize = 50;
+    const MAX_DRAWS: usize = 1_000_000;
+    let refusal =
+        CliFinding::Outside { least: MIN_DRAWS as f64, most: MAX_DRAWS as f64, unit: "draws, or 0" };
+    text.parse().ok().filter(|draws| *draws == 0 || (MIN_DRAWS..=MAX_DRAWS).contains(draws)).ok_or(refusal)
 }
 
 pub(super) fn seconds(text: &str) -> Result<f64, CliFinding> {
@@ -98,10 +104,10 @@ fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
 /// The place of the tool ball in the flange frame, mm.
 pub(super) fn tool_ball(text: &str) -> Result<[f64; 3], EstimationFinding> {
     /// No tool ball is nearer to the centre of the flange: a smaller number is one in metres.
-    const LEAST_MM: f64 = 3.0;
+    const MIN_TOOL_MM: f64 = 3.0;
     let place: [f64; 3] = numbers(text).ok_or(EstimationFinding::NotAPoint)?;
     let largest = place.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
-    let in_metres = largest > 0.0 && largest < LEAST_MM;
+    let in_metres = largest > 0.0 && largest < MIN_TOOL_MM;
     if in_metres { Err(EstimationFinding::PointInMetres) } else { Ok(place) }
 }
 
@@ -114,4 +120,14 @@ pub(super) fn frame(text: &str) -> Result<Pose, CompensationFinding> {
     } else {
         Ok(Pose::from_kuka([x, y, z], [a, b, c]))
     }
+}
+
+/// The parser of an option that takes the name of one of `all`.
+pub(crate) fn one_of<T: Copy + Send + Sync + 'static>(
+    all: &'static [T],
+    name: fn(T) -> &'static str,
+) -> impl TypedValueParser<Value = T> {
+    let names = PossibleValuesParser::new(all.iter().map(|one| name(*one)));
+    // Cannot fail: the text is one of the names.
+    names.try_map(move |text| all.iter().copied().find(|one| name(*one) == text).ok_or(fmt::Error))
 }

@@ -1,5 +1,6 @@
 //! A run: reader thread -> bounded channel -> recorder thread.
 
+use dbbd_model::base::InternalFinding;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
@@ -10,51 +11,53 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::axes::{AxesArrival, AxesSource};
-use super::ekrl::{BarLine, Server, Telegrams};
-use super::live_state::Feed;
-use super::recorder::{Progress, Recorder};
+use super::ekrl::{BarLineState, EkrlServer, TelegramRecorder};
+use super::live_state::LiveFeed;
+use super::recorder::{Recorder, RunProgress};
 use super::schedule::{ALARM_SHARE, Schedule};
-use super::session::{self, Opened, Polling};
-use crate::base::sync::lock;
-use crate::base::units::HostNs;
-use crate::base::{clock, serialised};
-use crate::catalogue::{RecordingFinding, ServiceFinding};
-use crate::device::port::{self, Arrival, Port, PortAddress, Reader};
-use crate::device::protocol::{Definition, Mode};
-use crate::diagnostic::Diagnostic;
-use crate::provenance::{self, Identity};
-use crate::recording::capture::{Event, Writer};
-use crate::recording::run::{ATTACHED_IDENTITY, PlanFiles};
+use super::session::{self, BarPolling, OpenedBar};
+use crate::live::ServiceFinding;
+use dbbd_device::clock;
+use dbbd_device::port::{self, Arrival, Port, PortAddress, PortReader};
+use dbbd_device::protocol::{ProtocolDefinition, ProtocolMode};
+use dbbd_device::sync::lock;
+use dbbd_job::recording::RecordingFinding;
+use dbbd_job::recording::capture::{CaptureWriter, RunEvent};
+use dbbd_job::recording::run::{ATTACHED_IDENTITY, PlanFiles};
+use dbbd_model::base::serialised;
+use dbbd_model::base::units::HostNs;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::provenance::Identity;
 
 /// Longest pause between two attempts to reopen a port, s.
 const LONGEST_BACKOFF_S: f64 = 0.5;
 
 /// Connections to the robot controller.
 #[derive(Debug, Default)]
-pub struct Controller {
+pub struct ControllerConnections {
     /// Receives the dwell reports of the program.
-    pub ekrl: Option<Server>,
+    pub ekrl: Option<EkrlServer>,
     /// Receives the published axes.
     pub axes: Option<AxesSource>,
 }
 
 #[derive(Debug)]
-pub struct Options {
+pub struct AcquisitionOptions {
     pub port: PortAddress,
-    pub definition: Definition,
+    pub definition: ProtocolDefinition,
     /// The capture to write.
     pub out: PathBuf,
     /// The plan that the robot executes. Its files are attached to the capture.
     pub plan: Option<PlanFiles>,
     /// Identity data of this run, in addition to those of the plan.
     pub identity: Identity,
-    pub controller: Controller,
+    pub controller: ControllerConnections,
     /// The run ends after this host time.
     pub duration_s: Option<f64>,
     /// The run ends when the port has been absent for this time.
     pub gone_s: f64,
     /// Shows the run to clients.
-    pub feed: Option<Feed>,
+    pub feed: Option<LiveFeed>,
     /// Interval between syncs of the capture to the disk: a power failure costs at most this time.
     pub sync_s: f64,
 }
@@ -62,7 +65,7 @@ pub struct Options {
 /// What ended a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Ending {
+pub enum EndReason {
     /// The program's end mark.
     Mark,
     Duration,
@@ -73,62 +76,66 @@ pub enum Ending {
 
 /// The result of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Summary {
-    /// The capture. It differs from [`Options::out`] if that file was removed or replaced during the run.
+pub struct AcquisitionSummary {
+    /// The capture. It differs from [`AcquisitionOptions::out`] if that file was removed or replaced during the run.
     pub capture: PathBuf,
-    pub ending: Ending,
-    pub progress: Progress,
+    pub ending: EndReason,
+    pub progress: RunProgress,
 }
 
 /// A run in progress, recorded by a thread of its own.
 pub struct Acquisition {
-    shared: Arc<Shared>,
-    recorder: JoinHandle<Result<Summary, Diagnostic>>,
+    shared: Arc<AcquisitionShared>,
+    recorder: JoinHandle<Result<AcquisitionSummary, Diagnostic>>,
 }
 
-struct Shared {
-    progress: Mutex<Progress>,
+struct AcquisitionShared {
+    progress: Mutex<RunProgress>,
     /// Events of other threads that are to be written.
-    notes: Mutex<Vec<Event>>,
+    notes: Mutex<Vec<RunEvent>>,
     /// Findings about interference with the capture file.
     findings: Mutex<Vec<Diagnostic>>,
     stop: Arc<AtomicBool>,
 }
 
-impl Ending {
+impl EndReason {
     pub fn reason(self) -> &'static str {
         match self {
-            Ending::Mark => "the program's end mark",
-            Ending::Duration => "the time was up",
-            Ending::Stopped => "stopped",
-            Ending::Gone => "the port stayed away",
+            EndReason::Mark => "the program's end mark",
+            EndReason::Duration => "the time was up",
+            EndReason::Stopped => "stopped",
+            EndReason::Gone => "the port stayed away",
         }
     }
 }
 
 impl Acquisition {
     /// Opens the port, creates the capture and starts the recorder. Setting `stop` ends the run.
-    pub fn start(options: Options, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
+    pub fn start(options: AcquisitionOptions, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
         if options.out.exists() {
             let name = options.out.display().to_string();
             return Err(Diagnostic::file(&name, RecordingFinding::CaptureExists));
         }
         // The port is opened first: if that fails, no file is left behind.
-        let opened = session::open(&options.port, &options.definition)?;
-        let writer = Writer::create(&options.out)?;
+        let opened = session::open_bar(&options.port, &options.definition)?;
+        let writer = CaptureWriter::create(&options.out)?;
         Self::record(writer, options, opened, stop)
     }
 
     /// The same, into an open writer.
-    pub fn start_on(writer: Writer, options: Options, stop: Arc<AtomicBool>) -> Result<Self, Diagnostic> {
-        let opened = session::open(&options.port, &options.definition)?;
+    pub fn start_on(
+        writer: CaptureWriter,
+        options: AcquisitionOptions,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, Diagnostic> {
+        let opened = session::open_bar(&options.port, &options.definition)?;
         Self::record(writer, options, opened, stop)
     }
 
     fn record(
-        writer: Writer,
-        mut options: Options,
-        opened: Opened,
+        writer: CaptureWriter,
+        mut options: AcquisitionOptions,
+        opened: OpenedBar,
         stop: Arc<AtomicBool>,
     ) -> Result<Self, Diagnostic> {
         let began = opened.began;
@@ -137,8 +144,8 @@ impl Acquisition {
         let mut recorder =
             Recorder::new(writer, &options.definition, schedule.modules(), options.sync_s, began);
         recorder.feed = options.feed.take();
-        let version = provenance::VERSION.to_owned();
-        recorder.event(began, Event::Started { unix_ns: clock::unix_ns(), version })?;
+        let version = dbbd_job::artefact::VERSION.to_owned();
+        recorder.event(began, RunEvent::Started { unix_ns: clock::unix_ns(), version })?;
         for (name, content) in plan.into_iter().flat_map(PlanFiles::attachments) {
             recorder.attach(began, name, content.as_bytes())?;
         }
@@ -147,33 +154,34 @@ impl Acquisition {
         }
         recorder.attach(began, "protocol.toml", options.definition.text.as_bytes())?;
         let port = record_opened(&mut recorder, &options.port, opened)?;
-        let shared = Arc::new(Shared {
+        let shared = Arc::new(AcquisitionShared {
             progress: Mutex::default(),
             notes: Mutex::default(),
             findings: Mutex::default(),
             stop,
         });
         let identity = port::identity(&options.port);
-        let telegrams = options.controller.ekrl.take().map(|server| Telegrams::new(server, schedule));
-        let run = Run { options, identity, recorder, telegrams, shared: Arc::clone(&shared), began };
+        let telegrams = options.controller.ekrl.take().map(|server| TelegramRecorder::new(server, schedule));
+        let run =
+            RecorderThread { options, identity, recorder, telegrams, shared: Arc::clone(&shared), began };
         let recorder = std::thread::Builder::new()
             .name("recorder".into())
             .spawn(move || run.record(port))
-            .map_err(|error| ServiceFinding::NoSystem { why: error.to_string() })?;
+            .map_err(|error| InternalFinding::NoSystem { why: error.to_string() })?;
         Ok(Self { shared, recorder })
     }
 
-    pub fn progress(&self) -> Progress {
+    pub fn progress(&self) -> RunProgress {
         *lock(&self.shared.progress)
     }
 
     /// Writes a remark into the capture.
     pub fn mark(&self, text: String) {
-        self.note(Event::Mark { text });
+        self.note(RunEvent::Mark { text });
     }
 
     /// Writes an event into the capture.
-    pub fn note(&self, event: Event) {
+    pub fn note(&self, event: RunEvent) {
         lock(&self.shared.notes).push(event);
     }
 
@@ -186,19 +194,23 @@ impl Acquisition {
         self.recorder.is_finished()
     }
 
-    pub fn join(self) -> Result<Summary, Diagnostic> {
+    pub fn join(self) -> Result<AcquisitionSummary, Diagnostic> {
         self.recorder.join().map_err(|_| ServiceFinding::RecorderDied)?
     }
 }
 
 /// Records that the bar was opened, and the bytes that came with its start.
-fn record_opened(recorder: &mut Recorder, address: &PortAddress, opened: Opened) -> Result<Port, Diagnostic> {
+fn record_opened(
+    recorder: &mut Recorder,
+    address: &PortAddress,
+    opened: OpenedBar,
+) -> Result<Port, Diagnostic> {
     let now = clock::now();
-    let Opened { port, stale, first, .. } = opened;
-    recorder.event(now, Event::Opened { port: address.to_string(), stamps: Some(port.stamps()) })?;
+    let OpenedBar { port, stale, first, .. } = opened;
+    recorder.event(now, RunEvent::Opened { port: address.to_string(), stamps: Some(port.stamps()) })?;
     if stale > 0 {
         let text = format!("{stale} bytes of an earlier stream were discarded before the start");
-        recorder.event(now, Event::Mark { text })?;
+        recorder.event(now, RunEvent::Mark { text })?;
     }
     if !first.is_empty() {
         recorder.bytes(now, first)?;
@@ -207,32 +219,32 @@ fn record_opened(recorder: &mut Recorder, address: &PortAddress, opened: Opened)
 }
 
 /// The state of the recorder thread.
-struct Run {
-    options: Options,
+struct RecorderThread {
+    options: AcquisitionOptions,
     /// The address under which the port is opened again.
     identity: PortAddress,
     recorder: Recorder,
-    telegrams: Option<Telegrams>,
-    shared: Arc<Shared>,
+    telegrams: Option<TelegramRecorder>,
+    shared: Arc<AcquisitionShared>,
     began: HostNs,
 }
 
 /// How the recording from an open port ended.
-enum Session {
-    Over(Ending),
+enum PortSessionEnd {
+    Over(EndReason),
     /// Since when, and the reason.
     Gone(HostNs, String),
 }
 
-impl Run {
-    fn record(mut self, mut port: Port) -> Result<Summary, Diagnostic> {
+impl RecorderThread {
+    fn record(mut self, mut port: Port) -> Result<AcquisitionSummary, Diagnostic> {
         let ending = loop {
             let (since, why) = match self.session(&port)? {
-                Session::Over(ending) => {
+                PortSessionEnd::Over(ending) => {
                     session::close(port, &self.options.definition);
                     break ending;
                 }
-                Session::Gone(since, why) => (since, why),
+                PortSessionEnd::Gone(since, why) => (since, why),
             };
             drop(port);
             self.recorder.interrupted(since)?;
@@ -243,7 +255,7 @@ impl Run {
             let away_s = now.seconds_since(since);
             self.recorder.progress.silent_s += away_s;
             let reason = format!("the port was gone: {why}");
-            self.recorder.event(now, Event::Gap { seconds: Some(away_s), missing: None, reason })?;
+            self.recorder.event(now, RunEvent::Gap { seconds: Some(away_s), missing: None, reason })?;
             match reopened {
                 Ok(again) => {
                     self.recorder.restarted();
@@ -253,35 +265,35 @@ impl Run {
             }
         };
         self.write_notes()?;
-        self.record_controller(BarLine::Idle)?;
+        self.record_controller(BarLineState::Idle)?;
         let progress = self.recorder.finish(clock::now(), ending.reason());
         self.publish_findings();
-        Ok(Summary { capture: self.recorder.path().into(), ending, progress: progress? })
+        Ok(AcquisitionSummary { capture: self.recorder.path().into(), ending, progress: progress? })
     }
 
     /// Records from an open port until it is gone or the run is over.
-    fn session(&mut self, port: &Port) -> Result<Session, Diagnostic> {
-        let (_reader, arrivals) = Reader::start(port.handle()?)?;
+    fn session(&mut self, port: &Port) -> Result<PortSessionEnd, Diagnostic> {
+        let (_reader, arrivals) = PortReader::start(port.handle()?)?;
         let mut polling = match self.options.definition.mode {
-            Mode::Poll { hz, timeout } => Some(Polling::new(port.handle()?, hz, timeout)),
-            Mode::Stream | Mode::Push => None,
+            ProtocolMode::Poll { hz, timeout } => Some(BarPolling::new(port.handle()?, hz, timeout)),
+            ProtocolMode::Stream | ProtocolMode::Push => None,
         };
         let idle = self.options.definition.idle;
         let has_controller = self.telegrams.is_some() || self.options.controller.axes.is_some();
-        let longest = if has_controller { Telegrams::PATIENCE } else { Duration::from_millis(50) };
+        let longest = if has_controller { TelegramRecorder::PATIENCE } else { Duration::from_millis(50) };
         loop {
             if let Some(ending) = self.ending() {
-                return Ok(Session::Over(ending));
+                return Ok(PortSessionEnd::Over(ending));
             }
             let mut patience = idle.unwrap_or(longest);
             if let Some(polling) = &mut polling {
                 match polling.step(&self.options.definition, &mut self.recorder)? {
                     Ok(wait) => patience = patience.min(wait),
-                    Err(gone) => return Ok(Session::Gone(clock::now(), gone.to_string())),
+                    Err(gone) => return Ok(PortSessionEnd::Gone(clock::now(), gone.to_string())),
                 }
             }
             let arrival = arrivals.recv_timeout(patience);
-            let line = if arrival.is_err() { BarLine::Idle } else { BarLine::Busy };
+            let line = if arrival.is_err() { BarLineState::Idle } else { BarLineState::Busy };
             match arrival {
                 Ok(Arrival::Bytes(host, bytes)) => {
                     let before = self.recorder.answers();
@@ -293,14 +305,14 @@ impl Run {
                     }
                 }
                 Ok(Arrival::Lost(host, bytes)) => self.recorder.lost(host, bytes)?,
-                Ok(Arrival::Gone(host, why)) => return Ok(Session::Gone(host, why)),
+                Ok(Arrival::Gone(host, why)) => return Ok(PortSessionEnd::Gone(host, why)),
                 Err(RecvTimeoutError::Timeout) => {
                     if idle.is_some() {
                         self.recorder.silence(clock::now())?;
                     }
                 }
                 Err(RecvTimeoutError::Disconnected) => {
-                    return Ok(Session::Gone(clock::now(), "the reading thread ended".into()));
+                    return Ok(PortSessionEnd::Gone(clock::now(), "the reading thread ended".into()));
                 }
             }
             self.record_controller(line)?;
@@ -309,7 +321,7 @@ impl Run {
     }
 
     /// Records the axes and telegrams of the controller.
-    fn record_controller(&mut self, line: BarLine) -> Result<(), Diagnostic> {
+    fn record_controller(&mut self, line: BarLineState) -> Result<(), Diagnostic> {
         while let Some((host, arrival)) = self.options.controller.axes.as_ref().and_then(AxesSource::next) {
             match arrival {
                 AxesArrival::Bytes(bytes) => self.recorder.axes(host, bytes)?,
@@ -322,23 +334,23 @@ impl Run {
         }
     }
 
-    fn ending(&self) -> Option<Ending> {
-        if self.recorder.over() || self.telegrams.as_ref().is_some_and(Telegrams::over) {
-            Some(Ending::Mark)
+    fn ending(&self) -> Option<EndReason> {
+        if self.recorder.over() || self.telegrams.as_ref().is_some_and(TelegramRecorder::over) {
+            Some(EndReason::Mark)
         } else if self.shared.stop.load(Ordering::Relaxed) {
-            Some(Ending::Stopped)
+            Some(EndReason::Stopped)
         } else {
             let elapsed = clock::now().seconds_since(self.began);
-            self.options.duration_s.is_some_and(|limit| elapsed >= limit).then_some(Ending::Duration)
+            self.options.duration_s.is_some_and(|limit| elapsed >= limit).then_some(EndReason::Duration)
         }
     }
 
     /// Opens the port again, with growing pauses between the attempts, or returns what ended the run meanwhile.
-    fn reopen(&mut self, since: HostNs) -> Result<Result<Opened, Ending>, Diagnostic> {
+    fn reopen(&mut self, since: HostNs) -> Result<Result<OpenedBar, EndReason>, Diagnostic> {
         let mut backoff = 0.1;
         let mut next = 0.0;
         loop {
-            self.record_controller(BarLine::Idle)?;
+            self.record_controller(BarLineState::Idle)?;
             self.publish()?;
             if let Some(ending) = self.ending() {
                 return Ok(Err(ending));
@@ -346,7 +358,7 @@ impl Run {
             let away = clock::now().seconds_since(since);
             if away >= next {
                 if self.identity.may_return()
-                    && let Ok(opened) = session::open(&self.identity, &self.options.definition)
+                    && let Ok(opened) = session::open_bar(&self.identity, &self.options.definition)
                 {
                     return Ok(Ok(opened));
                 }
@@ -354,7 +366,7 @@ impl Run {
                 backoff = (2.0 * backoff).min(LONGEST_BACKOFF_S);
             }
             if away >= self.options.gone_s {
-                return Ok(Err(Ending::Gone));
+                return Ok(Err(EndReason::Gone));
             }
             clock::sleep(0.02);
         }

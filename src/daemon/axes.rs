@@ -10,17 +10,17 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 
-use crate::base::clock;
-use crate::base::units::HostNs;
-use crate::catalogue::AxesFinding::{self, ControllerAway, NotListening, Refused};
-use crate::device::axes::{Answer, AxesAddress, AxesDecoder, AxesProtocol, PacketContent, rsi, rtde};
-use crate::device::port::NetworkAddress;
-use crate::recording::capture::Event;
+use dbbd_device::axes::AxesFinding::{self, ControllerAway, NotListening, Refused};
+use dbbd_device::axes::{AxesAddress, AxesDecoder, AxesProtocol, PacketContent, RsiAnswer, rsi, rtde};
+use dbbd_device::clock;
+use dbbd_device::port::NetworkAddress;
+use dbbd_job::recording::capture::RunEvent;
+use dbbd_model::base::units::HostNs;
 
 /// Arrivals that may wait for the recorder: several seconds.
 const QUEUE: usize = 4096;
 /// Interval at which the thread checks whether the run is over.
-const PATIENCE: Duration = Duration::from_millis(20);
+const AXES_STOP_CHECK_INTERVAL: Duration = Duration::from_millis(20);
 /// Timeout for a connection and for an answer.
 const ANSWER_TIME: Duration = Duration::from_secs(2);
 /// Pause between attempts to reconnect, s.
@@ -30,7 +30,7 @@ const BACKOFF_S: f64 = 0.5;
 pub(super) enum AxesArrival {
     /// A datagram, or the bytes of one read.
     Bytes(Vec<u8>),
-    Event(Event),
+    Event(RunEvent),
 }
 
 /// Receives the packets of a controller until it is dropped.
@@ -46,7 +46,7 @@ impl AxesSource {
     pub fn open(address: &AxesAddress) -> Result<Self, AxesFinding> {
         let (sender, arrivals) = sync_channel(QUEUE);
         let stop = Arc::new(AtomicBool::new(false));
-        let line = Line { address: address.clone(), sender, stop: Arc::clone(&stop) };
+        let line = AxesThread { address: address.clone(), sender, stop: Arc::clone(&stop) };
         let address = match *address {
             AxesAddress::Rsi { listen, answer } => line.listen(listen, answer)?,
             AxesAddress::Rtde { .. } => line.poll()?,
@@ -71,13 +71,13 @@ impl Drop for AxesSource {
 }
 
 /// The state of the thread.
-struct Line {
+struct AxesThread {
     address: AxesAddress,
     sender: SyncSender<(HostNs, AxesArrival)>,
     stop: Arc<AtomicBool>,
 }
 
-impl Line {
+impl AxesThread {
     fn over(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
@@ -91,26 +91,26 @@ impl Line {
         let _ = self.sender.send((host, arrival));
     }
 
-    fn event(&self, event: Event) {
+    fn event(&self, event: RunEvent) {
         self.send(clock::now(), AxesArrival::Event(event));
     }
 
     fn remark(&self, text: String) {
-        self.event(Event::Mark { text: format!("axes: {text}") });
+        self.event(RunEvent::Mark { text: format!("axes: {text}") });
     }
 
     fn opened(&self) {
-        self.event(Event::AxesOpened {
+        self.event(RunEvent::AxesOpened {
             address: self.address.to_string(),
             protocol: self.address.protocol(),
         });
     }
 
-    fn listen(self, listen: SocketAddr, answer: Answer) -> Result<SocketAddr, AxesFinding> {
+    fn listen(self, listen: SocketAddr, answer: RsiAnswer) -> Result<SocketAddr, AxesFinding> {
         let wrong =
             |error: io::Error| NotListening { address: self.address.to_string(), why: error.to_string() };
         let socket = UdpSocket::bind(listen).map_err(wrong)?;
-        socket.set_read_timeout(Some(PATIENCE)).map_err(wrong)?;
+        socket.set_read_timeout(Some(AXES_STOP_CHECK_INTERVAL)).map_err(wrong)?;
         let bound = socket.local_addr().map_err(wrong)?;
         let no_thread = wrong(io::Error::other("no thread"));
         self.opened();
@@ -122,8 +122,8 @@ impl Line {
     }
 
     /// Receives the datagrams of the first controller that sends one.
-    fn receive(&self, socket: &UdpSocket, answer: Answer) {
-        let mut room = vec![0; rsi::LONGEST + 1];
+    fn receive(&self, socket: &UdpSocket, answer: RsiAnswer) {
+        let mut room = vec![0; rsi::MAX_DATAGRAM_BYTES + 1];
         let (mut controller, mut unrecorded, mut strangers): (Option<IpAddr>, u64, u64) = (None, 0, 0);
         while !self.over() {
             // The error may refer to an earlier answer: nobody listens at that port.
@@ -140,8 +140,8 @@ impl Line {
                 }
                 continue;
             }
-            if answer == Answer::Zero
-                && let Ok(sample) = rsi::read(bytes)
+            if answer == RsiAnswer::Zero
+                && let Ok(sample) = rsi::read_datagram(bytes)
             {
                 // Fails if the controller is gone.
                 let _ = socket.send_to(rsi::zero_answer(sample.ticks).as_bytes(), from);
@@ -193,7 +193,10 @@ impl Line {
             }
         }
         let mut stream = connected.map_err(away)?;
-        stream.set_nodelay(true).and_then(|()| stream.set_read_timeout(Some(PATIENCE))).map_err(away)?;
+        stream
+            .set_nodelay(true)
+            .and_then(|()| stream.set_read_timeout(Some(AXES_STOP_CHECK_INTERVAL)))
+            .map_err(away)?;
         self.opened();
         let mut decoder = AxesDecoder::new(AxesProtocol::Rtde);
         for (request, step) in rtde::requests(*rate_hz).iter().zip(["protocol version", "recipe", "start"]) {

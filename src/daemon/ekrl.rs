@@ -13,22 +13,22 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::recorder::Recorder;
-use super::schedule::{Mismatch, Schedule};
-use crate::base::clock;
-use crate::base::sync::lock;
-use crate::base::units::HostNs;
-use crate::catalogue::PortFinding::{self, NotListening};
-use crate::diagnostic::Diagnostic;
-use crate::recording::capture::Event;
-use crate::recording::{Telegram, TelegramReader, TelegramResult};
+use super::schedule::{Schedule, TelegramMismatch};
+use dbbd_device::clock;
+use dbbd_device::port::PortFinding::{self, NotListening};
+use dbbd_device::sync::lock;
+use dbbd_job::recording::capture::RunEvent;
+use dbbd_job::recording::{Telegram, TelegramReader, TelegramResult};
+use dbbd_model::base::units::HostNs;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// Connections at a time: the controller's and stale ones. A new connection replaces the one that has been idle
 /// longest.
-const MOST_CLIENTS: usize = 8;
+const MAX_CLIENTS: usize = 8;
 /// Events that are not recorded yet. Each client waits for its answer, so the queue never fills.
-const QUEUE: usize = 4 * MOST_CLIENTS;
+const QUEUE: usize = 4 * MAX_CLIENTS;
 /// Interval at which the threads check whether the run is over.
-const PATIENCE: Duration = Duration::from_millis(20);
+const EKRL_STOP_CHECK_INTERVAL: Duration = Duration::from_millis(20);
 
 #[derive(Debug)]
 enum ChannelEvent {
@@ -42,13 +42,13 @@ enum ChannelEvent {
 
 /// Receives the telegrams until it is dropped.
 #[derive(Debug)]
-pub struct Server {
+pub struct EkrlServer {
     address: SocketAddr,
     events: Receiver<(HostNs, ChannelEvent)>,
     stop: Arc<AtomicBool>,
 }
 
-impl Server {
+impl EkrlServer {
     /// Port 0 means any free port.
     pub fn listen(address: SocketAddr) -> Result<Self, PortFinding> {
         let error = |error: io::Error| NotListening { address: address.to_string(), why: error.to_string() };
@@ -57,7 +57,7 @@ impl Server {
         let address = listener.local_addr().map_err(error)?;
         let (sender, events) = sync_channel(QUEUE);
         let stop = Arc::new(AtomicBool::new(false));
-        let channel = Channel { sender, stop: Arc::clone(&stop), open: Arc::default() };
+        let channel = TelegramChannel { sender, stop: Arc::clone(&stop), open: Arc::default() };
         std::thread::Builder::new()
             .name("ekrl".into())
             .spawn(move || channel.accept(&listener))
@@ -70,7 +70,7 @@ impl Server {
     }
 }
 
-impl Drop for Server {
+impl Drop for EkrlServer {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
     }
@@ -78,20 +78,20 @@ impl Drop for Server {
 
 /// Shared by the threads of the connections.
 #[derive(Clone)]
-struct Channel {
+struct TelegramChannel {
     sender: SyncSender<(HostNs, ChannelEvent)>,
     stop: Arc<AtomicBool>,
-    open: Arc<Mutex<Vec<Arc<Client>>>>,
+    open: Arc<Mutex<Vec<Arc<TelegramClient>>>>,
 }
 
 #[derive(Debug, Default)]
-struct Client {
+struct TelegramClient {
     /// Time of its last telegram, ns; 0 for none.
     heard_ns: AtomicU64,
     replaced: AtomicBool,
 }
 
-impl Channel {
+impl TelegramChannel {
     fn over(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
@@ -114,7 +114,7 @@ impl Channel {
                     if error.kind() != ErrorKind::WouldBlock && !std::mem::replace(&mut failing, true) {
                         self.send(ChannelEvent::Remark(format!("EthernetKRL: nobody can connect: {error}")));
                     }
-                    clock::sleep(PATIENCE.as_secs_f64());
+                    clock::sleep(EKRL_STOP_CHECK_INTERVAL.as_secs_f64());
                 }
             }
         }
@@ -146,10 +146,10 @@ impl Channel {
     }
 
     /// Registers a client, in place of the one that has been idle longest if there are too many.
-    fn enter(&self) -> Arc<Client> {
-        let client = Arc::<Client>::default();
+    fn enter(&self) -> Arc<TelegramClient> {
+        let client = Arc::<TelegramClient>::default();
         let mut open = lock(&self.open);
-        if open.len() >= MOST_CLIENTS {
+        if open.len() >= MAX_CLIENTS {
             let heard = |at: &usize| open[*at].heard_ns.load(Ordering::Relaxed);
             if let Some(idle) = (0..open.len()).min_by_key(heard) {
                 open.remove(idle).replaced.store(true, Ordering::Relaxed);
@@ -160,18 +160,18 @@ impl Channel {
     }
 
     /// Returns the number of remaining clients.
-    fn leave(&self, client: &Arc<Client>) -> usize {
+    fn leave(&self, client: &Arc<TelegramClient>) -> usize {
         let mut open = lock(&self.open);
         open.retain(|other| !Arc::ptr_eq(other, client));
         open.len()
     }
 
     /// Answers one client until it disconnects. Also returns the reason in words.
-    fn serve(&self, mut stream: TcpStream, client: &Client) -> (TelegramReader, String) {
+    fn serve(&self, mut stream: TcpStream, client: &TelegramClient) -> (TelegramReader, String) {
         let mut reader = TelegramReader::default();
         let set = stream
             .set_nonblocking(false)
-            .and_then(|()| stream.set_read_timeout(Some(PATIENCE)))
+            .and_then(|()| stream.set_read_timeout(Some(EKRL_STOP_CHECK_INTERVAL)))
             .and_then(|()| stream.set_write_timeout(Some(Duration::from_secs(1))))
             .and_then(|()| stream.set_nodelay(true));
         if let Err(error) = set {
@@ -180,7 +180,7 @@ impl Channel {
         let mut bytes = [0; 2048];
         while !self.over() {
             if client.replaced.load(Ordering::Relaxed) {
-                return (reader, format!("was idle the longest of {MOST_CLIENTS}, and was left for another"));
+                return (reader, format!("was idle the longest of {MAX_CLIENTS}, and was left for another"));
             }
             let count = match stream.read(&mut bytes) {
                 Ok(0) => return (reader, "has closed".into()),
@@ -219,8 +219,8 @@ impl Channel {
 }
 
 /// Records the telegrams of a run, and reports when the program is over.
-pub(super) struct Telegrams {
-    server: Server,
+pub(super) struct TelegramRecorder {
+    server: EkrlServer,
     schedule: Schedule,
     waiting: VecDeque<(HostNs, ChannelEvent)>,
     last_dwell_over: bool,
@@ -233,26 +233,26 @@ const BEFORE_S: f64 = 0.02;
 
 /// Whether bytes of the bar may be waiting to be recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum BarLine {
+pub(super) enum BarLineState {
     Busy,
     Idle,
 }
 
-impl Telegrams {
+impl TelegramRecorder {
     /// Longest wait for the bar while telegrams may come.
     pub(super) const PATIENCE: Duration = Duration::from_millis(4);
 
-    pub(super) fn new(server: Server, schedule: Schedule) -> Self {
+    pub(super) fn new(server: EkrlServer, schedule: Schedule) -> Self {
         Self { server, schedule, waiting: VecDeque::new(), last_dwell_over: false, closed: false }
     }
 
     /// Records and answers the telegrams that are old enough; all of them while the bar is idle.
-    pub(super) fn step(&mut self, recorder: &mut Recorder, line: BarLine) -> Result<(), Diagnostic> {
+    pub(super) fn step(&mut self, recorder: &mut Recorder, line: BarLineState) -> Result<(), Diagnostic> {
         self.waiting.extend(self.server.events.try_iter());
         let now = clock::now();
         while let Some((host, event)) = self
             .waiting
-            .pop_front_if(|(host, _)| line == BarLine::Idle || now.seconds_since(*host) > BEFORE_S)
+            .pop_front_if(|(host, _)| line == BarLineState::Idle || now.seconds_since(*host) > BEFORE_S)
         {
             match event {
                 ChannelEvent::Telegram(telegram, answer) => {
@@ -260,7 +260,7 @@ impl Telegrams {
                     // The client may have disconnected.
                     let _ = answer.send(id);
                 }
-                ChannelEvent::Remark(text) => recorder.event(host, Event::Mark { text })?,
+                ChannelEvent::Remark(text) => recorder.event(host, RunEvent::Mark { text })?,
                 ChannelEvent::Quiet => self.closed = self.last_dwell_over,
             }
         }
@@ -277,13 +277,14 @@ impl Telegrams {
         let Telegram { run, index, phase, axes_deg } = *telegram;
         if let Some(mismatch) = self.schedule.mismatch(telegram) {
             let why = match mismatch {
-                Mismatch::Run { expected } => {
+                TelegramMismatch::Run { expected } => {
                     format!("it is of run {run}, the plan's program is run {expected}")
                 }
-                Mismatch::NoDwell => format!("row {index} of the plan is no dwell"),
+                TelegramMismatch::NoDwell => format!("row {index} of the plan is no dwell"),
             };
             recorder.progress.refused += 1;
-            recorder.event(host, Event::Mark { text: format!("EthernetKRL: refused a telegram: {why}") })?;
+            recorder
+                .event(host, RunEvent::Mark { text: format!("EthernetKRL: refused a telegram: {why}") })?;
             return Ok(0);
         }
         recorder.progress.telegrams += 1;
@@ -291,7 +292,7 @@ impl Telegrams {
             recorder.progress.dwells += 1;
             self.last_dwell_over |= self.schedule.is_last(index);
         }
-        recorder.event(host, Event::Controller { index, phase, axes_deg })?;
+        recorder.event(host, RunEvent::Controller { index, phase, axes_deg })?;
         Ok(index)
     }
 

@@ -5,20 +5,20 @@ use std::sync::{Arc, Mutex};
 
 use tokio::sync::broadcast;
 
-use super::mount_detector::{MountDetector, Reading};
+use super::mount_detector::{MountDetector, MountReading};
 use super::schedule::Schedule;
-use crate::base::clock;
-use crate::base::sync::lock;
-use crate::base::units::HostNs;
-use crate::diagnostic::Finding;
 use crate::live::{Alarm, Frame, Message, Mounting, MountingNote, Point};
-use crate::measurement::sample::Sample;
-use crate::recording::mounting::{Expected, MountedReading, MountingMonitor};
+use dbbd_device::clock;
+use dbbd_device::sync::lock;
+use dbbd_job::recording::mounting::{ExpectedMounting, MountedReading, MountingMonitor};
+use dbbd_model::base::units::HostNs;
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::measurement::sample::Sample;
 
 /// Host time of a frame, s.
 const FRAME_S: f64 = 0.05;
 /// Findings about the mounting that are kept.
-const MOST_FINDINGS: usize = 20;
+const MAX_FINDINGS: usize = 20;
 
 /// The state that is shared with clients.
 #[derive(Clone, Debug)]
@@ -39,7 +39,7 @@ pub struct LiveRun {
 
 /// The recorder's side of the live state.
 #[derive(Debug)]
-pub struct Feed {
+pub struct LiveFeed {
     state: LiveState,
     schedule: Schedule,
     mount: MountDetector,
@@ -63,8 +63,8 @@ struct StrobeMean {
     samples: u32,
 }
 
-impl Feed {
-    pub fn new(state: LiveState, schedule: Schedule, expected: Expected) -> Self {
+impl LiveFeed {
+    pub fn new(state: LiveState, schedule: Schedule, expected: ExpectedMounting) -> Self {
         let wall_ns = clock::unix_ns() as f64 - clock::now().0 as f64;
         Self {
             state,
@@ -98,7 +98,7 @@ impl Feed {
         }
         let t_s = device_s.unwrap_or(host_s);
         let reading_mm = sample.reading_mm;
-        let now = Reading { t_s: host_s, reading_mm, valid: sample.valid, dwells };
+        let now = MountReading { t_s: host_s, reading_mm, valid: sample.valid, dwells };
         let alarm = self.mount.alarm(&self.schedule, now);
         let unix_ms = (host.0 as f64 + self.wall_ns) * 1e-6;
         let empty = Frame {
@@ -132,7 +132,7 @@ impl Feed {
             unix_ms: unix_ms.max(0.0) as u64,
         };
         let mut run = lock(&self.state.run);
-        if run.mounting.findings.len() >= MOST_FINDINGS {
+        if run.mounting.findings.len() >= MAX_FINDINGS {
             run.mounting.findings.remove(0);
         }
         run.mounting.findings.push(note.clone());

@@ -13,16 +13,21 @@ mod service;
 mod session;
 mod signals;
 
-pub use acquisition::{Acquisition, Controller, Ending, Options, Summary};
+pub use acquisition::{
+    Acquisition, AcquisitionOptions, AcquisitionSummary, ControllerConnections, EndReason,
+};
 pub use axes::AxesSource;
-pub use ekrl::Server;
-pub use identify::{Attempt, Search};
-pub use live_state::{Feed, LiveRun, LiveState};
-pub use mount_detector::{MountDetector, Reading};
-pub use recorder::{Progress, Recorder};
+pub use ekrl::EkrlServer;
+pub use identify::{ProbeAttempt, ProtocolSearch};
+pub use live_state::{LiveFeed, LiveRun, LiveState};
+pub use mount_detector::{MountDetector, MountReading};
+pub use recorder::{Recorder, RunProgress};
 pub use schedule::{ALARM_SHARE, Schedule};
 #[cfg(feature = "archive")]
 pub use service::serve_plant;
-pub use service::{Cell, Config, Endpoint, Halt, Level, Log, MakeCell, abort_on_panic, serve};
-pub use session::zero;
+pub use service::{
+    Endpoint, HaltBehaviour, LogLevel, MakeCell, ServiceConfig, ServiceLog, SimulatedCell, abort_on_panic,
+    serve,
+};
+pub use session::zero_bar;
 pub use signals::stop_on_signal;

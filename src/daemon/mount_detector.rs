@@ -7,7 +7,7 @@ use crate::live::Alarm;
 const SETTLED_S: f64 = 1.0;
 
 #[derive(Clone, Copy, Debug)]
-pub struct Reading {
+pub struct MountReading {
     pub t_s: f64,
     pub reading_mm: f64,
     /// As flagged by the bar.
@@ -31,8 +31,8 @@ pub struct MountDetector {
 
 impl MountDetector {
     /// The alarm of a mounted bar; `None` if no bar is mounted.
-    pub fn alarm(&mut self, schedule: &Schedule, now: Reading) -> Option<Alarm> {
-        let Reading { t_s, reading_mm, valid, dwells } = now;
+    pub fn alarm(&mut self, schedule: &Schedule, now: MountReading) -> Option<Alarm> {
+        let MountReading { t_s, reading_mm, valid, dwells } = now;
         let alarm = schedule.alarm(reading_mm);
         let inside = valid && alarm != Alarm::Over;
         self.inside_since_s = inside.then(|| self.inside_since_s.unwrap_or(t_s));
@@ -91,7 +91,7 @@ mod tests {
             (16.0, 1.0, false, 6, off),
         ] {
             assert_eq!(
-                detector.alarm(&schedule, Reading { t_s, reading_mm, valid, dwells }),
+                detector.alarm(&schedule, MountReading { t_s, reading_mm, valid, dwells }),
                 alarm,
                 "at {t_s} s"
             );
@@ -100,12 +100,12 @@ mod tests {
         let mut detector = MountDetector::default();
         for (t_s, dwells) in [(0.0, 0), (1.0, 0), (3.0, 3), (4.0, 4)] {
             assert_eq!(
-                detector.alarm(&schedule, Reading { t_s, reading_mm: 0.0, valid: true, dwells }),
+                detector.alarm(&schedule, MountReading { t_s, reading_mm: 0.0, valid: true, dwells }),
                 fine
             );
         }
         assert_eq!(
-            detector.alarm(&schedule, Reading { t_s: 5.0, reading_mm: 1.0, valid: false, dwells: 4 }),
+            detector.alarm(&schedule, MountReading { t_s: 5.0, reading_mm: 1.0, valid: false, dwells: 4 }),
             over
         );
     }

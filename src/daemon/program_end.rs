@@ -1,7 +1,7 @@
 //! Counts dwells and modules by the strobe during a run, and detects the end of the program.
 
-use crate::measurement::sample::Sample;
-use crate::recording::{StrobeDecoder, StrobeEvent};
+use dbbd_job::recording::{StrobeDecoder, StrobeEvent};
+use dbbd_model::measurement::sample::Sample;
 
 /// Without a plan the program is over when the strobe stays low for this time after an end mark, s.
 const OVER_S: f64 = 20.0;

@@ -5,16 +5,16 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use super::live_state::Feed;
+use super::live_state::LiveFeed;
 use super::program_end::ProgramEnd;
-use crate::base::units::HostNs;
-use crate::catalogue::RecordingFinding;
-use crate::device::protocol::{Decoded, Decoder, Definition, Fault, FaultKind};
-use crate::diagnostic::Diagnostic;
-use crate::measurement::sample::Sample;
-use crate::recording::axes::{AxesReceiver, AxesRecords, PacketCounts};
-use crate::recording::capture::{Event, Record, Writer};
-use crate::recording::{DeviceTime, SequenceStep, Stamp, sequence_step};
+use dbbd_device::protocol::{DecodedItem, LineFault, LineFaultKind, ProtocolDecoder, ProtocolDefinition};
+use dbbd_job::recording::RecordingFinding;
+use dbbd_job::recording::axes::{AxesReceiver, AxesRecords, PacketCounts};
+use dbbd_job::recording::capture::{CaptureRecord, CaptureWriter, RunEvent};
+use dbbd_job::recording::{ClockStamp, DeviceTime, SequenceStep, sequence_step};
+use dbbd_model::base::units::HostNs;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::measurement::sample::Sample;
 
 /// Shorter silence is not recorded where sequence numbers show losses, s: radio links deliver batches of a second.
 const SILENCE_S: f64 = 2.5;
@@ -27,7 +27,7 @@ const CHECK_S: f64 = 0.5;
 
 /// The counts of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Progress {
+pub struct RunProgress {
     /// Host time.
     pub elapsed_s: f64,
     /// Device time since the first sample, if the device has a clock.
@@ -70,16 +70,16 @@ pub struct Progress {
 
 /// The recorder of one run.
 pub struct Recorder {
-    writer: Writer,
-    decoder: Decoder,
-    decoded: Vec<Decoded>,
+    writer: CaptureWriter,
+    decoder: ProtocolDecoder,
+    decoded: Vec<DecodedItem>,
     /// Samples of one host time that are not written yet.
     batch: Vec<Sample>,
     batch_host: HostNs,
     /// Faults since the last sample.
     faults_in_a_row: u32,
     /// Not written yet: the next fault may join it.
-    fault: Option<(HostNs, Fault)>,
+    fault: Option<(HostNs, LineFault)>,
     program: ProgramEnd,
     time: Option<DeviceTime>,
     sequence_modulo: Option<u32>,
@@ -100,18 +100,18 @@ pub struct Recorder {
     in_a_row: u32,
     sync_frames: u32,
     began: HostNs,
-    pub progress: Progress,
+    pub progress: RunProgress,
     /// Interference of other programs with the capture file.
     pub(super) findings: Vec<Diagnostic>,
     axes: AxesRecords,
-    pub(super) feed: Option<Feed>,
+    pub(super) feed: Option<LiveFeed>,
 }
 
 impl Recorder {
     /// `modules` is the number of modules of the plan's program. The capture is synced to the disk every `sync_s` seconds.
     pub fn new(
-        writer: Writer,
-        definition: &Definition,
+        writer: CaptureWriter,
+        definition: &ProtocolDefinition,
         modules: Option<usize>,
         sync_s: f64,
         now: HostNs,
@@ -142,7 +142,7 @@ impl Recorder {
             in_a_row: 0,
             sync_frames: definition.sync_frames,
             began: now,
-            progress: Progress::default(),
+            progress: RunProgress::default(),
             findings: Vec::new(),
             axes: AxesRecords::default(),
             feed: None,
@@ -154,27 +154,27 @@ impl Recorder {
         self.program.is_over()
     }
 
-    pub fn event(&mut self, host: HostNs, event: Event) -> Result<(), Diagnostic> {
-        if matches!(event, Event::Gap { .. }) {
+    pub fn event(&mut self, host: HostNs, event: RunEvent) -> Result<(), Diagnostic> {
+        if matches!(event, RunEvent::Gap { .. }) {
             self.progress.gaps += 1;
         }
         self.flush()?;
         self.flush_fault()?;
-        let record = Record::Event(event);
+        let record = CaptureRecord::Event(event);
         self.axes.add(host, &record, |_, _, _| {});
         self.writer.write(host, &record)
     }
 
     /// Records bytes of a controller that publishes its axes.
     pub fn axes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
-        let record = Record::Axes(bytes);
+        let record = CaptureRecord::Axes(bytes);
         self.writer.write(host, &record)?;
         self.axes.add(host, &record, |_, _, _| {});
         Ok(())
     }
 
     pub(super) fn attach(&mut self, host: HostNs, name: &str, content: &[u8]) -> Result<(), Diagnostic> {
-        self.writer.write(host, &Record::Attachment { name: name.into(), content: content.to_vec() })
+        self.writer.write(host, &CaptureRecord::Attachment { name: name.into(), content: content.to_vec() })
     }
 
     /// Records bytes of the bar: they are written before they are decoded.
@@ -182,9 +182,9 @@ impl Recorder {
         self.silent(host, 0.0)?;
         self.last_bytes = Some(host);
         self.progress.bytes += bytes.len() as u64;
-        let record = Record::Raw(bytes);
+        let record = CaptureRecord::Raw(bytes);
         self.writer.write(host, &record)?;
-        if let Record::Raw(bytes) = &record {
+        if let CaptureRecord::Raw(bytes) = &record {
             self.decoder.push(bytes, &mut self.decoded);
         }
         self.decoded(host)
@@ -201,7 +201,7 @@ impl Recorder {
             self.progress.silent_s += silent_s;
         }
         let reason = "nothing was received".into();
-        self.event(host, Event::Gap { seconds: Some(silent_s), missing: None, reason })
+        self.event(host, RunEvent::Gap { seconds: Some(silent_s), missing: None, reason })
     }
 
     /// Notes a request to a polled device.
@@ -232,7 +232,7 @@ impl Recorder {
         self.progress.lost_bytes += bytes;
         self.interrupted(host)?;
         let reason = format!("{bytes} bytes were lost: the recorder was too slow");
-        self.event(host, Event::Gap { seconds: None, missing: None, reason })
+        self.event(host, RunEvent::Gap { seconds: None, missing: None, reason })
     }
 
     /// The stream was interrupted: a pending frame will not be completed.
@@ -246,11 +246,11 @@ impl Recorder {
         let mut decoded = std::mem::take(&mut self.decoded);
         for one in decoded.drain(..) {
             match one {
-                Decoded::Sample(sample, _) => self.sample(host, &sample)?,
-                Decoded::Fault(fault) => {
+                DecodedItem::Sample(sample, _) => self.sample(host, &sample)?,
+                DecodedItem::Fault(fault) => {
                     match fault.kind {
-                        FaultKind::Ignored => {}
-                        FaultKind::Reject(_) => self.progress.rejected += 1,
+                        LineFaultKind::Ignored => {}
+                        LineFaultKind::Reject(_) => self.progress.rejected += 1,
                         _ => {
                             self.progress.faults += 1;
                             self.in_a_row = 0;
@@ -264,7 +264,7 @@ impl Recorder {
         self.flush()
     }
 
-    fn fault(&mut self, host: HostNs, fault: Fault) -> Result<(), Diagnostic> {
+    fn fault(&mut self, host: HostNs, fault: LineFault) -> Result<(), Diagnostic> {
         self.flush()?;
         self.faults_in_a_row = self.faults_in_a_row.saturating_add(1);
         let other = match &mut self.fault {
@@ -282,7 +282,7 @@ impl Recorder {
         let Some((host, fault)) = self.fault.take() else { return Ok(()) };
         let json = serde_json::to_vec(&fault)
             .map_err(|error| RecordingFinding::EventNotWritten { why: error.to_string() })?;
-        self.writer.write(host, &Record::Fault(json))
+        self.writer.write(host, &CaptureRecord::Fault(json))
     }
 
     /// Writes the pending samples. Records keep the order of arrival.
@@ -290,9 +290,9 @@ impl Recorder {
         if self.batch.is_empty() {
             return Ok(());
         }
-        let record = Record::Samples(std::mem::take(&mut self.batch));
+        let record = CaptureRecord::Samples(std::mem::take(&mut self.batch));
         self.writer.write(self.batch_host, &record)?;
-        if let Record::Samples(mut batch) = record {
+        if let CaptureRecord::Samples(mut batch) = record {
             batch.clear();
             self.batch = batch;
         }
@@ -320,7 +320,7 @@ impl Recorder {
         self.progress.valid = sample.valid;
         self.progress.invalid += u64::from(!sample.valid);
         let device = self.time.as_mut().zip(sample.ticks);
-        let device_s = device.map(|(time, ticks)| time.seconds(Stamp { host, ticks }));
+        let device_s = device.map(|(time, ticks)| time.seconds(ClockStamp { host, ticks }));
         self.program.push(device_s.unwrap_or_else(|| host.seconds_since(self.began)), sample);
         self.progress.device_s = device_s;
         self.progress.dwells = self.progress.dwells.max(self.program.dwells);
@@ -328,7 +328,9 @@ impl Recorder {
         let Some(feed) = &mut self.feed else { return Ok(()) };
         feed.dwell(self.progress.dwells, self.program.high_since_s(), sample);
         match feed.sample(host, device_s, sample, self.progress.dwells) {
-            Some(note) => self.event(host, Event::Finding { code: note.code.0.into(), text: note.text }),
+            Some(note) => {
+                self.event(host, RunEvent::Finding { code: note.code.as_str().into(), text: note.text })
+            }
             None => Ok(()),
         }
     }
@@ -345,7 +347,7 @@ impl Recorder {
             SequenceStep::Back => (None, format!("the sequence number went from {last} to {sequence}")),
         };
         self.progress.missing += missing.unwrap_or(0);
-        self.event(host, Event::Gap { seconds: None, missing, reason })
+        self.event(host, RunEvent::Gap { seconds: None, missing, reason })
     }
 
     /// The device was restarted: its sequence numbers may begin again.
@@ -389,7 +391,7 @@ impl Recorder {
     }
 
     /// Completes the capture.
-    pub fn finish(&mut self, now: HostNs, reason: &str) -> Result<Progress, Diagnostic> {
+    pub fn finish(&mut self, now: HostNs, reason: &str) -> Result<RunProgress, Diagnostic> {
         // Shorter silence may be caused by the end of the run itself.
         self.silent(now, SILENT_S)?;
         self.interrupted(now)?;

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use crate::live::{Alarm, NextPose, Point};
-use crate::plan::{Kind, Motion, Plan};
-use crate::recording::{Telegram, run_number};
+use dbbd_job::plan::{MotionKind, Plan, PoseKind};
+use dbbd_job::recording::{Telegram, run_number};
 
 /// Share of the half stroke beyond which the alarm is raised.
 pub const ALARM_SHARE: f64 = 0.9;
@@ -22,7 +22,7 @@ pub struct Schedule {
     duration_s: Option<f64>,
     /// Completed dwells at each removal of the bar.
     pub(super) taken_off: Vec<u32>,
-    program: Option<Program>,
+    program: Option<ScheduledProgram>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +38,7 @@ struct PlannedDwell {
 
 /// The plan's program.
 #[derive(Clone, Debug, PartialEq)]
-struct Program {
+struct ScheduledProgram {
     /// One per circle of the plan.
     modules: usize,
     /// The run number in its telegrams.
@@ -49,16 +49,16 @@ struct Program {
 
 /// Why a telegram is not of the plan's program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Mismatch {
+pub(super) enum TelegramMismatch {
     Run { expected: u32 },
     NoDwell,
 }
 
-impl Program {
+impl ScheduledProgram {
     fn of(plan: &Plan) -> Self {
         let circles: BTreeSet<u32> =
             plan.rows.iter().map(|row| row.circle).filter(|circle| *circle != 0).collect();
-        let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit).map(|row| row.index);
+        let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).map(|row| row.index);
         let reported = dwells.chain(plan.header.passes.iter().map(|pass| pass.end)).collect();
         Self { modules: circles.len(), run: run_number(&plan.header.hash), reported }
     }
@@ -77,20 +77,21 @@ impl Schedule {
             *left_s -= row_s;
             Some(left_s.max(0.0))
         });
-        let rows = plan.rows.iter().zip(&places).zip(left).filter(|((row, _), _)| row.kind != Kind::Transit);
+        let rows =
+            plan.rows.iter().zip(&places).zip(left).filter(|((row, _), _)| row.kind != PoseKind::Transit);
         let dwells = rows.map(|((row, place), left_s)| PlannedDwell {
             index: row.index,
             circle: row.circle,
             // A reference pose is not drawn on the circle.
-            angle_deg: place.filter(|_| row.kind == Kind::Measure).map(|place| place.angle_deg),
+            angle_deg: place.filter(|_| row.kind == PoseKind::Measure).map(|place| place.angle_deg),
             clockwise: place.is_some_and(|place| place.clockwise),
             length_mm: row.length_mm,
             left_s,
         });
         // The bar is off during every PTP motion, and after the end.
-        let off = plan.rows.iter().filter(|row| row.motion == Motion::Ptp).map(|row| row.index);
+        let off = plan.rows.iter().filter(|row| row.motion == MotionKind::Ptp).map(|row| row.index);
         let over = |index: u32| {
-            plan.rows.iter().filter(|row| row.kind != Kind::Transit && row.index < index).count() as u32
+            plan.rows.iter().filter(|row| row.kind != PoseKind::Transit && row.index < index).count() as u32
         };
         let mut taken_off: Vec<u32> = off.chain([u32::MAX]).map(over).filter(|dwells| *dwells > 0).collect();
         taken_off.dedup();
@@ -102,7 +103,7 @@ impl Schedule {
             dwells: dwells.collect(),
             duration_s: Some(duration_s),
             taken_off,
-            program: Some(Program::of(plan)),
+            program: Some(ScheduledProgram::of(plan)),
         }
     }
 
@@ -111,11 +112,11 @@ impl Schedule {
     }
 
     /// `None` if the telegram is of the plan's program, or without a plan.
-    pub(super) fn mismatch(&self, telegram: &Telegram) -> Option<Mismatch> {
+    pub(super) fn mismatch(&self, telegram: &Telegram) -> Option<TelegramMismatch> {
         let program = self.program.as_ref()?;
         match program.run {
-            Some(expected) if expected != telegram.run => Some(Mismatch::Run { expected }),
-            _ => (!program.reported.contains(&telegram.index)).then_some(Mismatch::NoDwell),
+            Some(expected) if expected != telegram.run => Some(TelegramMismatch::Run { expected }),
+            _ => (!program.reported.contains(&telegram.index)).then_some(TelegramMismatch::NoDwell),
         }
     }
 

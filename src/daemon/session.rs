@@ -3,15 +3,15 @@
 use std::time::Duration;
 
 use super::recorder::Recorder;
-use crate::base::clock;
-use crate::base::units::HostNs;
-use crate::catalogue::PortFinding::{self, BarSilent};
-use crate::device::port::{Port, PortAddress};
-use crate::device::protocol::{Definition, Step};
-use crate::diagnostic::Diagnostic;
+use dbbd_device::clock;
+use dbbd_device::port::PortFinding::{self, BarSilent};
+use dbbd_device::port::{Port, PortAddress};
+use dbbd_device::protocol::{CommandStep, ProtocolDefinition};
+use dbbd_model::base::units::HostNs;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// An open and started bar.
-pub(super) struct Opened {
+pub(super) struct OpenedBar {
     pub(super) port: Port,
     /// Before the line was opened.
     pub(super) began: HostNs,
@@ -22,16 +22,19 @@ pub(super) struct Opened {
 }
 
 /// Opens the line, stops the bar (it may still send from an earlier run) and starts it.
-pub(super) fn open(address: &PortAddress, definition: &Definition) -> Result<Opened, PortFinding> {
+pub(super) fn open_bar(
+    address: &PortAddress,
+    definition: &ProtocolDefinition,
+) -> Result<OpenedBar, PortFinding> {
     let began = clock::now();
     let (mut port, stale) = open_stopped(address, definition)?;
     perform(&mut port, &definition.init)?;
     let first = perform(&mut port, &definition.start)?.rest;
-    Ok(Opened { port, began, stale, first })
+    Ok(OpenedBar { port, began, stale, first })
 }
 
 /// Sets the bar's present reading to zero.
-pub fn zero(address: &PortAddress, definition: &Definition) -> Result<(), PortFinding> {
+pub fn zero_bar(address: &PortAddress, definition: &ProtocolDefinition) -> Result<(), PortFinding> {
     let (mut port, _) = open_stopped(address, definition)?;
     let received = perform(&mut port, &definition.zero)?;
     if received.answered {
@@ -42,7 +45,7 @@ pub fn zero(address: &PortAddress, definition: &Definition) -> Result<(), PortFi
 }
 
 /// Opens the line and stops the bar. Also returns the number of discarded bytes of an earlier stream.
-fn open_stopped(address: &PortAddress, definition: &Definition) -> Result<(Port, u64), PortFinding> {
+fn open_stopped(address: &PortAddress, definition: &ProtocolDefinition) -> Result<(Port, u64), PortFinding> {
     let mut port = Port::open(address, &definition.line)?;
     clock::sleep(definition.line.settle.as_secs_f64());
     let mut stale = find_rate(&mut port, address, definition)?;
@@ -54,7 +57,11 @@ fn open_stopped(address: &PortAddress, definition: &Definition) -> Result<(Port,
 }
 
 /// Tries the baud rates of the definition until the bar answers. Returns the number of discarded bytes.
-fn find_rate(port: &mut Port, address: &PortAddress, definition: &Definition) -> Result<u64, PortFinding> {
+fn find_rate(
+    port: &mut Port,
+    address: &PortAddress,
+    definition: &ProtocolDefinition,
+) -> Result<u64, PortFinding> {
     let mut discarded = 0;
     if definition.ident.is_empty() {
         return Ok(discarded);
@@ -75,17 +82,17 @@ fn find_rate(port: &mut Port, address: &PortAddress, definition: &Definition) ->
 }
 
 /// Stops the bar. An absent bar needs no stop.
-pub(super) fn close(mut port: Port, definition: &Definition) {
+pub(super) fn close(mut port: Port, definition: &ProtocolDefinition) {
     let _ = perform(&mut port, &definition.stop);
 }
 
 /// Requests a reading.
-pub(super) fn ask(port: &mut Port, definition: &Definition) -> Result<(), PortFinding> {
+pub(super) fn request_reading(port: &mut Port, definition: &ProtocolDefinition) -> Result<(), PortFinding> {
     perform(port, &definition.poll).map(drop)
 }
 
 /// Polls a device: one request at a time.
-pub(super) struct Polling {
+pub(super) struct BarPolling {
     port: Port,
     period_s: f64,
     timeout_s: f64,
@@ -94,7 +101,7 @@ pub(super) struct Polling {
     last: Option<HostNs>,
 }
 
-impl Polling {
+impl BarPolling {
     pub(super) fn new(port: Port, hz: f64, timeout: Duration) -> Self {
         Self { port, period_s: 1.0 / hz, timeout_s: timeout.as_secs_f64(), pending: None, last: None }
     }
@@ -107,7 +114,7 @@ impl Polling {
     /// gone.
     pub(super) fn step(
         &mut self,
-        definition: &Definition,
+        definition: &ProtocolDefinition,
         recorder: &mut Recorder,
     ) -> Result<Result<Duration, PortFinding>, Diagnostic> {
         let now = clock::now();
@@ -120,7 +127,7 @@ impl Polling {
                     recorder.unanswered(now)?;
                 }
                 recorder.requested(clock::now());
-                if let Err(gone) = ask(&mut self.port, definition) {
+                if let Err(gone) = request_reading(&mut self.port, definition) {
                     return Ok(Err(gone));
                 }
                 (self.pending, self.last) = (Some(now), Some(now));
@@ -132,7 +139,7 @@ impl Polling {
 }
 
 /// The bytes received while a command was performed.
-struct Received {
+struct CommandReply {
     /// Discarded bytes and answers.
     drained: u64,
     /// Bytes after the last answer.
@@ -141,19 +148,19 @@ struct Received {
     answered: bool,
 }
 
-impl Received {
+impl CommandReply {
     fn count(self) -> u64 {
         self.drained + self.rest.len() as u64
     }
 }
 
 /// Performs the steps of a command. A missing answer is not an error: the caller sees whether the device sends.
-fn perform(port: &mut Port, steps: &[Step]) -> Result<Received, PortFinding> {
-    let mut received = Received { drained: 0, rest: Vec::new(), answered: true };
+fn perform(port: &mut Port, steps: &[CommandStep]) -> Result<CommandReply, PortFinding> {
+    let mut received = CommandReply { drained: 0, rest: Vec::new(), answered: true };
     for step in steps {
         match step {
-            Step::Send(bytes) => port.send(bytes)?,
-            Step::Ask { send, expect, timeout, retries } => {
+            CommandStep::Send(bytes) => port.send(bytes)?,
+            CommandStep::Ask { send, expect, timeout, retries } => {
                 let mut answered = false;
                 for _ in 0..=*retries {
                     port.send(send)?;
@@ -169,9 +176,9 @@ fn perform(port: &mut Port, steps: &[Step]) -> Result<Received, PortFinding> {
                 }
                 received.answered &= answered;
             }
-            Step::DtrPulse(duration) => port.pulse_dtr(*duration)?,
-            Step::Wait(duration) => clock::sleep(duration.as_secs_f64()),
-            Step::Drain(quiet) => {
+            CommandStep::DtrPulse(duration) => port.pulse_dtr(*duration)?,
+            CommandStep::Wait(duration) => clock::sleep(duration.as_secs_f64()),
+            CommandStep::Drain(quiet) => {
                 let discarded = port.drain(*quiet)?.len() + std::mem::take(&mut received.rest).len();
                 received.drained += discarded as u64;
             }

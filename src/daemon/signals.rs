@@ -1,17 +1,17 @@
 //! Signals that end the process after the run has been completed.
 
+use dbbd_model::base::InternalFinding;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Poll;
 
-use crate::catalogue::ServiceFinding;
-use crate::diagnostic::Diagnostic;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// A flag that is set by SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1 or SIGUSR2; on Windows by Ctrl-C, Ctrl-Break, the
 /// end of the window or the session, or the shutdown.
 pub fn stop_on_signal() -> Result<Arc<AtomicBool>, Diagnostic> {
-    raised_on_signal().map_err(|error| ServiceFinding::NoSystem { why: error.to_string() }.into())
+    raised_on_signal().map_err(|error| InternalFinding::NoSystem { why: error.to_string() }.into())
 }
 
 fn raised_on_signal() -> io::Result<Arc<AtomicBool>> {

@@ -3,6 +3,7 @@
 //! DNS rebinding: a page of another site that resolves its name to this machine sends its own name as Host. Only
 //! addresses and configured names are accepted as Host, and only the same host as Origin.
 
+use dbbd_model::base::InternalFinding::NoSystem;
 use std::collections::VecDeque;
 use std::hint::black_box;
 use std::io;
@@ -14,11 +15,9 @@ use axum::http::{StatusCode, Uri};
 
 use super::failed_logins::FailedLogins;
 use super::json::Problem;
-use crate::base::sync::lock;
-use crate::catalogue::ServiceFinding::{
-    NoHost, NoSystem, NoToken, OtherHost, OtherSite, TooManyGuesses, WrongToken,
-};
-use crate::diagnostic::Diagnostic;
+use crate::live::ServiceFinding::{NoHost, NoToken, OtherHost, OtherSite, TooManyGuesses, WrongToken};
+use dbbd_device::sync::lock;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// Name of the session cookie.
 pub(super) const COOKIE_NAME: &str = "dbbd";

@@ -14,12 +14,13 @@ use tokio::sync::watch;
 
 use super::access::Access;
 use super::connections::Peer;
-use super::guard::{Gate, Journal, PageFile, Route, Site, session};
+use super::guard::{Gate, Journal, Route, Site, session};
 use super::json::{Body, Problem, json};
 use super::service::{Act, Catalogue, JobKind, JobRequest, Service, StartRequest};
 use super::{downloads, metrics, stream};
-use crate::catalogue::ServiceFinding::{NoJob, NoResultKind, PathNotText, RemarkLength, WorkerLost};
-use crate::diagnostic::Diagnostic;
+use crate::live::ServiceFinding::{NoJob, NoResultKind, PathNotText, RemarkLength, WorkerLost};
+use dbbd_job::page::PageFile;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// The description of the API. A test compares it with the routes.
 pub const OPENAPI: &str = include_str!("openapi.json");

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use tokio::sync::Notify;
 
-use crate::base::sync::lock;
+use dbbd_device::sync::lock;
 
 /// Connections at a time.
 const MOST: usize = 256;

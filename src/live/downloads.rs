@@ -9,13 +9,12 @@ use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 
 use super::connections::Busy;
-use super::service::Download;
-use crate::base::hash::sha256_base64;
+use dbbd_job::page::Download;
+use dbbd_job::report::page::VIEWER_JS;
+use dbbd_model::base::hash::sha256_base64;
 
 /// Size of a piece, bytes.
 const PIECE: usize = 64 * 1024;
-/// The script of a report.
-const VIEWER: &str = include_str!("../report/viewer.js");
 
 /// Content security policy of a report: its own style and images, no script but the viewer's, and an opaque origin, so
 /// that it cannot reach the service.
@@ -23,7 +22,7 @@ fn report_policy() -> String {
     format!(
         "default-src 'none'; script-src 'sha256-{}'; style-src 'unsafe-inline'; img-src data:; sandbox allow-scripts; \
          base-uri 'none'; form-action 'none'; frame-ancestors 'self'",
-        sha256_base64(VIEWER)
+        sha256_base64(VIEWER_JS)
     )
 }
 

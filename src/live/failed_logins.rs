@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 use std::net::{IpAddr, Ipv6Addr};
 
-use crate::base::clock;
-use crate::base::units::HostNs;
+use dbbd_device::clock;
+use dbbd_model::base::units::HostNs;
 
 /// Wrong tokens per network within [`WINDOW_S`]. Further attempts are refused without a comparison.
 const MOST: u32 = 10;

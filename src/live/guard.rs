@@ -1,5 +1,6 @@
 //! The middleware of every request: Host and Origin, token or session cookie, security headers.
 
+use dbbd_job::page::PageFile;
 use std::fmt::Display;
 use std::sync::Arc;
 
@@ -18,7 +19,7 @@ use serde::Deserialize;
 use super::access::{Access, COOKIE_NAME, Credentials};
 use super::connections::Peer;
 use super::json::{Body, Problem};
-use crate::catalogue::ServiceFinding::{NotAllowed, NothingHere, PathTooLong};
+use crate::live::ServiceFinding::{NotAllowed, NothingHere, PathTooLong};
 
 /// Content security policy of the pages: they reach their own service only. The source of `form-action` follows.
 const PAGE_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
@@ -29,15 +30,6 @@ const SESSION: &str = "/api/v1/session";
 
 /// A path, its methods as `GET` or `GET, POST`, and its handlers.
 pub(super) type Route<A> = (&'static str, &'static str, MethodRouter<A>);
-
-/// A file of a page. It is served without a token, so it must hold no secret.
-#[derive(Clone, Copy, Debug)]
-pub struct PageFile {
-    pub path: &'static str,
-    /// Content type.
-    pub kind: &'static str,
-    pub content: &'static str,
-}
 
 /// Receives warnings about clients.
 pub trait Journal: Send + Sync + 'static {

@@ -11,10 +11,14 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::error::Category;
 
-use crate::catalogue::ServiceFinding::{
+use crate::live::ServiceFinding::{
     self, BodyContent, BodyNotJson, BodySyntax, BodyTooLong, BodyTooSlow, Unwritten,
 };
-use crate::diagnostic::{Code, Diagnostic};
+use dbbd_device::port::PortFinding;
+use dbbd_device::protocol::ProtocolFinding;
+use dbbd_model::base::InternalFinding;
+use dbbd_model::diagnostic::{Diagnostic, FindingCode};
+use dbbd_plant::ArchiveFinding;
 
 /// Longest body, bytes.
 const LONGEST_BODY: usize = 64 * 1024;
@@ -44,19 +48,37 @@ impl Problem {
     }
 }
 
-/// The HTTP status follows from the code. A code without an entry refers to the device, a run or a file: 409.
-impl From<Diagnostic> for Problem {
-    fn from(finding: Diagnostic) -> Self {
-        let status = match finding.code.0 {
-            "E1503" | "E2409" | "E2431" => StatusCode::NOT_FOUND,
-            "E2430" => StatusCode::BAD_REQUEST,
-            "E2404" => StatusCode::SERVICE_UNAVAILABLE,
-            "E1505" => StatusCode::UNPROCESSABLE_ENTITY,
-            "E1506" => StatusCode::TOO_MANY_REQUESTS,
-            "E1507" | "E0208" => StatusCode::INTERNAL_SERVER_ERROR,
-            code if code.starts_with("E03") => StatusCode::UNPROCESSABLE_ENTITY,
+/// The HTTP status of a finding. One that is not listed concerns the device, a run or a file: 409.
+fn http_status(finding: &Diagnostic) -> StatusCode {
+    if let Some(finding) = finding.finding::<ServiceFinding>() {
+        return finding.http_status();
+    }
+    if let Some(finding) = finding.finding::<ArchiveFinding>() {
+        return match finding {
+            ArchiveFinding::NoRun { .. }
+            | ArchiveFinding::ManyRuns { .. }
+            | ArchiveFinding::NotDigits { .. }
+            | ArchiveFinding::NoSuchRobot { .. }
+            | ArchiveFinding::NoSuchBar { .. }
+            | ArchiveFinding::NoReport { .. } => StatusCode::NOT_FOUND,
+            ArchiveFinding::NotAQuestion { .. }
+            | ArchiveFinding::NotACursor { .. }
+            | ArchiveFinding::NotADate { .. } => StatusCode::BAD_REQUEST,
+            ArchiveFinding::NotReached { .. } => StatusCode::SERVICE_UNAVAILABLE,
             _ => StatusCode::CONFLICT,
         };
+    }
+    match finding.finding() {
+        Some(PortFinding::NoPortList { .. }) => StatusCode::INTERNAL_SERVER_ERROR,
+        _ if finding.finding::<InternalFinding>().is_some() => StatusCode::INTERNAL_SERVER_ERROR,
+        _ if finding.finding::<ProtocolFinding>().is_some() => StatusCode::UNPROCESSABLE_ENTITY,
+        _ => StatusCode::CONFLICT,
+    }
+}
+
+impl From<Diagnostic> for Problem {
+    fn from(finding: Diagnostic) -> Self {
+        let status = http_status(&finding);
         Self { status, finding: finding.into(), allow: None }
     }
 }
@@ -64,14 +86,15 @@ impl From<Diagnostic> for Problem {
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
         #[derive(Serialize)]
-        struct Body<'a> {
-            error: &'a str,
-            code: Code,
+        struct Body {
+            error: String,
+            code: FindingCode,
             #[serde(skip_serializing_if = "Option::is_none")]
-            help: Option<&'a str>,
+            help: Option<String>,
         }
-        let Diagnostic { code, message, help, .. } = &*self.finding;
-        let mut response = json(self.status, &Body { error: message, code: *code, help: help.as_deref() });
+        let finding = &self.finding;
+        let body = Body { error: finding.message(), code: finding.code(), help: finding.help_line() };
+        let mut response = json(self.status, &body);
         if self.status == StatusCode::UNAUTHORIZED {
             let scheme = HeaderValue::from_static("Bearer");
             response.headers_mut().insert(HeaderName::from_static("www-authenticate"), scheme);

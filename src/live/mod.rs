@@ -3,6 +3,9 @@
 //! This module knows no ports and captures. It reads a watch channel and a lossy broadcast and calls a [`Service`], so
 //! that no client can slow the recorder down or end a run by disconnecting.
 
+mod catalogue;
+pub use catalogue::ServiceFinding;
+
 mod access;
 mod api;
 mod connections;
@@ -20,12 +23,12 @@ mod view;
 
 pub use access::{Access, Token};
 pub use api::{OPENAPI, cell_site, routes};
-pub use guard::{Journal, PageFile, Site};
+pub use guard::{Journal, Site};
 #[cfg(feature = "archive")]
-pub use plant::{Decided, Filter, Name, Order, Plant, PlantNumbers, Question, RunFilter, plant_site};
+pub use plant::plant_site;
 pub use server::serve;
 pub use service::{
-    Act, Catalogue, CheckItem, Download, Ended, Job, JobKind, JobRequest, JobState, ResultFile, RunEntry,
+    Act, Catalogue, CheckItem, Ended, EvaluationJob, JobKind, JobRequest, JobState, ResultFile, RunEntry,
     RunState, Service, StartRequest,
 };
 pub use view::{

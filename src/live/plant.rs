@@ -8,118 +8,23 @@ use axum::http::Uri;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, get};
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
 
 use super::access::Access;
 use super::api::on_blocking_thread;
 use super::connections::Peer;
 use super::downloads;
-use super::guard::{Gate, Journal, PageFile, Route, Site, page_content, session};
+use super::guard::{Gate, Journal, Route, Site, page_content, session};
 use super::json::Problem;
 use super::metrics::{self, family};
-use super::service::Download;
-use crate::catalogue::ArchiveFinding::NotAQuestion;
-use crate::diagnostic::Diagnostic;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_plant::ArchiveFinding::NotAQuestion;
+use dbbd_plant::{PlantNumbers, PlantPages, Question};
 
-/// The archive behind the pages. The methods may block: they are called on blocking threads.
-pub trait Plant: Send + Sync + 'static {
-    /// HTML of a page.
-    fn page(&self, question: &Question) -> Result<String, Diagnostic>;
-    /// HTML of the page for an error.
-    fn refusal(&self, why: &Diagnostic) -> Result<String, Diagnostic>;
-    /// HTML of the page that asks for the token.
-    fn sign_in(&self) -> Result<String, Diagnostic>;
-    fn files(&self) -> &'static [PageFile];
-    /// The report of a run's newest result.
-    fn report(&self, run: &str) -> Result<Download, Diagnostic>;
-    fn numbers(&self) -> Result<PlantNumbers, Diagnostic>;
-}
-
-/// A page of the plant.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Question {
-    Robots(Filter),
-    Robot(Name),
-    Bars(Filter),
-    Bar(Name),
-    Runs(RunFilter),
-    /// By the first digits of the SHA-256 of its capture.
-    Run(String),
-}
-
-/// A search for robots or bars, and the page of the list.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Filter {
-    /// A part of the name or the type.
-    pub q: String,
-    pub decision: Decided,
-    pub order: Order,
-    /// From 1. 0 also means the first page.
-    pub page: u32,
-}
-
-/// The decision of a robot's last check.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Decided {
-    #[default]
-    #[serde(rename = "")]
-    Any,
-    Pass,
-    Fail,
-    Undecided,
-    /// Never checked.
-    None,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Order {
-    #[default]
-    #[serde(alias = "")]
-    Name,
-    /// By the date of the last check, the oldest first.
-    Check,
-}
-
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Name {
-    pub name: String,
-}
-
-/// A search for runs.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RunFilter {
-    /// A part of robot, type, bar, cell or operator.
-    pub q: String,
-    pub robot: String,
-    pub bar: String,
-    pub cell: String,
-    /// Dates. `until` is exclusive.
-    pub since: String,
-    pub until: String,
-    /// Last run of the previous page: date, space, SHA-256.
-    pub after: String,
-}
-
-/// The metrics of an archive: counts by name.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PlantNumbers {
-    pub runs: u64,
-    pub results: u64,
-    pub jobs: Vec<(&'static str, u64)>,
-    pub robots: Vec<(&'static str, u64)>,
-    /// Age of the oldest waiting job, s; 0 without one.
-    pub oldest_waiting_s: f64,
-}
-
-type App = Arc<dyn Plant>;
+/// The methods of the pages may block: they are called on blocking threads.
+type App = Arc<PlantPages>;
 
 pub fn plant_site(
-    plant: Arc<dyn Plant>,
+    plant: Arc<PlantPages>,
     access: Arc<Access>,
     journal: Arc<dyn Journal>,
 ) -> Result<Site, Diagnostic> {

@@ -1,14 +1,13 @@
 //! The interface of the service to its pages.
 
-use std::fs::File;
-
+use dbbd_job::page::Download;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tokio::sync::{broadcast, watch};
 
 use super::guard::Journal;
 use super::view::{Message, Point, Status};
-use crate::diagnostic::Diagnostic;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// The service behind the pages. The methods may block: they are called on blocking threads.
 pub trait Service: Journal {
@@ -36,11 +35,11 @@ pub trait Service: Journal {
     fn run(&self, name: &str) -> Result<RunEntry, Diagnostic>;
     /// The capture of a run, or a file of its results.
     fn file(&self, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Diagnostic>;
-    fn submit(&self, request: JobRequest) -> Result<Job, Diagnostic>;
+    fn submit(&self, request: JobRequest) -> Result<EvaluationJob, Diagnostic>;
     /// The jobs of this process, the newest first.
-    fn jobs(&self) -> Vec<Job>;
-    fn job(&self, id: u64) -> Result<Job, Diagnostic>;
-    fn cancel(&self, id: u64) -> Result<Job, Diagnostic>;
+    fn jobs(&self) -> Vec<EvaluationJob>;
+    fn job(&self, id: u64) -> Result<EvaluationJob, Diagnostic>;
+    fn cancel(&self, id: u64) -> Result<EvaluationJob, Diagnostic>;
 }
 
 /// A list to choose from.
@@ -195,7 +194,7 @@ pub enum JobState {
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Job {
+pub struct EvaluationJob {
     pub id: u64,
     pub kind: JobKind,
     pub run: String,
@@ -205,13 +204,4 @@ pub struct Job {
     pub percent: u8,
     /// The last lines of its output.
     pub log: Vec<String>,
-}
-
-/// An open file to send.
-#[derive(Debug)]
-pub struct Download {
-    pub file: File,
-    pub name: String,
-    /// Size when it was opened.
-    pub bytes: u64,
 }

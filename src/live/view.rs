@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use crate::diagnostic::Code;
+use dbbd_model::diagnostic::FindingCode;
 
 /// A message of the live stream. The JSON is made once for all clients.
 #[derive(Clone, Debug)]
@@ -51,7 +51,7 @@ pub struct Status {
     pub state: State,
     pub reason: Option<String>,
     /// Code of the reason.
-    pub code: Option<Code>,
+    pub code: Option<FindingCode>,
     pub device: Device,
     pub run: Option<RunStatus>,
     /// The bar is read without a run. The name is empty.
@@ -158,7 +158,7 @@ pub struct Mounting {
 /// A finding about the mounting.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MountingNote {
-    pub code: Code,
+    pub code: FindingCode,
     pub text: String,
     /// Of a drift in micrometres per second.
     pub size_um: f64,

@@ -1,19 +1,23 @@
 """Compares what two builds of dbbd compute from the same inputs. Python 3.11, standard library only, Unix.
 
-    python tests/independent/compare_versions.py OLD_BINARY NEW_BINARY [--shared DIR] [--only NAME] [--jobs N]
+    python tests/independent/compare_versions.py OLD_BINARY NEW_BINARY [--shared DIR] [--only NAME] [--jobs N] [--at-least N]
+    python tests/independent/compare_versions.py --renames | --self-test
 
-Run it with one binary twice to see that everything is deterministic. Captures are made once, with the old binary, and read by
-both; only the items `chain` measure with each binary. The checkout's examples, fixtures and robots are the inputs; DIR holds data
-of real robots that are not part of the project (data/kr60, data/irb120_drawwire). --only takes the items whose name contains
-NAME, --keep DIR leaves every output there, --sentences prints the sentences that differ.
+Run it with one binary twice to see that everything is deterministic, and how many numbers are compared; `--at-least` holds a
+run with two binaries against that. Captures are made once, with the old binary, and read by both; only the items `chain`
+measure with each binary. The checkout's examples, fixtures and robots are the inputs; DIR holds data of real robots that are
+not part of the project (data/kr60, data/irb120_drawwire). --only takes the items whose name contains NAME, --keep DIR leaves
+every output there, --sentences prints the sentences that differ.
 
 What counts:
 - Exit codes, missing files, numbers and words of JSON, CSV, TOML, URDF and KRL files, and of JSON on stdout. These fail.
+- A number of the old version that the new one has nowhere, and an entry of a list that only one has, fail. What got another
+  name, place or code stands in the tables below. Numbers that only the new version has are listed.
 - Numbers are equal to 1e-9 of the larger one, or to 1e-12. A covariance is compared in units of its two standard deviations.
   Programs (.src, .dat, .xml) must be equal in every character but for comments, MCAP files in every byte.
 - Counted, but no failure: sentences for people (keys `text`, `reason`, .., strings of three words or more, comments, stdout
-  that is not JSON, stderr); keys and columns that only one version has; what must differ between versions (hashes, version
-  numbers), which is replaced before the comparison.
+  that is not JSON, stderr); words that only one version has; what must differ between versions (hashes, version numbers, the
+  number of a schema) or between measurements (times of day), which is replaced before the comparison.
 Pages and pictures (.html, .svg) are not compared. Some numbers are noise by nature: what follows from the residuals of exact
 lengths, smallest singular values, conditions above 1e7. A person reads what differs; there is no list of what is allowed.
 """
@@ -21,6 +25,7 @@ import argparse
 import collections
 import concurrent.futures
 import csv
+import filecmp
 import io
 import json
 import math
@@ -37,37 +42,114 @@ import sys
 import tempfile
 import threading
 import time
+import tomllib
 import tty
 from pathlib import Path
+
+# --- what has another name in the new version -------------------------------------------------------------------------
+# Applied to the old version before the comparison. IN names the files: patterns with blanks between them, `*` for all; JSON on
+# stdout is `COMMAND.stdout`. A PATH of JSON or TOML is written `parameters[].sd`, of CSV `column`, or `column.key` where the
+# cells are JSON. `[]` is any entry of a list (`[a1]` the one of that name or code), `*` any one key; both carry over to the
+# new path in their order. A path takes along all that is below it. The rules work one after the other, in this order.
+
+FILES = []          # (old name, new name), without the directory; `*` stands for what has no dot
+PATHS = []          # (IN, old PATH, new PATH)
+WORDS = []          # (IN, key or column in the old version, old value, new value): whole values, also null (None)
+CODES = []          # (old code, new code) of findings and errors, in every file
 
 ROOT = Path(__file__).resolve().parents[2]
 RELATIVE, ABSOLUTE = 1e-9, 1e-12
 TIMEOUT_S = 600
+csv.field_size_limit(2**30)
+
+
+class Renames:
+    """The tables above, ready for use."""
+
+    def __init__(self, files=(), paths=(), words=(), codes=()):
+        self.files, self.paths = ([(entry, *self.rule(*entry[-2:])) for entry in table] for table in (files, paths))
+        self.words, self.codes = words, dict(codes)
+        self.unused = {*files, *paths, *words, *codes}
+
+    @staticmethod
+    def rule(old, new):
+        wild = re.compile(r"\\\[\\\]|\\\*")
+        pattern = wild.sub(lambda one: r"([^.\[\]/]*)" if one[0] == r"\*" else r"(\[[^]]*\])", re.escape(old))
+        if len(wild.findall(re.escape(new))) > len(wild.findall(re.escape(old))):
+            raise ValueError(f"{old} -> {new}: the new path has more wildcards")
+        return re.compile(pattern + r"(?=[.\[]|$)"), new
+
+    def move(self, rules, text):
+        for entry, pattern, new in rules:
+            if found := pattern.match(text):
+                self.unused.discard(entry)
+                parts = iter(found.groups())
+                text = re.sub(r"\[\]|\*", lambda _: next(parts), new) + text[found.end():]
+        return text
+
+    def file(self, name):
+        return str(Path(name).parent / self.move(self.files, Path(name).name))
+
+    def of(self, file):
+        """How the paths and the words of a file are renamed: two functions."""
+        here = lambda entry: any(Path(file).match(pattern) for pattern in entry[0].split())
+        rules = [rule for rule in self.paths if here(rule[0])]
+        words = {entry[1:3]: entry for entry in self.words if here(entry)}
+
+        def word(value, key=""):
+            if isinstance(value, dict):
+                return {one: word(below, one) for one, below in value.items()}
+            if isinstance(value, list):
+                return [word(one, key) for one in value]
+            entry = words.get((key, value))
+            self.unused.discard(entry)
+            return entry[3] if entry else value
+
+        return (lambda path: self.move(rules, path)) if rules else str, word if words else lambda value, key="": value
+
+    def in_text(self, text):
+        def code(found):
+            new = self.codes.get(found[0], found[0])
+            self.unused.discard((found[0], new))
+            return new
+
+        return re.sub(r"\b[EWI]\d{4}\b", code, text) if self.codes else text
+
+
+def markdown():
+    rows = [("files", *one) for one in FILES] + PATHS + [(files, f"{key}: {old}", f"{key}: {new}") for files, key, old, new in WORDS]
+    rows += [("codes", *one) for one in CODES]
+    return "| in | old | new |\n|---|---|---|\n" + "".join(f"| {files} | `{old}` | `{new}` |\n" for files, old, new in rows)
+
 
 # --- comparison -------------------------------------------------------------------------------------------------------
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 HASH = re.compile(r"(?<![\w.])(?=[0-9]*[a-f])[0-9a-f]{16}(?![\w.])|\b[0-9a-f]{64}\b")
 VERSION = re.compile(r'(\bdbbd[ /-]v?|version[\\"]*\s*[:=]\s*[\\"]*)\d+\.\d+\.\d+[-+.\w]*')
-VERSION_KEYS = {"dbbd", "version", "dbbd_version"}
+TIME = re.compile(r"\b\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d")
+VERSION_KEYS = {"dbbd", "version", "dbbd_version", "hash", "schema"}
 TEXT_KEYS = {"text", "reason", "remark", "cause", "cure", "message"}
 EXACT = {".src", ".dat", ".xml", ".mcap"}
 SKIPPED = {".html", ".svg", ".dbbd"}            # and run-krl, in which a free port stands
 
 
 class Difference:
-    """What differs in one item."""
+    """What differs in one item. With `clock`, its two versions measured at different times of day."""
 
-    def __init__(self):
+    def __init__(self, renames=Renames(), clock=False):
+        self.renames, self.clock = renames, clock
+        self.numbers = 0                        # compared
         self.failures = []                      # (relative difference, where, what)
-        self.texts, self.known = 0, 0           # sentences; hashes and versions
+        self.lost, self.new, self.removed, self.added = (collections.Counter() for _ in range(4))  # numbers, words, by place
+        self.texts, self.known = 0, 0           # sentences; hashes, versions and times
         self.sentences = []                     # examples of sentences
-        self.added, self.removed = set(), set()
 
     def fail(self, where, what, size=math.inf):
         self.failures.append((size, where, what))
 
     def number(self, where, old, new, scale=None):
+        self.numbers += 1
         if old == new or (math.isnan(old) and math.isnan(new)):
             return
         off = abs(old - new)
@@ -79,16 +161,13 @@ class Difference:
     def sentence(self, where, old, new):
         if old != new:
             self.texts += 1
-            self.sentences.append((where, old, new))
-
-    def keys(self, where, old, new):
-        self.removed |= {f"{where}.{key}" for key in old if key not in new}
-        self.added |= {f"{where}.{key}" for key in new if key not in old}
-        return [key for key in old if key in new]
+            self.sentences.append((where, str(old), str(new)))
 
     def neutral(self, old, new):
         """Both without what must differ between versions."""
         plain = [VERSION.sub(r"\1<version>", HASH.sub("<hash>", text)) for text in (old, new)]
+        if self.clock:
+            plain = [TIME.sub("<time>", text) for text in plain]
         if old != new and plain[0] == plain[1]:
             self.known += 1
         return plain
@@ -98,54 +177,109 @@ def as_number(text):
     return float(text) if NUMBER.fullmatch(text) or text in ("nan", "inf", "-inf", "NaN") else None
 
 
-def generic(where):
-    return re.sub(r"\[[^]]*\]", "[]", where)
+def as_json(text):
+    try:
+        return json.loads(text)
+    except ValueError:
+        return None
 
 
-def compare_json(d, where, old, new, key=""):
-    numbers = [isinstance(one, (int, float)) and not isinstance(one, bool) for one in (old, new)]
-    if all(numbers):
+def is_number(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def is_sentence(value):
+    return isinstance(value, str) and value.count(" ") >= 2 and "\n" not in value
+
+
+def is_parent(value):
+    """Has a dictionary or a list values of its own? A list of sentences is one text."""
+    return isinstance(value, dict) or (isinstance(value, list) and not (value and all(map(is_sentence, value))))
+
+
+def generic(path):
+    return re.sub(r"\[[^]]*\]", "[]", path)
+
+
+def labels(values):
+    """What tells the entries of a list apart: their names, or their codes with a number; else nothing."""
+    for key in ("name", "code"):
+        found = [one.get(key) if isinstance(one, dict) else None for one in values]
+        if key == "code":
+            found = [code and f"{code}#{found[:at].count(code) + 1}".removesuffix("#1") for at, code in enumerate(found)]
+        if values and all(isinstance(one, str) for one in found) and len(set(found)) == len(found):
+            return [re.sub(r"[\[\]]", "_", one) for one in found]
+    return None
+
+
+def flat(value, path, plain=()):
+    """Every value below a path with its own path. Lists whose generic path is in `plain` are numbered."""
+    yield path, value
+    if isinstance(value, dict):
+        for key, one in value.items():
+            yield from flat(one, f"{path}.{key}" if path else key, plain)
+    elif is_parent(value):
+        names = None if generic(path) in plain else labels(value)
+        for name, one in zip(names or range(len(value)), value):
+            yield from flat(one, f"{path}[{name}]", plain)
+
+
+def compare_json(d, file, old, new, where=None, at=("", "")):
+    """Two documents, value by value; `at` is where they stand in a line of a table."""
+    moved, word = d.renames.of(file)
+    old, where = word(old, at[0]), where or file
+    lists = [[(generic(path), value) for path, value in flat(side, at[i]) if isinstance(value, list) and value]
+             for i, side in enumerate((old, new))]
+    plain = {path for path, value in [(moved(path), value) for path, value in lists[0]] + lists[1] if not labels(value)}
+    theirs = dict(flat(new, at[1], plain))
+    ours = {}
+    for path, value in flat(old, at[0], {path for path, _ in lists[0] if moved(path) in plain}):
+        path = moved(path)
+        if path not in ours or is_parent(ours[path]):
+            ours[path] = value
+        elif not is_parent(value) and value != ours[path]:
+            d.fail(f"{where}: {path}", f"two values of the old version come here: {ours[path]!r:.80} and {value!r:.80}")
+    for path, value in ours.items():
+        if path in theirs:
+            compare_values(d, f"{where}: {path}", value, theirs[path], re.sub(r"\[[^]]*\]", "", path).rpartition(".")[2])
+        elif is_number(value):
+            d.lost[f"{file}: {generic(path)}"] += 1
+        elif path.endswith("]"):
+            d.fail(f"{where}: {path}", "only in the old version")
+        elif not is_parent(value):
+            d.removed[f"{Path(file).name}: {generic(path)}"] += 1
+    for path, value in theirs.items():
+        if path in ours:
+            continue
+        if path.endswith("]") and path[:path.rindex("[")] in ours:
+            d.fail(f"{where}: {path}", "only in the new version")
+        if is_number(value):
+            d.new[f"{Path(file).name}: {generic(path)}"] += 1
+        elif not is_parent(value):
+            d.added[f"{Path(file).name}: {generic(path)}"] += 1
+
+
+def compare_values(d, where, old, new, key):
+    if key in VERSION_KEYS and not is_parent(old):
+        d.known += old != new
+    elif is_number(old) and is_number(new):
         d.number(where, float(old), float(new))
-    elif isinstance(old, dict) and isinstance(new, dict):
-        for one in d.keys(generic(where), old, new):
-            compare_json(d, f"{where}.{one}", old[one], new[one], one)
-    elif isinstance(old, list) and isinstance(new, list):
-        compare_lists(d, where, old, new, key)
+    elif is_parent(old) and is_parent(new):
+        return                                  # what is below them is compared
+    elif key in TEXT_KEYS or any(is_sentence(one) or (isinstance(one, list) and not is_parent(one)) for one in (old, new)):
+        d.sentence(where, old, new)
     elif isinstance(old, str) and isinstance(new, str):
-        compare_words(d, where, old, new, key)
+        if "\n" in old:
+            return compare_text(d, where, old, new)
+        old, new = d.neutral(old, new)
+        if old != new:
+            d.fail(where, f"{old!r:.80} -> {new!r:.80}")
     elif old != new:
         d.fail(where, f"{old!r:.80} -> {new!r:.80}")
 
 
-def compare_lists(d, where, old, new, key):
-    if all(isinstance(one, str) and one.count(" ") >= 2 for one in old + new):
-        return d.sentence(where, "\n".join(old), "\n".join(new))
-    names = [[one.get("name") for one in side if isinstance(one, dict)] for side in (old, new)]
-    if all(None not in side and len(set(side)) == len(side) for side in names) and names[0] and len(names[0]) == len(old):
-        pairs = [dict(zip(side, values)) for side, values in zip(names, (old, new))]
-        for name in pairs[0].keys() | pairs[1].keys():
-            if name in pairs[0] and name in pairs[1]:
-                compare_json(d, f"{where}[{name}]", pairs[0][name], pairs[1][name], key)
-            else:
-                d.fail(f"{where}[{name}]", "only in the " + ("old" if name in pairs[0] else "new"))
-        return None
-    if len(old) != len(new):
-        d.fail(where, f"{len(old)} -> {len(new)} entries")
-    for at, pair in enumerate(zip(old, new)):
-        compare_json(d, f"{where}[{at}]", *pair, key)
-
-
-def compare_words(d, where, old, new, key):
-    if key in VERSION_KEYS or key == "hash":
-        d.known += old != new
-    elif key in TEXT_KEYS or (old.count(" ") >= 2 and "\n" not in old):
-        d.sentence(where, old, new)
-    elif "\n" in old:
-        compare_text(d, where, old, new)
-    else:
-        old, new = d.neutral(old, new)
-        if old != new:
-            d.fail(where, f"{old!r:.80} -> {new!r:.80}")
+def is_comment(line):
+    return re.match(r"\s*(#|;(?!\s*(END)?FOLD))", line)
 
 
 def compare_text(d, where, old, new, exact=False):
@@ -153,88 +287,104 @@ def compare_text(d, where, old, new, exact=False):
     if exact and ("\r\n" in old) != ("\r\n" in new):
         d.fail(where, "the line ends differ")
     sides = [[line for line in text.splitlines() if line.strip()] for text in d.neutral(old, new)]
-
-    def comment(line):
-        return re.match(r"\s*(#|;(?!\s*(END)?FOLD))", line)
-
-    comments = [[line for line in side if comment(line)] for side in sides]
-    d.sentence(where, *("\n".join(side) for side in comments))
-    old, new = ([line for line in side if not comment(line)] for side in sides)
+    d.sentence(where, *("\n".join(filter(is_comment, side)) for side in sides))
+    old, new = ([line for line in side if not is_comment(line)] for side in sides)
     if len(old) != len(new):
         d.fail(where, f"{len(old)} -> {len(new)} lines")
     for at, (one, other) in enumerate(zip(old, new), 1):
-        if one == other:
-            continue
-        same_words = NUMBER.sub("0", one) == NUMBER.sub("0", other)
-        if exact or not same_words:
+        if one != other and (exact or NUMBER.sub("0", one) != NUMBER.sub("0", other)):
             d.fail(f"{where}:{at}", f"{one!r:.90} -> {other!r:.90}")
         else:
             for a, b in zip(NUMBER.findall(one), NUMBER.findall(other)):
                 d.number(f"{where}:{at}", float(a), float(b))
 
 
-def compare_csv(d, where, old, new):
-    tables = [list(csv.DictReader(io.StringIO(text))) for text in (old, new)]
-    heads = [next(csv.reader(io.StringIO(text)), []) for text in (old, new)]
-    columns = d.keys(where, *heads)
-    if len(tables[0]) != len(tables[1]):
-        d.fail(where, f"{len(tables[0])} -> {len(tables[1])} rows")
+def compare_csv(d, file, old, new):
+    moved, word = d.renames.of(file)
+    (ours, *old), (theirs, *new) = (list(csv.reader(io.StringIO(text))) or [[]] for text in (old, new))
+    names = [moved(column) for column in ours]
+    if len(old) != len(new):
+        d.fail(file, f"{len(old)} -> {len(new)} rows")
     variances = {}
-    if where.endswith("covariance.csv"):
-        variances = {row["name"]: abs(float(row[row["name"]])) for row in tables[0] if row.get("name") in row}
-    for at, rows in enumerate(zip(*tables), 1):
-        for column in columns:
-            a, b = (row[column] or "" for row in rows)
-            place = f"{where}[{at}].{column}"
-            if a == b:
-                continue
+    if file.endswith("covariance.csv"):
+        variances = {row[0]: abs(float(row[ours.index(row[0])])) for row in old}
+    for rows, columns, others, place, numbers, words in ((old, names, theirs, file, d.lost, d.removed),
+                                                         (new, theirs, names, Path(file).name, d.new, d.added)):
+        for at, column in enumerate(columns):
+            if column not in others:
+                cells = [json.loads(row[at] or "null") if column.endswith("_json") else as_number(row[at]) for row in rows]
+                count = sum(is_number(value) for _, value in flat(cells, ""))
+                (numbers if count else words)[f"{place}: {column}"] += count or 1
+    both = [(at, theirs.index(name), column, name) for at, (column, name) in enumerate(zip(ours, names)) if name in theirs]
+    for line, (one, other) in enumerate(zip(old, new), 1):
+        for i, j, column, name in both:
+            a, b = word(one[i], column), other[j]
             values = as_number(a), as_number(b)
             if None not in values:
-                both = variances.get(rows[0].get("name")), variances.get(column)
-                d.number(place, *values, math.sqrt(both[0] * both[1]) if all(both) else None)
+                scale = variances.get(one[0]), variances.get(column)
+                d.number(f"{file}[{line}]: {name}", *values, math.sqrt(scale[0] * scale[1]) if all(scale) else None)
             elif column.endswith("_json"):
-                compare_json(d, place, *(json.loads(value or "null") for value in (a, b)))
-            else:
-                compare_words(d, place, a, b, column)
+                compare_json(d, file, json.loads(a or "null"), json.loads(b or "null"), f"{file}[{line}]", (column, name))
+            elif a != b:
+                compare_values(d, f"{file}[{line}]: {name}", a, b, name)
 
 
-def compare_file(d, name, old, new):
-    if old == new:
-        return
-    kind = Path(name).suffix
+def compare_file(d, file, old, new):
+    """The contents of two files; `file` is the name in the new version."""
+    kind = Path(file).suffix
     if kind == ".mcap":
-        return d.fail(name, f"{len(old)} -> {len(new)} bytes, not equal")
-    old, new = (side.decode("utf-8", "replace") for side in (old, new))
+        return old == new or d.fail(file, f"{len(old)} -> {len(new)} bytes, not equal")
+    old, new = d.renames.in_text(old.decode("utf-8", "replace")), new.decode("utf-8", "replace")
     if kind == ".json":
-        compare_json(d, name, json.loads(old), json.loads(new))
+        compare_json(d, file, json.loads(old), json.loads(new))
+    elif kind == ".toml":
+        compare_json(d, file, tomllib.loads(old), tomllib.loads(new))
+        d.sentence(file, *d.neutral(*("\n".join(filter(is_comment, side.splitlines())) for side in (old, new))))
     elif kind == ".csv":
-        compare_csv(d, name, old, new)
+        compare_csv(d, file, old, new)
     else:
-        compare_text(d, name, old, new, kind in EXACT)
+        compare_text(d, file, old, new, kind in EXACT)
+
+
+def numbers_in(file, content):
+    alone = Difference()
+    compare_file(alone, file, content, content)
+    return alone.numbers
+
+
+def compare_calls(d, where, old, new):
+    if old.code == new.code == 2:
+        d.fail(where, f"wrong usage: {new.err.strip()}")
+    if old.code != new.code:
+        said = (new.err or new.out).strip().splitlines()[:1]
+        d.fail(where, f"exit code {old.code} -> {new.code}: {' '.join(said)}")
+    d.sentence(f"{where} stderr", old.err, new.err)
+    ours, theirs = as_json(d.renames.in_text(old.out)), as_json(new.out)
+    if ours is None:
+        d.sentence(f"{where} stdout", old.out, new.out)
+    elif theirs is None:
+        d.fail(f"{where} stdout", "no JSON in the new version")
+    else:
+        compare_json(d, f"{old.args[0]}.stdout", ours, theirs, f"{where} stdout")
 
 
 def compare_runs(d, old, new):
     """Two runs of an item: exit codes, stdout, stderr, and the files they left."""
-    for at, (one, other) in enumerate(zip(old.calls, new.calls), 1):
-        where = f"call {at} ({one.args[0]})"
-        if one.code == other.code == 2:
-            d.fail(where, f"wrong usage: {other.err.strip()}")
-        if one.code != other.code:
-            said = (other.err or other.out).strip().splitlines()[:1]
-            d.fail(where, f"exit code {one.code} -> {other.code}: {' '.join(said)}")
-        try:
-            compare_json(d, f"{where} stdout", json.loads(one.out), json.loads(other.out))
-        except ValueError:
-            d.sentence(f"{where} stdout", one.out, other.out)
-        d.sentence(f"{where} stderr", one.err, other.err)
-    files = [{str(path.relative_to(run.dir)): path for path in sorted(run.dir.rglob("*"))
-              if path.is_file() and path.suffix not in SKIPPED and "run-krl" not in path.parts} for run in (old, new)]
-    d.added |= {f"file {Path(name).name}" for name in files[1].keys() - files[0].keys()}
-    for name, path in files[0].items():
-        if name in files[1]:
-            compare_file(d, name, path.read_bytes(), files[1][name].read_bytes())
+    for at, calls in enumerate(zip(old.calls, new.calls), 1):
+        compare_calls(d, f"call {at} ({calls[0].args[0]})", *calls)
+    ours, theirs = [{str(path.relative_to(run.dir)): path.read_bytes() for path in sorted(run.dir.rglob("*"))
+                     if path.is_file() and path.suffix not in SKIPPED and "run-krl" not in path.parts} for run in (old, new)]
+    ours = {d.renames.file(name): (name, content) for name, content in ours.items()}
+    for file, (name, content) in ours.items():
+        if file in theirs:
+            compare_file(d, file, content, theirs[file])
         else:
-            d.fail(name, "the new version does not write it")
+            d.fail(file, f"the new version does not write it ({name}, {numbers_in(name, content)} numbers)")
+    for file in theirs.keys() - ours.keys():
+        count = numbers_in(file, theirs[file])
+        (d.new if count else d.added)[f"file {Path(file).name}"] += count or 1
+    for where, count in d.lost.items():
+        d.fail(where, f"{count} numbers that the new version has not")
 
 
 # --- captures ---------------------------------------------------------------------------------------------------------
@@ -597,8 +747,8 @@ def items(shared):
 
 # --- the run ----------------------------------------------------------------------------------------------------------
 
-def compare_item(item, binaries, work, places):
-    difference = Difference()
+def compare_item(item, binaries, work, places, renames):
+    difference = Difference(renames, clock=bool(item.cell))
     directory = work / item.name.replace("/", "-").replace(" ", "_")
     try:
         runs = [item.run(binary, directory / side, places) for side, binary in zip(("old", "new"), binaries)]
@@ -609,18 +759,21 @@ def compare_item(item, binaries, work, places):
 
 
 def report(item, d):
-    notes = [f"{count} {what}" for count, what in ((d.texts, "sentences"), (d.known, "hashes or versions"),
-                                                   (len(d.added), "added"), (len(d.removed), "removed")) if count]
-    tail = f"   ({', '.join(notes)})" if notes else ""
+    notes = [f"{count} {what}" for count, what in (
+        (d.new.total(), "new numbers"), (d.texts, "sentences"), (d.known, "hashes, versions or times"),
+        (d.added.total(), "words added"), (d.removed.total(), "words removed")) if count]
+    tail = f"{d.numbers} numbers" + (f"   ({', '.join(notes)})" if notes else "")
     if not d.failures:
-        print(f"ok    {item.name}{tail}", flush=True)
+        print(f"ok    {item.name}: {tail}", flush=True)
         return
     numeric = [size for size, *_ in d.failures if size != math.inf]
     largest = f", largest relative {max(numeric):.1e}" if numeric else ""
     word = "note" if item.optional else "DIFF"
-    print(f"{word}  {item.name}: {len(d.failures)} differences ({len(numeric)} of numbers{largest}){tail}")
+    print(f"{word}  {item.name}: {len(d.failures)} differences ({len(numeric)} of numbers{largest}) in {tail}")
     for size, where, what in sorted(d.failures, key=lambda one: -one[0] if one[0] != math.inf else -1e300)[:6]:
         print(f"        {where}: {what}" + ("" if size == math.inf else f"  ({size:.1e})"))
+    if len(d.failures) > 6:
+        print(f"        and {len(d.failures) - 6} more")
     sys.stdout.flush()
 
 
@@ -628,6 +781,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("old")
     parser.add_argument("new")
+    parser.add_argument("--renames", action="version", version=markdown(), help="print what has another name, as Markdown")
+    parser.add_argument("--at-least", type=int, default=0, metavar="N", help="fail if fewer numbers are compared")
     parser.add_argument("--shared", type=Path)
     parser.add_argument("--only", default="")
     parser.add_argument("--jobs", type=int, default=1)
@@ -635,6 +790,8 @@ def main():
     parser.add_argument("--sentences", action="store_true", help="print the sentences that differ")
     given = parser.parse_args()
     binaries = [str(Path(path).resolve(strict=True)) for path in (given.old, given.new)]
+    same = filecmp.cmp(*binaries, shallow=False)
+    renames = Renames() if same else Renames(FILES, PATHS, WORDS, CODES)
     wanted = [item for item in items(given.shared) if given.only in item.name]
     if not wanted:
         sys.exit(f"no item contains {given.only!r}")
@@ -645,7 +802,7 @@ def main():
         Inputs(binaries[0], inputs, wanted)
         places = {"in": str(inputs), "root": str(ROOT), "shared": str((given.shared or ROOT).resolve())}
         with concurrent.futures.ThreadPoolExecutor(given.jobs) as pool:
-            one = lambda item: compare_item(item, binaries, work, places)
+            one = lambda item: compare_item(item, binaries, work, places, renames)
             results = []
             for item, d in zip(wanted, pool.map(one, wanted)):
                 results.append((item, d))
@@ -655,15 +812,21 @@ def main():
     finally:
         if not given.keep:
             shutil.rmtree(work)
-    for word in ("added", "removed"):
-        count = collections.Counter(key for _, d in results for key in getattr(d, word))
-        for key, items_of in sorted(count.items()):
-            print(f"{word}: {key}   in {items_of} items")
+    for title, word in (("numbers not in the new version", "lost"), ("numbers only in the new version", "new"),
+                        ("words removed", "removed"), ("words added", "added")):
+        count = sum((getattr(d, word) for _, d in results), collections.Counter())
+        for place, many in sorted(count.items()):
+            print(f"{title}: {place}   {many} in {sum(place in getattr(d, word) for _, d in results)} items")
+    for entry in sorted(renames.unused, key=str) if not given.only else ():
+        print(f"renamed, but not seen: {entry}")
     failed = [item.name for item, d in results if d.failures and not item.optional]
-    total = [sum(getattr(d, what) for _, d in results) for what in ("texts", "known")]
-    numbers = sum(size != math.inf for _, d in results for size, *_ in d.failures)
-    print(f"{len(results)} items: {len(results) - len(failed)} equal, {len(failed)} with differences ({numbers} of numbers); "
-          f"besides {total[0]} sentences, {total[1]} hashes or versions")
+    sums = {what: sum(getattr(d, what) for _, d in results) for what in ("texts", "known")}
+    differ = sum(size != math.inf for _, d in results for size, *_ in d.failures)
+    print(f"{len(results)} items: {len(results) - len(failed)} equal, {len(failed)} with differences ({differ} of numbers); "
+          f"besides {sums['texts']} sentences, {sums['known']} hashes, versions or times")
+    compared = sum(d.numbers for item, d in results if not item.optional)
+    print(f"{compared} numbers compared" + (f", {given.at_least} expected" if given.at_least else ""))
+    failed = failed or compared < given.at_least
     return 1 if failed else 0
 
 

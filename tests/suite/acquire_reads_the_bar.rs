@@ -4,9 +4,9 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use dbbd::device::protocol::Definition;
-use dbbd::recording::capture::{self, Event, Record, RunEnd};
-use dbbd::sim::bar::{self, Options, Reading, Source, Terminal};
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_job::recording::capture::{self, CaptureRecord, RunEnd, RunEvent};
+use dbbd_job::sim::bar::{self, ReadingSource, SimulatedReading, Terminal, VirtualBarOptions};
 
 use crate::cell::{codes, stderr};
 use crate::played_bar::{RATE_HZ, endless, play, read, reading, reading_mm, samples, wait_for};
@@ -28,8 +28,8 @@ struct Program {
     over: bool,
 }
 
-impl Source for Program {
-    fn reading(&mut self, t_s: f64) -> Option<Reading> {
+impl ReadingSource for Program {
+    fn reading(&mut self, t_s: f64) -> Option<SimulatedReading> {
         self.over = t_s > 7.0;
         Some(reading(t_s, strobe(t_s)))
     }
@@ -47,9 +47,9 @@ fn zeroing_is_noted_in_the_capture() {
     let terminal = Terminal::new().unwrap();
     let port = terminal.address().to_string();
     std::thread::spawn(move || {
-        let definition = Definition::by_name("cdi-starrett").unwrap().unwrap();
-        let options = Options { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
-        bar::serve(terminal, &definition, options, Program { over: false })
+        let definition = ProtocolDefinition::by_name("cdi-starrett").unwrap().unwrap();
+        let options = VirtualBarOptions { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
+        bar::serve_bar(terminal, &definition, options, Program { over: false })
     });
     let acquire =
         ["acquire", "--port", &port, "--protocol", "cdi-starrett", "--duration", "0.5", "--out", path];
@@ -82,14 +82,17 @@ fn a_program_is_recorded_to_its_end_mark() {
         assert_eq!(sample.ticks.unwrap().0, ((1u64 << 32) - 2_000_000 + 1000 * frame) % (1 << 32));
     }
     // Raw bytes are written before the decoded samples.
-    let first = |wanted: fn(&Record) -> bool| capture.records.iter().position(|s| wanted(&s.record)).unwrap();
-    assert!(first(|r| matches!(r, Record::Raw(_))) < first(|r| matches!(r, Record::Samples(_))));
+    let first =
+        |wanted: fn(&CaptureRecord) -> bool| capture.records.iter().position(|s| wanted(&s.record)).unwrap();
+    assert!(
+        first(|r| matches!(r, CaptureRecord::Raw(_))) < first(|r| matches!(r, CaptureRecord::Samples(_)))
+    );
     assert!(capture.attachment("protocol.toml").is_some());
-    let events: Vec<&Event> = capture.events().collect();
+    let events: Vec<&RunEvent> = capture.events().collect();
     assert!(
         matches!(
             events[..],
-            [Event::Started { .. }, Event::Opened { .. }, Event::Ended(RunEnd { lost: 0, .. })]
+            [RunEvent::Started { .. }, RunEvent::Opened { .. }, RunEvent::Ended(RunEnd { lost: 0, .. })]
         ),
         "{events:?}"
     );
@@ -116,8 +119,8 @@ fn a_program_is_recorded_to_its_end_mark() {
 /// A line that damages every hundredth frame.
 struct Spoiled(u64);
 
-impl Source for Spoiled {
-    fn reading(&mut self, t_s: f64) -> Option<Reading> {
+impl ReadingSource for Spoiled {
+    fn reading(&mut self, t_s: f64) -> Option<SimulatedReading> {
         (t_s < 3600.0).then(|| reading(t_s, false))
     }
 
@@ -143,11 +146,12 @@ fn damaged_frames_are_recorded_and_give_a_warning() {
     let missing: u64 = capture
         .events()
         .map(|event| match event {
-            Event::Gap { missing, .. } => missing.unwrap(),
+            RunEvent::Gap { missing, .. } => missing.unwrap(),
             _ => 0,
         })
         .sum();
-    let faults = capture.records.iter().filter(|stamped| matches!(stamped.record, Record::Fault(_))).count();
+    let faults =
+        capture.records.iter().filter(|stamped| matches!(stamped.record, CaptureRecord::Fault(_))).count();
     let expected = samples(&capture).len() as u64 / 99;
     assert!(expected > 5 && missing.abs_diff(expected) <= 1, "{missing} of {expected}");
     // The last fault may be a frame that the end of the run cut. A damaged byte may end its frame early.
@@ -189,8 +193,8 @@ fn a_run_under_nohup_survives_its_terminal() {
 /// A bar that sends zeros between frames: each zero ends an empty frame.
 struct Zeros;
 
-impl Source for Zeros {
-    fn reading(&mut self, t_s: f64) -> Option<Reading> {
+impl ReadingSource for Zeros {
+    fn reading(&mut self, t_s: f64) -> Option<SimulatedReading> {
         (t_s < 3600.0).then(|| reading(t_s, false))
     }
 
@@ -261,7 +265,7 @@ fn a_torn_capture_is_recovered_with_a_warning() {
     let recovered = run(&["recover", &path("torn"), "--out", &path("whole")]);
     assert_eq!(recovered.status.code(), Some(3), "{}", stderr(&recovered));
     assert_eq!(codes(&recovered), ["W0410", "W0410", "W0411"], "{}", stderr(&recovered));
-    let (before, after) = (capture::read(&bytes), read(Path::new(&path("whole"))));
+    let (before, after) = (capture::read_capture(&bytes), read(Path::new(&path("whole"))));
     assert_eq!((after.records, after.damages.len()), (before.records, 0));
     // Its end stays missing. A complete run misses nothing.
     let again = run(&["recover", &path("whole"), "--out", &path("more")]);

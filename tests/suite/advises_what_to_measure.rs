@@ -1,8 +1,8 @@
 //! Recommendations have the predicted effect, and a ball rotated about axis 1 has none.
 
-use dbbd::estimation::result_file::Kind;
-use dbbd::estimation::{CalibrationResult, Options, Prior, ResultFile};
-use dbbd::measurement::{BaseBall, Measurements};
+use dbbd_model::estimation::result_file::Kind;
+use dbbd_model::estimation::{CalibrationResult, Options, Prior, ResultFile};
+use dbbd_model::measurement::{BaseBall, Measurements};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -74,7 +74,7 @@ fn a_further_ball_helps_and_a_rotation_about_axis_1_does_not() {
 #[test]
 fn another_plane_separates_the_parameters_of_a_horizontal_circle() {
     let circles = [horizontal(1, CENTRE)];
-    let list = dbbd::robot::parameter::parse_list("alpha1-5,a1-5,d2-6", &[], 1).unwrap();
+    let list = dbbd_model::robot::parameter::parse_list("alpha1-5,a1-5,d2-6", &[], 1).unwrap();
     let options = |prior| Options {
         estimate: Some(list.clone()),
         sigma_mm: Some(0.02),
@@ -98,7 +98,7 @@ fn another_plane_separates_the_parameters_of_a_horizontal_circle() {
 fn no_recommendation_if_all_parameters_are_identified() {
     let circles = [three_planes(1, CENTRE), three_planes(2, [1100.0, 400.0, 600.0])].concat();
     let data = noisy(&circles, 27, 0.001);
-    let hold = dbbd::robot::parameter::parse_list("bar", &[], 2).unwrap();
+    let hold = dbbd_model::robot::parameter::parse_list("bar", &[], 2).unwrap();
     let options = Options { sigma_mm: Some(0.001), hold, folds: Some(0), ..Options::default() };
     let found = calibrated(&kr60(), &data, &balls(&circles), &options).unwrap();
     // Only d2 + d3 and the place of the base are left, which no lengths determine.
@@ -112,7 +112,7 @@ fn no_recommendation_if_all_parameters_are_identified() {
 fn uninformative_poses_give_no_absurd_recommendation() {
     let circles = [horizontal(1, CENTRE)];
     let data = turned(&circles, 36, 0.02, 0.0);
-    let all = dbbd::robot::parameter::parse_list("all", &kr60().parallel_joints(), 1).unwrap();
+    let all = dbbd_model::robot::parameter::parse_list("all", &kr60().parallel_joints(), 1).unwrap();
     let mut further = Vec::new();
     for (prior, estimate) in [(Prior::None, None), (Prior::None, Some(all)), (Prior::Datasheet, None)] {
         let options = Options { sigma_mm: Some(0.02), folds: Some(0), prior, estimate, ..Options::default() };

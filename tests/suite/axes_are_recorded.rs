@@ -8,12 +8,12 @@ use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::path::Path;
 use std::time::Duration;
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::device::axes::{AxesProtocol, AxesSample, rsi, rtde};
-use dbbd::recording::axes::{AxesReceiver, AxisTrackBuilder, PacketCounts, Place};
-use dbbd::recording::capture::{Event, Record};
-use dbbd::sim::axes::{Publisher, RECIPE};
-use dbbd::sim::fault::Faults;
+use dbbd_device::axes::{AxesProtocol, AxesSample, rsi, rtde};
+use dbbd_job::recording::axes::{AxesReceiver, AxisTrackBuilder, PacketCounts, PacketPlace};
+use dbbd_job::recording::capture::{CaptureRecord, RunEvent};
+use dbbd_job::sim::axes::{AxesPublisher, RECIPE};
+use dbbd_job::sim::fault::InjectedFaults;
+use dbbd_model::base::units::{DeviceTicks, HostNs};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde_json::Value;
@@ -27,15 +27,15 @@ fn axes(cycle: u64) -> [f64; 6] {
 }
 
 /// Faults of the line.
-fn faults(seed: u64) -> Faults {
+fn faults(seed: u64) -> InjectedFaults {
     let share = |of: u64| [0.0, 1e-4, 1e-3, 1e-2][(seed / of % 4) as usize];
-    Faults {
+    InjectedFaults {
         axes_drop: share(1),
         axes_double: share(4),
         axes_swap: share(16),
         axes_spoil: share(64),
         axes_drift_ppm: [0.0, 80.0, -250.0][(seed % 3) as usize],
-        ..Faults::default()
+        ..InjectedFaults::default()
     }
 }
 
@@ -53,9 +53,9 @@ fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> Accounted {
     let faults = faults(seed);
     let mut jitter = Pcg64::seed_from_u64(seed);
     let mut track = AxisTrackBuilder::default();
-    let opened = Event::AxesOpened { address: "simulated".into(), protocol };
-    track.add(HostNs(0), &Record::Event(opened));
-    let mut publisher = Publisher::new(protocol, &faults, seed, 4_208_163_634);
+    let opened = RunEvent::AxesOpened { address: "simulated".into(), protocol };
+    track.add(HostNs(0), &CaptureRecord::Event(opened));
+    let mut publisher = AxesPublisher::new(protocol, &faults, seed, 4_208_163_634);
     let host_cycle_s = cycle_s / publisher.pace();
     let mut receiver = AxesReceiver::new(protocol);
     let mut control = 0;
@@ -63,15 +63,15 @@ fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> Accounted {
         let recipe = [&[RECIPE], rtde::TYPES.as_bytes()].concat();
         let recipe = rtde::package(rtde::SET_UP_OUTPUTS, &recipe);
         receiver.push(HostNs(0), &recipe, |_, _, _| {});
-        track.add(HostNs(0), &Record::Axes(recipe));
+        track.add(HostNs(0), &CaptureRecord::Axes(recipe));
         control = 1;
     }
     let mut heard = 0_u64;
-    let mut take = |publisher: &mut Publisher, t_s: f64| {
+    let mut take = |publisher: &mut AxesPublisher, t_s: f64| {
         while let Some(packet) = publisher.arrived(t_s) {
             let host = HostNs(((t_s + jitter.random_range(0.0..0.0015)) * 1e9) as u64 + 1);
             receiver.push(host, &packet, |place, stamp, sample| {
-                heard += u64::from(matches!(place, Place::Next | Place::Late));
+                heard += u64::from(matches!(place, PacketPlace::Next | PacketPlace::Late));
                 assert_eq!(stamp.ticks, sample.ticks);
                 let cycle = ((sample.ticks.0 - 4_208_163_634) as f64 * f64::from(protocol.tick_ns()) * 1e-9
                     / cycle_s)
@@ -79,12 +79,12 @@ fn accounted(protocol: AxesProtocol, seed: u64, cycles: u64) -> Accounted {
                 let sent = axes(cycle).map(f64::to_degrees);
                 assert!(sample.measured_deg.iter().zip(sent).all(|(a, b)| (a - b).abs() < 6e-5));
             });
-            track.add(host, &Record::Axes(packet));
+            track.add(host, &CaptureRecord::Axes(packet));
         }
     };
     // The line is good for a cycle at each end: losses there would leave no trace.
-    let drifts = Faults { axes_drift_ppm: faults.axes_drift_ppm, ..Faults::default() };
-    let sound = Publisher::new(protocol, &drifts, seed, 4_208_163_634);
+    let drifts = InjectedFaults { axes_drift_ppm: faults.axes_drift_ppm, ..InjectedFaults::default() };
+    let sound = AxesPublisher::new(protocol, &drifts, seed, 4_208_163_634);
     let (mut first, mut final_one) = (sound.clone(), sound);
     first.cycle(0.0, &axes(0), &axes(0));
     take(&mut first, 0.0);
@@ -156,7 +156,7 @@ fn restarts_and_stray_packets_are_distinguished() {
     let packet = |ticks: u64| {
         let sample =
             AxesSample { ticks: DeviceTicks(ticks), measured_deg: [1.0; 6], commanded_deg: None, late: None };
-        rsi::write(&sample).into_bytes()
+        rsi::write_datagram(&sample).into_bytes()
     };
     let mut receiver = AxesReceiver::new(AxesProtocol::Rsi);
     let mut host = 0;
@@ -167,15 +167,15 @@ fn restarts_and_stray_packets_are_distinguished() {
         placed.unwrap()
     };
     for ticks in (100_000..100_400).step_by(4) {
-        assert_eq!(push(&mut receiver, ticks), Place::Next);
+        assert_eq!(push(&mut receiver, ticks), PacketPlace::Next);
     }
-    assert_eq!(push(&mut receiver, 50_000), Place::Stray);
-    assert_eq!(push(&mut receiver, 100_400), Place::Next);
-    assert_eq!(push(&mut receiver, 8_000_000), Place::Stray);
-    assert_eq!(push(&mut receiver, 100_404), Place::Next);
+    assert_eq!(push(&mut receiver, 50_000), PacketPlace::Stray);
+    assert_eq!(push(&mut receiver, 100_400), PacketPlace::Next);
+    assert_eq!(push(&mut receiver, 8_000_000), PacketPlace::Stray);
+    assert_eq!(push(&mut receiver, 100_404), PacketPlace::Next);
     assert_eq!(
         [8, 12, 16].map(|ticks| push(&mut receiver, ticks)),
-        [Place::Stray, Place::Restart, Place::Next]
+        [PacketPlace::Stray, PacketPlace::Restart, PacketPlace::Next]
     );
     let PacketCounts { lost, stray, restarts, used, .. } = receiver.counts();
     assert_eq!((lost, stray, restarts, used), (0, 3, 1, 104));
@@ -239,7 +239,7 @@ fn rsi_is_answered_only_on_request() {
             commanded_deg: Some([1.0, -90.5, 90.25, 0.0, -0.125, 7.01]),
             late: Some(late),
         };
-        rsi::write(&sample).into_bytes()
+        rsi::write_datagram(&sample).into_bytes()
     };
     let good: Vec<Vec<u8>> = (0..100).map(|n| packet(4000 + 4 * n, 0)).collect();
     let (said, axes, answers) = recorded(dir.path(), "", &good, "quiet");
@@ -299,11 +299,11 @@ fn unusable_addresses_are_refused_with_a_code() {
     {
         let (code, said) = acquire(text);
         assert_eq!(code, Some(2), "{text}: {said}");
-        let wrong = text.parse::<dbbd::device::axes::AxesAddress>().unwrap_err();
-        assert_eq!(dbbd::diagnostic::Finding::code(&wrong).0, "E2201", "{text}");
+        let wrong = text.parse::<dbbd_device::axes::AxesAddress>().unwrap_err();
+        assert_eq!(dbbd_model::diagnostic::Finding::code(&wrong).as_str(), "E2201", "{text}");
     }
     for text in ["rsi://0.0.0.0:49152", "rsi://[::1]:5?answer=zero", "rtde://10.0.0.1:30004?hz=250"] {
-        assert_eq!(text.parse::<dbbd::device::axes::AxesAddress>().unwrap().to_string(), text);
+        assert_eq!(text.parse::<dbbd_device::axes::AxesAddress>().unwrap().to_string(), text);
     }
     let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
     let (code, said) = acquire(&format!("rsi://{}", taken.local_addr().unwrap()));

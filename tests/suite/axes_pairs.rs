@@ -4,14 +4,14 @@
 
 use std::ops::Range;
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::device::axes::{AxesProtocol, AxesSample, rtde};
-use dbbd::measurement::sample::Sample;
-use dbbd::plan::{Kind, Plan};
-use dbbd::recording::axes::AxisTrackBuilder;
-use dbbd::recording::capture::{Event, Record};
-use dbbd::recording::matching::{DwellSource, Input, PublishedAxes, match_poses};
-use dbbd::recording::{DeviceClock, StreamBuilder};
+use dbbd_device::axes::{AxesProtocol, AxesSample, rtde};
+use dbbd_job::plan::{Plan, PoseKind};
+use dbbd_job::recording::axes::AxisTrackBuilder;
+use dbbd_job::recording::capture::{CaptureRecord, RunEvent};
+use dbbd_job::recording::matching::{DwellSource, MatchingInput, PublishedAxes, match_poses};
+use dbbd_job::recording::{DeviceClock, StreamBuilder};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::measurement::sample::Sample;
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -62,8 +62,8 @@ fn placed(seed: u64, distinct: bool) -> Plan {
     let mut pose = 0;
     for row in &mut plan.rows {
         let at = |deg: f64| [0.2 * deg, -60.0 + 0.5 * deg, 90.0 - 0.4 * deg, deg, 60.0 - deg, 0.3 * deg];
-        row.axes_deg = if row.kind == Kind::Measure { at(f64::from(pose) - 40.0) } else { at(-50.0) };
-        pose += u32::from(row.kind != Kind::Transit);
+        row.axes_deg = if row.kind == PoseKind::Measure { at(f64::from(pose) - 40.0) } else { at(-50.0) };
+        pose += u32::from(row.kind != PoseKind::Transit);
     }
     plan
 }
@@ -85,7 +85,7 @@ fn off_deg(has: impl Fn(Trouble) -> bool) -> f64 {
 /// The phases of a run.
 fn phases(plan: &Plan, rng: &mut Pcg64, has: impl Fn(Trouble) -> bool) -> Vec<Phase> {
     let rows: Vec<_> =
-        plan.rows.iter().zip(&plan.header.moves).filter(|(row, _)| row.kind != Kind::Transit).collect();
+        plan.rows.iter().zip(&plan.header.moves).filter(|(row, _)| row.kind != PoseKind::Transit).collect();
     let mut order: Vec<usize> = (0..rows.len()).collect();
     if has(Trouble::RunAgain) {
         let stopped = rng.random_range(3..MODULE as usize - 3);
@@ -174,10 +174,10 @@ fn score(seed: u64, distinct: bool, trouble: Trouble) -> Score {
     let length =
         |axes_deg: &[f64; 6]| geometry.length(&axes_deg.map(f64::to_radians), &Vector3::from(CENTRE), 0.0);
     let mut track = AxisTrackBuilder::default();
-    let opened = Event::AxesOpened { address: "rtde://robot:30004".into(), protocol: AxesProtocol::Rtde };
-    track.add(HostNs(0), &Record::Event(opened));
+    let opened = RunEvent::AxesOpened { address: "rtde://robot:30004".into(), protocol: AxesProtocol::Rtde };
+    track.add(HostNs(0), &CaptureRecord::Event(opened));
     let recipe = [b"\x01", rtde::TYPES.as_bytes()].concat();
-    track.add(HostNs(0), &Record::Axes(rtde::package(rtde::SET_UP_OUTPUTS, &recipe)));
+    track.add(HostNs(0), &CaptureRecord::Axes(rtde::package(rtde::SET_UP_OUTPUTS, &recipe)));
     let mut stream = StreamBuilder::new(Some(DeviceClock { seconds_per_tick: 1e-6, wrap: None }));
     let (mut phase, mut since_s) = (0, 0.0);
     let mut first_s = None;
@@ -212,7 +212,7 @@ fn score(seed: u64, distinct: bool, trouble: Trouble) -> Score {
             let measured_deg = axes_deg.map(|deg| deg + noise_deg * rng.random_range(-1.7..1.7));
             let ticks = DeviceTicks((t_s * 1e6).round() as u64);
             let sample = AxesSample { ticks, measured_deg, commanded_deg: Some(axes_deg), late: None };
-            track.add(host(rng.random_range(0.001..0.004)), &Record::Axes(rtde::data(1, &sample)));
+            track.add(host(rng.random_range(0.001..0.004)), &CaptureRecord::Axes(rtde::data(1, &sample)));
         }
         if !silent.iter().any(|range| range.contains(&t_s)) {
             let ticks = Some(DeviceTicks((t_s * 1e6).round() as u64));
@@ -224,9 +224,9 @@ fn score(seed: u64, distinct: bool, trouble: Trouble) -> Score {
     let (stream, track) = (stream.build(), track.build().unwrap());
     assert_eq!(track.counts.cycle_us as f64, 1e6 * CYCLE_S);
     let published = Some(PublishedAxes { track: &track, geometry: &geometry });
-    let matching = match_poses(&Input { published, ..Input::new(&plan, &stream) });
+    let matching = match_poses(&MatchingInput { published, ..MatchingInput::new(&plan, &stream) });
     assert_eq!(matching.source, DwellSource::Axes);
-    let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
+    let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).collect();
     let mut score = Score { sound: sound.iter().filter(|sound| **sound).count(), ..Score::default() };
     for row in &matching.observations.rows {
         let pose = rows.iter().position(|planned| planned.index == row.index).unwrap();

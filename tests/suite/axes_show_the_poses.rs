@@ -2,23 +2,23 @@
 //! strobe, time
 //! code or marker, and lengths are taken at the measured axes.
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::device::axes::AxesProtocol;
-use dbbd::math::aligned_distances;
-use dbbd::measurement::sample::Sample;
-use dbbd::plan::{Job, Plan};
-use dbbd::program::krl::{self, Program, Sync, emit};
-use dbbd::recording::axes::{AxisTrack, AxisTrackBuilder};
-use dbbd::recording::capture::{Event, Record};
-use dbbd::recording::matching::{
-    AxesReport, DwellSource, Input, PoseMatching, PoseOutcome, PublishedAxes, match_poses,
+use dbbd_device::axes::AxesProtocol;
+use dbbd_job::plan::{Job, Plan};
+use dbbd_job::program::krl::{self, Program, Sync, emit};
+use dbbd_job::recording::axes::{AxisTrack, AxisTrackBuilder};
+use dbbd_job::recording::capture::{CaptureRecord, RunEvent};
+use dbbd_job::recording::matching::{
+    AxesReport, DwellSource, MatchingInput, PoseMatching, PoseOutcome, PublishedAxes, match_poses,
 };
-use dbbd::recording::{DeviceClock, Stream, StreamBuilder};
-use dbbd::robot::Robot;
-use dbbd::sim::axes::Publisher;
-use dbbd::sim::fault::Faults;
-use dbbd::sim::world::Setup;
-use dbbd::sim::{Controller, World};
+use dbbd_job::recording::{DeviceClock, SampleStream, StreamBuilder};
+use dbbd_job::sim::axes::AxesPublisher;
+use dbbd_job::sim::fault::InjectedFaults;
+use dbbd_job::sim::world::WorldSetup;
+use dbbd_job::sim::{SimulatedController, World};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::sample::Sample;
+use dbbd_model::robot::Robot;
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -57,14 +57,14 @@ const BOTH: &str = "direction = \"both\"\nmode = \"continuous\"";
 
 /// A recorded run.
 struct Driven {
-    stream: Stream,
+    stream: SampleStream,
     track: AxisTrack,
     /// Robot time, s.
     lasts_s: f64,
 }
 
 /// Drives a plan with the true robot of `ERRORS`; the bar has a strobe with [`Sync::Output`] only.
-fn driven(plan: &Plan, sync: Sync, faults: &Faults, seed: u64) -> Driven {
+fn driven(plan: &Plan, sync: Sync, faults: &InjectedFaults, seed: u64) -> Driven {
     let files = emit(plan, krl::Options { sync, controller: krl::Controller::Krc4 }).unwrap();
     let program = Program::open("DBB_MAIN", |wanted| {
         Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
@@ -74,15 +74,15 @@ fn driven(plan: &Plan, sync: Sync, faults: &Faults, seed: u64) -> Driven {
     let world = format!(
         "following_ms = {FOLLOWING_MS:?}\n[[centre]]\nid = 1\nxyz_mm = {centre:?}\n[bar]\nnoise_um = 2.0\n"
     );
-    let setup = Setup::new(&program.setups(), Some(("world.toml", &world))).unwrap();
+    let setup = WorldSetup::new(&program.setups(), Some(("world.toml", &world))).unwrap();
     let mut world = World::new(with_errors(ERRORS).geometry, setup, seed);
-    let mut controller = Controller::new(program, &kr60(), 100.0).unwrap();
-    let mut publisher = Publisher::new(AxesProtocol::Rsi, faults, seed, 4_000_000);
+    let mut controller = SimulatedController::new(program, &kr60(), 100.0).unwrap();
+    let mut publisher = AxesPublisher::new(AxesProtocol::Rsi, faults, seed, 4_000_000);
     let mut jitter = Pcg64::seed_from_u64(seed);
     let mut stream = StreamBuilder::new(Some(DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) }));
     let mut track = AxisTrackBuilder::default();
-    let opened = Event::AxesOpened { address: "rsi://[::]:1".into(), protocol: AxesProtocol::Rsi };
-    track.add(HostNs(0), &Record::Event(opened));
+    let opened = RunEvent::AxesOpened { address: "rsi://[::]:1".into(), protocol: AxesProtocol::Rsi };
+    track.add(HostNs(0), &CaptureRecord::Event(opened));
     let host = |t_s: f64, late_s: f64| HostNs(((t_s + late_s) * 1e9) as u64);
     let (mut halted, mut t_s) = (0, 0.0);
     for number in 0_u64.. {
@@ -91,7 +91,7 @@ fn driven(plan: &Plan, sync: Sync, faults: &Faults, seed: u64) -> Driven {
         publisher.cycle(moment.t_s, &world.measured(&moment), &moment.axes);
         while let Some(packet) = publisher.arrived(moment.t_s) {
             let late_s = AXES_LATE_S + jitter.random_range(0.0..0.001);
-            track.add(host(moment.t_s, late_s), &Record::Axes(packet));
+            track.add(host(moment.t_s, late_s), &CaptureRecord::Axes(packet));
         }
         t_s = number as f64 * CYCLE_S + 0.5 / BAR_HZ;
         let moment = controller.step(t_s - moment.t_s).unwrap();
@@ -118,11 +118,11 @@ impl Driven {
     fn by_axes(&self, plan: &Plan) -> PoseMatching {
         let robot = kr60();
         let published = Some(PublishedAxes { track: &self.track, geometry: &robot.geometry });
-        match_poses(&Input { published, ..Input::new(plan, &self.stream) })
+        match_poses(&MatchingInput { published, ..MatchingInput::new(plan, &self.stream) })
     }
 
     fn by_command(&self, plan: &Plan) -> PoseMatching {
-        match_poses(&Input::new(plan, &self.stream))
+        match_poses(&MatchingInput::new(plan, &self.stream))
     }
 }
 
@@ -171,7 +171,8 @@ fn check(report: &AxesReport) {
 #[test]
 fn dwells_are_detected_without_strobe_and_time_code() {
     let plan = plan(&PLANES[..1], 8, "");
-    let faults = Faults { axes_drop: 0.002, axes_swap: 0.01, axes_double: 0.01, ..Faults::default() };
+    let faults =
+        InjectedFaults { axes_drop: 0.002, axes_swap: 0.01, axes_double: 0.01, ..InjectedFaults::default() };
     let run = driven(&plan, Sync::Marker, &faults, 3);
     let matching = run.by_axes(&plan);
     assert_eq!(matching.source, DwellSource::Axes);
@@ -188,13 +189,18 @@ fn dwells_are_detected_without_strobe_and_time_code() {
         let apart = here.axes.degrees().into_iter().zip(there.axes.degrees()).map(|(a, b)| (a - b).abs());
         assert!(apart.fold(0.0, f64::max) < 0.002, "{here:?} {there:?}");
     }
-    assert!(matching.findings.iter().any(|finding| dbbd::diagnostic::Finding::code(finding).0 == "I2221"));
+    assert!(
+        matching
+            .findings
+            .iter()
+            .any(|finding| dbbd_model::diagnostic::Finding::code(finding).as_str() == "I2221")
+    );
 }
 
 #[test]
 fn passes_are_read_at_the_measured_axes() {
     let plan = plan(&PLANES[..1], 13, ARC);
-    let run = driven(&plan, Sync::Marker, &Faults::default(), 4);
+    let run = driven(&plan, Sync::Marker, &InjectedFaults::default(), 4);
     let matching = run.by_axes(&plan);
     let report = matching.axes.as_ref().unwrap();
     eprintln!("{report:?}");
@@ -219,7 +225,7 @@ fn passes_are_read_at_the_measured_axes() {
 #[test]
 fn axes_with_an_inconsistent_clock_are_not_used() {
     let plan = plan(&PLANES[..1], 4, "");
-    let run = driven(&plan, Sync::Marker, &Faults::default(), 5);
+    let run = driven(&plan, Sync::Marker, &InjectedFaults::default(), 5);
     let mut fast = StreamBuilder::new(Some(DeviceClock { seconds_per_tick: 1e-6, wrap: None }));
     for (at, t_s) in run.stream.t_s.iter().enumerate() {
         let ticks = Some(DeviceTicks((t_s * 1e6) as u64));
@@ -229,7 +235,12 @@ fn axes_with_an_inconsistent_clock_are_not_used() {
     let run = Driven { stream: fast.build(), ..run };
     let matching = run.by_axes(&plan);
     assert!(matching.axes.is_none());
-    assert!(matching.findings.iter().any(|finding| dbbd::diagnostic::Finding::code(finding).0 == "W2220"));
+    assert!(
+        matching
+            .findings
+            .iter()
+            .any(|finding| dbbd_model::diagnostic::Finding::code(finding).as_str() == "W2220")
+    );
 }
 
 #[test]
@@ -244,7 +255,7 @@ fn campaign_of_commanded_and_measured_axes() {
         let (mut minutes, mut pairs, mut effective, mut following) = (0.0, 0, 0.0, 0.0_f64);
         const RUNS: u64 = 5;
         for seed in 0..RUNS {
-            let run = driven(&plan, Sync::Output, &Faults::default(), 100 + seed);
+            let run = driven(&plan, Sync::Output, &InjectedFaults::default(), 100 + seed);
             let ways = [run.by_command(&plan), run.by_axes(&plan)];
             for (sum, matching) in sums.iter_mut().zip(&ways) {
                 let [mean, most] = error_mm(&identified(matching));

@@ -1,9 +1,9 @@
 //! A bad line loses frames and never invents lengths: the campaign over `dbb-cobs-1`.
 
-use dbbd::base::units::DeviceTicks;
-use dbbd::device::protocol::{Decoded, Definition};
-use dbbd::measurement::sample::Sample;
-use dbbd::sim::fault::{BadLine, Faults};
+use dbbd_device::protocol::{DecodedItem, ProtocolDefinition};
+use dbbd_job::sim::fault::{FaultyLine, InjectedFaults};
+use dbbd_model::base::units::DeviceTicks;
+use dbbd_model::measurement::sample::Sample;
 
 /// Result of a campaign.
 #[derive(Debug, Default, PartialEq)]
@@ -30,10 +30,10 @@ fn sample(frame: u64) -> Sample {
     }
 }
 
-fn campaign(frames: u64, faults: Faults, seed: u64) -> Tally {
-    let definition = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
+fn campaign(frames: u64, faults: InjectedFaults, seed: u64) -> Tally {
+    let definition = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap();
     let (encoder, mut decoder) = (definition.encoder(), definition.decoder());
-    let mut line = BadLine::new(faults, seed);
+    let mut line = FaultyLine::new(faults, seed);
     let mut tally = Tally { frames, ..Tally::default() };
     let (mut out, mut accounted) = (Vec::new(), 0);
     let (mut clean, mut carried) = (Vec::new(), Vec::new());
@@ -53,7 +53,7 @@ fn campaign(frames: u64, faults: Faults, seed: u64) -> Tally {
         let mut seen = false;
         for decoded in out.drain(..) {
             accounted += decoded.bytes();
-            if let Decoded::Sample(got, _) = decoded {
+            if let DecodedItem::Sample(got, _) = decoded {
                 // This frame, or one before it that a damaged delimiter held back.
                 let sent = (next..=frame).rev().find(|sent| sample(*sent) == Sample { offset: 0, ..got });
                 match sent {
@@ -72,12 +72,13 @@ fn campaign(frames: u64, faults: Faults, seed: u64) -> Tally {
     tally
 }
 
-fn rates() -> Vec<Faults> {
+fn rates() -> Vec<InjectedFaults> {
     // A bit error rate b spoils a byte with probability 8 b.
-    let bits = [1e-5, 1e-4, 1e-3, 1e-2].map(|rate| Faults { flip: 8.0 * rate, ..Faults::default() });
+    let bits =
+        [1e-5, 1e-4, 1e-3, 1e-2].map(|rate| InjectedFaults { flip: 8.0 * rate, ..InjectedFaults::default() });
     let bytes = [
-        Faults { drop: 1e-3, ..Faults::default() },
-        Faults { insert: 1e-3, double: 1e-3, ..Faults::default() },
+        InjectedFaults { drop: 1e-3, ..InjectedFaults::default() },
+        InjectedFaults { insert: 1e-3, double: 1e-3, ..InjectedFaults::default() },
     ];
     bits.into_iter().chain(bytes).collect()
 }

@@ -4,10 +4,10 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::design::calibrate_run;
-use dbbd::estimation::{AngleSource, Input, Options, ResultFile};
-use dbbd::measurement::{BaseBall, LengthModel, Measurements};
-use dbbd::robot::{BallId, Robot};
+use dbbd_model::design::calibrate_run;
+use dbbd_model::estimation::{AngleSource, Input, Options, ResultFile};
+use dbbd_model::measurement::{BaseBall, LengthModel, Measurements};
+use dbbd_model::robot::{BallId, Robot};
 use nalgebra::Vector3;
 use tempfile::tempdir;
 

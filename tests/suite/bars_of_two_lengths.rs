@@ -1,12 +1,12 @@
 //! With equal lengths a bar's offset is equivalent to a uniform scale of the robot. A second length of the same bar separates
 //! them; a second bar with an offset of its own does not, unless one of them is calibrated.
 
-use dbbd::robot::{BallId, BarId};
+use dbbd_model::robot::{BallId, BarId};
 use std::fs;
 
-use dbbd::estimation::result::Status;
-use dbbd::estimation::result_file::{ParameterResult, ResultFile};
-use dbbd::measurement::{Datum, Measurements};
+use dbbd_model::estimation::result::Status;
+use dbbd_model::estimation::result_file::{ParameterResult, ResultFile};
+use dbbd_model::measurement::{Datum, Measurements};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::thread;
 
-use dbbd::base::clock;
+use dbbd_device::clock;
 
 use crate::cell::{codes, stderr};
 use crate::process::dbbd;

@@ -4,12 +4,12 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use dbbd::base::clock;
 use dbbd::daemon;
-use dbbd::device::protocol::Definition;
-use dbbd::provenance::Identity;
-use dbbd::recording::capture::Event;
-use dbbd::sim::bar::Terminal;
+use dbbd_device::clock;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_job::recording::capture::RunEvent;
+use dbbd_job::sim::bar::Terminal;
+use dbbd_model::provenance::Identity;
 
 use crate::cell::{codes, stderr};
 use crate::played_bar::{definition, endless, play, read, reading, wait_for};
@@ -54,7 +54,7 @@ fn bar_that_falls_silent_is_reported() {
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let silent_s = summary["progress"]["silent_s"].as_f64().unwrap();
     assert!((3.0..4.5).contains(&silent_s), "{silent_s} s");
-    assert!(read(&path).events().any(|event| matches!(event, Event::Gap { seconds: Some(_), .. })));
+    assert!(read(&path).events().any(|event| matches!(event, RunEvent::Gap { seconds: Some(_), .. })));
 }
 
 #[test]
@@ -77,13 +77,13 @@ fn bar_that_disappears_ends_the_run() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let terminal = Terminal::new().unwrap();
-    let options = daemon::Options {
+    let options = daemon::AcquisitionOptions {
         port: terminal.address().clone(),
         definition: definition(),
         out: path.clone(),
         plan: None,
         identity: Identity::default(),
-        controller: daemon::Controller::default(),
+        controller: daemon::ControllerConnections::default(),
         duration_s: None,
         gone_s: 0.3,
         feed: None,
@@ -92,11 +92,13 @@ fn bar_that_disappears_ends_the_run() {
     let acquisition = daemon::Acquisition::start(options, Arc::default()).unwrap();
     drop(terminal);
     let summary = acquisition.join().unwrap();
-    assert_eq!(summary.ending, daemon::Ending::Gone);
+    assert_eq!(summary.ending, daemon::EndReason::Gone);
     let capture = read(&path);
     assert!(capture.ended());
     assert!(
-        capture.events().any(|event| matches!(event, Event::Gap { reason, .. } if reason.contains("gone")))
+        capture
+            .events()
+            .any(|event| matches!(event, RunEvent::Gap { reason, .. } if reason.contains("gone")))
     );
 }
 
@@ -114,10 +116,10 @@ fn port_that_disappears_during_a_command() {
             clock::sleep(0.001);
         }
     });
-    let definition = Definition::by_name("microepsilon-ild1420").unwrap().unwrap();
-    let gone = daemon::zero(&name.parse().unwrap(), &definition).unwrap_err();
+    let definition = ProtocolDefinition::by_name("microepsilon-ild1420").unwrap().unwrap();
+    let gone = daemon::zero_bar(&name.parse().unwrap(), &definition).unwrap_err();
     pulled.join().unwrap();
-    assert_eq!(dbbd::diagnostic::Finding::code(&gone).0, PORT_GONE, "{gone}");
+    assert_eq!(dbbd_model::diagnostic::Finding::code(&gone).as_str(), PORT_GONE, "{gone}");
 }
 
 /// The simulator holds the other side of the line exclusively.

@@ -5,8 +5,8 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use dbbd::plan::{Job, Plan};
-use dbbd::robot::{AXES, Pose, Robot};
+use dbbd_job::plan::{Job, Plan};
+use dbbd_model::robot::{AXES, Pose, Robot};
 use tempfile::tempdir;
 
 use crate::cell::{dbbd, stderr};

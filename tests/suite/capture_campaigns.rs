@@ -9,17 +9,19 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 
-use dbbd::base::clock;
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::daemon::{Acquisition, Controller, Ending, Options, Progress};
-use dbbd::device::protocol::Definition;
-use dbbd::measurement::sample::Sample;
-use dbbd::provenance::Identity;
+use dbbd::daemon::{Acquisition, AcquisitionOptions, ControllerConnections, EndReason, RunProgress};
+use dbbd_device::clock;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::measurement::sample::Sample;
+use dbbd_model::provenance::Identity;
 
 use crate::cell::{codes, stderr};
 use crate::process::{dbbd, run};
-use dbbd::recording::capture::{self, Capture, Disk, Event, Record, RunEnd, Stamped, Writer};
-use dbbd::sim::bar::{self, Reading, Terminal};
+use dbbd_job::recording::capture::{
+    self, Capture, CaptureRecord, CaptureWriter, Disk, RunEnd, RunEvent, StampedRecord,
+};
+use dbbd_job::sim::bar::{self, SimulatedReading, Terminal};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -30,8 +32,8 @@ fn reading_mm(frame: u64) -> f64 {
     ((frame % PERIOD) as f64 - 10_000.0) / 1e5
 }
 
-fn definition() -> Definition {
-    Definition::by_name("dbb-cobs-1").unwrap().unwrap()
+fn definition() -> ProtocolDefinition {
+    ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap()
 }
 
 /// A bar that streams until `over`, as fast as it is read; returns the name of its port.
@@ -42,13 +44,13 @@ fn stream(over: &Arc<AtomicBool>) -> String {
     std::thread::spawn(move || {
         let source = |t_s: f64| {
             let reading_mm = reading_mm((t_s * 1000.0).round() as u64);
-            let reading = Reading { reading_mm, strobe: false, valid: true, temperature_c: 20.0 };
+            let reading = SimulatedReading { reading_mm, strobe: false, valid: true, temperature_c: 20.0 };
             (!over.load(Ordering::Relaxed)).then_some(reading)
         };
-        bar::serve(
+        bar::serve_bar(
             terminal,
             &definition(),
-            bar::Options { rate_hz: 1000.0, speed: 0.0, first_ticks: 0 },
+            bar::VirtualBarOptions { rate_hz: 1000.0, speed: 0.0, first_ticks: 0 },
             source,
         )
     });
@@ -96,7 +98,7 @@ fn kills(count: u64) {
             continue;
         }
         let bytes = std::fs::read(&path).unwrap();
-        let capture = capture::read(&bytes);
+        let capture = capture::read_capture(&bytes);
         let end = match &capture.damages[..] {
             [] => bytes.len(),
             [tail] => {
@@ -107,14 +109,14 @@ fn kills(count: u64) {
             more => panic!("{more:?}"),
         };
         // The last record may be torn; all before it are whole.
-        let before = capture::read(&bytes[..before as usize]);
+        let before = capture::read_capture(&bytes[..before as usize]);
         assert!(capture.records.starts_with(&before.records));
         samples += is_prefix_of_what_was_sent(&capture);
         let raw: u64 = capture
             .records
             .iter()
             .map(|stamped| match &stamped.record {
-                Record::Raw(raw) => raw.len() as u64,
+                CaptureRecord::Raw(raw) => raw.len() as u64,
                 _ => 0,
             })
             .sum();
@@ -144,22 +146,22 @@ fn killed_at_300_moments_it_keeps_what_was_written() {
 }
 
 /// A capture of more than 200 kB with every kind of record.
-fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<Stamped>) {
-    static LONG: OnceLock<(Vec<u8>, Vec<usize>, Vec<Stamped>)> = OnceLock::new();
+fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<StampedRecord>) {
+    static LONG: OnceLock<(Vec<u8>, Vec<usize>, Vec<StampedRecord>)> = OnceLock::new();
     LONG.get_or_init(|| {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("run");
-        let mut writer = Writer::create(&path).unwrap();
+        let mut writer = CaptureWriter::create(&path).unwrap();
         let mut random = Pcg64::seed_from_u64(2);
         let mut ends = vec![size(&path) as usize];
         let mut records = Vec::new();
-        let mut write = |host: u64, record: Record| {
+        let mut write = |host: u64, record: CaptureRecord| {
             writer.write(HostNs(host), &record).unwrap();
             ends.push(size(&path) as usize);
-            records.push(Stamped { host: HostNs(host), record });
+            records.push(StampedRecord { host: HostNs(host), record });
         };
-        write(0, Record::Event(Event::Started { unix_ns: 1, version: "0".into() }));
-        write(0, Record::Attachment { name: "plan.csv".into(), content: vec![b'1'; 5000] });
+        write(0, CaptureRecord::Event(RunEvent::Started { unix_ns: 1, version: "0".into() }));
+        write(0, CaptureRecord::Attachment { name: "plan.csv".into(), content: vec![b'1'; 5000] });
         let mut frame = 0_u64;
         while frame < 4000 {
             let count = random.random_range(1..9);
@@ -168,7 +170,7 @@ fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<Stamped>) {
             if frame.is_multiple_of(7) {
                 raw[..4].copy_from_slice(&[0xdb, 0xbd, 0x5a, 0xa5]);
             }
-            write(frame, Record::Raw(raw));
+            write(frame, CaptureRecord::Raw(raw));
             let sample = |frame: u64| Sample {
                 reading_mm: reading_mm(frame),
                 sequence: Some(frame as u32),
@@ -179,10 +181,13 @@ fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<Stamped>) {
                 status: 0,
                 offset: 18 * frame,
             };
-            write(frame, Record::Samples((frame..frame + count).map(sample).collect()));
+            write(frame, CaptureRecord::Samples((frame..frame + count).map(sample).collect()));
             frame += count;
         }
-        write(frame, Record::Event(Event::Ended(RunEnd { reason: "done".into(), samples: frame, lost: 0 })));
+        write(
+            frame,
+            CaptureRecord::Event(RunEvent::Ended(RunEnd { reason: "done".into(), samples: frame, lost: 0 })),
+        );
         (std::fs::read(&path).unwrap(), ends, records)
     })
 }
@@ -190,7 +195,7 @@ fn long() -> &'static (Vec<u8>, Vec<usize>, Vec<Stamped>) {
 /// After truncation every record before is whole, nothing else is, and the tail is reported.
 fn cut(at: usize) {
     let (bytes, ends, records) = long();
-    let capture = capture::read(&bytes[..at]);
+    let capture = capture::read_capture(&bytes[..at]);
     let whole = ends.partition_point(|end| *end <= at).saturating_sub(1);
     assert_eq!(capture.records.len(), whole, "cut at {at}");
     assert!(capture.records == records[..whole], "cut at {at}");
@@ -206,7 +211,7 @@ fn flip(bit: usize) {
     let (bytes, ends, records) = long();
     let mut bytes = bytes.clone();
     bytes[bit / 8] ^= 1 << (bit % 8);
-    let capture = capture::read(&bytes);
+    let capture = capture::read_capture(&bytes);
     let harmed = ends.partition_point(|end| *end <= bit / 8);
     let kept = records.iter().enumerate().filter(|(at, _)| at + 1 != harmed).map(|(_, record)| record);
     assert!(capture.records.iter().eq(kept), "bit {bit}");
@@ -255,7 +260,7 @@ fn ended_by_the_disk(output: &Output, path: &Path, remedy: &str) {
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert_eq!(codes(output), ["E0403"], "{said}");
     assert!(said.contains(remedy), "{said}");
-    let capture = capture::read(&std::fs::read(path).unwrap());
+    let capture = capture::read_capture(&std::fs::read(path).unwrap());
     assert_eq!(capture.damages, []);
     assert!(!capture.ended());
     let samples = is_prefix_of_what_was_sent(&capture);
@@ -354,17 +359,17 @@ impl Disk for Stalling {
 }
 
 /// Records from `port` for a second, stalls the disk for `stall_s`, and ends; returns capture and counts.
-fn stalled(port: String, stall_s: f64) -> (Capture, Progress) {
+fn stalled(port: String, stall_s: f64) -> (Capture, RunProgress) {
     let (taken, stalled, stop) = (Arc::default(), Arc::default(), Arc::default());
     let disk = Stalling { taken: Arc::clone(&taken), stalled: Arc::clone(&stalled) };
-    let writer = Writer::on(Box::new(disk), Path::new("run")).unwrap();
-    let options = Options {
+    let writer = CaptureWriter::on(Box::new(disk), Path::new("run")).unwrap();
+    let options = AcquisitionOptions {
         port: port.parse().unwrap(),
         definition: definition(),
         out: "run".into(),
         plan: None,
         identity: Identity::default(),
-        controller: Controller::default(),
+        controller: ControllerConnections::default(),
         duration_s: None,
         gone_s: 1.0,
         feed: None,
@@ -378,8 +383,8 @@ fn stalled(port: String, stall_s: f64) -> (Capture, Progress) {
     clock::sleep(1.0);
     stop.store(true, Ordering::Relaxed);
     let summary = acquisition.join().unwrap();
-    assert_eq!(summary.ending, Ending::Stopped);
-    let capture = capture::read(&taken.lock().unwrap());
+    assert_eq!(summary.ending, EndReason::Stopped);
+    let capture = capture::read_capture(&taken.lock().unwrap());
     assert!(capture.ended() && capture.damages.is_empty());
     (capture, summary.progress)
 }
@@ -412,14 +417,16 @@ fn what_a_stalled_disk_loses_of_a_device_is_counted_and_named() {
     let lost: u64 = capture
         .events()
         .filter_map(|event| match event {
-            Event::Gap { reason, .. } => reason.strip_suffix(" bytes were lost: the recorder was too slow"),
+            RunEvent::Gap { reason, .. } => {
+                reason.strip_suffix(" bytes were lost: the recorder was too slow")
+            }
             _ => None,
         })
         .map(|bytes| bytes.parse::<u64>().unwrap())
         .sum();
     assert_eq!(lost, progress.lost_bytes);
     let missing = capture.events().filter_map(|event| match event {
-        Event::Gap { missing, .. } => *missing,
+        RunEvent::Gap { missing, .. } => *missing,
         _ => None,
     });
     assert_eq!(missing.sum::<u64>(), progress.missing);

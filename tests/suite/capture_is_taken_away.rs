@@ -5,8 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Output};
 
-use dbbd::base::clock;
-use dbbd::recording::capture::{self, Capture};
+use dbbd_device::clock;
+use dbbd_job::recording::capture::{self, Capture};
 use serde_json::Value;
 
 use crate::cell::{codes, stderr};
@@ -61,7 +61,7 @@ impl Recording {
 }
 
 fn read(path: &Path) -> Capture {
-    capture::read(&fs::read(path).unwrap())
+    capture::read_capture(&fs::read(path).unwrap())
 }
 
 /// Checks that all sent samples are there in order, with the attachments.
@@ -134,7 +134,7 @@ fn truncated_capture_continues_in_a_new_file() {
 fn other_users_cannot_read_a_capture() {
     use std::os::unix::fs::PermissionsExt;
     let dir = tempfile::tempdir().unwrap();
-    capture::Writer::create(&dir.path().join("run")).unwrap();
+    capture::CaptureWriter::create(&dir.path().join("run")).unwrap();
     let mode = fs::metadata(dir.path().join("run")).unwrap().permissions().mode();
     assert_eq!(mode & 0o007, 0, "{mode:o}");
 }

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use dbbd::base::clock;
-use dbbd::base::units::HostNs;
-use dbbd::recording::capture::{self, Event, Record, Writer};
+use dbbd_device::clock;
+use dbbd_job::recording::capture::{self, CaptureRecord, CaptureWriter, RunEvent};
+use dbbd_model::base::units::HostNs;
 use serde_json::Value;
 
 use crate::cell::{codes, dbbd, stderr};
@@ -79,8 +79,8 @@ fn missing_and_repeated_records_are_reported() {
     assert_eq!(missing.as_u64(), Some(ends.len() as u64 / 20), "{info:#}");
     assert_eq!(info["damages"][0]["offset"].as_u64(), Some(ends[middle] as u64));
     // A repeated record is read once.
-    let twice = capture::read(&std::fs::read(dir.path().join("twice")).unwrap());
-    assert_eq!(twice.records, capture::read(&bytes).records);
+    let twice = capture::read_capture(&std::fs::read(dir.path().join("twice")).unwrap());
+    assert_eq!(twice.records, capture::read_capture(&bytes).records);
 }
 
 /// Captures of version 2 have no record numbers; their end has the number of samples.
@@ -98,10 +98,10 @@ fn old_capture_is_compared_with_its_own_count() {
 fn flipped_header_bit_loses_only_the_header() {
     let dir = tempfile::tempdir().unwrap();
     let (mut bytes, _) = run(dir.path());
-    let records = capture::read(&bytes).records.len();
+    let records = capture::read_capture(&bytes).records.len();
     for byte in 0..16 {
         bytes[byte] ^= 4;
-        let capture = capture::read(&bytes);
+        let capture = capture::read_capture(&bytes);
         assert_eq!((capture.records.len(), capture.damages.len()), (records, 1), "byte {byte}");
         if byte % 5 == 0 {
             is_doubted(dir.path(), &format!("flipped-{byte}"), &bytes);
@@ -125,16 +125,16 @@ fn forged_record_heads_are_skipped_in_linear_time() {
     assert_eq!(info.status.code(), Some(3), "{}", stderr(&info));
     // Checking each to its end would take minutes.
     assert!(took_s < 15.0, "{took_s} s");
-    assert_eq!(capture::read(&hostile).records, capture::read(&bytes).records);
+    assert_eq!(capture::read_capture(&hostile).records, capture::read_capture(&bytes).records);
 }
 
 #[test]
 fn gaps_of_any_size_are_counted() {
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = Writer::create(&dir.path().join("run")).unwrap();
+    let mut writer = CaptureWriter::create(&dir.path().join("run")).unwrap();
     for _ in 0..2 {
-        let gap = Event::Gap { seconds: None, missing: Some(u64::MAX), reason: String::new() };
-        writer.write(HostNs(1), &Record::Event(gap)).unwrap();
+        let gap = RunEvent::Gap { seconds: None, missing: Some(u64::MAX), reason: String::new() };
+        writer.write(HostNs(1), &CaptureRecord::Event(gap)).unwrap();
     }
     writer.finish(HostNs(2), "done", 0).unwrap();
     let info = dbbd(dir.path(), &["info", "run", "--json"]);

@@ -4,12 +4,14 @@ use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::catalogue::RecordingFinding::{TornHead, TornRecord};
-use dbbd::diagnostic::Finding;
-use dbbd::measurement::Measurements;
-use dbbd::measurement::sample::Sample;
-use dbbd::recording::capture::{self, Disk, Event, Record, RunEnd, Stamped, Writer};
+use dbbd_job::recording::RecordingFinding::{TornHead, TornRecord};
+use dbbd_job::recording::capture::{
+    self, CaptureRecord, CaptureWriter, Disk, RunEnd, RunEvent, StampedRecord,
+};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::measurement::Measurements;
+use dbbd_model::measurement::sample::Sample;
 use proptest::prelude::*;
 
 use crate::cell::{codes, dbbd};
@@ -28,27 +30,27 @@ const PLAIN: Sample = Sample {
     offset: 1 << 40,
 };
 
-fn records() -> Vec<Stamped> {
+fn records() -> Vec<StampedRecord> {
     let records = vec![
-        Record::Event(Event::Started { unix_ns: 1, version: "0".into() }),
-        Record::Attachment { name: "plan.csv".into(), content: b"index\n1\n".to_vec() },
-        Record::Raw(vec![0xdb, 0xbd, 0x5a, 0xa5, 2, 0, 0, 0, 0]),
-        Record::Samples(vec![
+        CaptureRecord::Event(RunEvent::Started { unix_ns: 1, version: "0".into() }),
+        CaptureRecord::Attachment { name: "plan.csv".into(), content: b"index\n1\n".to_vec() },
+        CaptureRecord::Raw(vec![0xdb, 0xbd, 0x5a, 0xa5, 2, 0, 0, 0, 0]),
+        CaptureRecord::Samples(vec![
             PLAIN,
             Sample { sequence: Some(u32::MAX), ticks: Some(DeviceTicks(u64::MAX)), ..PLAIN },
         ]),
-        Record::Fault(b"{}".to_vec()),
-        Record::Raw((0..=255).collect()),
-        Record::Event(Event::Gap { seconds: Some(0.25), missing: None, reason: "r".into() }),
-        Record::Event(Event::Ended(RunEnd { reason: "done".into(), samples: 2, lost: 0 })),
+        CaptureRecord::Fault(b"{}".to_vec()),
+        CaptureRecord::Raw((0..=255).collect()),
+        CaptureRecord::Event(RunEvent::Gap { seconds: Some(0.25), missing: None, reason: "r".into() }),
+        CaptureRecord::Event(RunEvent::Ended(RunEnd { reason: "done".into(), samples: 2, lost: 0 })),
     ];
     let stamped =
-        records.into_iter().zip(1u64..).map(|(record, at)| Stamped { host: HostNs(at << 40), record });
+        records.into_iter().zip(1u64..).map(|(record, at)| StampedRecord { host: HostNs(at << 40), record });
     stamped.collect()
 }
 
 fn write(path: &Path) -> (Vec<u8>, Vec<usize>) {
-    let mut writer = Writer::create(path).unwrap();
+    let mut writer = CaptureWriter::create(path).unwrap();
     let mut ends = vec![std::fs::metadata(path).unwrap().len() as usize];
     for stamped in records() {
         writer.write(stamped.host, &stamped.record).unwrap();
@@ -64,7 +66,7 @@ fn written() -> (Vec<u8>, Vec<usize>) {
 /// A stored run over a line that flipped bits; see fixtures/README.md.
 #[test]
 fn stored_capture_is_evaluated() {
-    let capture = capture::read(include_bytes!("../../fixtures/captures/run.dbbd"));
+    let capture = capture::read_capture(include_bytes!("../../fixtures/captures/run.dbbd"));
     assert_eq!((capture.version, capture.damages.len(), capture.ended()), (Some(2), 0, true));
     let samples: Vec<&Sample> = capture.samples().map(|(_, sample)| sample).collect();
     assert_eq!(samples.len(), 1784);
@@ -122,17 +124,17 @@ fn incomplete_file_has_a_code() {
         let output = dbbd(dir.path(), &["info", what]);
         assert_eq!((output.status.code(), codes(&output)), (Some(exit), vec![code.to_owned()]), "{what}");
     }
-    let made = Writer::create(&dir.path().join("nowhere/run"));
-    assert_eq!(made.err().unwrap().code.0, "E0402");
-    let mut writer = Writer::create(&dir.path().join("long")).unwrap();
-    let long = Record::Raw(vec![0; 65 << 20]);
-    assert_eq!(writer.write(HostNs(0), &long).unwrap_err().code.0, "E0404");
+    let made = CaptureWriter::create(&dir.path().join("nowhere/run"));
+    assert_eq!(made.err().unwrap().code().as_str(), "E0402");
+    let mut writer = CaptureWriter::create(&dir.path().join("long")).unwrap();
+    let long = CaptureRecord::Raw(vec![0; 65 << 20]);
+    assert_eq!(writer.write(HostNs(0), &long).unwrap_err().code().as_str(), "E0404");
 }
 
 #[test]
 fn written_records_are_read_back() {
     let (bytes, _) = written();
-    let capture = capture::read(&bytes);
+    let capture = capture::read_capture(&bytes);
     assert_eq!(capture.records, records());
     assert_eq!(capture.damages, []);
     assert!(capture.ended());
@@ -144,7 +146,7 @@ fn capture_is_never_overwritten() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let (bytes, _) = write(&path);
-    assert_eq!(Writer::create(&path).err().unwrap().code.0, "E0401");
+    assert_eq!(CaptureWriter::create(&path).err().unwrap().code().as_str(), "E0401");
     assert_eq!(std::fs::read(&path).unwrap(), bytes);
 }
 
@@ -152,7 +154,7 @@ fn capture_is_never_overwritten() {
 fn truncation_at_any_byte_keeps_a_prefix() {
     let (bytes, ends) = written();
     for cut in 0..=bytes.len() {
-        let capture = capture::read(&bytes[..cut]);
+        let capture = capture::read_capture(&bytes[..cut]);
         let whole = ends.iter().filter(|end| **end <= cut).count().saturating_sub(1);
         assert_eq!(capture.records, records()[..whole], "cut at {cut}");
         if cut == 0 || ends.contains(&cut) {
@@ -162,7 +164,7 @@ fn truncation_at_any_byte_keeps_a_prefix() {
             assert_eq!((damage.offset + damage.bytes) as usize, cut);
             let torn = matches!(damage.finding, TornHead { .. } | TornRecord { .. });
             assert!(cut < ends[0] || torn, "cut at {cut}: {:?}", damage.finding);
-            assert_eq!(damage.finding.code().0, "W0410");
+            assert_eq!(damage.finding.code().as_str(), "W0410");
         }
     }
 }
@@ -173,7 +175,7 @@ fn each_flipped_bit_loses_one_record() {
     for bit in 0..8 * bytes.len() {
         let mut bytes = bytes.clone();
         bytes[bit / 8] ^= 1 << (bit % 8);
-        let capture = capture::read(&bytes);
+        let capture = capture::read_capture(&bytes);
         let harmed = ends.iter().filter(|end| **end <= bit / 8).count();
         let mut expected = records();
         if harmed > 0 {
@@ -231,16 +233,16 @@ fn failing_disk_keeps_every_whole_record() {
         for cuts in [true, false] {
             let taken = Arc::default();
             let disk = Failing { taken: Arc::clone(&taken), room, cuts };
-            let failed = match Writer::on(Box::new(disk), Path::new("run")) {
+            let failed = match CaptureWriter::on(Box::new(disk), Path::new("run")) {
                 Ok(mut writer) => {
                     let mut written = records().into_iter().map(|s| writer.write(s.host, &s.record));
                     written.find_map(Result::err).unwrap()
                 }
                 Err(error) => error,
             };
-            assert_eq!(failed.code.0, "E0403");
+            assert_eq!(failed.code().as_str(), "E0403");
             let whole = ends.iter().rposition(|end| *end <= room);
-            let capture = capture::read(&taken.lock().unwrap());
+            let capture = capture::read_capture(&taken.lock().unwrap());
             assert_eq!(capture.records, records()[..whole.unwrap_or(0)], "room for {room}");
             let torn = !cuts && !ends.contains(&room) && room > 0;
             assert_eq!(capture.damages.len(), usize::from(torn), "room for {room}");
@@ -262,8 +264,8 @@ fn single_byte_reads_give_the_same_records() {
     }
     let (mut bytes, _) = written();
     bytes[40] ^= 1;
-    let parts = |source: &mut dyn io::Read| -> Vec<capture::Part> {
-        capture::Reader::new(source).unwrap().map(Result::unwrap).collect()
+    let parts = |source: &mut dyn io::Read| -> Vec<capture::CapturePart> {
+        capture::CaptureReader::new(source).unwrap().map(Result::unwrap).collect()
     };
     assert_eq!(parts(&mut Drips(&bytes)), parts(&mut &bytes[..]));
 }
@@ -292,9 +294,9 @@ proptest! {
     fn samples_come_back_bit_for_bit(samples in prop::collection::vec(sample(), 1..40)) {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("run");
-        let record = Record::Samples(samples);
-        Writer::create(&path).unwrap().write(HostNs(1), &record).unwrap();
-        let capture = capture::read(&std::fs::read(&path).unwrap());
+        let record = CaptureRecord::Samples(samples);
+        CaptureWriter::create(&path).unwrap().write(HostNs(1), &record).unwrap();
+        let capture = capture::read_capture(&std::fs::read(&path).unwrap());
         prop_assert_eq!(capture.damages, []);
         prop_assert_eq!(&capture.records[0].record, &record);
     }
@@ -308,9 +310,9 @@ proptest! {
         let (bytes, _) = written();
         let (from, to) = (from.min(bytes.len()), to.min(bytes.len()));
         let spliced = [&bytes[..from], &head[..], &bytes[to..]].concat();
-        let capture = capture::read(&spliced);
+        let capture = capture::read_capture(&spliced);
         let damaged: u64 = capture.damages.iter().map(|damage| damage.bytes).sum();
         prop_assert!(damaged <= spliced.len() as u64);
-        capture::read(&head);
+        capture::read_capture(&head);
     }
 }

@@ -2,28 +2,30 @@
 
 use std::process::{Command, Output};
 
-use dbbd::base::units::HostNs;
-use dbbd::measurement::sample::Sample;
-use dbbd::measurement::{CircleId, Measurements};
-use dbbd::plan::{Job, Kind, Plan};
-use dbbd::recording::capture::{Record, Writer};
-use dbbd::robot::Robot;
+use dbbd_job::plan::{Job, Plan, PoseKind};
+use dbbd_job::recording::capture::{CaptureRecord, CaptureWriter};
+use dbbd_model::base::units::HostNs;
+use dbbd_model::measurement::sample::Sample;
+use dbbd_model::measurement::{CircleId, Measurements};
+use dbbd_model::robot::Robot;
 
 use crate::cell::codes;
 use crate::sync_runs::{Run, WORLD, World, plan, run};
 
 /// A capture of the run, as `acquire` writes it.
 fn write_capture(path: &std::path::Path, plan: &Plan, run: &Run, finish: bool) {
-    let mut writer = Writer::create(path).unwrap();
+    let mut writer = CaptureWriter::create(path).unwrap();
     let (plan_csv, plan_json) = plan.to_files().unwrap();
     for (name, content) in [("plan.csv", plan_csv), ("plan.json", plan_json)] {
-        let record = Record::Attachment { name: name.into(), content: content.into() };
+        let record = CaptureRecord::Attachment { name: name.into(), content: content.into() };
         writer.write(HostNs(0), &record).unwrap();
     }
     let protocol = include_bytes!("../../protocols/dbb-cobs-1.toml").to_vec();
-    writer.write(HostNs(0), &Record::Attachment { name: "protocol.toml".into(), content: protocol }).unwrap();
+    writer
+        .write(HostNs(0), &CaptureRecord::Attachment { name: "protocol.toml".into(), content: protocol })
+        .unwrap();
     for (host, sample) in &run.samples {
-        writer.write(*host, &Record::Samples(vec![*sample])).unwrap();
+        writer.write(*host, &CaptureRecord::Samples(vec![*sample])).unwrap();
     }
     if finish {
         writer.finish(HostNs(0), "end mark", 0).unwrap();
@@ -60,7 +62,7 @@ fn capture_becomes_observations() {
     assert!(observations.rows.iter().all(|row| row.sigma_mm.unwrap() >= 0.002));
     let kinds: Vec<_> =
         observations.rows.iter().map(|row| row.context.as_ref().unwrap().kind.unwrap()).collect();
-    assert_eq!(kinds[..2], [Kind::Reference, Kind::Measure]);
+    assert_eq!(kinds[..2], [PoseKind::Reference, PoseKind::Measure]);
 
     let (output, observations) = through_the_binary(&plan, &run, false);
     assert_eq!((output.status.code(), codes(&output)), (Some(3), vec!["W0411".to_owned()]));
@@ -152,7 +154,7 @@ fn capture_becomes_a_circular_test() {
         .rows
         .iter()
         .zip(plan.circle_places())
-        .filter(|(row, _)| row.kind == Kind::Measure)
+        .filter(|(row, _)| row.kind == PoseKind::Measure)
         .map(|(row, place)| (row.index, place.unwrap()))
         .collect();
     assert_eq!(places.len(), 48);

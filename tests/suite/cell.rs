@@ -5,12 +5,12 @@ use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use dbbd::catalogue::EstimationFinding;
-use dbbd::design::calibrate;
-use dbbd::estimation::{AngleSource, CalibrationResult, Input, Options};
-use dbbd::measurement::{BaseBall, Datum, LengthModel, Measurement, Measurements, TargetId};
-use dbbd::robot::pose::{rot_x, rot_y, rot_z};
-use dbbd::robot::{Approach, AxisAngles, BallId, BarId, Geometry, ParamId, Pose, Robot, inverse};
+use dbbd_model::design::calibrate;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::{AngleSource, CalibrationResult, Input, Options};
+use dbbd_model::measurement::{BaseBall, Datum, LengthModel, Measurement, Measurements, TargetId};
+use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
+use dbbd_model::robot::{Approach, AxisAngles, BallId, BarId, Geometry, ParamId, Pose, Robot, inverse};
 use nalgebra::{Matrix3, Vector3};
 
 /// The paper's circle: centre and radius, mm.

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use dbbd::base::serialised;
+use dbbd_model::base::serialised;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 

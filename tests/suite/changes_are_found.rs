@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::robot::Robot;
+use dbbd_model::robot::Robot;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 use serde_json::{Value, json};

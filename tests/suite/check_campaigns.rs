@@ -1,12 +1,12 @@
 //! Simulated checks: rates of false alarms, detection, right hypotheses, repair and wrong decisions.
 
-use dbbd::conformity::{CheckInput, InterimCheck, Outcome, Rule, decide};
-use dbbd::diagnostic::Finding;
-use dbbd::estimation::change::Innovation;
-use dbbd::estimation::expected::{BallMounting, Mounting};
-use dbbd::estimation::{ErrorSummary, Options, Posterior, Workspace};
-use dbbd::measurement::{BaseBall, LengthModel, Measurements, PreparedMeasurement};
-use dbbd::robot::{BallId, Coordinate, ParamId, Robot};
+use dbbd_model::conformity::{CheckInput, ConformityOutcome, DecisionRule, InterimCheck, decide};
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::estimation::change::Innovation;
+use dbbd_model::estimation::expected::{BallMounting, Mounting};
+use dbbd_model::estimation::{ErrorSummary, Options, Posterior, Workspace};
+use dbbd_model::measurement::{BaseBall, LengthModel, Measurements, PreparedMeasurement};
+use dbbd_model::robot::{BallId, Coordinate, ParamId, Robot};
 use nalgebra::{DMatrix, DVector, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -96,7 +96,7 @@ impl Bench {
             sigma_mm: SIGMA,
             mounting: self.mounting,
             tolerance_mm: None,
-            rule: Rule::GuardBand { risk: 0.05 },
+            rule: DecisionRule::GuardBand { risk: 0.05 },
             workspace: &self.workspace,
         }
     }
@@ -280,7 +280,7 @@ fn a_moved_ball_is_found_if_it_was_kept() {
         let drawn = Drawn::new(&bench, &change, &mut Pcg64::seed_from_u64(4));
         let found = bench.input(&drawn.readings).check().unwrap();
         assert_eq!(found.test.changed, seen, "{:?}", found.test);
-        let untested = found.findings.iter().any(|finding| finding.code().0 == "I1924");
+        let untested = found.findings.iter().any(|finding| finding.code().as_str() == "I1924");
         assert_eq!(untested, !seen);
         let Some(likeliest) = found.changes.first() else { continue };
         assert_eq!(likeliest.parameters, ids);
@@ -352,15 +352,15 @@ fn decisions(robots: usize, seed: u64) -> [(f64, Decisions); 5] {
         for (factor, counts) in &mut table {
             let tolerance = *factor * check.predicted_position_uncertainty_mm.calibrated.p95;
             match decide(&check.position_errors_mm, Some(tolerance), input.rule, false).decision {
-                Outcome::Pass => {
+                ConformityOutcome::Pass => {
                     counts.pass += 1;
                     counts.wrong_pass += usize::from(truth_mm > tolerance);
                 }
-                Outcome::Fail => {
+                ConformityOutcome::Fail => {
                     counts.fail += 1;
                     counts.wrong_fail += usize::from(truth_mm <= tolerance);
                 }
-                Outcome::Undecided => counts.undecided += 1,
+                ConformityOutcome::Undecided => counts.undecided += 1,
             }
         }
     }
@@ -398,7 +398,8 @@ fn a_change_is_repaired() {
     let input = CheckInput { tolerance_mm: Some(0.3), ..bench.input(&drawn.readings) };
     let mut spoilt = drawn.readings.clone();
     spoilt[3].length_mm = f64::NAN;
-    let refused = CheckInput { readings: &spoilt, ..input }.check().err().map(|finding| finding.code().0);
+    let refused =
+        CheckInput { readings: &spoilt, ..input }.check().err().map(|finding| finding.code().as_str());
     assert_eq!(refused, Some("E1913"));
     let found = input.check().unwrap();
     assert!(found.test.changed);

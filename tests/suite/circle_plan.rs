@@ -1,8 +1,8 @@
 //! A small plan by hand: horizontal circles about one ball, the tool down, its orientation swinging.
 
-use dbbd::plan::{Header, Job, Kind, Motion, MoveTime, Plan, PlanRow};
-use dbbd::provenance::Provenance;
-use dbbd::robot::{Pose, Robot, inverse};
+use dbbd_job::plan::{Job, MotionKind, MoveTime, Plan, PlanHeader, PlanRow, PoseKind};
+use dbbd_model::provenance::Provenance;
+use dbbd_model::robot::{Pose, Robot, inverse};
 
 pub(crate) const BALL_MM: [f64; 3] = [1300.0, 0.0, 800.0];
 pub(crate) const BAR_MM: f64 = 300.0;
@@ -24,7 +24,15 @@ struct Builder {
 }
 
 impl Builder {
-    fn row(&mut self, circle: u32, kind: Kind, motion: Motion, turn_deg: f64, out_mm: f64, swing_deg: f64) {
+    fn row(
+        &mut self,
+        circle: u32,
+        kind: PoseKind,
+        motion: MotionKind,
+        turn_deg: f64,
+        out_mm: f64,
+        swing_deg: f64,
+    ) {
         let robot = robot();
         let (s, c) = turn_deg.to_radians().sin_cos();
         let radius = BAR_MM + out_mm;
@@ -45,9 +53,9 @@ impl Builder {
             status: inverse::status(&robot.geometry, &self.axes),
             turn: inverse::turn(&self.axes),
             length_mm: radius,
-            dwell_s: if kind == Kind::Transit { 0.0 } else { 1.0 },
+            dwell_s: if kind == PoseKind::Transit { 0.0 } else { 1.0 },
         });
-        let knock = kind == Kind::Transit && motion == Motion::Lin;
+        let knock = kind == PoseKind::Transit && motion == MotionKind::Lin;
         self.moves.push(MoveTime {
             index,
             feed_mm_s: if knock { 1.0 } else { 40.0 - 1.5 * f64::from(index % 7) },
@@ -59,8 +67,8 @@ impl Builder {
 
     fn knocks(&mut self, circle: u32, count: usize, turn_deg: f64) {
         for _ in 0..count {
-            self.row(circle, Kind::Transit, Motion::Lin, turn_deg, 0.3, 0.0);
-            self.row(circle, Kind::Transit, Motion::Lin, turn_deg, 0.0, 0.0);
+            self.row(circle, PoseKind::Transit, MotionKind::Lin, turn_deg, 0.3, 0.0);
+            self.row(circle, PoseKind::Transit, MotionKind::Lin, turn_deg, 0.0, 0.0);
         }
     }
 }
@@ -71,27 +79,27 @@ pub(crate) fn plan(circles: u32, points: u32) -> Plan {
     let axes = [0.0, -60.0, 90.0, 0.0, 57.0, 0.0].map(f64::to_radians);
     let mut builder = Builder { rows: Vec::new(), moves: Vec::new(), axes };
     for circle in 1..=circles {
-        builder.row(circle, Kind::Transit, Motion::Ptp, 0.0, 0.0, 0.0);
+        builder.row(circle, PoseKind::Transit, MotionKind::Ptp, 0.0, 0.0, 0.0);
         builder.knocks(circle, 3, 0.0);
         let mut turn = 0.0;
         for point in 0..points {
             turn = 20.0 * f64::from(point);
             let swing = 8.0 * (1.3 * f64::from(point)).sin();
             if point % 2 == 1 {
-                builder.row(circle, Kind::Transit, Motion::Circ, turn - 10.0, 0.0, swing);
-                builder.row(circle, Kind::Measure, Motion::Circ, turn, 0.0, swing);
+                builder.row(circle, PoseKind::Transit, MotionKind::Circ, turn - 10.0, 0.0, swing);
+                builder.row(circle, PoseKind::Measure, MotionKind::Circ, turn, 0.0, swing);
             } else {
-                builder.row(circle, Kind::Measure, Motion::Lin, turn, 0.0, swing);
+                builder.row(circle, PoseKind::Measure, MotionKind::Lin, turn, 0.0, swing);
             }
         }
-        builder.row(circle, Kind::Reference, Motion::Lin, turn, 0.0, 0.0);
+        builder.row(circle, PoseKind::Reference, MotionKind::Lin, turn, 0.0, 0.0);
         builder.knocks(circle, 2, turn);
     }
     let job = format!(
         "robot = 'kr60ha'\n[bar]\nlength_mm = {BAR_MM:?}\nstroke_mm = [-1.0, 1.0]\n\
          [[centre]]\nid = 1\nxyz_mm = {BALL_MM:?}\n[[circle]]\npoints = {points}\nplane = 'XY'"
     );
-    let header = Header {
+    let header = PlanHeader {
         schema: 1,
         hash: "0123456789abcdef".into(),
         text_hash: String::new(),

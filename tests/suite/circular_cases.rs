@@ -1,6 +1,8 @@
 //! Machines and circular tests whose true lengths are known.
 
-use dbbd::circular::{Evaluation, Point, Sense, Settings, Trace, circular};
+use dbbd_model::circular::{
+    CirclePoint, CircleSense, CircleTrace, CircularEvaluation, CircularSettings, circular,
+};
 
 /// A machine and a test: the cases of `tests/independent/circular.py`.
 #[derive(Clone, Copy)]
@@ -68,11 +70,11 @@ impl Case {
     }
 
     /// The exact length at an angle: scale errors, squareness, reversal steps, a form of order 7 and 11.
-    fn length(&self, angle_deg: f64, sense: Sense) -> f64 {
+    fn length(&self, angle_deg: f64, sense: CircleSense) -> f64 {
         let theta = angle_deg.to_radians();
         let (sin, cos) = theta.sin_cos();
         let (x, y) = (self.radius * cos, self.radius * sin);
-        let turn = if sense == Sense::CounterClockwise { 1.0 } else { -1.0 };
+        let turn = if sense == CircleSense::CounterClockwise { 1.0 } else { -1.0 };
         let going = |velocity: f64| if velocity * turn >= 0.0 { 0.5 } else { -0.5 };
         let px = (1.0 + self.e[0]) * x + self.phi * y + self.backlash[0] * going(-sin);
         let py = (1.0 + self.e[1]) * y + self.backlash[1] * going(cos);
@@ -81,14 +83,14 @@ impl Case {
     }
 
     /// Its traces without noise.
-    pub(crate) fn traces(&self) -> Vec<Trace> {
-        let mut senses = vec![Sense::CounterClockwise];
-        senses.extend(self.both.then_some(Sense::Clockwise));
+    pub(crate) fn traces(&self) -> Vec<CircleTrace> {
+        let mut senses = vec![CircleSense::CounterClockwise];
+        senses.extend(self.both.then_some(CircleSense::Clockwise));
         senses
             .into_iter()
             .map(|sense| {
                 let mut angles = self.angles();
-                if sense == Sense::Clockwise {
+                if sense == CircleSense::Clockwise {
                     angles.reverse();
                 }
                 trace("1", sense, angles.into_iter().map(|angle| (angle, self.length(angle, sense))))
@@ -98,8 +100,8 @@ impl Case {
 }
 
 /// A trace of angles (degrees) and lengths (mm).
-pub(crate) fn trace(run: &str, sense: Sense, lengths: impl Iterator<Item = (f64, f64)>) -> Trace {
-    let point = |(angle_deg, length_mm)| Point {
+pub(crate) fn trace(run: &str, sense: CircleSense, lengths: impl Iterator<Item = (f64, f64)>) -> CircleTrace {
+    let point = |(angle_deg, length_mm)| CirclePoint {
         angle_deg,
         length_mm,
         sigma_mm: None,
@@ -108,10 +110,10 @@ pub(crate) fn trace(run: &str, sense: Sense, lengths: impl Iterator<Item = (f64,
         axes_deg: None,
         drives: None,
     };
-    Trace { run: run.into(), sense, points: lengths.map(point).collect() }
+    CircleTrace { run: run.into(), sense, points: lengths.map(point).collect() }
 }
 
 /// The evaluation without intervals.
-pub(crate) fn exactly(traces: &[Trace], radius: f64) -> Evaluation {
-    circular(traces, &Settings { draws: 0, ..Settings::new(radius) }).unwrap()
+pub(crate) fn exactly(traces: &[CircleTrace], radius: f64) -> CircularEvaluation {
+    circular(traces, &CircularSettings { draws: 0, ..CircularSettings::new(radius) }).unwrap()
 }

@@ -1,6 +1,6 @@
 //! Coverage of the intervals of the circular test.
 
-use dbbd::circular::{Evaluation, NAMES, Settings, circular};
+use dbbd_model::circular::{CircularEvaluation, CircularSettings, QUANTITY_NAMES, circular};
 use rand::SeedableRng;
 use rand_distr::{Distribution, Normal};
 use rand_pcg::Pcg64;
@@ -14,7 +14,7 @@ const SIGMA_MM: f64 = 0.001;
 fn coverage(case: Case, sigma_mm: Option<f64>, runs: u64) -> [u64; 9] {
     let truth = exactly(&case.traces(), case.radius);
     let noise = Normal::new(0.0, SIGMA_MM).unwrap();
-    let value = |found: &Evaluation, name: &str| found.get(name).value.unwrap();
+    let value = |found: &CircularEvaluation, name: &str| found.get(name).value.unwrap();
     let mut covered = [0; 9];
     let mut width_um = [0.0; 9];
     for seed in 0..runs {
@@ -22,15 +22,20 @@ fn coverage(case: Case, sigma_mm: Option<f64>, runs: u64) -> [u64; 9] {
         let mut traces = case.traces();
         traces.iter_mut().flat_map(|t| &mut t.points).for_each(|p| p.length_mm += noise.sample(&mut random));
         // Equal draws in all runs would make their errors common to the whole campaign.
-        let settings = Settings { sigma_mm, draws: 300, seed: runs + seed, ..Settings::new(case.radius) };
+        let settings = CircularSettings {
+            sigma_mm,
+            draws: 300,
+            seed: runs + seed,
+            ..CircularSettings::new(case.radius)
+        };
         let found = circular(&traces, &settings).unwrap();
-        for (at, name) in NAMES.into_iter().enumerate() {
+        for (at, name) in QUANTITY_NAMES.into_iter().enumerate() {
             let u95 = found.get(name).u95.unwrap();
             covered[at] += u64::from((value(&found, name) - value(&truth, name)).abs() <= u95);
             width_um[at] += 1000.0 * u95 / runs as f64;
         }
     }
-    let found = NAMES.iter().zip(covered).zip(width_um.map(|width| (100.0 * width).round() / 100.0));
+    let found = QUANTITY_NAMES.iter().zip(covered).zip(width_um.map(|width| (100.0 * width).round() / 100.0));
     eprintln!(
         "{} points, plays {:?} mm, sigma {sigma_mm:?}: of {runs} intervals cover (mean half width, um) {:?}",
         case.points,

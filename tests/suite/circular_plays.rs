@@ -1,6 +1,6 @@
 //! The backlash of axes and joints is estimated from the circular test.
 
-use dbbd::circular::Mover;
+use dbbd_model::circular::DriveId;
 
 use crate::cell;
 use crate::circular_cases::{CASES, exactly};
@@ -18,7 +18,7 @@ fn reversal_steps_are_fitted() {
         let found = exactly(&case.traces(), case.radius);
         assert_eq!(found.steps.len(), 2);
         for (at, (step, backlash)) in found.steps.iter().zip(case.backlash).enumerate() {
-            assert_eq!(step.mover, Mover::Axis(at + 1));
+            assert_eq!(step.mover, DriveId::Axis(at + 1));
             // The case's axes run ahead by half of it in their sense of motion.
             let off = (step.play + backlash).abs();
             assert!(off < 2e-4 && off <= step.u95, "{}: {step:?}, {backlash}", case.name);

@@ -2,8 +2,10 @@
 
 use std::f64::consts::TAU;
 
-use dbbd::circular::{Sense, Settings, Temperature, Trace, circular, traces_from_csv};
-use dbbd::diagnostic::Finding;
+use dbbd_model::circular::{
+    CircleSense, CircleTrace, CircularSettings, ThermalExpansion, circular, traces_from_csv,
+};
+use dbbd_model::diagnostic::Finding;
 
 use crate::cell::codes;
 use crate::circular_cases::{CASES, Case, exactly, trace};
@@ -78,7 +80,8 @@ fn exact_circle_has_no_deviation() {
         let theta = angle.to_radians();
         (150.0 * theta.cos() - 1.0).hypot(150.0 * theta.sin()) + 0.01
     };
-    let traces = [trace("1", Sense::CounterClockwise, case.angles().into_iter().map(|a| (a, length(a))))];
+    let traces =
+        [trace("1", CircleSense::CounterClockwise, case.angles().into_iter().map(|a| (a, length(a))))];
     let found = exactly(&traces, 150.0);
     for (name, expected) in
         [("G_lsc", 0.0), ("G_mzc", 0.0), ("D", 0.01), ("F_max", 0.01), ("x", 1.0), ("y", 0.0)]
@@ -117,7 +120,7 @@ fn short_arcs_have_no_free_centre() {
         if span < 360.0 {
             let most = deviations.iter().copied().fold(f64::MIN, f64::max);
             assert!((found.get("F_max").value.unwrap() - most).abs() < 1e-9);
-            assert!(found.notes[0].code().0 == "I1410", "{:?}", found.notes);
+            assert!(found.notes[0].code().as_str() == "I1410", "{:?}", found.notes);
             assert!((found.arc.span_deg - span).abs() < 1e-6 && (found.arc.from_deg - 20.0).abs() < 1e-6);
         }
     }
@@ -134,8 +137,9 @@ fn lengths_are_referred_to_twenty_degrees() {
         point.length_mm *= (1.0 + machine * 5.0) / (1.0 + bar * 3.0);
         point.temp_c = Some(25.0);
     }
-    let temperature = Temperature { bar_per_k: Some(bar), certified_c: 22.0, machine_per_k: Some(machine) };
-    let settings = Settings { draws: 0, temperature, ..Settings::new(case.radius) };
+    let temperature =
+        ThermalExpansion { bar_per_k: Some(bar), certified_c: 22.0, machine_per_k: Some(machine) };
+    let settings = CircularSettings { draws: 0, temperature, ..CircularSettings::new(case.radius) };
     let found = circular(&traces, &settings).unwrap();
     for name in ["G_lsc", "D", "F_max", "x"] {
         assert!((found.get(name).value.unwrap() - cold.get(name).value.unwrap()).abs() < 1e-9, "{name}");
@@ -163,20 +167,22 @@ fn csv_errors_have_line_and_column() {
         ("run,direction,angle_deg,length_mm,temp_c\n1,ccw,0,150,293.15\n".to_owned(), "E1404"),
     ] {
         let wrong = traces_from_csv("bad.csv", &text).unwrap_err();
-        assert!(wrong.code.0 == says || wrong.message.contains(says), "{says}: {wrong}");
+        assert!(wrong.code().as_str() == says || wrong.message().contains(says), "{says}: {wrong}");
     }
     let few = traces_from_csv("few.csv", &format!("{head}1,cw,0,150\n1,cw,9,150\n")).unwrap();
-    let refused = |traces: &[Trace], radius| circular(traces, &Settings::new(radius)).unwrap_err().code().0;
+    let refused = |traces: &[CircleTrace], radius| {
+        circular(traces, &CircularSettings::new(radius)).unwrap_err().code().as_str()
+    };
     assert_eq!(refused(&few, 150.0), "E1401");
-    let same = [trace("1", Sense::Clockwise, (0..9).map(|_| (7.0, 150.0)))];
+    let same = [trace("1", CircleSense::Clockwise, (0..9).map(|_| (7.0, 150.0)))];
     assert_eq!(refused(&same, 150.0), "E1403", "one direction is no circle");
     assert_eq!(refused(&same, 100.0), "E1402");
     assert_eq!(refused(&same, f64::NAN), "E1402");
     let mut backwards = CASES[0].traces();
     backwards.truncate(1);
-    backwards[0].sense = Sense::Clockwise;
-    let found = circular(&backwards, &Settings::new(CASES[0].radius)).unwrap();
-    let notes: Vec<&str> = found.notes.iter().map(|note| note.code().0).collect();
+    backwards[0].sense = CircleSense::Clockwise;
+    let found = circular(&backwards, &CircularSettings::new(CASES[0].radius)).unwrap();
+    let notes: Vec<&str> = found.notes.iter().map(|note| note.code().as_str()).collect();
     assert_eq!(notes, ["I1411", "I1412"]);
 }
 

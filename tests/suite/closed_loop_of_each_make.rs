@@ -4,11 +4,11 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::math::aligned_distances;
-use dbbd::program::{Language, Program, Text, krl, rapid, urscript};
-use dbbd::robot::pose::rotation_vector;
-use dbbd::robot::{Geometry, Robot, inverse};
-use dbbd::sim::truth;
+use dbbd_job::program::{Language, Program, Text, krl, rapid, urscript};
+use dbbd_job::sim::truth;
+use dbbd_model::math::aligned_distances;
+use dbbd_model::robot::pose::rotation_vector;
+use dbbd_model::robot::{Geometry, Robot, inverse};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -178,7 +178,8 @@ fn corrected_programs_reach_the_nominal_positions() {
     for arm in [ABB, UR] {
         let (language, nominal) = (arm.language, with_ball(arm.name));
         // The identified robot is the true one: only the rounding of numbers remains, at most half a micrometre.
-        let found = Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 3, 1.0) };
+        let found =
+            Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw_true_robot(&nominal, 3, 1.0) };
         let (text, wanted) = production(&arm, &nominal, 20);
         let file = Text { file: "P", text: &text };
         let (corrected, moved) = match language {
@@ -216,7 +217,7 @@ fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let (language, nominal) = (arm.language, arm.robot());
-    let robot = truth::draw(&nominal, seed, 1.0);
+    let robot = truth::draw_true_robot(&nominal, seed, 1.0);
     let write = |file: &str, text: String| fs::write(at.join(file), text).unwrap();
     write("nominal.toml", nominal.to_toml().unwrap());
     write("truth.toml", robot.to_toml().unwrap());

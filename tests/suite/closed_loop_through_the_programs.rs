@@ -5,10 +5,10 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::math::aligned_distances;
-use dbbd::program::krl::Program;
-use dbbd::robot::{Geometry, Robot};
-use dbbd::sim::{Controller, truth};
+use dbbd_job::program::krl::Program;
+use dbbd_job::sim::{SimulatedController, truth};
+use dbbd_model::math::aligned_distances;
+use dbbd_model::robot::{Geometry, Robot};
 use nalgebra::Vector3;
 use tempfile::tempdir;
 
@@ -52,7 +52,7 @@ fn stops(dir: &Path, program: &str, robot: &Robot) -> Vec<Vector3<f64>> {
     })
     .unwrap();
     let there = Geometry { tool: kr60().geometry.tool, ..robot.geometry.clone() };
-    let mut controller = Controller::new(program, &kr60(), 100.0).unwrap();
+    let mut controller = SimulatedController::new(program, &kr60(), 100.0).unwrap();
     let mut stops: Vec<Vector3<f64>> = Vec::new();
     loop {
         let moment = controller.step(0.2).unwrap();
@@ -98,7 +98,7 @@ fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ([f64; 2], bool) {
 fn one_robot_is_more_accurate_after_correction() {
     let dir = tempdir().unwrap();
     prepare(dir.path(), RADIUS, 1, 40, true);
-    let ([before, after], _) = loop_closed(dir.path(), &truth::draw(&kr60(), 1, 1.0), 1);
+    let ([before, after], _) = loop_closed(dir.path(), &truth::draw_true_robot(&kr60(), 1, 1.0), 1);
     assert!(before > 0.3 && after < before / 8.0, "{before} {after}");
 }
 
@@ -114,7 +114,7 @@ fn twenty_robots_through_the_programs() {
         for sag in [false, true] {
             let mut all: Vec<([f64; 2], bool)> = (1..=20)
                 .map(|seed| {
-                    let drawn = truth::draw(&kr60(), seed, 1.0);
+                    let drawn = truth::draw_true_robot(&kr60(), seed, 1.0);
                     loop_closed(dir.path(), &if sag { sagging(drawn) } else { drawn }, seed)
                 })
                 .collect();

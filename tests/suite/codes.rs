@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use dbbd::base::serialised;
 use dbbd::catalogue;
-use dbbd::diagnostic::Finding;
+use dbbd_model::base::serialised;
+use dbbd_model::diagnostic::Finding;
 
 use crate::cell::dbbd;
 
@@ -106,7 +106,7 @@ fn unserialisable_value_is_an_error() {
         serialised::csv_table(["a"], [&[1][..], &[1, 2]]),
     ];
     for text in texts {
-        assert_eq!(text.unwrap_err().code().0, UNWRITTEN);
+        assert_eq!(text.unwrap_err().code().as_str(), UNWRITTEN);
     }
 }
 
@@ -114,8 +114,10 @@ fn unserialisable_value_is_an_error() {
 fn every_code_is_provoked_by_a_test() {
     let provoked =
         [provoked(), NOT_HERE.iter().map(|(code, _)| *code).chain([UNKNOWN, UNWRITTEN]).collect()].concat();
-    let silent: Vec<_> =
-        catalogue::entries().map(|entry| entry.code.0).filter(|code| !provoked.contains(code)).collect();
+    let silent: Vec<_> = catalogue::entries()
+        .map(|entry| entry.code.as_str())
+        .filter(|code| !provoked.contains(code))
+        .collect();
     assert!(silent.is_empty(), "no test provokes {silent:?}");
 }
 
@@ -133,9 +135,9 @@ fn troubleshooting_page_is_the_catalogue() {
 fn explain_prints_an_entry_and_refuses_an_unknown_code() {
     let root = Path::new(".");
     for entry in catalogue::entries() {
-        let output = dbbd(root, &["explain", entry.code.0, "--json"]);
+        let output = dbbd(root, &["explain", entry.code.as_str(), "--json"]);
         let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(json["code"], entry.code.0);
+        assert_eq!(json["code"], entry.code.as_str());
     }
     let unknown = dbbd(root, &["explain", "E9999", "--json"]);
     assert_eq!(unknown.status.code(), Some(1));

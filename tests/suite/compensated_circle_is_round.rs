@@ -2,9 +2,9 @@
 
 use std::fs;
 
-use dbbd::program::krl::{Files, Given, Program, Text, compensate, read};
-use dbbd::robot::{Geometry, Pose, Robot, inverse};
-use dbbd::sim::{Controller, truth};
+use dbbd_job::program::krl::{Files, Given, Program, Text, compensate, read};
+use dbbd_job::sim::{SimulatedController, truth};
+use dbbd_model::robot::{Geometry, Pose, Robot, inverse};
 use nalgebra::Vector3;
 use tempfile::tempdir;
 
@@ -48,7 +48,7 @@ fn deviation(program: &str, robot: &Robot) -> f64 {
         Program::open("P", |name| Ok((name == "P.src").then(|| ("P.src".into(), program.clone())))).unwrap();
     let nominal = kr60();
     let true_arm = Geometry { tool: nominal.geometry.tool, ..robot.geometry.clone() };
-    let mut controller = Controller::new(program, &nominal, 100.0).unwrap();
+    let mut controller = SimulatedController::new(program, &nominal, 100.0).unwrap();
     let mut csv = "run,direction,angle_deg,length_mm\n".to_owned();
     let mut before: Option<f64> = None;
     loop {
@@ -80,7 +80,7 @@ fn deviations(seeds: std::ops::RangeInclusive<u64>) -> [Vec<[f64; 2]>; 2] {
     let plan = chosen(1, 80, true);
     let mut pairs = [Vec::new(), Vec::new()];
     for seed in seeds {
-        let robot = truth::draw(&kr60(), seed, 1.0);
+        let robot = truth::draw_true_robot(&kr60(), seed, 1.0);
         let found = identified(&robot, &plan, seed);
         for (arcs, pairs) in [2, 12].into_iter().zip(&mut pairs) {
             let program = circle(arcs);

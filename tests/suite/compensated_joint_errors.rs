@@ -1,12 +1,12 @@
 //! The closed loop on robots with joint errors: measured at the poses of a plan, identified with and without joint errors, a
 //! production program before and after its compensation.
 
-use dbbd::estimation::{ErrorModel, Options, Prior};
-use dbbd::math::aligned_distances;
-use dbbd::measurement::{BaseBall, Datum, Measurement, Measurements, TargetId};
-use dbbd::plan::{Kind, Plan};
-use dbbd::program::krl::{Files, Given, Text, compensate, read};
-use dbbd::robot::{Approach, AxisAngles, BallId, BarId, ParamId, Robot};
+use dbbd_job::plan::{Plan, PoseKind};
+use dbbd_job::program::krl::{Files, Given, Text, compensate, read};
+use dbbd_model::estimation::{ErrorModel, Options, Prior};
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::{BaseBall, Datum, Measurement, Measurements, TargetId};
+use dbbd_model::robot::{Approach, AxisAngles, BallId, BarId, ParamId, Robot};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -31,7 +31,7 @@ fn measured(plan: &Plan, robot: &Robot, seed: u64) -> Measurements {
     let mut normal = || -> f64 { random.sample(StandardNormal) };
     let axes: Vec<[f64; 6]> = plan.rows.iter().map(|row| row.axes_deg.map(f64::to_radians)).collect();
     let all = plan.rows.iter().zip(places(robot, &axes));
-    let rows = all.filter(|(row, _)| row.kind != Kind::Transit).map(|(row, (approach, place))| {
+    let rows = all.filter(|(row, _)| row.kind != PoseKind::Transit).map(|(row, (approach, place))| {
         let there = place + Vector3::from_fn(|_, _| POSE_MM * normal());
         Measurement {
             index: row.index,

@@ -1,17 +1,17 @@
 //! The closed loop: a robot drawn from the tolerance, measured with noise at the poses of a plan, identified, and a production program
 //! before and after its compensation.
 
-use dbbd::diagnostic::Severity;
-use dbbd::estimation::{CalibrationResult, Options};
-use dbbd::math::aligned_distances;
-use dbbd::measurement::{BaseBall, Datum, Measurement, Measurements, TargetId};
-use dbbd::plan::{Job, Kind, Plan};
-use dbbd::program::Target;
-use dbbd::program::krl::{Files, Given, Text, compensate, read};
-use dbbd::robot::{
+use dbbd_job::plan::{Job, Plan, PoseKind};
+use dbbd_job::program::Target;
+use dbbd_job::program::krl::{Files, Given, Text, compensate, read};
+use dbbd_job::sim::truth;
+use dbbd_model::diagnostic::Severity;
+use dbbd_model::estimation::{CalibrationResult, Options};
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::{BaseBall, Datum, Measurement, Measurements, TargetId};
+use dbbd_model::robot::{
     Approach, AxisAngles, BallId, BarId, Geometry, Joint, Mass, ParamId, Pose, Robot, inverse,
 };
-use dbbd::sim::truth;
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -50,7 +50,7 @@ pub(crate) fn chosen(balls: usize, points: usize, cube: bool) -> Plan {
 /// Lengths at the dwells of a plan, with noise; the axis angles are those of the printed poses.
 fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64) -> Measurements {
     let mut random = Pcg64::seed_from_u64(seed);
-    let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
+    let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit);
     let rows = dwells.map(|row| {
         let ball = Vector3::from(BALLS[row.centre as usize - 1]) + Vector3::from(OFF_MM);
         let length = true_robot.geometry.length(&row.axes_deg.map(f64::to_radians), &ball, 0.0);
@@ -174,7 +174,7 @@ pub(crate) fn sagging(mut robot: Robot) -> Robot {
         mass(Joint::J6, 60.0, [0.0; 3]),
     ];
     let rigid = Geometry { masses: vec![], ..robot.geometry.clone() };
-    let poses = dbbd::estimation::Workspace::uniform(&robot, 500, 1);
+    let poses = dbbd_model::estimation::Workspace::uniform(&robot, 500, 1);
     for (joint, most_rad) in [(1, 0.2e-3), (2, 0.14e-3)] {
         let mut probe = robot.geometry.clone();
         probe.compliance = [0.0; 6];
@@ -190,7 +190,7 @@ pub(crate) fn sagging(mut robot: Robot) -> Robot {
 }
 
 fn doubts(found: &CalibrationResult) -> usize {
-    found.diagnostics().filter(|finding| finding.code.severity() == Severity::Warning).count()
+    found.diagnostics().filter(|finding| finding.code().severity() == Severity::Warning).count()
 }
 
 /// For each robot the reduction factor of its mean error, the errors before and after, and the number of doubts about the result.
@@ -198,7 +198,7 @@ fn campaign(plan: &Plan, cube: bool, robots: u64, sag: bool) -> Vec<[f64; 4]> {
     let program = production(200, cube, 7);
     (1..=robots)
         .map(|seed| {
-            let drawn = truth::draw(&kr60(), seed, 1.0);
+            let drawn = truth::draw_true_robot(&kr60(), seed, 1.0);
             let true_robot = if sag { sagging(drawn) } else { drawn };
             let found = identified(&true_robot, plan, seed);
             let [before, after] = errors(&true_robot, &found.robot, &program);
@@ -254,7 +254,7 @@ fn closed_loop_over_twenty_robots() {
 fn what_sag_leaves_in_the_residuals() {
     let plan = chosen(1, 80, true);
     for seed in 1..=20 {
-        let robot = sagging(truth::draw(&kr60(), seed, 1.0));
+        let robot = sagging(truth::draw_true_robot(&kr60(), seed, 1.0));
         let data = measured(&plan, &robot, seed, 0.0);
         let found = identified_from(&data, &plan);
         let squares: f64 = found.residuals(&data.rows).map(|pair| pair.after * pair.after).sum();

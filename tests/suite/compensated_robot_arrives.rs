@@ -4,11 +4,11 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use dbbd::diagnostic::Diagnostic;
-use dbbd::program::krl::{Compensated, Files, Given, PointProgram, Text, compensate, read};
-use dbbd::program::{Frames, Target};
-use dbbd::robot::{Geometry, Pose, Robot, inverse};
-use dbbd::sim::truth;
+use dbbd_job::program::krl::{Compensated, Files, Given, PointProgram, Text, compensate, read};
+use dbbd_job::program::{Frames, Target};
+use dbbd_job::sim::truth;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::{Geometry, Pose, Robot, inverse};
 use nalgebra::Vector3;
 
 use crate::cell::{codes, dbbd, kr60, stderr};
@@ -20,7 +20,7 @@ fn fixture(name: &str) -> String {
 
 /// A robot drawn from the tolerance as an identified one. Its ball is not a tool of the program.
 fn identified(seed: u64) -> Robot {
-    let mut robot = truth::draw(&kr60(), seed, 1.0);
+    let mut robot = truth::draw_true_robot(&kr60(), seed, 1.0);
     robot.nominal = Some(Box::new(kr60()));
     robot
 }
@@ -84,7 +84,10 @@ fn all_forms_of_points_are_read_with_their_frames() {
     let program = read(files(&source, &data, Some(&config)), Given::default()).unwrap();
     let names: Vec<_> = program.points.iter().map(|point| point.name.as_str()).collect();
     assert_eq!(names, ["XP1", "XP2", "XP3", "XP4", "XP5", "XSP[1]", "XSP[2]", "inline", "XVIA"]);
-    assert_eq!(program.not_corrected.iter().map(|finding| finding.code.0).collect::<Vec<_>>(), ["W0905"]);
+    assert_eq!(
+        program.not_corrected.iter().map(|finding| finding.code().as_str()).collect::<Vec<_>>(),
+        ["W0905"]
+    );
     // The axis angles from which another program computed the fixture.
     let taught = [[12.0, -70.0, 95.0, 15.0, 50.0, -20.0], [20.0, -75.0, 104.0, 30.0, 45.0, -40.0]];
     let reached = reached(&program, &kr60());
@@ -249,13 +252,19 @@ fn refusal(source: &str, given: Given) -> Option<Diagnostic> {
 #[test]
 fn points_and_frames_unknown_before_the_run_are_refused() {
     let frames = "$TOOL=F1\n$BASE=$NULLFRAME\n";
-    let code = |body: &str, given| refusal(&format!("DEF P()\n{body}END\n"), given).map(|wrong| wrong.code.0);
+    let code = |body: &str, given| {
+        refusal(&format!("DEF P()\n{body}END\n"), given).map(|wrong| wrong.code().as_str())
+    };
     assert_eq!(code(&format!("{frames}PTP XP1\n"), Given::default()), None);
     let zero = Given { tool: Some(Pose::identity()), base: Some(Pose::identity()) };
     assert_eq!(code("PTP XP1\n", zero), None);
     for (body, code, line, column) in REFUSED {
         let wrong = refusal(&format!("DEF P()\n{body}END\n"), Given::default()).unwrap();
-        assert_eq!((wrong.code.0, wrong.line, wrong.column), (*code, *line, *column), "{body}: {wrong}");
+        assert_eq!(
+            (wrong.code().as_str(), wrong.line_number(), wrong.column_number()),
+            (*code, *line, *column),
+            "{body}: {wrong}"
+        );
     }
     // A nearly straight wrist on either side: the correction would move one of the two through zero.
     let straight = [
@@ -271,11 +280,11 @@ fn points_and_frames_unknown_before_the_run_are_refused() {
 #[test]
 fn emitted_programs_are_compensated() {
     let files_of = crate::circle_plan::plan(1, 6);
-    let options = dbbd::program::krl::Options {
-        sync: dbbd::program::krl::Sync::Marker,
-        controller: dbbd::program::krl::Controller::Krc4,
+    let options = dbbd_job::program::krl::Options {
+        sync: dbbd_job::program::krl::Sync::Marker,
+        controller: dbbd_job::program::krl::Controller::Krc4,
     };
-    let modules = dbbd::program::krl::emit(&files_of, options).unwrap();
+    let modules = dbbd_job::program::krl::emit(&files_of, options).unwrap();
     let find =
         |name: &str| modules.iter().find(|(file, _)| Path::new(file) == Path::new(name)).unwrap().1.clone();
     let (source, data) = (find("DBB_C001.src"), find("DBB_C001.dat"));
@@ -296,7 +305,7 @@ fn rounding_about_zero_does_not_change_the_turn() {
         );
         let files = Files { source: Text { file: "P.src", text: &text }, data: None, config: None };
         let program = read(files, Given::default()).unwrap();
-        compensate(files, &program, &identified(1), 20.0).map_err(|refused| refused[0].code.0)
+        compensate(files, &program, &identified(1), 20.0).map_err(|refused| refused[0].code().as_str())
     };
     assert!(corrected(0.0).is_ok());
     assert!(corrected(0.001).is_ok(), "{:?}", corrected(0.001));

@@ -1,13 +1,13 @@
 //! A continuous circle is planned, emitted, driven and reported as one motion per pass.
 
-use dbbd::base::units::HostNs;
-use dbbd::diagnostic::Finding;
-use dbbd::measurement::sample::Sample;
-use dbbd::plan::{Job, Kind, Plan};
-use dbbd::program::krl::{self, Options, Sync, emit};
-use dbbd::recording::matching::{Input, MatchOutcome, PoseOutcome, match_poses};
-use dbbd::recording::{Stream, StreamBuilder};
-use dbbd::sim::Controller;
+use dbbd_job::plan::{Job, Plan, PoseKind};
+use dbbd_job::program::krl::{self, Options, Sync, emit};
+use dbbd_job::recording::matching::{MatchOutcome, MatchingInput, PoseOutcome, match_poses};
+use dbbd_job::recording::{SampleStream, StreamBuilder};
+use dbbd_job::sim::SimulatedController;
+use dbbd_model::base::units::HostNs;
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::measurement::sample::Sample;
 
 use crate::cell::kr60;
 use crate::krl_reads_back::program;
@@ -44,7 +44,7 @@ fn controller_follows_the_passes() {
             let files = emit(&plan, Options { sync, controller: kind }).unwrap();
             let scirc = files.iter().any(|(_, text)| text.contains("\r\nSCIRC XP["));
             assert_eq!(scirc, kind != krl::Controller::Krc2);
-            let mut controller = Controller::new(program(&files), &kr60(), 100.0).unwrap();
+            let mut controller = SimulatedController::new(program(&files), &kr60(), 100.0).unwrap();
             let geometry = kr60().geometry;
             let (mut begun, mut worst, mut done) = (None, 0.0_f64, 0);
             loop {
@@ -105,7 +105,7 @@ fn points_lie_at_their_times() {
             let mut t_s = 0.0;
             for index in pass.points[0]..=pass.points[1] {
                 let row = &plan.rows[index as usize - 1];
-                assert!(row.kind == Kind::Measure && row.is_passed());
+                assert!(row.kind == PoseKind::Measure && row.is_passed());
                 t_s += plan.header.moves[index as usize - 1].duration_s;
                 let share = pass.share(t_s);
                 assert!((pass.time_s(share) - t_s).abs() < 1e-9);
@@ -123,7 +123,7 @@ fn points_lie_at_their_times() {
 }
 
 /// A strobe for each dwell and pass of the plan but those of `left_out`, on a bar that does not move.
-fn strobed(plan: &Plan, left_out: usize) -> Stream {
+fn strobed(plan: &Plan, left_out: usize) -> SampleStream {
     let mut stream = StreamBuilder::new(None);
     let mut t_ms = 0_u64;
     let mut run = |seconds: f64, strobe: bool| {
@@ -153,11 +153,15 @@ pub(crate) fn provoked() -> Vec<&'static str> {
 #[test]
 fn pass_of_unknown_time_or_lag_has_a_code() {
     let plan = Plan::build(&job(ARC), &kr60()).unwrap();
-    let matching = match_poses(&Input::new(&plan, &strobed(&plan, 0)));
-    assert!(matching.findings.iter().any(|finding| finding.code().0 == "I1013"), "{:?}", matching.findings);
-    let matching = match_poses(&Input::new(&plan, &strobed(&plan, 1)));
+    let matching = match_poses(&MatchingInput::new(&plan, &strobed(&plan, 0)));
+    assert!(
+        matching.findings.iter().any(|finding| finding.code().as_str() == "I1013"),
+        "{:?}",
+        matching.findings
+    );
+    let matching = match_poses(&MatchingInput::new(&plan, &strobed(&plan, 1)));
     let lost = |pose: &PoseOutcome| match &pose.outcome {
-        MatchOutcome::Missing { reason } => reason.code().0 == "I1024",
+        MatchOutcome::Missing { reason } => reason.code().as_str() == "I1024",
         _ => false,
     };
     assert!(matching.outcomes.iter().any(lost), "{:?}", matching.outcomes);
@@ -172,7 +176,7 @@ fn impossible_continuous_motion_is_refused() {
         ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 200.0", 13, "E0601"),
     ] {
         let wrong = Job::from_toml("job.toml", &text(circle)).unwrap_err();
-        assert_eq!((wrong.line, wrong.code.0), (line, code), "{wrong}");
+        assert_eq!((wrong.line_number(), wrong.code().as_str()), (line, code), "{wrong}");
     }
     // A plan whose rows and passes contradict.
     let plan = Plan::build(&job(ARC), &kr60()).unwrap();
@@ -182,7 +186,7 @@ fn impossible_continuous_motion_is_refused() {
     assert!(read(&json.replace(&format!("\"end\": {end}"), "\"end\": 3")).contains("names other rows"));
     assert!(read(&json.replace("\"sweep_deg\": 170.0", "\"sweep_deg\": 1e9")).contains("cannot be"));
     let mut lost = plan.clone();
-    lost.rows[end as usize - 1].motion = dbbd::plan::Motion::Lin;
+    lost.rows[end as usize - 1].motion = dbbd_job::plan::MotionKind::Lin;
     let (csv, json) = lost.to_files().unwrap();
     let message = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap_err().to_string();
     assert!(message.starts_with("plan.csv:") && message.contains("a pass without stops is"), "{message}");

@@ -1,12 +1,12 @@
 //! The simulated controller executes KRL: it reaches the programmed poses, is at rest while the strobe is high, and stops with the
 //! line of a statement that it cannot execute.
 
-use dbbd::diagnostic::Diagnostic;
-use dbbd::plan::{Kind as RowKind, PlanRow};
-use dbbd::program::krl::{Controller as Kind, Options, Program, Sync, emit};
-use dbbd::robot::{Geometry, Pose};
-use dbbd::sim::world::Setup;
-use dbbd::sim::{Controller, Moment, World, truth};
+use dbbd_job::plan::{PlanRow, PoseKind as RowKind};
+use dbbd_job::program::krl::{Controller as Kind, Options, Program, Sync, emit};
+use dbbd_job::sim::world::WorldSetup;
+use dbbd_job::sim::{ControllerMoment, SimulatedController, World, truth};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::{Geometry, Pose};
 
 use crate::circle_plan::{BAR_MM, plan, robot};
 use crate::krl_reads_back;
@@ -14,7 +14,7 @@ use crate::krl_reads_back;
 const DT_S: f64 = 0.002;
 
 /// Runs to the end; HALT ends at once.
-fn run(mut controller: Controller) -> Result<Vec<Moment>, Diagnostic> {
+fn run(mut controller: SimulatedController) -> Result<Vec<ControllerMoment>, Diagnostic> {
     let mut moments = Vec::new();
     while moments.len() < 500_000 {
         let moment = controller.step(DT_S)?;
@@ -41,19 +41,19 @@ fn program(source: &str, data: &str) -> Result<Program, Diagnostic> {
     })
 }
 
-fn small(body: &str) -> Controller {
+fn small(body: &str) -> SimulatedController {
     let text = format!("DEF T ( )\nPTP {{A1 0.0,A2 -90.0,A3 90.0,A4 0.0,A5 45.0,A6 0.0}}\n{body}\nEND\n");
-    Controller::new(program(&text, "").unwrap(), &robot(), 100.0).unwrap()
+    SimulatedController::new(program(&text, "").unwrap(), &robot(), 100.0).unwrap()
 }
 
 /// The first and the last moment of each strobe that is longer than the pulse of a marker.
-fn dwells(moments: &[Moment]) -> Vec<(Moment, Moment)> {
+fn dwells(moments: &[ControllerMoment]) -> Vec<(ControllerMoment, ControllerMoment)> {
     let highs = moments.chunk_by(|a, b| a.strobe == b.strobe).filter(|chunk| chunk[0].strobe);
     let ends = highs.map(|chunk| (chunk[0], chunk[chunk.len() - 1]));
     ends.filter(|(first, last)| last.t_s - first.t_s > 0.5).collect()
 }
 
-fn pose_error(geometry: &Geometry, moment: &Moment, row: &PlanRow) -> (f64, f64) {
+fn pose_error(geometry: &Geometry, moment: &ControllerMoment, row: &PlanRow) -> (f64, f64) {
     let (is, wanted) = (geometry.ball(&moment.axes), Pose::from_kuka(row.xyz_mm, row.abc_deg));
     ((is.position - wanted.position).norm(), (is.rotation - wanted.rotation).norm())
 }
@@ -63,10 +63,10 @@ fn strobes_are_at_their_poses() {
     let plan = plan(2, 8);
     let files = emit(&plan, Options { sync: Sync::Output, controller: Kind::Krc4 }).unwrap();
     let program = krl_reads_back::program(&files);
-    let setup =
-        Setup::new(&program.setups(), Some(("W", "[bar]\nnoise_um = 0.0\nresolution_um = 0.0"))).unwrap();
+    let setup = WorldSetup::new(&program.setups(), Some(("W", "[bar]\nnoise_um = 0.0\nresolution_um = 0.0")))
+        .unwrap();
     let robot = robot();
-    let moments = run(Controller::new(program, &robot, 100.0).unwrap()).unwrap();
+    let moments = run(SimulatedController::new(program, &robot, 100.0).unwrap()).unwrap();
     let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != RowKind::Transit).collect();
     let dwells = dwells(&moments);
     assert_eq!(dwells.len(), rows.len());
@@ -125,7 +125,7 @@ fn arcs_keep_their_radius_and_lines_their_direction() {
 fn override_slows_motions_but_not_waits() {
     let end_s = |percent: f64| {
         let program = program("DEF T ( )\nPTP {A1 20.0}\nWAIT SEC 1.0\nEND\n", "").unwrap();
-        let controller = Controller::new(program, &robot(), percent).unwrap();
+        let controller = SimulatedController::new(program, &robot(), percent).unwrap();
         run(controller).unwrap().last().unwrap().t_s
     };
     // 20 deg at 128 deg/s and 320 deg/s^2: a triangle of 2 sqrt(20/320) = 0.5 s.
@@ -140,7 +140,7 @@ fn loops_calls_signals_and_pulses_run() {
                 WAIT FOR IDX==3\nEND\nDEF SUB (N :IN,W :IN )\nINT N\nREAL W\nIDX=N\nQ[N]=$AXIS_ACT_MEAS\nWAIT SEC W\nEND\n";
     let data = "DEFDAT T\nINT K=0\nSIGNAL DBBSTB $OUT[1]\nSIGNAL IDX $OUT[9] TO $OUT[16]\nDECL E6AXIS Q[3]\nENDDAT\n";
     let program = program(text, data).unwrap();
-    let moments = run(Controller::new(program, &robot(), 100.0).unwrap()).unwrap();
+    let moments = run(SimulatedController::new(program, &robot(), 100.0).unwrap()).unwrap();
     let highs: Vec<f64> = moments
         .chunk_by(|a, b| a.strobe == b.strobe)
         .filter(|chunk| chunk[0].strobe)
@@ -210,22 +210,29 @@ fn impossible_statements_stop_with_their_line() {
     for (body, code, line, column) in STOPS {
         let stop = run(small(body)).expect_err(body);
         // A routine that calls itself stops at its first motion, whose line is 2.
-        assert_eq!((stop.code.0, stop.file.as_str()), (*code, "T.src"), "{body}: {stop}");
-        assert!(*code == "E0805" || (stop.line, stop.column) == (*line, *column), "{body}: {stop}");
+        assert_eq!((stop.code().as_str(), stop.file_name()), (*code, "T.src"), "{body}: {stop}");
+        assert!(
+            *code == "E0805" || (stop.line_number(), stop.column_number()) == (*line, *column),
+            "{body}: {stop}"
+        );
     }
     for (line, code) in DATA {
         let data = format!("DEFDAT T\n{line}\nENDDAT\n");
         let program = program("DEF T ( )\nEND\n", &data).unwrap();
-        assert_eq!(Controller::new(program, &robot(), 100.0).unwrap_err().code.0, *code, "{line}");
+        assert_eq!(
+            SimulatedController::new(program, &robot(), 100.0).unwrap_err().code().as_str(),
+            *code,
+            "{line}"
+        );
     }
     let first = program("DEF T ( )\nLIN {X 1300.0}\nEND\n", "").unwrap();
-    let stop = run(Controller::new(first, &robot(), 100.0).unwrap()).unwrap_err();
-    assert_eq!((stop.code.0, stop.line, stop.column), ("E0814", 2, 1));
+    let stop = run(SimulatedController::new(first, &robot(), 100.0).unwrap()).unwrap_err();
+    assert_eq!((stop.code().as_str(), stop.line_number(), stop.column_number()), ("E0814", 2, 1));
     let missing = program("DEF T ( )\nOTHER (1)\nEND\n", "").unwrap_err();
-    assert_eq!((missing.code.0, missing.line, missing.column), ("E0806", 2, 1));
+    assert_eq!((missing.code().as_str(), missing.line_number(), missing.column_number()), ("E0806", 2, 1));
     let arguments = program("DEF T ( )\nSUB (1)\nEND\nDEF SUB ( )\nEND\n", "").unwrap();
-    let stop = run(Controller::new(arguments, &robot(), 100.0).unwrap()).unwrap_err();
-    assert_eq!((stop.code.0, stop.line), ("E0817", 2));
+    let stop = run(SimulatedController::new(arguments, &robot(), 100.0).unwrap()).unwrap_err();
+    assert_eq!((stop.code().as_str(), stop.line_number()), ("E0817", 2));
 }
 
 /// Wrong WORLD.toml files.
@@ -244,16 +251,16 @@ fn world_file_is_read() {
     let files = emit(&plan(1, 3), Options { sync: Sync::Output, controller: Kind::Krc4 }).unwrap();
     let program = krl_reads_back::program(&files);
     for (text, code) in WORLDS {
-        let wrong = Setup::new(&program.setups(), Some(("W.toml", text))).unwrap_err();
-        assert_eq!((wrong.code.0, wrong.file.as_str()), (*code, "W.toml"), "{text}");
+        let wrong = WorldSetup::new(&program.setups(), Some(("W.toml", text))).unwrap_err();
+        assert_eq!((wrong.code().as_str(), wrong.file_name()), (*code, "W.toml"), "{text}");
     }
     let bare = self::program("DEF T ( )\nEND\n", "").unwrap();
-    assert_eq!(Setup::new(&bare.setups(), None).unwrap_err().code.0, "E1602");
+    assert_eq!(WorldSetup::new(&bare.setups(), None).unwrap_err().code().as_str(), "E1602");
     let text = "repeatability_um = 20.0\n[bar]\nlength_mm = 299.5\nresolution_um = 10.0\nnoise_um = 0.0\n\
                 [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]";
-    let setup = Setup::new(&program.setups(), Some(("W.toml", text))).unwrap();
+    let setup = WorldSetup::new(&program.setups(), Some(("W.toml", text))).unwrap();
     let robot = robot();
-    let still = |motions: u32| Moment {
+    let still = |motions: u32| ControllerMoment {
         // The error of each motion has replaced the one before.
         t_s: f64::from(motions),
         axes: plan(1, 3).rows[0].axes_deg.map(f64::to_radians),
@@ -285,11 +292,14 @@ fn world_file_is_read() {
 #[test]
 fn true_robot_is_drawn_from_the_tolerance() {
     let nominal = robot();
-    assert_eq!(truth::draw(&nominal, 3, 1.0).geometry, truth::draw(&nominal, 3, 1.0).geometry);
-    assert_eq!(truth::draw(&nominal, 3, 0.0).geometry, nominal.geometry);
+    assert_eq!(
+        truth::draw_true_robot(&nominal, 3, 1.0).geometry,
+        truth::draw_true_robot(&nominal, 3, 1.0).geometry
+    );
+    assert_eq!(truth::draw_true_robot(&nominal, 3, 0.0).geometry, nominal.geometry);
     let (mut sum, mut count) = (0.0, 0.0);
     for seed in 0..200 {
-        let robot = truth::draw(&nominal, seed, 2.0);
+        let robot = truth::draw_true_robot(&nominal, seed, 2.0);
         for (row, from) in robot.geometry.rows.iter().zip(&nominal.geometry.rows) {
             sum += ((row.a - from.a) / (2.0 * nominal.tolerance.length_mm)).powi(2);
             sum += ((row.alpha - from.alpha) / (2.0 * nominal.tolerance.angle_deg.to_radians())).powi(2);

@@ -4,16 +4,16 @@
 use std::fmt::Write;
 use std::fs;
 
-use dbbd::estimation::Workspace;
-use dbbd::math::aligned_distances;
-use dbbd::measurement::{Datum, Measurement, Measurements, TargetId};
-use dbbd::report::export::urdf::urdf;
-use dbbd::robot::inverse::{branches, turns_within};
-use dbbd::robot::kinematics::Mass;
-use dbbd::robot::{
-    Approach, AxisAngles, BallId, BarId, Geometry, Joint, JointError, JointErrors, Pose, Ripple, Robot,
+use dbbd_job::report::export::urdf::urdf;
+use dbbd_job::sim::truth;
+use dbbd_model::estimation::Workspace;
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::{Datum, Measurement, Measurements, TargetId};
+use dbbd_model::robot::inverse::{branches, turns_within};
+use dbbd_model::robot::kinematics::Mass;
+use dbbd_model::robot::{
+    Approach, AxisAngles, BallId, BarId, Geometry, Joint, JointErrorModel, JointErrors, Pose, Ripple, Robot,
 };
-use dbbd::sim::truth;
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -198,8 +198,8 @@ fn level_forearm_has_the_same_sag() {
 fn joint_errors_are_functions_of_the_own_angle() {
     let sound = named("m10id12").geometry;
     let ripple = Ripple { order: 11, cos: 2e-4, sin: -1e-4 };
-    let mut joints = [(); 6].map(|()| JointError::default());
-    joints[2] = JointError { backlash: 1e-4, ripple: vec![ripple], ..JointError::default() };
+    let mut joints = [(); 6].map(|()| JointErrorModel::default());
+    joints[2] = JointErrorModel { backlash: 1e-4, ripple: vec![ripple], ..JointErrorModel::default() };
     let mut wrong = Geometry { joint_errors: JointErrors::new(joints), ..sound.clone() };
     wrong.gear[2] = [3e-4, 5e-4];
     for (a2, a3, senses, sense) in
@@ -221,7 +221,8 @@ fn joint_errors_are_functions_of_the_own_angle() {
 fn urdf_takes_own_angles_of_the_joints() {
     let dir = tempdir().unwrap();
     let nominal = named("crx10ia");
-    let found = Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 5, 1.0) };
+    let found =
+        Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw_true_robot(&nominal, 5, 1.0) };
     fs::write(dir.path().join("found.toml"), found.to_toml().unwrap()).unwrap();
     // The URDF of the user is that of the nominal robot.
     fs::write(dir.path().join("user.urdf"), urdf(&nominal)).unwrap();
@@ -272,7 +273,7 @@ fn coupled_arm_is_identified() {
         let dir = tempdir().unwrap();
         let mut nominal = named(name);
         nominal.geometry.tool = Vector3::new(30.0, 20.0, 60.0);
-        let mut truth = truth::draw(&nominal, 7, 1.0);
+        let mut truth = truth::draw_true_robot(&nominal, 7, 1.0);
         truth.geometry.gear[2] = [0.0, gear];
         fs::write(dir.path().join("nominal.toml"), nominal.to_toml().unwrap()).unwrap();
         fs::write(dir.path().join("obs.csv"), lengths(&truth, 120).to_csv()).unwrap();

@@ -1,12 +1,12 @@
 //! For any input: bytes = bytes of samples + bytes of faults + pending bytes.
 
-use dbbd::base::units::DeviceTicks;
-use dbbd::device::protocol::{Decoded, Decoder, Definition};
-use dbbd::measurement::sample::Sample;
+use dbbd_device::protocol::{DecodedItem, ProtocolDecoder, ProtocolDefinition};
+use dbbd_model::base::units::DeviceTicks;
+use dbbd_model::measurement::sample::Sample;
 use proptest::prelude::*;
 
-fn definition(name: &str) -> Definition {
-    Definition::by_name(name).unwrap().unwrap()
+fn definition(name: &str) -> ProtocolDefinition {
+    ProtocolDefinition::by_name(name).unwrap().unwrap()
 }
 
 /// Samples that `dbb-cobs-1` and `dbb-nmea-1` can represent: steps of 10 nm and 0.01 C.
@@ -27,7 +27,7 @@ fn samples() -> impl Strategy<Value = Vec<Sample>> {
     prop::collection::vec(one, 1..30)
 }
 
-fn encode(definition: &Definition, samples: &[Sample]) -> Vec<u8> {
+fn encode(definition: &ProtocolDefinition, samples: &[Sample]) -> Vec<u8> {
     let encoder = definition.encoder();
     let mut bytes = Vec::new();
     for sample in samples {
@@ -37,16 +37,16 @@ fn encode(definition: &Definition, samples: &[Sample]) -> Vec<u8> {
 }
 
 /// Decodes the whole stream, and checks the account and the offsets.
-fn decode(definition: &Definition, bytes: &[u8]) -> (Vec<Decoded>, Decoder) {
+fn decode(definition: &ProtocolDefinition, bytes: &[u8]) -> (Vec<DecodedItem>, ProtocolDecoder) {
     let (mut decoder, mut out) = (definition.decoder(), Vec::new());
     decoder.push(bytes, &mut out);
-    let accounted: u64 = out.iter().map(Decoded::bytes).sum::<u64>() + decoder.pending();
+    let accounted: u64 = out.iter().map(DecodedItem::bytes).sum::<u64>() + decoder.pending();
     assert_eq!(accounted, bytes.len() as u64);
     let mut at = 0;
     for one in &out {
         let offset = match one {
-            Decoded::Sample(sample, _) => sample.offset,
-            Decoded::Fault(fault) => fault.offset,
+            DecodedItem::Sample(sample, _) => sample.offset,
+            DecodedItem::Fault(fault) => fault.offset,
         };
         assert_eq!(offset, at);
         assert!(one.bytes() > 0);
@@ -55,10 +55,10 @@ fn decode(definition: &Definition, bytes: &[u8]) -> (Vec<Decoded>, Decoder) {
     (out, decoder)
 }
 
-fn only_samples(decoded: &[Decoded]) -> Vec<Sample> {
+fn only_samples(decoded: &[DecodedItem]) -> Vec<Sample> {
     let samples = decoded.iter().filter_map(|one| match one {
-        Decoded::Sample(sample, _) => Some(Sample { offset: 0, ..*sample }),
-        Decoded::Fault(_) => None,
+        DecodedItem::Sample(sample, _) => Some(Sample { offset: 0, ..*sample }),
+        DecodedItem::Fault(_) => None,
     });
     samples.collect()
 }
@@ -135,7 +135,7 @@ proptest! {
 
     #[test]
     fn noise_yields_only_faults(bytes in prop::collection::vec(any::<u8>(), 0..9000)) {
-        for (name, _) in Definition::built_in() {
+        for (name, _) in ProtocolDefinition::built_in() {
             decode(&definition(name), &bytes);
         }
     }
@@ -182,5 +182,5 @@ fn interruption_turns_pending_bytes_into_faults() {
     let definition = definition("dbb-cobs-1");
     let (mut out, mut decoder) = decode(&definition, &[7, 1, 2]);
     decoder.interrupt(&mut out);
-    assert_eq!((out.iter().map(Decoded::bytes).sum::<u64>(), decoder.pending()), (3, 0));
+    assert_eq!((out.iter().map(DecodedItem::bytes).sum::<u64>(), decoder.pending()), (3, 0));
 }

@@ -1,14 +1,14 @@
 //! Definitions are checked: an error names its line.
 
-use dbbd::device::protocol::Definition;
-use dbbd::diagnostic::Diagnostic;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_model::diagnostic::Diagnostic;
 
 const COBS: &str = include_str!("../../protocols/dbb-cobs-1.toml");
 
 #[test]
 fn built_in_definitions_pass_their_own_vectors() {
-    for (name, text) in Definition::built_in() {
-        let definition = Definition::from_toml(name, text).unwrap();
+    for (name, text) in ProtocolDefinition::built_in() {
+        let definition = ProtocolDefinition::from_toml(name, text).unwrap();
         assert_eq!(definition.id, *name);
     }
 }
@@ -20,14 +20,14 @@ fn reference_definition_is_accepted() {
         eprintln!("skipped: ../shared is not there");
         return;
     };
-    Definition::from_toml("dbb-cobs-1.toml", &text).unwrap();
+    ProtocolDefinition::from_toml("dbb-cobs-1.toml", &text).unwrap();
 }
 
 /// The error after replacing `old` with `new`.
 fn refusal(old: &str, new: &str) -> Diagnostic {
     assert_eq!(COBS.matches(old).count(), 1, "{old}");
     let text = COBS.replace(old, new);
-    Definition::from_toml("bar.toml", &text).unwrap_err()
+    ProtocolDefinition::from_toml("bar.toml", &text).unwrap_err()
 }
 
 /// The line of `needle` in the shipped file.
@@ -71,8 +71,8 @@ fn errors_name_their_line() {
     for (old, new, place, code) in cases {
         let refusal = refusal(old, new);
         let line = line_of(place);
-        if (refusal.code.0, refusal.line) != (code, line) {
-            wrong.push(format!("{new}: expected {code} in line {line}, got {} {refusal}", refusal.code));
+        if (refusal.code().as_str(), refusal.line_number()) != (code, line) {
+            wrong.push(format!("{new}: expected {code} in line {line}, got {} {refusal}", refusal.code()));
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
@@ -211,24 +211,26 @@ fn errors_name_file_line_column_and_remedy() {
         let text = SHIPPED.iter().find(|(file, _)| file == name).unwrap().1;
         assert!(text.contains(old), "{name} has no {old}");
         let text = text.replacen(old, new, 1);
-        let Err(refusal) = Definition::from_toml("bar.toml", &text) else {
+        let Err(refusal) = ProtocolDefinition::from_toml("bar.toml", &text) else {
             wrong.push(format!("{name}: {new} is taken"));
             continue;
         };
         let message = refusal.to_string();
         let line =
             text.lines().position(|line| line.contains(place)).unwrap_or_else(|| panic!("{place}")) + 1;
-        let pointed =
-            refusal.excerpt.as_deref().and_then(|line| line.chars().nth(refusal.column.wrapping_sub(1)));
-        if refusal.line != line
+        let pointed = refusal
+            .excerpt()
+            .as_deref()
+            .and_then(|line| line.chars().nth(refusal.column_number().wrapping_sub(1)));
+        if refusal.line_number() != line
             || pointed.is_none_or(char::is_whitespace)
-            || refusal.help.is_none()
-            || !message.starts_with(&format!("bar.toml:{line}:{}: ", refusal.column))
-            || refusal.code.0 != *code
+            || refusal.help_line().is_none()
+            || !message.starts_with(&format!("bar.toml:{line}:{}: ", refusal.column_number()))
+            || refusal.code().as_str() != *code
         {
             wrong.push(format!(
                 "{name}: {new}: expected line {line} and {code}, got {} {message}",
-                refusal.code
+                refusal.code()
             ));
         }
     }
@@ -257,10 +259,10 @@ fn list_shows_the_confidence_of_each_definition() {
     let output =
         std::process::Command::new(env!("CARGO_BIN_EXE_dbbd")).args(["protocols", "list"]).output().unwrap();
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert_eq!(said.lines().count(), Definition::built_in().len());
-    for (name, text) in Definition::built_in() {
+    assert_eq!(said.lines().count(), ProtocolDefinition::built_in().len());
+    for (name, text) in ProtocolDefinition::built_in() {
         let line = said.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap();
-        let definition = Definition::from_toml(name, text).unwrap();
+        let definition = ProtocolDefinition::from_toml(name, text).unwrap();
         assert!(line.contains(definition.confidence) && line.contains("not tried on hardware"), "{line}");
         assert_eq!(line.contains("no check"), definition.undetected() == 1.0, "{line}");
         // The file states it too.
@@ -315,13 +317,13 @@ fn crc_parameters_are_verified_by_their_check_value() {
         let text = COBS.replace("name = \"CRC-16/IBM-3740\"", &crc);
         // The shipped vectors hold for another CRC.
         let (head, _) = text.split_once("[[test]]").unwrap();
-        Definition::from_toml("bar.toml", head)
+        ProtocolDefinition::from_toml("bar.toml", head)
     };
     by_parameters("0x4b37").unwrap();
     let wrong = by_parameters("0x4b38").unwrap_err();
-    assert_eq!((wrong.code.0, &wrong.values["check"]), ("E0305", &0x4b37.into()), "{wrong}");
-    assert_eq!(wrong.excerpt.as_deref(), Some("check = 0x4b38"));
-    assert_eq!(wrong.column, 9, "the value");
+    assert_eq!((wrong.code().as_str(), &wrong.values()["check"]), ("E0305", &0x4b37.into()), "{wrong}");
+    assert_eq!(wrong.excerpt().as_deref(), Some("check = 0x4b38"));
+    assert_eq!(wrong.column_number(), 9, "the value");
 }
 
 /// The frames of reference section 3, byte for byte.
@@ -331,14 +333,14 @@ fn encoder_writes_the_published_vectors() {
     let cobs =
         [7, 1, 2, 1, 0x40, 0x42, 0x0f, 0x0a, 0xc7, 0xcf, 0xff, 0xff, 0x66, 8, 1, 0x84, 0x9e, 0].to_vec();
     for (name, frame) in [("dbb-cobs-1", cobs), ("dbb-nmea-1", nmea)] {
-        let definition = Definition::by_name(name).unwrap().unwrap();
-        let sample = dbbd::measurement::sample::Sample {
+        let definition = ProtocolDefinition::by_name(name).unwrap().unwrap();
+        let sample = dbbd_model::measurement::sample::Sample {
             sequence: Some(0x0102),
-            ticks: Some(dbbd::base::units::DeviceTicks(1_000_000)),
+            ticks: Some(dbbd_model::base::units::DeviceTicks(1_000_000)),
             trigger: Some(false),
             temperature_c: Some(21.5),
             status: 1,
-            ..dbbd::measurement::sample::Sample::of(-0.12345)
+            ..dbbd_model::measurement::sample::Sample::of(-0.12345)
         };
         let mut bytes = Vec::new();
         definition.encoder().encode(&sample, &mut bytes).unwrap();
@@ -359,7 +361,7 @@ fn no_vendor_is_named_in_the_engine() {
         "riftek",
         "us digital",
     ];
-    for path in super::floor_plan::sources("protocol") {
+    for path in super::floor_plan::sources("crates/dbbd-device", "protocol") {
         let text = std::fs::read_to_string(&path).unwrap().to_lowercase();
         for vendor in vendors {
             assert!(!text.contains(vendor), "{}: {vendor}", path.display());

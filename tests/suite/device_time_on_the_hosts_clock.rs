@@ -3,8 +3,8 @@
 //! figures are those of the method's simulation in the reference: least delay 0.5 ms, exponential jitter of 0.3 ms,
 //! stalls of 50 ms in 0.1 % of the samples.
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::recording::{ClockMap, DeviceClock, Stamp};
+use dbbd_job::recording::{ClockMap, ClockStamp, DeviceClock};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -13,7 +13,7 @@ const DRIFT: f64 = 50e-6;
 const CLOCK: DeviceClock = DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) };
 
 struct Run {
-    stamps: Vec<Stamp>,
+    stamps: Vec<ClockStamp>,
     /// True host time of each sample, s.
     truth: Vec<f64>,
 }
@@ -36,7 +36,7 @@ fn run(seconds: f64, hz: f64, seed: u64) -> Run {
         let handed = ((ready - 1e-3) / 0.016).ceil() * 0.016 + 1e-3;
         let handed = if handed - ready > 0.0159 { ready } else { handed };
         last = last.max(handed);
-        stamps.push(Stamp { host: HostNs((last * 1e9) as u64), ticks: DeviceTicks(ticks % (1 << 32)) });
+        stamps.push(ClockStamp { host: HostNs((last * 1e9) as u64), ticks: DeviceTicks(ticks % (1 << 32)) });
         truth.push(t);
     }
     Run { stamps, truth }
@@ -127,8 +127,8 @@ fn jump_is_a_break_and_stall_is_not() {
 /// A counter faster than the host's clock is not mapped to it; its own breaks are still detected.
 #[test]
 fn run_faster_than_real_time_uses_device_time_only() {
-    let stamp = |at: u64| Stamp { host: HostNs(at * 1000), ticks: DeviceTicks(at * 1000) };
-    let mut stamps: Vec<Stamp> = (0..10_000).map(stamp).collect();
+    let stamp = |at: u64| ClockStamp { host: HostNs(at * 1000), ticks: DeviceTicks(at * 1000) };
+    let mut stamps: Vec<ClockStamp> = (0..10_000).map(stamp).collect();
     // The host may be delayed in such a run.
     stamps.iter_mut().skip(7000).for_each(|stamp| stamp.host.0 += 700_000_000);
     let map = ClockMap::new(&stamps, CLOCK);

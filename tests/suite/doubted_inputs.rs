@@ -6,9 +6,9 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-use dbbd::base::clock;
-use dbbd::measurement::{Column, Context, Measurements};
-use dbbd::provenance::Provenance;
+use dbbd_device::clock;
+use dbbd_model::measurement::{ContextColumn, MeasurementContext, Measurements};
+use dbbd_model::provenance::Provenance;
 use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, stderr};
@@ -94,7 +94,7 @@ fn tables_of_two_robots_or_bars() {
         provenance.identity.robot = Some(robot.into());
         provenance.identity.bar.serial = Some(bar.into());
         let text = fs::read_to_string(at.join(table)).unwrap_or_else(|_| text.clone());
-        provenance.write_beside(&at.join(table), &text).unwrap();
+        dbbd_job::artefact::write_beside(&provenance, &at.join(table), &text).unwrap();
     };
     record("bad.csv", "R-1", "B-1");
     let validated = |robot: &str, bar: &str| {
@@ -114,8 +114,11 @@ fn facts_of_the_bar() {
     let at = dir.path();
     let warm = |celsius: f64| -> Measurements {
         let mut warm = data.clone();
-        let context = std::sync::Arc::new(Context { temperature_c: Some(celsius), ..Context::default() });
-        warm.columns.push(Column::TemperatureC);
+        let context = std::sync::Arc::new(MeasurementContext {
+            temperature_c: Some(celsius),
+            ..MeasurementContext::default()
+        });
+        warm.columns.push(ContextColumn::TemperatureC);
         warm.rows.iter_mut().for_each(|row| row.context = Some(context.clone()));
         warm
     };

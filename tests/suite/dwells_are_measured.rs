@@ -1,11 +1,11 @@
 //! Dwells: value and uncertainty, creep, drift, and missing samples.
 
-use dbbd::catalogue::MatchingFinding;
-use dbbd::diagnostic::Finding;
-use dbbd::plan::Kind;
-use dbbd::recording::matching::{Input, MatchOutcome, match_poses, still_dwells};
-use dbbd::recording::measure;
-use dbbd::robot::AXES;
+use dbbd_job::plan::PoseKind;
+use dbbd_job::recording::matching::MatchingFinding;
+use dbbd_job::recording::matching::{MatchOutcome, MatchingInput, match_poses, still_dwells};
+use dbbd_job::recording::reading_between;
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::robot::AXES;
 
 use crate::sync_runs::{BAR_MM, DWELL_S, SETTLE_S, WORLD, World, plan, right, run, stream};
 
@@ -24,7 +24,8 @@ fn still_dwells_carry_value_and_uncertainty() {
                 continue;
             };
             let reading =
-                measure(&stream, dwell.start_s + 0.5, (dwell.end_s - 0.15).min(dwell.start_s + 1.5)).unwrap();
+                reading_between(&stream, dwell.start_s + 0.5, (dwell.end_s - 0.15).min(dwell.start_s + 1.5))
+                    .unwrap();
             // Of AR(1) noise, the mean's variance is that of N (1 - r) / (1 + r) samples.
             let effective = reading.samples as f64 * (1.0 - correlation) / (1.0 + correlation);
             let u_mm = noise_mm / effective.sqrt();
@@ -49,7 +50,7 @@ fn coarse_scale_limits_the_uncertainty() {
     for (_, sample) in &mut run.samples {
         sample.reading_mm = (sample.reading_mm / STEP_MM).round() * STEP_MM;
     }
-    let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+    let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
     let step = STEP_MM / 12f64.sqrt();
     let (mut on_the_step, mut least) = (0, f64::INFINITY);
     for pose in &matching.outcomes {
@@ -79,7 +80,7 @@ fn invalid_readings_are_excluded_and_drift_is_detected() {
             sample.reading_mm += 0.03 * t_s / end_s;
         }
     }
-    let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+    let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
     assert_eq!(matching.observations.rows.len(), 60);
     assert!(matching.observations.rows.iter().all(|row| (row.length_mm - BAR_MM).abs() < 2.0));
     assert!(matches!(
@@ -96,7 +97,7 @@ fn invalid_readings_are_excluded_and_drift_is_detected() {
 #[test]
 fn largest_drift_is_reported() {
     let mut plan = plan(9, 80, 40, true);
-    let second = plan.rows.iter_mut().filter(|row| row.circle == 2 && row.kind == Kind::Reference);
+    let second = plan.rows.iter_mut().filter(|row| row.circle == 2 && row.kind == PoseKind::Reference);
     second.for_each(|row| row.axes_deg = [2.0; AXES]);
     let mut run = run(&plan, 9, World { repeatability_mm: 0.0, strobe: true, ..WORLD });
     let moved_s = run.starts_s[20];
@@ -106,7 +107,7 @@ fn largest_drift_is_reported() {
             sample.reading_mm += 0.05;
         }
     }
-    let drift = match_poses(&Input::new(&plan, &stream(&run.samples))).drift.unwrap();
+    let drift = match_poses(&MatchingInput::new(&plan, &stream(&run.samples))).drift.unwrap();
     assert_eq!((drift.readings, drift.sd_mm, drift.significant), (2, None, false));
     assert!((drift.change_mm - 0.05).abs() < 0.003, "{drift:?}");
 }
@@ -125,7 +126,7 @@ fn creep_is_flagged_in_its_dwell_only() {
             }
         }
     }
-    let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+    let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
     for (pose, outcome) in matching.outcomes.iter().enumerate() {
         let Some(dwell) = outcome.reading() else { panic!("{outcome:?}") };
         assert_eq!(dwell.creep_mm.is_some(), creeping.contains(&pose), "pose {pose}: {dwell:?}");
@@ -135,7 +136,7 @@ fn creep_is_flagged_in_its_dwell_only() {
         }
     }
     assert!(matching.findings.contains(&MatchingFinding::Creep { dwells: 3 }));
-    assert_eq!(matching.findings[0].code().0, "I1011");
+    assert_eq!(matching.findings[0].code().as_str(), "I1011");
 }
 
 #[test]
@@ -149,7 +150,7 @@ fn outage_within_a_dwell_rejects_it_only_if_little_is_left() {
             let t_s = sample.ticks.unwrap().0 as f64 * 1e-6;
             !(0..2).any(|outage| (begins[outage]..ends[outage]).contains(&t_s))
         });
-        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
         let found = right(&plan, &run, &matching);
         eprintln!("strobe {strobe}: {found} of 40, {:?} {:?}", matching.outcomes[9], matching.outcomes[22]);
         assert!(found >= if strobe { 39 } else { 36 }, "{found}");

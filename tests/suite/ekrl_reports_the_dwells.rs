@@ -8,13 +8,13 @@ use std::path::Path;
 use std::process::Child;
 use std::time::Duration;
 
-use dbbd::catalogue::RecordingFinding::{
+use dbbd_job::recording::RecordingFinding::{
     TelegramLacks, TelegramNotAngle, TelegramNotQuoted, TelegramNotWhole, TelegramPhase,
 };
-use dbbd::diagnostic::Finding;
-use dbbd::measurement::Measurements;
-use dbbd::recording::capture::{Event, Record};
-use dbbd::recording::{LONGEST_TELEGRAM, Telegram, TelegramReader, TelegramResult};
+use dbbd_job::recording::capture::{CaptureRecord, RunEvent};
+use dbbd_job::recording::{LONGEST_TELEGRAM, Telegram, TelegramReader, TelegramResult};
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::measurement::Measurements;
 use proptest::prelude::*;
 
 use crate::cell::{codes, dbbd, stderr};
@@ -124,7 +124,7 @@ fn telegram_variants_and_errors() {
         (" A6=\"0\"", "", TelegramLacks { element: "Ax".into(), name: "A6".into() }),
     ] {
         match &read(&good.replace(from, to))[..] {
-            [TelegramResult::Malformed(said)] => assert_eq!((said, said.code().0), (&why, "W0414")),
+            [TelegramResult::Malformed(said)] => assert_eq!((said, said.code().as_str()), (&why, "W0414")),
             other => panic!("{to}: {other:?}"),
         }
     }
@@ -257,12 +257,12 @@ fn misbehaving_client_loses_only_its_own_telegrams() {
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(3), "{said}");
     assert!(said.contains("2 telegrams were refused"), "{said}");
-    let capture = dbbd::recording::capture::read(&std::fs::read(dir.path().join("run")).unwrap());
+    let capture = dbbd_job::recording::capture::read_capture(&std::fs::read(dir.path().join("run")).unwrap());
     let told: Vec<(u32, u8)> = capture
         .records
         .iter()
         .filter_map(|stamped| match &stamped.record {
-            Record::Event(Event::Controller { index, phase, axes_deg }) => {
+            CaptureRecord::Event(RunEvent::Controller { index, phase, axes_deg }) => {
                 assert_eq!(axes_deg[1], -90.25);
                 Some((*index, *phase))
             }
@@ -274,7 +274,7 @@ fn misbehaving_client_loses_only_its_own_telegrams() {
         .records
         .iter()
         .filter_map(|stamped| match &stamped.record {
-            Record::Event(Event::Mark { text }) => Some(format!("{text}\n")),
+            CaptureRecord::Event(RunEvent::Mark { text }) => Some(format!("{text}\n")),
             _ => None,
         })
         .collect();

@@ -1,11 +1,11 @@
 //! The program of an accepted plan stays within limits, speeds and solution branch on the controller.
 
-use dbbd::plan::{Job, Kind, Plan};
-use dbbd::program::krl::{Options, Program, Sync, emit};
-use dbbd::robot::Robot;
-use dbbd::robot::inverse::status;
-use dbbd::sim::world::Setup;
-use dbbd::sim::{Controller, Moment, World, truth};
+use dbbd_job::plan::{Job, Plan, PoseKind};
+use dbbd_job::program::krl::{Options, Program, Sync, emit};
+use dbbd_job::sim::world::WorldSetup;
+use dbbd_job::sim::{ControllerMoment, SimulatedController, World, truth};
+use dbbd_model::robot::Robot;
+use dbbd_model::robot::inverse::status;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -69,7 +69,7 @@ fn run(seed: u64, text: &str, step_s: f64) -> Ending {
     let nominal = kr60();
     let Ok(plan) = Plan::build(&job, &nominal) else { return Ending::Refused };
     let sync = if seed.is_multiple_of(2) { Sync::Output } else { Sync::Marker };
-    let files = match emit(&plan, Options { sync, controller: dbbd::program::krl::Controller::Krc4 }) {
+    let files = match emit(&plan, Options { sync, controller: dbbd_job::program::krl::Controller::Krc4 }) {
         Ok(files) => files,
         Err(error) => return Ending::Failed(error.to_string()),
     };
@@ -77,12 +77,12 @@ fn run(seed: u64, text: &str, step_s: f64) -> Ending {
         Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
     })
     .unwrap();
-    let mut setup = Setup::new(&program.setups(), None).unwrap();
+    let mut setup = WorldSetup::new(&program.setups(), None).unwrap();
     setup.taught_deg = plan.header.taught.iter().map(|ball| (ball.centre, ball.axes_deg)).collect();
-    let mut world = World::new(truth::draw(&nominal, seed, 1.0).geometry, setup, seed);
-    let mut controller = Controller::new(program, &nominal, 100.0).unwrap();
+    let mut world = World::new(truth::draw_true_robot(&nominal, seed, 1.0).geometry, setup, seed);
+    let mut controller = SimulatedController::new(program, &nominal, 100.0).unwrap();
     let (mut mounted, mut strayed) = (false, false);
-    let mut last: Option<Moment> = None;
+    let mut last: Option<ControllerMoment> = None;
     loop {
         let moment = match controller.step(step_s) {
             Ok(moment) => moment,
@@ -103,7 +103,7 @@ fn run(seed: u64, text: &str, step_s: f64) -> Ending {
             break;
         }
     }
-    let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit).count();
+    let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).count();
     if controller.dwells() as usize != dwells {
         return Ending::Failed(format!("seed {seed}: {} of {dwells} dwells", controller.dwells()));
     }
@@ -111,7 +111,12 @@ fn run(seed: u64, text: &str, step_s: f64) -> Ending {
 }
 
 /// Checks the commanded axes: limits, speeds and, with the bar mounted, the solution branch.
-fn keeps(robot: &Robot, last: Option<&Moment>, now: &Moment, mounted: bool) -> Result<(), String> {
+fn keeps(
+    robot: &Robot,
+    last: Option<&ControllerMoment>,
+    now: &ControllerMoment,
+    mounted: bool,
+) -> Result<(), String> {
     for (axis, angle) in now.axes.iter().enumerate() {
         let [low, high] = robot.limits_deg[axis];
         if !(low - 1e-6..=high + 1e-6).contains(&angle.to_degrees()) {

@@ -3,34 +3,34 @@
 
 use std::process::{Command, Stdio};
 
-use dbbd::base::units::DeviceTicks;
-use dbbd::device::protocol::{Decoded, Definition};
-use dbbd::diagnostic::Finding;
-use dbbd::measurement::sample::Sample;
-use dbbd::recording::capture;
-use dbbd::sim::bar::{self, Options, Reading, Terminal};
+use dbbd_device::protocol::{DecodedItem, ProtocolDefinition};
+use dbbd_job::recording::capture;
+use dbbd_job::sim::bar::{self, SimulatedReading, Terminal, VirtualBarOptions};
+use dbbd_model::base::units::DeviceTicks;
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::measurement::sample::Sample;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use crate::any_bytes_are_taken::entries;
 
-fn all() -> impl Iterator<Item = Definition> {
-    Definition::built_in().iter().map(|(name, _)| Definition::by_name(name).unwrap().unwrap())
+fn all() -> impl Iterator<Item = ProtocolDefinition> {
+    ProtocolDefinition::built_in().iter().map(|(name, _)| ProtocolDefinition::by_name(name).unwrap().unwrap())
 }
 
-fn decode(definition: &Definition, bytes: &[u8]) -> Vec<Decoded> {
+fn decode(definition: &ProtocolDefinition, bytes: &[u8]) -> Vec<DecodedItem> {
     let (mut decoder, mut out) = (definition.decoder(), Vec::new());
     decoder.push(bytes, &mut out);
     decoder.silence(&mut out);
     out
 }
 
-fn one(definition: &Definition, sample: &Sample) -> Option<Sample> {
+fn one(definition: &ProtocolDefinition, sample: &Sample) -> Option<Sample> {
     let mut bytes = Vec::new();
     definition.encoder().encode(sample, &mut bytes).ok()?;
     match decode(definition, &bytes)[..] {
-        [Decoded::Sample(sample, length)] if length == bytes.len() as u64 => Some(sample),
+        [DecodedItem::Sample(sample, length)] if length == bytes.len() as u64 => Some(sample),
         ref other => panic!("{}: {sample:?} gives {other:?}", definition.id),
     }
 }
@@ -151,19 +151,19 @@ fn ramp_mm(t_s: f64, rate_hz: f64) -> f64 {
 
 /// The capture, exit code and output of `acquire` on a virtual bar with these readings.
 fn acquired(
-    definition: &Definition,
+    definition: &ProtocolDefinition,
     protocol: &str,
     params: &[&str],
-    read: impl Fn(f64) -> Reading + Send + 'static,
+    read: impl Fn(f64) -> SimulatedReading + Send + 'static,
 ) -> (capture::Capture, Option<i32>, String) {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("run");
     let terminal = Terminal::new().unwrap();
     let port = terminal.address().to_string();
-    let options = Options { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
+    let options = VirtualBarOptions { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
     let served = definition.clone();
     let _bar = std::thread::spawn(move || {
-        bar::serve(terminal, &served, options, |t_s: f64| (t_s < 20.0).then(|| read(t_s)))
+        bar::serve_bar(terminal, &served, options, |t_s: f64| (t_s < 20.0).then(|| read(t_s)))
     });
     let settle = definition.line.settle.as_secs_f64();
     let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
@@ -171,12 +171,16 @@ fn acquired(
     command.args(["--duration", &(settle + 0.8).to_string()]).args(params).stdin(Stdio::null());
     let output = command.output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    (capture::read(&std::fs::read(&path).unwrap()), output.status.code(), said)
+    (capture::read_capture(&std::fs::read(&path).unwrap()), output.status.code(), said)
 }
 
-fn simulated_is_acquired(definition: &Definition, protocol: &str, params: &[&str]) {
-    let reading =
-        |t_s| Reading { reading_mm: ramp_mm(t_s, RATE_HZ), strobe: false, valid: true, temperature_c: 20.0 };
+fn simulated_is_acquired(definition: &ProtocolDefinition, protocol: &str, params: &[&str]) {
+    let reading = |t_s| SimulatedReading {
+        reading_mm: ramp_mm(t_s, RATE_HZ),
+        strobe: false,
+        valid: true,
+        temperature_c: 20.0,
+    };
     let (capture, code, said) = acquired(definition, protocol, params, reading);
     // On a busy machine a reply may be late: that is reported, and gives no wrong length.
     let late = code == Some(3) && said.contains(UNANSWERED);
@@ -223,7 +227,7 @@ fn definition_from_a_file_is_acquired() {
     let path = directory.path().join("outside.toml");
     std::fs::write(&path, OUTSIDE).unwrap();
     let params = [("gain".to_owned(), "2.0".to_owned())];
-    let exact = Definition::from_toml_with("outside.toml", OUTSIDE, &params).unwrap();
+    let exact = ProtocolDefinition::from_toml_with("outside.toml", OUTSIDE, &params).unwrap();
     let mut bytes = Vec::new();
     let sample = numbered(5);
     exact.encoder().encode(&sample, &mut bytes).unwrap();
@@ -233,14 +237,19 @@ fn definition_from_a_file_is_acquired() {
     let port = terminal.address().to_string();
     let _served = std::thread::spawn(move || {
         let source = |t_s: f64| {
-            (t_s < 9.0).then_some(Reading {
+            (t_s < 9.0).then_some(SimulatedReading {
                 reading_mm: 0.25,
                 strobe: false,
                 valid: true,
                 temperature_c: 20.0,
             })
         };
-        bar::serve(terminal, &exact, Options { rate_hz: 100.0, speed: 1.0, first_ticks: 0 }, source)
+        bar::serve_bar(
+            terminal,
+            &exact,
+            VirtualBarOptions { rate_hz: 100.0, speed: 1.0, first_ticks: 0 },
+            source,
+        )
     });
     let run = directory.path().join("run");
     let output = Command::new(env!("CARGO_BIN_EXE_dbbd"))
@@ -249,7 +258,7 @@ fn definition_from_a_file_is_acquired() {
         .output()
         .unwrap();
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    let capture = capture::read(&std::fs::read(&run).unwrap());
+    let capture = capture::read_capture(&std::fs::read(&run).unwrap());
     let readings: Vec<f64> = capture.samples().map(|(_, sample)| sample.reading_mm).collect();
     assert!(readings.len() > 10 && readings.iter().all(|mm| *mm == 0.25), "{readings:?}");
     // The capture contains the parameter in force.
@@ -260,35 +269,35 @@ fn definition_from_a_file_is_acquired() {
 #[test]
 fn parameters_are_checked() {
     let load = |name: &str, value: &str| {
-        Definition::by_name_with("microepsilon-ild1420", &[(name.into(), value.into())]).unwrap()
+        ProtocolDefinition::by_name_with("microepsilon-ild1420", &[(name.into(), value.into())]).unwrap()
     };
     assert_eq!(load("range_mm", "10").unwrap().params, [("range_mm".to_owned(), "10.0".to_owned())]);
     let wrong = load("range", "10").unwrap_err();
-    assert_eq!(wrong.code.0, "E0310");
-    assert_eq!(wrong.values["known"], "range_mm");
+    assert_eq!(wrong.code().as_str(), "E0310");
+    assert_eq!(wrong.values()["known"], "range_mm");
     let wrong = load("range_mm", "-1").unwrap_err();
-    assert_eq!((&wrong.values["least"], &wrong.values["most"]), (&1.0.into(), &1000.0.into()), "{wrong}");
+    assert_eq!((&wrong.values()["least"], &wrong.values()["most"]), (&1.0.into(), &1000.0.into()), "{wrong}");
     for (old, new) in [
         ("len_adds = 3", "len_adds = 4096"),
         ("len_at = 2", "len_at = 4096"),
         ("len_at = 2", "len_at = 2\nlen_bytes = 3"),
     ] {
-        let wrong = Definition::from_toml("bar.toml", &OUTSIDE.replace(old, new)).unwrap_err();
-        assert_eq!(wrong.code.0, "E0304", "{new}: {wrong}");
+        let wrong = ProtocolDefinition::from_toml("bar.toml", &OUTSIDE.replace(old, new)).unwrap_err();
+        assert_eq!(wrong.code().as_str(), "E0304", "{new}: {wrong}");
     }
     let text = OUTSIDE.replace("${gain}", "${gian}");
-    let wrong = Definition::from_toml("bar.toml", &text).unwrap_err();
+    let wrong = ProtocolDefinition::from_toml("bar.toml", &text).unwrap_err();
     let line = text.lines().position(|line| line.contains("gian")).unwrap() + 1;
-    assert_eq!((wrong.code.0, wrong.line), ("E0310", line), "{wrong}");
-    assert!(wrong.help.is_some_and(|help| help.contains("gain")));
+    assert_eq!((wrong.code().as_str(), wrong.line_number()), ("E0310", line), "{wrong}");
+    assert!(wrong.help_line().is_some_and(|help| help.contains("gain")));
 }
 
 /// Beyond its stroke a bar sets a flag, or sends the value for no reading.
 #[test]
 fn readings_beyond_the_stroke_are_invalid() {
     for protocol in ["dbb-cobs-1", "microepsilon-ild1420"] {
-        let definition = Definition::by_name(protocol).unwrap().unwrap();
-        let out = |_| Reading { reading_mm: 0.5, strobe: false, valid: false, temperature_c: 20.0 };
+        let definition = ProtocolDefinition::by_name(protocol).unwrap().unwrap();
+        let out = |_| SimulatedReading { reading_mm: 0.5, strobe: false, valid: false, temperature_c: 20.0 };
         let (capture, code, said) = acquired(&definition, protocol, &[], out);
         let readings = capture.samples().count();
         assert!(capture.samples().all(|(_, sample)| !sample.valid), "{protocol}");
@@ -306,17 +315,17 @@ fn values_that_do_not_fit_are_rejected() {
         "{ kind = \"bits\", bits = 4, role = \"seq\", modulo = 16 },\n  { kind = \"bits\", bits = 12 },",
         "{ kind = \"uint\", bits = 8, role = \"seq\", modulo = 256 },\n  { kind = \"skip\", bytes = 1 },",
     );
-    let definition = Definition::from_toml("outside.toml", &text).unwrap();
+    let definition = ProtocolDefinition::from_toml("outside.toml", &text).unwrap();
     let encoded = |sequence| definition.encoder().encode(&numbered(sequence), &mut Vec::new());
     assert!(encoded(0).is_ok() && encoded(255).is_ok());
-    assert_eq!(encoded(256).unwrap_err().code().0, NOT_SENT);
+    assert_eq!(encoded(256).unwrap_err().code().as_str(), NOT_SENT);
 }
 
 /// Records terminated by silence.
 #[test]
 fn silence_ends_a_frame() {
     let text = entries::ended_by_silence();
-    let definition = Definition::from_toml("bar.toml", &text).unwrap();
+    let definition = ProtocolDefinition::from_toml("bar.toml", &text).unwrap();
     let (mut decoder, mut out) = (definition.decoder(), Vec::new());
     let mut frame = vec![0, 0, 0, 7, 0, 0x3f, 0xe0, 0, 0, 0, 0, 0, 0];
     frame.push(frame[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)));
@@ -324,7 +333,7 @@ fn silence_ends_a_frame() {
     assert_eq!(out, []);
     decoder.silence(&mut out);
     assert!(
-        matches!(out[..], [Decoded::Sample(Sample { reading_mm: 0.5, sequence: Some(7), .. }, 14)]),
+        matches!(out[..], [DecodedItem::Sample(Sample { reading_mm: 0.5, sequence: Some(7), .. }, 14)]),
         "{out:?}"
     );
 }

@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use dbbd::recording::{DeviceClock, Stream, StreamBuilder};
-use dbbd::sim::bar::Terminal;
+use dbbd_job::recording::{DeviceClock, SampleStream, StreamBuilder};
+use dbbd_job::sim::bar::Terminal;
 use serde_json::Value;
 use serialport::{SerialPort, TTYPort};
 
@@ -116,7 +116,7 @@ impl Run {
     }
 
     /// The evaluated stream, and the true times of the frames, s.
-    fn stream(&self) -> (Stream, Vec<f64>) {
+    fn stream(&self) -> (SampleStream, Vec<f64>) {
         let clock = DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) };
         let mut stream = StreamBuilder::new(Some(clock));
         self.rows.iter().for_each(|row| stream.push(row.host, &row.sample));
@@ -157,7 +157,7 @@ fn spread(errors: &[f64]) -> f64 {
 /// Standard deviations of a run's times from the true ones, s: by arrival, by a least-squares line through
 /// arrivals and
 /// device times, and as evaluated; and the stream.
-fn chain(seconds: &str, drift_ppm: &str) -> ([f64; 3], Stream) {
+fn chain(seconds: &str, drift_ppm: &str) -> ([f64; 3], SampleStream) {
     let directory = tempfile::tempdir().unwrap();
     let drift = format!("drift_ppm={drift_ppm}");
     let bar = simulate(directory.path(), "1", &["--fault", "batch_ms=16", "--fault", &drift]);

@@ -7,14 +7,14 @@ use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::daemon::{Progress, Recorder};
-use dbbd::device::protocol::{self, Decoded, Definition, FaultKind};
-use dbbd::diagnostic::Diagnostic;
-use dbbd::measurement::sample::Sample;
-use dbbd::recording::capture::{self, Capture, Disk, Event, Record, Writer};
-use dbbd::recording::{DeviceClock, DeviceTime, Stamp, StreamBuilder};
-use dbbd::sim::fault::{BadLine, Faults};
+use dbbd::daemon::{Recorder, RunProgress};
+use dbbd_device::protocol::{self, DecodedItem, LineFaultKind, ProtocolDefinition};
+use dbbd_job::recording::capture::{self, Capture, CaptureRecord, CaptureWriter, Disk, RunEvent};
+use dbbd_job::recording::{ClockStamp, DeviceClock, DeviceTime, StreamBuilder};
+use dbbd_job::sim::fault::{FaultyLine, InjectedFaults};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::measurement::sample::Sample;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -117,11 +117,15 @@ fn host(t_s: f64) -> HostNs {
 }
 
 /// Feeds it to the recorder of a run.
-fn recorded(definition: &Definition, given: &[Given], disk: &Memory) -> Result<Progress, Diagnostic> {
+fn recorded(
+    definition: &ProtocolDefinition,
+    given: &[Given],
+    disk: &Memory,
+) -> Result<RunProgress, Diagnostic> {
     let begin = host(0.0);
-    let writer = Writer::on(Box::new(disk.clone()), Path::new("run"))?;
+    let writer = CaptureWriter::on(Box::new(disk.clone()), Path::new("run"))?;
     let mut recorder = Recorder::new(writer, definition, None, 0.2, begin);
-    recorder.event(begin, Event::Started { unix_ns: 1, version: "0".into() })?;
+    recorder.event(begin, RunEvent::Started { unix_ns: 1, version: "0".into() })?;
     let mut last = begin;
     for given in given {
         match given {
@@ -139,7 +143,7 @@ fn recorded(definition: &Definition, given: &[Given], disk: &Memory) -> Result<P
 /// A recording with a fault.
 struct Case {
     recording: Recording,
-    definition: Definition,
+    definition: ProtocolDefinition,
     harm: Harm,
     given: Vec<Given>,
     dice: Pcg64,
@@ -152,14 +156,14 @@ impl Case {
         let mut dice = Pcg64::seed_from_u64(seed);
         let mut pieces = recording.pieces();
         let middle = dice.random_range(1..pieces.len());
-        let mut line = Faults::default();
+        let mut line = InjectedFaults::default();
         match harm {
             Harm::Flipped => line.flip = 0.01,
             Harm::Dropped => line.drop = 0.01,
             Harm::Doubled => line.double = 0.01,
             Harm::Garbage => {
                 let count = dice.random_range(1..200);
-                pieces[middle].1 = BadLine::new(line, seed).noise(count);
+                pieces[middle].1 = FaultyLine::new(line, seed).noise(count);
             }
             Harm::Stall => pieces[middle..].iter_mut().for_each(|(t_s, _)| *t_s += 5.0),
             Harm::Ahead => pieces[middle..].iter_mut().for_each(|(t_s, _)| *t_s += 3600.0),
@@ -167,7 +171,7 @@ impl Case {
             Harm::Wrap | Harm::Reset => pieces = counted_anew(&definition, &pieces, harm, middle)?,
             _ => {}
         }
-        let mut line = BadLine::new(line, seed);
+        let mut line = FaultyLine::new(line, seed);
         let mut given = Vec::new();
         for (at, (t_s, mut bytes)) in pieces.into_iter().enumerate() {
             line.carry(&mut bytes);
@@ -185,7 +189,7 @@ impl Case {
         let disk = Memory::default();
         let progress = recorded(&self.definition, &self.given, &disk).unwrap();
         let bytes = disk.taken.lock().unwrap().clone();
-        let capture = capture::read(&bytes);
+        let capture = capture::read_capture(&bytes);
         assert!(capture.ended() && capture.damages.is_empty(), "{name}");
         self.accounts(&name, &capture, &progress);
         self.counts_rise(&name, &capture);
@@ -201,9 +205,9 @@ impl Case {
             Harm::Killed => {
                 let from = self.dice.random_range(0..5);
                 for end in disk.ends.lock().unwrap().iter().skip(from).step_by(5) {
-                    let cut = capture::read(&bytes[..*end]);
+                    let cut = capture::read_capture(&bytes[..*end]);
                     assert!(cut.damages.is_empty() && capture.records.starts_with(&cut.records), "{name}");
-                    let torn = capture::read(&bytes[..end - 1]);
+                    let torn = capture::read_capture(&bytes[..end - 1]);
                     assert!(capture.records.starts_with(&torn.records) && torn.damages.len() == 1, "{name}");
                 }
             }
@@ -214,7 +218,7 @@ impl Case {
 
     /// Bytes received = bytes in samples and faults + bytes counted as lost; samples received = stored +
     /// counted as lost.
-    fn accounts(&self, name: &str, capture: &Capture, progress: &Progress) {
+    fn accounts(&self, name: &str, capture: &Capture, progress: &RunProgress) {
         let (mut decoder, mut decoded) = (self.definition.decoder(), Vec::new());
         let mut came = 0;
         let mut lost = 0;
@@ -232,12 +236,12 @@ impl Case {
         }
         decoder.interrupt(&mut decoded);
         assert_eq!((progress.bytes, progress.lost_bytes), (came, lost), "{name}");
-        assert_eq!(decoded.iter().map(Decoded::bytes).sum::<u64>(), came, "{name}");
+        assert_eq!(decoded.iter().map(DecodedItem::bytes).sum::<u64>(), came, "{name}");
         let (mut samples, mut faults) = (Vec::new(), Vec::new());
         for one in decoded {
             match one {
-                Decoded::Sample(sample, _) => samples.push(sample),
-                Decoded::Fault(fault) => faults.push(fault),
+                DecodedItem::Sample(sample, _) => samples.push(sample),
+                DecodedItem::Fault(fault) => faults.push(fault),
             }
         }
         let stored: Vec<Sample> = capture.samples().map(|(_, sample)| *sample).collect();
@@ -252,18 +256,19 @@ impl Case {
             let sent = |came: &Sample| sent.any(|sent| sent == Sample { offset: 0, ..*came });
             assert!(stored.iter().all(sent), "{name}: a sample that was not sent");
         }
-        let told: Vec<protocol::Fault> = capture
+        let told: Vec<protocol::LineFault> = capture
             .records
             .iter()
             .filter_map(|stamped| match &stamped.record {
-                Record::Fault(json) => Some(serde_json::from_slice(json).unwrap()),
+                CaptureRecord::Fault(json) => Some(serde_json::from_slice(json).unwrap()),
                 _ => None,
             })
             .collect();
         assert_eq!(told, faults, "{name}");
-        let count = |of: fn(&FaultKind) -> bool| faults.iter().filter(|fault| of(&fault.kind)).count() as u64;
-        let refused = count(|kind| matches!(kind, FaultKind::Reject(_)));
-        let passed = count(|kind| matches!(kind, FaultKind::Ignored));
+        let count =
+            |of: fn(&LineFaultKind) -> bool| faults.iter().filter(|fault| of(&fault.kind)).count() as u64;
+        let refused = count(|kind| matches!(kind, LineFaultKind::Reject(_)));
+        let passed = count(|kind| matches!(kind, LineFaultKind::Ignored));
         assert_eq!(
             (progress.rejected, progress.faults),
             (refused, faults.len() as u64 - refused - passed),
@@ -271,7 +276,7 @@ impl Case {
         );
         let gaps: Vec<Option<u64>> = capture
             .events()
-            .filter_map(|event| if let Event::Gap { missing, .. } = event { Some(*missing) } else { None })
+            .filter_map(|event| if let RunEvent::Gap { missing, .. } = event { Some(*missing) } else { None })
             .collect();
         assert_eq!(progress.gaps, gaps.len() as u64, "{name}");
         assert_eq!(gaps.iter().flatten().sum::<u64>(), progress.missing, "{name}");
@@ -284,7 +289,7 @@ impl Case {
             assert_eq!(u64::from(span % modulo) + 1, progress.samples + progress.missing, "{name}");
         }
         let silent = capture.events().any(
-            |event| matches!(event, Event::Gap { reason, .. } if reason.starts_with("nothing was received")),
+            |event| matches!(event, RunEvent::Gap { reason, .. } if reason.starts_with("nothing was received")),
         );
         let waits = self.definition.stall.is_some() && matches!(self.harm, Harm::Stall | Harm::Ahead);
         assert!(silent || !waits, "{name}: a silence that was not told");
@@ -296,7 +301,7 @@ impl Case {
         let mut time = DeviceTime::new(clock.into());
         let seconds = capture
             .samples()
-            .map(|(host, sample)| time.seconds(Stamp { host, ticks: sample.ticks.unwrap_or_default() }));
+            .map(|(host, sample)| time.seconds(ClockStamp { host, ticks: sample.ticks.unwrap_or_default() }));
         let seconds: Vec<f64> = seconds.collect();
         assert!(seconds.windows(2).all(|pair| pair[0] <= pair[1]), "{name}");
         let harmed = matches!(self.harm, Harm::Flipped | Harm::Dropped | Harm::Doubled | Harm::Garbage);
@@ -332,7 +337,7 @@ impl Case {
             );
             return;
         };
-        let cut = capture::read(&disk.taken.lock().unwrap());
+        let cut = capture::read_capture(&disk.taken.lock().unwrap());
         assert!(cut.damages.is_empty() && whole.records.starts_with(&cut.records), "{name}");
         assert!(cut.records.len() < whole.records.len() || self.harm == Harm::SyncFails, "{name}");
         let kept = format!("{} samples", cut.samples().count());
@@ -343,7 +348,7 @@ impl Case {
 
 /// The same readings with other counters: they wrap in the middle, or restart there.
 fn counted_anew(
-    definition: &Definition,
+    definition: &ProtocolDefinition,
     pieces: &[(f64, Vec<u8>)],
     harm: Harm,
     middle: usize,
@@ -354,8 +359,8 @@ fn counted_anew(
         let mut decoded = Vec::new();
         decoder.push(bytes, &mut decoded);
         samples.extend(decoded.into_iter().filter_map(|one| match one {
-            Decoded::Sample(sample, _) => Some((*t_s, sample)),
-            Decoded::Fault(_) => None,
+            DecodedItem::Sample(sample, _) => Some((*t_s, sample)),
+            DecodedItem::Fault(_) => None,
         }));
     }
     // Away from the ends, where a restart is hardly visible.

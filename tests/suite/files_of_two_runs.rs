@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use dbbd::robot::Robot;
+use dbbd_model::robot::Robot;
 
 use crate::cell::{codes, dbbd, stderr};
 use crate::nothing_wrong_is_silent::{JOB, cell, identify, says};
@@ -112,7 +112,7 @@ fn rows_of_tables() {
     let mut rounded = data.clone();
     for row in &mut rounded.rows {
         let deg = row.axes.degrees().map(|deg| (deg * 100.0).round() / 100.0);
-        row.axes = dbbd::robot::AxisAngles::from_degrees(deg);
+        row.axes = dbbd_model::robot::AxisAngles::from_degrees(deg);
     }
     let output = identify(at, &rounded.to_csv(), &PRIOR);
     assert!(codes(&output).contains(&"I1284".to_owned()), "{}", stderr(&output));

@@ -6,10 +6,10 @@ use std::path::Path;
 use std::process::Output;
 use std::thread;
 
-use dbbd::base::units::DeviceTicks;
-use dbbd::device::protocol::{Definition, Evidence, Mode};
-use dbbd::measurement::sample::Sample;
-use dbbd::sim::bar::{self, Options, Reading, Source, Terminal};
+use dbbd_device::protocol::{ProtocolDefinition, ProtocolEvidence, ProtocolMode};
+use dbbd_job::sim::bar::{self, ReadingSource, SimulatedReading, Terminal, VirtualBarOptions};
+use dbbd_model::base::units::DeviceTicks;
+use dbbd_model::measurement::sample::Sample;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
 use rand_pcg::Pcg64;
@@ -30,16 +30,19 @@ pub(crate) fn provoked() -> Vec<&'static str> {
     vec![UNKNOWN, SILENT, FEW, NOT_AT_REST, DRIFTS, RATE, INVALID]
 }
 
-fn built_in() -> Vec<Definition> {
-    Definition::built_in().iter().map(|(name, _)| Definition::by_name(name).unwrap().unwrap()).collect()
+fn built_in() -> Vec<ProtocolDefinition> {
+    ProtocolDefinition::built_in()
+        .iter()
+        .map(|(name, _)| ProtocolDefinition::by_name(name).unwrap().unwrap())
+        .collect()
 }
 
 /// Bytes of a device in two seconds at about one length; the line was opened within a frame.
-fn two_seconds(definition: &Definition, seed: u64) -> Vec<u8> {
+fn two_seconds(definition: &ProtocolDefinition, seed: u64) -> Vec<u8> {
     let mut dice = Pcg64::seed_from_u64(seed);
     let rate_hz = match definition.mode {
-        Mode::Poll { hz, .. } => hz,
-        Mode::Stream | Mode::Push => definition.nominal_hz.unwrap_or(10.0),
+        ProtocolMode::Poll { hz, .. } => hz,
+        ProtocolMode::Stream | ProtocolMode::Push => definition.nominal_hz.unwrap_or(10.0),
     };
     let mut bytes = Vec::new();
     let begin: u32 = dice.random_range(0..1_000_000);
@@ -57,7 +60,7 @@ fn two_seconds(definition: &Definition, seed: u64) -> Vec<u8> {
     bytes.split_off(2)
 }
 
-fn named(ranked: &[Evidence]) -> Option<&str> {
+fn named(ranked: &[ProtocolEvidence]) -> Option<&str> {
     ranked.first().filter(|evidence| evidence.is_enough()).map(|evidence| evidence.protocol.as_str())
 }
 
@@ -70,7 +73,7 @@ fn two_seconds_of_bytes_identify_the_definition() {
             // One byte is damaged.
             let middle = bytes.len() / 2;
             bytes[middle] ^= 0x11;
-            let ranked = Evidence::ranked(&definitions, &bytes);
+            let ranked = ProtocolEvidence::ranked(&definitions, &bytes);
             assert_eq!(named(&ranked), Some(definition.id.as_str()), "{:?}", &ranked[..2]);
             assert!(!ranked[1].is_enough(), "{}: {:?}", definition.id, &ranked[..2]);
         }
@@ -106,7 +109,7 @@ fn strangers() -> Vec<(&'static str, Vec<u8>)> {
 fn unknown_device_is_not_identified() {
     let definitions = built_in();
     for (name, bytes) in strangers() {
-        let ranked = Evidence::ranked(&definitions, &bytes);
+        let ranked = ProtocolEvidence::ranked(&definitions, &bytes);
         assert_eq!(named(&ranked), None, "{name}: {:?}", ranked[0]);
     }
 }
@@ -117,17 +120,21 @@ fn json(output: &Output) -> Value {
 }
 
 /// A virtual bar; its port.
-fn served(definition: &Definition, rate_hz: f64, source: impl Source + Send + 'static) -> String {
+fn served(
+    definition: &ProtocolDefinition,
+    rate_hz: f64,
+    source: impl ReadingSource + Send + 'static,
+) -> String {
     let terminal = Terminal::new().unwrap();
     let port = terminal.address().to_string();
     let definition = definition.clone();
-    let options = Options { rate_hz, speed: 1.0, first_ticks: 0 };
-    thread::spawn(move || bar::serve(terminal, &definition, options, source));
+    let options = VirtualBarOptions { rate_hz, speed: 1.0, first_ticks: 0 };
+    thread::spawn(move || bar::serve_bar(terminal, &definition, options, source));
     port
 }
 
-fn at_rest(reading_mm: f64) -> Option<Reading> {
-    Some(Reading { reading_mm, strobe: false, valid: true, temperature_c: 20.0 })
+fn at_rest(reading_mm: f64) -> Option<SimulatedReading> {
+    Some(SimulatedReading { reading_mm, strobe: false, valid: true, temperature_c: 20.0 })
 }
 
 #[test]
@@ -154,7 +161,7 @@ fn unidentified_bytes_are_reported() {
             thread::spawn(move || {
                 use std::io::Write;
                 while client.write_all(says.as_bytes()).is_ok() {
-                    dbbd::base::clock::sleep(0.1);
+                    dbbd_device::clock::sleep(0.1);
                 }
             });
         }
@@ -184,7 +191,7 @@ fn check(directory: &Path, port: &str, protocol: &str, seconds: &str) -> Output 
 }
 
 /// A bar at 1000 Hz with 0.5 um of noise, in steps of 0.01 um.
-fn noisy(also: impl Fn(f64) -> f64 + Send + 'static) -> impl Source + Send + 'static {
+fn noisy(also: impl Fn(f64) -> f64 + Send + 'static) -> impl ReadingSource + Send + 'static {
     let mut dice = Pcg64::seed_from_u64(5);
     let noise = Normal::new(0.0, 0.0005).unwrap();
     move |t_s: f64| at_rest(0.2 + also(t_s) + noise.sample(&mut dice))
@@ -195,7 +202,7 @@ fn noisy(also: impl Fn(f64) -> f64 + Send + 'static) -> impl Source + Send + 'st
 #[test]
 fn bar_check_measures_noise_resolution_and_rate() {
     let directory = tempfile::tempdir().unwrap();
-    let definition = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
+    let definition = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap();
     let port = served(&definition, 1000.0, noisy(|_| 0.0));
     let output = check(directory.path(), &port, "dbb-cobs-1", "9");
     let found = json(&output);
@@ -218,7 +225,7 @@ fn bar_check_measures_noise_resolution_and_rate() {
 
 #[test]
 fn bar_check_reports_faults_of_the_bar() {
-    let cobs = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
+    let cobs = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap();
     let cases: Vec<(&str, String, Vec<&str>)> = vec![
         (
             "jump",
@@ -230,7 +237,9 @@ fn bar_check_reports_faults_of_the_bar() {
         ("slow", served(&cobs, 200.0, noisy(|_| 0.0)), vec![RATE]),
         (
             "doubtful",
-            served(&cobs, 1000.0, |t_s: f64| at_rest(0.1).map(|at| Reading { valid: t_s % 1.0 < 0.5, ..at })),
+            served(&cobs, 1000.0, |t_s: f64| {
+                at_rest(0.1).map(|at| SimulatedReading { valid: t_s % 1.0 < 0.5, ..at })
+            }),
             vec![INVALID],
         ),
         ("short", served(&cobs, 1000.0, |t_s: f64| at_rest(0.1).filter(|_| t_s < 1.0)), vec![FEW]),

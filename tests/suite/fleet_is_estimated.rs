@@ -1,14 +1,14 @@
 //! Runs of many robots and bars together determine what none determines alone: the bar that was dropped, and the prior of a new
 //! robot of a known type.
 
-use dbbd::diagnostic::Finding as _;
-use dbbd::estimation::fleet::{Assumptions, Fleet, RunPosterior, fleet};
-use dbbd::estimation::posterior::Posterior;
-use dbbd::estimation::priors::Priors;
-use dbbd::estimation::{AngleSource, ErrorModel, ErrorSummary, Input, Options, Prior, Workspace};
-use dbbd::math::aligned_distances;
-use dbbd::measurement::{BaseBall, LengthModel, Measurement, Measurements, PreparedMeasurement};
-use dbbd::robot::{Approach, AxisAngles, BallId, Geometry, ParamId, Robot, parameter};
+use dbbd_model::diagnostic::Finding as _;
+use dbbd_model::estimation::fleet::{Assumptions, Fleet, RunPosterior, fleet};
+use dbbd_model::estimation::posterior::Posterior;
+use dbbd_model::estimation::priors::Priors;
+use dbbd_model::estimation::{AngleSource, ErrorModel, ErrorSummary, Input, Options, Prior, Workspace};
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::{BaseBall, LengthModel, Measurement, Measurements, PreparedMeasurement};
+use dbbd_model::robot::{Approach, AxisAngles, BallId, Geometry, ParamId, Robot, parameter};
 use nalgebra::{DMatrix, DVector, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal, StandardNormal};
@@ -51,7 +51,7 @@ impl World {
     fn new(seed: u64, types: usize, bars: usize) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed);
         let nominal = kr60();
-        let all = parameter::all(&nominal.parallel_joints(), 2);
+        let all = parameter::all_parameters(&nominal.parallel_joints(), 2);
         let ids: Vec<ParamId> = all.into_iter().filter(|id| id.is_geometric()).collect();
         let priors = Priors::datasheet(&nominal, None);
         let tolerance = ids.iter().map(|id| priors.geometric(*id).unwrap()).collect();
@@ -110,7 +110,9 @@ impl World {
 
     /// The robot's parameters, then tool, balls and bar.
     fn with_setup(&self) -> Vec<ParamId> {
-        let setup = parameter::all(&[], 2).into_iter().filter(|id| !id.is_geometric() && !id.is_optional());
+        let setup = parameter::all_parameters(&[], 2)
+            .into_iter()
+            .filter(|id| !id.is_geometric() && !id.is_optional());
         self.ids.iter().copied().chain(setup).collect()
     }
 
@@ -358,7 +360,7 @@ fn a_dropped_bar_is_found_and_a_known_type_needs_fewer_poses() {
         .map(|robot| robot.robot.as_str())
         .collect();
     assert_eq!(crashed, ["R005"]);
-    let mut codes: Vec<&str> = found.findings().iter().map(|finding| finding.code().0).collect();
+    let mut codes: Vec<&str> = found.findings().iter().map(|finding| finding.code().as_str()).collect();
     codes.dedup();
     assert_eq!(codes, provoked());
     let [known, _, unknown] = new_robots(&mut world, &found, 1);

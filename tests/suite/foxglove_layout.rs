@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 
-use dbbd::report::export::mcap::{CHANNELS, McapFile};
+use dbbd_job::report::export::mcap::{CHANNELS, McapFile};
 use serde_json::Value;
 use tempfile::tempdir;
 

@@ -4,11 +4,11 @@
 
 use std::fs;
 
-use dbbd::program::krl;
-use dbbd::report::export::urdf::urdf;
-use dbbd::robot::kinematics::Mass;
-use dbbd::robot::pose::{rot_x, rot_y, rot_z};
-use dbbd::robot::{Joint, Pose, Robot};
+use dbbd_job::program::krl;
+use dbbd_job::report::export::urdf::urdf;
+use dbbd_model::robot::kinematics::Mass;
+use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
+use dbbd_model::robot::{Joint, Pose, Robot};
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

@@ -4,8 +4,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use dbbd::estimation::result::Status;
-use dbbd::estimation::result_file::ResultFile;
+use dbbd_model::estimation::result::Status;
+use dbbd_model::estimation::result_file::ResultFile;
 use tempfile::tempdir;
 
 use crate::cell::{dbbd, stderr};

@@ -2,9 +2,9 @@
 
 use std::fs;
 
-use dbbd::estimation::result::Status;
-use dbbd::estimation::result_file::ResultFile;
-use dbbd::robot::Robot;
+use dbbd_model::estimation::result::Status;
+use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::robot::Robot;
 use tempfile::tempdir;
 
 use crate::cell::{

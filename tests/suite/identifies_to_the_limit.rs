@@ -2,11 +2,11 @@
 //! of outliers. The suite runs a seeded sample; the full campaigns are ignored tests, with their commands and figures in
 //! docs/explanation/accuracy.md.
 
-use dbbd::estimation::result::Status;
-use dbbd::estimation::{CalibrationResult, Options, Prior};
-use dbbd::math::aligned_distances;
-use dbbd::measurement::{BaseBall, Measurements};
-use dbbd::robot::{Joint, ParamId, Robot, parameter};
+use dbbd_model::estimation::result::Status;
+use dbbd_model::estimation::{CalibrationResult, Options, Prior};
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::{BaseBall, Measurements};
+use dbbd_model::robot::{Joint, ParamId, Robot, parameter};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};

@@ -2,9 +2,9 @@
 
 use std::fs;
 
-use dbbd::estimation::result::Status;
-use dbbd::estimation::result_file::ResultFile;
-use dbbd::measurement::Measurements;
+use dbbd_model::estimation::result::Status;
+use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::measurement::Measurements;
 use tempfile::{TempDir, tempdir};
 
 use crate::cell::{
@@ -181,7 +181,8 @@ fn a_tool_that_never_rotates_stays_at_its_start() {
             let (correction, status) = run.parameter(axis);
             assert!(correction.abs() < 20.0, "{args:?} {axis}: {correction} {status:?}");
         }
-        let held = |p: &&dbbd::estimation::result_file::ParameterResult| p.status == Status::PoorlyObservable;
+        let held =
+            |p: &&dbbd_model::estimation::result_file::ParameterResult| p.status == Status::PoorlyObservable;
         let reasons: Vec<&str> = result.parameters.iter().filter(held).map(|p| p.reason.as_str()).collect();
         assert!(
             reasons.iter().any(|text| text.contains("as where the tool never turns")),

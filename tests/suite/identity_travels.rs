@@ -121,8 +121,8 @@ const WRONG: &[(&str, &str, &str, usize)] = &[
     ("certified_on = \"2026-03-01\"", "certified_on = \"2026-02-29\"", "E0680", 11),
     ("serial = \"S-21\"", "serial = \"\"", "E0680", 16),
     ("operator = \"Operator of the job\"", "measured = \"yesterday\"", "E0680", 24),
-    ("celsius = 20.1", "celsius = 2010", "E0601", 28),
-    ("load_kg = 12.5", "load_kg = -1", "E0601", 25),
+    ("celsius = 20.1", "celsius = 2010", "E0680", 28),
+    ("load_kg = 12.5", "load_kg = -1", "E0680", 25),
 ];
 
 #[test]

@@ -4,8 +4,8 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::estimation::result_file::ResultFile;
-use dbbd::recording::capture;
+use dbbd_job::recording::capture;
+use dbbd_model::estimation::result_file::ResultFile;
 use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, stderr};
@@ -48,7 +48,7 @@ fn exported_run_is_imported_with_the_same_result() {
         assert!(near, "{}: {} {}", one.name, one.identified, other.identified);
     }
     // The same readings, and their text.
-    let read = |name: &str| capture::read(&fs::read(at.join(name)).unwrap());
+    let read = |name: &str| capture::read_capture(&fs::read(at.join(name)).unwrap());
     let (run, again) = (read("run.dbbd"), read("again.dbbd"));
     let readings = |capture: &capture::Capture| -> Vec<f64> {
         capture.samples().map(|(_, sample)| sample.reading_mm).collect()
@@ -58,7 +58,7 @@ fn exported_run_is_imported_with_the_same_result() {
         .records
         .iter()
         .filter_map(|stamped| match &stamped.record {
-            capture::Record::Raw(text) => Some(text.clone()),
+            capture::CaptureRecord::Raw(text) => Some(text.clone()),
             _ => None,
         })
         .flatten()
@@ -154,7 +154,7 @@ fn layouts_are_detected_or_given_by_a_mapping() {
         // Less than a second of a long plan: accepted with a warning.
         assert_eq!(output.status.code(), Some(3), "{name}: {}", stderr(&output));
         assert_eq!(codes(&output), told.iter().chain(&["W1110"]).copied().collect::<Vec<_>>(), "{name}");
-        let capture = capture::read(&fs::read(at.join(name)).unwrap());
+        let capture = capture::read_capture(&fs::read(at.join(name)).unwrap());
         assert_eq!(capture.samples().count(), rows.len(), "{name}");
         for ((host, sample), (t_s, mm)) in capture.samples().zip(&rows) {
             assert!((host.0 as f64 - t_s * 1e9).abs() < 1.0, "{name}: {host:?} {t_s}");

@@ -1,9 +1,9 @@
 //! Random jobs each of which breaks one given rule: refused, naming it. What breaks it is computed here from the arm's
 //! dimensions and the circle, not by the planner.
 
-use dbbd::diagnostic::Diagnostic;
-use dbbd::plan::{Job, Plan};
-use dbbd::robot::{Robot, inverse};
+use dbbd_job::plan::{Job, Plan};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::{Robot, inverse};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -127,7 +127,7 @@ fn broken(rule: &str, random: &mut Pcg64) -> (Circle, String, Robot) {
             let down = nalgebra::Matrix3::new(1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0);
             let places = circle.places();
             let least = places.iter().step_by(5).map(|place| {
-                let pose = dbbd::robot::Pose { rotation: down, position: *place };
+                let pose = dbbd_model::robot::Pose { rotation: down, position: *place };
                 let all = inverse::branches(&robot.geometry, &pose).unwrap();
                 all.iter().map(|axes| axes[4].to_degrees().abs()).fold(0.0, f64::max)
             });
@@ -211,8 +211,8 @@ fn campaign(each: u64) -> usize {
             }
             let found = findings(&job, &robot);
             let named = found.iter().any(|finding| {
-                let values = &finding.values;
-                finding.code.0 == *code
+                let values = &finding.values();
+                finding.code().as_str() == *code
                     && (name.is_empty() || values["quantity"] == *name || values["key"] == *name)
             });
             if !named {

@@ -2,11 +2,11 @@
 
 use std::f64::consts::{PI, TAU};
 
-use dbbd::diagnostic::Finding;
-use dbbd::robot::inverse::{
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::robot::inverse::{
     branches, clearance, from_status_turn, nearest, numeric, status, turn, turns_within,
 };
-use dbbd::robot::{AXES, Geometry, Joint, ParamId, Pose, Robot, Unit};
+use dbbd_model::robot::{AXES, Geometry, Joint, ParamId, ParamUnit, Pose, Robot};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -32,7 +32,7 @@ fn miss(geometry: &Geometry, axes: &[f64; AXES], ball: &Pose) -> (f64, f64) {
 fn perturbed(seed: [f64; 6]) -> Robot {
     let mut robot = kr60ha();
     for (k, id) in ParamId::denavit_hartenberg().chain([ParamId::Beta(Joint::J3)]).enumerate() {
-        let size = if id.unit() == Unit::Mm { 0.5 } else { 0.001 };
+        let size = if id.unit() == ParamUnit::Mm { 0.5 } else { 0.001 };
         *robot.geometry.value_mut(id).unwrap() += size * (seed[k % 6] * (k as f64 + 1.0)).sin();
     }
     robot
@@ -108,7 +108,7 @@ fn pose_out_of_reach_has_no_solution() {
         from_status_turn(&kr60ha(), &geometry.ball(&[0.1; 6]), 7, 63).err(),
     ];
     for finding in unreached {
-        assert_eq!(finding.map(|finding| finding.code().0), provoked().first().copied());
+        assert_eq!(finding.map(|finding| finding.code().as_str()), provoked().first().copied());
     }
 }
 

@@ -1,12 +1,12 @@
 //! The analytic design row of a length agrees with central differences, for every parameter.
 
-use dbbd::measurement::{Datum, LengthModel, PreparedMeasurement, Selection, TargetId, Tracker};
-use dbbd::robot::kinematics::Mass;
-use dbbd::robot::parameter::SetUp;
-use dbbd::robot::pose::rotation_vector;
-use dbbd::robot::{
-    Approach, BallId, Coordinate, CoupledAxis, Coupling, Geometry, Joint, JointError, JointErrors, Ripple,
-    Robot, Smooth, Unit, Visited, parameter,
+use dbbd_model::measurement::{ColumnSelection, Datum, LengthModel, PreparedMeasurement, TargetId, Tracker};
+use dbbd_model::robot::kinematics::Mass;
+use dbbd_model::robot::parameter::SetUpCounts;
+use dbbd_model::robot::pose::rotation_vector;
+use dbbd_model::robot::{
+    Approach, BallId, Coordinate, CoupledAxis, Coupling, Geometry, Joint, JointErrorModel, JointErrors,
+    ParamUnit, Ripple, Robot, SmoothJointError, VisitedAngles, parameter,
 };
 use nalgebra::Vector3;
 use proptest::prelude::*;
@@ -43,19 +43,19 @@ proptest! {
             Mass { joint: Joint::J6, kg: 60.0, centre: Vector3::new(10.0, 20.0, 150.0) },
         ];
         // Compliance deflects the joints, which changes the torques: the columns do not contain this second-order effect.
-        let mut ids = parameter::all(&Joint::ALL[1..], SetUp { balls: 1, bars: 1, targets: 2, trackers: 1 });
+        let mut ids = parameter::all_parameters(&Joint::ALL[1..], SetUpCounts { balls: 1, bars: 1, targets: 2, trackers: 1 });
         ids.extend(parameter::parse_list("compliance,gear", &[], 1).unwrap());
-        for (id, error) in ids.iter().zip(errors).filter(|(id, _)| id.unit() != Unit::RadPerNm) {
+        for (id, error) in ids.iter().zip(errors).filter(|(id, _)| id.unit() != ParamUnit::RadPerNm) {
             model.shift(*id, error);
         }
         let of_ball = PreparedMeasurement::new(axes, BallId::FIRST, 0.0);
         let datum = Coordinate::ALL.get(plane).map_or(of_ball.datum, |coordinate| Datum::Plane(*coordinate));
         let reading = PreparedMeasurement { datum, target: TargetId::at(target), ..of_ball };
         let mut row = vec![0.0; ids.len()];
-        Selection::new(&ids).pick(&model.prepare().row(&reading), &mut row);
+        ColumnSelection::new(&ids).pick(&model.prepare().row(&reading), &mut row);
         prop_assert!((model.prepare().row(&reading).length - model.prepare().length(&reading)).abs() < 1e-10);
         for (id, analytic) in ids.iter().zip(row) {
-            let step = if id.unit() == Unit::RadPerNm { 1e-6 } else if id.unit() == Unit::Rad { 1e-5 } else { 1e-2 };
+            let step = if id.unit() == ParamUnit::RadPerNm { 1e-6 } else if id.unit() == ParamUnit::Rad { 1e-5 } else { 1e-2 };
             let difference = |h: f64| {
                 let (mut up, mut down) = (model.clone(), model.clone());
                 up.shift(*id, h);
@@ -95,10 +95,10 @@ fn rows_of_joint_errors_match_differences() {
 }
 
 fn joint_error_rows(geometry: Geometry) {
-    let empty = JointErrors::new(std::array::from_fn(|joint| JointError {
-        smooth: Smooth::new(0.0, 3.5, 5),
+    let empty = JointErrors::new(std::array::from_fn(|joint| JointErrorModel {
+        smooth: SmoothJointError::new(0.0, 3.5, 5),
         backlash: 0.0,
-        visited: Visited { middle: 0.2, scale: 0.5 },
+        visited: VisitedAngles { middle: 0.2, scale: 0.5 },
         ripple: vec![Ripple { order: 7 + joint as u32, ..Ripple::default() }],
     }));
     let with_errors = Geometry { joint_errors: empty.clone(), ..geometry.clone() };

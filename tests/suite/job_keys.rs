@@ -1,9 +1,9 @@
 //! Every key of a job is documented in the examples, every documented example plans, and bad values name their line.
 
-use dbbd::diagnostic::Finding;
-use dbbd::plan::{Job, Plan, job};
-use dbbd::provenance::{Identity, Temperature};
-use dbbd::robot::Robot;
+use dbbd_job::plan::{Job, Plan, job};
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::provenance::{Identity, MeasuredTemperature};
+use dbbd_model::robot::Robot;
 use serde::de::{self, DeserializeOwned, Visitor, value};
 use serde::{Deserializer, forward_to_deserialize_any};
 
@@ -74,17 +74,17 @@ fn every_key_is_documented() {
     let tables = [&tables[..], &["identity", "temperature", "balls", "robot"]].concat();
     let keys = [
         keys_of::<Job>(),
-        keys_of::<job::Bar>(),
-        keys_of::<job::CentreTable>(),
+        keys_of::<job::JobBar>(),
+        keys_of::<job::BaseBallTable>(),
         keys_of::<job::CircleTable>(),
-        keys_of::<job::Optimise>(),
+        keys_of::<job::OptimiseTable>(),
         keys_of::<job::ObstacleTable>(),
-        keys_of::<job::ToolTable>(),
+        keys_of::<job::JobToolTable>(),
         keys_of::<job::MotionTable>(),
-        keys_of::<job::Outputs>(),
-        keys_of::<job::Limits>(),
+        keys_of::<job::MarkerOutputs>(),
+        keys_of::<job::JobLimits>(),
         keys_of::<Identity>(),
-        keys_of::<Temperature>(),
+        keys_of::<MeasuredTemperature>(),
     ]
     .concat();
     for key in keys.iter().filter(|key| !tables.contains(key)) {
@@ -134,11 +134,11 @@ fn a_bad_value_of_every_key_names_its_line() {
                 tried += 1;
                 let error =
                     with(bad.clone()).err().unwrap_or_else(|| panic!("{name}: {key} = {bad} is taken"));
-                assert_eq!(error.line, at + 1, "{key} = {bad}: {error}");
+                assert_eq!(error.line_number(), at + 1, "{key} = {bad}: {error}");
                 assert!(error.to_string().starts_with(&format!("{name}:{}:", at + 1)), "{error}");
             }
             let error = with(format!("{value}\nno_such_key = 1")).unwrap_err();
-            assert!(error.line == at + 2 || line.starts_with('#'), "{error}");
+            assert!(error.line_number() == at + 2 || line.starts_with('#'), "{error}");
         }
     }
     assert!(tried > 300, "{tried} tried");
@@ -160,6 +160,6 @@ fn a_taught_ball_or_tool_at_another_place_is_refused() {
     for (from, to, code) in ELSEWHERE {
         assert!(EXAMPLES[3].1.contains(from));
         let job = Job::from_toml("stages.toml", &EXAMPLES[3].1.replace(from, to)).unwrap();
-        assert_eq!(job.check_against(&robot).unwrap_err().code().0, *code);
+        assert_eq!(job.check_against(&robot).unwrap_err().code().as_str(), *code);
     }
 }

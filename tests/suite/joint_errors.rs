@@ -4,12 +4,12 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use dbbd::math::aligned_distances;
-use dbbd::measurement::{Datum, Measurement, Measurements, TargetId};
-use dbbd::robot::{
-    Approach, AxisAngles, BallId, BarId, Joint, JointError, JointErrors, Ripple, Robot, Smooth,
+use dbbd_job::sim::truth;
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::{Datum, Measurement, Measurements, TargetId};
+use dbbd_model::robot::{
+    Approach, AxisAngles, BallId, BarId, Joint, JointErrorModel, JointErrors, Ripple, Robot, SmoothJointError,
 };
-use dbbd::sim::truth;
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -25,12 +25,13 @@ const BACKLASH: f64 = 8e-5;
 
 /// A robot within its tolerance, its joints with backlash, a smooth error and ripple.
 fn with_joint_errors(seed: u64) -> Robot {
-    let mut robot = truth::draw(&kr60(), seed, 0.5);
-    let mut joints = [(); 6].map(|()| JointError::default());
+    let mut robot = truth::draw_true_robot(&kr60(), seed, 0.5);
+    let mut joints = [(); 6].map(|()| JointErrorModel::default());
     joints[0].backlash = BACKLASH;
     joints[0].smooth =
-        Smooth { centre: 0.0, half_width: 3.3, coefficients: vec![0.0, 0.0, 0.0, 1.5e-4, -1e-4] };
-    joints[1].smooth = Smooth { centre: -0.9, half_width: 2.2, coefficients: vec![0.0, 0.0, 1e-4, -1e-4] };
+        SmoothJointError { centre: 0.0, half_width: 3.3, coefficients: vec![0.0, 0.0, 0.0, 1.5e-4, -1e-4] };
+    joints[1].smooth =
+        SmoothJointError { centre: -0.9, half_width: 2.2, coefficients: vec![0.0, 0.0, 1e-4, -1e-4] };
     joints[2].ripple = vec![Ripple { order: 11, cos: 4e-5, sin: 3e-5 }];
     robot.geometry.joint_errors = JointErrors::new(joints);
     robot
@@ -137,7 +138,7 @@ fn errors_of_joints_are_found_and_predicted() {
 #[test]
 fn a_robot_without_errors_of_joints_has_none() {
     let dir = tempdir().unwrap();
-    let data = lengths(&truth::draw(&kr60(), 5, 0.5), 40, 4);
+    let data = lengths(&truth::draw_true_robot(&kr60(), 5, 0.5), 40, 4);
     let result = identify(dir.path(), &data, &[]);
     assert!(result["joint_errors"].is_null(), "{}", result["joint_errors"]);
     let geometric = identify(dir.path(), &data, &["--model", "geometric"]);
@@ -147,7 +148,7 @@ fn a_robot_without_errors_of_joints_has_none() {
 #[test]
 fn a_lost_zero_is_not_taken_for_errors_of_joints() {
     let dir = tempdir().unwrap();
-    let mut data = lengths(&truth::draw(&kr60(), 5, 0.5), 140, 4);
+    let mut data = lengths(&truth::draw_true_robot(&kr60(), 5, 0.5), 140, 4);
     data.rows.retain(|row| row.datum == Datum::Ball(BallId::FIRST, BarId::FIRST));
     for (index, row) in (1..).zip(&mut data.rows) {
         let mut axes_deg = row.axes.degrees();

@@ -7,10 +7,10 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use dbbd::estimation::result_file::ResultFile;
-use dbbd::math::aligned_distances;
-use dbbd::measurement::{Measurement, Measurements};
-use dbbd::robot::Robot;
+use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::{Measurement, Measurements};
+use dbbd_model::robot::Robot;
 use nalgebra::{Matrix3, Vector3};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;

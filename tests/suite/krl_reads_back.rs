@@ -1,9 +1,9 @@
 //! Emitted KRL reads back as the plan, and unsupported KRL is refused with its place.
 
-use dbbd::plan::{Kind, Motion, Plan};
-use dbbd::program::Target;
-use dbbd::program::krl::syntax::Source;
-use dbbd::program::krl::{
+use dbbd_job::plan::{MotionKind, Plan, PoseKind};
+use dbbd_job::program::Target;
+use dbbd_job::program::krl::syntax::Source;
+use dbbd_job::program::krl::{
     Controller, Files, Given, Module, Options, Program, Sync, Text, emit, logged_axes, parse_data,
     parse_source, read, read_setup,
 };
@@ -31,7 +31,7 @@ pub(crate) fn program(modules: &[(String, String)]) -> Program {
 }
 
 /// The motions of a module: auxiliary point, end, sweep in degrees.
-pub(crate) fn motions(module: &Module) -> Vec<(Motion, Option<Target>, Target, Option<f64>)> {
+pub(crate) fn motions(module: &Module) -> Vec<(MotionKind, Option<Target>, Target, Option<f64>)> {
     let data = module.data.as_ref().map(|data| Text { file: &data.file, text: &data.text });
     let source = Text { file: &module.source.file, text: &module.source.text };
     let program = read(Files { source, data, config: None }, Given::default()).unwrap();
@@ -48,7 +48,7 @@ pub(crate) fn motions(module: &Module) -> Vec<(Motion, Option<Target>, Target, O
 /// Code, line and column of the finding about a `.src`.
 fn refused(text: &str) -> (&'static str, usize, usize) {
     let wrong = parse_source("T.src", text).unwrap_err();
-    (wrong.code.0, wrong.line, wrong.column)
+    (wrong.code().as_str(), wrong.line_number(), wrong.column_number())
 }
 
 /// A `.src` that is not KRL or not supported, with its code, line and column.
@@ -96,7 +96,7 @@ fn every_pose_reads_back_to_the_printed_digits() {
     for (sync, controller) in ALL {
         let program = program(&modules(&plan, sync, controller));
         assert_eq!(program.modules.len(), 3);
-        let auxiliary = |kind, motion| kind == Kind::Transit && motion == Motion::Circ;
+        let auxiliary = |kind, motion| kind == PoseKind::Transit && motion == MotionKind::Circ;
         let rows: Vec<_> = plan.rows.iter().filter(|row| !auxiliary(row.kind, row.motion)).collect();
         let read: Vec<_> = program.modules[1..].iter().flat_map(motions).collect();
         assert_eq!(read.len(), rows.len());
@@ -104,7 +104,7 @@ fn every_pose_reads_back_to_the_printed_digits() {
             assert_eq!(motion, row.motion);
             match to {
                 Target::Axes(axes) => {
-                    assert_eq!(row.motion, Motion::Ptp);
+                    assert_eq!(row.motion, MotionKind::Ptp);
                     for (read, planned) in axes.iter().zip(row.axes_deg) {
                         assert!((read - planned).abs() <= 0.5001e-4);
                     }
@@ -114,7 +114,7 @@ fn every_pose_reads_back_to_the_printed_digits() {
                     assert_eq!((status, turn), (Some(row.status.into()), Some(row.turn.into())));
                 }
             }
-            if row.motion == Motion::Circ {
+            if row.motion == MotionKind::Circ {
                 let planned = &plan.rows[row.index as usize - 2];
                 let Some(Target::Pose { xyz_mm, .. }) = through else { panic!("no auxiliary point") };
                 assert_eq!(xyz_mm, planned.xyz_mm);
@@ -171,7 +171,7 @@ fn logged_axes_are_read_by_row() {
     let e = "E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0";
     let logged = format!("XQ[2]={{A1 1.5,A2 -60.25,A3 90.0,A4 0.0,A5 57.0,A6 -1.0E-2,{e}}}\r\nENDDAT");
     let data = parse_data(name, &text.replace("ENDDAT", &logged)).unwrap();
-    let second = plan.rows.iter().filter(|row| row.kind != Kind::Transit).nth(1).unwrap();
+    let second = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).nth(1).unwrap();
     let logged = logged_axes(&data).unwrap();
     assert_eq!(
         logged.into_iter().collect::<Vec<_>>(),
@@ -180,7 +180,7 @@ fn logged_axes_are_read_by_row() {
     for none in
         ["DEFDAT T\nENDDAT\n", "DEFDAT T\nDECL INT DBBROW[1]\nDECL E6AXIS XQ[1]\nXQ[1]={A1 0}\nENDDAT\n"]
     {
-        assert_eq!(logged_axes(&parse_data("T.dat", none).unwrap()).unwrap_err().code.0, "E0807");
+        assert_eq!(logged_axes(&parse_data("T.dat", none).unwrap()).unwrap_err().code().as_str(), "E0807");
     }
 }
 
@@ -190,7 +190,7 @@ fn unsupported_statements_are_refused_with_their_place() {
         assert_eq!(refused(text), (*code, *line, *column), "{text:?}");
     }
     let wrong = parse_source("T.src", "DEF T ( )\nWIAT SEC 1\nEND\n").unwrap_err();
-    assert!(wrong.help.is_some_and(|help| help.contains("WAIT")));
+    assert!(wrong.help_line().is_some_and(|help| help.contains("WAIT")));
 }
 
 /// However deep expressions and blocks are nested, the parser and the users of its tree need little stack.
@@ -242,10 +242,10 @@ fn plans_without_a_possible_program_are_refused() {
         ("E0820", |plan| plan.rows[8].xyz_mm[1] = f64::NAN),
         ("E0820", |plan| plan.rows[8].turn = 64),
         ("E0820", |plan| plan.rows[8].dwell_s = 700.0),
-        ("E0820", |plan| (plan.rows[8].motion, plan.header.moves[8].axis_percent) = (Motion::Ptp, 0.0)),
+        ("E0820", |plan| (plan.rows[8].motion, plan.header.moves[8].axis_percent) = (MotionKind::Ptp, 0.0)),
         ("E0820", |plan| plan.header.moves.iter_mut().for_each(|time| time.feed_mm_s = 0.0)),
         ("E0820", |plan| plan.header.moves.iter_mut().for_each(|time| time.turn_deg_s = 0.0)),
-        ("E0820", |plan| plan.rows[0].motion = Motion::Lin),
+        ("E0820", |plan| plan.rows[0].motion = MotionKind::Lin),
         ("E0820", |plan| plan.rows[8].centre = 2),
         ("E0822", |plan| (0..300).for_each(|_| repeat(plan))),
         ("E0823", |plan| plan.header.job.motion.outputs.strobe = 12),
@@ -253,13 +253,13 @@ fn plans_without_a_possible_program_are_refused() {
     for (at, (code, spoil)) in cases.into_iter().enumerate() {
         let mut plan = plan(1, 3);
         spoil(&mut plan);
-        assert_eq!(emit(&plan, options).unwrap_err().code.0, code, "case {at}");
+        assert_eq!(emit(&plan, options).unwrap_err().code().as_str(), code, "case {at}");
     }
 }
 
 /// Repeats a dwell at the same pose.
 fn repeat(plan: &mut Plan) {
-    let at = plan.rows.iter().position(|row| row.kind != Kind::Transit).unwrap();
+    let at = plan.rows.iter().position(|row| row.kind != PoseKind::Transit).unwrap();
     plan.rows.insert(at, plan.rows[at].clone());
     plan.header.moves.insert(at, plan.header.moves[at]);
 }
@@ -275,7 +275,7 @@ proptest! {
         let text = words.concat();
         for result in [parse_source("T", &text).map(|_| ()), parse_data("T", &text).map(|_| ())] {
             if let Err(diagnostic) = result {
-                prop_assert!(diagnostic.line <= text.matches('\n').count() + 1);
+                prop_assert!(diagnostic.line_number() <= text.matches('\n').count() + 1);
             }
         }
     }
@@ -331,9 +331,10 @@ fn dwells_are_reported_over_ethernet_krl() {
     assert!(
         channel.contains(&format!("<PORT>{}</PORT>", to.port())) && channel.contains("Tag=\"Dbb/Ax/@A6\"")
     );
-    let mut client = dbbd::sim::ekrl::Client::connect(address).unwrap();
-    let controller =
-        || dbbd::sim::Controller::new(program(&files), &crate::circle_plan::robot(), 100.0).unwrap();
+    let mut client = dbbd_job::sim::ekrl::EkrlClient::connect(address).unwrap();
+    let controller = || {
+        dbbd_job::sim::SimulatedController::new(program(&files), &crate::circle_plan::robot(), 100.0).unwrap()
+    };
     let (mut controller, mut unlinked) = (controller(), controller());
     controller.link_ekrl();
     loop {
@@ -350,7 +351,7 @@ fn dwells_are_reported_over_ethernet_krl() {
         }
     }
     drop(client);
-    let expected: Vec<_> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
+    let expected: Vec<_> = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).collect();
     let reported = server.join().unwrap();
     assert_eq!(reported.len(), 2 * expected.len());
     for (reported, row) in reported.chunks(2).zip(expected) {
@@ -363,10 +364,10 @@ fn dwells_are_reported_over_ethernet_krl() {
     let error = loop {
         match unlinked.step(0.1) {
             Ok(_) => unlinked.go_on(),
-            Err(error) => break error.code.0,
+            Err(error) => break error.code().as_str(),
         }
     };
     assert_eq!(error, "E0818");
     let options = Options { sync: Sync::Ekrl { server: to }, controller: Controller::Krc2 };
-    assert_eq!(emit(&plan, options).unwrap_err().code.0, "E0823");
+    assert_eq!(emit(&plan, options).unwrap_err().code().as_str(), "E0823");
 }

@@ -1,12 +1,12 @@
 //! Properties of emitting and reading KRL, on random plans and programs.
 
-use dbbd::plan::{Job, Motion, Plan};
-use dbbd::program::Target;
-use dbbd::program::krl::{
+use dbbd_job::plan::{Job, MotionKind, Plan};
+use dbbd_job::program::Target;
+use dbbd_job::program::krl::{
     Controller, Files, Given, Options, Sync, Text, compensate, emit, logged_axes, parse_data, plan_hash, read,
 };
-use dbbd::robot::Robot;
-use dbbd::sim::truth;
+use dbbd_job::sim::truth;
+use dbbd_model::robot::Robot;
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -51,7 +51,7 @@ fn same(plan: &Plan, options: Options) {
     // The points in the order of the rows; auxiliary points are part of their arcs.
     let mut rows = stops.iter().peekable();
     for (motion, through, to, sweep_deg) in program.modules[1..].iter().flat_map(motions) {
-        let wanted = |row: &dbbd::plan::PlanRow| Target::Pose {
+        let wanted = |row: &dbbd_job::plan::PlanRow| Target::Pose {
             xyz_mm: row.xyz_mm,
             abc_deg: row.abc_deg,
             status: Some(row.status.into()),
@@ -59,8 +59,8 @@ fn same(plan: &Plan, options: Options) {
         };
         let row = rows.next().unwrap();
         match (motion, &to) {
-            (Motion::Ptp, Target::Axes(_)) => assert_eq!(row.motion, Motion::Ptp),
-            (Motion::Circ, _) => {
+            (MotionKind::Ptp, Target::Axes(_)) => assert_eq!(row.motion, MotionKind::Ptp),
+            (MotionKind::Circ, _) => {
                 assert_eq!(through, Some(wanted(row)));
                 assert_eq!(to, wanted(rows.next().unwrap()));
                 if let Some(sweep_deg) = sweep_deg {
@@ -115,7 +115,7 @@ proptest! {
             }
             out
         };
-        let robot = Robot { nominal: Some(Box::new(kr60())), ..truth::draw(&kr60(), 1, 1.0) };
+        let robot = Robot { nominal: Some(Box::new(kr60())), ..truth::draw_true_robot(&kr60(), 1, 1.0) };
         let corrected = |text: &str| {
             let files = Files { source: Text { file: "P.src", text }, data: None, config: None };
             let points = read(files, Given::default()).unwrap();

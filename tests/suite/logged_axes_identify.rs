@@ -5,10 +5,10 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::plan::Kind;
-use dbbd::program::krl::{absolute_accuracy, logged_axes, parse_data};
-use dbbd::robot::Robot;
-use dbbd::sim::truth;
+use dbbd_job::plan::PoseKind;
+use dbbd_job::program::krl::{absolute_accuracy, logged_axes, parse_data};
+use dbbd_job::sim::truth;
+use dbbd_model::robot::Robot;
 use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, kr60, stderr};
@@ -43,7 +43,7 @@ fn logged_axes_replace_those_of_the_plan() {
     let (csv, json) = plan.to_files().unwrap();
     fs::write(at.join("plan.csv"), &csv).unwrap();
     fs::write(at.join("plan.json"), &json).unwrap();
-    let true_robot = truth::draw(&kr60(), 5, 1.0);
+    let true_robot = truth::draw_true_robot(&kr60(), 5, 1.0);
     fs::write(at.join("truth.toml"), true_robot.to_toml().unwrap()).unwrap();
     fs::write(at.join("world.toml"), "[bar]\nnoise_um = 20.0\n").unwrap();
     assert!(dbbd(at, &["krl", "plan.csv", "--out", "krl"]).status.success());
@@ -61,7 +61,7 @@ fn logged_axes_replace_those_of_the_plan() {
     let data = parse_data("DBB_C001.dat", &text).unwrap();
     assert_eq!(absolute_accuracy(&data), Some(true));
     let logged = logged_axes(&data).unwrap();
-    let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
+    let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit);
     assert!(logged.keys().copied().eq(dwells.map(|row| row.index)));
     let sync = |extra: &[&str]| {
         let given = ["sync", "run.dbbd", "--out", "obs.csv", "--axes"];

@@ -2,19 +2,19 @@
 
 use std::io::Cursor;
 
-use dbbd::base::units::HostNs;
-use dbbd::measurement::sample::Sample;
-use dbbd::recording::capture::{Event, Record, Stamped};
-use dbbd::report::export::mcap::{CHANNELS, McapFile};
+use dbbd_job::recording::capture::{CaptureRecord, RunEvent, StampedRecord};
+use dbbd_job::report::export::mcap::{CHANNELS, McapFile};
+use dbbd_model::base::units::HostNs;
+use dbbd_model::measurement::sample::Sample;
 use mcap::read::ChunkFlattener;
 use mcap::records::Record as Read;
 use mcap::{Attachment, WriteOptions, Writer};
 
-fn exported(records: impl IntoIterator<Item = Record>) -> Vec<u8> {
+fn exported(records: impl IntoIterator<Item = CaptureRecord>) -> Vec<u8> {
     let mut file = Vec::new();
     let mut export = McapFile::new(&mut file).unwrap();
     for (at, record) in records.into_iter().enumerate() {
-        export.add(&Stamped { host: HostNs(1_000_000 * at as u64), record }).unwrap();
+        export.add(&StampedRecord { host: HostNs(1_000_000 * at as u64), record }).unwrap();
     }
     assert_eq!(export.finish().unwrap().len(), CHANNELS.len());
     file
@@ -52,19 +52,22 @@ fn the_mcap_library_writes_the_same_file() {
     let empty = exported([]);
     assert_eq!(empty, written_again(&empty));
 
-    let attached = |name: &str| Record::Attachment { name: name.into(), content: name.repeat(100).into() };
-    let started = Record::Event(Event::Started { unix_ns: 1_700_000_000_000_000_000, version: "1".into() });
+    let attached =
+        |name: &str| CaptureRecord::Attachment { name: name.into(), content: name.repeat(100).into() };
+    let started =
+        CaptureRecord::Event(RunEvent::Started { unix_ns: 1_700_000_000_000_000_000, version: "1".into() });
     // More than one chunk, an attachment amid them, an empty one, and times that go back.
     let samples = |count: u32| {
         let sample = |at| Sample { sequence: Some(at), ..Sample::of(f64::from(at) / 1000.0) };
-        Record::Samples((0..count).map(sample).collect())
+        CaptureRecord::Samples((0..count).map(sample).collect())
     };
-    let gap = Record::Event(Event::Gap { seconds: Some(0.5), missing: None, reason: "gone".into() });
-    let nothing = Record::Attachment { name: "nothing".into(), content: Vec::new() };
+    let gap =
+        CaptureRecord::Event(RunEvent::Gap { seconds: Some(0.5), missing: None, reason: "gone".into() });
+    let nothing = CaptureRecord::Attachment { name: "nothing".into(), content: Vec::new() };
     let records = [
         attached("plan.csv"),
         started,
-        Record::Raw(vec![1, 2, 255]),
+        CaptureRecord::Raw(vec![1, 2, 255]),
         samples(9000),
         attached("robot.toml"),
         nothing,

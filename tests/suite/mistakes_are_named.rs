@@ -4,9 +4,9 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use dbbd::recording::run::read_plan;
-use dbbd::robot::Robot;
-use dbbd::sim::truth;
+use dbbd_job::recording::run::read_plan;
+use dbbd_job::sim::truth;
+use dbbd_model::robot::Robot;
 use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, measure, stderr, three_planes, with_errors};
@@ -245,7 +245,8 @@ fn corrected(
     more: &[&str],
 ) {
     let nominal = Robot::by_name(robot).unwrap().unwrap();
-    let robot = Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 1, 0.3) };
+    let robot =
+        Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw_true_robot(&nominal, 1, 0.3) };
     fs::write(at.join("id.toml"), robot.to_toml().unwrap()).unwrap();
     let args = [&["compensate", file, "--robot", "id.toml", "--out", "new"][..], more].concat();
     for (from, to, exit, code) in [("", "", 0, "")].iter().chain(cases) {

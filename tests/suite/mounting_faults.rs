@@ -5,16 +5,16 @@
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-use dbbd::diagnostic::Finding;
-use dbbd::plan::{Job, Plan};
-use dbbd::program::krl::{Controller as Dialect, Options, Program, Sync, emit};
-use dbbd::recording::mounting::{
-    DetectedFault, Expected, MountedReading, MountingFault, MountingMonitor, Rest,
+use dbbd_job::plan::{Job, Plan};
+use dbbd_job::program::krl::{Controller as Dialect, Options, Program, Sync, emit};
+use dbbd_job::recording::mounting::{
+    DetectedFault, ExpectedMounting, MountedReading, MountingFault, MountingMonitor, RestCondition,
 };
-use dbbd::sim::fault::Faults;
-use dbbd::sim::mounting::Mounting;
-use dbbd::sim::world::Setup;
-use dbbd::sim::{Controller, Moment, World, truth};
+use dbbd_job::sim::fault::InjectedFaults;
+use dbbd_job::sim::mounting::SimulatedMounting;
+use dbbd_job::sim::world::WorldSetup;
+use dbbd_job::sim::{ControllerMoment, SimulatedController, World, truth};
+use dbbd_model::diagnostic::Finding;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -34,14 +34,14 @@ const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5
 
 /// A cell with its bar.
 struct Cell {
-    controller: Controller,
+    controller: SimulatedController,
     world: World,
-    mounting: Mounting,
+    mounting: SimulatedMounting,
     dice: Pcg64,
     halt_s: f64,
     halted_s: Option<f64>,
     /// The last time, and since when the robot is at rest.
-    last: Option<Moment>,
+    last: Option<ControllerMoment>,
     rests_s: f64,
     hands_mm: f64,
 }
@@ -53,18 +53,18 @@ struct Now {
 }
 
 impl Cell {
-    fn new(plan: &Plan, program: &Program, seed: u64, halt_s: f64, faults: Faults) -> Self {
+    fn new(plan: &Plan, program: &Program, seed: u64, halt_s: f64, faults: InjectedFaults) -> Self {
         let nominal = kr60();
         let mut dice = Pcg64::seed_from_u64(seed);
-        let mut setup = Setup::new(&program.setups(), None).unwrap();
+        let mut setup = WorldSetup::new(&program.setups(), None).unwrap();
         setup.taught_deg = plan.header.taught.iter().map(|ball| (ball.centre, ball.axes_deg)).collect();
         setup.bar.noise_um = dice.random_range(0.5..2.0);
         setup.repeatability_um = 20.0;
         setup.bar.rate_hz = RATE_HZ;
         Self {
-            controller: Controller::new(program.clone(), &nominal, 100.0).unwrap(),
-            world: World::new(truth::draw(&nominal, seed, 1.0).geometry, setup, seed),
-            mounting: Mounting::new(faults, seed),
+            controller: SimulatedController::new(program.clone(), &nominal, 100.0).unwrap(),
+            world: World::new(truth::draw_true_robot(&nominal, seed, 1.0).geometry, setup, seed),
+            mounting: SimulatedMounting::new(faults, seed),
             hands_mm: dice.random_range(0.5..2.0),
             dice,
             halt_s,
@@ -117,7 +117,7 @@ fn prepared() -> (Plan, Program) {
 }
 
 fn monitor(plan: &Plan) -> MountingMonitor {
-    MountingMonitor::new(Expected::of(plan, Rest::Program))
+    MountingMonitor::new(ExpectedMounting::of(plan, RestCondition::Program))
 }
 
 /// The first detected fault, and its delay.
@@ -135,21 +135,21 @@ fn first_named(plan: &Plan, mut cell: Cell, until_s: f64) -> Option<(DetectedFau
 }
 
 /// A fault of a size drawn between two, micrometres, and how long the program waits at HALT, s.
-fn faults(fault: MountingFault, seed: u64) -> (Faults, f64) {
+fn faults(fault: MountingFault, seed: u64) -> (InjectedFaults, f64) {
     let mut dice = Pcg64::seed_from_u64(seed ^ 0xfa);
     let mut size = |low: f64, high: f64| {
         let um: f64 = dice.random_range(low..high);
         if dice.random_range(0..2) == 0 { um } else { -um }
     };
-    let none = Faults::default();
+    let none = InjectedFaults::default();
     let waits = HANDS_S + 5.0;
     match fault {
-        MountingFault::NotSeated => (Faults { unseated_um: size(20.0, 100.0).abs(), ..none }, waits),
-        MountingFault::Creep => (Faults { creep_um: size(120.0, 500.0), ..none }, waits),
-        MountingFault::Slip => (Faults { slip_um: size(60.0, 300.0), ..none }, waits),
+        MountingFault::NotSeated => (InjectedFaults { unseated_um: size(20.0, 100.0).abs(), ..none }, waits),
+        MountingFault::Creep => (InjectedFaults { creep_um: size(120.0, 500.0), ..none }, waits),
+        MountingFault::Slip => (InjectedFaults { slip_um: size(60.0, 300.0), ..none }, waits),
         // Every second one before the program begins, the others at a dwell.
         _ => (
-            Faults { cable_um: size(30.0, 150.0), ..none },
+            InjectedFaults { cable_um: size(30.0, 150.0), ..none },
             if seed.is_multiple_of(2) { 40.0 } else { waits },
         ),
     }
@@ -186,7 +186,7 @@ fn false_alarms(hours: f64) -> Vec<DetectedFault> {
     let (plan, program) = prepared();
     let (mut passed_s, mut seed, mut named) = (0.0, 1000, Vec::new());
     while passed_s < hours * 3600.0 {
-        let mut cell = Cell::new(&plan, &program, seed, HANDS_S + 5.0, Faults::default());
+        let mut cell = Cell::new(&plan, &program, seed, HANDS_S + 5.0, InjectedFaults::default());
         let mut monitor = monitor(&plan);
         loop {
             let Now { reading, done } = cell.next();
@@ -227,7 +227,7 @@ fn mounting_campaign() {
 /// A step that stays, which no simulated fault causes.
 #[test]
 fn moved_ball_is_detected() {
-    let mut monitor = MountingMonitor::new(Expected::standing(2.0));
+    let mut monitor = MountingMonitor::new(ExpectedMounting::standing(2.0));
     let readings = (0..1600).map(|at| {
         let t_s = f64::from(at) / RATE_HZ;
         let reading_mm = if t_s < 4.0 { 0.0 } else { 0.2 };
@@ -237,7 +237,7 @@ fn moved_ball_is_detected() {
     assert_eq!(named.len(), 1, "{named:?}");
     assert_eq!(named[0].fault, MountingFault::Moved);
     assert!((named[0].size - 0.2).abs() < 0.01, "{named:?}");
-    assert_eq!(named[0].finding().code().0, "W0284");
+    assert_eq!(named[0].finding().code().as_str(), "W0284");
 }
 
 /// Codes that these tests provoke.

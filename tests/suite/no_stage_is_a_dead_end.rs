@@ -3,12 +3,12 @@
 
 use std::fmt::Write;
 
-use dbbd::math::aligned_distances;
-use dbbd::measurement::PreparedMeasurement;
-use dbbd::plan::{Job, Plan, PlanningPrior, Refusal, Taught};
-use dbbd::robot::pose::{rot_x, rot_y, rot_z};
-use dbbd::robot::{Geometry, Pose, Robot, inverse};
-use dbbd::sim::truth;
+use dbbd_job::plan::{Job, Plan, PlanningPrior, Refusal, TaughtBall};
+use dbbd_job::sim::truth;
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::PreparedMeasurement;
+use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
+use dbbd_model::robot::{Geometry, Pose, Robot, inverse};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -121,7 +121,7 @@ fn refused(refusal: &Refusal) -> Ending {
 
 /// Mean 3-D error after alignment, mm.
 fn error_mm(truth: &Geometry, model: &Geometry, nominal: &Robot) -> f64 {
-    let poses = dbbd::estimation::Workspace::uniform(nominal, 300, 1);
+    let poses = dbbd_model::estimation::Workspace::uniform(nominal, 300, 1);
     let balls =
         |geometry: &Geometry| poses.iter().map(|axes| geometry.ball(axes).position).collect::<Vec<_>>();
     let distances = aligned_distances(&balls(truth), &balls(model));
@@ -129,7 +129,7 @@ fn error_mm(truth: &Geometry, model: &Geometry, nominal: &Robot) -> f64 {
 }
 
 /// The ball is where it was taught first.
-fn world(job: &Job, taught: &[Taught]) -> String {
+fn world(job: &Job, taught: &[TaughtBall]) -> String {
     let axes = job.centres[0].taught_deg.unwrap_or_else(|| taught[0].axes_deg);
     format!("[bar]\nnoise_um = 2.0\n[[centre]]\nid = 1\ntaught_deg = {axes:?}\n")
 }
@@ -144,7 +144,7 @@ fn run(drawn: &Drawn, seed: u64) -> Ending {
     let mut job = plan.header.job.clone();
     let cell = Cell {
         nominal: nominal.clone(),
-        true_robot: truth::draw(nominal, seed, 1.0),
+        true_robot: truth::draw_true_robot(nominal, seed, 1.0),
         world: world(&job, &plan.header.taught),
     };
     for ball in plan.taught() {

@@ -4,8 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use dbbd::measurement::Measurements;
-use dbbd::robot::Robot;
+use dbbd_model::measurement::Measurements;
+use dbbd_model::robot::Robot;
 use tempfile::{TempDir, tempdir};
 
 use crate::cell::{centres_csv, codes, dbbd, kr60, measure, stderr, three_planes, with_errors};

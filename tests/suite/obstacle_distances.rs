@@ -1,7 +1,7 @@
 //! Distances from obstacles: by hand, and the laws that every distance keeps.
 
-use dbbd::plan::clearance::Segment;
-use dbbd::plan::job::ObstacleTable;
+use dbbd_job::plan::clearance::LineSegment;
+use dbbd_job::plan::job::ObstacleTable;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
@@ -10,7 +10,7 @@ const COLUMN: ObstacleTable =
     ObstacleTable::Cylinder { from_mm: [0.0, 0.0, 0.0], to_mm: [0.0, 0.0, 100.0], radius_mm: 50.0 };
 const FLOOR: ObstacleTable = ObstacleTable::Floor { z_mm: -10.0 };
 
-fn segment(from: [f64; 3], to: [f64; 3]) -> Segment {
+fn segment(from: [f64; 3], to: [f64; 3]) -> LineSegment {
     [from.into(), to.into()]
 }
 

@@ -1,7 +1,7 @@
 //! What cannot be planned is refused with a code: of the job with its line, of the plan with row, value and limit.
 
-use dbbd::plan::{Job, Plan, Refusal};
-use dbbd::robot::Robot;
+use dbbd_job::plan::{Job, Plan, Refusal};
+use dbbd_model::robot::Robot;
 
 use crate::cell::{codes, dbbd, stderr};
 
@@ -164,7 +164,7 @@ fn the_job_itself_is_fine() {
 fn a_mistake_in_the_job_has_its_code_and_its_line() {
     for (from, to, line, code) in JOBS {
         let error = Job::from_toml("job.toml", &replaced(&[(*from, *to)])).unwrap_err();
-        assert_eq!((error.code.0, error.line), (*code, *line), "{error}");
+        assert_eq!((error.code().as_str(), error.line_number()), (*code, *line), "{error}");
     }
 }
 
@@ -173,20 +173,22 @@ fn an_unsafe_plan_has_the_code_of_what_it_breaks() {
     for (changes, code, quantity) in PLANS {
         let refusal = refusal(&replaced(changes), &robot());
         let named = refusal.findings.iter().any(|finding| {
-            finding.code.0 == *code && (quantity.is_empty() || finding.values["quantity"] == *quantity)
+            finding.code().as_str() == *code
+                && (quantity.is_empty() || finding.values()["quantity"] == *quantity)
         });
         assert!(named, "{code} {quantity}: {refusal}");
     }
     let mut slow = robot();
     slow.max_acceleration_deg_s2 = [Some(0.5); 6];
     let refusal = refusal(JOB, &slow);
-    assert!(refusal.findings.iter().all(|finding| finding.code.0 == SLOW_ROBOT), "{refusal}");
+    assert!(refusal.findings.iter().all(|finding| finding.code().as_str() == SLOW_ROBOT), "{refusal}");
 }
 
 #[test]
 fn a_finding_has_row_value_and_limit() {
     let refusal = refusal(&replaced(&[("points = 12", "points = 12\nradius_mm = 304.8")]), &robot());
-    let values = &refusal.findings.iter().find(|finding| finding.code.0 == "E0705").unwrap().values;
+    let values =
+        &refusal.findings.iter().find(|finding| finding.code().as_str() == "E0705").unwrap().values();
     assert_eq!((&values["row"], &values["limit"]), (&1.into(), &4.5.into()));
     assert!((values["worst"].as_f64().unwrap() - 4.8).abs() < 0.01, "{values}");
 }
@@ -196,7 +198,7 @@ fn a_finding_has_row_value_and_limit() {
 fn another_orientation_is_recommended() {
     let bad = twisted();
     let refusal = refusal(&bad, &robot());
-    let values = &refusal.recommendations[0].values;
+    let values = &refusal.recommendations[0].values();
     assert_eq!(values["circle"], 1);
     let [tilt, spin] = ["tilt_deg", "spin_deg"].map(|key| values[key].as_f64().unwrap());
     let better = bad.replace("spin_deg = 120.0", &format!("spin_deg = {spin:?}\ntilt_deg = {tilt:?}"));

@@ -1,13 +1,13 @@
 //! Chosen poses give more information than circles: the figures of the reference, on the KR 60 HA and one ball.
 
-use dbbd::design::{Candidate, Criterion, Exchange, Sphere, design_rows, workspace_rows};
-use dbbd::estimation::{Posterior, Priors, Workspace, factor, predict_design};
-use dbbd::measurement::{BaseBall, LengthModel, PreparedMeasurement};
-use dbbd::plan::Kind;
-use dbbd::plan::workspace::in_box;
-use dbbd::program::krl;
-use dbbd::robot::inverse::clearance;
-use dbbd::robot::{BallId, BarId, ParamId, Robot, parameter};
+use dbbd_job::plan::PoseKind;
+use dbbd_job::plan::workspace::in_box;
+use dbbd_job::program::krl;
+use dbbd_model::design::{Candidate, Criterion, Exchange, Sphere, design_rows, workspace_rows};
+use dbbd_model::estimation::{Posterior, Priors, Workspace, factor, predict_design};
+use dbbd_model::measurement::{BaseBall, LengthModel, PreparedMeasurement};
+use dbbd_model::robot::inverse::clearance;
+use dbbd_model::robot::{BallId, BarId, ParamId, Robot, parameter};
 use nalgebra::Vector3;
 
 use crate::cell::{self, CENTRE, RADIUS};
@@ -197,7 +197,7 @@ fn the_exchange_updates_agree_with_recomputation() {
 #[test]
 fn the_update_is_within_its_covariance() {
     let robot = cell::kr60();
-    let truth = dbbd::sim::truth::draw(&robot, 5, 1.0);
+    let truth = dbbd_job::sim::truth::draw_true_robot(&robot, 5, 1.0);
     let belief = datasheet(&robot);
     let pool = reachable(&robot, 400);
     let centre = Vector3::from(CENTRE) + Vector3::new(0.4, -0.3, 0.2);
@@ -224,12 +224,13 @@ fn the_update_is_within_its_covariance() {
 #[test]
 fn more_poses_than_a_module_numbers() {
     let plan = chosen_about(1, 300, true);
-    let measured = plan.rows.iter().filter(|row| row.kind == Kind::Measure).count();
+    let measured = plan.rows.iter().filter(|row| row.kind == PoseKind::Measure).count();
     assert_eq!(measured, 300);
     let last = plan.rows.iter().map(|row| row.circle).max().unwrap();
     assert!(last > 1);
     for module in 1..=last {
-        let dwells = plan.rows.iter().filter(|row| row.circle == module && row.kind != Kind::Transit).count();
+        let dwells =
+            plan.rows.iter().filter(|row| row.circle == module && row.kind != PoseKind::Transit).count();
         assert!((1..=255).contains(&dwells), "module {module}: {dwells}");
     }
     let options = krl::Options { sync: krl::Sync::Output, controller: krl::Controller::Krc4 };

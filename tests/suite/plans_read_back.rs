@@ -3,11 +3,11 @@
 use std::collections::BTreeSet;
 use std::process::Command;
 
-use dbbd::plan::timing::ramped_s;
-use dbbd::plan::{Job, Kind, Motion, Plan, PlanRow};
-use dbbd::provenance::Provenance;
-use dbbd::robot::inverse::from_status_turn;
-use dbbd::robot::{Pose, Robot};
+use dbbd_job::plan::timing::ramped_s;
+use dbbd_job::plan::{Job, MotionKind, Plan, PlanRow, PoseKind};
+use dbbd_model::provenance::Provenance;
+use dbbd_model::robot::inverse::from_status_turn;
+use dbbd_model::robot::{Pose, Robot};
 use proptest::prelude::*;
 
 use crate::cell::codes;
@@ -20,7 +20,7 @@ fn example(name: &str) -> Plan {
     Plan::build(&job, &robot).unwrap_or_else(|refused| panic!("{refused}"))
 }
 
-fn count(plan: &Plan, kind: Kind) -> usize {
+fn count(plan: &Plan, kind: PoseKind) -> usize {
     plan.rows.iter().filter(|row| row.kind == kind).count()
 }
 
@@ -28,13 +28,13 @@ fn count(plan: &Plan, kind: Kind) -> usize {
 fn the_demo_plans_without_findings() {
     let plan = example("demo");
     let robot = Robot::by_name("kr60ha").unwrap().unwrap();
-    assert_eq!((count(&plan, Kind::Measure), count(&plan, Kind::Reference)), (240, 12));
-    assert!(plan.header.checks.iter().all(dbbd::plan::Check::holds));
+    assert_eq!((count(&plan, PoseKind::Measure), count(&plan, PoseKind::Reference)), (240, 12));
+    assert!(plan.header.checks.iter().all(dbbd_job::plan::PlanCheck::holds));
     // The base ball's cup stands on a post: no circle goes through it, and none below what the cup allows.
     let worst = |quantity| plan.header.checks.iter().find(|check| check.quantity == quantity).unwrap().worst;
-    assert!(worst(dbbd::plan::Quantity::CupDeg) <= 120.0);
-    assert!(worst(dbbd::plan::Quantity::ClearanceMm) >= 10.0);
-    for row in plan.rows.iter().filter(|row| row.kind == Kind::Measure) {
+    assert!(worst(dbbd_job::plan::CheckQuantity::CupDeg) <= 120.0);
+    assert!(worst(dbbd_job::plan::CheckQuantity::ClearanceMm) >= 10.0);
+    for row in plan.rows.iter().filter(|row| row.kind == PoseKind::Measure) {
         assert!((row.length_mm - 300.0).abs() < 2e-3, "{row:?}");
     }
     for row in &plan.rows {
@@ -48,8 +48,8 @@ fn the_demo_plans_without_findings() {
     }
     for circle in 1..=3 {
         let module: Vec<&PlanRow> = plan.rows.iter().filter(|row| row.circle == circle).collect();
-        assert_eq!(module[0].motion, Motion::Ptp);
-        assert!(module.iter().filter(|row| row.kind != Kind::Transit).count() <= 255);
+        assert_eq!(module[0].motion, MotionKind::Ptp);
+        assert!(module.iter().filter(|row| row.kind != PoseKind::Transit).count() <= 255);
         // Three sync markers: out and back, and the reading goes out.
         for marker in 0..3 {
             let out = module[1 + 2 * marker].length_mm - module[2 + 2 * marker].length_mm;
@@ -58,7 +58,7 @@ fn the_demo_plans_without_findings() {
         // No two moves into dwells of a module last alike.
         let mut times: Vec<f64> = module
             .iter()
-            .filter(|row| row.kind != Kind::Transit)
+            .filter(|row| row.kind != PoseKind::Transit)
             .map(|row| plan.header.moves[row.index as usize - 1].duration_s)
             .collect();
         times.sort_by(f64::total_cmp);
@@ -67,7 +67,7 @@ fn the_demo_plans_without_findings() {
     }
     // Between two circles about one ball the bar stays on: the module's first move is none.
     for pair in plan.rows.windows(2) {
-        if pair[1].motion == Motion::Ptp {
+        if pair[1].motion == MotionKind::Ptp {
             assert_eq!((pair[0].xyz_mm, pair[0].abc_deg), (pair[1].xyz_mm, pair[1].abc_deg));
         }
     }
@@ -83,9 +83,9 @@ fn the_chosen_poses_plan_without_findings() {
     let job = Job::from_toml("optimal", &text).unwrap();
     let robot = Robot::by_name(&job.robot).unwrap().unwrap();
     let plan = Plan::build(&job, &robot).unwrap_or_else(|refused| panic!("{refused}"));
-    assert!(count(&plan, Kind::Measure) >= 24, "{:?}", plan.header.notes);
-    assert!(plan.header.checks.iter().all(dbbd::plan::Check::holds));
-    for row in plan.rows.iter().filter(|row| row.motion != Motion::Lin) {
+    assert!(count(&plan, PoseKind::Measure) >= 24, "{:?}", plan.header.notes);
+    assert!(plan.header.checks.iter().all(dbbd_job::plan::PlanCheck::holds));
+    for row in plan.rows.iter().filter(|row| row.motion != MotionKind::Lin) {
         assert!((row.length_mm - 300.0).abs() < 2e-3, "{row:?}");
     }
     let (csv, json) = plan.to_files().unwrap();
@@ -96,11 +96,11 @@ fn the_chosen_poses_plan_without_findings() {
 #[test]
 fn the_paper_s_circle_has_eighty_points() {
     let plan = example("seed-experiment");
-    assert_eq!((count(&plan, Kind::Measure), count(&plan, Kind::Reference)), (80, 4));
+    assert_eq!((count(&plan, PoseKind::Measure), count(&plan, PoseKind::Reference)), (80, 4));
     let places: BTreeSet<String> = plan
         .rows
         .iter()
-        .filter(|row| row.kind == Kind::Measure)
+        .filter(|row| row.kind == PoseKind::Measure)
         .map(|row| format!("{:?}", row.xyz_mm))
         .collect();
     assert_eq!(places.len(), 80);
@@ -124,7 +124,8 @@ fn both_directions_pass_every_point_twice() {
         let plan =
             Plan::build(&Job::from_toml("job", &text).unwrap(), &Robot::by_name("kr60ha").unwrap().unwrap());
         let plan = plan.unwrap();
-        let points: Vec<_> = plan.rows.iter().filter(|r| r.kind == Kind::Measure).map(|r| r.xyz_mm).collect();
+        let points: Vec<_> =
+            plan.rows.iter().filter(|r| r.kind == PoseKind::Measure).map(|r| r.xyz_mm).collect();
         assert_eq!(points.len(), 40);
         for point in &points {
             let near = |other: &&[f64; 3]| other.iter().zip(point).all(|(a, b)| (a - b).abs() < 2e-3);
@@ -158,7 +159,7 @@ fn the_command_writes_the_pair_and_commands_an_identified_robot_through_its_nomi
     assert_eq!(summary["measure"], 80);
     let read = |name: &str| std::fs::read_to_string(dir.path().join(name)).unwrap();
     let plan = Plan::from_files("plan.csv", &read("plan.csv"), "plan.json", &read("plan.json")).unwrap();
-    for row in plan.rows.iter().filter(|row| row.kind == Kind::Measure) {
+    for row in plan.rows.iter().filter(|row| row.kind == PoseKind::Measure) {
         let axes = row.axes_deg.map(f64::to_radians);
         // The true arm's ball lies on the circle, the commanded one beside it.
         let ball = identified.geometry.ball(&axes).position;
@@ -198,8 +199,8 @@ fn a_pair_that_does_not_match_is_refused() {
         };
         let (csv, json) = (changed("csv", &csv), changed("json", &json));
         let error = Plan::from_files("plan.csv", &csv, "plan.json", &json).unwrap_err();
-        assert_eq!((error.code.0, error.file.as_str()), (*code, *file), "{from}: {error}");
-        assert_eq!(error.line, *line, "{from}: {error}");
+        assert_eq!((error.code().as_str(), error.file_name()), (*code, *file), "{from}: {error}");
+        assert_eq!(error.line_number(), *line, "{from}: {error}");
     }
     assert!(Plan::from_files("plan.csv", "", "plan.json", &json).is_err());
     assert!(Plan::from_files("plan.csv", &csv, "plan.json", "{}").is_err());
@@ -214,16 +215,16 @@ proptest! {
             xyz_mm = [0.1, 0.2, 0.3]\n[[circle]]\nplane = \"XY\"\npoints = 5\n";
         let job = Job::from_toml("job", job).unwrap();
         let row = PlanRow {
-            index: 1, circle: 1, centre: 1, kind: Kind::Measure, motion: Motion::Lin,
+            index: 1, circle: 1, centre: 1, kind: PoseKind::Measure, motion: MotionKind::Lin,
             xyz_mm: [values[0], values[1], values[2]],
             abc_deg: [values[3], values[4], values[5]],
             axes_deg: std::array::from_fn(|i| values[6 + i]),
             status: 2, turn: 35, length_mm: values[12], dwell_s: 0.1 + values[0].abs(),
         };
-        let time = dbbd::plan::MoveTime {
+        let time = dbbd_job::plan::MoveTime {
             index: 1, feed_mm_s: values[1], turn_deg_s: values[2], axis_percent: values[3], duration_s: values[4],
         };
-        let header = dbbd::plan::Header {
+        let header = dbbd_job::plan::PlanHeader {
             schema: 1, hash: String::new(), text_hash: String::new(), job, robot: "text".into(), provenance: Provenance::default(), moves: vec![time], passes: Vec::new(), checks: Vec::new(), notes: Vec::new(), taught: Vec::new(), stage: None, stroke_risk: 0.0, predictions: None,
         check: None,
         };

@@ -4,11 +4,11 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use dbbd::estimation::ResultFile;
-use dbbd::math::aligned_distances;
-use dbbd::measurement::Tracker;
-use dbbd::robot::{Geometry, Robot};
-use dbbd::sim::truth;
+use dbbd_job::sim::truth;
+use dbbd_model::estimation::ResultFile;
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::Tracker;
+use dbbd_model::robot::{Geometry, Robot};
 use nalgebra::{Rotation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -104,7 +104,7 @@ pub(crate) fn moved_tracker(by_mm: f64) -> String {
 }
 
 fn truth() -> Robot {
-    truth::draw(&kr60(), 3, 0.5)
+    truth::draw_true_robot(&kr60(), 3, 0.5)
 }
 
 #[test]
@@ -240,7 +240,7 @@ fn cases() -> Vec<(&'static str, String, Vec<&'static str>)> {
         ("E1203", sound.clone(), vec!["l.csv", "--centres", "C.csv", "--validate", "p.csv"]),
         ("E0502", sound.clone(), vec!["p.csv", "--hold", "target2_x"]),
         ("W1209", twice, vec!["p.csv"]),
-        ("W1362", positions(&truth::draw(&kr60(), 9, 1.0), &poses, 1, 0.02), beside),
+        ("W1362", positions(&truth::draw_true_robot(&kr60(), 9, 1.0), &poses, 1, 0.02), beside),
     ]
 }
 

@@ -3,12 +3,12 @@
 
 use std::collections::BTreeMap;
 
-use dbbd::estimation::Workspace;
-use dbbd::estimation::result::{ParameterResult, Reason, Status};
-use dbbd::estimation::{CalibrationResult, Options, Prior};
-use dbbd::math::aligned_distances;
-use dbbd::measurement::BaseBall;
-use dbbd::robot::{Joint, ParamId, Robot, Unit};
+use dbbd_model::estimation::Workspace;
+use dbbd_model::estimation::result::{ParameterResult, Reason, Status};
+use dbbd_model::estimation::{CalibrationResult, Options, Prior};
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::BaseBall;
+use dbbd_model::robot::{Joint, ParamId, ParamUnit, Robot};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -112,7 +112,7 @@ fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: 
         let mut truth = nominal.clone();
         for id in ParamId::denavit_hartenberg().chain([ParamId::Beta(Joint::J3)]) {
             let tolerance = match id.unit() {
-                Unit::Mm => nominal.tolerance.length_mm,
+                ParamUnit::Mm => nominal.tolerance.length_mm,
                 _ => nominal.tolerance.angle_deg.to_radians(),
             };
             *truth.geometry.value_mut(id).unwrap() += tolerance * normal(&mut random);

@@ -1,9 +1,9 @@
 //! The program uses the frames of the job, and the arm reaches the poses of the plan whatever the frames are.
 
-use dbbd::plan::{self, Job, Plan};
-use dbbd::program::krl::{Controller as Kind, Options, Program, Sync, emit};
-use dbbd::robot::Robot;
-use dbbd::sim::Controller;
+use dbbd_job::plan::{self, Job, Plan};
+use dbbd_job::program::krl::{Controller as Kind, Options, Program, Sync, emit};
+use dbbd_job::sim::SimulatedController;
+use dbbd_model::robot::Robot;
 
 const JOB: &str = r#"
 robot = "kr60ha"
@@ -34,8 +34,8 @@ fn executed(text: &str) -> (String, f64) {
         Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
     })
     .unwrap();
-    let mut controller = Controller::new(program, &robot, 100.0).unwrap();
-    let dwells: Vec<_> = plan.rows.iter().filter(|row| row.kind != plan::Kind::Transit).collect();
+    let mut controller = SimulatedController::new(program, &robot, 100.0).unwrap();
+    let dwells: Vec<_> = plan.rows.iter().filter(|row| row.kind != plan::PoseKind::Transit).collect();
     let mut worst: f64 = 0.0;
     loop {
         let before = controller.dwells();

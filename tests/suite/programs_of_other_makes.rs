@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::robot::Robot;
-use dbbd::sim::truth;
+use dbbd_job::sim::truth;
+use dbbd_model::robot::Robot;
 use serde_json::{Value, json};
 use tempfile::{TempDir, tempdir};
 
@@ -124,8 +124,10 @@ const OTHERS: [(&str, usize); 5] = [
 fn only_krl_is_corrected() {
     let dir = tempdir().unwrap();
     let at = dir.path();
-    let identified =
-        |robot: Robot| Robot { nominal: Some(Box::new(robot.clone())), ..truth::draw(&robot, 1, 1.0) };
+    let identified = |robot: Robot| Robot {
+        nominal: Some(Box::new(robot.clone())),
+        ..truth::draw_true_robot(&robot, 1, 1.0)
+    };
     fs::write(at.join("id.toml"), identified(kr60()).to_toml().unwrap()).unwrap();
     let compensate = |text: &str, robot: &str| {
         fs::write(at.join("P.src"), text).unwrap();
@@ -160,7 +162,7 @@ const STATEMENTS: &[(&str, &[usize])] = &[
 fn points_in_other_statements_are_reported() {
     let dir = tempdir().unwrap();
     let at = dir.path();
-    let robot = Robot { nominal: Some(Box::new(kr60())), ..truth::draw(&kr60(), 1, 1.0) };
+    let robot = Robot { nominal: Some(Box::new(kr60())), ..truth::draw_true_robot(&kr60(), 1, 1.0) };
     fs::write(at.join("id.toml"), robot.to_toml().unwrap()).unwrap();
     let point = "{X 1363.778,Y -282.219,Z 1360.625,A 152.596,B 29.472,C -174.261,S 2,T 34}";
     let data = format!("DEFDAT P\nDECL E6POS XP1={point}\nDECL E6POS XP3={point}\nDECL INT N=1\nENDDAT\n");

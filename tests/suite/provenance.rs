@@ -4,12 +4,13 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use dbbd::base::hash::sha256;
-use dbbd::program::{self, Language};
-use dbbd::provenance::{Artefact, Identity, Provenance, Role, VERSION};
-use dbbd::recording::capture::{self, Record, Writer};
-use dbbd::robot::Robot;
-use dbbd::sim::truth;
+use dbbd_job::artefact::VERSION;
+use dbbd_job::program::{self, Language};
+use dbbd_job::recording::capture::{self, CaptureRecord, CaptureWriter};
+use dbbd_job::sim::truth;
+use dbbd_model::base::hash::sha256;
+use dbbd_model::provenance::{Artefact, ArtefactRole, Identity, Provenance};
+use dbbd_model::robot::Robot;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
@@ -58,12 +59,15 @@ fn cell() -> TempDir {
 
 /// The identified robot, from robot.toml and the lengths beside it.
 fn write_identified(at: &Path, nominal: Robot) {
-    let source = |role, file: &str| Artefact::file(role, &at.join(file)).unwrap();
-    let robot = Artefact { name: nominal.name.clone(), ..source(Role::Robot, "robot.toml") };
-    let from = vec![robot, source(Role::Measurements, "result/lengths.csv")];
+    let source = |role, file: &str| dbbd_job::artefact::of_file(role, &at.join(file)).unwrap();
+    let robot = Artefact { name: nominal.name.clone(), ..source(ArtefactRole::Robot, "robot.toml") };
+    let from = vec![robot, source(ArtefactRole::Measurements, "result/lengths.csv")];
     let provenance = Provenance { dbbd: VERSION.into(), from, ..Provenance::default() };
-    let identified =
-        Robot { provenance, nominal: Some(Box::new(nominal.clone())), ..truth::draw(&nominal, 1, 0.3) };
+    let identified = Robot {
+        provenance,
+        nominal: Some(Box::new(nominal.clone())),
+        ..truth::draw_true_robot(&nominal, 1, 0.3)
+    };
     fs::write(at.join("result/robot-identified.toml"), identified.to_toml().unwrap()).unwrap();
 }
 
@@ -223,13 +227,13 @@ fn lengths_are_used_once_with_their_result() {
 fn stored_run(dir: &Path, name: &str, chain: &Provenance) {
     let stored = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/captures/run.dbbd");
     let bytes = fs::read(stored).unwrap();
-    let mut writer = Writer::create(&dir.join(name)).unwrap();
-    for stamped in capture::read(&bytes).records {
+    let mut writer = CaptureWriter::create(&dir.join(name)).unwrap();
+    for stamped in capture::read_capture(&bytes).records {
         let record = match stamped.record {
-            Record::Attachment { name, content } if name == "plan.json" => {
+            CaptureRecord::Attachment { name, content } if name == "plan.json" => {
                 let mut plan: Value = serde_json::from_slice(&content).unwrap();
                 plan["provenance"] = serde_json::to_value(chain).unwrap();
-                Record::Attachment { name, content: serde_json::to_vec(&plan).unwrap() }
+                CaptureRecord::Attachment { name, content: serde_json::to_vec(&plan).unwrap() }
             }
             other => other,
         };
@@ -247,9 +251,10 @@ fn outdated_and_foreign_runs_are_reported() {
         provenance: Provenance { dbbd: VERSION.into(), from, ..Provenance::default() },
         ..kr60()
     };
-    let first = robot("KR-1", vec![Artefact::new(Role::Robot, "KUKA KR 60 HA", "")]).to_toml().unwrap();
+    let first =
+        robot("KR-1", vec![Artefact::new(ArtefactRole::Robot, "KUKA KR 60 HA", "")]).to_toml().unwrap();
     let first = Robot::from_toml("first", &first).unwrap().traced(&first);
-    stored_run(at, "run.dbbd", &Provenance::of([&first]));
+    stored_run(at, "run.dbbd", &dbbd_job::artefact::made_from([&first]));
     let identify = |robot: &Robot| {
         fs::write(at.join("id.toml"), robot.to_toml().unwrap()).unwrap();
         dbbd(
@@ -288,7 +293,7 @@ fn table_of_lengths_has_the_chain_of_its_run() {
     fs::write(at.join("first.toml"), &text).unwrap();
     fs::write(at.join("job.toml"), JOB.replace("robot.toml", "first.toml")).unwrap();
     fs::write(at.join("C.csv"), centres_csv(&[horizontal(1, CENTRE)])).unwrap();
-    stored_run(at, "run.dbbd", &Provenance::of([&robot.traced(&text)]));
+    stored_run(at, "run.dbbd", &dbbd_job::artefact::made_from([&robot.traced(&text)]));
     step(at, &["sync", "run.dbbd", "--out", "obs.csv"]);
     let made = info(at, "obs.csv");
     assert_eq!(made, info(at, "obs.provenance.json"));
@@ -303,7 +308,7 @@ fn table_of_lengths_has_the_chain_of_its_run() {
     // The identity of the measurement has the same effect as the robot file.
     for serial in ["KR-1", "KR-2"] {
         let stated = Identity { robot: Some(serial.into()), ..Identity::default() };
-        let chain = Provenance { identity: stated, ..Provenance::of([&kr60().traced("")]) };
+        let chain = Provenance { identity: stated, ..dbbd_job::artefact::made_from([&kr60().traced("")]) };
         stored_run(at, &format!("{serial}.dbbd"), &chain);
         step(at, &["sync", &format!("{serial}.dbbd"), "--out", &format!("{serial}.csv")]);
     }
@@ -327,7 +332,8 @@ fn table_of_lengths_has_the_chain_of_its_run() {
 
 #[test]
 fn program_header_escapes_names() {
-    let chain = Provenance::of([&Artefact::new(Role::Robot, "Käfer \"7\"; €\n𝄞", "x").into()]);
+    let chain =
+        dbbd_job::artefact::made_from([&Artefact::new(ArtefactRole::Robot, "Käfer \"7\"; €\n𝄞", "x").into()]);
     let program = program::stamped(Language::Krl, "&ACCESS RVP\r\nDEF P ( )\r\nEND\r\n", &chain).unwrap();
     assert!(program.is_ascii() && program.starts_with("&ACCESS RVP\r\nDEF P ( )\r\n; made by"), "{program}");
     assert_eq!(program::provenance("p.src", &program).unwrap(), chain);

@@ -1,8 +1,8 @@
 //! Properties of RAPID: the end of a motion, and the configuration of the axes.
 
-use dbbd::program::rapid;
-use dbbd::robot::inverse;
-use dbbd::sim::Controller;
+use dbbd_job::program::rapid;
+use dbbd_job::sim::SimulatedController;
+use dbbd_model::robot::inverse;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -20,7 +20,8 @@ fn motion_ends_before_standstill() {
              MoveAbsJ a,v100,fine,tool0;\nWaitTime 3;\nMoveAbsJ b,v1000,fine,tool0;\n{waits}Stop;\nENDPROC\nENDMODULE\n"
         );
         let mut controller =
-            Controller::new(rapid::open(("M.mod".into(), text), vec![]).unwrap(), &robot, 100.0).unwrap();
+            SimulatedController::new(rapid::open(("M.mod".into(), text), vec![]).unwrap(), &robot, 100.0)
+                .unwrap();
         let halted = loop {
             let moment = controller.step(0.002).unwrap();
             if moment.halted {
@@ -72,8 +73,8 @@ fn lines_check_their_configuration() {
              MoveL [{place:?},{turn:?},[1,0,0,0],[]],v100,fine,tool0;\nENDPROC\nENDMODULE\n"
         );
         let listing = rapid::open(("M.mod".into(), text), vec![]).unwrap();
-        Controller::new(listing, &robot, 100.0).and_then(|mut controller| controller.step(60.0))
+        SimulatedController::new(listing, &robot, 100.0).and_then(|mut controller| controller.step(60.0))
     };
-    assert_eq!(run("ConfL\\On").unwrap_err().code.0, "E0813");
+    assert_eq!(run("ConfL\\On").unwrap_err().code().as_str(), "E0813");
     assert!(run("ConfL\\Off").unwrap().done);
 }

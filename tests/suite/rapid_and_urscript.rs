@@ -4,12 +4,12 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::plan::{Job, Kind as RowKind, Motion, Plan, PlanRow};
-use dbbd::program::listing::{ActionKind, Standstill};
-use dbbd::program::{Frames, Language, Listing, Program, Sync, Target, Text, rapid, urscript};
-use dbbd::robot::{Geometry, Pose, Robot};
+use dbbd_job::plan::{Job, MotionKind, Plan, PlanRow, PoseKind as RowKind};
+use dbbd_job::program::listing::{ActionKind, Standstill};
+use dbbd_job::program::{Frames, Language, Listing, Program, Sync, Target, Text, rapid, urscript};
+use dbbd_model::robot::{Geometry, Pose, Robot};
 
-use dbbd::sim::{Controller, Moment, truth};
+use dbbd_job::sim::{ControllerMoment, SimulatedController, truth};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -62,8 +62,8 @@ fn listing(plan: &Plan, language: Language, sync: Sync) -> Listing {
 }
 
 /// Runs to the end; the operator never keeps the program waiting.
-pub(crate) fn run(program: impl Into<Program>, robot: &Robot) -> Vec<Moment> {
-    let mut controller = Controller::new(program, robot, 100.0).unwrap();
+pub(crate) fn run(program: impl Into<Program>, robot: &Robot) -> Vec<ControllerMoment> {
+    let mut controller = SimulatedController::new(program, robot, 100.0).unwrap();
     let mut moments = Vec::new();
     while moments.len() < 500_000 {
         let moment = controller.step(0.02).unwrap();
@@ -79,7 +79,7 @@ pub(crate) fn run(program: impl Into<Program>, robot: &Robot) -> Vec<Moment> {
 }
 
 /// The first and the last moment of each strobe that is longer than the pulse of a marker.
-fn dwells(moments: &[Moment]) -> Vec<[Moment; 2]> {
+fn dwells(moments: &[ControllerMoment]) -> Vec<[ControllerMoment; 2]> {
     let highs = moments.chunk_by(|a, b| a.strobe == b.strobe).filter(|chunk| chunk[0].strobe);
     let ends = highs.map(|chunk| [chunk[0], chunk[chunk.len() - 1]]);
     ends.filter(|[first, last]| last.t_s - first.t_s > 0.5).collect()
@@ -212,7 +212,7 @@ fn programs_are_corrected_once_and_for_their_own_robot() {
     assert_eq!(said(at, &["program", "plan.csv", "--out", "p"]).0, Some(0));
     let identified = |name: &str| {
         let robot = named(name);
-        let drawn = truth::draw(&robot, 1, 1.0);
+        let drawn = truth::draw_true_robot(&robot, 1, 1.0);
         let found = Robot { name: robot.name.clone(), nominal: Some(Box::new(robot.clone())), ..drawn };
         fs::write(at.join(format!("{name}.toml")), found.to_toml().unwrap()).unwrap();
     };
@@ -281,10 +281,10 @@ fn unsupported_programs_are_refused() {
         let is_rapid = name.ends_with("mod");
         let opened = if is_rapid { rapid::open(file, vec![]) } else { urscript::open(file) };
         let found = opened.and_then(|listing| {
-            Controller::new(listing, &robots[usize::from(!is_rapid)], 100.0)
+            SimulatedController::new(listing, &robots[usize::from(!is_rapid)], 100.0)
                 .and_then(|mut machine| machine.step(30.0))
         });
-        assert_eq!(found.unwrap_err().code.0, *code, "{text}");
+        assert_eq!(found.unwrap_err().code().as_str(), *code, "{text}");
     }
 }
 
@@ -341,6 +341,6 @@ fn dwells_wait_for_standstill() {
         }
         let dwells = plan.rows.iter().filter(|row| row.kind != RowKind::Transit).count();
         assert_eq!(seen, dwells, "{language:?}");
-        assert!(plan.rows.iter().any(|row| row.motion == Motion::Circ));
+        assert!(plan.rows.iter().any(|row| row.motion == MotionKind::Circ));
     }
 }

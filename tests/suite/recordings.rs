@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use dbbd::device::protocol::{Decoded, Definition, Step};
-use dbbd::measurement::sample::Sample;
+use dbbd_device::protocol::{CommandStep, DecodedItem, ProtocolDefinition};
+use dbbd_model::measurement::sample::Sample;
 
 /// An event on the line.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,8 +59,8 @@ impl Recording {
         self.name.split('+').next().unwrap()
     }
 
-    pub(crate) fn definition(&self) -> Definition {
-        Definition::by_name(self.protocol()).unwrap().unwrap()
+    pub(crate) fn definition(&self) -> ProtocolDefinition {
+        ProtocolDefinition::by_name(self.protocol()).unwrap().unwrap()
     }
 
     /// The pieces of the bar's stream with their times.
@@ -88,9 +88,9 @@ impl Recording {
         let (mut decoder, mut decoded) = (self.definition().decoder(), Vec::new());
         self.pieces().iter().for_each(|(_, bytes)| decoder.push(bytes, &mut decoded));
         decoder.interrupt(&mut decoded);
-        let sample = |one: &Decoded| match one {
-            Decoded::Sample(sample, _) => Some(Sample { offset: 0, ..*sample }),
-            Decoded::Fault(_) => None,
+        let sample = |one: &DecodedItem| match one {
+            DecodedItem::Sample(sample, _) => Some(Sample { offset: 0, ..*sample }),
+            DecodedItem::Fault(_) => None,
         };
         decoded.iter().map(sample).collect()
     }
@@ -99,7 +99,7 @@ impl Recording {
     pub(crate) fn opening(&self) -> usize {
         let polls = self.definition().poll;
         let asks = |line: &Line| {
-            let said = |step: &Step| matches!((step, &line.what), (Step::Send(a), What::Host(b)) if a == b);
+            let said = |step: &CommandStep| matches!((step, &line.what), (CommandStep::Send(a), What::Host(b)) if a == b);
             polls.iter().any(said)
         };
         let mut left = self.stream;

@@ -13,9 +13,9 @@ use std::io::{BufRead, BufReader, Write};
 use std::process::{Command, Stdio};
 use std::sync::Mutex;
 
-use dbbd::base::clock;
-use dbbd::device::protocol::{Definition, Fault, FaultKind};
-use dbbd::recording::capture::{self, Capture, Event, Record};
+use dbbd_device::clock;
+use dbbd_device::protocol::{LineFault, LineFaultKind, ProtocolDefinition};
+use dbbd_job::recording::capture::{self, Capture, CaptureRecord, RunEvent};
 use serde_json::Value;
 
 use crate::recordings::{Recording, all, directory};
@@ -27,7 +27,7 @@ const BESIDE_EACH_OTHER: usize = 16;
 #[test]
 fn every_protocol_is_recorded() {
     let recorded: Vec<String> = all().into_iter().map(|recording| recording.name).collect();
-    for (name, _) in Definition::built_in() {
+    for (name, _) in ProtocolDefinition::built_in() {
         assert!(
             recorded.iter().any(|recorded| recorded == name),
             "no fixtures/captures/{name}.rec: see fixtures/README.md for how to record it"
@@ -192,7 +192,7 @@ fn replay(recording: &Recording, cuts: Cuts) -> String {
     let output = child.wait_with_output().unwrap();
     drop(player.stdin.take());
     player.wait().unwrap();
-    let capture = capture::read(&std::fs::read(&run).unwrap_or_default());
+    let capture = capture::read_capture(&std::fs::read(&run).unwrap_or_default());
     assert!(capture.ended() && capture.damages.is_empty(), "{} {cuts:?}: {said:?}", recording.name);
     let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
     told(&capture, &summary["progress"], output.status.code())
@@ -200,9 +200,9 @@ fn replay(recording: &Recording, cuts: Cuts) -> String {
 
 /// Number of bytes in the capture.
 fn received(run: &str) -> usize {
-    let capture = capture::read(&std::fs::read(run).unwrap_or_default());
+    let capture = capture::read_capture(&std::fs::read(run).unwrap_or_default());
     let raw = capture.records.iter().map(|stamped| match &stamped.record {
-        Record::Raw(bytes) => bytes.len(),
+        CaptureRecord::Raw(bytes) => bytes.len(),
         _ => 0,
     });
     raw.sum()
@@ -226,7 +226,7 @@ fn told(capture: &Capture, progress: &Value, code: Option<i32>) -> String {
     let mut text = format!("exit code {}, {}\n", code.unwrap_or(-1), counts.join(", "));
     for stamped in &capture.records {
         match &stamped.record {
-            Record::Samples(samples) => {
+            CaptureRecord::Samples(samples) => {
                 for sample in samples {
                     let number = |value: Option<u64>| value.map_or("-".into(), |value| value.to_string());
                     let strobe = sample.trigger.map_or("-", |high| if high { "high" } else { "low" });
@@ -242,12 +242,12 @@ fn told(capture: &Capture, progress: &Value, code: Option<i32>) -> String {
                     .unwrap();
                 }
             }
-            Record::Fault(json) => {
-                let Fault { kind, offset, bytes, .. } = serde_json::from_slice(json).unwrap();
-                let kind = if let FaultKind::Reject(word) = kind { word } else { format!("{kind:?}") };
+            CaptureRecord::Fault(json) => {
+                let LineFault { kind, offset, bytes, .. } = serde_json::from_slice(json).unwrap();
+                let kind = if let LineFaultKind::Reject(word) = kind { word } else { format!("{kind:?}") };
                 writeln!(text, "{offset} fault of {bytes} bytes: {kind}").unwrap();
             }
-            Record::Event(Event::Gap { missing, reason, .. }) => {
+            CaptureRecord::Event(RunEvent::Gap { missing, reason, .. }) => {
                 let missing = missing.map_or("some".into(), |missing| missing.to_string());
                 // The message of the system depends on the system.
                 let reason = reason.split(':').next().unwrap();

@@ -4,29 +4,29 @@
 
 use std::sync::Arc;
 
-use dbbd::base::units::HostNs;
-use dbbd::catalogue::EstimationFinding;
-use dbbd::circular::{self, Settings};
-use dbbd::conformity::Budget;
-use dbbd::diagnostic::Finding;
-use dbbd::estimation::{CalibrationResult, Options};
-use dbbd::measurement::{BallId, BaseBall, CircleId, Context, Kind, Measurements};
-use dbbd::plan::{Job, Plan, PlanningPrior};
-use dbbd::provenance::{Artefact, Provenance, Role};
-use dbbd::recording::capture::{Record, Stamped};
-use dbbd::report::circle::CircleTest;
-use dbbd::report::export::mcap::McapFile;
-use dbbd::report::plot::{HeatMap, Overlay, PolarPlot, PolarTrace, Series};
-use dbbd::report::{calibration, circle, plan, svg};
-use dbbd::robot::Robot;
+use dbbd_job::plan::{Job, Plan, PlanningPrior};
+use dbbd_job::recording::capture::{CaptureRecord, StampedRecord};
+use dbbd_job::report::circle::CircleTest;
+use dbbd_job::report::export::mcap::McapFile;
+use dbbd_job::report::plot::{HeatMap, Overlay, PolarPlot, PolarTrace, Series};
+use dbbd_job::report::{calibration, circle, plan, svg};
+use dbbd_model::base::units::HostNs;
+use dbbd_model::circular::{self, CircularSettings};
+use dbbd_model::conformity::UncertaintyBudget;
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::{CalibrationResult, Options};
+use dbbd_model::measurement::{BallId, BaseBall, CircleId, MeasurementContext, Measurements, PoseKind};
+use dbbd_model::provenance::{Artefact, ArtefactRole, Provenance};
+use dbbd_model::robot::Robot;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
 use crate::cell::{CENTRE, DESIGNED, calibrated, kr60, measure, three_planes, with_errors};
 
-/// E1701 is provoked where a page is filled, by the unit test there.
+/// E0009 is provoked where a page is filled, by the unit test there.
 pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E1701", "E1702"]
+    vec!["E1702"]
 }
 
 /// A repeatable number between -1 and 1.
@@ -95,11 +95,11 @@ fn found(robot: &Robot) -> (CalibrationResult, Measurements) {
     let mut observations = measure(&with_errors(DESIGNED), &three_planes(1, CENTRE), 27, 25.0);
     for (at, row) in observations.rows.iter_mut().enumerate() {
         row.length_mm += 0.01 * noise(at) + if at == 40 { 7.0 } else { 0.0 };
-        row.context = Some(Arc::new(Context {
-            kind: Some(if at % 20 == 0 { Kind::Reference } else { Kind::Measure }),
+        row.context = Some(Arc::new(MeasurementContext {
+            kind: Some(if at % 20 == 0 { PoseKind::Reference } else { PoseKind::Measure }),
             circle: Some(CircleId::at(at / 27)),
             angle_deg: Some(at as f64 % 27.0 * 360.0 / 27.0),
-            ..Context::default()
+            ..MeasurementContext::default()
         }));
     }
     let centres = [BaseBall { id: BallId::FIRST, position: Vector3::from(CENTRE) }];
@@ -110,12 +110,12 @@ fn found(robot: &Robot) -> (CalibrationResult, Measurements) {
 }
 
 fn provenance(robot: &str) -> Provenance {
-    Provenance::of([&Artefact::new(Role::Measurements, robot, "").into()])
+    dbbd_job::artefact::made_from([&Artefact::new(ArtefactRole::Measurements, robot, "").into()])
 }
 
 fn report(found: &CalibrationResult, observations: &Measurements) -> String {
     let provenance = provenance(&found.robot.name);
-    let budget = Budget::of(found, observations, None, &provenance.identity);
+    let budget = UncertaintyBudget::of(found, observations, None, &provenance.identity);
     calibration::html(found, observations, &provenance, &budget).unwrap()
 }
 
@@ -131,7 +131,11 @@ fn the_report_shows_every_parameter_finding_and_figure() {
         assert_eq!(html.matches(&row).count(), 1, "{row}");
     }
     for finding in found.diagnostics() {
-        assert!(html.contains(&format!("<code class=\"code\">{}</code>", finding.code)), "{}", finding.code);
+        assert!(
+            html.contains(&format!("<code class=\"code\">{}</code>", finding.code())),
+            "{}",
+            finding.code()
+        );
     }
     assert!(place(&html, "class=\"doubt\"") < place(&html, "aria-label=\"Summary\""), "doubts come first");
     assert_eq!(found.outliers.len(), 1);
@@ -203,7 +207,8 @@ fn the_circle_page_shows_every_quantity_and_note() {
         }
     }
     let traces = circular::traces_from_csv("circle.csv", &csv).unwrap();
-    let evaluation = circular::circular(&traces, &Settings { draws: 50, ..Settings::new(150.0) }).unwrap();
+    let evaluation =
+        circular::circular(&traces, &CircularSettings { draws: 50, ..CircularSettings::new(150.0) }).unwrap();
     let test = CircleTest { source: HOSTILE.into(), circle: None, evaluation };
     let tests = [test.clone(), test];
     let html = circle::html(&tests, &Provenance::default()).unwrap();
@@ -257,8 +262,8 @@ fn empty_and_undefined_data_break_nothing() {
 #[test]
 fn a_record_that_is_not_json_is_not_exported() {
     let mut file = McapFile::new(std::io::Cursor::new(Vec::new())).unwrap();
-    let record = Stamped { host: HostNs(0), record: Record::Fault(b"{".to_vec()) };
-    assert_eq!(file.add(&record).unwrap_err().code.0, "E1702");
+    let record = StampedRecord { host: HostNs(0), record: CaptureRecord::Fault(b"{".to_vec()) };
+    assert_eq!(file.add(&record).unwrap_err().code().as_str(), "E1702");
 }
 
 #[test]

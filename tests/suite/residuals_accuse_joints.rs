@@ -1,9 +1,9 @@
 //! Transmission error and backlash are found in the residuals at the right axis; a robot without them has no finding.
 
-use dbbd::estimation::result::{JointEffect, JointError};
-use dbbd::estimation::{ErrorModel, Options, senses};
-use dbbd::measurement::{BaseBall, Measurements, PreparedMeasurement};
-use dbbd::robot::{BallId, Robot, parameter};
+use dbbd_model::estimation::result::{JointEffect, JointError};
+use dbbd_model::estimation::{ErrorModel, Options, senses};
+use dbbd_model::measurement::{BaseBall, Measurements, PreparedMeasurement};
+use dbbd_model::robot::{BallId, Robot, parameter};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};

@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use dbbd::catalogue::CircularFinding;
-use dbbd::circular::{Mover, Point, Sense, Settings, Trace, circular};
-use dbbd::plan::{Job, Kind, Plan};
-use dbbd::program::krl::{self, Options, Program};
-use dbbd::recording::run::drives;
-use dbbd::sim::{Controller, truth};
+use dbbd_job::plan::{Job, Plan, PoseKind};
+use dbbd_job::program::krl::{self, Options, Program};
+use dbbd_job::recording::run::drives;
+use dbbd_job::sim::{SimulatedController, truth};
+use dbbd_model::circular::CircularFinding;
+use dbbd_model::circular::{CirclePoint, CircleSense, CircleTrace, CircularSettings, DriveId, circular};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
@@ -51,8 +51,8 @@ impl Driven {
             Ok(files.iter().find(|(name, _)| name.eq_ignore_ascii_case(wanted)).cloned())
         })
         .unwrap();
-        let mut controller = Controller::new(program, &kr60(), 100.0).unwrap();
-        let rows = plan.rows.iter().filter(|row| row.kind != Kind::Transit).count();
+        let mut controller = SimulatedController::new(program, &kr60(), 100.0).unwrap();
+        let rows = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).count();
         let mut dwells = vec![([0.0; 6], [0.0; 6]); rows];
         let (mut last, mut sense) = (None, [0.0; 6]);
         loop {
@@ -79,25 +79,25 @@ impl Driven {
     }
 
     /// The circle of a robot within the tolerance with plays (rad): both senses.
-    fn measured(&self, seed: u64, plays: &[f64; 6]) -> [Trace; 2] {
-        let robot = truth::draw(&kr60(), seed, 1.0);
+    fn measured(&self, seed: u64, plays: &[f64; 6]) -> [CircleTrace; 2] {
+        let robot = truth::draw_true_robot(&kr60(), seed, 1.0);
         let centre = Vector3::from(self.plan.header.job.centres[0].xyz_mm);
         let mut random = Pcg64::seed_from_u64(seed);
         let noise = Normal::new(0.0, SIGMA_MM).unwrap();
-        let mut traces = [Sense::CounterClockwise, Sense::Clockwise].map(|sense| Trace {
+        let mut traces = [CircleSense::CounterClockwise, CircleSense::Clockwise].map(|sense| CircleTrace {
             run: "1".into(),
             sense,
             points: Vec::new(),
         });
         let rows = self.plan.rows.iter().zip(self.plan.circle_places());
         for ((row, place), (axes, sense)) in
-            rows.filter(|(row, _)| row.kind != Kind::Transit).zip(&self.dwells)
+            rows.filter(|(row, _)| row.kind != PoseKind::Transit).zip(&self.dwells)
         {
-            let Some(place) = place.filter(|_| row.kind == Kind::Measure) else { continue };
+            let Some(place) = place.filter(|_| row.kind == PoseKind::Measure) else { continue };
             let arrived = std::array::from_fn(|joint| axes[joint] - 0.5 * sense[joint] * plays[joint]);
             let length_mm =
                 (robot.geometry.ball(&arrived).position - centre).norm() + noise.sample(&mut random);
-            traces[usize::from(place.clockwise)].points.push(Point {
+            traces[usize::from(place.clockwise)].points.push(CirclePoint {
                 angle_deg: place.angle_deg,
                 length_mm,
                 sigma_mm: None,
@@ -123,11 +123,12 @@ fn coverage(orientation: &str, circles: u64) -> (usize, usize) {
             _ => 0.0,
         });
         let traces = driven.measured(seed, &plays);
-        let found = circular(&traces, &Settings { draws: 0, ..Settings::new(300.0) }).unwrap();
+        let found =
+            circular(&traces, &CircularSettings { draws: 0, ..CircularSettings::new(300.0) }).unwrap();
         let is_said = |note: &CircularFinding| matches!(note, CircularFinding::StepsNotSeparable { .. });
         silent += usize::from(found.steps.is_empty() && !found.notes.iter().any(is_said));
         for step in &found.steps {
-            let Mover::Joint(joint) = step.mover else { panic!("{step:?}") };
+            let DriveId::Joint(joint) = step.mover else { panic!("{step:?}") };
             reported += 1;
             held += usize::from((step.play - plays[joint - 1]).abs() <= step.u95);
             if seed % 2 == 1 {

@@ -3,8 +3,8 @@
 use std::fs;
 use std::process::Output;
 
-use dbbd::estimation::result_file::ResultFile;
-use dbbd::measurement::Measurements;
+use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::measurement::Measurements;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::estimation::result_file::ResultFile;
+use dbbd_model::estimation::result_file::ResultFile;
 use tempfile::tempdir;
 
 use crate::cell::{dbbd, stderr};

@@ -3,11 +3,11 @@
 
 use std::fs;
 
-use dbbd::estimation::Options;
-use dbbd::estimation::result::Status;
-use dbbd::estimation::result_file::ResultFile;
-use dbbd::measurement::{BaseBall, Measurements};
-use dbbd::robot::{BallId, Joint, ParamId, Robot, Unit};
+use dbbd_model::estimation::Options;
+use dbbd_model::estimation::result::Status;
+use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::measurement::{BaseBall, Measurements};
+use dbbd_model::robot::{BallId, Joint, ParamId, ParamUnit, Robot};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -55,7 +55,7 @@ fn truth(seed: u64, errors: &[(&str, f64)]) -> Robot {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut robot = robot();
     for id in ParamId::denavit_hartenberg().chain([ParamId::Beta(Joint::J3)]) {
-        let sd = if id.unit() == Unit::Mm { 0.5 } else { 0.05f64.to_radians() };
+        let sd = if id.unit() == ParamUnit::Mm { 0.5 } else { 0.05f64.to_radians() };
         let z: f64 = StandardNormal.sample(&mut random);
         *robot.geometry.value_mut(id).unwrap() += sd * z;
     }

@@ -3,10 +3,10 @@
 use std::fs;
 use std::sync::Arc;
 
-use dbbd::measurement::{CircleId, Column, Context, Datum, Kind, Measurements};
-use dbbd::robot::Tolerance;
-use dbbd::robot::pose::rot_x;
-use dbbd::robot::{BarId, Robot};
+use dbbd_model::measurement::{CircleId, ContextColumn, Datum, MeasurementContext, Measurements, PoseKind};
+use dbbd_model::robot::Tolerance;
+use dbbd_model::robot::pose::rot_x;
+use dbbd_model::robot::{BarId, Robot};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -131,13 +131,13 @@ fn scenes() -> Vec<Scene> {
     scenes.push(Scene::new(&truth, &planes, 20, 0.01, &choices));
     // As `dbbd sync` writes them: circles with angles, and a reference pose.
     let mut synced = Scene::new(&truth, &planes, 27, 0.01, &["--prior", "datasheet", "--hold", "centres"]);
-    synced.data.columns = vec![Column::Kind, Column::Circle, Column::AngleDeg];
+    synced.data.columns = vec![ContextColumn::Kind, ContextColumn::Circle, ContextColumn::AngleDeg];
     for (at, row) in synced.data.rows.iter_mut().enumerate() {
-        row.context = Some(Arc::new(Context {
-            kind: Some(if at % 20 == 0 { Kind::Reference } else { Kind::Measure }),
+        row.context = Some(Arc::new(MeasurementContext {
+            kind: Some(if at % 20 == 0 { PoseKind::Reference } else { PoseKind::Measure }),
             circle: Some(CircleId::at(at / 27)),
             angle_deg: Some(360.0 / 27.0 * (at % 27) as f64),
-            ..Context::default()
+            ..MeasurementContext::default()
         }));
     }
     scenes.push(synced);

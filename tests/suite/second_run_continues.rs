@@ -4,12 +4,12 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use dbbd::estimation::result::{PriorSource, StartRobot};
-use dbbd::estimation::result_file::{ResultFile, WarningKind};
-use dbbd::measurement::{Measurements, PreparedMeasurement};
-use dbbd::plan::{Job, PlanningPrior};
-use dbbd::robot::Robot;
-use dbbd::sim::truth;
+use dbbd_job::plan::{Job, PlanningPrior};
+use dbbd_job::sim::truth;
+use dbbd_model::estimation::result::{PriorSource, StartRobot};
+use dbbd_model::estimation::result_file::{ResultFile, WarningKind};
+use dbbd_model::measurement::{Measurements, PreparedMeasurement};
+use dbbd_model::robot::Robot;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -29,7 +29,7 @@ const REPEATS_MM: f64 = 0.0138;
 /// Lengths of a robot drawn from the tolerance.
 fn lengths(circles: &[Circle], points: usize, seed: u64) -> Measurements {
     let mut random = Pcg64::seed_from_u64(seed);
-    let mut data = measure(&truth::draw(&kr60(), 4, 1.0), circles, points, 30.0);
+    let mut data = measure(&truth::draw_true_robot(&kr60(), 4, 1.0), circles, points, 30.0);
     for row in &mut data.rows {
         let z: f64 = StandardNormal.sample(&mut random);
         row.length_mm += REPEATS_MM * z;
@@ -120,7 +120,7 @@ fn a_lost_posterior_is_reported() {
     // With an option the run starts from the datasheet.
     assert!(!told(&check(dir.path(), "old.toml", &["--prior", "none"]), "W1332"));
     let torn = text.replacen("root = [[", "root = [[1.0, 2.0], [", 1);
-    assert_eq!(Robot::from_toml("robot.toml", &torn).unwrap_err().code.0, "E0505");
+    assert_eq!(Robot::from_toml("robot.toml", &torn).unwrap_err().code().as_str(), "E0505");
 }
 
 /// The plan contains the posterior of an identified robot, so that its run needs no other file.

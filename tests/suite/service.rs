@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use dbbd::base::clock;
+use dbbd_device::clock;
 use serde_json::Value;
 
 /// The service as a child process.

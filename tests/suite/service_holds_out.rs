@@ -9,7 +9,7 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
 use std::process::Command;
 
-use dbbd::base::clock;
+use dbbd_device::clock;
 
 use crate::service::Server;
 
@@ -203,7 +203,7 @@ fn whatever_is_at_work_ends_with_the_service() {
     asking.write_all(format!("{head} {}\r\n\r\n{body}", body.len()).as_bytes()).unwrap();
     let at_work = || {
         clock::sleep(0.02);
-        child_of(server.child.id(), dbbd::base::program::UNTIL_STDIN_CLOSES)
+        child_of(server.child.id(), dbbd_job::child_process::UNTIL_STDIN_CLOSES)
     };
     let child = (0..500).find_map(|_| at_work()).expect("a command is at work");
     assert_eq!(server.signal("KILL"), None);

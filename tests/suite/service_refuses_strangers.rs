@@ -5,7 +5,7 @@ use std::io::{Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use dbbd::base::clock;
+use dbbd_device::clock;
 
 use crate::service::Server;
 

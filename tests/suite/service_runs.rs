@@ -5,9 +5,9 @@ use std::fs;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 
-use dbbd::device::protocol::Definition;
-use dbbd::recording::capture::{self, Event};
-use dbbd::sim::bar::{self, Options, Reading, Terminal};
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_job::recording::capture::{self, RunEvent};
+use dbbd_job::sim::bar::{self, SimulatedReading, Terminal, VirtualBarOptions};
 
 use crate::cell;
 use crate::process::Simulator;
@@ -17,13 +17,13 @@ use crate::service::Server;
 pub(crate) fn swinging() -> String {
     let terminal = Terminal::new().unwrap();
     let name = terminal.address().to_string();
-    let definition = Definition::by_name("dbb-cobs-1").unwrap().unwrap();
-    let options = Options { rate_hz: 1000.0, speed: 1.0, first_ticks: 0 };
+    let definition = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap();
+    let options = VirtualBarOptions { rate_hz: 1000.0, speed: 1.0, first_ticks: 0 };
     let source = |t_s: f64| {
         let (reading_mm, strobe) = (1.05 * (3.0 * t_s).sin(), (0.2..0.7).contains(&t_s.fract()));
-        (t_s < 600.0).then_some(Reading { reading_mm, strobe, valid: true, temperature_c: 20.0 })
+        (t_s < 600.0).then_some(SimulatedReading { reading_mm, strobe, valid: true, temperature_c: 20.0 })
     };
-    std::thread::spawn(move || bar::serve(terminal, &definition, options, source));
+    std::thread::spawn(move || bar::serve_bar(terminal, &definition, options, source));
     name
 }
 
@@ -86,10 +86,12 @@ fn runs_start_and_stop_with_any_number_of_clients() {
     let file = dir.path().join("dbbd-runs/first/run.dbbd");
     let bytes = fs::read(&file).unwrap();
     assert_eq!(server.get("/api/v1/runs/first/capture").body, bytes);
-    let recorded = capture::read(&bytes);
+    let recorded = capture::read_capture(&bytes);
     assert!(recorded.ended() && recorded.damages.is_empty());
-    assert!(recorded.events().any(|event| matches!(event, Event::Mark { text } if text == "bar ä mounted")));
-    let missing = recorded.events().filter(|event| matches!(event, Event::Gap { .. })).count();
+    assert!(
+        recorded.events().any(|event| matches!(event, RunEvent::Mark { text } if text == "bar ä mounted"))
+    );
+    let missing = recorded.events().filter(|event| matches!(event, RunEvent::Gap { .. })).count();
     assert_eq!(missing, 0);
     assert_eq!(server.get("/api/v1/points").json()["points"][0]["dwell"], 1);
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"first\"}").status, 409, "a name is never used twice");
@@ -98,13 +100,13 @@ fn runs_start_and_stop_with_any_number_of_clients() {
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"second\"}").status, 201);
     server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(100));
     assert_eq!(server.signal("TERM"), Some(0));
-    assert!(capture::read(&fs::read(dir.path().join("dbbd-runs/second/run.dbbd")).unwrap()).ended());
+    assert!(capture::read_capture(&fs::read(dir.path().join("dbbd-runs/second/run.dbbd")).unwrap()).ended());
 }
 
 /// The actions on the page before and during the run.
 fn operator(recorded: &capture::Capture) -> Vec<String> {
     let acts = recorded.events().filter_map(|event| match event {
-        Event::Operator { action, detail, .. } => Some(format!("{action} {detail}").trim_end().to_owned()),
+        RunEvent::Operator { action, detail, .. } => Some(format!("{action} {detail}").trim_end().to_owned()),
         _ => None,
     });
     acts.collect()
@@ -114,12 +116,17 @@ fn operator(recorded: &capture::Capture) -> Vec<String> {
 fn resting(name: &str) -> String {
     let terminal = Terminal::new().unwrap();
     let port = terminal.address().to_string();
-    let definition = Definition::by_name(name).unwrap().unwrap();
-    let options = Options { rate_hz: 50.0, speed: 1.0, first_ticks: 0 };
+    let definition = ProtocolDefinition::by_name(name).unwrap().unwrap();
+    let options = VirtualBarOptions { rate_hz: 50.0, speed: 1.0, first_ticks: 0 };
     let source = |t_s: f64| {
-        (t_s < 600.0).then_some(Reading { reading_mm: 1.5, strobe: false, valid: true, temperature_c: 20.0 })
+        (t_s < 600.0).then_some(SimulatedReading {
+            reading_mm: 1.5,
+            strobe: false,
+            valid: true,
+            temperature_c: 20.0,
+        })
     };
-    std::thread::spawn(move || bar::serve(terminal, &definition, options, source));
+    std::thread::spawn(move || bar::serve_bar(terminal, &definition, options, source));
     port
 }
 
@@ -154,7 +161,7 @@ fn operator_actions_before_a_run_are_in_its_capture() {
     assert_eq!(server.post("/api/v1/reading", "{}").status, 409);
     assert_eq!(server.post("/api/v1/run/stop", "").status, 202);
     server.wait("/api/v1/status", |status| status["run"].is_null());
-    let recorded = capture::read(&fs::read(dir.path().join("dbbd-runs/first/run.dbbd")).unwrap());
+    let recorded = capture::read_capture(&fs::read(dir.path().join("dbbd-runs/first/run.dbbd")).unwrap());
     assert!(recorded.ended() && recorded.damages.is_empty());
     let acts = operator(&recorded);
     assert_eq!(acts.len(), 6, "{acts:?}");
@@ -168,7 +175,7 @@ fn operator_actions_before_a_run_are_in_its_capture() {
     server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(20));
     assert_eq!(server.post("/api/v1/run/stop", "").status, 202);
     server.wait("/api/v1/status", |status| status["run"].is_null());
-    let recorded = capture::read(&fs::read(dir.path().join("dbbd-runs/second/run.dbbd")).unwrap());
+    let recorded = capture::read_capture(&fs::read(dir.path().join("dbbd-runs/second/run.dbbd")).unwrap());
     assert_eq!(operator(&recorded), ["connect", "disconnect", "checked", "start second", "stop"]);
 }
 
@@ -187,7 +194,7 @@ fn a_run_with_a_removed_capture_fails() {
     let status = server.wait("/api/v1/status", |status| status["run"].is_null());
     assert_eq!((&status["state"], &status["code"]), (&"failed".into(), &"W0415".into()), "{status}");
     assert_eq!(status["last"]["failed"], true);
-    let recorded = capture::read(&fs::read(dir.path().join("dbbd-runs/first/run.dbbd")).unwrap());
+    let recorded = capture::read_capture(&fs::read(dir.path().join("dbbd-runs/first/run.dbbd")).unwrap());
     assert!(recorded.ended() && recorded.damages.is_empty() && recorded.samples().count() > 1500);
     assert_eq!(server.post("/api/v1/run", "{\"name\":\"second\"}").status, 201, "a new run may begin");
     assert_eq!(server.post("/api/v1/run/mark", "{\"text\":\"a\\u001b[2Jb\"}").status, 422);

@@ -1,19 +1,19 @@
 //! Robots with random joint errors: whether the predicted position uncertainty is right, and what the estimation of joint errors costs
 //! a robot without them. Campaigns; figures in docs/explanation/accuracy.md.
 
-use dbbd::conformity::{CheckInput, Rule};
-use dbbd::estimation::change::Innovation;
-use dbbd::estimation::expected::{BallMounting, Mounting};
-use dbbd::estimation::result::CalibrationResult;
-use dbbd::estimation::{ErrorModel, Options, Positions, Prior};
-use dbbd::measurement::{
+use dbbd_job::sim::truth;
+use dbbd_model::conformity::{CheckInput, DecisionRule};
+use dbbd_model::estimation::change::Innovation;
+use dbbd_model::estimation::expected::{BallMounting, Mounting};
+use dbbd_model::estimation::result::CalibrationResult;
+use dbbd_model::estimation::{ErrorModel, Options, Positions, Prior};
+use dbbd_model::measurement::{
     ApproachedPose, BaseBall, Datum, LengthModel, Measurement, Measurements, PreparedMeasurement, TargetId,
 };
-use dbbd::robot::{
-    Approach, AxisAngles, BallId, BarId, Joint, JointError, JointErrors, ParamId, Ripple, Robot,
-    RobotUncertainty, Smooth,
+use dbbd_model::robot::{
+    Approach, AxisAngles, BallId, BarId, Joint, JointErrorModel, JointErrors, ParamId, Ripple, Robot,
+    RobotUncertainty, SmoothJointError,
 };
-use dbbd::sim::truth;
 use nalgebra::{DMatrix, DVector, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -34,12 +34,12 @@ const CHI_95: f64 = 7.815;
 
 /// A robot within its tolerance; every fourth has no joint errors.
 pub(crate) fn drawn(seed: u64) -> Robot {
-    let mut robot = truth::draw(&kr60(), seed, 0.5);
+    let mut robot = truth::draw_true_robot(&kr60(), seed, 0.5);
     if seed.is_multiple_of(4) {
         return robot;
     }
     let mut random = Pcg64::seed_from_u64(seed);
-    let mut joints = [(); 6].map(|()| JointError::default());
+    let mut joints = [(); 6].map(|()| JointErrorModel::default());
     for (joint, [low, high]) in joints.iter_mut().zip(RANGES.map(|range| range.map(f64::to_radians))) {
         joint.backlash = random.random_range(-1e-4..1e-4);
         let (half_width, sd) = (1.2 * 0.5 * (high - low) + 0.5, random.random_range(0.0..2e-4));
@@ -47,7 +47,7 @@ pub(crate) fn drawn(seed: u64) -> Robot {
             (1..9).map(|m| random.sample::<f64, _>(StandardNormal) / f64::from(m * m + 4)).collect();
         let rms = (weights.iter().map(|w| w * w).sum::<f64>() / (2.0 * half_width)).sqrt();
         let coefficients = weights.iter().map(|w| w * sd / rms).collect();
-        joint.smooth = Smooth { centre: 0.5 * (low + high), half_width, coefficients };
+        joint.smooth = SmoothJointError { centre: 0.5 * (low + high), half_width, coefficients };
     }
     let (amplitude, phase) = (random.random_range(0.0..5e-5), random.random_range(0.0..6.0_f64));
     let ripple = Ripple {
@@ -273,7 +273,7 @@ fn checked(seed: u64, checks: u64, balls: usize) -> [u64; 2] {
                 sigma_mm: result.sigma.mm,
                 mounting: MOUNTED,
                 tolerance_mm: None,
-                rule: Rule::GuardBand { risk: 0.05 },
+                rule: DecisionRule::GuardBand { risk: 0.05 },
                 workspace: &[],
             };
             let innovation = Innovation::of(&input.expected().unwrap(), &readings, input.noise())

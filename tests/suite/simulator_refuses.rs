@@ -63,14 +63,14 @@ fn unresponsive_server_is_reported() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         listener.local_addr().unwrap()
     };
-    assert_eq!(dbbd::sim::ekrl::Client::connect(address).unwrap_err().code.0, "E1606");
+    assert_eq!(dbbd_job::sim::ekrl::EkrlClient::connect(address).unwrap_err().code().as_str(), "E1606");
     for answer in ["", "<Nack/>", "<Ack Id=\"x\"/>"] {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let mut client = dbbd::sim::ekrl::Client::connect(listener.local_addr().unwrap()).unwrap();
+        let mut client = dbbd_job::sim::ekrl::EkrlClient::connect(listener.local_addr().unwrap()).unwrap();
         let (mut stream, _) = listener.accept().unwrap();
         stream.write_all(answer.as_bytes()).unwrap();
         stream.shutdown(Shutdown::Write).unwrap();
-        assert_eq!(client.exchange("<Dbb/>").unwrap_err().code.0, "E1606", "{answer}");
+        assert_eq!(client.exchange("<Dbb/>").unwrap_err().code().as_str(), "E1606", "{answer}");
     }
 }
 

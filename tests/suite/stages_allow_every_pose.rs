@@ -3,13 +3,13 @@
 use std::process::Command;
 use std::sync::OnceLock;
 
-use dbbd::catalogue::PlanFinding;
-use dbbd::measurement::PreparedMeasurement;
-use dbbd::plan::{Job, Kind, Plan, PlanningPrior};
-use dbbd::program::krl::{self, Options, Program};
-use dbbd::robot::Robot;
-use dbbd::sim::world::Setup;
-use dbbd::sim::{Controller, World, truth};
+use dbbd_job::plan::PlanFinding;
+use dbbd_job::plan::{Job, Plan, PlanningPrior, PoseKind};
+use dbbd_job::program::krl::{self, Options, Program};
+use dbbd_job::sim::world::WorldSetup;
+use dbbd_job::sim::{SimulatedController, World, truth};
+use dbbd_model::measurement::PreparedMeasurement;
+use dbbd_model::robot::Robot;
 use tempfile::tempdir;
 
 use crate::cell::{codes, kr60};
@@ -37,10 +37,10 @@ pub(crate) fn execute(plan: &Plan, cell: &Cell, seed: u64) -> (f64, Vec<Prepared
     })
     .unwrap();
     let world = cell.world.replace("[bar]", "[bar]\nstroke_mm = [-50.0, 50.0]");
-    let setup = Setup::new(&program.setups(), Some(("world.toml", &world))).unwrap();
+    let setup = WorldSetup::new(&program.setups(), Some(("world.toml", &world))).unwrap();
     let mut world = World::new(cell.true_robot.geometry.clone(), setup, seed);
-    let mut controller = Controller::new(program, &cell.nominal, 100.0).unwrap();
-    let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
+    let mut controller = SimulatedController::new(program, &cell.nominal, 100.0).unwrap();
+    let rows: Vec<_> = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).collect();
     let mut sums = vec![(0.0, 0.0); rows.len()];
     let (mut mounted, mut was, mut worst) = (false, false, 0.0_f64);
     loop {
@@ -88,7 +88,8 @@ fn stages(seed: u64) -> Staged {
     static FIRST: OnceLock<Plan> = OnceLock::new();
     let (job, nominal) = (job(), kr60());
     let world = include_str!("../../examples/stages/world.toml").to_owned();
-    let cell = Cell { true_robot: truth::draw(&nominal, seed, 1.0), nominal: nominal.clone(), world };
+    let cell =
+        Cell { true_robot: truth::draw_true_robot(&nominal, seed, 1.0), nominal: nominal.clone(), world };
     let first = FIRST.get_or_init(|| Plan::build(&job, &nominal).unwrap());
     let mut plan = first.clone();
     let (mut lengths, mut worst) = (Vec::new(), Vec::new());

@@ -3,8 +3,8 @@
 
 use std::fs::File;
 
-use dbbd::base::units::HostNs;
-use dbbd::recording::capture::{Event, Record, RunEnd, Writer};
+use dbbd_job::recording::capture::{CaptureRecord, CaptureWriter, RunEnd, RunEvent};
+use dbbd_model::base::units::HostNs;
 use serde_json::Value;
 
 use crate::cell::{codes, dbbd, stderr};
@@ -50,11 +50,11 @@ fn closed_pipe_is_not_an_error() {
 fn control_characters_are_escaped() {
     const HOSTILE: &str = "\u{1b}]0;title\u{7}\u{9b}2J\r\ndamages      none";
     let dir = tempfile::tempdir().unwrap();
-    let mut writer = Writer::create(&dir.path().join("run")).unwrap();
+    let mut writer = CaptureWriter::create(&dir.path().join("run")).unwrap();
     let mut write = |record| writer.write(HostNs(1), &record).unwrap();
-    write(Record::Attachment { name: HOSTILE.into(), content: vec![1] });
-    write(Record::Event(Event::Mark { text: HOSTILE.into() }));
-    write(Record::Event(Event::Ended(RunEnd { reason: HOSTILE.into(), samples: 0, lost: 0 })));
+    write(CaptureRecord::Attachment { name: HOSTILE.into(), content: vec![1] });
+    write(CaptureRecord::Event(RunEvent::Mark { text: HOSTILE.into() }));
+    write(CaptureRecord::Event(RunEvent::Ended(RunEnd { reason: HOSTILE.into(), samples: 0, lost: 0 })));
     let steers = |c: char| c.is_control() && c != '\n';
     let lines = dbbd(dir.path(), &["info", "run"]);
     let text = String::from_utf8(lines.stdout.clone()).unwrap();

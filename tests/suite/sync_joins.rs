@@ -1,18 +1,18 @@
 //! A stream of lengths and a plan become observations by stillness, strobe or reports, with wrapped and restarted
 //! clocks.
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::catalogue::MatchingFinding;
-use dbbd::diagnostic::Finding;
-use dbbd::measurement::sample::Sample;
-use dbbd::plan::Kind;
-use dbbd::recording::matching::{DwellSource, Input, MatchOutcome, PoseMatching, match_poses};
-use dbbd::recording::{Report, reported_axes};
+use dbbd_job::plan::PoseKind;
+use dbbd_job::recording::matching::MatchingFinding;
+use dbbd_job::recording::matching::{DwellSource, MatchOutcome, MatchingInput, PoseMatching, match_poses};
+use dbbd_job::recording::{DwellReport, reported_axes};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::diagnostic::Finding;
+use dbbd_model::measurement::sample::Sample;
 
 use crate::sync_runs::{DWELL_S, Run, SETTLE_S, WORLD, World, plan, right, run, stream};
 
 fn codes(matching: &PoseMatching) -> Vec<&'static str> {
-    matching.findings.iter().map(|finding| finding.code().0).collect()
+    matching.findings.iter().map(|finding| finding.code().as_str()).collect()
 }
 
 /// Findings about a disturbed run, by code.
@@ -66,10 +66,12 @@ fn findings_of_a_run_have_codes() {
         let plan = plan(4, 61, 61, code != "W1002");
         let mut run = run(&plan, 4, World { strobe, repeatability_mm: 0.0, ..WORLD });
         spoil(&mut run);
-        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
         let reasons = matching.outcomes.iter().filter_map(|pose| match &pose.outcome {
             MatchOutcome::Matched { .. } => None,
-            MatchOutcome::Missing { reason } | MatchOutcome::Ambiguous { reason } => Some(reason.code().0),
+            MatchOutcome::Missing { reason } | MatchOutcome::Ambiguous { reason } => {
+                Some(reason.code().as_str())
+            }
         });
         let all: Vec<&str> = codes(&matching).into_iter().chain(reasons).collect();
         assert!(all.contains(&code), "{code}: {:?}", matching.findings);
@@ -83,7 +85,8 @@ fn findings_of_a_run_have_codes() {
     let stream = stream(&run.samples);
     for (off_deg, code) in [(0.3, "I1010"), (10.0, "W1006")] {
         let axes = plan.rows.iter().map(|row| (row.index, row.axes_deg.map(|deg| deg + off_deg))).collect();
-        let matching = match_poses(&Input { axes_deg: Some(&axes), ..Input::new(&plan, &stream) });
+        let matching =
+            match_poses(&MatchingInput { axes_deg: Some(&axes), ..MatchingInput::new(&plan, &stream) });
         assert_eq!(codes(&matching), [code]);
     }
 }
@@ -93,11 +96,11 @@ fn findings_of_a_run_have_codes() {
 fn unusable_reports_have_a_code() {
     let plan = plan(5, 30, 30, true);
     let mut run = run(&plan, 5, World { strobe: true, ..WORLD });
-    let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
-    let reports: Vec<Report> = dwells
+    let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit);
+    let reports: Vec<DwellReport> = dwells
         .zip(&run.starts_s)
         .flat_map(|(row, start_s)| {
-            [(1, SETTLE_S), (2, SETTLE_S + DWELL_S)].map(|(phase, after_s)| Report {
+            [(1, SETTLE_S), (2, SETTLE_S + DWELL_S)].map(|(phase, after_s)| DwellReport {
                 host: HostNs(((start_s + after_s) * 1e9) as u64),
                 index: row.index,
                 phase,
@@ -105,18 +108,18 @@ fn unusable_reports_have_a_code() {
             })
         })
         .collect();
-    let matched = |run: &Run, reports: &[Report]| {
+    let matched = |run: &Run, reports: &[DwellReport]| {
         let stream = stream(&run.samples);
-        match_poses(&Input { reports, ..Input::new(&plan, &stream) })
+        match_poses(&MatchingInput { reports, ..MatchingInput::new(&plan, &stream) })
     };
     let whole = matched(&run, &reports);
     assert_eq!((whole.source, codes(&whole)), (DwellSource::Reports, vec![]));
-    let begins: Vec<Report> = reports.iter().filter(|report| report.phase == 1).copied().collect();
+    let begins: Vec<DwellReport> = reports.iter().filter(|report| report.phase == 1).copied().collect();
     let unpaired = matched(&run, &begins);
     // A simulation ten times faster than real time: host stamps say nothing about the bar's clock.
     run.samples.iter_mut().for_each(|(host, _)| host.0 /= 10);
-    let fast: Vec<Report> =
-        reports.iter().map(|report| Report { host: HostNs(report.host.0 / 10), ..*report }).collect();
+    let fast: Vec<DwellReport> =
+        reports.iter().map(|report| DwellReport { host: HostNs(report.host.0 / 10), ..*report }).collect();
     for matching in [unpaired, matched(&run, &fast)] {
         assert_eq!((matching.source, codes(&matching)), (DwellSource::Strobe, vec!["W1080"]));
         assert_eq!(right(&plan, &run, &matching), 30);
@@ -130,7 +133,7 @@ fn run_without_strobe_is_matched_by_intervals() {
         let plan = plan(seed, 60, 30, true);
         let override_factor = [1.0, 0.5, 0.7, 0.9][seed as usize];
         let run = run(&plan, seed, World { override_factor, ..WORLD });
-        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
         assert_eq!(matching.source, DwellSource::Stillness);
         let found = right(&plan, &run, &matching);
         eprintln!(
@@ -156,7 +159,7 @@ fn override_is_estimated_if_moves_are_long() {
         let override_factor = f64::from(percent) / 100.0;
         let world = World { override_factor, strobe: true, rate_hz: 100.0, ..WORLD };
         let run = run(&plan, u64::from(percent), world);
-        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
         assert_eq!(right(&plan, &run, &matching), 30, "{percent} %: {:?}", matching.override_factor);
         assert!((matching.override_factor.unwrap() / override_factor - 1.0).abs() < 0.002, "{percent} %");
     }
@@ -167,7 +170,7 @@ fn noisy_bar_loses_poses_without_wrong_pairs() {
     for (seed, correlation, noise_mm, rate_hz) in [(0, 0.8, 0.002, 1000.0), (1, 0.0, 0.005, 250.0)] {
         let plan = plan(20 + seed, 60, 60, true);
         let run = run(&plan, seed, World { correlation, noise_mm, rate_hz, ..WORLD });
-        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
         let found = right(&plan, &run, &matching);
         eprintln!("noise {noise_mm} r {correlation} at {rate_hz} Hz: {found} of 60 joined");
         assert!(found >= 24, "{found} of 60");
@@ -179,7 +182,7 @@ fn strobes_pair_poses_with_equal_moves() {
     let plan = plan(3, 50, 25, false);
     let world = World { strobe: true, ..WORLD };
     let run = run(&plan, 3, world);
-    let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+    let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
     assert_eq!(matching.source, DwellSource::Strobe);
     assert_eq!(right(&plan, &run, &matching), 50);
 }
@@ -195,12 +198,12 @@ fn lost_strobe_shifts_no_pose() {
             sample.trigger = Some(false);
         }
     }
-    let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+    let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
     let found = right(&plan, &run, &matching);
     assert_eq!(found, 49);
     let count = MatchingFinding::StrobeCount { module: 1, strobes: 24, dwells: 25 };
     assert_eq!(matching.findings[0], count);
-    assert_eq!(count.code().0, "W1004");
+    assert_eq!(count.code().as_str(), "W1004");
     assert!(
         matches!(
             matching.outcomes[12].outcome,
@@ -227,7 +230,7 @@ fn bouncing_and_doubled_strobes_lose_no_other_pose() {
                 sample.trigger = Some(true);
             }
         }
-        let matching = match_poses(&Input::new(&plan, &stream(&run.samples)));
+        let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
         let found = right(&plan, &run, &matching);
         eprintln!("bounce {bounce}, extra {extra}: {found} of 50");
         let count = MatchingFinding::StrobeCount { module: 1, strobes: 26, dwells: 25 };
@@ -245,7 +248,8 @@ fn wrapped_counter_changes_nothing() {
     let plan = plan(5, 20, 20, true);
     let plain = run(&plan, 5, WORLD);
     let wrapped = run(&plan, 5, World { ticks_begin: (1 << 32) - 30_000_000, ..WORLD });
-    let csv = |run: &Run| match_poses(&Input::new(&plan, &stream(&run.samples))).observations.to_csv();
+    let csv =
+        |run: &Run| match_poses(&MatchingInput::new(&plan, &stream(&run.samples))).observations.to_csv();
     assert!(stream(&wrapped.samples).breaks.is_empty());
     // The unwrapped times differ by rounding alone.
     assert_eq!(csv(&plain), csv(&wrapped));
@@ -262,7 +266,7 @@ fn restarted_counter_loses_at_most_one_dwell() {
     }
     let stream = stream(&run.samples);
     assert_eq!(stream.breaks.len(), 1);
-    let matching = match_poses(&Input::new(&plan, &stream));
+    let matching = match_poses(&MatchingInput::new(&plan, &stream));
     let found = right(&plan, &run, &matching);
     assert!(found >= 36, "{found} of 40");
     assert!(codes(&matching).contains(&"I1012"), "{:?}", matching.findings);
@@ -272,17 +276,18 @@ fn restarted_counter_loses_at_most_one_dwell() {
 fn reports_identify_the_poses() {
     let plan = plan(8, 30, 30, false);
     let run = run(&plan, 8, WORLD);
-    let rows = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
-    let reports: Vec<Report> = rows
+    let rows = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit);
+    let reports: Vec<DwellReport> = rows
         .zip(&run.starts_s)
         .flat_map(|(row, start_s)| {
             let host = |s: f64| HostNs(((start_s + s) * 1e9) as u64 + 8_000_000);
-            let report = |phase, s| Report { host: host(s), index: row.index, phase, axes_deg: row.axes_deg };
+            let report =
+                |phase, s| DwellReport { host: host(s), index: row.index, phase, axes_deg: row.axes_deg };
             [report(1, SETTLE_S), report(2, SETTLE_S + DWELL_S)]
         })
         .collect();
     let stream = stream(&run.samples);
-    let matching = match_poses(&Input { reports: &reports, ..Input::new(&plan, &stream) });
+    let matching = match_poses(&MatchingInput { reports: &reports, ..MatchingInput::new(&plan, &stream) });
     assert_eq!(matching.source, DwellSource::Reports);
     assert_eq!(right(&plan, &run, &matching), 30);
     assert_eq!(matching.findings, []);
@@ -292,8 +297,11 @@ fn reports_identify_the_poses() {
     elsewhere[8].axes_deg[2] += 0.02;
     elsewhere[20].axes_deg[5] += 0.4;
     let axes = reported_axes(&elsewhere);
-    let matching =
-        match_poses(&Input { reports: &elsewhere, axes_deg: Some(&axes), ..Input::new(&plan, &stream) });
+    let matching = match_poses(&MatchingInput {
+        reports: &elsewhere,
+        axes_deg: Some(&axes),
+        ..MatchingInput::new(&plan, &stream)
+    });
     let row = &matching.observations.rows[4];
     assert!((row.axes.degrees()[2] - plan.rows[row.index as usize - 1].axes_deg[2] - 0.01).abs() < 1e-12);
     let [MatchingFinding::AxesMoved { poses: 1, worst_deg }] = matching.findings[..] else {

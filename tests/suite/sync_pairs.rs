@@ -4,7 +4,7 @@
 //! 10 % spurious, override 0.5..1, a 30 s pause; with distinct move times 0 wrong and 0.8 % dropped,
 //! with equal moves 72 % dropped and 0 wrong.
 
-use dbbd::recording::matching::{Commanded, DwellEvidence, Expected, Pairing, align};
+use dbbd_job::recording::matching::{CommandedDwell, DwellEvidence, ExpectedLengths, Pairing, align};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
 use rand_pcg::Pcg64;
@@ -38,7 +38,7 @@ fn drawn(seed: u64) -> Trouble {
 
 /// Commanded dwells, the detected starts, the true pose of each, and the override.
 struct Run {
-    poses: Vec<Commanded>,
+    poses: Vec<CommandedDwell>,
     seen: Vec<DwellEvidence>,
     truth: Vec<Option<usize>>,
     override_factor: f64,
@@ -57,9 +57,9 @@ fn run(seed: u64, distinct: bool, trouble: Trouble) -> Run {
 fn run_of(seed: u64, count: usize, per_module: usize, distinct: bool, trouble: Trouble) -> Run {
     let mut rng = Pcg64::seed_from_u64(seed);
     let override_factor = rng.random_range(0.5..1.0);
-    let poses: Vec<Commanded> = (0..count)
+    let poses: Vec<CommandedDwell> = (0..count)
         .map(|pose| (pose, if distinct { rng.random_range(0.8..3.0) } else { 1.9 }))
-        .map(|(pose, move_s)| Commanded { move_s, wait_s: WAIT_S, module: pose / per_module })
+        .map(|(pose, move_s)| CommandedDwell { move_s, wait_s: WAIT_S, module: pose / per_module })
         .collect();
     let pauses: Vec<usize> = (0..trouble.pauses).map(|_| rng.random_range(0..count)).collect();
     let lost = if trouble.lost_first == 0 { 0 } else { rng.random_range(0..=trouble.lost_first) };
@@ -140,7 +140,8 @@ fn score(seeds: std::ops::Range<u64>, distinct: bool, trouble: Trouble) -> Score
 fn score_runs(runs: impl Iterator<Item = (u64, Run)>, model: bool) -> Score {
     let mut score = Score::default();
     for (seed, run) in runs {
-        let expected = Expected { length_mm: &run.expected_mm, sigma_mm: START_ERROR_MM / 3f64.sqrt() };
+        let expected =
+            ExpectedLengths { length_mm: &run.expected_mm, sigma_mm: START_ERROR_MM / 3f64.sqrt() };
         let alignment = align(&run.poses, &run.seen, model.then_some(expected));
         score.sound += run.truth.iter().flatten().count();
         for (pose, pairing) in alignment.pairings.iter().enumerate() {

@@ -1,11 +1,11 @@
 //! Runs of a plan whose true readings and times are known.
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::measurement::sample::Sample;
-use dbbd::plan::{Header, Kind, Motion, MoveTime, Plan, PlanRow};
-use dbbd::recording::matching::PoseMatching;
-use dbbd::recording::{DeviceClock, Stream, StreamBuilder};
-use dbbd::robot::AXES;
+use dbbd_job::plan::{MotionKind, MoveTime, Plan, PlanHeader, PlanRow, PoseKind};
+use dbbd_job::recording::matching::PoseMatching;
+use dbbd_job::recording::{DeviceClock, SampleStream, StreamBuilder};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::measurement::sample::Sample;
+use dbbd_model::robot::AXES;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
 use rand_pcg::Pcg64;
@@ -18,21 +18,21 @@ pub(crate) const DWELL_S: f64 = 1.0;
 pub(crate) fn plan(seed: u64, poses: u32, module: u32, distinct: bool) -> Plan {
     let mut rng = Pcg64::seed_from_u64(seed);
     let (mut rows, mut moves) = (Vec::new(), Vec::new());
-    let mut row = |circle: u32, kind: Kind, duration_s: f64, axes_deg: [f64; AXES]| {
+    let mut row = |circle: u32, kind: PoseKind, duration_s: f64, axes_deg: [f64; AXES]| {
         let index = rows.len() as u32 + 1;
         rows.push(PlanRow {
             index,
             circle,
             centre: 1,
             kind,
-            motion: Motion::Lin,
+            motion: MotionKind::Lin,
             xyz_mm: [1300.0, 0.0, 800.0],
             abc_deg: [0.0; 3],
             axes_deg,
             status: 2,
             turn: 0,
             length_mm: BAR_MM,
-            dwell_s: if kind == Kind::Transit { 0.0 } else { DWELL_S },
+            dwell_s: if kind == PoseKind::Transit { 0.0 } else { DWELL_S },
         });
         moves.push(MoveTime { index, feed_mm_s: 20.0, turn_deg_s: 20.0, axis_percent: 10.0, duration_s });
     };
@@ -40,13 +40,13 @@ pub(crate) fn plan(seed: u64, poses: u32, module: u32, distinct: bool) -> Plan {
         let circle = pose / module + 1;
         let knocks = |count: usize| std::iter::repeat_n(0.3, 2 * count);
         if pose % module == 0 {
-            knocks(3).for_each(|s| row(circle, Kind::Transit, s, [0.0; AXES]));
+            knocks(3).for_each(|s| row(circle, PoseKind::Transit, s, [0.0; AXES]));
         }
-        let kind = if pose % 20 == 0 { Kind::Reference } else { Kind::Measure };
-        let axes = if kind == Kind::Reference { [1.0; AXES] } else { [f64::from(pose); AXES] };
+        let kind = if pose % 20 == 0 { PoseKind::Reference } else { PoseKind::Measure };
+        let axes = if kind == PoseKind::Reference { [1.0; AXES] } else { [f64::from(pose); AXES] };
         row(circle, kind, if distinct { rng.random_range(0.8..3.0) } else { 1.9 }, axes);
         if pose % module == module - 1 || pose + 1 == poses {
-            knocks(2).for_each(|s| row(circle, Kind::Transit, s, [0.0; AXES]));
+            knocks(2).for_each(|s| row(circle, PoseKind::Transit, s, [0.0; AXES]));
         }
     }
     let job = serde_json::json!({
@@ -60,7 +60,7 @@ pub(crate) fn plan(seed: u64, poses: u32, module: u32, distinct: bool) -> Plan {
     let header = serde_json::json!({
         "schema": 1, "hash": "", "job": job, "robot": "", "moves": moves, "checks": [],
     });
-    let header: Header = serde_json::from_value(header).unwrap();
+    let header: PlanHeader = serde_json::from_value(header).unwrap();
     Plan { rows, header }
 }
 
@@ -112,7 +112,7 @@ pub(crate) fn run(plan: &Plan, seed: u64, world: World) -> Run {
     let mut at_mm = 0.05;
     let mut knock = false;
     let mut circle = 0;
-    let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit).count() as f64;
+    let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).count() as f64;
     for (row, time) in plan.rows.iter().zip(&plan.header.moves) {
         if row.circle != circle {
             circle = row.circle;
@@ -122,7 +122,7 @@ pub(crate) fn run(plan: &Plan, seed: u64, world: World) -> Run {
             }
         }
         let move_s = time.duration_s / world.override_factor;
-        if row.kind == Kind::Transit {
+        if row.kind == PoseKind::Transit {
             let to_mm = if knock { at_mm - 0.3 } else { at_mm + 0.3 };
             knock = !knock;
             phases.push((at_mm, to_mm, move_s, false));
@@ -130,7 +130,7 @@ pub(crate) fn run(plan: &Plan, seed: u64, world: World) -> Run {
             continue;
         }
         let turn = readings_mm.len() as f64 / dwells * std::f64::consts::TAU;
-        let swing = if row.kind == Kind::Reference {
+        let swing = if row.kind == PoseKind::Reference {
             0.0
         } else {
             world.swing_mm * (turn.sin() + (2.0 * turn).cos())
@@ -190,7 +190,7 @@ fn travelled(share: f64, lasts_s: f64) -> f64 {
     }
 }
 
-pub(crate) fn stream(samples: &[(HostNs, Sample)]) -> Stream {
+pub(crate) fn stream(samples: &[(HostNs, Sample)]) -> SampleStream {
     let mut stream = StreamBuilder::new(Some(CLOCK)).sequence(Some(1 << 16));
     samples.iter().for_each(|(host, sample)| stream.push(*host, sample));
     stream.build()
@@ -198,7 +198,7 @@ pub(crate) fn stream(samples: &[(HostNs, Sample)]) -> Stream {
 
 /// Number of dwells of the plan with a length; each must be the right one.
 pub(crate) fn right(plan: &Plan, run: &Run, matching: &PoseMatching) -> usize {
-    let dwells: Vec<&PlanRow> = plan.rows.iter().filter(|row| row.kind != Kind::Transit).collect();
+    let dwells: Vec<&PlanRow> = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).collect();
     for row in &matching.observations.rows {
         let at = dwells.iter().position(|dwell| dwell.index == row.index).unwrap();
         let off_mm = row.length_mm - BAR_MM - run.readings_mm[at];

@@ -2,17 +2,19 @@
 //! without
 //! stops, each with its program from the plan, on the same simulated robot.
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::estimation::{CalibrationResult, Options, result::Status};
-use dbbd::measurement::BaseBall;
-use dbbd::measurement::sample::Sample;
-use dbbd::plan::{Job, Plan};
-use dbbd::program::krl::{self, Program, Sync, emit};
-use dbbd::recording::matching::{DwellSource, Input, PoseMatching, PoseOutcome, match_poses};
-use dbbd::recording::{DeviceClock, Report, StreamBuilder, TelegramReader, TelegramResult, reported_axes};
-use dbbd::robot::{BallId, Robot};
-use dbbd::sim::world::Setup;
-use dbbd::sim::{Controller, World};
+use dbbd_job::plan::{Job, Plan};
+use dbbd_job::program::krl::{self, Program, Sync, emit};
+use dbbd_job::recording::matching::{DwellSource, MatchingInput, PoseMatching, PoseOutcome, match_poses};
+use dbbd_job::recording::{
+    DeviceClock, DwellReport, StreamBuilder, TelegramReader, TelegramResult, reported_axes,
+};
+use dbbd_job::sim::world::WorldSetup;
+use dbbd_job::sim::{SimulatedController, World};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::estimation::{CalibrationResult, Options, result::Status};
+use dbbd_model::measurement::BaseBall;
+use dbbd_model::measurement::sample::Sample;
+use dbbd_model::robot::{BallId, Robot};
 
 use crate::cell::{CENTRE, calibrated, dbbd, kr60, stderr, with_errors};
 
@@ -49,9 +51,9 @@ fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Rob
     // No repeatability error: a pass is one motion, so an error common to its points shows in no residual.
     let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| CENTRE[axis] + CENTRE_ERRORS[axis]);
     let world = format!("[[centre]]\nid = 1\nxyz_mm = [{x:?}, {y:?}, {z:?}]\n[bar]\nnoise_um = 2.0\n");
-    let setup = Setup::new(&program.setups(), Some(("world.toml", &world))).unwrap();
+    let setup = WorldSetup::new(&program.setups(), Some(("world.toml", &world))).unwrap();
     let mut world = World::new(truth.geometry.clone(), setup, seed);
-    let mut controller = Controller::new(program, &kr60(), override_percent).unwrap();
+    let mut controller = SimulatedController::new(program, &kr60(), override_percent).unwrap();
     controller.link_ekrl();
     let mut stream = StreamBuilder::new(Some(DeviceClock { seconds_per_tick: 1e-6, wrap: Some(1 << 32) }));
     let (mut reader, mut reports) = (TelegramReader::default(), Vec::new());
@@ -63,7 +65,7 @@ fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Rob
             for heard in reader.push(telegram.as_bytes()) {
                 let TelegramResult::Telegram(told) = heard else { panic!("{heard:?}") };
                 let (index, phase, axes_deg) = (told.index, told.phase, told.axes_deg);
-                reports.push(Report { host, index, phase, axes_deg });
+                reports.push(DwellReport { host, index, phase, axes_deg });
                 controller.answer(i64::from(index));
             }
         }
@@ -87,10 +89,10 @@ fn driven(plan: &Plan, sync: Sync, override_percent: f64, seed: u64, truth: &Rob
     }
     let stream = stream.build();
     let axes = reported_axes(&reports);
-    match_poses(&Input {
+    match_poses(&MatchingInput {
         reports: &reports,
         axes_deg: (!axes.is_empty()).then_some(&axes),
-        ..Input::new(plan, &stream)
+        ..MatchingInput::new(plan, &stream)
     })
 }
 

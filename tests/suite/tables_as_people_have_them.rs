@@ -70,7 +70,7 @@ fn large_tables_show_progress() {
     use std::process::{Command, Stdio};
     use std::time::Duration;
 
-    use dbbd::base::clock;
+    use dbbd_device::clock;
 
     use serialport::TTYPort;
 

@@ -5,10 +5,10 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use dbbd::estimation::result::{SigmaSource, Status};
-use dbbd::estimation::result_file::{ResultFile, Warning};
-use dbbd::measurement::Measurements;
-use dbbd::robot::Robot;
+use dbbd_model::estimation::result::{SigmaSource, Status};
+use dbbd_model::estimation::result_file::{ResultFile, Warning};
+use dbbd_model::measurement::Measurements;
+use dbbd_model::robot::Robot;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -258,7 +258,7 @@ fn a_missing_repeatability_is_reported() {
         assert_eq!(codes(&output).iter().any(|code| code == "I0510"), asked, "{}", stderr(&output));
     }
     let impossible = toml.replace("repeatability_mm = 0.05", "repeatability_mm = -0.05");
-    assert_eq!(Robot::from_toml("robot.toml", &impossible).unwrap_err().code.0, "E0505");
+    assert_eq!(Robot::from_toml("robot.toml", &impossible).unwrap_err().code().as_str(), "E0505");
 }
 
 /// As many lengths as parameters: an answer, but no interval, since sigma is unknown.

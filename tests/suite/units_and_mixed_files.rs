@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd::robot::Robot;
+use dbbd_model::robot::Robot;
 
 use crate::cell::{codes, dbbd, stderr};
 use crate::nothing_wrong_is_silent::{JOB, cell, identify, says};

@@ -13,15 +13,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use dbbd::base::clock;
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::daemon::{Acquisition, Controller, Options};
-use dbbd::device::port::PortAddress;
-use dbbd::device::protocol::Definition;
-use dbbd::measurement::sample::Sample;
-use dbbd::provenance::Identity;
-use dbbd::recording::capture::{self, Event, Record};
-use dbbd::sim::bar::Link;
+use dbbd::daemon::{Acquisition, AcquisitionOptions, ControllerConnections};
+use dbbd_device::clock;
+use dbbd_device::port::PortAddress;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_job::recording::capture::{self, CaptureRecord, RunEvent};
+use dbbd_job::sim::bar::TerminalLink;
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::measurement::sample::Sample;
+use dbbd_model::provenance::Identity;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serialport::{SerialPort, TTYPort};
@@ -56,7 +56,7 @@ struct Length {
 /// away.
 fn bar(link: &Path, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> {
     let mut dice = Pcg64::seed_from_u64(seed);
-    let encoder = Definition::by_name("dbb-cobs-1").unwrap().unwrap().encoder();
+    let encoder = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap().encoder();
     let begin = clock::now();
     let mut away: Vec<Away> = Vec::new();
     let (mut sequence, mut left_s) = (0u32, None);
@@ -65,7 +65,7 @@ fn bar(link: &Path, length: Length, seed: u64, ready: &AtomicBool) -> Vec<Away> 
         let name = host.name().unwrap();
         drop(host);
         line.set_timeout(Duration::from_millis(20)).unwrap();
-        let plug = Link::new(link, &name).unwrap();
+        let plug = TerminalLink::new(link, &name).unwrap();
         let plugged = clock::now();
         if let Some(from_s) = left_s {
             away.push(Away { from_s, to_s: seconds(plugged) });
@@ -209,13 +209,13 @@ fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
     while !ready.load(Ordering::Relaxed) {
         clock::sleep(0.01);
     }
-    let options = Options {
+    let options = AcquisitionOptions {
         port,
-        definition: Definition::by_name("dbb-cobs-1").unwrap().unwrap(),
+        definition: ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap(),
         out: out.clone(),
         plan: None,
         identity: Identity::default(),
-        controller: Controller::default(),
+        controller: ControllerConnections::default(),
         duration_s: None,
         gone_s: 1e9,
         sync_s: 1.0,
@@ -227,12 +227,12 @@ fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
     // The last absence has no end.
     stop.store(true, Ordering::Relaxed);
     let samples = acquisition.join().unwrap().progress.samples;
-    let capture = capture::read(&std::fs::read(&out).unwrap());
+    let capture = capture::read_capture(&std::fs::read(&out).unwrap());
     assert!(capture.ended() && capture.damages.is_empty());
     accounts_for_every_byte(&capture);
     let mut gaps: Vec<Away> = Vec::new();
     for stamped in &capture.records {
-        if let Record::Event(Event::Gap { seconds: Some(lasted_s), reason, .. }) = &stamped.record {
+        if let CaptureRecord::Event(RunEvent::Gap { seconds: Some(lasted_s), reason, .. }) = &stamped.record {
             assert!(reason.contains("gone"), "{reason}");
             let to_s = seconds(stamped.host);
             gaps.push(Away { from_s: to_s - lasted_s, to_s });
@@ -264,13 +264,13 @@ fn accounts_for_every_byte(capture: &capture::Capture) {
     let (mut received, mut explained) = (0, 0);
     for stamped in &capture.records {
         match &stamped.record {
-            Record::Raw(bytes) => received += bytes.len() as u64,
-            Record::Samples(samples) => explained += 18 * samples.len() as u64,
-            Record::Fault(json) => {
+            CaptureRecord::Raw(bytes) => received += bytes.len() as u64,
+            CaptureRecord::Samples(samples) => explained += 18 * samples.len() as u64,
+            CaptureRecord::Fault(json) => {
                 let fault: serde_json::Value = serde_json::from_slice(json).unwrap();
                 explained += fault["bytes"].as_u64().unwrap();
             }
-            Record::Attachment { .. } | Record::Axes(_) | Record::Event(_) => {}
+            CaptureRecord::Attachment { .. } | CaptureRecord::Axes(_) | CaptureRecord::Event(_) => {}
         }
     }
     assert_eq!(received, explained);

@@ -2,8 +2,8 @@
 
 use std::fs;
 
-use dbbd::robot::pose::{rot_x, rot_y, rot_z};
-use dbbd::robot::{Pose, Robot};
+use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
+use dbbd_model::robot::{Pose, Robot};
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Output;
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::measurement::sample::Sample;
-use dbbd::robot::Robot;
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::measurement::sample::Sample;
+use dbbd_model::robot::Robot;
 use serde_json::Value;
 
 use crate::cell::stderr;

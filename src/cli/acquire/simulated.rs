@@ -1,26 +1,27 @@
 //! `--port sim`: a simulated cell as a child process, with its programs in a temporary directory.
 
+use dbbd_model::base::text::unreadable;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 
-use crate::base::files;
-use crate::catalogue::FileFinding;
-use crate::cli::child::{LOOPBACK, Simulator, Steps};
-use crate::cli::{Output, demo};
-use crate::device::port::PortAddress;
-use crate::diagnostic::Diagnostic;
-use crate::plan::{Plan, Taught};
-use crate::recording::run::read_plan;
-use crate::robot::Robot;
-use crate::sim::truth;
+use crate::cli::child::{ChildCommands, LOOPBACK, Simulator};
+use crate::cli::{CommandOutput, demo};
+use dbbd_device::port::PortAddress;
+use dbbd_job::files;
+use dbbd_job::plan::{Plan, TaughtBall};
+use dbbd_job::recording::run::read_plan;
+use dbbd_job::sim::truth;
+use dbbd_model::base::FileFinding;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::Robot;
 
 /// How long a program waits at its HALT, s.
 pub(crate) const HALT_S: &str = "2";
 
 /// A simulator that runs a plan.
-pub(crate) struct Cell {
+pub(crate) struct PlanSimulator {
     simulator: Simulator,
     plan: PathBuf,
     directory: TempDir,
@@ -39,14 +40,14 @@ fn private_directory() -> Result<TempDir, Diagnostic> {
 
 /// A world with the repeatability and the noise that the plan assumes, and with the base balls where they were taught.
 fn world(plan: &Plan, robot: &Robot) -> String {
-    let table = |Taught { centre, axes_deg }: Taught| {
+    let table = |TaughtBall { centre, axes_deg }: TaughtBall| {
         format!("[[centre]]\nid = {centre}\ntaught_deg = {axes_deg:?}\n")
     };
     let noise = truth::noise(robot, plan.header.job.bar.sigma_um);
     std::iter::once(noise).chain(plan.taught().map(table)).collect()
 }
 
-impl Cell {
+impl PlanSimulator {
     /// Starts the simulator with `plan`, or with that of the demo. `speed` is device time per host time; 0: as fast as the
     /// bytes are read. The program waits `halt_s` at each HALT, and reports its dwells to `server`, if given.
     pub(crate) fn start(
@@ -54,15 +55,15 @@ impl Cell {
         speed: &str,
         halt_s: &str,
         server: Option<SocketAddr>,
-        out: &Output,
+        out: &CommandOutput,
     ) -> Result<Self, Diagnostic> {
         let directory = private_directory()?;
         let inside = directory.path();
-        let steps = Steps::new(inside, out);
+        let steps = ChildCommands::new(inside, out);
         let plan = match plan {
-            Some(plan) => std::path::absolute(plan).map_err(files::unreadable(plan.display()))?,
+            Some(plan) => std::path::absolute(plan).map_err(unreadable(plan.display()))?,
             None => {
-                files::write(&inside.join("job.toml"), demo::JOB)?;
+                files::write_file(&inside.join("job.toml"), demo::JOB)?;
                 steps.run(&["plan", "job.toml", "--out", "plan"])?;
                 inside.join("plan/plan.csv")
             }
@@ -71,8 +72,8 @@ impl Cell {
         let content = read_plan(&plan)?;
         let robot = Robot::from_toml("the plan's robot", &content.header.robot)?;
         // The controller computes with the nominal robot, even if the plan was made for an identified one.
-        files::write(&inside.join("robot.toml"), robot.controller().to_toml()?)?;
-        files::write(&inside.join("world.toml"), world(&content, &robot))?;
+        files::write_file(&inside.join("robot.toml"), robot.controller().to_toml()?)?;
+        files::write_file(&inside.join("world.toml"), world(&content, &robot))?;
         let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
         let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--nominal", "robot.toml"];
         simulate.extend(["--world", "world.toml", "--speed", speed, "--halt", halt_s]);

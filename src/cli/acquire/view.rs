@@ -1,13 +1,17 @@
 //! The progress of a run on a terminal: length against stroke, poses, losses.
 
-use crate::daemon::{MountDetector, Progress, Reading, Schedule};
+use crate::daemon::{MountDetector, MountReading, RunProgress, Schedule};
 use crate::live::Alarm;
 
 /// Width of the gauge in characters.
 const WIDTH: usize = 41;
 
 /// The reading against the stroke, and below it poses, rate and losses. `mount` must have seen all earlier readings.
-pub(super) fn lines(progress: &Progress, schedule: &Schedule, mount: &mut MountDetector) -> String {
+pub(super) fn progress_lines(
+    progress: &RunProgress,
+    schedule: &Schedule,
+    mount: &mut MountDetector,
+) -> String {
     let Some(reading_mm) = progress.reading_mm.filter(|_| !progress.gone) else {
         return super::status(progress);
     };
@@ -19,7 +23,7 @@ pub(super) fn lines(progress: &Progress, schedule: &Schedule, mount: &mut MountD
     let below = format!("  {elapsed_s:.0} s, {poses}, {rate_hz:.0} Hz{}", super::losses(progress));
     let shown = format!("{reading_mm:+9.4} mm");
     let (valid, dwells) = (progress.valid, progress.dwells);
-    let alarm = mount.alarm(schedule, Reading { t_s: elapsed_s, reading_mm, valid, dwells });
+    let alarm = mount.alarm(schedule, MountReading { t_s: elapsed_s, reading_mm, valid, dwells });
     if alarm.is_none() {
         return format!("{shown}  no bar mounted: reading invalid\n{below}");
     }
@@ -58,8 +62,9 @@ mod tests {
         let mut elapsed_s = 0.0;
         let mut at = |mm: f64| {
             elapsed_s += 1.0;
-            let progress = Progress { reading_mm: Some(mm), valid: true, elapsed_s, ..Progress::default() };
-            lines(&progress, &schedule, &mut mount)
+            let progress =
+                RunProgress { reading_mm: Some(mm), valid: true, elapsed_s, ..RunProgress::default() };
+            progress_lines(&progress, &schedule, &mut mount)
         };
         assert!(at(-1.2).contains("no bar mounted: reading invalid"));
         assert!(at(0.0).contains("[--------------------#--------------------]"), "{}", at(0.0));

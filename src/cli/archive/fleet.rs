@@ -6,13 +6,15 @@ use std::path::Path;
 use nalgebra::{DMatrix, DVector};
 use serde_json::json;
 
-use crate::archive::{Archive, ArchivedResult, Selection, Settings, WrittenPosterior};
-use crate::base::{date, files, serialised};
-use crate::catalogue::ArchiveFinding;
-use crate::cli::{Outcome, Output};
-use crate::diagnostic::Diagnostic;
-use crate::estimation::fleet::{Assumptions, RunPosterior, fleet};
-use crate::robot::Robot;
+use crate::cli::{CommandOutcome, CommandOutput};
+use dbbd_job::files;
+use dbbd_model::base::date;
+use dbbd_model::base::serialised;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::fleet::{Assumptions, RunPosterior, fleet};
+use dbbd_model::robot::Robot;
+use dbbd_plant::ArchiveFinding;
+use dbbd_plant::{Archive, ArchivedResult, IdentifySettings, RunSelection, WrittenPosterior};
 
 /// A result as the estimation of the fleet takes it; `None` if it has no posterior or no date.
 fn of_result(result: &ArchivedResult, kind: &str, bar: &str) -> Option<RunPosterior> {
@@ -34,11 +36,11 @@ fn of_result(result: &ArchivedResult, kind: &str, bar: &str) -> Option<RunPoster
 /// Writes fleet.json, and a robot file for each type.
 pub(super) fn run(
     archive: &mut Archive,
-    selection: &Selection,
+    selection: &RunSelection,
     directory: &Path,
-    out: &Output,
-) -> Result<Outcome, Diagnostic> {
-    let settings = Settings::new(&[])?;
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
+    let settings = IdentifySettings::new(&[])?;
     let results = archive.results(selection, Some(&settings))?;
     let runs: BTreeMap<String, [String; 2]> =
         archive.list(selection)?.into_iter().map(|run| (run.sha256, [run.kind, run.bar])).collect();
@@ -67,7 +69,7 @@ pub(super) fn run(
         let Some(robot) = identified.nominal.and_then(|nominal| kind.robot(&nominal)) else { continue };
         let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
         let name = format!("{}.toml", kind.kind.chars().map(plain).collect::<String>());
-        files::write(&directory.join(&name), robot.to_toml()?)?;
+        files::write_file(&directory.join(&name), robot.to_toml()?)?;
         written.push(name);
     }
     out.findings(fleet.findings());
@@ -78,8 +80,8 @@ pub(super) fn run(
         "results": used, "unusable": fleet.unusable, "robots": fleet.robots.len(), "bars": fleet.bars,
         "changed": crashes, "types": written,
     });
-    files::write(&directory.join("fleet.json"), serialised::json(&document)? + "\n")?;
+    files::write_file(&directory.join("fleet.json"), serialised::json(&document)? + "\n")?;
     out.document(&document)?;
     out.result(format!("{used} results, {} robots, {} bars", fleet.robots.len(), fleet.bars.len()));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

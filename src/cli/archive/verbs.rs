@@ -1,110 +1,116 @@
 //! The commands of `dbbd archive`.
 
+use dbbd_model::base::InternalFinding;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::Serialize;
 use serde_json::json;
 
-use super::work::{Until, compare, report_failures, work, worker};
-use super::{Args, Choice, TableFormat, What};
-use crate::archive::{
-    Addresses, Archive, ArchivedFile, ArchivedResult, ArchivedRun, ColumnKind, Damage, LocalRun,
-    PlantOptions, PlantPages, Pushed, RunJob, Secrets, Selection, Settings, Spool, parquet,
-};
-use crate::base::{clock, files, serialised};
-use crate::catalogue::{ArchiveFinding, CliFinding, ProvenanceFinding};
-use crate::cli::serve::Lines;
-use crate::cli::{Outcome, Output, artefact};
+use super::work::{WorkerEnd, compare, report_failures, work, worker};
+use super::{ArchiveArgs, ArchiveVerb, RunChoice, TableFormat};
+use crate::cli::serve::LogLines;
+use crate::cli::{CommandOutcome, CommandOutput, artefact};
 use crate::daemon::{Endpoint, serve_plant};
-use crate::diagnostic::Diagnostic;
-use crate::provenance::{Provenance, VERSION};
+use dbbd_device::clock;
+use dbbd_job::artefact::VERSION;
+use dbbd_job::files;
+use dbbd_model::base::serialised;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::provenance::Provenance;
+use dbbd_model::provenance::ProvenanceFinding;
+use dbbd_plant::ArchiveFinding;
+use dbbd_plant::{
+    Archive, ArchiveAddresses, ArchivedFile, ArchivedResult, ArchivedRun, ColumnKind, IdentifySettings,
+    LocalRun, PlantOptions, PlantPages, PushOutcome, RunJob, RunSelection, Secrets, Spool, StoreDamage,
+    parquet,
+};
 
 /// The first bytes of a Parquet file.
 const PARQUET: &str = "PAR1";
 
-pub(super) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(super) fn run(args: &ArchiveArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let environment = |name| std::env::var(name).ok();
     let archive = args.archive.clone().or_else(|| environment("DBBD_ARCHIVE"));
     let store = args.store.clone().or_else(|| environment("DBBD_STORE"));
-    let addresses = Addresses::read(archive.as_deref(), store.as_deref(), &Secrets::of_environment())?;
+    let addresses = ArchiveAddresses::read(archive.as_deref(), store.as_deref(), &Secrets::of_environment())?;
     match &args.what {
-        What::Init => init(&addresses, out),
-        What::Push { runs, spool } => push(&addresses, runs, spool.as_deref(), out),
-        What::List(choice) => list(&mut Archive::open(&addresses)?, choice, out),
-        What::Show { run } => show(&mut Archive::open(&addresses)?, run, out),
-        What::Worker { until_empty, lease } => {
-            let until = if *until_empty { Until::Empty } else { Until::Stopped };
+        ArchiveVerb::Init => init(&addresses, out),
+        ArchiveVerb::Push { runs, spool } => push(&addresses, runs, spool.as_deref(), out),
+        ArchiveVerb::List(choice) => list_archived_runs(&mut Archive::open(&addresses)?, choice, out),
+        ArchiveVerb::Show { run } => show_run(&mut Archive::open(&addresses)?, run, out),
+        ArchiveVerb::Worker { until_empty, lease } => {
+            let until = if *until_empty { WorkerEnd::Empty } else { WorkerEnd::Stopped };
             let mut archive = Archive::open_whole(&addresses)?;
             let [done, failed] = work(&mut archive, &worker(*lease), until, out)?;
             report_failures(archive.queue()?.failed, out);
             out.document(&json!({ "done": done, "failed": failed }))?;
             out.result(format!("{done} runs identified, {failed} not"));
-            Ok(Outcome::Done)
+            Ok(CommandOutcome::Done)
         }
-        What::Reprocess { choice, estimate, hold, prior, model, ask_only } => {
+        ArchiveVerb::Reprocess { choice, estimate, hold, prior, model, ask_only } => {
             let options = [("estimate", estimate), ("hold", hold), ("model", model), ("prior", prior)];
-            let settings = Settings::new(&options.map(|(name, value)| (name, value.as_deref())))?;
+            let settings = IdentifySettings::new(&options.map(|(name, value)| (name, value.as_deref())))?;
             let mut archive = Archive::open_whole(&addresses)?;
             let selection = choice.select(&mut archive, out)?;
             reprocess(&mut archive, &selection, &settings, *ask_only, out)
         }
-        What::Fleet { choice, out: directory } => {
+        ArchiveVerb::Fleet { choice, out: directory } => {
             let mut archive = Archive::open(&addresses)?;
             let selection = choice.select(&mut archive, out)?;
             super::fleet::run(&mut archive, &selection, directory, out)
         }
-        What::Export { choice, format, out: directory } => {
+        ArchiveVerb::Export { choice, format, out: directory } => {
             let mut archive = Archive::open(&addresses)?;
             let selection = choice.select(&mut archive, out)?;
             export(&mut archive, &selection, *format, directory, out)
         }
-        What::Serve { listen, token_file, host, interval, limit } => {
+        ArchiveVerb::Serve { listen, token_file, host, interval, limit } => {
             let endpoint = Endpoint::new(listen, token_file.as_deref(), host)?;
             let options = PlantOptions { interval_days: *interval, limit_mm: *limit };
             let pages = PlantPages::open(addresses, options)?;
-            serve_plant(endpoint, Arc::new(Lines { out: out.clone() }), Arc::new(pages))?;
-            Ok(Outcome::Done)
+            serve_plant(endpoint, Arc::new(LogLines { out: out.clone() }), Arc::new(pages))?;
+            Ok(CommandOutcome::Done)
         }
-        What::Get { run, out: directory } => get(&mut Archive::open(&addresses)?, run, directory, out),
+        ArchiveVerb::Get { run, out: directory } => get(&mut Archive::open(&addresses)?, run, directory, out),
     }
 }
 
-fn init(addresses: &Addresses, out: &Output) -> Result<Outcome, Diagnostic> {
+fn init(addresses: &ArchiveAddresses, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let steps = Archive::init(addresses)?;
     out.document(&json!({ "steps": steps }))?;
     out.result(if steps == 0 { "nothing to do".into() } else { format!("{steps} steps made") });
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// The JSON document of `archive push`: hashes of runs.
 #[derive(Default, Serialize)]
-struct Sent {
+struct PushDocument {
     new: Vec<String>,
     held: Vec<String>,
     waiting: Vec<String>,
 }
 
 fn push(
-    addresses: &Addresses,
+    addresses: &ArchiveAddresses,
     runs: &[PathBuf],
     spool: Option<&Path>,
-    out: &Output,
-) -> Result<Outcome, Diagnostic> {
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
     spool.map_or(Ok(()), |spool| addresses.check_spool(Path::new(""), spool))?;
     let paths: Vec<Vec<PathBuf>> = runs.iter().map(|run| LocalRun::find(run)).collect::<Result<_, _>>()?;
-    let (mut sent, spool) = (Sent::default(), spool.map(Spool::open).transpose()?);
+    let (mut sent, spool) = (PushDocument::default(), spool.map(Spool::open).transpose()?);
     let mut archive = Archive::open_whole(addresses);
     if let (Ok(archive), Some(spool)) = (&mut archive, &spool) {
         for path in spool.waiting()? {
-            match read(&path, out).and_then(|run| send(archive, &run, &mut sent, out)) {
+            match read_run(&path, out).and_then(|run| send(archive, &run, &mut sent, out)) {
                 Ok(()) => spool.remove(&path)?,
                 Err(why) => out.finding(waits(&path.display().to_string(), &why)),
             }
         }
     }
     for path in paths.concat() {
-        let run = read(&path, out)?;
+        let run = read_run(&path, out)?;
         let done = match &mut archive {
             Ok(archive) => send(archive, &run, &mut sent, out),
             Err(why) => Err(why.clone()),
@@ -126,7 +132,7 @@ fn push(
     out.document(&sent)?;
     let [new, held, waiting] = [&sent.new, &sent.held, &sent.waiting].map(Vec::len);
     out.result(format!("{new} runs stored, {held} held already, {waiting} wait"));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 fn waits(run: &str, why: &Diagnostic) -> ArchiveFinding {
@@ -134,17 +140,22 @@ fn waits(run: &str, why: &Diagnostic) -> ArchiveFinding {
 }
 
 /// Reads a run, and reports what is damaged, missing or unknown in it.
-fn read(path: &Path, out: &Output) -> Result<LocalRun, Diagnostic> {
+fn read_run(path: &Path, out: &CommandOutput) -> Result<LocalRun, Diagnostic> {
     let run = LocalRun::read(path)?;
     out.findings(run.findings().iter().cloned());
     Ok(run)
 }
 
-fn send(archive: &mut Archive, run: &LocalRun, sent: &mut Sent, out: &Output) -> Result<(), Diagnostic> {
+fn send(
+    archive: &mut Archive,
+    run: &LocalRun,
+    sent: &mut PushDocument,
+    out: &CommandOutput,
+) -> Result<(), Diagnostic> {
     let name = run.sha256().to_owned();
     match archive.push(run)? {
-        Pushed::New => sent.new.push(name),
-        Pushed::HeldAlready(Damage { restored, lost }) => {
+        PushOutcome::New => sent.new.push(name),
+        PushOutcome::HeldAlready(StoreDamage { restored, lost }) => {
             let run = || name.clone();
             out.finding(ArchiveFinding::HeldAlready { run: run() });
             if restored > 0 {
@@ -159,10 +170,10 @@ fn send(archive: &mut Archive, run: &LocalRun, sent: &mut Sent, out: &Output) ->
     Ok(())
 }
 
-impl Choice {
+impl RunChoice {
     /// The selection. Reports why it is empty.
-    fn select(&self, archive: &mut Archive, out: &Output) -> Result<Selection, Diagnostic> {
-        let selection = Selection {
+    fn select(&self, archive: &mut Archive, out: &CommandOutput) -> Result<RunSelection, Diagnostic> {
+        let selection = RunSelection {
             robot: self.robot.clone(),
             kind: self.kind.clone(),
             bar: self.bar.clone(),
@@ -179,7 +190,11 @@ impl Choice {
     }
 }
 
-fn list(archive: &mut Archive, choice: &Choice, out: &Output) -> Result<Outcome, Diagnostic> {
+fn list_archived_runs(
+    archive: &mut Archive,
+    choice: &RunChoice,
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
     let selection = choice.select(archive, out)?;
     let runs = archive.list(&selection)?;
     out.list(&runs)?;
@@ -188,7 +203,7 @@ fn list(archive: &mut Archive, choice: &Choice, out: &Output) -> Result<Outcome,
         let digits = sha256.get(..12).unwrap_or(sha256);
         out.result(format!("{digits}  {measured:20}  {cell:12}  {robot:16}  {bar}"));
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// The JSON document of `archive show` and `archive get`.
@@ -201,7 +216,7 @@ struct RunDocument<'a> {
     provenance: Provenance,
 }
 
-fn show(archive: &mut Archive, digits: &str, out: &Output) -> Result<Outcome, Diagnostic> {
+fn show_run(archive: &mut Archive, digits: &str, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let run = archive.run(digits)?;
     let (files, jobs) = (archive.files(&run)?, archive.jobs(std::slice::from_ref(&run))?);
     let provenance: Provenance = serde_json::from_str(&run.provenance)
@@ -217,33 +232,33 @@ fn show(archive: &mut Archive, digits: &str, out: &Output) -> Result<Outcome, Di
         let why = [code.as_deref(), message.as_deref()].map(Option::unwrap_or_default).join(" ");
         out.field("job", format!("{settings} {state} {why}").trim_end());
     }
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 fn reprocess(
     archive: &mut Archive,
-    selection: &Selection,
-    settings: &Settings,
+    selection: &RunSelection,
+    settings: &IdentifySettings,
     ask_only: bool,
-    out: &Output,
-) -> Result<Outcome, Diagnostic> {
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
     let asked = archive.ask(selection, settings, VERSION)?;
     out.result(format!("{asked} runs to identify"));
     if ask_only {
         out.document(&json!({ "asked": asked }))?;
-        return Ok(Outcome::Done);
+        return Ok(CommandOutcome::Done);
     }
-    work(archive, &worker(None), Until::Empty, out)?;
+    work(archive, &worker(None), WorkerEnd::Empty, out)?;
     compare(archive, selection, settings, out)
 }
 
 fn export(
     archive: &mut Archive,
-    selection: &Selection,
+    selection: &RunSelection,
     format: TableFormat,
     directory: &Path,
-    out: &Output,
-) -> Result<Outcome, Diagnostic> {
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
     let (runs, mut results) = (archive.list(selection)?, archive.results(selection, None)?);
     results.iter_mut().for_each(|result| result.found.posterior = None);
     files::directory(directory)?;
@@ -267,14 +282,14 @@ fn export(
         files::is_earlier(&directory.join(name), head.as_bytes())?;
     }
     for (name, _, content) in tables {
-        files::write(&directory.join(name), content)?;
+        files::write_file(&directory.join(name), content)?;
     }
     out.document(&json!({ "runs": runs.len(), "results": results.len() }))?;
     out.result(format!("{} runs and {} results in {}", runs.len(), results.len(), directory.display()));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
-fn results_csv(columns: &[&str], results: &[ArchivedResult]) -> Result<String, CliFinding> {
+fn results_csv(columns: &[&str], results: &[ArchivedResult]) -> Result<String, InternalFinding> {
     let rows = results.iter().map(|one| {
         let summary = &one.found;
         let numbers = [
@@ -302,10 +317,15 @@ fn columns<'a>(table: &[(&'a str, ColumnKind)]) -> Vec<&'a str> {
     table.iter().map(|(name, _)| *name).collect()
 }
 
-fn get(archive: &mut Archive, digits: &str, directory: &Path, out: &Output) -> Result<Outcome, Diagnostic> {
+fn get(
+    archive: &mut Archive,
+    digits: &str,
+    directory: &Path,
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
     let run = archive.run(digits)?;
     let files = archive.fetch(&run, directory)?;
     out.document(&RunDocument { run: &run, files: &files, jobs: &[], provenance: Provenance::default() })?;
     out.result(format!("{} files in {}", files.len(), directory.display()));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

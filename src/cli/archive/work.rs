@@ -1,5 +1,7 @@
 //! Workers of the archive. Each job is `dbbd identify` as a child process.
 
+use dbbd_model::base::InternalFinding;
+use dbbd_model::base::text::unreadable;
 use std::fs;
 use std::path::Path;
 use std::process::{ExitStatus, Stdio};
@@ -7,18 +9,21 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use crate::archive::{
-    Archive, ArchivedResult, Job, Selection, Settings, Summary, Worker, WrittenPosterior, is_away,
+use crate::cli::{CommandOutcome, CommandOutput};
+use dbbd_device::clock;
+use dbbd_job::artefact::VERSION;
+use dbbd_job::child_process;
+use dbbd_job::files;
+use dbbd_job::recording::run;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::ResultFile;
+use dbbd_model::estimation::priors::Priors;
+use dbbd_model::robot::Robot;
+use dbbd_plant::ArchiveFinding;
+use dbbd_plant::{
+    Archive, ArchivedResult, ClaimedJob, IdentifySettings, ResultSummary, RunSelection, Worker,
+    WrittenPosterior, is_away,
 };
-use crate::base::{clock, files, program};
-use crate::catalogue::{ArchiveFinding, ServiceFinding};
-use crate::cli::{Outcome, Output};
-use crate::diagnostic::Diagnostic;
-use crate::estimation::ResultFile;
-use crate::estimation::priors::Priors;
-use crate::provenance::VERSION;
-use crate::recording::run;
-use crate::robot::Robot;
 
 /// How long a worker may be silent before another one takes its job.
 const LEASE: Duration = Duration::from_secs(30);
@@ -33,22 +38,19 @@ const KEPT: [&str; 4] = ["result.json", "report.html", "robot-identified.toml", 
 
 /// The file with the stderr of an identification.
 const STDERR: &str = "stderr";
-/// The code of a stored object whose content has changed.
-const DAMAGED: &str = "E2408";
-
 /// Files by name.
-type Contents = Vec<(String, Vec<u8>)>;
+type FileContents = Vec<(String, Vec<u8>)>;
 
 /// When a worker ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Until {
+pub(super) enum WorkerEnd {
     Empty,
     Stopped,
 }
 
 /// This process as a worker.
 pub(super) fn worker(lease_s: Option<f64>) -> Worker {
-    let host = files::read(Path::new("/etc/hostname")).unwrap_or_default();
+    let host = files::read_text(Path::new("/etc/hostname")).unwrap_or_default();
     Worker {
         name: format!("{}-{}-{}", host.trim(), std::process::id(), clock::unix_ns() % 1_000_000_000),
         version: VERSION.into(),
@@ -60,21 +62,21 @@ pub(super) fn worker(lease_s: Option<f64>) -> Worker {
 pub(super) fn work(
     archive: &mut Archive,
     worker: &Worker,
-    until: Until,
-    out: &Output,
+    until: WorkerEnd,
+    out: &CommandOutput,
 ) -> Result<[u64; 2], Diagnostic> {
     let mut counts = [0; 2];
     loop {
         let Some(job) = patiently(archive, out, |archive| archive.claim(worker))? else {
             let open = patiently(archive, out, Archive::queue)?;
             // The job of another worker may become free again.
-            if until == Until::Empty && open.waiting + open.running == 0 {
+            if until == WorkerEnd::Empty && open.waiting + open.running == 0 {
                 return Ok(counts);
             }
             clock::sleep(PAUSE_S);
             continue;
         };
-        counts[usize::from(!one(archive, &job, worker, out)?)] += 1;
+        counts[usize::from(!do_job(archive, &job, worker, out)?)] += 1;
         out.progress(format!("{} {}", &job.run[..12.min(job.run.len())], job.settings.text()));
     }
 }
@@ -82,7 +84,7 @@ pub(super) fn work(
 /// Repeats an access to the archive for up to [`PATIENCE_S`] while it cannot be reached.
 fn patiently<T>(
     archive: &mut Archive,
-    out: &Output,
+    out: &CommandOutput,
     mut what: impl FnMut(&mut Archive) -> Result<T, Diagnostic>,
 ) -> Result<T, Diagnostic> {
     let began = clock::now();
@@ -100,18 +102,25 @@ fn patiently<T>(
 }
 
 /// Does a job. Returns whether there is a result.
-fn one(archive: &mut Archive, job: &Job, worker: &Worker, out: &Output) -> Result<bool, Diagnostic> {
+fn do_job(
+    archive: &mut Archive,
+    job: &ClaimedJob,
+    worker: &Worker,
+    out: &CommandOutput,
+) -> Result<bool, Diagnostic> {
     let directory = tempfile::tempdir().map_err(system)?;
     let capture = directory.path().join("run.dbbd");
     match patiently(archive, out, |archive| archive.fetch_object(&job.run, &capture)) {
         // Other runs may be undamaged.
-        Err(why) if why.code.0 == DAMAGED => return failed(archive, job, why.code.0, &why.to_string(), out),
+        Err(why) if why.finding().is_some_and(ArchiveFinding::is_damage) => {
+            return failed(archive, job, why.code().as_str(), &why.to_string(), out);
+        }
         fetched => fetched?,
     }
     let status = identify(archive, job, worker, directory.path())?;
     match status.code() {
         Some(code @ (0 | 3)) => {
-            let (summary, contents) = read(&directory.path().join("result"), code == 3)?;
+            let (summary, contents) = read_result(&directory.path().join("result"), code == 3)?;
             patiently(archive, out, |archive| archive.finish(job, worker, &summary, &contents))?;
             Ok(true)
         }
@@ -131,10 +140,10 @@ fn one(archive: &mut Archive, job: &Job, worker: &Worker, out: &Output) -> Resul
 
 fn failed(
     archive: &mut Archive,
-    job: &Job,
+    job: &ClaimedJob,
     code: &str,
     message: &str,
-    out: &Output,
+    out: &CommandOutput,
 ) -> Result<bool, Diagnostic> {
     patiently(archive, out, |archive| archive.fail(job, code, message))?;
     Ok(false)
@@ -143,11 +152,11 @@ fn failed(
 /// Identifies the capture in `directory`, and renews the lease meanwhile.
 fn identify(
     archive: &mut Archive,
-    job: &Job,
+    job: &ClaimedJob,
     worker: &Worker,
     directory: &Path,
 ) -> Result<ExitStatus, Diagnostic> {
-    let mut command = program::own().map_err(system)?;
+    let mut command = child_process::own().map_err(system)?;
     command.args(["identify", "run.dbbd", "--out=result", "--quiet"]).args(job.settings.arguments());
     let log = fs::File::create(directory.join(STDERR)).map_err(system)?;
     command.current_dir(directory).stdout(Stdio::null()).stderr(log);
@@ -176,29 +185,29 @@ fn identify(
     }
 }
 
-fn system(error: std::io::Error) -> ServiceFinding {
-    ServiceFinding::NoSystem { why: error.to_string() }
+fn system(error: std::io::Error) -> InternalFinding {
+    InternalFinding::NoSystem { why: error.to_string() }
 }
 
-pub(super) fn report_failures(jobs: u64, out: &Output) {
+pub(super) fn report_failures(jobs: u64, out: &CommandOutput) {
     if jobs > 0 {
         out.finding(ArchiveFinding::JobsFailed { jobs });
     }
 }
 
 /// The summary of a result, and the files that are stored.
-fn read(result: &Path, doubtful: bool) -> Result<(Summary, Contents), Diagnostic> {
+fn read_result(result: &Path, doubtful: bool) -> Result<(ResultSummary, FileContents), Diagnostic> {
     let mut contents = Vec::new();
     for name in KEPT {
         let path = result.join(name);
         if path.is_file() {
-            contents.push((name.to_owned(), fs::read(&path).map_err(files::unreadable(path.display()))?));
+            contents.push((name.to_owned(), fs::read(&path).map_err(unreadable(path.display()))?));
         }
     }
-    let file = ResultFile::from_json("result.json", &files::read(&result.join("result.json"))?)?;
-    let covariance = files::read(&result.join("covariance.csv"))?;
+    let file = ResultFile::from_json("result.json", &files::read_text(&result.join("result.json"))?)?;
+    let covariance = files::read_text(&result.join("covariance.csv"))?;
     let posterior = WrittenPosterior::of(&file, &covariance, &priors(result)?);
-    let summary = Summary {
+    let summary = ResultSummary {
         doubtful,
         lengths: file.observations as u64,
         sigma_mm: Some(file.sigma_mm),
@@ -214,19 +223,19 @@ fn read(result: &Path, doubtful: bool) -> Result<(Summary, Contents), Diagnostic
 /// The datasheet priors of a run: the robot's tolerance, and the certificate of the bar in the job.
 fn priors(result: &Path) -> Result<Priors, Diagnostic> {
     let robot =
-        Robot::from_toml("robot-identified.toml", &files::read(&result.join("robot-identified.toml"))?)?;
+        Robot::from_toml("robot-identified.toml", &files::read_text(&result.join("robot-identified.toml"))?)?;
     let capture = result.with_file_name("run.dbbd");
-    let run = run::open(&capture, None, &[], &mut |_| {})?;
+    let run = run::open_run(&capture, None, &[], &mut |_| {})?;
     Ok(Priors::datasheet(&robot, run.plan.header.job.bar.u_mm()))
 }
 
 /// Compares the results of this version and these settings with the earlier results of the same runs.
 pub(super) fn compare(
     archive: &mut Archive,
-    selection: &Selection,
-    settings: &Settings,
-    out: &Output,
-) -> Result<Outcome, Diagnostic> {
+    selection: &RunSelection,
+    settings: &IdentifySettings,
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
     let results = archive.results(selection, None)?;
     let is_new = |result: &ArchivedResult| result.settings == settings.text() && result.version == VERSION;
     let (mut compared, mut changes) = (Vec::new(), Vec::new());
@@ -247,5 +256,5 @@ pub(super) fn compare(
         "{count} runs compared: predicted position error changes by {mean:+.4} mm on average, by {worst:+.4} mm at most"
     ));
     report_failures(archive.failed(selection, settings, VERSION)?, out);
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }

@@ -4,12 +4,13 @@ mod truth;
 
 use std::path::PathBuf;
 
-use super::child::{LOOPBACK, Steps};
-use super::{Outcome, Output};
-use crate::base::{files, hash::sha256};
-use crate::diagnostic::Diagnostic;
-use crate::estimation::ResultFile;
-use crate::robot::Robot;
+use super::child::{ChildCommands, LOOPBACK};
+use super::{CommandOutcome, CommandOutput};
+use dbbd_job::files;
+use dbbd_model::base::hash::sha256;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::ResultFile;
+use dbbd_model::robot::Robot;
 
 /// The job of the demo, shipped as `examples/demo.toml`.
 pub(crate) const JOB: &str = include_str!("../../../examples/demo.toml");
@@ -20,7 +21,7 @@ pub(crate) const JOB: &str = include_str!("../../../examples/demo.toml");
 /// computer, records a capture, matches the poses and identifies the robot, each with its own command on files. At the end,
 /// compares the identified with the true parameters.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct DemoArgs {
     /// Directory for all files. Those of an earlier demo are replaced.
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     out: PathBuf,
@@ -29,13 +30,13 @@ pub(crate) struct Args {
     seed: u64,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     files::directory(&args.out)?;
     let dir = args.out.as_path();
     // Replace only the job of an earlier demo.
     files::is_same(&dir.join("job.toml"), &sha256(JOB))?;
-    files::write(&dir.join("job.toml"), JOB)?;
-    let steps = Steps::new(dir, out);
+    files::write_file(&dir.join("job.toml"), JOB)?;
+    let steps = ChildCommands::new(dir, out);
 
     steps.say("1. Plan the circles, and check them before anything moves");
     steps.run(&["plan", "job.toml", "--out", "plan"])?;
@@ -51,20 +52,20 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     steps.run(&[&inputs[..], &["--out", "result", "--prior", "datasheet"]].concat())?;
 
     let path = dir.join("result/result.json");
-    let result = ResultFile::from_json(&path.display().to_string(), &files::read(&path)?)?;
+    let result = ResultFile::from_json(&path.display().to_string(), &files::read_text(&path)?)?;
     let path = dir.join("result/robot-identified.toml");
-    let identified = Robot::from_toml(&path.display().to_string(), &files::read(&path)?)?;
+    let identified = Robot::from_toml(&path.display().to_string(), &files::read_text(&path)?)?;
     let comparison = truth.compare(&result, &identified)?;
     out.document(&comparison)?;
     for line in comparison.lines() {
         out.result(line);
     }
     out.result(format!("The report: {}", dir.join("result/report.html").display()));
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Simulates the program and records the bar.
-fn measure(steps: &Steps<'_>, seed: u64) -> Result<(), Diagnostic> {
+fn measure(steps: &ChildCommands<'_>, seed: u64) -> Result<(), Diagnostic> {
     steps.remove("run.dbbd")?;
     let simulate =
         ["simulate", "--program", "krl/DBB_MAIN.src", "--robot", "truth.toml", "--world", "world.toml"];

@@ -8,24 +8,24 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
-use crate::base::files;
-use crate::diagnostic::Diagnostic;
-use crate::estimation::ResultFile;
-use crate::estimation::Workspace;
-use crate::estimation::result::{Residual, Status};
-use crate::estimation::result_file::ParameterResult;
-use crate::math::aligned_distances;
-use crate::measurement::{BaseBall, LengthModel};
-use crate::plan::Job;
-use crate::robot::{Geometry, ParamId, Robot};
-use crate::sim::truth;
+use dbbd_job::files;
+use dbbd_job::plan::Job;
+use dbbd_job::sim::truth;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::ResultFile;
+use dbbd_model::estimation::Workspace;
+use dbbd_model::estimation::result::{Residual, Status};
+use dbbd_model::estimation::result_file::ParameterResult;
+use dbbd_model::math::aligned_distances;
+use dbbd_model::measurement::{BaseBall, LengthModel};
+use dbbd_model::robot::{Geometry, ParamId, Robot};
 
 /// The standard deviation of the true places of the base balls about the plan's, mm.
 const CENTRE_MM: f64 = 0.5;
 /// The number of poses over which the 3-D error is taken, as in the prediction.
-const POSES: usize = 2000;
+const TRUTH_POSES: usize = 2000;
 /// The seed of these poses.
-const SEED: u64 = 1;
+const TRUTH_POSES_SEED: u64 = 1;
 
 /// The true robot and base balls.
 pub(super) struct Truth {
@@ -34,8 +34,8 @@ pub(super) struct Truth {
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct Comparison {
-    parameters: Vec<Compared>,
+pub(super) struct TruthComparison {
+    parameters: Vec<ComparedParameter>,
     residual_before_mm: Residual,
     residual_after_mm: Residual,
     /// Mean and largest true 3-D error of the nominal robot after alignment, mm.
@@ -45,7 +45,7 @@ pub(super) struct Comparison {
 }
 
 #[derive(Debug, Serialize)]
-struct Compared {
+struct ComparedParameter {
     name: String,
     unit: String,
     /// True deviation from nominal of the parameter and of those that depend on it linearly.
@@ -58,10 +58,10 @@ impl Truth {
     /// Draws the true robot and the true places of the balls. Writes `truth.toml` and `world.toml`.
     pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Diagnostic> {
         let nominal = Robot::named("kr60ha", |_| None)?.robot;
-        let robot = truth::draw(&nominal, seed, 1.0);
+        let robot = truth::draw_true_robot(&nominal, seed, 1.0);
         let job = Job::from_toml("job.toml", super::JOB)?;
         let path = dir.join("plan/centres.csv");
-        let mut centres = BaseBall::from_csv(&path.display().to_string(), &files::read(&path)?)?;
+        let mut centres = BaseBall::from_csv(&path.display().to_string(), &files::read_text(&path)?)?;
         let mut random = Pcg64::seed_from_u64(seed);
         let mut world = truth::noise(&nominal, job.bar.sigma_um);
         for centre in &mut centres {
@@ -72,15 +72,19 @@ impl Truth {
             let [x, y, z]: [f64; 3] = centre.position.into();
             world.push_str(&format!("\n[[centre]]\nid = {}\nxyz_mm = [{x}, {y}, {z}]\n", centre.id));
         }
-        files::write(&dir.join("world.toml"), world)?;
-        files::write(&dir.join("truth.toml"), robot.to_toml()?)?;
+        files::write_file(&dir.join("world.toml"), world)?;
+        files::write_file(&dir.join("truth.toml"), robot.to_toml()?)?;
         Ok(Self { robot, centres })
     }
 
-    pub(super) fn compare(&self, result: &ResultFile, identified: &Robot) -> Result<Comparison, Diagnostic> {
+    pub(super) fn compare(
+        &self,
+        result: &ResultFile,
+        identified: &Robot,
+    ) -> Result<TruthComparison, Diagnostic> {
         let nominal = identified.nominal.as_deref().unwrap_or(identified);
         let model = LengthModel::new(self.robot.geometry.clone(), &self.centres);
-        let poses = Workspace::uniform(nominal, POSES, SEED);
+        let poses = Workspace::uniform(nominal, TRUTH_POSES, TRUTH_POSES_SEED);
         let balls = |geometry: &Geometry| -> Vec<Vector3<f64>> {
             poses.iter().map(|axes| geometry.ball(axes).position).collect()
         };
@@ -90,7 +94,7 @@ impl Truth {
             let mean = distances.iter().sum::<f64>() / distances.len().max(1) as f64;
             [mean, distances.into_iter().fold(0.0, f64::max)]
         };
-        Ok(Comparison {
+        Ok(TruthComparison {
             parameters: result
                 .parameters
                 .iter()
@@ -105,7 +109,11 @@ impl Truth {
     }
 }
 
-fn compared(parameter: &ParameterResult, result: &ResultFile, truth: &LengthModel) -> Option<Compared> {
+fn compared(
+    parameter: &ParameterResult,
+    result: &ResultFile,
+    truth: &LengthModel,
+) -> Option<ComparedParameter> {
     let deviation = |name: &str| -> Option<f64> {
         let id: ParamId = name.parse().ok()?;
         let nominal = result.parameters.iter().find(|other| other.name == name)?.nominal;
@@ -117,7 +125,7 @@ fn compared(parameter: &ParameterResult, result: &ResultFile, truth: &LengthMode
         }
         None => deviation(&parameter.name)?,
     };
-    Some(Compared {
+    Some(ComparedParameter {
         name: parameter.name.clone(),
         unit: parameter.unit.clone(),
         true_correction,
@@ -126,7 +134,7 @@ fn compared(parameter: &ParameterResult, result: &ResultFile, truth: &LengthMode
     })
 }
 
-impl Comparison {
+impl TruthComparison {
     /// The comparison on the terminal.
     pub(super) fn lines(&self) -> Vec<String> {
         let mut lines = vec![

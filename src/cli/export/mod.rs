@@ -8,15 +8,15 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Map, json};
 
-use super::{Outcome, Output};
-use crate::base::files::{self, Unfinished};
-use crate::catalogue::ReportFinding;
-use crate::diagnostic::Diagnostic;
-use crate::recording::capture::Pass;
-use crate::recording::run;
-use crate::report::export::mcap::{CHANNELS, McapFile};
-use crate::robot::Robot;
-use tables::{Tables, Written};
+use super::{CommandOutcome, CommandOutput};
+use dbbd_job::files::{self, UnfinishedFile};
+use dbbd_job::recording::capture::CaptureSummary;
+use dbbd_job::recording::run;
+use dbbd_job::report::ReportFinding;
+use dbbd_job::report::export::mcap::{CHANNELS, McapFile};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::Robot;
+use tables::{CaptureTables, WrittenTable};
 
 /// Export a capture as CSV or MCAP, or an identified robot into a URDF.
 ///
@@ -24,7 +24,7 @@ use tables::{Tables, Written};
 /// and ROS (examples/python, examples/foxglove). More: docs/reference/capture.md. With --urdf-in, replaces the origins of the
 /// joints in a URDF by those of an identified robot, and changes nothing else of it.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct ExportArgs {
     /// The capture; with --urdf-in the robot: a built-in name or a TOML file, such as robot-identified.toml.
     #[arg(value_name = "RUN|ROBOT")]
     run: PathBuf,
@@ -47,7 +47,7 @@ pub(crate) struct Args {
 /// The first bytes of an MCAP file.
 const MCAP_MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &ExportArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     check_kind(args)?;
     files::directory(&args.out)?;
     if let Some(urdf) = &args.urdf_in {
@@ -58,10 +58,10 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         let name = Path::new(args.run.file_name().unwrap_or_default()).with_extension("mcap");
         let path = args.out.join(name);
         files::is_earlier(&path, MCAP_MAGIC)?;
-        let (unfinished, file) = Unfinished::create(&path)?;
-        let wrong = |error: Diagnostic| Diagnostic { file: path.display().to_string(), ..error };
+        let (unfinished, file) = UnfinishedFile::create(&path)?;
+        let wrong = |error: Diagnostic| error.in_file(path.display());
         let mut mcap = McapFile::new(BufWriter::new(file)).map_err(wrong)?;
-        let pass = Pass::over(&args.run, |stamped| mcap.add(&stamped).map_err(wrong))?;
+        let pass = CaptureSummary::over(&args.run, |stamped| mcap.add(&stamped).map_err(wrong))?;
         let messages = mcap.finish().map_err(wrong)?;
         unfinished.finish()?;
         for (name, messages) in CHANNELS.iter().zip(messages) {
@@ -70,9 +70,9 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
         }
         pass
     } else {
-        let mut tables = Tables::create(&args.out)?;
-        let pass = Pass::over(&args.run, |stamped| tables.add(&stamped))?;
-        for Written { name, path, rows } in tables.finish()? {
+        let mut tables = CaptureTables::create(&args.out)?;
+        let pass = CaptureSummary::over(&args.run, |stamped| tables.add(&stamped))?;
+        for WrittenTable { name, path, rows } in tables.finish()? {
             out.result(format!("{}: {rows} rows", path.display()));
             counts.insert(name.to_owned(), json!(rows));
         }
@@ -80,11 +80,11 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     };
     out.findings_in(args.run.display(), pass.findings());
     out.document(&counts)?;
-    Ok(Outcome::Done)
+    Ok(CommandOutcome::Done)
 }
 
 /// Refuses a capture with --urdf-in, and a robot without it.
-fn check_kind(args: &Args) -> Result<(), Diagnostic> {
+fn check_kind(args: &ExportArgs) -> Result<(), Diagnostic> {
     let name = args.run.to_string_lossy();
     let is_capture = args.run.is_file() && run::is_capture(&args.run)?;
     let finding = match &args.urdf_in {

@@ -4,32 +4,32 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use crate::base::files::{self, Unfinished};
-use crate::catalogue::FileFinding;
 use crate::cli::info;
-use crate::device::protocol::{Fault, FaultKind};
-use crate::diagnostic::Diagnostic;
-use crate::recording::axes::AxesRecords;
-use crate::recording::capture::{Event, Record, Stamped};
-use crate::robot::AXES;
+use dbbd_device::protocol::{LineFault, LineFaultKind};
+use dbbd_job::files::{self, UnfinishedFile};
+use dbbd_job::recording::axes::AxesRecords;
+use dbbd_job::recording::capture::{CaptureRecord, RunEvent, StampedRecord};
+use dbbd_model::base::FileFinding;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::AXES;
 
 /// One table for each kind of record.
-pub(super) struct Tables {
-    samples: Table,
-    raw: Table,
-    events: Table,
-    gaps: Table,
-    faults: Table,
+pub(super) struct CaptureTables {
+    samples: CaptureTable,
+    raw: CaptureTable,
+    events: CaptureTable,
+    gaps: CaptureTable,
+    faults: CaptureTable,
     /// Created with the first record of axes.
-    axes: Option<Table>,
+    axes: Option<CaptureTable>,
     received: AxesRecords,
     directory: PathBuf,
 }
 
-struct Table {
+struct CaptureTable {
     name: &'static str,
     path: PathBuf,
-    file: Unfinished,
+    file: UnfinishedFile,
     writer: csv::Writer<BufWriter<File>>,
     rows: u64,
 }
@@ -38,7 +38,7 @@ const AXES_COLUMNS: &str = "host_ns,ticks,place,a1_deg,a2_deg,a3_deg,a4_deg,a5_d
 commanded3_deg,commanded4_deg,commanded5_deg,commanded6_deg";
 
 /// A finished table.
-pub(super) struct Written {
+pub(super) struct WrittenTable {
     pub(super) name: &'static str,
     pub(super) path: PathBuf,
     pub(super) rows: u64,
@@ -49,9 +49,9 @@ fn cell<T: ToString>(value: Option<T>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
-impl Tables {
+impl CaptureTables {
     pub(super) fn create(directory: &Path) -> Result<Self, Diagnostic> {
-        let table = |name, columns| Table::create(directory, name, columns);
+        let table = |name, columns| CaptureTable::create(directory, name, columns);
         Ok(Self {
             samples: table(
                 "samples.csv",
@@ -67,20 +67,20 @@ impl Tables {
         })
     }
 
-    pub(super) fn finish(self) -> Result<Vec<Written>, Diagnostic> {
+    pub(super) fn finish(self) -> Result<Vec<WrittenTable>, Diagnostic> {
         let Self { samples, raw, events, gaps, faults, axes, .. } = self;
-        [samples, raw, events, gaps, faults].into_iter().chain(axes).map(Table::finish).collect()
+        [samples, raw, events, gaps, faults].into_iter().chain(axes).map(CaptureTable::finish).collect()
     }
 
-    pub(super) fn add(&mut self, stamped: &Stamped) -> Result<(), Diagnostic> {
+    pub(super) fn add(&mut self, stamped: &StampedRecord) -> Result<(), Diagnostic> {
         let host = stamped.host.0.to_string();
         match &stamped.record {
-            Record::Attachment { .. } => Ok(()),
-            Record::Raw(bytes) => {
+            CaptureRecord::Attachment { .. } => Ok(()),
+            CaptureRecord::Raw(bytes) => {
                 let hex: String = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
                 self.raw.row([host, hex])
             }
-            Record::Samples(samples) => samples.iter().try_for_each(|sample| {
+            CaptureRecord::Samples(samples) => samples.iter().try_for_each(|sample| {
                 self.samples.row([
                     host.clone(),
                     cell(sample.sequence),
@@ -93,11 +93,12 @@ impl Tables {
                     sample.offset.to_string(),
                 ])
             }),
-            Record::Axes(_) => self.add_axes(stamped),
-            Record::Fault(json) => {
-                let fault: Fault = serde_json::from_slice(json).map_err(|error| self.faults.wrong(&error))?;
+            CaptureRecord::Axes(_) => self.add_axes(stamped),
+            CaptureRecord::Fault(json) => {
+                let fault: LineFault =
+                    serde_json::from_slice(json).map_err(|error| self.faults.wrong(&error))?;
                 let word = match &fault.kind {
-                    FaultKind::Reject(word) => word.clone(),
+                    LineFaultKind::Reject(word) => word.clone(),
                     _ => String::new(),
                 };
                 let kind = info::fault_word(&fault.kind).to_owned();
@@ -105,8 +106,8 @@ impl Tables {
                 let [offset, bytes, count] = numbers;
                 self.faults.row([host, kind, word, offset, bytes, count])
             }
-            Record::Event(event) => {
-                if let Event::Gap { seconds, missing, reason } = event {
+            CaptureRecord::Event(event) => {
+                if let RunEvent::Gap { seconds, missing, reason } = event {
                     self.gaps.row([host.clone(), cell(*seconds), cell(*missing), reason.clone()])?;
                 }
                 let mut value = serde_json::to_value(event).map_err(|error| self.events.wrong(&error))?;
@@ -118,12 +119,12 @@ impl Tables {
         }
     }
 
-    fn add_axes(&mut self, stamped: &Stamped) -> Result<(), Diagnostic> {
+    fn add_axes(&mut self, stamped: &StampedRecord) -> Result<(), Diagnostic> {
         let mut samples = Vec::new();
         self.received.add(stamped.host, &stamped.record, |place, _, sample| samples.push((place, sample)));
         let table = match &mut self.axes {
             Some(table) => table,
-            none => none.insert(Table::create(&self.directory, "axes.csv", AXES_COLUMNS)?),
+            none => none.insert(CaptureTable::create(&self.directory, "axes.csv", AXES_COLUMNS)?),
         };
         samples.into_iter().try_for_each(|(place, sample)| {
             let commanded = sample.commanded_deg.map_or([None; AXES], |axes| axes.map(Some));
@@ -134,11 +135,11 @@ impl Tables {
     }
 }
 
-impl Table {
+impl CaptureTable {
     fn create(directory: &Path, name: &'static str, columns: &str) -> Result<Self, Diagnostic> {
         let path = directory.join(name);
         files::is_earlier(&path, columns.as_bytes())?;
-        let (file, content) = Unfinished::create(&path)?;
+        let (file, content) = UnfinishedFile::create(&path)?;
         let mut writer = csv::Writer::from_writer(BufWriter::new(content));
         writer.write_record(columns.split(',')).map_err(|error| unwritten(&path, &error))?;
         Ok(Self { name, path, file, writer, rows: 0 })
@@ -153,12 +154,12 @@ impl Table {
         unwritten(&self.path, error)
     }
 
-    fn finish(mut self) -> Result<Written, Diagnostic> {
+    fn finish(mut self) -> Result<WrittenTable, Diagnostic> {
         self.writer.flush().map_err(|error| unwritten(&self.path, &error))?;
         // Closes the file.
         drop(self.writer);
         self.file.finish()?;
-        Ok(Written { name: self.name, path: self.path, rows: self.rows })
+        Ok(WrittenTable { name: self.name, path: self.path, rows: self.rows })
     }
 }
 

@@ -4,27 +4,30 @@ use std::path::Path;
 
 use super::inputs::{lengths_or_positions, measurements};
 use super::{LENGTHS, POSITIONS};
-use crate::catalogue::{
-    ConformityFinding, EstimationFinding, MatchingFinding, ProvenanceFinding, RecordingFinding,
-};
-use crate::cli::Output;
+use crate::cli::CommandOutput;
 use crate::cli::robots;
-use crate::diagnostic::{Diagnostic, Finding, Severity};
-use crate::estimation::{AngleSource, CalibrationResult, Prior, check_measurements, doubts};
-use crate::measurement::{BaseBall, Measurements};
-use crate::provenance::{
-    Artefact, BarIdentity, Contradiction, Difference, Identity, Provenance, Role, Traced, one_robot,
+use dbbd_job::recording::matching::MatchingFinding;
+use dbbd_job::recording::matching::PoseMatching;
+use dbbd_job::recording::run::{self, PredictedLengths, RecordedRun};
+use dbbd_model::conformity::ConformityFinding;
+use dbbd_model::diagnostic::{Diagnostic, Finding, Severity};
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::{AngleSource, CalibrationResult, Prior, check_measurements, doubts};
+use dbbd_model::measurement::{BaseBall, Measurements};
+use dbbd_model::provenance::IdentityFinding;
+use dbbd_model::provenance::ProvenanceFinding;
+use dbbd_model::provenance::{
+    ArtefactDifference, ArtefactRole, BarIdentity, Contradiction, Identity, Provenance, TracedArtefact,
+    one_robot,
 };
-use crate::recording::matching::PoseMatching;
-use crate::recording::run::{self, Predicted, Run};
-use crate::robot::{AXES, BallId, BarId, Robot, RobotRead};
+use dbbd_model::robot::{AXES, BallId, BarId, LoadedRobot, Robot};
 
 /// The least standard deviation of a predicted length in the pose matching, mm.
-const LEAST_SIGMA_MM: f64 = 0.02;
+const MIN_PREDICTED_SIGMA_MM: f64 = 0.02;
 
 /// The inputs as the command line names them.
 #[derive(Clone, Copy)]
-pub(crate) struct Named<'a> {
+pub(crate) struct NamedInputs<'a> {
     pub(crate) input: &'a Path,
     /// Positions beside the lengths of the input.
     pub(crate) positions: Option<&'a Path>,
@@ -36,12 +39,12 @@ pub(crate) struct Named<'a> {
 
 /// A capture, and its latest pose matching.
 struct MatchedRun {
-    run: Box<Run>,
+    run: Box<RecordedRun>,
     matching: PoseMatching,
 }
 
 /// The inputs as they were read.
-pub(crate) struct Given {
+pub(crate) struct LoadedInputs {
     pub(crate) robot: Robot,
     pub(crate) centres: Vec<BaseBall>,
     pub(crate) observations: Measurements,
@@ -51,7 +54,7 @@ pub(crate) struct Given {
     pub(crate) bar_u_mm: Option<f64>,
     pub(crate) provenance: Provenance,
     /// The table or the capture with the lengths.
-    lengths: Traced,
+    lengths: TracedArtefact,
     findings: Vec<Diagnostic>,
     /// Findings about the capture and its latest pose matching.
     run_findings: Vec<Diagnostic>,
@@ -59,8 +62,8 @@ pub(crate) struct Given {
     matched: Option<MatchedRun>,
 }
 
-impl Given {
-    pub(crate) fn read(named: Named<'_>, out: &Output) -> Result<Self, Diagnostic> {
+impl LoadedInputs {
+    pub(crate) fn read(named: NamedInputs<'_>, out: &CommandOutput) -> Result<Self, Diagnostic> {
         let input = named.input.display().to_string();
         let mut findings = Vec::new();
         let matched = MatchedRun::read(named.input, out)?;
@@ -83,19 +86,20 @@ impl Given {
         let lengths = match run {
             Some(run) => run.traced(named.input)?,
             None => {
-                let (lengths, changed) = Traced::table(Role::Measurements, named.input)?;
+                let (lengths, changed) =
+                    dbbd_job::artefact::of_table(ArtefactRole::Measurements, named.input)?;
                 findings.extend(changed);
                 lengths
             }
         };
-        let RobotRead { mut robot, source, .. } = read_robot(named.robot, run, &lengths, out)?;
+        let LoadedRobot { mut robot, source, .. } = read_robot(named.robot, run, &lengths, out)?;
         if let Some(tool) = named.tool {
             robot.set_tool(tool);
         }
         let mut sources = Vec::new();
         let centres = match (named.centres, run) {
             (Some(path), _) => {
-                sources.push(Artefact::file(Role::BaseBalls, path)?.into());
+                sources.push(dbbd_job::artefact::of_file(ArtefactRole::BaseBalls, path)?.into());
                 out.table(path, BaseBall::from_table)?
             }
             (None, Some(run)) => run.centres(),
@@ -110,7 +114,8 @@ impl Given {
             positions = Some(read_positions(path, &robot, &mut findings, out)?);
         }
         let observations = with_positions(observations, positions.as_ref())?;
-        let provenance = Provenance::of([&source].into_iter().chain(&sources).chain([&lengths]));
+        let provenance =
+            dbbd_job::artefact::made_from([&source].into_iter().chain(&sources).chain([&lengths]));
         let bar = &provenance.identity.bar;
         let uncorrected = uncorrected_bar(&observations, bar).filter(|_| matched.is_none());
         findings.extend(uncorrected.map(|finding| Diagnostic::file(&input, finding)));
@@ -130,12 +135,16 @@ impl Given {
     }
 
     /// Reads measurements that only check the result. They must be of the same robot in the same set-up.
-    pub(super) fn validation(&mut self, path: &Path, out: &Output) -> Result<Measurements, Diagnostic> {
+    pub(super) fn validation(
+        &mut self,
+        path: &Path,
+        out: &CommandOutput,
+    ) -> Result<Measurements, Diagnostic> {
         let name = path.display().to_string();
         let set = measurements(path, lengths_or_positions, &mut self.findings, out)?;
         check_measurements(&name, &set, &self.robot, &self.centres)?;
         set.check(&name, self.observations.set_up(self.centres.len()))?;
-        let Traced { artefact, .. } = read_further(path, &self.lengths, &mut self.findings)?;
+        let TracedArtefact { artefact, .. } = read_further(path, &self.lengths, &mut self.findings)?;
         if self.provenance.has(&artefact) {
             out.finding(ProvenanceFinding::GivenTwice { lengths: artefact.to_string() });
         }
@@ -158,7 +167,7 @@ impl Given {
     pub(super) fn default_prior(
         &mut self,
         robot_file: Option<&str>,
-        out: &Output,
+        out: &CommandOutput,
     ) -> Result<Prior, Diagnostic> {
         let known = || self.known_lengths(robot_file, out);
         let (prior, lost) = Prior::continued(&self.robot, self.observations.rows.len(), known)?;
@@ -167,7 +176,11 @@ impl Given {
     }
 
     /// How many of the observations are among those beside the robot file, from which the robot was identified.
-    pub(crate) fn known_lengths(&self, robot_file: Option<&str>, out: &Output) -> Result<usize, Diagnostic> {
+    pub(crate) fn known_lengths(
+        &self,
+        robot_file: Option<&str>,
+        out: &CommandOutput,
+    ) -> Result<usize, Diagnostic> {
         let Some(robot_file) = robot_file else { return Ok(0) };
         let tables = [LENGTHS, POSITIONS].map(|name| Path::new(robot_file).with_file_name(name));
         let known = tables.iter().filter(|path| path.is_file()).map(|path| {
@@ -187,8 +200,8 @@ impl Given {
             }
             None => f64::NAN,
         };
-        let sigma_mm = (3.0 * result.sigma.mm).max(LEAST_SIGMA_MM);
-        let Ok(matching) = run.matching(Some(Predicted { length_mm: &length, sigma_mm })) else {
+        let sigma_mm = (3.0 * result.sigma.mm).max(MIN_PREDICTED_SIGMA_MM);
+        let Ok(matching) = run.matching(Some(PredictedLengths { length_mm: &length, sigma_mm })) else {
             return false;
         };
         if matching.same_pairs(before) || matching.observations.rows.is_empty() {
@@ -206,11 +219,11 @@ impl Given {
 
 impl MatchedRun {
     /// Reads and matches a capture; `None` if the file is not a capture.
-    fn read(path: &Path, out: &Output) -> Result<Option<Self>, Diagnostic> {
+    fn read(path: &Path, out: &CommandOutput) -> Result<Option<Self>, Diagnostic> {
         if !run::is_capture(path)? {
             return Ok(None);
         }
-        let run = run::open(path, None, &[], &mut |finding| out.finding(finding))?;
+        let run = run::open_run(path, None, &[], &mut |finding| out.finding(finding))?;
         let matching = run.matching(None)?;
         Ok(Some(Self { run: Box::new(run), matching }))
     }
@@ -245,7 +258,7 @@ impl MatchedRun {
 }
 
 /// A finding if the bar of a table was warm or cold and nothing says that its lengths are referred to its certificate.
-fn uncorrected_bar(observations: &Measurements, bar: &BarIdentity) -> Option<RecordingFinding> {
+fn uncorrected_bar(observations: &Measurements, bar: &BarIdentity) -> Option<IdentityFinding> {
     let lengths = observations.rows.iter().filter(|row| row.datum.bar().is_some());
     let longest_mm = lengths.map(|row| row.length_mm).reduce(f64::max)?;
     // An implausible temperature has a finding of its own.
@@ -255,9 +268,13 @@ fn uncorrected_bar(observations: &Measurements, bar: &BarIdentity) -> Option<Rec
 
 /// Reads the chain of a further table of measurements. Refuses another robot than that of `lengths`; another bar or ball
 /// is a finding.
-fn read_further(path: &Path, lengths: &Traced, findings: &mut Vec<Diagnostic>) -> Result<Traced, Diagnostic> {
+fn read_further(
+    path: &Path,
+    lengths: &TracedArtefact,
+    findings: &mut Vec<Diagnostic>,
+) -> Result<TracedArtefact, Diagnostic> {
     let name = path.display().to_string();
-    let (table, changed) = Traced::table(Role::Measurements, path)?;
+    let (table, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, path)?;
     findings.extend(changed);
     one_robot([(lengths.artefact.name.clone(), lengths), (name.clone(), &table)])?;
     let others = lengths.provenance.identity.contradictions(&table.provenance.identity).into_iter();
@@ -274,13 +291,13 @@ fn read_positions(
     path: &Path,
     robot: &Robot,
     findings: &mut Vec<Diagnostic>,
-    out: &Output,
+    out: &CommandOutput,
 ) -> Result<Measurements, Diagnostic> {
     let name = path.display().to_string();
     let positions = measurements(path, Measurements::positions_from_table, findings, out)?;
     check_measurements(&name, &positions, robot, &[])?;
     let doubts = doubts(&name, &positions, robot, &[]).into_iter();
-    findings.extend(doubts.filter(|doubt| doubt.code.severity() != Severity::Info));
+    findings.extend(doubts.filter(|doubt| doubt.severity() != Severity::Info));
     Ok(positions)
 }
 
@@ -297,24 +314,24 @@ fn with_positions(
 /// The robot of the command line, else that of the run's plan. Refuses another robot than that of the lengths.
 fn read_robot(
     named: Option<&str>,
-    run: Option<&Run>,
-    lengths: &Traced,
-    out: &Output,
-) -> Result<RobotRead, Diagnostic> {
+    run: Option<&RecordedRun>,
+    lengths: &TracedArtefact,
+    out: &CommandOutput,
+) -> Result<LoadedRobot, Diagnostic> {
     let read = match (named, run) {
         (Some(name), _) => robots::read_for_measurement(name, out)?,
         (None, Some(run)) => {
             let robot = run.robot()?;
             // A plan without a chain still has its robot.
-            let recorded = lengths.robot().map(|robot| Traced::from(robot.clone()));
+            let recorded = lengths.robot().map(|robot| TracedArtefact::from(robot.clone()));
             let source = recorded.unwrap_or_else(|| robot.traced(&run.plan.header.robot));
-            return Ok(RobotRead { source, robot, findings: Vec::new() });
+            return Ok(LoadedRobot { source, robot, findings: Vec::new() });
         }
         (None, None) => return Err(EstimationFinding::NoRobot.into()),
     };
     let given = &read.source;
     if let Some(planned) = lengths.robot()
-        && planned.differs(&given.artefact) == Some(Difference::Serial)
+        && planned.differs(&given.artefact) == Some(ArtefactDifference::Serial)
     {
         return Err(lengths.of_another_robot(planned, &given.artefact).into());
     }

@@ -3,17 +3,22 @@
 use std::collections::{BTreeMap, HashSet};
 use std::path::Path;
 
-use crate::base::table::Table;
-use crate::catalogue::{EstimationFinding, MeasurementFinding, RobotFinding};
-use crate::cli::Output;
-use crate::diagnostic::Diagnostic;
-use crate::measurement::positions::PLACE;
-use crate::measurement::{self, Distinct, Measurements};
-use crate::robot::parameter::SetUp;
-use crate::robot::{AXES, ParamId, Robot, Unit};
+use crate::cli::CommandOutput;
+use dbbd_model::base::table::TableReader;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::measurement::MeasurementFinding;
+use dbbd_model::measurement::positions::PLACE;
+use dbbd_model::measurement::{self, DistinctMeasurements, Measurements};
+use dbbd_model::robot::RobotFinding;
+use dbbd_model::robot::parameter::SetUpCounts;
+use dbbd_model::robot::{AXES, ParamId, ParamUnit, Robot};
 
 /// Reads a prior from a table name,unit,sd, such as the parameters.csv of an earlier identification.
-pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMap<ParamId, f64>, Diagnostic> {
+pub(super) fn read_prior(
+    table: &mut TableReader<'_>,
+    set_up: SetUpCounts,
+) -> Result<BTreeMap<ParamId, f64>, Diagnostic> {
     let [name, unit, sd] = table.required(["name", "unit", "sd"])?;
     let mut prior = BTreeMap::new();
     while let Some(row) = table.row()? {
@@ -41,25 +46,25 @@ pub(super) fn read_prior(table: &mut Table<'_>, set_up: SetUp) -> Result<BTreeMa
 
 /// Whether a prior standard deviation is plausible for the geometry of a robot.
 fn is_prior(id: ParamId, sd: f64) -> bool {
-    const MOST_MM: f64 = 50.0;
-    const MOST_RAD: f64 = 0.04;
-    const LEAST: f64 = 1e-8;
-    let most = if id.unit() == Unit::Rad { MOST_RAD } else { MOST_MM };
-    !id.is_geometric() || (LEAST..=most).contains(&sd)
+    const MAX_PRIOR_SD_MM: f64 = 50.0;
+    const MAX_PRIOR_SD_RAD: f64 = 0.04;
+    const MIN_PRIOR_SD: f64 = 1e-8;
+    let most = if id.unit() == ParamUnit::Rad { MAX_PRIOR_SD_RAD } else { MAX_PRIOR_SD_MM };
+    !id.is_geometric() || (MIN_PRIOR_SD..=most).contains(&sd)
 }
 
 /// Reads the poses of a workspace from a table with the columns a1_deg..a6_deg.
 pub(crate) fn read_workspace(
     path: &Path,
     robot: &Robot,
-    out: &Output,
+    out: &CommandOutput,
 ) -> Result<Vec<[f64; AXES]>, Diagnostic> {
     /// With fewer poses, the rigid alignment would absorb the robot's error.
-    const LEAST: usize = 10;
+    const MIN_ALIGNED_POSES: usize = 10;
     let poses = out.table(path, Measurements::poses_from_table)?;
     let different: HashSet<_> = poses.iter().map(|pose| pose.axes.degrees().map(f64::to_bits)).collect();
-    if different.len() < LEAST {
-        let finding = EstimationFinding::SmallWorkspace { poses: different.len(), least: LEAST };
+    if different.len() < MIN_ALIGNED_POSES {
+        let finding = EstimationFinding::SmallWorkspace { poses: different.len(), least: MIN_ALIGNED_POSES };
         return Err(Diagnostic::file(path.display(), finding));
     }
     let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
@@ -70,13 +75,13 @@ pub(crate) fn read_workspace(
 /// Reads a table of measurements with `read`. Reports rows that are there twice, and uses them once.
 pub(crate) fn measurements(
     path: &Path,
-    read: impl FnOnce(&mut Table<'_>) -> Result<Measurements, Diagnostic>,
+    read: impl FnOnce(&mut TableReader<'_>) -> Result<Measurements, Diagnostic>,
     findings: &mut Vec<Diagnostic>,
-    out: &Output,
+    out: &CommandOutput,
 ) -> Result<Measurements, Diagnostic> {
     let table = out.table(path, read)?;
     let rows = table.count();
-    let Distinct { measurements, repeated } =
+    let DistinctMeasurements { measurements, repeated } =
         table.distinct().map_err(|finding| Diagnostic::file(path.display(), finding))?;
     if repeated > 0 {
         findings.push(Diagnostic::file(path.display(), MeasurementFinding::Repeated { repeated, rows }));
@@ -85,16 +90,16 @@ pub(crate) fn measurements(
 }
 
 /// Whether a table is a `plan.csv`: no table of measured lengths has these columns.
-fn is_plan(table: &Table<'_>) -> bool {
+fn is_plan(table: &TableReader<'_>) -> bool {
     ["move", "dwell_s"].into_iter().all(|column| has(table, column))
 }
 
-fn has(table: &Table<'_>, column: &str) -> bool {
+fn has(table: &TableReader<'_>, column: &str) -> bool {
     table.names().iter().any(|name| name == column)
 }
 
 /// Reads the lengths of a table.
-pub(crate) fn lengths(table: &mut Table<'_>) -> Result<Measurements, Diagnostic> {
+pub(crate) fn lengths(table: &mut TableReader<'_>) -> Result<Measurements, Diagnostic> {
     if is_plan(table) {
         return Err(Diagnostic::file(table.file(), MeasurementFinding::IsPlan));
     }
@@ -102,7 +107,7 @@ pub(crate) fn lengths(table: &mut Table<'_>) -> Result<Measurements, Diagnostic>
 }
 
 /// Reads the lengths or the positions of a table, whichever it has.
-pub(super) fn lengths_or_positions(table: &mut Table<'_>) -> Result<Measurements, Diagnostic> {
+pub(super) fn lengths_or_positions(table: &mut TableReader<'_>) -> Result<Measurements, Diagnostic> {
     if PLACE.into_iter().all(|column| has(table, column)) && !has(table, "length_mm") && !is_plan(table) {
         return Measurements::positions_from_table(table);
     }

@@ -9,17 +9,19 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{Outcome, Output, artefact, value};
-use crate::base::{clock, date, files};
-use crate::catalogue::EstimationFinding;
-use crate::conformity::Budget;
-use crate::design::{Calibrated, calibrate_run};
-use crate::diagnostic::Diagnostic;
-use crate::estimation::{ErrorModel, Input, Options, Prior, ResultFile};
-use crate::measurement::{LengthModel, Measurements};
-use crate::provenance::{Artefact, Provenance, Role};
-use crate::robot::parameter::{self, SetUp};
-pub(crate) use given::{Given, Named};
+use super::{CommandOutcome, CommandOutput, artefact, value};
+use dbbd_device::clock;
+use dbbd_job::files;
+use dbbd_model::base::date;
+use dbbd_model::conformity::UncertaintyBudget;
+use dbbd_model::design::{Calibrated, calibrate_run};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::{ErrorModel, Input, Options, Prior, ResultFile};
+use dbbd_model::measurement::{LengthModel, Measurements};
+use dbbd_model::provenance::{ArtefactRole, Provenance};
+use dbbd_model::robot::parameter::{self, SetUpCounts};
+pub(crate) use given::{LoadedInputs, NamedInputs};
 use inputs::read_prior;
 pub(crate) use inputs::{lengths, measurements, read_workspace};
 pub(crate) use tables::{LENGTHS, POSITIONS, ROBOT};
@@ -33,7 +35,7 @@ const MATCHINGS: usize = 5;
 /// workspace, and recommends the further measurement that would help most. A capture is matched again with the identified
 /// robot until the pairs of poses and lengths no longer change. More: docs/explanation/identification.md.
 #[derive(clap::Args)]
-pub(crate) struct Args {
+pub(crate) struct IdentifyArgs {
     /// Measurements CSV (index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,target]), or a capture, which contains the
     /// robot and the base balls of its plan, or a table of positions (see --positions). `bar` numbers the bars (1, 2, ..;
     /// absent: 1), each with an offset of its own. One bar set to two lengths keeps its number: its offset is then separable
@@ -96,7 +98,7 @@ pub(crate) struct Args {
     /// support errors of the joints, with fewer than 30 lengths beyond the parameters, with more than 16384 lengths, with
     /// exact lengths, and with `--estimate`, `--prior none`, `--prior posterior` or `--monte-carlo`.
     #[arg(long, value_enum, value_name = "MODEL", default_value = "joints")]
-    model: Model,
+    model: ErrorModelChoice,
     /// Draw the lengths N times and fit them: gives standard deviations and 95 % intervals without linearisation (GUM
     /// supplement 1), beside the linear ones; 100 to 1000000, usually 1000.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
@@ -112,17 +114,17 @@ pub(crate) struct Args {
 
 /// The error model of the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Model {
+enum ErrorModelChoice {
     Joints,
     Geometric,
 }
 
-pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
+pub(crate) fn run(args: &IdentifyArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let inputs = || [&args.input].into_iter().chain(&args.positions).map(PathBuf::as_path);
     files::keeps(&args.out.join(LENGTHS), inputs())?;
     files::keeps(&args.out.join(POSITIONS), inputs())?;
     files::keeps(&args.out.join(ROBOT), args.robot.as_deref().map(Path::new))?;
-    let mut given = read(args, out)?;
+    let mut given = read_inputs(args, out)?;
     let set_up = given.observations.set_up(given.centres.len());
     let options = options(args, &mut given, set_up, out)?;
     let validation = args.validate.as_deref().map(|path| given.validation(path, out)).transpose()?;
@@ -142,17 +144,21 @@ pub(crate) fn run(args: &Args, out: &Output) -> Result<Outcome, Diagnostic> {
     drop(busy);
     let Calibrated { result, observations } = calibrated;
     let observations = observations.unwrap_or(given.observations);
-    let budget = Budget::of(&result, &observations, given.bar_u_mm, &given.provenance.identity);
+    let budget = UncertaintyBudget::of(&result, &observations, given.bar_u_mm, &given.provenance.identity);
     let provenance = tables::write_results(&args.out, &result, &observations, given.provenance, &budget)?;
     // The document has the findings as its warnings: it is printed before they are reported.
-    out.document(&Recorded { result: &ResultFile::from(&result), budget: &budget, provenance: &provenance })?;
+    out.document(&ResultDocument {
+        result: &ResultFile::from(&result),
+        budget: &budget,
+        provenance: &provenance,
+    })?;
     say::say(out, &result, &args.out);
-    Ok(if result.is_doubtful() { Outcome::Doubt } else { Outcome::Done })
+    Ok(if result.is_doubtful() { CommandOutcome::Doubt } else { CommandOutcome::Done })
 }
 
 /// Reads the inputs, and completes their provenance and identity.
-fn read(args: &Args, out: &Output) -> Result<Given, Diagnostic> {
-    let named = Named {
+fn read_inputs(args: &IdentifyArgs, out: &CommandOutput) -> Result<LoadedInputs, Diagnostic> {
+    let named = NamedInputs {
         input: &args.input,
         positions: args.positions.as_deref(),
         robot: args.robot.as_deref(),
@@ -160,12 +166,12 @@ fn read(args: &Args, out: &Output) -> Result<Given, Diagnostic> {
         centres: args.centres.as_deref(),
         bar_u: args.bar_u,
     };
-    let mut given = Given::read(named, out)?;
+    let mut given = LoadedInputs::read(named, out)?;
     let balls = given.centres.len();
     if let Some(file) =
         args.prior.as_deref().filter(|prior| !["none", "datasheet", "posterior"].contains(prior))
     {
-        given.provenance.add(&Artefact::file(Role::Prior, Path::new(file))?);
+        given.provenance.add(&dbbd_job::artefact::of_file(ArtefactRole::Prior, Path::new(file))?);
     }
     let identity = &mut given.provenance.identity;
     if let Some(path) = &args.identity {
@@ -181,25 +187,30 @@ fn read(args: &Args, out: &Output) -> Result<Given, Diagnostic> {
 
 /// `result.json`.
 #[derive(Serialize)]
-struct Recorded<'a> {
+struct ResultDocument<'a> {
     #[serde(flatten)]
     result: &'a ResultFile,
-    budget: &'a Budget,
+    budget: &'a UncertaintyBudget,
     provenance: &'a Provenance,
 }
 
 fn calibrate(
-    given: &Given,
+    given: &LoadedInputs,
     validation: Option<&Measurements>,
     options: &Options,
 ) -> Result<Calibrated, Diagnostic> {
-    let Given { robot, centres, observations, axes, .. } = given;
+    let LoadedInputs { robot, centres, observations, axes, .. } = given;
     let start = &LengthModel::before(robot.geometry.clone(), centres, observations);
     let input = Input { robot, observations, start, validation, options, axes: *axes };
     Ok(calibrate_run(&input, given.findings())?)
 }
 
-fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Result<Options, Diagnostic> {
+fn options(
+    args: &IdentifyArgs,
+    given: &mut LoadedInputs,
+    set_up: SetUpCounts,
+    out: &CommandOutput,
+) -> Result<Options, Diagnostic> {
     let prior = match args.prior.as_deref() {
         None => given.default_prior(args.robot.as_deref(), out)?,
         Some("none") => Prior::None,
@@ -225,7 +236,7 @@ fn options(args: &Args, given: &mut Given, set_up: SetUp, out: &Output) -> Resul
         monte_carlo: args.monte_carlo.map(|trials| trials as usize),
         prior,
         model: match args.model {
-            Model::Joints if args.prior.as_deref() != Some("none") => ErrorModel::Joints,
+            ErrorModelChoice::Joints if args.prior.as_deref() != Some("none") => ErrorModel::Joints,
             _ => ErrorModel::Geometric,
         },
         folds: args.folds,

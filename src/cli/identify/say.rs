@@ -2,14 +2,14 @@
 
 use std::path::Path;
 
-use crate::cli::{Output, output};
-use crate::estimation::result::{CalibrationResult, SigmaSource, Status};
-use crate::estimation::{Combination, is_place, wording};
+use crate::cli::{CommandOutput, output};
+use dbbd_model::estimation::result::{CalibrationResult, SigmaSource, Status};
+use dbbd_model::estimation::{Combination, is_place, wording};
 
 /// The largest number of recommendations. More are in the report.
 const RECOMMENDATIONS: usize = 2;
 
-pub(super) fn say(out: &Output, result: &CalibrationResult, dir: &Path) {
+pub(super) fn say(out: &CommandOutput, result: &CalibrationResult, dir: &Path) {
     for lines in [fit(result), choices(result), position(result), parameters(result)] {
         lines.into_iter().for_each(|line| out.result(line));
     }

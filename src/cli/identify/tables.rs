@@ -1,20 +1,21 @@
 //! Writes the files of a result.
 
+use dbbd_model::base::InternalFinding;
 use std::path::Path;
 
-use super::super::artefact::Earlier;
-use super::Recorded;
-use crate::base::{FileSet, serialised};
-use crate::catalogue::CliFinding;
-use crate::conformity::Budget;
-use crate::diagnostic::Diagnostic;
-use crate::estimation::{CalibrationResult, JointPoint, Posterior, ResultFile, joint_curve};
-use crate::measurement::Measurements;
-use crate::program::{self, Language};
-use crate::provenance::{Artefact, Provenance, Role};
-use crate::report::calibration;
-use crate::report::export::{frames, mastering, urdf};
-use crate::robot::{Joint, Robot};
+use super::super::artefact::EarlierResult;
+use super::ResultDocument;
+use dbbd_job::file_set::FileSet;
+use dbbd_job::program::{self, Language};
+use dbbd_job::report::calibration;
+use dbbd_job::report::export::{frames, mastering, urdf};
+use dbbd_model::base::serialised;
+use dbbd_model::conformity::UncertaintyBudget;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::{CalibrationResult, JointPoint, Posterior, ResultFile, joint_curve};
+use dbbd_model::measurement::Measurements;
+use dbbd_model::provenance::{Artefact, ArtefactRole, Provenance};
+use dbbd_model::robot::{Joint, Robot};
 
 /// The lengths that the result rests on.
 pub(crate) const LENGTHS: &str = "lengths.csv";
@@ -36,18 +37,21 @@ pub(super) fn write_results(
     result: &CalibrationResult,
     observations: &Measurements,
     mut provenance: Provenance,
-    budget: &Budget,
+    budget: &UncertaintyBudget,
 ) -> Result<Provenance, Diagnostic> {
     let file = ResultFile::from(result);
     let is_used = |place: usize| result.uses(place);
-    let (mut set, earlier) = (FileSet::begin(dir)?, Earlier::read(&dir.join(RESULT)).provenance);
+    let (mut set, earlier) = (FileSet::begin(dir)?, EarlierResult::read(&dir.join(RESULT)).provenance);
     let lengths =
         (result.made_from.lengths > 0).then(|| set.write_pieces(LENGTHS, observations.csv_pieces(is_used)));
     let positions = observations.positions_csv(is_used).map(|text| set.write_pieces(POSITIONS, [text]));
     for (name, written) in [(LENGTHS, lengths.transpose()?), (POSITIONS, positions.transpose()?)] {
         let table = written.clone().unwrap_or_else(|| dir.join(name));
         if table.is_file() {
-            let table = Artefact { name: name.into(), ..Artefact::file(Role::Measurements, &table)? };
+            let table = Artefact {
+                name: name.into(),
+                ..dbbd_job::artefact::of_file(ArtefactRole::Measurements, &table)?
+            };
             match written {
                 Some(_) => provenance.add(&table),
                 // A table of the user with this name is kept.
@@ -56,7 +60,7 @@ pub(super) fn write_results(
             }
         }
     }
-    let recorded = Recorded { result: &file, budget, provenance: &provenance };
+    let recorded = ResultDocument { result: &file, budget, provenance: &provenance };
     set.write(RESULT, serialised::sealed_json(&recorded)?)?;
     let robot = Robot { provenance: provenance.clone(), ..result.robot.clone() };
     set.write(ROBOT, serialised::sealed_toml(&robot.to_toml()?))?;
@@ -72,7 +76,7 @@ pub(super) fn write_results(
     Ok(provenance)
 }
 
-fn parameters_csv(file: &ResultFile) -> Result<String, CliFinding> {
+fn parameters_csv(file: &ResultFile) -> Result<String, InternalFinding> {
     // Two cells, empty if there is no interval.
     let ends = |interval: Option<[f64; 2]>| interval.map_or([None; 2], |ends| ends.map(Some));
     let rows = file.parameters.iter().map(|parameter| {

@@ -1,18 +1,18 @@
 //! `dbbd plan --check`: the poses of a short check of a calibrated robot.
 
-use super::{Args, Known};
-use crate::catalogue::ConformityFinding;
-use crate::cli::Output;
-use crate::cli::check::Noise;
-use crate::conformity::{CheckInput, Rule};
-use crate::diagnostic::Diagnostic;
-use crate::estimation::change::CheckPower;
-use crate::estimation::expected::{BallMounting, Mounting};
-use crate::estimation::result::MapPoint;
-use crate::estimation::{Options, length_sd_mm};
-use crate::measurement::{LengthModel, PreparedMeasurement};
-use crate::plan::{Job, Kind, Plan, PlanRow, PlanningPrior};
-use crate::robot::{AXES, BallId, Robot, Unit};
+use super::{PlanArgs, PlanningKnowledge};
+use crate::cli::CommandOutput;
+use crate::cli::check::LengthSigma;
+use dbbd_job::plan::{Job, Plan, PlanRow, PlanningPrior, PoseKind};
+use dbbd_model::conformity::ConformityFinding;
+use dbbd_model::conformity::{CheckInput, DecisionRule};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::change::CheckPower;
+use dbbd_model::estimation::expected::{BallMounting, Mounting};
+use dbbd_model::estimation::result::MapPoint;
+use dbbd_model::estimation::{Options, length_sd_mm};
+use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
+use dbbd_model::robot::{AXES, BallId, ParamUnit, Robot};
 
 /// The check that is planned, without its poses.
 pub(super) struct PlannedCheck<'a> {
@@ -23,14 +23,19 @@ pub(super) struct PlannedCheck<'a> {
     sigma_mm: f64,
     mounting: Mounting,
     tolerance_mm: Option<f64>,
-    rule: Rule,
+    rule: DecisionRule,
     workspace: Vec<[f64; AXES]>,
 }
 
 impl<'a> PlannedCheck<'a> {
-    pub(super) fn new(args: &'a Args, job: &Job, robot: &Robot, out: &Output) -> Result<Self, Diagnostic> {
+    pub(super) fn new(
+        args: &'a PlanArgs,
+        job: &Job,
+        robot: &Robot,
+        out: &CommandOutput,
+    ) -> Result<Self, Diagnostic> {
         let file = args.robot.as_deref().unwrap_or_default();
-        let noise = Noise::at_least(Some(length_sd_mm(job.bar.sigma_um * 1e-3, robot)), file, robot)?;
+        let noise = LengthSigma::at_least(Some(length_sd_mm(job.bar.sigma_um * 1e-3, robot)), file, robot)?;
         out.findings(noise.finding);
         let mut mounting = Mounting::again(robot, job.bar.u_mm());
         if args.balls_kept {
@@ -44,7 +49,7 @@ impl<'a> PlannedCheck<'a> {
             sigma_mm: noise.sigma_mm,
             mounting,
             tolerance_mm: args.tolerance,
-            rule: Rule::GuardBand { risk: args.risk },
+            rule: DecisionRule::GuardBand { risk: args.risk },
             workspace: Options::default().workspace_poses(robot).into_owned(),
         })
     }
@@ -63,11 +68,11 @@ impl<'a> PlannedCheck<'a> {
         }
     }
 
-    pub(super) fn known(&self, job: &Job) -> Result<Known, Diagnostic> {
+    pub(super) fn known(&self, job: &Job) -> Result<PlanningKnowledge, Diagnostic> {
         self.check_kept_balls(job)?;
         let expected = self.input(&[]).expected().map_err(|finding| Diagnostic::file(self.file, finding))?;
         let prior = PlanningPrior::of_check(job, &self.robot, expected);
-        Ok(Known { job: job.as_check(self.poses), robot: self.robot.clone(), prior })
+        Ok(PlanningKnowledge { job: job.as_check(self.poses), robot: self.robot.clone(), prior })
     }
 
     /// Refuses kept base balls that are farther from their places in the job, about which the poses are, than the stroke
@@ -89,8 +94,8 @@ impl<'a> PlannedCheck<'a> {
     }
 
     /// Writes what the check can detect into the header. A check has no map of the remaining error.
-    pub(super) fn predict(&self, plan: &mut Plan, out: &Output) -> Result<Vec<MapPoint>, Diagnostic> {
-        let dwells = plan.rows.iter().filter(|row| row.kind != Kind::Transit);
+    pub(super) fn predict(&self, plan: &mut Plan, out: &CommandOutput) -> Result<Vec<MapPoint>, Diagnostic> {
+        let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit);
         let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
         let power = self.input(&readings).power()?;
         let best_mm = power.least_tolerance_mm;
@@ -103,9 +108,9 @@ impl<'a> PlannedCheck<'a> {
 }
 
 /// What a check can detect, on the terminal.
-pub(super) fn lines(power: &CheckPower) -> Vec<String> {
+pub(super) fn check_power_lines(power: &CheckPower) -> Vec<String> {
     let smallest = |angles: bool| {
-        let of_unit = power.detectable.iter().filter(|change| (change.unit == Unit::Rad) == angles);
+        let of_unit = power.detectable.iter().filter(|change| (change.unit == ParamUnit::Rad) == angles);
         let smallest = of_unit.filter_map(|change| {
             let size = change.smallest?;
             Some(if angles {

@@ -6,30 +6,31 @@ use std::sync::atomic::Ordering;
 use serde_json::Value;
 use tokio::sync::{broadcast, watch};
 
-use super::begin::Purpose;
-use super::log::Level;
-use super::state::{Run, Running, Supervisor};
+use super::begin::ReadPurpose;
+use super::log::LogLevel;
+use super::state::{ActiveRun, LineUse, Supervisor};
 use super::{catalogue, jobs, runs};
-use crate::base::clock;
-use crate::base::sync::lock;
-use crate::catalogue::ServiceFinding::{
+use crate::daemon::session;
+use crate::live::ServiceFinding::{
     NoRunIsOn, NoSuchPort, NoSuchProtocol, NoZeroCommand, NotRead, RunDuration, RunIsOn, RunIsStarting,
     RunName, ThisRunIsOn,
 };
-use crate::daemon::session;
-use crate::device::port::{self, PortAddress};
-use crate::device::protocol::Definition;
-use crate::diagnostic::Diagnostic;
 use crate::live::{
-    Act, Catalogue, CheckItem, Download, Job, JobKind, JobRequest, Journal, Message, Point, RunEntry,
+    Act, Catalogue, CheckItem, EvaluationJob, JobKind, JobRequest, Journal, Message, Point, RunEntry,
     Service, StartRequest, Status,
 };
-use crate::recording::capture::Event;
+use dbbd_device::clock;
+use dbbd_device::port::{self, PortAddress};
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_device::sync::lock;
+use dbbd_job::page::Download;
+use dbbd_job::recording::capture::RunEvent;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// The longest run that may be requested, s.
 const LONGEST_S: f64 = 1e6;
 /// Operator actions that are kept until a run begins. The oldest are dropped.
-const MOST_NOTES: usize = 100;
+const MAX_NOTES: usize = 100;
 
 /// Frees the reserved line if the start of a run panics.
 struct StartGuard<'a>(&'a Supervisor);
@@ -37,7 +38,7 @@ struct StartGuard<'a>(&'a Supervisor);
 impl Drop for StartGuard<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            self.0.inner().run = Run::None;
+            self.0.inner().run = LineUse::None;
         }
     }
 }
@@ -45,15 +46,15 @@ impl Drop for StartGuard<'_> {
 impl Supervisor {
     /// Logs an action of the operator, and writes it into the capture of the current run or of the next one.
     fn note(&self, action: &str, detail: &str) {
-        self.log.event(Level::Info, "operator", &[("action", &action), ("detail", &detail)]);
+        self.log.event(LogLevel::Info, "operator", &[("action", &action), ("detail", &detail)]);
         let unix_ms = clock::unix_ns() / 1_000_000;
-        let event = Event::Operator { unix_ms, action: action.into(), detail: detail.into() };
+        let event = RunEvent::Operator { unix_ms, action: action.into(), detail: detail.into() };
         let mut inner = self.inner();
-        if let Run::On(running) = &inner.run {
+        if let LineUse::On(running) = &inner.run {
             running.acquisition.note(event);
             return;
         }
-        if inner.notes.len() >= MOST_NOTES {
+        if inner.notes.len() >= MAX_NOTES {
             inner.notes.remove(0);
         }
         inner.notes.push(event);
@@ -80,29 +81,29 @@ impl Service for Supervisor {
     }
 
     fn catalogue(&self, which: Catalogue) -> Result<Value, Diagnostic> {
-        catalogue::list(which, &self.plans, &self.config.plans)
+        catalogue::list_catalogue(which, &self.plans, &self.config.plans)
     }
 
     fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Diagnostic> {
-        if matches!(self.inner().run, Run::Reading(_)) {
+        if matches!(self.inner().run, LineUse::Reading(_)) {
             self.disconnect()?;
         }
         let mut inner = self.inner();
-        if !matches!(inner.run, Run::None) {
+        if !matches!(inner.run, LineUse::None) {
             return Err(RunIsOn.into());
         }
         let address = port.as_deref().map(str::parse::<PortAddress>).transpose()?;
         if let Some((port, address)) = port.as_ref().zip(address.as_ref()) {
             // Clients may open listed serial ports and the configured port, nothing else.
             let listed =
-                port::list()?.iter().any(|one| one.port == *port || one.by_id.as_ref() == Some(port));
+                port::list_ports()?.iter().any(|one| one.port == *port || one.by_id.as_ref() == Some(port));
             if !listed && !self.is_simulated(address) && self.config.port.as_ref() != Some(address) {
                 return Err(NoSuchPort { port: port.clone() }.into());
             }
         }
         if let Some(name) = &protocol {
             let configured = self.config.protocol.clone().filter(|configured| configured.id == *name);
-            let found = configured.map(Ok).or_else(|| Definition::by_name(name));
+            let found = configured.map(Ok).or_else(|| ProtocolDefinition::by_name(name));
             inner.protocol = Some(found.ok_or_else(|| NoSuchProtocol { protocol: name.clone() })??);
         }
         if address.is_some() {
@@ -121,7 +122,7 @@ impl Service for Supervisor {
             before.end();
         }
         let detail = plan.clone().unwrap_or_default();
-        self.release_line(self.begin(Purpose::Reading { plan }).map(Some))?;
+        self.release_line(self.begin(ReadPurpose::Reading { plan }).map(Some))?;
         self.note("connect", &detail);
         Ok(())
     }
@@ -150,11 +151,11 @@ impl Service for Supervisor {
             self.release_line(Ok(Some(running)))?;
             return Err(NoZeroCommand { protocol: definition.id }.into());
         }
-        let Running { plan, line, acquisition, stop, .. } = running;
+        let ActiveRun { plan, line, acquisition, stop, .. } = running;
         let before_mm = acquisition.progress().reading_mm;
         stop.store(true, Ordering::Relaxed);
-        let zeroed = acquisition.join().and_then(|_| Ok(session::zero(&line.port, &definition)?));
-        self.release_line(self.open(Purpose::Reading { plan }, line).map(Some))?;
+        let zeroed = acquisition.join().and_then(|_| Ok(session::zero_bar(&line.port, &definition)?));
+        self.release_line(self.open(ReadPurpose::Reading { plan }, line).map(Some))?;
         zeroed?;
         self.note("zero", &before_mm.map_or(String::new(), |mm| format!("{mm:.4} mm before")));
         Ok(())
@@ -178,13 +179,13 @@ impl Service for Supervisor {
         }
         let (name, plan) = (request.name.clone(), request.plan.clone().unwrap_or_default());
         let checked: Vec<&str> = request.checked.iter().copied().map(CheckItem::name).collect();
-        let begun = self.begin(Purpose::Run(request));
+        let begun = self.begin(ReadPurpose::Run(request));
         let mut inner = self.inner();
         match begun {
             Ok(running) => {
-                self.log.event(Level::Info, "run_started", &[("run", &name), ("plan", &plan)]);
+                self.log.event(LogLevel::Info, "run_started", &[("run", &name), ("plan", &plan)]);
                 std::mem::take(&mut inner.notes).into_iter().for_each(|note| running.acquisition.note(note));
-                inner.run = Run::On(Box::new(running));
+                inner.run = LineUse::On(Box::new(running));
                 inner.failed = None;
                 drop(inner);
                 self.note("checked", &checked.join(" "));
@@ -193,10 +194,10 @@ impl Service for Supervisor {
                 Ok(())
             }
             Err(refusal) => {
-                inner.run = Run::None;
+                inner.run = LineUse::None;
                 let fields: &[(&str, &dyn Display)] =
-                    &[("run", &name), ("code", &refusal.code), ("reason", &refusal)];
-                self.log.event(Level::Warning, "run_refused", fields);
+                    &[("run", &name), ("code", &refusal.code()), ("reason", &refusal)];
+                self.log.event(LogLevel::Warning, "run_refused", fields);
                 Err(refusal)
             }
         }
@@ -204,12 +205,12 @@ impl Service for Supervisor {
 
     fn stop(&self) -> Result<(), Diagnostic> {
         match &self.inner().run {
-            Run::On(_) => {}
-            Run::Starting => return Err(RunIsStarting.into()),
-            Run::None | Run::Reading(_) => return Err(NoRunIsOn.into()),
+            LineUse::On(_) => {}
+            LineUse::Starting => return Err(RunIsStarting.into()),
+            LineUse::None | LineUse::Reading(_) => return Err(NoRunIsOn.into()),
         }
         self.note("stop", "");
-        if let Run::On(running) = &self.inner().run {
+        if let LineUse::On(running) = &self.inner().run {
             running.stop.store(true, Ordering::Relaxed);
         }
         Ok(())
@@ -217,14 +218,14 @@ impl Service for Supervisor {
 
     fn mark(&self, text: String) -> Result<(), Diagnostic> {
         match &self.inner().run {
-            Run::On(running) => running.acquisition.mark(text),
-            Run::None | Run::Starting | Run::Reading(_) => return Err(NoRunIsOn.into()),
+            LineUse::On(running) => running.acquisition.mark(text),
+            LineUse::None | LineUse::Starting | LineUse::Reading(_) => return Err(NoRunIsOn.into()),
         }
         Ok(())
     }
 
     fn runs(&self) -> Result<Vec<RunEntry>, Diagnostic> {
-        runs::list(&self.config.data, self.running().as_deref())
+        runs::list_recorded_runs(&self.config.data, self.running().as_deref())
     }
 
     fn run(&self, name: &str) -> Result<RunEntry, Diagnostic> {
@@ -232,10 +233,10 @@ impl Service for Supervisor {
     }
 
     fn file(&self, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Diagnostic> {
-        runs::open(&self.config.data, run, result)
+        runs::open_download(&self.config.data, run, result)
     }
 
-    fn submit(&self, request: JobRequest) -> Result<Job, Diagnostic> {
+    fn submit(&self, request: JobRequest) -> Result<EvaluationJob, Diagnostic> {
         if self.running().as_ref() == Some(&request.run) {
             return Err(ThisRunIsOn { run: request.run }.into());
         }
@@ -244,19 +245,19 @@ impl Service for Supervisor {
         let job = self.jobs.submit(request, args, directory)?;
         let fields: &[(&str, &dyn Display)] =
             &[("job", &job.id), ("kind", &job.kind.name()), ("run", &job.run)];
-        self.log.event(Level::Info, "job_taken", fields);
+        self.log.event(LogLevel::Info, "job_taken", fields);
         Ok(job)
     }
 
-    fn jobs(&self) -> Vec<Job> {
+    fn jobs(&self) -> Vec<EvaluationJob> {
         self.jobs.list()
     }
 
-    fn job(&self, id: u64) -> Result<Job, Diagnostic> {
+    fn job(&self, id: u64) -> Result<EvaluationJob, Diagnostic> {
         self.jobs.get(id)
     }
 
-    fn cancel(&self, id: u64) -> Result<Job, Diagnostic> {
+    fn cancel(&self, id: u64) -> Result<EvaluationJob, Diagnostic> {
         self.jobs.cancel(id)
     }
 }

@@ -8,22 +8,25 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
-use super::config::ToArchive;
-use super::log::Level;
-use super::state::{Run, Supervisor};
+use super::config::ArchiveTarget;
+use super::log::LogLevel;
+use super::state::{LineUse, Supervisor};
 use super::{jobs, runs};
-use crate::archive::{LocalRun, Secrets, Spool};
-use crate::base::{files, hash::sha256, program, sync::lock};
-use crate::catalogue::ArchiveFinding;
-use crate::diagnostic::Finding as _;
 use crate::live::Archiving;
+use dbbd_device::sync::lock;
+use dbbd_job::child_process;
+use dbbd_job::files;
+use dbbd_model::base::hash::sha256;
+use dbbd_model::diagnostic::Finding as _;
+use dbbd_plant::ArchiveFinding;
+use dbbd_plant::{LocalRun, Secrets, Spool};
 
 /// File beside a run with the hash of the state that was handed over. It is not pushed.
 const HANDED_OVER: &str = ".archive";
 /// Interval between checks while no run waits, s.
 const IDLE_S: f64 = 3600.0;
 
-enum Pushed {
+enum PushAttempt {
     /// The archive confirmed it, perhaps with a warning.
     Confirmed(Option<String>),
     /// It is in the spool, with the reason.
@@ -51,7 +54,7 @@ fn push_all(supervisor: &Supervisor, over: &Receiver<()>) {
         let waits = state.waiting > 0;
         let before = lock(&supervisor.archiving).replace(state.clone());
         if before.as_ref() != Some(&state) {
-            let level = if waits { Level::Warning } else { Level::Info };
+            let level = if waits { LogLevel::Warning } else { LogLevel::Info };
             let reason = state.reason.unwrap_or_default();
             supervisor.log.event(level, "archive", &[("waiting", &state.waiting), ("reason", &reason)]);
         }
@@ -64,7 +67,7 @@ fn push_all(supervisor: &Supervisor, over: &Receiver<()>) {
 }
 
 /// `confirmed` is the number of runs confirmed before.
-fn round(supervisor: &Supervisor, archive: &ToArchive, confirmed: u64) -> Archiving {
+fn round(supervisor: &Supervisor, archive: &ArchiveTarget, confirmed: u64) -> Archiving {
     let mut state = Archiving::default();
     let spooled = || Spool::count(&archive.spool).map_or(1, |waiting| waiting as u64);
     let (before, mut handed_over) = (spooled(), 0);
@@ -78,24 +81,26 @@ fn round(supervisor: &Supervisor, archive: &ToArchive, confirmed: u64) -> Archiv
         let pushed = hand_over(archive, &directory);
         match pushed {
             Ok(None) => {}
-            Ok(Some(Pushed::Confirmed(doubt))) => {
+            Ok(Some(PushAttempt::Confirmed(doubt))) => {
                 (sent, handed_over) = (true, handed_over + 1);
-                let level = if doubt.is_some() { Level::Warning } else { Level::Info };
+                let level = if doubt.is_some() { LogLevel::Warning } else { LogLevel::Info };
                 let doubt = doubt.unwrap_or_default();
                 supervisor.log.event(level, "archived", &[("run", &name), ("doubt", &doubt)]);
             }
             // Counted in the spool.
-            Ok(Some(Pushed::Waits(why))) => {
+            Ok(Some(PushAttempt::Waits(why))) => {
                 (sent, handed_over, state.reason) = (true, handed_over + 1, Some(why));
             }
-            Ok(Some(Pushed::Failed(why))) => (state.refused, state.reason) = (state.refused + 1, Some(why)),
+            Ok(Some(PushAttempt::Failed(why))) => {
+                (state.refused, state.reason) = (state.refused + 1, Some(why))
+            }
             Err(error) => (state.refused, state.reason) = (state.refused + 1, Some(error.to_string())),
         }
     }
     if spooled() > 0 && !sent {
         state.reason = match push(archive, None) {
-            Ok(Pushed::Confirmed(_)) => state.reason,
-            Ok(Pushed::Waits(why) | Pushed::Failed(why)) => Some(why),
+            Ok(PushAttempt::Confirmed(_)) => state.reason,
+            Ok(PushAttempt::Waits(why) | PushAttempt::Failed(why)) => Some(why),
             Err(error) => Some(error.to_string()),
         };
     }
@@ -122,9 +127,9 @@ fn completed(supervisor: &Supervisor) -> io::Result<Vec<String>> {
     };
     let mut names: Vec<String> = names.filter(is_run).collect();
     match &supervisor.inner().run {
-        Run::Starting => names.clear(),
-        Run::On(running) => names.retain(|name| *name != running.name),
-        Run::None | Run::Reading(_) => {}
+        LineUse::Starting => names.clear(),
+        LineUse::On(running) => names.retain(|name| *name != running.name),
+        LineUse::None | LineUse::Reading(_) => {}
     }
     names.retain(|name| !supervisor.jobs.has_open_job(name));
     names.sort();
@@ -132,7 +137,7 @@ fn completed(supervisor: &Supervisor) -> io::Result<Vec<String>> {
 }
 
 /// Pushes the run in `directory` unless its present state was handed over before.
-fn hand_over(archive: &ToArchive, directory: &Path) -> io::Result<Option<Pushed>> {
+fn hand_over(archive: &ArchiveTarget, directory: &Path) -> io::Result<Option<PushAttempt>> {
     let state = LocalRun::state(directory).map_err(io::Error::other)?;
     let state = sha256(format!("{}\n{}\n{state}", archive.database, archive.store));
     let noted = directory.join(HANDED_OVER);
@@ -140,15 +145,15 @@ fn hand_over(archive: &ToArchive, directory: &Path) -> io::Result<Option<Pushed>
         return Ok(None);
     }
     let pushed = push(archive, Some(directory))?;
-    if !matches!(pushed, Pushed::Failed(_)) {
-        files::write(&noted, state).map_err(io::Error::other)?;
+    if !matches!(pushed, PushAttempt::Failed(_)) {
+        files::write_file(&noted, state).map_err(io::Error::other)?;
     }
     Ok(Some(pushed))
 }
 
 /// Pushes the runs in the spool, and this run.
-fn push(archive: &ToArchive, run: Option<&Path>) -> io::Result<Pushed> {
-    let mut command = program::own()?;
+fn push(archive: &ArchiveTarget, run: Option<&Path>) -> io::Result<PushAttempt> {
+    let mut command = child_process::own()?;
     command.args(["archive", "push"]).args(run.map(absolute).transpose()?);
     command.arg("--spool").arg(absolute(&archive.spool)?);
     command.arg(format!("--archive={}", archive.database)).arg(format!("--store={}", archive.store));
@@ -165,12 +170,12 @@ fn push(archive: &ToArchive, run: Option<&Path>) -> io::Result<Pushed> {
     }
     let said = String::from_utf8_lossy(&said);
     let first = |label: &str| said.lines().find(|line| line.starts_with(label)).map(str::to_owned);
-    let spooled = ArchiveFinding::SpoolWaits { runs: 0 }.code().0;
+    let spooled = ArchiveFinding::SpoolWaits { runs: 0 }.code();
     let (waits, doubt) = (first(&format!("warning[{spooled}]")), first("warning["));
     Ok(match (child.wait()?.code(), waits) {
-        (Some(0), _) => Pushed::Confirmed(None),
-        (Some(3), None) => Pushed::Confirmed(doubt),
-        (Some(3), Some(why)) => Pushed::Waits(why),
-        _ => Pushed::Failed(first("error[").or(doubt).unwrap_or_else(|| said.trim().to_owned())),
+        (Some(0), _) => PushAttempt::Confirmed(None),
+        (Some(3), None) => PushAttempt::Confirmed(doubt),
+        (Some(3), Some(why)) => PushAttempt::Waits(why),
+        _ => PushAttempt::Failed(first("error[").or(doubt).unwrap_or_else(|| said.trim().to_owned())),
     })
 }

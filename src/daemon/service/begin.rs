@@ -1,6 +1,6 @@
 //! The begin of a run or a reading: port, plan, directory.
 
-use std::fs::{self, File};
+use std::fs::{self};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,28 +8,28 @@ use std::sync::atomic::AtomicBool;
 
 use serde_json::json;
 
-use super::log::Level;
-use super::state::{Halt, Line, Run, Running, Supervisor};
+use super::log::LogLevel;
+use super::state::{ActiveRun, HaltBehaviour, LineUse, Supervisor, UnopenedLine};
 use super::{catalogue, runs};
-use crate::base::clock;
-use crate::base::sync::lock;
-use crate::catalogue::ServiceFinding::{
+use crate::daemon::live_state::{LiveFeed, LiveRun};
+use crate::daemon::{Acquisition, AcquisitionOptions, ControllerConnections, Schedule};
+use crate::live::ServiceFinding::{
     DataUnwritable, Ending, NameTaken, NoPlan, NoPortChosen, ProtocolNotBuiltIn, RunIsOn, RunIsStarting,
 };
-use crate::daemon::live_state::{Feed, LiveRun};
-use crate::daemon::{Acquisition, Controller, Options, Schedule};
-use crate::device::port::{self, PortAddress};
-use crate::device::protocol::Definition;
-use crate::diagnostic::{Diagnostic, Finding};
 use crate::live::{Message, StartRequest};
-use crate::plan::{DEFAULT_PROTOCOL, SIGMA_UM};
-use crate::recording::capture::{Disk, Writer};
-use crate::recording::mounting::{Expected, Rest};
-use crate::recording::run::PlanFiles;
-use crate::robot::Robot;
+use dbbd_device::clock;
+use dbbd_device::port::{self, PortAddress};
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_device::sync::lock;
+use dbbd_job::plan::{DEFAULT_PROTOCOL, SIGMA_UM};
+use dbbd_job::recording::capture::CaptureWriter;
+use dbbd_job::recording::mounting::{ExpectedMounting, RestCondition};
+use dbbd_job::recording::run::PlanFiles;
+use dbbd_model::diagnostic::{Diagnostic, Finding};
+use dbbd_model::robot::Robot;
 
 /// Why the bar is read.
-pub(super) enum Purpose {
+pub(super) enum ReadPurpose {
     Run(StartRequest),
     /// To show the bar against the stroke of a plan.
     Reading {
@@ -37,33 +37,18 @@ pub(super) enum Purpose {
     },
 }
 
-/// A capture that is not kept.
-impl Disk for io::Sink {
-    fn sync(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-
-    fn cut(&mut self, _: u64) -> io::Result<()> {
-        Ok(())
-    }
-
-    fn copy(&mut self, _: u64, _: &mut File) -> io::Result<()> {
-        Ok(())
-    }
-}
-
 impl Supervisor {
     /// Reserves the line to the bar. Returns the reading that uses it, which the caller must end.
-    pub(super) fn reserve_line(&self) -> Result<Option<Running>, Diagnostic> {
+    pub(super) fn reserve_line(&self) -> Result<Option<ActiveRun>, Diagnostic> {
         let mut inner = self.inner();
         if inner.ending {
             return Err(Ending.into());
         }
-        match std::mem::replace(&mut inner.run, Run::Starting) {
-            Run::None => Ok(None),
-            Run::Reading(running) => Ok(Some(*running)),
-            taken @ (Run::On(_) | Run::Starting) => {
-                let refusal = if matches!(taken, Run::On(_)) { RunIsOn } else { RunIsStarting };
+        match std::mem::replace(&mut inner.run, LineUse::Starting) {
+            LineUse::None => Ok(None),
+            LineUse::Reading(running) => Ok(Some(*running)),
+            taken @ (LineUse::On(_) | LineUse::Starting) => {
+                let refusal = if matches!(taken, LineUse::On(_)) { RunIsOn } else { RunIsStarting };
                 inner.run = taken;
                 Err(refusal.into())
             }
@@ -73,12 +58,12 @@ impl Supervisor {
     /// Gives the reserved line to a reading, or frees it. An error is passed on.
     pub(super) fn release_line(
         &self,
-        reading: Result<Option<Running>, Diagnostic>,
+        reading: Result<Option<ActiveRun>, Diagnostic>,
     ) -> Result<(), Diagnostic> {
         let (run, result) = match reading {
-            Ok(Some(running)) => (Run::Reading(Box::new(running)), Ok(())),
-            Ok(None) => (Run::None, Ok(())),
-            Err(refusal) => (Run::None, Err(refusal)),
+            Ok(Some(running)) => (LineUse::Reading(Box::new(running)), Ok(())),
+            Ok(None) => (LineUse::None, Ok(())),
+            Err(refusal) => (LineUse::None, Err(refusal)),
         };
         self.inner().run = run;
         self.tick();
@@ -86,7 +71,7 @@ impl Supervisor {
     }
 
     /// Opens the selected device and begins to read. The caller has reserved the line.
-    pub(super) fn begin(&self, purpose: Purpose) -> Result<Running, Diagnostic> {
+    pub(super) fn begin(&self, purpose: ReadPurpose) -> Result<ActiveRun, Diagnostic> {
         let (port, protocol) = {
             let inner = self.inner();
             (inner.port.clone(), inner.protocol.clone())
@@ -98,16 +83,16 @@ impl Supervisor {
     /// The line to the bar at `port`. For a simulated port its cell is created.
     fn line(
         &self,
-        purpose: &Purpose,
+        purpose: &ReadPurpose,
         mut port: PortAddress,
-        protocol: Option<Definition>,
-    ) -> Result<Line, Diagnostic> {
+        protocol: Option<ProtocolDefinition>,
+    ) -> Result<UnopenedLine, Diagnostic> {
         let find = |name: &String| {
             catalogue::plan_file(&self.config.plans, name).ok_or_else(|| NoPlan { plan: name.clone() })
         };
         let (plan, halt) = match purpose {
-            Purpose::Run(request) => (&request.plan, Halt::Continue),
-            Purpose::Reading { plan } => (plan, Halt::Wait),
+            ReadPurpose::Run(request) => (&request.plan, HaltBehaviour::Continue),
+            ReadPurpose::Reading { plan } => (plan, HaltBehaviour::Wait),
         };
         let mut plan = plan.as_ref().map(find).transpose()?;
         let cell = match &self.make_cell {
@@ -119,12 +104,12 @@ impl Supervisor {
         }
         if let Some(finding) = port::blur(&port) {
             let fields: &[(&str, &dyn std::fmt::Display)] = &[("code", &finding.code()), ("text", &finding)];
-            self.log.event(Level::Warning, "times_are_blurred", fields);
+            self.log.event(LogLevel::Warning, "times_are_blurred", fields);
         }
-        Ok(Line { port, protocol, plan, _cell: cell })
+        Ok(UnopenedLine { port, protocol, plan, _cell: cell })
     }
 
-    pub(super) fn open(&self, purpose: Purpose, line: Line) -> Result<Running, Diagnostic> {
+    pub(super) fn open(&self, purpose: ReadPurpose, line: UnopenedLine) -> Result<ActiveRun, Diagnostic> {
         let files = line.plan.as_deref().map(PlanFiles::read).transpose()?;
         let definition = line.protocol.clone().map_or_else(|| protocol_of(files.as_ref()), Ok)?;
         let schedule = match &files {
@@ -132,32 +117,33 @@ impl Supervisor {
             None => Schedule::bare(self.config.stroke_mm, self.config.alarm_share),
         };
         // After a run was stopped its program may still move the robot.
-        let rest = if self.inner().last.is_some() { Rest::UnderWay } else { Rest::Standing };
+        let rest =
+            if self.inner().last.is_some() { RestCondition::UnderWay } else { RestCondition::Standing };
         let expected = expected(&purpose, files.as_ref(), rest).with_resolution(definition.resolution_mm());
         let robot = files.as_ref().and_then(|files| {
             Robot::from_toml("robot", &files.plan.header.robot).ok().map(|robot| robot.name)
         });
         let stop = Arc::new(AtomicBool::new(false));
-        let mut options = Options {
+        let mut options = AcquisitionOptions {
             port: line.port.clone(),
             definition: definition.clone(),
             out: PathBuf::new(),
             plan: None,
             identity: self.config.identity.clone(),
-            controller: Controller::default(),
+            controller: ControllerConnections::default(),
             duration_s: None,
             gone_s: f64::INFINITY,
             sync_s: f64::INFINITY,
-            feed: Some(Feed::new(self.live.clone(), schedule.clone(), expected)),
+            feed: Some(LiveFeed::new(self.live.clone(), schedule.clone(), expected)),
         };
         *lock(&self.live.run) = LiveRun::default();
         let (name, plan, acquisition) = match purpose {
-            Purpose::Reading { plan } => {
-                let nowhere = Writer::on(Box::new(io::sink()), Path::new("live"))?;
+            ReadPurpose::Reading { plan } => {
+                let nowhere = CaptureWriter::on(Box::new(io::sink()), Path::new("live"))?;
                 let acquisition = Acquisition::start_on(nowhere, options, Arc::clone(&stop))?;
                 (String::new(), plan, acquisition)
             }
-            Purpose::Run(request) => {
+            ReadPurpose::Run(request) => {
                 let directory = self.create_directory(&request.name)?;
                 let begin = json!({ "name": request.name, "plan": request.plan });
                 let _ = self.live.messages.send(Message::new("begin", &begin));
@@ -172,7 +158,7 @@ impl Supervisor {
                 (request.name, request.plan, acquisition)
             }
         };
-        Ok(Running {
+        Ok(ActiveRun {
             name,
             plan,
             robot,
@@ -200,19 +186,19 @@ impl Supervisor {
 }
 
 /// What the mounting monitor expects of the readings.
-fn expected(purpose: &Purpose, files: Option<&PlanFiles>, rest: Rest) -> Expected {
+fn expected(purpose: &ReadPurpose, files: Option<&PlanFiles>, rest: RestCondition) -> ExpectedMounting {
     match (purpose, files) {
-        (Purpose::Run(_), Some(files)) => Expected::of(&files.plan, Rest::Program),
-        (Purpose::Run(_), None) => Expected::unplanned(SIGMA_UM),
-        (Purpose::Reading { .. }, files) => {
+        (ReadPurpose::Run(_), Some(files)) => ExpectedMounting::of(&files.plan, RestCondition::Program),
+        (ReadPurpose::Run(_), None) => ExpectedMounting::unplanned(SIGMA_UM),
+        (ReadPurpose::Reading { .. }, files) => {
             let sigma_um = files.map_or(SIGMA_UM, |files| files.plan.header.job.bar.sigma_um);
-            Expected { rest, ..Expected::standing(sigma_um) }
+            ExpectedMounting { rest, ..ExpectedMounting::standing(sigma_um) }
         }
     }
 }
 
 /// The protocol that the plan names, else the default. Both must be built in.
-fn protocol_of(plan: Option<&PlanFiles>) -> Result<Definition, Diagnostic> {
+fn protocol_of(plan: Option<&PlanFiles>) -> Result<ProtocolDefinition, Diagnostic> {
     let name = plan.map_or(DEFAULT_PROTOCOL, |files| &files.plan.header.job.bar.protocol);
-    Definition::by_name(name).ok_or_else(|| ProtocolNotBuiltIn { protocol: name.into() })?
+    ProtocolDefinition::by_name(name).ok_or_else(|| ProtocolNotBuiltIn { protocol: name.into() })?
 }

@@ -9,19 +9,23 @@ use std::time::SystemTime;
 use serde_json::{Value, json};
 
 use super::runs::is_sound;
-use crate::base::sync::lock;
-use crate::device::port;
-use crate::device::protocol::Definition;
-use crate::diagnostic::Diagnostic;
 use crate::live::Catalogue;
-use crate::plan::Kind;
-use crate::recording::run;
-use crate::robot::Robot;
+use dbbd_device::port;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_device::sync::lock;
+use dbbd_job::plan::PoseKind;
+use dbbd_job::recording::run;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::Robot;
 
 /// A JSON object with the list under its name.
-pub(super) fn list(which: Catalogue, plans: &Plans, directory: &Path) -> Result<Value, Diagnostic> {
+pub(super) fn list_catalogue(
+    which: Catalogue,
+    plans: &PlanCache,
+    directory: &Path,
+) -> Result<Value, Diagnostic> {
     Ok(match which {
-        Catalogue::Ports => json!({ "ports": port::list()? }),
+        Catalogue::Ports => json!({ "ports": port::list_ports()? }),
         Catalogue::Protocols => json!({ "protocols": protocols() }),
         Catalogue::Robots => {
             let names: Vec<&str> = Robot::built_in().iter().map(|(name, _)| *name).collect();
@@ -32,8 +36,8 @@ pub(super) fn list(which: Catalogue, plans: &Plans, directory: &Path) -> Result<
 }
 
 fn protocols() -> Vec<Value> {
-    let all = Definition::built_in().iter();
-    all.filter_map(|(name, text)| Definition::from_toml(name, text).ok())
+    let all = ProtocolDefinition::built_in().iter();
+    all.filter_map(|(name, text)| ProtocolDefinition::from_toml(name, text).ok())
         .map(|one| {
             json!({
                 "id": one.id, "title": one.title, "confidence": one.confidence, "baud": one.line.baud,
@@ -49,12 +53,12 @@ pub(super) fn plan_file(plans: &Path, name: &str) -> Option<PathBuf> {
 }
 
 /// Plans that are listed.
-const MOST_LISTED: usize = 200;
+const MAX_LISTED_PLANS: usize = 200;
 
 /// Size and time of a plan's two files. A changed plan has another stamp.
-type Stamp = [Option<(u64, SystemTime)>; 2];
+type FileStamps = [Option<(u64, SystemTime)>; 2];
 
-fn stamp(csv: &Path) -> Stamp {
+fn stamp(csv: &Path) -> FileStamps {
     [csv.to_owned(), csv.with_extension("json")].map(|path| {
         let data = fs::metadata(path).ok()?;
         Some((data.len(), data.modified().ok()?))
@@ -63,25 +67,25 @@ fn stamp(csv: &Path) -> Stamp {
 
 /// A cache of the descriptions of plans. Concurrent requests wait, so that only one plan at a time is in memory.
 #[derive(Default)]
-pub(super) struct Plans(Mutex<BTreeMap<String, (Stamp, Value)>>);
+pub(super) struct PlanCache(Mutex<BTreeMap<String, (FileStamps, Value)>>);
 
-impl Plans {
+impl PlanCache {
     /// The newest first.
     fn list(&self, plans: &Path) -> Vec<Value> {
         let mut known = lock(&self.0);
         let entries = fs::read_dir(plans).into_iter().flatten().flatten();
         let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
-        let mut found: Vec<(Stamp, String, PathBuf)> = names
+        let mut found: Vec<(FileStamps, String, PathBuf)> = names
             .filter_map(|name| {
                 let csv = plan_file(plans, &name)?;
                 Some((stamp(&csv), name, csv))
             })
             .collect();
-        let written = |stamp: &Stamp| stamp[0].map(|(_, time)| time);
+        let written = |stamp: &FileStamps| stamp[0].map(|(_, time)| time);
         found.sort_by(|(a, first, _), (b, second, _)| {
             written(b).cmp(&written(a)).then_with(|| first.cmp(second))
         });
-        found.truncate(MOST_LISTED);
+        found.truncate(MAX_LISTED_PLANS);
         let mut described = BTreeMap::new();
         let mut listed = Vec::new();
         for (stamp, name, csv) in found {
@@ -98,7 +102,7 @@ impl Plans {
 fn describe(name: &str, csv: &Path) -> Value {
     match run::read_plan(csv) {
         Ok(plan) => {
-            let poses = plan.rows.iter().filter(|row| row.kind != Kind::Transit).count();
+            let poses = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).count();
             let (job, robot) = (&plan.header.job, Robot::from_toml("robot", &plan.header.robot));
             json!({
                 "name": name, "robot": robot.map(|robot| robot.name).ok(), "poses": poses,
@@ -107,6 +111,6 @@ fn describe(name: &str, csv: &Path) -> Value {
                 "duration_s": plan.duration_s(), "error": null,
             })
         }
-        Err(error) => json!({ "name": name, "error": error.to_string(), "code": error.code }),
+        Err(error) => json!({ "name": name, "error": error.to_string(), "code": error.code() }),
     }
 }

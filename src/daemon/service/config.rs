@@ -9,31 +9,32 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::base::parse::from_toml;
-use crate::base::{clock, files};
-use crate::catalogue::PortFinding;
-use crate::catalogue::ServiceFinding::{
+use crate::daemon::ALARM_SHARE;
+use crate::live::ServiceFinding::{
     self, NoPlans, NotADirectory, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, NotReadings,
     OneDirectory, OpenWithoutToken, OutOfRange, ParametersWithoutProtocol, TokenTooShort, TokenUnreadable,
 };
-use crate::daemon::ALARM_SHARE;
-use crate::device::port::PortAddress;
-use crate::device::protocol::Definition;
-use crate::diagnostic::{Diagnostic, Finding};
 use crate::live::Token;
-use crate::provenance::Identity;
+use dbbd_device::clock;
+use dbbd_device::port::PortAddress;
+use dbbd_device::port::PortFinding;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_job::files;
+use dbbd_model::base::parse::from_toml;
+use dbbd_model::diagnostic::{Diagnostic, Finding};
+use dbbd_model::provenance::Identity;
 
-/// Default of [`Config::gone_s`].
+/// Default of [`ServiceConfig::gone_s`].
 const GONE_S: f64 = 60.0;
 /// A smaller share raises the alarm permanently.
-const LEAST_SHARE: f64 = 0.05;
+const MIN_ALARM_SHARE: f64 = 0.05;
 /// No bar has a longer stroke, mm: larger numbers are micrometres.
-const MOST_STROKE_MM: f64 = 500.0;
-/// Default of [`ToArchive::retry_s`].
+const MAX_STROKE_MM: f64 = 500.0;
+/// Default of [`ArchiveTarget::retry_s`].
 #[cfg(feature = "archive")]
 const RETRY_S: f64 = 60.0;
 /// No user waits longer for a port, s: larger numbers are milliseconds.
-const MOST_GONE_S: f64 = 14_400.0;
+const MAX_GONE_S: f64 = 14_400.0;
 
 /// The address of a service, its host names and its token.
 #[derive(Debug)]
@@ -45,7 +46,7 @@ pub struct Endpoint {
 }
 
 #[derive(Debug)]
-pub struct Config {
+pub struct ServiceConfig {
     pub endpoint: Endpoint,
     /// The directory of the runs.
     pub data: PathBuf,
@@ -53,7 +54,7 @@ pub struct Config {
     pub plans: PathBuf,
     pub port: Option<PortAddress>,
     /// `None`: the protocol of the plan.
-    pub protocol: Option<Definition>,
+    pub protocol: Option<ProtocolDefinition>,
     /// A run ends when its port has been absent for this time.
     pub gone_s: f64,
     /// Share of the half stroke beyond which the alarm is raised.
@@ -62,12 +63,12 @@ pub struct Config {
     pub stroke_mm: Option<[f64; 2]>,
     /// Identity data of every run.
     pub identity: Identity,
-    pub archive: Option<ToArchive>,
+    pub archive: Option<ArchiveTarget>,
 }
 
 /// The archive that receives completed runs.
 #[derive(Debug)]
-pub struct ToArchive {
+pub struct ArchiveTarget {
     /// As of `dbbd archive --archive`.
     pub database: String,
     /// As of `dbbd archive --store`.
@@ -82,7 +83,7 @@ pub struct ToArchive {
 
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-struct File {
+struct ConfigFile {
     address: Option<Spanned<String>>,
     hosts: Vec<Spanned<String>>,
     token_file: Option<Spanned<String>>,
@@ -123,7 +124,7 @@ struct ArchiveTable {
     retry_s: Option<Spanned<f64>>,
 }
 
-impl Default for Config {
+impl Default for ServiceConfig {
     fn default() -> Self {
         Self {
             endpoint: Endpoint {
@@ -145,13 +146,13 @@ impl Default for Config {
 }
 
 /// The file, for messages and relative paths.
-struct Source<'a> {
+struct ConfigSource<'a> {
     file: String,
     text: &'a str,
     base: &'a Path,
 }
 
-impl Source<'_> {
+impl ConfigSource<'_> {
     fn wrong(&self, span: Range<usize>, finding: impl Finding) -> Diagnostic {
         Diagnostic::span(&self.file, self.text, span, finding)
     }
@@ -168,7 +169,7 @@ impl Source<'_> {
 impl Endpoint {
     /// An address that other computers can reach needs a token.
     pub fn new(address: &str, token_file: Option<&Path>, hosts: &[String]) -> Result<Self, ServiceFinding> {
-        let mut endpoint = Config::default().endpoint;
+        let mut endpoint = ServiceConfig::default().endpoint;
         endpoint.token = token_file.map(token).transpose()?;
         endpoint.listen(address)?;
         hosts.iter().try_for_each(|host| endpoint.add_host(host))?;
@@ -194,20 +195,20 @@ impl Endpoint {
     }
 }
 
-impl Config {
+impl ServiceConfig {
     /// Reads a file. Relative paths in it start at its directory.
     pub fn read(path: &Path) -> Result<Self, Diagnostic> {
         let file = path.display().to_string();
-        let text = files::read(path)?;
+        let text = files::read_text(path)?;
         let base = path.parent().unwrap_or(Path::new(""));
-        let table: File = from_toml(&file, &text).map_err(|wrong| match wrong.help {
+        let table: ConfigFile = from_toml(&file, &text).map_err(|wrong| match wrong.help_line() {
             Some(_) => wrong,
             None => wrong.help("docs/reference/service.md explains every key"),
         })?;
-        Self::from_table(&Source { file, text: &text, base }, table)
+        Self::from_table(&ConfigSource { file, text: &text, base }, table)
     }
 
-    fn from_table(source: &Source, table: File) -> Result<Self, Diagnostic> {
+    fn from_table(source: &ConfigSource, table: ConfigFile) -> Result<Self, Diagnostic> {
         let mut config =
             Self { data: source.base.join("dbbd-runs"), plans: source.base.into(), ..Self::default() };
         config.data = table.data.map_or(config.data, |path| source.base.join(path));
@@ -247,10 +248,10 @@ impl Config {
             return Err(Diagnostic::file(&source.file, ParametersWithoutProtocol));
         }
         if let Some(gone_s) = &table.device.gone_s {
-            config.gone_s = source.number(gone_s, 0.0, MOST_GONE_S)?;
+            config.gone_s = source.number(gone_s, 0.0, MAX_GONE_S)?;
         }
         if let Some(share) = &table.alarm.share {
-            config.alarm_share = source.number(share, LEAST_SHARE, 1.0)?;
+            config.alarm_share = source.number(share, MIN_ALARM_SHARE, 1.0)?;
         }
         if let Some(stroke) = table.alarm.stroke_mm {
             let checked = check_stroke(*stroke.get_ref());
@@ -272,26 +273,26 @@ fn check_stroke([low, high]: [f64; 2]) -> Result<(), ServiceFinding> {
     if !(low.is_finite() && high.is_finite() && low < high) {
         return Err(NotAStroke);
     }
-    if let Some(value) = [low, high].into_iter().find(|end| end.abs() > MOST_STROKE_MM) {
-        return Err(OutOfRange { value, least: -MOST_STROKE_MM, most: MOST_STROKE_MM });
+    if let Some(value) = [low, high].into_iter().find(|end| end.abs() > MAX_STROKE_MM) {
+        return Err(OutOfRange { value, least: -MAX_STROKE_MM, most: MAX_STROKE_MM });
     }
     // Readings are near zero. Numbers far from it are lengths.
     if low.max(-high) > high - low { Err(NotReadings { low, high }) } else { Ok(()) }
 }
 
 #[cfg(not(feature = "archive"))]
-fn to_archive(source: &Source, table: Spanned<ArchiveTable>) -> Result<ToArchive, Diagnostic> {
-    Err(source.wrong(table.span(), crate::catalogue::ArchiveFinding::NotBuilt))
+fn to_archive(source: &ConfigSource, table: Spanned<ArchiveTable>) -> Result<ArchiveTarget, Diagnostic> {
+    Err(source.wrong(table.span(), dbbd_plant::ArchiveFinding::NotBuilt))
 }
 
 #[cfg(feature = "archive")]
-fn to_archive(source: &Source, table: Spanned<ArchiveTable>) -> Result<ToArchive, Diagnostic> {
-    use crate::archive::{Addresses, Secrets};
+fn to_archive(source: &ConfigSource, table: Spanned<ArchiveTable>) -> Result<ArchiveTarget, Diagnostic> {
+    use dbbd_plant::{ArchiveAddresses, Secrets};
     let ArchiveTable { database, store, spool, retry_s } = table.into_inner();
-    let addresses = Addresses::read(Some(&database), Some(&store), &Secrets::of_environment())?;
+    let addresses = ArchiveAddresses::read(Some(&database), Some(&store), &Secrets::of_environment())?;
     let spool = spool.unwrap_or_else(|| "dbbd-spool".into());
     addresses.check_spool(source.base, std::path::Path::new(&spool))?;
-    Ok(ToArchive {
+    Ok(ArchiveTarget {
         database,
         store,
         base: source.base.into(),
@@ -302,11 +303,11 @@ fn to_archive(source: &Source, table: Spanned<ArchiveTable>) -> Result<ToArchive
 
 /// A built-in protocol or a protocol file.
 fn definition(
-    source: &Source,
+    source: &ConfigSource,
     name: &Spanned<String>,
     params: &[(String, String)],
-) -> Result<Definition, Diagnostic> {
-    if let Some(built_in) = Definition::by_name_with(name.get_ref(), params) {
+) -> Result<ProtocolDefinition, Diagnostic> {
+    if let Some(built_in) = ProtocolDefinition::by_name_with(name.get_ref(), params) {
         return built_in;
     }
     let path = source.base.join(name.get_ref());
@@ -314,7 +315,7 @@ fn definition(
         let finding = NotAProtocol { name: name.get_ref().clone(), why: error.to_string() };
         source.wrong(name.span(), finding)
     })?;
-    Definition::from_toml_with(&path.display().to_string(), &text, params)
+    ProtocolDefinition::from_toml_with(&path.display().to_string(), &text, params)
 }
 
 fn token(file: &Path) -> Result<Token, ServiceFinding> {

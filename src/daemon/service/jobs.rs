@@ -11,43 +11,44 @@ use std::{io, thread};
 use tokio::sync::broadcast;
 
 use super::runs::CAPTURE;
-use crate::base::program::{PROGRESS, PROGRESS_VARIABLE};
-use crate::base::sync::lock;
-use crate::base::units::HostNs;
-use crate::base::{clock, program};
-use crate::catalogue::ServiceFinding::{
+use crate::live::ServiceFinding::{
     CommandFailed, NoJob, OptionOfAnotherJob, OptionValue, TooManyJobs, WorkerLost,
 };
-use crate::diagnostic::{Diagnostic, Finding};
-use crate::live::{Job, JobKind, JobRequest, JobState, Message};
+use crate::live::{EvaluationJob, JobKind, JobRequest, JobState, Message};
+use dbbd_device::clock;
+use dbbd_device::sync::lock;
+use dbbd_job::child_process;
+use dbbd_job::child_process::{PROGRESS, PROGRESS_VARIABLE};
+use dbbd_model::base::units::HostNs;
+use dbbd_model::diagnostic::{Diagnostic, Finding};
 
-const MOST_WAITING: usize = 16;
-const MOST_KEPT: usize = 100;
+const MAX_WAITING_JOBS: usize = 16;
+const MAX_KEPT_JOBS: usize = 100;
 /// Output lines that are kept per job, and their longest length in characters.
-const MOST_LINES: usize = 200;
+const MAX_LOG_LINES: usize = 200;
 const LONGEST_LINE: usize = 400;
 /// Output lines of a job in a message of the live stream.
 const LINES_STREAMED: usize = 12;
 
-pub(super) struct Jobs {
-    shared: Arc<Shared>,
-    queue: Sender<Task>,
+pub(super) struct JobQueue {
+    shared: Arc<JobsShared>,
+    queue: Sender<JobTask>,
 }
 
-struct Shared {
-    jobs: Mutex<VecDeque<Kept>>,
+struct JobsShared {
+    jobs: Mutex<VecDeque<KeptJob>>,
     child: Mutex<Option<(u64, Child)>>,
     messages: broadcast::Sender<Message>,
     /// Signals the end of each job.
     over: Sender<()>,
 }
 
-struct Kept {
-    job: Job,
+struct KeptJob {
+    job: EvaluationJob,
     began: Option<HostNs>,
 }
 
-struct Task {
+struct JobTask {
     id: u64,
     directory: PathBuf,
     args: Vec<String>,
@@ -78,10 +79,10 @@ pub(super) fn arguments(request: &JobRequest) -> Result<Vec<String>, Diagnostic>
     Ok(args)
 }
 
-impl Jobs {
+impl JobQueue {
     /// Starts the worker thread.
     pub(super) fn start(messages: broadcast::Sender<Message>, over: Sender<()>) -> io::Result<Self> {
-        let shared = Arc::new(Shared { jobs: Mutex::default(), child: Mutex::default(), messages, over });
+        let shared = Arc::new(JobsShared { jobs: Mutex::default(), child: Mutex::default(), messages, over });
         let (queue, tasks) = channel();
         let worker = Arc::clone(&shared);
         thread::Builder::new().name("jobs".into()).spawn(move || work(&worker, &tasks))?;
@@ -94,13 +95,13 @@ impl Jobs {
         request: JobRequest,
         args: Vec<String>,
         directory: PathBuf,
-    ) -> Result<Job, Diagnostic> {
+    ) -> Result<EvaluationJob, Diagnostic> {
         let mut jobs = lock(&self.shared.jobs);
-        if jobs.iter().filter(|kept| kept.job.state == JobState::Waiting).count() >= MOST_WAITING {
+        if jobs.iter().filter(|kept| kept.job.state == JobState::Waiting).count() >= MAX_WAITING_JOBS {
             return Err(TooManyJobs.into());
         }
         let id = jobs.back().map_or(1, |kept| kept.job.id + 1);
-        let job = Job {
+        let job = EvaluationJob {
             id,
             kind: request.kind,
             run: request.run,
@@ -109,19 +110,19 @@ impl Jobs {
             percent: 0,
             log: Vec::new(),
         };
-        jobs.push_back(Kept { job: job.clone(), began: None });
-        if jobs.len() > MOST_KEPT {
+        jobs.push_back(KeptJob { job: job.clone(), began: None });
+        if jobs.len() > MAX_KEPT_JOBS {
             jobs.pop_front();
         }
         drop(jobs);
-        self.queue.send(Task { id, directory, args }).map_err(|_| WorkerLost { worker: "jobs".into() })?;
+        self.queue.send(JobTask { id, directory, args }).map_err(|_| WorkerLost { worker: "jobs".into() })?;
         self.shared.publish(id);
         Ok(job)
     }
 
     /// The newest first.
-    pub(super) fn list(&self) -> Vec<Job> {
-        lock(&self.shared.jobs).iter().rev().map(Kept::now).collect()
+    pub(super) fn list(&self) -> Vec<EvaluationJob> {
+        lock(&self.shared.jobs).iter().rev().map(KeptJob::now).collect()
     }
 
     /// Whether a waiting or running job belongs to this run.
@@ -130,11 +131,11 @@ impl Jobs {
         lock(&self.shared.jobs).iter().any(|kept| kept.job.run == run && kept.is_open())
     }
 
-    pub(super) fn get(&self, id: u64) -> Result<Job, Diagnostic> {
+    pub(super) fn get(&self, id: u64) -> Result<EvaluationJob, Diagnostic> {
         self.shared.get(id).ok_or_else(|| NoJob { job: id.to_string() }.into())
     }
 
-    pub(super) fn cancel(&self, id: u64) -> Result<Job, Diagnostic> {
+    pub(super) fn cancel(&self, id: u64) -> Result<EvaluationJob, Diagnostic> {
         if matches!(self.get(id)?.state, JobState::Waiting | JobState::Running) {
             self.shared.change(id, |job| job.state = JobState::Cancelled);
             self.kill(|running| running == id);
@@ -160,12 +161,12 @@ impl Jobs {
     }
 }
 
-impl Kept {
+impl KeptJob {
     fn is_open(&self) -> bool {
         matches!(self.job.state, JobState::Waiting | JobState::Running)
     }
 
-    fn now(&self) -> Job {
+    fn now(&self) -> EvaluationJob {
         let mut job = self.job.clone();
         if let (Some(began), JobState::Running) = (self.began, job.state) {
             job.elapsed_s = clock::now().seconds_since(began);
@@ -174,12 +175,12 @@ impl Kept {
     }
 }
 
-impl Shared {
-    fn get(&self, id: u64) -> Option<Job> {
-        lock(&self.jobs).iter().find(|kept| kept.job.id == id).map(Kept::now)
+impl JobsShared {
+    fn get(&self, id: u64) -> Option<EvaluationJob> {
+        lock(&self.jobs).iter().find(|kept| kept.job.id == id).map(KeptJob::now)
     }
 
-    fn change(&self, id: u64, change: impl FnOnce(&mut Job)) {
+    fn change(&self, id: u64, change: impl FnOnce(&mut EvaluationJob)) {
         if let Some(kept) = lock(&self.jobs).iter_mut().find(|kept| kept.job.id == id) {
             change(&mut kept.job);
         }
@@ -201,7 +202,7 @@ impl Shared {
                 job.percent = percent;
                 return;
             }
-            if job.log.len() >= MOST_LINES {
+            if job.log.len() >= MAX_LOG_LINES {
                 job.log.remove(0);
             }
             job.log.push(line.chars().take(LONGEST_LINE).collect());
@@ -209,11 +210,11 @@ impl Shared {
     }
 }
 
-fn work(shared: &Arc<Shared>, tasks: &Receiver<Task>) {
+fn work(shared: &Arc<JobsShared>, tasks: &Receiver<JobTask>) {
     for task in tasks {
         let id = task.id;
         let mut jobs = lock(&shared.jobs);
-        let waits = |kept: &&mut Kept| kept.job.id == id && kept.job.state == JobState::Waiting;
+        let waits = |kept: &&mut KeptJob| kept.job.id == id && kept.job.state == JobState::Waiting;
         // A job that was cancelled or dropped from the list does not run.
         let Some(kept) = jobs.iter_mut().find(waits) else { continue };
         (kept.job.state, kept.began) = (JobState::Running, Some(clock::now()));
@@ -236,11 +237,11 @@ fn work(shared: &Arc<Shared>, tasks: &Receiver<Task>) {
 }
 
 /// Runs a command to its end and collects its output.
-fn run(shared: &Arc<Shared>, task: &Task) -> io::Result<JobState> {
+fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
     if task.args.first().is_some_and(|verb| verb == "sync") {
         std::fs::create_dir_all(task.directory.join("sync"))?;
     }
-    let mut child = program::own()?
+    let mut child = child_process::own()?
         .args(&task.args)
         .current_dir(&task.directory)
         .env("NO_COLOR", "1")
@@ -283,7 +284,7 @@ pub(super) fn prefer_for_oom_kill(child: &Child) {
     let _ = std::fs::write(format!("/proc/{}/oom_score_adj", child.id()), "1000");
 }
 
-fn listen(shared: &Shared, id: u64, output: impl Read) {
+fn listen(shared: &JobsShared, id: u64, output: impl Read) {
     for line in BufReader::new(output).split(b'\n').map_while(Result::ok) {
         shared.line(id, &String::from_utf8_lossy(&line));
     }

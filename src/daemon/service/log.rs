@@ -4,33 +4,33 @@ use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::sync::{Arc, Mutex};
 
-use crate::base::clock;
-use crate::base::sync::lock;
-use crate::base::units::HostNs;
 use crate::live::Journal;
+use dbbd_device::clock;
+use dbbd_device::sync::lock;
+use dbbd_model::base::units::HostNs;
 
 /// Least time between two lines of an event that clients cause, s: they could fill the disk.
 const REPEAT_S: f64 = 10.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Level {
+pub enum LogLevel {
     Info,
     Warning,
     Error,
 }
 
 /// Receives the events of the service, which prints nothing itself.
-pub trait Log: Send + Sync {
-    fn event(&self, level: Level, event: &str, fields: &[(&str, &dyn Display)]);
+pub trait ServiceLog: Send + Sync {
+    fn event(&self, level: LogLevel, event: &str, fields: &[(&str, &dyn Display)]);
 }
 
 /// Warnings that clients cause. Repeated events are counted and logged at intervals.
 pub(super) struct RateLimitedLog {
-    log: Arc<dyn Log>,
-    repeats: Mutex<BTreeMap<&'static str, Repeat>>,
+    log: Arc<dyn ServiceLog>,
+    repeats: Mutex<BTreeMap<&'static str, RepeatedEvent>>,
 }
 
-struct Repeat {
+struct RepeatedEvent {
     logged: HostNs,
     times: u64,
 }
@@ -40,13 +40,13 @@ impl Journal for RateLimitedLog {
         if let Some(times) = self.due(event) {
             let mut fields = fields.to_vec();
             fields.push(("times", &times));
-            self.log.event(Level::Warning, event, &fields);
+            self.log.event(LogLevel::Warning, event, &fields);
         }
     }
 }
 
 impl RateLimitedLog {
-    pub(super) fn new(log: Arc<dyn Log>) -> Self {
+    pub(super) fn new(log: Arc<dyn ServiceLog>) -> Self {
         Self { log, repeats: Mutex::default() }
     }
 
@@ -55,7 +55,7 @@ impl RateLimitedLog {
         let mut repeats = lock(&self.repeats);
         let now = clock::now();
         let Some(repeat) = repeats.get_mut(event) else {
-            repeats.insert(event, Repeat { logged: now, times: 0 });
+            repeats.insert(event, RepeatedEvent { logged: now, times: 0 });
             return Some(1);
         };
         repeat.times += 1;

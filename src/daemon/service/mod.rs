@@ -12,9 +12,9 @@ mod runs;
 mod serve;
 mod state;
 
-pub use config::{Config, Endpoint};
-pub use log::{Level, Log};
+pub use config::{Endpoint, ServiceConfig};
+pub use log::{LogLevel, ServiceLog};
 #[cfg(feature = "archive")]
 pub use serve::serve_plant;
 pub use serve::{abort_on_panic, serve};
-pub use state::{Cell, Halt, MakeCell};
+pub use state::{HaltBehaviour, MakeCell, SimulatedCell};

@@ -5,16 +5,17 @@ use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use crate::catalogue::ServiceFinding::{DataUnreadable, LinkedResults, NoFile, NoResult, NoRun};
-use crate::diagnostic::Diagnostic;
-use crate::live::{Download, Ended, JobKind, ResultFile, RunEntry, RunState};
-use crate::recording::capture::{self, Event, RunEnd};
+use crate::live::ServiceFinding::{DataUnreadable, LinkedResults, NoFile, NoResult, NoRun};
+use crate::live::{Ended, JobKind, ResultFile, RunEntry, RunState};
+use dbbd_job::page::Download;
+use dbbd_job::recording::capture::{self, RunEnd, RunEvent};
+use dbbd_model::diagnostic::Diagnostic;
 
 pub(super) const CAPTURE: &str = "run.dbbd";
 /// Bytes at the begin and the end of a capture that are read for its entry.
 const GLIMPSE: u64 = 4096;
 /// Runs that are listed.
-const MOST_LISTED: usize = 500;
+const MAX_LISTED_RUNS: usize = 500;
 
 /// Longest name of a run, a plan or a file, bytes.
 const LONGEST_NAME: usize = 64;
@@ -105,7 +106,7 @@ pub(super) fn evaluable(data: &Path, name: &str, kind: JobKind) -> Result<PathBu
 }
 
 /// All runs, the newest first; `running` is the run in progress.
-pub(super) fn list(data: &Path, running: Option<&str>) -> Result<Vec<RunEntry>, Diagnostic> {
+pub(super) fn list_recorded_runs(data: &Path, running: Option<&str>) -> Result<Vec<RunEntry>, Diagnostic> {
     let entries = match fs::read_dir(data) {
         Ok(entries) => entries,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -114,7 +115,7 @@ pub(super) fn list(data: &Path, running: Option<&str>) -> Result<Vec<RunEntry>, 
     let names = entries.flatten().filter_map(|entry| entry.file_name().into_string().ok());
     let mut runs: Vec<RunEntry> = names.filter_map(|name| entry(data, &name, running).ok()).collect();
     runs.sort_by(|a, b| b.started_unix_ms.cmp(&a.started_unix_ms).then_with(|| b.name.cmp(&a.name)));
-    runs.truncate(MOST_LISTED);
+    runs.truncate(MAX_LISTED_RUNS);
     Ok(runs)
 }
 
@@ -124,12 +125,12 @@ pub(super) fn entry(data: &Path, name: &str, running: Option<&str>) -> Result<Ru
         return Err(missing(name));
     }
     let (first, last, bytes) = glimpse(&directory.join(CAPTURE)).map_err(|_| missing(name))?;
-    let started_unix_ms = capture::read(&first).events().find_map(|event| match event {
-        Event::Started { unix_ns, .. } => Some(unix_ns / 1_000_000),
+    let started_unix_ms = capture::read_capture(&first).events().find_map(|event| match event {
+        RunEvent::Started { unix_ns, .. } => Some(unix_ns / 1_000_000),
         _ => None,
     });
-    let ended = capture::read(&last).events().find_map(|event| match event {
-        Event::Ended(RunEnd { reason, samples, lost }) => {
+    let ended = capture::read_capture(&last).events().find_map(|event| match event {
+        RunEvent::Ended(RunEnd { reason, samples, lost }) => {
             Some(Ended { reason: reason.clone(), samples: *samples, lost: *lost })
         }
         _ => None,
@@ -175,7 +176,11 @@ fn results(directory: &Path) -> Vec<ResultFile> {
 }
 
 /// Opens the capture of a run or a file of its results.
-pub(super) fn open(data: &Path, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Diagnostic> {
+pub(super) fn open_download(
+    data: &Path,
+    run: &str,
+    result: Option<(JobKind, &str)>,
+) -> Result<Download, Diagnostic> {
     let directory = directory(data, run)?;
     let (path, name) = match result {
         None => (directory.join(CAPTURE), format!("{run}.dbbd")),

@@ -1,5 +1,6 @@
 //! The service process: start, web thread, watchdog, shutdown.
 
+use dbbd_model::base::InternalFinding;
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -8,23 +9,23 @@ use std::{io, panic, process, thread};
 
 use tokio::sync::watch;
 
-use super::config::{Config, Endpoint};
-use super::log::{Level, Log};
+use super::config::{Endpoint, ServiceConfig};
+use super::log::{LogLevel, ServiceLog};
 use super::state::{MakeCell, Supervisor};
-use crate::base::clock;
-use crate::base::sync::lock;
-use crate::base::units::HostNs;
-use crate::catalogue::ServiceFinding::{self, NoSystem, NotServing};
 use crate::daemon::signals;
-use crate::diagnostic::Diagnostic;
+use crate::live::ServiceFinding::NotServing;
 use crate::live::{self, Access, Site, State};
+use dbbd_device::clock;
+use dbbd_device::sync::lock;
+use dbbd_model::base::units::HostNs;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// Interval of the main loop, s.
 const TICK_S: f64 = 0.2;
 /// The web thread is alive if its heartbeat is younger, s.
 const ALIVE_S: f64 = 5.0;
 /// Blocking requests of clients at a time.
-const MOST_BLOCKING: usize = 16;
+const MAX_BLOCKING: usize = 16;
 /// Name of the web threads.
 const WEB: &str = "web";
 
@@ -41,8 +42,12 @@ pub fn abort_on_panic() {
 }
 
 /// Serves until SIGINT or SIGTERM, which also end the run in progress. `make_cell` creates the cell of the port `sim`.
-pub fn serve(mut config: Config, log: Arc<dyn Log>, make_cell: Option<MakeCell>) -> Result<(), Diagnostic> {
-    let (address, access) = open(&mut config.endpoint, &*log);
+pub fn serve(
+    mut config: ServiceConfig,
+    log: Arc<dyn ServiceLog>,
+    make_cell: Option<MakeCell>,
+) -> Result<(), Diagnostic> {
+    let (address, access) = log_endpoint(&mut config.endpoint, &*log);
     let signalled = signals::stop_on_signal()?;
     let (supervisor, over) = Supervisor::new(config, Arc::clone(&log), make_cell).map_err(no_system)?;
     let supervisor = Arc::new(supervisor);
@@ -52,11 +57,11 @@ pub fn serve(mut config: Config, log: Arc<dyn Log>, make_cell: Option<MakeCell>)
     drop(over);
     let (stop, stopped) = watch::channel(false);
     let site = live::cell_site(supervisor.clone(), access, stopped.clone());
-    let web = Web::new(site, Arc::clone(&log), address, stopped);
+    let web = WebServer::new(site, Arc::clone(&log), address, stopped);
     let served = main_loop(&web, &signalled, || {
         let state = supervisor.tick();
         // The run is more important than pages that hang.
-        Tick { status: state.name(), keep_alive: state == State::Running }
+        ServiceTick { status: state.name(), keep_alive: state == State::Running }
     });
     notify("STOPPING=1");
     stop.send_replace(true);
@@ -68,44 +73,44 @@ pub fn serve(mut config: Config, log: Arc<dyn Log>, make_cell: Option<MakeCell>)
 #[cfg(feature = "archive")]
 pub fn serve_plant(
     mut endpoint: Endpoint,
-    log: Arc<dyn Log>,
-    plant: Arc<dyn live::Plant>,
+    log: Arc<dyn ServiceLog>,
+    plant: Arc<dbbd_plant::PlantPages>,
 ) -> Result<(), Diagnostic> {
-    let (address, access) = open(&mut endpoint, &*log);
+    let (address, access) = log_endpoint(&mut endpoint, &*log);
     let signalled = signals::stop_on_signal()?;
     let (stop, stopped) = watch::channel(false);
     let site = live::plant_site(plant, access, Arc::new(super::log::RateLimitedLog::new(Arc::clone(&log))))?;
-    let web = Web::new(site, Arc::clone(&log), address, stopped);
-    let served = main_loop(&web, &signalled, || Tick { status: "serving", keep_alive: false });
+    let web = WebServer::new(site, Arc::clone(&log), address, stopped);
+    let served = main_loop(&web, &signalled, || ServiceTick { status: "serving", keep_alive: false });
     notify("STOPPING=1");
     stop.send_replace(true);
     close(served?, &*log)
 }
 
 /// Logs what is dangerous about the address and the user of the process.
-fn open(endpoint: &mut Endpoint, log: &dyn Log) -> (SocketAddr, Arc<Access>) {
+fn log_endpoint(endpoint: &mut Endpoint, log: &dyn ServiceLog) -> (SocketAddr, Arc<Access>) {
     let address = endpoint.address;
     if !address.ip().is_loopback() {
-        log.event(Level::Warning, "open_to_the_network_without_encryption", &[("address", &address)]);
+        log.event(LogLevel::Warning, "open_to_the_network_without_encryption", &[("address", &address)]);
     }
     if is_root() {
-        log.event(Level::Warning, "running_as_root", &[("help", &"docs/how-to/service.md")]);
+        log.event(LogLevel::Warning, "running_as_root", &[("help", &"docs/how-to/service.md")]);
     }
     (address, Arc::new(Access::new(address.ip(), &endpoint.hosts, endpoint.token.take())))
 }
 
-fn close(served: Served, log: &dyn Log) -> Result<(), Diagnostic> {
+fn close(served: WebThread, log: &dyn ServiceLog) -> Result<(), Diagnostic> {
     match served.join() {
         Ok(served) => served?,
-        Err(_) => log.event(Level::Error, "web_died", &[]),
+        Err(_) => log.event(LogLevel::Error, "web_died", &[]),
     }
-    log.event(Level::Info, "stopped", &[]);
+    log.event(LogLevel::Info, "stopped", &[]);
     Ok(())
 }
 
-type Served = thread::JoinHandle<Result<(), Diagnostic>>;
+type WebThread = thread::JoinHandle<Result<(), Diagnostic>>;
 
-struct Tick {
+struct ServiceTick {
     status: &'static str,
     /// Whether the service manager must not restart the process although the pages hang.
     keep_alive: bool,
@@ -113,12 +118,16 @@ struct Tick {
 
 /// Updates the state, serves the watchdog of the service manager, and restarts the web thread after a panic. Returns
 /// the web thread on a signal.
-fn main_loop(web: &Web, signalled: &AtomicBool, tick: impl Fn() -> Tick) -> Result<Served, Diagnostic> {
+fn main_loop(
+    web: &WebServer,
+    signalled: &AtomicBool,
+    tick: impl Fn() -> ServiceTick,
+) -> Result<WebThread, Diagnostic> {
     let mut served = web.start().map_err(no_system)?;
     let mut notified = None;
     let (watchdog_s, mut served_at) = (watchdog_s(), clock::now());
     while !signalled.load(Ordering::Relaxed) {
-        let Tick { status, keep_alive } = tick();
+        let ServiceTick { status, keep_alive } = tick();
         if notified.replace(status) != Some(status) {
             notify(&format!("STATUS={status}"));
         }
@@ -126,7 +135,7 @@ fn main_loop(web: &Web, signalled: &AtomicBool, tick: impl Fn() -> Tick) -> Resu
             match served.join() {
                 // It returns by itself only if it cannot start.
                 Ok(ended) => ended?,
-                Err(_) => web.log.event(Level::Error, "web_died", &[]),
+                Err(_) => web.log.event(LogLevel::Error, "web_died", &[]),
             }
             served = web.start().map_err(no_system)?;
         }
@@ -143,9 +152,9 @@ fn main_loop(web: &Web, signalled: &AtomicBool, tick: impl Fn() -> Tick) -> Resu
 
 /// The web server and its threads.
 #[derive(Clone)]
-struct Web {
+struct WebServer {
     site: Site,
-    log: Arc<dyn Log>,
+    log: Arc<dyn ServiceLog>,
     /// With the port that the system assigned, once it has.
     address: Arc<Mutex<SocketAddr>>,
     /// Time of the last heartbeat, ns.
@@ -153,20 +162,25 @@ struct Web {
     stopped: watch::Receiver<bool>,
 }
 
-impl Web {
-    fn new(site: Site, log: Arc<dyn Log>, address: SocketAddr, stopped: watch::Receiver<bool>) -> Self {
+impl WebServer {
+    fn new(
+        site: Site,
+        log: Arc<dyn ServiceLog>,
+        address: SocketAddr,
+        stopped: watch::Receiver<bool>,
+    ) -> Self {
         let beat = Arc::new(AtomicU64::new(clock::now().0));
         Self { site, log, address: Arc::new(Mutex::new(address)), beat, stopped }
     }
 
-    fn start(&self) -> io::Result<Served> {
+    fn start(&self) -> io::Result<WebThread> {
         let web = self.clone();
         thread::Builder::new().name(WEB.into()).spawn(move || web.run())
     }
 
     fn run(self) -> Result<(), Diagnostic> {
         let mut builder = tokio::runtime::Builder::new_current_thread();
-        let builder = builder.enable_all().thread_name(WEB).max_blocking_threads(MOST_BLOCKING);
+        let builder = builder.enable_all().thread_name(WEB).max_blocking_threads(MAX_BLOCKING);
         let runtime = builder.build().map_err(no_system)?;
         let Self { site, log, address, beat, stopped } = self;
         let wanted = *lock(&address);
@@ -179,7 +193,7 @@ impl Web {
             });
             let ready = |given: SocketAddr| {
                 *lock(&address) = given;
-                log.event(Level::Info, "listening", &[("address", &format!("http://{given}/"))]);
+                log.event(LogLevel::Info, "listening", &[("address", &format!("http://{given}/"))]);
                 notify("READY=1");
             };
             live::serve(wanted, site, stopped, ready).await
@@ -190,8 +204,8 @@ impl Web {
     }
 }
 
-fn no_system(error: io::Error) -> ServiceFinding {
-    NoSystem { why: error.to_string() }
+fn no_system(error: io::Error) -> InternalFinding {
+    InternalFinding::NoSystem { why: error.to_string() }
 }
 
 /// The service needs no root rights.

@@ -7,27 +7,27 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use tokio::sync::{broadcast, watch};
 
-use super::catalogue::Plans;
-use super::config::Config;
-use super::jobs::Jobs;
-use super::log::{Level, Log, RateLimitedLog};
-use crate::base::clock;
-use crate::base::sync::lock;
-use crate::catalogue::ServiceFinding;
+use super::catalogue::PlanCache;
+use super::config::ServiceConfig;
+use super::jobs::JobQueue;
+use super::log::{LogLevel, RateLimitedLog, ServiceLog};
 use crate::daemon::live_state::LiveState;
 use crate::daemon::{Acquisition, Schedule};
-use crate::device::port::PortAddress;
-use crate::device::protocol::Definition;
-use crate::diagnostic::Diagnostic;
+use crate::live::ServiceFinding;
 use crate::live::{Archiving, Device, LastRun, Message, RunStatus, State, Status};
-use crate::recording::capture::Event;
+use dbbd_device::clock;
+use dbbd_device::port::PortAddress;
+use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_device::sync::lock;
+use dbbd_job::recording::capture::RunEvent;
+use dbbd_model::diagnostic::Diagnostic;
 
 /// Messages that a client may lag behind before it loses some: about ten seconds.
 const BACKLOG: usize = 256;
 
 /// What the program of a simulated cell does at its HALT.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Halt {
+pub enum HaltBehaviour {
     /// It continues once the bar is read.
     Continue,
     /// It waits, so that the bar can be mounted.
@@ -35,10 +35,11 @@ pub enum Halt {
 }
 
 /// Creates a simulated cell that runs this plan, or a plan of its own.
-pub type MakeCell = Box<dyn Fn(Option<&Path>, Halt) -> Result<Box<dyn Cell>, Diagnostic> + Send + Sync>;
+pub type MakeCell =
+    Box<dyn Fn(Option<&Path>, HaltBehaviour) -> Result<Box<dyn SimulatedCell>, Diagnostic> + Send + Sync>;
 
 /// A simulated cell. Its program begins when its bar is read; the cell ends when it is dropped.
-pub trait Cell: Send {
+pub trait SimulatedCell: Send {
     /// The port of its bar.
     fn port(&self) -> &PortAddress;
     fn plan(&self) -> &Path;
@@ -46,57 +47,57 @@ pub trait Cell: Send {
 
 /// The service behind the pages.
 pub(super) struct Supervisor {
-    pub(super) config: Config,
-    pub(super) log: Arc<dyn Log>,
+    pub(super) config: ServiceConfig,
+    pub(super) log: Arc<dyn ServiceLog>,
     pub(super) make_cell: Option<MakeCell>,
     pub(super) status: watch::Sender<Status>,
     pub(super) live: LiveState,
-    pub(super) jobs: Jobs,
-    pub(super) plans: Plans,
+    pub(super) jobs: JobQueue,
+    pub(super) plans: PlanCache,
     pub(super) journal: RateLimitedLog,
     pub(super) archiving: Mutex<Option<Archiving>>,
     /// Signals the end of each run.
     over: Sender<()>,
-    inner: Mutex<Inner>,
+    inner: Mutex<SupervisorState>,
 }
 
 /// The mutable state.
-pub(super) struct Inner {
+pub(super) struct SupervisorState {
     pub(super) port: Option<PortAddress>,
-    pub(super) protocol: Option<Definition>,
-    pub(super) run: Run,
+    pub(super) protocol: Option<ProtocolDefinition>,
+    pub(super) run: LineUse,
     /// Why the last run failed.
     pub(super) failed: Option<Diagnostic>,
     pub(super) last: Option<LastRun>,
     /// Actions of the operator since the last run began.
-    pub(super) notes: Vec<Event>,
+    pub(super) notes: Vec<RunEvent>,
     /// The process is about to end: no run may begin.
     pub(super) ending: bool,
 }
 
 /// Who uses the line to the bar.
-pub(super) enum Run {
+pub(super) enum LineUse {
     None,
     /// The port is being opened.
     Starting,
-    On(Box<Running>),
+    On(Box<ActiveRun>),
     /// The bar is read without a run.
-    Reading(Box<Running>),
+    Reading(Box<ActiveRun>),
 }
 
 /// The line to a bar, not yet open.
-pub(super) struct Line {
+pub(super) struct UnopenedLine {
     pub(super) port: PortAddress,
     /// `None`: the protocol of the plan.
-    pub(super) protocol: Option<Definition>,
+    pub(super) protocol: Option<ProtocolDefinition>,
     /// File of the plan.
     pub(super) plan: Option<PathBuf>,
     /// Keeps the simulated cell running.
-    pub(super) _cell: Option<Box<dyn Cell>>,
+    pub(super) _cell: Option<Box<dyn SimulatedCell>>,
 }
 
 /// A run or a reading in progress.
-pub(super) struct Running {
+pub(super) struct ActiveRun {
     /// Empty for a reading.
     pub(super) name: String,
     pub(super) plan: Option<String>,
@@ -107,24 +108,24 @@ pub(super) struct Running {
     /// Findings about interference with the capture file.
     pub(super) interferences: Vec<Diagnostic>,
     pub(super) stop: Arc<AtomicBool>,
-    pub(super) definition: Definition,
+    pub(super) definition: ProtocolDefinition,
     /// To open the line again.
-    pub(super) line: Line,
+    pub(super) line: UnopenedLine,
 }
 
 impl Supervisor {
     /// Also returns the receiver that is notified when a run or a job ends.
     pub(super) fn new(
-        config: Config,
-        log: Arc<dyn Log>,
+        config: ServiceConfig,
+        log: Arc<dyn ServiceLog>,
         make_cell: Option<MakeCell>,
     ) -> std::io::Result<(Self, Receiver<()>)> {
         let messages = broadcast::Sender::new(BACKLOG);
         let (over, notified) = channel();
-        let inner = Inner {
+        let inner = SupervisorState {
             port: config.port.clone(),
             protocol: config.protocol.clone(),
-            run: Run::None,
+            run: LineUse::None,
             failed: None,
             last: None,
             notes: Vec::new(),
@@ -136,9 +137,9 @@ impl Supervisor {
             log,
             make_cell,
             status: watch::Sender::new(Status::default()),
-            jobs: Jobs::start(messages.clone(), over.clone())?,
+            jobs: JobQueue::start(messages.clone(), over.clone())?,
             live: LiveState { messages, run: Arc::default() },
-            plans: Plans::default(),
+            plans: PlanCache::default(),
             archiving: Mutex::default(),
             over,
             inner: Mutex::new(inner),
@@ -146,7 +147,7 @@ impl Supervisor {
         Ok((supervisor, notified))
     }
 
-    pub(super) fn inner(&self) -> MutexGuard<'_, Inner> {
+    pub(super) fn inner(&self) -> MutexGuard<'_, SupervisorState> {
         lock(&self.inner)
     }
 
@@ -154,20 +155,20 @@ impl Supervisor {
     pub(super) fn tick(&self) -> State {
         let over = {
             let mut inner = self.inner();
-            if let Run::On(running) = &mut inner.run {
+            if let LineUse::On(running) = &mut inner.run {
                 for finding in running.acquisition.findings() {
                     let fields: &[(&str, &dyn std::fmt::Display)] =
-                        &[("code", &finding.code), ("text", &finding)];
-                    self.log.event(Level::Error, "capture_taken_away", fields);
+                        &[("code", &finding.code()), ("text", &finding)];
+                    self.log.event(LogLevel::Error, "capture_taken_away", fields);
                     running.interferences.push(finding);
                 }
             }
-            matches!(&inner.run, Run::On(running) | Run::Reading(running) if running.acquisition.is_over())
-                .then(|| std::mem::replace(&mut inner.run, Run::None))
+            matches!(&inner.run, LineUse::On(running) | LineUse::Reading(running) if running.acquisition.is_over())
+                .then(|| std::mem::replace(&mut inner.run, LineUse::None))
         };
         match over {
-            Some(Run::On(running)) => self.conclude(*running),
-            Some(Run::Reading(running)) => running.end(),
+            Some(LineUse::On(running)) => self.conclude(*running),
+            Some(LineUse::Reading(running)) => running.end(),
             _ => {}
         }
         let status = self.current_status(&self.inner());
@@ -175,7 +176,7 @@ impl Supervisor {
         let changed = self.status.borrow().state != state;
         if changed {
             let reason = status.reason.clone().unwrap_or_default();
-            self.log.event(Level::Info, "state", &[("state", &state.name()), ("reason", &reason)]);
+            self.log.event(LogLevel::Info, "state", &[("state", &state.name()), ("reason", &reason)]);
         }
         let message = Message::new("status", &status);
         self.status.send_replace(status);
@@ -184,8 +185,8 @@ impl Supervisor {
         state
     }
 
-    fn conclude(&self, running: Running) {
-        let Running { name, acquisition, interferences, .. } = running;
+    fn conclude(&self, running: ActiveRun) {
+        let ActiveRun { name, acquisition, interferences, .. } = running;
         let samples = acquisition.progress().samples;
         let mut interferences = interferences.into_iter().chain(acquisition.findings());
         // A run fails if its capture file was removed or replaced, whatever ended it.
@@ -194,8 +195,8 @@ impl Supervisor {
             Ok(summary) => summary.ending.reason().to_owned(),
             Err(error) => error.to_string(),
         };
-        let level = if joined.is_err() { Level::Error } else { Level::Info };
-        let code = joined.as_ref().err().map_or("", |error| error.code.0);
+        let level = if joined.is_err() { LogLevel::Error } else { LogLevel::Info };
+        let code = joined.as_ref().err().map_or("", |error| error.code().as_str());
         let fields: [(&str, &dyn std::fmt::Display); 4] =
             [("run", &name), ("ending", &ending), ("samples", &samples), ("code", &code)];
         self.log.event(level, "run_over", if joined.is_err() { &fields } else { &fields[..3] });
@@ -206,15 +207,15 @@ impl Supervisor {
         let _ = self.over.send(());
     }
 
-    pub(super) fn current_status(&self, inner: &Inner) -> Status {
+    pub(super) fn current_status(&self, inner: &SupervisorState) -> Status {
         let is_present =
             |port: &PortAddress| *port != PortAddress::Sim && port.is_present() || self.is_simulated(port);
         let present = inner.port.as_ref().is_some_and(is_present);
         let port = inner.port.as_ref().map(PortAddress::to_string);
         let (run, reading) = match &inner.run {
-            Run::On(running) => (Some(self.run_status(running)), None),
-            Run::Reading(running) => (None, Some(self.run_status(running))),
-            Run::None | Run::Starting => (None, None),
+            LineUse::On(running) => (Some(self.run_status(running)), None),
+            LineUse::Reading(running) => (None, Some(self.run_status(running))),
+            LineUse::None | LineUse::Starting => (None, None),
         };
         let (state, finding) = match (&inner.failed, &port) {
             _ if run.is_some() => (State::Running, None),
@@ -225,14 +226,14 @@ impl Supervisor {
             }
             (None, None) => (State::NoDevice, Some(ServiceFinding::NoPortChosen.into())),
         };
-        let code = finding.as_ref().map(|finding| finding.code);
+        let code = finding.as_ref().map(|finding| finding.code());
         let reason = finding.map(|finding| match state {
             State::Failed => format!("the last run failed: {finding}"),
             _ => finding.to_string(),
         });
         let protocol = inner.protocol.as_ref().map(|definition| definition.id.clone());
         Status {
-            version: crate::provenance::VERSION,
+            version: dbbd_job::artefact::VERSION,
             state,
             reason,
             code,
@@ -249,8 +250,8 @@ impl Supervisor {
         *port == PortAddress::Sim && self.make_cell.is_some()
     }
 
-    fn run_status(&self, running: &Running) -> RunStatus {
-        let Running { schedule, definition, .. } = running;
+    fn run_status(&self, running: &ActiveRun) -> RunStatus {
+        let ActiveRun { schedule, definition, .. } = running;
         let progress = running.acquisition.progress();
         let live = lock(&self.live.run);
         RunStatus {
@@ -289,8 +290,8 @@ impl Supervisor {
     /// The name of the run in progress.
     pub(super) fn running(&self) -> Option<String> {
         match &self.inner().run {
-            Run::On(running) => Some(running.name.clone()),
-            Run::None | Run::Starting | Run::Reading(_) => None,
+            LineUse::On(running) => Some(running.name.clone()),
+            LineUse::None | LineUse::Starting | LineUse::Reading(_) => None,
         }
     }
 
@@ -300,9 +301,11 @@ impl Supervisor {
         self.jobs.end();
         loop {
             match &self.inner().run {
-                Run::None => return,
-                Run::Starting => {}
-                Run::On(running) | Run::Reading(running) => running.stop.store(true, Ordering::Relaxed),
+                LineUse::None => return,
+                LineUse::Starting => {}
+                LineUse::On(running) | LineUse::Reading(running) => {
+                    running.stop.store(true, Ordering::Relaxed)
+                }
             }
             self.tick();
             clock::sleep(0.02);
@@ -310,7 +313,7 @@ impl Supervisor {
     }
 }
 
-impl Running {
+impl ActiveRun {
     /// Stops a reading and waits for its end. Its result is of no interest.
     pub(super) fn end(self) {
         self.stop.store(true, Ordering::Relaxed);

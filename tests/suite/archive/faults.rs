@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::process::{Child, Command, Stdio};
 
-use dbbd::base::{clock, files};
+use dbbd_device::clock;
+use dbbd_job::files;
 use postgres::Client;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;

@@ -3,7 +3,7 @@
 
 use std::process::{Child, Stdio};
 
-use dbbd::base::clock;
+use dbbd_device::clock;
 
 use super::on_servers::Plant;
 use crate::service::Server;

@@ -256,7 +256,7 @@ fn jobs_are_done_once_per_settings() {
     let fleet = counts(&["fleet", "--out", "fleet", "--json"]);
     assert_eq!((&fleet["results"], &fleet["robots"], &fleet["unusable"]), (&2.into(), &2.into(), &0.into()));
     let prior = std::fs::read_to_string(at.join("fleet/kuka-kr-60-ha.toml")).unwrap();
-    assert!(dbbd::robot::Robot::from_toml("prior", &prior).unwrap().posterior.is_some());
+    assert!(dbbd_model::robot::Robot::from_toml("prior", &prior).unwrap().posterior.is_some());
     let again = counts(&["reprocess", "--robot", "R1", "--prior", "none", "--model", "geometric", "--json"]);
     assert_eq!(again["compared"].as_array().unwrap().len(), 1);
     assert_eq!(again["compared"][0]["robot"], "R1");
@@ -283,8 +283,8 @@ fn jobs_are_done_once_per_settings() {
     assert_eq!(database.execute("UPDATE job SET state = 'done' WHERE state = 'failed'", []).unwrap(), 1);
     // A capture without a plan is kept, and cannot be identified.
     std::fs::create_dir(at.join("bare")).unwrap();
-    let mut writer = dbbd::recording::capture::Writer::create(&at.join("bare/run.dbbd")).unwrap();
-    writer.finish(dbbd::base::units::HostNs(0), "end", 0).unwrap();
+    let mut writer = dbbd_job::recording::capture::CaptureWriter::create(&at.join("bare/run.dbbd")).unwrap();
+    writer.finish(dbbd_model::base::units::HostNs(0), "end", 0).unwrap();
     assert_eq!(archive(at, &["push", "bare"]).status.code(), Some(0));
     let failed = archive(at, &["reprocess", "--prior", "datasheet"]);
     assert_eq!((failed.status.code(), codes(&failed)), (Some(3), vec!["W2414".to_owned()]));

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use dbbd::base::units::{DeviceTicks, HostNs};
-use dbbd::measurement::sample::Sample;
-use dbbd::plan::{Header, Kind, Motion, MoveTime, Plan, PlanRow};
-use dbbd::recording::capture::{Event, Record, Writer};
-use dbbd::robot::{Geometry, Robot};
+use dbbd_job::plan::{MotionKind, MoveTime, Plan, PlanHeader, PlanRow, PoseKind};
+use dbbd_job::recording::capture::{CaptureRecord, CaptureWriter, RunEvent};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::measurement::sample::Sample;
+use dbbd_model::robot::{Geometry, Robot};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, Normal};
@@ -61,8 +61,8 @@ pub(crate) fn plan(points: usize) -> Plan {
                 index,
                 circle: circle as u32 + 1,
                 centre: 1,
-                kind: Kind::Measure,
-                motion: Motion::Ptp,
+                kind: PoseKind::Measure,
+                motion: MotionKind::Ptp,
                 xyz_mm: nominal.geometry.ball(&axes_deg.map(f64::to_radians)).position.into(),
                 abc_deg: [0.0; 3],
                 axes_deg,
@@ -85,16 +85,16 @@ pub(crate) fn plan(points: usize) -> Plan {
     let header = serde_json::json!({
         "schema": 1, "hash": "", "job": job, "robot": nominal.to_toml().unwrap(), "moves": moves, "checks": [],
     });
-    let header: Header = serde_json::from_value(header).unwrap();
+    let header: PlanHeader = serde_json::from_value(header).unwrap();
     Plan { rows, header }
 }
 
 /// Writes the capture of a run of `plan` on a robot whose true geometry is `truth`.
 pub(crate) fn write(path: &Path, plan: &Plan, truth: &Geometry, case: &Case) {
-    let mut writer = Writer::create(path).unwrap();
+    let mut writer = CaptureWriter::create(path).unwrap();
     let begin = HostNs(0);
-    let mut put = |at: HostNs, record: Record| writer.write(at, &record).unwrap();
-    put(begin, Record::Event(Event::Started { unix_ns: case.unix_ns, version: "0.1.0".into() }));
+    let mut put = |at: HostNs, record: CaptureRecord| writer.write(at, &record).unwrap();
+    put(begin, CaptureRecord::Event(RunEvent::Started { unix_ns: case.unix_ns, version: "0.1.0".into() }));
     let Case { robot, bar, cell, .. } = case;
     let identity = format!(
         "robot = {robot:?}\ncell = {cell:?}\noperator = 'Op {}'\n[bar]\nserial = {bar:?}\ncertificate = {:?}\n",
@@ -106,7 +106,7 @@ pub(crate) fn write(path: &Path, plan: &Plan, truth: &Geometry, case: &Case) {
     for (name, content) in
         [("plan.csv", csv), ("plan.json", json), ("protocol.toml", protocol), ("identity.toml", identity)]
     {
-        put(begin, Record::Attachment { name: name.into(), content: content.into_bytes() });
+        put(begin, CaptureRecord::Attachment { name: name.into(), content: content.into_bytes() });
     }
     let mut rng = Pcg64::seed_from_u64(case.seed);
     let noise = Normal::new(0.0, NOISE_MM).unwrap();
@@ -114,7 +114,10 @@ pub(crate) fn write(path: &Path, plan: &Plan, truth: &Geometry, case: &Case) {
     let (mut t_s, mut counter) = (1.0, 0_u32);
     for row in &plan.rows {
         t_s += MOVE_S;
-        put(ns(t_s), Record::Event(Event::Controller { index: row.index, phase: 1, axes_deg: row.axes_deg }));
+        put(
+            ns(t_s),
+            CaptureRecord::Event(RunEvent::Controller { index: row.index, phase: 1, axes_deg: row.axes_deg }),
+        );
         let axes = row.axes_deg.map(f64::to_radians);
         let true_mm = truth.length(&axes, &Vector3::from(CENTRE), 0.0) - case.bar_offset_mm;
         let count = (DWELL_S * RATE_HZ) as u32;
@@ -131,10 +134,13 @@ pub(crate) fn write(path: &Path, plan: &Plan, truth: &Geometry, case: &Case) {
             counter += 1;
         }
         for (at, sample) in samples {
-            put(at, Record::Samples(vec![sample]));
+            put(at, CaptureRecord::Samples(vec![sample]));
         }
         t_s += DWELL_S;
-        put(ns(t_s), Record::Event(Event::Controller { index: row.index, phase: 2, axes_deg: row.axes_deg }));
+        put(
+            ns(t_s),
+            CaptureRecord::Event(RunEvent::Controller { index: row.index, phase: 2, axes_deg: row.axes_deg }),
+        );
     }
     writer.finish(ns(t_s + 1.0), "end mark", 0).unwrap();
 }

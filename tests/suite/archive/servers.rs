@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::time::Duration;
 
-use dbbd::base::clock;
+use dbbd_device::clock;
 use postgres::{Client, NoTls};
 use tempfile::TempDir;
 

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use dbbd::base::clock;
-use dbbd::sim::bar::Link;
+use dbbd_device::clock;
+use dbbd_job::sim::bar::TerminalLink;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serialport::{SerialPort, TTYPort};
@@ -147,17 +147,17 @@ fn unplugged(recording: &Recording, seed: u64) -> Vec<What> {
 struct Player {
     line: TTYPort,
     link: String,
-    plug: Option<Link>,
+    plug: Option<TerminalLink>,
     heard: Vec<u8>,
     /// Whether the program has said that it reads.
     reads: Arc<AtomicBool>,
 }
 
 /// A terminal behind a link.
-pub(super) fn terminal(link: &str) -> (TTYPort, Link) {
+pub(super) fn terminal(link: &str) -> (TTYPort, TerminalLink) {
     let (mut line, host) = TTYPort::pair().unwrap();
     line.set_timeout(Duration::from_millis(1)).unwrap();
-    (line, Link::new(Path::new(link), &host.name().unwrap()).unwrap())
+    (line, TerminalLink::new(Path::new(link), &host.name().unwrap()).unwrap())
 }
 
 impl Player {

@@ -7,9 +7,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use dbbd::base::clock;
-use dbbd::device::protocol::{Definition, Mode};
-use dbbd::recording::capture::{self, Record};
+use dbbd_device::clock;
+use dbbd_device::protocol::{ProtocolDefinition, ProtocolMode};
+use dbbd_job::recording::capture::{self, CaptureRecord};
 use serialport::TTYPort;
 
 use super::player::{other_side, read, terminal, told};
@@ -48,7 +48,7 @@ const FAULTS: &[(&str, &str, &str, &[&str])] = &[
 #[test]
 #[ignore = "writes fixtures/captures/*.rec"]
 fn record_the_virtual_bars() {
-    let whole = Definition::built_in().iter().map(|(id, _)| (*id, "", "all is well", NOTHING));
+    let whole = ProtocolDefinition::built_in().iter().map(|(id, _)| (*id, "", "all is well", NOTHING));
     let only = std::env::var("DBBD_RECORD").ok();
     std::thread::scope(|scope| {
         for (protocol, fault, words, faults) in whole.chain(FAULTS.iter().copied()) {
@@ -63,7 +63,7 @@ fn record_the_virtual_bars() {
 fn record(name: &str, words: &str, faults: &[&str]) {
     let mut recording = Recording { name: name.into(), ..Recording::default() };
     let definition = recording.definition();
-    let lasts_s = if matches!(definition.mode, Mode::Poll { .. }) { 2.5 } else { 5.5 };
+    let lasts_s = if matches!(definition.mode, ProtocolMode::Poll { .. }) { 2.5 } else { 5.5 };
     let seconds = (definition.line.settle.as_secs_f64() + lasts_s).to_string();
     let protocol = recording.protocol().to_owned();
     let mut simulate =
@@ -105,9 +105,9 @@ fn record(name: &str, words: &str, faults: &[&str]) {
     simulator.kill().unwrap();
     simulator.wait().unwrap();
     recording.lines = Recording::parse(name, &reader.join().unwrap()).unwrap().lines;
-    let capture = capture::read(&std::fs::read(&run).unwrap());
+    let capture = capture::read_capture(&std::fs::read(&run).unwrap());
     let raw = capture.records.iter().filter_map(|stamped| match &stamped.record {
-        Record::Raw(bytes) => Some(&bytes[..]),
+        CaptureRecord::Raw(bytes) => Some(&bytes[..]),
         _ => None,
     });
     keep(&mut recording, &raw.collect::<Vec<_>>().concat());

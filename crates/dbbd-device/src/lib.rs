@@ -1,0 +1,10 @@
+//! The bar as a device, and the axes that a controller publishes: ports, and the protocols spoken on them.
+//!
+//! This crate must not know what is measured with the bar: no plan, no capture, no estimation. It has the only clock.
+
+pub mod clock;
+pub mod sync;
+
+pub mod axes;
+pub mod port;
+pub mod protocol;

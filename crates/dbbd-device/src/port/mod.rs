@@ -1,0 +1,144 @@
+//! The line to the bar: opening, writing, and a thread that reads and stamps.
+
+mod catalogue;
+pub use catalogue::PortFinding;
+
+mod adapter;
+mod address;
+mod line;
+mod list;
+mod network;
+mod reader;
+mod settings;
+pub mod telnet;
+mod tty;
+
+use std::io::ErrorKind;
+use std::time::Duration;
+
+use crate::clock;
+use crate::port::PortFinding::{NoPort, PortGone, PortRefused};
+use line::PortLine;
+
+pub use adapter::{blur, identity};
+pub use address::{NetworkAddress, PortAddress};
+pub use line::{LineTransport, StampAccuracy};
+pub use list::{PortInfo, list_ports};
+pub use reader::{Arrival, PortReader};
+pub(crate) use settings::ms;
+pub use settings::{Flow, LineSettings, Parity};
+
+/// Timeout of a read, after which the thread checks whether to stop. On Windows a write to a serial port waits for
+/// the read, and a request must not be late.
+const PORT_READ_TIMEOUT: Duration = Duration::from_millis(if cfg!(windows) { 5 } else { 50 });
+/// Timeout of a write.
+const PORT_WRITE_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// An open line.
+pub struct Port {
+    line: Box<dyn PortLine>,
+    name: String,
+}
+
+impl Port {
+    /// Opens a line exclusively.
+    pub fn open(address: &PortAddress, settings: &LineSettings) -> Result<Self, PortFinding> {
+        let name = address.to_string();
+        let line: Box<dyn PortLine> = match address {
+            PortAddress::Tcp(server) => Box::new(network::NetworkLine::tcp(server)?),
+            PortAddress::Rfc2217(server) => Box::new(network::NetworkLine::rfc2217(server, settings)?),
+            PortAddress::Serial(_) | PortAddress::Sim => {
+                let device = address.device().ok_or_else(|| NoPort { port: name.clone() })?;
+                Box::new(tty::Tty::open(&name, &device, settings)?)
+            }
+        };
+        Ok(Self { line, name })
+    }
+
+    pub fn stamps(&self) -> StampAccuracy {
+        self.line.stamps()
+    }
+
+    /// Sends all bytes, or fails after two seconds.
+    pub fn send(&mut self, bytes: &[u8]) -> Result<(), PortFinding> {
+        let began = clock::now();
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            match self.line.write(rest) {
+                Ok(sent @ 1..) => rest = &rest[sent.min(rest.len())..],
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                // Windows has no error for a write that timed out.
+                result => {
+                    let error = result.err().unwrap_or_else(|| ErrorKind::TimedOut.into());
+                    let waited = clock::now().seconds_since(began);
+                    if error.kind() != ErrorKind::TimedOut || waited >= PORT_WRITE_TIMEOUT.as_secs_f64() {
+                        return Err(self.gone(&error));
+                    }
+                    clock::sleep(0.001);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Discards input until the line is quiet for `quiet`, and returns it. Gives up a second later: a device that
+    /// does not stop must not block the run.
+    pub fn drain(&mut self, quiet: Duration) -> Result<Vec<u8>, PortFinding> {
+        self.read_until(quiet, 1.0 + quiet.as_secs_f64(), |_| false)
+    }
+
+    /// Reads until `answer` was received or the time is up, and returns all bytes.
+    pub fn listen(&mut self, timeout: Duration, answer: &[u8]) -> Result<Vec<u8>, PortFinding> {
+        self.read_until(timeout, timeout.as_secs_f64(), |bytes| {
+            bytes.windows(answer.len().max(1)).any(|part| part == answer)
+        })
+    }
+
+    fn read_until(
+        &mut self,
+        quiet: Duration,
+        limit_s: f64,
+        done: impl Fn(&[u8]) -> bool,
+    ) -> Result<Vec<u8>, PortFinding> {
+        let began = clock::now();
+        let (mut came, mut buffer) = (Vec::new(), [0; 4096]);
+        self.line.set_timeout(quiet.max(Duration::from_millis(1))).map_err(|error| self.gone(&error))?;
+        while clock::now().seconds_since(began) < limit_s && !done(&came) {
+            match self.line.read(&mut buffer) {
+                Ok(0) => return Err(self.gone(&ErrorKind::UnexpectedEof)),
+                Ok(count) => came.extend_from_slice(&buffer[..count.min(buffer.len())]),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) if error.kind() == ErrorKind::TimedOut => break,
+                Err(error) => return Err(self.gone(&error)),
+            }
+        }
+        self.line.set_timeout(PORT_READ_TIMEOUT).map_err(|error| self.gone(&error))?;
+        Ok(came)
+    }
+
+    /// Changes the rate, symbols per second; a line without a rate ignores it.
+    pub fn set_baud(&mut self, baud: u32) -> Result<(), PortFinding> {
+        self.line.set_baud(baud).map_err(|error| self.refused(&error))
+    }
+
+    /// Lowers DTR for a time, if the line has DTR.
+    pub fn pulse_dtr(&mut self, low: Duration) -> Result<(), PortFinding> {
+        self.line.set_dtr(false).map_err(|error| self.gone(&error))?;
+        clock::sleep(low.as_secs_f64());
+        self.line.set_dtr(true).map_err(|error| self.gone(&error))
+    }
+
+    /// A second handle of the same line, for the reading thread.
+    pub fn handle(&self) -> Result<Self, PortFinding> {
+        let line = self.line.handle().map_err(|error| self.refused(&error))?;
+        Ok(Self { line, name: self.name.clone() })
+    }
+
+    fn refused(&self, why: &impl ToString) -> PortFinding {
+        PortRefused { port: self.name.clone(), why: why.to_string() }
+    }
+
+    fn gone(&self, why: &impl ToString) -> PortFinding {
+        PortGone { port: self.name.clone(), why: why.to_string() }
+    }
+}

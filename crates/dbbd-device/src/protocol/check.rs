@@ -1,0 +1,253 @@
+//! The check of a frame: XOR, sum, or a CRC by name or by parameters.
+//!
+//! CRCs follow the Rocksoft model: width, polynomial, initial value, reflection of input and output,
+//! final XOR; the check value is the CRC over the nine characters "123456789".
+
+use std::fmt;
+use std::sync::Mutex;
+
+use crc::{Algorithm, Table};
+
+use super::source::DefinitionSource;
+use super::table::{CheckEncoding, CheckKind, CheckTable};
+use crate::protocol::ProtocolFinding::{
+    AfterCharacter, CrcDiffers, CrcWidth, EncodingMissing, NameAndParameters, OptionalWithoutAfter,
+    ParametersMissing, ParametersWithoutCrc, UnknownCrc,
+};
+use crate::sync::lock;
+use dbbd_model::diagnostic::Diagnostic;
+
+#[derive(Clone, Debug)]
+pub(super) struct FrameCheck {
+    pub(super) sum: ChecksumAlgorithm,
+    pub(super) encoding: CheckEncoding,
+    /// Character between content and check.
+    pub(super) after: Option<u8>,
+    /// Whether a frame without that character is accepted unchecked.
+    pub(super) optional: bool,
+    /// Number of bytes at the start that are not covered.
+    pub(super) from: usize,
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum ChecksumAlgorithm {
+    Xor8,
+    Sum8,
+    Crc(Box<TabulatedCrc>),
+}
+
+/// A CRC of up to 32 bits with its table.
+#[derive(Clone)]
+pub(super) struct TabulatedCrc(crc::Crc<u32, Table<1>>);
+
+macro_rules! catalogue {
+    ($($name:literal => $constant:ident),* $(,)?) => {
+        /// Parameters of a CRC that a definition may name.
+        pub(super) fn named(name: &str) -> Option<Algorithm<u32>> {
+            match name {
+                $($name => {
+                    let a = &crc::$constant;
+                    Some(Algorithm {
+                        width: a.width, poly: a.poly.into(), init: a.init.into(), refin: a.refin,
+                        refout: a.refout, xorout: a.xorout.into(), check: a.check.into(), residue: 0,
+                    })
+                })*
+                _ => None,
+            }
+        }
+
+        pub(super) const NAMES: &[&str] = &[$($name),*];
+    };
+}
+
+catalogue! {
+    "CRC-8/SMBUS" => CRC_8_SMBUS,
+    "CRC-16/ARC" => CRC_16_ARC,
+    "CRC-16/IBM-3740" => CRC_16_IBM_3740,
+    "CRC-16/IBM-SDLC" => CRC_16_IBM_SDLC,
+    "CRC-16/KERMIT" => CRC_16_KERMIT,
+    "CRC-16/MODBUS" => CRC_16_MODBUS,
+    "CRC-16/SPI-FUJITSU" => CRC_16_SPI_FUJITSU,
+    "CRC-16/XMODEM" => CRC_16_XMODEM,
+    "CRC-32/ISO-HDLC" => CRC_32_ISO_HDLC,
+}
+
+impl TabulatedCrc {
+    pub(super) fn new(parameters: Algorithm<u32>) -> Self {
+        // A table borrows its parameters for the life of the program: each set is leaked once.
+        static KEPT: Mutex<Vec<&Algorithm<u32>>> = Mutex::new(Vec::new());
+        let mut kept = lock(&KEPT);
+        let known = kept.iter().copied().find(|known| **known == parameters);
+        let algorithm = known.unwrap_or_else(|| {
+            let new: &Algorithm<u32> = Box::leak(Box::new(parameters));
+            kept.push(new);
+            new
+        });
+        Self(crc::Crc::<u32, Table<1>>::new(algorithm))
+    }
+
+    /// Compares the stated check value with the one that the parameters give; `Err` with the latter.
+    pub(super) fn verify(&self) -> Result<(), u32> {
+        let check = self.0.checksum(b"123456789");
+        if check == self.0.algorithm.check { Ok(()) } else { Err(check) }
+    }
+}
+
+impl fmt::Debug for TabulatedCrc {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.algorithm.fmt(out)
+    }
+}
+
+impl fmt::Display for FrameCheck {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.sum {
+            ChecksumAlgorithm::Xor8 => write!(out, "XOR of the bytes"),
+            ChecksumAlgorithm::Sum8 => write!(out, "sum of the bytes"),
+            ChecksumAlgorithm::Crc(crc) => {
+                write!(out, "CRC-{}, polynomial {:#x}", crc.0.algorithm.width, crc.0.algorithm.poly)
+            }
+        }?;
+        if self.optional { write!(out, ", may be absent") } else { Ok(()) }
+    }
+}
+
+impl FrameCheck {
+    /// Checks `[check]` and compiles it; `None` for kind `none`.
+    pub(super) fn new(source: &DefinitionSource, t: &CheckTable) -> Result<Option<Self>, Diagnostic> {
+        let wrong = |finding| source.table("check", finding);
+        let after = match t.after.as_deref().map(str::as_bytes) {
+            None => None,
+            Some([after]) => Some(*after),
+            Some(_) => return Err(source.key("check", "after", AfterCharacter)),
+        };
+        let crc = match (&t.name, t.width, t.poly, t.init, t.refin, t.refout, t.xorout, t.check) {
+            (None, None, None, None, None, None, None, None) => None,
+            _ if t.kind != CheckKind::Crc => return Err(wrong(ParametersWithoutCrc)),
+            (Some(name), None, None, None, None, None, None, None) => Some(named(name).ok_or_else(|| {
+                let finding = UnknownCrc { name: name.clone(), known: NAMES.join(", ") };
+                source.key("check", "name", finding).nearest(name, NAMES.iter().copied())
+            })?),
+            (Some(_), ..) => return Err(wrong(NameAndParameters)),
+            (
+                None,
+                Some(width),
+                Some(poly),
+                Some(init),
+                Some(refin),
+                Some(refout),
+                Some(xorout),
+                Some(check),
+            ) => {
+                if !matches!(width, 8 | 16 | 24 | 32) {
+                    return Err(wrong(CrcWidth));
+                }
+                let xorout = xorout & (u32::MAX >> (32 - width));
+                Some(Algorithm { width, poly, init, refin, refout, xorout, check, residue: 0 })
+            }
+            _ => return Err(wrong(ParametersMissing)),
+        };
+        if t.optional && after.is_none() {
+            return Err(wrong(OptionalWithoutAfter));
+        }
+        let sum = match t.kind {
+            CheckKind::None => return Ok(None),
+            CheckKind::Xor8 => ChecksumAlgorithm::Xor8,
+            CheckKind::Sum8 => ChecksumAlgorithm::Sum8,
+            CheckKind::Crc => {
+                let crc = TabulatedCrc::new(crc.ok_or_else(|| wrong(ParametersMissing))?);
+                crc.verify().map_err(|check| source.key("check", "check", CrcDiffers { check }))?;
+                ChecksumAlgorithm::Crc(Box::new(crc))
+            }
+        };
+        let encoding = t.enc.ok_or_else(|| wrong(EncodingMissing))?;
+        Ok(Some(Self { sum, encoding, after, optional: t.optional, from: t.over_from }))
+    }
+
+    fn bits(&self) -> u8 {
+        match &self.sum {
+            ChecksumAlgorithm::Xor8 | ChecksumAlgorithm::Sum8 => 8,
+            ChecksumAlgorithm::Crc(crc) => crc.0.algorithm.width,
+        }
+    }
+
+    /// Share of random frames that pass.
+    pub(super) fn undetected(&self) -> f64 {
+        if self.optional { 1.0 } else { 0.5f64.powi(self.bits().into()) }
+    }
+
+    /// Length as sent, with the character before it.
+    pub(super) fn len(&self) -> usize {
+        self.digits() + usize::from(self.after.is_some())
+    }
+
+    /// The content without its check; `None` if the check is wrong or missing.
+    pub(super) fn strip<'a>(&self, body: &'a [u8]) -> Option<&'a [u8]> {
+        if let (Some(after), true) = (self.after, self.optional)
+            && !body.contains(&after)
+        {
+            return Some(body);
+        }
+        let (content, tail) = body.split_at_checked(body.len().checked_sub(self.len())?)?;
+        let sent = match self.after {
+            Some(after) => tail.strip_prefix(&[after])?,
+            None => tail,
+        };
+        (self.sent(sent)? == self.value(content)).then_some(content)
+    }
+
+    pub(super) fn append(&self, body: &mut Vec<u8>) {
+        let (value, digits) = (self.value(body), self.digits());
+        body.extend(self.after);
+        match self.encoding {
+            CheckEncoding::Hex => body.extend(format!("{value:0digits$X}").into_bytes()),
+            CheckEncoding::Le => body.extend(&value.to_le_bytes()[..digits.min(4)]),
+            CheckEncoding::Be => body.extend(&value.to_be_bytes()[4 - digits.min(4)..]),
+        }
+    }
+
+    /// Length of the value as sent.
+    fn digits(&self) -> usize {
+        let bytes = usize::from(self.bits().div_ceil(8));
+        if self.encoding == CheckEncoding::Hex { 2 * bytes } else { bytes }
+    }
+
+    /// The value as sent; hexadecimal digits of either case.
+    fn sent(&self, sent: &[u8]) -> Option<u32> {
+        let digit = |byte: &u8| char::from(*byte).to_digit(16);
+        let byte = |value: u32, byte: &u8| value << 8 | u32::from(*byte);
+        match self.encoding {
+            CheckEncoding::Hex => sent.iter().try_fold(0, |value, byte| Some(value << 4 | digit(byte)?)),
+            CheckEncoding::Le => Some(sent.iter().rev().fold(0, byte)),
+            CheckEncoding::Be => Some(sent.iter().fold(0, byte)),
+        }
+    }
+
+    fn value(&self, content: &[u8]) -> u32 {
+        let content = content.get(self.from..).unwrap_or_default();
+        match &self.sum {
+            ChecksumAlgorithm::Xor8 => content.iter().fold(0, |sum, byte| sum ^ u32::from(*byte)),
+            ChecksumAlgorithm::Sum8 => content.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)).into(),
+            ChecksumAlgorithm::Crc(crc) => crc.0.checksum(content),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Computed with 32 bits for any width, against the check values of the catalogue.
+    #[test]
+    fn named_crcs_give_their_check_values() {
+        for name in NAMES {
+            assert_eq!(TabulatedCrc::new(named(name).unwrap()).verify(), Ok(()), "{name}");
+        }
+    }
+
+    /// No integer has this width.
+    #[test]
+    fn crc_of_24_bits_gives_its_check_value() {
+        assert_eq!(TabulatedCrc::new(crc::CRC_24_OPENPGP).verify(), Ok(()));
+    }
+}

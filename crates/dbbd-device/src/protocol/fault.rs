@@ -1,0 +1,53 @@
+//! Faults of the decoder: they account for every byte outside of samples.
+
+use serde::{Deserialize, Serialize};
+
+/// Bytes that did not become a sample, and why.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LineFault {
+    pub kind: LineFaultKind,
+    /// Offset of the first byte in the stream.
+    pub offset: u64,
+    pub bytes: u64,
+    /// Number of adjacent faults of this kind.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub count: u64,
+}
+
+fn one() -> u64 {
+    1
+}
+
+fn is_one(count: &u64) -> bool {
+    *count == 1
+}
+
+impl LineFault {
+    /// Merges the next fault if it is adjacent and of the same kind, else returns it.
+    pub fn join(&mut self, next: LineFault) -> Option<LineFault> {
+        if next.kind != self.kind || next.offset != self.offset + self.bytes {
+            return Some(next);
+        }
+        self.bytes += next.bytes;
+        self.count += next.count;
+        None
+    }
+}
+
+/// Why bytes did not become a sample.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LineFaultKind {
+    /// Not a frame of this protocol.
+    Framing,
+    /// A frame whose check does not match.
+    Check,
+    /// A frame that is longer than the protocol allows.
+    TooLong,
+    /// A frame with an intact check whose content has no meaning here.
+    Content,
+    /// The device reported that it has no reading, in its own words.
+    Reject(String),
+    /// An echo, a banner or another record that the definition ignores.
+    Ignored,
+}

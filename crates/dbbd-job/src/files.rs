@@ -1,0 +1,224 @@
+//! Reads and writes whole files. Every message names the path.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+use dbbd_model::base::FileFinding::{
+    IsInput, NoDirectory, NoResult, NotAFile, NotUtf8At, OtherContent, TooLarge, Unwritable,
+};
+use dbbd_model::base::hash::Sha256;
+use dbbd_model::base::text::unreadable;
+use dbbd_model::diagnostic::Diagnostic;
+
+pub fn unwritable(path: &Path) -> impl Fn(io::Error) -> Diagnostic + use<> {
+    let name = path.display().to_string();
+    move |error| Diagnostic::file(&name, Unwritable { why: error.to_string() })
+}
+
+/// The directory that contains a file.
+pub fn directory_of(path: &Path) -> &Path {
+    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Creates a directory for results.
+pub fn directory(path: &Path) -> Result<(), Diagnostic> {
+    fs::create_dir_all(path)
+        .map_err(|error| Diagnostic::file(path.display(), NoDirectory { why: error.to_string() }))
+}
+
+/// Whether two paths are one existing file.
+pub fn same_place(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Reads a UTF-8 text.
+pub fn read_text(path: &Path) -> Result<String, Diagnostic> {
+    let bytes = fs::read(path).map_err(unreadable(path.display()))?;
+    String::from_utf8(bytes).map_err(|error| {
+        let byte = error.utf8_error().valid_up_to();
+        Diagnostic::file(path.display(), NotUtf8At { byte })
+    })
+}
+
+/// Reads a file if it exists. A path with this ending is meant to be a file: if it does not exist, that is an error.
+pub fn if_there(path: &Path, ending: &str) -> Option<Result<String, Diagnostic>> {
+    (path.exists() || path.to_string_lossy().ends_with(ending)).then(|| read_text(path))
+}
+
+/// Reads a file if it exists.
+pub fn read_if_file(path: &Path) -> Option<Result<String, Diagnostic>> {
+    path.is_file().then(|| read_text(path))
+}
+
+/// Reads a file of at most `most` bytes. A pipe or a device is refused without opening it.
+pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
+    match fs::metadata(path) {
+        Ok(data) if !data.is_file() => Err(Diagnostic::file(path.display(), NotAFile)),
+        Ok(data) if data.len() > most => {
+            Err(Diagnostic::file(path.display(), TooLarge { bytes: data.len(), most }))
+        }
+        _ => read_text(path),
+    }
+}
+
+/// The SHA-256 of a file of any size.
+pub fn sha256(path: &Path) -> Result<String, Diagnostic> {
+    let wrong = unreadable(path.display());
+    let mut file = File::open(path).map_err(&wrong)?;
+    let (mut hash, mut piece) = (Sha256::default(), vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut piece).map_err(&wrong)? {
+            0 => return Ok(hash.finish()),
+            read => hash.update(piece.get(..read).unwrap_or_default()),
+        }
+    }
+}
+
+/// A file that is written under a temporary name and renamed when it is complete. If it is dropped before, nothing of it
+/// remains.
+#[derive(Debug)]
+#[must_use = "the file gets its name when it is finished"]
+pub struct UnfinishedFile {
+    /// The temporary name.
+    pub(super) part: PathBuf,
+    /// The final name, behind a symbolic link if `path` is one.
+    pub(super) target: PathBuf,
+    path: PathBuf,
+}
+
+impl UnfinishedFile {
+    pub fn create(path: &Path) -> Result<(Self, File), Diagnostic> {
+        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let part = beside(&target, "part");
+        let file = File::create(&part).map_err(unwritable(path))?;
+        Ok((Self { part, target, path: path.into() }, file))
+    }
+
+    /// Renames the file, which must be closed.
+    pub fn finish(self) -> Result<(), Diagnostic> {
+        fs::rename(&self.part, &self.target).map_err(unwritable(&self.path))
+    }
+}
+
+impl Drop for UnfinishedFile {
+    fn drop(&mut self) {
+        // After `finish` there is no such file.
+        let _ = fs::remove_file(&self.part);
+    }
+}
+
+/// Writes a file completely or not at all.
+pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
+    write_unfinished(path, [content])?.map_or(Ok(()), UnfinishedFile::finish)
+}
+
+/// Writes a file in pieces under its temporary name. `None`: `path` is a device or a pipe, which took the pieces.
+pub(super) fn write_unfinished(
+    path: &Path,
+    pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
+) -> Result<Option<UnfinishedFile>, Diagnostic> {
+    let wrong = unwritable(path);
+    let fill = |mut file: File| pieces.into_iter().try_for_each(|piece| file.write_all(piece.as_ref()));
+    match fs::metadata(path) {
+        Ok(data) if data.is_dir() => Err(wrong(io::ErrorKind::IsADirectory.into())),
+        Ok(data) if !data.is_file() => {
+            let filled = fs::OpenOptions::new().write(true).open(path).and_then(fill);
+            filled.map(|()| None).map_err(wrong)
+        }
+        _ => {
+            let (unfinished, file) = UnfinishedFile::create(path)?;
+            fill(file).map_err(wrong)?;
+            Ok(Some(unfinished))
+        }
+    }
+}
+
+/// A name in the same directory that no other process uses.
+pub(super) fn beside(path: &Path, ending: &str) -> PathBuf {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(format!(".{}.{ending}", std::process::id()));
+    beside.into()
+}
+
+/// The permission bits of a file; 0 if it does not exist, and on systems other than Unix.
+#[cfg(unix)]
+pub fn mode(path: &Path) -> u32 {
+    use std::os::unix::fs::PermissionsExt;
+    fs::metadata(path).map_or(0, |data| data.permissions().mode())
+}
+
+#[cfg(not(unix))]
+pub fn mode(_: &Path) -> u32 {
+    0
+}
+
+/// Refuses to write a result over a file that the command reads.
+pub fn keeps<'a>(out: &Path, inputs: impl IntoIterator<Item = &'a Path>) -> Result<(), Diagnostic> {
+    match inputs.into_iter().find(|input| same_place(out, input)) {
+        Some(input) => Err(Diagnostic::file(input.display(), IsInput)),
+        None => Ok(()),
+    }
+}
+
+/// Refuses to replace a file that is not an earlier result of the same kind, which begins with `head`.
+pub fn is_earlier(out: &Path, head: &[u8]) -> Result<(), Diagnostic> {
+    if !out.is_file() {
+        return Ok(());
+    }
+    let mut begin = Vec::new();
+    let wrong = unreadable(out.display());
+    File::open(out).and_then(|file| file.take(head.len() as u64).read_to_end(&mut begin)).map_err(wrong)?;
+    // An earlier export may have been cut off.
+    if head.starts_with(&begin) { Ok(()) } else { Err(Diagnostic::file(out.display(), NoResult)) }
+}
+
+/// Refuses to replace a file with another content than that of this SHA-256.
+pub fn is_same(out: &Path, content_sha256: &str) -> Result<(), Diagnostic> {
+    if out.symlink_metadata().is_err() || (out.is_file() && sha256(out)? == content_sha256) {
+        return Ok(());
+    }
+    Err(Diagnostic::file(out.display(), OtherContent))
+}
+
+/// A lock on a directory: while it is held, no other dbbd process writes a set of results there.
+#[must_use = "dropping it releases the directory"]
+#[derive(Debug)]
+pub struct DirectoryLock {
+    _lock: Option<File>,
+}
+
+/// Creates a directory and waits for its lock, so that two sets of results are never mixed.
+pub fn exclusive(path: &Path) -> Result<DirectoryLock, Diagnostic> {
+    directory(path)?;
+    Ok(DirectoryLock { _lock: lock(path) })
+}
+
+/// `None` on a file system where directories cannot be locked: sets are then written unprotected.
+#[cfg(not(windows))]
+fn lock(directory: &Path) -> Option<File> {
+    File::open(directory).ok().filter(|directory| directory.lock().is_ok())
+}
+
+/// Windows does not lock directories: a file in it is opened exclusively and deleted with its handle.
+#[cfg(windows)]
+fn lock(directory: &Path) -> Option<File> {
+    use std::os::windows::fs::OpenOptionsExt;
+    const DELETE_ON_CLOSE: u32 = 0x0400_0000;
+    const SHARING_VIOLATION: i32 = 32;
+    const ACCESS_DENIED: i32 = 5;
+    /// 20 ms apart. Without a limit this would wait forever in a directory that is not writable.
+    const TRIES: usize = 1500;
+    let mut options = fs::OpenOptions::new();
+    options.write(true).create(true).truncate(true).share_mode(0).custom_flags(DELETE_ON_CLOSE);
+    for _ in 0..TRIES {
+        match options.open(directory.join(".dbbd-lock")) {
+            // Another process has it open, or it is being deleted.
+            Err(error) if matches!(error.raw_os_error(), Some(SHARING_VIOLATION | ACCESS_DENIED)) => {
+                super::clock::sleep(0.02);
+            }
+            opened => return opened.ok(),
+        }
+    }
+    None
+}

@@ -1,0 +1,21 @@
+//! What a page in a browser is made of, apart from how it is served.
+
+use std::fs::File;
+
+/// A file of a page. It is served without a token, so it must hold no secret.
+#[derive(Clone, Copy, Debug)]
+pub struct PageFile {
+    pub path: &'static str,
+    /// Content type.
+    pub kind: &'static str,
+    pub content: &'static str,
+}
+
+/// An open file to send.
+#[derive(Debug)]
+pub struct Download {
+    pub file: File,
+    pub name: String,
+    /// Size when it was opened.
+    pub bytes: u64,
+}

@@ -1,0 +1,130 @@
+//! Checks of single values of a job, and the place in the file of a value that fails.
+
+use super::MIN_OBSTACLE_MM;
+use crate::plan::job::JobFinding;
+use dbbd_model::diagnostic::{Diagnostic, Finding};
+
+/// No length (mm), angle (degrees), speed or time of a job is larger.
+pub(super) const MAX_JOB_VALUE: f64 = 1e5;
+
+/// A table of the job: its header, and which one of those with this header, from 0.
+#[derive(Clone, Copy)]
+pub(super) struct JobTable {
+    header: &'static str,
+    at: usize,
+}
+
+/// A finding about a key of a table, or about the table where the key is empty.
+pub(crate) struct MisplacedFinding {
+    pub(crate) finding: Diagnostic,
+    table: JobTable,
+    key: &'static str,
+}
+
+type ValueCheck = Result<(), MisplacedFinding>;
+
+impl JobTable {
+    pub(super) const fn new(header: &'static str) -> Self {
+        Self { header, at: 0 }
+    }
+
+    pub(super) const fn nth(header: &'static str, at: usize) -> Self {
+        Self { header, at }
+    }
+
+    pub(super) fn wrong(self, key: &'static str, finding: impl Finding) -> MisplacedFinding {
+        MisplacedFinding { finding: Diagnostic::new(finding), table: self, key }
+    }
+
+    /// An error with this finding unless the condition holds.
+    pub(super) fn ensure(
+        self,
+        key: &'static str,
+        holds: bool,
+        finding: impl FnOnce() -> JobFinding,
+    ) -> ValueCheck {
+        if holds { Ok(()) } else { Err(self.wrong(key, finding())) }
+    }
+
+    pub(super) fn positive(self, key: &'static str, value: f64) -> ValueCheck {
+        self.positive_to(key, value, MAX_JOB_VALUE)
+    }
+
+    pub(super) fn positive_to(self, key: &'static str, value: f64, most: f64) -> ValueCheck {
+        let holds = value > 0.0 && value <= most;
+        self.ensure(key, holds, || JobFinding::NotPositive { key: key.into(), value, most })
+    }
+
+    pub(super) fn finite<'a>(
+        self,
+        key: &'static str,
+        values: impl IntoIterator<Item = &'a f64>,
+    ) -> ValueCheck {
+        values.into_iter().try_for_each(|value| self.within(key, *value, [-MAX_JOB_VALUE, MAX_JOB_VALUE]))
+    }
+
+    /// Within a range, which NaN is not.
+    pub(super) fn within(self, key: &'static str, value: f64, [least, most]: [f64; 2]) -> ValueCheck {
+        let finding = || JobFinding::OutOfRange { key: key.into(), value, least, most };
+        self.ensure(key, (least..=most).contains(&value), finding)
+    }
+
+    pub(super) fn direction(self, key: &'static str, [x, y, z]: [f64; 3]) -> ValueCheck {
+        let holds = (1e-6..=MAX_JOB_VALUE).contains(&x.hypot(y).hypot(z));
+        self.ensure(key, holds, || JobFinding::NoDirection { key: key.into(), x, y, z })
+    }
+
+    /// A box by two corners, of which `key` is one or both.
+    pub(super) fn corners(self, key: &'static str, low: [f64; 3], high: [f64; 3]) -> ValueCheck {
+        self.finite(key, low.iter().chain(&high))?;
+        let ordered = low.iter().zip(&high).all(|(low, high)| low < high);
+        self.ensure(key, ordered, || JobFinding::CornersSwapped { key: key.into() })
+    }
+
+    /// An obstacle of this size, mm: a tiny one was given in metres.
+    pub(super) fn large(self, key: &'static str, size: [f64; 3]) -> ValueCheck {
+        let size_mm = size.into_iter().map(f64::abs).fold(0.0, f64::max);
+        // A NaN is a finding of another check.
+        let tiny = size_mm < MIN_OBSTACLE_MM;
+        self.ensure(key, !tiny, || JobFinding::TinyObstacle { key: key.into(), size_mm })
+    }
+
+    /// The axis of a cup and its limit: both or none.
+    pub(super) fn cup(self, axis: Option<[f64; 3]>, limit_deg: Option<f64>) -> ValueCheck {
+        const AXIS: &str = "cup_axis";
+        const LIMIT: &str = "cup_limit_deg";
+        let alone = |key: &'static str, needed: &str| {
+            Err(self.wrong(key, JobFinding::CupAlone { key: key.into(), needed: needed.into() }))
+        };
+        match (axis, limit_deg) {
+            (Some(axis), Some(limit)) => {
+                self.direction(AXIS, axis)?;
+                self.positive_to(LIMIT, limit, 180.0)
+            }
+            (None, None) => Ok(()),
+            (Some(_), None) => alone(AXIS, LIMIT),
+            (None, Some(_)) => alone(LIMIT, AXIS),
+        }
+    }
+}
+
+impl MisplacedFinding {
+    /// The line (from 1) of the key, else of the table's header; a table whose header has no bracket is an inline
+    /// table of `[motion]`.
+    pub(super) fn line(&self, text: &str) -> Option<usize> {
+        let &Self { table: JobTable { header, at }, key, .. } = self;
+        let starts = |line: &str, key: &str| {
+            let rest = line.trim_start().strip_prefix(key);
+            rest.is_some_and(|rest| rest.trim_start().starts_with(['=', '.']))
+        };
+        let mut lines = (1..).zip(text.lines());
+        if !header.starts_with('[') {
+            let table = format!("[motion.{header}]");
+            return lines.find(|(_, line)| starts(line, header) || line.trim() == table).map(|(n, _)| n);
+        }
+        let is_header = |line: &str| line.split('#').next().unwrap_or("").trim() == header;
+        let (found, _) = lines.by_ref().filter(|(_, line)| is_header(line)).nth(at)?;
+        let mut within = lines.take_while(|(_, line)| !line.trim_start().starts_with('['));
+        Some(within.find(|(_, line)| starts(line, key)).map_or(found, |(n, _)| n))
+    }
+}

@@ -1,0 +1,339 @@
+//! Poses chosen among those that can be reached, as steps: one module for each base ball.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use super::PlanningPrior;
+use super::cell::{CandidateConditions, PlanningCell};
+use super::job::{BaseBallTable, OptimiseTable};
+use super::module::module;
+use super::prior::length_sigma_mm;
+use super::refusal::Refusal;
+use super::rig::PlanKinematics;
+use super::stage::Stage;
+use super::steps::{PlanStep, StepBuilder, least_marker};
+use super::workspace::workspace;
+use crate::plan::PlanFinding;
+use crate::plan::job::JobFinding;
+use dbbd_model::design::{Candidate, Criterion, Exchange, Near, change_rows, design_rows, workspace_rows};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::Posterior;
+use dbbd_model::math::distributions::normal_deviate;
+use dbbd_model::robot::BallId;
+use dbbd_model::robot::inverse::status;
+use dbbd_model::robot::parameter;
+use dbbd_model::robot::pose::{rot_x, rot_z};
+
+/// Poses of the workspace over which the 3-D error is minimised.
+const OPTIMISE_WORKSPACE_POSES: usize = 400;
+/// Start poses that are tried about a ball, and poses by which they are compared.
+const STARTS: usize = 40;
+const COMPARED: usize = 150;
+/// Poses of the smallest stage.
+const MIN_STAGE_POSES: u32 = 6;
+
+pub(crate) struct ChosenSteps {
+    pub(crate) steps: Vec<PlanStep>,
+    pub(crate) notes: Vec<PlanFinding>,
+    /// Present if not every pose is allowed yet.
+    pub(crate) stage: Option<Stage>,
+}
+
+/// The poses about one base ball that can be reached, whatever their stroke risk.
+struct ReachablePoses {
+    ball: BallId,
+    /// In any orientation.
+    reach: Vec<Candidate>,
+    /// Near the orientation in which the ball was taught, or with the tool down.
+    near: Vec<Candidate>,
+}
+
+impl ReachablePoses {
+    /// The poses from which a run may start: from there the ball can be touched with the same orientation.
+    fn starts<'c>(&'c self, rig: &'c PlanKinematics<'_>) -> impl Iterator<Item = &'c Candidate> {
+        let touches = |start: &&Candidate| rig.touching(self.ball.number(), &start.axes).is_some();
+        self.near.iter().chain(&self.reach).filter(touches)
+    }
+
+    /// The controller's axis angles at which it touches the ball, with the orientation of the first start, degrees.
+    fn touching(&self, rig: &PlanKinematics<'_>) -> Option<String> {
+        let axes = self.starts(rig).find_map(|start| rig.touching(self.ball.number(), &start.axes))?;
+        Some(axes.map(|angle| format!("{:.4}", angle.to_degrees())).join(", "))
+    }
+}
+
+/// The safe poses about one base ball.
+struct SafePoses<'a> {
+    cell: PlanningCell<'a>,
+    start: Candidate,
+    /// Poses that can be reached, and how many of them are barred by their risk.
+    reachable: usize,
+    barred: usize,
+    allowed: Vec<Candidate>,
+}
+
+impl SafePoses<'_> {
+    /// The poses that are allowed besides the start.
+    fn others(&self) -> impl Iterator<Item = &Candidate> {
+        self.allowed.iter().filter(|pose| **pose != self.start)
+    }
+}
+
+/// The safe poses about all base balls, for a number of poses to choose.
+struct SafePoseSearch<'a> {
+    points: u32,
+    /// Greatest risk of one pose: an equal share of that of the whole run.
+    risk: f64,
+    abouts: Vec<SafePoses<'a>>,
+    stage: Stage,
+}
+
+impl SafePoseSearch<'_> {
+    /// Poses to choose besides the starts.
+    fn count(&self) -> usize {
+        (self.points as usize).saturating_sub(self.abouts.len())
+    }
+
+    /// Poses to choose from.
+    fn pool(&self) -> usize {
+        self.abouts.iter().map(|about| about.others().count()).sum()
+    }
+}
+
+/// Chooses the job's poses, with this share of the risk that is allowed.
+pub(crate) fn choose_steps(
+    rig: &PlanKinematics<'_>,
+    prior: &PlanningPrior,
+    share: f64,
+) -> Result<ChosenSteps, Refusal> {
+    let job = rig.job;
+    let wanted = job.optimise.clone().unwrap_or_default();
+    let risk = share * job.limits.max_stroke_risk;
+    let candidates = wanted.candidates as usize / job.centres.len().max(1);
+    let chooser = PoseChooser { rig: *rig, prior, risk, candidates };
+    let scans: Result<Vec<ReachablePoses>, PlanFinding> =
+        job.centres.iter().map(|table| chooser.scan(table)).collect();
+    let scans = scans.map_err(|finding| Refusal {
+        findings: vec![finding.into()],
+        recommendations: vec![PlanFinding::FewInReach { reachable: 0, wanted: wanted.points }.into()],
+    })?;
+    let survey = chooser.safe(&scans, &wanted)?;
+    let staged = survey.points < wanted.points;
+    let mut notes = chooser.notes(&survey, staged);
+    let chosen = chooser.choose(&survey)?;
+    let mut walk = StepBuilder::new(job);
+    walk.circle = job.circles.len() as u32;
+    for about in &survey.abouts {
+        let ball = about.start.ball.number();
+        let poses: Vec<Candidate> = chosen.iter().filter(|c| c.ball.number() == ball).cloned().collect();
+        if poses.is_empty() {
+            notes.push(PlanFinding::NothingChosen { ball });
+            continue;
+        }
+        notes.extend(module(&mut walk, &about.cell, &about.start, poses, survey.risk));
+    }
+    if walk.steps.is_empty() {
+        return Err(Diagnostic::from(PlanFinding::NoPath).into());
+    }
+    Ok(ChosenSteps { steps: walk.steps, notes, stage: staged.then_some(survey.stage) })
+}
+
+struct PoseChooser<'a> {
+    rig: PlanKinematics<'a>,
+    prior: &'a PlanningPrior,
+    /// Greatest risk of all poses together.
+    risk: f64,
+    /// Number for each base ball.
+    candidates: usize,
+}
+
+impl<'a> PoseChooser<'a> {
+    /// The safe poses: for all poses wanted, else for a stage, which is halved down to the fewest.
+    fn safe(&self, scans: &[ReachablePoses], wanted: &OptimiseTable) -> Result<SafePoseSearch<'a>, Refusal> {
+        let halves = std::iter::successors(Some(wanted.stage_points), |points| Some(points / 2));
+        let stages =
+            halves.take_while(|points| *points >= MIN_STAGE_POSES).filter(|points| *points < wanted.points);
+        let mut refused = None;
+        for points in [wanted.points].into_iter().chain(stages) {
+            let survey = match self.survey(scans, points) {
+                Ok(survey) => survey,
+                Err(finding) => {
+                    refused = Some(finding);
+                    continue;
+                }
+            };
+            let whole = points == wanted.points;
+            let enough = survey.pool() >= survey.count();
+            if enough && !(whole && survey.stage.bars_many() && wanted.stage_points < points) {
+                return Ok(survey);
+            }
+            let few = PlanFinding::TooFewPoses { allowed: survey.pool(), wanted: points as usize };
+            // If the risk bars no pose, choosing fewer does not help.
+            if survey.stage.barred == 0 {
+                let reach = PlanFinding::FewInReach { reachable: survey.stage.reachable, wanted: points };
+                return Err(Refusal { findings: vec![few.into()], recommendations: vec![reach.into()] });
+            }
+            refused = Some(few);
+        }
+        let help = scans.iter().filter_map(|scan| self.help(scan)).map(Diagnostic::from).collect();
+        let findings = refused.into_iter().map(Diagnostic::from).collect();
+        Err(Refusal { findings, recommendations: help })
+    }
+
+    fn survey(&self, scans: &[ReachablePoses], points: u32) -> Result<SafePoseSearch<'a>, PlanFinding> {
+        let risk = self.risk / f64::from(points.max(1));
+        let abouts: Result<Vec<_>, _> = scans.iter().map(|scan| self.about(scan, risk)).collect();
+        let abouts = abouts?;
+        let stage = Stage {
+            lengths: self.prior.lengths,
+            reachable: abouts.iter().map(|about| about.reachable).sum(),
+            barred: abouts.iter().map(|about| about.barred).sum(),
+        };
+        Ok(SafePoseSearch { points, risk, abouts, stage })
+    }
+
+    /// What would make a smallest stage about a ball safe: that the ball is taught, or a longer stroke.
+    fn help(&self, scan: &ReachablePoses) -> Option<PlanFinding> {
+        let (job, ball) = (self.rig.job, scan.ball.number());
+        // After lengths it matters how the ball was taught.
+        let untaught = self.prior.lengths > 0 && job.ball(ball)?.taught_deg.is_none();
+        if let Some(axes_deg) = untaught.then(|| scan.touching(&self.rig)).flatten() {
+            return Some(PlanFinding::TeachFirst { ball, axes_deg });
+        }
+        let least_risk = self.risk / f64::from(MIN_STAGE_POSES);
+        let needed = |start: &Candidate| {
+            let cell = self.cell(start);
+            let mut sd: Vec<f64> = scan.near.iter().chain(&scan.reach).map(|pose| cell.sd_mm(pose)).collect();
+            sd.sort_by(f64::total_cmp);
+            let most = sd.get(MIN_STAGE_POSES as usize)?.max(cell.sd_mm(start));
+            Some(normal_deviate(least_risk.ln()) * most + least_marker(&job.bar, job.bar.length_mm))
+        };
+        let starts = scan.starts(&self.rig).take(STARTS).filter_map(needed);
+        let half_mm = starts.fold(f64::INFINITY, f64::min);
+        let [low_mm, high_mm] = job.bar.stroke_mm;
+        half_mm.is_finite().then_some(PlanFinding::StrokeNeeded { ball, half_mm, low_mm, high_mm })
+    }
+
+    /// The cell for a run that starts there.
+    fn cell(&self, start: &Candidate) -> PlanningCell<'a> {
+        PlanningCell::new(self.rig, self.prior, start.ball.number(), &start.axes)
+    }
+
+    fn notes(&self, survey: &SafePoseSearch<'_>, staged: bool) -> Vec<PlanFinding> {
+        let few = survey.abouts.iter().filter(|about| about.reachable < self.candidates);
+        let mut notes: Vec<PlanFinding> = few
+            .map(|about| PlanFinding::FewCandidates {
+                ball: about.start.ball.number(),
+                found: about.reachable,
+                wanted: self.candidates,
+            })
+            .collect();
+        let Stage { lengths, barred, reachable } = survey.stage;
+        notes.extend(match (staged, lengths, barred) {
+            (true, 0, _) => Some(PlanFinding::FirstStage { barred, reachable }),
+            (true, ..) => Some(PlanFinding::FurtherStage { lengths, barred, reachable }),
+            (false, _, 0) => None,
+            (false, ..) => Some(PlanFinding::Barred { barred, reachable }),
+        });
+        notes
+    }
+
+    fn scan(&self, table: &BaseBallTable) -> Result<ReachablePoses, PlanFinding> {
+        let rig = &self.rig;
+        let ball = BallId::new(table.id).unwrap_or(BallId::FIRST);
+        // With a risk of 1 only the limits and the obstacles count, so that any start does.
+        let anywhere = PlanningCell::new(*rig, self.prior, table.id, &[0.0; 6]);
+        let candidates = |count, branch, near| {
+            anywhere.candidates(table.id, count, &CandidateConditions { risk: 1.0, branch, near })
+        };
+        // Where the ball was taught the risk is least in that branch and orientation.
+        let taught = table.taught_deg.map(|deg| deg.map(f64::to_radians));
+        let branch = taught.map(|axes| status(rig.arm, &axes) & 7);
+        let reach = candidates(self.candidates, branch, None);
+        let first = reach.first().ok_or(PlanFinding::NoPose { ball: table.id })?;
+        let branch = Some(status(rig.arm, &first.axes) & 7);
+        let near = match taught {
+            Some(axes) => {
+                let orientation = rig.arm.ball(&axes).rotation;
+                let exactly = candidates(COMPARED / 2, branch, Some(Near::exactly(orientation)));
+                [exactly, candidates(COMPARED, branch, Some(Near::about(orientation)))].concat()
+            }
+            // Else with the tool down, in the branch of the others.
+            None => [0.0, FRAC_PI_2, PI, -FRAC_PI_2]
+                .map(|spin| candidates(COMPARED, branch, Some(Near::about(rot_x(PI) * rot_z(spin)))))
+                .into_iter()
+                .max_by_key(Vec::len)
+                .unwrap_or_default(),
+        };
+        Ok(ReachablePoses { ball, reach, near })
+    }
+
+    /// Start and candidates about one base ball with a risk of at most `risk` each.
+    fn about(&self, scan: &ReachablePoses, risk: f64) -> Result<SafePoses<'a>, PlanFinding> {
+        let ball = scan.ball.number();
+        let start = self.start(scan, risk).ok_or(PlanFinding::NoSafeStart { ball })?;
+        let cell = self.cell(&start);
+        let reachable = scan.reach.len();
+        let mut allowed = scan.reach.clone();
+        allowed.retain(|pose| cell.risk(pose) <= risk);
+        let barred = reachable - allowed.len();
+        if barred > reachable / 10 {
+            let branch = Some(status(self.rig.arm, &start.axes) & 7);
+            let near = Some(Near::about(start.pose.rotation));
+            allowed = cell.candidates(ball, self.candidates, &CandidateConditions { risk, branch, near });
+        }
+        Ok(SafePoses { cell, start, reachable, barred, allowed })
+    }
+
+    /// The start from which most of the poses are safe.
+    fn start(&self, scan: &ReachablePoses, risk: f64) -> Option<Candidate> {
+        let bar = &self.rig.job.bar;
+        let marker = least_marker(bar, bar.length_mm);
+        scan.starts(&self.rig)
+            .filter(|start| self.cell(start).risk_out(start, marker) <= risk)
+            .take(STARTS)
+            .map(|start| {
+                let cell = self.cell(start);
+                let others = scan.near.iter().take(COMPARED).chain(scan.reach.iter().take(COMPARED));
+                (start, others.filter(|other| cell.risk(other) <= risk).count())
+            })
+            .max_by_key(|(_, count)| *count)
+            .map(|(start, _)| start.clone())
+    }
+
+    /// The most informative poses besides the starts, which are measured as well.
+    fn choose(&self, survey: &SafePoseSearch<'_>) -> Result<Vec<Candidate>, Diagnostic> {
+        let job = self.rig.job;
+        let pool: Vec<Candidate> = survey.abouts.iter().flat_map(SafePoses::others).cloned().collect();
+        let criterion = job.optimise.as_ref().map(|optimise| optimise.criterion).unwrap_or_default();
+        let unknown = self.unknown()?;
+        let sigma_mm = length_sigma_mm(job, self.rig.controller);
+        let rows = design_rows(&unknown, &pool, sigma_mm);
+        let mut exchange = match (criterion, &self.prior.calibrated) {
+            (Criterion::Change, None) => return Err(PlanFinding::NotCalibrated.into()),
+            (Criterion::Change, Some(expected)) => {
+                Exchange::for_changes(&rows, change_rows(expected, &pool, sigma_mm))
+            }
+            (Criterion::D | Criterion::I, _) => {
+                let poses = workspace(job, self.rig.controller, OPTIMISE_WORKSPACE_POSES);
+                Exchange::new(&rows, &workspace_rows(&unknown, &poses))
+            }
+        };
+        let chosen = exchange.choose(survey.count(), criterion);
+        Ok(chosen.iter().filter_map(|&at| pool.get(at).cloned()).collect())
+    }
+
+    /// The unknown parameters that the poses are to determine: all, or those that the job lists, with the maker's tolerances
+    /// as their prior.
+    fn unknown(&self) -> Result<Posterior, JobFinding> {
+        let (PlanKinematics { job, controller, .. }, prior) = (self.rig, &self.prior.posterior);
+        let Some(list) = job.optimise.as_ref().and_then(|wanted| wanted.parameters.clone()) else {
+            return Ok(prior.clone());
+        };
+        let ids = parameter::parse_list(&list, &controller.parallel_joints(), job.centres.len())
+            .map_err(|why| JobFinding::Parameters { list: list.clone(), why: why.to_string() })?;
+        let all = PlanningPrior::of_maker(job, controller);
+        let sd: Option<Vec<f64>> = ids.iter().map(|id| all.sd(*id)).collect();
+        let sd = sd.ok_or(JobFinding::ParametersWithoutPrior { list })?;
+        Ok(Posterior::new(prior.model.clone(), &ids, &sd))
+    }
+}

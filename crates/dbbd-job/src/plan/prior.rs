@@ -1,0 +1,237 @@
+//! What is known of robot and set-up when a plan is made.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::rig::PlanKinematics;
+use super::{Job, Plan};
+use crate::plan::PlanFinding;
+use crate::plan::job::JobFinding;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::expected::Expected;
+use dbbd_model::estimation::{Posterior, Priors, beyond_repeatability, largest_plausible, length_sd_mm};
+use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
+use dbbd_model::robot::{AXES, BallId, BarId, ParamId, Robot, RobotPosterior};
+
+/// Greatest distance between `xyz_mm` of a ball and the tool ball at its `taught_deg`, mm: more is a mistake in one of them.
+const TAUGHT_MM: f64 = 1.0;
+/// Greatest distance between the program's tool and the tool ball, mm: the resolution of KRL.
+const TOOL_MM: f64 = 1e-3;
+
+/// The robot and the set-up as they are known when a plan is made.
+#[derive(Clone, Debug)]
+pub struct PlanningPrior {
+    pub posterior: Posterior,
+    /// Number of lengths that it was determined from.
+    pub lengths: usize,
+    /// Whether each base ball was measured or taught. One that was not is taught before its first run: it is put where the
+    /// controller has the tool ball, so that its error is that of the robot there.
+    located: Vec<bool>,
+    /// A calibrated robot in a new set-up, whose check is planned.
+    pub(crate) calibrated: Option<Expected>,
+}
+
+/// How a base ball is to be taught.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TaughtBall {
+    pub centre: u32,
+    /// The controller's axis angles with the tool ball on it, degrees.
+    pub axes_deg: [f64; AXES],
+}
+
+impl PlanningPrior {
+    /// The robot's tolerance and the bar's certificate, without the taught balls.
+    pub(crate) fn of_maker(job: &Job, robot: &Robot) -> Posterior {
+        let model = LengthModel::new(robot.geometry.clone(), &job.balls());
+        Posterior::prior(robot, model, &Priors::datasheet(robot, job.bar.u_mm()))
+    }
+
+    /// Before anything is measured: the robot's tolerance, the bar's certificate, the balls that were taught.
+    pub fn datasheet(job: &Job, robot: &Robot) -> Self {
+        Self::with_taught(job, robot, Self::of_maker(job, robot))
+    }
+
+    /// Before a check: the posterior of the calibration, what mounting again changes, the balls that were taught.
+    pub fn of_check(job: &Job, robot: &Robot, expected: Expected) -> Self {
+        let known = Self::with_taught(job, robot, expected.posterior.clone());
+        Self { calibrated: Some(expected), ..known }
+    }
+
+    fn with_taught(job: &Job, robot: &Robot, mut posterior: Posterior) -> Self {
+        let sd_mm = length_sigma_mm(job, robot.controller());
+        for (at, table) in job.centres.iter().enumerate() {
+            if let Some(taught) = table.taught_deg {
+                posterior = posterior.touched(BallId::at(at), &taught.map(f64::to_radians), sd_mm);
+            }
+        }
+        let located = job.centres.iter().map(|table| table.taught_deg.is_some()).collect();
+        Self { posterior, lengths: 0, located, calibrated: None }
+    }
+
+    /// After lengths: the most probable robot (with the given one as its nominal) and base balls, and their covariance.
+    ///
+    /// # Errors
+    /// A number is not finite, a length is to a ball that the job does not have, or the bar of the lengths is longer or
+    /// shorter than the job's by more than its stroke.
+    pub fn after_lengths(
+        job: &Job,
+        robot: &Robot,
+        readings: &[PreparedMeasurement],
+    ) -> Result<Self, PlanFinding> {
+        let nominal = robot.controller();
+        let before = Self::datasheet(job, nominal);
+        let posterior = before.posterior.learn(readings, length_sigma_mm(job, nominal));
+        let posterior = posterior.ok_or(PlanFinding::NoFiniteRobot)?;
+        let bar = BarLengthError::by_lengths(job, nominal, readings).filter(|bar| bar.is_contradicted(job));
+        let [low_mm, high_mm] = job.bar.stroke_mm;
+        if let Some(BarLengthError { off_mm, sd_mm }) = bar
+            && !(low_mm..=high_mm).contains(&off_mm)
+        {
+            return Err(PlanFinding::OtherBar { off_mm, sd_mm, low_mm, high_mm });
+        }
+        let mut located = before.located;
+        for reading in readings {
+            let ball = reading.datum.ball().and_then(|ball| located.get_mut(ball.index()));
+            *ball.ok_or(PlanFinding::NoFiniteRobot)? = true;
+        }
+        Ok(Self { posterior, lengths: readings.len(), located, ..before })
+    }
+
+    /// Doubts about the lengths: their residual far exceeds the robot's repeatability, or another bar fits far better.
+    pub fn doubts(
+        &self,
+        job: &Job,
+        robot: &Robot,
+        lengths: &[PreparedMeasurement],
+    ) -> Vec<EstimationFinding> {
+        let model = self.posterior.model.prepare();
+        let squares = lengths.iter().map(|one| (one.length_mm - model.length(one)).powi(2));
+        let rms_mm = (squares.sum::<f64>() / lengths.len().max(1) as f64).sqrt();
+        let worse = beyond_repeatability(rms_mm, job.bar.sigma_um * 1e-3, robot.controller());
+        let bar = BarLengthError::by_lengths(job, robot.controller(), lengths);
+        let bar = bar.filter(|bar| bar.is_contradicted(job));
+        let other =
+            bar.map(|BarLengthError { off_mm, sd_mm }| EstimationFinding::BarContradicted { off_mm, sd_mm });
+        worse.into_iter().chain(other).collect()
+    }
+
+    /// Job and robot with the most probable base balls and geometry.
+    pub fn applied(&self, job: &Job, robot: &Robot) -> (Job, Robot) {
+        let (mut job, nominal) = (job.clone(), robot.controller());
+        for (table, centre) in job.centres.iter_mut().zip(&self.posterior.model.balls) {
+            table.xyz_mm = (*centre).into();
+        }
+        let robot = Robot {
+            geometry: self.posterior.model.geometry.clone(),
+            nominal: Some(Box::new(nominal.clone())),
+            posterior: self.of_robot(),
+            ..nominal.clone()
+        };
+        (job, robot)
+    }
+
+    /// The posterior of the robot's own parameters, so that lengths measured on the plan add to it.
+    fn of_robot(&self) -> Option<RobotPosterior> {
+        let posterior = &self.posterior;
+        let is_own = |id: &ParamId| id.is_geometric() || matches!(id, ParamId::Tool(_));
+        let own: Vec<usize> = (0..posterior.ids().len()).filter(|&at| is_own(&posterior.ids()[at])).collect();
+        let ids: Vec<ParamId> = own.iter().map(|&at| posterior.ids()[at]).collect();
+        RobotPosterior::new(&ids, &posterior.model.geometry, &posterior.root().select_rows(&own))
+    }
+
+    /// What is known when a run about base ball `centre` (from 1) starts at axis angles in rad. A ball that was neither
+    /// measured nor taught is touched before, with the orientation of the tool at the start.
+    pub(crate) fn at_start(&self, rig: &PlanKinematics<'_>, centre: u32, start: &[f64; AXES]) -> RunStart {
+        let unlocated = |ball: &BallId| self.located.get(ball.index()) == Some(&false);
+        let Some(ball) = BallId::new(centre).filter(unlocated) else {
+            return RunStart { posterior: self.posterior.clone(), taught: None };
+        };
+        let axes = rig.touching(centre, start).unwrap_or(*start);
+        let axes_deg = axes.map(|angle| (angle.to_degrees() * 1e4).round() / 1e4);
+        let sd_mm = length_sigma_mm(rig.job, rig.controller);
+        let posterior = self.posterior.touched(ball, &axes_deg.map(f64::to_radians), sd_mm);
+        RunStart { posterior, taught: Some(TaughtBall { centre, axes_deg }) }
+    }
+
+    /// Continues with what is known at a start; the ball that is to be taught for it.
+    pub(crate) fn begin(&mut self, start: RunStart) -> Option<TaughtBall> {
+        let taught = start.taught?;
+        self.posterior = start.posterior;
+        let ball = BallId::new(taught.centre);
+        if let Some(located) = ball.and_then(|ball| self.located.get_mut(ball.index())) {
+            *located = true;
+        }
+        Some(taught)
+    }
+}
+
+/// By how much the bar would have to be longer for a robot within its tolerance to explain the lengths.
+struct BarLengthError {
+    off_mm: f64,
+    sd_mm: f64,
+}
+
+impl BarLengthError {
+    fn by_lengths(job: &Job, robot: &Robot, readings: &[PreparedMeasurement]) -> Option<Self> {
+        // A prior standard deviation so wide that nothing is known of the bar.
+        const UNKNOWN_MM: f64 = 1e3;
+        let model = LengthModel::new(robot.geometry.clone(), &job.balls());
+        let prior = Posterior::prior(robot, model, &Priors::datasheet(robot, Some(UNKNOWN_MM)));
+        let before = PlanningPrior::with_taught(job, robot, prior).posterior;
+        let found = before.learn(readings, length_sigma_mm(job, robot))?;
+        let sd_mm = found.sd(ParamId::BarOffset(BarId::FIRST))?;
+        Some(Self { off_mm: found.model.bar_offset(BarId::FIRST), sd_mm })
+    }
+
+    /// Whether it is implausible by the bar's certificate and the robot's tolerance.
+    fn is_contradicted(&self, job: &Job) -> bool {
+        let u_mm = Priors::certified_bar_mm(job.bar.u_mm());
+        self.off_mm.abs() > largest_plausible(true) * self.sd_mm.hypot(u_mm)
+    }
+}
+
+/// What is known at the start of a run.
+pub(crate) struct RunStart {
+    pub(crate) posterior: Posterior,
+    /// The ball that is taught before it.
+    pub(crate) taught: Option<TaughtBall>,
+}
+
+impl Plan {
+    /// How each base ball was taught, or is to be taught before this run.
+    pub fn taught(&self) -> impl Iterator<Item = TaughtBall> {
+        let tables = self.header.job.centres.iter();
+        let before =
+            tables.filter_map(|table| Some(TaughtBall { centre: table.id, axes_deg: table.taught_deg? }));
+        before.chain(self.header.taught.iter().copied())
+    }
+}
+
+impl Job {
+    /// Checks that each ball's `taught_deg` brings the controller's tool ball to its `xyz_mm`, and that the program's tool is
+    /// at the tool ball.
+    pub fn check_against(&self, controller: &Robot) -> Result<(), JobFinding> {
+        for table in &self.centres {
+            let Some(taught) = table.taught_deg else { continue };
+            let ball = controller.geometry.ball(&taught.map(f64::to_radians)).position;
+            let off_mm = (ball - Vector3::from(table.xyz_mm)).norm();
+            if off_mm > TAUGHT_MM {
+                let [x_mm, y_mm, z_mm] = ball.into();
+                return Err(JobFinding::TaughtElsewhere { ball: table.id, x_mm, y_mm, z_mm, off_mm });
+            }
+        }
+        let Some([x_mm, y_mm, z_mm, ..]) = self.motion.tool else { return Ok(()) };
+        let ball = controller.geometry.tool;
+        if (ball - Vector3::new(x_mm, y_mm, z_mm)).norm() > TOOL_MM {
+            let [ball_x_mm, ball_y_mm, ball_z_mm] = ball.into();
+            return Err(JobFinding::ToolElsewhere { x_mm, y_mm, z_mm, ball_x_mm, ball_y_mm, ball_z_mm });
+        }
+        Ok(())
+    }
+}
+
+/// Standard deviation of one length, mm: of the bar and of the robot's repeatability together.
+pub(crate) fn length_sigma_mm(job: &Job, robot: &Robot) -> f64 {
+    length_sd_mm(job.bar.sigma_um * 1e-3, robot)
+}

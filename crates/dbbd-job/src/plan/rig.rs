@@ -1,0 +1,180 @@
+//! From steps to rows: poses as KRL prints them, with the axis angles that the controller computes for them.
+
+use std::ops::Range;
+
+use nalgebra::Vector3;
+
+use super::job::Job;
+use super::steps::PlanStep;
+use super::{MotionKind, PlanRow, PoseKind};
+use crate::plan::PlanFinding;
+use dbbd_model::robot::inverse::{Unsolved, branches, clearance, nearest, status, turn, turns_within};
+use dbbd_model::robot::{AXES, Geometry, Pose, Robot};
+
+/// The job, the controller that is commanded, and the arm that moves. They differ where the robot was identified:
+/// the controller computes with the nominal robot.
+#[derive(Clone, Copy)]
+pub(crate) struct PlanKinematics<'a> {
+    pub(crate) job: &'a Job,
+    pub(crate) robot: &'a Robot,
+    pub(crate) controller: &'a Robot,
+    /// The arm as well as it is known.
+    pub(crate) arm: &'a Geometry,
+}
+
+/// A run of rows in one branch of the inverse kinematics.
+pub(crate) struct BranchRun {
+    pub(crate) rows: Vec<PlanRow>,
+    /// The turns in which the run can start, axis angles in rad, each with the least distance of the run from any limit in
+    /// degrees, negative outside.
+    pub(crate) starts: Vec<(f64, [f64; AXES])>,
+}
+
+/// How near a run comes to the limits.
+struct RunExtremes {
+    /// Lowest and highest angle of each axis and of each joint, degrees.
+    axes_deg: [[f64; 2]; AXES],
+    joints_deg: [[f64; 2]; AXES],
+    /// Least distance of the wrist from the limit about its singularity, degrees.
+    wrist_deg: f64,
+}
+
+impl RunExtremes {
+    fn new() -> Self {
+        let none = [[f64::INFINITY, f64::NEG_INFINITY]; AXES];
+        Self { axes_deg: none, joints_deg: none, wrist_deg: f64::INFINITY }
+    }
+
+    fn add(&mut self, rig: &PlanKinematics<'_>, axes: &[f64; AXES]) {
+        let geometry = &rig.controller.geometry;
+        let joints = geometry.coupling.joints(axes);
+        let ranges = self.axes_deg.iter_mut().zip(axes).chain(self.joints_deg.iter_mut().zip(&joints));
+        for ([low, high], angle) in ranges {
+            (*low, *high) = (low.min(angle.to_degrees()), high.max(angle.to_degrees()));
+        }
+        if let Some(clear) = clearance(geometry, axes) {
+            self.wrist_deg = self.wrist_deg.min(clear.wrist.to_degrees() - rig.job.limits.min_a5_deg);
+        }
+    }
+
+    /// The least distance from any limit if the whole run is turned by `turn`, rad.
+    fn margin_deg(&self, robot: &Robot, turn: [f64; AXES]) -> f64 {
+        let margin = |[low, high]: [f64; 2], [lowest, highest]: [f64; 2], turn: f64| {
+            (lowest + turn.to_degrees() - low).min(high - highest - turn.to_degrees())
+        };
+        let axes = (0..AXES).map(|i| margin(robot.limits_deg[i], self.axes_deg[i], turn[i]));
+        let turned = robot.geometry.coupling.joints(&turn);
+        let coupled = (0..AXES).filter_map(|i| Some((i, robot.coupled_limits_deg[i]?)));
+        let joints = coupled.map(|(i, limits)| margin(limits, self.joints_deg[i], turned[i]));
+        axes.chain(joints).fold(self.wrist_deg, f64::min)
+    }
+}
+
+impl<'a> PlanKinematics<'a> {
+    pub(crate) fn new(job: &'a Job, robot: &'a Robot) -> Self {
+        Self { job, robot, controller: robot.controller(), arm: &robot.geometry }
+    }
+
+    /// The pose to command so that the arm comes to `pose`, near axis angles in rad.
+    pub(crate) fn commanded(&self, pose: &Pose, near: &[f64; AXES]) -> Result<Pose, Unsolved> {
+        if self.robot.nominal.is_none() {
+            return Ok(*pose);
+        }
+        Ok(self.controller.geometry.ball(&nearest(self.arm, pose, near)?))
+    }
+
+    /// The controller's axis angles, rad, at which the tool ball is at the job's place of base ball `ball` (from 1), with the
+    /// orientation of the tool at `start`.
+    pub(crate) fn touching(&self, ball: u32, start: &[f64; AXES]) -> Option<[f64; AXES]> {
+        let geometry = &self.controller.geometry;
+        let position = Vector3::from(self.job.ball(ball)?.xyz_mm);
+        let pose = Pose { rotation: geometry.ball(start).rotation, position };
+        nearest(geometry, &pose, start).ok()
+    }
+
+    /// Axis angles of the first step in each branch that has a turn within the limits.
+    pub(crate) fn starts(&self, first: &PlanStep) -> Result<Vec<[f64; AXES]>, Unsolved> {
+        if let Some(axes) = first.axes {
+            return Ok(vec![axes]);
+        }
+        let all = branches(self.arm, &first.pose)?;
+        let turns = |axes: &&[f64; AXES]| !turns_within(axes, self.controller).is_empty();
+        let within: Vec<_> = all.iter().filter(turns).copied().collect();
+        // With all branches beyond the limits, the findings say by how much.
+        Ok(if within.is_empty() { all } else { within })
+    }
+
+    /// The rows of a run of steps, followed from `start` in its branch.
+    pub(crate) fn follow(
+        &self,
+        steps: &[PlanStep],
+        first_index: u32,
+        start: &[f64; AXES],
+    ) -> Result<BranchRun, PlanFinding> {
+        let frames = self.job.motion.frames();
+        let mut near = *start;
+        // The robot's axis angles before a pass, whose auxiliary points are far away on its circle.
+        let mut before_pass = None;
+        let mut rows = Vec::with_capacity(steps.len());
+        let mut extremes = RunExtremes::new();
+        for ((index, step), next) in
+            (first_index..).zip(steps).zip(steps.iter().skip(1).map(Some).chain([None]))
+        {
+            let auxiliary =
+                |step: &PlanStep| step.kind == PoseKind::Transit && step.motion == MotionKind::Circ;
+            if auxiliary(step) && next.is_some_and(auxiliary) {
+                before_pass = Some(near);
+            } else if !auxiliary(step) {
+                near = before_pass.take().unwrap_or(near);
+            }
+            near = step.axes.unwrap_or(near);
+            let failed = |why| unreachable(index, step.pose.position.into(), &why);
+            let commanded = self.commanded(&step.pose, &near).map_err(failed)?;
+            let (xyz_mm, abc_deg) = frames.as_driven(frames.as_printed(&commanded));
+            let rounded = Pose::from_kuka(xyz_mm, abc_deg);
+            near = nearest(&self.controller.geometry, &rounded, &near).map_err(failed)?;
+            let axes_deg = near.map(|a| if a.to_degrees().abs() < 1e-6 { 0.0 } else { a.to_degrees() });
+            let axes = axes_deg.map(f64::to_radians);
+            extremes.add(self, &axes);
+            let centre = self.job.ball(step.centre).map_or([0.0; 3], |table| table.xyz_mm);
+            rows.push(PlanRow {
+                index,
+                circle: step.circle,
+                centre: step.centre,
+                kind: step.kind,
+                motion: step.motion,
+                xyz_mm,
+                abc_deg,
+                axes_deg,
+                status: status(&self.controller.geometry, &axes),
+                turn: turn(&axes),
+                length_mm: self.arm.length(&axes, &centre.into(), 0.0),
+                dwell_s: step.dwell_s,
+            });
+        }
+        let given = steps.first().is_some_and(|first| first.axes.is_some());
+        let within = turns_within(start, self.controller);
+        let starts = if given || within.is_empty() { vec![*start] } else { within };
+        let margin_deg = |turned: &[f64; AXES]| {
+            extremes.margin_deg(self.controller, std::array::from_fn(|i| turned[i] - start[i]))
+        };
+        Ok(BranchRun {
+            rows,
+            starts: starts.into_iter().map(|turned| (margin_deg(&turned), turned)).collect(),
+        })
+    }
+}
+
+pub(crate) fn unreachable(row: u32, xyz_mm: [f64; 3], why: &Unsolved) -> PlanFinding {
+    let [x_mm, y_mm, z_mm] = xyz_mm;
+    PlanFinding::Unreachable { row, x_mm, y_mm, z_mm, why: why.to_string() }
+}
+
+/// The runs of steps in which the bar stays on: each begins with a PTP motion to a pose at which the robot is not yet.
+pub(crate) fn runs(steps: &[PlanStep]) -> Vec<Range<usize>> {
+    let begins: Vec<usize> = (0..steps.len())
+        .filter(|&i| steps[i].motion == MotionKind::Ptp && !(i > 0 && steps[i].pose == steps[i - 1].pose))
+        .collect();
+    let ends = begins.iter().skip(1).copied().chain([steps.len()]);
+    begins.iter().copied().zip(ends).map(|(first, past)| first..past).collect()
+}

@@ -1,0 +1,271 @@
+//! The steps of a job's circles, before axis angles are known.
+//!
+//! One module for each circle: a PTP motion to the start pose (the bar is off; the program halts there to have it mounted),
+//! three sync markers, the points along the arc, two markers. The start pose is one step before the first point, so that
+//! the first point is reached as all others are.
+//!
+//! The reference pose is the first point. It is visited after every twenty points and after the last, along the circle,
+//! the shorter way round: on this path the bar's length is known to stay in the stroke. It costs three turns of the circle
+//! for eighty points.
+//!
+//! A continuous circle has no reference pose; its passes go over it from end to end (`pass.rs`).
+//!
+//! Between two circles about one base ball the bar stays on: the robot goes along the sphere in short chords to the next
+//! start pose, where the next module begins. Before a circle about another base ball the bar is taken off.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Rotation3, Vector3};
+
+use super::circle::{PlannedCircle, REFERENCE_EVERY};
+use super::job::{CircleDirection, CircleMode, CircleTable, Job, JobBar};
+use super::path::{RouteLeg, between};
+use super::{MotionKind, PoseKind};
+use crate::plan::job::JobFinding;
+use dbbd_model::design::Candidate;
+use dbbd_model::robot::{AXES, Pose};
+
+/// Length of a sync marker where the stroke has room, mm.
+const MARKER_MM: f64 = 0.3;
+/// Shares of it that are tried where the length is not known well enough.
+const SMALLER: [f64; 3] = [1.0, 0.7, 0.4];
+/// How far to step aside where two dwells follow at one place, rad.
+pub(crate) const DETOUR: f64 = 0.035;
+/// Sync markers at the start and the end of a module: short moves out and back.
+const START_MARKERS: u32 = 3;
+const END_MARKERS: u32 = 2;
+
+/// A pose of the tool ball to which the robot is to go.
+pub(crate) struct PlanStep {
+    pub(crate) circle: u32,
+    pub(crate) centre: u32,
+    pub(crate) kind: PoseKind,
+    pub(crate) motion: MotionKind,
+    pub(crate) pose: Pose,
+    pub(crate) dwell_s: f64,
+    /// Axis angles, rad, where branch and turn are known.
+    pub(crate) axes: Option<[f64; AXES]>,
+}
+
+/// All steps of the job's circles; an error only in a job that was not checked.
+pub(crate) fn circle_steps(job: &Job) -> Result<Vec<PlanStep>, JobFinding> {
+    let mut walk = StepBuilder::new(job);
+    for (number, table) in (1_u32..).zip(&job.circles) {
+        let circle = PlannedCircle::new(job, table, number)?;
+        let angles = table.angles();
+        let Some(&first) = angles.first() else { continue };
+        let sense = if table.direction == CircleDirection::Cw { -1.0 } else { 1.0 };
+        // Outside an open arc may be an obstacle: its start is inside.
+        let outside = if table.is_closed() { sense } else { -sense } * table.step();
+        let start = match table.mode {
+            CircleMode::Continuous => first - sense * table.overshoot_deg.to_radians(),
+            CircleMode::Dwell => first - outside,
+        };
+        if walk.centre == table.centre {
+            // At most half of the stroke that is left inwards, and no more than a marker.
+            let sagitta = (0.5 * room(&job.bar, circle.radius)).clamp(0.02, MARKER_MM);
+            walk.along_the_sphere(circle.centre, &circle.pose(start, 0.0), sagitta);
+        }
+        (walk.circle, walk.centre) = (number, table.centre);
+        walk.push(PoseKind::Transit, MotionKind::Ptp, circle.pose(start, 0.0));
+        let out = marker(&job.bar, circle.radius);
+        walk.markers(MarkerPosition::Start, circle.pose(start, 0.0), circle.pose(start, out));
+        let end = match table.mode {
+            CircleMode::Continuous => {
+                let sweep = table.sweep_deg().to_radians();
+                let passes = angles.chunks(table.points as usize);
+                passes.fold(start, |at, points| walk.pass(&circle, at, points, sweep))
+            }
+            CircleMode::Dwell => walk.dwells(&circle, table, start, outside),
+        };
+        walk.markers(MarkerPosition::Finish, circle.pose(end, 0.0), circle.pose(end, out));
+    }
+    Ok(walk.steps)
+}
+
+/// Length of a sync marker outwards, mm, within the stroke; negative (inwards) where there is more room.
+pub(crate) fn marker(bar: &JobBar, radius: f64) -> f64 {
+    let reading = radius - bar.length_mm;
+    let out = bar.stroke_mm[1] - bar.margin_mm - reading;
+    let inwards = reading - bar.stroke_mm[0] - bar.margin_mm;
+    if out >= MARKER_MM || out >= inwards { MARKER_MM.min(0.8 * out) } else { -MARKER_MM.min(0.8 * inwards) }
+}
+
+/// The shortest marker that [`safe_marker`] tries at a radius, mm.
+pub(crate) fn least_marker(bar: &JobBar, radius: f64) -> f64 {
+    marker(bar, radius) * SMALLER[SMALLER.len() - 1]
+}
+
+/// The longest marker at a radius with a risk of at most `most`, mm; the shortest one where all have more.
+pub(crate) fn safe_marker(bar: &JobBar, radius: f64, most: f64, risk: impl Fn(f64) -> f64) -> f64 {
+    let markers = SMALLER.map(|share| marker(bar, radius) * share);
+    markers.into_iter().find(|out| risk(*out) <= most).unwrap_or(least_marker(bar, radius))
+}
+
+/// Stroke that is left inwards at a radius, mm.
+pub(crate) fn room(bar: &JobBar, radius: f64) -> f64 {
+    radius - bar.length_mm - bar.stroke_mm[0] - bar.margin_mm
+}
+
+#[derive(Clone, Copy)]
+pub(crate) enum MarkerPosition {
+    Start,
+    Finish,
+}
+
+/// The steps so far.
+pub(crate) struct StepBuilder {
+    pub(crate) steps: Vec<PlanStep>,
+    pub(crate) circle: u32,
+    pub(crate) centre: u32,
+    dwell_s: f64,
+}
+
+impl StepBuilder {
+    pub(crate) fn new(job: &Job) -> Self {
+        Self { steps: Vec::new(), circle: 0, centre: 0, dwell_s: job.motion.dwell_s }
+    }
+
+    /// A PTP motion to a pose with these axis angles, rad.
+    pub(crate) fn ptp(&mut self, pose: Pose, axes: [f64; AXES]) {
+        self.push(PoseKind::Transit, MotionKind::Ptp, pose);
+        if let Some(step) = self.steps.last_mut() {
+            step.axes = Some(axes);
+        }
+    }
+
+    /// Along a way to a dwell.
+    pub(crate) fn go(&mut self, way: RouteLeg, to: &Candidate, kind: PoseKind) {
+        match way {
+            RouteLeg::Arc(aux) => {
+                self.push(PoseKind::Transit, MotionKind::Circ, aux);
+                self.push(kind, MotionKind::Circ, to.pose);
+            }
+            RouteLeg::Chords(poses) => self.lines(poses, kind),
+        }
+        if let Some(step) = self.steps.last_mut() {
+            step.axes = Some(to.axes);
+        }
+    }
+
+    /// In straight lines from pose to pose, to a dwell at the last one.
+    pub(crate) fn lines(&mut self, poses: Vec<Pose>, kind: PoseKind) {
+        let last = poses.len().saturating_sub(1);
+        for (at, pose) in poses.into_iter().enumerate() {
+            self.push(if at == last { kind } else { PoseKind::Transit }, MotionKind::Lin, pose);
+        }
+    }
+
+    /// The sync markers of an end of a module: short moves from `rest` out and back.
+    pub(crate) fn markers(&mut self, end: MarkerPosition, rest: Pose, out: Pose) {
+        let count = match end {
+            MarkerPosition::Start => START_MARKERS,
+            MarkerPosition::Finish => END_MARKERS,
+        };
+        for _ in 0..count {
+            self.push(PoseKind::Transit, MotionKind::Lin, out);
+            self.push(PoseKind::Transit, MotionKind::Lin, rest);
+        }
+    }
+
+    fn push(&mut self, kind: PoseKind, motion: MotionKind, pose: Pose) {
+        let dwell_s = if kind == PoseKind::Transit { 0.0 } else { self.dwell_s };
+        let (circle, centre) = (self.circle, self.centre);
+        self.steps.push(PlanStep { circle, centre, kind, motion, pose, dwell_s, axes: None });
+    }
+
+    /// Along the circle to a dwell, through the middle of the arc.
+    fn arc(&mut self, circle: &PlannedCircle<'_>, from: f64, to: f64, kind: PoseKind) {
+        let end = circle.pose(to, 0.0);
+        let mut aux = circle.pose(0.5 * (from + to), 0.0);
+        aux.rotation = between(&circle.orientation(from), &end.rotation, 0.5);
+        self.push(PoseKind::Transit, MotionKind::Circ, aux);
+        self.push(kind, MotionKind::Circ, end);
+    }
+
+    /// The dwells of a circle from `start`, with the visits of the reference pose; the angle of the last one. `outside` is
+    /// the step towards the side on which no point is.
+    fn dwells(&mut self, circle: &PlannedCircle<'_>, table: &CircleTable, start: f64, outside: f64) -> f64 {
+        let angles = table.angles();
+        let Some(&first) = angles.first() else { return start };
+        let mut at = start;
+        for (count, &angle) in (1_u32..).zip(&angles) {
+            self.visit(circle, [at, angle], PoseKind::Measure, outside);
+            at = angle;
+            if count % REFERENCE_EVERY == 0 || count as usize == angles.len() {
+                let turns = if table.is_closed() { ((at - first) / TAU).round() } else { 0.0 };
+                let reference = first + turns * TAU;
+                self.visit(circle, [at, reference], PoseKind::Reference, outside);
+                at = reference;
+            }
+        }
+        at
+    }
+
+    /// Along the circle to a dwell, with a step aside where the robot is at its pose already.
+    fn visit(&mut self, circle: &PlannedCircle<'_>, [from, to]: [f64; 2], kind: PoseKind, outside: f64) {
+        let mut at = from;
+        if (to - at).abs() < 1e-9 {
+            // Without a move there would be no interval between the two dwells.
+            at = to + outside.clamp(-DETOUR, DETOUR);
+            self.push(PoseKind::Transit, MotionKind::Lin, circle.pose(at, 0.0));
+        }
+        self.arc(circle, at, to, kind);
+    }
+
+    /// A pass without stops from angle `from`; the angle at which it stops.
+    fn pass(&mut self, circle: &PlannedCircle<'_>, from: f64, points: &[f64], sweep: f64) -> f64 {
+        let sense = points.first().map_or(1.0, |first| (first - from).signum());
+        // With auxiliary points far apart the rounding of the poses hardly moves the circle.
+        let third = sense * sweep.min(TAU) / 3.0;
+        for share in [1.0, 2.0] {
+            self.push(PoseKind::Transit, MotionKind::Circ, circle.pose(from + share * third, 0.0));
+        }
+        for angle in points {
+            self.push(PoseKind::Measure, MotionKind::Circ, circle.pose(*angle, 0.0));
+            if let Some(step) = self.steps.last_mut() {
+                step.dwell_s = 0.0;
+            }
+        }
+        let end = from + sense * sweep;
+        self.push(PoseKind::Transit, MotionKind::Circ, circle.pose(end, 0.0));
+        end
+    }
+
+    /// Along the sphere about the base ball at `centre` to the pose `to`, in chords of at most this sagitta, mm.
+    fn along_the_sphere(&mut self, centre: Vector3<f64>, to: &Pose, sagitta: f64) {
+        let Some(from) = self.steps.last().map(|step| step.pose) else {
+            return;
+        };
+        let (start, end) = (from.position - centre, to.position - centre);
+        let (u, v) = (start.normalize(), end.normalize());
+        let radius = end.norm();
+        let risen = Pose { rotation: from.rotation, position: centre + u * radius };
+        if (radius - start.norm()).abs() > 1e-9 {
+            self.push(PoseKind::Transit, MotionKind::Lin, risen);
+        }
+        let normal = u.cross(&v);
+        let angle = normal.norm().atan2(u.dot(&v));
+        // At opposite ends any great circle will do.
+        let axis = if normal.norm() > 1e-9 {
+            normal.normalize()
+        } else if u.z.abs() < 0.9 {
+            u.cross(&Vector3::z()).normalize()
+        } else {
+            u.cross(&Vector3::x()).normalize()
+        };
+        if angle < 1e-9 {
+            self.push(PoseKind::Transit, MotionKind::Lin, *to);
+            return;
+        }
+        let widest = 2.0 * (1.0 - sagitta / radius).clamp(0.0, 1.0).acos();
+        let chords = (angle / widest).ceil().clamp(1.0, 1000.0) as u32;
+        for chord in 1..=chords {
+            let share = f64::from(chord) / f64::from(chords);
+            let turned = Rotation3::from_scaled_axis(axis * (angle * share)) * u;
+            let rotation = between(&from.rotation, &to.rotation, share);
+            let pose = Pose { rotation, position: centre + turned * radius };
+            self.push(PoseKind::Transit, MotionKind::Lin, if chord == chords { *to } else { pose });
+        }
+    }
+}

@@ -1,0 +1,47 @@
+//! The workspace over which the 3-D error is taken.
+
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::Job;
+use dbbd_model::estimation::Workspace;
+use dbbd_model::robot::inverse::nearest;
+use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
+use dbbd_model::robot::{AXES, Pose, Robot};
+
+/// Seed of the poses, as in an identification.
+const WORKSPACE_POSES_SEED: u64 = 1;
+
+/// Axis vectors (rad) over which an error is taken: in the job's box if it has one, else uniform within the limits.
+pub fn workspace(job: &Job, robot: &Robot, count: usize) -> Vec<[f64; AXES]> {
+    let limits = robot.controller();
+    let Some([low, high]) = job.optimise.as_ref().and_then(|optimise| optimise.workspace_mm) else {
+        return Workspace::uniform(limits, count, WORKSPACE_POSES_SEED);
+    };
+    in_box(robot, low, high, count)
+}
+
+/// Axis vectors (rad) of up to `count` poses with the ball uniform in a box (mm), the tool down and turned by up to 45 degrees
+/// about each axis, the arm in front and its elbow up, as in production work.
+pub fn in_box(robot: &Robot, low: [f64; 3], high: [f64; 3], count: usize) -> Vec<[f64; AXES]> {
+    let mut random = Pcg64::seed_from_u64(WORKSPACE_POSES_SEED);
+    let home = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians);
+    let controller = robot.controller();
+    // A box far from the arm has few poses, or none.
+    let mut found = Vec::with_capacity(count);
+    for _ in 0..20 * count {
+        let position = Vector3::from_fn(|i, _| random.random_range(low[i]..high[i]));
+        let mut turn = || random.random_range(-std::f64::consts::FRAC_PI_4..std::f64::consts::FRAC_PI_4);
+        let rotation = rot_z(turn()) * rot_y(turn()) * rot_x(turn()) * rot_x(std::f64::consts::PI);
+        if let Ok(axes) = nearest(&robot.geometry, &Pose { rotation, position }, &home)
+            && controller.is_within_limits(&axes)
+        {
+            found.push(axes);
+        }
+        if found.len() == count {
+            break;
+        }
+    }
+    found
+}

@@ -1,0 +1,293 @@
+//! Correction of the targets of a program: with the corrected targets, the identified robot under a controller that knows the
+//! nominal robot moves to where the nominal robot would move with the original ones.
+//!
+//! For each target: P is the nominal pose of the flange; q are the axis angles at which the flange of the identified robot is
+//! at P; the corrected target is the nominal pose of the flange at q. Each robot is taken in its own base frame.
+//!
+//! A longer last link and a ball further out have the same effect on the lengths. The identified flange is therefore defined
+//! by the ball at its nominal place on it, and the tools of the program stay what they are.
+
+use nalgebra::Vector3;
+
+use super::{Frames, Language, Target};
+use crate::program::CompensationFinding;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::inverse::{self, Unsolved};
+use dbbd_model::robot::{AXES, Approach, Geometry, Pose, Robot};
+
+/// Largest change of an axis by a correction, degrees: a larger one shows that a singularity is near.
+const LARGEST_TURN_DEG: f64 = 5.0;
+/// Rounding a pose to its digits moves an axis by less than this, degrees.
+const ROUNDED_DEG: f64 = 0.005;
+
+/// How the controller selects the solution branch of a pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Branch {
+    /// By the status and turn of the target.
+    ByStatusAndTurn,
+    /// By ABB's configuration: see [`inverse::quadrants`].
+    ByQuadrants([i32; 4]),
+    /// The branch nearest to the position before.
+    Nearest,
+}
+
+/// A target with what its axis angles depend on.
+#[derive(Clone, Copy, Debug)]
+pub struct Commanded<'a> {
+    pub target: &'a Target,
+    /// Needed for a pose.
+    pub frames: Option<&'a Frames>,
+    pub branch: Branch,
+}
+
+#[derive(Clone, Debug)]
+pub struct Corrected {
+    /// A1 to A6, or X, Y, Z, A, B, C.
+    pub numbers: [f64; 6],
+    /// Shift of the commanded tool point; for axis angles, of the flange.
+    pub shift_mm: f64,
+    /// Rotation of the commanded orientation.
+    pub turn_deg: f64,
+    /// The axis angles of the nominal and of the identified robot at the taught target, rad.
+    taught: [f64; AXES],
+    axes: [f64; AXES],
+}
+
+/// Corrects targets one after the other, in the order in which the robot moves to them.
+pub struct Corrector {
+    /// The robot as the controller knows it, with the tool point at the flange.
+    nominal: Robot,
+    /// The true robot, with the tool point at the flange as well.
+    identified: Geometry,
+    limit_mm: f64,
+    /// The nominal axis angles at the last target, rad, and the sense in which each axis approached it.
+    last: [f64; AXES],
+    approach: Approach,
+}
+
+/// A tool or base that is so small, without being zero, or so large that it is probably in another unit.
+fn other_unit(frames: &Frames) -> Option<CompensationFinding> {
+    const NEAR_MM: f64 = 3.0;
+    const FAR_MM: f64 = 1e4;
+    let frames = [("the tool", &frames.tool), ("the base", &frames.base)];
+    frames.into_iter().find_map(|(frame, pose)| {
+        let size_mm = pose.position.norm();
+        let is_other = (size_mm > 0.0 && size_mm < NEAR_MM) || size_mm > FAR_MM;
+        is_other.then_some(CompensationFinding::FrameInOtherUnit { frame, size_mm })
+    })
+}
+
+impl Corrector {
+    /// For `robot`, an identified robot with its nominal one; no tool point may move by more than `limit_mm`.
+    pub fn new(robot: &Robot, limit_mm: f64) -> Self {
+        let controller = robot.controller();
+        let flange = |geometry: &Geometry, tool| Geometry { tool, ..geometry.clone() };
+        let off = robot.geometry.tool - controller.geometry.tool;
+        Self {
+            nominal: Robot { geometry: flange(&controller.geometry, Vector3::zeros()), ..controller.clone() },
+            identified: flange(&robot.geometry, off),
+            limit_mm,
+            last: Language::of_robot(robot).home_deg().map(f64::to_radians),
+            approach: Approach::default(),
+        }
+    }
+
+    pub fn correct(&mut self, commanded: Commanded<'_>) -> Result<Corrected, CompensationFinding> {
+        let no_frames = Frames { tool: Pose::identity(), base: Pose::identity() };
+        let frames = commanded.frames.unwrap_or(&no_frames);
+        if let Some(wrong) = other_unit(frames) {
+            return Err(wrong);
+        }
+        let (flange, taught) = self.taught(commanded, frames)?;
+        let axes = self.solve(&flange, &taught)?;
+        let (before, after) = (frames.tool(&flange), frames.tool(&self.nominal.geometry.ball(&axes)));
+        let numbers = match commanded.target {
+            Target::Axes(_) => axes.map(f64::to_degrees),
+            Target::Pose { .. } => after.xyzabc(),
+        };
+        let shift_mm = (after.position - before.position).norm();
+        if shift_mm > self.limit_mm {
+            return Err(CompensationFinding::TooFar { shift_mm, limit_mm: self.limit_mm });
+        }
+        Ok(Corrected { numbers, shift_mm, turn_deg: after.angle_to(&before).to_degrees(), taught, axes })
+    }
+
+    /// The nominal pose of the flange at a target, and the nominal axis angles there.
+    fn taught(
+        &self,
+        commanded: Commanded<'_>,
+        frames: &Frames,
+    ) -> Result<(Pose, [f64; AXES]), CompensationFinding> {
+        match *commanded.target {
+            Target::Axes(axes_deg) => {
+                let axes = axes_deg.map(f64::to_radians);
+                Ok((self.nominal.geometry.ball(&axes), axes))
+            }
+            Target::Pose { xyz_mm, abc_deg, status, turn } => {
+                let flange = frames.flange(&Pose::from_kuka(xyz_mm, abc_deg));
+                let axes = match (commanded.branch, status.zip(turn)) {
+                    (Branch::ByQuadrants(wanted), _) => {
+                        inverse::from_quadrants(&self.nominal, &flange, wanted)
+                    }
+                    (Branch::ByStatusAndTurn, Some((status, turn))) => {
+                        let bits = (u8::try_from(status & 7), u8::try_from(turn));
+                        let (Ok(status), Ok(turn)) = bits else {
+                            return Err(CompensationFinding::StatusOutOfRange);
+                        };
+                        self.branch(&flange, status, turn)
+                    }
+                    _ => inverse::nearest(&self.nominal.geometry, &flange, &self.last),
+                };
+                let unreached =
+                    |why: Unsolved| CompensationFinding::NominalDoesNotReach { why: why.to_string() };
+                Ok((flange, axes.map_err(unreached)?))
+            }
+        }
+    }
+
+    /// The nominal axis angles by status and turn. If rounding the pose to its digits moves an axis that was taught at zero
+    /// to the other side of zero, its turn bit is ignored.
+    fn branch(&self, flange: &Pose, status: u8, turn: u8) -> Result<[f64; AXES], Unsolved> {
+        let as_written = inverse::from_status_turn(&self.nominal, flange, status, turn);
+        if !matches!(as_written, Err(Unsolved::NoSuchConfiguration { .. })) {
+            return as_written;
+        }
+        let mut ignoring = (1..1_u8 << AXES).filter_map(|flipped| {
+            let axes = inverse::from_status_turn(&self.nominal, flange, status, turn ^ flipped).ok()?;
+            let at_zero = |axis: usize| axes[axis].to_degrees().abs() < ROUNDED_DEG;
+            (0..AXES).all(|axis| (flipped >> axis) & 1 == 0 || at_zero(axis)).then_some(axes)
+        });
+        ignoring.next().map_or(as_written, Ok)
+    }
+
+    /// The axis angles of the identified robot at a pose of its flange, in the branch of `start`.
+    fn solve(&mut self, flange: &Pose, start: &[f64; AXES]) -> Result<[f64; AXES], CompensationFinding> {
+        self.approach = self.approach.after(&self.last, start);
+        self.last = *start;
+        let axes = inverse::numeric(&self.identified.approached(self.approach), flange, start)
+            .map_err(|unsolved| CompensationFinding::IdentifiedDoesNotReach { why: unsolved.to_string() })?;
+        let limits_deg = self.nominal.limits_at_deg(&axes.map(f64::to_degrees));
+        for (i, (to, from)) in axes.iter().zip(start).enumerate() {
+            let ([low_deg, high_deg], angle_deg, axis) = (limits_deg[i], to.to_degrees(), i + 1);
+            if !(low_deg..=high_deg).contains(&angle_deg) {
+                return Err(CompensationFinding::BeyondLimit { axis, angle_deg, low_deg, high_deg });
+            }
+            let turn_deg = (to - from).abs().to_degrees();
+            if turn_deg > LARGEST_TURN_DEG {
+                return Err(CompensationFinding::LargeTurn { axis, turn_deg });
+            }
+        }
+        Ok(axes)
+    }
+
+    /// KUKA's turn bits of a corrected target at its printed pose. If the correction moves an axis through zero, its bit
+    /// changes: with the old bit a controller would move the axis a full turn away.
+    pub fn turn(
+        &self,
+        corrected: &Corrected,
+        printed: &Pose,
+        frames: &Frames,
+    ) -> Result<u8, CompensationFinding> {
+        Ok(inverse::turn(&self.printed_axes(corrected, printed, frames)?))
+    }
+
+    /// ABB's configuration of a corrected target at its printed pose.
+    pub fn quadrants(
+        &self,
+        corrected: &Corrected,
+        printed: &Pose,
+        frames: &Frames,
+    ) -> Result<[i32; 4], CompensationFinding> {
+        let axes = self.printed_axes(corrected, printed, frames)?;
+        Ok(inverse::quadrants(&self.nominal.geometry, &axes))
+    }
+
+    /// The nominal axis angles at a corrected pose as it is printed, in the branch in which it was taught.
+    fn printed_axes(
+        &self,
+        corrected: &Corrected,
+        printed: &Pose,
+        frames: &Frames,
+    ) -> Result<[f64; AXES], CompensationFinding> {
+        let geometry = &self.nominal.geometry;
+        let axes = inverse::nearest(geometry, &frames.flange(printed), &corrected.axes)
+            .map_err(|unsolved| CompensationFinding::NominalDoesNotReach { why: unsolved.to_string() })?;
+        let [taught, corrected] = [&corrected.taught, &axes].map(|axes| inverse::status(geometry, axes));
+        if taught != corrected {
+            return Err(CompensationFinding::OtherStatus { taught, corrected });
+        }
+        Ok(axes)
+    }
+}
+
+/// A point that was corrected.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Moved {
+    /// `inline` if it has no name.
+    pub name: String,
+    /// The first line that moves there; in KRL, of the `.src`.
+    pub line: usize,
+    /// As in [`Corrected`].
+    pub shift_mm: f64,
+    /// As in [`Corrected`].
+    pub turn_deg: f64,
+    /// KUKA's turn bits before and after, if an axis moved through zero.
+    pub turn_bits: Option<[u8; 2]>,
+}
+
+/// A finding if most places are so near the origin of their frame that they must be in metres.
+pub fn in_metres<'a>(targets: impl IntoIterator<Item = &'a Target>) -> Option<CompensationFinding> {
+    /// Farther than any robot reaches, m.
+    const REACH_M: f64 = 5.0;
+    let sizes = targets.into_iter().filter_map(|target| match target {
+        Target::Pose { xyz_mm: [x, y, z], .. } => Some(x.hypot(*y).hypot(*z)),
+        Target::Axes(_) => None,
+    });
+    let (near, far): (Vec<f64>, Vec<f64>) = sizes.partition(|size| *size < REACH_M);
+    let size_mm = near.iter().copied().fold(0.0, f64::max);
+    (near.len() > far.len().max(2) && size_mm > 0.0)
+        .then_some(CompensationFinding::PointsInMetres { points: near.len(), size_mm })
+}
+
+/// Positions of external axes; `None` for one that the robot does not have.
+pub(crate) type External = [Option<f64>; 6];
+
+/// The first point, by its index, at which an external axis is elsewhere than before.
+pub(crate) fn external_motion<'a>(
+    points: impl IntoIterator<Item = (&'a str, External)>,
+) -> Option<(usize, CompensationFinding)> {
+    let mut before: External = [None; 6];
+    for (place, (name, external)) in points.into_iter().enumerate() {
+        for ((at, before), axis) in external.into_iter().zip(&mut before).zip(1..) {
+            match (at, *before) {
+                (Some(at), Some(before)) if at != before => {
+                    let name = name.to_owned();
+                    return Some((place, CompensationFinding::ExternalAxis { axis, name, at, before }));
+                }
+                _ => *before = at.or(*before),
+            }
+        }
+    }
+    None
+}
+
+/// Corrects all points for `robot`, in the order of their first use; `rewrite` writes the new numbers of one.
+///
+/// # Errors
+/// One finding for each point that cannot be corrected.
+pub(super) fn correct_points<P>(
+    robot: &Robot,
+    limit_mm: f64,
+    points: &[P],
+    mut rewrite: impl FnMut(&mut Corrector, &P) -> Result<Moved, Diagnostic>,
+) -> Result<Vec<Moved>, Vec<Diagnostic>> {
+    let mut corrector = Corrector::new(robot, limit_mm);
+    let (mut moved, mut refused) = (Vec::with_capacity(points.len()), Vec::new());
+    for point in points {
+        match rewrite(&mut corrector, point) {
+            Ok(point) => moved.push(point),
+            Err(why) => refused.push(why),
+        }
+    }
+    if refused.is_empty() { Ok(moved) } else { Err(refused) }
+}

@@ -1,0 +1,130 @@
+//! Correcting a program for an identified robot.
+
+use dbbd_model::findings;
+
+findings! {
+    /// A program that cannot be corrected, or a part of it that stays as it is.
+    CompensationFinding "Correcting a program" {
+        E0901 "$TOOL or $BASE is not known at a motion",
+        cause: "The correction of a point depends on its frames, and these are set elsewhere, computed, or differ between the branches of a choice.",
+        cure: "Give the controller's --config $config.dat, or --tool and --base; or set both frames in the program before the motion." {
+            FrameNotSet { frame: &'static str } => "nothing sets {frame} before this",
+                help: "give --config $config.dat, or --tool and --base X,Y,Z,A,B,C";
+            FrameComputed { frame: &'static str, line: usize } => "{frame} is computed in line {line}";
+            FramePart { frame: &'static str, line: usize } => "line {line} sets a part of {frame}";
+            FrameChosen { frame: &'static str, line: usize } => "the choice that ends in line {line} may set {frame}";
+            FrameInRoutine { frame: &'static str, routine: String } => "the routine {routine} sets {frame}";
+            FrameElsewhere { frame: &'static str, name: String } => "{frame} is {name}, which is in no file given",
+                help: "give --config $config.dat, or --tool and --base X,Y,Z,A,B,C";
+            FramesInLoop => "this motion has different frames when the loop repeats", help: "set $TOOL and $BASE at the start of the loop";
+            MovedWorkObject { name: String } => "{name} is moved by a mechanical unit";
+            FixedTool { name: String } => "{name} moves the workpiece against a fixed tool (#TCP)",
+                help: "only a tool on the flange (#BASE) can be compensated";
+        }
+        E0915 "a frame or the points are in another unit",
+        cause: "X, Y and Z of a tool, a base or most points are in metres where millimetres are needed, or the other way round.",
+        cure: "Give frames and points in mm (in URScript in m)." {
+            PointsInMetres { points: usize, size_mm: f64 } => "{points} points are within {size_mm:.3} mm of the origin of their frame: are they in metres?";
+            FrameInOtherUnit { frame: &'static str, size_mm: f64 } => "{frame} is {size_mm:.3} mm away: is it in another unit?";
+        }
+        W0916 "an external axis moves",
+        cause: "The points of the program have different positions of a rail or a positioner. The model of the robot does not have this axis: its points are corrected as if robot and work stood where they are.",
+        cure: "Check the corrected points, or correct one program for each position of the external axis, with its own base." {
+            ExternalAxis { axis: usize, name: String, at: f64, before: f64 } => "external axis {axis} is at {at} at {name}, and at {before} before: it is not corrected";
+        }
+        E0902 "--tool or --base contradicts the program",
+        cause: "The program sets the frame to another value, or uses several frames that it does not define.",
+        cure: "Leave the option out, correct it, or give --config $config.dat in its place." {
+            FrameDiffers { frame: &'static str, option: &'static str } => "the program sets {frame} itself, and not to the value of {option}";
+            TwoFrames { option: &'static str, first: String, second: String } => "{option} would stand for two frames: {first}, and elsewhere {second}";
+        }
+        E0903 "a point has no fixed value",
+        cause: "The point is computed while the program runs, a component of it is missing, or its quaternion is not of unit length.",
+        cure: "Write the point with all components as taught, and in KRL its frame as $BASE." {
+            PointComputed { name: String, line: usize } => "{name} is computed in line {line}";
+            PointExpression => "a motion to a point that is computed cannot be compensated";
+            PointIncomplete { name: String, why: String } => "{name}: {why}";
+            PointNorm { name: String, norm: f64 } => "{name}: the quaternion is of length {norm:.3}, not 1", help: "teach the point again, or correct its components";
+            PointShape { numbers: usize } => "the point is not written as a list with {numbers} numbers where they are needed";
+        }
+        E0904 "a point is used with two tools or bases",
+        cause: "The correction depends on the frames, so that one point would need two corrections.",
+        cure: "Give each use a point of its own." {
+            PointTwice { name: String, line: usize } => "{name} is used with another tool or base in line {line}";
+        }
+        W0905 "a motion stays as it is",
+        cause: "It is relative and starts from a corrected point, its point is declared in a file that is not rewritten, another instruction or a routine of the user's own moves there, or an instruction displaces it.",
+        cure: "Check that the place does not matter, or teach the point in the program's own .dat." {
+            RelativeMotion => "a relative motion stays as it is: it starts from a corrected point";
+            PointInStatement { name: String } => "{name} stays as it is: this statement is not a known KRL motion";
+            PointOfOtherCall { name: String, call: String } => "{name} stays as it is: {call} is not a motion that is corrected";
+            NotRead { word: String } => "a motion by {word} stays as it is: its point is not in the statement";
+            Displacing { word: String } => "{word} displaces the motions after it: their points are corrected without the displacement";
+            PointElsewhere { name: String } => "{name} stays as it is: it has no value in the program's files";
+        }
+        E0906 "a robot does not reach a point",
+        cause: "The point, with the tool and base given, is out of reach of the nominal or of the identified robot, or beyond an axis limit.",
+        cure: "Check --tool, --base and the robot file; teach the point further inside." {
+            NominalDoesNotReach { why: String } => "the nominal robot does not reach it: {why}";
+            IdentifiedDoesNotReach { why: String } => "the identified robot does not reach it: {why}";
+            BeyondLimit { axis: usize, angle_deg: f64, low_deg: f64, high_deg: f64 } =>
+                "axis {axis} would leave its limits: {angle_deg:.3} deg of {low_deg} to {high_deg}";
+            StatusOutOfRange => "S or T is out of range";
+        }
+        E0907 "a point is too near to a singularity",
+        cause: "A small correction of the pose turns an axis far, or changes the branch of the arm.",
+        cure: "Teach the point further away from the singularity, or go there by LIN." {
+            LargeTurn { axis: usize, turn_deg: f64 } => "axis {axis} would have to turn by {turn_deg:.1} deg";
+            OtherStatus { taught: u8, corrected: u8 } => "it would need S {corrected} in place of S {taught}";
+        }
+        E0908 "a correction is larger than --limit",
+        cause: "The program is of another robot or cell than the identified one, or the identification is wrong.",
+        cure: "Check that program, frames and robot file belong together; raise --limit only if you know that the robot is off by that much." {
+            TooFar { shift_mm: f64, limit_mm: f64 } => "it would move by {shift_mm:.3} mm, allowed are {limit_mm:.3}";
+        }
+        E0909 "the robot file is not of an identified robot",
+        cause: "The file has no [nominal] table: it is a nominal robot.",
+        cure: "Give the robot-identified.toml that `dbbd identify` wrote." {
+            NotIdentified => "the file has no [nominal] table";
+        }
+        E0980 "a program is cut off",
+        cause: "The file ends before the routine or the data list does: a copy broke off, or it was cut by an editor.",
+        cure: "Fetch the file from the controller again." {
+            CutOff { end: String } => "the file has no {end}: it is cut off";
+        }
+        E0910 "the arguments of compensate do not fit",
+        cause: "The program named is a .dat file, the results would replace the program, or the limit is not a length.",
+        cure: "Name the .src, another directory for --out, and a --limit above 0 in mm." {
+            DataNamed => "the file contains the points of a program but no motion", help: "name the .src; the .dat beside it is corrected with it";
+            WouldOverwrite { directory: String } => "--out {directory} would overwrite the program itself";
+            BadLimit { limit_mm: f64, most_mm: f64 } => "--limit {limit_mm} must be above 0 and at most {most_mm} mm";
+            FrameUnused { language: &'static str } => "a program in {language} does not take these frames",
+                help: "in RAPID a module with tools and work objects is given by --config, in URScript the TCP by --tool";
+            FrameInRadians => "six numbers in mm and degrees are needed: an angle seems to be in radians";
+            NotAFrame => "six numbers in mm and degrees are needed, as 0,0,150,0,0,0";
+        }
+        I0911 "an axis passes zero",
+        cause: "The correction moves an axis to the other side of zero, so that the point needs another turn bit.",
+        cure: "Nothing to do: the bit is corrected." {
+            TurnChanged { name: String, line: usize, taught: u8, corrected: u8 } => "line {line}: {name}: T {taught} became T {corrected}";
+        }
+        E0912 "a program is not corrected",
+        cause: "At least one of its points cannot be corrected; each is listed with its own code. Nothing is written.",
+        cure: "Correct the points listed." {
+            PointsRefused { points: usize } => "{points} point(s) cannot be compensated; nothing is written";
+        }
+        E0913 "a file is not a program in its language",
+        cause: "The file has no routine (DEF NAME ( ) .. END of KRL, MODULE .. ENDMODULE of RAPID, def name(): .. end of URScript): it is a program in another language than its extension says, or a table.",
+        cure: "Name the .src of a KUKA program, the .mod of an ABB or the .script of a Universal Robots program. Programs in other languages are not corrected." {
+            NotRapid { begins: String } => "is not a module in RAPID: it begins with `{begins}`";
+            NotUrscript { begins: String } => "is not a program in URScript: it begins with `{begins}`";
+            NoLanguage { file: String } => "{file} is in no language that is known by its extension", help: ".src is KRL, .mod RAPID, .script URScript";
+            NotKrl { begins: String } => "is not a program in KRL: it begins with `{begins}`";
+        }
+        W0914 "no point was corrected",
+        cause: "The program has no motion to a point in its own .src or .dat.",
+        cure: "Name the program that holds the points, with its .dat beside it." {
+            NothingCorrected => "no point was corrected: the program has none of its own";
+        }
+    }
+}

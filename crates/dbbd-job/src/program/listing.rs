@@ -1,0 +1,134 @@
+//! A program as the list of its actions, independent of the language: what the simulated controller executes of RAPID and
+//! URScript, whose supported programs have neither variables that change nor conditions. KRL has an interpreter.
+
+use super::text::{Span, Text};
+use super::{Frames, Language, MotionKind, Target, krl};
+use dbbd_model::diagnostic::{Diagnostic, Finding};
+
+/// The base ball and the bar that are named in a module of dbbd (in KRL, in its `.dat`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setup {
+    /// Number of the base ball, from 1.
+    pub ball: u32,
+    /// In the robot base.
+    pub centre_mm: [f64; 3],
+    /// Distance between the ball centres at reading zero.
+    pub length_mm: f64,
+    /// Lowest and highest reading.
+    pub stroke_mm: [f64; 2],
+}
+
+/// A program for the simulated controller.
+#[derive(Clone, Debug)]
+pub enum Program {
+    Krl(krl::Program),
+    Listed(Listing),
+}
+
+impl From<krl::Program> for Program {
+    fn from(program: krl::Program) -> Self {
+        Self::Krl(program)
+    }
+}
+
+impl From<Listing> for Program {
+    fn from(listing: Listing) -> Self {
+        Self::Listed(listing)
+    }
+}
+
+impl Program {
+    /// The file in which execution begins.
+    pub fn first(&self) -> Text<'_> {
+        match self {
+            Self::Krl(program) => program.first(),
+            Self::Listed(listing) => listing.text(0),
+        }
+    }
+
+    /// The set-up of each module that has one.
+    pub fn setups(&self) -> Vec<Setup> {
+        match self {
+            Self::Krl(program) => program.setups(),
+            Self::Listed(listing) => listing.setups.clone(),
+        }
+    }
+}
+
+/// The actions of a program, in order.
+#[derive(Clone, Debug)]
+pub struct Listing {
+    pub language: Language,
+    /// Name and text of each file.
+    pub files: Vec<(String, String)>,
+    pub actions: Vec<Action>,
+    pub setups: Vec<Setup>,
+}
+
+impl Listing {
+    /// The text of a file, by its index.
+    pub fn text(&self, file: usize) -> Text<'_> {
+        self.files.get(file).map_or(Text { file: "", text: "" }, |(file, text)| Text { file, text })
+    }
+
+    /// A finding about an action.
+    pub fn wrong(&self, action: &Action, finding: impl Finding) -> Diagnostic {
+        self.text(action.file).wrong(&action.span, finding)
+    }
+}
+
+/// An action and the statement that causes it.
+#[derive(Clone, Debug)]
+pub struct Action {
+    /// Index in [`Listing::files`].
+    pub file: usize,
+    pub span: Span,
+    pub kind: ActionKind,
+}
+
+#[derive(Clone, Debug)]
+pub enum ActionKind {
+    /// From here on the bar is on this base ball.
+    SelectBall(u32),
+    Move(Box<Move>),
+    /// Seconds.
+    Wait(f64),
+    WaitForStandstill(Standstill),
+    SetStrobe(bool),
+    /// The strobe is high for this time, s, while the program continues.
+    PulseStrobe(f64),
+    /// Waits for the operator.
+    Halt,
+}
+
+/// What a program waits for after a motion, which ends for the program when the command is at its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standstill {
+    /// The arm is within a band about the commanded position.
+    InPosition,
+    /// No axis moves.
+    ZeroSpeed,
+}
+
+#[derive(Clone, Debug)]
+pub struct Move {
+    pub motion: MotionKind,
+    /// The auxiliary point of an arc in the base frame.
+    pub through_mm: Option<[f64; 3]>,
+    pub to: Target,
+    /// ABB's configuration: of a PTP the one to reach, of a line or an arc the one that is checked at its end.
+    pub configuration: Option<[i32; 4]>,
+    pub frames: Frames,
+    pub pace: Pace,
+}
+
+/// The programmed speed of a motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Pace {
+    /// Duration of the whole motion, s.
+    Duration(f64),
+    /// Speed and acceleration of the tool point; speed of the orientation, if it is limited.
+    Tool { mm_s: f64, mm_s2: f64, deg_s: Option<f64> },
+    /// Speed and acceleration of the fastest axis.
+    Axis { deg_s: f64, deg_s2: f64 },
+}

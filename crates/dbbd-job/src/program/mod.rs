@@ -1,0 +1,33 @@
+//! Programs for robot controllers: emitted from a plan, parsed, corrected.
+//!
+//! What a program does is defined here, independent of the language; how a language writes it is in the language's module.
+
+mod compensation_catalogue;
+pub use compensation_catalogue::CompensationFinding;
+
+mod catalogue;
+pub use catalogue::ProgramFinding;
+
+pub mod compensate;
+mod emission;
+mod header;
+pub mod krl;
+mod language;
+mod lexer;
+pub mod listing;
+pub mod rapid;
+mod script;
+pub mod sequence;
+mod target;
+mod text;
+mod tokens;
+pub mod urscript;
+
+pub use crate::plan::MotionKind;
+pub use compensate::Moved;
+pub use emission::{Sync, Written};
+pub use header::{check_one_plan, provenance, stamped};
+pub use language::Language;
+pub use listing::{Listing, Program, Setup};
+pub use target::{Frames, Target};
+pub use text::{Span, Text};

@@ -1,0 +1,191 @@
+//! The points of a program and their correction: each point once, where its numbers are written.
+
+use std::collections::HashMap;
+
+use super::expression::{ExpressionKind, StatementKind};
+use super::value::{Evaluated, Value};
+use crate::program::CompensationFinding;
+use crate::program::compensate::{Branch, Commanded, Corrected, Corrector, Moved, correct_points};
+use crate::program::text::{Edit, Span, Text, number_like, rewritten};
+use crate::program::{Frames, Target};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::Robot;
+
+/// A point to which the program moves.
+#[derive(Clone, Debug)]
+pub struct Point {
+    /// Its numbers.
+    pub(crate) value: Value,
+    /// The first statement that moves there.
+    pub(crate) first_use: Span,
+    pub(crate) branch: Branch,
+    pub target: Target,
+    /// The frames that are active there; `None` for axis angles.
+    pub(crate) frames: Option<Frames>,
+}
+
+/// Writes a corrected point in the language of the program.
+pub(crate) type Write =
+    fn(&Corrector, &Point, &Corrected, Text<'_>) -> Result<Vec<Edit>, CompensationFinding>;
+
+#[derive(Clone, Debug)]
+pub struct Points {
+    write: Write,
+    /// In the order of their first use.
+    pub points: Vec<Point>,
+    /// Uses of points that are not corrected: in instructions that are not read, of points that are computed or of another
+    /// file.
+    pub not_corrected: Vec<Diagnostic>,
+    /// What makes all corrections doubtful.
+    pub doubts: Vec<Diagnostic>,
+    /// The index of each point by the first byte of its literal.
+    by_start: HashMap<usize, usize>,
+    /// Uses in calls that are not motions, by the first byte of the point's literal.
+    other_uses: Vec<(usize, Diagnostic)>,
+}
+
+/// Names of instructions other than the supported motions that matter for points.
+pub(crate) struct OtherInstructions {
+    /// What the names of motions begin with.
+    pub(crate) motions: &'static [&'static str],
+    /// Instructions that displace the motions after them.
+    pub(crate) displacements: &'static [&'static str],
+    /// What the names of instructions begin with whose poses are not points.
+    pub(crate) settings: &'static [&'static str],
+}
+
+impl Points {
+    pub(crate) fn new(write: Write) -> Self {
+        let (points, not_corrected, doubts) = (Vec::new(), Vec::new(), Vec::new());
+        Self { write, points, not_corrected, doubts, by_start: HashMap::new(), other_uses: Vec::new() }
+    }
+
+    /// Adds the point of a motion, with `frames` if it is a pose. A point that is computed or not written in this file (the
+    /// file 0) is not corrected.
+    pub(crate) fn add(
+        &mut self,
+        file: Text<'_>,
+        motion: &Span,
+        argument: &Evaluated<'_>,
+        taught: Option<(Target, Branch)>,
+        frames: impl FnOnce() -> Result<Frames, Diagnostic>,
+    ) -> Result<(), Diagnostic> {
+        let value = argument.value.clone().filter(|value| value.file == 0);
+        let (Some(value), Some((target, branch))) = (value, taught) else {
+            let name = match argument.expression.map(|expression| &expression.kind) {
+                Some(ExpressionKind::Name(name) | ExpressionKind::Call(name)) => name.clone(),
+                _ => "this point".into(),
+            };
+            let span = argument.expression.map_or(motion, |expression| &expression.span);
+            self.not_corrected.push(file.wrong(span, CompensationFinding::PointElsewhere { name }));
+            return Ok(());
+        };
+        let frames = match target {
+            Target::Axes(_) => None,
+            Target::Pose { .. } => Some(frames()?),
+        };
+        let at = *self.by_start.entry(value.span.start).or_insert(self.points.len());
+        match self.points.get_mut(at) {
+            None => self.points.push(Point { value, first_use: motion.clone(), branch, target, frames }),
+            Some(known) if known.frames == frames => {
+                if known.branch == Branch::Nearest {
+                    known.branch = branch;
+                }
+            }
+            Some(known) => {
+                let line = file.line(known.first_use.start);
+                let name = value.name.unwrap_or_else(|| "inline".into());
+                return Err(file.wrong(motion, CompensationFinding::PointTwice { name, line }));
+            }
+        }
+        Ok(())
+    }
+
+    /// Notes a statement that is not a supported motion. Points among its arguments are not corrected unless a motion uses
+    /// them as well.
+    pub(crate) fn other(
+        &mut self,
+        file: Text<'_>,
+        (span, statement): (&Span, &StatementKind),
+        arguments: &[Evaluated<'_>],
+        names: &OtherInstructions,
+        is_point: fn(&Value) -> bool,
+    ) {
+        let (StatementKind::Call { name: word, .. } | StatementKind::Other(word)) = statement else { return };
+        let begins_with = |starts: &[&str]| starts.iter().any(|start| word.starts_with(start));
+        if names.displacements.contains(&word.as_str()) {
+            let displacing = CompensationFinding::Displacing { word: word.clone() };
+            self.not_corrected.push(file.wrong(span, displacing));
+            return;
+        }
+        if matches!(statement, StatementKind::Other(_)) && begins_with(names.motions) {
+            self.not_corrected.push(file.wrong(span, CompensationFinding::NotRead { word: word.clone() }));
+        }
+        if begins_with(names.settings) {
+            return;
+        }
+        for argument in arguments {
+            let (Some(expression), Some(value)) = (argument.expression, &argument.value) else { continue };
+            if value.file == 0 && is_point(value) {
+                let name = value.name.clone().unwrap_or_else(|| "this point".into());
+                let finding = CompensationFinding::PointOfOtherCall { name, call: word.clone() };
+                self.other_uses.push((value.span.start, file.wrong(&expression.span, finding)));
+            }
+        }
+    }
+
+    /// After the last statement: reports the points that only calls use which are not motions.
+    pub(crate) fn completed(mut self) -> Self {
+        let other_uses = std::mem::take(&mut self.other_uses).into_iter();
+        let only_there = other_uses.filter(|(start, _)| !self.by_start.contains_key(start));
+        self.not_corrected.extend(only_there.map(|(_, finding)| finding));
+        self
+    }
+
+    /// The program with corrected points, none of them moved by more than `limit_mm`.
+    ///
+    /// # Errors
+    /// One finding for each point that cannot be corrected.
+    pub fn compensate(
+        &self,
+        file: Text<'_>,
+        robot: &Robot,
+        limit_mm: f64,
+    ) -> Result<(String, Vec<Moved>), Vec<Diagnostic>> {
+        let mut edits = Vec::new();
+        let moved = correct_points(robot, limit_mm, &self.points, |corrector, point| {
+            let wrong = |why: CompensationFinding| file.wrong(&point.value.span, why);
+            let frames = point.frames.as_ref();
+            let commanded = Commanded { target: &point.target, frames, branch: point.branch };
+            let corrected = corrector.correct(commanded).map_err(wrong)?;
+            edits.extend((self.write)(corrector, point, &corrected, file).map_err(wrong)?);
+            let Corrected { shift_mm, turn_deg, .. } = corrected;
+            let name = point.value.name.clone().unwrap_or_else(|| "inline".into());
+            let line = file.line(point.first_use.start);
+            Ok(Moved { name, line, shift_mm, turn_deg, turn_bits: None })
+        })?;
+        Ok((rewritten(file.text, edits), moved))
+    }
+}
+
+/// The elements of a point's value, of which there must be `N`.
+pub(crate) fn elements<const N: usize>(value: &Value) -> Result<&[Value; N], CompensationFinding> {
+    value.elements().ok_or(CompensationFinding::PointShape { numbers: N })
+}
+
+/// Edits that replace the numbers of a list, each with at least `fewest` decimals, and the numbers as they are then written.
+pub(crate) fn replaced<const N: usize>(
+    list: &Value,
+    new: &[f64; N],
+    file: Text<'_>,
+    fewest: usize,
+) -> Result<(Vec<Edit>, [f64; N]), CompensationFinding> {
+    let mut written = *new;
+    let mut edits = Vec::with_capacity(N);
+    for ((old, new), written) in elements::<N>(list)?.iter().zip(new).zip(&mut written) {
+        let text = number_like(file.text.get(old.span.clone()).unwrap_or("0"), *new, fewest);
+        *written = text.parse().map_err(|_| CompensationFinding::PointShape { numbers: N })?;
+        edits.push((old.span.clone(), text));
+    }
+    Ok((edits, written))
+}

@@ -1,0 +1,56 @@
+//! The targets of motions and the frames in which they are given.
+
+use dbbd_model::robot::{AXES, Pose};
+
+/// A commanded position as it is written.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Target {
+    /// Axis angles, degrees.
+    Axes([f64; AXES]),
+    /// A pose of the tool in the base frame.
+    Pose {
+        xyz_mm: [f64; 3],
+        /// KUKA's A, B, C.
+        abc_deg: [f64; 3],
+        /// KUKA's status bits.
+        status: Option<i64>,
+        /// KUKA's turn bits.
+        turn: Option<i64>,
+    },
+}
+
+impl Target {
+    /// A pose without status and turn.
+    pub(super) fn pose(pose: &Pose) -> Self {
+        Self::Pose { xyz_mm: pose.position.into(), abc_deg: pose.abc_deg(), status: None, turn: None }
+    }
+
+    /// A1 to A6, or X, Y, Z, A, B, C.
+    pub fn numbers(&self) -> [f64; 6] {
+        match *self {
+            Self::Axes(axes_deg) => axes_deg,
+            Self::Pose { xyz_mm: [x, y, z], abc_deg: [a, b, c], .. } => [x, y, z, a, b, c],
+        }
+    }
+}
+
+/// The frames in which a pose is commanded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frames {
+    /// In the flange frame.
+    pub tool: Pose,
+    /// In the robot base.
+    pub base: Pose,
+}
+
+impl Frames {
+    /// The pose of the flange in the robot base at a pose of the tool in the base frame.
+    pub fn flange(&self, tool: &Pose) -> Pose {
+        self.base.then(tool).then(&self.tool.inverse())
+    }
+
+    /// The pose of the tool in the base frame at a pose of the flange in the robot base.
+    pub fn tool(&self, flange: &Pose) -> Pose {
+        self.base.inverse().then(flange).then(&self.tool)
+    }
+}

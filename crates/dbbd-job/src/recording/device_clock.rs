@@ -1,0 +1,340 @@
+//! The clock of a device mapped to that of the host: offset and skew.
+//!
+//! Host stamps are late by the delay of the line, which has a minimum and a long tail. All points (device time,
+//! host time) therefore lie above the true line. The lower convex hull of a window gives the true skew and is biased
+//! by the least delay alone (Zhang, Liu and Xia, INFOCOM 2002); least squares are biased by the mean delay. Stamps
+//! of one direction cannot show the least delay itself.
+//!
+//! A break of the counter shifts the least delay permanently, a stall of the line does not.
+
+use std::ops::Range;
+
+use dbbd_device::protocol::TickCounter;
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+
+/// Largest plausible skew of a quartz clock.
+const MAX_CLOCK_SKEW: f64 = 1e-3;
+/// Length of a window, s: long against the spread of delays, short against changes of the skew.
+const WINDOW_S: f64 = 150.0;
+/// Smallest lasting shift of the least delay that counts as a break, s.
+const MIN_BREAK_S: f64 = 0.1;
+/// The least delay is compared over this time before and after a step, s.
+const NEAR_S: f64 = 10.0;
+/// A counter that does not run at the host's pace breaks where it steps by more than this, s.
+const LONGEST_STEP_S: f64 = 2.0;
+
+/// Counter of a device, as its protocol defines it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DeviceClock {
+    pub seconds_per_tick: f64,
+    /// Ticks after which the counter wraps to 0.
+    pub wrap: Option<u64>,
+}
+
+impl From<TickCounter> for DeviceClock {
+    fn from(clock: TickCounter) -> Self {
+        Self { seconds_per_tick: f64::from(clock.tick_ns) * 1e-9, wrap: 1u64.checked_shl(clock.wrap_bits) }
+    }
+}
+
+/// Arrival of a sample by both clocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClockStamp {
+    pub host: HostNs,
+    /// Value of the counter as sent.
+    pub ticks: DeviceTicks,
+}
+
+/// Device time of a live stream: seconds since the first sample, unwrapped. Across a break it advances with the host.
+#[derive(Clone, Debug)]
+pub struct DeviceTime {
+    clock: DeviceClock,
+    last: Option<ClockStamp>,
+    seconds: f64,
+}
+
+impl DeviceTime {
+    pub fn new(clock: DeviceClock) -> Self {
+        Self { clock, last: None, seconds: 0.0 }
+    }
+
+    pub fn seconds(&mut self, stamp: ClockStamp) -> f64 {
+        if let Some(last) = self.last.replace(stamp) {
+            let step = self.clock.step(last, stamp);
+            self.seconds += if step.is_gross() { step.host_s.max(0.0) } else { step.device_s };
+        }
+        self.seconds
+    }
+}
+
+/// A sample at which the counter does not agree with the host's clock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockBreak {
+    /// Index of the first sample after it.
+    pub at: usize,
+    /// Whether the counter stepped back (a restart of the device); else it jumped ahead.
+    pub reset: bool,
+    /// Step of the counter as sent, s.
+    pub jump_s: f64,
+    /// Time that passed on the host, s.
+    pub host_s: f64,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClockMap {
+    /// Host time of the first sample.
+    pub begin: HostNs,
+    /// Windows in order; empty if the counter does not run at the host's pace (a simulation faster than real time).
+    pub segments: Vec<ClockSegment>,
+    pub breaks: Vec<ClockBreak>,
+    /// Number of regular wraps of the counter.
+    pub wraps: u64,
+    /// Unwrapped device time of each sample since the first, s; it advances with the host across breaks.
+    pub device_s: Vec<f64>,
+}
+
+impl ClockMap {
+    pub fn new(stamps: &[ClockStamp], clock: DeviceClock) -> Self {
+        let Some(first) = stamps.first() else { return Self::default() };
+        let mut map = Self { begin: first.host, device_s: vec![0.0], ..Self::default() };
+        let steps: Vec<ClockStep> = stamps.windows(2).map(|pair| clock.step(pair[0], pair[1])).collect();
+        let paced = paced(&steps);
+        let late = lateness(&steps);
+        let (mut first, mut device_s) = (0, 0.0);
+        let mut stretches = Vec::new();
+        for (at, step) in (1..).zip(&steps) {
+            let broken = if paced { shifts(&late, &steps, first, at) } else { step.is_gross() };
+            if broken {
+                let sent = stamps[at].ticks.0 as f64 - stamps[at - 1].ticks.0 as f64;
+                let sent_s = sent * clock.seconds_per_tick;
+                map.breaks.push(ClockBreak { at, reset: sent_s < 0.0, jump_s: sent_s, host_s: step.host_s });
+                stretches.push(first..at);
+                first = at;
+            } else {
+                map.wraps += step.turns;
+            }
+            device_s += if broken { step.host_s.max(0.0) } else { step.device_s };
+            map.device_s.push(device_s);
+        }
+        stretches.push(first..stamps.len());
+        if paced {
+            stretches.into_iter().for_each(|stretch| map.lines(stamps, stretch));
+        }
+        map
+    }
+
+    /// Host time of a device time, s since the first stamp; `None` without segments.
+    pub fn host_s(&self, device_s: f64) -> Option<f64> {
+        let before = self.segments.partition_point(|segment| segment.from_s <= device_s);
+        let segment = self.segments.get(before.saturating_sub(1))?;
+        Some(segment.host_s + (device_s - segment.from_s) * (1.0 + segment.drift))
+    }
+
+    /// Mean skew over the run, host seconds per device second less 1; `None` without segments.
+    pub fn drift(&self) -> Option<f64> {
+        let weigh = |of: fn(&ClockSegment) -> f64| -> f64 {
+            self.segments.iter().map(|segment| of(segment) * (segment.to_s - segment.from_s)).sum()
+        };
+        let whole_s = weigh(|_| 1.0);
+        (whole_s > 0.0).then(|| weigh(|segment| segment.drift) / whole_s)
+    }
+
+    /// Largest bound on the offset error beyond the least delay, s; `None` without segments.
+    pub fn bound_s(&self) -> Option<f64> {
+        self.segments.iter().map(|segment| segment.bound_s).max_by(f64::total_cmp)
+    }
+
+    /// Fits the windows of a stretch without a break.
+    fn lines(&mut self, stamps: &[ClockStamp], stretch: Range<usize>) {
+        let (Some(device), Some(stamps)) = (self.device_s.get(stretch.clone()), stamps.get(stretch)) else {
+            return;
+        };
+        let (Some(start), Some(end)) = (device.first().copied(), device.last().copied()) else { return };
+        let point = |(t, stamp): (&f64, &ClockStamp)| ClockPoint {
+            device_s: *t,
+            host_s: stamp.host.seconds_since(self.begin),
+        };
+        let points: Vec<ClockPoint> = device.iter().zip(stamps).map(point).collect();
+        let count = ((end - start) / WINDOW_S).floor().max(1.0);
+        let width = (end - start) / count;
+        for window in 0..count as usize {
+            let (from, to) = (start + window as f64 * width, start + (window + 1) as f64 * width);
+            // Half a window beyond both ends, where the hull is weakest.
+            let low = points.partition_point(|point| point.device_s < from - width / 2.0);
+            let high = points.partition_point(|point| point.device_s <= to + width / 2.0);
+            self.segments.extend(points.get(low..high).and_then(|near| segment(near, from, to)));
+        }
+    }
+}
+
+/// Difference of consecutive samples.
+#[derive(Clone, Copy)]
+struct ClockStep {
+    /// By the unwrapped counter, s.
+    device_s: f64,
+    /// By the stamps of the host, s.
+    host_s: f64,
+    /// Number of wraps.
+    turns: u64,
+}
+
+impl ClockStep {
+    /// Whether late reads by the host cannot explain the step.
+    fn is_gross(&self) -> bool {
+        self.device_s < 0.0 || self.device_s > LONGEST_STEP_S + 2.0 * self.host_s.max(0.0)
+    }
+}
+
+impl DeviceClock {
+    pub(super) fn is_gross(self, from: ClockStamp, to: ClockStamp) -> bool {
+        self.step(from, to).is_gross()
+    }
+
+    /// Unwraps the counter.
+    fn step(self, from: ClockStamp, to: ClockStamp) -> ClockStep {
+        let host_s = to.host.seconds_since(from.host);
+        let (from, to) = (from.ticks.0, to.ticks.0);
+        let ticks = to as f64 - from as f64;
+        let (ticks, turns) = match self.wrap.map(|wrap| wrap as f64) {
+            Some(wrap) => {
+                let least = ticks.rem_euclid(wrap);
+                // Only the host shows whole turns during which nothing came.
+                let unseen = ((host_s / self.seconds_per_tick - least) / wrap).round().max(0.0);
+                (least + wrap * unseen, unseen as u64 + u64::from(to < from))
+            }
+            None => (ticks, 0),
+        };
+        ClockStep { device_s: ticks * self.seconds_per_tick, host_s, turns }
+    }
+}
+
+/// Whether the counter runs at the host's pace, apart from breaks.
+fn paced(steps: &[ClockStep]) -> bool {
+    let whole =
+        |of: fn(&ClockStep) -> f64| -> f64 { steps.iter().filter(|step| !step.is_gross()).map(of).sum() };
+    let (device_s, host_s) = (whole(|step| step.device_s), whole(|step| step.host_s));
+    device_s > 0.0 && (0.8..1.25).contains(&(host_s / device_s))
+}
+
+/// Delay of each stamp relative to the first, s, by the counter as sent.
+fn lateness(steps: &[ClockStep]) -> Vec<f64> {
+    let mut late_s = vec![0.0];
+    let mut sum = 0.0;
+    for step in steps {
+        sum += step.host_s - step.device_s;
+        late_s.push(sum);
+    }
+    late_s
+}
+
+/// Whether the least delay changes at sample `at`; `first` begins the stretch before.
+fn shifts(late_s: &[f64], steps: &[ClockStep], first: usize, at: usize) -> bool {
+    if (late_s[at] - late_s[at - 1]).abs() < MIN_BREAK_S {
+        return false;
+    }
+    let least = |ways: &mut dyn Iterator<Item = usize>| {
+        let (mut least, mut passed_s) = (f64::INFINITY, 0.0);
+        for sample in ways {
+            least = least.min(late_s[sample]);
+            passed_s += steps.get(sample).map_or(0.0, |step| step.host_s.abs());
+            if passed_s > NEAR_S {
+                break;
+            }
+        }
+        least
+    };
+    let before_s = least(&mut (first..at).rev());
+    let behind_s = least(&mut (at..late_s.len()));
+    (behind_s - before_s).abs() > MIN_BREAK_S + MAX_CLOCK_SKEW * 2.0 * NEAR_S
+}
+
+/// Arrival of a sample by both clocks, s.
+#[derive(Clone, Copy)]
+struct ClockPoint {
+    device_s: f64,
+    host_s: f64,
+}
+
+/// Host time as a linear function of device time within a window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockSegment {
+    /// Device time of its start, s.
+    pub from_s: f64,
+    /// Device time of its end, s.
+    pub to_s: f64,
+    /// Host time at `from_s`, s since the first stamp.
+    pub host_s: f64,
+    /// Clock skew: host seconds per device second, less 1.
+    pub drift: f64,
+    /// Median delay of the stamps over the line, s.
+    pub median_late_s: f64,
+    /// Bound on the offset error beyond the least delay, s: the line could not move further without a stamp before
+    /// its event.
+    pub bound_s: f64,
+}
+
+/// The line under `points` (in order) for the window from `from_s` to `to_s`; points beyond the window support its
+/// ends. `None` without a point.
+fn segment(points: &[ClockPoint], from_s: f64, to_s: f64) -> Option<ClockSegment> {
+    let base = points.first().copied()?;
+    let slope = slope_under(points, 0.5 * (from_s + to_s));
+    let late = |point: &ClockPoint| (point.host_s - base.host_s) - (point.device_s - base.device_s) * slope;
+    let least = points.iter().map(late).fold(f64::INFINITY, f64::min);
+    let mut above: Vec<f64> = points.iter().map(|point| late(point) - least).collect();
+    // The line rests on stamps in both outer thirds: the gap to the nearest ones bounds its error.
+    let third = (to_s - from_s) / 3.0;
+    let nearest = |low: f64, high: f64| {
+        let part = points.iter().zip(&above).filter(|(point, _)| (low..=high).contains(&point.device_s));
+        part.map(|(_, above)| *above).fold(f64::INFINITY, f64::min)
+    };
+    let ends = [nearest(f64::NEG_INFINITY, from_s + third), nearest(to_s - third, f64::INFINITY)];
+    let bound_s = ends.into_iter().filter(|late| late.is_finite()).fold(0.0, f64::max);
+    let middle = above.len() / 2;
+    let (_, median_late_s, _) = above.select_nth_unstable_by(middle, f64::total_cmp);
+    Some(ClockSegment {
+        from_s,
+        to_s,
+        host_s: base.host_s + least + (from_s - base.device_s) * slope,
+        drift: slope - 1.0,
+        median_late_s: *median_late_s,
+        bound_s,
+    })
+}
+
+/// Slope of the edge of the lower convex hull at `middle_s`; 1 where the points show no plausible skew.
+fn slope_under(points: &[ClockPoint], middle_s: f64) -> f64 {
+    let mut hull: Vec<ClockPoint> = Vec::new();
+    for point in points {
+        while let [.., a, b] = hull[..] {
+            let turns_left = (b.device_s - a.device_s) * (point.host_s - a.host_s)
+                > (b.host_s - a.host_s) * (point.device_s - a.device_s);
+            if turns_left {
+                break;
+            }
+            hull.pop();
+        }
+        hull.push(*point);
+    }
+    let edges = || hull.windows(2).filter(|edge| edge[1].device_s > edge[0].device_s);
+    let edge = edges().find(|edge| edge[1].device_s >= middle_s).or(edges().next_back());
+    let slope = edge.map(|edge| (edge[1].host_s - edge[0].host_s) / (edge[1].device_s - edge[0].device_s));
+    slope.filter(|slope| (slope - 1.0).abs() <= MAX_CLOCK_SKEW).unwrap_or(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counter_is_unwrapped_and_follows_the_host_across_a_restart() {
+        let mut time = DeviceTime::new(TickCounter { tick_ns: 1000, wrap_bits: 32 }.into());
+        let mut at = |host_s: f64, ticks: u64| {
+            time.seconds(ClockStamp { host: HostNs((host_s * 1e9) as u64), ticks: DeviceTicks(ticks) })
+        };
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9, "{a} {b}");
+        near(at(5.0, u64::from(u32::MAX) - 499_999), 0.0);
+        near(at(6.0, 500_000), 1.0);
+        near(at(6.5, 0), 1.5);
+        near(at(7.5, 1_000_000), 2.5);
+    }
+}

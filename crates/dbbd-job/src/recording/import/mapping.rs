@@ -1,0 +1,179 @@
+//! The layout of a trace, described by a small TOML file.
+
+use std::num::NonZeroUsize;
+
+use serde::Deserialize;
+
+use crate::recording::import::ImportFinding;
+use dbbd_model::base::parse::from_toml;
+use dbbd_model::base::table::{Delimiter, TableLayout};
+use dbbd_model::diagnostic::Diagnostic;
+
+/// Without any key the trace has the columns `t_s` and `length_mm`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TraceMapping {
+    pub(super) file: TraceFileTable,
+    pub(super) time: TraceTimeTable,
+    pub(super) length: TraceLengthTable,
+    pub(super) strobe: Option<ColumnKey>,
+    pub(super) valid: Option<ColumnKey>,
+    pub(super) temperature: Option<ColumnKey>,
+}
+
+/// Lines and cells; what is absent is detected.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct TraceFileTable {
+    /// One character between cells, or `space` for any number of blanks.
+    delimiter: Option<String>,
+    /// The decimal point, `.` or `,`.
+    decimal: Option<char>,
+    /// Lines before the header, or before the first row without one.
+    skip_lines: usize,
+    /// Whether a line names the columns.
+    pub(super) header: bool,
+    /// Lines with this prefix are skipped.
+    comment: Option<String>,
+}
+
+impl Default for TraceFileTable {
+    fn default() -> Self {
+        Self { delimiter: None, decimal: None, skip_lines: 0, header: true, comment: None }
+    }
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct TraceTimeTable {
+    pub(super) column: TraceColumn,
+    /// Without it: seconds, or dates if the first row has one.
+    pub(super) unit: Option<TraceTimeUnit>,
+    /// Readings per second, instead of a column.
+    pub(super) rate_hz: Option<f64>,
+}
+
+impl Default for TraceTimeTable {
+    fn default() -> Self {
+        Self { column: TraceColumn::Name("t_s".into()), unit: None, rate_hz: None }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum TraceTimeUnit {
+    S,
+    Ms,
+    Us,
+    Ns,
+    /// Date and time.
+    Iso,
+}
+
+impl TraceTimeUnit {
+    /// Nanoseconds per unit; dates are parsed instead.
+    pub(super) fn ns(self) -> f64 {
+        match self {
+            Self::S | Self::Iso => 1e9,
+            Self::Ms => 1e6,
+            Self::Us => 1e3,
+            Self::Ns => 1.0,
+        }
+    }
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct TraceLengthTable {
+    pub(super) column: TraceColumn,
+    pub(super) unit: LengthUnit,
+    /// Without it: detected from the first row and the length of the bar.
+    pub(super) kind: Option<LengthKind>,
+}
+
+impl Default for TraceLengthTable {
+    fn default() -> Self {
+        Self { column: TraceColumn::Name("length_mm".into()), unit: LengthUnit::Mm, kind: None }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum LengthUnit {
+    M,
+    Mm,
+    Um,
+    Inch,
+}
+
+impl LengthUnit {
+    pub(super) fn mm(self) -> f64 {
+        match self {
+            Self::M => 1e3,
+            Self::Mm => 1.0,
+            Self::Um => 1e-3,
+            Self::Inch => 25.4,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum LengthKind {
+    /// Between the ball centres.
+    Distance,
+    /// Deviation from the length of the bar, positive when it is longer.
+    Reading,
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ColumnKey {
+    pub(super) column: TraceColumn,
+}
+
+/// A column by name, or by number from 1.
+#[derive(Clone, Debug, Deserialize, PartialEq)]
+#[serde(untagged, expecting = "a column's name, or its number from 1")]
+pub(super) enum TraceColumn {
+    Name(String),
+    Number(NonZeroUsize),
+}
+
+impl TraceMapping {
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        let mapping: Self = from_toml(file, text)?;
+        let at = |word: &str, finding: ImportFinding| {
+            let from = text.find(word).unwrap_or(0);
+            Diagnostic::span(file, text, from..from + word.len(), finding)
+        };
+        let TraceFileTable { delimiter, decimal, .. } = &mapping.file;
+        let delimiter = delimiter.as_deref();
+        if delimiter.is_some_and(|delimiter| delimiter != "space" && delimiter.chars().count() != 1) {
+            return Err(at("delimiter", ImportFinding::Delimiter));
+        }
+        if decimal.is_some_and(|decimal| !matches!(decimal, '.' | ',')) {
+            return Err(at("decimal", ImportFinding::Decimal));
+        }
+        if decimal.is_some_and(|decimal| delimiter.is_some_and(|delimiter| delimiter.starts_with(decimal))) {
+            return Err(at("decimal", ImportFinding::DecimalIsDelimiter));
+        }
+        let named = mapping.time.column != TraceTimeTable::default().column || mapping.time.unit.is_some();
+        if mapping.time.rate_hz.is_some() && named {
+            return Err(at("rate_hz", ImportFinding::RateAndColumn));
+        }
+        if mapping.time.rate_hz.is_some_and(|hz| !(hz.is_finite() && hz > 0.0)) {
+            return Err(at("rate_hz", ImportFinding::Rate));
+        }
+        Ok(mapping)
+    }
+
+    pub fn layout(&self) -> TableLayout {
+        let TraceFileTable { delimiter, decimal, skip_lines, header, comment } = self.file.clone();
+        let delimiter = delimiter.and_then(|delimiter| match delimiter.as_str() {
+            "space" => Some(Delimiter::Blanks),
+            other => other.chars().next().map(Delimiter::Character),
+        });
+        TableLayout { delimiter, decimal, skip_lines, header, comment }
+    }
+}

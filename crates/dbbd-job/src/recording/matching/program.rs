@@ -1,0 +1,211 @@
+//! The program as the alignment sees it: dwells with the moves before them, and the probability of a time between two
+//! of them.
+
+use crate::plan::{MODULE_DWELLS, Plan, PlanRow, PoseKind};
+
+/// A commanded dwell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommandedDwell {
+    /// Duration of all moves since the dwell before, at full override, s.
+    pub move_s: f64,
+    /// Duration of the rest at this pose, s.
+    pub wait_s: f64,
+    /// Index of the program module; each is started by hand.
+    pub module: usize,
+}
+
+/// The dwell rows of a plan and their timing, in order.
+pub(super) struct DwellPoses<'a> {
+    pub(super) rows: Vec<&'a PlanRow>,
+    pub(super) commanded: Vec<CommandedDwell>,
+    pub(super) program: CommandedTimes,
+}
+
+/// The program waits this long after a dwell, s.
+pub(super) const AFTER_S: f64 = 0.1;
+
+/// Whether the robot stops at a row to be measured.
+pub(super) fn stops(row: &PlanRow) -> bool {
+    row.kind != PoseKind::Transit && !row.is_passed()
+}
+
+impl<'a> DwellPoses<'a> {
+    pub(super) fn of(plan: &'a Plan) -> Self {
+        let settle_s = plan.header.job.motion.settle_s;
+        let (mut rows, mut commanded) = (Vec::new(), Vec::new());
+        let (mut move_s, mut module, mut dwells, mut circle) = (0.0, 0, 0, 0);
+        for (at, row) in plan.rows.iter().enumerate() {
+            move_s += plan.header.moves.get(at).map_or(0.0, |time| time.duration_s);
+            // Rows of no circle (the start, the transit) belong to the running module.
+            let next_circle = row.circle != 0 && circle != 0 && row.circle != circle;
+            if row.circle != 0 {
+                circle = row.circle;
+            }
+            if dwells > 0 && (next_circle || dwells == MODULE_DWELLS) {
+                module += 1;
+                dwells = 0;
+            }
+            if !stops(row) {
+                continue;
+            }
+            dwells += 1;
+            rows.push(row);
+            commanded.push(CommandedDwell { move_s, wait_s: settle_s + row.dwell_s + AFTER_S, module });
+            move_s = 0.0;
+        }
+        let program = CommandedTimes::new(&commanded);
+        Self { rows, commanded, program }
+    }
+}
+
+/// The commanded dwells as cumulative sums, so that any interval is a difference.
+pub(super) struct CommandedTimes {
+    moves_s: Vec<f64>,
+    waits_s: Vec<f64>,
+    modules: Vec<usize>,
+}
+
+#[derive(Clone, Copy)]
+pub(super) struct ProgramPace {
+    /// Ratio of the duration of a move to the planned one: 1 / override.
+    pub(super) stretch: f64,
+    /// Standard deviation of a duration about that, as a share of it.
+    pub(super) slack: f64,
+}
+
+/// Time between the starts of two detected dwells.
+#[derive(Clone, Copy, Default)]
+pub(super) struct ElapsedTime {
+    pub(super) seen_s: f64,
+    /// Variance by the detection of both starts, s2.
+    pub(super) variance_s2: f64,
+    /// Whether the clock broke within, so that `seen_s` is meaningless.
+    pub(super) clock_broke: bool,
+}
+
+/// An interval between the starts of two dwells, commanded and observed.
+#[derive(Clone, Copy)]
+pub(super) struct DwellInterval {
+    /// Moves at full override, s.
+    pub(super) move_s: f64,
+    pub(super) wait_s: f64,
+    /// Number of poses skipped.
+    pub(super) passed: usize,
+    /// Whether a module ends within.
+    pub(super) by_hand: bool,
+    pub(super) elapsed: ElapsedTime,
+}
+
+/// Share of the intervals in which the operator pauses, and the mean of the pauses, s.
+const PAUSES: f64 = 0.01;
+const PAUSE_S: f64 = 30.0;
+/// Share of the starts that were detected badly, and their error, s.
+const BAD: f64 = 0.02;
+const BAD_S: f64 = 0.5;
+/// Mean time until the operator starts the next module, s.
+const BY_HAND_S: f64 = 90.0;
+/// Flat density of an interval across a broken clock, 1/s.
+pub(super) const BROKEN: f64 = 1.0 / 120.0;
+
+/// Upper bound of the log density of an interval: slightly above the peak of a normal distribution of the least sigma
+/// (two starts known to 20 ms).
+pub(super) const MAX_LOG_DENSITY: f64 = 3.0;
+
+/// Densities of an interval, 1/s: without and with a pause.
+#[derive(Clone, Copy)]
+pub(super) struct Densities {
+    pub(super) running: f64,
+    pub(super) paused: f64,
+}
+
+impl CommandedTimes {
+    pub(super) fn new(poses: &[CommandedDwell]) -> Self {
+        let sums = |part: fn(&CommandedDwell) -> f64| {
+            let add = |sum: &mut f64, pose| {
+                *sum += part(pose);
+                Some(*sum)
+            };
+            poses.iter().scan(0.0, add).collect()
+        };
+        Self {
+            moves_s: sums(|pose| pose.move_s),
+            waits_s: sums(|pose| pose.wait_s),
+            modules: poses.iter().map(|pose| pose.module).collect(),
+        }
+    }
+
+    /// Duration of the rest at a pose, s.
+    pub(super) fn wait_s(&self, pose: usize) -> f64 {
+        self.waits_s[pose] - pose.checked_sub(1).map_or(0.0, |before| self.waits_s[before])
+    }
+
+    /// Time from the start of one pose's dwell to the end of another's, s.
+    pub(super) fn span_s(&self, from: usize, to: usize, pace: ProgramPace) -> f64 {
+        self.waits_s[to] - self.waits_s[from]
+            + self.wait_s(from)
+            + pace.stretch * (self.moves_s[to] - self.moves_s[from])
+    }
+
+    /// Time from the start of one pose's dwell to the start of another's, s.
+    pub(super) fn takes_s(&self, from: usize, to: usize, pace: ProgramPace) -> f64 {
+        // The residual of an interval observed as 0 is minus the commanded time.
+        -self.interval(from, to, ElapsedTime::default()).residual_s(pace)
+    }
+
+    pub(super) fn interval(&self, from: usize, to: usize, elapsed: ElapsedTime) -> DwellInterval {
+        // A wait precedes the moves that follow it: those of `from` up to the one before `to`.
+        let wait = |at: usize| if at == 0 { 0.0 } else { self.waits_s[at - 1] };
+        DwellInterval {
+            move_s: self.moves_s[to] - self.moves_s[from],
+            wait_s: wait(to) - wait(from),
+            passed: to - from - 1,
+            by_hand: self.modules[from] != self.modules[to],
+            elapsed,
+        }
+    }
+}
+
+impl DwellInterval {
+    /// Observed less commanded, s.
+    pub(super) fn residual_s(&self, pace: ProgramPace) -> f64 {
+        self.elapsed.seen_s - self.wait_s - pace.stretch * self.move_s
+    }
+
+    /// Standard deviation of the residual without a pause, s.
+    pub(super) fn sigma_s(&self, pace: ProgramPace) -> f64 {
+        let steps = (self.passed + 1) as f64;
+        (self.elapsed.variance_s2 + (pace.slack * pace.stretch * self.move_s).powi(2) / steps).sqrt()
+    }
+
+    /// Probability that the program did not pause.
+    pub(super) fn unpaused(&self, pace: ProgramPace) -> f64 {
+        let Densities { running, paused } = self.densities(pace);
+        if self.elapsed.clock_broke || running <= 0.0 { 0.0 } else { running / (running + paused) }
+    }
+
+    pub(super) fn densities(&self, pace: ProgramPace) -> Densities {
+        let residual_s = self.residual_s(pace);
+        let sigma_s = self.sigma_s(pace);
+        let standard = residual_s / sigma_s;
+        let steps = (self.passed + 1) as f64;
+        let pauses = if self.by_hand { 0.95 } else { (PAUSES * steps).min(0.95) };
+        let mut running = 0.0;
+        if residual_s.abs() < 30.0 * BAD_S {
+            running += BAD / (2.0 * BAD_S) * (-residual_s.abs() / BAD_S).exp();
+        }
+        if standard.abs() < 9.0 {
+            let normal = (-0.5 * standard * standard).exp() / (sigma_s * std::f64::consts::TAU.sqrt());
+            running += (1.0 - pauses - BAD).max(0.01) * normal;
+        }
+        let paused = if residual_s <= 0.0 {
+            0.0
+        } else if self.by_hand {
+            pauses / BY_HAND_S * (-residual_s / BY_HAND_S).exp()
+        } else {
+            // A gamma distribution of order two.
+            let scale_s = 0.5 * PAUSE_S;
+            pauses * residual_s / (scale_s * scale_s) * (-residual_s / scale_s).exp()
+        };
+        Densities { running, paused }
+    }
+}

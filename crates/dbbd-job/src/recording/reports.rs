@@ -1,0 +1,83 @@
+//! The controller's reports of its dwells.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use super::dwell::Dwell;
+use super::stream::SampleStream;
+use crate::recording::matching::MatchingFinding;
+use dbbd_model::base::units::HostNs;
+use dbbd_model::robot::AXES;
+
+/// The controller's report that a dwell begins or ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DwellReport {
+    /// Arrival at the host.
+    pub host: HostNs,
+    /// Index of the pose in the plan.
+    pub index: u32,
+    /// 1 at the start of the dwell, 2 at its end.
+    pub phase: u8,
+    /// Axis angles measured at that moment, degrees.
+    pub axes_deg: [f64; AXES],
+}
+
+/// Measured axis angles of each reported dwell, degrees, by index: the mean of start and end. Of a pose that was
+/// driven twice the last.
+pub fn reported_axes(reports: &[DwellReport]) -> BTreeMap<u32, [f64; AXES]> {
+    let mut axes: BTreeMap<u32, [f64; AXES]> = BTreeMap::new();
+    let mut begin: Option<&DwellReport> = None;
+    for report in reports {
+        let before = begin.filter(|before| report.phase == 2 && before.index == report.index);
+        let mean = before.map_or(report.axes_deg, |before| {
+            std::array::from_fn(|axis| 0.5 * (before.axes_deg[axis] + report.axes_deg[axis]))
+        });
+        axes.insert(report.index, mean);
+        begin = (report.phase == 1).then_some(report);
+    }
+    axes
+}
+
+/// Largest delay of a report, s.
+const LATE_S: f64 = 0.05;
+
+/// Why the reports give no dwell, if there are some.
+pub(super) fn unused(reports: &[DwellReport], stream: &SampleStream) -> Option<MatchingFinding> {
+    let first = reports.first()?;
+    if spans(reports, stream).is_some() {
+        return None;
+    }
+    let reports = reports.len();
+    Some(match stream.time_of(first.host) {
+        Some(_) => MatchingFinding::ReportsUnpaired { reports },
+        None => MatchingFinding::ReportsOffPace { reports },
+    })
+}
+
+/// Intervals between the reports of start and end, by index, s of the stream; of a pose that was driven twice the
+/// last. `None` without any, or if the device clock cannot be compared with the host's.
+pub(super) fn spans(reports: &[DwellReport], stream: &SampleStream) -> Option<BTreeMap<u32, Range<f64>>> {
+    let mut spans = BTreeMap::new();
+    let mut open: Option<(u32, f64)> = None;
+    for report in reports {
+        let t_s = stream.time_of(report.host)?;
+        match (report.phase, open) {
+            (1, _) => open = Some((report.index, t_s)),
+            (2, Some((index, start_s))) if index == report.index => {
+                spans.insert(index, start_s..t_s);
+                open = None;
+            }
+            _ => {}
+        }
+    }
+    (!spans.is_empty()).then_some(spans)
+}
+
+/// The reported dwells, shortened by the delay of a report: the robot surely stood that long.
+pub(super) fn reported_dwells(
+    reports: &[DwellReport],
+    stream: &SampleStream,
+) -> Option<BTreeMap<u32, Dwell>> {
+    let dwell = |span: Range<f64>| Dwell::whole(span.start, span.end - LATE_S, LATE_S);
+    Some(spans(reports, stream)?.into_iter().map(|(index, span)| (index, dwell(span))).collect())
+}

@@ -1,0 +1,209 @@
+//! The samples of a run as columns on one time axis: the device clock mapped to the host's, else the host's.
+
+use std::ops::Deref;
+
+use super::device_clock::{ClockMap, ClockStamp, DeviceClock};
+use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::math::robust;
+use dbbd_model::measurement::sample::Sample;
+
+/// Times of samples in order; `t_s` never decreases.
+#[derive(Clone, Debug, Default)]
+pub struct SampleTimeline {
+    /// The fit of the device clock, if there is one; its `device_s` were moved into `t_s`.
+    clock: Option<ClockMap>,
+    begin: HostNs,
+    /// Time since the first sample, s.
+    pub t_s: Vec<f64>,
+    /// Samples at which the clock restarted or jumped: the time before them is a guess.
+    pub breaks: Vec<usize>,
+}
+
+impl SampleTimeline {
+    /// Puts stamps on one time axis; without a `clock`, that of the host.
+    pub fn new(stamps: &[ClockStamp], clock: Option<DeviceClock>) -> Self {
+        let begin = stamps.first().map_or(HostNs(0), |stamp| stamp.host);
+        let mut line = Self { begin, ..Self::default() };
+        let mut latest_s = 0.0f64;
+        // Adjacent windows differ within their bounds, and a polled reading is stamped at its request.
+        let mut forward = |t_s: f64| {
+            latest_s = latest_s.max(t_s);
+            latest_s
+        };
+        if let Some(clock) = clock {
+            let mut map = ClockMap::new(stamps, clock);
+            let first_s = map.host_s(0.0).unwrap_or(0.0);
+            let on_host = |device_s: f64| map.host_s(device_s).map_or(device_s, |host_s| host_s - first_s);
+            line.t_s = map.device_s.iter().map(|device_s| forward(on_host(*device_s))).collect();
+            line.breaks = map.breaks.iter().map(|broken| broken.at).collect();
+            map.device_s = Vec::new();
+            line.clock = Some(map);
+        } else {
+            line.t_s = stamps.iter().map(|stamp| forward(stamp.host.seconds_since(begin))).collect();
+        }
+        line
+    }
+
+    /// The fit of the device clock, without `device_s`; `None` if the protocol has no clock.
+    pub fn clock(&self) -> Option<&ClockMap> {
+        self.clock.as_ref()
+    }
+
+    pub fn len(&self) -> usize {
+        self.t_s.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.t_s.is_empty()
+    }
+
+    /// Index of the first sample at or after `t_s`.
+    pub fn at(&self, t_s: f64) -> usize {
+        self.t_s.partition_point(|&t| t < t_s)
+    }
+
+    /// Whether the clock broke in (`from_s`, `to_s`].
+    pub fn broken_between(&self, from_s: f64, to_s: f64) -> bool {
+        let first = self.breaks.partition_point(|&at| self.t_s[at] <= from_s);
+        self.breaks.get(first).is_some_and(|&at| self.t_s[at] <= to_s)
+    }
+
+    /// Mean sample period, s, robust against gaps and against stamps that come in batches.
+    pub fn period_s(&self) -> f64 {
+        const RUN: usize = 50;
+        let run = RUN.min(self.len().saturating_sub(1)).max(1);
+        let stride = (self.len() / 4000).max(1);
+        let mut spans: Vec<f64> = (run..self.len())
+            .step_by(stride)
+            .map(|at| (self.t_s[at] - self.t_s[at - run]) / run as f64)
+            .collect();
+        robust::median(&mut spans).unwrap_or(0.0)
+    }
+
+    /// Time of a host stamp on this axis; `None` if the device clock does not run at the host's pace (a run faster
+    /// than real time).
+    pub fn time_of(&self, host: HostNs) -> Option<f64> {
+        let first_s = match &self.clock {
+            Some(map) => map.host_s(0.0)?,
+            None => 0.0,
+        };
+        Some(host.seconds_since(self.begin) - first_s)
+    }
+
+    /// Offset from a time on this axis to the same moment on `other`, s; `None` as for [`Self::time_of`].
+    pub fn shift_to(&self, other: &Self) -> Option<f64> {
+        Some(other.time_of(self.begin)? - self.time_of(self.begin)?)
+    }
+}
+
+/// Samples in the order of arrival.
+#[derive(Clone, Debug, Default)]
+pub struct SampleStream {
+    time: SampleTimeline,
+    pub reading_mm: Vec<f64>,
+    flags: Vec<u8>,
+}
+
+impl Deref for SampleStream {
+    type Target = SampleTimeline;
+
+    fn deref(&self) -> &SampleTimeline {
+        &self.time
+    }
+}
+
+/// Collects samples. The device clock is fitted when all of them are known.
+#[derive(Clone, Debug)]
+pub struct StreamBuilder {
+    clock: Option<DeviceClock>,
+    sequence_modulo: Option<u32>,
+    stamps: Vec<ClockStamp>,
+    last_sequence: Option<u32>,
+    stream: SampleStream,
+}
+
+const VALID: u8 = 1;
+const STROBE_KNOWN: u8 = 2;
+const STROBE_HIGH: u8 = 4;
+const GAP_BEFORE: u8 = 8;
+
+impl StreamBuilder {
+    /// Without a `clock`, or if a sample has no ticks, the host's stamps are the times.
+    pub fn new(clock: Option<DeviceClock>) -> Self {
+        let stream = SampleStream::default();
+        Self { clock, sequence_modulo: None, stamps: Vec::new(), last_sequence: None, stream }
+    }
+
+    /// Sets the modulo of the sequence numbers, which show missing samples.
+    #[must_use]
+    pub fn sequence(self, modulo: Option<u32>) -> Self {
+        Self { sequence_modulo: modulo, ..self }
+    }
+
+    pub fn push(&mut self, host: HostNs, sample: &Sample) {
+        let mut flags = u8::from(sample.valid && sample.reading_mm.is_finite()) * VALID;
+        match sample.trigger {
+            Some(true) => flags |= STROBE_KNOWN | STROBE_HIGH,
+            Some(false) => flags |= STROBE_KNOWN,
+            None => {}
+        }
+        let before = std::mem::replace(&mut self.last_sequence, sample.sequence);
+        if let (Some(modulo), Some(before), Some(now)) = (self.sequence_modulo, before, sample.sequence)
+            && sequence_step(modulo, before, now) != SequenceStep::Next
+        {
+            flags |= GAP_BEFORE;
+        }
+        self.stream.reading_mm.push(sample.reading_mm);
+        self.stream.flags.push(flags);
+        if sample.ticks.is_none() {
+            self.clock = None;
+        }
+        self.stamps.push(ClockStamp { host, ticks: sample.ticks.unwrap_or(DeviceTicks(0)) });
+    }
+
+    /// Fits the clock and puts all samples on one time axis.
+    pub fn build(self) -> SampleStream {
+        let Self { clock, stamps, mut stream, .. } = self;
+        stream.time = SampleTimeline::new(&stamps, clock);
+        stream
+    }
+}
+
+impl SampleStream {
+    /// Whether the device marked the reading of sample `at` as valid.
+    pub fn valid(&self, at: usize) -> bool {
+        self.flags.get(at).is_some_and(|flags| flags & VALID != 0)
+    }
+
+    /// The strobe at sample `at`; `None` if the protocol does not carry it.
+    pub fn strobe(&self, at: usize) -> Option<bool> {
+        let flags = self.flags.get(at)?;
+        (flags & STROBE_KNOWN != 0).then_some(flags & STROBE_HIGH != 0)
+    }
+
+    /// Whether samples are missing before sample `at`, by the sequence numbers.
+    pub fn gap_before(&self, at: usize) -> bool {
+        self.flags.get(at).is_some_and(|flags| flags & GAP_BEFORE != 0)
+    }
+}
+
+/// Difference of two sequence numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SequenceStep {
+    Next,
+    /// Number of samples missing between the two.
+    Missing(u64),
+    /// A step of more than half the range counts as a step back: the device restarted.
+    Back,
+}
+
+/// Compares sequence numbers, which wrap to 0 at `modulo`.
+pub fn sequence_step(modulo: u32, before: u32, now: u32) -> SequenceStep {
+    let modulo = u64::from(modulo).max(1);
+    let missing = (u64::from(now) + 2 * modulo - u64::from(before).min(modulo) - 1) % modulo;
+    match missing {
+        0 => SequenceStep::Next,
+        many if many > modulo / 2 => SequenceStep::Back,
+        few => SequenceStep::Missing(few),
+    }
+}

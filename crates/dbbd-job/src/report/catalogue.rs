@@ -1,0 +1,47 @@
+//! Pages and exports.
+
+use dbbd_model::findings;
+
+findings! {
+    /// A result that cannot be written in the form that was asked for.
+    ReportFinding "Pages and exports" {
+        E1702 "a record of a capture cannot be exported",
+        cause: "A record holds no JSON where it must: the capture is of another version of dbbd, or was edited.",
+        cure: "`dbbd recover` writes a capture without its damaged records; export that one." {
+            NotJson { record: String, why: String } => "a {record} record is not JSON: {why}";
+        }
+        E1720 "a URDF cannot be read",
+        cause: "The file is not XML, or its joints are not those of a six-axis arm: another number of joints, several arms, a sliding joint, a xacro file that was not expanded.",
+        cure: "Expand xacro files (`xacro FILE > robot.urdf`). Name the six joints with --joints where the file has several chains." {
+            NotXml { why: String } => "{why}";
+            NoSixJoints { chains: usize, joints: String } => "{chains} chains of six movable joints; exactly one is needed", help: "movable joints: {joints}";
+            NoUrdf { root: String } => "its root is <{root}>, and that of a URDF is <robot>";
+            NoSuchJoint { joint: String, joints: String } => "there is no movable joint `{joint}`", help: "movable joints: {joints}";
+            OtherOrder { named: String } => "the joints {named} are not a chain in this order", help: "name them from the base to the flange";
+            OtherCount { named: usize } => "--joints names {named} joints, and an arm has six";
+            OtherJoint { joint: String, kind: String } => "joint `{joint}` is of type `{kind}`, and only turning joints are corrected";
+            NotNumbers { attribute: String } => "`{attribute}` is not three numbers";
+        }
+        E1721 "a URDF is of another robot",
+        cause: "With all joints at zero an axis of the URDF is not where the nominal robot has it: the file is of another robot, or its joints have another zero or sense than the controller's axes.",
+        cure: "Use the URDF of this robot. Change the zero or the sense of a joint in the URDF to that of the controller." {
+            OtherUrdf { joint: String, number: usize, off_mm: f64, off_deg: f64 } => "joint `{joint}` is {off_mm:.1} mm and {off_deg:.2} deg from axis {number} of the nominal robot";
+        }
+        I1723 "a joint of a URDF turns with two axes",
+        cause: "The controller shows an axis that is coupled with another, as a FANUC shows axis 3 against the horizontal. A joint of a URDF has one variable and cannot follow the sum of two.",
+        cure: "Give the joint of the URDF the sum that is named, as with the maker's own URDF." {
+            CoupledInUrdf { joint: usize, sum: String } => "the variable of the URDF's joint {joint} is {sum}, not what the controller shows for axis {joint}";
+        }
+        E1724 "a robot is exported into a URDF, a capture into tables",
+        cause: "With --urdf-in the joints of a robot are written into your URDF, and the first argument is the robot's file. Without it the first argument is a capture.",
+        cure: "Give --urdf-in with a robot, and leave it out with a capture." {
+            RobotWithoutUrdf => "is a robot: it is exported into the URDF that --urdf-in names";
+            CaptureIntoUrdf => "is a capture: --urdf-in takes a robot, such as robot-identified.toml";
+        }
+        I1722 "a URDF cannot hold all that was identified",
+        cause: "A URDF describes rigid links. It cannot represent gear errors, compliance, backlash and smooth joint errors.",
+        cure: "Nothing to do, if the accuracy suffices; else compute positions with `dbbd predict`, which includes them." {
+            NotInUrdf { mean_mm: f64, max_mm: f64 } => "the URDF leaves out joint errors and compliance: {mean_mm:.3} mm at the tool ball on average, {max_mm:.3} mm at most, without backlash";
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! The certificate of a calibration.
+
+use dbbd_model::diagnostic::Names;
+use dbbd_model::findings;
+
+findings! {
+    /// What a certificate refuses, doubts or leaves empty.
+    CertificateFinding "Certificates" {
+        E2001 "a certificate cannot be made from a file",
+        cause: "The file is not the result.json of `dbbd identify`, is not complete, or is of a version that did not compute an uncertainty budget.",
+        cure: "Give result.json or the directory that holds it. Identify again from the lengths of an older result." {
+            NoResult { why: String } => "is not a result: {why}";
+            NoBudget => "has no uncertainty budget: an earlier version wrote it";
+        }
+        E2002 "a check cannot be stated in a certificate",
+        cause: "The file is not the check.json of `dbbd check`, or it is the check of another robot or of another calibration.",
+        cure: "Give the check.json of this robot and this result." {
+            NoCheck { why: String } => "is not a check: {why}";
+            CheckOfAnother { robot: String, checked: String } => "is of `{checked}`, the result is of `{robot}`";
+            CheckOfOtherResult { lengths: String } => "is the check of another calibration: the result was identified from {lengths}, and what was checked was not";
+            CheckOfOtherFile { robot: String } => "is the check of another calibration: {robot} of the result was not checked";
+        }
+        I2003 "this build writes no PDF",
+        cause: "dbbd was built without the feature `pdf`.",
+        cure: "Print certificate.html from a browser, or build with `cargo build --release --features pdf`." {
+            NoPdf => "certificate.pdf is not written: this build has no PDF";
+        }
+        I2004 "a certificate has empty fields",
+        cause: "A certificate states these, and neither job, capture nor --identity does. The draft says `not stated`; a DCC, which needs a date, has 0001-01-01.",
+        cure: "State them in [identity] of the job or with --identity FILE; docs/reference/files.md has the keys." {
+            NotStated { what: Names } => "not stated: {what}";
+        }
+        W2005 "a certificate of a result with warnings",
+        cause: "The result has warnings or did not converge.",
+        cure: "Resolve the warnings of the result first; `report.html` shows them." {
+            Doubtful { warnings: usize } => "the result has {warnings} warnings; the certificate lists them";
+        }
+        W2007 "an identity contradicts the result",
+        cause: "--identity states another robot, controller, load, day, bar, certificate of the bar, ball or temperature than the result carries, or a base ball that the measurement has not. The certificate states what --identity states; the numbers are those of the measurement.",
+        cure: "Correct the file of --identity, or identify again with the right job." {
+            OtherThanCarried { key: String, carried: String, stated: String } => "{key} is stated as {stated}; the result has {carried}";
+            NoSuchBall { ball: String, balls: usize } => "a serial number is stated of base ball {ball}, and {balls} were measured";
+        }
+        E2006 "the PDF cannot be made",
+        cause: "The text has a character that the PDF's font lacks, or a fault of dbbd.",
+        cure: "Use letters of European scripts in [identity], or print certificate.html." {
+            PdfFailed { why: String } => "certificate.pdf cannot be made: {why}";
+        }
+    }
+}

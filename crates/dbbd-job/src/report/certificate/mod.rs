@@ -1,0 +1,199 @@
+//! The certificate of a calibration: the same contents as a page for print, as a DCC and, with the feature `pdf`, as a PDF/A-3.
+//!
+//! It is a draft: a program is not accredited, and its signature fields are empty.
+
+mod catalogue;
+pub use catalogue::CertificateFinding;
+
+mod dcc;
+#[cfg(feature = "pdf")]
+mod pdf;
+mod sections;
+
+use serde::{Deserialize, Serialize};
+
+use super::page::render;
+use crate::report::certificate::CertificateFinding::{
+    CheckOfAnother, CheckOfOtherFile, CheckOfOtherResult, Doubtful, NoBudget, NoCheck, NoResult, NoSuchBall,
+    NotStated, OtherThanCarried,
+};
+use dbbd_model::base::hash::sha256;
+use dbbd_model::conformity::UncertaintyBudget;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::diagnostic::Names;
+use dbbd_model::estimation::ResultFile;
+use dbbd_model::estimation::result_file::WarningKind;
+use dbbd_model::provenance::{Artefact, ArtefactRole, Contradiction, Identity, Provenance};
+use sections::Section;
+
+#[cfg(feature = "pdf")]
+use super::page::capitalised;
+
+const DRAFT: &str = "Draft, not accredited, not signed";
+
+/// `result.json` with budget and provenance.
+#[derive(Deserialize)]
+struct ResultRead {
+    #[serde(flatten)]
+    result: ResultFile,
+    budget: Option<UncertaintyBudget>,
+    #[serde(default)]
+    provenance: Provenance,
+}
+
+/// The decision in `check.json`.
+#[derive(Clone, Debug, Deserialize)]
+struct Check {
+    robot: String,
+    lengths: usize,
+    decision: String,
+    rule: String,
+    tolerance_mm: Option<f64>,
+    position_error_mm: f64,
+    upper_mm: f64,
+    guard_band_mm: Option<f64>,
+    specific_risk: Option<f64>,
+    #[serde(default)]
+    provenance: Provenance,
+}
+
+/// A result, and the decision of an interim check where there is one.
+pub struct Certificate {
+    result: ResultFile,
+    budget: UncertaintyBudget,
+    provenance: Provenance,
+    check: Option<Check>,
+    /// Between what is stated now and what the result carries.
+    contradictions: Vec<CertificateFinding>,
+    /// First digits of the SHA-256 of `result.json`.
+    number: String,
+}
+
+#[derive(Serialize)]
+struct Page<'a> {
+    title: String,
+    draft: &'static str,
+    robot: &'a str,
+    number: &'a str,
+    measured: &'a str,
+    sections: Vec<Section>,
+    provenance: &'a Provenance,
+}
+
+impl Certificate {
+    pub fn read(text: &str) -> Result<Self, CertificateFinding> {
+        let read: ResultRead =
+            serde_json::from_str(text).map_err(|error| NoResult { why: error.to_string() })?;
+        let ResultRead { result, budget, provenance } = read;
+        let number = sha256(text).chars().take(16).collect();
+        let budget = budget.ok_or(NoBudget)?;
+        Ok(Self { result, budget, provenance, check: None, contradictions: Vec::new(), number })
+    }
+
+    /// With the decision in the text of `check.json`; `robot` is the file that was written with the result. Refuses a check of
+    /// another robot or another calibration.
+    pub fn with_check(self, text: &str, robot: Option<&Artefact>) -> Result<Self, CertificateFinding> {
+        let check: Check = serde_json::from_str(text).map_err(|error| NoCheck { why: error.to_string() })?;
+        if check.robot != self.result.robot {
+            return Err(CheckOfAnother { robot: self.result.robot, checked: check.robot });
+        }
+        let is_measured = |source: &&Artefact| source.role == ArtefactRole::Measurements;
+        let known = !check.provenance.from.is_empty();
+        let measured = self.provenance.from.iter().rev().find(|source| known && is_measured(source));
+        if let Some(measured) = measured.filter(|measured| !check.provenance.has(measured)) {
+            return Err(CheckOfOtherResult { lengths: measured.to_string() });
+        }
+        if let Some(robot) = robot.filter(|robot| known && !check.provenance.has(robot)) {
+            return Err(CheckOfOtherFile { robot: robot.to_string() });
+        }
+        Ok(Self { check: Some(check), ..self })
+    }
+
+    /// With this identity in place of what the result carries.
+    pub fn with_identity(mut self, identity: &Identity) -> Self {
+        let found = self.provenance.identity.contradictions(identity).into_iter();
+        self.contradictions = found
+            .map(|Contradiction { key, known, stated }| OtherThanCarried { key, carried: known, stated })
+            .collect();
+        self.provenance.identity.extend(identity);
+        self
+    }
+
+    pub fn identity(&self) -> &Identity {
+        &self.provenance.identity
+    }
+
+    /// Whether the bar's length has a certificate with its uncertainty.
+    fn is_traceable(&self) -> bool {
+        let bar = &self.identity().bar;
+        bar.certificate.is_some() && bar.length_u_mm.is_some()
+    }
+
+    fn title(&self) -> String {
+        format!("Calibration certificate of {}", self.result.robot)
+    }
+
+    fn measured(&self) -> &str {
+        self.identity().measured.as_deref().unwrap_or("not stated")
+    }
+
+    fn doubts(&self) -> usize {
+        self.result.warnings.iter().filter(|warning| warning.kind == WarningKind::Doubt).count()
+    }
+
+    /// What the certificate lacks, and doubts about it.
+    pub fn findings(&self) -> Vec<CertificateFinding> {
+        let Identity { robot, laboratory, country, operator, customer, measured, bar, temperatures, .. } =
+            self.identity();
+        let bar_by = [&bar.certificate, &bar.certified_on, &bar.certified_by];
+        let lacks = [
+            ("date of measurement", measured.is_none()),
+            ("serial number of the robot", robot.is_none()),
+            ("laboratory", laboratory.is_none()),
+            ("country", country.is_none()),
+            ("operator", operator.is_none()),
+            ("customer", customer.is_none()),
+            ("certificate of the bar", bar_by.iter().any(|text| text.is_none()) || bar.length_u_mm.is_none()),
+            ("temperatures", temperatures.is_empty()),
+        ];
+        let lacking: Vec<&str> = lacks.iter().filter(|(_, lacks)| *lacks).map(|(name, _)| *name).collect();
+        let empty = (!lacking.is_empty()).then(|| NotStated { what: Names::of(lacking) });
+        let doubts = self.doubts() + usize::from(!self.result.converged);
+        let balls = self.result.parameters.iter().filter(|found| found.name.ends_with("_x"));
+        let balls = balls.filter(|found| found.name.starts_with("centre")).count();
+        let other =
+            self.identity().balls.keys().find(|ball| ball.parse().is_ok_and(|ball: usize| ball > balls));
+        let other = other.map(|ball| NoSuchBall { ball: ball.clone(), balls });
+        let doubtful = (doubts > 0).then_some(Doubtful { warnings: doubts });
+        empty.into_iter().chain(self.contradictions.iter().cloned()).chain(other).chain(doubtful).collect()
+    }
+
+    pub fn html(&self) -> Result<String, Diagnostic> {
+        let page = Page {
+            title: self.title(),
+            draft: DRAFT,
+            robot: &self.result.robot,
+            number: &self.number,
+            measured: self.measured(),
+            sections: self.sections(),
+            provenance: &self.provenance,
+        };
+        render("certificate.html", include_str!("../certificate.html"), &page)
+    }
+
+    pub fn dcc(&self) -> Result<Vec<u8>, Diagnostic> {
+        dcc::write(self)
+    }
+
+    /// `certificate.pdf` with `dcc.xml` embedded; `None` without the feature `pdf`. Fails on a character that its font lacks.
+    #[cfg(feature = "pdf")]
+    pub fn pdf(&self, dcc: &[u8]) -> Result<Option<Vec<u8>>, Diagnostic> {
+        Ok(Some(pdf::write(self, dcc)?))
+    }
+
+    /// This build has no PDF.
+    #[cfg(not(feature = "pdf"))]
+    pub fn pdf(&self, _: &[u8]) -> Result<Option<Vec<u8>>, Diagnostic> {
+        Ok(None)
+    }
+}

@@ -1,0 +1,133 @@
+//! The robot as a URDF, in metres and radians. A joint variable is the controller's axis angle; that of a coupled joint, for
+//! which URDF has no form, is the joint's own angle, a sum of axis angles.
+//!
+//! Row i is `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`. A URDF joint is a fixed origin followed by a turn about its axis, so
+//! that joint i's origin is the shift d of the row before, then `Ry(beta) Rx(alpha) Tx(a) Rz(offset)`, and its axis is z with
+//! the sense of the controller's angle. URDF has no compliance and no errors of joints: a comment states the position error
+//! without them.
+
+use std::fmt::Write;
+
+use nalgebra::{Matrix3, Vector3};
+
+use dbbd_model::estimation::left_out_mm;
+use dbbd_model::robot::kinematics::Mass;
+use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
+use dbbd_model::robot::{AXES, Joint, Robot};
+
+/// The URDF of a robot: links `base_link`, `link_1` to `link_6`, `flange` and `ball`.
+pub fn urdf(robot: &Robot) -> String {
+    let mut text = String::from("<?xml version=\"1.0\"?>\n");
+    let _ =
+        writeln!(text, "<!-- {}. Joint variables are the controller's axis angles.", comment(&robot.name));
+    text.push_str("     Of inertias only masses are known (as points); efforts are not. -->\n");
+    for CoupledJoint { number, sum } in coupled(robot) {
+        let _ = writeln!(text, "<!-- The variable of joint {number} is {sum}. -->");
+    }
+    if let Some(mm) = left_out_mm(robot) {
+        let _ = writeln!(
+            text,
+            "<!-- Without compliance and errors of the joints: the ball is {mm:.3} mm off in the mean over the workspace. -->"
+        );
+    }
+    let _ = writeln!(text, "<robot name=\"{}\">\n  <link name=\"base_link\"/>", name(&robot.name));
+    let mut before_mm = 0.0;
+    for (at, row) in robot.geometry.rows.iter().enumerate() {
+        let number = at + 1;
+        let turned = rot_y(row.beta) * rot_x(row.alpha);
+        let origin = Vector3::z() * before_mm + turned * Vector3::x() * row.a;
+        let [low, high] = robot.joint_range_deg(Joint::ALL[at]).map(f64::to_radians);
+        let _ = write!(
+            text,
+            "  <joint name=\"joint_a{number}\" type=\"revolute\">\n    <parent link=\"{}\"/>\n    <child link=\"link_{number}\"/>\n    {}\n    \
+             <axis xyz=\"0 0 {}\"/>\n    <limit lower=\"{low}\" upper=\"{high}\" effort=\"0\" velocity=\"{}\"/>\n  </joint>\n",
+            if at == 0 { "base_link".into() } else { format!("link_{at}") },
+            origin_tag(&origin, &(turned * rot_z(row.theta))),
+            row.sign,
+            robot.max_speed_deg_s[at].to_radians(),
+        );
+        text.push_str(&link(robot, number, row.d));
+        before_mm = row.d;
+    }
+    text.push_str(&fixed("flange", &format!("link_{AXES}"), &Vector3::new(0.0, 0.0, before_mm)));
+    text.push_str(&fixed("ball", "flange", &robot.geometry.tool));
+    text.push_str("</robot>\n");
+    text
+}
+
+/// A joint whose variable is not the angle that the controller shows.
+pub struct CoupledJoint {
+    /// From 1.
+    pub number: usize,
+    /// Of axes, such as `A3 + A2`.
+    pub sum: String,
+}
+
+pub fn coupled(robot: &Robot) -> impl Iterator<Item = CoupledJoint> {
+    Joint::ALL.into_iter().filter_map(|joint| {
+        let number = joint.number();
+        Some(CoupledJoint { number, sum: format!("A{number}{}", robot.geometry.coupling.of(joint)?) })
+    })
+}
+
+/// A link with the masses that move with it; its frame is `d_mm` before the frame of the row.
+fn link(robot: &Robot, number: usize, d_mm: f64) -> String {
+    let own: Vec<&Mass> = robot.geometry.masses.iter().filter(|mass| mass.joint.number() == number).collect();
+    let kg: f64 = own.iter().map(|mass| mass.kg).sum();
+    if kg <= 0.0 {
+        return format!("  <link name=\"link_{number}\"/>\n");
+    }
+    let centre = own.iter().map(|mass| mass.centre * mass.kg).sum::<Vector3<f64>>() / kg;
+    let inertia = own
+        .iter()
+        .map(|mass| {
+            let lever = (mass.centre - centre) * 1e-3;
+            (Matrix3::identity() * lever.norm_squared() - lever * lever.transpose()) * mass.kg
+        })
+        .sum::<Matrix3<f64>>();
+    let [ixx, ixy, ixz] = [0, 1, 2].map(|column| inertia[(0, column)]);
+    format!(
+        "  <link name=\"link_{number}\">\n    <inertial>\n      {}\n      <mass value=\"{kg}\"/>\n      <inertia ixx=\"{ixx}\" ixy=\"{ixy}\" \
+         ixz=\"{ixz}\" iyy=\"{}\" iyz=\"{}\" izz=\"{}\"/>\n    </inertial>\n  </link>\n",
+        origin_tag(&(centre + Vector3::z() * d_mm), &Matrix3::identity()),
+        inertia[(1, 1)],
+        inertia[(1, 2)],
+        inertia[(2, 2)],
+    )
+}
+
+/// A link that is fixed on another.
+fn fixed(name: &str, parent: &str, place_mm: &Vector3<f64>) -> String {
+    format!(
+        "  <joint name=\"{parent}-{name}\" type=\"fixed\">\n    <parent link=\"{parent}\"/>\n    <child link=\"{name}\"/>\n    {}\n  </joint>\n  \
+         <link name=\"{name}\"/>\n",
+        origin_tag(place_mm, &Matrix3::identity())
+    )
+}
+
+pub(super) fn origin_tag(place_mm: &Vector3<f64>, rotation: &Matrix3<f64>) -> String {
+    let [x, y, z] = [0, 1, 2].map(|axis| place_mm[axis] * 1e-3);
+    let [roll, pitch, yaw] = roll_pitch_yaw(rotation);
+    format!("<origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"/>")
+}
+
+/// R = Rz(yaw) Ry(pitch) Rx(roll). The yaw is removed before the roll is computed, so that the three give R to rounding also
+/// at a pitch of a right angle.
+fn roll_pitch_yaw(r: &Matrix3<f64>) -> [f64; 3] {
+    let yaw = r[(1, 0)].atan2(r[(0, 0)]);
+    let level = rot_z(-yaw) * r;
+    [(-level[(1, 2)]).atan2(level[(1, 1)]), (-level[(2, 0)]).atan2(level[(0, 0)]), yaw]
+}
+
+/// A name that every reader of URDF accepts.
+fn name(words: &str) -> String {
+    let plain: String =
+        words.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' }).collect();
+    let plain = plain.trim_matches('_');
+    if plain.is_empty() { "robot".into() } else { plain.into() }
+}
+
+/// Text within a comment, which two dashes would end.
+fn comment(words: &str) -> String {
+    words.replace(|c: char| c.is_control() || "<>-".contains(c), " ")
+}

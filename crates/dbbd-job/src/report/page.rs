@@ -1,0 +1,134 @@
+//! The frame of all pages: style, provenance, and the template engine with its filters.
+
+use minijinja::value::Serde;
+use minijinja::{Environment, UndefinedBehavior};
+use serde::Serialize;
+
+use super::scale::{fixed, index, plain, rounded, signed, significant, typeset};
+use super::svg::plot_css;
+use dbbd_model::base::InternalFinding::NoPage;
+use dbbd_model::base::serialised;
+use dbbd_model::diagnostic::{Diagnostic, Finding};
+
+const PAGE_CSS: &str = include_str!("page.css");
+/// The script of a report that shows its scene.
+pub const VIEWER_JS: &str = include_str!("viewer.js");
+/// The skeleton of every page, also of a service.
+const FRAME_HTML: &str = include_str!("frame.html");
+/// The skeleton of a report, with style and provenance.
+const PAGE_HTML: &str = include_str!("page.html");
+const MACROS: &str = include_str!("macros.html");
+
+/// Name and text.
+pub type Template<'a> = (&'a str, &'a str);
+
+/// Fills a template that extends `page.html`; its name ends in `.html`, which turns escaping on.
+pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Result<String, Diagnostic> {
+    #[derive(Serialize)]
+    struct Context<'a, T> {
+        style: String,
+        script: &'static str,
+        version: &'static str,
+        page: &'a T,
+    }
+    let style = format!("{}{PAGE_CSS}", plot_css());
+    let context = Context { style, script: VIEWER_JS, version: crate::artefact::VERSION, page };
+    fill(&[&[("page.html", PAGE_HTML), ("macros.html", MACROS)], &[(name, template)][..]].concat(), &context)
+}
+
+/// Fills the last of these templates, which may use the ones before and `frame.html`.
+pub fn fill(templates: &[Template<'_>], context: &impl Serialize) -> Result<String, Diagnostic> {
+    let name = templates.last().map_or("", |(name, _)| name);
+    filled(name, templates, context).map_err(|error| {
+        let why = error.detail().map_or_else(|| error.to_string(), str::to_owned);
+        Diagnostic::new(NoPage { page: name.into(), why })
+    })
+}
+
+fn filled(
+    name: &str,
+    templates: &[Template<'_>],
+    context: &impl Serialize,
+) -> Result<String, minijinja::Error> {
+    let mut engine = Environment::new();
+    engine.set_undefined_behavior(UndefinedBehavior::Strict);
+    type Format = fn(f64, usize) -> String;
+    let formats: [(&str, Format); 5] = [
+        ("fixed", fixed),
+        ("signed", signed),
+        ("plain", plain),
+        ("significant", significant),
+        ("rounded", rounded),
+    ];
+    for (name, format) in formats {
+        engine.add_filter(name, move |value: Option<f64>, digits: usize| {
+            value.map_or_else(dash, |value| format(value, digits))
+        });
+    }
+    engine.add_filter("index", |value: Option<f64>| value.map_or_else(dash, index));
+    engine.add_filter("degrees", |value: Option<f64>| value.map(f64::to_degrees));
+    engine.add_filter("times", |value: Option<f64>, factor: f64| value.map(|value| value * factor));
+    engine.add_filter("um", um);
+    engine.add_filter("typeset", typeset);
+    engine.add_filter("capitalise", |text: String| capitalised(&text));
+    engine.add_filter("css", css);
+    engine.add_template("frame.html", FRAME_HTML)?;
+    for (name, template) in templates {
+        engine.add_template(name, template)?;
+    }
+    engine.get_template(name)?.render(Serde(context))
+}
+
+/// What stands for a value that does not exist.
+fn dash() -> String {
+    "–".into()
+}
+
+/// A length in mm as micrometres, with the decimals that its uncertainty needs.
+fn um(value: Option<f64>, u95: Option<f64>) -> String {
+    let decimals = match u95.map(|u| 1e3 * u) {
+        Some(u) if u >= 10.0 => 0,
+        Some(u) if u >= 1.0 => 1,
+        Some(u) if u >= 0.1 => 2,
+        _ => 3,
+    };
+    value.map_or_else(dash, |value| fixed(1e3 * value, decimals))
+}
+
+/// A value as JSON within a script element, escaped so that nothing closes the element.
+pub(super) fn script_json(value: &impl Serialize) -> Result<String, Diagnostic> {
+    Ok(serialised::json_line(value)?.replace('<', "\\u003c").replace('/', "\\/"))
+}
+
+pub(super) fn capitalised(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// A text escaped for the quotes of a style sheet.
+fn css(text: String) -> String {
+    let escaped = |c: char| {
+        if c.is_alphanumeric() || " .,:-".contains(c) {
+            c.to_string()
+        } else {
+            format!("\\{:x} ", u32::from(c))
+        }
+    };
+    text.chars().map(escaped).collect()
+}
+
+/// The findings of a result with code and text.
+pub(super) fn findings<F: Finding + Clone>(findings: &[F]) -> Vec<Diagnostic> {
+    findings.iter().cloned().map(Diagnostic::new).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_template_error_is_a_finding() {
+        let wrong = render("wrong.html", "{{ page.no_such_field }}", &[0]);
+        assert_eq!(wrong.unwrap_err().code().as_str(), "E0009");
+    }
+}

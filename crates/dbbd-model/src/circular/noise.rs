@@ -1,0 +1,153 @@
+//! The standard uncertainty of a single length, for the Monte Carlo.
+
+use super::quantities::RadialTraces;
+use super::{CircleSense, CircleTrace};
+use crate::math::robust::{SIGMA_OF_MAD, median};
+
+/// Where the standard uncertainty of a single length comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub enum LengthSigmaSource {
+    Given,
+    /// Of each length, without the repeatability of the robot.
+    Lengths,
+    /// Of each length, at least the difference of repeated passes.
+    LengthsAndPasses,
+    /// The difference of repeated passes.
+    Passes,
+    /// The scatter between neighbours.
+    Neighbours,
+}
+
+impl LengthSigmaSource {
+    /// The text in circle.json and on the page.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Given => "as given",
+            Self::Lengths => "of each length; the repeatability of the robot is not in it",
+            Self::LengthsAndPasses => "of each length, not less than the difference of repeated passes",
+            Self::Passes => "difference of repeated passes",
+            Self::Neighbours => "scatter between neighbours",
+        }
+    }
+}
+
+/// Standard deviation of a single length, mm, and its degrees of freedom.
+struct LengthScatter {
+    sigma_mm: f64,
+    freedom: f64,
+}
+
+#[derive(Clone, Debug)]
+pub(super) struct TraceNoise {
+    /// Per trace and point, mm.
+    pub(super) sigma_mm: Vec<Vec<f64>>,
+    pub(super) source: LengthSigmaSource,
+    /// Degrees of freedom of an estimate; `None` if it is known.
+    pub(super) freedom: Option<f64>,
+}
+
+impl TraceNoise {
+    pub(super) fn mean(&self) -> f64 {
+        let count = self.sigma_mm.iter().map(Vec::len).sum::<usize>().max(1);
+        self.sigma_mm.iter().flatten().sum::<f64>() / count as f64
+    }
+
+    /// Ratio of the 95 % quantiles of Student's t and the normal distribution.
+    pub(super) fn student(&self) -> f64 {
+        // Abramowitz and Stegun 26.7.5. 1 % too small at three degrees of freedom.
+        let [one, two, three] = [1.210_4, 1.440_1, 1.304];
+        self.freedom.map_or(1.0, |freedom| {
+            let f = freedom.max(3.0);
+            1.0 + (one + (two + three / f) / f) / f
+        })
+    }
+}
+
+/// The given uncertainty, else that of the points but at least the difference of repeated passes, else that difference,
+/// else the scatter between neighbours.
+pub(super) fn estimate_noise(traces: &[CircleTrace], rays: &RadialTraces, given: Option<f64>) -> TraceNoise {
+    let all = |sigma: f64| traces.iter().map(|trace| vec![sigma; trace.points.len()]).collect();
+    if let Some(sigma) = given {
+        return TraceNoise { sigma_mm: all(sigma), source: LengthSigmaSource::Given, freedom: None };
+    }
+    let repeated = repeated(traces, rays);
+    let own: Option<Vec<Vec<f64>>> =
+        traces.iter().map(|trace| trace.points.iter().map(|point| point.sigma_mm).collect()).collect();
+    let Some(mut sigma_mm) = own else {
+        let (source, scatter) = match repeated {
+            Some(repeated) => (LengthSigmaSource::Passes, repeated),
+            None => (LengthSigmaSource::Neighbours, neighbours(traces, rays)),
+        };
+        return TraceNoise { sigma_mm: all(scatter.sigma_mm), source, freedom: Some(scatter.freedom) };
+    };
+    let Some(LengthScatter { sigma_mm: least_mm, freedom }) = repeated else {
+        return TraceNoise { sigma_mm, source: LengthSigmaSource::Lengths, freedom: None };
+    };
+    sigma_mm.iter_mut().flatten().for_each(|sigma| *sigma = sigma.max(least_mm));
+    TraceNoise { sigma_mm, source: LengthSigmaSource::LengthsAndPasses, freedom: Some(freedom) }
+}
+
+/// Indices of the points in the order of their angles.
+fn by_angle(trace: &CircleTrace) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..trace.points.len()).collect();
+    let angle = |at: usize| trace.points[at].angle_deg.rem_euclid(360.0);
+    order.sort_by(|&a, &b| angle(a).total_cmp(&angle(b)));
+    order
+}
+
+/// Standard deviation between passes in the same sense at the same angles; `None` without such passes.
+fn repeated(traces: &[CircleTrace], rays: &RadialTraces) -> Option<LengthScatter> {
+    let (mut squares, mut freedom) = (0.0, 0);
+    for sense in [CircleSense::CounterClockwise, CircleSense::Clockwise] {
+        let passes: Vec<(usize, Vec<usize>)> = (0..traces.len())
+            .filter(|&at| traces[at].sense == sense)
+            .map(|at| (at, by_angle(&traces[at])))
+            .collect();
+        let Some((first, order)) = passes.first() else { continue };
+        let same = |(other, theirs): &(usize, Vec<usize>)| {
+            theirs.len() == order.len()
+                && order.iter().zip(theirs).all(|(&a, &b)| {
+                    (traces[*first].points[a].angle_deg - traces[*other].points[b].angle_deg).abs() < 1e-6
+                })
+        };
+        if passes.len() < 2 || !passes.iter().all(same) {
+            continue;
+        }
+        for place in 0..order.len() {
+            let values = || passes.iter().map(|(at, order)| rays.deviation(*at, order[place]));
+            let mean = values().sum::<f64>() / passes.len() as f64;
+            squares += values().map(|value| (value - mean).powi(2)).sum::<f64>();
+            freedom += passes.len() - 1;
+        }
+    }
+    (freedom > 0)
+        .then(|| LengthScatter { sigma_mm: (squares / freedom as f64).sqrt(), freedom: freedom as f64 })
+}
+
+/// Robust scatter of second differences between neighbours. On a sparse circle it includes the form.
+fn neighbours(traces: &[CircleTrace], rays: &RadialTraces) -> LengthScatter {
+    /// Degrees of freedom per second difference: the median has 0.37 of the efficiency of the variance, and the
+    /// correlations of neighbours, -2/3 and 1/6, cost a factor 1 + 2 (4/9 + 1/36).
+    const FREEDOM: f64 = 0.19;
+    let mut second = differences(traces, rays, [1.0, -2.0, 1.0]);
+    let freedom = FREEDOM * second.len() as f64;
+    LengthScatter { sigma_mm: SIGMA_OF_MAD * median(&mut second).unwrap_or(0.0), freedom }
+}
+
+/// Robust scatter of fourth differences, which include less of the form, mm.
+pub(super) fn without_form(traces: &[CircleTrace], rays: &RadialTraces) -> f64 {
+    let mut fourth = differences(traces, rays, [1.0, -4.0, 6.0, -4.0, 1.0]);
+    SIGMA_OF_MAD * median(&mut fourth).unwrap_or(0.0)
+}
+
+/// Magnitudes of weighted differences of neighbours, scaled to the variance of a single length.
+fn differences<const N: usize>(traces: &[CircleTrace], rays: &RadialTraces, weights: [f64; N]) -> Vec<f64> {
+    let norm = weights.iter().map(|weight| weight * weight).sum::<f64>().sqrt();
+    let mut found: Vec<f64> = Vec::new();
+    for (at, trace) in traces.iter().enumerate() {
+        let values: Vec<f64> = by_angle(trace).into_iter().map(|point| rays.deviation(at, point)).collect();
+        let sum = |near: &[f64]| near.iter().zip(&weights).map(|(value, weight)| value * weight).sum::<f64>();
+        found.extend(values.windows(N).map(|near| sum(near).abs() / norm));
+    }
+    found
+}

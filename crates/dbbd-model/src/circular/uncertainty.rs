@@ -1,0 +1,199 @@
+//! Uncertainty. G, F and H are extremes, for which the law of propagation does not hold: Monte Carlo (GUM Supplement
+//! 1). Centre and radius are linear in the lengths and follow from the fit.
+//!
+//! The Monte Carlo draws about a smoothed form of the circle. If it drew about the lengths, an extreme that noise has
+//! raised would be raised again, and the noise would seem to add least where it has added most. Only the intervals use
+//! the smoothed form.
+
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+use super::fit::{RadialMeasurement, fit_circle};
+use super::noise::TraceNoise;
+use super::quantities::{FacingTraces, FitConditions, QuantityValues, RadialTraces, evaluate};
+use super::zone::outermost;
+use super::{CircularSettings, QUANTITY_NAMES, TRACE_NAMES};
+
+/// Of traces with more points only the outermost are drawn.
+const MANY: usize = 4000;
+const SHARE: f64 = 0.95;
+/// Coverage factor of 95 % of a normal distribution.
+const NORMAL: f64 = 1.96;
+/// Quantities that are not negative.
+const WIDTHS: [&str; 4] = ["G_lsc", "G_mzc", "Gb", "H"];
+
+/// The half widths of the 95 % intervals of the values of [`QuantityValues::row`], mm; `None` without draws.
+pub(super) fn u95(
+    rays: &RadialTraces,
+    values: &QuantityValues,
+    allowed: FitConditions,
+    noise: &TraceNoise,
+    settings: &CircularSettings,
+) -> Option<Vec<f64>> {
+    if settings.draws < 2 {
+        return None;
+    }
+    let (base, sigma_mm, left) = if rays.traces.iter().any(|trace| trace.len() > MANY) {
+        let (few, sigma_mm) = outermost_of(rays, noise);
+        (few, sigma_mm, 1.0)
+    } else {
+        let (traces, left) = smoothed(rays, &noise.sigma_mm);
+        let base = RadialTraces { traces, pairs: rays.pairs.clone(), centre: rays.centre };
+        (base, noise.sigma_mm.clone(), left)
+    };
+    let drawn = draw_noise(&base, &sigma_mm, allowed, settings)?;
+    let student = noise.student();
+    let mut u95: Vec<f64> =
+        drawn.into_iter().map(|mut added| student * half_width(&mut added, left)).collect();
+    // A width that noise alone can cause may be zero.
+    let few = CircularSettings { draws: settings.draws / 4 + 1, ..*settings };
+    let alone = draw_noise(&round(&base), &sigma_mm, allowed, &few)?;
+    let names = QUANTITY_NAMES.iter().chain(TRACE_NAMES.iter().cycle());
+    for (((u95, value), mut alone), name) in u95.iter_mut().zip(values.row()).zip(alone).zip(names) {
+        if WIDTHS.contains(name) && value <= student * within(&mut alone) {
+            *u95 = u95.max(value);
+        }
+    }
+    let mut linear = |names: &[&str], first: usize, rays: &[RadialMeasurement], sigma_mm: &[f64]| {
+        let deviations = fitted(rays, sigma_mm, settings.bar_u_mm);
+        for (name, sd) in ["x", "y", "D"].into_iter().zip(deviations) {
+            if let Some(at) = names.iter().position(|known| *known == name) {
+                u95[first + at] = student * NORMAL * sd;
+            }
+        }
+    };
+    linear(&QUANTITY_NAMES, 0, &rays.traces.concat(), &noise.sigma_mm.concat());
+    for (at, (rays, sigma_mm)) in rays.traces.iter().zip(&noise.sigma_mm).enumerate() {
+        linear(&TRACE_NAMES, QUANTITY_NAMES.len() + at * TRACE_NAMES.len(), rays, sigma_mm);
+    }
+    Some(u95)
+}
+
+/// Candidate numbers of neighbours on either side for the smoothing.
+const REACHES: [usize; 8] = [0, 1, 2, 3, 4, 6, 8, 12];
+
+/// The traces with their deviations replaced by means over neighbours, and the share of the variance of the noise that
+/// is left. The number of neighbours has the least expected squared error by Stein's unbiased estimate.
+fn smoothed(rays: &RadialTraces, sigma_mm: &[Vec<f64>]) -> (Vec<Vec<RadialMeasurement>>, f64) {
+    let RadialTraces { traces, centre, .. } = rays;
+    let deviations: Vec<Vec<f64>> =
+        traces.iter().map(|trace| trace.iter().map(|ray| ray.deviation(*centre)).collect()).collect();
+    let mut best = (f64::INFINITY, 0, 1.0);
+    for reach in REACHES {
+        let (mut risk, mut left, mut count) = (0.0, 0.0, 0.0);
+        for (deviations, sigma_mm) in deviations.iter().zip(sigma_mm) {
+            for ((at, deviation), sigma) in deviations.iter().enumerate().zip(sigma_mm) {
+                let (mean, weight) = mean(deviations, at, reach);
+                risk += (deviation - mean).powi(2) + 2.0 * sigma * sigma * weight;
+                left += weight;
+                count += 1.0;
+            }
+        }
+        if risk < best.0 {
+            best = (risk, reach, left / count);
+        }
+    }
+    let (_, reach, left) = best;
+    let traces = traces
+        .iter()
+        .zip(&deviations)
+        .map(|(trace, deviations)| {
+            let smooth = |(at, ray): (usize, &RadialMeasurement)| {
+                let length_mm = ray.length_mm - deviations[at] + mean(deviations, at, reach).0;
+                RadialMeasurement { length_mm, ..*ray }
+            };
+            trace.iter().enumerate().map(smooth).collect()
+        })
+        .collect();
+    (traces, left)
+}
+
+/// The mean over a point and its neighbours, and the weight of each.
+fn mean(values: &[f64], at: usize, reach: usize) -> (f64, f64) {
+    let reach = reach.min(at).min(values.len() - 1 - at);
+    let weight = 1.0 / (2 * reach + 1) as f64;
+    (values[at - reach..=at + reach].iter().sum::<f64>() * weight, weight)
+}
+
+/// What each draw of noise adds to each value, mm; `None` if the points determine no circle.
+fn draw_noise(
+    base: &RadialTraces,
+    sigma_mm: &[Vec<f64>],
+    allowed: FitConditions,
+    settings: &CircularSettings,
+) -> Option<Vec<Vec<f64>>> {
+    let nominal: Vec<f64> = evaluate(base, allowed)?.row().collect();
+    let mut random = Pcg64::seed_from_u64(settings.seed);
+    let mut added: Vec<Vec<f64>> = vec![Vec::with_capacity(settings.draws); nominal.len()];
+    let mut drawn = base.clone();
+    for _ in 0..settings.draws {
+        let bar: f64 = StandardNormal.sample(&mut random);
+        let common = settings.bar_u_mm * bar;
+        for ((to, from), sigma) in drawn.traces.iter_mut().zip(&base.traces).zip(sigma_mm) {
+            for ((to, from), sigma) in to.iter_mut().zip(from).zip(sigma) {
+                let error: f64 = StandardNormal.sample(&mut random);
+                to.length_mm = from.length_mm + common + sigma * error;
+            }
+        }
+        let Some(values) = evaluate(&drawn, allowed) else { continue };
+        for ((added, value), nominal) in added.iter_mut().zip(values.row()).zip(&nominal) {
+            added.push(value - nominal);
+        }
+    }
+    Some(added)
+}
+
+/// The half width from what the draws of noise added to a value. Noise increases extremes in proportion to its standard
+/// deviation. The smoothed form still has the share `left` of the variance of the noise, so a part of the bias is there
+/// before the draw, which shows only sqrt(1 + left) - sqrt(left) of it. NaN if a draw is not a number.
+fn half_width(added: &mut [f64], left: f64) -> f64 {
+    if added.is_empty() || added.iter().any(|value| value.is_nan()) {
+        return f64::NAN;
+    }
+    let count = added.len();
+    let mean = added.iter().sum::<f64>() / count as f64;
+    let unseen = mean / ((1.0 + left).sqrt() - left.sqrt()) - mean;
+    added.iter_mut().for_each(|value| *value = (*value + unseen).abs());
+    within(added)
+}
+
+/// The 95th percentile; NaN without values.
+fn within(values: &mut [f64]) -> f64 {
+    let at = ((SHARE * values.len() as f64).ceil() as usize).clamp(1, values.len().max(1)) - 1;
+    if at < values.len() { *values.select_nth_unstable_by(at, f64::total_cmp).1 } else { f64::NAN }
+}
+
+/// The rays without any deviation.
+fn round(rays: &RadialTraces) -> RadialTraces {
+    let mut round = rays.clone();
+    round.traces.iter_mut().flatten().for_each(|ray| ray.length_mm = ray.reach(rays.centre).0);
+    round
+}
+
+/// Standard uncertainties of x, y and D of the fitted circle, mm. `bar_mm` is common to all lengths and affects D only.
+fn fitted(rays: &[RadialMeasurement], sigma_mm: &[f64], bar_mm: f64) -> [f64; 3] {
+    let Some(circle) = fit_circle(rays.iter().copied()) else { return [f64::NAN; 3] };
+    let mut variance = [0.0, 0.0, bar_mm * bar_mm];
+    for (ray, sigma) in rays.iter().zip(sigma_mm) {
+        let [x, y] = ray.reach(circle.centre).1;
+        let change = circle.covariance * Vector3::new(-x, -y, 1.0);
+        variance.iter_mut().zip(&change).for_each(|(sum, change)| *sum += (sigma * change).powi(2));
+    }
+    variance.map(f64::sqrt)
+}
+
+fn outermost_of(rays: &RadialTraces, noise: &TraceNoise) -> (RadialTraces, Vec<Vec<f64>>) {
+    let pairs = rays.pairs.iter().map(FacingTraces::unresolved).collect();
+    let mut few = RadialTraces { traces: Vec::new(), pairs, centre: rays.centre };
+    let mut sigma_mm = Vec::new();
+    for (trace, sigma) in rays.traces.iter().zip(&noise.sigma_mm) {
+        let mut chosen: Vec<usize> =
+            if trace.len() > MANY { outermost(trace, rays.centre) } else { (0..trace.len()).collect() };
+        chosen.dedup();
+        few.traces.push(chosen.iter().map(|&at| trace[at]).collect());
+        sigma_mm.push(chosen.iter().map(|&at| sigma[at]).collect());
+    }
+    (few, sigma_mm)
+}

@@ -1,0 +1,376 @@
+//! The interim check of a calibrated robot: what changed, the position uncertainty now, and the decision.
+
+use nalgebra::{DMatrix, DVector};
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+use serde::Serialize;
+
+use super::decision::{ConformityDecision, DecisionRule, decide};
+use crate::conformity::ConformityFinding;
+use crate::estimation::change::{
+    ChangeTest, CheckPower, Detectable, FALSE_ALARM, Hypothesis, Innovation, POWER,
+};
+use crate::estimation::expected::{BallMounting, Expected, FREE_BALL_MM, Mounting};
+use crate::estimation::result::MapPoint;
+use crate::estimation::{ErrorSummary, LengthNoise, Posterior, Workspace, length_sd_mm};
+use crate::math::distributions::chi_square_tail;
+use crate::measurement::{LengthModel, Measurements, PreparedMeasurement};
+use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, RobotPosterior, RobotUncertainty};
+
+/// Least number of lengths beyond those that determine the base balls.
+pub const MIN_DOF: usize = 4;
+/// Monte Carlo draws of the robot for the position uncertainty, and their seed.
+const DRAWS: usize = 400;
+const UNCERTAINTY_DRAWS_SEED: u64 = 1;
+/// A hypothesis explains the innovation badly if the rest has a smaller p-value.
+const BADLY_EXPLAINED: f64 = 1e-3;
+/// A base ball that is farther from its calibrated position is not the same mounting, mm: positions are stated to
+/// centimetres.
+const MAX_BALL_SHIFT_MM: f64 = 50.0;
+/// An innovation that is this improbably small contradicts the standard deviation of the lengths.
+const TOO_GOOD: f64 = 1e-4;
+
+#[derive(Clone, Copy)]
+pub struct CheckInput<'a> {
+    /// The calibrated robot with its posterior.
+    pub robot: &'a Robot,
+    /// Its geometry, with the base balls of the check.
+    pub start: &'a LengthModel,
+    pub readings: &'a [PreparedMeasurement],
+    pub bars: usize,
+    /// Standard deviation of a length, mm: noise, repeatability and model error.
+    pub sigma_mm: f64,
+    pub mounting: Mounting,
+    pub tolerance_mm: Option<f64>,
+    pub rule: DecisionRule,
+    /// Axis vectors (rad) over which the position error is evaluated.
+    pub workspace: &'a [[f64; AXES]],
+}
+
+/// The standard deviation of the lengths according to the data and the robot's repeatability, mm, if either states one.
+pub fn own_sigma_mm(observations: &Measurements, robot: &Robot) -> Option<f64> {
+    let squares = observations.rows.iter().map(|row| row.sigma_mm.map(|sigma| sigma * sigma));
+    let bar = squares.sum::<Option<f64>>().map(|sum| (sum / observations.rows.len() as f64).sqrt());
+    bar.or(robot.repeatability_sd_mm().map(|_| 0.0)).map(|bar| length_sd_mm(bar, robot))
+}
+
+/// The standard deviation of the lengths of a check, mm: at least that of the calibration, which includes the model
+/// error.
+pub fn sigma_mm(own: Option<f64>, of_calibration: Option<f64>) -> Result<f64, ConformityFinding> {
+    let sigma_mm = own.into_iter().chain(of_calibration).reduce(f64::max);
+    sigma_mm.filter(|mm| *mm > 0.0).ok_or(ConformityFinding::NoNoise)
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct InterimCheck {
+    pub schema: u32,
+    pub robot: String,
+    pub lengths: usize,
+    pub sigma_mm: f64,
+    #[serde(flatten)]
+    pub decision: ConformityDecision,
+    pub test: ChangeTest,
+    /// The probable changes, the likeliest first; empty if the test finds no change.
+    pub changes: Vec<Hypothesis>,
+    /// Probability that nothing changed.
+    pub unchanged_probability: f64,
+    pub predicted_position_uncertainty_mm: CheckUncertainty,
+    pub detectable: Vec<Detectable>,
+    /// The 95th percentile of the position error over the poses, for each drawn robot, ascending, mm.
+    #[serde(skip)]
+    pub position_errors_mm: Vec<f64>,
+    /// Position uncertainty over the workspace after the check.
+    #[serde(skip)]
+    pub map: Vec<MapPoint>,
+    #[serde(skip)]
+    pub findings: Vec<ConformityFinding>,
+    #[serde(skip)]
+    update: Option<Robot>,
+}
+
+/// Predicted position uncertainty over the workspace, mm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct CheckUncertainty {
+    /// After the calibration.
+    pub calibrated: ErrorSummary,
+    /// Of the robot file, after this check.
+    pub now: ErrorSummary,
+    /// Of the robot that this check updates; `None` if nothing changed.
+    pub updated: Option<ErrorSummary>,
+}
+
+impl CheckInput<'_> {
+    pub fn check(&self) -> Result<InterimCheck, ConformityFinding> {
+        let known = self.known()?;
+        let expected = Expected::new(&known, self.bars, self.mounting);
+        self.enough()?;
+        let innovation =
+            Innovation::of(&expected, self.readings, self.noise()).ok_or(ConformityFinding::NotFinite)?;
+        let (test, hypotheses) = (innovation.test(), innovation.hypotheses());
+        let position = CheckWorkspace::new(self, &known);
+        let now = position.now(&expected, &hypotheses, self).ok_or(ConformityFinding::NotFinite)?;
+        let calibrated = position.of(&known, 1.0);
+        let nothing = |hypothesis: &&Hypothesis| hypothesis.parameters.is_empty();
+        let unchanged = hypotheses.iter().find(nothing).map_or(0.0, |hypothesis| hypothesis.probability);
+        let mut changes = hypotheses;
+        changes.retain(|hypothesis| test.changed && !hypothesis.parameters.is_empty());
+        let updated = match changes.first() {
+            Some(likeliest) => Some(self.updated(&expected, likeliest).ok_or(ConformityFinding::NotFinite)?),
+            None => None,
+        };
+        let of_workspace = |errors: &DMatrix<f64>| ErrorSummary::of(&position.moved(errors));
+        let least_mm = self.least_tolerance(&expected, &position).ok_or(ConformityFinding::NotFinite)?;
+        let undecidable = self.tolerance_mm.is_some_and(|tolerance| tolerance < least_mm);
+        let position_errors_mm = position.sizes(&now);
+        let mut decision = decide(&position_errors_mm, self.tolerance_mm, self.rule, test.changed);
+        // If lengths that agree with the robot would fail as well, only a change is evidence of failure.
+        if undecidable && !test.changed {
+            decision = decision.failure_as_undecided();
+        }
+        Ok(InterimCheck {
+            schema: 1,
+            robot: self.robot.name.clone(),
+            lengths: self.readings.len(),
+            sigma_mm: self.sigma_mm,
+            findings: self.findings(undecidable.then_some(least_mm), &test, &changes),
+            decision,
+            test,
+            position_errors_mm,
+            unchanged_probability: unchanged,
+            predicted_position_uncertainty_mm: CheckUncertainty {
+                calibrated: of_workspace(&calibrated),
+                now: of_workspace(&now),
+                updated: updated.as_ref().map(|posterior| of_workspace(&position.of(posterior, 1.0))),
+            },
+            detectable: innovation.detectable(),
+            map: position.workspace.map(&position.moved(&now)),
+            update: updated.and_then(|posterior| self.robot_of(&posterior, &known)),
+            changes,
+        })
+    }
+
+    /// The power of a check with lengths at these poses, before they are measured.
+    pub fn power(&self) -> Result<CheckPower, ConformityFinding> {
+        let expected = self.expected()?;
+        self.enough()?;
+        let foreseen = Innovation::foreseen(&expected, self.readings, self.noise());
+        let position = CheckWorkspace::new(self, &self.known()?);
+        let least = self.least_tolerance(&expected, &position);
+        let (foreseen, least_tolerance_mm) = foreseen.zip(least).ok_or(ConformityFinding::NotFinite)?;
+        Ok(CheckPower {
+            lengths: self.readings.len(),
+            sigma_mm: self.sigma_mm,
+            false_alarm: FALSE_ALARM,
+            power: POWER,
+            detectable: foreseen.detectable(),
+            tolerance_mm: self.tolerance_mm,
+            least_tolerance_mm,
+        })
+    }
+
+    /// The state of the robot before the check.
+    pub fn expected(&self) -> Result<Expected, ConformityFinding> {
+        Ok(Expected::new(&self.known()?, self.bars, self.mounting))
+    }
+
+    pub fn noise(&self) -> LengthNoise<'_> {
+        LengthNoise::of(self.sigma_mm, self.robot.uncertainty.as_deref())
+    }
+
+    /// The model of the robot file with base balls and bar fitted to the lengths.
+    pub fn set_up(&self) -> Option<LengthModel> {
+        let balls = (0..self.start.balls.len()).flat_map(|ball| {
+            Coordinate::ALL.map(|axis| (ParamId::Ball(BallId::at(ball), axis), FREE_BALL_MM))
+        });
+        let bars = (0..self.bars).map(|bar| (ParamId::BarOffset(BarId::at(bar)), self.mounting.bar_mm));
+        let (ids, sd): (Vec<ParamId>, Vec<f64>) = balls.chain(bars).unzip();
+        let found = Posterior::new(self.start.clone(), &ids, &sd).learn(self.readings, self.sigma_mm)?;
+        Some(found.model)
+    }
+
+    /// The smallest tolerance at which lengths that agree with the calibrated robot pass.
+    fn least_tolerance(&self, expected: &Expected, position: &CheckWorkspace) -> Option<f64> {
+        let best = expected.posterior.after(self.readings, self.noise())?;
+        let best = decide(&position.sizes(&position.of(&best, 1.0)), None, self.rule, false);
+        Some(if self.rule == DecisionRule::SimpleAcceptance { best.position_error_mm } else { best.upper_mm })
+    }
+
+    /// The posterior of the calibration.
+    fn known(&self) -> Result<Posterior, ConformityFinding> {
+        let robot = || self.robot.name.clone();
+        let Some(known) = &self.robot.posterior else {
+            return Err(ConformityFinding::NoPosterior { robot: robot() });
+        };
+        if !known.is_of(&self.robot.geometry) {
+            return Err(ConformityFinding::PosteriorOfAnother { robot: robot() });
+        }
+        let (mut start, unknown) = (self.start.clone(), self.robot.uncertainty.as_deref());
+        if !matches!(self.mounting.balls, BallMounting::Kept(_)) {
+            return Ok(Posterior::of_robot(start, known, unknown));
+        }
+        for (at, place) in start.balls.iter_mut().enumerate() {
+            let ball = BallId::at(at);
+            let kept =
+                known.ball(ball).ok_or_else(|| ConformityFinding::BallUnknown { ball: ball.number() })?;
+            let away_mm = (*place - kept).norm();
+            if away_mm > MAX_BALL_SHIFT_MM {
+                return Err(ConformityFinding::BallElsewhere { ball: ball.number(), away_mm });
+            }
+            *place = kept;
+        }
+        Ok(Posterior::of_robot_with_balls(start, known, unknown))
+    }
+
+    fn enough(&self) -> Result<(), ConformityFinding> {
+        let (lengths, least) = (self.readings.len(), 3 * self.start.balls.len() + MIN_DOF);
+        if lengths < least { Err(ConformityFinding::TooFewLengths { lengths, least }) } else { Ok(()) }
+    }
+
+    /// The posterior under a hypothesis.
+    fn updated(&self, expected: &Expected, hypothesis: &Hypothesis) -> Option<Posterior> {
+        let parameters = [hypothesis.parameters.as_slice(), &hypothesis.alike].concat();
+        expected.changed(&parameters).posterior.learn(self.readings, self.noise())
+    }
+
+    fn robot_of(&self, found: &Posterior, known: &Posterior) -> Option<Robot> {
+        let geometry = found.model.geometry.clone();
+        let before = self.robot.posterior.as_ref()?;
+        let balls = found.ids().iter().copied().filter(|id| matches!(id, ParamId::Ball(..)));
+        let with_balls = |ids: &[ParamId]| -> Vec<ParamId> {
+            let own = ids.iter().copied().filter(|id| !matches!(id, ParamId::Ball(..)));
+            own.chain(balls.clone()).collect()
+        };
+        let own: Vec<usize> = places(found, &with_balls(before.ids())).collect();
+        let ids: Vec<ParamId> = own.iter().map(|at| found.ids()[*at]).collect();
+        let root = found.root().select_rows(&own);
+        let posterior = RobotPosterior::with_balls(&ids, &geometry, &found.model.balls, &root)?;
+        let after = |unknown: &RobotUncertainty| {
+            let parameters = with_balls(known.ids());
+            let root = found.root().select_rows(&rows_of(found, &parameters));
+            RobotUncertainty { parameters, root, ..unknown.clone() }
+        };
+        let uncertainty = self.robot.uncertainty.as_deref().map(|unknown| Box::new(after(unknown)));
+        Some(Robot { geometry, posterior: Some(posterior), uncertainty, ..self.robot.clone() })
+    }
+
+    fn findings(
+        &self,
+        undecidable: Option<f64>,
+        test: &ChangeTest,
+        changes: &[Hypothesis],
+    ) -> Vec<ConformityFinding> {
+        let mut findings = Vec::new();
+        if self.mounting.balls == BallMounting::Anywhere {
+            findings.push(ConformityFinding::BallsNotTested);
+        }
+        if let Some((tolerance_mm, best_mm)) = self.tolerance_mm.zip(undecidable) {
+            findings.push(ConformityFinding::Undecidable { tolerance_mm, best_mm });
+        }
+        let unexplained = changes.first().is_none_or(|likeliest| likeliest.p_rest < BADLY_EXPLAINED);
+        if chi_square_tail(test.chi_square, test.freedom as f64) > 1.0 - TOO_GOOD {
+            let ChangeTest { chi_square, freedom, .. } = *test;
+            findings.push(ConformityFinding::TooGood { chi_square, freedom });
+        }
+        if test.changed && unexplained {
+            findings.push(ConformityFinding::NotExplained { p: test.p });
+        }
+        findings
+    }
+}
+
+impl InterimCheck {
+    /// The robot with the changed parameters identified again; `None` if nothing changed or no hypothesis explains the
+    /// lengths.
+    pub fn update(&self) -> Option<&Robot> {
+        self.update.as_ref().filter(|_| self.is_explained())
+    }
+
+    /// Whether a change of few parameters explains the lengths.
+    pub fn is_explained(&self) -> bool {
+        let is_unexplained =
+            |finding: &ConformityFinding| matches!(finding, ConformityFinding::NotExplained { .. });
+        !self.findings.iter().any(is_unexplained)
+    }
+}
+
+/// The rows of the root for these parameters, then for the joint error coefficients.
+fn rows_of(posterior: &Posterior, ids: &[ParamId]) -> Vec<usize> {
+    places(posterior, ids).chain(posterior.ids().len()..posterior.root().nrows()).collect()
+}
+
+/// The rows of the root for these parameters, as far as it has them.
+fn places(posterior: &Posterior, ids: &[ParamId]) -> impl Iterator<Item = usize> {
+    ids.iter().filter_map(|id| posterior.ids().iter().position(|other| other == id))
+}
+
+/// The values of these parameters in a model, then of the joint error coefficients that the posterior has.
+fn values(posterior: &Posterior, ids: &[ParamId], model: &LengthModel) -> DVector<f64> {
+    let coefficients = model.geometry.joint_errors.coefficients().into_iter().take(posterior.coefficients());
+    DVector::from_vec(ids.iter().map(|id| model.value(*id)).chain(coefficients).collect())
+}
+
+/// The workspace over which position errors are evaluated.
+struct CheckWorkspace {
+    workspace: Workspace,
+    start: LengthModel,
+}
+
+impl CheckWorkspace {
+    fn new(check: &CheckInput<'_>, known: &Posterior) -> Self {
+        let geometry = &check.robot.geometry;
+        let workspace = if known.coefficients() > 0 {
+            Workspace::with_joint_errors(geometry, check.workspace, known.ids())
+        } else {
+            Workspace::new(geometry, check.workspace, known.ids())
+        };
+        Self { workspace, start: known.model.clone() }
+    }
+
+    /// Draws of the parameter errors of `posterior`, a column each; `share` of all draws.
+    fn of(&self, posterior: &Posterior, share: f64) -> DMatrix<f64> {
+        let ids: &[ParamId] = self.workspace.ids();
+        let rows = rows_of(posterior, ids);
+        let draws = (share * DRAWS as f64).round() as usize;
+        let mut random = Pcg64::seed_from_u64(UNCERTAINTY_DRAWS_SEED);
+        let root = posterior.root().select_rows(&rows);
+        let normal = DMatrix::from_fn(root.ncols(), draws, |_, _| StandardNormal.sample(&mut random));
+        root * normal
+    }
+
+    /// Draws of the parameter errors of the robot file after the check, over all hypotheses by their probability.
+    fn now(
+        &self,
+        expected: &Expected,
+        hypotheses: &[Hypothesis],
+        of: &CheckInput<'_>,
+    ) -> Option<DMatrix<f64>> {
+        let ids = self.workspace.ids();
+        let mut columns = Vec::new();
+        for hypothesis in hypotheses {
+            if hypothesis.probability * (DRAWS as f64) < 0.5 {
+                continue;
+            }
+            let posterior =
+                expected.changed(&hypothesis.parameters).posterior.learn(of.readings, of.noise())?;
+            let mean = values(&posterior, ids, &posterior.model) - values(&posterior, ids, &self.start);
+            let drawn = self.of(&posterior, hypothesis.probability);
+            columns.extend(drawn.column_iter().map(|column| column + &mean));
+        }
+        Some(DMatrix::from_columns(&columns))
+    }
+
+    fn moved(&self, errors: &DMatrix<f64>) -> DMatrix<f64> {
+        self.workspace.displacements(errors)
+    }
+
+    /// The 95th percentile of the position error over the poses, for each draw, ascending, mm.
+    fn sizes(&self, errors: &DMatrix<f64>) -> Vec<f64> {
+        let moved = self.moved(errors);
+        let mut sizes: Vec<f64> = (0..moved.ncols())
+            .map(|draw| ErrorSummary::of(&moved.columns(draw, 1).into_owned()).p95)
+            .collect();
+        sizes.sort_by(f64::total_cmp);
+        sizes
+    }
+}

@@ -1,0 +1,137 @@
+//! Candidate poses on a sphere about a base ball, within all limits.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+use crate::estimation::expected::Expected;
+use crate::estimation::{Posterior, Workspace};
+use crate::robot::inverse::{branches, status, turns_within};
+use crate::robot::{AXES, BallId, Geometry, Pose, Robot};
+
+/// Drawn poses per candidate after which the search ends.
+const PATIENCE: u32 = 30;
+
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate {
+    pub ball: BallId,
+    /// The controller's axis angles, rad, including full turns.
+    pub axes: [f64; AXES],
+    /// Of the tool ball.
+    pub pose: Pose,
+}
+
+/// Restricts the orientations of the tool.
+#[derive(Clone, Copy, Debug)]
+pub struct Near {
+    pub orientation: Matrix3<f64>,
+    /// Half of the poses are rotated from it by a uniform angle up to this, rad. If it is 0, all poses have the orientation.
+    pub angle_rad: f64,
+}
+
+impl Near {
+    /// Half of the poses within 40 degrees.
+    pub fn about(orientation: Matrix3<f64>) -> Self {
+        Self { orientation, angle_rad: 0.7 }
+    }
+
+    pub fn exactly(orientation: Matrix3<f64>) -> Self {
+        Self { orientation, angle_rad: 0.0 }
+    }
+}
+
+/// The sphere about a base ball on which the tool ball is, and the arm that moves it there.
+#[derive(Clone, Copy)]
+pub struct Sphere<'a> {
+    pub arm: &'a Geometry,
+    /// The robot with the axis limits.
+    pub controller: &'a Robot,
+    pub id: BallId,
+    pub ball: Vector3<f64>,
+    pub radius_mm: f64,
+    /// By default all orientations are equally probable.
+    pub near: Option<&'a Near>,
+}
+
+impl Sphere<'_> {
+    /// Poses in random directions that `allows` accepts, in random order. All are in one configuration of the arm: that with
+    /// most poses.
+    pub fn candidates(
+        &self,
+        count: usize,
+        seed: u64,
+        allows: impl Fn(&[f64; AXES]) -> bool,
+    ) -> Vec<Candidate> {
+        let mut random = Pcg64::seed_from_u64(seed);
+        let mut by_branch: [Vec<Candidate>; 8] = Default::default();
+        let mut left = PATIENCE.saturating_mul(u32::try_from(count).unwrap_or(u32::MAX));
+        while left > 0 && by_branch.iter().all(|found| found.len() < count) {
+            left -= 1;
+            let pose = self.draw(&mut random, left.is_multiple_of(2));
+            for axes in branches(self.arm, &pose).unwrap_or_default() {
+                let turned = turns_within(&axes, self.controller)
+                    .into_iter()
+                    .min_by(|a, b| largest(a).total_cmp(&largest(b)));
+                if let Some(axes) = turned.filter(|axes| allows(axes)) {
+                    let branch = usize::from(status(self.arm, &axes) & 7);
+                    by_branch[branch].push(Candidate { ball: self.id, axes, pose });
+                }
+            }
+        }
+        let mut most = by_branch.into_iter().max_by_key(Vec::len).unwrap_or_default();
+        most.truncate(count);
+        for i in (1..most.len()).rev() {
+            most.swap(i, random.random_range(0..=i));
+        }
+        most
+    }
+
+    /// A pose in a random direction. `half` says whether it belongs to the half that [`Near::angle_rad`] restricts.
+    fn draw(&self, random: &mut Pcg64, half: bool) -> Pose {
+        let mut normal = || -> f64 { StandardNormal.sample(random) };
+        let direction = Vector3::new(normal(), normal(), normal()).normalize();
+        let axis = Vector3::new(normal(), normal(), normal());
+        let turn = Quaternion::new(axis.x, axis.y, axis.z, normal());
+        let rotation = match self.near {
+            Some(near) if near.angle_rad <= 0.0 => near.orientation,
+            Some(near) if half => {
+                let angle = random.random_range(0.0..near.angle_rad);
+                near.orientation * Rotation3::from_scaled_axis(axis.normalize() * angle).matrix()
+            }
+            _ => *UnitQuaternion::from_quaternion(turn).to_rotation_matrix().matrix(),
+        };
+        Pose { rotation, position: self.ball + direction * self.radius_mm }
+    }
+}
+
+/// The largest axis angle in magnitude, rad.
+pub fn largest(axes: &[f64; AXES]) -> f64 {
+    axes.iter().map(|angle| angle.abs()).fold(0.0, f64::max)
+}
+
+/// The whitened design rows of candidates for an [`super::Exchange`]: a column each, in the coordinates of the posterior's
+/// root.
+pub fn design_rows(posterior: &Posterior, candidates: &[Candidate], sigma_mm: f64) -> DMatrix<f64> {
+    let row = |candidate: &Candidate| posterior.design_row(&candidate.axes, candidate.ball) / sigma_mm;
+    columns(posterior.root().ncols(), candidates.iter().map(row))
+}
+
+/// The whitened effects of typical changes for an [`super::Exchange`]: a column a candidate.
+pub fn change_rows(expected: &Expected, candidates: &[Candidate], sigma_mm: f64) -> DMatrix<f64> {
+    let effects =
+        candidates.iter().map(|candidate| expected.effects(&candidate.axes, candidate.ball) / sigma_mm);
+    DMatrix::from_columns(&effects.collect::<Vec<_>>())
+}
+
+/// A matrix of columns with so many rows; without columns it is empty.
+pub(super) fn columns(rows: usize, columns: impl ExactSizeIterator<Item = DVector<f64>>) -> DMatrix<f64> {
+    let mut matrix = DMatrix::zeros(rows, columns.len());
+    matrix.column_iter_mut().zip(columns).for_each(|(mut column, values)| column.copy_from(&values));
+    matrix
+}
+
+/// The Jacobian of the tool ball over a workspace, three rows a pose, in the coordinates of the posterior's root.
+pub fn workspace_rows(posterior: &Posterior, poses: &[[f64; AXES]]) -> DMatrix<f64> {
+    Workspace::new(&posterior.model.geometry, poses, posterior.ids()).jacobian() * posterior.root()
+}

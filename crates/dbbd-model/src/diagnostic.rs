@@ -1,0 +1,462 @@
+//! What a user reads of an error, a warning or an information: a finding with its code, sentence, help and values, and its place in a file.
+//!
+//! A finding keeps its type: whoever decides by a finding asks [`Diagnostic::finding`] for it. The sentences are in the file
+//! `catalogue.rs` of the room that owns them, made by the macro [`findings!`](crate::findings). This room knows no particular
+//! finding and no way to show one.
+
+use std::any::Any;
+use std::fmt;
+use std::ops::Range;
+use std::sync::Arc;
+
+use serde::{Serialize, Serializer};
+use serde_json::Value;
+
+/// The stable name of a finding: `E0123` for an error, `W0123` for a warning, `I0123` for information.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct FindingCode(&'static str);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    /// The exit code stays 0.
+    Info,
+    /// A loss or a doubt: exit code 3.
+    Warning,
+    /// The command was refused or failed: exit code 1.
+    Error,
+}
+
+impl FindingCode {
+    pub const fn new(code: &'static str) -> Self {
+        Self(code)
+    }
+
+    pub fn as_str(self) -> &'static str {
+        self.0
+    }
+
+    /// The severity that the first letter stands for.
+    pub fn severity(self) -> Severity {
+        match self.0.as_bytes().first() {
+            Some(b'I') => Severity::Info,
+            Some(b'W') => Severity::Warning,
+            _ => Severity::Error,
+        }
+    }
+}
+
+impl fmt::Display for FindingCode {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(self.0)
+    }
+}
+
+impl Serialize for FindingCode {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.0)
+    }
+}
+
+/// A sentence of a catalogue with its values; the macro [`findings!`](crate::findings) implements it.
+pub trait Finding: Any + fmt::Debug + fmt::Display + Send + Sync {
+    fn code(&self) -> FindingCode;
+
+    /// The values by their field names; null if there are none.
+    fn values(&self) -> Value;
+
+    /// What to do, if one line can say it.
+    fn help(&self) -> Option<String>;
+}
+
+/// What the catalogue says of a code.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    pub code: FindingCode,
+    /// What happened, in a few words.
+    pub title: &'static str,
+    pub cause: &'static str,
+    pub cure: &'static str,
+    /// The sentences with the names of their values in braces.
+    pub sentences: &'static [&'static str],
+}
+
+/// The entries of one family of findings, with its heading in docs/troubleshooting.md.
+#[derive(Clone, Copy, Debug)]
+pub struct Family {
+    pub heading: &'static str,
+    pub entries: &'static [Entry],
+}
+
+/// Names in a sentence, separated by commas.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Names(pub Vec<String>);
+
+impl Names {
+    pub fn of<T: ToString>(names: impl IntoIterator<Item = T>) -> Self {
+        Self(names.into_iter().map(|name| name.to_string()).collect())
+    }
+}
+
+impl fmt::Display for Names {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(&self.0.join(", "))
+    }
+}
+
+/// Defines an enum of findings: its codes with title, cause and cure, and under each code the sentences as variants
+/// whose fields are the values in the sentence. The name of the family is followed by its heading.
+#[macro_export]
+macro_rules! findings {
+    ($(#[$doc:meta])* $name:ident $heading:literal { $(
+        $code:ident $title:literal, cause: $cause:literal, cure: $cure:literal {
+            $( $variant:ident $({ $($field:ident: $type:ty),+ $(,)? })? => $sentence:literal $(, help: $help:literal)? ; )+
+        }
+    )+ }) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, PartialEq, serde::Serialize)]
+        #[serde(untagged)]
+        pub enum $name { $($( $variant $({ $($field: $type),+ })?, )+)+ }
+
+        impl $name {
+            pub const FAMILY: $crate::diagnostic::Family = $crate::diagnostic::Family {
+                heading: $heading,
+                entries: &[$( $crate::diagnostic::Entry {
+                    code: $crate::diagnostic::FindingCode::new(stringify!($code)),
+                    title: $title,
+                    cause: $cause,
+                    cure: $cure,
+                    sentences: &[$($sentence),+],
+                } ),+],
+            };
+        }
+
+        impl $crate::diagnostic::Finding for $name {
+            fn code(&self) -> $crate::diagnostic::FindingCode {
+                match self {
+                    $($( Self::$variant { .. } )|+ => $crate::diagnostic::FindingCode::new(stringify!($code)),)+
+                }
+            }
+
+            fn values(&self) -> serde_json::Value {
+                serde_json::to_value(self).unwrap_or_default()
+            }
+
+            #[allow(unused_variables)] // a help need not name all values
+            fn help(&self) -> Option<String> {
+                match self {
+                    $($( Self::$variant $({ $($field),+ })? => $crate::finding_help!($($help)?), )+)+
+                }
+            }
+        }
+
+        impl std::fmt::Display for $name {
+            #[allow(unused_variables)] // a sentence need not name all values
+            fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                match self {
+                    $($( Self::$variant $({ $($field),+ })? => write!(out, $sentence), )+)+
+                }
+            }
+        }
+
+        impl std::error::Error for $name {}
+
+        impl From<$name> for $crate::diagnostic::Diagnostic {
+            fn from(finding: $name) -> Self {
+                Self::new(finding)
+            }
+        }
+    };
+}
+
+/// The help of one sentence in [`findings!`](crate::findings).
+#[doc(hidden)]
+#[macro_export]
+macro_rules! finding_help {
+    () => {
+        None
+    };
+    ($help:literal) => {
+        Some(format!($help))
+    };
+}
+
+/// A finding with its place in the user's file. It is the error type of everything that a user reads. The sentence is
+/// formed when it is shown.
+#[derive(Clone, Debug)]
+pub struct Diagnostic {
+    finding: Arc<dyn Finding>,
+    file: String,
+    line: usize,
+    column: usize,
+    /// Replaces the help of the finding.
+    help: Option<Box<str>>,
+    excerpt: Option<Box<str>>,
+}
+
+impl Diagnostic {
+    /// A finding that concerns no file.
+    pub fn new(finding: impl Finding) -> Self {
+        Self {
+            finding: Arc::new(finding),
+            file: String::new(),
+            line: 0,
+            column: 0,
+            help: None,
+            excerpt: None,
+        }
+    }
+
+    /// A finding that concerns a whole file.
+    pub fn file(file: impl fmt::Display, finding: impl Finding) -> Self {
+        Self::new(finding).in_file(file)
+    }
+
+    /// A finding in a line (from 1); the column is unknown.
+    pub fn line(file: &str, line: usize, finding: impl Finding) -> Self {
+        Self { line, ..Self::file(file, finding) }
+    }
+
+    /// A finding at a position (line and column from 1) of `text`; the line is printed.
+    pub fn position(file: &str, text: &str, line: usize, column: usize, finding: impl Finding) -> Self {
+        Self::new(finding).at(file, text, line, column)
+    }
+
+    /// A finding at the start of a byte range of `text`.
+    pub fn span(file: &str, text: &str, span: Range<usize>, finding: impl Finding) -> Self {
+        let before = text.get(..span.start).unwrap_or(text);
+        let line = before.matches('\n').count() + 1;
+        let column = before.rsplit('\n').next().map_or(0, |tail| tail.chars().count()) + 1;
+        Self::position(file, text, line, column, finding)
+    }
+
+    /// The finding, if it is one of the family `F`.
+    pub fn finding<F: Finding>(&self) -> Option<&F> {
+        let finding: &dyn Any = self.finding.as_ref();
+        finding.downcast_ref()
+    }
+
+    pub fn code(&self) -> FindingCode {
+        self.finding.code()
+    }
+
+    pub fn severity(&self) -> Severity {
+        self.code().severity()
+    }
+
+    /// The sentence, without place and help.
+    pub fn message(&self) -> String {
+        self.finding.to_string()
+    }
+
+    /// The values of the finding by name; null if it has none.
+    pub fn values(&self) -> Value {
+        self.finding.values()
+    }
+
+    /// The file as the user named it; empty if the finding concerns no file.
+    pub fn file_name(&self) -> &str {
+        &self.file
+    }
+
+    /// The line from 1; 0 if the finding concerns the whole file.
+    pub fn line_number(&self) -> usize {
+        self.line
+    }
+
+    /// The column from 1, in characters; 0 if unknown.
+    pub fn column_number(&self) -> usize {
+        self.column
+    }
+
+    /// The text of the line.
+    pub fn excerpt(&self) -> Option<&str> {
+        self.excerpt.as_deref()
+    }
+
+    /// What to do, in one line.
+    pub fn help_line(&self) -> Option<String> {
+        self.help.as_deref().map(str::to_owned).or_else(|| self.finding.help())
+    }
+
+    /// The same finding in another file.
+    #[must_use]
+    pub fn in_file(self, file: impl fmt::Display) -> Self {
+        Self { file: file.to_string(), ..self }
+    }
+
+    /// The same finding at a position (line and column from 1) of `text`; the line is printed.
+    #[must_use]
+    pub fn at(self, file: &str, text: &str, line: usize, column: usize) -> Self {
+        let placed = Self { line, column, ..self.in_file(file) };
+        match line.checked_sub(1).and_then(|at| text.lines().nth(at)) {
+            Some(excerpt) => placed.in_line(excerpt, column),
+            None => placed,
+        }
+    }
+
+    /// Another finding at the same place.
+    #[must_use]
+    pub fn replaced_by(self, finding: impl Finding) -> Self {
+        Self { finding: Arc::new(finding), help: None, ..self }
+    }
+
+    /// Adds the column (from 1) and the text of the line, printed with a caret under the column.
+    #[must_use]
+    pub fn in_line(mut self, text: &str, column: usize) -> Self {
+        self.column = column;
+        self.excerpt = Some(text.into());
+        self
+    }
+
+    /// Adds what to do, in one line.
+    #[must_use]
+    pub fn help(mut self, help: impl AsRef<str>) -> Self {
+        self.help = Some(help.as_ref().into());
+        self
+    }
+
+    /// Suggests the member of `known` that a mistyped `word` most likely means, if one is near.
+    #[must_use]
+    pub fn nearest<'a>(self, word: &str, known: impl IntoIterator<Item = &'a str>) -> Self {
+        match nearest(word, known) {
+            Some(near) => self.help(format!("did you mean `{near}`?")),
+            None => self,
+        }
+    }
+}
+
+impl PartialEq for Diagnostic {
+    fn eq(&self, other: &Self) -> bool {
+        let place = |one: &Self| (one.code(), one.line, one.column);
+        place(self) == place(other)
+            && (&self.file, &self.excerpt) == (&other.file, &other.excerpt)
+            && self.help_line() == other.help_line()
+            && self.message() == other.message()
+    }
+}
+
+impl fmt::Display for Diagnostic {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if !self.file.is_empty() {
+            write!(out, "{}:", self.file)?;
+            if self.line > 0 {
+                write!(out, "{}:", self.line)?;
+                if self.column > 0 {
+                    write!(out, "{}:", self.column)?;
+                }
+            }
+            write!(out, " ")?;
+        }
+        write!(out, "{}", self.finding)?;
+        if let Some(excerpt) = &self.excerpt {
+            // Tabs are copied, so that the caret is under its column.
+            let before = self.column.saturating_sub(1);
+            let indent: String =
+                excerpt.chars().take(before).map(|c| if c == '\t' { '\t' } else { ' ' }).collect();
+            write!(out, "\n  | {excerpt}\n  | {indent}^")?;
+        }
+        if let Some(help) = self.help_line() {
+            write!(out, "\n  help: {help}")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Diagnostic {}
+
+impl Serialize for Diagnostic {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        #[derive(Serialize)]
+        struct DiagnosticFields<'a> {
+            code: FindingCode,
+            severity: Severity,
+            text: String,
+            #[serde(skip_serializing_if = "str::is_empty")]
+            file: &'a str,
+            #[serde(skip_serializing_if = "Option::is_none")]
+            line: Option<usize>,
+            #[serde(skip_serializing_if = "Option::is_none")]
+            column: Option<usize>,
+            #[serde(skip_serializing_if = "Option::is_none")]
+            help: Option<String>,
+            #[serde(skip_serializing_if = "Value::is_null")]
+            values: Value,
+        }
+        let known = |number: usize| (number > 0).then_some(number);
+        let fields = DiagnosticFields {
+            code: self.code(),
+            severity: self.severity(),
+            text: self.message(),
+            file: &self.file,
+            line: known(self.line),
+            column: known(self.column),
+            help: self.help_line(),
+            values: self.values(),
+        };
+        fields.serialize(serializer)
+    }
+}
+
+/// The member of `known` that a mistyped `word` most likely means, if one is near.
+pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    // Upper and lower case count as equal; two swapped letters count as one mistake.
+    let distance = |candidate: &str| {
+        let (word, lower) = (word.to_lowercase(), candidate.to_lowercase());
+        strsim::damerau_levenshtein(&word, &lower)
+    };
+    known
+        .into_iter()
+        .map(|candidate| (distance(candidate), candidate))
+        .filter(|(distance, _)| *distance <= 1 + word.len() / 4)
+        .min_by_key(|(distance, _)| *distance)
+        .map(|(_, candidate)| candidate)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    findings! {
+        /// Findings of these tests.
+        ExampleFinding "Examples" {
+            E9999 "an example", cause: "It is needed.", cure: "None." {
+                NoColumn { column: String } => "there is no column {column}", help: "add {column}";
+                Empty => "is empty";
+            }
+        }
+    }
+
+    findings! {
+        /// Findings of another room.
+        OtherFinding "Others" {
+            W9998 "another example", cause: "It is needed.", cure: "None." {
+                Empty => "is empty";
+            }
+        }
+    }
+
+    #[test]
+    fn a_finding_has_code_sentence_help_and_values() {
+        let diagnostic = Diagnostic::line("obs.csv", 1, ExampleFinding::NoColumn { column: "index".into() });
+        assert_eq!((diagnostic.code().as_str(), diagnostic.severity()), ("E9999", Severity::Error));
+        let json = serde_json::to_value(&diagnostic).unwrap();
+        assert_eq!((&json["line"], &json["values"]["column"]), (&1.into(), &"index".into()));
+        assert_eq!(diagnostic.help_line().as_deref(), Some("add index"));
+    }
+
+    #[test]
+    fn a_finding_keeps_its_type() {
+        let diagnostic = Diagnostic::new(ExampleFinding::Empty).in_file("a.csv");
+        assert_eq!(diagnostic.finding(), Some(&ExampleFinding::Empty));
+        assert!(diagnostic.finding::<OtherFinding>().is_none());
+        let replaced = diagnostic.replaced_by(OtherFinding::Empty);
+        assert_eq!((replaced.finding(), replaced.file_name()), (Some(&OtherFinding::Empty), "a.csv"));
+    }
+
+    #[test]
+    fn a_place_shows_the_line_with_a_caret_under_the_column() {
+        let diagnostic = Diagnostic::span("a.toml", "one\n\ttwo\n", 5..6, ExampleFinding::Empty);
+        assert_eq!(diagnostic.to_string(), "a.toml:2:2: is empty\n  | \ttwo\n  | \t^");
+    }
+}

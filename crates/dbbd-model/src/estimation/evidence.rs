@@ -1,0 +1,404 @@
+//! Variances of groups of unknowns by maximum marginal likelihood, under a prior of their logarithms.
+//!
+//! Linearised, y = J w + noise with w_i ~ N(0, v_i): in the coordinates w = V^1/2 m the posterior has the precision
+//! B = I + V^1/2 J'J V^1/2 / sigma^2 (MacKay, Neural Computation 4, 1992; Rasmussen and Williams, Gaussian Processes for
+//! Machine Learning, 5.4). A group that explains nothing shrinks to nothing: no test need choose it. Free unknowns are
+//! taken out of the rows before, so that they cost no prior.
+
+use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
+
+use super::priors::{Group, HYPERS, HyperPrior};
+use crate::robot::GaussianProcess;
+
+/// Steps after which the variances are taken as they are.
+const MOST_STEPS: usize = 60;
+/// A gain of the logarithm of the evidence below this is none.
+const REST: f64 = 1e-3;
+/// No step changes the logarithm of a variance's root by more.
+const LONGEST_STEP: f64 = 1.0;
+/// A gain of this share of what the gradient promises suffices.
+const ARMIJO: f64 = 1e-4;
+
+/// Logarithms of what is estimated, in the order of [`HyperPrior::ALL`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Hypers([f64; HYPERS]);
+
+impl Hypers {
+    /// The middle of the priors, with this standard deviation of the lengths, mm.
+    pub(super) fn start(sigma_mm: f64) -> Self {
+        let mut start = Self(HyperPrior::ALL.map(|prior| prior.median.ln()));
+        start.0[HyperPrior::SIGMA] = sigma_mm.ln();
+        start
+    }
+
+    /// One standard deviation of a group, in its unit; of smooth functions that of the quick part.
+    pub(super) fn sd(&self, group: Group) -> f64 {
+        self.0[group as usize].exp()
+    }
+
+    /// With the standard deviation that another has of a group.
+    pub(super) fn with_sd_of(mut self, group: Group, other: &Self) -> Self {
+        self.0[group as usize] = other.0[group as usize];
+        self
+    }
+
+    /// What the smooth functions are the sum of: a quick and a slow process.
+    pub(super) fn processes(&self) -> [GaussianProcess; 2] {
+        Self::PROCESSES.map(|[sd, length]| GaussianProcess {
+            sd_rad: self.0[sd].exp(),
+            length_scale_rad: self.0[length].exp(),
+        })
+    }
+
+    /// The places of their standard deviations and lengths.
+    const PROCESSES: [[usize; 2]; 2] =
+        [[Group::Smooth as usize, HyperPrior::LENGTH], [HyperPrior::SLOW, HyperPrior::SLOW_LENGTH]];
+
+    pub(super) fn sigma_mm(&self) -> f64 {
+        self.0[HyperPrior::SIGMA].exp()
+    }
+}
+
+/// What the prior variance of an unknown follows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Variance {
+    /// This standard deviation.
+    Fixed(f64),
+    /// That of its group times this.
+    Of(Group, f64),
+    /// The spectral density of the smooth functions at this angular frequency (1/rad).
+    Spectral(f64),
+    /// This standard deviation, which the noise gives to backlash.
+    ByNoise(f64),
+}
+
+impl Variance {
+    fn value(self, hypers: &Hypers) -> f64 {
+        match self {
+            Self::Fixed(sd) | Self::ByNoise(sd) => sd * sd,
+            Self::Of(group, unit) => (unit * hypers.sd(group)).powi(2),
+            Self::Spectral(frequency) => {
+                hypers.processes().iter().map(|part| part.spectral_density(frequency)).sum()
+            }
+        }
+    }
+
+    /// The derivative of its logarithm by the logarithm of each hyper-parameter that it follows, to `each` with the place.
+    fn slopes(self, hypers: &Hypers, mut each: impl FnMut(usize, f64)) {
+        match self {
+            Self::Fixed(_) | Self::ByNoise(_) => {}
+            Self::Of(group, _) => each(group as usize, 2.0),
+            Self::Spectral(frequency) => {
+                let whole = self.value(hypers);
+                for ([sd, length], part) in Hypers::PROCESSES.into_iter().zip(hypers.processes()) {
+                    let share = part.spectral_density(frequency) / whole;
+                    let a2 = 5.0 / part.length_scale_rad.powi(2);
+                    each(sd, 2.0 * share);
+                    each(length, share * (6.0 * a2 / (a2 + frequency * frequency) - 5.0));
+                }
+            }
+        }
+    }
+
+    /// One standard deviation.
+    pub(super) fn sd(self, hypers: &Hypers) -> f64 {
+        self.value(hypers).sqrt()
+    }
+
+    /// The group that it belongs to.
+    pub(super) fn group(self) -> Option<Group> {
+        match self {
+            Self::Fixed(_) => None,
+            Self::Of(group, _) => Some(group),
+            Self::Spectral(_) => Some(Group::Smooth),
+            Self::ByNoise(_) => Some(Group::Backlash),
+        }
+    }
+}
+
+/// Normal equations of rows of unit noise, free unknowns taken out.
+#[derive(Clone, Debug)]
+pub(super) struct NormalEquations {
+    pub(super) gram: DMatrix<f64>,
+    pub(super) rhs: DVector<f64>,
+    /// Sum of the squares of the right-hand side.
+    pub(super) squares: f64,
+    /// Rows less free unknowns.
+    pub(super) freedom: f64,
+    /// The logarithm of the determinant that whitened the rows.
+    pub(super) ln_whitening: f64,
+}
+
+/// The posterior of the coefficients at given variances.
+pub(super) struct Coefficients {
+    /// Prior standard deviations.
+    prior_sds: DVector<f64>,
+    /// The inverse of the lower Cholesky factor of B.
+    inverse_factor: DMatrix<f64>,
+    /// The mean in units of the prior standard deviations.
+    scaled: DVector<f64>,
+    /// Logarithm of the marginal likelihood.
+    ln_likelihood: f64,
+}
+
+impl Coefficients {
+    pub(super) fn mean(&self) -> DVector<f64> {
+        self.scaled.component_mul(&self.prior_sds)
+    }
+
+    /// A root of their covariance, C = root root'.
+    pub(super) fn root(&self) -> DMatrix<f64> {
+        let mut root = self.inverse_factor.transpose();
+        for (mut row, scale) in root.row_iter_mut().zip(&self.prior_sds) {
+            row *= *scale;
+        }
+        root
+    }
+
+    /// How much of each the data determine, from 0 to 1.
+    pub(super) fn determined(&self) -> Vec<f64> {
+        self.inverse_factor.column_iter().map(|column| 1.0 - column.norm_squared()).collect()
+    }
+}
+
+/// Coefficients whose variances maximise the marginal likelihood.
+#[derive(Clone)]
+pub(super) struct Evidence {
+    pub(super) normal: NormalEquations,
+    pub(super) variances: Vec<Variance>,
+    /// Whether sigma stays as it is.
+    pub(super) sigma_is_given: bool,
+}
+
+/// The hyper-parameters of the largest marginal likelihood under their priors.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Optimum {
+    pub(super) hypers: Hypers,
+    /// Logarithm of marginal likelihood and hyper-priors.
+    pub(super) ln_evidence: f64,
+}
+
+/// A point of the search.
+struct Point {
+    hypers: Hypers,
+    coefficients: Coefficients,
+    ln_evidence: f64,
+}
+
+/// Gradient and expected information by the hyper-parameters.
+struct Slopes {
+    gradient: SVector<f64, HYPERS>,
+    information: SMatrix<f64, HYPERS, HYPERS>,
+}
+
+impl Evidence {
+    /// The coefficients at these variances; `None` when a number is not finite.
+    pub(super) fn coefficients(&self, hypers: &Hypers) -> Option<Coefficients> {
+        let sds = self.variances.iter().map(|variance| variance.sd(hypers));
+        let prior_sds = DVector::from_iterator(self.variances.len(), sds);
+        let precision = hypers.sigma_mm().powi(-2);
+        let mut b = self.normal.gram.clone();
+        for (column, mut values) in b.column_iter_mut().enumerate() {
+            let scale = precision * prior_sds[column];
+            values.zip_apply(&prior_sds, |value, sd| *value *= sd * scale);
+            values[column] += 1.0;
+        }
+        let right = self.normal.rhs.component_mul(&prior_sds) * precision;
+        let [factor, inverse_factor] = cholesky_with_inverse(&b)?;
+        let scaled = inverse_factor.tr_mul(&(&inverse_factor * &right));
+        let ln_determinant = 2.0 * factor.diagonal().map(f64::ln).sum();
+        let chi = self.normal.squares * precision - right.dot(&scaled);
+        let ln_noise = self.normal.freedom * (2.0 * std::f64::consts::PI / precision).ln();
+        let ln_likelihood = -0.5 * (ln_noise + self.normal.ln_whitening + ln_determinant + chi);
+        ln_likelihood.is_finite().then_some(Coefficients { prior_sds, inverse_factor, scaled, ln_likelihood })
+    }
+
+    /// The optimum near `start`, by Fisher's scoring.
+    pub(super) fn maximise(&self, start: Hypers) -> Option<Optimum> {
+        let mut here = self.at(start)?;
+        for _ in 0..MOST_STEPS {
+            let Slopes { gradient, information } = self.slopes(&here);
+            let mut step = Cholesky::new(information)?.solve(&gradient);
+            let longest = step.amax();
+            if longest > LONGEST_STEP {
+                step *= LONGEST_STEP / longest;
+            }
+            let promised = gradient.dot(&step);
+            let Some(there) = self.better(&here, &step, promised) else { break };
+            let gain = there.ln_evidence - here.ln_evidence;
+            here = there;
+            if gain < REST && promised < 10.0 * REST {
+                break;
+            }
+        }
+        Some(Optimum { hypers: here.hypers, ln_evidence: here.ln_evidence })
+    }
+
+    /// The end of the step, or of a shorter one, where the evidence is higher.
+    fn better(&self, here: &Point, step: &SVector<f64, HYPERS>, promised: f64) -> Option<Point> {
+        let mut share = 1.0;
+        for _ in 0..8 {
+            let mut hypers = here.hypers;
+            for (at, value) in hypers.0.iter_mut().enumerate() {
+                let [low, high] = HyperPrior::ALL[at].bounds;
+                *value = (*value + share * step[at]).clamp(low.ln(), high.ln());
+            }
+            if let Some(there) = self.at(hypers)
+                && there.ln_evidence > here.ln_evidence + ARMIJO * share * promised
+            {
+                return Some(there);
+            }
+            share *= 0.4;
+        }
+        None
+    }
+
+    fn at(&self, hypers: Hypers) -> Option<Point> {
+        let coefficients = self.coefficients(&hypers)?;
+        let mut ln_evidence = coefficients.ln_likelihood;
+        for (at, prior) in HyperPrior::ALL.into_iter().enumerate() {
+            ln_evidence -= 0.5 * prior.off(hypers.0[at]).powi(2);
+        }
+        Some(Point { hypers, coefficients, ln_evidence })
+    }
+
+    /// With C = B^-1: d ln Z / d ln v_i = (m_i^2 + C_ii - 1) / 2, whose information is (I - C)_ij^2 / 2; by ln sigma
+    /// r'r / sigma^2 + p - tr C - n, with the information 2 (n - p + tr C^2), and (C - C^2)_ii across.
+    fn slopes(&self, here: &Point) -> Slopes {
+        let Point { hypers, coefficients, .. } = here;
+        let count = self.variances.len();
+        let covariance = coefficients.inverse_factor.transpose() * &coefficients.inverse_factor;
+        let mut by_hyper = DMatrix::zeros(count, HYPERS);
+        let mut by_sigma = DVector::zeros(count);
+        let mut gradient = SVector::zeros();
+        for (at, variance) in self.variances.iter().enumerate() {
+            let (mean, left) = (coefficients.scaled[at], covariance[(at, at)]);
+            variance.slopes(hypers, |place, slope| {
+                by_hyper[(at, place)] = slope;
+                gradient[place] += 0.5 * (mean * mean + left - 1.0) * slope;
+            });
+            by_sigma[at] = left - covariance.column(at).norm_squared();
+        }
+        let mut squared = covariance.map(|value| value * value);
+        for at in 0..count {
+            squared[(at, at)] = (1.0 - covariance[(at, at)]).powi(2);
+        }
+        let halved = 0.5 * by_hyper.transpose() * (squared * &by_hyper);
+        let mut information = SMatrix::from_fn(|i, j| halved[(i, j)]);
+        if self.sigma_is_given {
+            information[(HyperPrior::SIGMA, HyperPrior::SIGMA)] = 1.0;
+        } else {
+            let mean = coefficients.mean();
+            let residual = self.normal.squares - 2.0 * self.normal.rhs.dot(&mean)
+                + mean.dot(&(&self.normal.gram * &mean));
+            let further = self.normal.freedom - count as f64;
+            gradient[HyperPrior::SIGMA] = residual / hypers.sigma_mm().powi(2) - covariance.trace() - further;
+            let across = by_hyper.tr_mul(&by_sigma);
+            for place in 0..HYPERS {
+                information[(HyperPrior::SIGMA, place)] = across[place];
+                information[(place, HyperPrior::SIGMA)] = across[place];
+            }
+            information[(HyperPrior::SIGMA, HyperPrior::SIGMA)] = 2.0 * (further + covariance.norm_squared());
+        }
+        for (at, prior) in HyperPrior::ALL.into_iter().enumerate() {
+            if let Some(ln_sd) = prior.ln_sd {
+                gradient[at] -= prior.off(hypers.0[at]) / ln_sd;
+                information[(at, at)] += ln_sd.powi(-2);
+            }
+        }
+        Slopes { gradient, information }
+    }
+}
+
+/// The lower Cholesky factor of a symmetric matrix, and its inverse. By halves, so that products do most of the work;
+/// `None` of a matrix that is not positive definite.
+fn cholesky_with_inverse(matrix: &DMatrix<f64>) -> Option<[DMatrix<f64>; 2]> {
+    /// Smaller matrices are not halved.
+    const LEAF: usize = 24;
+    let count = matrix.nrows();
+    if count <= LEAF {
+        let factor = Cholesky::new(matrix.clone())?.unpack();
+        let inverse = factor.solve_lower_triangular(&DMatrix::identity(count, count))?;
+        return Some([factor, inverse]);
+    }
+    let half = count / 2;
+    let rest = count - half;
+    let [first, first_inverse] = cholesky_with_inverse(&matrix.view((0, 0), (half, half)).into_owned())?;
+    let across = matrix.view((half, 0), (rest, half)) * first_inverse.transpose();
+    let left = matrix.view((half, half), (rest, rest)) - &across * across.transpose();
+    let [last, last_inverse] = cholesky_with_inverse(&left)?;
+    let across_inverse = -(&last_inverse * (&across * &first_inverse));
+    let joined = |first: &DMatrix<f64>, across: &DMatrix<f64>, last: &DMatrix<f64>| {
+        let mut all = DMatrix::zeros(count, count);
+        all.view_mut((0, 0), (half, half)).copy_from(first);
+        all.view_mut((half, 0), (rest, half)).copy_from(across);
+        all.view_mut((half, half), (rest, rest)).copy_from(last);
+        all
+    };
+    Some([joined(&first, &across, &last), joined(&first_inverse, &across_inverse, &last_inverse)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rows of 40 unknowns of one group and 10 of another that explains nothing.
+    fn problem() -> Evidence {
+        let wave = |at: usize| (12.9898 * at as f64).sin() * 43758.5453;
+        let random = |at: usize| 2.0 * (wave(at) - wave(at).floor()) - 1.0;
+        let rows = DMatrix::from_fn(300, 50, |i, j| random(i * 50 + j) * 1e3);
+        let truth = DVector::from_fn(50, |j, _| if j < 40 { 1e-4 * random(90_000 + j) } else { 0.0 });
+        let y = &rows * truth + DVector::from_fn(300, |i, _| 0.02 * random(95_000 + i));
+        let (gram, rhs) = (rows.tr_mul(&rows), rows.tr_mul(&y));
+        let squares = y.norm_squared();
+        let normal = NormalEquations { gram, rhs, squares, freedom: 300.0, ln_whitening: 0.0 };
+        let of = |j: usize| Variance::Of(if j < 40 { Group::Harmonic } else { Group::Backlash }, 1.0);
+        Evidence { normal, variances: (0..50).map(of).collect(), sigma_is_given: false }
+    }
+
+    #[test]
+    fn a_factor_by_halves_is_that_of_the_matrix() {
+        for count in [0, 1, 24, 61] {
+            let rows = DMatrix::from_fn(count + 5, count, |i, j| ((3 * i + 5 * j) as f64).sin());
+            let matrix = DMatrix::identity(count, count) + rows.tr_mul(&rows);
+            let [factor, inverse] = cholesky_with_inverse(&matrix).unwrap();
+            assert!((&factor * factor.transpose() - &matrix).amax() < 1e-12 * (1.0 + matrix.amax()));
+            assert!((factor * inverse - DMatrix::identity(count, count)).amax() < 1e-12);
+        }
+        let mut indefinite = DMatrix::identity(60, 60);
+        indefinite[(50, 50)] = -1.0;
+        assert!(cholesky_with_inverse(&indefinite).is_none());
+    }
+
+    #[test]
+    fn a_group_that_explains_nothing_shrinks() {
+        let evidence = problem();
+        let hypers = evidence.maximise(Hypers::start(0.05)).unwrap().hypers;
+        // Uniform numbers have a standard deviation of 1/sqrt(3).
+        assert!((hypers.sd(Group::Harmonic) / 0.577e-4 - 1.0).abs() < 0.25, "{hypers:?}");
+        assert!((hypers.sigma_mm() / 0.01155 - 1.0).abs() < 0.15, "{hypers:?}");
+        assert!(hypers.sd(Group::Backlash) < 1e-5);
+        let determined = evidence.coefficients(&hypers).unwrap().determined();
+        assert!(determined[..40].iter().all(|share| *share > 0.95));
+    }
+
+    #[test]
+    fn the_gradient_is_that_of_the_evidence() {
+        let mut evidence = problem();
+        for (at, variance) in evidence.variances.iter_mut().enumerate().skip(20).take(20) {
+            *variance = Variance::Spectral(at as f64 * 0.4);
+        }
+        let here = evidence.at(Hypers::start(0.03)).unwrap();
+        let gradient = evidence.slopes(&here).gradient;
+        for at in 0..HYPERS {
+            let moved = |step: f64| {
+                let mut hypers = here.hypers;
+                hypers.0[at] += step;
+                evidence.at(hypers).unwrap().ln_evidence
+            };
+            let numeric = (moved(1e-5) - moved(-1e-5)) / 2e-5;
+            let size = numeric.abs().max(1.0);
+            assert!((gradient[at] - numeric).abs() < 1e-4 * size, "{at}: {} {numeric}", gradient[at]);
+        }
+    }
+}

@@ -1,0 +1,234 @@
+//! Findings about a calibration.
+
+use super::calibration::{AngleSource, Calibration};
+use super::contradiction::{contradicted, kinds_disagree};
+use super::lengths::Sigma;
+use super::linear_system::factor;
+use super::priors::{largest_displacement_mm, largest_plausible};
+use super::result::{JointEffect, JointError, MonteCarlo, ParameterResult, Status};
+use super::shifted_rows::shifted_rows;
+use super::workspace::left_out_mm;
+use crate::diagnostic::Names;
+use crate::estimation::EstimationFinding;
+use crate::math::distributions::ChiSquareOutcome;
+use crate::measurement::LengthModel;
+use crate::robot::{ParamId, Robot, parameter};
+
+/// With a larger fraction of outliers the remaining lengths are doubtful too.
+const OUTLIER_FRACTION: f64 = 0.1;
+/// A robot drawn from its tolerance deviates by less than this fraction of the expectation in fewer than one run of a
+/// thousand.
+const CLOSEST_TO_NOMINAL: f64 = 0.04;
+/// With fewer lengths an agreement with the nominal robot may be chance.
+const LEAST_LENGTHS: usize = 20;
+/// Residuals beyond so many standard deviations of noise and repeatability are mainly errors that the model lacks.
+const FAR: f64 = 5.0;
+
+/// Residuals below this fraction of sigma contradict it,
+const FAR_BELOW: f64 = 0.2;
+/// if it is larger than that of any bar, mm.
+const LARGE_MM: f64 = 0.1;
+
+/// The findings of a calibration, most severe first.
+pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
+    let fit = &of.estimate.fit;
+    let mut found = Vec::new();
+    if !fit.converged {
+        found.push(EstimationFinding::NotConverged { iterations: fit.iterations });
+    }
+    let (residual_rms_mm, predicted_max_mm) = (of.residual_mm.after.rms, of.prediction.maker.max);
+    if residual_rms_mm > predicted_max_mm {
+        found.push(EstimationFinding::FitsWorseThanNominal { residual_rms_mm, predicted_max_mm });
+    }
+    found.extend(beyond_prior(of));
+    found.extend(implausible(of));
+    found.extend(displaced(&of.parameters));
+    found.extend(contradicted(of));
+    found.extend(shifted_rows(&of.estimate, &of.lengths));
+    found.extend(kinds_disagree(&of.estimate, &of.lengths));
+    found.extend(outliers(fit.outliers.len(), of.lengths.len()));
+    found.extend(consistency(of));
+    found.extend(against_repeatability(of));
+    found.extend(joints(&of.joint_effects));
+    found.extend(position(of));
+    found.extend(poorly_observable(&of.parameters));
+    let identified = Robot { geometry: fit.model.geometry.clone(), ..of.setting.robot.clone() };
+    found.extend(left_out_mm(&identified).map(|left_out_mm| EstimationFinding::BeyondTable { left_out_mm }));
+    found.extend(of.monte_carlo.iter().flat_map(monte_carlo));
+    found.extend(absolute_accuracy_mode(of));
+    found
+}
+
+/// Compares the corrections with the prior.
+fn beyond_prior(of: &Calibration<'_>) -> Option<EstimationFinding> {
+    let scale = of.setting.priors.scale();
+    let widened = scale != 1.0;
+    let times = if widened { scale } else { of.estimate.beyond_prior()? };
+    // A default tolerance was widened to fit the lengths, so only impossible corrections are doubted.
+    Some(match times > largest_plausible(!widened) {
+        true => EstimationFinding::FarBeyondPrior { times },
+        false if widened => EstimationFinding::PriorWidened { times },
+        false => EstimationFinding::BeyondPrior { times },
+    })
+}
+
+/// Implausible corrections: they compensate a fixed part of the set-up, or it is another robot.
+fn implausible(of: &Calibration<'_>) -> Option<EstimationFinding> {
+    let fixed: Vec<&ParamId> = of.setting.options.hold.iter().filter(|id| id.is_setup()).collect();
+    let times = largest_plausible(!fixed.is_empty());
+    let is_excessive = |parameter: &&ParameterResult| {
+        let sd = parameter.sd.unwrap_or(0.0);
+        let excess = of.setting.priors.excess(parameter.id, parameter.correction, sd);
+        excess.is_some_and(|excess| excess > times)
+    };
+    let parameters = names(of.parameters.iter().filter(is_excessive))?;
+    Some(if fixed.is_empty() {
+        EstimationFinding::Implausible { parameters, times }
+    } else {
+        EstimationFinding::ImplausibleWithFixed { fixed: Names::of(fixed), parameters, times }
+    })
+}
+
+/// Balls and bars with implausibly large corrections.
+fn displaced(parameters: &[ParameterResult]) -> Option<EstimationFinding> {
+    let is_displaced = |found: &&ParameterResult| {
+        largest_displacement_mm(found.id).is_some_and(|most| (found.identified - found.start).abs() > most)
+    };
+    Some(EstimationFinding::Displaced { parameters: names(parameters.iter().filter(is_displaced))? })
+}
+
+fn outliers(outliers: usize, lengths: usize) -> Option<EstimationFinding> {
+    if outliers as f64 > OUTLIER_FRACTION * lengths as f64 {
+        Some(EstimationFinding::ManyOutliers { outliers, lengths })
+    } else {
+        (outliers > 0).then_some(EstimationFinding::Outliers { outliers })
+    }
+}
+
+/// Compares the residuals with the given standard deviations.
+fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
+    let (estimate, lengths) = (&of.estimate, &of.lengths);
+    let used = lengths.weighted(Sigma::Given, &estimate.fit.outliers);
+    let parameters = of.uncertainty.effective_parameters;
+    let freedom = used.count() as f64 - parameters;
+    if freedom < 1.0 {
+        return Some(EstimationFinding::NoFreedom { lengths: used.count(), parameters });
+    }
+    if !lengths.known {
+        return None;
+    }
+    let prepared = estimate.fit.model.prepare();
+    let chi = used.sum(|reading, sigma| (prepared.residual(reading) / sigma).powi(2));
+    let ratio = chi / freedom;
+    let times = ratio.sqrt();
+    match ChiSquareOutcome::of(ratio, freedom) {
+        ChiSquareOutcome::Greater if lengths.vouched => Some(EstimationFinding::BeyondSigma { times }),
+        ChiSquareOutcome::Greater if estimate.noise.sigma == Sigma::Given => {
+            Some(EstimationFinding::BeyondSigmaOfFew { times })
+        }
+        ChiSquareOutcome::Greater => Some(EstimationFinding::AboveSigma { times }),
+        ChiSquareOutcome::Less => {
+            let sigma_mm = used.rms_sigma();
+            Some(match times < FAR_BELOW && sigma_mm > LARGE_MM {
+                true => EstimationFinding::FarBelowSigma { sigma_mm, times },
+                false => EstimationFinding::BelowSigma { times },
+            })
+        }
+        ChiSquareOutcome::AsExpected => None,
+    }
+}
+
+/// A finding if the residuals are far above the repeatability of the robot and the standard deviation `sigma_mm` of the
+/// lengths.
+pub fn beyond_repeatability(residual_rms_mm: f64, sigma_mm: f64, robot: &Robot) -> Option<EstimationFinding> {
+    let repeatability_mm = robot.repeatability_sd_mm()?;
+    (residual_rms_mm > FAR * repeatability_mm.hypot(sigma_mm))
+        .then_some(EstimationFinding::BeyondRepeatability { residual_rms_mm, repeatability_mm })
+}
+
+/// Compares the residuals of the used lengths, and of separate validation lengths, with the repeatability.
+fn against_repeatability(of: &Calibration<'_>) -> Option<EstimationFinding> {
+    let robot = of.setting.robot;
+    let given = of.lengths.weighted(Sigma::Given, &of.estimate.fit.outliers);
+    let given_mm = if of.lengths.known { given.rms_sigma() } else { 0.0 };
+    let residual_rms_mm = of.residual_mm.after.rms;
+    if let Some(far) = beyond_repeatability(residual_rms_mm, given_mm, robot) {
+        return Some(far);
+    }
+    let least_mm = robot.repeatability_sd_mm()?.hypot(given_mm);
+    let held_out_mm = of.validation.as_ref()?.after.rms;
+    (held_out_mm > FAR * least_mm.max(residual_rms_mm))
+        .then_some(EstimationFinding::HeldOutDiffers { held_out_mm, residual_rms_mm })
+}
+
+/// One finding for each kind of joint error.
+fn joints(effects: &[JointEffect]) -> Vec<EstimationFinding> {
+    let (angle, reversal): (Vec<&JointEffect>, Vec<&JointEffect>) =
+        effects.iter().partition(|effect| effect.error == JointError::Angle);
+    let axes = |effects: &[&JointEffect]| Names::of(effects.iter().map(|effect| effect.axis));
+    let mut found = Vec::new();
+    if !angle.is_empty() {
+        let rms_um = angle.iter().map(|effect| effect.rms_mm * 1e3).collect();
+        found.push(EstimationFinding::AngleError { axes: axes(&angle), rms_um });
+    }
+    if !reversal.is_empty() {
+        let mrad = reversal.iter().map(|effect| effect.play_rad.unwrap_or(0.0) * 1e3).collect();
+        found.push(EstimationFinding::ReversalError { axes: axes(&reversal), mrad });
+    }
+    found
+}
+
+/// Whether the lengths determine the position of the robot, and not only the residuals.
+fn position(of: &Calibration<'_>) -> Option<EstimationFinding> {
+    if of.prediction.is_determined() {
+        return None;
+    }
+    let residual_rms_mm = of.residual_mm.after.rms;
+    let (identified_mm, nominal_mm) = (of.prediction.pair.identified.mean, of.prediction.maker.mean);
+    // With a list the user knows that the other parameters are fixed; but the robot must not become worse.
+    Some(if of.setting.options.follows_list() && identified_mm < nominal_mm {
+        EstimationFinding::ListImprovesLittle { residual_rms_mm, identified_mm, nominal_mm }
+    } else {
+        EstimationFinding::PositionUndetermined { residual_rms_mm, identified_mm, nominal_mm }
+    })
+}
+
+fn poorly_observable(parameters: &[ParameterResult]) -> Option<EstimationFinding> {
+    let poor = parameters.iter().filter(|parameter| parameter.status() == Status::PoorlyObservable);
+    Some(EstimationFinding::PoorlyObservable { parameters: names(poor)? })
+}
+
+fn monte_carlo(drawn: &MonteCarlo) -> impl Iterator<Item = EstimationFinding> {
+    let MonteCarlo { trials, used, disagree } = drawn;
+    let failed = (used < trials)
+        .then(|| EstimationFinding::TrialsNotConverged { failed: trials - used, trials: *trials });
+    let disagree = (!disagree.is_empty())
+        .then(|| EstimationFinding::IntervalsDisagree { parameters: Names::of(disagree) });
+    failed.into_iter().chain(disagree)
+}
+
+/// `None` without parameters.
+fn names<'a>(parameters: impl Iterator<Item = &'a ParameterResult>) -> Option<Names> {
+    let names = Names::of(parameters.map(|parameter| parameter.id));
+    (!names.0.is_empty()).then_some(names)
+}
+
+/// Whether the lengths agree with the nominal robot better than its tolerance allows: the controller corrected its axis angles.
+fn absolute_accuracy_mode(of: &Calibration<'_>) -> Option<EstimationFinding> {
+    let robot = of.setting.robot;
+    let few = of.axes == AngleSource::Given && of.lengths.len() < LEAST_LENGTHS;
+    // A robot that was identified before should agree.
+    if robot.nominal.is_some() || few {
+        return None;
+    }
+    let ids = parameter::parse_list("geometric", &robot.parallel_joints(), 0_usize).ok()?;
+    let model = LengthModel { geometry: robot.geometry.clone(), ..of.estimate.fit.model.clone() };
+    let rows = factor(&model, &of.lengths.plain(), &ids);
+    let tolerance = |id: &ParamId| of.setting.priors.geometric(*id).unwrap_or(0.0);
+    let squares =
+        rows.column_iter().zip(&ids).map(|(column, id)| column.norm_squared() * tolerance(id).powi(2));
+    let expected_mm = (squares.sum::<f64>() / of.lengths.len().max(1) as f64).sqrt();
+    let residual_rms_mm = of.residual_mm.before.rms;
+    (residual_rms_mm < CLOSEST_TO_NOMINAL * expected_mm)
+        .then_some(EstimationFinding::AbsoluteAccuracyMode { residual_rms_mm, expected_mm })
+}

@@ -1,0 +1,240 @@
+//! The lengths in the form that the solver uses. Few are prepared once; many are prepared piece by piece for each pass, so
+//! that they take no memory besides the table.
+
+use std::borrow::Cow;
+
+use super::options::Options;
+use crate::math::map_pieces;
+use crate::measurement::{Measurement, MeasurementPieces, PreparedMeasurement};
+use crate::robot::{AXES, Robot};
+
+/// Size of the even sample that represents many lengths for a scale or the start of a fit.
+pub(super) const SAMPLE: usize = 8192;
+const MANY: usize = 2 * SAMPLE;
+
+/// Lengths with their given standard deviations.
+#[derive(Clone, Debug)]
+pub(crate) struct Lengths<'a> {
+    rows: Rows<'a>,
+    /// Whether the user stated the standard deviation, so that it is not adjusted to the residuals.
+    pub(super) vouched: bool,
+    /// Whether any standard deviations are given.
+    pub(super) known: bool,
+    /// Standard deviation of the robot's repeatability along a length, mm, if it is known.
+    pub(super) repeatability_mm: Option<f64>,
+}
+
+#[derive(Clone, Debug)]
+enum Rows<'a> {
+    /// With the given standard deviation of each, mm; 1 if none is given.
+    Few(Vec<PreparedMeasurement>, Vec<f64>),
+    /// With a standard deviation for all, or with those of the rows.
+    Many(Cow<'a, [Measurement]>, Option<f64>),
+}
+
+/// How the standard deviation of a length (mm) follows from the given one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Sigma {
+    Given,
+    /// The given one times a factor.
+    Times(f64),
+    /// The given variance plus this one, mm^2.
+    And(f64),
+    /// The same for all, mm.
+    All(f64),
+}
+
+impl Sigma {
+    pub(super) fn of(self, given: f64) -> f64 {
+        match self {
+            Self::Given => given,
+            Self::Times(factor) => given * factor,
+            Self::And(square) => (given * given + square).sqrt(),
+            Self::All(sigma) => sigma,
+        }
+    }
+}
+
+/// Lengths with the weights of a fit.
+#[derive(Clone, Copy, Debug)]
+pub struct Weighted<'a> {
+    lengths: &'a Lengths<'a>,
+    sigma: Sigma,
+    /// Indices of the excluded lengths, ascending.
+    excluded: &'a [usize],
+}
+
+impl<'a> Lengths<'a> {
+    pub(super) fn of(rows: &'a [Measurement], options: &Options, robot: &Robot) -> Self {
+        let known = options.sigma_mm.is_some() || rows.iter().all(|row| row.sigma_mm.is_some());
+        // If one row has no standard deviation, all get the same: a guess for it would be as good as a measurement.
+        let all = options.sigma_mm.or_else(|| (!known).then_some(1.0));
+        let held = match rows.len() {
+            MANY.. => Rows::Many(Cow::Borrowed(rows), all),
+            _ => Rows::Few(
+                rows.iter().map(PreparedMeasurement::from).collect(),
+                rows.iter().map(|row| given(row, all)).collect(),
+            ),
+        };
+        let (vouched, repeatability_mm) = (options.sigma_mm.is_some(), robot.repeatability_sd_mm());
+        Self { rows: held, vouched, known, repeatability_mm }
+    }
+
+    /// `given` are the standard deviations, mm.
+    pub(super) fn few(readings: Vec<PreparedMeasurement>, given: Vec<f64>) -> Lengths<'static> {
+        Lengths { rows: Rows::Few(readings, given), vouched: true, known: true, repeatability_mm: None }
+    }
+
+    /// The lengths with these indices.
+    pub(super) fn at(&self, places: &[usize]) -> Self {
+        let rows = match &self.rows {
+            Rows::Few(readings, given) => Rows::Few(
+                places.iter().map(|&at| readings[at]).collect(),
+                places.iter().map(|&at| given[at]).collect(),
+            ),
+            Rows::Many(rows, all) => Rows::Many(places.iter().map(|&at| rows[at].clone()).collect(), *all),
+        };
+        Self { rows, ..*self }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        match &self.rows {
+            Rows::Few(readings, _) => readings.len(),
+            Rows::Many(rows, _) => rows.len(),
+        }
+    }
+
+    /// Whether an even sample represents them.
+    pub(super) fn are_many(&self) -> bool {
+        self.len() >= MANY
+    }
+
+    /// The stride of the even sample; 1 for few lengths.
+    pub(super) fn stride(&self) -> usize {
+        if self.are_many() { self.len() / SAMPLE } else { 1 }
+    }
+
+    pub(super) fn reading(&self, at: usize) -> PreparedMeasurement {
+        match &self.rows {
+            Rows::Few(readings, _) => readings[at],
+            Rows::Many(rows, _) => PreparedMeasurement::from(&rows[at]),
+        }
+    }
+
+    /// The axis angles, rad: cheaper than [`Self::reading`].
+    pub(super) fn axes(&self, at: usize) -> [f64; AXES] {
+        match &self.rows {
+            Rows::Few(readings, _) => readings[at].axes,
+            Rows::Many(rows, _) => rows[at].axes.radians(),
+        }
+    }
+
+    /// The given standard deviation, mm; 1 if none is given.
+    pub(super) fn given(&self, at: usize) -> f64 {
+        match &self.rows {
+            Rows::Few(_, sigma) => sigma[at],
+            Rows::Many(rows, all) => given(&rows[at], *all),
+        }
+    }
+
+    pub(super) fn weighted(&'a self, sigma: Sigma, excluded: &'a [usize]) -> Weighted<'a> {
+        Weighted { lengths: self, sigma, excluded }
+    }
+
+    /// All lengths with unit weights.
+    pub(super) fn plain(&'a self) -> Weighted<'a> {
+        self.weighted(Sigma::All(1.0), &[])
+    }
+}
+
+/// The given standard deviation of a row, mm.
+fn given(row: &Measurement, all: Option<f64>) -> f64 {
+    all.or(row.sigma_mm).unwrap_or(1.0)
+}
+
+impl<'a> Weighted<'a> {
+    /// With other standard deviations.
+    pub(super) fn by(self, sigma: Sigma) -> Self {
+        Self { sigma, ..self }
+    }
+
+    pub(super) fn without(self, excluded: &'a [usize]) -> Self {
+        Self { excluded, ..self }
+    }
+
+    /// The number of lengths that are not excluded.
+    pub(super) fn count(&self) -> usize {
+        self.lengths.len() - self.excluded.len()
+    }
+
+    pub(super) fn lengths(&self) -> &'a Lengths<'a> {
+        self.lengths
+    }
+
+    /// The standard deviations, mm; infinite for excluded lengths.
+    pub(super) fn sigmas(&self) -> impl Iterator<Item = f64> {
+        let Self { lengths, sigma, mut excluded } = *self;
+        (0..lengths.len()).map(move |at| match excluded.split_first() {
+            Some((next, others)) if *next == at => {
+                excluded = others;
+                f64::INFINITY
+            }
+            _ => sigma.of(lengths.given(at)),
+        })
+    }
+
+    /// Root mean square of the standard deviations that are not excluded, mm.
+    pub(crate) fn rms_sigma(&self) -> f64 {
+        let squares = self.sigmas().filter(|sigma| *sigma != f64::INFINITY).map(|sigma| sigma * sigma);
+        (squares.sum::<f64>() / self.count().max(1) as f64).sqrt()
+    }
+
+    /// The standard deviations of a piece that begins at `first`, from the given ones.
+    fn sigmas_of_piece(&self, first: usize, given: impl Iterator<Item = f64>) -> Vec<f64> {
+        let mut sigma: Vec<f64> = given.map(|given| self.sigma.of(given)).collect();
+        for at in &self.excluded[self.excluded.partition_point(|at| *at < first)..] {
+            let Some(excluded) = sigma.get_mut(at - first) else { break };
+            *excluded = f64::INFINITY;
+        }
+        sigma
+    }
+
+    /// Applies `of` to each reading and its standard deviation; to an even sample of many lengths.
+    pub(super) fn sample<R>(&self, of: impl Fn(&PreparedMeasurement, f64) -> R) -> Vec<R> {
+        let sampled = self.sigmas().enumerate().step_by(self.lengths.stride());
+        sampled.map(|(at, sigma)| of(&self.lengths.reading(at), sigma)).collect()
+    }
+
+    /// The readings that are not excluded, with their standard deviations, mm; an even sample of many lengths.
+    pub(crate) fn used_sample(&self) -> Vec<(PreparedMeasurement, f64)> {
+        let mut sample = self.sample(|reading, sigma| (*reading, sigma));
+        sample.retain(|(_, sigma)| sigma.is_finite());
+        sample
+    }
+
+    /// The sum of `of` over the readings that are not excluded and their standard deviations.
+    pub(super) fn sum(&self, of: impl Fn(&PreparedMeasurement, f64) -> f64 + Sync) -> f64 {
+        let pieces = self.in_pieces(|_, readings, sigma| {
+            let used = readings.iter().zip(sigma).filter(|(_, sigma)| **sigma != f64::INFINITY);
+            used.map(|(reading, sigma)| of(reading, *sigma)).sum::<f64>()
+        });
+        pieces.into_iter().sum()
+    }
+}
+
+impl MeasurementPieces for Weighted<'_> {
+    fn in_pieces<R: Send>(&self, work: impl Fn(usize, &[PreparedMeasurement], &[f64]) -> R + Sync) -> Vec<R> {
+        match &self.lengths.rows {
+            Rows::Few(readings, given) => {
+                let sigma = self.sigmas_of_piece(0, given.iter().copied());
+                map_pieces(readings, |first, piece| work(first, piece, &sigma[first..first + piece.len()]))
+            }
+            Rows::Many(rows, all) => map_pieces(rows, |first, piece| {
+                let readings: Vec<PreparedMeasurement> =
+                    piece.iter().map(PreparedMeasurement::from).collect();
+                let sigma = self.sigmas_of_piece(first, piece.iter().map(|row| given(row, *all)));
+                work(first, &readings, &sigma)
+            }),
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! Identification: from lengths and positions to parameters.
+//!
+//! The lengths L = |p - c| + b, and the coordinates of a tracker as distances from its planes, are fitted by least squares over
+//! a base set of the parameters asked for. The base set is chosen at the nominal geometry with the fitted set-up. Poorly
+//! observable parameters are fixed, or bound by a prior. Every number has its standard deviation or the reason why it has
+//! none.
+//!
+//! [`linear_system()`] alone forms design rows, [`priors`] alone has prior standard deviations and limits, [`posterior`] alone
+//! holds a covariance, and [`Calibration::result`] alone makes a result.
+
+mod catalogue;
+pub use catalogue::{EstimationFinding, FleetFinding, ResultFinding};
+
+mod calibration;
+pub mod change;
+mod contradiction;
+mod design_prediction;
+mod distance;
+mod estimate;
+mod evidence;
+pub mod expected;
+mod findings;
+mod fit;
+pub mod fleet;
+mod identifiability;
+mod input_checks;
+mod joint_curve;
+mod joint_errors;
+mod joint_fit;
+mod joint_prediction;
+mod joint_system;
+mod joint_unknowns;
+mod lengths;
+pub mod linear_system;
+mod monte_carlo;
+mod noise_shape;
+mod options;
+mod parameters;
+mod pose_rows;
+mod position;
+pub mod posterior;
+mod predicted;
+mod prior;
+pub mod priors;
+mod remounted;
+mod residual_tests;
+pub mod result;
+pub mod result_file;
+mod ripple;
+mod selection;
+mod shifted_rows;
+mod sigma;
+mod solver;
+mod uncertainty;
+mod validation;
+pub mod wording;
+mod workspace;
+mod zero_change;
+
+pub use calibration::{AngleSource, Calibration, Input};
+pub use design_prediction::{DesignPrediction, ParameterPrediction, predict_design};
+pub use distance::DistanceQuantities;
+pub use findings::beyond_repeatability;
+pub use identifiability::{
+    Analysis, Combination, Correlation, Observability, analyse, correlations, observability, order_of_choice,
+};
+pub use input_checks::{check_measurements, doubts};
+pub use joint_curve::{JointPoint, joint_curve};
+pub use joint_fit::{GroupEvidence, JointSummary};
+pub use linear_system::{factor, linear_system};
+pub use options::{ErrorModel, Options};
+pub use pose_rows::LengthNoise;
+pub use position::Positions;
+pub use posterior::{Posterior, inverse_root, root_after};
+pub use predicted::PositionParts;
+pub use priors::{Group, Prior, Priors, largest_plausible};
+pub use remounted::{ChangedSetUp, Remounted, remounted};
+pub use residual_tests::senses;
+pub use result::CalibrationResult;
+pub use result_file::{Beside, ResultFile};
+pub use selection::{is_place, without_open_places};
+pub use sigma::length_sd_mm;
+pub use workspace::{ErrorSummary, Workspace, left_out_mm};
+pub use zero_change::ZeroChange;

@@ -1,0 +1,249 @@
+//! The position uncertainty of the tool ball at poses, from all that is not known of a robot.
+//!
+//! At a pose: J C J' of parameters and joint errors, the six rigid motions of all poses taken out; at each joint what a
+//! smooth function has left beyond the angles measured (all of it far from them) and, where the sense of approach
+//! is not known, its backlash.
+
+use nalgebra::{DMatrix, Matrix3, Vector3};
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+use super::workspace::{Workspace, take_out_rigid_motion};
+use crate::measurement::{ApproachedPose, LengthModel};
+use crate::robot::{
+    AXES, Approach, AxesAtPose, Geometry, Joint, JointSinCos, JointTerm, KinematicChain, ParamId, Robot,
+    RobotUncertainty, TermKind,
+};
+
+/// Fewer poses say too little of where the robot's base is: poses of the workspace are added.
+const FEWEST_POSES: usize = 10;
+
+/// The tool ball at poses, with what is not known of it.
+pub struct Positions {
+    /// In the robot base, mm.
+    pub balls: Vec<Vector3<f64>>,
+    /// What the root's columns move, 3 rows a pose, mm.
+    moved: DMatrix<f64>,
+    /// What each joint moves, mm/rad, and the standard deviation of its error beside the root's, rad.
+    joints: Vec<[Lever; AXES]>,
+    pose_mm: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Lever {
+    column: Vector3<f64>,
+    sd_rad: f64,
+}
+
+impl Positions {
+    /// Of a robot at `poses`, by what is not known of it.
+    pub fn of(robot: &Robot, poses: &[ApproachedPose]) -> Self {
+        /// Poses of the workspace that align few poses, and their seed.
+        const WORKSPACE_POSES: usize = 300;
+        const SEED: u64 = 1;
+        let workspace = Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED);
+        Self::new(&robot.geometry, &RobotUncertainty::of(robot), poses, &workspace)
+    }
+
+    /// Of a robot at `poses`, aligned over these; over `workspace` too where they are few.
+    pub fn new(
+        geometry: &Geometry,
+        unknown: &RobotUncertainty,
+        poses: &[ApproachedPose],
+        workspace: &[[f64; AXES]],
+    ) -> Self {
+        let more: &[[f64; AXES]] = if poses.len() < FEWEST_POSES { workspace } else { &[] };
+        let given = poses.iter().map(|pose| (pose.axes.radians(), pose.approach));
+        let all: Vec<([f64; AXES], Approach)> =
+            given.chain(more.iter().map(|axes| (*axes, Approach::default()))).collect();
+        let motion = BallMotion::new(geometry, &all, &unknown.parameters);
+        let remaining = RemainingErrors::new(geometry, unknown);
+        let joints = all.iter().zip(&motion.levers).map(|((axes, approach), levers)| {
+            let sds = remaining.sds(axes, *approach);
+            std::array::from_fn(|i| Lever { column: levers[i], sd_rad: sds[i] })
+        });
+        let joints = joints.collect();
+        let BallMotion { jacobian, mut balls, .. } = motion;
+        let mut moved = jacobian * &unknown.root;
+        take_out_rigid_motion(&mut moved, &balls);
+        balls.truncate(poses.len());
+        Self { balls, moved, joints, pose_mm: unknown.pose_mm }
+    }
+
+    /// The covariance of the ball's place at a pose, with the repeatability of the pose, mm^2.
+    pub fn covariance(&self, pose: usize) -> Matrix3<f64> {
+        let moved = self.moved.rows(3 * pose, 3);
+        let mut covariance = Matrix3::identity() * (self.pose_mm * self.pose_mm);
+        covariance += moved * moved.transpose();
+        for lever in &self.joints[pose] {
+            covariance += lever.column * lever.column.transpose() * (lever.sd_rad * lever.sd_rad);
+        }
+        covariance
+    }
+
+    /// The 3-D standard deviation (root of the mean square) at a pose, mm.
+    pub fn sd_mm(&self, pose: usize) -> f64 {
+        self.covariance(pose).trace().sqrt()
+    }
+
+    /// Errors of `robots` drawn from it, a column each, 3 rows a pose, mm; a pose repeats to `pose_mm` in them.
+    pub(super) fn draws(&self, robots: usize, pose_mm: f64) -> DMatrix<f64> {
+        let mut random = Pcg64::seed_from_u64(1);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
+        let numbers = DMatrix::from_fn(self.moved.ncols(), robots, |_, _| normal());
+        let mut drawn = &self.moved * numbers;
+        for mut column in drawn.column_iter_mut() {
+            for (pose, levers) in self.joints.iter().enumerate() {
+                let mut error = Vector3::from_fn(|_, _| pose_mm * normal());
+                for lever in levers {
+                    error += lever.column * (lever.sd_rad * normal());
+                }
+                let mut there = column.fixed_rows_mut::<3>(3 * pose);
+                there += error;
+            }
+        }
+        drawn
+    }
+}
+
+/// How the tool ball moves at poses.
+pub(super) struct BallMotion {
+    /// By parameters, then by coefficients of the joints' errors: 3 rows a pose, mm per unit.
+    pub(super) jacobian: DMatrix<f64>,
+    /// In the robot base, mm.
+    pub(super) balls: Vec<Vector3<f64>>,
+    /// By the angle of each joint, mm/rad.
+    levers: Vec<[Vector3<f64>; AXES]>,
+}
+
+impl BallMotion {
+    /// At axis angles (rad) with the sense of approach.
+    pub(super) fn new(geometry: &Geometry, poses: &[([f64; AXES], Approach)], ids: &[ParamId]) -> Self {
+        let chain = KinematicChain::new(geometry);
+        let own = ids.len();
+        let mut jacobian = DMatrix::zeros(3 * poses.len(), own + geometry.joint_errors.count());
+        let (mut balls, mut joints) = (Vec::new(), Vec::new());
+        let ids: Vec<ParamId> = ids.iter().copied().chain(Joint::ALL.map(ParamId::Theta)).collect();
+        for (at, (axes, approach)) in poses.iter().enumerate() {
+            let mut levers = [Vector3::zeros(); AXES];
+            chain.ball_jacobian(axes, &ids, |column, moved| match column.checked_sub(own) {
+                None => jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&moved),
+                Some(joint) => levers[joint] = moved,
+            });
+            let mut column = own;
+            geometry.error_derivatives(axes, *approach, |place, value| {
+                jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&(levers[place] * value));
+                column += 1;
+            });
+            joints.push(levers);
+            let (sin_cos, approach, target) = (&JointSinCos::of(axes), *approach, &geometry.tool);
+            balls.push(chain.ball(&AxesAtPose { axes, sin_cos, approach, target }));
+        }
+        Self { jacobian, balls, levers: joints }
+    }
+}
+
+/// The errors of joints beside what the root of an uncertainty holds.
+pub(super) struct RemainingErrors<'a> {
+    geometry: &'a Geometry,
+    uncertainty: &'a RobotUncertainty,
+    /// Prior variance of each coefficient of the smooth functions; 0 of the others.
+    variances: Vec<f64>,
+}
+
+impl<'a> RemainingErrors<'a> {
+    pub(super) fn new(geometry: &'a Geometry, uncertainty: &'a RobotUncertainty) -> Self {
+        let variance = |term: &JointTerm| match term.kind {
+            TermKind::Smooth { frequency } => uncertainty.spectral_density(frequency),
+            _ => 0.0,
+        };
+        let variances = geometry.joint_errors.terms().iter().map(variance).collect();
+        Self { geometry, uncertainty, variances }
+    }
+
+    /// The standard deviation of each joint's error at axis angles (rad), rad.
+    pub(super) fn sds(&self, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
+        let Self { geometry, uncertainty, .. } = self;
+        let joints = geometry.coupling.joints(axes);
+        let errors = &geometry.joint_errors;
+        let nearest = |place: usize| Some(errors.at(place)?.smooth.nearest_measured(joints[place]));
+        let nearest: [f64; AXES] = std::array::from_fn(|place| nearest(place).unwrap_or(joints[place]));
+        let here = self.smooth_variance(&joints);
+        let measured = if nearest == joints { here } else { self.smooth_variance(&nearest) };
+        let senses = geometry.coupling.senses(approach).senses();
+        std::array::from_fn(|place| {
+            let backlash = if senses[place] == 0 { uncertainty.unapproached_rad[place] } else { 0.0 };
+            // Among measured angles what the basis lacks is in the noise of the lengths already.
+            let held = if measured[place] > 0.0 { (here[place] / measured[place]).min(1.0) } else { 0.0 };
+            (uncertainty.smooth_variance() * (1.0 - held)).sqrt().hypot(backlash)
+        })
+    }
+
+    /// The variance that the basis of each joint's smooth function has at joint angles (rad) before any length, rad^2.
+    fn smooth_variance(&self, joints: &[f64; AXES]) -> [f64; AXES] {
+        let mut variance = [0.0; AXES];
+        let mut of_term = self.variances.iter();
+        self.geometry.joint_errors.derivatives(joints, Approach::default(), |place, value| {
+            variance[place] += of_term.next().map_or(0.0, |prior| prior * value * value);
+        });
+        variance
+    }
+}
+
+/// Columns of a root that a robot's file holds.
+const COLUMNS: usize = 60;
+/// Iterations that find them: what they leave out is scaled in.
+const ITERATIONS: usize = 4;
+
+/// The same uncertainty with few columns: those that move the tool ball at these poses and the base balls most against each
+/// other, each place in units of its own standard deviation, so that it is kept where it is small.
+pub(super) fn compressed(
+    model: &LengthModel,
+    unknown: &RobotUncertainty,
+    poses: &[ApproachedPose],
+) -> RobotUncertainty {
+    if unknown.root.ncols() <= COLUMNS {
+        return unknown.clone();
+    }
+    let mut moved = moved_with_balls(model, unknown, poses);
+    for pose in 0..moved.nrows() / 3 {
+        let mut rows = moved.rows_mut(3 * pose, 3);
+        let norm = rows.norm();
+        if norm > 0.0 {
+            rows /= norm;
+        }
+    }
+    let gram = moved.transpose() * &moved;
+    let mut random = Pcg64::seed_from_u64(1);
+    let mut space = DMatrix::from_fn(gram.ncols(), COLUMNS, |_, _| StandardNormal.sample(&mut random));
+    for _ in 0..ITERATIONS {
+        space = (&gram * space).qr().q();
+    }
+    let covered = (space.transpose() * &gram * &space).trace() / gram.trace();
+    let scale = if covered > 0.0 { covered.sqrt().recip() } else { 1.0 };
+    RobotUncertainty { root: &unknown.root * space * scale, ..unknown.clone() }
+}
+
+/// What the root's columns move: the tool ball at the poses, then the base balls, 3 rows each, without rigid motions of all.
+fn moved_with_balls(
+    model: &LengthModel,
+    unknown: &RobotUncertainty,
+    poses: &[ApproachedPose],
+) -> DMatrix<f64> {
+    let poses: Vec<_> = poses.iter().map(|pose| (pose.axes.radians(), pose.approach)).collect();
+    let BallMotion { jacobian, balls: mut places, .. } =
+        BallMotion::new(&model.geometry, &poses, &unknown.parameters);
+    let is_ball = |id: &ParamId| matches!(id, ParamId::Ball(..));
+    let rows: Vec<usize> =
+        (0..unknown.parameters.len()).filter(|at| is_ball(&unknown.parameters[*at])).collect();
+    // A ball of which one coordinate is exact is no place that moves freely.
+    let whole = rows.len() == 3 * model.balls.len();
+    let rows = if whole { rows } else { Vec::new() };
+    let mut moved = DMatrix::zeros(jacobian.nrows() + rows.len(), unknown.root.ncols());
+    moved.rows_mut(0, jacobian.nrows()).copy_from(&(&jacobian * &unknown.root));
+    moved.rows_mut(jacobian.nrows(), rows.len()).copy_from(&unknown.root.select_rows(&rows));
+    places.extend(model.balls.iter().take(rows.len() / 3));
+    take_out_rigid_motion(&mut moved, &places);
+    moved
+}

@@ -1,0 +1,292 @@
+//! The posterior of robot, set-up and bar: a model with the covariance of its parameters, and its update by lengths.
+//!
+//! The covariance is stored as a root, C = root root'. In the coordinates w of x = x0 + root w the prior is a unit normal.
+//! Lengths whose whitened rows have the factor R add the rows R root to it: with Q S = [I; R root] the new root is root S^-1.
+//! No matrix is squared, so that parameters of very different size and uncertainty do not lose digits.
+//!
+//! The coefficients of the joint errors follow the parameters, if the covariance has them.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::linear_system::{linear_system, linear_system_by_pose};
+use super::pose_rows::LengthNoise;
+use super::priors::Priors;
+use crate::math::{Triangle, stacked};
+use crate::measurement::{ColumnSelection, LengthModel, PreparedMeasurement};
+use crate::robot::{
+    AXES, Approach, BallId, BarId, Coordinate, Datum, ParamId, Robot, RobotPosterior, RobotUncertainty,
+    parameter,
+};
+
+/// Gauss-Newton steps of [`Posterior::learn`]. The model is near the truth, so they converge at once.
+const STEPS: usize = 6;
+
+/// A model with the covariance of its parameters.
+#[derive(Clone, Debug)]
+pub struct Posterior {
+    /// The most probable model.
+    pub model: LengthModel,
+    ids: Vec<ParamId>,
+    selection: ColumnSelection,
+    root: DMatrix<f64>,
+}
+
+/// A posterior after lengths.
+pub(super) struct Learnt {
+    pub(super) posterior: Posterior,
+    /// Its model in the coordinates of the prior's root: x = x0 + root w.
+    pub(super) w: DVector<f64>,
+}
+
+impl Posterior {
+    /// Independent parameters with standard deviations `sd` (mm, rad), about `model`.
+    pub fn new(model: LengthModel, ids: &[ParamId], sd: &[f64]) -> Self {
+        Self::with_root(model, ids, DMatrix::from_diagonal(&DVector::from_column_slice(sd)))
+    }
+
+    /// `root` has a row for each of `ids`, then for each coefficient of the joint errors.
+    pub(super) fn with_root(model: LengthModel, ids: &[ParamId], root: DMatrix<f64>) -> Self {
+        Self { model, ids: ids.to_vec(), selection: ColumnSelection::new(ids), root }
+    }
+
+    /// The posterior of an identification about `model`, with the coefficients of the joint errors if their covariance is
+    /// known.
+    pub fn of_robot(model: LengthModel, known: &RobotPosterior, unknown: Option<&RobotUncertainty>) -> Self {
+        Self::of_known(model, known, known.ids(), unknown)
+    }
+
+    /// The same with the base balls of `model` that the identification had.
+    pub fn of_robot_with_balls(
+        model: LengthModel,
+        known: &RobotPosterior,
+        unknown: Option<&RobotUncertainty>,
+    ) -> Self {
+        let is_here = |id: &ParamId| match id {
+            ParamId::Ball(ball, _) => ball.index() < model.balls.len(),
+            _ => true,
+        };
+        let ids: Vec<ParamId> = known.all_ids().iter().copied().filter(is_here).collect();
+        Self::of_known(model, known, &ids, unknown)
+    }
+
+    fn of_known(
+        model: LengthModel,
+        known: &RobotPosterior,
+        ids: &[ParamId],
+        unknown: Option<&RobotUncertainty>,
+    ) -> Self {
+        let Some(unknown) = unknown else {
+            return Self::with_root(model, ids, known.root_of(ids));
+        };
+        // A tool ball or base ball that is not in `known` is another one than that of the identification.
+        let is_known = |id: &ParamId| !matches!(id, ParamId::Tool(_) | ParamId::Ball(..)) || ids.contains(id);
+        let parameters = unknown.parameters.iter().enumerate().filter(|(_, id)| is_known(id));
+        let (mut rows, ids): (Vec<usize>, Vec<ParamId>) = parameters.map(|(row, id)| (row, *id)).unzip();
+        rows.extend(unknown.parameters.len()..unknown.root.nrows());
+        Self::with_root(model, &ids, unknown.root.select_rows(&rows))
+    }
+
+    /// All parameters of the robot and its set-up before any length.
+    pub fn prior(robot: &Robot, model: LengthModel, priors: &Priors) -> Self {
+        let ids = parameter::all_parameters(&robot.parallel_joints(), model.balls.len());
+        let sd: Vec<f64> = ids.iter().map(|id| priors.sd(*id)).collect();
+        Self::new(model, &ids, &sd)
+    }
+
+    /// The parameters, in the order of the rows of [`Posterior::root`].
+    pub fn ids(&self) -> &[ParamId] {
+        &self.ids
+    }
+
+    /// The number of coefficients of the joint errors.
+    pub fn coefficients(&self) -> usize {
+        self.root.nrows() - self.ids.len()
+    }
+
+    /// The root of the covariance: C = root root', mm and rad.
+    pub fn root(&self) -> &DMatrix<f64> {
+        &self.root
+    }
+
+    pub fn covariance(&self) -> DMatrix<f64> {
+        &self.root * self.root.transpose()
+    }
+
+    /// Standard deviation of a parameter, mm or rad; `None` if it is not among [`Self::ids`].
+    pub fn sd(&self, id: ParamId) -> Option<f64> {
+        self.ids.iter().position(|other| *other == id).map(|at| self.root.row(at).norm())
+    }
+
+    /// The standard deviations in the order of the parameters.
+    pub fn sds(&self) -> impl Iterator<Item = f64> {
+        self.root.row_iter().map(|row| row.norm())
+    }
+
+    /// With the covariance `columns columns'` added.
+    pub(super) fn widened(self, columns: &DMatrix<f64>) -> Self {
+        let own = self.root.ncols();
+        let mut root = self.root.resize_horizontally(own + columns.ncols(), 0.0);
+        root.columns_mut(own, columns.ncols()).copy_from(columns);
+        Self { root, ..self }
+    }
+
+    /// The derivative of the length from a base ball at `axes` (rad) in the coordinates of the root, mm: its norm is the
+    /// length's standard deviation.
+    pub fn design_row(&self, axes: &[f64; AXES], ball: BallId) -> DVector<f64> {
+        self.root.tr_mul(&self.derivative(axes, ball))
+    }
+
+    /// The derivative of the length from a base ball at `axes` (rad) by the rows of the root; zero for an unknown ball.
+    pub fn derivative(&self, axes: &[f64; AXES], ball: BallId) -> DVector<f64> {
+        let mut picked = DVector::zeros(self.root.nrows());
+        if let Some(place) = self.model.balls.get(ball.index()) {
+            let geometry = &self.model.geometry;
+            let mut row = geometry.length_row(axes, place, 0.0);
+            row.datum = Datum::Ball(ball, BarId::FIRST);
+            let (own, coefficients) = picked.as_mut_slice().split_at_mut(self.ids.len());
+            self.selection.pick(&row, own);
+            row.joint_terms(geometry, axes, Approach::default(), coefficients);
+        }
+        picked
+    }
+
+    /// With a base ball that the tool ball touched at `axes` (rad) to `sd_mm`: its error is then correlated with that of the
+    /// robot at this pose. Requires that no length to this ball is in the posterior.
+    pub fn touched(&self, touched_ball: BallId, axes: &[f64; AXES], sd_mm: f64) -> Self {
+        let mut touched = self.clone();
+        let ball = self.model.geometry.ball(axes).position;
+        for axis in Coordinate::ALL {
+            let Some(at) = self.ids.iter().position(|id| *id == ParamId::Ball(touched_ball, axis)) else {
+                continue;
+            };
+            // The derivative of the length from a point along an axis is that of the coordinate.
+            let mut far = ball;
+            far[axis.index()] -= 1.0;
+            let row = self.model.geometry.length_row(axes, &far, 0.0);
+            let mut there = self.root.row(at) * 0.0;
+            for (parameter, id) in self.ids.iter().enumerate() {
+                if id.moves_tool_ball() {
+                    there += self.root.row(parameter) * row.derivative(*id);
+                }
+            }
+            // Without lengths this coordinate of the ball has a column of its own in the root.
+            there[self.root.row(at).iamax_full().1] += sd_mm;
+            touched.root.set_row(at, &there);
+        }
+        touched
+    }
+
+    /// The posterior after lengths at these poses that agree with the model. `None` if a number is not finite.
+    pub fn after<'a>(
+        &self,
+        readings: &[PreparedMeasurement],
+        noise: impl Into<LengthNoise<'a>>,
+    ) -> Option<Self> {
+        let mut system = self.system(&self.model, readings, noise.into())?;
+        let root = root_after(&self.root, &system.factor())?;
+        Some(Self { root, ..self.clone() })
+    }
+
+    /// The posterior after these lengths. `None` if a number is not finite.
+    pub fn learn<'a>(
+        &self,
+        readings: &[PreparedMeasurement],
+        noise: impl Into<LengthNoise<'a>>,
+    ) -> Option<Self> {
+        self.learnt(readings, noise.into()).map(|learnt| learnt.posterior)
+    }
+
+    /// As [`Self::learn`], with the coordinates w.
+    pub(super) fn learnt(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Learnt> {
+        let unknowns = self.root.ncols();
+        let identity = DMatrix::identity(unknowns, unknowns);
+        let mut posterior = self.clone();
+        let mut w = DVector::zeros(unknowns);
+        for _ in 0..STEPS {
+            let mut system = self.system(&posterior.model, readings, noise)?;
+            let rows = system.factor() * &self.root;
+            let rhs = system.rhs() + &rows * &w;
+            let qr = stacked(&identity, &rows).qr();
+            let mut right = DVector::zeros(unknowns + rows.nrows());
+            right.rows_mut(unknowns, rows.nrows()).copy_from(&rhs);
+            qr.q_tr_mul(&mut right);
+            w = qr.r().solve_upper_triangular(&right.rows(0, unknowns))?;
+            posterior.root = &self.root * qr.r().solve_upper_triangular(&identity)?;
+            posterior.model = self.moved(&(&self.root * &w));
+        }
+        posterior.root.iter().chain(w.iter()).all(|x| x.is_finite()).then_some(Learnt { posterior, w })
+    }
+
+    /// The model with steps of the parameters, then of the coefficients of the joint errors.
+    fn moved(&self, steps: &DVector<f64>) -> LengthModel {
+        let mut model = self.model.shifted(&self.ids, steps);
+        if self.coefficients() > 0 {
+            let errors = &self.model.geometry.joint_errors;
+            let further = steps.iter().skip(self.ids.len());
+            let coefficients: Vec<f64> =
+                errors.coefficients().iter().zip(further).map(|(c, step)| c + step).collect();
+            model.geometry.joint_errors = errors.with(coefficients);
+        }
+        model
+    }
+
+    /// The linearised problem of the lengths. `None` if the covariance of the noise is singular.
+    pub(super) fn system(
+        &self,
+        model: &LengthModel,
+        readings: &[PreparedMeasurement],
+        noise: LengthNoise<'_>,
+    ) -> Option<Triangle> {
+        if self.coefficients() > 0 {
+            return linear_system_by_pose(model, readings, noise, &self.ids);
+        }
+        let sigma = vec![noise.sigma_mm(); readings.len()];
+        Some(linear_system(model, &(readings, sigma.as_slice()), &self.ids))
+    }
+}
+
+/// The root of the covariance after lengths whose whitened rows have this factor; `None` if a number is not finite.
+pub fn root_after(root: &DMatrix<f64>, factor: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let identity = DMatrix::identity(root.ncols(), root.ncols());
+    let after = root * stacked(&identity, &(factor * root)).qr().r().solve_upper_triangular(&identity)?;
+    after.iter().all(|x| x.is_finite()).then_some(after)
+}
+
+/// A root of the covariance (A'A)^-1 of least squares with the whitened rows A, a row an unknown. `None` if A has not full
+/// column rank.
+pub fn inverse_root(rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    // Scaled to unit columns, because mm and rad differ by orders of magnitude.
+    let norms: Vec<f64> = rows.column_iter().map(|column| column.norm()).collect();
+    let mut unit = rows.clone();
+    unit.column_iter_mut().zip(&norms).for_each(|(mut column, norm)| column /= *norm);
+    let factor = unit.qr().r();
+    let rounding = factor.nrows() as f64 * f64::EPSILON;
+    if factor.nrows() < factor.ncols() || factor.diagonal().iter().any(|pivot| pivot.abs() <= rounding) {
+        return None;
+    }
+    let mut inverse = factor.try_inverse()?;
+    inverse.row_iter_mut().zip(&norms).for_each(|(mut row, norm)| row /= *norm);
+    inverse.iter().all(|x| x.is_finite()).then_some(inverse)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn root_after_rows_agrees_with_the_normal_equations() {
+        let root = DMatrix::from_diagonal(&DVector::from_row_slice(&[10.0, 1e-3]));
+        let rows = DMatrix::from_row_slice(3, 2, &[1.0, 800.0, 0.5, -300.0, 0.0, 100.0]);
+        let after = root_after(&root, &rows).unwrap();
+        let information = (&root * root.transpose()).try_inverse().unwrap() + rows.tr_mul(&rows);
+        let expected = information.try_inverse().unwrap();
+        assert!((&after * after.transpose() - &expected).norm() < 1e-9 * expected.norm());
+    }
+
+    #[test]
+    fn rank_deficient_rows_have_no_inverse_root() {
+        assert!(inverse_root(&DMatrix::from_row_slice(2, 2, &[1.0, 2.0, 2.0, 4.0])).is_none());
+        let inverse = inverse_root(&DMatrix::from_row_slice(2, 2, &[2.0, 0.0, 0.0, 1e-6])).unwrap();
+        assert!((inverse.row(0).norm() - 0.5).abs() < 1e-15 && (inverse.row(1).norm() - 1e6).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,177 @@
+//! The position of the tool ball over a workspace: its Jacobian, and the size of its errors.
+
+use nalgebra::{DMatrix, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use serde::{Deserialize, Serialize};
+
+use super::position::BallMotion;
+use super::result::MapPoint;
+use crate::math::{OrthonormalBasis, aligned_distances};
+use crate::robot::{
+    AXES, Approach, AxesAtPose, Geometry, JointErrors, JointSinCos, KinematicChain, ParamId, Robot,
+};
+
+/// Position error of the tool ball over a workspace for many drawn robots, mm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ErrorSummary {
+    /// Mean over robots and poses.
+    pub mean: f64,
+    /// 95th percentile over robots and poses.
+    pub p95: f64,
+    /// 95th percentile over the robots of the largest error over the poses; never below `p95`.
+    pub max: f64,
+}
+
+/// Poses over which the position error is predicted, with the Jacobian of the tool ball.
+pub struct Workspace {
+    /// Ball positions, mm.
+    pub positions: Vec<Vector3<f64>>,
+    ids: Vec<ParamId>,
+    jacobian: DMatrix<f64>,
+}
+
+impl Workspace {
+    /// `count` axis vectors (rad), uniform within the robot's limits, from `seed`.
+    pub fn uniform(robot: &Robot, count: usize, seed: u64) -> Vec<[f64; AXES]> {
+        let mut random = Pcg64::seed_from_u64(seed);
+        let mut draw = || {
+            let mut axes_deg = [0.0; AXES];
+            for i in 0..AXES {
+                let [low, high] = robot.limits_at_deg(&axes_deg)[i];
+                axes_deg[i] = random.random_range(low..high);
+            }
+            axes_deg.map(f64::to_radians)
+        };
+        (0..count).map(|_| draw()).collect()
+    }
+
+    /// The Jacobian by `ids` at `poses` (axis angles, rad).
+    pub fn new(geometry: &Geometry, poses: &[[f64; AXES]], ids: &[ParamId]) -> Self {
+        let mut jacobian = DMatrix::zeros(3 * poses.len(), ids.len());
+        let chain = KinematicChain::new(geometry);
+        let position = |(at, axes): (usize, &[f64; AXES])| {
+            chain.ball_jacobian(axes, ids, |column, derivative| {
+                jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&derivative);
+            })
+        };
+        let positions = poses.iter().enumerate().map(position).collect();
+        Self::aligned(positions, ids, jacobian)
+    }
+
+    /// The Jacobian by `ids`, then by the coefficients of the joint errors.
+    pub fn with_joint_errors(geometry: &Geometry, poses: &[[f64; AXES]], ids: &[ParamId]) -> Self {
+        let poses: Vec<_> = poses.iter().map(|axes| (*axes, Approach::default())).collect();
+        let BallMotion { jacobian, balls, .. } = BallMotion::new(geometry, &poses, ids);
+        Self::aligned(balls, ids, jacobian)
+    }
+
+    fn aligned(positions: Vec<Vector3<f64>>, ids: &[ParamId], mut jacobian: DMatrix<f64>) -> Self {
+        take_out_rigid_motion(&mut jacobian, &positions);
+        Self { positions, ids: ids.to_vec(), jacobian }
+    }
+
+    /// The displacements of the ball, 3 rows a pose, by parameter errors, a row a parameter; mm, a column a robot.
+    pub fn displacements(&self, errors: &DMatrix<f64>) -> DMatrix<f64> {
+        &self.jacobian * errors
+    }
+
+    /// Root mean square over the robots of the displacement at each pose.
+    pub fn map(&self, displacements: &DMatrix<f64>) -> Vec<MapPoint> {
+        let robots = displacements.ncols().max(1) as f64;
+        let rms = |pose: usize| (displacements.rows(3 * pose, 3).norm_squared() / robots).sqrt();
+        let point =
+            |(pose, position): (usize, &Vector3<f64>)| MapPoint { position: *position, rms_mm: rms(pose) };
+        self.positions.iter().enumerate().map(point).collect()
+    }
+
+    /// Three rows a pose, a column a parameter, without rigid motions of all poses.
+    pub fn jacobian(&self) -> &DMatrix<f64> {
+        &self.jacobian
+    }
+
+    /// The parameters of the columns.
+    pub fn ids(&self) -> &[ParamId] {
+        &self.ids
+    }
+}
+
+impl ErrorSummary {
+    /// Of displacements, 3 rows a pose and a column a robot, mm.
+    pub fn of(displacements: &DMatrix<f64>) -> Self {
+        let mut sizes = Vec::with_capacity(displacements.len() / 3);
+        let mut largest = Vec::with_capacity(displacements.ncols());
+        for column in displacements.column_iter() {
+            let at = |pose: usize| column.fixed_rows::<3>(3 * pose).norm();
+            let first = sizes.len();
+            sizes.extend((0..displacements.nrows() / 3).map(at));
+            largest.push(sizes[first..].iter().copied().fold(0.0, f64::max));
+        }
+        if sizes.is_empty() {
+            return Self::default();
+        }
+        let mean = sizes.iter().sum::<f64>() / sizes.len() as f64;
+        Self { mean, p95: percentile_95(&mut sizes), max: percentile_95(&mut largest) }
+    }
+}
+
+fn percentile_95(values: &mut [f64]) -> f64 {
+    let rank = ((values.len() as f64 * 0.95) as usize).min(values.len() - 1);
+    *values.select_nth_unstable_by(rank, f64::total_cmp).1
+}
+
+/// Projects the six rigid motions of the positions out of the columns.
+pub(super) fn take_out_rigid_motion(jacobian: &mut DMatrix<f64>, positions: &[Vector3<f64>]) {
+    if positions.is_empty() {
+        return;
+    }
+    let centroid = positions.iter().sum::<Vector3<f64>>() / positions.len() as f64;
+    let mut rigid = DMatrix::zeros(3 * positions.len(), 6);
+    for (at, position) in positions.iter().enumerate() {
+        for axis in 0..3 {
+            let unit = Vector3::ith(axis, 1.0);
+            rigid.fixed_view_mut::<3, 1>(3 * at, axis).copy_from(&unit);
+            let rotation = unit.cross(&(position - centroid));
+            rigid.fixed_view_mut::<3, 1>(3 * at, 3 + axis).copy_from(&rotation);
+        }
+    }
+    // Collinear positions have fewer than six independent motions.
+    let mut motions = OrthonormalBasis::default();
+    for column in rigid.column_iter() {
+        motions.push(column.into_owned(), 1e-9 * column.norm());
+    }
+    for column in jacobian.column_iter_mut() {
+        motions.remove_from(column);
+    }
+}
+
+/// The mean distance of the tool ball from that of the DH table alone, without compliance and joint errors, over poses of
+/// the workspace after the best rigid alignment, mm. `None` if the robot has neither.
+pub fn left_out_mm(robot: &Robot) -> Option<f64> {
+    const POSES: usize = 200;
+    const SEED: u64 = 1;
+    let table = Geometry {
+        compliance: [0.0; AXES],
+        gear: [[0.0; 2]; AXES],
+        joint_errors: JointErrors::default(),
+        ..robot.geometry.clone()
+    };
+    if table == robot.geometry {
+        return None;
+    }
+    let poses = Workspace::uniform(robot, POSES, SEED);
+    let balls = |geometry: &Geometry| -> Vec<Vector3<f64>> {
+        let chain = KinematicChain::new(geometry);
+        let approached = poses.iter().zip(Approach::along(poses.iter().copied()));
+        let ball = |(axes, approach): (&[f64; AXES], Approach)| {
+            chain.ball(&AxesAtPose {
+                axes,
+                sin_cos: &JointSinCos::of(axes),
+                approach,
+                target: &geometry.tool,
+            })
+        };
+        approached.map(ball).collect()
+    };
+    Some(aligned_distances(&balls(&robot.geometry), &balls(&table)).iter().sum::<f64>() / POSES as f64)
+}

@@ -1,0 +1,28 @@
+//! Least squares by streamed QR factorisation, singular values, rank and linear dependence, distributions.
+//!
+//! nalgebra provides the matrices. Its `svd()` is not used: on clustered singular values it can lose half of the digits,
+//! and on a NaN it does not return.
+
+mod alignment;
+mod base_set;
+pub mod distributions;
+mod orthonormal;
+mod parallel;
+pub mod robust;
+pub mod straight_line;
+mod svd;
+mod triangle;
+
+pub use alignment::{RigidAlignment, aligned_distances};
+pub use base_set::{BaseSet, base_set, rank};
+pub use orthonormal::OrthonormalBasis;
+pub use parallel::{map_items, map_pieces};
+pub use svd::{Svd, svd};
+pub use triangle::Triangle;
+
+/// `upper` on top of `lower`; both have as many columns.
+pub fn stacked(upper: &nalgebra::DMatrix<f64>, lower: &nalgebra::DMatrix<f64>) -> nalgebra::DMatrix<f64> {
+    let mut stacked = upper.clone().resize_vertically(upper.nrows() + lower.nrows(), 0.0);
+    stacked.rows_mut(upper.nrows(), lower.nrows()).copy_from(lower);
+    stacked
+}

@@ -1,0 +1,52 @@
+//! An orthonormal basis that grows column by column.
+
+use nalgebra::{DMatrix, DVector, DVectorViewMut};
+
+/// Orthonormal vectors by modified Gram-Schmidt with reorthogonalisation, which is as accurate as Householder reflections.
+#[derive(Clone, Debug, Default)]
+pub struct OrthonormalBasis {
+    directions: Vec<DVector<f64>>,
+}
+
+impl OrthonormalBasis {
+    /// Adds the part of a column that is orthogonal to the basis, if its norm exceeds `threshold`. Returns whether it did.
+    pub fn push(&mut self, mut column: DVector<f64>, threshold: f64) -> bool {
+        self.remove_from(column.as_view_mut());
+        self.remove_from(column.as_view_mut());
+        let norm = column.norm();
+        let new = norm > threshold;
+        if new {
+            self.directions.push(column / norm);
+        }
+        new
+    }
+
+    /// Subtracts the projection onto the basis from a column.
+    pub fn remove_from(&self, mut column: DVectorViewMut<'_, f64>) {
+        for direction in &self.directions {
+            let share = direction.dot(&column);
+            column.axpy(-share, direction, 1.0);
+        }
+    }
+
+    /// The basis vectors from number `first` on, as columns.
+    pub fn columns_from(&self, first: usize) -> DMatrix<f64> {
+        DMatrix::from_columns(self.directions.get(first..).unwrap_or(&[]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dependent_vectors_are_rejected() {
+        let column = |values: &[f64]| DVector::from_row_slice(values);
+        let mut basis = OrthonormalBasis::default();
+        assert!(basis.push(column(&[1.0, 1.0, 0.0]), 1e-9));
+        assert!(basis.push(column(&[1.0, 0.0, 1e-6]), 1e-9));
+        assert!(!basis.push(column(&[3.0, 5.0, -2e-6]), 1e-9));
+        let columns = basis.columns_from(0);
+        assert!((columns.tr_mul(&columns) - DMatrix::identity(2, 2)).norm() < 1e-12);
+    }
+}

@@ -1,0 +1,112 @@
+//! Repeated rows of a table.
+
+use std::cmp::Ordering;
+
+use super::{Measurement, Measurements};
+use crate::measurement::MeasurementFinding;
+
+#[derive(Clone, Debug)]
+pub struct DistinctMeasurements {
+    pub measurements: Measurements,
+    /// Number of measurements that were removed as repeated.
+    pub repeated: usize,
+}
+
+impl Measurements {
+    /// Keeps the first of equal rows. Rows that differ only in their index count as equal only if that concerns half of the
+    /// table: a few can be a pose that was measured again with the same length.
+    ///
+    /// # Errors
+    /// Different rows with the same index.
+    pub fn distinct(mut self) -> Result<DistinctMeasurements, MeasurementFinding> {
+        let rows = &self.rows;
+        let mut repeated = Vec::new();
+        if !rows.is_sorted_by(|a, b| a.index < b.index) {
+            for [first, other] in equal_neighbours(rows, by_index) {
+                if rows[first] != rows[other] {
+                    return Err(MeasurementFinding::EqualIndices { index: rows[first].index });
+                }
+                repeated.push(other);
+            }
+        }
+        let twins: Vec<usize> = equal_neighbours(rows, by_content)
+            .into_iter()
+            .filter(|[first, other]| rows[*first].context == rows[*other].context)
+            .map(|[_, other]| other)
+            .collect();
+        if 2 * twins.len() >= rows.len() {
+            repeated.extend(twins);
+        }
+        repeated.sort_unstable();
+        repeated.dedup();
+        // The three rows of a position are repeated only together.
+        let is_repeated = |at: usize| repeated.binary_search(&at).is_ok();
+        let all_repeated = |at: &usize| rows[*at].datum.rows(*at).all(is_repeated);
+        let repeated: Vec<usize> = repeated.iter().copied().filter(all_repeated).collect();
+        let count = repeated.iter().filter(|at| rows[**at].datum.is_first()).count();
+        let mut place = 0;
+        self.rows.retain(|_| {
+            place += 1;
+            repeated.binary_search(&(place - 1)).is_err()
+        });
+        Ok(DistinctMeasurements { measurements: self, repeated: count })
+    }
+
+    /// How many rows of `other` are in this table too. The index, a subtracted change of the bar's zero and rounding of one of
+    /// the two tables do not matter. A pose that was measured again agrees by chance about once in fifty times.
+    pub fn holds(&self, other: &Self) -> usize {
+        let mut known: Vec<(f64, &Measurement)> =
+            self.rows.iter().map(|row| (measured_mm(row), row)).collect();
+        known.sort_unstable_by(|(a, _), (b, _)| a.total_cmp(b));
+        let is_held = |row: &&Measurement| {
+            let length_mm = measured_mm(row);
+            let first = known.partition_point(|(known_mm, _)| *known_mm < length_mm - ROUNDED_MM);
+            let mut near =
+                known[first..].iter().take_while(|(known_mm, _)| *known_mm <= length_mm + ROUNDED_MM);
+            near.any(|(_, known)| is_same_pose(known, row))
+        };
+        other.rows.iter().filter(is_held).count()
+    }
+}
+
+/// The length as measured, with the change of the zero that was subtracted, mm.
+fn measured_mm(row: &Measurement) -> f64 {
+    row.length_mm + row.context.as_ref().and_then(|context| context.zero_mm).unwrap_or(0.0)
+}
+
+/// Half of the third decimal (mm) and of the second (degrees), with a margin for binary rounding.
+const ROUNDED_MM: f64 = 0.000_501;
+const ROUNDED_DEG: f64 = 0.005_001;
+
+fn is_same_pose(a: &Measurement, b: &Measurement) -> bool {
+    let mut axes = a.axes.degrees().into_iter().zip(b.axes.degrees());
+    (a.datum, a.target) == (b.datum, b.target) && axes.all(|(a, b)| (a - b).abs() <= ROUNDED_DEG)
+}
+
+/// Compares indices. The rows of a position, and of several targets at one pose, may share an index.
+fn by_index(a: &Measurement, b: &Measurement) -> Ordering {
+    let place = |row: &Measurement| row.datum.is_plane().then_some((row.datum, row.target));
+    a.index.cmp(&b.index).then_with(|| place(a).cmp(&place(b)))
+}
+
+/// Compares everything but the index.
+fn by_content(a: &Measurement, b: &Measurement) -> Ordering {
+    let sigma = |row: &Measurement| row.sigma_mm.unwrap_or(0.0);
+    let axes = a.axes.degrees().into_iter().zip(b.axes.degrees());
+    a.length_mm
+        .total_cmp(&b.length_mm)
+        .then_with(|| (a.datum, a.target).cmp(&(b.datum, b.target)))
+        .then_with(|| sigma(a).total_cmp(&sigma(b)))
+        .then_with(|| axes.fold(Ordering::Equal, |order, (a, b)| order.then_with(|| a.total_cmp(&b))))
+}
+
+/// Pairs of places whose rows are equal by `order`; the second is the later row.
+fn equal_neighbours(
+    rows: &[Measurement],
+    order: impl Fn(&Measurement, &Measurement) -> Ordering,
+) -> Vec<[usize; 2]> {
+    let mut places: Vec<usize> = (0..rows.len()).collect();
+    places.sort_unstable_by(|&a, &b| order(&rows[a], &rows[b]).then(a.cmp(&b)));
+    let pairs = places.windows(2).map(|pair| [pair[0], pair[1]]);
+    pairs.filter(|[a, b]| order(&rows[*a], &rows[*b]).is_eq()).collect()
+}

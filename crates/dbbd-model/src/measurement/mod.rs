@@ -1,0 +1,23 @@
+//! Samples of the bar, measured lengths and positions with their tables, base balls, and the measurement model.
+
+mod catalogue;
+pub use catalogue::MeasurementFinding;
+
+pub mod base_ball;
+pub mod context;
+pub mod distinct;
+pub mod model;
+pub mod positions;
+pub mod sample;
+pub mod table;
+pub mod tracker;
+
+pub use crate::robot::{AxisAngles, BallId, BarId, CircleId, Datum, TargetId};
+pub use base_ball::BaseBall;
+pub use context::{ContextColumn, MeasurementContext, PoseKind};
+pub use distinct::DistinctMeasurements;
+pub use model::{ColumnSelection, LengthModel, MeasurementPieces, PreparedMeasurement, PreparedModel};
+pub use positions::MeasuredPosition;
+pub use sample::Sample;
+pub use table::{APPROACH, ApproachedPose, Measurement, Measurements, beyond};
+pub use tracker::Tracker;

@@ -1,0 +1,133 @@
+//! Positions of targets in the frame of a tracker, and their CSV. A position is three rows, one for each coordinate.
+
+use std::fmt::Write;
+use std::ops::Range;
+
+use nalgebra::Vector3;
+
+use super::table::{APPROACH, AXIS_COLUMNS, ApproachColumns, TARGET, angles};
+use super::{Measurement, Measurements};
+use crate::base::table::TableReader;
+use crate::diagnostic::Diagnostic;
+use crate::measurement::MeasurementFinding::NoMeasurement;
+use crate::robot::{AXES, Coordinate, Datum, TargetId};
+
+/// The columns by which a table of positions is recognised.
+pub const PLACE: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
+
+/// A position of a target measured by a tracker.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeasuredPosition {
+    /// The controller's axis angles, rad.
+    pub axes: [f64; AXES],
+    pub target: TargetId,
+    /// In the tracker's frame, mm.
+    pub place: Vector3<f64>,
+}
+
+impl Datum {
+    /// The range of rows of the measurement that row number `at` belongs to.
+    pub fn rows(self, at: usize) -> Range<usize> {
+        match self {
+            Self::Ball(..) => at..at + 1,
+            Self::Plane(coordinate) => at - coordinate.index()..at - coordinate.index() + 3,
+        }
+    }
+
+    /// Whether this row is the first of its measurement.
+    pub fn is_first(self) -> bool {
+        !matches!(self, Self::Plane(Coordinate::Y | Coordinate::Z))
+    }
+}
+
+impl Measurement {
+    /// The three rows of a position, otherwise as this row.
+    pub fn at_place(&self, place: [f64; 3]) -> [Self; 3] {
+        Coordinate::ALL.map(|coordinate| {
+            let (datum, length_mm) = (Datum::Plane(coordinate), place[coordinate.index()]);
+            Self { datum, length_mm, ..self.clone() }
+        })
+    }
+}
+
+impl Measurements {
+    /// Reads the CSV `a1_deg,..,a6_deg,x_mm,y_mm,z_mm[,index][,target][,sigma_mm][,approach1,..,approach6]`, columns in any
+    /// order. The default target is the tool ball, the default index the row number; `sigma_mm` applies to each coordinate.
+    pub fn positions_from_table(table: &mut TableReader<'_>) -> Result<Self, Diagnostic> {
+        let (axes, place) = (table.required(AXIS_COLUMNS)?, table.required(PLACE)?);
+        let (index, target) = (table.optional("index")?, table.optional(TARGET)?);
+        let (sigma, approach) = (table.optional("sigma_mm")?, ApproachColumns::of(table)?);
+        let mut rows = Vec::new();
+        let mut number = 0;
+        while let Some(row) = table.row()? {
+            number += 1;
+            let of_position = Measurement {
+                index: row.given(index, |at| row.whole(at, 0))?.unwrap_or(number),
+                datum: Datum::Plane(Coordinate::X),
+                target: row.given(target, |at| row.numbered(at))?.unwrap_or(TargetId::FIRST),
+                axes: angles(&row, axes)?,
+                approach: approach.read(&row)?,
+                length_mm: 0.0,
+                sigma_mm: row.given(sigma, |at| row.positive(at))?,
+                context: None,
+            };
+            let [x, y, z] = place;
+            rows.extend(of_position.at_place([row.number(x)?, row.number(y)?, row.number(z)?]));
+        }
+        if rows.is_empty() {
+            return Err(Diagnostic::file(table.file(), NoMeasurement));
+        }
+        Self::new(rows, Vec::new()).map_err(|finding| Diagnostic::file(table.file(), finding))
+    }
+
+    /// The positions among the rows.
+    pub fn positions(&self) -> impl Iterator<Item = MeasuredPosition> {
+        self.triples().map(|(_, rows)| MeasuredPosition {
+            axes: rows[0].axes.radians(),
+            target: rows[0].target,
+            place: Vector3::from_fn(|axis, _| rows[axis].length_mm),
+        })
+    }
+
+    /// The three rows of each position, with the index of the first.
+    fn triples(&self) -> impl Iterator<Item = (usize, &[Measurement])> {
+        let firsts = self.rows.iter().enumerate().filter(|(_, row)| row.datum == Datum::Plane(Coordinate::X));
+        firsts.filter_map(|(at, row)| Some((at, self.rows.get(row.datum.rows(at))?)))
+    }
+
+    /// The CSV of the positions for which `keep` accepts the index of their first row; `None` if the table has no positions.
+    /// Every number reads back bit for bit.
+    pub fn positions_csv(&self, keep: impl Fn(usize) -> bool) -> Option<String> {
+        let firsts = || self.triples().map(|(_, rows)| &rows[0]);
+        firsts().next()?;
+        let targets = firsts().any(|row| row.target != TargetId::FIRST);
+        let sigmas = firsts().any(|row| row.sigma_mm.is_some());
+        let approach = firsts().any(|row| !row.approach.is_unknown());
+        let mut text = format!("index,{},{}", AXIS_COLUMNS.join(","), PLACE.join(","));
+        let further = [(targets, TARGET), (sigmas, "sigma_mm")].into_iter();
+        let further = further.chain(APPROACH.map(|name| (approach, name))).filter(|(is_there, _)| *is_there);
+        further.for_each(|(_, name)| text.extend([",", name]));
+        text.push('\n');
+        for (_, rows) in self.triples().filter(|(at, _)| keep(*at)) {
+            let first = &rows[0];
+            // Writing to a string does not fail.
+            let _ = write!(text, "{}", first.index);
+            let numbers = first.axes.degrees().into_iter().chain(rows.iter().map(|row| row.length_mm));
+            for number in numbers {
+                let _ = write!(text, ",{number}");
+            }
+            if targets {
+                let _ = write!(text, ",{}", first.target);
+            }
+            if sigmas {
+                text.push(',');
+                text.extend(first.sigma_mm.map(|sigma| sigma.to_string()));
+            }
+            if approach {
+                first.append_approach(&mut text);
+            }
+            text.push('\n');
+        }
+        Some(text)
+    }
+}

@@ -1,0 +1,439 @@
+//! Measurements and the observations CSV of the lengths among them.
+
+use std::f64::consts::TAU;
+use std::fmt::Write;
+use std::iter;
+use std::sync::Arc;
+
+use super::{ContextColumn, MeasurementContext, context};
+use crate::base::table::{TableReader, TableRow};
+use crate::diagnostic::Diagnostic;
+use crate::measurement::MeasurementFinding::{
+    self, BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, TooManyTargets, UnknownBall,
+    UnknownBar, UnknownTarget, UnseenTarget, UntrackedPosition,
+};
+use crate::robot::parameter::SetUpCounts;
+use crate::robot::{AXES, Approach, AxisAngles, BarId, Datum, Robot, TargetId};
+
+/// One length at one pose. A position of a tracker is three of them, one for each plane of the tracker's frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measurement {
+    /// The number that the plan, or else the user, gave it.
+    pub index: u32,
+    pub datum: Datum,
+    pub target: TargetId,
+    pub axes: AxisAngles,
+    /// The sense in which each axis came to the pose.
+    pub approach: Approach,
+    /// Distance between the ball centres (the bar's length plus its reading), or the signed distance from a plane.
+    pub length_mm: f64,
+    /// Standard deviation of the length, if known.
+    pub sigma_mm: Option<f64>,
+    /// Equal contexts of consecutive rows are shared, so that a million lengths take about 100 bytes each.
+    pub context: Option<Arc<MeasurementContext>>,
+}
+
+impl Measurement {
+    /// Appends the row of a length to the CSV.
+    fn append(&self, optional: OptionalColumns, columns: &[ContextColumn], text: &mut String) {
+        let Datum::Ball(ball, bar) = self.datum else { return };
+        // Writing to a string does not fail.
+        let _ = write!(text, "{},{ball}", self.index);
+        for angle in self.axes.degrees() {
+            let _ = write!(text, ",{angle}");
+        }
+        let _ = write!(text, ",{},", self.length_mm);
+        if let Some(sigma) = self.sigma_mm {
+            let _ = write!(text, "{sigma}");
+        }
+        if optional.bars {
+            let _ = write!(text, ",{bar}");
+        }
+        if optional.targets {
+            let _ = write!(text, ",{}", self.target);
+        }
+        if optional.approach {
+            self.append_approach(text);
+        }
+        match &self.context {
+            Some(context) => context.append(columns, text),
+            None => text.extend(columns.iter().map(|_| ',')),
+        }
+        text.push('\n');
+    }
+
+    /// Appends the senses of approach, each after a comma.
+    pub(super) fn append_approach(&self, text: &mut String) {
+        for sense in self.approach.senses() {
+            let _ = write!(text, ",{sense}");
+        }
+    }
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Measurements {
+    pub rows: Vec<Measurement>,
+    /// The further columns, in the order in which they are written.
+    pub columns: Vec<ContextColumn>,
+}
+
+pub(super) const AXIS_COLUMNS: [&str; AXES] = ["a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg"];
+const SIGMA: &str = "sigma_mm";
+const BAR: &str = "bar";
+pub(super) const TARGET: &str = "target";
+/// The sense of approach of each axis: -1, 0 (not known) or 1 (rising angle).
+pub const APPROACH: [&str; AXES] =
+    ["approach1", "approach2", "approach3", "approach4", "approach5", "approach6"];
+
+/// Which optional columns are written.
+#[derive(Clone, Copy)]
+struct OptionalColumns {
+    bars: bool,
+    targets: bool,
+    approach: bool,
+}
+
+/// Limits of one calibration: each ball, bar and target adds unknowns, and the time grows with their cube.
+pub const MAX_BALLS: usize = 100;
+pub(super) const MAX_BARS: usize = 20;
+const MAX_TARGETS: usize = 20;
+
+/// Rows of a piece of CSV.
+const PIECE: usize = 4096;
+
+impl Measurements {
+    /// Reads the CSV `index,centre,a1_deg,..,a6_deg,length_mm[,sigma_mm][,bar][,target][,approach1,..,approach6][,..]`,
+    /// columns in any order. The default bar is bar 1, the default target the tool ball.
+    pub fn from_csv(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        Self::from_table(&mut TableReader::of(file, text)?)
+    }
+
+    /// Reads the same from a table, a row at a time.
+    pub fn from_table(table: &mut TableReader<'_>) -> Result<Self, Diagnostic> {
+        let [a1, a2, a3, a4, a5, a6] = AXIS_COLUMNS;
+        let places = table.required(["index", "centre", a1, a2, a3, a4, a5, a6, "length_mm"])?;
+        let (sigma, bar) = (table.optional(SIGMA)?, table.optional(BAR)?);
+        let (target, approach) = (table.optional(TARGET)?, ApproachColumns::of(table)?);
+        let is_known = |at: &usize| {
+            places.contains(at)
+                || [sigma, bar, target].contains(&Some(*at))
+                || approach.0.contains(&Some(*at))
+        };
+        let others: Vec<usize> = (0..table.names().len()).filter(|at| !is_known(at)).collect();
+        let further: Vec<ContextColumn> =
+            others.iter().map(|&at| ContextColumn::of(&table.names()[at])).collect();
+        let [index, ball, axes @ .., length] = places;
+        let mut rows: Vec<Measurement> = Vec::new();
+        while let Some(row) = table.row()? {
+            let (axes, length_mm) = (angles(&row, axes)?, distance(&row, length)?);
+            let context = MeasurementContext::read(&further, others.iter().map(|&at| row.plain(at)));
+            let before = rows.last().and_then(|row| row.context.as_ref());
+            rows.push(Measurement {
+                index: row.whole(index, 0)?,
+                datum: Datum::Ball(
+                    row.numbered(ball)?,
+                    row.given(bar, |at| row.numbered(at))?.unwrap_or(BarId::FIRST),
+                ),
+                target: row.given(target, |at| row.numbered(at))?.unwrap_or(TargetId::FIRST),
+                axes,
+                approach: approach.read(&row)?,
+                length_mm,
+                sigma_mm: row.given(sigma, |at| row.positive(at))?,
+                context: shared(context, before),
+            });
+        }
+        Self::new(rows, further).map_err(|finding| Diagnostic::file(table.file(), finding))
+    }
+
+    /// # Errors
+    /// No row; too many balls, bars or targets; a bar or target whose number is below the highest has no measurement.
+    pub fn new(rows: Vec<Measurement>, columns: Vec<ContextColumn>) -> Result<Self, MeasurementFinding> {
+        if rows.is_empty() {
+            return Err(NoMeasurement);
+        }
+        let set = Self { rows, columns };
+        let (balls, bars) = (set.balls(), set.bars());
+        if balls > MAX_BALLS || bars > MAX_BARS {
+            return Err(TooMany { balls, bars, most_balls: MAX_BALLS, most_bars: MAX_BARS });
+        }
+        let is_unused = |bar: &BarId| set.rows.iter().all(|row| row.datum.bar() != Some(*bar));
+        if let Some(unused) = (0..bars).map(BarId::at).find(is_unused) {
+            return Err(BarWithoutLength { bar: unused.number() });
+        }
+        let targets = set.targets();
+        if targets > MAX_TARGETS {
+            return Err(TooManyTargets { targets, most: MAX_TARGETS });
+        }
+        let is_unseen = |target: &TargetId| set.rows.iter().all(|row| row.target != *target);
+        match (1..targets).map(TargetId::at).find(is_unseen) {
+            None => Ok(set),
+            Some(unseen) => Err(UnseenTarget { target: unseen.number() }),
+        }
+    }
+
+    /// Appends the rows of a further table of the same robot, without its further columns.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn and(mut self, further: &Self) -> Result<Self, MeasurementFinding> {
+        let plain = |row: &Measurement| Measurement { context: None, ..row.clone() };
+        self.rows.extend(further.rows.iter().map(plain));
+        Self::new(self.rows, self.columns)
+    }
+
+    /// Reads only the axis angles a1_deg..a6_deg of a table, and the senses of approach if it has them.
+    pub fn poses_from_table(table: &mut TableReader<'_>) -> Result<Vec<ApproachedPose>, Diagnostic> {
+        let axes = table.required(AXIS_COLUMNS)?;
+        let approach = ApproachColumns::of(table)?;
+        let mut poses = Vec::new();
+        while let Some(row) = table.row()? {
+            poses.push(ApproachedPose { axes: angles(&row, axes)?, approach: approach.read(&row)? });
+        }
+        if poses.is_empty() {
+            return Err(Diagnostic::file(table.file(), NoPose));
+        }
+        Ok(poses)
+    }
+
+    /// The CSV of the lengths; every number reads back bit for bit.
+    pub fn to_csv(&self) -> String {
+        self.csv_pieces(|_| true).collect()
+    }
+
+    /// The CSV of the lengths whose row number `keep` accepts, in pieces, so that a long one is never in memory as a whole.
+    pub fn csv_pieces(&self, keep: impl Fn(usize) -> bool) -> impl Iterator<Item = String> {
+        let lengths = || self.rows.iter().filter(|row| !row.datum.is_plane());
+        let optional = OptionalColumns {
+            bars: self.bars() > 1,
+            targets: lengths().any(|row| row.target != TargetId::FIRST),
+            approach: lengths().any(|row| !row.approach.is_unknown()),
+        };
+        let pieces = self.rows.chunks(PIECE).enumerate().map(move |(piece, rows)| {
+            let mut text = String::new();
+            for (at, row) in rows.iter().enumerate() {
+                if keep(PIECE * piece + at) {
+                    row.append(optional, &self.columns, &mut text);
+                }
+            }
+            text
+        });
+        iter::once(self.header(optional)).chain(pieces)
+    }
+
+    fn header(&self, optional: OptionalColumns) -> String {
+        let mut text = format!("index,centre,{},length_mm,{SIGMA}", AXIS_COLUMNS.join(","));
+        if optional.bars {
+            text.push_str(&format!(",{BAR}"));
+        }
+        if optional.targets {
+            text.push_str(&format!(",{TARGET}"));
+        }
+        if optional.approach {
+            text.push_str(&format!(",{}", APPROACH.join(",")));
+        }
+        for column in &self.columns {
+            text.push_str(&format!(",{}", context::quoted(column.name())));
+        }
+        text.push('\n');
+        text
+    }
+
+    /// Checks that every ball, bar, target and tracker of the rows is in the set-up.
+    pub fn check(&self, file: &str, set_up: SetUpCounts) -> Result<(), Diagnostic> {
+        let SetUpCounts { balls, bars, targets, trackers } = set_up;
+        let unknown =
+            self.rows.iter().find_map(|&Measurement { index, datum, target, .. }| match (target, datum) {
+                (target, _) if target.index() >= targets => {
+                    Some(UnknownTarget { index, target: target.number(), targets })
+                }
+                (_, Datum::Plane(_)) => (trackers == 0).then_some(UntrackedPosition { index }),
+                (_, Datum::Ball(ball, _)) if ball.index() >= balls => {
+                    Some(UnknownBall { index, ball: ball.number(), balls })
+                }
+                (_, Datum::Ball(_, bar)) => {
+                    (bar.index() >= bars).then(|| UnknownBar { index, bar: bar.number(), bars })
+                }
+            });
+        unknown.map_or(Ok(()), |finding| Err(Diagnostic::file(file, finding)))
+    }
+
+    /// A finding if some rows have a standard deviation and others have none.
+    pub fn without_sigma(&self) -> Option<MeasurementFinding> {
+        let (rows, without) =
+            (self.rows.len(), self.rows.iter().filter(|row| row.sigma_mm.is_none()).count());
+        (0 < without && without < rows).then_some(MeasurementFinding::SigmaMissing { without, rows })
+    }
+
+    /// As [`beyond`], for the rows.
+    pub fn beyond(&self, robot: &Robot) -> Option<MeasurementFinding> {
+        beyond(self.rows.iter().map(|row| (row.index as usize, row.axes)), robot)
+    }
+
+    fn temperatures_c(&self) -> impl Iterator<Item = f64> {
+        self.rows.iter().filter_map(|row| row.context.as_ref()?.temperature_c)
+    }
+
+    /// Mean temperature of the rows that have one, degrees Celsius.
+    pub fn mean_temperature_c(&self) -> Option<f64> {
+        let count = self.temperatures_c().count();
+        (count > 0).then(|| self.temperatures_c().sum::<f64>() / count as f64)
+    }
+
+    /// A finding if the temperatures cannot be those of a room.
+    pub fn warm(&self) -> Option<MeasurementFinding> {
+        /// A mean above this is probably in degrees Fahrenheit.
+        const WARMEST_C: f64 = 45.0;
+        /// Missing and faulty sensors report values outside of this range, or 0.
+        const COLDEST_C: f64 = -30.0;
+        const HOTTEST_C: f64 = 80.0;
+        let mean_c = self.mean_temperature_c()?;
+        if mean_c > WARMEST_C {
+            return Some(MeasurementFinding::WarmRoom { mean_c });
+        }
+        let all_zero = self.temperatures_c().all(|celsius| celsius == 0.0);
+        let is_faulty = |celsius: &f64| all_zero || !(COLDEST_C..=HOTTEST_C).contains(celsius);
+        let celsius = self.temperatures_c().find(is_faulty)?;
+        let rows = self.temperatures_c().filter(|other| *other == celsius).count();
+        Some(MeasurementFinding::NoTemperature { rows, celsius })
+    }
+
+    /// The set-up of the rows, with so many base balls.
+    pub fn set_up(&self, balls: usize) -> SetUpCounts {
+        let trackers = usize::from(self.rows.iter().any(|row| row.datum.is_plane()));
+        SetUpCounts { balls, bars: self.bars(), targets: self.targets(), trackers }
+    }
+
+    /// The number of measurements; a position counts once.
+    pub fn count(&self) -> usize {
+        self.rows.iter().filter(|row| row.datum.is_first()).count()
+    }
+
+    /// The highest target number; 1 is the tool ball.
+    pub fn targets(&self) -> usize {
+        self.rows.iter().map(|row| row.target.index() + 1).max().unwrap_or(1)
+    }
+
+    /// The highest bar number; 0 without lengths.
+    pub fn bars(&self) -> usize {
+        self.rows.iter().filter_map(|row| Some(row.datum.bar()?.index() + 1)).max().unwrap_or(0)
+    }
+
+    /// The highest ball number; 0 without lengths.
+    pub fn balls(&self) -> usize {
+        self.rows.iter().filter_map(|row| Some(row.datum.ball()?.index() + 1)).max().unwrap_or(0)
+    }
+}
+
+/// A finding if numbered poses are beyond the axis limits of the robot (another robot, or typing errors), or seem to be in
+/// radians.
+pub fn beyond(poses: impl Iterator<Item = (usize, AxisAngles)>, robot: &Robot) -> Option<MeasurementFinding> {
+    /// Controllers allow an axis a little beyond its limit.
+    const TOLERANCE_DEG: f64 = 1.0;
+    let all: Vec<(usize, AxisAngles)> = poses.collect();
+    let beyond = all.iter().filter_map(|&(number, axes)| {
+        let is_beyond = |(deg, [low, high]): (&f64, &[f64; 2])| {
+            // A wrist axis with a range of 540 degrees and more may be given by another full turn.
+            let turned = if high - low >= 540.0 { low + (deg - low).rem_euclid(360.0) } else { *deg };
+            turned < low - TOLERANCE_DEG || turned > high + TOLERANCE_DEG
+        };
+        let axes_deg = axes.degrees();
+        let axis = axes_deg.iter().zip(&robot.limits_at_deg(&axes_deg)).position(is_beyond)?;
+        Some((number, axis + 1, axes_deg[axis]))
+    });
+    let beyond: Vec<_> = beyond.collect();
+    let Some(&(index, axis, deg)) = beyond.first() else { return in_radians(&all) };
+    Some(MeasurementFinding::BeyondLimits { rows: beyond.len(), index, axis, deg })
+}
+
+/// A finding if all axis angles are small numbers with decimals.
+fn in_radians(poses: &[(usize, AxisAngles)]) -> Option<MeasurementFinding> {
+    const MIN_ROWS: usize = 3;
+    let angles = || poses.iter().flat_map(|(_, axes)| axes.degrees());
+    let decimals = angles().filter(|angle| angle.fract() != 0.0).count();
+    let small = angles().all(|angle| angle.abs() <= TAU);
+    if small && poses.len() >= MIN_ROWS && 2 * decimals >= angles().count() {
+        return Some(MeasurementFinding::Radians { rows: poses.len() });
+    }
+    single_in_radians(poses)
+}
+
+/// A finding if a few poses have only small numbers with decimals.
+fn single_in_radians(poses: &[(usize, AxisAngles)]) -> Option<MeasurementFinding> {
+    const MIN_DECIMALS: usize = 4;
+    /// With a larger fraction the arm probably is near its zero position.
+    const FEW: f64 = 0.2;
+    let is_small = |(_, axes): &&(usize, AxisAngles)| {
+        let deg = axes.degrees();
+        let decimals = deg.iter().filter(|deg| (*deg * 1e3).fract() != 0.0).count();
+        decimals >= MIN_DECIMALS && deg.iter().all(|deg| deg.abs() <= TAU)
+    };
+    let found: Vec<_> = poses.iter().filter(is_small).collect();
+    let &&(index, _) = found.first()?;
+    ((found.len() as f64) < FEW * poses.len() as f64)
+        .then_some(MeasurementFinding::RowsInRadians { rows: found.len(), index })
+}
+
+/// A pose with the sense in which each axis came to it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ApproachedPose {
+    pub axes: AxisAngles,
+    pub approach: Approach,
+}
+
+/// The numbers of the columns with the sense of approach, if present.
+pub(super) struct ApproachColumns([Option<usize>; AXES]);
+
+impl ApproachColumns {
+    pub(super) fn of(table: &TableReader<'_>) -> Result<Self, Diagnostic> {
+        let mut places = [None; AXES];
+        for (place, name) in places.iter_mut().zip(APPROACH) {
+            *place = table.optional(name)?;
+        }
+        Ok(Self(places))
+    }
+
+    pub(super) fn read(&self, row: &TableRow<'_>) -> Result<Approach, Diagnostic> {
+        let mut senses = [0; AXES];
+        for (sense, at) in senses.iter_mut().zip(self.0) {
+            let read = |at: usize| match row.whole_text(at) {
+                "-1" => Ok(-1),
+                "0" | "-0" => Ok(0),
+                "1" | "+1" => Ok(1),
+                _ => {
+                    let (column, cell) = (row.column(at), row.text(at).into());
+                    Err(row.line(NotASense { column, cell }))
+                }
+            };
+            *sense = row.given(at, read)?.unwrap_or(0);
+        }
+        Ok(Approach::new(senses))
+    }
+}
+
+/// A context for sharing: none if nothing is known, the previous one if it is equal.
+fn shared(
+    context: MeasurementContext,
+    before: Option<&Arc<MeasurementContext>>,
+) -> Option<Arc<MeasurementContext>> {
+    match before {
+        _ if context == MeasurementContext::default() => None,
+        Some(before) if **before == context => Some(Arc::clone(before)),
+        _ => Some(Arc::new(context)),
+    }
+}
+
+pub(super) fn angles(row: &TableRow<'_>, places: [usize; AXES]) -> Result<AxisAngles, Diagnostic> {
+    let mut axes_deg = [0.0; AXES];
+    for (angle, at) in axes_deg.iter_mut().zip(places) {
+        *angle = row.number(at)?;
+    }
+    Ok(AxisAngles::from_degrees(axes_deg))
+}
+
+/// The length of a row. A negative one probably is the bar's reading.
+fn distance(row: &TableRow<'_>, at: usize) -> Result<f64, Diagnostic> {
+    row.number(at)?;
+    row.positive(at).map_err(|wrong| {
+        wrong.help("is it the bar's reading? length_mm is between the ball centres: the bar's length plus the reading")
+    })
+}

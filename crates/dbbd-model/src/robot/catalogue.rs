@@ -1,0 +1,75 @@
+//! Robot files, robots, axis angles, and the names of parameters.
+
+use crate::findings;
+
+findings! {
+    /// A robot or a parameter that cannot be used.
+    RobotFinding "Robots" {
+        E0501 "a word is not a parameter",
+        cause: "A list of parameters holds a word that is not a parameter, group or range, or a range whose numbers are no parameters.",
+        cure: "The parameters are alpha0..5, a0..5, theta1..6, d1..6, beta1..5, tool_x/_y/_z, target<k>_x/_y/_z of further targets, centre<k>_x/_y/_z, bar_offset (bar_offset2, .. of further bars), tracker_x/_y/_z, tracker_rx/_ry/_rz, compliance2..5, gear1..6_cos/_sin; the groups geometric, tool, targets, centres, bar, tracker, all, compliance, gear; a range is written alpha1-5." {
+            UnknownParameter { word: String } => "`{word}` is not a parameter", help: "names such as alpha1 or centre1_x; ranges such as alpha1-5; groups: geometric, tool, targets, centres, bar, tracker, all, compliance, gear";
+        }
+        E0502 "a parameter is about a ball, bar, target or tracker that the data do not have",
+        cause: "The number in the name is higher than that of the last base ball, bar or target, or there is no position of a tracker.",
+        cure: "Give a number that occurs in the column `centre`, `bar` or `target` of the measurements." {
+            NoSuchBall { name: String, balls: usize } => "`{name}` is not a parameter: the data have {balls} base ball(s)";
+            NoSuchBar { name: String, bars: usize } => "`{name}` is not a parameter: the data have {bars} bar(s)";
+            NoSuchTarget { name: String, targets: usize } => "`{name}` is not a parameter: the data have {targets} target(s)";
+            NoTracker { name: String } => "`{name}` is not a parameter: the data have no position of a tracker";
+        }
+        E0503 "a robot is not known",
+        cause: "The name is not that of a built-in robot, and there is no such file.",
+        cure: "`dbbd robots` lists the built-in robots. The name of a robot file ends in .toml." {
+            NoSuchRobot { name: String, meant: String, built_in: String } => "no robot `{name}`: neither built in nor a file", help: "{meant}built in are: {built_in}; a file ends in .toml";
+        }
+        E0504 "a robot file describes an arm that is not modelled",
+        cause: "Only arms with six rotary joints in a modified-DH table (Craig) are modelled.",
+        cure: "Convert the table to modified DH; `dbbd robots show kr60ha` is an example. An arm with fewer or more joints cannot be calibrated here." {
+            Convention { convention: String } => "convention `{convention}` is not known: only `modified-dh` is";
+            JointCount { robot: String, joints: usize, needed: String } => "{robot} has {joints} [[joint]] tables: a robot here has six rotary joints", help: "{needed}";
+        }
+        E0505 "a number of a robot file is impossible",
+        cause: "A number is not finite, or outside of what its key can mean.",
+        cure: "Correct the number; the unit is in the key's name." {
+            JointNumber { joint: usize, key: String, value: f64, most: f64 } => "joint {joint}: {key} = {value} must be a number from -{most} to {most}";
+            JointSign { joint: usize, sign: i8 } => "joint {joint}: sign = {sign} must be 1 or -1";
+            JointLimits { joint: usize, low_deg: f64, high_deg: f64 } => "joint {joint}: limits_deg = [{low_deg}, {high_deg}] must be [low, high], within 100000 degrees";
+            Coupling { joint: usize, axis: usize, factor: i8 } => "joint {joint}: coupling with axis = {axis} and factor = {factor}: axis must be 2 to {joint} - 1, factor 1 or -1";
+            NoCoupledAngle { joint: usize, axis: usize, axis_deg: f64 } => "joint {joint}: limits_deg and those of coupling leave axis {joint} no angle where axis {axis} is at its limit of {axis_deg} degrees";
+            JointSpeed { joint: usize, value: f64 } => "joint {joint}: a speed or acceleration of {value} must be positive, and at most 100000";
+            TooSmall { key: &'static str, value: f64, least: f64 } => "{key} = {value} is smaller than that of any robot ({least}): is it in another unit?";
+            Tolerance { length_mm: f64, angle_deg: f64 } => "[tolerance]: length_mm = {length_mm} and angle_deg = {angle_deg} must be positive, at most 100 mm and 45 degrees";
+            Posterior => "[posterior]: `values` and the rows of `root`, which are 1, 2, .. numbers long, must be as many as `parameters` of the robot, each there once";
+            Repeatability { value: f64 } => "repeatability_mm = {value} must be positive, at most 5 mm";
+            NoName => "name is empty: runs and programs are compared by it";
+            Mass { kg: f64, centre_mm: [f64; 3] } => "a mass of {kg} kg at {centre_mm:?} mm is impossible";
+            MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";
+            ToolBall { ball_mm: [f64; 3] } => "[tool]: ball_mm = {ball_mm:?} must be numbers, each at most 10000 mm";
+            Uncertainty => "[uncertainty] does not fit the robot: a row of `root` for each of `parameters` and each coefficient of the joints, all of one length";
+        }
+        E0580 "an angle of a robot file seems to be in radians",
+        cause: "alpha_deg or theta_offset_deg is a part of pi, limits_deg span less than a turn of radians, or a joint would be slower than that of any robot.",
+        cure: "Convert the value to degrees." {
+            Radians { joint: usize, key: String, value: f64 } => "joint {joint}: {key} = {value} seems to be in radians: degrees are needed";
+        }
+        W0581 "a robot file has the name of a built-in robot and another table",
+        cause: "The table was copied and edited, or a value is in another unit or has another sign. Files of plans and results are compared by the robot's name.",
+        cure: "Correct the value that is named, or give the robot a name of its own." {
+            UnlikeBuiltIn { robot: String, joint: usize, key: &'static str, value: f64, built_in: f64 } => "joint {joint}: {key} is {value}, and the built-in `{robot}` has {built_in}";
+        }
+        E0506 "a pose has no axis angles",
+        cause: "The pose is beyond the arm, or only another branch or turn of the axes reaches it.",
+        cure: "Move the pose nearer to the robot, or give it a status and turn that the arm can take there." {
+            OutOfReach => "the pose is out of reach";
+            NotConverged { distance_mm: f64 } => "no axis angles found: still {distance_mm:.3} mm away after the last iteration";
+            NoSuchQuadrants { wanted: String } => "no axis angles within the limits have the configuration {wanted}";
+            NoSuchConfiguration { status: u8, turn: u8 } => "no axis angles within the limits have S {status}, T {turn}";
+        }
+        I0510 "the repeatability of a robot is not known",
+        cause: "The robot file has no `repeatability_mm`, so the noise of a length is taken for that of the bar alone until many lengths show more.",
+        cure: "Add `repeatability_mm` to the robot file: RP by ISO 9283 from the maker's data sheet." {
+            NoRepeatability { robot: String } => "{robot}: its file has no repeatability_mm, and no length is better than the repeatability of the robot";
+        }
+    }
+}

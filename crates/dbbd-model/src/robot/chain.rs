@@ -1,0 +1,317 @@
+//! Length and design row of a pose: the inner loop of the solver. A pass from the flange to the base gives the ball, a pass from
+//! the base to the flange the derivatives of the length with respect to all parameters.
+//!
+//! A coordinate in the frame of a tracker is a length as well: the distance of a target from a plane of that frame.
+//!
+//! Let u be the unit vector along the length to the tool ball p. Every geometric parameter moves p by a unit screw, so the
+//! derivative is the reciprocal product of that screw with the line of the bar: `w . (p x u)` for a rotation about the axis w
+//! through the origin, `w . u` for a translation along w. The screw of a row lies on an axis of the row's frame. If p is
+//! transformed inwards and u outwards into that frame, the product is one component of each. No matrix is formed. Sines and
+//! cosines are computed once per model for the table, and once per measurement for the axis angles.
+
+use nalgebra::Vector3;
+
+use super::{AXES, Approach, BallId, BarId, Coordinate, Datum, Geometry, Joint, ParamId, TargetId};
+
+/// A length and its derivatives with respect to all parameters (mm per mm, mm per rad, mm per rad/(N m)); the default is zero.
+#[derive(Clone, Debug)]
+pub struct LengthRow {
+    /// Distance between the ball centres plus the bar offset, or from a plane, mm.
+    pub length: f64,
+    pub datum: Datum,
+    pub target: TargetId,
+    columns: DerivativeColumns,
+}
+
+type DerivativeColumns = [f64; ParamId::COLUMNS];
+
+/// The first column of each family of parameters.
+mod column {
+    use super::{BallId, BarId, Coordinate, Joint, ParamId};
+
+    pub(super) const ALPHA: usize = ParamId::Alpha(Joint::J1).column();
+    pub(super) const A: usize = ParamId::A(Joint::J1).column();
+    pub(super) const THETA: usize = ParamId::Theta(Joint::J1).column();
+    pub(super) const D: usize = ParamId::D(Joint::J1).column();
+    pub(super) const BETA: usize = ParamId::Beta(Joint::J1).column();
+    pub(super) const TOOL: usize = ParamId::Tool(Coordinate::X).column();
+    pub(super) const BALL: usize = ParamId::Ball(BallId::FIRST, Coordinate::X).column();
+    pub(super) const BAR: usize = ParamId::BarOffset(BarId::FIRST).column();
+    pub(super) const COMPLIANCE: usize = ParamId::Compliance(Joint::J1).column();
+    pub(super) const GEAR_COS: usize = ParamId::GearCos(Joint::J1).column();
+    pub(super) const GEAR_SIN: usize = ParamId::GearSin(Joint::J1).column();
+    pub(super) const TURN: usize = ParamId::TrackerTurn(Coordinate::X).column();
+}
+
+impl Default for LengthRow {
+    fn default() -> Self {
+        let datum = Datum::Ball(BallId::FIRST, BarId::FIRST);
+        Self { length: 0.0, datum, target: TargetId::FIRST, columns: [0.0; ParamId::COLUMNS] }
+    }
+}
+
+impl LengthRow {
+    /// The derivative with respect to a parameter. For a target, ball or bar: that of this row.
+    pub fn derivative(&self, id: ParamId) -> f64 {
+        self.columns[id.column()]
+    }
+
+    /// The unit vector along the length, from the base ball or plane to the target, in the robot base.
+    pub fn unit(&self) -> Vector3<f64> {
+        -Vector3::from_fn(|axis, _| self.columns[column::BALL + axis])
+    }
+
+    /// The derivatives with respect to the coefficients of the joint errors, mm per unit, for a row at these axis angles (rad).
+    pub fn joint_terms(&self, geometry: &Geometry, axes: &[f64; AXES], approach: Approach, out: &mut [f64]) {
+        let by_joint = &self.columns[column::THETA..column::THETA + AXES];
+        let mut out = out.iter_mut();
+        geometry.error_derivatives(axes, approach, |joint, value| {
+            if let Some(out) = out.next() {
+                *out = by_joint[joint] * value;
+            }
+        });
+    }
+
+    /// The derivatives in the order of [`ParamId::column`].
+    pub(crate) fn columns(&self) -> &DerivativeColumns {
+        &self.columns
+    }
+}
+
+impl Geometry {
+    /// The length and its derivatives with respect to all parameters: see [`KinematicChain::row`].
+    pub fn length_row(&self, axes: &[f64; AXES], ball: &Vector3<f64>, bar_offset: f64) -> LengthRow {
+        let mut row = LengthRow::default();
+        let sin_cos = JointSinCos::of(axes);
+        let at = AxesAtPose { axes, sin_cos: &sin_cos, approach: Approach::default(), target: &self.tool };
+        KinematicChain::new(self).row(&at, ball, bar_offset, &mut row);
+        row
+    }
+}
+
+/// Sine and cosine of each axis angle of the controller.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointSinCos(pub [[f64; 2]; AXES]);
+
+impl JointSinCos {
+    /// Of axis angles in rad.
+    pub fn of(axes: &[f64; AXES]) -> Self {
+        Self(axes.map(|angle| angle.sin_cos().into()))
+    }
+}
+
+/// The axes at a measurement.
+#[derive(Clone, Copy, Debug)]
+pub struct AxesAtPose<'a> {
+    /// Axis angles of the controller, rad.
+    pub axes: &'a [f64; AXES],
+    pub sin_cos: &'a JointSinCos,
+    pub approach: Approach,
+    /// The tool ball or another target, in the flange frame, mm.
+    pub target: &'a Vector3<f64>,
+}
+
+/// A plane of the tracker's frame, in the robot base.
+#[derive(Clone, Copy, Debug)]
+pub struct TrackerPlane {
+    /// The origin of the frame, mm.
+    pub origin: Vector3<f64>,
+    pub normal: Vector3<f64>,
+    /// The derivatives of the normal with respect to the rotation vector of the frame.
+    pub normal_by_turn: [Vector3<f64>; 3],
+}
+
+/// A geometry with the sines and cosines of its DH table.
+#[derive(Clone, Debug)]
+pub struct KinematicChain<'a> {
+    geometry: &'a Geometry,
+    alpha: [(f64, f64); AXES],
+    theta: [(f64, f64); AXES],
+    beta: [(f64, f64); AXES],
+    /// Whether the joint angles are those of the axes: no compliance, no joint errors.
+    is_rigid: bool,
+    is_coupled: bool,
+}
+
+/// The pass from the flange to the base.
+struct InwardPass {
+    /// Sine and cosine of each joint angle in the sense of the table.
+    joints: [(f64, f64); AXES],
+    /// The target in the frame of each row after its twist, before its translation along x.
+    points: [Vector3<f64>; AXES],
+    /// The target in the robot base.
+    ball: Vector3<f64>,
+}
+
+impl<'a> KinematicChain<'a> {
+    pub fn new(geometry: &'a Geometry) -> Self {
+        let is_rigid = geometry.compliance.iter().all(|c| *c == 0.0)
+            && geometry.gear.iter().flatten().all(|g| *g == 0.0)
+            && geometry.joint_errors.is_none();
+        let rows = &geometry.rows;
+        Self {
+            geometry,
+            alpha: std::array::from_fn(|i| rows[i].alpha.sin_cos()),
+            theta: std::array::from_fn(|i| rows[i].theta.sin_cos()),
+            beta: std::array::from_fn(|i| rows[i].beta.sin_cos()),
+            is_rigid,
+            is_coupled: !geometry.coupling.is_none(),
+        }
+    }
+
+    /// Sine and cosine of each joint angle in the sense of the table.
+    #[inline]
+    fn joints(&self, at: &AxesAtPose<'_>) -> [(f64, f64); AXES] {
+        if !self.is_rigid {
+            return self.geometry.joint_angles_approached(at.axes, at.approach).map(f64::sin_cos);
+        }
+        let own_angles = self.own_angles(at);
+        std::array::from_fn(|i| {
+            let [sin, cos] = own_angles[i];
+            let sin = self.geometry.rows[i].sign * sin;
+            let (sin_offset, cos_offset) = self.theta[i];
+            (sin * cos_offset + cos * sin_offset, cos * cos_offset - sin * sin_offset)
+        })
+    }
+
+    /// Sine and cosine of the own angle of each joint.
+    #[inline]
+    fn own_angles(&self, at: &AxesAtPose<'_>) -> [[f64; 2]; AXES] {
+        if self.is_coupled { self.geometry.coupling.sin_cos(&at.sin_cos.0) } else { at.sin_cos.0 }
+    }
+
+    /// From the flange to the base: each row rotates and translates one point.
+    #[inline]
+    fn inward(&self, at: &AxesAtPose<'_>) -> InwardPass {
+        let joints = self.joints(at);
+        let mut points = [Vector3::zeros(); AXES];
+        let mut point = *at.target;
+        for i in (0..AXES).rev() {
+            let row = &self.geometry.rows[i];
+            let (s, c) = joints[i];
+            let (x, y, z) = (point.x * c - point.y * s + row.a, point.x * s + point.y * c, point.z + row.d);
+            points[i] = Vector3::new(x, y, z);
+            let (s, c) = self.alpha[i];
+            point = Vector3::new(x, y * c - z * s, y * s + z * c);
+            if row.beta != 0.0 {
+                let (s, c) = self.beta[i];
+                point = Vector3::new(point.x * c + point.z * s, point.y, point.z * c - point.x * s);
+            }
+        }
+        InwardPass { joints, points, ball: point }
+    }
+
+    /// From the base to the flange: the derivatives of the target's position along the unit vector `u` (robot base) with respect
+    /// to the parameters of the robot and its tool.
+    #[inline]
+    fn derivatives(&self, inward: &InwardPass, mut u: Vector3<f64>, columns: &mut DerivativeColumns) {
+        for i in 0..AXES {
+            if self.geometry.rows[i].beta != 0.0 {
+                let (s, c) = self.beta[i];
+                u = Vector3::new(u.x * c - u.z * s, u.y, u.z * c + u.x * s);
+            }
+            let p = &inward.points[i];
+            let (s, c) = self.alpha[i];
+            columns[column::BETA + i] = (p.y * s + p.z * c) * u.x - p.x * u.z;
+            u = Vector3::new(u.x, u.y * c + u.z * s, u.z * c - u.y * s);
+            columns[column::ALPHA + i] = p.y * u.z - p.z * u.y;
+            columns[column::A + i] = u.x;
+            columns[column::THETA + i] = (p.x - self.geometry.rows[i].a) * u.y - p.y * u.x;
+            columns[column::D + i] = u.z;
+            let (s, c) = inward.joints[i];
+            u = Vector3::new(u.x * c + u.y * s, u.y * c - u.x * s, u.z);
+        }
+        columns[column::TOOL..column::TOOL + 3].copy_from_slice(u.as_slice());
+    }
+
+    /// The target in the robot base, mm.
+    pub fn ball(&self, at: &AxesAtPose<'_>) -> Vector3<f64> {
+        self.inward(at).ball
+    }
+
+    /// Writes the distance from a base ball at `ball` plus `bar_offset` (mm) and its derivatives to `row`, which is new or was
+    /// written for this robot. If the balls coincide, the length has no derivative, and the columns are zero.
+    #[inline]
+    pub fn row(&self, at: &AxesAtPose<'_>, ball: &Vector3<f64>, bar_offset: f64, row: &mut LengthRow) {
+        let inward = self.inward(at);
+        let bar = inward.ball - ball;
+        let distance = bar.norm();
+        row.length = distance + bar_offset;
+        let columns = &mut row.columns;
+        if distance > 0.0 {
+            self.along(bar / distance, at, &inward, columns);
+            columns[column::BAR] = 1.0;
+        } else {
+            *columns = [0.0; ParamId::COLUMNS];
+        }
+    }
+
+    /// Writes the distance from a plane and its derivatives to a row, as [`Self::row`] does.
+    pub fn plane_row(&self, at: &AxesAtPose<'_>, plane: &TrackerPlane, row: &mut LengthRow) {
+        let inward = self.inward(at);
+        let from = inward.ball - plane.origin;
+        row.length = plane.normal.dot(&from);
+        self.along(plane.normal, at, &inward, &mut row.columns);
+        row.columns[column::BAR] = 0.0;
+        for (axis, by_turn) in plane.normal_by_turn.iter().enumerate() {
+            row.columns[column::TURN + axis] = by_turn.dot(&from);
+        }
+    }
+
+    /// The derivatives of a length along the unit vector `u` with respect to the parameters of the robot, the target, and the
+    /// base ball or plane.
+    #[inline]
+    fn along(
+        &self,
+        u: Vector3<f64>,
+        at: &AxesAtPose<'_>,
+        inward: &InwardPass,
+        columns: &mut DerivativeColumns,
+    ) {
+        self.derivatives(inward, u, columns);
+        for axis in 0..3 {
+            columns[column::BALL + axis] = -u[axis];
+        }
+        self.non_geometric(at, columns);
+    }
+
+    /// Compliance and transmission errors rotate the joints: their columns are multiples of those of theta.
+    #[inline]
+    fn non_geometric(&self, at: &AxesAtPose<'_>, columns: &mut DerivativeColumns) {
+        if !self.geometry.masses.is_empty() {
+            let torques = self.geometry.torques(&self.geometry.joint_angles_approached(at.axes, at.approach));
+            for j in 0..AXES {
+                columns[column::COMPLIANCE + j] = columns[column::THETA + j] * torques[j];
+            }
+        }
+        for (j, [sin, cos]) in self.own_angles(at).into_iter().enumerate() {
+            columns[column::GEAR_COS + j] = columns[column::THETA + j] * cos;
+            columns[column::GEAR_SIN + j] = columns[column::THETA + j] * sin;
+        }
+    }
+
+    /// Calls `each` with the index of a parameter and the derivative of the tool ball's position with respect to it, mm per mm
+    /// or rad; it is zero for parameters of the rest of the set-up. Returns the position of the tool ball.
+    pub fn ball_jacobian(
+        &self,
+        axes: &[f64; AXES],
+        ids: &[ParamId],
+        mut each: impl FnMut(usize, Vector3<f64>),
+    ) -> Vector3<f64> {
+        let sin_cos = JointSinCos::of(axes);
+        let target = &self.geometry.tool;
+        let at = AxesAtPose { axes, sin_cos: &sin_cos, approach: Approach::default(), target };
+        let inward = self.inward(&at);
+        let along = [0, 1, 2].map(|axis| {
+            let mut columns = [0.0; ParamId::COLUMNS];
+            self.derivatives(&inward, Vector3::ith(axis, 1.0), &mut columns);
+            self.non_geometric(&at, &mut columns);
+            columns
+        });
+        for (at, id) in ids.iter().enumerate() {
+            let factor = if id.moves_tool_ball() { 1.0 } else { 0.0 };
+            each(at, Vector3::from_fn(|axis, _| factor * along[axis][id.column()]));
+        }
+        inward.ball
+    }
+}

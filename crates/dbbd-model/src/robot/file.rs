@@ -1,0 +1,303 @@
+//! The robot file (TOML).
+
+use serde::{Deserialize, Serialize};
+
+use super::joint_table::{JointTable, MAX_LENGTH_MM, coupling};
+use super::kinematics::{Geometry, Mass};
+use super::posterior::RobotPosterior;
+use super::uncertainty::RobotUncertainty;
+use super::{AXES, Joint, JointErrors, Robot, Tolerance};
+use crate::base::InternalFinding;
+use crate::base::parse::from_toml;
+use crate::base::serialised;
+use crate::diagnostic::Diagnostic;
+use crate::provenance::Provenance;
+use crate::robot::RobotFinding;
+
+/// The keys of the file; angles in degrees.
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RobotFile {
+    name: String,
+    serial: Option<String>,
+    controller_serial: Option<String>,
+    language: Option<String>,
+    convention: String,
+    source: Option<String>,
+    repeatability_mm: Option<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    doubts: Vec<String>,
+    joint: Vec<JointTable>,
+    #[serde(default)]
+    tool: RobotToolTable,
+    #[serde(default)]
+    tolerance: Tolerance,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    mass: Vec<MassTable>,
+    payload: Option<PayloadTable>,
+    #[serde(default, skip_serializing_if = "Provenance::is_empty")]
+    provenance: Provenance,
+    posterior: Option<RobotPosterior>,
+    nominal: Option<Box<RobotFile>>,
+    uncertainty: Option<RobotUncertainty>,
+}
+
+#[derive(Clone, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RobotToolTable {
+    ball_mm: [f64; 3],
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MassTable {
+    joint: usize,
+    kg: f64,
+    centre_mm: [f64; 3],
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PayloadTable {
+    kg: f64,
+    centre_mm: [f64; 3],
+}
+
+impl Robot {
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        let parsed: RobotFile = from_toml(file, text)?;
+        parsed.into_robot().map_err(|(joint, finding)| {
+            let line = joint.and_then(|at| line_of_table(text, "[[joint]]", at)).unwrap_or(0);
+            Diagnostic::line(file, line, finding)
+        })
+    }
+
+    /// The robot file, with numbers in full precision.
+    pub fn to_toml(&self) -> Result<String, InternalFinding> {
+        serialised::toml(&RobotFile::from_robot(self))
+    }
+
+    /// The `[[joint]]` tables of the file.
+    pub fn joint_tables(&self) -> Vec<JointTable> {
+        Joint::ALL.into_iter().map(|joint| JointTable::of(self, joint)).collect()
+    }
+}
+
+impl RobotFile {
+    /// A value that is too small for any robot: it is in another unit.
+    fn too_small(&self) -> Option<RobotFinding> {
+        let ball_mm = self.tool.ball_mm.into_iter().map(f64::abs).fold(0.0, f64::max);
+        // If the nominal ball is at the flange, the identified one may be very near to it.
+        let ball_mm = (ball_mm > 0.0 && self.nominal.is_none()).then_some(ball_mm);
+        let values = [
+            ("[tolerance] length_mm", Some(self.tolerance.length_mm), 1e-3),
+            ("[tolerance] angle_deg", Some(self.tolerance.angle_deg), 1e-3),
+            ("repeatability_mm", self.repeatability_mm, 5e-4),
+            ("[tool] ball_mm", ball_mm, 0.5),
+        ];
+        values.into_iter().find_map(|(key, value, least)| {
+            let value = value.filter(|value| *value < least)?;
+            Some(RobotFinding::TooSmall { key, value, least })
+        })
+    }
+}
+
+/// The line (from 1) of the `at`-th (from 0) table header in the text.
+fn line_of_table(text: &str, header: &str, at: usize) -> Option<usize> {
+    text.lines().enumerate().filter(|(_, line)| line.trim() == header).nth(at).map(|(line, _)| line + 1)
+}
+
+/// Largest mass, kg.
+const MAX_MASS_KG: f64 = 5e3;
+/// Largest repeatability, mm.
+const MAX_REPEATABILITY_MM: f64 = 5.0;
+
+/// Whether all lengths are possible for an arm.
+fn are_lengths(mm: &[f64]) -> bool {
+    mm.iter().all(|mm| mm.abs() <= MAX_LENGTH_MM)
+}
+
+/// A finding, with the index of the joint that it is about.
+type RobotFileError = (Option<usize>, RobotFinding);
+
+impl RobotFile {
+    /// The finding for an arm that does not have six axes.
+    fn not_six(&self, joints: usize) -> RobotFinding {
+        let needed = match joints {
+            4 => {
+                "an arm of four axes (SCARA, palletiser) needs a linear axis or a coupled one in the model, and poses of four coordinates"
+            }
+            7 => {
+                "an arm of seven axes has a curve of axis angles for a pose: the angle of its elbow would have to be part of every pose"
+            }
+            _ => {
+                "an arm with fewer axes does not reach every orientation, one with more has free axes that would have to be part of every pose"
+            }
+        };
+        RobotFinding::JointCount { robot: self.name.clone(), joints, needed: needed.into() }
+    }
+
+    fn joints(&self) -> Result<[&JointTable; AXES], RobotFileError> {
+        let joints: Vec<&JointTable> = self.joint.iter().collect();
+        let joints =
+            <[&JointTable; AXES]>::try_from(joints).map_err(|joints| (None, self.not_six(joints.len())))?;
+        for (at, joint) in joints.iter().enumerate() {
+            joint.check(at + 1).map_err(|finding| (Some(at), finding))?;
+        }
+        Ok(joints)
+    }
+
+    /// The masses, the payload last.
+    fn masses(&self) -> Result<Vec<Mass>, RobotFinding> {
+        let masses = self.mass.iter().map(|mass| (mass.joint, mass.kg, mass.centre_mm));
+        let payload = self.payload.iter().map(|payload| (AXES, payload.kg, payload.centre_mm));
+        let checked = |(joint, kg, centre_mm): (usize, f64, [f64; 3])| {
+            if !((0.0..=MAX_MASS_KG).contains(&kg) && are_lengths(&centre_mm)) {
+                return Err(RobotFinding::Mass { kg, centre_mm });
+            }
+            let joint = Joint::new(joint).ok_or(RobotFinding::MassJoint { joint })?;
+            Ok(Mass { joint, kg, centre: centre_mm.into() })
+        };
+        masses.chain(payload).map(checked).collect()
+    }
+
+    /// Checks everything but joints and masses.
+    fn check(&self) -> Result<(), RobotFinding> {
+        let Tolerance { length_mm, angle_deg } = self.tolerance;
+        let [most_mm, most_deg] = [100.0, 45.0];
+        if !(length_mm > 0.0 && length_mm <= most_mm && angle_deg > 0.0 && angle_deg <= most_deg) {
+            return Err(RobotFinding::Tolerance { length_mm, angle_deg });
+        }
+        self.too_small().map_or(Ok(()), Err)?;
+        if self.name.trim().is_empty() {
+            return Err(RobotFinding::NoName);
+        }
+        if let Some(value) = self.repeatability_mm.filter(|mm| !(*mm > 0.0 && *mm <= MAX_REPEATABILITY_MM)) {
+            return Err(RobotFinding::Repeatability { value });
+        }
+        if !are_lengths(&self.tool.ball_mm) {
+            return Err(RobotFinding::ToolBall { ball_mm: self.tool.ball_mm });
+        }
+        if self.posterior.as_ref().is_some_and(|posterior| !posterior.is_sound()) {
+            return Err(RobotFinding::Posterior);
+        }
+        Ok(())
+    }
+
+    /// The robot, if all numbers are possible.
+    fn into_robot(self) -> Result<Robot, RobotFileError> {
+        if self.convention != "modified-dh" {
+            return Err((None, RobotFinding::Convention { convention: self.convention }));
+        }
+        let joints = self.joints()?;
+        let coupling = coupling(&joints).map_err(|(at, finding)| (Some(at), finding))?;
+        self.check().map_err(|finding| (None, finding))?;
+        let masses = self.masses().map_err(|finding| (None, finding))?;
+        let mut robot = Robot {
+            geometry: Geometry {
+                rows: joints.map(JointTable::row),
+                coupling,
+                tool: self.tool.ball_mm.into(),
+                masses,
+                compliance: joints.map(|joint| joint.compliance_rad_per_nm),
+                gear: joints.map(|joint| [joint.gear_cos_rad, joint.gear_sin_rad]),
+                joint_errors: JointErrors::new(joints.map(JointTable::error)),
+            },
+            limits_deg: joints.map(|joint| joint.limits_deg),
+            coupled_limits_deg: joints.map(JointTable::coupled_limits_deg),
+            max_speed_deg_s: joints.map(|joint| joint.max_speed_deg_s),
+            max_acceleration_deg_s2: joints.map(|joint| joint.max_acceleration_deg_s2),
+            tolerance: self.tolerance,
+            repeatability_mm: self.repeatability_mm,
+            source: self.source,
+            serial: self.serial,
+            controller_serial: self.controller_serial,
+            language: self.language,
+            provenance: self.provenance,
+            doubts: self.doubts,
+            payload: self.payload.is_some(),
+            posterior: self.posterior,
+            uncertainty: None,
+            // The line of a joint of the nominal robot is not known: the text has the joints of both robots.
+            nominal: match self.nominal {
+                Some(nominal) => {
+                    Some(Box::new(nominal.into_robot().map_err(|(_, finding)| (None, finding))?))
+                }
+                None => None,
+            },
+            name: self.name,
+        };
+        if self.uncertainty.as_ref().is_some_and(|uncertainty| !uncertainty.fits(&robot)) {
+            return Err((None, RobotFinding::Uncertainty));
+        }
+        robot.uncertainty = self.uncertainty.map(Box::new);
+        Ok(robot)
+    }
+
+    fn from_robot(robot: &Robot) -> Self {
+        let (masses, payload) = match robot.geometry.masses.split_last() {
+            Some((payload, masses)) if robot.payload => (masses, Some(payload)),
+            _ => (robot.geometry.masses.as_slice(), None),
+        };
+        let mass = |mass: &Mass| MassTable {
+            joint: mass.joint.number(),
+            kg: mass.kg,
+            centre_mm: mass.centre.into(),
+        };
+        Self {
+            name: robot.name.clone(),
+            serial: robot.serial.clone(),
+            controller_serial: robot.controller_serial.clone(),
+            language: robot.language.clone(),
+            convention: "modified-dh".into(),
+            source: robot.source.clone(),
+            repeatability_mm: robot.repeatability_mm,
+            doubts: robot.doubts.clone(),
+            joint: robot.joint_tables(),
+            tool: RobotToolTable { ball_mm: robot.geometry.tool.into() },
+            tolerance: robot.tolerance,
+            mass: masses.iter().map(mass).collect(),
+            payload: payload.map(|payload| PayloadTable { kg: payload.kg, centre_mm: payload.centre.into() }),
+            provenance: robot.provenance.clone(),
+            posterior: robot.posterior.clone(),
+            nominal: robot.nominal.as_ref().map(|nominal| Box::new(Self::from_robot(nominal))),
+            uncertainty: robot.uncertainty.as_deref().cloned(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{JointErrorModel, Ripple, SmoothJointError, VisitedAngles};
+
+    #[test]
+    fn robots_read_back_and_errors_have_their_line() {
+        for (name, text) in Robot::built_in() {
+            let robot = Robot::from_toml(name, text).unwrap();
+            assert_eq!(Robot::from_toml(name, &robot.to_toml().unwrap()).unwrap(), robot);
+            let wrong = Robot::from_toml(name, &text.replacen("sign = ", "sign = 2 # ", 1)).unwrap_err();
+            assert_eq!(wrong.code().as_str(), "E0505");
+            let first = text.lines().position(|line| line == "[[joint]]").unwrap();
+            assert_eq!(wrong.line_number(), first + 1);
+        }
+    }
+
+    #[test]
+    fn joint_errors_read_back() {
+        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let error = JointErrorModel {
+            visited: VisitedAngles { middle: 0.2, scale: 0.4 },
+            smooth: SmoothJointError { centre: 0.25, half_width: 3.0, coefficients: vec![1e-4, -2e-5] },
+            backlash: 7.2e-5,
+            ripple: vec![Ripple { order: 40, cos: 1e-5, sin: -2e-5 }],
+        };
+        robot.geometry.joint_errors = JointErrors::new(std::array::from_fn(|at| {
+            if at == 1 { error.clone() } else { JointErrorModel::default() }
+        }));
+        let text = robot.to_toml().unwrap();
+        assert_eq!(Robot::from_toml("robot.toml", &text).unwrap(), robot);
+        let wrong = text.replacen("half_width_rad = 3.0", "half_width_rad = 0.0", 1);
+        assert_eq!(Robot::from_toml("robot.toml", &wrong).unwrap_err().code().as_str(), "E0505");
+    }
+}

@@ -1,0 +1,154 @@
+//! Status and turn, by KUKA's rules, and ABB's quadrants and configuration, which tell the branches and turns of one pose
+//! apart; how far from singular.
+
+use std::f64::consts::TAU;
+
+use nalgebra::Matrix6;
+
+use super::{Unsolved, branches, closed};
+use crate::robot::pose::Pose;
+use crate::robot::{AXES, Geometry, Robot};
+
+/// An axis nearer to zero than this (1e-6 degrees) counts as zero.
+const ZERO_RAD: f64 = 1e-6 * std::f64::consts::PI / 180.0;
+
+/// The digits of a pose move an axis by less than this, rad (0.005 degrees).
+const BORDER_RAD: f64 = 0.005 * std::f64::consts::PI / 180.0;
+
+/// How far the wrist centre, where axes 5 and 6 meet, is in front of axis 1: x in axis 1's frame, mm.
+fn forward(geometry: &Geometry, axes: &[f64; AXES]) -> f64 {
+    let [shoulder, .., wrist, _] = geometry.frames(&geometry.joint_angles(axes));
+    shoulder.rotation.column(0).dot(&(wrist.position - shoulder.position))
+}
+
+/// The status bits of the branch at axis angles in rad, which are KUKA's: bit 0 wrist centre behind axis 1 (x < 0 in
+/// axis 1's frame), bit 1 elbow (A3 at or above the angle at which the arm is stretched), bit 2 A5 < 0.
+/// Without a closed form the arm is stretched where the line of joint 4 goes on from the upper arm, and bit 2 is a negative
+/// determinant of the Jacobian.
+pub fn status(geometry: &Geometry, axes: &[f64; AXES]) -> u8 {
+    let behind = forward(geometry, axes) < 0.0;
+    let (elbow, wrist) = match closed::ClosedFormArm::near(geometry) {
+        Some(arm) => (arm.elbow(axes), arm.wrist(axes)),
+        // Without a closed form: on which side of a singularity.
+        None => {
+            let joints = geometry.coupling.joints(axes);
+            (closed::elbow(&geometry.rows, &joints), determinant(geometry, axes))
+        }
+    };
+    u8::from(behind) | u8::from(elbow >= 0.0) << 1 | u8::from(wrist < -ZERO_RAD) << 2
+}
+
+/// The determinant of the Jacobian, which changes its sign at a singular position.
+fn determinant(geometry: &Geometry, axes: &[f64; AXES]) -> f64 {
+    let columns = geometry.axis_jacobian(axes);
+    Matrix6::from_fn(|row, i| if row < 3 { columns[i].0[row] } else { columns[i].1[row - 3] }).determinant()
+}
+
+/// How far an arm is from its singular positions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SingularityClearance {
+    /// Of the wrist: |A5| from straight or folded back, rad.
+    pub wrist: f64,
+    /// Of the elbow: angle between upper arm and forearm from stretched or folded, rad.
+    pub elbow: f64,
+    /// Of the shoulder: distance of the wrist centre from the plane through axis 1 that is square to the arm's, mm.
+    pub overhead: f64,
+}
+
+/// How far an arm is from its singular positions at axis angles in rad; `None` for an arm that is not
+/// near one with a closed form, whose singular positions are others.
+pub fn clearance(geometry: &Geometry, axes: &[f64; AXES]) -> Option<SingularityClearance> {
+    let arm = closed::ClosedFormArm::near(geometry)?;
+    // Distance of an angle from the nearest multiple of half a turn.
+    let from_straight = |angle: f64| angle.sin().abs().asin();
+    Some(SingularityClearance {
+        wrist: from_straight(arm.wrist(axes)),
+        elbow: from_straight(arm.elbow(axes)),
+        overhead: forward(geometry, axes).abs(),
+    })
+}
+
+/// KUKA's turn bits: bit i is set when axis i + 1 is negative (an axis within 1e-6 deg of 0 is 0).
+pub fn turn(axes: &[f64; AXES]) -> u8 {
+    axes.iter().enumerate().fold(0, |bits, (i, angle)| bits | u8::from(*angle < -ZERO_RAD) << i)
+}
+
+/// The same pose with every axis turned fully as often as the robot's limits allow; empty when an
+/// axis has no turn within them.
+pub fn turns_within(axes: &[f64; AXES], robot: &Robot) -> Vec<[f64; AXES]> {
+    let mut variants = vec![*axes];
+    for i in 0..AXES {
+        let turned = |axes: &[f64; AXES]| {
+            let (angle, limits_deg) = (axes[i], robot.limits_at_deg(&axes.map(f64::to_degrees)));
+            let [low, high] = limits_deg[i].map(f64::to_radians);
+            let first = ((low - ZERO_RAD - angle) / TAU).ceil();
+            // Limits are a few turns at most: more would be a mistake in the file, not a robot.
+            (0..8)
+                .map(move |more| angle + TAU * (first + f64::from(more)))
+                .filter(move |a| *a <= high + ZERO_RAD)
+        };
+        variants = variants
+            .iter()
+            .flat_map(|axes| {
+                turned(axes).map(move |angle| {
+                    let mut variant = *axes;
+                    variant[i] = angle;
+                    variant
+                })
+            })
+            .collect();
+    }
+    variants
+}
+
+/// The axis angles (rad) that a controller takes for a pose with status and turn (S and T of an E6POS;
+/// bits of S above 2 say nothing about the branch).
+///
+/// # Errors
+/// Out of reach, or no axis angles within the limits have them.
+pub fn from_status_turn(
+    robot: &Robot,
+    ball: &Pose,
+    wanted_status: u8,
+    wanted_turn: u8,
+) -> Result<[f64; AXES], Unsolved> {
+    let wanted_status = wanted_status & 7;
+    branches(&robot.geometry, ball)?
+        .iter()
+        .filter(|axes| status(&robot.geometry, axes) == wanted_status)
+        .flat_map(|axes| turns_within(axes, robot))
+        .find(|axes| turn(axes) == wanted_turn)
+        .ok_or(Unsolved::NoSuchConfiguration { status: wanted_status, turn: wanted_turn })
+}
+
+/// ABB's `cf1`, `cf4`, `cf6` and `cfx` of an arm with a spherical wrist at axis angles in rad: the quadrants of axes 1, 4
+/// and 6 (0 from 0 to 90 degrees, -1 from -90 to 0), and 4 for a wrist centre behind axis 1, 2 for one behind the lower
+/// arm, 1 for a negative axis 5 (RAPID reference, `confdata`).
+pub fn quadrants(geometry: &Geometry, axes: &[f64; AXES]) -> [i32; 4] {
+    let quadrant = |axis: usize| ((axes[axis] + ZERO_RAD) / std::f64::consts::FRAC_PI_2).floor() as i32;
+    let bits = status(geometry, axes);
+    let [behind, in_front, negative] = [bits & 1, bits >> 1 & 1, bits >> 2 & 1];
+    let cfx = 4 * behind + 2 * (1 - in_front) + negative;
+    [quadrant(0), quadrant(3), quadrant(5), i32::from(cfx)]
+}
+
+/// The axis angles (rad) that a controller takes for a pose with ABB's configuration. An axis on the border
+/// of two quadrants has both.
+///
+/// # Errors
+/// Out of reach, or no axis angles within the limits have it.
+pub fn from_quadrants(robot: &Robot, ball: &Pose, wanted: [i32; 4]) -> Result<[f64; AXES], Unsolved> {
+    let near = |axes: &[f64; AXES], sign: f64| {
+        let mut moved = *axes;
+        [0, 3, 5].into_iter().for_each(|axis| moved[axis] += sign * BORDER_RAD);
+        quadrants(&robot.geometry, &moved)
+    };
+    branches(&robot.geometry, ball)?
+        .iter()
+        .flat_map(|axes| turns_within(axes, robot))
+        .find(|axes| {
+            let (low, high) = (near(axes, -1.0), near(axes, 1.0));
+            (0..4).all(|part| wanted[part] == low[part] || wanted[part] == high[part])
+        })
+        .ok_or_else(|| Unsolved::NoSuchQuadrants { wanted: format!("{wanted:?}") })
+}

@@ -1,0 +1,40 @@
+//! The kinematic model: poses, the length between the balls, and its derivatives.
+//!
+//! Craig's modified DH with Hayati's beta: row i of a robot is
+//! `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)` with `theta = sign * A + theta_offset`. A is the axis angle of the controller; of a
+//! coupled joint it is the sum of two. Lengths are in mm, angles in rad; files have degrees.
+
+mod catalogue;
+pub use catalogue::RobotFinding;
+
+pub mod chain;
+pub mod coupling;
+pub mod definition;
+pub mod file;
+pub mod ids;
+pub mod inverse;
+pub mod joint_error;
+pub mod joint_table;
+pub mod kinematics;
+pub mod parameter;
+pub mod pose;
+pub mod posterior;
+pub mod uncertainty;
+
+pub use chain::{AxesAtPose, JointSinCos, KinematicChain, LengthRow, TrackerPlane};
+pub use coupling::{CoupledAxis, Coupling};
+pub use definition::{LoadedRobot, Robot, Tolerance};
+pub use ids::{
+    Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, TargetId, max_axis_difference,
+};
+pub use joint_error::{
+    JointErrorModel, JointErrors, JointTerm, Ripple, SmoothJointError, TermKind, VisitedAngles,
+};
+pub use kinematics::{DhRow, Geometry, Mass};
+pub use parameter::{ParamGroup, ParamId, ParamUnit};
+pub use pose::Pose;
+pub use posterior::RobotPosterior;
+pub use uncertainty::{GaussianProcess, RobotUncertainty};
+
+/// Number of axes of a robot.
+pub const AXES: usize = 6;

@@ -1,0 +1,13 @@
+//! The runs of many cells: an archive in a database and an object store, the pages that show it, and what its runs show
+//! together.
+//!
+//! This crate must not know how a run is recorded, nor an option of the command line. Without the feature `archive` it has
+//! the sentences of its findings alone, so that a program without databases can explain them.
+
+#[cfg(feature = "archive")]
+mod archive;
+mod catalogue;
+
+#[cfg(feature = "archive")]
+pub use archive::*;
+pub use catalogue::ArchiveFinding;
