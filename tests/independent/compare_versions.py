@@ -1,23 +1,26 @@
 """Compares what two builds of dbbd compute from the same inputs. Python 3.11, standard library only, Unix.
 
-    python tests/independent/compare_versions.py OLD_BINARY NEW_BINARY [--shared DIR] [--only NAME] [--jobs N] [--at-least N]
+    python tests/independent/compare_versions.py OLD_BINARY NEW_BINARY [--shared DIR] [--only NAME] [--jobs N]
     python tests/independent/compare_versions.py --renames | --self-test
 
-Run it with one binary twice to see that everything is deterministic, and how many numbers are compared; `--at-least` holds a
-run with two binaries against that. Captures are made once, with the old binary, and read by both; only the items `chain`
-measure with each binary. The checkout's examples, fixtures and robots are the inputs; DIR holds data of real robots that are
-not part of the project (data/kr60, data/irb120_drawwire). --only takes the items whose name contains NAME, --keep DIR leaves
-every output there, --sentences prints the sentences that differ.
+Captures are made once, with the old binary, and read by both; only the items `chain` measure with each binary. The checkout's
+examples, fixtures and robots are the inputs; DIR holds data of real robots that are not part of the project (data/kr60,
+data/irb120_drawwire). --only takes the items whose name contains NAME, --keep DIR leaves every output there, --sentences prints
+the sentences that differ.
+
+First run it with one binary twice: it must find no difference, and tells how many numbers it compared. Then run it with two
+binaries and `--at-least` that number. How many samples a capture has depends on the host's time (1 in 1000); with the same
+--inputs DIR both runs read the same captures, and the numbers are exactly as many.
 
 What counts:
 - Exit codes, missing files, numbers and words of JSON, CSV, TOML, URDF and KRL files, and of JSON on stdout. These fail.
-- A number of the old version that the new one has nowhere, and an entry of a list that only one has, fail. What got another
-  name, place or code stands in the tables below. Numbers that only the new version has are listed.
+- A number of the old version that the new one does not have fails, and so does an entry of a list that only one has. What has
+  another name, place, word or code in the new version stands in the tables below. Numbers that only the new one has are listed.
 - Numbers are equal to 1e-9 of the larger one, or to 1e-12. A covariance is compared in units of its two standard deviations.
   Programs (.src, .dat, .xml) must be equal in every character but for comments, MCAP files in every byte.
 - Counted, but no failure: sentences for people (keys `text`, `reason`, .., strings of three words or more, comments, stdout
   that is not JSON, stderr); words that only one version has; what must differ between versions (hashes, version numbers, the
-  number of a schema) or between measurements (times of day), which is replaced before the comparison.
+  number of a schema) or between two measurements (times of day), which is replaced before the comparison.
 Pages and pictures (.html, .svg) are not compared. Some numbers are noise by nature: what follows from the residuals of exact
 lengths, smallest singular values, conditions above 1e7. A person reads what differs; there is no list of what is allowed.
 """
@@ -47,15 +50,16 @@ import tty
 from pathlib import Path
 
 # --- what has another name in the new version -------------------------------------------------------------------------
-# Applied to the old version before the comparison. IN names the files: patterns with blanks between them, `*` for all; JSON on
-# stdout is `COMMAND.stdout`. A PATH of JSON or TOML is written `parameters[].sd`, of CSV `column`, or `column.key` where the
-# cells are JSON. `[]` is any entry of a list (`[a1]` the one of that name or code), `*` any one key; both carry over to the
-# new path in their order. A path takes along all that is below it. The rules work one after the other, in this order.
+# The rules change what the old version wrote before it is compared; with the same binary twice they do nothing. They work one
+# after the other, from the top. IN: names of files with blanks between them, `*` for all; JSON on stdout is `COMMAND.stdout`.
+# PATH: `parameters[].sd` in JSON and TOML; in CSV a column, and `column.key` where its cells are JSON. It takes along all that
+# is below it. `[]` is any entry of a list, `[a1]` that of this name or code, `*` any one key; what `[]` and `*` of the old path
+# stand for goes to those of the new path, in their order.
 
-FILES = []          # (old name, new name), without the directory; `*` stands for what has no dot
+FILES = []          # (old name, new name), with no directory before the old one; `*` is any part without a dot
 PATHS = []          # (IN, old PATH, new PATH)
-WORDS = []          # (IN, key or column in the old version, old value, new value): whole values, also null (None)
-CODES = []          # (old code, new code) of findings and errors, in every file
+WORDS = []          # (IN, key or column in the old version, old value, new value): whole values; None is null
+CODES = []          # (old code, new code): of findings and errors, in every file
 
 ROOT = Path(__file__).resolve().parents[2]
 RELATIVE, ABSOLUTE = 1e-9, 1e-12
@@ -69,7 +73,7 @@ class Renames:
     def __init__(self, files=(), paths=(), words=(), codes=()):
         self.files, self.paths = ([(entry, *self.rule(*entry[-2:])) for entry in table] for table in (files, paths))
         self.words, self.codes = words, dict(codes)
-        self.unused = {*files, *paths, *words, *codes}
+        self.unused = [*files, *paths, *words, *codes]
 
     @staticmethod
     def rule(old, new):
@@ -79,10 +83,14 @@ class Renames:
             raise ValueError(f"{old} -> {new}: the new path has more wildcards")
         return re.compile(pattern + r"(?=[.\[]|$)"), new
 
+    def used(self, entry):
+        if entry in self.unused:
+            self.unused = [one for one in self.unused if one != entry]
+
     def move(self, rules, text):
         for entry, pattern, new in rules:
             if found := pattern.match(text):
-                self.unused.discard(entry)
+                self.used(entry)
                 parts = iter(found.groups())
                 text = re.sub(r"\[\]|\*", lambda _: next(parts), new) + text[found.end():]
         return text
@@ -102,7 +110,7 @@ class Renames:
             if isinstance(value, list):
                 return [word(one, key) for one in value]
             entry = words.get((key, value))
-            self.unused.discard(entry)
+            self.used(entry)
             return entry[3] if entry else value
 
         return (lambda path: self.move(rules, path)) if rules else str, word if words else lambda value, key="": value
@@ -110,15 +118,15 @@ class Renames:
     def in_text(self, text):
         def code(found):
             new = self.codes.get(found[0], found[0])
-            self.unused.discard((found[0], new))
+            self.used((found[0], new))
             return new
 
         return re.sub(r"\b[EWI]\d{4}\b", code, text) if self.codes else text
 
 
 def markdown():
-    rows = [("files", *one) for one in FILES] + PATHS + [(files, f"{key}: {old}", f"{key}: {new}") for files, key, old, new in WORDS]
-    rows += [("codes", *one) for one in CODES]
+    words = [(files, f"{key}: {old}", f"{key}: {new}") for files, key, old, new in WORDS]
+    rows = [("files", *one) for one in FILES] + PATHS + words + [("codes", *one) for one in CODES]
     return "| in | old | new |\n|---|---|---|\n" + "".join(f"| {files} | `{old}` | `{new}` |\n" for files, old, new in rows)
 
 
@@ -612,8 +620,11 @@ class Inputs:
         self.binary, self.at = binary, at
         write_inputs(at)
         for name in dict.fromkeys(need for item in wanted for need in item.needs):
-            print(f"making {name}", file=sys.stderr)
-            self.make(name)
+            made = at / f"{name}.made"
+            if not made.exists():
+                print(f"making {name}", file=sys.stderr)
+                self.make(name)
+                made.touch()
 
     def make(self, name):
         if name.startswith("rec "):
@@ -777,15 +788,67 @@ def report(item, d):
     sys.stdout.flush()
 
 
+def self_test():
+    """The tables at work, on two small directories."""
+    old = {"o/a.old.csv": "length,sd,about_json\n300.5,1,\"{\"\"a\"\":1}\"\n", "o/result.json": json.dumps({
+        "schema": 1, "sigma_mm": 0.1, "prior": {"source": "datasheet", "scale": 2}, "folds": None, "few": [3], "drift": None,
+        "joints": [{"axis": 1}, {"axis": 2}], "advice": [{"poses": 7}],
+        "warnings": [{"code": "W0001", "values": {"x": 1}}, {"code": "W0002", "values": {"x": 2}}],
+        "parameters": [{"name": "a1", "status": "held", "sd": 5}, {"name": "a2", "status": "free", "sd": 6}]})}
+    new = {"o/a.csv": "sd,length_mm,about_json\n1,300.5,\"{\"\"b\"\":1}\"\n", "o/result.json": json.dumps({
+        "schema": 2, "noise_mm": {"pose": 0.1}, "prior": "datasheet", "scale": 2, "folds": "none", "rank": 8,
+        "findings": [{"code": "W0001", "values": {"x": 1}}, {"code": "W0001", "values": {"x": 2}}], "few": [3], "drift": {},
+        "recommendations": [{"code": "I0001", "values": {"poses": 7}}], "joints": {"axis": [1, 2]},
+        "parameters": [{"name": "a2", "status": "free", "deviation": {"sd": 6}},
+                       {"name": "a1", "status": "fixed", "deviation": {"sd": 5}}]})}
+    result = "result.json identify.stdout"
+    renames = Renames([("*.old.csv", "*.csv")], [
+        (result, "sigma_mm", "noise_mm.pose"), (result, "prior.scale", "scale"), (result, "prior.source", "prior"),
+        (result, "warnings", "findings"), (result, "advice[].*", "advice[].values.*"), (result, "advice", "recommendations"),
+        (result, "parameters[].sd", "parameters[].deviation.sd"), (result, "joints[].axis", "joints.axis[]"),
+        (result, "joints[]", "joints.axis[]"), ("a.csv", "length", "length_mm"), ("*.csv", "about_json.a", "about_json.b"),
+    ], [(result, "status", "held", "fixed"), (result, "folds", None, "none"), (result, "drift", None, {})], [("W0002", "W0001")])
+
+    def compared(new, renames=renames):
+        with tempfile.TemporaryDirectory() as work:
+            runs = []
+            for side, files in (("old", old), ("new", new)):
+                runs.append(Run(Path(work) / side, [Call(["identify"], 0, files["o/result.json"], "")]))
+                (runs[-1].dir / "o").mkdir(parents=True)
+                for name, text in files.items():
+                    (runs[-1].dir / name).write_text(text)
+            d = Difference(renames)
+            compare_runs(d, *runs)
+            return d
+
+    d = compared(new)
+    assert not d.failures and not renames.unused, (d.failures, renames.unused)
+    assert d.numbers == 2 * 10 + 3 and d.new == {"result.json: rank": 1, "identify.stdout: rank": 1}, (d.numbers, d.new)
+    assert compared(old, Renames()).numbers == d.numbers
+    for text, other, says in (
+        ('"pose"', '"poses"', "result.json: noise_mm.pose"), ("[3]", "[]", "result.json: few[]"),
+        ("[3]", "[3, 4]", "result.json: few[1]"), ('"sd": 6', '"sd": 6.00001', "result.json: parameters[a2].deviation.sd"),
+        ("fixed", "free", "result.json: parameters[a1].status"), ("length_mm", "length_m", "a.csv: length_mm"),
+        ('{""b""', '{""c""', "a.csv: about_json.b"),
+    ):
+        failures = compared({name: content.replace(text, other) for name, content in new.items()}).failures
+        assert f"o/{says}" in [where for _, where, _ in failures], (text, failures)
+    print("the tables work")
+
+
 def main():
+    if sys.argv[1:] == ["--self-test"]:
+        return self_test()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("old")
     parser.add_argument("new")
-    parser.add_argument("--renames", action="version", version=markdown(), help="print what has another name, as Markdown")
+    parser.add_argument("--self-test", action="store_true", help="only try the tables of renames, without a binary")
+    parser.add_argument("--renames", action="version", version=markdown(), help="only print these tables, as Markdown")
     parser.add_argument("--at-least", type=int, default=0, metavar="N", help="fail if fewer numbers are compared")
     parser.add_argument("--shared", type=Path)
     parser.add_argument("--only", default="")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--inputs", type=Path, metavar="DIR", help="make the captures there, or use those of an earlier run")
     parser.add_argument("--keep", type=Path, help="a directory that does not exist yet")
     parser.add_argument("--sentences", action="store_true", help="print the sentences that differ")
     given = parser.parse_args()
@@ -796,8 +859,9 @@ def main():
     if not wanted:
         sys.exit(f"no item contains {given.only!r}")
     work = given.keep.resolve() if given.keep else Path(tempfile.mkdtemp(prefix="compare-versions-"))
-    inputs = work / "in"
-    inputs.mkdir(parents=True)
+    work.mkdir(exist_ok=not given.keep, parents=True)
+    inputs = given.inputs.resolve() if given.inputs else work / "in"
+    inputs.mkdir(exist_ok=True, parents=True)
     try:
         Inputs(binaries[0], inputs, wanted)
         places = {"in": str(inputs), "root": str(ROOT), "shared": str((given.shared or ROOT).resolve())}
@@ -825,7 +889,7 @@ def main():
     print(f"{len(results)} items: {len(results) - len(failed)} equal, {len(failed)} with differences ({differ} of numbers); "
           f"besides {sums['texts']} sentences, {sums['known']} hashes, versions or times")
     compared = sum(d.numbers for item, d in results if not item.optional)
-    print(f"{compared} numbers compared" + (f", {given.at_least} expected" if given.at_least else ""))
+    print(f"{compared} numbers compared" + (f", {given.at_least} needed" if given.at_least else ""))
     failed = failed or compared < given.at_least
     return 1 if failed else 0
 

@@ -254,6 +254,28 @@ fn libraries_are_used_where_they_belong() {
     }
 }
 
+/// A scientist gets the mathematics without a web server, a command line, a port or a runtime.
+#[test]
+fn the_model_depends_on_mathematics_and_texts_alone() {
+    let allowed = [
+        "csv",
+        "hmac-sha256",
+        "nalgebra",
+        "rand",
+        "rand_distr",
+        "rand_pcg",
+        "serde",
+        "serde_json",
+        "strsim",
+        "toml",
+    ];
+    let manifest = fs::read_to_string(root().join("crates/dbbd-model/Cargo.toml")).unwrap();
+    let manifest: toml::Table = toml::from_str(&manifest).unwrap();
+    for name in manifest["dependencies"].as_table().unwrap().keys() {
+        assert!(allowed.contains(&name.as_str()), "dbbd-model depends on {name}");
+    }
+}
+
 #[test]
 fn pure_rooms_do_no_input_or_output() {
     let forbidden = [

@@ -239,7 +239,7 @@ fn jobs_definitions_and_options() {
         fs::write(at.join("bad.toml"), text).unwrap();
         says(&dbbd(at, &["plan", "bad.toml", "--out", "plan"]), 1, code);
     };
-    job("expansion_per_k = 12e-6", "expansion_per_k = 12e-5", "E0680");
+    job("expansion_per_k = 12e-6", "expansion_per_k = 12e-5", "E0601");
     let second = "[[centre]]\nid = 2\nxyz_mm = [1300.0, 1.0, 800.0]\n[motion]";
     job("[motion]", second, "E0602");
     job("[motion]", "[identity]\nload_kg = 8000.0\n[motion]", "E0680");
