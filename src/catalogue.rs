@@ -23,13 +23,18 @@ use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::diagnostic::{Entry, Family};
 use dbbd_model::estimation::{EstimationFinding, FleetFinding, ResultFinding};
 use dbbd_model::measurement::MeasurementFinding;
+use dbbd_model::plausibility::PlausibilityFinding;
 use dbbd_model::provenance::{IdentityFinding, ProvenanceFinding};
 use dbbd_model::robot::RobotFinding;
 
 use dbbd_plant::ArchiveFinding;
 
-use crate::cli::CliFinding;
+use crate::cli::{CliFinding, options_of};
 use crate::live::ServiceFinding;
+
+/// Codes that differed by their quantity or unit alone from others, and the code that has their sentences now. They are not
+/// used again.
+const MERGED: &[(&str, &str)] = &[("E0580", "E0130"), ("E0601", "E0130"), ("W1842", "W0131")];
 
 /// The families with their headings in docs/troubleshooting.md.
 const FAMILIES: &[Family] = &[
@@ -39,6 +44,7 @@ const FAMILIES: &[Family] = &[
     RobotFinding::FAMILY,
     ProvenanceFinding::FAMILY,
     IdentityFinding::FAMILY,
+    PlausibilityFinding::FAMILY,
     JobFinding::FAMILY,
     PlanFinding::FAMILY,
     MeasurementFinding::FAMILY,
@@ -70,10 +76,11 @@ pub fn entries() -> impl Iterator<Item = &'static Entry> {
 
 /// What `dbbd explain` prints of an entry; Markdown.
 pub fn explanation(entry: &Entry) -> String {
-    let Entry { code, title, cause, cure, sentences } = entry;
+    let Entry { code, title, cause, cure, sentences, asks } = entry;
     let sentences: String =
         sentences.iter().map(|sentence| format!("    {}\n", without_names(sentence))).collect();
-    format!("{code}: {title}\n\nCause: {cause}\n\nCure: {cure}\n\n{sentences}")
+    let options = options_of(asks).map_or_else(String::new, |options| format!("Options: {options}\n\n"));
+    format!("{code}: {title}\n\nCause: {cause}\n\nCure: {cure}\n\n{options}{sentences}")
 }
 
 /// docs/troubleshooting.md.
@@ -99,8 +106,10 @@ fn without_names(sentence: &str) -> String {
     text
 }
 
-/// The entry of a code.
+/// The entry of a code, or of the one with which it was merged.
 pub fn entry(code: &str) -> Option<&'static Entry> {
+    let merged = MERGED.iter().find(|(old, _)| *old == code);
+    let code = merged.map_or(code, |(_, new)| new);
     entries().find(|entry| entry.code.as_str() == code)
 }
 
@@ -118,8 +127,16 @@ mod tests {
                 "{code}"
             );
         }
+        numbers.extend(MERGED.iter().map(|(old, _)| &old[1..]));
         numbers.sort_unstable();
         let twice: Vec<_> = numbers.windows(2).filter(|pair| pair[0] == pair[1]).collect();
         assert!(twice.is_empty(), "{twice:?}");
+    }
+
+    #[test]
+    fn a_merged_code_is_explained_by_the_new_one() {
+        for (old, new) in MERGED {
+            assert_eq!(entry(old).map(|entry| entry.code.as_str()), Some(*new), "{old}");
+        }
     }
 }

@@ -98,7 +98,7 @@ def main(mcap, result, picture):
         here = (circle == number) & np.isfinite(angle)
         polar.plot(angle[here], residual_um[here], ".-", linewidth=0.6)
         polar.plot(np.linspace(0, 2 * np.pi, 200), np.zeros(200), color="black", linewidth=0.8)
-        polar.set(title=f"circle {number}: residual (um)", rlim=(-3500 * told["sigma_mm"], 3500 * told["sigma_mm"]))
+        polar.set(title=f"circle {number}: residual (um)", rlim=(-3500 * told["noise_mm"]["length"], 3500 * told["noise_mm"]["length"]))
     figure.savefig(picture, dpi=110)
     print(f"wrote {picture}")
 

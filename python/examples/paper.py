@@ -26,6 +26,6 @@ assert abs(found["a4"] - 0.1703) < 1e-4 and abs(found["alpha1"] + 0.0049) < 1e-4
 
 # %% With d2 and d3
 result = dbbd.identify(q, lengths, 1, robot=robot, balls_mm=balls, estimate="alpha1-5,a1-5,d2-6")
-for dependent in result.to_dict()["dependent"]:
-    print(dependent["text"])
-    assert set(dependent["combination"]) == {"alpha1", "d2", "d3"}
+for combination in result.to_dict()["combinations"]:
+    print(" + ".join(f"{share:.4g} {name}" for name, share in combination["members"].items()), "is identifiable")
+    assert set(combination["members"]) == {"alpha1", "d2", "d3"}

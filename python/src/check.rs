@@ -1,8 +1,9 @@
 //! `check` and `Check`.
 
+use dbbd_job::robot_files::{ResultBeside, result_beside};
 use dbbd_model::conformity::{self, CheckInput, DecisionRule, InterimCheck};
+use dbbd_model::estimation::Options;
 use dbbd_model::estimation::expected::{BallMounting, Mounting};
-use dbbd_model::estimation::{Beside, Options, ResultFile};
 use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
 use dbbd_model::robot::AXES;
 use pyo3::prelude::*;
@@ -51,10 +52,10 @@ impl PyCheck {
 /// Standard deviation of a length of the result beside a robot's file, mm.
 fn sigma_of_result(robot: &PyRobot) -> Result<Option<f64>, Failure> {
     let Some(file) = &robot.file else { return Ok(None) };
-    let (_, beside) = ResultFile::beside(file, robot.robot(), dbbd_job::files::read_if_file)?;
+    let (_, beside) = result_beside(file, robot.robot())?;
     match beside {
-        Beside::Own(result) => Ok(Some(result.sigma_mm)),
-        Beside::Another | Beside::Nothing => Ok(None),
+        ResultBeside::Own(result) => Ok(Some(result.noise_mm.length)),
+        ResultBeside::Another | ResultBeside::Nothing => Ok(None),
     }
 }
 

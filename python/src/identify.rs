@@ -7,7 +7,7 @@ use dbbd_model::conformity::UncertaintyBudget;
 use dbbd_model::design::{Calibrated, calibrate_run};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{
-    AngleSource, CalibrationResult, ErrorModel, Input, Options, Positions, Prior, ResultFile,
+    AngleSource, CalibrationResult, CompletedCalibration, ErrorModel, Input, Options, Positions, Prior,
 };
 use dbbd_model::measurement::{ApproachedPose, LengthModel, Measurements};
 use dbbd_model::robot::RobotFinding;
@@ -32,7 +32,7 @@ pub(crate) enum PriorGiven {
 /// The result of an identification.
 #[pyclass(name = "Result", module = "dbbd", frozen)]
 pub(crate) struct PyResult_ {
-    found: CalibrationResult,
+    found: CompletedCalibration,
     budget: UncertaintyBudget,
 }
 
@@ -40,7 +40,7 @@ pub(crate) struct PyResult_ {
 #[derive(Serialize)]
 struct Recorded<'a> {
     #[serde(flatten)]
-    result: &'a ResultFile,
+    result: &'a CalibrationResult,
     budget: &'a UncertaintyBudget,
 }
 
@@ -49,7 +49,7 @@ impl PyResult_ {
     /// Every parameter as in result.json: name, unit, start, nominal, identified, correction, sd, interval95, status, reason.
     #[getter]
     fn parameters(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        to_python(py, &ResultFile::from(&self.found).parameters)
+        to_python(py, &self.found.result.parameters)
     }
 
     /// The parameters estimated, in the order of `covariance`.
@@ -75,7 +75,7 @@ impl PyResult_ {
     /// Whether a finding throws doubt on the result.
     #[getter]
     fn doubtful(&self) -> bool {
-        self.found.is_doubtful()
+        self.found.result.is_doubtful()
     }
 
     /// The identified robot, with the nominal one and what is not known of it.
@@ -86,13 +86,12 @@ impl PyResult_ {
 
     /// As `result.json` has it, without the files that a result in memory was not made from.
     fn to_json(&self) -> std::result::Result<String, Failure> {
-        let result = &ResultFile::from(&self.found);
-        serialised::json(&Recorded { result, budget: &self.budget }).map_err(failed)
+        serialised::json(&Recorded { result: &self.found.result, budget: &self.budget }).map_err(failed)
     }
 
     /// The same as a dictionary.
     fn to_dict(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        to_python(py, &Recorded { result: &ResultFile::from(&self.found), budget: &self.budget })
+        to_python(py, &Recorded { result: &self.found.result, budget: &self.budget })
     }
 
     /// Where the tool ball is at axis angles (degrees, N x 6 or 6): its places in the robot base (mm) and their 3-D standard
@@ -123,7 +122,7 @@ impl PyResult_ {
     }
 
     fn __repr__(&self) -> String {
-        let (robot, made_from) = (&self.found.robot.name, self.found.made_from);
+        let (robot, made_from) = (&self.found.robot.name, self.found.result.made_from);
         format!("<dbbd.Result of {robot:?} from {made_from}>")
     }
 }
@@ -302,7 +301,8 @@ pub(crate) fn identify<'py>(
             options: &options,
             axes: AngleSource::Given,
         };
-        let Calibrated { result: found, observations } = calibrate_run(&input, findings).map_err(failed)?;
+        let Calibrated { calibration: found, observations } =
+            calibrate_run(&input, findings).map_err(failed)?;
         let lengths = observations.as_ref().unwrap_or(&lengths);
         let budget = UncertaintyBudget::of(&found, lengths, bar_u_mm, &robot.provenance.identity);
         Ok(PyResult_ { found, budget })

@@ -3,6 +3,8 @@
 mod arrays;
 mod capture;
 mod check;
+#[cfg(feature = "command-line")]
+mod command_line;
 mod error;
 mod identify;
 mod lengths;
@@ -10,19 +12,7 @@ mod plan;
 mod robot;
 mod simulate;
 
-use std::ffi::OsString;
-use std::process::ExitCode;
-
 use pyo3::prelude::*;
-
-/// Runs the command line; children are started by `launcher`.
-#[pyfunction]
-fn _main(py: Python<'_>, arguments: Vec<OsString>, launcher: Vec<OsString>) -> u8 {
-    dbbd_job::child_process::launch_by(launcher);
-    let code = py.detach(|| dbbd::cli::main_with(arguments));
-    // An exit code does not give its number; the program has these.
-    (0..=u8::MAX).find(|number| ExitCode::from(*number) == code).unwrap_or(1)
-}
 
 #[pymodule]
 fn _dbbd(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -36,5 +26,7 @@ fn _dbbd(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(plan::plan, module)?)?;
     module.add_function(wrap_pyfunction!(check::check, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::simulate, module)?)?;
-    module.add_function(wrap_pyfunction!(_main, module)?)
+    #[cfg(feature = "command-line")]
+    module.add_function(wrap_pyfunction!(command_line::_main, module)?)?;
+    Ok(())
 }

@@ -1,14 +1,15 @@
 //! `plan` and `Plan`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use dbbd_job::files;
 use dbbd_job::plan::{Job, Plan, PlanRow, PlanningPrior};
 use dbbd_job::recording::run::read_plan;
 use dbbd_job::report;
+use dbbd_job::robot_files::named_robot;
 use dbbd_model::measurement::{BaseBall, PoseKind};
 use dbbd_model::provenance::Provenance;
-use dbbd_model::robot::{AXES, LoadedRobot, Robot};
+use dbbd_model::robot::{AXES, LoadedRobot};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -116,14 +117,14 @@ pub(crate) fn plan(py: Python<'_>, job: PathBuf, robot: Option<&PyRobot>) -> Res
         let LoadedRobot { robot, source, .. } = match robot {
             Some(robot) => &robot.read,
             None => {
-                own = Robot::named(&read.robot, |path: &Path| files::if_there(path, ".toml"))?;
+                own = named_robot(&read.robot)?;
                 &own
             }
         };
         read.check_against(robot.controller()).map_err(failed)?;
         let prior = PlanningPrior::datasheet(&read, robot);
         let mut plan = Plan::build_with(&read, robot, &prior)
-            .map_err(|refusal| dbbd_model::diagnostic::Diagnostic { file: name.clone(), ..refusal.into() })?;
+            .map_err(|refusal| dbbd_model::diagnostic::Diagnostic::from(refusal).in_file(&name))?;
         plan.header.provenance = dbbd_job::artefact::made_from([&read.traced(&job)?, source]);
         let map = plan.predict(robot, &prior);
         let page = report::plan::html(&plan, robot, &map)?;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use dbbd_job::files;
 use dbbd_job::report::export::{urdf, urdf_patch};
+use dbbd_job::robot_files::named_robot;
 use dbbd_job::sim::truth;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::math::map_pieces;
@@ -138,7 +139,7 @@ impl PyRobot {
     #[staticmethod]
     fn load(py: Python<'_>, name_or_path: PathBuf) -> Result<Self, Failure> {
         let name = name_or_path.to_string_lossy();
-        let read = Robot::named(&name, |path| files::if_there(path, ".toml"))?;
+        let read = named_robot(&name)?;
         let doubt = read.robot.doubtful().map(|doubt| Diagnostic::file(&name, doubt));
         read.findings.iter().chain(&doubt).try_for_each(|finding| warn(py, finding))?;
         let file = Robot::built_in_file(&name).is_none().then_some(name_or_path.clone());

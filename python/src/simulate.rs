@@ -8,7 +8,7 @@ use dbbd_model::robot::AXES;
 use pyo3::prelude::*;
 
 use crate::arrays::{Floats, Numbers, Rows, Wholes, array, column};
-use crate::error::{Failure, failed};
+use crate::error::Failure;
 use crate::lengths::balls;
 use crate::robot::PyRobot;
 
@@ -54,7 +54,7 @@ pub(crate) fn simulate<'py>(
         backlash_deg,
         following_ms: [0.0; AXES],
     };
-    setup.check().map_err(failed)?;
+    setup.check()?;
     let geometry = robot.robot().geometry.clone();
     let lengths = py.detach(|| {
         let poses = q.rows.iter().zip(&numbers);

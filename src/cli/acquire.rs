@@ -9,11 +9,12 @@ use std::time::Duration;
 
 use indicatif::ProgressBar;
 
-use super::{CommandOutcome, CommandOutput, artefact, output, protocols, value};
+use super::{CommandOutcome, CommandOutput, output, value};
 use crate::daemon::{
     ALARM_SHARE, Acquisition, AcquisitionOptions, AcquisitionSummary, AxesSource, ControllerConnections,
     EkrlServer, EndReason, MountDetector, RunProgress, Schedule, stop_on_signal, zero_bar,
 };
+use crate::live::RunCounts;
 use dbbd_device::axes::AxesAddress;
 use dbbd_device::axes::AxesFinding;
 use dbbd_device::clock;
@@ -23,6 +24,7 @@ use dbbd_device::protocol::ProtocolFinding;
 use dbbd_job::plan::DEFAULT_PROTOCOL;
 use dbbd_job::recording::axes::PacketCounts;
 use dbbd_job::recording::run::{self, PlanFiles};
+use dbbd_job::request;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::Identity;
 
@@ -92,7 +94,7 @@ pub(crate) struct AcquireArgs {
 }
 
 pub(crate) fn run(args: &AcquireArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
-    let identity = args.identity.as_deref().map(artefact::identity).transpose()?.unwrap_or_default();
+    let identity = args.identity.as_deref().map(request::read_identity).transpose()?.unwrap_or_default();
     let server = args.ekrl.map(EkrlServer::listen).transpose()?;
     if let Some(server) = &server {
         let address = server.address();
@@ -164,11 +166,11 @@ pub(super) fn record(
     let plan = args.plan.as_deref().map(PlanFiles::read).transpose()?;
     if let Some(files) = &plan {
         let job = &files.plan.header.job;
-        out.findings(artefact::other_run(&job.identity(), job.centres.len(), &identity));
+        out.findings(request::other_run(&job.identity(), job.centres.len(), &identity));
     }
     let planned = plan.as_ref().map(|files| files.plan.header.job.bar.protocol.as_str());
     let name = args.protocol.as_deref().or(planned).unwrap_or(DEFAULT_PROTOCOL);
-    let definition = protocols::load_with(name, &args.params)?;
+    let definition = request::read_protocol(name, &args.params)?;
     let schedule =
         plan.as_ref().map_or_else(Schedule::default, |files| Schedule::of(&files.plan, ALARM_SHARE));
     out.detail(format!("protocol {}: {}", definition.id, definition.title));
@@ -231,49 +233,52 @@ fn show_progress(acquisition: &Acquisition, schedule: &Schedule, out: &CommandOu
 }
 
 fn status(progress: &RunProgress) -> String {
-    if progress.gone {
-        return format!("{:.0} s: the port is gone, waiting for it", progress.elapsed_s);
+    let counts = &progress.counts;
+    if counts.gone {
+        return format!("{:.0} s: the port is gone, waiting for it", counts.elapsed_s);
     }
-    let reading = progress.reading_mm.map_or("no reading yet".into(), |mm| format!("{mm:+.4} mm"));
+    let reading = counts.reading_mm.map_or("no reading yet".into(), |mm| format!("{mm:+.4} mm"));
     format!(
         "{:.0} s: {reading}, {:.0} Hz, {} dwells, {} bytes{}",
-        progress.elapsed_s,
-        progress.rate_hz,
-        progress.dwells,
-        progress.bytes,
+        counts.elapsed_s,
+        counts.rate_hz,
+        counts.dwells,
+        counts.bytes,
         losses(progress)
     )
 }
 
 /// What was lost or damaged so far, and the packets with axes.
 fn losses(progress: &RunProgress) -> String {
+    let counts = &progress.counts;
     let losses = output::nonzero([
-        (progress.gaps, "gaps"),
-        (progress.missing, "samples missing"),
-        (progress.faults, "faults"),
-        (progress.unanswered, "requests unanswered"),
-        (progress.lost_bytes, "bytes lost"),
+        (counts.gaps, "gaps"),
+        (counts.missing, "samples missing"),
+        (counts.faults, "faults"),
+        (counts.unanswered, "requests unanswered"),
+        (counts.lost_bytes, "bytes lost"),
         (progress.telegrams, "telegrams"),
         (progress.refused, "telegrams refused"),
     ]);
-    let axes = progress.axes.map(|counts| format!("; axes: {}", output::packets(&counts)));
+    let axes = progress.axes.map(|packets| format!("; axes: {}", output::packets(&packets)));
     losses + &axes.unwrap_or_default()
 }
 
 fn conclude(summary: &AcquisitionSummary, args: &AcquireArgs, out: &CommandOutput) -> Result<(), Diagnostic> {
     let AcquisitionSummary { capture, ending, progress } = summary;
+    let counts = &progress.counts;
     out.result(format!(
         "{}: {} samples, {} dwells, {} bytes in {:.1} s; {}",
         capture.display(),
-        progress.samples,
-        progress.dwells,
-        progress.bytes,
-        progress.elapsed_s,
+        counts.samples,
+        counts.dwells,
+        counts.bytes,
+        counts.elapsed_s,
         ending.reason()
     ));
     out.findings(doubts(summary, args));
     out.findings(axes_doubts(summary, args));
-    if args.plan.is_some() && progress.samples > 0 {
+    if args.plan.is_some() && counts.samples > 0 {
         out.findings(run::losses(capture)?);
     }
     Ok(())
@@ -283,23 +288,21 @@ fn doubts(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<PortFinding> 
     /// A run has more than one valid reading in so many, also with long pauses without the bar.
     const FEW_IN: u64 = 100;
     let AcquisitionSummary { ending, progress, .. } = *summary;
-    let RunProgress { missing, lost_bytes, gaps, silent_s, .. } = progress;
-    let valid = progress.samples.saturating_sub(progress.invalid);
+    let RunCounts { missing, lost_bytes, gaps, .. } = progress.counts;
+    let (counts, silent_s) = (progress.counts, progress.silent_s);
+    let valid = counts.samples.saturating_sub(progress.invalid);
     let doubts = [
         (
             ending == EndReason::Gone,
             PortFinding::StayedAway { port: args.port.to_string(), gone_s: args.gone },
         ),
-        (progress.bytes == 0, PortFinding::NothingReceived),
-        (progress.bytes > 0 && !progress.in_step && progress.rejected == 0, PortFinding::NotThisProtocol),
-        (
-            progress.samples == 0 && progress.rejected > 0,
-            PortFinding::NoLength { refusals: progress.rejected },
-        ),
-        (progress.samples > FEW_IN * valid, PortFinding::FewValid { valid, samples: progress.samples }),
+        (counts.bytes == 0, PortFinding::NothingReceived),
+        (counts.bytes > 0 && !counts.in_step && counts.rejected == 0, PortFinding::NotThisProtocol),
+        (counts.samples == 0 && counts.rejected > 0, PortFinding::NoLength { refusals: counts.rejected }),
+        (counts.samples > FEW_IN * valid, PortFinding::FewValid { valid, samples: counts.samples }),
         (silent_s > 0.0, PortFinding::FellSilent { silent_s, gaps }),
         (missing > 0 || lost_bytes > 0, PortFinding::SamplesMissing { missing, lost_bytes, gaps }),
-        (progress.unanswered > 0, PortFinding::Unanswered { requests: progress.unanswered }),
+        (counts.unanswered > 0, PortFinding::Unanswered { requests: counts.unanswered }),
         (progress.refused > 0, PortFinding::TelegramsRefused { telegrams: progress.refused }),
         (args.ekrl.is_some() && progress.telegrams == 0, PortFinding::NoTelegram),
     ];

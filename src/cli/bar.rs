@@ -6,7 +6,7 @@ use std::thread;
 use serde::Serialize;
 
 use super::child::LOOPBACK;
-use super::{CommandOutcome, CommandOutput, acquire, protocols, value};
+use super::{CommandOutcome, CommandOutput, acquire, value};
 use crate::daemon::{ControllerConnections, ProbeAttempt, ProtocolSearch};
 use dbbd_device::port::PortAddress;
 use dbbd_device::protocol::ProtocolDefinition;
@@ -18,6 +18,7 @@ use dbbd_job::recording::StreamBuilder;
 use dbbd_job::recording::bar_check::BarCheck;
 use dbbd_job::recording::capture::{CaptureRecord, CaptureSummary};
 use dbbd_job::report;
+use dbbd_job::request;
 use dbbd_job::sim::{self, bar::Terminal};
 use dbbd_model::base::serialised;
 use dbbd_model::diagnostic::Diagnostic;
@@ -105,7 +106,7 @@ fn bar_at(port: &PortAddress) -> Result<PortAddress, Diagnostic> {
     if *port != PortAddress::Sim {
         return Ok(port.clone());
     }
-    let definition = protocols::load_with(DEFAULT_PROTOCOL, &[])?;
+    let definition = request::read_protocol(DEFAULT_PROTOCOL, &[])?;
     let terminal = Terminal::listen(&LOOPBACK.parse()?)?;
     let address = terminal.address().clone();
     let options = sim::bar::VirtualBarOptions { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
@@ -162,7 +163,7 @@ fn run_bar_check(args: &BarCheckArgs, out: &CommandOutput) -> Result<CommandOutc
     let port = bar_at(&args.port)?;
     let run = acquire::AcquireArgs::timed(port, protocol.clone(), params.clone(), capture.clone(), *duration);
     acquire::record(&run, Identity::default(), ControllerConnections::default(), out)?;
-    let definition = protocols::load_with(protocol, params)?;
+    let definition = request::read_protocol(protocol, params)?;
     let mut builder =
         StreamBuilder::new(definition.clock.map(Into::into)).sequence(definition.sequence_modulo);
     CaptureSummary::over(&capture, |stamped| {

@@ -14,13 +14,15 @@ findings! {
         cause: "The value of an option on the command line is not of its type or out of its range (exit code 2).",
         cure: "`dbbd VERB --help` says what the option takes, with the unit." {
             NotPositive => "a positive number is needed";
-            NotFine { most_mm: f64 } => "a positive number of at most {most_mm} mm is needed: is it in um?";
-            Outside { least: f64, most: f64, unit: &'static str } => "a number from {least} to {most} {unit} is needed";
-            NotAnExpansion => "an expansion by 1 K is some 0.00001 of the length (steel 11.5e-6, carbon fibre 1e-6)";
-            NotACertifiedTemperature { least: f64, most: f64 } => "lengths are certified at {least} to {most} degrees Celsius";
+            NotDraws { least: usize, most: usize } => "a number of draws from {least} to {most}, or 0, is needed";
             NotSeconds => "a number of seconds, 0 or more, is needed";
             NotNameAndValue => "must be NAME=VALUE";
             NotARisk => "a probability between 0 and 0.5 is needed";
+        }
+        E0004 "a request is not valid",
+        cause: "`dbbd request` read something else than a request as JSON, or a request of another version of dbbd.",
+        cure: "Let all processes be of one version; update them together." {
+            NotARequest { why: String } => "is not a request: {why}";
         }
     }
 }

@@ -2,19 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use serde_json::json;
-
-use super::identify::ROBOT;
-use super::{CommandOutcome, CommandOutput, artefact};
-use dbbd_device::clock;
-use dbbd_job::file_set::FileSet;
-use dbbd_job::files;
-use dbbd_job::report::certificate::Certificate;
-use dbbd_job::report::certificate::CertificateFinding;
-use dbbd_model::base::date;
-use dbbd_model::base::serialised;
-use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::provenance::ArtefactRole;
+use super::CommandOutput;
+use dbbd_job::request::Request;
+use dbbd_job::request::certificate::{CertificateDocument, CertificateRequest};
 
 /// Write the draft of a calibration certificate.
 ///
@@ -39,51 +29,20 @@ pub(crate) struct CertificateArgs {
     identity: Option<PathBuf>,
 }
 
-/// The name and the text of a file, which may be named by its directory.
-fn read_named_file(path: &Path, name: &str) -> Result<(String, String), Diagnostic> {
-    let path = if path.is_dir() { path.join(name) } else { path.to_owned() };
-    let (name, text) = (path.display().to_string(), files::read_text(&path)?);
-    serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
-    Ok((name, text))
+/// What the arguments ask for.
+pub(super) fn request(args: &CertificateArgs) -> Request {
+    Request::Certificate(CertificateRequest {
+        result: args.result.clone(),
+        out: args.out.clone(),
+        check: args.check.clone(),
+        identity: args.identity.clone(),
+    })
 }
 
-pub(crate) fn run(args: &CertificateArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
-    let (certificate_of, text) = read_named_file(&args.result, "result.json")?;
-    let mut certificate = Certificate::read(&text).map_err(|why| Diagnostic::file(&certificate_of, why))?;
-    if let Some(path) = &args.check {
-        let (file, text) = read_named_file(path, "check.json")?;
-        let robot = Path::new(&certificate_of).with_file_name(ROBOT);
-        let robot = robot
-            .is_file()
-            .then(|| dbbd_job::artefact::of_file(ArtefactRole::IdentifiedRobot, &robot))
-            .transpose()?;
-        certificate =
-            certificate.with_check(&text, robot.as_ref()).map_err(|why| Diagnostic::file(&file, why))?;
-    }
-    if let Some(path) = &args.identity {
-        certificate = certificate.with_identity(&artefact::identity(path)?);
-    }
-    out.findings(certificate.findings());
-    out.findings(certificate.identity().old_certificate(&date::utc(clock::unix_ns())));
-    let dcc = certificate.dcc()?;
-    let pdf = certificate.pdf(&dcc)?;
-    let mut set = FileSet::begin(&args.out)?;
-    set.write("certificate.html", certificate.html()?)?;
-    set.write("dcc.xml", dcc)?;
-    let mut written = vec!["certificate.html", "dcc.xml"];
-    match pdf {
-        Some(pdf) => {
-            set.write("certificate.pdf", pdf)?;
-            written.push("certificate.pdf");
-        }
-        None => out.finding(CertificateFinding::NoPdf),
-    }
-    set.finish()?;
-    out.document(&json!({ "files": written }))?;
+pub(super) fn show(out: &CommandOutput, document: &CertificateDocument, directory: &Path) {
     out.result(format!(
         "{} in {}: a draft, not accredited, not signed",
-        written.join(", "),
-        args.out.display()
+        document.files.join(", "),
+        directory.display()
     ));
-    Ok(CommandOutcome::Done)
 }

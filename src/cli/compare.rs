@@ -7,14 +7,14 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::Value as Json;
 
-use super::identify::ROBOT;
 use super::{CommandOutcome, CommandOutput, artefact, robots, value};
 use dbbd_device::clock;
 use dbbd_job::file_set::FileSet;
 use dbbd_job::files;
 use dbbd_job::report::compare;
+use dbbd_job::request::identify::ROBOT;
 use dbbd_model::base::date::{day_number, is_after};
-use dbbd_model::base::serialised;
+use dbbd_model::base::serialised::{self, Seal};
 use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::conformity::{
     CircleFile, ComparedInput, ComparisonSubject, ResultComparison, ResultTimeline, SIGNIFICANCE_LEVEL,
@@ -122,7 +122,7 @@ fn read_document(path: &Path) -> Result<ComparedFile, Diagnostic> {
     }
     let name = path.display().to_string();
     let text = files::read_text(&path)?;
-    serialised::check_seal(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
+    Seal::Json.check(&text).map_err(|finding| Diagnostic::file(&name, finding))?;
     let json = serde_json::from_str(&text).map_err(|error| {
         let finding = ResultFinding::NotJson { why: error.to_string() };
         Diagnostic::position(&name, &text, error.line(), error.column(), finding)
@@ -182,8 +182,8 @@ fn doubts_of_results(documents: &[ComparedFile], sources: &[TracedArtefact]) -> 
 
 /// The codes of the doubts in a result.json.
 fn doubts(result: &Json) -> Vec<String> {
-    let warnings = result.get("warnings").and_then(Json::as_array).into_iter().flatten();
-    let doubtful = warnings.filter(|warning| warning.get("kind").and_then(Json::as_str) == Some("doubt"));
+    let warnings = result.get("findings").and_then(Json::as_array).into_iter().flatten();
+    let doubtful = warnings.filter(|warning| warning.get("severity").and_then(Json::as_str) != Some("info"));
     let code = |warning: &Json| warning.get("code").and_then(Json::as_str).map(str::to_owned);
     let mut codes: Vec<String> = doubtful.filter_map(code).collect();
     codes.sort();
@@ -279,7 +279,7 @@ fn write_comparison(
     set.write("compare.json", serialised::sealed_json(written)?)?;
     set.write("compare.csv", csv(comparison)?)?;
     set.write("compare.html", compare::html(comparison, timeline, provenance)?)?;
-    set.finish()
+    set.finish().map(drop)
 }
 
 /// One row per quantity: family and name, value and deviation of each input, change and trend.

@@ -5,8 +5,7 @@ use serde::Serialize;
 use super::{CommandOutcome, CommandOutput};
 use crate::catalogue;
 use crate::cli::CliFinding;
-use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::diagnostic::Entry;
+use dbbd_model::diagnostic::{Diagnostic, Entry, Input};
 
 /// Explain a code that dbbd printed, such as E0101: its cause and its cure.
 ///
@@ -27,12 +26,13 @@ struct ExplainedCode {
     cause: &'static str,
     cure: &'static str,
     sentences: &'static [&'static str],
+    asks: &'static [Input],
 }
 
 impl From<&Entry> for ExplainedCode {
     fn from(entry: &Entry) -> Self {
-        let &Entry { code, title, cause, cure, sentences } = entry;
-        Self { code: code.as_str(), title, cause, cure, sentences }
+        let &Entry { code, title, cause, cure, sentences, asks } = entry;
+        Self { code: code.as_str(), title, cause, cure, sentences, asks }
     }
 }
 

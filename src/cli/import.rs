@@ -10,6 +10,7 @@ use dbbd_job::recording::capture::{CaptureRecord, CaptureWriter, RunEvent};
 use dbbd_job::recording::import::ImportFinding;
 use dbbd_job::recording::import::{TraceBar, TraceCounts, TraceMapping, TraceReader, TraceRow};
 use dbbd_job::recording::run::PlanFiles;
+use dbbd_job::request::WatchedFile;
 use dbbd_model::base::table::TableReader;
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
@@ -111,7 +112,7 @@ fn rows(
     out: &CommandOutput,
     mut each: impl FnMut(TraceRow) -> Result<(), Diagnostic>,
 ) -> Result<(TraceCounts, Vec<Diagnostic>), Diagnostic> {
-    let (source, _busy) = out.source(&args.file)?;
+    let source = WatchedFile::open(&args.file, out)?;
     let table = TableReader::new(&args.file.display().to_string(), source, mapping.layout())?;
     let mut trace = TraceReader::new(table, mapping, bar);
     loop {

@@ -26,6 +26,7 @@ pub(crate) fn run(_args: &ManArgs, out: &CommandOutput) -> Result<CommandOutcome
 /// Writes the page of a command, and then those of its subcommands.
 fn render(command: &Command, page: &mut Vec<u8>) -> io::Result<()> {
     clap_mangen::Man::new(command.clone()).render(page)?;
-    let mut subcommands = command.get_subcommands().filter(|command| command.get_name() != "help");
+    let mut subcommands =
+        command.get_subcommands().filter(|command| command.get_name() != "help" && !command.is_hide_set());
     subcommands.try_for_each(|command| render(command, page))
 }

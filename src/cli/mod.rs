@@ -4,6 +4,7 @@ mod catalogue;
 pub use catalogue::CliFinding;
 
 mod acquire;
+mod answers;
 mod archive;
 mod artefact;
 mod bar;
@@ -22,6 +23,7 @@ mod import;
 mod info;
 mod krl;
 mod man;
+mod options;
 mod output;
 mod plan;
 mod ports;
@@ -29,19 +31,20 @@ mod predict;
 mod program;
 mod protocols;
 mod recover;
+mod request;
 mod robots;
 mod serve;
 mod simulate;
 mod sync;
 mod value;
 
-use dbbd_model::base::InternalFinding;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use dbbd_model::diagnostic::Diagnostic;
+pub(crate) use options::options_of;
 pub(crate) use output::CommandOutput;
 
 /// The heading of the options that every command takes.
@@ -105,6 +108,7 @@ enum Verb {
     Import(import::ImportArgs),
     Info(info::InfoArgs),
     Recover(recover::RecoverArgs),
+    Request(request::RequestArgs),
     Export(export::ExportArgs),
     Explain(explain::ExplainArgs),
     Robots(robots::RobotsArgs),
@@ -148,41 +152,43 @@ pub fn main_with(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Ok(cli) => cli,
         Err(usage) => return output::wrong_usage(&usage),
     };
-    let out = CommandOutput::new(cli.common);
-    if cli.common.until_stdin_closes
-        && let Err(error) = dbbd_job::child_process::end_with_stdin()
-    {
-        let finding = InternalFinding::NoSystem { why: error.to_string() };
-        return output::finish(&out, Err(Diagnostic::new(finding)));
+    let is_request = matches!(cli.verb, Verb::Request(_));
+    let out = if is_request { CommandOutput::of_request(cli.common) } else { CommandOutput::new(cli.common) };
+    // `dbbd request` reads its request from stdin first.
+    let begun = if is_request { Ok(()) } else { out.end_with_stdin() };
+    output::finish(&out, begun.and_then(|()| run(&cli.verb, &out)))
+}
+
+/// Runs a command.
+fn run(verb: &Verb, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
+    match verb {
+        Verb::Plan(args) => answers::run(&plan::request(args), out),
+        Verb::Krl(args) => krl::run(args, out),
+        Verb::Program(args) => program::run(args, out),
+        Verb::Simulate(args) => simulate::run(args, out),
+        Verb::Bar(args) => bar::run(args, out),
+        Verb::Acquire(args) => acquire::run(args, out),
+        Verb::Sync(args) => sync::run(args, out),
+        Verb::Identify(args) => answers::run(&identify::request(args), out),
+        Verb::Predict(args) => predict::run(args, out),
+        Verb::Circle(args) => answers::run(&circle::request(args), out),
+        Verb::Check(args) => answers::run(&check::request(args), out),
+        Verb::Compare(args) => compare::run(args, out),
+        Verb::Certificate(args) => answers::run(&certificate::request(args), out),
+        Verb::Compensate(args) => answers::run(&compensate::request(args), out),
+        Verb::Serve(args) => serve::run(args, out),
+        Verb::Archive(args) => archive::run(args, out),
+        Verb::Demo(args) => demo::run(args, out),
+        Verb::Import(args) => import::run(args, out),
+        Verb::Info(args) => info::run(args, out),
+        Verb::Recover(args) => recover::run(args, out),
+        Verb::Request(_) => request::run(out),
+        Verb::Explain(args) => explain::run(args, out),
+        Verb::Export(args) => export::run(args, out),
+        Verb::Robots(args) => robots::run(args, out),
+        Verb::Protocols(args) => protocols::run(args, out),
+        Verb::Ports(args) => ports::run(args, out),
+        Verb::Completions(args) => completions::run(args, out),
+        Verb::Man(args) => man::run(args, out),
     }
-    let ended = match &cli.verb {
-        Verb::Plan(args) => plan::run(args, &out),
-        Verb::Krl(args) => krl::run(args, &out),
-        Verb::Program(args) => program::run(args, &out),
-        Verb::Simulate(args) => simulate::run(args, &out),
-        Verb::Bar(args) => bar::run(args, &out),
-        Verb::Acquire(args) => acquire::run(args, &out),
-        Verb::Sync(args) => sync::run(args, &out),
-        Verb::Identify(args) => identify::run(args, &out),
-        Verb::Predict(args) => predict::run(args, &out),
-        Verb::Circle(args) => circle::run(args, &out),
-        Verb::Check(args) => check::run(args, &out),
-        Verb::Compare(args) => compare::run(args, &out),
-        Verb::Certificate(args) => certificate::run(args, &out),
-        Verb::Compensate(args) => compensate::run(args, &out),
-        Verb::Serve(args) => serve::run(args, &out),
-        Verb::Archive(args) => archive::run(args, &out),
-        Verb::Demo(args) => demo::run(args, &out),
-        Verb::Import(args) => import::run(args, &out),
-        Verb::Info(args) => info::run(args, &out),
-        Verb::Recover(args) => recover::run(args, &out),
-        Verb::Explain(args) => explain::run(args, &out),
-        Verb::Export(args) => export::run(args, &out),
-        Verb::Robots(args) => robots::run(args, &out),
-        Verb::Protocols(args) => protocols::run(args, &out),
-        Verb::Ports(args) => ports::run(args, &out),
-        Verb::Completions(args) => completions::run(args, &out),
-        Verb::Man(args) => man::run(args, &out),
-    };
-    output::finish(&out, ended)
 }

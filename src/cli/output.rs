@@ -1,11 +1,9 @@
 //! Prints results on stdout, and progress, warnings and errors on stderr. Determines the exit code.
 
-use dbbd_model::base::text::unreadable;
 use std::borrow::Cow;
 use std::error::Error;
 use std::fmt::Display;
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, IsTerminal, Write};
+use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex, OnceLock};
@@ -15,17 +13,17 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::{CommandOutcome, CommonOptions};
-use crate::cli::CliFinding;
+use crate::cli::{CliFinding, options_of};
 use dbbd_device::port::PortFinding;
 use dbbd_device::sync::lock;
-use dbbd_job::child_process::{PROGRESS, PROGRESS_VARIABLE};
-use dbbd_job::program::CompensationFinding;
+use dbbd_job::child_process::{PROGRESS, PROGRESS_VARIABLE, end_with_stdin};
 use dbbd_job::recording::axes::PacketCounts;
+use dbbd_job::request::{Answer, BusyIndicator, RequestWatch, read_table};
 use dbbd_model::base::FileFinding;
+use dbbd_model::base::InternalFinding;
 use dbbd_model::base::serialised;
-use dbbd_model::base::table::{TableLayout, TableReader};
+use dbbd_model::base::table::TableReader;
 use dbbd_model::diagnostic::{Diagnostic, Finding, FindingCode, Severity};
-use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::Observability;
 
 /// The period of the progress indicator.
@@ -35,9 +33,18 @@ const TICK: Duration = Duration::from_millis(100);
 #[derive(Clone)]
 pub(crate) struct CommandOutput {
     common: CommonOptions,
+    results: ResultStream,
     reported: Arc<Mutex<Vec<Diagnostic>>>,
     /// The first error of writing to stdout.
     stdout_error: Arc<OnceLock<String>>,
+}
+
+/// Where the lines of a result go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ResultStream {
+    Stdout,
+    /// Stdout has the answer to a request.
+    Stderr,
 }
 
 /// A result with the findings that were reported before it.
@@ -50,7 +57,7 @@ struct ReportedDocument<'a, T> {
 }
 
 /// A progress indicator on the terminal. It is cleared when it is dropped.
-pub(crate) struct ProgressIndicator {
+struct ProgressIndicator {
     line: ProgressBar,
 }
 
@@ -62,13 +69,38 @@ impl Drop for ProgressIndicator {
 
 impl CommandOutput {
     pub(super) fn new(common: CommonOptions) -> Self {
-        Self { common, reported: Arc::default(), stdout_error: Arc::default() }
+        let (reported, stdout_error) = (Arc::default(), Arc::default());
+        Self { common, results: ResultStream::Stdout, reported, stdout_error }
+    }
+
+    /// The output of `dbbd request`: stdout has the answer alone.
+    pub(super) fn of_request(common: CommonOptions) -> Self {
+        Self {
+            results: ResultStream::Stderr,
+            ..Self::new(CommonOptions { json: false, strict: false, ..common })
+        }
+    }
+
+    /// Ends this process when its standard input closes, if it is a child process that was asked to.
+    pub(super) fn end_with_stdin(&self) -> Result<(), Diagnostic> {
+        if !self.common.until_stdin_closes {
+            return Ok(());
+        }
+        end_with_stdin().map_err(|error| InternalFinding::NoSystem { why: error.to_string() }.into())
+    }
+
+    /// Prints the answer to a request as JSON on stdout.
+    pub(super) fn answer(&self, answer: &Answer) -> Result<(), Diagnostic> {
+        self.print(&serialised::json(answer)?);
+        Ok(())
     }
 
     /// Prints a line of the result on stdout, unless `--json` is given.
     pub(crate) fn result(&self, line: impl AsRef<str>) {
-        if !self.common.json {
-            self.print(&plain(line.as_ref()));
+        match self.results {
+            _ if self.common.json => {}
+            ResultStream::Stdout => self.print(&plain(line.as_ref())),
+            ResultStream::Stderr => write_line(&mut io::stderr(), line.as_ref()),
         }
     }
 
@@ -153,48 +185,9 @@ impl CommandOutput {
         path: &Path,
         read: impl FnOnce(&mut TableReader<'_>) -> Result<T, Diagnostic>,
     ) -> Result<T, Diagnostic> {
-        let (source, busy) = self.source(path)?;
-        let mut table = TableReader::new(&path.display().to_string(), source, TableLayout::default())?;
-        let content = read(&mut table)?;
-        drop(busy);
-        self.findings(table.findings());
+        let (content, unusual) = read_table(path, self, read)?;
+        self.findings(unusual);
         Ok(content)
-    }
-
-    /// Opens a file, and shows on the terminal how much of it is read.
-    pub(crate) fn source(
-        &self,
-        path: &Path,
-    ) -> Result<(impl BufRead + use<>, ProgressIndicator), Diagnostic> {
-        let name = path.display().to_string();
-        let unreadable = unreadable(&name);
-        let file = File::open(path).map_err(&unreadable)?;
-        let bytes = file.metadata().map_err(&unreadable)?.len();
-        let busy = self.busy(&format!("reading {name}"), Some(bytes));
-        Ok((BufReader::new(busy.line.wrap_read(file)), busy))
-    }
-
-    /// Reports the progress of the command in per cent to the service, if that started it.
-    pub(crate) fn done(&self, percent: u8) {
-        if std::env::var_os(PROGRESS_VARIABLE).is_some() {
-            write_line(&mut io::stderr(), &format!("{PROGRESS} {percent}"));
-        }
-    }
-
-    /// Shows a progress indicator on the terminal, with the share of `of` that is done if `of` is given.
-    pub(crate) fn busy(&self, what: &str, of: Option<u64>) -> ProgressIndicator {
-        let line = if self.decorated() { ProgressBar::no_length() } else { ProgressBar::hidden() };
-        let template = match of {
-            Some(length) => {
-                line.set_length(length);
-                "{spinner} {msg} {percent} %"
-            }
-            None => "{spinner} {msg} {elapsed}",
-        };
-        line.set_style(style(template));
-        line.set_message(what.to_owned());
-        line.enable_steady_tick(TICK);
-        ProgressIndicator { line }
     }
 
     pub(crate) fn is_quiet(&self) -> bool {
@@ -204,6 +197,41 @@ impl CommandOutput {
     /// Whether stderr is a terminal that may show progress indicators and colour.
     pub(crate) fn decorated(&self) -> bool {
         !self.common.quiet && io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none()
+    }
+}
+
+impl RequestWatch for CommandOutput {
+    fn finding(&self, finding: &Diagnostic) {
+        CommandOutput::finding(self, finding.clone());
+    }
+
+    /// Reports the progress to the service, if that started this process.
+    fn done(&self, percent: u8) {
+        if std::env::var_os(PROGRESS_VARIABLE).is_some() {
+            write_line(&mut io::stderr(), &format!("{PROGRESS} {percent}"));
+        }
+    }
+
+    /// Shows a progress indicator on the terminal, with the share of the bytes that is read if they are known.
+    fn busy(&self, what: &str, bytes: Option<u64>) -> Box<dyn BusyIndicator> {
+        let line = if self.decorated() { ProgressBar::no_length() } else { ProgressBar::hidden() };
+        let template = match bytes {
+            Some(length) => {
+                line.set_length(length);
+                "{spinner} {msg} {percent} %"
+            }
+            None => "{spinner} {msg} {elapsed}",
+        };
+        line.set_style(style(template));
+        line.set_message(what.to_owned());
+        line.enable_steady_tick(TICK);
+        Box::new(ProgressIndicator { line })
+    }
+}
+
+impl BusyIndicator for ProgressIndicator {
+    fn advance(&self, bytes: u64) {
+        self.line.inc(bytes);
     }
 }
 
@@ -227,14 +255,11 @@ fn plain(text: &str) -> Cow<'_, str> {
     text.chars().map(escaped).collect::<String>().into()
 }
 
-/// A finding as a line `warning[W0123]: FILE:LINE: ..`.
+/// A finding as a line `warning[W0123]: FILE:LINE: ..`, with the options that its cure is about.
 fn labelled(finding: &Diagnostic) -> String {
-    let label = match finding.severity() {
-        Severity::Info => "note",
-        Severity::Warning => "warning",
-        Severity::Error => "error",
-    };
-    format!("{label}[{}]: {finding}", finding.code())
+    let options = options_of(finding.asks());
+    let options = options.map_or_else(String::new, |options| format!("\n  options: {options}"));
+    format!("{}{options}", finding.labelled())
 }
 
 /// Reports a wrong command line, with the code of the finding if a value was refused. Returns the exit code.
@@ -258,9 +283,8 @@ fn code(why: &(dyn Error + 'static)) -> Option<FindingCode> {
         why.downcast_ref::<F>().map(Finding::code)
     }
     of::<CliFinding>(why)
-        .or_else(|| of::<EstimationFinding>(why))
-        .or_else(|| of::<CompensationFinding>(why))
         .or_else(|| of::<PortFinding>(why))
+        .or_else(|| why.downcast_ref::<Diagnostic>().map(Diagnostic::code))
 }
 
 /// Reports the error, if there is one, and returns the exit code. A command that reported a warning ends with a doubt.

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::{CommandOutcome, CommandOutput, robots};
 use dbbd_job::files;
+use dbbd_job::request;
 use dbbd_model::base::serialised;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::Positions;
@@ -48,7 +49,7 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
     out.findings(changed);
     table.check_made_for(&source.artefact)?;
     let poses = out.table(&args.axes, Measurements::poses_from_table)?;
-    out.findings_in(&args.robot, robots::edited(&robot));
+    out.findings_in(&args.robot, request::edited(&robot));
     let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
     out.findings_in(args.axes.display(), measurement::beyond(angles, robot.controller()));
     let positions = Positions::of(&robot, &poses);

@@ -2,18 +2,18 @@
 
 use crate::cli::value;
 use std::net::SocketAddrV4;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde_json::json;
 
-use super::{CommandOutcome, CommandOutput, protocols};
+use super::{CommandOutcome, CommandOutput};
 use dbbd_job::file_set::FileSet;
 use dbbd_job::plan::Plan;
-use dbbd_job::program::CompensationFinding;
 use dbbd_job::program::ProgramFinding;
 use dbbd_job::program::krl::{self, Controller, Options};
 use dbbd_job::program::{self, Language, Written, rapid, urscript};
 use dbbd_job::recording::run;
+use dbbd_job::request;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Robot;
 
@@ -95,15 +95,6 @@ pub(crate) fn run(args: &ProgramArgs, out: &CommandOutput) -> Result<CommandOutc
     Ok(CommandOutcome::Done)
 }
 
-/// The language of a program file by its extension; KRL if it has none.
-pub(super) fn language(program: &Path) -> Result<Language, Diagnostic> {
-    let extension = program.extension().and_then(|extension| extension.to_str()).unwrap_or("src");
-    Language::of_extension(extension).ok_or_else(|| {
-        let file = program.display().to_string();
-        Diagnostic::file(program.display(), CompensationFinding::NoLanguage { file })
-    })
-}
-
 /// Refuses an address that is not used, or to which a controller cannot connect.
 fn check_server(
     server: SocketAddrV4,
@@ -168,7 +159,7 @@ fn check_language(
 fn sync(asked: Option<SyncChoice>, plan: &Plan, out: &CommandOutput) -> Result<SyncChoice, Diagnostic> {
     let (protocol, passes) = (plan.header.job.bar.protocol.clone(), !plan.header.passes.is_empty());
     // The file of a definition may exist only on the computer that records.
-    let strobe = protocols::load_with(&protocol, &[]).ok().map(|definition| definition.has_strobe());
+    let strobe = request::read_protocol(&protocol, &[]).ok().map(|definition| definition.has_strobe());
     match (asked, strobe) {
         (None, None) => Err(ProgramFinding::ProtocolNotHere { protocol }.into()),
         (None, Some(true)) => Ok(SyncChoice::Output),

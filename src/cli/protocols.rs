@@ -6,8 +6,8 @@ use serde_json::json;
 
 use super::{CommandOutcome, CommandOutput, value};
 use dbbd_device::protocol::ProtocolDefinition;
-use dbbd_device::protocol::ProtocolFinding::{self, UnknownProtocol};
-use dbbd_job::files;
+use dbbd_device::protocol::ProtocolFinding;
+use dbbd_job::request::{read_protocol, read_protocol_file};
 use dbbd_model::base::units::DeviceTicks;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::sample::Sample;
@@ -48,7 +48,7 @@ pub(crate) fn run(args: &ProtocolsArgs, out: &CommandOutput) -> Result<CommandOu
     match &args.what {
         None | Some(ProtocolsVerb::List) => list_protocols(out),
         Some(ProtocolsVerb::Show { name, params }) => {
-            let definition = load_with(name, params)?;
+            let definition = read_protocol(name, params)?;
             out.document(&summary(&definition))?;
             layout(&definition, out);
             out.result(definition.text.trim_end());
@@ -63,7 +63,7 @@ fn check_definition(
     params: &[(String, String)],
     out: &CommandOutput,
 ) -> Result<CommandOutcome, Diagnostic> {
-    let definition = from_file(file, params)?;
+    let definition = read_protocol_file(file, params)?;
     let table: Option<toml::Table> = definition.text.parse().ok();
     if table.as_ref().is_some_and(|table| !table.contains_key("test")) {
         out.finding(Diagnostic::file(file.display(), ProtocolFinding::NoTests));
@@ -116,24 +116,6 @@ fn undetected(definition: &ProtocolDefinition) -> String {
     } else {
         "no check: a damaged frame of the right form passes".into()
     }
-}
-
-/// A definition by built-in name or by file.
-pub(crate) fn load_with(name: &str, params: &[(String, String)]) -> Result<ProtocolDefinition, Diagnostic> {
-    if let Some(built_in) = ProtocolDefinition::by_name_with(name, params) {
-        return built_in;
-    }
-    let path = Path::new(name);
-    if path.exists() || name.ends_with(".toml") {
-        return from_file(path, params);
-    }
-    let known: Vec<&str> = ProtocolDefinition::built_in().iter().map(|(name, _)| *name).collect();
-    let unknown = UnknownProtocol { name: name.into(), built_in: known.join(", ") };
-    Err(Diagnostic::new(unknown).nearest(name, known))
-}
-
-fn from_file(path: &Path, params: &[(String, String)]) -> Result<ProtocolDefinition, Diagnostic> {
-    ProtocolDefinition::from_toml_with(&path.display().to_string(), &files::read_text(path)?, params)
 }
 
 fn summary(definition: &ProtocolDefinition) -> serde_json::Value {

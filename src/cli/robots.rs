@@ -3,11 +3,10 @@
 use serde::Serialize;
 
 use super::{CommandOutcome, CommandOutput};
-use dbbd_job::files;
+use dbbd_job::request;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::robot::Tolerance;
-use dbbd_model::robot::joint_table::{CouplingTable, JointTable};
+use dbbd_model::robot::{CouplingTable, JointTable};
 use dbbd_model::robot::{LoadedRobot, Robot};
 
 /// List, show or check robots.
@@ -40,15 +39,9 @@ enum RobotsVerb {
 
 /// Reads a robot by built-in name or file, and reports a doubtful identification.
 pub(crate) fn read_named_robot(name: &str, out: &CommandOutput) -> Result<LoadedRobot, Diagnostic> {
-    let read = read_for_measurement(name, out)?;
-    out.findings_in(name, read.robot.doubtful());
-    Ok(read)
-}
-
-/// As [`read_named_robot`], but a doubtful identification is not reported: a further measurement is its cure.
-pub(crate) fn read_for_measurement(name: &str, out: &CommandOutput) -> Result<LoadedRobot, Diagnostic> {
-    let mut read = Robot::named(name, |path| files::if_there(path, ".toml"))?;
+    let mut read = request::read_robot(name)?;
     out.findings(std::mem::take(&mut read.findings));
+    out.findings_in(name, read.robot.doubtful());
     Ok(read)
 }
 
@@ -62,14 +55,6 @@ struct RobotEntry<'a> {
     id: &'a str,
     name: &'a str,
     reach_mm: f64,
-}
-
-/// A finding if the file of an identified robot lacks its posterior, or has values that the posterior does not belong to.
-pub(crate) fn edited(robot: &Robot) -> Option<EstimationFinding> {
-    match &robot.posterior {
-        Some(known) => (!known.is_of(&robot.geometry)).then_some(EstimationFinding::PosteriorOfOtherValues),
-        None => robot.nominal.as_ref().map(|_| EstimationFinding::PosteriorLost),
-    }
 }
 
 /// The JSON document of `robots show`.
@@ -91,7 +76,7 @@ pub(crate) fn run(args: &RobotsArgs, out: &CommandOutput) -> Result<CommandOutco
         Some(RobotsVerb::Show { name }) => show_robot(name, out),
         Some(RobotsVerb::Check { name }) => {
             let robot = named(name, out)?;
-            out.findings_in(name, edited(&robot));
+            out.findings_in(name, request::edited(&robot));
             out.document(&RobotEntry { id: name, name: &robot.name, reach_mm: robot.reach_mm() })?;
             out.result(format!("{name}: {}, reach {:.1} mm: no mistake found", robot.name, robot.reach_mm()));
             Ok(CommandOutcome::Done)

@@ -8,13 +8,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::json;
 
-use super::{CommandOutcome, CommandOutput, program, protocols, robots, value};
+use super::{CommandOutcome, CommandOutput, robots, value};
 use crate::daemon::stop_on_signal;
 use dbbd_device::axes::AxesAddress;
 use dbbd_device::port::PortAddress;
 use dbbd_job::files;
 use dbbd_job::plan::DEFAULT_PROTOCOL;
 use dbbd_job::program::{Language, Program, Text, krl, provenance, rapid, urscript};
+use dbbd_job::request;
+use dbbd_job::request::compensate::program_language;
 use dbbd_job::sim::SimulationFinding;
 use dbbd_job::sim::axes::{AxesLine, AxesPublisher};
 #[cfg(unix)]
@@ -129,7 +131,7 @@ pub(crate) fn run(args: &SimulateArgs, out: &CommandOutput) -> Result<CommandOut
         return Err(Diagnostic::file(args.program.display(), FileFinding::IsInput));
     }
     let faults = faults(args)?;
-    let definition = protocols::load_with(&args.protocol, &args.params)?;
+    let definition = request::read_protocol(&args.protocol, &args.params)?;
     let mut cell = CellSimulation::new(args, &faults, out)?;
     cell.stop = stop_on_signal()?;
     let options =
@@ -154,9 +156,9 @@ pub(crate) fn run(args: &SimulateArgs, out: &CommandOutput) -> Result<CommandOut
             files::write_file(&directory.join(name), text)?;
         }
     }
-    out.progress(format!("{} dwells, {frames} frames, {:.1} s", cell.controller.dwells(), cell.t_s));
-    if let Some(server) = args.ekrl.filter(|_| !cell.reported_to_server) {
-        out.finding(SimulationFinding::NoTelegram { server: server.to_string() });
+    out.progress(format!("{} dwells, {frames} frames, {:.1} s", cell.controller.dwells(), cell.program.t_s));
+    if let Some(ekrl) = cell.ekrl.filter(|ekrl| !ekrl.has_reported) {
+        out.finding(SimulationFinding::NoTelegram { server: ekrl.server.to_string() });
     }
     if cell.strayed > 0 {
         out.finding(SimulationFinding::OutOfStroke { readings: cell.strayed });
@@ -189,7 +191,7 @@ fn faults(args: &SimulateArgs) -> Result<InjectedFaults, Diagnostic> {
 
 /// Reads a program with the modules beside it.
 fn open_program(path: &Path) -> Result<Program, Diagnostic> {
-    let language = program::language(path)?;
+    let language = program_language(path)?;
     let directory = files::directory_of(path);
     let read = |path: &Path| Ok::<_, Diagnostic>((path.display().to_string(), files::read_text(path)?));
     let entries = || directory.read_dir().map_err(unreadable(directory.display()));
@@ -237,23 +239,33 @@ struct AxesOutput {
     next_s: f64,
 }
 
-/// The robot cell: controller, true robot and bar.
-struct CellSimulation<'a> {
-    controller: SimulatedController,
-    world: World,
-    /// The EthernetKRL server.
-    server: Option<SocketAddr>,
-    /// The connection to it while the program has the channel open.
-    ekrl: Option<EkrlClient>,
-    reported_to_server: bool,
-    axes: Option<AxesOutput>,
-    out: &'a CommandOutput,
-    halt_s: f64,
+/// The EthernetKRL server to which the program reports.
+struct EkrlOutput {
+    server: SocketAddr,
+    /// The connection while the program has the channel open.
+    client: Option<EkrlClient>,
+    has_reported: bool,
+}
+
+/// What the program does at this moment of device time, and what was printed of it.
+#[derive(Default)]
+struct ProgramProgress {
     t_s: f64,
     halted_at_s: Option<f64>,
     done_at_s: Option<f64>,
     /// The number of dwells at the last line of progress.
     reported: u32,
+}
+
+/// The robot cell: controller, true robot and bar.
+struct CellSimulation<'a> {
+    controller: SimulatedController,
+    world: World,
+    ekrl: Option<EkrlOutput>,
+    axes: Option<AxesOutput>,
+    out: &'a CommandOutput,
+    halt_s: f64,
+    program: ProgramProgress,
     /// Readings at a strobe that were outside the stroke.
     strayed: u64,
     failure: Option<Diagnostic>,
@@ -263,27 +275,27 @@ struct CellSimulation<'a> {
 
 impl ReadingSource for &mut CellSimulation<'_> {
     fn reading(&mut self, t_s: f64) -> Option<SimulatedReading> {
-        let moment = match self.publish(t_s).and_then(|()| self.controller.step(t_s - self.t_s)) {
+        let moment = match self.publish(t_s).and_then(|()| self.controller.step(t_s - self.program.t_s)) {
             Ok(moment) => moment,
             Err(failure) => {
                 self.failure = Some(failure);
                 return None;
             }
         };
-        self.t_s = t_s;
+        self.program.t_s = t_s;
         if let Err(failure) = self.exchange() {
             self.failure = Some(failure);
             return None;
         }
         self.report(&moment);
         if moment.halted {
-            let since = *self.halted_at_s.get_or_insert(t_s);
+            let since = *self.program.halted_at_s.get_or_insert(t_s);
             if t_s - since >= self.halt_s {
-                self.halted_at_s = None;
+                self.program.halted_at_s = None;
                 self.controller.go_on();
             }
         }
-        if moment.done && t_s - *self.done_at_s.get_or_insert(t_s) > AFTER_END_S {
+        if moment.done && t_s - *self.program.done_at_s.get_or_insert(t_s) > AFTER_END_S {
             return None;
         }
         let measured = self.world.reading(&moment);
@@ -299,7 +311,7 @@ impl ReadingSource for &mut CellSimulation<'_> {
     }
 
     fn over(&self) -> bool {
-        self.done_at_s.is_some()
+        self.program.done_at_s.is_some()
     }
 
     fn is_stopped(&self) -> bool {
@@ -336,16 +348,11 @@ impl<'a> CellSimulation<'a> {
         Ok(Self {
             controller,
             world: World::new(robot.geometry, setup, args.seed),
-            server: args.ekrl,
-            ekrl: None,
-            reported_to_server: false,
+            ekrl: args.ekrl.map(|server| EkrlOutput { server, client: None, has_reported: false }),
             axes: axes.transpose()?,
             out,
             halt_s: args.halt,
-            t_s: 0.0,
-            halted_at_s: None,
-            done_at_s: None,
-            reported: 0,
+            program: ProgramProgress::default(),
             strayed: 0,
             failure: None,
             stop: Arc::default(),
@@ -356,11 +363,11 @@ impl<'a> CellSimulation<'a> {
     fn publish(&mut self, until_s: f64) -> Result<(), Diagnostic> {
         let Some(axes) = &mut self.axes else { return Ok(()) };
         while axes.next_s <= until_s {
-            let moment = self.controller.step(axes.next_s - self.t_s)?;
-            self.t_s = axes.next_s;
+            let moment = self.controller.step(axes.next_s - self.program.t_s)?;
+            self.program.t_s = axes.next_s;
             let measured = self.world.measured(&moment);
-            axes.publisher.cycle(self.t_s, &measured, &moment.axes);
-            while let Some(packet) = axes.publisher.arrived(self.t_s) {
+            axes.publisher.cycle(self.program.t_s, &measured, &moment.axes);
+            while let Some(packet) = axes.publisher.arrived(self.program.t_s) {
                 axes.line.send(&packet);
             }
             axes.next_s += axes.line.cycle_s() / axes.publisher.pace();
@@ -370,17 +377,17 @@ impl<'a> CellSimulation<'a> {
 
     /// Sends the controller's telegrams to the server and hands over the answers. Device time does not advance meanwhile.
     fn exchange(&mut self) -> Result<(), Diagnostic> {
-        let Some(server) = self.server else { return Ok(()) };
+        let Some(EkrlOutput { server, client, has_reported }) = &mut self.ekrl else { return Ok(()) };
         if !self.controller.ekrl_open() {
-            self.ekrl = None;
+            *client = None;
             return Ok(());
         }
-        let client = match &mut self.ekrl {
+        let client = match client {
             Some(client) => client,
-            None => self.ekrl.insert(EkrlClient::connect(server)?),
+            None => client.insert(EkrlClient::connect(*server)?),
         };
         while let Some(telegram) = self.controller.telegram() {
-            self.reported_to_server = true;
+            *has_reported = true;
             self.controller.answer(client.exchange(&telegram)?);
         }
         Ok(())
@@ -390,14 +397,14 @@ impl<'a> CellSimulation<'a> {
     fn report(&mut self, moment: &ControllerMoment) {
         let dwells = self.controller.dwells();
         let (file, line) = self.controller.position();
-        if moment.halted && self.halted_at_s.is_none() {
+        if moment.halted && self.program.halted_at_s.is_none() {
             self.out.progress(format!("{file}:{line}: HALT"));
         }
-        if moment.done && self.done_at_s.is_none() {
+        if moment.done && self.program.done_at_s.is_none() {
             self.out.progress(format!("the program has ended after {dwells} dwells"));
         }
-        if dwells >= self.reported + 10 {
-            self.reported = dwells;
+        if dwells >= self.program.reported + 10 {
+            self.program.reported = dwells;
             self.out.progress(format!("{file}:{line}: {dwells} dwells done"));
         }
     }

@@ -13,6 +13,7 @@ use dbbd_job::recording::matching::{
     self, AxesReport, BarLag, DwellSource, MatchOutcome, PassLag, PoseMatching, PoseOutcome,
 };
 use dbbd_job::recording::run;
+use dbbd_job::request::RequestWatch as _;
 use dbbd_model::diagnostic::{Diagnostic, Finding};
 use dbbd_model::provenance::ArtefactRole;
 

@@ -10,12 +10,13 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use super::OpenedBar;
 use super::axes::{AxesArrival, AxesSource};
 use super::ekrl::{BarLineState, EkrlServer, TelegramRecorder};
 use super::live_state::LiveFeed;
 use super::recorder::{Recorder, RunProgress};
 use super::schedule::{ALARM_SHARE, Schedule};
-use super::session::{self, BarPolling, OpenedBar};
+use super::session::{self, BarPolling};
 use crate::live::ServiceFinding;
 use dbbd_device::clock;
 use dbbd_device::port::{self, Arrival, Port, PortAddress, PortReader};
@@ -143,7 +144,9 @@ impl Acquisition {
         let schedule = plan.as_ref().map(|files| Schedule::of(&files.plan, ALARM_SHARE)).unwrap_or_default();
         let mut recorder =
             Recorder::new(writer, &options.definition, schedule.modules(), options.sync_s, began);
-        recorder.feed = options.feed.take();
+        if let Some(feed) = options.feed.take() {
+            recorder.show(feed);
+        }
         let version = dbbd_job::artefact::VERSION.to_owned();
         recorder.event(began, RunEvent::Started { unix_ns: clock::unix_ns(), version })?;
         for (name, content) in plan.into_iter().flat_map(PlanFiles::attachments) {
@@ -248,9 +251,9 @@ impl RecorderThread {
             };
             drop(port);
             self.recorder.interrupted(since)?;
-            self.recorder.progress.gone = true;
+            self.recorder.progress.counts.gone = true;
             let reopened = self.reopen(since)?;
-            self.recorder.progress.gone = false;
+            self.recorder.progress.counts.gone = false;
             let now = clock::now();
             let away_s = now.seconds_since(since);
             self.recorder.progress.silent_s += away_s;
@@ -373,7 +376,7 @@ impl RecorderThread {
     }
 
     fn publish_findings(&mut self) {
-        lock(&self.shared.findings).append(&mut self.recorder.findings);
+        lock(&self.shared.findings).append(&mut self.recorder.take_findings());
     }
 
     fn write_notes(&mut self) -> Result<(), Diagnostic> {

@@ -12,8 +12,9 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use super::TelegramMismatch;
 use super::recorder::Recorder;
-use super::schedule::{Schedule, TelegramMismatch};
+use super::schedule::Schedule;
 use dbbd_device::clock;
 use dbbd_device::port::PortFinding::{self, NotListening};
 use dbbd_device::sync::lock;
@@ -289,7 +290,7 @@ impl TelegramRecorder {
         }
         recorder.progress.telegrams += 1;
         if phase == 2 {
-            recorder.progress.dwells += 1;
+            recorder.progress.counts.dwells += 1;
             self.last_dwell_over |= self.schedule.is_last(index);
         }
         recorder.event(host, RunEvent::Controller { index, phase, axes_deg })?;

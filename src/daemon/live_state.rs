@@ -179,3 +179,67 @@ impl LiveFeed {
         let _ = self.state.messages.send(Message::new(event, content));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn feed() -> (LiveFeed, broadcast::Receiver<Message>) {
+        let (messages, receiver) = broadcast::channel(64);
+        let state = LiveState { messages, run: Arc::default() };
+        let schedule = Schedule::bare(Some([-1.0, 3.0]), 0.9);
+        (LiveFeed::new(state, schedule, ExpectedMounting::standing(2.0)), receiver)
+    }
+
+    fn host(ms: u64) -> HostNs {
+        HostNs(1_000_000_000 + ms * 1_000_000)
+    }
+
+    #[test]
+    fn frame_has_the_extremes_of_its_readings() {
+        let (mut feed, _receiver) = feed();
+        for (ms, reading_mm, valid) in [(0, 0.5, true), (10, -0.2, true), (20, 1.5, false), (30, 0.7, true)] {
+            let sample = Sample { valid, ..Sample::of(reading_mm) };
+            feed.sample(host(ms), Some(1e-3 * ms as f64), &sample, 0);
+        }
+        let (began, frame) = feed.frame.clone().expect("a frame is in progress");
+        assert_eq!((began, frame.samples, frame.frame), (host(0), 4, 1));
+        assert_eq!([frame.min_mm, frame.max_mm, frame.last_mm], [-0.2, 1.5, 0.7]);
+        assert!((frame.span_ms - 30.0).abs() < 1e-9 && !frame.valid);
+        // It is published after 50 ms.
+        feed.tick(host(49));
+        assert!(feed.frame.is_some());
+        feed.tick(host(50));
+        assert_eq!((feed.frame.is_some(), feed.frames), (false, 1));
+    }
+
+    #[test]
+    fn clock_of_the_device_is_ahead_by_its_time_less_that_of_the_host() {
+        let (mut feed, _receiver) = feed();
+        feed.sample(host(0), Some(5.0), &Sample::of(0.0), 0);
+        feed.sample(host(1000), Some(6.003), &Sample::of(0.0), 0);
+        let ahead_ms = lock(&feed.state.run).clock_ahead_ms.expect("the device has a clock");
+        assert!((ahead_ms - 3.0).abs() < 1e-6, "{ahead_ms}");
+    }
+
+    #[test]
+    fn point_of_a_dwell_is_the_mean_while_the_strobe_is_high() {
+        let (mut feed, _receiver) = feed();
+        let strobed = |reading_mm, high| Sample { trigger: Some(high), ..Sample::of(reading_mm) };
+        feed.dwell(0, None, &strobed(9.0, false));
+        for reading_mm in [1.0, 2.0, 6.0] {
+            feed.dwell(0, Some(4.0), &strobed(reading_mm, true));
+        }
+        feed.dwell(1, None, &strobed(9.0, false));
+        let points = lock(&feed.state.run).points.clone();
+        assert_eq!(
+            points.iter().map(|point| (point.dwell, point.reading_mm)).collect::<Vec<_>>(),
+            [(1, 3.0)]
+        );
+        // A strobe that rises again begins a new mean.
+        feed.dwell(1, Some(7.0), &strobed(8.0, true));
+        feed.dwell(1, Some(8.0), &strobed(4.0, true));
+        feed.dwell(2, None, &strobed(9.0, false));
+        assert_eq!(lock(&feed.state.run).points[1].reading_mm, 4.0);
+    }
+}

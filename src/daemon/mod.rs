@@ -6,12 +6,14 @@ mod ekrl;
 mod identify;
 mod live_state;
 mod mount_detector;
-mod program_end;
 mod recorder;
 mod schedule;
 mod service;
 mod session;
 mod signals;
+
+use dbbd_device::port::Port;
+use dbbd_model::base::units::HostNs;
 
 pub use acquisition::{
     Acquisition, AcquisitionOptions, AcquisitionSummary, ControllerConnections, EndReason,
@@ -31,3 +33,21 @@ pub use service::{
 };
 pub use session::zero_bar;
 pub use signals::stop_on_signal;
+
+/// An open and started bar.
+struct OpenedBar {
+    port: Port,
+    /// Before the line was opened.
+    began: HostNs,
+    /// Discarded bytes of an earlier stream.
+    stale: u64,
+    /// Bytes of the stream that followed the answer to the start command.
+    first: Vec<u8>,
+}
+
+/// Why a telegram is not of the plan's program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum TelegramMismatch {
+    Run { expected: u32 },
+    NoDwell,
+}

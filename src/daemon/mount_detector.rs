@@ -109,4 +109,31 @@ mod tests {
             over
         );
     }
+
+    /// Readings of a bar in the middle of its stroke or at its end, at times in s.
+    fn play(
+        detector: &mut MountDetector,
+        schedule: &Schedule,
+        readings: &[(f64, f64, u32)],
+    ) -> Option<Alarm> {
+        let mut last = None;
+        for &(t_s, reading_mm, dwells) in readings {
+            last = detector.alarm(schedule, MountReading { t_s, reading_mm, valid: true, dwells });
+        }
+        last
+    }
+
+    #[test]
+    fn bar_is_mounted_after_a_second_without_interruption() {
+        let schedule = Schedule::bare(Some([-1.0, 3.0]), 0.9);
+        for (readings, expected) in [
+            (vec![(0.0, 0.0, 0), (0.99, 0.0, 0), (0.995, 3.0, 0)], None),
+            (vec![(0.0, 0.0, 0), (1.0, 0.0, 0), (1.005, 3.0, 0)], Some(Alarm::Over)),
+            // Interrupted: the second begins again.
+            (vec![(0.0, 0.0, 0), (0.6, 3.0, 0), (0.7, 0.0, 0), (1.6, 0.0, 0), (1.65, 3.0, 0)], None),
+            (vec![(0.0, 0.0, 0), (1.0, 0.0, 0), (1.5, 2.9, 0)], Some(Alarm::Near)),
+        ] {
+            assert_eq!(play(&mut MountDetector::default(), &schedule, &readings), expected, "{readings:?}");
+        }
+    }
 }

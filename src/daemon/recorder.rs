@@ -6,12 +6,12 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::live_state::LiveFeed;
-use super::program_end::ProgramEnd;
+use crate::live::RunCounts;
 use dbbd_device::protocol::{DecodedItem, LineFault, LineFaultKind, ProtocolDecoder, ProtocolDefinition};
 use dbbd_job::recording::RecordingFinding;
 use dbbd_job::recording::axes::{AxesReceiver, AxesRecords, PacketCounts};
 use dbbd_job::recording::capture::{CaptureRecord, CaptureWriter, RunEvent};
-use dbbd_job::recording::{ClockStamp, DeviceTime, SequenceStep, sequence_step};
+use dbbd_job::recording::{ClockStamp, DeviceTime, SequenceStep, StrobeDecoder, StrobeEvent, sequence_step};
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::sample::Sample;
@@ -24,248 +24,71 @@ const SILENT_S: f64 = 1.0;
 const ONE_BY_ONE: u32 = 16;
 /// Interval between checks of the capture file, s.
 const CHECK_S: f64 = 0.5;
+/// Without a plan the program is over when the strobe stays low for this time after an end mark, s.
+const OVER_S: f64 = 20.0;
 
-/// The counts of a run.
+/// What a run has read so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct RunProgress {
-    /// Host time.
-    pub elapsed_s: f64,
-    /// Device time since the first sample, if the device has a clock.
-    pub device_s: Option<f64>,
-    pub bytes: u64,
-    pub samples: u64,
+    #[serde(flatten)]
+    pub counts: RunCounts,
     /// Samples that the device flags as invalid.
     pub invalid: u64,
-    /// Over the last second.
-    pub rate_hz: f64,
-    /// The last reading, and whether the device flags it as valid.
-    pub reading_mm: Option<f64>,
+    /// Whether the device flags the last reading as valid.
     pub valid: bool,
-    pub faults: u64,
-    /// Replies of the device without a reading.
-    pub rejected: u64,
-    pub unanswered: u64,
-    pub gaps: u64,
     /// Time in which nothing came for more than a second, or the port was absent.
     pub silent_s: f64,
-    /// Samples missing by their sequence numbers.
-    pub missing: u64,
-    /// Bytes lost between port and recorder.
-    pub lost_bytes: u64,
-    /// Completed dwells, by the strobe or by telegrams.
-    pub dwells: u32,
-    /// Completed modules, by their end marks.
-    pub modules: u32,
     /// Recorded telegrams of the program.
     pub telegrams: u64,
     /// Telegrams of another plan or of no dwell.
     pub refused: u64,
     /// Packets of a controller that publishes its axes.
     pub axes: Option<PacketCounts>,
-    /// Whether consecutive frames were decoded without a fault.
-    pub in_step: bool,
-    /// Whether the port is absent at this moment.
-    pub gone: bool,
 }
 
 /// The recorder of one run.
 pub struct Recorder {
-    writer: CaptureWriter,
+    capture: PendingCapture,
     decoder: ProtocolDecoder,
     decoded: Vec<DecodedItem>,
-    /// Samples of one host time that are not written yet.
-    batch: Vec<Sample>,
-    batch_host: HostNs,
-    /// Faults since the last sample.
-    faults_in_a_row: u32,
-    /// Not written yet: the next fault may join it.
-    fault: Option<(HostNs, LineFault)>,
-    program: ProgramEnd,
+    stream: BarStream,
+    upkeep: CaptureUpkeep,
+    /// The time of the device, if it has a clock.
     time: Option<DeviceTime>,
-    sequence_modulo: Option<u32>,
-    last_sequence: Option<u32>,
-    /// Longer silence is recorded, s.
-    silence_s: Option<f64>,
-    last_bytes: Option<HostNs>,
-    last_sync: HostNs,
-    last_check: HostNs,
-    sync_s: f64,
-    rate_since: HostNs,
-    rate_samples: u64,
-    /// Time of the last request of a polled device.
-    requested: Option<HostNs>,
-    /// Whether the reading belongs to the time of the request, `latch_delay_ns` later.
-    at_request: bool,
-    latch_delay_ns: u64,
-    in_a_row: u32,
-    sync_frames: u32,
-    began: HostNs,
-    pub progress: RunProgress,
-    /// Interference of other programs with the capture file.
-    pub(super) findings: Vec<Diagnostic>,
+    program: ProgramEnd,
     axes: AxesRecords,
-    pub(super) feed: Option<LiveFeed>,
+    pub progress: RunProgress,
+    feed: Option<LiveFeed>,
 }
 
-impl Recorder {
-    /// `modules` is the number of modules of the plan's program. The capture is synced to the disk every `sync_s` seconds.
-    pub fn new(
-        writer: CaptureWriter,
-        definition: &ProtocolDefinition,
-        modules: Option<usize>,
-        sync_s: f64,
-        now: HostNs,
-    ) -> Self {
-        let stall = definition.stall.map(|stall| stall.as_secs_f64());
-        Self {
-            writer,
-            decoder: definition.decoder(),
-            decoded: Vec::new(),
-            batch: Vec::new(),
-            batch_host: now,
-            faults_in_a_row: 0,
-            fault: None,
-            program: ProgramEnd::new(modules),
-            time: definition.clock.map(|clock| DeviceTime::new(clock.into())),
-            sequence_modulo: definition.sequence_modulo,
-            last_sequence: None,
-            silence_s: stall.map(|s| if definition.sequence_modulo.is_some() { s.max(SILENCE_S) } else { s }),
-            last_bytes: None,
-            last_sync: now,
-            last_check: now,
-            sync_s,
-            rate_since: now,
-            rate_samples: 0,
-            requested: None,
-            at_request: definition.latch_at_request,
-            latch_delay_ns: u64::try_from(definition.latch_delay.as_nanos()).unwrap_or(0),
-            in_a_row: 0,
-            sync_frames: definition.sync_frames,
-            began: now,
-            progress: RunProgress::default(),
-            findings: Vec::new(),
-            axes: AxesRecords::default(),
-            feed: None,
+/// The capture with the records that are not written yet.
+struct PendingCapture {
+    writer: CaptureWriter,
+    /// Samples of one host time.
+    samples: Vec<Sample>,
+    samples_host: HostNs,
+    /// The next fault may join it.
+    fault: Option<(HostNs, LineFault)>,
+    /// Faults since the last sample.
+    faults_in_a_row: u32,
+}
+
+impl PendingCapture {
+    fn write(&mut self, host: HostNs, record: &CaptureRecord) -> Result<(), Diagnostic> {
+        self.writer.write(host, record)
+    }
+
+    fn sample(&mut self, host: HostNs, sample: &Sample) -> Result<(), Diagnostic> {
+        if self.samples_host != host {
+            self.flush_samples()?;
+            self.samples_host = host;
         }
-    }
-
-    /// Whether the program's end marks have been seen.
-    pub(super) fn over(&self) -> bool {
-        self.program.is_over()
-    }
-
-    pub fn event(&mut self, host: HostNs, event: RunEvent) -> Result<(), Diagnostic> {
-        if matches!(event, RunEvent::Gap { .. }) {
-            self.progress.gaps += 1;
-        }
-        self.flush()?;
-        self.flush_fault()?;
-        let record = CaptureRecord::Event(event);
-        self.axes.add(host, &record, |_, _, _| {});
-        self.writer.write(host, &record)
-    }
-
-    /// Records bytes of a controller that publishes its axes.
-    pub fn axes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
-        let record = CaptureRecord::Axes(bytes);
-        self.writer.write(host, &record)?;
-        self.axes.add(host, &record, |_, _, _| {});
+        self.samples.push(*sample);
         Ok(())
     }
 
-    pub(super) fn attach(&mut self, host: HostNs, name: &str, content: &[u8]) -> Result<(), Diagnostic> {
-        self.writer.write(host, &CaptureRecord::Attachment { name: name.into(), content: content.to_vec() })
-    }
-
-    /// Records bytes of the bar: they are written before they are decoded.
-    pub fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
-        self.silent(host, 0.0)?;
-        self.last_bytes = Some(host);
-        self.progress.bytes += bytes.len() as u64;
-        let record = CaptureRecord::Raw(bytes);
-        self.writer.write(host, &record)?;
-        if let CaptureRecord::Raw(bytes) = &record {
-            self.decoder.push(bytes, &mut self.decoded);
-        }
-        self.decoded(host)
-    }
-
-    /// Records a silence since the last bytes, if it exceeds the limit of the device and `least_s`.
-    fn silent(&mut self, host: HostNs, least_s: f64) -> Result<(), Diagnostic> {
-        let (Some(last), Some(limit)) = (self.last_bytes, self.silence_s) else { return Ok(()) };
-        let silent_s = host.seconds_since(last);
-        if silent_s <= limit.max(least_s) {
-            return Ok(());
-        }
-        if silent_s > SILENT_S {
-            self.progress.silent_s += silent_s;
-        }
-        let reason = "nothing was received".into();
-        self.event(host, RunEvent::Gap { seconds: Some(silent_s), missing: None, reason })
-    }
-
-    /// Notes a request to a polled device.
-    pub(super) fn requested(&mut self, host: HostNs) {
-        self.requested = Some(host);
-    }
-
-    /// A request was not answered in time. Bytes of a partial reply do not belong to the next one.
-    pub(super) fn unanswered(&mut self, host: HostNs) -> Result<(), Diagnostic> {
-        self.progress.unanswered += 1;
-        self.decoder.interrupt(&mut self.decoded);
-        self.decoded(host)
-    }
-
-    /// Replies so far: samples and refusals.
-    pub(super) fn answers(&self) -> u64 {
-        self.progress.samples + self.progress.rejected
-    }
-
-    /// The line was idle for long enough to end a frame.
-    pub(super) fn silence(&mut self, host: HostNs) -> Result<(), Diagnostic> {
-        self.decoder.silence(&mut self.decoded);
-        self.decoded(host)
-    }
-
-    /// Bytes were lost between port and recorder.
-    pub fn lost(&mut self, host: HostNs, bytes: u64) -> Result<(), Diagnostic> {
-        self.progress.lost_bytes += bytes;
-        self.interrupted(host)?;
-        let reason = format!("{bytes} bytes were lost: the recorder was too slow");
-        self.event(host, RunEvent::Gap { seconds: None, missing: None, reason })
-    }
-
-    /// The stream was interrupted: a pending frame will not be completed.
-    pub fn interrupted(&mut self, host: HostNs) -> Result<(), Diagnostic> {
-        self.decoder.interrupt(&mut self.decoded);
-        self.last_bytes = None;
-        self.decoded(host)
-    }
-
-    fn decoded(&mut self, host: HostNs) -> Result<(), Diagnostic> {
-        let mut decoded = std::mem::take(&mut self.decoded);
-        for one in decoded.drain(..) {
-            match one {
-                DecodedItem::Sample(sample, _) => self.sample(host, &sample)?,
-                DecodedItem::Fault(fault) => {
-                    match fault.kind {
-                        LineFaultKind::Ignored => {}
-                        LineFaultKind::Reject(_) => self.progress.rejected += 1,
-                        _ => {
-                            self.progress.faults += 1;
-                            self.in_a_row = 0;
-                        }
-                    }
-                    self.fault(host, fault)?;
-                }
-            }
-        }
-        self.decoded = decoded;
-        self.flush()
-    }
-
     fn fault(&mut self, host: HostNs, fault: LineFault) -> Result<(), Diagnostic> {
-        self.flush()?;
+        self.flush_samples()?;
         self.faults_in_a_row = self.faults_in_a_row.saturating_add(1);
         let other = match &mut self.fault {
             Some((_, before)) => before.join(fault),
@@ -278,6 +101,20 @@ impl Recorder {
         if self.faults_in_a_row < ONE_BY_ONE { self.flush_fault() } else { Ok(()) }
     }
 
+    /// Writes the pending samples. Records keep the order of arrival.
+    fn flush_samples(&mut self) -> Result<(), Diagnostic> {
+        if self.samples.is_empty() {
+            return Ok(());
+        }
+        let record = CaptureRecord::Samples(std::mem::take(&mut self.samples));
+        self.writer.write(self.samples_host, &record)?;
+        if let CaptureRecord::Samples(mut samples) = record {
+            samples.clear();
+            self.samples = samples;
+        }
+        Ok(())
+    }
+
     fn flush_fault(&mut self) -> Result<(), Diagnostic> {
         let Some((host, fault)) = self.fault.take() else { return Ok(()) };
         let json = serde_json::to_vec(&fault)
@@ -285,49 +122,340 @@ impl Recorder {
         self.writer.write(host, &CaptureRecord::Fault(json))
     }
 
-    /// Writes the pending samples. Records keep the order of arrival.
     fn flush(&mut self) -> Result<(), Diagnostic> {
-        if self.batch.is_empty() {
-            return Ok(());
+        self.flush_samples()?;
+        self.flush_fault()
+    }
+}
+
+/// What is known of the stream of the bar.
+struct BarStream {
+    silence: SilenceLimit,
+    sequence: SequenceNumbers,
+    sync: FrameSync,
+    requests: PollRequests,
+}
+
+/// How long nothing may come before it is recorded as a gap.
+struct SilenceLimit {
+    /// Seconds; `None` for a device that may be silent.
+    limit_s: Option<f64>,
+    last_bytes: Option<HostNs>,
+}
+
+impl SilenceLimit {
+    fn new(definition: &ProtocolDefinition) -> Self {
+        let numbered = definition.sequence_modulo.is_some();
+        let stall_s = definition.stall.map(|stall| stall.as_secs_f64());
+        let limit_s = stall_s.map(|s| if numbered { s.max(SILENCE_S) } else { s });
+        Self { limit_s, last_bytes: None }
+    }
+
+    /// The silence since the last bytes, s, if it exceeds the limit of the device and `least_s`.
+    fn exceeded_s(&self, host: HostNs, least_s: f64) -> Option<f64> {
+        let silent_s = host.seconds_since(self.last_bytes?);
+        (silent_s > self.limit_s?.max(least_s)).then_some(silent_s)
+    }
+}
+
+/// The sequence numbers of a device that has them.
+struct SequenceNumbers {
+    modulo: Option<u32>,
+    last: Option<u32>,
+}
+
+impl SequenceNumbers {
+    /// Samples that are missing before this one, if their number is known, and the reason of the gap; `None` without a gap.
+    fn gap(&mut self, sample: &Sample) -> Option<(Option<u64>, String)> {
+        let (modulo, sequence) = (self.modulo?, sample.sequence?);
+        let last = self.last.replace(sequence)?;
+        match sequence_step(modulo, last, sequence) {
+            SequenceStep::Next => None,
+            SequenceStep::Missing(few) => {
+                Some((Some(few), "samples are missing by their sequence numbers".to_owned()))
+            }
+            SequenceStep::Back => Some((None, format!("the sequence number went from {last} to {sequence}"))),
         }
-        let record = CaptureRecord::Samples(std::mem::take(&mut self.batch));
-        self.writer.write(self.batch_host, &record)?;
-        if let CaptureRecord::Samples(mut batch) = record {
-            batch.clear();
-            self.batch = batch;
+    }
+}
+
+/// Whether the decoder is in step with the frames: enough of them in a row had no fault.
+struct FrameSync {
+    in_a_row: u32,
+    needed: u32,
+}
+
+/// The requests of a polled device.
+struct PollRequests {
+    /// The time of the last one.
+    last: Option<HostNs>,
+    /// Whether the reading belongs to the time of the request, `latch_delay_ns` later.
+    is_latched: bool,
+    latch_delay_ns: u64,
+}
+
+impl PollRequests {
+    /// The time of a reading whose reply came at `host`: up to 70 ms after its request.
+    fn time_of_reading(&self, host: HostNs) -> HostNs {
+        match self.last.filter(|_| self.is_latched) {
+            Some(HostNs(ns)) => HostNs(ns.saturating_add(self.latch_delay_ns)),
+            None => host,
         }
+    }
+}
+
+/// What is done at intervals while a run goes on.
+struct CaptureUpkeep {
+    began: HostNs,
+    sync_s: f64,
+    last_sync: HostNs,
+    last_check: HostNs,
+    rate_since: HostNs,
+    /// Samples when the rate was taken last.
+    rate_samples: u64,
+    /// Interference of other programs with the capture file.
+    findings: Vec<Diagnostic>,
+}
+
+/// Counts dwells and modules by the strobe during a run, and detects the end of the program.
+#[derive(Clone, Debug)]
+struct ProgramEnd {
+    decoder: StrobeDecoder,
+    /// Modules of the plan; unknown without a plan.
+    modules: Option<usize>,
+    dwells: u32,
+    modules_over: u32,
+    now_s: f64,
+}
+
+impl ProgramEnd {
+    fn new(modules: Option<usize>) -> Self {
+        Self { decoder: StrobeDecoder::default(), modules, dwells: 0, modules_over: 0, now_s: 0.0 }
+    }
+
+    /// Adds a sample. Times do not decrease.
+    fn push(&mut self, t_s: f64, sample: &Sample) {
+        self.now_s = t_s;
+        let event = self.decoder.push(t_s, sample.trigger);
+        self.count(event);
+    }
+
+    fn finish(&mut self) {
+        let event = self.decoder.finish();
+        self.count(event);
+    }
+
+    fn count(&mut self, event: Option<StrobeEvent>) {
+        match event {
+            Some(StrobeEvent::Dwell(_)) => self.dwells += 1,
+            Some(StrobeEvent::ModuleEnd) => self.modules_over += 1,
+            None => {}
+        }
+    }
+
+    /// When the strobe rose, s, while it is high.
+    fn high_since_s(&self) -> Option<f64> {
+        self.decoder.high_since_s()
+    }
+
+    fn is_over(&self) -> bool {
+        match self.modules {
+            Some(modules) => self.modules_over as usize >= modules.max(1),
+            None => self.modules_over > 0 && self.now_s - self.decoder.last_high_s() >= OVER_S,
+        }
+    }
+}
+
+impl Recorder {
+    /// `modules` is the number of modules of the plan's program. The capture is synced to the disk every `sync_s` seconds.
+    pub fn new(
+        writer: CaptureWriter,
+        definition: &ProtocolDefinition,
+        modules: Option<usize>,
+        sync_s: f64,
+        now: HostNs,
+    ) -> Self {
+        Self {
+            capture: PendingCapture {
+                writer,
+                samples: Vec::new(),
+                samples_host: now,
+                fault: None,
+                faults_in_a_row: 0,
+            },
+            decoder: definition.decoder(),
+            decoded: Vec::new(),
+            stream: BarStream {
+                silence: SilenceLimit::new(definition),
+                sequence: SequenceNumbers { modulo: definition.sequence_modulo, last: None },
+                sync: FrameSync { in_a_row: 0, needed: definition.sync_frames },
+                requests: PollRequests {
+                    last: None,
+                    is_latched: definition.latch_at_request,
+                    latch_delay_ns: u64::try_from(definition.latch_delay.as_nanos()).unwrap_or(0),
+                },
+            },
+            upkeep: CaptureUpkeep {
+                began: now,
+                sync_s,
+                last_sync: now,
+                last_check: now,
+                rate_since: now,
+                rate_samples: 0,
+                findings: Vec::new(),
+            },
+            time: definition.clock.map(|clock| DeviceTime::new(clock.into())),
+            program: ProgramEnd::new(modules),
+            axes: AxesRecords::default(),
+            progress: RunProgress::default(),
+            feed: None,
+        }
+    }
+
+    /// Shows the run to clients.
+    pub(super) fn show(&mut self, feed: LiveFeed) {
+        self.feed = Some(feed);
+    }
+
+    /// What was found about the capture file since it was asked last.
+    pub(super) fn take_findings(&mut self) -> Vec<Diagnostic> {
+        std::mem::take(&mut self.upkeep.findings)
+    }
+
+    /// Whether the program's end marks have been seen.
+    pub(super) fn over(&self) -> bool {
+        self.program.is_over()
+    }
+
+    pub fn event(&mut self, host: HostNs, event: RunEvent) -> Result<(), Diagnostic> {
+        if matches!(event, RunEvent::Gap { .. }) {
+            self.progress.counts.gaps += 1;
+        }
+        self.capture.flush()?;
+        let record = CaptureRecord::Event(event);
+        self.axes.add(host, &record, |_, _, _| {});
+        self.capture.write(host, &record)
+    }
+
+    /// Records bytes of a controller that publishes its axes.
+    pub fn axes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
+        let record = CaptureRecord::Axes(bytes);
+        self.capture.write(host, &record)?;
+        self.axes.add(host, &record, |_, _, _| {});
         Ok(())
     }
 
-    fn sample(&mut self, host: HostNs, sample: &Sample) -> Result<(), Diagnostic> {
-        // A polled reading belongs to the time of its request. The reply comes up to 70 ms later.
-        let host = match self.requested.filter(|_| self.at_request) {
-            Some(HostNs(ns)) => HostNs(ns.saturating_add(self.latch_delay_ns)),
-            None => host,
-        };
-        self.flush_fault()?;
-        self.faults_in_a_row = 0;
-        self.missing(host, sample)?;
-        if self.batch_host != host {
-            self.flush()?;
-            self.batch_host = host;
+    pub(super) fn attach(&mut self, host: HostNs, name: &str, content: &[u8]) -> Result<(), Diagnostic> {
+        self.capture.write(host, &CaptureRecord::Attachment { name: name.into(), content: content.to_vec() })
+    }
+
+    /// Records bytes of the bar: they are written before they are decoded.
+    pub fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
+        self.silent(host, 0.0)?;
+        self.stream.silence.last_bytes = Some(host);
+        self.progress.counts.bytes += bytes.len() as u64;
+        let record = CaptureRecord::Raw(bytes);
+        self.capture.write(host, &record)?;
+        if let CaptureRecord::Raw(bytes) = &record {
+            self.decoder.push(bytes, &mut self.decoded);
         }
-        self.batch.push(*sample);
-        self.in_a_row = self.in_a_row.saturating_add(1);
-        self.progress.in_step |= self.in_a_row >= self.sync_frames;
-        self.progress.samples += 1;
-        self.progress.reading_mm = Some(sample.reading_mm);
+        self.decoded(host)
+    }
+
+    /// Records a silence since the last bytes, if it exceeds the limit of the device and `least_s`.
+    fn silent(&mut self, host: HostNs, least_s: f64) -> Result<(), Diagnostic> {
+        let Some(silent_s) = self.stream.silence.exceeded_s(host, least_s) else { return Ok(()) };
+        if silent_s > SILENT_S {
+            self.progress.silent_s += silent_s;
+        }
+        let reason = "nothing was received".into();
+        self.event(host, RunEvent::Gap { seconds: Some(silent_s), missing: None, reason })
+    }
+
+    /// Notes a request to a polled device.
+    pub(super) fn requested(&mut self, host: HostNs) {
+        self.stream.requests.last = Some(host);
+    }
+
+    /// A request was not answered in time. Bytes of a partial reply do not belong to the next one.
+    pub(super) fn unanswered(&mut self, host: HostNs) -> Result<(), Diagnostic> {
+        self.progress.counts.unanswered += 1;
+        self.decoder.interrupt(&mut self.decoded);
+        self.decoded(host)
+    }
+
+    /// Replies so far: samples and refusals.
+    pub(super) fn answers(&self) -> u64 {
+        self.progress.counts.samples + self.progress.counts.rejected
+    }
+
+    /// The line was idle for long enough to end a frame.
+    pub(super) fn silence(&mut self, host: HostNs) -> Result<(), Diagnostic> {
+        self.decoder.silence(&mut self.decoded);
+        self.decoded(host)
+    }
+
+    /// Bytes were lost between port and recorder.
+    pub fn lost(&mut self, host: HostNs, bytes: u64) -> Result<(), Diagnostic> {
+        self.progress.counts.lost_bytes += bytes;
+        self.interrupted(host)?;
+        let reason = format!("{bytes} bytes were lost: the recorder was too slow");
+        self.event(host, RunEvent::Gap { seconds: None, missing: None, reason })
+    }
+
+    /// The stream was interrupted: a pending frame will not be completed.
+    pub fn interrupted(&mut self, host: HostNs) -> Result<(), Diagnostic> {
+        self.decoder.interrupt(&mut self.decoded);
+        self.stream.silence.last_bytes = None;
+        self.decoded(host)
+    }
+
+    fn decoded(&mut self, host: HostNs) -> Result<(), Diagnostic> {
+        let mut decoded = std::mem::take(&mut self.decoded);
+        for one in decoded.drain(..) {
+            match one {
+                DecodedItem::Sample(sample, _) => self.sample(host, &sample)?,
+                DecodedItem::Fault(fault) => {
+                    match fault.kind {
+                        LineFaultKind::Ignored => {}
+                        LineFaultKind::Reject(_) => self.progress.counts.rejected += 1,
+                        LineFaultKind::Framing
+                        | LineFaultKind::Check
+                        | LineFaultKind::TooLong
+                        | LineFaultKind::Content => {
+                            self.progress.counts.faults += 1;
+                            self.stream.sync.in_a_row = 0;
+                        }
+                    }
+                    self.capture.fault(host, fault)?;
+                }
+            }
+        }
+        self.decoded = decoded;
+        self.capture.flush_samples()
+    }
+
+    fn sample(&mut self, host: HostNs, sample: &Sample) -> Result<(), Diagnostic> {
+        let host = self.stream.requests.time_of_reading(host);
+        self.capture.flush_fault()?;
+        self.capture.faults_in_a_row = 0;
+        self.missing(host, sample)?;
+        self.capture.sample(host, sample)?;
+        self.stream.sync.in_a_row = self.stream.sync.in_a_row.saturating_add(1);
+        self.progress.counts.in_step |= self.stream.sync.in_a_row >= self.stream.sync.needed;
+        self.progress.counts.samples += 1;
+        self.progress.counts.reading_mm = Some(sample.reading_mm);
         self.progress.valid = sample.valid;
         self.progress.invalid += u64::from(!sample.valid);
         let device = self.time.as_mut().zip(sample.ticks);
         let device_s = device.map(|(time, ticks)| time.seconds(ClockStamp { host, ticks }));
-        self.program.push(device_s.unwrap_or_else(|| host.seconds_since(self.began)), sample);
-        self.progress.device_s = device_s;
-        self.progress.dwells = self.progress.dwells.max(self.program.dwells);
-        self.progress.modules = self.program.modules_over;
+        self.program.push(device_s.unwrap_or_else(|| host.seconds_since(self.upkeep.began)), sample);
+        self.progress.counts.device_s = device_s;
+        self.progress.counts.dwells = self.progress.counts.dwells.max(self.program.dwells);
+        self.progress.counts.modules = self.program.modules_over;
         let Some(feed) = &mut self.feed else { return Ok(()) };
-        feed.dwell(self.progress.dwells, self.program.high_since_s(), sample);
-        match feed.sample(host, device_s, sample, self.progress.dwells) {
+        feed.dwell(self.progress.counts.dwells, self.program.high_since_s(), sample);
+        match feed.sample(host, device_s, sample, self.progress.counts.dwells) {
             Some(note) => {
                 self.event(host, RunEvent::Finding { code: note.code.as_str().into(), text: note.text })
             }
@@ -337,57 +465,51 @@ impl Recorder {
 
     /// Records a gap in the sequence numbers.
     fn missing(&mut self, host: HostNs, sample: &Sample) -> Result<(), Diagnostic> {
-        let (Some(modulo), Some(sequence)) = (self.sequence_modulo, sample.sequence) else { return Ok(()) };
-        let Some(last) = self.last_sequence.replace(sequence) else { return Ok(()) };
-        let (missing, reason) = match sequence_step(modulo, last, sequence) {
-            SequenceStep::Next => return Ok(()),
-            SequenceStep::Missing(few) => {
-                (Some(few), "samples are missing by their sequence numbers".to_owned())
-            }
-            SequenceStep::Back => (None, format!("the sequence number went from {last} to {sequence}")),
-        };
-        self.progress.missing += missing.unwrap_or(0);
+        let Some((missing, reason)) = self.stream.sequence.gap(sample) else { return Ok(()) };
+        self.progress.counts.missing += missing.unwrap_or(0);
         self.event(host, RunEvent::Gap { seconds: None, missing, reason })
     }
 
     /// The device was restarted: its sequence numbers may begin again.
     pub(super) fn restarted(&mut self) {
-        self.last_sequence = None;
+        self.stream.sequence.last = None;
     }
 
     /// Regular work: sync, rate, live frames, checks of the capture file.
     pub fn tick(&mut self, now: HostNs) -> Result<(), Diagnostic> {
-        self.progress.elapsed_s = now.seconds_since(self.began);
+        self.progress.counts.elapsed_s = now.seconds_since(self.upkeep.began);
         self.progress.axes = self.axes.receiver().map(AxesReceiver::counts);
-        if self.fault.as_ref().is_some_and(|(since, _)| now.seconds_since(*since) >= CHECK_S) {
-            self.flush_fault()?;
+        if self.capture.fault.as_ref().is_some_and(|(since, _)| now.seconds_since(*since) >= CHECK_S) {
+            self.capture.flush_fault()?;
         }
         if let Some(feed) = &mut self.feed {
             feed.tick(now);
         }
-        let since = now.seconds_since(self.rate_since);
-        if since >= 1.0 {
-            self.progress.rate_hz = (self.progress.samples - self.rate_samples) as f64 / since;
-            (self.rate_since, self.rate_samples) = (now, self.progress.samples);
+        let upkeep = &mut self.upkeep;
+        let since_s = now.seconds_since(upkeep.rate_since);
+        if since_s >= 1.0 {
+            self.progress.counts.rate_hz =
+                (self.progress.counts.samples - upkeep.rate_samples) as f64 / since_s;
+            (upkeep.rate_since, upkeep.rate_samples) = (now, self.progress.counts.samples);
         }
-        if now.seconds_since(self.last_sync) >= self.sync_s {
-            self.writer.sync()?;
-            self.last_sync = now;
+        if now.seconds_since(upkeep.last_sync) >= upkeep.sync_s {
+            self.capture.writer.sync()?;
+            upkeep.last_sync = now;
         }
-        if now.seconds_since(self.last_check) >= CHECK_S {
-            self.last_check = now;
+        if now.seconds_since(upkeep.last_check) >= CHECK_S {
+            upkeep.last_check = now;
             self.check_file()?;
         }
         Ok(())
     }
 
     fn check_file(&mut self) -> Result<(), Diagnostic> {
-        self.findings.extend(self.writer.look_after()?);
+        self.upkeep.findings.extend(self.capture.writer.look_after()?);
         Ok(())
     }
 
     pub(super) fn path(&self) -> &Path {
-        self.writer.path()
+        self.capture.writer.path()
     }
 
     /// Completes the capture.
@@ -395,14 +517,97 @@ impl Recorder {
         // Shorter silence may be caused by the end of the run itself.
         self.silent(now, SILENT_S)?;
         self.interrupted(now)?;
-        self.flush_fault()?;
+        self.capture.flush_fault()?;
         self.program.finish();
-        self.progress.dwells = self.progress.dwells.max(self.program.dwells);
-        self.progress.elapsed_s = now.seconds_since(self.began);
+        self.progress.counts.dwells = self.progress.counts.dwells.max(self.program.dwells);
+        self.progress.counts.elapsed_s = now.seconds_since(self.upkeep.began);
         self.progress.axes = self.axes.receiver().map(AxesReceiver::counts);
         self.check_file()?;
-        self.writer.finish(now, reason, self.progress.missing)?;
+        self.capture.writer.finish(now, reason, self.progress.counts.missing)?;
         self.check_file()?;
         Ok(self.progress)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Samples pulses (time low, time high) at 100 Hz, then `quiet_s` seconds of low strobe.
+    fn play(end: &mut ProgramEnd, pulses: &[(f64, f64)], quiet_s: f64) {
+        let spans = pulses.iter().flat_map(|(low_s, high_s)| [(*low_s, false), (*high_s, true)]);
+        for (seconds, strobe) in spans.chain([(quiet_s, false)]) {
+            for _ in 0..(seconds * 100.0).round() as u32 {
+                let sample = Sample { trigger: Some(strobe), ..Sample::of(0.0) };
+                end.push(end.now_s + 0.01, &sample);
+            }
+        }
+    }
+
+    const END: [(f64, f64); 2] = [(0.4, 0.2); 2];
+
+    #[test]
+    fn a_program_with_a_plan_ends_with_the_last_module() {
+        let mut end = ProgramEnd::new(Some(2));
+        for module in 1..=2 {
+            play(&mut end, &[(2.0, 1.0), (3.0, 1.0)], 1.5);
+            assert!(!end.is_over());
+            play(&mut end, &END, 1.5);
+            assert_eq!(end.modules_over, module);
+        }
+        assert!(end.is_over());
+        assert_eq!(end.dwells, 4);
+    }
+
+    #[test]
+    fn a_program_without_a_plan_ends_after_twenty_seconds_without_strobe() {
+        let mut end = ProgramEnd::new(None);
+        play(&mut end, &[(1.0, 1.0)], 2.0);
+        play(&mut end, &END, 19.0);
+        assert!(!end.is_over());
+        play(&mut end, &[], 1.5);
+        assert!(end.is_over());
+        let mut busy = ProgramEnd::new(None);
+        play(&mut busy, &[(1.0, 1.0), (2.0, 0.2), (0.4, 0.2), (15.0, 1.0)], 10.0);
+        assert_eq!((busy.modules_over, busy.is_over()), (1, false));
+    }
+
+    fn at(s: f64) -> HostNs {
+        HostNs((s * 1e9) as u64)
+    }
+
+    #[test]
+    fn silence_is_recorded_beyond_the_limit_of_the_device() {
+        let silence = SilenceLimit { limit_s: Some(0.5), last_bytes: Some(at(10.0)) };
+        assert_eq!(silence.exceeded_s(at(10.5), 0.0), None);
+        assert_eq!(silence.exceeded_s(at(10.75), 0.0), Some(0.75));
+        assert_eq!([silence.exceeded_s(at(11.0), 1.0), silence.exceeded_s(at(11.5), 1.0)], [None, Some(1.5)]);
+        assert_eq!(SilenceLimit { last_bytes: None, ..silence }.exceeded_s(at(99.0), 0.0), None);
+        let patient = SilenceLimit { limit_s: None, last_bytes: Some(at(10.0)) };
+        assert_eq!(patient.exceeded_s(at(99.0), 0.0), None);
+    }
+
+    #[test]
+    fn gap_is_the_number_of_samples_between_two_sequence_numbers() {
+        let mut numbers = SequenceNumbers { modulo: Some(256), last: None };
+        let mut missing = |sequence| {
+            let sample = Sample { sequence: Some(sequence), ..Sample::of(0.0) };
+            numbers.gap(&sample).map(|(missing, _)| missing)
+        };
+        assert_eq!([missing(5), missing(6), missing(10)], [None, None, Some(Some(3))]);
+        // Over the end of the counter: 221 to 255 and 0 and 1 are 37. More than half of the range is a step back.
+        assert_eq!([missing(130), missing(220), missing(2)], [119, 89, 37].map(|few| Some(Some(few))));
+        assert_eq!(missing(250), Some(None));
+        let mut none = SequenceNumbers { modulo: None, last: Some(1) };
+        assert_eq!(none.gap(&Sample { sequence: Some(9), ..Sample::of(0.0) }), None);
+    }
+
+    #[test]
+    fn polled_reading_has_the_time_of_its_request() {
+        let requests = PollRequests { last: Some(at(2.0)), is_latched: true, latch_delay_ns: 3_000_000 };
+        assert_eq!(requests.time_of_reading(at(2.07)), HostNs(2_003_000_000));
+        assert_eq!(PollRequests { is_latched: false, ..requests }.time_of_reading(at(2.07)), at(2.07));
+        let unasked = PollRequests { last: None, is_latched: true, latch_delay_ns: 3_000_000 };
+        assert_eq!(unasked.time_of_reading(at(2.07)), at(2.07));
     }
 }

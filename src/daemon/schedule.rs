@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use super::TelegramMismatch;
 use crate::live::{Alarm, NextPose, Point};
 use dbbd_job::plan::{MotionKind, Plan, PoseKind};
 use dbbd_job::recording::{Telegram, run_number};
@@ -45,13 +46,6 @@ struct ScheduledProgram {
     run: Option<u32>,
     /// The rows whose end it reports: dwells, and ends of passes without stops.
     reported: BTreeSet<u32>,
-}
-
-/// Why a telegram is not of the plan's program.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum TelegramMismatch {
-    Run { expected: u32 },
-    NoDwell,
 }
 
 impl ScheduledProgram {
@@ -191,5 +185,72 @@ mod tests {
             assert_eq!(schedule.alarm(reading), alarm, "{reading}");
         }
         assert_eq!(Schedule::bare(None, 0.9).alarm(1e9), Alarm::None);
+    }
+
+    /// Two circles with a module each: dwells of the rows 3, 5 and 9, after which 30, 20 and 2 s are left.
+    fn schedule() -> Schedule {
+        let dwell = |index, circle, angle_deg, length_mm, left_s| PlannedDwell {
+            index,
+            circle,
+            angle_deg,
+            clockwise: index == 5,
+            length_mm,
+            left_s,
+        };
+        Schedule {
+            bar_length_mm: Some(300.0),
+            dwells: vec![
+                dwell(3, 1, Some(10.0), 300.5, 30.0),
+                dwell(5, 1, Some(20.0), 299.0, 20.0),
+                dwell(9, 2, None, 301.0, 2.0),
+            ],
+            duration_s: Some(42.0),
+            program: Some(ScheduledProgram { modules: 2, run: Some(77), reported: [3, 5, 9].into() }),
+            ..Schedule::bare(Some([-2.0, 6.0]), 0.9)
+        }
+    }
+
+    #[test]
+    fn time_is_left_until_the_last_dwell() {
+        let schedule = schedule();
+        let left: Vec<Option<f64>> = (0..5).map(|dwells| schedule.left_s(dwells)).collect();
+        assert_eq!(left, [Some(42.0), Some(30.0), Some(20.0), Some(2.0), Some(0.0)]);
+        assert_eq!(Schedule::bare(None, 0.9).left_s(1), None);
+        assert_eq!((schedule.poses(), Schedule::bare(None, 0.9).poses()), (Some(3), None));
+    }
+
+    #[test]
+    fn next_pose_is_that_of_the_dwell_after_the_completed_ones() {
+        let next = |dwells| schedule().next(dwells).map(|pose| (pose.index, pose.circle, pose.angle_deg));
+        assert_eq!([next(0), next(2), next(3)], [Some((3, 1, Some(10.0))), Some((9, 2, None)), None]);
+    }
+
+    /// The bar of 300 mm that reads 0.2 is 300.2 mm long: 0.3 mm short of the 300.5 mm of the plan.
+    #[test]
+    fn point_deviates_from_the_planned_length() {
+        let point = schedule().point(1, 0.2);
+        assert_eq!(
+            (point.index, point.circle, point.angle_deg, point.clockwise),
+            (Some(3), Some(1), Some(10.0), false)
+        );
+        assert!((point.deviation_mm.expect("the length is planned") + 0.3).abs() < 1e-9);
+        let second = schedule().point(2, -0.9);
+        assert!(second.clockwise);
+        assert!((second.deviation_mm.expect("the length is planned") - 0.1).abs() < 1e-9);
+        let beyond = schedule().point(4, 0.0);
+        assert_eq!((beyond.index, beyond.deviation_mm), (None, None));
+        assert_eq!(schedule().point(0, 0.0).index, None);
+    }
+
+    #[test]
+    fn telegram_belongs_to_the_plan_by_its_run_and_row() {
+        let telegram = |run, index| Telegram { run, index, phase: 2, axes_deg: [0.0; 6] };
+        let mismatch = |run, index| schedule().mismatch(&telegram(run, index));
+        assert_eq!(mismatch(77, 5), None);
+        assert_eq!(mismatch(78, 5), Some(TelegramMismatch::Run { expected: 77 }));
+        assert_eq!(mismatch(77, 4), Some(TelegramMismatch::NoDwell));
+        assert_eq!(Schedule::bare(None, 0.9).mismatch(&telegram(1, 1)), None);
+        assert_eq!([5, 9].map(|index| schedule().is_last(index)), [false, true]);
+        assert_eq!(schedule().modules(), Some(2));
     }
 }

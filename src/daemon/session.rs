@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::OpenedBar;
 use super::recorder::Recorder;
 use dbbd_device::clock;
 use dbbd_device::port::PortFinding::{self, BarSilent};
@@ -9,17 +10,6 @@ use dbbd_device::port::{Port, PortAddress};
 use dbbd_device::protocol::{CommandStep, ProtocolDefinition};
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
-
-/// An open and started bar.
-pub(super) struct OpenedBar {
-    pub(super) port: Port,
-    /// Before the line was opened.
-    pub(super) began: HostNs,
-    /// Discarded bytes of an earlier stream.
-    pub(super) stale: u64,
-    /// Bytes of the stream that followed the answer to the start command.
-    pub(super) first: Vec<u8>,
-}
 
 /// Opens the line, stops the bar (it may still send from an earlier run) and starts it.
 pub(super) fn open_bar(

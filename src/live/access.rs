@@ -24,7 +24,7 @@ pub(super) const COOKIE_NAME: &str = "dbbd";
 /// A shorter token can be guessed.
 const SHORTEST_TOKEN: usize = 16;
 /// Sessions at a time. A new one ends the oldest.
-const MOST_SESSIONS: usize = 64;
+const MAX_SESSIONS: usize = 64;
 
 /// Which hosts a service answers for, and the token that its clients must send.
 pub struct Access {
@@ -187,13 +187,15 @@ impl Access {
     pub(super) fn log_in(&self, token: &str, address: IpAddr) -> Result<String, Problem> {
         match self.compare(token.as_bytes(), address) {
             Credentials::Wrong => return Err(Problem::new(StatusCode::UNAUTHORIZED, WrongToken)),
-            other => other.check()?,
+            other @ (Credentials::Valid | Credentials::Missing | Credentials::RateLimited) => {
+                other.check()?
+            }
         }
         let session =
             random_cookie().map_err(|error| Diagnostic::new(NoSystem { why: error.to_string() }))?;
         let mut sessions = lock(&self.sessions);
         sessions.push_back(session.clone());
-        if sessions.len() > MOST_SESSIONS {
+        if sessions.len() > MAX_SESSIONS {
             sessions.pop_front();
         }
         Ok(session)

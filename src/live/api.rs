@@ -13,10 +13,11 @@ use serde_json::json;
 use tokio::sync::watch;
 
 use super::access::Access;
-use super::connections::Peer;
-use super::guard::{Gate, Journal, Route, Site, session};
+use super::guard::session;
 use super::json::{Body, Problem, json};
+use super::server::Peer;
 use super::service::{Act, Catalogue, JobKind, JobRequest, Service, StartRequest};
+use super::{Gate, Journal, Route, Site};
 use super::{downloads, metrics, stream};
 use crate::live::ServiceFinding::{NoJob, NoResultKind, PathNotText, RemarkLength, WorkerLost};
 use dbbd_job::page::PageFile;

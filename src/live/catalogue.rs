@@ -8,7 +8,8 @@ findings! {
     ServiceFinding "The service" {
         E1501 "the configuration of the service is not valid",
         cause: "A key of the configuration has a value that cannot be followed.",
-        cure: "Correct the line; `dbbd serve --config FILE --check` checks it, docs/how-to/service.md explains every key." {
+        cure: "Correct the line; `dbbd serve` can check it without starting, docs/how-to/service.md explains every key.",
+        asks: [ServiceCheck] {
             OutOfRange { value: f64, least: f64, most: f64 } => "{value} must be {least} to {most}";
             NotAnAddress => "no address", help: "an address and a port are needed, as \"127.0.0.1:8230\" or \"[::1]:8230\"";
             OpenWithoutToken => "others could reach this address, and no token is asked for", help: "set `token_file`, or listen on 127.0.0.1";
@@ -113,6 +114,10 @@ findings! {
 
 impl ServiceFinding {
     /// The HTTP status of an answer with this finding.
+    #[expect(
+        clippy::wildcard_enum_match_arm,
+        reason = "a finding that is not listed is a conflict with the state"
+    )]
     pub fn http_status(&self) -> StatusCode {
         match self {
             Self::NoRun { .. }

@@ -8,7 +8,7 @@ use axum::http::header::{CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_SECURITY_P
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 
-use super::connections::Busy;
+use super::server::Busy;
 use dbbd_job::page::Download;
 use dbbd_job::report::page::VIEWER_JS;
 use dbbd_model::base::hash::sha256_base64;

@@ -1,7 +1,6 @@
 //! The middleware of every request: Host and Origin, token or session cookie, security headers.
 
 use dbbd_job::page::PageFile;
-use std::fmt::Display;
 use std::sync::Arc;
 
 use axum::Router;
@@ -13,12 +12,13 @@ use axum::http::header::{
 use axum::http::{HeaderMap, HeaderName, Method, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{MethodRouter, delete, get, post};
+use axum::routing::{delete, get, post};
 use serde::Deserialize;
 
-use super::access::{Access, COOKIE_NAME, Credentials};
-use super::connections::Peer;
+use super::access::{COOKIE_NAME, Credentials};
 use super::json::{Body, Problem};
+use super::server::Peer;
+use super::{Gate, Route, Site};
 use crate::live::ServiceFinding::{NotAllowed, NothingHere, PathTooLong};
 
 /// Content security policy of the pages: they reach their own service only. The source of `form-action` follows.
@@ -27,33 +27,6 @@ const PAGE_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'sel
 /// Longest path with query, bytes.
 const LONGEST_URI: usize = 2048;
 const SESSION: &str = "/api/v1/session";
-
-/// A path, its methods as `GET` or `GET, POST`, and its handlers.
-pub(super) type Route<A> = (&'static str, &'static str, MethodRouter<A>);
-
-/// Receives warnings about clients.
-pub trait Journal: Send + Sync + 'static {
-    /// Logs a warning. Repeated warnings are counted and logged less often.
-    fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]);
-}
-
-/// What the middleware needs.
-pub(super) struct Gate {
-    pub(super) access: Arc<Access>,
-    pub(super) journal: Arc<dyn Journal>,
-    pub(super) files: &'static [PageFile],
-    /// Source of `form-action` in the content security policy.
-    pub(super) form_action: &'static str,
-    /// The page that asks for the token, if none of the files does.
-    pub(super) sign_in: Option<String>,
-}
-
-/// Pages and API behind the middleware.
-#[derive(Clone)]
-pub struct Site {
-    pub(super) router: Router,
-    pub(super) journal: Arc<dyn Journal>,
-}
 
 impl Site {
     pub(super) fn new<A: Clone + Send + Sync + 'static>(gate: Gate, routes: Vec<Route<A>>, app: A) -> Self {

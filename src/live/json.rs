@@ -49,6 +49,10 @@ impl Problem {
 }
 
 /// The HTTP status of a finding. One that is not listed concerns the device, a run or a file: 409.
+#[expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "a finding that is not listed is a conflict with the state"
+)]
 fn http_status(finding: &Diagnostic) -> StatusCode {
     if let Some(finding) = finding.finding::<ServiceFinding>() {
         return finding.http_status();
@@ -135,9 +139,10 @@ impl<T: DeserializeOwned, S: Sync> FromRequest<S> for Body<T> {
         serde_json::from_slice(&bytes).map(Self).map_err(|error| {
             // Valid JSON with the wrong content has a status of its own.
             let why = error.to_string();
-            match error.classify() {
-                Category::Data => Problem::new(StatusCode::UNPROCESSABLE_ENTITY, BodyContent { why }),
-                _ => Problem::new(StatusCode::BAD_REQUEST, BodySyntax { why }),
+            if matches!(error.classify(), Category::Data) {
+                Problem::new(StatusCode::UNPROCESSABLE_ENTITY, BodyContent { why })
+            } else {
+                Problem::new(StatusCode::BAD_REQUEST, BodySyntax { why })
             }
         })
     }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 
-use super::view::{RunStatus, State, Status};
+use super::view::{RunCounts, State, Status};
 
 /// Writes a metric family: its values with their labels, as `{state="done"}` or empty.
 pub(super) fn family(out: &mut String, name: &str, kind: &str, help: &str, values: &[(&str, f64)]) {
@@ -26,8 +26,9 @@ pub(super) fn text(status: &Status) -> String {
     let mut metric =
         |name: &str, kind: &str, help: &str, value: f64| family(&mut out, name, kind, help, &[("", value)]);
     let run = status.run.as_ref();
+    let counts = run.map(|run| &run.counts);
     let on = |value: bool| f64::from(u8::from(value));
-    let count = |field: fn(&RunStatus) -> u64| run.map_or(0.0, |run| field(run) as f64);
+    let count = |field: fn(&RunCounts) -> u64| counts.map_or(0.0, |counts| field(counts) as f64);
     metric("device_present", "gauge", "Whether the port is there.", on(status.device.present));
     metric("running", "gauge", "Whether a run is on.", on(run.is_some()));
     metric("failed", "gauge", "Whether the last run failed.", on(status.state == State::Failed));
@@ -35,19 +36,44 @@ pub(super) fn text(status: &Status) -> String {
         "device_gone",
         "gauge",
         "Whether the port went away during the run.",
-        on(run.is_some_and(|r| r.gone)),
+        on(counts.is_some_and(|counts| counts.gone)),
     );
-    metric("run_seconds", "gauge", "Host time since the run began.", run.map_or(0.0, |run| run.elapsed_s));
-    metric("sample_rate_hertz", "gauge", "Samples per second.", run.map_or(0.0, |run| run.rate_hz));
-    metric("bytes_total", "counter", "Bytes received in this run.", count(|run| run.bytes));
-    metric("samples_total", "counter", "Samples written in this run.", count(|run| run.samples));
-    metric("missing_samples_total", "counter", "Samples missing by their numbers.", count(|run| run.missing));
-    metric("gaps_total", "counter", "Gaps recorded in this run.", count(|run| run.gaps));
-    metric("faults_total", "counter", "Faults of the stream in this run.", count(|run| run.faults));
-    metric("rejected_total", "counter", "Refusals of the device in this run.", count(|run| run.rejected));
-    metric("unanswered_total", "counter", "Requests without an answer.", count(|run| run.unanswered));
-    metric("lost_bytes_total", "counter", "Bytes lost before the recorder.", count(|run| run.lost_bytes));
-    metric("dwells_total", "counter", "Dwells that are over in this run.", count(|run| run.dwells.into()));
+    metric(
+        "run_seconds",
+        "gauge",
+        "Host time since the run began.",
+        counts.map_or(0.0, |counts| counts.elapsed_s),
+    );
+    metric("sample_rate_hertz", "gauge", "Samples per second.", counts.map_or(0.0, |counts| counts.rate_hz));
+    metric("bytes_total", "counter", "Bytes received in this run.", count(|counts| counts.bytes));
+    metric("samples_total", "counter", "Samples written in this run.", count(|counts| counts.samples));
+    metric(
+        "missing_samples_total",
+        "counter",
+        "Samples missing by their numbers.",
+        count(|counts| counts.missing),
+    );
+    metric("gaps_total", "counter", "Gaps recorded in this run.", count(|counts| counts.gaps));
+    metric("faults_total", "counter", "Faults of the stream in this run.", count(|counts| counts.faults));
+    metric(
+        "rejected_total",
+        "counter",
+        "Refusals of the device in this run.",
+        count(|counts| counts.rejected),
+    );
+    metric("unanswered_total", "counter", "Requests without an answer.", count(|counts| counts.unanswered));
+    metric(
+        "lost_bytes_total",
+        "counter",
+        "Bytes lost before the recorder.",
+        count(|counts| counts.lost_bytes),
+    );
+    metric(
+        "dwells_total",
+        "counter",
+        "Dwells that are over in this run.",
+        count(|counts| counts.dwells.into()),
+    );
     if let Some(archive) = &status.archive {
         metric(
             "archive_waiting",
@@ -56,7 +82,7 @@ pub(super) fn text(status: &Status) -> String {
             archive.waiting as f64,
         );
     }
-    if let Some(mm) = run.and_then(|run| run.reading_mm) {
+    if let Some(mm) = counts.and_then(|counts| counts.reading_mm) {
         metric("reading_millimetres", "gauge", "The last reading of the bar.", mm);
     }
     out

@@ -8,7 +8,6 @@ pub use catalogue::ServiceFinding;
 
 mod access;
 mod api;
-mod connections;
 mod downloads;
 mod failed_logins;
 mod guard;
@@ -21,9 +20,15 @@ mod service;
 mod stream;
 mod view;
 
+use std::fmt::Display;
+use std::sync::Arc;
+
+use axum::Router;
+use axum::routing::MethodRouter;
+use dbbd_job::page::PageFile;
+
 pub use access::{Access, Token};
 pub use api::{OPENAPI, cell_site, routes};
-pub use guard::{Journal, Site};
 #[cfg(feature = "archive")]
 pub use plant::plant_site;
 pub use server::serve;
@@ -32,6 +37,33 @@ pub use service::{
     RunState, Service, StartRequest,
 };
 pub use view::{
-    Alarm, Archiving, Device, Frame, LastRun, Message, Mounting, MountingNote, NextPose, Point, RunStatus,
-    State, Status,
+    Alarm, Archiving, Device, Frame, LastRun, Message, Mounting, MountingNote, NextPose, Point, RunCounts,
+    RunStatus, State, Status,
 };
+
+/// A path, its methods as `GET` or `GET, POST`, and its handlers.
+type Route<A> = (&'static str, &'static str, MethodRouter<A>);
+
+/// Receives warnings about clients.
+pub trait Journal: Send + Sync + 'static {
+    /// Logs a warning. Repeated warnings are counted and logged less often.
+    fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]);
+}
+
+/// What the middleware needs.
+struct Gate {
+    access: Arc<Access>,
+    journal: Arc<dyn Journal>,
+    files: &'static [PageFile],
+    /// Source of `form-action` in the content security policy.
+    form_action: &'static str,
+    /// The page that asks for the token, if none of the files does.
+    sign_in: Option<String>,
+}
+
+/// Pages and API behind the middleware.
+#[derive(Clone)]
+pub struct Site {
+    router: Router,
+    journal: Arc<dyn Journal>,
+}

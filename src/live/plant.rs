@@ -11,11 +11,12 @@ use serde::de::DeserializeOwned;
 
 use super::access::Access;
 use super::api::on_blocking_thread;
-use super::connections::Peer;
 use super::downloads;
-use super::guard::{Gate, Journal, Route, Site, page_content, session};
+use super::guard::{page_content, session};
 use super::json::Problem;
 use super::metrics::{self, family};
+use super::server::Peer;
+use super::{Gate, Journal, Route, Site};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_plant::ArchiveFinding::NotAQuestion;
 use dbbd_plant::{PlantNumbers, PlantPages, Question};

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tokio::sync::{broadcast, watch};
 
-use super::guard::Journal;
+use super::Journal;
 use super::view::{Message, Point, Status};
 use dbbd_model::diagnostic::Diagnostic;
 
@@ -168,7 +168,7 @@ impl JobKind {
     }
 }
 
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobRequest {
     pub kind: JobKind,

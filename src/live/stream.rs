@@ -11,7 +11,7 @@ use serde_json::json;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{broadcast, watch};
 
-use super::connections::Busy;
+use super::server::Busy;
 use super::service::Service;
 use super::view::Message;
 

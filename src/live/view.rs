@@ -94,11 +94,27 @@ pub struct RunStatus {
     pub mounting: Mounting,
     pub can_zero: bool,
     pub started_unix_ms: u64,
+    #[serde(flatten)]
+    pub counts: RunCounts,
+    /// Drift of the device's clock against the host's since the first sample, ms.
+    pub clock_ahead_ms: Option<f64>,
+    /// Length of the bar at reading zero, mm, from the plan.
+    pub bar_length_mm: Option<f64>,
+    /// Lowest and highest reading, mm.
+    pub stroke_mm: Option<[f64; 2]>,
+    /// Share of the half stroke beyond which the alarm is raised.
+    pub alarm_share: f64,
+    /// Dwells of the plan.
+    pub poses: Option<u32>,
+}
+
+/// The counts of a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct RunCounts {
+    /// Host time since the start, s.
     pub elapsed_s: f64,
     /// Device time since the first sample, s, if the device has a clock.
     pub device_s: Option<f64>,
-    /// Drift of the device's clock against the host's since the first sample, ms.
-    pub clock_ahead_ms: Option<f64>,
     /// Whether the port is absent at this moment.
     pub gone: bool,
     /// Whether consecutive frames were decoded without a fault.
@@ -107,18 +123,11 @@ pub struct RunStatus {
     pub rate_hz: f64,
     pub bytes: u64,
     pub samples: u64,
+    /// The last reading.
     pub reading_mm: Option<f64>,
-    /// Length of the bar at reading zero, mm, from the plan.
-    pub bar_length_mm: Option<f64>,
-    /// Lowest and highest reading, mm.
-    pub stroke_mm: Option<[f64; 2]>,
-    /// Share of the half stroke beyond which the alarm is raised.
-    pub alarm_share: f64,
-    /// Completed dwells.
+    /// Completed dwells, by the strobe or by telegrams.
     pub dwells: u32,
-    /// Dwells of the plan.
-    pub poses: Option<u32>,
-    /// Completed modules.
+    /// Completed modules, by their end marks.
     pub modules: u32,
     pub gaps: u64,
     /// Samples missing by their sequence numbers.

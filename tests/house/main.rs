@@ -1,6 +1,8 @@
 //! The figures of the sources and their limits: whether names can be searched, interfaces read and parts tested alone.
 //!
 //! `cargo test --test house -- --nocapture figures` prints them. `DBBD_HOUSE_TREE` names another tree to measure.
+// A test asks for the variant that it means.
+#![allow(clippy::wildcard_enum_match_arm)]
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 mod figures;
@@ -34,79 +36,79 @@ const LIMITS: &[Limit] = &[
     Limit {
         figure: "types that share their name, %",
         measure: figures::shared_names,
-        allowed: AtMost(39.2),
+        allowed: AtMost(10.0),
         reason: "a search for a name should find one type",
     },
     Limit {
         figure: "types with a name of one word, %",
         measure: figures::one_word_names,
-        allowed: AtMost(73.5),
+        allowed: AtMost(33.0),
         reason: "a name should say its subject: `JointFitSolution`, not `Solution`",
     },
     Limit {
         figure: "types that share their name, outside rooms that are replaced later, %",
         measure: figures::shared_names_that_stay,
-        allowed: AtMost(33.3),
+        allowed: AtMost(1.0),
         reason: "what stays need not wait for what goes",
     },
     Limit {
         figure: "types with a name of one word, outside rooms that are replaced later, %",
         measure: figures::one_word_names_that_stay,
-        allowed: AtMost(74.9),
+        allowed: AtMost(13.0),
         reason: "what stays need not wait for what goes",
     },
     Limit {
         figure: "`pub(super)`, `pub(crate)`, `pub(in ..)` per 1000 lines",
         measure: figures::restricted_pub,
-        allowed: AtMost(28.9),
+        allowed: AtMost(26.5),
         reason: "private fields behind methods need no visibility",
     },
     Limit {
         figure: "plain `pub` per 1000 lines",
         measure: figures::plain_pub,
-        allowed: AtMost(46.4),
+        allowed: AtMost(45.0),
         reason: "every public name is one more for the reader of the interface",
     },
     Limit {
         figure: "wide structs: neither options nor file formats",
         measure: figures::wide_structs,
-        allowed: AtMost(14.0),
+        allowed: AtMost(5.0),
         reason: "a struct that holds everything hides which function needs what",
     },
     Limit {
         figure: "circles of files",
         measure: figures::import_circles,
-        allowed: AtMost(20.0),
+        allowed: AtMost(14.0),
         reason: "the files of a circle can only be read and changed together",
     },
     Limit {
         figure: "files in circles",
         measure: figures::files_in_circles,
-        allowed: AtMost(156.0),
+        allowed: AtMost(106.0),
         reason: "the files of a circle can only be read and changed together",
     },
     Limit {
         figure: "files of the largest circle",
         measure: figures::largest_circle,
-        allowed: AtMost(44.0),
+        allowed: AtMost(42.0),
         reason: "the files of a circle can only be read and changed together",
     },
     Limit {
         figure: "circles without a parent's imports from its children",
         measure: figures::import_knots,
-        allowed: AtMost(6.0),
+        allowed: AtMost(2.0),
         reason: "siblings in a circle have no first one to read",
     },
     Limit {
         figure: "files in circles without a parent's imports from its children",
         measure: figures::files_in_knots,
-        allowed: AtMost(34.0),
+        allowed: AtMost(26.0),
         reason: "siblings in a circle have no first one to read",
     },
     Limit {
         figure: "`#[test]` beside the code",
         measure: figures::tests_beside_code,
-        allowed: AtLeast(96.0),
+        allowed: AtLeast(780.0),
         reason: "what can be shown without the program is shown in the module that does it",
     },
 ];

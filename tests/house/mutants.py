@@ -335,7 +335,7 @@ def sources(tree):
 
 
 def is_test(place):
-    return any(part in ("tests", "tests.rs") for part in place.split("/"))
+    return any(part in ("tests", "tests.rs", "test_support") for part in place.split("/"))
 
 
 # --- Runs -------------------------------------------------------------------------------------------------------------

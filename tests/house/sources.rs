@@ -87,7 +87,7 @@ fn rust_files(top: &Path, below: &str, found: &mut Vec<String>) {
 fn source_file(path: &str, place: &str, text: &str) -> SourceFile {
     let lines = text.lines().count();
     let all = tokens(text);
-    let is_test = place.split('/').any(|part| part == "tests" || part == "tests.rs");
+    let is_test = place.split('/').any(|part| ["tests", "tests.rs", "test_support"].contains(&part));
     let spans = if is_test { vec![(0, all.len())] } else { test_items(&all) };
     let test_lines = if is_test {
         lines

@@ -56,9 +56,33 @@ from pathlib import Path
 # is below it. `[]` is any entry of a list, `[a1]` that of this name or code, `*` any one key; what `[]` and `*` of the old path
 # stand for goes to those of the new path, in their order.
 
-FILES = []          # (old name, new name), with no directory before the old one; `*` is any part without a dot
-PATHS = []          # (IN, old PATH, new PATH)
-WORDS = []          # (IN, key or column in the old version, old value, new value): whole values; None is null
+FILES = []          # (old name, new name), without the directory; `*` stands for what has no dot
+RESULT = "result.json identify.stdout"
+PATHS = [           # (IN, old PATH, new PATH)
+    (RESULT, "observations", "measurements"),
+    (RESULT, "sigma_mm", "noise_mm.length"),
+    (RESULT, "sigma_freedom", "noise_mm.degrees_of_freedom"),
+    (RESULT, "joint_errors.pose_sigma_mm", "noise_mm.pose"),
+    (RESULT, "joint_errors.length_sigma_mm", "noise_mm.instrument"),
+    (RESULT, "prior.scale", "prior_scale"),
+    (RESULT, "prior.source", "prior"),
+    (RESULT, "predicted_position_error_mm", "predicted_position_uncertainty_mm"),
+    (RESULT, "dependent[].combination", "combinations[].members"),
+    (RESULT, "dependent", "combinations"),
+    (RESULT, "advice[].tells", "recommendations[].identifies"),
+    (RESULT, "advice", "recommendations"),
+    (RESULT, "joints", "joint_effects"),
+    (RESULT, "outliers[].centre", "outliers[].ball"),
+    (RESULT, "warnings[].kind", "findings[].severity"),
+    (RESULT, "warnings", "findings"),
+]
+WORDS = [           # (IN, key or column in the old version, old value, new value): whole values, also null (None)
+    (RESULT, "prior", None, "none"),
+    (RESULT, "kind", "note", "info"),
+    (RESULT, "kind", "doubt", "warning"),
+    *((RESULT + " parameters.csv mastering.csv", "status", *words) for words in (
+        ("prior", "supported_by_prior"), ("held", "fixed"), ("too_weak", "poorly_observable"))),
+]
 CODES = []          # (old code, new code): of findings and errors, in every file
 
 ROOT = Path(__file__).resolve().parents[2]

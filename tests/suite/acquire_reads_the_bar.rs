@@ -14,10 +14,6 @@ use crate::process::{dbbd, run, signal};
 
 const SAMPLES_MISSING: &str = "W0223";
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec![SAMPLES_MISSING]
-}
-
 /// Whether the strobe is high: two dwells, then the end mark of two short pulses.
 fn strobe(t_s: f64) -> bool {
     [(1.0, 2.0), (4.0, 5.0), (6.0, 6.2), (6.6, 6.8)].iter().any(|(from, to)| (*from..*to).contains(&t_s))
@@ -164,7 +160,11 @@ fn signals_complete_the_run() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("run");
         let (port, _bar) = play(1.0, endless());
-        let child = dbbd(&["acquire", "--port", &port, "--out", path.to_str().unwrap()]).spawn().unwrap();
+        // Under `nohup cargo test` a child would ignore SIGHUP.
+        let mut env = Command::new("env");
+        env.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_dbbd"), "acquire", "--port", &port, "--out"]);
+        env.arg(&path).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let child = env.spawn().unwrap();
         wait_for(&path, 20_000);
         signal(&child, name);
         let output = child.wait_with_output().unwrap();

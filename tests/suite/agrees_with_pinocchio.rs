@@ -4,17 +4,18 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::estimation::result::Status;
-use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::robot::ParamUnit;
 use tempfile::tempdir;
 
-use crate::cell::{DESIGNED, dbbd, kr60, stderr};
+use crate::cell::{DESIGNED, dbbd, stderr};
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).to_path_buf()
 }
 
-fn identify(observations: &str, extra: &[&str]) -> ResultFile {
+fn identify(observations: &str, extra: &[&str]) -> CalibrationResult {
     let dir = tempdir().unwrap();
     let observations = root().join(observations);
     let centres = root().join("examples/paper/centres.csv");
@@ -27,27 +28,11 @@ fn identify(observations: &str, extra: &[&str]) -> ResultFile {
 }
 
 #[test]
-fn flange_agrees_with_pinocchio() {
-    let text = fs::read_to_string(root().join("fixtures/golden/flange.csv")).unwrap();
-    let geometry = kr60().geometry;
-    for line in text.lines().skip(1) {
-        let numbers: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
-        let flange = geometry.flange(&std::array::from_fn(|i| numbers[i].to_radians()));
-        for (axis, expected) in numbers[6..9].iter().enumerate() {
-            assert!((flange.position[axis] - expected).abs() < 1e-9);
-        }
-        for (at, expected) in numbers[9..18].iter().enumerate() {
-            assert!((flange.rotation[(at / 3, at % 3)] - expected).abs() < 1e-12);
-        }
-    }
-}
-
-#[test]
 fn experiment_of_the_paper_on_independent_lengths() {
     let result = identify("examples/paper/observations.csv", &["--estimate", "alpha1-5,a1-5,d4-6"]);
     assert!(result.converged && result.iterations <= 8);
     for (name, designed) in DESIGNED {
-        let found = result.parameters.iter().find(|p| p.name == name).unwrap();
+        let found = result.parameters.iter().find(|p| p.name.to_string() == name).unwrap();
         assert!((found.correction - designed).abs() < 1e-9, "{name}: {} for {designed}", found.correction);
     }
 }
@@ -64,14 +49,14 @@ fn robot_with_errors_everywhere_is_identified() {
     let identified: Vec<_> = result.parameters.iter().filter(|p| p.status == Status::Identified).collect();
     assert_eq!(identified.len(), 24);
     for parameter in identified {
-        let name = parameter.name.as_str();
-        let group = result.dependent.iter().find(|group| group.kept == name);
+        let name = parameter.name.to_string();
+        let group = result.combinations.iter().find(|group| group.kept == parameter.name);
         let expected = match group {
             // The coefficients are those of the nominal geometry; errors of a mrad change them by as much.
-            Some(group) => group.combination.iter().map(|(name, share)| share * error(name)).sum(),
-            None => error(name),
+            Some(group) => group.members.iter().map(|(id, share)| share * error(&id.to_string())).sum(),
+            None => error(&name),
         };
-        let near = if parameter.unit == "mm" { 5e-3 } else { 5e-6 };
+        let near = if parameter.unit == ParamUnit::Mm { 5e-3 } else { 5e-6 };
         assert!(
             (parameter.correction - expected).abs() < near,
             "{name}: {} for {expected}",
@@ -87,7 +72,7 @@ fn unmodelled_errors_are_reported() {
         "fixtures/golden/unmodelled.csv",
         &["--sigma", "0.005", "--folds", "0", "--model", "geometric"],
     );
-    let doubt = result.warnings.iter().find(|w| w.code == "W1316");
-    assert!(doubt.is_some(), "{:?}", result.warnings);
+    let doubt = result.findings.iter().find(|w| w.code() == "W1316");
+    assert!(doubt.is_some(), "{:?}", result.findings);
     assert!(result.residual_mm.after.rms > 0.02);
 }

@@ -25,15 +25,6 @@ mod servers;
 #[cfg(feature = "archive")]
 mod service_pushes;
 
-/// The codes of these tables; those of the archive need its feature.
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec![
-        "E2401", "E2402", "E2403", "E2404", "E2405", "E2406", "E2407", "E2408", "E2409", "E2410", "E2411",
-        "E2415", "E2417", "E2418", "W2419", "I2420", "W2421", "W2422", "W2423", "I2426", "W2427", "E0181",
-        "E2430", "E2431", "W2412", "I2413", "W2414",
-    ]
-}
-
 /// Runs `dbbd archive` on the archive in this directory, with no other environment.
 pub(crate) fn archive(dir: &Path, args: &[&str]) -> Output {
     archive_with(dir, args, &[("DBBD_ARCHIVE", "sqlite:plant.db"), ("DBBD_STORE", "file:objects")])

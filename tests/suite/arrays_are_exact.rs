@@ -13,10 +13,6 @@ const SERVICE: &str = "[alarm]\nstroke_mm = [-1.0, 1.0]\n";
 const WORLD: &str = "backlash_deg = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-1.0, 1.0]\n\
                      [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n";
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E0121"]
-}
-
 /// The tables of a job that the example leaves out.
 fn job() -> String {
     let more = "\n[[circle]]\nnormal = [0.0, 0.0, 1.0]\npoints = 12\nturns_deg = [[0.0, 0.0, 0.0]]\n\

@@ -224,10 +224,6 @@ fn recorded(dir: &Path, query: &str, packets: &[Vec<u8>], run: &str) -> (Vec<Str
     (codes(&output), info["axes"].clone(), answers)
 }
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E2201", "E2202", "E2203", "E2204", "W2210", "W2211", "W2212", "W2213"]
-}
-
 #[test]
 fn rsi_is_answered_only_on_request() {
     let dir = tempfile::tempdir().unwrap();
@@ -362,7 +358,7 @@ fn simulated_controller_is_recorded_matched_and_identified() {
     let found = dbbd(dir.path(), &["identify", "run", "--out", "found", "--prior", "datasheet", "--json"]);
     let result: Value = serde_json::from_slice(&found.stdout).unwrap();
     let says = |warning: &Value| warning["code"] == "I2221";
-    assert!(result["warnings"].as_array().unwrap().iter().any(says), "{}", stderr(&found));
+    assert!(result["findings"].as_array().unwrap().iter().any(says), "{}", stderr(&found));
 }
 
 /// A client that shares no code with dbbd reads what dbbd records.

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use dbbd_model::design::calibrate_run;
-use dbbd_model::estimation::{AngleSource, Input, Options, ResultFile};
+use dbbd_model::estimation::{AngleSource, CalibrationResult, Input, Options};
 use dbbd_model::measurement::{BaseBall, LengthModel, Measurements};
 use dbbd_model::robot::{BallId, Robot};
 use nalgebra::Vector3;
@@ -13,11 +13,7 @@ use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, kr60, stderr};
 use crate::identifies_real_robots::data;
-use crate::simulated_joint_errors::{BALLS, drawn, lengths};
-
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["W1331"]
-}
+use crate::support::drawn_robots::{BALLS, drawn, lengths};
 
 /// The measurements with ball 2 moved by `by_mm` from a row on.
 fn stepped(truth: &Robot, mut data: Measurements, first: usize, by_mm: Vector3<f64>) -> Measurements {
@@ -33,7 +29,7 @@ pub(crate) fn identified(
     at: &Path,
     data: &Measurements,
     out: &str,
-) -> (Option<i32>, Vec<String>, ResultFile) {
+) -> (Option<i32>, Vec<String>, CalibrationResult) {
     fs::write(at.join("obs.csv"), data.to_csv()).unwrap();
     let mut text = String::from("centre,x_mm,y_mm,z_mm\n");
     for (ball, [x, y, z]) in (1..).zip(BALLS) {
@@ -56,8 +52,8 @@ fn a_remounted_ball_gets_a_number_of_its_own() {
     let (exit, found, after) = identified(dir.path(), &stepped(&truth, data, 100, by_mm), "moved");
     assert_eq!(exit, Some(3));
     assert!(found.contains(&"W1331".to_owned()), "{found:?}");
-    let value = |result: &ResultFile, name: &str| {
-        result.parameters.iter().find(|parameter| parameter.name == name).unwrap().identified
+    let value = |result: &CalibrationResult, name: &str| {
+        result.parameters.iter().find(|parameter| parameter.name.to_string() == name).unwrap().identified
     };
     for (axis, moved) in ["x", "y", "z"].into_iter().zip(by_mm.iter()) {
         let [old, new] = ["centre2", "centre4"].map(|ball| value(&after, &format!("{ball}_{axis}")));
@@ -77,9 +73,9 @@ fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> Option<(
     let options = Options { folds: Some(0), ..Options::default() };
     let axes = AngleSource::Given;
     let input = Input { robot, observations: data, start: &start, validation: None, options: &options, axes };
-    let result = ResultFile::from(&calibrate_run(&input, Vec::new()).unwrap().result);
-    let found = result.warnings.iter().find(|warning| warning.code == "W1331")?;
-    let value = |name: &str| found.values[name].as_u64().unwrap() as u32;
+    let result = calibrate_run(&input, Vec::new()).unwrap().calibration.result;
+    let found = result.findings.iter().find(|warning| warning.code() == "W1331")?;
+    let value = |name: &str| found.values()[name].as_u64().unwrap() as u32;
     Some((value("ball"), value("index")))
 }
 

@@ -20,10 +20,6 @@ const NOT_RFC2217: &str = "E0233";
 const SETTING: &str = "E0234";
 const BLURS: &str = "I0240";
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec![WRONG_ADDRESS, AWAY, CLOSES, NOT_RFC2217, SETTING, BLURS]
-}
-
 /// The program ends with the test.
 struct Running(Child);
 

@@ -30,12 +30,6 @@ const SILENT: &[(&[&str], i32, &[&str])] = &[
     (&["--duration", "0.3", "--ekrl", "127.0.0.1:0"], 3, &["W0221", "W0224"]),
 ];
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    let silent = SILENT.iter().flat_map(|(_, _, codes)| *codes).copied();
-    let others = [PORT_REFUSED, PORT_GONE, STAYED_AWAY, OPEN_TO_ALL, STOPPED_SENDING];
-    silent.chain(others).chain([NO_PORT, PORT_BUSY]).collect()
-}
-
 #[test]
 fn bar_that_falls_silent_is_reported() {
     let directory = tempfile::tempdir().unwrap();

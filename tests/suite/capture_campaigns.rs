@@ -395,7 +395,7 @@ fn stalled_disk_loses_nothing_on_a_pseudo_terminal() {
     let over = Arc::default();
     let (capture, progress) = stalled(stream(&over), 0.5);
     over.store(true, Ordering::Relaxed);
-    assert_eq!((progress.lost_bytes, progress.missing), (0, 0));
+    assert_eq!((progress.counts.lost_bytes, progress.counts.missing), (0, 0));
     assert!(is_prefix_of_what_was_sent(&capture) > 100);
 }
 
@@ -413,7 +413,7 @@ fn what_a_stalled_disk_loses_of_a_device_is_counted_and_named() {
     let (capture, progress) = stalled(port.display().to_string(), 8.0);
     over.store(true, Ordering::Relaxed);
     // The sequence numbers wrapped more than once, so they do not show the number of frames.
-    assert!(progress.lost_bytes > 0 && progress.gaps > 0, "{progress:?}");
+    assert!(progress.counts.lost_bytes > 0 && progress.counts.gaps > 0, "{progress:?}");
     let lost: u64 = capture
         .events()
         .filter_map(|event| match event {
@@ -424,11 +424,11 @@ fn what_a_stalled_disk_loses_of_a_device_is_counted_and_named() {
         })
         .map(|bytes| bytes.parse::<u64>().unwrap())
         .sum();
-    assert_eq!(lost, progress.lost_bytes);
+    assert_eq!(lost, progress.counts.lost_bytes);
     let missing = capture.events().filter_map(|event| match event {
         RunEvent::Gap { missing, .. } => *missing,
         _ => None,
     });
-    assert_eq!(missing.sum::<u64>(), progress.missing);
-    eprintln!("{} samples kept, {lost} bytes lost and counted", progress.samples);
+    assert_eq!(missing.sum::<u64>(), progress.counts.missing);
+    eprintln!("{} samples kept, {lost} bytes lost and counted", progress.counts.samples);
 }

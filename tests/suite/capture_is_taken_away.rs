@@ -15,10 +15,6 @@ use crate::process::{dbbd, run, signal};
 
 const TAKEN_AWAY: &str = "W0415";
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec![TAKEN_AWAY]
-}
-
 struct Recording {
     dir: tempfile::TempDir,
     child: Child,

@@ -10,7 +10,7 @@ use dbbd_model::measurement::{CircleId, Measurements};
 use dbbd_model::robot::Robot;
 
 use crate::cell::codes;
-use crate::sync_runs::{Run, WORLD, World, plan, run};
+use crate::support::sync_runs::{Run, WORLD, World, plan, run};
 
 /// A capture of the run, as `acquire` writes it.
 fn write_capture(path: &std::path::Path, plan: &Plan, run: &Run, finish: bool) {
@@ -41,11 +41,6 @@ fn through_the_binary(plan: &Plan, run: &Run, finish: bool) -> (Output, Option<M
     let output = command.arg("sync").arg(&capture).arg("--out").arg(&csv).output().unwrap();
     let observations = std::fs::read_to_string(&csv).ok();
     (output, observations.map(|text| Measurements::from_csv("obs.csv", &text).unwrap()))
-}
-
-/// Runs that cannot be matched.
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E0407", "W0411", "E1001", "W1003", "W1007", "W1415"]
 }
 
 #[test]
@@ -136,7 +131,7 @@ fn losses_of_a_run_give_exit_code_3() {
             }
             assert!(output.status.code() == Some(3) && said.iter().any(|one| one == code), "{about}");
             let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-            let findings = json["findings"].as_array().or(json["warnings"].as_array());
+            let findings = json["findings"].as_array();
             let finding = findings.unwrap().iter().find(|finding| finding["code"] == code);
             if verb[0] != "identify" {
                 let percent = finding.unwrap()["values"]["percent"].as_f64().unwrap();

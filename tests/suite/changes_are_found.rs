@@ -12,14 +12,7 @@ use tempfile::{TempDir, tempdir};
 use crate::cell::{
     CENTRE, Circle, DESIGNED, centres_csv, codes, dbbd, measure, stderr, three_planes, with_errors,
 };
-use crate::check_campaigns::{SIGMA, calibration, normal};
-
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec![
-        "E1910", "E1911", "E1912", "E1913", "E1923", "I1924", "W1914", "W1915", "W1916", "I1917", "W1918",
-        "I1920", "W1921", "W1922", "E0740",
-    ]
-}
+use crate::support::checked_robot::{SIGMA, calibration, normal};
 
 /// The lengths of a check as their file; the robot's true errors are those that it was calibrated with.
 fn lengths(truth: &Robot, circles: &[Circle], points: usize, seed: u64) -> String {

@@ -1,34 +1,7 @@
-//! The backlash of axes and joints is estimated from the circular test.
-
-use dbbd_model::circular::DriveId;
+//! The backlash of a simulated joint is recovered from a capture.
 
 use crate::cell;
-use crate::circular_cases::{CASES, exactly};
 use crate::process::Simulator;
-
-/// The backlash of two axes is estimated from the steps at their reversals. The form of order 7 and 11 and
-/// the harmonics do not disturb it.
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["I0421"]
-}
-
-#[test]
-fn reversal_steps_are_fitted() {
-    for case in [CASES[0], CASES[2]] {
-        let found = exactly(&case.traces(), case.radius);
-        assert_eq!(found.steps.len(), 2);
-        for (at, (step, backlash)) in found.steps.iter().zip(case.backlash).enumerate() {
-            assert_eq!(step.mover, DriveId::Axis(at + 1));
-            // The case's axes run ahead by half of it in their sense of motion.
-            let off = (step.play + backlash).abs();
-            assert!(off < 2e-4 && off <= step.u95, "{}: {step:?}, {backlash}", case.name);
-            // A point stands within 0.09 degrees of where the lever is 1.
-            assert!((step.most_mm - step.play.abs()).abs() < 1e-6);
-        }
-    }
-    // Half a circle does not determine the backlash.
-    assert!(exactly(&CASES[1].traces(), CASES[1].radius).steps.is_empty());
-}
 
 /// A simulated robot with backlash in a joint: it is estimated from a capture.
 #[test]

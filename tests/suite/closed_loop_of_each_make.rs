@@ -14,9 +14,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tempfile::tempdir;
 
+use crate::cell::named;
 use crate::cell::{codes, dbbd, kr60, stderr};
 use crate::process::Simulator;
-use crate::rapid_and_urscript::{job, named, run};
+use crate::support::makes::{job, run};
 
 /// An arm with its language.
 struct Arm {

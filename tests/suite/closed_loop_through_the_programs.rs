@@ -13,8 +13,8 @@ use nalgebra::Vector3;
 use tempfile::tempdir;
 
 use crate::cell::{RADIUS, dbbd, kr60, stderr};
-use crate::compensated_program_is_accurate::{BALLS, OFF_MM, job, production, sagging, taught};
 use crate::process::Simulator;
+use crate::support::production::{BALLS, OFF_MM, job, production, sagging, taught};
 
 /// Error of each coordinate of the tool ball at each stop, which is the noise of a length; that of the bar is negligible.
 const WORLD: &str = "repeatability_um = 20.0\n[bar]\nstroke_mm = [-15.0, 15.0]\nnoise_um = 1.0\n";

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use tempfile::tempdir;
 
 use crate::cell::{CENTRE, RADIUS, dbbd, kr60, stderr};
-use crate::compensated_program_is_accurate::{chosen, identified};
+use crate::support::production::{chosen, identified};
 
 /// A full circle in each direction, vertical, in `arcs` arcs with a constant orientation of the tool.
 fn circle(arcs: u32) -> String {

@@ -254,7 +254,7 @@ fn every_page_is_in_the_summary_once() {
 /// Names of functions with their modules, as filters of `cargo test` see them.
 fn functions() -> Vec<String> {
     let mut found = Vec::new();
-    for source in files("tests/suite", &["rs"]).into_iter().chain(files("src", &["rs"])) {
+    for source in ["tests/suite", "src", "crates"].iter().flat_map(|directory| files(directory, &["rs"])) {
         let below = source.strip_prefix(root()).unwrap().with_extension("");
         let module: Vec<_> = below.iter().map(|part| part.to_string_lossy()).collect();
         for line in read(&source).lines().filter_map(|line| line.trim_start().strip_prefix("fn ")) {

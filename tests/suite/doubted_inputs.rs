@@ -14,10 +14,6 @@ use tempfile::tempdir;
 use crate::cell::{codes, dbbd, stderr};
 use crate::nothing_wrong_is_silent::{JOB, cell, identify, says};
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["W1008", "W1845", "I1846", "I0681", "W1610", "W1611"]
-}
-
 fn step(dir: &Path, args: &[&str]) -> Output {
     let output = dbbd(dir, args);
     assert!(matches!(output.status.code(), Some(0 | 3)), "dbbd {}: {}", args.join(" "), stderr(&output));

@@ -101,10 +101,6 @@ proptest! {
     }
 }
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["W0414", "E0207"]
-}
-
 #[test]
 fn telegram_variants_and_errors() {
     let read = |text: &str| TelegramReader::default().push(text.as_bytes());

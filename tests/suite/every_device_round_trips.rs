@@ -138,10 +138,6 @@ const NO_LENGTH: &str = "W0222";
 const UNANSWERED: &str = "W0223";
 const NOT_SENT: &str = "E0312";
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec![NO_LENGTH, NOT_SENT]
-}
-
 const RATE_HZ: f64 = 100.0;
 
 /// Lengths on a ramp, so that each sample is identified by its value.

@@ -14,7 +14,7 @@ use dbbd_job::sim::bar::Terminal;
 use serde_json::Value;
 use serialport::{SerialPort, TTYPort};
 
-use crate::cell::stderr;
+use crate::cell::{codes, stderr};
 use crate::process::dbbd;
 use crate::virtual_bar::{RATE_HZ, Row, Run, acquire, simulate, simulate_at};
 
@@ -308,7 +308,7 @@ fn zero_is_set_before_the_run() {
     let mut command = dbbd(&["acquire", "--port", &bar.port, "--out", "run", "--zero"]);
     let output = command.current_dir(directory.path()).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    assert!(stderr(&output).contains("no command for it"), "{}", stderr(&output));
+    assert_eq!(codes(&output), ["E0301"], "{}", stderr(&output));
 }
 
 /// The rate of a device is probed, and samples directly after its answer to the start command are kept. A pseudo-

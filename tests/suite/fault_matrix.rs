@@ -213,7 +213,7 @@ impl Case {
             }
             _ => {}
         }
-        progress.samples
+        progress.counts.samples
     }
 
     /// Bytes received = bytes in samples and faults + bytes counted as lost; samples received = stored +
@@ -235,7 +235,7 @@ impl Case {
             }
         }
         decoder.interrupt(&mut decoded);
-        assert_eq!((progress.bytes, progress.lost_bytes), (came, lost), "{name}");
+        assert_eq!((progress.counts.bytes, progress.counts.lost_bytes), (came, lost), "{name}");
         assert_eq!(decoded.iter().map(DecodedItem::bytes).sum::<u64>(), came, "{name}");
         let (mut samples, mut faults) = (Vec::new(), Vec::new());
         for one in decoded {
@@ -247,7 +247,7 @@ impl Case {
         let stored: Vec<Sample> = capture.samples().map(|(_, sample)| *sample).collect();
         // A damaged frame without a check may be a NaN, which equals nothing.
         assert_eq!(format!("{stored:?}"), format!("{samples:?}"), "{name}");
-        assert_eq!(progress.samples, stored.len() as u64, "{name}");
+        assert_eq!(progress.counts.samples, stored.len() as u64, "{name}");
         let counted_anew = matches!(self.harm, Harm::Wrap | Harm::Reset);
         if let (Some(sent), true, false) =
             (self.recording.samples(), self.definition.undetected() < 1e-4, counted_anew)
@@ -270,7 +270,7 @@ impl Case {
         let refused = count(|kind| matches!(kind, LineFaultKind::Reject(_)));
         let passed = count(|kind| matches!(kind, LineFaultKind::Ignored));
         assert_eq!(
-            (progress.rejected, progress.faults),
+            (progress.counts.rejected, progress.counts.faults),
             (refused, faults.len() as u64 - refused - passed),
             "{name}"
         );
@@ -278,15 +278,19 @@ impl Case {
             .events()
             .filter_map(|event| if let RunEvent::Gap { missing, .. } = event { Some(*missing) } else { None })
             .collect();
-        assert_eq!(progress.gaps, gaps.len() as u64, "{name}");
-        assert_eq!(gaps.iter().flatten().sum::<u64>(), progress.missing, "{name}");
+        assert_eq!(progress.counts.gaps, gaps.len() as u64, "{name}");
+        assert_eq!(gaps.iter().flatten().sum::<u64>(), progress.counts.missing, "{name}");
         // If a check protects the numbers, they show every missing frame between the first and the last.
         if let (Some(modulo), true) = (self.definition.sequence_modulo, self.definition.undetected() < 1e-4)
             && let (Some(first), Some(last)) = (stored.first(), stored.last())
             && self.harm != Harm::Reset
         {
             let span = last.sequence.unwrap() + modulo - first.sequence.unwrap();
-            assert_eq!(u64::from(span % modulo) + 1, progress.samples + progress.missing, "{name}");
+            assert_eq!(
+                u64::from(span % modulo) + 1,
+                progress.counts.samples + progress.counts.missing,
+                "{name}"
+            );
         }
         let silent = capture.events().any(
             |event| matches!(event, RunEvent::Gap { reason, .. } if reason.starts_with("nothing was received")),

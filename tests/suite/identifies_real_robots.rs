@@ -4,8 +4,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::estimation::result::Status;
-use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::robot::ParamUnit;
 use tempfile::tempdir;
 
 use crate::cell::{dbbd, stderr};
@@ -19,7 +20,7 @@ pub(crate) fn data(name: &str) -> Option<PathBuf> {
     Some(path)
 }
 
-fn identify(dir: &Path, data: &Path, args: &[&str]) -> (ResultFile, String) {
+fn identify(dir: &Path, data: &Path, args: &[&str]) -> (CalibrationResult, String) {
     let mut all = vec!["identify", data.to_str().unwrap(), "--centres", "C.csv", "--out", "out"];
     all.extend(args);
     let output = dbbd(dir, &all);
@@ -41,15 +42,16 @@ fn three_balls_give_small_residuals_and_plausible_corrections() {
     assert!((result.residual_mm.before.rms - 0.27).abs() < 0.01);
     assert!(result.residual_mm.after.rms < 0.07, "{}", result.residual_mm.after.rms);
     assert!(result.folds.unwrap().rms < 0.075);
-    let corrections = result
-        .parameters
-        .iter()
-        .filter(|p| p.unit == "mm" && !p.name.starts_with("centre") && !p.name.starts_with("tool"));
+    let corrections = result.parameters.iter().filter(|p| {
+        p.unit == ParamUnit::Mm
+            && !p.name.to_string().starts_with("centre")
+            && !p.name.to_string().starts_with("tool")
+    });
     assert!(corrections.clone().all(|p| p.correction.abs() < 2.0));
     // What leans on the balls' places alone stays; what is told of a sum is shared.
     assert!(result.parameters.iter().any(|p| p.status == Status::Dependent));
-    let shared = result.parameters.iter().find(|p| p.name == "d3").unwrap();
-    assert!(shared.status == Status::Prior && shared.correction != 0.0, "{shared:?}");
+    let shared = result.parameters.iter().find(|p| p.name.to_string() == "d3").unwrap();
+    assert!(shared.status == Status::SupportedByPrior && shared.correction != 0.0, "{shared:?}");
 }
 
 #[test]
@@ -95,10 +97,11 @@ fn draw_wire_lengths_of_clustered_poses() {
     assert!(said.contains("W1319"), "{said}");
     // Without a prior, what the clustered poses cannot carry is held instead of running away.
     let (result, _) = identify(dir.path(), &data, &["--robot", "irb120.toml", "--prior", "none"]);
-    let robots_own = result
-        .parameters
-        .iter()
-        .filter(|p| p.status == Status::Identified && p.unit == "mm" && p.name.starts_with(['a', 'd']));
+    let robots_own = result.parameters.iter().filter(|p| {
+        p.status == Status::Identified
+            && p.unit == ParamUnit::Mm
+            && p.name.to_string().starts_with(['a', 'd'])
+    });
     assert!(robots_own.clone().all(|p| p.correction.abs() < 3.0), "{:?}", robots_own.collect::<Vec<_>>());
     assert!(result.parameters.iter().any(|p| p.status == Status::PoorlyObservable));
 }

@@ -2,8 +2,8 @@
 
 use std::fs;
 
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::estimation::result::Status;
-use dbbd_model::estimation::result_file::ResultFile;
 use dbbd_model::measurement::Measurements;
 use tempfile::{TempDir, tempdir};
 
@@ -14,13 +14,14 @@ use crate::cell::{
 struct Run {
     code: Option<i32>,
     said: String,
-    result: Option<ResultFile>,
+    result: Option<CalibrationResult>,
     _dir: TempDir,
 }
 
 impl Run {
     fn parameter(&self, name: &str) -> (f64, Status) {
-        let found = self.result.as_ref().unwrap().parameters.iter().find(|p| p.name == name).unwrap();
+        let found =
+            self.result.as_ref().unwrap().parameters.iter().find(|p| p.name.to_string() == name).unwrap();
         (found.correction, found.status)
     }
 }
@@ -48,7 +49,7 @@ fn said_or_right(data: &Measurements, words: &str) {
         assert!(matches!(run.code, Some(0 | 1 | 3)), "{words}: {:?}\n{}", run.code, run.said);
         if let Some(result) = &run.result {
             for found in &result.parameters {
-                let most = if found.name.starts_with("centre") { 200.0 } else { 50.0 };
+                let most = if found.name.to_string().starts_with("centre") { 200.0 } else { 50.0 };
                 let off = found.correction.abs();
                 let said = run.code == Some(3);
                 assert!(said || off < most, "{words} {args:?}: {} is off by {off}", found.name);
@@ -182,7 +183,7 @@ fn a_tool_that_never_rotates_stays_at_its_start() {
             assert!(correction.abs() < 20.0, "{args:?} {axis}: {correction} {status:?}");
         }
         let held =
-            |p: &&dbbd_model::estimation::result_file::ParameterResult| p.status == Status::PoorlyObservable;
+            |p: &&dbbd_model::estimation::result::ParameterResult| p.status == Status::PoorlyObservable;
         let reasons: Vec<&str> = result.parameters.iter().filter(held).map(|p| p.reason.as_str()).collect();
         assert!(
             reasons.iter().any(|text| text.contains("as where the tool never turns")),

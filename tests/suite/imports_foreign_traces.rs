@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use dbbd_job::recording::capture;
-use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::estimation::CalibrationResult;
 use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, stderr};
@@ -39,9 +39,9 @@ fn exported_run_is_imported_with_the_same_result() {
         let run = format!("{name}.dbbd");
         step(at, &["identify", &run, "--out", name]);
         let text = fs::read_to_string(at.join(name).join("result.json")).unwrap();
-        serde_json::from_str::<ResultFile>(&text).unwrap()
+        serde_json::from_str::<CalibrationResult>(&text).unwrap()
     });
-    assert!(found[0].rank > 5 && found[0].observations > 30);
+    assert!(found[0].rank > 5 && found[0].measurements > 30);
     for (one, other) in found[0].parameters.iter().zip(&found[1].parameters) {
         assert_eq!(one.name, other.name);
         let near = (one.identified - other.identified).abs() < 1e-9 * (1.0 + one.identified.abs());
@@ -198,10 +198,6 @@ const WRONG: &[(&str, &str, &str, &str)] = &[
     ("Zeit;Weg\n0;300\n", "", "E0110", "trace.csv:1:"),
     ("t_s,length_mm\n0,\"300\n", "", "E0112", "trace.csv:2:"),
 ];
-
-pub(crate) fn provoked() -> Vec<&'static str> {
-    WRONG.iter().map(|(_, _, code, _)| *code).chain(["W1110", "I1111", "I0113", "I1112"]).collect()
-}
 
 #[test]
 fn import_errors_have_a_code_and_a_position() {

@@ -156,13 +156,13 @@ fn a_lost_zero_is_not_taken_for_errors_of_joints() {
         (row.index, row.axes) = (index, AxisAngles::from_degrees(axes_deg));
     }
     let result = identify(dir.path(), &data, &["--prior", "datasheet"]);
-    let codes: Vec<&str> = result["warnings"]
+    let codes: Vec<&str> = result["findings"]
         .as_array()
         .unwrap()
         .iter()
         .filter_map(|finding| finding["code"].as_str())
         .collect();
     assert!(codes.contains(&"W1312"), "{codes:?}");
-    let predicted = &result["predicted_position_error_mm"];
+    let predicted = &result["predicted_position_uncertainty_mm"];
     assert!(predicted["identified"]["mean"].as_f64().unwrap() < 1.0, "{predicted}");
 }

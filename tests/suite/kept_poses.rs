@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::{Measurement, Measurements};
 use dbbd_model::robot::Robot;
@@ -94,7 +94,8 @@ impl Robot60 {
         // Only the triangle of the balls is of all poses: three numbers that turn lengths into a measured position.
         let dir = tempdir().unwrap();
         let found = identify(dir.path(), poses.iter().flatten(), Case::of("", 3, true, &[]));
-        let value = |name: String| found.parameters.iter().find(|p| p.name == name).unwrap().identified;
+        let value =
+            |name: String| found.parameters.iter().find(|p| p.name.to_string() == name).unwrap().identified;
         let ball = |k: usize| ["x", "y", "z"].map(|axis| value(format!("centre{k}_{axis}"))).into();
         Some(Self { balls: [1, 2, 3].map(ball), poses })
     }
@@ -185,7 +186,7 @@ fn table(rows: impl Iterator<Item = Measurement>, case: Case) -> Measurements {
     Measurements { rows: rows.collect(), ..Measurements::default() }
 }
 
-fn identify<'a>(at: &Path, rows: impl Iterator<Item = &'a Measurement>, case: Case) -> ResultFile {
+fn identify<'a>(at: &Path, rows: impl Iterator<Item = &'a Measurement>, case: Case) -> CalibrationResult {
     identify_tracked(at, rows, None, case)
 }
 
@@ -194,7 +195,7 @@ fn identify_tracked<'a>(
     rows: impl Iterator<Item = &'a Measurement>,
     positions: Option<String>,
     case: Case,
-) -> ResultFile {
+) -> CalibrationResult {
     fs::write(at.join("obs.csv"), table(rows.cloned(), case).to_csv()).unwrap();
     fs::write(at.join("C.csv"), TAPED[..=case.balls].concat()).unwrap();
     let is_tracked = positions.is_some();

@@ -12,8 +12,8 @@ use dbbd_model::robot::Robot;
 use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, kr60, stderr};
-use crate::compensated_program_is_accurate::chosen;
 use crate::process::Simulator;
+use crate::support::production::chosen;
 
 /// Simulates the program of a plan and records its lengths; the saved .dat files are in `dat`.
 fn run(at: &Path, extra: &[&str]) {
@@ -26,10 +26,6 @@ fn run(at: &Path, extra: &[&str]) {
     );
     assert!(matches!(recorded.status.code(), Some(0 | 3)), "{}", stderr(&recorded));
     assert!(simulator.finished().status.success());
-}
-
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["I0420", "I1010", "W0413", "E0408", "W0412", "W1327", "W1328"]
 }
 
 #[test]

@@ -259,10 +259,6 @@ fn teaching_a_ball_never_bars_poses() {
 /// A ball to be taught anew.
 const ANEW: &str = "I0717";
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec![ANEW]
-}
-
 /// From where the example's ball was taught no run keeps a stroke of 0.7 mm; from elsewhere one does.
 #[test]
 fn a_ball_that_bars_all_is_taught_anew() {

@@ -27,15 +27,15 @@ const JOBS: &[(&str, &str, usize, &str)] = &[
     ("margin_mm", "margn_mm", 6, "E0120"),
     ("\"XY\"", "\"XQ\"", 11, "E0120"),
     ("[motion]", "[[obstacle]]\nshape = \"ball\"\n[motion]", 15, "E0120"),
-    ("300.0", "nan", 4, "E0601"),
-    ("[1300.0, 0.0, 800.0]", "[1300.0, inf, 800.0]", 9, "E0601"),
-    ("plane = \"XY\"", "normal = [0.0, 0.0, 0.0]", 11, "E0601"),
-    ("feed_mm_s = 40.0", "feed_mm_s = 251.0", 15, "E0601"),
-    ("feed_mm_s = 40.0", "feed_mm_s = 0.0", 15, "E0601"),
-    ("margin_mm = 0.5", "length_u_mm = -0.1", 6, "E0601"),
-    ("margin_mm = 0.5", "expansion_per_k = nan", 6, "E0601"),
-    ("[motion]", "[optimise]\npoints = 3\n[motion]", 15, "E0601"),
-    ("[motion]", "[optimise]\npoints = 20\ncandidates = 30\n[motion]", 16, "E0601"),
+    ("300.0", "nan", 4, "E0130"),
+    ("[1300.0, 0.0, 800.0]", "[1300.0, inf, 800.0]", 9, "E0130"),
+    ("plane = \"XY\"", "normal = [0.0, 0.0, 0.0]", 11, "E0130"),
+    ("feed_mm_s = 40.0", "feed_mm_s = 251.0", 15, "E0130"),
+    ("feed_mm_s = 40.0", "feed_mm_s = 0.0", 15, "E0130"),
+    ("margin_mm = 0.5", "length_u_mm = -0.1", 6, "E0130"),
+    ("margin_mm = 0.5", "expansion_per_k = nan", 6, "E0130"),
+    ("[motion]", "[optimise]\npoints = 3\n[motion]", 15, "E0130"),
+    ("[motion]", "[optimise]\npoints = 20\ncandidates = 30\n[motion]", 16, "E0130"),
     ("[-5.0, 5.0]", "[5.0, -5.0]", 5, "E0602"),
     ("margin_mm = 0.5", "margin_mm = 5.0", 6, "E0602"),
     (
@@ -119,12 +119,6 @@ const COMMANDS: &[Command] = &[
     (|| JOB.into(), &["--measured", "elsewhere.csv"], 1, &["E1203"]),
 ];
 const SLOW_ROBOT: &str = "E0704";
-
-pub(crate) fn provoked() -> Vec<&'static str> {
-    let jobs = JOBS.iter().map(|case| case.3);
-    let commands = COMMANDS.iter().flat_map(|case| case.3).copied();
-    jobs.chain(PLANS.iter().map(|case| case.1)).chain(commands).chain([SLOW_ROBOT]).collect()
-}
 
 fn twisted() -> String {
     JOB.replace("orientation = \"fixed\"", "orientation = \"seed\"\namplitude_deg = 25.0\nspin_deg = 120.0")

@@ -8,12 +8,8 @@ use dbbd_model::robot::Robot;
 use serde_json::{Value, json};
 use tempfile::{TempDir, tempdir};
 
+use crate::cell::named;
 use crate::cell::{codes, dbbd, kr60, stderr};
-use crate::rapid_and_urscript::named;
-
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E0823", "E0824", "W0825", "I0826", "I0827", "E0913", "W0914"]
-}
 
 /// One short circle.
 const JOB: &str = "robot = 'kr60ha'\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\

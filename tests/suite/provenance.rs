@@ -18,10 +18,6 @@ use crate::cell::{
     CENTRE, DESIGNED, centres_csv, codes, dbbd, horizontal, kr60, measure, stderr, with_errors,
 };
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E1801", "E1802", "W1803", "W1804", "W1805", "E1806", "E1807", "W1809"]
-}
-
 /// One short circle.
 const JOB: &str = "robot = 'robot.toml'\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\nserial = 'B-1'\n\
                    [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = 'XY'\npoints = 8\ntilt_deg = 30.0\namplitude_deg = 25.0\n";

@@ -13,10 +13,6 @@ use crate::cell::{
     CENTRE, Circle, DESIGNED, centres_csv, codes, dbbd, measure, stderr, three_planes, with_errors,
 };
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E1901", "E1902", "E1903", "E1904", "E1905", "I1906"]
-}
-
 /// Calibrations of one robot from lengths of 2 um noise; `theta3` moves by `step` rad from one to the next.
 fn calibrations(count: u32, step: f64) -> TempDir {
     let dir = tempdir().unwrap();
@@ -103,10 +99,10 @@ fn no_change_is_found_without_one_and_inputs_are_checked() {
     };
     edited("schema.json", &|json| json["schema"] = 7.into());
     edited("robot.json", &|json| json["robot"] = "another".into());
-    edited("unit.json", &|json| json["parameters"][1]["unit"] = "deg".into());
+    edited("unit.json", &|json| json["parameters"][1]["unit"] = "rad/Nm".into());
     edited("name.json", &|json| json["parameters"][1]["name"] = "elbow".into());
     edited("nominal.json", &|json| json["parameters"][7]["nominal"] = 17.into());
-    edited("part.json", &|json| json["observations"] = Value::Null);
+    edited("part.json", &|json| json["measurements"] = Value::Null);
     fs::write(at.join("no.json"), "{\"schema\":").unwrap();
     fs::write(at.join("other.json"), "{\"schema\":1}").unwrap();
     fs::create_dir(at.join("empty")).unwrap();
@@ -123,7 +119,7 @@ fn no_change_is_found_without_one_and_inputs_are_checked() {
         (vec!["r0", "part.json"], "E1901"),
         (vec!["r0", "robot.json"], "E1902"),
         (vec!["r0", "unit.json"], "E1902"),
-        (vec!["r0", "name.json"], "E1902"),
+        (vec!["r0", "name.json"], "E1901"),
         (vec!["r0", "nominal.json"], "E1902"),
         (vec!["r0", "circle.json"], "E1902"),
         (vec!["r0", "r1", "r0/result.json"], "E1903"),

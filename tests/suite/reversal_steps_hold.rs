@@ -8,6 +8,7 @@ use dbbd_job::recording::run::drives;
 use dbbd_job::sim::{SimulatedController, truth};
 use dbbd_model::circular::CircularFinding;
 use dbbd_model::circular::{CirclePoint, CircleSense, CircleTrace, CircularSettings, DriveId, circular};
+use dbbd_model::diagnostic::Diagnostic;
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
@@ -17,10 +18,6 @@ use crate::cell::{dbbd, kr60};
 
 /// Noise of a length: of the bar and of the robot's repeatability, mm.
 const SIGMA_MM: f64 = 0.005;
-
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["I1416"]
-}
 
 /// The demo with one circle: its orientation pattern and direction.
 fn job(orientation: &str, direction: &str) -> String {
@@ -125,7 +122,9 @@ fn coverage(orientation: &str, circles: u64) -> (usize, usize) {
         let traces = driven.measured(seed, &plays);
         let found =
             circular(&traces, &CircularSettings { draws: 0, ..CircularSettings::new(300.0) }).unwrap();
-        let is_said = |note: &CircularFinding| matches!(note, CircularFinding::StepsNotSeparable { .. });
+        let is_said = |note: &Diagnostic| {
+            matches!(note.finding::<CircularFinding>(), Some(CircularFinding::StepsNotSeparable { .. }))
+        };
         silent += usize::from(found.steps.is_empty() && !found.notes.iter().any(is_said));
         for step in &found.steps {
             let DriveId::Joint(joint) = step.mover else { panic!("{step:?}") };

@@ -3,7 +3,7 @@
 use std::fs;
 use std::process::Output;
 
-use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::measurement::Measurements;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -11,11 +11,6 @@ use rand_pcg::Pcg64;
 use tempfile::{TempDir, tempdir};
 
 use crate::cell::{CENTRE, DESIGNED, centres_csv, codes, dbbd, measure, three_planes, with_errors};
-
-/// The codes that the tests of this module provoke.
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["E1208", "W1209", "W1330"]
-}
 
 fn lengths(points: usize) -> Measurements {
     let mut random = Pcg64::seed_from_u64(7);
@@ -36,7 +31,7 @@ fn identify(data: &Measurements) -> (TempDir, Output) {
     (dir, output)
 }
 
-fn result(dir: &TempDir) -> ResultFile {
+fn result(dir: &TempDir) -> CalibrationResult {
     serde_json::from_str(&fs::read_to_string(dir.path().join("out/result.json")).unwrap()).unwrap()
 }
 
@@ -54,10 +49,10 @@ fn lengths_shifted_by_a_row_are_doubted() {
     let (dir, output) = identify(&moved(lengths(27)));
     assert_eq!(output.status.code(), Some(3));
     let found = result(&dir);
-    let moved = found.warnings.iter().find(|warning| warning.code == "W1330").unwrap();
-    assert_eq!(moved.values["rows"], -1);
-    assert!(moved.values["gain"].as_f64().unwrap() > 20.0);
-    assert!(moved.values["shifted_mm"].as_f64() < Some(0.1), "{}", moved.values);
+    let moved = found.findings.iter().find(|warning| warning.code() == "W1330").unwrap();
+    assert_eq!(moved.values()["rows"], -1);
+    assert!(moved.values()["gain"].as_f64().unwrap() > 20.0);
+    assert!(moved.values()["shifted_mm"].as_f64() < Some(0.1), "{}", moved.values());
     // Unshifted lengths are not doubted, nor with one outlier.
     for wild in [0.0, 5.0] {
         let mut data = lengths(27);
@@ -86,7 +81,7 @@ fn repeated_rows_are_used_once() {
     again.rows.last_mut().unwrap().index = 1000;
     let (dir, output) = identify(&again);
     assert!(!codes(&output).iter().any(|code| code == "W1209"));
-    assert_eq!(result(&dir).observations, 61);
+    assert_eq!(result(&dir).measurements, 61);
 }
 
 #[test]

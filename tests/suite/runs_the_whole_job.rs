@@ -4,10 +4,10 @@
 use std::fs;
 use std::path::Path;
 
-use dbbd_model::estimation::result_file::ResultFile;
+use dbbd_model::estimation::CalibrationResult;
 use tempfile::tempdir;
 
-use crate::cell::{dbbd, stderr};
+use crate::cell::{codes, dbbd, stderr};
 use crate::process::Simulator;
 
 /// The same three circles with few points, so that the test is short.
@@ -39,7 +39,13 @@ fn demo_compares_result_and_truth() {
     let result = fs::read_to_string(dir.path().join("demo-out/result/result.json")).unwrap();
     let made: serde_json::Value = serde_json::from_str(&result).unwrap();
     assert_eq!(made["provenance"]["identity"]["laboratory"], "Example laboratory");
-    let result: ResultFile = serde_json::from_str(&result).unwrap();
+    let result: CalibrationResult = serde_json::from_str(&result).unwrap();
+    // The file is the result as it is, beside what it was made from.
+    let mut kept = made.clone();
+    kept.as_object_mut()
+        .unwrap()
+        .retain(|key, _| !["budget", "provenance", "sha256"].contains(&key.as_str()));
+    assert_eq!(serde_json::to_value(&result).unwrap(), kept);
     assert!(result.residual_mm.after.rms < 0.03 && result.residual_mm.before.rms > 0.05);
     let page = fs::read_to_string(dir.path().join("demo-out/result/report.html")).unwrap();
     assert!(page.contains("<svg") && page.contains("Circle 1"));
@@ -118,20 +124,21 @@ fn capture_alone_suffices() {
         ],
     );
     let read = |name: &str| fs::read_to_string(at.join(name).join("result.json")).unwrap();
-    let result: ResultFile = serde_json::from_str(&read("at-once")).unwrap();
-    assert!(result.observations > 36, "{} observations", result.observations);
+    let result: CalibrationResult = serde_json::from_str(&read("at-once")).unwrap();
+    assert!(result.measurements > 36, "{} observations", result.measurements);
     // Equal except for the provenance.
-    let by_steps: ResultFile = serde_json::from_str(&read("by-steps")).unwrap();
+    let by_steps: CalibrationResult = serde_json::from_str(&read("by-steps")).unwrap();
     assert_eq!(result, by_steps);
     // Lengths that agree with an identified robot raise no suspicion of an accuracy model in the controller.
     let known =
         dbbd(at, &["identify", "run.dbbd", "--robot", "at-once/robot-identified.toml", "--out", "again"]);
     assert!(!stderr(&known).contains("accuracy model"), "{}", stderr(&known));
-    let again: ResultFile = serde_json::from_str(&read("again")).unwrap();
+    let again: CalibrationResult = serde_json::from_str(&read("again")).unwrap();
     assert!(again.residual_mm.before.rms < 0.03, "{}", again.residual_mm.before.rms);
     // Poses of one robot are no data of another; the result has this doubt too.
     let other = dbbd(at, &["identify", "run.dbbd", "--robot", "kr16-2", "--out", "other"]);
-    let doubt = "the poses are of a plan for KUKA KR 60 HA, --robot names KUKA KR 16-2";
-    assert!(other.status.code() == Some(3) && stderr(&other).contains(doubt), "{}", stderr(&other));
-    assert!(read("other").contains(doubt));
+    assert!(other.status.code() == Some(3) && codes(&other).contains(&"W1328".into()), "{}", stderr(&other));
+    let doubted: CalibrationResult = serde_json::from_str(&read("other")).unwrap();
+    let planned = doubted.findings.iter().find(|finding| finding.code() == "W1328").unwrap().values();
+    assert_eq!((&planned["planned"], &planned["given"]), (&"KUKA KR 60 HA".into(), &"KUKA KR 16-2".into()));
 }

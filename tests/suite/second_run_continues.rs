@@ -6,8 +6,9 @@ use std::process::Output;
 
 use dbbd_job::plan::{Job, PlanningPrior};
 use dbbd_job::sim::truth;
+use dbbd_model::diagnostic::Severity;
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::estimation::result::{PriorSource, StartRobot};
-use dbbd_model::estimation::result_file::{ResultFile, WarningKind};
 use dbbd_model::measurement::{Measurements, PreparedMeasurement};
 use dbbd_model::robot::Robot;
 use rand::SeedableRng;
@@ -18,11 +19,6 @@ use tempfile::{TempDir, tempdir};
 use crate::cell::{
     CENTRE, Circle, centres_csv, codes, dbbd, horizontal, kr60, measure, stderr, three_planes,
 };
-
-/// The codes that the tests of this module provoke.
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["W1332", "W1334"]
-}
 
 const REPEATS_MM: f64 = 0.0138;
 
@@ -44,7 +40,7 @@ fn first_circles() -> Vec<Circle> {
 }
 
 /// The first calibration, and the lengths of a check of it.
-fn cell(prior: &str) -> (TempDir, ResultFile) {
+fn cell(prior: &str) -> (TempDir, CalibrationResult) {
     let dir = tempdir().unwrap();
     let write = |name: &str, text: String| fs::write(dir.path().join(name), text).unwrap();
     write("obs.csv", lengths(&first_circles(), 20, 1).to_csv());
@@ -58,7 +54,7 @@ fn cell(prior: &str) -> (TempDir, ResultFile) {
     (dir, first)
 }
 
-fn result(dir: &Path, out: &str) -> ResultFile {
+fn result(dir: &Path, out: &str) -> CalibrationResult {
     serde_json::from_str(&fs::read_to_string(dir.join(out).join("result.json")).unwrap()).unwrap()
 }
 
@@ -76,18 +72,18 @@ fn told(output: &Output, code: &str) -> bool {
 fn repeated_measurement_does_not_raise_the_predicted_error() {
     for prior in ["none", "datasheet"] {
         let (dir, first) = cell(prior);
-        let first_mm = first.predicted_position_error_mm.identified.mean;
+        let first_mm = first.predicted_position_uncertainty_mm.identified.mean;
         let output = check(dir.path(), "first/robot-identified.toml", &[]);
         let second = result(dir.path(), "second");
-        let second_mm = second.predicted_position_error_mm;
+        let second_mm = second.predicted_position_uncertainty_mm;
         let said = stderr(&output);
         // The only doubt comes from the first run: some of its poses are beyond the limits.
-        let own = second.warnings.iter().all(|found| found.kind == WarningKind::Note);
+        let own = second.findings.iter().all(|found| found.severity() == Severity::Info);
         assert!(output.status.code() == Some(3) && told(&output, "W1843") && own, "{said}");
         assert!(second_mm.identified.mean < 1.05 * first_mm, "{prior} {first_mm}: {second_mm:?} {said}");
         // The prior is the posterior of the first run.
         assert!((second_mm.nominal.mean / first_mm - 1.0).abs() < 0.1, "{prior} {first_mm}: {second_mm:?}");
-        assert_eq!(second.prior.unwrap().source, PriorSource::Posterior);
+        assert_eq!(second.prior, PriorSource::Posterior);
         assert_eq!([first.start, second.start], [StartRobot::Nominal, StartRobot::Identified]);
         // The same lengths again add no information, others do.
         let again = check(dir.path(), "second/robot-identified.toml", &[]);
@@ -146,5 +142,5 @@ fn another_tool_ball_is_estimated_again() {
     let (dir, _) = cell("datasheet");
     let output = check(dir.path(), "first/robot-identified.toml", &["--tool", "30.5,19.5,10.5"]);
     assert!(!told(&output, "W1332") && !told(&output, "W1322"), "{}", stderr(&output));
-    assert_eq!(result(dir.path(), "second").prior.unwrap().source, PriorSource::Posterior);
+    assert_eq!(result(dir.path(), "second").prior, PriorSource::Posterior);
 }

@@ -99,10 +99,6 @@ const CONFIGURATIONS: &[(&str, &str, &str)] = &[
     ("[alarm]\nstroke_mm = [1.0, -1.0]\n", "dbbd.toml:2:13:", "E1501"),
 ];
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    CONFIGURATIONS.iter().map(|(_, _, code)| *code).collect()
-}
-
 #[test]
 fn configuration_errors_have_line_and_column() {
     let dir = tempfile::tempdir().unwrap();

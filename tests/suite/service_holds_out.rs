@@ -37,10 +37,6 @@ fn ask_and_stay(server: &Server, path: &str) -> Option<TcpStream> {
 
 const TOO_MANY: &str = "E1506";
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec![TOO_MANY]
-}
-
 #[test]
 fn unauthenticated_connections_do_not_lock_out_the_operator() {
     let dir = tempfile::tempdir().unwrap();

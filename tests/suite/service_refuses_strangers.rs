@@ -125,10 +125,6 @@ const REQUESTS: &[(&str, &str, &str, u16, &str)] = &[
 /// The code for a client without valid credentials.
 const STRANGER: &str = "E1508";
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    REQUESTS.iter().map(|(_, _, _, _, code)| *code).chain([STRANGER]).collect()
-}
-
 #[test]
 fn bodies_and_heads_are_limited() {
     let dir = tempfile::tempdir().unwrap();

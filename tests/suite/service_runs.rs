@@ -301,10 +301,6 @@ const COMPUTER: [&str; 2] = ["E1502", "E1507"];
 /// The code for a bar that cannot be set to zero.
 const NOT_ZEROED: &str = "E1520";
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    [&COMPUTER[..], &[NOT_ZEROED]].concat()
-}
-
 #[test]
 fn missing_system_resources_have_a_code() {
     let dir = tempfile::tempdir().unwrap();

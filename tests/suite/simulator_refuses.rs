@@ -8,8 +8,8 @@ use std::path::Path;
 use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, stderr};
-use crate::circle_plan::plan;
 use crate::process::Simulator;
+use crate::support::circle_plan::plan;
 
 /// Options that `simulate` refuses, with the code.
 const CASES: &[(&[&str], &str)] = &[
@@ -19,18 +19,12 @@ const CASES: &[(&[&str], &str)] = &[
     (&["--fault", "drop=much"], "E1601"),
     (&["--fault", "drop=2"], "E1601"),
     (&["--fault", "dorp=0.1"], "E1601"),
-    (&["--world", "world.toml"], "E1603"),
+    (&["--world", "world.toml"], "E0130"),
     (&["--link", "directory"], "E1604"),
 ];
 
 /// Options of the bar with the code with which the simulator ends: the ball is always out of the stroke.
 const READ: &[(&[&str], &str)] = &[(&[], "W1607"), (&["--fault", "over_mm=1000000"], "E0312")];
-
-/// The codes of an unresponsive server and of a failed step, which have their own tests.
-pub(crate) fn provoked() -> Vec<&'static str> {
-    let cases = CASES.iter().chain(READ).map(|case| case.1);
-    cases.chain(["E1606", "E1608"]).collect()
-}
 
 /// A program without motion, and the files that the cases name.
 fn cell(dir: &Path) {

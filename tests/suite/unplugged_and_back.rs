@@ -226,7 +226,7 @@ fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
     let away = bar.join().unwrap();
     // The last absence has no end.
     stop.store(true, Ordering::Relaxed);
-    let samples = acquisition.join().unwrap().progress.samples;
+    let samples = acquisition.join().unwrap().progress.counts.samples;
     let capture = capture::read_capture(&std::fs::read(&out).unwrap());
     assert!(capture.ended() && capture.damages.is_empty());
     accounts_for_every_byte(&capture);

@@ -22,10 +22,6 @@ const REFUSED: &[(&str, &str, i32, &str)] = &[
     ("<axis xyz=\"", "<axis xyz=\"9 9 9\" other=\"", 1, "E1721"),
 ];
 
-pub(crate) fn provoked() -> Vec<&'static str> {
-    REFUSED.iter().map(|(.., code)| *code).chain(["I1722"]).collect()
-}
-
 fn pose(rotation: [f64; 3], position: [f64; 3]) -> Pose {
     let [x, y, z] = rotation;
     Pose { rotation: rot_z(z) * rot_y(y) * rot_x(x), position: Vector3::from(position) }

@@ -4,8 +4,8 @@
 use std::fs;
 
 use dbbd_model::design::calibrate_run;
-use dbbd_model::estimation::result_file::Warning;
-use dbbd_model::estimation::{AngleSource, Input, Options, ResultFile};
+use dbbd_model::diagnostic::RecordedFinding;
+use dbbd_model::estimation::{AngleSource, CalibrationResult, Input, Options};
 use dbbd_model::measurement::{BaseBall, LengthModel, Measurements};
 use dbbd_model::robot::{BallId, Robot};
 use nalgebra::Vector3;
@@ -16,11 +16,7 @@ use crate::cell::{codes, dbbd, kr60, stderr};
 use crate::identifies_real_robots::data;
 use crate::nothing_wrong_is_silent::says;
 use crate::positions_identify::moved_tracker;
-use crate::simulated_joint_errors::{BALLS, drawn, lengths, mean_error};
-
-pub(crate) fn provoked() -> Vec<&'static str> {
-    vec!["W1333"]
-}
+use crate::support::drawn_robots::{BALLS, drawn, lengths, mean_error};
 
 /// How the zero changes over a table.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,8 +55,8 @@ fn changed(mut data: Measurements, course: Course, by_mm: f64) -> Measurements {
     data
 }
 
-fn changes(result: &ResultFile) -> Vec<&Warning> {
-    result.warnings.iter().filter(|warning| warning.code == "W1333").collect()
+fn changes(result: &CalibrationResult) -> Vec<&RecordedFinding> {
+    result.findings.iter().filter(|warning| warning.code() == "W1333").collect()
 }
 
 #[test]
@@ -73,12 +69,12 @@ fn a_change_of_zero_is_subtracted() {
     for course in [Course::Step, Course::Drift] {
         let (exit, _, after) = identified(at, &changed(data.clone(), course, 0.06), "changed");
         assert_eq!(exit, Some(3));
-        let [found] = changes(&after)[..] else { panic!("{course:?}: {:?}", after.warnings) };
-        let value = |name: &str| found.values[name].as_f64().unwrap();
-        assert!((value("by_mm") - 0.06).abs() < 4.0 * value("sd_mm"), "{}", found.values);
-        assert!(value("sd_mm") < 0.01, "{}", found.values);
+        let [found] = changes(&after)[..] else { panic!("{course:?}: {:?}", after.findings) };
+        let value = |name: &str| found.values()[name].as_f64().unwrap();
+        assert!((value("by_mm") - 0.06).abs() < 4.0 * value("sd_mm"), "{}", found.values());
+        assert!(value("sd_mm") < 0.01, "{}", found.values());
         if course == Course::Step {
-            assert!((value("index") - 85.0).abs() < 6.0, "{}", found.values);
+            assert!((value("index") - 85.0).abs() < 6.0, "{}", found.values());
         }
         assert!(after.residual_mm.after.rms < 1.1 * before.residual_mm.after.rms);
         // The robot file has the doubt, and the lengths have the subtracted change.
@@ -102,15 +98,15 @@ fn a_motion_of_the_tracker_is_subtracted() {
     }
 }
 
-fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> (Robot, ResultFile) {
+fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> (Robot, CalibrationResult) {
     let ball = |(at, position): (usize, &Vector3<f64>)| BaseBall { id: BallId::at(at), position: *position };
     let centres: Vec<BaseBall> = balls.iter().enumerate().map(ball).collect();
     let start = LengthModel::before(robot.geometry.clone(), &centres, data);
     let options = Options { folds: Some(0), ..Options::default() };
     let axes = AngleSource::Given;
     let input = Input { robot, observations: data, start: &start, validation: None, options: &options, axes };
-    let result = calibrate_run(&input, Vec::new()).unwrap().result;
-    (result.robot.clone(), ResultFile::from(&result))
+    let calibration = calibrate_run(&input, Vec::new()).unwrap().calibration;
+    (calibration.robot, calibration.result)
 }
 
 #[test]
@@ -125,7 +121,7 @@ fn no_change_of_zero_is_found_on_a_real_robot() {
         let Some(path) = data(&format!("kr60/{name}.csv")) else { return };
         let table = Measurements::from_csv(name, &fs::read_to_string(path).unwrap()).unwrap();
         let (_, result) = found(&table, &arm, &kr60_balls[..balls]);
-        assert!(changes(&result).is_empty(), "{name}: {:?}", result.warnings);
+        assert!(changes(&result).is_empty(), "{name}: {:?}", result.findings);
     }
 }
 
@@ -150,12 +146,12 @@ fn campaign(table: Table, course: Course, by_um: u32) {
         let (robot, result) = found(&changed(data, course, 1e-3 * f64::from(by_um)), &kr60(), &places);
         let error = mean_error(&truth, &robot, seed + 9000);
         ratios.push(error.predicted / error.mean);
-        moved += u32::from(result.warnings.iter().any(|warning| warning.code == "W1331"));
+        moved += u32::from(result.findings.iter().any(|warning| warning.code() == "W1331"));
         match &changes(&result)[..] {
             [] => {}
-            [one] if (course == Course::Step) == one.values.get("index").is_some() => {
+            [one] if (course == Course::Step) == one.values().get("index").is_some() => {
                 right += 1;
-                sizes.push(1e3 * one.values["by_mm"].as_f64().unwrap());
+                sizes.push(1e3 * one.values()["by_mm"].as_f64().unwrap());
             }
             _ => others += 1,
         }

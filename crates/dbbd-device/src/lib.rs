@@ -8,3 +8,7 @@ pub mod sync;
 pub mod axes;
 pub mod port;
 pub mod protocol;
+
+// Tests name this crate as its users do.
+#[cfg(test)]
+extern crate self as dbbd_device;

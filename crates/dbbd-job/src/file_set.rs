@@ -12,6 +12,8 @@ use dbbd_model::diagnostic::Diagnostic;
 #[derive(Debug)]
 pub struct FileSet {
     directory: PathBuf,
+    /// The names of the files of the set, in the order in which they were written.
+    names: Vec<String>,
     written: Vec<UnfinishedFile>,
     removed: Vec<PathBuf>,
     _lock: DirectoryLock,
@@ -27,7 +29,13 @@ impl FileSet {
     /// Creates the directory, and waits until no other process writes a set to it.
     pub fn begin(directory: &Path) -> Result<Self, Diagnostic> {
         let lock = files::exclusive(directory)?;
-        Ok(Self { directory: directory.into(), written: Vec::new(), removed: Vec::new(), _lock: lock })
+        Ok(Self {
+            directory: directory.into(),
+            names: Vec::new(),
+            written: Vec::new(),
+            removed: Vec::new(),
+            _lock: lock,
+        })
     }
 
     pub fn write(&mut self, name: &str, content: impl AsRef<[u8]>) -> Result<(), Diagnostic> {
@@ -41,6 +49,7 @@ impl FileSet {
         pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
     ) -> Result<PathBuf, Diagnostic> {
         let path = self.directory.join(name);
+        self.names.push(name.into());
         let Some(file) = files::write_unfinished(&path, pieces)? else { return Ok(path) };
         let temporary = file.part.clone();
         self.written.push(file);
@@ -52,11 +61,11 @@ impl FileSet {
         self.removed.push(self.directory.join(name));
     }
 
-    /// Gives the files their names.
+    /// Gives the files their names, and returns these.
     ///
     /// # Errors
     /// A file cannot be replaced or removed. The earlier files are then restored.
-    pub fn finish(self) -> Result<(), Diagnostic> {
+    pub fn finish(self) -> Result<Vec<String>, Diagnostic> {
         let (mut backups, mut placed) = (Vec::new(), 0);
         let done = self.replace(&mut backups, &mut placed);
         if done.is_err() {
@@ -72,7 +81,7 @@ impl FileSet {
                 let _ = fs::remove_file(backup);
             }
         }
-        done
+        done.map(|()| self.names)
     }
 
     fn replace(&self, backups: &mut Vec<Backup>, placed: &mut usize) -> Result<(), Diagnostic> {

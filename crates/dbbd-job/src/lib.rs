@@ -15,6 +15,8 @@ pub mod artefact;
 
 pub mod page;
 
+pub mod robot_files;
+
 pub mod plan;
 
 pub mod program;
@@ -23,4 +25,13 @@ pub mod recording;
 
 pub mod report;
 
+pub mod request;
+
 pub mod sim;
+
+// Tests name this crate as its users do.
+#[cfg(test)]
+extern crate self as dbbd_job;
+#[cfg(test)]
+#[allow(dead_code, reason = "the suite uses the rest")]
+mod test_support;

@@ -4,19 +4,24 @@
 //! `catalogue.rs` of the room that owns them, made by the macro [`findings!`](crate::findings). This room knows no particular
 //! finding and no way to show one.
 
+mod code_log;
+
 use std::any::Any;
 use std::fmt;
 use std::ops::Range;
 use std::sync::Arc;
 
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use serde_json::Value;
+
+#[doc(hidden)]
+pub use code_log::log_code;
 
 /// The stable name of a finding: `E0123` for an error, `W0123` for a warning, `I0123` for information.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct FindingCode(&'static str);
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
     /// The exit code stays 0.
@@ -46,6 +51,17 @@ impl FindingCode {
     }
 }
 
+impl Severity {
+    /// The word before a finding in a log or on a terminal.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Info => "note",
+            Self::Warning => "warning",
+            Self::Error => "error",
+        }
+    }
+}
+
 impl fmt::Display for FindingCode {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(self.0)
@@ -67,6 +83,9 @@ pub trait Finding: Any + fmt::Debug + fmt::Display + Send + Sync {
 
     /// What to do, if one line can say it.
     fn help(&self) -> Option<String>;
+
+    /// The inputs of the request that the cure is about.
+    fn asks(&self) -> &'static [Input];
 }
 
 /// What the catalogue says of a code.
@@ -79,6 +98,8 @@ pub struct Entry {
     pub cure: &'static str,
     /// The sentences with the names of their values in braces.
     pub sentences: &'static [&'static str],
+    /// The inputs of the request that the cure is about.
+    pub asks: &'static [Input],
 }
 
 /// The entries of one family of findings, with its heading in docs/troubleshooting.md.
@@ -86,6 +107,99 @@ pub struct Entry {
 pub struct Family {
     pub heading: &'static str,
     pub entries: &'static [Entry],
+}
+
+/// What a request is made of beside its files. A finding names what to give or to correct by these; the command line knows the
+/// option of each, a page its field.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Input {
+    Archive,
+    /// That the base balls are mounted as in the calibration.
+    BallsKept,
+    BarUncertainty,
+    BaseBalls,
+    BaseFrame,
+    CertificateTemperature,
+    /// The repeatability of a circular test.
+    CircleRepeatability,
+    Controller,
+    /// The controller's $config.dat, or a module with tools and work objects.
+    ControllerConfig,
+    Dates,
+    /// The parameters that are estimated.
+    Estimated,
+    Expansion,
+    /// A fault of the simulated line or bar.
+    Fault,
+    /// The parameters that are fixed.
+    Fixed,
+    Folds,
+    /// How long a bar may be away.
+    GoneTime,
+    Identity,
+    /// That an interim check is planned.
+    InterimCheck,
+    Language,
+    /// The largest correction of a point.
+    Limit,
+    /// The name of a simulated line.
+    Link,
+    /// The address of a simulated line.
+    ListenAddress,
+    /// That nothing is sent to a bar.
+    ListenOnly,
+    /// The .dat with the axis angles that a program logged.
+    LoggedAxes,
+    MachineExpansion,
+    /// Lengths of earlier stages.
+    MeasuredLengths,
+    Model,
+    /// Where the result is written.
+    Out,
+    /// Seconds of the simulated bar per second.
+    Pace,
+    Plan,
+    Port,
+    Positions,
+    Prior,
+    Protocol,
+    ProtocolParameter,
+    /// The address of the axes that a controller publishes.
+    PublishedAxes,
+    Radius,
+    Risk,
+    Robot,
+    /// Where what was received is kept.
+    Save,
+    Search,
+    /// That the configuration of the service is only checked.
+    ServiceCheck,
+    /// The standard deviation of a length.
+    Sigma,
+    Since,
+    Spool,
+    Stage,
+    Store,
+    /// How a program marks its dwells.
+    Synchronisation,
+    /// The server in a program that sends telegrams.
+    TelegramServer,
+    /// The address at which telegrams are received.
+    Telegrams,
+    Tolerance,
+    ToolBall,
+    ToolFrame,
+    Until,
+    /// That an updated robot is written.
+    Update,
+    Urdf,
+    UrdfJoints,
+    /// Lengths that only validate.
+    Validation,
+    World,
+    /// That the bar's zero is set.
+    Zero,
 }
 
 /// Names in a sentence, separated by commas.
@@ -109,7 +223,8 @@ impl fmt::Display for Names {
 #[macro_export]
 macro_rules! findings {
     ($(#[$doc:meta])* $name:ident $heading:literal { $(
-        $code:ident $title:literal, cause: $cause:literal, cure: $cure:literal {
+        $code:ident $title:literal, cause: $cause:literal, cure: $cure:literal
+            $(, asks: [$($input:ident),+ $(,)?])? {
             $( $variant:ident $({ $($field:ident: $type:ty),+ $(,)? })? => $sentence:literal $(, help: $help:literal)? ; )+
         }
     )+ }) => {
@@ -127,19 +242,28 @@ macro_rules! findings {
                     cause: $cause,
                     cure: $cure,
                     sentences: &[$($sentence),+],
+                    asks: &[$($($crate::diagnostic::Input::$input),+)?],
                 } ),+],
             };
         }
 
         impl $crate::diagnostic::Finding for $name {
             fn code(&self) -> $crate::diagnostic::FindingCode {
-                match self {
+                let code = match self {
                     $($( Self::$variant { .. } )|+ => $crate::diagnostic::FindingCode::new(stringify!($code)),)+
-                }
+                };
+                $crate::diagnostic::log_code(code);
+                code
             }
 
             fn values(&self) -> serde_json::Value {
                 serde_json::to_value(self).unwrap_or_default()
+            }
+
+            fn asks(&self) -> &'static [$crate::diagnostic::Input] {
+                match self {
+                    $($( Self::$variant { .. } )|+ => &[$($($crate::diagnostic::Input::$input),+)?],)+
+                }
             }
 
             #[allow(unused_variables)] // a help need not name all values
@@ -224,10 +348,7 @@ impl Diagnostic {
 
     /// A finding at the start of a byte range of `text`.
     pub fn span(file: &str, text: &str, span: Range<usize>, finding: impl Finding) -> Self {
-        let before = text.get(..span.start).unwrap_or(text);
-        let line = before.matches('\n').count() + 1;
-        let column = before.rsplit('\n').next().map_or(0, |tail| tail.chars().count()) + 1;
-        Self::position(file, text, line, column, finding)
+        Self::new(finding).at_span(file, text, span)
     }
 
     /// The finding, if it is one of the family `F`.
@@ -274,6 +395,16 @@ impl Diagnostic {
         self.excerpt.as_deref()
     }
 
+    /// The finding with its severity and its code: `warning[W0123]: FILE:LINE: ..`.
+    pub fn labelled(&self) -> String {
+        format!("{}[{}]: {self}", self.severity().label(), self.code())
+    }
+
+    /// The inputs of the request that the cure is about.
+    pub fn asks(&self) -> &'static [Input] {
+        self.finding.asks()
+    }
+
     /// What to do, in one line.
     pub fn help_line(&self) -> Option<String> {
         self.help.as_deref().map(str::to_owned).or_else(|| self.finding.help())
@@ -285,6 +416,12 @@ impl Diagnostic {
         Self { file: file.to_string(), ..self }
     }
 
+    /// The same finding in a line (from 1) of another file; the column is unknown.
+    #[must_use]
+    pub fn in_line_of(self, file: impl fmt::Display, line: usize) -> Self {
+        Self { line, ..self.in_file(file) }
+    }
+
     /// The same finding at a position (line and column from 1) of `text`; the line is printed.
     #[must_use]
     pub fn at(self, file: &str, text: &str, line: usize, column: usize) -> Self {
@@ -293,6 +430,15 @@ impl Diagnostic {
             Some(excerpt) => placed.in_line(excerpt, column),
             None => placed,
         }
+    }
+
+    /// The same finding at the start of a byte range of `text`.
+    #[must_use]
+    pub fn at_span(self, file: &str, text: &str, span: Range<usize>) -> Self {
+        let before = text.get(..span.start).unwrap_or(text);
+        let line = before.matches('\n').count() + 1;
+        let column = before.rsplit('\n').next().map_or(0, |tail| tail.chars().count()) + 1;
+        self.at(file, text, line, column)
     }
 
     /// Another finding at the same place.
@@ -367,34 +513,138 @@ impl std::error::Error for Diagnostic {}
 
 impl Serialize for Diagnostic {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        #[derive(Serialize)]
-        struct DiagnosticFields<'a> {
-            code: FindingCode,
-            severity: Severity,
-            text: String,
-            #[serde(skip_serializing_if = "str::is_empty")]
-            file: &'a str,
-            #[serde(skip_serializing_if = "Option::is_none")]
-            line: Option<usize>,
-            #[serde(skip_serializing_if = "Option::is_none")]
-            column: Option<usize>,
-            #[serde(skip_serializing_if = "Option::is_none")]
-            help: Option<String>,
-            #[serde(skip_serializing_if = "Value::is_null")]
-            values: Value,
+        FindingRecord::from(self).serialize(serializer)
+    }
+}
+
+/// A finding as files and other processes have it: its type is lost, its code and its values remain.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FindingRecord {
+    pub code: String,
+    pub severity: Severity,
+    /// The sentence, without place and help.
+    pub text: String,
+    /// The file as the user named it; empty if the finding concerns no file.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub file: String,
+    /// The line from 1; `None` if the finding concerns the whole file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub line: Option<usize>,
+    /// The column from 1, in characters; `None` if unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub column: Option<usize>,
+    /// What to do, in one line.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub help: Option<String>,
+    /// The values of the finding by name; null if it has none.
+    #[serde(default, skip_serializing_if = "Value::is_null")]
+    pub values: Value,
+}
+
+impl FindingRecord {
+    /// The finding with its severity and its code in one line: `warning[W0123]: FILE:LINE: ..`.
+    pub fn labelled(&self) -> String {
+        format!("{}[{}]: {self}", self.severity.label(), self.code)
+    }
+}
+
+impl fmt::Display for FindingRecord {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if !self.file.is_empty() {
+            write!(out, "{}:", self.file)?;
+            for number in self.line.into_iter().chain(self.column) {
+                write!(out, "{number}:")?;
+            }
+            write!(out, " ")?;
         }
+        write!(out, "{}", self.text)
+    }
+}
+
+impl From<&Diagnostic> for FindingRecord {
+    fn from(diagnostic: &Diagnostic) -> Self {
         let known = |number: usize| (number > 0).then_some(number);
-        let fields = DiagnosticFields {
-            code: self.code(),
-            severity: self.severity(),
-            text: self.message(),
-            file: &self.file,
-            line: known(self.line),
-            column: known(self.column),
-            help: self.help_line(),
-            values: self.values(),
-        };
-        fields.serialize(serializer)
+        Self {
+            code: diagnostic.code().as_str().into(),
+            severity: diagnostic.severity(),
+            text: diagnostic.message(),
+            file: diagnostic.file.clone(),
+            line: known(diagnostic.line),
+            column: known(diagnostic.column),
+            help: diagnostic.help_line(),
+            values: diagnostic.values(),
+        }
+    }
+}
+
+/// A finding of a result: typed while the result is in memory, a record once it was read from a file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(into = "FindingRecord", from = "FindingRecord")]
+pub enum RecordedFinding {
+    Made(Diagnostic),
+    Read(FindingRecord),
+}
+
+impl RecordedFinding {
+    /// The finding as it was made; `None` if it was read.
+    pub fn made(&self) -> Option<&Diagnostic> {
+        match self {
+            Self::Made(finding) => Some(finding),
+            Self::Read(_) => None,
+        }
+    }
+
+    pub fn code(&self) -> &str {
+        match self {
+            Self::Made(finding) => finding.code().as_str(),
+            Self::Read(finding) => &finding.code,
+        }
+    }
+
+    pub fn severity(&self) -> Severity {
+        match self {
+            Self::Made(finding) => finding.severity(),
+            Self::Read(finding) => finding.severity,
+        }
+    }
+
+    pub fn text(&self) -> String {
+        match self {
+            Self::Made(finding) => finding.message(),
+            Self::Read(finding) => finding.text.clone(),
+        }
+    }
+
+    /// The values by name; null if there are none.
+    pub fn values(&self) -> Value {
+        match self {
+            Self::Made(finding) => finding.values(),
+            Self::Read(finding) => finding.values.clone(),
+        }
+    }
+}
+
+impl From<Diagnostic> for RecordedFinding {
+    fn from(finding: Diagnostic) -> Self {
+        Self::Made(finding)
+    }
+}
+
+impl From<FindingRecord> for RecordedFinding {
+    fn from(finding: FindingRecord) -> Self {
+        Self::Read(finding)
+    }
+}
+
+impl From<RecordedFinding> for FindingRecord {
+    /// Without its place in the user's file, so that equal inputs give equal results wherever they are.
+    fn from(finding: RecordedFinding) -> Self {
+        match finding {
+            RecordedFinding::Made(finding) => {
+                Self { file: String::new(), line: None, column: None, help: None, ..(&finding).into() }
+            }
+            RecordedFinding::Read(record) => record,
+        }
     }
 }
 
@@ -442,6 +692,8 @@ mod tests {
         assert_eq!((diagnostic.code().as_str(), diagnostic.severity()), ("E9999", Severity::Error));
         let json = serde_json::to_value(&diagnostic).unwrap();
         assert_eq!((&json["line"], &json["values"]["column"]), (&1.into(), &"index".into()));
+        let read: FindingRecord = serde_json::from_value(json).unwrap();
+        assert_eq!(read, FindingRecord::from(&diagnostic));
         assert_eq!(diagnostic.help_line().as_deref(), Some("add index"));
     }
 

@@ -9,6 +9,8 @@ pub mod diagnostic;
 
 pub mod base;
 
+pub mod plausibility;
+
 pub mod math;
 
 pub mod provenance;
@@ -24,3 +26,10 @@ pub mod design;
 pub mod circular;
 
 pub mod conformity;
+
+// Tests name this crate as its users do.
+#[cfg(test)]
+extern crate self as dbbd_model;
+#[cfg(test)]
+#[allow(dead_code, reason = "crates above use the rest")]
+mod test_support;

@@ -7,17 +7,18 @@ findings! {
     ArchiveFinding "The archive" {
         E2401 "this program was built without the archive",
         cause: "`dbbd archive` needs a database and an object store, which are compiled in by the feature `archive` only.",
-        cure: "Install a package of dbbd, which has it, or build it: `cargo install --path . --locked --features archive`." {
-            NotBuilt => "this program was built without the archive", help: "build it with `--features archive`";
+        cure: "Install a package of dbbd, which has it, or build it with the feature `archive`." {
+            NotBuilt => "this program was built without the archive", help: "build it with the feature `archive`";
         }
         E2402 "an address of the archive is not valid",
         cause: "The archive is at `sqlite:FILE` or `postgres://USER@HOST/DATABASE`, its store at `file:DIRECTORY` or `s3://BUCKET/PREFIX`. The spool is a directory of its own.",
-        cure: "Give --archive and --store, or set DBBD_ARCHIVE and DBBD_STORE. docs/how-to/archive.md has examples." {
+        cure: "Give the archive and the store, or set DBBD_ARCHIVE and DBBD_STORE. docs/how-to/archive.md has examples.",
+        asks: [Archive, Store, Spool] {
             NoAddress { option: String, variable: String } => "{option} is missing", help: "give it, or set {variable}";
             OtherScheme { option: String, schemes: String } => "{option}: is none of {schemes}";
             NotAnAddress { option: String, why: String } => "{option}: {why}";
             NoPath { option: String } => "{option}: the path of a file or a directory is missing";
-            SpoolInStore => "--spool is the directory of the store, or in it", help: "give a directory of its own";
+            SpoolInStore => "the spool is the directory of the store, or in it", help: "give a directory of its own";
             OtherSslMode { mode: String } => "sslmode={mode}: is not supported", help: "verify-full, or disable on this computer and in a tunnel";
             NoRootCertificate => "an encrypted connection needs the certificate of its authority", help: "add sslrootcert=FILE to the address";
         }
@@ -31,7 +32,8 @@ findings! {
         }
         E2404 "the archive cannot be reached",
         cause: "The database or the store is down, the network is cut, the address is wrong, or the certificate is not that of the host.",
-        cure: "Try again. `push --spool DIR` keeps the run until the archive is back." {
+        cure: "Try again. A spool keeps the run until the archive is back.",
+        asks: [Spool] {
             NotReached { what: String, why: String } => "{what} cannot be reached: {why}";
         }
         E2405 "the database refuses",
@@ -47,11 +49,12 @@ findings! {
         }
         E2407 "the archive has another schema version",
         cause: "Nothing was initialised there yet, or another version of dbbd did it.",
-        cure: "`dbbd archive init` creates an archive or migrates an older one; a newer one needs a newer dbbd." {
+        cure: "`dbbd archive init` creates an archive or migrates an older one; a newer one needs a newer dbbd.",
+        asks: [Store] {
             NotInitialised => "there is no archive yet", help: "make it: `dbbd archive init`";
             Older { found: u64, needed: u64 } => "the archive has schema {found}; this version needs {needed}", help: "migrate it: `dbbd archive init`";
             Newer { found: u64, known: u64 } => "the archive has schema {found}; this version knows {known}", help: "use a newer version of dbbd";
-            StoreNotInitialised => "the store was not initialised", help: "is --store mistyped? Else initialise it: `dbbd archive init`";
+            StoreNotInitialised => "the store was not initialised", help: "is the store mistyped? Else initialise it: `dbbd archive init`";
             OtherForm { step: u64 } => "migration {step} of the archive was made by another program";
         }
         E2408 "an object is not what was stored",
@@ -76,9 +79,10 @@ findings! {
         }
         E2411 "a setting of a job is not valid",
         cause: "A value holds other characters than those of lists of names, names no prior or model, or the job was written by another program.",
-        cure: "Settings are those of `dbbd identify`: --prior, --estimate, --hold, --model." {
-            OtherValue { option: String, value: String, known: String } => "--{option}: `{value}` is none of {known}";
-            NotASetting { option: String, value: String } => "--{option}: `{value}` is not a list of names";
+        cure: "Settings are those of `dbbd identify`: prior, parameters that are estimated or fixed, model.",
+        asks: [Prior, Estimated, Fixed, Model] {
+            OtherValue { option: String, value: String, known: String } => "{option}: `{value}` is none of {known}";
+            NotASetting { option: String, value: String } => "{option}: `{value}` is not a list of names";
         }
         E2415 "there are no results to estimate a fleet from",
         cause: "No run of the selection was identified with the usual settings, none has a date, or a number in them is not finite.",
@@ -97,10 +101,11 @@ findings! {
         }
         E2418 "a selection of runs has invalid dates",
         cause: "A date is not written as YYYY-MM-DD, is in the future, or the selection ends before it begins.",
-        cure: "Dates are YYYY-MM-DD or YYYY-MM-DDThh:mm:ssZ, UTC: `--since 2026-01-01 --until 2026-02-01` is January." {
+        cure: "Dates are YYYY-MM-DD or YYYY-MM-DDThh:mm:ssZ, UTC: 2026-01-01 to 2026-02-01 is January.",
+        asks: [Since, Until] {
             NotAMoment { option: String, text: String } => "{option}: `{text}` is not a date", help: "YYYY-MM-DD";
-            InFuture { text: String } => "--since {text} is in the future";
-            EndsBefore { since: String, until: String } => "--until {until} is not after --since {since}";
+            InFuture { text: String } => "{text} is in the future";
+            EndsBefore { since: String, until: String } => "{until}, the end, is not after {since}";
         }
         E2430 "a request to a page of the plant is not valid",
         cause: "The address was typed, or a link is of another version: a field is unknown, or its value is none of those that it can have.",
@@ -118,13 +123,15 @@ findings! {
         }
         W2412 "a run waits in the spool",
         cause: "The archive could not be reached.",
-        cure: "The next `dbbd archive push` with the same --spool sends it. Nothing was deleted." {
+        cure: "The next `dbbd archive push` with the same spool sends it. Nothing was deleted.",
+        asks: [Spool] {
             Spooled { run: String, why: String } => "run {run} waits in the spool: {why}";
             SpoolWaits { runs: usize } => "{runs} runs wait in the spool";
         }
         W2419 "the archive has no run of this name",
         cause: "The name or serial number is mistyped, this role may not see its runs, or none was pushed.",
-        cure: "`dbbd archive list` shows the names; upper and lower case differ. `--search` finds parts of names." {
+        cure: "`dbbd archive list` shows the names; upper and lower case differ. A search finds parts of names.",
+        asks: [Search] {
             NoneOf { option: String, name: String } => "no run has {option} `{name}`";
         }
         I2420 "the selection holds no run",
@@ -156,7 +163,8 @@ findings! {
         }
         I2426 "a run does not state its robot",
         cause: "The job and the capture have no serial number of the robot.",
-        cure: "Give it in the table [identity] of the job, or with `dbbd acquire --identity`: robots of one type without serial numbers are one robot in the archive." {
+        cure: "Give it in the table [identity] of the job, or to `dbbd acquire`: robots of one type without serial numbers are one robot in the archive.",
+        asks: [Identity] {
             NoSerial { run: String, robot: String } => "run {run} has no serial number of its robot: it is stored as one of `{robot}`";
             NoRobot { run: String } => "run {run} states no robot";
         }

@@ -12,17 +12,17 @@ pub(super) fn progress_lines(
     schedule: &Schedule,
     mount: &mut MountDetector,
 ) -> String {
-    let Some(reading_mm) = progress.reading_mm.filter(|_| !progress.gone) else {
+    let Some(reading_mm) = progress.counts.reading_mm.filter(|_| !progress.counts.gone) else {
         return super::status(progress);
     };
     let poses = match schedule.poses() {
-        Some(poses) => format!("{} of {poses} poses", progress.dwells),
-        None => format!("{} dwells", progress.dwells),
+        Some(poses) => format!("{} of {poses} poses", progress.counts.dwells),
+        None => format!("{} dwells", progress.counts.dwells),
     };
-    let (elapsed_s, rate_hz) = (progress.elapsed_s, progress.rate_hz);
+    let (elapsed_s, rate_hz) = (progress.counts.elapsed_s, progress.counts.rate_hz);
     let below = format!("  {elapsed_s:.0} s, {poses}, {rate_hz:.0} Hz{}", super::losses(progress));
     let shown = format!("{reading_mm:+9.4} mm");
-    let (valid, dwells) = (progress.valid, progress.dwells);
+    let (valid, dwells) = (progress.valid, progress.counts.dwells);
     let alarm = mount.alarm(schedule, MountReading { t_s: elapsed_s, reading_mm, valid, dwells });
     if alarm.is_none() {
         return format!("{shown}  no bar mounted: reading invalid\n{below}");
@@ -54,6 +54,7 @@ pub(super) fn progress_lines(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::live::RunCounts;
 
     #[test]
     fn gauge_shows_the_reading() {
@@ -62,8 +63,8 @@ mod tests {
         let mut elapsed_s = 0.0;
         let mut at = |mm: f64| {
             elapsed_s += 1.0;
-            let progress =
-                RunProgress { reading_mm: Some(mm), valid: true, elapsed_s, ..RunProgress::default() };
+            let counts = RunCounts { reading_mm: Some(mm), elapsed_s, ..RunCounts::default() };
+            let progress = RunProgress { counts, valid: true, ..RunProgress::default() };
             progress_lines(&progress, &schedule, &mut mount)
         };
         assert!(at(-1.2).contains("no bar mounted: reading invalid"));

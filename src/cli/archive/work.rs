@@ -1,10 +1,10 @@
-//! Workers of the archive. Each job is `dbbd identify` as a child process.
+//! Workers of the archive. Each job is a request that a child process computes.
 
 use dbbd_model::base::InternalFinding;
 use dbbd_model::base::text::unreadable;
 use std::fs;
 use std::path::Path;
-use std::process::{ExitStatus, Stdio};
+use std::process::Stdio;
 use std::time::Duration;
 
 use serde_json::json;
@@ -12,11 +12,11 @@ use serde_json::json;
 use crate::cli::{CommandOutcome, CommandOutput};
 use dbbd_device::clock;
 use dbbd_job::artefact::VERSION;
-use dbbd_job::child_process;
 use dbbd_job::files;
 use dbbd_job::recording::run;
-use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::ResultFile;
+use dbbd_job::request::{AnswerRecord, AnswerResult, RequestChild, RequestResult, read_answer};
+use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::estimation::priors::Priors;
 use dbbd_model::robot::Robot;
 use dbbd_plant::ArchiveFinding;
@@ -36,8 +36,8 @@ const PATIENCE_S: f64 = 60.0;
 /// The files of a result that are stored.
 const KEPT: [&str; 4] = ["result.json", "report.html", "robot-identified.toml", "lengths.csv"];
 
-/// The file with the stderr of an identification.
-const STDERR: &str = "stderr";
+/// The file with the answer of the child process.
+const ANSWER: &str = "answer.json";
 /// Files by name.
 type FileContents = Vec<(String, Vec<u8>)>;
 
@@ -117,24 +117,17 @@ fn do_job(
         }
         fetched => fetched?,
     }
-    let status = identify(archive, job, worker, directory.path())?;
-    match status.code() {
-        Some(code @ (0 | 3)) => {
-            let (summary, contents) = read_result(&directory.path().join("result"), code == 3)?;
+    let Some(answer) = identify(archive, job, worker, directory.path())? else {
+        // The child was killed: the job stays claimed until the lease ends.
+        return Ok(false);
+    };
+    match answer.result {
+        AnswerResult::Result(RequestResult { outcome, .. }) => {
+            let (summary, contents) = read_result(&directory.path().join("result"), outcome.is_doubtful())?;
             patiently(archive, out, |archive| archive.finish(job, worker, &summary, &contents))?;
             Ok(true)
         }
-        code => {
-            let stderr = fs::read(directory.path().join(STDERR)).unwrap_or_default();
-            let text = String::from_utf8_lossy(&stderr);
-            let error = text.lines().find_map(|line| line.strip_prefix("error[")?.split_once("]: "));
-            match (error, code) {
-                (Some((code, message)), _) => failed(archive, job, code, message, out),
-                (None, Some(_)) => failed(archive, job, "E2411", text.trim(), out),
-                // Killed: the job stays claimed until the lease ends.
-                (None, None) => Ok(false),
-            }
-        }
+        AnswerResult::Refusal(refusal) => failed(archive, job, &refusal.code, &refusal.to_string(), out),
     }
 }
 
@@ -149,23 +142,34 @@ fn failed(
     Ok(false)
 }
 
-/// Identifies the capture in `directory`, and renews the lease meanwhile.
+/// Identifies the capture in `directory` in a child process, and renews the lease meanwhile. Returns its answer; `None` if it
+/// was killed.
 fn identify(
     archive: &mut Archive,
     job: &ClaimedJob,
     worker: &Worker,
     directory: &Path,
-) -> Result<ExitStatus, Diagnostic> {
-    let mut command = child_process::own().map_err(system)?;
-    command.args(["identify", "run.dbbd", "--out=result", "--quiet"]).args(job.settings.arguments());
-    let log = fs::File::create(directory.join(STDERR)).map_err(system)?;
-    command.current_dir(directory).stdout(Stdio::null()).stderr(log);
-    let mut child = command.spawn().map_err(system)?;
+) -> Result<Option<AnswerRecord>, Diagnostic> {
+    let request = job.settings.request(Path::new("run.dbbd"), Path::new("result"));
+    let answer = fs::File::create(directory.join(ANSWER)).map_err(system)?;
+    let RequestChild { mut child, stdin: _stdin } = RequestChild::start(&request, |command| {
+        command.current_dir(directory).stdout(answer).stderr(Stdio::null());
+    })
+    .map_err(system)?;
     let third_s = worker.lease.as_secs_f64() / 3.0;
     let mut kept = clock::now();
     loop {
         if let Some(status) = child.try_wait().map_err(system)? {
-            return Ok(status);
+            let answer = read_answer(&files::read_text(&directory.join(ANSWER))?);
+            return Ok(match (answer, status.code()) {
+                (Some(answer), _) => Some(answer),
+                (None, None) => None,
+                (None, Some(_)) => {
+                    let ended = Diagnostic::new(system(std::io::Error::other(status.to_string())));
+                    let result = AnswerResult::Refusal(FindingRecord::from(&ended));
+                    Some(AnswerRecord { findings: Vec::new(), result })
+                }
+            });
         }
         if clock::now().seconds_since(kept) > third_s {
             kept = clock::now();
@@ -204,17 +208,17 @@ fn read_result(result: &Path, doubtful: bool) -> Result<(ResultSummary, FileCont
             contents.push((name.to_owned(), fs::read(&path).map_err(unreadable(path.display()))?));
         }
     }
-    let file = ResultFile::from_json("result.json", &files::read_text(&result.join("result.json"))?)?;
+    let file = CalibrationResult::from_json("result.json", &files::read_text(&result.join("result.json"))?)?;
     let covariance = files::read_text(&result.join("covariance.csv"))?;
     let posterior = WrittenPosterior::of(&file, &covariance, &priors(result)?);
     let summary = ResultSummary {
         doubtful,
-        lengths: file.observations as u64,
-        sigma_mm: Some(file.sigma_mm),
+        lengths: file.measurements as u64,
+        sigma_mm: Some(file.noise_mm.length),
         rms_before_mm: Some(file.residual_mm.before.rms),
         rms_after_mm: Some(file.residual_mm.after.rms),
-        error_nominal_mm: Some(file.predicted_position_error_mm.nominal.mean),
-        error_identified_mm: Some(file.predicted_position_error_mm.identified.mean),
+        error_nominal_mm: Some(file.predicted_position_uncertainty_mm.nominal.mean),
+        error_identified_mm: Some(file.predicted_position_uncertainty_mm.identified.mean),
         posterior: posterior.map(|posterior| posterior.write()),
     };
     Ok((summary, contents))

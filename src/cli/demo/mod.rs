@@ -9,7 +9,7 @@ use super::{CommandOutcome, CommandOutput};
 use dbbd_job::files;
 use dbbd_model::base::hash::sha256;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::ResultFile;
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::robot::Robot;
 
 /// The job of the demo, shipped as `examples/demo.toml`.
@@ -52,7 +52,7 @@ pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome
     steps.run(&[&inputs[..], &["--out", "result", "--prior", "datasheet"]].concat())?;
 
     let path = dir.join("result/result.json");
-    let result = ResultFile::from_json(&path.display().to_string(), &files::read_text(&path)?)?;
+    let result = CalibrationResult::from_json(&path.display().to_string(), &files::read_text(&path)?)?;
     let path = dir.join("result/robot-identified.toml");
     let identified = Robot::from_toml(&path.display().to_string(), &files::read_text(&path)?)?;
     let comparison = truth.compare(&result, &identified)?;

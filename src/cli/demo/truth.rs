@@ -10,15 +10,15 @@ use serde::Serialize;
 
 use dbbd_job::files;
 use dbbd_job::plan::Job;
+use dbbd_job::robot_files::named_robot;
 use dbbd_job::sim::truth;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::ResultFile;
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::estimation::Workspace;
-use dbbd_model::estimation::result::{Residual, Status};
-use dbbd_model::estimation::result_file::ParameterResult;
+use dbbd_model::estimation::result::{ParameterResult, Residual, Status};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::{BaseBall, LengthModel};
-use dbbd_model::robot::{Geometry, ParamId, Robot};
+use dbbd_model::robot::{Geometry, ParamId, ParamUnit, Robot};
 
 /// The standard deviation of the true places of the base balls about the plan's, mm.
 const CENTRE_MM: f64 = 0.5;
@@ -46,8 +46,8 @@ pub(super) struct TruthComparison {
 
 #[derive(Debug, Serialize)]
 struct ComparedParameter {
-    name: String,
-    unit: String,
+    name: ParamId,
+    unit: ParamUnit,
     /// True deviation from nominal of the parameter and of those that depend on it linearly.
     true_correction: f64,
     correction: f64,
@@ -57,7 +57,7 @@ struct ComparedParameter {
 impl Truth {
     /// Draws the true robot and the true places of the balls. Writes `truth.toml` and `world.toml`.
     pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Diagnostic> {
-        let nominal = Robot::named("kr60ha", |_| None)?.robot;
+        let nominal = named_robot("kr60ha")?.robot;
         let robot = truth::draw_true_robot(&nominal, seed, 1.0);
         let job = Job::from_toml("job.toml", super::JOB)?;
         let path = dir.join("plan/centres.csv");
@@ -79,7 +79,7 @@ impl Truth {
 
     pub(super) fn compare(
         &self,
-        result: &ResultFile,
+        result: &CalibrationResult,
         identified: &Robot,
     ) -> Result<TruthComparison, Diagnostic> {
         let nominal = identified.nominal.as_deref().unwrap_or(identified);
@@ -98,7 +98,7 @@ impl Truth {
             parameters: result
                 .parameters
                 .iter()
-                .filter(|parameter| matches!(parameter.status, Status::Identified | Status::Prior))
+                .filter(|parameter| matches!(parameter.status, Status::Identified | Status::SupportedByPrior))
                 .filter_map(|parameter| compared(parameter, result, &model))
                 .collect(),
             residual_before_mm: result.residual_mm.before,
@@ -111,23 +111,17 @@ impl Truth {
 
 fn compared(
     parameter: &ParameterResult,
-    result: &ResultFile,
+    result: &CalibrationResult,
     truth: &LengthModel,
 ) -> Option<ComparedParameter> {
-    let deviation = |name: &str| -> Option<f64> {
-        let id: ParamId = name.parse().ok()?;
-        let nominal = result.parameters.iter().find(|other| other.name == name)?.nominal;
-        Some(truth.value(id) - nominal)
-    };
-    let true_correction = match result.dependent.iter().find(|group| group.kept == parameter.name) {
-        Some(group) => {
-            group.combination.iter().filter_map(|(name, share)| Some(share * deviation(name)?)).sum()
-        }
-        None => deviation(&parameter.name)?,
+    let deviation = |id: ParamId| Some(truth.value(id) - result.parameter(id)?.nominal);
+    let true_correction = match result.combinations.iter().find(|group| group.kept == parameter.name) {
+        Some(group) => group.members.iter().filter_map(|(id, share)| Some(share * deviation(*id)?)).sum(),
+        None => deviation(parameter.name)?,
     };
     Some(ComparedParameter {
-        name: parameter.name.clone(),
-        unit: parameter.unit.clone(),
+        name: parameter.name,
+        unit: parameter.unit,
         true_correction,
         correction: parameter.correction,
         sd: parameter.sd?,
@@ -146,10 +140,11 @@ impl TruthComparison {
             ),
         ];
         for row in &self.parameters {
-            let (factor, unit) = if row.unit == "rad" { (1e3, "mrad") } else { (1.0, row.unit.as_str()) };
+            let (factor, unit) =
+                if row.unit == ParamUnit::Rad { (1e3, "mrad") } else { (1.0, row.unit.name()) };
             lines.push(format!(
                 "{:>12} {:>10.4} {:>10.4} {:>10.4} {:>8.4} {unit}",
-                row.name,
+                row.name.to_string(),
                 row.true_correction * factor,
                 row.correction * factor,
                 (row.correction - row.true_correction) * factor,

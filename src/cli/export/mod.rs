@@ -14,6 +14,7 @@ use dbbd_job::recording::capture::CaptureSummary;
 use dbbd_job::recording::run;
 use dbbd_job::report::ReportFinding;
 use dbbd_job::report::export::mcap::{CHANNELS, McapFile};
+use dbbd_job::robot_files::named_robot;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Robot;
 use tables::{CaptureTables, WrittenTable};
@@ -87,11 +88,11 @@ pub(crate) fn run(args: &ExportArgs, out: &CommandOutput) -> Result<CommandOutco
 fn check_kind(args: &ExportArgs) -> Result<(), Diagnostic> {
     let name = args.run.to_string_lossy();
     let is_capture = args.run.is_file() && run::is_capture(&args.run)?;
+    let is_named = Robot::built_in_file(&name).is_some() || args.run.is_file();
+    let is_robot = || is_named && named_robot(&name).is_ok();
     let finding = match &args.urdf_in {
         Some(_) if is_capture => ReportFinding::CaptureIntoUrdf,
-        None if !is_capture && Robot::named(&name, files::read_if_file).is_ok() => {
-            ReportFinding::RobotWithoutUrdf
-        }
+        None if !is_capture && is_robot() => ReportFinding::RobotWithoutUrdf,
         _ => return Ok(()),
     };
     Err(Diagnostic::file(&name, finding))

@@ -97,10 +97,8 @@ impl CaptureTables {
             CaptureRecord::Fault(json) => {
                 let fault: LineFault =
                     serde_json::from_slice(json).map_err(|error| self.faults.wrong(&error))?;
-                let word = match &fault.kind {
-                    LineFaultKind::Reject(word) => word.clone(),
-                    _ => String::new(),
-                };
+                let word =
+                    if let LineFaultKind::Reject(word) = &fault.kind { word.clone() } else { String::new() };
                 let kind = info::fault_word(&fault.kind).to_owned();
                 let numbers = [fault.offset, fault.bytes, fault.count].map(|number| number.to_string());
                 let [offset, bytes, count] = numbers;

@@ -1,33 +1,14 @@
 //! `dbbd identify`.
 
-mod given;
-mod inputs;
 mod say;
-mod tables;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use serde::Serialize;
-
-use super::{CommandOutcome, CommandOutput, artefact, value};
-use dbbd_device::clock;
-use dbbd_job::files;
-use dbbd_model::base::date;
-use dbbd_model::conformity::UncertaintyBudget;
-use dbbd_model::design::{Calibrated, calibrate_run};
-use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::EstimationFinding;
-use dbbd_model::estimation::{ErrorModel, Input, Options, Prior, ResultFile};
-use dbbd_model::measurement::{LengthModel, Measurements};
-use dbbd_model::provenance::{ArtefactRole, Provenance};
-use dbbd_model::robot::parameter::{self, SetUpCounts};
-pub(crate) use given::{LoadedInputs, NamedInputs};
-use inputs::read_prior;
-pub(crate) use inputs::{lengths, measurements, read_workspace};
-pub(crate) use tables::{LENGTHS, POSITIONS, ROBOT};
-
-/// How often a capture is matched again with the identified robot.
-const MATCHINGS: usize = 5;
+use super::value;
+use dbbd_job::request::Request;
+use dbbd_job::request::identify::{IdentifyRequest, RequestedPrior};
+use dbbd_model::estimation::ErrorModel;
+pub(super) use say::show;
 
 /// Identify the robot's parameters from lengths or positions, and report which of them are identifiable.
 ///
@@ -119,130 +100,28 @@ enum ErrorModelChoice {
     Geometric,
 }
 
-pub(crate) fn run(args: &IdentifyArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
-    let inputs = || [&args.input].into_iter().chain(&args.positions).map(PathBuf::as_path);
-    files::keeps(&args.out.join(LENGTHS), inputs())?;
-    files::keeps(&args.out.join(POSITIONS), inputs())?;
-    files::keeps(&args.out.join(ROBOT), args.robot.as_deref().map(Path::new))?;
-    let mut given = read_inputs(args, out)?;
-    let set_up = given.observations.set_up(given.centres.len());
-    let options = options(args, &mut given, set_up, out)?;
-    let validation = args.validate.as_deref().map(|path| given.validation(path, out)).transpose()?;
-    let busy = out.busy(&format!("identifying from {} measurements", given.observations.count()), None);
-    out.done(20);
-    // If nothing can be computed, the findings about the inputs may say why.
-    let mut calibrated =
-        calibrate(&given, validation.as_ref(), &options).inspect_err(|_| out.findings(given.findings()))?;
-    out.done(60);
-    for _ in 0..MATCHINGS {
-        if !given.match_again(&calibrated.result) {
-            break;
-        }
-        calibrated = calibrate(&given, validation.as_ref(), &options)?;
-    }
-    out.done(90);
-    drop(busy);
-    let Calibrated { result, observations } = calibrated;
-    let observations = observations.unwrap_or(given.observations);
-    let budget = UncertaintyBudget::of(&result, &observations, given.bar_u_mm, &given.provenance.identity);
-    let provenance = tables::write_results(&args.out, &result, &observations, given.provenance, &budget)?;
-    // The document has the findings as its warnings: it is printed before they are reported.
-    out.document(&ResultDocument {
-        result: &ResultFile::from(&result),
-        budget: &budget,
-        provenance: &provenance,
-    })?;
-    say::say(out, &result, &args.out);
-    Ok(if result.is_doubtful() { CommandOutcome::Doubt } else { CommandOutcome::Done })
-}
-
-/// Reads the inputs, and completes their provenance and identity.
-fn read_inputs(args: &IdentifyArgs, out: &CommandOutput) -> Result<LoadedInputs, Diagnostic> {
-    let named = NamedInputs {
-        input: &args.input,
-        positions: args.positions.as_deref(),
-        robot: args.robot.as_deref(),
-        tool: args.tool,
-        centres: args.centres.as_deref(),
-        bar_u: args.bar_u,
-    };
-    let mut given = LoadedInputs::read(named, out)?;
-    let balls = given.centres.len();
-    if let Some(file) =
-        args.prior.as_deref().filter(|prior| !["none", "datasheet", "posterior"].contains(prior))
-    {
-        given.provenance.add(&dbbd_job::artefact::of_file(ArtefactRole::Prior, Path::new(file))?);
-    }
-    let identity = &mut given.provenance.identity;
-    if let Some(path) = &args.identity {
-        let stated = artefact::identity(path)?;
-        out.findings(artefact::other_run(identity, balls, &stated));
-        identity.extend(&stated);
-    }
-    out.findings(identity.old_certificate(&date::utc(clock::unix_ns())));
-    let earlier = args.out.join(tables::RESULT);
-    artefact::check_replaced(&earlier, Some(&given.robot.name), &given.provenance)?;
-    Ok(given)
-}
-
-/// `result.json`.
-#[derive(Serialize)]
-struct ResultDocument<'a> {
-    #[serde(flatten)]
-    result: &'a ResultFile,
-    budget: &'a UncertaintyBudget,
-    provenance: &'a Provenance,
-}
-
-fn calibrate(
-    given: &LoadedInputs,
-    validation: Option<&Measurements>,
-    options: &Options,
-) -> Result<Calibrated, Diagnostic> {
-    let LoadedInputs { robot, centres, observations, axes, .. } = given;
-    let start = &LengthModel::before(robot.geometry.clone(), centres, observations);
-    let input = Input { robot, observations, start, validation, options, axes: *axes };
-    Ok(calibrate_run(&input, given.findings())?)
-}
-
-fn options(
-    args: &IdentifyArgs,
-    given: &mut LoadedInputs,
-    set_up: SetUpCounts,
-    out: &CommandOutput,
-) -> Result<Options, Diagnostic> {
-    let prior = match args.prior.as_deref() {
-        None => given.default_prior(args.robot.as_deref(), out)?,
-        Some("none") => Prior::None,
-        Some("datasheet") => Prior::Datasheet,
-        Some("posterior") => match given.default_prior(args.robot.as_deref(), out)? {
-            Prior::Posterior => Prior::Posterior,
-            _ => return Err(EstimationFinding::NoPosterior.into()),
-        },
-        Some(file) => Prior::Given(out.table(Path::new(file), |table| read_prior(table, set_up))?),
-    };
-    // A doubtful earlier identification matters only if it is the prior.
-    out.findings(given.robot.doubtful().filter(|_| matches!(prior, Prior::Posterior)));
-    let betas = given.robot.parallel_joints();
-    let list = |text: &Option<String>| {
-        text.as_deref().map(|text| parameter::parse_list(text, &betas, set_up)).transpose()
-    };
-    let workspace = args.workspace.as_deref();
-    let workspace = workspace.map(|path| read_workspace(path, &given.robot, out)).transpose()?;
-    let options = Options {
-        estimate: list(&args.estimate)?,
-        hold: list(&args.hold)?.unwrap_or_default(),
+/// What the arguments ask for.
+pub(super) fn request(args: &IdentifyArgs) -> Request {
+    Request::Identify(IdentifyRequest {
+        input: args.input.clone(),
+        out: args.out.clone(),
+        robot: args.robot.clone(),
+        estimate: args.estimate.clone(),
+        hold: args.hold.clone(),
+        positions: args.positions.clone(),
+        centres: args.centres.clone(),
+        tool_mm: args.tool,
         sigma_mm: args.sigma,
-        monte_carlo: args.monte_carlo.map(|trials| trials as usize),
-        prior,
-        model: match args.model {
-            ErrorModelChoice::Joints if args.prior.as_deref() != Some("none") => ErrorModel::Joints,
-            _ => ErrorModel::Geometric,
-        },
+        bar_u_mm: args.bar_u,
+        validate: args.validate.clone(),
         folds: args.folds,
-        workspace,
-        bar_u_mm: given.bar_u_mm,
-    };
-    options.check(given.observations.rows.len())?;
-    Ok(options)
+        prior: args.prior.as_deref().map(RequestedPrior::named),
+        model: match args.model {
+            ErrorModelChoice::Joints => ErrorModel::Joints,
+            ErrorModelChoice::Geometric => ErrorModel::Geometric,
+        },
+        monte_carlo: args.monte_carlo.map(|trials| trials as usize),
+        identity: args.identity.clone(),
+        workspace: args.workspace.clone(),
+    })
 }

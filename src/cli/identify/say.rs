@@ -3,20 +3,21 @@
 use std::path::Path;
 
 use crate::cli::{CommandOutput, output};
-use dbbd_model::estimation::result::{CalibrationResult, SigmaSource, Status};
-use dbbd_model::estimation::{Combination, is_place, wording};
+use dbbd_model::estimation::result::{SigmaSource, Status};
+use dbbd_model::estimation::{CalibrationResult, Combination, CompletedCalibration, is_place, wording};
 
 /// The largest number of recommendations. More are in the report.
 const RECOMMENDATIONS: usize = 2;
 
-pub(super) fn say(out: &CommandOutput, result: &CalibrationResult, dir: &Path) {
+pub(in crate::cli) fn show(out: &CommandOutput, calibration: &CompletedCalibration, dir: &Path) {
+    let result = &calibration.result;
     for lines in [fit(result), choices(result), position(result), parameters(result)] {
         lines.into_iter().for_each(|line| out.result(line));
     }
     for recommendation in result.recommendations.iter().filter(|one| one.adds).take(RECOMMENDATIONS) {
         out.result(format!("next: {recommendation}"));
     }
-    out.findings(result.diagnostics());
+    out.findings(calibration.diagnostics());
     out.result(format!("results in {}", dir.display()));
 }
 
@@ -25,12 +26,7 @@ fn fit(result: &CalibrationResult) -> Vec<String> {
     let mut lines = vec![
         format!(
             "{}: {}, rank {} of the parameters asked for, condition {:.0}, {} steps; before is {}",
-            result.robot.name,
-            result.made_from,
-            result.rank.nominal,
-            result.rank.condition,
-            result.solver.iterations,
-            result.start
+            result.robot, result.made_from, result.rank, result.condition, result.iterations, result.start
         ),
         format!(
             "residual rms {} -> {}, largest {} -> {}, sigma {} ({})",
@@ -38,8 +34,8 @@ fn fit(result: &CalibrationResult) -> Vec<String> {
             mm(residual.after.rms),
             mm(residual.before.max),
             mm(residual.after.max),
-            mm(result.sigma.mm),
-            source(result.sigma.source)
+            mm(result.noise_mm.length),
+            source(result.sigma_source)
         ),
     ];
     if let Some(folds) = &result.folds {
@@ -55,13 +51,13 @@ fn fit(result: &CalibrationResult) -> Vec<String> {
 /// Errors of the joints, Monte Carlo.
 fn choices(result: &CalibrationResult) -> Vec<String> {
     let mut lines = Vec::new();
-    if let Some(joints) = &result.joints {
+    if let Some((joints, pose_mm)) = result.joint_errors.as_ref().zip(result.noise_mm.pose) {
         lines.push(format!(
             "errors of the joints: the logarithm of the evidence rises by {:.0}; a pose repeats to {} in each direction",
             joints.gain,
-            mm(joints.pose_mm)
+            mm(pose_mm)
         ));
-        lines.extend(joints.groups.iter().map(|group| format!("  {group}")));
+        lines.extend(result.groups.iter().map(|group| format!("  {group}")));
     }
     if let Some(drawn) = &result.monte_carlo {
         let names: Vec<String> = drawn.disagree.iter().map(ToString::to_string).collect();
@@ -79,7 +75,7 @@ fn choices(result: &CalibrationResult) -> Vec<String> {
 
 fn position(result: &CalibrationResult) -> Vec<String> {
     let mut lines: Vec<String> = result.observability.iter().map(output::observability).collect();
-    let predicted = &result.predicted;
+    let predicted = &result.predicted_position_uncertainty_mm;
     lines.push(format!(
         "predicted position error over the workspace: mean {} -> {}, 95 % {} -> {}",
         mm(predicted.nominal.mean),
@@ -97,7 +93,7 @@ fn parameters(result: &CalibrationResult) -> Vec<String> {
     let mut lines = vec![format!(
         "{} identified, {} with the prior's help, {} dependent, {} poorly observable, {} fixed",
         result.count(Status::Identified),
-        result.count(Status::Prior),
+        result.count(Status::SupportedByPrior),
         result.count(Status::Dependent),
         result.count(Status::PoorlyObservable),
         result.count(Status::Fixed)
@@ -112,7 +108,7 @@ fn parameters(result: &CalibrationResult) -> Vec<String> {
     if !absorbed.is_empty() {
         lines.push(format!("  linearly dependent on the places of the balls: {}", absorbed.join(", ")));
     }
-    if let Some((worst, others)) = result.correlations.split_first() {
+    if let Some((worst, others)) = result.correlated.split_first() {
         let [one, other] = worst.pair;
         let more = if others.is_empty() { "" } else { ", and others in result.json" };
         lines.push(format!("  nearly collinear: {one} and {other}, correlation {:.3}{more}", worst.r));

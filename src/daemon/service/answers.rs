@@ -8,7 +8,7 @@ use tokio::sync::{broadcast, watch};
 
 use super::begin::ReadPurpose;
 use super::log::LogLevel;
-use super::state::{ActiveRun, LineUse, Supervisor};
+use super::{ActiveRun, LineUse, Supervisor};
 use super::{catalogue, jobs, runs};
 use crate::daemon::session;
 use crate::live::ServiceFinding::{
@@ -152,7 +152,7 @@ impl Service for Supervisor {
             return Err(NoZeroCommand { protocol: definition.id }.into());
         }
         let ActiveRun { plan, line, acquisition, stop, .. } = running;
-        let before_mm = acquisition.progress().reading_mm;
+        let before_mm = acquisition.progress().counts.reading_mm;
         stop.store(true, Ordering::Relaxed);
         let zeroed = acquisition.join().and_then(|_| Ok(session::zero_bar(&line.port, &definition)?));
         self.release_line(self.open(ReadPurpose::Reading { plan }, line).map(Some))?;
@@ -240,9 +240,9 @@ impl Service for Supervisor {
         if self.running().as_ref() == Some(&request.run) {
             return Err(ThisRunIsOn { run: request.run }.into());
         }
-        let args = jobs::arguments(&request)?;
+        let work = jobs::work_of(&request)?;
         let directory = runs::evaluable(&self.config.data, &request.run, request.kind)?;
-        let job = self.jobs.submit(request, args, directory)?;
+        let job = self.jobs.submit(request, work, directory)?;
         let fields: &[(&str, &dyn Display)] =
             &[("job", &job.id), ("kind", &job.kind.name()), ("run", &job.run)];
         self.log.event(LogLevel::Info, "job_taken", fields);

@@ -1,24 +1,25 @@
 //! Completed runs go to the archive: `dbbd archive push` as a child process, one run at a time.
 
 use std::fs;
-use std::io::{self, Read as _};
+use std::io;
 use std::path::{Path, absolute};
 use std::process::Stdio;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
+use serde::Deserialize;
+
 use super::config::ArchiveTarget;
 use super::log::LogLevel;
-use super::state::{LineUse, Supervisor};
+use super::{LineUse, Supervisor};
 use super::{jobs, runs};
 use crate::live::Archiving;
 use dbbd_device::sync::lock;
 use dbbd_job::child_process;
 use dbbd_job::files;
 use dbbd_model::base::hash::sha256;
-use dbbd_model::diagnostic::Finding as _;
-use dbbd_plant::ArchiveFinding;
+use dbbd_model::diagnostic::{FindingRecord, Severity};
 use dbbd_plant::{LocalRun, Secrets, Spool};
 
 /// File beside a run with the hash of the state that was handed over. It is not pushed.
@@ -154,28 +155,38 @@ fn hand_over(archive: &ArchiveTarget, directory: &Path) -> io::Result<Option<Pus
 /// Pushes the runs in the spool, and this run.
 fn push(archive: &ArchiveTarget, run: Option<&Path>) -> io::Result<PushAttempt> {
     let mut command = child_process::own()?;
-    command.args(["archive", "push"]).args(run.map(absolute).transpose()?);
+    command.args(["archive", "push", "--json"]).args(run.map(absolute).transpose()?);
     command.arg("--spool").arg(absolute(&archive.spool)?);
     command.arg(format!("--archive={}", archive.database)).arg(format!("--store={}", archive.store));
     if !archive.base.as_os_str().is_empty() {
         command.current_dir(&archive.base);
     }
-    command.envs(Secrets::variables()).env("NO_COLOR", "1").stdout(Stdio::null()).stderr(Stdio::piped());
+    command.envs(Secrets::variables()).stdout(Stdio::piped()).stderr(Stdio::null());
     let mut child = command.spawn()?;
     jobs::prefer_for_oom_kill(&child);
-    let _kept = child.stdin.take();
-    let mut said = Vec::new();
-    if let Some(mut stderr) = child.stderr.take() {
-        stderr.read_to_end(&mut said)?;
-    }
-    let said = String::from_utf8_lossy(&said);
-    let first = |label: &str| said.lines().find(|line| line.starts_with(label)).map(str::to_owned);
-    let spooled = ArchiveFinding::SpoolWaits { runs: 0 }.code();
-    let (waits, doubt) = (first(&format!("warning[{spooled}]")), first("warning["));
-    Ok(match (child.wait()?.code(), waits) {
-        (Some(0), _) => PushAttempt::Confirmed(None),
-        (Some(3), None) => PushAttempt::Confirmed(doubt),
-        (Some(3), Some(why)) => PushAttempt::Waits(why),
-        _ => PushAttempt::Failed(first("error[").or(doubt).unwrap_or_else(|| said.trim().to_owned())),
+    let _stdin = child.stdin.take();
+    let report = child.stdout.take().map(io::read_to_string).transpose()?.unwrap_or_default();
+    let status = child.wait()?;
+    let PushReport { findings, error } = serde_json::from_str(&report).unwrap_or_default();
+    let mut warnings = findings.iter().filter(|finding| finding.severity == Severity::Warning);
+    Ok(match status.code() {
+        Some(0) => PushAttempt::Confirmed(None),
+        // What waits is reported last.
+        Some(3) if Spool::count(&archive.spool).map_err(io::Error::other)? > 0 => {
+            PushAttempt::Waits(warnings.next_back().map(FindingRecord::labelled).unwrap_or_default())
+        }
+        Some(3) => PushAttempt::Confirmed(warnings.next().map(FindingRecord::labelled)),
+        _ => {
+            let why = error.as_ref().or(warnings.next()).map(FindingRecord::labelled);
+            PushAttempt::Failed(why.unwrap_or_else(|| status.to_string()))
+        }
     })
+}
+
+/// What the service reads of the document that `archive push` prints.
+#[derive(Default, Deserialize)]
+struct PushReport {
+    #[serde(default)]
+    findings: Vec<FindingRecord>,
+    error: Option<FindingRecord>,
 }

@@ -9,7 +9,7 @@ use std::sync::atomic::AtomicBool;
 use serde_json::json;
 
 use super::log::LogLevel;
-use super::state::{ActiveRun, HaltBehaviour, LineUse, Supervisor, UnopenedLine};
+use super::{ActiveRun, HaltBehaviour, LineUse, Supervisor, UnopenedLine};
 use super::{catalogue, runs};
 use crate::daemon::live_state::{LiveFeed, LiveRun};
 use crate::daemon::{Acquisition, AcquisitionOptions, ControllerConnections, Schedule};
@@ -177,9 +177,12 @@ impl Supervisor {
         let unwritable = |error: io::Error| DataUnwritable { why: error.to_string() };
         fs::create_dir_all(&self.config.data).map_err(unwritable)?;
         let directory = runs::directory(&self.config.data, name)?;
-        fs::create_dir(&directory).map_err(|error| match error.kind() {
-            io::ErrorKind::AlreadyExists => NameTaken { run: name.into() },
-            _ => unwritable(error),
+        fs::create_dir(&directory).map_err(|error| {
+            if error.kind() == io::ErrorKind::AlreadyExists {
+                NameTaken { run: name.into() }
+            } else {
+                unwritable(error)
+            }
         })?;
         Ok(directory)
     }

@@ -20,6 +20,7 @@ use dbbd_device::port::PortAddress;
 use dbbd_device::port::PortFinding;
 use dbbd_device::protocol::ProtocolDefinition;
 use dbbd_job::files;
+use dbbd_model::base::fixed_array::FixedArray;
 use dbbd_model::base::parse::from_toml;
 use dbbd_model::diagnostic::{Diagnostic, Finding};
 use dbbd_model::provenance::Identity;
@@ -108,7 +109,7 @@ struct DeviceTable {
 #[serde(deny_unknown_fields, default)]
 struct AlarmTable {
     share: Option<Spanned<f64>>,
-    stroke_mm: Option<Spanned<[f64; 2]>>,
+    stroke_mm: Option<Spanned<FixedArray<f64, 2>>>,
 }
 
 #[cfg(not(feature = "archive"))]
@@ -254,14 +255,14 @@ impl ServiceConfig {
             config.alarm_share = source.number(share, MIN_ALARM_SHARE, 1.0)?;
         }
         if let Some(stroke) = table.alarm.stroke_mm {
-            let checked = check_stroke(*stroke.get_ref());
+            let checked = check_stroke(stroke.get_ref().0);
             checked.map_err(|wrong| source.wrong(stroke.span(), wrong))?;
-            config.stroke_mm = Some(*stroke.get_ref());
+            config.stroke_mm = Some(stroke.get_ref().0);
         }
         if let Some(identity) = table.identity {
             let checked = identity.get_ref().check_all();
             let checked = checked.and_then(|()| identity.get_ref().check_dates(clock::unix_ns()));
-            checked.map_err(|(_, wrong)| source.wrong(identity.span(), wrong))?;
+            checked.map_err(|(_, wrong)| wrong.at_span(&source.file, source.text, identity.span()))?;
             config.identity = identity.into_inner();
         }
         config.archive = table.archive.map(|table| to_archive(source, table)).transpose()?;

@@ -1,9 +1,9 @@
-//! Jobs: commands of this program as child processes, one at a time.
+//! Jobs: child processes of this program, one at a time.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
-use std::process::{Child, Stdio};
+use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::{io, thread};
@@ -19,8 +19,11 @@ use dbbd_device::clock;
 use dbbd_device::sync::lock;
 use dbbd_job::child_process;
 use dbbd_job::child_process::{PROGRESS, PROGRESS_VARIABLE};
+use dbbd_job::request::circle::{CircleRequest, DEFAULT_DRAWS};
+use dbbd_job::request::identify::{IdentifyRequest, RequestedPrior};
+use dbbd_job::request::{AnswerOutcome, AnswerResult, Request, RequestChild, RequestResult, read_answer};
 use dbbd_model::base::units::HostNs;
-use dbbd_model::diagnostic::{Diagnostic, Finding};
+use dbbd_model::diagnostic::Diagnostic;
 
 const MAX_WAITING_JOBS: usize = 16;
 const MAX_KEPT_JOBS: usize = 100;
@@ -50,18 +53,22 @@ struct KeptJob {
 
 struct JobTask {
     id: u64,
+    /// The directory of the run.
     directory: PathBuf,
-    args: Vec<String>,
+    work: JobWork,
 }
 
-/// The command line of a job. Option values must be lists of names.
-pub(super) fn arguments(request: &JobRequest) -> Result<Vec<String>, Diagnostic> {
-    let kind = request.kind.name();
-    let mut args = vec![kind.to_owned(), CAPTURE.to_owned()];
-    args.push(match request.kind {
-        JobKind::Sync => "--out=sync/observations.csv".into(),
-        _ => format!("--out={kind}"),
-    });
+/// What a job computes.
+pub(super) enum JobWork {
+    /// The join of the lengths with the poses: a command.
+    Sync,
+    Request(Box<Request>),
+}
+
+/// What a client asks for. Settings must be lists of names.
+pub(super) fn work_of(request: &JobRequest) -> Result<JobWork, Diagnostic> {
+    let mut identify =
+        IdentifyRequest { input: CAPTURE.into(), out: request.kind.name().into(), ..Default::default() };
     for (option, value) in
         [("prior", &request.prior), ("estimate", &request.estimate), ("hold", &request.hold)]
     {
@@ -70,13 +77,28 @@ pub(super) fn arguments(request: &JobRequest) -> Result<Vec<String>, Diagnostic>
             return Err(OptionOfAnotherJob { option: option.into() }.into());
         }
         let sound = |byte: u8| byte.is_ascii_alphanumeric() || b"_,-".contains(&byte);
-        let known = option != "prior" || matches!(value, "none" | "datasheet" | "posterior");
+        let prior = RequestedPrior::named(value);
+        // A client names no file.
+        let known = option != "prior" || !matches!(prior, RequestedPrior::Table(_));
         if !known || value.len() > 1000 || !value.bytes().all(sound) {
             return Err(OptionValue { option: option.into(), value: value.into() }.into());
         }
-        args.push(format!("--{option}={value}"));
+        match option {
+            "prior" => identify.prior = Some(prior),
+            "estimate" => identify.estimate = Some(value.into()),
+            _ => identify.hold = Some(value.into()),
+        }
     }
-    Ok(args)
+    Ok(match request.kind {
+        JobKind::Sync => JobWork::Sync,
+        JobKind::Identify => JobWork::Request(Box::new(Request::Identify(identify))),
+        JobKind::Circle => JobWork::Request(Box::new(Request::Circle(CircleRequest {
+            inputs: vec![CAPTURE.into()],
+            out: request.kind.name().into(),
+            monte_carlo: DEFAULT_DRAWS,
+            ..Default::default()
+        }))),
+    })
 }
 
 impl JobQueue {
@@ -89,11 +111,11 @@ impl JobQueue {
         Ok(Self { shared, queue })
     }
 
-    /// Queues a job: the command `args`, run in `directory`.
+    /// Queues a job on the run in `directory`.
     pub(super) fn submit(
         &self,
         request: JobRequest,
-        args: Vec<String>,
+        work: JobWork,
         directory: PathBuf,
     ) -> Result<EvaluationJob, Diagnostic> {
         let mut jobs = lock(&self.shared.jobs);
@@ -115,7 +137,7 @@ impl JobQueue {
             jobs.pop_front();
         }
         drop(jobs);
-        self.queue.send(JobTask { id, directory, args }).map_err(|_| WorkerLost { worker: "jobs".into() })?;
+        self.queue.send(JobTask { id, directory, work }).map_err(|_| WorkerLost { worker: "jobs".into() })?;
         self.shared.publish(id);
         Ok(job)
     }
@@ -222,7 +244,7 @@ fn work(shared: &Arc<JobsShared>, tasks: &Receiver<JobTask>) {
         shared.publish(id);
         let state = run(shared, &task).unwrap_or_else(|error| {
             let finding = CommandFailed { why: error.to_string() };
-            shared.line(id, &format!("error[{}]: {finding}", finding.code()));
+            shared.line(id, &Diagnostic::new(finding).labelled());
             JobState::Failed
         });
         let elapsed_s = shared.get(id).map_or(0.0, |job| job.elapsed_s);
@@ -236,46 +258,73 @@ fn work(shared: &Arc<JobsShared>, tasks: &Receiver<JobTask>) {
     }
 }
 
-/// Runs a command to its end and collects its output.
+/// Computes a job in a child process, and collects its output.
 fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
-    if task.args.first().is_some_and(|verb| verb == "sync") {
-        std::fs::create_dir_all(task.directory.join("sync"))?;
+    let set_up = |command: &mut Command| {
+        command.current_dir(&task.directory).env("NO_COLOR", "1").env(PROGRESS_VARIABLE, "1");
+    };
+    match &task.work {
+        JobWork::Sync => {
+            std::fs::create_dir_all(task.directory.join("sync"))?;
+            let mut command = child_process::own()?;
+            command.args(["sync", CAPTURE, "--out=sync/observations.csv"]);
+            command.stdout(Stdio::piped()).stderr(Stdio::piped());
+            set_up(&mut command);
+            let mut child = command.spawn()?;
+            let _stdin = child.stdin.take();
+            let line = |stdout: ChildStdout| listen(shared, task.id, stdout);
+            let (status, _) = follow(shared, task.id, child, line)?;
+            Ok(match status.code() {
+                Some(0) => JobState::Done,
+                Some(3) => JobState::Doubt,
+                _ => JobState::Failed,
+            })
+        }
+        JobWork::Request(request) => {
+            let RequestChild { child, stdin: _stdin } = RequestChild::start(request, set_up)?;
+            let (_, answer) = follow(shared, task.id, child, io::read_to_string)?;
+            let answer = answer.transpose()?.as_deref().and_then(read_answer);
+            Ok(match answer.map(|answer| answer.result) {
+                Some(AnswerResult::Result(RequestResult { outcome, .. })) => match outcome {
+                    AnswerOutcome::Done => JobState::Done,
+                    AnswerOutcome::Warned | AnswerOutcome::Undecided => JobState::Doubt,
+                    AnswerOutcome::Failed => JobState::Failed,
+                },
+                // The log has the refusal.
+                Some(AnswerResult::Refusal(_)) | None => JobState::Failed,
+            })
+        }
     }
-    let mut child = child_process::own()?
-        .args(&task.args)
-        .current_dir(&task.directory)
-        .env("NO_COLOR", "1")
-        .env(PROGRESS_VARIABLE, "1")
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()?;
+}
+
+/// Follows a child process to its end. Returns its status and what `read` makes of its stdout; its stderr is the log.
+fn follow<T: Send>(
+    shared: &Arc<JobsShared>,
+    id: u64,
+    mut child: Child,
+    read: impl FnOnce(ChildStdout) -> T + Send,
+) -> io::Result<(ExitStatus, Option<T>)> {
     prefer_for_oom_kill(&child);
-    let _kept = child.stdin.take();
-    let outputs = (child.stdout.take(), child.stderr.take());
-    *lock(&shared.child) = Some((task.id, child));
+    let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+    *lock(&shared.child) = Some((id, child));
     // The job may have been cancelled while its process was starting.
-    if shared.get(task.id).is_some_and(|job| job.state == JobState::Cancelled)
+    if shared.get(id).is_some_and(|job| job.state == JobState::Cancelled)
         && let Some((_, child)) = &mut *lock(&shared.child)
     {
         let _ = child.kill();
     }
-    thread::scope(|scope| {
-        if let Some(stdout) = outputs.0 {
-            scope.spawn(move || listen(shared, task.id, stdout));
+    let output = thread::scope(|scope| {
+        let reader = stdout.map(|stdout| scope.spawn(move || read(stdout)));
+        if let Some(stderr) = stderr {
+            listen(shared, id, stderr);
         }
-        if let Some(stderr) = outputs.1 {
-            listen(shared, task.id, stderr);
-        }
+        reader.and_then(|reader| reader.join().ok())
     });
     // Its outputs are closed: the process ends.
     let Some((_, mut child)) = lock(&shared.child).take() else {
         return Err(io::Error::other("the child process was lost"));
     };
-    Ok(match child.wait()?.code() {
-        Some(0) => JobState::Done,
-        Some(3) => JobState::Doubt,
-        _ => JobState::Failed,
-    })
+    Ok((child.wait()?, output))
 }
 
 /// If memory runs out, the system kills this evaluation and not the recorder.

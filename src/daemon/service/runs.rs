@@ -125,15 +125,15 @@ pub(super) fn entry(data: &Path, name: &str, running: Option<&str>) -> Result<Ru
         return Err(missing(name));
     }
     let (first, last, bytes) = glimpse(&directory.join(CAPTURE)).map_err(|_| missing(name))?;
-    let started_unix_ms = capture::read_capture(&first).events().find_map(|event| match event {
-        RunEvent::Started { unix_ns, .. } => Some(unix_ns / 1_000_000),
-        _ => None,
+    let started_unix_ms = capture::read_capture(&first).events().find_map(|event| {
+        if let RunEvent::Started { unix_ns, .. } = event { Some(unix_ns / 1_000_000) } else { None }
     });
-    let ended = capture::read_capture(&last).events().find_map(|event| match event {
-        RunEvent::Ended(RunEnd { reason, samples, lost }) => {
+    let ended = capture::read_capture(&last).events().find_map(|event| {
+        if let RunEvent::Ended(RunEnd { reason, samples, lost }) = event {
             Some(Ended { reason: reason.clone(), samples: *samples, lost: *lost })
+        } else {
+            None
         }
-        _ => None,
     });
     let state = match (&ended, running == Some(name)) {
         (None, true) => RunState::Running,

@@ -11,7 +11,7 @@ use tokio::sync::watch;
 
 use super::config::{Endpoint, ServiceConfig};
 use super::log::{LogLevel, ServiceLog};
-use super::state::{MakeCell, Supervisor};
+use super::{MakeCell, Supervisor};
 use crate::daemon::signals;
 use crate::live::ServiceFinding::NotServing;
 use crate::live::{self, Access, Site, State};

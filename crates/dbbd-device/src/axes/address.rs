@@ -80,3 +80,58 @@ impl fmt::Display for AxesAddress {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shown(text: &str) -> Option<String> {
+        text.parse::<AxesAddress>().ok().map(|address| address.to_string())
+    }
+
+    #[test]
+    fn port_and_rate_of_rtde_have_defaults() {
+        for (text, expected) in [
+            ("rtde://10.0.0.5", "rtde://10.0.0.5:30004?hz=125"),
+            ("rtde://ur10/", "rtde://ur10:30004?hz=125"),
+            ("rtde://ur10:30003", "rtde://ur10:30003?hz=125"),
+            ("rtde://[fe80::1]", "rtde://[fe80::1]:30004?hz=125"),
+            ("rtde://[fe80::1]:5?hz=500", "rtde://[fe80::1]:5?hz=500"),
+            ("rtde://ur10?hz=1", "rtde://ur10:30004?hz=1"),
+        ] {
+            assert_eq!(shown(text).as_deref(), Some(expected), "{text}");
+            assert_eq!(shown(expected).as_deref(), Some(expected));
+        }
+    }
+
+    #[test]
+    fn rsi_listens_and_may_answer() {
+        for text in ["rsi://0.0.0.0:49152", "rsi://[::1]:49152?answer=zero"] {
+            let address: AxesAddress = text.parse().unwrap();
+            assert_eq!((address.to_string().as_str(), address.protocol()), (text, AxesProtocol::Rsi));
+        }
+        assert_eq!("rtde://ur10".parse::<AxesAddress>().unwrap().protocol(), AxesProtocol::Rtde);
+    }
+
+    #[test]
+    fn invalid_addresses_are_refused() {
+        for text in [
+            "",
+            "ur10",
+            "udp://ur10",
+            "rsi://kuka:49152",
+            "rsi://0.0.0.0",
+            "rsi://0.0.0.0:1?answer=one",
+            "rsi://[fe80::1/64]:49152",
+            "rtde://",
+            "rtde://ur10?hz=0.99",
+            "rtde://ur10?hz=500.1",
+            "rtde://ur10?hz=fast",
+            "rtde://ur10?rate=5",
+            "rtde://fe80::1",
+            "rtde://[fe80::1/64]",
+        ] {
+            assert_eq!(shown(text), None, "{text}");
+        }
+    }
+}

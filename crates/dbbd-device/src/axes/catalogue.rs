@@ -6,14 +6,16 @@ findings! {
     /// A controller whose axes cannot be recorded, or whose axes are not all there.
     AxesFinding "The axes of the controller" {
         E2201 "the address of the axes is not valid",
-        cause: "--axes has a scheme that is not known, an address without a port number, or an option that is not known.",
-        cure: "Write `rsi://ADDR:PORT`, with `?answer=zero` where the controller waits for answers, or `rtde://HOST[:30004]`, with `?hz=1..500`." {
+        cause: "The address of the published axes has a scheme that is not known, an address without a port number, or an option that is not known.",
+        cure: "Write `rsi://ADDR:PORT`, with `?answer=zero` where the controller waits for answers, or `rtde://HOST[:30004]`, with `?hz=1..500`.",
+        asks: [PublishedAxes] {
             NoAddress { address: String } => "`{address}` is not an address of a controller's axes", help: "rsi://0.0.0.0:49152, rsi://0.0.0.0:49152?answer=zero, rtde://HOST or rtde://HOST:30004?hz=250";
         }
         E2202 "the address for the controller's axes cannot be used",
         cause: "Another program has the port (another dbbd?), or the address does not belong to this computer.",
-        cure: "Choose another port number here and in the controller's configuration, or the address of this computer in the controller's network." {
-            NotListening { address: String, why: String } => "--axes {address}: cannot listen there: {why}";
+        cure: "Choose another port number here and in the controller's configuration, or the address of this computer in the controller's network.",
+        asks: [PublishedAxes] {
+            NotListening { address: String, why: String } => "published axes at {address}: cannot listen there: {why}";
         }
         E2203 "the controller that publishes its axes cannot be reached",
         cause: "The controller is off or in another network, its address is another, or a firewall is between.",
@@ -27,7 +29,8 @@ findings! {
         }
         W2210 "no axes of the controller were recorded",
         cause: "The controller does not send to this address or is not in its RSI program, its configuration lacks DEF_AIPos, or a firewall is between.",
-        cure: "Compare IP_NUMBER and PORT of the RSI Ethernet configuration with --axes, and name DEF_AIPos and DEF_ASPos in its SEND. Lengths are used at the commanded axes." {
+        cure: "Compare IP_NUMBER and PORT of the RSI Ethernet configuration with the address of the axes, and name DEF_AIPos and DEF_ASPos in its SEND. Lengths are used at the commanded axes.",
+        asks: [PublishedAxes] {
             NothingCame { address: String } => "{address}: no axes came";
             NothingUnderstood { address: String, packets: u64 } => "{address}: none of {packets} packets holds measured axes with their time";
         }

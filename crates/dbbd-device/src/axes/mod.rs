@@ -133,3 +133,26 @@ impl AxesDecoder {
 fn possible(angles_deg: &[f64; AXES]) -> bool {
     angles_deg.iter().all(|deg| deg.abs() <= MAX_AXIS_DEG)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_milliseconds_and_microseconds() {
+        assert_eq!(AxesProtocol::Rsi.tick_ns(), 1_000_000);
+        assert_eq!(AxesProtocol::Rtde.tick_ns(), 1_000);
+    }
+
+    #[test]
+    fn datagram_is_decoded_whole() {
+        let mut decoder = AxesDecoder::new(AxesProtocol::Rsi);
+        let mut packets = Vec::new();
+        decoder.push(b"<Rob/>", |packet| packets.push(packet));
+        assert_eq!(packets, [AxesPacket { content: PacketContent::Fault(AxesFault::Incomplete), bytes: 6 }]);
+        assert_eq!(decoder.pending(), 0);
+        let mut decoder = AxesDecoder::new(AxesProtocol::Rtde);
+        decoder.push(&[0, 9, 85], |_| ());
+        assert_eq!(decoder.pending(), 3);
+    }
+}

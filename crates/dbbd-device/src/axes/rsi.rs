@@ -61,3 +61,71 @@ pub fn zero_answer(ticks: DeviceTicks) -> String {
     let zeros: String = AXIS_NAMES.iter().map(|axis| format!(" {axis}=\"0.0000\"")).collect();
     format!("<Sen Type=\"ImFree\"><AK{zeros}/><IPOC>{}</IPOC></Sen>", ticks.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axes::MAX_AXIS_DEG;
+
+    const SAMPLE: AxesSample = AxesSample {
+        ticks: DeviceTicks(4_208_163),
+        measured_deg: [1.5, -90.0, 90.0, 0.25, -45.125, 180.0],
+        commanded_deg: Some([1.25, -90.5, 90.5, 0.5, -45.0, 179.5]),
+        late: Some(3),
+    };
+
+    #[test]
+    fn datagram_returns_the_sample() {
+        let text = write_datagram(&SAMPLE);
+        assert!(text.starts_with("<Rob Type=\"KUKA\"><AIPos A1=\"1.5000\" A2=\"-90.0000\""), "{text}");
+        assert!(text.ends_with("<Delay D=\"3\"/><IPOC>4208163</IPOC></Rob>"), "{text}");
+        assert_eq!(read_datagram(text.as_bytes()), Ok(SAMPLE));
+        // A controller ends it with zeros or blanks.
+        assert_eq!(read_datagram(format!("{text}\0\0").as_bytes()), Ok(SAMPLE));
+        assert_eq!(read_datagram(format!(" {text}\r\n").as_bytes()), Ok(SAMPLE));
+    }
+
+    #[test]
+    fn commanded_axes_and_delay_may_be_missing() {
+        let text = "<Rob><IPOC> 12 </IPOC><AIPos A6='6' A5='5' A4='4' A3='3' A2='2' A1='1'/></Rob>";
+        let measured_deg = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+        let sample = AxesSample { ticks: DeviceTicks(12), measured_deg, commanded_deg: None, late: None };
+        assert_eq!(read_datagram(text.as_bytes()), Ok(sample));
+    }
+
+    #[test]
+    fn invalid_datagrams_are_faults() {
+        let text = write_datagram(&SAMPLE);
+        let fault = |from: &str, to: &str| read_datagram(text.replace(from, to).as_bytes()).unwrap_err();
+        assert_eq!(fault("Rob", "Sen"), AxesFault::NotXml);
+        assert_eq!(fault("</Rob>", ""), AxesFault::NotXml);
+        assert_eq!(read_datagram(b"\xff\xfe"), Err(AxesFault::NotXml));
+        assert_eq!(fault("IPOC", "ICOP"), AxesFault::Incomplete);
+        assert_eq!(fault("AIPos", "ACPos"), AxesFault::Incomplete);
+        assert_eq!(fault("A6=", "A7="), AxesFault::Incomplete);
+        assert_eq!(fault("4208163", "-1"), AxesFault::NotANumber);
+        assert_eq!(fault("1.5000", "one"), AxesFault::NotANumber);
+        assert_eq!(fault("1.5000", "NaN"), AxesFault::NotANumber);
+        assert_eq!(fault("179.5000", "3600.001"), AxesFault::NotANumber);
+    }
+
+    #[test]
+    fn limits_belong_to_what_is_allowed() {
+        let measured_deg = [MAX_AXIS_DEG, -MAX_AXIS_DEG, 0.0, 0.0, 0.0, 0.0];
+        let sample = AxesSample { measured_deg, ..SAMPLE };
+        assert_eq!(read_datagram(write_datagram(&sample).as_bytes()), Ok(sample));
+        let padded = |bytes: usize| {
+            let text = write_datagram(&SAMPLE);
+            format!("{text}{}", " ".repeat(bytes - text.len()))
+        };
+        assert_eq!(read_datagram(padded(16_384).as_bytes()), Ok(SAMPLE));
+        assert_eq!(read_datagram(padded(16_385).as_bytes()), Err(AxesFault::TooLong));
+    }
+
+    #[test]
+    fn answer_repeats_the_time_stamp_and_corrects_nothing() {
+        let zeros = "A1=\"0.0000\" A2=\"0.0000\" A3=\"0.0000\" A4=\"0.0000\" A5=\"0.0000\" A6=\"0.0000\"";
+        let expected = format!("<Sen Type=\"ImFree\"><AK {zeros}/><IPOC>77</IPOC></Sen>");
+        assert_eq!(zero_answer(DeviceTicks(77)), expected);
+    }
+}

@@ -137,4 +137,18 @@ mod tests {
             assert_eq!(text.parse::<PortAddress>().unwrap_err().code().as_str(), "E0230", "{text}");
         }
     }
+
+    #[test]
+    fn numbers_of_ipv6_stand_in_brackets() {
+        let address: NetworkAddress = "[fe80::1]:4001".parse().unwrap();
+        assert_eq!((address.host.as_str(), address.port), ("fe80::1", 4001));
+        assert_eq!(address.to_string(), "[fe80::1]:4001");
+        let address: NetworkAddress = "server:65535/".parse().unwrap();
+        assert_eq!((address.host.as_str(), address.port), ("server", 65_535));
+        for text in
+            ["[fe80::1/64]:4001", "[fe80::1:4001", "fe80::1]:4001", "fe80::1:4001", "[]:1", "a/b:1", "a@b:1"]
+        {
+            assert!(text.parse::<NetworkAddress>().is_err(), "{text}");
+        }
+    }
 }

@@ -32,7 +32,8 @@ findings! {
         }
         E0205 "the bar does not answer",
         cause: "The bar is off or asleep, another device is at the port, or the protocol or its rate is another.",
-        cure: "Switch the bar on; `dbbd protocols list` names the protocols; try --protocol." {
+        cure: "Switch the bar on; `dbbd protocols list` names the protocols; give that of the bar.",
+        asks: [Protocol] {
             BarSilent { port: String, bauds: String } => "the bar at `{port}` does not answer (tried at {bauds} baud)", help: "is it switched on, and is this its port and its protocol?";
         }
         E0206 "the port went away",
@@ -42,8 +43,9 @@ findings! {
         }
         E0207 "the address for the program's telegrams cannot be used",
         cause: "Another program has the address (another dbbd?), or it does not belong to this computer.",
-        cure: "Choose another port number, or the address of this computer in the controller's network." {
-            NotListening { address: String, why: String } => "--ekrl {address}: cannot listen there: {why}", help: "another program may have the port (another dbbd?), or the address does not belong to this computer";
+        cure: "Choose another port number, or the address of this computer in the controller's network.",
+        asks: [Telegrams] {
+            NotListening { address: String, why: String } => "EthernetKRL at {address}: cannot listen there: {why}", help: "another program may have the port (another dbbd?), or the address does not belong to this computer";
         }
         I0210 "the adapter delays bytes",
         cause: "Adapters of this kind collect bytes before they pass them on; the times of the host are less accurate.",
@@ -51,8 +53,9 @@ findings! {
             AdapterHoldsBack { device: String, hold_ms: u32 } => "{device} delays bytes for up to {hold_ms} ms, which makes times inaccurate", help: "as root: echo 1 > /sys/bus/usb-serial/devices/{device}/latency_timer, or for all adapters this udev rule:\n  ACTION==\"add\", SUBSYSTEM==\"usb-serial\", DRIVER==\"ftdi_sio\", ATTR{{latency_timer}}=\"1\"";
         }
         I0211 "others can send telegrams",
-        cause: "The address of --ekrl can be reached from the network, and telegrams are not signed.",
-        cure: "Use a network of the cell's own." {
+        cause: "The address for telegrams can be reached from the network, and telegrams are not signed.",
+        cure: "Use a network of the cell's own.",
+        asks: [Telegrams] {
             OpenToNetwork { address: String } => "{address} can be reached from the network, where anyone can send telegrams: use a network of the cell's own";
         }
         I0212 "there is no serial port",
@@ -61,8 +64,9 @@ findings! {
             NoPorts => "no serial port is plugged in";
         }
         E0230 "the address of the port is not valid",
-        cause: "--port has a scheme that is not known, or an address without a host or a port number.",
-        cure: "Write a device (`/dev/ttyUSB0`, `COM3`, `by-id/..`), `tcp://HOST:PORT`, `rfc2217://HOST:PORT` or `sim`." {
+        cause: "The port has a scheme that is not known, or an address without a host or a port number.",
+        cure: "Write a device (`/dev/ttyUSB0`, `COM3`, `by-id/..`), `tcp://HOST:PORT`, `rfc2217://HOST:PORT` or `sim`.",
+        asks: [Port] {
             NoAddress => "the port has no name";
             AddressScheme { scheme: String } => "no transport `{scheme}://`", help: "a port is a device, tcp://HOST:PORT, rfc2217://HOST:PORT or sim";
             AddressHost { address: String } => "`{address}`: the host is missing or not valid", help: "HOST:PORT, a number of IPv6 in brackets: [::1]:4001";
@@ -94,15 +98,17 @@ findings! {
             NetworkBlurs { port: String } => "{port}: the host's times are those of the arrival over the network; a bar with its own clock is not affected";
         }
         W0220 "the port stayed away",
-        cause: "The bar was unplugged or switched off during the run, and did not come back within --gone.",
-        cure: "What came before is kept. Plug the bar in, check its cable and supply, and repeat the run or identify with what is there." {
+        cause: "The bar was unplugged or switched off during the run, and did not come back in time.",
+        cure: "What came before is kept. Plug the bar in, check its cable and supply, and repeat the run or identify with what is there.",
+        asks: [GoneTime] {
             StayedAway { port: String, gone_s: f64 } => "{port} stayed away for {gone_s} s; what came before is kept";
         }
         W0221 "nothing was received, or nothing could be decoded",
         cause: "The bar is off or asleep, or the protocol or its baud rate is another.",
-        cure: "`dbbd protocols show NAME` shows the bytes to compare with; `dbbd export RUN` writes the raw bytes." {
+        cure: "`dbbd protocols show NAME` shows the bytes to compare with; `dbbd export RUN` writes the raw bytes.",
+        asks: [Protocol] {
             NothingReceived => "nothing was received: is the bar switched on, and is this its port?";
-            NotThisProtocol => "what was received is not this protocol: check --protocol and the bar's baud rate";
+            NotThisProtocol => "what was received is not this protocol: check the protocol and the bar's baud rate";
         }
         W0222 "the bar sent no length",
         cause: "The bar is outside of its stroke, or is not mounted.",
@@ -118,9 +124,10 @@ findings! {
         }
         W0224 "the program's telegrams do not arrive or are refused",
         cause: "The channel file is not on the controller, its address is another, or the program is of another plan. A program whose telegram is refused halts.",
-        cure: "Load the modules of this plan and their DbbEki.xml, written with `krl --sync ekrl --server` and this address." {
+        cure: "Load the modules of this plan and their DbbEki.xml, written for EthernetKRL with this address.",
+        asks: [Synchronisation, TelegramServer] {
             TelegramsRefused { telegrams: u64 } => "{telegrams} telegrams were refused, at which the program halts: is it this plan's program? `dbbd export` shows them among the events";
-            NoTelegram => "no telegram came: was the program written with `krl --sync ekrl --server` and this address, and is its channel file on the controller?";
+            NoTelegram => "no telegram came: was the program written for EthernetKRL with this address, and is its channel file on the controller?";
         }
         W0225 "the bar was silent",
         cause: "Its cable, its supply or its adapter failed, or it fell asleep.",

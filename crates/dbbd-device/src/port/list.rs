@@ -32,10 +32,7 @@ pub fn list_ports() -> Result<Vec<PortInfo>, PortFinding> {
         .into_iter()
         .map(|info| {
             let device = Path::new(&info.port_name);
-            let usb = match &info.port_type {
-                SerialPortType::UsbPort(usb) => Some(usb),
-                _ => None,
-            };
+            let usb = if let SerialPortType::UsbPort(usb) = &info.port_type { Some(usb) } else { None };
             PortInfo {
                 usb_id: usb.map(|usb| (usb.vid, usb.pid)),
                 vendor: usb.and_then(|usb| usb.manufacturer.clone()),

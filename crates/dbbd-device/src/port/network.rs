@@ -88,9 +88,10 @@ impl NetworkLine {
 
     fn connect(address: &NetworkAddress, transport: LineTransport) -> Result<Self, PortFinding> {
         let away = |error: io::Error| {
-            let name = match transport {
-                LineTransport::Rfc2217 => PortAddress::Rfc2217(address.clone()),
-                _ => PortAddress::Tcp(address.clone()),
+            let name = if transport == LineTransport::Rfc2217 {
+                PortAddress::Rfc2217(address.clone())
+            } else {
+                PortAddress::Tcp(address.clone())
             };
             ServerAway { port: name.to_string(), why: error.to_string() }
         };
@@ -130,10 +131,9 @@ impl NetworkLine {
 
     /// Reads from the network and extracts the data.
     fn receive(&mut self, room: &mut [u8]) -> io::Result<usize> {
-        let count = self.stream.read(room).map_err(|error| match error.kind() {
+        let count = self.stream.read(room).map_err(|error| {
             // Unix reports a read timeout so.
-            ErrorKind::WouldBlock => ErrorKind::TimedOut.into(),
-            _ => error,
+            if error.kind() == ErrorKind::WouldBlock { ErrorKind::TimedOut.into() } else { error }
         })?;
         let received = match &mut self.shared().telnet {
             Some(telnet) if count > 0 => telnet.receive(&room[..count]),
@@ -242,13 +242,11 @@ impl PortLine for NetworkLine {
     }
 
     fn set_dtr(&mut self, level: bool) -> io::Result<()> {
-        match self.stamps.transport {
-            // Not every server answers.
-            LineTransport::Rfc2217 => {
-                self.stream.write_all(&Telnet::command(telnet::SET_CONTROL, &[dtr(level)]))
-            }
-            _ => Ok(()),
+        if self.stamps.transport != LineTransport::Rfc2217 {
+            return Ok(());
         }
+        // Not every server answers.
+        self.stream.write_all(&Telnet::command(telnet::SET_CONTROL, &[dtr(level)]))
     }
 
     fn handle(&self) -> io::Result<Box<dyn PortLine>> {

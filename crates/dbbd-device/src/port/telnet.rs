@@ -250,4 +250,47 @@ mod tests {
             prop_assert_eq!(came, data);
         }
     }
+
+    /// RFC 2217: an answer is the command plus 100.
+    #[test]
+    fn server_answers_with_the_command_plus_100() {
+        let (mut server, _) = Telnet::new(TelnetSide::Server);
+        for code in [SET_BAUD, SET_DATA_BITS, SET_PARITY, SET_STOP_BITS, SET_CONTROL, 10, 11, 12] {
+            let reply = server.receive(&Telnet::command(code, &[8])).reply;
+            assert_eq!(reply, [255, 250, 44, code + 100, 8, 255, 240]);
+        }
+        assert!(server.receive(&Telnet::command(6, &[8])).reply.is_empty());
+    }
+
+    #[test]
+    fn latest_answer_counts() {
+        let (mut client, _) = Telnet::new(TelnetSide::Client);
+        for (code, value) in [(102, 7), (103, 1), (102, 8)] {
+            client.receive(&Telnet::command(code, &[value]));
+        }
+        assert_eq!(client.answer(SET_DATA_BITS), Some(vec![8]));
+        assert_eq!(client.answer(SET_DATA_BITS), None);
+        assert_eq!(client.answer(SET_PARITY), Some(vec![1]));
+        // A notification of the state of the line is none.
+        client.receive(&Telnet::command(106, &[1]));
+        assert_eq!(client.answer(6), None);
+    }
+
+    #[test]
+    fn server_suspends_and_resumes_the_data() {
+        let (mut client, _) = Telnet::new(TelnetSide::Client);
+        client.receive(&Telnet::command(108, &[]));
+        assert!(client.is_suspended());
+        client.receive(&Telnet::command(109, &[]));
+        assert!(!client.is_suspended());
+    }
+
+    #[test]
+    fn commands_are_no_data() {
+        let (mut client, _) = Telnet::new(TelnetSide::Client);
+        // NOP and an escaped 255 between data.
+        let received = client.receive(&[1, IAC, 241, 2, IAC, IAC, 3]);
+        assert_eq!(received.data, [1, 2, IAC, 3]);
+        assert!(received.reply.is_empty());
+    }
 }

@@ -77,10 +77,10 @@ impl PortLine for Tty {
     }
 
     fn set_dtr(&mut self, level: bool) -> io::Result<()> {
-        match self.stamps.transport {
-            LineTransport::Pty => Ok(()),
-            _ => Ok(self.port.write_data_terminal_ready(level)?),
+        if self.stamps.transport == LineTransport::Pty {
+            return Ok(());
         }
+        Ok(self.port.write_data_terminal_ready(level)?)
     }
 
     fn handle(&self) -> io::Result<Box<dyn PortLine>> {
@@ -93,6 +93,10 @@ impl PortLine for Tty {
 }
 
 /// By the words of the system, which has no kind of error for a port in use.
+#[expect(
+    clippy::wildcard_enum_match_arm,
+    reason = "the kinds of errors of the system and of the crate are open"
+)]
 fn refusal(name: &str, error: &serialport::Error) -> PortFinding {
     use serialport::ErrorKind::{Io, NoDevice};
     let text = error.to_string().to_lowercase();

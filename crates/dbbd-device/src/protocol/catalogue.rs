@@ -7,9 +7,10 @@ findings! {
     ProtocolFinding "Protocol definitions" {
         E0301 "there is no such protocol",
         cause: "The name is mistyped, or the file is not where it is looked for.",
-        cure: "`dbbd protocols list` names what is built in; a file ends in .toml." {
+        cure: "`dbbd protocols list` names what is built in; a file ends in .toml.",
+        asks: [Zero] {
             UnknownProtocol { name: String, built_in: String } => "no protocol `{name}`: neither built in nor a file", help: "built in are: {built_in}; a file ends in .toml";
-            NoZeroCommand { id: String } => "--zero: the protocol `{id}` has no command for it ([cmd] zero)";
+            NoZeroCommand { id: String } => "the protocol `{id}` has no command that sets the zero ([cmd] zero)";
         }
         E0302 "the definition as a whole is not valid",
         cause: "The file is of another schema, has no id, or has nothing to decode.",
@@ -130,7 +131,8 @@ findings! {
         }
         E0310 "a parameter of the definition is not valid",
         cause: "A parameter is unknown, or its value is not of its type or out of its range.",
-        cure: "`dbbd protocols show NAME` prints [params] with types and ranges; set one with --param NAME=VALUE." {
+        cure: "`dbbd protocols show NAME` prints [params] with types and ranges; give those that differ.",
+        asks: [ProtocolParameter] {
             UnknownParameter { name: String, known: String } => "no parameter `{name}`", help: "[params] has: {known}";
             NoParameters { name: String } => "no parameter `{name}`", help: "the definition has no [params]";
             ParameterNotANumber { name: String, value: String } => "parameter `{name}` = `{value}`: not a number";

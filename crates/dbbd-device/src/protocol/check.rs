@@ -250,4 +250,93 @@ mod tests {
     fn crc_of_24_bits_gives_its_check_value() {
         assert_eq!(TabulatedCrc::new(crc::CRC_24_OPENPGP).verify(), Ok(()));
     }
+
+    fn check(sum: ChecksumAlgorithm, encoding: CheckEncoding) -> FrameCheck {
+        FrameCheck { sum, encoding, after: None, optional: false, from: 0 }
+    }
+
+    fn crc(name: &str, encoding: CheckEncoding) -> FrameCheck {
+        check(ChecksumAlgorithm::Crc(Box::new(TabulatedCrc::new(named(name).unwrap()))), encoding)
+    }
+
+    fn appended(check: &FrameCheck, content: &[u8]) -> Vec<u8> {
+        let mut body = content.to_vec();
+        check.append(&mut body);
+        assert_eq!(check.strip(&body), Some(content));
+        assert_eq!(body.len(), content.len() + check.len());
+        body[content.len()..].to_vec()
+    }
+
+    /// The catalogue of parametrised CRC algorithms (reveng.sourceforge.io).
+    #[test]
+    fn crcs_have_the_published_check_values() {
+        for (name, value) in [
+            ("CRC-8/SMBUS", 0xf4),
+            ("CRC-16/ARC", 0xbb3d),
+            ("CRC-16/IBM-3740", 0x29b1),
+            ("CRC-16/IBM-SDLC", 0x906e),
+            ("CRC-16/KERMIT", 0x2189),
+            ("CRC-16/MODBUS", 0x4b37),
+            ("CRC-16/SPI-FUJITSU", 0xe5cc),
+            ("CRC-16/XMODEM", 0x31c3),
+            ("CRC-32/ISO-HDLC", 0xcbf4_3926),
+        ] {
+            assert_eq!(crc(name, CheckEncoding::Le).value(b"123456789"), value, "{name}");
+        }
+    }
+
+    /// The characters are 0x31 to 0x39: their XOR is 0x31, their sum 477 = 0x1dd.
+    #[test]
+    fn exclusive_or_and_sum_of_the_check_characters() {
+        assert_eq!(check(ChecksumAlgorithm::Xor8, CheckEncoding::Le).value(b"123456789"), 0x31);
+        assert_eq!(check(ChecksumAlgorithm::Sum8, CheckEncoding::Le).value(b"123456789"), 0xdd);
+    }
+
+    #[test]
+    fn check_is_sent_in_its_order() {
+        let name = "CRC-16/MODBUS";
+        assert_eq!(appended(&crc(name, CheckEncoding::Le), b"123456789"), [0x37, 0x4b]);
+        assert_eq!(appended(&crc(name, CheckEncoding::Be), b"123456789"), [0x4b, 0x37]);
+        assert_eq!(appended(&crc(name, CheckEncoding::Hex), b"123456789"), *b"4B37");
+        let long = crc("CRC-32/ISO-HDLC", CheckEncoding::Be);
+        assert_eq!(appended(&long, b"123456789"), [0xcb, 0xf4, 0x39, 0x26]);
+        assert_eq!(appended(&check(ChecksumAlgorithm::Sum8, CheckEncoding::Hex), b"\x05"), *b"05");
+    }
+
+    #[test]
+    fn damaged_frames_do_not_pass() {
+        let check = check(ChecksumAlgorithm::Sum8, CheckEncoding::Hex);
+        assert_eq!(check.strip(b"1234566"), None);
+        assert_eq!(check.strip(b"\x1d1d"), Some(&b"\x1d"[..]));
+        assert_eq!(check.strip(b"\x1d1D"), Some(&b"\x1d"[..]));
+        assert_eq!(check.strip(b"\x1d1g"), None);
+        assert_eq!(check.strip(b"0"), None);
+    }
+
+    #[test]
+    fn bytes_before_the_covered_part_do_not_count() {
+        let check = FrameCheck { from: 2, ..check(ChecksumAlgorithm::Xor8, CheckEncoding::Le) };
+        assert_eq!(appended(&check, &[0xff, 0x0f, 0x12, 0x01]), [0x13]);
+        assert_eq!(appended(&check, &[0xff]), [0]);
+    }
+
+    #[test]
+    fn optional_check_counts_if_it_is_there() {
+        let starred = check(ChecksumAlgorithm::Xor8, CheckEncoding::Hex);
+        let starred = FrameCheck { after: Some(b'*'), ..starred };
+        assert_eq!(appended(&starred, b"ab"), *b"*03");
+        assert_eq!(starred.strip(b"ab"), None);
+        assert_eq!(starred.strip(b"ab+03"), None);
+        let optional = FrameCheck { optional: true, ..starred };
+        assert_eq!(optional.strip(b"ab"), Some(&b"ab"[..]));
+        assert_eq!(optional.strip(b"ab*03"), Some(&b"ab"[..]));
+        assert_eq!(optional.strip(b"ab*04"), None);
+        assert_eq!(optional.undetected(), 1.0);
+    }
+
+    #[test]
+    fn share_of_undetected_frames_is_two_to_the_minus_width() {
+        assert_eq!(check(ChecksumAlgorithm::Xor8, CheckEncoding::Le).undetected(), 1.0 / 256.0);
+        assert_eq!(crc("CRC-16/ARC", CheckEncoding::Le).undetected(), 1.0 / 65_536.0);
+    }
 }

@@ -68,3 +68,73 @@ impl DecimalFormat {
         Some(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLAIN: DecimalFormat = DecimalFormat {
+        decimals: 3,
+        width: None,
+        pad_to: 0,
+        fill: DecimalFill::Zero,
+        sign: DecimalSign::Minus,
+        blanks: false,
+    };
+
+    fn written(format: DecimalFormat, value: f64) -> Option<String> {
+        let mut body = Vec::new();
+        format.write(value, &mut body)?;
+        String::from_utf8(body).ok()
+    }
+
+    fn read(format: DecimalFormat, text: &str) -> Option<(f64, &str)> {
+        let (value, tail) = format.read(text.as_bytes())?;
+        Some((value, std::str::from_utf8(tail).ok()?))
+    }
+
+    #[test]
+    fn numbers_are_written_with_sign_and_fill() {
+        let signed = |sign| DecimalFormat { sign, ..PLAIN };
+        assert_eq!(written(PLAIN, -1.25).as_deref(), Some("-1.250"));
+        assert_eq!(written(PLAIN, 1.25).as_deref(), Some("1.250"));
+        assert_eq!(written(signed(DecimalSign::Always), 1.25).as_deref(), Some("+1.250"));
+        assert_eq!(written(signed(DecimalSign::Blank), 1.25).as_deref(), Some(" 1.250"));
+        let wide = DecimalFormat { width: Some(8), ..PLAIN };
+        assert_eq!(written(wide, -1.25).as_deref(), Some("-001.250"));
+        assert_eq!(
+            written(DecimalFormat { fill: DecimalFill::Blank, ..wide }, -1.25).as_deref(),
+            Some("-  1.250")
+        );
+        assert_eq!(written(DecimalFormat { pad_to: 7, ..PLAIN }, 1.25).as_deref(), Some("001.250"));
+    }
+
+    #[test]
+    fn numbers_that_do_not_fit_are_not_written() {
+        let narrow = DecimalFormat { width: Some(5), ..PLAIN };
+        assert_eq!(written(narrow, 1.25).as_deref(), Some("1.250"));
+        assert_eq!(written(narrow, -1.25), None);
+        assert_eq!(written(PLAIN, f64::NAN), None);
+        assert_eq!(written(DecimalFormat { pad_to: 3, ..PLAIN }, 12.5).as_deref(), Some("12.500"));
+    }
+
+    #[test]
+    fn numbers_are_read_up_to_what_follows() {
+        assert_eq!(read(PLAIN, "+1.5,x"), Some((1.5, ",x")));
+        assert_eq!(read(PLAIN, "-0.25"), Some((-0.25, "")));
+        assert_eq!(read(DecimalFormat { width: Some(5), ..PLAIN }, "001.57"), Some((1.5, "7")));
+        assert_eq!(read(DecimalFormat { width: Some(5), ..PLAIN }, "1.5"), None);
+        for wrong in ["", "-", "x", "1.2.3", "--1"] {
+            assert_eq!(read(PLAIN, wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn blanks_are_skipped_where_they_may_be() {
+        let blanks = DecimalFormat { blanks: true, ..PLAIN };
+        assert_eq!(read(blanks, "  -  1.5 mm"), Some((-1.5, " mm")));
+        assert_eq!(read(PLAIN, " 1.5"), None);
+        assert_eq!(read(PLAIN, "- 1.5"), None);
+        assert_eq!(read(DecimalFormat { sign: DecimalSign::Blank, ..PLAIN }, " 1.5;"), Some((1.5, ";")));
+    }
+}

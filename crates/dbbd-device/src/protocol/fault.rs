@@ -51,3 +51,31 @@ pub enum LineFaultKind {
     /// An echo, a banner or another record that the definition ignores.
     Ignored,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fault(kind: LineFaultKind, offset: u64, bytes: u64) -> LineFault {
+        LineFault { kind, offset, bytes, count: 1 }
+    }
+
+    #[test]
+    fn adjacent_faults_of_one_kind_are_one() {
+        let mut first = fault(LineFaultKind::Check, 10, 4);
+        assert_eq!(first.join(fault(LineFaultKind::Check, 14, 3)), None);
+        assert_eq!(first, LineFault { bytes: 7, count: 2, ..fault(LineFaultKind::Check, 10, 0) });
+        let apart = fault(LineFaultKind::Check, 18, 3);
+        assert_eq!(first.join(apart.clone()), Some(apart));
+        let other = fault(LineFaultKind::Framing, 17, 3);
+        assert_eq!(first.join(other.clone()), Some(other));
+        assert_eq!((first.bytes, first.count), (7, 2));
+    }
+
+    #[test]
+    fn single_fault_has_no_count_in_a_file() {
+        let text = serde_json::to_string(&fault(LineFaultKind::TooLong, 1, 2)).unwrap();
+        assert_eq!(text, r#"{"kind":"too_long","offset":1,"bytes":2}"#);
+        assert_eq!(serde_json::from_str::<LineFault>(&text).unwrap().count, 1);
+    }
+}

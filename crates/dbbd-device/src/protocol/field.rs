@@ -205,7 +205,13 @@ impl FieldForm {
         match self {
             FieldForm::Decimal(decimal) => 1.0 / 10f64.powi(decimal.decimals as i32),
             FieldForm::Float { .. } => 0.0,
-            _ => 1.0,
+            FieldForm::Skip(_)
+            | FieldForm::Integer { .. }
+            | FieldForm::Bits { .. }
+            | FieldForm::Literal { .. }
+            | FieldForm::Hex { .. }
+            | FieldForm::Word { .. }
+            | FieldForm::Column { .. } => 1.0,
         }
     }
 
@@ -382,10 +388,13 @@ impl MessageField {
     /// Appends the sample's value; `None` if it is missing or does not fit.
     pub(super) fn write(&self, sample: &Sample, body: &mut Vec<u8>) -> Option<()> {
         let value = match &self.role {
-            None => match &self.form {
-                FieldForm::Word { words, default } => default.unwrap_or(words.len()) as f64,
-                _ => 0.0,
-            },
+            None => {
+                if let FieldForm::Word { words, default } = &self.form {
+                    default.unwrap_or(words.len()) as f64
+                } else {
+                    0.0
+                }
+            }
             Some(FieldRole::Length(scale, limits)) => {
                 let raw = scale.raw(sample.reading_mm);
                 let raw = if self.form.step() == 1.0 { raw.round() } else { raw };
@@ -449,5 +458,169 @@ impl MessageField {
             Some(FieldRole::Unit(_)) => "unit",
             Some(FieldRole::Quality(..)) => "quality",
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(form: &FieldForm, bytes: &[u8]) -> Option<(f64, Vec<u8>)> {
+        form.read(bytes).map(|(value, tail)| (value.real(), tail.to_vec()))
+    }
+
+    fn written(form: &FieldForm, value: f64) -> Option<Vec<u8>> {
+        let mut body = Vec::new();
+        form.write(value, &mut body).map(|()| body)
+    }
+
+    #[test]
+    fn integers_have_an_order_of_bytes() {
+        for bytes in [&[0x12][..], &[0x12, 0x34], &[0x12, 0x34, 0x56], &[0x12, 0x34, 0x56, 0x78]] {
+            let high = bytes.iter().fold(0, |sum, byte| 256 * sum + u64::from(*byte));
+            let low = bytes.iter().rev().fold(0, |sum, byte| 256 * sum + u64::from(*byte));
+            assert_eq!((integer(bytes, Endian::Be), integer(bytes, Endian::Le)), (high, low));
+        }
+        assert_eq!(integer(&[0x12, 0x34, 0x56], Endian::Le), 0x0056_3412);
+    }
+
+    #[test]
+    fn integers_are_in_twos_complement() {
+        let form = |signed| FieldForm::Integer { bytes: 2, signed, endian: Endian::Be };
+        assert_eq!(read(&form(true), &[0xff, 0xfe, 9]), Some((-2.0, vec![9])));
+        assert_eq!(read(&form(false), &[0xff, 0xfe]), Some((65_534.0, vec![])));
+        assert_eq!(read(&form(true), &[0x7f, 0xff]), Some((32_767.0, vec![])));
+        assert_eq!(read(&form(true), &[0x80, 0]), Some((-32_768.0, vec![])));
+        assert_eq!(read(&form(true), &[0xff]), None);
+        assert_eq!(written(&form(true), -2.0), Some(vec![0xff, 0xfe]));
+        let three = FieldForm::Integer { bytes: 3, signed: true, endian: Endian::Le };
+        assert_eq!(written(&three, -2.0), Some(vec![0xfe, 0xff, 0xff]));
+    }
+
+    #[test]
+    fn values_beyond_their_bits_do_not_fit() {
+        assert_eq!(
+            [-129.0, -128.0, 127.0, 128.0].map(|v| unsigned(v, 8, true)),
+            [None, Some(0x80), Some(127), None]
+        );
+        assert_eq!(
+            [-1.0, 0.0, 255.0, 256.0].map(|v| unsigned(v, 8, false)),
+            [None, Some(0), Some(255), None]
+        );
+        assert_eq!(unsigned(2.6, 8, false), Some(3));
+        assert_eq!(unsigned(f64::NAN, 8, false), None);
+    }
+
+    /// 0xffe5: the upper twelve bits are -2, the lower four 5.
+    #[test]
+    fn bits_of_a_group_share_its_bytes() {
+        let form = |bits, shift, signed, last| FieldForm::Bits {
+            bits,
+            shift,
+            group: 2,
+            endian: Endian::Be,
+            signed,
+            last,
+        };
+        let (low, high) = (form(4, 0, false, false), form(12, 4, true, true));
+        assert_eq!(read(&low, &[0xff, 0xe5, 1]), Some((5.0, vec![0xff, 0xe5, 1])));
+        assert_eq!(read(&high, &[0xff, 0xe5, 1]), Some((-2.0, vec![1])));
+        let mut body = Vec::new();
+        low.write(5.0, &mut body).unwrap();
+        high.write(-2.0, &mut body).unwrap();
+        assert_eq!(body, [0xff, 0xe5]);
+        assert_eq!((low.len(), high.len()), (Some(0), Some(2)));
+    }
+
+    /// IEEE 754: 1.5 is 3fc00000, and 3ff8000000000000.
+    #[test]
+    fn floats_are_ieee_754() {
+        let single = FieldForm::Float { bytes: 4, endian: Endian::Le };
+        assert_eq!(read(&single, &[0, 0, 0xc0, 0x3f]), Some((1.5, vec![])));
+        assert_eq!(written(&single, 1.5), Some(vec![0, 0, 0xc0, 0x3f]));
+        let double = FieldForm::Float { bytes: 8, endian: Endian::Be };
+        assert_eq!(read(&double, &[0x3f, 0xf8, 0, 0, 0, 0, 0, 0]), Some((1.5, vec![])));
+        assert_eq!(written(&double, 1.5), Some(vec![0x3f, 0xf8, 0, 0, 0, 0, 0, 0]));
+        assert_eq!(read(&single, &[0, 0, 0x80, 0x7f]), None);
+        assert_eq!((single.step(), single.len()), (0.0, Some(4)));
+    }
+
+    #[test]
+    fn hexadecimal_digits_are_in_twos_complement() {
+        let form = |signed| FieldForm::Hex { digits: 4, signed };
+        assert_eq!(read(&form(true), b"FFFEx"), Some((-2.0, b"x".to_vec())));
+        assert_eq!(read(&form(false), b"fffe"), Some((65_534.0, vec![])));
+        assert_eq!(read(&form(false), b"+FFE"), None);
+        assert_eq!(written(&form(true), -2.0), Some(b"FFFE".to_vec()));
+        assert_eq!(written(&form(false), 10.0), Some(b"000A".to_vec()));
+    }
+
+    #[test]
+    fn words_are_numbered_from_zero() {
+        let words = |default| FieldForm::Word { words: vec![b"OK".to_vec(), b"ERR".to_vec()], default };
+        assert_eq!(read(&words(None), b"ERRx"), Some((1.0, b"x".to_vec())));
+        // None of them is the number after the last, unless one must be there.
+        assert_eq!(read(&words(None), b"zz"), Some((2.0, b"zz".to_vec())));
+        assert_eq!(read(&words(Some(0)), b"zz"), None);
+        assert_eq!(written(&words(None), 1.0), Some(b"ERR".to_vec()));
+        assert_eq!(written(&words(None), 2.0), Some(vec![]));
+        assert_eq!(written(&words(Some(0)), 2.0), None);
+    }
+
+    #[test]
+    fn column_ends_at_the_separator() {
+        let form = FieldForm::Column { sep: b',' };
+        assert_eq!(read(&form, b"abc,d"), Some((0.0, b"d".to_vec())));
+        assert_eq!(read(&form, b"abc"), Some((0.0, vec![])));
+        let literal = |any_case| FieldForm::Literal { text: b"MM".to_vec(), any_case };
+        assert_eq!(read(&literal(true), b"mm1"), Some((0.0, b"1".to_vec())));
+        assert_eq!(read(&literal(false), b"mm1"), None);
+        assert_eq!(read(&FieldForm::Skip(2), b"abc"), Some((0.0, b"c".to_vec())));
+    }
+
+    /// (4 * 5 / 2 + 1) * -2 = -22; a step of 1 is 5 / 2 * -2 = -5.
+    #[test]
+    fn scale_and_its_inverse() {
+        let scale = FieldScale { numerator: 5.0, denominator: 2.0, offset: 1.0, unit: -2.0 };
+        assert_eq!((scale.quantity(4.0), scale.raw(-22.0), scale.slope()), (-22.0, 4.0, -5.0));
+    }
+
+    #[test]
+    fn step_follows_the_decimals() {
+        let decimal = FieldForm::Decimal(DecimalFormat { decimals: 3, ..DecimalFormat::default() });
+        assert_eq!(decimal.step(), 0.001);
+        assert_eq!(FieldForm::Skip(1).step(), 1.0);
+    }
+
+    #[test]
+    fn raw_values_beyond_the_limits_are_errors_or_invalid() {
+        let sentinels = vec![(-9.0, "off".to_owned())];
+        let limits = RawLimits { valid: Some((-5.0, 5.0)), error_above: Some(100.0), sentinels };
+        assert_eq!(limits.error(-9.0).as_deref(), Some("off"));
+        assert_eq!([limits.error(100.0).is_some(), limits.error(101.0).is_some()], [false, true]);
+        assert_eq!([-5.1, -5.0, 5.0, 5.1].map(|raw| limits.is_valid(raw)), [false, true, true, false]);
+        assert!(RawLimits::default().is_valid(1e9) && RawLimits::default().error(1e9).is_none());
+    }
+
+    #[test]
+    fn flags_show_strobe_and_validity() {
+        let names = [(0, "trigger"), (2, "valid"), (3, "over"), (5, "overspeed")];
+        let flags = StatusFlags::new(names.map(|(bit, name)| (bit, name.to_owned())).to_vec());
+        let applied = |status: u32| {
+            let mut sample = Sample { status, ..Sample::of(1.0) };
+            flags.apply(&mut sample);
+            (sample.trigger, sample.valid)
+        };
+        assert_eq!(applied(0b000101), (Some(true), true));
+        assert_eq!(applied(0b000100), (Some(false), true));
+        assert_eq!(applied(0b000001), (Some(true), false));
+        assert_eq!(applied(0b001100), (Some(false), false));
+        assert_eq!(applied(0b100100), (Some(false), false));
+        let status =
+            |trigger, valid| flags.status(&Sample { status: 0b10, trigger, valid, ..Sample::of(1.0) });
+        assert_eq!(
+            [status(Some(true), true), status(Some(false), true), status(None, false)],
+            [0b111, 0b110, 0b10]
+        );
     }
 }

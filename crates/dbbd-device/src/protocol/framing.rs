@@ -130,7 +130,7 @@ impl Framing {
             }
             Framing::Fixed { len, .. } => (*len, true),
             Framing::Tagged(tagged) => (tagged.body_len(), true),
-            _ => (self.max_len(), false),
+            Framing::Length { .. } | Framing::Lengths(_) | Framing::Idle { .. } => (self.max_len(), false),
         }
     }
 
@@ -139,7 +139,11 @@ impl Framing {
         let (sync, length) = match self {
             Framing::Fixed { sync, .. } => (sync.len(), 0..0),
             Framing::Length { sync, at, bytes, .. } => (sync.len(), *at..at + bytes),
-            _ => (0, 0..0),
+            Framing::Cobs { .. }
+            | Framing::Line { .. }
+            | Framing::Tagged(_)
+            | Framing::Lengths(_)
+            | Framing::Idle { .. } => (0, 0..0),
         };
         (0..sync).chain(length)
     }
@@ -171,7 +175,13 @@ impl Framing {
             }
             Framing::Tagged(tagged) if tagged.fits(pending) => one(tagged.len()),
             Framing::Lengths(lens) => FrameCut::OneOf(lens),
-            _ => FrameCut::Skip,
+            // The first byte begins no frame, or a terminator ends it.
+            Framing::Fixed { .. }
+            | Framing::Length { .. }
+            | Framing::Tagged(_)
+            | Framing::Cobs { .. }
+            | Framing::Line { .. }
+            | Framing::Idle { .. } => FrameCut::Skip,
         }
     }
 
@@ -182,7 +192,11 @@ impl Framing {
             Framing::Line { ends, .. } => {
                 ends.iter().any(|end| pending.last() == end.last() && pending.ends_with(end))
             }
-            _ => false,
+            Framing::Fixed { .. }
+            | Framing::Length { .. }
+            | Framing::Tagged(_)
+            | Framing::Lengths(_)
+            | Framing::Idle { .. } => false,
         }
     }
 
@@ -192,7 +206,11 @@ impl Framing {
         let last = match self {
             Framing::Cobs { delimiter, .. } => window.iter().position(|byte| byte == delimiter),
             Framing::Line { .. } => (0..window.len()).find(|at| self.is_complete(&window[..=*at])),
-            _ => None,
+            Framing::Fixed { .. }
+            | Framing::Length { .. }
+            | Framing::Tagged(_)
+            | Framing::Lengths(_)
+            | Framing::Idle { .. } => None,
         };
         last.map(|last| last + 1)
     }
@@ -212,7 +230,9 @@ impl Framing {
                 tagged.unwrap(frame, buffer)?;
                 Some(buffer)
             }
-            _ => Some(frame),
+            Framing::Fixed { .. } | Framing::Length { .. } | Framing::Lengths(_) | Framing::Idle { .. } => {
+                Some(frame)
+            }
         }
     }
 
@@ -221,7 +241,11 @@ impl Framing {
         match self {
             Framing::Cobs { .. } => frame.len() == 1,
             Framing::Line { .. } => self.without_end(frame).is_empty(),
-            _ => false,
+            Framing::Fixed { .. }
+            | Framing::Length { .. }
+            | Framing::Tagged(_)
+            | Framing::Lengths(_)
+            | Framing::Idle { .. } => false,
         }
     }
 
@@ -231,7 +255,11 @@ impl Framing {
             // Only a check distinguishes a frame from the tail of another.
             Framing::Cobs { .. } => checked && rest.len() > 1,
             Framing::Line { start, .. } => start.is_some() && rest.first() == start.as_ref(),
-            _ => false,
+            Framing::Fixed { .. }
+            | Framing::Length { .. }
+            | Framing::Tagged(_)
+            | Framing::Lengths(_)
+            | Framing::Idle { .. } => false,
         }
     }
 
@@ -266,17 +294,15 @@ impl Framing {
                 frame
             }
             Framing::Tagged(tagged) => tagged.wrap(body),
-            _ => body.to_vec(),
+            Framing::Fixed { .. } | Framing::Length { .. } | Framing::Lengths(_) | Framing::Idle { .. } => {
+                body.to_vec()
+            }
         }
     }
 
     fn without_end<'a>(&self, frame: &'a [u8]) -> &'a [u8] {
-        match self {
-            Framing::Line { ends, .. } => {
-                ends.iter().find_map(|end| frame.strip_suffix(&end[..])).unwrap_or(frame)
-            }
-            _ => frame,
-        }
+        let Framing::Line { ends, .. } = self else { return frame };
+        ends.iter().find_map(|end| frame.strip_suffix(&end[..])).unwrap_or(frame)
     }
 }
 
@@ -341,5 +367,129 @@ mod tests {
         let long = vec![7u8; 254];
         let stuffed = cobs(&long, 0);
         assert_eq!((stuffed.len(), stuffed[0]), (255, 255));
+    }
+
+    fn length(at: usize, bytes: usize, endian: Endian, adds: usize) -> Framing {
+        Framing::Length { sync: vec![0xaa], at, bytes, endian, adds, max_len: 16 }
+    }
+
+    fn lines() -> Framing {
+        Framing::Line { start: Some(b'#'), ends: vec![b"\r\n".to_vec(), b"\n".to_vec()], max_len: 8 }
+    }
+
+    /// Blocks of 254 bytes have the code 255 and no zero; with one more byte a second block follows.
+    #[test]
+    fn byte_stuffing_of_255_bytes() {
+        let stuffed = cobs(&[7; 255], 0);
+        assert_eq!((stuffed.len(), stuffed[0], stuffed[255], stuffed[256]), (257, 255, 2, 7));
+        assert_eq!(cobs(&[0x11, 0, 0, 0], 0), [2, 0x11, 1, 1, 1]);
+        // With another delimiter all bytes are XORed with it.
+        assert_eq!(cobs(&[0x7e, 0x01], 0x7e), [3 ^ 0x7e, 0, 0x01 ^ 0x7e]);
+    }
+
+    #[test]
+    fn malformed_byte_stuffing_is_refused() {
+        let unpacked = |stuffed: &[u8]| {
+            let mut body = Vec::new();
+            uncobs(stuffed, 0, &mut body).map(|()| body)
+        };
+        assert_eq!(unpacked(&[3, 0x11, 0x22, 2, 0x33]), Some(vec![0x11, 0x22, 0, 0x33]));
+        assert_eq!(unpacked(&[4, 0x11, 0x22]), None);
+        assert_eq!(unpacked(&[2, 0x11, 0]), None);
+        assert_eq!(unpacked(&[1]), None);
+        assert_eq!(unpacked(&[]), None);
+    }
+
+    #[test]
+    fn length_field_ends_a_frame() {
+        let framing = length(1, 1, Endian::Be, 3);
+        let cut = |bytes: &[u8]| match framing.cut(bytes) {
+            FrameCut::Frame(len) => Some(len),
+            _ => None,
+        };
+        assert!(matches!(framing.cut(&[0xaa]), FrameCut::More));
+        assert!(matches!(framing.cut(&[0xaa, 2, 0, 0]), FrameCut::More));
+        assert_eq!(cut(&[0xaa, 2, 0, 0, 0]), Some(5));
+        assert_eq!(cut(&[0xaa, 2, 0, 0, 0, 0xaa]), Some(5));
+        assert!(matches!(framing.cut(&[0xab, 2, 0, 0, 0]), FrameCut::Skip));
+        assert!(matches!(framing.cut(&[0xaa, 13, 0]), FrameCut::More));
+        assert!(matches!(framing.cut(&[0xaa, 14, 0]), FrameCut::Skip));
+    }
+
+    #[test]
+    fn frame_shorter_than_its_head_is_skipped() {
+        let framing = length(1, 1, Endian::Le, 0);
+        assert!(matches!(framing.cut(&[0xaa, 1, 0]), FrameCut::Skip));
+        assert!(matches!(framing.cut(&[0xaa, 2, 0]), FrameCut::Frame(2)));
+        let framing = length(2, 2, Endian::Le, 1);
+        assert!(matches!(framing.cut(&[0xaa, 0, 2, 0]), FrameCut::Skip));
+        assert!(matches!(framing.cut(&[0xaa, 0, 3, 0]), FrameCut::Frame(4)));
+    }
+
+    #[test]
+    fn length_of_two_bytes_has_an_order() {
+        for (endian, field) in [(Endian::Le, [5, 0]), (Endian::Be, [0, 5])] {
+            let framing = length(1, 2, endian, 3);
+            assert!(matches!(framing.cut(&[&[0xaa], &field[..], &[0; 5]].concat()), FrameCut::Frame(8)));
+            // Six bytes and a check of two are eight, less the three that the field does not count.
+            let mut body = [0; 6];
+            framing.prepare(&mut body, 2);
+            assert_eq!(body[..3], [0xaa, field[0], field[1]]);
+        }
+    }
+
+    #[test]
+    fn records_of_one_length_begin_with_their_bytes() {
+        let framing = Framing::Fixed { sync: vec![0x5a, 0xa5], len: 4 };
+        assert!(matches!(framing.cut(&[0x5a]), FrameCut::More));
+        assert!(matches!(framing.cut(&[0x5a, 0xa5, 1, 2]), FrameCut::Frame(4)));
+        assert!(matches!(framing.cut(&[0x5a, 0xa4]), FrameCut::Skip));
+        let mut body = [9; 4];
+        framing.prepare(&mut body, 0);
+        assert_eq!(body, [0x5a, 0xa5, 9, 9]);
+        assert_eq!(framing.reserved().collect::<Vec<_>>(), [0, 1]);
+        assert_eq!(framing.content_len(), (4, true));
+    }
+
+    #[test]
+    fn lengths_of_replies_are_tried_in_order() {
+        let framing = Framing::Lengths(vec![3, 9]);
+        assert!(matches!(framing.cut(&[1]), FrameCut::OneOf([3, 9])));
+        assert_eq!(framing.max_len(), 9);
+    }
+
+    #[test]
+    fn line_ends_with_its_longest_terminator() {
+        let framing = lines();
+        assert_eq!(framing.terminated_len(b"#12\r\n#3"), Some(5));
+        assert_eq!(framing.terminated_len(b"#12\n#3"), Some(4));
+        assert_eq!(framing.terminated_len(b"#123456\n"), Some(8));
+        assert_eq!(framing.terminated_len(b"#1234567\n"), None);
+        let mut buffer = Vec::new();
+        assert_eq!(framing.unwrap(b"#12\r\n", &mut buffer), Some(&b"12"[..]));
+        assert_eq!(framing.unwrap(b"12\r\n", &mut buffer), None);
+        assert_eq!(framing.wrap(b"12"), b"#12\r\n");
+        assert!(framing.is_empty(b"\r\n") && !framing.is_empty(b"#\n"));
+        assert!(framing.may_start(b"#1", false) && !framing.may_start(b"1#", true));
+    }
+
+    #[test]
+    fn stuffed_frame_ends_with_its_delimiter() {
+        let framing = Framing::Cobs { delimiter: 0, max_len: 8 };
+        let frame = framing.wrap(&[0x11, 0x22, 0, 0x33]);
+        assert_eq!(frame, [3, 0x11, 0x22, 2, 0x33, 0]);
+        let mut buffer = Vec::new();
+        assert_eq!(framing.unwrap(&frame, &mut buffer), Some(&[0x11, 0x22, 0, 0x33][..]));
+        assert_eq!(framing.unwrap(&frame[..5], &mut Vec::new()), None);
+        assert_eq!(framing.terminated_len(&[1, 2, 0, 4, 0]), Some(3));
+        assert!(framing.may_start(&[2, 1], true) && !framing.may_start(&[2, 1], false));
+        assert!(!framing.may_start(&[2], true));
+        assert_eq!(framing.content_len(), (7, false));
+    }
+
+    #[test]
+    fn places_of_sync_and_length_are_reserved() {
+        assert_eq!(length(2, 2, Endian::Le, 0).reserved().collect::<Vec<_>>(), [0, 2, 3]);
+        assert_eq!(lines().reserved().count(), 0);
     }
 }

@@ -32,3 +32,6 @@ pub use fault::{LineFault, LineFaultKind};
 pub use field::TickCounter;
 pub use layout::LayoutPart;
 pub use table::SimulationTable;
+
+#[cfg(test)]
+mod tests;

@@ -60,10 +60,8 @@ impl<'a> DefinitionSource<'a> {
                     value
                 }
                 None => {
-                    let default = match param.default.get_ref() {
-                        toml::Value::String(word) => word.clone(),
-                        other => other.to_string(),
-                    };
+                    let default = param.default.get_ref();
+                    let default = default.as_str().map_or_else(|| default.to_string(), str::to_owned);
                     parse(name, param, &default)
                         .map_err(|wrong| Diagnostic::span(file, original, param.default.span(), wrong))?
                 }

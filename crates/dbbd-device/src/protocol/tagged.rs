@@ -127,3 +127,67 @@ impl TaggedRecord {
         parts.iter().zip(&self.tags).map(|(part, (_, tag))| part | tag | high).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(data_bits: u32, order: TagOrder, tags: &[&str]) -> Result<TaggedRecord, ProtocolFinding> {
+        let tags: Vec<String> = tags.iter().map(|tag| (*tag).to_owned()).collect();
+        TaggedRecord::new(data_bits, order, &tags)
+    }
+
+    fn unwrapped(record: &TaggedRecord, frame: &[u8]) -> Option<Vec<u8>> {
+        let mut body = Vec::new();
+        record.unwrap(frame, &mut body).map(|()| body)
+    }
+
+    /// 0x1234 in sevens of bits is 0x24 and 0x34.
+    #[test]
+    fn data_are_spread_over_the_low_bits() {
+        for (order, frame) in [(TagOrder::LowFirst, [0x34, 0xa4]), (TagOrder::HighFirst, [0x24, 0xb4])] {
+            let record = record(7, order, &["0", "1"]).unwrap();
+            assert_eq!(record.wrap(&[0x34, 0x12]), frame);
+            assert_eq!(unwrapped(&record, &frame), Some(vec![0x34, 0x12]));
+            assert_eq!(unwrapped(&record, &[frame[1], frame[0]]), None);
+            assert_eq!(unwrapped(&record, &frame[..1]), None);
+            assert_eq!((record.len(), record.body_len()), (2, 2));
+        }
+    }
+
+    /// Five bits of data; the letters are bits 6 and 5 of each byte.
+    #[test]
+    fn letters_are_equal_in_every_byte() {
+        let record = record(5, TagOrder::LowFirst, &["0ab", "1ab"]).unwrap();
+        assert_eq!(record.body_len(), 4);
+        assert_eq!(record.wrap(&[0xff, 0x03, 1, 0]), [0x5f, 0xdf]);
+        assert_eq!(unwrapped(&record, &[0x5f, 0xdf]), Some(vec![0xff, 0x03, 1, 0]));
+        assert_eq!(unwrapped(&record, &[0x21, 0xa0]), Some(vec![0x01, 0x00, 0, 1]));
+        assert!(!record.fits(&[0x5f, 0x9f]) && record.fits(&[0x5f]));
+    }
+
+    #[test]
+    fn letter_of_two_bits_is_a_number() {
+        let record = record(5, TagOrder::LowFirst, &["0aa"]).unwrap();
+        assert_eq!(unwrapped(&record, &[0x7f]), Some(vec![0x1f, 3]));
+        assert_eq!(record.wrap(&[0x1f, 2]), [0x5f]);
+    }
+
+    #[test]
+    fn impossible_tags_are_refused() {
+        assert!(record(1, TagOrder::LowFirst, &["0000000"]).is_ok());
+        assert!(record(7, TagOrder::LowFirst, &["0"; 16]).is_ok());
+        for (bits, tags) in [
+            (0, vec!["00000000"]),
+            (8, vec![""]),
+            (7, vec![]),
+            (7, vec!["0"; 17]),
+            (7, vec!["00"]),
+            (5, vec!["aba"]),
+            (5, vec!["0ab", "1ba"]),
+            (5, vec!["0a?"]),
+        ] {
+            assert!(record(bits, TagOrder::LowFirst, &tags).is_err(), "{bits} {tags:?}");
+        }
+    }
+}

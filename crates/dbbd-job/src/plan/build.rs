@@ -4,12 +4,16 @@ use super::check::{Inspection, summary};
 use super::quantity::PlanCheck;
 use super::recommend::recommendations;
 use super::refusal::Refusal;
-use super::rig::{PlanKinematics, runs, unreachable};
-use super::steps::{PlanStep, circle_steps};
-use super::timing::{AFTER_STROBE_S, move_times};
-use super::{Job, Plan, PlanHeader, PlanRow, PlanningPrior, TaughtBall, files, optimise, orientations, pass};
+use super::rig::{runs, unreachable};
+use super::steps::circle_steps;
+use super::timing::AFTER_STROBE_S;
+use super::{
+    Job, Plan, PlanHeader, PlanKinematics, PlanPrediction, PlanRow, PlanStep, PlanningPrior, TaughtBall,
+    files, optimise, orientations, pass,
+};
 use crate::plan::PlanFinding;
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::result::MapPoint;
 use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::inverse::Unsolved;
 use dbbd_model::robot::{AXES, Robot};
@@ -94,13 +98,7 @@ impl Plan {
         if !found.findings.is_empty() {
             return Err(rig.refusal(&found));
         }
-        let mut moves = move_times(&found.rows, &found.paces, &job.motion, robot, u64::from(job.seed));
-        for worst in &mut found.worst {
-            let at = worst.position();
-            if let (Some(Some(pace)), Some(time)) = (found.paces.get(at), moves.get(at)) {
-                worst.note_speed(pace, time);
-            }
-        }
+        let mut moves = found.time_moves(&job, robot);
         let checks = found.checks(&job);
         if !checks.iter().all(PlanCheck::holds) {
             return Err(rig.refusal(&found));
@@ -127,6 +125,18 @@ impl Plan {
         let mut plan = Self { rows, header };
         plan.header.hash = plan.hash().map_err(Diagnostic::from)?;
         Ok(plan)
+    }
+
+    /// Predicts what this plan will add to `prior`, and stores it in the header. Returns the map of the error that is left,
+    /// empty if a number is not finite.
+    pub fn predict(&mut self, robot: &Robot, prior: &PlanningPrior) -> Vec<MapPoint> {
+        let PlanHeader { job, stage, .. } = &self.header;
+        let Some((prediction, map)) = PlanPrediction::of_rows(job, &self.rows, stage.is_some(), robot, prior)
+        else {
+            return Vec::new();
+        };
+        self.header.predictions = Some(prediction);
+        map
     }
 
     /// Time that the program takes at full override, without the waits for the operator, s.

@@ -37,7 +37,8 @@ findings! {
         }
         E0706 "the risk that a reading leaves the stroke is too great",
         cause: "The robot is not known well enough for this stroke: one within its tolerance might leave it.",
-        cure: "Measure a stage of safe poses first (`--stage 20`, examples/stages/run.sh), teach the ball as `taught_deg` says, or use a bar with a longer stroke." {
+        cure: "Measure a stage of safe poses first (examples/stages/run.sh), teach the ball as `taught_deg` says, or use a bar with a longer stroke.",
+        asks: [Stage] {
             StrokeRisk { row: u32, quantity: String, worst: f64, limit: f64 } => "row {row}: {quantity} = {worst:.1e}, must be at most {limit:.1e}";
         }
         E0707 "the bar leans too far from a cup",
@@ -68,20 +69,22 @@ findings! {
         }
         I0712 "poses are excluded because the robot is not known well enough",
         cause: "As the robot is known now, their length might leave the stroke.",
-        cure: "Measure this plan, identify, and plan again with --robot robot-identified.toml, until no stage is needed." {
+        cure: "Measure this plan, identify, and plan again with robot-identified.toml, until no stage is needed.",
+        asks: [Robot] {
             Barred { barred: usize, reachable: usize } => "{barred} of {reachable} poses that can be reached are excluded: their length might leave the stroke";
-            FirstStage { barred: usize, reachable: usize } => "this is the first stage: {barred} of {reachable} poses that can be reached are still excluded, because their length might leave the stroke", help: "measure these poses, identify, and plan again with --robot robot-identified.toml";
-            FurtherStage { lengths: usize, barred: usize, reachable: usize } => "this is a further stage, after {lengths} lengths: {barred} of {reachable} poses that can be reached are still excluded, because their length might leave the stroke", help: "measure these poses, identify, and plan again with --robot robot-identified.toml";
+            FirstStage { barred: usize, reachable: usize } => "this is the first stage: {barred} of {reachable} poses that can be reached are still excluded, because their length might leave the stroke", help: "measure these poses, identify, and plan again with robot-identified.toml";
+            FurtherStage { lengths: usize, barred: usize, reachable: usize } => "this is a further stage, after {lengths} lengths: {barred} of {reachable} poses that can be reached are still excluded, because their length might leave the stroke", help: "measure these poses, identify, and plan again with robot-identified.toml";
         }
         I0713 "changes that would make a refused plan possible",
         cause: "The planner tried other orientations of the tool on a coarse grid, at the points of the circle only.",
-        cure: "Write the values into the job and plan again." {
+        cure: "Write the values into the job and plan again.",
+        asks: [Robot, Stage] {
             OrientationPasses { circle: u32, tilt_deg: f64, spin_deg: f64 } => "circle {circle}: tilt_deg = {tilt_deg}, spin_deg = {spin_deg} keep the axis limits, the wrist and the configuration at its points";
             NoOrientationPasses { circle: u32 } => "circle {circle}: no tilt_deg and spin_deg of a coarse grid would pass: make amplitude_deg smaller, or move the base ball";
             TeachFirst { ball: u32, axes_deg: String } => "base ball {ball} was measured, and how it was taught is not known: with that knowledge more poses are safe", help: "write taught_deg into its [[centre]] as it was taught before the first stage, or bring the tool ball onto it near A1..A6 = {axes_deg} and write the angles there";
             FewInReach { reachable: usize, wanted: u32 } => "{reachable} of {wanted} poses wanted are within axis limits, singularities, cups and obstacles", help: "move the base ball or what is in its way, use a shorter bar, make `points` smaller, or `candidates` greater";
             StrokeNeeded { ball: u32, half_mm: f64, low_mm: f64, high_mm: f64 } => "base ball {ball}: a first stage needs a stroke of about +-{half_mm:.2} mm as the robot is known now; this bar has {low_mm} to {high_mm} mm", help: "use a bar with that stroke, or a shorter bar; write a smaller [tolerance] into the robot file if the maker promises it";
-            StageFirst { points: u32 } => "the robot is not known well enough for these circles and this stroke: `dbbd plan JOB --stage {points}` chooses poses whose length is safe as it is known now", help: "measure them, identify, and plan again with --robot robot-identified.toml";
+            StageFirst { points: u32 } => "the robot is not known well enough for these circles and this stroke: a stage of {points} poses has only lengths that are safe as it is known now", help: "measure them, identify, and plan again with robot-identified.toml";
         }
         I0714 "how many lengths are enough",
         cause: "The remaining error over the workspace is predicted for parts of the plan (the most informative lengths first) and for the plan measured twice.",
@@ -109,7 +112,8 @@ findings! {
         }
         W0720 "the covariance of the identification is not known",
         cause: "The robot file was identified, but the lengths.csv that `identify` wrote beside it is not there.",
-        cure: "Keep the two files together, or give the lengths with --measured. Until then the risk is that of the maker's tolerance about the identified robot." {
+        cure: "Keep the two files together, or give the lengths that were measured. Until then the risk is that of the maker's tolerance about the identified robot.",
+        asks: [MeasuredLengths] {
             NoLengths { file: String } => "{file} is not there: the stroke risk is that of the maker's tolerance about the identified robot";
         }
         E0721 "earlier lengths do not determine a robot",
@@ -146,15 +150,16 @@ findings! {
         }
         E0740 "a check is planned without a calibration",
         cause: "`criterion = \"change\"` chooses poses that detect changes of a calibrated robot.",
-        cure: "Plan the check with `dbbd plan --check JOB --robot robot-identified.toml`." {
-            NotCalibrated => "the criterion `change` needs a calibrated robot", help: "give --check and --robot robot-identified.toml";
+        cure: "Plan an interim check, with robot-identified.toml.",
+        asks: [InterimCheck, Robot] {
+            NotCalibrated => "the criterion `change` needs a calibrated robot", help: "plan an interim check, with robot-identified.toml";
         }
     }
 }
 
 impl PlanFinding {
     /// Whether fewer poses can be chosen than are wanted.
-    pub(crate) fn is_too_few_poses(&self) -> bool {
+    pub(super) fn is_too_few_poses(&self) -> bool {
         matches!(
             self,
             Self::TooFewPoses { .. } | Self::NoPose { .. } | Self::NoSafeStart { .. } | Self::NoPath

@@ -1,51 +1,27 @@
 //! The checked quantities at one position of the arm: limits, singularities, cups, obstacles, stroke.
 
 use nalgebra::{DVector, Vector3};
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
 
-use super::PlanningPrior;
-use super::clearance::{IN_CUP_MM, LineSegment};
+use super::clearance::LineSegment;
 use super::quantity::CheckQuantity;
-use super::rig::PlanKinematics;
-use dbbd_model::design::{Candidate, Near, Sphere};
-use dbbd_model::estimation::Posterior;
+use super::{BarPresence, CandidateConditions, PlanKinematics, PlanningCell, PlanningPrior, StrokeMargin};
+use dbbd_model::design::{Candidate, Sphere};
 use dbbd_model::robot::inverse::{clearance, status};
 use dbbd_model::robot::{AXES, BallId};
 
-/// The robot in its cell with what is known of it when a run starts.
-pub(crate) struct PlanningCell<'a> {
-    pub(crate) rig: PlanKinematics<'a>,
-    posterior: Posterior,
-}
-
-/// Distance of a reading from the ends of the stroke, with its uncertainty.
-#[derive(Clone)]
-pub(crate) struct StrokeMargin {
-    /// To the lower and to the upper end of the stroke, mm.
-    pub(crate) room: [f64; 2],
-    /// The reading's derivative in the coordinates of the prior, mm.
-    pub(crate) design_row: DVector<f64>,
-    /// Probability of leaving the stroke at this pose.
-    pub(crate) risk: f64,
-}
-
-/// Whether the bar is mounted; without it only limits and clearance of the arm count.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum BarPresence {
-    Yes,
-    No,
-}
-
-/// Conditions on candidates.
-pub(crate) struct CandidateConditions {
-    pub(crate) risk: f64,
-    /// Status bits of the only branch, if it matters.
-    pub(crate) branch: Option<u8>,
-    pub(crate) near: Option<Near>,
-}
+/// Length of the bar from its ball that is not checked, mm: there it is in the cup, whose limit guards it.
+const IN_CUP_MM: f64 = 50.0;
+/// Robots drawn: at a risk of 1e-3 the share has a relative standard deviation of a fifth.
+const ROBOTS: usize = 20_000;
+/// Poses with less than this share of the greatest risk are neglected.
+const NEGLIGIBLE: f64 = 1e-4;
 
 impl<'a> PlanningCell<'a> {
     /// For a run about base ball `centre` (from 1) that starts at axis angles in rad.
-    pub(crate) fn new(
+    pub(super) fn new(
         rig: PlanKinematics<'a>,
         prior: &PlanningPrior,
         centre: u32,
@@ -55,7 +31,7 @@ impl<'a> PlanningCell<'a> {
     }
 
     /// Computes all quantities at axis angles in rad, the cheap ones first, until `note` returns `None`.
-    pub(crate) fn evaluate(
+    pub(super) fn evaluate(
         &self,
         axes: &[f64; AXES],
         centre: u32,
@@ -97,11 +73,12 @@ impl<'a> PlanningCell<'a> {
     }
 
     /// Whether all limits are kept, with a stroke risk of at most `risk`.
-    pub(crate) fn allows(&self, axes: &[f64; AXES], centre: u32, risk: f64) -> bool {
+    pub(super) fn allows(&self, axes: &[f64; AXES], centre: u32, risk: f64) -> bool {
         let kept = |quantity: CheckQuantity, value: f64| {
-            let limit = match quantity {
-                CheckQuantity::StrokeRisk => risk,
-                _ => quantity.limit(self.rig.job, centre),
+            let limit = if matches!(quantity, CheckQuantity::StrokeRisk) {
+                risk
+            } else {
+                quantity.limit(self.rig.job, centre)
             };
             (if quantity.at_least() { value >= limit } else { value <= limit }).then_some(())
         };
@@ -109,7 +86,7 @@ impl<'a> PlanningCell<'a> {
     }
 
     /// Candidates about a base ball (from 1).
-    pub(crate) fn candidates(
+    pub(super) fn candidates(
         &self,
         centre: u32,
         count: usize,
@@ -133,17 +110,17 @@ impl<'a> PlanningCell<'a> {
     }
 
     /// Standard deviation of the length of a pose, mm.
-    pub(crate) fn sd_mm(&self, pose: &Candidate) -> f64 {
+    pub(super) fn sd_mm(&self, pose: &Candidate) -> f64 {
         self.posterior.design_row(&pose.axes, pose.ball).norm()
     }
 
     /// The probability that the length of a pose leaves the stroke.
-    pub(crate) fn risk(&self, pose: &Candidate) -> f64 {
+    pub(super) fn risk(&self, pose: &Candidate) -> f64 {
         self.risk_out(pose, 0.0)
     }
 
     /// The same `out` mm farther from the ball.
-    pub(crate) fn risk_out(&self, pose: &Candidate, out: f64) -> f64 {
+    pub(super) fn risk_out(&self, pose: &Candidate, out: f64) -> f64 {
         let margin = self.evaluate(&pose.axes, pose.ball.number(), BarPresence::Yes, &mut |_, _| Some(()));
         margin.map_or(1.0, |one| self.leaves([one.room[0] + out, one.room[1] - out], &one.design_row))
     }
@@ -188,7 +165,7 @@ impl<'a> PlanningCell<'a> {
 
 /// Upper tail of the standard normal distribution: the Chebyshev fit of erfc by Press et al.,
 /// Numerical Recipes 6.2, relative error below 1.2e-7.
-pub(crate) fn normal_tail(z: f64) -> f64 {
+fn normal_tail(z: f64) -> f64 {
     const FIT: [f64; 10] = [
         -1.265_512_23,
         1.000_023_68,
@@ -206,4 +183,160 @@ pub(crate) fn normal_tail(z: f64) -> f64 {
     let series = FIT.iter().rev().fold(0.0, |sum, coefficient| sum * t + coefficient);
     let tail = 0.5 * t * (series - x * x).exp();
     if z >= 0.0 { tail } else { 1.0 - tail }
+}
+
+/// The probability that a run leaves the stroke anywhere: the share of drawn robots that leave it at any of the poses; the
+/// sum of the risks if that is less.
+///
+/// The readings of one robot are correlated: the sum of the risks of all poses is far too large, the greatest one too small.
+/// Robots are drawn from the prior, and the worst pose of each row is evaluated to first order.
+pub(super) fn over_run(poses: &[StrokeMargin]) -> f64 {
+    let sum: f64 = poses.iter().map(|pose| pose.risk).sum();
+    let largest = poses.iter().map(|pose| pose.risk).fold(0.0, f64::max);
+    // A smaller risk is below the resolution of the draws.
+    if sum < 1.0 / ROBOTS as f64 {
+        return sum;
+    }
+    let critical: Vec<&StrokeMargin> = poses.iter().filter(|pose| pose.risk > NEGLIGIBLE * largest).collect();
+    let unknowns = critical.first().map_or(0, |pose| pose.design_row.len());
+    let mut random = Pcg64::seed_from_u64(1);
+    let mut robot = DVector::zeros(unknowns);
+    let mut leave = 0_u32;
+    for _ in 0..ROBOTS {
+        robot.iter_mut().for_each(|value| *value = StandardNormal.sample(&mut random));
+        let leaves = |pose: &&StrokeMargin| {
+            let moved = pose.design_row.dot(&robot);
+            moved > pose.room[1] || moved < -pose.room[0]
+        };
+        leave += u32::from(critical.iter().any(leaves));
+    }
+    (f64::from(leave) / ROBOTS as f64).min(sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::example::{job, robot};
+    use dbbd_model::robot::Pose;
+
+    /// 0.5 erfc(z / sqrt 2) by Python's `math.erfc`.
+    #[test]
+    fn normal_tail_is_that_of_python() {
+        for (z, tail) in [
+            (0.0, 0.5),
+            (0.5, 0.308_537_538_725_986_9),
+            (1.0, 0.158_655_253_931_457_07),
+            (2.0, 0.022_750_131_948_179_212),
+            (3.0, 0.001_349_898_031_630_094_6),
+            (4.5, 3.397_673_124_730_060_4e-6),
+            (6.0, 9.865_876_450_376_98e-10),
+            (-1.5, 0.933_192_798_731_141_9),
+        ] {
+            assert!((normal_tail(z) / tail - 1.0).abs() < 2e-7, "{z}");
+        }
+    }
+
+    /// The pose with the tool ball beside the ball of the example, along Y, in the orientation of the job in `examples/first`.
+    fn pose(rig: &PlanKinematics<'_>, distance_mm: f64) -> Candidate {
+        let near = [-2.8178, -61.2356, 116.7537, 13.6265, 57.4349, -206.6011].map(f64::to_radians);
+        let position = Vector3::new(1300.0, distance_mm, 800.0);
+        let pose = Pose { rotation: rig.arm.ball(&near).rotation, position };
+        let axes = dbbd_model::robot::inverse::nearest(rig.arm, &pose, &near).expect("it is in reach");
+        Candidate { ball: BallId::FIRST, axes, pose }
+    }
+
+    /// The stroke reaches 2 mm inwards and 6 mm outwards.
+    #[test]
+    fn room_is_the_distance_from_each_end_of_the_stroke() {
+        let (job, robot) = (job(""), robot());
+        let rig = PlanKinematics::new(&job, &robot);
+        let prior = PlanningPrior::datasheet(&job, &robot);
+        let pose = pose(&rig, 301.5);
+        let cell = PlanningCell::new(rig, &prior, 1, &pose.axes);
+        let margin =
+            cell.evaluate(&pose.axes, 1, BarPresence::Yes, &mut |_, _| Some(())).expect("it is mounted");
+        assert!((margin.room[0] - 3.5).abs() < 1e-6 && (margin.room[1] - 4.5).abs() < 1e-6);
+        let sd_mm = cell.sd_mm(&pose);
+        assert!((sd_mm - margin.design_row.norm()).abs() < 1e-12);
+        let expected = normal_tail(3.5 / sd_mm) + normal_tail(4.5 / sd_mm);
+        assert!((margin.risk / expected - 1.0).abs() < 1e-6);
+        // Outwards there is less room above, inwards below.
+        let outwards = normal_tail(5.5 / sd_mm) + normal_tail(2.5 / sd_mm);
+        let inwards = normal_tail(2.0 / sd_mm) + normal_tail(6.0 / sd_mm);
+        assert!((cell.risk_out(&pose, 2.0) / outwards - 1.0).abs() < 1e-6);
+        assert!((cell.risk_out(&pose, -1.5) / inwards - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn risk_is_certain_beyond_the_stroke_and_bounded_by_the_noise_of_the_bar() {
+        let (job, robot) = (job(""), robot());
+        let rig = PlanKinematics::new(&job, &robot);
+        let prior = PlanningPrior::datasheet(&job, &robot);
+        let start = pose(&rig, 300.0);
+        let cell = PlanningCell::new(rig, &prior, 1, &start.axes);
+        let none = DVector::zeros(3);
+        // The sigma of the bar is 2 um where the job gives none.
+        assert!((cell.leaves([0.002, 1.0], &none) / normal_tail(1.0) - 1.0).abs() < 1e-9);
+        assert!((cell.leaves([1.0, 0.004], &none) / normal_tail(2.0) - 1.0).abs() < 1e-9);
+        assert_eq!(cell.leaves([-1.0, -1.0], &none), 1.0);
+        assert!(!cell.allows(&pose(&rig, 310.0).axes, 1, 1.0));
+        assert!(cell.allows(&start.axes, 1, 1.0));
+        assert!(!cell.allows(&start.axes, 1, 0.0));
+    }
+
+    #[test]
+    fn bar_is_clear_of_an_obstacle_by_the_distance_less_its_radius() {
+        let box_below = "[[obstacle]]\nshape = \"box\"\nlow_mm = [1250.0, 120.0, 600.0]\nhigh_mm = [1350.0, 180.0, 740.0]\n";
+        let (job, robot) = (job(box_below), robot());
+        let rig = PlanKinematics::new(&job, &robot);
+        let prior = PlanningPrior::datasheet(&job, &robot);
+        let pose = pose(&rig, 300.0);
+        let cell = PlanningCell::new(rig, &prior, 1, &pose.axes);
+        let mut clearance_mm = None;
+        _ = cell.evaluate(&pose.axes, 1, BarPresence::Yes, &mut |quantity, value| {
+            if quantity == CheckQuantity::ClearanceMm {
+                clearance_mm = Some(value);
+            }
+            Some(())
+        });
+        // The bar is 60 mm above the box, less its radius of 15 mm; tool and arm are higher.
+        assert!((clearance_mm.expect("there is an obstacle") - 45.0).abs() < 1e-3, "{clearance_mm:?}");
+    }
+
+    /// A pose that leaves its stroke outwards or inwards where the only unknown passes a bound.
+    fn margin(room: [f64; 2], derivative: f64, risk: f64) -> StrokeMargin {
+        StrokeMargin { room, design_row: DVector::from_vec(vec![derivative]), risk }
+    }
+
+    /// P(x > 1) = 0.158655 by the table of the normal distribution; 20 000 draws have a standard deviation of 0.0026.
+    #[test]
+    fn poses_of_one_robot_are_at_risk_together() {
+        let tail = 0.158_655;
+        let outwards = margin([9.0, 1.0], 1.0, tail);
+        let risk = over_run(&[outwards.clone(), outwards.clone(), outwards.clone()]);
+        assert!((risk - tail).abs() < 0.008, "{risk}");
+        // Inwards it is the opposite robots that leave, and outwards with the opposite derivative.
+        let inwards = over_run(&[outwards.clone(), margin([1.0, 9.0], 1.0, tail)]);
+        assert!((inwards - 2.0 * tail).abs() < 0.011, "{inwards}");
+        let opposite = over_run(&[outwards.clone(), margin([9.0, 1.0], -1.0, tail)]);
+        assert!((opposite - 2.0 * tail).abs() < 0.011, "{opposite}");
+        let same = over_run(&[outwards, margin([1.0, 9.0], -1.0, tail)]);
+        assert!((same - tail).abs() < 0.008, "{same}");
+    }
+
+    #[test]
+    fn risk_is_at_most_the_sum_and_exact_below_the_resolution() {
+        // Below 1 / 20 000 nothing is drawn.
+        assert_eq!(over_run(&[margin([-9.0, 9.0], 1.0, 1e-5), margin([9.0, 9.0], 1.0, 3e-5)]), 4e-5);
+        assert_eq!(over_run(&[margin([9.0, 9.0], 1.0, 6e-5)]), 0.0);
+        assert_eq!(over_run(&[margin([-9.0, 9.0], 1.0, 0.25)]), 0.25);
+        assert_eq!(over_run(&[]), 0.0);
+    }
+
+    #[test]
+    fn poses_of_a_ten_thousandth_of_the_greatest_risk_are_neglected() {
+        let risky = margin([9.0, 9.0], 1.0, 1.0);
+        let always = |risk| over_run(&[risky.clone(), margin([-9.0, 9.0], 1.0, risk)]);
+        assert_eq!([always(1.5e-4), always(0.5e-4)], [1.0, 0.0]);
+    }
 }

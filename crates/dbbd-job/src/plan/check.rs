@@ -1,13 +1,17 @@
 //! Safety checks along the path: each motion is followed in fine steps, and the worst value of each quantity is kept.
 
-use super::cell::{BarPresence, PlanningCell, StrokeMargin};
+use super::cell::over_run;
 use super::job::Job;
 use super::path::ToolBallPath;
 use super::quantity::{CheckQuantity, JUMP_DEG, PlanCheck};
-use super::rig::{PlanKinematics, unreachable};
-use super::risk::over_run;
-use super::timing::{ACCELERATION_DEG_S2, ACCELERATION_MM_S2, PTP_ACCELERATION_PERCENT, PathTiming};
-use super::{MotionKind, MoveTime, PlanRow, PlanningPrior, pass};
+use super::rig::unreachable;
+use super::timing::{
+    ACCELERATION_DEG_S2, ACCELERATION_MM_S2, MoveTime, PTP_ACCELERATION_PERCENT, move_times,
+};
+use super::{
+    BarPresence, MotionKind, PathTiming, PlanKinematics, PlanRow, PlanningCell, PlanningPrior, StrokeMargin,
+    pass,
+};
 use crate::plan::PlanFinding;
 use dbbd_model::robot::inverse::{nearest, status};
 use dbbd_model::robot::{AXES, Pose, Robot};
@@ -17,18 +21,18 @@ const STEP_MM: f64 = 1.0;
 const STEP_DEG: f64 = 1.0;
 
 /// The worst of each quantity on the way to one row.
-pub(crate) struct WorstOfRow {
+struct WorstOfRow {
     row: u32,
     values: [Option<f64>; CheckQuantity::COUNT],
 }
 
 impl WorstOfRow {
     /// Position of the row in the plan, from 0.
-    pub(crate) fn position(&self) -> usize {
+    fn position(&self) -> usize {
         self.row.saturating_sub(1) as usize
     }
 
-    pub(crate) fn note(&mut self, quantity: CheckQuantity, value: f64) {
+    fn note(&mut self, quantity: CheckQuantity, value: f64) {
         let kept = &mut self.values[quantity as usize];
         let worse = kept.is_none_or(|worst| (value < worst) == quantity.at_least() || value.is_nan());
         if worse {
@@ -37,7 +41,7 @@ impl WorstOfRow {
     }
 
     /// The greatest axis speed and acceleration on the way to the row at the speeds chosen, percent of the limits.
-    pub(crate) fn note_speed(&mut self, pace: &PathTiming, time: &MoveTime) {
+    fn note_speed(&mut self, pace: &PathTiming, time: &MoveTime) {
         let (speed, acceleration) = match pace.path {
             ToolBallPath::Axes { .. } => (time.axis_percent, PTP_ACCELERATION_PERCENT),
             ToolBallPath::Line { .. } | ToolBallPath::Arc { .. } => {
@@ -60,23 +64,23 @@ impl WorstOfRow {
 
 /// Rows with what their motions come near to.
 #[derive(Default)]
-pub(crate) struct Inspection {
-    pub(crate) rows: Vec<PlanRow>,
-    pub(crate) paces: Vec<Option<PathTiming>>,
-    pub(crate) worst: Vec<WorstOfRow>,
+pub(super) struct Inspection {
+    pub(super) rows: Vec<PlanRow>,
+    paces: Vec<Option<PathTiming>>,
+    worst: Vec<WorstOfRow>,
     /// Poses and paths that cannot be reached.
-    pub(crate) findings: Vec<PlanFinding>,
+    pub(super) findings: Vec<PlanFinding>,
     /// The pose of the greatest stroke risk of each row.
-    pub(crate) margins: Vec<StrokeMargin>,
+    margins: Vec<StrokeMargin>,
 }
 
 impl Inspection {
-    pub(crate) fn refused(finding: PlanFinding) -> Self {
+    pub(super) fn refused(finding: PlanFinding) -> Self {
         Self { findings: vec![finding], ..Self::default() }
     }
 
     /// Follows a run of rows from where the robot is at row `before`.
-    pub(crate) fn new(
+    pub(super) fn new(
         rig: &PlanKinematics<'_>,
         prior: &PlanningPrior,
         rows: Vec<PlanRow>,
@@ -112,7 +116,7 @@ impl Inspection {
     }
 
     /// Notes the risk of all rows together at the last one.
-    pub(crate) fn note_run_risk(&mut self) -> f64 {
+    pub(super) fn note_run_risk(&mut self) -> f64 {
         let risk = over_run(&self.margins);
         if let Some(last) = self.worst.last_mut() {
             last.note(CheckQuantity::RunRisk, risk);
@@ -120,7 +124,19 @@ impl Inspection {
         risk
     }
 
-    pub(crate) fn append(&mut self, mut run: Self) {
+    /// The speeds and durations of the moves, whose axis speeds and accelerations are noted.
+    pub(super) fn time_moves(&mut self, job: &Job, robot: &Robot) -> Vec<MoveTime> {
+        let moves = move_times(&self.rows, &self.paces, &job.motion, robot, u64::from(job.seed));
+        for worst in &mut self.worst {
+            let at = worst.position();
+            if let (Some(Some(pace)), Some(time)) = (self.paces.get(at), moves.get(at)) {
+                worst.note_speed(pace, time);
+            }
+        }
+        moves
+    }
+
+    pub(super) fn append(&mut self, mut run: Self) {
         self.rows.append(&mut run.rows);
         self.paces.append(&mut run.paces);
         self.worst.append(&mut run.worst);
@@ -129,7 +145,7 @@ impl Inspection {
     }
 
     /// The worst of each quantity on the way to each row, with its limit.
-    pub(crate) fn checks(&self, job: &Job) -> Vec<PlanCheck> {
+    pub(super) fn checks(&self, job: &Job) -> Vec<PlanCheck> {
         let mut checks = Vec::new();
         for there in &self.worst {
             let ball = self.rows.get(there.position()).map_or(1, |row| row.centre);
@@ -147,13 +163,13 @@ impl Inspection {
         checks
     }
 
-    pub(crate) fn is_safe(&self, job: &Job) -> bool {
+    pub(super) fn is_safe(&self, job: &Job) -> bool {
         self.findings.is_empty() && self.checks(job).iter().all(PlanCheck::holds)
     }
 }
 
 /// Of each quantity the check that is nearest to its limit.
-pub(crate) fn summary(checks: &[PlanCheck]) -> Vec<PlanCheck> {
+pub(super) fn summary(checks: &[PlanCheck]) -> Vec<PlanCheck> {
     let worst = |quantity: CheckQuantity| {
         let same = checks.iter().filter(|check| check.quantity == quantity);
         same.min_by(|a, b| a.slack().total_cmp(&b.slack())).cloned()
@@ -294,5 +310,136 @@ pub fn path(from: &PlanRow, aux: Option<&PlanRow>, row: &PlanRow) -> ToolBallPat
         },
         (MotionKind::Circ, Some(aux)) => ToolBallPath::arc(pose(from), &aux.xyz_mm.into(), pose(row)),
         (MotionKind::Circ | MotionKind::Lin, _) => ToolBallPath::Line { from: pose(from), to: pose(row) },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::PoseKind;
+    use crate::plan::example::{job, robot, row};
+
+    fn worst() -> WorstOfRow {
+        WorstOfRow { row: 1, values: [None; CheckQuantity::COUNT] }
+    }
+
+    fn line(length_mm: f64, turn_deg: f64) -> ToolBallPath {
+        let from = Pose::from_kuka([0.0; 3], [0.0; 3]);
+        ToolBallPath::Line { from, to: Pose::from_kuka([length_mm, 0.0, 0.0], [turn_deg, 0.0, 0.0]) }
+    }
+
+    fn assert_near(found: Option<f64>, expected: f64) {
+        let found = found.expect("it was noted");
+        assert!((found - expected).abs() < 1e-9, "{found}, not {expected}");
+    }
+
+    #[test]
+    fn worst_is_the_least_or_the_greatest_by_the_quantity() {
+        let mut worst = worst();
+        for value in [3.0, 1.0, 2.0] {
+            worst.note(CheckQuantity::WristDeg, value);
+            worst.note(CheckQuantity::CupDeg, value);
+        }
+        assert_eq!(worst.values[CheckQuantity::WristDeg as usize], Some(1.0));
+        assert_eq!(worst.values[CheckQuantity::CupDeg as usize], Some(3.0));
+        worst.note(CheckQuantity::WristDeg, f64::NAN);
+        assert!(worst.values[CheckQuantity::WristDeg as usize].is_some_and(f64::is_nan));
+    }
+
+    /// Over a share s(t) of the path the axis has q' ds/dt and q' d2s/dt2 + q'' (ds/dt)^2.
+    #[test]
+    fn axis_speed_and_acceleration_follow_from_the_rate_of_the_path() {
+        let time = |turn_deg_s| MoveTime {
+            index: 1,
+            feed_mm_s: 40.0,
+            turn_deg_s,
+            axis_percent: 10.0,
+            duration_s: 0.0,
+        };
+        let noted = |turn_deg: f64, turn_deg_s: f64| {
+            let pace = PathTiming { path: line(100.0, turn_deg), axis_s: 2.0, slope_s2: 0.5, bend_s2: 3.0 };
+            let mut worst = worst();
+            worst.note_speed(&pace, &time(turn_deg_s));
+            [CheckQuantity::AxisSpeedPercent, CheckQuantity::AxisAccelerationPercent]
+                .map(|quantity| worst.values[quantity as usize])
+        };
+        // 0.4 of the path per second and 2 of it per second^2; then 0.2 and 5/3 by the orientation.
+        let [speed, acceleration] = noted(0.0, 12.0);
+        assert_near(speed, 80.0);
+        assert_near(acceleration, 100.0 * (0.5 * 2.0 + 3.0 * 0.16));
+        let [speed, acceleration] = noted(60.0, 12.0);
+        assert_near(speed, 40.0);
+        assert_near(acceleration, 100.0 * (0.5 * 5.0 / 3.0 + 3.0 * 0.04));
+    }
+
+    /// In steps of a quarter of the path: 1, 2 and 0.5 degrees are 4, 8 and 2 degrees per path, and their differences 16 and
+    /// -24 degrees per path^2. Axis 1 has 128 degrees/s.
+    #[test]
+    fn derivatives_of_the_axes_are_taken_from_the_steps() {
+        let mut robot = robot();
+        robot.max_acceleration_deg_s2[0] = Some(200.0);
+        let lin = PlanRow { motion: MotionKind::Lin, ..row(PoseKind::Measure) };
+        let mut stepper = MotionStepper::new(&line(3.6, 0.0), &lin, [0.0; AXES]);
+        assert_eq!(stepper.parts, 4);
+        let mut worst = worst();
+        for deg in [1.0, 3.0, 3.5] {
+            let mut axes = [0.0; AXES];
+            (axes[0], axes[3]) = (f64::to_radians(deg), f64::to_radians(deg));
+            stepper.advance(axes, &robot, &mut worst);
+        }
+        assert_near(Some(stepper.axis_s), 8.0 / 128.0);
+        assert_near(Some(stepper.slope_s2), 8.0 / 200.0);
+        assert_near(Some(stepper.bend_s2), 24.0 / 200.0);
+        assert_near(worst.values[CheckQuantity::AxisJumpDeg as usize], 2.0);
+    }
+
+    #[test]
+    fn path_is_followed_in_steps_of_a_millimetre_or_a_degree() {
+        let lin = PlanRow { motion: MotionKind::Lin, ..row(PoseKind::Measure) };
+        let parts = |path: &ToolBallPath| MotionStepper::new(path, &lin, [0.0; AXES]).parts;
+        assert_eq!([parts(&line(7.5, 3.0)), parts(&line(7.5, 19.5)), parts(&line(0.0, 0.0))], [8, 20, 1]);
+        // A motion of the axes by its widest turn.
+        let ptp = PlanRow { axes_deg: [0.0, -12.5, 3.0, 0.0, 0.0, 0.0], ..row(PoseKind::Transit) };
+        let path = ToolBallPath::Axes { from: [0.0; AXES], to: [0.0; AXES] };
+        assert_eq!(MotionStepper::new(&path, &ptp, [0.0; AXES]).parts, 13);
+    }
+
+    #[test]
+    fn summary_has_the_check_nearest_to_its_limit() {
+        let check = |quantity, worst, row| PlanCheck { quantity, worst, limit: 5.0, row };
+        let found = summary(&[
+            check(CheckQuantity::WristDeg, 9.0, 1),
+            check(CheckQuantity::WristDeg, 6.0, 2),
+            check(CheckQuantity::CupDeg, 1.0, 3),
+            check(CheckQuantity::CupDeg, 4.0, 4),
+        ]);
+        assert_eq!(found.iter().map(|check| check.row).collect::<Vec<_>>(), [2, 4]);
+    }
+
+    #[test]
+    fn reading_on_the_way_is_checked_and_not_only_at_its_ends() {
+        // A chord between two points of the circle passes inside it: 300 (1 - cos 15 degrees) are 10.2 mm.
+        let (job, robot) = (
+            job("[[circle]]\nplane = \"XY\"\npoints = 12\ntilt_deg = 30.0\namplitude_deg = 25.0\n"),
+            robot(),
+        );
+        let rig = PlanKinematics::new(&job, &robot);
+        let prior = PlanningPrior::datasheet(&job, &robot);
+        let mut steps = crate::plan::steps::circle_steps(&job).expect("the job is possible");
+        steps.truncate(9);
+        let last = steps.remove(8);
+        steps.remove(7);
+        steps.push(crate::plan::PlanStep { motion: MotionKind::Lin, ..last });
+        let starts = rig.starts(&steps[0]).expect("it is in reach").into_iter();
+        let runs = starts.filter_map(|start| rig.follow(&steps, 1, &start).ok()).flat_map(|run| run.starts);
+        let (_, start) = runs.max_by(|(a, _), (b, _)| a.total_cmp(b)).expect("a branch can be followed");
+        let rows = rig.follow(&steps, 1, &start).expect("it is in reach").rows;
+        let found = Inspection::new(&rig, &prior, rows, None);
+        let low =
+            found.checks(&job).into_iter().filter(|check| check.quantity == CheckQuantity::ReadingLowMm);
+        let worst = low.min_by(|a, b| a.worst.total_cmp(&b.worst)).expect("readings are checked");
+        let sagitta = 300.0 * (1.0 - 15.0_f64.to_radians().cos());
+        assert!((worst.worst + sagitta).abs() < 0.05, "{}", worst.worst);
+        assert_eq!((worst.row, found.is_safe(&job)), (8, false));
     }
 }

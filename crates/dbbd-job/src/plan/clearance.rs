@@ -7,9 +7,6 @@ use nalgebra::Vector3;
 
 use super::job::ObstacleTable;
 
-/// Length of the bar from its ball that is not checked, mm: there it is in the cup, whose limit guards it.
-pub(crate) const IN_CUP_MM: f64 = 50.0;
-
 /// A segment from one point to another, mm.
 pub type LineSegment = [Vector3<f64>; 2];
 
@@ -57,5 +54,71 @@ impl ObstacleTable {
             }
         }
         least
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn assert_near(found: f64, expected: f64) {
+        assert!((found - expected).abs() < 1e-4, "{found}, not {expected}");
+    }
+
+    /// By Pythagoras: 3-4-5 and 2-3-6-7.
+    #[test]
+    fn box_is_as_far_as_its_nearest_face_edge_or_corner() {
+        let table = ObstacleTable::Box { low_mm: [-10.0, -20.0, 0.0], high_mm: [5.0, 7.0, 9.0] };
+        for (point, distance) in [
+            ([0.0, 0.0, 4.0], 0.0),
+            ([6.5, 0.0, 4.0], 1.5),
+            ([0.0, -22.0, 4.0], 2.0),
+            ([-13.0, -24.0, 4.0], 5.0),
+            ([7.0, 10.0, 15.0], 7.0),
+            ([-12.0, -23.0, -6.0], 7.0),
+        ] {
+            assert_near(table.from_point(&point.into()), distance);
+        }
+    }
+
+    #[test]
+    fn cylinder_is_as_far_as_its_mantle_lid_or_rim() {
+        // Its axis is along Y and begins at 10.
+        let column = ObstacleTable::Cylinder {
+            from_mm: [100.0, 10.0, 0.0],
+            to_mm: [100.0, 30.0, 0.0],
+            radius_mm: 2.0,
+        };
+        for (point, distance) in [
+            ([101.0, 20.0, 1.0], 0.0),
+            ([100.0, 20.0, 6.0], 4.0),
+            ([103.0, 15.0, 4.0], 3.0),
+            ([100.0, 33.0, 1.0], 3.0),
+            ([100.0, 3.0, 1.0], 7.0),
+            ([105.0, 34.0, 0.0], 5.0),
+            ([100.0, 6.0, 5.0], 5.0),
+        ] {
+            assert_near(column.from_point(&point.into()), distance);
+        }
+    }
+
+    #[test]
+    fn floor_is_below_a_height() {
+        let floor = ObstacleTable::Floor { z_mm: -30.0 };
+        assert_near(floor.from_point(&Vector3::new(7.0, 8.0, 12.0)), 42.0);
+        assert_near(floor.from_point(&Vector3::new(7.0, 8.0, -31.0)), 0.0);
+    }
+
+    /// Distance of the corner (1, 1) from the line x / 12 + y / 6 = 1: |1/12 + 1/6 - 1| / sqrt(1/144 + 1/36) = 9 / sqrt 5.
+    #[test]
+    fn segment_is_as_far_as_its_nearest_point() {
+        let cube = ObstacleTable::Box { low_mm: [-1.0; 3], high_mm: [1.0; 3] };
+        let distance = |from: [f64; 3], to: [f64; 3]| cube.from_segment(&[from.into(), to.into()]);
+        assert_near(distance([12.0, 0.0, 0.0], [0.0, 6.0, 0.0]), 9.0 / 5.0_f64.sqrt());
+        assert_near(distance([0.0, 6.0, 0.0], [12.0, 0.0, 0.0]), 9.0 / 5.0_f64.sqrt());
+        // At one end, at the other, and through.
+        assert_near(distance([4.0, 0.0, 0.0], [9.0, 0.0, 0.0]), 3.0);
+        assert_near(distance([0.0, 0.0, -90.0], [0.0, 0.0, -3.5]), 2.5);
+        assert_near(distance([-500.0, 0.3, 0.0], [70.0, 0.3, 0.0]), 0.0);
     }
 }

@@ -1,17 +1,28 @@
-//! `plan.csv` and `plan.json`: a pair that belongs together.
+//! A plan, and its files `plan.csv` and `plan.json`: a pair that belongs together.
 
-use super::{MotionKind, Plan, PlanHeader, PlanRow, PoseKind, pass};
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::pass::{self, PlannedPass};
+use super::path::ToolBallPath;
+use super::prediction::PlanPrediction;
+use super::prior::TaughtBall;
+use super::quantity::PlanCheck;
+use super::stage::Stage;
+use super::timing::MoveTime;
+use super::{Job, MotionKind, PlanRow, PlannedCircle, PoseKind};
 use crate::plan::PlanFinding;
 use dbbd_model::base::InternalFinding;
 use dbbd_model::base::serialised;
 use dbbd_model::base::table::wrong_csv;
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::change::CheckPower;
 use dbbd_model::measurement::table::APPROACH;
-use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact};
+use dbbd_model::provenance::{Artefact, ArtefactRole, Provenance, TracedArtefact};
 use dbbd_model::robot::Approach;
 
 /// Version of the form of `plan.json`.
-pub(crate) const PLAN_FILE_SCHEMA: u32 = 1;
+pub(super) const PLAN_FILE_SCHEMA: u32 = 1;
 
 /// The columns of `plan.csv`. The senses of approach come after them: they follow from the rows, are not read, and are absent
 /// in files of older versions.
@@ -20,6 +31,87 @@ const COLUMNS: &str = "index,circle,centre,kind,move,x_mm,y_mm,z_mm,a_deg,b_deg,
 
 fn all_columns() -> String {
     format!("{COLUMNS},{}", APPROACH.join(","))
+}
+
+/// A plan: the rows of `plan.csv` and the header in `plan.json`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    pub rows: Vec<PlanRow>,
+    pub header: PlanHeader,
+}
+
+/// `plan.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlanHeader {
+    pub schema: u32,
+    /// CRC-64/XZ over the text of `plan.csv` with job, robot, moves and passes, sixteen hexadecimal digits.
+    pub hash: String,
+    /// The same over both files, computed with these digits as 0; present only in a file. Absent in files of older versions,
+    /// whose `hash` is that of `plan.csv` alone.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub text_hash: String,
+    pub job: Job,
+    /// The text of the robot's file.
+    pub robot: String,
+    #[serde(default, skip_serializing_if = "Provenance::is_empty")]
+    pub provenance: Provenance,
+    /// One entry for each row, in order.
+    pub moves: Vec<MoveTime>,
+    /// The passes of continuous circles, in order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub passes: Vec<PlannedPass>,
+    /// The worst value of each quantity that was checked.
+    pub checks: Vec<PlanCheck>,
+    /// Findings about the chosen poses; for people, not read back.
+    #[serde(default, skip_serializing_if = "Vec::is_empty", with = "notes")]
+    pub notes: Vec<PlanFinding>,
+    /// The base balls that are to be taught before the bar is mounted; the risk depends on it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub taught: Vec<TaughtBall>,
+    /// Probability that a robot within its tolerance leaves the stroke anywhere while the bar is mounted.
+    #[serde(default)]
+    pub stroke_risk: f64,
+    /// Present if not every pose that can be reached is allowed yet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stage: Option<Stage>,
+    /// What the plan will determine; for people, not read back.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "not_read")]
+    pub predictions: Option<PlanPrediction>,
+    /// What the check of a calibrated robot by this plan will find; for people, not read back.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "not_read")]
+    pub check: Option<CheckPower>,
+}
+
+/// Findings with code, text and values.
+mod notes {
+    use serde::{Deserializer, Serializer};
+
+    use super::{PlanFinding, not_read};
+    use dbbd_model::diagnostic::Diagnostic;
+
+    pub(super) fn serialize<S: Serializer>(notes: &[PlanFinding], out: S) -> Result<S::Ok, S::Error> {
+        out.collect_seq(notes.iter().map(|note| Diagnostic::new(note.clone())))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<PlanFinding>, D::Error> {
+        not_read(from)
+    }
+}
+
+/// Skips a value that is written for people.
+fn not_read<'de, D: Deserializer<'de>, T: Default>(from: D) -> Result<T, D::Error> {
+    IgnoredAny::deserialize(from).map(|_| T::default())
+}
+
+/// The place of a dwell on its circle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CirclePlace {
+    /// Angle of its pose as rounded for the program, degrees from the plane's first axis, 0..360.
+    pub angle_deg: f64,
+    /// Whether the pass goes against growing angles.
+    pub clockwise: bool,
+    pub radius_mm: f64,
 }
 
 impl PlanRow {
@@ -49,6 +141,41 @@ impl PlanRow {
 }
 
 impl Plan {
+    /// The place of each row on its circle; `None` for transit rows and rows of no circle.
+    pub fn circle_places(&self) -> Vec<Option<CirclePlace>> {
+        let job = &self.header.job;
+        let mut measured = vec![0_u32; job.circles.len()];
+        self.rows
+            .iter()
+            .map(|row| {
+                let table = job.circle(row.circle).filter(|_| row.kind != PoseKind::Transit)?;
+                let circle = PlannedCircle::new(job, table, row.circle).ok()?;
+                let visited = measured.get_mut(row.circle as usize - 1)?;
+                let clockwise = table.is_clockwise(*visited >= table.points);
+                *visited += u32::from(row.kind == PoseKind::Measure);
+                let angle_deg = circle.angle_deg(row.xyz_mm.into());
+                Some(CirclePlace { angle_deg, clockwise, radius_mm: circle.radius })
+            })
+            .collect()
+    }
+
+    /// The arc of a pass as its program drives it, through the printed points; `None` if the pass names rows that do not exist.
+    pub fn pass_path(&self, planned: &PlannedPass) -> Option<ToolBallPath> {
+        let at = |index: u32| self.rows.get((index as usize).checked_sub(1)?);
+        let through = [at(planned.through[0])?, at(planned.through[1])?];
+        Some(pass::arc(at(planned.through[0].checked_sub(1)?)?, through, at(planned.end)?, planned.sweep_deg))
+    }
+
+    /// How each base ball was taught, or is to be taught before this run.
+    pub fn taught(&self) -> impl Iterator<Item = TaughtBall> {
+        let tables = self.header.job.centres.iter();
+        let before =
+            tables.filter_map(|table| Some(TaughtBall { centre: table.id, axes_deg: table.taught_deg? }));
+        before.chain(self.header.taught.iter().copied())
+    }
+}
+
+impl Plan {
     pub fn to_csv(&self) -> Result<String, InternalFinding> {
         let rows = self.rows.iter().zip(self.approaches()).map(|(row, approach)| (row, approach.senses()));
         serialised::csv_table(all_columns().split(','), rows)
@@ -60,7 +187,7 @@ impl Plan {
     }
 
     /// What `hash` of the header must be.
-    pub(crate) fn hash(&self) -> Result<String, InternalFinding> {
+    pub(super) fn hash(&self) -> Result<String, InternalFinding> {
         let PlanHeader { job, robot, moves, passes, .. } = &self.header;
         Ok(hash_of([self.to_csv()?.as_str(), &serialised::json_line(&(job, robot, moves, passes))?]))
     }
@@ -157,4 +284,43 @@ const BLANK: &str = "0000000000000000";
 /// The hash of both files as `plan.json` has it.
 fn text_hash(digits: &str) -> String {
     format!("\"text_hash\": \"{digits}\"")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::example::row;
+    use dbbd_model::diagnostic::Finding;
+
+    /// The check value of CRC-64/XZ in the catalogue of parametrised CRC algorithms (Cook): 995dc9bbdf1939fa.
+    #[test]
+    fn hash_is_crc_64_xz_over_all_texts() {
+        assert_eq!(hash_of(["123456789"]), "995dc9bbdf1939fa");
+        assert_eq!(hash_of(["1234", "", "56789"]), "995dc9bbdf1939fa");
+    }
+
+    #[test]
+    fn impossible_rows_are_refused() {
+        let measured = PlanRow { dwell_s: 1.0, ..row(PoseKind::Measure) };
+        assert!(measured.check(0).is_ok());
+        assert!(matches!(measured.check(1), Err(PlanFinding::RowIndex { index: 1, expected: 2 })));
+        let wrong = |change: fn(&mut PlanRow)| {
+            let mut row = measured.clone();
+            change(&mut row);
+            row.check(0).map_err(|finding| finding.code())
+        };
+        for (change, expected) in [
+            ((|row| row.abc_deg[2] = f64::NAN) as fn(&mut PlanRow), PlanFinding::NotFinite { value: 0.0 }),
+            (|row| row.status = 8, PlanFinding::StatusTurn { status: 8, turn: 0 }),
+            (|row| row.turn = 64, PlanFinding::StatusTurn { status: 0, turn: 64 }),
+            (|row| row.centre = 0, PlanFinding::BallZero),
+            (|row| row.dwell_s = 0.0, PlanFinding::Dwell { dwell_s: 0.0, kind: String::new() }),
+            (|row| row.kind = PoseKind::Transit, PlanFinding::Dwell { dwell_s: 0.0, kind: String::new() }),
+        ] {
+            assert_eq!(wrong(change), Err(expected.code()));
+        }
+        assert!(wrong(|row| (row.status, row.turn) = (7, 63)).is_ok());
+        // A point that is passed has no dwell.
+        assert!(wrong(|row| (row.dwell_s, row.motion) = (0.0, MotionKind::Circ)).is_ok());
+    }
 }

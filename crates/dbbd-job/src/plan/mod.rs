@@ -1,4 +1,6 @@
 //! From a job to a plan: circles and chosen poses, checked before anything moves.
+//!
+//! The types below are what the files of this room hand to each other; their fields are private to the room.
 
 mod catalogue;
 pub use catalogue::PlanFinding;
@@ -21,23 +23,26 @@ mod prior;
 mod quantity;
 mod recommend;
 mod refusal;
-pub mod region;
 mod rig;
-mod risk;
-mod route;
-pub mod rows;
+mod rows;
 mod stage;
 mod steps;
 pub mod timing;
 pub mod workspace;
 
-use serde::de::IgnoredAny;
-use serde::{Deserialize, Deserializer, Serialize};
+use std::ops::Range;
+
+use nalgebra::{DVector, Matrix3, Vector3};
+
+use self::job::CircleTable;
+use self::path::ToolBallPath;
+use dbbd_model::design::Near;
+use dbbd_model::estimation::Posterior;
+use dbbd_model::robot::{AXES, Geometry, Pose, Robot};
 
 pub use circle::REFERENCE_EVERY;
-use dbbd_model::estimation::change::CheckPower;
 pub use dbbd_model::measurement::PoseKind;
-use dbbd_model::provenance::Provenance;
+pub use files::{CirclePlace, Plan, PlanHeader};
 pub use frames::PlanFrames;
 pub use job::{DEFAULT_PROTOCOL, Job, MotionTable, SIGMA_UM};
 pub use module::MODULE_DWELLS;
@@ -46,90 +51,169 @@ pub use prediction::PlanPrediction;
 pub use prior::{PlanningPrior, TaughtBall};
 pub use quantity::{CheckQuantity, PlanCheck};
 pub use refusal::Refusal;
-pub use rows::{CirclePlace, MotionKind, PlanRow};
+pub use rows::{MotionKind, PlanRow};
 pub use stage::Stage;
+pub use timing::MoveTime;
 
-/// A plan: the rows of `plan.csv` and the header in `plan.json`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Plan {
-    pub rows: Vec<PlanRow>,
-    pub header: PlanHeader,
+/// The job, the controller that is commanded, and the arm that moves. They differ where the robot was identified:
+/// the controller computes with the nominal robot.
+#[derive(Clone, Copy)]
+struct PlanKinematics<'a> {
+    job: &'a Job,
+    robot: &'a Robot,
+    controller: &'a Robot,
+    /// The arm as well as it is known.
+    arm: &'a Geometry,
 }
 
-/// `plan.json`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PlanHeader {
-    pub schema: u32,
-    /// CRC-64/XZ over the text of `plan.csv` with job, robot, moves and passes, sixteen hexadecimal digits.
-    pub hash: String,
-    /// The same over both files, computed with these digits as 0; present only in a file. Absent in files of older versions,
-    /// whose `hash` is that of `plan.csv` alone.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub text_hash: String,
-    pub job: Job,
-    /// The text of the robot's file.
-    pub robot: String,
-    #[serde(default, skip_serializing_if = "Provenance::is_empty")]
-    pub provenance: Provenance,
-    /// One entry for each row, in order.
-    pub moves: Vec<MoveTime>,
-    /// The passes of continuous circles, in order.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub passes: Vec<PlannedPass>,
-    /// The worst value of each quantity that was checked.
-    pub checks: Vec<PlanCheck>,
-    /// Findings about the chosen poses; for people, not read back.
-    #[serde(default, skip_serializing_if = "Vec::is_empty", with = "notes")]
-    pub notes: Vec<PlanFinding>,
-    /// The base balls that are to be taught before the bar is mounted; the risk depends on it.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub taught: Vec<TaughtBall>,
-    /// Probability that a robot within its tolerance leaves the stroke anywhere while the bar is mounted.
-    #[serde(default)]
-    pub stroke_risk: f64,
-    /// Present if not every pose that can be reached is allowed yet.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub stage: Option<Stage>,
-    /// What the plan will determine; for people, not read back.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "not_read")]
-    pub predictions: Option<PlanPrediction>,
-    /// What the check of a calibrated robot by this plan will find; for people, not read back.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "not_read")]
-    pub check: Option<CheckPower>,
+/// A run of rows in one branch of the inverse kinematics.
+struct BranchRun {
+    rows: Vec<PlanRow>,
+    /// The turns in which the run can start, axis angles in rad, each with the least distance of the run from any limit in
+    /// degrees, negative outside.
+    starts: Vec<(f64, [f64; AXES])>,
 }
 
-/// Findings with code, text and values.
-mod notes {
-    use serde::{Deserializer, Serializer};
+/// A pose of the tool ball to which the robot is to go.
+struct PlanStep {
+    circle: u32,
+    centre: u32,
+    kind: PoseKind,
+    motion: MotionKind,
+    pose: Pose,
+    dwell_s: f64,
+    /// Axis angles, rad, where branch and turn are known.
+    axes: Option<[f64; AXES]>,
+}
 
-    use super::{PlanFinding, not_read};
-    use dbbd_model::diagnostic::Diagnostic;
+/// A way from one pose to the next.
+enum RouteLeg {
+    /// One arc through this auxiliary pose.
+    Arc(Pose),
+    /// Straight lines from pose to pose; the last one is the end.
+    Chords(Vec<Pose>),
+}
 
-    pub(super) fn serialize<S: Serializer>(notes: &[PlanFinding], out: S) -> Result<S::Ok, S::Error> {
-        out.collect_seq(notes.iter().map(|note| Diagnostic::new(note.clone())))
+/// A path with the derivatives of the axis angles along it, by the share of the path from 0 to 1.
+struct PathTiming {
+    path: ToolBallPath,
+    /// Largest first derivative of an axis over its greatest speed, s.
+    axis_s: f64,
+    /// Largest first and second derivative of an axis over its greatest acceleration, s^2.
+    slope_s2: f64,
+    bend_s2: f64,
+}
+
+/// The rows of a pass, by their positions from 0.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct RowsOfPass {
+    through: [usize; 2],
+    points: Range<usize>,
+    end: usize,
+}
+
+/// A `circ` row that belongs to no arc, by its position from 0.
+#[derive(Debug)]
+struct UngroupedRow {
+    at: usize,
+    finding: PlanFinding,
+}
+
+/// Distance of a reading from the ends of the stroke, with its uncertainty.
+#[derive(Clone)]
+struct StrokeMargin {
+    /// To the lower and to the upper end of the stroke, mm.
+    room: [f64; 2],
+    /// The reading's derivative in the coordinates of the prior, mm.
+    design_row: DVector<f64>,
+    /// Probability of leaving the stroke at this pose.
+    risk: f64,
+}
+
+/// Whether the bar is mounted; without it only limits and clearance of the arm count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum BarPresence {
+    Yes,
+    No,
+}
+
+/// Conditions on candidates.
+struct CandidateConditions {
+    risk: f64,
+    /// Status bits of the only branch, if it matters.
+    branch: Option<u8>,
+    near: Option<Near>,
+}
+
+/// A circle in the robot base, mm and rad.
+struct PlannedCircle<'a> {
+    number: u32,
+    table: &'a CircleTable,
+    centre: Vector3<f64>,
+    first: Vector3<f64>,
+    second: Vector3<f64>,
+    radius: f64,
+    start: f64,
+    /// Greatest turn of the tool about each axis.
+    amplitude: f64,
+    /// The base orientation of the tool.
+    down: Matrix3<f64>,
+    seed: u64,
+}
+
+/// The steps so far.
+struct StepBuilder {
+    steps: Vec<PlanStep>,
+    circle: u32,
+    centre: u32,
+    dwell_s: f64,
+}
+
+/// The robot in its cell with what is known of it when a run starts.
+struct PlanningCell<'a> {
+    rig: PlanKinematics<'a>,
+    posterior: Posterior,
+}
+
+/// A robot, a job and a row for the tests of the room.
+#[cfg(test)]
+mod example {
+    use super::{Job, MotionKind, PlanRow, PoseKind};
+    use dbbd_model::robot::Robot;
+
+    pub(super) fn robot() -> Robot {
+        Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read")
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<PlanFinding>, D::Error> {
-        not_read(from)
+    /// A base ball in front of the KR 60, and a bar whose stroke reaches farther outwards than inwards.
+    /// It has a circle if the tables name neither one nor chosen poses.
+    pub(super) fn job(tables: &str) -> Job {
+        let measures = tables.contains("[[circle]]") || tables.contains("[optimise]");
+        let circle = if measures { "" } else { "[[circle]]\nplane = \"XY\"\npoints = 12\n" };
+        let text = format!(
+            "robot = \"kr60ha\"\nbar = {{ length_mm = 300.0, stroke_mm = [-2.0, 6.0], margin_mm = 0.5 }}\n\
+             [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n{tables}{circle}"
+        );
+        Job::from_toml("job.toml", &text).expect("the job is possible")
+    }
+
+    pub(super) fn row(kind: PoseKind) -> PlanRow {
+        PlanRow {
+            index: 1,
+            circle: 1,
+            centre: 1,
+            kind,
+            motion: MotionKind::Ptp,
+            xyz_mm: [0.0; 3],
+            abc_deg: [0.0; 3],
+            axes_deg: [0.0; 6],
+            status: 0,
+            turn: 0,
+            length_mm: 300.0,
+            dwell_s: 0.0,
+        }
     }
 }
 
-/// Skips a value that is written for people.
-fn not_read<'de, D: Deserializer<'de>, T: Default>(from: D) -> Result<T, D::Error> {
-    IgnoredAny::deserialize(from).map(|_| T::default())
-}
-
-/// The time code: speeds and duration of a row's move, chosen so that all intervals between dwells differ.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct MoveTime {
-    pub index: u32,
-    /// Speed of the ball along its path, mm/s (LIN, CIRC).
-    pub feed_mm_s: f64,
-    /// Speed of the orientation, degrees/s (LIN, CIRC).
-    pub turn_deg_s: f64,
-    /// Share of the greatest axis speeds, percent (PTP).
-    pub axis_percent: f64,
-    /// Duration of the move from the last pose to this one at full override, s.
-    pub duration_s: f64,
-}
+#[cfg(test)]
+mod tests;

@@ -1,16 +1,23 @@
 //! A module of chosen poses: from pose to pose on the sphere about one base ball, with sync markers; the start pose is the
 //! reference.
+//!
+//! The ways between them are short and continuous, the ball always on the sphere about its base ball. It goes along a great
+//! circle: as one arc with the orientation turning about one axis, as the controller does it, or where that fails in short
+//! chords whose orientation follows the axes from one pose to the next, so that the wrist does not pass its singularity. The
+//! last try goes past the cup's axis. Every way is checked before it is taken.
+
+use std::f64::consts::PI;
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::PoseKind;
-use super::cell::PlanningCell;
 use super::circle::REFERENCE_EVERY;
-use super::route::{RoutePlanner, order};
-use super::steps::{DETOUR, MarkerPosition, StepBuilder, safe_marker};
+use super::path::{ToolBallPath, between};
+use super::steps::{DETOUR, MarkerPosition, room, safe_marker};
+use super::{PlanningCell, PoseKind, RouteLeg, StepBuilder};
 use crate::plan::PlanFinding;
 use dbbd_model::design::Candidate;
-use dbbd_model::robot::Pose;
+use dbbd_model::robot::inverse::{nearest, status};
+use dbbd_model::robot::{AXES, Pose, max_axis_difference};
 
 /// Poses that are tried in order when the next one cannot be reached.
 const AHEAD: usize = 12;
@@ -18,10 +25,19 @@ const AHEAD: usize = 12;
 pub const MODULE_DWELLS: u32 = 255;
 /// After so many steps another module begins: a controller limits the lines of one.
 const MAX_MODULE_STEPS: usize = 400;
+/// Steps in which a way is tried, mm and degrees; the plan's own check is finer.
+const ROUTE_STEP_MM: f64 = 2.0;
+const ROUTE_STEP_DEG: f64 = 2.0;
+/// Greatest turn of an axis in one chord, rad.
+const CHORD_TURN: f64 = 0.2;
+/// Greatest turn of an axis in one arc, rad: after a larger one the full turns are ambiguous.
+const ARC_TURN: f64 = 1.5;
+/// Greatest deviation of an axis at the end of a way, rad: more is another turn of it.
+const ASTRAY: f64 = 0.01;
 
 /// Appends one module, or several where it grows long: sync markers, the poses in order with visits of the reference pose,
 /// sync markers. `risk` is the greatest stroke risk of a pose. Returns findings about poses that were left out.
-pub(crate) fn module(
+pub(super) fn module(
     walk: &mut StepBuilder,
     cell: &PlanningCell<'_>,
     start: &Candidate,
@@ -143,4 +159,230 @@ fn aside(pose: &Pose, ball: &Vector3<f64>) -> Pose {
     let across = if along.x.abs() < 0.9 * along.norm() { Vector3::x() } else { Vector3::y() };
     let turn = Rotation3::from_scaled_axis(along.cross(&across).normalize() * DETOUR);
     Pose { rotation: pose.rotation, position: ball + turn * along }
+}
+
+/// Ways about one base ball.
+struct RoutePlanner<'a> {
+    cell: &'a PlanningCell<'a>,
+    centre: u32,
+    ball: Vector3<f64>,
+    radius: f64,
+    /// Greatest risk of one pose.
+    risk: f64,
+    /// Greatest sagitta of a chord, mm.
+    sagitta: f64,
+}
+
+impl<'a> RoutePlanner<'a> {
+    /// `None` where the job has no such ball.
+    fn new(cell: &'a PlanningCell<'a>, centre: u32, risk: f64) -> Option<Self> {
+        let (bar, ball) = (&cell.rig.job.bar, Vector3::from(cell.rig.job.ball(centre)?.xyz_mm));
+        let sagitta = (0.25 * room(bar, bar.length_mm)).clamp(0.02, 0.2);
+        Some(Self { cell, centre, ball, radius: bar.length_mm, risk, sagitta })
+    }
+
+    /// The way from one pose to another, if there is one.
+    fn way(&self, from: &Candidate, to: &Candidate) -> Option<RouteLeg> {
+        let (u, v) = (self.direction(&from.pose), self.direction(&to.pose));
+        let bend = arc_angle(&u, &v);
+        let turn = max_axis_difference(&from.axes, &to.axes);
+        if bend < PI - 0.1 && bend > 1e-3 && turn < ARC_TURN {
+            let rotation = between(&from.pose.rotation, &to.pose.rotation, 0.5);
+            let aux = Pose { rotation, position: self.ball + on_arc(&u, &v, 0.5) * self.radius };
+            // The arc is one of the controller's model, and not of the arm's.
+            let half: [f64; AXES] = std::array::from_fn(|i| 0.5 * (from.axes[i] + to.axes[i]));
+            let rig = self.cell.rig;
+            let [start, end] = [from, to].map(|pose| rig.controller.geometry.ball(&pose.axes));
+            let path = ToolBallPath::arc(start, &rig.commanded(&aux, &half).ok()?.position, end);
+            if self.passes(&path, &from.axes).is_some_and(|end| max_axis_difference(&end, &to.axes) < ASTRAY)
+            {
+                return Some(RouteLeg::Arc(aux));
+            }
+        }
+        let table = self.cell.rig.job.ball(self.centre)?;
+        let up = table.cup_axis.map_or(Vector3::z(), |axis| Vector3::from(axis).normalize());
+        let over = (u + v + up * 1.5).try_normalize(1e-6)?;
+        self.chords(from, to, &[u, v]).or_else(|| self.chords(from, to, &[u, over, v])).map(RouteLeg::Chords)
+    }
+
+    /// Chords past these directions, with an orientation that follows the axes.
+    fn chords(&self, from: &Candidate, to: &Candidate, past: &[Vector3<f64>]) -> Option<Vec<Pose>> {
+        let widest = 2.0 * (1.0 - self.sagitta / self.radius).clamp(-1.0, 1.0).acos();
+        let legs: Vec<f64> = past.windows(2).map(|pair| arc_angle(&pair[0], &pair[1])).collect();
+        let whole: f64 = legs.iter().sum();
+        let count = (whole / widest)
+            .max(max_axis_difference(&from.axes, &to.axes) / CHORD_TURN)
+            .ceil()
+            .clamp(1.0, 200.0);
+        let mut poses = Vec::with_capacity(count as usize);
+        let (mut here, mut axes) = (self.cell.rig.controller.geometry.ball(&from.axes), from.axes);
+        for chord in 1..=count as u32 {
+            let share = f64::from(chord) / count;
+            let next = if chord == count as u32 {
+                to.pose
+            } else {
+                let guide: [f64; AXES] =
+                    std::array::from_fn(|i| from.axes[i] + (to.axes[i] - from.axes[i]) * share);
+                let rotation = self.cell.rig.arm.ball(&guide).rotation;
+                Pose { rotation, position: self.ball + along(past, &legs, share * whole) * self.radius }
+            };
+            let end = self.cell.rig.commanded(&next, &axes).ok()?;
+            axes = self.passes(&ToolBallPath::Line { from: here, to: end }, &axes)?;
+            poses.push(next);
+            here = end;
+        }
+        (max_axis_difference(&axes, &to.axes) < ASTRAY).then_some(poses)
+    }
+
+    /// The axis angles at the end of a path, if it keeps all limits and its branch.
+    fn passes(&self, path: &ToolBallPath, start: &[f64; AXES]) -> Option<[f64; AXES]> {
+        let arm = &self.cell.rig.controller.geometry;
+        let began = status(arm, start);
+        let parts = (path.length_mm() / ROUTE_STEP_MM)
+            .max(path.turn_deg() / ROUTE_STEP_DEG)
+            .ceil()
+            .clamp(1.0, 1000.0) as u32;
+        let mut axes = *start;
+        for part in 1..=parts {
+            let next = nearest(arm, &path.pose(f64::from(part) / f64::from(parts))?, &axes).ok()?;
+            // A larger turn than this in one step is a wrist that flips.
+            let fits = max_axis_difference(&next, &axes) < 0.3 && status(arm, &next) == began;
+            if !(fits && self.cell.allows(&next, self.centre, self.risk)) {
+                return None;
+            }
+            axes = next;
+        }
+        Some(axes)
+    }
+
+    fn direction(&self, pose: &Pose) -> Vector3<f64> {
+        (pose.position - self.ball).normalize()
+    }
+}
+
+/// Orders the poses so that the axes turn little: nearest neighbour, then 2-opt. The first stays first.
+fn order(poses: &mut [Candidate]) {
+    for at in 1..poses.len() {
+        let next = (at..poses.len()).min_by(|&a, &b| {
+            let far = |k: usize| max_axis_difference(&poses[at - 1].axes, &poses[k].axes);
+            far(a).total_cmp(&far(b))
+        });
+        poses.swap(at, next.unwrap_or(at));
+    }
+    let far = |a: &Candidate, b: Option<&Candidate>| b.map_or(0.0, |b| max_axis_difference(&a.axes, &b.axes));
+    for _ in 0..20 {
+        let mut shorter = false;
+        for i in 1..poses.len() {
+            for k in i + 1..poses.len() {
+                let now = far(&poses[i - 1], poses.get(i)) + far(&poses[k], poses.get(k + 1));
+                let then = far(&poses[i - 1], poses.get(k)) + far(&poses[i], poses.get(k + 1));
+                if then < now - 1e-9 {
+                    poses[i..=k].reverse();
+                    shorter = true;
+                }
+            }
+        }
+        if !shorter {
+            return;
+        }
+    }
+}
+
+fn arc_angle(u: &Vector3<f64>, v: &Vector3<f64>) -> f64 {
+    u.cross(v).norm().atan2(u.dot(v))
+}
+
+/// The unit vector at `share` of the great circle from u to v.
+fn on_arc(u: &Vector3<f64>, v: &Vector3<f64>, share: f64) -> Vector3<f64> {
+    let normal = u.cross(v);
+    match normal.try_normalize(1e-9) {
+        Some(axis) => Rotation3::from_scaled_axis(axis * (arc_angle(u, v) * share)) * u,
+        None => *u,
+    }
+}
+
+/// The unit vector after `angle` rad along the great circles past the directions.
+fn along(past: &[Vector3<f64>], legs: &[f64], angle: f64) -> Vector3<f64> {
+    let mut left = angle;
+    for (pair, leg) in past.windows(2).zip(legs) {
+        if left <= *leg {
+            return on_arc(&pair[0], &pair[1], if *leg > 0.0 { left / leg } else { 0.0 });
+        }
+        left -= leg;
+    }
+    past.last().copied().unwrap_or_else(Vector3::z)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use super::*;
+    use dbbd_model::robot::BallId;
+
+    fn unit(angle_deg: f64) -> Vector3<f64> {
+        let (sine, cosine) = angle_deg.to_radians().sin_cos();
+        Vector3::new(0.0, cosine, sine)
+    }
+
+    #[test]
+    fn great_circle_is_divided_by_its_angle() {
+        assert!((arc_angle(&unit(10.0), &unit(130.0)).to_degrees() - 120.0).abs() < 1e-9);
+        assert!((on_arc(&unit(10.0), &unit(130.0), 0.25) - unit(40.0)).norm() < 1e-12);
+        assert_eq!(on_arc(&unit(10.0), &unit(10.0), 0.7), unit(10.0));
+    }
+
+    /// 40 degrees forward, then 90 degrees back.
+    #[test]
+    fn way_past_a_direction_has_two_legs() {
+        let past = [unit(0.0), unit(40.0), unit(-50.0)];
+        let legs = [40.0_f64.to_radians(), FRAC_PI_2];
+        for (angle_deg, expected_deg) in
+            [(0.0, 0.0), (30.0, 30.0), (40.0, 40.0), (70.0, 10.0), (130.0, -50.0)]
+        {
+            let found = along(&past, &legs, f64::to_radians(angle_deg));
+            assert!((found - unit(expected_deg)).norm() < 1e-9, "{angle_deg}");
+        }
+        assert_eq!(along(&past, &legs, 9.0), unit(-50.0));
+    }
+
+    fn poses(angles: &[f64]) -> Vec<Candidate> {
+        let pose = |angle: &f64| Candidate {
+            ball: BallId::FIRST,
+            axes: [*angle, 0.0, 0.0, 0.0, 0.0, 0.0],
+            pose: Pose::identity(),
+        };
+        angles.iter().map(pose).collect()
+    }
+
+    fn ordered(angles: &[f64]) -> Vec<f64> {
+        let mut poses = poses(angles);
+        order(&mut poses);
+        poses.iter().map(|pose| pose.axes[0]).collect()
+    }
+
+    #[test]
+    fn poses_are_visited_by_the_nearest_neighbour() {
+        assert_eq!(ordered(&[0.0, 0.9, 0.3, 0.6]), [0.0, 0.3, 0.6, 0.9]);
+        assert_eq!(ordered(&[0.5]), [0.5]);
+    }
+
+    /// The nearest neighbours are 0, 0.2, -0.3, 1: 0.2 + 0.5 + 1.3. The other way is 0.3 + 0.5 + 0.8.
+    #[test]
+    fn detour_of_the_nearest_neighbour_is_undone() {
+        assert_eq!(ordered(&[0.0, 0.2, -0.3, 1.0]), [0.0, -0.3, 0.2, 1.0]);
+    }
+
+    /// 0.035 rad of 300 mm are 10.5 mm along the sphere.
+    #[test]
+    fn step_aside_stays_on_the_sphere() {
+        let ball = Vector3::new(5.0, 6.0, 7.0);
+        for along in [Vector3::x(), Vector3::y(), Vector3::z()] {
+            let pose = Pose { position: ball + along * 300.0, ..Pose::identity() };
+            let beside = aside(&pose, &ball);
+            assert!(((beside.position - ball).norm() - 300.0).abs() < 1e-9);
+            assert!(((beside.position - ball).angle(&along) - 0.035).abs() < 1e-9);
+            assert_eq!(beside.rotation, pose.rotation);
+        }
+    }
 }

@@ -2,16 +2,14 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::PlanningPrior;
-use super::cell::{CandidateConditions, PlanningCell};
 use super::job::{BaseBallTable, OptimiseTable};
 use super::module::module;
 use super::prior::length_sigma_mm;
 use super::refusal::Refusal;
-use super::rig::PlanKinematics;
 use super::stage::Stage;
-use super::steps::{PlanStep, StepBuilder, least_marker};
+use super::steps::least_marker;
 use super::workspace::workspace;
+use super::{CandidateConditions, PlanKinematics, PlanStep, PlanningCell, PlanningPrior, StepBuilder};
 use crate::plan::PlanFinding;
 use crate::plan::job::JobFinding;
 use dbbd_model::design::{Candidate, Criterion, Exchange, Near, change_rows, design_rows, workspace_rows};
@@ -31,11 +29,11 @@ const COMPARED: usize = 150;
 /// Poses of the smallest stage.
 const MIN_STAGE_POSES: u32 = 6;
 
-pub(crate) struct ChosenSteps {
-    pub(crate) steps: Vec<PlanStep>,
-    pub(crate) notes: Vec<PlanFinding>,
+pub(super) struct ChosenSteps {
+    pub(super) steps: Vec<PlanStep>,
+    pub(super) notes: Vec<PlanFinding>,
     /// Present if not every pose is allowed yet.
-    pub(crate) stage: Option<Stage>,
+    pub(super) stage: Option<Stage>,
 }
 
 /// The poses about one base ball that can be reached, whatever their stroke risk.
@@ -100,7 +98,7 @@ impl SafePoseSearch<'_> {
 }
 
 /// Chooses the job's poses, with this share of the risk that is allowed.
-pub(crate) fn choose_steps(
+pub(super) fn choose_steps(
     rig: &PlanKinematics<'_>,
     prior: &PlanningPrior,
     share: f64,

@@ -5,13 +5,10 @@ use std::ops::Range;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::PlanningPrior;
-use super::cell::PlanningCell;
-use super::circle::PlannedCircle;
 use super::job::{CircleTable, Job, OrientationPattern};
 use super::prior::length_sigma_mm;
-use super::rig::PlanKinematics;
 use super::workspace::workspace;
+use super::{PlanKinematics, PlannedCircle, PlanningCell, PlanningPrior};
 use crate::plan::PlanFinding;
 use dbbd_model::design::candidates::largest;
 use dbbd_model::design::{Candidate, Criterion, Exchange, design_rows, workspace_rows};
@@ -31,7 +28,7 @@ struct DrawnOrientation {
 }
 
 /// The job with the turns of its optimal circles chosen: together they minimise the 3-D error.
-pub(crate) fn chosen(rig: &PlanKinematics<'_>, prior: &PlanningPrior) -> Result<Job, Diagnostic> {
+pub(super) fn chosen(rig: &PlanKinematics<'_>, prior: &PlanningPrior) -> Result<Job, Diagnostic> {
     let mut job = rig.job.clone();
     let mut draws: Vec<DrawnOrientation> = Vec::new();
     // For each point: position of the circle in the job, number of the point on it, its draws.

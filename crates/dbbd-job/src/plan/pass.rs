@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use super::job::Job;
 use super::path::ToolBallPath;
-use super::timing::{ACCELERATION_MM_S2, ramped_s};
-use super::{MotionKind, MoveTime, Plan, PlanRow, PoseKind};
+use super::timing::{ACCELERATION_MM_S2, MoveTime, ramped_s};
+use super::{MotionKind, PlanRow, PoseKind, RowsOfPass, UngroupedRow};
 use crate::plan::PlanFinding;
 use dbbd_model::robot::Pose;
 
@@ -87,31 +87,15 @@ impl PlanRow {
     }
 }
 
-impl Plan {
-    /// The arc of a pass as its program drives it, through the printed points; `None` if the pass names rows that do not exist.
-    pub fn pass_path(&self, pass: &PlannedPass) -> Option<ToolBallPath> {
-        let at = |index: u32| self.rows.get((index as usize).checked_sub(1)?);
-        let through = [at(pass.through[0])?, at(pass.through[1])?];
-        Some(arc(at(pass.through[0].checked_sub(1)?)?, through, at(pass.end)?, pass.sweep_deg))
-    }
-}
-
 /// The arc from a row through two points to `end`.
-fn arc(from: &PlanRow, through: [&PlanRow; 2], end: &PlanRow, sweep_deg: f64) -> ToolBallPath {
+pub(super) fn arc(from: &PlanRow, through: [&PlanRow; 2], end: &PlanRow, sweep_deg: f64) -> ToolBallPath {
     let pose = |row: &PlanRow| Pose::from_kuka(row.xyz_mm, row.abc_deg);
     match ToolBallPath::arc(pose(from), &through[0].xyz_mm.into(), pose(through[1])) {
         ToolBallPath::Arc { from, centre, axis, .. } => {
             ToolBallPath::Arc { from, to: pose(end), centre, axis, angle: sweep_deg.to_radians() }
         }
-        other => other,
+        other @ (ToolBallPath::Axes { .. } | ToolBallPath::Line { .. }) => other,
     }
-}
-
-/// A `circ` row that belongs to no arc, by its position from 0.
-#[derive(Debug)]
-pub(crate) struct UngroupedRow {
-    pub(crate) at: usize,
-    pub(crate) finding: PlanFinding,
 }
 
 impl From<UngroupedRow> for PlanFinding {
@@ -120,21 +104,13 @@ impl From<UngroupedRow> for PlanFinding {
     }
 }
 
-/// The rows of a pass, by their positions from 0.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct RowsOfPass {
-    pub(crate) through: [usize; 2],
-    pub(crate) points: Range<usize>,
-    pub(crate) end: usize,
-}
-
 impl RowsOfPass {
-    pub(crate) fn holds(&self, at: usize) -> bool {
+    pub(super) fn holds(&self, at: usize) -> bool {
         (self.through[0]..=self.end).contains(&at)
     }
 
     /// Its arc; `None` without a row before it.
-    pub(crate) fn path(&self, job: &Job, from: Option<&PlanRow>, rows: &[PlanRow]) -> Option<ToolBallPath> {
+    pub(super) fn path(&self, job: &Job, from: Option<&PlanRow>, rows: &[PlanRow]) -> Option<ToolBallPath> {
         let [a, b, end] = [self.through[0], self.through[1], self.end].map(|at| rows.get(at));
         let table = job.circles.get((end?.circle as usize).checked_sub(1)?)?;
         Some(arc(from?, [a?, b?], end?, table.sweep_deg()))
@@ -142,7 +118,7 @@ impl RowsOfPass {
 }
 
 /// The passes among the rows; refuses a `circ` row that belongs to no arc.
-pub(crate) fn groups(rows: &[PlanRow]) -> Result<Vec<RowsOfPass>, UngroupedRow> {
+pub(super) fn groups(rows: &[PlanRow]) -> Result<Vec<RowsOfPass>, UngroupedRow> {
     let arc = |at| Err(UngroupedRow { at, finding: PlanFinding::ArcRows });
     let pass = |at| Err(UngroupedRow { at, finding: PlanFinding::PassPattern });
     let mut found = Vec::new();
@@ -247,4 +223,93 @@ pub(super) fn check_passes(rows: &[PlanRow], passes: &[PlannedPass]) -> Result<(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::example::row;
+
+    /// 100 mm at 20 mm/s with ramps of 2 s, in each of which it goes 20 mm: 2 + 3 + 2 s.
+    fn pass() -> PlannedPass {
+        PlannedPass {
+            circle: 1,
+            clockwise: false,
+            through: [2, 3],
+            points: [4, 6],
+            end: 7,
+            sweep_deg: 400.0,
+            length_mm: 100.0,
+            feed_mm_s: 20.0,
+            acceleration_mm_s2: 10.0,
+            duration_s: 7.0,
+        }
+    }
+
+    #[test]
+    fn pass_speeds_up_and_slows_down() {
+        for (t_s, share) in
+            [(1.0, 0.05), (2.0, 0.2), (3.5, 0.5), (5.0, 0.8), (6.0, 0.95), (0.0, 0.0), (7.0, 1.0)]
+        {
+            assert!((pass().share(t_s) - share).abs() < 1e-12, "{t_s}");
+            assert!((pass().time_s(share) - t_s).abs() < 1e-9, "{share}");
+        }
+        assert_eq!([pass().share(-1.0), pass().share(8.0)], [0.0, 1.0]);
+        assert_eq!([pass().time_s(-0.1), pass().time_s(1.1)], [0.0, 7.0]);
+    }
+
+    /// 10 mm with ramps of 10 mm/s^2: the speed reaches 10 mm/s after 1 s.
+    #[test]
+    fn short_pass_does_not_reach_its_feed() {
+        let short = PlannedPass { length_mm: 10.0, duration_s: 2.0, ..pass() };
+        for (t_s, share) in [(0.5, 0.125), (1.0, 0.5), (1.5, 0.875)] {
+            assert!((short.share(t_s) - share).abs() < 1e-12, "{t_s}");
+            assert!((short.time_s(share) - t_s).abs() < 1e-12, "{share}");
+        }
+    }
+
+    fn rows(kinds: &str) -> Vec<PlanRow> {
+        let motion = |sign: char| if "apd".contains(sign) { MotionKind::Circ } else { MotionKind::Lin };
+        let kind = |sign: char| if "pd".contains(sign) { PoseKind::Measure } else { PoseKind::Transit };
+        let one = |(index, sign): (u32, char)| PlanRow {
+            index,
+            motion: motion(sign),
+            dwell_s: if sign == 'd' { 1.0 } else { 0.0 },
+            ..row(kind(sign))
+        };
+        (1..).zip(kinds.chars()).map(one).collect()
+    }
+
+    /// l: a line; a: an auxiliary point or the end of a pass; d: a dwell on an arc; p: a point that is passed.
+    #[test]
+    fn rows_are_grouped_into_arcs_and_passes() {
+        let found = groups(&rows("ladlaapppaladaappa")).expect("the rows are possible");
+        let pass = |through, points, end| RowsOfPass { through, points, end };
+        assert_eq!(found, [pass([4, 5], 6..9, 9), pass([13, 14], 15..17, 17)]);
+        assert!(found[0].holds(4) && found[0].holds(9) && !found[0].holds(3) && !found[0].holds(10));
+        for (kinds, at) in [("ld", 1), ("lal", 2), ("lpa", 1), ("laapp", 4), ("laad", 3), ("laapl", 4)] {
+            assert_eq!(groups(&rows(kinds)).map_err(|wrong| wrong.at), Err(at), "{kinds}");
+        }
+    }
+
+    #[test]
+    fn passes_of_a_file_are_those_of_its_rows() {
+        let rows = rows("laapppa");
+        assert!(check_passes(&rows, &[pass()]).is_ok());
+        assert!(matches!(check_passes(&rows, &[]), Err(PlanFinding::PassCount { passes: 0, found: 1 })));
+        for other in [
+            PlannedPass { through: [2, 4], ..pass() },
+            PlannedPass { points: [4, 7], ..pass() },
+            PlannedPass { end: 6, ..pass() },
+        ] {
+            assert!(matches!(check_passes(&rows, &[other]), Err(PlanFinding::PassRows { entry: 1 })));
+        }
+        for other in [
+            PlannedPass { sweep_deg: 1080.5, ..pass() },
+            PlannedPass { feed_mm_s: 0.0, ..pass() },
+            PlannedPass { duration_s: f64::NAN, ..pass() },
+        ] {
+            assert!(matches!(check_passes(&rows, &[other]), Err(PlanFinding::PassNumbers { entry: 1 })));
+        }
+    }
 }

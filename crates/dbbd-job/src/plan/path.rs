@@ -16,14 +16,6 @@ pub enum ToolBallPath {
     Arc { from: Pose, to: Pose, centre: Vector3<f64>, axis: Vector3<f64>, angle: f64 },
 }
 
-/// A way from one pose to the next.
-pub(crate) enum RouteLeg {
-    /// One arc through this auxiliary pose.
-    Arc(Pose),
-    /// Straight lines from pose to pose; the last one is the end.
-    Chords(Vec<Pose>),
-}
-
 impl ToolBallPath {
     /// The arc from `from` through `aux` to `to`, of less than a full turn; a line if the three are on one.
     pub fn arc(from: Pose, aux: &Vector3<f64>, to: Pose) -> Self {
@@ -77,7 +69,72 @@ impl ToolBallPath {
 }
 
 /// The orientation at `share` of the turn about one axis from `from` to `to`.
-pub(crate) fn between(from: &Matrix3<f64>, to: &Matrix3<f64>, share: f64) -> Matrix3<f64> {
+pub(super) fn between(from: &Matrix3<f64>, to: &Matrix3<f64>, share: f64) -> Matrix3<f64> {
     let turn = rotation_vector(&(from.transpose() * to));
     from * Rotation3::from_scaled_axis(turn * share).matrix()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    use super::*;
+    use dbbd_model::robot::pose::{rot_x, rot_z};
+
+    fn at(position: [f64; 3]) -> Pose {
+        Pose { rotation: Matrix3::identity(), position: position.into() }
+    }
+
+    fn assert_at(path: &ToolBallPath, share: f64, expected: [f64; 3]) {
+        let found = path.pose(share).expect("a line or an arc has poses").position;
+        assert!((found - Vector3::from(expected)).norm() < 1e-9, "{share}: {found}, not {expected:?}");
+    }
+
+    /// A circle of 50 mm about (100, 20, 7) parallel to XY; 30 degrees have the sine 1/2.
+    #[test]
+    fn arc_goes_through_its_auxiliary_point() {
+        let (from, to) = (at([150.0, 20.0, 7.0]), at([100.0, 70.0, 7.0]));
+        let short = ToolBallPath::arc(from, &Vector3::new(130.0, 60.0, 7.0), to);
+        assert!((short.length_mm() - 50.0 * FRAC_PI_2).abs() < 1e-9);
+        assert_at(&short, 1.0 / 3.0, [100.0 + 50.0 * 0.75_f64.sqrt(), 45.0, 7.0]);
+        assert_at(&short, 0.0, [150.0, 20.0, 7.0]);
+        assert_at(&short, 1.0, [100.0, 70.0, 7.0]);
+        // The other way round: 270 degrees through the opposite side.
+        let long = ToolBallPath::arc(from, &Vector3::new(50.0, 20.0, 7.0), to);
+        assert!((long.length_mm() - 75.0 * PI).abs() < 1e-9);
+        assert_at(&long, 1.0 / 3.0, [100.0, -30.0, 7.0]);
+        assert_at(&long, 2.0 / 3.0, [50.0, 20.0, 7.0]);
+    }
+
+    #[test]
+    fn arc_through_three_points_of_a_line_is_a_line() {
+        let path = ToolBallPath::arc(at([0.0; 3]), &Vector3::new(1.0, 2.0, 2.0), at([3.0, 6.0, 6.0]));
+        assert_eq!(path, ToolBallPath::Line { from: at([0.0; 3]), to: at([3.0, 6.0, 6.0]) });
+        assert!((path.length_mm() - 9.0).abs() < 1e-12);
+        assert_at(&path, 0.25, [0.75, 1.5, 1.5]);
+    }
+
+    /// Rx(90) then Rz(share 60) of the tool: the orientations do not commute.
+    #[test]
+    fn orientation_turns_about_one_axis_of_the_tool() {
+        let (from, degree) = (rot_x(FRAC_PI_2), PI / 180.0);
+        let to = from * rot_z(60.0 * degree);
+        for (share, turned_deg) in [(0.0, 0.0), (0.25, 15.0), (0.5, 30.0), (1.0, 60.0)] {
+            let expected = from * rot_z(turned_deg * degree);
+            assert!((between(&from, &to, share) - expected).norm() < 1e-12, "{share}");
+        }
+        let (start, end) =
+            (Pose { rotation: from, ..at([0.0; 3]) }, Pose { rotation: to, ..at([8.0, 0.0, 0.0]) });
+        let path = ToolBallPath::Line { from: start, to: end };
+        assert!((path.turn_deg() - 60.0).abs() < 1e-9);
+        let quarter = path.pose(0.25).expect("a line has poses");
+        assert!((quarter.rotation - from * rot_z(15.0 * degree)).norm() < 1e-12);
+        assert_eq!(path.pose(1.0), Some(end));
+    }
+
+    #[test]
+    fn motion_of_the_axes_has_no_path_of_the_ball() {
+        let path = ToolBallPath::Axes { from: [0.0; AXES], to: [1.0; AXES] };
+        assert_eq!((path.length_mm(), path.turn_deg(), path.pose(0.5)), (0.0, 0.0, None));
+    }
 }

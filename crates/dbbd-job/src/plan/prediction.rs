@@ -1,12 +1,12 @@
 //! What a plan will determine, for `plan.json`, the page and the terminal.
 
+use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::job::BaseBallTable;
+use super::job::{BaseBallTable, Job};
 use super::prior::length_sigma_mm;
-use super::region::{ErrorShell, regions, validity};
 use super::workspace::workspace;
-use super::{Plan, PlanRow, PlanningPrior, PoseKind};
+use super::{PlanRow, PlanningPrior, PoseKind};
 use crate::plan::PlanFinding;
 use dbbd_model::design::length_count::{LengthCount, Sufficiency, by_count, sufficiency};
 use dbbd_model::design::second_ball::{OneBall, SecondBall};
@@ -27,6 +27,12 @@ const PREDICTION_WORKSPACE_POSES: usize = 2000;
 const FEW_POSES: usize = 300;
 /// A second ball helps when it leaves less than this share of the error.
 const HELPS: f64 = 0.85;
+/// Outer radii of the shells about the base balls, mm.
+const WITHIN_MM: [f64; 5] = [300.0, 600.0, 1000.0, 1500.0, f64::INFINITY];
+/// A result is valid in shells with an error of up to this many times the least one.
+const ALIKE: f64 = 2.0;
+/// Fewest poses of a shell.
+const MIN_SHELL_POSES: usize = 10;
 
 /// What the poses of a plan will determine, with the bar's sigma and the robot's repeatability as noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -101,29 +107,32 @@ impl PlanRow {
     }
 }
 
-impl Plan {
-    /// Predicts what this plan will add to `prior`, and stores it in the header. Returns the map of the error that is left,
-    /// empty if a number is not finite.
-    pub fn predict(&mut self, robot: &Robot, prior: &PlanningPrior) -> Vec<MapPoint> {
-        let dwells = self.rows.iter().filter(|row| row.kind != PoseKind::Transit);
+impl PlanPrediction {
+    /// What the rows of a plan will add to `prior`, and the map of the error that is left; `None` if a number is not finite.
+    /// `is_stage`: the rows are a stage, after which only the next plan matters.
+    pub(super) fn of_rows(
+        job: &Job,
+        rows: &[PlanRow],
+        is_stage: bool,
+        robot: &Robot,
+        prior: &PlanningPrior,
+    ) -> Option<(Self, Vec<MapPoint>)> {
+        let dwells = rows.iter().filter(|row| row.kind != PoseKind::Transit);
         let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
-        let poses = workspace(&self.header.job, robot, PREDICTION_WORKSPACE_POSES);
-        let sigma_mm = length_sigma_mm(&self.header.job, robot);
-        let Some(seen) = predict_design(&prior.posterior, &readings, sigma_mm, &poses) else {
-            return Vec::new();
-        };
+        let poses = workspace(job, robot, PREDICTION_WORKSPACE_POSES);
+        let sigma_mm = length_sigma_mm(job, robot);
+        let seen = predict_design(&prior.posterior, &readings, sigma_mm, &poses)?;
         let few = poses.get(..FEW_POSES).unwrap_or(&poses);
         let against = by_count(&prior.posterior, &readings, sigma_mm, few);
-        let regions = regions(&self.header.job, &seen.map);
-        // After a stage only the next plan matters.
-        let recommendations = if self.header.stage.is_some() {
+        let regions = regions(job, &seen.map);
+        let recommendations = if is_stage {
             Vec::new()
         } else {
             let count = sufficiency(&against, robot.repeatability_mm).map(PlanFinding::from);
-            let ball = self.second_ball(robot.controller(), readings.len(), few);
+            let ball = second_ball(job, robot.controller(), readings.len(), few);
             count.into_iter().chain(validity(&regions)).chain(ball).map(Diagnostic::from).collect()
         };
-        self.header.predictions = Some(PlanPrediction {
+        let prediction = Self {
             lengths: readings.len(),
             sigma_mm,
             rank: seen.analysis.base.rank,
@@ -138,53 +147,47 @@ impl Plan {
             against,
             regions,
             recommendations,
-        });
-        seen.map
+        };
+        Some((prediction, seen.map))
     }
+}
 
-    /// Whether a second ball would help; `None` for a job with several balls, or if no pose can be chosen.
-    fn second_ball(&self, robot: &Robot, lengths: usize, workspace: &[[f64; AXES]]) -> Option<PlanFinding> {
-        let job = &self.header.job;
-        let [table] = job.centres.as_slice() else { return None };
-        let limits = &job.limits;
-        let one = OneBall {
-            robot,
-            ball: table.xyz_mm.into(),
-            radius_mm: job.bar.length_mm,
-            lengths,
-            sigma_mm: length_sigma_mm(job, robot),
-            workspace,
-            seed: u64::from(job.seed),
-        };
-        let prior = |balls: [nalgebra::Vector3<f64>; 2]| {
-            let mut two = job.clone();
-            two.centres = (1..)
-                .zip(balls)
-                .map(|(id, ball)| BaseBallTable {
-                    id,
-                    xyz_mm: ball.into(),
-                    taught_deg: None,
-                    ..table.clone()
-                })
-                .collect();
-            PlanningPrior::of_maker(&two, robot)
-        };
-        let best = one.second(prior, |axes| {
-            clearance(&robot.geometry, axes).is_none_or(|clear| {
-                clear.wrist.to_degrees() > limits.min_a5_deg
-                    && clear.elbow.to_degrees() > limits.min_elbow_deg
-                    && clear.overhead > limits.min_overhead_mm
-            })
-        })?;
-        let SecondBall { place, ball, alone_mm, share, turned_share, places } = best;
-        let turned_percent = 100.0 * turned_share.min(1.0);
-        Some(if share < HELPS {
-            let ([x_mm, y_mm, z_mm], percent) = (ball.into(), 100.0 * share);
-            PlanFinding::SecondBall { place, x_mm, y_mm, z_mm, percent, alone_mm, turned_percent }
-        } else {
-            PlanFinding::NoSecondBall { places, percent: 100.0 * HELPS, alone_mm, turned_percent }
+/// Whether a second ball would help; `None` for a job with several balls, or if no pose can be chosen.
+fn second_ball(job: &Job, robot: &Robot, lengths: usize, workspace: &[[f64; AXES]]) -> Option<PlanFinding> {
+    let [table] = job.centres.as_slice() else { return None };
+    let limits = &job.limits;
+    let one = OneBall {
+        robot,
+        ball: table.xyz_mm.into(),
+        radius_mm: job.bar.length_mm,
+        lengths,
+        sigma_mm: length_sigma_mm(job, robot),
+        workspace,
+        seed: u64::from(job.seed),
+    };
+    let prior = |balls: [Vector3<f64>; 2]| {
+        let mut two = job.clone();
+        two.centres = (1..)
+            .zip(balls)
+            .map(|(id, ball)| BaseBallTable { id, xyz_mm: ball.into(), taught_deg: None, ..table.clone() })
+            .collect();
+        PlanningPrior::of_maker(&two, robot)
+    };
+    let best = one.second(prior, |axes| {
+        clearance(&robot.geometry, axes).is_none_or(|clear| {
+            clear.wrist.to_degrees() > limits.min_a5_deg
+                && clear.elbow.to_degrees() > limits.min_elbow_deg
+                && clear.overhead > limits.min_overhead_mm
         })
-    }
+    })?;
+    let SecondBall { place, ball, alone_mm, share, turned_share, places } = best;
+    let turned_percent = 100.0 * turned_share.min(1.0);
+    Some(if share < HELPS {
+        let ([x_mm, y_mm, z_mm], percent) = (ball.into(), 100.0 * share);
+        PlanFinding::SecondBall { place, x_mm, y_mm, z_mm, percent, alone_mm, turned_percent }
+    } else {
+        PlanFinding::NoSecondBall { places, percent: 100.0 * HELPS, alone_mm, turned_percent }
+    })
 }
 
 fn predicted(seen: &DesignPrediction, known: &ParameterPrediction) -> PredictedParameter {
@@ -224,5 +227,98 @@ impl From<Sufficiency<'_>> for PlanFinding {
                 doubled_error_mm: doubled.error_mm,
             },
         }
+    }
+}
+
+/// The error in a shell about the base balls.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ErrorShell {
+    /// Least distance from the nearest base ball, mm.
+    beyond_mm: f64,
+    /// Greatest distance, absent for the outermost shell.
+    within_mm: Option<f64>,
+    /// Root mean square of the predicted 3-D error, mm.
+    error_mm: f64,
+}
+
+/// The shells about the job's base balls in which the map has enough poses.
+fn regions(job: &Job, map: &[MapPoint]) -> Vec<ErrorShell> {
+    let far = |place: &Vector3<f64>| {
+        let off = |ball: &[f64; 3]| (place - Vector3::from(*ball)).norm();
+        job.centres.iter().map(|table| off(&table.xyz_mm)).fold(f64::INFINITY, f64::min)
+    };
+    let mut beyond_mm = 0.0;
+    let mut regions = Vec::new();
+    for within in WITHIN_MM {
+        let there = map.iter().filter(|point| (beyond_mm..within).contains(&far(&point.position)));
+        let errors: Vec<f64> = there.map(|point| point.rms_mm).collect();
+        if errors.len() >= MIN_SHELL_POSES {
+            let square = errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64;
+            let within_mm = within.is_finite().then_some(within);
+            regions.push(ErrorShell { beyond_mm, within_mm, error_mm: square.sqrt() });
+        }
+        beyond_mm = within;
+    }
+    regions
+}
+
+/// Up to which distance the result is valid.
+fn validity(regions: &[ErrorShell]) -> Option<PlanFinding> {
+    let least_mm = regions.iter().map(|region| region.error_mm).fold(f64::INFINITY, f64::min);
+    let good = regions.iter().take_while(|region| region.error_mm <= ALIKE * least_mm).last()?;
+    let worst = regions.iter().map(|region| region.error_mm).fold(0.0, f64::max);
+    Some(match good.within_mm {
+        Some(within_mm) if worst > ALIKE * least_mm => {
+            let most_mm = good.error_mm.max(least_mm);
+            PlanFinding::ValidNear { within_mm, least_mm, most_mm, farther_mm: worst }
+        }
+        _ => PlanFinding::ValidEverywhere { least_mm, most_mm: worst },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::example::job;
+
+    /// `count` points with this error at a distance from the ball of the example.
+    fn shell(count: usize, distance_mm: f64, rms_mm: f64) -> Vec<MapPoint> {
+        vec![MapPoint { position: Vector3::new(1300.0, distance_mm, 800.0), rms_mm }; count]
+    }
+
+    #[test]
+    fn shells_have_the_root_mean_square_of_enough_poses() {
+        // Half with 3 and half with 4: sqrt(12.5). Nine poses are too few.
+        let map = [
+            shell(5, 100.0, 3.0),
+            shell(5, 299.0, 4.0),
+            shell(9, 400.0, 1.0),
+            shell(10, 600.0, 2.0),
+            shell(10, 5000.0, 7.0),
+        ]
+        .concat();
+        let found = regions(&job(""), &map);
+        let expected = [(0.0, Some(300.0), 12.5_f64.sqrt()), (600.0, Some(1000.0), 2.0), (1500.0, None, 7.0)];
+        assert_eq!(found.len(), expected.len());
+        for (region, (beyond_mm, within_mm, error_mm)) in found.iter().zip(expected) {
+            assert_eq!((region.beyond_mm, region.within_mm), (beyond_mm, within_mm));
+            assert!((region.error_mm - error_mm).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn result_is_valid_up_to_twice_the_least_error() {
+        let region = |within_mm, error_mm| ErrorShell { beyond_mm: 0.0, within_mm, error_mm };
+        let near = [region(Some(300.0), 0.1), region(Some(600.0), 0.2), region(Some(1000.0), 0.21)];
+        assert!(matches!(
+            validity(&near),
+            Some(PlanFinding::ValidNear { within_mm, least_mm, most_mm, farther_mm })
+                if [within_mm, least_mm, most_mm, farther_mm] == [600.0, 0.1, 0.2, 0.21]
+        ));
+        assert!(matches!(
+            validity(&near[..2]),
+            Some(PlanFinding::ValidEverywhere { least_mm, most_mm }) if [least_mm, most_mm] == [0.1, 0.2]
+        ));
+        assert!(validity(&[]).is_none());
     }
 }

@@ -3,8 +3,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::rig::PlanKinematics;
-use super::{Job, Plan};
+use super::{Job, PlanKinematics};
 use crate::plan::PlanFinding;
 use crate::plan::job::JobFinding;
 use dbbd_model::estimation::EstimationFinding;
@@ -28,7 +27,7 @@ pub struct PlanningPrior {
     /// controller has the tool ball, so that its error is that of the robot there.
     located: Vec<bool>,
     /// A calibrated robot in a new set-up, whose check is planned.
-    pub(crate) calibrated: Option<Expected>,
+    pub(super) calibrated: Option<Expected>,
 }
 
 /// How a base ball is to be taught.
@@ -42,7 +41,7 @@ pub struct TaughtBall {
 
 impl PlanningPrior {
     /// The robot's tolerance and the bar's certificate, without the taught balls.
-    pub(crate) fn of_maker(job: &Job, robot: &Robot) -> Posterior {
+    pub(super) fn of_maker(job: &Job, robot: &Robot) -> Posterior {
         let model = LengthModel::new(robot.geometry.clone(), &job.balls());
         Posterior::prior(robot, model, &Priors::datasheet(robot, job.bar.u_mm()))
     }
@@ -142,7 +141,7 @@ impl PlanningPrior {
 
     /// What is known when a run about base ball `centre` (from 1) starts at axis angles in rad. A ball that was neither
     /// measured nor taught is touched before, with the orientation of the tool at the start.
-    pub(crate) fn at_start(&self, rig: &PlanKinematics<'_>, centre: u32, start: &[f64; AXES]) -> RunStart {
+    pub(super) fn at_start(&self, rig: &PlanKinematics<'_>, centre: u32, start: &[f64; AXES]) -> RunStart {
         let unlocated = |ball: &BallId| self.located.get(ball.index()) == Some(&false);
         let Some(ball) = BallId::new(centre).filter(unlocated) else {
             return RunStart { posterior: self.posterior.clone(), taught: None };
@@ -155,7 +154,7 @@ impl PlanningPrior {
     }
 
     /// Continues with what is known at a start; the ball that is to be taught for it.
-    pub(crate) fn begin(&mut self, start: RunStart) -> Option<TaughtBall> {
+    pub(super) fn begin(&mut self, start: RunStart) -> Option<TaughtBall> {
         let taught = start.taught?;
         self.posterior = start.posterior;
         let ball = BallId::new(taught.centre);
@@ -192,20 +191,10 @@ impl BarLengthError {
 }
 
 /// What is known at the start of a run.
-pub(crate) struct RunStart {
-    pub(crate) posterior: Posterior,
+pub(super) struct RunStart {
+    pub(super) posterior: Posterior,
     /// The ball that is taught before it.
-    pub(crate) taught: Option<TaughtBall>,
-}
-
-impl Plan {
-    /// How each base ball was taught, or is to be taught before this run.
-    pub fn taught(&self) -> impl Iterator<Item = TaughtBall> {
-        let tables = self.header.job.centres.iter();
-        let before =
-            tables.filter_map(|table| Some(TaughtBall { centre: table.id, axes_deg: table.taught_deg? }));
-        before.chain(self.header.taught.iter().copied())
-    }
+    pub(super) taught: Option<TaughtBall>,
 }
 
 impl Job {
@@ -232,6 +221,54 @@ impl Job {
 }
 
 /// Standard deviation of one length, mm: of the bar and of the robot's repeatability together.
-pub(crate) fn length_sigma_mm(job: &Job, robot: &Robot) -> f64 {
+pub(super) fn length_sigma_mm(job: &Job, robot: &Robot) -> f64 {
     length_sd_mm(job.bar.sigma_um * 1e-3, robot)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::example::{job, robot};
+
+    #[test]
+    fn taught_ball_is_known_as_well_as_the_tool_there() {
+        let (job, robot) = (job(""), robot());
+        let rig = PlanKinematics::new(&job, &robot);
+        let prior = PlanningPrior::datasheet(&job, &robot);
+        let start = [2.0, -62.0, 117.0, 0.0, 60.0, 10.0].map(f64::to_radians);
+        let RunStart { posterior, taught } = prior.at_start(&rig, 1, &start);
+        let taught = taught.expect("the ball was not taught");
+        let axes = taught.axes_deg.map(f64::to_radians);
+        // The ball's place to the four decimals of the angles: 0.00005 degrees at 1.5 m are 1.3 um for each axis.
+        let ball = robot.geometry.ball(&axes).position;
+        assert!((ball - Vector3::new(1300.0, 0.0, 800.0)).norm() < 0.01);
+        // The length from the ball to the tool ball at the very place is exact but for the noise of teaching.
+        let near_mm = posterior.design_row(&axes, BallId::FIRST).norm();
+        let far_mm = prior.posterior.design_row(&axes, BallId::FIRST).norm();
+        assert!(near_mm < far_mm, "{near_mm} {far_mm}");
+        let mut next = prior.clone();
+        assert_eq!(next.begin(prior.at_start(&rig, 1, &start)), Some(taught));
+        assert_eq!(next.at_start(&rig, 1, &start).taught, None);
+    }
+
+    #[test]
+    fn taught_angles_and_tool_must_fit_the_robot() {
+        let robot = robot();
+        let mut job = job("");
+        let rig = PlanKinematics::new(&job, &robot);
+        let start = [2.0, -62.0, 117.0, 0.0, 60.0, 10.0].map(f64::to_radians);
+        let axes = rig.touching(1, &start).expect("it is in reach");
+        let [x, y, z] = job.centres[0].xyz_mm;
+        for (off_mm, fits) in [(0.0, true), (0.99, true), (1.01, false)] {
+            job.centres[0].xyz_mm = [x, y + off_mm, z];
+            job.centres[0].taught_deg = Some(axes.map(f64::to_degrees));
+            assert_eq!(job.check_against(&robot).is_ok(), fits, "{off_mm}");
+        }
+        job.centres[0].taught_deg = None;
+        // The tool ball of the file is at (30, 20, 10).
+        for (tool_z_mm, fits) in [(10.0, true), (10.0005, true), (10.002, false)] {
+            job.motion.tool = Some([30.0, 20.0, tool_z_mm, 0.0, 0.0, 0.0]);
+            assert_eq!(job.check_against(&robot).is_ok(), fits, "{tool_z_mm}");
+        }
+    }
 }

@@ -6,7 +6,7 @@ use super::job::Job;
 use crate::plan::PlanFinding;
 
 /// An axis that turns by more than this within one fine step has jumped, degrees.
-pub(crate) const JUMP_DEG: f64 = 20.0;
+pub(super) const JUMP_DEG: f64 = 20.0;
 
 /// A quantity that is checked, in the unit of its name; a risk is a probability.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -64,9 +64,9 @@ const _: () = {
 };
 
 impl CheckQuantity {
-    pub(crate) const COUNT: usize = TABLE.len();
+    pub(super) const COUNT: usize = TABLE.len();
 
-    pub(crate) fn all() -> impl Iterator<Item = Self> {
+    pub(super) fn all() -> impl Iterator<Item = Self> {
         TABLE.iter().map(|entry| entry.0)
     }
 
@@ -93,7 +93,7 @@ impl CheckQuantity {
     }
 
     /// The limit in a job, for a pose about base ball `ball` (from 1).
-    pub(crate) fn limit(self, job: &Job, ball: u32) -> f64 {
+    pub(super) fn limit(self, job: &Job, ball: u32) -> f64 {
         let (limits, bar) = (&job.limits, &job.bar);
         match self {
             Self::AxisMarginDeg => 0.0,
@@ -130,7 +130,7 @@ impl PlanCheck {
     }
 
     /// Distance of the value from its limit, negative beyond it.
-    pub(crate) fn slack(&self) -> f64 {
+    pub(super) fn slack(&self) -> f64 {
         if self.quantity.at_least() { self.worst - self.limit } else { self.limit - self.worst }
     }
 }
@@ -167,5 +167,53 @@ impl From<&PlanCheck> for PlanFinding {
             }
             CheckQuantity::ClearanceMm => Self::Obstacle { row, quantity: name, worst, limit },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::example::job;
+
+    /// The bar of the example reads -2 to 6 mm with a margin of 0.5 mm.
+    #[test]
+    fn limits_are_those_of_the_job() {
+        let mut job = job("");
+        job.centres[0].cup_limit_deg = Some(70.0);
+        job.limits.min_clearance_mm = 12.0;
+        for (quantity, limit) in [
+            (CheckQuantity::ReadingLowMm, -1.5),
+            (CheckQuantity::ReadingHighMm, 5.5),
+            (CheckQuantity::AxisMarginDeg, 0.0),
+            (CheckQuantity::AxisSpeedPercent, 100.0),
+            (CheckQuantity::AxisAccelerationPercent, 100.0),
+            (CheckQuantity::StrokeRisk, 1e-3),
+            (CheckQuantity::RunRisk, 1e-3),
+            (CheckQuantity::CupDeg, 70.0),
+            (CheckQuantity::ToolCupDeg, 180.0),
+            (CheckQuantity::ClearanceMm, 12.0),
+            (CheckQuantity::WristDeg, 5.0),
+            (CheckQuantity::OverheadMm, 100.0),
+        ] {
+            assert_eq!(quantity.limit(&job, 1), limit, "{quantity:?}");
+        }
+    }
+
+    #[test]
+    fn value_at_its_limit_holds_and_beyond_it_does_not() {
+        let check = |quantity, worst| PlanCheck { quantity, worst, limit: 5.0, row: 1 };
+        for (quantity, good, bad) in [(CheckQuantity::WristDeg, 5.5, 4.5), (CheckQuantity::CupDeg, 4.5, 5.5)]
+        {
+            assert!(check(quantity, good).holds() && check(quantity, 5.0).holds());
+            assert!(!check(quantity, bad).holds() && !check(quantity, f64::NAN).holds());
+            assert_eq!([check(quantity, good).slack(), check(quantity, bad).slack()], [0.5, -0.5]);
+        }
+    }
+
+    #[test]
+    fn quantities_are_printed_with_their_unit() {
+        assert_eq!(CheckQuantity::WristDeg.format(5.0), "5.000 deg");
+        assert_eq!(CheckQuantity::RunRisk.format(0.00123), "1.2e-3");
+        assert_eq!(CheckQuantity::ReadingLowMm.name(), "reading_low_mm");
     }
 }

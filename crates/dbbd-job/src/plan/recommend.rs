@@ -3,9 +3,9 @@
 
 use super::job::CircleTable;
 use super::quantity::{CheckQuantity, PlanCheck};
-use super::rig::{PlanKinematics, runs};
+use super::rig::runs;
 use super::steps::circle_steps;
-use super::{Job, PlanRow};
+use super::{Job, PlanKinematics, PlanRow};
 use crate::plan::PlanFinding;
 
 /// The coarse grid, degrees.
@@ -19,15 +19,18 @@ const STAGE_POINTS: u32 = 20;
 
 /// For each circle that fails so: tilt and spin that keep axis limits, wrist and branch at its points. For a length
 /// that might leave the stroke: a stage. `lost` are the poses and paths that cannot be reached, `broken` the limits.
-pub(crate) fn recommendations(
+pub(super) fn recommendations(
     rig: &PlanKinematics<'_>,
     rows: &[PlanRow],
     lost: &[PlanFinding],
     broken: &[PlanCheck],
 ) -> Vec<PlanFinding> {
-    let lost_row = |finding: &PlanFinding| match finding {
-        PlanFinding::Unreachable { row, .. } | PlanFinding::BranchLeft { row, .. } => Some(*row),
-        _ => None,
+    let lost_row = |finding: &PlanFinding| {
+        if let PlanFinding::Unreachable { row, .. } | PlanFinding::BranchLeft { row, .. } = finding {
+            Some(*row)
+        } else {
+            None
+        }
     };
     let by_orientation = |check: &&PlanCheck| {
         matches!(

@@ -5,30 +5,10 @@ use std::ops::Range;
 use nalgebra::Vector3;
 
 use super::job::Job;
-use super::steps::PlanStep;
-use super::{MotionKind, PlanRow, PoseKind};
+use super::{BranchRun, MotionKind, PlanKinematics, PlanRow, PlanStep, PoseKind};
 use crate::plan::PlanFinding;
 use dbbd_model::robot::inverse::{Unsolved, branches, clearance, nearest, status, turn, turns_within};
-use dbbd_model::robot::{AXES, Geometry, Pose, Robot};
-
-/// The job, the controller that is commanded, and the arm that moves. They differ where the robot was identified:
-/// the controller computes with the nominal robot.
-#[derive(Clone, Copy)]
-pub(crate) struct PlanKinematics<'a> {
-    pub(crate) job: &'a Job,
-    pub(crate) robot: &'a Robot,
-    pub(crate) controller: &'a Robot,
-    /// The arm as well as it is known.
-    pub(crate) arm: &'a Geometry,
-}
-
-/// A run of rows in one branch of the inverse kinematics.
-pub(crate) struct BranchRun {
-    pub(crate) rows: Vec<PlanRow>,
-    /// The turns in which the run can start, axis angles in rad, each with the least distance of the run from any limit in
-    /// degrees, negative outside.
-    pub(crate) starts: Vec<(f64, [f64; AXES])>,
-}
+use dbbd_model::robot::{AXES, Pose, Robot};
 
 /// How near a run comes to the limits.
 struct RunExtremes {
@@ -71,12 +51,12 @@ impl RunExtremes {
 }
 
 impl<'a> PlanKinematics<'a> {
-    pub(crate) fn new(job: &'a Job, robot: &'a Robot) -> Self {
+    pub(super) fn new(job: &'a Job, robot: &'a Robot) -> Self {
         Self { job, robot, controller: robot.controller(), arm: &robot.geometry }
     }
 
     /// The pose to command so that the arm comes to `pose`, near axis angles in rad.
-    pub(crate) fn commanded(&self, pose: &Pose, near: &[f64; AXES]) -> Result<Pose, Unsolved> {
+    pub(super) fn commanded(&self, pose: &Pose, near: &[f64; AXES]) -> Result<Pose, Unsolved> {
         if self.robot.nominal.is_none() {
             return Ok(*pose);
         }
@@ -85,7 +65,7 @@ impl<'a> PlanKinematics<'a> {
 
     /// The controller's axis angles, rad, at which the tool ball is at the job's place of base ball `ball` (from 1), with the
     /// orientation of the tool at `start`.
-    pub(crate) fn touching(&self, ball: u32, start: &[f64; AXES]) -> Option<[f64; AXES]> {
+    pub(super) fn touching(&self, ball: u32, start: &[f64; AXES]) -> Option<[f64; AXES]> {
         let geometry = &self.controller.geometry;
         let position = Vector3::from(self.job.ball(ball)?.xyz_mm);
         let pose = Pose { rotation: geometry.ball(start).rotation, position };
@@ -93,7 +73,7 @@ impl<'a> PlanKinematics<'a> {
     }
 
     /// Axis angles of the first step in each branch that has a turn within the limits.
-    pub(crate) fn starts(&self, first: &PlanStep) -> Result<Vec<[f64; AXES]>, Unsolved> {
+    pub(super) fn starts(&self, first: &PlanStep) -> Result<Vec<[f64; AXES]>, Unsolved> {
         if let Some(axes) = first.axes {
             return Ok(vec![axes]);
         }
@@ -105,7 +85,7 @@ impl<'a> PlanKinematics<'a> {
     }
 
     /// The rows of a run of steps, followed from `start` in its branch.
-    pub(crate) fn follow(
+    pub(super) fn follow(
         &self,
         steps: &[PlanStep],
         first_index: u32,
@@ -165,16 +145,105 @@ impl<'a> PlanKinematics<'a> {
     }
 }
 
-pub(crate) fn unreachable(row: u32, xyz_mm: [f64; 3], why: &Unsolved) -> PlanFinding {
+pub(super) fn unreachable(row: u32, xyz_mm: [f64; 3], why: &Unsolved) -> PlanFinding {
     let [x_mm, y_mm, z_mm] = xyz_mm;
     PlanFinding::Unreachable { row, x_mm, y_mm, z_mm, why: why.to_string() }
 }
 
 /// The runs of steps in which the bar stays on: each begins with a PTP motion to a pose at which the robot is not yet.
-pub(crate) fn runs(steps: &[PlanStep]) -> Vec<Range<usize>> {
+pub(super) fn runs(steps: &[PlanStep]) -> Vec<Range<usize>> {
     let begins: Vec<usize> = (0..steps.len())
         .filter(|&i| steps[i].motion == MotionKind::Ptp && !(i > 0 && steps[i].pose == steps[i - 1].pose))
         .collect();
     let ends = begins.iter().skip(1).copied().chain([steps.len()]);
     begins.iter().copied().zip(ends).map(|(first, past)| first..past).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::example::{job, robot};
+
+    fn extremes(rig: &PlanKinematics<'_>, all_deg: &[[f64; AXES]]) -> RunExtremes {
+        let mut extremes = RunExtremes::new();
+        for deg in all_deg {
+            extremes.add(rig, &deg.map(f64::to_radians));
+        }
+        extremes
+    }
+
+    /// Limits of the KR 60: A1 +-185, A2 -135 to 35, A3 -120 to 158, A5 +-119 degrees; the wrist keeps 5 degrees.
+    #[test]
+    fn margin_of_a_run_is_the_least_distance_from_any_limit() {
+        let (job, robot) = (job(""), robot());
+        let rig = PlanKinematics::new(&job, &robot);
+        let margin = |all_deg: &[[f64; AXES]], turn: [f64; AXES]| {
+            extremes(&rig, all_deg).margin_deg(&robot, turn.map(f64::to_radians))
+        };
+        let middle = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0];
+        let with = |axis: usize, deg: f64| {
+            let mut axes = middle;
+            axes[axis] = deg;
+            axes
+        };
+        for (all_deg, expected) in [
+            (vec![middle], 55.0),
+            (vec![middle, with(0, 172.0), with(0, -10.0)], 13.0),
+            (vec![middle, with(1, 24.0), with(1, -120.0)], 11.0),
+            (vec![middle, with(1, -128.0)], 7.0),
+            (vec![middle, with(2, 160.0)], -2.0),
+            (vec![middle, with(4, 12.0)], 7.0),
+            (vec![middle, with(4, -116.0)], 3.0),
+        ] {
+            assert!((margin(&all_deg, [0.0; AXES]) - expected).abs() < 1e-9, "{all_deg:?}");
+        }
+        // A whole turn of axis 6 from 20 to 80 degrees ends at 440: 90 beyond its limit of 350.
+        let run = [with(5, 20.0), with(5, 80.0)];
+        assert!((margin(&run, [0.0, 0.0, 0.0, 0.0, 0.0, 360.0]) + 90.0).abs() < 1e-9);
+        assert!((margin(&run, [0.0, 0.0, 0.0, 0.0, 0.0, -360.0]) - 10.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn run_begins_with_a_motion_of_the_axes_to_another_pose() {
+        let pose = |x| Pose::from_kuka([x, 0.0, 0.0], [0.0; 3]);
+        let step = |motion, x| PlanStep {
+            circle: 1,
+            centre: 1,
+            kind: PoseKind::Transit,
+            motion,
+            pose: pose(x),
+            dwell_s: 0.0,
+            axes: None,
+        };
+        let steps = [
+            step(MotionKind::Ptp, 0.0),
+            step(MotionKind::Lin, 1.0),
+            // The next module begins where the robot is: the bar stays on.
+            step(MotionKind::Ptp, 1.0),
+            step(MotionKind::Lin, 2.0),
+            step(MotionKind::Ptp, 5.0),
+        ];
+        assert_eq!(runs(&steps), [0..4, 4..5]);
+        assert!(runs(&[]).is_empty());
+    }
+
+    #[test]
+    fn followed_row_is_rounded_as_it_is_printed_and_keeps_its_branch() {
+        let (job, robot) = (job("[[circle]]\nplane = \"XY\"\npoints = 6\ntilt_deg = 30.0\n"), robot());
+        let rig = PlanKinematics::new(&job, &robot);
+        let steps = crate::plan::steps::circle_steps(&job).expect("the job is possible");
+        let start = rig.starts(&steps[0]).expect("it is in reach")[0];
+        let run = rig.follow(&steps[..20], 41, &start).expect("it is in reach");
+        assert_eq!(run.rows.iter().map(|row| row.index).collect::<Vec<_>>(), (41..61).collect::<Vec<_>>());
+        for (row, step) in run.rows.iter().zip(&steps) {
+            let axes = row.axes_deg.map(f64::to_radians);
+            let ball = robot.geometry.ball(&axes);
+            // 0.5 um of each coordinate, and what 0.00005 degrees are at the wrist.
+            assert!((ball.position - Vector3::from(row.xyz_mm)).norm() < 1e-6);
+            assert!((ball.position - step.pose.position).norm() < 1e-3);
+            assert!(row.xyz_mm.iter().all(|x| ((x * 1e3).round() - x * 1e3).abs() < 1e-6));
+            assert!((row.length_mm - (ball.position - Vector3::new(1300.0, 0.0, 800.0)).norm()).abs() < 1e-9);
+            assert_eq!(row.status, run.rows[0].status);
+        }
+    }
 }

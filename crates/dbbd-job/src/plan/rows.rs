@@ -1,9 +1,7 @@
-//! The rows of a plan, and the place of each on its circle.
+//! The rows of a plan.
 
 use serde::{Deserialize, Serialize};
 
-use super::Plan;
-use super::circle::PlannedCircle;
 use dbbd_model::measurement::PoseKind;
 use dbbd_model::robot::AXES;
 
@@ -48,35 +46,5 @@ impl PlanRow {
     /// Whether it is the auxiliary point of an arc, or the end of a pass.
     pub fn is_auxiliary(&self) -> bool {
         self.kind == PoseKind::Transit && self.motion == MotionKind::Circ
-    }
-}
-
-/// The place of a dwell on its circle.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CirclePlace {
-    /// Angle of its pose as rounded for the program, degrees from the plane's first axis, 0..360.
-    pub angle_deg: f64,
-    /// Whether the pass goes against growing angles.
-    pub clockwise: bool,
-    pub radius_mm: f64,
-}
-
-impl Plan {
-    /// The place of each row on its circle; `None` for transit rows and rows of no circle.
-    pub fn circle_places(&self) -> Vec<Option<CirclePlace>> {
-        let job = &self.header.job;
-        let mut measured = vec![0_u32; job.circles.len()];
-        self.rows
-            .iter()
-            .map(|row| {
-                let table = job.circle(row.circle).filter(|_| row.kind != PoseKind::Transit)?;
-                let circle = PlannedCircle::new(job, table, row.circle).ok()?;
-                let visited = measured.get_mut(row.circle as usize - 1)?;
-                let clockwise = table.is_clockwise(*visited >= table.points);
-                *visited += u32::from(row.kind == PoseKind::Measure);
-                let angle_deg = circle.angle_deg(row.xyz_mm.into());
-                Some(CirclePlace { angle_deg, clockwise, radius_mm: circle.radius })
-            })
-            .collect()
     }
 }

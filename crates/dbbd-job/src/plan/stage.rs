@@ -22,7 +22,7 @@ pub struct Stage {
 }
 
 impl Stage {
-    pub(crate) fn bars_many(&self) -> bool {
+    pub(super) fn bars_many(&self) -> bool {
         let few = if self.lengths == 0 { FEW_AT_FIRST } else { FEW_LATER };
         self.barred as f64 > few * self.reachable as f64
     }
@@ -31,7 +31,7 @@ impl Stage {
 impl Job {
     /// The job without `taught_deg`.
     #[must_use]
-    pub(crate) fn untaught(&self) -> Self {
+    pub(super) fn untaught(&self) -> Self {
         let mut job = self.clone();
         job.centres.iter_mut().for_each(|table| table.taught_deg = None);
         job
@@ -54,5 +54,31 @@ impl Job {
 
     fn with_poses(&self, optimise: OptimiseTable) -> Self {
         Self { circles: Vec::new(), optimise: Some(optimise), ..self.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::example::job;
+
+    #[test]
+    fn first_stage_allows_a_third_and_a_later_one_a_hundredth_to_be_barred() {
+        let bars_many = |lengths, barred| Stage { lengths, reachable: 300, barred }.bars_many();
+        assert_eq!([bars_many(0, 100), bars_many(0, 101)], [false, true]);
+        assert_eq!([bars_many(1, 3), bars_many(1, 4)], [false, true]);
+    }
+
+    #[test]
+    fn stage_and_check_replace_the_circles() {
+        let job =
+            job("[[circle]]\nplane = \"XY\"\npoints = 12\n[optimise]\npoints = 50\nstage_points = 30\n");
+        let stage = job.as_stage(8);
+        let table = stage.optimise.expect("a stage has chosen poses");
+        assert_eq!((stage.circles.len(), table.points, table.stage_points), (0, 50, 8));
+        let check = job.as_check(9);
+        let table = check.optimise.expect("a check has chosen poses");
+        assert_eq!((check.circles.len(), table.points, table.stage_points), (0, 9, 9));
+        assert_eq!(table.criterion, Criterion::Change);
     }
 }

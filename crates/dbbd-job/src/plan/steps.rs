@@ -17,10 +17,10 @@ use std::f64::consts::TAU;
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::circle::{PlannedCircle, REFERENCE_EVERY};
+use super::circle::REFERENCE_EVERY;
 use super::job::{CircleDirection, CircleMode, CircleTable, Job, JobBar};
-use super::path::{RouteLeg, between};
-use super::{MotionKind, PoseKind};
+use super::path::between;
+use super::{MotionKind, PlanStep, PlannedCircle, PoseKind, RouteLeg, StepBuilder};
 use crate::plan::job::JobFinding;
 use dbbd_model::design::Candidate;
 use dbbd_model::robot::{AXES, Pose};
@@ -30,25 +30,13 @@ const MARKER_MM: f64 = 0.3;
 /// Shares of it that are tried where the length is not known well enough.
 const SMALLER: [f64; 3] = [1.0, 0.7, 0.4];
 /// How far to step aside where two dwells follow at one place, rad.
-pub(crate) const DETOUR: f64 = 0.035;
+pub(super) const DETOUR: f64 = 0.035;
 /// Sync markers at the start and the end of a module: short moves out and back.
 const START_MARKERS: u32 = 3;
 const END_MARKERS: u32 = 2;
 
-/// A pose of the tool ball to which the robot is to go.
-pub(crate) struct PlanStep {
-    pub(crate) circle: u32,
-    pub(crate) centre: u32,
-    pub(crate) kind: PoseKind,
-    pub(crate) motion: MotionKind,
-    pub(crate) pose: Pose,
-    pub(crate) dwell_s: f64,
-    /// Axis angles, rad, where branch and turn are known.
-    pub(crate) axes: Option<[f64; AXES]>,
-}
-
 /// All steps of the job's circles; an error only in a job that was not checked.
-pub(crate) fn circle_steps(job: &Job) -> Result<Vec<PlanStep>, JobFinding> {
+pub(super) fn circle_steps(job: &Job) -> Result<Vec<PlanStep>, JobFinding> {
     let mut walk = StepBuilder::new(job);
     for (number, table) in (1_u32..).zip(&job.circles) {
         let circle = PlannedCircle::new(job, table, number)?;
@@ -84,7 +72,7 @@ pub(crate) fn circle_steps(job: &Job) -> Result<Vec<PlanStep>, JobFinding> {
 }
 
 /// Length of a sync marker outwards, mm, within the stroke; negative (inwards) where there is more room.
-pub(crate) fn marker(bar: &JobBar, radius: f64) -> f64 {
+fn marker(bar: &JobBar, radius: f64) -> f64 {
     let reading = radius - bar.length_mm;
     let out = bar.stroke_mm[1] - bar.margin_mm - reading;
     let inwards = reading - bar.stroke_mm[0] - bar.margin_mm;
@@ -92,42 +80,34 @@ pub(crate) fn marker(bar: &JobBar, radius: f64) -> f64 {
 }
 
 /// The shortest marker that [`safe_marker`] tries at a radius, mm.
-pub(crate) fn least_marker(bar: &JobBar, radius: f64) -> f64 {
+pub(super) fn least_marker(bar: &JobBar, radius: f64) -> f64 {
     marker(bar, radius) * SMALLER[SMALLER.len() - 1]
 }
 
 /// The longest marker at a radius with a risk of at most `most`, mm; the shortest one where all have more.
-pub(crate) fn safe_marker(bar: &JobBar, radius: f64, most: f64, risk: impl Fn(f64) -> f64) -> f64 {
+pub(super) fn safe_marker(bar: &JobBar, radius: f64, most: f64, risk: impl Fn(f64) -> f64) -> f64 {
     let markers = SMALLER.map(|share| marker(bar, radius) * share);
     markers.into_iter().find(|out| risk(*out) <= most).unwrap_or(least_marker(bar, radius))
 }
 
 /// Stroke that is left inwards at a radius, mm.
-pub(crate) fn room(bar: &JobBar, radius: f64) -> f64 {
+pub(super) fn room(bar: &JobBar, radius: f64) -> f64 {
     radius - bar.length_mm - bar.stroke_mm[0] - bar.margin_mm
 }
 
 #[derive(Clone, Copy)]
-pub(crate) enum MarkerPosition {
+pub(super) enum MarkerPosition {
     Start,
     Finish,
 }
 
-/// The steps so far.
-pub(crate) struct StepBuilder {
-    pub(crate) steps: Vec<PlanStep>,
-    pub(crate) circle: u32,
-    pub(crate) centre: u32,
-    dwell_s: f64,
-}
-
 impl StepBuilder {
-    pub(crate) fn new(job: &Job) -> Self {
+    pub(super) fn new(job: &Job) -> Self {
         Self { steps: Vec::new(), circle: 0, centre: 0, dwell_s: job.motion.dwell_s }
     }
 
     /// A PTP motion to a pose with these axis angles, rad.
-    pub(crate) fn ptp(&mut self, pose: Pose, axes: [f64; AXES]) {
+    pub(super) fn ptp(&mut self, pose: Pose, axes: [f64; AXES]) {
         self.push(PoseKind::Transit, MotionKind::Ptp, pose);
         if let Some(step) = self.steps.last_mut() {
             step.axes = Some(axes);
@@ -135,7 +115,7 @@ impl StepBuilder {
     }
 
     /// Along a way to a dwell.
-    pub(crate) fn go(&mut self, way: RouteLeg, to: &Candidate, kind: PoseKind) {
+    pub(super) fn go(&mut self, way: RouteLeg, to: &Candidate, kind: PoseKind) {
         match way {
             RouteLeg::Arc(aux) => {
                 self.push(PoseKind::Transit, MotionKind::Circ, aux);
@@ -149,7 +129,7 @@ impl StepBuilder {
     }
 
     /// In straight lines from pose to pose, to a dwell at the last one.
-    pub(crate) fn lines(&mut self, poses: Vec<Pose>, kind: PoseKind) {
+    pub(super) fn lines(&mut self, poses: Vec<Pose>, kind: PoseKind) {
         let last = poses.len().saturating_sub(1);
         for (at, pose) in poses.into_iter().enumerate() {
             self.push(if at == last { kind } else { PoseKind::Transit }, MotionKind::Lin, pose);
@@ -157,7 +137,7 @@ impl StepBuilder {
     }
 
     /// The sync markers of an end of a module: short moves from `rest` out and back.
-    pub(crate) fn markers(&mut self, end: MarkerPosition, rest: Pose, out: Pose) {
+    pub(super) fn markers(&mut self, end: MarkerPosition, rest: Pose, out: Pose) {
         let count = match end {
             MarkerPosition::Start => START_MARKERS,
             MarkerPosition::Finish => END_MARKERS,
@@ -267,5 +247,159 @@ impl StepBuilder {
             let pose = Pose { rotation, position: centre + turned * radius };
             self.push(PoseKind::Transit, MotionKind::Lin, if chord == chords { *to } else { pose });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::example::job;
+
+    fn bar(stroke_mm: [f64; 2], margin_mm: f64) -> JobBar {
+        JobBar { stroke_mm, margin_mm, ..job("").bar }
+    }
+
+    /// The bar has 300 mm. Outwards while there are 0.3 mm, else to the side with more room, at most 0.8 of it.
+    #[test]
+    fn marker_goes_to_the_side_with_room() {
+        for (stroke_mm, margin_mm, radius, expected) in [
+            ([-2.0, 6.0], 0.5, 300.0, 0.3),
+            ([-2.0, 6.0], 0.5, 305.4, -0.3),
+            ([-2.0, 6.0], 0.5, 305.1, 0.3),
+            ([-0.1, 0.2], 0.0, 300.0, 0.16),
+            ([-0.1, 0.2], 0.0, 300.1, -0.16),
+        ] {
+            let bar = bar(stroke_mm, margin_mm);
+            assert!((marker(&bar, radius) - expected).abs() < 1e-9, "{stroke_mm:?} {radius}");
+            assert!((least_marker(&bar, radius) - 0.4 * expected).abs() < 1e-9);
+        }
+        assert!((room(&bar([-2.0, 6.0], 0.5), 301.25) - 2.75).abs() < 1e-9);
+    }
+
+    #[test]
+    fn marker_shrinks_until_it_is_safe() {
+        let bar = bar([-2.0, 6.0], 0.5);
+        let risk = |out: f64| out / 100.0;
+        for (most, expected) in [(1.0, 0.3), (0.0025, 0.21), (0.0015, 0.12), (0.0, 0.12)] {
+            assert!((safe_marker(&bar, 300.0, most, risk) - expected).abs() < 1e-9, "{most}");
+        }
+    }
+
+    fn kinds(steps: &[PlanStep], kind: PoseKind) -> Vec<usize> {
+        (0..steps.len()).filter(|at| steps[*at].kind == kind).collect()
+    }
+
+    /// The angle of a step about the ball of the example, degrees.
+    fn angle_deg(step: &PlanStep) -> f64 {
+        let out = step.pose.position - Vector3::new(1300.0, 0.0, 800.0);
+        out.y.atan2(out.x).to_degrees().rem_euclid(360.0)
+    }
+
+    #[test]
+    fn circle_begins_one_step_before_its_first_point_and_returns_to_it() {
+        let job = job("[[circle]]\nplane = \"XY\"\npoints = 24\nstart_deg = 10.0\norientation = \"fixed\"\n");
+        let steps = circle_steps(&job).expect("the job is possible");
+        assert_eq!(steps[0].motion, MotionKind::Ptp);
+        assert!((angle_deg(&steps[0]) - 355.0).abs() < 1e-9);
+        // Three markers are six moves; then each point has an auxiliary point.
+        let out = (steps[1].pose.position - Vector3::new(1300.0, 0.0, 800.0)).norm();
+        assert!((out - 300.3).abs() < 1e-9);
+        assert!(steps[..7].iter().all(|step| step.kind == PoseKind::Transit && step.dwell_s == 0.0));
+        let measured = kinds(&steps, PoseKind::Measure);
+        assert_eq!((measured.len(), measured[0]), (24, 8));
+        for (number, at) in measured.iter().enumerate() {
+            let expected = (10.0 + 15.0 * number as f64) % 360.0;
+            assert!((angle_deg(&steps[*at]) - expected).abs() < 1e-9, "{number}");
+        }
+        let references = kinds(&steps, PoseKind::Reference);
+        assert_eq!(references.len(), 2);
+        assert!(references.iter().all(|at| (angle_deg(&steps[*at]) - 10.0).abs() < 1e-9));
+        // After twenty points, and at the end before two markers.
+        assert!(measured[19] < references[0] && references[0] < measured[20]);
+        assert_eq!(references[1] + 1 + 4, steps.len());
+    }
+
+    /// The auxiliary point is halfway on the shorter way: the last point at 355 degrees goes on to the first.
+    #[test]
+    fn reference_is_reached_along_the_circle() {
+        let job = job("[[circle]]\nplane = \"XY\"\npoints = 24\nstart_deg = 10.0\n");
+        let steps = circle_steps(&job).expect("the job is possible");
+        let references = kinds(&steps, PoseKind::Reference);
+        let before = |at: usize| angle_deg(&steps[at - 1]);
+        // From the twentieth point, at 295 degrees, and from the last one.
+        assert!((before(references[0]) - 332.5).abs() < 1e-9);
+        assert!((before(references[1]) - 2.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn open_arc_starts_inside_and_steps_aside_at_its_turn() {
+        let keys = "plane = \"XY\"\npoints = 4\narc_deg = 90.0\ndirection = \"both\"\n";
+        let steps = circle_steps(&job(&format!("[[circle]]\n{keys}"))).expect("the job is possible");
+        assert!((angle_deg(&steps[0]) - 30.0).abs() < 1e-9);
+        let measured = kinds(&steps, PoseKind::Measure);
+        let angles: Vec<f64> = measured.iter().map(|at| angle_deg(&steps[*at]).round() % 360.0).collect();
+        assert_eq!(angles, [0.0, 30.0, 60.0, 90.0, 90.0, 60.0, 30.0, 0.0]);
+        // Two dwells at 90 degrees: a step of 0.035 rad to the inside lies between them.
+        let aside = &steps[measured[3] + 1];
+        assert_eq!((aside.kind, aside.motion), (PoseKind::Transit, MotionKind::Lin));
+        assert!((angle_deg(aside) - (90.0 - 0.035_f64.to_degrees())).abs() < 1e-9);
+    }
+
+    #[test]
+    fn continuous_pass_has_its_auxiliary_points_at_thirds_of_its_sweep() {
+        let keys = "plane = \"XY\"\npoints = 13\narc_deg = 120.0\nmode = \"continuous\"\novershoot_deg = 15.0\n\
+                    orientation = \"fixed\"\ndirection = \"both\"\n";
+        let steps = circle_steps(&job(&format!("[[circle]]\n{keys}"))).expect("the job is possible");
+        let circ: Vec<f64> = steps
+            .iter()
+            .filter(|step| step.motion == MotionKind::Circ)
+            .map(|step| (angle_deg(step) + 15.0).rem_euclid(360.0).round())
+            .collect();
+        // From -15 to 135 degrees and back, counted from -15; each pass has its stop.
+        let points = (0..13).map(|point| 15.0 + 10.0 * f64::from(point));
+        let forward = [50.0, 100.0].into_iter().chain(points.clone()).chain([150.0]);
+        let backward = [100.0, 50.0].into_iter().chain(points.rev()).chain([0.0]);
+        assert_eq!(circ, forward.chain(backward).collect::<Vec<f64>>());
+        assert!(steps.iter().all(|step| step.dwell_s == 0.0));
+    }
+
+    /// A chord of half angle w has the sagitta r (1 - cos w): 0.3 mm at 300 mm give 2.5626 degrees, and 90 degrees 18 chords.
+    #[test]
+    fn way_on_the_sphere_has_chords_of_the_sagitta() {
+        let job = job("");
+        let mut builder = StepBuilder::new(&job);
+        let centre = Vector3::new(5.0, 6.0, 7.0);
+        let pose = |x: f64, y: f64, turn: f64| Pose {
+            rotation: dbbd_model::robot::pose::rot_z(turn),
+            position: centre + Vector3::new(x, y, 0.0),
+        };
+        builder.push(PoseKind::Transit, MotionKind::Ptp, pose(300.0, 0.0, 0.0));
+        builder.along_the_sphere(centre, &pose(0.0, 300.0, 0.9), 0.3);
+        assert_eq!(builder.steps.len(), 1 + 18);
+        let ninth = &builder.steps[9].pose;
+        let half = 300.0 * 0.5_f64.sqrt();
+        assert!((ninth.position - centre - Vector3::new(half, half, 0.0)).norm() < 1e-9);
+        assert!((ninth.rotation - pose(0.0, 0.0, 0.45).rotation).norm() < 1e-9);
+        assert_eq!(builder.steps.last().map(|step| step.pose), Some(pose(0.0, 300.0, 0.9)));
+        // From another radius the ball first goes straight out to the new one.
+        builder.along_the_sphere(centre, &pose(0.0, 310.0, 0.9), 0.3);
+        assert_eq!(builder.steps.len(), 1 + 18 + 2);
+        assert!((builder.steps[19].pose.position - centre).norm() - 310.0 < 1e-9);
+    }
+
+    #[test]
+    fn steps_carry_the_dwell_of_the_job_and_the_axes_where_they_are_known() {
+        let mut job = job("");
+        job.motion.dwell_s = 0.7;
+        let mut builder = StepBuilder::new(&job);
+        let pose = Pose::identity();
+        builder.ptp(pose, [0.1; AXES]);
+        let candidate = Candidate { ball: dbbd_model::robot::BallId::FIRST, axes: [0.2; AXES], pose };
+        builder.go(RouteLeg::Chords(vec![pose; 3]), &candidate, PoseKind::Measure);
+        builder.go(RouteLeg::Arc(pose), &candidate, PoseKind::Reference);
+        let dwells: Vec<f64> = builder.steps.iter().map(|step| step.dwell_s).collect();
+        assert_eq!(dwells, [0.0, 0.0, 0.0, 0.7, 0.0, 0.7]);
+        let known: Vec<bool> = builder.steps.iter().map(|step| step.axes.is_some()).collect();
+        assert_eq!(known, [true, false, false, true, false, true]);
     }
 }

@@ -6,9 +6,10 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use serde::{Deserialize, Serialize};
 
 use super::path::ToolBallPath;
-use super::{MotionTable, MoveTime, PlanRow, PoseKind};
+use super::{MotionTable, PathTiming, PlanRow, PoseKind};
 use dbbd_model::robot::{AXES, Robot};
 
 /// Acceleration of the ball along its path ($ACC.CP), mm/s^2.
@@ -16,7 +17,7 @@ pub const ACCELERATION_MM_S2: f64 = 200.0;
 /// Acceleration of the orientation ($ACC.ORI1, $ACC.ORI2), degrees/s^2.
 pub const ACCELERATION_DEG_S2: f64 = 100.0;
 /// Share of the axis speeds in a PTP motion, percent.
-pub const PTP_SPEED_PERCENT: f64 = 10.0;
+const PTP_SPEED_PERCENT: f64 = 10.0;
 /// Share of the axis accelerations in a PTP motion, percent.
 pub const PTP_ACCELERATION_PERCENT: f64 = 20.0;
 /// Wait after the strobe falls, s.
@@ -53,19 +54,23 @@ fn speed_for(distance: f64, duration: f64, acceleration: f64) -> Option<f64> {
     (root >= 0.0 && ramp > 0.0).then(|| 2.0 * acceleration * distance / (ramp + root.sqrt()))
 }
 
-/// A path with the derivatives of the axis angles along it, by the share of the path from 0 to 1.
-pub(crate) struct PathTiming {
-    pub(crate) path: ToolBallPath,
-    /// Largest first derivative of an axis over its greatest speed, s.
-    pub(crate) axis_s: f64,
-    /// Largest first and second derivative of an axis over its greatest acceleration, s^2.
-    pub(crate) slope_s2: f64,
-    pub(crate) bend_s2: f64,
+/// The time code: speeds and duration of a row's move, chosen so that all intervals between dwells differ.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MoveTime {
+    pub index: u32,
+    /// Speed of the ball along its path, mm/s (LIN, CIRC).
+    pub feed_mm_s: f64,
+    /// Speed of the orientation, degrees/s (LIN, CIRC).
+    pub turn_deg_s: f64,
+    /// Share of the greatest axis speeds, percent (PTP).
+    pub axis_percent: f64,
+    /// Duration of the move from the last pose to this one at full override, s.
+    pub duration_s: f64,
 }
 
 /// Speeds and durations of all rows. `paces` has the motion into each row; `None` for auxiliary points and for the first row,
 /// which is reached from wherever the robot is.
-pub(crate) fn move_times(
+pub(super) fn move_times(
     rows: &[PlanRow],
     paces: &[Option<PathTiming>],
     motion: &MotionTable,
@@ -144,12 +149,12 @@ fn paced(still: MoveTime, pace: &PathTiming, feed: f64, turn: f64, wanted: Optio
 }
 
 /// Duration of a line or arc over `distance` mm and `angle` degrees at the speeds given, s.
-pub fn line_s(distance: f64, angle: f64, feed_mm_s: f64, turn_deg_s: f64) -> f64 {
+fn line_s(distance: f64, angle: f64, feed_mm_s: f64, turn_deg_s: f64) -> f64 {
     ramped_s(distance, feed_mm_s, ACCELERATION_MM_S2).max(ramped_s(angle, turn_deg_s, ACCELERATION_DEG_S2))
 }
 
 /// Duration of a PTP motion between axis angles in rad, s: that of the slowest axis.
-pub fn axes_s(robot: &Robot, from: &[f64; AXES], to: &[f64; AXES]) -> f64 {
+fn axes_s(robot: &Robot, from: &[f64; AXES], to: &[f64; AXES]) -> f64 {
     let acceleration = robot.acceleration_deg_s2();
     (0..AXES)
         .map(|i| {
@@ -158,4 +163,143 @@ pub fn axes_s(robot: &Robot, from: &[f64; AXES], to: &[f64; AXES]) -> f64 {
             ramped_s((to[i] - from[i]).abs().to_degrees(), speed, ramp)
         })
         .fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::MotionKind;
+    use crate::plan::example::{robot, row};
+    use dbbd_model::robot::Pose;
+
+    fn assert_near(found: f64, expected: f64) {
+        assert!((found - expected).abs() < 1e-9 * expected.abs().max(1.0), "{found}, not {expected}");
+    }
+
+    /// A line along X of this length with a turn about Z, whose axes set no limit.
+    fn line(length_mm: f64, turn_deg: f64) -> PathTiming {
+        let from = Pose::from_kuka([0.0; 3], [0.0; 3]);
+        let to = Pose::from_kuka([length_mm, 0.0, 0.0], [turn_deg, 0.0, 0.0]);
+        PathTiming { path: ToolBallPath::Line { from, to }, axis_s: 0.0, slope_s2: 0.0, bend_s2: 0.0 }
+    }
+
+    /// d = v^2 / a is lost and won in the ramps: d / v + v / a, or 2 sqrt(d / a) where full speed is not reached.
+    #[test]
+    fn motion_has_two_ramps() {
+        for (distance, speed, acceleration, duration) in [
+            (100.0, 20.0, 10.0, 7.0),
+            (40.0, 20.0, 10.0, 4.0),
+            (10.0, 20.0, 10.0, 2.0),
+            (90.0, 40.0, 100.0, 2.65),
+            (0.0, 20.0, 10.0, 0.0),
+        ] {
+            assert_near(ramped_s(distance, speed, acceleration), duration);
+        }
+    }
+
+    #[test]
+    fn speed_gives_the_duration_that_was_wanted() {
+        assert_near(speed_for(100.0, 7.0, 10.0).expect("there is time"), 20.0);
+        assert_near(speed_for(40.0, 4.0, 10.0).expect("there is just time"), 20.0);
+        assert_eq!(speed_for(40.0, 3.99, 10.0), None);
+        let speed = speed_for(80.0, 3.1, ACCELERATION_MM_S2).expect("there is time");
+        assert_near(ramped_s(80.0, speed, ACCELERATION_MM_S2), 3.1);
+    }
+
+    /// With 200 mm/s^2 and 100 degrees/s^2.
+    #[test]
+    fn slower_one_of_path_and_orientation_sets_the_duration() {
+        assert_near(line_s(100.0, 10.0, 40.0, 40.0), 100.0 / 40.0 + 40.0 / 200.0);
+        assert_near(line_s(10.0, 90.0, 40.0, 40.0), 90.0 / 40.0 + 40.0 / 100.0);
+    }
+
+    /// The KR 60: axis 1 has 128 degrees/s, of which 10 % are 12.8, and no acceleration in its file: the full speed in 0.4 s,
+    /// 320 degrees/s^2, of which 20 % are 64. Axis 3 has the same, axis 2 102 degrees/s.
+    #[test]
+    fn slowest_axis_sets_the_duration_of_a_motion_of_the_axes() {
+        let turned = |deg: [f64; AXES]| axes_s(&robot(), &[0.1; AXES], &deg.map(|d| 0.1 + d.to_radians()));
+        assert_near(turned([30.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 30.0 / 12.8 + 12.8 / 64.0);
+        assert_near(turned([-30.0, 30.0, 29.0, 0.0, 0.0, 0.0]), 30.0 / 10.2 + 10.2 / 51.0);
+        let mut quick = robot();
+        quick.max_acceleration_deg_s2[0] = Some(32.0);
+        assert_near(axes_s(&quick, &[0.0; AXES], &[0.5, 0.0, 0.0, 0.0, 0.0, 0.0]), {
+            let half_rad_deg = 0.5_f64.to_degrees();
+            half_rad_deg / 12.8 + 12.8 / 6.4
+        });
+    }
+
+    /// Of 2.2 s in four parts the middles are 0.275, 0.825, 1.375 and 1.925 s.
+    #[test]
+    fn time_code_is_equally_spaced_and_shuffled() {
+        let mut sorted = code(4, 7);
+        sorted.sort_by(f64::total_cmp);
+        for (found, expected) in sorted.iter().zip([0.275, 0.825, 1.375, 1.925]) {
+            assert_near(*found, expected);
+        }
+        assert_eq!(code(50, 7), code(50, 7));
+        assert_ne!(code(50, 7), code(50, 8));
+        let ascending = code(50, 7).windows(2).filter(|pair| pair[0] < pair[1]).count();
+        assert!((15..=35).contains(&ascending), "{ascending} of 49 are ascending");
+        assert!(code(0, 1).is_empty());
+    }
+
+    #[test]
+    fn axes_slow_a_line_down() {
+        let still = MoveTime {
+            index: 1,
+            feed_mm_s: 40.0,
+            turn_deg_s: 40.0,
+            axis_percent: PTP_SPEED_PERCENT,
+            duration_s: 0.0,
+        };
+        let free = paced(still, &line(80.0, 0.0), 40.0, 30.0, None);
+        assert_eq!((free.feed_mm_s, free.turn_deg_s), (40.0, 30.0));
+        assert_near(free.duration_s, 80.0 / 40.0 + 40.0 / 200.0);
+        // An axis that needs 10 s at its greatest speed may use half of it: a twentieth of the path per second.
+        let slowed = paced(still, &PathTiming { axis_s: 10.0, ..line(80.0, 60.0) }, 40.0, 30.0, None);
+        assert_eq!((slowed.feed_mm_s, slowed.turn_deg_s), (4.0, 3.0));
+        // The orientation needs 60 / 20 s: the path has no more than a third per second.
+        let turned = paced(still, &line(80.0, 60.0), 40.0, 20.0, None);
+        assert_eq!((turned.feed_mm_s, turned.turn_deg_s), (26.667, 20.0));
+        // A time that is wanted is kept to the rounding of the speed as it is printed.
+        let coded = paced(still, &line(80.0, 60.0), 40.0, 40.0, Some(4.5));
+        assert!((coded.duration_s - 4.5).abs() < 1e-3, "{}", coded.duration_s);
+        let longest = paced(still, &line(0.5, 0.0), 40.0, 40.0, Some(900.0));
+        assert_eq!(longest.feed_mm_s, 0.01);
+    }
+
+    #[test]
+    fn no_two_moves_into_the_dwells_of_a_circle_take_as_long() {
+        let rows: Vec<PlanRow> = (1..=60)
+            .map(|index| PlanRow {
+                index,
+                circle: 1 + (index - 1) / 30,
+                motion: MotionKind::Lin,
+                dwell_s: 1.0,
+                ..row(PoseKind::Measure)
+            })
+            .collect();
+        let paces: Vec<Option<PathTiming>> = rows.iter().map(|_| Some(line(30.0, 5.0))).collect();
+        let times = move_times(&rows, &paces, &MotionTable::default(), &robot(), 3);
+        // 30 mm at 40 mm/s take 0.95 s; the code adds up to 2.2 s.
+        assert!(times.iter().all(|time| (0.95..0.95 + 2.2).contains(&time.duration_s)));
+        for circle in times.chunks(30) {
+            let mut durations: Vec<f64> = circle.iter().map(|time| time.duration_s).collect();
+            durations.sort_by(f64::total_cmp);
+            let nearest = durations.windows(2).map(|pair| pair[1] - pair[0]).fold(f64::INFINITY, f64::min);
+            assert!(nearest > 0.004, "{nearest}");
+        }
+    }
+
+    #[test]
+    fn marker_is_slow_and_a_first_row_takes_no_time() {
+        let transit = PlanRow { motion: MotionKind::Lin, ..row(PoseKind::Transit) };
+        let rows = vec![transit.clone(), transit.clone(), transit];
+        let paces = [None, Some(line(0.3, 0.0)), Some(line(30.0, 0.0))];
+        let times = move_times(&rows, &paces, &MotionTable::default(), &robot(), 1);
+        assert_eq!(times[0].duration_s, 0.0);
+        assert_eq!(times[1].feed_mm_s, 1.0);
+        assert_near(times[1].duration_s, 0.3 + 1.0 / 200.0);
+        assert_eq!(times[2].feed_mm_s, 40.0);
+    }
 }

@@ -45,3 +45,38 @@ pub fn in_box(robot: &Robot, low: [f64; 3], high: [f64; 3], count: usize) -> Vec
     }
     found
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::example::{job, robot};
+
+    /// Turns of up to 45 degrees about X and Y leave at least half of the tool's axis downwards: cos^2 45 degrees.
+    #[test]
+    fn poses_of_a_box_have_the_ball_in_it_and_the_tool_down() {
+        let (low, high) = ([1000.0, -300.0, 500.0], [1500.0, 400.0, 700.0]);
+        let poses = in_box(&robot(), low, high, 60);
+        assert_eq!(poses.len(), 60);
+        for axes in &poses {
+            let pose = robot().geometry.ball(axes);
+            assert!((0..3).all(|i| (low[i] - 1e-6..high[i] + 1e-6).contains(&pose.position[i])));
+            assert!(pose.rotation[(2, 2)] <= -0.5 + 1e-9);
+            assert!(robot().is_within_limits(axes));
+        }
+        let highest =
+            poses.iter().map(|axes| robot().geometry.ball(axes).position.y).fold(f64::MIN, f64::max);
+        assert!(highest > 250.0, "{highest}");
+        // Out of reach there are none.
+        assert!(in_box(&robot(), [9000.0; 3], [9500.0; 3], 5).is_empty());
+    }
+
+    #[test]
+    fn workspace_is_the_box_of_the_job_or_all_of_the_reach() {
+        let table =
+            "[optimise]\npoints = 20\nworkspace_mm = [[1000.0, -100.0, 500.0], [1200.0, 100.0, 700.0]]\n";
+        let inside = |axes: &[f64; AXES]| (1000.0..1200.0).contains(&robot().geometry.ball(axes).position.x);
+        assert!(workspace(&job(table), &robot(), 30).iter().all(inside));
+        let anywhere = workspace(&job(""), &robot(), 30);
+        assert!(anywhere.len() == 30 && !anywhere.iter().all(inside));
+    }
+}

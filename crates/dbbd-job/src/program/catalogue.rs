@@ -147,9 +147,10 @@ findings! {
         }
         E0818 "EthernetKRL is used before its channel is open",
         cause: "The functions of EthernetKRL are called in another order than EKI_Init, EKI_Open, EKI_Send, EKI_GetInt, or nothing listens.",
-        cure: "Start `dbbd acquire --ekrl ADDR:PORT` first, then the program, in the simulator with --ekrl ADDR:PORT." {
+        cure: "Start `dbbd acquire` with an address for telegrams first, then the program, in the simulator with the same address.",
+        asks: [Telegrams] {
             ChannelClosed => "the channel is not open", help: "EKI_Open comes first";
-            NoListener => "nothing listens to the channel", help: "give the server's address: simulate --ekrl ADDR:PORT";
+            NoListener => "nothing listens to the channel", help: "give the server's address";
             NoAnswer => "no answer has come", help: "wait for its flag first";
             NoSuchAnswer { path: String } => "the answer has no {path}";
         }
@@ -180,16 +181,18 @@ findings! {
             TooManyDwells { circle: u32, dwells: usize, most: u32 } => "circle {circle}: {dwells} dwells, at most {most}";
             TooManyLines { circle: u32, lines: usize, most: usize } => "circle {circle}: {lines} lines, at most {most}";
         }
-        E0880 "the address of --server cannot be used",
+        E0880 "the address of the server of telegrams cannot be used",
         cause: "Only a program that reports over EthernetKRL connects to it, and a controller needs its port.",
-        cure: "Give --sync ekrl with --server ADDR:PORT as in `dbbd acquire --ekrl`, or leave --server out." {
-            ServerUnused => "--server applies only with --sync ekrl";
+        cure: "Write the program for EthernetKRL with the address at which `dbbd acquire` listens for telegrams, or leave the server out.",
+        asks: [TelegramServer, Synchronisation] {
+            ServerUnused => "a server of telegrams applies only with EthernetKRL";
             ServerAddress { server: String } => "no controller connects to {server}", help: "give the address of this computer in the controller's network";
-            ServerPort => "--server needs a port other than 0: the one of `dbbd acquire --ekrl`";
+            ServerPort => "the server needs a port other than 0: the one at which `dbbd acquire` listens for telegrams";
         }
-        I0881 "the address of --server is the controller itself",
+        I0881 "the address of the server of telegrams is the controller itself",
         cause: "127.x.x.x is the computer on which the program runs: on a robot that is its controller.",
-        cure: "Give the address of this computer in the controller's network; for `dbbd simulate` nothing needs to be done." {
+        cure: "Give the address of this computer in the controller's network; for `dbbd simulate` nothing needs to be done.",
+        asks: [TelegramServer] {
             ServerLoopback { server: String } => "{server} is the controller itself, unless it is a simulated one";
         }
         W0882 "modules of another plan are in the directory",
@@ -204,35 +207,40 @@ findings! {
         }
         E0883 "a plan needs a feature that a language does not have",
         cause: "Circles without stops are one motion further round than an arc of RAPID or URScript goes, and EthernetKRL is KUKA's.",
-        cure: "Plan dwells in place of continuous circles, or use --sync output or marker; or write KRL." {
+        cure: "Plan dwells in place of continuous circles, or synchronise by the strobe or by markers; or write KRL.",
+        asks: [Synchronisation, Controller] {
             NoPasses { language: &'static str } => "circles without stops are not written in {language}";
-            NoTelegrams { language: &'static str } => "--sync ekrl is of KUKA controllers, not in {language}";
-            NoController { language: &'static str } => "--controller is the generation of a KUKA controller, not used in {language}";
+            NoTelegrams { language: &'static str } => "EthernetKRL is of KUKA controllers, not in {language}";
+            NoController { language: &'static str } => "the controller is the generation of a KUKA controller, not used in {language}";
         }
         E0823 "the chosen way to mark dwells is not possible",
         cause: "The outputs in the job overlap or are not eight in a row, the controller is too old for EthernetKRL, or the bar's protocol does not carry the strobe.",
-        cure: "Correct [motion.outputs] in the job, or choose another --sync." {
+        cure: "Correct [motion.outputs] in the job, or choose another synchronisation.",
+        asks: [Synchronisation, TelegramServer] {
             OutputsOverlap => "outputs: the index needs eight outputs in a row, and the strobe another";
             OutputNumber { output: u32 } => "outputs: there is no standard output {output}", help: "URScript has the outputs 0 to 7, and the index on the eight configurable ones";
             NoEthernetKrl => "EthernetKRL needs a KR C4 or later";
-            NoServer => "--sync ekrl needs --server ADDR:PORT";
-            NoStrobe { protocol: String } => "--sync output: the bar's protocol {protocol} does not carry the strobe", help: "use --sync marker or --sync ekrl";
-            PassWithoutStrobe { protocol: String } => "circles without stops need a strobe, which the bar's protocol {protocol} does not carry", help: "use --sync ekrl";
-            ProtocolNotHere { protocol: String } => "the bar's protocol {protocol} is not here, so it is not known whether it carries a strobe", help: "name --sync, or go to where the definition is";
+            NoServer => "EthernetKRL needs the address of the server of telegrams";
+            NoStrobe { protocol: String } => "the bar's protocol {protocol} does not carry the strobe", help: "synchronise by markers or by EthernetKRL";
+            PassWithoutStrobe { protocol: String } => "circles without stops need a strobe, which the bar's protocol {protocol} does not carry", help: "synchronise by EthernetKRL";
+            ProtocolNotHere { protocol: String } => "the bar's protocol {protocol} is not here, so it is not known whether it carries a strobe", help: "choose the synchronisation, or go to where the definition is";
         }
         E0824 "a robot is programmed in another language",
         cause: "The robot file names another language than the one that is written or read, or another maker in the robot's name.",
-        cure: "Choose the --language of the robot, or write and correct its program by other means. If the controller reads KRL, add language = \"krl\" to the robot file and plan again; for `dbbd simulate`, which moves any robot, give --controller simulated." {
+        cure: "Choose the language of the robot, or write and correct its program by other means. If the controller reads KRL, add language = \"krl\" to the robot file and plan again; for `dbbd simulate`, which moves any robot, give the simulated controller.",
+        asks: [Language, Controller] {
             OtherLanguage { robot: String, language: String, wanted: &'static str } => "{robot} is programmed in {language}, not in {wanted}";
         }
         W0825 "circles without stops cannot be read with sync markers",
         cause: "Between two passes there is no sync marker, so that their points are reported as missing.",
-        cure: "Use --sync output or --sync ekrl." {
-            PassWithMarker => "the points of circles without stops are not matched with --sync marker";
+        cure: "Synchronise by the strobe or by EthernetKRL.",
+        asks: [Synchronisation] {
+            PassWithMarker => "the points of circles without stops are not matched by markers";
         }
         I0826 "dwells are marked by sync markers",
-        cause: "The bar's protocol does not carry the strobe, and --sync is not given.",
-        cure: "Nothing to do. With EthernetKRL (--sync ekrl) no dwell is lost." {
+        cause: "The bar's protocol does not carry the strobe, and no synchronisation is chosen.",
+        cure: "Nothing to do. With EthernetKRL no dwell is lost.",
+        asks: [Synchronisation] {
             MarkerChosen { protocol: String } => "the bar's protocol {protocol} does not carry the strobe: dwells are marked by sync markers";
         }
         I0827 "the language of a robot is not known",

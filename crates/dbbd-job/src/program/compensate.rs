@@ -12,6 +12,7 @@ use nalgebra::Vector3;
 use super::{Frames, Language, Target};
 use crate::program::CompensationFinding;
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::plausibility::Quantity;
 use dbbd_model::robot::inverse::{self, Unsolved};
 use dbbd_model::robot::{AXES, Approach, Geometry, Pose, Robot};
 
@@ -67,12 +68,10 @@ pub struct Corrector {
 
 /// A tool or base that is so small, without being zero, or so large that it is probably in another unit.
 fn other_unit(frames: &Frames) -> Option<CompensationFinding> {
-    const NEAR_MM: f64 = 3.0;
-    const FAR_MM: f64 = 1e4;
     let frames = [("the tool", &frames.tool), ("the base", &frames.base)];
     frames.into_iter().find_map(|(frame, pose)| {
         let size_mm = pose.position.norm();
-        let is_other = (size_mm > 0.0 && size_mm < NEAR_MM) || size_mm > FAR_MM;
+        let is_other = size_mm > 0.0 && Quantity::FrameDistance.check(frame, size_mm).is_err();
         is_other.then_some(CompensationFinding::FrameInOtherUnit { frame, size_mm })
     })
 }

@@ -7,15 +7,16 @@ findings! {
     CompensationFinding "Correcting a program" {
         E0901 "$TOOL or $BASE is not known at a motion",
         cause: "The correction of a point depends on its frames, and these are set elsewhere, computed, or differ between the branches of a choice.",
-        cure: "Give the controller's --config $config.dat, or --tool and --base; or set both frames in the program before the motion." {
+        cure: "Give the controller's $config.dat, or tool and base; or set both frames in the program before the motion.",
+        asks: [ControllerConfig, ToolFrame, BaseFrame] {
             FrameNotSet { frame: &'static str } => "nothing sets {frame} before this",
-                help: "give --config $config.dat, or --tool and --base X,Y,Z,A,B,C";
+                help: "give $config.dat, or tool and base";
             FrameComputed { frame: &'static str, line: usize } => "{frame} is computed in line {line}";
             FramePart { frame: &'static str, line: usize } => "line {line} sets a part of {frame}";
             FrameChosen { frame: &'static str, line: usize } => "the choice that ends in line {line} may set {frame}";
             FrameInRoutine { frame: &'static str, routine: String } => "the routine {routine} sets {frame}";
             FrameElsewhere { frame: &'static str, name: String } => "{frame} is {name}, which is in no file given",
-                help: "give --config $config.dat, or --tool and --base X,Y,Z,A,B,C";
+                help: "give $config.dat, or tool and base";
             FramesInLoop => "this motion has different frames when the loop repeats", help: "set $TOOL and $BASE at the start of the loop";
             MovedWorkObject { name: String } => "{name} is moved by a mechanical unit";
             FixedTool { name: String } => "{name} moves the workpiece against a fixed tool (#TCP)",
@@ -32,11 +33,12 @@ findings! {
         cure: "Check the corrected points, or correct one program for each position of the external axis, with its own base." {
             ExternalAxis { axis: usize, name: String, at: f64, before: f64 } => "external axis {axis} is at {at} at {name}, and at {before} before: it is not corrected";
         }
-        E0902 "--tool or --base contradicts the program",
+        E0902 "the tool or the base that is given contradicts the program",
         cause: "The program sets the frame to another value, or uses several frames that it does not define.",
-        cure: "Leave the option out, correct it, or give --config $config.dat in its place." {
-            FrameDiffers { frame: &'static str, option: &'static str } => "the program sets {frame} itself, and not to the value of {option}";
-            TwoFrames { option: &'static str, first: String, second: String } => "{option} would stand for two frames: {first}, and elsewhere {second}";
+        cure: "Leave the frame out, correct it, or give $config.dat in its place.",
+        asks: [ToolFrame, BaseFrame, ControllerConfig] {
+            FrameDiffers { frame: &'static str, stated: &'static str } => "the program sets {frame} itself, and not to the value of {stated}";
+            TwoFrames { stated: &'static str, first: String, second: String } => "{stated} would stand for two frames: {first}, and elsewhere {second}";
         }
         E0903 "a point has no fixed value",
         cause: "The point is computed while the program runs, a component of it is missing, or its quaternion is not of unit length.",
@@ -64,7 +66,8 @@ findings! {
         }
         E0906 "a robot does not reach a point",
         cause: "The point, with the tool and base given, is out of reach of the nominal or of the identified robot, or beyond an axis limit.",
-        cure: "Check --tool, --base and the robot file; teach the point further inside." {
+        cure: "Check tool, base and the robot file; teach the point further inside.",
+        asks: [ToolFrame, BaseFrame] {
             NominalDoesNotReach { why: String } => "the nominal robot does not reach it: {why}";
             IdentifiedDoesNotReach { why: String } => "the identified robot does not reach it: {why}";
             BeyondLimit { axis: usize, angle_deg: f64, low_deg: f64, high_deg: f64 } =>
@@ -77,9 +80,10 @@ findings! {
             LargeTurn { axis: usize, turn_deg: f64 } => "axis {axis} would have to turn by {turn_deg:.1} deg";
             OtherStatus { taught: u8, corrected: u8 } => "it would need S {corrected} in place of S {taught}";
         }
-        E0908 "a correction is larger than --limit",
+        E0908 "a correction is larger than its limit",
         cause: "The program is of another robot or cell than the identified one, or the identification is wrong.",
-        cure: "Check that program, frames and robot file belong together; raise --limit only if you know that the robot is off by that much." {
+        cure: "Check that program, frames and robot file belong together; raise the limit only if you know that the robot is off by that much.",
+        asks: [Limit] {
             TooFar { shift_mm: f64, limit_mm: f64 } => "it would move by {shift_mm:.3} mm, allowed are {limit_mm:.3}";
         }
         E0909 "the robot file is not of an identified robot",
@@ -93,14 +97,13 @@ findings! {
             CutOff { end: String } => "the file has no {end}: it is cut off";
         }
         E0910 "the arguments of compensate do not fit",
-        cause: "The program named is a .dat file, the results would replace the program, or the limit is not a length.",
-        cure: "Name the .src, another directory for --out, and a --limit above 0 in mm." {
+        cause: "The program named is a .dat file, the results would replace the program, or a frame is not six numbers.",
+        cure: "Name the .src, another directory for the results, and frames in mm and degrees.",
+        asks: [Out, ToolFrame, BaseFrame, ControllerConfig] {
             DataNamed => "the file contains the points of a program but no motion", help: "name the .src; the .dat beside it is corrected with it";
-            WouldOverwrite { directory: String } => "--out {directory} would overwrite the program itself";
-            BadLimit { limit_mm: f64, most_mm: f64 } => "--limit {limit_mm} must be above 0 and at most {most_mm} mm";
+            WouldOverwrite { directory: String } => "writing into {directory} would overwrite the program itself";
             FrameUnused { language: &'static str } => "a program in {language} does not take these frames",
-                help: "in RAPID a module with tools and work objects is given by --config, in URScript the TCP by --tool";
-            FrameInRadians => "six numbers in mm and degrees are needed: an angle seems to be in radians";
+                help: "in RAPID a module with tools and work objects is given, in URScript the TCP as the tool";
             NotAFrame => "six numbers in mm and degrees are needed, as 0,0,150,0,0,0";
         }
         I0911 "an axis passes zero",

@@ -205,7 +205,7 @@ fn check_row(timed: &Timed<'_>) -> Result<(), ProgramFinding> {
         _ if timed.is_auxiliary() => Ok(()),
         _ if !(0.01..=2000.0).contains(&feed_mm_s) => Err(ProgramFinding::RowFeed { row, feed_mm_s }),
         _ if !(0.01..=1000.0).contains(&turn_deg_s) => Err(ProgramFinding::RowTurn { row, turn_deg_s }),
-        _ => Ok(()),
+        MotionKind::Lin | MotionKind::Circ => Ok(()),
     }
 }
 

@@ -2,21 +2,8 @@
 //! URScript, whose supported programs have neither variables that change nor conditions. KRL has an interpreter.
 
 use super::text::{Span, Text};
-use super::{Frames, Language, MotionKind, Target, krl};
+use super::{Frames, Language, MotionKind, Setup, Target, krl};
 use dbbd_model::diagnostic::{Diagnostic, Finding};
-
-/// The base ball and the bar that are named in a module of dbbd (in KRL, in its `.dat`).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Setup {
-    /// Number of the base ball, from 1.
-    pub ball: u32,
-    /// In the robot base.
-    pub centre_mm: [f64; 3],
-    /// Distance between the ball centres at reading zero.
-    pub length_mm: f64,
-    /// Lowest and highest reading.
-    pub stroke_mm: [f64; 2],
-}
 
 /// A program for the simulated controller.
 #[derive(Clone, Debug)]

@@ -28,6 +28,9 @@ pub use compensate::Moved;
 pub use emission::{Sync, Written};
 pub use header::{check_one_plan, provenance, stamped};
 pub use language::Language;
-pub use listing::{Listing, Program, Setup};
-pub use target::{Frames, Target};
+pub use listing::{Listing, Program};
+pub use target::{Frames, Setup, Target};
 pub use text::{Span, Text};
+
+#[cfg(test)]
+mod tests;

@@ -54,3 +54,16 @@ impl Frames {
         self.base.inverse().then(flange).then(&self.tool)
     }
 }
+
+/// The base ball and the bar that are named in a module of dbbd (in KRL, in its `.dat`).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setup {
+    /// Number of the base ball, from 1.
+    pub ball: u32,
+    /// In the robot base.
+    pub centre_mm: [f64; 3],
+    /// Distance between the ball centres at reading zero.
+    pub length_mm: f64,
+    /// Lowest and highest reading.
+    pub stroke_mm: [f64; 2],
+}

@@ -116,7 +116,12 @@ impl<'a> Tokens<'a> {
         let found = match self.peek() {
             Token::LineEnd => "the end of the line".into(),
             Token::End => "the end of the file".into(),
-            _ => format!("`{}`", self.file.text.get(self.span()).unwrap_or("")),
+            Token::Name(_)
+            | Token::Enum(_)
+            | Token::Int(_)
+            | Token::Real(_)
+            | Token::Text(_)
+            | Token::Sign(_) => format!("`{}`", self.file.text.get(self.span()).unwrap_or("")),
         };
         self.wrong(self.span(), ProgramFinding::Expected { expected: what.into(), found })
     }

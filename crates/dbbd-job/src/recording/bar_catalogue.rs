@@ -7,12 +7,14 @@ findings! {
     BarFinding "The bar" {
         W2100 "the device is not known",
         cause: "The bytes are not those of a built-in definition: another kind of device, another parameter (address, number of digits), or a rate that was not tried.",
-        cure: "Compare the bytes with the device's manual; `dbbd protocols show dbb-cobs-1` prints a definition to begin with, and --protocol FILE takes it." {
+        cure: "Compare the bytes with the device's manual; `dbbd protocols show dbb-cobs-1` prints a definition to begin with, which is then given as the protocol.",
+        asks: [Protocol] {
             UnknownDevice { bytes: usize } => "unknown: no definition explains the {bytes} bytes that came";
         }
         W2102 "the device sends nothing",
         cause: "It is off or asleep, the cable or the port is the wrong one, or it waits for a command that no definition has.",
-        cure: "Switch it on, press its send key, check cable and port; without --listen the commands of each definition are tried." {
+        cure: "Switch it on, press its send key, check cable and port; without listening only, the commands of each definition are tried.",
+        asks: [ListenOnly] {
             SaysNothing { port: String } => "nothing came from {port}";
         }
         E2105 "too few readings for a check of the bar",

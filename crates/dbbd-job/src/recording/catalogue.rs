@@ -7,8 +7,9 @@ findings! {
     RecordingFinding "Captures and runs" {
         E0401 "the capture exists already",
         cause: "A capture is never overwritten.",
-        cure: "Give another name with --out, or move the old capture." {
-            CaptureExists => "the capture exists already", help: "choose another name with --out";
+        cure: "Give another name, or move the old capture.",
+        asks: [Out] {
+            CaptureExists => "the capture exists already", help: "choose another name";
         }
         E0402 "a capture cannot be made",
         cause: "The directory does not exist, or this user may not write there.",
@@ -30,8 +31,8 @@ findings! {
         }
         E0405 "a file is not a capture",
         cause: "The file is of another kind, or no whole record of the capture is left.",
-        cure: "Name a capture: what `dbbd acquire --out RUN` or `dbbd import --out RUN` writes." {
-            NoCapture => "is not a capture: there is no whole record in it", help: "a capture is what `dbbd acquire --out RUN` writes";
+        cure: "Name a capture: what `dbbd acquire` or `dbbd import` writes." {
+            NoCapture => "is not a capture: there is no whole record in it", help: "a capture is what `dbbd acquire` writes";
             NothingLeft => "no whole record of the capture is left";
         }
         E0406 "a capture is of another version",
@@ -40,9 +41,10 @@ findings! {
             OtherFormat { format: u32, supported: u32 } => "is a capture of format {format}; this version reads format {supported}";
         }
         E0407 "a capture lacks what the command needs",
-        cause: "It was recorded without --plan, or the bar sent no sample.",
-        cure: "Name the plan that the robot drove with --plan PLAN.csv; its plan.json is read from the same directory." {
-            NoPlan => "holds no plan", help: "name it: --plan PLAN.csv, with its .json beside it";
+        cause: "It was recorded without a plan, or the bar sent no sample.",
+        cure: "Name the plan that the robot drove; its plan.json is read from the same directory.",
+        asks: [Plan] {
+            NoPlan => "holds no plan", help: "name it, with its .json beside it";
             NoSample => "holds no sample: the bar sent nothing";
         }
         E0408 "logged axis angles are of another plan",
@@ -52,7 +54,7 @@ findings! {
         }
         W0410 "a capture is damaged",
         cause: "A kill or a loss of power leaves a torn end. A damage in the middle means that the disk, a copy or another program changed bytes or took records out.",
-        cure: "All records around a damage are read. `dbbd recover RUN --out RUN2` writes a capture without damages; copy a file that was damaged on the way again." {
+        cure: "All records around a damage are read. `dbbd recover` writes a capture without damages; copy a file that was damaged on the way again." {
             StrangeRecord { offset: u64, bytes: u64, kind: u8 } => "byte {offset}: the content of a record of kind {kind} is not understood; {bytes} bytes are left out";
             WrongChecksum { offset: u64, bytes: u64, record: &'static str } => "byte {offset}: the checksum of a record ({record}) is wrong; {bytes} bytes are left out";
             TornRecord { offset: u64, bytes: u64, record: &'static str, record_bytes: usize } => "byte {offset}: the file ends inside a record of {record_bytes} bytes ({record}); {bytes} bytes are left out";
@@ -64,7 +66,7 @@ findings! {
             RecordsMissing { offset: u64, records: u32 } => "byte {offset}: {records} records before it are missing";
             RecordsRepeated { offset: u64, bytes: u64, records: u64 } => "byte {offset}: {records} records are there twice or out of order; {bytes} bytes are left out";
             OtherCount { ended: u64, samples: u64 } => "the run ended with {ended} samples, and {samples} are read";
-            MoreDamages { damages: usize } => "{damages} more damages (`dbbd info --json` lists all)";
+            MoreDamages { damages: usize } => "{damages} more damages (`dbbd info` lists all as JSON)";
         }
         W0411 "a run is not whole",
         cause: "The recording was killed or lost its disk, or it was too slow for the bar.",
@@ -73,13 +75,15 @@ findings! {
             CutOff => "the run was cut off: there is no record of its end";
         }
         W0412 "a capture was recorded with another plan",
-        cause: "The plan that --plan names is not the one that is attached to the capture.",
-        cure: "Leave --plan out to use the attached plan. With another plan than the one that was driven, lengths belong to other poses." {
+        cause: "The plan that is given is not the one that is attached to the capture.",
+        cure: "Leave the plan out to use the attached plan. With another plan than the one that was driven, lengths belong to other poses.",
+        asks: [Plan] {
             OtherPlan { recorded: String, named: String } => "the capture was recorded with plan {recorded}, and plan {named} is named";
         }
         W0413 "axis angles are known of some poses only",
         cause: "The logged axis angles are not the commanded ones, and those of other poses were not given.",
-        cure: "Give the .dat of every module with --axes." {
+        cure: "Give the .dat of every module.",
+        asks: [LoggedAxes] {
             AxesIncomplete { worst_deg: f64, poses: usize } => "the logged axis angles are up to {worst_deg:.3} degrees from the commanded ones, and {poses} poses have none: give the .dat of every module";
         }
         W0480 "a .dat holds no logged axis angles",
@@ -88,14 +92,14 @@ findings! {
             NoAxesLogged { data: String } => "{data} holds no axis angles of a run: the commanded ones are used";
         }
         W0481 "the temperatures of a run are not those of a bar",
-        cause: "The sensor of the bar failed, is loose or is not connected, or the column of an imported trace is in another unit.",
+        cause: "The sensor of the bar failed or is loose.",
         cure: "Lengths are corrected by these temperatures where the job gives expansion_per_k: leave that out, or correct [temperature] of the mapping." {
             TemperatureJumps { step_k: f64 } => "the bar's temperature changes by {step_k:.1} K from one reading to the next: is its sensor loose?";
-            NoTemperature { low_c: f64, high_c: f64 } => "the bar's temperature is {low_c:.1} to {high_c:.1} degrees Celsius";
         }
         W0414 "a telegram of the program is malformed",
-        cause: "Something else than the program of this plan sends to the address of --ekrl, or the channel file is another version's.",
-        cure: "Load the modules and the channel file (DbbEki.xml) that `dbbd krl --sync ekrl` wrote for this plan." {
+        cause: "Something else than the program of this plan sends to the address for telegrams, or the channel file is another version's.",
+        cure: "Load the modules and the channel file (DbbEki.xml) that `dbbd krl` wrote for this plan.",
+        asks: [Telegrams] {
             TelegramNotUtf8 => "the telegram is not UTF-8 text";
             TelegramTagOpen => "a tag of the telegram has no end";
             TelegramNotQuoted { element: String, name: String } => "{element}/@{name} of the telegram is not quoted";
@@ -112,12 +116,14 @@ findings! {
         }
         W0416 "the date of a run cannot be right",
         cause: "The clock of the computer that recorded it, or of this one, is wrong: the run is dated before 1980, in the future, or before the certificate of its bar.",
-        cure: "Set the clock. State the day of the measurement with --identity (key `measured`)." {
+        cure: "Set the clock. State the day of the measurement in the identity (key `measured`).",
+        asks: [Identity] {
             UnlikelyDate { why: String } => "by the clock of the computer that recorded the run: {why}";
         }
         I0420 "the controller was in its absolute-accuracy mode",
         cause: "The controller corrects its motions by a model of its own ($ABS_ACCUR), so its axes are not at the commanded angles.",
-        cure: "Nothing is wrong while the logged axis angles of all modules are given (--axes, or EthernetKRL)." {
+        cure: "Nothing is wrong while the logged axis angles of all modules are given (by file, or by EthernetKRL).",
+        asks: [LoggedAxes] {
             AbsoluteAccuracy => "the controller corrects its motions by a model of its own ($ABS_ACCUR)";
         }
         I0421 "the temperature of the bar",

@@ -337,4 +337,130 @@ mod tests {
         near(at(6.5, 0), 1.5);
         near(at(7.5, 1_000_000), 2.5);
     }
+
+    /// A counter of milliseconds that wraps after a second.
+    const CLOCK: DeviceClock = DeviceClock { seconds_per_tick: 1e-3, wrap: Some(1000) };
+
+    fn stamp(host_ms: u64, ticks: u64) -> ClockStamp {
+        ClockStamp { host: HostNs(host_ms * 1_000_000), ticks: DeviceTicks(ticks) }
+    }
+
+    /// From 900 to 0 the counter makes 100 ms, or whole seconds more as the host shows; each is a turn.
+    #[test]
+    fn turns_after_silence_are_counted_by_the_host() {
+        for (host_ms, ticks, device_s, turns) in [
+            (50, 950, 0.05, 0),
+            (100, 0, 0.1, 1),
+            (3_100, 0, 3.1, 4),
+            (2_050, 950, 2.05, 2),
+            (1_450, 950, 1.05, 1),
+            (1_650, 950, 2.05, 2),
+            (0, 899, 0.999, 1),
+        ] {
+            let step = CLOCK.step(stamp(0, 900), stamp(host_ms, ticks));
+            assert!((step.device_s - device_s).abs() < 1e-12, "{host_ms} {ticks}: {}", step.device_s);
+            assert_eq!(step.turns, turns, "{host_ms} {ticks}");
+        }
+        let endless = DeviceClock { wrap: None, ..CLOCK };
+        assert!(endless.is_gross(stamp(0, 900), stamp(10, 899)));
+        // 2 s more than the host's time are not a late read: 2.2 s in 0.1 s.
+        assert!(!endless.is_gross(stamp(0, 0), stamp(100, 2_200)));
+        assert!(endless.is_gross(stamp(0, 0), stamp(100, 2_201)));
+    }
+
+    #[test]
+    fn counter_of_a_protocol_wraps_at_a_power_of_two() {
+        let clock = DeviceClock::from(TickCounter { tick_ns: 250, wrap_bits: 16 });
+        assert!((clock.seconds_per_tick - 2.5e-7).abs() < 1e-20);
+        assert_eq!(clock.wrap, Some(65_536));
+        assert_eq!(DeviceClock::from(TickCounter { tick_ns: 250, wrap_bits: 64 }).wrap, None);
+    }
+
+    /// A sample each 0.1 s of the device; the host's clock is 50 ppm faster, and its stamps are up to 6 ms late.
+    fn drifting(count: u64) -> Vec<ClockStamp> {
+        let host = |at: u64| HostNs(at * 100_005_000 + at % 7 * 1_000_000);
+        (0..count).map(|at| ClockStamp { host: host(at), ticks: DeviceTicks(100 * at) }).collect()
+    }
+
+    #[test]
+    fn line_lies_under_all_stamps() {
+        let clock = DeviceClock { wrap: None, ..CLOCK };
+        let map = ClockMap::new(&drifting(4001), clock);
+        // 400 s are two windows of 200 s.
+        assert_eq!(map.segments.len(), 2);
+        assert!((map.segments[1].from_s - 200.0).abs() < 1e-9 && (map.segments[1].to_s - 400.0).abs() < 1e-9);
+        assert!((map.drift().unwrap() - 5e-5).abs() < 1e-8);
+        for device_s in [0.0, 100.0, 399.0] {
+            assert!((map.host_s(device_s).unwrap() - device_s * 1.000_05).abs() < 1e-7, "{device_s}");
+        }
+        // Delays of 0 to 6 ms, each as often: the median is 3 ms, and some stamps are not late.
+        assert!((map.segments[0].median_late_s - 0.003).abs() < 1e-6);
+        assert!(map.bound_s().unwrap() < 1e-6);
+        assert!(map.breaks.is_empty() && map.wraps == 0);
+    }
+
+    #[test]
+    fn wraps_are_counted() {
+        let wrapped: Vec<ClockStamp> = drifting(101)
+            .into_iter()
+            .map(|stamp| ClockStamp { ticks: DeviceTicks(stamp.ticks.0 % 1000), ..stamp })
+            .collect();
+        let map = ClockMap::new(&wrapped, CLOCK);
+        assert_eq!((map.wraps, map.breaks.len()), (10, 0));
+        assert!((map.device_s[100] - 10.0).abs() < 1e-9);
+    }
+
+    /// At sample 200 the counter jumps ahead by 5 s, or starts anew.
+    #[test]
+    fn clock_that_jumps_or_restarts_advances_with_the_host() {
+        let clock = DeviceClock { wrap: None, ..CLOCK };
+        for (reset, jump_s) in [(false, 5.1), (true, -19.9)] {
+            let mut stamps = drifting(400);
+            for (at, stamp) in (0..).zip(&mut stamps).skip(200) {
+                stamp.ticks = DeviceTicks(if reset { 100 * (at - 200) } else { 100 * at + 5_000 });
+            }
+            let map = ClockMap::new(&stamps, clock);
+            let [broken] = map.breaks[..] else { panic!("{:?}", map.breaks) };
+            assert_eq!((broken.at, broken.reset), (200, reset));
+            assert!((broken.jump_s - jump_s).abs() < 1e-9);
+            // The delays of samples 199 and 200 are 3 and 4 ms.
+            assert!((broken.host_s - 0.101_005).abs() < 1e-9, "{}", broken.host_s);
+            assert!((map.device_s[200] - map.device_s[199] - broken.host_s).abs() < 1e-9);
+            assert!((map.device_s[399] - map.device_s[200] - 19.9).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn line_that_stalls_is_no_break() {
+        let mut stamps = drifting(400);
+        let late = stamps[230].host;
+        stamps[200..230].iter_mut().for_each(|stamp| stamp.host = late);
+        let map = ClockMap::new(&stamps, DeviceClock { wrap: None, ..CLOCK });
+        assert!(map.breaks.is_empty());
+        assert!((map.drift().unwrap() - 5e-5).abs() < 1e-7);
+    }
+
+    #[test]
+    fn counter_faster_than_the_host_has_no_line() {
+        let stamps: Vec<ClockStamp> = (0..100).map(|at| stamp(at, 100 * at)).collect();
+        let map = ClockMap::new(&stamps, DeviceClock { wrap: None, ..CLOCK });
+        assert!(map.segments.is_empty());
+        assert_eq!((map.host_s(0.0), map.drift(), map.bound_s()), (None, None, None));
+        assert!((map.device_s[99] - 9.9).abs() < 1e-9);
+    }
+
+    /// The hull of (0, 0), (1, 2), (2, 1.0002), (3, 3.0003) is without the second point; its edges rise by 0.5001
+    /// and 2.0001, which is no quartz.
+    #[test]
+    fn slope_is_that_of_the_lower_hull() {
+        let points = |hosts: &[f64]| -> Vec<ClockPoint> {
+            let point = |(at, host_s): (usize, &f64)| ClockPoint { device_s: at as f64, host_s: *host_s };
+            hosts.iter().enumerate().map(point).collect()
+        };
+        assert_eq!(slope_under(&points(&[0.0, 2.0, 1.0002, 3.0003]), 1.0), 1.0);
+        assert!((slope_under(&points(&[0.0, 1.5, 2.0002, 3.0005]), 1.5) - 1.0001).abs() < 1e-12);
+        assert!((slope_under(&points(&[0.0, 1.5, 2.0002, 3.0005]), 2.5) - 1.0003).abs() < 1e-12);
+        assert!((slope_under(&points(&[0.0, 1.5, 2.0002, 3.0005]), 9.0) - 1.0003).abs() < 1e-12);
+        assert_eq!(slope_under(&points(&[0.0]), 0.0), 1.0);
+    }
 }

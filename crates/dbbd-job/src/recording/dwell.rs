@@ -152,3 +152,84 @@ pub fn reading_between(stream: &SampleStream, from_s: f64, to_s: f64) -> Option<
         creep_mm: creeps.then(|| slope * (last_s - stream.t_s[range.start])),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use crate::recording::stream::StreamBuilder;
+    use dbbd_model::base::units::HostNs;
+    use dbbd_model::measurement::sample::Sample;
+
+    /// At 100 Hz, one reading per value, mm.
+    fn stream(readings_mm: impl IntoIterator<Item = f64>) -> SampleStream {
+        let mut builder = StreamBuilder::new(None);
+        for (at, reading_mm) in (0..).zip(readings_mm) {
+            builder.push(
+                HostNs(at * 10_000_000),
+                &Sample { valid: reading_mm < 100.0, ..Sample::of(reading_mm) },
+            );
+        }
+        builder.build()
+    }
+
+    fn alternating(count: usize) -> impl Iterator<Item = f64> {
+        (0..count).map(|at| if at % 2 == 0 { 1.1 } else { 0.9 })
+    }
+
+    /// Residuals +-0.1: s = sqrt(10 * 0.01 / 9), no positive correlation, u = s / sqrt(10).
+    #[test]
+    fn reading_is_the_mean_with_its_uncertainty() {
+        let reading = reading_between(&stream(alternating(12)), 0.0, 0.095).unwrap();
+        assert_eq!((reading.samples, reading.invalid, reading.gaps, reading.creep_mm), (10, 0, 0, None));
+        assert!((reading.reading_mm - 1.0).abs() < 1e-12);
+        assert!((reading.u_mm - (0.1f64 / 9.0).sqrt() / 10f64.sqrt()).abs() < 1e-12, "{}", reading.u_mm);
+        assert!((reading.middle_s() - 0.0475).abs() < 1e-12);
+    }
+
+    /// The standard deviation of a uniform distribution is its width over the square root of 12.
+    #[test]
+    fn constant_reading_is_known_to_the_resolution() {
+        let reading = reading_between(&stream([2.0; 10]), 0.0, 1.0).unwrap();
+        assert!((reading.u_mm - 1e-4 / 12f64.sqrt()).abs() < 1e-12);
+        // One sample of ten on the next step: its deviation is a third of a step, less than a half.
+        let mut steps = [2.0; 10];
+        steps[4] = 2.01;
+        let reading = reading_between(&stream(steps), 0.0, 1.0).unwrap();
+        assert!((reading.u_mm - 0.01 / 12f64.sqrt()).abs() < 1e-12, "{}", reading.u_mm);
+    }
+
+    /// Products of neighbours over squares of 1, 2, 3: (2 + 6) / 14; negative correlation counts as none.
+    #[test]
+    fn correlation_of_neighbours() {
+        let ResidualScatter { squares, correlation } = ResidualScatter::of([1.0, 2.0, 3.0].into_iter());
+        assert_eq!(squares, 14.0);
+        assert!((correlation - 8.0 / 14.0).abs() < 1e-15);
+        assert_eq!(ResidualScatter::of([1.0, -1.0].into_iter()).correlation, 0.0);
+        assert_eq!(ResidualScatter::of(std::iter::repeat_n(1.0, 1000)).correlation, 0.99);
+        assert_eq!(ResidualScatter::of(std::iter::empty()).correlation, 0.0);
+    }
+
+    /// A rise of 0.02 mm a second in noise of 0.001 mm, which alternates.
+    #[test]
+    fn drift_within_a_dwell_is_creep() {
+        let rising = |slope: f64| {
+            (0..100).map(move |at| slope * 0.01 * f64::from(at) + if at % 2 == 0 { 0.001 } else { -0.001 })
+        };
+        assert_eq!(reading_between(&stream(rising(0.0)), 0.0, 1.0).unwrap().creep_mm, None);
+        let creep_mm = reading_between(&stream(rising(0.002)), 0.0, 1.0).unwrap().creep_mm.unwrap();
+        assert!((creep_mm - 0.002 * 0.99).abs() < 1e-4, "{creep_mm}");
+    }
+
+    #[test]
+    fn invalid_samples_do_not_count() {
+        let mut readings: Vec<f64> = alternating(12).collect();
+        readings[3] = 999.0;
+        let reading = reading_between(&stream(readings), 0.0, 1.0).unwrap();
+        assert_eq!((reading.samples, reading.invalid), (11, 1));
+        assert!((reading.reading_mm - 1.0).abs() < 0.03);
+        assert!(reading_between(&stream([1.0, 1.0, 999.0]), 0.0, 1.0).is_none());
+        assert!(reading_between(&stream([1.0, 1.0]), 0.0, 1.0).is_none());
+        assert!(reading_between(&stream([1.0, 1.0, 1.0]), 0.0, 1.0).is_some());
+    }
+}

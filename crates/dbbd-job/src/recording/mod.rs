@@ -29,3 +29,6 @@ pub use strobe_decoder::{StrobeDecoder, StrobeEvent, StrobedDwell, strobed_dwell
 pub use telegram::{LONGEST_TELEGRAM, Telegram, TelegramReader, TelegramResult};
 
 pub use crate::program::krl::run_number;
+
+#[cfg(test)]
+mod tests;

@@ -81,3 +81,59 @@ pub(super) fn reported_dwells(
     let dwell = |span: Range<f64>| Dwell::whole(span.start, span.end - LATE_S, LATE_S);
     Some(spans(reports, stream)?.into_iter().map(|(index, span)| (index, dwell(span))).collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use crate::recording::stream::StreamBuilder;
+    use dbbd_model::measurement::sample::Sample;
+
+    fn report(host_ms: u64, index: u32, phase: u8, first_deg: f64) -> DwellReport {
+        let axes_deg = [first_deg, 0.0, 0.0, 0.0, 0.0, 0.0];
+        DwellReport { host: HostNs(host_ms * 1_000_000), index, phase, axes_deg }
+    }
+
+    fn stream() -> SampleStream {
+        let mut builder = StreamBuilder::new(None);
+        builder.push(HostNs(1_000_000_000), &Sample::of(1.0));
+        builder.build()
+    }
+
+    #[test]
+    fn axes_are_the_mean_of_start_and_end() {
+        let axes = reported_axes(&[
+            report(0, 3, 1, 10.0),
+            report(1, 3, 2, 11.0),
+            report(2, 4, 2, 7.0),
+            report(3, 5, 1, 5.0),
+            report(4, 6, 2, 9.0),
+        ]);
+        let first: Vec<(u32, f64)> = axes.iter().map(|(index, axes)| (*index, axes[0])).collect();
+        assert_eq!(first, [(3, 10.5), (4, 7.0), (5, 5.0), (6, 9.0)]);
+    }
+
+    /// The stream begins at 1 s of the host; the report of the end may be 50 ms late.
+    #[test]
+    fn dwell_lasts_from_start_to_end() {
+        let reports = [
+            report(1500, 3, 1, 0.0),
+            report(2500, 3, 2, 0.0),
+            report(3000, 4, 1, 0.0),
+            report(3500, 5, 2, 0.0),
+        ];
+        let dwells = reported_dwells(&reports, &stream()).unwrap();
+        assert_eq!(dwells.keys().copied().collect::<Vec<_>>(), [3]);
+        let dwell = dwells[&3];
+        assert!((dwell.start_s - 0.5).abs() < 1e-12 && (dwell.end_s - 1.45).abs() < 1e-12);
+        assert!((dwell.start_sd_s - 0.05).abs() < 1e-12);
+    }
+
+    #[test]
+    fn reports_without_pairs_are_unused() {
+        let unpaired = [report(1500, 3, 1, 0.0), report(2000, 4, 2, 0.0)];
+        assert_eq!(unused(&unpaired, &stream()), Some(MatchingFinding::ReportsUnpaired { reports: 2 }));
+        assert_eq!(unused(&[report(1500, 3, 1, 0.0), report(2000, 3, 2, 0.0)], &stream()), None);
+        assert_eq!(unused(&[], &stream()), None);
+    }
+}

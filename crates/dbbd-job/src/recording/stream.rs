@@ -207,3 +207,84 @@ pub fn sequence_step(modulo: u32, before: u32, now: u32) -> SequenceStep {
         few => SequenceStep::Missing(few),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stream(samples: &[(u64, Sample)], modulo: Option<u32>) -> SampleStream {
+        let mut builder = StreamBuilder::new(None).sequence(modulo);
+        samples.iter().for_each(|(host_ms, sample)| builder.push(HostNs(host_ms * 1_000_000), sample));
+        builder.build()
+    }
+
+    fn at_ms(hosts_ms: &[u64]) -> SampleStream {
+        stream(&hosts_ms.iter().map(|host_ms| (*host_ms, Sample::of(1.0))).collect::<Vec<_>>(), None)
+    }
+
+    #[test]
+    fn sequence_numbers_show_missing_samples() {
+        for (before, now, expected) in [
+            (3, 4, SequenceStep::Next),
+            (255, 0, SequenceStep::Next),
+            (3, 6, SequenceStep::Missing(2)),
+            (254, 1, SequenceStep::Missing(2)),
+            (0, 129, SequenceStep::Missing(128)),
+            (0, 130, SequenceStep::Back),
+            (3, 3, SequenceStep::Back),
+            (4, 3, SequenceStep::Back),
+        ] {
+            assert_eq!(sequence_step(256, before, now), expected, "{before} {now}");
+        }
+    }
+
+    #[test]
+    fn flags_of_a_sample_are_kept() {
+        let sample =
+            |sequence, trigger, valid| Sample { sequence: Some(sequence), trigger, valid, ..Sample::of(1.0) };
+        let stream = stream(
+            &[
+                (0, sample(7, None, true)),
+                (1, sample(8, Some(true), false)),
+                (2, sample(10, Some(false), true)),
+                (3, Sample { reading_mm: f64::NAN, ..sample(11, None, true) }),
+            ],
+            Some(16),
+        );
+        assert_eq!([0, 1, 2, 3, 4].map(|at| stream.valid(at)), [true, false, true, false, false]);
+        assert_eq!([0, 1, 2, 4].map(|at| stream.strobe(at)), [None, Some(true), Some(false), None]);
+        assert_eq!([0, 1, 2, 3].map(|at| stream.gap_before(at)), [false, false, true, false]);
+    }
+
+    #[test]
+    fn times_count_from_the_first_sample_and_never_decrease() {
+        let stream = at_ms(&[5_000, 5_100, 5_050, 5_200]);
+        assert_eq!(stream.t_s, [0.0, 0.1, 0.1, 0.2]);
+        assert_eq!([0.0, 0.05, 0.1, 0.15, 0.3].map(|t_s| stream.at(t_s)), [0, 1, 1, 3, 4]);
+        assert_eq!(stream.time_of(HostNs(4_500_000_000)), Some(-0.5));
+    }
+
+    #[test]
+    fn shift_leads_from_one_axis_to_the_other() {
+        let (one, other) = (at_ms(&[5_000, 5_100]), at_ms(&[3_000, 3_100]));
+        assert_eq!((one.shift_to(&other), other.shift_to(&one)), (Some(2.0), Some(-2.0)));
+    }
+
+    #[test]
+    fn period_ignores_gaps() {
+        let mut hosts_ms: Vec<u64> = (0..200).map(|at| 10 * at).collect();
+        hosts_ms[150..].iter_mut().for_each(|host_ms| *host_ms += 5_000);
+        assert!((at_ms(&hosts_ms).period_s() - 0.01).abs() < 1e-12);
+        assert!((at_ms(&[0, 20, 40]).period_s() - 0.02).abs() < 1e-12);
+        assert_eq!(at_ms(&[7]).period_s(), 0.0);
+    }
+
+    #[test]
+    fn break_lies_after_the_start_and_up_to_the_end() {
+        let mut line = at_ms(&[0, 100, 200, 300]).time;
+        line.breaks = vec![2];
+        let broken = |from_s, to_s| line.broken_between(from_s, to_s);
+        assert!(broken(0.1, 0.2) && broken(0.0, 0.3));
+        assert!(!broken(0.2, 0.3) && !broken(0.0, 0.15));
+    }
+}

@@ -4,9 +4,10 @@ use serde::Serialize;
 
 use super::page::{findings, render};
 use super::plot::{PANEL, Series, Time, TrendLine, TrendPlot, TrendPoint, histogram};
-use super::scale::{COVERAGE, Unit, magnitude};
+use super::scale::{Unit, magnitude};
 use crate::recording::bar_check::BarCheck;
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::math::distributions::COVERAGE_95;
 use dbbd_model::math::straight_line::StraightLine;
 use dbbd_model::provenance::Provenance;
 
@@ -26,7 +27,7 @@ pub fn html(check: &BarCheck, provenance: &Provenance) -> Result<String, Diagnos
     let point = |&[time, mm, sd]: &[f64; 3]| TrendPoint {
         time,
         value: mm - check.mean_mm,
-        u95: COVERAGE * sd,
+        u95: COVERAGE_95 * sd,
         doubtful: false,
     };
     let points: Vec<TrendPoint> = check.means.iter().map(point).collect();

@@ -16,7 +16,7 @@ use super::scene::{BallMark, Scene, ScenePose, skeleton};
 use dbbd_model::conformity::{BudgetLine, UncertaintyBudget};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::result::Recommendation;
-use dbbd_model::estimation::{CalibrationResult, ResultFile, joint_curve, senses};
+use dbbd_model::estimation::{CalibrationResult, Combination, CompletedCalibration, joint_curve, senses};
 use dbbd_model::measurement::{Measurements, PoseKind};
 use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::{AXES, BallId, BarId, CircleId, Datum, Joint};
@@ -28,12 +28,14 @@ const DRAWN_BY_AXIS: usize = 1500;
 
 #[derive(Serialize)]
 struct Page<'a> {
-    result: &'a ResultFile,
+    result: &'a CalibrationResult,
     /// The robot that "before" refers to.
     before: String,
     made_from: String,
     /// The measurement that each recommendation proposes.
     further: Vec<String>,
+    /// Each combination in words.
+    combinations: Vec<String>,
     counts: Counts,
     figures: Figures,
     groups: Vec<Group<'a>>,
@@ -69,25 +71,26 @@ struct Figures {
 }
 
 pub fn html(
-    found: &CalibrationResult,
+    found: &CompletedCalibration,
     observations: &Measurements,
     provenance: &Provenance,
     budget: &UncertaintyBudget,
 ) -> Result<String, Diagnostic> {
     let counts = Counts::of(observations);
     let points = points(found, observations, counts.stride);
-    let file = ResultFile::from(found);
+    let result = &found.result;
     let page = Page {
-        result: &file,
-        before: found.start.to_string(),
-        made_from: found.made_from.to_string(),
-        further: found.recommendations.iter().map(Recommendation::what).collect(),
+        result,
+        before: result.start.to_string(),
+        made_from: result.made_from.to_string(),
+        further: result.recommendations.iter().map(Recommendation::what).collect(),
+        combinations: result.combinations.iter().map(Combination::to_string).collect(),
         figures: Figures::of(found, &points),
         counts,
-        groups: groups(found, &file),
-        not_estimated: not_estimated(&file.parameters),
+        groups: groups(result, &found.robot),
+        not_estimated: not_estimated(&result.parameters),
         zeros: offsets(found),
-        balls: frames(found),
+        balls: frames(result),
         budget,
         contributions: budget.lines.iter().map(|l| (l.source.words(), l.basis.words(), l)).collect(),
         identity: provenance.identity.facts(),
@@ -113,7 +116,7 @@ impl Counts {
 }
 
 /// Every `stride`-th measurement with its residuals.
-fn points(found: &CalibrationResult, observations: &Measurements, stride: usize) -> Vec<ResidualPoint> {
+fn points(found: &CompletedCalibration, observations: &Measurements, stride: usize) -> Vec<ResidualPoint> {
     let rows = observations.rows.iter();
     let senses = senses(rows.clone().map(|row| row.axes.radians())).step_by(stride);
     let drawn = rows.clone().enumerate().step_by(stride).zip(found.residuals(rows.step_by(stride)));
@@ -133,13 +136,13 @@ fn points(found: &CalibrationResult, observations: &Measurements, stride: usize)
 }
 
 impl Figures {
-    fn of(found: &CalibrationResult, points: &[ResidualPoint]) -> Self {
+    fn of(found: &CompletedCalibration, points: &[ResidualPoint]) -> Self {
         let inliers: Vec<&ResidualPoint> = points.iter().filter(|point| !point.outlier).collect();
         let arm = points.first().map_or_else(Vec::new, |point| skeleton(&found.robot, &point.axes_deg));
         Self {
             maps: HeatMap::of_uncertainty(&found.map, &arm, &balls(found)),
             circles: circles(&inliers),
-            residuals: per_datum(points, found.sigma.mm),
+            residuals: per_datum(points, found.result.noise_mm.length),
             histograms: histograms(&inliers),
             axes: axes(&inliers),
             joints: joints(found, &inliers),
@@ -148,12 +151,12 @@ impl Figures {
 }
 
 /// The base balls as identified.
-fn balls(found: &CalibrationResult) -> Vec<BallMark> {
+fn balls(found: &CompletedCalibration) -> Vec<BallMark> {
     let balls = (1..).zip(&found.posterior.model.balls);
     balls.map(|(id, ball)| BallMark { id, at: (*ball).into() }).collect()
 }
 
-fn scene(found: &CalibrationResult, points: &[ResidualPoint]) -> Scene {
+fn scene(found: &CompletedCalibration, points: &[ResidualPoint]) -> Scene {
     let poses = points.iter().filter(|point| !point.outlier).filter_map(|point| {
         let ball = point.datum.ball()?.number();
         Some(ScenePose::new(&found.robot, point.index, ball, &point.axes_deg, Some(point.after_mm)))
@@ -230,8 +233,8 @@ fn axes(inliers: &[&ResidualPoint]) -> Vec<String> {
 }
 
 /// The errors of the joints, if they were estimated.
-fn joints(found: &CalibrationResult, inliers: &[&ResidualPoint]) -> Vec<String> {
-    if found.joints.is_none() {
+fn joints(found: &CompletedCalibration, inliers: &[&ResidualPoint]) -> Vec<String> {
+    if found.result.joint_errors.is_none() {
         return Vec::new();
     }
     let stride = inliers.len().div_ceil(DRAWN_BY_AXIS).max(1);

@@ -12,13 +12,14 @@ findings! {
         }
         E1720 "a URDF cannot be read",
         cause: "The file is not XML, or its joints are not those of a six-axis arm: another number of joints, several arms, a sliding joint, a xacro file that was not expanded.",
-        cure: "Expand xacro files (`xacro FILE > robot.urdf`). Name the six joints with --joints where the file has several chains." {
+        cure: "Expand xacro files (`xacro FILE > robot.urdf`). Name the six joints where the file has several chains.",
+        asks: [UrdfJoints] {
             NotXml { why: String } => "{why}";
             NoSixJoints { chains: usize, joints: String } => "{chains} chains of six movable joints; exactly one is needed", help: "movable joints: {joints}";
             NoUrdf { root: String } => "its root is <{root}>, and that of a URDF is <robot>";
             NoSuchJoint { joint: String, joints: String } => "there is no movable joint `{joint}`", help: "movable joints: {joints}";
             OtherOrder { named: String } => "the joints {named} are not a chain in this order", help: "name them from the base to the flange";
-            OtherCount { named: usize } => "--joints names {named} joints, and an arm has six";
+            OtherCount { named: usize } => "{named} joints are named, and an arm has six";
             OtherJoint { joint: String, kind: String } => "joint `{joint}` is of type `{kind}`, and only turning joints are corrected";
             NotNumbers { attribute: String } => "`{attribute}` is not three numbers";
         }
@@ -33,10 +34,11 @@ findings! {
             CoupledInUrdf { joint: usize, sum: String } => "the variable of the URDF's joint {joint} is {sum}, not what the controller shows for axis {joint}";
         }
         E1724 "a robot is exported into a URDF, a capture into tables",
-        cause: "With --urdf-in the joints of a robot are written into your URDF, and the first argument is the robot's file. Without it the first argument is a capture.",
-        cure: "Give --urdf-in with a robot, and leave it out with a capture." {
-            RobotWithoutUrdf => "is a robot: it is exported into the URDF that --urdf-in names";
-            CaptureIntoUrdf => "is a capture: --urdf-in takes a robot, such as robot-identified.toml";
+        cause: "With a URDF given the joints of a robot are written into your URDF, and the first argument is the robot's file. Without it the first argument is a capture.",
+        cure: "Give the URDF with a robot, and leave it out with a capture.",
+        asks: [Urdf] {
+            RobotWithoutUrdf => "is a robot: it is exported into a URDF, and none is given";
+            CaptureIntoUrdf => "is a capture: a robot is exported into a URDF, such as robot-identified.toml";
         }
         I1722 "a URDF cannot hold all that was identified",
         cause: "A URDF describes rigid links. It cannot represent gear errors, compliance, backlash and smooth joint errors.",

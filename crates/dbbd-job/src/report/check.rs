@@ -10,7 +10,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::DistanceQuantities;
 use dbbd_model::estimation::change::Hypothesis;
 use dbbd_model::provenance::Provenance;
-use dbbd_model::robot::parameter;
+use dbbd_model::robot::ParamUnit;
 
 #[derive(Serialize)]
 struct Page<'a> {
@@ -59,7 +59,11 @@ pub fn html(
 fn row(hypothesis: &Hypothesis) -> Row {
     let part = |at: usize| {
         let id = hypothesis.parameters[at];
-        let unit = if id.unit() == parameter::ParamUnit::Rad { Unit::DEG } else { Unit::MM };
+        let unit = match id.unit() {
+            ParamUnit::Mm => Unit::MM,
+            ParamUnit::Rad => Unit::DEG,
+            other @ ParamUnit::RadPerNm => Unit { sign: other.name(), factor: 1.0 },
+        };
         let Unit { sign, factor } = unit;
         Part {
             name: id.to_string(),

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::page::{findings, render};
+use super::page::render;
 use super::plot::{PolarPlot, PolarTrace, Series};
 use super::scale::{signed, significant};
 use dbbd_model::circular::{
@@ -90,7 +90,7 @@ fn panel(test: &CircleTest) -> Panel<'_> {
     Panel {
         source: &test.source,
         found,
-        notes: findings(&found.notes),
+        notes: found.notes.clone(),
         sigma_source: found.sigma_source.word(),
         plot: test.svg(),
         deviation: ["Gb", "G_lsc", "D"].map(|name| found.get(name)),
@@ -111,7 +111,7 @@ fn reversal_error(step: &DriveBacklash) -> ReversalError {
     let largest_step = match step.mover {
         _ if significant_error => significant(1e3 * step.most_mm, 2),
         _ if bound_um.is_finite() => format!("< {}", significant(bound_um, 2)),
-        _ => "–".into(),
+        DriveId::Axis(_) | DriveId::Joint(_) => "–".into(),
     };
     let error = match step.mover {
         _ if significant_error => {
@@ -120,7 +120,9 @@ fn reversal_error(step: &DriveBacklash) -> ReversalError {
             format!("{value} ± {} {unit}", significant(factor * step.u95, 2))
         }
         DriveId::Joint(_) if bound > degree => "not identifiable: the joint hardly changes the length".into(),
-        _ => format!("not significant, below {} {unit}", significant(factor * bound, 2)),
+        DriveId::Axis(_) | DriveId::Joint(_) => {
+            format!("not significant, below {} {unit}", significant(factor * bound, 2))
+        }
     };
     ReversalError { drive, error, largest_step }
 }

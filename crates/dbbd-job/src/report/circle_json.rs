@@ -8,7 +8,6 @@ use dbbd_model::circular::{
     DriveBacklash, DriveId, HarmonicDiagnosis, Harmonics, QUANTITY_NAMES, TERM_NAMES, TRACE_NAMES,
     TraceResult,
 };
-use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::Provenance;
 
 /// The largest number of deviations of a trace. A longer trace is sampled evenly.
@@ -38,7 +37,6 @@ fn test_document(test: &CircleTest) -> Value {
     let reversals = evaluation.reversals.iter().map(|at| {
         json!({ "run": at.run, "direction": at.sense.word(), "joint": at.joint, "angle_deg": at.angle_deg })
     });
-    let notes = evaluation.notes.iter().map(|note| Diagnostic::new(note.clone()));
     let mut document = json!({
         "source": test.source,
         "circle": test.circle,
@@ -54,7 +52,7 @@ fn test_document(test: &CircleTest) -> Value {
         "length_sigma_mm": evaluation.sigma_mm,
         "length_sigma_source": evaluation.sigma_source.word(),
         "monte_carlo_draws": evaluation.draws,
-        "notes": notes.collect::<Vec<_>>(),
+        "notes": evaluation.notes,
     });
     for (name, quantity) in QUANTITY_NAMES.iter().zip(&evaluation.quantities) {
         put(&mut document, name, quantity.value, quantity.u95);

@@ -11,16 +11,17 @@ use super::plot::{
     HeatMap, Interval, Intervals, PANEL, PolarPlot, PolarTrace, Series, Time, TrendLine, TrendPlot,
     TrendPoint,
 };
-use super::scale::{COVERAGE, Unit, decimals};
+use super::scale::{Unit, decimals};
 use dbbd_model::circular::CircleSense;
 use dbbd_model::conformity::{
     ComparedCircle, ComparedResults, ComparisonSubject, ResultComparison, ResultTimeline, TimelineUnit,
     TrackedQuantity,
 };
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::math::distributions::COVERAGE_95;
 use dbbd_model::math::straight_line::StraightLine;
 use dbbd_model::provenance::Provenance;
-use dbbd_model::robot::{ParamId, parameter};
+use dbbd_model::robot::{ParamId, ParamUnit};
 
 #[derive(Serialize)]
 struct Page<'a> {
@@ -83,8 +84,12 @@ fn unit_of(unit: &'static str) -> Unit {
 impl Page<'_> {
     fn add_results(&mut self, results: &ComparedResults, timeline: &ResultTimeline) {
         let own = &results.parameters;
-        let of_group = |in_mm: bool| -> Vec<&TrackedQuantity<ParamId>> {
-            own.iter().filter(|found| (found.name.unit() == parameter::ParamUnit::Mm) == in_mm).collect()
+        let is_length = |id: ParamId| match id.unit() {
+            ParamUnit::Mm => true,
+            ParamUnit::Rad | ParamUnit::RadPerNm => false,
+        };
+        let of_group = |lengths: bool| -> Vec<&TrackedQuantity<ParamId>> {
+            own.iter().filter(|found| is_length(found.name) == lengths).collect()
         };
         let families = [
             ("Robot: lengths", of_group(true)),
@@ -132,7 +137,7 @@ impl Page<'_> {
         origin: f64,
     ) -> String {
         let point = |(time, value): (&f64, &dbbd_model::conformity::TrackedValue)| {
-            let (value, u95) = (value.value - origin, COVERAGE * value.sd);
+            let (value, u95) = (value.value - origin, COVERAGE_95 * value.sd);
             TrendPoint { time: *time, value, u95, doubtful: false }
         };
         let points: Vec<TrendPoint> = timeline.times.iter().zip(&tracked.values).map(point).collect();
@@ -199,7 +204,7 @@ fn table<N: Display + Serialize>(title: &str, family: &[&TrackedQuantity<N>]) ->
     let interval = |found: &&TrackedQuantity<N>| Interval {
         name: found.name.to_string(),
         value: found.change.change,
-        half_width: COVERAGE * found.change.sd,
+        half_width: COVERAGE_95 * found.change.sd,
     };
     let chart = Intervals {
         title: format!("{title}, change"),

@@ -21,3 +21,6 @@ pub mod plot;
 mod scale;
 mod scene;
 pub mod svg;
+
+#[cfg(test)]
+mod tests;

@@ -4,9 +4,9 @@ use serde::Serialize;
 
 use super::plot::{Interval, Intervals};
 use super::scale::{Unit, decimals};
-use dbbd_model::estimation::result::{self, CalibrationResult, Status};
-use dbbd_model::estimation::result_file::{ParameterResult, ResultFile};
-use dbbd_model::robot::{ParamId, Robot};
+use dbbd_model::estimation::CalibrationResult;
+use dbbd_model::estimation::result::{ParameterResult, Status};
+use dbbd_model::robot::{ParamGroup, ParamId, ParamUnit, Robot};
 
 /// A table of parameters of one unit.
 #[derive(Serialize)]
@@ -31,7 +31,7 @@ struct Column {
 /// Parameters that were not estimated, for one reason.
 #[derive(Serialize)]
 pub(super) struct NotEstimated<'a> {
-    pub(super) names: Vec<&'a str>,
+    pub(super) names: Vec<ParamId>,
     status: Status,
     pub(super) reason: &'a str,
 }
@@ -60,14 +60,14 @@ const KINDS: [(Kind, &str); 7] = [
 
 impl Kind {
     fn of(id: ParamId) -> Self {
-        match id {
-            ParamId::Tool(_) | ParamId::Target(..) | ParamId::BarOffset(_) => Self::Tool,
-            ParamId::Ball(..) => Self::Balls,
-            ParamId::Tracker(_) | ParamId::TrackerTurn(_) => Self::Tracker,
-            ParamId::A(_) | ParamId::D(_) => Self::Lengths,
-            ParamId::Compliance(_) => Self::Compliance,
-            ParamId::GearCos(_) | ParamId::GearSin(_) => Self::Transmission,
-            ParamId::Alpha(_) | ParamId::Beta(_) | ParamId::Theta(_) => Self::Angles,
+        match (id.group(), id.unit()) {
+            (ParamGroup::Geometric, ParamUnit::Mm) => Self::Lengths,
+            (ParamGroup::Geometric, ParamUnit::Rad | ParamUnit::RadPerNm) => Self::Angles,
+            (ParamGroup::Tool | ParamGroup::Targets | ParamGroup::Bar, _) => Self::Tool,
+            (ParamGroup::Balls, _) => Self::Balls,
+            (ParamGroup::Tracker, _) => Self::Tracker,
+            (ParamGroup::Compliance, _) => Self::Compliance,
+            (ParamGroup::Gear, _) => Self::Transmission,
         }
     }
 
@@ -89,31 +89,31 @@ impl Kind {
         match self {
             Self::Lengths => Some(robot.tolerance.length_mm),
             Self::Angles => Some(robot.tolerance.angle_deg.to_radians()),
-            _ => None,
+            Self::Tool | Self::Balls | Self::Tracker | Self::Compliance | Self::Transmission => None,
         }
     }
 }
 
-/// A parameter, typed and as it is written.
-type Member<'a> = (&'a result::ParameterResult, &'a ParameterResult);
-
-/// The tables of the kinds that have members; `file` is the result as it is written.
-pub(super) fn groups<'a>(found: &'a CalibrationResult, file: &'a ResultFile) -> Vec<Group<'a>> {
+/// The tables of the kinds that have members.
+pub(super) fn groups<'a>(result: &'a CalibrationResult, robot: &Robot) -> Vec<Group<'a>> {
     let of_kind = |(kind, title)| {
-        let members = found.parameters.iter().zip(&file.parameters);
-        let members = members.filter(|(parameter, _)| Kind::of(parameter.id) == kind).collect();
-        group(kind, title, members, &found.robot)
+        let members = result.parameters.iter().filter(|parameter| Kind::of(parameter.name) == kind);
+        group(kind, title, members.collect(), robot)
     };
     KINDS.into_iter().filter_map(of_kind).collect()
 }
 
-fn group<'a>(kind: Kind, title: &'static str, members: Vec<Member<'a>>, robot: &Robot) -> Option<Group<'a>> {
-    if members.is_empty() {
+fn group<'a>(
+    kind: Kind,
+    title: &'static str,
+    parameters: Vec<&'a ParameterResult>,
+    robot: &Robot,
+) -> Option<Group<'a>> {
+    if parameters.is_empty() {
         return None;
     }
-    let (found, parameters): (Vec<_>, Vec<_>) = members.into_iter().unzip();
-    let largest = found.iter().map(|parameter| parameter.correction.abs()).fold(0.0, f64::max);
-    let sds = found.iter().filter_map(|parameter| parameter.sd).filter(|sd| *sd > 0.0);
+    let largest = parameters.iter().map(|parameter| parameter.correction.abs()).fold(0.0, f64::max);
+    let sds = parameters.iter().filter_map(|parameter| parameter.sd).filter(|sd| *sd > 0.0);
     let smallest = sds.fold(f64::INFINITY, f64::min);
     // Two figures of the smallest sd.
     let column = |unit: Unit| {
@@ -125,26 +125,26 @@ fn group<'a>(kind: Kind, title: &'static str, members: Vec<Member<'a>>, robot: &
         title: format!("{title}, correction"),
         description: "Correction with its 95 % interval",
         unit: small.unit,
-        rows: found.iter().filter_map(|parameter| interval(parameter)).collect(),
+        rows: parameters.iter().filter_map(|parameter| interval(parameter)).collect(),
         tolerance: kind.tolerance(robot),
     };
     Some(Group { title, value, small, chart: chart.to_svg(), parameters })
 }
 
-fn interval(parameter: &result::ParameterResult) -> Option<Interval> {
+fn interval(parameter: &ParameterResult) -> Option<Interval> {
     let [low, high] = parameter.interval95?;
-    let (name, value) = (parameter.id.to_string(), parameter.correction);
+    let (name, value) = (parameter.name.to_string(), parameter.correction);
     Some(Interval { name, value, half_width: 0.5 * (high - low) })
 }
 
 /// The parameters that were not estimated, by reason.
 pub(super) fn not_estimated(parameters: &[ParameterResult]) -> Vec<NotEstimated<'_>> {
     let mut lines: Vec<NotEstimated<'_>> = Vec::new();
-    let estimated = |status: Status| matches!(status, Status::Identified | Status::Prior);
+    let estimated = |status: Status| matches!(status, Status::Identified | Status::SupportedByPrior);
     for ParameterResult { name, status, reason, .. } in parameters.iter().filter(|p| !estimated(p.status)) {
         match lines.iter_mut().find(|line| line.status == *status && line.reason == reason) {
-            Some(line) => line.names.push(name),
-            None => lines.push(NotEstimated { names: vec![name], status: *status, reason }),
+            Some(line) => line.names.push(*name),
+            None => lines.push(NotEstimated { names: vec![*name], status: *status, reason }),
         }
     }
     lines

@@ -2,9 +2,6 @@
 
 use dbbd_model::base::text;
 
-/// Half width of a 95 % interval in standard deviations.
-pub(crate) const COVERAGE: f64 = 1.96;
-
 /// A linear map from values to pixels.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Scale {

@@ -280,3 +280,62 @@ impl RtdeClient {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn publisher(faults: InjectedFaults) -> AxesPublisher {
+        AxesPublisher::new(AxesProtocol::Rsi, &faults, 1, 1000)
+    }
+
+    fn arrived(publisher: &mut AxesPublisher, t_s: f64) -> usize {
+        std::iter::from_fn(|| publisher.arrived(t_s)).count()
+    }
+
+    #[test]
+    fn packet_arrives_after_its_delay() {
+        let mut publisher = publisher(InjectedFaults { axes_delay_ms: 30.0, ..InjectedFaults::default() });
+        publisher.cycle(0.1, &[0.0; AXES], &[0.0; AXES]);
+        publisher.cycle(0.104, &[0.0; AXES], &[0.0; AXES]);
+        assert_eq!(arrived(&mut publisher, 0.129), 0);
+        assert_eq!(arrived(&mut publisher, 0.131), 1);
+        assert_eq!(arrived(&mut publisher, 0.2), 1);
+        assert_eq!((publisher.sent.cycles, publisher.sent.dropped), (2, 0));
+    }
+
+    #[test]
+    fn faults_of_the_packets_are_counted() {
+        let none = InjectedFaults::default();
+        for (faults, counts, packets) in [
+            (none, [0, 0, 0, 0], 6),
+            (InjectedFaults { axes_drop: 1.0, ..none }, [6, 0, 0, 0], 0),
+            (InjectedFaults { axes_double: 1.0, ..none }, [0, 6, 0, 0], 12),
+            // Each second packet overtakes the one before.
+            (InjectedFaults { axes_swap: 1.0, ..none }, [0, 0, 3, 0], 6),
+            (InjectedFaults { axes_spoil: 1.0, axes_drop: 1.0, ..none }, [0, 0, 0, 6], 6),
+        ] {
+            let mut publisher = publisher(faults);
+            for cycle in 0..6 {
+                publisher.cycle(f64::from(cycle) * 0.004, &[0.0; AXES], &[0.0; AXES]);
+            }
+            let PacketsSent { cycles, dropped, doubled, swapped, spoiled, .. } = publisher.sent;
+            assert_eq!((cycles, [dropped, doubled, swapped, spoiled]), (6, counts));
+            assert_eq!(arrived(&mut publisher, 1.0), packets);
+        }
+    }
+
+    /// RSI counts in ms.
+    #[test]
+    fn clock_of_the_controller_drifts() {
+        let fast = InjectedFaults { axes_drift_ppm: 500.0, ..InjectedFaults::default() };
+        let mut publisher = publisher(fast);
+        assert!((publisher.pace() - 1.0005).abs() < 1e-12);
+        publisher.cycle(100.0, &[0.25; AXES], &[0.5; AXES]);
+        let packet = publisher.arrived(100.0).expect("a packet was sent");
+        let sample = rsi::read_datagram(&packet).expect("it is a datagram");
+        assert_eq!(sample.ticks, DeviceTicks(1000 + 100_050));
+        assert!((sample.measured_deg[2] - 0.25_f64.to_degrees()).abs() < 1e-3);
+        assert!((sample.commanded_deg.expect("it is sent")[3] - 0.5_f64.to_degrees()).abs() < 1e-3);
+    }
+}

@@ -3,7 +3,6 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::mounting::SimulatedMounting;
 use crate::sim::SimulationFinding;
 use dbbd_model::diagnostic::Diagnostic;
 
@@ -89,7 +88,7 @@ impl InjectedFaults {
         };
         let [low, high] = kind.range;
         if !(low..=high).contains(&value) {
-            let option = format!("--fault {name}");
+            let option = format!("fault {name}");
             return Err(SimulationFinding::OptionOutOfRange { option, value, low, high }.into());
         }
         *(kind.field)(self) = value;
@@ -97,21 +96,26 @@ impl InjectedFaults {
     }
 }
 
-/// A faulty line, and the mounting of the bar at its end.
+/// A faulty line.
 #[derive(Clone, Debug)]
 pub struct FaultyLine {
     faults: InjectedFaults,
+    seed: u64,
     random: Pcg64,
-    pub(super) mounting: SimulatedMounting,
 }
 
 impl FaultyLine {
     pub fn new(faults: InjectedFaults, seed: u64) -> Self {
-        Self { faults, random: Pcg64::seed_from_u64(seed), mounting: SimulatedMounting::new(faults, seed) }
+        Self { faults, seed, random: Pcg64::seed_from_u64(seed) }
     }
 
     pub fn faults(&self) -> &InjectedFaults {
         &self.faults
+    }
+
+    /// The seed of its random numbers.
+    pub fn seed(&self) -> u64 {
+        self.seed
     }
 
     /// Whether an event of this probability happens now.
@@ -146,5 +150,53 @@ impl FaultyLine {
     /// Random bytes, as of an earlier stream.
     pub fn noise(&mut self, count: usize) -> Vec<u8> {
         (0..count).map(|_| self.random.random::<u8>()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn carried(faults: InjectedFaults, count: u8) -> Vec<u8> {
+        let mut bytes: Vec<u8> = (0..count).collect();
+        FaultyLine::new(faults, 3).carry(&mut bytes);
+        bytes
+    }
+
+    #[test]
+    fn certain_faults_change_every_byte() {
+        let none = InjectedFaults::default();
+        let bytes: Vec<u8> = (0..100).collect();
+        assert_eq!(carried(none, 100), bytes);
+        assert!(carried(InjectedFaults { drop: 1.0, ..none }, 100).is_empty());
+        let doubled: Vec<u8> = bytes.iter().flat_map(|byte| [*byte; 2]).collect();
+        assert_eq!(carried(InjectedFaults { double: 1.0, ..none }, 100), doubled);
+        let flipped = carried(InjectedFaults { flip: 1.0, ..none }, 100);
+        assert!(flipped.iter().zip(&bytes).all(|(a, b)| (a ^ b).count_ones() == 1));
+        let inserted = carried(InjectedFaults { insert: 1.0, ..none }, 100);
+        assert!(inserted.iter().skip(1).step_by(2).eq(&bytes));
+    }
+
+    /// Of 10 000 events with a probability of 0.2 there are 2000, with a standard deviation of 40.
+    #[test]
+    fn events_happen_with_their_probability() {
+        let mut line = FaultyLine::new(InjectedFaults::default(), 8);
+        let count = (0..10_000).filter(|_| line.happens(0.2)).count();
+        assert!((1800..2200).contains(&count), "{count}");
+        assert!(!line.happens(0.0));
+    }
+
+    #[test]
+    fn faults_are_set_by_name_within_their_range() {
+        let mut faults = InjectedFaults::default();
+        faults.set("creep_um", -30.0).expect("it is in the range");
+        faults.set("drop", 1.0).expect("it is in the range");
+        assert_eq!(faults, InjectedFaults { creep_um: -30.0, drop: 1.0, ..InjectedFaults::default() });
+        for (name, value) in [("drop", 1.01), ("drop", -0.1), ("unseated_um", -1.0), ("batch_ms", f64::NAN)] {
+            let finding = faults.set(name, value).expect_err("it is out of the range");
+            assert!(matches!(finding.finding(), Some(SimulationFinding::OptionOutOfRange { .. })), "{name}");
+        }
+        let finding = faults.set("drops", 0.1).expect_err("there is none of this name");
+        assert!(matches!(finding.finding(), Some(SimulationFinding::UnknownFault { .. })));
     }
 }

@@ -6,7 +6,6 @@ pub use catalogue::SimulationFinding;
 pub mod axes;
 pub mod bar;
 pub mod controller;
-mod device;
 pub mod ekrl;
 pub mod fault;
 pub mod mounting;
@@ -37,3 +36,6 @@ pub struct ControllerMoment {
     /// Whether the program has ended.
     pub done: bool,
 }
+
+#[cfg(test)]
+mod tests;

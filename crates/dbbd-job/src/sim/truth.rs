@@ -40,3 +40,43 @@ pub fn draw_true_robot(nominal: &Robot, seed: u64, scale: f64) -> Robot {
     robot.nominal = None;
     robot
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 200 robots: the standard deviation of a standard deviation is 5 %.
+    #[test]
+    fn errors_have_the_tolerance_as_standard_deviation() {
+        let nominal = Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read");
+        let errors = |of: fn(&Robot) -> f64, scale: f64| {
+            let squares =
+                (0..200).map(|seed| (of(&draw_true_robot(&nominal, seed, scale)) - of(&nominal)).powi(2));
+            (squares.sum::<f64>() / 200.0).sqrt()
+        };
+        // The file: 0.5 mm and 0.05 degrees. Joint 3 is parallel to joint 2.
+        let angle = 0.05_f64.to_radians();
+        for (of, expected) in [
+            ((|robot| robot.geometry.rows[1].a) as fn(&Robot) -> f64, 0.5),
+            (|robot| robot.geometry.rows[3].d, 0.5),
+            (|robot| robot.geometry.rows[0].alpha, angle),
+            (|robot| robot.geometry.rows[5].theta, angle),
+            (|robot| robot.geometry.rows[2].beta, angle),
+            (|robot| robot.geometry.rows[2].d, 0.0),
+            (|robot| robot.geometry.rows[1].beta, 0.0),
+        ] {
+            for scale in [1.0, 3.0] {
+                let found = errors(of, scale);
+                assert!((found - scale * expected).abs() <= 0.2 * scale * expected, "{found} {expected}");
+            }
+        }
+        assert_eq!(draw_true_robot(&nominal, 4, 1.0), draw_true_robot(&nominal, 4, 1.0));
+    }
+
+    /// The KR 60 repeats to 0.05 mm by ISO 9283: 0.05 / 3.616 of each coordinate.
+    #[test]
+    fn world_has_the_repeatability_of_the_robot() {
+        let nominal = Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read");
+        assert_eq!(noise(&nominal, 2.5), "repeatability_um = 13.827\n\n[bar]\nnoise_um = 2.5\n");
+    }
+}

@@ -11,8 +11,10 @@ use serde::Deserialize;
 use super::ControllerMoment;
 use crate::program;
 use crate::sim::SimulationFinding;
+use dbbd_model::base::fixed_array::fixed_array;
 use dbbd_model::base::parse::from_toml;
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::plausibility::Quantity;
 use dbbd_model::robot::{AXES, Geometry};
 
 /// Time in which the repeatability error of a motion replaces that of the one before, s: no robot jumps.
@@ -60,7 +62,9 @@ struct WorldFile {
     bar: WorldBarTable,
     /// As in [`WorldSetup`], like the following.
     repeatability_um: f64,
+    #[serde(deserialize_with = "fixed_array")]
     backlash_deg: [f64; AXES],
+    #[serde(deserialize_with = "fixed_array")]
     following_ms: [f64; AXES],
 }
 
@@ -69,8 +73,10 @@ struct WorldFile {
 struct WorldBallTable {
     id: u32,
     /// The true centre, mm, or
+    #[serde(default, deserialize_with = "fixed_array")]
     xyz_mm: Option<[f64; 3]>,
     /// as in [`WorldSetup::taught_deg`].
+    #[serde(default, deserialize_with = "fixed_array")]
     taught_deg: Option<[f64; AXES]>,
 }
 
@@ -80,6 +86,7 @@ struct WorldBarTable {
     /// Default: that of the program.
     length_mm: Option<f64>,
     /// Default: that of the program.
+    #[serde(deserialize_with = "fixed_array")]
     stroke_mm: Option<[f64; 2]>,
     noise_um: f64,
     resolution_um: f64,
@@ -99,10 +106,10 @@ impl WorldSetup {
     pub fn new(program: &[program::Setup], world: Option<(&str, &str)>) -> Result<Self, Diagnostic> {
         let (name, text) = world.unwrap_or(("WORLD.toml", ""));
         let file: WorldFile = from_toml(name, text)?;
-        Self::of(program, file).map_err(|finding| Diagnostic::file(name, finding))
+        Self::of(program, file).map_err(|finding| finding.in_file(name))
     }
 
-    fn of(setups: &[program::Setup], file: WorldFile) -> Result<Self, SimulationFinding> {
+    fn of(setups: &[program::Setup], file: WorldFile) -> Result<Self, Diagnostic> {
         let mut centres_mm: BTreeMap<u32, [f64; 3]> =
             setups.iter().map(|setup| (setup.ball, setup.centre_mm)).collect();
         // A program without set-ups uses the first ball.
@@ -112,17 +119,17 @@ impl WorldSetup {
         let mut taught_deg = BTreeMap::new();
         for WorldBallTable { id: ball, xyz_mm, taught_deg: axes_deg } in file.centre {
             if !given.insert(ball) {
-                return Err(SimulationFinding::BallTwice { ball });
+                return Err(SimulationFinding::BallTwice { ball }.into());
             }
             match (xyz_mm, axes_deg) {
                 (Some(xyz_mm), None) => _ = centres_mm.insert(ball, xyz_mm),
                 (None, Some(axes_deg)) => _ = taught_deg.insert(ball, axes_deg),
-                _ => return Err(SimulationFinding::BallWithoutPlace { ball }),
+                _ => return Err(SimulationFinding::BallWithoutPlace { ball }.into()),
             }
         }
         let unknown = |ball: &u32| !centres_mm.contains_key(ball) && !taught_deg.contains_key(ball);
         if let Some(ball) = balls.into_iter().find(unknown) {
-            return Err(SimulationFinding::UnknownBall { ball });
+            return Err(SimulationFinding::UnknownBall { ball }.into());
         }
         let first = setups.first();
         let missing = |key: &'static str| SimulationFinding::UnknownKey { key };
@@ -148,7 +155,7 @@ impl WorldSetup {
     }
 
     /// Refuses impossible numbers.
-    pub fn check(&self) -> Result<(), SimulationFinding> {
+    pub fn check(&self) -> Result<(), Diagnostic> {
         let TrueBar {
             length_mm,
             stroke_mm: [low_mm, high_mm],
@@ -157,27 +164,24 @@ impl WorldSetup {
             rate_hz,
             temperature_c,
         } = self.bar;
-        let zero_or_more = |value: f64| (0.0..1e6).contains(&value);
         let scalars = [
-            ("[bar] noise_um", noise_um, zero_or_more(noise_um)),
-            ("[bar] resolution_um", resolution_um, zero_or_more(resolution_um)),
-            ("repeatability_um", self.repeatability_um, zero_or_more(self.repeatability_um)),
-            ("[bar] length_mm", length_mm, length_mm > 0.0 && length_mm.is_finite()),
-            ("[bar] rate_hz", rate_hz, (0.1..=100_000.0).contains(&rate_hz)),
-            ("[bar] temperature_c", temperature_c, temperature_c.is_finite()),
+            ("[bar] noise_um", noise_um, Quantity::SimulatedError),
+            ("[bar] resolution_um", resolution_um, Quantity::SimulatedError),
+            ("repeatability_um", self.repeatability_um, Quantity::SimulatedError),
+            ("[bar] length_mm", length_mm, Quantity::Length),
+            ("[bar] rate_hz", rate_hz, Quantity::SampleRate),
+            ("[bar] temperature_c", temperature_c, Quantity::Coordinate),
         ];
-        let backlash = self.backlash_deg.iter().map(|deg| ("backlash_deg", *deg, zero_or_more(*deg)));
-        let following = self.following_ms.iter().map(|ms| ("following_ms", *ms, zero_or_more(*ms)));
+        let backlash = self.backlash_deg.iter().map(|deg| ("backlash_deg", *deg, Quantity::SimulatedError));
+        let following = self.following_ms.iter().map(|ms| ("following_ms", *ms, Quantity::SimulatedError));
         let centres = self.centres_mm.values().flatten();
-        let centres = centres.map(|value| ("[[centre]] xyz_mm", *value, value.is_finite()));
+        let centres = centres.map(|value| ("[[centre]] xyz_mm", *value, Quantity::Coordinate));
         let taught = self.taught_deg.values().flatten();
-        let taught = taught.map(|value| ("[[centre]] taught_deg", *value, value.is_finite()));
+        let taught = taught.map(|value| ("[[centre]] taught_deg", *value, Quantity::Coordinate));
         let mut all = scalars.into_iter().chain(backlash).chain(following).chain(centres).chain(taught);
-        if let Some((key, value, _)) = all.find(|(_, _, is_possible)| !is_possible) {
-            return Err(SimulationFinding::WorldNumber { key, value });
-        }
+        all.try_for_each(|(key, value, quantity)| quantity.check(key, value))?;
         if !(low_mm < high_mm && low_mm.is_finite() && high_mm.is_finite()) {
-            return Err(SimulationFinding::Stroke { low_mm, high_mm });
+            return Err(SimulationFinding::Stroke { low_mm, high_mm }.into());
         }
         Ok(())
     }
@@ -324,5 +328,204 @@ impl World {
 
     fn normal(&mut self) -> f64 {
         StandardNormal.sample(&mut self.random)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dbbd_model::robot::Robot;
+
+    const HOME: [f64; AXES] = [0.1, -1.0, 1.6, 0.2, 1.0, 0.3];
+
+    fn robot() -> Geometry {
+        Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read").geometry
+    }
+
+    /// A base ball 300 mm below the tool ball at home, and a bar without noise that reads -2 to 6 mm.
+    fn setup(robot: &Geometry) -> WorldSetup {
+        let ball = robot.ball(&HOME).position - Vector3::new(0.0, 0.0, 300.0);
+        WorldSetup {
+            centres_mm: [(1, ball.into())].into(),
+            taught_deg: BTreeMap::new(),
+            bar: TrueBar {
+                length_mm: 300.0,
+                stroke_mm: [-2.0, 6.0],
+                noise_um: 0.0,
+                resolution_um: 0.0,
+                rate_hz: 200.0,
+                temperature_c: 20.0,
+            },
+            repeatability_um: 0.0,
+            backlash_deg: [0.0; AXES],
+            following_ms: [0.0; AXES],
+        }
+    }
+
+    fn moment(t_s: f64, axes: [f64; AXES], motions: u32) -> ControllerMoment {
+        ControllerMoment { t_s, axes, centre: 1, strobe: false, motions, halted: false, done: false }
+    }
+
+    #[test]
+    fn reading_is_the_distance_less_the_length() {
+        let robot = robot();
+        let mut setup = setup(&robot);
+        setup.bar.length_mm = 299.25;
+        let reading = World::new(robot, setup, 1).reading(&moment(0.0, HOME, 0));
+        assert!((reading.reading_mm - 0.75).abs() < 1e-9 && reading.in_stroke);
+    }
+
+    #[test]
+    fn bar_outside_of_its_stroke_reads_the_end() {
+        let robot = robot();
+        for (length_mm, reading_mm, in_stroke) in
+            [(301.9, -1.9, true), (302.1, -2.0, false), (294.1, 5.9, true), (293.9, 6.0, false)]
+        {
+            let mut setup = setup(&robot);
+            setup.bar.length_mm = length_mm;
+            let found = World::new(robot.clone(), setup, 1).reading(&moment(0.0, HOME, 0));
+            assert!((found.reading_mm - reading_mm).abs() < 1e-9, "{length_mm}: {found:?}");
+            assert_eq!(found.in_stroke, in_stroke);
+        }
+        // A ball of which nothing is known is out of reach.
+        let elsewhere = ControllerMoment { centre: 2, ..moment(0.0, HOME, 0) };
+        let found = World::new(robot.clone(), setup(&robot), 1).reading(&elsewhere);
+        assert_eq!(found, TrueReading { reading_mm: 6.0, in_stroke: false });
+    }
+
+    /// 4000 readings: the standard deviation of their standard deviation is 1.1 %.
+    #[test]
+    fn noise_and_resolution_are_those_of_the_bar() {
+        let robot = robot();
+        let mut setup = setup(&robot);
+        setup.bar.noise_um = 5.0;
+        let mut world = World::new(robot.clone(), setup.clone(), 3);
+        let readings: Vec<f64> = (0..4000).map(|_| world.reading(&moment(0.0, HOME, 0)).reading_mm).collect();
+        let mean = readings.iter().sum::<f64>() / 4000.0;
+        let variance = readings.iter().map(|one| (one - mean).powi(2)).sum::<f64>() / 3999.0;
+        assert!(mean.abs() < 4.0 * 5e-3 / 4000_f64.sqrt(), "{mean}");
+        assert!((variance.sqrt() / 5e-3 - 1.0).abs() < 0.045, "{variance}");
+        setup.bar.resolution_um = 20.0;
+        let mut world = World::new(robot, setup, 3);
+        for _ in 0..100 {
+            let steps = world.reading(&moment(0.0, HOME, 0)).reading_mm / 0.02;
+            assert!((steps - steps.round()).abs() < 1e-9, "{steps}");
+        }
+    }
+
+    /// The error of a motion comes in by 3 s^2 - 2 s^3 over 0.2 s: a quarter of the time has 5/32 of it.
+    #[test]
+    fn repeatability_error_is_drawn_for_each_motion() {
+        let robot = robot();
+        let mut setup = setup(&robot);
+        setup.repeatability_um = 100.0;
+        let mut world = World::new(robot, setup, 1);
+        assert!(world.reading(&moment(0.0, HOME, 0)).reading_mm.abs() < 1e-12);
+        let target = world.offsets[1];
+        world.reading(&moment(0.05, HOME, 0));
+        assert!((world.offset(0.05) - target * (5.0 / 32.0)).norm() < 1e-12);
+        assert!((world.offset(0.2) - target).norm() < 1e-12 && (world.offset(9.0) - target).norm() < 1e-12);
+        // The next motion begins from what the last one left.
+        world.reading(&moment(1.0, HOME, 1));
+        assert_eq!(world.offsets[0], target);
+        assert_ne!(world.offsets[1], target);
+        let mut squares = 0.0;
+        for motion in 2..1002 {
+            world.reading(&moment(f64::from(motion), HOME, motion));
+            squares += world.offsets[1].norm_squared();
+        }
+        // 3000 coordinates with 0.1 mm: the variance is known to 2.6 %.
+        assert!((squares / 3000.0 / 0.01 - 1.0).abs() < 0.1, "{squares}");
+    }
+
+    #[test]
+    fn axis_with_backlash_is_behind_by_half_of_it() {
+        let robot = robot();
+        let mut setup = setup(&robot);
+        setup.backlash_deg[1] = 0.2;
+        let mut world = World::new(robot, setup, 1);
+        let at = |a2: f64| {
+            let mut axes = HOME;
+            axes[1] += a2;
+            moment(0.0, axes, 0)
+        };
+        let half = 0.1_f64.to_radians();
+        // Before any move there is no sense; then it is against the last move, and stays at rest.
+        for (a2, error) in [(0.0, 0.0), (0.1, -half), (0.1, -half), (0.05, half), (0.05, half), (0.3, -half)]
+        {
+            let axes = world.true_axes(&at(a2));
+            assert!((axes[1] - (HOME[1] + a2 + error)).abs() < 1e-12, "{a2}");
+            assert!((axes[0] - HOME[0]).abs() < 1e-12);
+        }
+    }
+
+    /// A first-order lag T answers a ramp of the rate v with v (t - T (1 - exp(-t / T))).
+    #[test]
+    fn axis_follows_with_its_time_constant() {
+        let robot = robot();
+        let mut setup = setup(&robot);
+        setup.following_ms[0] = 20.0;
+        let mut world = World::new(robot, setup, 1);
+        let rate = 0.5;
+        let at = |t_s: f64| {
+            let mut axes = [0.0; AXES];
+            axes[0] = rate * t_s;
+            axes[1] = rate * t_s;
+            moment(t_s, axes, 0)
+        };
+        world.measured(&at(0.0));
+        for t_s in [0.004, 0.010, 0.040, 0.200] {
+            let expected = rate * (t_s - 0.02 * (1.0 - (-t_s / 0.02_f64).exp()));
+            let found = world.measured(&at(t_s));
+            assert!((found[0] - expected).abs() < 1e-12, "{t_s}");
+            assert_eq!(found[1], rate * t_s);
+        }
+        // At the same moment nothing moves.
+        let before = world.measured(&at(0.2));
+        assert_eq!(world.measured(&at(0.2)), before);
+    }
+
+    fn program(ball: u32) -> program::Setup {
+        program::Setup { ball, centre_mm: [1.0, 2.0, 3.0], length_mm: 300.0, stroke_mm: [-1.0, 1.0] }
+    }
+
+    #[test]
+    fn keys_of_the_file_replace_those_of_the_program() {
+        let text = "repeatability_um = 7.0\n[bar]\nlength_mm = 301.0\n[[centre]]\nid = 2\nxyz_mm = [9.0, 8.0, 7.0]\n";
+        let setup =
+            WorldSetup::new(&[program(1), program(2)], Some(("w.toml", text))).expect("it is possible");
+        assert_eq!(setup.centres_mm[&1], [1.0, 2.0, 3.0]);
+        assert_eq!(setup.centres_mm[&2], [9.0, 8.0, 7.0]);
+        assert_eq!((setup.bar.length_mm, setup.bar.stroke_mm), (301.0, [-1.0, 1.0]));
+        assert_eq!((setup.bar.noise_um, setup.bar.resolution_um, setup.repeatability_um), (1.0, 0.1, 7.0));
+    }
+
+    #[test]
+    fn impossible_worlds_are_refused() {
+        let refused = |text: &str| {
+            let found = WorldSetup::new(&[program(1)], Some(("w.toml", text)));
+            found.expect_err("it is impossible").code().as_str()
+        };
+        for (text, expected) in [
+            ("backlash_deg = [0, 0, 0, 0, -0.1, 0]\n", "E0130"),
+            ("following_ms = [0, 0, inf, 0, 0, 0]\n", "E0130"),
+            ("[bar]\nrate_hz = 0.05\n", "E0130"),
+            ("[bar]\nlength_mm = 0.0\n", "E0130"),
+            ("[bar]\nstroke_mm = [1.0, 1.0]\n", "E1603"),
+            ("[[centre]]\nid = 1\n", "E1602"),
+            ("[[centre]]\nid = 1\nxyz_mm = [1, 2, 3]\n[[centre]]\nid = 1\nxyz_mm = [1, 2, 3]\n", "E1602"),
+        ] {
+            assert_eq!(refused(text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn taught_ball_is_where_the_true_tool_ball_was() {
+        let robot = robot();
+        let mut setup = setup(&robot);
+        setup.taught_deg = [(1, HOME.map(f64::to_degrees))].into();
+        let world = World::new(robot.clone(), setup, 1);
+        let centre = Vector3::from(world.setup().centres_mm[&1]);
+        assert!((centre - robot.ball(&HOME).position).norm() < 1e-9);
     }
 }

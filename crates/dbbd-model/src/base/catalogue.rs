@@ -14,10 +14,11 @@ findings! {
         }
         E0102 "a file cannot be written",
         cause: "The directory does not exist, the disk is full, another program has the file open, this user may not write there, or the file is the one that is read.",
-        cure: "Check the path given with --out, the free space and the rights; close the program that shows the file." {
+        cure: "Check the path of the result, the free space and the rights; close the program that shows the file.",
+        asks: [Out] {
             Unwritable { why: String } => "cannot be written: {why}";
             NoDirectory { why: String } => "cannot be made: {why}";
-            IsRead => "is read by this command: name another directory with --out";
+            IsRead => "is read by this command: name another directory for the result";
         }
         E0103 "a file is not text",
         cause: "The file is binary, or in an encoding that is not read here: tables are UTF-8, UTF-16 behind a byte order mark or Windows-1252, other files UTF-8.",
@@ -66,13 +67,15 @@ findings! {
             ArrayLengthByComma { found: usize, expected: usize, meant: String } => "the array has {found} values, and {expected} are needed", help: "numbers have a decimal point, not a comma: is `{meant}` meant?";
         }
         E0180 "the result would take the place of an input",
-        cause: "--out (or --save) names a file that the command reads, or a directory in which one has the name of a result.",
-        cure: "Give another name." {
+        cause: "The result has the name of a file that the command reads, or a directory in which one has the name of a result.",
+        cure: "Give another name.",
+        asks: [Out, Save] {
             IsInput => "is read by this command, and its result would overwrite it", help: "give another name or directory for the result";
         }
         E0181 "a file that this command did not write is in the way",
         cause: "The directory has a file of the name of a result, which this command did not write: it may be the only copy of something else.",
-        cure: "Give a new directory with --out, or move the file away." {
+        cure: "Give a new directory, or move the file away.",
+        asks: [Out] {
             OtherContent => "exists with other content and is not replaced";
             OtherRobot { robot: String } => "is the result of the robot `{robot}`, and is not replaced by that of another";
             NoResult => "is not what this command writes under this name, and is not replaced";
@@ -90,7 +93,7 @@ findings! {
     InternalFinding "Faults of dbbd itself" {
         E0009 "dbbd failed internally",
         cause: "A step inside dbbd failed that cannot fail with valid data: a fault of dbbd itself, or a computer without memory or threads left.",
-        cure: "Repeat the command. If it fails again, report it with the command, its input files and the output of `dbbd --version`." {
+        cure: "Repeat the command. If it fails again, report it with the command, its input files and the version of dbbd." {
             NoSystem { why: String } => "the system does not give what dbbd needs: {why}";
             NoPage { page: String, why: String } => "the page {page} cannot be made: {why}";
             NotWritten { form: &'static str, why: String } => "cannot be written as {form}: {why}";

@@ -83,4 +83,14 @@ mod tests {
         assert!(["23:59", "00:00:59Z"].into_iter().all(is_time));
         assert!(!["24:00", "10:60", "10", "10:00:00+01:00", "+1:00", ""].into_iter().any(is_time));
     }
+
+    #[test]
+    fn a_date_is_after_a_time_if_it_is_so_in_every_zone() {
+        // 2024-03-01 is day 19783. A zone may be up to a day ahead.
+        let noon = (19_783 * 24 + 12) * 3_600_000_000_000;
+        assert_eq!(day_number("2024-03-01"), Some(19_783.0));
+        assert!(
+            !is_after("2024-03-01", noon) && !is_after("2024-03-02", noon) && is_after("2024-03-03", noon)
+        );
+    }
 }

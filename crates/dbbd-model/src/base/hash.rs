@@ -47,4 +47,15 @@ mod tests {
         // printf 'abc' | openssl dgst -sha256 -binary | base64
         assert_eq!(sha256_base64("abc"), "ungWv48Bz+pBQUDeXa4iI7ADYaOWF3qctBD/YfIAFa0=");
     }
+
+    /// printf 'abc' | sha256sum (FIPS 180-4, appendix B.1); pieces give the hash of the whole.
+    #[test]
+    fn hash_matches_the_standard() {
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(sha256("abc"), expected);
+        let mut pieces = Sha256::default();
+        pieces.update("a");
+        pieces.update("bc");
+        assert_eq!(pieces.finish(), expected);
+    }
 }

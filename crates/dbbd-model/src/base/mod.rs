@@ -1,9 +1,8 @@
 //! What every room may use: units, dates, hashes, and texts with their tables. Nothing about robots or bars, and no file.
 
 mod catalogue;
-mod cells;
 pub mod date;
-mod exact;
+pub mod fixed_array;
 pub mod hash;
 pub mod parse;
 pub mod serialised;

@@ -5,7 +5,6 @@ use std::ops::Range;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use super::exact::ExactDeserializer;
 use crate::base::FileFinding::{
     self, ArrayLength, ArrayLengthByComma, DecimalComma, NotToml, NotTomlButAnother,
 };
@@ -13,24 +12,22 @@ use crate::diagnostic::Diagnostic;
 
 /// Deserialises a TOML file.
 pub fn from_toml<'de, T: Deserialize<'de>>(file: &str, text: &'de str) -> Result<T, Diagnostic> {
-    deserialize(text).map_err(|error| wrong_toml(file, text, &error))
+    toml::de::Deserializer::parse(text)
+        .and_then(T::deserialize)
+        .map_err(|error| wrong_toml(file, text, &error))
 }
 
 /// Deserialises a TOML text that is part of a file. The error has its byte range in the text.
 pub fn from_toml_text<'de, T: Deserialize<'de>>(text: &'de str) -> Result<T, (Range<usize>, FileFinding)> {
-    deserialize(text).map_err(|error| {
+    toml::de::Deserializer::parse(text).and_then(T::deserialize).map_err(|error| {
         let span = error.span().unwrap_or_default();
         (span.clone(), not_toml(text, span, &error))
     })
 }
 
-fn deserialize<'de, T: Deserialize<'de>>(text: &'de str) -> Result<T, toml::de::Error> {
-    T::deserialize(ExactDeserializer(toml::de::Deserializer::parse(text)?))
-}
-
 pub fn from_toml_value<T: DeserializeOwned>(value: toml::Value) -> Result<T, FileFinding> {
     let text = value.to_string();
-    T::deserialize(ExactDeserializer(value)).map_err(|error| not_toml(&text, 0..text.len(), &error))
+    T::deserialize(value).map_err(|error| not_toml(&text, 0..text.len(), &error))
 }
 
 fn wrong_toml(file: &str, text: &str, error: &toml::de::Error) -> Diagnostic {
@@ -119,4 +116,60 @@ fn without_commas(array: &str, expected: usize) -> Option<String> {
         }
     }
     (excess == 0).then(|| format!("[{}]", numbers.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::base::fixed_array::fixed_array;
+
+    #[derive(Debug, Deserialize, PartialEq)]
+    struct Numbers {
+        #[serde(deserialize_with = "fixed_array")]
+        pair: [f64; 2],
+        list: Vec<i64>,
+        #[serde(deserialize_with = "fixed_array")]
+        nested: Vec<[f64; 3]>,
+    }
+
+    fn numbers(pair: &str, nested: &str) -> Result<Numbers, FileFinding> {
+        let text = format!("pair = {pair}\nlist = [1, 2, 3]\nnested = {nested}\n");
+        from_toml_text(&text).map_err(|(_, finding)| finding)
+    }
+
+    #[test]
+    fn arrays_have_as_many_values_as_their_type() {
+        let found = numbers("[1.5, 2]", "[[1, 2, 3], [4, 5, 6]]").unwrap();
+        assert_eq!((found.pair, found.list.len(), found.nested[1]), ([1.5, 2.0], 3, [4.0, 5.0, 6.0]));
+        let ok = "[[1, 2, 3]]";
+        assert!(matches!(numbers("[1]", ok), Err(ArrayLength { found: 1, expected: 2 })));
+        assert!(matches!(numbers("[1.5, 2.5, 3.5]", ok), Err(ArrayLength { found: 3, expected: 2 })));
+        assert!(matches!(
+            numbers("[1, 2]", "[[1.5, 2.5, 3.5, 4.5]]"),
+            Err(ArrayLength { found: 4, expected: 3 })
+        ));
+        match numbers("[45,5, 0,25]", ok) {
+            Err(ArrayLengthByComma { found: 4, expected: 2, meant }) => assert_eq!(meant, "[45.5, 0.25]"),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn decimal_commas_are_explained() {
+        for (array, expected, meant) in [
+            ("[45,5, 0,0]", 2, Some("[45.5, 0.0]")),
+            ("[1,5, 2]", 2, Some("[1.5, 2]")),
+            ("[-1,25, 0, 7]", 3, Some("[-1.25, 0, 7]")),
+            ("[1.5, 2.5, 3.5]", 2, None),
+            ("[1, 2]", 2, None),
+            ("1, 2", 1, None),
+        ] {
+            assert_eq!(without_commas(array, expected).as_deref(), meant, "{array}");
+        }
+        let text = "a = 1,5\n";
+        let found = from_toml_text::<toml::Table>(text).unwrap_err().1;
+        assert!(matches!(found, DecimalComma { .. }), "{found:?}");
+        assert_eq!(lengths("invalid length 4, expected 2 values"), Some((4, 2)));
+        assert_eq!(lengths("invalid length 4"), None);
+    }
 }

@@ -8,10 +8,39 @@ use super::hash::sha256;
 use crate::base::InternalFinding;
 use crate::provenance::ProvenanceFinding;
 
-/// Separates an object from its hash, in the last line of a sealed JSON text.
-const JSON_SEAL: &str = ",\n  \"sha256\": \"";
-/// Begins the last line of a sealed TOML text.
-const TOML_SEAL: &str = "# SHA-256 of the lines above: ";
+/// The SHA-256 of a text in its own last line. It shows that the text was edited after it was written.
+#[derive(Clone, Copy, Debug)]
+pub enum Seal {
+    /// The last key of an indented object, `sha256`: the hash of the text without this key.
+    Json,
+    /// A comment line at the end: the hash of the lines above it.
+    Toml,
+}
+
+impl Seal {
+    /// What ends the text, before the hash is added; what separates the text from its hash; what follows the hash.
+    fn marks(self) -> [&'static str; 3] {
+        match self {
+            Self::Json => ["\n}", ",\n  \"sha256\": \"", "\"\n}\n"],
+            Self::Toml => ["", "# SHA-256 of the lines above: ", "\n"],
+        }
+    }
+
+    /// The text with its hash.
+    pub fn append(self, text: &str) -> String {
+        let [end, before, after] = self.marks();
+        let open = text.strip_suffix(end).unwrap_or(text);
+        format!("{open}{before}{}{after}", sha256(text))
+    }
+
+    /// Refuses a text that was edited after [`Self::append`] made it. A text without a hash is accepted.
+    pub fn check(self, text: &str) -> Result<(), ProvenanceFinding> {
+        let [end, before, after] = self.marks();
+        let Some((open, hash)) = text.rsplit_once(before) else { return Ok(()) };
+        let expected = format!("{}{after}", sha256(format!("{open}{end}")));
+        if hash.trim_end() == expected.trim_end() { Ok(()) } else { Err(ProvenanceFinding::Edited) }
+    }
+}
 
 fn not_written<E: Display>(form: &'static str) -> impl Fn(E) -> InternalFinding {
     move |why| InternalFinding::NotWritten { form, why: why.to_string() }
@@ -27,33 +56,13 @@ pub fn json_line(value: &impl Serialize) -> Result<String, InternalFinding> {
     serde_json::to_string(value).map_err(not_written("JSON"))
 }
 
-/// Indented JSON of an object, ending in a newline. Its last key, `sha256`, has the hash of the text without it.
+/// Indented JSON of an object with its [`Seal`].
 pub fn sealed_json(value: &impl Serialize) -> Result<String, InternalFinding> {
-    let text = json(value)?;
-    let open = text.strip_suffix("\n}").unwrap_or(&text);
-    Ok(format!("{open}{JSON_SEAL}{}\"\n}}\n", sha256(&text)))
-}
-
-/// Refuses a text that was edited after [`sealed_json`] wrote it. A text without a hash is accepted.
-pub fn check_seal(text: &str) -> Result<(), ProvenanceFinding> {
-    let Some((open, end)) = text.rsplit_once(JSON_SEAL) else { return Ok(()) };
-    let actual = sha256(format!("{open}\n}}"));
-    if end.trim_end() == format!("{actual}\"\n}}") { Ok(()) } else { Err(ProvenanceFinding::Edited) }
+    Ok(Seal::Json.append(&json(value)?))
 }
 
 pub fn toml(value: &impl Serialize) -> Result<String, InternalFinding> {
     toml::to_string(value).map_err(not_written("TOML"))
-}
-
-/// Appends a comment line with the SHA-256 of the text above it.
-pub fn sealed_toml(text: &str) -> String {
-    format!("{text}{TOML_SEAL}{}\n", sha256(text))
-}
-
-/// Whether a text is as [`sealed_toml`] wrote it; `None` if it has no hash.
-pub fn is_sealed_toml(text: &str) -> Option<bool> {
-    let (above, end) = text.rsplit_once(TOML_SEAL)?;
-    Some(sha256(above) == end.trim_end())
 }
 
 /// A CSV table whose columns are the fields of its rows.
@@ -80,4 +89,54 @@ fn csv_rows(
     }
     let bytes = writer.into_inner().map_err(not_written("CSV"))?;
     String::from_utf8(bytes).map_err(not_written("CSV"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::diagnostic::Finding;
+
+    /// `printf '{\n  "a": 1\n}' | sha256sum` and `printf 'a = 1\n' | sha256sum`.
+    #[test]
+    fn seal_is_the_hash_of_the_text_without_it() {
+        let json = "{\n  \"a\": 1,\n  \"sha256\": \"8164669836e51c324aa26742645b519732d41a60b8047ebdea8e769ef8565d79\"\n}\n";
+        let toml = "a = 1\n# SHA-256 of the lines above: cb78bd8a17f7b751fe0d4663366dcbc257204033ef7ddd64b1f2969573b5b2e2\n";
+        assert_eq!(sealed_json(&BTreeMap::from([("a", 1)])).unwrap(), json);
+        assert_eq!(Seal::Toml.append("a = 1\n"), toml);
+        // A sealed JSON text is JSON, and its last key is the hash.
+        assert_eq!(serde_json::from_str::<serde_json::Value>(json).unwrap()["a"], 1);
+    }
+
+    #[test]
+    fn seal_breaks_where_the_text_is_edited() {
+        let texts = [(Seal::Json, "{\n  \"a\": 1\n}"), (Seal::Toml, "a = 1\n")];
+        for (seal, text) in texts {
+            let sealed = seal.append(text);
+            seal.check(text).unwrap();
+            seal.check(&sealed).unwrap();
+            // An editor adds or removes a newline at the end of a file.
+            seal.check(&format!("{sealed}\n")).unwrap();
+            seal.check(sealed.trim_end()).unwrap();
+            for edited in [sealed.replacen('1', "2", 1), sealed.replacen('a', "b", 1), format!("{sealed}x")] {
+                assert!(seal.check(&edited).is_err(), "{edited}");
+            }
+        }
+    }
+
+    #[test]
+    fn tables_have_their_columns_and_quotes() {
+        assert_eq!(csv_table(["a", "b"], [(1, "x,y"), (2, "z")]).unwrap(), "a,b\n1,\"x,y\"\n2,z\n");
+        assert_eq!(json_line(&[1, 2]).unwrap(), "[1,2]");
+    }
+
+    #[test]
+    fn unserialisable_value_is_an_error() {
+        let map = BTreeMap::from([([1, 2], 3)]);
+        let texts = [json(&map), json_line(&map), toml(&map), csv_table(["a"], [&[1][..], &[1, 2]])];
+        for text in texts {
+            assert_eq!(text.unwrap_err().code().as_str(), "E0009");
+        }
+    }
 }

@@ -5,8 +5,6 @@ use std::cell;
 use std::io::BufRead;
 use std::str::FromStr;
 
-pub use super::cells::Delimiter;
-use super::cells::{TableCell, split};
 use super::text::{Encoding, LineReader};
 use crate::base::FileFinding::{
     self, CellCount, ColumnTwice, MissingColumns, NoCell, NotANumber, NotFinite, NotPositive, NotWhole,
@@ -133,7 +131,7 @@ impl<'a> TableReader<'a> {
 
     /// The place of a column that may be missing. A column whose name differs only in upper and lower case is an error: it
     /// would be ignored.
-    pub fn optional(&self, name: &str) -> Result<Option<usize>, Diagnostic> {
+    pub(crate) fn optional(&self, name: &str) -> Result<Option<usize>, Diagnostic> {
         self.other_case(name).map_or_else(|| self.place(name), Err)
     }
 
@@ -328,7 +326,7 @@ impl<'a> TableRow<'a> {
     }
 
     /// The text of a whole number. Other programs write it as `1.0`.
-    pub fn whole_text(&self, at: usize) -> &'a str {
+    pub(crate) fn whole_text(&self, at: usize) -> &'a str {
         match self.text(at).split_once(['.', ',']) {
             Some((whole, zeros)) if !zeros.is_empty() && zeros.bytes().all(|byte| byte == b'0') => whole,
             _ => self.text(at),
@@ -358,6 +356,7 @@ impl<'a> TableRow<'a> {
 }
 
 /// Translates an error of the `csv` crate.
+#[expect(clippy::wildcard_enum_match_arm, reason = "the crate may add kinds of errors")]
 pub fn wrong_csv(file: &str, error: &csv::Error) -> Diagnostic {
     let line = error.position().map_or(0, |position| position.line() as usize);
     let finding = match error.kind() {
@@ -375,4 +374,205 @@ pub fn wrong_csv(file: &str, error: &csv::Error) -> Diagnostic {
         _ => FileFinding::NotCsv,
     };
     Diagnostic::line(file, line, finding)
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Delimiter {
+    Character(char),
+    /// One or more blanks.
+    Blanks,
+}
+
+impl Delimiter {
+    /// Guesses the delimiter from a line, without its quoted cells; a comma if there is only one cell.
+    fn guess(line: &str) -> Self {
+        let mut quoted = false;
+        let outside: String = line
+            .chars()
+            .filter(|&character| {
+                quoted ^= character == '"';
+                !quoted
+            })
+            .collect();
+        // Beside a tab or a semicolon, a comma is a decimal comma.
+        match ['\t', ';', ','].into_iter().find(|&character| outside.contains(character)) {
+            Some(character) => Self::Character(character),
+            None if outside.trim().contains(char::is_whitespace) => Self::Blanks,
+            None => Self::Character(','),
+        }
+    }
+
+    fn name(self) -> String {
+        match self {
+            Self::Character('\t') => "a tab".into(),
+            Self::Character(character) => format!("`{character}`"),
+            Self::Blanks => "blanks".into(),
+        }
+    }
+}
+
+/// A cell, and the column of the line where it begins (from 1, in characters).
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct TableCell {
+    text: String,
+    column: usize,
+}
+
+/// Splits a line into trimmed cells. The `csv` crate does not report the column of a cell, which messages point to. A cell in double quotes may hold delimiters, and quotes that are doubled. Returns
+/// false if a quote is still open at the end of the line.
+fn split(line: &str, delimiter: Delimiter, cells: &mut Vec<TableCell>) -> bool {
+    cells.clear();
+    let mut open: Option<TableCell> = None;
+    let mut quoted = false;
+    let mut characters = line.chars().enumerate().peekable();
+    while let Some((at, character)) = characters.next() {
+        let empty = || TableCell { text: String::new(), column: at + 1 };
+        let ends = !quoted
+            && match delimiter {
+                Delimiter::Character(delimiter) => character == delimiter,
+                Delimiter::Blanks => character.is_whitespace(),
+            };
+        match &mut open {
+            _ if ends => match open.take() {
+                Some(cell) => cells.push(cell),
+                None if delimiter != Delimiter::Blanks => cells.push(empty()),
+                None => {}
+            },
+            Some(cell) if quoted && character == '"' => {
+                quoted = characters.next_if(|(_, next)| *next == '"').is_some();
+                if quoted {
+                    cell.text.push('"');
+                }
+            }
+            Some(cell) => cell.text.push(character),
+            None if character == '"' => {
+                quoted = true;
+                open = Some(empty());
+            }
+            None if character.is_whitespace() => {}
+            None => open.insert(empty()).text.push(character),
+        }
+    }
+    match open {
+        Some(cell) => cells.push(cell),
+        // A line that ends with a delimiter has one more, empty cell.
+        None if delimiter != Delimiter::Blanks => {
+            cells.push(TableCell { text: String::new(), column: line.chars().count() + 1 });
+        }
+        None => {}
+    }
+    for cell in cells {
+        if cell.text.trim().len() < cell.text.len() {
+            cell.text = cell.text.trim().to_owned();
+        }
+    }
+    !quoted
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_split() {
+        let texts = |line: &str, delimiter| -> Vec<(String, usize)> {
+            let mut cells = Vec::new();
+            assert!(split(line, delimiter, &mut cells));
+            cells.into_iter().map(|cell| (cell.text, cell.column)).collect()
+        };
+        let cell = |text: &str, column| (text.to_owned(), column);
+        let by = Delimiter::Character;
+        assert_eq!(texts("a; b ;;c", by(';')), [cell("a", 1), cell("b", 4), cell("", 7), cell("c", 8)]);
+        assert_eq!(texts("\"0,5\",1,", by(',')), [cell("0,5", 1), cell("1", 7), cell("", 9)]);
+        assert_eq!(texts("\"a \"\"b\"\"\",5\"", by(',')), [cell("a \"b\"", 1), cell("5\"", 11)]);
+        assert_eq!(texts("  1.0\t 2 ", Delimiter::Blanks), [cell("1.0", 3), cell("2", 8)]);
+    }
+
+    #[test]
+    fn delimiter_is_guessed_from_a_line() {
+        for (line, delimiter) in [
+            ("a;b", Delimiter::Character(';')),
+            ("0,5;1,5", Delimiter::Character(';')),
+            ("a,b\tc", Delimiter::Character('\t')),
+            ("\"a;b\",c", Delimiter::Character(',')),
+            ("a b", Delimiter::Blanks),
+            ("a", Delimiter::Character(',')),
+        ] {
+            assert_eq!(Delimiter::guess(line), delimiter, "{line}");
+        }
+    }
+
+    fn rows(text: &str) -> Result<Vec<Vec<f64>>, Diagnostic> {
+        let mut table = TableReader::of("t.csv", text)?;
+        let places = table.required(["a", "b"])?;
+        let mut rows = Vec::new();
+        while let Some(row) = table.row()? {
+            rows.push(places.iter().map(|at| row.number(*at)).collect::<Result<_, _>>()?);
+        }
+        Ok(rows)
+    }
+
+    fn code(text: &str) -> String {
+        rows(text).unwrap_err().code().as_str().to_owned()
+    }
+
+    #[test]
+    fn delimiter_decimal_and_order_of_columns_are_detected() {
+        let expected = vec![vec![1.5, -2.0], vec![1000.25, 3.0]];
+        for text in [
+            "a,b\n1.5,-2\n1000.25,3\n",
+            "b;note;a\n-2;x;1,5\n3;;1000,25\n",
+            "sep=;\na;b\n1.5;-2\n\n1000.25;3",
+            "a\tb\n1.5\t-2\n1000.25\t3\t\n",
+            "a b\n 1.5  -2\n1000.25 3\n",
+        ] {
+            assert_eq!(rows(text).unwrap(), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn cells_and_headers_that_do_not_fit_have_their_codes() {
+        for (text, expected) in [
+            ("a,c\n1,2\n", "E0110"),
+            ("", "E0110"),
+            ("a,B\n1,2\n", "E0110"),
+            ("a,b,a\n1,2,3\n", "E0110"),
+            ("a,b\n1,x\n", "E0111"),
+            ("a,b\n1,\n", "E0111"),
+            ("a;b\n1,5;2.5\n", "E0111"),
+            ("a;b\n1.000,5;2\n", "E0111"),
+            ("a,b\n1,inf\n", "E0111"),
+            ("a,b\n1\n", "E0112"),
+            ("a,b\n1,2,3\n", "E0112"),
+            ("a,b\n1,\"2\n", "E0112"),
+        ] {
+            assert_eq!(code(text), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn whole_and_positive_numbers_are_checked() {
+        let mut table = TableReader::of("t.csv", "a,b\n3.0,0\n2.5,-1\n0,7\n").unwrap();
+        let row = table.row().unwrap().unwrap();
+        assert_eq!(
+            (row.whole(0, 3).ok(), row.whole(0, 4).ok(), row.whole(1, 0).ok()),
+            (Some(3), None, Some(0))
+        );
+        assert!(row.positive(0).is_ok() && row.positive(1).is_err());
+        assert_eq!(row.numbered::<std::num::NonZeroU32>(0).map(|number| number.get()).ok(), Some(3));
+        assert!(row.numbered::<std::num::NonZeroU32>(1).is_err());
+        let row = table.row().unwrap().unwrap();
+        assert!(row.whole(0, 0).is_err() && row.whole(1, 0).is_err() && row.number(1).is_ok());
+        assert!(row.has(1).is_ok() && row.has(2).is_err());
+        assert_eq!(row.given(None, |at| row.number(at)).ok(), Some(None));
+    }
+
+    #[test]
+    fn a_row_knows_where_its_text_begins() {
+        let mut table = TableReader::of("t.csv", "a,b\n1,2\n\n3,4\n").unwrap();
+        assert_eq!(table.row().unwrap().unwrap().offset(), 4);
+        assert_eq!(table.row().unwrap().unwrap().offset(), 9);
+        assert!(table.row().unwrap().is_none());
+        assert_eq!(table.take_text(), "a,b\n1,2\n\n3,4\n");
+    }
 }

@@ -73,7 +73,9 @@ impl<R: BufRead> LineReader<R> {
         self.bytes.clear();
         let read = match self.encoding {
             Encoding::Utf16Le | Encoding::Utf16Be => self.read_units(),
-            _ => self.source.read_until(b'\n', &mut self.bytes).map(|_| ()),
+            Encoding::Utf8 | Encoding::Windows1252 => {
+                self.source.read_until(b'\n', &mut self.bytes).map(|_| ())
+            }
         };
         read.map_err(unreadable(&self.file))?;
         if self.bytes.is_empty() {
@@ -182,6 +184,13 @@ mod tests {
         assert_eq!((found[1].as_str(), encoding), ("µm € ß\n", Encoding::Windows1252));
         for none in [&b"a\0b"[..], b"\xff\xfea", b"\xff\xfe\x00\xd8", b"\x81"] {
             assert_eq!(lines(none).unwrap_err().code().as_str(), "E0103", "{none:?}");
+        }
+    }
+
+    #[test]
+    fn zeros_at_the_end_of_a_decimal_number_are_cut() {
+        for (number, short) in [("1.500", "1.5"), ("2.000", "2"), ("100", "100"), ("0.010", "0.01")] {
+            assert_eq!(without_end_zeros(number), short);
         }
     }
 }

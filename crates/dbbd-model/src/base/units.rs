@@ -20,3 +20,14 @@ impl HostNs {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct DeviceTicks(pub u64);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seconds_between_times_have_a_sign() {
+        let [early, late] = [HostNs(1_000_000_000), HostNs(3_500_000_000)];
+        assert_eq!((late.seconds_since(early), early.seconds_since(late)), (2.5, -2.5));
+    }
+}

@@ -4,7 +4,8 @@ use nalgebra::{SMatrix, SVector};
 
 use super::noise::TraceNoise;
 use super::quantities::RadialTraces;
-use super::{CircleSense, CircleTrace};
+use super::trace::{CircleSense, CircleTrace};
+use crate::math::distributions::COVERAGE_95;
 
 /// r + a cos + b sin + c2 cos 2 + s2 sin 2 of the deviation about the joint centre, mm.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -18,7 +19,6 @@ pub struct Harmonics {
 
 pub const TERM_NAMES: [&str; TERMS] = ["r", "a", "b", "c2", "s2"];
 const TERMS: usize = 5;
-const NORMAL: f64 = 1.96;
 
 /// The interpretation of the harmonics. Empty for an arc, where they are linearly dependent.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -93,7 +93,7 @@ fn fit_sense(
     Some(Harmonics {
         sense,
         values_mm: solved.into(),
-        u95_mm: std::array::from_fn(|term| NORMAL * sigma * inverse[(term, term)].sqrt()),
+        u95_mm: std::array::from_fn(|term| COVERAGE_95 * sigma * inverse[(term, term)].sqrt()),
     })
 }
 
@@ -112,4 +112,90 @@ fn speed_mm_s(traces: &[CircleTrace], radius_mm: f64) -> Option<f64> {
     speeds.sort_by(f64::total_cmp);
     let median = speeds.get(speeds.len() / 2).copied()?;
     (median > 0.0).then_some(median)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RADIUS_MM: f64 = 200.0;
+    const POINTS: usize = 72;
+    const STEP_S: f64 = 0.05;
+
+    fn trace(sense: CircleSense, [r, a, b, c2, s2]: [f64; 5]) -> CircleTrace {
+        let sign = if sense == CircleSense::CounterClockwise { 1.0 } else { -1.0 };
+        let point = |at: usize| {
+            let angle_deg = sign * 5.0 * at as f64;
+            let theta = angle_deg.to_radians();
+            let second = c2 * (2.0 * theta).cos() + s2 * (2.0 * theta).sin();
+            crate::circular::CirclePoint {
+                angle_deg,
+                length_mm: RADIUS_MM + r + a * theta.cos() + b * theta.sin() + second,
+                sigma_mm: None,
+                t_s: Some(STEP_S * at as f64),
+                temp_c: None,
+                axes_deg: None,
+                drives: None,
+            }
+        };
+        CircleTrace { run: "1".into(), sense, points: (0..POINTS).map(point).collect() }
+    }
+
+    fn diagnosed(traces: &[CircleTrace]) -> HarmonicDiagnosis {
+        let rays = RadialTraces::new(traces, RADIUS_MM);
+        let sigma_mm = vec![vec![0.002; POINTS]; traces.len()];
+        let noise =
+            TraceNoise { sigma_mm, source: crate::circular::noise::LengthSigmaSource::Given, freedom: None };
+        diagnose(traces, &rays, RADIUS_MM, &noise)
+    }
+
+    #[test]
+    fn harmonics_and_their_intervals_are_recovered() {
+        let terms = [0.01, 0.02, -0.03, 0.004, 0.005];
+        let found = diagnosed(&[trace(CircleSense::CounterClockwise, terms)]);
+        assert!(!found.both_senses && found.servo_mismatch_s.is_none() && found.harmonics.len() == 1);
+        for (value, expected) in found.harmonics[0].values_mm.iter().zip(terms) {
+            assert!((value - expected).abs() < 1e-12, "{value} for {expected}");
+        }
+        // The columns are orthogonal on a full circle: variance sigma^2 / n of the mean, 2 sigma^2 / n of the others.
+        for (u95, share) in found.harmonics[0].u95_mm.iter().zip([1.0, 2.0, 2.0, 2.0, 2.0]) {
+            assert!((u95 - 1.96 * 0.002 * (share / 72.0_f64).sqrt()).abs() < 1e-12);
+        }
+        // 2 c2 / R and 2 s2 / R.
+        let ([scale, scale_u], [square, square_u]) =
+            (found.scale_mismatch.unwrap(), found.squareness_rad.unwrap());
+        assert!((scale - 4e-5).abs() < 1e-13 && (square - 5e-5).abs() < 1e-13);
+        let u = 2.0 / RADIUS_MM * 1.96 * 0.002 / 6.0;
+        assert!((scale_u - u).abs() < 1e-12 && (square_u - u).abs() < 1e-12);
+    }
+
+    #[test]
+    fn both_senses_separate_squareness_from_servo_mismatch() {
+        let found = diagnosed(&[
+            trace(CircleSense::CounterClockwise, [0.0, 0.0, 0.0, 0.004, 0.001]),
+            trace(CircleSense::Clockwise, [0.0, 0.0, 0.0, 0.006, 0.009]),
+        ]);
+        assert!(found.both_senses);
+        assert_eq!(found.harmonics.iter().map(|found| found.sense.word()).collect::<Vec<_>>(), ["ccw", "cw"]);
+        let ([scale, scale_u], [square, _]) = (found.scale_mismatch.unwrap(), found.squareness_rad.unwrap());
+        assert!((scale - 0.01 / RADIUS_MM).abs() < 1e-13 && (square - 0.01 / RADIUS_MM).abs() < 1e-13);
+        let u95 = 1.96 * 0.002 / 6.0;
+        assert!((scale_u - 2.0 / RADIUS_MM * u95 / 2f64.sqrt()).abs() < 1e-13);
+        // The lag is the difference of s2 over the speed along the circle.
+        let speed = RADIUS_MM * 5f64.to_radians() / STEP_S;
+        let [lag, lag_u] = found.servo_mismatch_s.unwrap();
+        assert!((lag - 0.008 / speed).abs() < 1e-12 && (lag_u - 2f64.sqrt() * u95 / speed).abs() < 1e-12);
+    }
+
+    #[test]
+    fn speed_is_the_median_and_needs_all_times() {
+        let mut traces = [trace(CircleSense::Clockwise, [0.0; 5])];
+        let speed = RADIUS_MM * 5f64.to_radians() / STEP_S;
+        traces[0].points[10].t_s = Some(STEP_S * 9.1);
+        assert!((speed_mm_s(&traces, RADIUS_MM).unwrap() - speed).abs() < 1e-6);
+        traces[0].points[10].t_s = None;
+        assert_eq!(speed_mm_s(&traces, RADIUS_MM), None);
+        let empty = CircleTrace { points: Vec::new(), ..traces[0].clone() };
+        assert_eq!(diagnosed(&[empty]), HarmonicDiagnosis::default());
+    }
 }

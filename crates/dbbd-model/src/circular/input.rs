@@ -1,13 +1,10 @@
 //! The CSV of a circular test: `run,direction,angle_deg,length_mm[,t_s,temp_c]`, columns in any order.
 
-use super::{CirclePoint, CircleSense, CircleTrace};
+use super::trace::{CirclePoint, CircleSense, CircleTrace};
 use crate::base::table::{TableReader, TableRow};
 use crate::circular::CircularFinding;
 use crate::diagnostic::Diagnostic;
-
-/// Larger numbers are in other units.
-const LONGEST_MM: f64 = 10_000.0;
-const HOTTEST_C: f64 = 150.0;
+use crate::plausibility::Quantity;
 
 const REQUIRED: [&str; 4] = ["run", "direction", "angle_deg", "length_mm"];
 
@@ -51,16 +48,38 @@ pub fn traces_from_table(table: &mut TableReader<'_>) -> Result<Vec<CircleTrace>
 }
 
 fn millimetres(row: &TableRow<'_>, at: usize) -> Result<f64, Diagnostic> {
-    match row.number(at)? {
-        length_mm if length_mm <= 0.0 => Err(row.line(CircularFinding::NoLengthOfBar { length_mm })),
-        length_mm if length_mm > LONGEST_MM => Err(row.line(CircularFinding::LengthTooLong { length_mm })),
-        mm => Ok(mm),
-    }
+    let length_mm = row.number(at)?;
+    checked(row, at, length_mm, Quantity::BarLength).map_err(|why| {
+        if length_mm > 0.0 { why } else { why.help("give lengths, not deviations from the radius") }
+    })
+}
+
+fn checked(row: &TableRow<'_>, at: usize, value: f64, quantity: Quantity) -> Result<f64, Diagnostic> {
+    quantity.check(row.column(at), value).map_or_else(|why| Err(row.line(why)), |()| Ok(value))
 }
 
 fn celsius(row: &TableRow<'_>, at: usize) -> Result<f64, Diagnostic> {
-    match row.number(at)? {
-        temp_c if temp_c > HOTTEST_C => Err(row.line(CircularFinding::TooHot { temp_c })),
-        celsius => Ok(celsius),
+    checked(row, at, row.number(at)?, Quantity::SensorTemperature)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_become_a_trace_for_each_run_and_direction() {
+        let text = "direction,run,length_mm,angle_deg,temp_c\nCCW,a,150.01,0,21\ncw,a,150.02,90,\nccw,a,150.03,10,22\n";
+        let traces = traces_from_csv("t.csv", text).unwrap();
+        assert_eq!(
+            traces.iter().map(|trace| (trace.sense.word(), trace.points.len())).collect::<Vec<_>>(),
+            [("ccw", 2), ("cw", 1)]
+        );
+        assert_eq!(traces[0].points[1].length_mm, 150.03);
+        assert_eq!((traces[1].points[0].angle_deg, traces[1].points[0].temp_c), (90.0, None));
+        for wrong in ["ccw,a,0,0,20", "ccw,a,10000.1,0,20", "ccw,a,150,0,150.1", "left,a,150,0,20"] {
+            assert!(traces_from_csv("t.csv", &format!("{text}{wrong}\n")).is_err(), "{wrong}");
+        }
+        assert!(traces_from_csv("t.csv", &format!("{text}ccw,b,10000,0,150\n")).is_ok());
+        assert!(traces_from_csv("t.csv", "direction,run,length_mm,angle_deg\n").is_err());
     }
 }

@@ -1,137 +1,40 @@
 //! The circular test: the quantities of ISO 230-4 from the lengths of a ball-bar.
 //!
 //! `docs/reference/circular-test.md` gives the definitions and their sources, and says which parts of the standard were not
-//! available.
+//! available. This room must not know a robot's model: it takes lengths at programmed angles.
 
 mod catalogue;
 pub use catalogue::CircularFinding;
 
-mod fit;
 mod harmonics;
 mod input;
 mod noise;
 mod plausibility;
 mod quantities;
+mod reference_circle;
 mod reversal;
-mod temperature;
+mod trace;
 mod uncertainty;
-mod zone;
 
-pub use fit::{FittedCircle, RadialMeasurement, fit_circle};
 pub use harmonics::{HarmonicDiagnosis, Harmonics, TERM_NAMES};
 pub use input::{traces_from_csv, traces_from_table};
-pub use noise::LengthSigmaSource;
-pub use quantities::{QUANTITY_NAMES, TRACE_NAMES};
-pub use reversal::{DriveBacklash, DriveId, Reversal};
-pub use temperature::ThermalExpansion;
-pub use zone::{MinimumZone, minimum_zone};
+pub use quantities::{CircularQuantity, QUANTITY_NAMES, TRACE_NAMES};
+pub use reversal::{DriveBacklash, DriveId};
+pub use trace::{CirclePoint, CircleSense, CircleTrace, CircularSettings, DriveState, ThermalExpansion};
 
 use crate::circular::CircularFinding as Finding;
+use crate::diagnostic::Diagnostic;
 
-use quantities::{FitConditions, RadialTraces, evaluate};
-
-/// The sense of motion along a circle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
-pub enum CircleSense {
-    #[serde(rename = "ccw")]
-    CounterClockwise,
-    #[serde(rename = "cw")]
-    Clockwise,
-}
-
-impl CircleSense {
-    /// `ccw` or `cw`.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::CounterClockwise => "ccw",
-            Self::Clockwise => "cw",
-        }
-    }
-}
-
-/// A length on the circle. Optional values are known or not.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CirclePoint {
-    /// Programmed angle, degrees, counter-clockwise from the plane's first axis; need not be wrapped.
-    pub angle_deg: f64,
-    /// Distance between the ball centres, mm.
-    pub length_mm: f64,
-    /// Standard uncertainty.
-    pub sigma_mm: Option<f64>,
-    pub t_s: Option<f64>,
-    /// Temperature of bar and machine.
-    pub temp_c: Option<f64>,
-    pub axes_deg: Option<[f64; 6]>,
-    /// The joints, for the estimation of backlash.
-    pub drives: Option<[DriveState; 6]>,
-}
-
-/// The state of a joint at a point.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DriveState {
-    /// Derivative of the length by the joint angle, mm/rad.
-    pub lever_mm: f64,
-    /// Sense of the joint's last motion to the point: 1 or -1; 0 if unknown.
-    pub sense: i8,
-}
-
-/// One pass of the circle, in the order of the motion.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CircleTrace {
-    pub run: String,
-    pub sense: CircleSense,
-    pub points: Vec<CirclePoint>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CircularSettings {
-    pub radius_mm: f64,
-    /// Standard uncertainty of a single length; `None`: that of the points, or their scatter.
-    pub sigma_mm: Option<f64>,
-    /// Standard uncertainty of the bar's length, which is common to all lengths.
-    pub bar_u_mm: f64,
-    pub temperature: ThermalExpansion,
-    /// Monte Carlo draws; 0 for none.
-    pub draws: usize,
-    pub seed: u64,
-}
-
-impl CircularSettings {
-    pub fn new(radius_mm: f64) -> Self {
-        let temperature = ThermalExpansion::default();
-        Self { radius_mm, sigma_mm: None, bar_u_mm: 0.0, temperature, draws: 1000, seed: 1 }
-    }
-}
+use noise::LengthSigmaSource;
+use quantities::{FitConditions, MAX_CONDITION, RadialTraces, evaluate};
+use reference_circle::{RadialMeasurement, fit_circle};
+use reversal::Reversal;
+use trace::CoveredArc;
 
 /// Fewest points that determine centre, radius and a deviation.
-pub const MIN_CIRCLE_POINTS: usize = 5;
+const MIN_CIRCLE_POINTS: usize = 5;
 /// Largest relative difference of a length from the radius.
 const FAR_OFF: f64 = 0.2;
-/// Largest condition number for a free centre: excludes arcs of about 75 degrees and less.
-pub const MAX_CONDITION: f64 = 30.0;
-/// Largest spacing of a full circle, degrees.
-const GAP_DEG: f64 = 60.0;
-
-/// The covered arc.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct CoveredArc {
-    /// First angle, degrees, 0..360.
-    pub from_deg: f64,
-    /// 360 for a full circle.
-    pub span_deg: f64,
-    /// Largest gap between neighbours.
-    pub largest_gap_deg: f64,
-    pub full: bool,
-    /// Condition number of centre and radius.
-    pub condition: f64,
-}
-
-/// A value and the half width of its 95 % interval; `None` if undefined.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct CircularQuantity {
-    pub value: Option<f64>,
-    pub u95: Option<f64>,
-}
 
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct TraceResult {
@@ -163,7 +66,7 @@ pub struct CircularEvaluation {
     pub sigma_mm: f64,
     pub sigma_source: LengthSigmaSource,
     pub draws: usize,
-    pub notes: Vec<Finding>,
+    pub notes: Vec<Diagnostic>,
 }
 
 impl CircularEvaluation {
@@ -181,7 +84,7 @@ pub fn circular(traces: &[CircleTrace], settings: &CircularSettings) -> Result<C
     let rays = |traces: &[CircleTrace]| RadialTraces::new(traces, settings.radius_mm);
     let mut measured = rays(corrected.as_deref().unwrap_or(traces));
     let joint = fit_circle(measured.all()).ok_or(Finding::NoCircle)?;
-    let arc = arc(traces, joint.condition);
+    let arc = CoveredArc::of(traces, joint.condition);
     let unequal = plausibility::unequal(traces, &arc);
     let allowed = FitConditions { both: unequal.is_none(), ..FitConditions::of(&arc) };
     measured.centre = if allowed.free_centre { joint.centre } else { [0.0; 2] };
@@ -196,28 +99,30 @@ pub fn circular(traces: &[CircleTrace], settings: &CircularSettings) -> Result<C
     let results = traces.iter().zip(&measured.traces).zip(alone);
     let results =
         results.map(|((trace, rays), quantities)| TraceResult::new(trace, rays, measured.centre, quantities));
-    let mut notes: Vec<Finding> = arc_finding(&arc, allowed).into_iter().collect();
-    for trace in traces.iter().filter(|trace| !in_sense(trace)) {
-        notes.push(Finding::AgainstDirection { run: trace.run.clone(), direction: trace.sense.word() });
+    let mut notes: Vec<Diagnostic> = arc_finding(&arc, allowed).into_iter().map(Diagnostic::from).collect();
+    for trace in traces.iter().filter(|trace| !trace.is_in_sense()) {
+        notes
+            .push(Finding::AgainstDirection { run: trace.run.clone(), direction: trace.sense.word() }.into());
     }
     notes.extend(plausibility::check_plausibility(traces, settings.radius_mm));
     let g_mm = quantities.first().and_then(|quantity| quantity.value);
-    notes.extend(g_mm.and_then(|g_mm| plausibility::too_large(g_mm, settings.radius_mm)));
+    let too_large = g_mm.and_then(|g_mm| plausibility::too_large(g_mm, settings.radius_mm));
+    notes.extend(too_large.map(Diagnostic::from));
     if arc.full && unequal.is_none() {
-        notes.extend(plausibility::centres_differ(traces, &measured));
+        notes.extend(plausibility::centres_differ(traces, &measured).map(Diagnostic::from));
     }
-    notes.extend(unequal);
-    notes.extend(
-        settings.sigma_mm.and_then(|sigma_mm| plausibility::other_sigma(traces, &measured, sigma_mm)),
-    );
+    notes.extend(unequal.map(Diagnostic::from));
+    let other_sigma =
+        settings.sigma_mm.and_then(|sigma_mm| plausibility::other_sigma(traces, &measured, sigma_mm));
+    notes.extend(other_sigma.map(Diagnostic::from));
     if corrected.is_none() {
-        notes.push(Finding::AsMeasured);
+        notes.push(Finding::AsMeasured.into());
     }
     let reversals = reversal::reversals(traces);
     let steps = if arc.full { reversal::backlash(traces, &measured) } else { Vec::new() };
     let joints: std::collections::BTreeSet<usize> = reversals.iter().map(|reversal| reversal.joint).collect();
     if steps.is_empty() && !joints.is_empty() {
-        notes.push(Finding::StepsNotSeparable { joints: joints.len() });
+        notes.push(Finding::StepsNotSeparable { joints: joints.len() }.into());
     }
     Ok(CircularEvaluation {
         radius_mm: settings.radius_mm,
@@ -296,33 +201,107 @@ fn check_input(traces: &[CircleTrace], settings: &CircularSettings) -> Result<()
     Ok(())
 }
 
-/// Whether most steps are in the sense of the trace.
-fn in_sense(trace: &CircleTrace) -> bool {
-    let steps = trace.points.windows(2).map(|pair| {
-        let step = (pair[1].angle_deg - pair[0].angle_deg + 180.0).rem_euclid(360.0) - 180.0;
-        if step == 0.0 {
-            0
-        } else if (step > 0.0) == (trace.sense == CircleSense::CounterClockwise) {
-            1
-        } else {
-            -1
+#[cfg(test)]
+mod evaluation_tests {
+    use super::*;
+
+    /// 36 points of a ball that is off by 0.2 and -0.1 mm, in both senses.
+    fn traces(clockwise_mm: f64) -> Vec<CircleTrace> {
+        let trace = |sense, offset_mm: f64| {
+            let turn = if sense == CircleSense::CounterClockwise { 10.0 } else { -10.0 };
+            let points = (0..36).map(|at| {
+                let angle_deg = turn * f64::from(at);
+                let (sin, cos) = angle_deg.to_radians().sin_cos();
+                CirclePoint {
+                    angle_deg,
+                    length_mm: (150.0 * cos - 0.2).hypot(150.0 * sin + 0.1) + offset_mm,
+                    sigma_mm: None,
+                    t_s: None,
+                    temp_c: None,
+                    axes_deg: None,
+                    drives: None,
+                }
+            });
+            CircleTrace { run: "1".into(), sense, points: points.collect() }
+        };
+        vec![trace(CircleSense::CounterClockwise, 0.010), trace(CircleSense::Clockwise, clockwise_mm)]
+    }
+
+    fn settings() -> CircularSettings {
+        CircularSettings { sigma_mm: Some(0.001), draws: 0, ..CircularSettings::new(150.0) }
+    }
+
+    #[test]
+    fn a_circle_is_evaluated_about_its_centre() {
+        let found = circular(&traces(0.006), &settings()).unwrap();
+        for (name, expected) in
+            [("D", 0.008), ("x", 0.2), ("y", -0.1), ("H", 0.004), ("Gb", 0.004), ("F_max", 0.010)]
+        {
+            assert!((found.get(name).value.unwrap() - expected).abs() < 1e-9, "{name}");
         }
-    });
-    steps.sum::<i64>() >= 0
+        assert_eq!(found.get("unknown"), CircularQuantity::default());
+        assert!(found.free_centre && found.arc.full && found.as_measured.is_none());
+        assert!((found.sigma_mm - 0.001).abs() < 1e-15);
+        assert_eq!((found.sigma_source, found.draws), (LengthSigmaSource::Given, 0));
+        assert!(found.notes.iter().any(|note| matches!(note.finding(), Some(Finding::AsMeasured))));
+        assert_eq!(found.traces.len(), 2);
+        assert!((found.traces[1].deviations[9][0] + 90.0).abs() < 1e-12);
+        assert!((found.traces[1].deviations[9][1] - 0.006).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_arc_has_a_finding_and_no_diagnosis() {
+        let arc = |points: usize| {
+            let mut traces = traces(0.010);
+            traces.iter_mut().for_each(|trace| trace.points.truncate(points));
+            circular(&traces[..1], &settings()).unwrap()
+        };
+        let half = arc(19);
+        assert!(
+            !half.free_centre && half.get("G_lsc").value.is_some() && half.diagnosis.harmonics.is_empty()
+        );
+        assert!(half.notes.iter().any(
+            |note| matches!(note.finding(), Some(Finding::PartialArc { span_deg, .. }) if (span_deg - 180.0).abs() < 1e-9)
+        ));
+        let short = arc(6);
+        assert!(short.get("G_lsc").value.is_none() && short.get("F_max").value.is_some());
+        assert!(
+            short.notes.iter().any(|note| matches!(note.finding(), Some(Finding::ArcWithoutCentre { .. })))
+        );
+    }
+
+    #[test]
+    fn impossible_input_is_refused() {
+        let error = |traces: &[CircleTrace], radius_mm| {
+            circular(traces, &CircularSettings { radius_mm, ..settings() }).unwrap_err()
+        };
+        assert!(matches!(error(&traces(0.0), f64::NAN), Finding::Radius { .. }));
+        assert!(matches!(error(&traces(0.0), 0.0), Finding::Radius { .. }));
+        assert!(matches!(error(&[], 150.0), Finding::NoLength));
+        let mut few = traces(0.0);
+        few[1].points.truncate(4);
+        assert!(matches!(error(&few, 150.0), Finding::TooFewPoints { points: 4, least: 5, .. }));
+        // A fifth of the radius is the most.
+        let mut far = traces(0.0);
+        far[0].points[3].length_mm = 180.01;
+        assert!(matches!(error(&far, 150.0), Finding::FarFromRadius { angle_deg, .. } if angle_deg == 30.0));
+        far[0].points[3].length_mm = 119.99;
+        assert!(matches!(error(&far, 150.0), Finding::FarFromRadius { .. }));
+        far[0].points[3].length_mm = 179.99;
+        assert!(circular(&far, &settings()).is_ok());
+    }
+
+    #[test]
+    fn a_trace_against_its_direction_is_reported() {
+        let mut traces = traces(0.010);
+        traces[0].points.reverse();
+        let found = circular(&traces, &settings()).unwrap();
+        let against = found.notes.iter().filter(|note| {
+            matches!(note.finding(), Some(Finding::AgainstDirection { direction: "ccw", .. }))
+        });
+        assert_eq!(against.count(), 1);
+    }
 }
 
-fn arc<'a>(traces: impl IntoIterator<Item = &'a CircleTrace>, condition: f64) -> CoveredArc {
-    let points = traces.into_iter().flat_map(|trace| &trace.points);
-    let mut angles: Vec<f64> = points.map(|point| point.angle_deg.rem_euclid(360.0)).collect();
-    angles.sort_by(f64::total_cmp);
-    angles.dedup_by(|b, a| (*b - *a) < 1e-6);
-    let around = angles.first().map(|first| first + 360.0);
-    let gaps = angles.iter().zip(angles.iter().skip(1).copied().chain(around)).map(|(a, b)| b - a);
-    let (at, largest_gap_deg) =
-        gaps.enumerate().fold((0, 0.0), |most, gap| if gap.1 > most.1 { gap } else { most });
-    let usual_deg = 360.0 / angles.len().max(1) as f64;
-    let full = largest_gap_deg <= (3.0 * usual_deg).clamp(2.0, GAP_DEG);
-    let from_deg = if full { 0.0 } else { angles.get(at + 1).or(angles.first()).copied().unwrap_or(0.0) };
-    let span_deg = if full { 360.0 } else { 360.0 - largest_gap_deg };
-    CoveredArc { from_deg, span_deg, largest_gap_deg, full, condition }
-}
+#[cfg(test)]
+mod tests;

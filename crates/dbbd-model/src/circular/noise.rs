@@ -1,7 +1,8 @@
 //! The standard uncertainty of a single length, for the Monte Carlo.
 
 use super::quantities::RadialTraces;
-use super::{CircleSense, CircleTrace};
+use super::trace::{CircleSense, CircleTrace};
+use crate::math::distributions::coverage_95_ratio;
 use crate::math::robust::{SIGMA_OF_MAD, median};
 
 /// Where the standard uncertainty of a single length comes from.
@@ -54,12 +55,7 @@ impl TraceNoise {
 
     /// Ratio of the 95 % quantiles of Student's t and the normal distribution.
     pub(super) fn student(&self) -> f64 {
-        // Abramowitz and Stegun 26.7.5. 1 % too small at three degrees of freedom.
-        let [one, two, three] = [1.210_4, 1.440_1, 1.304];
-        self.freedom.map_or(1.0, |freedom| {
-            let f = freedom.max(3.0);
-            1.0 + (one + (two + three / f) / f) / f
-        })
+        self.freedom.map_or(1.0, coverage_95_ratio)
     }
 }
 
@@ -150,4 +146,100 @@ fn differences<const N: usize>(traces: &[CircleTrace], rays: &RadialTraces, weig
         found.extend(values.windows(N).map(|near| sum(near).abs() / norm));
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn trace(sense: CircleSense, deviations: &[f64]) -> CircleTrace {
+        let step = 360.0 / deviations.len() as f64;
+        let point = |(at, deviation): (usize, &f64)| crate::circular::CirclePoint {
+            angle_deg: step * at as f64,
+            length_mm: 100.0 + deviation,
+            sigma_mm: Some(0.001 * (1.0 + at as f64)),
+            t_s: None,
+            temp_c: None,
+            axes_deg: None,
+            drives: None,
+        };
+        CircleTrace { run: "1".into(), sense, points: deviations.iter().enumerate().map(point).collect() }
+    }
+
+    fn noise(traces: &[CircleTrace], given: Option<f64>) -> TraceNoise {
+        estimate_noise(traces, &RadialTraces::new(traces, 100.0), given)
+    }
+
+    #[test]
+    fn what_is_given_counts_then_what_the_points_state() {
+        let traces = [trace(CircleSense::CounterClockwise, &[0.0; 4])];
+        let given = noise(&traces, Some(0.002));
+        assert_eq!((given.source, given.freedom, given.mean()), (LengthSigmaSource::Given, None, 0.002));
+        assert_eq!(given.student(), 1.0);
+        let own = noise(&traces, None);
+        assert_eq!((own.source, own.freedom), (LengthSigmaSource::Lengths, None));
+        // Mean of 1, 2, 3 and 4 um.
+        assert!((own.mean() - 0.0025).abs() < 1e-15);
+    }
+
+    /// Two passes that differ by d at each of n points: s^2 = sum (d / 2)^2 2 / n = mean d^2 / 2, with n degrees of freedom.
+    #[test]
+    fn repeated_passes_show_the_repeatability() {
+        let [one, two] = [[0.0, 0.004, 0.002, 0.0], [0.004, 0.0, 0.002, 0.004]];
+        let ccw = CircleSense::CounterClockwise;
+        let mut traces = vec![trace(ccw, &one), trace(ccw, &two)];
+        let least_mm = (3.0 * 16e-6 / 8.0_f64).sqrt();
+        let found = noise(&traces, None);
+        assert_eq!((found.source, found.freedom), (LengthSigmaSource::LengthsAndPasses, Some(4.0)));
+        for (sigma, stated) in found.sigma_mm[1].iter().zip([0.001, 0.002, 0.003, 0.004]) {
+            assert!((sigma - f64::max(stated, least_mm)).abs() < 1e-12);
+        }
+        traces[0].points[2].sigma_mm = None;
+        let found = noise(&traces, None);
+        assert_eq!((found.source, found.freedom), (LengthSigmaSource::Passes, Some(4.0)));
+        assert!((found.mean() - least_mm).abs() < 1e-12);
+        // Other angles, or the other sense, are no repetition.
+        traces[1].points[0].angle_deg += 1.0;
+        assert_eq!(noise(&traces, None).source, LengthSigmaSource::Neighbours);
+        let both = [trace(ccw, &one), trace(CircleSense::Clockwise, &two)];
+        assert_eq!(noise(&both, None).source, LengthSigmaSource::Lengths);
+    }
+
+    /// Deviations of +-a in turn have second differences of 4 a / sqrt(6) and fourth ones of 16 a / sqrt(70).
+    #[test]
+    fn scatter_between_neighbours_is_that_of_differences() {
+        let star: Vec<f64> = (0..40).map(|at| if at % 2 == 0 { 0.003 } else { -0.003 }).collect();
+        let mut traces = [trace(CircleSense::Clockwise, &star)];
+        traces[0].points[0].sigma_mm = None;
+        let found = noise(&traces, None);
+        assert_eq!(found.source, LengthSigmaSource::Neighbours);
+        assert!((found.mean() - SIGMA_OF_MAD * 0.012 / 6f64.sqrt()).abs() < 1e-9, "{}", found.mean());
+        // 38 second differences.
+        assert!((found.freedom.unwrap() - 0.19 * 38.0).abs() < 1e-12);
+        let rays = RadialTraces::new(&traces, 100.0);
+        let fourth = without_form(&traces, &rays);
+        assert!((fourth - SIGMA_OF_MAD * 0.048 / 70f64.sqrt()).abs() < 1e-9, "{fourth}");
+        // A straight line has no second difference.
+        assert!(differences(&traces, &rays, [1.0, -2.0, 1.0]).len() == 38);
+    }
+
+    /// scipy.stats.t.ppf(0.975, f) / scipy.stats.norm.ppf(0.975).
+    #[test]
+    fn students_factor_is_right_to_a_percent() {
+        for (freedom, expected) in [
+            (3.0, 1.6237269308958933),
+            (5.0, 1.3115454446677266),
+            (10.0, 1.1368264261800467),
+            (40.0, 1.0311798615935077),
+        ] {
+            let noise = TraceNoise {
+                sigma_mm: Vec::new(),
+                source: LengthSigmaSource::Passes,
+                freedom: Some(freedom),
+            };
+            assert!((noise.student() / expected - 1.0).abs() < 0.011, "{freedom}: {}", noise.student());
+        }
+        let few = TraceNoise { sigma_mm: Vec::new(), source: LengthSigmaSource::Passes, freedom: Some(1.0) };
+        assert!(few.student() < 1.63);
+    }
 }

@@ -2,10 +2,14 @@
 
 use std::cmp::Ordering;
 
+use super::noise;
 use super::quantities::RadialTraces;
-use super::{CirclePoint, CircleSense, CircleTrace, CoveredArc, fit_circle, noise};
+use super::reference_circle::fit_circle;
+use super::trace::{CirclePoint, CircleSense, CircleTrace, CoveredArc};
 use crate::circular::CircularFinding as Finding;
+use crate::diagnostic::Diagnostic;
 use crate::math::robust::median;
+use crate::plausibility::Quantity;
 
 /// A spike exceeds this multiple of the median difference from the neighbours, and this many mm. No reversal causes
 /// such a peak at a single point.
@@ -15,14 +19,12 @@ const MIN_SPIKE_MM: f64 = 0.2;
 const MAX_RADIUS_DEVIATION: f64 = 0.01;
 /// Largest angle of one run, degrees.
 const MAX_TURNED_DEG: f64 = 750.0;
-/// Higher temperatures are in degrees Fahrenheit.
-const WARMEST_C: f64 = 45.0;
 /// Largest change of the bar's temperature during a test, K.
 const MAX_WARMED_K: f64 = 8.0;
 /// Fewest points whose neighbours are near.
 const MIN_TESTED_POINTS: usize = 12;
 
-pub(super) fn check_plausibility(traces: &[CircleTrace], radius_mm: f64) -> Vec<Finding> {
+pub(super) fn check_plausibility(traces: &[CircleTrace], radius_mm: f64) -> Vec<Diagnostic> {
     let mut found: Vec<Finding> = traces.iter().filter_map(spike).collect();
     found.extend(traces.iter().filter_map(rows_twice));
     found.extend(traces.iter().filter_map(many_turns));
@@ -30,7 +32,7 @@ pub(super) fn check_plausibility(traces: &[CircleTrace], radius_mm: f64) -> Vec<
     found.extend(traces.iter().filter_map(in_gon));
     found.extend(traces.iter().filter_map(times_back));
     found.extend(traces.iter().filter_map(turns_back));
-    found.extend(warm(traces));
+    let warm = warm(traces);
     found.extend(rounded(traces).or_else(|| equal_run(traces)));
     let lengths = || traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm);
     let mean_mm = lengths().sum::<f64>() / lengths().count().max(1) as f64;
@@ -42,7 +44,7 @@ pub(super) fn check_plausibility(traces: &[CircleTrace], radius_mm: f64) -> Vec<
     if rest.all(|length_mm| Some(length_mm) == first) {
         found.push(Finding::EqualLengths { length_mm: mean_mm });
     }
-    found
+    found.into_iter().map(Diagnostic::from).chain(warm).collect()
 }
 
 /// Lengths with so few decimals that the intervals, which follow from the noise, are too narrow.
@@ -142,14 +144,17 @@ fn many_turns(trace: &CircleTrace) -> Option<Finding> {
     (span_deg > MAX_TURNED_DEG).then(|| Finding::ManyTurns { run: trace.run.clone(), span_deg })
 }
 
-fn warm(traces: &[CircleTrace]) -> Option<Finding> {
+fn warm(traces: &[CircleTrace]) -> Option<Diagnostic> {
     let found = traces.iter().flat_map(|trace| &trace.points).filter_map(|point| point.temp_c);
     let found: Vec<f64> = found.collect();
     let mean_c = found.iter().sum::<f64>() / found.len() as f64;
     let span_k = found.iter().fold(f64::MIN, |most, t| most.max(*t))
         - found.iter().fold(f64::MAX, |least, t| least.min(*t));
-    let warmed = (span_k > MAX_WARMED_K).then_some(Finding::WarmedBar { span_k });
-    (mean_c > WARMEST_C).then_some(Finding::WarmBar { mean_c }).or(warmed)
+    if found.is_empty() {
+        return None;
+    }
+    let warmed = || (span_k > MAX_WARMED_K).then_some(Finding::WarmedBar { span_k }.into());
+    Quantity::Temperature.unusual("mean of temp_c", mean_c).map(Diagnostic::from).or_else(warmed)
 }
 
 /// Angles from 0 on whose equal steps close a circle of 400: no circle ends between one turn and two.
@@ -208,7 +213,7 @@ pub(super) fn unequal(traces: &[CircleTrace], joint: &CoveredArc) -> Option<Find
         let of = || traces.iter().filter(|trace| trace.sense == sense);
         let points = of().map(|trace| trace.points.len()).max()?;
         let least_deg = MAX_SPACING_DEG.max(BETWEEN * 360.0 / points as f64);
-        let own = super::arc(of(), joint.condition);
+        let own = CoveredArc::of(of(), joint.condition);
         Some((own.span_deg, own.largest_gap_deg - joint.largest_gap_deg > least_deg))
     };
     let ((ccw_deg, ccw_lacks), (cw_deg, cw_lacks)) =

@@ -1,8 +1,7 @@
 //! The quantities of ISO 230-4 from lengths. The Monte Carlo calls the same function.
 
-use super::fit::{RadialMeasurement, fit_circle};
-use super::zone::{extremes, minimum_zone, width};
-use super::{CircleSense, CircleTrace, CircularQuantity, CoveredArc, MAX_CONDITION};
+use super::reference_circle::{RadialMeasurement, extremes, fit_circle, minimum_zone, width};
+use super::trace::{CircleSense, CircleTrace, CoveredArc};
 
 /// The quantities of a test: circular deviation about the least-squares centre and of the minimum zone (the largest of
 /// the traces, each about its own centre), bi-directional circular deviation, mean radial deviation, largest and
@@ -10,6 +9,16 @@ use super::{CircleSense, CircleTrace, CircularQuantity, CoveredArc, MAX_CONDITIO
 pub const QUANTITY_NAMES: [&str; 9] = ["G_lsc", "G_mzc", "Gb", "D", "F_max", "F_min", "H", "x", "y"];
 /// The quantities of a single trace, about its own centre (F about that of the test).
 pub const TRACE_NAMES: [&str; 7] = ["G_lsc", "G_mzc", "D", "F_max", "F_min", "x", "y"];
+
+/// Largest condition number for a free centre: excludes arcs of about 75 degrees and less.
+pub(super) const MAX_CONDITION: f64 = 30.0;
+
+/// A value and the half width of its 95 % interval; `None` if undefined.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct CircularQuantity {
+    pub value: Option<f64>,
+    pub u95: Option<f64>,
+}
 
 #[derive(Clone, Debug)]
 pub(super) struct RadialTraces {
@@ -196,5 +205,152 @@ impl QuantityValues {
         let overall = all.by_ref().take(QUANTITY_NAMES.len()).collect();
         let alone = self.alone.iter().map(|_| all.by_ref().take(TRACE_NAMES.len()).collect()).collect();
         (overall, alone)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RADIUS_MM: f64 = 100.0;
+    const ALL: FitConditions = FitConditions { free_centre: true, full: true, both: true };
+
+    fn trace(sense: CircleSense, points: &[(f64, f64)]) -> CircleTrace {
+        let point = |&(angle_deg, deviation): &(f64, f64)| crate::circular::CirclePoint {
+            angle_deg,
+            length_mm: RADIUS_MM + deviation,
+            sigma_mm: None,
+            t_s: None,
+            temp_c: None,
+            axes_deg: None,
+            drives: None,
+        };
+        CircleTrace { run: "1".into(), sense, points: points.iter().map(point).collect() }
+    }
+
+    /// Eight points whose deviations are offset +- amplitude in turn: the centre of the circle stays where it is.
+    fn star(sense: CircleSense, offset: f64, amplitude: f64) -> CircleTrace {
+        let sign = |at: i32| if at % 2 == 0 { amplitude } else { -amplitude };
+        trace(sense, &(0..8).map(|at| (45.0 * f64::from(at), offset + sign(at))).collect::<Vec<_>>())
+    }
+
+    fn value(found: &QuantityValues, name: &str) -> f64 {
+        found.overall[QUANTITY_NAMES.iter().position(|known| *known == name).unwrap()]
+    }
+
+    #[test]
+    fn quantities_are_those_of_their_definitions() {
+        let traces =
+            [star(CircleSense::CounterClockwise, 0.010, 0.004), star(CircleSense::Clockwise, -0.006, 0.002)];
+        let rays = RadialTraces::new(&traces, RADIUS_MM);
+        let found = evaluate(&rays, ALL).unwrap();
+        for (name, expected) in [
+            // The larger of 2 * 0.004 and 2 * 0.002.
+            ("G_lsc", 0.008),
+            ("G_mzc", 0.008),
+            // From -0.006 - 0.002 to 0.010 + 0.004.
+            ("Gb", 0.022),
+            ("D", 0.002),
+            ("F_max", 0.014),
+            ("F_min", -0.008),
+            // The senses differ by 0.016 +- 0.002.
+            ("H", 0.018),
+            ("x", 0.0),
+            ("y", 0.0),
+        ] {
+            assert!((value(&found, name) - expected).abs() < 1e-10, "{name}: {}", value(&found, name));
+        }
+        // G_lsc, G_mzc, D, F_max, F_min of the clockwise trace alone.
+        for (found, expected) in found.alone[1].iter().zip([0.004, 0.004, -0.006, -0.004, -0.008, 0.0, 0.0]) {
+            assert!((found - expected).abs() < 1e-10, "{found} for {expected}");
+        }
+        let (overall, alone) = found.with(Some(&(0..23).map(f64::from).collect()));
+        assert_eq!((overall[8].u95, alone[0][0].u95, alone[1][6].u95), (Some(8.0), Some(9.0), Some(22.0)));
+        assert_eq!(overall[3].value.map(|mm| (1e6 * mm).round()), Some(2000.0));
+        assert_eq!((overall.len(), alone.len(), alone[1].len()), (9, 2, 7));
+    }
+
+    #[test]
+    fn what_the_points_do_not_determine_is_not_a_number() {
+        let traces =
+            [star(CircleSense::CounterClockwise, 0.010, 0.004), star(CircleSense::Clockwise, -0.006, 0.002)];
+        let rays = RadialTraces::new(&traces, RADIUS_MM);
+        let one_arc = evaluate(&rays, FitConditions { both: false, ..ALL }).unwrap();
+        assert!(value(&one_arc, "Gb").is_nan() && value(&one_arc, "H").is_nan());
+        assert!((value(&one_arc, "G_lsc") - 0.008).abs() < 1e-10);
+        let fixed = evaluate(&rays, FitConditions { free_centre: false, full: false, both: true }).unwrap();
+        assert_eq!(fixed.overall_options().iter().filter(|value| value.is_some()).count(), 2);
+        assert!(
+            (value(&fixed, "F_max") - 0.014).abs() < 1e-12 && (value(&fixed, "F_min") + 0.008).abs() < 1e-12
+        );
+        let ccw = RadialTraces::new(&traces[..1], RADIUS_MM);
+        assert!(value(&evaluate(&ccw, ALL).unwrap(), "H").is_nan());
+    }
+
+    #[test]
+    fn facing_points_are_interpolated_by_angle() {
+        let ccw =
+            trace(CircleSense::CounterClockwise, &[(25.0, 0.0), (40.0, 0.0), (350.0, 0.0), (722.0, 0.0)]);
+        let angles: Vec<(f64, f64)> = (0..18).rev().map(|at| (20.0 * f64::from(at), 0.0)).collect();
+        let cw = trace(CircleSense::Clockwise, &angles);
+        // The clockwise point at 20 k degrees has the number 17 - k.
+        let found = facing(&ccw, &cw);
+        let expected = [(0, [16, 15], 0.25), (1, [15, 15], 0.0), (2, [0, 17], 0.5), (3, [17, 16], 0.1)];
+        assert_eq!(found.len(), 4);
+        for ((at, sides, weight), (at_expected, sides_expected, expected)) in found.into_iter().zip(expected)
+        {
+            assert_eq!((at, sides), (at_expected, sides_expected));
+            assert!((weight - expected).abs() < 1e-8, "{weight} for {expected}");
+        }
+    }
+
+    #[test]
+    fn points_in_a_gap_face_nothing() {
+        let ccw = trace(CircleSense::CounterClockwise, &[(5.0, 0.0), (100.0, 0.0)]);
+        // Ten points: neighbours are near up to 108 degrees.
+        let cw = |last: f64| {
+            let angles = (0..9).map(|at| (f64::from(at) * 10.0, 0.0)).chain([(last, 0.0)]);
+            trace(CircleSense::Clockwise, &angles.collect::<Vec<_>>())
+        };
+        assert_eq!(facing(&ccw, &cw(187.0)).len(), 2);
+        assert_eq!(facing(&ccw, &cw(189.0)).len(), 1);
+    }
+
+    /// The deviation of the other sense is 0.002 at 0 and 0.006 at 10 degrees: 0.003 at 2.5 and 0.004 at 5 degrees.
+    #[test]
+    fn hysteresis_is_interpolated_between_facing_points() {
+        let back: Vec<(f64, f64)> =
+            (0..36).map(|at| (10.0 * f64::from(at), 0.002 + 0.004 * f64::from(at % 2))).collect();
+        let cw = trace(CircleSense::Clockwise, &back);
+        for (angle, facing_mm) in [(2.5, 0.003), (5.0, 0.004), (10.0, 0.006), (17.5, 0.003), (352.5, 0.005)] {
+            let ccw = trace(CircleSense::CounterClockwise, &[(angle, 0.010)]);
+            let rays = RadialTraces::new(&[ccw, cw.clone()], RADIUS_MM);
+            let found = hysteresis(&rays, [0.0; 2]);
+            assert!((found - (0.010 - facing_mm)).abs() < 1e-9, "{angle}: {found}");
+        }
+        // The largest magnitude counts, whichever sense is longer.
+        let ccw = trace(CircleSense::CounterClockwise, &[(0.0, 0.003), (20.0, -0.011)]);
+        let rays = RadialTraces::new(&[cw, ccw], RADIUS_MM);
+        assert!((hysteresis(&rays, [0.0; 2]) - 0.013).abs() < 1e-12);
+        assert_eq!(rays.facing(1, 0).map(Iterator::count), Some(2));
+        assert!(rays.facing(0, 1).is_none());
+    }
+
+    #[test]
+    fn conditions_follow_the_arc() {
+        let arc = |condition, full| CoveredArc {
+            from_deg: 0.0,
+            span_deg: 360.0,
+            largest_gap_deg: 1.0,
+            full,
+            condition,
+        };
+        let of = |condition, full| {
+            let FitConditions { free_centre, full, both } = FitConditions::of(&arc(condition, full));
+            [free_centre, full, both]
+        };
+        assert_eq!(of(MAX_CONDITION, true), [true, true, true]);
+        assert_eq!(of(MAX_CONDITION, false), [true, false, true]);
+        assert_eq!(of(MAX_CONDITION + 0.1, true), [false, false, true]);
     }
 }

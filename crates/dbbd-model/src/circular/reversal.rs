@@ -10,7 +10,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::quantities::RadialTraces;
-use super::{CirclePoint, CircleSense, CircleTrace, DriveState};
+use super::trace::{CirclePoint, CircleSense, CircleTrace, DriveState};
 use crate::math::distributions::coverage_95;
 
 /// A joint reverses.
@@ -240,4 +240,127 @@ fn solve(mut matrix: DMatrix<f64>, values: DVector<f64>) -> Option<(DVector<f64>
     let solved = DVector::from_fn(columns, |at, _| scaled[at] * unscale(at));
     let covariance = DMatrix::from_fn(columns, columns, |a, b| covariance[(a, b)] * unscale(a) * unscale(b));
     Some((solved, covariance, variance))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(angle_deg: f64, length_mm: f64) -> CirclePoint {
+        CirclePoint {
+            angle_deg,
+            length_mm,
+            sigma_mm: None,
+            t_s: None,
+            temp_c: None,
+            axes_deg: None,
+            drives: None,
+        }
+    }
+
+    /// A joint turns where its step changes the sign; steps below 1e-3 degrees are rest.
+    #[test]
+    fn a_joint_reverses_where_its_steps_change_their_sign() {
+        let second = [10.0, 11.0, 12.0, 12.0005, 11.0, 10.0, 11.0];
+        let points = second.iter().enumerate().map(|(at, deg)| CirclePoint {
+            axes_deg: Some([0.0, *deg, at as f64, 0.0, 0.0, -5.0]),
+            ..point(350.0 + 10.0 * at as f64, 100.0)
+        });
+        let trace = CircleTrace { run: "7".into(), sense: CircleSense::Clockwise, points: points.collect() };
+        let found = reversals(&[trace]);
+        let places: Vec<(usize, f64)> = found.iter().map(|found| (found.joint, found.angle_deg)).collect();
+        // Between 380 and 390 degrees, and from 400 on.
+        assert_eq!(places, [(2, 20.0), (2, 40.0)]);
+        assert_eq!((found[0].run.as_str(), found[0].sense), ("7", CircleSense::Clockwise));
+    }
+
+    /// A drive stops half of its backlash short: -b / 2 times its sense times its lever.
+    #[test]
+    fn backlash_of_two_linear_axes_is_recovered_beside_the_form() {
+        let [first, second] = [0.012, -0.005];
+        let trace = |sense: CircleSense| {
+            let turn = if sense == CircleSense::CounterClockwise { 1.0 } else { -1.0 };
+            let points = (0..72).map(|at| {
+                let theta = (turn * (5.0 * f64::from(at) + 2.5)).to_radians();
+                let (sin, cos) = theta.sin_cos();
+                let form = 0.01 + 0.02 * (2.0 * theta).sin() - 0.004 * (3.0 * theta).cos() + 0.03 * cos;
+                let steps =
+                    -0.5 * first * (-sin * turn).signum() * cos - 0.5 * second * (cos * turn).signum() * sin;
+                point(theta.to_degrees(), 150.0 + form + steps)
+            });
+            CircleTrace { run: "1".into(), sense, points: points.collect() }
+        };
+        let traces = [trace(CircleSense::CounterClockwise), trace(CircleSense::Clockwise)];
+        let found = backlash(&traces, &RadialTraces::new(&traces, 150.0));
+        assert_eq!(
+            found.iter().map(|found| found.mover).collect::<Vec<_>>(),
+            [DriveId::Axis(1), DriveId::Axis(2)]
+        );
+        // The largest lever is cos 2.5 degrees.
+        for (found, play) in found.iter().zip([first, second]) {
+            assert!((found.play - play).abs() < 1e-10 && found.u95 < 1e-10, "{found:?}");
+            assert!((found.most_mm - play.abs() * 2.5f64.to_radians().cos()).abs() < 1e-9);
+        }
+        assert!(backlash(&[], &RadialTraces::new(&[], 150.0)).is_empty());
+    }
+
+    /// In the difference of the senses the form cancels: -b times the lever times the sense, and the drift between the passes.
+    #[test]
+    fn backlash_of_a_joint_is_recovered_from_both_senses() {
+        let (play, drift) = (4e-4, 0.003);
+        let trace = |sense: CircleSense| {
+            let turn = if sense == CircleSense::CounterClockwise { 1 } else { -1 };
+            let points = (0..40).map(|at| {
+                let lever_mm = 100.0 + 5.0 * f64::from(at);
+                let moves = if at < 20 { turn } else { -turn };
+                let still = DriveState { lever_mm: 50.0, sense: 0 };
+                let mut drives = [still; 6];
+                drives[2] = DriveState { lever_mm, sense: moves };
+                let form = 0.05 * (7.0 * f64::from(at)).sin();
+                let step = -0.5 * play * f64::from(moves) * lever_mm;
+                CirclePoint {
+                    axes_deg: Some([f64::from(at); 6]),
+                    drives: Some(drives),
+                    ..point(9.0 * f64::from(at), 150.0 + form + step + if turn < 0 { drift } else { 0.0 })
+                }
+            });
+            CircleTrace { run: "1".into(), sense, points: points.collect() }
+        };
+        let traces = [trace(CircleSense::CounterClockwise), trace(CircleSense::Clockwise)];
+        let found = backlash(&traces, &RadialTraces::new(&traces, 150.0));
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].mover, DriveId::Joint(3));
+        assert!((found[0].play - play).abs() < 1e-12 && found[0].u95 < 1e-11, "{found:?}");
+        assert!((found[0].most_mm - play * 295.0).abs() < 1e-9);
+    }
+
+    /// numpy.linalg.lstsq of five rows of three unknowns; variance = residuals / (5 - 3), covariance = inv(X'X).
+    #[test]
+    fn least_squares_match_numpy() {
+        let x = [1.0, 2.0, 0.0, 0.0, 1.0, -1.0, 3.0, 0.5, 2.0, 1.0, -1.0, 4.0, 2.0, 2.0, 1.0];
+        let matrix = DMatrix::from_row_slice(5, 3, &x);
+        let values = DVector::from_row_slice(&[1.0, 2.0, -1.0, 0.5, 3.0]);
+        let (solved, covariance, variance) = solve(matrix.clone(), values).unwrap();
+        for (value, expected) in
+            solved.iter().zip([-1.061570247933885, 1.7033057851239686, 0.779338842975207])
+        {
+            assert!((value - expected).abs() < 1e-12, "{value} for {expected}");
+        }
+        assert!((variance - 3.9179752066115694 / 2.0).abs() < 1e-12);
+        assert!((covariance * matrix.transpose() * &matrix - DMatrix::identity(3, 3)).norm() < 1e-12);
+        let dependent = DMatrix::from_row_slice(3, 2, &[1.0, 2.0, 2.0, 4.0, 3.0, 6.0]);
+        assert!(solve(dependent, DVector::zeros(3)).is_none());
+        assert!(solve(DMatrix::zeros(3, 1), DVector::zeros(3)).is_none());
+    }
+
+    #[test]
+    fn levers_of_linear_axes_are_the_direction_of_the_point() {
+        use std::f64::consts::FRAC_PI_6;
+        // At 30 degrees, counter-clockwise: x falls, y rises.
+        let [x, y] = linear(FRAC_PI_6, CircleSense::CounterClockwise)[..] else { panic!() };
+        assert!((x.lever_mm - 0.75f64.sqrt()).abs() < 1e-15 && (y.lever_mm - 0.5).abs() < 1e-15);
+        assert_eq!((x.sense, y.sense), (-1, 1));
+        let senses = |theta| linear(theta, CircleSense::Clockwise).into_iter().map(|state| state.sense);
+        assert!(senses(FRAC_PI_6).eq([1, -1]) && senses(7.0 * FRAC_PI_6).eq([-1, 1]));
+    }
 }

@@ -10,17 +10,17 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::fit::{RadialMeasurement, fit_circle};
 use super::noise::TraceNoise;
-use super::quantities::{FacingTraces, FitConditions, QuantityValues, RadialTraces, evaluate};
-use super::zone::outermost;
-use super::{CircularSettings, QUANTITY_NAMES, TRACE_NAMES};
+use super::quantities::{
+    FacingTraces, FitConditions, QUANTITY_NAMES, QuantityValues, RadialTraces, TRACE_NAMES, evaluate,
+};
+use super::reference_circle::{RadialMeasurement, fit_circle, outermost};
+use super::trace::CircularSettings;
+use crate::math::distributions::COVERAGE_95;
 
 /// Of traces with more points only the outermost are drawn.
 const MANY: usize = 4000;
 const SHARE: f64 = 0.95;
-/// Coverage factor of 95 % of a normal distribution.
-const NORMAL: f64 = 1.96;
 /// Quantities that are not negative.
 const WIDTHS: [&str; 4] = ["G_lsc", "G_mzc", "Gb", "H"];
 
@@ -60,7 +60,7 @@ pub(super) fn u95(
         let deviations = fitted(rays, sigma_mm, settings.bar_u_mm);
         for (name, sd) in ["x", "y", "D"].into_iter().zip(deviations) {
             if let Some(at) = names.iter().position(|known| *known == name) {
-                u95[first + at] = student * NORMAL * sd;
+                u95[first + at] = student * COVERAGE_95 * sd;
             }
         }
     };
@@ -196,4 +196,120 @@ fn outermost_of(rays: &RadialTraces, noise: &TraceNoise) -> (RadialTraces, Vec<V
         sigma_mm.push(chosen.iter().map(|&at| sigma[at]).collect());
     }
     (few, sigma_mm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use super::super::trace::{CirclePoint, CircleSense, CircleTrace};
+
+    fn rays(deviations: &[f64]) -> RadialTraces {
+        let step = 360.0 / deviations.len() as f64;
+        let point = |(at, deviation): (usize, &f64)| CirclePoint {
+            angle_deg: step * at as f64,
+            length_mm: 100.0 + deviation,
+            sigma_mm: None,
+            t_s: None,
+            temp_c: None,
+            axes_deg: None,
+            drives: None,
+        };
+        let points = deviations.iter().enumerate().map(point).collect();
+        RadialTraces::new(&[CircleTrace { run: "1".into(), sense: CircleSense::Clockwise, points }], 100.0)
+    }
+
+    #[test]
+    fn means_over_neighbours_are_symmetric() {
+        let values = [1.0, 2.0, 4.0, 8.0, 16.0];
+        for (reach, sum, count) in [(0, 4.0, 1.0), (1, 14.0, 3.0), (2, 31.0, 5.0)] {
+            let (mean, weight) = mean(&values, 2, reach);
+            assert!((mean - sum / count).abs() < 1e-14 && (weight - 1.0 / count).abs() < 1e-15);
+        }
+        // At the ends there are fewer neighbours on both sides.
+        assert_eq!([mean(&values, 0, 3), mean(&values, 4, 3)], [(1.0, 1.0), (16.0, 1.0)]);
+        assert_eq!(mean(&values, 3, 3), (28.0 * (1.0 / 3.0), 1.0 / 3.0));
+    }
+
+    /// The rank of the 95th percentile of 20 values is 19.
+    #[test]
+    fn within_is_the_95th_percentile() {
+        let mut values: Vec<f64> = (1..=20).rev().map(f64::from).collect();
+        assert_eq!(within(&mut values), 19.0);
+        let mut values: Vec<f64> = (1..=21).map(f64::from).collect();
+        assert_eq!(within(&mut values), 20.0);
+        assert_eq!(within(&mut [3.0]), 3.0);
+        assert!(within(&mut []).is_nan());
+    }
+
+    /// The draws show sqrt(1 + left) - sqrt(left) of the bias: with left = 9/16 that is 1/2, so a mean of 2 becomes 4.
+    #[test]
+    fn half_width_contains_the_bias_that_the_draws_do_not_show() {
+        assert_eq!(half_width(&mut [1.0, 2.0, 3.0], 0.5625), 5.0);
+        assert_eq!(half_width(&mut [1.0, 2.0, 3.0], 0.0), 3.0);
+        assert_eq!(half_width(&mut [-1.0, 1.0], 1.0), 1.0);
+        assert!(half_width(&mut [1.0, f64::NAN], 0.0).is_nan() && half_width(&mut [], 0.0).is_nan());
+    }
+
+    /// n points around: var x = var y = 2 sigma^2 / n, var D = sigma^2 / n + u_bar^2.
+    #[test]
+    fn centre_and_radius_have_their_linear_uncertainties() {
+        let found = fitted(&rays(&[0.0; 18]).traces[0], &[0.003; 18], 0.004);
+        let mean = 0.003 / 18f64.sqrt();
+        for (found, expected) in
+            found.into_iter().zip([2f64.sqrt() * mean, 2f64.sqrt() * mean, mean.hypot(0.004)])
+        {
+            assert!((found - expected).abs() < 1e-12, "{found} for {expected}");
+        }
+        assert!(fitted(&[], &[], 0.0)[0].is_nan());
+    }
+
+    #[test]
+    fn smoothing_removes_noise_and_keeps_a_form() {
+        // The mean of nine values of alternating sign is a ninth; the ends keep their own.
+        let noise: Vec<f64> = (0..60).map(|at| if at % 2 == 0 { 0.002 } else { -0.002 }).collect();
+        let (traces, left) = smoothed(&rays(&noise), &[vec![0.002; 60]]);
+        assert!(left < 0.2, "{left}");
+        let middle = traces[0][30].deviation([0.0; 2]);
+        assert!((middle - 0.002 / 9.0).abs() < 1e-9, "{middle}");
+        // A step that is much larger than the noise stays.
+        let step: Vec<f64> = (0..60).map(|at| if at < 30 { 0.0 } else { 0.5 }).collect();
+        let (traces, left) = smoothed(&rays(&step), &[vec![1e-4; 60]]);
+        assert_eq!(left, 1.0);
+        assert!((traces[0][30].deviation([0.0; 2]) - 0.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_round_circle_has_no_deviation() {
+        let mut rays = rays(&[0.1, -0.2, 0.3, 0.0]);
+        rays.centre = [0.5, 0.0];
+        let found = round(&rays);
+        assert!((0..4).all(|at| found.deviation(0, at) == 0.0));
+        let noise = TraceNoise {
+            sigma_mm: vec![vec![0.001, 0.002, 0.003, 0.004]],
+            source: crate::circular::noise::LengthSigmaSource::Given,
+            freedom: None,
+        };
+        let (few, sigma_mm) = outermost_of(&rays, &noise);
+        assert_eq!((few.traces, sigma_mm), (rays.traces.clone(), noise.sigma_mm));
+    }
+
+    /// sd of the mean of n draws: the bar's uncertainty is common, that of the lengths is averaged.
+    #[test]
+    fn draws_have_the_standard_deviations_of_lengths_and_bar() {
+        let rays = rays(&[0.0; 16]);
+        let allowed = FitConditions { free_centre: true, full: true, both: true };
+        let settings = CircularSettings { draws: 4000, bar_u_mm: 0.003, ..CircularSettings::new(100.0) };
+        let added = draw_noise(&rays, &[vec![0.008; 16]], allowed, &settings).unwrap();
+        let of = |name: &str| {
+            let at = QUANTITY_NAMES.iter().position(|known| *known == name).unwrap();
+            (added[at].iter().map(|value| value * value).sum::<f64>() / 4000.0).sqrt()
+        };
+        // The standard deviation of an estimate from 4000 draws is 1.1 %.
+        for (name, expected) in
+            [("D", 0.002f64.hypot(0.003)), ("x", 0.008 / 8f64.sqrt()), ("y", 0.008 / 8f64.sqrt())]
+        {
+            assert!((of(name) / expected - 1.0).abs() < 0.05, "{name}: {} for {expected}", of(name));
+        }
+    }
 }

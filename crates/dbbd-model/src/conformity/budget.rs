@@ -7,13 +7,12 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::estimation::result::SigmaSource;
-use crate::estimation::{CalibrationResult, Priors};
+use crate::estimation::result::{PriorSource, SigmaSource};
+use crate::estimation::{CompletedCalibration, Priors};
+use crate::math::distributions::COVERAGE_FACTOR;
 use crate::measurement::Measurements;
 use crate::provenance::Identity;
 use crate::robot::{BarId, ParamId};
-
-pub const COVERAGE_FACTOR: f64 = 2.0;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct UncertaintyBudget {
@@ -100,7 +99,7 @@ impl BudgetBasis {
 impl UncertaintyBudget {
     /// The budget of a result from these lengths. `bar_u_mm` is the standard uncertainty of the bar's length, if known.
     pub fn of(
-        found: &CalibrationResult,
+        found: &CompletedCalibration,
         lengths: &Measurements,
         bar_u_mm: Option<f64>,
         identity: &Identity,
@@ -108,6 +107,11 @@ impl UncertaintyBudget {
         let mut lines = vec![bar(found, bar_u_mm), temperature(found, bar_u_mm, identity)];
         lines.extend(scatter(found, lengths));
         lines.push(geometry(found));
+        Self::with_lines(lines)
+    }
+
+    /// Adds the squares of the known contributions.
+    fn with_lines(lines: Vec<BudgetLine>) -> Self {
         let squares = lines.iter().filter_map(|line| line.position_mm).map(|mm| mm * mm);
         let combined_mm = squares.sum::<f64>().sqrt();
         let expanded_mm = COVERAGE_FACTOR * combined_mm;
@@ -116,16 +120,16 @@ impl UncertaintyBudget {
 }
 
 /// Prior standard uncertainty of the bar's length, mm.
-fn bar_sd_mm(found: &CalibrationResult, bar_u_mm: Option<f64>) -> f64 {
+fn bar_sd_mm(found: &CompletedCalibration, bar_u_mm: Option<f64>) -> f64 {
     Priors::datasheet(&found.robot, bar_u_mm).sd(ParamId::BarOffset(BarId::FIRST))
 }
 
-fn bar(found: &CalibrationResult, bar_u_mm: Option<f64>) -> BudgetLine {
+fn bar(found: &CompletedCalibration, bar_u_mm: Option<f64>) -> BudgetLine {
     let position_mm = found.position_parts.bar_mm;
-    let offset = found.parameter(ParamId::BarOffset(BarId::FIRST));
+    let offset = found.result.parameter(ParamId::BarOffset(BarId::FIRST));
     let estimated = offset.is_some_and(|offset| offset.sd.is_some());
     let basis = match bar_u_mm {
-        _ if estimated && found.prior.is_none() => BudgetBasis::Lengths,
+        _ if estimated && found.result.prior == PriorSource::None => BudgetBasis::Lengths,
         _ if position_mm == 0.0 => BudgetBasis::Exact,
         Some(_) => BudgetBasis::Certificate,
         None => BudgetBasis::Assumed,
@@ -137,7 +141,7 @@ fn bar(found: &CalibrationResult, bar_u_mm: Option<f64>) -> BudgetLine {
 
 /// An error of the bar's temperature changes its length by u = L alpha u(T), and the position as an error of length
 /// does.
-fn temperature(found: &CalibrationResult, bar_u_mm: Option<f64>, identity: &Identity) -> BudgetLine {
+fn temperature(found: &CompletedCalibration, bar_u_mm: Option<f64>, identity: &Identity) -> BudgetLine {
     let of_bar = identity.temperatures.iter().find(|found| found.of == "bar").and_then(|found| found.u_k);
     let length_mm = identity.bar.length_mm.zip(identity.bar.expansion_per_k).zip(of_bar);
     let length_mm = length_mm.map(|((length, per_k), u_k)| length * per_k.abs() * 0.5 * u_k);
@@ -151,23 +155,40 @@ fn temperature(found: &CalibrationResult, bar_u_mm: Option<f64>, identity: &Iden
 }
 
 /// Splits the scatter of the lengths into its known sources. The contributions are in the ratio of the variances.
-fn scatter(found: &CalibrationResult, lengths: &Measurements) -> Vec<BudgetLine> {
+fn scatter(found: &CompletedCalibration, lengths: &Measurements) -> Vec<BudgetLine> {
     let squares = lengths.rows.iter().map(|row| row.sigma_mm.map(|mm| mm * mm)).sum::<Option<f64>>();
-    let total = found.sigma.mm.powi(2);
+    let of_rows = squares.map(|sum| sum / lengths.rows.len().max(1) as f64);
     let sd = found.robot.repeatability_sd_mm();
+    scatter_lines(
+        found.result.noise_mm.length,
+        found.result.sigma_source,
+        of_rows,
+        sd,
+        found.position_parts.noise_mm,
+    )
+}
+
+/// The lines of the scatter. `of_rows` is the mean variance that the rows state (mm^2), `sd` the standard deviation of the
+/// repeatability and `position_mm` what the whole scatter contributes to the position, mm.
+fn scatter_lines(
+    sigma_mm: f64,
+    source: SigmaSource,
+    of_rows: Option<f64>,
+    sd: Option<f64>,
+    position_mm: f64,
+) -> Vec<BudgetLine> {
+    let total = sigma_mm.powi(2);
     let repeatability = sd.map_or(0.0, |mm| mm * mm);
     // A standard deviation that the user gave includes the repeatability.
-    let is_given = found.sigma.source == SigmaSource::Given;
+    let is_given = source == SigmaSource::Given;
     let given = is_given.then_some((total - repeatability).max(0.0));
-    let of_rows = squares.map(|sum| sum / lengths.rows.len().max(1) as f64);
     let of_rows = of_rows.filter(|rows| !is_given || (rows - total).abs() <= 1e-9 * total);
     let stated = of_rows.or(given);
     let noise = stated.unwrap_or(0.0).min(total);
     let repeated = repeatability.min(total - noise);
     let of = |source, basis, variance: f64| {
         let share = if total > 0.0 { (variance / total).sqrt() } else { 0.0 };
-        let position_mm = Some(share * found.position_parts.noise_mm);
-        BudgetLine { source, basis, length_mm: Some(variance.sqrt()), position_mm }
+        BudgetLine { source, basis, length_mm: Some(variance.sqrt()), position_mm: Some(share * position_mm) }
     };
     let unknown =
         |source| BudgetLine { source, basis: BudgetBasis::NotDetermined, length_mm: None, position_mm: None };
@@ -189,7 +210,7 @@ fn scatter(found: &CalibrationResult, lengths: &Measurements) -> Vec<BudgetLine>
 }
 
 /// The rest of the predicted position uncertainty.
-fn geometry(found: &CalibrationResult) -> BudgetLine {
+fn geometry(found: &CompletedCalibration) -> BudgetLine {
     let total =
         found.map.iter().map(|point| point.rms_mm.powi(2)).sum::<f64>() / found.map.len().max(1) as f64;
     let parts = found.position_parts;
@@ -199,5 +220,74 @@ fn geometry(found: &CalibrationResult) -> BudgetLine {
         basis: BudgetBasis::Prediction,
         length_mm: None,
         position_mm: Some(rest),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lines(mm: f64, source: SigmaSource, of_rows: Option<f64>, sd: Option<f64>) -> Vec<BudgetLine> {
+        scatter_lines(mm, source, of_rows, sd, 2.0)
+    }
+
+    /// Basis and variance (1e-6 mm^2) of noise, repeatability and model.
+    fn variances(lines: &[BudgetLine]) -> Vec<(BudgetBasis, Option<f64>)> {
+        let variance = |line: &BudgetLine| line.length_mm.map(|mm| (1e6 * mm * mm).round());
+        lines.iter().map(|line| (line.basis, variance(line))).collect()
+    }
+
+    /// 0.05^2 = 0.03^2 + 0.02^2 + 0.0012; a contribution is 2 times the root of its share of the variance.
+    #[test]
+    fn scatter_is_split_by_variance() {
+        let found = lines(0.05, SigmaSource::Estimated, Some(0.0009), Some(0.02));
+        let expected = [
+            (BudgetBasis::Stated, Some(900.0)),
+            (BudgetBasis::Stated, Some(400.0)),
+            (BudgetBasis::Residuals, Some(1200.0)),
+        ];
+        assert_eq!(variances(&found), expected);
+        for (line, expected) in found.iter().zip([1.2, 0.8, 2.0 * 0.48f64.sqrt()]) {
+            assert!((line.position_mm.unwrap() - expected).abs() < 1e-12, "{line:?}");
+        }
+        // The squares of the contributions add up to the whole, and the coverage factor is 2.
+        let budget = UncertaintyBudget::with_lines(found);
+        assert!((budget.combined_mm - 2.0).abs() < 1e-12 && (budget.expanded_mm - 4.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn residuals_below_the_repeatability_limit_it() {
+        let found = lines(0.02, SigmaSource::Estimated, Some(0.0003), Some(0.03));
+        let expected = [
+            (BudgetBasis::Stated, Some(300.0)),
+            (BudgetBasis::Residuals, Some(100.0)),
+            (BudgetBasis::Residuals, Some(0.0)),
+        ];
+        assert_eq!(variances(&found), expected);
+    }
+
+    #[test]
+    fn a_given_standard_deviation_contains_the_repeatability() {
+        let expected = [
+            (BudgetBasis::Stated, Some(1600.0)),
+            (BudgetBasis::Stated, Some(900.0)),
+            (BudgetBasis::Residuals, Some(0.0)),
+        ];
+        assert_eq!(variances(&lines(0.05, SigmaSource::Given, None, Some(0.03))), expected);
+        // What the rows state was replaced by what was given.
+        assert_eq!(variances(&lines(0.05, SigmaSource::Given, Some(0.0001), Some(0.03))), expected);
+        let of_rows = variances(&lines(0.05, SigmaSource::Given, Some(0.0025), Some(0.03)));
+        assert_eq!(of_rows[..2], [(BudgetBasis::Stated, Some(2500.0)), (BudgetBasis::Residuals, Some(0.0))]);
+    }
+
+    #[test]
+    fn what_is_not_known_contributes_nothing() {
+        let found = lines(0.05, SigmaSource::Estimated, None, None);
+        let unknown = (BudgetBasis::NotDetermined, None);
+        assert_eq!(variances(&found), [unknown, unknown, (BudgetBasis::Residuals, Some(2500.0))]);
+        assert_eq!(found[0].position_mm, None);
+        assert!((UncertaintyBudget::with_lines(found).combined_mm - 2.0).abs() < 1e-12);
+        let none = lines(0.0, SigmaSource::Given, None, None);
+        assert!(none.iter().all(|line| line.position_mm.unwrap_or(0.0) == 0.0));
     }
 }

@@ -1,6 +1,7 @@
 //! Comparison of circular tests of one machine over time.
 
 use crate::estimation::ResultFinding;
+use crate::estimation::result::check_schema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value as Json;
 
@@ -9,12 +10,11 @@ use super::tracked::{TrackedQuantity, TrackedValue, ValueSeries, track};
 use crate::circular::{CircleSense, QUANTITY_NAMES};
 use crate::conformity::ConformityFinding;
 use crate::diagnostic::Diagnostic;
+use crate::math::distributions::COVERAGE_95;
 use crate::math::straight_line::LevelCrossing;
 use crate::provenance::Provenance;
 
 const CIRCLE_FILE_SCHEMA: u32 = 1;
-/// Coverage factor of a 95 % interval.
-const COVERAGE: f64 = 1.96;
 /// Position of the base ball, which changes with its mounting.
 const PLACES: [&str; 2] = ["x", "y"];
 /// The circular deviation to which the tolerance applies: the first of these that the tests have.
@@ -64,16 +64,6 @@ pub struct ComparedCircle {
     pub traces: Vec<Vec<StoredTrace>>,
 }
 
-pub(super) fn check_schema(json: &Json, known: u32) -> Result<(), ResultFinding> {
-    match json.get("schema") {
-        Some(schema) if schema.as_u64() == Some(u64::from(known)) => Ok(()),
-        schema => {
-            let schema = schema.map_or("none".into(), ToString::to_string);
-            Err(ResultFinding::OtherSchema { schema, known })
-        }
-    }
-}
-
 impl CircleFile {
     pub fn from_json(file: &str, json: &Json) -> Result<Self, Diagnostic> {
         let wrong = |finding| Diagnostic::file(file, finding);
@@ -108,7 +98,7 @@ impl StoredCircle {
         let number = |name: &str| json.get(name).and_then(Json::as_f64);
         let quantity = |name: &&str| {
             let u95 = number(&format!("{name}_u95")).filter(|u95| *u95 > 0.0)?;
-            Some(TrackedValue { value: number(name)?, sd: u95 / COVERAGE, freedom: None })
+            Some(TrackedValue { value: number(name)?, sd: u95 / COVERAGE_95, freedom: None })
         };
         Ok(Self {
             circle,
@@ -193,7 +183,7 @@ fn compare(
     let trend = deviation.and_then(|quantity| quantity.trend).filter(|trend| trend.significant);
     let reaches_tolerance = trend
         .zip(tolerance_mm)
-        .and_then(|(trend, tolerance)| trend.line.reaches(tolerance, timeline.last(), COVERAGE));
+        .and_then(|(trend, tolerance)| trend.line.reaches(tolerance, timeline.last(), COVERAGE_95));
     let first = tests.first();
     ComparedCircle {
         circle: first.and_then(|test| test.circle),
@@ -201,5 +191,72 @@ fn compare(
         quantities,
         reaches_tolerance,
         traces: tests.iter().map(|test| test.traces.clone()).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(name: &str, gb: f64, u95: f64, span_deg: f64, source: &str) -> CircleFile {
+        let json = serde_json::json!({
+            "schema": 1, "radius_mm": 150.0, "circle": 2, "Gb": gb, "Gb_u95": u95, "D": 0.01, "D_u95": 0.0, "x": 1.0,
+            "x_u95": 0.1, "traces": [{ "direction": "cw", "deviations": [[0.0, 0.001]] }],
+            "arc": { "span_deg": span_deg },
+            "provenance": { "from": [{ "role": "measurements", "name": "t", "sha256": source }] },
+        });
+        CircleFile::from_json(name, &json).unwrap()
+    }
+
+    #[test]
+    fn a_circle_is_read_with_standard_deviations() {
+        let file = file("a.json", 0.02, 0.00196, 360.0, "1");
+        let circle = &file.circles[0];
+        assert_eq!((circle.circle, circle.radius_mm, circle.span_deg), (Some(2), 150.0, Some(360.0)));
+        let gb = circle.quantities[2].unwrap();
+        assert!((gb.sd - 0.001).abs() < 1e-15 && gb.value == 0.02);
+        // An interval of zero says nothing.
+        assert_eq!(circle.quantities[3], None);
+        assert_eq!(circle.traces[0].direction, CircleSense::Clockwise);
+        let other = serde_json::json!({ "schema": 2, "radius_mm": 150.0, "traces": [] });
+        assert!(CircleFile::from_json("b.json", &other).is_err());
+        assert!(CircleFile::from_json("c.json", &serde_json::json!({ "schema": 1 })).is_err());
+    }
+
+    /// The line through 0.020, 0.022, 0.024, 0.026 reaches 0.030 two results after the last.
+    #[test]
+    fn the_trend_of_the_circular_deviation_reaches_the_tolerance() {
+        let files: Vec<CircleFile> = [0.020, 0.022, 0.024, 0.026]
+            .iter()
+            .map(|gb| file("a.json", *gb, 0.000196, 360.0, &gb.to_string()))
+            .collect();
+        let timeline = ResultTimeline::numbered(4);
+        let compared = compare_circles(&files, &timeline, Some(0.030), 0.0).unwrap();
+        assert_eq!((compared.len(), compared[0].quantities.len(), compared[0].traces.len()), (1, 1, 4));
+        let reached = compared[0].reaches_tolerance.unwrap();
+        assert!((reached.at - 5.0).abs() < 1e-9 && reached.earliest < 5.0, "{reached:?}");
+        // The repeatability from run to run adds in squares.
+        let repeated = compare_circles(&files, &timeline, Some(0.030), 0.01).unwrap();
+        assert!((repeated[0].quantities[0].values[1].sd - 0.0001f64.hypot(0.01)).abs() < 1e-15);
+        assert!(repeated[0].reaches_tolerance.is_none(), "no significant trend");
+        assert!(compare_circles(&files, &timeline, None, 0.0).unwrap()[0].reaches_tolerance.is_none());
+        assert_eq!(compare_circles(&[], &timeline, None, 0.0).unwrap(), []);
+    }
+
+    #[test]
+    fn tests_that_are_not_comparable_are_reported() {
+        let first = file("a.json", 0.02, 0.002, 360.0, "1");
+        let arc =
+            |span_deg, source: &str| unlike(&[first.clone(), file("b.json", 0.02, 0.002, span_deg, source)]);
+        assert!(arc(341.0, "2").is_empty());
+        assert!(matches!(
+            arc(339.0, "2")[..],
+            [ConformityFinding::ArcAndCircle { span_deg: 339.0, first_deg: 360.0, .. }]
+        ));
+        assert!(matches!(arc(360.0, "1")[..], [ConformityFinding::SameLengths { .. }]));
+        let mut other = file("b.json", 0.02, 0.002, 360.0, "2");
+        other.circles[0].radius_mm = 100.0;
+        let nothing = compare_circles(&[first, other], &ResultTimeline::numbered(2), None, 0.0);
+        assert!(nothing.is_err());
     }
 }

@@ -1,9 +1,10 @@
 //! The decision on conformity with a tolerance, from the distribution of the measurand (JCGM 106:2012).
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The decision rule.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum DecisionRule {
     /// Guard bands (JCGM 106 8.3): pass or fail only if the probability of the contrary is at most `risk`, else
     /// undecided.
@@ -120,5 +121,42 @@ mod tests {
         assert_eq!((shared.decision, shared.guard_band_mm), (ConformityOutcome::Pass, None));
         assert_eq!(decide(&sizes, None, rule, true).decision, ConformityOutcome::Fail);
         assert_eq!(decide(&sizes, None, rule, false).decision, ConformityOutcome::Pass);
+    }
+
+    /// JCGM 106: the specific risk is the probability that the decision is wrong; of an undecided one, that the tolerance is
+    /// exceeded.
+    #[test]
+    fn specific_risks_of_all_outcomes() {
+        let sizes: Vec<f64> = (1..=200).map(|at| f64::from(at) * 0.01).collect();
+        let simple = |tolerance| decide(&sizes, Some(tolerance), DecisionRule::SimpleAcceptance, false);
+        let (pass, fail) = (simple(1.2), simple(0.9));
+        assert_eq!((pass.decision, pass.rule), (ConformityOutcome::Pass, "simple_acceptance"));
+        assert!((pass.specific_risk.unwrap() - 0.4).abs() < 1e-12);
+        assert_eq!(fail.decision, ConformityOutcome::Fail);
+        assert!((fail.specific_risk.unwrap() - 0.45).abs() < 1e-12);
+        // The median is at the tolerance: accepted.
+        assert_eq!(simple(1.0).decision, ConformityOutcome::Pass);
+        assert!((pass.position_error_mm - 1.0).abs() < 1e-12 && (pass.upper_mm - 1.9).abs() < 1e-12);
+        let guarded =
+            |tolerance| decide(&sizes, Some(tolerance), DecisionRule::GuardBand { risk: 0.1 }, false);
+        let failed = guarded(0.15);
+        assert_eq!(failed.decision, ConformityOutcome::Fail);
+        assert!((failed.upper_mm - 1.8).abs() < 1e-12);
+        assert!((failed.specific_risk.unwrap() - 0.075).abs() < 1e-12);
+        assert!((failed.guard_band_mm.unwrap() - 0.8).abs() < 1e-12);
+        let undecided = failed.failure_as_undecided();
+        assert_eq!(undecided.decision, ConformityOutcome::Undecided);
+        assert!((undecided.specific_risk.unwrap() - 0.925).abs() < 1e-12);
+        let passed = guarded(1.905).failure_as_undecided();
+        assert_eq!(passed.decision, ConformityOutcome::Pass);
+        assert!((passed.specific_risk.unwrap() - 0.05).abs() < 1e-12);
+    }
+
+    #[test]
+    fn without_a_tolerance_a_change_decides_and_without_draws_nothing_is_known() {
+        let found = decide(&[1.0, 2.0, 3.0], None, DecisionRule::SimpleAcceptance, true);
+        assert_eq!((found.rule, found.specific_risk, found.guard_band_mm), ("change", None, None));
+        assert_eq!((found.position_error_mm, found.upper_mm), (2.0, 3.0));
+        assert!(decide(&[], None, DecisionRule::SimpleAcceptance, false).upper_mm.is_nan());
     }
 }

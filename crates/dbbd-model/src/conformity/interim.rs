@@ -374,3 +374,18 @@ impl CheckWorkspace {
         sizes
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_larger_standard_deviation_counts() {
+        assert_eq!(sigma_mm(Some(0.01), Some(0.02)).ok(), Some(0.02));
+        assert_eq!(sigma_mm(Some(0.03), Some(0.02)).ok(), Some(0.03));
+        assert_eq!(sigma_mm(None, Some(0.02)).ok(), Some(0.02));
+        for nothing in [sigma_mm(None, None), sigma_mm(Some(0.0), None), sigma_mm(None, Some(f64::NAN))] {
+            assert!(matches!(nothing, Err(ConformityFinding::NoNoise)));
+        }
+    }
+}

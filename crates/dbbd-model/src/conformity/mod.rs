@@ -16,7 +16,7 @@ mod tracked;
 
 use serde::Serialize;
 
-pub use budget::{BudgetBasis, BudgetLine, BudgetSource, COVERAGE_FACTOR, UncertaintyBudget};
+pub use budget::{BudgetBasis, BudgetLine, BudgetSource, UncertaintyBudget};
 pub use circles::{
     CircleFile, ComparedCircle, StoredCircle, StoredTrace, compare_circles, unlike as unlike_circles,
 };
@@ -54,3 +54,6 @@ pub enum ComparisonSubject {
     Results(Box<ComparedResults>),
     Circles { circles: Vec<ComparedCircle> },
 }
+
+#[cfg(test)]
+mod tests;

@@ -11,15 +11,13 @@ use super::tracked::{TrackedQuantity, TrackedValue, ValueSeries, track};
 use crate::conformity::ConformityFinding;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::result::MapPoint;
-use crate::estimation::{ErrorSummary, Options, ResultFile, Workspace};
+use crate::estimation::{CalibrationResult, ErrorSummary, Options, Workspace};
+use crate::math::distributions::COVERAGE_95;
 use crate::math::straight_line::{LevelCrossing, StraightLine};
 use crate::robot::{ParamId, Robot};
 
-const RESULT_FILE_SCHEMA: u32 = 1;
 /// Relative difference below which nominal values are equal.
 const SAME: f64 = 1e-9;
-/// Coverage factor of a 95 % interval.
-const COVERAGE: f64 = 1.96;
 
 /// The parameters of a result.json.
 #[derive(Clone, Debug)]
@@ -75,26 +73,21 @@ impl StoredResult {
     pub fn from_json(file: &str, json: serde_json::Value) -> Result<Self, Diagnostic> {
         let wrong = |finding: ConformityFinding| Diagnostic::file(file, finding);
         let not_a_result = |finding: ResultFinding| Diagnostic::file(file, finding);
-        super::circles::check_schema(&json, RESULT_FILE_SCHEMA).map_err(not_a_result)?;
-        let result: ResultFile = serde_json::from_value(json)
-            .map_err(|error| not_a_result(ResultFinding::Incomplete { why: error.to_string() }))?;
+        let result = CalibrationResult::from_value(json).map_err(not_a_result)?;
         let mut parameters = BTreeMap::new();
         for parameter in &result.parameters {
-            let name = || parameter.name.clone();
-            let id: ParamId = parameter
-                .name
-                .parse()
-                .map_err(|_| wrong(ConformityFinding::UnknownParameter { parameter: name() }))?;
-            if parameter.unit != id.unit().name() {
-                let (unit, given) = (id.unit().to_string(), parameter.unit.clone());
-                return Err(wrong(ConformityFinding::OtherUnit { parameter: name(), unit, given }));
+            let id = parameter.name;
+            if parameter.unit != id.unit() {
+                let (unit, given) = (id.unit().to_string(), parameter.unit.to_string());
+                return Err(wrong(ConformityFinding::OtherUnit { parameter: id.to_string(), unit, given }));
             }
             if parameter.sd.is_some_and(|sd| sd < 0.0) {
                 let why = format!("the standard deviation of {} is negative", parameter.name);
                 return Err(not_a_result(ResultFinding::Incomplete { why }));
             }
             let (nominal, identified) = (parameter.nominal, parameter.identified);
-            let value = |sd| TrackedValue { value: identified, sd, freedom: result.sigma_freedom };
+            let value =
+                |sd| TrackedValue { value: identified, sd, freedom: result.noise_mm.degrees_of_freedom };
             let sd = parameter.sd.filter(|sd| *sd > 0.0 && sd.is_finite());
             parameters.insert(id, EstimatedParameter { nominal, identified, value: sd.map(value) });
         }
@@ -212,7 +205,7 @@ impl ComparedWorkspace {
         let changed: Vec<(ParamId, f64)> = changed.map(|found| (found.name, found.change.change)).collect();
         let drift = self.drift(parameters);
         let reached =
-            |(drift, tolerance): (StraightLine, f64)| drift.reaches(tolerance, timeline.last(), COVERAGE);
+            |(drift, tolerance): (StraightLine, f64)| drift.reaches(tolerance, timeline.last(), COVERAGE_95);
         PositionChange {
             whole: ErrorSummary::of(&moved),
             significant: self.summary(&changed),

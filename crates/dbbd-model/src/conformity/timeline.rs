@@ -76,4 +76,19 @@ mod tests {
             assert!(dated(wrong).is_err(), "{wrong:?}");
         }
     }
+
+    #[test]
+    fn results_without_dates_are_numbered() {
+        let numbered = ResultTimeline::numbered(3);
+        assert_eq!((numbered.unit, numbered.times.as_slice()), (TimelineUnit::Results, &[0.0, 1.0, 2.0][..]));
+        assert!(numbered.has_trend() && !ResultTimeline::numbered(2).has_trend());
+        assert_eq!((numbered.last(), ResultTimeline::numbered(0).last()), (2.0, 0.0));
+        let dates = vec!["2024-01-01".to_owned()];
+        assert!(matches!(
+            ResultTimeline::dated(&dates, 2),
+            Err(ConformityFinding::DateCount { dates: 1, results: 2 })
+        ));
+        let back = ["2024-01-02", "2024-01-01"].map(str::to_owned);
+        assert!(matches!(ResultTimeline::dated(&back, 2), Err(ConformityFinding::NotAfter { .. })));
+    }
 }

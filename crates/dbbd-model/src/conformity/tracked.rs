@@ -137,4 +137,52 @@ mod tests {
         assert!((found.p - 0.0598903244255594).abs() < 1e-9, "{}", found.p);
         assert!((change(&[value(0.0, None), value(3.0, None)]).p - 0.033894853524689295).abs() < 1e-9);
     }
+
+    fn series(name: &'static str, values: &[f64], sd: f64) -> ValueSeries<&'static str> {
+        let value = |value: &f64| TrackedValue { value: *value, sd, freedom: None };
+        ValueSeries { name, unit: "mm", values: values.iter().map(value).collect() }
+    }
+
+    /// Welch and Satterthwaite: (1 + 1/4)^2 / (1/5 + (1/4)^2 / 10) degrees of freedom; scipy.stats.t.sf.
+    #[test]
+    fn a_change_has_the_standard_deviations_of_both_values() {
+        let first = TrackedValue { value: 1.0, sd: 1.0, freedom: Some(5.0) };
+        let last = TrackedValue { value: 4.0, sd: 0.5, freedom: Some(10.0) };
+        let found = change(&[first, TrackedValue { value: 99.0, sd: 0.1, freedom: None }, last]);
+        assert_eq!((found.change, found.sd), (3.0, 1.25f64.sqrt()));
+        assert!((found.p - 0.02918273022999154).abs() < 1e-10, "{}", found.p);
+        assert_eq!(change(&[last, last]).p, 1.0);
+        assert_eq!(change(&[]).change, 0.0);
+    }
+
+    /// scipy.stats.norm.sf(2 / 0.5) * 2 = 6.334e-5, times two quantities by Holm.
+    #[test]
+    fn changes_of_a_family_are_tested_together() {
+        let family =
+            vec![series("a", &[0.0, 2.0], 0.5 / 2f64.sqrt()), series("b", &[0.0, 1.3], 0.5 / 2f64.sqrt())];
+        let found = track(family, &ResultTimeline::numbered(2));
+        assert!((found[0].change.p_holm / (2.0 * 6.334248366623973e-5) - 1.0).abs() < 1e-9);
+        // 2.6 standard deviations: p = 0.0093 alone, and the largest of a family is not multiplied.
+        assert!(found[0].change.significant && found[1].change.significant);
+        assert_eq!(found[1].change.p, found[1].change.p_holm);
+        assert!(found.iter().all(|quantity| quantity.trend.is_none()), "two values have no trend");
+        let alike =
+            vec![series("a", &[0.0, 1.3], 0.5 / 2f64.sqrt()), series("b", &[0.0, 1.3], 0.5 / 2f64.sqrt())];
+        let found = track(alike, &ResultTimeline::numbered(2));
+        assert!(found.iter().all(|quantity| !quantity.change.significant), "0.0186 for each of two");
+    }
+
+    /// Slope 1 per unit of time; sd = 0.2 / sqrt(sum (x - 2)^2) = 0.2 / sqrt(8).
+    #[test]
+    fn a_trend_is_the_weighted_line_over_the_times() {
+        let timeline =
+            ResultTimeline { unit: crate::conformity::TimelineUnit::Days, times: vec![0.0, 2.0, 4.0] };
+        let family = vec![series("a", &[1.0, 3.0, 5.0], 0.2), series("b", &[1.0, 1.01, 1.0], 0.2)];
+        let found = track(family, &timeline);
+        let trend = found[0].trend.unwrap();
+        assert!((trend.line.slope - 1.0).abs() < 1e-12);
+        assert!((trend.line.slope_sd - 0.2 / 8f64.sqrt()).abs() < 1e-12);
+        assert!(trend.significant && !found[1].trend.unwrap().significant);
+        assert!((found[1].trend.unwrap().p_holm - 1.0).abs() < 1e-9);
+    }
 }

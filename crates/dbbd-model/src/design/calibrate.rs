@@ -3,11 +3,11 @@
 use super::recommend;
 use crate::diagnostic::Diagnostic;
 use crate::estimation::EstimationFinding;
-use crate::estimation::{Calibration, CalibrationResult, ChangedSetUp, Input, remounted};
+use crate::estimation::{Calibration, ChangedSetUp, CompletedCalibration, Input, remounted};
 use crate::measurement::Measurements;
 
 pub struct Calibrated {
-    pub result: CalibrationResult,
+    pub calibration: CompletedCalibration,
     /// The measurements corrected for remounted balls and changes of zero; `None` if there were none.
     pub observations: Option<Measurements>,
 }
@@ -19,7 +19,7 @@ const SMALLER: f64 = 0.9;
 
 /// The calibration with a change during the measurement.
 struct Changed {
-    result: CalibrationResult,
+    calibration: CompletedCalibration,
     set_up: ChangedSetUp,
     finding: EstimationFinding,
 }
@@ -33,49 +33,53 @@ pub fn calibrate_run(
     input: &Input<'_>,
     input_findings: Vec<Diagnostic>,
 ) -> Result<Calibrated, EstimationFinding> {
-    let mut result = calibrate(input, input_findings)?;
+    let mut calibration = calibrate(input, input_findings)?;
     let mut set_up: Option<ChangedSetUp> = None;
     for _ in 0..MOST_CHANGES {
         let here = set_up.as_ref().map_or(*input, |changed| changed.instead_of(input));
-        let zero = zero_changed(&here, &result)?;
-        let Some(changed) = remounted_ball(&here, &result, zero.as_ref())?.or(zero) else { break };
-        result = changed.result.with_finding(changed.finding.into());
+        let zero = zero_changed(&here, &calibration)?;
+        let Some(changed) = remounted_ball(&here, &calibration, zero.as_ref())?.or(zero) else { break };
+        calibration = changed.calibration.with_finding(changed.finding.into());
         set_up = Some(changed.set_up);
     }
-    Ok(Calibrated { result, observations: set_up.map(|changed| changed.observations) })
+    Ok(Calibrated { calibration, observations: set_up.map(|changed| changed.observations) })
 }
 
-/// The calibration with the change of zero that `result` found, if it is better.
-fn zero_changed(here: &Input<'_>, result: &CalibrationResult) -> Result<Option<Changed>, EstimationFinding> {
+/// The calibration with the change of zero that `before` found, if it is better.
+fn zero_changed(
+    here: &Input<'_>,
+    before: &CompletedCalibration,
+) -> Result<Option<Changed>, EstimationFinding> {
     // If rows are shifted, their order means nothing. With a list of parameters the user has decided what to estimate.
     let is_wrong_row = |finding: &EstimationFinding| {
         matches!(finding, EstimationFinding::ShiftedRows { .. } | EstimationFinding::ManyOutliers { .. })
     };
-    if here.options.estimate.is_some() || result.findings.iter().any(is_wrong_row) {
+    if here.options.estimate.is_some() || before.estimate_findings().any(is_wrong_row) {
         return Ok(None);
     }
-    let Some(change) = &result.zero_change else { return Ok(None) };
+    let Some(change) = &before.zero_change else { return Ok(None) };
     let observations = change.taken_out(here.observations);
     let set_up = ChangedSetUp { observations, start: here.start.clone() };
-    let found = calibrate(&set_up.instead_of(here), result.input_findings.clone())?;
-    let is_better = found.residual_mm.after.rms < result.residual_mm.after.rms
-        || found.outliers.len() < result.outliers.len();
+    let calibration = calibrate(&set_up.instead_of(here), before.input_findings())?;
+    let (old, new) = (&before.result, &calibration.result);
+    let is_better =
+        new.residual_mm.after.rms < old.residual_mm.after.rms || new.outliers.len() < old.outliers.len();
     let finding = change.finding(here.observations);
-    Ok(is_better.then_some(Changed { result: found, set_up, finding }))
+    Ok(is_better.then_some(Changed { calibration, set_up, finding }))
 }
 
-/// The calibration with a remounted ball, if it is better than `result` and than a change of `zero`.
+/// The calibration with a remounted ball, if it is better than `before` and than a change of `zero`.
 fn remounted_ball(
     here: &Input<'_>,
-    result: &CalibrationResult,
+    before: &CompletedCalibration,
     zero: Option<&Changed>,
 ) -> Result<Option<Changed>, EstimationFinding> {
     let Some(remounted) = remounted(here) else { return Ok(None) };
-    let found = calibrate(&remounted.set_up.instead_of(here), result.input_findings.clone())?;
-    let rms_mm = found.residual_mm.after.rms;
-    let is_better = zero.is_none_or(|zero| rms_mm < SMALLER * zero.result.residual_mm.after.rms);
-    let finding = remounted.finding(here, result, &found).filter(|_| is_better);
-    Ok(finding.map(|finding| Changed { result: found, set_up: remounted.set_up, finding }))
+    let calibration = calibrate(&remounted.set_up.instead_of(here), before.input_findings())?;
+    let rms_mm = |calibration: &CompletedCalibration| calibration.result.residual_mm.after.rms;
+    let is_better = zero.is_none_or(|zero| rms_mm(&calibration) < SMALLER * rms_mm(&zero.calibration));
+    let finding = remounted.finding(here, before, &calibration).filter(|_| is_better);
+    Ok(finding.map(|finding| Changed { calibration, set_up: remounted.set_up, finding }))
 }
 
 /// Calibrates, with recommendations; `input_findings` go into the result.
@@ -85,11 +89,11 @@ fn remounted_ball(
 pub fn calibrate(
     input: &Input<'_>,
     mut input_findings: Vec<Diagnostic>,
-) -> Result<CalibrationResult, EstimationFinding> {
+) -> Result<CompletedCalibration, EstimationFinding> {
     let calibration = Calibration::new(input)?;
     let recommendations = recommend(&calibration).unwrap_or_else(|finding| {
         input_findings.push(finding.into());
         Vec::new()
     });
-    Ok(calibration.result(recommendations, input_findings))
+    Ok(calibration.complete(recommendations, input_findings))
 }

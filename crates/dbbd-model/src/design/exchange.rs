@@ -267,3 +267,140 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
     (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Twelve candidates of three unknowns and two changes, in no particular order.
+    fn candidates() -> (DMatrix<f64>, DMatrix<f64>, DMatrix<f64>) {
+        let value = |seed: f64| move |i: usize, j: usize| ((i * 12 + j) as f64 * 1.7 + seed).sin();
+        (
+            DMatrix::from_fn(3, 12, value(0.3)),
+            DMatrix::from_fn(6, 3, value(1.1)),
+            DMatrix::from_fn(2, 12, value(2.2)),
+        )
+    }
+
+    /// (I + sum of a a')^-1 of the chosen candidates.
+    fn covariance(rows: &DMatrix<f64>, chosen: &[usize]) -> DMatrix<f64> {
+        let chosen = rows.select_columns(chosen);
+        (DMatrix::identity(3, 3) + &chosen * chosen.transpose()).try_inverse().unwrap()
+    }
+
+    /// g'g - g'A'C A g of the chosen candidates: what the unknowns cannot compensate.
+    fn noncentrality(rows: &DMatrix<f64>, effects: &DMatrix<f64>, chosen: &[usize], change: usize) -> f64 {
+        let (a, g) = (rows.select_columns(chosen), effects.select_columns(chosen).row(change).transpose());
+        let crossed = a * &g;
+        g.norm_squared() - (crossed.transpose() * covariance(rows, chosen) * &crossed)[(0, 0)]
+    }
+
+    #[test]
+    fn updated_covariance_is_the_inverse_of_the_information() {
+        let (rows, jacobian, _) = candidates();
+        let mut exchange = Exchange::new(&rows, &jacobian);
+        for (at, enters, chosen) in
+            [(4, true, vec![4]), (7, true, vec![4, 7]), (4, false, vec![7]), (1, true, vec![7, 1])]
+        {
+            exchange.change(at, enters, Criterion::I);
+            let expected = covariance(&rows, &chosen);
+            assert!((&exchange.covariance - &expected).norm() < 1e-12, "{chosen:?}");
+            for at in 0..12 {
+                let a = rows.column(at);
+                let ca = &expected * a;
+                assert!((exchange.d[at] - a.dot(&ca)).abs() < 1e-12);
+                assert!((exchange.e[at] - ca.dot(&(&exchange.weight * &ca))).abs() < 1e-12);
+            }
+            let mean_square = (&expected * jacobian.tr_mul(&jacobian) / 2.0).trace();
+            assert!((exchange.rms_error_mm() - mean_square.sqrt()).abs() < 1e-12);
+        }
+    }
+
+    /// 1 + gain is the ratio of the determinants (matrix determinant lemma).
+    #[test]
+    fn gain_of_a_determinant() {
+        let (rows, jacobian, _) = candidates();
+        let mut exchange = Exchange::new(&rows, &jacobian);
+        exchange.change(3, true, Criterion::D);
+        for at in 4..12 {
+            let ratio = covariance(&rows, &[3]).determinant() / covariance(&rows, &[3, at]).determinant();
+            assert!((1.0 + exchange.gain(at, Criterion::D) - ratio).abs() < 1e-12);
+        }
+    }
+
+    /// The gain is what the trace of C W loses.
+    #[test]
+    fn gain_of_a_mean_square() {
+        let (rows, jacobian, _) = candidates();
+        let mut exchange = Exchange::new(&rows, &jacobian);
+        exchange.change(3, true, Criterion::I);
+        let trace = |chosen: &[usize]| (covariance(&rows, chosen) * jacobian.tr_mul(&jacobian) / 2.0).trace();
+        for at in 4..12 {
+            let lost = trace(&[3]) - trace(&[3, at]);
+            assert!((exchange.gain(at, Criterion::I) - lost).abs() < 1e-12);
+        }
+    }
+
+    /// The gain is the ratio of the products of 1 + noncentrality.
+    #[test]
+    fn gain_of_the_detection_of_changes() {
+        let (rows, _, effects) = candidates();
+        let mut exchange = Exchange::for_changes(&rows, effects.clone());
+        exchange.change(3, true, Criterion::Change);
+        exchange.change(8, true, Criterion::Change);
+        let product = |chosen: &[usize]| -> f64 {
+            (0..2).map(|change| 1.0 + noncentrality(&rows, &effects, chosen, change)).product()
+        };
+        for change in 0..2 {
+            let expected = noncentrality(&rows, &effects, &[3, 8], change);
+            assert!((exchange.noncentrality[change] - expected).abs() < 1e-12);
+        }
+        for at in [0, 5, 11] {
+            let ratio = product(&[3, 8, at]) / product(&[3, 8]);
+            assert!((exchange.gain(at, Criterion::Change) - ratio).abs() < 1e-12);
+        }
+        // Computed anew, the quantities are those of the updates.
+        exchange.chosen = vec![3, 8];
+        let (updated, s) = (exchange.detectable.clone(), exchange.noncentrality.clone());
+        exchange.renew(Criterion::Change);
+        assert!(
+            (&exchange.detectable - updated).norm() < 1e-12 && (&exchange.noncentrality - s).norm() < 1e-12
+        );
+    }
+
+    /// No exchange of one pose improves the design by more than the least relative improvement.
+    #[test]
+    fn chosen_pair_is_best_among_its_neighbours() {
+        let (rows, jacobian, _) = candidates();
+        let mut exchange = Exchange::new(&rows, &jacobian);
+        exchange.choose(2, Criterion::D);
+        let chosen = exchange.chosen().to_vec();
+        let determinant = |chosen: &[usize]| covariance(&rows, chosen).determinant();
+        for place in 0..2 {
+            for other in (0..12).filter(|at| !chosen.contains(at)) {
+                let mut neighbour = chosen.clone();
+                neighbour[place] = other;
+                assert!(determinant(&neighbour) > determinant(&chosen) * (1.0 - WORTH), "{neighbour:?}");
+            }
+        }
+        assert_eq!(exchange.chosen().len(), 2);
+        // No more can be chosen than there are.
+        assert_eq!(Exchange::new(&rows, &jacobian).choose(20, Criterion::I).len(), 12);
+    }
+
+    #[test]
+    fn one_candidate_of_each_group() {
+        let (rows, jacobian, _) = candidates();
+        let mut exchange = Exchange::new(&rows, &jacobian);
+        exchange.one_of_each(&[0..4, 4..4, 4..12], Criterion::I);
+        let [one, other] = exchange.chosen() else { panic!("{:?}", exchange.chosen()) };
+        assert!((0..4).contains(one) && (4..12).contains(other));
+    }
+
+    #[test]
+    fn dot_product_of_a_length_that_is_no_multiple_of_four() {
+        let a: Vec<f64> = (1..=7).map(f64::from).collect();
+        assert_eq!(dot(&a, &a), 140.0);
+        assert_eq!(dot(&a[..3], &a[..3]), 14.0);
+    }
+}

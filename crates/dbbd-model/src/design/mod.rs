@@ -12,3 +12,6 @@ pub use calibrate::{Calibrated, calibrate, calibrate_run};
 pub use candidates::{Candidate, Near, Sphere, change_rows, design_rows, workspace_rows};
 pub use exchange::{Criterion, Exchange};
 pub use recommend::recommend;
+
+#[cfg(test)]
+mod tests;

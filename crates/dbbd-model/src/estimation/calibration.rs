@@ -1,6 +1,7 @@
 //! A calibration: the estimate, its uncertainty and checks, and the result made of them.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 
 use super::estimate::{Estimate, estimate};
 use super::findings::findings;
@@ -8,6 +9,7 @@ use super::identifiability::{correlations, observability};
 use super::joint_errors;
 use super::joint_fit::JointFit;
 use super::joint_prediction::JointPrediction;
+use super::joint_unknowns::Terms;
 use super::lengths::Lengths;
 use super::monte_carlo::Draws;
 use super::options::Setting;
@@ -15,19 +17,19 @@ use super::parameters::ParameterTable;
 use super::predicted::Prediction;
 use super::residual_tests::joint_effects;
 use super::result::{
-    BeforeAfter, CalibrationResult, Folds, JointEffect, MadeFrom, MonteCarlo, Outlier, ParameterResult,
-    PriorUsed, RankSummary, Recommendation, SigmaSource, SigmaSummary, SolverSummary, StartRobot, Status,
+    BeforeAfter, CalibrationResult, CompletedCalibration, Folds, JointEffect, MadeFrom, MonteCarlo,
+    NoiseSummary, Outlier, ParameterResult, RESULT_SCHEMA, Recommendation, SigmaSource, StartRobot, Status,
 };
 use super::uncertainty::Uncertainty;
 use super::validation::{self, residual_of, residual_of_used};
 use super::zero_change::{ZeroChange, zero_change};
-use super::{Correlation, DistanceQuantities, Observability, Options, Prior, factor};
-use crate::diagnostic::{Diagnostic, Finding, Severity};
+use super::{Correlation, DistanceQuantities, ErrorModel, Observability, Options, Prior, factor};
+use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::coverage_95;
 use crate::math::rank;
 use crate::measurement::{LengthModel, Measurements};
-use crate::robot::{Datum, ParamId, Robot, RobotUncertainty};
+use crate::robot::{Datum, ParamId, Robot};
 
 /// The input of a calibration.
 #[derive(Clone, Copy)]
@@ -111,23 +113,27 @@ impl<'a> Input<'a> {
 /// An estimate with its uncertainty and checks.
 pub struct Calibration<'a> {
     pub(crate) setting: Setting<'a>,
+    pub(super) axes: AngleSource,
+    observations: &'a Measurements,
     pub(crate) lengths: Lengths<'a>,
     pub(crate) estimate: Estimate,
     pub(crate) prediction: Prediction,
     pub(super) uncertainty: Uncertainty,
-    pub(super) residual_mm: BeforeAfter,
+    sigma: LengthSigma,
+    rank_at_solution: usize,
     pub(super) parameters: Vec<ParameterResult>,
+    pub(super) checks: EstimateChecks,
+}
+
+/// The checks of an estimate: its residuals, and what they contain.
+pub(super) struct EstimateChecks {
+    pub(super) residual_mm: BeforeAfter,
+    folds: Option<Folds>,
+    /// Residuals of separate lengths.
+    pub(super) validation: Option<BeforeAfter>,
+    pub(super) monte_carlo: Option<MonteCarlo>,
     pub(super) joint_effects: Vec<JointEffect>,
     zero_change: Option<ZeroChange>,
-    pub(super) monte_carlo: Option<MonteCarlo>,
-    pub(super) axes: AngleSource,
-    observations: &'a Measurements,
-    /// The uncertainty of a robot with errors of the joints.
-    joint_uncertainty: Option<RobotUncertainty>,
-    sigma: SigmaSummary,
-    rank: RankSummary,
-    folds: Option<Folds>,
-    pub(super) validation: Option<BeforeAfter>,
 }
 
 impl<'a> Calibration<'a> {
@@ -146,7 +152,7 @@ impl<'a> Calibration<'a> {
             before: residual_of_used(before, &used).ok_or(NOT_FINITE)?,
             after: residual_of_used(model, &used).ok_or(NOT_FINITE)?,
         };
-        let sigma = sigma(&estimate, &lengths);
+        let sigma = LengthSigma::of(&estimate, &lengths);
         if !sigma.mm.is_finite() {
             return Err(NOT_FINITE);
         }
@@ -156,46 +162,43 @@ impl<'a> Calibration<'a> {
             setting: &setting,
             estimate: &estimate,
             uncertainty: &uncertainty,
-            coverage_factor: sigma.coverage_factor,
+            coverage_factor: sigma.coverage_factor(),
             draws: draws.as_ref(),
             combinations: estimate.analysis.combinations(),
         };
         let parameters = table.parameters();
         let validation =
             |set| Some(BeforeAfter { before: residual_of(before, set)?, after: residual_of(model, set)? });
-        let validation = input.validation.map(|set| validation(set).ok_or(NOT_FINITE)).transpose()?;
-        let mut prediction = Prediction::of(&setting, &estimate, &used)?;
-        let joints = estimate.joints.as_ref().map(|fit| JointPrediction::of(&setting, fit, &lengths));
-        let joint_uncertainty = joints.map(|JointPrediction { summary, map, unknown }| {
-            (prediction.pair.identified, prediction.map) = (summary, map);
-            unknown
-        });
-        let zero_change =
-            zero_change(input.observations, &estimate, &lengths, uncertainty.effective_parameters);
-        let joint_effects = match estimate.fit.converged {
-            true => joint_effects(model, &used, &estimate.base),
-            false => Vec::new(),
-        };
-        Ok(Self {
-            prediction,
-            zero_change,
-            joint_uncertainty,
-            rank: RankSummary {
-                nominal: estimate.analysis.base.rank,
-                at_solution: rank(&factor(model, &lengths.plain(), &estimate.analysis.ids))
-                    .ok_or(NOT_FINITE)?,
-                condition: estimate.analysis.base.condition,
-            },
-            joint_effects,
+        let checks = EstimateChecks {
+            residual_mm,
+            folds,
+            validation: input.validation.map(|set| validation(set).ok_or(NOT_FINITE)).transpose()?,
             monte_carlo: draws.map(|draws| draws.summary(&parameters)),
+            joint_effects: match estimate.fit.converged {
+                true => joint_effects(model, &used, &estimate.base),
+                false => Vec::new(),
+            },
+            zero_change: zero_change(
+                input.observations,
+                &estimate,
+                &lengths,
+                uncertainty.effective_parameters,
+            ),
+        };
+        let mut prediction = Prediction::of(&setting, &estimate, &used)?;
+        if let Some(fit) = &estimate.joints {
+            prediction = prediction.with_joints(JointPrediction::of(&setting, fit, &lengths));
+        }
+        Ok(Self {
+            rank_at_solution: rank(&factor(model, &lengths.plain(), &estimate.analysis.ids))
+                .ok_or(NOT_FINITE)?,
             axes: input.axes,
             observations: input.observations,
+            prediction,
             parameters,
-            validation,
-            residual_mm,
             uncertainty,
+            checks,
             sigma,
-            folds,
             setting,
             estimate,
             lengths,
@@ -203,62 +206,85 @@ impl<'a> Calibration<'a> {
     }
 
     /// Makes the result. `recommendations` come from `design`, `input_findings` from the checks of the inputs.
-    pub fn result(
+    pub fn complete(
         self,
         recommendations: Vec<Recommendation>,
         input_findings: Vec<Diagnostic>,
-    ) -> CalibrationResult {
-        let findings = findings(&self);
-        let (observability, correlations) = (self.observability(), self.correlations());
-        let outliers = self.outliers();
-        let Self { setting, estimate, uncertainty, .. } = self;
+    ) -> CompletedCalibration {
+        let mut findings: Vec<Diagnostic> = findings(&self).into_iter().map(Diagnostic::from).collect();
+        let of_estimate = findings.len();
+        findings.extend(input_findings);
+        let (observability, correlated) = (self.observability(), self.correlations());
+        let (excluded_rows, outliers): (Vec<Range<usize>>, Vec<Outlier>) = self.outliers().unzip();
+        let Self { setting, estimate, prediction, uncertainty, sigma, checks, .. } = self;
         let nominal = setting.robot.nominal.clone().unwrap_or_else(|| Box::new(setting.robot.clone()));
-        let codes = findings.iter().map(Finding::code).chain(input_findings.iter().map(Diagnostic::code));
-        let doubts = codes.filter(|code| code.severity() == Severity::Warning).map(|code| code.to_string());
-        CalibrationResult {
-            robot: Robot {
-                doubts: BTreeSet::from_iter(doubts).into_iter().collect(),
-                posterior: self.prediction.posterior,
-                geometry: estimate.fit.model.geometry.clone(),
-                nominal: Some(nominal),
-                uncertainty: self.joint_uncertainty.map(Box::new),
-                ..setting.robot.clone()
-            },
-            lengths: self.observations.count() - outliers.len(),
+        let warnings = findings.iter().filter(|finding| finding.severity() == Severity::Warning);
+        let joints = estimate.joints.as_ref().filter(|fit| fit.terms() == Terms::JointErrors);
+        let result = CalibrationResult {
+            schema: RESULT_SCHEMA,
+            robot: setting.robot.name.clone(),
+            model: if joints.is_some() { ErrorModel::Joints } else { ErrorModel::Geometric },
+            start: if setting.robot.nominal.is_some() { StartRobot::Identified } else { StartRobot::Nominal },
+            prior: (&setting.options.prior).into(),
+            prior_scale: (setting.options.prior != Prior::None).then(|| setting.priors.scale()),
+            measurements: self.observations.count() - outliers.len(),
             made_from: MadeFrom::of(self.observations, &outliers),
-            rank: self.rank,
+            rank: estimate.analysis.base.rank,
+            rank_at_solution: self.rank_at_solution,
+            condition: estimate.analysis.base.condition,
             observability,
-            solver: SolverSummary { iterations: estimate.fit.iterations, converged: estimate.fit.converged },
-            sigma: self.sigma,
-            prior: PriorUsed::of(&setting.options.prior, setting.priors.scale()),
-            joints: estimate.joints.as_ref().and_then(JointFit::summary),
-            monte_carlo: self.monte_carlo,
-            residual_mm: self.residual_mm,
-            folds: self.folds,
-            validation: self.validation,
+            iterations: estimate.fit.iterations,
+            converged: estimate.fit.converged,
+            noise_mm: NoiseSummary {
+                length: sigma.mm,
+                pose: joints.map(|fit| fit.noise.pose_mm),
+                instrument: joints.map(|fit| fit.noise.length_mm),
+                degrees_of_freedom: sigma.freedom,
+            },
+            sigma_source: sigma.source,
+            coverage_factor: sigma.coverage_factor(),
+            residual_mm: checks.residual_mm,
+            folds: checks.folds,
+            validation: checks.validation,
             distance: DistanceQuantities::of(&self.observations.rows, &estimate.fit.model),
-            predicted: self.prediction.pair,
-            position_parts: self.prediction.parts,
-            map: self.prediction.map,
+            groups: joints.map(|fit| fit.groups.clone()).unwrap_or_default(),
+            joint_errors: joints.map(JointFit::summary),
+            monte_carlo: checks.monte_carlo,
+            predicted_position_uncertainty_mm: prediction.pair,
             parameters: self.parameters,
             combinations: estimate.analysis.combinations(),
-            correlations,
-            recommendations,
-            joint_effects: self.joint_effects,
-            zero_change: self.zero_change,
+            correlated,
+            joint_effects: checks.joint_effects,
             outliers,
-            findings,
-            input_findings,
+            recommendations,
+            findings: findings.iter().cloned().map(RecordedFinding::from).collect(),
+        };
+        CompletedCalibration {
+            result,
+            robot: Robot {
+                doubts: BTreeSet::from_iter(warnings.map(|finding| finding.code().to_string()))
+                    .into_iter()
+                    .collect(),
+                posterior: prediction.posterior,
+                geometry: estimate.fit.model.geometry.clone(),
+                nominal: Some(nominal),
+                uncertainty: prediction.joint_uncertainty.map(Box::new),
+                ..setting.robot.clone()
+            },
             before: estimate.before,
-            start: if setting.robot.nominal.is_some() { StartRobot::Identified } else { StartRobot::Nominal },
             posterior: uncertainty.posterior,
+            position_parts: prediction.parts,
+            map: prediction.map,
+            zero_change: checks.zero_change,
+            excluded_rows,
+            of_estimate,
         }
     }
 
     /// The parameters with the status identified.
     pub(crate) fn identified(&self) -> Vec<ParamId> {
-        let identified = self.parameters.iter().filter(|parameter| parameter.status() == Status::Identified);
-        identified.map(|parameter| parameter.id).collect()
+        let identified = self.parameters.iter().filter(|parameter| parameter.status == Status::Identified);
+        identified.map(|parameter| parameter.name).collect()
     }
 
     /// The indices of the identified parameters, in units of their prior standard deviations.
@@ -282,20 +308,21 @@ impl<'a> Calibration<'a> {
         correlations(base, &covariance.select_rows(&places).select_columns(&places))
     }
 
-    fn outliers(&self) -> Vec<Outlier> {
+    /// The outliers, each with its rows of the observations.
+    fn outliers(&self) -> impl Iterator<Item = (Range<usize>, Outlier)> {
         let after = self.estimate.fit.model.prepare();
-        let residual = |place: usize| after.residual(&self.lengths.reading(place));
-        let outlier = |place: usize| {
+        let outlier = move |place: usize| {
+            let residual = |place: usize| after.residual(&self.lengths.reading(place));
             let row = &self.observations.rows[place];
             let places = row.datum.rows(place);
             let residual_mm = match row.datum {
                 Datum::Ball(..) => residual(place),
                 Datum::Plane(_) => places.clone().map(|at| residual(at).powi(2)).sum::<f64>().sqrt(),
             };
-            Outlier { places, index: row.index, ball: row.datum.ball(), residual_mm }
+            (places, Outlier { index: row.index, ball: row.datum.ball(), residual_mm })
         };
-        let is_first = |place: &usize| self.observations.rows[*place].datum.is_first();
-        self.estimate.fit.outliers.iter().copied().filter(is_first).map(outlier).collect()
+        let is_first = move |place: &usize| self.observations.rows[*place].datum.is_first();
+        self.estimate.fit.outliers.iter().copied().filter(is_first).map(outlier)
     }
 }
 
@@ -319,13 +346,28 @@ fn cross_validated(
     Ok(rms.map(|rms| Folds { folds, rms }))
 }
 
-fn sigma(estimate: &Estimate, lengths: &Lengths) -> SigmaSummary {
-    let freedom = estimate.noise.freedom;
-    let source = match freedom {
-        Some(_) => SigmaSource::Estimated,
-        None if lengths.known => SigmaSource::Given,
-        None => SigmaSource::Assumed,
-    };
-    let coverage_factor = (source != SigmaSource::Assumed).then(|| coverage_95(freedom));
-    SigmaSummary { mm: estimate.used(lengths).rms_sigma(), source, freedom, coverage_factor }
+/// The standard deviation of a length, mm.
+#[derive(Clone, Copy)]
+struct LengthSigma {
+    mm: f64,
+    source: SigmaSource,
+    /// Degrees of freedom, if it was estimated.
+    freedom: Option<f64>,
+}
+
+impl LengthSigma {
+    fn of(estimate: &Estimate, lengths: &Lengths) -> Self {
+        let freedom = estimate.noise.freedom;
+        let source = match freedom {
+            Some(_) => SigmaSource::Estimated,
+            None if lengths.known => SigmaSource::Given,
+            None => SigmaSource::Assumed,
+        };
+        Self { mm: estimate.used(lengths).rms_sigma(), source, freedom }
+    }
+
+    /// That of a 95 % interval; `None` if sigma is unknown.
+    fn coverage_factor(self) -> Option<f64> {
+        (self.source != SigmaSource::Assumed).then(|| coverage_95(self.freedom))
+    }
 }

@@ -8,47 +8,52 @@ findings! {
     EstimationFinding "Estimation" {
         E1301 "these lengths cannot be used",
         cause: "A number is impossible (an angle, a length, a sigma, the tool ball or a base ball), options contradict each other, or none of the parameters asked for changes a length in these poses.",
-        cure: "Check angles, lengths, sigmas, --tool and --centres. Ask for other parameters with --estimate, or vary the poses." {
+        cure: "Check angles, lengths, standard deviations, tool ball and base balls. Ask for other parameters, or vary the poses.",
+        asks: [ToolBall, BaseBalls, Estimated, Folds] {
             NotFinite => "a length or its derivative is not finite";
-            NoFolds { folds: usize, lengths: usize } => "--folds {folds}: {lengths} lengths are cut into 2 folds or more, at most one for each length";
+            NoFolds { folds: usize, lengths: usize } => "{folds} folds: {lengths} lengths are cut into 2 folds or more, at most one for each length";
             SmallWorkspace { poses: usize, least: usize } => "{poses} poses are too few for a workspace: at least {least} are needed";
             NothingToEstimate => "none of the parameters asked for changes a length in these poses";
         }
         E1302 "an input of the estimation is missing",
         cause: "A capture carries the robot and the base balls of its plan; a table of lengths carries neither. A run whose lengths match no pose contains no measurement.",
-        cure: "Give --robot NAME|FILE and --centres C.csv with a table. For a run, `dbbd sync` reports for each pose why it has no length." {
-            NoRobot => "a table of lengths needs --robot NAME|FILE";
-            NoBalls => "a table of lengths needs --centres C.csv with the base balls";
+        cure: "Give the robot and the base balls with a table. For a run, `dbbd sync` reports for each pose why it has no length.",
+        asks: [Robot, BaseBalls] {
+            NoRobot => "a table of lengths needs a robot";
+            NoBalls => "a table of lengths needs the base balls";
             NoLength => "no length matches a pose";
         }
         E1304 "a prior cannot be used",
         cause: "A row of the table `name,unit,sd` names a parameter twice, has another unit, or its sd is in another unit (degrees, micrometres); or the robot file has no covariance of its earlier identification.",
-        cure: "Correct the row; give the robot-identified.toml. The parameters.csv of an earlier identification of the same robot is such a table." {
+        cure: "Correct the row; give the robot-identified.toml. The parameters.csv of an earlier identification of the same robot is such a table.",
+        asks: [Prior] {
             EmptyPrior => "the prior has no row with a standard deviation";
             OtherUnitThan { parameter: String, unit: String, given: String } => "`{parameter}` is in {unit}, not in `{given}`";
             ParameterTwice { parameter: String } => "`{parameter}` occurs twice";
-            NoPriorOf { parameter: String, value: f64, unit: String } => "a standard deviation of {value} {unit} is not plausible for `{parameter}`: is it in another unit?";
-            NoPosterior => "the robot file has no [posterior] of its values", help: "robot-identified.toml has it; or --prior datasheet";
+            NoPosterior => "the robot file has no [posterior] of its values", help: "robot-identified.toml has it; or use the prior of the data sheet";
         }
         E1305 "an argument of the estimation cannot be read",
-        cause: "The text is not what the option takes.",
-        cure: "Write what the message asks for; `dbbd identify --help` has an example of each." {
-            PointInMetres => "three numbers in mm are needed: these seem to be in metres";
+        cause: "The text is not what is needed there.",
+        cure: "Write what the message asks for; the help of `dbbd identify` has an example of each.",
+        asks: [ToolBall] {
             NotAPoint => "three numbers in mm are needed, as 30,20,10";
         }
         W1310 "the solver did not converge",
         cause: "The start is too far from the truth: a base ball or the tool ball is elsewhere than given, or lengths and poses do not belong together.",
-        cure: "Check the places of the base balls (--centres) and the tool ball (--tool)." {
+        cure: "Check the places of the base balls and the tool ball.",
+        asks: [BaseBalls, ToolBall] {
             NotConverged { iterations: usize } => "the solver did not converge in {iterations} steps";
         }
         W1311 "the lengths fit worse than the nominal robot could",
         cause: "Lengths and poses do not belong together, or a base ball, the tool ball or the robot is another one: the ball was taught with another tool, or another plan was driven.",
-        cure: "Check the plan, --centres, --tool and --robot." {
+        cure: "Check the plan, base balls, tool ball and robot.",
+        asks: [BaseBalls, ToolBall, Robot] {
             FitsWorseThanNominal { residual_rms_mm: f64, predicted_max_mm: f64 } => "the lengths fit only to {residual_rms_mm:.2} mm, although the nominal robot is predicted to be off by at most {predicted_max_mm:.2} mm";
         }
         W1312 "a correction or a position is not plausible",
         cause: "A fixed part of the set-up is not where it was given, or it is another robot. A ball or bar that comes out far from where it was given is poorly observable in these poses, or was given wrongly.",
-        cure: "Let the fixed part be estimated, or measure it again; check --robot. Turn the tool more, or fix a value that you trust." {
+        cure: "Let the fixed part be estimated, or measure it again; check the robot. Turn the tool more, or fix a value that you trust.",
+        asks: [Robot, Fixed] {
             ImplausibleWithFixed { fixed: Names, parameters: Names, times: f64 } => "with {fixed} fixed, the corrections of {parameters} are more than {times:.0} times the robot's tolerance";
             PlaceContradicted { fixed: Names, held_mm: f64, free_mm: f64 } => "with {fixed} fixed the lengths fit to {held_mm:.3} mm, and to {free_mm:.3} mm if these are estimated: they are not where they were given";
             BarContradicted { off_mm: f64, sd_mm: f64 } => "within the tolerance of the robot, the lengths belong to a bar that is {off_mm:+.3} +- {sd_mm:.3} mm longer than stated: is its length right?";
@@ -72,7 +77,8 @@ findings! {
         }
         W1316 "the residuals are larger than the sigma given",
         cause: "The model lacks something (repeatability, reversal error, transmission error, sag, warming up, a ball that moved), or sigma is too small.",
-        cure: "Give --sigma with the robot's repeatability in it, or measure more poses. report.html shows the residuals against each axis." {
+        cure: "Give the standard deviation of a length with the robot's repeatability in it, or measure more poses. report.html shows the residuals against each axis.",
+        asks: [Sigma] {
             BeyondSigma { times: f64 } => "the residuals are {times:.1} times the sigma given, from which the standard deviations are computed";
             BeyondSigmaOfFew { times: f64 } => "the residuals are {times:.1} times the sigma given; so few lengths cannot estimate another, so the standard deviations are computed from the one given";
         }
@@ -90,32 +96,38 @@ findings! {
         }
         W1319 "the lengths fit, but the position is not determined",
         cause: "A small residual proves nothing: the predicted position error over the workspace is hardly smaller than that of the nominal robot, or larger.",
-        cure: "Measure what the line `next:` recommends: a further ball or other circles. --prior datasheet keeps the rest near nominal." {
+        cure: "Measure what the line `next:` recommends: a further ball or other circles. The prior of the data sheet keeps the rest near nominal.",
+        asks: [Prior] {
             PositionUndetermined { residual_rms_mm: f64, identified_mm: f64, nominal_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, but the predicted position error is {identified_mm:.2} mm, the nominal robot's {nominal_mm:.2} mm";
         }
         I1320 "the parameters listed improve the position only a little",
-        cause: "--estimate lists few parameters; the others keep their nominal values.",
-        cure: "Leave --estimate out, or measure what the line `next:` recommends." {
+        cause: "Few parameters are to be estimated; the others keep their nominal values.",
+        cure: "Leave the list out, or measure what the line `next:` recommends.",
+        asks: [Estimated] {
             ListImprovesLittle { residual_rms_mm: f64, identified_mm: f64, nominal_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, and the predicted position error is {identified_mm:.2} mm, the nominal robot's {nominal_mm:.2} mm";
         }
         I1321 "parameters are poorly observable",
         cause: "These poses determine them worse than three tolerances, so they are fixed at their start values.",
-        cure: "Vary the poses, or use --prior datasheet." {
+        cure: "Vary the poses, or use the prior of the data sheet.",
+        asks: [Prior] {
             PoorlyObservable { parameters: Names } => "fixed because they are poorly observable: {parameters}";
         }
         W1322 "the corrections are far larger than the prior allows",
         cause: "The robot is worse than the tolerance in its file (a crash, another arm, a lost mastering), or lengths and poses do not belong together.",
-        cure: "Check [tolerance] in the robot file, the residuals and the held-out residuals; give wider standard deviations with --prior FILE." {
+        cure: "Check [tolerance] in the robot file, the residuals and the held-out residuals; give a prior with wider standard deviations.",
+        asks: [Prior] {
             FarBeyondPrior { times: f64 } => "the corrections are {times:.1} times as large as the prior allows";
         }
         I1323 "the corrections are larger than the prior allows",
         cause: "The robot is worse than the tolerance in its file.",
-        cure: "Correct [tolerance] in the robot file, or give wider standard deviations with --prior FILE." {
+        cure: "Correct [tolerance] in the robot file, or give a prior with wider standard deviations.",
+        asks: [Prior] {
             BeyondPrior { times: f64 } => "the corrections are {times:.1} times as large as the prior allows";
         }
         W1324 "Monte Carlo fits did not converge",
         cause: "The noise is so large that the lengths are far from linear in the parameters.",
-        cure: "Check --sigma; measure more poses." {
+        cure: "Check the standard deviation of a length; measure more poses.",
+        asks: [Sigma] {
             TrialsNotConverged { failed: usize, trials: usize } => "{failed} of {trials} Monte Carlo fits did not converge and do not count";
         }
         I1325 "Monte Carlo and linear intervals disagree",
@@ -125,12 +137,14 @@ findings! {
         }
         I1326 "the identified robot has joint errors",
         cause: "The lengths show compliance, harmonics, smooth errors, backlash or ripple of the joints, so robot-identified.toml contains them. URDF, mastering offsets and programs that read only lengths and angles cannot represent them.",
-        cure: "Use `dbbd predict` and `dbbd compensate`, or the table joint-errors.csv. `--model geometric` identifies the best robot without joint errors." {
+        cure: "Use `dbbd predict` and `dbbd compensate`, or the table joint-errors.csv. The geometric model identifies the best robot without joint errors.",
+        asks: [Model] {
             BeyondTable { left_out_mm: f64 } => "robot-identified.toml contains joint errors: a program that reads only lengths and angles leaves out {left_out_mm:.3} mm on average over the workspace";
         }
         I1341 "a bar without a certificate is fixed",
-        cause: "--hold fixes the offset of a bar whose uncertainty neither the job (length_u_mm) nor --bar-u states. Its length then counts as exact, in the standard deviations and in the predicted error too.",
-        cure: "State the uncertainty of its length, or let the offset be estimated." {
+        cause: "The offset is fixed of a bar whose uncertainty neither the job (length_u_mm) nor anything else states. Its length then counts as exact, in the standard deviations and in the predicted error too.",
+        cure: "State the uncertainty of its length, or let the offset be estimated.",
+        asks: [Fixed, BarUncertainty] {
             UncertifiedHeld => "the bar has no certificate, and its offset is fixed: its length counts as exact";
         }
         I1340 "the tolerance in the robot file is too small for this robot",
@@ -140,14 +154,16 @@ findings! {
         }
         W1327 "the controller seems to use its own calibrated model",
         cause: "The lengths agree with the nominal robot better than its tolerance lets any robot do: in absolute-accuracy mode, or in the run of a corrected program, the axes are not at the angles that are given; or the lengths are the commanded ones.",
-        cure: "Give the axis angles that the program logged: `dbbd sync --axes`, then identify its observations. Give lengths that the bar measured." {
+        cure: "Give the axis angles that the program logged to `dbbd sync`, then identify its observations. Give lengths that the bar measured.",
+        asks: [LoggedAxes] {
             AbsoluteAccuracyMode { residual_rms_mm: f64, expected_mm: f64 } => "the lengths agree with the nominal robot to {residual_rms_mm:.3} mm; its tolerance predicts {expected_mm:.2} mm";
         }
         W1328 "the run is doubtful",
         cause: "A part of the run is damaged, the bar was mounted badly (W0280 to W0284), or its poses were planned for another robot.",
-        cure: "`dbbd info` names the damages. Give the robot of the plan, or plan for this one." {
+        cure: "`dbbd info` names the damages. Give the robot of the plan, or plan for this one.",
+        asks: [Robot] {
             PartOfRunLost => "a part of the run was lost or is not as it should be";
-            PlannedForAnother { planned: String, given: String } => "the poses are of a plan for {planned}, --robot names {given}";
+            PlannedForAnother { planned: String, given: String } => "the poses are of a plan for {planned}, and the robot given is {given}";
         }
         W1330 "the lengths seem to belong to other rows",
         cause: "With the column of the lengths moved by some rows they fit decisively better: a row was lost or inserted in the table or in the trace.",
@@ -156,12 +172,14 @@ findings! {
         }
         W1331 "a base ball was mounted again within the data",
         cause: "From one row on, the lengths belong to another position of the ball: it was mounted again, hit, or moved in its cup, and the table does not say so. The lengths from that row on were assigned to a new ball.",
-        cure: "Give the later lengths a new number in the column `centre`, and add a row to --centres. If nothing was moved, look for what else changed at that row: the bar, its zero, the tool ball. `gain` is the natural logarithm of the likelihood ratio." {
+        cure: "Give the later lengths a new number in the column `centre`, and add a row to the base balls. If nothing was moved, look for what else changed at that row: the bar, its zero, the tool ball. `gain` is the natural logarithm of the likelihood ratio.",
+        asks: [BaseBalls] {
             Remounted { ball: u32, index: u32, new: u32, moved_mm: f64, residual_mm: f64, apart_mm: f64, gain: f64 } => "from index {index} on ball {ball} is {moved_mm:.3} mm from where it was: these lengths belong to ball {new} in the result; the residual falls from {residual_mm:.4} mm to {apart_mm:.4} mm (likelihood ratio e^{gain:.0})";
         }
         W1332 "the covariance of an earlier identification is lost",
         cause: "The robot was identified before, but its file has no covariance of the result: an older version wrote it, or its values were changed since. Only the new lengths are then used, so the predicted position error can increase.",
-        cure: "Give the robot-identified.toml as it was written; or identify the earlier lengths together with these. `--prior none` starts again without this warning." {
+        cure: "Give the robot-identified.toml as it was written; or identify the earlier lengths together with these. Without a prior it starts again without this warning.",
+        asks: [Prior] {
             PosteriorLost => "the robot was identified before, but its file has no [posterior]: what these lengths do not determine is fixed as if it were exact or known by the tolerance alone";
             PosteriorOfOtherValues => "[posterior] is of other values than the robot's: they were changed since, and it is not used";
         }
@@ -179,23 +197,27 @@ findings! {
             KnownLengths { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot already: its [posterior] is not used";
         }
         W1335 "the sigma given is far larger than the residuals",
-        cause: "--sigma or the column sigma_mm is in micrometres, or it is not that of these lengths. Lengths that seem so poor leave most of the robot at its nominal values.",
-        cure: "Give sigma in mm, or leave it out." {
+        cause: "The standard deviation given or the column sigma_mm is in micrometres, or it is not that of these lengths. Lengths that seem so poor leave most of the robot at its nominal values.",
+        cure: "Give sigma in mm, or leave it out.",
+        asks: [Sigma] {
             FarBelowSigma { sigma_mm: f64, times: f64 } => "sigma is {sigma_mm:.3} mm, and the residuals are only {times:.2} times as large: is it in micrometres?";
         }
         W1381 "the residuals are far larger than the repeatability of the robot",
         cause: "The lengths do not belong to their poses (a column sorted or shifted, bars of two lengths under one number, another unit), or the model lacks most of the error (transmission error, backlash, sag, a list of parameters that is too short).",
-        cure: "Look at the residuals in report.html: by row they show a mistake in the table, by axis an error of a joint. Check `bar`, `centre`, --robot and --estimate." {
+        cure: "Look at the residuals in report.html: by row they show a mistake in the table, by axis an error of a joint. Check `bar`, `centre`, the robot and the list of parameters.",
+        asks: [Robot, Estimated] {
             BeyondRepeatability { residual_rms_mm: f64, repeatability_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm; the repeatability of the robot along a length is {repeatability_mm:.3} mm";
         }
         W1382 "validation lengths do not fit",
         cause: "They are of another robot, another mounting of the ball, another bar or other poses than the lengths that identified the robot.",
-        cure: "Check where the lengths of --validate come from." {
+        cure: "Check where the lengths for validation come from.",
+        asks: [Validation] {
             HeldOutDiffers { held_out_mm: f64, residual_rms_mm: f64 } => "the validation lengths fit to {held_out_mm:.3} mm, and those that were used to {residual_rms_mm:.3} mm";
         }
         I1380 "no further measurement could be evaluated",
         cause: "The predicted covariance of further measurements is not finite, for example because standard deviations of the lengths differ too much.",
-        cure: "Check sigma_mm of the lengths, --sigma and [tolerance] of the robot file." {
+        cure: "Check sigma_mm of the lengths, the standard deviation given and [tolerance] of the robot file.",
+        asks: [Sigma] {
             NoRecommendation => "the predicted gain of further measurements is not finite: none is recommended";
         }
         E1360 "positions do not agree with the poses of the robot",
@@ -206,10 +228,11 @@ findings! {
         }
         E1361 "positions are not taken here",
         cause: "This command compares lengths with a robot and has no tracker whose place it could find, or an option applies to lengths and there are none.",
-        cure: "Give a table of lengths, or identify from the positions with `dbbd identify`." {
+        cure: "Give a table of lengths, or identify from the positions with `dbbd identify`.",
+        asks: [Positions] {
             LengthsOnly => "positions are not taken by this command: it needs lengths";
-            OfLengths { option: &'static str } => "{option} applies to lengths, but the input has only positions";
-            PositionsTwice => "--positions adds positions to lengths, but the input has positions already";
+            OfLengths { input: &'static str } => "{input} applies to lengths, but the input has only positions";
+            PositionsTwice => "positions are added to lengths, but the input has positions already";
         }
         W1362 "lengths and positions contradict each other",
         cause: "Each kind of measurement alone fits better than both together: they were made of different robots, before and after a change, or with tables of axis angles that differ.",

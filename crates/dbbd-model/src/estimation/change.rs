@@ -16,9 +16,11 @@ use super::expected::{Expected, typical};
 use super::pose_rows::LengthNoise;
 use super::posterior::Learnt;
 use crate::math::Triangle;
-use crate::math::distributions::{chi_square_exceeded, chi_square_tail, noncentral_tail, noncentrality};
+use crate::math::distributions::{
+    COVERAGE_95, chi_square_exceeded, chi_square_tail, noncentral_tail, noncentrality,
+};
 use crate::measurement::PreparedMeasurement;
-use crate::robot::{ParamId, ParamUnit};
+use crate::robot::{ParamId, ParamOwner, ParamUnit};
 
 /// Probability that a change is reported although nothing changed.
 pub const FALSE_ALARM: f64 = 0.01;
@@ -336,7 +338,11 @@ impl Innovation {
         };
         Hypothesis {
             parameters: parameters(columns),
-            interval95: change.iter().zip(&sd).map(|(x, sd)| [x - 1.96 * sd, x + 1.96 * sd]).collect(),
+            interval95: change
+                .iter()
+                .zip(&sd)
+                .map(|(x, sd)| [x - COVERAGE_95 * sd, x + COVERAGE_95 * sd])
+                .collect(),
             change: change.iter().copied().collect(),
             sd,
             probability,
@@ -348,11 +354,7 @@ impl Innovation {
 
 /// Whether two parameters are coordinates of the same ball.
 fn are_of_one_ball(one: ParamId, other: ParamId) -> bool {
-    match (one, other) {
-        (ParamId::Tool(_), ParamId::Tool(_)) => true,
-        (ParamId::Ball(one, _), ParamId::Ball(other, _)) => one == other,
-        _ => false,
-    }
+    one.owner() == other.owner() && matches!(one.owner(), ParamOwner::ToolBall | ParamOwner::Ball(_))
 }
 
 /// Single parameters, and balls as a whole, whose typical change is visible in the lengths.

@@ -237,4 +237,28 @@ mod tests {
         assert!(found.repeatability_drift.is_none());
         assert!(DistanceQuantities::of(&rows[..3], &model).is_none());
     }
+
+    /// Six visits with deviations of +-0.01 mm, then six with +-0.03 mm: variances of 6e-4 / 5 and 54e-4 / 5 about the means.
+    #[test]
+    fn drift_of_repeatability_is_the_difference_of_the_halves() {
+        let visit = |at: usize| {
+            let size = if at < 6 { 0.01 } else { 0.03 };
+            let deviation_mm = if at.is_multiple_of(2) { size } else { -size };
+            Visit { pose: 0, deviation_mm, time_h: Some(at as f64) }
+        };
+        let visits: Vec<Visit> = (0..12).map(visit).collect();
+        let found = repeatability_drift(&visits).unwrap();
+        let [first, second] = [1.2e-4f64, 1.08e-3];
+        let value = 3.0 * (second.sqrt() - first.sqrt());
+        // The variance of a standard deviation s of f degrees of freedom is s^2 / 2f.
+        let half = 3.0 * 1.959964 * ((first + second) / 10.0).sqrt();
+        assert!((found.value - value).abs() < 1e-12);
+        assert!((found.interval95[0] - (value - half)).abs() < 1e-7, "{:?}", found.interval95);
+        assert!((found.interval95[1] - (value + half)).abs() < 1e-7);
+        // Five visits in a half have four degrees of freedom, which is enough; four have not.
+        assert!(repeatability_drift(&visits[1..11]).is_some());
+        assert!(repeatability_drift(&visits[2..10]).is_none());
+        let timeless: Vec<Visit> = visits.iter().map(|visit| Visit { time_h: None, ..*visit }).collect();
+        assert!(repeatability_drift(&timeless).is_none());
+    }
 }

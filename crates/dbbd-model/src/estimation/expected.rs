@@ -120,5 +120,9 @@ const CHANGED_LENGTH_MM: f64 = 0.5;
 
 /// The prior standard deviation of a change, mm or rad.
 pub(super) fn typical(id: ParamId) -> f64 {
-    if id.unit() == ParamUnit::Mm { CHANGED_LENGTH_MM } else { CHANGED_ANGLE }
+    match id.unit() {
+        ParamUnit::Mm => CHANGED_LENGTH_MM,
+        // A compliance is not tested for a change.
+        ParamUnit::Rad | ParamUnit::RadPerNm => CHANGED_ANGLE,
+    }
 }

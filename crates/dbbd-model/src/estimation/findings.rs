@@ -4,7 +4,7 @@ use super::calibration::{AngleSource, Calibration};
 use super::contradiction::{contradicted, kinds_disagree};
 use super::lengths::Sigma;
 use super::linear_system::factor;
-use super::priors::{largest_displacement_mm, largest_plausible};
+use super::priors::largest_plausible;
 use super::result::{JointEffect, JointError, MonteCarlo, ParameterResult, Status};
 use super::shifted_rows::shifted_rows;
 use super::workspace::left_out_mm;
@@ -36,7 +36,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     if !fit.converged {
         found.push(EstimationFinding::NotConverged { iterations: fit.iterations });
     }
-    let (residual_rms_mm, predicted_max_mm) = (of.residual_mm.after.rms, of.prediction.maker.max);
+    let (residual_rms_mm, predicted_max_mm) = (of.checks.residual_mm.after.rms, of.prediction.maker.max);
     if residual_rms_mm > predicted_max_mm {
         found.push(EstimationFinding::FitsWorseThanNominal { residual_rms_mm, predicted_max_mm });
     }
@@ -49,12 +49,12 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(outliers(fit.outliers.len(), of.lengths.len()));
     found.extend(consistency(of));
     found.extend(against_repeatability(of));
-    found.extend(joints(&of.joint_effects));
+    found.extend(joints(&of.checks.joint_effects));
     found.extend(position(of));
     found.extend(poorly_observable(&of.parameters));
     let identified = Robot { geometry: fit.model.geometry.clone(), ..of.setting.robot.clone() };
     found.extend(left_out_mm(&identified).map(|left_out_mm| EstimationFinding::BeyondTable { left_out_mm }));
-    found.extend(of.monte_carlo.iter().flat_map(monte_carlo));
+    found.extend(of.checks.monte_carlo.iter().flat_map(monte_carlo));
     found.extend(absolute_accuracy_mode(of));
     found
 }
@@ -78,7 +78,7 @@ fn implausible(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let times = largest_plausible(!fixed.is_empty());
     let is_excessive = |parameter: &&ParameterResult| {
         let sd = parameter.sd.unwrap_or(0.0);
-        let excess = of.setting.priors.excess(parameter.id, parameter.correction, sd);
+        let excess = of.setting.priors.excess(parameter.name, parameter.correction, sd);
         excess.is_some_and(|excess| excess > times)
     };
     let parameters = names(of.parameters.iter().filter(is_excessive))?;
@@ -92,7 +92,7 @@ fn implausible(of: &Calibration<'_>) -> Option<EstimationFinding> {
 /// Balls and bars with implausibly large corrections.
 fn displaced(parameters: &[ParameterResult]) -> Option<EstimationFinding> {
     let is_displaced = |found: &&ParameterResult| {
-        largest_displacement_mm(found.id).is_some_and(|most| (found.identified - found.start).abs() > most)
+        found.name.max_correction_mm().is_some_and(|most| (found.identified - found.start).abs() > most)
     };
     Some(EstimationFinding::Displaced { parameters: names(parameters.iter().filter(is_displaced))? })
 }
@@ -151,12 +151,12 @@ fn against_repeatability(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let robot = of.setting.robot;
     let given = of.lengths.weighted(Sigma::Given, &of.estimate.fit.outliers);
     let given_mm = if of.lengths.known { given.rms_sigma() } else { 0.0 };
-    let residual_rms_mm = of.residual_mm.after.rms;
+    let residual_rms_mm = of.checks.residual_mm.after.rms;
     if let Some(far) = beyond_repeatability(residual_rms_mm, given_mm, robot) {
         return Some(far);
     }
     let least_mm = robot.repeatability_sd_mm()?.hypot(given_mm);
-    let held_out_mm = of.validation.as_ref()?.after.rms;
+    let held_out_mm = of.checks.validation.as_ref()?.after.rms;
     (held_out_mm > FAR * least_mm.max(residual_rms_mm))
         .then_some(EstimationFinding::HeldOutDiffers { held_out_mm, residual_rms_mm })
 }
@@ -183,7 +183,7 @@ fn position(of: &Calibration<'_>) -> Option<EstimationFinding> {
     if of.prediction.is_determined() {
         return None;
     }
-    let residual_rms_mm = of.residual_mm.after.rms;
+    let residual_rms_mm = of.checks.residual_mm.after.rms;
     let (identified_mm, nominal_mm) = (of.prediction.pair.identified.mean, of.prediction.maker.mean);
     // With a list the user knows that the other parameters are fixed; but the robot must not become worse.
     Some(if of.setting.options.follows_list() && identified_mm < nominal_mm {
@@ -194,7 +194,7 @@ fn position(of: &Calibration<'_>) -> Option<EstimationFinding> {
 }
 
 fn poorly_observable(parameters: &[ParameterResult]) -> Option<EstimationFinding> {
-    let poor = parameters.iter().filter(|parameter| parameter.status() == Status::PoorlyObservable);
+    let poor = parameters.iter().filter(|parameter| parameter.status == Status::PoorlyObservable);
     Some(EstimationFinding::PoorlyObservable { parameters: names(poor)? })
 }
 
@@ -209,7 +209,7 @@ fn monte_carlo(drawn: &MonteCarlo) -> impl Iterator<Item = EstimationFinding> {
 
 /// `None` without parameters.
 fn names<'a>(parameters: impl Iterator<Item = &'a ParameterResult>) -> Option<Names> {
-    let names = Names::of(parameters.map(|parameter| parameter.id));
+    let names = Names::of(parameters.map(|parameter| parameter.name));
     (!names.0.is_empty()).then_some(names)
 }
 
@@ -228,7 +228,7 @@ fn absolute_accuracy_mode(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let squares =
         rows.column_iter().zip(&ids).map(|(column, id)| column.norm_squared() * tolerance(id).powi(2));
     let expected_mm = (squares.sum::<f64>() / of.lengths.len().max(1) as f64).sqrt();
-    let residual_rms_mm = of.residual_mm.before.rms;
+    let residual_rms_mm = of.checks.residual_mm.before.rms;
     (residual_rms_mm < CLOSEST_TO_NOMINAL * expected_mm)
         .then_some(EstimationFinding::AbsoluteAccuracyMode { residual_rms_mm, expected_mm })
 }

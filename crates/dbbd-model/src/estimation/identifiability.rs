@@ -8,19 +8,19 @@ use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 use super::linear_system::factor;
-use super::selection::is_place;
 use crate::math::{BaseSet, base_set, svd};
 use crate::measurement::{LengthModel, MeasurementPieces};
 use crate::robot::Joint::J1;
-use crate::robot::{ParamId, ParamUnit};
+use crate::robot::{ParamGroup, ParamId, ParamUnit};
 
 /// A base-parameter group: a linear combination of parameters that is identifiable although its members are not.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Combination {
+    /// All members with their coefficients; that of the kept one is 1.
+    #[serde(with = "members")]
+    pub members: Vec<(ParamId, f64)>,
     /// The member in the base set.
     pub kept: ParamId,
-    /// All members with their coefficients; that of the kept one is 1.
-    pub members: Vec<(ParamId, f64)>,
 }
 
 impl Combination {
@@ -32,6 +32,43 @@ impl Combination {
 
     pub fn contains(&self, id: ParamId) -> bool {
         self.members.iter().any(|(member, _)| *member == id)
+    }
+}
+
+/// Members of a combination as an object: the name of each parameter with its coefficient, in their order.
+mod members {
+    use std::fmt;
+
+    use serde::de::{MapAccess, Visitor};
+    use serde::{Deserializer, Serializer};
+
+    use crate::robot::ParamId;
+
+    pub(super) fn serialize<S: Serializer>(
+        members: &[(ParamId, f64)],
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(members.iter().copied())
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Vec<(ParamId, f64)>, D::Error> {
+        struct Members;
+
+        impl<'de> Visitor<'de> for Members {
+            type Value = Vec<(ParamId, f64)>;
+
+            fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+                out.write_str("coefficients by the names of parameters")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+                std::iter::from_fn(|| map.next_entry().transpose()).collect()
+            }
+        }
+
+        deserializer.deserialize_map(Members)
     }
 }
 
@@ -100,13 +137,15 @@ pub fn analyse<L: MeasurementPieces + ?Sized>(
 
 /// The order of preference for a base set.
 pub fn order_of_choice(ids: &[ParamId]) -> Vec<usize> {
-    let tier = |id: ParamId| match id {
-        _ if is_place(&id) => 0,
-        ParamId::Alpha(J1) | ParamId::A(J1) | ParamId::Theta(J1) | ParamId::D(J1) => 2,
-        ParamId::BarOffset(_) => 3,
+    // What the first row of the table does, the place of the base does as well.
+    let first_row = [ParamId::Alpha(J1), ParamId::A(J1), ParamId::Theta(J1), ParamId::D(J1)];
+    let tier = |id: ParamId| match id.group() {
+        ParamGroup::Tool | ParamGroup::Targets | ParamGroup::Balls | ParamGroup::Tracker => 0,
+        ParamGroup::Geometric if first_row.contains(&id) => 2,
+        ParamGroup::Geometric => 1,
+        ParamGroup::Bar => 3,
         // Compliance and gear errors must not replace a length or an angle.
-        _ if id.is_optional() => 4,
-        _ => 1,
+        ParamGroup::Compliance | ParamGroup::Gear => 4,
     };
     let mut order: Vec<usize> = (0..ids.len()).collect();
     order.sort_by_key(|&at| (tier(ids[at]), at));
@@ -181,4 +220,63 @@ pub fn correlations(ids: &[ParamId], covariance: &DMatrix<f64>) -> Vec<Correlati
     strong.sort_by(|a, b| b.r.abs().total_cmp(&a.r.abs()));
     strong.truncate(MOST);
     strong
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{BallId, BarId, Coordinate, Joint};
+
+    #[test]
+    fn base_set_prefers_places_then_the_arm_then_its_first_row_then_the_bar() {
+        let ids = [
+            ParamId::GearCos(Joint::J2),
+            ParamId::BarOffset(BarId::FIRST),
+            ParamId::D(J1),
+            ParamId::Beta(Joint::J3),
+            ParamId::Tool(Coordinate::X),
+            ParamId::Compliance(Joint::J2),
+            ParamId::Ball(BallId::FIRST, Coordinate::Y),
+        ];
+        assert_eq!(order_of_choice(&ids), [4, 6, 3, 2, 1, 0, 5]);
+    }
+
+    /// Singular values 4 and 1 of 9 lengths: sqrt(4 * 1) / 3, 1 / 4, 1, 1 / 4, 1 / (1 / 4 + 1) (Sun and Hollerbach, ICRA 2008).
+    #[test]
+    fn five_indices_of_two_singular_values() {
+        let found = observability(&DMatrix::from_row_slice(2, 2, &[0.0, 4.0, 1.0, 0.0]), 9).unwrap();
+        let Observability { o1, o2, o3, o4, o5 } = found;
+        for (found, expected) in [o1, o2, o3, o4, o5].into_iter().zip([2.0 / 3.0, 0.25, 1.0, 0.25, 0.8]) {
+            assert!((found - expected).abs() < 1e-14, "{found}");
+        }
+        assert_eq!(observability(&DMatrix::zeros(2, 2), 9), None);
+    }
+
+    #[test]
+    fn strong_correlations_come_first_by_their_size() {
+        let ids = [ParamId::A(Joint::J2), ParamId::D(Joint::J3), ParamId::Theta(Joint::J4)];
+        // Standard deviations 1, 2 and 0.1 with correlations 0.92, -0.95 and 0.89.
+        let covariance =
+            DMatrix::from_row_slice(3, 3, &[1.0, 1.84, -0.095, 1.84, 4.0, 0.178, -0.095, 0.178, 0.01]);
+        let found = correlations(&ids, &covariance);
+        let pairs: Vec<[ParamId; 2]> = found.iter().map(|found| found.pair).collect();
+        assert_eq!(pairs, [[ids[0], ids[2]], [ids[0], ids[1]]]);
+        assert!((found[0].r + 0.95).abs() < 1e-12 && (found[1].r - 0.92).abs() < 1e-12);
+    }
+
+    /// 0.002 mm of d2 for a milliradian of alpha1: a coefficient of 2 mm/rad is 0.002 in comparable units.
+    #[test]
+    fn coefficients_are_compared_in_typical_errors() {
+        let (length, angle, compliance) =
+            (ParamId::D(Joint::J2), ParamId::Alpha(Joint::J2), ParamId::Compliance(Joint::J2));
+        let members = vec![(length, 1.0), (angle, 2.0), (compliance, 5.0)];
+        let combination = Combination { kept: length, members: members.clone() };
+        let scaled: Vec<f64> = combination.scaled().map(|(_, coefficient)| coefficient).collect();
+        for (found, expected) in scaled.into_iter().zip([1.0, 2e-3, 5e-6]) {
+            assert!((found / expected - 1.0).abs() < 1e-12);
+        }
+        let of_angle: Vec<f64> = Combination { kept: angle, members }.scaled().map(|(_, c)| c).collect();
+        assert!((of_angle[0] - 1e3).abs() < 1e-9 && (of_angle[1] - 2.0).abs() < 1e-12);
+        assert!(combination.contains(angle) && !combination.contains(ParamId::D(J1)));
+    }
 }

@@ -1,8 +1,5 @@
 //! Checks of the inputs of an estimation before anything is computed.
 
-use std::f64::consts::PI;
-use std::ops::RangeInclusive;
-
 use nalgebra::Vector3;
 
 use crate::diagnostic::Diagnostic;
@@ -11,6 +8,7 @@ use crate::math::RigidAlignment;
 use crate::math::robust::median;
 use crate::measurement::MeasurementFinding::{self, OtherUnit};
 use crate::measurement::{BaseBall, MeasuredPosition, Measurement, Measurements, TargetId};
+use crate::plausibility::{ANGLE_UNITS, LENGTH_UNITS, OtherUnit as MistakenUnit, Quantity};
 use crate::robot::{AXES, Geometry, Pose, Robot};
 
 /// Checks that all balls and bars of the rows exist, that lengths and positions fit the robot, and their units.
@@ -46,37 +44,32 @@ pub fn doubts(
     centres: &[BaseBall],
 ) -> Vec<Diagnostic> {
     let doubts = [
-        observations.without_sigma(),
-        observations.beyond(robot.controller()),
-        observations.warm(),
-        far_rows(observations, robot, centres),
-        frozen(observations),
+        observations.without_sigma().map(Diagnostic::from),
+        observations.beyond(robot.controller()).map(Diagnostic::from),
+        observations.warm().map(Diagnostic::from),
+        far_rows(observations, robot, centres).map(Diagnostic::from),
+        frozen(observations).map(Diagnostic::from),
         other_sigma(observations),
-        one_decimal(observations),
-        two_decimals(observations, robot),
+        one_decimal(observations).map(Diagnostic::from),
+        two_decimals(observations, robot).map(Diagnostic::from),
     ];
     let unknown = robot.asked_repeatability().map(Diagnostic::from);
-    unknown
-        .into_iter()
-        .chain(doubts.into_iter().flatten().map(|doubt| Diagnostic::file(file, doubt)))
-        .collect()
+    unknown.into_iter().chain(doubts.into_iter().flatten().map(|doubt| doubt.in_file(file))).collect()
 }
 
 /// Standard deviations that no bar has, or one that is far from the median.
-fn other_sigma(observations: &Measurements) -> Option<MeasurementFinding> {
+fn other_sigma(observations: &Measurements) -> Option<Diagnostic> {
     /// Ratio to the median or its inverse.
     const FAR: f64 = 50.0;
-    /// From 10 nm to a rope; other values are in another unit, mm.
-    const OF_ANY_MM: RangeInclusive<f64> = 1e-5..=1.0;
     let given = observations.rows.iter().filter_map(|row| Some((row.index, row.sigma_mm?)));
     let given: Vec<(u32, f64)> = given.collect();
     let usual_mm = median(&mut given.iter().map(|(_, sigma_mm)| *sigma_mm).collect::<Vec<_>>())?;
-    if !OF_ANY_MM.contains(&usual_mm) {
-        return Some(MeasurementFinding::SigmaUnit { usual_mm });
+    if let Some(other_unit) = Quantity::LengthSd.impossible("median of sigma_mm", usual_mm) {
+        return Some(other_unit.into());
     }
     let is_far = |sigma_mm: f64| sigma_mm > FAR * usual_mm || sigma_mm * FAR < usual_mm;
     let &(index, sigma_mm) = given.iter().find(|(_, sigma_mm)| is_far(*sigma_mm))?;
-    Some(MeasurementFinding::OtherSigma { index, sigma_mm, usual_mm })
+    Some(MeasurementFinding::OtherSigma { index, sigma_mm, usual_mm }.into())
 }
 
 /// Lengths that differ but all have only one decimal.
@@ -153,11 +146,6 @@ fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) ->
         .then_some(MeasurementFinding::FarLengths { rows: far.len(), index, off_mm })
 }
 
-/// Units in which lengths are given by mistake, and their number in a millimetre.
-const LENGTHS: [(&str, f64); 4] =
-    [("metres", 1e-3), ("centimetres", 0.1), ("inches", 1.0 / 25.4), ("micrometres", 1e3)];
-/// Units in which angles are given by mistake, and how many degrees they have.
-const ANGLES: [(&str, f64); 2] = [("radians", 180.0 / PI), ("gon", 0.9)];
 /// A length agrees with the nominal one within this fraction: tool and ball are known to some centimetres.
 const AGREES: f64 = 0.15;
 /// The fraction of lengths that must agree.
@@ -173,8 +161,8 @@ struct UnitMistake {
 }
 
 impl UnitMistake {
-    fn of_angles((unit, _): &(&'static str, f64)) -> Self {
-        Self { columns: "a1_deg..a6_deg", unit }
+    fn of_angles(unit: &MistakenUnit) -> Self {
+        Self { columns: "a1_deg..a6_deg", unit: unit.name }
     }
 }
 
@@ -191,10 +179,10 @@ fn nominal_mm(
 /// Compares the lengths in several units with those of the nominal robot.
 fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measurement]) -> Option<UnitMistake> {
     let lengths: Vec<&Measurement> = rows.iter().filter(|row| !row.datum.is_plane()).collect();
-    let agree = |degrees: f64, per_mm: f64| {
+    let agree = |degrees: f64, unit_mm: f64| {
         let is_near = |row: &&&Measurement| {
             nominal_mm(geometry, centres, row, &row.axes.radians().map(|angle| degrees * angle))
-                .is_some_and(|mm| (row.length_mm - per_mm * mm).abs() <= AGREES * per_mm * mm)
+                .is_some_and(|mm| (unit_mm * row.length_mm - mm).abs() <= AGREES * mm)
         };
         let count = lengths.len();
         count >= FEWEST && lengths.iter().filter(is_near).count() as f64 >= MOST * count as f64
@@ -202,10 +190,10 @@ fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measuremen
     if agree(1.0, 1.0) {
         return None;
     }
-    if let Some((unit, _)) = LENGTHS.iter().find(|(_, per_mm)| agree(1.0, *per_mm)) {
-        return Some(UnitMistake { columns: "length_mm", unit });
+    if let Some(unit) = LENGTH_UNITS.iter().find(|unit| agree(1.0, unit.factor)) {
+        return Some(UnitMistake { columns: "length_mm", unit: unit.name });
     }
-    ANGLES.iter().find(|(_, degrees)| agree(*degrees, 1.0)).map(UnitMistake::of_angles)
+    ANGLE_UNITS.iter().find(|unit| agree(unit.factor, 1.0)).map(UnitMistake::of_angles)
 }
 
 /// Fewer positions can be fitted to any poses.
@@ -234,17 +222,17 @@ fn unit_of_positions(
         positions.iter().map(|position| geometry.flange(&position.axes.map(|angle| factor * angle))).collect()
     };
     let Some(found) = fit_frame(&places, &flanges(1.0), geometry.tool) else { return Ok(None) };
-    let is_near = |scale: f64, per_mm: f64| (scale * per_mm - 1.0).abs() <= AGREES;
+    let is_near = |scale: f64, unit_mm: f64| (scale / unit_mm - 1.0).abs() <= AGREES;
     if found.misfit <= AGREES {
-        let other = LENGTHS.iter().find(|(_, per_mm)| is_near(found.scale, *per_mm));
-        return Ok(other.map(|(unit, _)| UnitMistake { columns: "x_mm..z_mm", unit }));
+        let other = LENGTH_UNITS.iter().find(|unit| is_near(found.scale, unit.factor));
+        return Ok(other.map(|unit| UnitMistake { columns: "x_mm..z_mm", unit: unit.name }));
     }
     let fits = |places: &[Vector3<f64>], flanges: &[Pose]| {
         let found = fit_frame(places, flanges, geometry.tool);
         found.is_some_and(|found| found.misfit <= AGREES && is_near(found.scale, 1.0))
     };
-    if let Some(mistake) = ANGLES.iter().find(|(_, degrees)| fits(&places, &flanges(*degrees))) {
-        return Ok(Some(UnitMistake::of_angles(mistake)));
+    if let Some(unit) = ANGLE_UNITS.iter().find(|unit| fits(&places, &flanges(unit.factor))) {
+        return Ok(Some(UnitMistake::of_angles(unit)));
     }
     let mirrored: Vec<Vector3<f64>> =
         places.iter().map(|place| Vector3::new(-place.x, place.y, place.z)).collect();

@@ -51,10 +51,10 @@ fn sds(robot: &Robot, joint: Joint, angles_deg: &[f64]) -> Vec<f64> {
     for (row, angle_deg) in angles_deg.iter().enumerate() {
         let angle = angle_deg.to_radians();
         for (at, id) in uncertainty.parameters.iter().enumerate() {
-            match id {
-                ParamId::GearCos(own) if *own == joint => derivatives[(row, at)] = angle.cos(),
-                ParamId::GearSin(own) if *own == joint => derivatives[(row, at)] = angle.sin(),
-                _ => {}
+            if *id == ParamId::GearCos(joint) {
+                derivatives[(row, at)] = angle.cos();
+            } else if *id == ParamId::GearSin(joint) {
+                derivatives[(row, at)] = angle.sin();
             }
         }
         let mut at = 0;

@@ -40,8 +40,9 @@ pub(crate) struct JointFit {
 }
 
 /// What the evidence says of a group.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GroupEvidence {
+    #[serde(rename = "name")]
     pub group: Group,
     /// One standard deviation of its members by the evidence: rad, of compliance in prior standard deviations.
     pub sd: f64,
@@ -56,15 +57,6 @@ pub struct GroupEvidence {
 /// The errors of the joints in a result; this is `joint_errors` of `result.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JointSummary {
-    /// In `result.json` they are `groups`.
-    #[serde(skip)]
-    pub groups: Vec<GroupEvidence>,
-    /// Standard deviation of the pose in each direction, mm.
-    #[serde(rename = "pose_sigma_mm")]
-    pub pose_mm: f64,
-    /// Standard deviation of a length besides that of the pose, mm.
-    #[serde(rename = "length_sigma_mm")]
-    pub length_mm: f64,
     /// The smooth functions are the sum of a fast and a slow process.
     pub smooth: [GaussianProcess; 2],
     /// Half of the reversal error of each joint as noise, one standard deviation, rad, if no sense of approach is known.
@@ -203,15 +195,11 @@ impl JointFit {
         }
     }
 
-    /// `None` without errors of the joints.
-    pub(super) fn summary(&self) -> Option<JointSummary> {
-        (self.terms() == Terms::JointErrors).then(|| JointSummary {
-            groups: self.groups.clone(),
+    pub(super) fn summary(&self) -> JointSummary {
+        JointSummary {
             smooth: self.hypers.processes(),
-            pose_mm: self.noise.pose_mm,
-            length_mm: self.noise.length_mm,
             backlash_noise_rad: (!self.shape.backlash.is_known()).then(|| self.shape.backlash.sds()),
             gain: self.gain,
-        })
+        }
     }
 }

@@ -13,8 +13,8 @@ use super::pose_rows::PoseRows;
 use super::priors::{Group, largest_plausible};
 use crate::measurement::LengthModel;
 use crate::robot::{
-    AXES, JointErrorModel, JointErrors, JointTerm, ParamId, SmoothJointError, TermKind, VisitedAngles,
-    parameter,
+    AXES, JointErrorModel, JointErrors, JointTerm, ParamGroup, ParamId, SmoothJointError, TermKind,
+    VisitedAngles, parameter,
 };
 
 /// An axis that turns by less has no function of its angle, rad.
@@ -71,10 +71,12 @@ impl JointUnknowns {
             let correction = (estimate.fit.model.value(*id) - setting.start.value(*id)).abs();
             if correction > largest_plausible(true) * sd { correction } else { sd }
         };
-        let variance = |id: &ParamId| match (own(id), id) {
-            (Some(at), _) => prior.sd(at).map(|sd| Variance::Fixed(widened(id, sd))),
-            (None, ParamId::Compliance(_)) => Some(Variance::Of(Group::Compliance, setting.priors.sd(*id))),
-            (None, _) => Some(Variance::Of(Group::Harmonic, 1.0)),
+        let variance = |id: &ParamId| match own(id) {
+            Some(at) => prior.sd(at).map(|sd| Variance::Fixed(widened(id, sd))),
+            None if id.group() == ParamGroup::Compliance => {
+                Some(Variance::Of(Group::Compliance, setting.priors.sd(*id)))
+            }
+            None => Some(Variance::Of(Group::Harmonic, 1.0)),
         };
         let (mut angles, mut approached): ([Vec<f64>; AXES], bool) = Default::default();
         for (at, _) in used.sigmas().enumerate().filter(|(_, sigma)| *sigma != f64::INFINITY) {

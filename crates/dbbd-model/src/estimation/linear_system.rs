@@ -127,7 +127,7 @@ pub(super) fn add_prior(
 mod tests {
     use super::*;
     use crate::measurement::BaseBall;
-    use crate::robot::{BallId, Joint, Robot};
+    use crate::robot::{BallId, BarId, Joint, Robot};
     use nalgebra::{DVector, Vector3};
 
     fn model() -> LengthModel {
@@ -173,5 +173,41 @@ mod tests {
         let sigma = [all.as_slice(), &[f64::INFINITY]].concat();
         let found = linear_system(&model, &(readings.as_slice(), sigma.as_slice()), &ids).residual_sum();
         assert!((found / expected - 1.0).abs() < 1e-12);
+    }
+
+    /// The right-hand side is measured minus predicted: a bar that is 0.08 mm longer asks for an offset of 0.08 mm.
+    #[test]
+    fn step_is_towards_the_measured_length() {
+        let model = model();
+        let mut readings = readings(10);
+        let prepared = model.prepare();
+        readings.iter_mut().for_each(|reading| reading.length_mm = prepared.length(reading) + 0.08);
+        let sigma = vec![0.5; readings.len()];
+        let ids = [ParamId::BarOffset(BarId::FIRST)];
+        let mut system = linear_system(&model, &(readings.as_slice(), sigma.as_slice()), &ids);
+        assert!((system.solve().unwrap()[0] - 0.08).abs() < 1e-9);
+        // Ten lengths of 0.5 mm: the information is 10 / 0.25.
+        assert!((system.factor()[(0, 0)].abs() - 40f64.sqrt()).abs() < 1e-9);
+    }
+
+    /// A prior alone is solved by its mean; its sum of squares is that of the deviates, here 3 of 0.5 mm.
+    #[test]
+    fn prior_rows_lead_to_the_mean() {
+        let model = model();
+        let id = ParamId::A(Joint::J2);
+        let prior = PriorRows::independent(&[Some(0.5)], &[model.value(id) + 1.5]);
+        let mut system = Triangle::new(1);
+        assert!((add_prior(&mut system, &prior, &model, &[id]) - 9.0).abs() < 1e-9);
+        assert!((system.solve().unwrap()[0] - 1.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn independent_noise_by_pose_is_that_of_the_lengths() {
+        let (model, readings) = (model(), readings(12));
+        let ids = [ParamId::Theta(Joint::J2), ParamId::A(Joint::J2)];
+        let sigma = vec![0.5; readings.len()];
+        let expected = factor(&model, &(readings.as_slice(), sigma.as_slice()), &ids);
+        let found = linear_system_by_pose(&model, &readings, 0.5.into(), &ids).unwrap().factor();
+        assert!((found.tr_mul(&found) - expected.tr_mul(&expected)).norm() < 1e-9 * expected.norm_squared());
     }
 }

@@ -6,7 +6,7 @@
 //! none.
 //!
 //! [`linear_system()`] alone forms design rows, [`priors`] alone has prior standard deviations and limits, [`posterior`] alone
-//! holds a covariance, and [`Calibration::result`] alone makes a result.
+//! holds a covariance, and [`Calibration::complete`] alone makes a result.
 
 mod catalogue;
 pub use catalogue::{EstimationFinding, FleetFinding, ResultFinding};
@@ -45,7 +45,6 @@ pub mod priors;
 mod remounted;
 mod residual_tests;
 pub mod result;
-pub mod result_file;
 mod ripple;
 mod selection;
 mod shifted_rows;
@@ -76,9 +75,11 @@ pub use predicted::PositionParts;
 pub use priors::{Group, Prior, Priors, largest_plausible};
 pub use remounted::{ChangedSetUp, Remounted, remounted};
 pub use residual_tests::senses;
-pub use result::CalibrationResult;
-pub use result_file::{Beside, ResultFile};
+pub use result::{CalibrationResult, CompletedCalibration};
 pub use selection::{is_place, without_open_places};
 pub use sigma::length_sd_mm;
 pub use workspace::{ErrorSummary, Workspace, left_out_mm};
 pub use zero_change::ZeroChange;
+
+#[cfg(test)]
+mod tests;

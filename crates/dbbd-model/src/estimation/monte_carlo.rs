@@ -12,6 +12,7 @@ use super::lengths::{Lengths, Sigma};
 use super::priors::Priors;
 use super::result::{MonteCarlo, ParameterDraws, ParameterResult};
 use super::solver::{Loss, Problem, minimise};
+use crate::math::distributions::{COVERAGE_95, NORMAL_DENSITY_AT_975};
 use crate::math::map_items;
 use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::robot::ParamId;
@@ -24,8 +25,6 @@ const TAIL: f64 = 0.025;
 const AGREE: f64 = 0.1;
 /// plus so many standard errors of the drawn end.
 const STANDARD_ERRORS: f64 = 4.0;
-/// Density of the standard normal distribution at 1.96.
-const DENSITY: f64 = 0.058_4;
 
 /// The parameters fitted in each trial.
 pub(super) struct Draws {
@@ -77,7 +76,7 @@ impl Draws {
             let ends = parameter.interval95.zip(parameter.monte_carlo);
             ends.is_some_and(|(linear, drawn)| differ(linear, drawn.interval95, self.used))
         };
-        let disagree = parameters.iter().filter(disagrees).map(|parameter| parameter.id).collect();
+        let disagree = parameters.iter().filter(disagrees).map(|parameter| parameter.name).collect();
         MonteCarlo { trials: self.trials, used: self.used, disagree }
     }
 }
@@ -134,8 +133,8 @@ fn predicted(model: &LengthModel, readings: &[PreparedMeasurement]) -> Vec<Prepa
 /// Whether an end of the drawn interval differs from the linearised one beyond chance and a tenth of the half width.
 fn differ(linear: [f64; 2], drawn: [f64; 2], draws: usize) -> bool {
     let half = 0.5 * (linear[1] - linear[0]);
-    // Standard error of a drawn end relative to the half width of 1.96 standard deviations.
-    let error = (TAIL * (1.0 - TAIL) / draws as f64).sqrt() / DENSITY / 1.96;
+    // Standard error of a drawn end relative to the half width of the interval.
+    let error = (TAIL * (1.0 - TAIL) / draws as f64).sqrt() / NORMAL_DENSITY_AT_975 / COVERAGE_95;
     let most = half * (AGREE + STANDARD_ERRORS * error);
     linear.iter().zip(drawn).any(|(linear, drawn)| (drawn - linear).abs() > most)
 }

@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use serde::{Deserialize, Serialize};
+
 use super::Workspace;
 use super::priors::{Prior, Priors};
 use crate::estimation::EstimationFinding;
@@ -10,10 +12,12 @@ use crate::robot::parameter::{self, SetUpCounts};
 use crate::robot::{AXES, ParamId, Robot};
 
 /// Which errors of a robot are modelled.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum ErrorModel {
     /// The geometry with its prior, and errors of the joints if the evidence supports them.
     #[default]
+    #[serde(rename = "joint_errors")]
     Joints,
     /// The geometry alone.
     Geometric,
@@ -50,10 +54,10 @@ impl Options {
         if let Some(folds) = self.folds.filter(|folds| *folds == 1 || *folds > lengths) {
             return Err(EstimationFinding::NoFolds { folds, lengths });
         }
-        match &self.prior {
-            Prior::Given(sd) if sd.is_empty() => Err(EstimationFinding::EmptyPrior),
-            _ => Ok(()),
+        if matches!(&self.prior, Prior::Given(sd) if sd.is_empty()) {
+            return Err(EstimationFinding::EmptyPrior);
         }
+        Ok(())
     }
 
     /// The axis vectors (rad) over which the position error is predicted.

@@ -4,11 +4,62 @@ use super::Combination;
 use super::estimate::Estimate;
 use super::monte_carlo::Draws;
 use super::options::Setting;
-use super::priors::open_limit;
-use super::result::{ParameterResult, Reason};
+use super::result::{ParameterResult, Status};
 use super::selection::is_place;
 use super::uncertainty::Uncertainty;
 use crate::robot::ParamId;
+
+/// Why a parameter has its status.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Reason {
+    Identified,
+    /// As a member of a combination; `shared` if the prior distributes it among several members.
+    IdentifiedFor {
+        combination: Combination,
+        shared: bool,
+    },
+    /// The lengths determine only the combination; the prior distributes it.
+    PriorShares {
+        combination: Option<Combination>,
+    },
+    /// By the prior: the lengths alone give only this standard deviation.
+    PriorCarries {
+        data_sd: f64,
+    },
+    /// With a variance of its group by the evidence; the fraction of it that the lengths determine.
+    ByEvidence {
+        determined: f64,
+    },
+    Dependent {
+        combination: Option<Combination>,
+    },
+    FixedAsAsked,
+    NotAsked,
+    ChangesNoLength,
+    /// A place whose standard deviation would exceed the limit.
+    Open {
+        limit: f64,
+    },
+    /// Its standard deviation would exceed the limit.
+    PoorlyObservable {
+        limit: f64,
+    },
+}
+
+impl Reason {
+    fn status(&self) -> Status {
+        match self {
+            Self::Identified | Self::IdentifiedFor { .. } => Status::Identified,
+            Self::ByEvidence { determined } if *determined > 0.5 => Status::Identified,
+            Self::PriorShares { .. } | Self::PriorCarries { .. } | Self::ByEvidence { .. } => {
+                Status::SupportedByPrior
+            }
+            Self::Dependent { .. } => Status::Dependent,
+            Self::FixedAsAsked | Self::NotAsked | Self::ChangesNoLength => Status::Fixed,
+            Self::Open { .. } | Self::PoorlyObservable { .. } => Status::PoorlyObservable,
+        }
+    }
+}
 
 pub(super) struct ParameterTable<'a> {
     pub(super) setting: &'a Setting<'a>,
@@ -35,16 +86,20 @@ impl ParameterTable<'_> {
         let identified = self.estimate.fit.model.value(id);
         let sd = self.uncertainty.posterior.sd(id);
         let interval = |(factor, sd): (f64, f64)| [identified - factor * sd, identified + factor * sd];
+        let reason = self.reason(id);
         ParameterResult {
-            id,
+            name: id,
+            unit: id.unit(),
             start,
             nominal,
             identified,
             correction: identified - nominal,
             sd,
+            prior_sd: self.estimate.prior_sd(id),
             interval95: self.coverage_factor.zip(sd).map(interval),
             monte_carlo: self.draws.and_then(|draws| draws.parameter(id)),
-            reason: self.reason(id),
+            status: reason.status(),
+            reason: reason.text(id),
         }
     }
 
@@ -57,7 +112,7 @@ impl ParameterTable<'_> {
             Reason::FixedAsAsked
         } else if poorly_observable.contains(&id) {
             match is_place(&id) {
-                true => Reason::Open { limit: open_limit(id) },
+                true => Reason::Open { limit: id.max_sd().unwrap_or(f64::INFINITY) },
                 false => Reason::PoorlyObservable { limit: priors.weak_limit(id) },
             }
         } else if !analysis.ids.contains(&id) {

@@ -43,7 +43,7 @@ impl Positions {
         const WORKSPACE_POSES: usize = 300;
         const SEED: u64 = 1;
         let workspace = Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED);
-        Self::new(&robot.geometry, &RobotUncertainty::of(robot), poses, &workspace)
+        Self::new(&robot.geometry, &robot.known_uncertainty(), poses, &workspace)
     }
 
     /// Of a robot at `poses`, aligned over these; over `workspace` too where they are few.
@@ -156,7 +156,7 @@ impl<'a> RemainingErrors<'a> {
     pub(super) fn new(geometry: &'a Geometry, uncertainty: &'a RobotUncertainty) -> Self {
         let variance = |term: &JointTerm| match term.kind {
             TermKind::Smooth { frequency } => uncertainty.spectral_density(frequency),
-            _ => 0.0,
+            TermKind::Backlash | TermKind::Ripple { .. } => 0.0,
         };
         let variances = geometry.joint_errors.terms().iter().map(variance).collect();
         Self { geometry, uncertainty, variances }

@@ -14,8 +14,8 @@ use super::priors::Priors;
 use crate::math::{Triangle, stacked};
 use crate::measurement::{ColumnSelection, LengthModel, PreparedMeasurement};
 use crate::robot::{
-    AXES, Approach, BallId, BarId, Coordinate, Datum, ParamId, Robot, RobotPosterior, RobotUncertainty,
-    parameter,
+    AXES, Approach, BallId, BarId, Coordinate, Datum, ParamId, ParamOwner, Robot, RobotPosterior,
+    RobotUncertainty, parameter,
 };
 
 /// Gauss-Newton steps of [`Posterior::learn`]. The model is near the truth, so they converge at once.
@@ -61,10 +61,8 @@ impl Posterior {
         known: &RobotPosterior,
         unknown: Option<&RobotUncertainty>,
     ) -> Self {
-        let is_here = |id: &ParamId| match id {
-            ParamId::Ball(ball, _) => ball.index() < model.balls.len(),
-            _ => true,
-        };
+        let is_here =
+            |id: &ParamId| !matches!(id.owner(), ParamOwner::Ball(ball) if ball.index() >= model.balls.len());
         let ids: Vec<ParamId> = known.all_ids().iter().copied().filter(is_here).collect();
         Self::of_known(model, known, &ids, unknown)
     }
@@ -271,7 +269,11 @@ pub fn inverse_root(rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
+    use crate::measurement::BaseBall;
+    use crate::robot::Joint;
 
     #[test]
     fn root_after_rows_agrees_with_the_normal_equations() {
@@ -288,5 +290,86 @@ mod tests {
         assert!(inverse_root(&DMatrix::from_row_slice(2, 2, &[1.0, 2.0, 2.0, 4.0])).is_none());
         let inverse = inverse_root(&DMatrix::from_row_slice(2, 2, &[2.0, 0.0, 0.0, 1e-6])).unwrap();
         assert!((inverse.row(0).norm() - 0.5).abs() < 1e-15 && (inverse.row(1).norm() - 1e6).abs() < 1e-6);
+    }
+
+    const AXIS_ANGLES: [f64; AXES] = [0.1, -1.2, 1.4, 0.3, 0.8, -0.2];
+    const BAR: ParamId = ParamId::BarOffset(BarId::FIRST);
+
+    fn model() -> LengthModel {
+        let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
+        let ball = BaseBall { id: BallId::FIRST, position: Vector3::new(1300.0, 0.0, 800.0) };
+        LengthModel::new(geometry, &[ball])
+    }
+
+    /// Four lengths that are `excess_mm` longer than the model predicts.
+    fn readings(model: &LengthModel, excess_mm: f64) -> Vec<PreparedMeasurement> {
+        let predicted = PreparedMeasurement::new(AXIS_ANGLES, BallId::FIRST, 0.0);
+        let length_mm = model.prepare().length(&predicted) + excess_mm;
+        vec![PreparedMeasurement { length_mm, ..predicted }; 4]
+    }
+
+    /// The bar's offset adds to each length. Its prior information is 1 / 0.05^2 = 400, four lengths of 0.1 mm add 4 / 0.1^2 =
+    /// 400: the variance is 1 / 800, and the mean half of the excess (normal distribution with a conjugate prior).
+    #[test]
+    fn lengths_share_the_excess_with_the_prior_by_their_information() {
+        let prior = Posterior::new(model(), &[BAR], &[0.05]);
+        let readings = readings(&prior.model, 0.08);
+        let sd = prior.after(&readings, 0.1).unwrap().sd(BAR).unwrap();
+        assert!((sd - 800f64.recip().sqrt()).abs() < 1e-12, "{sd}");
+        let Learnt { posterior, w } = prior.learnt(&readings, 0.1.into()).unwrap();
+        assert!((posterior.model.value(BAR) - 0.04).abs() < 1e-12);
+        assert!((posterior.sd(BAR).unwrap() - sd).abs() < 1e-12);
+        // 0.04 mm are 0.8 prior standard deviations.
+        assert!((w[0] - 0.8).abs() < 1e-9);
+        assert_eq!(posterior.sd(ParamId::D(Joint::J2)), None);
+    }
+
+    #[test]
+    fn added_covariance_adds_to_the_variance() {
+        let posterior = Posterior::new(model(), &[BAR, ParamId::A(Joint::J2)], &[0.3, 1.2]);
+        let widened = posterior.widened(&DMatrix::from_row_slice(2, 1, &[0.4, -0.5]));
+        let sds: Vec<f64> = widened.sds().collect();
+        assert!((sds[0] - 0.5).abs() < 1e-15 && (sds[1] - 1.3).abs() < 1e-15);
+        assert!((widened.covariance()[(0, 1)] + 0.2).abs() < 1e-15);
+    }
+
+    /// The derivative of a length by the base ball is a unit vector: the same uncertainty of each coordinate is that of the
+    /// length.
+    #[test]
+    fn design_row_is_the_uncertainty_of_the_length() {
+        let ids = Coordinate::ALL.map(|axis| ParamId::Ball(BallId::FIRST, axis));
+        let posterior = Posterior::new(model(), &ids, &[2.0; 3]);
+        assert!((posterior.design_row(&AXIS_ANGLES, BallId::FIRST).norm() - 2.0).abs() < 1e-12);
+        assert_eq!(posterior.design_row(&AXIS_ANGLES, BallId::at(1)).norm(), 0.0);
+    }
+
+    /// The ball is where the tool ball is: it has the error that a1 gives the tool ball there (by differences), and 0.3 mm more.
+    #[test]
+    fn touched_ball_shares_the_error_of_the_robot() {
+        let id = ParamId::A(Joint::J2);
+        let balls = Coordinate::ALL.map(|axis| ParamId::Ball(BallId::FIRST, axis));
+        let posterior = Posterior::new(model(), &[&[id][..], &balls].concat(), &[0.7, 10.0, 10.0, 10.0]);
+        let touched = posterior.touched(BallId::FIRST, &AXIS_ANGLES, 0.3);
+        let mut moved = posterior.model.geometry.clone();
+        *moved.value_mut(id).unwrap() += 1.0;
+        let by = moved.ball(&AXIS_ANGLES).position - posterior.model.geometry.ball(&AXIS_ANGLES).position;
+        let covariance = touched.covariance();
+        for axis in 0..3 {
+            assert!((covariance[(0, 1 + axis)] - 0.49 * by[axis]).abs() < 1e-9, "{axis}");
+            assert!(
+                (covariance[(1 + axis, 1 + axis)] - 0.49 * by[axis].powi(2) - 0.09).abs() < 1e-9,
+                "{axis}"
+            );
+        }
+        assert!((touched.sd(id).unwrap() - 0.7).abs() < 1e-15);
+    }
+
+    /// (A'A)^-1 of a straight line through abscissae 0, 1, 2: [[5, -3], [-3, 3]] / 6.
+    #[test]
+    fn inverse_root_of_a_straight_line() {
+        let root = inverse_root(&DMatrix::from_row_slice(3, 2, &[1.0, 0.0, 1.0, 1.0, 1.0, 2.0])).unwrap();
+        let expected = DMatrix::from_row_slice(2, 2, &[5.0, -3.0, -3.0, 3.0]) / 6.0;
+        assert!((&root * root.transpose() - expected).norm() < 1e-14);
+        assert!(inverse_root(&DMatrix::from_row_slice(1, 2, &[1.0, 2.0])).is_none());
     }
 }

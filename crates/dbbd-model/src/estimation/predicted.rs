@@ -14,6 +14,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::estimate::Estimate;
+use super::joint_prediction::JointPrediction;
 use super::lengths::Weighted;
 use super::linear_system::factor;
 use super::options::Setting;
@@ -25,7 +26,7 @@ use super::workspace::{ErrorSummary, Workspace};
 use crate::estimation::EstimationFinding;
 use crate::math::{stacked, svd};
 use crate::measurement::LengthModel;
-use crate::robot::{ParamId, RobotPosterior};
+use crate::robot::{ParamId, RobotPosterior, RobotUncertainty};
 
 /// Number of drawn robots, unless there are more random numbers for each.
 const DRAWS: usize = 100;
@@ -90,6 +91,8 @@ pub(crate) struct Prediction {
     pub(super) map: Vec<MapPoint>,
     /// Of the robot by its manufacturer's tolerance, independent of an earlier identification.
     pub(super) maker: ErrorSummary,
+    /// The uncertainty of a robot with errors of the joints.
+    pub(super) joint_uncertainty: Option<RobotUncertainty>,
     /// The posterior of the identified robot.
     pub(super) posterior: Option<RobotPosterior>,
     /// Root of the prior covariance of the errors of `ids`.
@@ -150,7 +153,25 @@ impl Prediction {
             pair.nominal
         };
         let posterior = estimator.posterior(setting, estimate);
-        Ok(Self { pair, parts, maker, posterior, map: workspace.map(&moved), before, ids, factor, workspace })
+        Ok(Self {
+            map: workspace.map(&moved),
+            joint_uncertainty: None,
+            pair,
+            parts,
+            maker,
+            posterior,
+            before,
+            ids,
+            factor,
+            workspace,
+        })
+    }
+
+    /// With errors of the joints.
+    pub(super) fn with_joints(self, joints: JointPrediction) -> Self {
+        let JointPrediction { summary, map, unknown } = joints;
+        let pair = PredictedPair { identified: summary, ..self.pair };
+        Self { pair, map, joint_uncertainty: Some(unknown), ..self }
     }
 
     /// Whether the identified robot is predicted to be clearly better than the manufacturer's tolerance.
@@ -169,10 +190,10 @@ impl Estimator<'_> {
         let is_asked = |id: &ParamId| estimate.analysis.ids.contains(id);
         let poor = |id: &ParamId| estimate.poorly_observable.contains(id);
         for (at, id) in self.ids.iter().enumerate() {
-            match id {
-                ParamId::Tool(_) if poor(id) => truth[(at, at)] = setting.priors.sd(*id),
-                _ if !id.moves_tool_ball() && !is_asked(id) => truth.row_mut(at).fill(0.0),
-                _ => {}
+            if matches!(id, ParamId::Tool(_)) && poor(id) {
+                truth[(at, at)] = setting.priors.sd(*id);
+            } else if !id.moves_tool_ball() && !is_asked(id) {
+                truth.row_mut(at).fill(0.0);
             }
         }
         let of_truth = self.errors(&truth, &DMatrix::zeros(kept, count))?;

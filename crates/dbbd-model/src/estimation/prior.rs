@@ -110,3 +110,48 @@ pub(super) fn sharing(priors: &Priors, undetermined_bars: &[ParamId], analysis: 
     sharing.dedup();
     sharing
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::measurement::BaseBall;
+    use crate::robot::{BallId, BarId, Coordinate, Joint, Robot};
+
+    const IDS: [ParamId; 3] =
+        [ParamId::A(Joint::J2), ParamId::Tool(Coordinate::X), ParamId::BarOffset(BarId::FIRST)];
+
+    fn model() -> LengthModel {
+        let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
+        let ball = BaseBall { id: BallId::FIRST, position: Vector3::new(1300.0, 0.0, 800.0) };
+        LengthModel::new(geometry, &[ball])
+    }
+
+    #[test]
+    fn rows_divide_by_the_standard_deviation_and_leave_free_parameters_out() {
+        let prior = PriorRows::independent(&[Some(0.5), None, Some(0.05)], &[0.0; 3]);
+        assert_eq!((prior.count(), prior.sd(0), prior.sd(1), prior.sd(2)), (2, Some(0.5), None, Some(0.05)));
+        let expected = DMatrix::from_row_slice(2, 3, &[2.0, 0.0, 0.0, 0.0, 0.0, 20.0]);
+        assert!((prior.matrix() - expected).norm() < 1e-12);
+    }
+
+    /// a1 is 1.5 mm above its mean, 3 standard deviations; the offset 0.1 mm below, 2 standard deviations.
+    #[test]
+    fn deviates_are_in_standard_deviations_from_the_mean() {
+        let model = model();
+        let mean = [model.value(IDS[0]) - 1.5, 77.0, model.value(IDS[2]) + 0.1];
+        let prior = PriorRows::independent(&[Some(0.5), None, Some(0.05)], &mean);
+        assert!((prior.deviates(&model, &IDS) - DVector::from_row_slice(&[3.0, -2.0])).norm() < 1e-9);
+    }
+
+    #[test]
+    fn drawn_prior_has_its_mean_so_many_deviations_from_the_model() {
+        let model = model();
+        let mut draws = [1.0, -2.0].into_iter();
+        let prior = PriorRows::independent(&[Some(0.5), None, Some(0.05)], &[0.0; 3]);
+        let drawn = prior.drawn(&model, &IDS, || draws.next().unwrap());
+        assert!((drawn.deviates(&model, &IDS) - DVector::from_row_slice(&[-1.0, 2.0])).norm() < 1e-9);
+        assert_eq!(drawn.matrix(), prior.matrix());
+    }
+}

@@ -1,48 +1,22 @@
 //! Prior standard deviations, and the limits of poor observability and of plausibility. Estimation, design and plan have no
-//! other source of them.
-//!
-//! | parameter | prior standard deviation | reason |
-//! |---|---|---|
-//! | geometric | the robot's tolerance | stated by the manufacturer |
-//! | gear error | the tolerance of an angle | the zero of a joint is no better |
-//! | compliance | the tolerance of an angle over the greatest torque | the deflection is then as large as the tolerance |
-//! | bar | its certificate, else 0.05 mm | the bar is not part of the robot |
-//! | tool ball, base ball | 0.1 mm, 10 mm | measured, taught or estimated by eye; free in an estimate |
+//! other source of them. The table of the parameters (`robot/parameter.rs`) says which rule each parameter follows; here the
+//! rules become numbers for one robot, one bar and the prior that the user chose.
 
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 
 use crate::estimation::EstimationFinding;
-use crate::robot::{AXES, ParamId, ParamUnit, Robot, RobotPosterior};
-
-const TOOL_BALL_MM: f64 = 0.1;
-const BASE_BALL_MM: f64 = 10.0;
-/// A tracker and targets may be set up anywhere.
-const TARGET_MM: f64 = 100.0;
-const TRACKER_MM: f64 = 1000.0;
-const TRACKER_RAD: f64 = 1.0;
-const UNCERTIFIED_BAR_MM: f64 = 0.05;
-/// Compliance of a robot without known masses, rad/(N m): one arc minute at 300 N m. It has no effect on any length.
-const COMPLIANCE: f64 = 1e-6;
+use crate::robot::{AXES, BarId, ParamId, PriorRule, Robot, RobotPosterior};
 
 /// A parameter counts as identified if its standard deviation is at most so many tolerances.
 pub const WEAK: f64 = 3.0;
-/// A coordinate of the set-up with a larger standard deviation is better measured with a ruler.
-const OPEN_TOOL_BALL_MM: f64 = 50.0;
-const OPEN_BASE_BALL_MM: f64 = 500.0;
-const OPEN_TURN_RAD: f64 = 0.1;
 /// Corrections beyond so many standard deviations (of prior and data together) are doubted if a part of the set-up is
 /// fixed, which they may compensate,
 const IMPLAUSIBLE: f64 = 5.0;
 /// and beyond so many in any case.
 const IMPOSSIBLE: f64 = 20.0;
-/// Larger corrections of base balls, of the tool ball (which is known from a drawing or from the controller) and of bars are
-/// doubted.
-const DISPLACED_BALL_MM: f64 = 300.0;
-const DISPLACED_TOOL_MM: f64 = 20.0;
-const DISPLACED_BAR_MM: f64 = 50.0;
-
 /// The prior of a hyperparameter: log-normal about `median`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HyperPrior {
@@ -56,7 +30,8 @@ pub(super) struct HyperPrior {
 pub(super) const HYPERS: usize = 9;
 
 /// Groups of unknowns that share a variance.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Group {
     /// First harmonic of a joint's angle, rad.
     Harmonic,
@@ -215,55 +190,64 @@ impl Priors {
 
     /// The prior standard deviation, mm, rad or rad/(N m).
     pub fn sd(&self, id: ParamId) -> f64 {
-        self.robot_or_bar(id).unwrap_or(match id {
-            ParamId::Tool(_) => TOOL_BALL_MM,
-            ParamId::Ball(..) => BASE_BALL_MM,
-            ParamId::Target(..) => TARGET_MM,
-            ParamId::Tracker(_) => TRACKER_MM,
-            ParamId::TrackerTurn(_) => TRACKER_RAD,
-            ParamId::Compliance(_) => COMPLIANCE,
-            _ => UNCERTIFIED_BAR_MM,
-        })
+        self.robot_or_bar(id).unwrap_or_else(|| Self::unbound(id))
     }
 
     /// The standard deviation of a parameter that the prior binds; `None` for free parameters: balls, and a bar without
     /// certificate unless it is among the `undetermined` ones.
     pub fn bound(&self, id: ParamId, undetermined: &[ParamId]) -> Option<f64> {
-        self.robot_or_bar(id).or_else(|| undetermined.contains(&id).then_some(UNCERTIFIED_BAR_MM))
+        self.robot_or_bar(id).or_else(|| undetermined.contains(&id).then(|| Self::unbound(id)))
     }
 
     /// Standard uncertainty of the length of a bar with or without a certificate, mm.
     pub fn certified_bar_mm(u_mm: Option<f64>) -> f64 {
-        u_mm.unwrap_or(UNCERTIFIED_BAR_MM)
+        u_mm.unwrap_or_else(|| Self::unbound(ParamId::BarOffset(BarId::FIRST)))
+    }
+
+    /// The standard deviation of a parameter that neither a tolerance nor a certificate binds; infinite for those that a
+    /// tolerance always binds.
+    fn unbound(id: ParamId) -> f64 {
+        match id.prior() {
+            PriorRule::Free(sd)
+            | PriorRule::Certificate { uncertified: sd }
+            | PriorRule::AngleToleranceOverTorque { without_masses: sd, .. } => sd,
+            PriorRule::LengthTolerance | PriorRule::AngleTolerance => f64::INFINITY,
+        }
     }
 
     fn robot_or_bar(&self, id: ParamId) -> Option<f64> {
         let given = self.given.get(&id).copied();
         let posterior = || self.posterior.as_ref()?.sd(id);
-        let by_prior = given.or_else(posterior).or_else(|| self.geometric(id)).or_else(|| self.optional(id));
+        let by_prior = given.or_else(posterior).or_else(|| self.of_robot(id));
         let bar = || self.bar_u_mm.filter(|_| matches!(id, ParamId::BarOffset(_)));
         by_prior.map(|sd| self.scale * sd).or_else(bar)
     }
 
-    /// The manufacturer's tolerance of a geometric parameter, independent of the user's prior.
-    pub fn geometric(&self, id: ParamId) -> Option<f64> {
-        id.is_geometric().then(|| if id.unit() == ParamUnit::Mm { self.length_mm } else { self.angle_rad })
+    /// The manufacturer's tolerance of a parameter of the robot; `None` for the set-up.
+    fn of_robot(&self, id: ParamId) -> Option<f64> {
+        match id.prior() {
+            PriorRule::LengthTolerance => Some(self.length_mm),
+            PriorRule::AngleTolerance => Some(self.angle_rad),
+            PriorRule::AngleToleranceOverTorque { joint, .. } => {
+                Some(self.angle_rad / self.greatest_torques[joint.index()]).filter(|sd| sd.is_finite())
+            }
+            PriorRule::Certificate { .. } | PriorRule::Free(_) => None,
+        }
     }
 
-    fn optional(&self, id: ParamId) -> Option<f64> {
-        match id {
-            ParamId::GearCos(_) | ParamId::GearSin(_) => Some(self.angle_rad),
-            ParamId::Compliance(j) => Some(self.angle_rad / self.greatest_torques[j.index()])
-                .filter(|compliance| compliance.is_finite()),
-            _ => None,
-        }
+    /// The manufacturer's tolerance of a geometric parameter, independent of the user's prior.
+    pub fn geometric(&self, id: ParamId) -> Option<f64> {
+        self.of_robot(id).filter(|_| id.is_geometric())
     }
 
     /// The tolerance of a parameter, independent of the user's prior; `None` for balls.
     fn tolerance(&self, id: ParamId) -> Option<f64> {
-        match id {
-            ParamId::BarOffset(_) => Some(Self::certified_bar_mm(self.bar_u_mm)),
-            _ => self.geometric(id).or_else(|| self.optional(id)),
+        match id.prior() {
+            PriorRule::Certificate { uncertified } => Some(self.bar_u_mm.unwrap_or(uncertified)),
+            PriorRule::LengthTolerance
+            | PriorRule::AngleTolerance
+            | PriorRule::AngleToleranceOverTorque { .. }
+            | PriorRule::Free(_) => self.of_robot(id),
         }
     }
 
@@ -293,29 +277,10 @@ pub fn largest_plausible(set_up_is_fixed: bool) -> f64 {
     if set_up_is_fixed { IMPLAUSIBLE } else { IMPOSSIBLE }
 }
 
-/// The largest standard deviation with which a place of the set-up is estimated, mm or rad.
-pub fn open_limit(id: ParamId) -> f64 {
-    match id {
-        ParamId::Tool(_) | ParamId::Target(..) => OPEN_TOOL_BALL_MM,
-        ParamId::TrackerTurn(_) => OPEN_TURN_RAD,
-        _ => OPEN_BASE_BALL_MM,
-    }
-}
-
-/// The largest plausible correction of the set-up, mm; `None` for parameters of the robot.
-pub fn largest_displacement_mm(id: ParamId) -> Option<f64> {
-    match id {
-        ParamId::Tool(_) => Some(DISPLACED_TOOL_MM),
-        ParamId::Ball(..) => Some(DISPLACED_BALL_MM),
-        ParamId::BarOffset(_) => Some(DISPLACED_BAR_MM),
-        _ => None,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::{BarId, Coordinate, Joint};
+    use crate::robot::{BallId, BarId, Coordinate, Joint, TargetId};
 
     fn priors(bar_u_mm: Option<f64>, prior: Prior) -> Priors {
         let robot = Robot::by_name("kr60ha").unwrap().unwrap();
@@ -325,7 +290,7 @@ mod tests {
     #[test]
     fn a_bar_has_its_certificate_or_the_default() {
         let bar = ParamId::BarOffset(BarId::FIRST);
-        for (u, sd) in [(None, UNCERTIFIED_BAR_MM), (Some(0.002), 0.002)] {
+        for (u, sd) in [(None, 0.05), (Some(0.002), 0.002)] {
             let priors = priors(u, Prior::None);
             for found in [priors.sd(bar), priors.weak_limit(bar) / WEAK, priors.fixed_sd(bar)] {
                 assert!((found - sd).abs() < 1e-15, "{found}");
@@ -353,5 +318,116 @@ mod tests {
             vec![crate::robot::Mass { joint: Joint::J2, kg: 100.0, centre: nalgebra::Vector3::x() * 500.0 }];
         let torque = robot.geometry.greatest_torques()[1];
         assert_eq!(Priors::datasheet(&robot, None).sd(id), 0.05f64.to_radians() / torque);
+    }
+
+    /// The tolerances of the built-in KR 60 HA are 0.5 mm and 0.05 deg.
+    #[test]
+    fn prior_follows_the_rule_of_the_parameter() {
+        let priors = priors(None, Prior::None);
+        let angle = 0.05f64.to_radians();
+        for (id, sd, fixed, weak) in [
+            (ParamId::Alpha(Joint::J1), angle, angle, 3.0 * angle),
+            (ParamId::A(Joint::J2), 0.5, 0.5, 1.5),
+            (ParamId::Theta(Joint::J6), angle, angle, 3.0 * angle),
+            (ParamId::D(Joint::J4), 0.5, 0.5, 1.5),
+            (ParamId::Beta(Joint::J3), angle, angle, 3.0 * angle),
+            (ParamId::GearCos(Joint::J1), angle, 0.0, 3.0 * angle),
+            (ParamId::GearSin(Joint::J6), angle, 0.0, 3.0 * angle),
+            // Without masses a compliance moves nothing.
+            (ParamId::Compliance(Joint::J3), 1e-6, 0.0, f64::INFINITY),
+            (ParamId::Tool(Coordinate::X), 0.1, 0.0, f64::INFINITY),
+            (ParamId::Target(TargetId::at(1), Coordinate::Y), 100.0, 0.0, f64::INFINITY),
+            (ParamId::Ball(BallId::FIRST, Coordinate::Z), 10.0, 0.0, f64::INFINITY),
+            (ParamId::Tracker(Coordinate::X), 1000.0, 0.0, f64::INFINITY),
+            (ParamId::TrackerTurn(Coordinate::X), 1.0, 0.0, f64::INFINITY),
+            (ParamId::BarOffset(BarId::FIRST), 0.05, 0.05, 0.15),
+        ] {
+            for (found, expected) in
+                [(priors.sd(id), sd), (priors.fixed_sd(id), fixed), (priors.weak_limit(id), weak)]
+            {
+                assert!(
+                    found == expected || (found / expected - 1.0).abs() < 1e-12,
+                    "{id}: {found} for {expected}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn places_are_free_and_the_robot_is_bound() {
+        let priors = priors(None, Prior::None);
+        let (ball, tool) = (ParamId::Ball(BallId::FIRST, Coordinate::X), ParamId::Tool(Coordinate::Z));
+        assert_eq!([ball, tool, ParamId::BarOffset(BarId::FIRST)].map(|id| priors.bound(id, &[])), [None; 3]);
+        assert_eq!(priors.bound(ParamId::D(Joint::J2), &[]), Some(0.5));
+        assert_eq!([ball, tool].map(|id| priors.geometric(id)), [None; 2]);
+        assert_eq!(priors.geometric(ParamId::GearCos(Joint::J2)), None);
+    }
+
+    /// 0.9 / sqrt(0.5^2 + 1.2^2) = 9 / 13.
+    #[test]
+    fn excess_of_a_correction_is_in_deviations_of_tolerance_and_data() {
+        let priors = priors(None, Prior::None);
+        let found = priors.excess(ParamId::A(Joint::J2), -0.9, 1.2).unwrap();
+        assert!((found - 9.0 / 13.0).abs() < 1e-15);
+        assert_eq!(priors.excess(ParamId::Tool(Coordinate::X), 0.9, 1.2), None);
+        assert_eq!([true, false].map(largest_plausible), [5.0, 20.0]);
+    }
+
+    /// A robot whose posterior has the root [[0.1, 0], [0.02, 0.03]] of the covariance of a1 and theta3.
+    fn identified() -> Robot {
+        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let ids = [ParamId::A(Joint::J2), ParamId::Theta(Joint::J3)];
+        let root = DMatrix::from_row_slice(2, 2, &[0.1, 0.0, 0.02, 0.03]);
+        robot.posterior = RobotPosterior::new(&ids, &robot.geometry, &root);
+        robot
+    }
+
+    #[test]
+    fn root_has_the_block_of_the_posterior_among_independent_parameters() {
+        let robot = identified();
+        let priors = Priors::of(&robot, None, &Prior::Posterior).widened(2.0);
+        let ids = [ParamId::Theta(Joint::J3), ParamId::D(Joint::J4), ParamId::A(Joint::J2)];
+        let sd = ids.map(|id| priors.sd(id));
+        // 2 (0.02^2 + 0.03^2)^(1/2), 2 times the tolerance, 2 times 0.1.
+        for (found, expected) in sd.iter().zip([2.0 * 0.0013f64.sqrt(), 1.0, 0.2]) {
+            assert!((found - expected).abs() < 1e-15, "{found}");
+        }
+        let root = priors.root(&ids, &sd);
+        // 4 times the covariance of the posterior; d4 is independent of it.
+        let expected = DMatrix::from_row_slice(3, 3, &[0.0052, 0.0, 0.008, 0.0, 1.0, 0.0, 0.008, 0.0, 0.04]);
+        assert!((&root * root.transpose() - expected).norm() < 1e-15);
+        assert!(priors.is_of_posterior(ids[0]) && !priors.is_of_posterior(ids[1]));
+        // Without the posterior as prior the tolerances hold, and the root is diagonal.
+        let datasheet = Priors::of(&robot, None, &Prior::Datasheet);
+        assert_eq!(datasheet.sd(ids[2]), 0.5);
+        assert_eq!(
+            datasheet.root(&ids[1..], &[3.0, 4.0]),
+            DMatrix::from_row_slice(2, 2, &[3.0, 0.0, 0.0, 4.0])
+        );
+    }
+
+    #[test]
+    fn posterior_of_an_earlier_identification_is_continued_with_as_many_new_lengths() {
+        let known = |count: usize| move || Ok::<usize, ()>(count);
+        let robot = identified();
+        assert_eq!(Prior::continued(&robot, 100, known(50)).unwrap(), (Prior::Posterior, None));
+        let (prior, finding) = Prior::continued(&robot, 100, known(51)).unwrap();
+        assert_eq!(prior, Prior::None);
+        assert!(matches!(finding, Some(EstimationFinding::KnownLengths { known: 51, lengths: 100 })));
+        assert_eq!(Prior::continued(&robot, 100, || Err("unread")), Err("unread"));
+        let mut edited = robot.clone();
+        edited.geometry.rows[1].a += 1e-6;
+        let (prior, finding) = Prior::continued(&edited, 100, known(0)).unwrap();
+        assert_eq!(prior, Prior::None);
+        assert!(matches!(finding, Some(EstimationFinding::PosteriorOfOtherValues)));
+        let nominal = Robot { posterior: None, nominal: None, ..robot };
+        assert_eq!(Prior::continued(&nominal, 100, known(0)).unwrap(), (Prior::None, None));
+    }
+
+    #[test]
+    fn deviate_of_a_hyperparameter_is_that_of_its_logarithm() {
+        let prior = HyperPrior { median: 0.5, ln_sd: Some(2.0), bounds: [0.0, 1.0] };
+        assert!((prior.off(0.5f64.ln() + 3.0) - 1.5).abs() < 1e-15);
+        assert_eq!(HyperPrior { ln_sd: None, ..prior }.off(7.0), 0.0);
     }
 }

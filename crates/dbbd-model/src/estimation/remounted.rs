@@ -11,7 +11,7 @@ use super::pose_rows::PoseRows;
 use super::selection::is_bar;
 use super::shifted_rows::{decisive, size_mm};
 use super::solver::{Loss, Problem, minimise, robust_scale};
-use super::{CalibrationResult, Input};
+use super::{CompletedCalibration, Input};
 use crate::estimation::EstimationFinding;
 use crate::measurement::{LengthModel, Measurements};
 use crate::robot::{BallId, Coordinate, Datum, ParamId};
@@ -51,10 +51,10 @@ impl Remounted {
     pub fn finding(
         &self,
         input: &Input<'_>,
-        without: &CalibrationResult,
-        with: &CalibrationResult,
+        without: &CompletedCalibration,
+        with: &CompletedCalibration,
     ) -> Option<EstimationFinding> {
-        let residuals = |result: &CalibrationResult, set: &Measurements| -> Vec<f64> {
+        let residuals = |result: &CompletedCalibration, set: &Measurements| -> Vec<f64> {
             result.residuals(&set.rows).map(|pair| pair.after).collect()
         };
         let after = residuals(with, &self.set_up.observations);
@@ -65,7 +65,7 @@ impl Remounted {
             (squares / residuals.len() as f64).sqrt()
         };
         let [residual_mm, apart_mm] = [residuals(without, input.observations), after].map(size);
-        let freedom = with.lengths as f64 - with.posterior.ids().len() as f64;
+        let freedom = with.result.measurements as f64 - with.posterior.ids().len() as f64;
         let gain = decisive(freedom, [residual_mm, apart_mm], SMALLER)?;
         let balls = &with.posterior.model.balls;
         let moved_mm = (balls.last()? - balls.get(self.ball.index())?).norm();

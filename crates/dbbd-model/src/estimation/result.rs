@@ -1,86 +1,175 @@
-//! The result of a calibration. [`super::Calibration::result`] makes it; every file, page and message is a function of it.
+//! The result of a calibration: [`CalibrationResult`] is what `result.json` holds, written and read as it is.
+//! [`CompletedCalibration`] has it with the models that other files and the pages are made from.
 
 use std::ops::Range;
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::joint_fit::JointSummary;
+use super::joint_fit::{GroupEvidence, JointSummary};
+use super::options::ErrorModel;
 use super::priors::Prior;
 use super::zero_change::ZeroChange;
 use super::{
     Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, PositionParts, Posterior,
 };
-use crate::diagnostic::{Diagnostic, Severity};
-use crate::estimation::EstimationFinding;
+use crate::base::serialised::Seal;
+use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
+use crate::estimation::{EstimationFinding, ResultFinding};
 use crate::measurement::{LengthModel, Measurement, Measurements, PreparedMeasurement};
-use crate::robot::{BallId, ParamId, Robot};
+use crate::robot::{BallId, ParamId, ParamUnit, Robot};
 
-/// Lengths in mm, angles in rad.
-#[derive(Clone, Debug)]
+/// The schema of `result.json`.
+pub(super) const RESULT_SCHEMA: u32 = 2;
+
+/// `result.json`, schema 2. Lengths in mm, angles in rad.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationResult {
-    /// The identified robot, with its tool ball; it contains the nominal robot.
-    pub robot: Robot,
-    /// The robot at the start, with the free part of the set-up fitted.
-    pub before: LengthModel,
+    /// 2, the schema of this type.
+    pub schema: u32,
+    /// Name of the robot.
+    pub robot: String,
+    pub model: ErrorModel,
+    /// The robot to which `before` refers.
     pub start: StartRobot,
-    /// The identified robot, set-up and bar with the covariance of the estimated parameters.
-    pub posterior: Posterior,
+    pub prior: PriorSource,
+    /// Factor on the standard deviations of the prior, above 1 if the default tolerance was widened to fit the lengths;
+    /// `None` without a prior.
+    pub prior_scale: Option<f64>,
     /// Number of used measurements; a position counts once.
-    pub lengths: usize,
+    pub measurements: usize,
     pub made_from: MadeFrom,
-    pub rank: RankSummary,
+    /// Of the scaled Jacobian of the parameters asked for, at the nominal geometry with the fitted set-up.
+    pub rank: usize,
+    pub rank_at_solution: usize,
+    /// Condition number of the base set, columns scaled to unit norm.
+    pub condition: f64,
     /// Of the identified parameters at the solution, in units of their prior standard deviations.
     pub observability: Option<Observability>,
-    pub solver: SolverSummary,
-    pub sigma: SigmaSummary,
-    pub prior: Option<PriorUsed>,
-    /// Errors of the joints, if the evidence supports them.
-    pub joints: Option<JointSummary>,
-    pub monte_carlo: Option<MonteCarlo>,
+    /// Of the solver.
+    pub iterations: usize,
+    pub converged: bool,
+    pub noise_mm: NoiseSummary,
+    /// Of `noise_mm.length`.
+    pub sigma_source: SigmaSource,
+    /// Coverage factor of a 95 % interval: Student's t if sigma was estimated, normal if it was given, `None` if it is
+    /// unknown.
+    pub coverage_factor: Option<f64>,
     pub residual_mm: BeforeAfter,
     pub folds: Option<Folds>,
     /// Residuals of separate lengths.
     pub validation: Option<BeforeAfter>,
     /// If poses were measured more than once.
     pub distance: Option<DistanceQuantities>,
-    pub predicted: PredictedPair,
-    pub position_parts: PositionParts,
-    /// Position uncertainty of the identified robot over the workspace.
-    pub map: Vec<MapPoint>,
+    /// What the evidence says of each group of errors of the joints.
+    pub groups: Vec<GroupEvidence>,
+    /// Errors of the joints, if the evidence supports them.
+    pub joint_errors: Option<JointSummary>,
+    pub monte_carlo: Option<MonteCarlo>,
+    pub predicted_position_uncertainty_mm: PredictedPair,
     /// Every parameter of the model.
     pub parameters: Vec<ParameterResult>,
     pub combinations: Vec<Combination>,
-    pub correlations: Vec<Correlation>,
-    /// Further measurements that would help, best first.
-    pub recommendations: Vec<Recommendation>,
+    /// Strongly correlated pairs, strongest first.
+    pub correlated: Vec<Correlation>,
     /// Significant errors of single joints in the residuals, strongest first.
     pub joint_effects: Vec<JointEffect>,
-    /// The most significant change of a bar's zero or of the tracker's frame.
-    pub zero_change: Option<ZeroChange>,
     pub outliers: Vec<Outlier>,
-    pub findings: Vec<EstimationFinding>,
-    /// Findings about the inputs.
-    pub input_findings: Vec<Diagnostic>,
+    /// Further measurements that would help, best first.
+    pub recommendations: Vec<Recommendation>,
+    /// Those of the estimate first, then those about the inputs.
+    pub findings: Vec<RecordedFinding>,
 }
 
 impl CalibrationResult {
-    /// All findings, those of the estimate first.
-    pub fn diagnostics(&self) -> impl Iterator<Item = Diagnostic> {
-        self.findings.iter().cloned().map(Diagnostic::from).chain(self.input_findings.iter().cloned())
+    /// Reads the text of a `result.json`.
+    ///
+    /// # Errors
+    /// The text is not that of a result of this schema, or it was edited.
+    pub fn from_json(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        Seal::Json.check(text).map_err(|finding| Diagnostic::file(file, finding))?;
+        let wrong = |finding: ResultFinding| Diagnostic::file(file, finding);
+        let json = serde_json::from_str(text)
+            .map_err(|error| wrong(ResultFinding::NotJson { why: error.to_string() }))?;
+        Self::from_value(json).map_err(wrong)
+    }
+
+    /// # Errors
+    /// The JSON is not that of a result of this schema.
+    pub fn from_value(json: serde_json::Value) -> Result<Self, ResultFinding> {
+        check_schema(&json, RESULT_SCHEMA)?;
+        serde_json::from_value(json).map_err(|error| ResultFinding::Incomplete { why: error.to_string() })
+    }
+
+    pub fn parameter(&self, id: ParamId) -> Option<&ParameterResult> {
+        self.parameters.iter().find(|parameter| parameter.name == id)
+    }
+
+    pub fn count(&self, status: Status) -> usize {
+        self.parameters.iter().filter(|parameter| parameter.status == status).count()
+    }
+
+    /// The findings that are more severe than an information.
+    pub fn doubts(&self) -> impl Iterator<Item = &RecordedFinding> {
+        self.findings.iter().filter(|finding| finding.severity() != Severity::Info)
     }
 
     /// Whether a finding is more severe than an information.
     pub fn is_doubtful(&self) -> bool {
-        self.diagnostics().any(|finding| finding.severity() != Severity::Info)
+        self.doubts().next().is_some()
+    }
+}
+
+/// Checks the key `schema` of the JSON of a result.
+///
+/// # Errors
+/// It is missing, or not `known`.
+pub fn check_schema(json: &serde_json::Value, known: u32) -> Result<(), ResultFinding> {
+    match json.get("schema") {
+        Some(schema) if schema.as_u64() == Some(u64::from(known)) => Ok(()),
+        schema => {
+            let schema = schema.map_or("none".into(), ToString::to_string);
+            Err(ResultFinding::OtherSchema { schema, known })
+        }
+    }
+}
+
+/// A result with the models behind it, as [`super::Calibration::complete`] makes it. Every file, page and message is a
+/// function of it.
+#[derive(Clone, Debug)]
+pub struct CompletedCalibration {
+    pub result: CalibrationResult,
+    /// The identified robot, with its tool ball; it contains the nominal robot.
+    pub robot: Robot,
+    /// The robot at the start, with the free part of the set-up fitted.
+    pub before: LengthModel,
+    /// The identified robot, set-up and bar with the covariance of the estimated parameters.
+    pub posterior: Posterior,
+    pub position_parts: PositionParts,
+    /// Position uncertainty of the identified robot over the workspace.
+    pub map: Vec<MapPoint>,
+    /// The most significant change of a bar's zero or of the tracker's frame.
+    pub zero_change: Option<ZeroChange>,
+    /// Rows of the observations that are not used: a range for each outlier, in their order.
+    pub excluded_rows: Vec<Range<usize>>,
+    /// Number of the findings of the estimate. They are the first ones of the result; the others are about the inputs.
+    pub(super) of_estimate: usize,
+}
+
+impl CompletedCalibration {
+    /// All findings as they were made, those of the estimate first.
+    pub fn diagnostics(&self) -> impl Iterator<Item = Diagnostic> {
+        self.result.findings.iter().filter_map(RecordedFinding::made).cloned()
     }
 
-    pub fn parameter(&self, id: ParamId) -> Option<&ParameterResult> {
-        self.parameters.iter().find(|parameter| parameter.id == id)
+    /// The findings about the inputs.
+    pub fn input_findings(&self) -> Vec<Diagnostic> {
+        self.diagnostics().skip(self.of_estimate).collect()
     }
 
-    pub fn count(&self, status: Status) -> usize {
-        self.parameters.iter().filter(|parameter| parameter.status() == status).count()
+    /// The findings of the estimate.
+    pub fn estimate_findings(&self) -> impl Iterator<Item = &EstimationFinding> {
+        self.result.findings.iter().take(self.of_estimate).filter_map(|finding| finding.made()?.finding())
     }
 
     /// The residuals of observations, measured minus predicted.
@@ -101,14 +190,14 @@ impl CalibrationResult {
             self.robot.doubts.push(finding.code().to_string());
             self.robot.doubts.sort();
         }
-        self.input_findings.push(finding);
+        self.result.findings.push(finding.into());
         self
     }
 
     /// Whether row number `place` of the observations is used.
     pub fn uses(&self, place: usize) -> bool {
-        let next = self.outliers.partition_point(|outlier| outlier.places.end <= place);
-        self.outliers.get(next).is_none_or(|outlier| !outlier.places.contains(&place))
+        let next = self.excluded_rows.partition_point(|rows| rows.end <= place);
+        self.excluded_rows.get(next).is_none_or(|rows| !rows.contains(&place))
     }
 }
 
@@ -129,31 +218,17 @@ pub enum StartRobot {
     Identified,
 }
 
-/// Rank of the scaled Jacobian of the parameters asked for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RankSummary {
-    pub nominal: usize,
-    pub at_solution: usize,
-    /// Condition number of the base set, columns scaled to unit norm.
-    pub condition: f64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SolverSummary {
-    pub iterations: usize,
-    pub converged: bool,
-}
-
-/// The standard deviation of a length.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SigmaSummary {
-    pub mm: f64,
-    pub source: SigmaSource,
-    /// Degrees of freedom, if it was estimated.
-    pub freedom: Option<f64>,
-    /// Coverage factor of a 95 % interval: Student's t if sigma was estimated, normal if it was given, `None` if it is
-    /// unknown.
-    pub coverage_factor: Option<f64>,
+/// The noise of the measurements, one standard deviation, mm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NoiseSummary {
+    /// Of a length: root mean square of those of the used lengths.
+    pub length: f64,
+    /// Of the pose in each direction, if it was separated from the rest.
+    pub pose: Option<f64>,
+    /// Of a length besides that of the pose, if it was separated from the rest.
+    pub instrument: Option<f64>,
+    /// Degrees of freedom of `length`, if it was estimated.
+    pub degrees_of_freedom: Option<f64>,
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -205,32 +280,26 @@ pub struct MapPoint {
     pub rms_mm: f64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PriorUsed {
-    pub source: PriorSource,
-    /// Factor on its standard deviations: above 1 if the default tolerance was widened to fit the lengths.
-    pub scale: f64,
-}
-
-impl PriorUsed {
-    pub(super) fn of(prior: &Prior, scale: f64) -> Option<Self> {
-        let source = match prior {
-            Prior::None => return None,
-            Prior::Datasheet => PriorSource::Datasheet,
-            Prior::Given(_) => PriorSource::File,
-            Prior::Posterior => PriorSource::Posterior,
-        };
-        Some(Self { source, scale })
-    }
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PriorSource {
+    /// No prior was asked for.
+    None,
     Datasheet,
     File,
     /// That of an earlier identification.
     Posterior,
+}
+
+impl From<&Prior> for PriorSource {
+    fn from(prior: &Prior) -> Self {
+        match prior {
+            Prior::None => Self::None,
+            Prior::Datasheet => Self::Datasheet,
+            Prior::Given(_) => Self::File,
+            Prior::Posterior => Self::Posterior,
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -242,9 +311,10 @@ pub struct MonteCarlo {
     pub disagree: Vec<ParamId>,
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ParameterResult {
-    pub id: ParamId,
+    pub name: ParamId,
+    pub unit: ParamUnit,
     pub start: f64,
     pub nominal: f64,
     /// Estimated, or the value at which it was fixed.
@@ -253,80 +323,26 @@ pub struct ParameterResult {
     pub correction: f64,
     /// Standard deviation; `None` if it was not estimated.
     pub sd: Option<f64>,
+    /// Standard deviation of the prior that the estimate used; `None` without one.
+    pub prior_sd: Option<f64>,
     pub interval95: Option<[f64; 2]>,
     pub monte_carlo: Option<ParameterDraws>,
-    pub reason: Reason,
+    pub status: Status,
+    /// Why it has its status, in words; empty if it is identified by itself.
+    pub reason: String,
 }
 
-impl ParameterResult {
-    pub fn status(&self) -> Status {
-        self.reason.status()
-    }
-}
-
-/// The status of a parameter; the names in `result.json` are those of schema 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
     Identified,
+    /// Estimated with the help of the prior.
+    SupportedByPrior,
+    /// Its standard deviation would exceed the limit.
+    PoorlyObservable,
     /// Linearly dependent; another member of its combination is estimated.
     Dependent,
-    #[serde(rename = "held")]
     Fixed,
-    #[serde(rename = "too_weak")]
-    PoorlyObservable,
-    /// Estimated with the help of the prior.
-    Prior,
-}
-
-/// Why a parameter has its status.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Reason {
-    Identified,
-    /// As a member of a combination; `shared` if the prior distributes it among several members.
-    IdentifiedFor {
-        combination: Combination,
-        shared: bool,
-    },
-    /// The lengths determine only the combination; the prior distributes it.
-    PriorShares {
-        combination: Option<Combination>,
-    },
-    /// By the prior: the lengths alone give only this standard deviation.
-    PriorCarries {
-        data_sd: f64,
-    },
-    /// With a variance of its group by the evidence; the fraction of it that the lengths determine.
-    ByEvidence {
-        determined: f64,
-    },
-    Dependent {
-        combination: Option<Combination>,
-    },
-    FixedAsAsked,
-    NotAsked,
-    ChangesNoLength,
-    /// A place whose standard deviation would exceed the limit.
-    Open {
-        limit: f64,
-    },
-    /// Its standard deviation would exceed the limit.
-    PoorlyObservable {
-        limit: f64,
-    },
-}
-
-impl Reason {
-    pub fn status(&self) -> Status {
-        match self {
-            Self::Identified | Self::IdentifiedFor { .. } => Status::Identified,
-            Self::ByEvidence { determined } if *determined > 0.5 => Status::Identified,
-            Self::PriorShares { .. } | Self::PriorCarries { .. } | Self::ByEvidence { .. } => Status::Prior,
-            Self::Dependent { .. } => Status::Dependent,
-            Self::FixedAsAsked | Self::NotAsked | Self::ChangesNoLength => Status::Fixed,
-            Self::Open { .. } | Self::PoorlyObservable { .. } => Status::PoorlyObservable,
-        }
-    }
 }
 
 /// Standard deviation and 95 % interval of a parameter by Monte Carlo.
@@ -337,8 +353,9 @@ pub struct ParameterDraws {
 }
 
 /// A further measurement with its simulated effect.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Recommendation {
+    #[serde(flatten)]
     pub measure: FurtherMeasurement,
     /// Number of lengths to measure.
     pub poses: usize,
@@ -354,7 +371,8 @@ pub struct Recommendation {
     pub identifies: Vec<ParamId>,
 }
 
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
 pub enum FurtherMeasurement {
     /// The same lengths with the tolerance of the robot's file as prior.
     Prior,
@@ -363,14 +381,15 @@ pub enum FurtherMeasurement {
     /// The same positions with other wrist orientations.
     Wrist { degrees: f64 },
     /// A further ball (robot base, mm).
-    Ball { at_mm: [f64; 3] },
+    Ball { ball_mm: [f64; 3] },
     /// The same poses and ball, rotated about axis 1.
-    TurnedBall { at_mm: [f64; 3] },
+    TurnedBall { ball_mm: [f64; 3] },
     /// Another length of the bar on the same ball.
     Bar { length_mm: f64 },
 }
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum CirclePlane {
     Xy,
     Xz,
@@ -408,13 +427,9 @@ pub enum JointError {
 /// A measurement that is not used.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outlier {
-    /// Its row numbers in the observations.
-    #[serde(skip)]
-    pub places: Range<usize>,
     /// Its index column.
     pub index: u32,
     /// `None` for a position.
-    #[serde(rename = "centre")]
     pub ball: Option<BallId>,
     /// For a position the 3-D distance.
     pub residual_mm: f64,
@@ -438,5 +453,85 @@ impl MadeFrom {
             positions: positions - rejected_positions,
             targets: observations.targets(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::robot::Joint;
+
+    #[test]
+    fn a_recommendation_is_written_with_its_kind_beside_its_effect() {
+        let measures = [
+            (FurtherMeasurement::Prior, json!({ "kind": "prior" })),
+            (
+                FurtherMeasurement::Circle { planes: vec![CirclePlane::Xy, CirclePlane::TiltedAboutX(30.0)] },
+                json!({ "kind": "circle", "planes": ["xy", { "tilted_about_x": 30.0 }] }),
+            ),
+            (
+                FurtherMeasurement::TurnedBall { ball_mm: [1.0, 2.0, 3.0] },
+                json!({ "kind": "turned_ball", "ball_mm": [1.0, 2.0, 3.0] }),
+            ),
+        ];
+        for (measure, keys) in measures {
+            let recommendation = Recommendation {
+                measure,
+                poses: 20,
+                before_mm: 0.5,
+                after_mm: 0.25,
+                needs_prior: false,
+                adds: true,
+                identifies: vec![ParamId::D(Joint::J2)],
+            };
+            let written = serde_json::to_value(&recommendation).unwrap();
+            assert_eq!(serde_json::from_value::<Recommendation>(written.clone()).unwrap(), recommendation);
+            let effect = json!({
+                "poses": 20, "before_mm": 0.5, "after_mm": 0.25, "needs_prior": false, "adds": true, "identifies": ["d2"]
+            });
+            let all = [keys, effect].into_iter().flat_map(|part| part.as_object().cloned().unwrap());
+            assert_eq!(written, serde_json::Value::Object(all.collect()));
+        }
+    }
+
+    /// The members keep their order, which their sum in words has.
+    #[test]
+    fn a_combination_is_written_by_the_names_of_its_members() {
+        let combination = Combination {
+            members: vec![(ParamId::D(Joint::J3), 1.0), (ParamId::D(Joint::J2), 0.5)],
+            kept: ParamId::D(Joint::J3),
+        };
+        let text = serde_json::to_string(&combination).unwrap();
+        assert_eq!(text, r#"{"members":{"d3":1.0,"d2":0.5},"kept":"d3"}"#);
+        assert_eq!(serde_json::from_str::<Combination>(&text).unwrap(), combination);
+    }
+
+    #[test]
+    fn a_finding_is_typed_until_it_was_written() {
+        let made = RecordedFinding::from(
+            Diagnostic::from(EstimationFinding::Outliers { outliers: 2 }).in_file("a.csv"),
+        );
+        let written = serde_json::to_value(&made).unwrap();
+        let keys: Vec<&String> = written.as_object().unwrap().keys().collect();
+        assert_eq!(keys, ["code", "severity", "text", "values"]);
+        let read: RecordedFinding = serde_json::from_value(written.clone()).unwrap();
+        assert!(made.made().is_some() && read.made().is_none());
+        assert_eq!(
+            (read.code(), read.severity(), read.values()),
+            (made.code(), made.severity(), json!({ "outliers": 2 }))
+        );
+        assert_eq!(serde_json::to_value(&read).unwrap(), written);
+    }
+
+    #[test]
+    fn another_schema_is_refused() {
+        let refused = |text: &str| CalibrationResult::from_json("result.json", text).unwrap_err();
+        let finding = |text: &str| refused(text).finding::<ResultFinding>().cloned();
+        let other = |schema: &str| Some(ResultFinding::OtherSchema { schema: schema.into(), known: 2 });
+        assert_eq!((finding(r#"{"schema":1}"#), finding("{}")), (other("1"), other("none")));
+        assert!(matches!(finding(r#"{"schema":2}"#), Some(ResultFinding::Incomplete { .. })));
+        assert!(matches!(finding("{"), Some(ResultFinding::NotJson { .. })));
     }
 }

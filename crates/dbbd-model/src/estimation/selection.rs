@@ -5,7 +5,7 @@ use super::estimate::Search;
 use super::lengths::{Sigma, Weighted};
 use super::linear_system::factor;
 use super::prior;
-use super::priors::{Prior, Priors, largest_plausible, open_limit};
+use super::priors::{Prior, Priors, largest_plausible};
 use super::uncertainty::{Partition, data_sd};
 use crate::math::base_set;
 use crate::measurement::LengthModel;
@@ -171,7 +171,7 @@ pub(super) fn open_places(
     let mut open = Vec::new();
     while !places.is_empty() {
         let Some(sd) = data_sd(model, &lengths, &places) else { break };
-        let ratio = |k: &usize| sd[*k] / open_limit(places[*k]);
+        let ratio = |k: &usize| sd[*k] / places[*k].max_sd().unwrap_or(f64::INFINITY);
         match (0..places.len()).max_by(|a, b| ratio(a).total_cmp(&ratio(b))) {
             Some(worst) if ratio(&worst) > 1.0 => open.push(places.remove(worst)),
             _ => break,

@@ -74,10 +74,12 @@ impl Noise {
             }
         }
         let ratio = squares(used.by(Sigma::Given)) / freedom;
+        if !lengths.known {
+            return Self::further(lengths, ratio, freedom);
+        }
         match ChiSquareOutcome::of(ratio, freedom) {
-            _ if !lengths.known => Self::further(lengths, ratio, freedom),
             ChiSquareOutcome::Greater => Self { sigma: Sigma::Times(ratio.sqrt()), freedom: Some(freedom) },
-            _ => Self::GIVEN,
+            ChiSquareOutcome::AsExpected | ChiSquareOutcome::Less => Self::GIVEN,
         }
     }
 
@@ -135,5 +137,99 @@ impl Noise {
             false => Sigma::All(square.sqrt().max(FLOOR_MM)),
         };
         Self { sigma, freedom: Some(freedom) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::estimation::options::Options;
+    use crate::measurement::{
+        AxisAngles, BallId, BarId, BaseBall, Datum, LengthModel, Measurement, TargetId,
+    };
+    use crate::robot::Approach;
+
+    /// ISO 9283 states the repeatability of the built-in KR 60 HA, 0.05 mm, as the mean distance and three standard deviations
+    /// of the distance. Of a Maxwell distribution these are 2 sqrt(2 / pi) and sqrt(3 - 8 / pi) deviations of a coordinate.
+    #[test]
+    fn repeatability_adds_to_the_variance_of_the_bar() {
+        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let pi = std::f64::consts::PI;
+        let own = 0.05 / (2.0 * (2.0 / pi).sqrt() + 3.0 * (3.0 - 8.0 / pi).sqrt());
+        assert!((length_sd_mm(0.01, &robot) - 0.01f64.hypot(own)).abs() < 1e-5);
+        let unknown = Robot { repeatability_mm: None, ..robot };
+        assert_eq!(length_sd_mm(0.01, &unknown), 0.01);
+    }
+
+    /// Twenty lengths, which are alternately `off_mm` longer and shorter than the model predicts, and a fit of four parameters.
+    fn noise(off_mm: f64, sigma_mm: Option<f64>, repeatability_mm: Option<f64>, options: &Options) -> Noise {
+        let robot = Robot { repeatability_mm, ..Robot::by_name("kr60ha").unwrap().unwrap() };
+        let ball = BaseBall { id: BallId::FIRST, position: Vector3::new(1200.0, 0.0, 600.0) };
+        let model = LengthModel::new(robot.geometry.clone(), &[ball]);
+        let row = |at: u32| {
+            let axes = AxisAngles::from_degrees([3.0 * f64::from(at), -90.0, 90.0, 10.0, 40.0, 0.0]);
+            let mut row = Measurement {
+                index: at + 1,
+                datum: Datum::Ball(BallId::FIRST, BarId::FIRST),
+                target: TargetId::FIRST,
+                axes,
+                approach: Approach::default(),
+                length_mm: 0.0,
+                sigma_mm,
+                context: None,
+            };
+            let off_mm = if at.is_multiple_of(2) { off_mm } else { -off_mm };
+            row.length_mm = model.prepare().length(&PreparedMeasurement::from(&row)) + off_mm;
+            row
+        };
+        let rows: Vec<Measurement> = (0..20).map(row).collect();
+        let fit = Fit { model, iterations: 1, converged: true, outliers: vec![] };
+        Noise::of_fit(&Lengths::of(&rows, options, &robot), &fit, 4)
+    }
+
+    /// s = r = 0.01 mm, v = 0.02 mm: in units of 1e-4 mm^2, 20 * 4 / (1 + x) + 4 / x = 16 + 4, and so 5 x^2 - 16 x - 1 = 0.
+    #[test]
+    fn further_variance_solves_the_equation_of_paule_and_mandel() {
+        let found = noise(0.02, Some(0.01), Some(0.01 * 3.616), &Options::default());
+        let Sigma::And(square) = found.sigma else { panic!("{found:?}") };
+        let x = (16.0 + 276f64.sqrt()) / 10.0;
+        assert!((square / (1e-4 * x) - 1.0).abs() < 1e-6, "{square}");
+        assert_eq!(found.freedom, Some(20.0));
+    }
+
+    /// Without a repeatability the equation is 80 / (1 + x) = 16.
+    #[test]
+    fn without_a_prior_the_residuals_alone_decide() {
+        let found = noise(0.02, Some(0.01), None, &Options::default());
+        let Sigma::And(square) = found.sigma else { panic!("{found:?}") };
+        assert!((square / 4e-4 - 1.0).abs() < 1e-6, "{square}");
+        assert_eq!(found.freedom, Some(16.0));
+        // Residuals that chance explains leave the given standard deviations.
+        assert_eq!(noise(0.009, Some(0.01), None, &Options::default()), Noise::GIVEN);
+    }
+
+    /// A repeatability of 1 mm would give far larger residuals: it is not used.
+    #[test]
+    fn prior_that_the_residuals_refuse_is_dropped() {
+        assert_eq!(noise(0.009, Some(0.01), Some(3.616), &Options::default()), Noise::GIVEN);
+    }
+
+    #[test]
+    fn scatter_is_the_standard_deviation_where_none_is_given() {
+        let found = noise(0.02, None, None, &Options::default());
+        let Sigma::All(sigma) = found.sigma else { panic!("{found:?}") };
+        // sqrt(20 * 0.02^2 / 16).
+        assert!((sigma / 5e-4f64.sqrt() - 1.0).abs() < 1e-6, "{sigma}");
+        assert_eq!(found.freedom, Some(16.0));
+        let stated = Options { sigma_mm: Some(0.5), ..Options::default() };
+        assert_eq!(noise(0.02, None, None, &stated), Noise::GIVEN);
+    }
+
+    #[test]
+    fn standard_deviation_of_a_length_by_its_rule() {
+        let rules = [Sigma::Given, Sigma::Times(3.0), Sigma::And(16.0), Sigma::All(0.7)];
+        assert_eq!(rules.map(|rule| rule.of(3.0)), [3.0, 9.0, 5.0, 0.7]);
     }
 }

@@ -2,12 +2,11 @@
 
 use std::fmt;
 
-use super::result::{
-    CirclePlane, FurtherMeasurement, MadeFrom, ParameterResult, Reason, Recommendation, StartRobot,
-};
+use super::parameters::Reason;
+use super::result::{CirclePlane, FurtherMeasurement, MadeFrom, Recommendation, StartRobot};
 use super::{Combination, Group, GroupEvidence, priors};
 use crate::base::text;
-use crate::robot::{BarId, ParamId, ParamUnit};
+use crate::robot::{BarId, ParamId, ParamOwner, ParamUnit};
 
 /// As "140 lengths and 70 positions of 2 targets".
 impl fmt::Display for MadeFrom {
@@ -26,7 +25,7 @@ impl fmt::Display for Combination {
         self.write_sum(out)?;
         out.write_str(" is identifiable")?;
         let bar = |id: &ParamId| if let ParamId::BarOffset(bar) = id { Some(*bar) } else { None };
-        match (self.members.iter().filter_map(|(id, _)| bar(id)).max(), self.kept) {
+        match (self.members.iter().filter_map(|(id, _)| bar(id)).max(), self.kept.owner()) {
             (Some(BarId::FIRST), _) => out.write_str(
                 ": bar_offset is a uniform scale by another name; calibrate the bar or add a second length",
             ),
@@ -35,11 +34,13 @@ impl fmt::Display for Combination {
                 ": bar_offset{bar} is a uniform scale by another name while each bar has an offset of its own; calibrate \
                  one of the bars, or set one to a second length"
             ),
-            (None, ParamId::Ball(..)) => out.write_str(
+            (None, ParamOwner::Ball(_)) => out.write_str(
                 ": lengths determine where the ball is from the robot's base, not where that base is",
             ),
-            (None, ParamId::Tool(_)) => out.write_str(": the flange is known only by the ball on it"),
-            (None, _) => Ok(()),
+            (None, ParamOwner::ToolBall) => out.write_str(": the flange is known only by the ball on it"),
+            (None, ParamOwner::Robot | ParamOwner::Target(_) | ParamOwner::Bar(_) | ParamOwner::Tracker) => {
+                Ok(())
+            }
         }
     }
 }
@@ -99,13 +100,13 @@ fn significant(value: f64) -> String {
     text::without_end_zeros(&format!("{value:.digits$}")).to_owned()
 }
 
-impl ParameterResult {
-    /// The reason of its status; empty if it is identified by itself.
-    pub fn reason_text(&self) -> String {
+impl Reason {
+    /// The reason in words, of the parameter `id`; empty if it is identified by itself.
+    pub(super) fn text(&self, id: ParamId) -> String {
         let text = |combination: &Option<Combination>| {
             combination.iter().map(ToString::to_string).collect::<String>()
         };
-        match &self.reason {
+        match self {
             Reason::Identified => String::new(),
             Reason::IdentifiedFor { combination, shared: false } => combination.to_string(),
             Reason::IdentifiedFor { combination, shared: true } => {
@@ -113,7 +114,7 @@ impl ParameterResult {
             }
             Reason::PriorShares { combination } => format!("{}; the prior shares it out", text(combination)),
             Reason::PriorCarries { data_sd } => {
-                format!("the data alone leave {}; the prior carries it", with_unit(*data_sd, self.id))
+                format!("the data alone leave {}; the prior carries it", with_unit(*data_sd, id))
             }
             Reason::ByEvidence { determined } => format!(
                 "its group's variance is that of the greatest evidence; the lengths determine {:.0} % of it",
@@ -126,11 +127,11 @@ impl ParameterResult {
             Reason::Open { limit } => format!(
                 "poorly observable: these poses leave it open by more than {}, as where the tool never turns or every bar \
                  lies in one plane; vary the poses",
-                with_unit(*limit, self.id)
+                with_unit(*limit, id)
             ),
             Reason::PoorlyObservable { limit } => format!(
                 "poorly observable: its standard deviation would be more than {} ({} tolerances)",
-                with_unit(*limit, self.id),
+                with_unit(*limit, id),
                 priors::WEAK
             ),
         }
@@ -143,8 +144,8 @@ fn with_unit(value: f64, id: ParamId) -> String {
         _ if value.is_infinite() => "nothing known".into(),
         ParamUnit::Rad => format!("{:.3} mrad", value * 1e3),
         ParamUnit::RadPerNm => format!("{:.3} urad/(N m)", value * 1e6),
-        unit if value >= 10.0 => format!("{value:.0} {unit}"),
-        unit => format!("{value:.3} {unit}"),
+        ParamUnit::Mm if value >= 10.0 => format!("{value:.0} mm"),
+        ParamUnit::Mm => format!("{value:.3} mm"),
     }
 }
 
@@ -169,7 +170,9 @@ impl fmt::Display for GroupEvidence {
         };
         let size = match group {
             Group::Compliance => format!("{sd:.2} of its prior standard deviation"),
-            _ => format!("{:.1} urad", sd * 1e6),
+            Group::Harmonic | Group::Smooth | Group::Backlash | Group::Ripple => {
+                format!("{:.1} urad", sd * 1e6)
+            }
         };
         write!(
             out,
@@ -198,7 +201,7 @@ impl Recommendation {
         let poses = self.poses;
         let place = |[x, y, z]: [f64; 3]| format!("({x:.0}, {y:.0}, {z:.0}) mm");
         match &self.measure {
-            FurtherMeasurement::Prior => "the same lengths with --prior datasheet".into(),
+            FurtherMeasurement::Prior => "the same lengths with the prior of the data sheet".into(),
             FurtherMeasurement::Circle { planes } => {
                 let planes = match planes.as_slice() {
                     [others @ .., last] if !others.is_empty() => {
@@ -212,11 +215,11 @@ impl Recommendation {
             FurtherMeasurement::Wrist { degrees } => {
                 format!("the same places with the wrist turned by {degrees} degrees more, {poses} poses")
             }
-            FurtherMeasurement::Ball { at_mm } => {
-                format!("a further ball at {}, {poses} poses", place(*at_mm))
+            FurtherMeasurement::Ball { ball_mm } => {
+                format!("a further ball at {}, {poses} poses", place(*ball_mm))
             }
-            FurtherMeasurement::TurnedBall { at_mm } => {
-                format!("a ball turned about axis 1 to {}, {poses} poses", place(*at_mm))
+            FurtherMeasurement::TurnedBall { ball_mm } => {
+                format!("a ball turned about axis 1 to {}, {poses} poses", place(*ball_mm))
             }
             FurtherMeasurement::Bar { length_mm } => {
                 format!("a bar of {length_mm:.0} mm on the same ball, {poses} poses")
@@ -230,7 +233,7 @@ impl fmt::Display for Recommendation {
         let Self { before_mm, after_mm, identifies, .. } = self;
         write!(out, "{}: predicted position error {before_mm:.3} -> {after_mm:.3} mm", self.what())?;
         if self.needs_prior && self.measure != FurtherMeasurement::Prior {
-            out.write_str(" with --prior datasheet")?;
+            out.write_str(" with the prior of the data sheet")?;
         }
         if !identifies.is_empty() {
             let names: Vec<String> = identifies.iter().map(ToString::to_string).collect();

@@ -175,3 +175,115 @@ pub fn left_out_mm(robot: &Robot) -> Option<f64> {
     };
     Some(aligned_distances(&balls(&robot.geometry), &balls(&table)).iter().sum::<f64>() / POSES as f64)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{Coordinate, Joint};
+
+    fn robot() -> Robot {
+        Robot::by_name("kr60ha").unwrap().unwrap()
+    }
+
+    /// Displacements of 5, 1 mm of one robot at two poses, and of 2, 10 mm of another.
+    fn displacements() -> DMatrix<f64> {
+        DMatrix::from_columns(&[
+            nalgebra::DVector::from_row_slice(&[3.0, 4.0, 0.0, 0.0, 0.0, 1.0]),
+            nalgebra::DVector::from_row_slice(&[0.0, 0.0, 2.0, 6.0, 8.0, 0.0]),
+        ])
+    }
+
+    #[test]
+    fn summary_of_displacements() {
+        let found = ErrorSummary::of(&displacements());
+        // (5 + 1 + 2 + 10) / 4; the fourth of four, and the second of the largest 5 and 10.
+        assert_eq!((found.mean, found.p95, found.max), (4.5, 10.0, 10.0));
+        assert_eq!(ErrorSummary::of(&DMatrix::zeros(0, 0)), ErrorSummary::default());
+    }
+
+    /// The rank of the 95th percentile of 1..100 counts from 0: 95 of them are smaller.
+    #[test]
+    fn percentile_of_a_hundred() {
+        let mut values: Vec<f64> = (1..=100).rev().map(f64::from).collect();
+        assert_eq!(percentile_95(&mut values), 96.0);
+        assert_eq!(percentile_95(&mut [7.0]), 7.0);
+    }
+
+    /// sqrt((5^2 + 2^2) / 2) and sqrt((1^2 + 10^2) / 2).
+    #[test]
+    fn map_is_the_rms_over_the_robots() {
+        let workspace = Workspace::new(&robot().geometry, &[[0.0; AXES], [0.1; AXES]], &[]);
+        let rms: Vec<f64> = workspace.map(&displacements()).iter().map(|point| point.rms_mm).collect();
+        assert!((rms[0] - 14.5f64.sqrt()).abs() < 1e-14 && (rms[1] - 50.5f64.sqrt()).abs() < 1e-14);
+    }
+
+    #[test]
+    fn rigid_motions_are_taken_out_and_a_scale_stays() {
+        let positions: Vec<Vector3<f64>> = (0..8)
+            .map(|at| Vector3::from_fn(|axis, _| 500.0 + 300.0 * ((at * 3 + axis) as f64 * 1.7).sin()))
+            .collect();
+        let centroid = positions.iter().sum::<Vector3<f64>>() / 8.0;
+        let rows = |motion: &dyn Fn(&Vector3<f64>) -> Vector3<f64>| -> Vec<f64> {
+            positions
+                .iter()
+                .flat_map(|position| motion(position).iter().copied().collect::<Vec<_>>())
+                .collect()
+        };
+        // A screw about an axis that does not pass through the centroid, and a uniform scale about the centroid.
+        let screw = rows(&|p| Vector3::new(0.1, -0.2, 0.3).cross(p) + Vector3::new(4.0, 5.0, 6.0));
+        let scale = rows(&|p| p - centroid);
+        let mut jacobian = DMatrix::from_column_slice(24, 2, &[screw, scale.clone()].concat());
+        take_out_rigid_motion(&mut jacobian, &positions);
+        assert!(jacobian.column(0).norm() < 1e-9);
+        // A scale about the centroid is orthogonal to all rigid motions.
+        let scale = nalgebra::DVector::from_vec(scale);
+        assert!((jacobian.column(1) - &scale).norm() < 1e-9 * scale.norm());
+    }
+
+    /// The first row of the table moves the whole robot.
+    #[test]
+    fn parameters_of_the_first_row_move_no_ball_against_another() {
+        let robot = robot();
+        let poses = Workspace::uniform(&robot, 30, 1);
+        let ids = [
+            ParamId::Alpha(Joint::J1),
+            ParamId::A(Joint::J1),
+            ParamId::Theta(Joint::J1),
+            ParamId::D(Joint::J1),
+            ParamId::A(Joint::J2),
+            ParamId::Tool(Coordinate::X),
+        ];
+        let workspace = Workspace::new(&robot.geometry, &poses, &ids);
+        let sizes: Vec<f64> = workspace.jacobian().column_iter().map(|column| column.norm()).collect();
+        // A radian moves the ball by up to two metres.
+        assert!(sizes[..4].iter().all(|size| *size < 1e-6), "{sizes:?}");
+        assert!(sizes[4..].iter().all(|size| *size > 1.0), "{sizes:?}");
+        assert_eq!(workspace.ids(), ids);
+    }
+
+    #[test]
+    fn poses_are_within_the_limits_and_repeat_with_their_seed() {
+        let robot = robot();
+        let poses = Workspace::uniform(&robot, 200, 7);
+        assert_eq!(poses, Workspace::uniform(&robot, 200, 7));
+        assert_ne!(poses, Workspace::uniform(&robot, 200, 8));
+        let limits = robot.limits_at_deg(&[0.0; AXES]);
+        for axis in 0..AXES {
+            let [low, high] = limits[axis].map(f64::to_radians);
+            let angles = || poses.iter().map(|pose| pose[axis]);
+            assert!(angles().all(|angle| (low..=high).contains(&angle)), "{axis}");
+            // 200 draws leave less than a tenth of the range open at each end.
+            let tenth = 0.1 * (high - low);
+            assert!(angles().any(|angle| angle < low + tenth) && angles().any(|angle| angle > high - tenth));
+        }
+    }
+
+    #[test]
+    fn table_alone_leaves_nothing_out() {
+        let mut robot = robot();
+        assert_eq!(left_out_mm(&robot), None);
+        robot.geometry.gear[1] = [1e-3, 0.0];
+        // A milliradian about the second axis moves the ball by at most its reach of about two metres.
+        assert!((1e-3..2.5).contains(&left_out_mm(&robot).unwrap()));
+    }
+}

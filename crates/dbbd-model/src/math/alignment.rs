@@ -13,7 +13,7 @@ pub struct RigidAlignment {
     /// The scale factor about the centroid that least squares would add to the motion. The motion does not contain it.
     pub scale: f64,
     /// RMS residual of motion and scale, relative to the RMS distance of the target points from their centroid.
-    pub misfit: f64,
+    pub(crate) misfit: f64,
 }
 
 impl RigidAlignment {
@@ -99,5 +99,36 @@ mod tests {
             assert!((found.scale - 1e3).abs() < 1e-6 && found.misfit < 1e-6, "{found:?}");
         }
         assert!(aligned_distances(&points[..1], &points[1..2]).iter().all(|distance| *distance == 0.0));
+    }
+
+    /// Umeyama's method by numpy.linalg.svd, IEEE Trans. Pattern Anal. 13, 1991.
+    #[test]
+    fn motion_scale_and_misfit_match_the_solution_by_singular_values() {
+        let from = [[0., 0., 0.], [100., 0., 0.], [0., 200., 0.], [0., 0., 300.], [50., 80., 20.]];
+        let to = [
+            [11.0, 20.0, -5.0],
+            [91.946858, 59.985782, 40.32051],
+            [-95.248412, 191.041131, 31.661952],
+            [-80.442439, -93.68505, 263.317423],
+            [2.364568, 102.21034, 50.029531],
+        ];
+        let [from, to] = [from, to].map(|points| points.map(Vector3::from));
+        let found = RigidAlignment::of(&from, &to).unwrap();
+        let turn = Vector3::new(0.3010161338802957, -0.4031713677539118, 0.49974785506329183);
+        let shift = Vector3::new(9.888703591859066, 20.898264544875524, -3.5070143311814235);
+        assert!((found.rotation.scaled_axis() - turn).norm() < 1e-12);
+        assert!((found.shift - shift).norm() < 1e-9, "{}", found.shift);
+        assert!((found.scale - 1.018880895519757).abs() < 1e-12);
+        assert!((found.misfit - 0.005451204542220778).abs() < 1e-10);
+        let distances = aligned_distances(&to, &from);
+        assert!((distances[3] - (to[3] - found.apply(&from[3])).norm()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn coinciding_points_have_no_motion_but_distances_from_their_mean() {
+        let same = [Vector3::new(1.0, 2.0, 3.0); 2];
+        let apart = [Vector3::new(0.0, 0.0, 0.0), Vector3::new(0.0, 6.0, 0.0)];
+        assert!(RigidAlignment::of(&same, &apart).is_none());
+        assert_eq!(aligned_distances(&apart, &same), [3.0, 3.0]);
     }
 }

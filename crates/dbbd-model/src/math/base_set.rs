@@ -40,7 +40,7 @@ fn rank_of_unit_columns(unit: &[DVector<f64>]) -> Option<usize> {
 /// Chooses a base set among the columns of `r` (a triangular factor, or any matrix with the same Gram matrix). Columns
 /// are tried in the `order` of preference; a column that depends on those already taken is rejected. `None` if an element
 /// is not finite.
-pub fn base_set(r: &DMatrix<f64>, order: &[usize]) -> Option<BaseSet> {
+pub(crate) fn base_set(r: &DMatrix<f64>, order: &[usize]) -> Option<BaseSet> {
     let norms: Vec<f64> = r.column_iter().map(|column| column.norm()).collect();
     let (zero, live): (Vec<usize>, Vec<usize>) = order.iter().partition(|&&j| norms[j] < ZERO_COLUMN);
     let unit: Vec<DVector<f64>> = live.iter().map(|&j| r.column(j) / norms[j]).collect();
@@ -97,5 +97,46 @@ mod tests {
         let (column, x) = &set.dependent[0];
         assert_eq!(*column, 2);
         assert!((x[0] + 3.0).abs() < 1e-12 && (x[1] - 2.0).abs() < 1e-12);
+    }
+
+    /// numpy.linalg.cond of the two columns, each divided by its norm.
+    #[test]
+    fn condition_is_that_of_unit_columns() {
+        let columns = [1.0, 2.0, 3.0, 4.0].map(|x| 1e3 * x).into_iter().chain([1.0, 0.0, -1.0, 5.0]);
+        let set = base_set(&DMatrix::from_iterator(4, 2, columns), &[0, 1]).unwrap();
+        assert!((set.condition - 2.107491029663531).abs() < 1e-12, "{}", set.condition);
+        assert_eq!((set.rank, set.kept, set.zero.len(), set.dependent.len()), (2, vec![0, 1], 0, 0));
+    }
+
+    #[test]
+    fn coefficients_are_those_of_the_columns_as_given() {
+        // The columns have norms of 1, 10, 100 and 1e-3.
+        let matrix = DMatrix::from_row_slice(
+            3,
+            4,
+            &[
+                1.0, 0.0, 60.0, 0.0, //
+                0.0, 10.0, 80.0, 0.0, //
+                0.0, 0.0, 0.0, 1e-3,
+            ],
+        );
+        let set = base_set(&matrix, &[3, 2, 1, 0]).unwrap();
+        assert_eq!((set.rank, set.kept), (3, vec![3, 2, 1]));
+        // column 0 = (column 2 - 8 column 1) / 60.
+        let (column, x) = &set.dependent[0];
+        assert_eq!(*column, 0);
+        for (value, expected) in x.iter().zip([0.0, 1.0 / 60.0, -8.0 / 60.0]) {
+            assert!((value - expected).abs() < 1e-12, "{x}");
+        }
+    }
+
+    #[test]
+    fn rank_ignores_columns_of_zero_and_tiny_angles() {
+        let with = |angle: f64| DMatrix::from_row_slice(2, 3, &[1.0, 1.0, 1e-10, 0.0, angle, 0.0]);
+        // The smaller singular value of two unit columns at an angle is about angle / sqrt(2), the larger sqrt(2).
+        assert_eq!(rank(&with(1e-7)), Some(2));
+        assert_eq!(rank(&with(1e-9)), Some(1));
+        assert_eq!(rank(&DMatrix::zeros(2, 2)), Some(0));
+        assert_eq!(rank(&DMatrix::from_element(2, 1, f64::NAN)), None);
     }
 }

@@ -157,6 +157,24 @@ impl ChiSquareOutcome {
     }
 }
 
+/// Coverage factor of a 95 % interval of a normal quantity, in the four figures of GUM:2008, table G.2 (infinite degrees of
+/// freedom). Intervals of files and pages are made with it; [`coverage_95`] has all digits.
+pub const COVERAGE_95: f64 = 1.96;
+
+/// Coverage factor of an expanded uncertainty, k = 2: about 95 % (GUM:2008, 6.3.3 and G.6.6).
+pub const COVERAGE_FACTOR: f64 = 2.0;
+
+/// Density of the standard normal distribution at its quantile 0.975, exp(-1.96^2 / 2) / sqrt(2 pi) = 0.0584.
+pub const NORMAL_DENSITY_AT_975: f64 = 0.058_4;
+
+/// Ratio of the 97.5 % quantiles of Student's t and of the normal distribution by three terms in the reciprocal of the degrees
+/// of freedom, at least 3 (Abramowitz and Stegun 26.7.5, at 1.96). It is 1 % too small at three degrees of freedom.
+pub fn coverage_95_ratio(freedom: f64) -> f64 {
+    let [one, two, three] = [1.210_4, 1.440_1, 1.304];
+    let f = freedom.max(3.0);
+    1.0 + (one + (two + three / f) / f) / f
+}
+
 /// Coverage factor of a 95 % interval: Student's t if the standard deviation was estimated with `freedom` degrees of
 /// freedom, else normal.
 pub fn coverage_95(freedom: Option<f64>) -> f64 {
@@ -256,6 +274,27 @@ mod tests {
         assert!((normal_deviate(-5000.0) - 99.94).abs() < 0.05);
     }
 
+    /// scipy.stats.chi2.ppf([0.001, 0.999], 100) / 100 are 0.61918 and 1.49449.
+    #[test]
+    fn a_ratio_is_as_expected_between_both_quantiles() {
+        for (ratio, expected) in [
+            (0.617, ChiSquareOutcome::Less),
+            (0.621, ChiSquareOutcome::AsExpected),
+            (1.0, ChiSquareOutcome::AsExpected),
+            (1.493, ChiSquareOutcome::AsExpected),
+            (1.497, ChiSquareOutcome::Greater),
+        ] {
+            assert_eq!(ChiSquareOutcome::of(ratio, 100.0), expected, "{ratio}");
+        }
+    }
+
+    /// 2 scipy.stats.t.sf(2.5, 7) and 2 scipy.stats.norm.sf(2.5).
+    #[test]
+    fn two_sided_tails_match_scipy() {
+        assert!((two_sided_tail(-2.5, Some(7.0)) - 0.04099221858575289).abs() < 1e-12);
+        assert!((two_sided_tail(2.5, None) - 0.012419330651552265).abs() < 1e-13);
+    }
+
     /// Values of scipy.stats.chi2.sf and scipy.stats.ncx2.sf.
     #[test]
     fn tails_of_chi_square() {
@@ -298,6 +337,19 @@ mod tests {
         ] {
             assert!((coverage_95(Some(freedom)) / expected - 1.0).abs() < 1e-10, "{freedom}");
         }
-        assert!((coverage_95(None) - 1.96).abs() < 1e-4);
+        assert!((coverage_95(None) - COVERAGE_95).abs() < 1e-4);
+        // scipy.stats.norm.pdf(scipy.stats.norm.ppf(0.975)) = 0.058450.
+        assert!((NORMAL_DENSITY_AT_975 - 0.058450).abs() < 1e-4);
+    }
+
+    /// scipy.stats.t.ppf(0.975, ..) / scipy.stats.norm.ppf(0.975).
+    #[test]
+    fn ratio_of_student_and_normal() {
+        for (freedom, expected, relative) in
+            [(3.0, 1.6237, 0.013), (5.0, 1.3115, 0.002), (10.0, 1.1368, 3e-4), (30.0, 1.0420, 1e-4)]
+        {
+            assert!((coverage_95_ratio(freedom) / expected - 1.0).abs() < relative, "{freedom}");
+        }
+        assert_eq!(coverage_95_ratio(1.0), coverage_95_ratio(3.0));
     }
 }

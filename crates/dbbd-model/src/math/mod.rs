@@ -14,14 +14,19 @@ mod svd;
 mod triangle;
 
 pub use alignment::{RigidAlignment, aligned_distances};
-pub use base_set::{BaseSet, base_set, rank};
-pub use orthonormal::OrthonormalBasis;
-pub use parallel::{map_items, map_pieces};
+pub use base_set::rank;
+pub(crate) use base_set::{BaseSet, base_set};
+pub(crate) use orthonormal::OrthonormalBasis;
+pub(crate) use parallel::map_items;
+pub use parallel::map_pieces;
 pub use svd::{Svd, svd};
-pub use triangle::Triangle;
+pub(crate) use triangle::Triangle;
 
 /// `upper` on top of `lower`; both have as many columns.
-pub fn stacked(upper: &nalgebra::DMatrix<f64>, lower: &nalgebra::DMatrix<f64>) -> nalgebra::DMatrix<f64> {
+pub(crate) fn stacked(
+    upper: &nalgebra::DMatrix<f64>,
+    lower: &nalgebra::DMatrix<f64>,
+) -> nalgebra::DMatrix<f64> {
     let mut stacked = upper.clone().resize_vertically(upper.nrows() + lower.nrows(), 0.0);
     stacked.rows_mut(upper.nrows(), lower.nrows()).copy_from(lower);
     stacked

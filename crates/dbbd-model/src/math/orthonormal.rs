@@ -4,13 +4,13 @@ use nalgebra::{DMatrix, DVector, DVectorViewMut};
 
 /// Orthonormal vectors by modified Gram-Schmidt with reorthogonalisation, which is as accurate as Householder reflections.
 #[derive(Clone, Debug, Default)]
-pub struct OrthonormalBasis {
+pub(crate) struct OrthonormalBasis {
     directions: Vec<DVector<f64>>,
 }
 
 impl OrthonormalBasis {
     /// Adds the part of a column that is orthogonal to the basis, if its norm exceeds `threshold`. Returns whether it did.
-    pub fn push(&mut self, mut column: DVector<f64>, threshold: f64) -> bool {
+    pub(crate) fn push(&mut self, mut column: DVector<f64>, threshold: f64) -> bool {
         self.remove_from(column.as_view_mut());
         self.remove_from(column.as_view_mut());
         let norm = column.norm();
@@ -22,7 +22,7 @@ impl OrthonormalBasis {
     }
 
     /// Subtracts the projection onto the basis from a column.
-    pub fn remove_from(&self, mut column: DVectorViewMut<'_, f64>) {
+    pub(crate) fn remove_from(&self, mut column: DVectorViewMut<'_, f64>) {
         for direction in &self.directions {
             let share = direction.dot(&column);
             column.axpy(-share, direction, 1.0);
@@ -30,7 +30,7 @@ impl OrthonormalBasis {
     }
 
     /// The basis vectors from number `first` on, as columns.
-    pub fn columns_from(&self, first: usize) -> DMatrix<f64> {
+    pub(crate) fn columns_from(&self, first: usize) -> DMatrix<f64> {
         DMatrix::from_columns(self.directions.get(first..).unwrap_or(&[]))
     }
 }
@@ -48,5 +48,21 @@ mod tests {
         assert!(!basis.push(column(&[3.0, 5.0, -2e-6]), 1e-9));
         let columns = basis.columns_from(0);
         assert!((columns.tr_mul(&columns) - DMatrix::identity(2, 2)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn projection_onto_the_basis_is_removed() {
+        let mut basis = OrthonormalBasis::default();
+        assert!(basis.push(DVector::from_row_slice(&[3.0, 4.0, 0.0]), 0.0));
+        assert!(basis.push(DVector::from_row_slice(&[0.0, 0.0, -2.0]), 0.0));
+        // (7, 1, 5) has 25 / 5 along (0.6, 0.8, 0): (7, 1) - 5 (0.6, 0.8) = (4, -3) is left.
+        let mut column = DVector::from_row_slice(&[7.0, 1.0, 5.0]);
+        basis.remove_from(column.as_view_mut());
+        assert!((column - DVector::from_row_slice(&[4.0, -3.0, 0.0])).norm() < 1e-14);
+        assert_eq!(basis.columns_from(1), DMatrix::from_row_slice(3, 1, &[0.0, 0.0, -1.0]));
+        assert_eq!(basis.columns_from(0).ncols(), 2);
+        // The threshold is that of the part that is new: here 1.
+        assert!(!basis.push(DVector::from_row_slice(&[0.8, -0.6, 9.0]), 1.0 + 1e-12));
+        assert!(basis.push(DVector::from_row_slice(&[0.8, -0.6, 9.0]), 1.0 - 1e-12));
     }
 }

@@ -13,7 +13,7 @@ pub fn map_pieces<T: Sync, R: Send>(items: &[T], work: impl Fn(usize, &[T]) -> R
 }
 
 /// Applies `work` to each item, on all cores: for items that take long. The results are in order.
-pub fn map_items<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
+pub(crate) fn map_items<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
     in_pieces(items, 1, |_, piece| work(&piece[0]))
 }
 
@@ -46,4 +46,18 @@ fn in_pieces<T: Sync, R: Send>(items: &[T], size: usize, work: impl Fn(usize, &[
     });
     done.sort_by_key(|(n, _)| *n);
     done.into_iter().map(|(_, result)| result).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pieces_know_their_first_item_and_results_are_in_order() {
+        let items: Vec<usize> = (0..2 * PIECE + 5).collect();
+        let firsts = map_pieces(&items, |first, piece| (first, piece[0], piece.len()));
+        assert_eq!(firsts, [(0, 0, PIECE), (PIECE, PIECE, PIECE), (2 * PIECE, 2 * PIECE, 5)]);
+        assert_eq!(map_items(&[3, 1, 2], |item| item * 10), [30, 10, 20]);
+        assert!(map_items(&[0; 0], |item| *item).is_empty());
+    }
 }

@@ -46,3 +46,46 @@ pub fn bulk_scale(magnitudes: &mut [f64]) -> f64 {
     }
     scale
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_upper_median_and_the_trimmed_mean() {
+        assert_eq!(median(&mut [4.0, 1.0, 3.0, 2.0]), Some(3.0));
+        assert_eq!(median(&mut [5.0, -1.0, 2.0]), Some(2.0));
+        assert_eq!(median(&mut []), None);
+        // 0 and 1000 are cut: the mean of 1..=8 is 4.5.
+        let mut values = [1000.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 0.0];
+        assert_eq!(trimmed_mean(&mut values), Some(4.5));
+        assert_eq!(trimmed_mean(&mut [1.0, 4.0]), Some(2.5));
+        assert_eq!(trimmed_mean(&mut []), None);
+    }
+
+    #[test]
+    fn the_slope_is_not_changed_by_an_outlier() {
+        let mut points: Vec<(f64, f64)> = (0..9).map(|x| (f64::from(x), 1.0 - 2.5 * f64::from(x))).collect();
+        points[4].1 = 100.0;
+        assert_eq!(slope(&points, &mut Vec::new()), -2.5);
+        // Points at one x have no slope.
+        assert_eq!(slope(&[(1.0, 0.0), (1.0, 5.0), (2.0, 3.0)], &mut Vec::new()), 3.0);
+        assert_eq!(slope(&[(1.0, 0.0), (1.0, 5.0)], &mut Vec::new()), 0.0);
+    }
+
+    /// Of a uniform distribution all is within 1.5 standard deviations: the median alone counts.
+    #[test]
+    fn bulk_scale_ignores_a_sixth_of_outliers() {
+        let mut magnitudes: Vec<f64> = (0..1000).map(|at| f64::from(at) * 1e-3).collect();
+        magnitudes.extend([500.0; 200]);
+        assert!((bulk_scale(&mut magnitudes) - 0.5 / 0.5726).abs() < 1e-12);
+        assert_eq!(bulk_scale(&mut []), 0.0);
+    }
+
+    /// Half of a normal distribution is within its median absolute deviation.
+    #[test]
+    fn median_absolute_deviation_of_a_normal_distribution() {
+        let tail = crate::math::distributions::chi_square_tail(SIGMA_OF_MAD.powi(-2), 1.0);
+        assert!((tail - 0.5).abs() < 1e-14, "{tail}");
+    }
+}

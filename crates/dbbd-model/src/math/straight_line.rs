@@ -131,4 +131,44 @@ mod tests {
         assert_eq!(line.reaches(5.0, 3.0, 1.96).unwrap().latest, None);
         assert_eq!(StraightLine::through(&sightings(&[1.0], 0.1)), None);
     }
+
+    /// numpy: weights 1 / sd^2, weighted means, slope = sum w (x - c) (y - l) / sum w (x - c)^2, chi-square 11.05 with two
+    /// degrees of freedom.
+    #[test]
+    fn weighted_line_matches_numpy() {
+        let point = |x, y, sd| WeightedPoint { x, y, sd };
+        let points = [point(0.0, 1.0, 0.5), point(1.0, 2.5, 0.2), point(2.0, 2.0, 0.4), point(4.0, 6.0, 1.0)];
+        let line = StraightLine::through(&points).unwrap();
+        for (found, expected) in [
+            (line.centre, 1.1448275862068966),
+            (line.level, 2.344827586206897),
+            (line.slope, 0.767437523312197),
+            (line.level_sd, 0.3904017621187346),
+            (line.slope_sd, 0.5466399510334591),
+        ] {
+            assert!((found - expected).abs() < 1e-13, "{found} for {expected}");
+        }
+    }
+
+    /// scipy.stats.linregress([1, 2, 4, 7], [2, 1, 5, 6]).
+    #[test]
+    fn regression_line_matches_scipy() {
+        let line = RegressionLine::through(&[[1.0, 2.0], [2.0, 1.0], [4.0, 5.0], [7.0, 6.0]]).unwrap();
+        assert!((line.slope - 0.8095238095238095).abs() < 1e-14);
+        assert!((line.slope_sd - 0.2776643759450143).abs() < 1e-14);
+        assert_eq!(line.centre, [3.5, 3.5]);
+        assert!(RegressionLine::through(&[[1.0, 2.0], [1.0, 3.0]]).is_none());
+    }
+
+    #[test]
+    fn a_crossing_lies_ahead_and_its_interval_begins_now() {
+        let line = StraightLine { centre: 0.0, level: 0.0, level_sd: 0.3, slope: -1.0, slope_sd: 0.0 };
+        let reached = line.reaches(-1.0, 0.9, 2.0).unwrap();
+        // |level - line| = 2 * 0.3 at 1 -/+ 0.6; the earlier end is in the past.
+        assert!((reached.at - 1.0).abs() < 1e-12);
+        assert_eq!(reached.earliest, 0.9);
+        assert!((reached.latest.unwrap() - 1.6).abs() < 1e-12);
+        assert_eq!(line.reaches(-1.0, 1.1, 2.0), None);
+        assert_eq!(line.reaches(-1.0, 0.0, 2.0).map(|reached| (1e9 * reached.earliest).round()), Some(4e8));
+    }
 }

@@ -84,4 +84,40 @@ mod tests {
     fn a_matrix_with_nan_has_no_svd() {
         assert!(svd(&DMatrix::from_element(2, 2, f64::NAN)).is_none());
     }
+
+    /// numpy.linalg.svd([[1,2,3],[4,5,6],[7,8,10],[2,-1,.5]]).
+    #[test]
+    fn singular_values_match_numpy_and_vectors_belong_to_them() {
+        let a = DMatrix::from_row_slice(4, 3, &[1., 2., 3., 4., 5., 6., 7., 8., 10., 2., -1., 0.5]);
+        let Svd { values, v } = svd(&a).unwrap();
+        for (value, expected) in
+            values.iter().zip([17.427664980049162, 2.2559927511871614, 0.6610522292215533])
+        {
+            assert!((value - expected).abs() < 1e-13, "{value} for {expected}");
+        }
+        assert!((v.transpose() * &v - DMatrix::identity(3, 3)).norm() < 1e-14);
+        for k in 0..3 {
+            // A'A v = s^2 v.
+            let column = v.column(k);
+            let rest = a.transpose() * &a * column - column * values[k].powi(2);
+            assert!(rest.norm() < 1e-11, "{k}: {rest}");
+        }
+    }
+
+    /// The eigenvalues of [[3, 0], [4, 5]]' [[3, 0], [4, 5]] = [[25, 20], [20, 25]] are 45 and 5.
+    #[test]
+    fn values_of_a_square_matrix_are_roots_of_the_eigenvalues_of_its_gram_matrix() {
+        let found = svd(&DMatrix::from_row_slice(2, 2, &[3.0, 0.0, 4.0, 5.0])).unwrap();
+        assert!((found.values[0].powi(2) - 45.0).abs() < 1e-12);
+        assert!((found.values[1].powi(2) - 5.0).abs() < 1e-12);
+        let half = 0.5f64.sqrt();
+        assert!((found.v.column(0).dot(&DVector::from_row_slice(&[half, half])).abs() - 1.0).abs() < 1e-14);
+    }
+
+    #[test]
+    fn columns_that_are_orthogonal_already_are_only_sorted() {
+        let found = svd(&DMatrix::from_diagonal(&DVector::from_row_slice(&[2.0, -7.0, 0.0]))).unwrap();
+        assert_eq!(found.values.as_slice(), [7.0, 2.0, 0.0]);
+        assert_eq!(found.v.column(0).as_slice(), [0.0, 1.0, 0.0]);
+    }
 }

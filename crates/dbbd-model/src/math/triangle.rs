@@ -25,7 +25,7 @@ impl Triangle {
         Self { n: unknowns, r: vec![0.0; width * width], block: vec![0.0; BLOCK * width], waiting: 0 }
     }
 
-    pub fn unknowns(&self) -> usize {
+    pub(crate) fn unknowns(&self) -> usize {
         self.n
     }
 
@@ -46,7 +46,7 @@ impl Triangle {
     }
 
     /// Adds the equation `scale * x[unknown] = rhs`.
-    pub fn push_single(&mut self, unknown: usize, scale: f64, rhs: f64) {
+    pub(crate) fn push_single(&mut self, unknown: usize, scale: f64, rhs: f64) {
         let mut row = vec![0.0; self.n];
         row[unknown] = scale;
         self.push(&row, rhs);
@@ -101,21 +101,21 @@ impl Triangle {
     }
 
     /// The factor R, n x n upper triangular: R'R is the Gram matrix of the rows.
-    pub fn factor(&mut self) -> DMatrix<f64> {
+    pub(crate) fn factor(&mut self) -> DMatrix<f64> {
         self.fold();
         let width = self.n + 1;
         DMatrix::from_fn(self.n, self.n, |i, j| if j >= i { self.r[j * width + i] } else { 0.0 })
     }
 
     /// The right-hand side that belongs to the factor: the solution x has `R x = rhs`.
-    pub fn rhs(&mut self) -> DVector<f64> {
+    pub(crate) fn rhs(&mut self) -> DVector<f64> {
         self.fold();
         let width = self.n + 1;
         DVector::from_fn(self.n, |i, _| self.r[self.n * width + i])
     }
 
     /// The sum of squared residuals of the solution.
-    pub fn residual_sum(&mut self) -> f64 {
+    pub(crate) fn residual_sum(&mut self) -> f64 {
         self.fold();
         let corner = self.r[self.n * (self.n + 1) + self.n];
         corner * corner
@@ -141,7 +141,7 @@ impl Triangle {
 
     /// The solution with the further rows `sqrt(damping) * scale[k] * x[k] = 0` (Levenberg and Marquardt); `None` as in
     /// [`Self::solve`].
-    pub fn solve_damped(&self, scale: &DVector<f64>, damping: f64) -> Option<DVector<f64>> {
+    pub(crate) fn solve_damped(&self, scale: &DVector<f64>, damping: f64) -> Option<DVector<f64>> {
         let mut damped = self.clone();
         for (unknown, scale) in scale.iter().enumerate() {
             damped.push_single(unknown, damping.sqrt() * scale, 0.0);
@@ -205,5 +205,81 @@ mod tests {
         }
         let mut merged = Triangle::merged(vec![left, right], 2);
         assert!((whole.solve().unwrap() - merged.solve().unwrap()).norm() < 1e-12);
+    }
+
+    /// Five rows of three unknowns.
+    const ROWS: [([f64; 3], f64); 5] = [
+        ([1.0, 2.0, 0.0], 1.0),
+        ([0.0, 1.0, -1.0], 2.0),
+        ([3.0, 0.5, 2.0], -1.0),
+        ([1.0, -1.0, 4.0], 0.5),
+        ([2.0, 2.0, 1.0], 3.0),
+    ];
+
+    fn filled() -> Triangle {
+        let mut triangle = Triangle::new(3);
+        ROWS.iter().for_each(|(row, rhs)| triangle.push(row, *rhs));
+        triangle
+    }
+
+    /// numpy.linalg.lstsq of [`ROWS`].
+    #[test]
+    fn solution_and_residual_match_numpy() {
+        let mut triangle = filled();
+        let expected = [-1.061570247933885, 1.7033057851239686, 0.779338842975207];
+        for (value, expected) in triangle.solve().unwrap().iter().zip(expected) {
+            assert!((value - expected).abs() < 1e-13, "{value} for {expected}");
+        }
+        assert!((triangle.residual_sum() - 3.9179752066115694).abs() < 1e-13);
+        assert_eq!(triangle.unknowns(), 3);
+    }
+
+    /// numpy.linalg.solve(X'X + 0.3 diag([1, 2, .5])^2, X'y) of [`ROWS`].
+    #[test]
+    fn damping_adds_its_multiple_of_the_squared_scale() {
+        let scale = DVector::from_row_slice(&[1.0, 2.0, 0.5]);
+        let expected = [-0.589972002600982, 1.2039292518781028, 0.47508595854894653];
+        for (value, expected) in filled().solve_damped(&scale, 0.3).unwrap().iter().zip(expected) {
+            assert!((value - expected).abs() < 1e-13, "{value} for {expected}");
+        }
+    }
+
+    #[test]
+    fn factor_has_the_gram_matrix_of_the_rows_and_its_right_hand_side() {
+        let mut triangle = filled();
+        let x = DMatrix::from_fn(5, 3, |i, j| ROWS[i].0[j]);
+        let y = DVector::from_fn(5, |i, _| ROWS[i].1);
+        let (r, rhs) = (triangle.factor(), triangle.rhs());
+        assert!((r.transpose() * &r - x.transpose() * &x).norm() < 1e-13);
+        assert!((r.transpose() * rhs - x.transpose() * y).norm() < 1e-13);
+        assert_eq!((r[(1, 0)], r[(2, 0)], r[(2, 1)]), (0.0, 0.0, 0.0));
+    }
+
+    #[test]
+    fn a_single_row_is_its_unknown_times_its_scale() {
+        let mut triangle = Triangle::new(2);
+        triangle.push_single(1, 4.0, 6.0);
+        assert!(triangle.solve().is_none(), "nothing determines the first unknown");
+        triangle.push_single(0, 2.0, -1.0);
+        assert_eq!(triangle.solve().unwrap().as_slice(), [-0.5, 1.5]);
+    }
+
+    #[test]
+    fn merged_triangles_keep_the_residuals() {
+        let (mut left, mut right) = (Triangle::new(3), Triangle::new(3));
+        for (at, (row, rhs)) in ROWS.iter().enumerate() {
+            if at == 1 { left.push(row, *rhs) } else { right.push(row, *rhs) }
+        }
+        let mut merged = Triangle::merged(vec![left, right], 3);
+        assert!((merged.residual_sum() - 3.9179752066115694).abs() < 1e-12);
+        assert_eq!(Triangle::merged(Vec::new(), 3).factor(), DMatrix::zeros(3, 3));
+    }
+
+    #[test]
+    fn dot_product_has_all_terms() {
+        // sum k (20 - k) for k = 0..20 is 20 * 190 - 2470.
+        let a: Vec<f64> = (0..20).map(f64::from).collect();
+        let b: Vec<f64> = (0..20).map(|k| f64::from(20 - k)).collect();
+        assert_eq!(dot(&a, &b), 1330.0);
     }
 }

@@ -54,3 +54,22 @@ impl BaseBall {
         text
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn balls_are_read_in_order_and_written_again() {
+        let text = "centre,x_mm,y_mm,z_mm\n2,4,5,6.25\n1,1,2,-3\n";
+        let balls = BaseBall::from_csv("t.csv", text).unwrap();
+        assert_eq!((balls[1].id, balls[1].position), (BallId::at(1), Vector3::new(4.0, 5.0, 6.25)));
+        assert_eq!(BaseBall::to_csv(&balls), "centre,x_mm,y_mm,z_mm\n1,1,2,-3\n2,4,5,6.25\n");
+        for wrong in ["", "0,1,2,3\n", "2,1,2,3\n", "1,1,2,3\n1,4,5,6\n", "1,1,2,\n"] {
+            assert!(
+                BaseBall::from_csv("t.csv", &format!("centre,x_mm,y_mm,z_mm\n{wrong}")).is_err(),
+                "{wrong}"
+            );
+        }
+    }
+}

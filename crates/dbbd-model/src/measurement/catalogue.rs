@@ -23,7 +23,8 @@ findings! {
         }
         E1203 "a measurement is of a ball, bar or target that is not there",
         cause: "The column `centre`, `bar` or `target` holds a number for which nothing is given.",
-        cure: "Give all base balls (--centres, or the job's [[centre]]); measurements that only check must be of the bars and targets that were identified." {
+        cure: "Give all base balls (in a table, or the job's [[centre]]); measurements that only check must be of the bars and targets that were identified.",
+        asks: [BaseBalls] {
             UnknownBall { index: u32, ball: u32, balls: usize } => "index {index}: base ball {ball} is not among the {balls} that are given";
             UnknownTarget { index: u32, target: u32, targets: usize } => "index {index}: target {target} is not among the {targets} of the input";
             UntrackedPosition { index: u32 } => "index {index}: a position, but the robot is identified from lengths alone";
@@ -47,14 +48,15 @@ findings! {
         }
         W1280 "standard deviations of some lengths are missing or of another magnitude",
         cause: "The column sigma_mm is empty in some rows: unless every row has a value, none is used and all lengths have equal weight. Or a value was mistyped or is in another unit.",
-        cure: "Correct the column, or leave it out and give --sigma." {
-            SigmaUnit { usual_mm: f64 } => "sigma_mm is usually {usual_mm}: is it in another unit than mm?";
+        cure: "Correct the column, or leave it out and give one standard deviation for all.",
+        asks: [Sigma] {
             OtherSigma { index: u32, sigma_mm: f64, usual_mm: f64 } => "index {index} has sigma_mm = {sigma_mm}; the usual value is {usual_mm}";
             SigmaMissing { without: usize, rows: usize } => "{without} of {rows} rows have no sigma_mm: none is used, and all lengths have equal weight";
         }
         I1284 "the numbers of a table are rounded",
         cause: "Lengths have one decimal, or angles two: they were read from a pendant, or rounded. The axis angles are then known to 0.003 degrees only, which is 0.1 mm at a distance of two metres.",
-        cure: "Nothing, if these are the commanded angles. Else take the angles that the program logged (`dbbd sync --axes`, or from the controller)." {
+        cure: "Nothing, if these are the commanded angles. Else take the angles that the program logged (to `dbbd sync`, or from the controller).",
+        asks: [LoggedAxes] {
             OneDecimal { rows: usize } => "the lengths of {rows} rows have one decimal: they are uncertain by 0.03 mm";
             TwoDecimals { rows: usize, length_mm: f64 } => "the axis angles of {rows} rows have two decimals: if they are rounded, a length is uncertain by some {length_mm:.2} mm";
         }
@@ -70,15 +72,10 @@ findings! {
             FarFromAll { off_mm: f64 } => "the lengths differ by {off_mm:.0} mm from those that robot and base balls predict: are the numbers of base balls exchanged, or is it another robot or tool?";
             FarLengths { rows: usize, index: u32, off_mm: f64 } => "{rows} rows, first index {index}, differ by {off_mm:.0} mm from the lengths that robot and base balls predict";
         }
-        W1842 "the temperatures of a table are not room temperatures",
-        cause: "The column temp_c is in another unit than degrees Celsius, or its sensor was missing or faulty.",
-        cure: "Convert the column, or leave it out." {
-            WarmRoom { mean_c: f64 } => "the mean of `temp_c` is {mean_c:.1} degrees: is it in Fahrenheit?";
-            NoTemperature { rows: usize, celsius: f64 } => "`temp_c` is {celsius} in {rows} rows: was the sensor connected?";
-        }
         W1281 "axis angles are beyond the robot's limits, or in radians",
         cause: "The table is of another robot, an angle was mistyped or is in another unit, or limits_deg of the robot file are those of another arm.",
-        cure: "Correct the row that is named, --robot, or limits_deg in the robot file." {
+        cure: "Correct the row that is named, the robot, or limits_deg in the robot file.",
+        asks: [Robot] {
             Radians { rows: usize } => "all axis angles of {rows} rows are within 2 pi: are they in radians?";
             RowsInRadians { rows: usize, index: usize } => "all axis angles of {rows} rows are within 2 pi, first row {index}: are they in radians?";
             BeyondLimits { rows: usize, index: usize, axis: usize, deg: f64 } => "{rows} rows are beyond the limits of the robot, first index {index}: axis {axis} at {deg} degrees";

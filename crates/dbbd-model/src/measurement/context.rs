@@ -82,10 +82,10 @@ impl ContextColumn {
     }
 
     pub fn name(&self) -> &str {
-        match self {
-            Self::Other(name) => name,
-            _ => Self::NAMED.iter().find(|(column, _)| column == self).map_or("", |(_, name)| name),
+        if let Self::Other(name) = self {
+            return name;
         }
+        Self::NAMED.iter().find(|(column, _)| column == self).map_or("", |(_, name)| name)
     }
 }
 

@@ -110,3 +110,46 @@ fn equal_neighbours(
     let pairs = places.windows(2).map(|pair| [pair[0], pair[1]]);
     pairs.filter(|[a, b]| order(&rows[*a], &rows[*b]).is_eq()).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(rows: &[(u32, f64, f64)]) -> Measurements {
+        let header = "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm\n";
+        let row = |(index, axis, length): &(u32, f64, f64)| format!("{index},1,{axis},0,0,0,0,0,{length}\n");
+        Measurements::from_csv("t.csv", &[header.to_owned(), rows.iter().map(row).collect()].concat())
+            .unwrap()
+    }
+
+    fn kept(rows: &[(u32, f64, f64)]) -> (Vec<u32>, usize) {
+        let found = table(rows).distinct().unwrap();
+        (found.measurements.rows.iter().map(|row| row.index).collect(), found.repeated)
+    }
+
+    #[test]
+    fn the_first_of_equal_rows_is_kept() {
+        assert_eq!(kept(&[(1, 0.0, 300.0), (2, 1.0, 301.0), (1, 0.0, 300.0)]), (vec![1, 2], 1));
+        // One of three with another index may have been measured again, two of four are a table that is there twice.
+        assert_eq!(kept(&[(1, 0.0, 300.0), (2, 1.0, 301.0), (3, 0.0, 300.0)]), (vec![1, 2, 3], 0));
+        assert_eq!(
+            kept(&[(1, 0.0, 300.0), (2, 1.0, 301.0), (3, 0.0, 300.0), (4, 1.0, 301.0)]),
+            (vec![1, 2], 2)
+        );
+        let other = table(&[(1, 0.0, 300.0), (1, 0.0, 300.1)]).distinct();
+        assert!(matches!(other, Err(MeasurementFinding::EqualIndices { index: 1 })));
+    }
+
+    /// Lengths rounded to 1 um and angles to 0.01 degrees agree to half of that.
+    #[test]
+    fn rows_of_another_table_are_recognised() {
+        let known = table(&[(1, 10.0, 300.0), (2, 20.0, 301.0), (3, 30.0, 302.0)]);
+        let held = |axis, length| known.holds(&table(&[(9, axis, length)]));
+        assert_eq!([held(20.0, 301.0005), held(20.0, 300.9995), held(20.005, 301.0)], [1, 1, 1]);
+        assert_eq!(
+            [held(20.0, 301.0006), held(20.0, 300.9994), held(20.006, 301.0), held(10.0, 301.0)],
+            [0; 4]
+        );
+        assert_eq!(known.holds(&known), 3);
+    }
+}

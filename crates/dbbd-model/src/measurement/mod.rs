@@ -3,14 +3,14 @@
 mod catalogue;
 pub use catalogue::MeasurementFinding;
 
-pub mod base_ball;
-pub mod context;
-pub mod distinct;
-pub mod model;
+mod base_ball;
+mod context;
+mod distinct;
+mod model;
 pub mod positions;
 pub mod sample;
 pub mod table;
-pub mod tracker;
+mod tracker;
 
 pub use crate::robot::{AxisAngles, BallId, BarId, CircleId, Datum, TargetId};
 pub use base_ball::BaseBall;
@@ -21,3 +21,6 @@ pub use positions::MeasuredPosition;
 pub use sample::Sample;
 pub use table::{APPROACH, ApproachedPose, Measurement, Measurements, beyond};
 pub use tracker::Tracker;
+
+#[cfg(test)]
+mod tests;

@@ -7,7 +7,7 @@ use super::{BaseBall, MeasuredPosition, Measurement, Measurements, Tracker};
 use crate::math::map_pieces;
 use crate::robot::{
     AXES, Approach, AxesAtPose, BallId, BarId, Datum, Geometry, JointSinCos, KinematicChain, LengthRow,
-    ParamId, TargetId, TrackerPlane,
+    ParamId, ParamOwner, TargetId, TrackerPlane,
 };
 
 /// The position of a ball, target or tracker that the model does not have.
@@ -89,7 +89,7 @@ pub struct PreparedModel<'a> {
 impl PreparedModel<'_> {
     /// Measured minus predicted, mm; NaN as [`Self::length`].
     #[inline]
-    pub fn residual(&self, measurement: &PreparedMeasurement) -> f64 {
+    pub(crate) fn residual(&self, measurement: &PreparedMeasurement) -> f64 {
         measurement.length_mm - self.length(measurement)
     }
 
@@ -152,13 +152,13 @@ enum RowFilter {
 impl ColumnSelection {
     pub fn new(ids: &[ParamId]) -> Self {
         let column = |id: &ParamId| {
-            let rows = match id {
-                ParamId::Ball(ball, _) => RowFilter::From(*ball),
-                ParamId::BarOffset(bar) => RowFilter::With(*bar),
-                ParamId::Tool(_) => RowFilter::To(TargetId::FIRST),
-                ParamId::Target(target, _) => RowFilter::To(*target),
-                ParamId::Tracker(_) | ParamId::TrackerTurn(_) => RowFilter::Tracked,
-                _ => RowFilter::All,
+            let rows = match id.owner() {
+                ParamOwner::Robot => RowFilter::All,
+                ParamOwner::Ball(ball) => RowFilter::From(ball),
+                ParamOwner::Bar(bar) => RowFilter::With(bar),
+                ParamOwner::ToolBall => RowFilter::To(TargetId::FIRST),
+                ParamOwner::Target(target) => RowFilter::To(target),
+                ParamOwner::Tracker => RowFilter::Tracked,
             };
             (id.column(), rows)
         };
@@ -234,6 +234,7 @@ impl LengthModel {
     }
 
     /// The value of a parameter in its unit; NaN if the model does not have it.
+    #[expect(clippy::wildcard_enum_match_arm, reason = "the geometry's match has every parameter")]
     pub fn value(&self, id: ParamId) -> f64 {
         match id {
             ParamId::Ball(ball, coordinate) => self.ball(ball)[coordinate.index()],
@@ -248,13 +249,14 @@ impl LengthModel {
     }
 
     /// The model with `steps` added to the parameters `ids`.
-    pub fn shifted<'a>(&self, ids: &[ParamId], steps: impl IntoIterator<Item = &'a f64>) -> Self {
+    pub(crate) fn shifted<'a>(&self, ids: &[ParamId], steps: impl IntoIterator<Item = &'a f64>) -> Self {
         let mut shifted = self.clone();
         ids.iter().zip(steps).for_each(|(id, step)| shifted.shift(*id, *step));
         shifted
     }
 
     /// Adds `step` to a parameter, if the model has it.
+    #[expect(clippy::wildcard_enum_match_arm, reason = "the geometry's match has every parameter")]
     pub fn shift(&mut self, id: ParamId, step: f64) {
         let value = match id {
             ParamId::Ball(ball, coordinate) => {
@@ -281,5 +283,170 @@ impl LengthModel {
         if let Some(value) = value {
             *value += step;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{Coordinate, Robot};
+
+    fn model() -> LengthModel {
+        let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
+        LengthModel {
+            geometry,
+            balls: vec![Vector3::new(1200.0, -300.0, 500.0), Vector3::new(1000.0, 600.0, 300.0)],
+            bar_offsets: vec![0.0, 0.4],
+            targets: vec![Vector3::new(-80.0, 30.0, 150.0)],
+            tracker: Some(Tracker {
+                origin: Vector3::new(3000.0, -500.0, 900.0),
+                turn: Vector3::new(0.4, -0.3, 2.0),
+            }),
+        }
+    }
+
+    const AXES_AT: [f64; AXES] = [0.3, -0.8, 0.6, 1.1, -0.7, 2.0];
+
+    fn reading(datum: Datum, target: TargetId) -> PreparedMeasurement {
+        PreparedMeasurement { datum, target, ..PreparedMeasurement::new(AXES_AT, BallId::FIRST, 700.0) }
+    }
+
+    #[test]
+    fn a_length_is_a_distance_from_its_ball_plus_the_offset_of_its_bar() {
+        let model = model();
+        let flange = model.geometry.flange(&AXES_AT);
+        let second = (BallId::at(1), BarId::at(1), TargetId::at(1));
+        let of = reading(Datum::Ball(second.0, second.1), second.2);
+        let target = flange.position + flange.rotation * model.targets[0];
+        let expected = (target - model.balls[1]).norm() + 0.4;
+        let prepared = model.prepare();
+        assert!((prepared.length(&of) - expected).abs() < 1e-10);
+        assert!((prepared.residual(&of) - (700.0 - expected)).abs() < 1e-10);
+        assert!((prepared.row(&of).length - expected).abs() < 1e-10);
+        // Beyond the end a bar is exact, and a ball or target is nowhere.
+        let exact = prepared.length(&reading(Datum::Ball(second.0, BarId::at(2)), second.2));
+        assert!((exact - expected + 0.4).abs() < 1e-10);
+        assert!(prepared.length(&reading(Datum::Ball(BallId::at(2), second.1), second.2)).is_nan());
+        assert!(prepared.length(&reading(of.datum, TargetId::at(2))).is_nan());
+    }
+
+    #[test]
+    fn a_position_is_that_of_the_target_in_the_frame_of_the_tracker() {
+        let model = model();
+        let ball = model.geometry.ball(&AXES_AT).position;
+        let tracker = model.tracker.unwrap();
+        let place =
+            Vector3::from(Coordinate::ALL.map(|coordinate| {
+                model.prepare().length(&reading(Datum::Plane(coordinate), TargetId::FIRST))
+            }));
+        assert!((tracker.in_base(&place) - ball).norm() < 1e-9);
+        let lost = LengthModel { tracker: None, ..model };
+        assert!(lost.prepare().length(&reading(Datum::Plane(Coordinate::Y), TargetId::FIRST)).is_nan());
+    }
+
+    #[test]
+    fn every_parameter_is_shifted_and_read_in_its_place() {
+        let model = model();
+        for id in [
+            ParamId::Ball(BallId::at(1), Coordinate::Z),
+            ParamId::BarOffset(BarId::at(1)),
+            ParamId::Target(TargetId::at(1), Coordinate::X),
+            ParamId::Tracker(Coordinate::Y),
+            ParamId::TrackerTurn(Coordinate::Z),
+            ParamId::Tool(Coordinate::X),
+            ParamId::A(crate::robot::Joint::J2),
+        ] {
+            let shifted = model.shifted(&[id], &[0.25]);
+            assert!((shifted.value(id) - model.value(id) - 0.25).abs() < 1e-12, "{id}");
+            let back = shifted.shifted(&[id], &[-0.25]);
+            assert!((back.value(id) - model.value(id)).abs() < 1e-12 && shifted != model);
+        }
+        assert_eq!(model.value(ParamId::Ball(BallId::at(1), Coordinate::Y)), 600.0);
+        assert_eq!(model.value(ParamId::Target(TargetId::at(1), Coordinate::Z)), 150.0);
+        assert_eq!(model.value(ParamId::TrackerTurn(Coordinate::Y)), -0.3);
+        assert!(model.value(ParamId::Ball(BallId::at(2), Coordinate::Y)).is_nan());
+        // A bar beyond the end is added, what the model does not have stays away.
+        let further = model.shifted(&[ParamId::BarOffset(BarId::at(3))], &[0.5]);
+        assert_eq!(further.bar_offsets, [0.0, 0.4, 0.0, 0.5]);
+        assert_eq!(model.shifted(&[ParamId::Target(TargetId::at(5), Coordinate::X)], &[1.0]), model);
+    }
+
+    #[test]
+    fn only_parameters_that_change_a_length_have_a_derivative() {
+        let model = model();
+        let ids = [
+            ParamId::Ball(BallId::FIRST, Coordinate::X),
+            ParamId::Ball(BallId::at(1), Coordinate::X),
+            ParamId::BarOffset(BarId::FIRST),
+            ParamId::BarOffset(BarId::at(1)),
+            ParamId::Tool(Coordinate::Y),
+            ParamId::Target(TargetId::at(1), Coordinate::Y),
+            ParamId::Tracker(Coordinate::Z),
+            ParamId::D(crate::robot::Joint::J4),
+        ];
+        let changes = |datum, target| {
+            let mut row = [7.0; 8];
+            let reading = reading(datum, target);
+            ColumnSelection::new(&ids).pick(&model.prepare().row(&reading), &mut row);
+            for (id, value) in ids.iter().zip(row) {
+                let at = |step: f64| model.shifted(&[*id], &[step]).prepare().length(&reading);
+                assert!((value - (at(1e-3) - at(-1e-3)) / 2e-3).abs() < 1e-6, "{id}");
+            }
+            row.map(|value| value != 0.0)
+        };
+        let length = changes(Datum::Ball(BallId::at(1), BarId::at(1)), TargetId::FIRST);
+        assert_eq!(length, [false, true, false, true, true, false, false, true]);
+        let position = changes(Datum::Plane(Coordinate::X), TargetId::at(1));
+        assert_eq!(position, [false, false, false, false, false, true, true, true]);
+    }
+
+    #[test]
+    fn pieces_have_their_standard_deviations() {
+        let readings = vec![reading(Datum::Ball(BallId::FIRST, BarId::FIRST), TargetId::FIRST); 5000];
+        let sigma: Vec<f64> = (0..5000).map(f64::from).collect();
+        let found =
+            (&readings[..], &sigma[..]).in_pieces(|first, piece, sigma| (first, piece.len(), sigma[0]));
+        assert_eq!(found, [(0, 4096, 0.0), (4096, 904, 4096.0)]);
+        let plain = readings[..3].in_pieces(|first, piece, sigma| (first, piece.len(), sigma.len()));
+        assert_eq!(plain, [(0, 3, 0)]);
+    }
+
+    /// The start of a fit: the tracker where its positions agree, a further target where it was seen.
+    #[test]
+    fn the_start_of_a_fit_finds_tracker_and_targets() {
+        let truth = model();
+        let poses: [[f64; AXES]; 4] = std::array::from_fn(|at| {
+            std::array::from_fn(|axis| AXES_AT[axis] + 0.3 * ((at * (axis + 2)) as f64).sin())
+        });
+        let mut rows = Vec::new();
+        for axes in poses {
+            for target in [TargetId::FIRST, TargetId::at(1)] {
+                let place = Coordinate::ALL.map(|coordinate| {
+                    let axes = PreparedMeasurement::new(axes, BallId::FIRST, 0.0);
+                    truth.prepare().length(&PreparedMeasurement {
+                        datum: Datum::Plane(coordinate),
+                        target,
+                        ..axes
+                    })
+                });
+                let row = Measurement {
+                    index: 1,
+                    datum: Datum::Plane(Coordinate::X),
+                    target,
+                    axes: crate::robot::AxisAngles::from_degrees(axes.map(f64::to_degrees)),
+                    approach: Approach::default(),
+                    length_mm: 0.0,
+                    sigma_mm: None,
+                    context: None,
+                };
+                rows.extend(row.at_place(place));
+            }
+        }
+        let observations = Measurements::new(rows, Vec::new()).unwrap();
+        let start = LengthModel::before(truth.geometry.clone(), &[], &observations);
+        let (found, expected) = (start.tracker.unwrap(), truth.tracker.unwrap());
+        assert!((found.origin - expected.origin).norm() < 1e-7 && (found.turn - expected.turn).norm() < 1e-9);
+        assert!((start.targets[0] - truth.targets[0]).norm() < 1e-7);
+        assert_eq!((observations.count(), observations.targets(), observations.balls()), (8, 2, 0));
     }
 }

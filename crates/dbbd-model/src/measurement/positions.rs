@@ -27,7 +27,7 @@ pub struct MeasuredPosition {
 
 impl Datum {
     /// The range of rows of the measurement that row number `at` belongs to.
-    pub fn rows(self, at: usize) -> Range<usize> {
+    pub(crate) fn rows(self, at: usize) -> Range<usize> {
         match self {
             Self::Ball(..) => at..at + 1,
             Self::Plane(coordinate) => at - coordinate.index()..at - coordinate.index() + 3,
@@ -35,7 +35,7 @@ impl Datum {
     }
 
     /// Whether this row is the first of its measurement.
-    pub fn is_first(self) -> bool {
+    pub(crate) fn is_first(self) -> bool {
         !matches!(self, Self::Plane(Coordinate::Y | Coordinate::Z))
     }
 }
@@ -129,5 +129,38 @@ impl Measurements {
             text.push('\n');
         }
         Some(text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn positions_are_three_rows_and_read_back() {
+        let text = "index,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,x_mm,y_mm,z_mm,target,sigma_mm\n\
+                    4,1,2,3,4,5,6,10.5,-20,30,1,0.05\n7,1,2,3,4,5,60,11,21,31,2,\n";
+        let read = Measurements::positions_from_table(&mut TableReader::of("t.csv", text).unwrap()).unwrap();
+        assert_eq!((read.rows.len(), read.count(), read.targets()), (6, 2, 2));
+        assert_eq!((read.rows[1].length_mm, read.rows[5].length_mm, read.rows[5].index), (-20.0, 31.0, 7));
+        let positions: Vec<MeasuredPosition> = read.positions().collect();
+        assert_eq!(
+            (positions[1].place, positions[1].target),
+            (Vector3::new(11.0, 21.0, 31.0), TargetId::at(1))
+        );
+        assert!((positions[1].axes[5] - 60f64.to_radians()).abs() < 1e-15);
+        assert_eq!(read.positions_csv(|_| true).as_deref(), Some(text));
+        let second = read.positions_csv(|first| first == 3).unwrap();
+        assert_eq!(second.lines().nth(1), text.lines().nth(2));
+        assert_eq!(Measurements::default().positions_csv(|_| true), None);
+    }
+
+    #[test]
+    fn a_row_knows_the_rows_of_its_measurement() {
+        let length = Datum::Ball(crate::robot::BallId::FIRST, crate::robot::BarId::FIRST);
+        assert_eq!((length.rows(5), length.is_first()), (5..6, true));
+        let planes = Coordinate::ALL.map(Datum::Plane);
+        assert_eq!([planes[0].rows(6), planes[1].rows(7), planes[2].rows(8)], [6..9, 6..9, 6..9]);
+        assert_eq!(planes.map(Datum::is_first), [true, false, false]);
     }
 }

@@ -12,6 +12,7 @@ use crate::measurement::MeasurementFinding::{
     self, BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, TooManyTargets, UnknownBall,
     UnknownBar, UnknownTarget, UnseenTarget, UntrackedPosition,
 };
+use crate::plausibility::{PlausibilityFinding, Quantity};
 use crate::robot::parameter::SetUpCounts;
 use crate::robot::{AXES, Approach, AxisAngles, BarId, Datum, Robot, TargetId};
 
@@ -258,7 +259,7 @@ impl Measurements {
     }
 
     /// A finding if some rows have a standard deviation and others have none.
-    pub fn without_sigma(&self) -> Option<MeasurementFinding> {
+    pub(crate) fn without_sigma(&self) -> Option<MeasurementFinding> {
         let (rows, without) =
             (self.rows.len(), self.rows.iter().filter(|row| row.sigma_mm.is_none()).count());
         (0 < without && without < rows).then_some(MeasurementFinding::SigmaMissing { without, rows })
@@ -280,21 +281,14 @@ impl Measurements {
     }
 
     /// A finding if the temperatures cannot be those of a room.
-    pub fn warm(&self) -> Option<MeasurementFinding> {
-        /// A mean above this is probably in degrees Fahrenheit.
-        const WARMEST_C: f64 = 45.0;
-        /// Missing and faulty sensors report values outside of this range, or 0.
-        const COLDEST_C: f64 = -30.0;
-        const HOTTEST_C: f64 = 80.0;
+    pub fn warm(&self) -> Option<PlausibilityFinding> {
+        const COLUMN: &str = "temp_c";
         let mean_c = self.mean_temperature_c()?;
-        if mean_c > WARMEST_C {
-            return Some(MeasurementFinding::WarmRoom { mean_c });
+        if self.temperatures_c().all(|celsius| celsius == 0.0) {
+            return Some(Quantity::Temperature.always_zero(COLUMN));
         }
-        let all_zero = self.temperatures_c().all(|celsius| celsius == 0.0);
-        let is_faulty = |celsius: &f64| all_zero || !(COLDEST_C..=HOTTEST_C).contains(celsius);
-        let celsius = self.temperatures_c().find(is_faulty)?;
-        let rows = self.temperatures_c().filter(|other| *other == celsius).count();
-        Some(MeasurementFinding::NoTemperature { rows, celsius })
+        let impossible = || self.temperatures_c().find_map(|c| Quantity::Temperature.impossible(COLUMN, c));
+        Quantity::Temperature.unusual("mean of temp_c", mean_c).or_else(impossible)
     }
 
     /// The set-up of the rows, with so many base balls.
@@ -309,7 +303,7 @@ impl Measurements {
     }
 
     /// The highest target number; 1 is the tool ball.
-    pub fn targets(&self) -> usize {
+    pub(crate) fn targets(&self) -> usize {
         self.rows.iter().map(|row| row.target.index() + 1).max().unwrap_or(1)
     }
 
@@ -436,4 +430,118 @@ fn distance(row: &TableRow<'_>, at: usize) -> Result<f64, Diagnostic> {
     row.positive(at).map_err(|wrong| {
         wrong.help("is it the bar's reading? length_mm is between the ball centres: the bar's length plus the reading")
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEADER: &str = "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm";
+
+    fn table(further: &str, rows: &[&str]) -> Result<Measurements, Diagnostic> {
+        let rows: String = rows.iter().map(|row| format!("{row}\n")).collect();
+        Measurements::from_csv("t.csv", &format!("{HEADER}{further}\n{rows}"))
+    }
+
+    fn robot() -> Robot {
+        Robot::by_name("kr60ha").unwrap().unwrap()
+    }
+
+    #[test]
+    fn optional_columns_have_their_defaults_and_read_back() {
+        let read = table(
+            ",sigma_mm,bar,approach1,note",
+            &["5,2,1.5,2,3,4,5,6,300.25,0.01,2,-1,\"a, b\"", "6,1,1,2,3,4,5,6,301,,1,1,"],
+        )
+        .unwrap();
+        let [first, second] = &read.rows[..] else { panic!() };
+        let datum = |ball, bar| Datum::Ball(crate::robot::BallId::at(ball), BarId::at(bar));
+        assert_eq!((first.index, first.datum, first.target), (5, datum(1, 1), TargetId::FIRST));
+        assert_eq!((first.sigma_mm, second.sigma_mm, second.datum), (Some(0.01), None, datum(0, 0)));
+        assert_eq!(first.approach.senses(), [-1, 0, 0, 0, 0, 0]);
+        assert_eq!(Measurements::from_csv("t.csv", &read.to_csv()).unwrap(), read);
+        assert_eq!((read.balls(), read.bars(), read.targets(), read.count()), (2, 2, 1, 2));
+        assert_eq!(read.set_up(3), SetUpCounts { balls: 3, bars: 2, targets: 1, trackers: 0 });
+        assert!(matches!(
+            read.without_sigma(),
+            Some(MeasurementFinding::SigmaMissing { without: 1, rows: 2 })
+        ));
+        assert!(read.check("t.csv", read.set_up(2)).is_ok() && read.check("t.csv", read.set_up(1)).is_err());
+        let both = read.clone().and(&read).unwrap();
+        assert_eq!((both.rows.len(), both.rows[2].context.is_none()), (4, true));
+    }
+
+    #[test]
+    fn impossible_tables_are_refused() {
+        for rows in [
+            &["1,0,0,0,0,0,0,0,300"][..],
+            &["1,1,0,0,0,0,0,0,-1"],
+            &["1,101,0,0,0,0,0,0,300"],
+            &["-1,1,0,0,0,0,0,0,300"],
+            &[],
+        ] {
+            assert!(table("", rows).is_err(), "{rows:?}");
+        }
+        let unused = table(",bar", &["1,1,0,0,0,0,0,0,300,3", "2,1,0,0,0,0,0,0,300,1"]);
+        assert!(matches!(
+            unused.unwrap_err().finding::<MeasurementFinding>(),
+            Some(BarWithoutLength { bar: 2 })
+        ));
+        let unseen = table(",target", &["1,1,0,0,0,0,0,0,300,1", "2,1,0,0,0,0,0,0,300,3"]);
+        assert!(matches!(
+            unseen.unwrap_err().finding::<MeasurementFinding>(),
+            Some(UnseenTarget { target: 2 })
+        ));
+        assert!(table(",approach2", &["1,1,0,0,0,0,0,0,300,2"]).is_err());
+        assert!(table("", &["1,100,0,0,0,0,0,0,300"]).is_ok());
+    }
+
+    /// The limits of axis 2 of the KR 60 HA are -135 and 35, those of axis 4 -350 and 350 degrees.
+    #[test]
+    fn poses_beyond_the_limits_and_in_radians_are_reported() {
+        let poses = |axes: &[[f64; AXES]]| -> Vec<(usize, AxisAngles)> {
+            axes.iter()
+                .map(|deg| AxisAngles::from_degrees(*deg))
+                .zip(1..)
+                .map(|(axes, at)| (at, axes))
+                .collect()
+        };
+        let of = |axes: &[[f64; AXES]]| beyond(poses(axes).into_iter(), &robot());
+        let upright = [10.0, -90.0, 90.0, 0.0, 30.0, 0.0];
+        let with = |axis: usize, deg: f64| {
+            let mut axes = upright;
+            axes[axis] = deg;
+            axes
+        };
+        assert!(of(&[upright, with(1, 36.0), with(1, -136.0), with(3, 351.0)]).is_none());
+        let found = of(&[upright, with(1, 36.1), with(0, -186.1)]);
+        assert!(matches!(found, Some(MeasurementFinding::BeyondLimits { rows: 2, index: 2, axis: 2, .. })));
+        // A wrist axis of more than 540 degrees may be given by another turn.
+        assert!(of(&[with(5, 700.0)]).is_none());
+        let small = [0.1, -1.2, 1.3, 0.4, 0.5, 0.6];
+        assert!(matches!(of(&[small; 3]), Some(MeasurementFinding::Radians { rows: 3 })));
+        assert!(of(&[[1.0, -2.0, 3.0, 0.0, 0.0, 0.0]; 3]).is_none(), "whole numbers are degrees");
+        let mut mixed = vec![upright; 10];
+        mixed[4] = [0.1234, -1.2345, 1.3456, 0.4567, 0.5678, 0.6789];
+        assert!(matches!(of(&mixed), Some(MeasurementFinding::RowsInRadians { rows: 1, index: 5 })));
+        assert!(of(&mixed[3..6]).is_none(), "a third of the poses is near zero");
+    }
+
+    #[test]
+    fn temperatures_that_are_not_those_of_a_room_are_reported() {
+        let of = |temperatures: &[f64]| {
+            let rows: Vec<String> = temperatures.iter().map(|c| format!("1,1,0,0,0,0,0,0,300,{c}")).collect();
+            table(",temp_c", &rows.iter().map(String::as_str).collect::<Vec<_>>()).unwrap()
+        };
+        assert_eq!(of(&[20.0, 23.0]).mean_temperature_c(), Some(21.5));
+        assert!(of(&[20.0, 0.0]).warm().is_none() && of(&[45.0]).warm().is_none());
+        assert!(matches!(of(&[45.1]).warm(), Some(PlausibilityFinding::UnusualUnit { value: 45.1, .. })));
+        assert!(matches!(of(&[0.0, 0.0]).warm(), Some(PlausibilityFinding::AlwaysZero { .. })));
+        assert!(matches!(of(&[20.0, -30.5]).warm(), Some(PlausibilityFinding::Unusual { value: -30.5, .. })));
+        assert!(matches!(
+            of(&[5.0, 80.5]).warm(),
+            Some(PlausibilityFinding::UnusualUnit { value: 80.5, .. })
+        ));
+        assert_eq!(table("", &["1,1,0,0,0,0,0,0,300"]).unwrap().mean_temperature_c(), None);
+    }
 }

@@ -17,7 +17,7 @@ pub struct Tracker {
 impl Tracker {
     /// The frame in which the positions of the lowest target best fit the tool ball of `geometry`; `None` without positions.
     /// If these positions coincide, the frame is that of the robot base.
-    pub fn located(geometry: &Geometry, positions: &[MeasuredPosition]) -> Option<Self> {
+    pub(super) fn located(geometry: &Geometry, positions: &[MeasuredPosition]) -> Option<Self> {
         let first = positions.iter().map(|position| position.target).min()?;
         let leading = || positions.iter().filter(|position| position.target == first);
         let measured: Vec<Vector3<f64>> = leading().map(|position| position.place).collect();
@@ -30,7 +30,7 @@ impl Tracker {
     }
 
     /// The planes on which x, y and z are zero.
-    pub fn planes(&self) -> [TrackerPlane; 3] {
+    pub(super) fn planes(&self) -> [TrackerPlane; 3] {
         let axes = Rotation3::new(self.turn);
         let by_turn = left_jacobian(&self.turn);
         [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| {
@@ -41,7 +41,7 @@ impl Tracker {
     }
 
     /// Transforms a point of the tracker's frame to the robot base, mm.
-    pub fn in_base(&self, place: &Vector3<f64>) -> Vector3<f64> {
+    pub(super) fn in_base(&self, place: &Vector3<f64>) -> Vector3<f64> {
         Rotation3::new(self.turn) * place + self.origin
     }
 }
@@ -76,5 +76,21 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn planes_are_the_coordinates_of_a_point() {
+        let tracker = Tracker { origin: Vector3::new(10.0, -20.0, 30.0), turn: Vector3::new(0.3, -2.0, 1.1) };
+        let place = Vector3::new(100.0, 200.0, -50.0);
+        let in_base = tracker.in_base(&place);
+        for (axis, plane) in tracker.planes().iter().enumerate() {
+            assert!((plane.normal.dot(&(in_base - plane.origin)) - place[axis]).abs() < 1e-12);
+        }
+        // A quarter turn about z maps x to y.
+        let quarter = Tracker { turn: Vector3::z() * std::f64::consts::FRAC_PI_2, ..tracker };
+        assert!((quarter.in_base(&Vector3::x()) - Vector3::new(10.0, -19.0, 30.0)).norm() < 1e-14);
+        assert!(
+            Tracker::located(&crate::robot::Robot::by_name("ur5e").unwrap().unwrap().geometry, &[]).is_none()
+        );
     }
 }

@@ -41,9 +41,10 @@ findings! {
         cure: "Take the file as dbbd wrote it. If the change is meant, remove the last line, and you are then responsible for the values." {
             RobotEdited => "was changed since dbbd wrote it: its hash is of another text";
         }
-        W1841 "the file of --config is not $config.dat",
+        W1841 "a file is not the controller's $config.dat",
         cause: "Tools and bases of a KUKA controller are in $config.dat. Another file may have other values of the same names.",
-        cure: "Give the controller's own $config.dat." {
+        cure: "Give the controller's own $config.dat.",
+        asks: [ControllerConfig] {
             NotConfig { begins: String } => "the file begins with `{begins}`, and $config.dat with DEFDAT $CONFIG";
         }
         W1843 "the calibration of a robot has warnings",
@@ -52,8 +53,9 @@ findings! {
             DoubtfulRobot { robot: String, doubts: Names } => "`{robot}` was identified with {doubts}";
         }
         W1844 "an identity contradicts the job of the plan",
-        cause: "--identity states another robot, bar, certificate or temperature of the bar, or further base balls, than the job of the plan that is measured, or than the capture: a file of another run. The lengths were computed with what the job and the bar's sensor say.",
-        cure: "Give the identity of this run. With another bar, plan again." {
+        cause: "The file of the identity states another robot, bar, certificate or temperature of the bar, or further base balls, than the job of the plan that is measured, or than the capture: a file of another run. The lengths were computed with what the job and the bar's sensor say.",
+        cure: "Give the identity of this run. With another bar, plan again.",
+        asks: [Identity] {
             OtherThanPlanned { key: String, planned: String, stated: String } => "{key} is stated as {stated}; the job has {planned}";
             SerialOfNoBall { ball: String, balls: usize } => "a serial number is stated of base ball {ball}, and there are {balls}";
         }
@@ -97,7 +99,6 @@ findings! {
         cause: "A text of [identity], [bar] or [[centre]] is empty, too long or has control characters, a date does not exist or is impossible, a country is not an ISO code, or balls or temperatures are given twice.",
         cure: "Write texts in one line of at most 200 characters, and dates as \"2026-03-31\"." {
             NotAText { key: String, length: usize, most: usize } => "{key} must be a text of 1 to {most} characters in one line, it has {length}";
-            OutOfRange { key: String, value: f64, least: f64, most: f64 } => "{key} = {value} must be a number from {least} to {most}";
             NotACountry { code: String } => "country = \"{code}\" must be two capital letters of ISO 3166-1, such as DE, or GB for the United Kingdom";
             CertifiedLater { date: String } => "certified_on = \"{date}\" is after the day of the measurement";
             InFuture { key: String, date: String } => "{key} = \"{date}\" is in the future, by the clock of this computer";

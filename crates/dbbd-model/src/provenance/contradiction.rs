@@ -88,3 +88,45 @@ impl Identity {
         all.filter_map(|(key, fact)| Some((key, fact?))).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_facts_that_both_state_differently_contradict() {
+        let bar = |length_mm, temperature_c| BarIdentity {
+            length_mm: Some(length_mm),
+            temperature_c,
+            ..BarIdentity::default()
+        };
+        let air = |celsius, u_k| MeasuredTemperature { of: "air".into(), celsius, u_k, device: None };
+        let known = Identity {
+            robot: Some("R1".into()),
+            operator: Some("A".into()),
+            load_kg: Some(10.0),
+            bar: bar(300.0, Some(20.0)),
+            temperatures: vec![air(20.0, None)],
+            ..Identity::default()
+        };
+        let keys = |stated: Identity| -> Vec<String> {
+            known.contradictions(&stated).into_iter().map(|found| found.key).collect()
+        };
+        // Certificates of one bar, and readings of one temperature, may differ a little; people may be stated anew.
+        let alike = Identity {
+            operator: Some("B".into()),
+            bar: bar(300.049, None),
+            temperatures: vec![air(20.09, Some(0.5))],
+            ..Identity::default()
+        };
+        assert_eq!(keys(alike), [""; 0]);
+        let other = Identity {
+            robot: Some("R2".into()),
+            load_kg: Some(10.1),
+            bar: bar(300.051, Some(21.0)),
+            temperatures: vec![air(19.89, None)],
+            ..Identity::default()
+        };
+        assert_eq!(keys(other), ["robot", "load_kg", "bar.length_mm", "bar.temperature_c", "celsius of air"]);
+    }
+}

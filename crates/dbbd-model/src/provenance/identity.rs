@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::catalogue::IdentityFinding::{self, NotACountry, NotADate, NotAText, OutOfRange, TooEarly};
+use super::catalogue::IdentityFinding::{self, NotACountry, NotADate, NotAText, TooEarly};
 use crate::base::date::{day_number, is_after, is_moment};
 use crate::base::parse::from_toml;
 use crate::diagnostic::Diagnostic;
+use crate::plausibility::Quantity;
 use crate::provenance::ProvenanceFinding;
 
 /// The country codes of ISO 3166-1, as the time zone database lists them (public domain).
@@ -23,18 +24,6 @@ const COUNTRIES: &str = "AD AE AF AG AI AL AM AO AQ AR AS AT AU AW AX AZ BA BB B
 const EARLIEST: &str = "1980-01-01";
 /// The longest text, characters.
 const MAX_TEXT_CHARACTERS: usize = 200;
-/// The range of temperatures in a cell, degrees Celsius.
-const TEMPERATURES_C: [f64; 2] = [-30.0, 60.0];
-/// The range of bar lengths, mm.
-const BARS_MM: [f64; 2] = [10.0, 10_000.0];
-/// The range of the expanded uncertainty (k = 2) of a bar's length, mm. A smaller number is one in metres.
-pub const LENGTH_U_MM: [f64; 2] = [1e-4, 0.5];
-/// The range of temperatures at which lengths are certified, degrees Celsius.
-pub const CERTIFIED_C: [f64; 2] = [0.0, 50.0];
-/// The range of the thermal expansion of bars, 1/K: from glass ceramics to zinc.
-const EXPANSIONS_PER_K: [f64; 2] = [0.0, 5e-5];
-/// The largest load of a robot, kg.
-const MAX_LOAD_KG: f64 = 2500.0;
 
 /// Serial numbers, people, places and conditions of a measurement, as far as they are stated: the table `[identity]` of a
 /// job or of the service's configuration, or a separate file.
@@ -118,7 +107,7 @@ pub struct MeasuredTemperature {
 }
 
 /// A key, and what is wrong with its value.
-pub type IdentityError = (&'static str, IdentityFinding);
+pub type IdentityError = (&'static str, Diagnostic);
 
 /// Refuses a text that is empty, longer than 200 characters, or has control characters.
 pub fn check_text(key: &'static str, text: Option<&String>) -> Result<(), IdentityError> {
@@ -127,7 +116,7 @@ pub fn check_text(key: &'static str, text: Option<&String>) -> Result<(), Identi
     if (1..=MAX_TEXT_CHARACTERS).contains(&length) && !text.chars().any(char::is_control) {
         return Ok(());
     }
-    Err((key, NotAText { key: key.into(), length, most: MAX_TEXT_CHARACTERS }))
+    Err((key, NotAText { key: key.into(), length, most: MAX_TEXT_CHARACTERS }.into()))
 }
 
 /// The day number of a date with or without a time.
@@ -138,29 +127,24 @@ fn day(moment: &str) -> Option<f64> {
 /// Refuses a text that is not a date, or date and time, since 1980.
 fn check_date(key: &'static str, date: Option<&String>) -> Result<(), IdentityError> {
     match date {
-        Some(date) if !is_moment(date) => Err((key, NotADate { key: key.into(), date: date.clone() })),
+        Some(date) if !is_moment(date) => Err((key, NotADate { key: key.into(), date: date.clone() }.into())),
         Some(date) if day(date) < day_number(EARLIEST) => {
-            Err((key, TooEarly { key: key.into(), date: date.clone() }))
+            Err((key, TooEarly { key: key.into(), date: date.clone() }.into()))
         }
         _ => Ok(()),
     }
 }
 
-fn within(key: &'static str, value: Option<f64>, [least, most]: [f64; 2]) -> Result<(), IdentityError> {
-    match value {
-        Some(value) if !(least..=most).contains(&value) => {
-            Err((key, OutOfRange { key: key.into(), value, least, most }))
-        }
-        _ => Ok(()),
-    }
+fn check_value(key: &'static str, value: Option<f64>, quantity: Quantity) -> Result<(), IdentityError> {
+    value.map_or(Ok(()), |value| quantity.check(key, value)).map_err(|finding| (key, finding.into()))
 }
 
 impl MeasuredTemperature {
     pub fn check(&self) -> Result<(), IdentityError> {
         check_text("of", Some(&self.of))?;
         check_text("device", self.device.as_ref())?;
-        within("celsius", Some(self.celsius), TEMPERATURES_C)?;
-        within("u_k", self.u_k, [0.001, 20.0])
+        check_value("celsius", Some(self.celsius), Quantity::Temperature)?;
+        check_value("u_k", self.u_k, Quantity::TemperatureUncertainty)
     }
 }
 
@@ -203,10 +187,10 @@ impl BarIdentity {
     pub fn check(&self) -> Result<(), IdentityError> {
         self.texts().into_iter().try_for_each(|(key, text)| check_text(key, text.as_ref()))?;
         check_date("certified_on", self.certified_on.as_ref())?;
-        within("length_mm", self.length_mm, BARS_MM)?;
-        within("length_u_mm", self.length_u_mm, LENGTH_U_MM)?;
-        within("temperature_c", self.temperature_c, CERTIFIED_C)?;
-        within("expansion_per_k", self.expansion_per_k, EXPANSIONS_PER_K)
+        check_value("length_mm", self.length_mm, Quantity::BarLength)?;
+        check_value("length_u_mm", self.length_u_mm, Quantity::ExpandedLengthUncertainty)?;
+        check_value("temperature_c", self.temperature_c, Quantity::CertificateTemperature)?;
+        check_value("expansion_per_k", self.expansion_per_k, Quantity::Expansion)
     }
 }
 
@@ -219,7 +203,7 @@ impl Identity {
     /// Reads an identity from a file of its own.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let identity: Self = from_toml(file, text)?;
-        identity.check_all().map_err(|(_, finding)| Diagnostic::file(file, finding))?;
+        identity.check_all().map_err(|(_, finding)| finding.in_file(file))?;
         Ok(identity)
     }
 
@@ -252,9 +236,9 @@ impl Identity {
         if let Some(code) = self.country.as_ref()
             && !COUNTRIES.split(' ').any(|known| known == code)
         {
-            return Err(("country", NotACountry { code: code.clone() }));
+            return Err(("country", NotACountry { code: code.clone() }.into()));
         }
-        within("load_kg", self.load_kg, [0.0, MAX_LOAD_KG])
+        check_value("load_kg", self.load_kg, Quantity::Load)
     }
 
     fn check_balls(&self) -> Result<(), IdentityError> {
@@ -262,10 +246,10 @@ impl Identity {
         for (ball, serial) in &self.balls {
             check_text("balls", Some(serial))?;
             if ball.parse::<u32>().ok().is_none_or(|number| number == 0 || number.to_string() != *ball) {
-                return Err(("balls", IdentityFinding::NotABall { key: ball.clone() }));
+                return Err(("balls", IdentityFinding::NotABall { key: ball.clone() }.into()));
             }
             if known.contains(&serial) {
-                return Err(("balls", IdentityFinding::SerialTwice { serial: serial.clone() }));
+                return Err(("balls", IdentityFinding::SerialTwice { serial: serial.clone() }.into()));
             }
             known.push(serial);
         }
@@ -278,7 +262,7 @@ impl Identity {
         for (key, date) in dates {
             let Some(date) = date else { continue };
             if is_after(date.split('T').next().unwrap_or_default(), today) {
-                return Err((key, IdentityFinding::InFuture { key: key.into(), date: date.clone() }));
+                return Err((key, IdentityFinding::InFuture { key: key.into(), date: date.clone() }.into()));
             }
         }
         Ok(())
@@ -300,12 +284,15 @@ impl Identity {
         if let (Some(certified), Some(measured)) = (&self.bar.certified_on, &self.measured)
             && day(certified) > day(measured)
         {
-            return Err(("certified_on", IdentityFinding::CertifiedLater { date: certified.clone() }));
+            return Err(("certified_on", IdentityFinding::CertifiedLater { date: certified.clone() }.into()));
         }
         for (at, found) in self.temperatures.iter().enumerate() {
             found.check()?;
             if self.temperatures[..at].iter().any(|other| other.of == found.of) {
-                return Err(("temperature", IdentityFinding::TemperatureTwice { of: found.of.clone() }));
+                return Err((
+                    "temperature",
+                    IdentityFinding::TemperatureTwice { of: found.of.clone() }.into(),
+                ));
             }
         }
         Ok(())

@@ -17,9 +17,7 @@ use serde::{Deserialize, Serialize};
 use crate::base::hash::sha256;
 use crate::diagnostic::Diagnostic;
 pub use contradiction::Contradiction;
-pub use identity::{
-    BarIdentity, CERTIFIED_C, Identity, IdentityError, LENGTH_U_MM, MeasuredTemperature, check_text,
-};
+pub use identity::{BarIdentity, Identity, IdentityError, MeasuredTemperature, check_text};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -208,12 +206,11 @@ impl Provenance {
         for input in inputs {
             input.chain().for_each(|source| made.add(source));
             let stated = &input.provenance.identity;
-            match input.artefact.role {
-                // The conditions of an earlier calibration are not those of the next measurement.
-                ArtefactRole::Robot | ArtefactRole::IdentifiedRobot => {
-                    made.identity.extend(&stated.of_robot())
-                }
-                _ => made.identity.extend(stated),
+            // The conditions of an earlier calibration are not those of the next measurement.
+            if matches!(input.artefact.role, ArtefactRole::Robot | ArtefactRole::IdentifiedRobot) {
+                made.identity.extend(&stated.of_robot());
+            } else {
+                made.identity.extend(stated);
             }
         }
         made
@@ -245,5 +242,70 @@ impl Provenance {
     pub fn corrected_by(&self) -> Option<&Artefact> {
         let measured = [ArtefactRole::IdentifiedRobot, ArtefactRole::Measurements, ArtefactRole::Capture];
         self.from.iter().rev().find(|source| measured.contains(&source.role))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn artefact(role: ArtefactRole, name: &str, serial: Option<&str>) -> Artefact {
+        Artefact {
+            serial: serial.map(str::to_owned),
+            ..Artefact::new(role, name, format!("{role}{name}{serial:?}"))
+        }
+    }
+
+    #[test]
+    fn robots_differ_by_serial_number_or_else_by_name() {
+        let robot = |name: &str, serial: Option<&str>| artefact(ArtefactRole::Robot, name, serial);
+        let difference = |one: (&str, Option<&str>), other: (&str, Option<&str>)| {
+            robot(one.0, one.1).differs(&robot(other.0, other.1))
+        };
+        assert_eq!(difference(("a", Some("1")), ("b", Some("1"))), None);
+        assert_eq!(difference(("a", Some("1")), ("a", Some("2"))), Some(ArtefactDifference::Serial));
+        assert_eq!(difference(("a", Some("1")), ("b", None)), Some(ArtefactDifference::Name));
+        assert_eq!(difference(("a", None), ("a", Some("2"))), None);
+    }
+
+    #[test]
+    fn a_chain_has_each_source_once_and_in_order() {
+        let robot = TracedArtefact::from(artefact(ArtefactRole::Robot, "r", None));
+        let made = |role, name: &str, inputs: &[&TracedArtefact]| TracedArtefact {
+            artefact: artefact(role, name, None),
+            provenance: Provenance::made_by("1", inputs.iter().copied()),
+        };
+        let plan = made(ArtefactRole::Plan, "p", &[&robot]);
+        let lengths = made(ArtefactRole::Measurements, "m", &[&plan, &robot]);
+        let identified = made(ArtefactRole::IdentifiedRobot, "i", &[&lengths, &robot]);
+        let names = |one: &TracedArtefact| one.chain().map(|source| source.name.clone()).collect::<String>();
+        assert_eq!(names(&identified), "rpmi");
+        assert_eq!(identified.robot().map(|robot| robot.name.as_str()), Some("i"));
+        assert_eq!(identified.provenance.robot().map(|robot| robot.name.as_str()), Some("r"));
+        // Measured with a calibrated robot: only what comes after it is the own measurement.
+        let again = made(ArtefactRole::Measurements, "n", &[&identified]);
+        let result = made(ArtefactRole::Result, "x", &[&again]);
+        let measured = |one: &TracedArtefact| {
+            one.provenance.measured().map(|source| source.name.clone()).collect::<String>()
+        };
+        assert_eq!((measured(&identified), measured(&result)), ("m".to_owned(), "n".to_owned()));
+        assert_eq!(result.provenance.corrected_by().map(|source| source.name.as_str()), Some("n"));
+        assert_eq!(plan.provenance.corrected_by(), None);
+        // A newer robot that was made from the used one makes a result outdated.
+        let newer = made(ArtefactRole::IdentifiedRobot, "j", &[&result]);
+        assert!(matches!(again.outdated_by(&newer), Some(ProvenanceFinding::Outdated { .. })));
+        assert!(again.outdated_by(&identified).is_none() && plan.outdated_by(&newer).is_none());
+        assert!(plan.check_made_for(&artefact(ArtefactRole::Robot, "r", Some("5"))).is_ok());
+        assert!(plan.check_made_for(&artefact(ArtefactRole::Robot, "s", None)).is_err());
+    }
+
+    #[test]
+    fn artefacts_of_two_serial_numbers_are_refused() {
+        let of = |serial: Option<&str>| TracedArtefact::from(artefact(ArtefactRole::Robot, "r", serial));
+        let all = |serials: &[Option<&str>]| {
+            let traced: Vec<TracedArtefact> = serials.iter().map(|serial| of(*serial)).collect();
+            one_robot(traced.iter().map(|one| ("f".to_owned(), one))).is_ok()
+        };
+        assert!(all(&[Some("1"), None, Some("1")]) && all(&[]) && !all(&[Some("1"), None, Some("2")]));
     }
 }

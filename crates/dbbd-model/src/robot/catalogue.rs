@@ -29,29 +29,17 @@ findings! {
             Convention { convention: String } => "convention `{convention}` is not known: only `modified-dh` is";
             JointCount { robot: String, joints: usize, needed: String } => "{robot} has {joints} [[joint]] tables: a robot here has six rotary joints", help: "{needed}";
         }
-        E0505 "a number of a robot file is impossible",
-        cause: "A number is not finite, or outside of what its key can mean.",
-        cure: "Correct the number; the unit is in the key's name." {
-            JointNumber { joint: usize, key: String, value: f64, most: f64 } => "joint {joint}: {key} = {value} must be a number from -{most} to {most}";
+        E0505 "values of a robot file contradict each other",
+        cause: "A sign or a number of a joint is none, two values exclude each other, or a table that dbbd wrote was changed.",
+        cure: "Correct the value that is named; take tables that dbbd wrote as they were." {
             JointSign { joint: usize, sign: i8 } => "joint {joint}: sign = {sign} must be 1 or -1";
             JointLimits { joint: usize, low_deg: f64, high_deg: f64 } => "joint {joint}: limits_deg = [{low_deg}, {high_deg}] must be [low, high], within 100000 degrees";
             Coupling { joint: usize, axis: usize, factor: i8 } => "joint {joint}: coupling with axis = {axis} and factor = {factor}: axis must be 2 to {joint} - 1, factor 1 or -1";
             NoCoupledAngle { joint: usize, axis: usize, axis_deg: f64 } => "joint {joint}: limits_deg and those of coupling leave axis {joint} no angle where axis {axis} is at its limit of {axis_deg} degrees";
-            JointSpeed { joint: usize, value: f64 } => "joint {joint}: a speed or acceleration of {value} must be positive, and at most 100000";
-            TooSmall { key: &'static str, value: f64, least: f64 } => "{key} = {value} is smaller than that of any robot ({least}): is it in another unit?";
-            Tolerance { length_mm: f64, angle_deg: f64 } => "[tolerance]: length_mm = {length_mm} and angle_deg = {angle_deg} must be positive, at most 100 mm and 45 degrees";
             Posterior => "[posterior]: `values` and the rows of `root`, which are 1, 2, .. numbers long, must be as many as `parameters` of the robot, each there once";
-            Repeatability { value: f64 } => "repeatability_mm = {value} must be positive, at most 5 mm";
             NoName => "name is empty: runs and programs are compared by it";
-            Mass { kg: f64, centre_mm: [f64; 3] } => "a mass of {kg} kg at {centre_mm:?} mm is impossible";
             MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";
-            ToolBall { ball_mm: [f64; 3] } => "[tool]: ball_mm = {ball_mm:?} must be numbers, each at most 10000 mm";
             Uncertainty => "[uncertainty] does not fit the robot: a row of `root` for each of `parameters` and each coefficient of the joints, all of one length";
-        }
-        E0580 "an angle of a robot file seems to be in radians",
-        cause: "alpha_deg or theta_offset_deg is a part of pi, limits_deg span less than a turn of radians, or a joint would be slower than that of any robot.",
-        cure: "Convert the value to degrees." {
-            Radians { joint: usize, key: String, value: f64 } => "joint {joint}: {key} = {value} seems to be in radians: degrees are needed";
         }
         W0581 "a robot file has the name of a built-in robot and another table",
         cause: "The table was copied and edited, or a value is in another unit or has another sign. Files of plans and results are compared by the robot's name.",

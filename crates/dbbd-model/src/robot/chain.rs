@@ -52,7 +52,7 @@ impl Default for LengthRow {
 
 impl LengthRow {
     /// The derivative with respect to a parameter. For a target, ball or bar: that of this row.
-    pub fn derivative(&self, id: ParamId) -> f64 {
+    pub(crate) fn derivative(&self, id: ParamId) -> f64 {
         self.columns[id.column()]
     }
 
@@ -91,39 +91,39 @@ impl Geometry {
 
 /// Sine and cosine of each axis angle of the controller.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct JointSinCos(pub [[f64; 2]; AXES]);
+pub struct JointSinCos(pub(crate) [[f64; 2]; AXES]);
 
 impl JointSinCos {
     /// Of axis angles in rad.
-    pub fn of(axes: &[f64; AXES]) -> Self {
+    pub(crate) fn of(axes: &[f64; AXES]) -> Self {
         Self(axes.map(|angle| angle.sin_cos().into()))
     }
 }
 
 /// The axes at a measurement.
 #[derive(Clone, Copy, Debug)]
-pub struct AxesAtPose<'a> {
+pub(crate) struct AxesAtPose<'a> {
     /// Axis angles of the controller, rad.
-    pub axes: &'a [f64; AXES],
-    pub sin_cos: &'a JointSinCos,
-    pub approach: Approach,
+    pub(crate) axes: &'a [f64; AXES],
+    pub(crate) sin_cos: &'a JointSinCos,
+    pub(crate) approach: Approach,
     /// The tool ball or another target, in the flange frame, mm.
-    pub target: &'a Vector3<f64>,
+    pub(crate) target: &'a Vector3<f64>,
 }
 
 /// A plane of the tracker's frame, in the robot base.
 #[derive(Clone, Copy, Debug)]
-pub struct TrackerPlane {
+pub(crate) struct TrackerPlane {
     /// The origin of the frame, mm.
-    pub origin: Vector3<f64>,
-    pub normal: Vector3<f64>,
+    pub(crate) origin: Vector3<f64>,
+    pub(crate) normal: Vector3<f64>,
     /// The derivatives of the normal with respect to the rotation vector of the frame.
-    pub normal_by_turn: [Vector3<f64>; 3],
+    pub(crate) normal_by_turn: [Vector3<f64>; 3],
 }
 
 /// A geometry with the sines and cosines of its DH table.
 #[derive(Clone, Debug)]
-pub struct KinematicChain<'a> {
+pub(crate) struct KinematicChain<'a> {
     geometry: &'a Geometry,
     alpha: [(f64, f64); AXES],
     theta: [(f64, f64); AXES],
@@ -144,7 +144,7 @@ struct InwardPass {
 }
 
 impl<'a> KinematicChain<'a> {
-    pub fn new(geometry: &'a Geometry) -> Self {
+    pub(crate) fn new(geometry: &'a Geometry) -> Self {
         let is_rigid = geometry.compliance.iter().all(|c| *c == 0.0)
             && geometry.gear.iter().flatten().all(|g| *g == 0.0)
             && geometry.joint_errors.is_none();
@@ -225,14 +225,14 @@ impl<'a> KinematicChain<'a> {
     }
 
     /// The target in the robot base, mm.
-    pub fn ball(&self, at: &AxesAtPose<'_>) -> Vector3<f64> {
+    pub(crate) fn ball(&self, at: &AxesAtPose<'_>) -> Vector3<f64> {
         self.inward(at).ball
     }
 
     /// Writes the distance from a base ball at `ball` plus `bar_offset` (mm) and its derivatives to `row`, which is new or was
     /// written for this robot. If the balls coincide, the length has no derivative, and the columns are zero.
     #[inline]
-    pub fn row(&self, at: &AxesAtPose<'_>, ball: &Vector3<f64>, bar_offset: f64, row: &mut LengthRow) {
+    pub(crate) fn row(&self, at: &AxesAtPose<'_>, ball: &Vector3<f64>, bar_offset: f64, row: &mut LengthRow) {
         let inward = self.inward(at);
         let bar = inward.ball - ball;
         let distance = bar.norm();
@@ -247,7 +247,7 @@ impl<'a> KinematicChain<'a> {
     }
 
     /// Writes the distance from a plane and its derivatives to a row, as [`Self::row`] does.
-    pub fn plane_row(&self, at: &AxesAtPose<'_>, plane: &TrackerPlane, row: &mut LengthRow) {
+    pub(crate) fn plane_row(&self, at: &AxesAtPose<'_>, plane: &TrackerPlane, row: &mut LengthRow) {
         let inward = self.inward(at);
         let from = inward.ball - plane.origin;
         row.length = plane.normal.dot(&from);
@@ -292,7 +292,7 @@ impl<'a> KinematicChain<'a> {
 
     /// Calls `each` with the index of a parameter and the derivative of the tool ball's position with respect to it, mm per mm
     /// or rad; it is zero for parameters of the rest of the set-up. Returns the position of the tool ball.
-    pub fn ball_jacobian(
+    pub(crate) fn ball_jacobian(
         &self,
         axes: &[f64; AXES],
         ids: &[ParamId],
@@ -313,5 +313,165 @@ impl<'a> KinematicChain<'a> {
             each(at, Vector3::from_fn(|axis, _| factor * along[axis][id.column()]));
         }
         inward.ball
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::parameter::{all_parameters, optional};
+    use crate::robot::{CoupledAxis, Coupling, JointErrorModel, JointErrors, Mass, ParamUnit, Ripple, Robot};
+
+    const AXES_AT: [f64; AXES] = [0.3, -0.8, 0.6, 1.1, -0.7, 2.0];
+
+    /// An arm with every effect: beta, compliance under load, transmission errors, a coupled joint, joint errors.
+    fn arm() -> Geometry {
+        let mut geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
+        let mut errors: [JointErrorModel; AXES] = Default::default();
+        errors[1].backlash = 3e-4;
+        errors[4].ripple = vec![Ripple { order: 5, cos: 2e-4, sin: -1e-4 }];
+        geometry.joint_errors = JointErrors::new(errors);
+        let by = Some(CoupledAxis { axis: Joint::J2, factor: 1.0 });
+        geometry.coupling = Coupling::new([None, None, by, None, None, None]);
+        geometry.rows[2].beta = 0.02;
+        geometry.gear[3] = [4e-4, -2e-4];
+        geometry.masses = vec![Mass { joint: Joint::J3, kg: 80.0, centre: Vector3::new(100.0, 20.0, 5.0) }];
+        geometry
+    }
+
+    fn ids() -> Vec<ParamId> {
+        let robot = all_parameters(&Joint::ALL[1..], 0).into_iter();
+        robot.filter(|id| !matches!(id, ParamId::BarOffset(_))).chain(optional()).collect()
+    }
+
+    fn step(id: ParamId) -> f64 {
+        match id.unit() {
+            ParamUnit::Mm => 1e-2,
+            ParamUnit::Rad => 1e-5,
+            ParamUnit::RadPerNm => 1e-8,
+        }
+    }
+
+    fn moved(id: ParamId, step: f64) -> Geometry {
+        let mut moved = arm();
+        *moved.value_mut(id).unwrap() += step;
+        moved
+    }
+
+    #[test]
+    fn length_and_columns_match_forward_kinematics() {
+        let ball = Vector3::new(1200.0, -300.0, 500.0);
+        let row = arm().length_row(&AXES_AT, &ball, 0.25);
+        assert!((row.length - arm().length(&AXES_AT, &ball, 0.25)).abs() < 1e-10);
+        for id in ids() {
+            let at = |step: f64| moved(id, step).length(&AXES_AT, &ball, 0.25);
+            let difference = (at(step(id)) - at(-step(id))) / (2.0 * step(id));
+            let size = difference.abs().max(1.0);
+            assert!((row.derivative(id) - difference).abs() < 1e-5 * size, "{id}: {difference}");
+        }
+        for axis in Coordinate::ALL {
+            let step = Vector3::ith(axis.index(), 1e-3);
+            let at = |ball: Vector3<f64>| arm().length(&AXES_AT, &ball, 0.25);
+            let difference = (at(ball + step) - at(ball - step)) / 2e-3;
+            assert!((row.derivative(ParamId::Ball(BallId::FIRST, axis)) - difference).abs() < 1e-7);
+        }
+        assert_eq!(row.derivative(ParamId::BarOffset(BarId::FIRST)), 1.0);
+        let along = (arm().ball(&AXES_AT).position - ball).normalize();
+        assert!((row.unit() - along).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_length_between_balls_that_coincide_has_no_derivative() {
+        let ball = arm().ball(&AXES_AT).position;
+        let sin_cos = JointSinCos::of(&AXES_AT);
+        let geometry = arm();
+        let at = AxesAtPose {
+            axes: &AXES_AT,
+            sin_cos: &sin_cos,
+            approach: Approach::default(),
+            target: &geometry.tool,
+        };
+        let mut row = geometry.length_row(&AXES_AT, &Vector3::zeros(), 0.0);
+        let chain = KinematicChain::new(&geometry);
+        let here = chain.ball(&at);
+        assert!((here - ball).norm() < 1e-9);
+        chain.row(&at, &here, 0.5, &mut row);
+        assert_eq!((row.length, row.columns.iter().all(|column| *column == 0.0)), (0.5, true));
+    }
+
+    #[test]
+    fn a_coordinate_of_a_tracker_is_a_distance_from_a_plane() {
+        let geometry = arm();
+        let sin_cos = JointSinCos::of(&AXES_AT);
+        let target = Vector3::new(-40.0, 10.0, 60.0);
+        let approach = Approach::new([0, 1, 1, 0, 0, 0]);
+        let at = AxesAtPose { axes: &AXES_AT, sin_cos: &sin_cos, approach, target: &target };
+        let chain = KinematicChain::new(&geometry);
+        let normal = Vector3::new(2.0, -1.0, 2.0) / 3.0;
+        let by_turn = [Vector3::x(), Vector3::y() * 2.0, Vector3::z() * -1.0];
+        let origin = Vector3::new(10.0, 20.0, 30.0);
+        let plane = TrackerPlane { origin, normal, normal_by_turn: by_turn };
+        let mut row = LengthRow::default();
+        chain.plane_row(&at, &plane, &mut row);
+        let from = chain.ball(&at) - origin;
+        assert!((row.length - normal.dot(&from)).abs() < 1e-10);
+        let turned = Coordinate::ALL.map(|axis| row.derivative(ParamId::TrackerTurn(axis)));
+        assert_eq!(turned, [from.x, 2.0 * from.y, -from.z]);
+        let shifted = Coordinate::ALL.map(|axis| row.derivative(ParamId::Tracker(axis)));
+        assert_eq!(Vector3::from(shifted), -normal);
+        assert_eq!(row.derivative(ParamId::BarOffset(BarId::FIRST)), 0.0);
+        // The target moves with the flange.
+        let flange = geometry.approached(approach).flange(&AXES_AT);
+        let by_target = Coordinate::ALL.map(|axis| row.derivative(ParamId::Target(TargetId::at(1), axis)));
+        assert!((Vector3::from(by_target) - flange.rotation.transpose() * normal).norm() < 1e-12);
+    }
+
+    #[test]
+    fn ball_jacobian_matches_differences() {
+        let ids: Vec<ParamId> =
+            ids().into_iter().chain([ParamId::Ball(BallId::FIRST, Coordinate::X)]).collect();
+        let mut found = Vec::new();
+        let geometry = arm();
+        let ball =
+            KinematicChain::new(&geometry).ball_jacobian(&AXES_AT, &ids, |at, by| found.push((at, by)));
+        assert!((ball - arm().ball(&AXES_AT).position).norm() < 1e-9);
+        assert_eq!(found.len(), ids.len());
+        for (at, by) in found {
+            let Some((id, step)) = Some(ids[at]).filter(|id| id.moves_tool_ball()).map(|id| (id, step(id)))
+            else {
+                assert_eq!(by, Vector3::zeros());
+                continue;
+            };
+            let [low, high] = [-step, step].map(|step| moved(id, step).ball(&AXES_AT).position);
+            let difference = (high - low) / (2.0 * step);
+            assert!((by - difference).norm() < 1e-5 * difference.norm().max(1.0), "{id}");
+        }
+    }
+
+    #[test]
+    fn joint_terms_are_the_derivatives_by_the_coefficients() {
+        let (geometry, ball) = (arm(), Vector3::new(1200.0, -300.0, 500.0));
+        let approach = Approach::new([1, -1, -1, 1, 1, 0]);
+        let count = geometry.joint_errors.count();
+        let sin_cos = JointSinCos::of(&AXES_AT);
+        let length = |geometry: &Geometry| {
+            let at = AxesAtPose { axes: &AXES_AT, sin_cos: &sin_cos, approach, target: &geometry.tool };
+            let mut row = LengthRow::default();
+            KinematicChain::new(geometry).row(&at, &ball, 0.0, &mut row);
+            row
+        };
+        let mut terms = vec![0.0; count];
+        length(&geometry).joint_terms(&geometry, &AXES_AT, approach, &mut terms);
+        let values = geometry.joint_errors.coefficients();
+        for (at, term) in terms.into_iter().enumerate() {
+            let with = |step: f64| {
+                let mut values = values.clone();
+                values[at] += step;
+                let joint_errors = geometry.joint_errors.with(values);
+                length(&Geometry { joint_errors, ..geometry.clone() }).length
+            };
+            let difference = (with(1e-5) - with(-1e-5)) / 2e-5;
+            assert!((term - difference).abs() < 1e-4, "{at}: {term} for {difference}");
+        }
     }
 }

@@ -48,7 +48,7 @@ impl Coupling {
     }
 
     /// What the second axis adds to the angle of a joint (by its index) at axis angles.
-    pub fn added(&self, joint: usize, axes: &[f64; AXES]) -> f64 {
+    pub(super) fn added(&self, joint: usize, axes: &[f64; AXES]) -> f64 {
         self.0[joint].map_or(0.0, |by| by.factor * axes[by.axis.index()])
     }
 
@@ -138,5 +138,15 @@ mod tests {
         assert_eq!(of([1, 1, 1, 1, 1, 1]), [1, 1, 1, 1, 1, 0]);
         assert_eq!(of([1, -1, 1, 0, -1, 1]), [1, -1, 0, 0, -1, 1]);
         assert_eq!(of([0, 0, 1, 0, 0, -1]), [0; AXES]);
+    }
+
+    #[test]
+    fn a_coupling_names_its_second_axis() {
+        assert!(Coupling::default().is_none() && !coupling().is_none());
+        assert_eq!(coupling().of(Joint::J3).map(|by| by.to_string()).as_deref(), Some(" + A2"));
+        assert_eq!(coupling().of(Joint::J6).map(|by| by.to_string()).as_deref(), Some(" - A5"));
+        assert_eq!(coupling().of(Joint::J1), None);
+        let axes = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+        assert_eq!([0, 2, 5].map(|joint| coupling().added(joint, &axes)), [0.0, 2.0, -5.0]);
     }
 }

@@ -1,14 +1,14 @@
 //! A robot: geometry, limits, speeds, tolerance, and the posterior of its identification.
 
-use std::path::Path;
-
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use super::kinematics::Geometry;
+use super::parameter::all_parameters;
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
-use super::{AXES, Joint, ParamId};
-use crate::base::serialised;
+use super::{AXES, Joint, ParamId, PriorRule};
+use crate::base::serialised::Seal;
 use crate::diagnostic::Names;
 use crate::diagnostic::{Diagnostic, nearest};
 use crate::provenance::ProvenanceFinding;
@@ -24,6 +24,21 @@ pub struct LoadedRobot {
     pub source: TracedArtefact,
     /// Doubts about the file.
     pub findings: Vec<Diagnostic>,
+}
+
+impl LoadedRobot {
+    /// A robot from the text of its file, with the doubts about it.
+    ///
+    /// # Errors
+    /// The text is not that of a robot.
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
+        let robot = Robot::from_toml(file, text)?;
+        let edited = Seal::Toml.check(text).is_err();
+        let edited = edited.then(|| Diagnostic::file(file, ProvenanceFinding::RobotEdited));
+        let unlike = robot.unlike_built_in().map(|finding| Diagnostic::file(file, finding));
+        let findings = edited.into_iter().chain(unlike).collect();
+        Ok(Self { source: robot.traced(text), robot, findings })
+    }
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -141,31 +156,53 @@ impl Robot {
         self.repeatability_mm.map(|mm| mm / REPEATABILITY)
     }
 
+    /// What is not known of it, by its file: with the errors of its joints, else what its identification left unknown, else its
+    /// tolerance.
+    pub fn known_uncertainty(&self) -> RobotUncertainty {
+        let by_posterior = || {
+            let posterior = self.posterior.as_ref().filter(|posterior| posterior.is_of(&self.geometry))?;
+            let parameters = posterior.ids().to_vec();
+            let root = posterior.root_of(&parameters);
+            Some(self.rigid_uncertainty(parameters, &root))
+        };
+        let by_tolerance = || {
+            let parallel = self.parallel_joints();
+            let parameters: Vec<ParamId> =
+                all_parameters(&parallel, 0).into_iter().filter(|id| id.is_geometric()).collect();
+            let angle_rad = self.tolerance.angle_deg.to_radians();
+            let sd = |id: &ParamId| match id.prior() {
+                PriorRule::LengthTolerance => self.tolerance.length_mm,
+                PriorRule::AngleTolerance => angle_rad,
+                PriorRule::AngleToleranceOverTorque { .. }
+                | PriorRule::Certificate { .. }
+                | PriorRule::Free(_) => 0.0,
+            };
+            let sd = DVector::from_iterator(parameters.len(), parameters.iter().map(sd));
+            self.rigid_uncertainty(parameters, &DMatrix::from_diagonal(&sd))
+        };
+        self.uncertainty.as_deref().cloned().or_else(by_posterior).unwrap_or_else(by_tolerance)
+    }
+
+    /// The uncertainty with this root of the parameters' covariance; the coefficients of the joint errors are exact.
+    fn rigid_uncertainty(&self, parameters: Vec<ParamId>, known: &DMatrix<f64>) -> RobotUncertainty {
+        let rows = known.nrows() + self.geometry.joint_errors.count();
+        RobotUncertainty {
+            parameters,
+            root: known.clone().resize_vertically(rows, 0.0),
+            pose_mm: self.repeatability_sd_mm().unwrap_or(0.0),
+            smooth: Vec::new(),
+            unapproached_rad: [0.0; AXES],
+        }
+    }
+
     /// The finding if the repeatability is unknown.
     pub fn asked_repeatability(&self) -> Option<RobotFinding> {
         let robot = self.name.clone();
         self.repeatability_mm.is_none().then_some(RobotFinding::NoRepeatability { robot })
     }
 
-    /// A robot by the name of a built-in one or of a file; `file` reads a file, if it exists.
-    pub fn named(
-        name: &str,
-        file: impl FnOnce(&Path) -> Option<Result<String, Diagnostic>>,
-    ) -> Result<LoadedRobot, Diagnostic> {
-        let text = match Self::built_in_file(name) {
-            Some(text) => text.to_owned(),
-            None => file(Path::new(name)).ok_or_else(|| Self::unknown(name))??,
-        };
-        let robot = Self::from_toml(name, &text)?;
-        let edited = serialised::is_sealed_toml(&text) == Some(false);
-        let edited = edited.then(|| Diagnostic::file(name, ProvenanceFinding::RobotEdited));
-        let unlike = robot.unlike_built_in().map(|finding| Diagnostic::file(name, finding));
-        let findings = edited.into_iter().chain(unlike).collect();
-        Ok(LoadedRobot { source: robot.traced(&text), robot, findings })
-    }
-
     /// The finding if a nominal robot differs from the built-in robot with its name.
-    pub fn unlike_built_in(&self) -> Option<RobotFinding> {
+    fn unlike_built_in(&self) -> Option<RobotFinding> {
         /// Rounding of published tables, mm and degrees.
         const ALIKE: f64 = 1.0;
         if self.nominal.is_some() {
@@ -257,5 +294,121 @@ impl Robot {
         let added = self.limits_deg[by.axis.index()].map(|deg| by.factor * deg);
         let [least, most] = [added[0].min(added[1]), added[0].max(added[1])];
         self.coupled_limits_deg[place].unwrap_or([low + least, high + most])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn robot(name: &str) -> Robot {
+        Robot::by_name(name).unwrap().unwrap()
+    }
+
+    /// ISO 9283: mean distance 2 sqrt(2 / pi) s plus three standard deviations sqrt(3 - 8 / pi) s of the distance.
+    #[test]
+    fn repeatability_is_mean_plus_three_standard_deviations_of_the_distance() {
+        use std::f64::consts::PI;
+        let factor = 2.0 * (2.0 / PI).sqrt() + 3.0 * (3.0 - 8.0 / PI).sqrt();
+        assert!((REPEATABILITY - factor).abs() < 1e-3);
+        let sd = robot("kr60ha").repeatability_sd_mm().unwrap();
+        assert!((sd * factor - 0.05).abs() < 1e-4 * 0.05);
+    }
+
+    /// By the table of the file: a2 = 850, hypot(a3, d4) = hypot(145, 820), a1 = 350 before.
+    #[test]
+    fn reach_accelerations_and_parallel_joints_follow_the_table() {
+        let robot = robot("kr60ha");
+        assert!((robot.reach_mm() - (350.0 + 850.0 + 145f64.hypot(820.0))).abs() < 1e-9);
+        assert_eq!(robot.acceleration_deg_s2()[1], 102.0 / 0.4);
+        assert_eq!(robot.parallel_joints(), [Joint::J3]);
+        assert_eq!(super::tests::robot("ur10e").parallel_joints(), [Joint::J3, Joint::J4]);
+    }
+
+    #[test]
+    fn margins_of_the_limits_are_those_of_the_nearest_axis() {
+        let robot = robot("kr60ha");
+        let mut axes = [0.0, -50.0, 20.0, 0.0, 0.0, 0.0].map(f64::to_radians);
+        // Axis 2 is 85 degrees from both of its limits of -135 and 35.
+        assert!((robot.limit_margin_deg(&axes) - 85.0).abs() < 1e-9);
+        axes[4] = 120f64.to_radians();
+        assert!((robot.limit_margin_deg(&axes) + 1.0).abs() < 1e-9 && !robot.is_within_limits(&axes));
+        axes[4] = -110f64.to_radians();
+        assert!((robot.limit_margin_deg(&axes) - 9.0).abs() < 1e-9 && robot.is_within_limits(&axes));
+    }
+
+    #[test]
+    fn limits_of_a_coupled_joint_move_with_its_second_axis() {
+        let mut robot = robot("kr60ha");
+        let by = Some(super::super::CoupledAxis { axis: Joint::J2, factor: 1.0 });
+        robot.geometry.coupling = super::super::Coupling::new([None, None, by, None, None, None]);
+        robot.coupled_limits_deg[2] = Some([-60.0, 90.0]);
+        let mut axes_deg = [0.0; AXES];
+        axes_deg[1] = -100.0;
+        // A3 + A2 from -60 to 90 leaves 40 to 190, the axis itself -120 to 158.
+        assert_eq!(robot.limits_at_deg(&axes_deg)[2], [40.0, 158.0]);
+        assert_eq!(robot.limits_at_deg(&[0.0; AXES])[2], [-60.0, 90.0]);
+        assert_eq!(robot.joint_range_deg(Joint::J3), [-60.0, 90.0]);
+        robot.coupled_limits_deg[2] = None;
+        assert_eq!(robot.limits_at_deg(&axes_deg)[2], [-120.0, 158.0]);
+        assert_eq!(robot.joint_range_deg(Joint::J3), [-120.0 - 135.0, 158.0 + 35.0]);
+    }
+
+    #[test]
+    fn the_uncertainty_is_that_of_the_posterior_or_of_the_tolerance() {
+        let mut robot = robot("kr60ha");
+        robot.tolerance = Tolerance { length_mm: 0.5, angle_deg: 0.2 };
+        let nominal = robot.known_uncertainty();
+        let sd = |id: ParamId| {
+            let at = nominal.parameters.iter().position(|own| *own == id).unwrap();
+            nominal.root.row(at).norm()
+        };
+        assert_eq!(nominal.parameters.len(), 25);
+        assert_eq!((sd(ParamId::A(Joint::J2)), sd(ParamId::D(Joint::J6))), (0.5, 0.5));
+        assert!((sd(ParamId::Beta(Joint::J3)) - 0.2f64.to_radians()).abs() < 1e-15);
+        assert!((nominal.pose_mm * REPEATABILITY - 0.05).abs() < 1e-12);
+        let ids = [ParamId::A(Joint::J2), ParamId::Theta(Joint::J3)];
+        let root = DMatrix::from_row_slice(2, 2, &[0.3, 0.0, 1e-4, 2e-4]);
+        robot.posterior = RobotPosterior::new(&ids, &robot.geometry, &root);
+        robot.geometry.joint_errors.push(Joint::J1, 2);
+        let known = robot.known_uncertainty();
+        assert_eq!(known.parameters, ids);
+        // Below the parameters are the coefficients of the joint errors, which are exact: 6 backlashes, 2 parts of a ripple.
+        assert_eq!(known.root.shape(), (10, 2));
+        let covariance = &known.root * known.root.transpose();
+        assert!((covariance[(0, 1)] - 0.3e-4).abs() < 1e-18 && covariance[(9, 9)] == 0.0);
+        // A value that was changed by hand is not that of the identification.
+        robot.geometry.rows[1].a += 1.0;
+        assert_eq!(robot.known_uncertainty().parameters.len(), 25);
+    }
+
+    #[test]
+    fn a_new_tool_ball_drops_what_was_known_of_the_old_one() {
+        let mut robot = robot("kr60ha");
+        let ids = [ParamId::A(Joint::J2), ParamId::Tool(crate::robot::Coordinate::X)];
+        let root = DMatrix::from_row_slice(2, 2, &[0.3, 0.0, 0.1, 0.2]);
+        robot.posterior = RobotPosterior::new(&ids, &robot.geometry, &root);
+        robot.set_tool([1.0, 2.0, 3.0]);
+        assert_eq!(robot.posterior.as_ref().map(RobotPosterior::ids), Some(&ids[..1]));
+        assert!((robot.posterior.unwrap().sd(ids[0]).unwrap() - 0.3).abs() < 1e-15);
+        assert_eq!(robot.geometry.tool.z, 3.0);
+    }
+
+    #[test]
+    fn the_language_is_that_of_the_maker() {
+        for (name, language) in
+            [("kr60ha", "krl"), ("irb120", "rapid"), ("ur10e", "urscript"), ("gp25", "inform")]
+        {
+            assert_eq!(robot(name).controller_language(), Some(language));
+        }
+        let own = Robot { language: Some("krl".into()), ..robot("irb120") };
+        assert_eq!(own.controller_language(), Some("krl"));
+        assert!(own.unlike_built_in().is_none());
+        let mut other = robot("irb120");
+        other.geometry.rows[2].a += 1.5;
+        assert!(matches!(
+            other.unlike_built_in(),
+            Some(RobotFinding::UnlikeBuiltIn { joint: 3, key: "a_mm", .. })
+        ));
     }
 }

@@ -2,15 +2,17 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::joint_table::{JointTable, MAX_LENGTH_MM, coupling};
+use super::joint_table::{JointTable, coupling};
 use super::kinematics::{Geometry, Mass};
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
 use super::{AXES, Joint, JointErrors, Robot, Tolerance};
 use crate::base::InternalFinding;
+use crate::base::fixed_array::fixed_array;
 use crate::base::parse::from_toml;
 use crate::base::serialised;
 use crate::diagnostic::Diagnostic;
+use crate::plausibility::{PlausibilityFinding, Quantity};
 use crate::provenance::Provenance;
 use crate::robot::RobotFinding;
 
@@ -45,6 +47,7 @@ struct RobotFile {
 #[derive(Clone, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RobotToolTable {
+    #[serde(deserialize_with = "fixed_array")]
     ball_mm: [f64; 3],
 }
 
@@ -53,6 +56,7 @@ struct RobotToolTable {
 struct MassTable {
     joint: usize,
     kg: f64,
+    #[serde(deserialize_with = "fixed_array")]
     centre_mm: [f64; 3],
 }
 
@@ -60,6 +64,7 @@ struct MassTable {
 #[serde(deny_unknown_fields)]
 struct PayloadTable {
     kg: f64,
+    #[serde(deserialize_with = "fixed_array")]
     centre_mm: [f64; 3],
 }
 
@@ -68,7 +73,7 @@ impl Robot {
         let parsed: RobotFile = from_toml(file, text)?;
         parsed.into_robot().map_err(|(joint, finding)| {
             let line = joint.and_then(|at| line_of_table(text, "[[joint]]", at)).unwrap_or(0);
-            Diagnostic::line(file, line, finding)
+            finding.in_line_of(file, line)
         })
     }
 
@@ -84,21 +89,22 @@ impl Robot {
 }
 
 impl RobotFile {
-    /// A value that is too small for any robot: it is in another unit.
-    fn too_small(&self) -> Option<RobotFinding> {
+    /// Checks the values that are not of a joint or a mass.
+    fn check_values(&self) -> Result<(), PlausibilityFinding> {
         let ball_mm = self.tool.ball_mm.into_iter().map(f64::abs).fold(0.0, f64::max);
         // If the nominal ball is at the flange, the identified one may be very near to it.
         let ball_mm = (ball_mm > 0.0 && self.nominal.is_none()).then_some(ball_mm);
         let values = [
-            ("[tolerance] length_mm", Some(self.tolerance.length_mm), 1e-3),
-            ("[tolerance] angle_deg", Some(self.tolerance.angle_deg), 1e-3),
-            ("repeatability_mm", self.repeatability_mm, 5e-4),
-            ("[tool] ball_mm", ball_mm, 0.5),
+            ("[tolerance] length_mm", Some(self.tolerance.length_mm), Quantity::LengthTolerance),
+            ("[tolerance] angle_deg", Some(self.tolerance.angle_deg), Quantity::AngleTolerance),
+            ("repeatability_mm", self.repeatability_mm, Quantity::Repeatability),
+            ("[tool] ball_mm", ball_mm, Quantity::ToolBallDistance),
         ];
-        values.into_iter().find_map(|(key, value, least)| {
-            let value = value.filter(|value| *value < least)?;
-            Some(RobotFinding::TooSmall { key, value, least })
-        })
+        let coordinates = self.tool.ball_mm.map(|mm| ("[tool] ball_mm", Some(mm), Quantity::ArmLength));
+        coordinates
+            .into_iter()
+            .chain(values)
+            .try_for_each(|(key, value, quantity)| value.map_or(Ok(()), |value| quantity.check(key, value)))
     }
 }
 
@@ -107,18 +113,8 @@ fn line_of_table(text: &str, header: &str, at: usize) -> Option<usize> {
     text.lines().enumerate().filter(|(_, line)| line.trim() == header).nth(at).map(|(line, _)| line + 1)
 }
 
-/// Largest mass, kg.
-const MAX_MASS_KG: f64 = 5e3;
-/// Largest repeatability, mm.
-const MAX_REPEATABILITY_MM: f64 = 5.0;
-
-/// Whether all lengths are possible for an arm.
-fn are_lengths(mm: &[f64]) -> bool {
-    mm.iter().all(|mm| mm.abs() <= MAX_LENGTH_MM)
-}
-
 /// A finding, with the index of the joint that it is about.
-type RobotFileError = (Option<usize>, RobotFinding);
+type RobotFileError = (Option<usize>, Diagnostic);
 
 impl RobotFile {
     /// The finding for an arm that does not have six axes.
@@ -139,8 +135,8 @@ impl RobotFile {
 
     fn joints(&self) -> Result<[&JointTable; AXES], RobotFileError> {
         let joints: Vec<&JointTable> = self.joint.iter().collect();
-        let joints =
-            <[&JointTable; AXES]>::try_from(joints).map_err(|joints| (None, self.not_six(joints.len())))?;
+        let joints = <[&JointTable; AXES]>::try_from(joints)
+            .map_err(|joints| (None, self.not_six(joints.len()).into()))?;
         for (at, joint) in joints.iter().enumerate() {
             joint.check(at + 1).map_err(|finding| (Some(at), finding))?;
         }
@@ -148,13 +144,12 @@ impl RobotFile {
     }
 
     /// The masses, the payload last.
-    fn masses(&self) -> Result<Vec<Mass>, RobotFinding> {
+    fn masses(&self) -> Result<Vec<Mass>, Diagnostic> {
         let masses = self.mass.iter().map(|mass| (mass.joint, mass.kg, mass.centre_mm));
         let payload = self.payload.iter().map(|payload| (AXES, payload.kg, payload.centre_mm));
         let checked = |(joint, kg, centre_mm): (usize, f64, [f64; 3])| {
-            if !((0.0..=MAX_MASS_KG).contains(&kg) && are_lengths(&centre_mm)) {
-                return Err(RobotFinding::Mass { kg, centre_mm });
-            }
+            Quantity::Mass.check("kg", kg)?;
+            centre_mm.into_iter().try_for_each(|mm| Quantity::ArmLength.check("centre_mm", mm))?;
             let joint = Joint::new(joint).ok_or(RobotFinding::MassJoint { joint })?;
             Ok(Mass { joint, kg, centre: centre_mm.into() })
         };
@@ -162,24 +157,13 @@ impl RobotFile {
     }
 
     /// Checks everything but joints and masses.
-    fn check(&self) -> Result<(), RobotFinding> {
-        let Tolerance { length_mm, angle_deg } = self.tolerance;
-        let [most_mm, most_deg] = [100.0, 45.0];
-        if !(length_mm > 0.0 && length_mm <= most_mm && angle_deg > 0.0 && angle_deg <= most_deg) {
-            return Err(RobotFinding::Tolerance { length_mm, angle_deg });
-        }
-        self.too_small().map_or(Ok(()), Err)?;
+    fn check(&self) -> Result<(), Diagnostic> {
+        self.check_values()?;
         if self.name.trim().is_empty() {
-            return Err(RobotFinding::NoName);
-        }
-        if let Some(value) = self.repeatability_mm.filter(|mm| !(*mm > 0.0 && *mm <= MAX_REPEATABILITY_MM)) {
-            return Err(RobotFinding::Repeatability { value });
-        }
-        if !are_lengths(&self.tool.ball_mm) {
-            return Err(RobotFinding::ToolBall { ball_mm: self.tool.ball_mm });
+            return Err(RobotFinding::NoName.into());
         }
         if self.posterior.as_ref().is_some_and(|posterior| !posterior.is_sound()) {
-            return Err(RobotFinding::Posterior);
+            return Err(RobotFinding::Posterior.into());
         }
         Ok(())
     }
@@ -187,10 +171,10 @@ impl RobotFile {
     /// The robot, if all numbers are possible.
     fn into_robot(self) -> Result<Robot, RobotFileError> {
         if self.convention != "modified-dh" {
-            return Err((None, RobotFinding::Convention { convention: self.convention }));
+            return Err((None, RobotFinding::Convention { convention: self.convention }.into()));
         }
         let joints = self.joints()?;
-        let coupling = coupling(&joints).map_err(|(at, finding)| (Some(at), finding))?;
+        let coupling = coupling(&joints).map_err(|(at, finding)| (Some(at), finding.into()))?;
         self.check().map_err(|finding| (None, finding))?;
         let masses = self.masses().map_err(|finding| (None, finding))?;
         let mut robot = Robot {
@@ -227,8 +211,8 @@ impl RobotFile {
             },
             name: self.name,
         };
-        if self.uncertainty.as_ref().is_some_and(|uncertainty| !uncertainty.fits(&robot)) {
-            return Err((None, RobotFinding::Uncertainty));
+        if self.uncertainty.as_ref().is_some_and(|uncertainty| !uncertainty.fits(&robot.geometry)) {
+            return Err((None, RobotFinding::Uncertainty.into()));
         }
         robot.uncertainty = self.uncertainty.map(Box::new);
         Ok(robot)
@@ -298,6 +282,6 @@ mod tests {
         let text = robot.to_toml().unwrap();
         assert_eq!(Robot::from_toml("robot.toml", &text).unwrap(), robot);
         let wrong = text.replacen("half_width_rad = 3.0", "half_width_rad = 0.0", 1);
-        assert_eq!(Robot::from_toml("robot.toml", &wrong).unwrap_err().code().as_str(), "E0505");
+        assert_eq!(Robot::from_toml("robot.toml", &wrong).unwrap_err().code().as_str(), "E0130");
     }
 }

@@ -93,7 +93,7 @@ impl Datum {
         }
     }
 
-    pub fn is_plane(self) -> bool {
+    pub(crate) fn is_plane(self) -> bool {
         matches!(self, Self::Plane(_))
     }
 }
@@ -192,7 +192,7 @@ impl Approach {
     }
 
     /// Whether no sense is known.
-    pub fn is_unknown(&self) -> bool {
+    pub(crate) fn is_unknown(&self) -> bool {
         *self == Self::default()
     }
 
@@ -234,5 +234,34 @@ mod tests {
         assert!(BallId::new(0).is_none() && serde_json::from_str::<BallId>("0").is_err());
         assert_eq!(Joint::new(6), Some(Joint::J6));
         assert_eq!((Joint::new(0), Joint::new(7)), (None, None));
+    }
+
+    #[test]
+    fn an_axis_keeps_its_sense_until_it_moves_again() {
+        let poses = [
+            [0.0; 6],
+            [1.0, -1.0, 0.0, 0.0, 5e-10, 0.0],
+            [1.0, -2.0, 1.0, 0.0, 0.0, 0.0],
+            [0.5, -2.0, 1.0, 0.0, 0.0, 0.0],
+        ];
+        let approaches: Vec<[i8; 6]> = Approach::along(poses).map(|approach| approach.senses()).collect();
+        assert_eq!(approaches, [[0; 6], [1, -1, 0, 0, 0, 0], [1, -1, 1, 0, 0, 0], [-1, -1, 1, 0, 0, 0]]);
+        assert_eq!(Approach::new([5, -7, 0, 1, 0, 0]).senses(), [1, -1, 0, 1, 0, 0]);
+        assert!(Approach::default().is_unknown() && !Approach::new([0, 0, 0, 0, 0, 1]).is_unknown());
+    }
+
+    #[test]
+    fn a_datum_has_a_ball_and_a_bar_or_a_plane() {
+        let length = Datum::Ball(BallId::at(2), BarId::at(1));
+        assert_eq!(
+            (length.ball(), length.bar(), length.is_plane()),
+            (Some(BallId::at(2)), Some(BarId::at(1)), false)
+        );
+        let plane = Datum::Plane(Coordinate::Z);
+        assert_eq!((plane.ball(), plane.bar(), plane.is_plane()), (None, None, true));
+        assert_eq!(
+            max_axis_difference(&[1.0, -2.0, 0.0, 0.0, 0.0, 3.0], &[0.5, 2.0, 0.0, 0.0, 0.0, 3.0]),
+            4.0
+        );
     }
 }

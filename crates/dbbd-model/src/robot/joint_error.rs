@@ -113,18 +113,18 @@ impl SmoothJointError {
     }
 
     /// Half of the interval for angles measured in this one, rad.
-    pub fn half_width_for([low, high]: [f64; 2]) -> f64 {
+    pub(crate) fn half_width_for([low, high]: [f64; 2]) -> f64 {
         Self::WIDER * 0.5 * (high - low)
     }
 
     /// The nearest angle to which measured ones reach, rad.
-    pub fn nearest_measured(&self, angle: f64) -> f64 {
+    pub(crate) fn nearest_measured(&self, angle: f64) -> f64 {
         let reach = self.half_width / Self::WIDER;
         self.centre + (angle - self.centre).clamp(-reach, reach)
     }
 
     /// Whether both have the same basis functions.
-    pub fn is_alike(&self, other: &Self) -> bool {
+    pub(crate) fn is_alike(&self, other: &Self) -> bool {
         self.centre == other.centre && self.half_width == other.half_width
     }
 
@@ -164,7 +164,7 @@ impl SmoothJointError {
 
 impl JointErrorModel {
     /// The correction of the joint at an axis angle (rad) to which the axis came in this sense (-1, 0 not known, 1), rad.
-    pub fn correction(&self, angle: f64, sense: i8) -> f64 {
+    pub(super) fn correction(&self, angle: f64, sense: i8) -> f64 {
         self.of_angle(angle) + self.sense(angle, sense) * self.backlash
     }
 
@@ -174,7 +174,7 @@ impl JointErrorModel {
     }
 
     /// The part that the angle alone determines, rad.
-    pub fn of_angle(&self, angle: f64) -> f64 {
+    pub(crate) fn of_angle(&self, angle: f64) -> f64 {
         let ripple = self.ripple.iter().map(|ripple| {
             let (sin, cos) = (f64::from(ripple.order) * angle).sin_cos();
             ripple.cos * cos + ripple.sin * sin
@@ -243,7 +243,7 @@ impl JointErrors {
     }
 
     /// The coefficients' names, joint by joint.
-    pub fn terms(&self) -> Vec<JointTerm> {
+    pub(crate) fn terms(&self) -> Vec<JointTerm> {
         let of = |joint: Joint| {
             let kinds = self.of(joint).map(|error| error.kinds().collect::<Vec<_>>()).unwrap_or_default();
             kinds.into_iter().map(move |kind| JointTerm { joint, kind })
@@ -252,7 +252,7 @@ impl JointErrors {
     }
 
     /// Where the coefficient of each joint's backlash is among them.
-    pub fn backlash_places(&self) -> [Option<usize>; AXES] {
+    pub(crate) fn backlash_places(&self) -> [Option<usize>; AXES] {
         let terms = self.terms();
         let is_of = |joint: Joint, term: &JointTerm| term.joint == joint && term.kind == TermKind::Backlash;
         Joint::ALL.map(|joint| terms.iter().position(|term| is_of(joint, term)))
@@ -260,7 +260,12 @@ impl JointErrors {
 
     /// The derivative of each joint's correction by each of its coefficients, in the order of [`JointErrors::terms`], to
     /// `each` with the joint's place (from 0), at the joints' own angles (rad) and senses.
-    pub fn derivatives(&self, angles: &[f64; AXES], senses: Approach, mut each: impl FnMut(usize, f64)) {
+    pub(crate) fn derivatives(
+        &self,
+        angles: &[f64; AXES],
+        senses: Approach,
+        mut each: impl FnMut(usize, f64),
+    ) {
         let joints = self.0.iter().flat_map(|joints| joints.iter()).enumerate();
         for (place, joint) in joints {
             joint.derivatives(angles[place], senses.senses()[place], &mut |value| each(place, value));
@@ -290,7 +295,7 @@ impl JointErrors {
     }
 
     /// The coefficients, in the order of [`JointErrors::terms`].
-    pub fn coefficients(&self) -> Vec<f64> {
+    pub(crate) fn coefficients(&self) -> Vec<f64> {
         let mut of = self.clone();
         let joints = of.0.iter_mut().flat_map(|joints| joints.iter_mut());
         joints.flat_map(JointErrorModel::coefficients_mut).map(|own| *own).collect()
@@ -363,5 +368,65 @@ mod tests {
         }
         assert_eq!(smooth.value(2.0), 0.0);
         assert!(!smooth.covers(2.0) && smooth.covers(-1.0));
+    }
+
+    /// phi_m(q) = sin(pi m (q - c + L) / (2 L)) / sqrt(L) of Solin and Sarkka, with c = 0.4, L = 1.5.
+    #[test]
+    fn smooth_function_is_the_sum_of_its_basis_functions() {
+        let smooth = SmoothJointError { centre: 0.4, half_width: 1.5, coefficients: vec![0.3, -0.2, 0.7] };
+        let angle = 1.1_f64;
+        let phi = |m: f64| (PI * m * (angle - 0.4 + 1.5) / 3.0).sin() / 1.5_f64.sqrt();
+        let expected = 0.3 * phi(1.0) - 0.2 * phi(2.0) + 0.7 * phi(3.0);
+        assert!((smooth.value(angle) - expected).abs() < 1e-14);
+        // Zero at both ends and beyond.
+        assert!(smooth.value(-1.1).abs() < 1e-14 && smooth.value(1.9).abs() < 1e-14);
+        assert_eq!((smooth.value(-1.2), smooth.value(2.0)), (0.0, 0.0));
+        assert!(!SmoothJointError::default().covers(0.0));
+        // Angular frequencies pi m / (2 L).
+        let kinds: Vec<TermKind> = JointErrorModel { smooth, ..JointErrorModel::default() }.kinds().collect();
+        let TermKind::Smooth { frequency } = kinds[1] else { panic!("{kinds:?}") };
+        assert!((frequency - 2.0 * PI / 3.0).abs() < 1e-15);
+        assert_eq!((kinds.len(), kinds[3]), (4, TermKind::Backlash));
+    }
+
+    #[test]
+    fn the_interval_is_half_again_as_wide_as_that_of_the_angles() {
+        assert_eq!(SmoothJointError::half_width_for([-1.0, 3.0]), 3.0);
+        let smooth = SmoothJointError::new(1.0, 3.0, 2);
+        assert_eq!([-5.0, 0.5, 4.0].map(|angle| smooth.nearest_measured(angle)), [-1.0, 0.5, 3.0]);
+        assert!(smooth.is_alike(&SmoothJointError::new(1.0, 3.0, 5)));
+        assert!(!smooth.is_alike(&SmoothJointError::new(1.0, 3.1, 2)));
+        assert!(!smooth.is_alike(&SmoothJointError::new(1.1, 3.0, 2)));
+    }
+
+    #[test]
+    fn ripple_and_backlash_of_a_joint() {
+        let error = JointErrorModel {
+            backlash: 2e-4,
+            visited: VisitedAngles { middle: 0.5, scale: 0.25 },
+            ripple: vec![Ripple { order: 3, cos: 1e-4, sin: -4e-4 }],
+            ..JointErrorModel::default()
+        };
+        let of_angle = 1e-4 * 2.1_f64.cos() - 4e-4 * 2.1_f64.sin();
+        assert!((error.of_angle(0.7) - of_angle).abs() < 1e-18);
+        assert!((error.correction(0.7, 1) - of_angle - 2e-4).abs() < 1e-18);
+        assert!((error.correction(0.7, -1) - of_angle + 2e-4).abs() < 1e-18);
+        // The expected sense is F - (1 - F) of a logistic distribution: 2 / (1 + e^-0.8) - 1.
+        let sense = 2.0 / (1.0 + (-0.8_f64).exp()) - 1.0;
+        assert!((error.correction(0.7, 0) - of_angle - 2e-4 * sense).abs() < 1e-17);
+    }
+
+    #[test]
+    fn backlash_has_its_place_among_the_coefficients() {
+        // Joint i has 4 + i basis functions, a backlash, and two parts of a ripple if i is odd.
+        let places = errors().backlash_places();
+        assert_eq!(places, [Some(4), Some(10), Some(19), Some(27), Some(38), Some(48)]);
+        assert_eq!(errors().count(), 51);
+        let mut one = JointErrors::default();
+        assert!(one.is_none() && one.at(0).is_none());
+        one.push(Joint::J4, 7);
+        assert_eq!((one.count(), one.backlash_places()[3]), (8, Some(3)));
+        let ripple = &one.of(Joint::J4).unwrap().ripple;
+        assert_eq!(ripple[..], [Ripple { order: 7, cos: 0.0, sin: 0.0 }]);
     }
 }

@@ -3,18 +3,16 @@
 use serde::{Deserialize, Serialize};
 
 use super::kinematics::DhRow;
-use super::pose::is_part_of_turn;
 use super::{
     AXES, CoupledAxis, Coupling, Joint, JointErrorModel, Ripple, Robot, SmoothJointError, VisitedAngles,
 };
+use crate::base::fixed_array::fixed_array;
+use crate::diagnostic::Diagnostic;
+use crate::plausibility::Quantity;
 use crate::robot::RobotFinding;
 
-/// Largest length, mm.
-pub const MAX_LENGTH_MM: f64 = 1e4;
-/// Largest angle, speed and acceleration, degrees, degrees/s, degrees/s^2.
+/// Largest limit, degrees.
 const MAX_JOINT_DEG: f64 = 1e5;
-/// Largest angle, rad.
-const MAX_JOINT_RAD: f64 = 2e3;
 
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -26,6 +24,7 @@ pub struct JointTable {
     pub sign: i8,
     #[serde(default)]
     pub beta_deg: f64,
+    #[serde(deserialize_with = "fixed_array")]
     pub limits_deg: [f64; 2],
     pub max_speed_deg_s: f64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -57,13 +56,8 @@ pub struct CouplingTable {
     pub axis: usize,
     pub factor: i8,
     /// Limits of the joint's own angle.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
     pub limits_deg: Option<[f64; 2]>,
-}
-
-/// A width; NaN, which no check accepts, if it is not positive.
-fn if_positive(width: f64) -> f64 {
-    if width > 0.0 { width } else { f64::NAN }
 }
 
 /// +1 or -1 for the file.
@@ -78,71 +72,59 @@ fn is_zero(value: &f64) -> bool {
 
 impl JointTable {
     /// Checks what the types do not ensure: possible numbers, limits in order.
-    pub fn check(&self, joint: usize) -> Result<(), RobotFinding> {
+    pub fn check(&self, joint: usize) -> Result<(), Diagnostic> {
         let numbers = [
-            ("alpha_deg", self.alpha_deg, MAX_JOINT_DEG),
-            ("a_mm", self.a_mm, MAX_LENGTH_MM),
-            ("theta_offset_deg", self.theta_offset_deg, MAX_JOINT_DEG),
-            ("d_mm", self.d_mm, MAX_LENGTH_MM),
-            ("beta_deg", self.beta_deg, MAX_JOINT_DEG),
-            ("compliance_rad_per_nm", self.compliance_rad_per_nm, 1.0),
-            ("gear_cos_rad", self.gear_cos_rad, 1.0),
-            ("gear_sin_rad", self.gear_sin_rad, 1.0),
-            ("backlash_rad", self.backlash_rad, 1.0),
+            ("alpha_deg", self.alpha_deg, Quantity::AxisAngle),
+            ("a_mm", self.a_mm, Quantity::ArmLength),
+            ("theta_offset_deg", self.theta_offset_deg, Quantity::AxisAngle),
+            ("d_mm", self.d_mm, Quantity::ArmLength),
+            ("beta_deg", self.beta_deg, Quantity::ParallelAxisAngle),
+            ("compliance_rad_per_nm", self.compliance_rad_per_nm, Quantity::JointCoefficient),
+            ("gear_cos_rad", self.gear_cos_rad, Quantity::JointCoefficient),
+            ("gear_sin_rad", self.gear_sin_rad, Quantity::JointCoefficient),
+            ("backlash_rad", self.backlash_rad, Quantity::JointCoefficient),
         ];
         let smooth = self.smooth.iter().flat_map(|smooth| {
             let SmoothJointError { centre, half_width, coefficients } = smooth;
-            let width = ("smooth.half_width_rad", if_positive(*half_width), MAX_JOINT_RAD);
-            let coefficients = coefficients.iter().map(|value| ("smooth.coefficients", *value, 1.0));
-            coefficients.chain([("smooth.centre_rad", *centre, MAX_JOINT_RAD), width])
+            let width = ("smooth.half_width_rad", *half_width, Quantity::JointWidth);
+            let coefficients =
+                coefficients.iter().map(|value| ("smooth.coefficients", *value, Quantity::JointCoefficient));
+            coefficients.chain([("smooth.centre_rad", *centre, Quantity::JointMiddle), width])
         });
         let visited = self.visited.iter().flat_map(|visited| {
             let VisitedAngles { middle, scale } = *visited;
             [
-                ("visited.middle_rad", middle, MAX_JOINT_RAD),
-                ("visited.scale_rad", if_positive(scale), MAX_JOINT_RAD),
+                ("visited.middle_rad", middle, Quantity::JointMiddle),
+                ("visited.scale_rad", scale, Quantity::JointWidth),
             ]
         });
-        let ripple = self
-            .ripple
-            .iter()
-            .flat_map(|ripple| [("ripple.cos_rad", ripple.cos, 1.0), ("ripple.sin_rad", ripple.sin, 1.0)]);
-        let mut numbers = numbers.into_iter().chain(smooth).chain(visited).chain(ripple);
-        let is_possible = |value: f64, most: f64| value.abs() <= most;
-        if let Some((key, value, most)) = numbers.find(|(_, value, most)| !is_possible(*value, *most)) {
-            return Err(RobotFinding::JointNumber { joint, key: key.into(), value, most });
-        }
+        let ripple = self.ripple.iter().flat_map(|ripple| {
+            [
+                ("ripple.cos_rad", ripple.cos, Quantity::JointCoefficient),
+                ("ripple.sin_rad", ripple.sin, Quantity::JointCoefficient),
+            ]
+        });
+        let checked = |(key, value, quantity): (&str, f64, Quantity)| {
+            quantity.check(format!("joint {joint}: {key}"), value)
+        };
+        numbers.into_iter().chain(smooth).chain(visited).chain(ripple).try_for_each(checked)?;
         if self.sign.abs() != 1 {
-            return Err(RobotFinding::JointSign { joint, sign: self.sign });
-        }
-        if let Some((key, value)) = self.radians() {
-            return Err(RobotFinding::Radians { joint, key: key.into(), value });
+            return Err(RobotFinding::JointSign { joint, sign: self.sign }.into());
         }
         for [low_deg, high_deg] in [Some(self.limits_deg), self.coupled_limits_deg()].into_iter().flatten() {
             if !(low_deg >= -MAX_JOINT_DEG && high_deg <= MAX_JOINT_DEG && low_deg < high_deg) {
-                return Err(RobotFinding::JointLimits { joint, low_deg, high_deg });
+                return Err(RobotFinding::JointLimits { joint, low_deg, high_deg }.into());
             }
         }
+        let largest_deg = self.limits_deg.into_iter().map(f64::abs).fold(0.0, f64::max);
         self.coupled(joint)?;
-        let mut speeds = [Some(self.max_speed_deg_s), self.max_acceleration_deg_s2].into_iter().flatten();
-        match speeds.find(|speed| !(*speed > 0.0 && *speed <= MAX_JOINT_DEG)) {
-            Some(value) => Err(RobotFinding::JointSpeed { joint, value }),
-            None => Ok(()),
-        }
-    }
-
-    /// A value that was probably given in radians: a fraction of a turn, a small range of axis angles, a low speed.
-    fn radians(&self) -> Option<(&'static str, f64)> {
-        use std::f64::consts::TAU;
-        /// Lowest maximum speed of a joint, degrees/s.
-        const MIN_SPEED_DEG_S: f64 = 6.0;
-        let turns = [("alpha_deg", self.alpha_deg), ("theta_offset_deg", self.theta_offset_deg)];
-        let [low, high] = self.limits_deg;
-        let narrow = low.abs() < TAU + 0.1 && high.abs() < TAU + 0.1 && low < high;
-        let slow = self.max_speed_deg_s > 0.0 && self.max_speed_deg_s < MIN_SPEED_DEG_S;
-        let turn = turns.into_iter().find(|(_, value)| is_part_of_turn(*value));
-        turn.or(narrow.then_some(("limits_deg", high)))
-            .or(slow.then_some(("max_speed_deg_s", self.max_speed_deg_s)))
+        let speed = ("max_speed_deg_s", self.max_speed_deg_s, Quantity::JointSpeed);
+        let acceleration = self
+            .max_acceleration_deg_s2
+            .map(|value| ("max_acceleration_deg_s2", value, Quantity::JointAcceleration));
+        let limit = ("limits_deg", largest_deg, Quantity::JointLimit);
+        [limit, speed].into_iter().chain(acceleration).try_for_each(checked)?;
+        Ok(())
     }
 
     /// The second axis. It must be between axis 1 and the joint, because only axis 1 turns the plane of the arm.
@@ -211,7 +193,7 @@ impl JointTable {
 
 /// The couplings of the joints. At every angle of the second axis the axis of the joint must have a possible angle. An error
 /// carries the index of the joint.
-pub fn coupling(joints: &[&JointTable; AXES]) -> Result<Coupling, (usize, RobotFinding)> {
+pub(super) fn coupling(joints: &[&JointTable; AXES]) -> Result<Coupling, (usize, RobotFinding)> {
     let mut coupling = [None; AXES];
     for (at, table) in joints.iter().enumerate() {
         coupling[at] = table.coupled(at + 1).map_err(|finding| (at, finding))?;

@@ -108,13 +108,18 @@ impl Geometry {
 
     /// Calls `each` with the index of a joint and the derivative of its error with respect to a coefficient, at axis angles
     /// (rad), in the order of [`JointErrors::terms`].
-    pub fn error_derivatives(&self, axes: &[f64; AXES], approach: Approach, each: impl FnMut(usize, f64)) {
+    pub(crate) fn error_derivatives(
+        &self,
+        axes: &[f64; AXES],
+        approach: Approach,
+        each: impl FnMut(usize, f64),
+    ) {
         let (joints, senses) = (self.coupling.joints(axes), self.coupling.senses(approach));
         self.joint_errors.derivatives(&joints, senses, each);
     }
 
     /// Whether the joints are rigid and have no errors.
-    pub fn is_rigid(&self) -> bool {
+    pub(super) fn is_rigid(&self) -> bool {
         let bends = self.compliance.iter().any(|c| *c != 0.0) && !self.masses.is_empty();
         !bends && self.gear.iter().flatten().all(|part| *part == 0.0) && self.joint_errors.is_none()
     }
@@ -177,7 +182,7 @@ impl Geometry {
     }
 
     /// An upper bound of the gravity torque about each joint in any pose, N m: every mass at full stretch.
-    pub fn greatest_torques(&self) -> [f64; AXES] {
+    pub(crate) fn greatest_torques(&self) -> [f64; AXES] {
         let mut torques = [0.0; AXES];
         for mass in &self.masses {
             let mut lever_mm = mass.centre.norm();
@@ -237,5 +242,168 @@ impl Geometry {
 
     pub fn row(&self, joint: Joint) -> &DhRow {
         &self.rows[joint.index()]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix3;
+
+    /// An arm without any right angle. numpy computed the numbers of these tests from its table.
+    fn arm() -> Geometry {
+        let row = |alpha, a, theta, d, beta, sign| DhRow { alpha, a, theta, d, beta, sign };
+        let mass = |joint, kg, centre: [f64; 3]| Mass { joint, kg, centre: centre.into() };
+        Geometry {
+            rows: [
+                row(0.1, 5.0, 0.2, 800.0, 0.0, -1.0),
+                row(-1.5, 350.0, -0.1, 3.0, 0.02, 1.0),
+                row(0.03, 850.0, -1.6, -4.0, -0.01, 1.0),
+                row(-1.6, 145.0, 0.05, 820.0, 0.0, -1.0),
+                row(1.55, 2.0, -0.02, 1.0, 0.03, 1.0),
+                row(-1.58, -3.0, 3.1, 170.0, 0.0, -1.0),
+            ],
+            coupling: Coupling::default(),
+            tool: Vector3::new(10.0, -20.0, 150.0),
+            masses: vec![
+                mass(Joint::J2, 100.0, [400.0, 0.0, 50.0]),
+                mass(Joint::J6, 60.0, [10.0, 20.0, 150.0]),
+            ],
+            compliance: [0.0; AXES],
+            gear: [[0.0; 2]; AXES],
+            joint_errors: JointErrors::default(),
+        }
+    }
+
+    const AT: [f64; AXES] = [0.3, -0.8, 0.6, 1.1, -0.7, 2.0];
+
+    /// The product Ry(beta) Rx(alpha) Tx(a) Rz(sign A + theta) Tz(d) of all rows.
+    #[test]
+    fn forward_kinematics_match_numpy() {
+        let (flange, ball) = (arm().flange(&AT), arm().ball(&AT));
+        let expected = Matrix3::new(
+            -0.6201179231692802,
+            0.45870766053205336,
+            0.6364283490962902, //
+            -0.24302113894573055,
+            -0.8836598309067282,
+            0.4001075221330048, //
+            0.7459185527855835,
+            0.09344830341479442,
+            0.6594489572356287,
+        );
+        assert!((flange.rotation - expected).norm() < 1e-14);
+        let place = Vector3::new(1728.5299980256295, -350.5066467192436, 1911.7644724062818);
+        assert!((flange.position - place).norm() < 1e-11);
+        let place = Vector3::new(1808.6189179477392, -275.2475331706156, 2016.272035451186);
+        assert!((ball.position - place).norm() < 1e-11 && ball.rotation == flange.rotation);
+        assert_eq!(arm().skeleton(&AT)[AXES - 1], flange.position);
+        let length = arm().length(&AT, &Vector3::new(1500.0, 200.0, 300.0), 0.25);
+        assert!((length - 1807.65021964471).abs() < 1e-10);
+    }
+
+    /// tau_i = z_i . ((c - o_i) x (0, 0, -9.80665 m)) over the masses that joint i carries.
+    #[test]
+    fn gravity_torques_match_numpy() {
+        let torques = arm().torques(&arm().joint_angles(&AT));
+        let expected = [
+            -166.24672728305254,
+            1111.1987798067726,
+            543.4510813130335,
+            -78.77746534495489,
+            54.25600819594883,
+            8.228105728000083,
+        ];
+        for (found, expected) in torques.into_iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-10, "{found} for {expected}");
+        }
+        let unloaded = Geometry { masses: Vec::new(), ..arm() };
+        assert_eq!(unloaded.torques(&AT), [0.0; AXES]);
+    }
+
+    /// The sum over the masses of 9.80665 m (|c| + sum hypot(a, d) of the rows between).
+    #[test]
+    fn greatest_torques_stretch_every_mass() {
+        let expected = [
+            2125.222655436902,
+            1576.0300821274254,
+            680.5666945483837,
+            190.59423078521115,
+            189.27853062331826,
+            89.23512656808978,
+        ];
+        let at = arm().torques(&AT);
+        for ((found, expected), at) in arm().greatest_torques().into_iter().zip(expected).zip(at) {
+            assert!((found - expected).abs() < 1e-9 && at.abs() <= found, "{found} for {expected}");
+        }
+    }
+
+    #[test]
+    fn axis_jacobian_matches_differences() {
+        let by = Some(crate::robot::CoupledAxis { axis: Joint::J2, factor: 1.0 });
+        let coupled = Geometry { coupling: Coupling::new([None, None, by, None, None, None]), ..arm() };
+        for geometry in [arm(), coupled] {
+            for (axis, (shift, turn)) in geometry.axis_jacobian(&AT).into_iter().enumerate() {
+                let at = |step: f64| {
+                    let mut axes = AT;
+                    axes[axis] += step;
+                    geometry.ball(&axes)
+                };
+                let (low, high) = (at(-1e-6), at(1e-6));
+                assert!(((high.position - low.position) / 2e-6 - shift).norm() < 1e-5, "{axis}");
+                let rotation =
+                    crate::robot::pose::rotation_vector(&(high.rotation * low.rotation.transpose()));
+                assert!((rotation / 2e-6 - turn).norm() < 1e-8, "{axis}");
+            }
+        }
+    }
+
+    #[test]
+    fn joint_angles_have_transmission_errors_joint_errors_and_compliance() {
+        let mut errors: [crate::robot::JointErrorModel; AXES] = Default::default();
+        errors[3].backlash = 2e-4;
+        let geometry = Geometry {
+            gear: std::array::from_fn(|i| if i == 1 { [3e-4, -5e-4] } else { [0.0; 2] }),
+            joint_errors: JointErrors::new(errors),
+            ..arm()
+        };
+        let rigid = arm().joint_angles(&AT);
+        let approach = Approach::new([0, 0, 0, -1, 0, 0]);
+        let bent = geometry.joint_angles_approached(&AT, approach);
+        let expected = 3e-4 * 0.8f64.cos() + 5e-4 * 0.8f64.sin();
+        assert!((bent[1] - rigid[1] - expected).abs() < 1e-15);
+        assert!((bent[3] - rigid[3] + 2e-4).abs() < 1e-15);
+        assert_eq!(bent[0], rigid[0]);
+        let compliant = Geometry { compliance: [0.0, 1e-6, 0.0, 0.0, 0.0, 0.0], ..arm() };
+        let sagged = compliant.joint_angles(&AT);
+        assert!((sagged[1] - rigid[1] - 1e-6 * 1111.1987798067726).abs() < 1e-14);
+        assert_eq!((sagged[0], sagged[5]), (rigid[0], rigid[5]));
+        assert!(arm().is_rigid() && !geometry.is_rigid() && !compliant.is_rigid());
+        assert!(Geometry { masses: Vec::new(), ..compliant.clone() }.is_rigid(), "no mass bends it");
+        assert!(geometry.rigid().is_rigid() && compliant.rigid().is_rigid());
+        // With a known approach the backlash is part of the joint offset.
+        let approached = geometry.approached(approach);
+        assert!((approached.rows[3].theta - arm().rows[3].theta + 2e-4).abs() < 1e-16);
+        let again = approached.joint_angles_approached(&AT, approach);
+        assert!((again[3] - bent[3]).abs() < 1e-15);
+    }
+
+    #[test]
+    fn every_parameter_has_its_own_place() {
+        for id in crate::robot::parameter::all_parameters(&Joint::ALL[1..], 0)
+            .into_iter()
+            .chain(crate::robot::parameter::optional())
+            .filter(|id| !matches!(id, ParamId::BarOffset(_)))
+        {
+            let mut changed = arm();
+            *changed.value_mut(id).unwrap() += 0.5;
+            assert_eq!(changed.value(id), arm().value(id).map(|value| value + 0.5), "{id}");
+            *changed.value_mut(id).unwrap() = arm().value(id).unwrap();
+            assert_eq!(changed, arm());
+        }
+        assert_eq!(arm().value(ParamId::Alpha(Joint::J3)), Some(0.03));
+        assert_eq!(arm().value(ParamId::Beta(Joint::J2)), Some(0.02));
+        assert_eq!(arm().value(ParamId::Tool(crate::robot::Coordinate::Y)), Some(-20.0));
+        assert_eq!(arm().value(ParamId::Tracker(crate::robot::Coordinate::Y)), None);
     }
 }

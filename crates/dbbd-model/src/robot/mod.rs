@@ -7,21 +7,22 @@
 mod catalogue;
 pub use catalogue::RobotFinding;
 
-pub mod chain;
-pub mod coupling;
-pub mod definition;
-pub mod file;
-pub mod ids;
+mod chain;
+mod coupling;
+mod definition;
+mod file;
+mod ids;
 pub mod inverse;
-pub mod joint_error;
-pub mod joint_table;
+mod joint_error;
+mod joint_table;
 pub mod kinematics;
 pub mod parameter;
 pub mod pose;
-pub mod posterior;
-pub mod uncertainty;
+mod posterior;
+mod uncertainty;
 
-pub use chain::{AxesAtPose, JointSinCos, KinematicChain, LengthRow, TrackerPlane};
+pub(crate) use chain::{AxesAtPose, KinematicChain, TrackerPlane};
+pub use chain::{JointSinCos, LengthRow};
 pub use coupling::{CoupledAxis, Coupling};
 pub use definition::{LoadedRobot, Robot, Tolerance};
 pub use ids::{
@@ -30,11 +31,15 @@ pub use ids::{
 pub use joint_error::{
     JointErrorModel, JointErrors, JointTerm, Ripple, SmoothJointError, TermKind, VisitedAngles,
 };
+pub use joint_table::{CouplingTable, JointTable};
 pub use kinematics::{DhRow, Geometry, Mass};
-pub use parameter::{ParamGroup, ParamId, ParamUnit};
+pub use parameter::{ParamGroup, ParamId, ParamOwner, ParamUnit, PriorRule};
 pub use pose::Pose;
 pub use posterior::RobotPosterior;
 pub use uncertainty::{GaussianProcess, RobotUncertainty};
 
 /// Number of axes of a robot.
 pub const AXES: usize = 6;
+
+#[cfg(test)]
+mod tests;

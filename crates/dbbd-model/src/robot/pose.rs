@@ -85,16 +85,6 @@ impl Pose {
     }
 }
 
-/// Whether a number is a multiple of an eighth of a turn in radians: where degrees are expected, it was probably given in
-/// radians.
-pub fn is_part_of_turn(value: f64) -> bool {
-    use std::f64::consts::FRAC_PI_4;
-    /// Of a number with five significant digits.
-    const ROUNDED: f64 = 5e-5;
-    let parts = (value / FRAC_PI_4).round();
-    (1.0..=8.0).contains(&parts.abs()) && (value - parts * FRAC_PI_4).abs() < ROUNDED
-}
-
 /// The axis of a rotation times its angle (rad, 0..=pi). Unlike the arc cosine of the trace it keeps its accuracy near
 /// zero, and it is finite if rounding has made the trace greater than three.
 pub fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
@@ -124,4 +114,70 @@ pub fn rot_y(angle: f64) -> Matrix3<f64> {
 pub fn rot_z(angle: f64) -> Matrix3<f64> {
     let (s, c) = angle.sin_cos();
     Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close<const N: usize>(found: [f64; N], expected: [f64; N]) {
+        let apart = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(apart < 1e-12, "{found:?} for {expected:?}");
+    }
+
+    /// scipy: Rotation.from_euler("ZYX", [30, -40, 110], degrees=True), as_quat and as_rotvec.
+    #[test]
+    fn kukas_angles_quaternion_and_rotation_vector_match_scipy() {
+        let pose = Pose::from_kuka([1.0, 2.0, 3.0], [30.0, -40.0, 110.0]);
+        let [x, y, z, w] = [0.7942962447824291, 0.00973604843989426, 0.4101197816203296, 0.44810763172367507];
+        close(pose.quaternion(), [w, x, y, z]);
+        let turn = [1.9656151156986257, 0.02409343378662478, 1.0149080362588818];
+        close(rotation_vector(&pose.rotation).into(), turn);
+        close(pose.xyzabc(), [1.0, 2.0, 3.0, 30.0, -40.0, 110.0]);
+        for same in [
+            Pose::from_quaternion([1.0, 2.0, 3.0], [-2.0 * w, -2.0 * x, -2.0 * y, -2.0 * z]).unwrap(),
+            Pose::from_rotation_vector([1.0, 2.0, 3.0], turn),
+            Pose::from_xyzabc(pose.xyzabc()),
+        ] {
+            assert!((same.rotation - pose.rotation).norm() < 1e-14);
+            assert_eq!(same.position, pose.position);
+        }
+        assert!(Pose::from_quaternion([0.0; 3], [0.0; 4]).is_none());
+    }
+
+    #[test]
+    fn angles_at_the_singularity_keep_the_rotation() {
+        for (abc, expected) in
+            [([30.0, 90.0, 20.0], [10.0, 90.0, 0.0]), ([30.0, -90.0, 20.0], [50.0, -90.0, 0.0])]
+        {
+            // Rz(A) Ry(+90) Rx(C) depends on A - C only, with -90 on A + C.
+            let pose = Pose::from_kuka([0.0; 3], abc);
+            let found = pose.abc_deg();
+            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{found:?}");
+        }
+    }
+
+    #[test]
+    fn poses_chain_and_invert() {
+        let base = Pose::from_kuka([100.0, 0.0, 0.0], [90.0, 0.0, 0.0]);
+        let next = Pose::from_kuka([10.0, 20.0, 30.0], [0.0, 0.0, 90.0]);
+        let both = base.then(&next);
+        // Rz(90) maps (10, 20, 30) to (-20, 10, 30).
+        close(both.position.into(), [80.0, 10.0, 30.0]);
+        close(both.abc_deg(), [90.0, 0.0, 90.0]);
+        let back = both.then(&both.inverse());
+        assert!((back.rotation - Matrix3::identity()).norm() < 1e-15 && back.position.norm() < 1e-13);
+        // Two right angles about z and x are a third of a turn about their diagonal.
+        let third = std::f64::consts::TAU / 3.0;
+        assert!((Pose::identity().angle_to(&both) - third).abs() < 1e-14);
+        assert!((base.angle_to(&both) - std::f64::consts::FRAC_PI_2).abs() < 1e-14);
+    }
+
+    #[test]
+    fn rotation_vectors_are_accurate_near_zero_and_half_a_turn() {
+        for turn in [Vector3::new(1e-9, -2e-9, 0.0), Vector3::new(0.0, 3.13, 0.01), Vector3::zeros()] {
+            let pose = Pose::from_rotation_vector([0.0; 3], turn.into());
+            assert!((rotation_vector(&pose.rotation) - turn).norm() < 1e-14 * (1.0 + turn.norm()), "{turn}");
+        }
+    }
 }

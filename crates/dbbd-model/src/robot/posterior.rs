@@ -29,15 +29,15 @@ impl RobotPosterior {
     }
 
     /// As [`Self::new`], with base balls, whose coordinates follow the parameters of the robot.
-    pub fn with_balls(
+    pub(crate) fn with_balls(
         ids: &[ParamId],
         geometry: &Geometry,
         balls: &[Vector3<f64>],
         root: &DMatrix<f64>,
     ) -> Option<Self> {
-        let value = |id: &ParamId| match id {
-            ParamId::Ball(ball, axis) => balls.get(ball.index()).map(|place| place[axis.index()]),
-            _ => geometry.value(*id),
+        let value = |id: &ParamId| {
+            let ParamId::Ball(ball, axis) = id else { return geometry.value(*id) };
+            balls.get(ball.index()).map(|place| place[axis.index()])
         };
         let values = ids.iter().map(value).collect::<Option<Vec<f64>>>()?;
         let root = triangular(root);
@@ -56,7 +56,7 @@ impl RobotPosterior {
     }
 
     /// The parameters of the robot, then the coordinates of the base balls.
-    pub fn all_ids(&self) -> &[ParamId] {
+    pub(crate) fn all_ids(&self) -> &[ParamId] {
         &self.ids
     }
 
@@ -85,7 +85,7 @@ impl RobotPosterior {
     }
 
     /// The root of the covariance of some parameters, in their order; square and lower triangular.
-    pub fn root_of(&self, ids: &[ParamId]) -> DMatrix<f64> {
+    pub(crate) fn root_of(&self, ids: &[ParamId]) -> DMatrix<f64> {
         let rows: Vec<usize> = ids.iter().filter_map(|id| self.position(*id)).collect();
         triangular(&self.root.select_rows(&rows))
     }
@@ -161,5 +161,58 @@ mod tests {
         );
         *robot.geometry.value_mut(ids[0]).unwrap() += 1e-6;
         assert!(!robot.posterior.unwrap().is_of(&robot.geometry));
+    }
+
+    #[test]
+    fn base_balls_follow_the_parameters_of_the_robot() {
+        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let ball = |axis| ParamId::Ball(BallId::at(1), axis);
+        let [x, y, z] = Coordinate::ALL.map(ball);
+        let ids = [ParamId::A(Joint::J2), x, y, z];
+        let balls = [Vector3::zeros(), Vector3::new(1.0, -2.0, 3.0)];
+        let root = DMatrix::from_row_slice(
+            4,
+            4,
+            &[
+                2.0, 0.0, 0.0, 0.0, //
+                0.5, 1.5, 0.0, 0.0, //
+                0.0, 0.0, 3.0, 0.0, //
+                1.0, 2.0, 2.0, 4.0,
+            ],
+        );
+        let known = RobotPosterior::with_balls(&ids, &robot.geometry, &balls, &root).unwrap();
+        assert_eq!((known.ids(), known.all_ids()), (&ids[..1], &ids[..]));
+        assert_eq!(known.ball(BallId::at(1)), Some(balls[1]));
+        assert_eq!(known.ball(BallId::FIRST), None);
+        // sd = norm of the row of the root.
+        assert!((known.sd(z).unwrap() - 5.0).abs() < 1e-14);
+        // cov(y, z) = 6, in any order of the rows.
+        let pair = known.root_of(&[z, y]);
+        let covariance = &pair * pair.transpose();
+        assert!((covariance[(0, 1)] - 6.0).abs() < 1e-13 && (covariance[(1, 1)] - 9.0).abs() < 1e-13);
+        assert_eq!(pair[(0, 1)], 0.0);
+        assert!(known.is_sound());
+        // Singular covariances, and balls that the model does not have, are refused.
+        assert!(RobotPosterior::with_balls(&ids, &robot.geometry, &balls, &DMatrix::zeros(4, 4)).is_none());
+        assert!(RobotPosterior::with_balls(&ids, &robot.geometry, &balls[..1], &root).is_none());
+        assert!(known.keeping(|_| false).is_none());
+    }
+
+    #[test]
+    fn unsound_posteriors_are_recognised() {
+        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let ids = [ParamId::A(Joint::J2), ParamId::D(Joint::J4)];
+        let sound = RobotPosterior::new(&ids, &robot.geometry, &DMatrix::identity(2, 2)).unwrap();
+        assert!(sound.is_sound());
+        let twice = RobotPosterior { ids: vec![ids[0]; 2], ..sound.clone() };
+        let short = RobotPosterior { values: vec![1.0], ..sound.clone() };
+        let wide = RobotPosterior { root: DMatrix::identity(3, 3), ..sound.clone() };
+        let infinite = RobotPosterior { values: vec![1.0, f64::INFINITY], ..sound.clone() };
+        let gear = RobotPosterior { ids: vec![ids[0], ParamId::GearCos(Joint::J1)], ..sound.clone() };
+        let ball = ParamId::Ball(BallId::FIRST, Coordinate::X);
+        let ball_first = RobotPosterior { ids: vec![ball, ids[0]], ..sound };
+        for unsound in [twice, short, wide, infinite, gear, ball_first] {
+            assert!(!unsound.is_sound(), "{unsound:?}");
+        }
     }
 }

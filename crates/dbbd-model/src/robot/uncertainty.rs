@@ -3,7 +3,8 @@
 use nalgebra::DMatrix;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::{AXES, ParamId, Robot};
+use super::{AXES, Geometry, ParamId};
+use crate::base::fixed_array::fixed_array;
 
 /// Digits of the root that a file holds.
 const DIGITS: usize = 4;
@@ -12,9 +13,9 @@ const DIGITS: usize = 4;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GaussianProcess {
-    pub sd_rad: f64,
+    pub(crate) sd_rad: f64,
     #[serde(rename = "likeness_rad")]
-    pub length_scale_rad: f64,
+    pub(crate) length_scale_rad: f64,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -26,7 +27,8 @@ pub struct RobotUncertainty {
     /// measured.
     pub smooth: Vec<GaussianProcess>,
     /// What an unknown sense of approach leaves of each joint's angle, rad.
-    pub unapproached_rad: [f64; AXES],
+    #[serde(deserialize_with = "fixed_array")]
+    pub(crate) unapproached_rad: [f64; AXES],
     /// Parameters of the robot and its tool ball, and coordinates of the base balls.
     pub parameters: Vec<ParamId>,
     /// A root of the covariance, C = root root': a row each parameter, then a row each coefficient of the joints' errors
@@ -36,64 +38,28 @@ pub struct RobotUncertainty {
 }
 
 impl RobotUncertainty {
-    /// Of a robot by its file: with the errors of its joints, by what its identification left unknown, or by its tolerance.
-    pub fn of(robot: &Robot) -> Self {
-        let by_posterior = || {
-            let posterior = robot.posterior.as_ref().filter(|posterior| posterior.is_of(&robot.geometry))?;
-            let parameters = posterior.ids().to_vec();
-            let known = posterior.root_of(&parameters);
-            let rows = known.nrows() + robot.geometry.joint_errors.count();
-            let mut root = DMatrix::zeros(rows, known.ncols());
-            root.rows_mut(0, known.nrows()).copy_from(&known);
-            Some(Self { parameters, root, ..Self::nominal(robot) })
-        };
-        robot.uncertainty.as_deref().cloned().or_else(by_posterior).unwrap_or_else(|| Self::nominal(robot))
-    }
-
-    /// Of a robot that is known by its tolerance.
-    fn nominal(robot: &Robot) -> Self {
-        let parallel = robot.parallel_joints();
-        let geometric =
-            super::parameter::all_parameters(&parallel, 0).into_iter().filter(|id| id.is_geometric());
-        let parameters: Vec<ParamId> = geometric.collect();
-        let angle_rad = robot.tolerance.angle_deg.to_radians();
-        let sd = |id: &ParamId| {
-            if id.unit() == super::ParamUnit::Mm { robot.tolerance.length_mm } else { angle_rad }
-        };
-        let count = parameters.len();
-        let rows = count + robot.geometry.joint_errors.count();
-        let root = DMatrix::from_fn(rows, count, |i, j| if i == j { sd(&parameters[i]) } else { 0.0 });
-        Self {
-            parameters,
-            root,
-            pose_mm: robot.repeatability_sd_mm().unwrap_or(0.0),
-            smooth: Vec::new(),
-            unapproached_rad: [0.0; AXES],
-        }
-    }
-
     /// Whether its rows are those of this robot.
-    pub(super) fn fits(&self, robot: &Robot) -> bool {
-        self.root.nrows() == self.parameters.len() + robot.geometry.joint_errors.count()
+    pub(super) fn fits(&self, geometry: &Geometry) -> bool {
+        self.root.nrows() == self.parameters.len() + geometry.joint_errors.count()
             && self.root.iter().all(|value| value.is_finite())
             && self.pose_mm.is_finite()
             && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.length_scale_rad > 0.0)
     }
 
     /// The variance of a smooth function, rad^2.
-    pub fn smooth_variance(&self) -> f64 {
+    pub(crate) fn smooth_variance(&self) -> f64 {
         self.smooth.iter().map(|part| part.sd_rad.powi(2)).sum()
     }
 
     /// Its spectral density at an angular frequency (1/rad), rad^3.
-    pub fn spectral_density(&self, frequency: f64) -> f64 {
+    pub(crate) fn spectral_density(&self, frequency: f64) -> f64 {
         self.smooth.iter().map(|part| part.spectral_density(frequency)).sum()
     }
 }
 
 impl GaussianProcess {
     /// The spectral density at an angular frequency (1/rad), rad^3.
-    pub fn spectral_density(&self, frequency: f64) -> f64 {
+    pub(crate) fn spectral_density(&self, frequency: f64) -> f64 {
         let a2 = 5.0 / self.length_scale_rad.powi(2);
         self.sd_rad * self.sd_rad * (16.0 / 3.0) * a2 * a2 * a2.sqrt() / (a2 + frequency * frequency).powi(3)
     }
@@ -117,4 +83,38 @@ fn rounded(value: f64) -> f64 {
         return value;
     }
     format!("{value:.*e}", DIGITS - 1).parse().unwrap_or(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 2 times the integral of k(t) cos(w t) from 0 by scipy.integrate.quad; k is the Matern-5/2 covariance
+    /// sd^2 (1 + a + a^2 / 3) e^-a with a = sqrt(5) t / l, sd = 0.7, l = 0.8.
+    #[test]
+    fn spectral_density_is_the_fourier_transform_of_the_covariance() {
+        let process = GaussianProcess { sd_rad: 0.7, length_scale_rad: 0.8 };
+        for (frequency, expected) in
+            [(0.0, 0.9349745569919119), (2.0, 0.2704857681755575), (5.0, 0.0126197839999988)]
+        {
+            let found = process.spectral_density(frequency);
+            assert!((found / expected - 1.0).abs() < 1e-9, "{frequency}: {found}");
+        }
+        let unknown = RobotUncertainty {
+            pose_mm: 0.0,
+            smooth: vec![process, GaussianProcess { sd_rad: 0.1, ..process }],
+            unapproached_rad: [0.0; AXES],
+            parameters: Vec::new(),
+            root: DMatrix::zeros(0, 0),
+        };
+        assert!((unknown.smooth_variance() - 0.5).abs() < 1e-15);
+        let sum = process.spectral_density(2.0) * (1.0 + 1.0 / 49.0);
+        assert!((unknown.spectral_density(2.0) - sum).abs() < 1e-15);
+    }
+
+    #[test]
+    fn roots_are_written_with_four_digits() {
+        assert_eq!([1.23456, -9.87654e-7, 0.0, 1e300].map(rounded), [1.235, -9.877e-7, 0.0, 1e300]);
+        assert!(rounded(f64::NAN).is_nan());
+    }
 }

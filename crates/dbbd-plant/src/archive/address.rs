@@ -15,8 +15,8 @@ use dbbd_model::diagnostic::Diagnostic;
 
 /// The environment variables of [`Secrets`], in the order of its fields.
 const VARIABLES: [&str; 3] = ["PGPASSWORD", "DBBD_ARCHIVE_PASSWORD_FILE", "DBBD_STORE_SECRET_FILE"];
-const ARCHIVE: &str = "--archive";
-const STORE: &str = "--store";
+const ARCHIVE: &str = "archive";
+const STORE: &str = "store";
 
 #[derive(Clone)]
 pub(super) enum DatabaseAddress {

@@ -178,7 +178,7 @@ impl Database {
             Self::Sqlite(connection) => {
                 let mut statement = connection.prepare(&sql).map_err(sqlite_error)?;
                 bind(&mut statement, &parameters)?;
-                let names: Vec<String> = statement.column_names().into_iter().map(str::to_owned).collect();
+                let names: Vec<String> = statement.column_names().map(str::to_owned).collect();
                 let (mut cursor, mut rows) = (statement.raw_query(), Vec::new());
                 while let Some(row) = cursor.next().map_err(sqlite_error)? {
                     let value = |at| row.get_ref(at).map(of_sqlite).map_err(sqlite_error);
@@ -227,12 +227,15 @@ fn bound(parameters: impl Serialize) -> Result<Vec<SqlParameter>, Diagnostic> {
     let parameters = match serde_json::to_value(parameters).map_err(|error| not_a_value(&error))? {
         Value::Array(parameters) => parameters,
         Value::Null => Vec::new(),
-        only => vec![only],
+        only @ (Value::Bool(_) | Value::Number(_) | Value::String(_) | Value::Object(_)) => vec![only],
     };
     // PostgreSQL has no text with this character.
-    let sound = |parameter| match parameter {
-        Value::String(text) => SqlParameter(text.replace('\0', "").into()),
-        other => SqlParameter(other),
+    let sound = |parameter| {
+        if let Value::String(text) = parameter {
+            SqlParameter(text.replace('\0', "").into())
+        } else {
+            SqlParameter(parameter)
+        }
     };
     Ok(parameters.into_iter().map(sound).collect())
 }
@@ -253,7 +256,9 @@ fn bind(statement: &mut rusqlite::Statement<'_>, parameters: &[SqlParameter]) ->
                 Some(integer) => statement.raw_bind_parameter(index, integer),
                 None => statement.raw_bind_parameter(index, number.as_f64()),
             },
-            _ => statement.raw_bind_parameter(index, rusqlite::types::Null),
+            Value::Null | Value::Array(_) | Value::Object(_) => {
+                statement.raw_bind_parameter(index, rusqlite::types::Null)
+            }
         }
         .map_err(sqlite_error)?;
     }
@@ -294,7 +299,7 @@ impl ToSql for SqlParameter {
             }
             Value::Number(number) => number.as_i64().to_sql(kind, out),
             Value::Bool(flag) => i64::from(*flag).to_sql(kind, out),
-            _ => Ok(IsNull::Yes),
+            Value::Null | Value::Array(_) | Value::Object(_) => Ok(IsNull::Yes),
         }
     }
 

@@ -157,7 +157,11 @@ fn record(
                 started = started.or(Some(unix_ns));
                 version = Some(by);
             }
-            _ => {}
+            CaptureRecord::Raw(_)
+            | CaptureRecord::Samples(_)
+            | CaptureRecord::Fault(_)
+            | CaptureRecord::Axes(_)
+            | CaptureRecord::Event(_) => {}
         }
         Ok(())
     })?;

@@ -110,7 +110,7 @@ pub(super) fn like(text: &str) -> String {
 impl RunSelection {
     /// Checks the dates. `today` is in ns since the Unix epoch.
     pub fn check(&self, today: u64) -> Result<(), Diagnostic> {
-        for (option, text) in [("--since", &self.since), ("--until", &self.until)] {
+        for (option, text) in [("since", &self.since), ("until", &self.until)] {
             if let Some(text) = text.as_ref().filter(|text| !date::is_moment(text)) {
                 return Err(NotAMoment { option: option.into(), text: text.clone() }.into());
             }
@@ -186,7 +186,7 @@ impl Archive {
             let Some(name) = name else { continue };
             let sql = format!("SELECT 1 FROM run WHERE run.{column} = $1 LIMIT 1");
             if self.database.tuples::<u64>(&sql, name)?.is_empty() {
-                findings.push(NoneOf { option: format!("--{column}"), name: name.clone() });
+                findings.push(NoneOf { option: column.to_string(), name: name.clone() });
             }
         }
         let is_choice = !selection.condition().1.is_empty();

@@ -46,7 +46,7 @@ impl Store {
     pub(super) fn open(address: &StoreAddress) -> Result<Self, Diagnostic> {
         let runtime = Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(|error| InternalFinding::NoSystem { why: error.to_string() })?;
-        let wrong = |error: Error| NotAnAddress { option: "--store".into(), why: error.to_string() };
+        let wrong = |error: Error| NotAnAddress { option: "store".into(), why: error.to_string() };
         let (objects, prefix, is_directory): (Arc<dyn ObjectStore>, _, _) = match address {
             StoreAddress::Directory(path) => {
                 files::directory(path)?;
@@ -80,6 +80,7 @@ impl Store {
         self.runtime.block_on(work).map_err(|error| self.wrong(object, &error))
     }
 
+    #[expect(clippy::wildcard_enum_match_arm, reason = "the kinds of errors of the crate are open")]
     fn wrong(&self, object: &str, error: &Error) -> Diagnostic {
         let object = object.to_owned();
         match error {

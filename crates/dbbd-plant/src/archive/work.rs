@@ -3,6 +3,7 @@
 //! A worker claims a job with a lease and renews it. When the lease ends, another worker may claim the job. Two workers
 //! find the same result for a job, which is kept once.
 
+use std::path::Path;
 use std::time::Duration;
 
 use serde::{Deserialize, Deserializer, Serialize};
@@ -11,19 +12,28 @@ use serde_json::{Value, json};
 use super::query::RunSelection;
 use super::{Archive, ColumnKind};
 use crate::ArchiveFinding::{GivenUp, NotASetting, OtherValue};
+use dbbd_job::request::Request;
+use dbbd_job::request::identify::{IdentifyRequest, RequestedPrior};
 use dbbd_model::base::hash::sha256;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::ResultFile;
 use dbbd_model::estimation::priors::Priors;
+use dbbd_model::estimation::{CalibrationResult, ErrorModel};
 use dbbd_model::robot::ParamId;
 use dbbd_model::robot::parameter::{self, SetUpCounts};
 
 /// A job whose worker was lost this often has failed.
 const MAX_ATTEMPTS: u64 = 5;
 
-/// Options of `dbbd identify`.
+/// The settings of an identification.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct IdentifySettings(String);
+pub struct IdentifySettings {
+    /// The settings as the database and users have them: options of `dbbd identify`.
+    text: String,
+    estimate: Option<String>,
+    hold: Option<String>,
+    model: ErrorModel,
+    prior: Option<RequestedPrior>,
+}
 
 impl IdentifySettings {
     /// The settings of every new run: the geometry, with the robot's tolerances as prior, so that few lengths suffice.
@@ -32,18 +42,31 @@ impl IdentifySettings {
     /// From options and their values. Values that `dbbd identify` would refuse for every run are errors.
     pub fn new(options: &[(&str, Option<&str>)]) -> Result<Self, Diagnostic> {
         let mut given = Vec::new();
+        let mut settings =
+            Self { text: String::new(), estimate: None, hold: None, model: ErrorModel::Joints, prior: None };
         for (option, value) in options {
             let Some(value) = value else { continue };
+            let refused = || NotASetting { option: (*option).into(), value: (*value).into() };
             let sound = |byte: u8| byte.is_ascii_alphanumeric() || b"_,-".contains(&byte);
             if value.is_empty() || value.len() > 1000 || !value.bytes().all(sound) {
-                let (option, value) = ((*option).into(), (*value).into());
-                return Err(NotASetting { option, value }.into());
+                return Err(refused().into());
             }
             check_value(option, value)?;
+            match *option {
+                "estimate" => settings.estimate = Some((*value).into()),
+                "hold" => settings.hold = Some((*value).into()),
+                "model" if *value == "geometric" => settings.model = ErrorModel::Geometric,
+                "model" => settings.model = ErrorModel::Joints,
+                "prior" => settings.prior = Some(RequestedPrior::named(value)),
+                _ => return Err(refused().into()),
+            }
             given.push(format!("--{option}={value}"));
         }
+        if given.is_empty() {
+            return Self::of_job(Self::DEFAULT);
+        }
         given.sort();
-        Ok(Self(if given.is_empty() { Self::DEFAULT.into() } else { given.join(" ") }))
+        Ok(Self { text: given.join(" "), ..settings })
     }
 
     /// The settings of a job in the database, which are not trusted.
@@ -55,19 +78,20 @@ impl IdentifySettings {
                 option.map_or((part, Some("")), |(name, value)| (name, Some(value)))
             })
             .collect();
-        match options.iter().find(|(option, _)| !["estimate", "hold", "model", "prior"].contains(option)) {
-            Some((option, _)) => Err(NotASetting { option: (*option).into(), value: text.into() }.into()),
-            None => Self::new(&options),
-        }
+        Self::new(&options)
     }
 
     pub fn text(&self) -> &str {
-        &self.0
+        &self.text
     }
 
-    /// The arguments of the command.
-    pub fn arguments(&self) -> impl Iterator<Item = &str> {
-        self.0.split(' ')
+    /// The request to identify a robot from `input` with these settings.
+    pub fn request(&self, input: &Path, out: &Path) -> Request {
+        let Self { estimate, hold, model, prior, .. } = self.clone();
+        let (input, out) = (input.into(), out.into());
+        let request =
+            IdentifyRequest { input, out, estimate, hold, model, prior, ..IdentifyRequest::default() };
+        Request::Identify(request)
     }
 }
 
@@ -123,7 +147,7 @@ pub struct WrittenPosterior {
 
 impl WrittenPosterior {
     /// The posterior of a result with the text of its `covariance.csv`; `None` if they do not fit each other.
-    pub fn of(result: &ResultFile, covariance: &str, priors: &Priors) -> Option<Self> {
+    pub fn of(result: &CalibrationResult, covariance: &str, priors: &Priors) -> Option<Self> {
         let mut lines = covariance.lines().map(|line| line.split(',').skip(1));
         let ids = lines.next()?.map(|name| name.parse::<ParamId>().ok()).enumerate();
         let kept: Vec<(usize, ParamId)> = ids
@@ -133,10 +157,7 @@ impl WrittenPosterior {
         let rows: Vec<Vec<f64>> =
             lines.map(|cells| cells.map(|cell| cell.parse().ok()).collect()).collect::<Option<_>>()?;
         let parameters: Vec<ParamId> = kept.iter().map(|(_, id)| *id).collect();
-        let correction = |id: &ParamId| {
-            let name = id.to_string();
-            Some(result.parameters.iter().find(|parameter| parameter.name == name)?.correction)
-        };
+        let correction = |id: &ParamId| Some(result.parameter(*id)?.correction);
         let triangle = kept.iter().enumerate().map(|(row, (at, _))| {
             kept[..=row].iter().map(|(to, _)| rows.get(*at)?.get(*to).copied()).collect()
         });

@@ -17,6 +17,7 @@ use crate::protocol::field::{
 use crate::protocol::framing::LONGEST_FRAME;
 use crate::protocol::table::{DecimalFill, Endian, FieldKind, FieldTable, FieldUnit, RoleName};
 use dbbd_model::base::FileFinding;
+use dbbd_model::base::fixed_array::FixedArray;
 use dbbd_model::base::parse::from_toml_value;
 
 type FieldWords = BTreeMap<String, String>;
@@ -199,8 +200,8 @@ fn compile_role(
             flags.sort();
             FieldRole::Status(StatusFlags::new(flags))
         }
-        RoleName::Quality => match keys.take::<[f64; 2]>("valid")? {
-            Some([low, high]) if low > 0.0 && low <= high => FieldRole::Quality(low, high),
+        RoleName::Quality => match keys.take::<FixedArray<f64, 2>>("valid")? {
+            Some(FixedArray([low, high])) if low > 0.0 && low <= high => FieldRole::Quality(low, high),
             _ => return Err(QualityRange),
         },
         RoleName::Unit => return Err(UnitKind),
@@ -230,7 +231,9 @@ fn role_of_words(role: RoleName, meanings: &[String]) -> Result<FieldRole, Proto
             let names = (0..).zip(names.iter().map(|name| (*name).clone())).collect();
             Ok(FieldRole::StatusWord(bits, StatusFlags::new(names)))
         }
-        _ => Err(MapRole),
+        RoleName::Length | RoleName::Seq | RoleName::TDev | RoleName::Temp | RoleName::Quality => {
+            Err(MapRole)
+        }
     }
 }
 

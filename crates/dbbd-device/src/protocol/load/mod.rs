@@ -107,9 +107,10 @@ fn load(file: &str, text: &str, params: &[(String, String)]) -> Result<ProtocolD
         latch_delay: table.timing.delay,
         latch_jitter: table.timing.jitter,
         mode,
-        idle: match table.framing {
-            FramingTable::Gap { idle_us, .. } => idle_us.map(|us| Duration::from_micros(us.into())),
-            _ => None,
+        idle: if let FramingTable::Gap { idle_us, .. } = table.framing {
+            idle_us.map(|us| Duration::from_micros(us.into()))
+        } else {
+            None
         },
         sim: table.sim,
         ident,

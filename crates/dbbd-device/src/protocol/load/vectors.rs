@@ -92,7 +92,10 @@ fn meets(definition: &ProtocolDefinition, decoded: &DecodedItem, expected: &Expe
             let fault = match kind {
                 LineFaultKind::Reject(word) => (Some(word), None, None),
                 LineFaultKind::Ignored => (None, None, Some(*bytes)),
-                _ => (None, Some(*bytes), None),
+                LineFaultKind::Framing
+                | LineFaultKind::Check
+                | LineFaultKind::TooLong
+                | LineFaultKind::Content => (None, Some(*bytes), None),
             };
             !of_sample && of_fault == fault
         }

@@ -5,16 +5,6 @@ use dbbd_model::findings;
 findings! {
     /// What is wrong in a job.
     JobFinding "The job" {
-        E0601 "a value of the job is out of its range",
-        cause: "A length, an angle, a count or a time cannot be used: it is not finite, has the wrong sign or is too large. The feed has the limit of a controller's test mode (T1), because a bar is mounted.",
-        cure: "Correct the value. examples/demo.toml explains every key with its unit and its default." {
-            NotPositive { key: String, value: f64, most: f64 } => "{key} = {value} must be a positive number, at most {most}";
-            OutOfRange { key: String, value: f64, least: f64, most: f64 } => "{key} = {value} must be a number from {least} to {most}";
-            FrameInRadians { key: String, value: f64 } => "{key}: {value} seems to be in radians: A, B and C are in degrees";
-            FrameInMetres { key: String, size_mm: f64 } => "{key}: X, Y and Z are at most {size_mm} mm: they seem to be in metres";
-            TinyObstacle { key: String, size_mm: f64 } => "{key}: the obstacle is {size_mm} mm large", help: "lengths are in mm: is it in metres?";
-            NoDirection { key: String, x: f64, y: f64, z: f64 } => "{key} = [{x}, {y}, {z}] is not a direction";
-        }
         E0602 "two values of the job contradict each other",
         cause: "The lower end of a range is above the upper one, the margin leaves nothing of the stroke, or two base balls are at one place.",
         cure: "Give the lower end first: stroke_mm = [low, high], boxes by their lowest and their highest corner." {
@@ -60,7 +50,7 @@ findings! {
         }
         E0608 "the list of parameters in [optimise] cannot be used",
         cause: "A name is unknown, or the parameter is one for which no poses can be chosen (compliance, gear).",
-        cure: "List names or the groups geometric, tool, centres and bar, as `identify --estimate` takes them." {
+        cure: "List names or the groups geometric, tool, centres and bar, as `dbbd identify` takes them." {
             Parameters { list: String, why: String } => "[optimise] parameters = \"{list}\": {why}";
             ParametersWithoutPrior { list: String } => "[optimise] parameters = \"{list}\": only geometric, tool, centres and bar can be listed";
         }

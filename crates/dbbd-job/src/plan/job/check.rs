@@ -2,39 +2,21 @@
 
 use nalgebra::Vector3;
 
-use super::values::{JobTable, MAX_JOB_VALUE, MisplacedFinding};
-use super::{
-    BaseBallTable, CircleMode, CircleTable, Job, MIN_OBSTACLE_MM, ObstacleTable, OrientationPattern,
-};
+use super::values::{JobTable, MisplacedFinding};
+use super::{BaseBallTable, CircleMode, CircleTable, Job, ObstacleTable, OrientationPattern};
 use crate::plan::job::JobFinding;
 use crate::plan::module::MODULE_DWELLS;
 use crate::plan::timing::ACCELERATION_MM_S2;
 use dbbd_model::base::FileFinding;
 use dbbd_model::base::parse::from_toml;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::measurement::table::MAX_BALLS;
 use dbbd_model::measurement::{BallId, BaseBall};
-use dbbd_model::provenance::{CERTIFIED_C, IdentityFinding, LENGTH_U_MM, check_text};
-use dbbd_model::robot::pose::is_part_of_turn;
+use dbbd_model::plausibility::Quantity;
+use dbbd_model::provenance::{IdentityError, IdentityFinding, check_text};
 use dbbd_model::robot::{AXES, Robot};
 
-/// Chosen poses of a plan: with more the run takes hours, in which everything drifts.
-const MAX_CHOSEN_POSES: f64 = 1000.0;
-const MAX_CANDIDATES: f64 = 100_000.0;
-/// With a mounted bar the speed of a controller's test mode is the most, mm/s. A speed below the least is in m/s.
-const FEED_MM_S: [f64; 2] = [0.5, 250.0];
-/// In a shorter dwell no bar sends enough readings; a longer wait is a mistake, s.
-const DWELL_S: [f64; 2] = [0.05, 60.0];
-/// No bar is better than the least; a smaller value is in mm.
-const SIGMA_UM: [f64; 2] = [0.01, 1e3];
-/// From carbon fibre to zinc, 1/K.
-const EXPANSION_PER_K: [f64; 2] = [-2e-6, 5e-5];
 /// Base balls are larger: nearer places are one, mm.
 const MIN_BALL_DISTANCE_MM: f64 = 10.0;
-/// A shorter arc is one in radians, degrees.
-const ARC_DEG: [f64; 2] = [7.0, 360.0];
-/// Bars, tools and arms are thicker; a smaller radius is one in metres, mm.
-const RADIUS_MM: [f64; 2] = [1.0, MAX_JOB_VALUE];
 /// Digital outputs that a controller has.
 const OUTPUTS: std::ops::RangeInclusive<u32> = 1..=4096;
 /// Keys and tables of the robot file that no table of the job has.
@@ -79,11 +61,14 @@ impl Job {
         let unused = self.centres.iter().map(|table| table.id).filter(|ball| given && !is_used(*ball));
         let hand_mm = robot.geometry.rows[5].d.abs() + robot.geometry.tool.norm();
         let lowest_mm = -(robot.reach_mm() + hand_mm);
-        let floors = self.obstacles.iter().filter_map(|obstacle| match *obstacle {
-            ObstacleTable::Floor { z_mm } if z_mm < lowest_mm => {
+        let floors = self.obstacles.iter().filter_map(|obstacle| {
+            if let ObstacleTable::Floor { z_mm } = *obstacle
+                && z_mm < lowest_mm
+            {
                 Some(JobFinding::FloorBelow { z_mm, lowest_mm })
+            } else {
+                None
             }
-            _ => None,
         });
         unused.map(|ball| JobFinding::BallWithoutCircle { ball }).chain(floors).collect()
     }
@@ -129,33 +114,37 @@ impl Job {
     fn check_ranges(&self) -> JobCheck {
         let Self { bar, motion, limits, tool, .. } = self;
         let [bar_table, motion_table] = ["[bar]", "[motion]"].map(JobTable::new);
-        bar_table.positive("length_mm", bar.length_mm)?;
-        motion_table.positive("turn_deg_s", motion.turn_deg_s)?;
-        motion_table.positive_to("settle_s", motion.settle_s, DWELL_S[1])?;
         let optimise = self.optimise.as_ref();
         let count = |of: fn(&super::OptimiseTable) -> u32| optimise.map(|optimise| f64::from(of(optimise)));
-        let candidates = [10.0 * count(|o| o.points).unwrap_or(0.0), MAX_CANDIDATES];
-        let ranges = [
-            ("[bar]", "radius_mm", Some(bar.radius_mm), RADIUS_MM),
-            ("[bar]", "sigma_um", Some(bar.sigma_um), SIGMA_UM),
-            ("[bar]", "length_u_mm", bar.length_u_mm, LENGTH_U_MM),
-            ("[bar]", "temperature_c", bar.temperature_c, CERTIFIED_C),
-            ("[bar]", "expansion_per_k", bar.expansion_per_k, EXPANSION_PER_K),
-            ("[motion]", "feed_mm_s", Some(motion.feed_mm_s), FEED_MM_S),
-            ("[motion]", "dwell_s", Some(motion.dwell_s), DWELL_S),
-            ("[limits]", "min_a5_deg", Some(limits.min_a5_deg), [0.0, 90.0]),
-            ("[limits]", "min_elbow_deg", Some(limits.min_elbow_deg), [0.0, 90.0]),
-            ("[limits]", "min_overhead_mm", Some(limits.min_overhead_mm), [0.0, 1e4]),
-            ("[limits]", "max_stroke_risk", Some(limits.max_stroke_risk), [0.0, 1.0]),
-            ("[limits]", "min_clearance_mm", Some(limits.min_clearance_mm), [0.0, 1e4]),
-            ("[tool]", "radius_mm", Some(tool.radius_mm), RADIUS_MM),
-            ("[tool]", "arm_radius_mm", Some(tool.arm_radius_mm), RADIUS_MM),
-            ("[optimise]", "points", count(|o| o.points), [6.0, MAX_CHOSEN_POSES]),
-            ("[optimise]", "candidates", count(|o| o.candidates), candidates),
-            ("[optimise]", "stage_points", count(|o| o.stage_points), [6.0, MAX_CHOSEN_POSES]),
+        let values = [
+            ("[bar]", "length_mm", Some(bar.length_mm), Quantity::BarLength),
+            ("[bar]", "radius_mm", Some(bar.radius_mm), Quantity::BodyRadius),
+            ("[bar]", "length_u_mm", bar.length_u_mm, Quantity::ExpandedLengthUncertainty),
+            ("[bar]", "temperature_c", bar.temperature_c, Quantity::CertificateTemperature),
+            ("[bar]", "expansion_per_k", bar.expansion_per_k, Quantity::Expansion),
+            ("[motion]", "feed_mm_s", Some(motion.feed_mm_s), Quantity::Feed),
+            ("[motion]", "turn_deg_s", Some(motion.turn_deg_s), Quantity::TurnSpeed),
+            ("[motion]", "dwell_s", Some(motion.dwell_s), Quantity::DwellTime),
+            ("[motion]", "settle_s", Some(motion.settle_s), Quantity::SettleTime),
+            ("[limits]", "min_a5_deg", Some(limits.min_a5_deg), Quantity::LimitAngle),
+            ("[limits]", "min_elbow_deg", Some(limits.min_elbow_deg), Quantity::LimitAngle),
+            ("[limits]", "min_overhead_mm", Some(limits.min_overhead_mm), Quantity::LimitDistance),
+            ("[limits]", "max_stroke_risk", Some(limits.max_stroke_risk), Quantity::Probability),
+            ("[limits]", "min_clearance_mm", Some(limits.min_clearance_mm), Quantity::LimitDistance),
+            ("[tool]", "radius_mm", Some(tool.radius_mm), Quantity::BodyRadius),
+            ("[tool]", "arm_radius_mm", Some(tool.arm_radius_mm), Quantity::BodyRadius),
+            ("[optimise]", "points", count(|o| o.points), Quantity::PoseCount),
+            ("[optimise]", "stage_points", count(|o| o.stage_points), Quantity::PoseCount),
         ];
-        for (header, key, value, range) in ranges {
-            value.map_or(Ok(()), |value| JobTable::new(header).within(key, value, range))?;
+        for (header, key, value, quantity) in values {
+            value.map_or(Ok(()), |value| JobTable::new(header).check(key, value, quantity))?;
+        }
+        let sigma = Quantity::LengthSd.check("sigma_um in mm", 1e-3 * bar.sigma_um);
+        sigma.map_err(|finding| bar_table.wrong("sigma_um", finding))?;
+        if let Some(optimise) = optimise {
+            let range = Quantity::CandidateCount.range().from(10.0 * f64::from(optimise.points));
+            let candidates = range.check("candidates", f64::from(optimise.candidates));
+            candidates.map_err(|finding| JobTable::new("[optimise]").wrong("candidates", finding))?;
         }
         check_frame(motion_table, "tool", motion.tool)?;
         check_frame(motion_table, "base", motion.base)
@@ -172,7 +161,7 @@ impl Job {
     }
 
     fn check_identity(&self) -> JobCheck {
-        let in_table = |table: JobTable, checked: Result<(), (&'static str, IdentityFinding)>| {
+        let in_table = |table: JobTable, checked: Result<(), IdentityError>| {
             checked.map_err(|(key, finding)| table.wrong(key, finding))
         };
         let identity = &self.identity;
@@ -188,7 +177,7 @@ impl Job {
         let balls = self.centres.len();
         let other = identity.balls.keys().find(|key| key.parse().is_ok_and(|ball: usize| ball > balls));
         let other = other.map_or(Ok(()), |key| {
-            Err(("balls", IdentityFinding::SerialOfNoBall { key: key.clone(), balls }))
+            Err(("balls", IdentityFinding::SerialOfNoBall { key: key.clone(), balls }.into()))
         });
         in_table(JobTable::new("[identity]"), other.and_then(|()| self.identity().check_all()))
     }
@@ -207,7 +196,7 @@ impl Job {
             let (table, id, expected) = (JobTable::nth("[[centre]]", at), centre.id, at + 1);
             let counts = id as usize == expected;
             table.ensure("id", counts, || JobFinding::BallNumber { id: id as usize, expected })?;
-            table.within("id", f64::from(id), [1.0, MAX_BALLS as f64])?;
+            table.check("id", f64::from(id), Quantity::BallNumber)?;
             table.finite("xyz_mm", &centre.xyz_mm)?;
             let from_mm = |other: &BaseBallTable| {
                 let steps = centre.xyz_mm.iter().zip(other.xyz_mm);
@@ -236,11 +225,11 @@ impl Job {
             (None, Some(normal)) => table.direction("normal", normal)?,
             (Some(_), None) => {}
         }
-        circle.radius_mm.map_or(Ok(()), |radius| table.positive("radius_mm", radius))?;
+        circle.radius_mm.map_or(Ok(()), |radius| table.check("radius_mm", radius, Quantity::Length))?;
         table.finite("start_deg", [&circle.start_deg])?;
         table.finite("tilt_deg", [&circle.tilt_deg])?;
         table.finite("spin_deg", [&circle.spin_deg])?;
-        table.within("arc_deg", circle.arc_deg, ARC_DEG)?;
+        table.check("arc_deg", circle.arc_deg, Quantity::Arc)?;
         match circle.mode {
             CircleMode::Continuous => self.check_continuous(table, number, circle),
             CircleMode::Dwell => check_dwells(table, number, circle),
@@ -248,11 +237,11 @@ impl Job {
     }
 
     fn check_continuous(&self, table: JobTable, number: usize, circle: &CircleTable) -> JobCheck {
-        table.within("points", f64::from(circle.points), [12.0, 3600.0])?;
+        table.check("points", f64::from(circle.points), Quantity::CirclePoints)?;
         let fixed = circle.orientation == OrientationPattern::Fixed && circle.amplitude_deg.is_none();
         table.ensure("orientation", fixed, || JobFinding::NotFixed { circle: number })?;
         let (overshoot_deg, feed_mm_s) = (circle.overshoot_deg, self.motion.feed_mm_s);
-        table.positive_to("overshoot_deg", overshoot_deg, 180.0)?;
+        table.check("overshoot_deg", overshoot_deg, Quantity::HalfTurn)?;
         let radius_mm = circle.radius_mm.unwrap_or(self.bar.length_mm);
         let needed_deg = (0.5 * feed_mm_s * feed_mm_s / ACCELERATION_MM_S2 / radius_mm).to_degrees();
         let finding = || JobFinding::OvershootShort { circle: number, overshoot_deg, needed_deg, feed_mm_s };
@@ -273,7 +262,7 @@ fn check_dwells(table: JobTable, number: usize, circle: &CircleTable) -> JobChec
         (OrientationPattern::Fixed | OrientationPattern::Turning, Some(_)) => {
             Err(table.wrong("amplitude_deg", JobFinding::NoAmplitude { circle: number }))
         }
-        (_, Some(amplitude)) => table.within("amplitude_deg", amplitude, [0.0, 180.0]),
+        (_, Some(amplitude)) => table.check("amplitude_deg", amplitude, Quantity::Amplitude),
         (_, None) => Ok(()),
     }
 }
@@ -290,11 +279,11 @@ fn check_obstacle(table: JobTable, obstacle: &ObstacleTable) -> JobCheck {
             table.finite("to_mm", &to_mm)?;
             let along = [to_mm[0] - from_mm[0], to_mm[1] - from_mm[1], to_mm[2] - from_mm[2]];
             table.direction("to_mm", along)?;
-            table.positive("radius_mm", radius_mm)?;
+            table.check("radius_mm", radius_mm, Quantity::Length)?;
             table.large("to_mm", [along[0], along[1], along[2].hypot(2.0 * radius_mm)])
         }
         ObstacleTable::Floor { z_mm } => {
-            table.within("z_mm", z_mm, [-MAX_JOB_VALUE, MAX_JOB_VALUE])?;
+            table.check("z_mm", z_mm, Quantity::Coordinate)?;
             if z_mm == 0.0 { Ok(()) } else { table.large("z_mm", [z_mm, 0.0, 0.0]) }
         }
     }
@@ -305,12 +294,9 @@ fn check_frame(table: JobTable, key: &'static str, frame: Option<[f64; 6]>) -> J
     let Some(frame) = frame else { return Ok(()) };
     table.finite(key, &frame)?;
     let [x, y, z, angles @ ..] = frame;
-    if let Some(value) = angles.into_iter().find(|value| is_part_of_turn(*value)) {
-        return Err(table.wrong(key, JobFinding::FrameInRadians { key: key.into(), value }));
-    }
-    let size_mm = x.abs().max(y.abs()).max(z.abs());
-    let tiny = size_mm > 0.0 && size_mm < MIN_OBSTACLE_MM;
-    table.ensure(key, !tiny, || JobFinding::FrameInMetres { key: key.into(), size_mm })
+    angles.into_iter().try_for_each(|angle| table.check(key, angle, Quantity::FrameAngle))?;
+    let distance_mm = x.hypot(y).hypot(z);
+    if distance_mm == 0.0 { Ok(()) } else { table.check(key, distance_mm, Quantity::FrameDistance) }
 }
 
 /// A key that is unknown in the job but known in the robot file, at the same place.

@@ -11,6 +11,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use dbbd_model::base::fixed_array::fixed_array;
 use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::{Artefact, ArtefactRole, BarIdentity, Identity, Provenance, TracedArtefact};
@@ -21,8 +22,6 @@ pub use obstacle::ObstacleTable;
 pub const SIGMA_UM: f64 = 2.0;
 /// The protocol of a bar where nothing names one.
 pub const DEFAULT_PROTOCOL: &str = "dbb-cobs-1";
-/// A smaller box, cylinder, height or place is one in metres, mm.
-const MIN_OBSTACLE_MM: f64 = 3.0;
 
 /// What is to be measured, with what, and within which limits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -96,6 +95,7 @@ pub struct JobBar {
     /// Distance between the ball centres at reading zero, mm.
     pub length_mm: f64,
     /// Lowest and highest reading, mm.
+    #[serde(deserialize_with = "fixed_array")]
     pub stroke_mm: [f64; 2],
     /// How far every planned reading stays inside the stroke, mm.
     #[serde(default)]
@@ -165,18 +165,19 @@ impl JobBar {
 #[serde(deny_unknown_fields)]
 pub struct BaseBallTable {
     pub id: u32,
+    #[serde(deserialize_with = "fixed_array")]
     pub xyz_mm: [f64; 3],
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
     /// The axis of its cup, out of the cup, in the robot base.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
     pub cup_axis: Option<[f64; 3]>,
     /// Greatest angle between the bar and the cup's axis, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cup_limit_deg: Option<f64>,
     /// The controller's axis angles, degrees, with the tool ball at this ball's place, when `xyz_mm` was taken from the
     /// controller. When absent: with the orientation of the tool at the start of the run.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
     pub taught_deg: Option<[f64; AXES]>,
 }
 
@@ -199,7 +200,7 @@ pub struct OptimiseTable {
     #[serde(default = "default_candidates")]
     pub candidates: u32,
     /// Lowest and highest corner of the box in which accuracy matters, mm; all of the robot's reach when absent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
     pub workspace_mm: Option<[[f64; 3]; 2]>,
 }
 
@@ -229,7 +230,7 @@ fn default_stage_points() -> u32 {
 #[serde(deny_unknown_fields, default)]
 pub struct JobToolTable {
     /// The axis of the tool ball's cup, out of the cup, in the flange frame.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
     pub cup_axis: Option<[f64; 3]>,
     /// Greatest angle between the bar and it, degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -256,7 +257,7 @@ pub struct CircleTable {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plane: Option<PlaneAxes>,
     /// The normal of its plane in the robot base.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
     pub normal: Option<[f64; 3]>,
     /// The bar's length when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -271,7 +272,7 @@ pub struct CircleTable {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub amplitude_deg: Option<f64>,
     /// The turn of the tool at each point by `optimal`, degrees about Z, Y, X; chosen when planning.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty", deserialize_with = "fixed_array")]
     pub turns_deg: Vec<[f64; 3]>,
     /// A constant tilt of the tool about the base's Y, degrees, which keeps the wrist from its singularity: the base
     /// orientation is R0 = Ry(tilt) Rx(180) Rz(spin).
@@ -366,10 +367,10 @@ pub struct MotionTable {
     pub dwell_s: f64,
     /// The program's $TOOL, X Y Z in mm and A B C in degrees, with its origin in the tool ball; with the flange's
     /// orientation when absent.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
     pub tool: Option<[f64; 6]>,
     /// The program's $BASE in the robot base, X Y Z in mm and A B C in degrees; the robot base when absent.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
     pub base: Option<[f64; 6]>,
     pub outputs: MarkerOutputs,
 }
@@ -395,6 +396,7 @@ pub struct MarkerOutputs {
     /// High during a dwell.
     pub strobe: u32,
     /// First and last output of the index, eight in all.
+    #[serde(deserialize_with = "fixed_array")]
     pub index: [u32; 2],
 }
 

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use dbbd_model::base::fixed_array::fixed_array;
+
 /// An obstacle in the robot base.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "FlatObstacle", tag = "shape", rename_all = "lowercase")]
@@ -19,9 +21,13 @@ pub enum ObstacleTable {
 #[serde(deny_unknown_fields)]
 struct FlatObstacle {
     shape: ObstacleShape,
+    #[serde(default, deserialize_with = "fixed_array")]
     low_mm: Option<[f64; 3]>,
+    #[serde(default, deserialize_with = "fixed_array")]
     high_mm: Option<[f64; 3]>,
+    #[serde(default, deserialize_with = "fixed_array")]
     from_mm: Option<[f64; 3]>,
+    #[serde(default, deserialize_with = "fixed_array")]
     to_mm: Option<[f64; 3]>,
     radius_mm: Option<f64>,
     z_mm: Option<f64>,

@@ -1,11 +1,8 @@
 //! Checks of single values of a job, and the place in the file of a value that fails.
 
-use super::MIN_OBSTACLE_MM;
 use crate::plan::job::JobFinding;
-use dbbd_model::diagnostic::{Diagnostic, Finding};
-
-/// No length (mm), angle (degrees), speed or time of a job is larger.
-pub(super) const MAX_JOB_VALUE: f64 = 1e5;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::plausibility::Quantity;
 
 /// A table of the job: its header, and which one of those with this header, from 0.
 #[derive(Clone, Copy)]
@@ -32,8 +29,8 @@ impl JobTable {
         Self { header, at }
     }
 
-    pub(super) fn wrong(self, key: &'static str, finding: impl Finding) -> MisplacedFinding {
-        MisplacedFinding { finding: Diagnostic::new(finding), table: self, key }
+    pub(super) fn wrong(self, key: &'static str, finding: impl Into<Diagnostic>) -> MisplacedFinding {
+        MisplacedFinding { finding: finding.into(), table: self, key }
     }
 
     /// An error with this finding unless the condition holds.
@@ -46,13 +43,8 @@ impl JobTable {
         if holds { Ok(()) } else { Err(self.wrong(key, finding())) }
     }
 
-    pub(super) fn positive(self, key: &'static str, value: f64) -> ValueCheck {
-        self.positive_to(key, value, MAX_JOB_VALUE)
-    }
-
-    pub(super) fn positive_to(self, key: &'static str, value: f64, most: f64) -> ValueCheck {
-        let holds = value > 0.0 && value <= most;
-        self.ensure(key, holds, || JobFinding::NotPositive { key: key.into(), value, most })
+    pub(super) fn check(self, key: &'static str, value: f64, quantity: Quantity) -> ValueCheck {
+        quantity.check(key, value).map_err(|finding| self.wrong(key, finding))
     }
 
     pub(super) fn finite<'a>(
@@ -60,18 +52,11 @@ impl JobTable {
         key: &'static str,
         values: impl IntoIterator<Item = &'a f64>,
     ) -> ValueCheck {
-        values.into_iter().try_for_each(|value| self.within(key, *value, [-MAX_JOB_VALUE, MAX_JOB_VALUE]))
-    }
-
-    /// Within a range, which NaN is not.
-    pub(super) fn within(self, key: &'static str, value: f64, [least, most]: [f64; 2]) -> ValueCheck {
-        let finding = || JobFinding::OutOfRange { key: key.into(), value, least, most };
-        self.ensure(key, (least..=most).contains(&value), finding)
+        values.into_iter().try_for_each(|value| self.check(key, *value, Quantity::Coordinate))
     }
 
     pub(super) fn direction(self, key: &'static str, [x, y, z]: [f64; 3]) -> ValueCheck {
-        let holds = (1e-6..=MAX_JOB_VALUE).contains(&x.hypot(y).hypot(z));
-        self.ensure(key, holds, || JobFinding::NoDirection { key: key.into(), x, y, z })
+        self.check(key, x.hypot(y).hypot(z), Quantity::DirectionLength)
     }
 
     /// A box by two corners, of which `key` is one or both.
@@ -83,10 +68,7 @@ impl JobTable {
 
     /// An obstacle of this size, mm: a tiny one was given in metres.
     pub(super) fn large(self, key: &'static str, size: [f64; 3]) -> ValueCheck {
-        let size_mm = size.into_iter().map(f64::abs).fold(0.0, f64::max);
-        // A NaN is a finding of another check.
-        let tiny = size_mm < MIN_OBSTACLE_MM;
-        self.ensure(key, !tiny, || JobFinding::TinyObstacle { key: key.into(), size_mm })
+        self.check(key, size.into_iter().map(f64::abs).fold(0.0, f64::max), Quantity::ObstacleSize)
     }
 
     /// The axis of a cup and its limit: both or none.
@@ -99,7 +81,7 @@ impl JobTable {
         match (axis, limit_deg) {
             (Some(axis), Some(limit)) => {
                 self.direction(AXIS, axis)?;
-                self.positive_to(LIMIT, limit, 180.0)
+                self.check(LIMIT, limit, Quantity::HalfTurn)
             }
             (None, None) => Ok(()),
             (Some(_), None) => alone(AXIS, LIMIT),

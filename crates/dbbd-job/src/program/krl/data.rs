@@ -127,12 +127,12 @@ pub fn logged_axes(data: &Data) -> Result<BTreeMap<u32, [f64; AXES]>, Diagnostic
 
 /// The hash of the plan in a `.dat` of dbbd.
 pub fn plan_hash(data: &Data) -> Option<String> {
-    data.items.iter().find_map(|item| match item {
-        DataItem::Value { target, value } if target.name == "DBBPLAN" => match value.constant() {
-            Ok(Value::Text(text)) => Some(text),
+    data.items.iter().find_map(|item| {
+        let DataItem::Value { target, value } = item else { return None };
+        match value.constant() {
+            Ok(Value::Text(text)) if target.name == "DBBPLAN" => Some(text),
             _ => None,
-        },
-        _ => None,
+        }
     })
 }
 

@@ -1,6 +1,7 @@
 //! Evaluation of expressions: by the simulated controller, and of the constants in `.dat` files.
 
 use std::collections::BTreeMap;
+use std::ops::{Add, Div, Mul, Sub};
 
 use super::syntax::{Binary, Expression, ExpressionKind, Place, Span, Unary};
 use super::value::Value;
@@ -183,15 +184,17 @@ fn unary(operator: Unary, value: &Value) -> Result<Value, ProgramFinding> {
 
 fn binary(operator: Binary, left: &Value, right: &Value) -> Result<Value, ProgramFinding> {
     match operator {
-        Binary::Add | Binary::Subtract | Binary::Multiply | Binary::Divide => {
-            arithmetic(operator, left, right)
-        }
+        Binary::Add => arithmetic(left, right, i64::checked_add, f64::add),
+        Binary::Subtract => arithmetic(left, right, i64::checked_sub, f64::sub),
+        Binary::Multiply => arithmetic(left, right, i64::checked_mul, f64::mul),
+        Binary::Divide => arithmetic(left, right, i64::checked_div, f64::div),
         Binary::And => Ok(Value::Bool(left.bool()? && right.bool()?)),
         Binary::Or => Ok(Value::Bool(left.bool()? || right.bool()?)),
         Binary::Equal | Binary::Unequal => {
-            let same = match left {
-                Value::Bool(_) | Value::Enum(_) | Value::Text(_) => left == right,
-                _ => left.number()? == right.number()?,
+            let same = if matches!(left, Value::Bool(_) | Value::Enum(_) | Value::Text(_)) {
+                left == right
+            } else {
+                left.number()? == right.number()?
             };
             Ok(Value::Bool(same == (operator == Binary::Equal)))
         }
@@ -202,22 +205,16 @@ fn binary(operator: Binary, left: &Value, right: &Value) -> Result<Value, Progra
     }
 }
 
-fn arithmetic(operator: Binary, left: &Value, right: &Value) -> Result<Value, ProgramFinding> {
+/// The result of two whole numbers by `whole`, else of two numbers by `real`.
+fn arithmetic(
+    left: &Value,
+    right: &Value,
+    whole: fn(i64, i64) -> Option<i64>,
+    real: fn(f64, f64) -> f64,
+) -> Result<Value, ProgramFinding> {
     if let (Value::Int(left), Value::Int(right)) = (left, right) {
-        let result = match operator {
-            Binary::Add => left.checked_add(*right),
-            Binary::Subtract => left.checked_sub(*right),
-            Binary::Multiply => left.checked_mul(*right),
-            _ => left.checked_div(*right),
-        };
-        return in_32_bits(result);
+        return in_32_bits(whole(*left, *right));
     }
-    let (left, right) = (left.number()?, right.number()?);
-    let result = match operator {
-        Binary::Add => left + right,
-        Binary::Subtract => left - right,
-        Binary::Multiply => left * right,
-        _ => left / right,
-    };
+    let result = real(left.number()?, right.number()?);
     if result.is_finite() { Ok(Value::Real(result)) } else { Err(ProgramFinding::NoResult) }
 }

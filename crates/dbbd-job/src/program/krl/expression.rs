@@ -11,19 +11,26 @@ const FIELDS: usize = 100;
 
 /// The binary operator that a token is, and its precedence.
 fn binary(token: &Token) -> Option<(Binary, u8)> {
-    Some(match token {
-        Token::Name(name) if name == "OR" => (Binary::Or, 1),
-        Token::Name(name) if name == "AND" => (Binary::And, 2),
-        Token::Sign("==") => (Binary::Equal, 3),
-        Token::Sign("<>") => (Binary::Unequal, 3),
-        Token::Sign("<") => (Binary::Less, 3),
-        Token::Sign("<=") => (Binary::LessOrEqual, 3),
-        Token::Sign(">") => (Binary::Greater, 3),
-        Token::Sign(">=") => (Binary::GreaterOrEqual, 3),
-        Token::Sign("+") => (Binary::Add, 4),
-        Token::Sign("-") => (Binary::Subtract, 4),
-        Token::Sign("*") => (Binary::Multiply, 5),
-        Token::Sign("/") => (Binary::Divide, 5),
+    let word = if let Token::Name(name) = token {
+        name.as_str()
+    } else if let Token::Sign(sign) = token {
+        sign
+    } else {
+        return None;
+    };
+    Some(match word {
+        "OR" => (Binary::Or, 1),
+        "AND" => (Binary::And, 2),
+        "==" => (Binary::Equal, 3),
+        "<>" => (Binary::Unequal, 3),
+        "<" => (Binary::Less, 3),
+        "<=" => (Binary::LessOrEqual, 3),
+        ">" => (Binary::Greater, 3),
+        ">=" => (Binary::GreaterOrEqual, 3),
+        "+" => (Binary::Add, 4),
+        "-" => (Binary::Subtract, 4),
+        "*" => (Binary::Multiply, 5),
+        "/" => (Binary::Divide, 5),
         _ => return None,
     })
 }
@@ -73,18 +80,16 @@ impl Parser<'_> {
             Token::Sign("{") => self.aggregate()?,
             Token::Name(_) => {
                 let place = self.place()?;
-                match self.tokens.peek() {
-                    Token::Sign("(") if place.name.starts_with("EKI_") && place.parts.is_empty() => {
-                        ExpressionKind::Call { name: place.name, arguments: self.arguments()? }
-                    }
-                    Token::Sign("(") => {
-                        let what = format!("the function {}", place.name);
-                        return Err(self.unsupported(place.span, what, "compute the value beforehand"));
-                    }
-                    _ => ExpressionKind::Place(place),
+                if !matches!(self.tokens.peek(), Token::Sign("(")) {
+                    ExpressionKind::Place(place)
+                } else if place.name.starts_with("EKI_") && place.parts.is_empty() {
+                    ExpressionKind::Call { name: place.name, arguments: self.arguments()? }
+                } else {
+                    let what = format!("the function {}", place.name);
+                    return Err(self.unsupported(place.span, what, "compute the value beforehand"));
                 }
             }
-            _ => return Err(self.tokens.expected("a value")),
+            Token::Sign(_) | Token::LineEnd | Token::End => return Err(self.tokens.expected("a value")),
         };
         Ok(Expression { span: self.tokens.since(start), kind })
     }

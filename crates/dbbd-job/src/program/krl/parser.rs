@@ -118,7 +118,12 @@ impl<'a> Parser<'a> {
         match self.tokens.peek() {
             Token::LineEnd => self.tokens.advance(),
             Token::End => {}
-            _ => return Err(self.tokens.expected("the end of the line")),
+            Token::Name(_)
+            | Token::Enum(_)
+            | Token::Int(_)
+            | Token::Real(_)
+            | Token::Text(_)
+            | Token::Sign(_) => return Err(self.tokens.expected("the end of the line")),
         }
         Ok(())
     }

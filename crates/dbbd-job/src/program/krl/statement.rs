@@ -88,12 +88,11 @@ impl Parser<'_> {
         let line = self.tokens.file.text.get(start..).and_then(|rest| rest.lines().next()).unwrap_or("");
         let line = line.split(';').next().unwrap_or("").trim_end();
         let span = start..start + line.len();
-        let kind = match self.tokens.ahead(1) {
-            Token::Sign("=" | "[" | ".") => {
-                let (target, value) = self.assignment()?;
-                StatementKind::Assign { target, value }
-            }
-            _ => self.keyword_statement(&word)?,
+        let kind = if let Token::Sign("=" | "[" | ".") = self.tokens.ahead(1) {
+            let (target, value) = self.assignment()?;
+            StatementKind::Assign { target, value }
+        } else {
+            self.keyword_statement(&word)?
         };
         self.line_end()?;
         Ok(Statement { span, kind })
@@ -148,10 +147,7 @@ impl Parser<'_> {
 
     /// A motion and its points, without the options that may follow.
     pub(super) fn motion(&mut self) -> Result<Move, Diagnostic> {
-        let motion = match self.tokens.peek() {
-            Token::Name(word) => motion_of(word),
-            _ => None,
-        };
+        let motion = if let Token::Name(word) = self.tokens.peek() { motion_of(word) } else { None };
         let Some(motion) = motion else { return Err(self.tokens.expected("a motion")) };
         self.tokens.advance();
         let mut to = self.expression()?;

@@ -137,7 +137,17 @@ impl StatementKind {
         let blocks = match self {
             Self::For { body, .. } | Self::While { body, .. } | Self::Loop(body) => [Some(body), None],
             Self::If { then, otherwise, .. } => [Some(then), Some(otherwise)],
-            _ => [None, None],
+            Self::Assign { .. }
+            | Self::Move(_)
+            | Self::WaitSeconds(_)
+            | Self::WaitFor(_)
+            | Self::Pulse { .. }
+            | Self::Halt
+            | Self::Return
+            | Self::Exit
+            | Self::Call { .. }
+            | Self::InterruptDeclaration { .. }
+            | Self::InterruptSwitch => [None, None],
         };
         blocks.into_iter().flatten()
     }

@@ -73,19 +73,15 @@ impl Type {
 
     /// Number of values that a variable of this type holds.
     pub(crate) fn values(self) -> usize {
-        match self {
-            Type::Struct(fields) => fields.iter().map(|(_, kind)| kind.values()).sum(),
-            _ => 1,
-        }
+        if let Type::Struct(fields) = self { fields.iter().map(|(_, kind)| kind.values()).sum() } else { 1 }
     }
 
     /// The value of a variable of this type before the first assignment.
     pub(crate) fn unset(self) -> Value {
-        match self {
-            Type::Struct(fields) => {
-                Value::Struct(fields.iter().map(|(name, kind)| ((*name).to_owned(), kind.unset())).collect())
-            }
-            _ => Value::Unset,
+        if let Type::Struct(fields) = self {
+            Value::Struct(fields.iter().map(|(name, kind)| ((*name).to_owned(), kind.unset())).collect())
+        } else {
+            Value::Unset
         }
     }
 }
@@ -112,7 +108,12 @@ impl Value {
         match self {
             Value::Int(value) => Ok(*value as f64),
             Value::Real(value) => Ok(*value),
-            other => Err(other.wrong("a number")),
+            Value::Unset
+            | Value::Bool(_)
+            | Value::Enum(_)
+            | Value::Text(_)
+            | Value::Struct(_)
+            | Value::Array(_) => Err(self.wrong("a number")),
         }
     }
 
@@ -122,29 +123,29 @@ impl Value {
             // KRL rounds a REAL that is used as an INT.
             Value::Real(value) if value.abs() < 2e9 => Ok(value.round() as i64),
             Value::Real(value) => Err(ProgramFinding::IntTooLarge { value: *value }),
-            other => Err(other.wrong("an INT")),
+            Value::Unset
+            | Value::Bool(_)
+            | Value::Enum(_)
+            | Value::Text(_)
+            | Value::Struct(_)
+            | Value::Array(_) => Err(self.wrong("an INT")),
         }
     }
 
     pub(crate) fn bool(&self) -> Result<bool, ProgramFinding> {
-        match self {
-            Value::Bool(value) => Ok(*value),
-            other => Err(other.wrong("a BOOL")),
-        }
+        if let Value::Bool(value) = self { Ok(*value) } else { Err(self.wrong("a BOOL")) }
     }
 
     pub(crate) fn text(&self) -> Result<&str, ProgramFinding> {
-        match self {
-            Value::Text(text) => Ok(text),
-            other => Err(other.wrong("a text")),
-        }
+        if let Value::Text(text) = self { Ok(text) } else { Err(self.wrong("a text")) }
     }
 
     /// A component of a structure, if it has a value.
     pub(crate) fn field(&self, name: &str) -> Option<&Value> {
-        match self {
-            Value::Struct(fields) => fields.get(name).filter(|value| **value != Value::Unset),
-            _ => None,
+        if let Value::Struct(fields) = self {
+            fields.get(name).filter(|value| **value != Value::Unset)
+        } else {
+            None
         }
     }
 

@@ -112,7 +112,12 @@ fn routine(tokens: &mut Tokens<'_>, file: usize, is_local: bool) -> Result<Routi
                 Token::Name(name) => last = Some(name),
                 Token::End => return Err(tokens.expected("`)`")),
                 Token::Sign(",") => parameters.extend(last.take()),
-                _ => {}
+                Token::Enum(_)
+                | Token::Int(_)
+                | Token::Real(_)
+                | Token::Text(_)
+                | Token::Sign(_)
+                | Token::LineEnd => {}
             }
         }
         parameters.extend(last);
@@ -131,9 +136,10 @@ fn routine(tokens: &mut Tokens<'_>, file: usize, is_local: bool) -> Result<Routi
             tokens.go_to(start);
             let first = tokens.next();
             skip(tokens);
-            Some(StatementKind::Other(match first {
-                Token::Name(name) => name,
-                _ => "this statement".into(),
+            Some(StatementKind::Other(if let Token::Name(name) = first {
+                name
+            } else {
+                "this statement".into()
             }))
         });
         body.extend(kind.map(|kind| Statement { span: tokens.since(start), kind }));

@@ -33,11 +33,12 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
     let config = config.map(|config| parse(config, 1)).transpose()?;
     let statements = || module.routines.iter().flat_map(|routine| &routine.body);
     // The last line that assigns to a name.
-    let assigned = statements().filter_map(|statement| match &statement.kind {
-        StatementKind::Assign { name, .. } | StatementKind::Other(name) => {
+    let assigned = statements().filter_map(|statement| {
+        if let StatementKind::Assign { name, .. } | StatementKind::Other(name) = &statement.kind {
             Some((name.as_str(), text.line(statement.span.start)))
+        } else {
+            None
         }
-        _ => None,
     });
     let assigned_lines: HashMap<&str, usize> = assigned.collect();
     let mut reader =
@@ -70,9 +71,10 @@ impl Reader<'_> {
             let own = declared(module, name, 0);
             own.or_else(|| declared(config?, name, 1)).or_else(|| predefined(name))
         };
-        let (name, arguments) = match kind {
-            StatementKind::Call { name, arguments } => (name.as_str(), evaluated(arguments, 0, &lookup)),
-            _ => ("", Vec::new()),
+        let (name, arguments) = if let StatementKind::Call { name, arguments } = kind {
+            (name.as_str(), evaluated(arguments, 0, &lookup))
+        } else {
+            ("", Vec::new())
         };
         let Some(instruction) = Instruction::new(name, &arguments) else {
             self.points.other(text, (span, kind), &arguments, &OTHERS, |value| taught(value).is_some());

@@ -105,9 +105,10 @@ impl Tokens<'_> {
         }
         for (sign, factor) in [("-", -1.0), ("+", 1.0)] {
             if self.accept(sign) {
-                return Ok(match self.operand(depth + 1)? {
-                    ExpressionKind::Number(number) => ExpressionKind::Number(factor * number),
-                    _ => ExpressionKind::Computed,
+                return Ok(if let ExpressionKind::Number(number) = self.operand(depth + 1)? {
+                    ExpressionKind::Number(factor * number)
+                } else {
+                    ExpressionKind::Computed
                 });
             }
         }
@@ -126,7 +127,9 @@ impl Tokens<'_> {
                 self.advance();
                 return self.named(name, depth);
             }
-            _ => return Err(self.expected("a value")),
+            Token::Enum(_) | Token::Int(_) | Token::Sign(_) | Token::LineEnd | Token::End => {
+                return Err(self.expected("a value"));
+            }
         };
         self.advance();
         Ok(kind)

@@ -28,24 +28,15 @@ pub(crate) enum Content {
 
 impl Value {
     pub(crate) fn number(&self) -> Option<f64> {
-        match self.content {
-            Content::Number(value) => Some(value),
-            _ => None,
-        }
+        if let Content::Number(value) = self.content { Some(value) } else { None }
     }
 
     pub(crate) fn bool(&self) -> Option<bool> {
-        match self.content {
-            Content::Bool(value) => Some(value),
-            _ => None,
-        }
+        if let Content::Bool(value) = self.content { Some(value) } else { None }
     }
 
     pub(crate) fn list(&self) -> Option<&[Value]> {
-        match &self.content {
-            Content::List(list) => Some(list),
-            _ => None,
-        }
+        if let Content::List(list) = &self.content { Some(list) } else { None }
     }
 
     /// The elements of a list or pose of this length.
@@ -99,10 +90,7 @@ impl Evaluated<'_> {
 
     /// The variable that is the argument.
     pub(crate) fn variable(&self) -> Option<&str> {
-        match &self.expression?.kind {
-            ExpressionKind::Name(name) => Some(name),
-            _ => None,
-        }
+        if let ExpressionKind::Name(name) = &self.expression?.kind { Some(name) } else { None }
     }
 }
 

@@ -48,10 +48,7 @@ pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
             while !tokens.is_line_end() {
                 tokens.advance();
             }
-            match first {
-                Token::Name(name) => StatementKind::Other(name),
-                _ => other("this line"),
-            }
+            if let Token::Name(name) = first { StatementKind::Other(name) } else { other("this line") }
         });
         if let StatementKind::Other(word) = &kind
             && ["if", "while", "thread"].contains(&word.as_str())

@@ -105,7 +105,7 @@ impl Reader<'_> {
         if let (Some(given), Some(tool)) = (self.given, tool)
             && ((given.position - tool.position).norm() > SAME_MM || given.angle_to(&tool) > SAME_RAD)
         {
-            let differs = CompensationFinding::FrameDiffers { frame: TOOL, option: "--tool" };
+            let differs = CompensationFinding::FrameDiffers { frame: TOOL, stated: "the given tool" };
             return Err(self.text.wrong(span, differs));
         }
         let is_conditional = self.open_blocks.contains(&true);

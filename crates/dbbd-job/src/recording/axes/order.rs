@@ -151,3 +151,73 @@ impl PacketOrder {
         self.span.map(|(_, last)| last.host)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use dbbd_model::base::units::DeviceTicks;
+
+    /// Places of packets by a clock of milliseconds that arrive at their time, and the order.
+    fn placed(ticks: &[u64]) -> (Vec<PacketPlace>, PacketOrder) {
+        let mut order = PacketOrder::new(DeviceClock { seconds_per_tick: 1e-3, wrap: None });
+        let place = |(at, ticks): (u64, &u64)| {
+            order.place(ClockStamp { host: HostNs(4_000_000 * at), ticks: DeviceTicks(*ticks) })
+        };
+        let places = (0..).zip(ticks).map(place).collect();
+        (places, order)
+    }
+
+    use PacketPlace::{Doubled, Late, Next, Restart, Stray};
+
+    #[test]
+    fn overtaken_packet_is_late_and_not_lost() {
+        let (places, order) = placed(&[100, 104, 108, 116, 112, 112, 108, 120]);
+        assert_eq!(places, [Next, Next, Next, Next, Late, Doubled, Doubled, Next]);
+        assert_eq!((order.cycle(), order.lost()), (Some(4), 0));
+    }
+
+    #[test]
+    fn lost_packets_are_counted_by_the_cycle() {
+        let (places, order) = placed(&[100, 104, 108, 116, 120, 132]);
+        assert!(places.iter().all(|place| *place == Next));
+        // One of 112, two of 124 and 128.
+        assert_eq!((order.cycle(), order.lost()), (Some(4), 3));
+        assert_eq!(order.last(), Some(HostNs(20_000_000)));
+        assert_eq!(placed(&[100]).1.cycle(), None);
+        assert_eq!(placed(&[100]).1.lost(), 0);
+    }
+
+    #[test]
+    fn shortest_of_equally_frequent_steps_is_the_cycle() {
+        assert_eq!(placed(&[100, 104, 112]).1.cycle(), Some(4));
+        assert_eq!(placed(&[100, 108, 112]).1.cycle(), Some(4));
+    }
+
+    #[test]
+    fn packet_before_the_first_is_late() {
+        let (places, order) = placed(&[100, 96, 104, 98, 96]);
+        assert_eq!(places, [Next, Late, Next, Late, Doubled]);
+        assert_eq!(order.cycle(), Some(4));
+    }
+
+    #[test]
+    fn gap_is_split_by_a_late_packet() {
+        let (places, _) = placed(&[100, 120, 110, 110, 105, 115, 105]);
+        assert_eq!(places, [Next, Next, Late, Doubled, Late, Late, Doubled]);
+    }
+
+    /// A time more than a second back, or far ahead, is used with the next packet.
+    #[test]
+    fn clock_restarts_with_two_packets_in_order() {
+        let (places, _) = placed(&[9_000, 9_004, 4, 8, 12]);
+        assert_eq!(places, [Next, Next, Stray, Restart, Next]);
+        let (places, _) = placed(&[9_000, 9_004, 4, 9_008, 8]);
+        assert_eq!(places, [Next, Next, Stray, Next, Stray]);
+        let (places, _) = placed(&[9_000, 90_000, 90_004]);
+        assert_eq!(places, [Next, Stray, Restart]);
+        // A second late is late, more is another clock.
+        assert_eq!(placed(&[9_000, 9_500, 8_500]).0[2], Late);
+        assert_eq!(placed(&[9_000, 9_500, 8_499]).0[2], Stray);
+    }
+}

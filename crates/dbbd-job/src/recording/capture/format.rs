@@ -187,3 +187,77 @@ fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
 fn u64_at(bytes: &[u8], at: usize) -> Option<u64> {
     Some(u64::from_le_bytes(bytes.get(at..at + 8)?.try_into().ok()?))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The catalogue of parametrised CRC algorithms: CRC-32/ISCSI of "123456789" is e3069283.
+    #[test]
+    fn checksum_has_the_published_check_value() {
+        assert_eq!(CRC_32C.checksum(b"123456789"), 0xe306_9283);
+    }
+
+    #[test]
+    fn file_header_holds_the_version() {
+        let header = header();
+        assert_eq!((header.len(), &header[..12]), (HEADER_LEN, &b"DBBDCAP\n\x04\0\0\0"[..]));
+        assert_eq!(version(&header), Some(4));
+        for at in 0..HEADER_LEN {
+            let mut damaged = header.clone();
+            damaged[at] ^= 1;
+            assert_eq!(version(&damaged), None, "{at}");
+        }
+        assert_eq!(version(&header[..15]), None);
+    }
+
+    /// Magic, kind 2 with the bit of the number, length 4 + 3, host time, number, bytes, checksum.
+    #[test]
+    fn record_has_the_documented_bytes() {
+        let record = CaptureRecord::Raw(vec![7, 8, 9]);
+        let bytes = encode(0x0102, HostNs(0x0304), &record).unwrap();
+        let head = [0xdb, 0xbd, 0x5a, 0xa5, 0x82, 7, 0, 0, 0, 4, 3, 0, 0, 0, 0, 0, 0, 2, 1, 0, 0, 7, 8, 9];
+        assert_eq!(bytes[..24], head);
+        assert_eq!(bytes[24..], CRC_32C.checksum(&head[4..]).to_le_bytes());
+        assert_eq!((needed(&bytes), needed(&bytes[..9]), needed(&bytes[..8])), (28, 28, HEAD_LEN));
+        let ParsedRecord::Complete(stamped, 28, Some(0x0102)) = decode(&bytes) else {
+            panic!("not complete")
+        };
+        assert_eq!((stamped.host, stamped.record), (HostNs(0x0304), record));
+    }
+
+    #[test]
+    fn damage_is_told_apart() {
+        let bytes = encode(1, HostNs(2), &CaptureRecord::Axes(vec![7, 8, 9])).unwrap();
+        assert!(matches!(decode(&bytes[..27]), ParsedRecord::Truncated(0x87, 28)));
+        assert!(matches!(decode(&bytes[..16]), ParsedRecord::ShortHead));
+        assert!(matches!(decode(&bytes[1..]), ParsedRecord::Nothing));
+        let mut damaged = bytes.clone();
+        damaged[22] ^= 1;
+        assert!(matches!(decode(&damaged), ParsedRecord::BadChecksum(0x87)));
+        let mut long = bytes;
+        long[5..9].copy_from_slice(&(MAX_PAYLOAD_BYTES as u32 + 1).to_le_bytes());
+        assert!(matches!(decode(&long), ParsedRecord::Nothing));
+        assert_eq!(needed(&long), HEAD_LEN);
+        long[5..9].copy_from_slice(&(MAX_PAYLOAD_BYTES as u32).to_le_bytes());
+        assert_eq!(needed(&long), HEAD_LEN + MAX_PAYLOAD_BYTES + TAIL_LEN);
+    }
+
+    #[test]
+    fn records_of_all_kinds_return() {
+        let attachment = CaptureRecord::Attachment { name: "plan.csv".into(), content: vec![1, 2] };
+        for record in [
+            attachment,
+            CaptureRecord::Samples(vec![dbbd_model::measurement::sample::Sample::of(1.0)]),
+            CaptureRecord::Fault(b"{}".to_vec()),
+        ] {
+            let bytes = encode(9, HostNs(5), &record).unwrap();
+            let ParsedRecord::Complete(stamped, ..) = decode(&bytes) else { panic!("{record:?}") };
+            assert_eq!(stamped.record, record);
+        }
+        assert_eq!(
+            [1, 0x82, 4, 5, 6, 7, 3].map(kind_name),
+            ["attachment", "raw", "fault", "event", "samples", "axes", "unknown"]
+        );
+    }
+}

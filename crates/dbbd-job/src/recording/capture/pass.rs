@@ -62,7 +62,11 @@ impl CaptureSummary {
         match record {
             CaptureRecord::Samples(samples) => self.samples += samples.len() as u64,
             CaptureRecord::Event(RunEvent::Ended(end)) => self.end = Some(end.clone()),
-            _ => {}
+            CaptureRecord::Attachment { .. }
+            | CaptureRecord::Raw(_)
+            | CaptureRecord::Fault(_)
+            | CaptureRecord::Axes(_)
+            | CaptureRecord::Event(_) => {}
         }
     }
 
@@ -104,27 +108,29 @@ pub struct Capture {
 
 impl Capture {
     pub fn events(&self) -> impl Iterator<Item = &RunEvent> {
-        self.records.iter().filter_map(|stamped| match &stamped.record {
-            CaptureRecord::Event(event) => Some(event),
-            _ => None,
+        self.records.iter().filter_map(|stamped| {
+            if let CaptureRecord::Event(event) = &stamped.record { Some(event) } else { None }
         })
     }
 
     pub fn samples(&self) -> impl Iterator<Item = (HostNs, &Sample)> {
         self.records.iter().flat_map(|stamped| {
-            let samples = match &stamped.record {
-                CaptureRecord::Samples(samples) => &samples[..],
-                _ => &[],
-            };
+            let samples =
+                if let CaptureRecord::Samples(samples) = &stamped.record { &samples[..] } else { &[] };
             samples.iter().map(|sample| (stamped.host, sample))
         })
     }
 
     /// The last attachment of that name.
     pub fn attachment(&self, wanted: &str) -> Option<&[u8]> {
-        self.records.iter().rev().find_map(|stamped| match &stamped.record {
-            CaptureRecord::Attachment { name, content } if name == wanted => Some(&content[..]),
-            _ => None,
+        self.records.iter().rev().find_map(|stamped| {
+            if let CaptureRecord::Attachment { name, content } = &stamped.record
+                && name == wanted
+            {
+                Some(&content[..])
+            } else {
+                None
+            }
         })
     }
 

@@ -244,6 +244,8 @@ fn damage(offset: u64, bytes: u64, to_the_end: bool, found: &ParsedRecord) -> Re
             RecordingFinding::WrongLength { offset, bytes, record: record(kind) }
         }
         _ if offset == 0 => RecordingFinding::DamagedHeader { offset, bytes },
-        _ => RecordingFinding::NoRecord { offset, bytes },
+        ParsedRecord::Complete(..) | ParsedRecord::ShortHead | ParsedRecord::Nothing => {
+            RecordingFinding::NoRecord { offset, bytes }
+        }
     }
 }

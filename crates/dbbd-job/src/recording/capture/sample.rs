@@ -153,3 +153,73 @@ fn read_u64(input: &mut &[u8]) -> Option<u64> {
     *input = rest;
     Some(u64::from_le_bytes(*bytes))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The examples of the DWARF standard (section 7.6): 2, 127, 128, 129, 12857.
+    #[test]
+    fn numbers_take_seven_bits_per_byte() {
+        for (value, bytes) in [
+            (2, &[2][..]),
+            (127, &[0x7f][..]),
+            (128, &[0x80, 1][..]),
+            (129, &[0x81, 1][..]),
+            (12_857, &[0xb9, 0x64][..]),
+            (u64::MAX, &[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 1][..]),
+        ] {
+            let mut out = Vec::new();
+            write_leb128(&mut out, value);
+            assert_eq!(out, bytes);
+            let mut rest = bytes;
+            assert_eq!((read_leb128(&mut rest), rest.len()), (Some(value), 0));
+        }
+        let long = [0x80; 10];
+        assert_eq!(read_leb128(&mut &long[..]), None);
+        assert_eq!(read_leb128(&mut &[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 2][..]), None);
+        assert_eq!(read_leb128(&mut &[0x80][..]), None);
+    }
+
+    /// Zigzag: 0, -1, 1, -2, 2 are 0, 1, 2, 3, 4.
+    #[test]
+    fn small_differences_of_either_sign_are_short() {
+        for (before, now, byte) in [(5, 5, 0), (5, 4, 1), (5, 6, 2), (5, 3, 3), (5, 7, 4), (0, u64::MAX, 1)] {
+            let (mut out, mut last) = (Vec::new(), before);
+            write_delta(&mut out, &mut last, now);
+            assert_eq!((&out[..], last), (&[byte][..], now));
+            let mut last = before;
+            assert_eq!(read_delta(&mut &out[..], &mut last), Some(now));
+            assert_eq!(last, now);
+        }
+    }
+
+    #[test]
+    fn sample_has_the_documented_bytes() {
+        let mut out = Vec::new();
+        let sample = Sample {
+            sequence: Some(3),
+            ticks: Some(DeviceTicks(100)),
+            trigger: Some(true),
+            temperature_c: Some(1.5),
+            status: 5,
+            offset: 2,
+            ..Sample::of(1.5)
+        };
+        pack(&[sample, sample], &mut out);
+        let reading = [0, 0, 0, 0, 0, 0, 0xf8, 0x3f];
+        let first = [&[0xff_u8][..], &reading, &[6], &[0xc8, 1], &reading, &[5], &[4]].concat();
+        // Nothing changed: only the differences, which are 0.
+        let second = [&[0x3f_u8][..], &reading, &[0, 0, 0]].concat();
+        assert_eq!(out, [first, second].concat());
+        assert_eq!(unpack(&out), Some(vec![sample, sample]));
+        assert_eq!(unpack(&out[..out.len() - 1]), None);
+        assert_eq!(unpack(&[]), Some(vec![]));
+    }
+
+    #[test]
+    fn temperature_of_before_must_be_known() {
+        let reading = 1.5f64.to_le_bytes();
+        assert_eq!(unpack(&[&[VALID | TEMPERATURE][..], &reading, &[0]].concat()), None);
+    }
+}

@@ -26,9 +26,10 @@ pub struct CaptureWriter {
 impl CaptureWriter {
     pub fn create(path: &Path) -> Result<Self, Diagnostic> {
         let wrong = |error: io::Error| {
-            let finding = match error.kind() {
-                ErrorKind::AlreadyExists => RecordingFinding::CaptureExists,
-                _ => RecordingFinding::CaptureNotMade { why: error.to_string() },
+            let finding = if error.kind() == ErrorKind::AlreadyExists {
+                RecordingFinding::CaptureExists
+            } else {
+                RecordingFinding::CaptureNotMade { why: error.to_string() }
             };
             Diagnostic::file(path.display().to_string(), finding)
         };
@@ -97,12 +98,13 @@ impl CaptureWriter {
             .map_err(|error| self.wrong(RecordingFinding::CaptureNotMade { why: error.to_string() }))?;
         let (mut file, path) = made;
         let bytes = self.bytes;
-        let kept = match interference {
-            Interference::Resized(found) if found < bytes => {
-                self.bytes = self.opening.len() as u64;
-                file.write_all(&self.opening)
-            }
-            _ => self.disk.copy(bytes, &mut file),
+        let kept = if let Interference::Resized(found) = interference
+            && found < bytes
+        {
+            self.bytes = self.opening.len() as u64;
+            file.write_all(&self.opening)
+        } else {
+            self.disk.copy(bytes, &mut file)
         };
         kept.map_err(|error| {
             // An incomplete copy is no capture.
@@ -141,6 +143,7 @@ impl CaptureWriter {
         }
     }
 
+    #[expect(clippy::wildcard_enum_match_arm, reason = "the kinds of errors of the system are open")]
     fn refusal(&self, error: &io::Error) -> Diagnostic {
         let (why, samples, bytes) = (error.to_string(), self.samples, self.bytes);
         self.wrong(match error.kind() {

@@ -67,4 +67,38 @@ mod tests {
             assert_eq!(unix_ns(wrong), None, "{wrong}");
         }
     }
+
+    /// The day of 1970-01-02 has 86 400 s before it; an offset is ahead of the zone of Greenwich.
+    #[test]
+    fn zones_are_subtracted() {
+        let day = Some(86_400_000_000_000);
+        for text in [
+            "1970-01-02T00:00:00z",
+            "1970-01-02T05:30:00+05:30",
+            "1970-01-01T18:30:00-05:30",
+            "1970-01-02 01:00:00+01",
+            "02.01.1970 00:00",
+        ] {
+            assert_eq!(unix_ns(text), day, "{text}");
+        }
+    }
+
+    #[test]
+    fn fractions_have_up_to_twelve_digits() {
+        assert_eq!(unix_ns("1970-01-01T00:00:01.5"), Some(1_500_000_000));
+        assert_eq!(unix_ns("1970-01-01T00:00:01.000000001"), Some(1_000_000_001));
+        assert_eq!(unix_ns("1970-01-01T00:00:01.000000001999"), Some(1_000_000_001));
+        assert_eq!(unix_ns("1970-01-01T00:00:01.0000000019990"), None);
+        // A leap second.
+        assert_eq!(unix_ns("1970-01-01T00:00:60"), Some(60_000_000_000));
+        for wrong in [
+            "1970-01-01T00:00:61",
+            "1970-01-01T00:60",
+            "1970-01-01T24:00",
+            "1970-01-32T00:00",
+            "1970-00-01T00:00",
+        ] {
+            assert_eq!(unix_ns(wrong), None, "{wrong}");
+        }
+    }
 }

@@ -177,3 +177,48 @@ impl TraceMapping {
         TableLayout { delimiter, decimal, skip_lines, header, comment }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_are_in_nanoseconds_and_millimetres() {
+        let ns = [TraceTimeUnit::S, TraceTimeUnit::Ms, TraceTimeUnit::Us, TraceTimeUnit::Ns]
+            .map(TraceTimeUnit::ns);
+        assert_eq!(ns, [1e9, 1e6, 1e3, 1.0]);
+        let mm = [LengthUnit::M, LengthUnit::Mm, LengthUnit::Um, LengthUnit::Inch].map(LengthUnit::mm);
+        assert_eq!(mm, [1000.0, 1.0, 0.001, 25.4]);
+    }
+
+    #[test]
+    fn columns_have_defaults() {
+        let mapping = TraceMapping::from_toml("m.toml", "").unwrap();
+        assert_eq!(mapping.time.column, TraceColumn::Name("t_s".into()));
+        assert_eq!(mapping.length.column, TraceColumn::Name("length_mm".into()));
+        assert_eq!(mapping.length.unit, LengthUnit::Mm);
+        assert!(mapping.layout().header && mapping.layout().delimiter.is_none());
+    }
+
+    #[test]
+    fn contradictory_mappings_are_refused() {
+        let finding = |text: &str| {
+            let diagnostic = TraceMapping::from_toml("m.toml", text).err()?;
+            diagnostic.finding::<ImportFinding>().cloned()
+        };
+        for (text, expected) in [
+            ("[file]\ndelimiter = ';;'", Some(ImportFinding::Delimiter)),
+            ("[file]\ndelimiter = 'space'", None),
+            ("[file]\ndecimal = ';'", Some(ImportFinding::Decimal)),
+            ("[file]\ndecimal = ','\ndelimiter = ';'", None),
+            ("[file]\ndecimal = ','\ndelimiter = ','", Some(ImportFinding::DecimalIsDelimiter)),
+            ("[time]\nrate_hz = 100", None),
+            ("[time]\nrate_hz = 0", Some(ImportFinding::Rate)),
+            ("[time]\nrate_hz = inf", Some(ImportFinding::Rate)),
+            ("[time]\nrate_hz = 100\ncolumn = 't'", Some(ImportFinding::RateAndColumn)),
+            ("[time]\nrate_hz = 100\nunit = 'ms'", Some(ImportFinding::RateAndColumn)),
+        ] {
+            assert_eq!(finding(text), expected, "{text}");
+        }
+    }
+}

@@ -218,7 +218,9 @@ impl TraceState<'_> {
             TraceTimeUnit::Iso => {
                 dated.ok_or_else(|| row.wrong(place, ImportFinding::NotADate { field: field.into() }))
             }
-            unit => Ok((row.number(place)? * unit.ns()).round() as i128),
+            unit @ (TraceTimeUnit::S | TraceTimeUnit::Ms | TraceTimeUnit::Us | TraceTimeUnit::Ns) => {
+                Ok((row.number(place)? * unit.ns()).round() as i128)
+            }
         }
     }
 

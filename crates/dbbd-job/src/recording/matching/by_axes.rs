@@ -4,16 +4,15 @@
 //! Neither strobe nor time code nor sync marker is needed: the positions of the rests and their order identify
 //! the poses.
 
-use super::alignment::{MIN_NONE_POSTERIOR, MIN_PAIR_POSTERIOR};
-use super::lag::{self, BallInterval};
+use super::alignment::{MIN_NONE_POSTERIOR, MIN_PAIR_POSTERIOR, Pairing};
+use super::detection::{DwellDetection, reading};
+use super::input::MatchingInput;
+use super::outcome::DwellSource;
+use super::passes;
 use super::program::{CommandedDwell, DwellPoses};
-use super::published::AlignedTrack;
+use super::published::{AlignedTrack, BallInterval, PublishedAxes};
 use super::visits::{self, PoseVisit, RestEvidence};
-use super::{
-    AxesReport, DwellDetection, DwellSource, MatchingInput, Pairing, PublishedAxes, outcomes, passes, reading,
-};
 use crate::plan::Plan;
-use crate::recording::ClockMap;
 use crate::recording::axes::RestInterval;
 use crate::recording::dwell::{Dwell, reading_between};
 use dbbd_model::robot::{AXES, max_axis_difference};
@@ -40,28 +39,18 @@ pub(super) fn detect_by_axes(input: &MatchingInput<'_>, poses: &DwellPoses<'_>) 
     let rests = assign(poses, &published);
     let times_s = pass_times(input, &published);
     let on_ball = on_ball(input.plan, poses, &published, &rests, &times_s);
-    published.lag = lag::determine(&published, input.stream, geometry, &on_ball);
+    published.determine_lag(input.stream, geometry, &on_ball);
     let (dwells, pairings) = pairings(input, poses, &published, &rests);
     let passes = passes::read_published(input, &published, &times_s);
     let mut measured = passes.axes_deg.clone();
-    let mut detection = DwellDetection { passes, ..DwellDetection::new(DwellSource::Axes, dwells, pairings) };
-    for pose in outcomes(input, poses, &detection) {
+    let mut detection = DwellDetection::new(DwellSource::Axes, dwells, pairings);
+    detection.passes = passes;
+    for pose in detection.outcomes(input, poses) {
         let Some(reading) = pose.reading() else { continue };
         measured.extend(published.at_rest_deg(reading.from_s, reading.to_s).map(|deg| (pose.index, deg)));
     }
-    let clock = track.clock();
-    detection.report = Some(AxesReport {
-        protocol: track.protocol.name(),
-        packets: track.counts,
-        drift: clock.and_then(ClockMap::drift),
-        bound_s: clock.and_then(ClockMap::bound_s),
-        lag: published.lag,
-        following: track.following(&published.rests),
-        rests: published.rests.len(),
-        measured: measured.len(),
-        pairs: detection.passes.pairs,
-        effective_pairs: detection.passes.effective_pairs,
-    });
+    let (pairs, effective_pairs) = (detection.passes.pairs, detection.passes.effective_pairs);
+    detection.report = Some(published.report(measured.len(), pairs, effective_pairs));
     detection.axes_deg = input.axes_deg.cloned().unwrap_or_default();
     detection.axes_deg.extend(measured);
     Some(detection)

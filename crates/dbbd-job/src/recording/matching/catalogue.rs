@@ -31,7 +31,8 @@ findings! {
         }
         W1002 "poses were dropped as ambiguous",
         cause: "The program was stopped or started again, the override changed on the way, or the program is not this plan's.",
-        cure: "The poses that remain are right with more than 99 %. Where many are dropped, write the program with `krl --sync output` or `ekrl`." {
+        cure: "The poses that remain are right with more than 99 %. Where many are dropped, write the program with a strobe or with EthernetKRL.",
+        asks: [Synchronisation] {
             AmbiguousPoses { poses: usize, percent: f64 } => "{poses} poses ({percent:.1} %) were dropped: more than one dwell may belong to them";
         }
         W1003 "poses have no length",
@@ -51,7 +52,8 @@ findings! {
         }
         W1006 "the measured axis angles are not the commanded ones",
         cause: "Another plan was driven, or the robot was stopped or moved by hand.",
-        cure: "Give the plan that was driven (--plan); if the robot was moved by hand, measure again." {
+        cure: "Give the plan that was driven; if the robot was moved by hand, measure again.",
+        asks: [Plan] {
             OtherPlanDriven { poses: usize, worst_deg: f64 } => "at {poses} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones: was another plan driven?";
             AxesMoved { poses: usize, worst_deg: f64 } => "at {poses} poses the measured axis angles are up to {worst_deg:.2} degrees from the commanded ones, at the others they agree: was the robot stopped or moved by hand?";
         }
@@ -67,17 +69,19 @@ findings! {
         }
         W1080 "the controller's reports of its dwells are not used",
         cause: "The bar's clock does not keep the host's pace, as on a simulator that runs faster than real time, or the channel broke, so that no dwell has both a begin and an end report.",
-        cure: "Poses are matched by the strobe or by still intervals instead. Simulate with --speed 1; on a real cell check the channel and the bar's clock (`dbbd info`)." {
+        cure: "Poses are matched by the strobe or by still intervals instead. Simulate in real time; on a real cell check the channel and the bar's clock (`dbbd info`).",
+        asks: [Pace] {
             ReportsOffPace { reports: usize } => "the bar's clock does not keep the host's pace: {reports} reports of the controller cannot be placed on its time axis and are not used";
             ReportsUnpaired { reports: usize } => "{reports} reports of the controller came, but no dwell has both a begin and an end report: they are not used";
         }
         W2220 "the published axes are not used",
         cause: "The clock of the bar or of the controller does not keep the host's pace, as on a simulator that runs faster than real time.",
-        cure: "Poses are matched by the strobe or by still intervals, and lengths are taken at the commanded axes. Simulate with --speed 1; on a real cell check both clocks (`dbbd info`)." {
+        cure: "Poses are matched by the strobe or by still intervals, and lengths are taken at the commanded axes. Simulate in real time; on a real cell check both clocks (`dbbd info`).",
+        asks: [Pace] {
             AxesUnused { packets: usize } => "{packets} axes of the controller cannot be placed on the time axis of the bar and are not used";
         }
         I2221 "lengths are taken at measured axes",
-        cause: "The controller published its axes, and they were recorded (`acquire --axes`).",
+        cause: "The controller published its axes, and they were recorded.",
         cure: "Nothing to do: poses are matched by the axes' own motion, and lengths are identified at the measured angles." {
             AxesMeasured { measured: usize, protocol: &'static str, lag_ms: f64, sd_ms: f64 } => "{measured} lengths are at axes that the controller measured ({protocol}); the reading comes {lag_ms:.2} +- {sd_ms:.2} ms after them";
             AxesMeasuredLagUnknown { measured: usize, protocol: &'static str } => "{measured} lengths are at axes that the controller measured ({protocol}); no motion shows how late the reading comes";
@@ -112,7 +116,8 @@ findings! {
         }
         I1021 "nothing was detected when a pose was due",
         cause: "The pose was not driven, or its dwell cannot be detected.",
-        cure: "Write the program with `krl --sync output` or `ekrl`, or raise dwell_s and settle_s." {
+        cure: "Write the program with a strobe or with EthernetKRL, or raise dwell_s and settle_s.",
+        asks: [Synchronisation] {
             NoneNearby { dwell: &'static str } => "no {dwell} can be matched to this pose";
             NoneWhenDue { dwell: &'static str, expected_s: f64 } => "no {dwell} at about {expected_s:.1} s, when it was due";
         }
@@ -127,14 +132,16 @@ findings! {
         }
         I1023 "a dwell may belong to several poses",
         cause: "The times between the dwells fit more than one pose.",
-        cure: "Write the program with `krl --sync output` or `ekrl`, which names each dwell." {
+        cure: "Write the program with a strobe or with EthernetKRL, which names each dwell.",
+        asks: [Synchronisation] {
             AmbiguousDwell { start_s: f64, percent: f64 } => "the dwell at {start_s:.1} s belongs to this pose with a probability of {percent:.0} % only";
         }
         I1024 "a pass without stops has no lengths",
         cause: "When the robot passed is not known: neither a strobe nor a report of the controller shows it, or they do not fit the plan.",
-        cure: "Write the program of a continuous circle with `krl --sync output` or `ekrl`, and run it without stopping it." {
+        cure: "Write the program of a continuous circle with a strobe or with EthernetKRL, and run it without stopping it.",
+        asks: [Synchronisation] {
             PassNotReported => "the controller did not report it";
-            PassWithoutSignal => "neither a strobe nor a report shows when the robot passed: write the program with `krl --sync output` or `ekrl`";
+            PassWithoutSignal => "neither a strobe nor a report shows when the robot passed: write the program with a strobe or with EthernetKRL";
             PassStrobes { strobes: usize, commanded: usize } => "{strobes} strobes were detected, and {commanded} are commanded";
             PassNotSeen => "the published axes do not pass its points in order";
             PassWithoutEnd => "the plan has no row where it ends";

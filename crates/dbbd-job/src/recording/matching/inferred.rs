@@ -3,9 +3,8 @@
 //! If a move hardly changes the length, two dwells look like one. If the time between the certain dwells on both
 //! sides is what the program takes, it did not pause, and the times of the poses between them are known.
 
-use super::alignment::{MIN_PAIR_POSTERIOR, Pairing, PoseAlignment};
+use super::alignment::{MIN_PAIR_POSTERIOR, Pairing, PoseAlignment, SLACK, interval_variance_s2};
 use super::program::{AFTER_S, CommandedTimes, DwellInterval, DwellPoses, ElapsedTime, ProgramPace};
-use super::trellis::{SLACK, interval_variance_s2};
 use crate::recording::dwell::{Dwell, reading_between};
 use crate::recording::stream::SampleStream;
 
@@ -45,11 +44,12 @@ pub(super) fn infer(
         .pairings
         .iter()
         .enumerate()
-        .filter_map(|(pose, pairing)| match *pairing {
-            Pairing::Dwell { dwell, posterior } => {
+        .filter_map(|(pose, pairing)| {
+            if let Pairing::Dwell { dwell, posterior } = *pairing {
                 Some(CertainDwell { pose, dwell: *dwells.get(dwell)?, posterior })
+            } else {
+                None
             }
-            _ => None,
         })
         .filter(|certain| certain.dwell.start_sd_s < BEGIN_KNOWN_S)
         .collect();

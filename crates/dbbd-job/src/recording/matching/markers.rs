@@ -2,8 +2,8 @@
 //! bar. The lengths at the poses do not: a worse robot would explain them as well. Their times show whether the
 //! reading comes later than the signals of the dwells.
 
-use super::PoseMatching;
 use super::outcome::PoseOutcome;
+use super::pose_matching::PoseMatching;
 use super::program::AFTER_S;
 use crate::plan::{MotionKind, Plan, PoseKind};
 use crate::recording::matching::MatchingFinding as Finding;
@@ -221,4 +221,88 @@ fn detrended(values: impl Iterator<Item = (f64, f64)>) -> Option<Vec<f64>> {
     let points: Vec<[f64; 2]> = values.map(|(x, y)| [x, y]).collect();
     let RegressionLine { centre: [middle, level], slope, .. } = RegressionLine::through(&points)?;
     Some(points.iter().map(|[x, y]| y - level - slope * (x - middle)).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use crate::recording::stream::StreamBuilder;
+    use dbbd_model::base::units::HostNs;
+    use dbbd_model::measurement::sample::Sample;
+
+    #[test]
+    fn length_is_linear_between_the_corners() {
+        let knots = [[0.0, 0.0], [1.0, 2.0], [3.0, 2.0], [4.0, -1.0]];
+        for (t_s, length_mm) in
+            [(-1.0, 0.0), (0.0, 0.0), (0.25, 0.5), (1.0, 2.0), (2.0, 2.0), (3.5, 0.5), (9.0, -1.0)]
+        {
+            assert!((interpolate(&knots, t_s) - length_mm).abs() < 1e-12, "{t_s}");
+        }
+        assert_eq!(interpolate(&[], 1.0), 0.0);
+    }
+
+    fn wave() -> Wave {
+        Wave { begins_s: 2.0, follows_dwell: false, moves_s: vec![0.5, 0.5], corners_mm: vec![0.0, 0.4, 0.0] }
+    }
+
+    #[test]
+    fn moves_stretch_and_pauses_do_not() {
+        let expected = [[0.0, 0.0], [1.0, 0.4], [1.1, 0.4], [2.1, 0.0], [2.2, 0.0]];
+        for (knot, expected) in wave().knots(2.0, 0.1).iter().zip(expected) {
+            assert!((knot[0] - expected[0]).abs() < 1e-12 && knot[1] == expected[1]);
+        }
+        assert_eq!(wave().height_mm(), 0.4);
+    }
+
+    #[test]
+    fn straight_line_is_removed() {
+        let rest = detrended([(0.0, 1.0), (1.0, 3.0), (2.0, 5.0)].into_iter()).unwrap();
+        assert!(rest.iter().all(|rest| rest.abs() < 1e-12));
+        // 1, 0, 1 about its mean.
+        let rest = detrended([(0.0, 1.0), (1.0, 0.0), (2.0, 1.0)].into_iter()).unwrap();
+        assert!(rest.iter().zip([1.0 / 3.0, -2.0 / 3.0, 1.0 / 3.0]).all(|(a, b)| (a - b).abs() < 1e-12));
+    }
+
+    /// The bar shows half of the wave, inverted, 0.3 s later than expected, on a level and a slope.
+    #[test]
+    fn wave_is_found_with_its_scale_and_time() {
+        let mut builder = StreamBuilder::new(None);
+        let knots = wave().knots(1.0, 0.0);
+        for at in 0..600_u32 {
+            let t_s = 0.01 * f64::from(at);
+            let moved = if (2.3..3.3).contains(&t_s) { interpolate(&knots, t_s - 2.3) } else { 0.0 };
+            builder.push(HostNs(u64::from(at) * 10_000_000), &Sample::of(3.0 + 0.02 * t_s - 0.5 * moved));
+        }
+        let found = wave().fit(&builder.build(), 1.0).unwrap();
+        assert!((found.scale + 0.5).abs() < 0.02, "{}", found.scale);
+        assert!((found.begins_s - 2.3).abs() < 0.03, "{}", found.begins_s);
+        assert!(found.share > 0.99);
+    }
+
+    /// Markers of 0.4 mm: without a stated repeatability of the robot, 0.1 mm counts.
+    #[test]
+    fn sign_and_scale_of_the_markers_are_judged() {
+        let fit = |scale| MarkerFit { scale, sd: 0.01, height_mm: 0.4, late_s: 0.0, waves: 5 };
+        let inverted = Some(Finding::ReadingInverted { waves: 5, scale: -1.0 });
+        let scaled = |scale| Some(Finding::ReadingScaled { waves: 5, scale, sd: 0.01 });
+        assert_eq!(fit(-1.0).finding(None), inverted);
+        // Too short by two repeatabilities, or too long by one: 0.5 and 0.25 of the height.
+        assert_eq!([fit(0.51).finding(None), fit(0.49).finding(None)], [None, scaled(0.49)]);
+        assert_eq!([fit(1.24).finding(None), fit(1.26).finding(None)], [None, scaled(1.26)]);
+        assert_eq!(fit(1.24).finding(Some(0.05)), scaled(1.24));
+        // Beyond five standard deviations.
+        assert_eq!(MarkerFit { sd: 0.1, ..fit(1.49) }.finding(None), None);
+    }
+
+    #[test]
+    fn reading_is_late_after_the_settling_time() {
+        let late = |late_s, settle_s| {
+            MarkerFit { scale: 1.0, sd: 0.01, height_mm: 0.4, late_s, waves: 5 }.late(settle_s)
+        };
+        assert_eq!(late(0.19, 0.0), None);
+        assert_eq!(late(0.21, 0.0), Some(Finding::ReadingLate { waves: 5, late_s: 0.21 }));
+        assert_eq!(late(0.49, 0.5), None);
+        assert!(late(0.51, 0.5).is_some());
+    }
 }

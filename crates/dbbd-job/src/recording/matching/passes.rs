@@ -7,13 +7,15 @@
 
 use std::ops::Range;
 
+use super::input::{MatchingInput, MeasuredAxes};
 use super::outcome::{MatchOutcome, PoseOutcome};
-use super::passing::{PassingReading, passing};
+use super::parabola::Parabola;
+use super::program;
 use super::published::AlignedTrack;
-use super::{MatchingInput, MeasuredAxes, program};
 use crate::plan::{Plan, PlannedPass};
-use crate::recording::dwell::Dwell;
+use crate::recording::dwell::{Dwell, DwellReading, ResidualScatter, least_u_mm};
 use crate::recording::matching::MatchingFinding as Finding;
+use crate::recording::stream::SampleStream;
 use crate::recording::{reports, strobe_decoder};
 use dbbd_model::math::straight_line::RegressionLine;
 
@@ -290,4 +292,77 @@ fn check_driven_pass<'a>(
         t_s
     };
     Ok(DrivenPass { pass, times_s: (pass.points[0]..=pass.points[1]).map(time).collect() })
+}
+
+/// The reading as the robot passed a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct PassingReading {
+    /// `u_mm` is that of the parabola at the point, with the effective number of samples as for a dwell.
+    reading: DwellReading,
+    slope_mm_s: f64,
+    /// Effective number of samples.
+    effective: f64,
+}
+
+/// The reading at `at_s` by the samples within `half_s`.
+fn passing(stream: &SampleStream, at_s: f64, half_s: f64) -> Option<PassingReading> {
+    let range = stream.at(at_s - half_s)..stream.at(at_s + half_s);
+    let valid: Vec<(f64, f64)> = range
+        .clone()
+        .filter(|&at| stream.valid(at))
+        .map(|at| ((stream.t_s[at] - at_s) / half_s, stream.reading_mm[at]))
+        .collect();
+    let parabola = Parabola::through(valid.iter().copied())?;
+    let ResidualScatter { squares, correlation } =
+        ResidualScatter::of(valid.iter().map(|(x, y)| y - parabola.at(*x)));
+    let count = valid.len() as f64;
+    let variance = squares / (count - 3.0) * (1.0 + correlation) / (1.0 - correlation);
+    let reading = DwellReading {
+        from_s: at_s - half_s,
+        to_s: at_s + half_s,
+        reading_mm: parabola.value(),
+        u_mm: (variance * parabola.value_variance()).sqrt().max(least_u_mm()),
+        samples: valid.len(),
+        invalid: range.len() - valid.len(),
+        gaps: range.skip(1).filter(|&at| stream.gap_before(at)).count(),
+        creep_mm: None,
+    };
+    let slope_mm_s = parabola.slope() / half_s;
+    let effective = count * (1.0 - correlation) / (1.0 + correlation);
+    Some(PassingReading { reading, slope_mm_s, effective })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use crate::recording::stream::StreamBuilder;
+    use dbbd_model::base::units::HostNs;
+    use dbbd_model::measurement::sample::Sample;
+
+    /// Readings 2 + 3 t + 4 t^2 about the moment 1 s, at 100 Hz.
+    #[test]
+    fn reading_at_a_moment_of_a_motion() {
+        let mut builder = StreamBuilder::new(None);
+        for at in 0..200_u32 {
+            let t = 0.01 * f64::from(at) - 1.0;
+            builder.push(HostNs(u64::from(at) * 10_000_000), &Sample::of(2.0 + 3.0 * t + 4.0 * t * t));
+        }
+        let stream = builder.build();
+        let PassingReading { reading, slope_mm_s, .. } = passing(&stream, 1.0, 0.205).unwrap();
+        assert!((reading.reading_mm - 2.0).abs() < 1e-9 && (slope_mm_s - 3.0).abs() < 1e-9);
+        assert_eq!((reading.samples, reading.invalid, reading.gaps), (41, 0, 0));
+        assert!((reading.from_s - 0.795).abs() < 1e-12 && (reading.to_s - 1.205).abs() < 1e-12);
+        // Of exact readings the resolution remains.
+        assert_eq!(reading.u_mm, least_u_mm());
+        assert!(passing(&stream, 0.0, 0.2).is_none());
+    }
+
+    #[test]
+    fn dwell_lies_on_a_pass_by_its_middle() {
+        let passes = MatchedPasses { spans_s: vec![1.0..2.0], ..MatchedPasses::default() };
+        let contains = |start_s, end_s| passes.contains(&Dwell::whole(start_s, end_s, 0.1));
+        assert!(contains(0.5, 1.5) && contains(1.4, 2.5));
+        assert!(!contains(0.5, 1.4) && !contains(1.5, 2.5));
+    }
 }

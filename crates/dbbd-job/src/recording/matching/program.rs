@@ -209,3 +209,76 @@ impl DwellInterval {
         Densities { running, paused }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn times() -> CommandedTimes {
+        let pose = |(move_s, wait_s, module)| CommandedDwell { move_s, wait_s, module };
+        CommandedTimes::new(&[(0.0, 0.5, 0), (1.0, 0.6, 0), (2.0, 0.7, 1)].map(pose))
+    }
+
+    fn near(value: f64, expected: f64) {
+        assert!((value - expected).abs() <= 1e-9 * expected.abs(), "{value} {expected}");
+    }
+
+    #[test]
+    fn interval_holds_the_waits_before_its_moves() {
+        let interval = times().interval(0, 2, ElapsedTime::default());
+        near(interval.move_s, 3.0);
+        near(interval.wait_s, 1.1);
+        assert_eq!((interval.passed, interval.by_hand), (1, true));
+        let interval = times().interval(0, 1, ElapsedTime::default());
+        near(interval.wait_s, 0.5);
+        assert_eq!((interval.passed, interval.by_hand), (0, false));
+    }
+
+    /// At half speed the moves of 3 s take 6 s; waits do not change.
+    #[test]
+    fn moves_stretch_and_waits_do_not() {
+        let pace = ProgramPace { stretch: 2.0, slack: 0.0 };
+        near(times().takes_s(0, 2, pace), 7.1);
+        near(times().span_s(0, 2, pace), 7.8);
+        near(times().span_s(1, 2, pace), 5.3);
+        near(times().wait_s(0), 0.5);
+        near(times().wait_s(1), 0.6);
+    }
+
+    fn interval(seen_s: f64, by_hand: bool) -> DwellInterval {
+        let elapsed = ElapsedTime { seen_s, variance_s2: 0.0008, clock_broke: false };
+        DwellInterval { move_s: 5.0, wait_s: 4.0, passed: 1, by_hand, elapsed }
+    }
+
+    const PACE: ProgramPace = ProgramPace { stretch: 1.2, slack: 0.01 };
+
+    /// By the formulas in Python: 50 ms late of 6 s of moves in two steps.
+    #[test]
+    fn densities_of_an_interval() {
+        let seen = interval(10.05, false);
+        near(seen.residual_s(PACE), 0.05);
+        near(seen.sigma_s(PACE), 0.050_990_195_135_927_85);
+        let Densities { running, paused } = seen.densities(PACE);
+        near(running, 4.662_171_492_505_352);
+        assert!((paused - 4.429_654_293_575_723e-6).abs() < 1e-12);
+        near(seen.unpaused(PACE), 0.999_999_049_854_057_3);
+    }
+
+    /// A pause of 12 s has the density of a gamma distribution of order two and mean 30 s.
+    #[test]
+    fn densities_of_a_pause() {
+        near(interval(22.0, false).densities(PACE).paused, 0.000_479_284_228_391_703);
+        near(interval(70.0, true).densities(PACE).paused, 0.005_419_402_923_121_805);
+        assert_eq!(interval(9.9, false).densities(PACE).paused, 0.0);
+        // 30 times half a second are too far for a start that was detected badly.
+        assert_eq!(interval(25.01, false).densities(PACE).running, 0.0);
+        assert!(interval(24.99, false).densities(PACE).running > 0.0);
+    }
+
+    #[test]
+    fn interval_across_a_broken_clock_shows_no_pace() {
+        let mut broken = interval(10.0, false);
+        broken.elapsed.clock_broke = true;
+        assert_eq!(broken.unpaused(PACE), 0.0);
+    }
+}

@@ -4,11 +4,15 @@
 //! therefore uses slopes of block means over two windows, a short one for fast moves and a long one for faint
 //! ones, with thresholds from the noise of the bar at rest. A first pass, with thresholds from the bulk of the
 //! run, finds the rests.
+//!
+//! The noise at rest is taken from an interval in which the robot is surely at rest: the first HALT, at which the bar
+//! is mounted and the program waits. A run without such a start (an imported trace) takes it from the quietest of its
+//! still intervals. The measure is the slope itself, so that correlated noise and slow wander count as they are; its
+//! lower limit is the white part, which adjacent blocks show much better. For a bar that stays on a step of its
+//! scale, the step is the noise.
 
 use std::ops::RangeInclusive;
 
-use super::noise::{self, RestNoise};
-use super::windows::{ReadingBlock, ReadingWindows, WindowWidth};
 use crate::recording::dwell::Dwell;
 use crate::recording::stream::SampleStream;
 use dbbd_model::math::robust;
@@ -29,7 +33,7 @@ const MIN_MOVE_S: f64 = 0.3;
 pub fn still_dwells(stream: &SampleStream, least_s: f64) -> Vec<Dwell> {
     let short = ReadingWindows::of(stream, SHORT, least_s);
     let long = ReadingWindows::of(stream, LONG, least_s);
-    let least_mm = noise::least_change_mm(stream);
+    let least_mm = least_change_mm(stream);
     let bulk = |windows| WindowScale { windows, quiet: RestNoise::of_bulk(windows, RESTS, least_mm) };
     let first_pass = detect_still_dwells(&bulk(&short), &bulk(&long), least_s);
     let at_rest = |windows| {
@@ -242,6 +246,207 @@ fn joined(runs: Vec<StillRun>, fine: &WindowScale<'_>) -> Vec<StillRun> {
     whole
 }
 
+/// Mean reading of a short interval.
+struct ReadingBlock {
+    t_s: f64,
+    mean_mm: f64,
+    /// Number of clock breaks before it.
+    epoch: usize,
+}
+
+/// Width of windows: at most `count` blocks of `block_s` seconds.
+#[derive(Clone, Copy)]
+struct WindowWidth {
+    count: usize,
+    block_s: f64,
+    /// Longest window as a share of the shortest dwell to be detected.
+    share: f64,
+}
+
+/// Blocks, and the windows of several blocks around each.
+struct ReadingWindows {
+    blocks: Vec<ReadingBlock>,
+    block_s: f64,
+    count: usize,
+    window_s: f64,
+    /// Slope around each block, mm/s; infinite if the window is incomplete.
+    slopes: Vec<f64>,
+    /// Scatter of the block means about the line of the window, mm.
+    scatters: Vec<f64>,
+}
+
+impl ReadingWindows {
+    /// Windows for dwells of at least `least_s`; at least four blocks each.
+    fn of(stream: &SampleStream, width: WindowWidth, least_s: f64) -> Self {
+        let block_s = width.block_s.max(1.001 * stream.period_s());
+        let count = width.count.min((width.share * least_s / block_s) as usize).max(4);
+        let blocks = blocks(stream, block_s);
+        let window_s = count as f64 * block_s;
+        let mut slopes = vec![f64::INFINITY; blocks.len()];
+        let mut scatters = vec![f64::INFINITY; blocks.len()];
+        let mut scratch = Vec::new();
+        let mut points = Vec::with_capacity(count);
+        for (first, window) in blocks.windows(count).enumerate() {
+            let (head, tail) = (&window[0], &window[count - 1]);
+            if tail.t_s - head.t_s > 1.5 * window_s || tail.epoch != head.epoch {
+                continue;
+            }
+            points.clear();
+            points.extend(window.iter().map(|block| (block.t_s - head.t_s, block.mean_mm)));
+            let slope = robust::slope(&points, &mut scratch);
+            let centre = first + count / 2;
+            slopes[centre] = slope;
+            scratch.clear();
+            scratch.extend(points.iter().map(|(t, y)| y - slope * t));
+            let level = robust::median(&mut scratch).unwrap_or(0.0);
+            scratch.iter_mut().for_each(|value| *value = (*value - level).abs());
+            scatters[centre] = robust::SIGMA_OF_MAD * robust::median(&mut scratch).unwrap_or(0.0);
+        }
+        Self { blocks, block_s, count, window_s, slopes, scatters }
+    }
+
+    /// Standard deviation of a window's slope, mm/s, for independent blocks of standard deviation `block_mm`.
+    fn white_slope(&self, block_mm: f64) -> f64 {
+        let count = self.count as f64;
+        block_mm / (self.block_s * (count * (count * count - 1.0) / 12.0).sqrt())
+    }
+}
+
+/// Trimmed means of the valid readings in blocks of `block_s`; blocks without one are left out.
+fn blocks(stream: &SampleStream, block_s: f64) -> Vec<ReadingBlock> {
+    let mut blocks = Vec::new();
+    let mut values: Vec<f64> = Vec::new();
+    let mut breaks = stream.breaks.iter().peekable();
+    let (mut begin_s, mut epoch) = (0.0, 0);
+    let mut close = |values: &mut Vec<f64>, begin_s: f64, epoch: usize| {
+        if let Some(mean_mm) = robust::trimmed_mean(values) {
+            blocks.push(ReadingBlock { t_s: begin_s + 0.5 * block_s, mean_mm, epoch });
+        }
+        values.clear();
+    };
+    for (at, (&t_s, &reading_mm)) in stream.t_s.iter().zip(&stream.reading_mm).enumerate() {
+        let broke = breaks.next_if(|&&broken| broken <= at).is_some();
+        if broke || t_s >= begin_s + block_s {
+            close(&mut values, begin_s, epoch);
+            epoch += usize::from(broke);
+            begin_s = if broke { t_s } else { (t_s / block_s).floor() * block_s };
+            // Rounding must not open the block before the closed one again.
+            begin_s = begin_s.max(t_s - block_s);
+        }
+        if stream.valid(at) {
+            values.push(reading_mm);
+        }
+    }
+    close(&mut values, begin_s, epoch);
+    blocks
+}
+
+/// Smallest change of the reading within a window that counts, mm.
+const MIN_CHANGE_MM: f64 = 0.0002;
+/// Least duration of the dwell at the start, s.
+const START_S: f64 = 2.0;
+/// The ends of a dwell are not used, s: there the motion is rounded off.
+const INSET_S: f64 = 0.1;
+/// Ratio of the lower quartile of the slopes' RMS to the true one, in dwells of a second or two.
+const QUARTILE: f64 = 0.75;
+/// Limit for the noise at the start, as a multiple of the quiet quarter: with more the bar was still being handled.
+const UNQUIET: f64 = 2.0;
+
+/// Noise at rest for windows of one width.
+#[derive(Clone, Copy, Debug)]
+struct RestNoise {
+    /// Standard deviation of a window's slope, mm/s.
+    slope_sigma: f64,
+    /// Median scatter of the block means about the line of a window, mm.
+    scatter_sigma: f64,
+    /// Slope that cannot be distinguished from zero, mm/s.
+    slope_floor: f64,
+}
+
+impl RestNoise {
+    /// First pass: by the bulk of the whole run, which contains slow moves.
+    fn of_bulk(windows: &ReadingWindows, rests: f64, least_mm: f64) -> Self {
+        let finite = windows.slopes.iter().filter(|slope| slope.is_finite());
+        let slope_sigma = robust::bulk_scale(&mut finite.map(|slope| slope.abs()).collect::<Vec<_>>());
+        let slope_floor = least_mm / windows.window_s;
+        let mut scatters: Vec<f64> = windows
+            .slopes
+            .iter()
+            .zip(&windows.scatters)
+            .filter(|(slope, _)| slope.abs() <= rests * slope_sigma + slope_floor)
+            .map(|(_, scatter)| *scatter)
+            .collect();
+        let scatter_sigma = robust::median(&mut scatters).unwrap_or(0.0).max(least_mm);
+        Self { slope_sigma, scatter_sigma, slope_floor }
+    }
+
+    /// By the dwells of the first pass; `None` if no window lies within any.
+    fn at_rest(windows: &ReadingWindows, first_pass: &[Dwell], least_mm: f64) -> Option<Self> {
+        let mut rms: Vec<f64> = Vec::new();
+        let mut scatters: Vec<f64> = Vec::new();
+        let mut start = None;
+        let mut before_start = true;
+        for dwell in first_pass {
+            let at_start = before_start && dwell.duration_s() >= START_S;
+            before_start &= !at_start;
+            let Some([slope, scatter]) = within(windows, dwell) else { continue };
+            if at_start {
+                start = Some([slope.max(windows.white_slope(block_noise(windows, dwell))), scatter]);
+            }
+            rms.push(slope);
+            scatters.push(scatter);
+        }
+        rms.sort_by(f64::total_cmp);
+        let quarter = *rms.get(rms.len() / 4)?;
+        let [slope_sigma, scatter] = match start {
+            Some([slope, scatter]) if quarter > 0.0 => [slope.clamp(quarter, UNQUIET * quarter), scatter],
+            Some(start) => start,
+            None => [quarter / QUARTILE, robust::median(&mut scatters)?],
+        };
+        let slope_floor = least_mm / windows.window_s;
+        Some(Self { slope_sigma, scatter_sigma: scatter.max(least_mm), slope_floor })
+    }
+}
+
+/// RMS of the slopes and median of the scatters of the windows within a dwell.
+fn within(windows: &ReadingWindows, dwell: &Dwell) -> Option<[f64; 2]> {
+    let inset_s = INSET_S + 0.5 * windows.window_s;
+    let at = |t_s: f64| windows.blocks.partition_point(|block| block.t_s < t_s);
+    let range = at(dwell.start_s + inset_s)..at(dwell.end_s - inset_s);
+    let whole = |at: &usize| windows.slopes[*at].is_finite();
+    let slopes: Vec<f64> = range.clone().filter(whole).map(|at| windows.slopes[at]).collect();
+    let mut scatters: Vec<f64> = range.filter(whole).map(|at| windows.scatters[at]).collect();
+    let mean_square = slopes.iter().map(|slope| slope * slope).sum::<f64>() / slopes.len() as f64;
+    Some([mean_square.sqrt(), robust::median(&mut scatters)?])
+}
+
+/// Standard deviation of a block mean by differences of neighbours within a dwell, mm.
+fn block_noise(windows: &ReadingWindows, dwell: &Dwell) -> f64 {
+    let inside = |t_s: f64| t_s >= dwell.start_s + INSET_S && t_s <= dwell.end_s - INSET_S;
+    let inside = windows.blocks.iter().filter(|block| inside(block.t_s));
+    let means: Vec<f64> = inside.map(|block| block.mean_mm).collect();
+    let mut steps: Vec<f64> = means.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
+    robust::SIGMA_OF_MAD * robust::median(&mut steps).unwrap_or(0.0) / 2f64.sqrt()
+}
+
+/// Change of the reading that may be zero, mm: half a step of the scale if the noise does not carry the reading
+/// across steps, so that averaging does not help.
+fn least_change_mm(stream: &SampleStream) -> f64 {
+    const ENOUGH: usize = 100_000;
+    let stride = (stream.len() / ENOUGH).max(1);
+    let pairs = (1..stream.len()).step_by(stride).filter(|&at| stream.valid(at) && stream.valid(at - 1));
+    let changes = pairs.map(|at| (stream.reading_mm[at] - stream.reading_mm[at - 1]).abs());
+    let changes: Vec<f64> = changes.collect();
+    let mut steps: Vec<f64> = changes.iter().copied().filter(|change| *change > 0.0).collect();
+    // In fast moves the reading skips steps.
+    let quarter = steps.len() / 4;
+    if 2 * steps.len() >= changes.len() || steps.is_empty() {
+        return MIN_CHANGE_MM;
+    }
+    let (_, step_mm, _) = steps.select_nth_unstable_by(quarter, f64::total_cmp);
+    (0.5 * *step_mm).max(MIN_CHANGE_MM)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -284,5 +489,45 @@ mod tests {
     fn slow_moves_and_short_rests_are_no_dwells() {
         let dwells = still_dwells(&stream(&[(0.0, 3.0), (0.5, 0.2), (0.0, 3.0)], 4.0), 0.5);
         assert_eq!(dwells.len(), 2, "{dwells:?}");
+    }
+
+    /// A line of slope 2 up to 0 and a level from there fits without a residual; a change elsewhere does not.
+    #[test]
+    fn change_point_fits_a_line_and_a_level() {
+        let points: Vec<(f64, f64)> = (-5..=5).map(f64::from).map(|x| (x, 7.0 + 2.0 * x.min(0.0))).collect();
+        let fit = fit_change(&points, 0.0);
+        assert!(fit.squares.abs() < 1e-9 && (fit.slope - 2.0).abs() < 1e-12);
+        assert!(fit_change(&points, 1.0).squares > 0.1 && fit_change(&points, -1.0).squares > 0.1);
+        let level = fit_change(&[(1.0, 3.0), (2.0, 5.0)], 0.0);
+        assert_eq!((level.squares, level.slope), (2.0, 0.0));
+    }
+
+    /// The slope of n points a block apart has the standard deviation s / (b sqrt(n (n^2 - 1) / 12)).
+    #[test]
+    fn white_noise_of_a_slope() {
+        let windows = ReadingWindows::of(&stream(&[(0.0, 1.0)], 1.0), SHORT, 1.0);
+        assert_eq!((windows.count, windows.block_s), (12, 0.02));
+        let expected = 0.001 / (0.02 * 143f64.sqrt());
+        assert!((windows.white_slope(0.001) - expected).abs() < 1e-12);
+    }
+
+    #[test]
+    fn windows_show_the_slope_of_a_ramp() {
+        let windows = ReadingWindows::of(&stream(&[(0.0, 0.0), (2.0, 0.0)], 4.0), LONG, 1.0);
+        let middle = windows.slopes[windows.slopes.len() / 2];
+        assert!((middle - 0.5).abs() < 0.01, "{middle}");
+        assert!(windows.slopes[0].is_infinite() && windows.scatters[0].is_infinite());
+    }
+
+    /// Half a step of a coarse scale counts; fine readings have the least change.
+    #[test]
+    fn step_of_a_coarse_scale_is_its_noise() {
+        assert_eq!(least_change_mm(&stream(&[(0.0, 1.0)], 1.0)), MIN_CHANGE_MM);
+        let mut builder = StreamBuilder::new(None);
+        for at in 0..100_u32 {
+            let reading_mm = 0.01 * f64::from(at / 10);
+            builder.push(HostNs(u64::from(at) * 10_000_000), &Sample::of(reading_mm));
+        }
+        assert!((least_change_mm(&builder.build()) - 0.005).abs() < 1e-12);
     }
 }

@@ -81,8 +81,7 @@ pub fn open_run(
         report(doubt.into());
     }
     let mut run = RecordedRun { plan, stream, temperatures, reports, track, doubtful, axes_deg, identity };
-    let of_temperature =
-        run.temperatures.doubt().into_iter().map(Diagnostic::from).chain(run.temperature_finding());
+    let of_temperature = run.temperatures.doubt().into_iter().chain(run.temperature_finding());
     of_temperature.for_each(&mut report);
     for doubt in run.mounting() {
         run.doubtful = true;
@@ -94,7 +93,7 @@ pub fn open_run(
 /// A finding if the date of a run, by the clock of a computer, cannot be right.
 fn unlikely_date(identity: &Identity) -> Option<RecordingFinding> {
     let wrong = identity.check_all().and_then(|()| identity.check_dates(clock::unix_ns()));
-    wrong.err().map(|(_, why)| RecordingFinding::UnlikelyDate { why: why.to_string() })
+    wrong.err().map(|(_, why)| RecordingFinding::UnlikelyDate { why: why.message() })
 }
 
 /// Findings about lengths that were lost between the capture at `path` and the poses of its plan.
@@ -180,7 +179,10 @@ impl GatheredCapture {
             CaptureRecord::Event(RunEvent::Started { unix_ns, .. }) => {
                 self.started = self.started.or(Some(unix_ns))
             }
-            _ => {}
+            CaptureRecord::Raw(_)
+            | CaptureRecord::Fault(_)
+            | CaptureRecord::Axes(_)
+            | CaptureRecord::Event(_) => {}
         }
         Ok(())
     }

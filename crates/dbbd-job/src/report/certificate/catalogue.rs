@@ -22,12 +22,13 @@ findings! {
         }
         I2003 "this build writes no PDF",
         cause: "dbbd was built without the feature `pdf`.",
-        cure: "Print certificate.html from a browser, or build with `cargo build --release --features pdf`." {
+        cure: "Print certificate.html from a browser, or build dbbd with the feature `pdf`." {
             NoPdf => "certificate.pdf is not written: this build has no PDF";
         }
         I2004 "a certificate has empty fields",
-        cause: "A certificate states these, and neither job, capture nor --identity does. The draft says `not stated`; a DCC, which needs a date, has 0001-01-01.",
-        cure: "State them in [identity] of the job or with --identity FILE; docs/reference/files.md has the keys." {
+        cause: "A certificate states these, and neither job, capture nor the file of the identity does. The draft says `not stated`; a DCC, which needs a date, has 0001-01-01.",
+        cure: "State them in [identity] of the job or in the file of the identity; docs/reference/files.md has the keys.",
+        asks: [Identity] {
             NotStated { what: Names } => "not stated: {what}";
         }
         W2005 "a certificate of a result with warnings",
@@ -36,8 +37,9 @@ findings! {
             Doubtful { warnings: usize } => "the result has {warnings} warnings; the certificate lists them";
         }
         W2007 "an identity contradicts the result",
-        cause: "--identity states another robot, controller, load, day, bar, certificate of the bar, ball or temperature than the result carries, or a base ball that the measurement has not. The certificate states what --identity states; the numbers are those of the measurement.",
-        cure: "Correct the file of --identity, or identify again with the right job." {
+        cause: "The file of the identity states another robot, controller, load, day, bar, certificate of the bar, ball or temperature than the result carries, or a base ball that the measurement has not. The certificate states what the file states; the numbers are those of the measurement.",
+        cure: "Correct the file of the identity, or identify again with the right job.",
+        asks: [Identity] {
             OtherThanCarried { key: String, carried: String, stated: String } => "{key} is stated as {stated}; the result has {carried}";
             NoSuchBall { ball: String, balls: usize } => "a serial number is stated of base ball {ball}, and {balls} were measured";
         }

@@ -8,6 +8,7 @@ use crate::artefact::VERSION;
 use crate::report::page::fill;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::Identity;
+use dbbd_model::robot::ParamUnit;
 
 /// Where a DCC needs a date or a country and none is stated; ISO 3166-1 leaves ZZ to users.
 const NO_DATE: &str = "0001-01-01";
@@ -92,7 +93,7 @@ pub(super) fn write(certificate: &Certificate) -> Result<Vec<u8>, Diagnostic> {
 fn results(certificate: &Certificate) -> [(&'static str, Vec<Quantity>); 4] {
     let Certificate { result, budget, .. } = certificate;
     let mm = |name: &str, value: f64| Quantity::new(name, value, MM, None);
-    let (residual, predicted) = (&result.residual_mm, &result.predicted_position_error_mm);
+    let (residual, predicted) = (&result.residual_mm, &result.predicted_position_uncertainty_mm);
     let contributions =
         budget.lines.iter().filter_map(|line| Some(mm(line.source.words(), line.position_mm?)));
     let sums = [
@@ -100,12 +101,12 @@ fn results(certificate: &Certificate) -> [(&'static str, Vec<Quantity>); 4] {
         mm("expanded uncertainty (k = 2)", budget.expanded_mm),
     ];
     let estimated = result.parameters.iter().filter_map(|found| {
-        let unit = match found.unit.as_str() {
-            "mm" => MM,
-            "rad" => "\\radian",
-            _ => "\\radian\\newton\\tothe{-1}\\metre\\tothe{-1}",
+        let unit = match found.unit {
+            ParamUnit::Mm => MM,
+            ParamUnit::Rad => "\\radian",
+            ParamUnit::RadPerNm => "\\radian\\newton\\tothe{-1}\\metre\\tothe{-1}",
         };
-        Some(Quantity::new(&found.name, found.identified, unit, Some(2.0 * found.sd?)))
+        Some(Quantity::new(&found.name.to_string(), found.identified, unit, Some(2.0 * found.sd?)))
     });
     [
         (

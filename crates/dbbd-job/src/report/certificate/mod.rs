@@ -21,9 +21,10 @@ use dbbd_model::base::hash::sha256;
 use dbbd_model::conformity::UncertaintyBudget;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::diagnostic::Names;
-use dbbd_model::estimation::ResultFile;
-use dbbd_model::estimation::result_file::WarningKind;
+use dbbd_model::estimation::CalibrationResult;
+use dbbd_model::estimation::result::ParameterResult;
 use dbbd_model::provenance::{Artefact, ArtefactRole, Contradiction, Identity, Provenance};
+use dbbd_model::robot::{Coordinate, ParamId};
 use sections::Section;
 
 #[cfg(feature = "pdf")]
@@ -35,7 +36,7 @@ const DRAFT: &str = "Draft, not accredited, not signed";
 #[derive(Deserialize)]
 struct ResultRead {
     #[serde(flatten)]
-    result: ResultFile,
+    result: CalibrationResult,
     budget: Option<UncertaintyBudget>,
     #[serde(default)]
     provenance: Provenance,
@@ -59,7 +60,7 @@ struct Check {
 
 /// A result, and the decision of an interim check where there is one.
 pub struct Certificate {
-    result: ResultFile,
+    result: CalibrationResult,
     budget: UncertaintyBudget,
     provenance: Provenance,
     check: Option<Check>,
@@ -137,10 +138,6 @@ impl Certificate {
         self.identity().measured.as_deref().unwrap_or("not stated")
     }
 
-    fn doubts(&self) -> usize {
-        self.result.warnings.iter().filter(|warning| warning.kind == WarningKind::Doubt).count()
-    }
-
     /// What the certificate lacks, and doubts about it.
     pub fn findings(&self) -> Vec<CertificateFinding> {
         let Identity { robot, laboratory, country, operator, customer, measured, bar, temperatures, .. } =
@@ -158,9 +155,9 @@ impl Certificate {
         ];
         let lacking: Vec<&str> = lacks.iter().filter(|(_, lacks)| *lacks).map(|(name, _)| *name).collect();
         let empty = (!lacking.is_empty()).then(|| NotStated { what: Names::of(lacking) });
-        let doubts = self.doubts() + usize::from(!self.result.converged);
-        let balls = self.result.parameters.iter().filter(|found| found.name.ends_with("_x"));
-        let balls = balls.filter(|found| found.name.starts_with("centre")).count();
+        let doubts = self.result.doubts().count() + usize::from(!self.result.converged);
+        let is_ball = |found: &&ParameterResult| matches!(found.name, ParamId::Ball(_, Coordinate::X));
+        let balls = self.result.parameters.iter().filter(is_ball).count();
         let other =
             self.identity().balls.keys().find(|ball| ball.parse().is_ok_and(|ball: usize| ball > balls));
         let other = other.map(|ball| NoSuchBall { ball: ball.clone(), balls });

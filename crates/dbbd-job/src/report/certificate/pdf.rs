@@ -8,9 +8,12 @@ use krilla::geom::{PathBuilder, Point};
 use krilla::metadata::{DateTime, Metadata};
 use krilla::page::PageSettings;
 use krilla::paint::Stroke;
-use krilla::text::{Font, TextDirection};
+use krilla::text::{Font, GlyphId, KrillaGlyph};
 use krilla::{Document, SerializeSettings};
-use ttf_parser::Face;
+use skrifa::charmap::Charmap;
+use skrifa::instance::{LocationRef, Size};
+use skrifa::metrics::GlyphMetrics;
+use skrifa::{FontRef, MetadataProvider};
 
 use super::sections::{Block, Section, Table};
 use super::{Certificate, DRAFT};
@@ -52,19 +55,47 @@ enum Mark {
     Rule { y: f32, from: f32, to: f32 },
 }
 
-/// Font metrics.
+/// The glyph of each character of a font, and its advance. Text is set without kerning and ligatures, so that the width of a
+/// text is the sum of its advances.
+struct Typeface {
+    charmap: Charmap<'static>,
+    /// In units of the font.
+    metrics: GlyphMetrics<'static>,
+    units_per_em: f32,
+}
+
+impl Typeface {
+    fn new(data: &'static [u8]) -> Result<Self, CertificateFinding> {
+        let font = FontRef::new(data).map_err(failed)?;
+        let (size, location) = (Size::unscaled(), LocationRef::default());
+        let units_per_em = f32::from(font.metrics(size, location).units_per_em);
+        Ok(Self { charmap: font.charmap(), metrics: font.glyph_metrics(size, location), units_per_em })
+    }
+
+    /// The glyphs of a text; characters that the font lacks are left out.
+    fn glyphs(&self, text: &str) -> Vec<KrillaGlyph> {
+        let glyph = |(at, c): (usize, char)| {
+            let glyph = self.charmap.map(c)?;
+            let advance = self.metrics.advance_width(glyph)? / self.units_per_em;
+            let covers = at..at + c.len_utf8();
+            Some(KrillaGlyph::new(GlyphId::new(glyph.to_u32()), advance, 0.0, 0.0, 0.0, covers, None))
+        };
+        text.char_indices().filter_map(glyph).collect()
+    }
+}
+
 struct Letters {
-    regular: Face<'static>,
-    bold: Face<'static>,
+    regular: Typeface,
+    bold: Typeface,
 }
 
 impl Letters {
     fn new() -> Result<Self, CertificateFinding> {
-        let face = |data| Face::parse(data, 0).map_err(failed);
-        Ok(Self { regular: face(dejavu::sans::regular())?, bold: face(dejavu::sans::bold())? })
+        let (regular, bold) = (dejavu::sans::regular(), dejavu::sans::bold());
+        Ok(Self { regular: Typeface::new(regular)?, bold: Typeface::new(bold)? })
     }
 
-    fn face(&self, weight: Weight) -> &Face<'static> {
+    fn face(&self, weight: Weight) -> &Typeface {
         match weight {
             Weight::Regular => &self.regular,
             Weight::Bold => &self.bold,
@@ -72,10 +103,8 @@ impl Letters {
     }
 
     fn width(&self, text: &str, style: Style) -> f32 {
-        let face = self.face(style.weight);
-        let advance = |c| face.glyph_index(c).and_then(|glyph| face.glyph_hor_advance(glyph)).unwrap_or(0);
-        let units: u32 = text.chars().map(|c| u32::from(advance(c))).sum();
-        units as f32 * style.size / f32::from(face.units_per_em())
+        let glyphs = self.face(style.weight).glyphs(text);
+        glyphs.iter().map(|glyph| glyph.x_advance).sum::<f32>() * style.size
     }
 
     /// The text in lines of at most `width` points; a longer word is broken.
@@ -111,7 +140,7 @@ impl Letters {
 
     /// The first character that the font lacks.
     fn lacks(&self, text: &str) -> Option<char> {
-        text.chars().find(|c| self.regular.glyph_index(*c).is_none())
+        text.chars().find(|c| self.regular.charmap.map(*c).is_none())
     }
 }
 
@@ -318,10 +347,10 @@ pub(super) fn write(certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, Ce
             )));
         }
     }
-    draw(&layout.pages, certificate, dcc)
+    draw(&layout, certificate, dcc)
 }
 
-fn draw(pages: &[Vec<Mark>], certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, CertificateFinding> {
+fn draw(layout: &Layout, certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, CertificateFinding> {
     let configuration = ConfigurationBuilder::new().with_archival_validator(Archival::A3_B).finish();
     let configuration = configuration.map_err(|error| failed(format_args!("{error:?}")))?;
     let settings = SerializeSettings { configuration, enable_tagging: false, ..SerializeSettings::default() };
@@ -329,7 +358,7 @@ fn draw(pages: &[Vec<Mark>], certificate: &Certificate, dcc: &[u8]) -> Result<Ve
     let font =
         |data: &'static [u8]| Font::new(data.into(), 0).ok_or_else(|| failed("the font cannot be read"));
     let (regular, bold) = (font(dejavu::sans::regular())?, font(dejavu::sans::bold())?);
-    for marks in pages {
+    for marks in &layout.pages {
         let size = PageSettings::from_wh(PAGE[0], PAGE[1]).ok_or_else(|| failed("no page"))?;
         let mut page = document.start_page_with(size);
         let mut surface = page.surface();
@@ -342,7 +371,8 @@ fn draw(pages: &[Vec<Mark>], certificate: &Certificate, dcc: &[u8]) -> Result<Ve
                     };
                     surface.set_stroke(None);
                     let at = Point::from_xy(*x, *y);
-                    surface.draw_text(at, font, style.size, text, false, TextDirection::LeftToRight);
+                    let glyphs = layout.letters.face(style.weight).glyphs(text);
+                    surface.draw_glyphs(at, &glyphs, font, text, style.size, false);
                 }
                 Mark::Rule { y, from, to } => {
                     let mut path = PathBuilder::new();
@@ -378,4 +408,41 @@ fn date(certificate: &Certificate) -> DateTime {
     let part = |range| certificate.measured().get(range).and_then(|digits: &str| digits.parse::<u16>().ok());
     let small = |range| part(range).and_then(|value| u8::try_from(value).ok()).unwrap_or(1);
     DateTime::new(part(0..4).unwrap_or(1)).month(small(5..7)).day(small(8..10))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Advances of DejaVu Sans 2.37 in units of 2048 (its table `hmtx`): 0 has 1303, A 1401, \u{b1} 1716; of the bold face, A
+    /// has 1585.
+    #[test]
+    fn width_of_a_text_is_the_sum_of_its_advances() {
+        let letters = Letters::new().unwrap();
+        for (text, style, units) in
+            [("0A\u{b1}", BODY, 1303 + 1401 + 1716), ("AA", STRONG, 2 * 1585), ("", BODY, 0)]
+        {
+            let expected = units as f32 / 2048.0 * 9.0;
+            assert!((letters.width(text, style) - expected).abs() < 1e-4, "{text}");
+        }
+        assert_eq!(letters.lacks("A\u{e000}0"), Some('\u{e000}'));
+    }
+
+    #[test]
+    fn glyphs_cover_the_bytes_of_their_characters() {
+        let letters = Letters::new().unwrap();
+        let glyphs = letters.face(Weight::Regular).glyphs("\u{b5}m");
+        let ranges: Vec<_> = glyphs.iter().map(|glyph| glyph.text_range.clone()).collect();
+        assert_eq!(ranges, [0..2, 2..3]);
+    }
+
+    #[test]
+    fn wrapped_lines_fit_and_keep_the_text() {
+        let letters = Letters::new().unwrap();
+        let text = "the position uncertainty of a robot with a verylongwordthatmustbebroken in it";
+        let lines = letters.wrapped(text, BODY, 80.0);
+        assert!(lines.len() > 3 && lines.iter().all(|line| letters.width(line, BODY) <= 80.0));
+        let plain = |text: &str| text.replace(' ', "");
+        assert_eq!(plain(&lines.concat()), plain(text));
+    }
 }

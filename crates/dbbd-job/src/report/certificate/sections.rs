@@ -6,8 +6,8 @@ use super::{Certificate, Check, DRAFT};
 use crate::report::parameters::not_estimated;
 use crate::report::scale::{decimals, fixed, signed, significant, typeset};
 use dbbd_model::conformity::BudgetLine;
-use dbbd_model::estimation::result::Status;
-use dbbd_model::estimation::result_file::{ParameterResult, Warning};
+use dbbd_model::diagnostic::{Names, RecordedFinding};
+use dbbd_model::estimation::result::{ParameterResult, Status};
 use dbbd_model::robot::ParamUnit;
 
 #[derive(Serialize)]
@@ -86,7 +86,7 @@ impl Certificate {
             section("Conformity", self.conformity()),
             section("What was not determined", self.not_determined()),
             section("Identified parameters", self.parameters()),
-            section("Warnings and notes of the result", self.warnings()),
+            section("Warnings and notes of the result", self.findings_of_result()),
             section("Signatures", self.signatures()),
         ]
     }
@@ -130,15 +130,15 @@ impl Certificate {
 
     fn results(&self) -> Vec<Fact> {
         let result = &self.result;
-        let (residual, predicted) = (&result.residual_mm, &result.predicted_position_error_mm);
+        let (residual, predicted) = (&result.residual_mm, &result.predicted_position_uncertainty_mm);
         let (nominal, identified) = (&predicted.nominal, &predicted.identified);
         let pair = |name: &str, before: f64, after: f64| {
             fact(name, format!("{} before, {} after", mm(before), mm(after)))
         };
-        let used = format!("{} used, {} excluded as outliers", result.observations, result.outliers.len());
+        let used = format!("{} used, {} excluded as outliers", result.measurements, result.outliers.len());
         let mut facts = vec![
             fact("Lengths", used),
-            fact("Standard deviation of a length", mm(result.sigma_mm)),
+            fact("Standard deviation of a length", mm(result.noise_mm.length)),
             pair("Residual of the lengths, rms", residual.before.rms, residual.after.rms),
         ];
         let held_out = "Held-out residual by cross-validation, rms";
@@ -193,7 +193,9 @@ impl Certificate {
         let mut blocks: Vec<Block> =
             NEVER_DETERMINED.iter().map(|line| Block::Text((*line).into())).collect();
         if !lines.is_empty() {
-            let rows = lines.iter().map(|line| vec![line.names.join(", "), typeset(line.reason.to_owned())]);
+            let rows = lines
+                .iter()
+                .map(|line| vec![Names::of(&line.names).to_string(), typeset(line.reason.to_owned())]);
             let head = vec![text("Parameters that keep their start values"), text("Why")];
             blocks.push(Block::Table(Table { head, rows: rows.collect(), sum: false }));
         }
@@ -201,7 +203,8 @@ impl Certificate {
     }
 
     fn parameters(&self) -> Vec<Block> {
-        let estimated = |p: &&ParameterResult| matches!(p.status, Status::Identified | Status::Prior);
+        let estimated =
+            |p: &&ParameterResult| matches!(p.status, Status::Identified | Status::SupportedByPrior);
         let rows: Vec<_> = self.result.parameters.iter().filter(estimated).map(parameter_row).collect();
         let head = vec![
             text("Parameter"),
@@ -211,14 +214,15 @@ impl Certificate {
             number("correction"),
             number("U (k = 2)"),
         ];
-        let combined = self.result.dependent.iter().map(|group| Block::Text(typeset(group.text.clone())));
+        let combined = self.result.combinations.iter().map(|group| Block::Text(typeset(group.to_string())));
         [Block::Table(Table { head, rows, sum: false })].into_iter().chain(combined).collect()
     }
 
-    fn warnings(&self) -> Vec<Block> {
-        let line =
-            |warning: &Warning| Block::Text(format!("{} {}", warning.code, typeset(warning.text.clone())));
-        let mut blocks: Vec<Block> = self.result.warnings.iter().map(line).collect();
+    fn findings_of_result(&self) -> Vec<Block> {
+        let line = |finding: &RecordedFinding| {
+            Block::Text(format!("{} {}", finding.code(), typeset(finding.text())))
+        };
+        let mut blocks: Vec<Block> = self.result.findings.iter().map(line).collect();
         if !self.result.converged {
             blocks.insert(0, Block::Text("The solver did not converge.".into()));
         }
@@ -271,14 +275,14 @@ fn decision(check: &Check) -> Vec<Fact> {
 
 /// In mm and degrees, with two figures of the uncertainty.
 fn parameter_row(parameter: &ParameterResult) -> Vec<String> {
-    let (unit, factor) = match parameter.unit.as_str() {
-        unit if unit == ParamUnit::Rad.name() => ("deg", 180.0 / std::f64::consts::PI),
-        unit => (unit, 1.0),
+    let (unit, factor) = match parameter.unit {
+        ParamUnit::Rad => ("deg", 180.0 / std::f64::consts::PI),
+        unit => (unit.name(), 1.0),
     };
     let u = parameter.sd.map(|sd| 2.0 * factor * sd).filter(|u| *u > 0.0);
     let places = u.map_or(4, |u| decimals(u) + 1);
     vec![
-        parameter.name.clone(),
+        parameter.name.to_string(),
         unit.to_owned(),
         fixed(factor * parameter.nominal, places),
         fixed(factor * parameter.identified, places),

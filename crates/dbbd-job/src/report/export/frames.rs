@@ -56,7 +56,7 @@ fn frame(variable: String, what: String, place: [&ParameterResult; 3]) -> Frame 
         nominal_mm: place.map(|coordinate| coordinate.nominal),
         identified_mm: place.map(|coordinate| coordinate.identified),
         corrections_mm: place.map(|coordinate| coordinate.identified - coordinate.nominal),
-        statuses: place.map(|coordinate| coordinate.status()),
+        statuses: place.map(|coordinate| coordinate.status),
         remarks: place.map(remark),
     }
 }

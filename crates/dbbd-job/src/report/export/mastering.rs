@@ -7,7 +7,8 @@ use serde::Serialize;
 
 use dbbd_model::base::FileFinding::Unwritable;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::result::{CalibrationResult, ParameterResult, Reason, Status};
+use dbbd_model::estimation::CompletedCalibration;
+use dbbd_model::estimation::result::{ParameterResult, Status};
 use dbbd_model::robot::{Joint, ParamId};
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -22,19 +23,19 @@ pub struct AxisOffset {
     pub remark: String,
 }
 
-pub fn offsets(result: &CalibrationResult) -> Vec<AxisOffset> {
+pub fn offsets(calibration: &CompletedCalibration) -> Vec<AxisOffset> {
     Joint::ALL
         .into_iter()
         .filter_map(|joint| {
-            let found = result.parameter(ParamId::Theta(joint))?;
-            let sign = result.robot.geometry.rows.get(joint.index())?.sign;
-            let identified = found.status() == Status::Identified;
+            let found = calibration.result.parameter(ParamId::Theta(joint))?;
+            let sign = calibration.robot.geometry.rows.get(joint.index())?.sign;
+            let identified = found.status == Status::Identified;
             Some(AxisOffset {
                 axis: joint.number(),
                 offset_deg: if identified { sign * found.correction.to_degrees() } else { 0.0 },
                 sd_deg: found.sd.filter(|_| identified).map(f64::to_degrees),
-                status: found.status(),
-                remark: match result.robot.geometry.coupling.of(joint) {
+                status: found.status,
+                remark: match calibration.robot.geometry.coupling.of(joint) {
                     Some(by) => format!("{}; of the joint, at A{}{by}", remark(found), joint.number()),
                     None => remark(found),
                 },
@@ -45,11 +46,11 @@ pub fn offsets(result: &CalibrationResult) -> Vec<AxisOffset> {
 
 /// A remark on a parameter's value by itself.
 pub(super) fn remark(found: &ParameterResult) -> String {
-    let reason = found.reason_text();
-    match (found.status(), &found.reason) {
-        (_, Reason::Identified) => "identified".into(),
-        (Status::Identified, _) => format!("identified, represents others as well: {reason}"),
-        (Status::Prior, _) => format!("not identified by the data alone: {reason}"),
+    let reason = &found.reason;
+    match found.status {
+        Status::Identified if reason.is_empty() => "identified".into(),
+        Status::Identified => format!("identified, represents others as well: {reason}"),
+        Status::SupportedByPrior => format!("not identified by the data alone: {reason}"),
         _ => format!("not identified: {reason}"),
     }
 }

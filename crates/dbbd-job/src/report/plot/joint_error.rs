@@ -2,8 +2,9 @@
 
 use super::frame::{Area, Frame, Labels};
 use super::{Key, Legend, Series};
-use crate::report::scale::{COVERAGE, Unit, magnitude, range};
+use crate::report::scale::{Unit, magnitude, range};
 use dbbd_model::estimation::JointPoint;
+use dbbd_model::math::distributions::COVERAGE_95;
 
 const SIZE: [f64; 2] = [480.0, 250.0];
 
@@ -30,7 +31,7 @@ pub(crate) fn joint_error(axis: usize, curve: &[JointPoint], measured_deg: &[f64
         frame.at(angle, ((value - mean) * unit.factor).clamp(-top, top))
     };
     let edge = |side: f64| {
-        seen.iter().map(move |point| (point.angle_deg, middle(point) + side * COVERAGE * point.sd))
+        seen.iter().map(move |point| (point.angle_deg, middle(point) + side * COVERAGE_95 * point.sd))
     };
     let band: Vec<[f64; 2]> =
         edge(1.0).chain(edge(-1.0).rev()).map(|(angle, value)| at(&frame, angle, value)).collect();

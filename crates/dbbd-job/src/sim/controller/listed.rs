@@ -5,9 +5,10 @@
 //! band and speed reproduce what one project found on its virtual controller of a maker whose `fine` ends a motion this way:
 //! an error of 1.3 mm without a wait, of 0.28 mm in position, and none at zero speed and 0.2 s later.
 
-use super::ProgramExecutor;
-use super::arm::{SimulatedArm, unsolved};
-use super::motion::{CommandedMotion, CommandedPath, FixedAxisTurn, SpeedProfile, ToolArc};
+use super::{
+    CommandedMotion, CommandedPath, FixedAxisTurn, ProgramExecutor, SimulatedArm, SpeedProfile, ToolArc,
+    unsolved,
+};
 use crate::program::ProgramFinding;
 use crate::program::listing::{Action, ActionKind, Move, Pace, Standstill};
 use crate::program::{self, Frames, Language, Listing, Target};
@@ -49,10 +50,7 @@ enum ListingActivity {
 pub(super) struct ListingExecutor {
     listing: Listing,
     arm: SimulatedArm,
-    /// Where the arm is, rad; `arm` has the command.
-    axes: [f64; AXES],
-    /// The speed of each axis, rad/s.
-    speed: [f64; AXES],
+    lagging: LaggingArm,
     t_s: f64,
     /// The override as a share.
     rate: f64,
@@ -60,30 +58,68 @@ pub(super) struct ListingExecutor {
     next: usize,
     activity: ListingActivity,
     ball: u32,
-    strobe: bool,
-    /// When a pulse of the strobe ends, s.
-    pulse_end_s: Option<f64>,
-    has_strobe: bool,
+    strobe: ListedStrobe,
     dwells: u32,
+}
+
+/// The arm that lags behind its command.
+#[derive(Clone, Debug)]
+struct LaggingArm {
+    /// Where it is, rad.
+    axes: [f64; AXES],
+    /// The speed of each axis, rad/s.
+    speed: [f64; AXES],
+}
+
+/// The output that marks the dwells.
+#[derive(Clone, Debug)]
+struct ListedStrobe {
+    /// Whether the program has one.
+    is_used: bool,
+    is_high: bool,
+    /// When a pulse ends, s.
+    pulse_end_s: Option<f64>,
+}
+
+impl LaggingArm {
+    /// Moves the arm after a command that went at constant speed from `from` to `to`, rad, within `took_s`.
+    fn follow(&mut self, from: &[f64; AXES], to: &[f64; AXES], took_s: f64) {
+        if took_s <= 0.0 {
+            return;
+        }
+        let decay = (-took_s / LAG_S).exp();
+        for i in 0..AXES {
+            let rate = (to[i] - from[i]) / took_s;
+            // The response of a first-order lag to a ramp.
+            let behind = from[i] - self.axes[i] - rate * LAG_S;
+            self.axes[i] = to[i] - rate * LAG_S - behind * decay;
+            self.speed[i] = (to[i] - self.axes[i]) / LAG_S;
+        }
+    }
+
+    /// Whether it is at rest at the command, rad.
+    fn is_at_rest(&self, command: &[f64; AXES], standstill: Standstill) -> bool {
+        (0..AXES).all(|i| match standstill {
+            Standstill::InPosition => (command[i] - self.axes[i]).abs() <= IN_POSITION,
+            Standstill::ZeroSpeed => self.speed[i].abs() <= ZERO_SPEED,
+        })
+    }
 }
 
 impl ListingExecutor {
     pub(super) fn new(listing: Listing, robot: &Robot, override_percent: f64) -> Self {
         let arm = SimulatedArm::at_home(robot, listing.language);
-        let has_strobe = listing.actions.iter().any(|action| matches!(action.kind, ActionKind::SetStrobe(_)));
+        let is_used = listing.actions.iter().any(|action| matches!(action.kind, ActionKind::SetStrobe(_)));
         Self {
-            axes: arm.axes,
+            lagging: LaggingArm { axes: arm.axes, speed: [0.0; AXES] },
             arm,
             listing,
-            speed: [0.0; AXES],
             t_s: 0.0,
             rate: override_percent / 100.0,
             next: 0,
             activity: ListingActivity::Ready,
             ball: 1,
-            strobe: false,
-            pulse_end_s: None,
-            has_strobe,
+            strobe: ListedStrobe { is_used, is_high: false, pulse_end_s: None },
             dwells: 0,
         }
     }
@@ -108,10 +144,10 @@ impl ListingExecutor {
             let from = self.arm.axes;
             let ended = self.proceed(left_s)?;
             let took_s = ended.unwrap_or(left_s);
-            self.follow(&from, took_s);
+            self.lagging.follow(&from, &self.arm.axes, took_s);
             self.t_s += took_s;
-            if self.pulse_end_s.is_some_and(|end_s| end_s <= self.t_s + 1e-9) {
-                (self.strobe, self.pulse_end_s) = (false, None);
+            if self.strobe.pulse_end_s.is_some_and(|end_s| end_s <= self.t_s + 1e-9) {
+                (self.strobe.is_high, self.strobe.pulse_end_s) = (false, None);
             }
             if ended.is_none() {
                 return Ok(());
@@ -134,7 +170,7 @@ impl ListingExecutor {
             }
             ListingActivity::Settling(standstill) => {
                 let standstill = *standstill;
-                Ok(self.is_at_rest(standstill).then_some(0.0))
+                Ok(self.lagging.is_at_rest(&self.arm.axes, standstill).then_some(0.0))
             }
             ListingActivity::Moving { motion, geometry, configuration } => {
                 let ended = self.arm.advance(motion, geometry, [left_s, rate])?;
@@ -152,29 +188,6 @@ impl ListingExecutor {
         }
     }
 
-    /// Moves the arm after a command that went at constant speed from `from` to its current position within `took_s`.
-    fn follow(&mut self, from: &[f64; AXES], took_s: f64) {
-        if took_s <= 0.0 {
-            return;
-        }
-        let decay = (-took_s / LAG_S).exp();
-        for i in 0..AXES {
-            let rate = (self.arm.axes[i] - from[i]) / took_s;
-            // The response of a first-order lag to a ramp.
-            let behind = from[i] - self.axes[i] - rate * LAG_S;
-            self.axes[i] = self.arm.axes[i] - rate * LAG_S - behind * decay;
-            self.speed[i] = (self.arm.axes[i] - self.axes[i]) / LAG_S;
-        }
-    }
-
-    fn is_at_rest(&self, standstill: Standstill) -> bool {
-        let off = |i: usize| (self.arm.axes[i] - self.axes[i]).abs();
-        (0..AXES).all(|i| match standstill {
-            Standstill::InPosition => off(i) <= IN_POSITION,
-            Standstill::ZeroSpeed => self.speed[i].abs() <= ZERO_SPEED,
-        })
-    }
-
     fn begin_action(&mut self) -> Result<(), ProgramFinding> {
         let Some(action) = self.listing.actions.get(self.next) else {
             self.activity = ListingActivity::Done;
@@ -185,7 +198,7 @@ impl ListingExecutor {
         match kind {
             ActionKind::SelectBall(ball) => self.ball = ball,
             ActionKind::Wait(seconds) => {
-                self.dwells += u32::from(!self.has_strobe && self.has_settled());
+                self.dwells += u32::from(!self.strobe.is_used && self.has_settled());
                 self.activity = ListingActivity::Waiting(self.t_s + seconds.max(0.0));
             }
             ActionKind::WaitForStandstill(standstill) => {
@@ -193,10 +206,10 @@ impl ListingExecutor {
             }
             ActionKind::SetStrobe(level) => {
                 self.dwells += u32::from(level && self.has_settled());
-                (self.strobe, self.pulse_end_s) = (level, None);
+                (self.strobe.is_high, self.strobe.pulse_end_s) = (level, None);
             }
             ActionKind::PulseStrobe(seconds) => {
-                (self.strobe, self.pulse_end_s) = (true, Some(self.t_s + seconds))
+                (self.strobe.is_high, self.strobe.pulse_end_s) = (true, Some(self.t_s + seconds))
             }
             ActionKind::Halt => self.activity = ListingActivity::Halted,
             ActionKind::Move(motion) => self.activity = self.begin_motion(&motion)?,
@@ -317,9 +330,9 @@ impl ProgramExecutor for ListingExecutor {
     fn moment(&self) -> ControllerMoment {
         ControllerMoment {
             t_s: self.t_s,
-            axes: self.axes,
+            axes: self.lagging.axes,
             centre: self.ball,
-            strobe: self.strobe,
+            strobe: self.strobe.is_high,
             motions: self.arm.motions,
             halted: matches!(self.activity, ListingActivity::Halted),
             done: matches!(self.activity, ListingActivity::Done),
@@ -348,4 +361,56 @@ impl ProgramExecutor for ListingExecutor {
 fn tool_point(frames: &Frames, xyz_mm: [f64; 3], abc_deg: [f64; 3]) -> Pose {
     let tool = frames.base.then(&Pose::from_kuka(xyz_mm, abc_deg));
     Pose { rotation: tool.rotation * frames.tool.rotation.transpose(), position: tool.position }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn executor() -> ListingExecutor {
+        let robot = Robot::by_name("ur10e").expect("it is built in").expect("its file can be read");
+        let text =
+            crate::program::urscript::open(("p.script".into(), "def p():\n  sleep(1.0)\nend\n".into()));
+        ListingExecutor::new(text.expect("it is a program"), &robot, 100.0)
+    }
+
+    /// A first-order lag T answers a ramp of the rate v with v (t - T (1 - exp(-t / T))), T = 0.08 s, and its speed is
+    /// v (1 - exp(-t / T)); afterwards both decay with T.
+    #[test]
+    fn arm_lags_behind_its_command() {
+        let (rate, start) = (0.5, [0.2; AXES]);
+        let mut arm = LaggingArm { axes: start, speed: [0.0; AXES] };
+        let mut command = start;
+        command[0] += rate * 0.04;
+        arm.follow(&start, &command, 0.04);
+        let decay = (-0.5_f64).exp();
+        assert!((arm.axes[0] - start[0] - rate * (0.04 - 0.08 * (1.0 - decay))).abs() < 1e-12);
+        assert!((arm.speed[0] - rate * (1.0 - decay)).abs() < 1e-12);
+        assert!((arm.axes[1] - start[1]).abs() < 1e-12);
+        let behind = command[0] - arm.axes[0];
+        arm.follow(&command, &command, 0.08);
+        assert!((command[0] - arm.axes[0] - behind * (-1.0_f64).exp()).abs() < 1e-12);
+        assert!((arm.speed[0] - (command[0] - arm.axes[0]) / 0.08).abs() < 1e-12);
+    }
+
+    #[test]
+    fn arm_is_at_rest_within_its_band_or_at_zero_speed() {
+        let command = [0.2; AXES];
+        for (off, speed, in_position, zero_speed) in
+            [(0.0, 0.0, true, true), (2.7e-4, 1.8e-4, true, false), (-2.9e-4, -1.7e-4, false, true)]
+        {
+            let mut arm = LaggingArm { axes: command, speed: [0.0; AXES] };
+            (arm.axes[3], arm.speed[3]) = (command[3] + off, speed);
+            assert_eq!(arm.is_at_rest(&command, Standstill::InPosition), in_position, "{off}");
+            assert_eq!(arm.is_at_rest(&command, Standstill::ZeroSpeed), zero_speed, "{speed}");
+        }
+    }
+
+    #[test]
+    fn program_waits_and_ends() {
+        let mut executor = executor();
+        assert!(!executor.step(0.9).expect("it is possible").done);
+        assert!(executor.step(0.2).expect("it is possible").done);
+        assert!((executor.moment().t_s - 1.1).abs() < 1e-12);
+    }
 }

@@ -57,10 +57,10 @@ pub(super) fn all(trial: &Trial<'_>) -> Vec<Candidate> {
     add(FurtherMeasurement::Wrist { degrees: MORE_DEG }, None, cell.wrist());
     for place in cell.places() {
         let poses = cell.about(place, further, cell.radius, &upright);
-        add(FurtherMeasurement::Ball { at_mm: place.into() }, Some(place), poses);
+        add(FurtherMeasurement::Ball { ball_mm: place.into() }, Some(place), poses);
     }
     if let Some((ball, poses)) = cell.turned(further) {
-        add(FurtherMeasurement::TurnedBall { at_mm: ball.into() }, Some(ball), Some(poses));
+        add(FurtherMeasurement::TurnedBall { ball_mm: ball.into() }, Some(ball), Some(poses));
     }
     for share in BARS {
         let length_mm = (cell.radius * share / ROUND_MM).round().max(1.0) * ROUND_MM;

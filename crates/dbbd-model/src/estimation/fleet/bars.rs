@@ -76,9 +76,9 @@ pub(super) fn histories(
         }
     };
     let history = |(bar, name): (usize, &String)| {
-        let own_jump = |column: &Column| match *column {
-            Column::Jump(own, from) if own == bar => Some(jump(bar, from)),
-            _ => None,
+        let own_jump = |column: &Column| {
+            let Column::Jump(own, from) = *column else { return None };
+            (own == bar).then(|| jump(bar, from))
         };
         let now = |at: usize, _| columns[at].value((bar, last), first);
         BarHistory {

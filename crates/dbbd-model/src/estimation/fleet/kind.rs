@@ -93,9 +93,12 @@ pub(super) fn kinds(runs: &[RunPosterior]) -> Vec<Kind> {
 /// bar (last). `None` if the run has no bar offset or its covariance is singular.
 pub(super) fn information(run: &RunPosterior, kind: &Kind) -> Option<(DMatrix<f64>, DVector<f64>)> {
     let count = kind.count();
-    let place = |id: &ParamId| match id {
-        ParamId::BarOffset(_) => Some(count),
-        _ => kind.ids.iter().position(|own| own == id),
+    let place = |id: &ParamId| {
+        if matches!(id, ParamId::BarOffset(_)) {
+            Some(count)
+        } else {
+            kind.ids.iter().position(|own| own == id)
+        }
     };
     // The index in the run, the index in the result, and the scale of each parameter.
     let kept: Vec<(usize, usize, f64)> = (run.ids.iter().enumerate())

@@ -152,3 +152,124 @@ pub fn from_quadrants(robot: &Robot, ball: &Pose, wanted: [i32; 4]) -> Result<[f
         })
         .ok_or_else(|| Unsolved::NoSuchQuadrants { wanted: format!("{wanted:?}") })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn robot(name: &str) -> Robot {
+        Robot::by_name(name).unwrap().unwrap()
+    }
+
+    const fn deg(degrees: f64) -> f64 {
+        degrees * std::f64::consts::PI / 180.0
+    }
+
+    /// KUKA's turn: one bit for each negative axis.
+    #[test]
+    fn turn_has_a_bit_for_each_negative_axis() {
+        assert_eq!(turn(&[0.0, -0.1, 0.1, -7.0, -1e-9, 3.0]), 0b00_1010);
+        assert_eq!(turn(&[-0.1, 0.1, 0.1, 0.1, 0.1, -2e-8]), 0b10_0001);
+    }
+
+    /// The KR 60 HA is stretched where the forearm goes on from the upper arm: A3 = atan(145 / 820) = 10.03 degrees.
+    #[test]
+    fn status_has_the_bits_of_wrist_centre_elbow_and_flip() {
+        let geometry = robot("kr60ha").geometry;
+        let base = [0.0, -90.0, 90.0, 0.0, 45.0, 0.0];
+        for (change, bits) in [
+            (&[][..], 0b010),
+            (&[(4, -45.0)], 0b110),
+            (&[(4, 0.0)], 0b010),
+            // Leaning back by far brings the wrist centre behind axis 1.
+            (&[(1, -130.0), (2, 20.0)], 0b011),
+            (&[(1, -130.0), (2, 0.0)], 0b001),
+            (&[(2, 10.2)], 0b010),
+            (&[(2, 9.9)], 0b000),
+        ] {
+            let mut axes = base;
+            change.iter().for_each(|(axis, value)| axes[*axis] = *value);
+            assert_eq!(status(&geometry, &axes.map(deg)), bits, "{axes:?}");
+        }
+    }
+
+    #[test]
+    fn clearance_is_the_angle_from_straight_and_the_distance_from_axis_1() {
+        let geometry = robot("kr60ha").geometry;
+        let stretched = 145f64.atan2(820.0);
+        let axes = [0.4, deg(-90.0), stretched + 0.3, 1.0, -0.2, 0.7];
+        let found = clearance(&geometry, &axes).unwrap();
+        assert!((found.wrist - 0.2).abs() < 1e-12 && (found.elbow - 0.3).abs() < 1e-12, "{found:?}");
+        // The arm is upright: the wrist is 350 + hypot(145, 820) sin(0.3) in front of axis 1.
+        let overhead = 350.0 + 145f64.hypot(820.0) * 0.3f64.sin();
+        assert!((found.overhead - overhead).abs() < 1e-9, "{found:?} {overhead}");
+        assert!(clearance(&robot("crx10ia").geometry, &axes).is_none());
+    }
+
+    #[test]
+    fn turns_are_all_those_within_the_limits() {
+        let robot = robot("kr60ha");
+        // Axes 4 and 6 go from -350 to 350 degrees, the others less than a turn.
+        let axes = [10.0, -60.0, 80.0, 100.0, 30.0, -20.0].map(deg);
+        let found = turns_within(&axes, &robot);
+        assert_eq!(found.len(), 4);
+        let of = |axis: usize| found.iter().map(move |axes| axes[axis].to_degrees().round() as i32);
+        let (mut fourth, mut sixth): (Vec<i32>, Vec<i32>) = (of(3).collect(), of(5).collect());
+        fourth.sort_unstable();
+        sixth.sort_unstable();
+        assert_eq!((fourth, sixth), (vec![-260, -260, 100, 100], vec![-20, -20, 340, 340]));
+        assert!(turns_within(&[0.0, deg(60.0), 0.0, 0.0, 0.0, 0.0], &robot).is_empty());
+        assert_eq!(
+            turns_within(&[0.0, deg(35.0), 0.0, deg(5.0), 0.0, 0.0], &robot).len(),
+            1,
+            "a limit is within"
+        );
+    }
+
+    #[test]
+    fn status_and_turn_choose_the_axes_of_a_pose() {
+        let robot = robot("kr60ha");
+        for axes_deg in [
+            [10.0, -60.0, 80.0, 100.0, 30.0, -20.0],
+            [10.0, -60.0, 80.0, -260.0, 30.0, 340.0],
+            [-100.0, -100.0, 60.0, 20.0, -50.0, 200.0],
+        ] {
+            let axes = axes_deg.map(deg);
+            let ball = robot.geometry.ball(&axes);
+            let found = from_status_turn(&robot, &ball, status(&robot.geometry, &axes), turn(&axes)).unwrap();
+            assert!(crate::robot::max_axis_difference(&found, &axes) < 1e-9, "{axes_deg:?}");
+            // Bits of S above 2 do not matter.
+            assert!(from_status_turn(&robot, &ball, status(&robot.geometry, &axes) | 8, turn(&axes)).is_ok());
+        }
+        let ball = robot.geometry.ball(&[10.0, -60.0, 80.0, 100.0, 30.0, -20.0].map(deg));
+        let wrong = from_status_turn(&robot, &ball, 2, 0b01_0010);
+        assert!(
+            matches!(wrong, Err(Unsolved::NoSuchConfiguration { status: 2, turn: 0b01_0010 })),
+            "{wrong:?}"
+        );
+    }
+
+    /// RAPID reference, confdata: quadrant 0 is 0 to 90 degrees, -1 is -90 to 0.
+    #[test]
+    fn quadrants_are_abbs_configuration() {
+        let robot = robot("irb120");
+        let axes = [-10.0, 20.0, 10.0, 100.0, 40.0, -100.0].map(deg);
+        assert_eq!(quadrants(&robot.geometry, &axes), [-1, 1, -2, 0]);
+        let mut flipped = axes;
+        flipped[4] = deg(-40.0);
+        assert_eq!(quadrants(&robot.geometry, &flipped), [-1, 1, -2, 1]);
+        let ball = robot.geometry.ball(&axes);
+        let found = from_quadrants(&robot, &ball, [-1, 1, -2, 0]).unwrap();
+        assert!(crate::robot::max_axis_difference(&found, &axes) < 1e-9);
+        assert!(matches!(
+            from_quadrants(&robot, &ball, [3, 1, -2, 0]),
+            Err(Unsolved::NoSuchQuadrants { .. })
+        ));
+        // An axis on a border has both quadrants.
+        let border = [0.0, 20.0, 10.0, 90.0, 40.0, -90.0].map(deg);
+        let ball = robot.geometry.ball(&border);
+        for wanted in [[0, 1, -1, 0], [-1, 0, -2, 0]] {
+            assert!(from_quadrants(&robot, &ball, wanted).is_ok(), "{wanted:?}");
+        }
+    }
+}

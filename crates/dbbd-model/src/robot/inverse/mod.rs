@@ -85,3 +85,85 @@ fn wrapped(angle: f64) -> f64 {
     let angle = angle - TAU * (angle / TAU).round();
     if angle <= -std::f64::consts::PI { angle + TAU } else { angle }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    use crate::robot::Robot;
+
+    fn geometry(name: &str) -> Geometry {
+        Robot::by_name(name).unwrap().unwrap().geometry
+    }
+
+    #[test]
+    fn angles_are_wrapped_to_half_a_turn_and_unwound_to_a_neighbour() {
+        for (angle, expected) in [(0.5, 0.5), (PI, PI), (-PI, PI), (4.0, 4.0 - TAU), (-9.0, -9.0 + TAU)] {
+            assert!((wrapped(angle) - expected).abs() < 1e-12, "{angle}");
+        }
+        let axes = unwound(&[3.0, -3.0, 0.0, 7.0, 0.1, -6.0], &[-3.0, 3.0, 0.0, 0.5, 6.4, 0.0]);
+        let expected = [3.0 - TAU, -3.0 + TAU, 0.0, 7.0 - TAU, 0.1 + TAU, -6.0 + TAU];
+        assert!(max_axis_difference(&axes, &expected) < 1e-12, "{axes:?}");
+    }
+
+    /// A spherical wrist has two shoulders, two elbows and two flips; so have three parallel axes.
+    #[test]
+    fn all_eight_branches_reach_the_pose() {
+        for (name, axes) in [
+            ("kr60ha", [0.3, -1.9, 2.0, 0.4, 0.9, -0.5]),
+            ("irb120", [-0.6, 0.3, 0.2, 1.0, -0.8, 0.7]),
+            ("ur10e", [0.4, -1.3, 1.4, -0.7, 1.1, 0.2]),
+        ] {
+            let geometry = geometry(name);
+            let ball = geometry.ball(&axes);
+            let found = branches(&geometry, &ball).unwrap();
+            assert_eq!(found.len(), 8, "{name}");
+            for branch in &found {
+                let there = geometry.ball(branch);
+                assert!((there.position - ball.position).norm() < 1e-8, "{name} {branch:?}");
+                assert!(there.angle_to(&ball) < 1e-9, "{name} {branch:?}");
+                assert!(branch.iter().all(|angle| *angle > -PI && *angle <= PI));
+            }
+            assert!(found.iter().any(|branch| max_axis_difference(branch, &axes) < 1e-9), "{name}");
+            let different = |a: usize, b: usize| max_axis_difference(&found[a], &found[b]) > 1e-3;
+            assert!((0..8).all(|a| (0..a).all(|b| different(a, b))), "{name}");
+        }
+    }
+
+    #[test]
+    fn nearest_keeps_branch_and_turn() {
+        for name in ["kr60ha", "ur10e", "crx10ia"] {
+            let geometry = geometry(name);
+            let axes = [0.3, -1.2, 1.5, 0.4 + TAU, 0.9, -0.5 - TAU];
+            let near = axes.map(|angle| angle + 0.02);
+            let found = nearest(&geometry, &geometry.ball(&axes), &near).unwrap();
+            assert!(max_axis_difference(&found, &axes) < 1e-8, "{name} {found:?}");
+        }
+    }
+
+    #[test]
+    fn an_arm_with_errors_is_solved_to_the_last_nanometre() {
+        let mut geometry = geometry("kr60ha");
+        geometry.rows[2].beta = 2e-3;
+        geometry.rows[4].a = 0.3;
+        geometry.rows[3].alpha += 1e-3;
+        let axes = [0.3, -1.9, 2.0, 0.4, 0.9, -0.5];
+        let ball = geometry.ball(&axes);
+        let found = branches(&geometry, &ball).unwrap();
+        assert_eq!(found.len(), 8);
+        assert!(found.iter().all(|branch| (geometry.ball(branch).position - ball.position).norm() < 1e-8));
+        assert!(found.iter().any(|branch| max_axis_difference(branch, &axes) < 1e-9));
+        let start = axes.map(|angle| angle - 0.05);
+        assert!(max_axis_difference(&numeric(&geometry, &ball, &start).unwrap(), &axes) < 1e-9);
+    }
+
+    #[test]
+    fn poses_beyond_the_arm_are_refused() {
+        let geometry = geometry("kr60ha");
+        let far = Pose { position: nalgebra::Vector3::new(5000.0, 0.0, 0.0), ..Pose::identity() };
+        assert!(matches!(branches(&geometry, &far), Err(Unsolved::OutOfReach)));
+        assert!(matches!(nearest(&geometry, &far, &[0.0; AXES]), Err(Unsolved::OutOfReach)));
+        assert!(matches!(numeric(&geometry, &far, &[0.1; AXES]), Err(Unsolved::NotConverged { .. })));
+    }
+}

@@ -30,10 +30,10 @@ impl FrameKind {
         }
     }
 
-    pub(super) fn option(self) -> &'static str {
+    pub(super) fn stated(self) -> &'static str {
         match self {
-            Self::Tool => "--tool",
-            Self::Base => "--base",
+            Self::Tool => "the given tool",
+            Self::Base => "the given base",
         }
     }
 
@@ -179,9 +179,10 @@ impl Definitions<'_> {
         let mut parser = line.parser(self.file)?;
         parser.tokens.advance();
         parser.tokens.expect("(")?;
-        let kind = match parser.tokens.peek() {
-            Token::Enum(command) if command == "TOOL" => FrameKind::Tool,
-            Token::Enum(command) if command == "BASE" => FrameKind::Base,
+        let Token::Enum(command) = parser.tokens.peek() else { return Ok(false) };
+        let kind = match command.as_str() {
+            "TOOL" => FrameKind::Tool,
+            "BASE" => FrameKind::Base,
             _ => return Ok(false),
         };
         parser.tokens.advance();
@@ -229,7 +230,14 @@ impl Definitions<'_> {
             ExpressionKind::Aggregate(_) => self.known(&expression, kind.name(), &expression.span).map(Ok),
             ExpressionKind::Place(place) if place.name == "$NULLFRAME" => Ok(Ok(Pose::identity())),
             ExpressionKind::Place(place) => self.named(kind, place),
-            _ => Ok(self.computed(kind, &expression.span)),
+            ExpressionKind::Int(_)
+            | ExpressionKind::Real(_)
+            | ExpressionKind::Bool(_)
+            | ExpressionKind::Enum(_)
+            | ExpressionKind::Text(_)
+            | ExpressionKind::Call { .. }
+            | ExpressionKind::Unary(..)
+            | ExpressionKind::Binary(..) => Ok(self.computed(kind, &expression.span)),
         }
     }
 

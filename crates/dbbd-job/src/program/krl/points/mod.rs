@@ -288,7 +288,16 @@ impl<'a> Reader<'a> {
                 return Ok(vec![self.program.points.len() - 1]);
             }
             ExpressionKind::Place(place) => place,
-            _ => return Err(file.wrong(&target.span, CompensationFinding::PointExpression)),
+            ExpressionKind::Int(_)
+            | ExpressionKind::Real(_)
+            | ExpressionKind::Bool(_)
+            | ExpressionKind::Enum(_)
+            | ExpressionKind::Text(_)
+            | ExpressionKind::Call { .. }
+            | ExpressionKind::Unary(..)
+            | ExpressionKind::Binary(..) => {
+                return Err(file.wrong(&target.span, CompensationFinding::PointExpression));
+            }
         };
         if let Some(assignment) = self.definitions.variables.get(&place.name) {
             let line = file.line(assignment.start);
@@ -362,18 +371,20 @@ impl<'a> Reader<'a> {
             file.wrong(&value.span, CompensationFinding::PointIncomplete { name: name.into(), why })
         };
         let target = constant_target(value).map_err(|fault| incomplete(fault.finding.to_string()))?;
-        let span = |name: &str| match &value.kind {
-            ExpressionKind::Aggregate(fields) => {
+        let span = |name: &str| {
+            if let ExpressionKind::Aggregate(fields) = &value.kind {
                 fields.iter().find(|field| field.name == name).map(|field| field.value.span.clone())
+            } else {
+                None
             }
-            _ => None,
         };
-        let number = |name: &str| match &value.kind {
-            ExpressionKind::Aggregate(fields) => {
+        let number = |name: &str| {
+            if let ExpressionKind::Aggregate(fields) = &value.kind {
                 let field = fields.iter().find(|field| field.name == name)?;
                 field.value.constant().ok()?.number().ok()
+            } else {
+                None
             }
-            _ => None,
         };
         let names = if matches!(target, Target::Axes(_)) { AXIS_NAMES } else { POSE_NAMES };
         let [Some(a), Some(b), Some(c), Some(d), Some(e), Some(f)] = names.map(span) else {
@@ -405,13 +416,13 @@ impl<'a> Reader<'a> {
         let (at, active) = (kind as usize, &current.frames[kind as usize]);
         let (given, given_for) = ([self.given.tool, self.given.base][at], &mut self.given_for[at]);
         let wrong = |finding: CompensationFinding| self.files.source.wrong(&current.line.span, finding);
-        let option = kind.option();
+        let stated = kind.stated();
         match (active, given) {
             (Ok(pose), None) => Ok(*pose),
             (Ok(pose), Some(given)) => {
                 let off = (pose.position - given.position).norm() + (pose.rotation - given.rotation).norm();
                 if off > SAME {
-                    return Err(wrong(CompensationFinding::FrameDiffers { frame: kind.name(), option }));
+                    return Err(wrong(CompensationFinding::FrameDiffers { frame: kind.name(), stated }));
                 }
                 Ok(*pose)
             }
@@ -419,7 +430,7 @@ impl<'a> Reader<'a> {
             (Err(why), Some(given)) => match given_for {
                 Some(before) if before != why => {
                     let (first, second) = (before.to_string(), why.to_string());
-                    Err(wrong(CompensationFinding::TwoFrames { option, first, second }))
+                    Err(wrong(CompensationFinding::TwoFrames { stated, first, second }))
                 }
                 _ => {
                     *given_for = Some(why.clone());

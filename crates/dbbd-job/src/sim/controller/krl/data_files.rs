@@ -1,7 +1,6 @@
 //! The `.dat` files: loaded before the program starts, saved with what it has assigned.
 
-use super::Interpreter;
-use super::memory::{KrlSignal, KrlVariable, SIGNALS};
+use super::{Interpreter, KrlSignal, KrlVariable, SIGNALS};
 use crate::program::ProgramFinding;
 use crate::program::krl::evaluate::{At, Fault};
 use crate::program::krl::syntax::{Data, DataItem, Declaration, Declared, Expression, Part, Place};
@@ -94,10 +93,10 @@ fn saved<'v>(data: &Data, variable: impl Fn(&str) -> Option<&'v KrlVariable>) ->
     let is_assigned = |name: &str, element: usize| {
         data.items.iter().any(|item| match item {
             DataItem::Value { target, .. } => {
-                let index = target.parts.first().and_then(|part| match part {
-                    Part::Element(index) => index.index(),
-                    _ => None,
-                });
+                let index = target
+                    .parts
+                    .first()
+                    .and_then(|part| if let Part::Element(index) = part { index.index() } else { None });
                 target.name == name && index.is_none_or(|index| usize::try_from(index) == Ok(element))
             }
             DataItem::Declaration(_) => false,

@@ -3,10 +3,9 @@
 //! The controller itself has no network: the caller takes telegrams from it and passes answers to it (see
 //! [`crate::sim::controller::ProgramExecutor`]).
 
-use std::collections::VecDeque;
 use std::fmt::Write;
 
-use super::Interpreter;
+use super::{EkrlChannel, Interpreter};
 use crate::program::ProgramFinding;
 use crate::program::krl::evaluate::{At, Fault};
 use crate::program::krl::syntax::{Expression, ExpressionKind, Span};
@@ -15,17 +14,6 @@ use crate::program::krl::value::{Type, Value};
 /// Numbers of the flags in the configuration of the channel.
 const CONNECTED: usize = 1;
 const ANSWERED: usize = 2;
-
-#[derive(Clone, Debug, Default)]
-pub(super) struct EkrlChannel {
-    /// Whether telegrams are carried to a server.
-    pub(super) is_linked: bool,
-    pub(super) is_open: bool,
-    /// Values by path, in the order of their first assignment.
-    values: Vec<(String, String)>,
-    pub(super) sent: VecDeque<String>,
-    answers: VecDeque<i64>,
-}
 
 impl Interpreter {
     /// Receives the `Id` of an answer.

@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use super::memory::{KrlVariable, KrlVariables, SIGNALS};
-use super::{Interpreter, KrlActivity, OutputPulse};
+use super::{
+    ExecutionLevel, Interpreter, KrlActivity, KrlVariable, KrlVariables, LevelKind, OutputPulse, SIGNALS,
+};
 use crate::program::MotionKind;
 use crate::program::ProgramFinding;
 use crate::program::krl::evaluate::{At, Fault, Scope};
 use crate::program::krl::syntax::{
-    Block, Declaration, Expression, ExpressionKind, Move, Part, Place, Routine, Span, Statement,
-    StatementKind,
+    Declaration, Expression, ExpressionKind, Move, Part, Place, Routine, Span, Statement, StatementKind,
 };
 use crate::program::krl::value::{Type, Value};
 
@@ -18,53 +18,6 @@ const IMMEDIATE: usize = 100_000;
 /// Most calls and blocks inside each other.
 const DEPTH: usize = 200;
 
-/// A block that is being executed, with the index of its next statement.
-#[derive(Clone, Debug)]
-pub(super) struct ExecutionLevel {
-    block: Block,
-    next: usize,
-    kind: LevelKind,
-}
-
-/// What follows the end of a block.
-#[derive(Clone, Debug)]
-enum LevelKind {
-    /// The caller.
-    Routine { module: usize, locals: KrlVariables },
-    /// The statement after the block.
-    Plain,
-    /// The start of the block.
-    Loop,
-    /// The start of the block while the condition is true.
-    While(Expression),
-    /// The start of the block until the counter is past `last`.
-    For { counter: Place, last: i64, step: i64 },
-}
-
-impl ExecutionLevel {
-    pub(super) fn routine(module: usize, routine: &Routine, locals: KrlVariables) -> Self {
-        Self { block: Arc::clone(&routine.body), next: 0, kind: LevelKind::Routine { module, locals } }
-    }
-
-    fn block(block: &Block, kind: LevelKind) -> Self {
-        Self { block: Arc::clone(block), next: 0, kind }
-    }
-
-    pub(super) fn module(&self) -> Option<usize> {
-        match self.kind {
-            LevelKind::Routine { module, .. } => Some(module),
-            _ => None,
-        }
-    }
-
-    pub(super) fn locals_mut(&mut self) -> Option<&mut KrlVariables> {
-        match &mut self.kind {
-            LevelKind::Routine { locals, .. } => Some(locals),
-            _ => None,
-        }
-    }
-}
-
 impl Interpreter {
     /// Executes statements until one takes time or the program ends.
     pub(super) fn execute(&mut self) -> Result<(), Fault> {
@@ -72,7 +25,7 @@ impl Interpreter {
             if !matches!(self.activity, KrlActivity::Ready) {
                 return Ok(());
             }
-            let Some(level) = self.levels.last_mut() else {
+            let Some(level) = self.calls.levels.last_mut() else {
                 self.activity = KrlActivity::Done;
                 return Ok(());
             };
@@ -80,17 +33,17 @@ impl Interpreter {
             match block.get(level.next) {
                 Some(statement) => {
                     level.next += 1;
-                    self.at = (self.module(), statement.span.clone());
+                    self.calls.at = (self.module(), statement.span.clone());
                     self.statement(statement)?;
                 }
                 None => self.end_of_block()?,
             }
         }
-        Err(Fault::new(&self.at.1, ProgramFinding::NeverWaits))
+        Err(Fault::new(&self.calls.at.1, ProgramFinding::NeverWaits))
     }
 
     fn end_of_block(&mut self) -> Result<(), Fault> {
-        let Some(kind) = self.levels.last().map(|level| level.kind.clone()) else { return Ok(()) };
+        let Some(kind) = self.calls.levels.last().map(|level| level.kind.clone()) else { return Ok(()) };
         let is_repeated = match &kind {
             LevelKind::Routine { .. } | LevelKind::Plain => false,
             LevelKind::Loop => true,
@@ -102,10 +55,10 @@ impl Interpreter {
                 within(value, *last, *step)
             }
         };
-        match self.levels.last_mut() {
+        match self.calls.levels.last_mut() {
             Some(level) if is_repeated => level.next = 0,
             _ => {
-                self.levels.pop();
+                self.calls.levels.pop();
                 self.select_ball(self.module());
             }
         }
@@ -124,10 +77,10 @@ impl Interpreter {
 
     /// Begins a block.
     fn push(&mut self, level: ExecutionLevel) -> Result<(), ProgramFinding> {
-        if self.levels.len() >= DEPTH {
+        if self.calls.levels.len() >= DEPTH {
             return Err(ProgramFinding::NestedTooDeeply { most: DEPTH });
         }
-        self.levels.push(level);
+        self.calls.levels.push(level);
         Ok(())
     }
 
@@ -147,7 +100,7 @@ impl Interpreter {
             StatementKind::Pulse { output, level, seconds } => self.pulse(output, level, seconds)?,
             StatementKind::Halt => self.activity = KrlActivity::Halted,
             StatementKind::Return => {
-                while self.levels.pop().is_some_and(|level| level.module().is_none()) {}
+                while self.calls.levels.pop().is_some_and(|level| level.module().is_none()) {}
                 self.select_ball(self.module());
             }
             StatementKind::Exit => self.exit().at(span)?,
@@ -194,7 +147,7 @@ impl Interpreter {
     /// Leaves the innermost `LOOP`.
     fn exit(&mut self) -> Result<(), ProgramFinding> {
         loop {
-            match self.levels.pop().map(|level| level.kind) {
+            match self.calls.levels.pop().map(|level| level.kind) {
                 Some(LevelKind::Loop) => return Ok(()),
                 Some(LevelKind::Routine { .. }) | None => return Err(ProgramFinding::ExitOutsideLoop),
                 Some(_) => {}
@@ -330,6 +283,12 @@ fn mentions(expression: &Expression, name: &str) -> bool {
         ExpressionKind::Place(place) => place.name == name,
         ExpressionKind::Unary(_, operand) => mentions(operand, name),
         ExpressionKind::Binary(_, left, right) => mentions(left, name) || mentions(right, name),
-        _ => false,
+        ExpressionKind::Int(_)
+        | ExpressionKind::Real(_)
+        | ExpressionKind::Bool(_)
+        | ExpressionKind::Enum(_)
+        | ExpressionKind::Text(_)
+        | ExpressionKind::Aggregate(_)
+        | ExpressionKind::Call { .. } => false,
     }
 }

@@ -1,8 +1,6 @@
 //! The variables of the controller: of the system, of each module, and of each routine that is being executed.
 
-use std::collections::BTreeMap;
-
-use super::Interpreter;
+use super::{Interpreter, KrlSignal, KrlVariable, KrlVariables, SIGNALS};
 use crate::program::ProgramFinding;
 use crate::program::krl::evaluate::{AXIS_NAMES, At, Fault, POSE_NAMES, Scope};
 use crate::program::krl::syntax::{Expression, Part, Place, Span};
@@ -10,47 +8,8 @@ use crate::program::krl::value::{APPROXIMATE, FRAME_TYPE, LOAD_TYPE, PATH, Type,
 use dbbd_model::diagnostic::nearest;
 use dbbd_model::robot::AXES;
 
-/// Digital inputs and outputs.
-pub(super) const SIGNALS: usize = 4096;
 /// `$FLAG[n]`
 const FLAGS: usize = 1024;
-
-#[derive(Clone, Debug)]
-pub(super) struct KrlVariable {
-    /// Of an array, the type of its elements.
-    pub(super) kind: Type,
-    pub(super) value: Value,
-}
-
-impl KrlVariable {
-    pub(super) fn new(kind: Type, elements: Option<usize>) -> Self {
-        let value = match elements {
-            // A text is one value, whatever the length of its array.
-            Some(_) if kind == Type::Char => Value::Unset,
-            Some(elements) => Value::Array(vec![kind.unset(); elements]),
-            None => kind.unset(),
-        };
-        Self { kind, value }
-    }
-}
-
-/// Variables by name.
-pub(super) type KrlVariables = BTreeMap<String, KrlVariable>;
-
-/// The first and the last output (or input) of a SIGNAL, from 1.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct KrlSignal {
-    pub(super) is_output: bool,
-    pub(super) first: usize,
-    pub(super) last: usize,
-}
-
-/// What the `.dat` of a module declares.
-#[derive(Clone, Debug, Default)]
-pub(super) struct ModuleMemory {
-    pub(super) variables: KrlVariables,
-    pub(super) signals: BTreeMap<String, KrlSignal>,
-}
 
 /// The system variables with their initial values.
 pub(super) fn system() -> KrlVariables {
@@ -140,10 +99,11 @@ impl Scope for Interpreter {
             Some(variable) => variable,
             None => self.variable(&place.name).at(&place.span)?,
         };
-        match part(variable, &steps).at(&place.span)?.0 {
-            Value::Unset => Err(Fault::new(&place.span, ProgramFinding::NotSet { name: place.name.clone() })),
-            value => Ok(value.clone()),
+        let value = &*part(variable, &steps).at(&place.span)?.0;
+        if matches!(value, Value::Unset) {
+            return Err(Fault::new(&place.span, ProgramFinding::NotSet { name: place.name.clone() }));
         }
+        Ok(value.clone())
     }
 
     fn call(&mut self, name: &str, arguments: &[Expression], span: &Span) -> Result<Value, Fault> {
@@ -185,8 +145,8 @@ impl Interpreter {
         if place.name == "$OV_PRO" && !(0..=100).contains(&stored.int()?) {
             return Err(ProgramFinding::NotPercent { value: stored.number()? });
         }
-        if place.name == "XQ" && self.strobe.is_none() {
-            self.dwells = self.dwells.saturating_add(1);
+        if place.name == "XQ" && self.dwells.strobe.is_none() {
+            self.dwells.count = self.dwells.count.saturating_add(1);
         }
         Ok(())
     }
@@ -194,7 +154,7 @@ impl Interpreter {
     /// A variable of the routine, of the module's `.dat`, or of the system.
     fn variable(&mut self, name: &str) -> Result<&mut KrlVariable, ProgramFinding> {
         let module = self.module();
-        let locals = self.levels.iter_mut().rev().find_map(|level| level.locals_mut());
+        let locals = self.calls.levels.iter_mut().rev().find_map(|level| level.locals_mut());
         if let Some(variable) = locals.and_then(|locals| locals.get_mut(name)) {
             return Ok(variable);
         }
@@ -249,8 +209,8 @@ impl Interpreter {
         }
         if signal.first == signal.last {
             let level = value.bool()?;
-            if self.strobe == Some(signal.first) && self.output(signal.first) && !level {
-                self.dwells = self.dwells.saturating_add(1);
+            if self.dwells.strobe == Some(signal.first) && self.output(signal.first) && !level {
+                self.dwells.count = self.dwells.count.saturating_add(1);
             }
             self.set_bit("$OUT", signal.first, level);
             return Ok(());

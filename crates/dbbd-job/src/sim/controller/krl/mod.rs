@@ -1,28 +1,21 @@
 //! An interpreter of KRL. Statements take effect when they are reached: there is no advance run, and all stops are exact.
+//!
+//! This file has the state of the interpreter; its fields are private to the files below it, which have what it does.
 
 mod data_files;
 mod ekrl;
 mod execute;
 mod memory;
 mod motion;
+mod run;
 
-use self::execute::ExecutionLevel;
-use self::memory::{KrlVariables, ModuleMemory};
-use super::ProgramExecutor;
-use super::arm::SimulatedArm;
-use super::motion::CommandedMotion;
-use crate::program::Language;
-use crate::program::ProgramFinding;
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use super::{CommandedMotion, SimulatedArm};
 use crate::program::krl::Program;
-use crate::program::krl::evaluate::{At, Fault};
-use crate::program::krl::syntax::{Expression, Span};
-use crate::program::krl::value::Value;
-use crate::sim::ControllerMoment;
-use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::robot::Robot;
-
-/// Most waits and motions in one step of time: a program with more is taken to hang.
-const ACTIVITIES: usize = 10_000;
+use crate::program::krl::syntax::{Block, Expression, Place, Routine, Span};
+use crate::program::krl::value::{Type, Value};
 
 /// What the controller is doing.
 #[derive(Clone, Debug)]
@@ -52,196 +45,135 @@ pub(super) struct Interpreter {
     program: Program,
     arm: SimulatedArm,
     t_s: f64,
-    dwells: u32,
     /// Number of the base ball, from 1.
     ball: u32,
-    /// The output that is the strobe, if the program has one.
-    strobe: Option<usize>,
+    dwells: DwellCounter,
     activity: KrlActivity,
-    levels: Vec<ExecutionLevel>,
+    calls: KrlCallStack,
     system: KrlVariables,
     /// By module.
     memory: Vec<ModuleMemory>,
     pulses: Vec<OutputPulse>,
-    ekrl: ekrl::EkrlChannel,
+    ekrl: EkrlChannel,
+}
+
+impl Interpreter {
+    /// The module whose routine is being executed.
+    fn module(&self) -> usize {
+        self.calls.levels.iter().rev().find_map(ExecutionLevel::module).unwrap_or(self.calls.at.0)
+    }
+}
+
+/// The dwells, by the output that is the strobe if the program has one.
+#[derive(Clone, Copy, Debug, Default)]
+struct DwellCounter {
+    strobe: Option<usize>,
+    count: u32,
+}
+
+/// Where the program is.
+#[derive(Clone, Debug)]
+struct KrlCallStack {
+    levels: Vec<ExecutionLevel>,
     /// Module and bytes of the statement that was begun last.
     at: (usize, Span),
 }
 
-impl Interpreter {
-    pub(super) fn new(program: Program, robot: &Robot, override_percent: f64) -> Result<Self, Diagnostic> {
-        let mut interpreter = Self {
-            arm: SimulatedArm::at_home(robot, Language::Krl),
-            t_s: 0.0,
-            dwells: 0,
-            ball: 1,
-            strobe: None,
-            activity: KrlActivity::Ready,
-            levels: Vec::new(),
-            system: memory::system(),
-            memory: vec![ModuleMemory::default(); program.modules.len()],
-            pulses: Vec::new(),
-            ekrl: ekrl::EkrlChannel::default(),
-            at: (0, 0..0),
-            program,
+/// Digital inputs and outputs.
+const SIGNALS: usize = 4096;
+
+#[derive(Clone, Debug)]
+struct KrlVariable {
+    /// Of an array, the type of its elements.
+    kind: Type,
+    value: Value,
+}
+
+impl KrlVariable {
+    fn new(kind: Type, elements: Option<usize>) -> Self {
+        let value = match elements {
+            // A text is one value, whatever the length of its array.
+            Some(_) if kind == Type::Char => Value::Unset,
+            Some(elements) => Value::Array(vec![kind.unset(); elements]),
+            None => kind.unset(),
         };
-        interpreter.set_system("$OV_PRO", Value::Int(override_percent as i64));
-        for module in 0..interpreter.program.modules.len() {
-            interpreter.at = (module, 0..0);
-            interpreter.load(module)?;
-        }
-        interpreter.at = (0, 0..0);
-        let mut strobes = interpreter.memory.iter().filter_map(|memory| memory.signals.get("DBBSTB"));
-        interpreter.strobe = strobes.next().map(|signal| signal.first);
-        if let Some(first) =
-            interpreter.program.modules.first().and_then(|module| module.source.routines.first())
-        {
-            interpreter.levels.push(ExecutionLevel::routine(0, first, KrlVariables::new()));
-            interpreter.select_ball(0);
-        }
-        Ok(interpreter)
+        Self { kind, value }
+    }
+}
+
+/// Variables by name.
+type KrlVariables = BTreeMap<String, KrlVariable>;
+
+/// The first and the last output (or input) of a SIGNAL, from 1.
+#[derive(Clone, Copy, Debug)]
+struct KrlSignal {
+    is_output: bool,
+    first: usize,
+    last: usize,
+}
+
+/// What the `.dat` of a module declares.
+#[derive(Clone, Debug, Default)]
+struct ModuleMemory {
+    variables: KrlVariables,
+    signals: BTreeMap<String, KrlSignal>,
+}
+
+/// A block that is being executed, with the index of its next statement.
+#[derive(Clone, Debug)]
+struct ExecutionLevel {
+    block: Block,
+    next: usize,
+    kind: LevelKind,
+}
+
+/// What follows the end of a block.
+#[derive(Clone, Debug)]
+enum LevelKind {
+    /// The caller.
+    Routine { module: usize, locals: KrlVariables },
+    /// The statement after the block.
+    Plain,
+    /// The start of the block.
+    Loop,
+    /// The start of the block while the condition is true.
+    While(Expression),
+    /// The start of the block until the counter is past `last`.
+    For { counter: Place, last: i64, step: i64 },
+}
+
+impl ExecutionLevel {
+    fn routine(module: usize, routine: &Routine, locals: KrlVariables) -> Self {
+        Self { block: Arc::clone(&routine.body), next: 0, kind: LevelKind::Routine { module, locals } }
     }
 
-    fn run_to(&mut self, end_s: f64) -> Result<(), Fault> {
-        for _ in 0..ACTIVITIES {
-            if matches!(self.activity, KrlActivity::Ready) {
-                self.execute()?;
-            }
-            if !self.proceed(end_s)? {
-                return Ok(());
-            }
-        }
-        // The waits take no time, or nearly none.
-        Err(Fault::new(&self.at.1, ProgramFinding::NeverWaits))
+    fn block(block: &Block, kind: LevelKind) -> Self {
+        Self { block: Arc::clone(block), next: 0, kind }
     }
 
-    /// Continues the current activity up to `end_s`; whether it ended before, so that the next statement is due.
-    fn proceed(&mut self, end_s: f64) -> Result<bool, Fault> {
-        let left_s = end_s - self.t_s;
-        match std::mem::replace(&mut self.activity, KrlActivity::Ready) {
-            KrlActivity::Ready => return Ok(true),
-            KrlActivity::Waiting(until_s) if until_s <= end_s => {
-                self.t_s = self.t_s.max(until_s);
-                self.end_pulses();
-                return Ok(true);
-            }
-            KrlActivity::Until(condition) => {
-                if condition.bool(self)? {
-                    return Ok(true);
-                }
-                self.activity = KrlActivity::Until(condition);
-            }
-            KrlActivity::Moving(mut motion) => {
-                // The override stretches the time along the path.
-                let (rate, geometry) = (self.override_share(), self.geometry());
-                let ended = self.arm.advance(&mut motion, &geometry, [left_s, rate]).at(&self.at.1)?;
-                if let Some(needed_s) = ended {
-                    self.t_s += needed_s;
-                    self.end_pulses();
-                    return Ok(true);
-                }
-                self.activity = KrlActivity::Moving(motion);
-            }
-            other => self.activity = other,
-        }
-        Ok(false)
-    }
-
-    fn set_system(&mut self, name: &str, value: Value) {
-        if let Some(variable) = self.system.get_mut(name) {
-            variable.value = value;
+    fn module(&self) -> Option<usize> {
+        match self.kind {
+            LevelKind::Routine { module, .. } => Some(module),
+            LevelKind::Plain | LevelKind::Loop | LevelKind::While(_) | LevelKind::For { .. } => None,
         }
     }
 
-    /// `$OV_PRO` as a share.
-    fn override_share(&self) -> f64 {
-        let percent = self.system("$OV_PRO").and_then(|value| value.number().ok());
-        percent.unwrap_or(100.0).clamp(0.0, 100.0) / 100.0
-    }
-
-    fn end_pulses(&mut self) {
-        let now_s = self.t_s + 1e-9;
-        let (ended, pulses): (Vec<OutputPulse>, _) =
-            self.pulses.iter().partition(|pulse| pulse.until_s <= now_s);
-        self.pulses = pulses;
-        for pulse in ended {
-            self.set_bit("$OUT", pulse.output, pulse.level);
-        }
-    }
-
-    /// The module whose routine is being executed.
-    fn module(&self) -> usize {
-        self.levels.iter().rev().find_map(ExecutionLevel::module).unwrap_or(self.at.0)
-    }
-
-    fn diagnostic(&self, fault: Fault) -> Diagnostic {
-        match self.program.modules.get(self.module()) {
-            Some(module) => module.source.as_text().wrong(&fault.span, fault.finding),
-            None => fault.finding.into(),
+    fn locals_mut(&mut self) -> Option<&mut KrlVariables> {
+        match &mut self.kind {
+            LevelKind::Routine { locals, .. } => Some(locals),
+            _ => None,
         }
     }
 }
 
-impl ProgramExecutor for Interpreter {
-    fn step(&mut self, dt_s: f64) -> Result<ControllerMoment, Diagnostic> {
-        let end_s = self.t_s + dt_s.max(0.0);
-        self.run_to(end_s).map_err(|fault| self.diagnostic(fault))?;
-        self.t_s = end_s;
-        self.end_pulses();
-        Ok(self.moment())
-    }
-
-    fn moment(&self) -> ControllerMoment {
-        ControllerMoment {
-            t_s: self.t_s,
-            axes: self.arm.axes,
-            centre: self.ball,
-            strobe: self.strobe.is_some_and(|output| self.output(output)),
-            motions: self.arm.motions,
-            halted: matches!(self.activity, KrlActivity::Halted),
-            done: matches!(self.activity, KrlActivity::Done),
-        }
-    }
-
-    fn go_on(&mut self) {
-        if matches!(self.activity, KrlActivity::Halted) {
-            self.activity = KrlActivity::Ready;
-        }
-    }
-
-    fn position(&self) -> (&str, usize) {
-        let (module, span) = &self.at;
-        self.program
-            .modules
-            .get(*module)
-            .map_or(("", 0), |module| (module.source.file.as_str(), module.source.as_text().line(span.start)))
-    }
-
-    fn dwells(&self) -> u32 {
-        self.dwells
-    }
-
-    fn set_absolute_accuracy(&mut self) {
-        self.set_system("$ABS_ACCUR", Value::Bool(true));
-    }
-
-    fn saved(&self) -> Vec<(String, String)> {
-        self.saved_files()
-    }
-
-    fn link_ekrl(&mut self) {
-        self.ekrl.is_linked = true;
-    }
-
-    fn ekrl_open(&self) -> bool {
-        self.ekrl.is_open
-    }
-
-    fn telegram(&mut self) -> Option<String> {
-        self.ekrl.sent.pop_front()
-    }
-
-    fn answer(&mut self, id: i64) {
-        self.receive_answer(id);
-    }
+/// The channel of EthernetKRL.
+#[derive(Clone, Debug, Default)]
+struct EkrlChannel {
+    /// Whether telegrams are carried to a server.
+    is_linked: bool,
+    is_open: bool,
+    /// Values by path, in the order of their first assignment.
+    values: Vec<(String, String)>,
+    sent: VecDeque<String>,
+    answers: VecDeque<i64>,
 }

@@ -1,0 +1,11 @@
+//! What the room promises, shown without the program.
+
+mod compensated_joint_errors;
+mod compensated_program_is_accurate;
+mod compensated_robot_arrives;
+mod emitted_programs_run;
+mod krl_reads_back;
+mod krl_round_trips;
+mod program_frames;
+mod rapid;
+mod rapid_and_urscript;

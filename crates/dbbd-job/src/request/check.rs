@@ -1,0 +1,219 @@
+//! Checks whether a calibrated robot has changed.
+
+use std::path::{Path, PathBuf};
+
+use dbbd_model::base::serialised::{self, Seal};
+use dbbd_model::conformity::ConformityFinding;
+use dbbd_model::conformity::{self, CheckInput, ConformityOutcome, DecisionRule, InterimCheck};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::expected::{BallMounting, Mounting};
+use dbbd_model::estimation::{DistanceQuantities, Options, Priors};
+use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
+use dbbd_model::provenance::Provenance;
+use dbbd_model::robot::{Coordinate, ParamId, Robot};
+use serde::{Deserialize, Serialize};
+
+use super::identify::inputs::{LoadedInputs, NamedInputs};
+use super::identify::tables::read_workspace;
+use super::identify::{LENGTHS, ROBOT};
+use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
+use crate::file_set::FileSet;
+use crate::files;
+use crate::report;
+use crate::robot_files::{ResultBeside, result_beside};
+
+/// Which robot shall be checked, with which lengths.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CheckRequest {
+    /// A table of lengths, or a capture.
+    pub input: PathBuf,
+    /// The file of the calibrated robot, with its posterior.
+    pub robot: String,
+    /// The directory of the result.
+    pub out: PathBuf,
+    /// A table of the base balls; `None` for those of the capture's plan.
+    pub centres: Option<PathBuf>,
+    /// Tool ball in the flange frame, if it is not the one of the calibration.
+    pub tool_mm: Option<[f64; 3]>,
+    /// Tolerance of the position error of 95 % of the poses of the workspace.
+    pub tolerance_mm: Option<f64>,
+    /// How the check decides on the tolerance.
+    pub rule: DecisionRule,
+    /// Standard deviation of every length; `None` for that of the data and the robot's repeatability.
+    pub sigma_mm: Option<f64>,
+    /// Standard deviation of the place of the tool ball when it is mounted again.
+    pub tool_repeat_mm: f64,
+    /// The base balls are still mounted as in the calibration.
+    #[serde(default)]
+    pub balls_kept: bool,
+    /// Standard deviation of the base balls; `None` for unlimited, or for that of a seat if they are kept.
+    pub ball_repeat_mm: Option<f64>,
+    /// Standard uncertainty (k = 1) of the bar's length; `None` for that of the certificate, if known.
+    pub bar_u_mm: Option<f64>,
+    /// A table of poses over which the position error is taken.
+    pub workspace: Option<PathBuf>,
+    /// Identify what changed, and write the robot and the lengths.
+    #[serde(default)]
+    pub update: bool,
+}
+
+/// `check.json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct CheckDocument {
+    #[serde(flatten)]
+    pub check: InterimCheck,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub distance: Option<DistanceQuantities>,
+    pub provenance: Provenance,
+}
+
+impl CheckRequest {
+    pub(super) fn result(
+        &self,
+        session: &RequestSession<'_>,
+    ) -> Result<RequestResult<CheckDocument>, Diagnostic> {
+        let given = self.read_inputs(session)?;
+        let start = LengthModel::new(given.robot.geometry.clone(), &given.centres);
+        let readings: Vec<PreparedMeasurement> =
+            given.observations.rows.iter().map(PreparedMeasurement::from).collect();
+        let workspace = self.workspace.as_deref();
+        let workspace = workspace.map(|path| read_workspace(path, &given.robot, session)).transpose()?;
+        let workspace = Options { workspace, ..Options::default() };
+        let noise = LengthSigma::of(self, &given)?;
+        session.findings(noise.finding);
+        let input = CheckInput {
+            robot: &given.robot,
+            start: &start,
+            readings: &readings,
+            bars: given.observations.bars(),
+            sigma_mm: noise.sigma_mm,
+            mounting: mounting(self, &given),
+            tolerance_mm: self.tolerance_mm,
+            rule: self.rule,
+            workspace: &workspace.workspace_poses(&given.robot),
+        };
+        let check = input.check().map_err(|finding| Diagnostic::file(&self.robot, finding))?;
+        let (known, lengths) = (given.known_lengths(Some(&self.robot), session)?, readings.len());
+        if 2 * known > lengths {
+            session.finding(ConformityFinding::LengthsOfCalibration { known, lengths });
+        }
+        session.findings(given.findings());
+        session.findings(findings(self, &check));
+        let distance =
+            input.set_up().and_then(|model| DistanceQuantities::of(&given.observations.rows, &model));
+        let document = CheckDocument { check, distance, provenance: given.provenance.clone() };
+        let files = write_check(self, &document, &given)?;
+        let outcome = match document.check.decision.decision {
+            ConformityOutcome::Pass => AnswerOutcome::Done,
+            ConformityOutcome::Undecided => AnswerOutcome::Undecided,
+            ConformityOutcome::Fail => AnswerOutcome::Failed,
+        };
+        Ok(RequestResult { outcome, files, document })
+    }
+
+    fn read_inputs(&self, session: &RequestSession<'_>) -> Result<LoadedInputs, Diagnostic> {
+        if self.update {
+            files::keeps(&self.out.join(ROBOT), [Path::new(&self.robot)])?;
+        }
+        let named = NamedInputs {
+            input: &self.input,
+            positions: None,
+            robot: Some(&self.robot),
+            tool_mm: self.tool_mm,
+            centres: self.centres.as_deref(),
+            bar_u_mm: self.bar_u_mm,
+        };
+        let given = LoadedInputs::read(named, session)?;
+        if given.observations.set_up(0).trackers > 0 {
+            return Err(EstimationFinding::LengthsOnly.into());
+        }
+        given.check_planned_robot()?;
+        let replaced = self.out.join("check.json");
+        earlier::check_replaced(&replaced, Some(&given.robot.name), &given.provenance)?;
+        session.findings_in(&self.robot, given.robot.doubtful());
+        Ok(given)
+    }
+}
+
+/// What mounting changes. The posterior does not hold another tool ball: its place has the datasheet's prior.
+fn mounting(request: &CheckRequest, given: &LoadedInputs) -> Mounting {
+    let datasheet = || Priors::datasheet(&given.robot, given.bar_u_mm).sd(ParamId::Tool(Coordinate::X));
+    let tool_mm = if request.tool_mm.is_some() { datasheet() } else { request.tool_repeat_mm };
+    let balls = match request.ball_repeat_mm {
+        repeat if request.balls_kept => BallMounting::Kept(repeat.unwrap_or(Mounting::SEAT_REPEAT_MM)),
+        Some(repeat) => BallMounting::About(repeat),
+        None => BallMounting::Anywhere,
+    };
+    Mounting { tool_mm, balls, ..Mounting::again(&given.robot, given.bar_u_mm) }
+}
+
+/// The standard deviation of a length, mm, and a finding if a part of it is unknown.
+pub(super) struct LengthSigma {
+    pub(super) sigma_mm: f64,
+    pub(super) finding: Option<ConformityFinding>,
+}
+
+impl LengthSigma {
+    /// The standard deviation of bar and repeatability, at least that in the result.json beside a robot file.
+    pub(super) fn at_least(own: Option<f64>, file: &str, robot: &Robot) -> Result<Self, Diagnostic> {
+        let (path, beside) = result_beside(Path::new(file), robot)?;
+        let looked_for = path.display().to_string();
+        if let ResultBeside::Own(result) = &beside {
+            let sigma_mm = conformity::sigma_mm(own, Some(result.noise_mm.length))?;
+            return Ok(Self { sigma_mm, finding: None });
+        }
+        let sigma_mm = conformity::sigma_mm(own, None)?;
+        let finding = match beside {
+            ResultBeside::Another => ConformityFinding::OtherResultBeside { looked_for, sigma_mm },
+            _ => ConformityFinding::NoResultBeside { looked_for, sigma_mm },
+        };
+        Ok(Self { sigma_mm, finding: Some(finding) })
+    }
+
+    /// The standard deviation that is given, else that of the data.
+    fn of(request: &CheckRequest, given: &LoadedInputs) -> Result<Self, Diagnostic> {
+        if let Some(sigma_mm) = request.sigma_mm {
+            return Ok(Self { sigma_mm, finding: None });
+        }
+        Self::at_least(
+            conformity::own_sigma_mm(&given.observations, &given.robot),
+            &request.robot,
+            &given.robot,
+        )
+    }
+}
+
+fn findings(request: &CheckRequest, check: &InterimCheck) -> Vec<ConformityFinding> {
+    let mut findings = check.findings.clone();
+    let decision = &check.decision;
+    if let (ConformityOutcome::Undecided, Some(tolerance_mm), Some(risk)) =
+        (decision.decision, decision.tolerance_mm, decision.specific_risk)
+    {
+        let position_error_mm = decision.position_error_mm;
+        findings.push(ConformityFinding::Undecided { tolerance_mm, position_error_mm, risk });
+    }
+    if request.update && check.update().is_none() && check.is_explained() {
+        findings.push(ConformityFinding::NothingToUpdate);
+    }
+    findings
+}
+
+/// Returns the names of the files.
+fn write_check(
+    request: &CheckRequest,
+    document: &CheckDocument,
+    given: &LoadedInputs,
+) -> Result<Vec<String>, Diagnostic> {
+    let CheckDocument { check, distance, provenance } = document;
+    let mut set = FileSet::begin(&request.out)?;
+    set.write("check.json", serialised::sealed_json(document)?)?;
+    set.write("check.html", report::check::html(check, distance.as_ref(), provenance)?)?;
+    if let Some(robot) = check.update().filter(|_| request.update) {
+        let robot = Robot { provenance: provenance.clone(), ..robot.clone() };
+        set.write(ROBOT, Seal::Toml.append(&robot.to_toml()?))?;
+        set.write_pieces(LENGTHS, given.observations.csv_pieces(|_| true))?;
+    }
+    set.finish()
+}

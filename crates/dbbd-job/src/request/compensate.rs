@@ -1,0 +1,378 @@
+//! Corrects the points of a program for an identified robot.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use dbbd_model::base::hash::sha256;
+use dbbd_model::base::text::unreadable;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::plausibility::Quantity;
+use dbbd_model::provenance::ProvenanceFinding;
+use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact};
+use dbbd_model::robot::{LoadedRobot, Pose, Robot};
+use serde::{Deserialize, Serialize, Serializer};
+use serde_json::json;
+
+use super::robots::{edited, robot_for_measurement};
+use super::{AnswerOutcome, RequestResult, RequestSession};
+use crate::file_set::FileSet;
+use crate::files;
+use crate::program::CompensationFinding;
+use crate::program::ProgramFinding;
+use crate::program::compensate::in_metres;
+use crate::program::krl::{self, Files, Given};
+use crate::program::{Language, Moved, Target, Text, check_one_plan, provenance, rapid, stamped, urscript};
+
+/// Which program shall be corrected, and for which robot.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CompensateRequest {
+    /// The program; the extension is that of its language.
+    pub program: PathBuf,
+    /// The identified robot.
+    pub robot: String,
+    /// The directory of the corrected program.
+    pub out: PathBuf,
+    /// The file that declares tools and bases.
+    pub config: Option<PathBuf>,
+    /// The tool frame in the flange frame if the program does not set it: X, Y, Z in mm, A, B, C in degrees.
+    pub tool_mm_deg: Option<[f64; 6]>,
+    /// The base in the robot's base if the program does not set it: X, Y, Z in mm, A, B, C in degrees.
+    pub base_mm_deg: Option<[f64; 6]>,
+    /// The program is refused if a commanded point would move by more than this.
+    #[serde(default = "default_limit_mm")]
+    pub limit_mm: f64,
+}
+
+/// The default of [`CompensateRequest::limit_mm`].
+pub const DEFAULT_LIMIT_MM: f64 = 5.0;
+
+fn default_limit_mm() -> f64 {
+    DEFAULT_LIMIT_MM
+}
+
+/// The corrected points.
+#[derive(Clone, Debug)]
+pub struct CompensateDocument {
+    pub points: Vec<Moved>,
+    /// How many points are left as they are.
+    pub left: usize,
+    /// The directory of the corrected program.
+    pub out: String,
+}
+
+impl CompensateDocument {
+    pub fn mean_shift_mm(&self) -> f64 {
+        self.points.iter().map(|point| point.shift_mm).sum::<f64>() / self.points.len().max(1) as f64
+    }
+
+    pub fn largest_shift_mm(&self) -> f64 {
+        self.points.iter().map(|point| point.shift_mm).fold(0.0, f64::max)
+    }
+}
+
+impl Serialize for CompensateDocument {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let (mean_mm, largest_mm) = (self.mean_shift_mm(), self.largest_shift_mm());
+        let document = json!({
+            "points": self.points, "mean_shift_mm": mean_mm, "largest_shift_mm": largest_mm,
+            "left": self.left, "out": self.out,
+        });
+        document.serialize(serializer)
+    }
+}
+
+/// A corrected program.
+struct CorrectedProgram {
+    /// Its files with their new texts.
+    texts: Vec<(ProgramFile, String)>,
+    /// Its files with their chains.
+    sources: Vec<TracedArtefact>,
+    moved: Vec<Moved>,
+    /// The points that are not corrected, with the reasons.
+    left: Vec<Diagnostic>,
+}
+
+impl CompensateRequest {
+    pub(super) fn result(
+        &self,
+        session: &RequestSession<'_>,
+    ) -> Result<RequestResult<CompensateDocument>, Diagnostic> {
+        Quantity::CorrectionLimit.check("limit", self.limit_mm)?;
+        let LoadedRobot { robot, source: identified, .. } = robot_for_measurement(&self.robot, session)?;
+        session.findings_in(&self.robot, robot.doubtful());
+        if robot.nominal.is_none() {
+            return Err(Diagnostic::file(&self.robot, CompensationFinding::NotIdentified));
+        }
+        let edited = edited(&robot).filter(|doubt| *doubt == EstimationFinding::PosteriorOfOtherValues);
+        session.findings_in(&self.robot, edited);
+        let language = program_language(&self.program)?;
+        let wanted = language.name();
+        if let Some(other) = robot.controller_language().filter(|other| *other != wanted) {
+            let (robot, language) = (robot.name.clone(), other.to_owned());
+            let finding = ProgramFinding::OtherLanguage { robot, language, wanted };
+            return Err(Diagnostic::file(&self.robot, finding));
+        }
+        let context = CorrectionContext { request: self, robot: &robot, identified: &identified, session };
+        let corrected = match language {
+            Language::Krl => context.krl()?,
+            Language::Rapid | Language::Urscript => context.one_file(language)?,
+        };
+        let provenance = crate::artefact::made_from(corrected.sources.iter().chain([&identified]));
+        let mut set = FileSet::begin(&self.out)?;
+        for (program, text) in &corrected.texts {
+            program.write(&mut set, &stamped(language, text, &provenance)?)?;
+        }
+        let files = set.finish()?;
+        report(&corrected, session);
+        let document = CompensateDocument {
+            points: corrected.moved,
+            left: corrected.left.len(),
+            out: self.out.display().to_string(),
+        };
+        Ok(RequestResult { outcome: AnswerOutcome::Done, files, document })
+    }
+
+    /// The stated frame of the tool in the flange frame.
+    fn tool(&self) -> Option<Pose> {
+        self.tool_mm_deg.map(Pose::from_xyzabc)
+    }
+
+    /// The stated base in the robot's base.
+    fn base(&self) -> Option<Pose> {
+        self.base_mm_deg.map(Pose::from_xyzabc)
+    }
+}
+
+/// The language of a program, by its extension.
+pub fn program_language(program: &Path) -> Result<Language, Diagnostic> {
+    let extension = program.extension().and_then(|extension| extension.to_str()).unwrap_or("src");
+    Language::of_extension(extension).ok_or_else(|| {
+        let file = program.display().to_string();
+        Diagnostic::file(program.display(), CompensationFinding::NoLanguage { file })
+    })
+}
+
+/// Reports a file with tools and bases that is not a `$config.dat`.
+fn check_config(config: &ProgramFile, session: &RequestSession<'_>) {
+    let words =
+        |line: &str| line.split_whitespace().take(2).collect::<Vec<_>>().join(" ").to_ascii_uppercase();
+    let begins = config.content.lines().map(words).find(|line| line.starts_with("DEFDAT"));
+    let begins = begins.unwrap_or_default();
+    if begins != "DEFDAT $CONFIG" {
+        session.finding(Diagnostic::file(&config.name, ProvenanceFinding::NotConfig { begins }));
+    }
+}
+
+/// What a program is corrected with.
+struct CorrectionContext<'a> {
+    request: &'a CompensateRequest,
+    robot: &'a Robot,
+    identified: &'a TracedArtefact,
+    session: &'a RequestSession<'a>,
+}
+
+impl CorrectionContext<'_> {
+    fn krl(&self) -> Result<CorrectedProgram, Diagnostic> {
+        let Self { request, robot, identified, session } = *self;
+        let source = ProgramFile::open(&request.program)?;
+        if request.program.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("dat")) {
+            return Err(Diagnostic::file(&source.name, CompensationFinding::DataNamed));
+        }
+        let data = data_file(&request.program).map(|path| ProgramFile::open(&path)).transpose()?;
+        let config = request.config.as_deref().map(ProgramFile::open).transpose()?;
+        config.iter().for_each(|config| check_config(config, session));
+        source.check("DEF", &source)?;
+        data.iter().try_for_each(|data| data.check("DEFDAT", &source))?;
+        let files: Vec<&ProgramFile> = [&source].into_iter().chain(&data).collect();
+        self.check_not_overwritten(&files)?;
+        let sources = files.iter().map(|file| file.traced()).collect::<Result<Vec<_>, _>>()?;
+        sources.iter().try_for_each(|program| check_robot(program, identified, session))?;
+        data.iter().try_for_each(|data| check_one_plan(source.text(), data.text()))?;
+        let program = Files {
+            source: source.text(),
+            data: data.as_ref().map(ProgramFile::text),
+            config: config.as_ref().map(ProgramFile::text),
+        };
+        let points = krl::read(program, Given { tool: request.tool(), base: request.base() })?;
+        check_unit(&source, points.points.iter().map(|point| &point.target))?;
+        session.findings(points.doubts.iter().cloned());
+        let corrected = krl::compensate(program, &points, robot, request.limit_mm)
+            .map_err(|refused| self.refused(&source, &refused))?;
+        let texts = [(source, corrected.source)].into_iter().chain(data.zip(corrected.data)).collect();
+        Ok(CorrectedProgram { texts, sources, moved: corrected.moved, left: points.not_corrected })
+    }
+
+    /// A program in a language whose points are in one file.
+    fn one_file(&self, language: Language) -> Result<CorrectedProgram, Diagnostic> {
+        let Self { request, robot, identified, session } = *self;
+        let source = ProgramFile::open(&request.program)?;
+        self.check_not_overwritten(&[&source])?;
+        let traced = source.traced()?;
+        check_robot(&traced, identified, session)?;
+        let config = request.config.as_deref().map(ProgramFile::open).transpose()?;
+        let has_unused_option = match language {
+            Language::Urscript => config.is_some() || request.base_mm_deg.is_some(),
+            _ => request.tool_mm_deg.is_some() || request.base_mm_deg.is_some(),
+        };
+        if has_unused_option {
+            return Err(CompensationFinding::FrameUnused { language: language.name() }.into());
+        }
+        let text = source.text();
+        let points = match language {
+            Language::Urscript => urscript::read(text, request.tool())?,
+            _ => rapid::read(text, config.as_ref().map(ProgramFile::text))?,
+        };
+        check_unit(&source, points.points.iter().map(|point| &point.target))?;
+        session.findings(points.doubts.iter().cloned());
+        let corrected = points.compensate(text, robot, request.limit_mm);
+        let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
+        Ok(CorrectedProgram {
+            texts: vec![(source, corrected)],
+            sources: vec![traced],
+            moved,
+            left: points.not_corrected,
+        })
+    }
+
+    /// Refuses an output directory where a file of the program would be overwritten.
+    fn check_not_overwritten(&self, programs: &[&ProgramFile]) -> Result<(), Diagnostic> {
+        let out = &self.request.out;
+        if programs.iter().any(|program| files::same_place(&out.join(&program.file_name), &program.path)) {
+            let directory = out.display().to_string();
+            return Err(Diagnostic::new(CompensationFinding::WouldOverwrite { directory }));
+        }
+        Ok(())
+    }
+
+    /// Reports the points that cannot be corrected.
+    fn refused(&self, source: &ProgramFile, points: &[Diagnostic]) -> Diagnostic {
+        self.session.findings(points.iter().cloned());
+        Diagnostic::file(&source.name, CompensationFinding::PointsRefused { points: points.len() })
+    }
+}
+
+/// Refuses a program whose points are in metres.
+fn check_unit<'a>(
+    program: &ProgramFile,
+    targets: impl Iterator<Item = &'a Target>,
+) -> Result<(), Diagnostic> {
+    let refused = |finding| Err(Diagnostic::file(&program.name, finding));
+    in_metres(targets).map_or(Ok(()), refused)
+}
+
+/// Refuses a program that was corrected before, or was made for another robot.
+fn check_robot(
+    program: &TracedArtefact,
+    identified: &TracedArtefact,
+    session: &RequestSession<'_>,
+) -> Result<(), Diagnostic> {
+    if let Some(source) = program.provenance.corrected_by() {
+        let before = ProvenanceFinding::CorrectedBefore { source: source.to_string() };
+        return Err(Diagnostic::file(&program.artefact.name, before));
+    }
+    program.check_made_for(&identified.artefact)?;
+    let Some(made_for) = program.robot() else { return Ok(()) };
+    if let Some(nominal) = identified.provenance.from.iter().find(|source| source.role == ArtefactRole::Robot)
+        && !identified.provenance.has(made_for)
+    {
+        let [artefact, made_for, given] = [&program.artefact, made_for, nominal].map(ToString::to_string);
+        session.finding(ProvenanceFinding::RobotChanged { artefact, made_for, given });
+    }
+    Ok(())
+}
+
+/// Reports the points that are not corrected, and those at which an axis moved through zero.
+fn report(corrected: &CorrectedProgram, session: &RequestSession<'_>) {
+    let CorrectedProgram { moved, left, .. } = corrected;
+    session.findings(left.iter().cloned());
+    if moved.is_empty() {
+        session.finding(CompensationFinding::NothingCorrected);
+    }
+    for Moved { name, line, turn_bits, .. } in moved {
+        if let Some([taught, corrected]) = *turn_bits {
+            let (name, line) = (name.clone(), *line);
+            session.finding(CompensationFinding::TurnChanged { name, line, taught, corrected });
+        }
+    }
+}
+
+/// A file of a program. Its comments may be in any old code page: each byte is then read as the character of that number, and
+/// written back unchanged.
+struct ProgramFile {
+    path: PathBuf,
+    /// The path as text.
+    name: String,
+    file_name: String,
+    sha256: String,
+    content: String,
+    is_utf8: bool,
+}
+
+impl ProgramFile {
+    fn open(path: &Path) -> Result<Self, Diagnostic> {
+        let name = path.display().to_string();
+        let bytes = fs::read(path).map_err(unreadable(&name))?;
+        let sha256 = sha256(&bytes);
+        let file_name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let (content, is_utf8) = match String::from_utf8(bytes) {
+            Ok(text) => (text, true),
+            Err(error) => (error.into_bytes().into_iter().map(char::from).collect(), false),
+        };
+        Ok(Self { path: path.into(), name, file_name, sha256, content, is_utf8 })
+    }
+
+    fn traced(&self) -> Result<TracedArtefact, Diagnostic> {
+        let (name, sha256) = (self.file_name.clone(), self.sha256.clone());
+        let artefact = Artefact { role: ArtefactRole::Program, name, serial: None, sha256 };
+        Ok(TracedArtefact { artefact, provenance: provenance(&self.name, &self.content)? })
+    }
+
+    /// Refuses a file that is cut off, and data of another module than that of `source`.
+    fn check(&self, begins: &str, source: &Self) -> Result<(), Diagnostic> {
+        let words = |line: &str| -> Vec<String> {
+            let words = line.split(|c: char| c.is_whitespace() || c == '(');
+            let words = words.filter(|word| !word.is_empty() && !word.eq_ignore_ascii_case("GLOBAL"));
+            words.map(str::to_ascii_uppercase).take(2).collect()
+        };
+        let mut lines = self.content.lines().map(words);
+        let Some(name) = lines.find(|words| words.first().is_some_and(|word| word == begins)) else {
+            return Ok(());
+        };
+        let end = format!("END{}", begins.trim_start_matches("DEF"));
+        if !lines.any(|words| words.first() == Some(&end)) {
+            return Err(Diagnostic::file(&self.name, CompensationFinding::CutOff { end }));
+        }
+        let module = source.path.file_stem().unwrap_or_default().to_string_lossy().to_ascii_uppercase();
+        match name.get(1).filter(|name| begins == "DEFDAT" && **name != module) {
+            Some(data) => {
+                let data = data.clone();
+                Err(Diagnostic::file(&self.name, ProgramFinding::OtherDataName { data, module }))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn text(&self) -> Text<'_> {
+        Text { file: &self.name, text: &self.content }
+    }
+
+    fn write(&self, set: &mut FileSet, text: &str) -> Result<(), Diagnostic> {
+        if self.is_utf8 {
+            return set.write(&self.file_name, text);
+        }
+        let bytes: Vec<u8> = text.chars().filter_map(|c| u8::try_from(c).ok()).collect();
+        set.write(&self.file_name, bytes)
+    }
+}
+
+/// The .dat beside a .src, in any case.
+fn data_file(source: &Path) -> Option<PathBuf> {
+    let wanted = source.with_extension("dat");
+    let wanted = wanted.file_name()?.to_str()?;
+    files::directory_of(source).read_dir().ok()?.find_map(|entry| {
+        let entry = entry.ok()?;
+        entry.file_name().to_str()?.eq_ignore_ascii_case(wanted).then(|| entry.path())
+    })
+}

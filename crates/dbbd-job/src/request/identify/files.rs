@@ -1,0 +1,134 @@
+//! Writes the files of a result.
+
+use dbbd_model::base::InternalFinding;
+use std::path::Path;
+
+use super::IdentifyDocument;
+use crate::file_set::FileSet;
+use crate::program::{self, Language};
+use crate::report;
+use crate::report::export::{frames, mastering, urdf};
+use crate::request::earlier::EarlierResult;
+use dbbd_model::base::serialised::{self, Seal};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::result::ParameterResult;
+use dbbd_model::estimation::{CompletedCalibration, JointPoint, Posterior, joint_curve};
+use dbbd_model::measurement::Measurements;
+use dbbd_model::provenance::{Artefact, ArtefactRole, Provenance};
+use dbbd_model::robot::{Joint, Robot};
+
+/// The lengths that the result rests on.
+pub const LENGTHS: &str = "lengths.csv";
+/// The positions that the result rests on.
+pub const POSITIONS: &str = "positions.csv";
+/// The correction of each axis, if the result has errors of the joints.
+const JOINT_ERRORS: &str = "joint-errors.csv";
+pub(super) const RESULT: &str = "result.json";
+/// The identified robot.
+pub const ROBOT: &str = "robot-identified.toml";
+
+const PARAMETER_COLUMNS: &str =
+    "name,unit,start,nominal,identified,correction,sd,status,reason,low95,high95,mc_sd,mc_low95,mc_high95";
+
+/// Writes all files of a result, and removes those of an earlier result that this one lacks. Returns the result, to whose
+/// provenance the tables of the measurements are added, and the names of the files.
+pub(super) fn write_results(
+    dir: &Path,
+    mut document: IdentifyDocument,
+    observations: &Measurements,
+) -> Result<(IdentifyDocument, Vec<String>), Diagnostic> {
+    let calibration = &document.calibration;
+    let is_used = |place: usize| calibration.uses(place);
+    let (mut set, earlier) = (FileSet::begin(dir)?, EarlierResult::read(&dir.join(RESULT)).provenance);
+    let lengths = (calibration.result.made_from.lengths > 0)
+        .then(|| set.write_pieces(LENGTHS, observations.csv_pieces(is_used)));
+    let positions = observations.positions_csv(is_used).map(|text| set.write_pieces(POSITIONS, [text]));
+    for (name, written) in [(LENGTHS, lengths.transpose()?), (POSITIONS, positions.transpose()?)] {
+        let table = written.clone().unwrap_or_else(|| dir.join(name));
+        if table.is_file() {
+            let table = Artefact {
+                name: name.into(),
+                ..crate::artefact::of_file(ArtefactRole::Measurements, &table)?
+            };
+            match written {
+                Some(_) => document.provenance.add(&table),
+                // A table of the user with this name is kept.
+                None if earlier.has(&table) => set.remove(name),
+                None => {}
+            }
+        }
+    }
+    set.write(RESULT, serialised::sealed_json(&document)?)?;
+    let IdentifyDocument { calibration, budget, provenance } = &document;
+    let robot = Robot { provenance: provenance.clone(), ..calibration.robot.clone() };
+    set.write(ROBOT, Seal::Toml.append(&robot.to_toml()?))?;
+    set.write("parameters.csv", parameters_csv(&calibration.result.parameters)?)?;
+    set.write("covariance.csv", covariance_csv(&calibration.posterior))?;
+    match calibration.result.joint_errors {
+        Some(_) => set.write(JOINT_ERRORS, joint_errors_csv(&calibration.robot))?,
+        None => set.remove(JOINT_ERRORS),
+    }
+    write_for_controller(&mut set, calibration, provenance)?;
+    set.write("report.html", report::calibration::html(calibration, observations, provenance, budget)?)?;
+    let files = set.finish()?;
+    Ok((document, files))
+}
+
+fn parameters_csv(parameters: &[ParameterResult]) -> Result<String, InternalFinding> {
+    // Two cells, empty if there is no interval.
+    let ends = |interval: Option<[f64; 2]>| interval.map_or([None; 2], |ends| ends.map(Some));
+    let rows = parameters.iter().map(|parameter| {
+        (
+            parameter.name,
+            parameter.unit,
+            parameter.start,
+            parameter.nominal,
+            parameter.identified,
+            parameter.correction,
+            parameter.sd,
+            parameter.status,
+            &parameter.reason,
+            ends(parameter.interval95),
+            parameter.monte_carlo.map(|drawn| drawn.sd),
+            ends(parameter.monte_carlo.map(|drawn| drawn.interval95)),
+        )
+    });
+    serialised::csv_table(PARAMETER_COLUMNS.split(','), rows)
+}
+
+/// The covariance matrix in the units of the parameters.
+fn covariance_csv(posterior: &Posterior) -> String {
+    let names: String = posterior.ids().iter().map(|id| format!(",{id}")).collect();
+    let covariance = posterior.covariance();
+    let rows = covariance.row_iter().zip(posterior.ids()).map(|(row, id)| {
+        let values: String = row.iter().map(|value| format!(",{value:e}")).collect();
+        format!("{id}{values}\n")
+    });
+    [format!("name{names}\n")].into_iter().chain(rows).collect()
+}
+
+/// The correction of each axis in its own sense, by the sense of approach.
+fn joint_errors_csv(robot: &Robot) -> String {
+    let row = |joint: Joint, JointPoint { angle_deg, rising, falling, sd }: JointPoint| {
+        let [rising, falling, sd] = [rising, falling, sd].map(f64::to_degrees);
+        format!("{},{angle_deg:.3},{rising:.6},{falling:.6},{sd:.6}\n", joint.number())
+    };
+    let rows = Joint::ALL
+        .into_iter()
+        .flat_map(|joint| joint_curve(robot, joint).into_iter().map(move |point| row(joint, point)));
+    ["axis,angle_deg,rising_deg,falling_deg,sd_deg\n".to_owned()].into_iter().chain(rows).collect()
+}
+
+/// Writes the files for other programs and for the controller: URDF, mastering offsets, KRL frames.
+fn write_for_controller(
+    set: &mut FileSet,
+    calibration: &CompletedCalibration,
+    provenance: &Provenance,
+) -> Result<(), Diagnostic> {
+    set.write("robot-identified.urdf", urdf::urdf(&calibration.robot))?;
+    let offsets = mastering::offsets(calibration);
+    set.write("mastering.csv", mastering::csv(&offsets)?)?;
+    let data = frames::data_list(&calibration.robot.name, &frames::frames(&calibration.result), &offsets);
+    let data = program::stamped(Language::Krl, &data, provenance)?;
+    set.write(&format!("{}.dat", frames::MODULE), data)
+}

@@ -1,0 +1,347 @@
+//! The inputs of an identification or a check: measurements from tables or a capture, the robot, and the base balls.
+
+use std::path::Path;
+
+use super::tables::{lengths_or_positions, measurements};
+use super::{LENGTHS, POSITIONS};
+use crate::recording::matching::MatchingFinding;
+use crate::recording::matching::PoseMatching;
+use crate::recording::run::{self, PredictedLengths, RecordedRun};
+use crate::request::RequestSession;
+use crate::request::robots::robot_for_measurement;
+use dbbd_model::conformity::ConformityFinding;
+use dbbd_model::diagnostic::{Diagnostic, Finding, Severity};
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::{AngleSource, CompletedCalibration, Prior, check_measurements, doubts};
+use dbbd_model::measurement::{BaseBall, Measurements};
+use dbbd_model::provenance::IdentityFinding;
+use dbbd_model::provenance::ProvenanceFinding;
+use dbbd_model::provenance::{
+    ArtefactDifference, ArtefactRole, BarIdentity, Contradiction, Identity, Provenance, TracedArtefact,
+    one_robot,
+};
+use dbbd_model::robot::{AXES, BallId, BarId, LoadedRobot, Robot};
+
+/// The least standard deviation of a predicted length in the pose matching, mm.
+const MIN_PREDICTED_SIGMA_MM: f64 = 0.02;
+
+/// The inputs as a request names them.
+#[derive(Clone, Copy)]
+pub(crate) struct NamedInputs<'a> {
+    pub(crate) input: &'a Path,
+    /// Positions beside the lengths of the input.
+    pub(crate) positions: Option<&'a Path>,
+    pub(crate) robot: Option<&'a str>,
+    pub(crate) tool_mm: Option<[f64; 3]>,
+    pub(crate) centres: Option<&'a Path>,
+    pub(crate) bar_u_mm: Option<f64>,
+}
+
+/// A capture, and its latest pose matching.
+struct MatchedRun {
+    run: Box<RecordedRun>,
+    matching: PoseMatching,
+}
+
+/// The inputs as they were read.
+pub(crate) struct LoadedInputs {
+    pub(crate) robot: Robot,
+    pub(crate) centres: Vec<BaseBall>,
+    pub(crate) observations: Measurements,
+    /// The positions from a table of their own, which are among the observations too.
+    positions: Option<Measurements>,
+    /// Standard uncertainty of the bar's length, mm, if known.
+    pub(crate) bar_u_mm: Option<f64>,
+    pub(crate) provenance: Provenance,
+    /// The table or the capture with the lengths.
+    lengths: TracedArtefact,
+    findings: Vec<Diagnostic>,
+    /// Findings about the capture and its latest pose matching.
+    run_findings: Vec<Diagnostic>,
+    pub(crate) axes: AngleSource,
+    matched: Option<MatchedRun>,
+}
+
+impl LoadedInputs {
+    pub(crate) fn read(named: NamedInputs<'_>, session: &RequestSession<'_>) -> Result<Self, Diagnostic> {
+        let input = named.input.display().to_string();
+        let mut findings = Vec::new();
+        let matched = MatchedRun::read(named.input, session)?;
+        let observations = match &matched {
+            Some(matched) => matched.matching.observations.clone(),
+            None => measurements(named.input, lengths_or_positions, &mut findings, session)?,
+        };
+        let is_tracked = observations.set_up(0).trackers > 0;
+        if is_tracked && named.positions.is_some() {
+            return Err(EstimationFinding::PositionsTwice.into());
+        }
+        if observations.rows.is_empty() {
+            return Err(Diagnostic::file(&input, EstimationFinding::NoLength));
+        }
+        let of_lengths = named
+            .centres
+            .map(|_| "the table of base balls")
+            .or(named.bar_u_mm.map(|_| "the uncertainty of the bar"));
+        if is_tracked && let Some(input) = of_lengths {
+            return Err(EstimationFinding::OfLengths { input }.into());
+        }
+        let run = matched.as_ref().map(|matched| matched.run.as_ref());
+        let lengths = match run {
+            Some(run) => run.traced(named.input)?,
+            None => {
+                let (lengths, changed) = crate::artefact::of_table(ArtefactRole::Measurements, named.input)?;
+                findings.extend(changed);
+                lengths
+            }
+        };
+        let LoadedRobot { mut robot, source, .. } = read_robot(named.robot, run, &lengths, session)?;
+        if let Some(tool) = named.tool_mm {
+            robot.set_tool(tool);
+        }
+        let mut sources = Vec::new();
+        let centres = match (named.centres, run) {
+            (Some(path), _) => {
+                sources.push(crate::artefact::of_file(ArtefactRole::BaseBalls, path)?.into());
+                session.table(path, BaseBall::from_table)?
+            }
+            (None, Some(run)) => run.centres(),
+            (None, None) if is_tracked => Vec::new(),
+            (None, None) => return Err(EstimationFinding::NoBalls.into()),
+        };
+        check_measurements(&input, &observations, &robot, &centres)?;
+        findings.extend(doubts(&input, &observations, &robot, &centres));
+        let mut positions = None;
+        if let Some(path) = named.positions {
+            sources.push(read_further(path, &lengths, &mut findings)?);
+            positions = Some(read_positions(path, &robot, &mut findings, session)?);
+        }
+        let observations = with_positions(observations, positions.as_ref())?;
+        let provenance = crate::artefact::made_from([&source].into_iter().chain(&sources).chain([&lengths]));
+        let bar = &provenance.identity.bar;
+        let uncorrected = uncorrected_bar(&observations, bar).filter(|_| matched.is_none());
+        findings.extend(uncorrected.map(|finding| Diagnostic::file(&input, finding)));
+        Ok(Self {
+            bar_u_mm: named.bar_u_mm.or(bar.u_mm()),
+            run_findings: matched.as_ref().map_or_else(Vec::new, |matched| matched.findings(&robot)),
+            axes: matched.as_ref().map_or(AngleSource::Given, MatchedRun::axes),
+            robot,
+            centres,
+            observations,
+            positions,
+            provenance,
+            lengths,
+            findings,
+            matched,
+        })
+    }
+
+    /// Reads measurements that only check the result. They must be of the same robot in the same set-up.
+    pub(super) fn validation(
+        &mut self,
+        path: &Path,
+        session: &RequestSession<'_>,
+    ) -> Result<Measurements, Diagnostic> {
+        let name = path.display().to_string();
+        let set = measurements(path, lengths_or_positions, &mut self.findings, session)?;
+        check_measurements(&name, &set, &self.robot, &self.centres)?;
+        set.check(&name, self.observations.set_up(self.centres.len()))?;
+        let TracedArtefact { artefact, .. } = read_further(path, &self.lengths, &mut self.findings)?;
+        if self.provenance.has(&artefact) {
+            session.finding(ProvenanceFinding::GivenTwice { lengths: artefact.to_string() });
+        }
+        Ok(set)
+    }
+
+    /// Refuses a run whose plan is for another robot.
+    pub(crate) fn check_planned_robot(&self) -> Result<(), ConformityFinding> {
+        let planned = self.matched.as_ref().and_then(|matched| matched.other_robot(&self.robot));
+        let given = || self.robot.name.clone();
+        planned.map_or(Ok(()), |planned| Err(ConformityFinding::PlanOfAnother { planned, given: given() }))
+    }
+
+    pub(crate) fn findings(&self) -> Vec<Diagnostic> {
+        [self.findings.as_slice(), self.run_findings.as_slice()].concat()
+    }
+
+    /// The prior if the user names none: the posterior of the robot's earlier identification. Reports that the robot file
+    /// has lost it.
+    pub(super) fn default_prior(
+        &mut self,
+        robot_file: Option<&str>,
+        session: &RequestSession<'_>,
+    ) -> Result<Prior, Diagnostic> {
+        let known = || self.known_lengths(robot_file, session);
+        let (prior, lost) = Prior::continued(&self.robot, self.observations.rows.len(), known)?;
+        self.findings.extend(lost.map(Diagnostic::from));
+        Ok(prior)
+    }
+
+    /// How many of the observations are among those beside the robot file, from which the robot was identified.
+    pub(crate) fn known_lengths(
+        &self,
+        robot_file: Option<&str>,
+        session: &RequestSession<'_>,
+    ) -> Result<usize, Diagnostic> {
+        let Some(robot_file) = robot_file else { return Ok(0) };
+        let tables = [LENGTHS, POSITIONS].map(|name| Path::new(robot_file).with_file_name(name));
+        let known = tables.iter().filter(|path| path.is_file()).map(|path| {
+            let table = measurements(path, lengths_or_positions, &mut Vec::new(), session)?;
+            Ok(table.holds(&self.observations))
+        });
+        known.sum()
+    }
+
+    /// Matches the capture again with the lengths that the identified robot predicts. Returns whether the pairs changed.
+    pub(super) fn match_again(&mut self, calibration: &CompletedCalibration) -> bool {
+        let Some(MatchedRun { run, matching: before }) = &mut self.matched else { return false };
+        let model = &calibration.posterior.model;
+        let length = |ball: BallId, axes_deg: &[f64; AXES]| match model.balls.get(ball.index()) {
+            Some(centre) => {
+                model.geometry.length(&axes_deg.map(f64::to_radians), centre, model.bar_offset(BarId::FIRST))
+            }
+            None => f64::NAN,
+        };
+        let sigma_mm = (3.0 * calibration.result.noise_mm.length).max(MIN_PREDICTED_SIGMA_MM);
+        let Ok(matching) = run.matching(Some(PredictedLengths { length_mm: &length, sigma_mm })) else {
+            return false;
+        };
+        if matching.same_pairs(before) || matching.observations.rows.is_empty() {
+            return false;
+        }
+        let Ok(observations) = with_positions(matching.observations.clone(), self.positions.as_ref()) else {
+            return false;
+        };
+        self.observations = observations;
+        *before = matching;
+        self.run_findings = self.matched.iter().flat_map(|matched| matched.findings(&self.robot)).collect();
+        true
+    }
+}
+
+impl MatchedRun {
+    /// Reads and matches a capture; `None` if the file is not a capture.
+    fn read(path: &Path, session: &RequestSession<'_>) -> Result<Option<Self>, Diagnostic> {
+        if !run::is_capture(path)? {
+            return Ok(None);
+        }
+        let run = run::open_run(path, None, &[], &mut |finding| session.finding(finding))?;
+        let matching = run.matching(None)?;
+        Ok(Some(Self { run: Box::new(run), matching }))
+    }
+
+    /// Whether the axis angles were measured by the controller.
+    fn axes(&self) -> AngleSource {
+        let published = self.matching.axes.as_ref().is_some_and(|axes| axes.measured > 0);
+        if published || !self.run.axes_deg.is_empty() { AngleSource::Given } else { AngleSource::Commanded }
+    }
+
+    /// The name of the robot of the plan, if it is not `robot`.
+    fn other_robot(&self, robot: &Robot) -> Option<String> {
+        self.run.robot().ok().map(|planned| planned.name).filter(|name| *name != robot.name)
+    }
+
+    fn findings(&self, robot: &Robot) -> Vec<Diagnostic> {
+        let lost = self.run.doubtful.then(|| EstimationFinding::PartOfRunLost.into());
+        let is_reported = |finding: &&MatchingFinding| {
+            let is_of_axes = matches!(
+                finding,
+                MatchingFinding::AxesMeasured { .. } | MatchingFinding::AxesMeasuredLagUnknown { .. }
+            );
+            is_of_axes || finding.code().severity() == Severity::Warning
+        };
+        let of_matching = self.matching.findings.iter().filter(is_reported).cloned().map(Diagnostic::from);
+        let given = || robot.name.clone();
+        let other = self
+            .other_robot(robot)
+            .map(|planned| EstimationFinding::PlannedForAnother { planned, given: given() }.into());
+        lost.into_iter().chain(of_matching).chain(other).collect()
+    }
+}
+
+/// A finding if the bar of a table was warm or cold and nothing says that its lengths are referred to its certificate.
+fn uncorrected_bar(observations: &Measurements, bar: &BarIdentity) -> Option<IdentityFinding> {
+    let lengths = observations.rows.iter().filter(|row| row.datum.bar().is_some());
+    let longest_mm = lengths.map(|row| row.length_mm).reduce(f64::max)?;
+    // An implausible temperature has a finding of its own.
+    let mean_c = observations.mean_temperature_c().filter(|_| observations.warm().is_none())?;
+    bar.uncorrected(bar.length_mm.unwrap_or(longest_mm), mean_c)
+}
+
+/// Reads the chain of a further table of measurements. Refuses another robot than that of `lengths`; another bar or ball
+/// is a finding.
+fn read_further(
+    path: &Path,
+    lengths: &TracedArtefact,
+    findings: &mut Vec<Diagnostic>,
+) -> Result<TracedArtefact, Diagnostic> {
+    let name = path.display().to_string();
+    let (table, changed) = crate::artefact::of_table(ArtefactRole::Measurements, path)?;
+    findings.extend(changed);
+    one_robot([(lengths.artefact.name.clone(), lengths), (name.clone(), &table)])?;
+    let others = lengths.provenance.identity.contradictions(&table.provenance.identity).into_iter();
+    let is_set_up = |key: &str| key == BarIdentity::SERIAL || key.starts_with(Identity::BALLS);
+    let others = others.filter(|other| is_set_up(&other.key));
+    findings.extend(others.map(|Contradiction { key, known, stated }| {
+        Diagnostic::file(&name, ProvenanceFinding::OtherSetUp { key, known, stated })
+    }));
+    Ok(table)
+}
+
+/// Reads positions that are given beside lengths.
+fn read_positions(
+    path: &Path,
+    robot: &Robot,
+    findings: &mut Vec<Diagnostic>,
+    session: &RequestSession<'_>,
+) -> Result<Measurements, Diagnostic> {
+    let name = path.display().to_string();
+    let positions = measurements(path, Measurements::positions_from_table, findings, session)?;
+    check_measurements(&name, &positions, robot, &[])?;
+    let doubts = doubts(&name, &positions, robot, &[]).into_iter();
+    findings.extend(doubts.filter(|doubt| doubt.severity() != Severity::Info));
+    Ok(positions)
+}
+
+fn with_positions(
+    lengths: Measurements,
+    positions: Option<&Measurements>,
+) -> Result<Measurements, Diagnostic> {
+    match positions {
+        Some(positions) => Ok(lengths.and(positions)?),
+        None => Ok(lengths),
+    }
+}
+
+/// The robot of the request, else that of the run's plan. Refuses another robot than that of the lengths.
+fn read_robot(
+    named: Option<&str>,
+    run: Option<&RecordedRun>,
+    lengths: &TracedArtefact,
+    session: &RequestSession<'_>,
+) -> Result<LoadedRobot, Diagnostic> {
+    let read = match (named, run) {
+        (Some(name), _) => robot_for_measurement(name, session)?,
+        (None, Some(run)) => {
+            let robot = run.robot()?;
+            // A plan without a chain still has its robot.
+            let recorded = lengths.robot().map(|robot| TracedArtefact::from(robot.clone()));
+            let source = recorded.unwrap_or_else(|| robot.traced(&run.plan.header.robot));
+            return Ok(LoadedRobot { source, robot, findings: Vec::new() });
+        }
+        (None, None) => return Err(EstimationFinding::NoRobot.into()),
+    };
+    let given = &read.source;
+    if let Some(planned) = lengths.robot()
+        && planned.differs(&given.artefact) == Some(ArtefactDifference::Serial)
+    {
+        return Err(lengths.of_another_robot(planned, &given.artefact).into());
+    }
+    one_robot([(lengths.artefact.name.clone(), lengths), (given.artefact.name.clone(), given)])?;
+    if given.provenance.has(&lengths.artefact) {
+        let (lengths, robot) = (lengths.artefact.to_string(), given.artefact.to_string());
+        session.finding(ProvenanceFinding::UsedBefore { lengths, robot });
+    } else {
+        session.findings(lengths.outdated_by(given));
+    }
+    Ok(read)
+}

@@ -1,0 +1,260 @@
+//! Identifies the parameters of a robot from lengths or positions.
+
+mod files;
+pub(super) mod inputs;
+pub(super) mod tables;
+
+use std::path::{Path, PathBuf};
+
+use dbbd_device::clock;
+use dbbd_model::base::date;
+use dbbd_model::conformity::UncertaintyBudget;
+use dbbd_model::design::{Calibrated, calibrate_run};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::{CalibrationResult, CompletedCalibration, ErrorModel, Input, Options, Prior};
+use dbbd_model::measurement::{LengthModel, Measurements};
+use dbbd_model::provenance::{ArtefactRole, Provenance};
+use dbbd_model::robot::parameter::{self, SetUpCounts};
+use serde::{Deserialize, Serialize, Serializer};
+
+use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
+pub use files::{LENGTHS, POSITIONS, ROBOT};
+use inputs::{LoadedInputs, NamedInputs};
+use tables::{read_prior, read_workspace};
+
+/// How often a capture is matched again with the identified robot.
+const MAX_MATCHINGS: usize = 5;
+
+/// What shall be identified, and from what.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct IdentifyRequest {
+    /// A table of lengths or of positions, or a capture.
+    pub input: PathBuf,
+    /// The directory of the result.
+    pub out: PathBuf,
+    /// A built-in name or a file; `None` for the robot of the capture's plan.
+    pub robot: Option<String>,
+    /// The parameters to estimate: names, ranges, groups. `None` for all that are identifiable.
+    pub estimate: Option<String>,
+    /// The parameters to fix at their start values.
+    pub hold: Option<String>,
+    /// A table of positions beside the lengths of the input.
+    pub positions: Option<PathBuf>,
+    /// A table of the base balls; `None` for those of the capture's plan.
+    pub centres: Option<PathBuf>,
+    /// Tool ball in the flange frame, in place of that in the robot file.
+    pub tool_mm: Option<[f64; 3]>,
+    /// Standard deviation of every length and coordinate; `None` for that of the data.
+    pub sigma_mm: Option<f64>,
+    /// Standard uncertainty (k = 1) of each bar's length; `None` for that of the certificate, if known.
+    pub bar_u_mm: Option<f64>,
+    /// A table of measurements that only check the result.
+    pub validate: Option<PathBuf>,
+    /// Number of cross-validation folds; 0 for none.
+    pub folds: Option<usize>,
+    /// `None` for the posterior of the robot file if it has one, else no prior.
+    pub prior: Option<RequestedPrior>,
+    #[serde(default)]
+    pub model: ErrorModel,
+    /// Trials of a Monte Carlo of the uncertainties; `None` for none.
+    pub monte_carlo: Option<usize>,
+    /// A file with the identity of robot and bar, in place of that of the capture.
+    pub identity: Option<PathBuf>,
+    /// A table of poses over which the position uncertainty is predicted.
+    pub workspace: Option<PathBuf>,
+}
+
+/// What is known of the robot before.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RequestedPrior {
+    None,
+    /// The tolerance in the robot file.
+    Datasheet,
+    /// The posterior of the robot's earlier identification.
+    Posterior,
+    /// A table of standard deviations.
+    Table(PathBuf),
+}
+
+impl RequestedPrior {
+    /// The prior of this name, else the table of this path.
+    pub fn named(name: &str) -> Self {
+        match name {
+            "none" => Self::None,
+            "datasheet" => Self::Datasheet,
+            "posterior" => Self::Posterior,
+            file => Self::Table(file.into()),
+        }
+    }
+}
+
+/// `result.json`.
+#[derive(Clone, Debug)]
+pub struct IdentifyDocument {
+    pub calibration: CompletedCalibration,
+    pub budget: UncertaintyBudget,
+    pub provenance: Provenance,
+}
+
+impl Serialize for IdentifyDocument {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        #[derive(Serialize)]
+        struct ResultDocument<'a> {
+            #[serde(flatten)]
+            result: &'a CalibrationResult,
+            budget: &'a UncertaintyBudget,
+            provenance: &'a Provenance,
+        }
+        let Self { calibration, budget, provenance } = self;
+        ResultDocument { result: &calibration.result, budget, provenance }.serialize(serializer)
+    }
+}
+
+impl IdentifyRequest {
+    pub(super) fn result(
+        &self,
+        session: &RequestSession<'_>,
+    ) -> Result<RequestResult<IdentifyDocument>, Diagnostic> {
+        self.check_inputs_are_kept()?;
+        let mut given = self.read_inputs(session)?;
+        let set_up = given.observations.set_up(given.centres.len());
+        let options = self.options(&mut given, set_up, session)?;
+        let validation = self.validate.as_deref();
+        let validation = validation.map(|path| given.validation(path, session)).transpose()?;
+        let busy = session.busy(&format!("identifying from {} measurements", given.observations.count()));
+        let Calibrated { calibration, observations } =
+            calibrate_and_match(&mut given, validation.as_ref(), &options, session)?;
+        drop(busy);
+        let observations = observations.unwrap_or(given.observations);
+        let identity = &given.provenance.identity;
+        let budget = UncertaintyBudget::of(&calibration, &observations, given.bar_u_mm, identity);
+        let document = IdentifyDocument { calibration, budget, provenance: given.provenance };
+        let (document, files) = files::write_results(&self.out, document, &observations)?;
+        Ok(RequestResult {
+            outcome: if document.calibration.result.is_doubtful() {
+                AnswerOutcome::Warned
+            } else {
+                AnswerOutcome::Done
+            },
+            files,
+            document,
+        })
+    }
+
+    /// Refuses a directory in which the result would replace an input.
+    fn check_inputs_are_kept(&self) -> Result<(), Diagnostic> {
+        let inputs = || [&self.input].into_iter().chain(&self.positions).map(PathBuf::as_path);
+        crate::files::keeps(&self.out.join(LENGTHS), inputs())?;
+        crate::files::keeps(&self.out.join(POSITIONS), inputs())?;
+        crate::files::keeps(&self.out.join(ROBOT), self.robot.as_deref().map(Path::new))
+    }
+
+    /// Reads the inputs, and completes their provenance and identity.
+    fn read_inputs(&self, session: &RequestSession<'_>) -> Result<LoadedInputs, Diagnostic> {
+        let named = NamedInputs {
+            input: &self.input,
+            positions: self.positions.as_deref(),
+            robot: self.robot.as_deref(),
+            tool_mm: self.tool_mm,
+            centres: self.centres.as_deref(),
+            bar_u_mm: self.bar_u_mm,
+        };
+        let mut given = LoadedInputs::read(named, session)?;
+        let balls = given.centres.len();
+        if let Some(RequestedPrior::Table(file)) = &self.prior {
+            given.provenance.add(&crate::artefact::of_file(ArtefactRole::Prior, file)?);
+        }
+        let identity = &mut given.provenance.identity;
+        if let Some(path) = &self.identity {
+            let stated = earlier::read_identity(path)?;
+            session.findings(earlier::other_run(identity, balls, &stated));
+            identity.extend(&stated);
+        }
+        session.findings(identity.old_certificate(&date::utc(clock::unix_ns())));
+        let replaced = self.out.join(files::RESULT);
+        earlier::check_replaced(&replaced, Some(&given.robot.name), &given.provenance)?;
+        Ok(given)
+    }
+
+    fn options(
+        &self,
+        given: &mut LoadedInputs,
+        set_up: SetUpCounts,
+        session: &RequestSession<'_>,
+    ) -> Result<Options, Diagnostic> {
+        let robot_file = self.robot.as_deref();
+        let prior = match &self.prior {
+            None => given.default_prior(robot_file, session)?,
+            Some(RequestedPrior::None) => Prior::None,
+            Some(RequestedPrior::Datasheet) => Prior::Datasheet,
+            Some(RequestedPrior::Posterior) => match given.default_prior(robot_file, session)? {
+                Prior::Posterior => Prior::Posterior,
+                _ => return Err(EstimationFinding::NoPosterior.into()),
+            },
+            Some(RequestedPrior::Table(file)) => {
+                Prior::Given(session.table(file, |table| read_prior(table, set_up))?)
+            }
+        };
+        // A doubtful earlier identification matters only if it is the prior.
+        session.findings(given.robot.doubtful().filter(|_| matches!(prior, Prior::Posterior)));
+        let betas = given.robot.parallel_joints();
+        let list = |text: &Option<String>| {
+            text.as_deref().map(|text| parameter::parse_list(text, &betas, set_up)).transpose()
+        };
+        let workspace = self.workspace.as_deref();
+        let workspace = workspace.map(|path| read_workspace(path, &given.robot, session)).transpose()?;
+        let options = Options {
+            estimate: list(&self.estimate)?,
+            hold: list(&self.hold)?.unwrap_or_default(),
+            sigma_mm: self.sigma_mm,
+            monte_carlo: self.monte_carlo,
+            prior,
+            // Errors of the joints need a prior of the geometry.
+            model: match self.prior {
+                Some(RequestedPrior::None) => ErrorModel::Geometric,
+                _ => self.model,
+            },
+            folds: self.folds,
+            workspace,
+            bar_u_mm: given.bar_u_mm,
+        };
+        options.check(given.observations.rows.len())?;
+        Ok(options)
+    }
+}
+
+/// Identifies, and matches a capture again with the identified robot until its pairs no longer change.
+fn calibrate_and_match(
+    given: &mut LoadedInputs,
+    validation: Option<&Measurements>,
+    options: &Options,
+    session: &RequestSession<'_>,
+) -> Result<Calibrated, Diagnostic> {
+    session.done(20);
+    // If nothing can be computed, the findings about the inputs may say why.
+    let mut calibrated =
+        calibrate(given, validation, options).inspect_err(|_| session.findings(given.findings()))?;
+    session.done(60);
+    for _ in 0..MAX_MATCHINGS {
+        if !given.match_again(&calibrated.calibration) {
+            break;
+        }
+        calibrated = calibrate(given, validation, options)?;
+    }
+    session.done(90);
+    Ok(calibrated)
+}
+
+fn calibrate(
+    given: &LoadedInputs,
+    validation: Option<&Measurements>,
+    options: &Options,
+) -> Result<Calibrated, Diagnostic> {
+    let LoadedInputs { robot, centres, observations, axes, .. } = given;
+    let start = &LengthModel::before(robot.geometry.clone(), centres, observations);
+    let input = Input { robot, observations, start, validation, options, axes: *axes };
+    Ok(calibrate_run(&input, given.findings())?)
+}

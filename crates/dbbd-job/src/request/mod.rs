@@ -1,0 +1,177 @@
+//! What shall be computed, and what came out: one request and one answer for the command line, the service, the workers of the
+//! archive and Python.
+//!
+//! A request goes one way: its inputs are read once into typed values with their provenance, the result is computed, its files
+//! are written, and the answer is made. This room must not know who asks and how the answer is shown.
+
+mod answer;
+pub mod certificate;
+pub mod check;
+mod child;
+pub mod circle;
+pub mod compensate;
+mod earlier;
+pub mod identify;
+pub mod plan;
+mod protocols;
+mod robots;
+mod watch;
+
+pub use answer::{AnswerOf, AnswerOutcome, AnswerRecord, AnswerResult, RequestResult};
+pub use child::{RequestChild, read_answer};
+pub use earlier::{other_run, read_identity};
+pub use protocols::{read_protocol, read_protocol_file};
+pub use robots::{edited, read_robot};
+pub use watch::{BusyIndicator, RequestWatch, WatchedFile, read_table};
+
+use std::path::Path;
+
+use certificate::{CertificateDocument, CertificateRequest};
+use check::{CheckDocument, CheckRequest};
+use circle::{CircleDocument, CircleRequest};
+use compensate::{CompensateDocument, CompensateRequest};
+use dbbd_model::diagnostic::{Diagnostic, Severity};
+use identify::{IdentifyDocument, IdentifyRequest};
+use plan::{PlanDocument, PlanRequest};
+use serde::{Deserialize, Serialize};
+use watch::RequestSession;
+
+/// What shall be computed. Relative paths start at the directory of the process.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "request", rename_all = "snake_case")]
+pub enum Request {
+    Identify(IdentifyRequest),
+    Plan(PlanRequest),
+    Check(CheckRequest),
+    Compensate(CompensateRequest),
+    Circle(CircleRequest),
+    Certificate(CertificateRequest),
+}
+
+impl Request {
+    /// Reads the inputs, computes, and writes the files.
+    pub fn answer(&self, watch: &dyn RequestWatch) -> Answer {
+        let session = RequestSession::new(watch);
+        let result = match self {
+            Self::Identify(request) => request
+                .result(&session)
+                .map(|result| result.map(|document| AnswerDocument::Identify(Box::new(document)))),
+            Self::Plan(request) => request
+                .result(&session)
+                .map(|result| result.map(|document| AnswerDocument::Plan(Box::new(document)))),
+            Self::Check(request) => request
+                .result(&session)
+                .map(|result| result.map(|document| AnswerDocument::Check(Box::new(document)))),
+            Self::Compensate(request) => {
+                request.result(&session).map(|result| result.map(AnswerDocument::Compensate))
+            }
+            Self::Circle(request) => request
+                .result(&session)
+                .map(|result| result.map(|document| AnswerDocument::Circle(Box::new(document)))),
+            Self::Certificate(request) => {
+                request.result(&session).map(|result| result.map(AnswerDocument::Certificate))
+            }
+        };
+        Answer::of(result, session.into_findings())
+    }
+
+    /// The directory of the files that are written.
+    pub fn out(&self) -> &Path {
+        match self {
+            Self::Identify(request) => &request.out,
+            Self::Plan(request) => &request.out,
+            Self::Check(request) => &request.out,
+            Self::Compensate(request) => &request.out,
+            Self::Circle(request) => &request.out,
+            Self::Certificate(request) => &request.out,
+        }
+    }
+}
+
+/// An answer where it is made.
+pub type Answer = AnswerOf<Diagnostic, AnswerDocument>;
+
+/// The result document of each kind of request: what `--json` prints.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub enum AnswerDocument {
+    Identify(Box<IdentifyDocument>),
+    Plan(Box<PlanDocument>),
+    Check(Box<CheckDocument>),
+    Compensate(CompensateDocument),
+    Circle(Box<CircleDocument>),
+    Certificate(CertificateDocument),
+}
+
+impl AnswerDocument {
+    /// The findings that the document contains itself. They were not reported before.
+    fn own_findings(&self) -> Vec<Diagnostic> {
+        match self {
+            Self::Identify(document) => document.calibration.diagnostics().collect(),
+            _ => Vec::new(),
+        }
+    }
+}
+
+impl Answer {
+    /// The answer to a request after which `findings` were reported.
+    fn of(result: Result<RequestResult<AnswerDocument>, Diagnostic>, mut findings: Vec<Diagnostic>) -> Self {
+        let mut result = match result {
+            Ok(result) => result,
+            Err(refusal) => return Self { findings, result: AnswerResult::Refusal(refusal) },
+        };
+        findings.extend(result.document.own_findings());
+        let is_warning = |finding: &Diagnostic| finding.severity() == Severity::Warning;
+        if result.outcome == AnswerOutcome::Done && findings.iter().any(is_warning) {
+            result.outcome = AnswerOutcome::Warned;
+        }
+        Self { findings, result: AnswerResult::Result(result) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dbbd_model::estimation::EstimationFinding;
+
+    use dbbd_model::diagnostic::FindingRecord;
+
+    use super::*;
+
+    fn result(outcome: AnswerOutcome) -> Result<RequestResult<AnswerDocument>, Diagnostic> {
+        let files = vec!["dcc.xml".to_owned()];
+        let document = AnswerDocument::Certificate(CertificateDocument { files: files.clone() });
+        Ok(RequestResult { outcome, files, document })
+    }
+
+    fn read(answer: &Answer) -> AnswerRecord {
+        serde_json::from_str(&serde_json::to_string(answer).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn a_warning_makes_a_result_doubtful() {
+        let warning = || Diagnostic::file("run.dbbd", EstimationFinding::PartOfRunLost);
+        for (computed, findings, wanted) in [
+            (AnswerOutcome::Done, vec![], AnswerOutcome::Done),
+            (AnswerOutcome::Done, vec![warning()], AnswerOutcome::Warned),
+            (AnswerOutcome::Undecided, vec![], AnswerOutcome::Undecided),
+            (AnswerOutcome::Failed, vec![warning()], AnswerOutcome::Failed),
+        ] {
+            let answer = read(&Answer::of(result(computed), findings.clone()));
+            let AnswerResult::Result(RequestResult { outcome, files, document }) = answer.result else {
+                panic!("refused")
+            };
+            assert_eq!(
+                (outcome, files, &document["files"][0]),
+                (wanted, vec!["dcc.xml".into()], &"dcc.xml".into())
+            );
+            assert_eq!(answer.findings, findings.iter().map(FindingRecord::from).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn a_refusal_is_read_back_with_its_code() {
+        let refusal = Diagnostic::line("obs.csv", 3, EstimationFinding::NoRobot);
+        let answer = read(&Answer::of(Err(refusal.clone()), Vec::new()));
+        assert_eq!(answer.result, AnswerResult::Refusal(FindingRecord::from(&refusal)));
+    }
+}

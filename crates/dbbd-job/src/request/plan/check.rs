@@ -1,0 +1,111 @@
+//! The poses of a short check of a calibrated robot.
+
+use super::{CheckPoses, PlanningKnowledge};
+use crate::plan::{Job, Plan, PlanRow, PlanningPrior, PoseKind};
+use crate::request::RequestSession;
+use crate::request::check::LengthSigma;
+use dbbd_model::conformity::ConformityFinding;
+use dbbd_model::conformity::{CheckInput, DecisionRule};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::expected::{BallMounting, Mounting};
+use dbbd_model::estimation::result::MapPoint;
+use dbbd_model::estimation::{Options, length_sd_mm};
+use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
+use dbbd_model::robot::{AXES, BallId, Robot};
+
+/// The check that is planned, without its poses.
+pub(super) struct PlannedCheck<'a> {
+    file: &'a str,
+    poses: u32,
+    robot: Robot,
+    start: LengthModel,
+    sigma_mm: f64,
+    mounting: Mounting,
+    tolerance_mm: Option<f64>,
+    rule: DecisionRule,
+    workspace: Vec<[f64; AXES]>,
+}
+
+impl<'a> PlannedCheck<'a> {
+    pub(super) fn new(
+        poses: CheckPoses,
+        file: &'a str,
+        job: &Job,
+        robot: &Robot,
+        session: &RequestSession<'_>,
+    ) -> Result<Self, Diagnostic> {
+        let noise = LengthSigma::at_least(Some(length_sd_mm(job.bar.sigma_um * 1e-3, robot)), file, robot)?;
+        session.findings(noise.finding);
+        let mut mounting = Mounting::again(robot, job.bar.u_mm());
+        if poses.balls_kept {
+            mounting.balls = BallMounting::Kept(Mounting::SEAT_REPEAT_MM);
+        }
+        Ok(Self {
+            file,
+            poses: poses.poses,
+            robot: robot.clone(),
+            start: LengthModel::new(robot.geometry.clone(), &job.balls()),
+            sigma_mm: noise.sigma_mm,
+            mounting,
+            tolerance_mm: poses.tolerance_mm,
+            rule: DecisionRule::GuardBand { risk: poses.risk },
+            workspace: Options::default().workspace_poses(robot).into_owned(),
+        })
+    }
+
+    fn input<'b>(&'b self, readings: &'b [PreparedMeasurement]) -> CheckInput<'b> {
+        CheckInput {
+            robot: &self.robot,
+            start: &self.start,
+            readings,
+            bars: 1,
+            sigma_mm: self.sigma_mm,
+            mounting: self.mounting,
+            tolerance_mm: self.tolerance_mm,
+            rule: self.rule,
+            workspace: &self.workspace,
+        }
+    }
+
+    pub(super) fn known(&self, job: &Job) -> Result<PlanningKnowledge, Diagnostic> {
+        self.check_kept_balls(job)?;
+        let expected = self.input(&[]).expected().map_err(|finding| Diagnostic::file(self.file, finding))?;
+        let prior = PlanningPrior::of_check(job, &self.robot, expected);
+        Ok(PlanningKnowledge { job: job.as_check(self.poses), robot: self.robot.clone(), prior })
+    }
+
+    /// Refuses kept base balls that are farther from their places in the job, about which the poses are, than the stroke
+    /// allows.
+    fn check_kept_balls(&self, job: &Job) -> Result<(), Diagnostic> {
+        let known = self.robot.posterior.as_ref();
+        let [low_mm, high_mm] = job.bar.stroke_mm;
+        let stays = matches!(self.mounting.balls, BallMounting::Kept(_));
+        for (at, place) in self.start.balls.iter().enumerate().filter(|_| stays) {
+            let ball = BallId::at(at);
+            let Some(kept) = known.and_then(|known| known.ball(ball)) else { continue };
+            let away_mm = (place - kept).norm();
+            if away_mm > 0.5 * (high_mm - low_mm) {
+                let elsewhere = ConformityFinding::BallElsewhere { ball: ball.number(), away_mm };
+                return Err(Diagnostic::file(self.file, elsewhere));
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes what the check can detect into the header. A check has no map of the remaining error.
+    pub(super) fn predict(
+        &self,
+        plan: &mut Plan,
+        session: &RequestSession<'_>,
+    ) -> Result<Vec<MapPoint>, Diagnostic> {
+        let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit);
+        let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
+        let power = self.input(&readings).power()?;
+        let best_mm = power.least_tolerance_mm;
+        if let Some(tolerance_mm) = power.tolerance_mm.filter(|tolerance| *tolerance < best_mm) {
+            session.finding(ConformityFinding::Undecidable { tolerance_mm, best_mm });
+        }
+        plan.header.check = Some(power);
+        Ok(Vec::new())
+    }
+}

@@ -1,0 +1,322 @@
+//! Plans the poses of a calibration from a job, and checks them.
+
+mod check;
+
+use std::path::{Path, PathBuf};
+
+use check::PlannedCheck;
+use dbbd_device::clock;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::change::CheckPower;
+use dbbd_model::estimation::{check_measurements, doubts};
+use dbbd_model::measurement::MeasurementFinding;
+use dbbd_model::measurement::{BaseBall, PreparedMeasurement};
+use dbbd_model::provenance::ProvenanceFinding;
+use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact, one_robot};
+use dbbd_model::robot::{LoadedRobot, Robot};
+use serde::{Deserialize, Serialize, Serializer};
+
+use super::identify::LENGTHS;
+use super::identify::tables::{lengths, measurements};
+use super::robots::robot_for_measurement;
+use super::{AnswerOutcome, RequestResult, RequestSession, read_protocol};
+use crate::file_set::FileSet;
+use crate::files;
+use crate::plan::PlanFinding;
+use crate::plan::{Job, Plan, PlanCheck, PlanPrediction, PlanningPrior, PoseKind, Stage, TaughtBall};
+use crate::recording::dwell;
+use crate::report;
+
+/// What shall be planned.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlanRequest {
+    /// The file of the job.
+    pub job: PathBuf,
+    /// The directory of the plan.
+    pub out: PathBuf,
+    /// A built-in name or a file, in place of the robot of the job.
+    pub robot: Option<String>,
+    /// Tables of lengths measured before to the same base balls.
+    #[serde(default)]
+    pub measured: Vec<PathBuf>,
+    #[serde(default)]
+    pub poses: PlannedPoses,
+}
+
+/// Which poses are planned.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PlannedPoses {
+    /// Those of the job.
+    #[default]
+    Job,
+    /// So many safe poses about the base balls, to be measured first.
+    Stage { poses: u32 },
+    /// Those of a check of a calibrated robot.
+    Check(CheckPoses),
+}
+
+/// The check whose poses are planned.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CheckPoses {
+    /// The number of poses.
+    pub poses: u32,
+    /// The base balls are still mounted as in the calibration.
+    pub balls_kept: bool,
+    /// Tolerance of the position error.
+    pub tolerance_mm: Option<f64>,
+    /// Largest probability of a wrong decision.
+    pub risk: f64,
+}
+
+/// A plan and the name of its robot. It is serialised as its summary.
+#[derive(Clone, Debug)]
+pub struct PlanDocument {
+    pub robot: String,
+    pub plan: Plan,
+}
+
+impl PlanDocument {
+    /// How many poses of the plan are of this kind.
+    pub fn count(&self, kind: PoseKind) -> usize {
+        self.plan.rows.iter().filter(|row| row.kind == kind).count()
+    }
+}
+
+impl Serialize for PlanDocument {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        #[derive(Serialize)]
+        struct PlanSummary<'a> {
+            robot: &'a str,
+            hash: &'a str,
+            rows: usize,
+            measure: usize,
+            reference: usize,
+            duration_s: f64,
+            checks: &'a [PlanCheck],
+            stage: Option<Stage>,
+            taught: &'a [TaughtBall],
+            predictions: Option<&'a PlanPrediction>,
+            #[serde(skip_serializing_if = "Option::is_none")]
+            check: Option<&'a CheckPower>,
+        }
+        let Self { robot, plan } = self;
+        let summary = PlanSummary {
+            robot,
+            hash: &plan.header.hash,
+            rows: plan.rows.len(),
+            measure: self.count(PoseKind::Measure),
+            reference: self.count(PoseKind::Reference),
+            duration_s: plan.duration_s(),
+            checks: &plan.header.checks,
+            stage: plan.header.stage,
+            taught: &plan.header.taught,
+            predictions: plan.header.predictions.as_ref(),
+            check: plan.header.check.as_ref(),
+        };
+        summary.serialize(serializer)
+    }
+}
+
+impl PlanRequest {
+    pub(super) fn result(
+        &self,
+        session: &RequestSession<'_>,
+    ) -> Result<RequestResult<PlanDocument>, Diagnostic> {
+        let name = self.job.display().to_string();
+        let (job, made_from) = self.read_job(session)?;
+        let robot_name = self.robot.as_deref().unwrap_or(&job.robot);
+        let LoadedRobot { robot, source, .. } =
+            with_serial(&job, robot_for_measurement(robot_name, session)?)?;
+        job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
+        session.findings_in(&name, job.without_effect(&robot));
+        session.findings_in(&name, job.in_robot(&robot));
+        let check = match self.poses {
+            PlannedPoses::Check(poses) => {
+                // Without a file of the robot there is no posterior: the check refuses that.
+                let file = self.robot.as_deref().unwrap_or_default();
+                Some(PlannedCheck::new(poses, file, &job, &robot, session)?)
+            }
+            PlannedPoses::Job | PlannedPoses::Stage { .. } => None,
+        };
+        let measured = match check {
+            Some(_) => EarlierMeasurements::default(),
+            None => EarlierMeasurements::find(self, robot_name, &source, session)?,
+        };
+        let files = measured.files.iter().map(|path| path.display().to_string());
+        one_robot(files.zip(&measured.sources).chain([(robot_name.to_owned(), &source)]))?;
+        // With lengths measured before, their own findings report this.
+        session.findings(robot.asked_repeatability().filter(|_| measured.files.is_empty()));
+        let provenance =
+            crate::artefact::made_from([&made_from, &source].into_iter().chain(&measured.sources));
+        let PlanningKnowledge { job, robot, prior } = match &check {
+            Some(check) => check.known(&job)?,
+            None => PlanningKnowledge::after(job, robot, &measured.files, session)?,
+        };
+        let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
+            session.findings(refusal.printed().cloned());
+            Diagnostic::from(refusal).in_file(&name)
+        })?;
+        plan.header.provenance = provenance;
+        let map = match &check {
+            Some(check) => check.predict(&mut plan, session)?,
+            None => plan.predict(&robot, &prior),
+        };
+        let files = write_plan(&plan, report::plan::html(&plan, &robot, &map)?, &self.out)?;
+        session.findings(plan.header.notes.iter().cloned());
+        let predictions = plan.header.predictions.iter();
+        session.findings(predictions.flat_map(|prediction| prediction.recommendations.iter().cloned()));
+        let document = PlanDocument { robot: robot.name, plan };
+        Ok(RequestResult { outcome: AnswerOutcome::Done, files, document })
+    }
+
+    /// The job, or its stage, and the job's file.
+    fn read_job(&self, session: &RequestSession<'_>) -> Result<(Job, TracedArtefact), Diagnostic> {
+        let name = self.job.display().to_string();
+        let job = Job::from_toml(&name, &files::read_text(&self.job)?)?;
+        job.identity().check_dates(clock::unix_ns()).map_err(|(_, why)| why.in_file(&name))?;
+        let made_from = job.traced(&self.job)?;
+        let job = match self.poses {
+            PlannedPoses::Stage { poses } => job.as_stage(poses),
+            PlannedPoses::Job | PlannedPoses::Check(_) => job,
+        };
+        // The file of a definition may exist only on the computer that records.
+        if !job.bar.protocol.ends_with(".toml") {
+            let bar = read_protocol(&job.bar.protocol, &[]).map_err(|why| why.in_file(&name))?;
+            session.findings_in(&name, dwell::too_short(job.motion.dwell_s, &bar));
+        }
+        Ok((job, made_from))
+    }
+}
+
+/// Returns the names of the files.
+fn write_plan(plan: &Plan, page: String, directory: &Path) -> Result<Vec<String>, Diagnostic> {
+    let (csv, json) = plan.to_files()?;
+    let mut set = FileSet::begin(directory)?;
+    set.write("plan.csv", csv)?;
+    set.write("plan.json", json)?;
+    set.write("plan.html", page)?;
+    set.write("centres.csv", BaseBall::to_csv(&plan.header.job.balls()))?;
+    set.finish()
+}
+
+/// The robot with the serial number of the job. Refuses a robot with another one.
+fn with_serial(job: &Job, read: LoadedRobot) -> Result<LoadedRobot, Diagnostic> {
+    let LoadedRobot { mut robot, mut source, findings } = read;
+    if let (Some(of_job), Some(of_robot)) = (&job.serial, &robot.serial)
+        && of_job != of_robot
+    {
+        let (job, robot) = (of_job.clone(), of_robot.clone());
+        return Err(ProvenanceFinding::OtherJobSerial { job, robot }.into());
+    }
+    if let Some(serial) = &job.serial {
+        robot.serial = Some(serial.clone());
+        robot.nominal.iter_mut().for_each(|nominal| nominal.serial = Some(serial.clone()));
+        source.artefact.serial = Some(serial.clone());
+    }
+    Ok(LoadedRobot { robot, source, findings })
+}
+
+/// Tables of lengths measured before, each once.
+#[derive(Default)]
+struct EarlierMeasurements {
+    files: Vec<PathBuf>,
+    sources: Vec<TracedArtefact>,
+}
+
+impl EarlierMeasurements {
+    /// The tables of the request, and the lengths.csv beside an identified robot. Refuses one of another result.
+    fn find(
+        request: &PlanRequest,
+        robot_name: &str,
+        robot: &TracedArtefact,
+        session: &RequestSession<'_>,
+    ) -> Result<Self, Diagnostic> {
+        let mut measured = Self::default();
+        request.measured.iter().try_for_each(|path| measured.add(path, session))?;
+        if robot.artefact.role != ArtefactRole::IdentifiedRobot {
+            return Ok(measured);
+        }
+        let path = Path::new(robot_name).with_file_name(LENGTHS);
+        if !path.is_file() {
+            session.finding(PlanFinding::NoLengths { file: path.display().to_string() });
+            return Ok(measured);
+        }
+        let lengths = crate::artefact::of_file(ArtefactRole::Measurements, &path)?;
+        let of_result =
+            |source: &&Artefact| source.role == ArtefactRole::Measurements && source.name == lengths.name;
+        if let Some(expected) = robot.provenance.from.iter().rev().find(of_result)
+            && expected.sha256 != lengths.sha256
+        {
+            let (lengths, expected) = (lengths.to_string(), expected.to_string());
+            return Err(ProvenanceFinding::OtherLengths { lengths, expected }.into());
+        }
+        measured.add(&path, session)?;
+        Ok(measured)
+    }
+
+    fn add(&mut self, path: &Path, session: &RequestSession<'_>) -> Result<(), Diagnostic> {
+        let (lengths, changed) = crate::artefact::of_table(ArtefactRole::Measurements, path)?;
+        session.findings(changed);
+        if self.sources.iter().any(|source| source.artefact.sha256 == lengths.artefact.sha256) {
+            session.finding(ProvenanceFinding::GivenTwice { lengths: lengths.artefact.to_string() });
+            return Ok(());
+        }
+        self.files.push(path.into());
+        self.sources.push(lengths);
+        Ok(())
+    }
+}
+
+/// Job and robot after the earlier measurements, with what is known of them.
+struct PlanningKnowledge {
+    job: Job,
+    robot: Robot,
+    prior: PlanningPrior,
+}
+
+impl PlanningKnowledge {
+    fn after(
+        job: Job,
+        robot: Robot,
+        measured: &[PathBuf],
+        session: &RequestSession<'_>,
+    ) -> Result<Self, Diagnostic> {
+        if measured.is_empty() {
+            let prior = PlanningPrior::datasheet(&job, &robot);
+            return Ok(Self { job, robot, prior });
+        }
+        let (mut tables, mut findings) = (Vec::new(), Vec::new());
+        for path in measured {
+            let observations = measurements(path, lengths, &mut findings, session)?;
+            let name = path.display().to_string();
+            check_measurements(&name, &observations, &robot, &job.balls())?;
+            findings.extend(doubts(&name, &observations, &robot, &job.balls()));
+            let rows = observations.rows.len();
+            if tables.contains(&observations) {
+                findings.push(Diagnostic::file(&name, MeasurementFinding::Repeated { repeated: rows, rows }));
+            } else {
+                tables.push(observations);
+            }
+        }
+        session.findings(findings);
+        let rows = || tables.iter().flat_map(|table| &table.rows);
+        let lengths: Vec<PreparedMeasurement> = rows().map(PreparedMeasurement::from).collect();
+        // If the job does not say where a ball was taught for an earlier stage, its lengths do.
+        let mut job = job;
+        for row in rows() {
+            let taught_deg = row.context.as_ref().and_then(|context| context.taught_deg.as_deref());
+            let ball = row.datum.ball().and_then(|ball| job.centres.get_mut(ball.index()));
+            if let Some((table, axes_deg)) = ball.zip(taught_deg) {
+                table.taught_deg.get_or_insert(*axes_deg);
+            }
+        }
+        job.check_against(robot.controller()).map_err(Diagnostic::new)?;
+        let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
+        session.findings(prior.doubts(&job, &robot, &lengths));
+        let (job, robot) = prior.applied(&job, &robot);
+        Ok(Self { job, robot, prior })
+    }
+}

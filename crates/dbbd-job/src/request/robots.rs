@@ -1,0 +1,32 @@
+//! Robots by built-in name or file.
+
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::robot::{LoadedRobot, Robot};
+
+use super::RequestSession;
+use crate::robot_files::named_robot;
+
+/// Reads a robot by built-in name or file. Its findings do not say that its identification is doubtful.
+pub fn read_robot(name: &str) -> Result<LoadedRobot, Diagnostic> {
+    named_robot(name)
+}
+
+/// Reads a robot, and reports the findings about its file. A doubtful identification is not reported: a further measurement
+/// is its cure.
+pub(super) fn robot_for_measurement(
+    name: &str,
+    session: &RequestSession<'_>,
+) -> Result<LoadedRobot, Diagnostic> {
+    let mut read = read_robot(name)?;
+    session.findings(std::mem::take(&mut read.findings));
+    Ok(read)
+}
+
+/// A finding if the file of an identified robot lacks its posterior, or has values that the posterior does not belong to.
+pub fn edited(robot: &Robot) -> Option<EstimationFinding> {
+    match &robot.posterior {
+        Some(known) => (!known.is_of(&robot.geometry)).then_some(EstimationFinding::PosteriorOfOtherValues),
+        None => robot.nominal.as_ref().map(|_| EstimationFinding::PosteriorLost),
+    }
+}

@@ -1,0 +1,54 @@
+//! Which robot does the user name, and what is known of it? Reads a robot by its built-in name or file, and the result beside it.
+//!
+//! This room knows where these files are, and neither what is measured with the robot nor what is computed from the result.
+
+use std::path::{Path, PathBuf};
+
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::CalibrationResult;
+use dbbd_model::robot::{LoadedRobot, Robot};
+use serde_json::{Value, json};
+
+use crate::files;
+
+/// A robot by the name of a built-in one or by its file. A name with the ending `.toml` is meant to be a file.
+///
+/// # Errors
+/// There is neither, or the file is not a robot.
+pub fn named_robot(name: &str) -> Result<LoadedRobot, Diagnostic> {
+    match Robot::built_in_file(name) {
+        Some(text) => LoadedRobot::from_toml(name, text),
+        None => {
+            let text = files::if_there(Path::new(name), ".toml").ok_or_else(|| Robot::unknown(name))??;
+            LoadedRobot::from_toml(name, &text)
+        }
+    }
+}
+
+/// The `result.json` beside a robot file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ResultBeside {
+    /// Of the same calibration.
+    Own(Box<CalibrationResult>),
+    /// Of another robot or calibration.
+    Another,
+    Nothing,
+}
+
+/// The result file beside the file of `robot`, and its path.
+///
+/// # Errors
+/// It cannot be read, or is not a result.
+pub fn result_beside(robot_file: &Path, robot: &Robot) -> Result<(PathBuf, ResultBeside), Diagnostic> {
+    let path = robot_file.with_file_name("result.json");
+    let Some(text) = files::read_if_file(&path).transpose()? else {
+        return Ok((path, ResultBeside::Nothing));
+    };
+    let result = CalibrationResult::from_json(&path.display().to_string(), &text)?;
+    let document: Option<Value> = serde_json::from_str(&text).ok();
+    let chain = document.and_then(|document| document.get("provenance")?.get("from").cloned());
+    let known = &robot.provenance.from;
+    let is_other = !known.is_empty() && chain.is_some_and(|chain| chain != json!(known));
+    let is_own = result.robot == robot.name && !is_other;
+    Ok((path, if is_own { ResultBeside::Own(Box::new(result)) } else { ResultBeside::Another }))
+}

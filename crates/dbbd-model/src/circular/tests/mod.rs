@@ -1,0 +1,4 @@
+//! What the room promises, shown without the program.
+
+mod circular_intervals;
+mod circular_quantities;

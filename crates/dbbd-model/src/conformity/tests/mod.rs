@@ -1,0 +1,3 @@
+//! What the room promises, shown without the program.
+
+mod check_campaigns;

@@ -1,0 +1,6 @@
+//! What the room promises, shown without the program.
+
+mod fleet_is_estimated;
+mod identifies_to_the_limit;
+mod prior_distributes_combinations;
+mod residuals_accuse_joints;

@@ -1,0 +1,78 @@
+//! The option of each input that a finding asks for.
+
+use dbbd_model::diagnostic::Input;
+
+/// The options for the inputs that a finding asks for, with what they give; `None` if it asks for none.
+pub(crate) fn options_of(asks: &[Input]) -> Option<String> {
+    let named = |input: &Input| {
+        let (option, what) = option(*input);
+        format!("{option} ({what})")
+    };
+    (!asks.is_empty()).then(|| asks.iter().map(named).collect::<Vec<_>>().join(", "))
+}
+
+/// The option, and what it gives.
+fn option(input: Input) -> (&'static str, &'static str) {
+    match input {
+        Input::Archive => ("--archive URL", "database of the archive"),
+        Input::BallsKept => ("--balls-kept", "base balls mounted as in the calibration"),
+        Input::BarUncertainty => ("--bar-u MM", "standard uncertainty of the bar"),
+        Input::BaseBalls => ("--centres C.csv", "base balls"),
+        Input::BaseFrame => ("--base X,Y,Z,A,B,C", "base"),
+        Input::CertificateTemperature => ("--certified C", "temperature of the certificate"),
+        Input::CircleRepeatability => ("--repeat-u MM", "repeatability of a circular test"),
+        Input::Controller => ("--controller NAME", "controller"),
+        Input::ControllerConfig => ("--config FILE", "$config.dat, or tools and work objects"),
+        Input::Dates => ("--dates DATE,..", "dates of the results"),
+        Input::Estimated => ("--estimate LIST", "parameters that are estimated"),
+        Input::Expansion => ("--expansion PER_K", "expansion of the bar"),
+        Input::Fault => ("--fault NAME=VALUE", "fault"),
+        Input::Fixed => ("--hold LIST", "parameters that are fixed"),
+        Input::Folds => ("--folds N", "folds of the validation"),
+        Input::GoneTime => ("--gone S", "how long the bar may be away"),
+        Input::Identity => ("--identity FILE", "identity"),
+        Input::InterimCheck => ("--check", "plan of an interim check"),
+        Input::Language => ("--language NAME", "language of the program"),
+        Input::Limit => ("--limit MM", "largest correction"),
+        Input::Link => ("--link PATH", "name of the line"),
+        Input::ListenAddress => ("--listen ADDRESS", "address of the line"),
+        Input::ListenOnly => ("--listen", "send nothing"),
+        Input::LoggedAxes => ("--axes FILE.dat", "logged axis angles"),
+        Input::MachineExpansion => ("--machine-expansion PER_K", "expansion of the machine"),
+        Input::MeasuredLengths => ("--measured OBS.csv", "lengths of earlier stages"),
+        Input::Model => ("--model MODEL", "model"),
+        Input::Out => ("--out PATH", "result"),
+        Input::Pace => ("--speed X", "speed of the simulation"),
+        Input::Plan => ("--plan PLAN.csv", "plan that was driven"),
+        Input::Port => ("--port PORT", "port of the bar"),
+        Input::Positions => ("--positions POS.csv", "positions"),
+        Input::Prior => ("--prior none|posterior|datasheet|FILE", "prior"),
+        Input::Protocol => ("--protocol NAME|FILE", "protocol of the bar"),
+        Input::ProtocolParameter => ("--param NAME=VALUE", "parameter of the protocol"),
+        Input::PublishedAxes => ("--axes ADDRESS", "published axes"),
+        Input::Radius => ("--radius MM", "nominal radius"),
+        Input::Risk => ("--risk P", "risk of a wrong decision"),
+        Input::Robot => ("--robot NAME|FILE", "robot"),
+        Input::Save => ("--save DIR", "what was received"),
+        Input::Search => ("--search TEXT", "part of a name"),
+        Input::ServiceCheck => ("--check", "check of the configuration"),
+        Input::Sigma => ("--sigma MM", "standard deviation of a length"),
+        Input::Since => ("--since DATE", "begin"),
+        Input::Spool => ("--spool DIR", "spool"),
+        Input::Stage => ("--stage N", "poses of a stage"),
+        Input::Store => ("--store URL", "store of the archive"),
+        Input::Synchronisation => ("--sync marker|output|ekrl", "synchronisation"),
+        Input::TelegramServer => ("--server ADDR:PORT", "server in the program"),
+        Input::Telegrams => ("--ekrl ADDR:PORT", "address for telegrams"),
+        Input::Tolerance => ("--tolerance MM", "tolerance"),
+        Input::ToolBall => ("--tool X,Y,Z", "tool ball"),
+        Input::ToolFrame => ("--tool X,Y,Z,A,B,C", "tool"),
+        Input::Until => ("--until DATE", "end"),
+        Input::Update => ("--update", "updated robot"),
+        Input::Urdf => ("--urdf-in FILE", "URDF"),
+        Input::UrdfJoints => ("--joints NAMES", "joints of the URDF"),
+        Input::Validation => ("--validate OBS.csv", "lengths for validation"),
+        Input::World => ("--world WORLD.toml", "simulated world"),
+        Input::Zero => ("--zero", "zero of the bar"),
+    }
+}
