@@ -202,7 +202,7 @@ mod tests {
             let sample = Sample { valid, ..Sample::of(reading_mm) };
             feed.sample(host(ms), Some(1e-3 * ms as f64), &sample, 0);
         }
-        let (began, frame) = feed.frame.clone().expect("a frame is in progress");
+        let (began, frame) = feed.frame.expect("a frame is in progress");
         assert_eq!((began, frame.samples, frame.frame), (host(0), 4, 1));
         assert_eq!([frame.min_mm, frame.max_mm, frame.last_mm], [-0.2, 1.5, 0.7]);
         assert!((frame.span_ms - 30.0).abs() < 1e-9 && !frame.valid);

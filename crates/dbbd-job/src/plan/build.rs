@@ -45,7 +45,7 @@ impl Plan {
 
     /// As [`Plan::build`], with what is known of the robot.
     pub fn build_with(job: &Job, robot: &Robot, prior: &PlanningPrior) -> Result<Self, Refusal> {
-        job.check().map_err(|misplaced| misplaced.finding)?;
+        job.check().map_err(|misplaced| *misplaced.finding)?;
         let plan = Self::cautious(job, robot, prior);
         // Before the first length a ball can still be taught from elsewhere: try without `taught_deg`.
         let taught = job.centres.iter().any(|table| table.taught_deg.is_some());

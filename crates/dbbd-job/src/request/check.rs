@@ -160,16 +160,19 @@ impl LengthSigma {
     pub(super) fn at_least(own: Option<f64>, file: &str, robot: &Robot) -> Result<Self, Diagnostic> {
         let (path, beside) = result_beside(Path::new(file), robot)?;
         let looked_for = path.display().to_string();
-        if let ResultBeside::Own(result) = &beside {
-            let sigma_mm = conformity::sigma_mm(own, Some(result.noise_mm.length))?;
-            return Ok(Self { sigma_mm, finding: None });
-        }
-        let sigma_mm = conformity::sigma_mm(own, None)?;
-        let finding = match beside {
-            ResultBeside::Another => ConformityFinding::OtherResultBeside { looked_for, sigma_mm },
-            _ => ConformityFinding::NoResultBeside { looked_for, sigma_mm },
+        let sigma = |of_result| conformity::sigma_mm(own, of_result);
+        let (sigma_mm, finding) = match beside {
+            ResultBeside::Own(result) => (sigma(Some(result.noise_mm.length))?, None),
+            ResultBeside::Another => {
+                let sigma_mm = sigma(None)?;
+                (sigma_mm, Some(ConformityFinding::OtherResultBeside { looked_for, sigma_mm }))
+            }
+            ResultBeside::Nothing => {
+                let sigma_mm = sigma(None)?;
+                (sigma_mm, Some(ConformityFinding::NoResultBeside { looked_for, sigma_mm }))
+            }
         };
-        Ok(Self { sigma_mm, finding: Some(finding) })
+        Ok(Self { sigma_mm, finding })
     }
 
     /// The standard deviation that is given, else that of the data.

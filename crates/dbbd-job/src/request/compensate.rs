@@ -212,17 +212,16 @@ impl CorrectionContext<'_> {
         let traced = source.traced()?;
         check_robot(&traced, identified, session)?;
         let config = request.config.as_deref().map(ProgramFile::open).transpose()?;
-        let has_unused_option = match language {
-            Language::Urscript => config.is_some() || request.base_mm_deg.is_some(),
-            _ => request.tool_mm_deg.is_some() || request.base_mm_deg.is_some(),
-        };
-        if has_unused_option {
+        let is_urscript = language == Language::Urscript;
+        let unused = if is_urscript { config.is_some() } else { request.tool_mm_deg.is_some() };
+        if unused || request.base_mm_deg.is_some() {
             return Err(CompensationFinding::FrameUnused { language: language.name() }.into());
         }
         let text = source.text();
-        let points = match language {
-            Language::Urscript => urscript::read(text, request.tool())?,
-            _ => rapid::read(text, config.as_ref().map(ProgramFile::text))?,
+        let points = if is_urscript {
+            urscript::read(text, request.tool())?
+        } else {
+            rapid::read(text, config.as_ref().map(ProgramFile::text))?
         };
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
         session.findings(points.doubts.iter().cloned());

@@ -108,7 +108,9 @@ impl AnswerDocument {
     fn own_findings(&self) -> Vec<Diagnostic> {
         match self {
             Self::Identify(document) => document.calibration.diagnostics().collect(),
-            _ => Vec::new(),
+            Self::Plan(_) | Self::Check(_) | Self::Compensate(_) | Self::Circle(_) | Self::Certificate(_) => {
+                Vec::new()
+            }
         }
     }
 }

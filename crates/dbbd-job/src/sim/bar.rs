@@ -397,7 +397,7 @@ impl VirtualDevice {
         let command = |steps: &[CommandStep]| -> Vec<u8> {
             let last = steps.iter().rev().find_map(|step| match step {
                 CommandStep::Send(bytes) | CommandStep::Ask { send: bytes, .. } => Some(bytes.clone()),
-                _ => None,
+                CommandStep::DtrPulse(_) | CommandStep::Wait(_) | CommandStep::Drain(_) => None,
             });
             last.unwrap_or_default()
         };
@@ -405,7 +405,10 @@ impl VirtualDevice {
         let asked = [ident, zero, init, start, stop].into_iter().flatten();
         let answers = asked.filter_map(|step| match step {
             CommandStep::Ask { send, expect, .. } => Some((send.clone(), expect.clone())),
-            _ => None,
+            CommandStep::DtrPulse(_)
+            | CommandStep::Send(_)
+            | CommandStep::Wait(_)
+            | CommandStep::Drain(_) => None,
         });
         let commands = [
             (DeviceCommand::Stop, command(stop)),
@@ -416,7 +419,7 @@ impl VirtualDevice {
         let sends = match definition.mode {
             ProtocolMode::Poll { .. } => SendTiming::OnRequest,
             _ if command(start).is_empty() => SendTiming::AtOnce,
-            _ => SendTiming::AfterStart,
+            ProtocolMode::Stream | ProtocolMode::Push => SendTiming::AfterStart,
         };
         let banner = match sim.banner.as_slice() {
             [] if faults.banner > 0.0 => b"ball-bar\r\n".to_vec(),

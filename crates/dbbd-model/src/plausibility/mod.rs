@@ -104,14 +104,14 @@ impl PlausibleRange {
         let key = key.into();
         if self.degrees && is_part_of_turn(value) {
             let meant = RADIANS.name;
-            return Err(PlausibilityFinding::InOtherUnit { key, value, range: self, meant });
+            return Err(PlausibilityFinding::InOtherUnit { key, value, range: Box::new(self), meant });
         }
         if (self.least..=self.most).contains(&value) {
             return Ok(());
         }
         Err(match self.meant(value) {
-            Some(meant) => PlausibilityFinding::InOtherUnit { key, value, range: self, meant },
-            None => PlausibilityFinding::Outside { key, value, range: self },
+            Some(meant) => PlausibilityFinding::InOtherUnit { key, value, range: Box::new(self), meant },
+            None => PlausibilityFinding::Outside { key, value, range: Box::new(self) },
         })
     }
 
@@ -325,15 +325,15 @@ impl Quantity {
 
     /// A warning that all values are 0, as those of a sensor that is not connected.
     pub fn always_zero(self, key: impl Into<ValueKey>) -> PlausibilityFinding {
-        PlausibilityFinding::AlwaysZero { key: key.into(), range: self.range() }
+        PlausibilityFinding::AlwaysZero { key: key.into(), range: Box::new(self.range()) }
     }
 }
 
 impl PlausibleRange {
     fn warning(self, key: ValueKey, value: f64) -> PlausibilityFinding {
         match self.meant(value) {
-            Some(meant) => PlausibilityFinding::UnusualUnit { key, value, range: self, meant },
-            None => PlausibilityFinding::Unusual { key, value, range: self },
+            Some(meant) => PlausibilityFinding::UnusualUnit { key, value, range: Box::new(self), meant },
+            None => PlausibilityFinding::Unusual { key, value, range: Box::new(self) },
         }
     }
 }
@@ -377,8 +377,8 @@ mod tests {
         (DwellTime, 0.4, 400.0, "ms"),
         (Arc, 216.0, 3.77, "radians"),
         (ArmLength, 350.0, 350_000.0, "micrometres"),
-        (AxisAngle, 90.0, 1.5708, "radians"),
-        (FrameAngle, -45.0, -0.785_398, "radians"),
+        (AxisAngle, 90.0, std::f64::consts::FRAC_PI_2, "radians"),
+        (FrameAngle, -45.0, -std::f64::consts::FRAC_PI_4, "radians"),
         (JointLimit, 185.0, 3.2, "radians"),
         (JointSpeed, 128.0, 2.23, "rad/s"),
         (LengthTolerance, 0.5, 500.0, "micrometres"),

@@ -217,10 +217,8 @@ fn errors_name_file_line_column_and_remedy() {
         let message = refusal.to_string();
         let line =
             text.lines().position(|line| line.contains(place)).unwrap_or_else(|| panic!("{place}")) + 1;
-        let pointed = refusal
-            .excerpt()
-            .as_deref()
-            .and_then(|line| line.chars().nth(refusal.column_number().wrapping_sub(1)));
+        let pointed =
+            refusal.excerpt().and_then(|line| line.chars().nth(refusal.column_number().wrapping_sub(1)));
         if refusal.line_number() != line
             || pointed.is_none_or(char::is_whitespace)
             || refusal.help_line().is_none()
@@ -251,7 +249,7 @@ fn crc_parameters_are_verified_by_their_check_value() {
     by_parameters("0x4b37").unwrap();
     let wrong = by_parameters("0x4b38").unwrap_err();
     assert_eq!((wrong.code().as_str(), &wrong.values()["check"]), ("E0305", &0x4b37.into()), "{wrong}");
-    assert_eq!(wrong.excerpt().as_deref(), Some("check = 0x4b38"));
+    assert_eq!(wrong.excerpt(), Some("check = 0x4b38"));
     assert_eq!(wrong.column_number(), 9, "the value");
 }
 

@@ -13,7 +13,7 @@ pub(super) struct JobTable {
 
 /// A finding about a key of a table, or about the table where the key is empty.
 pub(crate) struct MisplacedFinding {
-    pub(crate) finding: Diagnostic,
+    pub(crate) finding: Box<Diagnostic>,
     table: JobTable,
     key: &'static str,
 }
@@ -30,7 +30,7 @@ impl JobTable {
     }
 
     pub(super) fn wrong(self, key: &'static str, finding: impl Into<Diagnostic>) -> MisplacedFinding {
-        MisplacedFinding { finding: finding.into(), table: self, key }
+        MisplacedFinding { finding: Box::new(finding.into()), table: self, key }
     }
 
     /// An error with this finding unless the condition holds.

@@ -277,7 +277,7 @@ fn decision(check: &Check) -> Vec<Fact> {
 fn parameter_row(parameter: &ParameterResult) -> Vec<String> {
     let (unit, factor) = match parameter.unit {
         ParamUnit::Rad => ("deg", 180.0 / std::f64::consts::PI),
-        unit => (unit.name(), 1.0),
+        unit @ (ParamUnit::Mm | ParamUnit::RadPerNm) => (unit.name(), 1.0),
     };
     let u = parameter.sd.map(|sd| 2.0 * factor * sd).filter(|u| *u > 0.0);
     let places = u.map_or(4, |u| decimals(u) + 1);

@@ -51,7 +51,7 @@ pub(super) fn remark(found: &ParameterResult) -> String {
         Status::Identified if reason.is_empty() => "identified".into(),
         Status::Identified => format!("identified, represents others as well: {reason}"),
         Status::SupportedByPrior => format!("not identified by the data alone: {reason}"),
-        _ => format!("not identified: {reason}"),
+        Status::PoorlyObservable | Status::Dependent | Status::Fixed => format!("not identified: {reason}"),
     }
 }
 

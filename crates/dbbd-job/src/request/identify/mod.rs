@@ -192,7 +192,9 @@ impl IdentifyRequest {
             Some(RequestedPrior::Datasheet) => Prior::Datasheet,
             Some(RequestedPrior::Posterior) => match given.default_prior(robot_file, session)? {
                 Prior::Posterior => Prior::Posterior,
-                _ => return Err(EstimationFinding::NoPosterior.into()),
+                Prior::None | Prior::Datasheet | Prior::Given(_) => {
+                    return Err(EstimationFinding::NoPosterior.into());
+                }
             },
             Some(RequestedPrior::Table(file)) => {
                 Prior::Given(session.table(file, |table| read_prior(table, set_up))?)

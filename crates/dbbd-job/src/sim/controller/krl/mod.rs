@@ -161,7 +161,7 @@ impl ExecutionLevel {
     fn locals_mut(&mut self) -> Option<&mut KrlVariables> {
         match &mut self.kind {
             LevelKind::Routine { locals, .. } => Some(locals),
-            _ => None,
+            LevelKind::Plain | LevelKind::Loop | LevelKind::While(_) | LevelKind::For { .. } => None,
         }
     }
 }

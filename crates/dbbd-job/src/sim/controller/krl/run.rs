@@ -93,7 +93,9 @@ impl Interpreter {
                 }
                 self.activity = KrlActivity::Moving(motion);
             }
-            other => self.activity = other,
+            other @ (KrlActivity::Waiting(_) | KrlActivity::Halted | KrlActivity::Done) => {
+                self.activity = other;
+            }
         }
         Ok(false)
     }
