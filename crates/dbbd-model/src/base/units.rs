@@ -4,7 +4,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Nanoseconds of the host's monotonic clock since an arbitrary start (see [`dbbd_device::clock`]).
+/// Nanoseconds of the host's monotonic clock since an arbitrary start (see `dbbd_device::clock`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct HostNs(pub u64);

@@ -188,7 +188,7 @@ impl LengthModel {
         Self { geometry, balls, bar_offsets: vec![], targets: vec![], tracker: None }
     }
 
-    /// The start of a fit, with exact bars. The tracker's frame is that of [`Tracker::located`]. A further target is at the
+    /// The start of a fit, with exact bars. The tracker's frame is that of `Tracker::located`. A further target is at the
     /// mean of its positions in the flange frame, or at the tool ball if it has none.
     pub fn before(geometry: Geometry, balls: &[BaseBall], observations: &Measurements) -> Self {
         let positions: Vec<MeasuredPosition> = observations.positions().collect();

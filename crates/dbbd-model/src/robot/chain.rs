@@ -79,7 +79,7 @@ impl LengthRow {
 }
 
 impl Geometry {
-    /// The length and its derivatives with respect to all parameters: see [`KinematicChain::row`].
+    /// The length and its derivatives with respect to all parameters: see `KinematicChain::row`.
     pub fn length_row(&self, axes: &[f64; AXES], ball: &Vector3<f64>, bar_offset: f64) -> LengthRow {
         let mut row = LengthRow::default();
         let sin_cos = JointSinCos::of(axes);

@@ -283,7 +283,7 @@ impl JointErrors {
         joints[joint.index()].ripple.push(Ripple { order, ..Ripple::default() });
     }
 
-    /// With these coefficients, in the order of [`JointErrors::terms`].
+    /// With these coefficients, in the order of `JointErrors::terms`.
     pub fn with(&self, coefficients: impl IntoIterator<Item = f64>) -> Self {
         let mut with = self.clone();
         let joints = with.0.iter_mut().flat_map(|joints| joints.iter_mut());

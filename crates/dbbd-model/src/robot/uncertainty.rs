@@ -32,7 +32,7 @@ pub struct RobotUncertainty {
     /// Parameters of the robot and its tool ball, and coordinates of the base balls.
     pub parameters: Vec<ParamId>,
     /// A root of the covariance, C = root root': a row each parameter, then a row each coefficient of the joints' errors
-    /// in the order of [`super::JointErrors::terms`].
+    /// in the order of `JointErrors::terms`.
     #[serde(serialize_with = "write_root", deserialize_with = "read_root")]
     pub root: DMatrix<f64>,
 }
