@@ -34,7 +34,8 @@ use crate::live::ServiceFinding;
 
 /// Codes that differed by their quantity or unit alone from others, and the code that has their sentences now. They are not
 /// used again.
-const MERGED: &[(&str, &str)] = &[("E0580", "E0130"), ("E0601", "E0130"), ("W1842", "W0131")];
+const MERGED: &[(&str, &str)] =
+    &[("E0580", "E0130"), ("E0601", "E0130"), ("E1701", "E0009"), ("W1842", "W0131")];
 
 /// The families with their headings in docs/troubleshooting.md.
 const FAMILIES: &[Family] = &[

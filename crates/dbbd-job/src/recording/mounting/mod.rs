@@ -154,3 +154,25 @@ impl DetectedFault {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use dbbd_model::diagnostic::Finding;
+
+    use super::*;
+
+    #[test]
+    fn each_fault_is_reported_with_its_size_in_micrometres() {
+        let finding = |fault| DetectedFault { fault, t_s: 1.0, size: 0.25 }.finding();
+        for (fault, code, name) in [
+            (MountingFault::NotSeated, "W0280", "rocks_um"),
+            (MountingFault::Creep, "W0281", "rate_um_s"),
+            (MountingFault::Slip, "W0282", "jump_um"),
+            (MountingFault::CablePull, "W0283", "change_um"),
+            (MountingFault::Moved, "W0284", "jump_um"),
+        ] {
+            assert_eq!(finding(fault).code().as_str(), code);
+            assert_eq!(finding(fault).values()[name], 250.0);
+        }
+    }
+}
