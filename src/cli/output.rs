@@ -47,15 +47,6 @@ enum ResultStream {
     Stderr,
 }
 
-/// A result with the findings that were reported before it.
-#[derive(Serialize)]
-struct ReportedDocument<'a, T> {
-    #[serde(flatten)]
-    result: &'a T,
-    #[serde(skip_serializing_if = "<[Diagnostic]>::is_empty")]
-    findings: &'a [Diagnostic],
-}
-
 /// A progress indicator on the terminal. It is cleared when it is dropped.
 struct ProgressIndicator {
     line: ProgressBar,
@@ -125,9 +116,25 @@ impl CommandOutput {
         self.text(format!("{text}\n").as_bytes());
     }
 
-    /// With `--json`, prints a struct or a map as JSON on stdout, with the findings reported so far as `findings`.
+    /// With `--json`, prints a struct or a map as JSON on stdout, with the findings reported so far as `findings`, before
+    /// those that it has itself.
     pub(crate) fn document(&self, result: &impl Serialize) -> Result<(), Diagnostic> {
-        self.json(&ReportedDocument { result, findings: &lock(&self.reported) })
+        if !self.common.json {
+            return Ok(());
+        }
+        let not_json = |error: serde_json::Error| InternalFinding::NotJson { why: error.to_string() };
+        let mut findings = Vec::new();
+        for finding in lock(&self.reported).iter() {
+            findings.push(serde_json::to_value(finding).map_err(not_json)?);
+        }
+        let mut document = serde_json::to_value(result).map_err(not_json)?;
+        if let Some(own) = document.get_mut("findings").and_then(serde_json::Value::as_array_mut) {
+            findings.append(own);
+        }
+        if let Some(fields) = document.as_object_mut().filter(|_| !findings.is_empty()) {
+            fields.insert("findings".into(), findings.into());
+        }
+        self.json(&document)
     }
 
     /// With `--json`, prints a list as JSON on stdout.
