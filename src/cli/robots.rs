@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::{CommandOutcome, CommandOutput};
 use dbbd_job::request;
+use dbbd_job::robot_files::named_robot;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Tolerance;
 use dbbd_model::robot::{CouplingTable, JointTable};
@@ -39,7 +40,7 @@ enum RobotsVerb {
 
 /// Reads a robot by built-in name or file, and reports a doubtful identification.
 pub(crate) fn read_named_robot(name: &str, out: &CommandOutput) -> Result<LoadedRobot, Diagnostic> {
-    let mut read = request::read_robot(name)?;
+    let mut read = named_robot(name)?;
     out.findings(std::mem::take(&mut read.findings));
     out.findings_in(name, read.robot.doubtful());
     Ok(read)

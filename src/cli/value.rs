@@ -7,7 +7,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use dbbd_job::program::CompensationFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
-use dbbd_model::plausibility::{Quantity, ValueKey};
+use dbbd_model::plausibility::{POSITIVE, PlausibleRange, Quantity, ValueKey};
 
 fn number(text: &str, is_valid: impl Fn(f64) -> bool, refusal: CliFinding) -> Result<f64, CliFinding> {
     text.parse().ok().filter(|value: &f64| value.is_finite() && is_valid(*value)).ok_or(refusal)
@@ -15,8 +15,12 @@ fn number(text: &str, is_valid: impl Fn(f64) -> bool, refusal: CliFinding) -> Re
 
 /// A number that its quantity can have. A text that is no number is none of any.
 fn of(text: &str, quantity: Quantity) -> Result<f64, Diagnostic> {
+    within(text, quantity.range())
+}
+
+fn within(text: &str, range: PlausibleRange) -> Result<f64, Diagnostic> {
     let value = text.parse().unwrap_or(f64::NAN);
-    quantity.check(ValueKey::NONE, value)?;
+    range.check(ValueKey::NONE, value)?;
     Ok(value)
 }
 
@@ -34,9 +38,9 @@ pub(super) fn tolerance(text: &str) -> Result<f64, Diagnostic> {
     of(text, Quantity::PositionTolerance)
 }
 
-/// The standard deviation of a length, mm.
+/// The standard deviation of a length, mm. That of simulated lengths may be smaller than any bar's.
 pub(super) fn length_sd(text: &str) -> Result<f64, Diagnostic> {
-    of(text, Quantity::LengthSd)
+    within(text, Quantity::LengthSd.range().from(POSITIVE))
 }
 
 /// The largest probability of a wrong decision.

@@ -181,7 +181,7 @@ fn options_of_a_circle() {
     }
     // A form deviation of some tenths of a millimetre is not noise of the lengths.
     assert_eq!(evaluated(at, &["--sigma", "0.0005"]).status.code(), Some(0));
-    for sigma in ["0.5", "2e-5"] {
+    for sigma in ["0.5", "5e-6"] {
         says(&evaluated(at, &["--sigma", sigma]), 3, "W1482");
     }
 }

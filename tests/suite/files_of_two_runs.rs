@@ -160,7 +160,7 @@ fn directions_and_options_of_circles() {
     both(72, "cw");
     let sound = circle(&[]);
     assert_eq!(sound.status.code(), Some(0), "{}", stderr(&sound));
-    says(&circle(&["--sigma", "5e-5"]), 3, "W1482");
+    says(&circle(&["--sigma", "5e-7"]), 3, "W1482");
     says(&circle(&["--sigma", "0.5"]), 3, "W1482");
     for option in [["--certified", "22"], ["--expansion", "12e-6"], ["--machine-expansion", "12e-6"]] {
         says(&circle(&option), 1, "E1481");

@@ -376,6 +376,7 @@ fn protocol_engine_names_no_vendor() {
     let vendors = [
         "sylvac",
         "heidenhain",
+        "magnescale",
         "mitutoyo",
         "usdigital",
         "us digital",

@@ -26,7 +26,7 @@ pub struct FindingCode(&'static str);
 pub enum Severity {
     /// The exit code stays 0.
     Info,
-    /// A loss or a doubt: exit code 3.
+    /// A loss or a warning: exit code 3.
     Warning,
     /// The command was refused or failed: exit code 1.
     Error,
@@ -41,7 +41,7 @@ impl FindingCode {
         self.0
     }
 
-    /// The severity that the first letter stands for.
+    /// The severity that the first letter means.
     pub fn severity(self) -> Severity {
         match self.0.as_bytes().first() {
             Some(b'I') => Severity::Info,

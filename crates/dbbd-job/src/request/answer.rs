@@ -39,7 +39,7 @@ pub type AnswerRecord = AnswerOf<FindingRecord, serde_json::Value>;
 #[serde(rename_all = "snake_case")]
 pub enum AnswerOutcome {
     Done,
-    /// With a loss or a doubt that the user must see.
+    /// With a loss or a warning that the user must see.
     Warned,
     /// A check cannot decide.
     Undecided,

@@ -21,7 +21,7 @@ pub use answer::{AnswerOf, AnswerOutcome, AnswerRecord, AnswerResult, RequestRes
 pub use child::{RequestChild, read_answer};
 pub use earlier::{other_run, read_identity};
 pub use protocols::{read_protocol, read_protocol_file};
-pub use robots::{edited, read_robot};
+pub use robots::edited;
 pub use watch::{BusyIndicator, RequestWatch, WatchedFile, read_table};
 
 use std::path::Path;

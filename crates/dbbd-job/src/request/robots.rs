@@ -1,4 +1,4 @@
-//! Robots by built-in name or file.
+//! The robot of a request, and what its file says of itself.
 
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
@@ -7,18 +7,13 @@ use dbbd_model::robot::{LoadedRobot, Robot};
 use super::RequestSession;
 use crate::robot_files::named_robot;
 
-/// Reads a robot by built-in name or file. Its findings do not say that its identification is doubtful.
-pub fn read_robot(name: &str) -> Result<LoadedRobot, Diagnostic> {
-    named_robot(name)
-}
-
 /// Reads a robot, and reports the findings about its file. A doubtful identification is not reported: a further measurement
 /// is its cure.
 pub(super) fn robot_for_measurement(
     name: &str,
     session: &RequestSession<'_>,
 ) -> Result<LoadedRobot, Diagnostic> {
-    let mut read = read_robot(name)?;
+    let mut read = named_robot(name)?;
     session.findings(std::mem::take(&mut read.findings));
     Ok(read)
 }

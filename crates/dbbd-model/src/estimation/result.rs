@@ -110,13 +110,13 @@ impl CalibrationResult {
     }
 
     /// The findings that are more severe than an information.
-    pub fn doubts(&self) -> impl Iterator<Item = &RecordedFinding> {
+    pub fn warnings(&self) -> impl Iterator<Item = &RecordedFinding> {
         self.findings.iter().filter(|finding| finding.severity() != Severity::Info)
     }
 
     /// Whether a finding is more severe than an information.
     pub fn is_doubtful(&self) -> bool {
-        self.doubts().next().is_some()
+        self.warnings().next().is_some()
     }
 }
 

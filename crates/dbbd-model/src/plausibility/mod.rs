@@ -183,7 +183,7 @@ macro_rules! quantities {
 }
 
 /// The smallest number that counts as positive: below a picometre or a nanosecond nothing is given.
-const POSITIVE: f64 = 1e-9;
+pub const POSITIVE: f64 = 1e-9;
 /// No length (mm), angle (degrees), speed or time of a job is larger.
 const MAX_NUMBER: f64 = 1e5;
 /// Arms and their tools are shorter, mm.

@@ -1,4 +1,4 @@
-//! What a page of the plant is asked for, as it stands in the page's address.
+//! What a page of the plant is asked for, as the page's address says it.
 
 use serde::{Deserialize, Serialize};
 

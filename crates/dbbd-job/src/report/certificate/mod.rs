@@ -155,7 +155,7 @@ impl Certificate {
         ];
         let lacking: Vec<&str> = lacks.iter().filter(|(_, lacks)| *lacks).map(|(name, _)| *name).collect();
         let empty = (!lacking.is_empty()).then(|| NotStated { what: Names::of(lacking) });
-        let doubts = self.result.doubts().count() + usize::from(!self.result.converged);
+        let doubts = self.result.warnings().count() + usize::from(!self.result.converged);
         let is_ball = |found: &&ParameterResult| matches!(found.name, ParamId::Ball(_, Coordinate::X));
         let balls = self.result.parameters.iter().filter(is_ball).count();
         let other =
