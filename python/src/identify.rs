@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use dbbd_model::base::serialised;
 use dbbd_model::conformity::UncertaintyBudget;
-use dbbd_model::design::{Calibrated, calibrate_run};
+use dbbd_model::design::calibrate;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{
     AngleSource, CalibrationResult, CompletedCalibration, ErrorModel, Input, Options, Positions, Prior,
@@ -301,10 +301,8 @@ pub(crate) fn identify<'py>(
             options: &options,
             axes: AngleSource::Given,
         };
-        let Calibrated { calibration: found, observations } =
-            calibrate_run(&input, findings).map_err(failed)?;
-        let lengths = observations.as_ref().unwrap_or(&lengths);
-        let budget = UncertaintyBudget::of(&found, lengths, bar_u_mm, &robot.provenance.identity);
+        let found = calibrate(&input, findings).map_err(failed)?;
+        let budget = UncertaintyBudget::of(&found, &lengths, bar_u_mm, &robot.provenance.identity);
         Ok(PyResult_ { found, budget })
     })
 }

@@ -51,12 +51,8 @@ fn fit(result: &CalibrationResult) -> Vec<String> {
 /// Errors of the joints, Monte Carlo.
 fn choices(result: &CalibrationResult) -> Vec<String> {
     let mut lines = Vec::new();
-    if let Some((joints, pose_mm)) = result.joint_errors.as_ref().zip(result.noise_mm.pose) {
-        lines.push(format!(
-            "errors of the joints: the logarithm of the evidence rises by {:.0}; a pose repeats to {} in each direction",
-            joints.gain,
-            mm(pose_mm)
-        ));
+    if let Some(pose_mm) = result.noise_mm.pose {
+        lines.push(format!("a pose repeats to {} in each direction; by the evidence:", mm(pose_mm)));
         lines.extend(result.groups.iter().map(|group| format!("  {group}")));
     }
     if let Some(drawn) = &result.monte_carlo {

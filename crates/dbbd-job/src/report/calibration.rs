@@ -16,10 +16,10 @@ use super::scene::{BallMark, Scene, ScenePose, skeleton};
 use dbbd_model::conformity::{BudgetLine, UncertaintyBudget};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::result::Recommendation;
-use dbbd_model::estimation::{CalibrationResult, Combination, CompletedCalibration, joint_curve, senses};
+use dbbd_model::estimation::{CalibrationResult, Combination, CompletedCalibration, joint_curve};
 use dbbd_model::measurement::{Measurements, PoseKind};
 use dbbd_model::provenance::Provenance;
-use dbbd_model::robot::{AXES, BallId, BarId, CircleId, Datum, Joint};
+use dbbd_model::robot::{Approach, AXES, BallId, BarId, CircleId, Datum, Joint};
 
 /// Most lengths that are drawn; more are sampled evenly.
 const DRAWN: usize = 20_000;
@@ -118,7 +118,8 @@ impl Counts {
 /// Every `stride`-th measurement with its residuals.
 fn points(found: &CompletedCalibration, observations: &Measurements, stride: usize) -> Vec<ResidualPoint> {
     let rows = observations.rows.iter();
-    let senses = senses(rows.clone().map(|row| row.axes.radians())).step_by(stride);
+    let along = Approach::along(rows.clone().map(|row| row.axes.radians()));
+    let senses = along.map(|approach| approach.senses()).step_by(stride);
     let drawn = rows.clone().enumerate().step_by(stride).zip(found.residuals(rows.step_by(stride)));
     drawn
         .zip(senses)

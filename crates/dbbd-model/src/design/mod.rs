@@ -8,7 +8,7 @@ pub mod length_count;
 mod recommend;
 pub mod second_ball;
 
-pub use calibrate::{Calibrated, calibrate, calibrate_run};
+pub use calibrate::calibrate;
 pub use candidates::{Candidate, Near, Sphere, change_rows, design_rows, workspace_rows};
 pub use exchange::{Criterion, Exchange};
 pub use recommend::recommend;

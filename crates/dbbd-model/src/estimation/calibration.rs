@@ -3,27 +3,22 @@
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-use super::estimate::{Estimate, estimate};
+use super::estimator::{Estimate, estimate, refit};
 use super::findings::findings;
 use super::identifiability::{correlations, observability};
-use super::joint_errors;
-use super::joint_fit::JointFit;
-use super::joint_prediction::JointPrediction;
-use super::joint_unknowns::Terms;
 use super::lengths::Lengths;
 use super::monte_carlo::Draws;
 use super::options::Setting;
 use super::parameters::ParameterTable;
-use super::predicted::Prediction;
-use super::residual_tests::joint_effects;
+use super::posterior::Posterior;
+use super::prediction::Prediction;
 use super::result::{
-    BeforeAfter, CalibrationResult, CompletedCalibration, Folds, JointEffect, MadeFrom, MonteCarlo,
+    BeforeAfter, CalibrationResult, CompletedCalibration, Folds, MadeFrom, MonteCarlo,
     NoiseSummary, Outlier, ParameterResult, RESULT_SCHEMA, Recommendation, SigmaSource, StartRobot, Status,
 };
-use super::uncertainty::Uncertainty;
+use super::selection::data_sd;
 use super::validation::{self, residual_of, residual_of_used};
-use super::zero_change::{ZeroChange, zero_change};
-use super::{Correlation, DistanceQuantities, ErrorModel, Observability, Options, Prior, factor};
+use super::{Correlation, DistanceQuantities, ErrorModel, Observability, Options, factor};
 use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::coverage_95;
@@ -61,52 +56,12 @@ impl<'a> Input<'a> {
     /// A number is not finite, or there is nothing to estimate.
     pub fn fit(&self) -> Result<LengthModel, EstimationFinding> {
         let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
-        Ok(self.estimate(&lengths, &self.setting().asked())?.1.fit.model)
+        let setting = self.setting();
+        Ok(estimate(&setting, &lengths, &setting.asked())?.fit.model)
     }
 
     pub(super) fn setting(&self) -> Setting<'a> {
         Setting::new(self.robot, self.start, self.observations, self.options)
-    }
-
-    /// The estimate with the setting that it was made in.
-    fn estimate(
-        &self,
-        lengths: &Lengths,
-        asked: &[ParamId],
-    ) -> Result<(Setting<'a>, Estimate), EstimationFinding> {
-        if self.options.seeks_joint_errors()
-            && let Some(found) = self.with_joint_errors(lengths, asked)?
-        {
-            return Ok(found);
-        }
-        let setting = self.setting();
-        let estimate = estimate(&setting, lengths, asked)?;
-        Ok((setting, estimate))
-    }
-
-    /// The estimate with errors of the joints, if the lengths support them.
-    fn with_joint_errors(
-        &self,
-        lengths: &Lengths,
-        asked: &[ParamId],
-    ) -> Result<Option<(Setting<'a>, Estimate)>, EstimationFinding> {
-        let mut setting = self.setting().bound();
-        let mut found = estimate(&setting, lengths, asked)?;
-        if let Some(times) = found.beyond_prior() {
-            // Errors of the joints must not compensate the error of a fixed ball.
-            if setting.options.hold.iter().any(|id| id.is_setup()) {
-                return Ok(None);
-            }
-            // A default tolerance is widened if the lengths contradict it.
-            if self.options.prior == Prior::None {
-                setting.priors = setting.priors.widened(times);
-                found = estimate(&setting, lengths, asked)?;
-            }
-        }
-        if !joint_errors::can_be_determined(lengths, &found) {
-            return Ok(None);
-        }
-        Ok(joint_errors::fit(&setting, lengths, found).map(|found| (setting, found)))
     }
 }
 
@@ -118,7 +73,7 @@ pub struct Calibration<'a> {
     pub(crate) lengths: Lengths<'a>,
     pub(crate) estimate: Estimate,
     pub(crate) prediction: Prediction,
-    pub(super) uncertainty: Uncertainty,
+    pub(super) posterior: Posterior,
     sigma: LengthSigma,
     rank_at_solution: usize,
     pub(super) parameters: Vec<ParameterResult>,
@@ -132,8 +87,6 @@ pub(super) struct EstimateChecks {
     /// Residuals of separate lengths.
     pub(super) validation: Option<BeforeAfter>,
     pub(super) monte_carlo: Option<MonteCarlo>,
-    pub(super) joint_effects: Vec<JointEffect>,
-    zero_change: Option<ZeroChange>,
 }
 
 impl<'a> Calibration<'a> {
@@ -142,12 +95,12 @@ impl<'a> Calibration<'a> {
     pub fn new(input: &Input<'a>) -> Result<Self, EstimationFinding> {
         const NOT_FINITE: EstimationFinding = EstimationFinding::NotFinite;
         let lengths = Lengths::of(&input.observations.rows, input.options, input.robot);
-        let asked = input.setting().asked();
-        let (setting, estimate) = input.estimate(&lengths, &asked)?;
-        let folds = cross_validated(&setting, &lengths, &estimate, &asked)?;
+        let setting = input.setting();
+        let estimate = estimate(&setting, &lengths, &setting.asked())?;
+        let folds = cross_validated(&setting, &lengths, &estimate)?;
         let used = estimate.used(&lengths);
         let (before, model) = (&estimate.before, &estimate.fit.model);
-        let uncertainty = Uncertainty::of(&setting, &estimate, &used).ok_or(NOT_FINITE)?;
+        let posterior = Posterior::with_root(model.clone(), &estimate.kept, estimate.root.clone());
         let residual_mm = BeforeAfter {
             before: residual_of_used(before, &used).ok_or(NOT_FINITE)?,
             after: residual_of_used(model, &used).ok_or(NOT_FINITE)?,
@@ -157,11 +110,12 @@ impl<'a> Calibration<'a> {
             return Err(NOT_FINITE);
         }
         let draws =
-            setting.options.monte_carlo.map(|trials| Draws::of(&setting.priors, &estimate, &lengths, trials));
+            setting.options.monte_carlo.map(|trials| Draws::of(&estimate, &lengths, trials));
         let table = ParameterTable {
             setting: &setting,
             estimate: &estimate,
-            uncertainty: &uncertainty,
+            posterior: &posterior,
+            data_sd: data_sd(model, &used, &estimate.base).unwrap_or_default(),
             coverage_factor: sigma.coverage_factor(),
             draws: draws.as_ref(),
             combinations: estimate.analysis.combinations(),
@@ -174,21 +128,8 @@ impl<'a> Calibration<'a> {
             folds,
             validation: input.validation.map(|set| validation(set).ok_or(NOT_FINITE)).transpose()?,
             monte_carlo: draws.map(|draws| draws.summary(&parameters)),
-            joint_effects: match estimate.fit.converged {
-                true => joint_effects(model, &used, &estimate.base),
-                false => Vec::new(),
-            },
-            zero_change: zero_change(
-                input.observations,
-                &estimate,
-                &lengths,
-                uncertainty.effective_parameters,
-            ),
         };
-        let mut prediction = Prediction::of(&setting, &estimate, &used)?;
-        if let Some(fit) = &estimate.joints {
-            prediction = prediction.with_joints(JointPrediction::of(&setting, fit, &lengths));
-        }
+        let prediction = Prediction::of(&setting, &estimate, &lengths);
         Ok(Self {
             rank_at_solution: rank(&factor(model, &lengths.plain(), &estimate.analysis.ids))
                 .ok_or(NOT_FINITE)?,
@@ -196,7 +137,7 @@ impl<'a> Calibration<'a> {
             observations: input.observations,
             prediction,
             parameters,
-            uncertainty,
+            posterior,
             checks,
             sigma,
             setting,
@@ -216,17 +157,17 @@ impl<'a> Calibration<'a> {
         findings.extend(input_findings);
         let (observability, correlated) = (self.observability(), self.correlations());
         let (excluded_rows, outliers): (Vec<Range<usize>>, Vec<Outlier>) = self.outliers().unzip();
-        let Self { setting, estimate, prediction, uncertainty, sigma, checks, .. } = self;
+        let Self { setting, estimate, prediction, posterior, sigma, checks, .. } = self;
         let nominal = setting.robot.nominal.clone().unwrap_or_else(|| Box::new(setting.robot.clone()));
         let warnings = findings.iter().filter(|finding| finding.severity() == Severity::Warning);
-        let joints = estimate.joints.as_ref().filter(|fit| fit.terms() == Terms::JointErrors);
+        let joint_errors = estimate.joint_summary();
         let result = CalibrationResult {
             schema: RESULT_SCHEMA,
             robot: setting.robot.name.clone(),
-            model: if joints.is_some() { ErrorModel::Joints } else { ErrorModel::Geometric },
+            model: if joint_errors.is_some() { ErrorModel::Joints } else { ErrorModel::Geometric },
             start: if setting.robot.nominal.is_some() { StartRobot::Identified } else { StartRobot::Nominal },
             prior: (&setting.options.prior).into(),
-            prior_scale: (setting.options.prior != Prior::None).then(|| setting.priors.scale()),
+            prior_scale: (!setting.options.follows_list()).then(|| estimate.tolerance_scale()),
             measurements: self.observations.count() - outliers.len(),
             made_from: MadeFrom::of(self.observations, &outliers),
             rank: estimate.analysis.base.rank,
@@ -237,8 +178,8 @@ impl<'a> Calibration<'a> {
             converged: estimate.fit.converged,
             noise_mm: NoiseSummary {
                 length: sigma.mm,
-                pose: joints.map(|fit| fit.noise.pose_mm),
-                instrument: joints.map(|fit| fit.noise.length_mm),
+                pose: joint_errors.as_ref().map(|_| estimate.noise.pose_mm),
+                instrument: joint_errors.as_ref().map(|_| estimate.noise.length_mm),
                 degrees_of_freedom: sigma.freedom,
             },
             sigma_source: sigma.source,
@@ -247,14 +188,13 @@ impl<'a> Calibration<'a> {
             folds: checks.folds,
             validation: checks.validation,
             distance: DistanceQuantities::of(&self.observations.rows, &estimate.fit.model),
-            groups: joints.map(|fit| fit.groups.clone()).unwrap_or_default(),
-            joint_errors: joints.map(JointFit::summary),
+            groups: estimate.groups.clone(),
+            joint_errors,
             monte_carlo: checks.monte_carlo,
             predicted_position_uncertainty_mm: prediction.pair,
             parameters: self.parameters,
             combinations: estimate.analysis.combinations(),
             correlated,
-            joint_effects: checks.joint_effects,
             outliers,
             recommendations,
             findings: findings.iter().cloned().map(RecordedFinding::from).collect(),
@@ -268,17 +208,23 @@ impl<'a> Calibration<'a> {
                 posterior: prediction.posterior,
                 geometry: estimate.fit.model.geometry.clone(),
                 nominal: Some(nominal),
-                uncertainty: prediction.joint_uncertainty.map(Box::new),
+                uncertainty: Some(Box::new(prediction.uncertainty)),
                 ..setting.robot.clone()
             },
             before: estimate.before,
-            posterior: uncertainty.posterior,
+            posterior,
             position_parts: prediction.parts,
             map: prediction.map,
-            zero_change: checks.zero_change,
             excluded_rows,
             of_estimate,
         }
+    }
+
+    /// The posterior of the robot, its tool ball and the base balls with few columns, as the robot's file has it.
+    pub(crate) fn short_posterior(&self) -> Posterior {
+        let uncertainty = &self.prediction.uncertainty;
+        let model = self.estimate.fit.model.clone();
+        Posterior::with_root(model, &uncertainty.parameters, uncertainty.root.clone())
     }
 
     /// The parameters with the status identified.
@@ -289,22 +235,20 @@ impl<'a> Calibration<'a> {
 
     /// The indices of the identified parameters, in units of their prior standard deviations.
     fn observability(&self) -> Option<Observability> {
-        let Prediction { ids, factor, .. } = &self.prediction;
         let identified = self.identified();
-        let places: Vec<usize> =
-            identified.iter().filter_map(|id| ids.iter().position(|other| other == id)).collect();
-        let mut scaled = factor.select_columns(&places);
-        for (mut column, place) in scaled.column_iter_mut().zip(&places) {
-            column *= self.sigma.mm * self.setting.priors.sd(ids[*place]);
+        let used = self.estimate.used(&self.lengths);
+        let mut scaled = factor(&self.estimate.fit.model, &used, &identified);
+        for (mut column, id) in scaled.column_iter_mut().zip(&identified) {
+            column *= self.sigma.mm * self.setting.priors.sd(*id);
         }
-        observability(&scaled, self.estimate.used(&self.lengths).count())
+        observability(&scaled, used.count())
     }
 
     /// Correlations within the base set. Combinations describe the dependence of the other parameters.
     fn correlations(&self) -> Vec<Correlation> {
         let Estimate { kept, base, .. } = &self.estimate;
         let places: Vec<usize> = (0..kept.len()).filter(|&k| base.contains(&kept[k])).collect();
-        let covariance = self.uncertainty.posterior.covariance();
+        let covariance = self.posterior.covariance();
         correlations(base, &covariance.select_rows(&places).select_columns(&places))
     }
 
@@ -326,22 +270,16 @@ impl<'a> Calibration<'a> {
     }
 }
 
-/// Cross-validation. Errors of the joints keep their variances in each fold.
+/// Cross-validation. The variances stay as they are in each fold.
 fn cross_validated(
     setting: &Setting<'_>,
     lengths: &Lengths,
     estimate: &Estimate,
-    asked: &[ParamId],
 ) -> Result<Option<Folds>, EstimationFinding> {
     let Some(folds) = validation::folds(setting.options.folds, lengths.len(), estimate.base.len()) else {
         return Ok(None);
     };
-    let fit = |training: &Lengths| match &estimate.joints {
-        Some(joints) => {
-            joint_errors::refit(setting, training, estimate, joints).ok_or(EstimationFinding::NotFinite)
-        }
-        None => Ok(self::estimate(setting, training, asked)?.fit.model),
-    };
+    let fit = |training: &Lengths| refit(training, estimate).ok_or(EstimationFinding::NotFinite);
     let rms = validation::held_out_rms(lengths, &estimate.fit.outliers, folds, fit)?;
     Ok(rms.map(|rms| Folds { folds, rms }))
 }
@@ -357,7 +295,7 @@ struct LengthSigma {
 
 impl LengthSigma {
     fn of(estimate: &Estimate, lengths: &Lengths) -> Self {
-        let freedom = estimate.noise.freedom;
+        let freedom = estimate.freedom;
         let source = match freedom {
             Some(_) => SigmaSource::Estimated,
             None if lengths.known => SigmaSource::Given,

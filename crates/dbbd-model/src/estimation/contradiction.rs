@@ -2,9 +2,9 @@
 //! and that lengths and positions are of the same robot.
 
 use super::calibration::Calibration;
-use super::estimate::Estimate;
+use super::estimator::Estimate;
 use super::lengths::Lengths;
-use super::linear_system::{add_prior, linear_system};
+use super::linear_system::linear_system;
 use super::selection::{is_bar, is_place};
 use crate::diagnostic::Names;
 use crate::estimation::EstimationFinding;
@@ -66,11 +66,15 @@ fn places(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let residuals = |more: &[ParamId]| {
         let ids = [estimate.kept.as_slice(), more].concat();
         let mut system = linear_system(&estimate.fit.model, &used, &ids);
-        let bound = estimate.prior.as_ref().map_or(0, |prior| {
-            add_prior(&mut system, prior, &estimate.fit.model, &estimate.kept);
-            prior.count()
-        });
-        Residuals::of(&mut system, used.count() + bound)
+        let bound = estimate.prior_sds.iter().enumerate().filter_map(|(k, sd)| Some((k, (*sd)?)));
+        let mut count = used.count();
+        for (k, sd) in bound {
+            let id = estimate.kept[k];
+            let step = estimate.fit.model.value(id) - of.setting.start.value(id);
+            system.push_single(k, sd.recip(), -step / sd);
+            count += 1;
+        }
+        Residuals::of(&mut system, count)
     };
     let (held, free) = (residuals(&[])?, residuals(&fixed)?);
     if free.freedom < FEWEST || held.freedom <= free.freedom {
@@ -88,7 +92,7 @@ fn places(of: &Calibration<'_>) -> Option<EstimationFinding> {
 fn bars(of: &Calibration<'_>) -> impl Iterator<Item = EstimationFinding> {
     let bound = of.estimate.kept.iter().copied().filter(is_bar);
     bound.filter_map(|id| {
-        let (before, after) = (of.estimate.prior_sd(id)?, of.uncertainty.posterior.sd(id)?);
+        let (before, after) = (of.estimate.prior_sd(id)?, of.posterior.sd(id)?);
         // The part of the information that comes from the data.
         let part = 1.0 - (after / before).powi(2);
         if part < LEAST_PART {
@@ -122,7 +126,7 @@ pub(super) fn kinds_disagree(estimate: &Estimate, lengths: &Lengths) -> Option<E
     }
     let residuals = |places: &[usize]| {
         let some = lengths.at(places);
-        let weighted = some.weighted(estimate.noise.sigma, &[]);
+        let weighted = some.weighted(estimate.sigma, &[]);
         Residuals::of(&mut linear_system(model, &weighted, &estimate.base), places.len())
     };
     let together = residuals(&[others.as_slice(), positions.as_slice()].concat())?;

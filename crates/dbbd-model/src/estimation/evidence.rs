@@ -7,8 +7,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
 
-use super::priors::{Group, HYPERS, HyperPrior};
-use crate::robot::GaussianProcess;
+use super::hyper_parameters::{HYPERS, HyperPrior, Hypers, SIGMA, Variance};
 
 /// Steps after which the variances are taken as they are.
 const MOST_STEPS: usize = 60;
@@ -18,103 +17,6 @@ const REST: f64 = 1e-3;
 const LONGEST_STEP: f64 = 1.0;
 /// A gain of this share of what the gradient promises suffices.
 const ARMIJO: f64 = 1e-4;
-
-/// Logarithms of what is estimated, in the order of [`HyperPrior::ALL`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Hypers([f64; HYPERS]);
-
-impl Hypers {
-    /// The middle of the priors, with this standard deviation of the lengths, mm.
-    pub(super) fn start(sigma_mm: f64) -> Self {
-        let mut start = Self(HyperPrior::ALL.map(|prior| prior.median.ln()));
-        start.0[HyperPrior::SIGMA] = sigma_mm.ln();
-        start
-    }
-
-    /// One standard deviation of a group, in its unit; of smooth functions that of the quick part.
-    pub(super) fn sd(&self, group: Group) -> f64 {
-        self.0[group as usize].exp()
-    }
-
-    /// With the standard deviation that another has of a group.
-    pub(super) fn with_sd_of(mut self, group: Group, other: &Self) -> Self {
-        self.0[group as usize] = other.0[group as usize];
-        self
-    }
-
-    /// What the smooth functions are the sum of: a quick and a slow process.
-    pub(super) fn processes(&self) -> [GaussianProcess; 2] {
-        Self::PROCESSES.map(|[sd, length]| GaussianProcess {
-            sd_rad: self.0[sd].exp(),
-            length_scale_rad: self.0[length].exp(),
-        })
-    }
-
-    /// The places of their standard deviations and lengths.
-    const PROCESSES: [[usize; 2]; 2] =
-        [[Group::Smooth as usize, HyperPrior::LENGTH], [HyperPrior::SLOW, HyperPrior::SLOW_LENGTH]];
-
-    pub(super) fn sigma_mm(&self) -> f64 {
-        self.0[HyperPrior::SIGMA].exp()
-    }
-}
-
-/// What the prior variance of an unknown follows.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Variance {
-    /// This standard deviation.
-    Fixed(f64),
-    /// That of its group times this.
-    Of(Group, f64),
-    /// The spectral density of the smooth functions at this angular frequency (1/rad).
-    Spectral(f64),
-    /// This standard deviation, which the noise gives to backlash.
-    ByNoise(f64),
-}
-
-impl Variance {
-    fn value(self, hypers: &Hypers) -> f64 {
-        match self {
-            Self::Fixed(sd) | Self::ByNoise(sd) => sd * sd,
-            Self::Of(group, unit) => (unit * hypers.sd(group)).powi(2),
-            Self::Spectral(frequency) => {
-                hypers.processes().iter().map(|part| part.spectral_density(frequency)).sum()
-            }
-        }
-    }
-
-    /// The derivative of its logarithm by the logarithm of each hyper-parameter that it follows, to `each` with the place.
-    fn slopes(self, hypers: &Hypers, mut each: impl FnMut(usize, f64)) {
-        match self {
-            Self::Fixed(_) | Self::ByNoise(_) => {}
-            Self::Of(group, _) => each(group as usize, 2.0),
-            Self::Spectral(frequency) => {
-                let whole = self.value(hypers);
-                for ([sd, length], part) in Hypers::PROCESSES.into_iter().zip(hypers.processes()) {
-                    let share = part.spectral_density(frequency) / whole;
-                    let a2 = 5.0 / part.length_scale_rad.powi(2);
-                    each(sd, 2.0 * share);
-                    each(length, share * (6.0 * a2 / (a2 + frequency * frequency) - 5.0));
-                }
-            }
-        }
-    }
-
-    /// One standard deviation.
-    pub(super) fn sd(self, hypers: &Hypers) -> f64 {
-        self.value(hypers).sqrt()
-    }
-
-    /// The group that it belongs to.
-    pub(super) fn group(self) -> Option<Group> {
-        match self {
-            Self::Fixed(_) => None,
-            Self::Of(group, _) => Some(group),
-            Self::Spectral(_) => Some(Group::Smooth),
-            Self::ByNoise(_) => Some(Group::Backlash),
-        }
-    }
-}
 
 /// Normal equations of rows of unit noise, free unknowns taken out.
 #[derive(Clone, Debug)]
@@ -138,7 +40,7 @@ pub(super) struct Coefficients {
     /// The mean in units of the prior standard deviations.
     scaled: DVector<f64>,
     /// Logarithm of the marginal likelihood.
-    ln_likelihood: f64,
+    pub(super) ln_likelihood: f64,
 }
 
 impl Coefficients {
@@ -166,6 +68,7 @@ impl Coefficients {
 pub(super) struct Evidence {
     pub(super) normal: NormalEquations,
     pub(super) variances: Vec<Variance>,
+    pub(super) hyper_priors: [HyperPrior; HYPERS],
     /// Whether sigma stays as it is.
     pub(super) sigma_is_given: bool,
 }
@@ -176,6 +79,8 @@ pub(super) struct Optimum {
     pub(super) hypers: Hypers,
     /// Logarithm of marginal likelihood and hyper-priors.
     pub(super) ln_evidence: f64,
+    /// Standard deviation of the logarithm of each by the curvature (Laplace).
+    pub(super) ln_sd: [f64; HYPERS],
 }
 
 /// A point of the search.
@@ -216,9 +121,11 @@ impl Evidence {
     /// The optimum near `start`, by Fisher's scoring.
     pub(super) fn maximise(&self, start: Hypers) -> Option<Optimum> {
         let mut here = self.at(start)?;
+        let mut information = SMatrix::identity();
         for _ in 0..MOST_STEPS {
-            let Slopes { gradient, information } = self.slopes(&here);
-            let mut step = Cholesky::new(information)?.solve(&gradient);
+            let slopes = self.slopes(&here);
+            information = slopes.information;
+            let (gradient, mut step) = self.step(&here, slopes)?;
             let longest = step.amax();
             if longest > LONGEST_STEP {
                 step *= LONGEST_STEP / longest;
@@ -231,7 +138,32 @@ impl Evidence {
                 break;
             }
         }
-        Some(Optimum { hypers: here.hypers, ln_evidence: here.ln_evidence })
+        let variances = Cholesky::new(information)?.inverse().diagonal();
+        let ln_sd = std::array::from_fn(|at| variances[at].sqrt());
+        Some(Optimum { hypers: here.hypers, ln_evidence: here.ln_evidence, ln_sd })
+    }
+
+    /// Newton's step within the bounds, with the gradient of what it moves: a hyper-parameter that it would move beyond its bound
+    /// stays there.
+    fn step(&self, here: &Point, slopes: Slopes) -> Option<(SVector<f64, HYPERS>, SVector<f64, HYPERS>)> {
+        let Slopes { mut gradient, mut information } = slopes;
+        loop {
+            let step = Cholesky::new(information)?.solve(&gradient);
+            let is_blocked = |at: &usize| {
+                let [low, high] = self.hyper_priors[*at].bounds.map(f64::ln);
+                let value = here.hypers.0[*at];
+                value <= low && step[*at] < 0.0 || value >= high && step[*at] > 0.0
+            };
+            let blocked: Vec<usize> = (0..HYPERS).filter(is_blocked).collect();
+            if blocked.is_empty() {
+                return Some((gradient, step));
+            }
+            for at in blocked {
+                information.row_mut(at).fill(0.0);
+                information.column_mut(at).fill(0.0);
+                (information[(at, at)], gradient[at]) = (1.0, 0.0);
+            }
+        }
     }
 
     /// The end of the step, or of a shorter one, where the evidence is higher.
@@ -240,8 +172,7 @@ impl Evidence {
         for _ in 0..8 {
             let mut hypers = here.hypers;
             for (at, value) in hypers.0.iter_mut().enumerate() {
-                let [low, high] = HyperPrior::ALL[at].bounds;
-                *value = (*value + share * step[at]).clamp(low.ln(), high.ln());
+                *value = self.hyper_priors[at].clamp(*value + share * step[at]);
             }
             if let Some(there) = self.at(hypers)
                 && there.ln_evidence > here.ln_evidence + ARMIJO * share * promised
@@ -255,11 +186,14 @@ impl Evidence {
 
     fn at(&self, hypers: Hypers) -> Option<Point> {
         let coefficients = self.coefficients(&hypers)?;
-        let mut ln_evidence = coefficients.ln_likelihood;
-        for (at, prior) in HyperPrior::ALL.into_iter().enumerate() {
-            ln_evidence -= 0.5 * prior.off(hypers.0[at]).powi(2);
-        }
+        let ln_evidence = coefficients.ln_likelihood + self.ln_prior(&hypers);
         Some(Point { hypers, coefficients, ln_evidence })
+    }
+
+    /// Logarithm of the prior of the hyper-parameters, against its middle.
+    pub(super) fn ln_prior(&self, hypers: &Hypers) -> f64 {
+        let deviates = self.hyper_priors.iter().zip(hypers.0).map(|(prior, ln)| prior.off(ln));
+        -0.5 * deviates.map(|deviate| deviate * deviate).sum::<f64>()
     }
 
     /// With C = B^-1: d ln Z / d ln v_i = (m_i^2 + C_ii - 1) / 2, whose information is (I - C)_ij^2 / 2; by ln sigma
@@ -286,25 +220,23 @@ impl Evidence {
         let halved = 0.5 * by_hyper.transpose() * (squared * &by_hyper);
         let mut information = SMatrix::from_fn(|i, j| halved[(i, j)]);
         if self.sigma_is_given {
-            information[(HyperPrior::SIGMA, HyperPrior::SIGMA)] = 1.0;
+            information[(SIGMA, SIGMA)] = f64::MAX.sqrt();
         } else {
             let mean = coefficients.mean();
             let residual = self.normal.squares - 2.0 * self.normal.rhs.dot(&mean)
                 + mean.dot(&(&self.normal.gram * &mean));
             let further = self.normal.freedom - count as f64;
-            gradient[HyperPrior::SIGMA] = residual / hypers.sigma_mm().powi(2) - covariance.trace() - further;
+            gradient[SIGMA] = residual / hypers.sigma_mm().powi(2) - covariance.trace() - further;
             let across = by_hyper.tr_mul(&by_sigma);
             for place in 0..HYPERS {
-                information[(HyperPrior::SIGMA, place)] = across[place];
-                information[(place, HyperPrior::SIGMA)] = across[place];
+                information[(SIGMA, place)] = across[place];
+                information[(place, SIGMA)] = across[place];
             }
-            information[(HyperPrior::SIGMA, HyperPrior::SIGMA)] = 2.0 * (further + covariance.norm_squared());
+            information[(SIGMA, SIGMA)] = 2.0 * (further + covariance.norm_squared());
         }
-        for (at, prior) in HyperPrior::ALL.into_iter().enumerate() {
-            if let Some(ln_sd) = prior.ln_sd {
-                gradient[at] -= prior.off(hypers.0[at]) / ln_sd;
-                information[(at, at)] += ln_sd.powi(-2);
-            }
+        for (at, prior) in self.hyper_priors.iter().enumerate() {
+            gradient[at] -= prior.off(hypers.0[at]) / prior.ln_sd;
+            information[(at, at)] += prior.ln_sd.powi(-2);
         }
         Slopes { gradient, information }
     }
@@ -341,6 +273,8 @@ fn cholesky_with_inverse(matrix: &DMatrix<f64>) -> Option<[DMatrix<f64>; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimation::Group;
+    use crate::robot::Joint;
 
     /// Rows of 40 unknowns of one group and 10 of another that explains nothing.
     fn problem() -> Evidence {
@@ -353,7 +287,8 @@ mod tests {
         let squares = y.norm_squared();
         let normal = NormalEquations { gram, rhs, squares, freedom: 300.0, ln_whitening: 0.0 };
         let of = |j: usize| Variance::Of(if j < 40 { Group::Harmonic } else { Group::Backlash }, 1.0);
-        Evidence { normal, variances: (0..50).map(of).collect(), sigma_is_given: false }
+        let hyper_priors = HyperPrior::all(0.03);
+        Evidence { normal, variances: (0..50).map(of).collect(), hyper_priors, sigma_is_given: false }
     }
 
     #[test]
@@ -373,7 +308,7 @@ mod tests {
     #[test]
     fn a_group_that_explains_nothing_shrinks() {
         let evidence = problem();
-        let hypers = evidence.maximise(Hypers::start(0.05)).unwrap().hypers;
+        let hypers = evidence.maximise(Hypers::start(&HyperPrior::all(0.03), 0.05)).unwrap().hypers;
         // Uniform numbers have a standard deviation of 1/sqrt(3).
         assert!((hypers.sd(Group::Harmonic) / 0.577e-4 - 1.0).abs() < 0.25, "{hypers:?}");
         assert!((hypers.sigma_mm() / 0.01155 - 1.0).abs() < 0.15, "{hypers:?}");
@@ -386,9 +321,9 @@ mod tests {
     fn the_gradient_is_that_of_the_evidence() {
         let mut evidence = problem();
         for (at, variance) in evidence.variances.iter_mut().enumerate().skip(20).take(20) {
-            *variance = Variance::Spectral(at as f64 * 0.4);
+            *variance = Variance::Spectral(Joint::J2, at as f64 * 0.4);
         }
-        let here = evidence.at(Hypers::start(0.03)).unwrap();
+        let here = evidence.at(Hypers::start(&HyperPrior::all(0.03), 0.03)).unwrap();
         let gradient = evidence.slopes(&here).gradient;
         for at in 0..HYPERS {
             let moved = |step: f64| {

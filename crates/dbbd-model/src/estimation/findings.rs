@@ -4,8 +4,8 @@ use super::calibration::{AngleSource, Calibration};
 use super::contradiction::{contradicted, kinds_disagree};
 use super::lengths::Sigma;
 use super::linear_system::factor;
-use super::priors::largest_plausible;
-use super::result::{JointEffect, JointError, MonteCarlo, ParameterResult, Status};
+use super::priors::{Prior, largest_plausible};
+use super::result::{MonteCarlo, ParameterResult, Status};
 use super::shifted_rows::shifted_rows;
 use super::workspace::left_out_mm;
 use crate::diagnostic::Names;
@@ -44,12 +44,11 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(implausible(of));
     found.extend(displaced(&of.parameters));
     found.extend(contradicted(of));
-    found.extend(shifted_rows(&of.estimate, &of.lengths));
+    found.extend(shifted_rows(&of.setting, &of.estimate, &of.lengths));
     found.extend(kinds_disagree(&of.estimate, &of.lengths));
     found.extend(outliers(fit.outliers.len(), of.lengths.len()));
     found.extend(consistency(of));
     found.extend(against_repeatability(of));
-    found.extend(joints(&of.checks.joint_effects));
     found.extend(position(of));
     found.extend(poorly_observable(&of.parameters));
     let identified = Robot { geometry: fit.model.geometry.clone(), ..of.setting.robot.clone() };
@@ -61,13 +60,15 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
 
 /// Compares the corrections with the prior.
 fn beyond_prior(of: &Calibration<'_>) -> Option<EstimationFinding> {
-    let scale = of.setting.priors.scale();
-    let widened = scale != 1.0;
-    let times = if widened { scale } else { of.estimate.beyond_prior()? };
+    if of.setting.options.follows_list() {
+        return None;
+    }
+    let times = of.estimate.beyond_prior(&of.setting)?;
+    let is_default = of.setting.options.prior == Prior::Datasheet;
     // A default tolerance was widened to fit the lengths, so only impossible corrections are doubted.
-    Some(match times > largest_plausible(!widened) {
+    Some(match times > largest_plausible(!is_default) {
         true => EstimationFinding::FarBeyondPrior { times },
-        false if widened => EstimationFinding::PriorWidened { times },
+        false if is_default => EstimationFinding::PriorWidened { times },
         false => EstimationFinding::BeyondPrior { times },
     })
 }
@@ -109,7 +110,7 @@ fn outliers(outliers: usize, lengths: usize) -> Option<EstimationFinding> {
 fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let (estimate, lengths) = (&of.estimate, &of.lengths);
     let used = lengths.weighted(Sigma::Given, &estimate.fit.outliers);
-    let parameters = of.uncertainty.effective_parameters;
+    let parameters = of.estimate.effective_parameters;
     let freedom = used.count() as f64 - parameters;
     if freedom < 1.0 {
         return Some(EstimationFinding::NoFreedom { lengths: used.count(), parameters });
@@ -123,7 +124,7 @@ fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let times = ratio.sqrt();
     match ChiSquareOutcome::of(ratio, freedom) {
         ChiSquareOutcome::Greater if lengths.vouched => Some(EstimationFinding::BeyondSigma { times }),
-        ChiSquareOutcome::Greater if estimate.noise.sigma == Sigma::Given => {
+        ChiSquareOutcome::Greater if estimate.freedom.is_none() => {
             Some(EstimationFinding::BeyondSigmaOfFew { times })
         }
         ChiSquareOutcome::Greater => Some(EstimationFinding::AboveSigma { times }),
@@ -159,23 +160,6 @@ fn against_repeatability(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let held_out_mm = of.checks.validation.as_ref()?.after.rms;
     (held_out_mm > FAR * least_mm.max(residual_rms_mm))
         .then_some(EstimationFinding::HeldOutDiffers { held_out_mm, residual_rms_mm })
-}
-
-/// One finding for each kind of joint error.
-fn joints(effects: &[JointEffect]) -> Vec<EstimationFinding> {
-    let (angle, reversal): (Vec<&JointEffect>, Vec<&JointEffect>) =
-        effects.iter().partition(|effect| effect.error == JointError::Angle);
-    let axes = |effects: &[&JointEffect]| Names::of(effects.iter().map(|effect| effect.axis));
-    let mut found = Vec::new();
-    if !angle.is_empty() {
-        let rms_um = angle.iter().map(|effect| effect.rms_mm * 1e3).collect();
-        found.push(EstimationFinding::AngleError { axes: axes(&angle), rms_um });
-    }
-    if !reversal.is_empty() {
-        let mrad = reversal.iter().map(|effect| effect.play_rad.unwrap_or(0.0) * 1e3).collect();
-        found.push(EstimationFinding::ReversalError { axes: axes(&reversal), mrad });
-    }
-    found
 }
 
 /// Whether the lengths determine the position of the robot, and not only the residuals.

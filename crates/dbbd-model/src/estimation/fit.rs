@@ -2,7 +2,7 @@
 
 use super::lengths::{Lengths, Sigma, Weighted};
 use super::prior::PriorRows;
-use super::selection::{Choice, is_bar, is_place};
+use super::selection::{is_bar, is_place};
 use super::solver::{Loss, Problem, ROUNDING, Solution, minimise, robust_scale, whitened};
 use crate::math::robust::SIGMA_OF_MAD;
 use crate::measurement::{LengthModel, MeasurementPieces};
@@ -38,15 +38,16 @@ pub(super) fn set_up(lengths: &Lengths, free: &[ParamId], start: &LengthModel) -
     robust(&all, ids.len(), plain, |lengths, loss, reached| from(lengths, loss, reached.unwrap_or(start)))
 }
 
-/// Fits the chosen parameters from `start`, whose set-up has been fitted.
+/// Fits the parameters `kept`, of which so many are independent by the lengths alone, from `start`, whose set-up has been
+/// fitted.
 pub(super) fn all(
     lengths: &Lengths,
     sigma: Sigma,
-    choice: &Choice,
+    kept: &[ParamId],
+    independent: usize,
     prior: Option<&PriorRows>,
     start: &LengthModel,
 ) -> Fit {
-    let kept = choice.kept.as_slice();
     let is_offset = |id: &ParamId| matches!(id, ParamId::Theta(_));
     let offsets: Vec<ParamId> = kept.iter().copied().filter(|id| is_offset(id) || is_place(id)).collect();
     // With a prior the robot is near its nominal geometry, and offsets that the data do not determine could diverge.
@@ -64,7 +65,7 @@ pub(super) fn all(
         plain = from(&all, Loss::Squares, near);
     }
     let start = near.as_ref().unwrap_or(start);
-    robust(&all, choice.base.len(), plain, |lengths, loss, reached| match reached {
+    robust(&all, independent, plain, |lengths, loss, reached| match reached {
         None => from(lengths, loss, start),
         Some(reached) => stages(lengths, &[kept], loss, prior, reached),
     })

@@ -47,7 +47,7 @@ fn sds(robot: &Robot, joint: Joint, angles_deg: &[f64]) -> Vec<f64> {
     let terms = errors.terms();
     // By the angle a row, by what the root is of a column.
     let mut derivatives = DMatrix::zeros(angles_deg.len(), uncertainty.root.nrows());
-    let mut outside = vec![uncertainty.smooth_variance(); angles_deg.len()];
+    let mut outside = vec![uncertainty.smooth_variance(joint); angles_deg.len()];
     for (row, angle_deg) in angles_deg.iter().enumerate() {
         let angle = angle_deg.to_radians();
         for (at, id) in uncertainty.parameters.iter().enumerate() {
@@ -62,7 +62,7 @@ fn sds(robot: &Robot, joint: Joint, angles_deg: &[f64]) -> Vec<f64> {
             if place == joint.index() && terms[at].kind != TermKind::Backlash {
                 derivatives[(row, uncertainty.parameters.len() + at)] = value;
                 if let TermKind::Smooth { frequency } = terms[at].kind {
-                    outside[row] -= uncertainty.spectral_density(frequency) * value * value;
+                    outside[row] -= uncertainty.spectral_density(joint, frequency) * value * value;
                 }
             }
             at += 1;

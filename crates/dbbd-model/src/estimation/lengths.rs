@@ -22,6 +22,10 @@ pub(crate) struct Lengths<'a> {
     pub(super) known: bool,
     /// Standard deviation of the robot's repeatability along a length, mm, if it is known.
     pub(super) repeatability_mm: Option<f64>,
+    /// When each was measured, from 0 for the first to 1 for the last; empty if nothing says so.
+    elapsed: Vec<f64>,
+    /// Whether that is by their times.
+    timed: bool,
 }
 
 #[derive(Clone, Debug)]
@@ -77,12 +81,13 @@ impl<'a> Lengths<'a> {
             ),
         };
         let (vouched, repeatability_mm) = (options.sigma_mm.is_some(), robot.repeatability_sd_mm());
-        Self { rows: held, vouched, known, repeatability_mm }
+        let (elapsed, timed) = elapsed(rows);
+        Self { rows: held, vouched, known, repeatability_mm, elapsed, timed }
     }
 
     /// `given` are the standard deviations, mm.
     pub(super) fn few(readings: Vec<PreparedMeasurement>, given: Vec<f64>) -> Lengths<'static> {
-        Lengths { rows: Rows::Few(readings, given), vouched: true, known: true, repeatability_mm: None }
+        Lengths { rows: Rows::Few(readings, given), vouched: true, known: true, repeatability_mm: None, elapsed: vec![], timed: false }
     }
 
     /// The lengths with these indices.
@@ -94,7 +99,32 @@ impl<'a> Lengths<'a> {
             ),
             Rows::Many(rows, all) => Rows::Many(places.iter().map(|&at| rows[at].clone()).collect(), *all),
         };
-        Self { rows, ..*self }
+        let elapsed = places.iter().filter_map(|at| self.elapsed.get(*at).copied()).collect();
+        Self { rows, elapsed, ..*self }
+    }
+
+    /// The time of a length, if it is known, in a unit of its own.
+    pub(super) fn time(&self, at: usize) -> Option<f64> {
+        self.elapsed(at).filter(|_| self.timed)
+    }
+
+    /// The same measurements with other lengths, mm.
+    pub(super) fn with_lengths(&self, lengths_mm: Vec<f64>) -> Self {
+        let mut other = self.clone();
+        match &mut other.rows {
+            Rows::Few(readings, _) => {
+                readings.iter_mut().zip(lengths_mm).for_each(|(reading, mm)| reading.length_mm = mm);
+            }
+            Rows::Many(rows, _) => {
+                rows.to_mut().iter_mut().zip(lengths_mm).for_each(|(row, mm)| row.length_mm = mm);
+            }
+        }
+        other
+    }
+
+    /// When a length was measured, from 0 for the first to 1 for the last; `None` if nothing says so.
+    pub(super) fn elapsed(&self, at: usize) -> Option<f64> {
+        self.elapsed.get(at).copied()
     }
 
     pub(super) fn len(&self) -> usize {
@@ -144,6 +174,21 @@ impl<'a> Lengths<'a> {
     /// All lengths with unit weights.
     pub(super) fn plain(&'a self) -> Weighted<'a> {
         self.weighted(Sigma::All(1.0), &[])
+    }
+}
+
+/// By the times of the rows, which are then known, else by their indices, which must differ; empty without an order.
+fn elapsed(rows: &[Measurement]) -> (Vec<f64>, bool) {
+    let times: Option<Vec<f64>> = rows.iter().map(|row| row.context.as_ref()?.time_s).collect();
+    let timed = times.is_some();
+    let is_new = |pair: &[Measurement]| pair[0].index != pair[1].index || pair[0].datum != pair[1].datum;
+    let indices = || rows.windows(2).all(is_new).then(|| rows.iter().map(|row| f64::from(row.index)).collect());
+    let times = times.or_else(indices).unwrap_or_default();
+    let start = [f64::INFINITY, f64::NEG_INFINITY];
+    let [first, last] = times.iter().fold(start, |[low, high], time| [low.min(*time), high.max(*time)]);
+    match last > first {
+        true => (times.into_iter().map(|time| (time - first) / (last - first)).collect(), timed),
+        false => (Vec::new(), false),
     }
 }
 

@@ -93,7 +93,7 @@ pub(super) fn linear_system_by_pose(
     ids: &[ParamId],
 ) -> Option<Triangle> {
     let unit = vec![1.0; readings.len()];
-    let lines = PoseRows::at(model, &(readings, unit.as_slice()), ids);
+    let lines = PoseRows::at(model, &(readings, unit.as_slice()), ids, |_| None);
     let unknowns = lines.values.ncols();
     let mut rows = lines.values.clone().insert_column(unknowns, 0.0);
     rows.set_column(unknowns, &lines.residual);

@@ -1,20 +1,17 @@
 //! Uncertainties by Monte Carlo (GUM Supplement 1): lengths are drawn about the solution and fitted again.
 //!
 //! The same sources are drawn that the linearised standard deviations contain: the noise of the lengths (an estimated
-//! standard deviation by its chi-square distribution), the errors of poorly observable parameters that were fixed, and the
-//! prior.
+//! standard deviation by its chi-square distribution), and what is not known of the robot.
 
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::estimate::Estimate;
-use super::lengths::{Lengths, Sigma};
-use super::priors::Priors;
+use super::estimator::{Estimate, refit};
+use super::lengths::Lengths;
+use super::posterior::Posterior;
 use super::result::{MonteCarlo, ParameterDraws, ParameterResult};
-use super::solver::{Loss, Problem, minimise};
 use crate::math::distributions::{COVERAGE_95, NORMAL_DENSITY_AT_975};
 use crate::math::map_items;
-use crate::measurement::{LengthModel, PreparedMeasurement};
 use crate::robot::ParamId;
 
 /// Each trial has a random stream of its own with this seed.
@@ -36,8 +33,8 @@ pub(super) struct Draws {
 }
 
 impl Draws {
-    pub(super) fn of(priors: &Priors, estimate: &Estimate, lengths: &Lengths, trials: usize) -> Self {
-        let draws = draw(priors, estimate, lengths, trials);
+    pub(super) fn of(estimate: &Estimate, lengths: &Lengths, trials: usize) -> Self {
+        let draws = draw(estimate, lengths, trials);
         let sorted = |k: usize| {
             let mut values: Vec<f64> = draws.iter().map(|values| values[k]).collect();
             values.sort_by(f64::total_cmp);
@@ -81,53 +78,31 @@ impl Draws {
     }
 }
 
-/// The estimated parameters of each trial whose fit converged.
-fn draw(priors: &Priors, estimate: &Estimate, lengths: &Lengths, trials: usize) -> Vec<Vec<f64>> {
+/// The estimated parameters of each trial: a robot is drawn from the posterior, its lengths with their noise are estimated again,
+/// and the error of that estimate is added to the parameters that were identified.
+fn draw(estimate: &Estimate, lengths: &Lengths, trials: usize) -> Vec<Vec<f64>> {
     let model = &estimate.fit.model;
     let weighted = estimate.used(lengths);
     let used = weighted.sigmas().enumerate().filter(|(_, sigma)| *sigma != f64::INFINITY);
-    let (used, sigma): (Vec<PreparedMeasurement>, Vec<f64>) =
-        used.map(|(at, sigma)| (lengths.reading(at), sigma)).unzip();
-    let exact = predicted(model, &used);
-    let freedom = estimate.noise.freedom.and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)));
-    // With a prior no errors of fixed parameters are in the linearised standard deviations.
-    let fixed: &[ParamId] = if estimate.prior.is_some() { &[] } else { &estimate.poorly_observable };
+    let (places, sigma): (Vec<usize>, Vec<f64>) = used.unzip();
+    let used = lengths.at(&places);
+    let freedom = estimate.freedom.and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)));
+    let posterior = Posterior::with_root(model.clone(), &estimate.kept, estimate.root.clone());
     let numbers: Vec<usize> = (0..trials).collect();
     let drawn = map_items(&numbers, |number| {
         let mut random = Pcg64::new(SEED, *number as u128);
         let normal = |random: &mut Pcg64| -> f64 { StandardNormal.sample(random) };
         let factor =
             freedom.as_ref().map_or(1.0, |(freedom, chi)| (freedom / chi.sample(&mut random)).sqrt());
-        let mut readings = exact.clone();
-        if !fixed.is_empty() {
-            let mut truth = model.clone();
-            fixed.iter().for_each(|id| truth.shift(*id, priors.fixed_sd(*id) * normal(&mut random)));
-            readings = predicted(&truth, &readings);
-        }
-        for (reading, sigma) in readings.iter_mut().zip(&sigma) {
-            reading.length_mm += factor * sigma * normal(&mut random);
-        }
-        let prior =
-            estimate.prior.as_ref().map(|prior| prior.drawn(model, &estimate.kept, || normal(&mut random)));
-        let drawn = Lengths::few(readings, sigma.clone());
-        let problem = Problem {
-            lengths: drawn.weighted(Sigma::Given, &[]),
-            ids: &estimate.kept,
-            loss: Loss::Squares,
-            prior: prior.as_ref(),
-        };
-        let solution = minimise(&problem, model);
-        let values = estimate.kept.iter().map(|id| solution.model.value(*id)).collect();
-        solution.converged.then_some(values)
+        let truth = posterior.drawn(|| factor * normal(&mut random));
+        let prepared = truth.prepare();
+        let exact = |at: usize| prepared.length(&used.reading(at));
+        let lengths_mm = (0..used.len()).map(|at| exact(at) + factor * sigma[at] * normal(&mut random)).collect();
+        let found = refit(&used.with_lengths(lengths_mm), estimate)?;
+        let value = |id: &ParamId| model.value(*id) + found.value(*id) - truth.value(*id);
+        Some(estimate.kept.iter().map(value).collect())
     });
     drawn.into_iter().flatten().collect()
-}
-
-/// The readings with the lengths that a model predicts.
-fn predicted(model: &LengthModel, readings: &[PreparedMeasurement]) -> Vec<PreparedMeasurement> {
-    let prepared = model.prepare();
-    let exact = |reading| PreparedMeasurement { length_mm: prepared.length(reading), ..*reading };
-    readings.iter().map(exact).collect()
 }
 
 /// Whether an end of the drawn interval differs from the linearised one beyond chance and a tenth of the half width.

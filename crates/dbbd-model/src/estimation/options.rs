@@ -73,13 +73,9 @@ impl Options {
         self.estimate.is_some() && self.prior == Prior::None
     }
 
-    /// Whether errors of the joints are considered. They are not in a list of parameters, a Monte Carlo draws only the
-    /// geometry, and the prior of a posterior has correlations of the geometry only.
+    /// Whether what the geometry does not explain is estimated too. A list of parameters names all that is unknown.
     pub(super) fn seeks_joint_errors(&self) -> bool {
-        self.model == ErrorModel::Joints
-            && self.estimate.is_none()
-            && self.prior != Prior::Posterior
-            && self.monte_carlo.is_none()
+        self.estimate.is_none()
     }
 }
 
@@ -104,14 +100,6 @@ impl<'a> Setting<'a> {
         let set_up = observations.set_up(start.balls.len());
         let priors = Priors::of(robot, options.bar_u_mm, &options.prior);
         Self { robot, start, set_up, options: Cow::Borrowed(options), priors }
-    }
-
-    /// With a prior on the geometry: that of the user, else the robot's tolerance.
-    pub(super) fn bound(mut self) -> Self {
-        if self.options.prior == Prior::None {
-            self.options.to_mut().prior = Prior::Datasheet;
-        }
-        self
     }
 
     /// The parameters asked for, in canonical order; by default all but the optional ones.

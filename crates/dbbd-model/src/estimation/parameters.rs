@@ -1,12 +1,11 @@
 //! The table of all parameters of a result.
 
 use super::Combination;
-use super::estimate::Estimate;
+use super::estimator::Estimate;
 use super::monte_carlo::Draws;
 use super::options::Setting;
 use super::result::{ParameterResult, Status};
-use super::selection::is_place;
-use super::uncertainty::Uncertainty;
+use super::posterior::Posterior;
 use crate::robot::ParamId;
 
 /// Why a parameter has its status.
@@ -40,10 +39,6 @@ pub(super) enum Reason {
     Open {
         limit: f64,
     },
-    /// Its standard deviation would exceed the limit.
-    PoorlyObservable {
-        limit: f64,
-    },
 }
 
 impl Reason {
@@ -56,7 +51,7 @@ impl Reason {
             }
             Self::Dependent { .. } => Status::Dependent,
             Self::FixedAsAsked | Self::NotAsked | Self::ChangesNoLength => Status::Fixed,
-            Self::Open { .. } | Self::PoorlyObservable { .. } => Status::PoorlyObservable,
+            Self::Open { .. } => Status::PoorlyObservable,
         }
     }
 }
@@ -64,7 +59,9 @@ impl Reason {
 pub(super) struct ParameterTable<'a> {
     pub(super) setting: &'a Setting<'a>,
     pub(super) estimate: &'a Estimate,
-    pub(super) uncertainty: &'a Uncertainty,
+    pub(super) posterior: &'a Posterior,
+    /// Standard deviations of the base set by the data alone; none if they are not determined.
+    pub(super) data_sd: Vec<f64>,
     pub(super) coverage_factor: Option<f64>,
     pub(super) draws: Option<&'a Draws>,
     pub(super) combinations: Vec<Combination>,
@@ -84,7 +81,7 @@ impl ParameterTable<'_> {
 
     fn parameter(&self, id: ParamId, start: f64, nominal: f64) -> ParameterResult {
         let identified = self.estimate.fit.model.value(id);
-        let sd = self.uncertainty.posterior.sd(id);
+        let sd = self.posterior.sd(id);
         let interval = |(factor, sd): (f64, f64)| [identified - factor * sd, identified + factor * sd];
         let reason = self.reason(id);
         ParameterResult {
@@ -104,17 +101,14 @@ impl ParameterTable<'_> {
     }
 
     fn reason(&self, id: ParamId) -> Reason {
-        let Setting { options, priors, .. } = self.setting;
-        let Estimate { kept, analysis, poorly_observable, .. } = self.estimate;
-        if let Some(k) = kept.iter().position(|kept| *kept == id) {
-            self.reason_of_estimated(id, k)
+        let Setting { options, .. } = self.setting;
+        let Estimate { kept, analysis, open, .. } = self.estimate;
+        if kept.contains(&id) {
+            self.reason_of_estimated(id)
         } else if options.hold.contains(&id) {
             Reason::FixedAsAsked
-        } else if poorly_observable.contains(&id) {
-            match is_place(&id) {
-                true => Reason::Open { limit: id.max_sd().unwrap_or(f64::INFINITY) },
-                false => Reason::PoorlyObservable { limit: priors.weak_limit(id) },
-            }
+        } else if open.contains(&id) {
+            Reason::Open { limit: id.max_sd().unwrap_or(f64::INFINITY) }
         } else if !analysis.ids.contains(&id) {
             Reason::NotAsked
         } else if analysis.zero().contains(&id) {
@@ -124,18 +118,20 @@ impl ParameterTable<'_> {
         }
     }
 
-    fn reason_of_estimated(&self, id: ParamId, k: usize) -> Reason {
-        let Estimate { kept, base, prior, .. } = self.estimate;
-        if id.is_optional() && self.estimate.joints.is_some() {
+    /// By half of what is known before, or where nothing is known before by the data alone.
+    fn reason_of_estimated(&self, id: ParamId) -> Reason {
+        let Estimate { kept, base, .. } = self.estimate;
+        let after = self.posterior.sd(id).unwrap_or(f64::INFINITY);
+        let data_sd = base.iter().position(|own| *own == id).and_then(|at| self.data_sd.get(at)).copied();
+        if id.is_optional() {
             let before = self.estimate.prior_sd(id).unwrap_or(f64::INFINITY);
-            let after = self.uncertainty.posterior.sd(id).unwrap_or(before);
             return Reason::ByEvidence { determined: 1.0 - (after / before).powi(2) };
         }
-        if !base.contains(&id) {
+        let Some(data_sd) = data_sd else {
             return Reason::PriorShares { combination: self.combination(id) };
-        }
-        let data_sd = self.uncertainty.data_sd[k];
-        if prior.is_some() && data_sd > self.setting.priors.weak_limit(id) {
+        };
+        let has_prior = self.estimate.prior_sd(id).is_some();
+        if has_prior && data_sd > self.setting.priors.weak_limit(id) {
             return Reason::PriorCarries { data_sd };
         }
         let Some(combination) = self.combinations.iter().find(|combination| combination.kept == id) else {

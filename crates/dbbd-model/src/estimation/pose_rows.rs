@@ -1,6 +1,6 @@
 //! Rows of lengths by parameters and coefficients of the joints' errors, whitened pose by pose.
 //!
-//! The lengths of one pose share its repeatability: with U the unit vectors along them their covariance is
+//! The lengths of one visit to a pose share its repeatability: with U the unit vectors along them their covariance is
 //! s^2 U U', plus what joints that are off their angles do to them, plus what each length has of its own. Coordinates of a
 //! position are lengths along the axes of the tracker.
 
@@ -11,7 +11,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dim, Dyn, Matrix, StorageMut};
 use super::linear_system::Rows;
 use super::position::RemainingErrors;
 use crate::measurement::{LengthModel, MeasurementPieces};
-use crate::robot::{AXES, Approach, Joint, ParamId, RobotUncertainty};
+use crate::robot::{AXES, Approach, Datum, Joint, ParamId, RobotUncertainty};
 
 /// The noise of a length.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,7 +86,7 @@ pub(super) struct PoseRows {
     /// Places among all lengths.
     pub(super) places: Vec<usize>,
     /// Unit vectors along the lengths.
-    units: Vec<[f64; 3]>,
+    pub(super) units: Vec<[f64; 3]>,
     /// Axis angles (rad) with the sense of approach, the joints' own angles, and what these move, mm/rad.
     axes: Vec<[f64; AXES]>,
     approaches: Vec<Approach>,
@@ -94,19 +94,23 @@ pub(super) struct PoseRows {
     pub(super) senses: Vec<[i8; AXES]>,
     pub(super) joints: Vec<[f64; AXES]>,
     pub(super) levers: Vec<[f64; AXES]>,
-    /// Rows of equal pose.
+    /// What a relative growth of all links moves, mm.
+    pub(super) growths: Vec<f64>,
+    /// Rows of one visit to a pose.
     pub(super) poses: Vec<Vec<usize>>,
 }
 
 /// A row before all are in one matrix.
 struct Row {
     place: usize,
+    datum: Datum,
     values: Vec<f64>,
     residual: f64,
     unit: [f64; 3],
     axes: [f64; AXES],
     approach: Approach,
     levers: [f64; AXES],
+    growth: f64,
 }
 
 impl PoseRows {
@@ -115,9 +119,12 @@ impl PoseRows {
         model: &LengthModel,
         lengths: &L,
         ids: &[ParamId],
+        time: impl Fn(usize) -> Option<f64>,
     ) -> Self {
         let geometry = &model.geometry;
         let (own, further) = (ids.len(), geometry.joint_errors.count());
+        let links = [ParamId::A, ParamId::D].into_iter().flat_map(|of: fn(Joint) -> ParamId| Joint::ALL.map(of));
+        let links: Vec<(ParamId, f64)> = links.map(|id| (id, model.value(id))).collect();
         let pieces = Rows { model, ids, further }.fold(lengths, Vec::new, |made: &mut Vec<Row>, row| {
             if row.weight == 0.0 {
                 return;
@@ -126,18 +133,26 @@ impl PoseRows {
             by.joint_terms(geometry, &reading.axes, reading.approach, &mut row.values[own..]);
             made.push(Row {
                 place: row.place,
+                datum: reading.datum,
                 values: row.values.to_vec(),
                 residual: row.residual,
                 unit: by.unit().into(),
                 axes: reading.axes,
                 approach: reading.approach,
                 levers: Joint::ALL.map(|joint| by.derivative(ParamId::Theta(joint))),
+                growth: links.iter().map(|(id, mm)| by.derivative(*id) * mm).sum(),
             });
         });
         let rows: Vec<Row> = pieces.into_iter().flatten().collect();
-        let mut poses: BTreeMap<_, Vec<usize>> = BTreeMap::new();
+        let mut visits: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         for (at, row) in rows.iter().enumerate() {
-            poses.entry((row.axes.map(f64::to_bits), row.approach.senses())).or_default().push(at);
+            let pose = (row.axes.map(f64::to_bits), row.approach.senses(), time(row.place).map(f64::to_bits));
+            // A second length to the same ball is of another visit.
+            let mut visit = 0;
+            while visits.get(&(pose, visit)).is_some_and(|own| own.iter().any(|at| rows[*at].datum == row.datum)) {
+                visit += 1;
+            }
+            visits.entry((pose, visit)).or_default().push(at);
         }
         Self {
             values: DMatrix::from_fn(rows.len(), own + further, |row, column| rows[row].values[column]),
@@ -149,18 +164,25 @@ impl PoseRows {
             senses: rows.iter().map(|row| geometry.coupling.senses(row.approach).senses()).collect(),
             approaches: rows.iter().map(|row| row.approach).collect(),
             levers: rows.iter().map(|row| row.levers).collect(),
-            poses: poses.into_values().collect(),
+            growths: rows.iter().map(|row| row.growth).collect(),
+            poses: visits.into_values().collect(),
         }
     }
 
-    /// By these unknowns alone.
-    pub(super) fn with_columns(&self, columns: &[usize]) -> Self {
-        Self { values: self.values.select_columns(columns), ..self.clone() }
-    }
-
-    /// Whether a pose has several lengths.
-    pub(super) fn share_poses(&self) -> bool {
-        self.poses.iter().any(|rows| rows.len() > 1)
+    /// Whether the noise of a pose and that of its lengths can be told apart: a pose has several lengths, in directions that
+    /// are not orthogonal as those of a position are.
+    pub(super) fn tell_noise_apart(&self) -> bool {
+        /// Cosine of the angle between two lengths.
+        const OBLIQUE: f64 = 0.02;
+        let is_oblique = |rows: &Vec<usize>| {
+            let pairs = rows.iter().enumerate().flat_map(|(at, one)| rows[..at].iter().map(move |other| (*one, *other)));
+            pairs.into_iter().any(|(one, other)| {
+                let cosine: f64 = (0..3).map(|k| self.units[one][k] * self.units[other][k]).sum();
+                cosine.abs() > OBLIQUE
+            })
+        };
+        let oblique = self.poses.iter().filter(|rows| is_oblique(rows)).count();
+        10 * oblique > self.poses.len()
     }
 
     /// The noise of the rows of a robot at `model`. The scatter of lengths, a mean over the rows, contains backlash of unknown
@@ -232,6 +254,13 @@ impl Whitening {
                 }
             }
         }
+    }
+
+    /// The inverse of the factor of a pose.
+    pub(super) fn inverse_factor(&self, pose: usize) -> DMatrix<f64> {
+        let (rows, factor) = &self.poses[pose];
+        let identity = DMatrix::identity(rows.len(), rows.len());
+        factor.solve_lower_triangular(&identity).unwrap_or(identity)
     }
 
     /// The logarithm of the determinant of the covariance of all rows.

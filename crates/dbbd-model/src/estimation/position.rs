@@ -155,7 +155,7 @@ pub(super) struct RemainingErrors<'a> {
 impl<'a> RemainingErrors<'a> {
     pub(super) fn new(geometry: &'a Geometry, uncertainty: &'a RobotUncertainty) -> Self {
         let variance = |term: &JointTerm| match term.kind {
-            TermKind::Smooth { frequency } => uncertainty.spectral_density(frequency),
+            TermKind::Smooth { frequency } => uncertainty.spectral_density(term.joint, frequency),
             TermKind::Backlash | TermKind::Ripple { .. } => 0.0,
         };
         let variances = geometry.joint_errors.terms().iter().map(variance).collect();
@@ -176,7 +176,7 @@ impl<'a> RemainingErrors<'a> {
             let backlash = if senses[place] == 0 { uncertainty.unapproached_rad[place] } else { 0.0 };
             // Among measured angles what the basis lacks is in the noise of the lengths already.
             let held = if measured[place] > 0.0 { (here[place] / measured[place]).min(1.0) } else { 0.0 };
-            (uncertainty.smooth_variance() * (1.0 - held)).sqrt().hypot(backlash)
+            (uncertainty.smooth_variance(Joint::ALL[place]) * (1.0 - held)).sqrt().hypot(backlash)
         })
     }
 

@@ -6,8 +6,9 @@
 //!
 //! The coefficients of the joint errors follow the parameters, if the covariance has them.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector3};
 
+use super::expected::FREE_BALL_MM;
 use super::linear_system::{linear_system, linear_system_by_pose};
 use super::pose_rows::LengthNoise;
 use super::priors::Priors;
@@ -174,6 +175,20 @@ impl Posterior {
         touched
     }
 
+    /// With a further base ball that is free.
+    pub fn with_ball(&self, ball: Vector3<f64>) -> Self {
+        let new = BallId::at(self.model.balls.len());
+        let own = self.ids.len();
+        let mut ids = self.ids.clone();
+        ids.extend(Coordinate::ALL.map(|axis| ParamId::Ball(new, axis)));
+        let mut model = self.model.clone();
+        model.balls.push(ball);
+        let columns = self.root.ncols();
+        let mut root = self.root.clone().insert_rows(own, 3, 0.0).resize_horizontally(columns + 3, 0.0);
+        (0..3).for_each(|axis| root[(own + axis, columns + axis)] = FREE_BALL_MM);
+        Self::with_root(model, &ids, root)
+    }
+
     /// The posterior after lengths at these poses that agree with the model. `None` if a number is not finite.
     pub fn after<'a>(
         &self,
@@ -213,6 +228,12 @@ impl Posterior {
             posterior.model = self.moved(&(&self.root * &w));
         }
         posterior.root.iter().chain(w.iter()).all(|x| x.is_finite()).then_some(Learnt { posterior, w })
+    }
+
+    /// A model drawn from it, by standard normal numbers.
+    pub(super) fn drawn(&self, mut normal: impl FnMut() -> f64) -> LengthModel {
+        let numbers = DVector::from_fn(self.root.ncols(), |_, _| normal());
+        self.moved(&(&self.root * numbers))
     }
 
     /// The model with steps of the parameters, then of the coefficients of the joint errors.
@@ -269,8 +290,6 @@ pub fn inverse_root(rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
-
     use super::*;
     use crate::measurement::BaseBall;
     use crate::robot::Joint;

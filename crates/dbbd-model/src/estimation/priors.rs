@@ -5,10 +5,9 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
-use serde::{Deserialize, Serialize};
 
 use crate::estimation::EstimationFinding;
-use crate::robot::{AXES, BarId, ParamId, PriorRule, Robot, RobotPosterior};
+use crate::robot::{AXES, BarId, ParamGroup, ParamId, PriorRule, Robot, RobotPosterior};
 
 /// A parameter counts as identified if its standard deviation is at most so many tolerances.
 pub const WEAK: f64 = 3.0;
@@ -17,81 +16,16 @@ pub const WEAK: f64 = 3.0;
 const IMPLAUSIBLE: f64 = 5.0;
 /// and beyond so many in any case.
 const IMPOSSIBLE: f64 = 20.0;
-/// The prior of a hyperparameter: log-normal about `median`.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct HyperPrior {
-    pub(super) median: f64,
-    /// Standard deviation of the logarithm; `None` for a flat prior.
-    pub(super) ln_sd: Option<f64>,
-    pub(super) bounds: [f64; 2],
-}
-
-/// The number of hyperparameters.
-pub(super) const HYPERS: usize = 9;
-
-/// Groups of unknowns that share a variance.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Group {
-    /// First harmonic of a joint's angle, rad.
-    Harmonic,
-    /// Smooth function of a joint's angle, rad.
-    Smooth,
-    /// Half of the reversal error, rad.
-    Backlash,
-    /// Transmission ripple, rad.
-    Ripple,
-    /// Compliance, in prior standard deviations.
-    Compliance,
-}
-
-impl Group {
-    pub const ALL: [Self; 5] = [Self::Harmonic, Self::Smooth, Self::Backlash, Self::Ripple, Self::Compliance];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Harmonic => "harmonic",
-            Self::Smooth => "smooth",
-            Self::Backlash => "backlash",
-            Self::Ripple => "ripple",
-            Self::Compliance => "compliance",
-        }
-    }
-}
-
-impl HyperPrior {
-    /// Indices of the hyperparameters that are not the standard deviation of a group: the length scale of the smooth function,
-    /// rad; the noise, mm; standard deviation and length scale of the slow part of the smooth function, rad.
-    pub(super) const LENGTH: usize = 5;
-    pub(super) const SIGMA: usize = 6;
-    pub(super) const SLOW: usize = 7;
-    pub(super) const SLOW_LENGTH: usize = 8;
-    /// Those of the groups in their order, then the others. Typical of industrial joints: an eccentricity of half a
-    /// milliradian, the other errors a fifth of it and less.
-    pub(super) const ALL: [Self; HYPERS] = [
-        Self { median: 5e-4, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
-        Self { median: 1e-4, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
-        Self { median: 3e-5, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
-        Self { median: 2e-5, ln_sd: Some(0.7), bounds: [1e-8, 1e-1] },
-        Self { median: 1.0, ln_sd: Some(1.0), bounds: [1e-4, 1e4] },
-        Self { median: 0.15, ln_sd: Some(1.0), bounds: [0.03, 3.0] },
-        Self { median: 0.03, ln_sd: None, bounds: [1e-9, 1e3] },
-        Self { median: 1e-4, ln_sd: Some(1.0), bounds: [1e-8, 1e-1] },
-        Self { median: 0.5, ln_sd: Some(1.0), bounds: [0.3, 5.0] },
-    ];
-
-    /// The normal deviate of a logarithm; 0 for a flat prior.
-    pub(super) fn off(self, ln: f64) -> f64 {
-        self.ln_sd.map_or(0.0, |sd| (ln - self.median.ln()) / sd)
-    }
-}
+/// Standard uncertainty of each coordinate of a tool ball on its flange, mm: it is mounted to tenths of a millimetre.
+const BALL_U_MM: f64 = 0.5;
 
 /// The prior on the robot that the user chose.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Prior {
-    #[default]
+    /// None but for the directions that the data determine worse than three tolerances.
     None,
     /// The tolerance in the robot's file.
+    #[default]
     Datasheet,
     /// Standard deviations of some parameters; the datasheet's of the rest.
     Given(BTreeMap<ParamId, f64>),
@@ -121,7 +55,7 @@ impl Prior {
             Some(_) => Some(EstimationFinding::PosteriorOfOtherValues),
             None => robot.nominal.as_ref().map(|_| EstimationFinding::PosteriorLost),
         };
-        Ok((Self::None, lost))
+        Ok((Self::Datasheet, lost))
     }
 }
 
@@ -132,10 +66,10 @@ pub struct Priors {
     angle_rad: f64,
     greatest_torques: [f64; AXES],
     bar_u_mm: Option<f64>,
+    /// Of each coordinate of the tool ball on the flange, mm.
+    ball_u_mm: f64,
     given: BTreeMap<ParamId, f64>,
     posterior: Option<RobotPosterior>,
-    /// Factor on the standard deviations of the robot's parameters.
-    scale: f64,
 }
 
 impl Priors {
@@ -146,9 +80,9 @@ impl Priors {
             angle_rad: robot.tolerance.angle_deg.to_radians(),
             greatest_torques: robot.geometry.greatest_torques(),
             bar_u_mm,
+            ball_u_mm: BALL_U_MM,
             given: BTreeMap::new(),
             posterior: None,
-            scale: 1.0,
         }
     }
 
@@ -157,15 +91,6 @@ impl Priors {
         let given = if let Prior::Given(given) = prior { given.clone() } else { BTreeMap::new() };
         let posterior = robot.posterior.clone().filter(|_| *prior == Prior::Posterior);
         Self { given, posterior, ..Self::datasheet(robot, bar_u_mm) }
-    }
-
-    /// With all standard deviations of the robot multiplied.
-    pub(super) fn widened(self, factor: f64) -> Self {
-        Self { scale: self.scale * factor, ..self }
-    }
-
-    pub(super) fn scale(&self) -> f64 {
-        self.scale
     }
 
     /// Whether the posterior of an earlier identification contains the parameter.
@@ -180,7 +105,7 @@ impl Priors {
         let Some(posterior) = &self.posterior else { return root };
         let places: Vec<usize> = (0..ids.len()).filter(|&at| posterior.ids().contains(&ids[at])).collect();
         let own: Vec<ParamId> = places.iter().map(|&at| ids[at]).collect();
-        let block = posterior.root_of(&own) * self.scale;
+        let block = posterior.root_of(&own);
         for (row, &at) in places.iter().enumerate() {
             root[(at, at)] = 0.0;
             places[..=row].iter().enumerate().for_each(|(column, &to)| root[(at, to)] = block[(row, column)]);
@@ -193,10 +118,19 @@ impl Priors {
         self.robot_or_bar(id).unwrap_or_else(|| Self::unbound(id))
     }
 
-    /// The standard deviation of a parameter that the prior binds; `None` for free parameters: balls, and a bar without
-    /// certificate unless it is among the `undetermined` ones.
-    pub fn bound(&self, id: ParamId, undetermined: &[ParamId]) -> Option<f64> {
-        self.robot_or_bar(id).or_else(|| undetermined.contains(&id).then(|| Self::unbound(id)))
+    /// The standard deviation of a parameter that the prior binds: the robot, its tool ball and bars; `None` for base balls,
+    /// targets and trackers, which are free.
+    pub fn bound(&self, id: ParamId) -> Option<f64> {
+        match id.group() {
+            ParamGroup::Balls | ParamGroup::Targets | ParamGroup::Tracker => self.robot_or_bar(id),
+            ParamGroup::Tool => Some(self.robot_or_bar(id).unwrap_or(self.ball_u_mm)),
+            ParamGroup::Bar | ParamGroup::Geometric | ParamGroup::Compliance | ParamGroup::Gear => Some(self.sd(id)),
+        }
+    }
+
+    /// Whether the standard uncertainty of the bars is known.
+    pub(super) fn is_certified(&self) -> bool {
+        self.bar_u_mm.is_some()
     }
 
     /// Standard uncertainty of the length of a bar with or without a certificate, mm.
@@ -220,7 +154,7 @@ impl Priors {
         let posterior = || self.posterior.as_ref()?.sd(id);
         let by_prior = given.or_else(posterior).or_else(|| self.of_robot(id));
         let bar = || self.bar_u_mm.filter(|_| matches!(id, ParamId::BarOffset(_)));
-        by_prior.map(|sd| self.scale * sd).or_else(bar)
+        by_prior.or_else(bar)
     }
 
     /// The manufacturer's tolerance of a parameter of the robot; `None` for the set-up.
@@ -270,6 +204,11 @@ impl Priors {
     pub fn excess(&self, id: ParamId, correction: f64, sd: f64) -> Option<f64> {
         self.geometric(id).map(|tolerance| correction.abs() / tolerance.hypot(sd))
     }
+}
+
+/// The a priori standard deviation of a length, mm: of the bar, and of the robot's repeatability if it is known.
+pub fn length_sd_mm(bar_mm: f64, robot: &Robot) -> f64 {
+    bar_mm.hypot(robot.repeatability_sd_mm().unwrap_or(0.0))
 }
 
 /// Corrections beyond so many prior standard deviations are doubted.

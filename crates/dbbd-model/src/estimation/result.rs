@@ -6,10 +6,9 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::joint_fit::{GroupEvidence, JointSummary};
+use super::estimator::{GroupEvidence, JointSummary};
 use super::options::ErrorModel;
 use super::priors::Prior;
-use super::zero_change::ZeroChange;
 use super::{
     Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, PositionParts, Posterior,
 };
@@ -33,8 +32,7 @@ pub struct CalibrationResult {
     /// The robot to which `before` refers.
     pub start: StartRobot,
     pub prior: PriorSource,
-    /// Factor on the standard deviations of the prior, above 1 if the default tolerance was widened to fit the lengths;
-    /// `None` without a prior.
+    /// Factor on the maker's tolerance by the evidence, at least 1; `None` where a list of parameters is followed.
     pub prior_scale: Option<f64>,
     /// Number of used measurements; a position counts once.
     pub measurements: usize,
@@ -72,8 +70,6 @@ pub struct CalibrationResult {
     pub combinations: Vec<Combination>,
     /// Strongly correlated pairs, strongest first.
     pub correlated: Vec<Correlation>,
-    /// Significant errors of single joints in the residuals, strongest first.
-    pub joint_effects: Vec<JointEffect>,
     pub outliers: Vec<Outlier>,
     /// Further measurements that would help, best first.
     pub recommendations: Vec<Recommendation>,
@@ -148,8 +144,6 @@ pub struct CompletedCalibration {
     pub position_parts: PositionParts,
     /// Position uncertainty of the identified robot over the workspace.
     pub map: Vec<MapPoint>,
-    /// The most significant change of a bar's zero or of the tracker's frame.
-    pub zero_change: Option<ZeroChange>,
     /// Rows of the observations that are not used: a range for each outlier, in their order.
     pub excluded_rows: Vec<Range<usize>>,
     /// Number of the findings of the estimate. They are the first ones of the result; the others are about the inputs.
@@ -361,11 +355,9 @@ pub struct Recommendation {
     pub poses: usize,
     /// Predicted mean position error of the result, mm.
     pub before_mm: f64,
-    /// The same with the measurement and a prior (that of the result, else the datasheet's), mm.
+    /// The same with the measurement, mm.
     pub after_mm: f64,
-    /// Whether the result has no prior.
-    pub needs_prior: bool,
-    /// Whether it lowers the error with the prior alone by more than 3 %.
+    /// Whether it lowers the error by more than 3 %.
     pub adds: bool,
     /// Parameters that it would identify and that are not identified now.
     pub identifies: Vec<ParamId>,
@@ -374,8 +366,6 @@ pub struct Recommendation {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum FurtherMeasurement {
-    /// The same lengths with the tolerance of the robot's file as prior.
-    Prior,
     /// Circles in other planes about the same ball.
     Circle { planes: Vec<CirclePlane> },
     /// The same positions with other wrist orientations.
@@ -397,31 +387,6 @@ pub enum CirclePlane {
     /// XY tilted, degrees.
     TiltedAboutX(f64),
     TiltedAboutY(f64),
-}
-
-/// An error of a joint that the model lacks, found in the residuals.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct JointEffect {
-    /// From 1.
-    pub axis: usize,
-    pub error: JointError,
-    /// Its effect on the lengths that the fit does not compensate, root mean square, mm.
-    pub rms_mm: f64,
-    /// The reversal error, rad.
-    pub play_rad: Option<f64>,
-    /// The p-value of the single test.
-    pub chance: f64,
-    /// The same as a normal deviate.
-    pub z: f64,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum JointError {
-    /// A function of the joint angle: transmission error, or sag.
-    Angle,
-    /// Depends on the sense of motion: backlash, or lag.
-    Reversal,
 }
 
 /// A measurement that is not used.
@@ -466,7 +431,6 @@ mod tests {
     #[test]
     fn a_recommendation_is_written_with_its_kind_beside_its_effect() {
         let measures = [
-            (FurtherMeasurement::Prior, json!({ "kind": "prior" })),
             (
                 FurtherMeasurement::Circle { planes: vec![CirclePlane::Xy, CirclePlane::TiltedAboutX(30.0)] },
                 json!({ "kind": "circle", "planes": ["xy", { "tilted_about_x": 30.0 }] }),
@@ -482,14 +446,13 @@ mod tests {
                 poses: 20,
                 before_mm: 0.5,
                 after_mm: 0.25,
-                needs_prior: false,
                 adds: true,
                 identifies: vec![ParamId::D(Joint::J2)],
             };
             let written = serde_json::to_value(&recommendation).unwrap();
             assert_eq!(serde_json::from_value::<Recommendation>(written.clone()).unwrap(), recommendation);
             let effect = json!({
-                "poses": 20, "before_mm": 0.5, "after_mm": 0.25, "needs_prior": false, "adds": true, "identifies": ["d2"]
+                "poses": 20, "before_mm": 0.5, "after_mm": 0.25, "adds": true, "identifies": ["d2"]
             });
             let all = [keys, effect].into_iter().flat_map(|part| part.as_object().cloned().unwrap());
             assert_eq!(written, serde_json::Value::Object(all.collect()));

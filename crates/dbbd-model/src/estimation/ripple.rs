@@ -6,7 +6,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
-use super::joint_system::Whitened;
+use super::system::Whitened;
 use super::pose_rows::PoseRows;
 use crate::robot::{AXES, Joint};
 

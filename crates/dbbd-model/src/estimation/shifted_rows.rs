@@ -1,9 +1,11 @@
 //! Whether the lengths of a table are shifted by some rows against their poses. On smooth circles wrong parameters compensate
 //! much of such a shift, so that the residuals alone do not reveal it.
 
-use super::estimate::Estimate;
+use super::estimator::Estimate;
 use super::lengths::{Lengths, SAMPLE, Sigma};
 use super::linear_system::linear_system;
+use super::options::Setting;
+use super::prior;
 use super::solver::{Loss, Problem, minimise, robust_scale};
 use crate::estimation::EstimationFinding;
 use crate::measurement::{LengthModel, PreparedMeasurement};
@@ -20,7 +22,11 @@ const CAP: f64 = 3.0;
 const FEWEST: f64 = 10.0;
 
 /// The shift with which the lengths fit decisively better than unshifted.
-pub(super) fn shifted_rows(estimate: &Estimate, lengths: &Lengths) -> Option<EstimationFinding> {
+pub(super) fn shifted_rows(
+    setting: &Setting<'_>,
+    estimate: &Estimate,
+    lengths: &Lengths,
+) -> Option<EstimationFinding> {
     let own = shifted(estimate, lengths, 0);
     let model = &estimate.fit.model;
     let residual_mm = size_mm(&own, model, estimate);
@@ -36,8 +42,8 @@ pub(super) fn shifted_rows(estimate: &Estimate, lengths: &Lengths) -> Option<Est
         {
             return None;
         }
-        let (ids, prior) = (&estimate.kept, estimate.prior.as_ref());
-        let problem = Problem { lengths: weighted, ids, loss: Loss::Huber, prior };
+        let prior = prior::rows(setting, &estimate.kept);
+        let problem = Problem { lengths: weighted, ids: &estimate.kept, loss: Loss::Huber, prior: prior.as_ref() };
         let shifted_mm = size_mm(&other, &minimise(&problem, &estimate.before).model, estimate);
         let gain = decisive(freedom, [residual_mm, shifted_mm], SMALLER)?;
         Some((gain, EstimationFinding::ShiftedRows { rows, residual_mm, shifted_mm, gain }))
@@ -66,7 +72,7 @@ fn shifted(estimate: &Estimate, lengths: &Lengths, rows: isize) -> Lengths<'stat
         .map(|(at, other)| {
             let length_mm = lengths.reading(other).length_mm;
             let reading = PreparedMeasurement { length_mm, ..lengths.reading(at) };
-            (reading, estimate.noise.sigma.of(lengths.given(at)))
+            (reading, estimate.sigma.of(lengths.given(at)))
         })
         .unzip();
     Lengths::few(readings, sigma)

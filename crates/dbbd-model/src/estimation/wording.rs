@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::parameters::Reason;
 use super::result::{CirclePlane, FurtherMeasurement, MadeFrom, Recommendation, StartRobot};
-use super::{Combination, Group, GroupEvidence, priors};
+use super::{Combination, Group, GroupEvidence};
 use crate::base::text;
 use crate::robot::{BarId, ParamId, ParamOwner, ParamUnit};
 
@@ -129,11 +129,6 @@ impl Reason {
                  lies in one plane; vary the poses",
                 with_unit(*limit, id)
             ),
-            Reason::PoorlyObservable { limit } => format!(
-                "poorly observable: its standard deviation would be more than {} ({} tolerances)",
-                with_unit(*limit, id),
-                priors::WEAK
-            ),
         }
     }
 }
@@ -167,10 +162,17 @@ impl fmt::Display for GroupEvidence {
             Group::Backlash => "backlash of the joints",
             Group::Ripple => "transmission ripple",
             Group::Compliance => "compliance",
+            Group::Tolerance => "geometry",
+            Group::Tool => "tool ball",
+            Group::Cluster => "displacement of poses that are alike",
+            Group::Warming => "zeros and links with time",
         };
         let size = match group {
             Group::Compliance => format!("{sd:.2} of its prior standard deviation"),
-            Group::Harmonic | Group::Smooth | Group::Backlash | Group::Ripple => {
+            Group::Tolerance => format!("{sd:.2} tolerances of the robot"),
+            Group::Tool => format!("{sd:.2} times what is stated of it"),
+            Group::Cluster => format!("{sd:.4} mm"),
+            Group::Harmonic | Group::Smooth | Group::Backlash | Group::Ripple | Group::Warming => {
                 format!("{:.1} urad", sd * 1e6)
             }
         };
@@ -201,7 +203,6 @@ impl Recommendation {
         let poses = self.poses;
         let place = |[x, y, z]: [f64; 3]| format!("({x:.0}, {y:.0}, {z:.0}) mm");
         match &self.measure {
-            FurtherMeasurement::Prior => "the same lengths with the prior of the data sheet".into(),
             FurtherMeasurement::Circle { planes } => {
                 let planes = match planes.as_slice() {
                     [others @ .., last] if !others.is_empty() => {
@@ -232,18 +233,11 @@ impl fmt::Display for Recommendation {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { before_mm, after_mm, identifies, .. } = self;
         write!(out, "{}: predicted position error {before_mm:.3} -> {after_mm:.3} mm", self.what())?;
-        if self.needs_prior && self.measure != FurtherMeasurement::Prior {
-            out.write_str(" with the prior of the data sheet")?;
-        }
         if !identifies.is_empty() {
             let names: Vec<String> = identifies.iter().map(ToString::to_string).collect();
             write!(out, ", and it identifies {}", names.join(", "))
         } else if !self.adds {
-            out.write_str(if self.needs_prior {
-                ", as the prior does alone"
-            } else {
-                ", so it adds next to nothing"
-            })
+            out.write_str(", so it adds next to nothing")
         } else {
             Ok(())
         }

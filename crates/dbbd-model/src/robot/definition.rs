@@ -191,6 +191,7 @@ impl Robot {
             root: known.clone().resize_vertically(rows, 0.0),
             pose_mm: self.repeatability_sd_mm().unwrap_or(0.0),
             smooth: Vec::new(),
+            smooth_of_joints: [1.0; AXES],
             unapproached_rad: [0.0; AXES],
         }
     }

@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::{AXES, Geometry, ParamId};
+use super::{AXES, Geometry, Joint, ParamId};
 use crate::base::fixed_array::fixed_array;
 
 /// Digits of the root that a file holds.
@@ -26,6 +26,9 @@ pub struct RobotUncertainty {
     /// What a smooth function of a joint's angle is the sum of, before any length. It holds where the angles were not
     /// measured.
     pub smooth: Vec<GaussianProcess>,
+    /// The factor on the smooth function of each joint.
+    #[serde(default = "one_each", deserialize_with = "fixed_array")]
+    pub smooth_of_joints: [f64; AXES],
     /// What an unknown sense of approach leaves of each joint's angle, rad.
     #[serde(deserialize_with = "fixed_array")]
     pub(crate) unapproached_rad: [f64; AXES],
@@ -46,15 +49,21 @@ impl RobotUncertainty {
             && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.length_scale_rad > 0.0)
     }
 
-    /// The variance of a smooth function, rad^2.
-    pub(crate) fn smooth_variance(&self) -> f64 {
-        self.smooth.iter().map(|part| part.sd_rad.powi(2)).sum()
+    /// The variance of the smooth function of a joint, rad^2.
+    pub(crate) fn smooth_variance(&self, joint: Joint) -> f64 {
+        let variance: f64 = self.smooth.iter().map(|part| part.sd_rad.powi(2)).sum();
+        variance * self.smooth_of_joints[joint.index()].powi(2)
     }
 
     /// Its spectral density at an angular frequency (1/rad), rad^3.
-    pub(crate) fn spectral_density(&self, frequency: f64) -> f64 {
-        self.smooth.iter().map(|part| part.spectral_density(frequency)).sum()
+    pub(crate) fn spectral_density(&self, joint: Joint, frequency: f64) -> f64 {
+        let density: f64 = self.smooth.iter().map(|part| part.spectral_density(frequency)).sum();
+        density * self.smooth_of_joints[joint.index()].powi(2)
     }
+}
+
+fn one_each() -> [f64; AXES] {
+    [1.0; AXES]
 }
 
 impl GaussianProcess {
@@ -103,13 +112,14 @@ mod tests {
         let unknown = RobotUncertainty {
             pose_mm: 0.0,
             smooth: vec![process, GaussianProcess { sd_rad: 0.1, ..process }],
+            smooth_of_joints: [1.0, 2.0, 1.0, 1.0, 1.0, 1.0],
             unapproached_rad: [0.0; AXES],
             parameters: Vec::new(),
             root: DMatrix::zeros(0, 0),
         };
-        assert!((unknown.smooth_variance() - 0.5).abs() < 1e-15);
+        assert!((unknown.smooth_variance(Joint::J1) - 0.5).abs() < 1e-15);
         let sum = process.spectral_density(2.0) * (1.0 + 1.0 / 49.0);
-        assert!((unknown.spectral_density(2.0) - sum).abs() < 1e-15);
+        assert!((unknown.spectral_density(Joint::J2, 2.0) - 4.0 * sum).abs() < 1e-15);
     }
 
     #[test]

@@ -253,7 +253,7 @@ fn empty_and_undefined_data_break_nothing() {
     found.result.parameters.clear();
     found.map.clear();
     (found.result.combinations, found.result.correlated, found.result.outliers) = Default::default();
-    (found.result.recommendations, found.result.joint_effects, found.result.findings) = Default::default();
+    (found.result.recommendations, found.result.findings) = Default::default();
     let html = report(&found, &observations);
     assert_well_formed(&html);
     assert!(!html.contains("<svg"));

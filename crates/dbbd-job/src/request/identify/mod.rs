@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use dbbd_device::clock;
 use dbbd_model::base::date;
 use dbbd_model::conformity::UncertaintyBudget;
-use dbbd_model::design::{Calibrated, calibrate_run};
+use dbbd_model::design;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::{CalibrationResult, CompletedCalibration, ErrorModel, Input, Options, Prior};
@@ -54,7 +54,7 @@ pub struct IdentifyRequest {
     pub validate: Option<PathBuf>,
     /// Number of cross-validation folds; 0 for none.
     pub folds: Option<usize>,
-    /// `None` for the posterior of the robot file if it has one, else no prior.
+    /// `None` for the posterior of the robot file if it has one, else its tolerance; with a list of parameters for none.
     pub prior: Option<RequestedPrior>,
     #[serde(default)]
     pub model: ErrorModel,
@@ -125,10 +125,9 @@ impl IdentifyRequest {
         let validation = self.validate.as_deref();
         let validation = validation.map(|path| given.validation(path, session)).transpose()?;
         let busy = session.busy(&format!("identifying from {} measurements", given.observations.count()));
-        let Calibrated { calibration, observations } =
-            calibrate_and_match(&mut given, validation.as_ref(), &options, session)?;
+        let calibration = calibrate_and_match(&mut given, validation.as_ref(), &options, session)?;
         drop(busy);
-        let observations = observations.unwrap_or(given.observations);
+        let observations = given.observations;
         let identity = &given.provenance.identity;
         let budget = UncertaintyBudget::of(&calibration, &observations, given.bar_u_mm, identity);
         let document = IdentifyDocument { calibration, budget, provenance: given.provenance };
@@ -187,6 +186,7 @@ impl IdentifyRequest {
     ) -> Result<Options, Diagnostic> {
         let robot_file = self.robot.as_deref();
         let prior = match &self.prior {
+            None if self.estimate.is_some() => Prior::None,
             None => given.default_prior(robot_file, session)?,
             Some(RequestedPrior::None) => Prior::None,
             Some(RequestedPrior::Datasheet) => Prior::Datasheet,
@@ -214,11 +214,7 @@ impl IdentifyRequest {
             sigma_mm: self.sigma_mm,
             monte_carlo: self.monte_carlo,
             prior,
-            // Errors of the joints need a prior of the geometry.
-            model: match self.prior {
-                Some(RequestedPrior::None) => ErrorModel::Geometric,
-                _ => self.model,
-            },
+            model: self.model,
             folds: self.folds,
             workspace,
             bar_u_mm: given.bar_u_mm,
@@ -234,14 +230,14 @@ fn calibrate_and_match(
     validation: Option<&Measurements>,
     options: &Options,
     session: &RequestSession<'_>,
-) -> Result<Calibrated, Diagnostic> {
+) -> Result<CompletedCalibration, Diagnostic> {
     session.done(20);
     // If nothing can be computed, the findings about the inputs may say why.
     let mut calibrated =
         calibrate(given, validation, options).inspect_err(|_| session.findings(given.findings()))?;
     session.done(60);
     for _ in 0..MAX_MATCHINGS {
-        if !given.match_again(&calibrated.calibration) {
+        if !given.match_again(&calibrated) {
             break;
         }
         calibrated = calibrate(given, validation, options)?;
@@ -254,9 +250,9 @@ fn calibrate(
     given: &LoadedInputs,
     validation: Option<&Measurements>,
     options: &Options,
-) -> Result<Calibrated, Diagnostic> {
+) -> Result<CompletedCalibration, Diagnostic> {
     let LoadedInputs { robot, centres, observations, axes, .. } = given;
     let start = &LengthModel::before(robot.geometry.clone(), centres, observations);
     let input = Input { robot, observations, start, validation, options, axes: *axes };
-    Ok(calibrate_run(&input, given.findings())?)
+    Ok(design::calibrate(&input, given.findings())?)
 }

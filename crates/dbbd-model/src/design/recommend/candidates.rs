@@ -40,7 +40,7 @@ pub(super) struct Candidate {
 
 /// All candidates that the robot reaches.
 pub(super) fn all(trial: &Trial<'_>) -> Vec<Candidate> {
-    let mut all = vec![Candidate { measure: FurtherMeasurement::Prior, ball: None, poses: Vec::new() }];
+    let mut all = Vec::new();
     let Some(cell) = Cell::of(trial) else { return all };
     let further = BallId::at(trial.model.balls.len());
     let mut add = |measure, ball, poses: Option<Vec<PreparedMeasurement>>| {

@@ -1,8 +1,8 @@
 //! Recommendations of further measurements, by simulation of candidates.
 //!
-//! The design rows of a candidate's poses are added to those measured. With the prior they give the covariance and so the
-//! position error over the workspace; without it they give the identifiable parameters. All rows are formed at one model, the
-//! nominal geometry in its set-up, where the base set is chosen too.
+//! The design rows of a candidate's poses are added to the posterior: the covariance after them gives the position error over
+//! the workspace. With the rows measured they give the identifiable parameters, at the nominal geometry in its set-up, where the
+//! base set is chosen too.
 
 mod candidates;
 
@@ -11,9 +11,9 @@ use std::mem::discriminant;
 use nalgebra::DMatrix;
 
 use crate::estimation::EstimationFinding;
-use crate::estimation::result::{FurtherMeasurement, Recommendation};
+use crate::estimation::result::Recommendation;
 use crate::estimation::{
-    Calibration, Prior, Priors, Workspace, factor, inverse_root, is_place, order_of_choice, root_after,
+    Calibration, Posterior, Priors, Workspace, factor, inverse_root, is_place, order_of_choice,
     without_open_places,
 };
 use crate::math::{base_set, stacked};
@@ -37,22 +37,23 @@ struct Trial<'a> {
     identified: Vec<ParamId>,
 }
 
-/// The measured rows, and the position error of a covariance.
-struct Scale {
+/// The posterior to which candidates are added, and the rows measured.
+struct Measured {
+    posterior: Posterior,
     /// The factor of the whitened rows of all lengths, and the root mean square of their standard deviations.
     rows: DMatrix<f64>,
     sigma_mm: f64,
-    /// The mean of J'J over the Jacobians J of the workspace, mm^2.
-    weight: DMatrix<f64>,
-    /// Ratio of the mean position error to its root mean square.
-    mean_of_rms: f64,
+    /// The Jacobian of the workspace by the parameters and coefficients of the posterior.
+    jacobian: DMatrix<f64>,
 }
 
-impl Scale {
-    /// Mean position error with this root of the covariance, mm; further parameters do not move the tool ball.
-    fn error_mm(&self, root: &DMatrix<f64>) -> f64 {
-        let root = root.rows(0, self.weight.nrows());
-        self.mean_of_rms * (&self.weight * root).dot(&root).sqrt()
+impl Measured {
+    /// Root mean square of the position error, up to a factor; a further ball does not move the tool ball.
+    fn error(&self, posterior: &Posterior) -> f64 {
+        let ids = self.posterior.ids().len();
+        let further = posterior.ids().len() - ids;
+        let rows: Vec<usize> = (0..posterior.root().nrows()).filter(|row| !(ids..ids + further).contains(row)).collect();
+        (&self.jacobian * posterior.root().select_rows(&rows)).norm()
     }
 }
 
@@ -60,7 +61,7 @@ impl Scale {
 struct Tried {
     candidate: Candidate,
     rows: DMatrix<f64>,
-    error_mm: f64,
+    error: f64,
 }
 
 /// Further measurements that would lower the position error, best first. None if all parameters are identified, the position
@@ -71,8 +72,7 @@ struct Tried {
 pub fn recommend(of: &Calibration<'_>) -> Result<Vec<Recommendation>, EstimationFinding> {
     let (setting, estimate, pair) = (&of.setting, &of.estimate, &of.prediction.pair);
     let identified = of.identified();
-    let all_identified =
-        estimate.poorly_observable.is_empty() && estimate.base.iter().all(|id| identified.contains(id));
+    let all_identified = estimate.open.is_empty() && estimate.base.iter().all(|id| identified.contains(id));
     let trial = Trial::of(of, identified);
     if all_identified
         && of.prediction.is_determined()
@@ -80,28 +80,26 @@ pub fn recommend(of: &Calibration<'_>) -> Result<Vec<Recommendation>, Estimation
     {
         return Ok(Vec::new());
     }
-    let prediction = &of.prediction;
-    let jacobian = prediction.workspace.jacobian();
-    let square = (jacobian * &prediction.before).norm_squared();
-    let mean_of_rms = pair.nominal.mean / (3.0 * square / jacobian.nrows().max(1) as f64).sqrt();
-    // A workspace of one or two poses has no error after the alignment.
-    if !mean_of_rms.is_finite() {
-        return Ok(Vec::new());
-    }
     let lengths = estimate.used(&of.lengths);
+    let posterior = of.short_posterior();
     let poses = setting.options.workspace_poses(setting.robot);
-    let workspace = Workspace::new(&trial.model.geometry, &poses, trial.ids);
-    let jacobian = workspace.jacobian();
-    let scale = Scale {
+    let poses: Vec<_> = poses.iter().step_by(poses.len().div_ceil(POSES)).copied().collect();
+    let workspace = Workspace::with_joint_errors(&posterior.model.geometry, &poses, posterior.ids());
+    let measured = Measured {
         rows: factor(trial.model, &lengths, trial.ids),
         sigma_mm: lengths.rms_sigma(),
-        weight: jacobian.tr_mul(jacobian) / (jacobian.nrows() as f64 / 3.0).max(1.0),
-        mean_of_rms,
+        jacobian: workspace.jacobian().clone(),
+        posterior,
     };
-    trial
-        .recommendations(&scale, &setting.options.prior, pair.identified.mean)
-        .ok_or(EstimationFinding::NoRecommendation)
+    // A workspace of one or two poses has no error after the alignment.
+    if measured.error(&measured.posterior) <= 0.0 {
+        return Ok(Vec::new());
+    }
+    trial.recommendations(&measured, pair.identified.mean).ok_or(EstimationFinding::NoRecommendation)
 }
+
+/// Poses of the workspace by which candidates are compared.
+const POSES: usize = 200;
 
 impl<'a> Trial<'a> {
     fn of(of: &'a Calibration<'_>, identified: Vec<ParamId>) -> Self {
@@ -135,20 +133,12 @@ impl<'a> Trial<'a> {
         pivots.iter().filter(|pivot| pivot.abs() > 1e-8 * pivots[0].abs()).count() > rank
     }
 
-    /// The best of each kind whose error is below `before_mm`; `None` if a number is not finite.
-    fn recommendations(&self, by: &Scale, prior: &Prior, before_mm: f64) -> Option<Vec<Recommendation>> {
-        let now_mm = by.error_mm(&self.root(&by.rows)?);
+    /// The best of each kind that lowers the error; `None` if a number is not finite.
+    fn recommendations(&self, by: &Measured, before_mm: f64) -> Option<Vec<Recommendation>> {
+        let now = by.error(&by.posterior);
         let identified_now = self.identified(&by.rows, self.ids)?;
-        let needs_prior = *prior == Prior::None;
-        // With a prior both errors are of the same estimator, apart from the drawn robots. If the fit is worse than the prior
-        // allows, the error after a candidate is not increased by it.
-        let scale = if needs_prior { 1.0 } else { (before_mm / now_mm).min(1.0) };
         let mut recommendations = Vec::new();
-        for Tried { candidate, rows, error_mm } in self.best_of_each_kind(by)? {
-            let is_prior = candidate.measure == FurtherMeasurement::Prior;
-            if is_prior && !needs_prior {
-                continue;
-            }
+        for Tried { candidate, rows, error } in self.best_of_each_kind(by)? {
             let mut identifies = self.identified(&rows, &self.with_ball(&candidate))?;
             identifies.retain(|id| {
                 !self.identified.contains(id) && !identified_now.contains(id) && self.ids.contains(id)
@@ -157,32 +147,36 @@ impl<'a> Trial<'a> {
                 measure: candidate.measure,
                 poses: candidate.poses.len(),
                 before_mm,
-                after_mm: scale * error_mm,
-                needs_prior,
-                adds: is_prior || error_mm < NOTHING * now_mm,
+                after_mm: before_mm * error / now,
+                adds: error < NOTHING * now,
                 identifies,
             });
         }
-        // Without a prior the two errors are of different estimators, and the prior alone may increase the error.
-        recommendations.retain(|recommendation| recommendation.after_mm < recommendation.before_mm);
         Some(recommendations)
     }
 
     /// Sorted, best first.
-    fn best_of_each_kind(&self, by: &Scale) -> Option<Vec<Tried>> {
+    fn best_of_each_kind(&self, by: &Measured) -> Option<Vec<Tried>> {
         let mut best: Vec<Tried> = Vec::new();
         for candidate in candidates::all(self) {
             let rows = self.rows_with(&candidate, by);
-            let error_mm = by.error_mm(&self.root(&rows)?);
+            let prior = match candidate.ball {
+                Some(ball) => by.posterior.with_ball(ball),
+                None => by.posterior.clone(),
+            };
+            let error = by.error(&prior.after(&candidate.poses, by.sigma_mm)?);
+            if !error.is_finite() {
+                return None;
+            }
             let kind = discriminant(&candidate.measure);
-            let tried = Tried { candidate, rows, error_mm };
+            let tried = Tried { candidate, rows, error };
             match best.iter_mut().find(|other| discriminant(&other.candidate.measure) == kind) {
-                Some(other) if error_mm < other.error_mm => *other = tried,
+                Some(other) if error < other.error => *other = tried,
                 Some(_) => {}
                 None => best.push(tried),
             }
         }
-        best.sort_by(|a, b| a.error_mm.total_cmp(&b.error_mm));
+        best.sort_by(|a, b| a.error.total_cmp(&b.error));
         Some(best)
     }
 
@@ -200,23 +194,13 @@ impl<'a> Trial<'a> {
     }
 
     /// The measured rows and those of a candidate; the columns of a further ball are last.
-    fn rows_with(&self, candidate: &Candidate, by: &Scale) -> DMatrix<f64> {
+    fn rows_with(&self, candidate: &Candidate, by: &Measured) -> DMatrix<f64> {
         let ids = self.with_ball(candidate);
         let mut model = self.model.clone();
         model.balls.extend(candidate.ball);
         let sigma = vec![by.sigma_mm; candidate.poses.len()];
         let further = factor(&model, &(candidate.poses.as_slice(), sigma.as_slice()), &ids);
         stacked(&by.rows.clone().resize_horizontally(ids.len(), 0.0), &further)
-    }
-
-    /// The root of the posterior covariance after whitened rows. Further columns belong to a further ball, which has the prior
-    /// of any ball.
-    fn root(&self, rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
-        let further = ParamId::Ball(self.further_ball(), Coordinate::X);
-        let ids: Vec<ParamId> =
-            self.ids.iter().copied().chain(std::iter::repeat(further)).take(rows.ncols()).collect();
-        let sd: Vec<f64> = ids.iter().map(|id| self.priors.sd(*id)).collect();
-        root_after(&self.priors.root(&ids, &sd), rows)
     }
 
     /// The parameters that whitened rows identify without a prior.

@@ -3,10 +3,10 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-use super::evidence::{Coefficients, Evidence, Hypers, NormalEquations, Optimum, Variance};
+use super::evidence::{Coefficients, Evidence, NormalEquations, Optimum};
+use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, Variance};
 use super::noise_shape::NoiseShape;
 use super::pose_rows::{PoseRows, Whitening};
-use super::priors::Group;
 
 /// Design rows at a model.
 pub(super) struct System {
@@ -18,6 +18,8 @@ pub(super) struct System {
     /// `None` of free unknowns.
     pub(super) variances: Vec<Option<Variance>>,
     pub(super) sigma_is_given: bool,
+    /// Median of the prior of the noise, mm.
+    pub(super) sigma_mm: f64,
 }
 
 /// A system of unit noise.
@@ -26,6 +28,7 @@ pub(super) struct Whitened {
     pub(super) whitening: Whitening,
     pub(super) rows: DMatrix<f64>,
     pub(super) right: DVector<f64>,
+    pub(super) weights: Vec<f64>,
     pub(super) equations: Equations,
 }
 
@@ -52,19 +55,6 @@ pub(super) struct SystemPosterior<'a> {
 }
 
 impl System {
-    /// Without the coefficients of the joints' errors.
-    pub(super) fn of_geometry(&self) -> Self {
-        let group = |k: usize| self.variances[k].and_then(Variance::group);
-        let kept: Vec<usize> = (0..self.variances.len()).filter(|&k| group(k).is_none()).collect();
-        Self {
-            rows: self.rows.with_columns(&kept),
-            right: self.right.clone(),
-            weights: self.weights.clone(),
-            variances: kept.iter().map(|&k| self.variances[k]).collect(),
-            sigma_is_given: self.sigma_is_given,
-        }
-    }
-
     /// Mean square of the residuals that these unknowns leave, mm^2.
     pub(super) fn mean_square(&self, unknowns: &DVector<f64>) -> f64 {
         (&self.right - &self.rows.values * unknowns).norm_squared() / self.right.len() as f64
@@ -82,7 +72,7 @@ impl System {
         whitening.apply(&mut rows);
         whitening.apply(&mut right);
         let equations = Equations::of(self, &rows, &right, whitening.ln_determinant())?;
-        Some(Whitened { shape, whitening, rows, right, equations })
+        Some(Whitened { shape, whitening, rows, right, weights: self.weights.clone(), equations })
     }
 }
 
@@ -109,7 +99,8 @@ impl Equations {
             ln_whitening,
         };
         let variances = bound.iter().filter_map(|&k| system.variances[k]).collect();
-        let evidence = Evidence { normal, variances, sigma_is_given: system.sigma_is_given };
+        let hyper_priors = HyperPrior::all(system.sigma_mm);
+        let evidence = Evidence { normal, variances, hyper_priors, sigma_is_given: system.sigma_is_given };
         Some(Self { evidence, bound, free, unknowns, factor, across, free_right })
     }
 
@@ -125,7 +116,7 @@ impl Equations {
         };
         let variances = kept.iter().map(|&at| variances[at]).collect();
         Self {
-            evidence: Evidence { normal, variances, ..self.evidence },
+            evidence: Evidence { normal, variances, ..self.evidence.clone() },
             bound: kept.iter().map(|&at| self.bound[at]).collect(),
             across: self.across.select_columns(&kept),
             free: self.free.clone(),
@@ -133,6 +124,10 @@ impl Equations {
             free_right: self.free_right.clone(),
             ..*self
         }
+    }
+
+    pub(super) fn hyper_priors(&self) -> &[HyperPrior; HYPERS] {
+        &self.evidence.hyper_priors
     }
 
     /// The optimum of the hyper-parameters near `start`.
@@ -168,6 +163,11 @@ impl SystemPosterior<'_> {
             root.view_mut((*k, b), (1, f)).copy_from(&own.row(at));
         }
         root.iter().all(|value| value.is_finite()).then_some(root)
+    }
+
+    /// Logarithm of the marginal likelihood under the priors of the hyper-parameters.
+    pub(super) fn ln_evidence(&self, hypers: &Hypers) -> f64 {
+        self.coefficients.ln_likelihood + self.equations.evidence.ln_prior(hypers)
     }
 
     /// How much of each unknown the data determine, from 0 to 1.

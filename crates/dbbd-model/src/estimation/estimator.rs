@@ -1,0 +1,485 @@
+//! The estimate: maximum a posteriori of all unknowns, with variances of the largest marginal likelihood.
+//!
+//! Geometry, set-up, bar, errors of the joints, and errors that no parameter explains are groups of one linear system. The
+//! lengths of one pose share the robot's own repeatability: their covariance is m^2 U U' + t^2 W, U the unit vectors along
+//! the bar, W what is given of the lengths. The model is linearised again until it settles. A group that the lengths do not
+//! support shrinks: nothing is chosen by a threshold.
+
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+
+use super::Analysis;
+use super::fit::{Fit, outliers};
+use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, Variance};
+use super::lengths::{Lengths, Sigma, Weighted};
+use super::noise_shape::{BacklashNoise, NoiseScore, NoiseShape, OwnNoise};
+use super::options::Setting;
+use super::pose_rows::LengthNoise;
+use super::ripple::{Candidate, RippleSearch, ln_candidates};
+use super::start::EstimateStart;
+use super::system::{System, SystemPosterior, Whitened};
+use super::unknowns::Unknowns;
+use crate::estimation::EstimationFinding;
+use crate::math::distributions::ChiSquareOutcome;
+use crate::measurement::LengthModel;
+use crate::robot::{AXES, GaussianProcess, Joint, ParamId, RobotUncertainty};
+
+/// Rounds in which the set of outliers may change.
+const OUTLIER_ROUNDS: usize = 3;
+/// Linearisations.
+const ROUNDS: usize = 4;
+/// Linearisations with variances that are known.
+const REFIT_ROUNDS: usize = 2;
+/// Steps towards the likeliest noise in each.
+const SCORES: usize = 2;
+/// Ripples that are looked for at most.
+const MOST_RIPPLES: usize = 8;
+/// Lengths beyond the parameters from which ripple is looked for.
+const REDUNDANT: usize = 30;
+/// The share of the noise of a pose in a standard deviation that is stated for the whole length.
+const POSE_SHARE: f64 = 0.1;
+/// A pose scatters by at least this share of the noise of a length.
+const LEAST_POSE: f64 = 0.05;
+
+#[derive(Clone, Debug)]
+pub(crate) struct Estimate {
+    /// The nominal robot with the free part of the set-up fitted.
+    pub(crate) before: LengthModel,
+    pub(crate) analysis: Analysis,
+    /// The estimated parameters, in canonical order.
+    pub(crate) kept: Vec<ParamId>,
+    /// Those of them that are independent by the lengths alone.
+    pub(crate) base: Vec<ParamId>,
+    /// Places of the set-up that the poses leave open: they are fixed.
+    pub(crate) open: Vec<ParamId>,
+    pub(super) fit: Fit,
+    /// The weights of the lengths, and the degrees of freedom if the residuals were used.
+    pub(super) sigma: Sigma,
+    pub(super) freedom: Option<f64>,
+    /// Prior standard deviations of the estimated parameters; `None` of what is free.
+    pub(super) prior_sds: Vec<Option<f64>>,
+    /// A root of the covariance of parameters and coefficients, a row each.
+    pub(super) root: DMatrix<f64>,
+    /// With P the precision of the prior and C = root root' the covariance of all unknowns, a factor of root' P root: what is
+    /// left of it is of the noise.
+    pub(super) of_prior: DMatrix<f64>,
+    pub(super) groups: Vec<GroupEvidence>,
+    /// How many unknowns the data determine.
+    pub(super) effective_parameters: f64,
+    pub(super) noise: LengthNoise<'static>,
+    pub(super) hypers: Hypers,
+    /// The hyper-parameters that the uncertainty is of.
+    pub(super) cautious: Hypers,
+    pub(super) shape: NoiseShape,
+    /// What an unknown sense of approach leaves of each joint's angle, rad.
+    unapproached_rad: [f64; AXES],
+    unknowns: Unknowns,
+    /// The unknowns that the model has.
+    z: DVector<f64>,
+}
+
+/// What the evidence says of a group.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GroupEvidence {
+    #[serde(rename = "name")]
+    pub group: Group,
+    /// One standard deviation of its members by the evidence: rad or mm; in prior standard deviations for compliance,
+    /// tolerance and tool ball.
+    pub sd: f64,
+    /// How many of its members the data determine.
+    pub effective_parameters: f64,
+    /// What it explains of the lengths beyond the geometry and the groups before it, root mean square, mm.
+    pub rms_mm: f64,
+    /// Its share of the squares of the residuals that the geometry alone leaves.
+    pub share: f64,
+}
+
+/// The errors of the joints in a result; this is `joint_errors` of `result.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JointSummary {
+    /// The smooth functions are the sum of a fast and a slow process.
+    pub smooth: [GaussianProcess; 2],
+    /// Half of the reversal error of each joint as noise, one standard deviation, rad, if no sense of approach is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub backlash_noise_rad: Option<[f64; AXES]>,
+}
+
+/// Estimates those of the parameters `asked` that the data or a prior determine, from the nominal robot and a rough set-up.
+///
+/// # Errors
+/// A number is not finite, or there is nothing to estimate.
+pub(super) fn estimate(
+    setting: &Setting<'_>,
+    lengths: &Lengths,
+    asked: &[ParamId],
+) -> Result<Estimate, EstimationFinding> {
+    let mut start = EstimateStart::of(setting, lengths, asked)?;
+    let all = lengths.weighted(Sigma::Given, &[]);
+    for round in 0.. {
+        let found = from_start(setting, lengths, &start).ok_or(EstimationFinding::NotFinite)?;
+        // Beside errors of the joints residuals are smaller: outliers show that the geometry alone hides.
+        let out = outliers(&all, &found.fit.model, found.effective_parameters as usize);
+        if round == OUTLIER_ROUNDS || out == found.fit.outliers {
+            return Ok(found);
+        }
+        start.fit.outliers = out;
+    }
+    Err(EstimationFinding::NotFinite)
+}
+
+fn from_start(setting: &Setting<'_>, lengths: &Lengths, start: &EstimateStart) -> Option<Estimate> {
+    let used = &lengths.weighted(start.sigma, &start.fit.outliers);
+    let known = start.known_before(setting, lengths)?;
+    let model = if known.has_coefficients { &start.before } else { &start.fit.model };
+    let with_errors = setting.options.seeks_joint_errors();
+    let unknowns = Unknowns::new(known, model, used, with_errors);
+    let mut search = Search::new(&unknowns, used, model.clone());
+    let mut step = search.round(0)?;
+    for round in 1..ROUNDS {
+        step = search.round(round)?;
+    }
+    let before_ripple = search.hypers;
+    if with_errors && !unknowns.has_coefficients() && used.count() >= start.base.len() + REDUNDANT {
+        step = search.with_ripple(step)?;
+    }
+    search.estimate(&step, before_ripple, start)
+}
+
+/// The same model with the variances of `estimate`, from other lengths.
+pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<LengthModel> {
+    let used = &lengths.weighted(Sigma::Given, &[]);
+    let unknowns = &estimate.unknowns;
+    let new = Search::new(unknowns, used, estimate.fit.model.clone());
+    let mut search = Search { hypers: estimate.hypers, shape: estimate.shape, z: estimate.z.clone(), ..new };
+    for _ in 0..REFIT_ROUNDS {
+        let system = search.linearised();
+        let whitened = system.whitened(search.shape, search.hypers.sigma_mm())?;
+        search.move_to(&whitened.equations.posterior(&search.hypers)?);
+    }
+    Some(search.model)
+}
+
+/// Where a search for the hyper-parameters is.
+#[derive(Clone)]
+struct Search<'a> {
+    unknowns: &'a Unknowns,
+    used: &'a Weighted<'a>,
+    model: LengthModel,
+    /// The unknowns that the model has.
+    z: DVector<f64>,
+    hypers: Hypers,
+    /// Standard deviations of their logarithms.
+    ln_sd: [f64; HYPERS],
+    shape: NoiseShape,
+}
+
+/// A linearisation with the hyper-parameters that were found for it.
+struct Step {
+    system: System,
+    whitened: Whitened,
+    ln_evidence: f64,
+}
+
+impl<'a> Search<'a> {
+    fn new(unknowns: &'a Unknowns, used: &'a Weighted<'a>, model: LengthModel) -> Self {
+        let priors = HyperPrior::all(1.0);
+        let (lengths, start_mm) = (used.lengths(), used.rms_sigma());
+        let stated_mm = if lengths.known { used.by(Sigma::Given).rms_sigma() } else { LEAST_POSE * start_mm };
+        let pose_mm = if lengths.vouched { POSE_SHARE * stated_mm } else { start_mm };
+        Self {
+            unknowns,
+            used,
+            z: unknowns.at(&model, &DVector::zeros(0)),
+            model,
+            hypers: Hypers::start(&priors, pose_mm),
+            ln_sd: [0.0; HYPERS],
+            shape: NoiseShape { own: OwnNoise::Stated(stated_mm), backlash: unknowns.backlash_noise() },
+        }
+    }
+
+    /// Linearises, finds the hyper-parameters and moves the model to the likeliest unknowns.
+    fn round(&mut self, round: usize) -> Option<Step> {
+        if self.shape.backlash.is_known() {
+            let errors = &self.model.geometry.joint_errors;
+            let backlash = |at: usize| errors.at(at).map_or(0.0, |error| error.backlash);
+            self.shape.backlash = BacklashNoise::Known(std::array::from_fn(|at| backlash(at).abs()));
+        }
+        self.model.geometry.joint_errors =
+            self.unknowns.errors(&self.model.geometry.joint_errors, &self.hypers);
+        let system = self.linearised();
+        if round == 0 && !system.sigma_is_given && system.rows.tell_noise_apart() {
+            let stated = if self.used.lengths().known { self.shape.own.sd() } else { system.sigma_mm };
+            self.shape.own = OwnNoise::Sought { sd: stated.min(self.hypers.sigma_mm()), stated };
+        }
+        let mut whitened = system.whitened(self.shape, self.hypers.sigma_mm())?;
+        let best = whitened.equations.maximise(self.hypers)?;
+        self.ln_sd = best.ln_sd;
+        self.rescale(best.hypers);
+        if round < ROUNDS {
+            for _ in 0..SCORES {
+                whitened = system.whitened(self.shape, self.hypers.sigma_mm())?;
+                self.shape = self.scored(&system, &whitened)?;
+            }
+        }
+        whitened = system.whitened(self.shape, self.hypers.sigma_mm())?;
+        let posterior = whitened.equations.posterior(&self.hypers)?;
+        self.move_to(&posterior);
+        let ln_evidence = posterior.ln_evidence(&self.hypers) + self.shape.backlash.ln_prior();
+        if std::env::var("DBG").is_ok() {
+            eprintln!("round {round} lnZ {ln_evidence:.2} sigma {:.4} own {:.4} res {:.4} {:?}", self.hypers.sigma_mm(), self.shape.own.sd(), (system.rows.residual.norm_squared() / system.rows.residual.len() as f64).sqrt(), self.hypers.0.map(|x| (x.exp() * 1e7).round() / 1e7));
+        }
+        Some(Step { system, whitened, ln_evidence })
+    }
+
+    /// Takes hyper-parameters over, of which sigma is a factor on the whole noise; what is stated stays.
+    fn rescale(&mut self, hypers: Hypers) {
+        let (before_mm, now_mm) = (self.hypers.sigma_mm(), hypers.sigma_mm());
+        let own_mm = self.shape.own.sd();
+        let whole = now_mm.powi(2) * (1.0 + (own_mm / before_mm).powi(2));
+        let pose_mm = match &mut self.shape.own {
+            OwnNoise::Stated(_) if self.used.lengths().vouched => now_mm,
+            OwnNoise::Stated(own) => (whole - *own * *own).max(LEAST_POSE.powi(2) * whole).sqrt(),
+            OwnNoise::Sought { sd, .. } => {
+                *sd *= now_mm / before_mm;
+                now_mm
+            }
+        };
+        self.hypers = hypers.with_sigma(pose_mm);
+    }
+
+    fn linearised(&self) -> System {
+        let z = self.unknowns.at(&self.model, &self.z);
+        self.unknowns.linearised(&self.model, &z, self.used, self.shape.backlash)
+    }
+
+    fn move_to(&mut self, posterior: &SystemPosterior<'_>) {
+        let now = self.unknowns.at(&self.model, &self.z);
+        self.unknowns.move_to(&now, &posterior.mean, &mut self.model);
+        self.z = self.unknowns.rested(posterior.mean.clone());
+    }
+
+    /// With the ripples that more than chance speaks for, one after the other.
+    fn with_ripple(&mut self, start: Step) -> Option<Step> {
+        let mut best = start;
+        for _ in 0..MOST_RIPPLES {
+            let Some(candidate) = self.ripple(&best).filter(Candidate::is_believed) else { break };
+            let mut wider = self.clone();
+            wider.model.geometry.joint_errors.push(candidate.joint, candidate.order);
+            let least = best.ln_evidence + ln_candidates();
+            let Some(step) = wider.round(ROUNDS).filter(|step| step.ln_evidence > least) else { break };
+            (*self, best) = (wider, step);
+        }
+        Some(best)
+    }
+
+    /// The ripple of the largest Bayes factor.
+    fn ripple(&self, step: &Step) -> Option<Candidate> {
+        let posterior = step.whitened.equations.posterior(&self.hypers)?;
+        let joints = Joint::ALL.into_iter().filter(|joint| self.unknowns.moved(joint.index()));
+        let search = RippleSearch {
+            rows: &step.system.rows,
+            whitened: &step.whitened,
+            sigma_mm: self.hypers.sigma_mm(),
+            mean: &posterior.mean,
+            root: &posterior.root()?,
+            sd_rad: self.hypers.sd(Group::Ripple),
+            joints: &joints.collect::<Vec<Joint>>(),
+        };
+        search.strongest()
+    }
+
+    /// The noise after a step towards the likeliest.
+    fn scored(&self, system: &System, whitened: &Whitened) -> Option<NoiseShape> {
+        if self.shape.is_known() {
+            return Some(self.shape);
+        }
+        let posterior = whitened.equations.posterior(&self.hypers)?;
+        let score = NoiseScore {
+            rows: &system.rows,
+            whitened,
+            sigma_mm: self.hypers.sigma_mm(),
+            mean: &posterior.mean,
+            root: &posterior.root()?,
+            backlash_places: self.unknowns.backlash_places(&self.model),
+        };
+        score.step()
+    }
+
+    fn estimate(self, step: &Step, before_ripple: Hypers, start: &EstimateStart) -> Option<Estimate> {
+        let Step { system, whitened, .. } = step;
+        let Self { unknowns, used, hypers, shape, .. } = self;
+        // A part of what a search among many ripples explains is chance: the uncertainty is that without it.
+        let cautious = before_ripple.with_sd_of(Group::Ripple, &hypers).with_sigma(hypers.sigma_mm());
+        let cautious = cautious.mean_variances(whitened.equations.hyper_priors(), &self.ln_sd);
+        let posterior = whitened.equations.posterior(&cautious)?;
+        let (all, determined) = (posterior.root()?, posterior.determined());
+        let coefficients = self.model.geometry.joint_errors.count();
+        let root = unknowns.rows_of_parameters(&all, coefficients);
+        let backlash_places = unknowns.backlash_places(&self.model);
+        let score = NoiseScore {
+            rows: &system.rows,
+            whitened,
+            sigma_mm: cautious.sigma_mm(),
+            mean: &posterior.mean,
+            root: &all,
+            backlash_places,
+        };
+        let of_coefficient = |place: Option<usize>| place.map_or(0.0, |place| all.row(place).norm());
+        let unapproached_rad = match shape.backlash {
+            // Several lengths show the scatter of a pose in other directions too: what more backlash adds, sigma loses.
+            BacklashNoise::Sought(sds) if system.rows.tell_noise_apart() => sds,
+            BacklashNoise::Sought(_) => score.rms_rad()?,
+            BacklashNoise::Known(sds) => {
+                std::array::from_fn(|joint| sds[joint].hypot(of_coefficient(backlash_places[joint])))
+            }
+        };
+        let effective_parameters: f64 = determined.iter().sum();
+        let sigma_mm = hypers.sigma_mm();
+        let whole_mm = system.rms_sd(shape, sigma_mm) * sigma_mm;
+        let is_given = used.lengths().vouched;
+        let freedom = (used.count() as f64 - effective_parameters).max(1.0);
+        Some(Estimate {
+            before: start.before.clone(),
+            analysis: start.analysis.clone(),
+            kept: unknowns.ids().to_vec(),
+            base: start.base.clone(),
+            open: start.open.clone(),
+            sigma: if is_given { Sigma::Given } else { Sigma::All(whole_mm) },
+            freedom: (!is_given).then_some(freedom),
+            prior_sds: unknowns.prior_sds(&hypers),
+            root,
+            of_prior: of_prior(system, &all, &cautious),
+            groups: groups(system, whitened, &hypers, &determined)?,
+            effective_parameters,
+            noise: LengthNoise { pose_mm: sigma_mm, length_mm: shape.own.sd(), joints: None },
+            hypers,
+            cautious,
+            shape,
+            unapproached_rad,
+            z: self.z,
+            fit: Fit { model: self.model, ..start.fit.clone() },
+            unknowns: unknowns.clone(),
+        })
+    }
+}
+
+/// The rows of the root over the standard deviations of their priors, transposed.
+fn of_prior(system: &System, root: &DMatrix<f64>, hypers: &Hypers) -> DMatrix<f64> {
+    let bound: Vec<usize> = (0..system.variances.len()).filter(|k| system.variances[*k].is_some()).collect();
+    let mut rows = root.select_rows(&bound);
+    for (mut row, k) in rows.row_iter_mut().zip(&bound) {
+        row /= system.variances[*k].map_or(1.0, |variance| variance.sd(hypers));
+    }
+    rows.transpose()
+}
+
+/// What each group came to; what it explains is beyond the groups before it.
+fn groups(
+    system: &System,
+    whitened: &Whitened,
+    hypers: &Hypers,
+    determined: &[f64],
+) -> Option<Vec<GroupEvidence>> {
+    let group_of = |k: usize| system.variances[k].and_then(Variance::group);
+    let unknowns = 0..system.variances.len();
+    let is_present = |group: &Group| unknowns.clone().any(|k| group_of(k) == Some(*group));
+    let mut present: Vec<Group> = Group::ALL.into_iter().filter(is_present).collect();
+    present.sort_by_key(|group| !matches!(group, Group::Tolerance | Group::Tool));
+    let mean_square = |groups: &[Group]| {
+        let posterior = whitened.equations.with_groups(groups);
+        Some(system.mean_square(&posterior.posterior(hypers)?.mean))
+    };
+    let mut before = mean_square(&[])?;
+    let mut of_geometry = before;
+    let mut groups = Vec::new();
+    for (at, group) in present.iter().enumerate() {
+        let left = mean_square(&present[..=at])?;
+        let explained = (before - left).max(0.0);
+        let members = unknowns.clone().filter(|&k| group_of(k) == Some(*group));
+        let is_geometry = matches!(group, Group::Tolerance | Group::Tool);
+        if is_geometry {
+            of_geometry = left;
+        }
+        groups.push(GroupEvidence {
+            group: *group,
+            sd: sd_of(*group, hypers, whitened.shape),
+            effective_parameters: members.map(|k| determined[k]).sum(),
+            rms_mm: explained.sqrt(),
+            share: if is_geometry { 0.0 } else { explained / of_geometry },
+        });
+        before = left;
+    }
+    Some(groups)
+}
+
+/// One standard deviation of the members of a group.
+fn sd_of(group: Group, hypers: &Hypers, shape: NoiseShape) -> f64 {
+    match (group, shape.backlash) {
+        (Group::Smooth, _) => {
+            let [quick, slow] = hypers.processes();
+            quick.sd_rad.hypot(slow.sd_rad)
+        }
+        (Group::Backlash, BacklashNoise::Sought(sds)) => {
+            let moved = sds.iter().filter(|sd| **sd > 0.0).count().max(1) as f64;
+            (sds.iter().map(|sd| sd * sd).sum::<f64>() / moved).sqrt()
+        }
+        _ => hypers.sd(group),
+    }
+}
+
+impl Estimate {
+    /// The prior standard deviation of a parameter; `None` if it is free or not estimated.
+    pub(super) fn prior_sd(&self, id: ParamId) -> Option<f64> {
+        self.prior_sds[self.kept.iter().position(|kept| *kept == id)?]
+    }
+
+    /// The factor on the maker's tolerance by the evidence.
+    pub(super) fn tolerance_scale(&self) -> f64 {
+        self.hypers.sd(Group::Tolerance)
+    }
+
+    /// The ratio of the corrections of the geometry to their prior standard deviations (RMS), if it is significantly above 1.
+    pub(super) fn beyond_prior(&self, setting: &Setting<'_>) -> Option<f64> {
+        let deviate = |id: &ParamId| {
+            let sd = setting.priors.bound(*id)?;
+            Some((self.fit.model.value(*id) - setting.start.value(*id)) / sd)
+        };
+        let deviates = self.kept.iter().filter(|id| id.is_geometric()).filter_map(deviate);
+        let squares: Vec<f64> = deviates.map(|deviate| deviate * deviate).collect();
+        let count = squares.len() as f64;
+        let ratio = squares.iter().sum::<f64>() / count;
+        (count > 0.0 && ChiSquareOutcome::of(ratio, count) == ChiSquareOutcome::Greater).then(|| ratio.sqrt())
+    }
+
+    /// The lengths with the weights of the fit, without outliers.
+    pub(crate) fn used<'a>(&'a self, lengths: &'a Lengths) -> Weighted<'a> {
+        lengths.weighted(self.sigma, &self.fit.outliers)
+    }
+
+    /// What is not known of the robot, its tool ball and the base balls.
+    pub(super) fn uncertainty(&self) -> RobotUncertainty {
+        let is_own = |id: ParamId| id.moves_tool_ball() || matches!(id, ParamId::Ball(..));
+        let own: Vec<usize> = (0..self.kept.len()).filter(|&k| is_own(self.kept[k])).collect();
+        let rows: Vec<usize> = own.iter().copied().chain(self.kept.len()..self.root.nrows()).collect();
+        let has_errors = !self.fit.model.geometry.joint_errors.is_none();
+        // What poses that are alike have in common is an error of another pose too.
+        let cluster_mm = if has_errors { self.cautious.sd(Group::Cluster) } else { 0.0 };
+        RobotUncertainty {
+            parameters: own.iter().map(|&k| self.kept[k]).collect(),
+            root: self.root.select_rows(&rows),
+            pose_mm: self.noise.pose_mm.hypot(cluster_mm),
+            smooth: if has_errors { self.cautious.processes().to_vec() } else { Vec::new() },
+            smooth_of_joints: self.cautious.of_joints(),
+            unapproached_rad: self.unapproached_rad,
+        }
+    }
+
+    /// `None` if errors of the joints were not sought.
+    pub(super) fn joint_summary(&self) -> Option<JointSummary> {
+        let backlash = self.shape.backlash;
+        (!self.fit.model.geometry.joint_errors.is_none()).then(|| JointSummary {
+            smooth: self.hypers.processes(),
+            backlash_noise_rad: (!backlash.is_known()).then(|| backlash.sds()),
+        })
+    }
+}

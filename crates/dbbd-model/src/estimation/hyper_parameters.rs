@@ -1,0 +1,248 @@
+//! Groups of unknowns that share a variance, and the hyper-parameters that these variances follow.
+//!
+//! A hyper-parameter is positive, and its logarithm has a normal prior. `evidence` finds their likeliest values.
+
+use serde::{Deserialize, Serialize};
+
+use crate::robot::{AXES, GaussianProcess, Joint};
+
+/// The prior of a hyper-parameter: log-normal about `median`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HyperPrior {
+    pub(super) median: f64,
+    /// Standard deviation of the logarithm.
+    pub(super) ln_sd: f64,
+    pub(super) bounds: [f64; 2],
+}
+
+/// Groups of unknowns that share a variance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Group {
+    /// First harmonic of a joint's angle, rad.
+    Harmonic,
+    /// Smooth function of a joint's angle, rad.
+    Smooth,
+    /// Half of the reversal error, rad.
+    Backlash,
+    /// Transmission ripple, rad.
+    Ripple,
+    /// Compliance, in prior standard deviations.
+    Compliance,
+    /// Geometry, in the maker's tolerances.
+    Tolerance,
+    /// Tool ball, in its standard uncertainty.
+    Tool,
+    /// Displacement of the tool ball at similar poses, mm.
+    Cluster,
+    /// Zeros of the joints (rad) and scale of the links with time.
+    Warming,
+}
+
+impl Group {
+    pub const ALL: [Self; 9] = [
+        Self::Harmonic,
+        Self::Smooth,
+        Self::Backlash,
+        Self::Ripple,
+        Self::Compliance,
+        Self::Tolerance,
+        Self::Tool,
+        Self::Cluster,
+        Self::Warming,
+    ];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Harmonic => "harmonic",
+            Self::Smooth => "smooth",
+            Self::Backlash => "backlash",
+            Self::Ripple => "ripple",
+            Self::Compliance => "compliance",
+            Self::Tolerance => "tolerance",
+            Self::Tool => "tool",
+            Self::Cluster => "cluster",
+            Self::Warming => "warming",
+        }
+    }
+}
+
+/// The number of hyper-parameters.
+pub(super) const HYPERS: usize = Group::ALL.len() + 4 + AXES;
+
+/// The place of a hyper-parameter that is not the standard deviation of a group: the length scale of the quick part of the
+/// smooth functions (rad), the noise of a pose (mm), standard deviation and length scale of their slow part (rad), and the
+/// factor on the functions of each joint.
+const LENGTH: usize = Group::ALL.len();
+pub(super) const SIGMA: usize = LENGTH + 1;
+const SLOW: usize = LENGTH + 2;
+const SLOW_LENGTH: usize = LENGTH + 3;
+const OF_JOINT: usize = LENGTH + 4;
+
+/// 95 % of a normal distribution are below so many standard deviations.
+const QUANTILE_95: f64 = 1.645;
+
+impl HyperPrior {
+    /// Those of the groups in their order, then the others. Typical of industrial joints: an eccentricity of half a
+    /// milliradian, the other errors a fifth of it and less. A tolerance and what is stated of the tool ball are at least
+    /// what they say. `sigma_mm` is the repeatability of the robot along a length.
+    pub(super) fn all(sigma_mm: f64) -> [Self; HYPERS] {
+        let angle = |median, ln_sd| Self { median, ln_sd, bounds: [1e-8, 1e-1] };
+        let factor = |ln_sd, bounds| Self { median: 1.0, ln_sd, bounds };
+        let mut all = [factor(JOINT_LN_SD, [0.02, 50.0]); HYPERS];
+        all[Group::Harmonic as usize] = angle(5e-4, 1.0);
+        all[Group::Smooth as usize] = angle(1e-4, 1.0);
+        all[Group::Backlash as usize] = angle(3e-5, 1.0);
+        all[Group::Ripple as usize] = angle(2e-5, 0.7);
+        all[Group::Compliance as usize] = factor(1.0, [1e-4, 1e4]);
+        all[Group::Tolerance as usize] = factor(0.7, [1.0, 100.0]);
+        all[Group::Tool as usize] = factor(1.0, [1.0, 10.0]);
+        all[Group::Cluster as usize] = Self { median: 0.02, ln_sd: 1.0, bounds: [1e-6, 10.0] };
+        all[Group::Warming as usize] = Self { median: 1e-5, ln_sd: 0.7, bounds: [1e-9, 5e-5] };
+        all[LENGTH] = Self { median: 0.15, ln_sd: 1.0, bounds: [0.03, 3.0] };
+        all[SIGMA] = Self { median: sigma_mm, ln_sd: 1.0, bounds: [1e-6, 1e3] };
+        all[SLOW] = angle(1e-4, 1.0);
+        all[SLOW_LENGTH] = Self { median: 0.5, ln_sd: 1.0, bounds: [0.3, 5.0] };
+        if let Ok(text) = std::env::var("HP") {
+            for part in text.split(';') {
+                let x: Vec<f64> = part.split(':').map(|x| x.parse().unwrap()).collect();
+                all[x[0] as usize] = Self { median: x[1], ln_sd: x[2], bounds: [x[3], x[4]] };
+            }
+        }
+        all
+    }
+
+    /// The normal deviate of a logarithm.
+    pub(super) fn off(self, ln: f64) -> f64 {
+        (ln - self.median.ln()) / self.ln_sd
+    }
+
+    pub(super) fn clamp(self, ln: f64) -> f64 {
+        ln.clamp(self.bounds[0].ln(), self.bounds[1].ln())
+    }
+}
+
+/// The joints of a robot differ by this standard deviation of the logarithm of their errors.
+const JOINT_LN_SD: f64 = 0.5;
+
+/// Logarithms of the hyper-parameters, in the order of [`HyperPrior::all`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Hypers(pub(super) [f64; HYPERS]);
+
+impl Hypers {
+    /// The middle of the priors, with this standard deviation of the lengths, mm.
+    pub(super) fn start(priors: &[HyperPrior; HYPERS], sigma_mm: f64) -> Self {
+        let mut start = Self(priors.map(|prior| prior.median.ln()));
+        start.0[SIGMA] = priors[SIGMA].clamp(sigma_mm.ln());
+        start
+    }
+
+    /// One standard deviation of a group, in its unit; of smooth functions that of the quick part of a joint like the others.
+    pub(super) fn sd(&self, group: Group) -> f64 {
+        self.0[group as usize].exp()
+    }
+
+    /// With the standard deviation that another has of a group.
+    pub(super) fn with_sd_of(mut self, group: Group, other: &Self) -> Self {
+        self.0[group as usize] = other.0[group as usize];
+        self
+    }
+
+    pub(super) fn with_sigma(mut self, sigma_mm: f64) -> Self {
+        self.0[SIGMA] = sigma_mm.ln();
+        self
+    }
+
+    /// The standard deviations whose squares are the means of the variances, whose logarithms have the standard deviations
+    /// `ln_sd`: what the data do not support has more than its likeliest variance. At most what 95 % of the prior are below.
+    pub(super) fn mean_variances(mut self, priors: &[HyperPrior; HYPERS], ln_sd: &[f64; HYPERS]) -> Self {
+        let is_sd = |at: usize| at < Group::ALL.len() || at == SLOW;
+        for at in (0..HYPERS).filter(|at| is_sd(*at)) {
+            let most = priors[at].median.ln() + QUANTILE_95 * priors[at].ln_sd;
+            let wider = self.0[at] + ln_sd[at] * ln_sd[at];
+            self.0[at] = wider.min(most).max(self.0[at]);
+        }
+        self
+    }
+
+    /// What the smooth functions are the sum of: a quick and a slow process.
+    pub(super) fn processes(&self) -> [GaussianProcess; 2] {
+        Self::PROCESSES.map(|[sd, length]| GaussianProcess {
+            sd_rad: self.0[sd].exp(),
+            length_scale_rad: self.0[length].exp(),
+        })
+    }
+
+    /// The places of their standard deviations and lengths.
+    const PROCESSES: [[usize; 2]; 2] = [[Group::Smooth as usize, LENGTH], [SLOW, SLOW_LENGTH]];
+
+    /// The factor on the smooth functions of each joint.
+    pub(super) fn of_joints(&self) -> [f64; AXES] {
+        std::array::from_fn(|joint| self.0[OF_JOINT + joint].exp())
+    }
+
+    pub(super) fn sigma_mm(&self) -> f64 {
+        self.0[SIGMA].exp()
+    }
+}
+
+/// What the prior variance of an unknown follows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Variance {
+    /// This standard deviation.
+    Fixed(f64),
+    /// That of its group times this.
+    Of(Group, f64),
+    /// The spectral density of a joint's smooth function at this angular frequency (1/rad).
+    Spectral(Joint, f64),
+    /// This standard deviation, which the noise gives to backlash.
+    ByNoise(f64),
+}
+
+impl Variance {
+    pub(super) fn value(self, hypers: &Hypers) -> f64 {
+        match self {
+            Self::Fixed(sd) | Self::ByNoise(sd) => sd * sd,
+            Self::Of(group, unit) => (unit * hypers.sd(group)).powi(2),
+            Self::Spectral(joint, frequency) => {
+                let density: f64 =
+                    hypers.processes().iter().map(|part| part.spectral_density(frequency)).sum();
+                density * hypers.of_joints()[joint.index()].powi(2)
+            }
+        }
+    }
+
+    /// The derivative of its logarithm by the logarithm of each hyper-parameter that it follows, to `each` with the place.
+    pub(super) fn slopes(self, hypers: &Hypers, mut each: impl FnMut(usize, f64)) {
+        match self {
+            Self::Fixed(_) | Self::ByNoise(_) => {}
+            Self::Of(group, _) => each(group as usize, 2.0),
+            Self::Spectral(joint, frequency) => {
+                let processes = hypers.processes();
+                let whole: f64 = processes.iter().map(|part| part.spectral_density(frequency)).sum();
+                for ([sd, length], part) in Hypers::PROCESSES.into_iter().zip(processes) {
+                    let share = part.spectral_density(frequency) / whole;
+                    let a2 = 5.0 / part.length_scale_rad.powi(2);
+                    each(sd, 2.0 * share);
+                    each(length, share * (6.0 * a2 / (a2 + frequency * frequency) - 5.0));
+                }
+                each(OF_JOINT + joint.index(), 2.0);
+            }
+        }
+    }
+
+    /// One standard deviation.
+    pub(super) fn sd(self, hypers: &Hypers) -> f64 {
+        self.value(hypers).sqrt()
+    }
+
+    /// The group that it belongs to.
+    pub(super) fn group(self) -> Option<Group> {
+        match self {
+            Self::Fixed(_) => None,
+            Self::Of(group, _) => Some(group),
+            Self::Spectral(..) => Some(Group::Smooth),
+            Self::ByNoise(_) => Some(Group::Backlash),
+        }
+    }
+}

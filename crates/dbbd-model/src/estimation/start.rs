@@ -1,0 +1,245 @@
+//! Where an estimate begins: the set-up is fitted to the nominal robot, the base set is chosen there, and the parameters are
+//! fitted with their prior, without what no nominal robot could show.
+
+use nalgebra::{DMatrix, SymmetricEigen};
+
+use super::fit::{self, Fit};
+use super::hyper_parameters::{Group, Variance};
+use super::lengths::{Lengths, Sigma};
+use super::linear_system::{factor, linear_system};
+use super::options::Setting;
+use super::prior;
+use super::priors::{Prior, Priors, WEAK, largest_plausible};
+use super::selection::{is_bar, is_place, open_places, without_open_places};
+use super::unknowns::KnownBefore;
+use super::{Analysis, analyse};
+use crate::estimation::EstimationFinding;
+use crate::math::stacked;
+use crate::measurement::LengthModel;
+use crate::robot::{ParamGroup, ParamId, parameter};
+
+/// Least standard deviation of a length, mm, so that exact data cause no division by zero.
+const FLOOR_MM: f64 = 1e-9;
+
+#[derive(Clone, Debug)]
+pub(super) struct EstimateStart {
+    /// The nominal robot with the free part of the set-up fitted.
+    pub(super) before: LengthModel,
+    pub(super) analysis: Analysis,
+    /// The parameters to estimate, in canonical order.
+    pub(super) kept: Vec<ParamId>,
+    /// Those of them that are independent by the lengths alone.
+    pub(super) base: Vec<ParamId>,
+    /// Places of the set-up that the poses leave open, worst first.
+    pub(super) open: Vec<ParamId>,
+    pub(super) fit: Fit,
+    pub(super) sigma: Sigma,
+}
+
+impl EstimateStart {
+    pub(super) fn of(
+        setting: &Setting<'_>,
+        lengths: &Lengths,
+        asked: &[ParamId],
+    ) -> Result<Self, EstimationFinding> {
+        const NOT_FINITE: EstimationFinding = EstimationFinding::NotFinite;
+        let (priors, follows_list) = (&setting.priors, setting.options.follows_list());
+        let mut free = asked.to_vec();
+        if !follows_list {
+            free = without_open_places(priors, setting.start, &lengths.plain(), asked).ok_or(NOT_FINITE)?;
+        }
+        // A fit of the set-up alone must not change what an earlier identification determined, nor make a bar of any length.
+        free.retain(|id| !priors.is_of_posterior(*id) && (follows_list || !is_bar(id)));
+        let set_up = fit::set_up(lengths, &free, setting.start);
+        let mut open = Vec::new();
+        let analysis = loop {
+            let judged: Vec<ParamId> = asked.iter().copied().filter(|id| !open.contains(id)).collect();
+            let analysis = analyse(&set_up.model, &lengths.plain(), &judged).ok_or(NOT_FINITE)?;
+            if follows_list {
+                break analysis;
+            }
+            let mut places = analysis.kept();
+            places.retain(|id| is_place(id) && !priors.is_of_posterior(*id));
+            let more = open_places(priors, &set_up.model, &lengths.plain(), places);
+            if more.is_empty() {
+                break analysis;
+            }
+            open.extend(more);
+        };
+        let base = analysis.kept();
+        if base.is_empty() {
+            return Err(EstimationFinding::NothingToEstimate);
+        }
+        let mut kept = base.clone();
+        if !follows_list {
+            kept.extend(prior::sharing(priors, &analysis));
+            kept.sort();
+        }
+        let sigma = start_sigma(lengths, &set_up, &base);
+        let prior = prior::rows(setting, &kept);
+        let fit = fit::all(lengths, sigma, &kept, base.len(), prior.as_ref(), &set_up.model);
+        let iterations = set_up.iterations + fit.iterations;
+        let fit = Fit { iterations, ..fit };
+        Ok(Self { before: set_up.model, analysis, kept, base, open, fit, sigma })
+    }
+
+    /// What is known of the unknowns of an estimate before its lengths.
+    pub(super) fn known_before(&self, setting: &Setting<'_>, lengths: &Lengths) -> Option<KnownBefore> {
+        let Setting { options, priors, robot, start, .. } = setting;
+        if options.follows_list() {
+            let ids = self.kept.clone();
+            let (means, variances) = (vec![0.0; ids.len()], vec![None; ids.len()]);
+            return Some(KnownBefore { ids, means, variances, transform: None, has_coefficients: false });
+        }
+        let massless = robot.geometry.masses.is_empty();
+        let is_fixed = |id: &ParamId| options.hold.contains(id) || self.kept.contains(id);
+        let is_void = |id: &ParamId| massless && matches!(id, ParamId::Compliance(_));
+        let optional = parameter::optional().filter(|id| !is_fixed(id) && !is_void(id));
+        let optional = optional.filter(|_| options.estimate.is_none());
+        let mut ids: Vec<ParamId> = self.kept.iter().copied().chain(optional).collect();
+        ids.sort();
+        // An implausible correction that the geometry finds, as of a lost zero, is no draw from the prior: the prior takes its
+        // size, so that it costs errors of the joints and geometry the same.
+        let widened = |id: ParamId, sd: f64| {
+            let correction = (self.fit.model.value(id) - start.value(id)).abs();
+            if correction > largest_plausible(true) * sd { Some(correction) } else { None }
+        };
+        let variance = |id: &ParamId| match id.group() {
+            ParamGroup::Compliance => Some(Variance::Of(Group::Compliance, priors.sd(*id))),
+            ParamGroup::Gear => Some(Variance::Of(Group::Harmonic, 1.0)),
+            ParamGroup::Tool if !priors.is_of_posterior(*id) => {
+                priors.bound(*id).map(|sd| Variance::Of(Group::Tool, sd))
+            }
+            ParamGroup::Geometric if options.prior == Prior::Datasheet => priors.bound(*id).map(|sd| {
+                widened(*id, sd).map_or(Variance::Of(Group::Tolerance, sd), Variance::Fixed)
+            }),
+            ParamGroup::Bar if !priors.is_certified() => {
+                Some(Variance::Fixed(uncertified_sd(self.fit.model.value(*id) - start.value(*id))))
+            }
+            ParamGroup::Geometric
+            | ParamGroup::Tool
+            | ParamGroup::Targets
+            | ParamGroup::Balls
+            | ParamGroup::Bar
+            | ParamGroup::Tracker => {
+                priors.bound(*id).map(|sd| Variance::Fixed(widened(*id, sd).unwrap_or(sd)))
+            }
+        };
+        let variances: Vec<Option<Variance>> = ids.iter().map(variance).collect();
+        let means = ids.iter().zip(&variances).map(|(id, v)| v.map_or(0.0, |_| start.value(*id))).collect();
+        let known = KnownBefore { ids, means, variances, transform: None, has_coefficients: false };
+        match options.prior {
+            Prior::Posterior => continued(setting, known),
+            Prior::None => self.judged_by_data(setting, lengths, known),
+            Prior::Datasheet | Prior::Given(_) => Some(known),
+        }
+    }
+
+    /// Without a prior of the geometry, but for the directions that the data determine worse than three tolerances.
+    fn judged_by_data(
+        &self,
+        setting: &Setting<'_>,
+        lengths: &Lengths,
+        known: KnownBefore,
+    ) -> Option<KnownBefore> {
+        /// Standard deviation in tolerances of a direction that counts as free.
+        const FREE: f64 = 1e4;
+        let is_judged = |id: &ParamId| id.is_geometric();
+        let (own, others): (Vec<usize>, Vec<usize>) =
+            (0..known.ids.len()).partition(|at| is_judged(&known.ids[*at]));
+        let set_up: Vec<usize> = others.iter().copied().filter(|at| known.ids[*at].is_setup()).collect();
+        let weighted = lengths.weighted(self.sigma, &self.fit.outliers);
+        // The set-up first: what is left of the rows of the geometry then says what the data know of it.
+        let order: Vec<ParamId> = set_up.iter().chain(&own).map(|at| known.ids[*at]).collect();
+        let mut sorted = order.clone();
+        sorted.sort();
+        let whole = factor(&self.before, &weighted, &sorted);
+        let places: Vec<usize> = order.iter().filter_map(|id| sorted.binary_search(id).ok()).collect();
+        let mut rows = whole.select_columns(&places);
+        for (mut column, id) in rows.column_iter_mut().zip(&order).skip(set_up.len()) {
+            column *= setting.priors.geometric(*id)?;
+        }
+        let mut bound = DMatrix::zeros(set_up.len(), order.len());
+        for (row, at) in set_up.iter().enumerate() {
+            bound[(row, row)] = setting.priors.bound(known.ids[*at]).map_or(0.0, f64::recip);
+        }
+        let triangle = stacked(&rows, &bound).qr().r();
+        let size = own.len();
+        let left = triangle.view((set_up.len(), set_up.len()), (size, size)).into_owned();
+        let eigen = SymmetricEigen::new(left.tr_mul(&left));
+        let mut transform = DMatrix::zeros(known.ids.len(), known.ids.len());
+        let mut variances = known.variances.clone();
+        for at in others {
+            transform[(at, at)] = 1.0;
+        }
+        for (column, at) in own.iter().enumerate() {
+            let is_weak = eigen.eigenvalues[column] < WEAK.powi(-2);
+            variances[*at] = Some(Variance::Fixed(if is_weak { 1.0 } else { FREE }));
+            for (row, to) in own.iter().enumerate() {
+                let sd = setting.priors.geometric(known.ids[*to])?;
+                transform[(*to, *at)] = sd * eigen.eigenvectors[(row, column)];
+            }
+        }
+        Some(KnownBefore { transform: Some(transform), variances, ..known })
+    }
+}
+
+/// The standard deviation by which a normal prior weighs as Student's t with four degrees of freedom does at a length that is
+/// `off_mm` from what is stated: nobody knows how wrong a bar without a certificate is.
+fn uncertified_sd(off_mm: f64) -> f64 {
+    const FREEDOM: f64 = 4.0;
+    let scale_mm = Priors::certified_bar_mm(None);
+    ((FREEDOM * scale_mm * scale_mm + off_mm * off_mm) / (FREEDOM + 1.0)).sqrt()
+}
+
+/// With the posterior of an earlier identification: parameters, and coefficients of the joints' errors.
+fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
+    let uncertainty = setting.robot.known_uncertainty();
+    let KnownBefore { ids, .. } = known;
+    let is_robots = |id: &ParamId| uncertainty.parameters.contains(id) && !matches!(id, ParamId::Ball(..));
+    // Harmonics and compliance that the robot has not are not added.
+    let ids: Vec<ParamId> = ids.into_iter().filter(|id| !id.is_optional() || is_robots(id)).collect();
+    let own: Vec<usize> = (0..ids.len()).filter(|at| is_robots(&ids[*at])).collect();
+    let (coefficients, columns) = (setting.start.geometry.joint_errors.count(), uncertainty.root.ncols());
+    let rest: Vec<usize> = (0..ids.len()).filter(|at| !own.contains(at)).collect();
+    let mut transform = DMatrix::zeros(ids.len() + coefficients, columns + rest.len());
+    for at in &own {
+        let row = uncertainty.parameters.iter().position(|id| *id == ids[*at])?;
+        transform.view_mut((*at, 0), (1, columns)).copy_from(&uncertainty.root.row(row));
+    }
+    for term in 0..coefficients {
+        let row = uncertainty.root.row(uncertainty.parameters.len() + term);
+        transform.view_mut((ids.len() + term, 0), (1, columns)).copy_from(&row);
+    }
+    let mut variances = vec![Some(Variance::Fixed(1.0)); columns];
+    for (at, place) in rest.iter().enumerate() {
+        transform[(*place, columns + at)] = 1.0;
+        variances.push(setting.priors.bound(ids[*place]).map(|sd| match ids[*place].group() {
+            ParamGroup::Tool => Variance::Of(Group::Tool, sd),
+            _ => Variance::Fixed(sd),
+        }));
+    }
+    let means = ids.iter().map(|id| setting.start.value(*id)).collect();
+    Some(KnownBefore { ids, means, variances, transform: Some(transform), has_coefficients: true })
+}
+
+/// The standard deviation of the lengths from the residuals of a linearised fit of the base set, with which a fit begins.
+fn start_sigma(lengths: &Lengths, set_up: &Fit, base: &[ParamId]) -> Sigma {
+    let repeatability = lengths.repeatability_mm.unwrap_or(0.0).powi(2);
+    if lengths.vouched {
+        return Sigma::Given;
+    }
+    // Equal lengths determine the bar and the scale of the robot only together. With a free bar a robot of size zero
+    // would fit them with any angles.
+    let sized: Vec<ParamId> = base.iter().copied().filter(|id| !is_bar(id)).collect();
+    let used = lengths.weighted(Sigma::All(1.0), &set_up.outliers);
+    let freedom = used.count() as f64 - base.len() as f64;
+    let scatter = match freedom > 0.0 {
+        true => linear_system(&set_up.model, &used, &sized).residual_sum().max(0.0) / freedom,
+        false => repeatability,
+    };
+    match lengths.known {
+        true => Sigma::And(scatter),
+        false => Sigma::All(scatter.sqrt().max(FLOOR_MM)),
+    }
+}
