@@ -6,6 +6,7 @@ use std::ops::Range;
 use super::estimator::{Estimate, estimate, refit};
 use super::findings::findings;
 use super::identifiability::{correlations, observability};
+use super::hypotheses::{EventPlace, EventTreatment, RunEventKind, RunHypothesis};
 use super::lengths::Lengths;
 use super::monte_carlo::Draws;
 use super::options::Setting;
@@ -24,7 +25,7 @@ use crate::estimation::EstimationFinding;
 use crate::math::distributions::coverage_95;
 use crate::math::rank;
 use crate::measurement::{LengthModel, Measurements};
-use crate::robot::{Datum, ParamId, Robot};
+use crate::robot::{BallId, Datum, ParamId, Robot};
 
 /// The input of a calibration.
 #[derive(Clone, Copy)]
@@ -97,6 +98,7 @@ impl<'a> Calibration<'a> {
         let lengths = Lengths::of(&input.observations.rows, input.options, input.robot);
         let setting = input.setting();
         let estimate = estimate(&setting, &lengths, &setting.asked())?;
+        let lengths = estimate.corrected(&lengths);
         let folds = cross_validated(&setting, &lengths, &estimate)?;
         let used = estimate.used(&lengths);
         let (before, model) = (&estimate.before, &estimate.fit.model);
@@ -156,6 +158,7 @@ impl<'a> Calibration<'a> {
         let of_estimate = findings.len();
         findings.extend(input_findings);
         let (observability, correlated) = (self.observability(), self.correlations());
+        let hypotheses = self.hypotheses();
         let (excluded_rows, outliers): (Vec<Range<usize>>, Vec<Outlier>) = self.outliers().unzip();
         let Self { setting, estimate, prediction, posterior, sigma, checks, .. } = self;
         let nominal = setting.robot.nominal.clone().unwrap_or_else(|| Box::new(setting.robot.clone()));
@@ -190,6 +193,7 @@ impl<'a> Calibration<'a> {
             distance: DistanceQuantities::of(&self.observations.rows, &estimate.fit.model),
             groups: estimate.groups.clone(),
             joint_errors,
+            hypotheses,
             monte_carlo: checks.monte_carlo,
             predicted_position_uncertainty_mm: prediction.pair,
             parameters: self.parameters,
@@ -242,6 +246,32 @@ impl<'a> Calibration<'a> {
             column *= self.sigma.mm * self.setting.priors.sd(*id);
         }
         observability(&scaled, used.count())
+    }
+
+    /// What happened while the lengths were measured, or could have, most probable first.
+    pub(super) fn hypotheses(&self) -> Vec<RunHypothesis> {
+        let index = |place: usize| self.observations.rows[place].index;
+        let mut found: Vec<RunHypothesis> = Vec::new();
+        let wrong = &self.estimate.wrong_balls;
+        let mut balls: Vec<BallId> = wrong.iter().map(|(_, ball)| *ball).collect();
+        (balls.sort_unstable(), balls.dedup());
+        for ball in balls {
+            let rows: Vec<u32> =
+                wrong.iter().filter(|(_, own)| *own == ball).map(|(place, _)| index(*place)).collect();
+            let place =
+                EventPlace { ball: Some(ball.number()), index: rows.first().copied(), rows, bar: None };
+            found.push(RunHypothesis {
+                name: RunEventKind::WrongBall,
+                place,
+                size: 0.0,
+                sd: 0.0,
+                probability: 1.0,
+                rivals: Vec::new(),
+                treated: EventTreatment::Unknown,
+            });
+        }
+        found.extend(self.estimate.events.iter().map(|event| event.hypothesis(index)));
+        found
     }
 
     /// Correlations within the base set. Combinations describe the dependence of the other parameters.

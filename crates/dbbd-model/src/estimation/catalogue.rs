@@ -88,12 +88,6 @@ findings! {
             AboveSigma { times: f64 } => "the residuals are {times:.1} times the sigma given; the standard deviations are computed from the residuals";
             BelowSigma { times: f64 } => "the residuals are only {times:.2} times the sigma given";
         }
-        I1318 "the residuals show an error at a joint",
-        cause: "The residuals follow the angle of an axis (transmission error, sag) or the sense of its motion (backlash, lag) beyond chance, and the model lacks it.",
-        cure: "Approach every pose from the same side. Estimate `gear` or `compliance` if the error is a function of the angle. The sense counts only if the rows are in the order of the measurement." {
-            AngleError { axes: Names, rms_um: Vec<f64> } => "the residuals follow the angle of axis {axes} beyond chance";
-            ReversalError { axes: Names, mrad: Vec<f64> } => "the residuals follow the sense of the motion of axis {axes} beyond chance";
-        }
         W1319 "the lengths fit, but the position is not determined",
         cause: "A small residual proves nothing: the predicted position error over the workspace is hardly smaller than that of the nominal robot, or larger.",
         cure: "Measure what the line `next:` recommends: a further ball or other circles. The prior of the data sheet keeps the rest near nominal.",
@@ -170,11 +164,13 @@ findings! {
         cure: "Compare the first and the last rows of poses and lengths; give the lengths to their own poses. `gain` is the natural logarithm of the likelihood ratio." {
             ShiftedRows { rows: isize, residual_mm: f64, shifted_mm: f64, gain: f64 } => "with each length moved by {rows} row(s) the residual falls from {residual_mm:.4} mm to {shifted_mm:.4} mm (likelihood ratio e^{gain:.0})";
         }
-        W1331 "a base ball was mounted again within the data",
-        cause: "From one row on, the lengths belong to another position of the ball: it was mounted again, hit, or moved in its cup, and the table does not say so. The lengths from that row on were assigned to a new ball.",
-        cure: "Give the later lengths a new number in the column `centre`, and add a row to the base balls. If nothing was moved, look for what else changed at that row: the bar, its zero, the tool ball. `gain` is the natural logarithm of the likelihood ratio.",
+        W1331 "a ball moved, or has another number, within the data",
+        cause: "From one row on the lengths belong to another place of a ball: it was mounted again, hit, or moved in its seat; or rows have the number of another ball. The table is as it was: what happened is an unknown of the result, with its own standard deviation.",
+        cure: "Check the seats of the balls and the column `centre`. Measure again where it matters.",
         asks: [BaseBalls] {
-            Remounted { ball: u32, index: u32, new: u32, moved_mm: f64, residual_mm: f64, apart_mm: f64, gain: f64 } => "from index {index} on ball {ball} is {moved_mm:.3} mm from where it was: these lengths belong to ball {new} in the result; the residual falls from {residual_mm:.4} mm to {apart_mm:.4} mm (likelihood ratio e^{gain:.0})";
+            BaseBallMoved { ball: u32, index: u32, size_mm: f64, sd_mm: f64 } => "from index {index} on ball {ball} is {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from where it was";
+            ToolBallMoved { index: u32, size_mm: f64, sd_mm: f64 } => "from index {index} on the tool ball is {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from where it was on the flange";
+            WrongBall { ball: u32, indices: Names } => "the rows {indices} fit ball {ball}: they were used as lengths to it";
         }
         W1332 "the covariance of an earlier identification is lost",
         cause: "The robot was identified before, but its file has no covariance of the result: an older version wrote it, or its values were changed since. Only the new lengths are then used, so the predicted position error can increase.",
@@ -184,12 +180,18 @@ findings! {
             PosteriorOfOtherValues => "[posterior] is of other values than the robot's: they were changed since, and it is not used";
         }
         W1333 "a zero changed within the data",
-        cause: "The residuals show that the zero of a bar or the frame of the tracker stepped at one row or drifted over the rows: the bar was reset, hit or warmed up, its counter lost a count, the tracker moved, or a column of the table was sorted. The change was subtracted, as if all rows had been measured with the zero of the first row.",
+        cause: "The zero of a bar or the frame of the tracker stepped at one row or drifted over the rows: the bar was reset, hit or warmed up, its counter lost a count, the tracker moved, or a column of the table was sorted. The table is as it was: what happened is an unknown of the result, with its own standard deviation.",
         cure: "Check the zero of the bar before and after a run, and let bar and robot become warm first. The lengths do not show which zero is right: measure again where it matters." {
-            ZeroStep { bar: u32, index: u32, by_mm: f64, sd_mm: f64 } => "from index {index} on the lengths of bar {bar} are {by_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) longer than before: this was subtracted";
-            ZeroDrift { bar: u32, by_mm: f64, sd_mm: f64 } => "the lengths of bar {bar} drift by {by_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from the first row to the last: this was subtracted";
-            TrackerStep { index: u32, size_mm: f64, sd_mm: f64 } => "from index {index} on the tracker's frame is {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from where it was: this was subtracted";
-            TrackerDrift { size_mm: f64, sd_mm: f64 } => "the tracker's frame drifts by {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from the first row to the last: this was subtracted";
+            ZeroStep { bar: u32, index: u32, by_mm: f64, sd_mm: f64 } => "from index {index} on the lengths of bar {bar} are {by_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) longer than before";
+            ZeroDrift { bar: u32, by_mm: f64, sd_mm: f64 } => "the lengths of bar {bar} drift by {by_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from the first row to the last";
+            TrackerStep { index: u32, size_mm: f64, sd_mm: f64 } => "from index {index} on the tracker's frame is {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from where it was";
+            TrackerDrift { size_mm: f64, sd_mm: f64 } => "the tracker's frame drifts by {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from the first row to the last";
+        }
+        I1336 "something may have happened within the data",
+        cause: "The lengths speak for it, but not beyond what else explains the same. The result is as if it had not happened.",
+        cure: "Check the bar, the balls and the table at that row; `hypotheses` in result.json has the probability and the rivals." {
+            CouldBe { event: &'static str, size_mm: f64, probability: f64, rivals: String } => "could be {event}, {size_mm:.4} mm (probability {probability:.2}){rivals}";
+            CouldBeFrom { event: &'static str, index: u32, size_mm: f64, probability: f64, rivals: String } => "could be {event} from index {index} on, {size_mm:.4} mm (probability {probability:.2}){rivals}";
         }
         W1334 "lengths that identified the robot are used again",
         cause: "Most of these lengths are in the lengths.csv beside the robot's file, so its [posterior] holds them already. Counted twice, they would state an accuracy that they do not have.",

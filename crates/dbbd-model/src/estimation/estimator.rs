@@ -11,10 +11,11 @@ use serde::{Deserialize, Serialize};
 use super::Analysis;
 use super::fit::{Fit, outliers};
 use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, Variance};
+use super::hypotheses::{EventSearch, JudgedEvent, MOST_CERTAIN, MOST_ROWS, RunEvent, are_wrong_balls, sd_along, wrong_balls};
 use super::lengths::{Lengths, Sigma, Weighted};
 use super::noise_shape::{BacklashNoise, NoiseScore, NoiseShape, OwnNoise};
 use super::options::Setting;
-use super::pose_rows::LengthNoise;
+use super::pose_rows::{LengthNoise, PoseRows};
 use super::ripple::{Candidate, RippleSearch, ln_candidates};
 use super::start::EstimateStart;
 use super::system::{System, SystemPosterior, Whitened};
@@ -22,7 +23,7 @@ use super::unknowns::Unknowns;
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::ChiSquareOutcome;
 use crate::measurement::LengthModel;
-use crate::robot::{AXES, GaussianProcess, Joint, ParamId, RobotUncertainty};
+use crate::robot::{AXES, BallId, GaussianProcess, Joint, ParamId, RobotUncertainty};
 
 /// Rounds in which the set of outliers may change.
 const OUTLIER_ROUNDS: usize = 3;
@@ -76,6 +77,12 @@ pub(crate) struct Estimate {
     unknowns: Unknowns,
     /// The unknowns that the model has.
     z: DVector<f64>,
+    /// What happened while the lengths were measured, or could have.
+    pub(super) events: Vec<JudgedEvent>,
+    /// What certain events did to each length, mm; empty without them.
+    event_mm: Vec<f64>,
+    /// Rows that belong to another ball than the table says.
+    pub(super) wrong_balls: Vec<(usize, BallId)>,
 }
 
 /// What the evidence says of a group.
@@ -113,11 +120,30 @@ pub(super) fn estimate(
     lengths: &Lengths,
     asked: &[ParamId],
 ) -> Result<Estimate, EstimationFinding> {
+    let found = with_outliers(setting, lengths, asked)?;
+    let sd_mm = found.used(lengths).rms_sigma().hypot(LEAST_ERROR_MM);
+    let wrong = wrong_balls(&found.fit.model, lengths, &found.fit.outliers, sd_mm);
+    if !are_wrong_balls(wrong.len(), lengths.len(), sd_mm) {
+        return Ok(found);
+    }
+    let again = with_outliers(setting, &lengths.relabelled(&wrong), asked)?;
+    Ok(Estimate { wrong_balls: wrong, ..again })
+}
+
+/// A length of another ball is predicted no better than this, mm.
+const LEAST_ERROR_MM: f64 = 0.05;
+
+fn with_outliers(
+    setting: &Setting<'_>,
+    lengths: &Lengths,
+    asked: &[ParamId],
+) -> Result<Estimate, EstimationFinding> {
     let mut start = EstimateStart::of(setting, lengths, asked)?;
-    let all = lengths.weighted(Sigma::Given, &[]);
     for round in 0.. {
         let found = from_start(setting, lengths, &start).ok_or(EstimationFinding::NotFinite)?;
         // Beside errors of the joints residuals are smaller: outliers show that the geometry alone hides.
+        let corrected = found.corrected(lengths);
+        let all = corrected.weighted(Sigma::Given, &[]);
         let out = outliers(&all, &found.fit.model, found.effective_parameters as usize);
         if round == OUTLIER_ROUNDS || out == found.fit.outliers {
             return Ok(found);
@@ -132,31 +158,44 @@ fn from_start(setting: &Setting<'_>, lengths: &Lengths, start: &EstimateStart) -
     let known = start.known_before(setting, lengths)?;
     let model = if known.has_coefficients { &start.before } else { &start.fit.model };
     let with_errors = setting.options.seeks_joint_errors();
-    let unknowns = Unknowns::new(known, model, used, with_errors);
-    let mut search = Search::new(&unknowns, used, model.clone());
-    let mut step = search.round(0)?;
-    for round in 1..ROUNDS {
-        step = search.round(round)?;
+    let mut unknowns = Unknowns::new(known, model, used, with_errors);
+    let (mut state, mut events) = (None, Vec::new());
+    loop {
+        let first = usize::from(state.is_some());
+        let mut search = Search::new(&unknowns, used, model.clone(), state.take());
+        let mut step = search.round(first)?;
+        for round in first + 1..ROUNDS {
+            step = search.round(round)?;
+        }
+        let event = if with_errors { search.event(&step) } else { None };
+        let certain = event.as_ref().filter(|event| event.is_certain).map(|event| event.event);
+        events.extend(event);
+        if let Some(event) = certain.filter(|_| events.len() < MOST_CERTAIN) {
+            state = Some(search.state());
+            unknowns = unknowns.with_event(event);
+            continue;
+        }
+        let before_ripple = search.state().hypers;
+        if with_errors && !unknowns.has_coefficients() && used.count() >= start.base.len() + REDUNDANT {
+            step = search.with_ripple(step)?;
+        }
+        return search.estimate(&step, before_ripple, start, events);
     }
-    let before_ripple = search.hypers;
-    if with_errors && !unknowns.has_coefficients() && used.count() >= start.base.len() + REDUNDANT {
-        step = search.with_ripple(step)?;
-    }
-    search.estimate(&step, before_ripple, start)
 }
 
 /// The same model with the variances of `estimate`, from other lengths.
 pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<LengthModel> {
     let used = &lengths.weighted(Sigma::Given, &[]);
     let unknowns = &estimate.unknowns;
-    let new = Search::new(unknowns, used, estimate.fit.model.clone());
-    let mut search = Search { hypers: estimate.hypers, shape: estimate.shape, z: estimate.z.clone(), ..new };
+    let model = estimate.fit.model.clone();
+    let state = SearchState { model, z: estimate.z.clone(), hypers: estimate.hypers, shape: estimate.shape };
+    let mut search = Search { unknowns, used, state, ln_sd: [0.0; HYPERS] };
     for _ in 0..REFIT_ROUNDS {
         let system = search.linearised();
-        let whitened = system.whitened(search.shape, search.hypers.sigma_mm())?;
-        search.move_to(&whitened.equations.posterior(&search.hypers)?);
+        let whitened = system.whitened(search.state.shape, search.state.hypers.sigma_mm())?;
+        search.move_to(&whitened.equations.posterior(&search.state.hypers)?);
     }
-    Some(search.model)
+    Some(search.state.model)
 }
 
 /// Where a search for the hyper-parameters is.
@@ -164,12 +203,17 @@ pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<LengthMode
 struct Search<'a> {
     unknowns: &'a Unknowns,
     used: &'a Weighted<'a>,
+    state: SearchState,
+    /// Standard deviations of the logarithms of the hyper-parameters.
+    ln_sd: [f64; HYPERS],
+}
+
+#[derive(Clone)]
+struct SearchState {
     model: LengthModel,
     /// The unknowns that the model has.
     z: DVector<f64>,
     hypers: Hypers,
-    /// Standard deviations of their logarithms.
-    ln_sd: [f64; HYPERS],
     shape: NoiseShape,
 }
 
@@ -181,62 +225,81 @@ struct Step {
 }
 
 impl<'a> Search<'a> {
-    fn new(unknowns: &'a Unknowns, used: &'a Weighted<'a>, model: LengthModel) -> Self {
-        let priors = HyperPrior::all(1.0);
+    /// From a state, else from a model and the middle of the priors.
+    fn new(
+        unknowns: &'a Unknowns,
+        used: &'a Weighted<'a>,
+        model: LengthModel,
+        state: Option<SearchState>,
+    ) -> Self {
         let (lengths, start_mm) = (used.lengths(), used.rms_sigma());
         let stated_mm = if lengths.known { used.by(Sigma::Given).rms_sigma() } else { LEAST_POSE * start_mm };
         let pose_mm = if lengths.vouched { POSE_SHARE * stated_mm } else { start_mm };
-        Self {
-            unknowns,
-            used,
+        let state = state.unwrap_or_else(|| SearchState {
             z: unknowns.at(&model, &DVector::zeros(0)),
             model,
-            hypers: Hypers::start(&priors, pose_mm),
-            ln_sd: [0.0; HYPERS],
+            hypers: Hypers::start(&HyperPrior::all(1.0), pose_mm),
             shape: NoiseShape { own: OwnNoise::Stated(stated_mm), backlash: unknowns.backlash_noise() },
+        });
+        Self { unknowns, used, state, ln_sd: [0.0; HYPERS] }
+    }
+
+    fn state(&self) -> SearchState {
+        self.state.clone()
+    }
+
+    /// The most probable event of the run, if it is more probable than none.
+    fn event(&self, step: &Step) -> Option<JudgedEvent> {
+        let lengths = self.used.lengths();
+        if lengths.len() > MOST_ROWS || !step.system.is_noisy() {
+            return None;
         }
+        let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
+        let sigma_mm = self.state.hypers.sigma_mm();
+        EventSearch::new(&step.system.rows, &step.whitened, &posterior, lengths, sigma_mm)?
+            .strongest(self.unknowns.events())
     }
 
     /// Linearises, finds the hyper-parameters and moves the model to the likeliest unknowns.
     fn round(&mut self, round: usize) -> Option<Step> {
-        if self.shape.backlash.is_known() {
-            let errors = &self.model.geometry.joint_errors;
+        if self.state.shape.backlash.is_known() {
+            let errors = &self.state.model.geometry.joint_errors;
             let backlash = |at: usize| errors.at(at).map_or(0.0, |error| error.backlash);
-            self.shape.backlash = BacklashNoise::Known(std::array::from_fn(|at| backlash(at).abs()));
+            self.state.shape.backlash = BacklashNoise::Known(std::array::from_fn(|at| backlash(at).abs()));
         }
-        self.model.geometry.joint_errors =
-            self.unknowns.errors(&self.model.geometry.joint_errors, &self.hypers);
+        self.state.model.geometry.joint_errors =
+            self.unknowns.errors(&self.state.model.geometry.joint_errors, &self.state.hypers);
         let system = self.linearised();
         if round == 0 && !system.sigma_is_given && system.rows.tell_noise_apart() {
-            let stated = if self.used.lengths().known { self.shape.own.sd() } else { system.sigma_mm };
-            self.shape.own = OwnNoise::Sought { sd: stated.min(self.hypers.sigma_mm()), stated };
+            let stated = if self.used.lengths().known { self.state.shape.own.sd() } else { system.sigma_mm };
+            self.state.shape.own = OwnNoise::Sought { sd: stated.min(self.state.hypers.sigma_mm()), stated };
         }
-        let mut whitened = system.whitened(self.shape, self.hypers.sigma_mm())?;
-        let best = whitened.equations.maximise(self.hypers)?;
+        let mut whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
+        let best = whitened.equations.maximise(self.state.hypers)?;
         self.ln_sd = best.ln_sd;
         self.rescale(best.hypers);
         if round < ROUNDS {
             for _ in 0..SCORES {
-                whitened = system.whitened(self.shape, self.hypers.sigma_mm())?;
-                self.shape = self.scored(&system, &whitened)?;
+                whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
+                self.state.shape = self.scored(&system, &whitened)?;
             }
         }
-        whitened = system.whitened(self.shape, self.hypers.sigma_mm())?;
-        let posterior = whitened.equations.posterior(&self.hypers)?;
+        whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
+        let posterior = whitened.equations.posterior(&self.state.hypers)?;
         self.move_to(&posterior);
-        let ln_evidence = posterior.ln_evidence(&self.hypers) + self.shape.backlash.ln_prior();
+        let ln_evidence = posterior.ln_evidence(&self.state.hypers) + self.state.shape.backlash.ln_prior();
         if std::env::var("DBG").is_ok() {
-            eprintln!("round {round} lnZ {ln_evidence:.2} sigma {:.4} own {:.4} res {:.4} {:?}", self.hypers.sigma_mm(), self.shape.own.sd(), (system.rows.residual.norm_squared() / system.rows.residual.len() as f64).sqrt(), self.hypers.0.map(|x| (x.exp() * 1e7).round() / 1e7));
+            eprintln!("round {round} lnZ {ln_evidence:.2} sigma {:.4} own {:.4} res {:.4} {:?}", self.state.hypers.sigma_mm(), self.state.shape.own.sd(), (system.rows.residual.norm_squared() / system.rows.residual.len() as f64).sqrt(), self.state.hypers.0.map(|x| (x.exp() * 1e7).round() / 1e7));
         }
         Some(Step { system, whitened, ln_evidence })
     }
 
     /// Takes hyper-parameters over, of which sigma is a factor on the whole noise; what is stated stays.
     fn rescale(&mut self, hypers: Hypers) {
-        let (before_mm, now_mm) = (self.hypers.sigma_mm(), hypers.sigma_mm());
-        let own_mm = self.shape.own.sd();
+        let (before_mm, now_mm) = (self.state.hypers.sigma_mm(), hypers.sigma_mm());
+        let own_mm = self.state.shape.own.sd();
         let whole = now_mm.powi(2) * (1.0 + (own_mm / before_mm).powi(2));
-        let pose_mm = match &mut self.shape.own {
+        let pose_mm = match &mut self.state.shape.own {
             OwnNoise::Stated(_) if self.used.lengths().vouched => now_mm,
             OwnNoise::Stated(own) => (whole - *own * *own).max(LEAST_POSE.powi(2) * whole).sqrt(),
             OwnNoise::Sought { sd, .. } => {
@@ -244,18 +307,18 @@ impl<'a> Search<'a> {
                 now_mm
             }
         };
-        self.hypers = hypers.with_sigma(pose_mm);
+        self.state.hypers = hypers.with_sigma(pose_mm);
     }
 
     fn linearised(&self) -> System {
-        let z = self.unknowns.at(&self.model, &self.z);
-        self.unknowns.linearised(&self.model, &z, self.used, self.shape.backlash)
+        let z = self.unknowns.at(&self.state.model, &self.state.z);
+        self.unknowns.linearised(&self.state.model, &z, self.used, self.state.shape.backlash)
     }
 
     fn move_to(&mut self, posterior: &SystemPosterior<'_>) {
-        let now = self.unknowns.at(&self.model, &self.z);
-        self.unknowns.move_to(&now, &posterior.mean, &mut self.model);
-        self.z = self.unknowns.rested(posterior.mean.clone());
+        let now = self.unknowns.at(&self.state.model, &self.state.z);
+        self.unknowns.move_to(&now, &posterior.mean, &mut self.state.model);
+        self.state.z = self.unknowns.rested(posterior.mean.clone());
     }
 
     /// With the ripples that more than chance speaks for, one after the other.
@@ -264,7 +327,7 @@ impl<'a> Search<'a> {
         for _ in 0..MOST_RIPPLES {
             let Some(candidate) = self.ripple(&best).filter(Candidate::is_believed) else { break };
             let mut wider = self.clone();
-            wider.model.geometry.joint_errors.push(candidate.joint, candidate.order);
+            wider.state.model.geometry.joint_errors.push(candidate.joint, candidate.order);
             let least = best.ln_evidence + ln_candidates();
             let Some(step) = wider.round(ROUNDS).filter(|step| step.ln_evidence > least) else { break };
             (*self, best) = (wider, step);
@@ -274,15 +337,15 @@ impl<'a> Search<'a> {
 
     /// The ripple of the largest Bayes factor.
     fn ripple(&self, step: &Step) -> Option<Candidate> {
-        let posterior = step.whitened.equations.posterior(&self.hypers)?;
+        let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
         let joints = Joint::ALL.into_iter().filter(|joint| self.unknowns.moved(joint.index()));
         let search = RippleSearch {
             rows: &step.system.rows,
             whitened: &step.whitened,
-            sigma_mm: self.hypers.sigma_mm(),
+            sigma_mm: self.state.hypers.sigma_mm(),
             mean: &posterior.mean,
             root: &posterior.root()?,
-            sd_rad: self.hypers.sd(Group::Ripple),
+            sd_rad: self.state.hypers.sd(Group::Ripple),
             joints: &joints.collect::<Vec<Joint>>(),
         };
         search.strongest()
@@ -290,32 +353,39 @@ impl<'a> Search<'a> {
 
     /// The noise after a step towards the likeliest.
     fn scored(&self, system: &System, whitened: &Whitened) -> Option<NoiseShape> {
-        if self.shape.is_known() {
-            return Some(self.shape);
+        if self.state.shape.is_known() {
+            return Some(self.state.shape);
         }
-        let posterior = whitened.equations.posterior(&self.hypers)?;
+        let posterior = whitened.equations.posterior(&self.state.hypers)?;
         let score = NoiseScore {
             rows: &system.rows,
             whitened,
-            sigma_mm: self.hypers.sigma_mm(),
+            sigma_mm: self.state.hypers.sigma_mm(),
             mean: &posterior.mean,
             root: &posterior.root()?,
-            backlash_places: self.unknowns.backlash_places(&self.model),
+            backlash_places: self.unknowns.backlash_places(&self.state.model),
         };
         score.step()
     }
 
-    fn estimate(self, step: &Step, before_ripple: Hypers, start: &EstimateStart) -> Option<Estimate> {
+    fn estimate(
+        self,
+        step: &Step,
+        before_ripple: Hypers,
+        start: &EstimateStart,
+        mut events: Vec<JudgedEvent>,
+    ) -> Option<Estimate> {
         let Step { system, whitened, .. } = step;
-        let Self { unknowns, used, hypers, shape, .. } = self;
+        let Self { unknowns, used, ln_sd, state } = self;
+        let SearchState { model, z, hypers, shape } = state;
         // A part of what a search among many ripples explains is chance: the uncertainty is that without it.
         let cautious = before_ripple.with_sd_of(Group::Ripple, &hypers).with_sigma(hypers.sigma_mm());
-        let cautious = cautious.mean_variances(whitened.equations.hyper_priors(), &self.ln_sd);
+        let cautious = cautious.mean_variances(whitened.equations.hyper_priors(), &ln_sd);
         let posterior = whitened.equations.posterior(&cautious)?;
         let (all, determined) = (posterior.root()?, posterior.determined());
-        let coefficients = self.model.geometry.joint_errors.count();
+        let coefficients = model.geometry.joint_errors.count();
         let root = unknowns.rows_of_parameters(&all, coefficients);
-        let backlash_places = unknowns.backlash_places(&self.model);
+        let backlash_places = unknowns.backlash_places(&model);
         let score = NoiseScore {
             rows: &system.rows,
             whitened,
@@ -333,6 +403,15 @@ impl<'a> Search<'a> {
                 std::array::from_fn(|joint| sds[joint].hypot(of_coefficient(backlash_places[joint])))
             }
         };
+        // The coefficients of the events are the last unknowns.
+        let mut place = posterior.mean.len() - unknowns.events().iter().map(RunEvent::columns).sum::<usize>();
+        for judged in events.iter_mut().take(unknowns.events().len()) {
+            let columns = judged.event.columns();
+            judged.coefficients = posterior.mean.rows(place, columns).into_owned();
+            let own = all.rows(place, columns);
+            judged.sd_mm = sd_along(&judged.coefficients, &(own * own.transpose()));
+            place += columns;
+        }
         let effective_parameters: f64 = determined.iter().sum();
         let sigma_mm = hypers.sigma_mm();
         let whole_mm = system.rms_sd(shape, sigma_mm) * sigma_mm;
@@ -356,11 +435,29 @@ impl<'a> Search<'a> {
             cautious,
             shape,
             unapproached_rad,
-            z: self.z,
-            fit: Fit { model: self.model, ..start.fit.clone() },
+            z,
+            event_mm: event_mm(&events, used.lengths(), &model),
+            events,
+            wrong_balls: Vec::new(),
+            fit: Fit { model, ..start.fit.clone() },
             unknowns: unknowns.clone(),
         })
     }
+}
+
+/// What certain events did to each length, mm; empty without them.
+fn event_mm(events: &[JudgedEvent], lengths: &Lengths, model: &LengthModel) -> Vec<f64> {
+    let certain: Vec<&JudgedEvent> = events.iter().filter(|event| event.is_certain).collect();
+    if certain.is_empty() {
+        return Vec::new();
+    }
+    let rows = PoseRows::at(model, &lengths.plain(), &[], |place| lengths.time(place));
+    let effects = certain.iter().map(|judged| judged.event.of_rows(&rows, lengths) * &judged.coefficients);
+    let mut of_rows = vec![0.0; lengths.len()];
+    for effect in effects {
+        rows.places.iter().zip(&effect).for_each(|(place, mm)| of_rows[*place] += mm);
+    }
+    of_rows
 }
 
 /// The rows of the root over the standard deviations of their priors, transposed.
@@ -454,6 +551,16 @@ impl Estimate {
     /// The lengths with the weights of the fit, without outliers.
     pub(crate) fn used<'a>(&'a self, lengths: &'a Lengths) -> Weighted<'a> {
         lengths.weighted(self.sigma, &self.fit.outliers)
+    }
+
+    /// The lengths as they would be without what happened for certain, each to its own ball. The table keeps what was measured.
+    pub(super) fn corrected<'a>(&self, lengths: &Lengths<'a>) -> Lengths<'a> {
+        let relabelled = lengths.relabelled(&self.wrong_balls);
+        if self.event_mm.is_empty() {
+            return relabelled;
+        }
+        let corrected = self.event_mm.iter().enumerate().map(|(at, mm)| lengths.reading(at).length_mm - mm);
+        relabelled.with_lengths(corrected.collect())
     }
 
     /// What is not known of the robot, its tool ball and the base balls.

@@ -3,6 +3,7 @@
 use super::calibration::{AngleSource, Calibration};
 use super::contradiction::{contradicted, kinds_disagree};
 use super::lengths::Sigma;
+use super::hypotheses::{EventTreatment, RunEventKind, RunHypothesis};
 use super::linear_system::factor;
 use super::priors::{Prior, largest_plausible};
 use super::result::{MonteCarlo, ParameterResult, Status};
@@ -40,6 +41,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     if residual_rms_mm > predicted_max_mm {
         found.push(EstimationFinding::FitsWorseThanNominal { residual_rms_mm, predicted_max_mm });
     }
+    found.extend(of.hypotheses().iter().map(happened));
     found.extend(beyond_prior(of));
     found.extend(implausible(of));
     found.extend(displaced(&of.parameters));
@@ -56,6 +58,38 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(of.checks.monte_carlo.iter().flat_map(monte_carlo));
     found.extend(absolute_accuracy_mode(of));
     found
+}
+
+/// What happened within the data, or could have.
+fn happened(found: &RunHypothesis) -> EstimationFinding {
+    let RunHypothesis { name, place, size, sd, probability, rivals, treated } = found;
+    let (size_mm, sd_mm, index) = (*size, *sd, place.index.unwrap_or(0));
+    let (bar, ball) = (place.bar.unwrap_or(1), place.ball.unwrap_or(1));
+    if *treated == EventTreatment::Reported {
+        let rivals: Vec<&str> = rivals.iter().map(|rival| rival.name()).collect();
+        let rivals = match rivals.is_empty() {
+            true => String::new(),
+            false => format!("; or {}", rivals.join(", or ")),
+        };
+        let (event, probability) = (name.name(), *probability);
+        return match place.index {
+            Some(index) => EstimationFinding::CouldBeFrom { event, index, size_mm, probability, rivals },
+            None => EstimationFinding::CouldBe { event, size_mm, probability, rivals },
+        };
+    }
+    match name {
+        RunEventKind::BarZeroStep => EstimationFinding::ZeroStep { bar, index, by_mm: size_mm, sd_mm },
+        RunEventKind::BarZeroDrift | RunEventKind::BallOffset | RunEventKind::RowsShifted => {
+            EstimationFinding::ZeroDrift { bar, by_mm: size_mm, sd_mm }
+        }
+        RunEventKind::BaseBallMoved => EstimationFinding::BaseBallMoved { ball, index, size_mm, sd_mm },
+        RunEventKind::ToolBallMoved => EstimationFinding::ToolBallMoved { index, size_mm, sd_mm },
+        RunEventKind::TrackerMoved => EstimationFinding::TrackerStep { index, size_mm, sd_mm },
+        RunEventKind::TrackerDrift => EstimationFinding::TrackerDrift { size_mm, sd_mm },
+        RunEventKind::WrongBall => {
+            EstimationFinding::WrongBall { ball, indices: Names::of(place.rows.iter()) }
+        }
+    }
 }
 
 /// Compares the corrections with the prior.

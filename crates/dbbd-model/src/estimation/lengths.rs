@@ -6,7 +6,7 @@ use std::borrow::Cow;
 use super::options::Options;
 use crate::math::map_pieces;
 use crate::measurement::{Measurement, MeasurementPieces, PreparedMeasurement};
-use crate::robot::{AXES, Robot};
+use crate::robot::{AXES, BallId, Datum, Robot};
 
 /// Size of the even sample that represents many lengths for a scale or the start of a fit.
 pub(super) const SAMPLE: usize = 8192;
@@ -101,6 +101,17 @@ impl<'a> Lengths<'a> {
         };
         let elapsed = places.iter().filter_map(|at| self.elapsed.get(*at).copied()).collect();
         Self { rows, elapsed, ..*self }
+    }
+
+    /// The same measurements, some of them to another ball.
+    pub(super) fn relabelled(&self, balls: &[(usize, BallId)]) -> Self {
+        let mut other = self.clone();
+        let relabel = |datum: &mut Datum, ball: BallId| *datum = datum.bar().map_or(*datum, |bar| Datum::Ball(ball, bar));
+        match &mut other.rows {
+            Rows::Few(readings, _) => balls.iter().for_each(|(at, ball)| relabel(&mut readings[*at].datum, *ball)),
+            Rows::Many(rows, _) => balls.iter().for_each(|(at, ball)| relabel(&mut rows.to_mut()[*at].datum, *ball)),
+        }
+        other
     }
 
     /// The time of a length, if it is known, in a unit of its own.

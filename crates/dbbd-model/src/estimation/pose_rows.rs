@@ -11,7 +11,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dim, Dyn, Matrix, StorageMut};
 use super::linear_system::Rows;
 use super::position::RemainingErrors;
 use crate::measurement::{LengthModel, MeasurementPieces};
-use crate::robot::{AXES, Approach, Datum, Joint, ParamId, RobotUncertainty};
+use crate::robot::{AXES, Approach, Coordinate, Datum, Joint, ParamId, RobotUncertainty};
 
 /// The noise of a length.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,6 +96,9 @@ pub(super) struct PoseRows {
     pub(super) levers: Vec<[f64; AXES]>,
     /// What a relative growth of all links moves, mm.
     pub(super) growths: Vec<f64>,
+    /// What a displacement of the target on the tool moves, per mm.
+    pub(super) targets: Vec<[f64; 3]>,
+    pub(super) data: Vec<Datum>,
     /// Rows of one visit to a pose.
     pub(super) poses: Vec<Vec<usize>>,
 }
@@ -111,6 +114,7 @@ struct Row {
     approach: Approach,
     levers: [f64; AXES],
     growth: f64,
+    target: [f64; 3],
 }
 
 impl PoseRows {
@@ -140,6 +144,7 @@ impl PoseRows {
                 axes: reading.axes,
                 approach: reading.approach,
                 levers: Joint::ALL.map(|joint| by.derivative(ParamId::Theta(joint))),
+                target: Coordinate::ALL.map(|axis| by.derivative(ParamId::Tool(axis))),
                 growth: links.iter().map(|(id, mm)| by.derivative(*id) * mm).sum(),
             });
         });
@@ -164,6 +169,8 @@ impl PoseRows {
             senses: rows.iter().map(|row| geometry.coupling.senses(row.approach).senses()).collect(),
             approaches: rows.iter().map(|row| row.approach).collect(),
             levers: rows.iter().map(|row| row.levers).collect(),
+            targets: rows.iter().map(|row| row.target).collect(),
+            data: rows.iter().map(|row| row.datum).collect(),
             growths: rows.iter().map(|row| row.growth).collect(),
             poses: visits.into_values().collect(),
         }

@@ -6,6 +6,7 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use super::hypotheses::RunHypothesis;
 use super::estimator::{GroupEvidence, JointSummary};
 use super::options::ErrorModel;
 use super::priors::Prior;
@@ -63,6 +64,8 @@ pub struct CalibrationResult {
     pub groups: Vec<GroupEvidence>,
     /// Errors of the joints, if the evidence supports them.
     pub joint_errors: Option<JointSummary>,
+    /// What happened while the lengths were measured, or could have.
+    pub hypotheses: Vec<RunHypothesis>,
     pub monte_carlo: Option<MonteCarlo>,
     pub predicted_position_uncertainty_mm: PredictedPair,
     /// Every parameter of the model.

@@ -38,6 +38,8 @@ pub(super) struct Equations {
     /// Places of the bound and of the free unknowns among all.
     bound: Vec<usize>,
     free: Vec<usize>,
+    /// The unit of each free unknown in what follows.
+    units: DVector<f64>,
     unknowns: usize,
     factor: Cholesky<f64, Dyn>,
     /// Gram matrix of free by bound, and the right-hand side of the free.
@@ -55,6 +57,12 @@ pub(super) struct SystemPosterior<'a> {
 }
 
 impl System {
+    /// Whether the residuals are more than rounding.
+    pub(super) fn is_noisy(&self) -> bool {
+        const ROUNDING_MM: f64 = 1e-6;
+        self.rows.residual.norm() > ROUNDING_MM * (self.right.len() as f64).sqrt()
+    }
+
     /// Mean square of the residuals that these unknowns leave, mm^2.
     pub(super) fn mean_square(&self, unknowns: &DVector<f64>) -> f64 {
         (&self.right - &self.rows.values * unknowns).norm_squared() / self.right.len() as f64
@@ -82,10 +90,21 @@ impl Equations {
         let (free, bound): (Vec<usize>, Vec<usize>) =
             (0..unknowns).partition(|&k| system.variances[k].is_none());
         let transposed = rows.transpose();
-        let whole = &transposed * rows;
-        let whole_right = transposed * right;
+        let mut whole = &transposed * rows;
+        let mut whole_right = transposed * right;
+        // Free unknowns in units in which their columns have unit norm: mm and rad differ by orders of magnitude.
+        let units = DVector::from_iterator(free.len(), free.iter().map(|&k| whole[(k, k)].sqrt().recip()));
+        for (&k, unit) in free.iter().zip(&units) {
+            whole.row_mut(k).scale_mut(*unit);
+            whole.column_mut(k).scale_mut(*unit);
+            whole_right[k] *= unit;
+            ln_whitening -= 2.0 * unit.ln();
+        }
         let of_free = whole.select_rows(&free);
-        let factor = Cholesky::new(of_free.select_columns(&free))?;
+        let mut of_both = of_free.select_columns(&free);
+        // A list of the user may have a direction that only rounding determines.
+        (0..free.len()).for_each(|k| of_both[(k, k)] += 8.0 * f64::EPSILON * free.len() as f64);
+        let factor = Cholesky::new(of_both)?;
         let across = of_free.select_columns(&bound);
         let free_right = whole_right.select_rows(&free);
         let explained = factor.l().solve_lower_triangular(&across)?;
@@ -101,7 +120,7 @@ impl Equations {
         let variances = bound.iter().filter_map(|&k| system.variances[k]).collect();
         let hyper_priors = HyperPrior::all(system.sigma_mm);
         let evidence = Evidence { normal, variances, hyper_priors, sigma_is_given: system.sigma_is_given };
-        Some(Self { evidence, bound, free, unknowns, factor, across, free_right })
+        Some(Self { evidence, bound, free, units, unknowns, factor, across, free_right })
     }
 
     /// The same with those groups only; the coefficients of the others are zero.
@@ -120,6 +139,7 @@ impl Equations {
             bound: kept.iter().map(|&at| self.bound[at]).collect(),
             across: self.across.select_columns(&kept),
             free: self.free.clone(),
+            units: self.units.clone(),
             factor: self.factor.clone(),
             free_right: self.free_right.clone(),
             ..*self
@@ -141,6 +161,7 @@ impl Equations {
         let of_free = self.factor.solve(&(&self.free_right - &self.across * &of_bound));
         let mut mean = DVector::zeros(self.unknowns);
         self.bound.iter().zip(&of_bound).for_each(|(k, value)| mean[*k] = *value);
+        let of_free = of_free.component_mul(&self.units);
         self.free.iter().zip(&of_free).for_each(|(k, value)| mean[*k] = *value);
         Some(SystemPosterior { equations: self, coefficients, sigma_mm: hypers.sigma_mm(), mean })
     }
@@ -149,11 +170,15 @@ impl Equations {
 impl SystemPosterior<'_> {
     /// A root of the covariance of all unknowns.
     pub(super) fn root(&self) -> Option<DMatrix<f64>> {
-        let Equations { bound, free, factor, across, unknowns, .. } = self.equations;
+        let Equations { bound, free, units, factor, across, unknowns, .. } = self.equations;
         let of_bound = self.coefficients.root();
         let (b, f) = (bound.len(), free.len());
-        let follows = -factor.solve(&(across * &of_bound));
-        let own = factor.l().transpose().solve_upper_triangular(&DMatrix::identity(f, f))? * self.sigma_mm;
+        let mut follows = -factor.solve(&(across * &of_bound));
+        let mut own = factor.l().transpose().solve_upper_triangular(&DMatrix::identity(f, f))? * self.sigma_mm;
+        for (at, unit) in units.iter().enumerate() {
+            follows.row_mut(at).scale_mut(*unit);
+            own.row_mut(at).scale_mut(*unit);
+        }
         let mut root = DMatrix::zeros(*unknowns, b + f);
         for (at, k) in bound.iter().enumerate() {
             root.view_mut((*k, 0), (1, b)).copy_from(&of_bound.row(at));

@@ -8,6 +8,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::hyper_parameters::{Group, Hypers, Variance};
+use super::hypotheses::RunEvent;
 use super::lengths::{Sigma, Weighted};
 use super::noise_shape::BacklashNoise;
 use super::pose_rows::PoseRows;
@@ -52,6 +53,8 @@ struct ModelErrors {
     /// The middle of each cluster of poses.
     centres: Vec<Features>,
     warms: bool,
+    /// What happened for certain.
+    events: Vec<RunEvent>,
 }
 
 /// Sines and cosines of the joints, by how far they move the tool ball.
@@ -88,8 +91,18 @@ impl Unknowns {
         }
         let range = |at: usize| if with_errors { range(&angles[at]) } else { [0.0; 2] };
         let ranges = std::array::from_fn(range);
-        let errors = ModelErrors { centres: if with_errors { centres(&poses) } else { Vec::new() }, warms };
+        let errors = ModelErrors { centres: if with_errors { centres(&poses) } else { Vec::new() }, warms, events: Vec::new() };
         Self { before, ranges, visited: angles.map(VisitedAngles::of), approached, errors }
+    }
+
+    /// With an event as further unknowns.
+    pub(super) fn with_event(mut self, event: RunEvent) -> Self {
+        self.errors.events.push(event);
+        self
+    }
+
+    pub(super) fn events(&self) -> &[RunEvent] {
+        &self.errors.events
     }
 
     pub(super) fn ids(&self) -> &[ParamId] {
@@ -290,9 +303,13 @@ impl ModelErrors {
                 columns[(row, first + AXES)] = wave * rows.growths[row];
             }
         }
-        let variances = std::iter::repeat_n(Variance::Of(Group::Cluster, 1.0), places)
-            .chain(std::iter::repeat_n(Variance::Of(Group::Warming, 1.0), warming));
-        (columns, variances.collect())
+        let mut variances = vec![Variance::Of(Group::Cluster, 1.0); places];
+        variances.extend(vec![Variance::Of(Group::Warming, 1.0); warming]);
+        for event in &self.events {
+            columns = beside(columns, &event.of_rows(rows, used.lengths()));
+            variances.extend(vec![Variance::Fixed(event.size_mm); event.columns()]);
+        }
+        (columns, variances)
     }
 }
 
