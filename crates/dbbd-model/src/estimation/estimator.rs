@@ -5,25 +5,28 @@
 //! the bar, W what is given of the lengths. The model is linearised again until it settles. A group that the lengths do not
 //! support shrinks: nothing is chosen by a threshold.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use super::Analysis;
 use super::fit::{Fit, outliers};
 use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, Variance};
-use super::hypotheses::{EventSearch, JudgedEvent, MOST_CERTAIN, MOST_ROWS, RunEvent, are_wrong_balls, sd_along, wrong_balls};
+use super::hypotheses::{EventSearch, FEWEST, JudgedEvent, MOST_CERTAIN, MOST_ROWS, RunEvent, are_wrong_balls, sd_along, wrong_balls};
 use super::lengths::{Lengths, Sigma, Weighted};
 use super::noise_shape::{BacklashNoise, NoiseScore, NoiseShape, OwnNoise};
-use super::options::Setting;
+use super::options::{ErrorModel, Setting};
 use super::pose_rows::{LengthNoise, PoseRows};
+use super::position::BallMotion;
 use super::ripple::{Candidate, RippleSearch, ln_candidates};
+use super::selection::is_place;
 use super::start::EstimateStart;
-use super::system::{System, SystemPosterior, Whitened};
+use super::system::{Equations, NormalSums, System, SystemPosterior, Whitened};
 use super::unknowns::Unknowns;
+use super::workspace::take_out_rigid_motion;
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::ChiSquareOutcome;
 use crate::measurement::LengthModel;
-use crate::robot::{AXES, BallId, GaussianProcess, Joint, ParamId, RobotUncertainty};
+use crate::robot::{AXES, Approach, BallId, GaussianProcess, Joint, ParamId, RobotUncertainty};
 
 /// Rounds in which the set of outliers may change.
 const OUTLIER_ROUNDS: usize = 3;
@@ -33,6 +36,10 @@ const ROUNDS: usize = 4;
 const REFIT_ROUNDS: usize = 2;
 /// Steps towards the likeliest noise in each.
 const SCORES: usize = 2;
+/// Rows of a piece of many lengths.
+const PIECE: usize = 4096;
+/// Poses over which a geometry is brought near to the estimate.
+const PROJECTED: usize = 400;
 /// Ripples that are looked for at most.
 const MOST_RIPPLES: usize = 8;
 /// Lengths beyond the parameters from which ripple is looked for.
@@ -81,6 +88,8 @@ pub(crate) struct Estimate {
     pub(super) events: Vec<JudgedEvent>,
     /// What certain events did to each length, mm; empty without them.
     event_mm: Vec<f64>,
+    /// What the geometry alone leaves out of the estimate at the poses measured, root mean square, mm.
+    pub(super) left_out_mm: f64,
     /// Rows that belong to another ball than the table says.
     pub(super) wrong_balls: Vec<(usize, BallId)>,
 }
@@ -120,6 +129,18 @@ pub(super) fn estimate(
     lengths: &Lengths,
     asked: &[ParamId],
 ) -> Result<Estimate, EstimationFinding> {
+    let found = with_wrong_balls(setting, lengths, asked)?;
+    Ok(match setting.options.model {
+        ErrorModel::Geometric => found.geometry_alone(setting, lengths),
+        ErrorModel::Joints => found,
+    })
+}
+
+fn with_wrong_balls(
+    setting: &Setting<'_>,
+    lengths: &Lengths,
+    asked: &[ParamId],
+) -> Result<Estimate, EstimationFinding> {
     let found = with_outliers(setting, lengths, asked)?;
     let sd_mm = found.used(lengths).rms_sigma().hypot(LEAST_ERROR_MM);
     let wrong = wrong_balls(&found.fit.model, lengths, &found.fit.outliers, sd_mm);
@@ -139,6 +160,15 @@ fn with_outliers(
     asked: &[ParamId],
 ) -> Result<Estimate, EstimationFinding> {
     let mut start = EstimateStart::of(setting, lengths, asked)?;
+    // Many outliers may be what began at one row: then they are none.
+    if start.fit.outliers.len() >= FEWEST {
+        let whole = EstimateStart { fit: Fit { outliers: gross(lengths, &start), ..start.fit.clone() }, ..start.clone() };
+        if let Some(found) = from_start(setting, lengths, &whole)
+            && found.events.iter().any(|event| event.is_certain)
+        {
+            start = whole;
+        }
+    }
     for round in 0.. {
         let found = from_start(setting, lengths, &start).ok_or(EstimationFinding::NotFinite)?;
         // Beside errors of the joints residuals are smaller: outliers show that the geometry alone hides.
@@ -153,8 +183,20 @@ fn with_outliers(
     Err(EstimationFinding::NotFinite)
 }
 
+/// Rows that no ball and no bar explains that moved while the lengths were measured.
+fn gross(lengths: &Lengths, start: &EstimateStart) -> Vec<usize> {
+    /// Larger residuals are mistakes of a row, mm.
+    const GROSS_MM: f64 = 20.0;
+    let prepared = start.fit.model.prepare();
+    let is_gross = |at: &usize| prepared.residual(&lengths.reading(*at)).abs() > GROSS_MM;
+    start.fit.outliers.iter().copied().filter(is_gross).collect()
+}
+
 fn from_start(setting: &Setting<'_>, lengths: &Lengths, start: &EstimateStart) -> Option<Estimate> {
-    let used = &lengths.weighted(start.sigma, &start.fit.outliers);
+    let all = lengths.weighted(start.sigma, &start.fit.outliers);
+    // The variances follow from an even sample of many lengths.
+    let sample = lengths.are_many().then(|| lengths.at(&all.sampled_places()));
+    let used = &sample.as_ref().map_or(all, |sample| sample.weighted(start.sigma, &[]));
     let known = start.known_before(setting, lengths)?;
     let model = if known.has_coefficients { &start.before } else { &start.fit.model };
     let with_errors = setting.options.seeks_joint_errors();
@@ -175,11 +217,13 @@ fn from_start(setting: &Setting<'_>, lengths: &Lengths, start: &EstimateStart) -
             unknowns = unknowns.with_event(event);
             continue;
         }
-        let before_ripple = search.state().hypers;
         if with_errors && !unknowns.has_coefficients() && used.count() >= start.base.len() + REDUNDANT {
             step = search.with_ripple(step)?;
         }
-        return search.estimate(&step, before_ripple, start, events);
+        if sample.is_some() {
+            search.streamed(&mut step, &all)?;
+        }
+        return search.estimate(&step, &all, start, events);
     }
 }
 
@@ -288,9 +332,6 @@ impl<'a> Search<'a> {
         let posterior = whitened.equations.posterior(&self.state.hypers)?;
         self.move_to(&posterior);
         let ln_evidence = posterior.ln_evidence(&self.state.hypers) + self.state.shape.backlash.ln_prior();
-        if std::env::var("DBG").is_ok() {
-            eprintln!("round {round} lnZ {ln_evidence:.2} sigma {:.4} own {:.4} res {:.4} {:?}", self.state.hypers.sigma_mm(), self.state.shape.own.sd(), (system.rows.residual.norm_squared() / system.rows.residual.len() as f64).sqrt(), self.state.hypers.0.map(|x| (x.exp() * 1e7).round() / 1e7));
-        }
         Some(Step { system, whitened, ln_evidence })
     }
 
@@ -319,6 +360,26 @@ impl<'a> Search<'a> {
         let now = self.unknowns.at(&self.state.model, &self.state.z);
         self.unknowns.move_to(&now, &posterior.mean, &mut self.state.model);
         self.state.z = self.unknowns.rested(posterior.mean.clone());
+    }
+
+    /// The equations of all lengths, a piece at a time, with the variances that were found.
+    fn streamed(&mut self, step: &mut Step, all: &Weighted) -> Option<()> {
+        for _ in 0..REFIT_ROUNDS {
+            let z = self.unknowns.at(&self.state.model, &self.state.z);
+            let mut sums: Option<NormalSums> = None;
+            let places: Vec<usize> = all.used_places().collect();
+            for piece in places.chunks(PIECE) {
+                let some = all.lengths().at(piece);
+                let used = some.weighted(Sigma::Given, &[]);
+                let system = self.unknowns.linearised(&self.state.model, &z, &used, self.state.shape.backlash);
+                let more = system.normal_sums(self.state.shape, self.state.hypers.sigma_mm())?;
+                sums = Some(sums.map_or_else(|| more.clone(), |sums| sums.and(&more)));
+            }
+            step.whitened.equations = Equations::of(&step.system, sums?)?;
+            let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
+            self.move_to(&posterior);
+        }
+        Some(())
     }
 
     /// With the ripples that more than chance speaks for, one after the other.
@@ -371,16 +432,14 @@ impl<'a> Search<'a> {
     fn estimate(
         self,
         step: &Step,
-        before_ripple: Hypers,
+        whole: &Weighted,
         start: &EstimateStart,
         mut events: Vec<JudgedEvent>,
     ) -> Option<Estimate> {
         let Step { system, whitened, .. } = step;
         let Self { unknowns, used, ln_sd, state } = self;
         let SearchState { model, z, hypers, shape } = state;
-        // A part of what a search among many ripples explains is chance: the uncertainty is that without it.
-        let cautious = before_ripple.with_sd_of(Group::Ripple, &hypers).with_sigma(hypers.sigma_mm());
-        let cautious = cautious.mean_variances(whitened.equations.hyper_priors(), &ln_sd);
+        let cautious = hypers.mean_variances(whitened.equations.hyper_priors(), &ln_sd);
         let posterior = whitened.equations.posterior(&cautious)?;
         let (all, determined) = (posterior.root()?, posterior.determined());
         let coefficients = model.geometry.joint_errors.count();
@@ -416,7 +475,7 @@ impl<'a> Search<'a> {
         let sigma_mm = hypers.sigma_mm();
         let whole_mm = system.rms_sd(shape, sigma_mm) * sigma_mm;
         let is_given = used.lengths().vouched;
-        let freedom = (used.count() as f64 - effective_parameters).max(1.0);
+        let freedom = (whole.count() as f64 - effective_parameters).max(1.0);
         Some(Estimate {
             before: start.before.clone(),
             analysis: start.analysis.clone(),
@@ -436,8 +495,9 @@ impl<'a> Search<'a> {
             shape,
             unapproached_rad,
             z,
-            event_mm: event_mm(&events, used.lengths(), &model),
+            event_mm: event_mm(&events, whole.lengths(), &model),
             events,
+            left_out_mm: 0.0,
             wrong_balls: Vec::new(),
             fit: Fit { model, ..start.fit.clone() },
             unknowns: unknowns.clone(),
@@ -579,6 +639,56 @@ impl Estimate {
             smooth_of_joints: self.cautious.of_joints(),
             unapproached_rad: self.unapproached_rad,
         }
+    }
+
+    /// The geometry that is nearest to the estimate at the poses measured, without what is not geometric. What it leaves out is an
+    /// error of every pose.
+    fn geometry_alone(mut self, setting: &Setting<'_>, lengths: &Lengths) -> Self {
+        let whole = &self.fit.model.geometry;
+        if whole.is_rigid() {
+            return self;
+        }
+        let measured = (0..lengths.len()).step_by(lengths.len().div_ceil(PROJECTED).max(1));
+        let poses: Vec<([f64; AXES], Approach)> =
+            measured.map(|at| lengths.reading(at)).map(|reading| (reading.axes, reading.approach)).collect();
+        let moves = |id: &ParamId| id.is_geometric() || matches!(id, ParamId::Tool(_));
+        let own: Vec<usize> = (0..self.kept.len()).filter(|at| moves(&self.kept[*at])).collect();
+        let ids: Vec<ParamId> = own.iter().map(|at| self.kept[*at]).collect();
+        let rigid = whole.rigid();
+        let [full, alone] = [whole, &rigid].map(|geometry| BallMotion::new(geometry, &poses, &ids));
+        let mut jacobian = alone.jacobian.columns(0, ids.len()).into_owned();
+        let off = full.balls.iter().zip(&alone.balls).flat_map(|(a, b)| (a - b).iter().copied().collect::<Vec<f64>>());
+        let mut off = DMatrix::from_iterator(3 * poses.len(), 1, off);
+        take_out_rigid_motion(&mut jacobian, &alone.balls);
+        take_out_rigid_motion(&mut off, &alone.balls);
+        let mean_square = off.norm_squared() / off.len() as f64;
+        let mut normal = jacobian.tr_mul(&jacobian);
+        for (at, id) in ids.iter().enumerate() {
+            normal[(at, at)] += setting.priors.bound(*id).map_or(0.0, |sd| mean_square / (sd * sd));
+        }
+        let right = jacobian.tr_mul(&off.column(0));
+        let Some(step) = Cholesky::new(normal).map(|factor| factor.solve(&right)) else { return self };
+        let left = off.column(0) - &jacobian * &step;
+        // What is not known of the errors that are left out is left out too.
+        let rows: Vec<usize> = (0..self.kept.len()).filter(|at| self.kept[*at].is_optional()).collect();
+        let optional: Vec<ParamId> = rows.iter().map(|at| self.kept[*at]).collect();
+        let further: Vec<usize> = rows.into_iter().chain(self.kept.len()..self.root.nrows()).collect();
+        let mut unknown = BallMotion::new(whole, &poses, &optional).jacobian * self.root.select_rows(&further);
+        take_out_rigid_motion(&mut unknown, &full.balls);
+        let square = (left.norm_squared() + unknown.norm_squared()) / left.len() as f64;
+        self.noise.pose_mm = self.noise.pose_mm.hypot(square.sqrt());
+        self.left_out_mm = (3.0 * left.norm_squared() / left.len() as f64).sqrt();
+        self.fit.model.geometry = rigid;
+        ids.iter().zip(&step).for_each(|(id, step)| self.fit.model.shift(*id, *step));
+        let geometric: Vec<usize> = (0..self.kept.len()).filter(|at| !self.kept[*at].is_optional()).collect();
+        self.root = self.root.select_rows(&geometric);
+        self.prior_sds = geometric.iter().map(|at| self.prior_sds[*at]).collect();
+        self.kept.retain(|id| !id.is_optional());
+        let places: Vec<ParamId> = self.kept.iter().copied().filter(|id| is_place(id) && !matches!(id, ParamId::Tool(_))).collect();
+        let set_up = super::fit::set_up(&self.corrected(lengths), &places, &self.fit.model);
+        self.fit.model = set_up.model;
+        self.unapproached_rad = [0.0; AXES];
+        self
     }
 
     /// `None` if errors of the joints were not sought.

@@ -142,12 +142,6 @@ impl Hypers {
         self.0[group as usize].exp()
     }
 
-    /// With the standard deviation that another has of a group.
-    pub(super) fn with_sd_of(mut self, group: Group, other: &Self) -> Self {
-        self.0[group as usize] = other.0[group as usize];
-        self
-    }
-
     pub(super) fn with_sigma(mut self, sigma_mm: f64) -> Self {
         self.0[SIGMA] = sigma_mm.ln();
         self
@@ -159,7 +153,7 @@ impl Hypers {
         let is_sd = |at: usize| at < Group::ALL.len() || at == SLOW;
         for at in (0..HYPERS).filter(|at| is_sd(*at)) {
             let most = priors[at].median.ln() + QUANTILE_95 * priors[at].ln_sd;
-            let wider = self.0[at] + ln_sd[at] * ln_sd[at];
+            let wider = self.0[at] + 0.5 * ln_sd[at] * ln_sd[at];
             self.0[at] = wider.min(most).max(self.0[at]);
         }
         self

@@ -24,7 +24,7 @@ const ALIKE: f64 = 0.9;
 /// Sizes that are tried.
 const SIZES: usize = 6;
 /// Least number of rows before and after a place.
-const FEWEST: usize = 8;
+pub(super) const FEWEST: usize = 8;
 /// At most so many places are tried, evenly spread.
 const MOST_PLACES: usize = 128;
 /// Rows beyond which none are tried: so many lengths show what happened in their residuals.
@@ -125,6 +125,8 @@ impl RunEvent {
     /// Its columns at the rows, mm per mm.
     pub(super) fn of_rows(&self, rows: &PoseRows, lengths: &Lengths) -> DMatrix<f64> {
         let mut columns = DMatrix::zeros(rows.places.len(), self.columns());
+        let sum: f64 = rows.places.iter().map(|place| lengths.reading(*place).length_mm).sum();
+        let mean_mm = sum / rows.places.len().max(1) as f64;
         for (row, place) in rows.places.iter().enumerate() {
             let elapsed = lengths.elapsed(*place).unwrap_or(0.0);
             let is_before = self.from.is_some_and(|(from, _)| elapsed < from);
@@ -133,7 +135,10 @@ impl RunEvent {
             }
             let along: [f64; 3] = match self.kind {
                 RunEventKind::BarZeroStep | RunEventKind::BallOffset => [1.0, 0.0, 0.0],
-                RunEventKind::BarZeroDrift => [elapsed, 0.0, 0.0],
+                // A bar grows by a share of its length.
+                RunEventKind::BarZeroDrift => {
+                    [elapsed * lengths.reading(*place).length_mm / mean_mm, 0.0, 0.0]
+                }
                 RunEventKind::BaseBallMoved => rows.units[row].map(|part| -part),
                 RunEventKind::ToolBallMoved => rows.targets[row],
                 RunEventKind::TrackerMoved => rows.units[row],

@@ -261,6 +261,21 @@ impl<'a> Weighted<'a> {
         sampled.map(|(at, sigma)| of(&self.lengths.reading(at), sigma)).collect()
     }
 
+    /// The places of the lengths that are not excluded.
+    pub(super) fn used_places(&self) -> impl Iterator<Item = usize> {
+        self.sigmas().enumerate().filter(|(_, sigma)| *sigma != f64::INFINITY).map(|(at, _)| at)
+    }
+
+    /// An even sample of them, in runs of neighbours: the lengths of a visit stay together.
+    pub(super) fn sampled_places(&self) -> Vec<usize> {
+        /// Neighbours that are sampled together.
+        const RUN: usize = 12;
+        let used: Vec<usize> = self.used_places().collect();
+        let runs = SAMPLE / RUN;
+        let stride = (used.len() / runs).max(RUN);
+        used.chunks(stride).flat_map(|chunk| chunk.iter().take(RUN).copied()).collect()
+    }
+
     /// The readings that are not excluded, with their standard deviations, mm; an even sample of many lengths.
     pub(crate) fn used_sample(&self) -> Vec<(PreparedMeasurement, f64)> {
         let mut sample = self.sample(|reading, sigma| (*reading, sigma));

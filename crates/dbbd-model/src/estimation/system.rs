@@ -79,19 +79,60 @@ impl System {
         let (mut rows, mut right) = (self.rows.values.clone(), self.right.clone());
         whitening.apply(&mut rows);
         whitening.apply(&mut right);
-        let equations = Equations::of(self, &rows, &right, whitening.ln_determinant())?;
+        let equations = Equations::of(self, NormalSums::of(&rows, &right, whitening.ln_determinant()))?;
         Some(Whitened { shape, whitening, rows, right, weights: self.weights.clone(), equations })
+    }
+
+    /// The sums of its rows alone, of unit noise.
+    pub(super) fn normal_sums(&self, shape: NoiseShape, sigma_mm: f64) -> Option<NormalSums> {
+        let whitening = self.rows.whitening(&shape.of_rows(&self.rows, &self.weights, sigma_mm))?;
+        let (mut rows, mut right) = (self.rows.values.clone(), self.right.clone());
+        whitening.apply(&mut rows);
+        whitening.apply(&mut right);
+        Some(NormalSums::of(&rows, &right, whitening.ln_determinant()))
+    }
+}
+
+/// What the rows of unit noise sum to.
+#[derive(Clone, Debug)]
+pub(super) struct NormalSums {
+    gram: DMatrix<f64>,
+    right: DVector<f64>,
+    squares: f64,
+    rows: usize,
+    ln_whitening: f64,
+}
+
+impl NormalSums {
+    fn of(rows: &DMatrix<f64>, right: &DVector<f64>, ln_whitening: f64) -> Self {
+        let transposed = rows.transpose();
+        Self {
+            gram: &transposed * rows,
+            right: transposed * right,
+            squares: right.norm_squared(),
+            rows: rows.nrows(),
+            ln_whitening,
+        }
+    }
+
+    pub(super) fn and(self, other: &Self) -> Self {
+        Self {
+            gram: self.gram + &other.gram,
+            right: self.right + &other.right,
+            squares: self.squares + other.squares,
+            rows: self.rows + other.rows,
+            ln_whitening: self.ln_whitening + other.ln_whitening,
+        }
     }
 }
 
 impl Equations {
-    fn of(system: &System, rows: &DMatrix<f64>, right: &DVector<f64>, mut ln_whitening: f64) -> Option<Self> {
+    /// Of sums over rows whose unknowns are those of the system.
+    pub(super) fn of(system: &System, sums: NormalSums) -> Option<Self> {
+        let NormalSums { gram: mut whole, right: mut whole_right, squares, rows, mut ln_whitening } = sums;
         let unknowns = system.variances.len();
         let (free, bound): (Vec<usize>, Vec<usize>) =
             (0..unknowns).partition(|&k| system.variances[k].is_none());
-        let transposed = rows.transpose();
-        let mut whole = &transposed * rows;
-        let mut whole_right = transposed * right;
         // Free unknowns in units in which their columns have unit norm: mm and rad differ by orders of magnitude.
         let units = DVector::from_iterator(free.len(), free.iter().map(|&k| whole[(k, k)].sqrt().recip()));
         for (&k, unit) in free.iter().zip(&units) {
@@ -113,8 +154,8 @@ impl Equations {
         let normal = NormalEquations {
             gram: whole.select_rows(&bound).select_columns(&bound) - explained.transpose() * &explained,
             rhs: whole_right.select_rows(&bound) - explained.tr_mul(&explained_right),
-            squares: right.norm_squared() - explained_right.norm_squared(),
-            freedom: (rows.nrows() - free.len()) as f64,
+            squares: squares - explained_right.norm_squared(),
+            freedom: rows as f64 - free.len() as f64,
             ln_whitening,
         };
         let variances = bound.iter().filter_map(|&k| system.variances[k]).collect();

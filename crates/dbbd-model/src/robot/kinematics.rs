@@ -119,7 +119,7 @@ impl Geometry {
     }
 
     /// Whether the joints are rigid and have no errors.
-    pub(super) fn is_rigid(&self) -> bool {
+    pub(crate) fn is_rigid(&self) -> bool {
         let bends = self.compliance.iter().any(|c| *c != 0.0) && !self.masses.is_empty();
         !bends && self.gear.iter().flatten().all(|part| *part == 0.0) && self.joint_errors.is_none()
     }
