@@ -222,6 +222,11 @@ findings! {
         asks: [Sigma] {
             NoRecommendation => "the predicted gain of further measurements is not finite: none is recommended";
         }
+        I1337 "the sense of approach is not known",
+        cause: "No row says in which sense its axes came to the pose, so backlash is noise of every pose: it costs accuracy, in the estimate and in every prediction.",
+        cure: "Give the columns approach1..approach6 (-1, 0 or 1: the sense of each axis's last move before the pose). `dbbd sync` writes them for a run of a plan." {
+            ApproachUnknown { backlash_mm: f64, identified_mm: f64 } => "no row has approach1..approach6: backlash that nobody can correct moves the tool ball by {backlash_mm:.3} mm on average, of {identified_mm:.3} mm predicted";
+        }
         E1360 "positions do not agree with the poses of the robot",
         cause: "The rows are of another robot, positions and axis angles were joined in another order, columns were swapped, or the frame is left-handed.",
         cure: "Compare one row with the robot: its pose and its position. Give the coordinates in a right-handed frame." {

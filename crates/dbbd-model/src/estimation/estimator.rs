@@ -25,6 +25,7 @@ use super::unknowns::Unknowns;
 use super::workspace::take_out_rigid_motion;
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::ChiSquareOutcome;
+use crate::math::map_items;
 use crate::measurement::LengthModel;
 use crate::robot::{AXES, Approach, BallId, GaussianProcess, Joint, ParamId, RobotUncertainty};
 
@@ -36,8 +37,11 @@ const ROUNDS: usize = 4;
 const REFIT_ROUNDS: usize = 2;
 /// Steps towards the likeliest noise in each.
 const SCORES: usize = 2;
-/// Rows of a piece of many lengths.
-const PIECE: usize = 4096;
+/// More lengths are summed a piece at a time, with the variances of an even sample.
+const MOST_WHOLE: usize = 4800;
+/// Rows of a piece of many lengths, and pieces whose sums are in memory together.
+const PIECE: usize = 1024;
+const TOGETHER: usize = 8;
 /// Poses over which a geometry is brought near to the estimate.
 const PROJECTED: usize = 400;
 /// Ripples that are looked for at most.
@@ -80,7 +84,7 @@ pub(crate) struct Estimate {
     pub(super) cautious: Hypers,
     pub(super) shape: NoiseShape,
     /// What an unknown sense of approach leaves of each joint's angle, rad.
-    unapproached_rad: [f64; AXES],
+    pub(super) unapproached_rad: [f64; AXES],
     unknowns: Unknowns,
     /// The unknowns that the model has.
     z: DVector<f64>,
@@ -175,7 +179,7 @@ fn with_outliers(
         let corrected = found.corrected(lengths);
         let all = corrected.weighted(Sigma::Given, &[]);
         let out = outliers(&all, &found.fit.model, found.effective_parameters as usize);
-        if round == OUTLIER_ROUNDS || out == found.fit.outliers {
+        if round == OUTLIER_ROUNDS || out == found.fit.outliers || lengths.len() > MOST_WHOLE {
             return Ok(found);
         }
         start.fit.outliers = out;
@@ -195,7 +199,7 @@ fn gross(lengths: &Lengths, start: &EstimateStart) -> Vec<usize> {
 fn from_start(setting: &Setting<'_>, lengths: &Lengths, start: &EstimateStart) -> Option<Estimate> {
     let all = lengths.weighted(start.sigma, &start.fit.outliers);
     // The variances follow from an even sample of many lengths.
-    let sample = lengths.are_many().then(|| lengths.at(&all.sampled_places()));
+    let sample = (all.count() > MOST_WHOLE).then(|| lengths.at(&all.sampled_places()));
     let used = &sample.as_ref().map_or(all, |sample| sample.weighted(start.sigma, &[]));
     let known = start.known_before(setting, lengths)?;
     let model = if known.has_coefficients { &start.before } else { &start.fit.model };
@@ -364,21 +368,28 @@ impl<'a> Search<'a> {
 
     /// The equations of all lengths, a piece at a time, with the variances that were found.
     fn streamed(&mut self, step: &mut Step, all: &Weighted) -> Option<()> {
-        for _ in 0..REFIT_ROUNDS {
-            let z = self.unknowns.at(&self.state.model, &self.state.z);
-            let mut sums: Option<NormalSums> = None;
-            let places: Vec<usize> = all.used_places().collect();
-            for piece in places.chunks(PIECE) {
-                let some = all.lengths().at(piece);
-                let used = some.weighted(Sigma::Given, &[]);
-                let system = self.unknowns.linearised(&self.state.model, &z, &used, self.state.shape.backlash);
-                let more = system.normal_sums(self.state.shape, self.state.hypers.sigma_mm())?;
-                sums = Some(sums.map_or_else(|| more.clone(), |sums| sums.and(&more)));
+        let z = self.unknowns.at(&self.state.model, &self.state.z);
+        let places: Vec<usize> = all.used_places().collect();
+        let pieces: Vec<&[usize]> = places.chunks(PIECE).collect();
+        let sums_of = |piece: &&[usize]| {
+            let some = all.lengths().at(piece);
+            let used = some.weighted(Sigma::Given, &[]);
+            let system = self.unknowns.linearised(&self.state.model, &z, &used, self.state.shape.backlash);
+            system.normal_sums(self.state.shape, self.state.hypers.sigma_mm())
+        };
+        let mut sums: Option<NormalSums> = None;
+        for some in pieces.chunks(TOGETHER) {
+            for more in map_items(some, sums_of) {
+                let more = more?;
+                sums = Some(match sums.take() {
+                    Some(sums) => sums.and(&more),
+                    None => more,
+                });
             }
-            step.whitened.equations = Equations::of(&step.system, sums?)?;
-            let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
-            self.move_to(&posterior);
         }
+        step.whitened.equations = Equations::of(&step.system, sums?)?;
+        let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
+        self.move_to(&posterior);
         Some(())
     }
 
@@ -588,6 +599,11 @@ impl Estimate {
     /// The prior standard deviation of a parameter; `None` if it is free or not estimated.
     pub(super) fn prior_sd(&self, id: ParamId) -> Option<f64> {
         self.prior_sds[self.kept.iter().position(|kept| *kept == id)?]
+    }
+
+    /// Whether backlash is noise, because no sense of approach is known.
+    pub(super) fn lacks_approach(&self) -> bool {
+        !self.shape.backlash.is_known()
     }
 
     /// The factor on the maker's tolerance by the evidence.

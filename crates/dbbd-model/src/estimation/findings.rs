@@ -55,6 +55,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(poorly_observable(&of.parameters));
     let identified = Robot { geometry: fit.model.geometry.clone(), ..of.setting.robot.clone() };
     found.extend(left_out_mm(&identified).map(|left_out_mm| EstimationFinding::BeyondTable { left_out_mm }));
+    found.extend(approach_unknown(of));
     found.extend(of.checks.monte_carlo.iter().flat_map(monte_carlo));
     found.extend(absolute_accuracy_mode(of));
     found
@@ -210,6 +211,16 @@ fn position(of: &Calibration<'_>) -> Option<EstimationFinding> {
         EstimationFinding::PositionUndetermined { residual_rms_mm, identified_mm, nominal_mm }
     })
 }
+
+/// What the sense of approach would bring, where no row has it.
+fn approach_unknown(of: &Calibration<'_>) -> Option<EstimationFinding> {
+    let (backlash_mm, identified_mm) = (of.prediction.parts.backlash_mm, of.prediction.pair.identified.mean);
+    (of.estimate.lacks_approach() && backlash_mm > WORTH_ASKING * identified_mm)
+        .then_some(EstimationFinding::ApproachUnknown { backlash_mm, identified_mm })
+}
+
+/// A part of the predicted error that is worth a message.
+const WORTH_ASKING: f64 = 0.2;
 
 fn poorly_observable(parameters: &[ParameterResult]) -> Option<EstimationFinding> {
     let poor = parameters.iter().filter(|parameter| parameter.status == Status::PoorlyObservable);

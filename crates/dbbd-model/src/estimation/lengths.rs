@@ -270,8 +270,10 @@ impl<'a> Weighted<'a> {
     pub(super) fn sampled_places(&self) -> Vec<usize> {
         /// Neighbours that are sampled together.
         const RUN: usize = 12;
+        /// So many lengths show the variances to a few per cent.
+        const SHOWING: usize = 2400;
         let used: Vec<usize> = self.used_places().collect();
-        let runs = SAMPLE / RUN;
+        let runs = SHOWING / RUN;
         let stride = (used.len() / runs).max(RUN);
         used.chunks(stride).flat_map(|chunk| chunk.iter().take(RUN).copied()).collect()
     }

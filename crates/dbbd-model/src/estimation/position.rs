@@ -114,7 +114,7 @@ pub(super) struct BallMotion {
     /// In the robot base, mm.
     pub(super) balls: Vec<Vector3<f64>>,
     /// By the angle of each joint, mm/rad.
-    levers: Vec<[Vector3<f64>; AXES]>,
+    pub(super) levers: Vec<[Vector3<f64>; AXES]>,
 }
 
 impl BallMotion {

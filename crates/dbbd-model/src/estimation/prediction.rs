@@ -30,6 +30,8 @@ pub struct PositionParts {
     pub bar_mm: f64,
     /// The noise of the lengths.
     pub noise_mm: f64,
+    /// Backlash, where no sense of approach is known.
+    pub backlash_mm: f64,
 }
 
 /// The predicted position uncertainty of the nominal and the identified robot.
@@ -112,14 +114,21 @@ fn parts(estimate: &Estimate, axes: &[[f64; AXES]]) -> PositionParts {
     let rows: Vec<usize> = own.iter().copied().chain(kept.len()..root.nrows()).collect();
     let some: Vec<([f64; AXES], Approach)> =
         axes.iter().step_by(axes.len().div_ceil(COMPRESSING).max(1)).map(|axes| (*axes, Approach::default())).collect();
-    let BallMotion { jacobian, balls, .. } = BallMotion::new(&fit.model.geometry, &some, &ids);
+    let BallMotion { jacobian, balls, levers } = BallMotion::new(&fit.model.geometry, &some, &ids);
     let mut moved = jacobian * root.select_rows(&rows);
     take_out_rigid_motion(&mut moved, &balls);
     let rms = |square: f64| (square.max(0.0) / balls.len().max(1) as f64).sqrt();
     let bars = (0..kept.len()).filter(|&k| is_bar(&kept[k])).map(|k| root.row(k).transpose());
     let bar: f64 = bars.filter(|row| row.norm() > 0.0).map(|row| (&moved * row.normalize()).norm_squared()).sum();
     let by_prior = (&moved * &estimate.of_prior).norm_squared();
-    PositionParts { bar_mm: rms(bar), noise_mm: rms(moved.norm_squared() - by_prior) }
+    let unapproached = estimate.unapproached_rad;
+    let backlash = levers.iter().flatten().zip(unapproached.iter().cycle());
+    let backlash: f64 = backlash.map(|(lever, rad)| lever.norm_squared() * rad * rad).sum();
+    PositionParts {
+        bar_mm: rms(bar),
+        noise_mm: rms(moved.norm_squared() - by_prior),
+        backlash_mm: rms(backlash),
+    }
 }
 
 /// The posterior of the parameters of the robot and of the base balls.

@@ -16,9 +16,6 @@ pub const WEAK: f64 = 3.0;
 const IMPLAUSIBLE: f64 = 5.0;
 /// and beyond so many in any case.
 const IMPOSSIBLE: f64 = 20.0;
-/// Standard uncertainty of each coordinate of a tool ball on its flange, mm: it is mounted to tenths of a millimetre.
-const BALL_U_MM: f64 = 0.5;
-
 /// The prior on the robot that the user chose.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Prior {
@@ -64,6 +61,8 @@ impl Prior {
 pub struct Priors {
     length_mm: f64,
     angle_rad: f64,
+    flange_mm: f64,
+    flange_rad: f64,
     greatest_torques: [f64; AXES],
     bar_u_mm: Option<f64>,
     /// Of each coordinate of the tool ball on the flange, mm.
@@ -78,9 +77,11 @@ impl Priors {
         Self {
             length_mm: robot.tolerance.length_mm,
             angle_rad: robot.tolerance.angle_deg.to_radians(),
+            flange_mm: robot.tolerance.flange_mm,
+            flange_rad: robot.tolerance.flange_deg.to_radians(),
             greatest_torques: robot.geometry.greatest_torques(),
             bar_u_mm,
-            ball_u_mm: BALL_U_MM,
+            ball_u_mm: robot.ball_u_mm,
             given: BTreeMap::new(),
             posterior: None,
         }
@@ -145,7 +146,10 @@ impl Priors {
             PriorRule::Free(sd)
             | PriorRule::Certificate { uncertified: sd }
             | PriorRule::AngleToleranceOverTorque { without_masses: sd, .. } => sd,
-            PriorRule::LengthTolerance | PriorRule::AngleTolerance => f64::INFINITY,
+            PriorRule::LengthTolerance
+            | PriorRule::AngleTolerance
+            | PriorRule::FlangeLength
+            | PriorRule::FlangeAngle => f64::INFINITY,
         }
     }
 
@@ -162,6 +166,8 @@ impl Priors {
         match id.prior() {
             PriorRule::LengthTolerance => Some(self.length_mm),
             PriorRule::AngleTolerance => Some(self.angle_rad),
+            PriorRule::FlangeLength => Some(self.flange_mm),
+            PriorRule::FlangeAngle => Some(self.flange_rad),
             PriorRule::AngleToleranceOverTorque { joint, .. } => {
                 Some(self.angle_rad / self.greatest_torques[joint.index()]).filter(|sd| sd.is_finite())
             }
@@ -180,6 +186,8 @@ impl Priors {
             PriorRule::Certificate { uncertified } => Some(self.bar_u_mm.unwrap_or(uncertified)),
             PriorRule::LengthTolerance
             | PriorRule::AngleTolerance
+            | PriorRule::FlangeLength
+            | PriorRule::FlangeAngle
             | PriorRule::AngleToleranceOverTorque { .. }
             | PriorRule::Free(_) => self.of_robot(id),
         }

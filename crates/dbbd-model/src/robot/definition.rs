@@ -59,6 +59,8 @@ pub struct Robot {
     pub max_speed_deg_s: [f64; AXES],
     pub max_acceleration_deg_s2: [Option<f64>; AXES],
     pub tolerance: Tolerance,
+    /// Standard uncertainty of each coordinate of the tool ball on the flange, mm.
+    pub ball_u_mm: f64,
     /// Pose repeatability by ISO 9283.
     pub repeatability_mm: Option<f64>,
     /// The nominal robot of an identified one.
@@ -84,12 +86,35 @@ pub struct Tolerance {
     pub length_mm: f64,
     /// Of alpha, theta and beta.
     pub angle_deg: f64,
+    /// Of d6: where the flange is on the last axis.
+    #[serde(default = "Tolerance::usual_flange_mm")]
+    pub flange_mm: f64,
+    /// Of theta6: how the flange is turned about the last axis.
+    #[serde(default = "Tolerance::usual_flange_deg")]
+    pub flange_deg: f64,
+}
+
+impl Tolerance {
+    /// Of lengths and angles, with the usual flange.
+    pub fn of(length_mm: f64, angle_deg: f64) -> Self {
+        let (flange_mm, flange_deg) = (Self::usual_flange_mm(), Self::usual_flange_deg());
+        Self { length_mm, angle_deg, flange_mm, flange_deg }
+    }
+
+    /// A flange is turned on a lathe.
+    fn usual_flange_mm() -> f64 {
+        0.05
+    }
+
+    fn usual_flange_deg() -> f64 {
+        0.02
+    }
 }
 
 impl Default for Tolerance {
     /// For an industrial robot without an accuracy option, which has a position error of about a millimetre.
     fn default() -> Self {
-        Self { length_mm: 1.0, angle_deg: 0.1 }
+        Self::of(1.0, 0.1)
     }
 }
 
@@ -173,6 +198,8 @@ impl Robot {
             let sd = |id: &ParamId| match id.prior() {
                 PriorRule::LengthTolerance => self.tolerance.length_mm,
                 PriorRule::AngleTolerance => angle_rad,
+                PriorRule::FlangeLength => self.tolerance.flange_mm,
+                PriorRule::FlangeAngle => self.tolerance.flange_deg.to_radians(),
                 PriorRule::AngleToleranceOverTorque { .. }
                 | PriorRule::Certificate { .. }
                 | PriorRule::Free(_) => 0.0,
@@ -358,7 +385,7 @@ mod tests {
     #[test]
     fn the_uncertainty_is_that_of_the_posterior_or_of_the_tolerance() {
         let mut robot = robot("kr60ha");
-        robot.tolerance = Tolerance { length_mm: 0.5, angle_deg: 0.2 };
+        robot.tolerance = Tolerance::of(0.5, 0.2);
         let nominal = robot.known_uncertainty();
         let sd = |id: ParamId| {
             let at = nominal.parameters.iter().position(|own| *own == id).unwrap();

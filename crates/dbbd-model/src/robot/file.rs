@@ -44,11 +44,24 @@ struct RobotFile {
     uncertainty: Option<RobotUncertainty>,
 }
 
-#[derive(Clone, Default, Serialize, Deserialize)]
+#[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RobotToolTable {
     #[serde(deserialize_with = "fixed_array")]
     ball_mm: [f64; 3],
+    #[serde(default = "usual_ball_u_mm")]
+    ball_u_mm: f64,
+}
+
+impl Default for RobotToolTable {
+    fn default() -> Self {
+        Self { ball_mm: [0.0; 3], ball_u_mm: usual_ball_u_mm() }
+    }
+}
+
+/// A tool ball is mounted to tenths of a millimetre.
+fn usual_ball_u_mm() -> f64 {
+    0.5
 }
 
 #[derive(Clone, Serialize, Deserialize)]
@@ -97,6 +110,9 @@ impl RobotFile {
         let values = [
             ("[tolerance] length_mm", Some(self.tolerance.length_mm), Quantity::LengthTolerance),
             ("[tolerance] angle_deg", Some(self.tolerance.angle_deg), Quantity::AngleTolerance),
+            ("[tolerance] flange_mm", Some(self.tolerance.flange_mm), Quantity::LengthTolerance),
+            ("[tolerance] flange_deg", Some(self.tolerance.flange_deg), Quantity::AngleTolerance),
+            ("[tool] ball_u_mm", Some(self.tool.ball_u_mm), Quantity::LengthTolerance),
             ("repeatability_mm", self.repeatability_mm, Quantity::Repeatability),
             ("[tool] ball_mm", ball_mm, Quantity::ToolBallDistance),
         ];
@@ -192,6 +208,7 @@ impl RobotFile {
             max_speed_deg_s: joints.map(|joint| joint.max_speed_deg_s),
             max_acceleration_deg_s2: joints.map(|joint| joint.max_acceleration_deg_s2),
             tolerance: self.tolerance,
+            ball_u_mm: self.tool.ball_u_mm,
             repeatability_mm: self.repeatability_mm,
             source: self.source,
             serial: self.serial,
@@ -238,7 +255,7 @@ impl RobotFile {
             repeatability_mm: robot.repeatability_mm,
             doubts: robot.doubts.clone(),
             joint: robot.joint_tables(),
-            tool: RobotToolTable { ball_mm: robot.geometry.tool.into() },
+            tool: RobotToolTable { ball_mm: robot.geometry.tool.into(), ball_u_mm: robot.ball_u_mm },
             tolerance: robot.tolerance,
             mass: masses.iter().map(mass).collect(),
             payload: payload.map(|payload| PayloadTable { kg: payload.kg, centre_mm: payload.centre.into() }),

@@ -119,6 +119,9 @@ pub enum PriorRule {
     LengthTolerance,
     /// The maker's tolerance of an angle, rad. The zero of a joint, and so its gear error, is no better.
     AngleTolerance,
+    /// The tolerances of the flange on the last axis, mm and rad.
+    FlangeLength,
+    FlangeAngle,
     /// The tolerance of an angle over the greatest torque at the joint, rad/(N m): the deflection is then as large as the
     /// tolerance. Without known masses the compliance moves nothing, and the value is that of `without_masses`.
     AngleToleranceOverTorque { joint: Joint, without_masses: f64 },
@@ -185,10 +188,14 @@ impl ParamId {
     const fn family(self) -> ParamFamily {
         use ParamGroup::{Balls, Bar, Compliance, Gear, Geometric, Targets, Tool, Tracker};
         use ParamUnit::{Mm, Rad, RadPerNm};
-        use PriorRule::{AngleTolerance, AngleToleranceOverTorque, Certificate, Free, LengthTolerance};
+        use PriorRule::{
+            AngleTolerance, AngleToleranceOverTorque, Certificate, FlangeAngle, FlangeLength, Free, LengthTolerance,
+        };
         match self {
             Self::Alpha(_) => ParamFamily::of_robot("alpha{i}", Rad, Geometric, 0, AngleTolerance),
             Self::A(_) => ParamFamily::of_robot("a{i}", Mm, Geometric, 6, LengthTolerance),
+            Self::Theta(Joint::J6) => ParamFamily::of_robot("theta{n}", Rad, Geometric, 12, FlangeAngle),
+            Self::D(Joint::J6) => ParamFamily::of_robot("d{n}", Mm, Geometric, 18, FlangeLength),
             Self::Theta(_) => ParamFamily::of_robot("theta{n}", Rad, Geometric, 12, AngleTolerance),
             Self::D(_) => ParamFamily::of_robot("d{n}", Mm, Geometric, 18, LengthTolerance),
             Self::Beta(_) => ParamFamily::of_robot("beta{i}", Rad, Geometric, 24, AngleTolerance),
