@@ -17,6 +17,7 @@ use super::noise_shape::{BacklashNoise, NoiseScore, NoiseShape, OwnNoise};
 use super::options::{ErrorModel, Setting};
 use super::pose_rows::{LengthNoise, PoseRows};
 use super::position::BallMotion;
+use super::priors::uncertified_variance;
 use super::ripple::{Candidate, RippleSearch, ln_candidates};
 use super::selection::is_place;
 use super::start::EstimateStart;
@@ -88,6 +89,7 @@ pub(crate) struct Estimate {
     unknowns: Unknowns,
     /// The unknowns that the model has.
     z: DVector<f64>,
+    bar_sds: Vec<f64>,
     /// What happened while the lengths were measured, or could have.
     pub(super) events: Vec<JudgedEvent>,
     /// What certain events did to each length, mm; empty without them.
@@ -236,7 +238,7 @@ pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<LengthMode
     let used = &lengths.weighted(Sigma::Given, &[]);
     let unknowns = &estimate.unknowns;
     let model = estimate.fit.model.clone();
-    let state = SearchState { model, z: estimate.z.clone(), hypers: estimate.hypers, shape: estimate.shape };
+    let state = SearchState { model, z: estimate.z.clone(), hypers: estimate.hypers, shape: estimate.shape, bar_sds: estimate.bar_sds.clone() };
     let mut search = Search { unknowns, used, state, ln_sd: [0.0; HYPERS] };
     for _ in 0..REFIT_ROUNDS {
         let system = search.linearised();
@@ -263,6 +265,8 @@ struct SearchState {
     z: DVector<f64>,
     hypers: Hypers,
     shape: NoiseShape,
+    /// Prior standard deviations of bars without a certificate, mm.
+    bar_sds: Vec<f64>,
 }
 
 /// A linearisation with the hyper-parameters that were found for it.
@@ -288,6 +292,7 @@ impl<'a> Search<'a> {
             model,
             hypers: Hypers::start(&HyperPrior::all(1.0), pose_mm),
             shape: NoiseShape { own: OwnNoise::Stated(stated_mm), backlash: unknowns.backlash_noise() },
+            bar_sds: Vec::new(),
         });
         Self { unknowns, used, state, ln_sd: [0.0; HYPERS] }
     }
@@ -334,9 +339,21 @@ impl<'a> Search<'a> {
         }
         whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
         let posterior = whitened.equations.posterior(&self.state.hypers)?;
+        self.state.bar_sds = self.bar_sds(&posterior)?;
         self.move_to(&posterior);
         let ln_evidence = posterior.ln_evidence(&self.state.hypers) + self.state.shape.backlash.ln_prior();
         Some(Step { system, whitened, ln_evidence })
+    }
+
+    /// The prior standard deviations of bars without a certificate at what is known of them now.
+    fn bar_sds(&self, posterior: &SystemPosterior<'_>) -> Option<Vec<f64>> {
+        let mut columns = self.unknowns.bar_columns().peekable();
+        if columns.peek().is_none() {
+            return Some(Vec::new());
+        }
+        let root = posterior.root()?;
+        let mean_square = |k: usize| posterior.mean[k].powi(2) + root.row(k).norm_squared();
+        Some(columns.map(|k| uncertified_variance(mean_square(k)).sqrt()).collect())
     }
 
     /// Takes hyper-parameters over, of which sigma is a factor on the whole noise; what is stated stays.
@@ -357,7 +374,7 @@ impl<'a> Search<'a> {
 
     fn linearised(&self) -> System {
         let z = self.unknowns.at(&self.state.model, &self.state.z);
-        self.unknowns.linearised(&self.state.model, &z, self.used, self.state.shape.backlash)
+        self.unknowns.linearised(&self.state.model, &z, self.used, self.state.shape.backlash, &self.state.bar_sds)
     }
 
     fn move_to(&mut self, posterior: &SystemPosterior<'_>) {
@@ -374,7 +391,7 @@ impl<'a> Search<'a> {
         let sums_of = |piece: &&[usize]| {
             let some = all.lengths().at(piece);
             let used = some.weighted(Sigma::Given, &[]);
-            let system = self.unknowns.linearised(&self.state.model, &z, &used, self.state.shape.backlash);
+            let system = self.unknowns.linearised(&self.state.model, &z, &used, self.state.shape.backlash, &self.state.bar_sds);
             system.normal_sums(self.state.shape, self.state.hypers.sigma_mm())
         };
         let mut sums: Option<NormalSums> = None;
@@ -449,7 +466,7 @@ impl<'a> Search<'a> {
     ) -> Option<Estimate> {
         let Step { system, whitened, .. } = step;
         let Self { unknowns, used, ln_sd, state } = self;
-        let SearchState { model, z, hypers, shape } = state;
+        let SearchState { model, z, hypers, shape, bar_sds } = state;
         let cautious = hypers.mean_variances(whitened.equations.hyper_priors(), &ln_sd);
         let posterior = whitened.equations.posterior(&cautious)?;
         let (all, determined) = (posterior.root()?, posterior.determined());
@@ -506,6 +523,7 @@ impl<'a> Search<'a> {
             shape,
             unapproached_rad,
             z,
+            bar_sds,
             event_mm: event_mm(&events, whole.lengths(), &model),
             events,
             left_out_mm: 0.0,

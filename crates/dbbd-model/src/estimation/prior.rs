@@ -42,7 +42,7 @@ pub(super) fn rows(setting: &Setting<'_>, kept: &[ParamId]) -> Option<PriorRows>
     if setting.options.follows_list() {
         return None;
     }
-    let sd = |place: usize| Some((place, setting.priors.bound(kept[place])?));
+    let sd = |place: usize| Some((place, setting.priors.bound_at_start(kept[place])?));
     let (bound, sd): (Vec<usize>, Vec<f64>) = (0..kept.len()).filter_map(sd).unzip();
     let ids: Vec<ParamId> = bound.iter().map(|place| kept[*place]).collect();
     let root = setting.priors.root(&ids, &sd);

@@ -129,6 +129,12 @@ impl Priors {
         }
     }
 
+    /// The same where a fit begins: a bar without a certificate may have any length near what is stated.
+    pub(super) fn bound_at_start(&self, id: ParamId) -> Option<f64> {
+        let is_far = matches!(id, ParamId::BarOffset(_)) && !self.is_certified();
+        if is_far { Some(FAR_BAR_MM) } else { self.bound(id) }
+    }
+
     /// Whether the standard uncertainty of the bars is known.
     pub(super) fn is_certified(&self) -> bool {
         self.bar_u_mm.is_some()
@@ -217,6 +223,19 @@ impl Priors {
 /// The a priori standard deviation of a length, mm: of the bar, and of the robot's repeatability if it is known.
 pub fn length_sd_mm(bar_mm: f64, robot: &Robot) -> f64 {
     bar_mm.hypot(robot.repeatability_sd_mm().unwrap_or(0.0))
+}
+
+/// A bar without a certificate has a prior of Student's t; where a fit begins it is as wide as this, mm.
+pub(super) const FAR_BAR_MM: f64 = 0.5;
+/// The degrees of freedom of that prior: nobody knows how wrong such a bar is.
+const BAR_FREEDOM: f64 = 4.0;
+
+/// The variance of the normal prior that weighs as Student's t does at an offset of this mean square, mm^2 (the mean weight
+/// of its representation as a normal distribution with a gamma-distributed precision).
+pub(super) fn uncertified_variance(mean_square: f64) -> f64 {
+    /// Scale of the distribution, mm: bars without a certificate that are made with care.
+    const SCALE_MM: f64 = 0.08;
+    (BAR_FREEDOM * SCALE_MM * SCALE_MM + mean_square) / (BAR_FREEDOM + 1.0)
 }
 
 /// Corrections beyond so many prior standard deviations are doubted.

@@ -9,7 +9,7 @@ use super::lengths::{Lengths, Sigma};
 use super::linear_system::{factor, linear_system};
 use super::options::Setting;
 use super::prior;
-use super::priors::{Prior, Priors, WEAK, largest_plausible};
+use super::priors::{FAR_BAR_MM, Prior, WEAK, largest_plausible};
 use super::selection::{is_bar, is_place, open_places, without_open_places};
 use super::unknowns::KnownBefore;
 use super::{Analysis, analyse};
@@ -87,9 +87,9 @@ impl EstimateStart {
     pub(super) fn known_before(&self, setting: &Setting<'_>, lengths: &Lengths) -> Option<KnownBefore> {
         let Setting { options, priors, robot, start, .. } = setting;
         if options.follows_list() {
-            let ids = self.kept.clone();
+            let (ids, are_bars_uncertified) = (self.kept.clone(), false);
             let (means, variances) = (vec![0.0; ids.len()], vec![None; ids.len()]);
-            return Some(KnownBefore { ids, means, variances, transform: None, has_coefficients: false });
+            return Some(KnownBefore { ids, means, variances, transform: None, has_coefficients: false, are_bars_uncertified });
         }
         let massless = robot.geometry.masses.is_empty();
         let is_fixed = |id: &ParamId| options.hold.contains(id) || self.kept.contains(id);
@@ -113,9 +113,7 @@ impl EstimateStart {
             ParamGroup::Geometric if options.prior == Prior::Datasheet => priors.bound(*id).map(|sd| {
                 widened(*id, sd).map_or(Variance::Of(Group::Tolerance, sd), Variance::Fixed)
             }),
-            ParamGroup::Bar if !priors.is_certified() => {
-                Some(Variance::Fixed(uncertified_sd(self.fit.model.value(*id) - start.value(*id))))
-            }
+            ParamGroup::Bar if !priors.is_certified() => Some(Variance::Fixed(FAR_BAR_MM)),
             ParamGroup::Geometric
             | ParamGroup::Tool
             | ParamGroup::Targets
@@ -125,9 +123,11 @@ impl EstimateStart {
                 priors.bound(*id).map(|sd| Variance::Fixed(widened(*id, sd).unwrap_or(sd)))
             }
         };
+        // Without any prior a bar without a certificate stays as wide as where a fit begins.
+        let are_bars_uncertified = !priors.is_certified() && options.prior != Prior::None;
         let variances: Vec<Option<Variance>> = ids.iter().map(variance).collect();
         let means = ids.iter().zip(&variances).map(|(id, v)| v.map_or(0.0, |_| start.value(*id))).collect();
-        let known = KnownBefore { ids, means, variances, transform: None, has_coefficients: false };
+        let known = KnownBefore { ids, means, variances, transform: None, has_coefficients: false, are_bars_uncertified };
         match options.prior {
             Prior::Posterior => continued(setting, known),
             Prior::None => self.judged_by_data(setting, lengths, known),
@@ -184,18 +184,10 @@ impl EstimateStart {
     }
 }
 
-/// The standard deviation by which a normal prior weighs as Student's t with four degrees of freedom does at a length that is
-/// `off_mm` from what is stated: nobody knows how wrong a bar without a certificate is.
-fn uncertified_sd(off_mm: f64) -> f64 {
-    const FREEDOM: f64 = 4.0;
-    let scale_mm = Priors::certified_bar_mm(None);
-    ((FREEDOM * scale_mm * scale_mm + off_mm * off_mm) / (FREEDOM + 1.0)).sqrt()
-}
-
 /// With the posterior of an earlier identification: parameters, and coefficients of the joints' errors.
 fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
     let uncertainty = setting.robot.known_uncertainty();
-    let KnownBefore { ids, .. } = known;
+    let KnownBefore { ids, are_bars_uncertified, .. } = known;
     let is_robots = |id: &ParamId| uncertainty.parameters.contains(id) && !matches!(id, ParamId::Ball(..));
     // Harmonics and compliance that the robot has not are not added.
     let ids: Vec<ParamId> = ids.into_iter().filter(|id| !id.is_optional() || is_robots(id)).collect();
@@ -220,7 +212,7 @@ fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
         }));
     }
     let means = ids.iter().map(|id| setting.start.value(*id)).collect();
-    Some(KnownBefore { ids, means, variances, transform: Some(transform), has_coefficients: true })
+    Some(KnownBefore { ids, means, variances, transform: Some(transform), has_coefficients: true, are_bars_uncertified })
 }
 
 /// The standard deviation of the lengths from the residuals of a linearised fit of the base set, with which a fit begins.

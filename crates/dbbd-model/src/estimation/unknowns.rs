@@ -45,6 +45,8 @@ pub(super) struct KnownBefore {
     pub(super) transform: Option<DMatrix<f64>>,
     /// Whether the coefficients of the joints' errors are in the transform, so that their functions stay as they are.
     pub(super) has_coefficients: bool,
+    /// Whether bars have the prior of one without a certificate.
+    pub(super) are_bars_uncertified: bool,
 }
 
 /// The unknowns beside parameters and coefficients.
@@ -173,6 +175,7 @@ impl Unknowns {
         z: &DVector<f64>,
         used: &Weighted,
         backlash: BacklashNoise,
+        bar_sds: &[f64],
     ) -> System {
         let KnownBefore { ids, transform, variances, has_coefficients, .. } = &self.before;
         let mean_sd = used.by(Sigma::Given).rms_sigma();
@@ -192,6 +195,7 @@ impl Unknowns {
         let terms = if *has_coefficients { Vec::new() } else { errors.terms() };
         let of_terms = terms.into_iter().map(|term| Some(of_term(term)));
         let mut variances: Vec<Option<Variance>> = variances.iter().copied().chain(of_terms).collect();
+        self.bar_columns().zip(bar_sds).for_each(|(column, sd)| variances[column] = Some(Variance::Fixed(*sd)));
         let right = &rows.residual + &rows.values * z.rows(0, variances.len());
         let (further, of_further) = self.errors.columns(&rows, used);
         rows.values = beside(std::mem::replace(&mut rows.values, DMatrix::zeros(0, 0)), &further);
@@ -208,7 +212,7 @@ impl Unknowns {
 
     /// The unknowns that a model has; `known` are those to which it was brought.
     pub(super) fn at(&self, model: &LengthModel, known: &DVector<f64>) -> DVector<f64> {
-        let KnownBefore { ids, means, variances, transform, has_coefficients } = &self.before;
+        let KnownBefore { ids, means, variances, transform, has_coefficients, .. } = &self.before;
         if *has_coefficients {
             return if known.is_empty() { DVector::zeros(self.own()) } else { self.rested(known.clone()) };
         }
@@ -220,6 +224,17 @@ impl Unknowns {
         (0..ids.len()).filter(|k| variances[*k].is_none()).for_each(|k| own[k] = 0.0);
         let coefficients = model.geometry.joint_errors.coefficients();
         DVector::from_iterator(ids.len() + coefficients.len(), own.iter().copied().chain(coefficients))
+    }
+
+    /// The columns of bars without a certificate: those of parameters that the transform leaves as they are.
+    pub(super) fn bar_columns(&self) -> impl Iterator<Item = usize> {
+        let KnownBefore { ids, transform, are_bars_uncertified, .. } = &self.before;
+        let is_bar = |at: &usize| *are_bars_uncertified && matches!(ids[*at], ParamId::BarOffset(_));
+        let column = move |at: usize| match transform {
+            Some(transform) => transform.row(at).transpose().iamax(),
+            None => at,
+        };
+        (0..ids.len()).filter(is_bar).map(column)
     }
 
     /// Prior standard deviations of the parameters; `None` of what is free.

@@ -207,7 +207,7 @@ impl ParamId {
             Self::Tracker(_) => ParamFamily::of_place("tracker_{c}", Tracker, 33, 1000.0, 500.0, None),
             Self::BarOffset(_) => ParamFamily {
                 max_correction_mm: Some(50.0),
-                ..ParamFamily::of_robot("bar_offset{n}", Mm, Bar, 36, Certificate { uncertified: 0.5 })
+                ..ParamFamily::of_robot("bar_offset{n}", Mm, Bar, 36, Certificate { uncertified: 0.05 })
             },
             // One arc minute at 300 N m.
             Self::Compliance(joint) => ParamFamily::of_robot(
