@@ -71,7 +71,6 @@ PATHS = [           # (IN, old PATH, new PATH)
     (RESULT, "dependent", "combinations"),
     (RESULT, "advice[].tells", "recommendations[].identifies"),
     (RESULT, "advice", "recommendations"),
-    (RESULT, "joints", "joint_effects"),
     (RESULT, "outliers[].centre", "outliers[].ball"),
     (RESULT, "warnings[].kind", "findings[].severity"),
     (RESULT, "warnings", "findings"),

@@ -549,7 +549,7 @@ CASES = [
      ("W0222", "W1007", "W1003", "W1312")),
     ("worn gears, geometry only", "identify", driven(change=text("world.toml",
      ("repeatability_um = 14.0", "repeatability_um = 14.0\nbacklash_deg = [0.05, 0.05, 0.05, 0.05, 0.05, 0.05]")),
-        then=("identify r.dbbd --prior datasheet --model geometric --out out",)), ("I1318", "W1316", "W1381")),
+        then=("identify r.dbbd --prior datasheet --model geometric --out out",)), ("I1326", "W1316", "W1381")),
     # ---- sync
     ("plan of another run", "sync", does("run.dbbd circ", "sync run.dbbd --plan circ/plan.csv --out o.csv"), ("W0412", "E1001")),
     ("capture cut off", "sync", does("run.dbbd", "sync run.dbbd --out o.csv", change=cut("run.dbbd", 0.6)), ("W0410", "W0411")),

@@ -254,6 +254,7 @@ fn empty_and_undefined_data_break_nothing() {
     found.map.clear();
     (found.result.combinations, found.result.correlated, found.result.outliers) = Default::default();
     (found.result.recommendations, found.result.findings) = Default::default();
+    (found.result.groups, found.result.joint_errors) = Default::default();
     let html = report(&found, &observations);
     assert_well_formed(&html);
     assert!(!html.contains("<svg"));
