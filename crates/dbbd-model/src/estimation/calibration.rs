@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use super::estimator::{Estimate, estimate, refit};
 use super::findings::findings;
-use super::identifiability::{correlations, observability};
 use super::hypotheses::{EventPlace, EventTreatment, RunEventKind, RunHypothesis};
+use super::identifiability::{correlations, observability};
 use super::lengths::Lengths;
 use super::monte_carlo::Draws;
 use super::options::Setting;
@@ -14,8 +14,8 @@ use super::parameters::ParameterTable;
 use super::posterior::Posterior;
 use super::prediction::Prediction;
 use super::result::{
-    BeforeAfter, CalibrationResult, CompletedCalibration, Folds, MadeFrom, MonteCarlo,
-    NoiseSummary, Outlier, ParameterResult, RESULT_SCHEMA, Recommendation, SigmaSource, StartRobot, Status,
+    BeforeAfter, CalibrationResult, CompletedCalibration, Folds, MadeFrom, MonteCarlo, NoiseSummary, Outlier,
+    ParameterResult, RESULT_SCHEMA, Recommendation, SigmaSource, StartRobot, Status,
 };
 use super::selection::data_sd;
 use super::validation::{self, residual_of, residual_of_used};
@@ -111,8 +111,7 @@ impl<'a> Calibration<'a> {
         if !sigma.mm.is_finite() {
             return Err(NOT_FINITE);
         }
-        let draws =
-            setting.options.monte_carlo.map(|trials| Draws::of(&estimate, &lengths, trials));
+        let draws = setting.options.monte_carlo.map(|trials| Draws::of(&estimate, &lengths, trials));
         let table = ParameterTable {
             setting: &setting,
             estimate: &estimate,

@@ -11,7 +11,10 @@ use serde::{Deserialize, Serialize};
 use super::Analysis;
 use super::fit::{Fit, outliers};
 use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, Variance};
-use super::hypotheses::{EventSearch, FEWEST, JudgedEvent, MOST_CERTAIN, MOST_ROWS, RunEvent, are_wrong_balls, sd_along, wrong_balls};
+use super::hypotheses::{
+    EventSearch, FEWEST, JudgedEvent, MOST_CERTAIN, MOST_ROWS, RunEvent, are_wrong_balls, sd_along,
+    wrong_balls,
+};
 use super::lengths::{Lengths, Sigma, Weighted};
 use super::noise_shape::{BacklashNoise, NoiseScore, NoiseShape, OwnNoise};
 use super::options::{ErrorModel, Setting};
@@ -168,7 +171,10 @@ fn with_outliers(
     let mut start = EstimateStart::of(setting, lengths, asked)?;
     // Many outliers may be what began at one row: then they are none.
     if start.fit.outliers.len() >= FEWEST {
-        let whole = EstimateStart { fit: Fit { outliers: gross(lengths, &start), ..start.fit.clone() }, ..start.clone() };
+        let whole = EstimateStart {
+            fit: Fit { outliers: gross(lengths, &start), ..start.fit.clone() },
+            ..start.clone()
+        };
         if let Some(found) = from_start(setting, lengths, &whole)
             && found.events.iter().any(|event| event.is_certain)
         {
@@ -238,7 +244,13 @@ pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<LengthMode
     let used = &lengths.weighted(Sigma::Given, &[]);
     let unknowns = &estimate.unknowns;
     let model = estimate.fit.model.clone();
-    let state = SearchState { model, z: estimate.z.clone(), hypers: estimate.hypers, shape: estimate.shape, bar_sds: estimate.bar_sds.clone() };
+    let state = SearchState {
+        model,
+        z: estimate.z.clone(),
+        hypers: estimate.hypers,
+        shape: estimate.shape,
+        bar_sds: estimate.bar_sds.clone(),
+    };
     let mut search = Search { unknowns, used, state, ln_sd: [0.0; HYPERS] };
     for _ in 0..REFIT_ROUNDS {
         let system = search.linearised();
@@ -374,7 +386,13 @@ impl<'a> Search<'a> {
 
     fn linearised(&self) -> System {
         let z = self.unknowns.at(&self.state.model, &self.state.z);
-        self.unknowns.linearised(&self.state.model, &z, self.used, self.state.shape.backlash, &self.state.bar_sds)
+        self.unknowns.linearised(
+            &self.state.model,
+            &z,
+            self.used,
+            self.state.shape.backlash,
+            &self.state.bar_sds,
+        )
     }
 
     fn move_to(&mut self, posterior: &SystemPosterior<'_>) {
@@ -391,7 +409,13 @@ impl<'a> Search<'a> {
         let sums_of = |piece: &&[usize]| {
             let some = all.lengths().at(piece);
             let used = some.weighted(Sigma::Given, &[]);
-            let system = self.unknowns.linearised(&self.state.model, &z, &used, self.state.shape.backlash, &self.state.bar_sds);
+            let system = self.unknowns.linearised(
+                &self.state.model,
+                &z,
+                &used,
+                self.state.shape.backlash,
+                &self.state.bar_sds,
+            );
             system.normal_sums(self.state.shape, self.state.hypers.sigma_mm())
         };
         let mut sums: Option<NormalSums> = None;
@@ -467,7 +491,7 @@ impl<'a> Search<'a> {
         let Step { system, whitened, .. } = step;
         let Self { unknowns, used, ln_sd, state } = self;
         let SearchState { model, z, hypers, shape, bar_sds } = state;
-        let cautious = hypers.mean_variances(whitened.equations.hyper_priors(), &ln_sd);
+        let cautious = hypers.mean_sds(whitened.equations.hyper_priors(), &ln_sd);
         let posterior = whitened.equations.posterior(&cautious)?;
         let (all, determined) = (posterior.root()?, posterior.determined());
         let coefficients = model.geometry.joint_errors.count();
@@ -691,7 +715,11 @@ impl Estimate {
         let rigid = whole.rigid();
         let [full, alone] = [whole, &rigid].map(|geometry| BallMotion::new(geometry, &poses, &ids));
         let mut jacobian = alone.jacobian.columns(0, ids.len()).into_owned();
-        let off = full.balls.iter().zip(&alone.balls).flat_map(|(a, b)| (a - b).iter().copied().collect::<Vec<f64>>());
+        let off = full
+            .balls
+            .iter()
+            .zip(&alone.balls)
+            .flat_map(|(a, b)| (a - b).iter().copied().collect::<Vec<f64>>());
         let mut off = DMatrix::from_iterator(3 * poses.len(), 1, off);
         take_out_rigid_motion(&mut jacobian, &alone.balls);
         take_out_rigid_motion(&mut off, &alone.balls);
@@ -707,7 +735,8 @@ impl Estimate {
         let rows: Vec<usize> = (0..self.kept.len()).filter(|at| self.kept[*at].is_optional()).collect();
         let optional: Vec<ParamId> = rows.iter().map(|at| self.kept[*at]).collect();
         let further: Vec<usize> = rows.into_iter().chain(self.kept.len()..self.root.nrows()).collect();
-        let mut unknown = BallMotion::new(whole, &poses, &optional).jacobian * self.root.select_rows(&further);
+        let mut unknown =
+            BallMotion::new(whole, &poses, &optional).jacobian * self.root.select_rows(&further);
         take_out_rigid_motion(&mut unknown, &full.balls);
         let square = (left.norm_squared() + unknown.norm_squared()) / left.len() as f64;
         self.noise.pose_mm = self.noise.pose_mm.hypot(square.sqrt());
@@ -718,7 +747,8 @@ impl Estimate {
         self.root = self.root.select_rows(&geometric);
         self.prior_sds = geometric.iter().map(|at| self.prior_sds[*at]).collect();
         self.kept.retain(|id| !id.is_optional());
-        let places: Vec<ParamId> = self.kept.iter().copied().filter(|id| is_place(id) && !matches!(id, ParamId::Tool(_))).collect();
+        let places: Vec<ParamId> =
+            self.kept.iter().copied().filter(|id| is_place(id) && !matches!(id, ParamId::Tool(_))).collect();
         let set_up = super::fit::set_up(&self.corrected(lengths), &places, &self.fit.model);
         self.fit.model = set_up.model;
         self.unapproached_rad = [0.0; AXES];

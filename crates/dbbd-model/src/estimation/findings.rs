@@ -2,8 +2,8 @@
 
 use super::calibration::{AngleSource, Calibration};
 use super::contradiction::{contradicted, kinds_disagree};
-use super::lengths::Sigma;
 use super::hypotheses::{EventTreatment, RunEventKind, RunHypothesis};
+use super::lengths::Sigma;
 use super::linear_system::factor;
 use super::priors::{Prior, largest_plausible};
 use super::result::{MonteCarlo, ParameterResult, Status};

@@ -103,12 +103,6 @@ impl HyperPrior {
         all[SIGMA] = Self { median: sigma_mm, ln_sd: 1.0, bounds: [1e-6, 1e3] };
         all[SLOW] = angle(1e-4, 1.0);
         all[SLOW_LENGTH] = Self { median: 0.5, ln_sd: 1.0, bounds: [0.3, 5.0] };
-        if let Ok(text) = std::env::var("HP") {
-            for part in text.split(';') {
-                let x: Vec<f64> = part.split(':').map(|x| x.parse().unwrap()).collect();
-                all[x[0] as usize] = Self { median: x[1], ln_sd: x[2], bounds: [x[3], x[4]] };
-            }
-        }
         all
     }
 
@@ -147,9 +141,9 @@ impl Hypers {
         self
     }
 
-    /// The standard deviations whose squares are the means of the variances, whose logarithms have the standard deviations
-    /// `ln_sd`: what the data do not support has more than its likeliest variance. At most what 95 % of the prior are below.
-    pub(super) fn mean_variances(mut self, priors: &[HyperPrior; HYPERS], ln_sd: &[f64; HYPERS]) -> Self {
+    /// With the means of the standard deviations, whose logarithms have the standard deviations `ln_sd`: what the data do not
+    /// support is larger than its likeliest value. At most what 95 % of the prior are below.
+    pub(super) fn mean_sds(mut self, priors: &[HyperPrior; HYPERS], ln_sd: &[f64; HYPERS]) -> Self {
         let is_sd = |at: usize| at < Group::ALL.len() || at == SLOW;
         for at in (0..HYPERS).filter(|at| is_sd(*at)) {
             let most = priors[at].median.ln() + QUANTILE_95 * priors[at].ln_sd;
@@ -238,5 +232,61 @@ impl Variance {
             Self::Spectral(..) => Some(Group::Smooth),
             Self::ByNoise(_) => Some(Group::Backlash),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The mean of a log-normal distribution is its median times exp(variance / 2). 95 % of the prior of backlash, of median
+    /// 30 urad and a standard deviation of 1 of the logarithm, are below 30 e^1.645 urad.
+    #[test]
+    fn what_the_data_do_not_support_is_larger_than_its_likeliest_value() {
+        let priors = HyperPrior::all(0.02);
+        let mut hypers = Hypers::start(&priors, 0.01);
+        let mut ln_sd = [0.0; HYPERS];
+        (ln_sd[Group::Harmonic as usize], ln_sd[SLOW], ln_sd[Group::Backlash as usize]) = (0.4, 0.6, 3.0);
+        ln_sd[SIGMA] = 1.0;
+        let mean = hypers.mean_sds(&priors, &ln_sd);
+        assert!((mean.sd(Group::Harmonic) / (5e-4 * 0.08f64.exp()) - 1.0).abs() < 1e-12);
+        assert!((mean.processes()[1].sd_rad / (1e-4 * 0.18f64.exp()) - 1.0).abs() < 1e-12);
+        assert!((mean.sd(Group::Backlash) / (3e-5 * 1.645f64.exp()) - 1.0).abs() < 1e-12);
+        assert_eq!(mean.sigma_mm(), hypers.sigma_mm());
+        // What is above the quantile already stays.
+        hypers.0[Group::Backlash as usize] = 1e-3f64.ln();
+        assert!((hypers.mean_sds(&priors, &ln_sd).sd(Group::Backlash) / 1e-3 - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn slopes_of_a_variance_are_its_derivatives() {
+        let priors = HyperPrior::all(0.02);
+        let hypers = Hypers::start(&priors, 0.01);
+        for variance in [
+            Variance::Fixed(2.0),
+            Variance::ByNoise(3e-5),
+            Variance::Of(Group::Tolerance, 0.5),
+            Variance::Spectral(Joint::J3, 4.0),
+        ] {
+            let mut slopes = [0.0; HYPERS];
+            variance.slopes(&hypers, |at, slope| slopes[at] += slope);
+            for (at, slope) in slopes.into_iter().enumerate() {
+                let moved = |step: f64| {
+                    let mut moved = hypers;
+                    moved.0[at] += step;
+                    variance.value(&moved).ln()
+                };
+                let numeric = (moved(1e-5) - moved(-1e-5)) / 2e-5;
+                assert!((slope - numeric).abs() < 1e-8, "{variance:?} {at}: {slope} {numeric}");
+            }
+        }
+    }
+
+    /// A tolerance of 1 is the least that it can be; the logarithm of 2 is ln 2 / 0.7 standard deviations away.
+    #[test]
+    fn deviate_of_a_hyper_parameter_is_that_of_its_logarithm() {
+        let prior = HyperPrior::all(0.02)[Group::Tolerance as usize];
+        assert!((prior.off(2f64.ln()) - 2f64.ln() / 0.7).abs() < 1e-12);
+        assert_eq!([prior.clamp(-1.0), prior.clamp(1.0)], [0.0, 1.0]);
     }
 }

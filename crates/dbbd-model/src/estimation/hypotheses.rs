@@ -79,7 +79,9 @@ impl RunEventKind {
     fn sizes_mm(self) -> [f64; 2] {
         match self {
             Self::BarZeroStep | Self::BarZeroDrift | Self::BallOffset => [0.005, 5.0],
-            Self::BaseBallMoved | Self::ToolBallMoved | Self::TrackerMoved | Self::TrackerDrift => [0.02, 50.0],
+            Self::BaseBallMoved | Self::ToolBallMoved | Self::TrackerMoved | Self::TrackerDrift => {
+                [0.02, 50.0]
+            }
             Self::WrongBall | Self::RowsShifted => [0.0, 0.0],
         }
     }
@@ -232,7 +234,8 @@ impl<'a> EventSearch<'a> {
         for kind in RunEventKind::OF_COLUMNS {
             let events = self.events(kind);
             let places = events.len() as f64;
-            let is_new = |event: &RunEvent| !among.iter().any(|known| known.kind == kind && known.from == event.from);
+            let is_new =
+                |event: &RunEvent| !among.iter().any(|known| known.kind == kind && known.from == event.from);
             let judged = events.into_iter().filter(is_new).filter_map(|event| self.judged(event));
             if let Some((event, ln_bayes)) = judged.max_by(|a, b| a.1.total_cmp(&b.1)) {
                 best.push((event, ln_bayes + (ANYTHING / kinds / places / (1.0 - ANYTHING)).ln()));
@@ -248,7 +251,8 @@ impl<'a> EventSearch<'a> {
         let is_rival = |(other, other_odds): &&(RunEvent, f64)| {
             *other_odds > ln_odds - margin || *other_odds > 0.0 && self.cosine(&event, other) > ALIKE
         };
-        let rivals: Vec<RunEventKind> = best[1..].iter().filter(is_rival).map(|(other, _)| other.kind).collect();
+        let rivals: Vec<RunEventKind> =
+            best[1..].iter().filter(is_rival).map(|(other, _)| other.kind).collect();
         let (coefficients, covariance) = self.coefficients(&event)?;
         Some(JudgedEvent {
             event,
@@ -274,7 +278,9 @@ impl<'a> EventSearch<'a> {
             RunEventKind::BaseBallMoved => of_balls().collect(),
             RunEventKind::BallOffset if balls.len() > 1 => of_balls().collect(),
             RunEventKind::BallOffset | RunEventKind::WrongBall | RunEventKind::RowsShifted => Vec::new(),
-            RunEventKind::ToolBallMoved | RunEventKind::TrackerMoved | RunEventKind::TrackerDrift => vec![event],
+            RunEventKind::ToolBallMoved | RunEventKind::TrackerMoved | RunEventKind::TrackerDrift => {
+                vec![event]
+            }
         };
         whole.into_iter().flat_map(|event| self.places(event)).collect()
     }
@@ -285,7 +291,8 @@ impl<'a> EventSearch<'a> {
             return vec![event];
         }
         let own = (0..self.rows.places.len()).filter(|row| event.is_of(self.rows.data[*row]));
-        let timed = own.filter_map(|row| Some((self.lengths.elapsed(self.rows.places[row])?, self.rows.places[row])));
+        let timed =
+            own.filter_map(|row| Some((self.lengths.elapsed(self.rows.places[row])?, self.rows.places[row])));
         let mut timed: Vec<(f64, usize)> = timed.collect();
         timed.sort_by(|a, b| a.0.total_cmp(&b.0));
         let Some(inner) = timed.len().checked_sub(FEWEST).and_then(|last| timed.get(FEWEST..last)) else {

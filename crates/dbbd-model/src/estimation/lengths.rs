@@ -40,8 +40,6 @@ enum Rows<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Sigma {
     Given,
-    /// The given one times a factor.
-    Times(f64),
     /// The given variance plus this one, mm^2.
     And(f64),
     /// The same for all, mm.
@@ -52,7 +50,6 @@ impl Sigma {
     pub(super) fn of(self, given: f64) -> f64 {
         match self {
             Self::Given => given,
-            Self::Times(factor) => given * factor,
             Self::And(square) => (given * given + square).sqrt(),
             Self::All(sigma) => sigma,
         }
@@ -87,7 +84,14 @@ impl<'a> Lengths<'a> {
 
     /// `given` are the standard deviations, mm.
     pub(super) fn few(readings: Vec<PreparedMeasurement>, given: Vec<f64>) -> Lengths<'static> {
-        Lengths { rows: Rows::Few(readings, given), vouched: true, known: true, repeatability_mm: None, elapsed: vec![], timed: false }
+        Lengths {
+            rows: Rows::Few(readings, given),
+            vouched: true,
+            known: true,
+            repeatability_mm: None,
+            elapsed: vec![],
+            timed: false,
+        }
     }
 
     /// The lengths with these indices.
@@ -106,10 +110,16 @@ impl<'a> Lengths<'a> {
     /// The same measurements, some of them to another ball.
     pub(super) fn relabelled(&self, balls: &[(usize, BallId)]) -> Self {
         let mut other = self.clone();
-        let relabel = |datum: &mut Datum, ball: BallId| *datum = datum.bar().map_or(*datum, |bar| Datum::Ball(ball, bar));
+        let relabel = |datum: &mut Datum, ball: BallId| {
+            *datum = datum.bar().map_or(*datum, |bar| Datum::Ball(ball, bar))
+        };
         match &mut other.rows {
-            Rows::Few(readings, _) => balls.iter().for_each(|(at, ball)| relabel(&mut readings[*at].datum, *ball)),
-            Rows::Many(rows, _) => balls.iter().for_each(|(at, ball)| relabel(&mut rows.to_mut()[*at].datum, *ball)),
+            Rows::Few(readings, _) => {
+                balls.iter().for_each(|(at, ball)| relabel(&mut readings[*at].datum, *ball))
+            }
+            Rows::Many(rows, _) => {
+                balls.iter().for_each(|(at, ball)| relabel(&mut rows.to_mut()[*at].datum, *ball))
+            }
         }
         other
     }
@@ -193,7 +203,8 @@ fn elapsed(rows: &[Measurement]) -> (Vec<f64>, bool) {
     let times: Option<Vec<f64>> = rows.iter().map(|row| row.context.as_ref()?.time_s).collect();
     let timed = times.is_some();
     let is_new = |pair: &[Measurement]| pair[0].index != pair[1].index || pair[0].datum != pair[1].datum;
-    let indices = || rows.windows(2).all(is_new).then(|| rows.iter().map(|row| f64::from(row.index)).collect());
+    let indices =
+        || rows.windows(2).all(is_new).then(|| rows.iter().map(|row| f64::from(row.index)).collect());
     let times = times.or_else(indices).unwrap_or_default();
     let start = [f64::INFINITY, f64::NEG_INFINITY];
     let [first, last] = times.iter().fold(start, |[low, high], time| [low.min(*time), high.max(*time)]);

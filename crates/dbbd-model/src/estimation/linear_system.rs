@@ -190,17 +190,6 @@ mod tests {
         assert!((system.factor()[(0, 0)].abs() - 40f64.sqrt()).abs() < 1e-9);
     }
 
-    /// A prior alone is solved by its mean; its sum of squares is that of the deviates, here 3 of 0.5 mm.
-    #[test]
-    fn prior_rows_lead_to_the_mean() {
-        let model = model();
-        let id = ParamId::A(Joint::J2);
-        let prior = PriorRows::independent(&[Some(0.5)], &[model.value(id) + 1.5]);
-        let mut system = Triangle::new(1);
-        assert!((add_prior(&mut system, &prior, &model, &[id]) - 9.0).abs() < 1e-9);
-        assert!((system.solve().unwrap()[0] - 1.5).abs() < 1e-9);
-    }
-
     #[test]
     fn independent_noise_by_pose_is_that_of_the_lengths() {
         let (model, readings) = (model(), readings(12));

@@ -54,15 +54,15 @@ mod workspace;
 pub use calibration::{AngleSource, Calibration, Input};
 pub use design_prediction::{DesignPrediction, ParameterPrediction, predict_design};
 pub use distance::DistanceQuantities;
+pub use estimator::{GroupEvidence, JointSummary};
 pub use findings::beyond_repeatability;
+pub use hyper_parameters::Group;
+pub use hypotheses::{EventPlace, EventTreatment, RunEventKind, RunHypothesis};
 pub use identifiability::{
     Analysis, Combination, Correlation, Observability, analyse, correlations, observability, order_of_choice,
 };
 pub use input_checks::{check_measurements, doubts};
 pub use joint_curve::{JointPoint, joint_curve};
-pub use estimator::{GroupEvidence, JointSummary};
-pub use hyper_parameters::Group;
-pub use hypotheses::{EventPlace, EventTreatment, RunEventKind, RunHypothesis};
 pub use linear_system::{factor, linear_system};
 pub use options::{ErrorModel, Options};
 pub use pose_rows::LengthNoise;

@@ -97,7 +97,8 @@ fn draw(estimate: &Estimate, lengths: &Lengths, trials: usize) -> Vec<Vec<f64>> 
         let truth = posterior.drawn(|| factor * normal(&mut random));
         let prepared = truth.prepare();
         let exact = |at: usize| prepared.length(&used.reading(at));
-        let lengths_mm = (0..used.len()).map(|at| exact(at) + factor * sigma[at] * normal(&mut random)).collect();
+        let lengths_mm =
+            (0..used.len()).map(|at| exact(at) + factor * sigma[at] * normal(&mut random)).collect();
         let found = refit(&used.with_lengths(lengths_mm), estimate)?;
         let value = |id: &ParamId| model.value(*id) + found.value(*id) - truth.value(*id);
         Some(estimate.kept.iter().map(value).collect())

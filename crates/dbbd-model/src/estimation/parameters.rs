@@ -4,8 +4,8 @@ use super::Combination;
 use super::estimator::Estimate;
 use super::monte_carlo::Draws;
 use super::options::Setting;
-use super::result::{ParameterResult, Status};
 use super::posterior::Posterior;
+use super::result::{ParameterResult, Status};
 use crate::robot::ParamId;
 
 /// Why a parameter has its status.

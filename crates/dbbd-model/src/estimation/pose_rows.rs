@@ -34,22 +34,6 @@ pub(super) struct RowNoise {
     pub(super) joints: Vec<[f64; AXES]>,
 }
 
-impl RowNoise {
-    /// Of independent rows with these standard deviations.
-    pub(super) fn independent(own: Vec<f64>) -> Self {
-        Self { pose: 0.0, joints: vec![[0.0; AXES]; own.len()], own }
-    }
-
-    /// So many times as large.
-    pub(super) fn times(self, factor: f64) -> Self {
-        Self {
-            pose: factor * self.pose,
-            own: self.own.into_iter().map(|sd| factor * sd).collect(),
-            joints: self.joints.into_iter().map(|joints| joints.map(|sd| factor * sd)).collect(),
-        }
-    }
-}
-
 impl From<f64> for LengthNoise<'_> {
     /// Of independent lengths with this standard deviation, mm.
     fn from(sigma_mm: f64) -> Self {
@@ -127,7 +111,8 @@ impl PoseRows {
     ) -> Self {
         let geometry = &model.geometry;
         let (own, further) = (ids.len(), geometry.joint_errors.count());
-        let links = [ParamId::A, ParamId::D].into_iter().flat_map(|of: fn(Joint) -> ParamId| Joint::ALL.map(of));
+        let links =
+            [ParamId::A, ParamId::D].into_iter().flat_map(|of: fn(Joint) -> ParamId| Joint::ALL.map(of));
         let links: Vec<(ParamId, f64)> = links.map(|id| (id, model.value(id))).collect();
         let pieces = Rows { model, ids, further }.fold(lengths, Vec::new, |made: &mut Vec<Row>, row| {
             if row.weight == 0.0 {
@@ -154,7 +139,10 @@ impl PoseRows {
             let pose = (row.axes.map(f64::to_bits), row.approach.senses(), time(row.place).map(f64::to_bits));
             // A second length to the same ball is of another visit.
             let mut visit = 0;
-            while visits.get(&(pose, visit)).is_some_and(|own| own.iter().any(|at| rows[*at].datum == row.datum)) {
+            while visits
+                .get(&(pose, visit))
+                .is_some_and(|own| own.iter().any(|at| rows[*at].datum == row.datum))
+            {
                 visit += 1;
             }
             visits.entry((pose, visit)).or_default().push(at);
@@ -182,7 +170,10 @@ impl PoseRows {
         /// Cosine of the angle between two lengths.
         const OBLIQUE: f64 = 0.02;
         let is_oblique = |rows: &Vec<usize>| {
-            let pairs = rows.iter().enumerate().flat_map(|(at, one)| rows[..at].iter().map(move |other| (*one, *other)));
+            let pairs = rows
+                .iter()
+                .enumerate()
+                .flat_map(|(at, one)| rows[..at].iter().map(move |other| (*one, *other)));
             pairs.into_iter().any(|(one, other)| {
                 let cosine: f64 = (0..3).map(|k| self.units[one][k] * self.units[other][k]).sum();
                 cosine.abs() > OBLIQUE

@@ -231,7 +231,7 @@ impl Posterior {
     }
 
     /// A model drawn from it, by standard normal numbers.
-    pub(super) fn drawn(&self, mut normal: impl FnMut() -> f64) -> LengthModel {
+    pub fn drawn(&self, mut normal: impl FnMut() -> f64) -> LengthModel {
         let numbers = DVector::from_fn(self.root.ncols(), |_, _| normal());
         self.moved(&(&self.root * numbers))
     }

@@ -82,11 +82,7 @@ impl Prediction {
 }
 
 /// Of the robot before the lengths, and of one by its manufacturer's tolerance.
-fn nominal(
-    setting: &Setting<'_>,
-    estimate: &Estimate,
-    axes: &[[f64; AXES]],
-) -> (ErrorSummary, ErrorSummary) {
+fn nominal(setting: &Setting<'_>, estimate: &Estimate, axes: &[[f64; AXES]]) -> (ErrorSummary, ErrorSummary) {
     let ids: Vec<ParamId> = setting.all_and(estimate.before.balls.len().into(), &[]);
     let ids: Vec<ParamId> = ids.into_iter().filter(|id| id.is_geometric()).collect();
     let workspace = Workspace::new(&estimate.fit.model.geometry, axes, &ids);
@@ -112,14 +108,18 @@ fn parts(estimate: &Estimate, axes: &[[f64; AXES]]) -> PositionParts {
     let own: Vec<usize> = (0..kept.len()).filter(|&k| is_own(kept[k])).collect();
     let ids: Vec<ParamId> = own.iter().map(|&k| kept[k]).collect();
     let rows: Vec<usize> = own.iter().copied().chain(kept.len()..root.nrows()).collect();
-    let some: Vec<([f64; AXES], Approach)> =
-        axes.iter().step_by(axes.len().div_ceil(COMPRESSING).max(1)).map(|axes| (*axes, Approach::default())).collect();
+    let some: Vec<([f64; AXES], Approach)> = axes
+        .iter()
+        .step_by(axes.len().div_ceil(COMPRESSING).max(1))
+        .map(|axes| (*axes, Approach::default()))
+        .collect();
     let BallMotion { jacobian, balls, levers } = BallMotion::new(&fit.model.geometry, &some, &ids);
     let mut moved = jacobian * root.select_rows(&rows);
     take_out_rigid_motion(&mut moved, &balls);
     let rms = |square: f64| (square.max(0.0) / balls.len().max(1) as f64).sqrt();
     let bars = (0..kept.len()).filter(|&k| is_bar(&kept[k])).map(|k| root.row(k).transpose());
-    let bar: f64 = bars.filter(|row| row.norm() > 0.0).map(|row| (&moved * row.normalize()).norm_squared()).sum();
+    let bar: f64 =
+        bars.filter(|row| row.norm() > 0.0).map(|row| (&moved * row.normalize()).norm_squared()).sum();
     let by_prior = (&moved * &estimate.of_prior).norm_squared();
     let unapproached = estimate.unapproached_rad;
     let backlash = levers.iter().flatten().zip(unapproached.iter().cycle());

@@ -75,7 +75,8 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::measurement::BaseBall;
+    use crate::estimation::Options;
+    use crate::measurement::{BaseBall, Measurements};
     use crate::robot::{BallId, BarId, Coordinate, Joint, Robot};
 
     const IDS: [ParamId; 3] =
@@ -87,9 +88,20 @@ mod tests {
         LengthModel::new(geometry, &[ball])
     }
 
+    /// Of a1 and the bar's offset, whose rows have these inverse standard deviations.
+    fn rows_of([length, bar]: [f64; 2], mean: [f64; 3]) -> PriorRows {
+        let rows = DMatrix::from_row_slice(2, 3, &[length, 0.0, 0.0, 0.0, 0.0, bar]);
+        PriorRows { rows, mean: DVector::from_column_slice(&mean) }
+    }
+
+    /// The tolerance of a1 is 0.5 mm, a certificate of 0.05 mm; the ball is free.
     #[test]
     fn rows_divide_by_the_standard_deviation_and_leave_free_parameters_out() {
-        let prior = rows_of([2.0, 20.0], [0.0; 3]);
+        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let (start, options) = (model(), Options { bar_u_mm: Some(0.05), ..Options::default() });
+        let setting = Setting::new(&robot, &start, &Measurements::default(), &options);
+        let ids = [IDS[0], ParamId::Ball(BallId::FIRST, Coordinate::X), IDS[2]];
+        let prior = rows(&setting, &ids).unwrap();
         let expected = DMatrix::from_row_slice(2, 3, &[2.0, 0.0, 0.0, 0.0, 0.0, 20.0]);
         assert!((prior.matrix() - expected).norm() < 1e-12);
     }

@@ -6,8 +6,8 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::hypotheses::RunHypothesis;
 use super::estimator::{GroupEvidence, JointSummary};
+use super::hypotheses::RunHypothesis;
 use super::options::ErrorModel;
 use super::priors::Prior;
 use super::{

@@ -6,8 +6,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
-use super::system::Whitened;
 use super::pose_rows::PoseRows;
+use super::system::Whitened;
 use crate::robot::{AXES, Joint};
 
 /// Cycles a turn that are tried.

@@ -1,7 +1,7 @@
 //! The places of the set-up that the poses leave open.
 
-use super::lengths::{Sigma, Weighted};
 use super::inverse_root;
+use super::lengths::{Sigma, Weighted};
 use super::linear_system::factor;
 use super::priors::Priors;
 use crate::math::base_set;

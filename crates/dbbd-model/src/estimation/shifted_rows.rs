@@ -43,7 +43,8 @@ pub(super) fn shifted_rows(
             return None;
         }
         let prior = prior::rows(setting, &estimate.kept);
-        let problem = Problem { lengths: weighted, ids: &estimate.kept, loss: Loss::Huber, prior: prior.as_ref() };
+        let problem =
+            Problem { lengths: weighted, ids: &estimate.kept, loss: Loss::Huber, prior: prior.as_ref() };
         let shifted_mm = size_mm(&other, &minimise(&problem, &estimate.before).model, estimate);
         let gain = decisive(freedom, [residual_mm, shifted_mm], SMALLER)?;
         Some((gain, EstimationFinding::ShiftedRows { rows, residual_mm, shifted_mm, gain }))

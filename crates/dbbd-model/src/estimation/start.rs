@@ -89,7 +89,14 @@ impl EstimateStart {
         if options.follows_list() {
             let (ids, are_bars_uncertified) = (self.kept.clone(), false);
             let (means, variances) = (vec![0.0; ids.len()], vec![None; ids.len()]);
-            return Some(KnownBefore { ids, means, variances, transform: None, has_coefficients: false, are_bars_uncertified });
+            return Some(KnownBefore {
+                ids,
+                means,
+                variances,
+                transform: None,
+                has_coefficients: false,
+                are_bars_uncertified,
+            });
         }
         let massless = robot.geometry.masses.is_empty();
         let is_fixed = |id: &ParamId| options.hold.contains(id) || self.kept.contains(id);
@@ -110,9 +117,9 @@ impl EstimateStart {
             ParamGroup::Tool if !priors.is_of_posterior(*id) => {
                 priors.bound(*id).map(|sd| Variance::Of(Group::Tool, sd))
             }
-            ParamGroup::Geometric if options.prior == Prior::Datasheet => priors.bound(*id).map(|sd| {
-                widened(*id, sd).map_or(Variance::Of(Group::Tolerance, sd), Variance::Fixed)
-            }),
+            ParamGroup::Geometric if options.prior == Prior::Datasheet => priors
+                .bound(*id)
+                .map(|sd| widened(*id, sd).map_or(Variance::Of(Group::Tolerance, sd), Variance::Fixed)),
             ParamGroup::Bar if !priors.is_certified() => Some(Variance::Fixed(FAR_BAR_MM)),
             ParamGroup::Geometric
             | ParamGroup::Tool
@@ -127,7 +134,14 @@ impl EstimateStart {
         let are_bars_uncertified = !priors.is_certified() && options.prior != Prior::None;
         let variances: Vec<Option<Variance>> = ids.iter().map(variance).collect();
         let means = ids.iter().zip(&variances).map(|(id, v)| v.map_or(0.0, |_| start.value(*id))).collect();
-        let known = KnownBefore { ids, means, variances, transform: None, has_coefficients: false, are_bars_uncertified };
+        let known = KnownBefore {
+            ids,
+            means,
+            variances,
+            transform: None,
+            has_coefficients: false,
+            are_bars_uncertified,
+        };
         match options.prior {
             Prior::Posterior => continued(setting, known),
             Prior::None => self.judged_by_data(setting, lengths, known),
@@ -212,7 +226,14 @@ fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
         }));
     }
     let means = ids.iter().map(|id| setting.start.value(*id)).collect();
-    Some(KnownBefore { ids, means, variances, transform: Some(transform), has_coefficients: true, are_bars_uncertified })
+    Some(KnownBefore {
+        ids,
+        means,
+        variances,
+        transform: Some(transform),
+        has_coefficients: true,
+        are_bars_uncertified,
+    })
 }
 
 /// The standard deviation of the lengths from the residuals of a linearised fit of the base set, with which a fit begins.

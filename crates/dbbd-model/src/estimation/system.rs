@@ -215,7 +215,8 @@ impl SystemPosterior<'_> {
         let of_bound = self.coefficients.root();
         let (b, f) = (bound.len(), free.len());
         let mut follows = -factor.solve(&(across * &of_bound));
-        let mut own = factor.l().transpose().solve_upper_triangular(&DMatrix::identity(f, f))? * self.sigma_mm;
+        let mut own =
+            factor.l().transpose().solve_upper_triangular(&DMatrix::identity(f, f))? * self.sigma_mm;
         for (at, unit) in units.iter().enumerate() {
             follows.row_mut(at).scale_mut(*unit);
             own.row_mut(at).scale_mut(*unit);

@@ -75,12 +75,7 @@ pub(super) struct Unknowns {
 
 impl Unknowns {
     /// `with_errors`: also what the geometry does not explain.
-    pub(super) fn new(
-        before: KnownBefore,
-        start: &LengthModel,
-        used: &Weighted,
-        with_errors: bool,
-    ) -> Self {
+    pub(super) fn new(before: KnownBefore, start: &LengthModel, used: &Weighted, with_errors: bool) -> Self {
         let (mut angles, mut approached): ([Vec<f64>; AXES], bool) = Default::default();
         let (mut poses, mut warms) = (Vec::new(), with_errors);
         for (at, _) in used.sigmas().enumerate().filter(|(_, sigma)| *sigma != f64::INFINITY) {
@@ -93,7 +88,11 @@ impl Unknowns {
         }
         let range = |at: usize| if with_errors { range(&angles[at]) } else { [0.0; 2] };
         let ranges = std::array::from_fn(range);
-        let errors = ModelErrors { centres: if with_errors { centres(&poses) } else { Vec::new() }, warms, events: Vec::new() };
+        let errors = ModelErrors {
+            centres: if with_errors { centres(&poses) } else { Vec::new() },
+            warms,
+            events: Vec::new(),
+        };
         Self { before, ranges, visited: angles.map(VisitedAngles::of), approached, errors }
     }
 
@@ -179,7 +178,8 @@ impl Unknowns {
     ) -> System {
         let KnownBefore { ids, transform, variances, has_coefficients, .. } = &self.before;
         let mean_sd = used.by(Sigma::Given).rms_sigma();
-        let mut rows = PoseRows::at(model, &used.by(Sigma::All(1.0)), ids, |place| used.lengths().time(place));
+        let mut rows =
+            PoseRows::at(model, &used.by(Sigma::All(1.0)), ids, |place| used.lengths().time(place));
         if let Some(transform) = transform {
             let mixed = &rows.values.columns(0, transform.nrows()) * transform;
             let rest = rows.values.columns_range(transform.nrows()..).into_owned();
@@ -195,7 +195,9 @@ impl Unknowns {
         let terms = if *has_coefficients { Vec::new() } else { errors.terms() };
         let of_terms = terms.into_iter().map(|term| Some(of_term(term)));
         let mut variances: Vec<Option<Variance>> = variances.iter().copied().chain(of_terms).collect();
-        self.bar_columns().zip(bar_sds).for_each(|(column, sd)| variances[column] = Some(Variance::Fixed(*sd)));
+        self.bar_columns()
+            .zip(bar_sds)
+            .for_each(|(column, sd)| variances[column] = Some(Variance::Fixed(*sd)));
         let right = &rows.residual + &rows.values * z.rows(0, variances.len());
         let (further, of_further) = self.errors.columns(&rows, used);
         rows.values = beside(std::mem::replace(&mut rows.values, DMatrix::zeros(0, 0)), &further);
@@ -245,7 +247,8 @@ impl Unknowns {
             Some(transform) => {
                 let row = transform.row(k);
                 let parts = row.iter().zip(variances).filter(|(share, _)| **share != 0.0);
-                let squares = parts.map(|(share, variance)| Some(share * share * variance.as_ref()?.value(hypers)));
+                let squares =
+                    parts.map(|(share, variance)| Some(share * share * variance.as_ref()?.value(hypers)));
                 squares.sum::<Option<f64>>().map(f64::sqrt)
             }
         };
@@ -254,7 +257,8 @@ impl Unknowns {
 
     /// Brings a model from the unknowns `now` to those `then`.
     pub(super) fn move_to(&self, now: &DVector<f64>, then: &DVector<f64>, model: &mut LengthModel) {
-        let own = self.own() + if self.before.has_coefficients { 0 } else { model.geometry.joint_errors.count() };
+        let own =
+            self.own() + if self.before.has_coefficients { 0 } else { model.geometry.joint_errors.count() };
         let mut steps = then.rows(0, own) - now.rows(0, own);
         if let Some(transform) = &self.before.transform {
             let mixed = transform * steps.rows(0, transform.ncols());
@@ -263,8 +267,12 @@ impl Unknowns {
         }
         self.before.ids.iter().zip(&steps).for_each(|(id, step)| model.shift(*id, *step));
         let errors = &mut model.geometry.joint_errors;
-        let coefficients: Vec<f64> =
-            errors.coefficients().iter().zip(steps.iter().skip(self.before.ids.len())).map(|(own, step)| own + step).collect();
+        let coefficients: Vec<f64> = errors
+            .coefficients()
+            .iter()
+            .zip(steps.iter().skip(self.before.ids.len()))
+            .map(|(own, step)| own + step)
+            .collect();
         *errors = errors.with(coefficients);
     }
 

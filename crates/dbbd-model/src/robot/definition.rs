@@ -392,7 +392,7 @@ mod tests {
             nominal.root.row(at).norm()
         };
         assert_eq!(nominal.parameters.len(), 25);
-        assert_eq!((sd(ParamId::A(Joint::J2)), sd(ParamId::D(Joint::J6))), (0.5, 0.5));
+        assert_eq!((sd(ParamId::A(Joint::J2)), sd(ParamId::D(Joint::J6))), (0.5, 0.05));
         assert!((sd(ParamId::Beta(Joint::J3)) - 0.2f64.to_radians()).abs() < 1e-15);
         assert!((nominal.pose_mm * REPEATABILITY - 0.05).abs() < 1e-12);
         let ids = [ParamId::A(Joint::J2), ParamId::Theta(Joint::J3)];

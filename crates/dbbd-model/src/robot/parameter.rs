@@ -124,9 +124,14 @@ pub enum PriorRule {
     FlangeAngle,
     /// The tolerance of an angle over the greatest torque at the joint, rad/(N m): the deflection is then as large as the
     /// tolerance. Without known masses the compliance moves nothing, and the value is that of `without_masses`.
-    AngleToleranceOverTorque { joint: Joint, without_masses: f64 },
+    AngleToleranceOverTorque {
+        joint: Joint,
+        without_masses: f64,
+    },
     /// The standard uncertainty of the bar's certificate, else the value of `uncertified`, mm: the bar is not part of the robot.
-    Certificate { uncertified: f64 },
+    Certificate {
+        uncertified: f64,
+    },
     /// Free in an estimate: it is measured, taught or estimated by eye. Where a prior is needed, this one, mm or rad.
     Free(f64),
 }
@@ -189,7 +194,8 @@ impl ParamId {
         use ParamGroup::{Balls, Bar, Compliance, Gear, Geometric, Targets, Tool, Tracker};
         use ParamUnit::{Mm, Rad, RadPerNm};
         use PriorRule::{
-            AngleTolerance, AngleToleranceOverTorque, Certificate, FlangeAngle, FlangeLength, Free, LengthTolerance,
+            AngleTolerance, AngleToleranceOverTorque, Certificate, FlangeAngle, FlangeLength, Free,
+            LengthTolerance,
         };
         match self {
             Self::Alpha(_) => ParamFamily::of_robot("alpha{i}", Rad, Geometric, 0, AngleTolerance),

@@ -7,7 +7,7 @@ use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::estimation::{ErrorSummary, Posterior, Workspace};
 use dbbd_model::measurement::{BaseBall, LengthModel, Measurements, PreparedMeasurement};
 use dbbd_model::robot::{BallId, Coordinate, ParamId, Robot};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -48,11 +48,12 @@ impl Bench {
     }
 
     fn known(&self) -> Posterior {
-        let posterior = self.robot.posterior.as_ref().unwrap();
+        let (posterior, unknown) =
+            (self.robot.posterior.as_ref().unwrap(), self.robot.uncertainty.as_deref());
         if self.mounting == KEPT {
-            Posterior::of_robot_with_balls(self.start.clone(), posterior, None)
+            Posterior::of_robot_with_balls(self.start.clone(), posterior, unknown)
         } else {
-            Posterior::of_robot(self.start.clone(), posterior, None)
+            Posterior::of_robot(self.start.clone(), posterior, unknown)
         }
     }
 
@@ -95,10 +96,7 @@ struct Drawn {
 
 impl Drawn {
     fn new(bench: &Bench, change: &[(ParamId, f64)], random: &mut Pcg64) -> Self {
-        let known = bench.known();
-        let errors = known.root() * DVector::from_fn(known.root().ncols(), |_, _| normal(random));
-        let mut calibrated = bench.start.clone();
-        known.ids().iter().zip(&errors).for_each(|(id, error)| calibrated.shift(*id, *error));
+        let calibrated = bench.known().drawn(|| normal(random));
         let mut truth = calibrated.clone();
         let ball_mm = if let BallMounting::Kept(mm) = bench.mounting.balls { mm } else { 2.0 };
         for axis in 0..3 {

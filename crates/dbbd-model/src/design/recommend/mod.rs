@@ -52,7 +52,8 @@ impl Measured {
     fn error(&self, posterior: &Posterior) -> f64 {
         let ids = self.posterior.ids().len();
         let further = posterior.ids().len() - ids;
-        let rows: Vec<usize> = (0..posterior.root().nrows()).filter(|row| !(ids..ids + further).contains(row)).collect();
+        let rows: Vec<usize> =
+            (0..posterior.root().nrows()).filter(|row| !(ids..ids + further).contains(row)).collect();
         (&self.jacobian * posterior.root().select_rows(&rows)).norm()
     }
 }

@@ -40,7 +40,6 @@ fn turned(circles: &[Circle], points: usize, sigma_mm: f64, amplitude_deg: f64) 
 /// The word of `result.json`.
 fn kind_of(one: &Recommendation) -> &'static str {
     match one.measure {
-        FurtherMeasurement::Prior => "prior",
         FurtherMeasurement::Circle { .. } => "circle",
         FurtherMeasurement::Wrist { .. } => "wrist",
         FurtherMeasurement::Ball { .. } => "ball",
@@ -105,12 +104,10 @@ fn another_plane_separates_the_parameters_of_a_horizontal_circle() {
     };
     let data = noisy(&circles, 80, 0.02);
     for prior in [Prior::None, Prior::Datasheet] {
-        let found = calibrated(&kr60(), &data, &balls(&circles), &options(prior.clone())).unwrap().result;
+        let found = calibrated(&kr60(), &data, &balls(&circles), &options(prior)).unwrap().result;
         let circle = found.recommendations.iter().find(|one| kind_of(one) == "circle").unwrap();
         assert!(circle.identifies.contains(&ParamId::D(Joint::J2)), "{circle}");
         assert!(!circle.identifies.contains(&ParamId::D(Joint::J3)), "{circle}");
-        let with_prior = found.recommendations.iter().any(|one| kind_of(one) == "prior");
-        assert_eq!(with_prior, prior == Prior::None);
     }
 }
 
@@ -146,9 +143,12 @@ fn uninformative_poses_give_no_absurd_recommendation() {
         }
         let ball = advice.iter().find(|one| kind_of(one) == "ball").unwrap();
         assert!(ball.adds, "{ball}");
-        further.push(ball.after_mm);
+        // A list takes what it does not name as exact.
+        if options.estimate.is_none() {
+            further.push(ball.after_mm);
+        }
     }
-    // The same measurement, independent of the options.
+    // The same measurement, whether the tolerance binds all directions or only those that the data leave open.
     let [least, most] = [f64::min, f64::max].map(|pick| further.iter().copied().reduce(pick).unwrap());
-    assert!(most < 1.3 * least, "{further:?}");
+    assert!(most < 2.0 * least, "{further:?}");
 }
