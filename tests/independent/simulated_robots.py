@@ -210,12 +210,10 @@ class Bench:
         (self.dir / name).write_text("\n".join(lines) + "\n")
 
     def lengths(self, q, sense, k, t, L, sigma=.005):
-        """The table lengths.csv of a run of an hour; the index is the number of the row, from 1."""
+        """The tables of a run of an hour: lengths.csv, with the number of the row as index, from 1, and centres.csv."""
         self.table("lengths.csv", ["index", "centre", *AXES, "length_mm", "sigma_mm", *SENSES, "t_s"],
                    range(1, len(L) + 1), k + 1, *q.T, L, [sigma] * len(L), *sense.astype(int).T, 3600 * t)
-
-    def centres(self, n):
-        self.table("centres.csv", ["centre", "x_mm", "y_mm", "z_mm"], range(1, n + 1), *BALLS[:n].T)
+        self.table("centres.csv", ["centre", "x_mm", "y_mm", "z_mm"], range(1, max(k) + 2), *BALLS[:max(k) + 1].T)
 
     def call(self, *args):
         command = [self.dbbd, *map(str, args), "--quiet"]
@@ -237,18 +235,13 @@ class Bench:
         columns = list(q.T) + ([] if sense is None else list(sense.astype(int).T))
         self.table("axes.csv", AXES + ([] if sense is None else SENSES), *columns)
         self.call("predict", "axes.csv", "--robot", robot, "--out", "p.csv")
-        return read(self.dir / "p.csv", "x_mm", "y_mm", "z_mm"), read(self.dir / "p.csv", "sd_mm")[:, 0]
+        out = np.genfromtxt(self.dir / "p.csv", delimiter=",", names=True)
+        return np.stack([out["x_mm"], out["y_mm"], out["z_mm"]], axis=1), out["sd_mm"]
 
     def errors(self, out, q, sense, p):
         """Errors of an identified robot at poses after one rigid alignment, and the predicted standard deviations."""
         at, sd = self.predict(f"{out}/robot-identified.toml", q, sense)
         return distances(at, p), sd
-
-
-def read(path, *columns):
-    lines = pathlib.Path(path).read_text().splitlines()
-    at = [lines[0].split(",").index(c) for c in columns]
-    return np.array([[float(line.split(",")[i]) for i in at] for line in lines[1:]])
 
 
 def distances(a, b):
@@ -261,7 +254,7 @@ def distances(a, b):
 def row(where):
     """The first index that a place names: a number, or words or members with numbers."""
     text = json.dumps(where)
-    number = re.search(r"(?:index|indices|row)\D*(\d+)", text) or re.search(r"(\d+)", text)
+    number = re.search(r"(?:index|indices|row|from)\D*(\d+)", text) or re.search(r"(\d+)", text)
     return int(number.group(1)) if number else None
 
 
@@ -339,6 +332,8 @@ def few(judge):
                     order = max(order, abs(bench.predict("sorted/robot-identified.toml", q)[0] - at).max())
         return error, order
     results = judge.each("few", work, "few")
+    if not results:
+        return
     print("\nfew: true error, mm\n       n  " + "".join(f"{m:>12} mean  largest" for m in modes))
     for n in counts:
         e = {m: np.array([r[0][m, n] for r in results]) for m in modes}
@@ -355,25 +350,24 @@ def honesty(judge):
     """True against predicted errors at kept poses, for each violation of the model of errors."""
     cases = ("none", "links warm", "zeros drift", "sag", "ball form", "bar warms", "harmonics", "ripple", "coupled",
              "partly reversed", "stem bends", "pedestal tilts", "t(2.5)")
-    print("\nhonesty: p/t and coverage at kept poses, mm\n  case               balls    p/t  coverage   mean error")
+    print("\nhonesty: p/t and coverage at kept poses, mm\n  case                       p/t  coverage   mean error")
     for case in cases:
         for balls, poses in ((3, 70), (1, 140)):
             def work(i, bench):
                 robot = Robot(np.random.default_rng([2, i]), case)
-                bench.centres(balls)
                 bench.lengths(*robot.run(poses, balls))
                 bench.identify("out", "lengths.csv")
                 return bench.errors("out", *robot.kept())
-            results = judge.each("honesty", work, f"{case}, {balls} balls")
+            about = f"{case}, {balls} balls"
+            results = judge.each("honesty", work, about)
             if not results:
                 continue
             e, sd = (np.concatenate(x) for x in zip(*results))
             ratio, coverage = np.sqrt((sd**2).mean() / (e**2).mean()), (e**2 <= 7.815 * sd**2 / 3).mean()
-            print(f"  {case:18}{balls:6}{ratio:7.2f}{coverage:10.3f}{e.mean():13.4f}")
+            print(f"  {about:24}{ratio:7.2f}{coverage:10.3f}{e.mean():13.4f}")
             if case not in NOT_LIMITED:
-                judge.limit("honesty: p/t", ratio, f"{case}, {balls} balls")
-                hard = ", hard" if (case, balls) in HARD else ""
-                judge.limit("honesty: coverage" + hard, coverage, f"{case}, {balls} balls")
+                judge.limit("honesty: p/t", ratio, about)
+                judge.limit("honesty: coverage" + ", hard" * ((case, balls) in HARD), coverage, about)
 
 
 def no_change(judge):
@@ -382,7 +376,6 @@ def no_change(judge):
     def work(i, bench):
         kind, (balls, order) = kinds[i % 6], ((1, "in turn"), (3, "in turn"), (3, "blocks"))[i // 6 % 3]
         robot = Robot(np.random.default_rng([3, i]), kinds[:5] if kind == "all" else kind)
-        bench.centres(balls)
         bench.lengths(*robot.run(200, balls, order))
         certain = sorted({c[0] for c in reported(bench.identify("out", "lengths.csv")) if c[2] and c[0] in CHANGES})
         return f"{kind}, {balls} ball{'s ' + order if balls > 1 else ''}: {', '.join(certain)}" if certain else ""
@@ -399,7 +392,7 @@ def changes(judge):
     kinds = (("bar_zero_step", .05), ("base_ball_moved", .5), ("base_ball_moved", 2),
              ("tool_ball_moved", .5), ("wrong_ball", 10))
     print("\nchanges: share of the right kind within 10 rows: named as certain, at least possible, named and no other")
-    print("  change               balls   named  possible   alone   reported as certain")
+    print("  change                       named  possible   alone   reported as certain")
     for kind, size in kinds:
         for balls, rows in ((3, 252), (1, 210)):
             if kind == "wrong_ball" and balls == 1:
@@ -415,23 +408,22 @@ def changes(judge):
                 L = robot.measure(p, k, t, way * (k == hit)[:, None] if kind == "base_ball_moved" else 0.0)
                 L = L + size * after * (kind == "bar_zero_step")
                 k = (k + (after & (n < at + size) & (kind == "wrong_ball"))) % balls
-                bench.centres(balls)
                 bench.lengths(q, sense, k, t, L, .015)
                 found = [c for c in reported(bench.identify("out", "lengths.csv")) if c[0] in CHANGES]
-                right = [c for c in found if c[0] == kind and (c[1] is None or abs(c[1] - at - 1) <= 10)]
+                right = [c for c in found if c[0] == kind and c[1] is not None and abs(c[1] - at - 1) <= 10]
                 certain = {c[0] for c in found if c[2]}
                 named = any(c[2] for c in right)
                 return named, bool(right), named and certain == {kind}, ", ".join(sorted(certain)) or "nothing"
-            about = f"{kind} {size}"
-            results = judge.each("changes", work, f"{about}, {balls} balls")
+            about = f"{kind} {size}, {balls} balls"
+            results = judge.each("changes", work, about)
             if not results:
                 continue
             share = [sum(r[j] for r in results) / len(results) for j in range(3)]
             said = collections.Counter(r[3] for r in results).most_common()
-            print(f"  {about:21}{balls:5}{share[0]:8.2f}{share[1]:10.2f}{share[2]:8.2f}   " +
+            print(f"  {about:28}{share[0]:8.2f}{share[1]:10.2f}{share[2]:8.2f}   " +
                   "; ".join(f"{count} {text}" for text, count in said))
-            judge.limit("changes: share named or possible", share[1], f"{about}, {balls} balls")
-            judge.limit("changes: share named alone", share[2], f"{about}, {balls} balls")
+            judge.limit("changes: share named or possible", share[1], about)
+            judge.limit("changes: share named alone", share[2], about)
 
 
 def second_run(judge):
@@ -440,7 +432,6 @@ def second_run(judge):
     modes["both"] = ["lengths.csv", "--positions", "positions.csv"]
     def work(i, bench):
         robot = Robot(np.random.default_rng([5, i]))
-        bench.centres(3)
         bench.lengths(*robot.run(60, 3))
         joints = bench.identify("first", "lengths.csv")["model"] == "joint_errors"
         bench.lengths(*robot.run(25, 3))
@@ -478,9 +469,8 @@ def bar_scale(judge):
     for bar in (300.0, 300.3, 301.0, 302.0):
         def work(i, bench):
             robot = Robot(np.random.default_rng([6, i]), joints=False, repeatability=0, bar=.01)
-            q = on_sphere(robot, 150, bar)[:120]
+            q = on_sphere(robot, 150, 300)[:120]
             sense, k, t = 0 * q, np.zeros(len(q), int), np.linspace(0, 1, len(q))
-            bench.centres(1)
             bench.lengths(q, sense, k, t, robot.measure(robot.visit(q, sense, t), k, t) - (bar - 300), .01)
             kept, out = robot.kept(300), {}
             for mode, options in modes.items():
