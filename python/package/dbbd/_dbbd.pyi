@@ -17,6 +17,8 @@ __all__ = [
     "check",
     "identify",
     "plan",
+    "request",
+    "request_json",
     "simulate",
 ]
 
@@ -152,6 +154,8 @@ def check(
     workspace_deg: ArrayLike | None = None,
 ) -> Check: ...
 def plan(job: _Path, *, robot: Robot | None = None) -> Plan: ...
+def request(request: Mapping[str, Any] | str) -> _Dict: ...
+def request_json(request: Mapping[str, Any] | str) -> str: ...
 def simulate(
     axes_deg: ArrayLike,
     ball: ArrayLike,

@@ -30,6 +30,11 @@ pub trait BusyIndicator {
     fn advance(&self, bytes: u64);
 }
 
+/// Nobody follows the request: its findings are in the answer.
+pub struct Unwatched;
+
+impl RequestWatch for Unwatched {}
+
 struct NoIndicator;
 
 impl BusyIndicator for NoIndicator {
