@@ -1,5 +1,6 @@
 //! Lengths and positions at poses, as arrays.
 
+use dbbd_job::request::identify::checked_workspace;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{check_measurements, doubts};
 use dbbd_model::measurement::MeasurementFinding;
@@ -10,7 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{Floats, Numbers, Rows, Wholes, approaches, array, column};
-use crate::error::{Outcome, failed};
+use crate::error::{Outcome, failed, warn};
 
 /// Where the lengths of a call are, as a message names it.
 pub(crate) const ARRAYS: &str = "measurements";
@@ -127,6 +128,21 @@ pub(crate) fn balls(array: &Numbers<'_>) -> PyResult<Vec<BaseBall>> {
 pub(crate) fn checked(lengths: &Measurements, robot: &Robot, balls: &[BaseBall]) -> Outcome<Vec<Diagnostic>> {
     check_measurements(ARRAYS, lengths, robot, balls)?;
     Ok(doubts(ARRAYS, lengths, robot, balls))
+}
+
+/// The poses of a workspace, rad; a warning if the robot's limits do not allow them.
+pub(crate) fn workspace(
+    py: Python<'_>,
+    given: Option<&Numbers<'_>>,
+    robot: &Robot,
+) -> Outcome<Option<Vec<[f64; AXES]>>> {
+    const ARGUMENT: &str = "workspace_deg";
+    let Some(given) = given else { return Ok(None) };
+    let axes = Rows::<AXES>::of(given, ARGUMENT)?.rows.into_iter().map(AxisAngles::from_degrees);
+    let (poses, beyond) = checked_workspace(&axes.collect::<Vec<_>>(), robot)
+        .map_err(|finding| Diagnostic::file(ARGUMENT, finding))?;
+    beyond.iter().try_for_each(|finding| warn(py, &Diagnostic::file(ARGUMENT, finding.clone())))?;
+    Ok(Some(poses))
 }
 
 /// The places of base balls.

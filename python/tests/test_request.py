@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import dbbd
-from conftest import ROOT
+from conftest import ROOT, numbers
 
 IDENTIFIED = "identify/robot-identified.toml"
 
@@ -97,3 +97,38 @@ def test_a_request_is_a_dictionary_or_json(tmp_path, monkeypatch):
         with pytest.raises(dbbd.DbbdError) as raised:
             dbbd.request(wrong)
         assert raised.value.code == "E0004"
+
+
+def test_arrays_have_the_answer_of_the_request(tmp_path, monkeypatch):
+    """A plan and a check of arrays are those of the request; test_identify.py has the identification."""
+    monkeypatch.chdir(filled(tmp_path / "python"))
+    for asked, _ in REQUESTS[:2]:
+        assert "result" in dbbd.request(asked)
+    plan = dbbd.plan("job.toml")
+    plan.write("again")
+    assert written(tmp_path / "python" / "again") == written(tmp_path / "python" / "plan")
+    with pytest.warns(dbbd.DbbdWarning):
+        identified = dbbd.Robot.load(IDENTIFIED)
+    # The lengths beside the identified robot put the ball elsewhere, where the poses of the job are not safe.
+    second = dbbd.request({"request": "plan", "job": "job.toml", "robot": IDENTIFIED, "out": "second"})
+    with pytest.raises(dbbd.DbbdError) as raised:
+        dbbd.plan("job.toml", robot=identified)
+    assert raised.value.code == second["refusal"]["code"]
+    answer = dbbd.request({**REQUESTS[3][0], "input": "identify/lengths.csv", "centres": "plan/centres.csv"})
+    check = lengths_of(tmp_path / "python", identified)
+    expected = answer["result"]["document"]
+    del expected["provenance"]
+    assert json.dumps(check.to_dict(), sort_keys=True) == json.dumps(expected, sort_keys=True)
+    found = {finding["code"] for finding in check.findings}
+    assert found <= {finding["code"] for finding in answer["findings"]}
+
+
+def lengths_of(folder, robot):
+    axes = [f"a{axis}_deg" for axis in range(1, 7)]
+    senses = [f"approach{axis}" for axis in range(1, 7)]
+    names = ["index", "centre", *axes, "length_mm", "sigma_mm", *senses]
+    table = numbers(folder / "identify" / "lengths.csv", names)
+    return dbbd.check(
+        table[:, 2:8], table[:, 8], table[:, 1].astype(int), index=table[:, 0].astype(int), robot=robot,
+        sigma_mm=table[:, 9], approach=table[:, 10:].astype(int),
+        balls_mm=numbers(folder / "plan" / "centres.csv", ["x_mm", "y_mm", "z_mm"]), tolerance_mm=1.0)
