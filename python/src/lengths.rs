@@ -33,20 +33,20 @@ impl Given<'_, '_> {
         let axes = Rows::<AXES>::of(self.axes_deg, "axes_deg")?.rows;
         let count = axes.len();
         let lengths = column(self.lengths_mm, "lengths_mm", count)?;
-        let balls = numbers(Some(self.ball), "ball", count)?;
-        let bars = numbers(self.bar, "bar", count)?;
+        let balls = ids(Some(self.ball), "ball", count, BallId::new)?;
+        let bars = ids(self.bar, "bar", count, BarId::new)?;
         let sigmas = match self.sigma_mm {
             Some(sigma) => column(sigma, "sigma_mm", count)?.into_iter().map(Some).collect(),
             None => vec![None; count],
         };
         let approaches = approaches(self.approach, count)?;
         let indices = match self.index {
-            Some(index) => whole(&column(index, "index", count)?, "index", 0)?,
+            Some(index) => whole(index, "index", count, 0, Some)?,
             None => (1..=count as u32).collect(),
         };
         let row = |at: usize| Measurement {
             index: indices[at],
-            datum: Datum::Ball(BallId::numbered(balls[at]), BarId::numbered(bars[at])),
+            datum: Datum::Ball(balls[at], bars[at]),
             target: TargetId::FIRST,
             axes: AxisAngles::from_degrees(axes[at]),
             approach: approaches[at],
@@ -80,7 +80,7 @@ impl GivenPositions<'_, '_> {
         if places.len() != count {
             return Err(PyValueError::new_err("positions_deg and positions_mm must have as many rows").into());
         }
-        let targets = numbers(self.target, "target", count)?;
+        let targets = ids(self.target, "target", count, TargetId::new)?;
         let sigmas = match self.sigma_mm {
             Some(sigma) => column(sigma, "positions_sigma_mm", count)?.into_iter().map(Some).collect(),
             None => vec![None; count],
@@ -90,7 +90,7 @@ impl GivenPositions<'_, '_> {
             let row = Measurement {
                 index: at as u32 + 1,
                 datum: Datum::Plane(Coordinate::X),
-                target: TargetId::numbered(targets[at]),
+                target: targets[at],
                 axes: AxisAngles::from_degrees(axes[at]),
                 approach: approaches[at],
                 length_mm: 0.0,
@@ -103,14 +103,29 @@ impl GivenPositions<'_, '_> {
     }
 }
 
-/// Numbers from 1; all the first where there is no array.
-fn numbers(array: Option<&Wholes<'_>>, name: &str, count: usize) -> PyResult<Vec<u32>> {
-    array.map_or_else(|| Ok(vec![1; count]), |array| whole(&column(array, name, count)?, name, 1))
+/// What is counted from 1; all the first where there is no array.
+fn ids<T: Clone>(
+    array: Option<&Wholes<'_>>,
+    name: &str,
+    count: usize,
+    id: fn(u32) -> Option<T>,
+) -> PyResult<Vec<T>> {
+    match array {
+        Some(array) => whole(array, name, count, 1, id),
+        None => Ok(id(1).map_or_else(Vec::new, |first| vec![first; count])),
+    }
 }
 
-fn whole(numbers: &[i64], name: &str, least: u32) -> PyResult<Vec<u32>> {
-    let number = |number: &i64| u32::try_from(*number).ok().filter(|number| *number >= least);
-    let numbers: Option<_> = numbers.iter().map(number).collect();
+/// A column of whole numbers from `least`.
+fn whole<T>(
+    array: &Wholes<'_>,
+    name: &str,
+    count: usize,
+    least: u32,
+    read: fn(u32) -> Option<T>,
+) -> PyResult<Vec<T>> {
+    let numbers = column(array, name, count)?.into_iter();
+    let numbers: Option<_> = numbers.map(|number| u32::try_from(number).ok().and_then(read)).collect();
     numbers.ok_or_else(|| PyValueError::new_err(format!("{name} must be whole numbers from {least}")))
 }
 

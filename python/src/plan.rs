@@ -54,7 +54,7 @@ impl PyPlan {
     /// Number of the base ball of each of these poses, from 1.
     #[getter]
     fn ball<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<i64>>> {
-        let balls: Vec<i64> = self.dwells().map(|row| i64::from(row.centre)).collect();
+        let balls: Vec<i64> = self.dwells().map(|row| i64::from(row.centre.number())).collect();
         let count = balls.len();
         array(py, balls, &[count])
     }
@@ -70,7 +70,7 @@ impl PyPlan {
         let (rows, columns) = (&self.made.plan.rows, PyDict::new(py));
         columns.set_item("index", rows.iter().map(|row| row.index).collect::<Vec<_>>())?;
         columns.set_item("circle", rows.iter().map(|row| row.circle).collect::<Vec<_>>())?;
-        columns.set_item("ball", rows.iter().map(|row| row.centre).collect::<Vec<_>>())?;
+        columns.set_item("ball", rows.iter().map(|row| row.centre.number()).collect::<Vec<_>>())?;
         columns.set_item("kind", to_python(py, &rows.iter().map(|row| row.kind).collect::<Vec<_>>())?)?;
         let triples = |of: fn(&PlanRow) -> [f64; 3]| rows.iter().map(of).collect::<Vec<_>>();
         columns.set_item("xyz_mm", triples(|row| row.xyz_mm))?;
