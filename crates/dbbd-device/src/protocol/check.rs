@@ -9,13 +9,52 @@ use std::sync::Mutex;
 use crc::{Algorithm, Table};
 
 use super::source::DefinitionSource;
-use super::table::{CheckEncoding, CheckKind, CheckTable};
 use crate::protocol::ProtocolFinding::{
     AfterCharacter, CrcDiffers, CrcWidth, EncodingMissing, NameAndParameters, OptionalWithoutAfter,
     ParametersMissing, ParametersWithoutCrc, UnknownCrc,
 };
 use crate::sync::lock;
 use dbbd_model::diagnostic::Diagnostic;
+use serde::Deserialize;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CheckTable {
+    kind: CheckKind,
+    enc: Option<CheckEncoding>,
+    after: Option<String>,
+    /// Number of bytes at the start that are not covered.
+    #[serde(default)]
+    over_from: usize,
+    #[serde(default)]
+    optional: bool,
+    name: Option<String>,
+    width: Option<u8>,
+    poly: Option<u32>,
+    init: Option<u32>,
+    refin: Option<bool>,
+    refout: Option<bool>,
+    xorout: Option<u32>,
+    check: Option<u32>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum CheckKind {
+    None,
+    Xor8,
+    Sum8,
+    Crc,
+}
+
+/// Lowest byte first, highest byte first, or hexadecimal digits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum CheckEncoding {
+    Le,
+    Be,
+    Hex,
+}
 
 #[derive(Clone, Debug)]
 pub(super) struct FrameCheck {

@@ -3,10 +3,19 @@
 //! A tag is written from the highest bit: `0` and `1` are fixed; a letter is a value that is equal in every byte of a
 //! record. It follows the data in the content, one byte per letter.
 
-use super::table::TagOrder;
 use crate::protocol::ProtocolFinding::{
     self, TagBits, TagCount, TagLetterApart, TagLettersDiffer, TagSymbol,
 };
+use serde::Deserialize;
+
+/// Which byte of a tagged record holds the lowest bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum TagOrder {
+    #[default]
+    LowFirst,
+    HighFirst,
+}
 
 #[derive(Clone, Debug)]
 pub(super) struct TaggedRecord {
