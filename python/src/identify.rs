@@ -36,7 +36,7 @@ pub(crate) struct PyResult_ {
 
 impl PyResult_ {
     fn document(&self) -> ResultDocument<'_> {
-        ResultDocument { result: &self.found.result, budget: &self.budget, provenance: None }
+        ResultDocument::without_files(&self.found, &self.budget)
     }
 }
 
@@ -236,6 +236,7 @@ pub(crate) fn identify<'py>(
     let balls = balls_mm.as_ref().map_or(Ok(Vec::new()), balls)?;
     findings.extend(checked(&lengths, &robot, &balls)?);
     let rest = Options {
+        model: error_model(model)?,
         sigma_mm: all,
         bar_u_mm,
         folds,
@@ -245,7 +246,7 @@ pub(crate) fn identify<'py>(
     };
     let set_up = lengths.set_up(balls.len());
     let prior = prior.map(|given| self::prior(given, set_up)).transpose()?;
-    let asked = AskedIdentification { estimate, hold, prior, model: error_model(model)?, rest };
+    let asked = AskedIdentification { estimate, hold, prior, rest };
     // Nothing says from which lengths a robot in memory was identified.
     let (options, lost) = asked.options(&robot, lengths.rows.len(), set_up, || Ok(0))?;
     findings.extend(lost.map(Diagnostic::from));

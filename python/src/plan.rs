@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use dbbd_job::plan::{Plan, PlanRow};
 use dbbd_job::recording::run::read_plan;
-use dbbd_job::request::Unwatched;
 use dbbd_job::request::plan::{PlanRequest, PlannedPoses, UnwrittenPlan};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::PoseKind;
@@ -27,7 +26,7 @@ pub(crate) struct PyPlan {
 
 impl PyPlan {
     pub(crate) fn of(plan: Plan) -> Result<Self, Failure> {
-        Ok(Self { made: UnwrittenPlan { plan, page: None }, findings: Vec::new() })
+        Ok(Self { made: UnwrittenPlan::from(plan), findings: Vec::new() })
     }
 
     fn dwells(&self) -> impl Iterator<Item = &PlanRow> {
@@ -118,7 +117,7 @@ pub(crate) fn plan(py: Python<'_>, job: PathBuf, robot: Option<&PyRobot>) -> Res
     };
     let given = robot.map(|robot| robot.read.clone());
     py.detach(|| {
-        let (made, findings) = request.unwritten(given, &Unwatched)?;
+        let (made, findings) = request.unwritten(given, &())?;
         Ok(PyPlan { made, findings })
     })
 }

@@ -1,6 +1,6 @@
 //! `request`: one request, one answer, as every other caller asks it.
 
-use dbbd_job::request::{Request, Unwatched};
+use dbbd_job::request::Request;
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 
@@ -28,5 +28,5 @@ pub(crate) fn request_json<'py>(py: Python<'py>, request: &Bound<'py, PyAny>) ->
         Err(_) => py.import("json")?.call_method1("dumps", (request,))?.extract()?,
     };
     let request = Request::from_json(ARGUMENT, &text)?;
-    py.detach(|| request.answer(&Unwatched).to_json()).map_err(Failure::from)
+    py.detach(|| request.answer(&()).to_json()).map_err(Failure::from)
 }

@@ -16,7 +16,7 @@ pub struct Timed<'a> {
 
 impl Timed<'_> {
     /// Whether the row is numbered in its module: a dwell, or the end of a pass.
-    pub fn is_counted(&self) -> bool {
+    fn is_counted(&self) -> bool {
         self.row.kind != PoseKind::Transit || self.pass.is_some()
     }
 

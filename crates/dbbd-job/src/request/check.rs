@@ -73,7 +73,7 @@ pub struct CheckedLengths {
     #[serde(flatten)]
     pub check: InterimCheck,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub distance: Option<DistanceQuantities>,
+    distance: Option<DistanceQuantities>,
 }
 
 impl CheckedLengths {

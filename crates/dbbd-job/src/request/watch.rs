@@ -31,9 +31,7 @@ pub trait BusyIndicator {
 }
 
 /// Nobody follows the request: its findings are in the answer.
-pub struct Unwatched;
-
-impl RequestWatch for Unwatched {}
+impl RequestWatch for () {}
 
 struct NoIndicator;
 

@@ -116,8 +116,8 @@ pub struct IdentifyDocument {
 impl Serialize for IdentifyDocument {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let Self { calibration, budget, provenance } = self;
-        ResultDocument { result: &calibration.result, budget, provenance: Some(provenance) }
-            .serialize(serializer)
+        let without = ResultDocument::without_files(calibration, budget);
+        ResultDocument { provenance: Some(provenance), ..without }.serialize(serializer)
     }
 }
 
@@ -125,11 +125,17 @@ impl Serialize for IdentifyDocument {
 #[derive(Serialize)]
 pub struct ResultDocument<'a> {
     #[serde(flatten)]
-    pub result: &'a CalibrationResult,
-    pub budget: &'a UncertaintyBudget,
-    /// `None` for a result that was made from no file.
+    result: &'a CalibrationResult,
+    budget: &'a UncertaintyBudget,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub provenance: Option<&'a Provenance>,
+    provenance: Option<&'a Provenance>,
+}
+
+impl<'a> ResultDocument<'a> {
+    /// Of a result that was made from no file.
+    pub fn without_files(calibration: &'a CompletedCalibration, budget: &'a UncertaintyBudget) -> Self {
+        Self { result: &calibration.result, budget, provenance: None }
+    }
 }
 
 impl IdentifyRequest {
@@ -212,8 +218,8 @@ impl IdentifyRequest {
             estimate: self.estimate.as_deref(),
             hold: self.hold.as_deref(),
             prior: prior.transpose()?,
-            model: self.model,
             rest: Options {
+                model: self.model,
                 sigma_mm: self.sigma_mm,
                 bar_u_mm: given.bar_u_mm,
                 folds: self.folds,

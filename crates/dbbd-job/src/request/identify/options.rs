@@ -17,7 +17,6 @@ pub struct AskedIdentification<'a> {
     pub hold: Option<&'a str>,
     /// `None` for the posterior of the robot if it has one, else no prior.
     pub prior: Option<RequestedPrior<BTreeMap<ParamId, f64>>>,
-    pub model: ErrorModel,
     /// The options without these.
     pub rest: Options,
 }
@@ -35,9 +34,10 @@ impl AskedIdentification<'_> {
         set_up: SetUpCounts,
         known: impl FnOnce() -> Result<usize, Diagnostic>,
     ) -> Result<(Options, Option<EstimationFinding>), Diagnostic> {
-        let Self { estimate, hold, prior, model, rest } = self;
+        let Self { estimate, hold, prior, rest } = self;
         // Errors of the joints need a prior of the geometry.
-        let model = if matches!(prior, Some(RequestedPrior::None)) { ErrorModel::Geometric } else { model };
+        let model =
+            if matches!(prior, Some(RequestedPrior::None)) { ErrorModel::Geometric } else { rest.model };
         let (prior, lost) = match prior {
             None => Prior::continued(robot, rows, known)?,
             Some(RequestedPrior::None) => (Prior::None, None),

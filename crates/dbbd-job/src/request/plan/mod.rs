@@ -76,7 +76,14 @@ pub struct CheckPoses {
 pub struct UnwrittenPlan {
     pub plan: Plan,
     /// `plan.html`; `None` for a plan that was read.
-    pub page: Option<String>,
+    page: Option<String>,
+}
+
+/// A plan that was read.
+impl From<Plan> for UnwrittenPlan {
+    fn from(plan: Plan) -> Self {
+        Self { plan, page: None }
+    }
 }
 
 impl UnwrittenPlan {
