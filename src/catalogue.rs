@@ -16,6 +16,7 @@ use dbbd_job::recording::matching::MatchingFinding;
 use dbbd_job::recording::{BarFinding, RecordingFinding};
 use dbbd_job::report::ReportFinding;
 use dbbd_job::report::certificate::CertificateFinding;
+use dbbd_job::request::RequestFinding;
 use dbbd_job::sim::SimulationFinding;
 use dbbd_model::base::{FileFinding, InternalFinding};
 use dbbd_model::circular::CircularFinding;
@@ -40,6 +41,7 @@ const MERGED: &[(&str, &str)] =
 /// The families with their headings in docs/troubleshooting.md.
 const FAMILIES: &[Family] = &[
     CliFinding::FAMILY,
+    RequestFinding::FAMILY,
     InternalFinding::FAMILY,
     FileFinding::FAMILY,
     RobotFinding::FAMILY,

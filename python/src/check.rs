@@ -1,22 +1,23 @@
 //! `check` and `Check`.
 
-use dbbd_job::robot_files::{ResultBeside, result_beside};
-use dbbd_model::conformity::{self, CheckInput, DecisionRule, InterimCheck};
+use dbbd_job::request::check::{CheckedLengths, LengthSigma};
+use dbbd_model::conformity::{CheckInput, DecisionRule};
+use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::Options;
 use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
-use dbbd_model::robot::AXES;
 use pyo3::prelude::*;
 
-use crate::arrays::{Numbers, Rows, Wholes};
+use crate::arrays::{Numbers, Wholes};
 use crate::error::{Failure, failed, to_python};
-use crate::lengths::{Given, balls, checked};
+use crate::lengths::{Given, balls, checked, workspace};
 use crate::robot::PyRobot;
 
 /// The result of an interim check.
 #[pyclass(name = "Check", module = "dbbd", frozen)]
 pub(crate) struct PyCheck {
-    found: InterimCheck,
+    found: CheckedLengths,
+    findings: Vec<Diagnostic>,
 }
 
 #[pymethods]
@@ -24,13 +25,19 @@ impl PyCheck {
     /// `pass`, `fail` or `undecided`.
     #[getter]
     fn decision(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        to_python(py, &self.found.decision.decision)
+        to_python(py, &self.found.check.decision.decision)
     }
 
     /// What probably changed, likeliest first; empty where the test finds no change.
     #[getter]
     fn changes(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        to_python(py, &self.found.changes)
+        to_python(py, &self.found.check.changes)
+    }
+
+    /// What was found, a dictionary each with code, severity, text and values.
+    #[getter]
+    fn findings(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        to_python(py, &self.findings)
     }
 
     /// As `check.json` has it, without the files that a check in memory was not made from.
@@ -41,21 +48,12 @@ impl PyCheck {
     /// The robot with what changed identified anew, or None where nothing changed.
     #[getter]
     fn updated(&self) -> Result<Option<PyRobot>, Failure> {
-        self.found.update().cloned().map(PyRobot::of).transpose()
+        self.found.check.update().cloned().map(PyRobot::of).transpose()
     }
 
     fn __repr__(&self) -> String {
-        format!("<dbbd.Check of {:?}: {:?}>", self.found.robot, self.found.decision.decision)
-    }
-}
-
-/// Standard deviation of a length of the result beside a robot's file, mm.
-fn sigma_of_result(robot: &PyRobot) -> Result<Option<f64>, Failure> {
-    let Some(file) = &robot.file else { return Ok(None) };
-    let (_, beside) = result_beside(file, robot.robot())?;
-    match beside {
-        ResultBeside::Own(result) => Ok(Some(result.noise_mm.length)),
-        ResultBeside::Another | ResultBeside::Nothing => Ok(None),
+        let check = &self.found.check;
+        format!("<dbbd.Check of {:?}: {:?}>", check.robot, check.decision.decision)
     }
 }
 
@@ -99,20 +97,13 @@ pub(crate) fn check<'py>(
         approach: approach.as_ref(),
         index: index.as_ref(),
     };
-    let (lengths, _) = given.measurements()?;
+    let (lengths, mut findings) = given.measurements()?;
     let balls = balls(&balls_mm)?;
-    let (of, read) = (robot.robot(), robot);
-    checked(&lengths, of, &balls)?;
-    let sigma_mm = match all {
-        Some(sigma_mm) => sigma_mm,
-        None => conformity::sigma_mm(conformity::own_sigma_mm(&lengths, of), sigma_of_result(read)?)
-            .map_err(failed)?,
-    };
-    let workspace = workspace_deg.map(|q| Rows::<AXES>::of(&q, "workspace_deg")).transpose()?;
-    let workspace = Options {
-        workspace: workspace.map(|q| q.rows.iter().map(|axes| axes.map(f64::to_radians)).collect()),
-        ..Options::default()
-    };
+    let (of, file) = (robot.robot(), robot.file.as_ref().map(|file| file.to_string_lossy()));
+    findings.extend(checked(&lengths, of, &balls)?);
+    let noise = LengthSigma::of(all, &lengths, file.as_deref(), of)?;
+    findings.extend(noise.finding.map(Diagnostic::from));
+    let workspace = Options { workspace: workspace(py, workspace_deg.as_ref(), of)?, ..Options::default() };
     let start = LengthModel::new(of.geometry.clone(), &balls);
     let readings: Vec<PreparedMeasurement> = lengths.rows.iter().map(PreparedMeasurement::from).collect();
     py.detach(|| {
@@ -123,12 +114,14 @@ pub(crate) fn check<'py>(
             start: &start,
             readings: &readings,
             bars: lengths.bars(),
-            sigma_mm,
+            sigma_mm: noise.sigma_mm,
             mounting,
             tolerance_mm,
             rule: risk.map_or(DecisionRule::SimpleAcceptance, |risk| DecisionRule::GuardBand { risk }),
             workspace: &workspace.workspace_poses(of),
         };
-        Ok(PyCheck { found: input.check().map_err(failed)? })
+        let found = CheckedLengths::of(&input, &lengths).map_err(failed)?;
+        findings.extend(found.findings().into_iter().map(Diagnostic::from));
+        Ok(PyCheck { found, findings })
     })
 }

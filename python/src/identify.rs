@@ -2,24 +2,22 @@
 
 use std::collections::BTreeMap;
 
+use dbbd_job::request::identify::{AskedIdentification, RequestedPrior, ResultDocument, plausible_deviation};
 use dbbd_model::base::serialised;
 use dbbd_model::conformity::UncertaintyBudget;
 use dbbd_model::design::calibrate;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::{
-    AngleSource, CalibrationResult, CompletedCalibration, ErrorModel, Input, Options, Positions, Prior,
-};
-use dbbd_model::measurement::{ApproachedPose, LengthModel, Measurements};
+use dbbd_model::estimation::{AngleSource, CompletedCalibration, ErrorModel, Input, Options, Positions};
+use dbbd_model::measurement::{ApproachedPose, LengthModel};
 use dbbd_model::robot::RobotFinding;
-use dbbd_model::robot::parameter::{SetUpCounts, parse_list};
-use dbbd_model::robot::{AXES, AxisAngles, ParamId, Robot};
+use dbbd_model::robot::parameter::SetUpCounts;
+use dbbd_model::robot::{AXES, AxisAngles, ParamId};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use serde::Serialize;
 
 use crate::arrays::{Floats, Numbers, Rows, Wholes, approaches, array};
 use crate::error::{Failure, Outcome, failed, to_python};
-use crate::lengths::{Given, GivenPositions, balls, checked};
+use crate::lengths::{Given, GivenPositions, balls, checked, workspace};
 use crate::robot::PyRobot;
 
 /// What is known of a robot beforehand, as a caller gives it.
@@ -36,12 +34,10 @@ pub(crate) struct PyResult_ {
     budget: UncertaintyBudget,
 }
 
-/// As `result.json` has it, without the files that a result in memory was not made from.
-#[derive(Serialize)]
-struct Recorded<'a> {
-    #[serde(flatten)]
-    result: &'a CalibrationResult,
-    budget: &'a UncertaintyBudget,
+impl PyResult_ {
+    fn document(&self) -> ResultDocument<'_> {
+        ResultDocument::without_files(&self.found, &self.budget)
+    }
 }
 
 #[pymethods]
@@ -86,12 +82,12 @@ impl PyResult_ {
 
     /// As `result.json` has it, without the files that a result in memory was not made from.
     fn to_json(&self) -> std::result::Result<String, Failure> {
-        serialised::json(&Recorded { result: &self.found.result, budget: &self.budget }).map_err(failed)
+        serialised::json(&self.document()).map_err(failed)
     }
 
     /// The same as a dictionary.
     fn to_dict(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        to_python(py, &Recorded { result: &self.found.result, budget: &self.budget })
+        to_python(py, &self.document())
     }
 
     /// Where the tool ball is at axis angles (degrees, N x 6 or 6): its places in the robot base (mm) and their 3-D standard
@@ -127,78 +123,39 @@ impl PyResult_ {
     }
 }
 
-/// What the keywords of a call ask for.
-struct Asked<'a> {
-    estimate: Option<&'a str>,
-    hold: Option<&'a str>,
-    prior: Option<PriorGiven>,
-    model: &'a str,
-    rest: Options,
-}
-
-impl Asked<'_> {
-    /// The options, and what was found of the robot's file.
-    fn options(
-        self,
-        robot: &Robot,
-        lengths: &Measurements,
-        set_up: SetUpCounts,
-    ) -> Outcome<(Options, Vec<Diagnostic>)> {
-        let Self { estimate, hold, prior, model, rest } = self;
-        let refused = matches!(&prior, Some(PriorGiven::Name(name)) if name == "none");
-        let (prior, lost) = self::prior(prior, robot, lengths.rows.len(), set_up)?;
-        let betas = robot.parallel_joints();
-        let list = |text: Option<&str>| text.map(|text| parse_list(text, &betas, set_up)).transpose();
-        let model = match model {
-            "joints" if !refused => ErrorModel::Joints,
-            "joints" | "geometric" => ErrorModel::Geometric,
-            _ => return Err(PyValueError::new_err("model is 'joints' or 'geometric'").into()),
-        };
-        let (estimate, hold) = (list(estimate)?, list(hold)?.unwrap_or_default());
-        let options = Options { estimate, hold, prior, model, ..rest };
-        options.check(lengths.rows.len()).map_err(failed)?;
-        Ok((options, lost))
-    }
-}
-
-fn prior(
-    given: Option<PriorGiven>,
-    robot: &Robot,
-    lengths: usize,
-    set_up: SetUpCounts,
-) -> Outcome<(Prior, Vec<Diagnostic>)> {
-    let continued = || Prior::continued(robot, lengths, || Ok::<_, Failure>(0));
-    let prior = match given {
-        None => {
-            let (prior, lost) = continued()?;
-            return Ok((prior, lost.into_iter().map(Diagnostic::from).collect()));
-        }
-        Some(PriorGiven::Name(name)) => match name.as_str() {
-            "none" => Prior::None,
-            "datasheet" => Prior::Datasheet,
-            "posterior" => match continued()? {
-                (Prior::Posterior, _) => Prior::Posterior,
-                _ => return Err(failed(dbbd_model::estimation::EstimationFinding::NoPosterior)),
-            },
-            _ => {
+/// The prior that is given. Its standard deviations are checked as those of a table are.
+fn prior(given: PriorGiven, set_up: SetUpCounts) -> Outcome<RequestedPrior<BTreeMap<ParamId, f64>>> {
+    let given = match given {
+        PriorGiven::Name(name) => match RequestedPrior::named(&name) {
+            RequestedPrior::None => return Ok(RequestedPrior::None),
+            RequestedPrior::Datasheet => return Ok(RequestedPrior::Datasheet),
+            RequestedPrior::Posterior => return Ok(RequestedPrior::Posterior),
+            RequestedPrior::Table(_) => {
                 let why = "prior is 'none', 'datasheet', 'posterior' or a dictionary of standard deviations";
                 return Err(PyValueError::new_err(why).into());
             }
         },
-        Some(PriorGiven::Deviations(given)) => {
-            let mut deviations = BTreeMap::new();
-            for (name, sd) in given {
-                let id: ParamId = name.parse().map_err(|why: RobotFinding| failed(why))?;
-                set_up.check(id).map_err(failed)?;
-                if !(sd > 0.0 && sd.is_finite()) {
-                    return Err(PyValueError::new_err(format!("prior of {name} must be positive")).into());
-                }
-                deviations.insert(id, sd);
-            }
-            Prior::Given(deviations)
-        }
+        PriorGiven::Deviations(given) => given,
     };
-    Ok((prior, Vec::new()))
+    let mut deviations = BTreeMap::new();
+    for (name, sd) in given {
+        let id: ParamId = name.parse().map_err(|why: RobotFinding| failed(why))?;
+        set_up.check(id).map_err(failed)?;
+        if !(sd > 0.0 && sd.is_finite()) {
+            return Err(PyValueError::new_err(format!("prior of {name} must be positive")).into());
+        }
+        plausible_deviation(id, sd).map_err(failed)?;
+        deviations.insert(id, sd);
+    }
+    Ok(RequestedPrior::Table(deviations))
+}
+
+fn error_model(name: &str) -> PyResult<ErrorModel> {
+    match name {
+        "joints" => Ok(ErrorModel::Joints),
+        "geometric" => Ok(ErrorModel::Geometric),
+        _ => Err(PyValueError::new_err("model is 'joints' or 'geometric'")),
+    }
 }
 
 /// Identifies a robot's parameters from lengths, from positions, or from both, as the command `identify` does.
@@ -278,19 +235,21 @@ pub(crate) fn identify<'py>(
     }
     let balls = balls_mm.as_ref().map_or(Ok(Vec::new()), balls)?;
     findings.extend(checked(&lengths, &robot, &balls)?);
-    let workspace = workspace_deg.map(|q| Rows::<AXES>::of(&q, "workspace_deg")).transpose()?;
     let rest = Options {
+        model: error_model(model)?,
         sigma_mm: all,
         bar_u_mm,
         folds,
         monte_carlo,
-        workspace: workspace.map(|q| q.rows.iter().map(|axes| axes.map(f64::to_radians)).collect()),
+        workspace: workspace(py, workspace_deg.as_ref(), &robot)?,
         ..Options::default()
     };
-    let asked = Asked { estimate, hold, prior, model, rest };
     let set_up = lengths.set_up(balls.len());
-    let (options, lost) = asked.options(&robot, &lengths, set_up)?;
-    findings.extend(lost);
+    let prior = prior.map(|given| self::prior(given, set_up)).transpose()?;
+    let asked = AskedIdentification { estimate, hold, prior, rest };
+    // Nothing says from which lengths a robot in memory was identified.
+    let (options, lost) = asked.options(&robot, lengths.rows.len(), set_up, || Ok(0))?;
+    findings.extend(lost.map(Diagnostic::from));
     let start = LengthModel::before(robot.geometry.clone(), &balls, &lengths);
     py.detach(|| {
         let input = Input {

@@ -1,5 +1,6 @@
 //! Lengths and positions at poses, as arrays.
 
+use dbbd_job::request::identify::checked_workspace;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{check_measurements, doubts};
 use dbbd_model::measurement::MeasurementFinding;
@@ -10,7 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{Floats, Numbers, Rows, Wholes, approaches, array, column};
-use crate::error::{Outcome, failed};
+use crate::error::{Outcome, failed, warn};
 
 /// Where the lengths of a call are, as a message names it.
 pub(crate) const ARRAYS: &str = "measurements";
@@ -32,20 +33,20 @@ impl Given<'_, '_> {
         let axes = Rows::<AXES>::of(self.axes_deg, "axes_deg")?.rows;
         let count = axes.len();
         let lengths = column(self.lengths_mm, "lengths_mm", count)?;
-        let balls = numbers(Some(self.ball), "ball", count)?;
-        let bars = numbers(self.bar, "bar", count)?;
+        let balls = ids(Some(self.ball), "ball", count, BallId::new)?;
+        let bars = ids(self.bar, "bar", count, BarId::new)?;
         let sigmas = match self.sigma_mm {
             Some(sigma) => column(sigma, "sigma_mm", count)?.into_iter().map(Some).collect(),
             None => vec![None; count],
         };
         let approaches = approaches(self.approach, count)?;
         let indices = match self.index {
-            Some(index) => whole(&column(index, "index", count)?, "index", 0)?,
+            Some(index) => whole(index, "index", count, 0, Some)?,
             None => (1..=count as u32).collect(),
         };
         let row = |at: usize| Measurement {
             index: indices[at],
-            datum: Datum::Ball(BallId::numbered(balls[at]), BarId::numbered(bars[at])),
+            datum: Datum::Ball(balls[at], bars[at]),
             target: TargetId::FIRST,
             axes: AxisAngles::from_degrees(axes[at]),
             approach: approaches[at],
@@ -79,7 +80,7 @@ impl GivenPositions<'_, '_> {
         if places.len() != count {
             return Err(PyValueError::new_err("positions_deg and positions_mm must have as many rows").into());
         }
-        let targets = numbers(self.target, "target", count)?;
+        let targets = ids(self.target, "target", count, TargetId::new)?;
         let sigmas = match self.sigma_mm {
             Some(sigma) => column(sigma, "positions_sigma_mm", count)?.into_iter().map(Some).collect(),
             None => vec![None; count],
@@ -89,7 +90,7 @@ impl GivenPositions<'_, '_> {
             let row = Measurement {
                 index: at as u32 + 1,
                 datum: Datum::Plane(Coordinate::X),
-                target: TargetId::numbered(targets[at]),
+                target: targets[at],
                 axes: AxisAngles::from_degrees(axes[at]),
                 approach: approaches[at],
                 length_mm: 0.0,
@@ -102,14 +103,29 @@ impl GivenPositions<'_, '_> {
     }
 }
 
-/// Numbers from 1; all the first where there is no array.
-fn numbers(array: Option<&Wholes<'_>>, name: &str, count: usize) -> PyResult<Vec<u32>> {
-    array.map_or_else(|| Ok(vec![1; count]), |array| whole(&column(array, name, count)?, name, 1))
+/// What is counted from 1; all the first where there is no array.
+fn ids<T: Clone>(
+    array: Option<&Wholes<'_>>,
+    name: &str,
+    count: usize,
+    id: fn(u32) -> Option<T>,
+) -> PyResult<Vec<T>> {
+    match array {
+        Some(array) => whole(array, name, count, 1, id),
+        None => Ok(id(1).map_or_else(Vec::new, |first| vec![first; count])),
+    }
 }
 
-fn whole(numbers: &[i64], name: &str, least: u32) -> PyResult<Vec<u32>> {
-    let number = |number: &i64| u32::try_from(*number).ok().filter(|number| *number >= least);
-    let numbers: Option<_> = numbers.iter().map(number).collect();
+/// A column of whole numbers from `least`.
+fn whole<T>(
+    array: &Wholes<'_>,
+    name: &str,
+    count: usize,
+    least: u32,
+    read: fn(u32) -> Option<T>,
+) -> PyResult<Vec<T>> {
+    let numbers = column(array, name, count)?.into_iter();
+    let numbers: Option<_> = numbers.map(|number| u32::try_from(number).ok().and_then(read)).collect();
     numbers.ok_or_else(|| PyValueError::new_err(format!("{name} must be whole numbers from {least}")))
 }
 
@@ -127,6 +143,21 @@ pub(crate) fn balls(array: &Numbers<'_>) -> PyResult<Vec<BaseBall>> {
 pub(crate) fn checked(lengths: &Measurements, robot: &Robot, balls: &[BaseBall]) -> Outcome<Vec<Diagnostic>> {
     check_measurements(ARRAYS, lengths, robot, balls)?;
     Ok(doubts(ARRAYS, lengths, robot, balls))
+}
+
+/// The poses of a workspace, rad; a warning if the robot's limits do not allow them.
+pub(crate) fn workspace(
+    py: Python<'_>,
+    given: Option<&Numbers<'_>>,
+    robot: &Robot,
+) -> Outcome<Option<Vec<[f64; AXES]>>> {
+    const ARGUMENT: &str = "workspace_deg";
+    let Some(given) = given else { return Ok(None) };
+    let axes = Rows::<AXES>::of(given, ARGUMENT)?.rows.into_iter().map(AxisAngles::from_degrees);
+    let (poses, beyond) = checked_workspace(&axes.collect::<Vec<_>>(), robot)
+        .map_err(|finding| Diagnostic::file(ARGUMENT, finding))?;
+    beyond.iter().try_for_each(|finding| warn(py, &Diagnostic::file(ARGUMENT, finding.clone())))?;
+    Ok(Some(poses))
 }
 
 /// The places of base balls.

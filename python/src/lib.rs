@@ -9,6 +9,7 @@ mod error;
 mod identify;
 mod lengths;
 mod plan;
+mod request;
 mod robot;
 mod simulate;
 
@@ -25,6 +26,8 @@ fn _dbbd(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(identify::identify, module)?)?;
     module.add_function(wrap_pyfunction!(plan::plan, module)?)?;
     module.add_function(wrap_pyfunction!(check::check, module)?)?;
+    module.add_function(wrap_pyfunction!(request::request, module)?)?;
+    module.add_function(wrap_pyfunction!(request::request_json, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::simulate, module)?)?;
     #[cfg(feature = "command-line")]
     module.add_function(wrap_pyfunction!(command_line::_main, module)?)?;

@@ -19,10 +19,5 @@ findings! {
             NotNameAndValue => "must be NAME=VALUE";
             NotARisk => "a probability between 0 and 0.5 is needed";
         }
-        E0004 "a request is not valid",
-        cause: "`dbbd request` read something else than a request as JSON, or a request of another version of dbbd.",
-        cure: "Let all processes be of one version; update them together." {
-            NotARequest { why: String } => "is not a request: {why}";
-        }
     }
 }

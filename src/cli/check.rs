@@ -92,7 +92,7 @@ pub(super) fn request(args: &CheckArgs) -> Request {
 }
 
 pub(super) fn show(out: &CommandOutput, document: &CheckDocument, directory: &Path) {
-    check_lines(&document.check).into_iter().for_each(|line| out.result(line));
+    check_lines(&document.checked.check).into_iter().for_each(|line| out.result(line));
     out.result(format!("results in {}", directory.display()));
 }
 

@@ -82,7 +82,7 @@ impl CommandOutput {
 
     /// Prints the answer to a request as JSON on stdout.
     pub(super) fn answer(&self, answer: &Answer) -> Result<(), Diagnostic> {
-        self.print(&serialised::json(answer)?);
+        self.print(&answer.to_json()?);
         Ok(())
     }
 

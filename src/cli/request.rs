@@ -3,9 +3,11 @@
 use std::io;
 
 use super::{CommandOutcome, CommandOutput, answers};
-use crate::cli::CliFinding;
-use dbbd_job::request::Request;
+use dbbd_job::request::{Request, RequestFinding};
 use dbbd_model::diagnostic::Diagnostic;
+
+/// Where the request is, as a message names it.
+const STDIN: &str = "stdin";
 
 /// Compute a request for another process of this program.
 ///
@@ -26,7 +28,8 @@ pub(super) fn run(out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
 
 fn read() -> Result<Request, Diagnostic> {
     let mut line = String::new();
-    let read = io::stdin().read_line(&mut line).map_err(|error| error.to_string());
-    let request = read.and_then(|_| serde_json::from_str(&line).map_err(|error| error.to_string()));
-    request.map_err(|why| Diagnostic::file("stdin", CliFinding::NotARequest { why }))
+    io::stdin()
+        .read_line(&mut line)
+        .map_err(|error| Diagnostic::file(STDIN, RequestFinding::NotARequest { why: error.to_string() }))?;
+    Request::from_json(STDIN, &line)
 }

@@ -31,7 +31,7 @@ pub fn of_file(role: ArtefactRole, path: &Path) -> Result<Artefact, Diagnostic> 
 }
 
 /// The path of the file that records the chain of a table.
-pub fn record_of(table: &Path) -> PathBuf {
+fn record_of(table: &Path) -> PathBuf {
     table.with_extension("provenance.json")
 }
 

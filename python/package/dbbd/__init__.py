@@ -5,7 +5,7 @@ Arrays in, arrays out: N x 6 axis angles of the controller, one row a pose. A na
 about a file is a :class:`DbbdWarning`.
 """
 
-from ._dbbd import Capture, Check, Plan, Result, Robot, __version__, check, identify, plan, simulate
+from ._dbbd import Capture, Check, Plan, Result, Robot, __version__, check, identify, plan, request, request_json, simulate
 from ._error import DbbdError, DbbdWarning
 
 __all__ = [
@@ -20,5 +20,7 @@ __all__ = [
     "check",
     "identify",
     "plan",
+    "request",
+    "request_json",
     "simulate",
 ]

@@ -6,7 +6,7 @@ use dbbd_job::plan::{MotionKind, MoveTime, Plan, PlanHeader, PlanRow, PoseKind};
 use dbbd_job::recording::capture::{CaptureRecord, CaptureWriter, RunEvent};
 use dbbd_model::base::units::{DeviceTicks, HostNs};
 use dbbd_model::measurement::sample::Sample;
-use dbbd_model::robot::{Geometry, Robot};
+use dbbd_model::robot::{BallId, Geometry, Robot};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, Normal};
@@ -60,7 +60,7 @@ pub(crate) fn plan(points: usize) -> Plan {
             rows.push(PlanRow {
                 index,
                 circle: circle as u32 + 1,
-                centre: 1,
+                centre: BallId::FIRST,
                 kind: PoseKind::Measure,
                 motion: MotionKind::Ptp,
                 xyz_mm: nominal.geometry.ball(&axes_deg.map(f64::to_radians)).position.into(),

@@ -24,7 +24,7 @@ pub fn identity(address: &PortAddress) -> PortAddress {
 }
 
 /// The latency timer of the adapter behind a device, on systems that show it.
-pub(super) fn timer(device: &Path) -> Option<PathBuf> {
+fn timer(device: &Path) -> Option<PathBuf> {
     let target = fs::canonicalize(device).ok()?;
     Some(Path::new("/sys/bus/usb-serial/devices").join(target.file_name()?).join("latency_timer"))
 }

@@ -16,10 +16,10 @@ pub struct PortInfo {
     pub by_id: Option<String>,
     pub description: String,
     /// Vendor and product number.
-    pub usb_id: Option<(u16, u16)>,
+    usb_id: Option<(u16, u16)>,
     pub vendor: Option<String>,
     pub product: Option<String>,
-    pub serial_number: Option<String>,
+    serial_number: Option<String>,
     /// Latency timer of the adapter, ms, if known: more than 1 makes time stamps inaccurate.
     pub latency_ms: Option<u32>,
 }

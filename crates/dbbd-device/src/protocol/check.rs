@@ -9,28 +9,67 @@ use std::sync::Mutex;
 use crc::{Algorithm, Table};
 
 use super::source::DefinitionSource;
-use super::table::{CheckEncoding, CheckKind, CheckTable};
 use crate::protocol::ProtocolFinding::{
     AfterCharacter, CrcDiffers, CrcWidth, EncodingMissing, NameAndParameters, OptionalWithoutAfter,
     ParametersMissing, ParametersWithoutCrc, UnknownCrc,
 };
 use crate::sync::lock;
 use dbbd_model::diagnostic::Diagnostic;
+use serde::Deserialize;
 
-#[derive(Clone, Debug)]
-pub(super) struct FrameCheck {
-    pub(super) sum: ChecksumAlgorithm,
-    pub(super) encoding: CheckEncoding,
-    /// Character between content and check.
-    pub(super) after: Option<u8>,
-    /// Whether a frame without that character is accepted unchecked.
-    pub(super) optional: bool,
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CheckTable {
+    kind: CheckKind,
+    enc: Option<CheckEncoding>,
+    after: Option<String>,
     /// Number of bytes at the start that are not covered.
-    pub(super) from: usize,
+    #[serde(default)]
+    over_from: usize,
+    #[serde(default)]
+    optional: bool,
+    name: Option<String>,
+    width: Option<u8>,
+    poly: Option<u32>,
+    init: Option<u32>,
+    refin: Option<bool>,
+    refout: Option<bool>,
+    xorout: Option<u32>,
+    check: Option<u32>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum CheckKind {
+    None,
+    Xor8,
+    Sum8,
+    Crc,
+}
+
+/// Lowest byte first, highest byte first, or hexadecimal digits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum CheckEncoding {
+    Le,
+    Be,
+    Hex,
 }
 
 #[derive(Clone, Debug)]
-pub(super) enum ChecksumAlgorithm {
+pub(super) struct FrameCheck {
+    sum: ChecksumAlgorithm,
+    encoding: CheckEncoding,
+    /// Character between content and check.
+    after: Option<u8>,
+    /// Whether a frame without that character is accepted unchecked.
+    optional: bool,
+    /// Number of bytes at the start that are not covered.
+    from: usize,
+}
+
+#[derive(Clone, Debug)]
+enum ChecksumAlgorithm {
     Xor8,
     Sum8,
     Crc(Box<TabulatedCrc>),
@@ -38,12 +77,12 @@ pub(super) enum ChecksumAlgorithm {
 
 /// A CRC of up to 32 bits with its table.
 #[derive(Clone)]
-pub(super) struct TabulatedCrc(crc::Crc<u32, Table<1>>);
+struct TabulatedCrc(crc::Crc<u32, Table<1>>);
 
 macro_rules! catalogue {
     ($($name:literal => $constant:ident),* $(,)?) => {
         /// Parameters of a CRC that a definition may name.
-        pub(super) fn named(name: &str) -> Option<Algorithm<u32>> {
+        fn named(name: &str) -> Option<Algorithm<u32>> {
             match name {
                 $($name => {
                     let a = &crc::$constant;
@@ -56,7 +95,7 @@ macro_rules! catalogue {
             }
         }
 
-        pub(super) const NAMES: &[&str] = &[$($name),*];
+        const NAMES: &[&str] = &[$($name),*];
     };
 }
 
@@ -73,7 +112,7 @@ catalogue! {
 }
 
 impl TabulatedCrc {
-    pub(super) fn new(parameters: Algorithm<u32>) -> Self {
+    fn new(parameters: Algorithm<u32>) -> Self {
         // A table borrows its parameters for the life of the program: each set is leaked once.
         static KEPT: Mutex<Vec<&Algorithm<u32>>> = Mutex::new(Vec::new());
         let mut kept = lock(&KEPT);
@@ -87,7 +126,7 @@ impl TabulatedCrc {
     }
 
     /// Compares the stated check value with the one that the parameters give; `Err` with the latter.
-    pub(super) fn verify(&self) -> Result<(), u32> {
+    fn verify(&self) -> Result<(), u32> {
         let check = self.0.checksum(b"123456789");
         if check == self.0.algorithm.check { Ok(()) } else { Err(check) }
     }

@@ -1,6 +1,24 @@
 //! Decimal numbers as text: signs, blanks, widths.
+use serde::Deserialize;
 
-use super::table::{DecimalFill, DecimalSign};
+/// Filling of a short number, between sign and digits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum DecimalFill {
+    #[default]
+    Zero,
+    Blank,
+}
+
+/// Sign of a number that is not negative: none, plus, blank.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum DecimalSign {
+    #[default]
+    Minus,
+    Always,
+    Blank,
+}
 
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct DecimalFormat {

@@ -9,8 +9,26 @@ use super::encoder::ProtocolEncoder;
 use super::engine::ProtocolEngine;
 use super::field::{STROBE, TickCounter};
 use super::layout::{self, LayoutPart};
-use super::table::SimulationTable;
-use crate::port::LineSettings;
+use crate::port::{LineSettings, ms};
+use serde::{Deserialize, Deserializer};
+
+/// Further behaviour of a virtual device.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulationTable {
+    /// Value that the device sends at a reading of 0 of the bar, mm.
+    #[serde(default)]
+    pub at_mm: f64,
+    #[serde(default, rename = "reply_delay_ms", deserialize_with = "ms")]
+    pub reply_delay: Duration,
+    /// Bytes that the device sends when it is switched on.
+    #[serde(default, deserialize_with = "text")]
+    pub banner: Vec<u8>,
+}
+
+fn text<'de, D: Deserializer<'de>>(value: D) -> Result<Vec<u8>, D::Error> {
+    String::deserialize(value).map(String::into_bytes)
+}
 
 #[derive(Clone, Debug)]
 pub struct ProtocolDefinition {

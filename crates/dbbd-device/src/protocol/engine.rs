@@ -4,8 +4,25 @@ use super::check::FrameCheck;
 use super::fault::LineFaultKind;
 use super::field::{FieldRole, MessageField, SampleBuilder, TickCounter};
 use super::framing::Framing;
-use super::table::{MatchByte, RejectCodeFormat};
 use dbbd_model::measurement::sample::Sample;
+use serde::Deserialize;
+
+/// A byte that distinguishes a message from others.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MatchByte {
+    pub(super) at: usize,
+    pub(super) eq: u8,
+}
+
+/// Format of the code after the prefix of a reject; a byte is its own code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum RejectCodeFormat {
+    Dec,
+    Hex,
+    Byte,
+}
 
 #[derive(Clone, Debug)]
 pub(super) struct ProtocolEngine {

@@ -1,9 +1,17 @@
 //! Fields of a frame: the form of a value, and its role in the sample.
 
 use super::decimal::DecimalFormat;
-use super::table::Endian;
 use dbbd_model::base::units::DeviceTicks;
 use dbbd_model::measurement::sample::Sample;
+use serde::Deserialize;
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Endian {
+    #[default]
+    Le,
+    Be,
+}
 
 #[derive(Clone, Debug)]
 pub(super) struct MessageField {

@@ -3,16 +3,66 @@
 //! There are two families: frames with a terminator, which `is_complete` detects, and frames with a header or a known
 //! length, which `cut` finds from the start of the pending bytes.
 
-use super::table::{Endian, FramingTable, hex_bytes};
+use super::field::Endian;
+use super::source::hex_bytes;
+use super::tagged::TagOrder;
 use super::tagged::TaggedRecord;
 use crate::protocol::ProtocolFinding::{
     self, DelimiterEnd, FixedSync, GapKeys, LengthField, LengthSync, LineEnds, LineStart, MaxLength,
 };
+use serde::Deserialize;
 
 /// Longest frame of any definition, bytes.
 pub(super) const LONGEST_FRAME: usize = 4096;
 /// Longest terminator of a frame, bytes.
 pub(super) const LONGEST_END: usize = 4;
+
+#[derive(Deserialize)]
+#[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
+pub(super) enum FramingTable {
+    /// Consistent overhead byte stuffing.
+    Cobs {
+        #[serde(default)]
+        delimiter: u8,
+        max_len: usize,
+    },
+    /// Lines of text.
+    Line { start: Option<String>, end: Vec<String>, max_len: usize },
+    /// Records with a terminator.
+    Delim { end: String, max_len: usize },
+    /// Records of one length, which may start with synchronising bytes.
+    Fixed {
+        #[serde(default)]
+        sync: String,
+        len: usize,
+    },
+    /// Records with a length field.
+    Length {
+        #[serde(default)]
+        sync: String,
+        len_at: usize,
+        #[serde(default = "one")]
+        len_bytes: u8,
+        #[serde(default)]
+        len_endian: Endian,
+        #[serde(default)]
+        len_adds: usize,
+        max_len: usize,
+    },
+    /// Bytes whose high bits are their position in the record.
+    Tagged {
+        data_bits: u32,
+        #[serde(default)]
+        order: TagOrder,
+        tags: Vec<String>,
+    },
+    /// Replies identified by their length alone, or terminated by silence.
+    Gap { len: Option<Vec<usize>>, idle_us: Option<u32>, max_len: Option<usize> },
+}
+
+fn one() -> u8 {
+    1
+}
 
 #[derive(Clone, Debug)]
 pub(super) enum Framing {

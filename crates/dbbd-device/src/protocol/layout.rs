@@ -1,9 +1,9 @@
 //! The layout of a frame in words.
 
 use super::engine::ProtocolEngine;
+use super::field::Endian;
 use super::field::{FieldForm, FieldRole, FieldScale, MessageField};
 use super::framing::Framing;
-use super::table::Endian;
 
 /// A field of a frame's content.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,9 +1,9 @@
 //! Definitions of devices, compiled into decoders and encoders without I/O. A decoder turns bytes into samples and
 //! typed faults, and never fails.
 //!
-//! A definition is a TOML file: `table` is its form, `source` its text with parameters. `load` checks it and
+//! A definition is a TOML file: `source` is its text with parameters. `load` has the form of its tables, checks it and
 //! compiles it into an `engine`: `framing` cuts the stream, `check` verifies a frame, `field` reads and writes its
-//! content. A new device is a new file; a new kind of framing, check or field is a match arm.
+//! content. A table that only one of these reads stands there. A new device is a new file; a new kind of framing, check or field is a match arm.
 
 mod catalogue;
 pub use catalogue::ProtocolFinding;
@@ -21,17 +21,15 @@ mod framing;
 mod layout;
 mod load;
 mod source;
-mod table;
 mod tagged;
 
 pub use decoder::{DecodedItem, ProtocolDecoder};
-pub use definition::{CommandStep, ProtocolDefinition, ProtocolMode};
+pub use definition::{CommandStep, ProtocolDefinition, ProtocolMode, SimulationTable};
 pub use encoder::ProtocolEncoder;
 pub use evidence::ProtocolEvidence;
 pub use fault::{LineFault, LineFaultKind};
 pub use field::TickCounter;
 pub use layout::LayoutPart;
-pub use table::SimulationTable;
 
 #[cfg(test)]
 mod tests;

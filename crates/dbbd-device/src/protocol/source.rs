@@ -9,13 +9,44 @@ use std::ops::Range;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use super::table::{ProtocolParamKind, ProtocolParamTable};
 use crate::protocol::ProtocolFinding::{
     self, BraceOpen, NoParameters, ParameterFormat, ParameterNotANumber, ParameterNotWhole, ParameterRange,
     ParameterWord, UnknownParameter,
 };
 use dbbd_model::base::parse::{from_toml, from_toml_text};
 use dbbd_model::diagnostic::{Diagnostic, Finding};
+use toml::Spanned;
+
+/// A parameter that the user sets.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ProtocolParamTable {
+    r#type: ProtocolParamKind,
+    min: Option<f64>,
+    max: Option<f64>,
+    #[serde(default)]
+    of: Vec<String>,
+    default: Spanned<toml::Value>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum ProtocolParamKind {
+    Float,
+    Int,
+    Enum,
+}
+
+/// Bytes of pairs of hexadecimal digits; white space is ignored.
+pub(super) fn hex_bytes(hex: &str) -> Option<Vec<u8>> {
+    let digits: Option<Vec<u8>> = hex
+        .chars()
+        .filter(|c| !c.is_whitespace())
+        .map(|c| c.to_digit(16).and_then(|digit| u8::try_from(digit).ok()))
+        .collect();
+    let digits = digits.filter(|digits| digits.len().is_multiple_of(2))?;
+    Some(digits.chunks_exact(2).map(|pair| 16 * pair[0] + pair[1]).collect())
+}
 
 pub(super) struct DefinitionSource<'a> {
     file: &'a str,

@@ -3,10 +3,19 @@
 //! A tag is written from the highest bit: `0` and `1` are fixed; a letter is a value that is equal in every byte of a
 //! record. It follows the data in the content, one byte per letter.
 
-use super::table::TagOrder;
 use crate::protocol::ProtocolFinding::{
     self, TagBits, TagCount, TagLetterApart, TagLettersDiffer, TagSymbol,
 };
+use serde::Deserialize;
+
+/// Which byte of a tagged record holds the lowest bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum TagOrder {
+    #[default]
+    LowFirst,
+    HighFirst,
+}
 
 #[derive(Clone, Debug)]
 pub(super) struct TaggedRecord {
@@ -35,10 +44,8 @@ impl Tag {
                 '0' => tag.mask |= bit,
                 '1' => (tag.mask, tag.value) = (tag.mask | bit, tag.value | bit),
                 letter if letter.is_ascii_alphabetic() => {
-                    let known = tag.letters.iter().position(|(known, _)| *known == letter);
-                    let last = tag.letters.len().wrapping_sub(1);
-                    match known.and_then(|at| Some((at, tag.letters.get_mut(at)?))) {
-                        Some((at, (_, mask))) if at == last => *mask |= bit,
+                    match tag.letters.iter_mut().find(|(known, _)| *known == letter) {
+                        Some((_, mask)) if *mask & (bit << 1) != 0 => *mask |= bit,
                         Some(_) => return Err(TagLetterApart { letter }),
                         None => tag.letters.push((letter, bit)),
                     }
@@ -174,6 +181,15 @@ mod tests {
     }
 
     #[test]
+    fn a_letter_has_adjacent_bits() {
+        for tag in ["a0a", "a1a", "aba"] {
+            let refused = record(5, TagOrder::LowFirst, &[tag]).err();
+            assert!(matches!(refused, Some(TagLetterApart { letter: 'a' })), "{tag}: {refused:?}");
+        }
+        assert!(record(4, TagOrder::LowFirst, &["0aab"]).is_ok());
+    }
+
+    #[test]
     fn impossible_tags_are_refused() {
         assert!(record(1, TagOrder::LowFirst, &["0000000"]).is_ok());
         assert!(record(7, TagOrder::LowFirst, &["0"; 16]).is_ok());
@@ -183,7 +199,6 @@ mod tests {
             (7, vec![]),
             (7, vec!["0"; 17]),
             (7, vec!["00"]),
-            (5, vec!["aba"]),
             (5, vec!["0ab", "1ba"]),
             (5, vec!["0a?"]),
         ] {

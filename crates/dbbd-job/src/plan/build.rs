@@ -170,7 +170,7 @@ impl PlanKinematics<'_> {
             let best = self.best(steps.get(run).unwrap_or_default(), first_index, &prior, all.rows.last());
             if let Some(start) = best.rows.first() {
                 let axes = start.axes_deg.map(f64::to_radians);
-                let start = prior.at_start(self, start.centre, &axes);
+                let start = prior.at_start(self, start.centre.number(), &axes);
                 taught.extend(prior.begin(start));
             }
             all.append(best);

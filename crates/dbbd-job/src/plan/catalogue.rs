@@ -143,7 +143,6 @@ findings! {
             RowIndex { index: u32, expected: usize } => "index = {index} must be {expected}: rows count from 1";
             NotFinite { value: f64 } => "{value} is not a finite number";
             StatusTurn { status: u8, turn: u8 } => "status = {status}, turn = {turn}: at most 7 and 63";
-            BallZero => "centre = 0: base balls count from 1";
             Dwell { dwell_s: f64, kind: String } => "dwell_s = {dwell_s} in a {kind} row";
             ArcRows => "an arc is two `circ` rows: its auxiliary point in transit, then its end";
             PassPattern => "a pass without stops is two auxiliary `circ` rows in transit, the points (dwell_s = 0), and its end in transit";

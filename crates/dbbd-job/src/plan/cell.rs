@@ -93,11 +93,11 @@ impl<'a> PlanningCell<'a> {
         reach: &CandidateConditions,
     ) -> Vec<Candidate> {
         let job = self.rig.job;
-        let Some(table) = job.ball(centre) else { return Vec::new() };
+        let Some((id, table)) = BallId::new(centre).zip(job.ball(centre)) else { return Vec::new() };
         let sphere = Sphere {
             arm: self.rig.arm,
             controller: self.rig.controller,
-            id: BallId::numbered(centre),
+            id,
             ball: Vector3::from(table.xyz_mm),
             radius_mm: job.bar.length_mm,
             near: reach.near.as_ref(),

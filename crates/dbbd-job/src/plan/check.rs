@@ -87,7 +87,8 @@ impl Inspection {
         before: Option<&PlanRow>,
     ) -> Self {
         let Some(start) = rows.first() else { return Self::default() };
-        let cell = PlanningCell::new(*rig, prior, start.centre, &start.axes_deg.map(f64::to_radians));
+        let cell =
+            PlanningCell::new(*rig, prior, start.centre.number(), &start.axes_deg.map(f64::to_radians));
         let mut inspector = Inspector { cell, began: start.status, strayed: false, found: Self::default() };
         let passes = match pass::groups(&rows) {
             Ok(passes) => passes,
@@ -148,7 +149,7 @@ impl Inspection {
     pub(super) fn checks(&self, job: &Job) -> Vec<PlanCheck> {
         let mut checks = Vec::new();
         for there in &self.worst {
-            let ball = self.rows.get(there.position()).map_or(1, |row| row.centre);
+            let ball = self.rows.get(there.position()).map_or(1, |row| row.centre.number());
             for quantity in CheckQuantity::all() {
                 if let Some(worst) = there.values[quantity as usize] {
                     checks.push(PlanCheck {
@@ -241,7 +242,12 @@ impl Inspector<'_> {
         let mut worst = WorstOfRow { row: row.index, values: [None; CheckQuantity::COUNT] };
         let there = row.axes_deg.map(f64::to_radians);
         let Some((from, path)) = motion else {
-            self.found.margins.extend(self.evaluate(&mut worst, &there, row.centre, BarPresence::Yes));
+            self.found.margins.extend(self.evaluate(
+                &mut worst,
+                &there,
+                row.centre.number(),
+                BarPresence::Yes,
+            ));
             self.found.worst.push(worst);
             return None;
         };
@@ -263,7 +269,7 @@ impl Inspector<'_> {
                 },
             };
             stepper.advance(axes, robot, &mut worst);
-            let margin = self.evaluate(&mut worst, &axes, row.centre, mounted);
+            let margin = self.evaluate(&mut worst, &axes, row.centre.number(), mounted);
             if margin.as_ref().is_some_and(|one| least.as_ref().is_none_or(|kept| one.risk > kept.risk)) {
                 least = margin;
             }

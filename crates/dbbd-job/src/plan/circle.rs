@@ -102,7 +102,7 @@ impl<'a> PlannedCircle<'a> {
     }
 
     /// Unit vector from the base ball to the point at `angle` (rad from the first point).
-    pub(super) fn direction(&self, angle: f64) -> Vector3<f64> {
+    fn direction(&self, angle: f64) -> Vector3<f64> {
         let (sin, cos) = (self.start + angle).sin_cos();
         self.first * cos + self.second * sin
     }

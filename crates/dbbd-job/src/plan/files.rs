@@ -129,9 +129,6 @@ impl PlanRow {
         if status > 7 || turn > 63 {
             return Err(PlanFinding::StatusTurn { status, turn });
         }
-        if self.centre == 0 {
-            return Err(PlanFinding::BallZero);
-        }
         let passed = self.is_passed() && self.motion == MotionKind::Circ;
         if (self.kind != PoseKind::Transit) != (dwell_s > 0.0) && !passed {
             return Err(PlanFinding::Dwell { dwell_s, kind: format!("{:?}", self.kind).to_lowercase() });
@@ -232,8 +229,8 @@ impl Plan {
         }
         pass::check_passes(&rows, &header.passes).map_err(wrong)?;
         let balls = header.job.centres.len();
-        if let Some(row) = rows.iter().find(|row| header.job.ball(row.centre).is_none()) {
-            let finding = PlanFinding::NoSuchBall { ball: row.centre, balls };
+        if let Some(row) = rows.iter().find(|row| header.job.ball(row.centre.number()).is_none()) {
+            let finding = PlanFinding::NoSuchBall { ball: row.centre.number(), balls };
             return Err(Diagnostic::line(csv_name, row.index as usize + 1, finding));
         }
         let written = std::mem::take(&mut header.text_hash);
@@ -300,6 +297,15 @@ mod tests {
     }
 
     #[test]
+    fn a_row_has_a_base_ball() {
+        let text =
+            |centre: &str| format!("{COLUMNS}\n1,1,{centre},measure,ptp,{}0,0,300,1\n", "0,".repeat(12));
+        let read = |centre: &str| read_rows("plan.csv", &text(centre));
+        assert_eq!(read("2").unwrap()[0].centre.number(), 2);
+        assert!(read("0").is_err() && read("").is_err());
+    }
+
+    #[test]
     fn impossible_rows_are_refused() {
         let measured = PlanRow { dwell_s: 1.0, ..row(PoseKind::Measure) };
         assert!(measured.check(0).is_ok());
@@ -313,7 +319,6 @@ mod tests {
             ((|row| row.abc_deg[2] = f64::NAN) as fn(&mut PlanRow), PlanFinding::NotFinite { value: 0.0 }),
             (|row| row.status = 8, PlanFinding::StatusTurn { status: 8, turn: 0 }),
             (|row| row.turn = 64, PlanFinding::StatusTurn { status: 0, turn: 64 }),
-            (|row| row.centre = 0, PlanFinding::BallZero),
             (|row| row.dwell_s = 0.0, PlanFinding::Dwell { dwell_s: 0.0, kind: String::new() }),
             (|row| row.kind = PoseKind::Transit, PlanFinding::Dwell { dwell_s: 0.0, kind: String::new() }),
         ] {

@@ -179,7 +179,7 @@ struct PlanningCell<'a> {
 #[cfg(test)]
 mod example {
     use super::{Job, MotionKind, PlanRow, PoseKind};
-    use dbbd_model::robot::Robot;
+    use dbbd_model::robot::{BallId, Robot};
 
     pub(super) fn robot() -> Robot {
         Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read")
@@ -201,7 +201,7 @@ mod example {
         PlanRow {
             index: 1,
             circle: 1,
-            centre: 1,
+            centre: BallId::FIRST,
             kind,
             motion: MotionKind::Ptp,
             xyz_mm: [0.0; 3],

@@ -69,6 +69,7 @@ pub(super) fn chosen(rig: &PlanKinematics<'_>, prior: &PlanningPrior) -> Result<
 /// Draws orientations at the points of one circle, in the branch of its first point.
 struct OrientationSampler<'a> {
     table: &'a CircleTable,
+    ball: BallId,
     circle: &'a PlannedCircle<'a>,
     cell: PlanningCell<'a>,
     start: [f64; AXES],
@@ -81,23 +82,24 @@ impl<'a> OrientationSampler<'a> {
         table: &'a CircleTable,
         circle: &'a PlannedCircle<'a>,
     ) -> Result<Self, PlanFinding> {
+        let (number, balls) = (table.centre, rig.job.centres.len());
+        let ball = BallId::new(number).ok_or(PlanFinding::NoSuchBall { ball: number, balls })?;
         let start = branches(rig.arm, &circle.pose(0.0, 0.0))
             .unwrap_or_default()
             .iter()
             .flat_map(|axes| turns_within(axes, rig.controller))
             .min_by(|a, b| largest(a).total_cmp(&largest(b)))
             .ok_or(PlanFinding::FirstPointUnreachable { circle: circle.number })?;
-        Ok(Self { table, circle, cell: PlanningCell::new(*rig, prior, table.centre, &start), start })
+        Ok(Self { table, ball, circle, cell: PlanningCell::new(*rig, prior, table.centre, &start), start })
     }
 
     /// The safe draws at an angle; `near` are the axis angles of the point before, then of this one.
     fn draws(&self, angle: f64, near: &mut [f64; AXES]) -> Result<Vec<DrawnOrientation>, PlanFinding> {
-        let Self { table, circle, cell, .. } = self;
+        let Self { table, ball, circle, cell, .. } = self;
         let PlanKinematics { job, arm, .. } = cell.rig;
         let position = circle.pose(angle, 0.0).position;
         let branch = status(arm, &self.start);
         let mut random = Pcg64::seed_from_u64(circle.seed(angle));
-        let ball = BallId::numbered(table.centre);
         let mut safe = Vec::new();
         for draw in 0..DRAWS {
             let q = circle.amplitude;
@@ -108,7 +110,7 @@ impl<'a> OrientationSampler<'a> {
                 *near = axes;
             }
             if status(arm, &axes) == branch && cell.allows(&axes, table.centre, job.limits.max_stroke_risk) {
-                let pose = Candidate { ball, axes, pose };
+                let pose = Candidate { ball: *ball, axes, pose };
                 safe.push(DrawnOrientation { pose, turn_deg: turn.map(f64::to_degrees) });
             }
         }

@@ -19,7 +19,7 @@ use dbbd_model::estimation::{
 };
 use dbbd_model::measurement::PreparedMeasurement;
 use dbbd_model::robot::inverse::clearance;
-use dbbd_model::robot::{AXES, BallId, Robot};
+use dbbd_model::robot::{AXES, Robot};
 
 /// Poses over which the 3-D error is taken, as in an identification.
 const PREDICTION_WORKSPACE_POSES: usize = 2000;
@@ -99,11 +99,7 @@ pub enum Identifiability {
 impl PlanRow {
     /// The row as a length to be measured.
     pub fn reading(&self) -> PreparedMeasurement {
-        PreparedMeasurement::new(
-            self.axes_deg.map(f64::to_radians),
-            BallId::numbered(self.centre),
-            self.length_mm,
-        )
+        PreparedMeasurement::new(self.axes_deg.map(f64::to_radians), self.centre, self.length_mm)
     }
 }
 

@@ -194,7 +194,7 @@ impl BarLengthError {
 pub(super) struct RunStart {
     pub(super) posterior: Posterior,
     /// The ball that is taught before it.
-    pub(super) taught: Option<TaughtBall>,
+    taught: Option<TaughtBall>,
 }
 
 impl Job {

@@ -8,7 +8,7 @@ use super::job::Job;
 use super::{BranchRun, MotionKind, PlanKinematics, PlanRow, PlanStep, PoseKind};
 use crate::plan::PlanFinding;
 use dbbd_model::robot::inverse::{Unsolved, branches, clearance, nearest, status, turn, turns_within};
-use dbbd_model::robot::{AXES, Pose, Robot};
+use dbbd_model::robot::{AXES, BallId, Pose, Robot};
 
 /// How near a run comes to the limits.
 struct RunExtremes {
@@ -116,11 +116,13 @@ impl<'a> PlanKinematics<'a> {
             let axes_deg = near.map(|a| if a.to_degrees().abs() < 1e-6 { 0.0 } else { a.to_degrees() });
             let axes = axes_deg.map(f64::to_radians);
             extremes.add(self, &axes);
-            let centre = self.job.ball(step.centre).map_or([0.0; 3], |table| table.xyz_mm);
+            let (centre, table) = BallId::new(step.centre)
+                .zip(self.job.ball(step.centre))
+                .ok_or(PlanFinding::NoSuchBall { ball: step.centre, balls: self.job.centres.len() })?;
             rows.push(PlanRow {
                 index,
                 circle: step.circle,
-                centre: step.centre,
+                centre,
                 kind: step.kind,
                 motion: step.motion,
                 xyz_mm,
@@ -128,7 +130,7 @@ impl<'a> PlanKinematics<'a> {
                 axes_deg,
                 status: status(&self.controller.geometry, &axes),
                 turn: turn(&axes),
-                length_mm: self.arm.length(&axes, &centre.into(), 0.0),
+                length_mm: self.arm.length(&axes, &table.xyz_mm.into(), 0.0),
                 dwell_s: step.dwell_s,
             });
         }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use dbbd_model::measurement::PoseKind;
-use dbbd_model::robot::AXES;
+use dbbd_model::robot::{AXES, BallId};
 
 /// How the robot moves to a row's pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,8 +24,8 @@ pub struct PlanRow {
     pub index: u32,
     /// Number of the circle, from 1; 0 for rows of no circle.
     pub circle: u32,
-    /// Number of the base ball, from 1.
-    pub centre: u32,
+    /// The base ball.
+    pub centre: BallId,
     pub kind: PoseKind,
     pub motion: MotionKind,
     /// Tool ball in the robot base, mm, as KRL prints it (three decimals).

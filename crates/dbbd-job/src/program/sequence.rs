@@ -16,7 +16,7 @@ pub struct Timed<'a> {
 
 impl Timed<'_> {
     /// Whether the row is numbered in its module: a dwell, or the end of a pass.
-    pub fn is_counted(&self) -> bool {
+    fn is_counted(&self) -> bool {
         self.row.kind != PoseKind::Transit || self.pass.is_some()
     }
 
@@ -134,9 +134,10 @@ impl<'a> Module<'a> {
         if leading > 0 {
             rows.remove(leading - 1);
         }
-        let ball = rows.first().map_or(0, |timed| timed.row.centre);
-        if let Some(Timed { row, .. }) = rows.iter().find(|timed| timed.row.centre != ball) {
-            let other = ProgramFinding::RowOtherBall { row: row.index, ball: row.centre, circle_ball: ball };
+        let ball = rows.first().map_or(0, |timed| timed.row.centre.number());
+        if let Some(Timed { row, .. }) = rows.iter().find(|timed| timed.row.centre.number() != ball) {
+            let other =
+                ProgramFinding::RowOtherBall { row: row.index, ball: row.centre.number(), circle_ball: ball };
             return Err(other.into());
         }
         Ok(Self { circle, ball, start, bar, rows })

@@ -42,7 +42,7 @@ pub struct BarCheck {
     pub drift_mm_min: f64,
     pub drift_sd_mm_min: f64,
     /// Standard deviation of the means of one second about that line: noise that averaging does not remove.
-    pub wander_mm: f64,
+    wander_mm: f64,
     /// Standard deviation of a length at a dwell: wander and rounding together.
     pub sigma_mm: f64,
     pub findings: Vec<BarFinding>,

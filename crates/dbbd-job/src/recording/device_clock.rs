@@ -267,7 +267,7 @@ pub struct ClockSegment {
     /// Clock skew: host seconds per device second, less 1.
     pub drift: f64,
     /// Median delay of the stamps over the line, s.
-    pub median_late_s: f64,
+    median_late_s: f64,
     /// Bound on the offset error beyond the least delay, s: the line could not move further without a stamp before
     /// its event.
     pub bound_s: f64,

@@ -142,7 +142,8 @@ fn balls(plan: &Plan) -> Vec<BallMark> {
 
 fn scene(plan: &Plan, robot: &Robot) -> Scene {
     let measured = plan.rows.iter().filter(|row| row.kind == PoseKind::Measure);
-    let poses = measured.map(|row| ScenePose::new(robot, row.index, row.centre, &row.axes_deg, None));
+    let poses =
+        measured.map(|row| ScenePose::new(robot, row.index, row.centre.number(), &row.axes_deg, None));
     Scene::new(&balls(plan), poses.collect(), &plan.header.job.obstacles)
 }
 

@@ -155,7 +155,7 @@ pub(crate) fn plot_css() -> &'static str {
 }
 
 /// Text for XML: the five characters that mean something there.
-pub(crate) fn escape(text: &str) -> String {
+fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for character in text.chars() {
         match character {

@@ -9,7 +9,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::estimation::{DistanceQuantities, Options, Priors};
-use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
+use dbbd_model::measurement::{LengthModel, Measurements, PreparedMeasurement};
 use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::{Coordinate, ParamId, Robot};
 use serde::{Deserialize, Serialize};
@@ -63,10 +63,39 @@ pub struct CheckRequest {
 #[derive(Clone, Debug, Serialize)]
 pub struct CheckDocument {
     #[serde(flatten)]
+    pub checked: CheckedLengths,
+    pub provenance: Provenance,
+}
+
+/// What a check found of lengths.
+#[derive(Clone, Debug, Serialize)]
+pub struct CheckedLengths {
+    #[serde(flatten)]
     pub check: InterimCheck,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub distance: Option<DistanceQuantities>,
-    pub provenance: Provenance,
+    distance: Option<DistanceQuantities>,
+}
+
+impl CheckedLengths {
+    /// Checks the readings of these measurements.
+    pub fn of(input: &CheckInput<'_>, observations: &Measurements) -> Result<Self, ConformityFinding> {
+        let check = input.check()?;
+        let distance = input.set_up().and_then(|model| DistanceQuantities::of(&observations.rows, &model));
+        Ok(Self { check, distance })
+    }
+
+    /// What was found, and why the check cannot decide.
+    pub fn findings(&self) -> Vec<ConformityFinding> {
+        let mut findings = self.check.findings.clone();
+        let decision = &self.check.decision;
+        if let (ConformityOutcome::Undecided, Some(tolerance_mm), Some(risk)) =
+            (decision.decision, decision.tolerance_mm, decision.specific_risk)
+        {
+            let position_error_mm = decision.position_error_mm;
+            findings.push(ConformityFinding::Undecided { tolerance_mm, position_error_mm, risk });
+        }
+        findings
+    }
 }
 
 impl CheckRequest {
@@ -81,7 +110,7 @@ impl CheckRequest {
         let workspace = self.workspace.as_deref();
         let workspace = workspace.map(|path| read_workspace(path, &given.robot, session)).transpose()?;
         let workspace = Options { workspace, ..Options::default() };
-        let noise = LengthSigma::of(self, &given)?;
+        let noise = LengthSigma::of(self.sigma_mm, &given.observations, Some(&self.robot), &given.robot)?;
         session.findings(noise.finding);
         let input = CheckInput {
             robot: &given.robot,
@@ -94,18 +123,20 @@ impl CheckRequest {
             rule: self.rule,
             workspace: &workspace.workspace_poses(&given.robot),
         };
-        let check = input.check().map_err(|finding| Diagnostic::file(&self.robot, finding))?;
+        let checked = CheckedLengths::of(&input, &given.observations)
+            .map_err(|finding| Diagnostic::file(&self.robot, finding))?;
         let (known, lengths) = (given.known_lengths(Some(&self.robot), session)?, readings.len());
         if 2 * known > lengths {
             session.finding(ConformityFinding::LengthsOfCalibration { known, lengths });
         }
         session.findings(given.findings());
-        session.findings(findings(self, &check));
-        let distance =
-            input.set_up().and_then(|model| DistanceQuantities::of(&given.observations.rows, &model));
-        let document = CheckDocument { check, distance, provenance: given.provenance.clone() };
+        session.findings(checked.findings());
+        if self.update && checked.check.update().is_none() && checked.check.is_explained() {
+            session.finding(ConformityFinding::NothingToUpdate);
+        }
+        let document = CheckDocument { checked, provenance: given.provenance.clone() };
         let files = write_check(self, &document, &given)?;
-        let outcome = match document.check.decision.decision {
+        let outcome = match document.checked.check.decision.decision {
             ConformityOutcome::Pass => AnswerOutcome::Done,
             ConformityOutcome::Undecided => AnswerOutcome::Undecided,
             ConformityOutcome::Fail => AnswerOutcome::Failed,
@@ -150,9 +181,9 @@ fn mounting(request: &CheckRequest, given: &LoadedInputs) -> Mounting {
 }
 
 /// The standard deviation of a length, mm, and a finding if a part of it is unknown.
-pub(super) struct LengthSigma {
-    pub(super) sigma_mm: f64,
-    pub(super) finding: Option<ConformityFinding>,
+pub struct LengthSigma {
+    pub sigma_mm: f64,
+    pub finding: Option<ConformityFinding>,
 }
 
 impl LengthSigma {
@@ -175,32 +206,22 @@ impl LengthSigma {
         Ok(Self { sigma_mm, finding })
     }
 
-    /// The standard deviation that is given, else that of the data.
-    fn of(request: &CheckRequest, given: &LoadedInputs) -> Result<Self, Diagnostic> {
-        if let Some(sigma_mm) = request.sigma_mm {
+    /// The standard deviation that is given, else that of the data. A robot of no file has no result beside it.
+    pub fn of(
+        given: Option<f64>,
+        observations: &Measurements,
+        file: Option<&str>,
+        robot: &Robot,
+    ) -> Result<Self, Diagnostic> {
+        if let Some(sigma_mm) = given {
             return Ok(Self { sigma_mm, finding: None });
         }
-        Self::at_least(
-            conformity::own_sigma_mm(&given.observations, &given.robot),
-            &request.robot,
-            &given.robot,
-        )
+        let own = conformity::own_sigma_mm(observations, robot);
+        match file {
+            Some(file) => Self::at_least(own, file, robot),
+            None => Ok(Self { sigma_mm: conformity::sigma_mm(own, None)?, finding: None }),
+        }
     }
-}
-
-fn findings(request: &CheckRequest, check: &InterimCheck) -> Vec<ConformityFinding> {
-    let mut findings = check.findings.clone();
-    let decision = &check.decision;
-    if let (ConformityOutcome::Undecided, Some(tolerance_mm), Some(risk)) =
-        (decision.decision, decision.tolerance_mm, decision.specific_risk)
-    {
-        let position_error_mm = decision.position_error_mm;
-        findings.push(ConformityFinding::Undecided { tolerance_mm, position_error_mm, risk });
-    }
-    if request.update && check.update().is_none() && check.is_explained() {
-        findings.push(ConformityFinding::NothingToUpdate);
-    }
-    findings
 }
 
 /// Returns the names of the files.
@@ -209,7 +230,7 @@ fn write_check(
     document: &CheckDocument,
     given: &LoadedInputs,
 ) -> Result<Vec<String>, Diagnostic> {
-    let CheckDocument { check, distance, provenance } = document;
+    let CheckDocument { checked: CheckedLengths { check, distance }, provenance } = document;
     let mut set = FileSet::begin(&request.out)?;
     set.write("check.json", serialised::sealed_json(document)?)?;
     set.write("check.html", report::check::html(check, distance.as_ref(), provenance)?)?;

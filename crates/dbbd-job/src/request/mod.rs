@@ -5,6 +5,7 @@
 //! are written, and the answer is made. This room must not know who asks and how the answer is shown.
 
 mod answer;
+mod catalogue;
 pub mod certificate;
 pub mod check;
 mod child;
@@ -18,6 +19,7 @@ mod robots;
 mod watch;
 
 pub use answer::{AnswerOf, AnswerOutcome, AnswerRecord, AnswerResult, RequestResult};
+pub use catalogue::RequestFinding;
 pub use child::{RequestChild, read_answer};
 pub use earlier::{other_run, read_identity};
 pub use protocols::{read_protocol, read_protocol_file};
@@ -30,6 +32,7 @@ use certificate::{CertificateDocument, CertificateRequest};
 use check::{CheckDocument, CheckRequest};
 use circle::{CircleDocument, CircleRequest};
 use compensate::{CompensateDocument, CompensateRequest};
+use dbbd_model::base::serialised;
 use dbbd_model::diagnostic::{Diagnostic, Severity};
 use identify::{IdentifyDocument, IdentifyRequest};
 use plan::{PlanDocument, PlanRequest};
@@ -49,6 +52,12 @@ pub enum Request {
 }
 
 impl Request {
+    /// Reads a request that `from` gave as JSON.
+    pub fn from_json(from: &str, text: &str) -> Result<Self, Diagnostic> {
+        serde_json::from_str(text)
+            .map_err(|why| Diagnostic::file(from, RequestFinding::NotARequest { why: why.to_string() }))
+    }
+
     /// Reads the inputs, computes, and writes the files.
     pub fn answer(&self, watch: &dyn RequestWatch) -> Answer {
         let session = RequestSession::new(watch);
@@ -116,6 +125,11 @@ impl AnswerDocument {
 }
 
 impl Answer {
+    /// The answer as every process gives it to another one, without the end of its last line.
+    pub fn to_json(&self) -> Result<String, Diagnostic> {
+        Ok(serialised::json(self)?)
+    }
+
     /// The answer to a request after which `findings` were reported.
     fn of(result: Result<RequestResult<AnswerDocument>, Diagnostic>, mut findings: Vec<Diagnostic>) -> Self {
         let mut result = match result {

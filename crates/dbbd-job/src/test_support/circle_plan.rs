@@ -2,7 +2,7 @@
 
 use dbbd_job::plan::{Job, MotionKind, MoveTime, Plan, PlanHeader, PlanRow, PoseKind};
 use dbbd_model::provenance::Provenance;
-use dbbd_model::robot::{Pose, Robot, inverse};
+use dbbd_model::robot::{BallId, Pose, Robot, inverse};
 
 pub(crate) const BALL_MM: [f64; 3] = [1300.0, 0.0, 800.0];
 pub(crate) const BAR_MM: f64 = 300.0;
@@ -44,7 +44,7 @@ impl Builder {
         self.rows.push(PlanRow {
             index,
             circle,
-            centre: 1,
+            centre: BallId::FIRST,
             kind,
             motion,
             xyz_mm,

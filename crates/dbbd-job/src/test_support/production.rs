@@ -48,11 +48,11 @@ pub(crate) fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64
     let mut random = Pcg64::seed_from_u64(seed);
     let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit);
     let rows = dwells.map(|row| {
-        let ball = Vector3::from(BALLS[row.centre as usize - 1]) + Vector3::from(OFF_MM);
+        let ball = Vector3::from(BALLS[row.centre.index()]) + Vector3::from(OFF_MM);
         let length = true_robot.geometry.length(&row.axes_deg.map(f64::to_radians), &ball, 0.0);
         Measurement {
             index: row.index,
-            datum: Datum::Ball(BallId::new(row.centre).unwrap(), BarId::FIRST),
+            datum: Datum::Ball(row.centre, BarId::FIRST),
             target: TargetId::FIRST,
             axes: AxisAngles::from_degrees(row.axes_deg),
             approach: Approach::default(),

@@ -5,7 +5,7 @@ use dbbd_job::recording::matching::PoseMatching;
 use dbbd_job::recording::{DeviceClock, SampleStream, StreamBuilder};
 use dbbd_model::base::units::{DeviceTicks, HostNs};
 use dbbd_model::measurement::sample::Sample;
-use dbbd_model::robot::AXES;
+use dbbd_model::robot::{AXES, BallId};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal};
 use rand_pcg::Pcg64;
@@ -23,7 +23,7 @@ pub(crate) fn plan(seed: u64, poses: u32, module: u32, distinct: bool) -> Plan {
         rows.push(PlanRow {
             index,
             circle,
-            centre: 1,
+            centre: BallId::FIRST,
             kind,
             motion: MotionKind::Lin,
             xyz_mm: [1300.0, 0.0, 800.0],

@@ -30,7 +30,7 @@ pub struct HarmonicDiagnosis {
     /// mismatch.
     pub squareness_rad: Option<[f64; 2]>,
     /// Whether both senses separate squareness from servo mismatch.
-    pub both_senses: bool,
+    both_senses: bool,
     /// Lag of the second axis behind the first, s, if times give the speed.
     pub servo_mismatch_s: Option<[f64; 2]>,
 }

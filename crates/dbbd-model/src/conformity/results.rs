@@ -51,7 +51,7 @@ pub struct ComparedResults {
 pub struct UncomparedParameter {
     pub name: ParamId,
     /// Indices of the results that estimate it, from 0.
-    pub estimated_in: Vec<usize>,
+    estimated_in: Vec<usize>,
 }
 
 /// Change of the identified robot's position over the workspace, after the best rigid alignment, mm.

@@ -3,7 +3,7 @@
 //! needed.
 
 /// Probability that F with `upper` and `lower` degrees of freedom exceeds `f`.
-pub fn f_tail(f: f64, upper: f64, lower: f64) -> f64 {
+fn f_tail(f: f64, upper: f64, lower: f64) -> f64 {
     if f <= 0.0 { 1.0 } else { beta(lower / (lower + upper * f), 0.5 * lower, 0.5 * upper) }
 }
 

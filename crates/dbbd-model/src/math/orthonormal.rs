@@ -28,11 +28,6 @@ impl OrthonormalBasis {
             column.axpy(-share, direction, 1.0);
         }
     }
-
-    /// The basis vectors from number `first` on, as columns.
-    pub(crate) fn columns_from(&self, first: usize) -> DMatrix<f64> {
-        DMatrix::from_columns(self.directions.get(first..).unwrap_or(&[]))
-    }
 }
 
 #[cfg(test)]

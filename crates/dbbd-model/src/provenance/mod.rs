@@ -76,7 +76,7 @@ impl Artefact {
     }
 
     /// The first digits of its hash.
-    pub fn short_hash(&self) -> &str {
+    fn short_hash(&self) -> &str {
         self.sha256.get(..12).unwrap_or(&self.sha256)
     }
 

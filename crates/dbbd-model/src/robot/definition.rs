@@ -19,6 +19,7 @@ use crate::robot::RobotFinding;
 const BUILT_IN: &[(&str, &str)] = include!("../../../../robots/built-in.rs");
 
 /// A robot with its file.
+#[derive(Clone)]
 pub struct LoadedRobot {
     pub robot: Robot,
     pub source: TracedArtefact,

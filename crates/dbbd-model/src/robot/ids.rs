@@ -21,11 +21,6 @@ macro_rules! numbered {
                 NonZeroU32::new(number).map(Self)
             }
 
-            /// As [`Self::new`], for a number that was checked when it was read; 0 is taken for 1.
-            pub fn numbered(number: u32) -> Self {
-                Self::new(number).unwrap_or(Self::FIRST)
-            }
-
             /// From the index in a list.
             pub fn at(index: usize) -> Self {
                 Self(NonZeroU32::MIN.saturating_add(u32::try_from(index).unwrap_or(u32::MAX)))

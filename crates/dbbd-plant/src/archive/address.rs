@@ -42,7 +42,7 @@ pub struct ArchiveAddresses {
 #[derive(Default)]
 pub struct Secrets {
     pub password: Option<String>,
-    pub password_file: Option<PathBuf>,
+    password_file: Option<PathBuf>,
     /// A file with two lines: key identity and secret key.
     pub store_file: Option<PathBuf>,
 }

@@ -10,15 +10,80 @@ use crate::protocol::ProtocolFinding::{
     MapDefault, MapRole, MapWords, QualityRange, RoleWithoutValue, ScaleFactors, ScaleZero, SentinelNumber,
     SequenceModulo, SkipBytes, TemperatureUnit, TooManyWords, UnitKind, UnitWithoutMm, UnitWords, ValidRange,
 };
+use crate::protocol::decimal::DecimalFill;
 use crate::protocol::decimal::DecimalFormat;
+use crate::protocol::field::Endian;
 use crate::protocol::field::{
     FieldForm, FieldRole, FieldScale, MessageField, RawLimits, StatusFlags, TickCounter,
 };
 use crate::protocol::framing::LONGEST_FRAME;
-use crate::protocol::table::{DecimalFill, Endian, FieldKind, FieldTable, FieldUnit, RoleName};
 use dbbd_model::base::FileFinding;
 use dbbd_model::base::fixed_array::FixedArray;
 use dbbd_model::base::parse::from_toml_value;
+use serde::Deserialize;
+
+/// The further keys depend on kind and role.
+#[derive(Clone, Deserialize)]
+pub(super) struct FieldTable {
+    kind: FieldKind,
+    role: Option<RoleName>,
+    #[serde(flatten)]
+    keys: toml::Table,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum FieldKind {
+    /// Bytes without meaning.
+    Skip,
+    Uint,
+    /// Two's complement integer.
+    Int,
+    /// Fixed text.
+    Lit,
+    /// Decimal number as text.
+    Dec,
+    /// Hexadecimal number as text.
+    Hex,
+    /// Of 4 or 8 bytes.
+    Float,
+    /// Bits of a group of bytes, from the lowest.
+    Bits,
+    /// One of some words.
+    Map,
+    /// A column of separated values that is skipped, with its separator.
+    Column,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum RoleName {
+    Length,
+    Seq,
+    TDev,
+    Temp,
+    Status,
+    Unit,
+    Quality,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+enum FieldUnit {
+    #[serde(rename = "um")]
+    Micrometre,
+    #[serde(rename = "mm")]
+    Millimetre,
+    #[serde(rename = "inch")]
+    Inch,
+    /// Counts of a scale, of which `per` make a millimetre.
+    #[serde(rename = "count")]
+    Count,
+    /// As in the field with role `unit`.
+    #[serde(rename = "device")]
+    Device,
+    #[serde(rename = "C")]
+    Celsius,
+}
 
 type FieldWords = BTreeMap<String, String>;
 

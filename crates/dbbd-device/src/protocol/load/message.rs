@@ -5,16 +5,54 @@ use std::ops::Range;
 use toml::Spanned;
 
 use super::field;
+use super::field::FieldTable;
 use crate::protocol::ProtocolFinding::{
     self, FramingByte, MatchedByte, NoFixedLength, OtherLength, RejectCode, RejectNumber, RejectText,
     RoleCount, TooLong,
 };
+use crate::protocol::engine::{MatchByte, RejectCodeFormat};
 use crate::protocol::engine::{MessageFormat, RejectMessage};
 use crate::protocol::field::{FieldForm, MessageField};
 use crate::protocol::framing::Framing;
 use crate::protocol::source::DefinitionSource;
-use crate::protocol::table::{MessageTable, RejectCodeFormat, RejectTable, hex_bytes};
+use crate::protocol::source::hex_bytes;
 use dbbd_model::diagnostic::Diagnostic;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MessageTable {
+    name: String,
+    #[serde(default)]
+    r#match: Vec<Spanned<MatchByte>>,
+    fields: Vec<Spanned<FieldTable>>,
+}
+
+/// A message of the device that it has no reading.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct RejectTable {
+    prefix: Option<String>,
+    eq: Option<String>,
+    hex: Option<String>,
+    /// It is followed by the check of the frame.
+    #[serde(default)]
+    checked: bool,
+    code: Option<RejectCodeFormat>,
+    #[serde(default)]
+    map: BTreeMap<String, String>,
+    /// The only action; it makes files readable.
+    #[serde(default, rename = "action")]
+    _action: RejectAction,
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum RejectAction {
+    #[default]
+    DropSample,
+}
 
 /// Compiles a message; `check_len` is the length of the check after it.
 pub(super) fn compile(

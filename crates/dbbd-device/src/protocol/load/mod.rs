@@ -15,18 +15,151 @@ use crate::protocol::ProtocolFinding::{
     NominalRate, PollCommandMissing, PollKeysMissing, PollKeysWithoutPoll, PollRate, ProbeIdent, ProbeZero,
     StepActions, StepCheck, StepExpect, StepHex, StepSendsNothing, StopBits, UnknownSchema,
 };
+use crate::protocol::check::CheckTable;
 use crate::protocol::check::FrameCheck;
+use crate::protocol::definition::SimulationTable;
 use crate::protocol::definition::{CommandStep, ProtocolDefinition, ProtocolMode};
 use crate::protocol::engine::ProtocolEngine;
 use crate::protocol::framing::Framing;
+use crate::protocol::framing::FramingTable;
 use crate::protocol::source::DefinitionSource;
-use crate::protocol::table::{
-    Confidence, DefinitionFile, FramingTable, Latch, ModeKind, ModeTable, StepTable, hex_bytes,
-};
+use crate::protocol::source::{ProtocolParamTable, hex_bytes};
 use dbbd_model::diagnostic::Diagnostic;
+use message::{MessageTable, RejectTable};
+use serde::{Deserialize, Deserializer};
+use std::collections::BTreeMap;
+use vectors::TestTable;
 
 /// The definitions that come with dbbd: name and file.
 const BUILT_IN: &[(&str, &str)] = include!("../../../../../protocols/built-in.rs");
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DefinitionFile {
+    schema: u32,
+    id: String,
+    #[serde(default)]
+    title: String,
+    #[serde(default)]
+    source: Vec<String>,
+    confidence: Confidence,
+    #[serde(default)]
+    tested_on: Vec<String>,
+    /// Substituted before the text is parsed.
+    #[serde(default, rename = "params")]
+    _params: BTreeMap<String, ProtocolParamTable>,
+    line: LineSettings,
+    framing: FramingTable,
+    check: Option<CheckTable>,
+    #[serde(default)]
+    message: Vec<Spanned<MessageTable>>,
+    #[serde(default)]
+    reject: Vec<Spanned<RejectTable>>,
+    #[serde(default)]
+    ignore: Vec<IgnoreTable>,
+    #[serde(default)]
+    mode: ModeTable,
+    #[serde(default)]
+    timing: TimingTable,
+    #[serde(default)]
+    cmd: CommandTable,
+    #[serde(default)]
+    sim: SimulationTable,
+    #[serde(default)]
+    test: Vec<Spanned<TestTable>>,
+}
+
+/// Origin of the definition: the maker's documents, recorded bytes, our own device, a guess.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Confidence {
+    Documented,
+    Captured,
+    Own,
+    Guess,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct IgnoreTable {
+    prefix: Spanned<Vec<String>>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ModeTable {
+    #[serde(default)]
+    kind: ModeKind,
+    poll_hz: Option<f64>,
+    reply_timeout_ms: Option<u32>,
+    stall_ms: Option<u32>,
+    sync_frames: Option<u32>,
+}
+
+/// Who speaks first.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum ModeKind {
+    /// The device, by itself.
+    #[default]
+    Stream,
+    /// The host requests every reading.
+    Poll,
+    /// The device, when a key is pressed.
+    Push,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TimingTable {
+    latch: Option<Latch>,
+    #[serde(default, rename = "delay_us", deserialize_with = "us")]
+    delay: Duration,
+    #[serde(default, rename = "jitter_us", deserialize_with = "us")]
+    jitter: Duration,
+    nominal_hz: Option<f64>,
+}
+
+fn us<'de, D: Deserializer<'de>>(value: D) -> Result<Duration, D::Error> {
+    u32::deserialize(value).map(|us| Duration::from_micros(us.into()))
+}
+
+/// What determines the time of a reading: the request, its first byte, or the device's clock.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Latch {
+    Request,
+    FirstByte,
+    Device,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct CommandTable {
+    ident: Vec<Spanned<StepTable>>,
+    zero: Vec<Spanned<StepTable>>,
+    init: Vec<Spanned<StepTable>>,
+    poll: Vec<Spanned<StepTable>>,
+    start: Vec<Spanned<StepTable>>,
+    stop: Vec<Spanned<StepTable>>,
+}
+
+/// A step of a command: exactly one of send, hex, wait_ms, drain_ms and dtr_pulse_ms.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StepTable {
+    send: Option<String>,
+    hex: Option<String>,
+    wait_ms: Option<u32>,
+    drain_ms: Option<u32>,
+    dtr_pulse_ms: Option<u32>,
+    /// Appends the check of a frame to the bytes.
+    #[serde(default)]
+    check: bool,
+    expect: Option<String>,
+    timeout_ms: Option<u32>,
+    retries: Option<u32>,
+}
 
 impl ProtocolDefinition {
     pub fn built_in() -> &'static [(&'static str, &'static str)] {

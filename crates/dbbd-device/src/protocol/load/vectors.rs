@@ -7,9 +7,32 @@ use crate::protocol::decoder::DecodedItem;
 use crate::protocol::definition::ProtocolDefinition;
 use crate::protocol::fault::{LineFault, LineFaultKind};
 use crate::protocol::source::DefinitionSource;
-use crate::protocol::table::{Expectation, TestTable, hex_bytes};
+use crate::protocol::source::hex_bytes;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::sample::Sample;
+use serde::Deserialize;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TestTable {
+    rx: Spanned<String>,
+    expect: Vec<Spanned<Expectation>>,
+}
+
+/// Expected result of test bytes: a sample, a reject, or skipped bytes.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Expectation {
+    seq: Option<u32>,
+    t_dev_us: Option<u64>,
+    length_mm: Option<f64>,
+    tol: Option<f64>,
+    temp_c: Option<f64>,
+    flags: Option<Vec<String>>,
+    reject: Option<String>,
+    resync: Option<u64>,
+    ignored: Option<u64>,
+}
 
 pub(super) fn run(
     source: &DefinitionSource,

@@ -38,10 +38,8 @@ impl Job {
     }
 
     pub fn balls(&self) -> Vec<BaseBall> {
-        self.centres
-            .iter()
-            .map(|table| BaseBall { id: BallId::numbered(table.id), position: table.xyz_mm.into() })
-            .collect()
+        let balls = self.centres.iter().enumerate();
+        balls.map(|(at, table)| BaseBall { id: BallId::at(at), position: table.xyz_mm.into() }).collect()
     }
 
     /// The table of a base ball by its number, from 1.

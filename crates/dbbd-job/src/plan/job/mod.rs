@@ -147,7 +147,7 @@ impl JobBar {
         self.identity().u_mm()
     }
 
-    pub(super) fn identity(&self) -> BarIdentity {
+    fn identity(&self) -> BarIdentity {
         BarIdentity {
             serial: self.serial.clone(),
             certificate: self.certificate.clone(),

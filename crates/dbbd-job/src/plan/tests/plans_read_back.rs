@@ -6,7 +6,7 @@ use dbbd_job::plan::timing::ramped_s;
 use dbbd_job::plan::{Job, MotionKind, Plan, PlanRow, PoseKind};
 use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::inverse::from_status_turn;
-use dbbd_model::robot::{Pose, Robot};
+use dbbd_model::robot::{BallId, Pose, Robot};
 use proptest::prelude::*;
 
 fn example(name: &str) -> Plan {
@@ -101,7 +101,7 @@ fn the_paper_s_circle_has_eighty_points() {
         .map(|row| format!("{:?}", row.xyz_mm))
         .collect();
     assert_eq!(places.len(), 80);
-    assert!(plan.rows.iter().all(|row| row.circle == 1 && row.centre == 1));
+    assert!(plan.rows.iter().all(|row| row.circle == 1 && row.centre == BallId::FIRST));
 }
 
 /// d/v + v/a, and 2 sqrt(d/a) where the speed is not reached.
@@ -171,7 +171,7 @@ proptest! {
             xyz_mm = [0.1, 0.2, 0.3]\n[[circle]]\nplane = \"XY\"\npoints = 5\n";
         let job = Job::from_toml("job", job).unwrap();
         let row = PlanRow {
-            index: 1, circle: 1, centre: 1, kind: PoseKind::Measure, motion: MotionKind::Lin,
+            index: 1, circle: 1, centre: BallId::FIRST, kind: PoseKind::Measure, motion: MotionKind::Lin,
             xyz_mm: [values[0], values[1], values[2]],
             abc_deg: [values[3], values[4], values[5]],
             axes_deg: std::array::from_fn(|i| values[6 + i]),

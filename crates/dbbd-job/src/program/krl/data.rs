@@ -20,7 +20,7 @@ pub enum Origin {
 }
 
 /// The name of a variable, with the index of an element of an array.
-pub(super) type Key<'a> = (&'a str, Option<i64>);
+type Key<'a> = (&'a str, Option<i64>);
 
 /// A constant as it is written.
 #[derive(Clone, Copy, Debug)]

@@ -144,7 +144,7 @@ impl Position {
     }
 
     /// The target, where all components are written.
-    pub(crate) fn complete(self) -> Result<Target, ProgramFinding> {
+    fn complete(self) -> Result<Target, ProgramFinding> {
         let (names, components) = match self {
             Self::Axes(components) => (AXIS_NAMES, components),
             Self::Pose { components, .. } => (POSE_NAMES, components),

@@ -135,7 +135,7 @@ impl<'a> Parser<'a> {
     }
 
     /// Whether nothing but empty lines follows; they are skipped.
-    pub(super) fn is_at_end(&mut self) -> bool {
+    fn is_at_end(&mut self) -> bool {
         self.skip_empty_lines();
         *self.tokens.peek() == Token::End
     }

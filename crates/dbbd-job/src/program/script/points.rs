@@ -18,15 +18,14 @@ pub struct Point {
     pub(crate) value: Value,
     /// The first statement that moves there.
     pub(crate) first_use: Span,
-    pub(crate) branch: Branch,
+    branch: Branch,
     pub target: Target,
     /// The frames that are active there; `None` for axis angles.
     pub(crate) frames: Option<Frames>,
 }
 
 /// Writes a corrected point in the language of the program.
-pub(crate) type Write =
-    fn(&Corrector, &Point, &Corrected, Text<'_>) -> Result<Vec<Edit>, CompensationFinding>;
+type Write = fn(&Corrector, &Point, &Corrected, Text<'_>) -> Result<Vec<Edit>, CompensationFinding>;
 
 #[derive(Clone, Debug)]
 pub struct Points {

@@ -35,11 +35,11 @@ fn measured(plan: &Plan, robot: &Robot, seed: u64) -> Measurements {
         let there = place + Vector3::from_fn(|_, _| POSE_MM * normal());
         Measurement {
             index: row.index,
-            datum: Datum::Ball(BallId::new(row.centre).unwrap(), BarId::FIRST),
+            datum: Datum::Ball(row.centre, BarId::FIRST),
             target: TargetId::FIRST,
             axes: AxisAngles::from_degrees(row.axes_deg),
             approach,
-            length_mm: (there - Vector3::from(BALLS[row.centre as usize - 1])).norm() + LENGTH_MM * normal(),
+            length_mm: (there - Vector3::from(BALLS[row.centre.index()])).norm() + LENGTH_MM * normal(),
             sigma_mm: Some(LENGTH_MM),
             context: None,
         }

@@ -217,7 +217,7 @@ fn plans_without_a_possible_program_are_refused() {
         ("E0820", |plan| plan.header.moves.iter_mut().for_each(|time| time.feed_mm_s = 0.0)),
         ("E0820", |plan| plan.header.moves.iter_mut().for_each(|time| time.turn_deg_s = 0.0)),
         ("E0820", |plan| plan.rows[0].motion = MotionKind::Lin),
-        ("E0820", |plan| plan.rows[8].centre = 2),
+        ("E0820", |plan| plan.rows[8].centre = dbbd_model::robot::BallId::at(1)),
         ("E0822", |plan| (0..300).for_each(|_| repeat(plan))),
         ("E0823", |plan| plan.header.job.motion.outputs.strobe = 12),
     ];

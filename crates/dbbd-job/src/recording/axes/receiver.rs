@@ -28,7 +28,7 @@ pub struct PacketCounts {
     pub control: u64,
     pub malformed: u64,
     /// Bytes of malformed packets.
-    pub malformed_bytes: u64,
+    malformed_bytes: u64,
     /// Bytes of an unfinished packet.
     pub pending: u64,
     /// Packets that are missing by the controller's clock.
@@ -101,7 +101,7 @@ impl AxesReceiver {
     }
 
     /// After a new connection pending bytes will not be completed.
-    pub fn reconnected(&mut self) {
+    fn reconnected(&mut self) {
         let pending = self.decoder.pending();
         if pending > 0 {
             self.fault(AxesFault::Framing, pending);

@@ -146,7 +146,7 @@ impl AxisTrack {
     }
 
     /// The commanded axes if known, else the measured ones.
-    pub(in crate::recording) fn commanded(&self) -> &[[f64; AXES]] {
+    fn commanded(&self) -> &[[f64; AXES]] {
         if self.commanded_deg.is_empty() { &self.measured_deg } else { &self.commanded_deg }
     }
 

@@ -19,7 +19,7 @@ pub(super) const FILE_MAGIC: [u8; 8] = *b"DBBDCAP\n";
 pub(super) const MAGIC: [u8; 4] = [0xdb, 0xbd, 0x5a, 0xa5];
 /// Magic, kind, length, host time.
 pub(super) const HEAD_LEN: usize = 4 + 1 + 4 + 8;
-pub(super) const TAIL_LEN: usize = 4;
+const TAIL_LEN: usize = 4;
 /// Longest payload; a greater length is treated as damage.
 pub(super) const MAX_PAYLOAD_BYTES: usize = 64 << 20;
 

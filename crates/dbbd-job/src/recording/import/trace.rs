@@ -50,7 +50,7 @@ pub struct TraceCounts {
     pub holes: u64,
     pub longest_s: f64,
     /// Readings with the time of the one before.
-    pub same_times: u64,
+    same_times: u64,
     /// Wall clock of the first row, ns since 1970, if the trace has dates.
     pub unix_ns: u64,
 }

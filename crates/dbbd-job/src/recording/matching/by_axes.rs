@@ -68,13 +68,13 @@ fn on_ball(
     const AROUND_S: f64 = 10.0;
     let row = |index: u32| plan.rows.get((index as usize).checked_sub(1)?);
     let passed = plan.header.passes.iter().zip(times_s).filter_map(|(pass, times_s)| {
-        let centre = row(pass.end)?.centre;
+        let centre = row(pass.end)?.centre.number();
         Some(times_s.as_ref()?.iter().map(move |t_s| (*t_s, centre)))
     });
     let rested = rests.iter().zip(&poses.rows).flat_map(|(visits, row)| {
         let certain = visits.iter().filter(|visit| visit.posterior > MIN_PAIR_POSTERIOR);
         let rests = certain.filter_map(|visit| published.rests.get(visit.rest));
-        rests.map(|rest| (0.5 * (rest.start_s + rest.end_s), row.centre))
+        rests.map(|rest| (0.5 * (rest.start_s + rest.end_s), row.centre.number()))
     });
     let mut places: Vec<(f64, u32)> = rested.chain(passed.flatten()).collect();
     places.sort_by(|a, b| a.0.total_cmp(&b.0));

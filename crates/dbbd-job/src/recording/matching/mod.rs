@@ -25,7 +25,7 @@ mod visits;
 use std::sync::Arc;
 
 use super::reports;
-use crate::plan::{Plan, PlanRow};
+use crate::plan::Plan;
 use crate::recording::matching::MatchingFinding as Finding;
 use dbbd_model::measurement::{
     AxisAngles, BallId, BarId, CircleId, ContextColumn, Measurement, MeasurementContext, Measurements,
@@ -58,7 +58,7 @@ pub fn expected_lengths(
     dwells
         .map(|row| {
             let measured = axes_deg.and_then(|axes| axes.get(&row.index));
-            length_mm(ball(row), measured.unwrap_or(&row.axes_deg))
+            length_mm(row.centre, measured.unwrap_or(&row.axes_deg))
         })
         .collect()
 }
@@ -109,10 +109,6 @@ const COLUMNS: [ContextColumn; 6] = [
     ContextColumn::AngleDeg,
 ];
 
-fn ball(row: &PlanRow) -> BallId {
-    BallId::numbered(row.centre)
-}
-
 /// The measurements of the poses at which the robot stopped, and of those that it passed.
 fn measurements(
     input: &MatchingInput<'_>,
@@ -127,7 +123,7 @@ fn measurements(
         let at = (pose.index as usize).checked_sub(1)?;
         let row = plan.rows.get(at)?;
         let place = places.get(at).copied().flatten();
-        let taught = plan.taught().find(|taught| taught.centre == row.centre);
+        let taught = plan.taught().find(|taught| taught.centre == row.centre.number());
         let context = MeasurementContext {
             kind: Some(row.kind),
             time_s: Some(reading.middle_s()),
@@ -140,7 +136,7 @@ fn measurements(
         };
         Some(Measurement {
             index: row.index,
-            datum: Datum::Ball(ball(row), BarId::FIRST),
+            datum: Datum::Ball(row.centre, BarId::FIRST),
             target: TargetId::FIRST,
             axes: AxisAngles::from_degrees(*axes_deg.get(&row.index).unwrap_or(&row.axes_deg)),
             approach: approaches.get(at).copied().unwrap_or_default(),

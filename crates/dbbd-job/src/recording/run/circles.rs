@@ -95,7 +95,7 @@ pub fn drives(plan: &Plan, robot: &Robot, row: &PlanRow) -> Option<[DriveState; 
     const STEP: f64 = 1e-5;
     /// Least motion of a joint, degrees.
     const STILL_DEG: f64 = 1e-3;
-    let ball = plan.header.job.centres.iter().find(|ball| ball.id == row.centre)?;
+    let ball = plan.header.job.centres.iter().find(|ball| ball.id == row.centre.number())?;
     let at = (row.index as usize).checked_sub(1)?;
     let neighbour = |at: Option<usize>| at.and_then(|at| plan.rows.get(at)).map(|row| row.axes_deg);
     let (before, after) = (neighbour(at.checked_sub(1)), neighbour(Some(at + 1)));

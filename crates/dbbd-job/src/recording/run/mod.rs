@@ -190,11 +190,7 @@ impl RecordedRun {
     }
 
     pub fn centres(&self) -> Vec<BaseBall> {
-        let balls = &self.plan.header.job.centres;
-        balls
-            .iter()
-            .map(|ball| BaseBall { id: BallId::numbered(ball.id), position: ball.xyz_mm.into() })
-            .collect()
+        self.plan.header.job.balls()
     }
 
     /// The robot that the plan was made for.

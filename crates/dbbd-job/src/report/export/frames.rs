@@ -23,9 +23,9 @@ pub struct Frame {
     pub what: String,
     pub nominal_mm: [f64; 3],
     pub identified_mm: [f64; 3],
-    pub corrections_mm: [f64; 3],
+    corrections_mm: [f64; 3],
     /// Of each coordinate.
-    pub statuses: [Status; 3],
+    statuses: [Status; 3],
     /// On each coordinate.
     pub remarks: [String; 3],
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::tables::{lengths_or_positions, measurements};
-use super::{LENGTHS, POSITIONS};
+use super::{AskedIdentification, LENGTHS, POSITIONS};
 use crate::recording::matching::MatchingFinding;
 use crate::recording::matching::PoseMatching;
 use crate::recording::run::{self, PredictedLengths, RecordedRun};
@@ -12,7 +12,7 @@ use crate::request::robots::robot_for_measurement;
 use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::diagnostic::{Diagnostic, Finding, Severity};
 use dbbd_model::estimation::EstimationFinding;
-use dbbd_model::estimation::{AngleSource, CompletedCalibration, Prior, check_measurements, doubts};
+use dbbd_model::estimation::{AngleSource, CompletedCalibration, Options, check_measurements, doubts};
 use dbbd_model::measurement::{BaseBall, Measurements};
 use dbbd_model::provenance::IdentityFinding;
 use dbbd_model::provenance::ProvenanceFinding;
@@ -20,6 +20,7 @@ use dbbd_model::provenance::{
     ArtefactDifference, ArtefactRole, BarIdentity, Contradiction, Identity, Provenance, TracedArtefact,
     one_robot,
 };
+use dbbd_model::robot::parameter::SetUpCounts;
 use dbbd_model::robot::{AXES, BallId, BarId, LoadedRobot, Robot};
 
 /// The least standard deviation of a predicted length in the pose matching, mm.
@@ -163,17 +164,18 @@ impl LoadedInputs {
         [self.findings.as_slice(), self.run_findings.as_slice()].concat()
     }
 
-    /// The prior if the user names none: the posterior of the robot's earlier identification. Reports that the robot file
-    /// has lost it.
-    pub(super) fn default_prior(
+    /// The options of an identification. Reports that the robot file has lost its posterior.
+    pub(super) fn options(
         &mut self,
+        asked: AskedIdentification<'_>,
         robot_file: Option<&str>,
+        set_up: SetUpCounts,
         session: &RequestSession<'_>,
-    ) -> Result<Prior, Diagnostic> {
-        let known = || self.known_lengths(robot_file, session);
-        let (prior, lost) = Prior::continued(&self.robot, self.observations.rows.len(), known)?;
+    ) -> Result<Options, Diagnostic> {
+        let (known, rows) = (|| self.known_lengths(robot_file, session), self.observations.rows.len());
+        let (options, lost) = asked.options(&self.robot, rows, set_up, known)?;
         self.findings.extend(lost.map(Diagnostic::from));
-        Ok(prior)
+        Ok(options)
     }
 
     /// How many of the observations are among those beside the robot file, from which the robot was identified.

@@ -2,6 +2,7 @@
 
 mod files;
 pub(super) mod inputs;
+mod options;
 pub(super) mod tables;
 
 use std::path::{Path, PathBuf};
@@ -11,16 +12,17 @@ use dbbd_model::base::date;
 use dbbd_model::conformity::UncertaintyBudget;
 use dbbd_model::design;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::{CalibrationResult, CompletedCalibration, ErrorModel, Input, Options, Prior};
 use dbbd_model::measurement::{LengthModel, Measurements};
 use dbbd_model::provenance::{ArtefactRole, Provenance};
-use dbbd_model::robot::parameter::{self, SetUpCounts};
+use dbbd_model::robot::parameter::SetUpCounts;
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
 pub use files::{LENGTHS, POSITIONS, ROBOT};
 use inputs::{LoadedInputs, NamedInputs};
+pub use options::AskedIdentification;
+pub use tables::{checked_workspace, plausible_deviation};
 use tables::{read_prior, read_workspace};
 
 /// How often a capture is matched again with the identified robot.
@@ -66,17 +68,17 @@ pub struct IdentifyRequest {
     pub workspace: Option<PathBuf>,
 }
 
-/// What is known of the robot before.
+/// What is known of the robot before. `T` is a table of standard deviations: the path of one, or what was read.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum RequestedPrior {
+pub enum RequestedPrior<T = PathBuf> {
     None,
     /// The tolerance in the robot file.
     Datasheet,
     /// The posterior of the robot's earlier identification.
     Posterior,
     /// A table of standard deviations.
-    Table(PathBuf),
+    Table(T),
 }
 
 impl RequestedPrior {
@@ -88,6 +90,18 @@ impl RequestedPrior {
             "posterior" => Self::Posterior,
             file => Self::Table(file.into()),
         }
+    }
+
+    fn read<T>(
+        &self,
+        table: impl FnOnce(&Path) -> Result<T, Diagnostic>,
+    ) -> Result<RequestedPrior<T>, Diagnostic> {
+        Ok(match self {
+            Self::None => RequestedPrior::None,
+            Self::Datasheet => RequestedPrior::Datasheet,
+            Self::Posterior => RequestedPrior::Posterior,
+            Self::Table(file) => RequestedPrior::Table(table(file)?),
+        })
     }
 }
 
@@ -101,15 +115,26 @@ pub struct IdentifyDocument {
 
 impl Serialize for IdentifyDocument {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        #[derive(Serialize)]
-        struct ResultDocument<'a> {
-            #[serde(flatten)]
-            result: &'a CalibrationResult,
-            budget: &'a UncertaintyBudget,
-            provenance: &'a Provenance,
-        }
         let Self { calibration, budget, provenance } = self;
-        ResultDocument { result: &calibration.result, budget, provenance }.serialize(serializer)
+        let without = ResultDocument::without_files(calibration, budget);
+        ResultDocument { provenance: Some(provenance), ..without }.serialize(serializer)
+    }
+}
+
+/// The keys of `result.json`.
+#[derive(Serialize)]
+pub struct ResultDocument<'a> {
+    #[serde(flatten)]
+    result: &'a CalibrationResult,
+    budget: &'a UncertaintyBudget,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    provenance: Option<&'a Provenance>,
+}
+
+impl<'a> ResultDocument<'a> {
+    /// Of a result that was made from no file.
+    pub fn without_files(calibration: &'a CompletedCalibration, budget: &'a UncertaintyBudget) -> Self {
+        Self { result: &calibration.result, budget, provenance: None }
     }
 }
 
@@ -184,42 +209,28 @@ impl IdentifyRequest {
         set_up: SetUpCounts,
         session: &RequestSession<'_>,
     ) -> Result<Options, Diagnostic> {
-        let robot_file = self.robot.as_deref();
-        let prior = match &self.prior {
-            None if self.estimate.is_some() => Prior::None,
-            None => given.default_prior(robot_file, session)?,
-            Some(RequestedPrior::None) => Prior::None,
-            Some(RequestedPrior::Datasheet) => Prior::Datasheet,
-            Some(RequestedPrior::Posterior) => match given.default_prior(robot_file, session)? {
-                Prior::Posterior => Prior::Posterior,
-                Prior::None | Prior::Datasheet | Prior::Given(_) => {
-                    return Err(EstimationFinding::NoPosterior.into());
-                }
+        let prior = self
+            .prior
+            .as_ref()
+            .map(|prior| prior.read(|file| session.table(file, |table| read_prior(table, set_up))));
+        let asked = AskedIdentification {
+            estimate: self.estimate.as_deref(),
+            hold: self.hold.as_deref(),
+            prior: prior.transpose()?,
+            rest: Options {
+                model: self.model,
+                sigma_mm: self.sigma_mm,
+                bar_u_mm: given.bar_u_mm,
+                folds: self.folds,
+                monte_carlo: self.monte_carlo,
+                ..Options::default()
             },
-            Some(RequestedPrior::Table(file)) => {
-                Prior::Given(session.table(file, |table| read_prior(table, set_up))?)
-            }
         };
+        let mut options = given.options(asked, self.robot.as_deref(), set_up, session)?;
         // A doubtful earlier identification matters only if it is the prior.
-        session.findings(given.robot.doubtful().filter(|_| matches!(prior, Prior::Posterior)));
-        let betas = given.robot.parallel_joints();
-        let list = |text: &Option<String>| {
-            text.as_deref().map(|text| parameter::parse_list(text, &betas, set_up)).transpose()
-        };
+        session.findings(given.robot.doubtful().filter(|_| matches!(options.prior, Prior::Posterior)));
         let workspace = self.workspace.as_deref();
-        let workspace = workspace.map(|path| read_workspace(path, &given.robot, session)).transpose()?;
-        let options = Options {
-            estimate: list(&self.estimate)?,
-            hold: list(&self.hold)?.unwrap_or_default(),
-            sigma_mm: self.sigma_mm,
-            monte_carlo: self.monte_carlo,
-            prior,
-            model: self.model,
-            folds: self.folds,
-            workspace,
-            bar_u_mm: given.bar_u_mm,
-        };
-        options.check(given.observations.rows.len())?;
+        options.workspace = workspace.map(|path| read_workspace(path, &given.robot, session)).transpose()?;
         Ok(options)
     }
 }

@@ -10,10 +10,10 @@ use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::measurement::MeasurementFinding;
 use dbbd_model::measurement::positions::PLACE;
 use dbbd_model::measurement::{self, DistinctMeasurements, Measurements};
-use dbbd_model::plausibility::Quantity;
+use dbbd_model::plausibility::{PlausibilityFinding, Quantity};
 use dbbd_model::robot::RobotFinding;
 use dbbd_model::robot::parameter::SetUpCounts;
-use dbbd_model::robot::{AXES, ParamId, ParamUnit, Robot};
+use dbbd_model::robot::{AXES, AxisAngles, ParamId, ParamUnit, Robot};
 
 /// Reads a prior from a table name,unit,sd, such as the parameters.csv of an earlier identification.
 pub(super) fn read_prior(
@@ -33,11 +33,7 @@ pub(super) fn read_prior(
             let wrong = EstimationFinding::OtherUnitThan { parameter, unit: id.unit().to_string(), given };
             return Err(row.wrong(unit, wrong));
         }
-        if id.is_geometric() {
-            let is_angle = id.unit() == ParamUnit::Rad;
-            let quantity = if is_angle { Quantity::PriorAngleSd } else { Quantity::PriorLengthSd };
-            quantity.check(id.to_string(), value).map_err(|why| row.wrong(sd, why))?;
-        }
+        plausible_deviation(id, value).map_err(|why| row.wrong(sd, why))?;
         if prior.insert(id, value).is_some() {
             let parameter = id.to_string();
             return Err(row.wrong(name, EstimationFinding::ParameterTwice { parameter }));
@@ -46,23 +42,43 @@ pub(super) fn read_prior(
     Ok(prior)
 }
 
+/// Refuses a prior standard deviation (mm, rad) that no parameter of a geometry has.
+pub fn plausible_deviation(id: ParamId, sd: f64) -> Result<(), PlausibilityFinding> {
+    let is_angle = id.unit() == ParamUnit::Rad;
+    let quantity = if is_angle { Quantity::PriorAngleSd } else { Quantity::PriorLengthSd };
+    if id.is_geometric() { quantity.check(id.to_string(), sd) } else { Ok(()) }
+}
+
 /// Reads the poses of a workspace from a table with the columns a1_deg..a6_deg.
 pub(crate) fn read_workspace(
     path: &Path,
     robot: &Robot,
     session: &RequestSession<'_>,
 ) -> Result<Vec<[f64; AXES]>, Diagnostic> {
+    let poses = session.table(path, Measurements::poses_from_table)?;
+    let axes: Vec<AxisAngles> = poses.iter().map(|pose| pose.axes).collect();
+    let (workspace, beyond) =
+        checked_workspace(&axes, robot).map_err(|finding| Diagnostic::file(path.display(), finding))?;
+    session.findings_in(path.display(), beyond);
+    Ok(workspace)
+}
+
+/// The poses of a workspace, and a finding if the robot's limits do not allow them.
+///
+/// # Errors
+/// There are too few of them.
+pub fn checked_workspace(
+    poses: &[AxisAngles],
+    robot: &Robot,
+) -> Result<(Vec<[f64; AXES]>, Option<MeasurementFinding>), EstimationFinding> {
     /// With fewer poses, the rigid alignment would absorb the robot's error.
     const MIN_ALIGNED_POSES: usize = 10;
-    let poses = session.table(path, Measurements::poses_from_table)?;
-    let different: HashSet<_> = poses.iter().map(|pose| pose.axes.degrees().map(f64::to_bits)).collect();
+    let different: HashSet<_> = poses.iter().map(|axes| axes.degrees().map(f64::to_bits)).collect();
     if different.len() < MIN_ALIGNED_POSES {
-        let finding = EstimationFinding::SmallWorkspace { poses: different.len(), least: MIN_ALIGNED_POSES };
-        return Err(Diagnostic::file(path.display(), finding));
+        return Err(EstimationFinding::SmallWorkspace { poses: different.len(), least: MIN_ALIGNED_POSES });
     }
-    let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
-    session.findings_in(path.display(), measurement::beyond(angles, robot.controller()));
-    Ok(poses.iter().map(|pose| pose.axes.radians()).collect())
+    let beyond = measurement::beyond((1..).zip(poses.iter().copied()), robot.controller());
+    Ok((poses.iter().map(|axes| axes.radians()).collect(), beyond))
 }
 
 /// Reads a table of measurements with `read`. Reports rows that are there twice, and uses them once.

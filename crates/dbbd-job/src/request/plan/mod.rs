@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use super::identify::LENGTHS;
 use super::identify::tables::{lengths, measurements};
 use super::robots::robot_for_measurement;
-use super::{AnswerOutcome, RequestResult, RequestSession, read_protocol};
+use super::{AnswerOutcome, RequestResult, RequestSession, RequestWatch, read_protocol};
 use crate::file_set::FileSet;
 use crate::files;
 use crate::plan::PlanFinding;
@@ -69,6 +69,36 @@ pub struct CheckPoses {
     pub tolerance_mm: Option<f64>,
     /// Largest probability of a wrong decision.
     pub risk: f64,
+}
+
+/// A plan with its page. It is in no file yet.
+#[derive(Clone, Debug)]
+pub struct UnwrittenPlan {
+    pub plan: Plan,
+    /// `plan.html`; `None` for a plan that was read.
+    page: Option<String>,
+}
+
+/// A plan that was read.
+impl From<Plan> for UnwrittenPlan {
+    fn from(plan: Plan) -> Self {
+        Self { plan, page: None }
+    }
+}
+
+impl UnwrittenPlan {
+    /// Writes the files of the plan into a directory, and returns their names.
+    pub fn write(&self, directory: &Path) -> Result<Vec<String>, Diagnostic> {
+        let (csv, json) = self.plan.to_files()?;
+        let mut set = FileSet::begin(directory)?;
+        set.write("plan.csv", csv)?;
+        set.write("plan.json", json)?;
+        if let Some(page) = &self.page {
+            set.write("plan.html", page)?;
+        }
+        set.write("centres.csv", BaseBall::to_csv(&self.plan.header.job.balls()))?;
+        set.finish()
+    }
 }
 
 /// A plan and the name of its robot. It is serialised as its summary.
@@ -125,11 +155,40 @@ impl PlanRequest {
         &self,
         session: &RequestSession<'_>,
     ) -> Result<RequestResult<PlanDocument>, Diagnostic> {
+        let (robot, unwritten) = self.plan(None, session)?;
+        let files = unwritten.write(&self.out)?;
+        let plan = unwritten.plan;
+        session.findings(plan.header.notes.iter().cloned());
+        let predictions = plan.header.predictions.iter();
+        session.findings(predictions.flat_map(|prediction| prediction.recommendations.iter().cloned()));
+        let document = PlanDocument { robot: robot.name, plan };
+        Ok(RequestResult { outcome: AnswerOutcome::Done, files, document })
+    }
+
+    /// Plans without writing, for `robot` in place of the named one; the findings of the inputs.
+    pub fn unwritten(
+        &self,
+        robot: Option<LoadedRobot>,
+        watch: &dyn RequestWatch,
+    ) -> Result<(UnwrittenPlan, Vec<Diagnostic>), Diagnostic> {
+        let session = RequestSession::new(watch);
+        let (_, unwritten) = self.plan(robot, &session)?;
+        Ok((unwritten, session.into_findings()))
+    }
+
+    /// Plans for the robot that is given, else for the named one; the robot after the earlier measurements.
+    fn plan(
+        &self,
+        given: Option<LoadedRobot>,
+        session: &RequestSession<'_>,
+    ) -> Result<(Robot, UnwrittenPlan), Diagnostic> {
         let name = self.job.display().to_string();
         let (job, made_from) = self.read_job(session)?;
-        let robot_name = self.robot.as_deref().unwrap_or(&job.robot);
-        let LoadedRobot { robot, source, .. } =
-            with_serial(&job, robot_for_measurement(robot_name, session)?)?;
+        // A robot that is given without a name is in no file, and no lengths are beside it.
+        let file = self.robot.as_deref().or(given.is_none().then_some(job.robot.as_str()));
+        let robot_name = file.unwrap_or(given.as_ref().map_or("", |given| &given.robot.name)).to_owned();
+        let read = given.map_or_else(|| robot_for_measurement(&robot_name, session), Ok)?;
+        let LoadedRobot { robot, source, .. } = with_serial(&job, read)?;
         job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
         session.findings_in(&name, job.without_effect(&robot));
         session.findings_in(&name, job.in_robot(&robot));
@@ -143,10 +202,10 @@ impl PlanRequest {
         };
         let measured = match check {
             Some(_) => EarlierMeasurements::default(),
-            None => EarlierMeasurements::find(self, robot_name, &source, session)?,
+            None => EarlierMeasurements::find(self, file, &source, session)?,
         };
         let files = measured.files.iter().map(|path| path.display().to_string());
-        one_robot(files.zip(&measured.sources).chain([(robot_name.to_owned(), &source)]))?;
+        one_robot(files.zip(&measured.sources).chain([(robot_name, &source)]))?;
         // With lengths measured before, their own findings report this.
         session.findings(robot.asked_repeatability().filter(|_| measured.files.is_empty()));
         let provenance =
@@ -164,12 +223,8 @@ impl PlanRequest {
             Some(check) => check.predict(&mut plan, session)?,
             None => plan.predict(&robot, &prior),
         };
-        let files = write_plan(&plan, report::plan::html(&plan, &robot, &map)?, &self.out)?;
-        session.findings(plan.header.notes.iter().cloned());
-        let predictions = plan.header.predictions.iter();
-        session.findings(predictions.flat_map(|prediction| prediction.recommendations.iter().cloned()));
-        let document = PlanDocument { robot: robot.name, plan };
-        Ok(RequestResult { outcome: AnswerOutcome::Done, files, document })
+        let page = Some(report::plan::html(&plan, &robot, &map)?);
+        Ok((robot, UnwrittenPlan { plan, page }))
     }
 
     /// The job, or its stage, and the job's file.
@@ -189,17 +244,6 @@ impl PlanRequest {
         }
         Ok((job, made_from))
     }
-}
-
-/// Returns the names of the files.
-fn write_plan(plan: &Plan, page: String, directory: &Path) -> Result<Vec<String>, Diagnostic> {
-    let (csv, json) = plan.to_files()?;
-    let mut set = FileSet::begin(directory)?;
-    set.write("plan.csv", csv)?;
-    set.write("plan.json", json)?;
-    set.write("plan.html", page)?;
-    set.write("centres.csv", BaseBall::to_csv(&plan.header.job.balls()))?;
-    set.finish()
 }
 
 /// The robot with the serial number of the job. Refuses a robot with another one.
@@ -230,16 +274,15 @@ impl EarlierMeasurements {
     /// The tables of the request, and the lengths.csv beside an identified robot. Refuses one of another result.
     fn find(
         request: &PlanRequest,
-        robot_name: &str,
+        robot_file: Option<&str>,
         robot: &TracedArtefact,
         session: &RequestSession<'_>,
     ) -> Result<Self, Diagnostic> {
         let mut measured = Self::default();
         request.measured.iter().try_for_each(|path| measured.add(path, session))?;
-        if robot.artefact.role != ArtefactRole::IdentifiedRobot {
-            return Ok(measured);
-        }
-        let path = Path::new(robot_name).with_file_name(LENGTHS);
+        let identified = robot_file.filter(|_| robot.artefact.role == ArtefactRole::IdentifiedRobot);
+        let Some(robot_file) = identified else { return Ok(measured) };
+        let path = Path::new(robot_file).with_file_name(LENGTHS);
         if !path.is_file() {
             session.finding(PlanFinding::NoLengths { file: path.display().to_string() });
             return Ok(measured);

@@ -47,7 +47,7 @@ impl FrameKind {
 }
 
 /// A frame, or why it is unknown. Frames that are unknown for the same reason are taken for one frame.
-pub(super) type Frame = Result<Pose, CompensationFinding>;
+type Frame = Result<Pose, CompensationFinding>;
 
 /// `$TOOL` and `$BASE`, by [`FrameKind`].
 pub(super) type ActiveFrames = [Frame; 2];

@@ -1,0 +1,60 @@
+//! What an identification is asked for, whatever its measurements come from.
+
+use std::collections::BTreeMap;
+
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::{EstimationFinding, Options, Prior};
+use dbbd_model::robot::parameter::{self, SetUpCounts};
+use dbbd_model::robot::{ParamId, Robot};
+
+use super::RequestedPrior;
+
+/// What a caller asks of an identification, its tables read.
+pub struct AskedIdentification<'a> {
+    /// The parameters to estimate: names, ranges, groups. `None` for all that are identifiable.
+    pub estimate: Option<&'a str>,
+    /// The parameters to fix at their start values.
+    pub hold: Option<&'a str>,
+    /// `None` for the posterior of the robot if it has one, else its tolerance; with a list of parameters for none.
+    pub prior: Option<RequestedPrior<BTreeMap<ParamId, f64>>>,
+    /// The options without these.
+    pub rest: Options,
+}
+
+impl AskedIdentification<'_> {
+    /// The options for a robot and so many measured rows. `known` counts those of the rows from which the robot was identified.
+    /// The finding says why the posterior of the robot is not used.
+    ///
+    /// # Errors
+    /// Those of `known`, or something is asked for that robot, set-up or rows do not have.
+    pub fn options(
+        self,
+        robot: &Robot,
+        rows: usize,
+        set_up: SetUpCounts,
+        known: impl FnOnce() -> Result<usize, Diagnostic>,
+    ) -> Result<(Options, Option<EstimationFinding>), Diagnostic> {
+        let Self { estimate, hold, prior, rest } = self;
+        let (prior, lost) = match prior {
+            // A list is followed as it is.
+            None if estimate.is_some() => (Prior::None, None),
+            None => Prior::continued(robot, rows, known)?,
+            Some(RequestedPrior::None) => (Prior::None, None),
+            Some(RequestedPrior::Datasheet) => (Prior::Datasheet, None),
+            Some(RequestedPrior::Posterior) => match Prior::continued(robot, rows, known)? {
+                (Prior::Posterior, lost) => (Prior::Posterior, lost),
+                (Prior::None | Prior::Datasheet | Prior::Given(_), _) => {
+                    return Err(EstimationFinding::NoPosterior.into());
+                }
+            },
+            Some(RequestedPrior::Table(deviations)) => (Prior::Given(deviations), None),
+        };
+        let betas = robot.parallel_joints();
+        let list =
+            |text: Option<&str>| text.map(|text| parameter::parse_list(text, &betas, set_up)).transpose();
+        let (estimate, hold) = (list(estimate)?, list(hold)?.unwrap_or_default());
+        let options = Options { estimate, hold, prior, ..rest };
+        options.check(rows)?;
+        Ok((options, lost))
+    }
+}
