@@ -8,8 +8,8 @@ use dbbd_model::design::calibrate;
 use dbbd_model::estimation::{
     AngleSource, CalibrationResult, EventTreatment, Input, Options, RunEventKind, RunHypothesis,
 };
-use dbbd_model::measurement::{BaseBall, LengthModel, Measurements};
-use dbbd_model::robot::{BallId, Robot};
+use dbbd_model::measurement::{BaseBall, Datum, LengthModel, Measurements};
+use dbbd_model::robot::{BallId, BarId, Robot};
 use nalgebra::Vector3;
 use tempfile::tempdir;
 
@@ -74,6 +74,45 @@ fn a_ball_that_moved_is_an_unknown() {
     let [before, moved] = ["plain", "moved"].map(|out| mean_error(&truth, &robot_of(&at.join(out)), 9000));
     assert!(moved.mean < 1.2 * before.mean, "{} mm, {} mm", moved.mean, before.mean);
     assert!(robot_of(&at.join("moved")).doubts.contains(&"W1331".to_owned()));
+}
+
+#[test]
+fn a_tool_ball_that_moved_is_an_unknown() {
+    let (dir, truth) = (tempdir().unwrap(), drawn(4));
+    let mut data = lengths(&truth, 70, 3, 1);
+    let mut bumped = truth.clone();
+    bumped.geometry.tool += Vector3::new(0.2, 0.3, -0.2);
+    for row in data.rows.iter_mut().skip(120) {
+        let ball = Vector3::from(BALLS[row.datum.ball().unwrap().index()]);
+        let [before, after] = [&truth, &bumped].map(|robot| {
+            let place = robot.geometry.approached(row.approach).ball(&row.axes.radians()).position;
+            (place - ball).norm()
+        });
+        row.length_mm += after - before;
+    }
+    let (exit, found, after) = identified(dir.path(), &data, "bumped");
+    assert!(exit == Some(3) && found.contains(&"W1331".to_owned()), "{found:?}");
+    let [event] = &after.hypotheses[..] else { panic!("{:?}", after.hypotheses) };
+    assert_eq!((event.name, event.treated), (RunEventKind::ToolBallMoved, EventTreatment::Unknown));
+    assert!((event.size - 0.17_f64.sqrt()).abs() < 4.0 * event.sd && event.sd < 0.05, "{event:?}");
+}
+
+#[test]
+fn rows_with_the_number_of_another_ball_are_lengths_to_it() {
+    let (dir, truth) = (tempdir().unwrap(), drawn(4));
+    let mut data = lengths(&truth, 70, 3, 1);
+    // Ball 1 in place of ball 3, at seven poses.
+    for row in data.rows.iter_mut().skip(92).step_by(3).take(7) {
+        row.datum = Datum::Ball(BallId::FIRST, BarId::FIRST);
+    }
+    let (exit, found, after) = identified(dir.path(), &data, "wrong");
+    assert!(exit == Some(3) && found.contains(&"W1331".to_owned()), "{found:?}");
+    let [event] = &after.hypotheses[..] else { panic!("{:?}", after.hypotheses) };
+    assert_eq!((event.name, event.place.ball), (RunEventKind::WrongBall, Some(3)));
+    assert_eq!(event.place.rows, [93, 96, 99, 102, 105, 108, 111]);
+    // The table is as it was.
+    let table = fs::read_to_string(dir.path().join("wrong/lengths.csv")).unwrap();
+    assert!(table.contains("\n93,1,"), "{table}");
 }
 
 /// The ball that certainly moved, and the index of its first length at the new place.

@@ -120,9 +120,9 @@ fn certificate_fixes_the_offset_of_each_bar() {
     assert_ne!(parameter(&bound, "bar_offset").identified, parameter(&bound, "bar_offset2").identified);
     assert!(predicted(&bound) < 0.9 * predicted(&free), "{} {}", predicted(&bound), predicted(&free));
 
-    // Without a prior the certificate sets the limit for the offset to be estimated.
+    // The certificate sets the limit for the offset to be identified by the lengths.
     let one = two_lengths(1, 0.05);
-    for (u, status) in [("0.0001", Status::PoorlyObservable), ("0.1", Status::Identified)] {
+    for (u, status) in [("0.0001", Status::SupportedByPrior), ("0.1", Status::Identified)] {
         let found = identify(&one, &["--sigma", "0.05", "--bar-u", u]);
         assert_eq!(parameter(&found, "bar_offset").status, status);
     }

@@ -129,7 +129,7 @@ fn risky() -> String {
 }
 
 fn few() -> String {
-    replaced(&[(CIRCLE, "[optimise]\npoints = 12\ncandidates = 120\n")])
+    replaced(&[(CIRCLE, "[optimise]\npoints = 16\ncandidates = 200\n")])
 }
 
 fn replaced(changes: &[(&str, &str)]) -> String {

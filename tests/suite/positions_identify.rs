@@ -90,13 +90,13 @@ fn error_mm(at: &Path, truth: &Robot) -> f64 {
     aligned_distances(&set(truth), &set(&found)).into_iter().fold(0.0, f64::max)
 }
 
-/// Positions by a tracker that moved during the measurement.
-pub(crate) fn moved_tracker(by_mm: f64) -> String {
+/// Positions by a tracker that is `off_mm` from where it was at a row.
+pub(crate) fn moved_tracker(off_mm: impl Fn(usize) -> f64) -> String {
     let text = positions(&truth(), &poses(70, 4), 1, 0.02);
     let row = |(at, line): (usize, &str)| {
         let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
-        if at > 30 {
-            cells[7] = (cells[7].parse::<f64>().unwrap() + by_mm).to_string();
+        if at > 0 {
+            cells[7] = (cells[7].parse::<f64>().unwrap() + off_mm(at)).to_string();
         }
         cells.join(",") + "\n"
     };

@@ -143,19 +143,19 @@ fn both_are_found() {
     found(&result, &errors);
 }
 
-/// With fixed places, a list or the geometric model there are no errors of the joints; nor with exact lengths.
+/// A list is followed as it is; the geometric model estimates the same system and writes the geometry alone.
 #[test]
 fn the_geometric_model_has_no_joint_errors() {
     let data = lengths(&truth(4, &SAG), 4, 27);
     let (result, ..) = run(&data, &["--hold", "compliance"]);
     assert!(result.parameters.iter().all(|p| !p.name.to_string().starts_with("compliance")));
-    for asked in [["--estimate", "all"], ["--model", "geometric"], ["--prior", "none"]] {
-        let (result, ..) = run(&data, &asked);
-        assert!(result.groups.is_empty() && result.joint_errors.is_none(), "{asked:?}");
-        assert!(result.parameters.iter().all(|p| !p.name.to_string().starts_with("gear")), "{asked:?}");
-    }
-    let (result, ..) = run(&measure(&truth(4, &[]), &balls(), 9, 25.0), &[]);
+    let (result, ..) = run(&data, &["--estimate", "all"]);
     assert!(result.groups.is_empty(), "{:?}", result.groups);
+    let (geometric, ..) = run(&data, &["--model", "geometric"]);
+    for result in [&result, &geometric] {
+        assert!(result.joint_errors.is_none(), "{:?}", result.joint_errors);
+        assert!(result.parameters.iter().all(|p| !p.name.to_string().starts_with("gear")));
+    }
 }
 
 /// A robot beyond its tolerance: the default prior is widened, and the result is still right.
@@ -166,7 +166,8 @@ fn the_default_tolerance_is_widened() {
     let errors = [far.as_slice(), &GEAR].concat();
     let (result, ..) = run(&lengths(&truth(5, &errors), 5, 27), &[]);
     let widened = result.findings.iter().find(|w| w.code() == "I1340").expect("I1340");
-    assert!(widened.values()["times"].as_f64().unwrap() > 2.0 && result.prior_scale.unwrap() > 2.0);
+    let times = widened.values()["times"].as_f64().unwrap();
+    assert!(times > 2.0 && result.prior_scale.unwrap() > 2.0, "{times}, {:?}", result.prior_scale);
     found(&result, &GEAR);
     assert!(result.residual_mm.after.rms < 1.1 * NOISE_MM);
 }
@@ -179,9 +180,18 @@ fn identified(data: &Measurements) -> CalibrationResult {
     calibrated(&robot(), data, &centres, &options).unwrap().result
 }
 
-/// The number of seeds with errors of the joints although the robot has none.
+/// The number of seeds in which compliance or a first harmonic is beyond its 95 % interval, widened by half, although the robot
+/// has none.
 fn found_for_nothing(seeds: std::ops::Range<u64>) -> usize {
-    seeds.filter(|seed| !identified(&lengths(&truth(*seed, &[]), *seed, 9)).groups.is_empty()).count()
+    let is_found = |seed: &u64| {
+        let result = identified(&lengths(&truth(*seed, &[]), *seed, 9));
+        let mut optional = result.parameters.iter().filter(|parameter| parameter.name.is_optional());
+        optional.any(|parameter| {
+            let [low, high] = parameter.interval95.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+            (0.5 * (low + high)).abs() > 0.75 * (high - low)
+        })
+    };
+    seeds.filter(is_found).count()
 }
 
 #[test]

@@ -59,50 +59,79 @@ fn changes(result: &CalibrationResult) -> Vec<&RecordedFinding> {
     result.findings.iter().filter(|warning| warning.code() == "W1333").collect()
 }
 
-#[test]
-fn a_change_of_zero_is_an_unknown() {
+/// A change by 0.06 mm is an unknown of its own kind, the table is as it was, and the robot as accurate as without the change.
+fn is_an_unknown(course: Course) -> RecordedFinding {
     let (dir, truth) = (tempdir().unwrap(), drawn(3));
     let at = dir.path();
     let data = lengths(&truth, 70, 3, 1);
     let (_, plain, _) = identified(at, &data, "plain");
     assert!(!plain.contains(&"W1333".to_owned()), "{plain:?}");
     let before = mean_error(&truth, &robot_of(&at.join("plain")), 9000);
-    for course in [Course::Step, Course::Drift] {
-        let (exit, _, after) = identified(at, &changed(data.clone(), course, 0.06), "changed");
-        assert_eq!(exit, Some(3));
-        let [found] = changes(&after)[..] else { panic!("{course:?}: {:?}", after.findings) };
-        let value = |name: &str| found.values()[name].as_f64().unwrap();
-        assert!((value("by_mm") - 0.06).abs() < 4.0 * value("sd_mm"), "{}", found.values());
-        assert!(value("sd_mm") < 0.02, "{}", found.values());
-        let [event] = &after.hypotheses[..] else { panic!("{:?}", after.hypotheses) };
-        let name = match course {
-            Course::Step => RunEventKind::BarZeroStep,
-            Course::Drift => RunEventKind::BarZeroDrift,
-        };
-        assert_eq!((event.name, event.treated), (name, EventTreatment::Unknown));
-        if course == Course::Step {
-            assert!((value("index") - 85.0).abs() < 6.0, "{}", found.values());
-        }
-        // The table is as it was, the robot as accurate as without the change, and its file has the doubt.
-        assert!(!fs::read_to_string(at.join("changed/lengths.csv")).unwrap().contains("zero_mm"));
-        let robot = robot_of(&at.join("changed"));
-        let error = mean_error(&truth, &robot, 9000);
-        assert!(error.mean < 1.2 * before.mean, "{course:?}: {} mm, {} mm", error.mean, before.mean);
-        assert!(robot.doubts.contains(&"W1333".to_owned()));
-        let robot = "changed/robot-identified.toml";
-        let again =
-            dbbd(at, &["identify", "obs.csv", "--centres", "C.csv", "--robot", robot, "--out", "again"]);
-        says(&again, 3, "W1334");
-    }
+    let (exit, _, after) = identified(at, &changed(data, course, 0.06), "changed");
+    assert_eq!(exit, Some(3), "{:?}", after.hypotheses);
+    let [found] = changes(&after)[..] else { panic!("{course:?}: {:?}", after.findings) };
+    let value = |name: &str| found.values()[name].as_f64().unwrap();
+    assert!((value("by_mm") - 0.06).abs() < 4.0 * value("sd_mm"), "{}", found.values());
+    assert!(value("sd_mm") < 0.02, "{}", found.values());
+    let [event] = &after.hypotheses[..] else { panic!("{:?}", after.hypotheses) };
+    let name = match course {
+        Course::Step => RunEventKind::BarZeroStep,
+        Course::Drift => RunEventKind::BarZeroDrift,
+    };
+    assert_eq!((event.name, event.treated), (name, EventTreatment::Unknown));
+    assert!(!fs::read_to_string(at.join("changed/lengths.csv")).unwrap().contains("zero_mm"));
+    // The robot file has the doubt.
+    let robot = robot_of(&at.join("changed"));
+    let error = mean_error(&truth, &robot, 9000);
+    assert!(error.mean < 1.2 * before.mean, "{} mm, {} mm", error.mean, before.mean);
+    assert!(robot.doubts.contains(&"W1333".to_owned()));
+    let robot = "changed/robot-identified.toml";
+    let again = dbbd(at, &["identify", "obs.csv", "--centres", "C.csv", "--robot", robot, "--out", "again"]);
+    says(&again, 3, "W1334");
+    found.clone()
+}
+
+#[test]
+fn a_step_of_zero_is_an_unknown() {
+    let found = is_an_unknown(Course::Step);
+    assert!((found.values()["index"].as_f64().unwrap() - 85.0).abs() < 6.0, "{}", found.values());
+}
+
+#[test]
+fn a_drift_of_zero_is_an_unknown() {
+    is_an_unknown(Course::Drift);
+}
+
+/// A step of twice the noise of a length could be, but the result is as if it were not.
+#[test]
+fn a_small_step_is_said() {
+    let dir = tempdir().unwrap();
+    let data = changed(lengths(&drawn(3), 70, 3, 1), Course::Step, 0.03);
+    let (exit, said, after) = identified(dir.path(), &data, "small");
+    assert!(exit == Some(0) && said.contains(&"I1336".to_owned()), "{said:?}");
+    let [event] = &after.hypotheses[..] else { panic!("{:?}", after.hypotheses) };
+    assert_eq!((event.name, event.treated), (RunEventKind::BarZeroStep, EventTreatment::Reported));
+    assert!((0.5..0.99).contains(&event.probability), "{event:?}");
 }
 
 #[test]
 fn a_motion_of_the_tracker_is_an_unknown() {
     let dir = tempdir().unwrap();
-    for (by_mm, is_found) in [(0.0, false), (0.2, true)] {
-        fs::write(dir.path().join("p.csv"), moved_tracker(by_mm)).unwrap();
+    let still = |_: usize| 0.0;
+    let step = |row: usize| if row > 30 { 0.2 } else { 0.0 };
+    let drift = |row: usize| 0.3 * row as f64 / 70.0;
+    let of: [(&dyn Fn(usize) -> f64, Option<RunEventKind>); 3] = [
+        (&still, None),
+        (&step, Some(RunEventKind::TrackerMoved)),
+        (&drift, Some(RunEventKind::TrackerDrift)),
+    ];
+    for (off_mm, expected) in of {
+        fs::write(dir.path().join("p.csv"), moved_tracker(off_mm)).unwrap();
         let output = dbbd(dir.path(), &["identify", "p.csv", "--robot", "kr60ha", "--out", "o"]);
-        assert_eq!(codes(&output).contains(&"W1333".to_owned()), is_found, "{}", stderr(&output));
+        assert_eq!(codes(&output).contains(&"W1333".to_owned()), expected.is_some(), "{}", stderr(&output));
+        let result = fs::read(dir.path().join("o/result.json")).unwrap();
+        let result: CalibrationResult = serde_json::from_slice(&result).unwrap();
+        assert_eq!(result.hypotheses.first().map(|event| event.name), expected, "{:?}", result.hypotheses);
     }
 }
 
