@@ -145,13 +145,16 @@ impl Asked<'_> {
         set_up: SetUpCounts,
     ) -> Outcome<(Options, Vec<Diagnostic>)> {
         let Self { estimate, hold, prior, model, rest } = self;
-        let refused = matches!(&prior, Some(PriorGiven::Name(name)) if name == "none");
-        let (prior, lost) = self::prior(prior, robot, lengths.rows.len(), set_up)?;
+        // A list is followed as it is.
+        let (prior, lost) = match prior {
+            None if estimate.is_some() => (Prior::None, Vec::new()),
+            prior => self::prior(prior, robot, lengths.rows.len(), set_up)?,
+        };
         let betas = robot.parallel_joints();
         let list = |text: Option<&str>| text.map(|text| parse_list(text, &betas, set_up)).transpose();
         let model = match model {
-            "joints" if !refused => ErrorModel::Joints,
-            "joints" | "geometric" => ErrorModel::Geometric,
+            "joints" => ErrorModel::Joints,
+            "geometric" => ErrorModel::Geometric,
             _ => return Err(PyValueError::new_err("model is 'joints' or 'geometric'").into()),
         };
         let (estimate, hold) = (list(estimate)?, list(hold)?.unwrap_or_default());

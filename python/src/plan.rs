@@ -8,7 +8,6 @@ use dbbd_job::recording::run::read_plan;
 use dbbd_job::report;
 use dbbd_job::robot_files::named_robot;
 use dbbd_model::measurement::{BaseBall, PoseKind};
-use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::{AXES, LoadedRobot};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;

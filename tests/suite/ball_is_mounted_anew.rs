@@ -5,7 +5,9 @@ use std::fs;
 use std::path::Path;
 
 use dbbd_model::design::calibrate;
-use dbbd_model::estimation::{AngleSource, CalibrationResult, EventTreatment, Input, Options, RunEventKind, RunHypothesis};
+use dbbd_model::estimation::{
+    AngleSource, CalibrationResult, EventTreatment, Input, Options, RunEventKind, RunHypothesis,
+};
 use dbbd_model::measurement::{BaseBall, Datum, LengthModel, Measurements};
 use dbbd_model::robot::{BallId, BarId, Robot};
 use nalgebra::Vector3;

@@ -19,7 +19,7 @@ use dbbd_model::estimation::result::Recommendation;
 use dbbd_model::estimation::{CalibrationResult, Combination, CompletedCalibration, joint_curve};
 use dbbd_model::measurement::{Measurements, PoseKind};
 use dbbd_model::provenance::Provenance;
-use dbbd_model::robot::{Approach, AXES, BallId, BarId, CircleId, Datum, Joint};
+use dbbd_model::robot::{AXES, Approach, BallId, BarId, CircleId, Datum, Joint};
 
 /// Most lengths that are drawn; more are sampled evenly.
 const DRAWN: usize = 20_000;
