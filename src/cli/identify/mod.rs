@@ -55,9 +55,7 @@ pub(crate) struct IdentifyArgs {
     #[arg(long, value_name = "MM", value_parser = value::positive)]
     sigma: Option<f64>,
     /// Standard uncertainty (k = 1) of each bar's length by its certificate, mm [default: half of length_u_mm in a capture's
-    /// job]. With a prior it is the prior of each bar's offset. Without a prior, an offset is estimated if the lengths
-    /// determine it to three times this, else fixed; its uncertainty then counts in the standard deviations and in the
-    /// predicted error.
+    /// job]. It is the prior of each bar's offset; without it a bar counts as known to about 0.5 mm.
     #[arg(long, value_name = "MM", value_parser = value::bar_u)]
     bar_u: Option<f64>,
     /// Further observations that only check the result: lengths to the same balls, or positions in the same frame.
@@ -69,15 +67,14 @@ pub(crate) struct IdentifyArgs {
     folds: Option<usize>,
     /// What is known of the robot before: `posterior`, the posterior of its earlier identification (the table [posterior] of
     /// robot-identified.toml; with --tool, without the tool ball); `datasheet`, the tolerance in its file; or a CSV
-    /// name,unit,sd [default: posterior if the robot file has one, else none].
+    /// name,unit,sd. `none`: nothing, but for what the lengths know worse than three tolerances [default: posterior if the
+    /// robot file has one, else datasheet; with --estimate none].
     #[arg(long, value_name = "none|posterior|datasheet|FILE")]
     prior: Option<String>,
     /// The error model of the robot. `joints`: its geometry and the errors of its joints (first harmonic, smooth function of
     /// the angle, backlash by the sense of approach, ripple, compliance if the robot file has a [[mass]] or [payload]); each
-    /// group only as far as the evidence of the lengths supports it. `geometric`: the geometry alone. Without `--prior`, the
-    /// prior of the geometry is then the tolerance in the robot file. The geometry alone is used if the evidence does not
-    /// support errors of the joints, with fewer than 30 lengths beyond the parameters, with more than 16384 lengths, with
-    /// exact lengths, and with `--estimate`, `--prior none`, `--prior posterior` or `--monte-carlo`.
+    /// group only as far as the evidence of the lengths supports it. `geometric`: the same is estimated, and the geometry
+    /// nearest to it is written. With `--estimate` the list is all that is unknown.
     #[arg(long, value_enum, value_name = "MODEL", default_value = "joints")]
     model: ErrorModelChoice,
     /// Draw the lengths N times and fit them: gives standard deviations and 95 % intervals without linearisation (GUM

@@ -37,8 +37,11 @@ use crate::robot::{AXES, Approach, BallId, GaussianProcess, Joint, ParamId, Robo
 const OUTLIER_ROUNDS: usize = 3;
 /// Linearisations.
 const ROUNDS: usize = 4;
-/// Linearisations with variances that are known.
+/// Linearisations with variances that are known: at least, and at most until no parameter moves by more than this share of its
+/// standard deviation.
 const REFIT_ROUNDS: usize = 2;
+const MAX_REFIT_ROUNDS: usize = 12;
+const REST: f64 = 0.02;
 /// Steps towards the likeliest noise in each.
 const SCORES: usize = 2;
 /// More lengths are summed a piece at a time, with the variances of an even sample.
@@ -48,6 +51,8 @@ const PIECE: usize = 1024;
 const TOGETHER: usize = 8;
 /// Poses over which a geometry is brought near to the estimate.
 const PROJECTED: usize = 400;
+/// With fewer degrees of freedom the residuals say nothing of the noise.
+const LEAST_FREEDOM: f64 = 0.5;
 /// Ripples that are looked for at most.
 const MOST_RIPPLES: usize = 8;
 /// Lengths beyond the parameters from which ripple is looked for.
@@ -252,12 +257,18 @@ pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<LengthMode
         bar_sds: estimate.bar_sds.clone(),
     };
     let mut search = Search { unknowns, used, state, ln_sd: [0.0; HYPERS] };
-    for _ in 0..REFIT_ROUNDS {
+    for round in 0..MAX_REFIT_ROUNDS {
+        let before = search.state.model.clone();
         let system = search.linearised();
         let whitened = system.whitened(search.state.shape, search.state.hypers.sigma_mm())?;
         search.move_to(&whitened.equations.posterior(&search.state.hypers)?);
+            let moved = |id: &ParamId| (search.state.model.value(*id) - before.value(*id)).abs();
+        let is_at_rest = estimate.kept.iter().enumerate().all(|(k, id)| moved(id) <= REST * estimate.root.row(k).norm());
+        if round + 1 >= REFIT_ROUNDS && is_at_rest {
+            return Some(search.state.model);
+        }
     }
-    Some(search.state.model)
+    None
 }
 
 /// Where a search for the hyper-parameters is.
@@ -527,7 +538,7 @@ impl<'a> Search<'a> {
         let sigma_mm = hypers.sigma_mm();
         let whole_mm = system.rms_sd(shape, sigma_mm) * sigma_mm;
         let is_given = used.lengths().vouched;
-        let freedom = (whole.count() as f64 - effective_parameters).max(1.0);
+        let freedom = whole.count() as f64 - effective_parameters;
         Some(Estimate {
             before: start.before.clone(),
             analysis: start.analysis.clone(),
@@ -535,7 +546,7 @@ impl<'a> Search<'a> {
             base: start.base.clone(),
             open: start.open.clone(),
             sigma: if is_given { Sigma::Given } else { Sigma::All(whole_mm) },
-            freedom: (!is_given).then_some(freedom),
+            freedom: (!is_given && freedom > LEAST_FREEDOM).then_some(freedom),
             prior_sds: unknowns.prior_sds(&hypers),
             root,
             of_prior: of_prior(system, &all, &cautious),

@@ -100,7 +100,7 @@ impl HyperPrior {
         all[Group::Cluster as usize] = Self { median: 0.02, ln_sd: 1.0, bounds: [1e-6, 10.0] };
         all[Group::Warming as usize] = Self { median: 1e-5, ln_sd: 0.7, bounds: [1e-9, 5e-5] };
         all[LENGTH] = Self { median: 0.15, ln_sd: 1.0, bounds: [0.03, 3.0] };
-        all[SIGMA] = Self { median: sigma_mm, ln_sd: 1.0, bounds: [1e-6, 1e3] };
+        all[SIGMA] = Self { median: sigma_mm, ln_sd: 0.5, bounds: [1e-6, 1e3] };
         all[SLOW] = angle(1e-4, 1.0);
         all[SLOW_LENGTH] = Self { median: 0.5, ln_sd: 1.0, bounds: [0.3, 5.0] };
         all

@@ -92,9 +92,17 @@ fn nominal(setting: &Setting<'_>, estimate: &Estimate, axes: &[[f64; AXES]]) -> 
     };
     let tolerances = ids.iter().map(|id| setting.priors.geometric(*id).unwrap_or(0.0));
     let maker = summary(DMatrix::from_diagonal(&DVector::from_iterator(ids.len(), tolerances)));
-    let sds: Vec<f64> = ids.iter().map(|id| setting.priors.bound(*id).unwrap_or(0.0)).collect();
     let before = match setting.options.prior {
-        Prior::Posterior | Prior::Given(_) => summary(setting.priors.root(&ids, &sds)),
+        Prior::Posterior => {
+            let known = setting.robot.known_uncertainty();
+            let poses: Vec<ApproachedPose> = axes.iter().map(unapproached).collect();
+            let positions = Positions::new(&setting.start.geometry, &known, &poses, &[]);
+            ErrorSummary::of(&positions.draws(ROBOTS, 0.0))
+        }
+        Prior::Given(_) => {
+            let sds: Vec<f64> = ids.iter().map(|id| setting.priors.bound(*id).unwrap_or(0.0)).collect();
+            summary(setting.priors.root(&ids, &sds))
+        }
         Prior::None | Prior::Datasheet => maker,
     };
     (before, maker)

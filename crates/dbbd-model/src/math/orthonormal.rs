@@ -1,6 +1,6 @@
 //! An orthonormal basis that grows column by column.
 
-use nalgebra::{DMatrix, DVector, DVectorViewMut};
+use nalgebra::{DVector, DVectorViewMut};
 
 /// Orthonormal vectors by modified Gram-Schmidt with reorthogonalisation, which is as accurate as Householder reflections.
 #[derive(Clone, Debug, Default)]
