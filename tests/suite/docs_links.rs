@@ -294,7 +294,7 @@ fn every_key_of_a_result_is_described() {
     let dir = out.path().to_string_lossy();
     let args = ["identify", "examples/paper/observations.csv", "--robot", "kr60ha", "--centres"];
     let identified = dbbd(root(), &[&args[..], &["examples/paper/centres.csv", "--out", &*dir]].concat());
-    assert!(identified.status.success());
+    assert!(matches!(identified.status.code(), Some(0 | 3)));
     let result: serde_json::Value = serde_json::from_str(&read(&out.path().join("result.json"))).unwrap();
     let page = read(&root().join("docs/reference/files.md"));
     for key in result.as_object().unwrap().keys() {

@@ -114,7 +114,7 @@ type Command = (fn() -> String, &'static [&'static str], i32, &'static [&'static
 const COMMANDS: &[Command] = &[
     (twisted, &[], 1, &["E0703", "I0713", "E0701"]),
     (risky, &[], 1, &["E0706", "I0713", "E0701"]),
-    (few, &[], 0, &["I0711", "I0712", "I0714", "I0715", "I0716"]),
+    (few, &[], 0, &["I0712", "I0714", "I0715", "I0716"]),
     (|| JOB.into(), &["--robot", "identified.toml"], 3, &["W0720", "I0714", "I0715"]),
     (|| JOB.into(), &["--measured", "elsewhere.csv"], 1, &["E1203"]),
 ];

@@ -109,7 +109,8 @@ fn found(result: &CalibrationResult, errors: &[(&str, f64)]) {
         let [low, high] = parameter.interval95.unwrap();
         let half = 0.75 * (high - low);
         assert!((parameter.correction - error).abs() < half, "{name}: {} for {error}", parameter.correction);
-        assert!(half < 0.5 * error.abs(), "{name}: known to {half}");
+        // The uncertainty of the variances is in the interval.
+        assert!(half < 0.75 * error.abs(), "{name}: known to {half}");
     }
 }
 

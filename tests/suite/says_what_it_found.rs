@@ -84,7 +84,8 @@ fn scenes() -> Vec<Scene> {
         Scene::new(&truth, &planes, 27, 0.005, &["--sigma", "0.05"]),
         Scene::new(&truth, &planes, 27, 0.01, &[]).spoilt(40, 5.0),
         // More outliers than one in ten; as many parameters as lengths.
-        Scene::new(&truth, &planes, 27, 0.005, &["--prior", "datasheet"]).spoilt(8, 10.0),
+        Scene::new(&truth, &planes, 27, 0.005, &["--estimate", "all", "--prior", "datasheet"])
+            .spoilt(8, 10.0),
         Scene::new(&truth, &flat, 13, 0.0, &thirteen),
         // No length changes by the parameters asked for; only the ball's place, which is fitted before as well.
         Scene::new(&truth, &planes, 27, 0.0, &["--estimate", "theta6", "--tool", "0,0,100"]),

@@ -308,7 +308,9 @@ fn cross_validated(
     let Some(folds) = validation::folds(setting.options.folds, lengths.len(), estimate.base.len()) else {
         return Ok(None);
     };
-    let fit = |training: &Lengths| refit(training, estimate).ok_or(EstimationFinding::NotFinite);
+    let fit = |training: &Lengths| {
+        refit(training, estimate).map(|[_, at_rest]| at_rest).ok_or(EstimationFinding::NotFinite)
+    };
     let rms = validation::held_out_rms(lengths, &estimate.fit.outliers, folds, fit)?;
     Ok(rms.map(|rms| Folds { folds, rms }))
 }

@@ -23,6 +23,7 @@ use super::position::BallMotion;
 use super::priors::uncertified_variance;
 use super::ripple::{Candidate, RippleSearch, ln_candidates};
 use super::selection::is_place;
+use super::shifted_rows::shifted_rows;
 use super::start::EstimateStart;
 use super::system::{Equations, NormalSums, System, SystemPosterior, Whitened};
 use super::unknowns::Unknowns;
@@ -53,6 +54,11 @@ const TOGETHER: usize = 8;
 const PROJECTED: usize = 400;
 /// With fewer degrees of freedom the residuals say nothing of the noise.
 const LEAST_FREEDOM: f64 = 0.5;
+/// A linearisation that makes the residuals this many times as large, and this much larger (mm), does not hold.
+const DIVERGED: f64 = 10.0;
+const DIVERGED_MM: f64 = 1.0;
+/// Noise that is larger by less is the same.
+const SAME_NOISE: f64 = 1.5;
 /// Ripples that are looked for at most.
 const MOST_RIPPLES: usize = 8;
 /// Lengths beyond the parameters from which ripple is looked for.
@@ -64,8 +70,9 @@ const LEAST_POSE: f64 = 0.05;
 
 #[derive(Clone, Debug)]
 pub(crate) struct Estimate {
-    /// The nominal robot with the free part of the set-up fitted.
+    /// The nominal robot with the free part of the set-up fitted, and the same with bars as stated.
     pub(crate) before: LengthModel,
+    pub(super) at_start: LengthModel,
     pub(crate) analysis: Analysis,
     /// The estimated parameters, in canonical order.
     pub(crate) kept: Vec<ParamId>,
@@ -155,39 +162,56 @@ fn with_wrong_balls(
     lengths: &Lengths,
     asked: &[ParamId],
 ) -> Result<Estimate, EstimationFinding> {
-    let found = with_outliers(setting, lengths, asked)?;
+    let found = with_events(setting, lengths, asked)?;
     let sd_mm = found.used(lengths).rms_sigma().hypot(LEAST_ERROR_MM);
     let wrong = wrong_balls(&found.fit.model, lengths, &found.fit.outliers, sd_mm);
     if !are_wrong_balls(wrong.len(), lengths.len(), sd_mm) {
         return Ok(found);
     }
-    let again = with_outliers(setting, &lengths.relabelled(&wrong), asked)?;
+    let again = with_events(setting, &lengths.relabelled(&wrong), asked)?;
     Ok(Estimate { wrong_balls: wrong, ..again })
 }
 
 /// A length of another ball is predicted no better than this, mm.
 const LEAST_ERROR_MM: f64 = 0.05;
 
-fn with_outliers(
+/// With what happened while the lengths were measured; without it if shifted rows explain the lengths.
+fn with_events(
     setting: &Setting<'_>,
     lengths: &Lengths,
     asked: &[ParamId],
 ) -> Result<Estimate, EstimationFinding> {
+    let found = with_outliers(setting, lengths, asked, true)?;
+    if !found.events.iter().any(|event| event.is_certain) {
+        return Ok(found);
+    }
+    let plain = with_outliers(setting, lengths, asked, false)?;
+    Ok(if shifted_rows(setting, &plain, lengths).is_some() { plain } else { found })
+}
+
+fn with_outliers(
+    setting: &Setting<'_>,
+    lengths: &Lengths,
+    asked: &[ParamId],
+    seeks_events: bool,
+) -> Result<Estimate, EstimationFinding> {
     let mut start = EstimateStart::of(setting, lengths, asked)?;
-    // Many outliers may be what began at one row: then they are none.
-    if start.fit.outliers.len() >= FEWEST {
+    // Many outliers may be what began at one row: then they are none, and the noise is no larger with them.
+    if seeks_events && start.fit.outliers.len() >= FEWEST {
         let whole = EstimateStart {
             fit: Fit { outliers: gross(lengths, &start), ..start.fit.clone() },
             ..start.clone()
         };
-        if let Some(found) = from_start(setting, lengths, &whole)
-            && found.events.iter().any(|event| event.is_certain)
+        let [without, with] = [&start, &whole].map(|start| from_start(setting, lengths, start, true));
+        if let (Some(without), Some(with)) = (without, with)
+            && with.events.iter().any(|event| event.is_certain)
+            && with.noise.sigma_mm() < SAME_NOISE * without.noise.sigma_mm()
         {
             start = whole;
         }
     }
     for round in 0.. {
-        let found = from_start(setting, lengths, &start).ok_or(EstimationFinding::NotFinite)?;
+        let found = from_start(setting, lengths, &start, seeks_events).ok_or(EstimationFinding::NotFinite)?;
         // Beside errors of the joints residuals are smaller: outliers show that the geometry alone hides.
         let corrected = found.corrected(lengths);
         let all = corrected.weighted(Sigma::Given, &[]);
@@ -209,13 +233,18 @@ fn gross(lengths: &Lengths, start: &EstimateStart) -> Vec<usize> {
     start.fit.outliers.iter().copied().filter(is_gross).collect()
 }
 
-fn from_start(setting: &Setting<'_>, lengths: &Lengths, start: &EstimateStart) -> Option<Estimate> {
+fn from_start(
+    setting: &Setting<'_>,
+    lengths: &Lengths,
+    start: &EstimateStart,
+    seeks_events: bool,
+) -> Option<Estimate> {
     let all = lengths.weighted(start.sigma, &start.fit.outliers);
     // The variances follow from an even sample of many lengths.
     let sample = (all.count() > MOST_WHOLE).then(|| lengths.at(&all.sampled_places()));
     let used = &sample.as_ref().map_or(all, |sample| sample.weighted(start.sigma, &[]));
     let known = start.known_before(setting, lengths)?;
-    let model = if known.has_coefficients { &start.before } else { &start.fit.model };
+    let model = if known.has_coefficients { &start.at_start } else { &start.fit.model };
     let with_errors = setting.options.seeks_joint_errors();
     let mut unknowns = Unknowns::new(known, model, used, with_errors);
     let (mut state, mut events) = (None, Vec::new());
@@ -226,7 +255,7 @@ fn from_start(setting: &Setting<'_>, lengths: &Lengths, start: &EstimateStart) -
         for round in first + 1..ROUNDS {
             step = search.round(round)?;
         }
-        let event = if with_errors { search.event(&step) } else { None };
+        let event = if with_errors && seeks_events { search.event(&step) } else { None };
         let certain = event.as_ref().filter(|event| event.is_certain).map(|event| event.event);
         events.extend(event);
         if let Some(event) = certain.filter(|_| events.len() < MOST_CERTAIN) {
@@ -244,8 +273,9 @@ fn from_start(setting: &Setting<'_>, lengths: &Lengths, start: &EstimateStart) -
     }
 }
 
-/// The same model with the variances of `estimate`, from other lengths.
-pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<LengthModel> {
+/// The model from other lengths with the same variances: after the first linearisation, and at rest. `None` if it does not come
+/// to rest.
+pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<[LengthModel; 2]> {
     let used = &lengths.weighted(Sigma::Given, &[]);
     let unknowns = &estimate.unknowns;
     let model = estimate.fit.model.clone();
@@ -257,15 +287,18 @@ pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<LengthMode
         bar_sds: estimate.bar_sds.clone(),
     };
     let mut search = Search { unknowns, used, state, ln_sd: [0.0; HYPERS] };
+    let mut first = None;
     for round in 0..MAX_REFIT_ROUNDS {
         let before = search.state.model.clone();
         let system = search.linearised();
         let whitened = system.whitened(search.state.shape, search.state.hypers.sigma_mm())?;
         search.move_to(&whitened.equations.posterior(&search.state.hypers)?);
-            let moved = |id: &ParamId| (search.state.model.value(*id) - before.value(*id)).abs();
-        let is_at_rest = estimate.kept.iter().enumerate().all(|(k, id)| moved(id) <= REST * estimate.root.row(k).norm());
+        let first = first.get_or_insert_with(|| search.state.model.clone());
+        let moved = |id: &ParamId| (search.state.model.value(*id) - before.value(*id)).abs();
+        let is_at_rest =
+            estimate.kept.iter().enumerate().all(|(k, id)| moved(id) <= REST * estimate.root.row(k).norm());
         if round + 1 >= REFIT_ROUNDS && is_at_rest {
-            return Some(search.state.model);
+            return Some([first.clone(), search.state.model]);
         }
     }
     None
@@ -324,7 +357,8 @@ impl<'a> Search<'a> {
         self.state.clone()
     }
 
-    /// The most probable event of the run, if it is more probable than none.
+    /// The most probable event of the run, if it is more probable than none. What an event explains was noise before, so those
+    /// that are not unlikely are judged with variances of their own.
     fn event(&self, step: &Step) -> Option<JudgedEvent> {
         let lengths = self.used.lengths();
         if lengths.len() > MOST_ROWS || !step.system.is_noisy() {
@@ -332,8 +366,18 @@ impl<'a> Search<'a> {
         }
         let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
         let sigma_mm = self.state.hypers.sigma_mm();
-        EventSearch::new(&step.system.rows, &step.whitened, &posterior, lengths, sigma_mm)?
-            .strongest(self.unknowns.events())
+        let search = EventSearch::new(&step.system.rows, &step.whitened, &posterior, lengths, sigma_mm)?;
+        let mut candidates = search.candidates(self.unknowns.events());
+        for candidate in candidates.iter_mut().filter(|candidate| candidate.is_worth_a_fit()) {
+            let unknowns = self.unknowns.clone().with_event(candidate.event);
+            let mut again =
+                Search { unknowns: &unknowns, used: self.used, state: self.state.clone(), ln_sd: self.ln_sd };
+            if let Some(with) = again.round(1) {
+                candidate.ln_bayes =
+                    candidate.ln_bayes.max(with.ln_evidence - step.ln_evidence - candidate.ln_sizes());
+            }
+        }
+        search.strongest(candidates)
     }
 
     /// Linearises, finds the hyper-parameters and moves the model to the likeliest unknowns.
@@ -406,10 +450,23 @@ impl<'a> Search<'a> {
         )
     }
 
+    /// Root mean square of the residuals of a model, mm.
+    fn residual_mm(&self, model: &LengthModel) -> f64 {
+        let prepared = model.prepare();
+        let squares = self.used.by(Sigma::All(1.0)).sum(|reading, _| prepared.residual(reading).powi(2));
+        (squares / self.used.count().max(1) as f64).sqrt()
+    }
+
     fn move_to(&mut self, posterior: &SystemPosterior<'_>) {
         let now = self.unknowns.at(&self.state.model, &self.state.z);
-        self.unknowns.move_to(&now, &posterior.mean, &mut self.state.model);
-        self.state.z = self.unknowns.rested(posterior.mean.clone());
+        let mut there = self.state.model.clone();
+        self.unknowns.move_to(&now, &posterior.mean, &mut there);
+        // Lengths that belong to nothing lead far beyond where the linearisation holds: then the model stays.
+        let [here_mm, there_mm] = [&self.state.model, &there].map(|model| self.residual_mm(model));
+        if there_mm < DIVERGED * here_mm + DIVERGED_MM {
+            self.state.model = there;
+            self.state.z = self.unknowns.rested(posterior.mean.clone());
+        }
     }
 
     /// The equations of all lengths, a piece at a time, with the variances that were found.
@@ -537,10 +594,23 @@ impl<'a> Search<'a> {
         let effective_parameters: f64 = determined.iter().sum();
         let sigma_mm = hypers.sigma_mm();
         let whole_mm = system.rms_sd(shape, sigma_mm) * sigma_mm;
-        let is_given = used.lengths().vouched;
+        let mut root = root;
+        // Where a list is followed and the residuals agree with what is stated of the lengths, that is their noise.
+        let stated_mm = used.by(Sigma::Given).rms_sigma();
+        let dof = whole.count() as f64 - effective_parameters;
+        let ratio = (whole_mm / stated_mm).powi(2);
+        let is_list = system.variances.iter().all(Option::is_none);
+        let agrees = is_list
+            && used.lengths().known
+            && ChiSquareOutcome::of(ratio, dof.max(1.0)) != ChiSquareOutcome::Greater;
+        if agrees {
+            root *= stated_mm / whole_mm;
+        }
+        let is_given = used.lengths().vouched || agrees;
         let freedom = whole.count() as f64 - effective_parameters;
         Some(Estimate {
             before: start.before.clone(),
+            at_start: start.at_start.clone(),
             analysis: start.analysis.clone(),
             kept: unknowns.ids().to_vec(),
             base: start.base.clone(),

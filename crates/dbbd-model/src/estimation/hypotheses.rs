@@ -95,6 +95,8 @@ pub(super) struct RunEvent {
     pub(super) ball: Option<BallId>,
     /// Elapsed time of the first row that it concerns, and the place of that row; `None` for all rows.
     pub(super) from: Option<(f64, usize)>,
+    /// Whether a drift grows with the length, as that of a bar that warms up, or is the same for all lengths.
+    pub(super) grows: bool,
     /// Prior standard deviation of its size, mm.
     pub(super) size_mm: f64,
 }
@@ -137,10 +139,10 @@ impl RunEvent {
             }
             let along: [f64; 3] = match self.kind {
                 RunEventKind::BarZeroStep | RunEventKind::BallOffset => [1.0, 0.0, 0.0],
-                // A bar grows by a share of its length.
-                RunEventKind::BarZeroDrift => {
+                RunEventKind::BarZeroDrift if self.grows => {
                     [elapsed * lengths.reading(*place).length_mm / mean_mm, 0.0, 0.0]
                 }
+                RunEventKind::BarZeroDrift => [elapsed, 0.0, 0.0],
                 RunEventKind::BaseBallMoved => rows.units[row].map(|part| -part),
                 RunEventKind::ToolBallMoved => rows.targets[row],
                 RunEventKind::TrackerMoved => rows.units[row],
@@ -204,6 +206,31 @@ pub(super) struct JudgedEvent {
     pub(super) is_certain: bool,
 }
 
+/// The best place of a kind, with the logarithms of its prior odds and of its Bayes factor.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct EventCandidate {
+    pub(super) event: RunEvent,
+    ln_prior: f64,
+    pub(super) ln_bayes: f64,
+}
+
+impl EventCandidate {
+    fn ln_odds(&self) -> f64 {
+        self.ln_prior + self.ln_bayes
+    }
+
+    /// Whether it could be an event once its variances are its own.
+    pub(super) fn is_worth_a_fit(&self) -> bool {
+        const UNLIKELY: f64 = -5.0;
+        self.ln_odds() > UNLIKELY
+    }
+
+    /// What choosing its size costs.
+    pub(super) fn ln_sizes(&self) -> f64 {
+        (SIZES as f64).ln()
+    }
+}
+
 /// A posterior beside which hypotheses are judged.
 pub(super) struct EventSearch<'a> {
     pub(super) rows: &'a PoseRows,
@@ -227,38 +254,44 @@ impl<'a> EventSearch<'a> {
         Some(Self { rows, whitened, sigma_mm, lengths, known, residual })
     }
 
-    /// The most probable hypothesis, if it is more probable than nothing.
-    pub(super) fn strongest(&self, among: &[RunEvent]) -> Option<JudgedEvent> {
+    /// The best place of each kind.
+    pub(super) fn candidates(&self, among: &[RunEvent]) -> Vec<EventCandidate> {
         let kinds = RunEventKind::OF_COLUMNS.len() as f64;
-        let mut best: Vec<(RunEvent, f64)> = Vec::new();
-        for kind in RunEventKind::OF_COLUMNS {
+        let best = |kind: RunEventKind| {
             let events = self.events(kind);
-            let places = events.len() as f64;
+            let ln_prior = (ANYTHING / kinds / events.len().max(1) as f64 / (1.0 - ANYTHING)).ln();
             let is_new =
                 |event: &RunEvent| !among.iter().any(|known| known.kind == kind && known.from == event.from);
             let judged = events.into_iter().filter(is_new).filter_map(|event| self.judged(event));
-            if let Some((event, ln_bayes)) = judged.max_by(|a, b| a.1.total_cmp(&b.1)) {
-                best.push((event, ln_bayes + (ANYTHING / kinds / places / (1.0 - ANYTHING)).ln()));
-            }
-        }
-        best.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let all: f64 = 1.0 + best.iter().map(|(_, ln_odds)| ln_odds.min(300.0).exp()).sum::<f64>();
-        let (event, ln_odds) = *best.first()?;
+            let (event, ln_bayes) = judged.max_by(|a, b| a.1.total_cmp(&b.1))?;
+            Some(EventCandidate { event, ln_prior, ln_bayes })
+        };
+        RunEventKind::OF_COLUMNS.into_iter().filter_map(best).collect()
+    }
+
+    /// The most probable of the candidates, if it is more probable than nothing.
+    pub(super) fn strongest(&self, mut best: Vec<EventCandidate>) -> Option<JudgedEvent> {
+        best.sort_by(|a, b| b.ln_odds().total_cmp(&a.ln_odds()));
+        let exp = |ln: f64| ln.min(300.0).exp();
+        let all: f64 = 1.0 + best.iter().map(|candidate| exp(candidate.ln_odds())).sum::<f64>();
+        let (first, others) = best.split_first()?;
+        let (event, ln_odds) = (first.event, first.ln_odds());
         if ln_odds <= 0.0 || event.kind == RunEventKind::BallOffset {
             return None;
         }
         let margin = CERTAIN_ODDS.ln();
-        let is_rival = |(other, other_odds): &&(RunEvent, f64)| {
-            *other_odds > ln_odds - margin || *other_odds > 0.0 && self.cosine(&event, other) > ALIKE
+        let is_rival = |other: &&EventCandidate| {
+            let other_odds = other.ln_odds();
+            other_odds > ln_odds - margin || other_odds > 0.0 && self.cosine(&event, &other.event) > ALIKE
         };
         let rivals: Vec<RunEventKind> =
-            best[1..].iter().filter(is_rival).map(|(other, _)| other.kind).collect();
+            others.iter().filter(is_rival).map(|other| other.event.kind).collect();
         let (coefficients, covariance) = self.coefficients(&event)?;
         Some(JudgedEvent {
             event,
             sd_mm: sd_along(&coefficients, &covariance),
             coefficients,
-            probability: ln_odds.min(300.0).exp() / all,
+            probability: exp(ln_odds) / all,
             is_certain: ln_odds > margin && rivals.is_empty(),
             rivals,
         })
@@ -270,7 +303,7 @@ impl<'a> EventSearch<'a> {
         let mut balls: Vec<BallId> = self.rows.data.iter().filter_map(|datum| datum.ball()).collect();
         (bars.sort_unstable(), bars.dedup());
         (balls.sort_unstable(), balls.dedup());
-        let event = RunEvent { kind, bar: None, ball: None, from: None, size_mm: 0.0 };
+        let event = RunEvent { kind, bar: None, ball: None, from: None, grows: false, size_mm: 0.0 };
         let of_bars = || bars.iter().map(|bar| RunEvent { bar: Some(*bar), ..event });
         let of_balls = || balls.iter().map(|ball| RunEvent { ball: Some(*ball), ..event });
         let whole: Vec<RunEvent> = match kind {
@@ -299,7 +332,8 @@ impl<'a> EventSearch<'a> {
             return Vec::new();
         };
         if matches!(event.kind, RunEventKind::BarZeroDrift | RunEventKind::TrackerDrift) {
-            return if inner.is_empty() { Vec::new() } else { vec![event] };
+            let grown = RunEvent { grows: event.kind == RunEventKind::BarZeroDrift, ..event };
+            return if inner.is_empty() { Vec::new() } else { vec![event, grown] };
         }
         let mut first: Vec<(f64, usize)> = inner.to_vec();
         first.dedup_by(|next, before| next.0 == before.0);

@@ -79,7 +79,7 @@ impl Draws {
 }
 
 /// The estimated parameters of each trial: a robot is drawn from the posterior, its lengths with their noise are estimated again,
-/// and the error of that estimate is added to the parameters that were identified.
+/// and what that estimate has beyond its first linearisation is added.
 fn draw(estimate: &Estimate, lengths: &Lengths, trials: usize) -> Vec<Vec<f64>> {
     let model = &estimate.fit.model;
     let weighted = estimate.used(lengths);
@@ -99,8 +99,9 @@ fn draw(estimate: &Estimate, lengths: &Lengths, trials: usize) -> Vec<Vec<f64>> 
         let exact = |at: usize| prepared.length(&used.reading(at));
         let lengths_mm =
             (0..used.len()).map(|at| exact(at) + factor * sigma[at] * normal(&mut random)).collect();
-        let found = refit(&used.with_lengths(lengths_mm), estimate)?;
-        let value = |id: &ParamId| model.value(*id) + found.value(*id) - truth.value(*id);
+        let [linear, at_rest] = refit(&used.with_lengths(lengths_mm), estimate)?;
+        // To first order the error is a draw from the posterior: what the next linearisations add is not linear.
+        let value = |id: &ParamId| truth.value(*id) + at_rest.value(*id) - linear.value(*id);
         Some(estimate.kept.iter().map(value).collect())
     });
     drawn.into_iter().flatten().collect()

@@ -133,8 +133,11 @@ impl Priors {
 
     /// The same where a fit begins: a bar without a certificate may have any length near what is stated.
     pub(super) fn bound_at_start(&self, id: ParamId) -> Option<f64> {
-        let is_far = matches!(id, ParamId::BarOffset(_)) && !self.is_certified();
-        if is_far { Some(FAR_BAR_MM) } else { self.bound(id) }
+        match id {
+            ParamId::BarOffset(_) if !self.is_certified() => Some(FAR_BAR_MM),
+            ParamId::Tool(_) if !self.is_of_posterior(id) => Some(FAR_TOOL_MM),
+            _ => self.bound(id),
+        }
     }
 
     /// Whether the standard uncertainty of the bars is known.
@@ -229,6 +232,8 @@ pub fn length_sd_mm(bar_mm: f64, robot: &Robot) -> f64 {
 
 /// A bar without a certificate has a prior of Student's t; where a fit begins it is as wide as this, mm.
 pub(super) const FAR_BAR_MM: f64 = 0.5;
+/// Where a fit begins a tool ball may be anywhere on the tool, mm.
+const FAR_TOOL_MM: f64 = 50.0;
 /// The degrees of freedom of that prior: nobody knows how wrong such a bar is.
 const BAR_FREEDOM: f64 = 4.0;
 

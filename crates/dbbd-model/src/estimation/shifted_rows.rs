@@ -38,14 +38,14 @@ pub(super) fn shifted_rows(
         let weighted = other.weighted(Sigma::Given, &[]);
         // One linearised step is cheap and rules out almost every shift.
         if freedom < FEWEST
-            || linear_system(&estimate.before, &weighted, &estimate.base).residual_sum() >= squares
+            || linear_system(&estimate.at_start, &weighted, &estimate.base).residual_sum() >= squares
         {
             return None;
         }
         let prior = prior::rows(setting, &estimate.kept);
         let problem =
             Problem { lengths: weighted, ids: &estimate.kept, loss: Loss::Huber, prior: prior.as_ref() };
-        let shifted_mm = size_mm(&other, &minimise(&problem, &estimate.before).model, estimate);
+        let shifted_mm = size_mm(&other, &minimise(&problem, &estimate.at_start).model, estimate);
         let gain = decisive(freedom, [residual_mm, shifted_mm], SMALLER)?;
         Some((gain, EstimationFinding::ShiftedRows { rows, residual_mm, shifted_mm, gain }))
     });

@@ -21,10 +21,17 @@ use crate::robot::{ParamGroup, ParamId, parameter};
 /// Least standard deviation of a length, mm, so that exact data cause no division by zero.
 const FLOOR_MM: f64 = 1e-9;
 
+/// Parameters that may be far beyond their tolerance alone, as a lost zero.
+const MOST_FAR: usize = 2;
+/// Standard uncertainties beyond which a tool ball was not measured.
+const GUESSED: f64 = 10.0;
+
 #[derive(Clone, Debug)]
 pub(super) struct EstimateStart {
     /// The nominal robot with the free part of the set-up fitted.
     pub(super) before: LengthModel,
+    /// The same with bars as stated.
+    pub(super) at_start: LengthModel,
     pub(super) analysis: Analysis,
     /// The parameters to estimate, in canonical order.
     pub(super) kept: Vec<ParamId>,
@@ -48,9 +55,16 @@ impl EstimateStart {
         if !follows_list {
             free = without_open_places(priors, setting.start, &lengths.plain(), asked).ok_or(NOT_FINITE)?;
         }
-        // A fit of the set-up alone must not change what an earlier identification determined, nor make a bar of any length.
-        free.retain(|id| !priors.is_of_posterior(*id) && (follows_list || !is_bar(id)));
-        let set_up = fit::set_up(lengths, &free, setting.start);
+        // A fit of the set-up alone must not change what an earlier identification determined.
+        free.retain(|id| !priors.is_of_posterior(*id));
+        let before = fit::set_up(lengths, &free, setting.start);
+        // Nor begin with a bar of any length.
+        let without_bars: Vec<ParamId> =
+            free.iter().copied().filter(|id| follows_list || !is_bar(id)).collect();
+        let set_up = match without_bars.len() < free.len() {
+            true => fit::set_up(lengths, &without_bars, setting.start),
+            false => before.clone(),
+        };
         let mut open = Vec::new();
         let analysis = loop {
             let judged: Vec<ParamId> = asked.iter().copied().filter(|id| !open.contains(id)).collect();
@@ -80,7 +94,7 @@ impl EstimateStart {
         let fit = fit::all(lengths, sigma, &kept, base.len(), prior.as_ref(), &set_up.model);
         let iterations = set_up.iterations + fit.iterations;
         let fit = Fit { iterations, ..fit };
-        Ok(Self { before: set_up.model, analysis, kept, base, open, fit, sigma })
+        Ok(Self { before: before.model, at_start: set_up.model, analysis, kept, base, open, fit, sigma })
     }
 
     /// What is known of the unknowns of an estimate before its lengths.
@@ -107,15 +121,25 @@ impl EstimateStart {
         ids.sort();
         // An implausible correction that the geometry finds, as of a lost zero, is no draw from the prior: the prior takes its
         // size, so that it costs errors of the joints and geometry the same.
+        let correction = |id: ParamId| (self.fit.model.value(id) - start.value(id)).abs();
+        let is_far = |id: &ParamId| {
+            priors.bound_at_start(*id).is_some_and(|sd| correction(*id) > largest_plausible(true) * sd)
+        };
+        // Of several it is the tolerance that is too small.
+        let few = self.kept.iter().filter(|id| id.is_geometric() && is_far(id)).count() <= MOST_FAR;
         let widened = |id: ParamId, sd: f64| {
-            let correction = (self.fit.model.value(id) - start.value(id)).abs();
-            if correction > largest_plausible(true) * sd { Some(correction) } else { None }
+            (few && correction(id) > largest_plausible(true) * sd).then(|| correction(id))
         };
         let variance = |id: &ParamId| match id.group() {
             ParamGroup::Compliance => Some(Variance::Of(Group::Compliance, priors.sd(*id))),
             ParamGroup::Gear => Some(Variance::Of(Group::Harmonic, 1.0)),
             ParamGroup::Tool if !priors.is_of_posterior(*id) => {
-                priors.bound(*id).map(|sd| Variance::Of(Group::Tool, sd))
+                // A tool ball that is centimetres away was not measured, but guessed.
+                let guessed = |sd: f64| correction(*id) > GUESSED * sd;
+                let variance = |sd| {
+                    if guessed(sd) { Variance::Fixed(correction(*id)) } else { Variance::Of(Group::Tool, sd) }
+                };
+                priors.bound(*id).map(variance)
             }
             ParamGroup::Geometric if options.prior == Prior::Datasheet => priors
                 .bound(*id)
@@ -167,7 +191,7 @@ impl EstimateStart {
         let order: Vec<ParamId> = set_up.iter().chain(&own).map(|at| known.ids[*at]).collect();
         let mut sorted = order.clone();
         sorted.sort();
-        let whole = factor(&self.before, &weighted, &sorted);
+        let whole = factor(&self.at_start, &weighted, &sorted);
         let places: Vec<usize> = order.iter().filter_map(|id| sorted.binary_search(id).ok()).collect();
         let mut rows = whole.select_columns(&places);
         for (mut column, id) in rows.column_iter_mut().zip(&order).skip(set_up.len()) {

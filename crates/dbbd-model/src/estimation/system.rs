@@ -126,6 +126,9 @@ impl NormalSums {
     }
 }
 
+/// What is added to the squares of unit columns: a direction with a smaller square is rounding.
+const SINGULAR: f64 = 1e-12;
+
 impl Equations {
     /// Of sums over rows whose unknowns are those of the system.
     pub(super) fn of(system: &System, sums: NormalSums) -> Option<Self> {
@@ -134,7 +137,13 @@ impl Equations {
         let (free, bound): (Vec<usize>, Vec<usize>) =
             (0..unknowns).partition(|&k| system.variances[k].is_none());
         // Free unknowns in units in which their columns have unit norm: mm and rad differ by orders of magnitude.
-        let units = DVector::from_iterator(free.len(), free.iter().map(|&k| whole[(k, k)].sqrt().recip()));
+        let units = DVector::from_iterator(
+            free.len(),
+            free.iter().map(|&k| {
+                let norm = whole[(k, k)].sqrt();
+                if norm > 0.0 { norm.recip() } else { 1.0 }
+            }),
+        );
         for (&k, unit) in free.iter().zip(&units) {
             whole.row_mut(k).scale_mut(*unit);
             whole.column_mut(k).scale_mut(*unit);
@@ -144,7 +153,7 @@ impl Equations {
         let of_free = whole.select_rows(&free);
         let mut of_both = of_free.select_columns(&free);
         // A list of the user may have a direction that only rounding determines.
-        (0..free.len()).for_each(|k| of_both[(k, k)] += 8.0 * f64::EPSILON * free.len() as f64);
+        (0..free.len()).for_each(|k| of_both[(k, k)] += SINGULAR);
         let factor = Cholesky::new(of_both)?;
         let across = of_free.select_columns(&bound);
         let free_right = whole_right.select_rows(&free);
