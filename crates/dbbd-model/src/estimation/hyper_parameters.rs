@@ -103,12 +103,6 @@ impl HyperPrior {
         all[SIGMA] = Self { median: sigma_mm, ln_sd: 1.0, bounds: [1e-6, 1e3] };
         all[SLOW] = angle(1e-4, 1.0);
         all[SLOW_LENGTH] = Self { median: 0.5, ln_sd: 1.0, bounds: [0.3, 5.0] };
-        if let Ok(text) = std::env::var("HP") {
-            for part in text.split(';') {
-                let x: Vec<f64> = part.split(':').map(|x| x.parse().unwrap()).collect();
-                all[x[0] as usize] = Self { median: x[1], ln_sd: x[2], bounds: [x[3], x[4]] };
-            }
-        }
         all
     }
 
@@ -238,5 +232,16 @@ impl Variance {
             Self::Spectral(..) => Some(Group::Smooth),
             Self::ByNoise(_) => Some(Group::Backlash),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn deviate_of_a_hyperparameter_is_that_of_its_logarithm() {
+        let prior = HyperPrior { median: 0.5, ln_sd: 2.0, bounds: [0.0, 1.0] };
+        assert!((prior.off(0.5f64.ln() + 3.0) - 1.5).abs() < 1e-15);
     }
 }

@@ -126,7 +126,9 @@ pub(super) fn add_prior(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measurement::BaseBall;
+    use crate::estimation::options::{Options, Setting};
+    use crate::estimation::prior;
+    use crate::measurement::{BaseBall, Measurements};
     use crate::robot::{BallId, BarId, Joint, Robot};
     use nalgebra::{DVector, Vector3};
 
@@ -195,7 +197,12 @@ mod tests {
     fn prior_rows_lead_to_the_mean() {
         let model = model();
         let id = ParamId::A(Joint::J2);
-        let prior = PriorRows::independent(&[Some(0.5)], &[model.value(id) + 1.5]);
+        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut start = model.clone();
+        start.shift(id, 1.5);
+        let options = Options::default();
+        let setting = Setting::new(&robot, &start, &Measurements::default(), &options);
+        let prior = prior::rows(&setting, &[id]).unwrap();
         let mut system = Triangle::new(1);
         assert!((add_prior(&mut system, &prior, &model, &[id]) - 9.0).abs() < 1e-9);
         assert!((system.solve().unwrap()[0] - 1.5).abs() < 1e-9);

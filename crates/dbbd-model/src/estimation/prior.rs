@@ -75,11 +75,19 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::measurement::BaseBall;
+    use crate::estimation::{Options, Prior};
+    use crate::measurement::{BaseBall, Measurements};
     use crate::robot::{BallId, BarId, Coordinate, Joint, Robot};
 
     const IDS: [ParamId; 3] =
         [ParamId::A(Joint::J2), ParamId::Tool(Coordinate::X), ParamId::BarOffset(BarId::FIRST)];
+
+    /// Of a1 and the offset, with these inverse standard deviations; the tool is free.
+    fn rows_of(inverse_sds: [f64; 2], mean: [f64; 3]) -> PriorRows {
+        let [a1, offset] = inverse_sds;
+        let rows = DMatrix::from_row_slice(2, 3, &[a1, 0.0, 0.0, 0.0, 0.0, offset]);
+        PriorRows { rows, mean: DVector::from_row_slice(&mean) }
+    }
 
     fn model() -> LengthModel {
         let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
@@ -87,11 +95,19 @@ mod tests {
         LengthModel::new(geometry, &[ball])
     }
 
+    /// Of the tolerance of the KR 60 HA, 0.5 mm, and of the certificate; a base ball is free.
     #[test]
     fn rows_divide_by_the_standard_deviation_and_leave_free_parameters_out() {
-        let prior = rows_of([2.0, 20.0], [0.0; 3]);
+        let (robot, start) = (Robot::by_name("kr60ha").unwrap().unwrap(), model());
+        let ids = [IDS[0], ParamId::Ball(BallId::FIRST, Coordinate::X), IDS[2]];
+        let options = Options { bar_u_mm: Some(0.05), ..Options::default() };
+        let setting = Setting::new(&robot, &start, &Measurements::default(), &options);
+        let prior = rows(&setting, &ids).unwrap();
         let expected = DMatrix::from_row_slice(2, 3, &[2.0, 0.0, 0.0, 0.0, 0.0, 20.0]);
         assert!((prior.matrix() - expected).norm() < 1e-12);
+        assert!(prior.deviates(&start, &ids).norm() < 1e-12, "about the start");
+        let listed = Options { estimate: Some(ids.to_vec()), prior: Prior::None, ..options };
+        assert!(rows(&Setting::new(&robot, &start, &Measurements::default(), &listed), &ids).is_none());
     }
 
     /// a1 is 1.5 mm above its mean, 3 standard deviations; the offset 0.1 mm below, 2 standard deviations.

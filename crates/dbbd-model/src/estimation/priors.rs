@@ -229,21 +229,20 @@ mod tests {
     #[test]
     fn a_bar_has_its_certificate_or_the_default() {
         let bar = ParamId::BarOffset(BarId::FIRST);
-        for (u, sd) in [(None, 0.05), (Some(0.002), 0.002)] {
+        for (u, sd) in [(None, 0.5), (Some(0.002), 0.002)] {
             let priors = priors(u, Prior::None);
             for found in [priors.sd(bar), priors.weak_limit(bar) / WEAK, priors.fixed_sd(bar)] {
                 assert!((found - sd).abs() < 1e-15, "{found}");
             }
-            assert_eq!(priors.bound(bar, &[]), u);
-            assert_eq!(priors.bound(bar, &[bar]), Some(sd));
+            assert_eq!(priors.bound(bar), Some(sd));
         }
     }
 
     #[test]
-    fn a_wider_prior_does_not_change_the_limits() {
+    fn a_given_prior_does_not_change_the_limits() {
         let given = Prior::Given(BTreeMap::from([(ParamId::A(Joint::J3), 0.1)]));
-        let priors = priors(None, given).widened(2.0);
-        assert_eq!([priors.sd(ParamId::A(Joint::J3)), priors.sd(ParamId::A(Joint::J2))], [0.2, 1.0]);
+        let priors = priors(None, given);
+        assert_eq!([priors.sd(ParamId::A(Joint::J3)), priors.sd(ParamId::A(Joint::J2))], [0.1, 0.5]);
         assert_eq!(priors.weak_limit(ParamId::A(Joint::J3)), 1.5);
         assert_eq!(priors.weak_limit(ParamId::Tool(Coordinate::X)), f64::INFINITY);
     }
@@ -252,7 +251,7 @@ mod tests {
     fn prior_of_compliance_follows_from_the_greatest_torque() {
         let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
         let id = ParamId::Compliance(Joint::J2);
-        assert_eq!(Priors::datasheet(&robot, None).bound(id, &[]), None);
+        assert_eq!(Priors::datasheet(&robot, None).bound(id), None);
         robot.geometry.masses =
             vec![crate::robot::Mass { joint: Joint::J2, kg: 100.0, centre: nalgebra::Vector3::x() * 500.0 }];
         let torque = robot.geometry.greatest_torques()[1];
@@ -279,7 +278,7 @@ mod tests {
             (ParamId::Ball(BallId::FIRST, Coordinate::Z), 10.0, 0.0, f64::INFINITY),
             (ParamId::Tracker(Coordinate::X), 1000.0, 0.0, f64::INFINITY),
             (ParamId::TrackerTurn(Coordinate::X), 1.0, 0.0, f64::INFINITY),
-            (ParamId::BarOffset(BarId::FIRST), 0.05, 0.05, 0.15),
+            (ParamId::BarOffset(BarId::FIRST), 0.5, 0.5, 1.5),
         ] {
             for (found, expected) in
                 [(priors.sd(id), sd), (priors.fixed_sd(id), fixed), (priors.weak_limit(id), weak)]
@@ -293,11 +292,15 @@ mod tests {
     }
 
     #[test]
-    fn places_are_free_and_the_robot_is_bound() {
+    fn places_are_free_and_robot_tool_ball_and_bar_are_bound() {
         let priors = priors(None, Prior::None);
         let (ball, tool) = (ParamId::Ball(BallId::FIRST, Coordinate::X), ParamId::Tool(Coordinate::Z));
-        assert_eq!([ball, tool, ParamId::BarOffset(BarId::FIRST)].map(|id| priors.bound(id, &[])), [None; 3]);
-        assert_eq!(priors.bound(ParamId::D(Joint::J2), &[]), Some(0.5));
+        let (target, tracker) = (ParamId::Target(TargetId::at(1), Coordinate::Y), ParamId::Tracker(Coordinate::X));
+        assert_eq!([ball, target, tracker].map(|id| priors.bound(id)), [None; 3]);
+        // The robot's tolerance, a tool ball as it is mounted, and a bar without a certificate.
+        for id in [ParamId::D(Joint::J2), tool, ParamId::BarOffset(BarId::FIRST)] {
+            assert_eq!(priors.bound(id), Some(0.5), "{id}");
+        }
         assert_eq!([ball, tool].map(|id| priors.geometric(id)), [None; 2]);
         assert_eq!(priors.geometric(ParamId::GearCos(Joint::J2)), None);
     }
@@ -324,16 +327,16 @@ mod tests {
     #[test]
     fn root_has_the_block_of_the_posterior_among_independent_parameters() {
         let robot = identified();
-        let priors = Priors::of(&robot, None, &Prior::Posterior).widened(2.0);
+        let priors = Priors::of(&robot, None, &Prior::Posterior);
         let ids = [ParamId::Theta(Joint::J3), ParamId::D(Joint::J4), ParamId::A(Joint::J2)];
         let sd = ids.map(|id| priors.sd(id));
-        // 2 (0.02^2 + 0.03^2)^(1/2), 2 times the tolerance, 2 times 0.1.
-        for (found, expected) in sd.iter().zip([2.0 * 0.0013f64.sqrt(), 1.0, 0.2]) {
+        // (0.02^2 + 0.03^2)^(1/2), the tolerance, 0.1.
+        for (found, expected) in sd.iter().zip([0.0013f64.sqrt(), 0.5, 0.1]) {
             assert!((found - expected).abs() < 1e-15, "{found}");
         }
         let root = priors.root(&ids, &sd);
-        // 4 times the covariance of the posterior; d4 is independent of it.
-        let expected = DMatrix::from_row_slice(3, 3, &[0.0052, 0.0, 0.008, 0.0, 1.0, 0.0, 0.008, 0.0, 0.04]);
+        // The covariance of the posterior; d4 is independent of it.
+        let expected = DMatrix::from_row_slice(3, 3, &[0.0013, 0.0, 0.002, 0.0, 0.25, 0.0, 0.002, 0.0, 0.01]);
         assert!((&root * root.transpose() - expected).norm() < 1e-15);
         assert!(priors.is_of_posterior(ids[0]) && !priors.is_of_posterior(ids[1]));
         // Without the posterior as prior the tolerances hold, and the root is diagonal.
@@ -351,22 +354,15 @@ mod tests {
         let robot = identified();
         assert_eq!(Prior::continued(&robot, 100, known(50)).unwrap(), (Prior::Posterior, None));
         let (prior, finding) = Prior::continued(&robot, 100, known(51)).unwrap();
-        assert_eq!(prior, Prior::None);
+        assert_eq!(prior, Prior::Datasheet);
         assert!(matches!(finding, Some(EstimationFinding::KnownLengths { known: 51, lengths: 100 })));
         assert_eq!(Prior::continued(&robot, 100, || Err("unread")), Err("unread"));
         let mut edited = robot.clone();
         edited.geometry.rows[1].a += 1e-6;
         let (prior, finding) = Prior::continued(&edited, 100, known(0)).unwrap();
-        assert_eq!(prior, Prior::None);
+        assert_eq!(prior, Prior::Datasheet);
         assert!(matches!(finding, Some(EstimationFinding::PosteriorOfOtherValues)));
         let nominal = Robot { posterior: None, nominal: None, ..robot };
-        assert_eq!(Prior::continued(&nominal, 100, known(0)).unwrap(), (Prior::None, None));
-    }
-
-    #[test]
-    fn deviate_of_a_hyperparameter_is_that_of_its_logarithm() {
-        let prior = HyperPrior { median: 0.5, ln_sd: Some(2.0), bounds: [0.0, 1.0] };
-        assert!((prior.off(0.5f64.ln() + 3.0) - 1.5).abs() < 1e-15);
-        assert_eq!(HyperPrior { ln_sd: None, ..prior }.off(7.0), 0.0);
+        assert_eq!(Prior::continued(&nominal, 100, known(0)).unwrap(), (Prior::Datasheet, None));
     }
 }

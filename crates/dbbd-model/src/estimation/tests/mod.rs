@@ -3,4 +3,3 @@
 mod fleet_is_estimated;
 mod identifies_to_the_limit;
 mod prior_distributes_combinations;
-mod residuals_accuse_joints;
