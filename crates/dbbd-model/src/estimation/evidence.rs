@@ -77,8 +77,6 @@ pub(super) struct Evidence {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Optimum {
     pub(super) hypers: Hypers,
-    /// Logarithm of marginal likelihood and hyper-priors.
-    pub(super) ln_evidence: f64,
     /// Standard deviation of the logarithm of each by the curvature (Laplace).
     pub(super) ln_sd: [f64; HYPERS],
 }
@@ -140,7 +138,7 @@ impl Evidence {
         }
         let variances = Cholesky::new(information)?.inverse().diagonal();
         let ln_sd = std::array::from_fn(|at| variances[at].sqrt());
-        Some(Optimum { hypers: here.hypers, ln_evidence: here.ln_evidence, ln_sd })
+        Some(Optimum { hypers: here.hypers, ln_sd })
     }
 
     /// Newton's step within the bounds, with the gradient of what it moves: a hyper-parameter that it would move beyond its bound

@@ -244,4 +244,66 @@ mod tests {
         let prior = HyperPrior { median: 0.5, ln_sd: 2.0, bounds: [0.0, 1.0] };
         assert!((prior.off(0.5f64.ln() + 3.0) - 1.5).abs() < 1e-15);
     }
+
+    /// ln s has the mean m and the standard deviation 0.6: E s = exp(m + 0.6^2 / 2). 95 % of a normal distribution are below
+    /// 1.645 standard deviations (scipy.stats.norm.ppf(0.95) = 1.64485).
+    #[test]
+    fn what_the_data_do_not_support_has_more_than_its_likeliest_variance() {
+        let priors = HyperPrior::all(0.03);
+        let mut hypers = Hypers::start(&priors, 0.03);
+        hypers.0[Group::Cluster as usize] = 0.7f64.ln();
+        let mut ln_sd = [0.6; HYPERS];
+        ln_sd[Group::Harmonic as usize] = 3.0;
+        let wider = hypers.mean_variances(&priors, &ln_sd);
+        for sd in [Group::Smooth as usize, Group::Backlash as usize, SLOW] {
+            assert!((wider.0[sd] - hypers.0[sd] - 0.18).abs() < 1e-12, "{sd}");
+        }
+        let most = 5e-4 * (1.64485f64).exp();
+        assert!((wider.sd(Group::Harmonic) / most - 1.0).abs() < 1e-3, "{}", wider.sd(Group::Harmonic));
+        // Beyond the quantile already: it stays, 0.7 > 0.02 exp(1.645).
+        assert_eq!(wider.sd(Group::Cluster), hypers.sd(Group::Cluster));
+        // What is no standard deviation of unknowns stays.
+        for at in [LENGTH, SIGMA, SLOW_LENGTH].into_iter().chain(OF_JOINT..HYPERS) {
+            assert_eq!(wider.0[at], hypers.0[at], "{at}");
+        }
+    }
+
+    #[test]
+    fn slopes_of_a_variance_are_its_differences() {
+        let mut hypers = Hypers::start(&HyperPrior::all(0.03), 0.03);
+        hypers.0[SLOW] += 0.4;
+        hypers.0[OF_JOINT + 2] -= 0.3;
+        for variance in [
+            Variance::Fixed(0.3),
+            Variance::ByNoise(1e-4),
+            Variance::Of(Group::Tolerance, 0.5),
+            Variance::Spectral(Joint::J3, 0.8),
+            Variance::Spectral(Joint::J3, 12.0),
+        ] {
+            let mut slopes = [0.0; HYPERS];
+            variance.slopes(&hypers, |place, slope| slopes[place] += slope);
+            for (at, slope) in slopes.into_iter().enumerate() {
+                let moved = |step: f64| {
+                    let mut hypers = hypers;
+                    hypers.0[at] += step;
+                    variance.value(&hypers).ln()
+                };
+                let numeric = (moved(1e-5) - moved(-1e-5)) / 2e-5;
+                assert!((slope - numeric).abs() < 1e-8, "{variance:?} {at}: {slope} {numeric}");
+            }
+        }
+    }
+
+    /// Of a joint whose functions are 0.5 of the others': numpy, 0.5^2 times the sum of
+    /// s^2 (16 / 3) a^5 / (a^2 + w^2)^3, a = sqrt(5) / l, at w = 2, of s = 1e-4 with l = 0.15 and l = 0.5.
+    #[test]
+    fn variance_of_a_smooth_function_is_that_of_its_joint() {
+        let mut hypers = Hypers::start(&HyperPrior::all(0.03), 0.03);
+        hypers.0[OF_JOINT + 1] = 0.5f64.ln();
+        let found = Variance::Spectral(Joint::J2, 2.0).value(&hypers);
+        assert!((found / SPECTRAL - 1.0).abs() < 1e-9, "{found}");
+        assert!((Variance::Spectral(Joint::J1, 2.0).value(&hypers) / found - 4.0).abs() < 1e-12);
+    }
+
+    const SPECTRAL: f64 = 2.573177193643e-09;
 }

@@ -40,8 +40,6 @@ enum Rows<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Sigma {
     Given,
-    /// The given one times a factor.
-    Times(f64),
     /// The given variance plus this one, mm^2.
     And(f64),
     /// The same for all, mm.
@@ -52,7 +50,6 @@ impl Sigma {
     pub(super) fn of(self, given: f64) -> f64 {
         match self {
             Self::Given => given,
-            Self::Times(factor) => given * factor,
             Self::And(square) => (given * given + square).sqrt(),
             Self::All(sigma) => sigma,
         }

@@ -48,11 +48,11 @@ impl Bench {
     }
 
     fn known(&self) -> Posterior {
-        let posterior = self.robot.posterior.as_ref().unwrap();
+        let (posterior, unknown) = (self.robot.posterior.as_ref().unwrap(), self.robot.uncertainty.as_deref());
         if self.mounting == KEPT {
-            Posterior::of_robot_with_balls(self.start.clone(), posterior, None)
+            Posterior::of_robot_with_balls(self.start.clone(), posterior, unknown)
         } else {
-            Posterior::of_robot(self.start.clone(), posterior, None)
+            Posterior::of_robot(self.start.clone(), posterior, unknown)
         }
     }
 
@@ -76,10 +76,14 @@ impl Bench {
 
     /// 3-D errors over the workspace of a robot file: mean, and not exceeded by 95 % of the poses, mm.
     fn errors_mm(&self, file: &Robot, truth: &LengthModel) -> [f64; 2] {
-        let ids = self.robot.posterior.as_ref().unwrap().ids();
-        let workspace = Workspace::new(&self.robot.geometry, &self.workspace, ids);
+        let known = self.known();
+        let ids: Vec<ParamId> = known.ids().iter().copied().filter(|id| id.moves_tool_ball()).collect();
+        let workspace = Workspace::with_joint_errors(&self.robot.geometry, &self.workspace, &ids);
         let wrong = |id: &ParamId| truth.value(*id) - file.geometry.value(*id).unwrap();
-        let column = DMatrix::from_iterator(ids.len(), 1, ids.iter().map(wrong));
+        let [true_errors, stated] = [&truth.geometry, &file.geometry].map(|of| of.joint_errors.coefficients());
+        let joints = true_errors.iter().zip(stated).map(|(truth, stated)| truth - stated);
+        let column: Vec<f64> = ids.iter().map(wrong).chain(joints).collect();
+        let column = DMatrix::from_column_slice(column.len(), 1, &column);
         let found = ErrorSummary::of(&workspace.displacements(&column));
         [found.mean, found.p95]
     }
@@ -99,6 +103,9 @@ impl Drawn {
         let errors = known.root() * DVector::from_fn(known.root().ncols(), |_, _| normal(random));
         let mut calibrated = bench.start.clone();
         known.ids().iter().zip(&errors).for_each(|(id, error)| calibrated.shift(*id, *error));
+        let joint_errors = &mut calibrated.geometry.joint_errors;
+        let coefficients = joint_errors.coefficients().into_iter().zip(errors.iter().skip(known.ids().len()));
+        *joint_errors = joint_errors.with(coefficients.map(|(own, error)| own + error));
         let mut truth = calibrated.clone();
         let ball_mm = if let BallMounting::Kept(mm) = bench.mounting.balls { mm } else { 2.0 };
         for axis in 0..3 {

@@ -8,7 +8,7 @@ use dbbd_model::estimation::result::{ParameterResult, Status};
 use dbbd_model::estimation::{CompletedCalibration, Options, Prior};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::BaseBall;
-use dbbd_model::robot::{Joint, ParamId, ParamUnit, Robot};
+use dbbd_model::robot::{Joint, ParamId, ParamUnit, Robot, parameter};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -57,7 +57,7 @@ fn find(
     calibrated(&kr60(), &data, &centres, &options).unwrap()
 }
 
-fn parameter<'a>(found: &'a CompletedCalibration, name: &str) -> &'a ParameterResult {
+fn named<'a>(found: &'a CompletedCalibration, name: &str) -> &'a ParameterResult {
     found.result.parameter(name.parse().unwrap()).unwrap()
 }
 
@@ -70,7 +70,7 @@ fn a_combination_is_distributed_by_the_variances() {
     for [s2, s3] in [[0.5, 0.5], [0.5, 0.25]] {
         let given = BTreeMap::from([(ParamId::D(Joint::J2), s2), (ParamId::D(Joint::J3), s3)]);
         let found = find(&truth, &three_planes(1, CENTRE), 27, 0.001, 0.0, Prior::Given(given), 1);
-        let [d2, d3] = ["d2", "d3"].map(|name| parameter(&found, name));
+        let [d2, d3] = ["d2", "d3"].map(|name| named(&found, name));
         let share: f64 = (s2 / s3) * (s2 / s3);
         assert!(
             (d2.correction / d3.correction / share - 1.0).abs() < 1e-3,
@@ -91,16 +91,37 @@ fn a_combination_is_distributed_by_the_variances() {
     }
 }
 
-/// Without a prior the same lengths do not change d3.
+/// Without a prior the direction that the same lengths do not know has the tolerances of both, which are equal: each has half
+/// of the sum.
 #[test]
-fn without_a_prior_one_member_has_the_combination() {
+fn without_a_prior_what_lengths_do_not_know_has_the_tolerance() {
     let truth = with_errors([("d2", 0.6), ("d3", 0.2)]);
     let found = find(&truth, &three_planes(1, CENTRE), 27, 0.001, 0.0, Prior::None, 1);
-    assert_eq!(parameter(&found, "d3").status, Status::Dependent);
-    assert_eq!(parameter(&found, "d3").correction, 0.0);
+    let [d2, d3] = ["d2", "d3"].map(|name| named(&found, name));
+    assert_eq!(d3.status, Status::SupportedByPrior);
+    assert!((d2.correction / d3.correction - 1.0).abs() < 1e-3, "{} {}", d2.correction, d3.correction);
+    assert!((d2.correction + d3.correction - 0.8).abs() < 0.1, "{} {}", d2.correction, d3.correction);
 }
 
-/// Prior standard deviation of a bar without certificate, mm.
+/// Where a list is followed, the same lengths do not change d3.
+#[test]
+fn in_a_list_one_member_has_the_combination() {
+    let circles = three_planes(1, CENTRE);
+    let data = measure(&with_errors([("d2", 0.6), ("d3", 0.2)]), &circles, 27, 25.0);
+    let options = Options {
+        estimate: Some(parameter::parse_list("geometric,tool,centres", &[], 1).unwrap()),
+        prior: Prior::None,
+        sigma_mm: Some(0.001),
+        folds: Some(0),
+        ..Options::default()
+    };
+    let ball = BaseBall { id: circles[0].ball(), position: Vector3::from(CENTRE) };
+    let found = calibrated(&kr60(), &data, &[ball], &options).unwrap();
+    let d3 = found.result.parameter(ParamId::D(Joint::J3)).unwrap();
+    assert_eq!((d3.status, d3.correction), (Status::Dependent, 0.0));
+}
+
+/// Standard deviation of the errors of the bars, mm.
 const BAR_MM: f64 = 0.05;
 
 /// Mean 3-D error over the workspace of robots and bars drawn by their tolerance: true, and as predicted, mm.
