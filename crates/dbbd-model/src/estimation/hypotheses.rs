@@ -427,7 +427,8 @@ mod tests {
     use crate::test_support::cell::kr60;
 
     const SIGMA_MM: f64 = 0.03;
-    const SHAPE: NoiseShape = NoiseShape { own: OwnNoise::Stated(0.01), backlash: BacklashNoise::Known([0.0; AXES]) };
+    const SHAPE: NoiseShape =
+        NoiseShape { own: OwnNoise::Stated(0.01), backlash: BacklashNoise::Known([0.0; AXES]) };
 
     /// Rows of readings as a table has them, measured one after the other.
     fn table(readings: &[PreparedMeasurement]) -> Vec<Measurement> {
@@ -455,7 +456,10 @@ mod tests {
     /// What a part of the model that moves by a little does to the lengths.
     #[test]
     fn columns_are_the_differences_of_the_model() {
-        let tracker = Tracker { origin: nalgebra::Vector3::new(2500.0, 300.0, 100.0), turn: nalgebra::Vector3::zeros() };
+        let tracker = Tracker {
+            origin: nalgebra::Vector3::new(2500.0, 300.0, 100.0),
+            turn: nalgebra::Vector3::zeros(),
+        };
         let model = LengthModel { tracker: Some(tracker), ..model(2) };
         let mut all = readings(&model, 20, 1);
         for (at, reading) in all.iter_mut().enumerate().skip(30) {
@@ -469,7 +473,9 @@ mod tests {
         let moved = |id: ParamId| {
             let mut moved = model.clone();
             moved.shift(id, step);
-            all.iter().map(|one| (moved.prepare().length(one) - model.prepare().length(one)) / step).collect::<Vec<f64>>()
+            all.iter()
+                .map(|one| (moved.prepare().length(one) - model.prepare().length(one)) / step)
+                .collect::<Vec<f64>>()
         };
         let mut of_second = event(RunEventKind::BaseBallMoved, from);
         of_second.ball = Some(BallId::at(1));
@@ -477,7 +483,10 @@ mod tests {
         let tracker = |axis| moved(ParamId::Tracker(axis)).into_iter().map(|mm| -mm).collect::<Vec<f64>>();
         for (event, expected) in [
             (of_second, Coordinate::ALL.map(|axis| moved(ball(axis)))),
-            (event(RunEventKind::ToolBallMoved, from), Coordinate::ALL.map(|axis| moved(ParamId::Tool(axis)))),
+            (
+                event(RunEventKind::ToolBallMoved, from),
+                Coordinate::ALL.map(|axis| moved(ParamId::Tool(axis))),
+            ),
             // A tracker that moved sees the target moved to the other side.
             (event(RunEventKind::TrackerMoved, from), Coordinate::ALL.map(tracker)),
         ] {
@@ -487,7 +496,12 @@ mod tests {
                 for row in 0..40 {
                     let expected = if row < 10 { 0.0 } else { expected[row] };
                     let off = (found[(row, column)] - expected).abs();
-                    assert!(off < 1e-6, "{:?} {row} {column}: {} {expected}", event.kind, found[(row, column)]);
+                    assert!(
+                        off < 1e-6,
+                        "{:?} {row} {column}: {} {expected}",
+                        event.kind,
+                        found[(row, column)]
+                    );
                 }
             }
         }
@@ -531,7 +545,8 @@ mod tests {
         fn with<R>(&self, of: impl Fn(&EventSearch<'_>, &System) -> R) -> R {
             let (rows, options, robot, model) = (table(&self.readings), Options::default(), kr60(), model(2));
             let lengths = Lengths::of(&rows, &options, &robot);
-            let balls = (0..2).flat_map(|ball| Coordinate::ALL.map(|axis| ParamId::Ball(BallId::at(ball), axis)));
+            let balls =
+                (0..2).flat_map(|ball| Coordinate::ALL.map(|axis| ParamId::Ball(BallId::at(ball), axis)));
             let mut ids: Vec<ParamId> = balls.collect();
             ids.extend([ParamId::A(Joint::J2), ParamId::BarOffset(BarId::FIRST)]);
             ids.sort();
@@ -586,7 +601,10 @@ mod tests {
                     (ln_density(&(&v + &h * h.transpose() * (size * size))) - ln_density(&v), size)
                 };
                 let (best, size) = (0..6).map(of_size).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
-                assert!((found - (best - 6f64.ln())).abs() < 1e-6 * best.abs().max(1.0), "{kind:?}: {found} {best}");
+                assert!(
+                    (found - (best - 6f64.ln())).abs() < 1e-6 * best.abs().max(1.0),
+                    "{kind:?}: {found} {best}"
+                );
                 assert!((event.size_mm / size - 1.0).abs() < 1e-12);
             }
         });
@@ -613,15 +631,19 @@ mod tests {
         let all = readings(&model, 10, 1);
         let mut wrong = all.clone();
         // Measured to the third ball, written down as the first; one is off by no ball's length.
-        for at in [3, 9] {
+        for at in [3, 9, 24] {
             wrong[at].length_mm = all[at + 2].length_mm + 0.02;
         }
         wrong[12].length_mm += 7.0;
         let lengths = Lengths::few(wrong, vec![1.0; 30]);
-        let found = wrong_balls(&model, &lengths, &[3, 9, 12], 0.05);
-        assert_eq!(found, [(3, BallId::at(2)), (9, BallId::at(2))]);
-        assert!(are_wrong_balls(2, 30, 0.05) && !are_wrong_balls(0, 30, 0.05));
-        // Of very many lengths, one that fits another ball within a millimetre is chance.
-        assert!(!are_wrong_balls(1, 10_000, 1.0));
+        let found = wrong_balls(&model, &lengths, &[3, 9, 12, 24], 0.05);
+        assert_eq!(found, [(3, BallId::at(2)), (9, BallId::at(2)), (24, BallId::at(2))]);
+        // By chance one of 30 lengths fits another ball within 0.6 mm of a metre with a probability of 30 / 1667: three have
+        // ln B = 3 ln 55.6 = 12.1, against ln 700 = 6.6 of the prior and ln 99 = 4.6; two have 8.0.
+        assert!(
+            are_wrong_balls(3, 30, 0.05) && !are_wrong_balls(2, 30, 0.05) && !are_wrong_balls(0, 30, 0.05)
+        );
+        // Of very many lengths, those that fit another ball within millimetres are chance.
+        assert!(!are_wrong_balls(50, 10_000, 1.0));
     }
 }

@@ -325,8 +325,10 @@ mod tests {
         };
         let gradients: Vec<f64> = (0..SETS)
             .map(|set| {
-                let of_unknowns = normals(2, 90_000 + set as u64).component_mul(&DVector::from_row_slice(&[0.5, 0.05]));
-                system.right = &root * normals(count, 10_000 + set as u64) + &system.rows.values * of_unknowns;
+                let of_unknowns =
+                    normals(2, 90_000 + set as u64).component_mul(&DVector::from_row_slice(&[0.5, 0.05]));
+                system.right =
+                    &root * normals(count, 10_000 + set as u64) + &system.rows.values * of_unknowns;
                 scored(&system, shape, |score| score.slopes().unwrap().gradient[OWN])
             })
             .collect();

@@ -313,7 +313,8 @@ mod tests {
             planes.iter_mut().zip(Coordinate::ALL).for_each(|(row, axis)| row.datum = Datum::Plane(axis));
             planes
         };
-        let positions: Vec<PreparedMeasurement> = readings(&model, 12, 1).into_iter().flat_map(planes).collect();
+        let positions: Vec<PreparedMeasurement> =
+            readings(&model, 12, 1).into_iter().flat_map(planes).collect();
         let rows = rows(&model, &positions, &[]);
         assert!(rows.poses.iter().all(|pose| pose.len() == 3));
         assert!(!rows.tell_noise_apart());
@@ -322,7 +323,8 @@ mod tests {
         let three = readings(&model, 21, 1);
         let few = |with_three: usize| {
             let is_kept = |at: &usize| at % 3 == 0 || at / 3 < with_three;
-            let some: Vec<PreparedMeasurement> = (0..three.len()).filter(is_kept).map(|at| three[at]).collect();
+            let some: Vec<PreparedMeasurement> =
+                (0..three.len()).filter(is_kept).map(|at| three[at]).collect();
             self::rows(&model, &some, &[]).tell_noise_apart()
         };
         assert_eq!([2, 3].map(few), [false, true]);

@@ -296,7 +296,8 @@ mod tests {
     fn places_are_free_and_robot_tool_ball_and_bar_are_bound() {
         let priors = priors(None, Prior::None);
         let (ball, tool) = (ParamId::Ball(BallId::FIRST, Coordinate::X), ParamId::Tool(Coordinate::Z));
-        let (target, tracker) = (ParamId::Target(TargetId::at(1), Coordinate::Y), ParamId::Tracker(Coordinate::X));
+        let (target, tracker) =
+            (ParamId::Target(TargetId::at(1), Coordinate::Y), ParamId::Tracker(Coordinate::X));
         assert_eq!([ball, target, tracker].map(|id| priors.bound(id)), [None; 3]);
         // The robot's tolerance, a tool ball as it is mounted, and a bar without a certificate.
         for id in [ParamId::D(Joint::J2), tool, ParamId::BarOffset(BarId::FIRST)] {

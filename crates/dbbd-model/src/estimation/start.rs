@@ -271,7 +271,8 @@ mod tests {
     fn without_a_prior_directions_that_the_data_do_not_know_have_the_tolerance() {
         let circles = [horizontal(1, CENTRE)];
         let data = measure(&with_errors([("a1", 0.4), ("d4", -0.3)]), &circles, 40, 25.0);
-        let (robot, options) = (kr60(), Options { prior: Prior::None, sigma_mm: Some(0.02), ..Options::default() });
+        let (robot, options) =
+            (kr60(), Options { prior: Prior::None, sigma_mm: Some(0.02), ..Options::default() });
         let start = LengthModel::new(robot.geometry.clone(), &base_balls(1));
         let setting = Setting::new(&robot, &start, &data, &options);
         let lengths = Lengths::of(&data.rows, &options, &robot);
@@ -298,12 +299,15 @@ mod tests {
         let (s, g) = (set_up.len(), own.len());
         let of_set_up = normal.view((0, 0), (s, s)).into_owned();
         let across = normal.view((0, s), (s, g)).into_owned();
-        let left = normal.view((s, s), (g, g)) - across.transpose() * of_set_up.try_inverse().unwrap() * across;
+        let left =
+            normal.view((s, s), (g, g)) - across.transpose() * of_set_up.try_inverse().unwrap() * across;
         let (mut weak, mut strong) = (0, 0);
         for at in &own {
-            let direction = nalgebra::DVector::from_iterator(g, own.iter().map(|to| {
-                transform[(*to, *at)] / setting.priors.geometric(known.ids[*to]).unwrap()
-            }));
+            let direction = nalgebra::DVector::from_iterator(
+                g,
+                own.iter()
+                    .map(|to| transform[(*to, *at)] / setting.priors.geometric(known.ids[*to]).unwrap()),
+            );
             assert!((direction.norm() - 1.0).abs() < 1e-9);
             let information = direction.dot(&(&left * &direction));
             match known.variances[*at] {

@@ -254,12 +254,14 @@ mod tests {
     use crate::robot::{AXES, BallId, BarId, Coordinate, Joint, ParamId};
 
     const SIGMA_MM: f64 = 0.03;
-    const SHAPE: NoiseShape = NoiseShape { own: OwnNoise::Stated(0.01), backlash: BacklashNoise::Known([0.0; AXES]) };
+    const SHAPE: NoiseShape =
+        NoiseShape { own: OwnNoise::Stated(0.01), backlash: BacklashNoise::Known([0.0; AXES]) };
 
     /// Two bound parameters of the robot, a bar, and two free balls.
     fn ids() -> Vec<ParamId> {
         let balls = (0..2).flat_map(|ball| Coordinate::ALL.map(|axis| ParamId::Ball(BallId::at(ball), axis)));
-        let mut ids = vec![ParamId::Theta(Joint::J2), ParamId::A(Joint::J3), ParamId::BarOffset(BarId::FIRST)];
+        let mut ids =
+            vec![ParamId::Theta(Joint::J2), ParamId::A(Joint::J3), ParamId::BarOffset(BarId::FIRST)];
         ids.extend(balls);
         ids.sort();
         ids
@@ -306,7 +308,8 @@ mod tests {
         let inverse_noise = noise(system).try_inverse().unwrap();
         let mut precision = scaled.transpose() * &inverse_noise * &scaled;
         for (k, variance) in system.variances.iter().enumerate() {
-            precision[(k, k)] += variance.map_or(0.0, |variance| units[k] * units[k] / variance.value(hypers));
+            precision[(k, k)] +=
+                variance.map_or(0.0, |variance| units[k] * units[k] / variance.value(hypers));
         }
         let covariance = precision.try_inverse().unwrap();
         let mean = &covariance * (scaled.transpose() * inverse_noise * &system.right);
@@ -342,7 +345,8 @@ mod tests {
     fn evidence_is_the_restricted_likelihood() {
         let system = system(&readings(&model(2), 30, 1));
         let hypers = hypers(SIGMA_MM);
-        let free: Vec<usize> = (0..system.variances.len()).filter(|k| system.variances[*k].is_none()).collect();
+        let free: Vec<usize> =
+            (0..system.variances.len()).filter(|k| system.variances[*k].is_none()).collect();
         let mut covariance = noise(&system);
         for (k, variance) in system.variances.iter().enumerate() {
             let Some(variance) = variance else { continue };
@@ -359,7 +363,8 @@ mod tests {
         let left = &system.right - &own * step;
         let freedom = (system.right.len() - free.len()) as f64;
         let chi = (left.transpose() * &inverse * &left)[(0, 0)];
-        let expected = -0.5 * (freedom * (2.0 * std::f64::consts::PI).ln() + ln(&covariance) + ln(&normal) + chi);
+        let expected =
+            -0.5 * (freedom * (2.0 * std::f64::consts::PI).ln() + ln(&covariance) + ln(&normal) + chi);
         let whitened = system.whitened(SHAPE, SIGMA_MM).unwrap();
         let posterior = whitened.equations.posterior(&hypers).unwrap();
         let found = posterior.ln_evidence(&hypers) - whitened.equations.evidence.ln_prior(&hypers);

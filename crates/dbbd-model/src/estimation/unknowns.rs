@@ -423,7 +423,11 @@ mod tests {
         (1..).zip(readings).map(row).collect()
     }
 
-    fn known(ids: &[ParamId], variances: Vec<Option<Variance>>, transform: Option<DMatrix<f64>>) -> KnownBefore {
+    fn known(
+        ids: &[ParamId],
+        variances: Vec<Option<Variance>>,
+        transform: Option<DMatrix<f64>>,
+    ) -> KnownBefore {
         let start = model(2);
         let mean = |(id, variance): (&ParamId, &Option<Variance>)| variance.map_or(0.0, |_| start.value(*id));
         let means = ids.iter().zip(&variances).map(mean).collect();
@@ -473,12 +477,21 @@ mod tests {
         let unknowns = Unknowns::new(known(&ids, variances(&ids), None), &model, &used, true);
         let mut there = model.clone();
         there.geometry.joint_errors = unknowns.errors(&model.geometry.joint_errors, &hypers(0.03));
-        let system = unknowns.linearised(&there, &unknowns.at(&there, &DVector::zeros(0)), &used, BacklashNoise::Known([0.0; AXES]));
+        let system = unknowns.linearised(
+            &there,
+            &unknowns.at(&there, &DVector::zeros(0)),
+            &used,
+            BacklashNoise::Known([0.0; AXES]),
+        );
         let warming = (AXES + 1) * WARMING;
         let first = system.variances.len() - warming;
         assert!(system.variances[first..].iter().all(|one| *one == Some(Variance::Of(Group::Warming, 1.0))));
         // 30 poses have 7 clusters of 3 columns before, whose row has the direction of the length once.
-        assert!(system.variances[first - 21..first].iter().all(|one| *one == Some(Variance::Of(Group::Cluster, 1.0))));
+        assert!(
+            system.variances[first - 21..first]
+                .iter()
+                .all(|one| *one == Some(Variance::Of(Group::Cluster, 1.0)))
+        );
         let step = 1e-6;
         for row in [0, 17, 59] {
             let reading = lengths.reading(row);
@@ -503,7 +516,11 @@ mod tests {
                 let wave = (std::f64::consts::PI * order as f64 * elapsed).cos() / order as f64;
                 for (at, mm) in moves.iter().enumerate() {
                     let found = system.rows.values[(row, first + (order - 1) * (AXES + 1) + at)];
-                    assert!((found - wave * mm).abs() < 0.02, "row {row}, order {order}, {at}: {found} {}", wave * mm);
+                    assert!(
+                        (found - wave * mm).abs() < 0.02,
+                        "row {row}, order {order}, {at}: {found} {}",
+                        wave * mm
+                    );
                 }
             }
             let clusters = system.rows.values.view((row, first - 21), (1, 21)).into_owned();
@@ -519,7 +536,9 @@ mod tests {
         let options = Options::default();
         let lengths = Lengths::of(&rows, &options, &robot);
         let ids = sorted_ids();
-        let unknowns = |with_errors| Unknowns::new(known(&ids, variances(&ids), None), &model, &lengths.plain(), with_errors);
+        let unknowns = |with_errors| {
+            Unknowns::new(known(&ids, variances(&ids), None), &model, &lengths.plain(), with_errors)
+        };
         assert!(!unknowns(true).errors.warms && !unknowns(true).errors.centres.is_empty());
         assert!(unknowns(false).errors.centres.is_empty());
         assert!((0..AXES).all(|joint| unknowns(true).moved(joint) && !unknowns(false).moved(joint)));
@@ -535,7 +554,8 @@ mod tests {
         let model = model(2);
         let readings = readings(&model, 10, 1);
         let lengths = Lengths::few(readings, vec![1.0; 20]);
-        let unknowns = Unknowns::new(known(&ids, of.clone(), Some(transform())), &model, &lengths.plain(), false);
+        let unknowns =
+            Unknowns::new(known(&ids, of.clone(), Some(transform())), &model, &lengths.plain(), false);
         let hypers = hypers(0.03);
         let found = unknowns.prior_sds(&hypers);
         assert_eq!(found[free], None);
@@ -560,7 +580,12 @@ mod tests {
             let start = model(2);
             let readings = readings(&start, 20, 1);
             let lengths = Lengths::few(readings, vec![1.0; 40]);
-            let unknowns = Unknowns::new(known(&ids, variances(&ids), transform.clone()), &start, &lengths.plain(), true);
+            let unknowns = Unknowns::new(
+                known(&ids, variances(&ids), transform.clone()),
+                &start,
+                &lengths.plain(),
+                true,
+            );
             let mut model = start.clone();
             model.geometry.joint_errors = unknowns.errors(&model.geometry.joint_errors, &hypers(0.03));
             let now = unknowns.at(&model, &DVector::zeros(0));

@@ -48,7 +48,8 @@ impl Bench {
     }
 
     fn known(&self) -> Posterior {
-        let (posterior, unknown) = (self.robot.posterior.as_ref().unwrap(), self.robot.uncertainty.as_deref());
+        let (posterior, unknown) =
+            (self.robot.posterior.as_ref().unwrap(), self.robot.uncertainty.as_deref());
         if self.mounting == KEPT {
             Posterior::of_robot_with_balls(self.start.clone(), posterior, unknown)
         } else {
@@ -80,7 +81,8 @@ impl Bench {
         let ids: Vec<ParamId> = known.ids().iter().copied().filter(|id| id.moves_tool_ball()).collect();
         let workspace = Workspace::with_joint_errors(&self.robot.geometry, &self.workspace, &ids);
         let wrong = |id: &ParamId| truth.value(*id) - file.geometry.value(*id).unwrap();
-        let [true_errors, stated] = [&truth.geometry, &file.geometry].map(|of| of.joint_errors.coefficients());
+        let [true_errors, stated] =
+            [&truth.geometry, &file.geometry].map(|of| of.joint_errors.coefficients());
         let joints = true_errors.iter().zip(stated).map(|(truth, stated)| truth - stated);
         let column: Vec<f64> = ids.iter().map(wrong).chain(joints).collect();
         let column = DMatrix::from_column_slice(column.len(), 1, &column);

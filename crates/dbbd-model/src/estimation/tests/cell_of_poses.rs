@@ -31,7 +31,11 @@ pub(in crate::estimation) fn pose(random: &mut Pcg64) -> [f64; AXES] {
 }
 
 /// A length to each ball of the model at each pose, as the model has it.
-pub(in crate::estimation) fn readings(model: &LengthModel, poses: usize, seed: u64) -> Vec<PreparedMeasurement> {
+pub(in crate::estimation) fn readings(
+    model: &LengthModel,
+    poses: usize,
+    seed: u64,
+) -> Vec<PreparedMeasurement> {
     let mut random = Pcg64::seed_from_u64(seed);
     let prepared = model.prepare();
     let mut readings = Vec::new();
