@@ -279,11 +279,13 @@ impl<'a> Search<'a> {
         let (lengths, start_mm) = (used.lengths(), used.rms_sigma());
         let stated_mm = if lengths.known { used.by(Sigma::Given).rms_sigma() } else { LEAST_POSE * start_mm };
         let pose_mm = if lengths.vouched { POSE_SHARE * stated_mm } else { start_mm };
+        // What the user vouches for is of the whole length.
+        let own_mm = if lengths.vouched { (stated_mm * stated_mm - pose_mm * pose_mm).sqrt() } else { stated_mm };
         let state = state.unwrap_or_else(|| SearchState {
             z: unknowns.at(&model, &DVector::zeros(0)),
             model,
             hypers: Hypers::start(&HyperPrior::all(1.0), pose_mm),
-            shape: NoiseShape { own: OwnNoise::Stated(stated_mm), backlash: unknowns.backlash_noise() },
+            shape: NoiseShape { own: OwnNoise::Stated(own_mm), backlash: unknowns.backlash_noise() },
         });
         Self { unknowns, used, state, ln_sd: [0.0; HYPERS] }
     }
