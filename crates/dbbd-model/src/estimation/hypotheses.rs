@@ -114,9 +114,16 @@ impl RunEvent {
     fn is_of(&self, datum: Datum) -> bool {
         match self.kind {
             RunEventKind::TrackerMoved | RunEventKind::TrackerDrift => datum.is_plane(),
-            _ if datum.is_plane() => self.kind == RunEventKind::ToolBallMoved,
-            _ => {
-                self.bar.is_none_or(|bar| datum.bar() == Some(bar))
+            RunEventKind::ToolBallMoved if datum.is_plane() => true,
+            RunEventKind::BarZeroStep
+            | RunEventKind::BarZeroDrift
+            | RunEventKind::BaseBallMoved
+            | RunEventKind::ToolBallMoved
+            | RunEventKind::WrongBall
+            | RunEventKind::RowsShifted
+            | RunEventKind::BallOffset => {
+                !datum.is_plane()
+                    && self.bar.is_none_or(|bar| datum.bar() == Some(bar))
                     && self.ball.is_none_or(|ball| datum.ball() == Some(ball))
             }
         }
@@ -264,8 +271,10 @@ impl<'a> EventSearch<'a> {
     fn events(&self, kind: RunEventKind) -> Vec<RunEvent> {
         let mut bars: Vec<BarId> = self.rows.data.iter().filter_map(|datum| datum.bar()).collect();
         let mut balls: Vec<BallId> = self.rows.data.iter().filter_map(|datum| datum.ball()).collect();
-        (bars.sort_unstable(), bars.dedup());
-        (balls.sort_unstable(), balls.dedup());
+        bars.sort_unstable();
+        bars.dedup();
+        balls.sort_unstable();
+        balls.dedup();
         let event = RunEvent { kind, bar: None, ball: None, from: None, size_mm: 0.0 };
         let of_bars = || bars.iter().map(|bar| RunEvent { bar: Some(*bar), ..event });
         let of_balls = || balls.iter().map(|ball| RunEvent { ball: Some(*ball), ..event });
@@ -584,7 +593,7 @@ mod tests {
                 }
             }
             for (column, variance) in rows.values.column_iter().zip(&system.variances) {
-                v += &column * column.transpose() * variance.unwrap().value(&hypers(SIGMA_MM));
+                v += column * column.transpose() * variance.unwrap().value(&hypers(SIGMA_MM));
             }
             let ln_density = |v: &DMatrix<f64>| {
                 let factor = Cholesky::new(v.clone()).unwrap();

@@ -322,7 +322,7 @@ mod tests {
         let model = super::super::tests::cell_of_poses::model(3);
         let three = readings(&model, 21, 1);
         let few = |with_three: usize| {
-            let is_kept = |at: &usize| at % 3 == 0 || at / 3 < with_three;
+            let is_kept = |at: &usize| at.is_multiple_of(3) || at / 3 < with_three;
             let some: Vec<PreparedMeasurement> =
                 (0..three.len()).filter(is_kept).map(|at| three[at]).collect();
             self::rows(&model, &some, &[]).tell_noise_apart()

@@ -216,7 +216,13 @@ fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
         transform[(*place, columns + at)] = 1.0;
         variances.push(setting.priors.bound(ids[*place]).map(|sd| match ids[*place].group() {
             ParamGroup::Tool => Variance::Of(Group::Tool, sd),
-            _ => Variance::Fixed(sd),
+            ParamGroup::Geometric
+            | ParamGroup::Targets
+            | ParamGroup::Balls
+            | ParamGroup::Bar
+            | ParamGroup::Tracker
+            | ParamGroup::Compliance
+            | ParamGroup::Gear => Variance::Fixed(sd),
         }));
     }
     let means = ids.iter().map(|id| setting.start.value(*id)).collect();

@@ -351,7 +351,7 @@ mod tests {
         for (k, variance) in system.variances.iter().enumerate() {
             let Some(variance) = variance else { continue };
             let column = system.rows.values.column(k);
-            covariance += &column * column.transpose() * variance.value(&hypers);
+            covariance += column * column.transpose() * variance.value(&hypers);
         }
         let ln = |matrix: &DMatrix<f64>| {
             2.0 * Cholesky::new(matrix.clone()).unwrap().l_dirty().diagonal().map(f64::ln).sum()

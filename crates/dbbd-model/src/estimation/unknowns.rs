@@ -178,7 +178,7 @@ impl Unknowns {
         let mean_sd = used.by(Sigma::Given).rms_sigma();
         let mut rows = PoseRows::at(model, &used.by(Sigma::All(1.0)), ids, |place| used.lengths().time(place));
         if let Some(transform) = transform {
-            let mixed = &rows.values.columns(0, transform.nrows()) * transform;
+            let mixed = rows.values.columns(0, transform.nrows()) * transform;
             let rest = rows.values.columns_range(transform.nrows()..).into_owned();
             rows.values = beside(mixed, &rest);
         }
