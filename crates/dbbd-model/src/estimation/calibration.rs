@@ -253,7 +253,8 @@ impl<'a> Calibration<'a> {
         let mut found: Vec<RunHypothesis> = Vec::new();
         let wrong = &self.estimate.wrong_balls;
         let mut balls: Vec<BallId> = wrong.iter().map(|(_, ball)| *ball).collect();
-        (balls.sort_unstable(), balls.dedup());
+        balls.sort_unstable();
+        balls.dedup();
         for ball in balls {
             let rows: Vec<u32> =
                 wrong.iter().filter(|(_, own)| *own == ball).map(|(place, _)| index(*place)).collect();

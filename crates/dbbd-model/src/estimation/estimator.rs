@@ -343,6 +343,9 @@ impl<'a> Search<'a> {
         let (lengths, start_mm) = (used.lengths(), used.rms_sigma());
         let stated_mm = if lengths.known { used.by(Sigma::Given).rms_sigma() } else { LEAST_POSE * start_mm };
         let pose_mm = if lengths.vouched { POSE_SHARE * stated_mm } else { start_mm };
+        // Together they are what is stated.
+        let stated_mm =
+            if lengths.vouched { stated_mm * (1.0 - POSE_SHARE * POSE_SHARE).sqrt() } else { stated_mm };
         let state = state.unwrap_or_else(|| SearchState {
             z: unknowns.at(&model, &DVector::zeros(0)),
             model,

@@ -59,12 +59,16 @@ pub(super) fn all(
     let mut plain = from(&all, Loss::Squares, start);
     // Residuals far beyond the errors of a nominal robot would distort the start: fit without them first.
     let absurd = exceeding(&all, start, &plain.first, ABSURD, 0);
-    let near =
-        (!absurd.is_empty()).then(|| from(&lengths.weighted(sigma, &absurd), Loss::Huber, start).model);
+    let near = (!absurd.is_empty()).then(|| from(&lengths.weighted(sigma, &absurd), Loss::Huber, start));
     if let Some(near) = &near {
-        plain = from(&all, Loss::Squares, near);
+        let residuals = whitened(&all, &near.model);
+        // Lengths that stay so far would spread over all residuals in a fit of squares: then it is none to judge them by.
+        plain = match exceeding(&all, &near.model, &residuals, ABSURD, 0).is_empty() {
+            true => from(&all, Loss::Squares, &near.model),
+            false => Solution { residuals, ..near.clone() },
+        };
     }
-    let start = near.as_ref().unwrap_or(start);
+    let start = near.as_ref().map_or(start, |near| &near.model);
     robust(&all, independent, plain, |lengths, loss, reached| match reached {
         None => from(lengths, loss, start),
         Some(reached) => stages(lengths, &[kept], loss, prior, reached),

@@ -454,3 +454,275 @@ pub(super) fn wrong_balls(
     };
     outliers.iter().filter_map(|at| fitting(*at)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::hyper_parameters::{Group, Hypers, Variance};
+    use super::super::noise_shape::{BacklashNoise, NoiseShape, OwnNoise};
+    use super::super::system::System;
+    use super::super::tests::cell_of_poses::{hypers, model, normals, readings};
+    use super::*;
+    use crate::estimation::Options;
+    use crate::measurement::{Measurement, PreparedMeasurement, TargetId, Tracker};
+    use crate::robot::{AXES, AxisAngles, Coordinate, Joint, ParamId};
+    use crate::test_support::cell::kr60;
+
+    const SIGMA_MM: f64 = 0.03;
+    const SHAPE: NoiseShape =
+        NoiseShape { own: OwnNoise::Stated(0.01), backlash: BacklashNoise::Known([0.0; AXES]) };
+
+    /// Rows of readings as a table has them, measured one after the other.
+    fn table(readings: &[PreparedMeasurement]) -> Vec<Measurement> {
+        let row = |(index, reading): (u32, &PreparedMeasurement)| Measurement {
+            index,
+            datum: reading.datum,
+            target: TargetId::FIRST,
+            axes: AxisAngles::from_degrees(reading.axes.map(f64::to_degrees)),
+            approach: reading.approach,
+            length_mm: reading.length_mm,
+            sigma_mm: None,
+            context: None,
+        };
+        (1..).zip(readings).map(row).collect()
+    }
+
+    fn pose_rows(model: &LengthModel, lengths: &Lengths, ids: &[ParamId]) -> PoseRows {
+        PoseRows::at(model, &lengths.plain(), ids, |_| None)
+    }
+
+    fn event(kind: RunEventKind, from: Option<(f64, usize)>) -> RunEvent {
+        RunEvent { kind, bar: None, ball: None, from, grows: false, size_mm: 0.5 }
+    }
+
+    /// What a part of the model that moves by a little does to the lengths.
+    #[test]
+    fn columns_are_the_differences_of_the_model() {
+        let tracker = Tracker {
+            origin: nalgebra::Vector3::new(2500.0, 300.0, 100.0),
+            turn: nalgebra::Vector3::zeros(),
+        };
+        let model = LengthModel { tracker: Some(tracker), ..model(2) };
+        let mut all = readings(&model, 20, 1);
+        for (at, reading) in all.iter_mut().enumerate().skip(30) {
+            reading.datum = Datum::Plane(Coordinate::ALL[at % 3]);
+        }
+        let (rows, options, robot) = (table(&all), Options::default(), kr60());
+        let lengths = Lengths::of(&rows, &options, &robot);
+        let at = pose_rows(&model, &lengths, &[]);
+        let step = 1e-4;
+        let from = Some((10.0 / 39.0, 10));
+        let moved = |id: ParamId| {
+            let mut moved = model.clone();
+            moved.shift(id, step);
+            all.iter()
+                .map(|one| (moved.prepare().length(one) - model.prepare().length(one)) / step)
+                .collect::<Vec<f64>>()
+        };
+        let mut of_second = event(RunEventKind::BaseBallMoved, from);
+        of_second.ball = Some(BallId::at(1));
+        let ball = |axis| ParamId::Ball(BallId::at(1), axis);
+        let tracker = |axis| moved(ParamId::Tracker(axis)).into_iter().map(|mm| -mm).collect::<Vec<f64>>();
+        for (event, expected) in [
+            (of_second, Coordinate::ALL.map(|axis| moved(ball(axis)))),
+            (
+                event(RunEventKind::ToolBallMoved, from),
+                Coordinate::ALL.map(|axis| moved(ParamId::Tool(axis))),
+            ),
+            // A tracker that moved sees the target moved to the other side.
+            (event(RunEventKind::TrackerMoved, from), Coordinate::ALL.map(tracker)),
+        ] {
+            let found = event.of_rows(&at, &lengths);
+            assert_eq!(found.ncols(), 3);
+            for (column, expected) in expected.iter().enumerate() {
+                for row in 0..40 {
+                    let expected = if row < 10 { 0.0 } else { expected[row] };
+                    let off = (found[(row, column)] - expected).abs();
+                    assert!(
+                        off < 1e-6,
+                        "{:?} {row} {column}: {} {expected}",
+                        event.kind,
+                        found[(row, column)]
+                    );
+                }
+            }
+        }
+        let bar = moved(ParamId::BarOffset(BarId::FIRST));
+        let step_of_bar = event(RunEventKind::BarZeroStep, from).of_rows(&at, &lengths);
+        let mean_mm = all.iter().map(|one| one.length_mm).sum::<f64>() / 40.0;
+        let drift = event(RunEventKind::BarZeroDrift, None).of_rows(&at, &lengths);
+        let drifted = event(RunEventKind::TrackerDrift, None).of_rows(&at, &lengths);
+        let mut second = event(RunEventKind::BallOffset, None);
+        second.ball = Some(BallId::at(1));
+        let offset = second.of_rows(&at, &lengths);
+        for row in 0..40 {
+            let elapsed = row as f64 / 39.0;
+            assert!((step_of_bar[row] - if row < 10 { 0.0 } else { bar[row] }).abs() < 1e-6, "{row}");
+            assert!((drift[row] - elapsed * bar[row] * all[row].length_mm / mean_mm).abs() < 1e-6, "{row}");
+            let is_second = all[row].datum.ball() == Some(BallId::at(1));
+            assert_eq!(offset[row], if is_second { 1.0 } else { 0.0 });
+            let own = all[row].datum.is_plane();
+            let along: f64 = drifted.row(row).norm();
+            assert!((along - if own { elapsed } else { 0.0 }).abs() < 1e-12, "{row}");
+        }
+    }
+
+    struct Bench {
+        readings: Vec<PreparedMeasurement>,
+        hypers: Hypers,
+    }
+
+    impl Bench {
+        /// With a step of the bar's zero at a row.
+        fn new(step: Option<(usize, f64)>) -> Self {
+            let model = model(2);
+            let mut readings = readings(&model, 40, 1);
+            let noise = normals(readings.len(), 9) * SIGMA_MM;
+            for (at, (reading, noise)) in readings.iter_mut().zip(&noise).enumerate() {
+                reading.length_mm += noise + step.filter(|(from, _)| at >= *from).map_or(0.0, |(_, mm)| mm);
+            }
+            Self { readings, hypers: hypers(SIGMA_MM) }
+        }
+
+        fn with<R>(&self, of: impl Fn(&EventSearch<'_>, &System) -> R) -> R {
+            let (rows, options, robot, model) = (table(&self.readings), Options::default(), kr60(), model(2));
+            let lengths = Lengths::of(&rows, &options, &robot);
+            let balls =
+                (0..2).flat_map(|ball| Coordinate::ALL.map(|axis| ParamId::Ball(BallId::at(ball), axis)));
+            let mut ids: Vec<ParamId> = balls.collect();
+            ids.extend([ParamId::A(Joint::J2), ParamId::BarOffset(BarId::FIRST)]);
+            ids.sort();
+            let at = pose_rows(&model, &lengths, &ids);
+            let variance = |id: &ParamId| match id {
+                ParamId::A(_) => Variance::Of(Group::Tolerance, 0.5),
+                _ => Variance::Fixed(0.5),
+            };
+            let system = System {
+                right: at.residual.clone(),
+                weights: vec![1.0; at.places.len()],
+                rows: at,
+                variances: ids.iter().map(|id| Some(variance(id))).collect(),
+                sigma_is_given: false,
+                sigma_mm: SIGMA_MM,
+            };
+            let whitened = system.whitened(SHAPE, SIGMA_MM).unwrap();
+            let posterior = whitened.equations.posterior(&self.hypers).unwrap();
+            let search = EventSearch::new(&system.rows, &whitened, &posterior, &lengths, SIGMA_MM).unwrap();
+            of(&search, &system)
+        }
+    }
+
+    /// ln N(y; 0, V + s^2 H H') - ln N(y; 0, V), with V the covariance of noise and all unknowns: the best of six sizes.
+    #[test]
+    fn bayes_factor_is_that_of_the_dense_covariances() {
+        Bench::new(Some((40, 0.05))).with(|search, system| {
+            let rows = &system.rows;
+            let count = rows.places.len();
+            let mut v = DMatrix::<f64>::zeros(count, count);
+            for pose in &rows.poses {
+                for (i, j) in pose.iter().flat_map(|i| pose.iter().map(move |j| (*i, *j))) {
+                    let cosine: f64 = (0..3).map(|k| rows.units[i][k] * rows.units[j][k]).sum();
+                    v[(i, j)] += SIGMA_MM * SIGMA_MM * cosine + if i == j { 0.01 * 0.01 } else { 0.0 };
+                }
+            }
+            for (column, variance) in rows.values.column_iter().zip(&system.variances) {
+                v += column * column.transpose() * variance.unwrap().value(&hypers(SIGMA_MM));
+            }
+            let ln_density = |v: &DMatrix<f64>| {
+                let factor = Cholesky::new(v.clone()).unwrap();
+                let ln_determinant = 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
+                -0.5 * (ln_determinant + system.right.dot(&factor.solve(&system.right)))
+            };
+            let from = Some((40.0 / 79.0, 40));
+            for kind in [RunEventKind::BarZeroStep, RunEventKind::BarZeroDrift, RunEventKind::ToolBallMoved] {
+                let (event, found) = search.judged(event(kind, from)).unwrap();
+                let h = event.of_rows(rows, search.lengths);
+                let [least, most] = kind.sizes_mm().map(f64::ln);
+                let of_size = |at: usize| {
+                    let size = (least + (most - least) * at as f64 / 5.0).exp();
+                    (ln_density(&(&v + &h * h.transpose() * (size * size))) - ln_density(&v), size)
+                };
+                let (best, size) = (0..6).map(of_size).max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
+                assert!(
+                    (found - (best - 6f64.ln())).abs() < 1e-6 * best.abs().max(1.0),
+                    "{kind:?}: {found} {best}"
+                );
+                assert!((event.size_mm / size - 1.0).abs() < 1e-12);
+            }
+        });
+    }
+
+    #[test]
+    fn a_step_is_found_at_its_place_and_noise_has_none() {
+        Bench::new(Some((42, 0.3))).with(|search, _| {
+            let found = search.strongest(search.candidates(&[])).unwrap();
+            assert_eq!(found.event.kind, RunEventKind::BarZeroStep);
+            assert_eq!(found.event.from.map(|(_, place)| place), Some(42));
+            assert!(found.is_certain && found.probability > 0.99 && found.rivals.is_empty(), "{found:?}");
+            assert!((found.coefficients[0] - 0.3).abs() < 4.0 * found.sd_mm, "{found:?}");
+            // What is an unknown already is no further event.
+            let again = search.strongest(search.candidates(&[found.event]));
+            assert!(again.is_none_or(|other| other.event.from != found.event.from));
+        });
+        assert!(Bench::new(None).with(|search, _| search.strongest(search.candidates(&[])).is_none()));
+    }
+
+    /// One ball after the other: a step between them adds the column of an offset of the second ball.
+    fn stepped_between_balls() -> Bench {
+        let mut bench = Bench::new(None);
+        bench.readings.sort_by_key(|reading| reading.datum.ball());
+        bench.readings[40..].iter_mut().for_each(|reading| reading.length_mm += 0.3);
+        bench
+    }
+
+    #[test]
+    fn a_step_that_an_offset_of_a_ball_explains_is_not_certain() {
+        stepped_between_balls().with(|search, _| {
+            let step = RunEvent {
+                bar: Some(BarId::FIRST),
+                ..event(RunEventKind::BarZeroStep, Some((40.0 / 79.0, 40)))
+            };
+            let offset = RunEvent { ball: Some(BallId::at(1)), ..event(RunEventKind::BallOffset, None) };
+            let [of_step, of_offset] = [step, offset].map(|event| search.judged(event).unwrap());
+            assert!(
+                (of_step.1 - of_offset.1).abs() < 1e-9 && of_step.1 > 10.0,
+                "{} {}",
+                of_step.1,
+                of_offset.1
+            );
+            assert!((search.cosine(&of_step.0, &of_offset.0) - 1.0).abs() < 1e-9);
+            assert!(search.strongest(search.candidates(&[])).is_none_or(|found| !found.is_certain));
+        });
+    }
+
+    #[test]
+    #[ignore = "open: where the offset of a ball is the strongest, nothing is reported"]
+    fn a_step_that_an_offset_of_a_ball_explains_is_reported() {
+        stepped_between_balls().with(|search, _| {
+            let found = search.strongest(search.candidates(&[])).unwrap();
+            assert!(!found.is_certain && found.event.kind != RunEventKind::BallOffset, "{found:?}");
+            assert!(found.rivals.contains(&RunEventKind::BallOffset), "{found:?}");
+        });
+    }
+
+    #[test]
+    fn lengths_that_fit_another_ball_have_its_number() {
+        let model = model(3);
+        let all = readings(&model, 10, 1);
+        let mut wrong = all.clone();
+        // Measured to the third ball, written down as the first; one is off by no ball's length.
+        for at in [3, 9, 24] {
+            wrong[at].length_mm = all[at + 2].length_mm + 0.02;
+        }
+        wrong[12].length_mm += 7.0;
+        let lengths = Lengths::few(wrong, vec![1.0; 30]);
+        let found = wrong_balls(&model, &lengths, &[3, 9, 12, 24], 0.05);
+        assert_eq!(found, [(3, BallId::at(2)), (9, BallId::at(2)), (24, BallId::at(2))]);
+        // By chance one of 30 lengths fits another ball within 0.6 mm of a metre with a probability of 30 / 1667: three have
+        // ln B = 3 ln 55.6 = 12.1, against ln 700 = 6.6 of the prior and ln 99 = 4.6; two have 8.0.
+        assert!(
+            are_wrong_balls(3, 30, 0.05) && !are_wrong_balls(2, 30, 0.05) && !are_wrong_balls(0, 30, 0.05)
+        );
+        // Of very many lengths, those that fit another ball within millimetres are chance.
+        assert!(!are_wrong_balls(50, 10_000, 1.0));
+    }
+}

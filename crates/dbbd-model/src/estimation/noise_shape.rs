@@ -221,3 +221,137 @@ impl NoiseScore<'_> {
         Some(Slopes { gradient, information })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::hyper_parameters::{Hypers, Variance};
+    use super::super::system::System;
+    use super::super::tests::cell_of_poses::{hypers, model, normals, readings};
+    use super::*;
+    use crate::robot::{BarId, Joint, ParamId};
+
+    const SIGMA_MM: f64 = 0.03;
+
+    fn system() -> System {
+        let (model, readings) = (model(3), readings(&model(3), 40, 2));
+        let unit = vec![1.0; readings.len()];
+        let ids = [ParamId::A(Joint::J2), ParamId::BarOffset(BarId::FIRST)];
+        let rows = PoseRows::at(&model, &(readings.as_slice(), unit.as_slice()), &ids, |_| None);
+        System {
+            right: normals(readings.len(), 7) * 0.04,
+            weights: (0..readings.len()).map(|at| if at % 2 == 0 { 0.8 } else { 1.2 }).collect(),
+            rows,
+            variances: vec![Some(Variance::Fixed(0.5)), Some(Variance::Fixed(0.05))],
+            sigma_is_given: false,
+            sigma_mm: SIGMA_MM,
+        }
+    }
+
+    fn shape(own: OwnNoise) -> NoiseShape {
+        NoiseShape { own, backlash: BacklashNoise::Known([0.0; AXES]) }
+    }
+
+    fn sought(sd: f64) -> NoiseShape {
+        shape(OwnNoise::Sought { sd, stated: 0.02 })
+    }
+
+    fn scored<R>(system: &System, shape: NoiseShape, of: impl Fn(NoiseScore<'_>) -> R) -> R {
+        let whitened = system.whitened(shape, SIGMA_MM).unwrap();
+        let posterior = whitened.equations.posterior(&hypers(SIGMA_MM)).unwrap();
+        of(NoiseScore {
+            rows: &system.rows,
+            whitened: &whitened,
+            sigma_mm: SIGMA_MM,
+            mean: &posterior.mean,
+            root: &posterior.root().unwrap(),
+            backlash_places: [None; AXES],
+        })
+    }
+
+    /// The logarithm of the evidence at these noises; the prior of ln t is normal about what is stated.
+    fn ln_evidence(system: &System, shape: NoiseShape, hypers: &Hypers) -> f64 {
+        let whitened = system.whitened(shape, SIGMA_MM).unwrap();
+        let of_own = match shape.own {
+            OwnNoise::Sought { sd, stated } => -0.5 * ((sd / stated).ln() / STATED_LN_SD).powi(2),
+            OwnNoise::Stated(_) => 0.0,
+        };
+        let evidence = whitened.equations.posterior(hypers).unwrap().ln_evidence(hypers);
+        evidence + of_own + shape.backlash.ln_prior()
+    }
+
+    #[test]
+    fn gradient_by_the_noise_of_a_length_is_that_of_the_evidence() {
+        let (system, hypers) = (system(), hypers(SIGMA_MM));
+        for sd in [0.01, 0.025] {
+            let found = scored(&system, sought(sd), |score| score.slopes().unwrap().gradient[OWN]);
+            let moved = |step: f64| ln_evidence(&system, sought(sd * step.exp()), &hypers);
+            let numeric = (moved(1e-4) - moved(-1e-4)) / 2e-4;
+            assert!((found - numeric).abs() < 1e-4 * numeric.abs().max(1.0), "{found} {numeric}");
+        }
+    }
+
+    #[test]
+    fn gradient_by_backlash_is_that_of_the_evidence() {
+        let (system, hypers) = (system(), hypers(SIGMA_MM));
+        let at = |sds: [f64; AXES]| NoiseShape { backlash: BacklashNoise::Sought(sds), ..sought(0.015) };
+        let sds = [2e-5, 5e-5, 3e-5, 8e-5, 4e-5, 1e-4];
+        let found = scored(&system, at(sds), |score| score.slopes().unwrap().gradient);
+        for joint in 0..AXES {
+            let moved = |step: f64| {
+                let mut sds = sds;
+                sds[joint] *= step.exp();
+                ln_evidence(&system, at(sds), &hypers)
+            };
+            let numeric = (moved(1e-4) - moved(-1e-4)) / 2e-4;
+            let size = numeric.abs().max(1.0);
+            assert!((found[joint] - numeric).abs() < 1e-4 * size, "{joint}: {} {numeric}", found[joint]);
+        }
+    }
+
+    /// The information is the variance of the gradient over data that are as the noise says, without those of the priors; 2000
+    /// data sets have it to 1 / sqrt(1000), 3 %.
+    #[test]
+    fn information_is_the_variance_of_the_gradient() {
+        const SETS: usize = 2000;
+        let mut system = system();
+        let (shape, count) = (sought(0.02), system.right.len());
+        let information = scored(&system, shape, |score| score.slopes().unwrap().information[(OWN, OWN)]);
+        let root = {
+            let whitened = system.whitened(shape, SIGMA_MM).unwrap();
+            // Whitening of the unit matrix is the inverse of the root, in units of sigma.
+            let mut inverse = DMatrix::identity(count, count);
+            whitened.whitening.apply(&mut inverse);
+            inverse.try_inverse().unwrap() * SIGMA_MM
+        };
+        let gradients: Vec<f64> = (0..SETS)
+            .map(|set| {
+                let of_unknowns =
+                    normals(2, 90_000 + set as u64).component_mul(&DVector::from_row_slice(&[0.5, 0.05]));
+                system.right =
+                    &root * normals(count, 10_000 + set as u64) + &system.rows.values * of_unknowns;
+                scored(&system, shape, |score| score.slopes().unwrap().gradient[OWN])
+            })
+            .collect();
+        let mean = gradients.iter().sum::<f64>() / SETS as f64;
+        let variance = gradients.iter().map(|one| (one - mean).powi(2)).sum::<f64>() / SETS as f64;
+        let expected = information - STATED_LN_SD.powi(-2);
+        assert!((variance / expected - 1.0).abs() < 0.1, "{variance} {expected}");
+        // Nothing pulls at the true noise: four standard errors.
+        assert!(mean.abs() < 4.0 * (variance / SETS as f64).sqrt(), "{mean}");
+    }
+
+    #[test]
+    fn what_is_stated_or_known_is_not_moved() {
+        let (system, known) = (system(), BacklashNoise::Known([1e-5; AXES]));
+        let stated = NoiseShape { own: OwnNoise::Stated(0.015), backlash: known };
+        assert!(stated.is_known() && !sought(0.01).is_known());
+        let after = scored(&system, stated, |score| score.step().unwrap());
+        assert_eq!((after.own.sd(), after.backlash.sds()), (0.015, [1e-5; AXES]));
+        assert!(after.is_known());
+        // The noise that is sought alone moves, towards that of the numbers.
+        let both = NoiseShape { backlash: known, ..sought(0.015) };
+        let after = scored(&system, both, |score| score.step().unwrap());
+        assert_eq!(after.backlash.sds(), [1e-5; AXES]);
+        assert!(matches!(after.own, OwnNoise::Sought { sd, stated: 0.02 } if sd > 0.015), "{after:?}");
+    }
+}

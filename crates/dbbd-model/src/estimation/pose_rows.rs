@@ -267,3 +267,73 @@ impl Whitening {
         self.poses.iter().map(|(_, factor)| of_pose(factor)).sum()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::cell_of_poses::{model, readings};
+    use super::*;
+    use crate::measurement::{PreparedMeasurement, Tracker};
+    use crate::robot::BallId;
+
+    fn rows(model: &LengthModel, readings: &[PreparedMeasurement], times: &[f64]) -> PoseRows {
+        let unit = vec![1.0; readings.len()];
+        PoseRows::at(model, &(readings, unit.as_slice()), &[], |place| times.get(place).copied())
+    }
+
+    /// The visits, by their first rows.
+    fn visits(model: &LengthModel, readings: &[PreparedMeasurement], times: &[f64]) -> Vec<Vec<usize>> {
+        let mut visits = rows(model, readings, times).poses;
+        visits.sort();
+        visits
+    }
+
+    #[test]
+    fn a_visit_has_one_length_to_each_ball_at_one_time() {
+        let model = model(3);
+        let (one, other) = ([0.1, -1.0, 1.5, 0.0, 1.0, 0.0], [0.2, -1.0, 1.5, 0.0, 1.0, 0.0]);
+        let to = |axes: [f64; AXES], ball: usize| PreparedMeasurement::new(axes, BallId::at(ball), 300.0);
+        let mut all = vec![to(one, 0), to(one, 1), to(one, 2), to(one, 0), to(other, 0), to(one, 1)];
+        assert_eq!(visits(&model, &all, &[]), [vec![0, 1, 2], vec![3, 5], vec![4]]);
+        // At other times they are other visits.
+        assert_eq!(
+            visits(&model, &all, &[0.0, 0.0, 0.5, 0.6, 0.7, 0.6]),
+            [vec![0, 1], vec![2], vec![3, 5], vec![4]]
+        );
+        // An axis that came from the other side is at another place.
+        all[1].approach = Approach::new([1, 0, 0, 0, 0, 0]);
+        assert_eq!(visits(&model, &all[..3], &[]), [vec![0, 2], vec![1]]);
+    }
+
+    #[test]
+    fn noise_is_told_apart_by_several_lengths_of_a_pose_that_are_not_orthogonal() {
+        let of_balls = |balls: usize| {
+            let model = model(balls);
+            rows(&model, &readings(&model, 12, 1), &[]).tell_noise_apart()
+        };
+        assert_eq!([1, 2, 3].map(of_balls), [false, true, true]);
+        // Coordinates of a position are orthogonal.
+        let origin = nalgebra::Vector3::new(2500.0, 300.0, 100.0);
+        let tracker = Tracker { origin, turn: nalgebra::Vector3::new(0.3, -0.2, 0.9) };
+        let model = LengthModel { tracker: Some(tracker), ..model(1) };
+        let planes = |reading: PreparedMeasurement| {
+            let mut planes = [reading; 3];
+            planes.iter_mut().zip(Coordinate::ALL).for_each(|(row, axis)| row.datum = Datum::Plane(axis));
+            planes
+        };
+        let positions: Vec<PreparedMeasurement> =
+            readings(&model, 12, 1).into_iter().flat_map(planes).collect();
+        let rows = rows(&model, &positions, &[]);
+        assert!(rows.poses.iter().all(|pose| pose.len() == 3));
+        assert!(!rows.tell_noise_apart());
+        // Rows of one visit in ten are too few.
+        let model = super::super::tests::cell_of_poses::model(3);
+        let three = readings(&model, 21, 1);
+        let few = |with_three: usize| {
+            let is_kept = |at: &usize| at.is_multiple_of(3) || at / 3 < with_three;
+            let some: Vec<PreparedMeasurement> =
+                (0..three.len()).filter(is_kept).map(|at| three[at]).collect();
+            self::rows(&model, &some, &[]).tell_noise_apart()
+        };
+        assert_eq!([2, 3].map(few), [false, true]);
+    }
+}

@@ -246,7 +246,13 @@ fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
         transform[(*place, columns + at)] = 1.0;
         variances.push(setting.priors.bound(ids[*place]).map(|sd| match ids[*place].group() {
             ParamGroup::Tool => Variance::Of(Group::Tool, sd),
-            _ => Variance::Fixed(sd),
+            ParamGroup::Geometric
+            | ParamGroup::Targets
+            | ParamGroup::Balls
+            | ParamGroup::Bar
+            | ParamGroup::Tracker
+            | ParamGroup::Compliance
+            | ParamGroup::Gear => Variance::Fixed(sd),
         }));
     }
     let means = ids.iter().map(|id| setting.start.value(*id)).collect();
@@ -278,5 +284,78 @@ fn start_sigma(lengths: &Lengths, set_up: &Fit, base: &[ParamId]) -> Sigma {
     match lengths.known {
         true => Sigma::And(scatter),
         false => Sigma::All(scatter.sqrt().max(FLOOR_MM)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::cell_of_poses::base_balls;
+    use super::*;
+    use crate::estimation::Options;
+    use crate::test_support::cell::{CENTRE, horizontal, kr60, measure, with_errors};
+
+    /// What the lengths of one circle know of the directions of the transform, in tolerances, with the set-up taken out of dense
+    /// normal equations by its Schur complement.
+    #[test]
+    fn without_a_prior_directions_that_the_data_do_not_know_have_the_tolerance() {
+        let circles = [horizontal(1, CENTRE)];
+        let data = measure(&with_errors([("a1", 0.4), ("d4", -0.3)]), &circles, 40, 25.0);
+        let (robot, options) =
+            (kr60(), Options { prior: Prior::None, sigma_mm: Some(0.02), ..Options::default() });
+        let start = LengthModel::new(robot.geometry.clone(), &base_balls(1));
+        let setting = Setting::new(&robot, &start, &data, &options);
+        let lengths = Lengths::of(&data.rows, &options, &robot);
+        let found = EstimateStart::of(&setting, &lengths, &setting.asked()).unwrap();
+        let known = found.known_before(&setting, &lengths).unwrap();
+        let transform = known.transform.as_ref().unwrap();
+        let is_own = |at: &usize| known.ids[*at].is_geometric();
+        let (own, rest): (Vec<usize>, Vec<usize>) = (0..known.ids.len()).partition(is_own);
+        let set_up: Vec<usize> = rest.iter().copied().filter(|at| known.ids[*at].is_setup()).collect();
+        let ids: Vec<ParamId> = set_up.iter().chain(&own).map(|at| known.ids[*at]).collect();
+        let mut sorted = ids.clone();
+        sorted.sort();
+        let rows = factor(&found.before, &lengths.weighted(found.sigma, &found.fit.outliers), &sorted);
+        let places: Vec<usize> = ids.iter().map(|id| sorted.binary_search(id).unwrap()).collect();
+        let mut rows = rows.select_columns(&places);
+        // The set-up in units of a millimetre, the geometry in tolerances.
+        for (mut column, id) in rows.column_iter_mut().zip(&ids) {
+            column *= setting.priors.geometric(*id).unwrap_or(1.0);
+        }
+        let mut normal = rows.tr_mul(&rows);
+        for (row, id) in ids[..set_up.len()].iter().enumerate() {
+            normal[(row, row)] += setting.priors.bound(*id).map_or(0.0, |sd| sd.powi(-2));
+        }
+        let (s, g) = (set_up.len(), own.len());
+        let of_set_up = normal.view((0, 0), (s, s)).into_owned();
+        let across = normal.view((0, s), (s, g)).into_owned();
+        let left =
+            normal.view((s, s), (g, g)) - across.transpose() * of_set_up.try_inverse().unwrap() * across;
+        let (mut weak, mut strong) = (0, 0);
+        for at in &own {
+            let direction = nalgebra::DVector::from_iterator(
+                g,
+                own.iter()
+                    .map(|to| transform[(*to, *at)] / setting.priors.geometric(known.ids[*to]).unwrap()),
+            );
+            assert!((direction.norm() - 1.0).abs() < 1e-9);
+            let information = direction.dot(&(&left * &direction));
+            match known.variances[*at] {
+                Some(Variance::Fixed(1.0)) => {
+                    weak += 1;
+                    assert!(information < 1.0 / 9.0 + 1e-6, "{information}");
+                }
+                Some(Variance::Fixed(1e4)) => {
+                    strong += 1;
+                    assert!(information > 1.0 / 9.0 - 1e-6, "{information}");
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+        assert!(weak > 0 && strong > 0, "{weak} {strong}");
+        // The others are their own.
+        for at in rest {
+            assert_eq!(transform.column(at).iter().filter(|share| **share != 0.0).count(), 1);
+            assert_eq!(transform[(at, at)], 1.0);
+        }
     }
 }

@@ -254,3 +254,149 @@ impl SystemPosterior<'_> {
         determined
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::noise_shape::{BacklashNoise, OwnNoise};
+    use super::super::tests::cell_of_poses::{hypers, model, normals, readings};
+    use super::*;
+    use crate::measurement::PreparedMeasurement;
+    use crate::robot::{AXES, BallId, BarId, Coordinate, Joint, ParamId};
+
+    const SIGMA_MM: f64 = 0.03;
+    const SHAPE: NoiseShape =
+        NoiseShape { own: OwnNoise::Stated(0.01), backlash: BacklashNoise::Known([0.0; AXES]) };
+
+    /// Two bound parameters of the robot, a bar, and two free balls.
+    fn ids() -> Vec<ParamId> {
+        let balls = (0..2).flat_map(|ball| Coordinate::ALL.map(|axis| ParamId::Ball(BallId::at(ball), axis)));
+        let mut ids =
+            vec![ParamId::Theta(Joint::J2), ParamId::A(Joint::J3), ParamId::BarOffset(BarId::FIRST)];
+        ids.extend(balls);
+        ids.sort();
+        ids
+    }
+
+    fn system(readings: &[PreparedMeasurement]) -> System {
+        let unit = vec![1.0; readings.len()];
+        let rows = PoseRows::at(&model(2), &(readings, unit.as_slice()), &ids(), |_| None);
+        let variance = |id: &ParamId| match id {
+            ParamId::Ball(..) => None,
+            ParamId::Theta(_) => Some(Variance::Of(Group::Harmonic, 1.0)),
+            ParamId::BarOffset(_) => Some(Variance::Fixed(0.05)),
+            _ => Some(Variance::Of(Group::Tolerance, 0.5)),
+        };
+        let right = normals(readings.len(), 3) * 0.1;
+        System {
+            right,
+            weights: vec![1.0; readings.len()],
+            rows,
+            variances: ids().iter().map(variance).collect(),
+            sigma_is_given: false,
+            sigma_mm: SIGMA_MM,
+        }
+    }
+
+    /// The covariance of the noise: sigma^2 u'v of the lengths of a pose, and what each has of its own.
+    fn noise(system: &System) -> DMatrix<f64> {
+        let rows = &system.rows;
+        let mut noise = DMatrix::zeros(rows.units.len(), rows.units.len());
+        for pose in &rows.poses {
+            for (i, j) in pose.iter().flat_map(|i| pose.iter().map(move |j| (*i, *j))) {
+                let cosine: f64 = (0..3).map(|k| rows.units[i][k] * rows.units[j][k]).sum();
+                noise[(i, j)] = SIGMA_MM * SIGMA_MM * cosine + if i == j { 0.01 * 0.01 } else { 0.0 };
+            }
+        }
+        noise
+    }
+
+    /// Mean and covariance of A'S^-1 A + P by dense normal equations, columns in units of their norm.
+    fn dense(system: &System, hypers: &Hypers) -> (DVector<f64>, DMatrix<f64>) {
+        let a = &system.rows.values;
+        let units = DVector::from_iterator(a.ncols(), a.column_iter().map(|column| column.norm().recip()));
+        let scaled = a * DMatrix::from_diagonal(&units);
+        let inverse_noise = noise(system).try_inverse().unwrap();
+        let mut precision = scaled.transpose() * &inverse_noise * &scaled;
+        for (k, variance) in system.variances.iter().enumerate() {
+            precision[(k, k)] +=
+                variance.map_or(0.0, |variance| units[k] * units[k] / variance.value(hypers));
+        }
+        let covariance = precision.try_inverse().unwrap();
+        let mean = &covariance * (scaled.transpose() * inverse_noise * &system.right);
+        let units = DMatrix::from_diagonal(&units);
+        (&units * mean, &units * covariance * &units)
+    }
+
+    fn assert_alike(mean: &DVector<f64>, root: &DMatrix<f64>, expected: &(DVector<f64>, DMatrix<f64>)) {
+        let covariance = root * root.transpose();
+        for i in 0..mean.len() {
+            let sd = expected.1[(i, i)].sqrt();
+            assert!((mean[i] - expected.0[i]).abs() < 1e-9 * sd.max(expected.0[i].abs()), "mean of {i}");
+            for j in 0..mean.len() {
+                let size = sd * expected.1[(j, j)].sqrt();
+                assert!((covariance[(i, j)] - expected.1[(i, j)]).abs() < 1e-9 * size, "{i} {j}");
+            }
+        }
+    }
+
+    #[test]
+    fn posterior_with_free_unknowns_taken_out_is_that_of_the_dense_equations() {
+        let system = system(&readings(&model(2), 30, 1));
+        let hypers = hypers(SIGMA_MM);
+        let whitened = system.whitened(SHAPE, SIGMA_MM).unwrap();
+        let posterior = whitened.equations.posterior(&hypers).unwrap();
+        assert_alike(&posterior.mean, &posterior.root().unwrap(), &dense(&system, &hypers));
+    }
+
+    /// With F the free columns, V the covariance of noise and bound unknowns, and e what generalised least squares of F leave,
+    /// the likelihood of what F does not explain is |V|^-1/2 |F'V^-1 F|^-1/2 exp(-e'V^-1 e / 2) up to factors of 2 pi
+    /// (Harville 1974).
+    #[test]
+    fn evidence_is_the_restricted_likelihood() {
+        let system = system(&readings(&model(2), 30, 1));
+        let hypers = hypers(SIGMA_MM);
+        let free: Vec<usize> =
+            (0..system.variances.len()).filter(|k| system.variances[*k].is_none()).collect();
+        let mut covariance = noise(&system);
+        for (k, variance) in system.variances.iter().enumerate() {
+            let Some(variance) = variance else { continue };
+            let column = system.rows.values.column(k);
+            covariance += column * column.transpose() * variance.value(&hypers);
+        }
+        let ln = |matrix: &DMatrix<f64>| {
+            2.0 * Cholesky::new(matrix.clone()).unwrap().l_dirty().diagonal().map(f64::ln).sum()
+        };
+        let inverse = covariance.clone().try_inverse().unwrap();
+        let own = system.rows.values.select_columns(&free);
+        let normal = own.transpose() * &inverse * &own;
+        let step = normal.clone().try_inverse().unwrap() * (own.transpose() * &inverse * &system.right);
+        let left = &system.right - &own * step;
+        let freedom = (system.right.len() - free.len()) as f64;
+        let chi = (left.transpose() * &inverse * &left)[(0, 0)];
+        let expected =
+            -0.5 * (freedom * (2.0 * std::f64::consts::PI).ln() + ln(&covariance) + ln(&normal) + chi);
+        let whitened = system.whitened(SHAPE, SIGMA_MM).unwrap();
+        let posterior = whitened.equations.posterior(&hypers).unwrap();
+        let found = posterior.ln_evidence(&hypers) - whitened.equations.evidence.ln_prior(&hypers);
+        assert!((found - expected).abs() < 1e-6, "{found} {expected}");
+    }
+
+    #[test]
+    fn sums_of_two_pieces_are_those_of_the_whole() {
+        let all = readings(&model(2), 30, 1);
+        let whole = system(&all);
+        let piece = |from: usize, count: usize| {
+            let mut piece = system(&all[from..from + count]);
+            piece.right = whole.right.rows(from, count).into_owned();
+            piece.normal_sums(SHAPE, SIGMA_MM).unwrap()
+        };
+        let sums = piece(0, 24).and(&piece(24, 36));
+        let equations = Equations::of(&whole, sums).unwrap();
+        let hypers = hypers(SIGMA_MM);
+        let posterior = equations.posterior(&hypers).unwrap();
+        assert_alike(&posterior.mean, &posterior.root().unwrap(), &dense(&whole, &hypers));
+        let once = whole.whitened(SHAPE, SIGMA_MM).unwrap();
+        let once = once.equations.posterior(&hypers).unwrap().ln_evidence(&hypers);
+        assert!((posterior.ln_evidence(&hypers) - once).abs() < 1e-7);
+    }
+}

@@ -181,7 +181,7 @@ impl Unknowns {
         let mut rows =
             PoseRows::at(model, &used.by(Sigma::All(1.0)), ids, |place| used.lengths().time(place));
         if let Some(transform) = transform {
-            let mixed = &rows.values.columns(0, transform.nrows()) * transform;
+            let mixed = rows.values.columns(0, transform.nrows()) * transform;
             let rest = rows.values.columns_range(transform.nrows()..).into_owned();
             rows.values = beside(mixed, &rest);
         }
@@ -387,4 +387,252 @@ fn beside(left: DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
 fn range(angles: &[f64]) -> [f64; 2] {
     let start = [f64::INFINITY, f64::NEG_INFINITY];
     angles.iter().fold(start, |[low, high], angle| [low.min(*angle), high.max(*angle)])
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_pcg::Pcg64;
+
+    use super::super::lengths::Lengths;
+    use super::super::options::Options;
+    use super::super::tests::cell_of_poses::{base_balls, hypers, model, normals, pose, readings};
+    use super::*;
+    use crate::measurement::{Measurement, PreparedMeasurement, TargetId};
+    use crate::robot::{AxisAngles, BallId, Coordinate, Joint};
+    use crate::test_support::cell::kr60;
+
+    fn poses(count: usize) -> Vec<[f64; AXES]> {
+        let mut random = Pcg64::seed_from_u64(1);
+        (0..count).map(|_| pose(&mut random)).collect()
+    }
+
+    #[test]
+    fn clusters_are_far_from_each_other_and_do_not_depend_on_the_order() {
+        for (count, expected) in [(7, 0), (8, 2), (43, 10), (96, 24), (400, 24)] {
+            assert_eq!(centres(&poses(count)).len(), expected, "{count} poses");
+        }
+        let mut poses = poses(60);
+        let found = centres(&poses);
+        // Each is the farthest from those before it, the first from the middle.
+        let all: Vec<Features> = poses.iter().map(features).collect();
+        let middle: Features = std::array::from_fn(|k| all.iter().map(|one| one[k]).sum::<f64>() / 60.0);
+        for (at, centre) in found.iter().enumerate() {
+            let off = |one: &Features| match at {
+                0 => square(one, &middle),
+                _ => found[..at].iter().map(|before| square(one, before)).fold(f64::INFINITY, f64::min),
+            };
+            let farthest = all.iter().map(off).fold(0.0, f64::max);
+            assert!((off(centre) - farthest).abs() < 1e-12, "{at}");
+        }
+        poses.reverse();
+        poses.extend_from_within(..30);
+        poses.swap(3, 40);
+        assert_eq!(centres(&poses), found, "nor on poses that are repeated");
+    }
+
+    /// Rows of readings as a table has them, measured one after the other.
+    fn table(readings: &[PreparedMeasurement]) -> Vec<Measurement> {
+        let row = |(index, reading): (u32, &PreparedMeasurement)| Measurement {
+            index,
+            datum: reading.datum,
+            target: TargetId::FIRST,
+            axes: AxisAngles::from_degrees(reading.axes.map(f64::to_degrees)),
+            approach: reading.approach,
+            length_mm: reading.length_mm,
+            sigma_mm: None,
+            context: None,
+        };
+        (1..).zip(readings).map(row).collect()
+    }
+
+    fn known(
+        ids: &[ParamId],
+        variances: Vec<Option<Variance>>,
+        transform: Option<DMatrix<f64>>,
+    ) -> KnownBefore {
+        let start = model(2);
+        let mean = |(id, variance): (&ParamId, &Option<Variance>)| variance.map_or(0.0, |_| start.value(*id));
+        let means = ids.iter().zip(&variances).map(mean).collect();
+        KnownBefore {
+            ids: ids.to_vec(),
+            means,
+            variances,
+            transform,
+            has_coefficients: false,
+            are_bars_uncertified: false,
+        }
+    }
+
+    const IDS: [ParamId; 4] = [
+        ParamId::A(Joint::J2),
+        ParamId::D(Joint::J4),
+        ParamId::Theta(Joint::J3),
+        ParamId::Ball(BallId::FIRST, Coordinate::X),
+    ];
+
+    fn sorted_ids() -> Vec<ParamId> {
+        let mut ids = IDS.to_vec();
+        ids.sort();
+        ids
+    }
+
+    /// Bound but for the ball.
+    fn variances(ids: &[ParamId]) -> Vec<Option<Variance>> {
+        let of = |id: &ParamId| match id {
+            ParamId::Ball(..) => None,
+            ParamId::Theta(_) => Some(Variance::Fixed(1e-3)),
+            _ => Some(Variance::Of(Group::Tolerance, 0.5)),
+        };
+        ids.iter().map(of).collect()
+    }
+
+    /// Mixes the first three of the four.
+    fn transform() -> DMatrix<f64> {
+        DMatrix::from_row_slice(
+            4,
+            4,
+            &[1.0, 0.2, -0.1, 0.0, 0.0, 0.8, 0.3, 0.0, 0.4, 0.0, 1.1, 0.0, 0.0, 0.0, 0.0, 1.0],
+        )
+    }
+
+    #[test]
+    fn columns_of_warming_are_what_zeros_and_links_move_with_time() {
+        let (model, robot) = (model(2), kr60());
+        let readings = readings(&model, 30, 1);
+        let (rows, options) = (table(&readings), Options::default());
+        let lengths = Lengths::of(&rows, &options, &robot);
+        let used = lengths.plain();
+        let ids = sorted_ids();
+        let unknowns = Unknowns::new(known(&ids, variances(&ids), None), &model, &used, true);
+        let mut there = model.clone();
+        there.geometry.joint_errors = unknowns.errors(&model.geometry.joint_errors, &hypers(0.03));
+        let system = unknowns.linearised(
+            &there,
+            &unknowns.at(&there, &DVector::zeros(0)),
+            &used,
+            BacklashNoise::Known([0.0; AXES]),
+            &[],
+        );
+        let warming = (AXES + 1) * WARMING;
+        let first = system.variances.len() - warming;
+        assert!(system.variances[first..].iter().all(|one| *one == Some(Variance::Of(Group::Warming, 1.0))));
+        // 30 poses have 7 clusters of 3 columns before, whose row has the direction of the length once.
+        assert!(
+            system.variances[first - 21..first]
+                .iter()
+                .all(|one| *one == Some(Variance::Of(Group::Cluster, 1.0)))
+        );
+        let step = 1e-6;
+        for row in [0, 17, 59] {
+            let reading = lengths.reading(row);
+            let length = |model: &LengthModel| model.prepare().length(&reading);
+            let elapsed = row as f64 / 59.0;
+            let by = |moved: &LengthModel| (length(moved) - length(&there)) / step;
+            let mut moves: Vec<f64> = Joint::ALL
+                .map(|joint| {
+                    let mut moved = there.clone();
+                    moved.shift(ParamId::Theta(joint), step);
+                    by(&moved)
+                })
+                .to_vec();
+            let mut grown = there.clone();
+            for joint in Joint::ALL {
+                for id in [ParamId::A(joint), ParamId::D(joint)] {
+                    grown.shift(id, step * there.value(id));
+                }
+            }
+            moves.push(by(&grown));
+            for order in 1..=WARMING {
+                let wave = (std::f64::consts::PI * order as f64 * elapsed).cos() / order as f64;
+                for (at, mm) in moves.iter().enumerate() {
+                    let found = system.rows.values[(row, first + (order - 1) * (AXES + 1) + at)];
+                    assert!(
+                        (found - wave * mm).abs() < 0.02,
+                        "row {row}, order {order}, {at}: {found} {}",
+                        wave * mm
+                    );
+                }
+            }
+            let clusters = system.rows.values.view((row, first - 21), (1, 21)).into_owned();
+            assert!((clusters.norm() - 1.0).abs() < 1e-12, "{}", clusters.norm());
+        }
+    }
+
+    #[test]
+    fn without_an_order_nothing_warms() {
+        let (model, robot) = (model(2), kr60());
+        let mut rows = table(&readings(&model, 30, 1));
+        rows.iter_mut().for_each(|row| row.index = 1);
+        let options = Options::default();
+        let lengths = Lengths::of(&rows, &options, &robot);
+        let ids = sorted_ids();
+        let unknowns = |with_errors| {
+            Unknowns::new(known(&ids, variances(&ids), None), &model, &lengths.plain(), with_errors)
+        };
+        assert!(!unknowns(true).errors.warms && !unknowns(true).errors.centres.is_empty());
+        assert!(unknowns(false).errors.centres.is_empty());
+        assert!((0..AXES).all(|joint| unknowns(true).moved(joint) && !unknowns(false).moved(joint)));
+    }
+
+    #[test]
+    fn parameters_have_the_covariance_of_the_transform() {
+        let ids = sorted_ids();
+        let mut of = variances(&ids);
+        let free = of.iter().position(Option::is_none).unwrap();
+        // The ball is the last of them, as the transform has it.
+        assert_eq!(free, 3, "{ids:?}");
+        let model = model(2);
+        let readings = readings(&model, 10, 1);
+        let lengths = Lengths::few(readings, vec![1.0; 20]);
+        let unknowns =
+            Unknowns::new(known(&ids, of.clone(), Some(transform())), &model, &lengths.plain(), false);
+        let hypers = hypers(0.03);
+        let found = unknowns.prior_sds(&hypers);
+        assert_eq!(found[free], None);
+        of[free] = Some(Variance::Fixed(1.0));
+        let diagonal = DVector::from_iterator(4, of.iter().flatten().map(|variance| variance.value(&hypers)));
+        let covariance = transform() * DMatrix::from_diagonal(&diagonal) * transform().transpose();
+        for at in 0..3 {
+            assert!((found[at].unwrap() / covariance[(at, at)].sqrt() - 1.0).abs() < 1e-12, "{at}");
+        }
+        // Rows of two coefficients and of an unknown beyond them follow those of the parameters.
+        let rows = DMatrix::from_fn(7, 5, |i, j| ((3 * i + 5 * j) as f64).sin());
+        let mixed = unknowns.rows_of_parameters(&rows, 2);
+        assert_eq!(mixed.shape(), (6, 5));
+        assert!((mixed.rows(0, 4) - transform() * rows.rows(0, 4)).norm() < 1e-12);
+        assert_eq!(mixed.rows(4, 2), rows.rows(4, 2));
+    }
+
+    #[test]
+    fn a_model_that_is_moved_to_unknowns_has_them() {
+        let ids = sorted_ids();
+        for transform in [None, Some(transform())] {
+            let start = model(2);
+            let readings = readings(&start, 20, 1);
+            let lengths = Lengths::few(readings, vec![1.0; 40]);
+            let unknowns = Unknowns::new(
+                known(&ids, variances(&ids), transform.clone()),
+                &start,
+                &lengths.plain(),
+                true,
+            );
+            let mut model = start.clone();
+            model.geometry.joint_errors = unknowns.errors(&model.geometry.joint_errors, &hypers(0.03));
+            let now = unknowns.at(&model, &DVector::zeros(0));
+            assert_eq!(now.len(), 4 + model.geometry.joint_errors.count());
+            let then = normals(now.len(), 5) * 1e-3;
+            unknowns.move_to(&now, &then, &mut model);
+            let found = unknowns.at(&model, &DVector::zeros(0));
+            assert!((found - unknowns.rested(then.clone())).norm() < 1e-12);
+            // The free ball made its step.
+            assert!((model.balls[0].x - base_balls(1)[0].position.x - then[3]).abs() < 1e-12);
+            let step = transform.map_or(then[0], |transform| (transform.row(0) * then.rows(0, 4))[0]);
+            assert!((model.value(ids[0]) - start.value(ids[0]) - step).abs() < 1e-12);
+            // And back.
+            let here = unknowns.at(&model, &DVector::zeros(0));
+            unknowns.move_to(&here, &now, &mut model);
+            assert!((model.value(ids[0]) - start.value(ids[0])).abs() < 1e-12);
+        }
+    }
 }
