@@ -272,9 +272,9 @@ impl<'a> EventSearch<'a> {
     /// The most probable of the candidates, if it is more probable than nothing.
     pub(super) fn strongest(&self, mut best: Vec<EventCandidate>) -> Option<JudgedEvent> {
         best.sort_by(|a, b| b.ln_odds().total_cmp(&a.ln_odds()));
-        let exp = |ln: f64| ln.min(300.0).exp();
-        let all: f64 = 1.0 + best.iter().map(|candidate| exp(candidate.ln_odds())).sum::<f64>();
         let (first, others) = best.split_first()?;
+        let exp = |ln: f64| (ln - first.ln_odds().max(0.0)).exp();
+        let all: f64 = exp(0.0) + best.iter().map(|candidate| exp(candidate.ln_odds())).sum::<f64>();
         let (event, ln_odds) = (first.event, first.ln_odds());
         if ln_odds <= 0.0 || event.kind == RunEventKind::BallOffset {
             return None;
@@ -491,7 +491,14 @@ mod tests {
     }
 
     fn event(kind: RunEventKind, from: Option<(f64, usize)>) -> RunEvent {
-        RunEvent { kind, bar: None, ball: None, from, grows: false, size_mm: 0.5 }
+        RunEvent {
+            kind,
+            bar: None,
+            ball: None,
+            from,
+            grows: kind == RunEventKind::BarZeroDrift,
+            size_mm: 0.5,
+        }
     }
 
     /// What a part of the model that moves by a little does to the lengths.
