@@ -241,7 +241,10 @@ fn imports(text: &str) -> Vec<String> {
             })
         })
         // Macros and types at the root of a crate belong to no room.
-        .filter(|name| name.starts_with(|c: char| c.is_lowercase()) && name != "findings")
+        // What tests share is of no room either.
+        .filter(|name| {
+            name.starts_with(|c: char| c.is_lowercase()) && name != "findings" && name != "test_support"
+        })
         .collect()
 }
 

@@ -114,7 +114,7 @@ type Command = (fn() -> String, &'static [&'static str], i32, &'static [&'static
 const COMMANDS: &[Command] = &[
     (twisted, &[], 1, &["E0703", "I0713", "E0701"]),
     (risky, &[], 1, &["E0706", "I0713", "E0701"]),
-    (few, &[], 0, &["I0712", "I0714", "I0715", "I0716"]),
+    (few, &["--robot", "loose.toml"], 0, &["I0711", "I0712", "I0714", "I0715", "I0716"]),
     (|| JOB.into(), &["--robot", "identified.toml"], 3, &["W0720", "I0714", "I0715"]),
     (|| JOB.into(), &["--measured", "elsewhere.csv"], 1, &["E1203"]),
 ];
@@ -207,6 +207,10 @@ fn the_command_reports_every_finding() {
         std::fs::write(dir.path().join("job.toml"), job()).unwrap();
         let identified = Robot { nominal: Some(Box::new(robot())), ..robot() };
         std::fs::write(dir.path().join("identified.toml"), identified.to_toml().unwrap()).unwrap();
+        // A flange that is no better than the arm.
+        let mut loose = robot();
+        (loose.tolerance.flange_mm, loose.tolerance.flange_deg) = (0.5, 0.05);
+        std::fs::write(dir.path().join("loose.toml"), loose.to_toml().unwrap()).unwrap();
         let elsewhere =
             "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm\n1,2,0,-60,90,0,60,0,300\n";
         std::fs::write(dir.path().join("elsewhere.csv"), elsewhere).unwrap();

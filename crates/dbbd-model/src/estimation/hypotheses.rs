@@ -116,14 +116,13 @@ impl RunEvent {
 
     /// Whether a length is of the part that it is of.
     fn is_of(&self, datum: Datum) -> bool {
-        match self.kind {
-            RunEventKind::TrackerMoved | RunEventKind::TrackerDrift => datum.is_plane(),
-            _ if datum.is_plane() => self.kind == RunEventKind::ToolBallMoved,
-            _ => {
-                self.bar.is_none_or(|bar| datum.bar() == Some(bar))
-                    && self.ball.is_none_or(|ball| datum.ball() == Some(ball))
-            }
+        let is_of_tracker = matches!(self.kind, RunEventKind::TrackerMoved | RunEventKind::TrackerDrift);
+        if datum.is_plane() {
+            return is_of_tracker || self.kind == RunEventKind::ToolBallMoved;
         }
+        !is_of_tracker
+            && self.bar.is_none_or(|bar| datum.bar() == Some(bar))
+            && self.ball.is_none_or(|ball| datum.ball() == Some(ball))
     }
 
     /// Its columns at the rows, mm per mm.
@@ -301,8 +300,10 @@ impl<'a> EventSearch<'a> {
     fn events(&self, kind: RunEventKind) -> Vec<RunEvent> {
         let mut bars: Vec<BarId> = self.rows.data.iter().filter_map(|datum| datum.bar()).collect();
         let mut balls: Vec<BallId> = self.rows.data.iter().filter_map(|datum| datum.ball()).collect();
-        (bars.sort_unstable(), bars.dedup());
-        (balls.sort_unstable(), balls.dedup());
+        bars.sort_unstable();
+        bars.dedup();
+        balls.sort_unstable();
+        balls.dedup();
         let event = RunEvent { kind, bar: None, ball: None, from: None, grows: false, size_mm: 0.0 };
         let of_bars = || bars.iter().map(|bar| RunEvent { bar: Some(*bar), ..event });
         let of_balls = || balls.iter().map(|ball| RunEvent { ball: Some(*ball), ..event });

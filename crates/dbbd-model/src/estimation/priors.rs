@@ -133,10 +133,12 @@ impl Priors {
 
     /// The same where a fit begins: a bar without a certificate may have any length near what is stated.
     pub(super) fn bound_at_start(&self, id: ParamId) -> Option<f64> {
-        match id {
-            ParamId::BarOffset(_) if !self.is_certified() => Some(FAR_BAR_MM),
-            ParamId::Tool(_) if !self.is_of_posterior(id) => Some(FAR_TOOL_MM),
-            _ => self.bound(id),
+        if matches!(id, ParamId::BarOffset(_)) && !self.is_certified() {
+            Some(FAR_BAR_MM)
+        } else if matches!(id, ParamId::Tool(_)) && !self.is_of_posterior(id) {
+            Some(FAR_TOOL_MM)
+        } else {
+            self.bound(id)
         }
     }
 
