@@ -120,7 +120,9 @@ fn a_motion_of_the_tracker_is_an_unknown() {
     let still = |_: usize| 0.0;
     let step = |row: usize| if row > 30 { 0.2 } else { 0.0 };
     let drift = |row: usize| 0.3 * row as f64 / 70.0;
-    let of: [(&dyn Fn(usize) -> f64, Option<RunEventKind>); 3] = [
+    /// How far the tracker moved by each row, mm, and what that is.
+    type Motion<'a> = (&'a dyn Fn(usize) -> f64, Option<RunEventKind>);
+    let of: [Motion<'_>; 3] = [
         (&still, None),
         (&step, Some(RunEventKind::TrackerMoved)),
         (&drift, Some(RunEventKind::TrackerDrift)),
