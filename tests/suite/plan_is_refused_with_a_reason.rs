@@ -131,7 +131,7 @@ fn risky() -> String {
 /// About a ball near the base of the robot, which few poses reach.
 fn few() -> String {
     replaced(&[
-        ("[1300.0, 0.0, 800.0]", "[500.0, 0.0, 2400.0]"),
+        ("[1300.0, 0.0, 800.0]", "[450.0, 0.0, 300.0]"),
         (CIRCLE, "[optimise]\npoints = 16\ncandidates = 200\n"),
     ])
 }
