@@ -7,7 +7,7 @@ fn f_tail(f: f64, upper: f64, lower: f64) -> f64 {
     if f <= 0.0 { 1.0 } else { beta(lower / (lower + upper * f), 0.5 * lower, 0.5 * upper) }
 }
 
-/// Natural logarithm of [`f_tail`]; it is finite also where the probability underflows.
+/// Natural logarithm of the tail of F; it is finite also where the probability underflows.
 pub fn ln_f_tail(f: f64, upper: f64, lower: f64) -> f64 {
     if f <= 0.0 {
         return 0.0;
