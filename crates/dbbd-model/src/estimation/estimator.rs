@@ -32,7 +32,9 @@ use crate::estimation::EstimationFinding;
 use crate::math::distributions::ChiSquareOutcome;
 use crate::math::map_items;
 use crate::measurement::LengthModel;
-use crate::robot::{AXES, Approach, BallId, GaussianProcess, Joint, ParamId, RobotUncertainty};
+use crate::robot::{
+    AXES, Approach, BallId, GaussianProcess, Geometry, Joint, ParamId, Robot, RobotUncertainty,
+};
 
 /// Rounds in which the set of outliers may change.
 const OUTLIER_ROUNDS: usize = 3;
@@ -109,10 +111,31 @@ pub(crate) struct Estimate {
     pub(super) events: Vec<JudgedEvent>,
     /// What certain events did to each length, mm; empty without them.
     event_mm: Vec<f64>,
-    /// What the geometry alone leaves out of the estimate at the poses measured, root mean square, mm.
-    pub(super) left_out_mm: f64,
+    /// What a result of the geometry alone leaves out.
+    pub(super) left_out: Option<LeftOut>,
     /// Rows that belong to another ball than the table says.
     pub(super) wrong_balls: Vec<(usize, BallId)>,
+}
+
+/// What the geometry alone leaves out of an estimate.
+#[derive(Clone, Debug)]
+pub(super) struct LeftOut {
+    /// The geometry with all its errors, and what is not known of it.
+    pub(super) whole: Geometry,
+    pub(super) uncertainty: RobotUncertainty,
+    /// What is left out at the poses measured, with what is not known of it: root mean square in each direction, mm.
+    rms_mm: f64,
+}
+
+impl LeftOut {
+    /// How far the tool ball of `alone` is off at poses where the whole geometry has it, 3 rows a pose, mm; the rigid motion
+    /// of all poses is taken out.
+    pub(super) fn displacements(&self, alone: &Geometry, poses: &[([f64; AXES], Approach)]) -> DVector<f64> {
+        let [whole, alone] = [&self.whole, alone].map(|geometry| BallMotion::new(geometry, poses, &[]).balls);
+        let mut off = DMatrix::from_fn(3 * poses.len(), 1, |row, _| (whole[row / 3] - alone[row / 3])[row % 3]);
+        take_out_rigid_motion(&mut off, &alone);
+        off.column(0).into_owned()
+    }
 }
 
 /// What the evidence says of a group.
@@ -186,7 +209,7 @@ fn with_events(
         return Ok(found);
     }
     let plain = with_outliers(setting, lengths, asked, false)?;
-    Ok(if shifted_rows(setting, &plain, lengths).is_some() { plain } else { found })
+    Ok(if shifted_rows(&plain, lengths).is_some() { plain } else { found })
 }
 
 fn with_outliers(
@@ -634,7 +657,7 @@ impl<'a> Search<'a> {
             bar_sds,
             event_mm: event_mm(&events, whole.lengths(), &model),
             events,
-            left_out_mm: 0.0,
+            left_out: None,
             wrong_balls: Vec::new(),
             fit: Fit { model, ..start.fit.clone() },
             unknowns: unknowns.clone(),
@@ -766,19 +789,32 @@ impl Estimate {
     }
 
     /// What is not known of the robot, its tool ball and the base balls.
-    pub(super) fn uncertainty(&self) -> RobotUncertainty {
+    pub(super) fn uncertainty(&self, robot: &Robot) -> RobotUncertainty {
         let is_own = |id: ParamId| id.moves_tool_ball() || matches!(id, ParamId::Ball(..));
         let own: Vec<usize> = (0..self.kept.len()).filter(|&k| is_own(self.kept[k])).collect();
         let rows: Vec<usize> = own.iter().copied().chain(self.kept.len()..self.root.nrows()).collect();
         let has_errors = !self.fit.model.geometry.joint_errors.is_none();
         // What poses that are alike have in common is an error of another pose too.
         let cluster_mm = if has_errors { self.cautious.sd(Group::Cluster) } else { 0.0 };
+        let pose_mm = match &self.left_out {
+            Some(left_out) => left_out.uncertainty.pose_mm.hypot(left_out.rms_mm),
+            None => self.noise.pose_mm.hypot(cluster_mm),
+        };
+        // The functions of an earlier identification have its processes still.
+        let (smooth, smooth_of_joints) = if self.unknowns.has_coefficients() {
+            let RobotUncertainty { smooth, smooth_of_joints, .. } = robot.known_uncertainty();
+            (smooth, smooth_of_joints)
+        } else if has_errors {
+            (self.cautious.processes().to_vec(), self.cautious.of_joints())
+        } else {
+            (Vec::new(), [1.0; AXES])
+        };
         RobotUncertainty {
             parameters: own.iter().map(|&k| self.kept[k]).collect(),
             root: self.root.select_rows(&rows),
-            pose_mm: self.noise.pose_mm.hypot(cluster_mm),
-            smooth: if has_errors { self.cautious.processes().to_vec() } else { Vec::new() },
-            smooth_of_joints: self.cautious.of_joints(),
+            pose_mm,
+            smooth,
+            smooth_of_joints,
             unapproached_rad: self.unapproached_rad,
         }
     }
@@ -786,7 +822,7 @@ impl Estimate {
     /// The geometry that is nearest to the estimate at the poses measured, without what is not geometric. What it leaves out is an
     /// error of every pose.
     fn geometry_alone(mut self, setting: &Setting<'_>, lengths: &Lengths) -> Self {
-        let whole = &self.fit.model.geometry;
+        let whole = self.fit.model.geometry.clone();
         if whole.is_rigid() {
             return self;
         }
@@ -794,40 +830,35 @@ impl Estimate {
         let poses: Vec<([f64; AXES], Approach)> =
             measured.map(|at| lengths.reading(at)).map(|reading| (reading.axes, reading.approach)).collect();
         let moves = |id: &ParamId| id.is_geometric() || matches!(id, ParamId::Tool(_));
-        let own: Vec<usize> = (0..self.kept.len()).filter(|at| moves(&self.kept[*at])).collect();
-        let ids: Vec<ParamId> = own.iter().map(|at| self.kept[*at]).collect();
+        let ids: Vec<ParamId> = self.kept.iter().copied().filter(moves).collect();
         let rigid = whole.rigid();
-        let [full, alone] = [whole, &rigid].map(|geometry| BallMotion::new(geometry, &poses, &ids));
+        let alone = BallMotion::new(&rigid, &poses, &ids);
         let mut jacobian = alone.jacobian.columns(0, ids.len()).into_owned();
-        let off = full
-            .balls
-            .iter()
-            .zip(&alone.balls)
-            .flat_map(|(a, b)| (a - b).iter().copied().collect::<Vec<f64>>());
-        let mut off = DMatrix::from_iterator(3 * poses.len(), 1, off);
         take_out_rigid_motion(&mut jacobian, &alone.balls);
-        take_out_rigid_motion(&mut off, &alone.balls);
+        // What is not known of the errors that are left out is left out too.
+        let (optional, geometric): (Vec<usize>, Vec<usize>) =
+            (0..self.kept.len()).partition(|at| self.kept[*at].is_optional());
+        let rows: Vec<usize> =
+            optional.iter().copied().chain(self.kept.len()..self.root.nrows()).collect();
+        let optional: Vec<ParamId> = optional.iter().map(|at| self.kept[*at]).collect();
+        let full = BallMotion::new(&whole, &poses, &optional);
+        let mut unknown = full.jacobian * self.root.select_rows(&rows);
+        take_out_rigid_motion(&mut unknown, &full.balls);
+        let mut left_out = LeftOut { whole, uncertainty: self.uncertainty(setting.robot), rms_mm: 0.0 };
+        let off = left_out.displacements(&rigid, &poses);
         let mean_square = off.norm_squared() / off.len() as f64;
         let mut normal = jacobian.tr_mul(&jacobian);
         for (at, id) in ids.iter().enumerate() {
             normal[(at, at)] += setting.priors.bound(*id).map_or(0.0, |sd| mean_square / (sd * sd));
         }
-        let right = jacobian.tr_mul(&off.column(0));
-        let Some(step) = Cholesky::new(normal).map(|factor| factor.solve(&right)) else { return self };
-        let left = off.column(0) - &jacobian * &step;
-        // What is not known of the errors that are left out is left out too.
-        let rows: Vec<usize> = (0..self.kept.len()).filter(|at| self.kept[*at].is_optional()).collect();
-        let optional: Vec<ParamId> = rows.iter().map(|at| self.kept[*at]).collect();
-        let further: Vec<usize> = rows.into_iter().chain(self.kept.len()..self.root.nrows()).collect();
-        let mut unknown =
-            BallMotion::new(whole, &poses, &optional).jacobian * self.root.select_rows(&further);
-        take_out_rigid_motion(&mut unknown, &full.balls);
-        let square = (left.norm_squared() + unknown.norm_squared()) / left.len() as f64;
-        self.noise.pose_mm = self.noise.pose_mm.hypot(square.sqrt());
-        self.left_out_mm = (3.0 * left.norm_squared() / left.len() as f64).sqrt();
+        let Some(step) = Cholesky::new(normal).map(|factor| factor.solve(&jacobian.tr_mul(&off))) else {
+            return self;
+        };
+        let left = off - jacobian * &step;
+        left_out.rms_mm = ((left.norm_squared() + unknown.norm_squared()) / left.len() as f64).sqrt();
+        self.left_out = Some(left_out);
         self.fit.model.geometry = rigid;
         ids.iter().zip(&step).for_each(|(id, step)| self.fit.model.shift(*id, *step));
-        let geometric: Vec<usize> = (0..self.kept.len()).filter(|at| !self.kept[*at].is_optional()).collect();
         self.root = self.root.select_rows(&geometric);
         self.prior_sds = geometric.iter().map(|at| self.prior_sds[*at]).collect();
         self.kept.retain(|id| !id.is_optional());
@@ -835,7 +866,10 @@ impl Estimate {
             self.kept.iter().copied().filter(|id| is_place(id) && !matches!(id, ParamId::Tool(_))).collect();
         let set_up = super::fit::set_up(&self.corrected(lengths), &places, &self.fit.model);
         self.fit.model = set_up.model;
-        self.unapproached_rad = [0.0; AXES];
+        // What backlash is known is left out at the poses measured.
+        if !self.lacks_approach() {
+            self.unapproached_rad = [0.0; AXES];
+        }
         self
     }
 

@@ -46,7 +46,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(implausible(of));
     found.extend(displaced(&of.parameters));
     found.extend(contradicted(of));
-    found.extend(shifted_rows(&of.setting, &of.estimate, &of.lengths));
+    found.extend(shifted_rows(&of.estimate, &of.lengths));
     found.extend(kinds_disagree(&of.estimate, &of.lengths));
     found.extend(outliers(fit.outliers.len(), of.lengths.len()));
     found.extend(consistency(of));

@@ -57,10 +57,19 @@ impl Prediction {
         };
         let measured = (0..lengths.len()).step_by(lengths.len().div_ceil(COMPRESSING).max(1));
         let measured: Vec<ApproachedPose> = measured.map(|at| measured_pose(&lengths.reading(at))).collect();
-        let whole = estimate.uncertainty();
-        let uncertainty = compressed(model, &whole, &[some(&poses), measured].concat());
-        let positions = Positions::new(&model.geometry, &whole, &poses, &[]);
-        let moved = positions.draws(ROBOTS, unexplained_mm(setting, estimate, lengths));
+        let own = estimate.uncertainty(setting.robot);
+        let uncertainty = compressed(model, &own, &[some(&poses), measured].concat());
+        let (whole, unknown) = match &estimate.left_out {
+            Some(left_out) => (&left_out.whole, &left_out.uncertainty),
+            None => (&model.geometry, &own),
+        };
+        let positions = Positions::new(whole, unknown, &poses, &[]);
+        let mut moved = positions.draws(ROBOTS, unexplained_mm(setting, estimate, lengths));
+        if let Some(left_out) = &estimate.left_out {
+            let poses: Vec<_> = axes.iter().map(|axes| (*axes, Approach::default())).collect();
+            let off = left_out.displacements(&model.geometry, &poses);
+            moved.column_iter_mut().for_each(|mut robot| robot += &off);
+        }
         let rms = |pose: usize| (moved.rows(3 * pose, 3).norm_squared() / ROBOTS as f64).sqrt();
         let point =
             |(pose, ball): (usize, &nalgebra::Vector3<f64>)| MapPoint { position: *ball, rms_mm: rms(pose) };

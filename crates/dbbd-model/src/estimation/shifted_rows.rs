@@ -4,8 +4,6 @@
 use super::estimator::Estimate;
 use super::lengths::{Lengths, SAMPLE, Sigma};
 use super::linear_system::linear_system;
-use super::options::Setting;
-use super::prior;
 use super::solver::{Loss, Problem, minimise, robust_scale};
 use crate::estimation::EstimationFinding;
 use crate::measurement::{LengthModel, PreparedMeasurement};
@@ -21,32 +19,31 @@ const CAP: f64 = 3.0;
 /// Degrees of freedom below which nothing is decided.
 const FEWEST: f64 = 10.0;
 
-/// The shift with which the lengths fit decisively better than unshifted.
-pub(super) fn shifted_rows(
-    setting: &Setting<'_>,
-    estimate: &Estimate,
-    lengths: &Lengths,
-) -> Option<EstimationFinding> {
+/// The shift with which the lengths fit decisively better than unshifted. The geometry alone, without a prior, is fitted to both:
+/// errors of the joints would compensate more of the shift.
+pub(super) fn shifted_rows(estimate: &Estimate, lengths: &Lengths) -> Option<EstimationFinding> {
+    let fitted = |lengths: &Lengths| {
+        let weighted = lengths.weighted(Sigma::Given, &[]);
+        let problem = Problem { lengths: weighted, ids: &estimate.base, loss: Loss::Huber, prior: None };
+        minimise(&problem, &estimate.at_start).model
+    };
     let own = shifted(estimate, lengths, 0);
-    let model = &estimate.fit.model;
-    let residual_mm = size_mm(&own, model, estimate);
-    let whitened = residuals(&own, model).enumerate().map(|(at, residual)| residual / own.given(at));
+    if freedom(&own, estimate) < FEWEST {
+        return None;
+    }
+    let model = fitted(&own);
+    let residual_mm = size_mm(&own, &model, estimate);
+    let whitened = residuals(&own, &model).enumerate().map(|(at, residual)| residual / own.given(at));
     let squares: f64 = whitened.map(|residual| residual.powi(2)).sum();
     let better = SHIFTS.iter().filter_map(|&rows| {
         let other = shifted(estimate, lengths, rows);
-        let freedom = freedom(&other, estimate);
         let weighted = other.weighted(Sigma::Given, &[]);
         // One linearised step is cheap and rules out almost every shift.
-        if freedom < FEWEST
-            || linear_system(&estimate.at_start, &weighted, &estimate.base).residual_sum() >= squares
-        {
+        if linear_system(&estimate.at_start, &weighted, &estimate.base).residual_sum() >= squares {
             return None;
         }
-        let prior = prior::rows(setting, &estimate.kept);
-        let problem =
-            Problem { lengths: weighted, ids: &estimate.kept, loss: Loss::Huber, prior: prior.as_ref() };
-        let shifted_mm = size_mm(&other, &minimise(&problem, &estimate.at_start).model, estimate);
-        let gain = decisive(freedom, [residual_mm, shifted_mm], SMALLER)?;
+        let shifted_mm = size_mm(&other, &fitted(&other), estimate);
+        let gain = decisive(freedom(&other, estimate), [residual_mm, shifted_mm], SMALLER)?;
         Some((gain, EstimationFinding::ShiftedRows { rows, residual_mm, shifted_mm, gain }))
     });
     better.max_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, finding)| finding)

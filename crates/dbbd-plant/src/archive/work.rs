@@ -164,7 +164,7 @@ impl WrittenPosterior {
         Some(Self {
             corrections: parameters.iter().map(correction).collect::<Option<_>>()?,
             covariance: triangle.collect::<Option<_>>()?,
-            prior: parameters.iter().map(|id| priors.bound(*id, &[])).collect(),
+            prior: parameters.iter().map(|id| priors.bound(*id)).collect(),
             parameters,
         })
     }
