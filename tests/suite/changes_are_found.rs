@@ -204,7 +204,7 @@ fn a_check_is_planned_for_detectable_changes() {
     );
     let smallest = |name: &str| {
         let found = power["detectable"].as_array().unwrap().iter().find(|found| found["name"] == name);
-        found.and_then(|found| found["smallest"].as_f64())
+        found.unwrap_or_else(|| panic!("{name}"))["smallest"].as_f64()
     };
     // The free ball carries the zero of axis 1; a joint in the middle of the arm is seen well.
     assert!(smallest("theta1").is_none() && smallest("theta3").unwrap().to_degrees() < 0.02, "{power}");

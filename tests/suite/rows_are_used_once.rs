@@ -52,7 +52,7 @@ fn lengths_shifted_by_a_row_are_doubted() {
     let moved = found.findings.iter().find(|warning| warning.code() == "W1330").unwrap();
     assert_eq!(moved.values()["rows"], -1);
     assert!(moved.values()["gain"].as_f64().unwrap() > 20.0);
-    assert!(moved.values()["shifted_mm"].as_f64() < Some(0.12), "{}", moved.values());
+    assert!(moved.values()["shifted_mm"].as_f64() < Some(0.1), "{}", moved.values());
     // Unshifted lengths are not doubted, nor with one outlier.
     for wild in [0.0, 5.0] {
         let mut data = lengths(27);

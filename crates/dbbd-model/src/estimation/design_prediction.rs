@@ -1,6 +1,6 @@
 //! The predicted outcome of planned lengths: rank, standard deviations, observability indices, position uncertainty.
 
-use super::prediction::unit_draws;
+use super::position::unit_draws;
 use super::priors::WEAK;
 use super::result::MapPoint;
 use super::{

@@ -132,7 +132,8 @@ impl LeftOut {
     /// of all poses is taken out.
     pub(super) fn displacements(&self, alone: &Geometry, poses: &[([f64; AXES], Approach)]) -> DVector<f64> {
         let [whole, alone] = [&self.whole, alone].map(|geometry| BallMotion::new(geometry, poses, &[]).balls);
-        let mut off = DMatrix::from_fn(3 * poses.len(), 1, |row, _| (whole[row / 3] - alone[row / 3])[row % 3]);
+        let mut off =
+            DMatrix::from_fn(3 * poses.len(), 1, |row, _| (whole[row / 3] - alone[row / 3])[row % 3]);
         take_out_rigid_motion(&mut off, &alone);
         off.column(0).into_owned()
     }
@@ -838,8 +839,7 @@ impl Estimate {
         // What is not known of the errors that are left out is left out too.
         let (optional, geometric): (Vec<usize>, Vec<usize>) =
             (0..self.kept.len()).partition(|at| self.kept[*at].is_optional());
-        let rows: Vec<usize> =
-            optional.iter().copied().chain(self.kept.len()..self.root.nrows()).collect();
+        let rows: Vec<usize> = optional.iter().copied().chain(self.kept.len()..self.root.nrows()).collect();
         let optional: Vec<ParamId> = optional.iter().map(|at| self.kept[*at]).collect();
         let full = BallMotion::new(&whole, &poses, &optional);
         let mut unknown = full.jacobian * self.root.select_rows(&rows);

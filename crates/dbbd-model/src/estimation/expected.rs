@@ -68,6 +68,9 @@ impl Expected {
             added.extend(Coordinate::ALL.map(|axis| (ParamId::Ball(ball, axis), ball_mm)));
         }
         ids.extend(added.iter().map(|(id, _)| *id).filter(|id| !known.ids().contains(id)));
+        // What the calibration left as it was can change too.
+        let unchanged: Vec<ParamId> = ParamId::denavit_hartenberg().filter(|id| !ids.contains(id)).collect();
+        ids.extend(unchanged);
         // Rows: parameters of the calibration, of the set-up, coefficients of the joint errors.
         let (own, columns) = (known.ids().len(), known.root().ncols());
         let mut root = DMatrix::zeros(ids.len() + known.coefficients(), columns + added.len());

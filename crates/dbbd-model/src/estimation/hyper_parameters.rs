@@ -131,6 +131,11 @@ impl Hypers {
         start
     }
 
+    /// Those of joints before any length.
+    pub(super) fn usual() -> Self {
+        Self(HyperPrior::all(1.0).map(|prior| prior.median.ln()))
+    }
+
     /// One standard deviation of a group, in its unit; of smooth functions that of the quick part of a joint like the others.
     pub(super) fn sd(&self, group: Group) -> f64 {
         self.0[group as usize].exp()

@@ -16,6 +16,8 @@ use crate::robot::{
     RobotUncertainty, TermKind,
 };
 
+/// Robots that are drawn, at least.
+const ROBOTS: usize = 100;
 /// Fewer poses say too little of where the robot's base is: poses of the workspace are added.
 const FEWEST_POSES: usize = 10;
 
@@ -87,12 +89,11 @@ impl Positions {
         self.covariance(pose).trace().sqrt()
     }
 
-    /// Errors of `robots` drawn from it, a column each, 3 rows a pose, mm; a pose repeats to `pose_mm` in them.
-    pub(super) fn draws(&self, robots: usize, pose_mm: f64) -> DMatrix<f64> {
-        let mut random = Pcg64::seed_from_u64(1);
+    /// Errors of robots drawn from it, a column each, 3 rows a pose, mm; a pose repeats to `pose_mm` in them.
+    pub(super) fn draws(&self, pose_mm: f64) -> DMatrix<f64> {
+        let mut drawn = &self.moved * unit_draws(self.moved.ncols());
+        let mut random = Pcg64::seed_from_u64(2);
         let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
-        let numbers = DMatrix::from_fn(self.moved.ncols(), robots, |_, _| normal());
-        let mut drawn = &self.moved * numbers;
         for mut column in drawn.column_iter_mut() {
             for (pose, levers) in self.joints.iter().enumerate() {
                 let mut error = Vector3::from_fn(|_, _| pose_mm * normal());
@@ -105,6 +106,15 @@ impl Positions {
         }
         drawn
     }
+}
+
+/// Standard normal numbers, a column a robot, from seed 1, scaled to unit covariance: the sample covariance of so few robots
+/// could be wrong by a tenth in one direction.
+pub(super) fn unit_draws(rows: usize) -> DMatrix<f64> {
+    let mut random = Pcg64::seed_from_u64(1);
+    let robots = ROBOTS.max(rows);
+    let drawn = DMatrix::from_fn(robots, rows, |_, _| StandardNormal.sample(&mut random));
+    drawn.qr().q().transpose() * (robots as f64).sqrt()
 }
 
 /// How the tool ball moves at poses.
@@ -246,4 +256,18 @@ fn moved_with_balls(
     places.extend(model.balls.iter().take(rows.len() / 3));
     take_out_rigid_motion(&mut moved, &places);
     moved
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn draws_have_unit_covariance() {
+        for rows in [3, 64, 120] {
+            let draws = unit_draws(rows);
+            let covariance = &draws * draws.transpose() / draws.ncols() as f64;
+            assert!((covariance - DMatrix::identity(rows, rows)).norm() < 1e-12);
+        }
+    }
 }

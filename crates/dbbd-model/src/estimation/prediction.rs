@@ -1,23 +1,21 @@
 //! The predicted position uncertainty of the tool ball over a workspace, before and after the lengths.
 
 use nalgebra::{DMatrix, DVector};
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
-use rand_pcg::Pcg64;
 
 use super::estimator::Estimate;
+use super::hyper_parameters::{Group, Hypers};
 use super::lengths::Lengths;
 use super::options::Setting;
 use super::position::{BallMotion, Positions, compressed};
 use super::priors::Prior;
 use super::result::{MapPoint, PredictedPair};
 use super::selection::is_bar;
-use super::workspace::{ErrorSummary, Workspace, take_out_rigid_motion};
+use super::workspace::{ErrorSummary, take_out_rigid_motion};
 use crate::measurement::{ApproachedPose, PreparedMeasurement};
-use crate::robot::{AXES, Approach, AxisAngles, ParamId, RobotPosterior, RobotUncertainty};
+use crate::robot::{
+    AXES, Approach, AxisAngles, Geometry, ParamId, RobotPosterior, RobotUncertainty, parameter,
+};
 
-/// Robots that are drawn.
-const ROBOTS: usize = 100;
 /// Poses of the workspace, and as many of those measured, by which the uncertainty is compressed.
 const COMPRESSING: usize = 150;
 /// The predicted error of the identified robot must be at most this fraction of that by the manufacturer's tolerance.
@@ -64,16 +62,16 @@ impl Prediction {
             None => (&model.geometry, &own),
         };
         let positions = Positions::new(whole, unknown, &poses, &[]);
-        let mut moved = positions.draws(ROBOTS, unexplained_mm(setting, estimate, lengths));
+        let mut moved = positions.draws(unexplained_mm(setting, estimate, lengths));
         if let Some(left_out) = &estimate.left_out {
             let poses: Vec<_> = axes.iter().map(|axes| (*axes, Approach::default())).collect();
             let off = left_out.displacements(&model.geometry, &poses);
             moved.column_iter_mut().for_each(|mut robot| robot += &off);
         }
-        let rms = |pose: usize| (moved.rows(3 * pose, 3).norm_squared() / ROBOTS as f64).sqrt();
+        let rms = |pose: usize| (moved.rows(3 * pose, 3).norm_squared() / moved.ncols() as f64).sqrt();
         let point =
             |(pose, ball): (usize, &nalgebra::Vector3<f64>)| MapPoint { position: *ball, rms_mm: rms(pose) };
-        let (nominal, maker) = nominal(setting, estimate, &axes);
+        let (nominal, maker) = nominal(setting, &poses);
         Self {
             pair: PredictedPair { nominal, identified: ErrorSummary::of(&moved) },
             parts: parts(estimate, &axes),
@@ -91,30 +89,46 @@ impl Prediction {
 }
 
 /// Of the robot before the lengths, and of one by its manufacturer's tolerance.
-fn nominal(setting: &Setting<'_>, estimate: &Estimate, axes: &[[f64; AXES]]) -> (ErrorSummary, ErrorSummary) {
-    let ids: Vec<ParamId> = setting.all_and(estimate.before.balls.len().into(), &[]);
-    let ids: Vec<ParamId> = ids.into_iter().filter(|id| id.is_geometric()).collect();
-    let workspace = Workspace::new(&estimate.fit.model.geometry, axes, &ids);
-    let summary = |root: DMatrix<f64>| {
-        let draws = unit_draws(root.ncols());
-        ErrorSummary::of(&workspace.displacements(&(root * draws)))
+fn nominal(setting: &Setting<'_>, poses: &[ApproachedPose]) -> (ErrorSummary, ErrorSummary) {
+    let geometry = &setting.start.geometry;
+    let of = |geometry: &Geometry, unknown: &RobotUncertainty| {
+        ErrorSummary::of(&Positions::new(geometry, unknown, poses, &[]).draws(0.0))
     };
+    let ids = setting.all_and(0.into(), &[]);
+    let ids: Vec<ParamId> = ids.into_iter().filter(|id| id.is_geometric()).collect();
+    let of_usual = |root: &DMatrix<f64>| of(&geometry.rigid(), &with_usual_joint_errors(setting, &ids, root));
     let tolerances = ids.iter().map(|id| setting.priors.geometric(*id).unwrap_or(0.0));
-    let maker = summary(DMatrix::from_diagonal(&DVector::from_iterator(ids.len(), tolerances)));
+    let tolerances = DVector::from_iterator(ids.len(), tolerances);
+    let maker = of_usual(&DMatrix::from_diagonal(&tolerances));
     let before = match setting.options.prior {
-        Prior::Posterior => {
-            let known = setting.robot.known_uncertainty();
-            let poses: Vec<ApproachedPose> = axes.iter().map(unapproached).collect();
-            let positions = Positions::new(&setting.start.geometry, &known, &poses, &[]);
-            ErrorSummary::of(&positions.draws(ROBOTS, 0.0))
-        }
+        Prior::Posterior => of(geometry, &setting.robot.known_uncertainty()),
         Prior::Given(_) => {
             let sds: Vec<f64> = ids.iter().map(|id| setting.priors.bound(*id).unwrap_or(0.0)).collect();
-            summary(setting.priors.root(&ids, &sds))
+            of_usual(&setting.priors.root(&ids, &sds))
         }
         Prior::None | Prior::Datasheet => maker,
     };
     (before, maker)
+}
+
+/// What is not known of a robot whose geometry has this root, with the errors of joints that robots usually have. Where a list
+/// is followed, there are none, before as after.
+fn with_usual_joint_errors(setting: &Setting<'_>, ids: &[ParamId], root: &DMatrix<f64>) -> RobotUncertainty {
+    let usual = Hypers::usual();
+    let harmonics: Vec<ParamId> =
+        if setting.options.follows_list() { Vec::new() } else { parameter::gear().collect() };
+    let has_errors = !harmonics.is_empty();
+    let own = ids.len();
+    let mut whole = root.clone().resize(own + harmonics.len(), own + harmonics.len(), 0.0);
+    (own..whole.nrows()).for_each(|at| whole[(at, at)] = usual.sd(Group::Harmonic));
+    RobotUncertainty {
+        parameters: [ids, &harmonics].concat(),
+        root: whole,
+        pose_mm: 0.0,
+        smooth: if has_errors { usual.processes().to_vec() } else { Vec::new() },
+        smooth_of_joints: usual.of_joints(),
+        unapproached_rad: [if has_errors { usual.sd(Group::Backlash) } else { 0.0 }; AXES],
+    }
 }
 
 /// The posterior is C = root root'. What a bar's error shares with the positions is its part; of the noise it is
@@ -181,27 +195,4 @@ fn unexplained_mm(setting: &Setting<'_>, estimate: &Estimate, lengths: &Lengths)
     let repeatability = setting.robot.repeatability_sd_mm().unwrap_or(0.0);
     let square = estimate.noise.sigma_mm().powi(2) - given.powi(2) - repeatability.powi(2);
     square.max(0.0).sqrt().min(estimate.noise.pose_mm)
-}
-
-/// Standard normal numbers, a column a robot, from seed 1, scaled to unit covariance: the sample covariance of so few robots
-/// could be wrong by a tenth in one direction.
-pub(super) fn unit_draws(rows: usize) -> DMatrix<f64> {
-    let mut random = Pcg64::seed_from_u64(1);
-    let robots = ROBOTS.max(rows);
-    let drawn = DMatrix::from_fn(robots, rows, |_, _| StandardNormal.sample(&mut random));
-    drawn.qr().q().transpose() * (robots as f64).sqrt()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn draws_have_unit_covariance() {
-        for rows in [3, 64, 120] {
-            let draws = unit_draws(rows);
-            let covariance = &draws * draws.transpose() / draws.ncols() as f64;
-            assert!((covariance - DMatrix::identity(rows, rows)).norm() < 1e-12);
-        }
-    }
 }

@@ -52,11 +52,22 @@ pub(super) fn rows(setting: &Setting<'_>, kept: &[ParamId]) -> Option<PriorRows>
     Some(PriorRows { rows, mean: values(setting.start, kept) })
 }
 
-/// The parameters that are estimated because of the prior although they are not in the base set. Those that only move the robot
-/// as a whole stay at their start, but what is not known of them is shared with the set-up.
+/// The parameters that are estimated because of the prior although they are not in the base set: members of identifiable
+/// combinations, and parameters of an earlier identification, whose errors are correlated with those of others.
 pub(super) fn sharing(priors: &Priors, analysis: &Analysis) -> Vec<ParamId> {
+    let bound = |id: ParamId| priors.bound(id).is_some();
+    let mut sharing: Vec<ParamId> = analysis
+        .combinations()
+        .into_iter()
+        .filter(|combination| bound(combination.kept))
+        .flat_map(|combination| combination.members.into_iter().skip(1).map(|(id, _)| id))
+        .filter(|id| bound(*id))
+        .collect();
     let others = analysis.dependent().into_iter().chain(analysis.zero());
-    others.filter(|id| priors.bound(*id).is_some()).collect()
+    sharing.extend(others.filter(|id| priors.is_of_posterior(*id)));
+    sharing.sort();
+    sharing.dedup();
+    sharing
 }
 
 #[cfg(test)]
