@@ -14,7 +14,7 @@ use crate::robot::AXES;
 /// Fractions of the planned lengths; 2 is all of them measured twice.
 const SHARES: [f64; 6] = [0.15, 0.25, 0.5, 0.75, 1.0, 2.0];
 /// Least number of lengths.
-const FEWEST: usize = 6;
+const MIN_LENGTHS: usize = 6;
 /// Twice as many lengths are worthwhile if they reduce the error below this fraction.
 const WORTH: f64 = 0.9;
 
@@ -49,7 +49,7 @@ pub fn by_count(
     order.extend(readings.len(), Criterion::D);
     let ordered: Vec<PreparedMeasurement> = order.chosen().iter().map(|&at| readings[at]).collect();
     let mut counts =
-        SHARES.map(|share| ((readings.len() as f64 * share).round() as usize).max(FEWEST)).to_vec();
+        SHARES.map(|share| ((readings.len() as f64 * share).round() as usize).max(MIN_LENGTHS)).to_vec();
     counts.dedup();
     let predicted = counts.into_iter().filter_map(|lengths| {
         let subset: Vec<PreparedMeasurement> = ordered.iter().cycle().take(lengths).copied().collect();

@@ -34,7 +34,7 @@ const OFFSET_SHARE: f64 = 0.5;
 /// Changes whose effects on the lengths have at least this cosine are not separable.
 const ALIKE: f64 = 0.995;
 /// Hypotheses with a lower probability are not listed.
-const LEAST_PROBABLE: f64 = 1e-3;
+const MIN_PROBABLE: f64 = 1e-3;
 /// Changes beyond so many typical ones are not considered.
 const LARGEST: f64 = 10.0;
 /// Draws for the distribution of the test statistic without a change, and their seed.
@@ -297,7 +297,7 @@ impl Innovation {
         let probable =
             weighted.into_iter().map(|(columns, weight)| (columns, (weight - largest).exp() / sum));
         probable
-            .take_while(|(_, probability)| *probability > LEAST_PROBABLE)
+            .take_while(|(_, probability)| *probability > MIN_PROBABLE)
             .map(|(columns, probability)| self.hypothesis(&columns, probability))
             .collect()
     }

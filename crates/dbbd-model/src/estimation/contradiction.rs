@@ -19,11 +19,11 @@ const KINDS_LEVEL: f64 = 1e-4;
 /// model lacks differ slightly between any two sets of poses.
 const LARGER: f64 = 1.5;
 /// Degrees of freedom below which nothing is decided.
-const FEWEST: f64 = 10.0;
+const MIN_FREEDOM: f64 = 10.0;
 /// The limit for a bar in standard deviations; a sound bar exceeds it in one run of 400.
 const BAR_LIMIT: f64 = 3.0;
 /// A smaller part of the information about a bar that comes from the lengths is rounding.
-const LEAST_PART: f64 = 1e-8;
+const MIN_PART: f64 = 1e-8;
 
 /// The sum of squared residuals of a linearised fit, in units of the noise, and its degrees of freedom.
 #[derive(Clone, Copy)]
@@ -77,7 +77,7 @@ fn places(of: &Calibration<'_>) -> Option<EstimationFinding> {
         Residuals::of(&mut system, count)
     };
     let (held, free) = (residuals(&[])?, residuals(&fixed)?);
-    if free.freedom < FEWEST || held.freedom <= free.freedom {
+    if free.freedom < MIN_FREEDOM || held.freedom <= free.freedom {
         return None;
     }
     let sigma_mm = used.rms_sigma();
@@ -95,7 +95,7 @@ fn bars(of: &Calibration<'_>) -> impl Iterator<Item = EstimationFinding> {
         let (before, after) = (of.estimate.prior_sd(id)?, of.posterior.sd(id)?);
         // The part of the information that comes from the data.
         let part = 1.0 - (after / before).powi(2);
-        if part < LEAST_PART {
+        if part < MIN_PART {
             return None;
         }
         let step_mm = of.estimate.fit.model.value(id) - of.setting.start.value(id);
@@ -132,7 +132,7 @@ pub(super) fn kinds_disagree(estimate: &Estimate, lengths: &Lengths) -> Option<E
     let together = residuals(&[others.as_slice(), positions.as_slice()].concat())?;
     let (one, other) = (residuals(&others)?, residuals(&positions)?);
     let apart = Residuals { squares: one.squares + other.squares, freedom: one.freedom + other.freedom };
-    if one.freedom.min(other.freedom) < FEWEST
+    if one.freedom.min(other.freedom) < MIN_FREEDOM
         || together.freedom <= apart.freedom
         || together.ln_f_test(apart) > KINDS_LEVEL.ln()
         || together.rms() < LARGER * apart.rms()

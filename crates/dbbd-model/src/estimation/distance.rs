@@ -9,7 +9,7 @@ use crate::math::straight_line::RegressionLine;
 use crate::measurement::{LengthModel, Measurement, PreparedMeasurement};
 
 /// Least degrees of freedom of each half of a run for the drift of repeatability.
-const LEAST_FREEDOM: usize = 4;
+const MIN_FREEDOM: usize = 4;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DistanceQuantities {
@@ -170,7 +170,7 @@ fn repeatability_drift(visits: &[Visit]) -> Option<Quantity> {
     let (first, second): (Vec<Visit>, Vec<Visit>) =
         visits.iter().partition(|visit| visit.time_h.is_some_and(|time| time < middle));
     let [first, second] = [Pooled::of(&first)?, Pooled::of(&second)?];
-    if first.freedom.min(second.freedom) < LEAST_FREEDOM {
+    if first.freedom.min(second.freedom) < MIN_FREEDOM {
         return None;
     }
     let value = 3.0 * (second.sd_mm - first.sd_mm);

@@ -12,7 +12,7 @@ use super::Analysis;
 use super::fit::{Fit, outliers};
 use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, Variance};
 use super::hypotheses::{
-    EventSearch, FEWEST, JudgedEvent, MOST_CERTAIN, MOST_ROWS, RunEvent, are_wrong_balls, sd_along,
+    EventSearch, JudgedEvent, MAX_CERTAIN, MAX_ROWS, MIN_LENGTHS, RunEvent, are_wrong_balls, sd_along,
     wrong_balls,
 };
 use super::lengths::{Lengths, Sigma, Weighted};
@@ -48,27 +48,27 @@ const REST: f64 = 0.02;
 /// Steps towards the likeliest noise in each.
 const SCORES: usize = 2;
 /// More lengths are summed a piece at a time, with the variances of an even sample.
-const MOST_WHOLE: usize = 4800;
+const MAX_WHOLE: usize = 4800;
 /// Rows of a piece of many lengths, and pieces whose sums are in memory together.
 const PIECE: usize = 1024;
 const TOGETHER: usize = 8;
 /// Poses over which a geometry is brought near to the estimate.
 const PROJECTED: usize = 400;
 /// With fewer degrees of freedom the residuals say nothing of the noise.
-const LEAST_FREEDOM: f64 = 0.5;
+const MIN_FREEDOM: f64 = 0.5;
 /// A linearisation that makes the residuals this many times as large, and this much larger (mm), does not hold.
 const DIVERGED: f64 = 10.0;
 const DIVERGED_MM: f64 = 1.0;
 /// Noise that is larger by less is the same.
 const SAME_NOISE: f64 = 1.5;
 /// Ripples that are looked for at most.
-const MOST_RIPPLES: usize = 8;
+const MAX_RIPPLES: usize = 8;
 /// Lengths beyond the parameters from which ripple is looked for.
 const REDUNDANT: usize = 30;
 /// The share of the noise of a pose in a standard deviation that is stated for the whole length.
 const POSE_SHARE: f64 = 0.1;
 /// A pose scatters by at least this share of the noise of a length.
-const LEAST_POSE: f64 = 0.05;
+const MIN_POSE: f64 = 0.05;
 
 #[derive(Clone, Debug)]
 pub(crate) struct Estimate {
@@ -187,7 +187,7 @@ fn with_wrong_balls(
     asked: &[ParamId],
 ) -> Result<Estimate, EstimationFinding> {
     let found = with_events(setting, lengths, asked)?;
-    let sd_mm = found.used(lengths).rms_sigma().hypot(LEAST_ERROR_MM);
+    let sd_mm = found.used(lengths).rms_sigma().hypot(MIN_ERROR_MM);
     let wrong = wrong_balls(&found.fit.model, lengths, &found.fit.outliers, sd_mm);
     if !are_wrong_balls(wrong.len(), lengths.len(), sd_mm) {
         return Ok(found);
@@ -197,7 +197,7 @@ fn with_wrong_balls(
 }
 
 /// A length of another ball is predicted no better than this, mm.
-const LEAST_ERROR_MM: f64 = 0.05;
+const MIN_ERROR_MM: f64 = 0.05;
 
 /// With what happened while the lengths were measured; without it if shifted rows explain the lengths.
 fn with_events(
@@ -221,7 +221,7 @@ fn with_outliers(
 ) -> Result<Estimate, EstimationFinding> {
     let mut start = EstimateStart::of(setting, lengths, asked)?;
     // Many outliers may be what began at one row: then they are none, and the noise is no larger with them.
-    if seeks_events && start.fit.outliers.len() >= FEWEST {
+    if seeks_events && start.fit.outliers.len() >= MIN_LENGTHS {
         let whole = EstimateStart {
             fit: Fit { outliers: gross(lengths, &start), ..start.fit.clone() },
             ..start.clone()
@@ -240,7 +240,7 @@ fn with_outliers(
         let corrected = found.corrected(lengths);
         let all = corrected.weighted(Sigma::Given, &[]);
         let out = outliers(&all, &found.fit.model, found.effective_parameters as usize);
-        if round == OUTLIER_ROUNDS || out == found.fit.outliers || lengths.len() > MOST_WHOLE {
+        if round == OUTLIER_ROUNDS || out == found.fit.outliers || lengths.len() > MAX_WHOLE {
             return Ok(found);
         }
         start.fit.outliers = out;
@@ -265,7 +265,7 @@ fn from_start(
 ) -> Option<Estimate> {
     let all = lengths.weighted(start.sigma, &start.fit.outliers);
     // The variances follow from an even sample of many lengths.
-    let sample = (all.count() > MOST_WHOLE).then(|| lengths.at(&all.sampled_places()));
+    let sample = (all.count() > MAX_WHOLE).then(|| lengths.at(&all.sampled_places()));
     let used = &sample.as_ref().map_or(all, |sample| sample.weighted(start.sigma, &[]));
     let known = start.known_before(setting, lengths)?;
     let model = if known.has_coefficients { &start.at_start } else { &start.fit.model };
@@ -282,7 +282,7 @@ fn from_start(
         let event = if with_errors && seeks_events { search.event(&step) } else { None };
         let certain = event.as_ref().filter(|event| event.is_certain).map(|event| event.event);
         events.extend(event);
-        if let Some(event) = certain.filter(|_| events.len() < MOST_CERTAIN) {
+        if let Some(event) = certain.filter(|_| events.len() < MAX_CERTAIN) {
             state = Some(search.state());
             unknowns = unknowns.with_event(event);
             continue;
@@ -365,11 +365,14 @@ impl<'a> Search<'a> {
         state: Option<SearchState>,
     ) -> Self {
         let (lengths, start_mm) = (used.lengths(), used.rms_sigma());
-        let stated_mm = if lengths.known { used.by(Sigma::Given).rms_sigma() } else { LEAST_POSE * start_mm };
-        let pose_mm = if lengths.vouched { POSE_SHARE * stated_mm } else { start_mm };
+        let stated_mm = if lengths.known { used.by(Sigma::Given).rms_sigma() } else { MIN_POSE * start_mm };
+        let pose_mm = if lengths.is_sigma_given { POSE_SHARE * stated_mm } else { start_mm };
         // Together they are what is stated.
-        let stated_mm =
-            if lengths.vouched { stated_mm * (1.0 - POSE_SHARE * POSE_SHARE).sqrt() } else { stated_mm };
+        let stated_mm = if lengths.is_sigma_given {
+            stated_mm * (1.0 - POSE_SHARE * POSE_SHARE).sqrt()
+        } else {
+            stated_mm
+        };
         let state = state.unwrap_or_else(|| SearchState {
             z: unknowns.at(&model, &DVector::zeros(0)),
             model,
@@ -388,7 +391,7 @@ impl<'a> Search<'a> {
     /// that are not unlikely are judged with variances of their own.
     fn event(&self, step: &Step) -> Option<JudgedEvent> {
         let lengths = self.used.lengths();
-        if lengths.len() > MOST_ROWS || !step.system.is_noisy() {
+        if lengths.len() > MAX_ROWS || !step.system.is_noisy() {
             return None;
         }
         let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
@@ -417,7 +420,7 @@ impl<'a> Search<'a> {
         self.state.model.geometry.joint_errors =
             self.unknowns.errors(&self.state.model.geometry.joint_errors, &self.state.hypers);
         let system = self.linearised();
-        if round == 0 && !system.sigma_is_given && system.rows.tell_noise_apart() {
+        if round == 0 && !system.is_sigma_given && system.rows.tell_noise_apart() {
             let stated = if self.used.lengths().known { self.state.shape.own.sd() } else { system.sigma_mm };
             self.state.shape.own = OwnNoise::Sought { sd: stated.min(self.state.hypers.sigma_mm()), stated };
         }
@@ -456,8 +459,8 @@ impl<'a> Search<'a> {
         let own_mm = self.state.shape.own.sd();
         let whole = now_mm.powi(2) * (1.0 + (own_mm / before_mm).powi(2));
         let pose_mm = match &mut self.state.shape.own {
-            OwnNoise::Stated(_) if self.used.lengths().vouched => now_mm,
-            OwnNoise::Stated(own) => (whole - *own * *own).max(LEAST_POSE.powi(2) * whole).sqrt(),
+            OwnNoise::Stated(_) if self.used.lengths().is_sigma_given => now_mm,
+            OwnNoise::Stated(own) => (whole - *own * *own).max(MIN_POSE.powi(2) * whole).sqrt(),
             OwnNoise::Sought { sd, .. } => {
                 *sd *= now_mm / before_mm;
                 now_mm
@@ -532,7 +535,7 @@ impl<'a> Search<'a> {
     /// With the ripples that more than chance speaks for, one after the other.
     fn with_ripple(&mut self, start: Step) -> Option<Step> {
         let mut best = start;
-        for _ in 0..MOST_RIPPLES {
+        for _ in 0..MAX_RIPPLES {
             let Some(candidate) = self.ripple(&best).filter(Candidate::is_believed) else { break };
             let mut wider = self.clone();
             wider.state.model.geometry.joint_errors.push(candidate.joint, candidate.order);
@@ -633,7 +636,7 @@ impl<'a> Search<'a> {
         if agrees {
             root *= stated_mm / whole_mm;
         }
-        let is_given = used.lengths().vouched || agrees;
+        let is_given = used.lengths().is_sigma_given || agrees;
         let freedom = whole.count() as f64 - effective_parameters;
         Some(Estimate {
             before: start.before.clone(),
@@ -643,7 +646,7 @@ impl<'a> Search<'a> {
             base: start.base.clone(),
             open: start.open.clone(),
             sigma: if is_given { Sigma::Given } else { Sigma::All(whole_mm) },
-            freedom: (!is_given && freedom > LEAST_FREEDOM).then_some(freedom),
+            freedom: (!is_given && freedom > MIN_FREEDOM).then_some(freedom),
             prior_sds: unknowns.prior_sds(&hypers),
             root,
             of_prior: of_prior(system, &all, &cautious),

@@ -10,7 +10,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
 use super::hyper_parameters::{HYPERS, HyperPrior, Hypers, SIGMA, Variance};
 
 /// Steps after which the variances are taken as they are.
-const MOST_STEPS: usize = 60;
+const MAX_STEPS: usize = 60;
 /// A gain of the logarithm of the evidence below this is none.
 const REST: f64 = 1e-3;
 /// No step changes the logarithm of a variance's root by more.
@@ -70,7 +70,7 @@ pub(super) struct Evidence {
     pub(super) variances: Vec<Variance>,
     pub(super) hyper_priors: [HyperPrior; HYPERS],
     /// Whether sigma stays as it is.
-    pub(super) sigma_is_given: bool,
+    pub(super) is_sigma_given: bool,
 }
 
 /// The hyper-parameters of the largest marginal likelihood under their priors.
@@ -120,7 +120,7 @@ impl Evidence {
     pub(super) fn maximise(&self, start: Hypers) -> Option<Optimum> {
         let mut here = self.at(start)?;
         let mut information = SMatrix::identity();
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let slopes = self.slopes(&here);
             information = slopes.information;
             let (gradient, mut step) = self.step(&here, slopes)?;
@@ -217,7 +217,7 @@ impl Evidence {
         }
         let halved = 0.5 * by_hyper.transpose() * (squared * &by_hyper);
         let mut information = SMatrix::from_fn(|i, j| halved[(i, j)]);
-        if self.sigma_is_given {
+        if self.is_sigma_given {
             information[(SIGMA, SIGMA)] = f64::MAX.sqrt();
         } else {
             let mean = coefficients.mean();
@@ -286,7 +286,7 @@ mod tests {
         let normal = NormalEquations { gram, rhs, squares, freedom: 300.0, ln_whitening: 0.0 };
         let of = |j: usize| Variance::Of(if j < 40 { Group::Harmonic } else { Group::Backlash }, 1.0);
         let hyper_priors = HyperPrior::all(0.03);
-        Evidence { normal, variances: (0..50).map(of).collect(), hyper_priors, sigma_is_given: false }
+        Evidence { normal, variances: (0..50).map(of).collect(), hyper_priors, is_sigma_given: false }
     }
 
     #[test]

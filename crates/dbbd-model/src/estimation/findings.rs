@@ -21,7 +21,7 @@ const OUTLIER_FRACTION: f64 = 0.1;
 /// thousand.
 const CLOSEST_TO_NOMINAL: f64 = 0.04;
 /// With fewer lengths an agreement with the nominal robot may be chance.
-const LEAST_LENGTHS: usize = 20;
+const MIN_LENGTHS: usize = 20;
 /// Residuals beyond so many standard deviations of noise and repeatability are mainly errors that the model lacks.
 const FAR: f64 = 5.0;
 
@@ -158,7 +158,7 @@ fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let ratio = chi / freedom;
     let times = ratio.sqrt();
     match ChiSquareOutcome::of(ratio, freedom) {
-        ChiSquareOutcome::Greater if lengths.vouched => Some(EstimationFinding::BeyondSigma { times }),
+        ChiSquareOutcome::Greater if lengths.is_sigma_given => Some(EstimationFinding::BeyondSigma { times }),
         ChiSquareOutcome::Greater if estimate.freedom.is_none() => {
             Some(EstimationFinding::BeyondSigmaOfFew { times })
         }
@@ -245,7 +245,7 @@ fn names<'a>(parameters: impl Iterator<Item = &'a ParameterResult>) -> Option<Na
 /// Whether the lengths agree with the nominal robot better than its tolerance allows: the controller corrected its axis angles.
 fn absolute_accuracy_mode(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let robot = of.setting.robot;
-    let few = of.axes == AngleSource::Given && of.lengths.len() < LEAST_LENGTHS;
+    let few = of.axes == AngleSource::Given && of.lengths.len() < MIN_LENGTHS;
     // A robot that was identified before should agree.
     if robot.nominal.is_some() || few {
         return None;

@@ -19,18 +19,18 @@ use crate::robot::{BallId, BarId, Datum};
 const ANYTHING: f64 = 0.01;
 /// What is certain has these odds against nothing and against every rival.
 const CERTAIN_ODDS: f64 = 99.0;
-/// Columns with a larger cosine cannot be told apart.
+/// Columns with a larger cosine are alike.
 const ALIKE: f64 = 0.9;
 /// Sizes that are tried.
 const SIZES: usize = 6;
 /// Least number of rows before and after a place.
-pub(super) const FEWEST: usize = 8;
+pub(super) const MIN_LENGTHS: usize = 8;
 /// At most so many places are tried, evenly spread.
-const MOST_PLACES: usize = 128;
+const MAX_PLACES: usize = 128;
 /// Rows beyond which none are tried: so many lengths show what happened in their residuals.
-pub(super) const MOST_ROWS: usize = 8192;
+pub(super) const MAX_ROWS: usize = 8192;
 /// Hypotheses that may be certain together.
-pub(super) const MOST_CERTAIN: usize = 8;
+pub(super) const MAX_CERTAIN: usize = 8;
 
 /// What may have happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -269,7 +269,7 @@ impl<'a> EventSearch<'a> {
     }
 
     /// The most probable event, if it is more probable than nothing. The offset of a ball is none, but where it explains the
-    /// lengths better, only what it cannot be told apart from is an event.
+    /// lengths better, only what it resembles it is an event.
     pub(super) fn strongest(&self, candidates: Vec<EventCandidate>) -> Option<JudgedEvent> {
         let margin = CERTAIN_ODDS.ln();
         let is_rival = |of: &EventCandidate, other: &EventCandidate| {
@@ -333,7 +333,8 @@ impl<'a> EventSearch<'a> {
             own.filter_map(|row| Some((self.lengths.elapsed(self.rows.places[row])?, self.rows.places[row])));
         let mut timed: Vec<(f64, usize)> = timed.collect();
         timed.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let Some(inner) = timed.len().checked_sub(FEWEST).and_then(|last| timed.get(FEWEST..last)) else {
+        let Some(inner) = timed.len().checked_sub(MIN_LENGTHS).and_then(|last| timed.get(MIN_LENGTHS..last))
+        else {
             return Vec::new();
         };
         if matches!(event.kind, RunEventKind::BarZeroDrift | RunEventKind::TrackerDrift) {
@@ -342,7 +343,7 @@ impl<'a> EventSearch<'a> {
         }
         let mut first: Vec<(f64, usize)> = inner.to_vec();
         first.dedup_by(|next, before| next.0 == before.0);
-        let step = first.len().div_ceil(MOST_PLACES).max(1);
+        let step = first.len().div_ceil(MAX_PLACES).max(1);
         first.into_iter().step_by(step).map(|from| RunEvent { from: Some(from), ..event }).collect()
     }
 
@@ -613,7 +614,7 @@ mod tests {
                 weights: vec![1.0; at.places.len()],
                 rows: at,
                 variances: ids.iter().map(|id| Some(variance(id))).collect(),
-                sigma_is_given: false,
+                is_sigma_given: false,
                 sigma_mm: SIGMA_MM,
             };
             let whitened = system.whitened(SHAPE, SIGMA_MM).unwrap();

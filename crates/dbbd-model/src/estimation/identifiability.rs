@@ -196,7 +196,7 @@ pub fn observability(factor: &DMatrix<f64>, lengths: usize) -> Option<Observabil
 
 /// Weaker correlations are not reported.
 const STRONG: f64 = 0.9;
-const MOST: usize = 10;
+const MAX_PAIRS: usize = 10;
 
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Correlation {
@@ -218,7 +218,7 @@ pub fn correlations(ids: &[ParamId], covariance: &DMatrix<f64>) -> Vec<Correlati
         }
     }
     strong.sort_by(|a, b| b.r.abs().total_cmp(&a.r.abs()));
-    strong.truncate(MOST);
+    strong.truncate(MAX_PAIRS);
     strong
 }
 

@@ -74,19 +74,19 @@ fn other_sigma(observations: &Measurements) -> Option<Diagnostic> {
 
 /// Lengths that differ but all have only one decimal.
 fn one_decimal(observations: &Measurements) -> Option<MeasurementFinding> {
-    const LEAST: usize = 10;
+    const MIN_LENGTHS: usize = 10;
     let rows = observations.rows.iter().filter(|row| row.datum.ball().is_some());
     let tenths: Vec<f64> = rows.map(|row| 10.0 * row.length_mm).collect();
     let is_rounded = tenths.iter().all(|value| (value - value.round()).abs() < 1e-6);
     let differ = tenths.windows(2).any(|pair| pair[0] != pair[1]);
-    (tenths.len() >= LEAST && is_rounded && differ)
+    (tenths.len() >= MIN_LENGTHS && is_rounded && differ)
         .then_some(MeasurementFinding::OneDecimal { rows: tenths.len() })
 }
 
 /// Angles that all have two decimals, as a teach pendant displays them. Commanded angles seldom use both decimals.
 fn two_decimals(observations: &Measurements, robot: &Robot) -> Option<MeasurementFinding> {
     /// Fewer angles may have two decimals by chance.
-    const LEAST: usize = 60;
+    const MIN_LENGTHS: usize = 60;
     /// Standard deviation of rounding to the last digit, degrees.
     const ROUNDING_DEG: f64 = 0.005 / 1.732;
     let rows = &observations.rows;
@@ -97,7 +97,7 @@ fn two_decimals(observations: &Measurements, robot: &Robot) -> Option<Measuremen
         .map(|deg| 100.0 * deg)
         .collect();
     let is_whole = |value: f64| (value - value.round()).abs() < 1e-6;
-    let is_rounded = hundredths.len() >= LEAST && hundredths.iter().all(|value| is_whole(*value));
+    let is_rounded = hundredths.len() >= MIN_LENGTHS && hundredths.iter().all(|value| is_whole(*value));
     let both = hundredths.iter().filter(|value| !is_whole(**value / 10.0)).count();
     let length_mm = ROUNDING_DEG.to_radians() * robot.reach_mm();
     (is_rounded && 2 * both > hundredths.len())
@@ -107,7 +107,7 @@ fn two_decimals(observations: &Measurements, robot: &Robot) -> Option<Measuremen
 /// Consecutive lengths at different poses that are exactly equal.
 fn frozen(observations: &Measurements) -> Option<MeasurementFinding> {
     /// Fewer may be equal by chance if the bar has few digits.
-    const LEAST: usize = 6;
+    const MIN_LENGTHS: usize = 6;
     let lengths = observations.rows.iter().filter(|row| row.datum.ball().is_some());
     let lengths: Vec<_> = lengths.map(|row| (row.index, row.length_mm, row.axes.degrees())).collect();
     let is_equal =
@@ -115,7 +115,7 @@ fn frozen(observations: &Measurements) -> Option<MeasurementFinding> {
     let equal = lengths.chunk_by(is_equal).max_by_key(|equal| equal.len())?;
     let (rows, &(index, length_mm, _)) = (equal.len(), equal.first()?);
     match rows {
-        _ if rows < LEAST || length_mm.abs() > LONGEST_MM => None,
+        _ if rows < MIN_LENGTHS || length_mm.abs() > LONGEST_MM => None,
         _ if rows == lengths.len() => Some(MeasurementFinding::AllEqual { rows, length_mm }),
         _ => Some(MeasurementFinding::FrozenRows { rows, index, length_mm }),
     }
@@ -149,9 +149,9 @@ fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) ->
 /// A length agrees with the nominal one within this fraction: tool and ball are known to some centimetres.
 const AGREES: f64 = 0.15;
 /// The fraction of lengths that must agree.
-const MOST: f64 = 0.9;
+const MAX_SHARE: f64 = 0.9;
 /// Fewer lengths may agree by chance.
-const FEWEST: usize = 4;
+const MIN_LENGTHS: usize = 4;
 
 /// Columns that are in another unit than their name says. A table in metres or radians could be fitted as well, by a robot
 /// that does not exist.
@@ -185,7 +185,7 @@ fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measuremen
                 .is_some_and(|mm| (unit_mm * row.length_mm - mm).abs() <= AGREES * mm)
         };
         let count = lengths.len();
-        count >= FEWEST && lengths.iter().filter(is_near).count() as f64 >= MOST * count as f64
+        count >= MIN_LENGTHS && lengths.iter().filter(is_near).count() as f64 >= MAX_SHARE * count as f64
     };
     if agree(1.0, 1.0) {
         return None;
@@ -197,7 +197,7 @@ fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measuremen
 }
 
 /// Fewer positions can be fitted to any poses.
-const FEWEST_POSITIONS: usize = 8;
+const MIN_POSITIONS: usize = 8;
 /// Iterations of fitting target and frame in turn.
 const ROUNDS: usize = 30;
 
@@ -214,7 +214,7 @@ fn unit_of_positions(
     };
     let positions: Vec<MeasuredPosition> =
         observations.positions().filter(|position| position.target == target).collect();
-    if positions.len() < FEWEST_POSITIONS {
+    if positions.len() < MIN_POSITIONS {
         return Ok(None);
     }
     let places: Vec<Vector3<f64>> = positions.iter().map(|position| position.place).collect();

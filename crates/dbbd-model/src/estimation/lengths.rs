@@ -17,7 +17,7 @@ const MANY: usize = 2 * SAMPLE;
 pub(crate) struct Lengths<'a> {
     rows: Rows<'a>,
     /// Whether the user stated the standard deviation, so that it is not adjusted to the residuals.
-    pub(super) vouched: bool,
+    pub(super) is_sigma_given: bool,
     /// Whether any standard deviations are given.
     pub(super) known: bool,
     /// Standard deviation of the robot's repeatability along a length, mm, if it is known.
@@ -77,16 +77,16 @@ impl<'a> Lengths<'a> {
                 rows.iter().map(|row| given(row, all)).collect(),
             ),
         };
-        let (vouched, repeatability_mm) = (options.sigma_mm.is_some(), robot.repeatability_sd_mm());
+        let (is_sigma_given, repeatability_mm) = (options.sigma_mm.is_some(), robot.repeatability_sd_mm());
         let (elapsed, timed) = elapsed(rows);
-        Self { rows: held, vouched, known, repeatability_mm, elapsed, timed }
+        Self { rows: held, is_sigma_given, known, repeatability_mm, elapsed, timed }
     }
 
     /// `given` are the standard deviations, mm.
     pub(super) fn few(readings: Vec<PreparedMeasurement>, given: Vec<f64>) -> Lengths<'static> {
         Lengths {
             rows: Rows::Few(readings, given),
-            vouched: true,
+            is_sigma_given: true,
             known: true,
             repeatability_mm: None,
             elapsed: vec![],

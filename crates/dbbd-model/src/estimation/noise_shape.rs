@@ -6,7 +6,7 @@
 //! of a pose's rows, r what they leave and l what a joint moves, d ln Z / d ln u = u^2 sum((l' S^-1 r)^2 - l' P l), and the
 //! information is 2 u_k^2 u_l^2 sum (l_k' P l_l)^2. What is expected of the sense has a coefficient of its own, whose prior
 //! standard deviation is the same u: it adds (w^2 + C) / u^2 - 1. The noise t that each length has of its own is one more
-//! such variance: W^2 in place of l l'. Where it cannot be told from that of the pose, it is what is stated.
+//! such variance: W^2 in place of l l'. Where it cannot be separated from that of the pose, it is what is stated.
 
 use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
 
@@ -38,7 +38,7 @@ pub(super) enum BacklashNoise {
 /// The standard deviation that a length has beside its pose, mm.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum OwnNoise {
-    /// As stated: it cannot be told from that of the pose.
+    /// As stated: it cannot be separated from that of the pose.
     Stated(f64),
     /// To be found, about what is stated.
     Sought { sd: f64, stated: f64 },
@@ -156,11 +156,11 @@ impl NoiseScore<'_> {
         let Self { rows, whitened, sigma_mm, .. } = *self;
         let NoiseShape { own, backlash } = whitened.shape;
         let sds = if backlash.is_known() { [0.0; AXES] } else { backlash.sds() };
-        let mut levers = DMatrix::from_fn(rows.levers.len(), AXES, |row, joint| {
-            if rows.senses[row][joint] == 0 { rows.levers[row][joint] } else { 0.0 }
+        let mut by_joint = DMatrix::from_fn(rows.by_joint.len(), AXES, |row, joint| {
+            if rows.senses[row][joint] == 0 { rows.by_joint[row][joint] } else { 0.0 }
         });
-        whitened.whitening.apply(&mut levers);
-        levers /= sigma_mm;
+        whitened.whitening.apply(&mut by_joint);
+        by_joint /= sigma_mm;
         let known = &whitened.rows * self.root / sigma_mm;
         let residual = (&whitened.right - &whitened.rows * self.mean) / sigma_mm;
         let variances = sds.map(|sd| sd * sd);
@@ -171,12 +171,12 @@ impl NoiseScore<'_> {
             OwnNoise::Stated(_) => 0.0,
         };
         for (pose, of_pose) in rows.poses.iter().enumerate() {
-            let levers = levers.select_rows(of_pose);
+            let by_joint = by_joint.select_rows(of_pose);
             let known = known.select_rows(of_pose);
             let residual = residual.select_rows(of_pose);
-            let explained = known.tr_mul(&levers);
-            let left = levers.tr_mul(&levers) - explained.tr_mul(&explained);
-            let scores = levers.tr_mul(&residual);
+            let explained = known.tr_mul(&by_joint);
+            let left = by_joint.tr_mul(&by_joint) - explained.tr_mul(&explained);
+            let scores = by_joint.tr_mul(&residual);
             for k in 0..AXES {
                 gradient[k] += variances[k] * (scores[k].powi(2) - left[(k, k)]);
                 for l in 0..AXES {
@@ -194,7 +194,7 @@ impl NoiseScore<'_> {
                 let scores = owns.tr_mul(&residual);
                 gradient[OWN] += own_variance * (scores.norm_squared() - left_owns.trace());
                 information[(OWN, OWN)] += 2.0 * own_variance.powi(2) * left_owns.norm_squared();
-                let across = owns.tr_mul(&levers) - explained_owns.tr_mul(&explained);
+                let across = owns.tr_mul(&by_joint) - explained_owns.tr_mul(&explained);
                 for k in 0..AXES {
                     let both = 2.0 * variances[k] * own_variance * across.column(k).norm_squared();
                     information[(OWN, k)] += both;
@@ -242,7 +242,7 @@ mod tests {
             weights: (0..readings.len()).map(|at| if at % 2 == 0 { 0.8 } else { 1.2 }).collect(),
             rows,
             variances: vec![Some(Variance::Fixed(0.5)), Some(Variance::Fixed(0.05))],
-            sigma_is_given: false,
+            is_sigma_given: false,
             sigma_mm: SIGMA_MM,
         }
     }

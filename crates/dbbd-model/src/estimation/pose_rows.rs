@@ -44,7 +44,7 @@ impl From<f64> for LengthNoise<'_> {
 impl<'a> LengthNoise<'a> {
     /// Of lengths with this standard deviation (mm) of a robot of which this is not known.
     pub fn of(sigma_mm: f64, joints: Option<&'a RobotUncertainty>) -> Self {
-        let of_pose = |joints: &RobotUncertainty| joints.pose_mm.min(MOST_OF_POSE * sigma_mm);
+        let of_pose = |joints: &RobotUncertainty| joints.pose_mm.min(MAX_OF_POSE * sigma_mm);
         let pose_mm = joints.map_or(0.0, of_pose);
         Self { pose_mm, length_mm: (sigma_mm * sigma_mm - pose_mm * pose_mm).sqrt(), joints }
     }
@@ -56,9 +56,9 @@ impl<'a> LengthNoise<'a> {
 }
 
 /// A length has some noise of its own: the share of the pose is at most this.
-const MOST_OF_POSE: f64 = 0.995;
+const MAX_OF_POSE: f64 = 0.995;
 /// And of its variance beside the pose at least this share is its own.
-const LEAST_OWN: f64 = 0.01;
+const MIN_OWN: f64 = 0.01;
 
 /// Rows at a model.
 #[derive(Clone)]
@@ -77,7 +77,7 @@ pub(super) struct PoseRows {
     /// The senses in which the joints came.
     pub(super) senses: Vec<[i8; AXES]>,
     pub(super) joints: Vec<[f64; AXES]>,
-    pub(super) levers: Vec<[f64; AXES]>,
+    pub(super) by_joint: Vec<[f64; AXES]>,
     /// What a relative growth of all links moves, mm.
     pub(super) growths: Vec<f64>,
     /// What a displacement of the target on the tool moves, per mm.
@@ -96,7 +96,7 @@ struct Row {
     unit: [f64; 3],
     axes: [f64; AXES],
     approach: Approach,
-    levers: [f64; AXES],
+    by_joint: [f64; AXES],
     growth: f64,
     target: [f64; 3],
 }
@@ -128,7 +128,7 @@ impl PoseRows {
                 unit: by.unit().into(),
                 axes: reading.axes,
                 approach: reading.approach,
-                levers: Joint::ALL.map(|joint| by.derivative(ParamId::Theta(joint))),
+                by_joint: Joint::ALL.map(|joint| by.derivative(ParamId::Theta(joint))),
                 target: Coordinate::ALL.map(|axis| by.derivative(ParamId::Tool(axis))),
                 growth: links.iter().map(|(id, mm)| by.derivative(*id) * mm).sum(),
             });
@@ -156,7 +156,7 @@ impl PoseRows {
             joints: rows.iter().map(|row| geometry.coupling.joints(&row.axes)).collect(),
             senses: rows.iter().map(|row| geometry.coupling.senses(row.approach).senses()).collect(),
             approaches: rows.iter().map(|row| row.approach).collect(),
-            levers: rows.iter().map(|row| row.levers).collect(),
+            by_joint: rows.iter().map(|row| row.by_joint).collect(),
             targets: rows.iter().map(|row| row.target).collect(),
             data: rows.iter().map(|row| row.datum).collect(),
             growths: rows.iter().map(|row| row.growth).collect(),
@@ -164,7 +164,7 @@ impl PoseRows {
         }
     }
 
-    /// Whether the noise of a pose and that of its lengths can be told apart: a pose has several lengths, in directions that
+    /// Whether the noise of a pose and that of its lengths can be separated: a pose has several lengths, in directions that
     /// are not orthogonal as those of a position are.
     pub(super) fn tell_noise_apart(&self) -> bool {
         /// Cosine of the angle between two lengths.
@@ -190,13 +190,13 @@ impl PoseRows {
         let backlash = noise.joints.map_or([0.0; AXES], |unknown| unknown.unapproached_rad);
         let moved = |row: usize| -> f64 {
             let unknown = (0..AXES).filter(|joint| self.senses[row][*joint] == 0);
-            unknown.map(|joint| (self.levers[row][joint] * backlash[joint]).powi(2)).sum()
+            unknown.map(|joint| (self.by_joint[row][joint] * backlash[joint]).powi(2)).sum()
         };
         let moved: Vec<f64> = (0..rows).map(moved).collect();
         let count = moved.iter().filter(|moved| **moved > 0.0).count();
         let mean_moved = moved.iter().sum::<f64>() / count.max(1) as f64;
         let variance = noise.length_mm.powi(2);
-        let scattered = (variance - mean_moved).max(LEAST_OWN * variance).sqrt();
+        let scattered = (variance - mean_moved).max(MIN_OWN * variance).sqrt();
         let own = moved.iter().map(|moved| if *moved > 0.0 { scattered } else { noise.length_mm }).collect();
         let remaining = noise.joints.map(|unknown| RemainingErrors::new(&model.geometry, unknown));
         let of_joints = |row: usize| {
@@ -209,11 +209,11 @@ impl PoseRows {
     /// Root of the mean variance of the rows.
     pub(super) fn rms_sd(&self, noise: &RowNoise) -> f64 {
         let of = |row: usize| {
-            let joints = noise.joints[row].iter().zip(self.levers[row]);
-            let joints: f64 = joints.map(|(sd, lever)| (sd * lever).powi(2)).sum();
+            let joints = noise.joints[row].iter().zip(self.by_joint[row]);
+            let joints: f64 = joints.map(|(sd, by_angle)| (sd * by_angle).powi(2)).sum();
             noise.pose.powi(2) + noise.own[row].powi(2) + joints
         };
-        let rows = self.levers.len();
+        let rows = self.by_joint.len();
         ((0..rows).map(of).sum::<f64>() / rows as f64).sqrt()
     }
 
@@ -223,7 +223,7 @@ impl PoseRows {
             let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
                 let [u, v] = [rows[i], rows[j]].map(|row| self.units[row]);
                 let mut shared = (u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * (noise.pose * noise.pose);
-                let [u, v] = [rows[i], rows[j]].map(|row| self.levers[row]);
+                let [u, v] = [rows[i], rows[j]].map(|row| self.by_joint[row]);
                 for (joint, sd) in noise.joints[rows[i]].iter().enumerate() {
                     shared += u[joint] * v[joint] * sd * sd;
                 }

@@ -19,7 +19,7 @@ use crate::robot::{
 /// Robots that are drawn, at least.
 const ROBOTS: usize = 100;
 /// Fewer poses say too little of where the robot's base is: poses of the workspace are added.
-const FEWEST_POSES: usize = 10;
+const MIN_POSES: usize = 10;
 
 /// The tool ball at poses, with what is not known of it.
 pub struct Positions {
@@ -28,12 +28,12 @@ pub struct Positions {
     /// What the root's columns move, 3 rows a pose, mm.
     moved: DMatrix<f64>,
     /// What each joint moves, mm/rad, and the standard deviation of its error beside the root's, rad.
-    joints: Vec<[Lever; AXES]>,
+    joints: Vec<[JointDisplacement; AXES]>,
     pose_mm: f64,
 }
 
 #[derive(Clone, Copy)]
-struct Lever {
+struct JointDisplacement {
     column: Vector3<f64>,
     sd_rad: f64,
 }
@@ -55,15 +55,15 @@ impl Positions {
         poses: &[ApproachedPose],
         workspace: &[[f64; AXES]],
     ) -> Self {
-        let more: &[[f64; AXES]] = if poses.len() < FEWEST_POSES { workspace } else { &[] };
+        let more: &[[f64; AXES]] = if poses.len() < MIN_POSES { workspace } else { &[] };
         let given = poses.iter().map(|pose| (pose.axes.radians(), pose.approach));
         let all: Vec<([f64; AXES], Approach)> =
             given.chain(more.iter().map(|axes| (*axes, Approach::default()))).collect();
         let motion = BallMotion::new(geometry, &all, &unknown.parameters);
         let remaining = RemainingErrors::new(geometry, unknown);
-        let joints = all.iter().zip(&motion.levers).map(|((axes, approach), levers)| {
+        let joints = all.iter().zip(&motion.by_joint).map(|((axes, approach), by_joint)| {
             let sds = remaining.sds(axes, *approach);
-            std::array::from_fn(|i| Lever { column: levers[i], sd_rad: sds[i] })
+            std::array::from_fn(|i| JointDisplacement { column: by_joint[i], sd_rad: sds[i] })
         });
         let joints = joints.collect();
         let BallMotion { jacobian, mut balls, .. } = motion;
@@ -78,8 +78,8 @@ impl Positions {
         let moved = self.moved.rows(3 * pose, 3);
         let mut covariance = Matrix3::identity() * (self.pose_mm * self.pose_mm);
         covariance += moved * moved.transpose();
-        for lever in &self.joints[pose] {
-            covariance += lever.column * lever.column.transpose() * (lever.sd_rad * lever.sd_rad);
+        for by_angle in &self.joints[pose] {
+            covariance += by_angle.column * by_angle.column.transpose() * (by_angle.sd_rad * by_angle.sd_rad);
         }
         covariance
     }
@@ -95,10 +95,10 @@ impl Positions {
         let mut random = Pcg64::seed_from_u64(2);
         let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
         for mut column in drawn.column_iter_mut() {
-            for (pose, levers) in self.joints.iter().enumerate() {
+            for (pose, by_joint) in self.joints.iter().enumerate() {
                 let mut error = Vector3::from_fn(|_, _| pose_mm * normal());
-                for lever in levers {
-                    error += lever.column * (lever.sd_rad * normal());
+                for by_angle in by_joint {
+                    error += by_angle.column * (by_angle.sd_rad * normal());
                 }
                 let mut there = column.fixed_rows_mut::<3>(3 * pose);
                 there += error;
@@ -124,7 +124,7 @@ pub(super) struct BallMotion {
     /// In the robot base, mm.
     pub(super) balls: Vec<Vector3<f64>>,
     /// By the angle of each joint, mm/rad.
-    pub(super) levers: Vec<[Vector3<f64>; AXES]>,
+    pub(super) by_joint: Vec<[Vector3<f64>; AXES]>,
 }
 
 impl BallMotion {
@@ -136,21 +136,21 @@ impl BallMotion {
         let (mut balls, mut joints) = (Vec::new(), Vec::new());
         let ids: Vec<ParamId> = ids.iter().copied().chain(Joint::ALL.map(ParamId::Theta)).collect();
         for (at, (axes, approach)) in poses.iter().enumerate() {
-            let mut levers = [Vector3::zeros(); AXES];
+            let mut by_joint = [Vector3::zeros(); AXES];
             chain.ball_jacobian(axes, &ids, |column, moved| match column.checked_sub(own) {
                 None => jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&moved),
-                Some(joint) => levers[joint] = moved,
+                Some(joint) => by_joint[joint] = moved,
             });
             let mut column = own;
             geometry.error_derivatives(axes, *approach, |place, value| {
-                jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&(levers[place] * value));
+                jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&(by_joint[place] * value));
                 column += 1;
             });
-            joints.push(levers);
+            joints.push(by_joint);
             let (sin_cos, approach, target) = (&JointSinCos::of(axes), *approach, &geometry.tool);
             balls.push(chain.ball(&AxesAtPose { axes, sin_cos, approach, target }));
         }
-        Self { jacobian, balls, levers: joints }
+        Self { jacobian, balls, by_joint: joints }
     }
 }
 

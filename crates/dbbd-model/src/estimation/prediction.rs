@@ -144,7 +144,7 @@ fn parts(estimate: &Estimate, axes: &[[f64; AXES]]) -> PositionParts {
         .step_by(axes.len().div_ceil(COMPRESSING).max(1))
         .map(|axes| (*axes, Approach::default()))
         .collect();
-    let BallMotion { jacobian, balls, levers } = BallMotion::new(&fit.model.geometry, &some, &ids);
+    let BallMotion { jacobian, balls, by_joint } = BallMotion::new(&fit.model.geometry, &some, &ids);
     let mut moved = jacobian * root.select_rows(&rows);
     take_out_rigid_motion(&mut moved, &balls);
     let rms = |square: f64| (square.max(0.0) / balls.len().max(1) as f64).sqrt();
@@ -153,8 +153,8 @@ fn parts(estimate: &Estimate, axes: &[[f64; AXES]]) -> PositionParts {
         bars.filter(|row| row.norm() > 0.0).map(|row| (&moved * row.normalize()).norm_squared()).sum();
     let by_prior = (&moved * &estimate.of_prior).norm_squared();
     let unapproached = estimate.unapproached_rad;
-    let backlash = levers.iter().flatten().zip(unapproached.iter().cycle());
-    let backlash: f64 = backlash.map(|(lever, rad)| lever.norm_squared() * rad * rad).sum();
+    let backlash = by_joint.iter().flatten().zip(unapproached.iter().cycle());
+    let backlash: f64 = backlash.map(|(by_angle, rad)| by_angle.norm_squared() * rad * rad).sum();
     PositionParts {
         bar_mm: rms(bar),
         noise_mm: rms(moved.norm_squared() - by_prior),
@@ -188,7 +188,7 @@ fn unapproached(axes: &[f64; AXES]) -> ApproachedPose {
 /// What the lengths scatter beyond what is given of them and of the robot's repeatability, mm: it is of the robot, such
 /// as backlash where the sense of approach is not known.
 fn unexplained_mm(setting: &Setting<'_>, estimate: &Estimate, lengths: &Lengths) -> f64 {
-    if !lengths.known || lengths.vouched {
+    if !lengths.known || lengths.is_sigma_given {
         return 0.0;
     }
     let given = lengths.weighted(super::lengths::Sigma::Given, &[]).rms_sigma();

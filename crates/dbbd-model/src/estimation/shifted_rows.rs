@@ -17,7 +17,7 @@ const SMALLER: f64 = 1.5;
 /// Residuals are truncated at so many robust standard deviations.
 const CAP: f64 = 3.0;
 /// Degrees of freedom below which nothing is decided.
-const FEWEST: f64 = 10.0;
+const MIN_FREEDOM: f64 = 10.0;
 
 /// The shift with which the lengths fit decisively better than unshifted. The geometry alone, without a prior, is fitted to both:
 /// errors of the joints would compensate more of the shift.
@@ -28,7 +28,7 @@ pub(super) fn shifted_rows(estimate: &Estimate, lengths: &Lengths) -> Option<Est
         minimise(&problem, &estimate.at_start).model
     };
     let own = shifted(estimate, lengths, 0);
-    if freedom(&own, estimate) < FEWEST {
+    if freedom(&own, estimate) < MIN_FREEDOM {
         return None;
     }
     let model = fitted(&own);
@@ -53,7 +53,7 @@ pub(super) fn shifted_rows(estimate: &Estimate, lengths: &Lengths) -> Option<Est
 /// `after`, if it is decisive and they fall by the factor `smaller`.
 pub(super) fn decisive(freedom: f64, [before, after]: [f64; 2], smaller: f64) -> Option<f64> {
     let gain = freedom * (before / after).ln();
-    (freedom >= FEWEST && gain > DECISIVE && before > smaller * after).then_some(gain)
+    (freedom >= MIN_FREEDOM && gain > DECISIVE && before > smaller * after).then_some(gain)
 }
 
 /// The poses with the lengths `rows` further; the first ones of very many. Poses without a length are dropped.

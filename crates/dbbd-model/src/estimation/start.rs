@@ -22,7 +22,7 @@ use crate::robot::{ParamGroup, ParamId, parameter};
 const FLOOR_MM: f64 = 1e-9;
 
 /// Parameters that may be far beyond their tolerance alone, as a lost zero.
-const MOST_FAR: usize = 2;
+const MAX_FAR: usize = 2;
 /// Standard uncertainties beyond which a tool ball was not measured.
 const GUESSED: f64 = 10.0;
 
@@ -126,7 +126,7 @@ impl EstimateStart {
             priors.bound_at_start(*id).is_some_and(|sd| correction(*id) > largest_plausible(true) * sd)
         };
         // Of several it is the tolerance that is too small.
-        let few = self.kept.iter().filter(|id| id.is_geometric() && is_far(id)).count() <= MOST_FAR;
+        let few = self.kept.iter().filter(|id| id.is_geometric() && is_far(id)).count() <= MAX_FAR;
         let widened = |id: ParamId, sd: f64| {
             (few && correction(id) > largest_plausible(true) * sd).then(|| correction(id))
         };
@@ -269,7 +269,7 @@ fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
 /// The standard deviation of the lengths from the residuals of a linearised fit of the base set, with which a fit begins.
 fn start_sigma(lengths: &Lengths, set_up: &Fit, base: &[ParamId]) -> Sigma {
     let repeatability = lengths.repeatability_mm.unwrap_or(0.0).powi(2);
-    if lengths.vouched {
+    if lengths.is_sigma_given {
         return Sigma::Given;
     }
     // Equal lengths determine the bar and the scale of the robot only together. With a free bar a robot of size zero

@@ -17,7 +17,7 @@ pub(super) struct System {
     pub(super) weights: Vec<f64>,
     /// `None` of free unknowns.
     pub(super) variances: Vec<Option<Variance>>,
-    pub(super) sigma_is_given: bool,
+    pub(super) is_sigma_given: bool,
     /// Median of the prior of the noise, mm.
     pub(super) sigma_mm: f64,
 }
@@ -169,7 +169,7 @@ impl Equations {
         };
         let variances = bound.iter().filter_map(|&k| system.variances[k]).collect();
         let hyper_priors = HyperPrior::all(system.sigma_mm);
-        let evidence = Evidence { normal, variances, hyper_priors, sigma_is_given: system.sigma_is_given };
+        let evidence = Evidence { normal, variances, hyper_priors, is_sigma_given: system.is_sigma_given };
         Some(Self { evidence, bound, free, units, unknowns, factor, across, free_right })
     }
 
@@ -292,7 +292,7 @@ mod tests {
             weights: vec![1.0; readings.len()],
             rows,
             variances: ids().iter().map(variance).collect(),
-            sigma_is_given: false,
+            is_sigma_given: false,
             sigma_mm: SIGMA_MM,
         }
     }

@@ -20,12 +20,12 @@ use crate::robot::{
 };
 
 /// An axis that turns by less has no function of its angle, rad.
-const LEAST_RANGE: f64 = 0.05;
+const MIN_RANGE: f64 = 0.05;
 /// Basis functions for each length scale in half the interval (Riutort-Mayol et al., Statistics and Computing 33, 2022),
 /// and their limits.
 const FUNCTIONS: f64 = 2.65;
-const FEWEST: usize = 10;
-const MOST: usize = 48;
+const MIN_FUNCTIONS: usize = 10;
+const MAX_FUNCTIONS: usize = 48;
 /// Clusters of poses that share a displacement of the tool ball, and poses for each at least.
 const CLUSTERS: usize = 24;
 const POSES_PER_CLUSTER: usize = 4;
@@ -118,7 +118,7 @@ impl Unknowns {
     /// Whether a joint (from 0) turned far enough for a function of its angle.
     pub(super) fn moved(&self, joint: usize) -> bool {
         let [low, high] = self.ranges[joint];
-        high - low >= LEAST_RANGE
+        high - low >= MIN_RANGE
     }
 
     /// How many columns belong to the parameters.
@@ -156,7 +156,8 @@ impl Unknowns {
             let [low, high] = self.ranges[at];
             let half_width = SmoothJointError::half_width_for([low, high]);
             let before = before.at(at).cloned().unwrap_or_default();
-            let count = ((FUNCTIONS * half_width / quick.length_scale_rad) as usize).clamp(FEWEST, MOST);
+            let count = ((FUNCTIONS * half_width / quick.length_scale_rad) as usize)
+                .clamp(MIN_FUNCTIONS, MAX_FUNCTIONS);
             let mut smooth = SmoothJointError::new(0.5 * (low + high), half_width, count);
             if smooth.is_alike(&before.smooth) {
                 let known = smooth.coefficients.iter_mut().zip(before.smooth.coefficients);
@@ -207,7 +208,7 @@ impl Unknowns {
             weights: rows.places.iter().map(|place| used.lengths().given(*place) / mean_sd).collect(),
             rows,
             variances,
-            sigma_is_given: used.lengths().vouched,
+            is_sigma_given: used.lengths().is_sigma_given,
             sigma_mm: used.lengths().repeatability_mm.unwrap_or(USUAL_SIGMA_MM),
         }
     }
@@ -321,7 +322,7 @@ impl ModelErrors {
                 let wave = (std::f64::consts::PI * order as f64 * elapsed).cos() / order as f64;
                 let first = places + (order - 1) * (AXES + 1);
                 for joint in 0..AXES {
-                    columns[(row, first + joint)] = wave * rows.levers[row][joint];
+                    columns[(row, first + joint)] = wave * rows.by_joint[row][joint];
                 }
                 columns[(row, first + AXES)] = wave * rows.growths[row];
             }

@@ -13,7 +13,7 @@ const DEFAULT_FOLDS: usize = 5;
 /// By default there are no folds with fewer lengths per parameter,
 const LENGTHS_PER_PARAMETER: usize = 3;
 /// nor with more lengths in total: with hundreds per parameter the held-out residuals are like the others.
-const MOST_BY_DEFAULT: usize = 20_000;
+const MAX_BY_DEFAULT: usize = 20_000;
 
 /// The number of folds; `None` for no cross-validation.
 pub(super) fn folds(asked: Option<usize>, lengths: usize, parameters: usize) -> Option<usize> {
@@ -22,7 +22,7 @@ pub(super) fn folds(asked: Option<usize>, lengths: usize, parameters: usize) -> 
         Some(folds) => Some(folds),
         None => {
             let enough = LENGTHS_PER_PARAMETER * parameters;
-            (enough..=MOST_BY_DEFAULT).contains(&lengths).then_some(DEFAULT_FOLDS)
+            (enough..=MAX_BY_DEFAULT).contains(&lengths).then_some(DEFAULT_FOLDS)
         }
     }
 }

@@ -46,9 +46,9 @@ impl fmt::Display for Combination {
 }
 
 /// A sum of more terms is not written out,
-const MOST_TERMS: usize = 6;
+const MAX_TERMS: usize = 6;
 /// nor one with a term below this fraction of the largest.
-const LEAST_TERM: f64 = 1e-3;
+const MIN_TERM: f64 = 1e-3;
 
 impl Combination {
     /// Writes the sum with each parameter in mm or mrad (urad/(N m)); or the number of terms and the largest one.
@@ -56,7 +56,7 @@ impl Combination {
         let terms: Vec<(ParamId, f64)> = self.scaled().collect();
         let size = |(_, share): &&(ParamId, f64)| share.abs();
         let Some(largest) = terms.iter().max_by(|a, b| size(a).total_cmp(&size(b))) else { return Ok(()) };
-        if terms.len() > MOST_TERMS || terms.iter().any(|term| size(&term) < LEAST_TERM * size(&largest)) {
+        if terms.len() > MAX_TERMS || terms.iter().any(|term| size(&term) < MIN_TERM * size(&largest)) {
             return write!(out, "only a combination of {} parameters, mostly of {},", terms.len(), largest.0);
         }
         out.write_str("only ")?;
@@ -80,11 +80,11 @@ impl Combination {
 /// Combinations for a terminal: the short ones, and the number of the longer ones.
 pub fn in_short<'a>(combinations: impl IntoIterator<Item = &'a Combination>) -> Vec<String> {
     let (short, long): (Vec<_>, Vec<_>) =
-        combinations.into_iter().partition(|combination| combination.members.len() <= MOST_TERMS);
+        combinations.into_iter().partition(|combination| combination.members.len() <= MAX_TERMS);
     let mut lines: Vec<String> = short.iter().map(ToString::to_string).collect();
     if let Some(largest) = long.iter().map(|combination| combination.members.len()).max() {
         lines.push(format!(
-            "{} combinations of more than {MOST_TERMS} parameters are identifiable only as a whole; the largest has {largest}",
+            "{} combinations of more than {MAX_TERMS} parameters are identifiable only as a whole; the largest has {largest}",
             long.len()
         ));
     }

@@ -15,7 +15,7 @@ use crate::robot::ParamId;
 /// Weight of the prior scatter of one tolerance, as a number of values.
 const SCATTER_WEIGHT: f64 = 4.0;
 /// Directions in which a run's lengths reduce the variance by a smaller fraction have no information.
-const LEAST_SHARE: f64 = 1e-9;
+const MIN_SHARE: f64 = 1e-9;
 
 /// The robots of a type, in units of `scale`.
 pub(super) struct Kind {
@@ -121,7 +121,7 @@ pub(super) fn information(run: &RunPosterior, kind: &Kind) -> Option<(DMatrix<f6
         (all[(i, j)] - if i == j { prior[i] } else { 0.0 }) / (unit[i] * unit[j])
     });
     let eigen = whitened.symmetric_eigen();
-    let values = eigen.eigenvalues.map(|value| if value > LEAST_SHARE { value } else { 0.0 });
+    let values = eigen.eigenvalues.map(|value| if value > MIN_SHARE { value } else { 0.0 });
     let data = &eigen.eigenvectors * DMatrix::from_diagonal(&values) * eigen.eigenvectors.transpose();
     let weighted = &all * mean;
     let (mut matrix, mut rhs) = (DMatrix::zeros(count + 1, count + 1), DVector::zeros(count + 1));

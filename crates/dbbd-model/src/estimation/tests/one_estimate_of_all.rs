@@ -140,7 +140,7 @@ fn aligned_worst(one: &Robot, other: &Robot) -> f64 {
     poses.iter().map(|axes| (at(one, axes) - at(other, axes)).norm()).fold(0.0, f64::max)
 }
 
-/// Lengths of other poses to balls that were mounted anew.
+/// Lengths of other poses to balls that were mounted again.
 #[test]
 fn a_second_run_goes_on_from_the_first() {
     let (mut first_mm, mut second_mm) = (0.0, 0.0);
@@ -160,7 +160,7 @@ fn a_second_run_goes_on_from_the_first() {
     assert!(second_mm <= first_mm, "{first_mm} -> {second_mm} mm");
 }
 
-/// The bar is 301 mm, and all lengths are told as if it were 300.
+/// The bar is 301 mm, and all lengths are stated as if it were 300.
 #[test]
 fn a_bar_that_is_a_millimetre_longer_is_found() {
     for seed in 0..3 {

@@ -85,9 +85,9 @@ fn a_combination_is_distributed_by_the_variances() {
         let of = |k: f64| c[(at2, at2)] + k * k * c[(at3, at3)] + 2.0 * k * c[(at2, at3)];
         let untold = s2 * s2 + share * share * s3 * s3;
         assert!((of(-share) / untold - 1.0).abs() < 0.01, "{} {untold}", of(-share));
-        let told = of(1.0).sqrt();
-        assert!(told < 0.99 * s2.hypot(s3), "{told}");
-        assert!((d2.correction + d3.correction - 0.8).abs() < 3.5 * told, "{} +- {told}", d2.correction);
+        let sd = of(1.0).sqrt();
+        assert!(sd < 0.99 * s2.hypot(s3), "{sd}");
+        assert!((d2.correction + d3.correction - 0.8).abs() < 3.5 * sd, "{} +- {sd}", d2.correction);
     }
 }
 
