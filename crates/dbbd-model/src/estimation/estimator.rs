@@ -679,7 +679,7 @@ fn event_mm(events: &[JudgedEvent], lengths: &Lengths, model: &LengthModel) -> V
     let effects = certain.iter().map(|judged| judged.event.of_rows(&rows, lengths) * &judged.coefficients);
     let mut of_rows = vec![0.0; lengths.len()];
     for effect in effects {
-        rows.places.iter().zip(&effect).for_each(|(place, mm)| of_rows[*place] += mm);
+        rows.lengths.iter().zip(&effect).for_each(|(length, mm)| of_rows[length.place] += mm);
     }
     of_rows
 }

@@ -80,7 +80,7 @@ fn happened(found: &RunHypothesis) -> EstimationFinding {
     }
     match name {
         RunEventKind::BarZeroStep => EstimationFinding::ZeroStep { bar, index, by_mm: size_mm, sd_mm },
-        RunEventKind::BarZeroDrift | RunEventKind::BallOffset | RunEventKind::RowsShifted => {
+        RunEventKind::BarZeroDrift | RunEventKind::BallOffset => {
             EstimationFinding::ZeroDrift { bar, by_mm: size_mm, sd_mm }
         }
         RunEventKind::BaseBallMoved => EstimationFinding::BaseBallMoved { ball, index, size_mm, sd_mm },

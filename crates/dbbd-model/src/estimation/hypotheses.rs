@@ -43,7 +43,6 @@ pub enum RunEventKind {
     TrackerMoved,
     TrackerDrift,
     WrongBall,
-    RowsShifted,
     /// All lengths of a ball are off alike: a rival of what begins at its first row.
     BallOffset,
 }
@@ -70,7 +69,6 @@ impl RunEventKind {
             Self::TrackerMoved => "a tracker that moved",
             Self::TrackerDrift => "a tracker that drifted",
             Self::WrongBall => "a wrong ball number",
-            Self::RowsShifted => "shifted rows",
             Self::BallOffset => "an error of a ball",
         }
     }
@@ -82,7 +80,7 @@ impl RunEventKind {
             Self::BaseBallMoved | Self::ToolBallMoved | Self::TrackerMoved | Self::TrackerDrift => {
                 [0.02, 50.0]
             }
-            Self::WrongBall | Self::RowsShifted => [0.0, 0.0],
+            Self::WrongBall => [0.0, 0.0],
         }
     }
 }
@@ -110,7 +108,7 @@ impl RunEvent {
             | RunEventKind::ToolBallMoved
             | RunEventKind::TrackerMoved
             | RunEventKind::TrackerDrift => 3,
-            RunEventKind::WrongBall | RunEventKind::RowsShifted => 0,
+            RunEventKind::WrongBall => 0,
         }
     }
 
@@ -127,26 +125,26 @@ impl RunEvent {
 
     /// Its columns at the rows, mm per mm.
     pub(super) fn of_rows(&self, rows: &PoseRows, lengths: &Lengths) -> DMatrix<f64> {
-        let mut columns = DMatrix::zeros(rows.places.len(), self.columns());
-        let sum: f64 = rows.places.iter().map(|place| lengths.reading(*place).length_mm).sum();
-        let mean_mm = sum / rows.places.len().max(1) as f64;
-        for (row, place) in rows.places.iter().enumerate() {
-            let elapsed = lengths.elapsed(*place).unwrap_or(0.0);
+        let mut columns = DMatrix::zeros(rows.lengths.len(), self.columns());
+        let sum: f64 = rows.lengths.iter().map(|length| lengths.reading(length.place).length_mm).sum();
+        let mean_mm = sum / rows.lengths.len().max(1) as f64;
+        for (row, length) in rows.lengths.iter().enumerate() {
+            let elapsed = lengths.elapsed(length.place).unwrap_or(0.0);
             let is_before = self.from.is_some_and(|(from, _)| elapsed < from);
-            if is_before || !self.is_of(rows.data[row]) {
+            if is_before || !self.is_of(rows.lengths[row].datum) {
                 continue;
             }
             let along: [f64; 3] = match self.kind {
                 RunEventKind::BarZeroStep | RunEventKind::BallOffset => [1.0, 0.0, 0.0],
                 RunEventKind::BarZeroDrift if self.grows => {
-                    [elapsed * lengths.reading(*place).length_mm / mean_mm, 0.0, 0.0]
+                    [elapsed * lengths.reading(length.place).length_mm / mean_mm, 0.0, 0.0]
                 }
                 RunEventKind::BarZeroDrift => [elapsed, 0.0, 0.0],
-                RunEventKind::BaseBallMoved => rows.units[row].map(|part| -part),
-                RunEventKind::ToolBallMoved => rows.targets[row],
-                RunEventKind::TrackerMoved => rows.units[row],
-                RunEventKind::TrackerDrift => rows.units[row].map(|part| part * elapsed),
-                RunEventKind::WrongBall | RunEventKind::RowsShifted => [0.0; 3],
+                RunEventKind::BaseBallMoved => rows.lengths[row].unit.map(|part| -part),
+                RunEventKind::ToolBallMoved => rows.lengths[row].target,
+                RunEventKind::TrackerMoved => rows.lengths[row].unit,
+                RunEventKind::TrackerDrift => rows.lengths[row].unit.map(|part| part * elapsed),
+                RunEventKind::WrongBall => [0.0; 3],
             };
             (0..self.columns()).for_each(|k| columns[(row, k)] = along[k]);
         }
@@ -302,8 +300,9 @@ impl<'a> EventSearch<'a> {
 
     /// All hypotheses of a kind.
     fn events(&self, kind: RunEventKind) -> Vec<RunEvent> {
-        let mut bars: Vec<BarId> = self.rows.data.iter().filter_map(|datum| datum.bar()).collect();
-        let mut balls: Vec<BallId> = self.rows.data.iter().filter_map(|datum| datum.ball()).collect();
+        let mut bars: Vec<BarId> = self.rows.lengths.iter().filter_map(|length| length.datum.bar()).collect();
+        let mut balls: Vec<BallId> =
+            self.rows.lengths.iter().filter_map(|length| length.datum.ball()).collect();
         bars.sort_unstable();
         bars.dedup();
         balls.sort_unstable();
@@ -315,7 +314,7 @@ impl<'a> EventSearch<'a> {
             RunEventKind::BarZeroStep | RunEventKind::BarZeroDrift => of_bars().collect(),
             RunEventKind::BaseBallMoved => of_balls().collect(),
             RunEventKind::BallOffset if balls.len() > 1 => of_balls().collect(),
-            RunEventKind::BallOffset | RunEventKind::WrongBall | RunEventKind::RowsShifted => Vec::new(),
+            RunEventKind::BallOffset | RunEventKind::WrongBall => Vec::new(),
             RunEventKind::ToolBallMoved | RunEventKind::TrackerMoved | RunEventKind::TrackerDrift => {
                 vec![event]
             }
@@ -328,9 +327,10 @@ impl<'a> EventSearch<'a> {
         if event.kind == RunEventKind::BallOffset {
             return vec![event];
         }
-        let own = (0..self.rows.places.len()).filter(|row| event.is_of(self.rows.data[*row]));
-        let timed =
-            own.filter_map(|row| Some((self.lengths.elapsed(self.rows.places[row])?, self.rows.places[row])));
+        let own = (0..self.rows.lengths.len()).filter(|row| event.is_of(self.rows.lengths[*row].datum));
+        let timed = own.filter_map(|row| {
+            Some((self.lengths.elapsed(self.rows.lengths[row].place)?, self.rows.lengths[row].place))
+        });
         let mut timed: Vec<(f64, usize)> = timed.collect();
         timed.sort_by(|a, b| a.0.total_cmp(&b.0));
         let Some(inner) = timed.len().checked_sub(MIN_LENGTHS).and_then(|last| timed.get(MIN_LENGTHS..last))
@@ -611,7 +611,7 @@ mod tests {
             };
             let system = System {
                 right: at.residual.clone(),
-                weights: vec![1.0; at.places.len()],
+                weights: vec![1.0; at.lengths.len()],
                 rows: at,
                 variances: ids.iter().map(|id| Some(variance(id))).collect(),
                 is_sigma_given: false,
@@ -629,11 +629,11 @@ mod tests {
     fn bayes_factor_is_that_of_the_dense_covariances() {
         Bench::new(Some((40, 0.05))).with(|search, system| {
             let rows = &system.rows;
-            let count = rows.places.len();
+            let count = rows.lengths.len();
             let mut v = DMatrix::<f64>::zeros(count, count);
             for pose in &rows.poses {
                 for (i, j) in pose.iter().flat_map(|i| pose.iter().map(move |j| (*i, *j))) {
-                    let cosine: f64 = (0..3).map(|k| rows.units[i][k] * rows.units[j][k]).sum();
+                    let cosine: f64 = (0..3).map(|k| rows.lengths[i].unit[k] * rows.lengths[j].unit[k]).sum();
                     v[(i, j)] += SIGMA_MM * SIGMA_MM * cosine + if i == j { 0.01 * 0.01 } else { 0.0 };
                 }
             }

@@ -70,7 +70,7 @@ impl NoiseShape {
         RowNoise {
             pose: 1.0,
             own: weights.iter().map(|weight| own * weight).collect(),
-            joints: rows.senses.iter().map(joints).collect(),
+            joints: rows.lengths.iter().map(|length| joints(&length.senses)).collect(),
         }
     }
 }
@@ -156,8 +156,8 @@ impl NoiseScore<'_> {
         let Self { rows, whitened, sigma_mm, .. } = *self;
         let NoiseShape { own, backlash } = whitened.shape;
         let sds = if backlash.is_known() { [0.0; AXES] } else { backlash.sds() };
-        let mut by_joint = DMatrix::from_fn(rows.by_joint.len(), AXES, |row, joint| {
-            if rows.senses[row][joint] == 0 { rows.by_joint[row][joint] } else { 0.0 }
+        let mut by_joint = DMatrix::from_fn(rows.lengths.len(), AXES, |row, joint| {
+            if rows.lengths[row].senses[joint] == 0 { rows.lengths[row].by_joint[joint] } else { 0.0 }
         });
         whitened.whitening.apply(&mut by_joint);
         by_joint /= sigma_mm;

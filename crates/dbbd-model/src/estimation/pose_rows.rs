@@ -67,38 +67,30 @@ pub(super) struct PoseRows {
     pub(super) values: DMatrix<f64>,
     /// Measured minus predicted, mm.
     pub(super) residual: DVector<f64>,
-    /// Places among all lengths.
-    pub(super) places: Vec<usize>,
-    /// Unit vectors along the lengths.
-    pub(super) units: Vec<[f64; 3]>,
-    /// Axis angles (rad) with the sense of approach, the joints' own angles, and what these move, mm/rad.
-    axes: Vec<[f64; AXES]>,
-    approaches: Vec<Approach>,
-    /// The senses in which the joints came.
-    pub(super) senses: Vec<[i8; AXES]>,
-    pub(super) joints: Vec<[f64; AXES]>,
-    pub(super) by_joint: Vec<[f64; AXES]>,
-    /// What a relative growth of all links moves, mm.
-    pub(super) growths: Vec<f64>,
-    /// What a displacement of the target on the tool moves, per mm.
-    pub(super) targets: Vec<[f64; 3]>,
-    pub(super) data: Vec<Datum>,
+    pub(super) lengths: Vec<LengthAtPose>,
     /// Rows of one visit to a pose.
     pub(super) poses: Vec<Vec<usize>>,
 }
 
-/// A row before all are in one matrix.
-struct Row {
-    place: usize,
-    datum: Datum,
-    values: Vec<f64>,
-    residual: f64,
-    unit: [f64; 3],
+/// The length of a row, and what moves it.
+#[derive(Clone)]
+pub(super) struct LengthAtPose {
+    /// Its place among all lengths.
+    pub(super) place: usize,
+    pub(super) datum: Datum,
+    /// Unit vector along the length.
+    pub(super) unit: [f64; 3],
+    /// Axis angles (rad) with the sense of approach.
     axes: [f64; AXES],
     approach: Approach,
-    by_joint: [f64; AXES],
-    growth: f64,
-    target: [f64; 3],
+    /// The joints' own angles (rad), the senses in which they came, and what they move, mm/rad.
+    pub(super) joints: [f64; AXES],
+    pub(super) senses: [i8; AXES],
+    pub(super) by_joint: [f64; AXES],
+    /// What a relative growth of all links moves, mm.
+    pub(super) growth: f64,
+    /// What a displacement of the target on the tool moves, per mm.
+    pub(super) target: [f64; 3],
 }
 
 impl PoseRows {
@@ -114,52 +106,44 @@ impl PoseRows {
         let links =
             [ParamId::A, ParamId::D].into_iter().flat_map(|of: fn(Joint) -> ParamId| Joint::ALL.map(of));
         let links: Vec<(ParamId, f64)> = links.map(|id| (id, model.value(id))).collect();
-        let pieces = Rows { model, ids, further }.fold(lengths, Vec::new, |made: &mut Vec<Row>, row| {
+        let pieces = Rows { model, ids, further }.fold(lengths, Vec::new, |made: &mut Vec<_>, row| {
             if row.weight == 0.0 {
                 return;
             }
             let (reading, by) = (row.reading, row.derivatives);
             by.joint_terms(geometry, &reading.axes, reading.approach, &mut row.values[own..]);
-            made.push(Row {
+            let length = LengthAtPose {
                 place: row.place,
                 datum: reading.datum,
-                values: row.values.to_vec(),
-                residual: row.residual,
                 unit: by.unit().into(),
                 axes: reading.axes,
                 approach: reading.approach,
+                joints: geometry.coupling.joints(&reading.axes),
+                senses: geometry.coupling.senses(reading.approach).senses(),
                 by_joint: Joint::ALL.map(|joint| by.derivative(ParamId::Theta(joint))),
                 target: Coordinate::ALL.map(|axis| by.derivative(ParamId::Tool(axis))),
                 growth: links.iter().map(|(id, mm)| by.derivative(*id) * mm).sum(),
-            });
+            };
+            made.push((row.values.to_vec(), row.residual, length));
         });
-        let rows: Vec<Row> = pieces.into_iter().flatten().collect();
+        let rows: Vec<(Vec<f64>, f64, LengthAtPose)> = pieces.into_iter().flatten().collect();
         let mut visits: BTreeMap<_, Vec<usize>> = BTreeMap::new();
-        for (at, row) in rows.iter().enumerate() {
+        for (at, (.., row)) in rows.iter().enumerate() {
             let pose = (row.axes.map(f64::to_bits), row.approach.senses(), time(row.place).map(f64::to_bits));
             // A second length to the same ball is of another visit.
             let mut visit = 0;
             while visits
                 .get(&(pose, visit))
-                .is_some_and(|own| own.iter().any(|at| rows[*at].datum == row.datum))
+                .is_some_and(|own| own.iter().any(|at| rows[*at].2.datum == row.datum))
             {
                 visit += 1;
             }
             visits.entry((pose, visit)).or_default().push(at);
         }
         Self {
-            values: DMatrix::from_fn(rows.len(), own + further, |row, column| rows[row].values[column]),
-            residual: DVector::from_iterator(rows.len(), rows.iter().map(|row| row.residual)),
-            places: rows.iter().map(|row| row.place).collect(),
-            units: rows.iter().map(|row| row.unit).collect(),
-            axes: rows.iter().map(|row| row.axes).collect(),
-            joints: rows.iter().map(|row| geometry.coupling.joints(&row.axes)).collect(),
-            senses: rows.iter().map(|row| geometry.coupling.senses(row.approach).senses()).collect(),
-            approaches: rows.iter().map(|row| row.approach).collect(),
-            by_joint: rows.iter().map(|row| row.by_joint).collect(),
-            targets: rows.iter().map(|row| row.target).collect(),
-            data: rows.iter().map(|row| row.datum).collect(),
-            growths: rows.iter().map(|row| row.growth).collect(),
+            values: DMatrix::from_fn(rows.len(), own + further, |row, column| rows[row].0[column]),
+            residual: DVector::from_iterator(rows.len(), rows.iter().map(|row| row.1)),
+            lengths: rows.into_iter().map(|row| row.2).collect(),
             poses: visits.into_values().collect(),
         }
     }
@@ -175,7 +159,8 @@ impl PoseRows {
                 .enumerate()
                 .flat_map(|(at, one)| rows[..at].iter().map(move |other| (*one, *other)));
             pairs.into_iter().any(|(one, other)| {
-                let cosine: f64 = (0..3).map(|k| self.units[one][k] * self.units[other][k]).sum();
+                let cosine: f64 =
+                    (0..3).map(|k| self.lengths[one].unit[k] * self.lengths[other].unit[k]).sum();
                 cosine.abs() > OBLIQUE
             })
         };
@@ -189,8 +174,8 @@ impl PoseRows {
         let rows = self.values.nrows();
         let backlash = noise.joints.map_or([0.0; AXES], |unknown| unknown.unapproached_rad);
         let moved = |row: usize| -> f64 {
-            let unknown = (0..AXES).filter(|joint| self.senses[row][*joint] == 0);
-            unknown.map(|joint| (self.by_joint[row][joint] * backlash[joint]).powi(2)).sum()
+            let unknown = (0..AXES).filter(|joint| self.lengths[row].senses[*joint] == 0);
+            unknown.map(|joint| (self.lengths[row].by_joint[joint] * backlash[joint]).powi(2)).sum()
         };
         let moved: Vec<f64> = (0..rows).map(moved).collect();
         let count = moved.iter().filter(|moved| **moved > 0.0).count();
@@ -200,7 +185,9 @@ impl PoseRows {
         let own = moved.iter().map(|moved| if *moved > 0.0 { scattered } else { noise.length_mm }).collect();
         let remaining = noise.joints.map(|unknown| RemainingErrors::new(&model.geometry, unknown));
         let of_joints = |row: usize| {
-            let sds = |remaining: &RemainingErrors<'_>| remaining.sds(&self.axes[row], self.approaches[row]);
+            let sds = |remaining: &RemainingErrors<'_>| {
+                remaining.sds(&self.lengths[row].axes, self.lengths[row].approach)
+            };
             remaining.as_ref().map_or([0.0; AXES], sds)
         };
         RowNoise { pose: noise.pose_mm, own, joints: (0..rows).map(of_joints).collect() }
@@ -209,11 +196,11 @@ impl PoseRows {
     /// Root of the mean variance of the rows.
     pub(super) fn rms_sd(&self, noise: &RowNoise) -> f64 {
         let of = |row: usize| {
-            let joints = noise.joints[row].iter().zip(self.by_joint[row]);
+            let joints = noise.joints[row].iter().zip(self.lengths[row].by_joint);
             let joints: f64 = joints.map(|(sd, by_angle)| (sd * by_angle).powi(2)).sum();
             noise.pose.powi(2) + noise.own[row].powi(2) + joints
         };
-        let rows = self.by_joint.len();
+        let rows = self.lengths.len();
         ((0..rows).map(of).sum::<f64>() / rows as f64).sqrt()
     }
 
@@ -221,9 +208,9 @@ impl PoseRows {
     pub(super) fn whitening(&self, noise: &RowNoise) -> Option<Whitening> {
         let factor = |rows: &Vec<usize>| {
             let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
-                let [u, v] = [rows[i], rows[j]].map(|row| self.units[row]);
+                let [u, v] = [rows[i], rows[j]].map(|row| self.lengths[row].unit);
                 let mut shared = (u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * (noise.pose * noise.pose);
-                let [u, v] = [rows[i], rows[j]].map(|row| self.by_joint[row]);
+                let [u, v] = [rows[i], rows[j]].map(|row| self.lengths[row].by_joint);
                 for (joint, sd) in noise.joints[rows[i]].iter().enumerate() {
                     shared += u[joint] * v[joint] * sd * sd;
                 }

@@ -76,14 +76,14 @@ impl RippleSearch<'_> {
     /// Cosine and sine of each candidate, of unit noise.
     fn columns(&self, candidates: &[(u32, Joint)]) -> DMatrix<f64> {
         let rows = self.rows;
-        let mut columns = DMatrix::zeros(rows.by_joint.len(), 2 * candidates.len());
+        let mut columns = DMatrix::zeros(rows.lengths.len(), 2 * candidates.len());
         for (at, &(order, joint)) in candidates.iter().enumerate() {
             let joint = joint.index();
             for of_pose in &rows.poses {
-                let (sin, cos) = (f64::from(order) * rows.joints[of_pose[0]][joint]).sin_cos();
+                let (sin, cos) = (f64::from(order) * rows.lengths[of_pose[0]].joints[joint]).sin_cos();
                 for &row in of_pose {
-                    columns[(row, 2 * at)] = rows.by_joint[row][joint] * cos;
-                    columns[(row, 2 * at + 1)] = rows.by_joint[row][joint] * sin;
+                    columns[(row, 2 * at)] = rows.lengths[row].by_joint[joint] * cos;
+                    columns[(row, 2 * at + 1)] = rows.lengths[row].by_joint[joint] * sin;
                 }
             }
         }

@@ -300,10 +300,10 @@ mod tests {
     /// The covariance of the noise: sigma^2 u'v of the lengths of a pose, and what each has of its own.
     fn noise(system: &System) -> DMatrix<f64> {
         let rows = &system.rows;
-        let mut noise = DMatrix::zeros(rows.units.len(), rows.units.len());
+        let mut noise = DMatrix::zeros(rows.lengths.len(), rows.lengths.len());
         for pose in &rows.poses {
             for (i, j) in pose.iter().flat_map(|i| pose.iter().map(move |j| (*i, *j))) {
-                let cosine: f64 = (0..3).map(|k| rows.units[i][k] * rows.units[j][k]).sum();
+                let cosine: f64 = (0..3).map(|k| rows.lengths[i].unit[k] * rows.lengths[j].unit[k]).sum();
                 noise[(i, j)] = SIGMA_MM * SIGMA_MM * cosine + if i == j { 0.01 * 0.01 } else { 0.0 };
             }
         }

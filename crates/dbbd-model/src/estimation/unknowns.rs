@@ -205,7 +205,7 @@ impl Unknowns {
         variances.extend(of_further.into_iter().map(Some));
         System {
             right,
-            weights: rows.places.iter().map(|place| used.lengths().given(*place) / mean_sd).collect(),
+            weights: rows.lengths.iter().map(|length| used.lengths().given(length.place) / mean_sd).collect(),
             rows,
             variances,
             is_sigma_given: used.lengths().is_sigma_given,
@@ -306,25 +306,25 @@ impl ModelErrors {
     fn columns(&self, rows: &PoseRows, used: &Weighted) -> (DMatrix<f64>, Vec<Variance>) {
         let places = 3 * self.centres.len();
         let warming = if self.warms { (AXES + 1) * WARMING } else { 0 };
-        let mut columns = DMatrix::zeros(rows.places.len(), places + warming);
-        for (row, joints) in rows.joints.iter().enumerate() {
-            let here = features(joints);
+        let mut columns = DMatrix::zeros(rows.lengths.len(), places + warming);
+        for (row, length) in rows.lengths.iter().enumerate() {
+            let here = features(&length.joints);
             let distances = self.centres.iter().map(|centre| square(centre, &here)).enumerate();
             if let Some((cluster, _)) = distances.min_by(|a, b| a.1.total_cmp(&b.1)) {
                 for axis in 0..3 {
-                    columns[(row, 3 * cluster + axis)] = rows.units[row][axis];
+                    columns[(row, 3 * cluster + axis)] = rows.lengths[row].unit[axis];
                 }
             }
         }
-        for row in 0..if self.warms { rows.places.len() } else { 0 } {
-            let elapsed = used.lengths().elapsed(rows.places[row]).unwrap_or(0.0);
+        for row in 0..if self.warms { rows.lengths.len() } else { 0 } {
+            let elapsed = used.lengths().elapsed(rows.lengths[row].place).unwrap_or(0.0);
             for order in 1..=WARMING {
                 let wave = (std::f64::consts::PI * order as f64 * elapsed).cos() / order as f64;
                 let first = places + (order - 1) * (AXES + 1);
                 for joint in 0..AXES {
-                    columns[(row, first + joint)] = wave * rows.by_joint[row][joint];
+                    columns[(row, first + joint)] = wave * rows.lengths[row].by_joint[joint];
                 }
-                columns[(row, first + AXES)] = wave * rows.growths[row];
+                columns[(row, first + AXES)] = wave * rows.lengths[row].growth;
             }
         }
         let mut variances = vec![Variance::Of(Group::Cluster, 1.0); places];
