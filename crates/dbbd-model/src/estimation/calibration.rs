@@ -223,11 +223,12 @@ impl<'a> Calibration<'a> {
         }
     }
 
-    /// The posterior of the robot, its tool ball and the base balls with few columns, as the robot's file has it.
-    pub(crate) fn short_posterior(&self) -> Posterior {
-        let uncertainty = &self.prediction.uncertainty;
-        let model = self.estimate.fit.model.clone();
-        Posterior::with_root(model, &uncertainty.parameters, uncertainty.root.clone())
+    /// What is known of the robot, its set-up and the bars.
+    pub(crate) fn posterior(&self) -> Posterior {
+        let Estimate { fit, kept, root, .. } = &self.estimate;
+        // The same covariance with as few columns as it can have.
+        let square = root.transpose().qr().r().transpose();
+        Posterior::with_root(fit.model.clone(), kept, square)
     }
 
     /// The parameters with the status identified.

@@ -82,7 +82,7 @@ pub fn recommend(of: &Calibration<'_>) -> Result<Vec<Recommendation>, Estimation
         return Ok(Vec::new());
     }
     let lengths = estimate.used(&of.lengths);
-    let posterior = of.short_posterior();
+    let posterior = of.posterior();
     let poses = setting.options.workspace_poses(setting.robot);
     let poses: Vec<_> = poses.iter().step_by(poses.len().div_ceil(POSES)).copied().collect();
     let workspace = Workspace::with_joint_errors(&posterior.model.geometry, &poses, posterior.ids());

@@ -37,6 +37,21 @@ fn turned(circles: &[Circle], points: usize, sigma_mm: f64, amplitude_deg: f64) 
     data
 }
 
+/// A calibration of the geometry alone: about axis 1 a further ball tells of the errors of that joint.
+fn find_geometry(circles: &[Circle], data: &Measurements, bar_u_mm: Option<f64>) -> CompletedCalibration {
+    let balls = balls(circles);
+    let estimate = dbbd_model::robot::parameter::parse_list("all", &kr60().parallel_joints(), balls.len());
+    let options = Options {
+        estimate: Some(estimate.unwrap()),
+        bar_u_mm,
+        sigma_mm: Some(0.02),
+        folds: Some(0),
+        prior: Prior::Datasheet,
+        ..Options::default()
+    };
+    calibrated(&kr60(), data, &balls, &options).unwrap()
+}
+
 /// The word of `result.json`.
 fn kind_of(one: &Recommendation) -> &'static str {
     match one.measure {
@@ -56,16 +71,10 @@ fn ball_mm(one: &Recommendation) -> Option<[f64; 3]> {
     }
 }
 
-fn find(circles: &[Circle], data: &Measurements) -> CompletedCalibration {
-    let options =
-        Options { sigma_mm: Some(0.02), folds: Some(0), prior: Prior::Datasheet, ..Options::default() };
-    calibrated(&kr60(), data, &balls(circles), &options).unwrap()
-}
-
 #[test]
 fn a_further_ball_helps_and_a_rotation_about_axis_1_does_not() {
     let circles = three_planes(1, CENTRE);
-    let found = find(&circles, &noisy(&circles, 27, 0.02));
+    let found = find_geometry(&circles, &noisy(&circles, 27, 0.02), Some(0.001));
     let advice = &found.result.recommendations;
     let of = |kind: &str| advice.iter().find(|one| kind_of(one) == kind).unwrap();
     let mean = found.result.predicted_position_uncertainty_mm.identified.mean;
@@ -84,9 +93,17 @@ fn a_further_ball_helps_and_a_rotation_about_axis_1_does_not() {
     let all = [circles, further].concat();
     let mut data = noisy(&all[..3], 27, 0.02);
     data.rows.extend(noisy(&all[3..], 7, 0.02).rows);
-    let found = find(&all, &data);
+    let found = find_geometry(&all, &data, Some(0.001));
     let mean = found.result.predicted_position_uncertainty_mm.identified.mean;
     assert!((0.67..1.5).contains(&(mean / ball.after_mm)), "{mean} for {ball}");
+}
+
+#[test]
+fn a_rotation_about_axis_1_does_not_help_with_a_bar_without_certificate() {
+    let circles = three_planes(1, CENTRE);
+    let found = find_geometry(&circles, &noisy(&circles, 27, 0.02), None);
+    let turned = found.result.recommendations.iter().find(|one| kind_of(one) == "turned_ball").unwrap();
+    assert!(turned.after_mm > 0.9 * turned.before_mm, "{turned}");
 }
 
 /// On a horizontal circle alpha1, d2 and d3 are dependent. Any other plane separates alpha1 from d2 + d3; lengths cannot
@@ -104,7 +121,7 @@ fn another_plane_separates_the_parameters_of_a_horizontal_circle() {
     };
     let data = noisy(&circles, 80, 0.02);
     for prior in [Prior::None, Prior::Datasheet] {
-        let found = calibrated(&kr60(), &data, &balls(&circles), &options(prior)).unwrap().result;
+        let found = calibrated(&kr60(), &data, &balls(&circles), &options(prior.clone())).unwrap().result;
         let circle = found.recommendations.iter().find(|one| kind_of(one) == "circle").unwrap();
         assert!(circle.identifies.contains(&ParamId::D(Joint::J2)), "{circle}");
         assert!(!circle.identifies.contains(&ParamId::D(Joint::J3)), "{circle}");
@@ -123,32 +140,42 @@ fn no_recommendation_if_all_parameters_are_identified() {
     assert!(found.result.recommendations.is_empty(), "{:?}", found.result.recommendations);
 }
 
-/// Poses that never rotate the tool do not determine tool and ball: with a list they are fitted metres away. Recommendations
-/// use their prior, improve the result, and are within reach.
-#[test]
-fn uninformative_poses_give_no_absurd_recommendation() {
+/// The further ball of a calibration from poses that never rotate the tool: they do not determine tool and ball.
+fn ball_after_uninformative_poses(prior: Prior, estimate: Option<Vec<ParamId>>) -> f64 {
     let circles = [horizontal(1, CENTRE)];
     let data = turned(&circles, 36, 0.02, 0.0);
-    let all = dbbd_model::robot::parameter::parse_list("all", &kr60().parallel_joints(), 1).unwrap();
-    let mut further = Vec::new();
-    for (prior, estimate) in [(Prior::None, None), (Prior::None, Some(all)), (Prior::Datasheet, None)] {
-        let options = Options { sigma_mm: Some(0.02), folds: Some(0), prior, estimate, ..Options::default() };
-        let found = calibrated(&kr60(), &data, &balls(&circles), &options).unwrap();
-        let advice = found.result.recommendations;
-        for one in &advice {
-            assert!(one.after_mm < one.before_mm, "{one}");
-            // Outstretched: d1, a1, a2, d4 and d6 of the KR 60 and the tool.
-            let reach_mm = 815.0 + 350.0 + 850.0 + 820.0 + 170.0 + 40.0;
-            assert!(ball_mm(one).is_none_or(|ball| Vector3::from(ball).norm() < reach_mm), "{one}");
-        }
-        let ball = advice.iter().find(|one| kind_of(one) == "ball").unwrap();
-        assert!(ball.adds, "{ball}");
-        // A list takes what it does not name as exact.
-        if options.estimate.is_none() {
-            further.push(ball.after_mm);
-        }
+    let (sigma_mm, bar_u_mm) = (Some(0.02), Some(0.001));
+    let options = Options { sigma_mm, bar_u_mm, folds: Some(0), prior, estimate, ..Options::default() };
+    let found = calibrated(&kr60(), &data, &balls(&circles), &options).unwrap();
+    let advice = found.result.recommendations;
+    for one in &advice {
+        assert!(one.after_mm < one.before_mm, "{one}");
+        // Outstretched: d1, a1, a2, d4 and d6 of the KR 60 and the tool.
+        let reach_mm = 815.0 + 350.0 + 850.0 + 820.0 + 170.0 + 40.0;
+        assert!(ball_mm(one).is_none_or(|ball| Vector3::from(ball).norm() < reach_mm), "{one}");
     }
-    // The same measurement, whether the tolerance binds all directions or only those that the data leave open.
-    let [least, most] = [f64::min, f64::max].map(|pick| further.iter().copied().reduce(pick).unwrap());
-    assert!(most < 2.0 * least, "{further:?}");
+    let ball = advice.iter().find(|one| kind_of(one) == "ball").unwrap();
+    assert!(ball.adds, "{ball}");
+    ball.after_mm
+}
+
+/// Recommendations improve the result and are within reach, also where a list was fitted metres away. The same measurement is
+/// about as good, whether the tolerance binds all directions or only those that the data leave open.
+#[test]
+fn uninformative_poses_give_no_absurd_recommendation() {
+    let after = [Prior::None, Prior::Datasheet].map(|prior| ball_after_uninformative_poses(prior, None));
+    assert!(after[0].max(after[1]) < 1.5 * after[0].min(after[1]), "{after:?}");
+    ball_after_uninformative_poses(Prior::None, Some(everything()));
+}
+
+fn everything() -> Vec<ParamId> {
+    dbbd_model::robot::parameter::parse_list("all", &kr60().parallel_joints(), 1).unwrap()
+}
+
+#[test]
+#[ignore = "open: after a list that was fitted metres away the rows of a candidate are those of the diverged model"]
+fn a_prior_adds_to_what_a_recommendation_after_a_list_tells() {
+    let after = [Prior::None, Prior::Datasheet]
+        .map(|prior| ball_after_uninformative_poses(prior, Some(everything())));
+    assert!(after[1] < 1.01 * after[0], "{after:?}");
 }
