@@ -151,8 +151,8 @@ pub struct GroupEvidence {
     pub effective_parameters: f64,
     /// What it explains of the lengths beyond the geometry and the groups before it, root mean square, mm.
     pub rms_mm: f64,
-    /// Its share of the squares of the residuals that the geometry alone leaves.
-    pub share: f64,
+    /// Its share of the squares of the residuals that the geometry alone leaves; `None` of geometry and tool ball.
+    pub share: Option<f64>,
 }
 
 /// The errors of the joints in a result; this is `joint_errors` of `result.json`.
@@ -647,7 +647,7 @@ impl<'a> Search<'a> {
             open: start.open.clone(),
             sigma: if is_given { Sigma::Given } else { Sigma::All(whole_mm) },
             freedom: (!is_given && freedom > MIN_FREEDOM).then_some(freedom),
-            prior_sds: unknowns.prior_sds(&hypers),
+            prior_sds: unknowns.prior_sds(&cautious),
             root,
             of_prior: of_prior(system, &all, &cautious),
             groups: groups(system, whitened, &hypers, &determined)?,
@@ -726,7 +726,7 @@ fn groups(
             sd: sd_of(*group, hypers, whitened.shape),
             effective_parameters: members.map(|k| determined[k]).sum(),
             rms_mm: explained.sqrt(),
-            share: if is_geometry { 0.0 } else { explained / of_geometry },
+            share: (!is_geometry).then(|| explained / of_geometry),
         });
         before = left;
     }

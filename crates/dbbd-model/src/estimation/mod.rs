@@ -1,8 +1,8 @@
 //! Identification: from lengths and positions to parameters.
 //!
-//! The lengths L = |p - c| + b, and the coordinates of a tracker as distances from its planes, are fitted by least squares over
-//! a base set of the parameters asked for. The base set is chosen at the nominal geometry with the fitted set-up. Poorly
-//! observable parameters are fixed, or bound by a prior. Every number has its standard deviation or the reason why it has
+//! The most probable unknowns are estimated from the lengths L = |p - c| + b, and from the coordinates of a tracker as distances
+//! from its planes: geometry, set-up, and what the geometry does not explain. Each has a prior, whose variance is that of the
+//! greatest evidence. A list of parameters is followed without. Every number has its standard deviation or the reason why it has
 //! none.
 //!
 //! [`linear_system()`] alone forms design rows, [`priors`] alone has prior standard deviations and limits, [`posterior`] alone

@@ -179,9 +179,12 @@ impl fmt::Display for GroupEvidence {
         write!(
             out,
             "{what}: standard deviation {size}, {effective_parameters:.1} parameters determined, it explains {rms_mm:.4} mm of the \
-             lengths, {:.1} % of what the geometry leaves",
-            share * 100.0
-        )
+             lengths"
+        )?;
+        match share {
+            Some(share) => write!(out, ", {:.1} % of what the geometry leaves", share * 100.0),
+            None => Ok(()),
+        }
     }
 }
 
