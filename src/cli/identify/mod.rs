@@ -55,7 +55,7 @@ pub(crate) struct IdentifyArgs {
     #[arg(long, value_name = "MM", value_parser = value::positive)]
     sigma: Option<f64>,
     /// Standard uncertainty (k = 1) of each bar's length by its certificate, mm [default: half of length_u_mm in a capture's
-    /// job]. It is the prior of each bar's offset; without it a bar counts as known to about 0.5 mm.
+    /// job]. It is the prior of each bar's offset; without it a bar counts as known to about 0.1 mm, but may be far off.
     #[arg(long, value_name = "MM", value_parser = value::bar_u)]
     bar_u: Option<f64>,
     /// Further observations that only check the result: lengths to the same balls, or positions in the same frame.

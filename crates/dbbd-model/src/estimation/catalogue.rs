@@ -90,7 +90,7 @@ findings! {
         }
         W1319 "the lengths fit, but the position is not determined",
         cause: "A small residual proves nothing: the predicted position error over the workspace is hardly smaller than that of the nominal robot, or larger.",
-        cure: "Measure what the line `next:` recommends: a further ball or other circles. The prior of the data sheet keeps the rest near nominal.",
+        cure: "Measure what the line `next:` recommends: a further ball or other circles.",
         asks: [Prior] {
             PositionUndetermined { residual_rms_mm: f64, identified_mm: f64, nominal_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, but the predicted position error is {identified_mm:.2} mm, the nominal robot's {nominal_mm:.2} mm";
         }
