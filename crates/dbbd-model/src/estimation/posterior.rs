@@ -107,8 +107,10 @@ impl Posterior {
         &self.root
     }
 
+    /// The covariance of the parameters, a row and a column each, mm and rad.
     pub fn covariance(&self) -> DMatrix<f64> {
-        &self.root * self.root.transpose()
+        let own = self.root.rows(0, self.ids.len());
+        own * own.transpose()
     }
 
     /// Standard deviation of a parameter, mm or rad; `None` if it is not among [`Self::ids`].
@@ -341,6 +343,16 @@ mod tests {
         // 0.04 mm are 0.8 prior standard deviations.
         assert!((w[0] - 0.8).abs() < 1e-9);
         assert_eq!(posterior.sd(ParamId::D(Joint::J2)), None);
+    }
+
+    /// Rows below those of the parameters are coefficients of the joint errors.
+    #[test]
+    fn covariance_is_of_the_parameters_alone() {
+        let root = DMatrix::from_row_slice(3, 2, &[0.3, 0.0, 0.4, 1.2, 5.0, 6.0]);
+        let posterior = Posterior::with_root(model(), &[BAR, ParamId::A(Joint::J2)], root);
+        let covariance = posterior.covariance();
+        assert_eq!(covariance.shape(), (2, 2));
+        assert!((covariance[(0, 1)] - 0.12).abs() < 1e-15 && (covariance[(1, 1)] - 1.6).abs() < 1e-15);
     }
 
     #[test]
