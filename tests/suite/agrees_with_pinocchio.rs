@@ -47,7 +47,8 @@ fn robot_with_errors_everywhere_is_identified() {
         line.map_or(0.0, |line| line.split(',').nth(1).unwrap().parse().unwrap())
     };
     let identified: Vec<_> = result.parameters.iter().filter(|p| p.status == Status::Identified).collect();
-    assert_eq!(identified.len(), 24);
+    // The others are errors of joints, which the data limit to nothing.
+    assert_eq!(identified.iter().filter(|parameter| !parameter.name.is_optional()).count(), 24);
     let correction = |name: &str| {
         let found = result.parameters.iter().find(|parameter| parameter.name.to_string() == name);
         found.map_or(0.0, |parameter| parameter.correction)

@@ -8,8 +8,8 @@ findings! {
     EstimationFinding "Estimation" {
         E1301 "these lengths cannot be used",
         cause: "A number is impossible (an angle, a length, a sigma, the tool ball or a base ball), options contradict each other, or none of the parameters asked for changes a length in these poses.",
-        cure: "Check angles, lengths, standard deviations, tool ball and base balls. Ask for other parameters, or vary the poses.",
-        asks: [ToolBall, BaseBalls, Estimated, Folds] {
+        cure: "Check angles, lengths, standard deviations, tool ball and base balls. Ask for other parameters, or vary the poses. A list is fitted without a prior and can run away: with the prior of the data sheet it does not.",
+        asks: [ToolBall, BaseBalls, Estimated, Folds, Prior] {
             NotFinite => "a length or its derivative is not finite";
             NoFolds { folds: usize, lengths: usize } => "{folds} folds: {lengths} lengths are cut into 2 folds or more, at most one for each length";
             SmallWorkspace { poses: usize, least: usize } => "{poses} poses are too few for a workspace: at least {least} are needed";

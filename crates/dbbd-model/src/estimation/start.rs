@@ -101,16 +101,9 @@ impl EstimateStart {
     pub(super) fn known_before(&self, setting: &Setting<'_>, lengths: &Lengths) -> Option<KnownBefore> {
         let Setting { options, priors, robot, start, .. } = setting;
         if options.follows_list() {
-            let (ids, are_bars_uncertified) = (self.kept.clone(), false);
+            let ids = self.kept.clone();
             let (means, variances) = (vec![0.0; ids.len()], vec![None; ids.len()]);
-            return Some(KnownBefore {
-                ids,
-                means,
-                variances,
-                transform: None,
-                has_coefficients: false,
-                are_bars_uncertified,
-            });
+            return Some(KnownBefore { ids, means, variances, ..KnownBefore::default() });
         }
         let massless = robot.geometry.masses.is_empty();
         let is_fixed = |id: &ParamId| options.hold.contains(id) || self.kept.contains(id);
@@ -154,18 +147,11 @@ impl EstimateStart {
                 priors.bound(*id).map(|sd| Variance::Fixed(widened(*id, sd).unwrap_or(sd)))
             }
         };
-        // Without any prior a bar without a certificate stays as wide as where a fit begins.
+        // Where nothing else is known of the size of the robot, the bar stays as wide as where a fit begins.
         let are_bars_uncertified = !priors.is_certified() && options.prior != Prior::None;
         let variances: Vec<Option<Variance>> = ids.iter().map(variance).collect();
         let means = ids.iter().zip(&variances).map(|(id, v)| v.map_or(0.0, |_| start.value(*id))).collect();
-        let known = KnownBefore {
-            ids,
-            means,
-            variances,
-            transform: None,
-            has_coefficients: false,
-            are_bars_uncertified,
-        };
+        let known = KnownBefore { ids, means, variances, are_bars_uncertified, ..KnownBefore::default() };
         match options.prior {
             Prior::Posterior => continued(setting, known),
             Prior::None => self.judged_by_data(setting, lengths, known),

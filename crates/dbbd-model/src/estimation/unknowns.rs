@@ -33,7 +33,7 @@ const POSES_PER_CLUSTER: usize = 4;
 const WARMING: usize = 3;
 
 /// What the prior says of the parameters and coefficients.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct KnownBefore {
     /// In canonical order.
     pub(super) ids: Vec<ParamId>,
