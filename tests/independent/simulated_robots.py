@@ -32,17 +32,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 LIMITS = {  # what: lowest, highest
-    # What is reached. Wanted are means of 1.0, .87, .57, .46: the robots have no errors of their joints, which few lengths cannot show.
-    "few: mean, 30": (0, 1.1), "few: largest, 30": (0, 2.9), "few: mean, 60": (0, .87), "few: largest, 60": (0, 2.3),
-    "few: mean, 100": (0, .73), "few: largest, 100": (0, 1.75), "few: mean, 250": (0, .53), "few: largest, 250": (0, .92),
+    "few: mean, 30": (0, 1.0), "few: largest, 30": (0, 2.0), "few: mean, 60": (0, .87), "few: largest, 60": (0, 1.5),
+    "few: mean, 100": (0, .57), "few: largest, 100": (0, .9), "few: mean, 250": (0, .46), "few: largest, 250": (0, .75),
     "few: by the order of the lines": (0, 1e-6),
     "honesty: p/t": (.85, 1.25), "honesty: coverage": (.88, .99), "honesty: coverage, hard": (.85, 1),
     "no_change: share reported as certain": (0, .01),
     "changes: share named or possible": (.95, 1), "changes: share named alone": (.80, 1),
     "second_run: mean error over that of the first run": (0, 1), "second_run: share worse by 10 %": (0, .05),
     "bar_scale: share with true <= 2 predicted": (.9, 1),
-    # A list has no errors of the joints, so that less is unknown.
-    "bar_scale: share with true <= 2 predicted, list": (.5, 1),
 }
 FULL = {"few": 40, "honesty": 100, "no_change": 200, "changes": 100, "second_run": 100, "bar_scale": 100}
 NOT_LIMITED = ("sag",)  # of the honesty campaign: a load that nobody told the program
@@ -467,7 +464,7 @@ def second_run(judge):
 def bar_scale(judge):
     """One ball and a bar longer than the stated 300 mm, without certificate; a robot without errors of its joints."""
     modes = {"default": [], "geometric": ["--model", "geometric"], "none": ["--prior", "none"],
-             "list": ["--estimate", "all", "--prior", "datasheet"]}
+             "datasheet": ["--prior", "datasheet"], "all": ["--estimate", "all"]}
     print("\nbar_scale: covered where true <= 2 predicted, mm\n  bar mm   mode        mean true   predicted   covered")
     for bar in (300.0, 300.3, 301.0, 302.0):
         def work(i, bench):
@@ -485,10 +482,7 @@ def bar_scale(judge):
             e, predicted = np.array([r[mode] for r in results]).T
             covered = (e <= 2 * predicted).mean()
             print(f"  {bar:6.1f}   {mode:10}{e.mean():11.3f}{predicted.mean():12.3f}{covered:10.2f}")
-            # Without a prior of the robot its size is that of the bar: nothing shows that the bar is a millimetre longer.
-            if mode != "none" or bar < 301:
-                what = ", list" if mode == "list" else ""
-                judge.limit(f"bar_scale: share with true <= 2 predicted{what}", covered, f"{bar} mm, {mode}")
+            judge.limit("bar_scale: share with true <= 2 predicted", covered, f"{bar} mm, {mode}")
 
 
 def main():

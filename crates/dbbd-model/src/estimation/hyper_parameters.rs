@@ -133,7 +133,7 @@ impl Hypers {
 
     /// Those of joints before any length.
     pub(super) fn usual() -> Self {
-        Self(HyperPrior::all(1.0).map(|prior| prior.median.ln()))
+        Self::start(&HyperPrior::all(1.0), 1.0)
     }
 
     /// One standard deviation of a group, in its unit; of smooth functions that of the quick part of a joint like the others.

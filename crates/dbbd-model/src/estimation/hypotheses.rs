@@ -266,8 +266,8 @@ impl<'a> EventSearch<'a> {
         RunEventKind::OF_COLUMNS.into_iter().filter_map(best).collect()
     }
 
-    /// The most probable event, if it is more probable than nothing. The offset of a ball is none, but where it explains the
-    /// lengths better, only what it resembles it is an event.
+    /// The most probable event, if it is more probable than nothing. The offset of a ball is none; where it explains the
+    /// lengths better, only an event that resembles it is reported.
     pub(super) fn strongest(&self, candidates: Vec<EventCandidate>) -> Option<JudgedEvent> {
         let margin = CERTAIN_ODDS.ln();
         let is_rival = |of: &EventCandidate, other: &EventCandidate| {

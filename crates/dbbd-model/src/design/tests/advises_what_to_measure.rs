@@ -37,13 +37,18 @@ fn turned(circles: &[Circle], points: usize, sigma_mm: f64, amplitude_deg: f64) 
     data
 }
 
-/// A calibration of the geometry alone: about axis 1 a further ball tells of the errors of that joint.
-fn find_geometry(circles: &[Circle], data: &Measurements, bar_u_mm: Option<f64>) -> CompletedCalibration {
+fn find(circles: &[Circle], data: &Measurements) -> CompletedCalibration {
+    let options =
+        Options { sigma_mm: Some(0.02), folds: Some(0), prior: Prior::Datasheet, ..Options::default() };
+    calibrated(&kr60(), data, &balls(circles), &options).unwrap()
+}
+
+/// A calibration of the geometry alone: a ball turned about axis 1 would show errors of that joint.
+fn find_geometry(circles: &[Circle], data: &Measurements) -> CompletedCalibration {
     let balls = balls(circles);
     let estimate = dbbd_model::robot::parameter::parse_list("all", &kr60().parallel_joints(), balls.len());
     let options = Options {
         estimate: Some(estimate.unwrap()),
-        bar_u_mm,
         sigma_mm: Some(0.02),
         folds: Some(0),
         prior: Prior::Datasheet,
@@ -74,7 +79,7 @@ fn ball_mm(one: &Recommendation) -> Option<[f64; 3]> {
 #[test]
 fn a_further_ball_helps_and_a_rotation_about_axis_1_does_not() {
     let circles = three_planes(1, CENTRE);
-    let found = find_geometry(&circles, &noisy(&circles, 27, 0.02), Some(0.001));
+    let found = find(&circles, &noisy(&circles, 27, 0.02));
     let advice = &found.result.recommendations;
     let of = |kind: &str| advice.iter().find(|one| kind_of(one) == kind).unwrap();
     let mean = found.result.predicted_position_uncertainty_mm.identified.mean;
@@ -93,7 +98,7 @@ fn a_further_ball_helps_and_a_rotation_about_axis_1_does_not() {
     let all = [circles, further].concat();
     let mut data = noisy(&all[..3], 27, 0.02);
     data.rows.extend(noisy(&all[3..], 7, 0.02).rows);
-    let found = find_geometry(&all, &data, Some(0.001));
+    let found = find(&all, &data);
     let mean = found.result.predicted_position_uncertainty_mm.identified.mean;
     assert!((0.67..1.5).contains(&(mean / ball.after_mm)), "{mean} for {ball}");
 }
@@ -101,7 +106,7 @@ fn a_further_ball_helps_and_a_rotation_about_axis_1_does_not() {
 #[test]
 fn a_rotation_about_axis_1_does_not_help_with_a_bar_without_certificate() {
     let circles = three_planes(1, CENTRE);
-    let found = find_geometry(&circles, &noisy(&circles, 27, 0.02), None);
+    let found = find_geometry(&circles, &noisy(&circles, 27, 0.02));
     let turned = found.result.recommendations.iter().find(|one| kind_of(one) == "turned_ball").unwrap();
     assert!(turned.after_mm > 0.9 * turned.before_mm, "{turned}");
 }
@@ -144,8 +149,7 @@ fn no_recommendation_if_all_parameters_are_identified() {
 fn ball_after_uninformative_poses(prior: Prior, estimate: Option<Vec<ParamId>>) -> f64 {
     let circles = [horizontal(1, CENTRE)];
     let data = turned(&circles, 36, 0.02, 0.0);
-    let (sigma_mm, bar_u_mm) = (Some(0.02), Some(0.001));
-    let options = Options { sigma_mm, bar_u_mm, folds: Some(0), prior, estimate, ..Options::default() };
+    let options = Options { sigma_mm: Some(0.02), folds: Some(0), prior, estimate, ..Options::default() };
     let found = calibrated(&kr60(), &data, &balls(&circles), &options).unwrap();
     let advice = found.result.recommendations;
     for one in &advice {
@@ -160,7 +164,8 @@ fn ball_after_uninformative_poses(prior: Prior, estimate: Option<Vec<ParamId>>) 
 }
 
 /// Recommendations improve the result and are within reach, also where a list was fitted metres away: it takes places that the
-/// poses leave open as exact. The same measurement is about as good, whether the tolerance binds all directions or only those that the data leave open.
+/// poses leave open as exact. The same measurement is about as good, whether the tolerance binds
+/// all directions or only those that the data leave open.
 #[test]
 fn uninformative_poses_give_no_absurd_recommendation() {
     let after = [Prior::None, Prior::Datasheet].map(|prior| ball_after_uninformative_poses(prior, None));
