@@ -58,8 +58,7 @@ def test_prediction_is_that_of_the_command(tmp_path, paper):
     places, sd = found.predict_deg(q)
     # The robot's file has its angles in degrees.
     assert np.allclose(places, np.stack([expected["x_mm"], expected["y_mm"], expected["z_mm"]], 1), atol=1e-9, rtol=0)
-    # What is not known of the robot has four digits there.
-    assert np.allclose(sd, expected["sd_mm"], rtol=5e-4)
+    assert np.allclose(sd, expected["sd_mm"], rtol=1e-6)
 
 
 def test_a_check_finds_the_changed_joint(paper):

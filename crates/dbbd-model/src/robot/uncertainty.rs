@@ -49,6 +49,12 @@ impl RobotUncertainty {
             && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.length_scale_rad > 0.0)
     }
 
+    /// With the digits that a robot's file has, so that a result in memory is that of its file.
+    pub(crate) fn as_written(mut self) -> Self {
+        self.root.apply(|value| *value = rounded(*value));
+        self
+    }
+
     /// The variance of the smooth function of a joint, rad^2.
     pub(crate) fn smooth_variance(&self, joint: Joint) -> f64 {
         let variance: f64 = self.smooth.iter().map(|part| part.sd_rad.powi(2)).sum();
