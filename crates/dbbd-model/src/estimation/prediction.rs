@@ -56,7 +56,7 @@ impl Prediction {
         let measured = (0..lengths.len()).step_by(lengths.len().div_ceil(COMPRESSING).max(1));
         let measured: Vec<ApproachedPose> = measured.map(|at| measured_pose(&lengths.reading(at))).collect();
         let own = estimate.uncertainty(setting.robot);
-        let uncertainty = compressed(model, &own, &[some(&poses), measured].concat()).as_written();
+        let uncertainty = compressed(model, &own, &[some(&poses), measured].concat()).with_digits_of_file();
         let (whole, unknown) = match &estimate.left_out {
             Some(left_out) => (&left_out.whole, &left_out.uncertainty),
             None => (&model.geometry, &own),

@@ -50,7 +50,7 @@ impl RobotUncertainty {
     }
 
     /// With the digits that a robot's file has, so that a result in memory is that of its file.
-    pub(crate) fn as_written(mut self) -> Self {
+    pub(crate) fn with_digits_of_file(mut self) -> Self {
         self.root.apply(|value| *value = rounded(*value));
         self
     }
