@@ -41,6 +41,7 @@ fn problem(poses: usize) -> (Robot, Measurements, Vec<BaseBall>) {
                 approach: Approach::default(),
                 length_mm: 0.0,
                 sigma_mm: None,
+                payload: dbbd_model::robot::PayloadId::FIRST,
                 context: None,
             };
             row.length_mm = truth.length(&row.axes.radians(), &centre, 0.0) + noise.sample(&mut random);

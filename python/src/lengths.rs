@@ -52,6 +52,7 @@ impl Given<'_, '_> {
             approach: approaches[at],
             length_mm: lengths[at],
             sigma_mm: sigmas[at],
+            payload: dbbd_model::robot::PayloadId::FIRST,
             context: None,
         };
         let table = Measurements::new((0..count).map(row).collect(), Vec::new()).map_err(failed)?;
@@ -95,6 +96,7 @@ impl GivenPositions<'_, '_> {
                 approach: approaches[at],
                 length_mm: 0.0,
                 sigma_mm: sigmas[at],
+                payload: dbbd_model::robot::PayloadId::FIRST,
                 context: None,
             };
             row.at_place(places[at])

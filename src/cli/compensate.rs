@@ -38,6 +38,10 @@ pub(crate) struct CompensateArgs {
     /// $BASE if the program does not set it: mm and degrees, in the robot's base.
     #[arg(long, value_name = "X,Y,Z,A,B,C", value_parser = value::frame, allow_hyphen_values = true)]
     base: Option<[f64; 6]>,
+    /// What the flange carries while the program runs: the name of a [[payload]] of the robot file, or its mass in kg and its
+    /// centre in the flange frame in mm [default: the first of the robot file].
+    #[arg(long, value_name = "NAME|KG,X,Y,Z", allow_hyphen_values = true)]
+    payload: Option<String>,
     /// Refuse the program if a commanded point would move by more than this, mm.
     #[arg(long, value_name = "MM", default_value_t = DEFAULT_LIMIT_MM)]
     limit: f64,
@@ -52,6 +56,7 @@ pub(super) fn request(args: &CompensateArgs) -> Request {
         config: args.config.clone(),
         tool_mm_deg: args.tool,
         base_mm_deg: args.base,
+        payload: args.payload.clone(),
         limit_mm: args.limit,
     })
 }

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::{CommandOutcome, CommandOutput, robots};
+use super::{CommandOutcome, CommandOutput, robots, value};
 use dbbd_job::files;
 use dbbd_job::request;
 use dbbd_model::base::serialised;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::Positions;
+use dbbd_model::estimation::{Orientations, Positions};
 use dbbd_model::measurement::{self, APPROACH, Measurements};
 use dbbd_model::provenance::ArtefactRole;
 use dbbd_model::robot::LoadedRobot;
@@ -26,9 +26,17 @@ pub(crate) struct PredictArgs {
     /// Robot: a built-in name or a TOML file, such as robot-identified.toml.
     #[arg(long, value_name = "NAME|FILE")]
     robot: String,
+    /// Predict this point in place of the tool ball: mm in the flange frame, where it is known exactly.
+    #[arg(long, value_name = "X,Y,Z[,A,B,C]", value_parser = value::tool, allow_hyphen_values = true)]
+    tool: Option<[f64; 3]>,
+    /// What the flange carries: the name of a [[payload]] of the robot file, or its mass in kg and its centre in the flange
+    /// frame in mm [default: the first of the robot file].
+    #[arg(long, value_name = "NAME|KG,X,Y,Z", allow_hyphen_values = true)]
+    payload: Option<String>,
     /// Table to write: the columns of the poses, the position of the tool ball in the robot base x_mm,y_mm,z_mm, and sd_mm,
     /// its 3-D standard deviation (root of the mean square distance). This includes the repeatability of a pose, and is
-    /// taken after the best rigid alignment over the poses (of fewer than 10, over the workspace too).
+    /// taken after the best rigid alignment over the poses (of fewer than 10, over the workspace too). sd_mrad is the
+    /// standard deviation of the orientation of the flange; the turn that all poses have in common is taken out.
     #[arg(long, value_name = "P.csv")]
     out: PathBuf,
 }
@@ -39,12 +47,14 @@ struct PredictedBall {
     approach: [i8; 6],
     ball_mm: [f64; 3],
     sd_mm: f64,
+    sd_mrad: f64,
 }
 
 pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     files::keeps(&args.out, [args.axes.as_path(), Path::new(&args.robot)])?;
     files::is_earlier(&args.out, (columns().join(",") + "\n").as_bytes())?;
-    let LoadedRobot { robot, source, .. } = robots::read_named_robot(&args.robot, out)?;
+    let LoadedRobot { mut robot, source, .. } = robots::read_named_robot(&args.robot, out)?;
+    out.findings_in(&args.robot, request::carrying(&args.robot, &mut robot, args.payload.as_deref())?);
     let (table, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, &args.axes)?;
     out.findings(changed);
     table.check_made_for(&source.artefact)?;
@@ -52,6 +62,10 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
     out.findings_in(&args.robot, request::edited(&robot));
     let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
     out.findings_in(args.axes.display(), measurement::beyond(angles, robot.controller()));
+    let orientations = Orientations::of(&robot, &poses);
+    if let Some(tool) = args.tool {
+        robot = robot.with_exact_tool(tool);
+    }
     let positions = Positions::of(&robot, &poses);
     let predicted: Vec<PredictedBall> = (0..poses.len())
         .map(|at| PredictedBall {
@@ -59,9 +73,10 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
             approach: poses[at].approach.senses(),
             ball_mm: positions.balls[at].into(),
             sd_mm: positions.sd_mm(at),
+            sd_mrad: 1e3 * orientations.sd_rad(at),
         })
         .collect();
-    let rows = predicted.iter().map(|row| (row.axes_deg, row.approach, row.ball_mm, row.sd_mm));
+    let rows = predicted.iter().map(|row| (row.axes_deg, row.approach, row.ball_mm, row.sd_mm, row.sd_mrad));
     files::write_file(&args.out, serialised::csv_table(columns(), rows)?)?;
     out.document(&predicted)?;
     let mean = predicted.iter().map(|row| row.sd_mm).sum::<f64>() / predicted.len() as f64;
@@ -77,6 +92,6 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
 
 fn columns() -> Vec<String> {
     let angles = (1..=6).map(|axis| format!("a{axis}_deg"));
-    let places = ["x_mm", "y_mm", "z_mm", "sd_mm"];
+    let places = ["x_mm", "y_mm", "z_mm", "sd_mm", "sd_mrad"];
     angles.chain(APPROACH.into_iter().chain(places).map(str::to_owned)).collect()
 }

@@ -109,6 +109,14 @@ pub(super) fn tool_ball(text: &str) -> Result<[f64; 3], Diagnostic> {
     Ok(place)
 }
 
+/// The place of a tool: X,Y,Z, or a whole frame, whose turn does not move it.
+pub(super) fn tool(text: &str) -> Result<[f64; 3], Diagnostic> {
+    match text.matches(',').count() {
+        5 => frame(text).map(|[x, y, z, ..]| [x, y, z]),
+        _ => tool_ball(text),
+    }
+}
+
 /// A frame X,Y,Z,A,B,C in mm and degrees.
 pub(super) fn frame(text: &str) -> Result<[f64; 6], Diagnostic> {
     let frame: [f64; 6] = numbers(text).ok_or(CompensationFinding::NotAFrame)?;

@@ -196,8 +196,14 @@ fn a_check_is_planned_for_detectable_changes() {
     assert!(codes(&planned).contains(&"I1920".to_owned()));
     let power = read(at, "plan/plan.json")["check"].clone();
     let least = power["least_tolerance_mm"].as_f64().unwrap();
+    // Poses to which no path leads are said, and are not among the lengths.
+    let said = stderr(&planned);
+    let left_out = said
+        .split_once(" of 16 chosen poses were left out")
+        .map_or(0, |(before, _)| before.rsplit(' ').next().and_then(|count| count.parse().ok()).unwrap());
     assert!(
-        (16..=17).contains(&power["lengths"].as_u64().unwrap())
+        (16..=17).contains(&(power["lengths"].as_u64().unwrap() + left_out))
+            && left_out <= 1
             && power["power"] == 0.95
             && power["false_alarm"] == 0.01,
         "{power}"

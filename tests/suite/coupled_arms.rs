@@ -118,6 +118,7 @@ fn lengths(truth: &Robot, poses: usize) -> Measurements {
                 approach: Approach::default(),
                 length_mm: truth.geometry.length(&rad(axes), &Vector3::from(place), 0.0) + SIGMA_MM * noise,
                 sigma_mm: Some(SIGMA_MM),
+                payload: dbbd_model::robot::PayloadId::FIRST,
                 context: None,
             });
         }

@@ -6,9 +6,8 @@ use std::fs;
 
 use dbbd_job::program::krl;
 use dbbd_job::report::export::urdf::urdf;
-use dbbd_model::robot::kinematics::Mass;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
-use dbbd_model::robot::{Joint, Pose, Robot};
+use dbbd_model::robot::{ArmLoad, Joint, Mass, Pose, Robot};
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -72,7 +71,7 @@ fn masses_are_part_of_the_links() {
     let mut robot = kr60();
     robot.name = "-- \"<KR>\"".into();
     let mass = |joint, kg, x| Mass { joint, kg, centre: Vector3::new(x, 0.0, 150.0) };
-    robot.geometry.masses = vec![mass(Joint::J6, 20.0, -100.0), mass(Joint::J6, 20.0, 100.0)];
+    robot.geometry.load = ArmLoad::known(vec![mass(Joint::J6, 20.0, -100.0), mass(Joint::J6, 20.0, 100.0)]);
     let text = urdf(&robot);
     let link = text.split("<link name=\"link_6\">").nth(1).unwrap();
     // Two points of 20 kg at a distance of 0.2 m: 40 kg * (0.1 m)^2 about y and z. The frame of the link is 170 mm before the flange.

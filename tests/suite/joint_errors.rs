@@ -59,6 +59,7 @@ fn lengths(truth: &Robot, poses: usize, seed: u64) -> Measurements {
                 approach,
                 length_mm: there.length(&radians(axes), &Vector3::from(place), 0.0) + SIGMA_MM * noise,
                 sigma_mm: Some(SIGMA_MM),
+                payload: dbbd_model::robot::PayloadId::FIRST,
                 context: None,
             });
         }

@@ -133,15 +133,18 @@ impl TruthComparison {
     pub(super) fn lines(&self) -> Vec<String> {
         let mut lines = vec![
             String::new(),
-            "True against identified corrections (of what each parameter represents; mm, mrad):".into(),
+            "True against identified corrections (of what each parameter represents):".into(),
             format!(
                 "{:>12} {:>10} {:>10} {:>10} {:>8}",
                 "parameter", "true", "identified", "difference", "sd"
             ),
         ];
-        for row in &self.parameters {
-            let (factor, unit) =
-                if row.unit == ParamUnit::Rad { (1e3, "mrad") } else { (1.0, row.unit.name()) };
+        for row in self.parameters.iter().filter(|row| !matches!(row.name, ParamId::PayloadCompliance(_))) {
+            let (factor, unit) = match row.unit {
+                ParamUnit::Mm => (1.0, "mm"),
+                ParamUnit::Rad => (1e3, "mrad"),
+                ParamUnit::RadPerNm => (1e6, "urad/(N m)"),
+            };
             lines.push(format!(
                 "{:>12} {:>10.4} {:>10.4} {:>10.4} {:>8.4} {unit}",
                 row.name.to_string(),

@@ -72,7 +72,7 @@ pub(crate) struct IdentifyArgs {
     #[arg(long, value_name = "none|posterior|datasheet|FILE")]
     prior: Option<String>,
     /// The error model of the robot. `joints`: its geometry and the errors of its joints (first harmonic, smooth function of
-    /// the angle, backlash by the sense of approach, ripple, compliance if the robot file has a [[mass]] or [payload]); each
+    /// the angle, backlash by the sense of approach, ripple, compliance under the weight of the arm); each
     /// group only as far as the evidence of the lengths supports it. `geometric`: the same is estimated, and the geometry
     /// nearest to it is written. With `--estimate` the list is all that is unknown.
     #[arg(long, value_enum, value_name = "MODEL", default_value = "joints")]

@@ -13,7 +13,7 @@ use crate::plan::{MODULE_DWELLS, MotionKind, Plan, PlanRow, PoseKind};
 use crate::program::ProgramFinding;
 use dbbd_model::base::InternalFinding;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::robot::{Joint, Mass, Robot};
+use dbbd_model::robot::Robot;
 
 /// The files of a program, names and texts; the program begins in the first.
 pub type Written = Vec<(String, String)>;
@@ -61,12 +61,6 @@ pub(super) fn plan_variables(plan: &Plan, language: Language, sync: Sync) -> Res
         bar => Serde(&job.bar),
         settle_s => job.motion.settle_s,
     })
-}
-
-/// The mass on the flange, if the robot file has exactly one.
-pub(super) fn payload(robot: &Robot) -> Option<&Mass> {
-    let mut masses = robot.geometry.masses.iter().filter(|mass| mass.joint == Joint::J6);
-    masses.next().filter(|_| masses.next().is_none())
 }
 
 /// The modules that a main module calls, each with whether the bar stays mounted before it.

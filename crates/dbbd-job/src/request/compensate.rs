@@ -14,7 +14,7 @@ use dbbd_model::robot::{LoadedRobot, Pose, Robot};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
-use super::robots::{edited, robot_for_measurement};
+use super::robots::{carrying, edited, robot_for_measurement};
 use super::{AnswerOutcome, RequestResult, RequestSession};
 use crate::file_set::FileSet;
 use crate::files;
@@ -40,6 +40,8 @@ pub struct CompensateRequest {
     pub tool_mm_deg: Option<[f64; 6]>,
     /// The base in the robot's base if the program does not set it: X, Y, Z in mm, A, B, C in degrees.
     pub base_mm_deg: Option<[f64; 6]>,
+    /// What the flange carries while the program runs: a payload of the robot file by its name, or `KG,X,Y,Z`.
+    pub payload: Option<String>,
     /// The program is refused if a commanded point would move by more than this.
     #[serde(default = "default_limit_mm")]
     pub limit_mm: f64,
@@ -100,7 +102,8 @@ impl CompensateRequest {
         session: &RequestSession<'_>,
     ) -> Result<RequestResult<CompensateDocument>, Diagnostic> {
         Quantity::CorrectionLimit.check("limit", self.limit_mm)?;
-        let LoadedRobot { robot, source: identified, .. } = robot_for_measurement(&self.robot, session)?;
+        let LoadedRobot { mut robot, source: identified, .. } = robot_for_measurement(&self.robot, session)?;
+        session.findings_in(&self.robot, carrying(&self.robot, &mut robot, self.payload.as_deref())?);
         session.findings_in(&self.robot, robot.doubtful());
         if robot.nominal.is_none() {
             return Err(Diagnostic::file(&self.robot, CompensationFinding::NotIdentified));

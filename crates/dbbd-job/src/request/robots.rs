@@ -2,7 +2,7 @@
 
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
-use dbbd_model::robot::{LoadedRobot, Robot};
+use dbbd_model::robot::{LoadedRobot, Robot, RobotFinding};
 
 use super::RequestSession;
 use crate::robot_files::named_robot;
@@ -16,6 +16,18 @@ pub(super) fn robot_for_measurement(
     let mut read = named_robot(name)?;
     session.findings(std::mem::take(&mut read.findings));
     Ok(read)
+}
+
+/// Lets a robot carry another payload: one of its file by name, or `KG,X,Y,Z`.
+pub fn carrying(
+    name: &str,
+    robot: &mut Robot,
+    payload: Option<&str>,
+) -> Result<Option<RobotFinding>, Diagnostic> {
+    let Some(payload) = payload else { return Ok(None) };
+    robot.geometry.load.carry(payload).map_err(|finding| Diagnostic::file(name, finding))?;
+    let beyond = robot.geometry.load.beyond_measured().filter(|_| robot.nominal.is_some());
+    Ok(beyond.map(|[kg, measured_kg]| RobotFinding::PayloadNeverMeasured { kg, measured_kg }))
 }
 
 /// A finding if the file of an identified robot lacks its posterior, or has values that the posterior does not belong to.

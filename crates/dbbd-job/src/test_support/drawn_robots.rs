@@ -96,6 +96,7 @@ pub(crate) fn lengths(truth: &Robot, poses_: usize, balls: usize, seed: u64) -> 
                 approach: pose.approach,
                 length_mm: (place - Vector3::from(centre)).norm() + LENGTH_MM * noise,
                 sigma_mm: Some(LENGTH_MM),
+                payload: dbbd_model::robot::PayloadId::FIRST,
                 context: None,
             });
         }

@@ -58,6 +58,7 @@ pub(crate) fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64
             approach: Approach::default(),
             length_mm: length + noise_mm * random.sample::<f64, _>(StandardNormal),
             sigma_mm: None,
+            payload: dbbd_model::robot::PayloadId::FIRST,
             context: None,
         }
     });
@@ -146,12 +147,12 @@ pub(crate) fn taught(program: &str) -> Vec<(Pose, [f64; 6])> {
 /// A robot whose joints 2 and 3 deflect under its own weight, by at most 0.2 and 0.14 mrad.
 pub(crate) fn sagging(mut robot: Robot) -> Robot {
     let mass = |joint, kg, [x, y, z]: [f64; 3]| Mass { joint, kg, centre: Vector3::new(x, y, z) };
-    robot.geometry.masses = vec![
+    robot.geometry.load.masses = vec![
         mass(Joint::J2, 150.0, [425.0, 0.0, 0.0]),
         mass(Joint::J3, 120.0, [145.0, -300.0, 0.0]),
         mass(Joint::J6, 60.0, [0.0; 3]),
     ];
-    let rigid = Geometry { masses: vec![], ..robot.geometry.clone() };
+    let rigid = Geometry { compliance: [0.0; 6], ..robot.geometry.clone() };
     let poses = dbbd_model::estimation::Workspace::uniform(&robot, 500, 1);
     for (joint, most_rad) in [(1, 0.2e-3), (2, 0.14e-3)] {
         let mut probe = robot.geometry.clone();

@@ -25,7 +25,7 @@ use crate::estimation::EstimationFinding;
 use crate::math::distributions::coverage_95;
 use crate::math::rank;
 use crate::measurement::{LengthModel, Measurements};
-use crate::robot::{BallId, Datum, ParamId, Robot};
+use crate::robot::{BallId, Datum, Geometry, ParamId, Robot};
 
 /// The input of a calibration.
 #[derive(Clone, Copy)]
@@ -209,7 +209,7 @@ impl<'a> Calibration<'a> {
                     .into_iter()
                     .collect(),
                 posterior: prediction.posterior,
-                geometry: estimate.fit.model.geometry.clone(),
+                geometry: with_measured_payloads(estimate.fit.model.geometry.clone(), self.observations),
                 nominal: Some(nominal),
                 uncertainty: Some(Box::new(prediction.uncertainty)),
                 ..setting.robot.clone()
@@ -341,4 +341,14 @@ impl LengthSigma {
     fn coverage_factor(self) -> Option<f64> {
         (self.source != SigmaSource::Assumed).then(|| coverage_95(self.freedom))
     }
+}
+
+/// A geometry, with the payloads marked that rows were measured with.
+fn with_measured_payloads(mut geometry: Geometry, measured: &Measurements) -> Geometry {
+    for row in &measured.rows {
+        if let Some(payload) = geometry.load.payloads.get_mut(row.payload.index()) {
+            payload.is_measured = true;
+        }
+    }
+    geometry
 }

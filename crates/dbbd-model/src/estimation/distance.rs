@@ -210,6 +210,7 @@ mod tests {
                 approach: Approach::default(),
                 length_mm: 0.0,
                 sigma_mm: None,
+                payload: crate::robot::PayloadId::FIRST,
                 context: Some(
                     MeasurementContext { time_s: Some(600.0 * at as f64), ..MeasurementContext::default() }
                         .into(),

@@ -22,7 +22,7 @@ use super::pose_rows::{LengthNoise, PoseRows};
 use super::position::BallMotion;
 use super::priors::uncertified_variance;
 use super::ripple::{Candidate, RippleSearch, ln_candidates};
-use super::selection::is_place;
+use super::selection::{is_bar, is_place};
 use super::shifted_rows::shifted_rows;
 use super::start::EstimateStart;
 use super::system::{Equations, NormalSums, System, SystemPosterior, Whitened};
@@ -629,7 +629,9 @@ impl<'a> Search<'a> {
         let stated_mm = used.by(Sigma::Given).rms_sigma();
         let dof = whole.count() as f64 - effective_parameters;
         let ratio = (whole_mm / stated_mm).powi(2);
-        let is_list = system.variances.iter().all(Option::is_none);
+        let free = |(id, variance): (&ParamId, &Option<Variance>)| is_bar(id) || variance.is_none();
+        let is_list = unknowns.ids().len() == system.variances.len()
+            && unknowns.ids().iter().zip(&system.variances).all(free);
         let agrees = is_list
             && used.lengths().known
             && ChiSquareOutcome::of(ratio, dof.max(1.0)) != ChiSquareOutcome::Greater;

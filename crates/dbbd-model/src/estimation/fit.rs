@@ -46,13 +46,14 @@ pub(super) fn all(
     kept: &[ParamId],
     independent: usize,
     prior: Option<&PriorRows>,
+    follows_list: bool,
     start: &LengthModel,
 ) -> Fit {
     let is_offset = |id: &ParamId| matches!(id, ParamId::Theta(_));
     let offsets: Vec<ParamId> = kept.iter().copied().filter(|id| is_offset(id) || is_place(id)).collect();
     // With a prior the robot is near its nominal geometry, and offsets that the data do not determine could diverge.
     let both: [&[ParamId]; 2] = [&offsets, kept];
-    let lists = if prior.is_none() && offsets.iter().any(is_offset) { &both[..] } else { &both[1..] };
+    let lists = if follows_list && offsets.iter().any(is_offset) { &both[..] } else { &both[1..] };
     let from =
         |lengths: &Weighted, loss: Loss, start: &LengthModel| stages(lengths, lists, loss, prior, start);
     let all = lengths.weighted(sigma, &[]);

@@ -487,6 +487,7 @@ mod tests {
             approach: reading.approach,
             length_mm: reading.length_mm,
             sigma_mm: None,
+            payload: crate::robot::PayloadId::FIRST,
             context: None,
         };
         (1..).zip(readings).map(row).collect()

@@ -66,7 +66,7 @@ pub use joint_curve::{JointPoint, joint_curve};
 pub use linear_system::{factor, linear_system};
 pub use options::{ErrorModel, Options};
 pub use pose_rows::LengthNoise;
-pub use position::Positions;
+pub use position::{Orientations, Positions};
 pub use posterior::{Posterior, inverse_root, root_after};
 pub use prediction::PositionParts;
 pub use priors::{Prior, Priors, largest_plausible, length_sd_mm};

@@ -10,10 +10,11 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::workspace::{Workspace, take_out_rigid_motion};
+use crate::math::{beside, stacked};
 use crate::measurement::{ApproachedPose, LengthModel};
 use crate::robot::{
-    AXES, Approach, AxesAtPose, Geometry, Joint, JointSinCos, JointTerm, KinematicChain, ParamId, Robot,
-    RobotUncertainty, TermKind,
+    AXES, Approach, AxesAtPose, Geometry, Joint, JointSinCos, JointTerm, KinematicChain, ParamId, Payload,
+    PayloadId, Robot, RobotUncertainty, TermKind,
 };
 
 /// Robots that are drawn, at least.
@@ -66,8 +67,9 @@ impl Positions {
             std::array::from_fn(|i| JointDisplacement { column: by_joint[i], sd_rad: sds[i] })
         });
         let joints = joints.collect();
+        let by_payload = by_payload(geometry, &all, &motion.balls);
         let BallMotion { jacobian, mut balls, .. } = motion;
-        let mut moved = jacobian * &unknown.root;
+        let mut moved = beside(jacobian * &unknown.root, &by_payload);
         take_out_rigid_motion(&mut moved, &balls);
         balls.truncate(poses.len());
         Self { balls, moved, joints, pose_mm: unknown.pose_mm }
@@ -106,6 +108,103 @@ impl Positions {
         }
         drawn
     }
+}
+
+/// How a tool frame is turned at poses, with what is not known of it.
+pub struct Orientations {
+    /// Rotation vectors by the root's columns, 3 rows a pose, rad.
+    turned: DMatrix<f64>,
+    /// Rotation vectors by the angle of each joint, rad/rad, and the standard deviation of its error beside the root's, rad.
+    joints: Vec<[JointDisplacement; AXES]>,
+}
+
+impl Orientations {
+    /// Of a robot's flange at `poses`; the turn that all poses have in common is taken out.
+    ///
+    /// It follows from three points of the flange, one on each axis, as far as the arm is long, against the flange itself.
+    pub fn of(robot: &Robot, poses: &[ApproachedPose]) -> Self {
+        let unknown = robot.known_uncertainty().without_tool();
+        let arm_mm = robot.reach_mm();
+        let points = [Vector3::zeros(), Vector3::x(), Vector3::y(), Vector3::z()];
+        let geometries = points.map(|point| {
+            let mut geometry = robot.geometry.clone();
+            geometry.tool = point * arm_mm;
+            geometry
+        });
+        let given: Vec<([f64; AXES], Approach)> =
+            poses.iter().map(|pose| (pose.axes.radians(), pose.approach)).collect();
+        let motions = geometries.map(|geometry| BallMotion::new(&geometry, &given, &unknown.parameters));
+        let rows = 3 * given.len();
+        let mut moved = DMatrix::zeros(4 * rows, unknown.root.ncols());
+        let mut places = Vec::new();
+        for (at, motion) in motions.iter().enumerate() {
+            moved.rows_mut(at * rows, rows).copy_from(&(&motion.jacobian * &unknown.root));
+            places.extend(&motion.balls);
+        }
+        take_out_rigid_motion(&mut moved, &places);
+        let remaining = RemainingErrors::new(&robot.geometry, &unknown);
+        let mut turned = DMatrix::zeros(rows, unknown.root.ncols());
+        let joints = given.iter().enumerate().map(|(pose, (axes, approach))| {
+            let axis = |of: usize| (motions[of].balls[pose] - motions[0].balls[pose]) / arm_mm;
+            let units = [axis(1), axis(2), axis(3)];
+            for (column, mut turn) in turned.column_iter_mut().enumerate() {
+                let point = |of: usize| moved.fixed_view::<3, 1>(of * rows + 3 * pose, column).into_owned();
+                let ends = [1, 2, 3].map(|of| (point(of) - point(0)) / arm_mm);
+                turn.fixed_rows_mut::<3>(3 * pose).copy_from(&rotation(&units, &ends));
+            }
+            let sds = remaining.sds(axes, *approach);
+            std::array::from_fn(|joint| {
+                let end = |of: usize| {
+                    (motions[of].by_joint[pose][joint] - motions[0].by_joint[pose][joint]) / arm_mm
+                };
+                JointDisplacement { column: rotation(&units, &[end(1), end(2), end(3)]), sd_rad: sds[joint] }
+            })
+        });
+        let joints = joints.collect();
+        Self { turned, joints }
+    }
+
+    /// The standard deviation of the rotation at a pose (root of the mean square angle), rad.
+    pub fn sd_rad(&self, pose: usize) -> f64 {
+        let by_angle = |joint: &JointDisplacement| joint.column.norm_squared() * joint.sd_rad.powi(2);
+        let by_joints: f64 = self.joints[pose].iter().map(by_angle).sum();
+        (self.turned.rows(3 * pose, 3).norm_squared() + by_joints).sqrt()
+    }
+}
+
+/// The rotation vector of a frame whose unit vectors move by `ends`: half the sum of their cross products.
+fn rotation(units: &[Vector3<f64>; 3], ends: &[Vector3<f64>; 3]) -> Vector3<f64> {
+    units.iter().zip(ends).map(|(unit, end)| unit.cross(end)).sum::<Vector3<f64>>() / 2.0
+}
+
+/// How the standard uncertainties of the payload carried move the ball at poses, a column each, 3 rows a pose, mm.
+fn by_payload(
+    geometry: &Geometry,
+    poses: &[([f64; AXES], Approach)],
+    balls: &[Vector3<f64>],
+) -> DMatrix<f64> {
+    let mut varied = Vec::new();
+    if let Some(Payload { u_kg, u_mm, .. }) = geometry.load.carried() {
+        let with = |change: &dyn Fn(&mut Payload)| {
+            let mut geometry = geometry.clone();
+            geometry.load.payloads.iter_mut().take(1).for_each(change);
+            geometry
+        };
+        if *u_kg > 0.0 {
+            varied.push(with(&|payload| payload.kg += payload.u_kg));
+        }
+        if *u_mm > 0.0 {
+            varied.extend([0, 1, 2].map(|axis| with(&|payload| payload.centre[axis] += payload.u_mm)));
+        }
+    }
+    let mut moved = DMatrix::zeros(3 * poses.len(), varied.len());
+    for (column, geometry) in varied.iter().enumerate() {
+        let there = BallMotion::new(geometry, poses, &[]).balls;
+        for (at, (there, here)) in there.iter().zip(balls).enumerate() {
+            moved.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&(there - here));
+        }
+    }
+    moved
 }
 
 /// Standard normal numbers, a column a robot, from seed 1, scaled to unit covariance: the sample covariance of so few robots
@@ -148,7 +247,13 @@ impl BallMotion {
             });
             joints.push(by_joint);
             let (sin_cos, approach, target) = (&JointSinCos::of(axes), *approach, &geometry.tool);
-            balls.push(chain.ball(&AxesAtPose { axes, sin_cos, approach, target }));
+            balls.push(chain.ball(&AxesAtPose {
+                axes,
+                sin_cos,
+                approach,
+                target,
+                payload: PayloadId::FIRST,
+            }));
         }
         Self { jacobian, balls, by_joint: joints }
     }
@@ -206,8 +311,9 @@ const COLUMNS: usize = 60;
 /// Iterations that find them: what they leave out is scaled in.
 const ITERATIONS: usize = 4;
 
-/// The same uncertainty with few columns: those that move the tool ball at these poses and the base balls most against each
-/// other, each place in units of its own standard deviation, so that it is kept where it is small.
+/// The same uncertainty with few columns: those that move the tool ball at these poses, as measured and with another payload, and
+/// the base balls most against each other, each place in units of its own standard deviation, so that it is kept where it is
+/// small.
 pub(super) fn compressed(
     model: &LengthModel,
     unknown: &RobotUncertainty,
@@ -244,6 +350,11 @@ fn moved_with_balls(
     let poses: Vec<_> = poses.iter().map(|pose| (pose.axes.radians(), pose.approach)).collect();
     let BallMotion { jacobian, balls: mut places, .. } =
         BallMotion::new(&model.geometry, &poses, &unknown.parameters);
+    let mut loaded = model.geometry.clone();
+    loaded.load.payloads.insert(0, loaded.load.rated(&loaded.rows));
+    let with_payload = BallMotion::new(&loaded, &poses, &unknown.parameters);
+    let jacobian = stacked(&jacobian, &with_payload.jacobian);
+    places.extend(&with_payload.balls);
     let is_ball = |id: &ParamId| matches!(id, ParamId::Ball(..));
     let rows: Vec<usize> =
         (0..unknown.parameters.len()).filter(|at| is_ball(&unknown.parameters[*at])).collect();
@@ -261,6 +372,41 @@ fn moved_with_balls(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A frame that is turned by 0.2 mrad about an axis moves its unit vectors by the cross product.
+    #[test]
+    fn a_rotation_follows_from_how_the_axes_move() {
+        let turn = Vector3::new(1e-4, -2e-4, 5e-5);
+        let frame = crate::robot::pose::rot_x(0.7) * crate::robot::pose::rot_z(-0.4);
+        let units = [0, 1, 2].map(|axis| Vector3::from(frame.column(axis)));
+        let ends = units.map(|unit| turn.cross(&unit));
+        assert!((rotation(&units, &ends) - turn).norm() < 1e-15);
+    }
+
+    /// An error of theta6 alone turns the flange about its own axis by as much at every pose, and moves it nowhere.
+    #[test]
+    fn the_flange_turns_by_the_error_of_the_last_joint() {
+        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let poses: Vec<ApproachedPose> = Workspace::uniform(&robot, 40, 3)
+            .iter()
+            .map(|axes| ApproachedPose {
+                axes: crate::robot::AxisAngles::from_degrees(axes.map(f64::to_degrees)),
+                approach: Approach::default(),
+            })
+            .collect();
+        let unknown = RobotUncertainty {
+            parameters: vec![ParamId::Theta(Joint::J6)],
+            root: DMatrix::from_element(1, 1, 3e-4),
+            pose_mm: 0.0,
+            ..robot.known_uncertainty()
+        };
+        robot.uncertainty = Some(Box::new(unknown));
+        let found = Orientations::of(&robot, &poses);
+        // What all poses have in common is taken out: of turns about axes in all directions little.
+        for pose in 0..poses.len() {
+            assert!((found.sd_rad(pose) / 3e-4 - 1.0).abs() < 0.35, "{}", found.sd_rad(pose));
+        }
+    }
 
     #[test]
     fn draws_have_unit_covariance() {

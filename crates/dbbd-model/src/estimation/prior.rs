@@ -10,6 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use super::Analysis;
 use super::options::Setting;
 use super::priors::Priors;
+use super::selection::is_bar;
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;
 
@@ -37,13 +38,18 @@ fn values(model: &LengthModel, ids: &[ParamId]) -> DVector<f64> {
     DVector::from_fn(ids.len(), |k, _| model.value(ids[k]))
 }
 
-/// The prior of the parameters `kept` about their values at the start; `None` where a list of the user is followed.
+/// The prior of the parameters `kept` about their values at the start: of the bars alone where a list of the user is followed.
 pub(super) fn rows(setting: &Setting<'_>, kept: &[ParamId]) -> Option<PriorRows> {
-    if setting.options.follows_list() {
+    let follows_list = setting.options.follows_list();
+    let is_bound = |id: &ParamId| !follows_list || is_bar(id);
+    let sd = |place: usize| {
+        let id = Some(kept[place]).filter(is_bound)?;
+        Some((place, setting.priors.bound_at_start(id)?))
+    };
+    let (bound, sd): (Vec<usize>, Vec<f64>) = (0..kept.len()).filter_map(sd).unzip();
+    if bound.is_empty() {
         return None;
     }
-    let sd = |place: usize| Some((place, setting.priors.bound_at_start(kept[place])?));
-    let (bound, sd): (Vec<usize>, Vec<f64>) = (0..kept.len()).filter_map(sd).unzip();
     let ids: Vec<ParamId> = bound.iter().map(|place| kept[*place]).collect();
     let root = setting.priors.root(&ids, &sd);
     let inverse = root.solve_lower_triangular(&DMatrix::identity(ids.len(), ids.len()))?;

@@ -16,6 +16,12 @@ pub const WEAK: f64 = 3.0;
 const IMPLAUSIBLE: f64 = 5.0;
 /// and beyond so many in any case.
 const IMPOSSIBLE: f64 = 20.0;
+/// A joint deflects by about so much under the greatest torque of gravity: 2 to 6e-7 rad/(N m) of an arm that carries 60 kg.
+const DEFLECTION_RAD: f64 = 4e-4;
+/// Masses by the size of an arm are right to half, those of a maker to a tenth.
+const ASSUMED_MASS_ERROR: f64 = 0.5;
+const STATED_MASS_ERROR: f64 = 0.1;
+
 /// The prior on the robot that the user chose.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Prior {
@@ -64,6 +70,8 @@ pub struct Priors {
     flange_mm: f64,
     flange_rad: f64,
     greatest_torques: [f64; AXES],
+    /// Relative standard deviation of the masses of the links.
+    mass_error: f64,
     bar_u_mm: Option<f64>,
     /// Of each coordinate of the tool ball on the flange, mm.
     ball_u_mm: f64,
@@ -80,6 +88,7 @@ impl Priors {
             flange_mm: robot.tolerance.flange_mm,
             flange_rad: robot.tolerance.flange_deg.to_radians(),
             greatest_torques: robot.geometry.greatest_torques(),
+            mass_error: if robot.geometry.load.is_assumed { ASSUMED_MASS_ERROR } else { STATED_MASS_ERROR },
             bar_u_mm,
             ball_u_mm: robot.ball_u_mm,
             given: BTreeMap::new(),
@@ -156,10 +165,10 @@ impl Priors {
     /// tolerance always binds.
     fn unbound(id: ParamId) -> f64 {
         match id.prior() {
-            PriorRule::Free(sd)
-            | PriorRule::Certificate { uncertified: sd }
-            | PriorRule::AngleToleranceOverTorque { without_masses: sd, .. } => sd,
-            PriorRule::LengthTolerance
+            PriorRule::Free(sd) | PriorRule::Certificate { uncertified: sd } => sd,
+            PriorRule::DeflectionOverTorque(_)
+            | PriorRule::MassErrorOverTorque(_)
+            | PriorRule::LengthTolerance
             | PriorRule::AngleTolerance
             | PriorRule::FlangeLength
             | PriorRule::FlangeAngle => f64::INFINITY,
@@ -181,8 +190,11 @@ impl Priors {
             PriorRule::AngleTolerance => Some(self.angle_rad),
             PriorRule::FlangeLength => Some(self.flange_mm),
             PriorRule::FlangeAngle => Some(self.flange_rad),
-            PriorRule::AngleToleranceOverTorque { joint, .. } => {
-                Some(self.angle_rad / self.greatest_torques[joint.index()]).filter(|sd| sd.is_finite())
+            PriorRule::DeflectionOverTorque(joint) => {
+                Some(DEFLECTION_RAD / self.greatest_torques[joint.index()])
+            }
+            PriorRule::MassErrorOverTorque(joint) => {
+                Some(self.mass_error * DEFLECTION_RAD / self.greatest_torques[joint.index()])
             }
             PriorRule::Certificate { .. } | PriorRule::Free(_) => None,
         }
@@ -201,7 +213,8 @@ impl Priors {
             | PriorRule::AngleTolerance
             | PriorRule::FlangeLength
             | PriorRule::FlangeAngle
-            | PriorRule::AngleToleranceOverTorque { .. }
+            | PriorRule::DeflectionOverTorque(_)
+            | PriorRule::MassErrorOverTorque(_)
             | PriorRule::Free(_) => self.of_robot(id),
         }
     }
@@ -240,11 +253,10 @@ const FAR_TOOL_MM: f64 = 50.0;
 const BAR_FREEDOM: f64 = 4.0;
 
 /// The variance of the normal prior that weighs as Student's t does at an offset of this mean square, mm^2 (the mean weight
-/// of its representation as a normal distribution with a gamma-distributed precision).
+/// of its representation as a normal distribution with a gamma-distributed precision): where the bar is as stated, that of a
+/// bar without a certificate.
 pub(super) fn uncertified_variance(mean_square: f64) -> f64 {
-    /// Scale of the distribution, mm: bars without a certificate that are made with care.
-    const SCALE_MM: f64 = 0.08;
-    (BAR_FREEDOM * SCALE_MM * SCALE_MM + mean_square) / (BAR_FREEDOM + 1.0)
+    Priors::certified_bar_mm(None).powi(2) + mean_square / (BAR_FREEDOM + 1.0)
 }
 
 /// Corrections beyond so many prior standard deviations are doubted.
@@ -265,7 +277,7 @@ mod tests {
     #[test]
     fn a_bar_has_its_certificate_or_the_default() {
         let bar = ParamId::BarOffset(BarId::FIRST);
-        for (u, sd) in [(None, 0.05), (Some(0.002), 0.002)] {
+        for (u, sd) in [(None, 0.07), (Some(0.002), 0.002)] {
             let priors = priors(u, Prior::None);
             for found in [priors.sd(bar), priors.weak_limit(bar) / WEAK, priors.fixed_sd(bar)] {
                 assert!((found - sd).abs() < 1e-15, "{found}");
@@ -275,12 +287,12 @@ mod tests {
         }
     }
 
-    /// Student's t of four degrees of freedom and scale 0.08 mm: 0.4 / 5 of its squared scale where the offset is known to be
-    /// nothing, and far away a fifth of the square of the offset.
+    /// Student's t of four degrees of freedom: 0.07 mm where the offset is known to be nothing, and far away a fifth
+    /// of the square of the offset.
     #[test]
     fn a_bar_without_certificate_may_be_far_off() {
-        assert!((uncertified_variance(0.0) - 0.8 * 0.08 * 0.08).abs() < 1e-15);
-        assert!((uncertified_variance(4.0) - (0.8 * 0.08 * 0.08 + 0.8)).abs() < 1e-12);
+        assert!((uncertified_variance(0.0) - 0.07 * 0.07).abs() < 1e-15);
+        assert!((uncertified_variance(4.0) - (0.07 * 0.07 + 0.8)).abs() < 1e-12);
     }
 
     #[test]
@@ -296,11 +308,10 @@ mod tests {
     fn prior_of_compliance_follows_from_the_greatest_torque() {
         let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
         let id = ParamId::Compliance(Joint::J2);
-        assert_eq!(Priors::datasheet(&robot, None).bound(id), Some(1e-6));
-        robot.geometry.masses =
+        robot.geometry.load.masses =
             vec![crate::robot::Mass { joint: Joint::J2, kg: 100.0, centre: nalgebra::Vector3::x() * 500.0 }];
         let torque = robot.geometry.greatest_torques()[1];
-        assert_eq!(Priors::datasheet(&robot, None).sd(id), 0.05f64.to_radians() / torque);
+        assert_eq!(Priors::datasheet(&robot, None).sd(id), 4e-4 / torque);
     }
 
     /// The tolerances of the built-in KR 60 HA are 0.5 mm and 0.05 deg.
@@ -319,14 +330,12 @@ mod tests {
             (ParamId::Beta(Joint::J3), angle, angle, 3.0 * angle),
             (ParamId::GearCos(Joint::J1), angle, 0.0, 3.0 * angle),
             (ParamId::GearSin(Joint::J6), angle, 0.0, 3.0 * angle),
-            // Without masses a compliance moves nothing.
-            (ParamId::Compliance(Joint::J3), 1e-6, 0.0, f64::INFINITY),
             (ParamId::Tool(Coordinate::X), 0.1, 0.0, f64::INFINITY),
             (ParamId::Target(TargetId::at(1), Coordinate::Y), 100.0, 0.0, f64::INFINITY),
             (ParamId::Ball(BallId::FIRST, Coordinate::Z), 10.0, 0.0, f64::INFINITY),
             (ParamId::Tracker(Coordinate::X), 1000.0, 0.0, f64::INFINITY),
             (ParamId::TrackerTurn(Coordinate::X), 1.0, 0.0, f64::INFINITY),
-            (ParamId::BarOffset(BarId::FIRST), 0.05, 0.05, 0.15),
+            (ParamId::BarOffset(BarId::FIRST), 0.07, 0.07, 0.21),
         ] {
             for (found, expected) in
                 [(priors.sd(id), sd), (priors.fixed_sd(id), fixed), (priors.weak_limit(id), weak)]

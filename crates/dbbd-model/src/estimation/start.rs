@@ -91,7 +91,7 @@ impl EstimateStart {
         }
         let sigma = start_sigma(lengths, &set_up, &base);
         let prior = prior::rows(setting, &kept);
-        let fit = fit::all(lengths, sigma, &kept, base.len(), prior.as_ref(), &set_up.model);
+        let fit = fit::all(lengths, sigma, &kept, base.len(), prior.as_ref(), follows_list, &set_up.model);
         let iterations = set_up.iterations + fit.iterations;
         let fit = Fit { iterations, ..fit };
         Ok(Self { before: before.model, at_start: set_up.model, analysis, kept, base, open, fit, sigma })
@@ -99,16 +99,26 @@ impl EstimateStart {
 
     /// What is known of the unknowns of an estimate before its lengths.
     pub(super) fn known_before(&self, setting: &Setting<'_>, lengths: &Lengths) -> Option<KnownBefore> {
-        let Setting { options, priors, robot, start, .. } = setting;
+        let Setting { options, priors, start, .. } = setting;
         if options.follows_list() {
+            // A list says nothing of the length of a bar.
             let ids = self.kept.clone();
-            let (means, variances) = (vec![0.0; ids.len()], vec![None; ids.len()]);
-            return Some(KnownBefore { ids, means, variances, ..KnownBefore::default() });
+            let of_bar =
+                |id: &ParamId| priors.bound_at_start(*id).filter(|_| is_bar(id)).map(Variance::Fixed);
+            let variances: Vec<Option<Variance>> = ids.iter().map(of_bar).collect();
+            let means =
+                ids.iter().zip(&variances).map(|(id, v)| v.map_or(0.0, |_| start.value(*id))).collect();
+            let are_bars_uncertified = !priors.is_certified();
+            return Some(KnownBefore {
+                ids,
+                means,
+                variances,
+                are_bars_uncertified,
+                ..KnownBefore::default()
+            });
         }
-        let massless = robot.geometry.masses.is_empty();
         let is_fixed = |id: &ParamId| options.hold.contains(id) || self.kept.contains(id);
-        let is_void = |id: &ParamId| massless && matches!(id, ParamId::Compliance(_));
-        let optional = parameter::optional().filter(|id| !is_fixed(id) && !is_void(id));
+        let optional = parameter::optional().filter(|id| !is_fixed(id));
         let optional = optional.filter(|_| options.estimate.is_none());
         let mut ids: Vec<ParamId> = self.kept.iter().copied().chain(optional).collect();
         ids.sort();
@@ -147,8 +157,7 @@ impl EstimateStart {
                 priors.bound(*id).map(|sd| Variance::Fixed(widened(*id, sd).unwrap_or(sd)))
             }
         };
-        // Where nothing else is known of the size of the robot, the bar stays as wide as where a fit begins.
-        let are_bars_uncertified = !priors.is_certified() && options.prior != Prior::None;
+        let are_bars_uncertified = !priors.is_certified();
         let variances: Vec<Option<Variance>> = ids.iter().map(variance).collect();
         let means = ids.iter().zip(&variances).map(|(id, v)| v.map_or(0.0, |_| start.value(*id))).collect();
         let known = KnownBefore { ids, means, variances, are_bars_uncertified, ..KnownBefore::default() };
@@ -184,8 +193,11 @@ impl EstimateStart {
             column *= setting.priors.geometric(*id)?;
         }
         let mut bound = DMatrix::zeros(set_up.len(), order.len());
+        // A bar without a certificate says nothing of the size of the robot.
+        let says_size = |id: &ParamId| !is_bar(id) || setting.priors.is_certified();
         for (row, at) in set_up.iter().enumerate() {
-            bound[(row, row)] = setting.priors.bound(known.ids[*at]).map_or(0.0, f64::recip);
+            let id = Some(known.ids[*at]).filter(says_size);
+            bound[(row, row)] = id.and_then(|id| setting.priors.bound(id)).map_or(0.0, f64::recip);
         }
         let triangle = stacked(&rows, &bound).qr().r();
         let size = own.len();
@@ -309,7 +321,8 @@ mod tests {
         }
         let mut normal = rows.tr_mul(&rows);
         for (row, id) in ids[..set_up.len()].iter().enumerate() {
-            normal[(row, row)] += setting.priors.bound(*id).map_or(0.0, |sd| sd.powi(-2));
+            let bound = setting.priors.bound(*id).filter(|_| !is_bar(id));
+            normal[(row, row)] += bound.map_or(0.0, |sd| sd.powi(-2));
         }
         let (s, g) = (set_up.len(), own.len());
         let of_set_up = normal.view((0, 0), (s, s)).into_owned();

@@ -13,7 +13,7 @@ use super::lengths::{Sigma, Weighted};
 use super::noise_shape::BacklashNoise;
 use super::pose_rows::PoseRows;
 use super::system::System;
-use crate::math::stacked;
+use crate::math::{beside, stacked};
 use crate::measurement::LengthModel;
 use crate::robot::{
     AXES, JointErrorModel, JointErrors, JointTerm, ParamId, SmoothJointError, TermKind, VisitedAngles,
@@ -377,13 +377,6 @@ fn centres(poses: &[[f64; AXES]]) -> Vec<Features> {
     centres
 }
 
-fn beside(left: DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
-    let own = left.ncols();
-    let mut both = left.resize_horizontally(own + right.ncols(), 0.0);
-    both.columns_mut(own, right.ncols()).copy_from(right);
-    both
-}
-
 /// Lowest and highest, rad.
 fn range(angles: &[f64]) -> [f64; 2] {
     let start = [f64::INFINITY, f64::NEG_INFINITY];
@@ -442,6 +435,7 @@ mod tests {
             approach: reading.approach,
             length_mm: reading.length_mm,
             sigma_mm: None,
+            payload: crate::robot::PayloadId::FIRST,
             context: None,
         };
         (1..).zip(readings).map(row).collect()

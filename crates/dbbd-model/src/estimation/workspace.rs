@@ -152,6 +152,7 @@ pub fn left_out_mm(robot: &Robot) -> Option<f64> {
     const SEED: u64 = 1;
     let table = Geometry {
         compliance: [0.0; AXES],
+        payload_compliance: [0.0; AXES],
         gear: [[0.0; 2]; AXES],
         joint_errors: JointErrors::default(),
         ..robot.geometry.clone()
@@ -169,6 +170,7 @@ pub fn left_out_mm(robot: &Robot) -> Option<f64> {
                 sin_cos: &JointSinCos::of(axes),
                 approach,
                 target: &geometry.tool,
+                payload: crate::robot::PayloadId::FIRST,
             })
         };
         approached.map(ball).collect()

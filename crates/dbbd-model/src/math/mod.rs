@@ -22,6 +22,14 @@ pub use parallel::map_pieces;
 pub use svd::{Svd, svd};
 pub(crate) use triangle::Triangle;
 
+/// `right` to the right of `left`; both have as many rows.
+pub(crate) fn beside(left: nalgebra::DMatrix<f64>, right: &nalgebra::DMatrix<f64>) -> nalgebra::DMatrix<f64> {
+    let own = left.ncols();
+    let mut both = left.resize_horizontally(own + right.ncols(), 0.0);
+    both.columns_mut(own, right.ncols()).copy_from(right);
+    both
+}
+
 /// `upper` on top of `lower`; both have as many columns.
 pub(crate) fn stacked(
     upper: &nalgebra::DMatrix<f64>,

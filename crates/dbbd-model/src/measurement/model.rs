@@ -7,7 +7,7 @@ use super::{BaseBall, MeasuredPosition, Measurement, Measurements, Tracker};
 use crate::math::map_pieces;
 use crate::robot::{
     AXES, Approach, AxesAtPose, BallId, BarId, Datum, Geometry, JointSinCos, KinematicChain, LengthRow,
-    ParamId, ParamOwner, TargetId, TrackerPlane,
+    ParamId, ParamOwner, PayloadId, TargetId, TrackerPlane,
 };
 
 /// The position of a ball, target or tracker that the model does not have.
@@ -35,6 +35,7 @@ pub struct PreparedMeasurement {
     pub approach: Approach,
     pub datum: Datum,
     pub target: TargetId,
+    pub payload: PayloadId,
     /// Distance between the ball centres, or from a plane of the tracker's frame.
     pub length_mm: f64,
 }
@@ -44,14 +45,21 @@ impl PreparedMeasurement {
     pub fn new(axes: [f64; AXES], ball: BallId, length_mm: f64) -> Self {
         let sin_cos = JointSinCos::of(&axes);
         let (datum, target) = (Datum::Ball(ball, BarId::FIRST), TargetId::FIRST);
-        Self { axes, sin_cos, approach: Approach::default(), datum, target, length_mm }
+        let (approach, payload) = (Approach::default(), PayloadId::FIRST);
+        Self { axes, sin_cos, approach, datum, target, payload, length_mm }
     }
 }
 
 impl From<&Measurement> for PreparedMeasurement {
     fn from(measurement: &Measurement) -> Self {
-        let &Measurement { datum, target, length_mm, approach, .. } = measurement;
-        Self { datum, target, approach, ..Self::new(measurement.axes.radians(), BallId::FIRST, length_mm) }
+        let &Measurement { datum, target, payload, length_mm, approach, .. } = measurement;
+        Self {
+            datum,
+            target,
+            payload,
+            approach,
+            ..Self::new(measurement.axes.radians(), BallId::FIRST, length_mm)
+        }
     }
 }
 
@@ -107,8 +115,14 @@ impl PreparedModel<'_> {
     }
 
     fn at<'b>(&'b self, measurement: &'b PreparedMeasurement) -> AxesAtPose<'b> {
-        let PreparedMeasurement { axes, sin_cos, approach, target, .. } = measurement;
-        AxesAtPose { axes, sin_cos, approach: *approach, target: self.model.target(*target) }
+        let PreparedMeasurement { axes, sin_cos, approach, target, payload, .. } = measurement;
+        AxesAtPose {
+            axes,
+            sin_cos,
+            approach: *approach,
+            target: self.model.target(*target),
+            payload: *payload,
+        }
     }
 
     /// The length and its derivatives; NaN as [`Self::length`].
@@ -437,6 +451,7 @@ mod tests {
                     approach: Approach::default(),
                     length_mm: 0.0,
                     sigma_mm: None,
+                    payload: PayloadId::FIRST,
                     context: None,
                 };
                 rows.extend(row.at_place(place));

@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use nalgebra::Vector3;
 
-use super::table::{APPROACH, AXIS_COLUMNS, ApproachColumns, TARGET, angles};
-use super::{Measurement, Measurements};
+use super::table::{APPROACH, AXIS_COLUMNS, ApproachColumns, PAYLOAD, PayloadColumn, TARGET, angles};
+use super::{Measurement, Measurements, context};
 use crate::base::table::TableReader;
 use crate::diagnostic::Diagnostic;
 use crate::measurement::MeasurementFinding::NoMeasurement;
@@ -57,6 +57,7 @@ impl Measurements {
         let (axes, place) = (table.required(AXIS_COLUMNS)?, table.required(PLACE)?);
         let (index, target) = (table.optional("index")?, table.optional(TARGET)?);
         let (sigma, approach) = (table.optional("sigma_mm")?, ApproachColumns::of(table)?);
+        let mut payloads = PayloadColumn::of(table)?;
         let mut rows = Vec::new();
         let mut number = 0;
         while let Some(row) = table.row()? {
@@ -69,6 +70,7 @@ impl Measurements {
                 approach: approach.read(&row)?,
                 length_mm: 0.0,
                 sigma_mm: row.given(sigma, |at| row.positive(at))?,
+                payload: payloads.read(&row),
                 context: None,
             };
             let [x, y, z] = place;
@@ -77,7 +79,8 @@ impl Measurements {
         if rows.is_empty() {
             return Err(Diagnostic::file(table.file(), NoMeasurement));
         }
-        Self::new(rows, Vec::new()).map_err(|finding| Diagnostic::file(table.file(), finding))
+        let read = Self::new(rows, Vec::new()).map_err(|finding| Diagnostic::file(table.file(), finding))?;
+        Ok(Self { payloads: payloads.names, ..read })
     }
 
     /// The positions among the rows.
@@ -107,6 +110,10 @@ impl Measurements {
         let further = [(targets, TARGET), (sigmas, "sigma_mm")].into_iter();
         let further = further.chain(APPROACH.map(|name| (approach, name))).filter(|(is_there, _)| *is_there);
         further.for_each(|(_, name)| text.extend([",", name]));
+        let payloads = self.payloads.len() > 1;
+        if payloads {
+            text.extend([",", PAYLOAD]);
+        }
         text.push('\n');
         for (_, rows) in self.triples().filter(|(at, _)| keep(*at)) {
             let first = &rows[0];
@@ -125,6 +132,10 @@ impl Measurements {
             }
             if approach {
                 first.append_approach(&mut text);
+            }
+            if payloads {
+                let name = self.payloads.get(first.payload.index()).map_or("", String::as_str);
+                let _ = write!(text, ",{}", context::quoted(name));
             }
             text.push('\n');
         }

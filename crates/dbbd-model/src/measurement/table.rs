@@ -10,11 +10,11 @@ use crate::base::table::{TableReader, TableRow};
 use crate::diagnostic::Diagnostic;
 use crate::measurement::MeasurementFinding::{
     self, BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, TooManyTargets, UnknownBall,
-    UnknownBar, UnknownTarget, UnseenTarget, UntrackedPosition,
+    UnknownBar, UnknownPayload, UnknownTarget, UnseenTarget, UntrackedPosition,
 };
 use crate::plausibility::{PlausibilityFinding, Quantity};
 use crate::robot::parameter::SetUpCounts;
-use crate::robot::{AXES, Approach, AxisAngles, BarId, Datum, Robot, TargetId};
+use crate::robot::{AXES, Approach, ArmLoad, AxisAngles, BarId, Datum, PayloadId, Robot, TargetId};
 
 /// One length at one pose. A position of a tracker is three of them, one for each plane of the tracker's frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,13 +30,15 @@ pub struct Measurement {
     pub length_mm: f64,
     /// Standard deviation of the length, if known.
     pub sigma_mm: Option<f64>,
+    /// What the flange carried.
+    pub payload: PayloadId,
     /// Equal contexts of consecutive rows are shared, so that a million lengths take about 100 bytes each.
     pub context: Option<Arc<MeasurementContext>>,
 }
 
 impl Measurement {
     /// Appends the row of a length to the CSV.
-    fn append(&self, optional: OptionalColumns, columns: &[ContextColumn], text: &mut String) {
+    fn append(&self, optional: OptionalColumns, table: &Measurements, text: &mut String) {
         let Datum::Ball(ball, bar) = self.datum else { return };
         // Writing to a string does not fail.
         let _ = write!(text, "{},{ball}", self.index);
@@ -56,9 +58,13 @@ impl Measurement {
         if optional.approach {
             self.append_approach(text);
         }
+        if optional.payloads {
+            let name = table.payloads.get(self.payload.index()).map_or("", String::as_str);
+            let _ = write!(text, ",{}", context::quoted(name));
+        }
         match &self.context {
-            Some(context) => context.append(columns, text),
-            None => text.extend(columns.iter().map(|_| ',')),
+            Some(context) => context.append(&table.columns, text),
+            None => text.extend(table.columns.iter().map(|_| ',')),
         }
         text.push('\n');
     }
@@ -76,12 +82,15 @@ pub struct Measurements {
     pub rows: Vec<Measurement>,
     /// The further columns, in the order in which they are written.
     pub columns: Vec<ContextColumn>,
+    /// The names of the payloads by [`PayloadId::index`]; without any the rows name none.
+    pub payloads: Vec<String>,
 }
 
 pub(super) const AXIS_COLUMNS: [&str; AXES] = ["a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg"];
 const SIGMA: &str = "sigma_mm";
 const BAR: &str = "bar";
 pub(super) const TARGET: &str = "target";
+pub(super) const PAYLOAD: &str = "payload";
 /// The sense of approach of each axis: -1, 0 (not known) or 1 (rising angle).
 pub const APPROACH: [&str; AXES] =
     ["approach1", "approach2", "approach3", "approach4", "approach5", "approach6"];
@@ -92,6 +101,7 @@ struct OptionalColumns {
     bars: bool,
     targets: bool,
     approach: bool,
+    payloads: bool,
 }
 
 /// Limits of one calibration: each ball, bar and target adds unknowns, and the time grows with their cube.
@@ -115,9 +125,10 @@ impl Measurements {
         let places = table.required(["index", "centre", a1, a2, a3, a4, a5, a6, "length_mm"])?;
         let (sigma, bar) = (table.optional(SIGMA)?, table.optional(BAR)?);
         let (target, approach) = (table.optional(TARGET)?, ApproachColumns::of(table)?);
+        let mut payloads = PayloadColumn::of(table)?;
         let is_known = |at: &usize| {
             places.contains(at)
-                || [sigma, bar, target].contains(&Some(*at))
+                || [sigma, bar, target, payloads.at].contains(&Some(*at))
                 || approach.0.contains(&Some(*at))
         };
         let others: Vec<usize> = (0..table.names().len()).filter(|at| !is_known(at)).collect();
@@ -140,10 +151,12 @@ impl Measurements {
                 approach: approach.read(&row)?,
                 length_mm,
                 sigma_mm: row.given(sigma, |at| row.positive(at))?,
+                payload: payloads.read(&row),
                 context: shared(context, before),
             });
         }
-        Self::new(rows, further).map_err(|finding| Diagnostic::file(table.file(), finding))
+        let read = Self::new(rows, further).map_err(|finding| Diagnostic::file(table.file(), finding))?;
+        Ok(Self { payloads: payloads.names, ..read })
     }
 
     /// # Errors
@@ -152,7 +165,7 @@ impl Measurements {
         if rows.is_empty() {
             return Err(NoMeasurement);
         }
-        let set = Self { rows, columns };
+        let set = Self { rows, columns, payloads: Vec::new() };
         let (balls, bars) = (set.balls(), set.bars());
         if balls > MAX_BALLS || bars > MAX_BARS {
             return Err(TooMany { balls, bars, most_balls: MAX_BALLS, most_bars: MAX_BARS });
@@ -172,14 +185,40 @@ impl Measurements {
         }
     }
 
-    /// Appends the rows of a further table of the same robot, without its further columns.
+    /// With the payloads of a robot in the order of its file.
+    ///
+    /// # Errors
+    /// A row names a payload that the robot does not have.
+    pub fn carrying(mut self, load: &ArmLoad) -> Result<Self, MeasurementFinding> {
+        if self.payloads.is_empty() {
+            return Ok(self);
+        }
+        let known: Vec<&str> = load.payloads.iter().map(|payload| payload.name.as_str()).collect();
+        for row in &mut self.rows {
+            let name = &self.payloads[row.payload.index()];
+            row.payload = match known.iter().position(|other| other == name) {
+                Some(at) => PayloadId::at(at),
+                None if name.is_empty() => PayloadId::FIRST,
+                None => {
+                    let (index, name, known) = (row.index, name.clone(), known.join(", "));
+                    return Err(UnknownPayload { index, name, known });
+                }
+            };
+        }
+        self.payloads = known.into_iter().map(str::to_owned).collect();
+        Ok(self)
+    }
+
+    /// Appends the rows of a further table of the same robot, with the same payloads, without its further columns.
     ///
     /// # Errors
     /// As [`Self::new`].
     pub fn and(mut self, further: &Self) -> Result<Self, MeasurementFinding> {
         let plain = |row: &Measurement| Measurement { context: None, ..row.clone() };
         self.rows.extend(further.rows.iter().map(plain));
-        Self::new(self.rows, self.columns)
+        let all = Self::new(self.rows, self.columns)?;
+        let payloads = if self.payloads.is_empty() { further.payloads.clone() } else { self.payloads };
+        Ok(Self { payloads, ..all })
     }
 
     /// Reads only the axis angles a1_deg..a6_deg of a table, and the senses of approach if it has them.
@@ -208,12 +247,13 @@ impl Measurements {
             bars: self.bars() > 1,
             targets: lengths().any(|row| row.target != TargetId::FIRST),
             approach: lengths().any(|row| !row.approach.is_unknown()),
+            payloads: self.payloads.len() > 1,
         };
         let pieces = self.rows.chunks(PIECE).enumerate().map(move |(piece, rows)| {
             let mut text = String::new();
             for (at, row) in rows.iter().enumerate() {
                 if keep(PIECE * piece + at) {
-                    row.append(optional, &self.columns, &mut text);
+                    row.append(optional, self, &mut text);
                 }
             }
             text
@@ -231,6 +271,9 @@ impl Measurements {
         }
         if optional.approach {
             text.push_str(&format!(",{}", APPROACH.join(",")));
+        }
+        if optional.payloads {
+            text.push_str(&format!(",{PAYLOAD}"));
         }
         for column in &self.columns {
             text.push_str(&format!(",{}", context::quoted(column.name())));
@@ -372,6 +415,30 @@ fn single_in_radians(poses: &[(usize, AxisAngles)]) -> Option<MeasurementFinding
 pub struct ApproachedPose {
     pub axes: AxisAngles,
     pub approach: Approach,
+}
+
+/// The column with the names of payloads, if present, and the names that were read.
+pub(super) struct PayloadColumn {
+    pub(super) at: Option<usize>,
+    pub(super) names: Vec<String>,
+}
+
+impl PayloadColumn {
+    pub(super) fn of(table: &mut TableReader<'_>) -> Result<Self, Diagnostic> {
+        let at = table.optional(PAYLOAD)?;
+        // The first name is the one of rows that name none.
+        Ok(Self { at, names: at.iter().map(|_| String::new()).collect() })
+    }
+
+    pub(super) fn read(&mut self, row: &TableRow<'_>) -> PayloadId {
+        let Some(at) = self.at else { return PayloadId::FIRST };
+        let name = row.text(at);
+        let place = self.names.iter().position(|known| known == name).unwrap_or_else(|| {
+            self.names.push(name.to_owned());
+            self.names.len() - 1
+        });
+        PayloadId::at(place)
+    }
 }
 
 /// The numbers of the columns with the sense of approach, if present.

@@ -38,8 +38,20 @@ findings! {
             NoCoupledAngle { joint: usize, axis: usize, axis_deg: f64 } => "joint {joint}: limits_deg and those of coupling leave axis {joint} no angle where axis {axis} is at its limit of {axis_deg} degrees";
             Posterior => "[posterior]: `values` and the rows of `root`, which are 1, 2, .. numbers long, must be as many as `parameters` of the robot, each there once";
             NoName => "name is empty: runs and programs are compared by it";
+            PayloadTwice { name: String } => "[[payload]]: `{name}` is there twice: rows of measurements name one of several";
+            Gravity => "[mounting] gravity must be the direction of gravity in the robot base, as [0, 0, -1] for an arm on the floor";
             MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";
             Uncertainty => "[uncertainty] does not fit the robot: a row of `root` for each of `parameters` and each coefficient of the joints, all of one length";
+        }
+        E0582 "a payload is not known",
+        cause: "The name is not that of a [[payload]] of the robot file, and the text is not KG,X,Y,Z.",
+        cure: "Name a payload of the robot file, or give its mass in kg and its centre in the flange frame in mm." {
+            NoSuchPayload { asked: String, known: String } => "`{asked}` is neither KG,X,Y,Z nor a [[payload]] of the robot file: {known}";
+        }
+        W0583 "a payload was never measured",
+        cause: "The robot was identified with a lighter payload. How far its joints give way under this one follows from the weight of the arm, whose masses are known roughly.",
+        cure: "Measure the same poses once more with this payload and name both payloads in the column `payload`; the stated uncertainty then falls." {
+            PayloadNeverMeasured { kg: f64, measured_kg: f64 } => "a payload of {kg:.1} kg was never measured: the heaviest was {measured_kg:.1} kg";
         }
         W0581 "a robot file has the name of a built-in robot and another table",
         cause: "The table was copied and edited, or a value is in another unit or has another sign. Files of plans and results are compared by the robot's name.",

@@ -11,7 +11,9 @@
 
 use nalgebra::Vector3;
 
-use super::{AXES, Approach, BallId, BarId, Coordinate, Datum, Geometry, Joint, ParamId, TargetId};
+use super::{
+    AXES, Approach, BallId, BarId, Coordinate, Datum, Geometry, Joint, ParamId, PayloadId, TargetId,
+};
 
 /// A length and its derivatives with respect to all parameters (mm per mm, mm per rad, mm per rad/(N m)); the default is zero.
 #[derive(Clone, Debug)]
@@ -38,6 +40,7 @@ mod column {
     pub(super) const BALL: usize = ParamId::Ball(BallId::FIRST, Coordinate::X).column();
     pub(super) const BAR: usize = ParamId::BarOffset(BarId::FIRST).column();
     pub(super) const COMPLIANCE: usize = ParamId::Compliance(Joint::J1).column();
+    pub(super) const PAYLOAD_COMPLIANCE: usize = ParamId::PayloadCompliance(Joint::J1).column();
     pub(super) const GEAR_COS: usize = ParamId::GearCos(Joint::J1).column();
     pub(super) const GEAR_SIN: usize = ParamId::GearSin(Joint::J1).column();
     pub(super) const TURN: usize = ParamId::TrackerTurn(Coordinate::X).column();
@@ -83,7 +86,8 @@ impl Geometry {
     pub fn length_row(&self, axes: &[f64; AXES], ball: &Vector3<f64>, bar_offset: f64) -> LengthRow {
         let mut row = LengthRow::default();
         let sin_cos = JointSinCos::of(axes);
-        let at = AxesAtPose { axes, sin_cos: &sin_cos, approach: Approach::default(), target: &self.tool };
+        let (approach, payload) = (Approach::default(), PayloadId::FIRST);
+        let at = AxesAtPose { axes, sin_cos: &sin_cos, approach, target: &self.tool, payload };
         KinematicChain::new(self).row(&at, ball, bar_offset, &mut row);
         row
     }
@@ -109,6 +113,7 @@ pub(crate) struct AxesAtPose<'a> {
     pub(crate) approach: Approach,
     /// The tool ball or another target, in the flange frame, mm.
     pub(crate) target: &'a Vector3<f64>,
+    pub(crate) payload: PayloadId,
 }
 
 /// A plane of the tracker's frame, in the robot base.
@@ -145,16 +150,13 @@ struct InwardPass {
 
 impl<'a> KinematicChain<'a> {
     pub(crate) fn new(geometry: &'a Geometry) -> Self {
-        let is_rigid = geometry.compliance.iter().all(|c| *c == 0.0)
-            && geometry.gear.iter().flatten().all(|g| *g == 0.0)
-            && geometry.joint_errors.is_none();
         let rows = &geometry.rows;
         Self {
             geometry,
             alpha: std::array::from_fn(|i| rows[i].alpha.sin_cos()),
             theta: std::array::from_fn(|i| rows[i].theta.sin_cos()),
             beta: std::array::from_fn(|i| rows[i].beta.sin_cos()),
-            is_rigid,
+            is_rigid: geometry.is_rigid(),
             is_coupled: !geometry.coupling.is_none(),
         }
     }
@@ -163,7 +165,7 @@ impl<'a> KinematicChain<'a> {
     #[inline]
     fn joints(&self, at: &AxesAtPose<'_>) -> [(f64, f64); AXES] {
         if !self.is_rigid {
-            return self.geometry.joint_angles_approached(at.axes, at.approach).map(f64::sin_cos);
+            return self.geometry.joint_angles_carrying(at.axes, at.approach, at.payload).map(f64::sin_cos);
         }
         let own_angles = self.own_angles(at);
         std::array::from_fn(|i| {
@@ -278,10 +280,12 @@ impl<'a> KinematicChain<'a> {
     /// Compliance and transmission errors rotate the joints: their columns are multiples of those of theta.
     #[inline]
     fn non_geometric(&self, at: &AxesAtPose<'_>, columns: &mut DerivativeColumns) {
-        if !self.geometry.masses.is_empty() {
-            let torques = self.geometry.torques(&self.geometry.joint_angles_approached(at.axes, at.approach));
+        if !self.geometry.load.masses.is_empty() {
+            let angles = self.geometry.joint_angles_carrying(at.axes, at.approach, at.payload);
+            let torques = self.geometry.torques(&angles, at.payload);
             for j in 0..AXES {
-                columns[column::COMPLIANCE + j] = columns[column::THETA + j] * torques[j];
+                columns[column::COMPLIANCE + j] = columns[column::THETA + j] * torques.all[j];
+                columns[column::PAYLOAD_COMPLIANCE + j] = columns[column::THETA + j] * torques.payload[j];
             }
         }
         for (j, [sin, cos]) in self.own_angles(at).into_iter().enumerate() {
@@ -300,7 +304,8 @@ impl<'a> KinematicChain<'a> {
     ) -> Vector3<f64> {
         let sin_cos = JointSinCos::of(axes);
         let target = &self.geometry.tool;
-        let at = AxesAtPose { axes, sin_cos: &sin_cos, approach: Approach::default(), target };
+        let (approach, payload) = (Approach::default(), PayloadId::FIRST);
+        let at = AxesAtPose { axes, sin_cos: &sin_cos, approach, target, payload };
         let inward = self.inward(&at);
         let along = [0, 1, 2].map(|axis| {
             let mut columns = [0.0; ParamId::COLUMNS];
@@ -320,7 +325,9 @@ impl<'a> KinematicChain<'a> {
 mod tests {
     use super::*;
     use crate::robot::parameter::{all_parameters, optional};
-    use crate::robot::{CoupledAxis, Coupling, JointErrorModel, JointErrors, Mass, ParamUnit, Ripple, Robot};
+    use crate::robot::{
+        CoupledAxis, Coupling, JointErrorModel, JointErrors, Mass, ParamUnit, Payload, Ripple, Robot,
+    };
 
     const AXES_AT: [f64; AXES] = [0.3, -0.8, 0.6, 1.1, -0.7, 2.0];
 
@@ -335,7 +342,10 @@ mod tests {
         geometry.coupling = Coupling::new([None, None, by, None, None, None]);
         geometry.rows[2].beta = 0.02;
         geometry.gear[3] = [4e-4, -2e-4];
-        geometry.masses = vec![Mass { joint: Joint::J3, kg: 80.0, centre: Vector3::new(100.0, 20.0, 5.0) }];
+        let centre = Vector3::new(20.0, 30.0, 200.0);
+        geometry.load.payloads = vec![Payload { kg: 30.0, centre, ..Payload::default() }];
+        geometry.load.masses =
+            vec![Mass { joint: Joint::J3, kg: 80.0, centre: Vector3::new(100.0, 20.0, 5.0) }];
         geometry
     }
 
@@ -390,6 +400,7 @@ mod tests {
             sin_cos: &sin_cos,
             approach: Approach::default(),
             target: &geometry.tool,
+            payload: PayloadId::FIRST,
         };
         let mut row = geometry.length_row(&AXES_AT, &Vector3::zeros(), 0.0);
         let chain = KinematicChain::new(&geometry);
@@ -405,7 +416,8 @@ mod tests {
         let sin_cos = JointSinCos::of(&AXES_AT);
         let target = Vector3::new(-40.0, 10.0, 60.0);
         let approach = Approach::new([0, 1, 1, 0, 0, 0]);
-        let at = AxesAtPose { axes: &AXES_AT, sin_cos: &sin_cos, approach, target: &target };
+        let (axes, payload) = (&AXES_AT, PayloadId::FIRST);
+        let at = AxesAtPose { axes, sin_cos: &sin_cos, approach, target: &target, payload };
         let chain = KinematicChain::new(&geometry);
         let normal = Vector3::new(2.0, -1.0, 2.0) / 3.0;
         let by_turn = [Vector3::x(), Vector3::y() * 2.0, Vector3::z() * -1.0];
@@ -455,7 +467,8 @@ mod tests {
         let count = geometry.joint_errors.count();
         let sin_cos = JointSinCos::of(&AXES_AT);
         let length = |geometry: &Geometry| {
-            let at = AxesAtPose { axes: &AXES_AT, sin_cos: &sin_cos, approach, target: &geometry.tool };
+            let (axes, payload) = (&AXES_AT, PayloadId::FIRST);
+            let at = AxesAtPose { axes, sin_cos: &sin_cos, approach, target: &geometry.tool, payload };
             let mut row = LengthRow::default();
             KinematicChain::new(geometry).row(&at, &ball, 0.0, &mut row);
             row

@@ -51,7 +51,7 @@ pub struct Robot {
     pub controller_serial: Option<String>,
     /// The language of its controller's programs, such as `krl`.
     pub language: Option<String>,
-    /// The table, the tool ball and the masses.
+    /// The table, the tool ball and what loads the joints.
     pub geometry: Geometry,
     /// Limits of the axes of the controller.
     pub limits_deg: [[f64; 2]; AXES],
@@ -72,8 +72,6 @@ pub struct Robot {
     pub uncertainty: Option<Box<RobotUncertainty>>,
     /// The source of the numbers in the file.
     pub source: Option<String>,
-    /// Whether the last of the masses is the payload.
-    pub payload: bool,
     pub provenance: Provenance,
     /// Codes of the warnings of its identification.
     pub doubts: Vec<String>,
@@ -201,7 +199,8 @@ impl Robot {
                 PriorRule::AngleTolerance => angle_rad,
                 PriorRule::FlangeLength => self.tolerance.flange_mm,
                 PriorRule::FlangeAngle => self.tolerance.flange_deg.to_radians(),
-                PriorRule::AngleToleranceOverTorque { .. }
+                PriorRule::DeflectionOverTorque(_)
+                | PriorRule::MassErrorOverTorque(_)
                 | PriorRule::Certificate { .. }
                 | PriorRule::Free(_) => 0.0,
             };
@@ -267,6 +266,13 @@ impl Robot {
         let doubts = Names::of(&self.doubts);
         (!self.doubts.is_empty())
             .then(|| ProvenanceFinding::DoubtfulRobot { robot: self.name.clone(), doubts })
+    }
+
+    /// The same robot with another tool, whose place on the flange is known exactly (flange frame, mm).
+    pub fn with_exact_tool(mut self, tool_mm: [f64; 3]) -> Self {
+        self.uncertainty = Some(Box::new(self.known_uncertainty().without_tool()));
+        self.geometry.tool = tool_mm.into();
+        self
     }
 
     /// The robot as its controller knows it: of an identified robot, the nominal one.

@@ -1,12 +1,18 @@
 //! The robot file (TOML).
 
-use serde::{Deserialize, Serialize};
+use std::fmt;
 
-use super::joint_table::{JointTable, coupling};
-use super::kinematics::{Geometry, Mass};
+use nalgebra::Vector3;
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::joint_table::{JointTable, coupling, is_zero};
+use super::kinematics::Geometry;
+use super::load::{ArmLoad, Mass, Payload};
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
-use super::{AXES, Joint, JointErrors, Robot, Tolerance};
+use super::{AXES, DhRow, Joint, JointErrors, Robot, Tolerance};
 use crate::base::InternalFinding;
 use crate::base::fixed_array::fixed_array;
 use crate::base::parse::from_toml;
@@ -34,9 +40,11 @@ struct RobotFile {
     tool: RobotToolTable,
     #[serde(default)]
     tolerance: Tolerance,
+    mounting: Option<MountingTable>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     mass: Vec<MassTable>,
-    payload: Option<PayloadTable>,
+    #[serde(default, deserialize_with = "one_or_several", skip_serializing_if = "Vec::is_empty")]
+    payload: Vec<PayloadTable>,
     #[serde(default, skip_serializing_if = "Provenance::is_empty")]
     provenance: Provenance,
     posterior: Option<RobotPosterior>,
@@ -71,14 +79,67 @@ struct MassTable {
     kg: f64,
     #[serde(deserialize_with = "fixed_array")]
     centre_mm: [f64; 3],
+    /// By the size of the arm.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    assumed: bool,
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MountingTable {
+    /// In the robot base; its length does not matter.
+    #[serde(deserialize_with = "fixed_array")]
+    gravity: [f64; 3],
 }
 
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PayloadTable {
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    name: String,
     kg: f64,
     #[serde(deserialize_with = "fixed_array")]
     centre_mm: [f64; 3],
+    #[serde(default, skip_serializing_if = "is_zero")]
+    u_kg: f64,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    u_mm: f64,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    measured: bool,
+}
+
+/// `[payload]`, or several `[[payload]]`.
+fn one_or_several<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<PayloadTable>, D::Error> {
+    struct OneOrSeveral;
+
+    impl<'de> Visitor<'de> for OneOrSeveral {
+        type Value = Vec<PayloadTable>;
+
+        fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+            out.write_str("a payload or several")
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+            Ok(vec![PayloadTable::deserialize(MapAccessDeserializer::new(map))?])
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, several: A) -> Result<Self::Value, A::Error> {
+            Vec::deserialize(SeqAccessDeserializer::new(several))
+        }
+    }
+
+    deserializer.deserialize_any(OneOrSeveral)
+}
+
+impl MountingTable {
+    /// As a unit vector.
+    fn direction(&self) -> Result<Vector3<f64>, RobotFinding> {
+        let gravity = Vector3::from(self.gravity);
+        gravity
+            .try_normalize(0.0)
+            .filter(|unit| unit.iter().all(|part| part.is_finite()))
+            .ok_or(RobotFinding::Gravity)
+    }
 }
 
 impl Robot {
@@ -159,17 +220,42 @@ impl RobotFile {
         Ok(joints)
     }
 
-    /// The masses, the payload last.
-    fn masses(&self) -> Result<Vec<Mass>, Diagnostic> {
-        let masses = self.mass.iter().map(|mass| (mass.joint, mass.kg, mass.centre_mm));
-        let payload = self.payload.iter().map(|payload| (AXES, payload.kg, payload.centre_mm));
-        let checked = |(joint, kg, centre_mm): (usize, f64, [f64; 3])| {
+    /// The masses that the file states, else those of a usual arm.
+    fn load(&self, rows: &[DhRow; AXES]) -> Result<ArmLoad, Diagnostic> {
+        let checked = |kg: f64, centre_mm: [f64; 3]| -> Result<(), PlausibilityFinding> {
             Quantity::Mass.check("kg", kg)?;
-            centre_mm.into_iter().try_for_each(|mm| Quantity::ArmLength.check("centre_mm", mm))?;
-            let joint = Joint::new(joint).ok_or(RobotFinding::MassJoint { joint })?;
-            Ok(Mass { joint, kg, centre: centre_mm.into() })
+            centre_mm.into_iter().try_for_each(|mm| Quantity::ArmLength.check("centre_mm", mm))
         };
-        masses.chain(payload).map(checked).collect()
+        let mass = |mass: &MassTable| -> Result<Mass, Diagnostic> {
+            checked(mass.kg, mass.centre_mm)?;
+            let joint = Joint::new(mass.joint).ok_or(RobotFinding::MassJoint { joint: mass.joint })?;
+            Ok(Mass { joint, kg: mass.kg, centre: mass.centre_mm.into() })
+        };
+        let payload = |payload: &PayloadTable| -> Result<Payload, Diagnostic> {
+            let PayloadTable { name, kg, centre_mm, u_kg, u_mm, measured } = payload.clone();
+            // Nothing on the flange is a payload too.
+            if kg != 0.0 {
+                checked(kg, centre_mm)?;
+            }
+            Ok(Payload { name, kg, centre: centre_mm.into(), u_kg, u_mm, is_measured: measured })
+        };
+        let names = || self.payload.iter().map(|payload| payload.name.as_str());
+        if let Some(twice) =
+            names().enumerate().find(|(at, name)| names().skip(at + 1).any(|other| other == *name))
+        {
+            return Err(RobotFinding::PayloadTwice { name: twice.1.to_owned() }.into());
+        }
+        let stated: Vec<Mass> = self.mass.iter().map(mass).collect::<Result<_, _>>()?;
+        let load = if stated.is_empty() { ArmLoad::usual(rows) } else { ArmLoad::known(stated) };
+        Ok(ArmLoad {
+            is_assumed: load.is_assumed || self.mass.iter().any(|mass| mass.assumed),
+            payloads: self.payload.iter().map(payload).collect::<Result<_, _>>()?,
+            gravity: match &self.mounting {
+                Some(mounting) => mounting.direction()?,
+                None => ArmLoad::DOWN,
+            },
+            ..load
+        })
     }
 
     /// Checks everything but joints and masses.
@@ -192,14 +278,16 @@ impl RobotFile {
         let joints = self.joints()?;
         let coupling = coupling(&joints).map_err(|(at, finding)| (Some(at), finding.into()))?;
         self.check().map_err(|finding| (None, finding))?;
-        let masses = self.masses().map_err(|finding| (None, finding))?;
+        let rows = joints.map(JointTable::row);
+        let load = self.load(&rows).map_err(|finding| (None, finding))?;
         let mut robot = Robot {
             geometry: Geometry {
-                rows: joints.map(JointTable::row),
+                rows,
                 coupling,
                 tool: self.tool.ball_mm.into(),
-                masses,
+                load,
                 compliance: joints.map(|joint| joint.compliance_rad_per_nm),
+                payload_compliance: joints.map(|joint| joint.payload_compliance_rad_per_nm),
                 gear: joints.map(|joint| [joint.gear_cos_rad, joint.gear_sin_rad]),
                 joint_errors: JointErrors::new(joints.map(JointTable::error)),
             },
@@ -216,7 +304,6 @@ impl RobotFile {
             language: self.language,
             provenance: self.provenance,
             doubts: self.doubts,
-            payload: self.payload.is_some(),
             posterior: self.posterior,
             uncertainty: None,
             // The line of a joint of the nominal robot is not known: the text has the joints of both robots.
@@ -236,15 +323,19 @@ impl RobotFile {
     }
 
     fn from_robot(robot: &Robot) -> Self {
-        let (masses, payload) = match robot.geometry.masses.split_last() {
-            Some((payload, masses)) if robot.payload => (masses, Some(payload)),
-            _ => (robot.geometry.masses.as_slice(), None),
-        };
+        let ArmLoad { masses, is_assumed, payloads, gravity } = &robot.geometry.load;
         let mass = |mass: &Mass| MassTable {
             joint: mass.joint.number(),
             kg: mass.kg,
             centre_mm: mass.centre.into(),
+            assumed: *is_assumed,
         };
+        let payload = |payload: &Payload| {
+            let Payload { name, kg, centre, u_kg, u_mm, is_measured } = payload.clone();
+            PayloadTable { name, kg, centre_mm: centre.into(), u_kg, u_mm, measured: is_measured }
+        };
+        // The masses of a usual arm follow from the nominal geometry: an identified one has another.
+        let is_written = robot.nominal.is_some() || *masses != ArmLoad::usual(&robot.geometry.rows).masses;
         Self {
             name: robot.name.clone(),
             serial: robot.serial.clone(),
@@ -257,8 +348,9 @@ impl RobotFile {
             joint: robot.joint_tables(),
             tool: RobotToolTable { ball_mm: robot.geometry.tool.into(), ball_u_mm: robot.ball_u_mm },
             tolerance: robot.tolerance,
-            mass: masses.iter().map(mass).collect(),
-            payload: payload.map(|payload| PayloadTable { kg: payload.kg, centre_mm: payload.centre.into() }),
+            mounting: (*gravity != ArmLoad::DOWN).then(|| MountingTable { gravity: (*gravity).into() }),
+            mass: masses.iter().filter(|_| is_written).map(mass).collect(),
+            payload: payloads.iter().map(payload).collect(),
             provenance: robot.provenance.clone(),
             posterior: robot.posterior.clone(),
             nominal: robot.nominal.as_ref().map(|nominal| Box::new(Self::from_robot(nominal))),

@@ -62,6 +62,8 @@ numbered! {
     TargetId
     /// A circle of a plan.
     CircleId
+    /// What the flange carries, in the list of the robot's file; the first where nothing is said.
+    PayloadId
 }
 
 /// What a length is measured from.

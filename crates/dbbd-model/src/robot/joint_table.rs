@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::kinematics::DhRow;
+use super::dh_row::DhRow;
 use super::{
     AXES, CoupledAxis, Coupling, Joint, JointErrorModel, Ripple, Robot, SmoothJointError, VisitedAngles,
 };
@@ -33,6 +33,8 @@ pub struct JointTable {
     pub coupling: Option<CouplingTable>,
     #[serde(default, skip_serializing_if = "is_zero")]
     pub compliance_rad_per_nm: f64,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub payload_compliance_rad_per_nm: f64,
     #[serde(default, skip_serializing_if = "is_zero")]
     pub gear_cos_rad: f64,
     #[serde(default, skip_serializing_if = "is_zero")]
@@ -66,7 +68,7 @@ fn sign_of(value: f64) -> i8 {
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)] // serde calls it so
-fn is_zero(value: &f64) -> bool {
+pub(super) fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
@@ -80,6 +82,7 @@ impl JointTable {
             ("d_mm", self.d_mm, Quantity::ArmLength),
             ("beta_deg", self.beta_deg, Quantity::ParallelAxisAngle),
             ("compliance_rad_per_nm", self.compliance_rad_per_nm, Quantity::JointCoefficient),
+            ("payload_compliance_rad_per_nm", self.payload_compliance_rad_per_nm, Quantity::JointCoefficient),
             ("gear_cos_rad", self.gear_cos_rad, Quantity::JointCoefficient),
             ("gear_sin_rad", self.gear_sin_rad, Quantity::JointCoefficient),
             ("backlash_rad", self.backlash_rad, Quantity::JointCoefficient),
@@ -181,6 +184,7 @@ impl JointTable {
             max_acceleration_deg_s2: robot.max_acceleration_deg_s2[at],
             coupling,
             compliance_rad_per_nm: robot.geometry.compliance[at],
+            payload_compliance_rad_per_nm: robot.geometry.payload_compliance[at],
             gear_cos_rad,
             gear_sin_rad,
             backlash_rad: error.backlash,

@@ -2,38 +2,10 @@
 
 use nalgebra::Vector3;
 
+use super::dh_row::DhRow;
+use super::load::{ArmLoad, GravityTorques};
 use super::pose::{Pose, rot_x, rot_y, rot_z};
-use super::{AXES, Approach, Coupling, Joint, JointErrors, ParamId};
-
-/// Standard gravity, m/s^2.
-const GRAVITY: f64 = 9.806_65;
-
-/// One row of the modified-DH table: `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct DhRow {
-    /// Twist before the joint, rad.
-    pub alpha: f64,
-    /// Link length before the joint, mm.
-    pub a: f64,
-    /// Joint angle at axis angle zero, rad.
-    pub theta: f64,
-    /// Link offset along the joint, mm.
-    pub d: f64,
-    /// Hayati's turn about y before the row, rad.
-    pub beta: f64,
-    /// +1 or -1: the sense of the controller's axis angle.
-    pub sign: f64,
-}
-
-/// A mass that loads the joints.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mass {
-    /// The joint whose frame it moves with; for the payload the last one.
-    pub joint: Joint,
-    pub kg: f64,
-    /// Centre of mass in that joint's frame, mm.
-    pub centre: Vector3<f64>,
-}
+use super::{AXES, Approach, Coupling, Joint, JointErrors, ParamId, PayloadId};
 
 /// The parameters of the forward kinematics.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,10 +16,11 @@ pub struct Geometry {
     pub coupling: Coupling,
     /// Tool ball in the flange frame, mm.
     pub tool: Vector3<f64>,
-    /// Masses that load the joints.
-    pub masses: Vec<Mass>,
+    pub load: ArmLoad,
     /// Compliance of each joint, rad/(N m).
     pub compliance: [f64; AXES],
+    /// What is added to it under the torque of the payload, rad/(N m): it shows how far the stated masses of the links are wrong.
+    pub payload_compliance: [f64; AXES],
     /// First harmonic of the transmission error of each joint: cosine and sine, rad.
     pub gear: [[f64; 2]; AXES],
     /// Further errors of each joint as functions of its angle and the sense of its motion.
@@ -65,6 +38,9 @@ macro_rules! place {
             ParamId::Beta(joint) => Some(&$($mutable)? $geometry.rows[joint.index()].beta),
             ParamId::Tool(coordinate) => Some(&$($mutable)? $geometry.tool[coordinate.index()]),
             ParamId::Compliance(joint) => Some(&$($mutable)? $geometry.compliance[joint.index()]),
+            ParamId::PayloadCompliance(joint) => {
+                Some(&$($mutable)? $geometry.payload_compliance[joint.index()])
+            }
             ParamId::GearCos(joint) => Some(&$($mutable)? $geometry.gear[joint.index()][0]),
             ParamId::GearSin(joint) => Some(&$($mutable)? $geometry.gear[joint.index()][1]),
             ParamId::Target(..)
@@ -84,6 +60,16 @@ impl Geometry {
 
     /// As [`Self::joint_angles`], for a known sense of approach.
     pub(super) fn joint_angles_approached(&self, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
+        self.joint_angles_carrying(axes, approach, PayloadId::FIRST)
+    }
+
+    /// The same with a payload of the list.
+    pub(super) fn joint_angles_carrying(
+        &self,
+        axes: &[f64; AXES],
+        approach: Approach,
+        payload: PayloadId,
+    ) -> [f64; AXES] {
         let mut angles = [0.0; AXES];
         let joints = self.coupling.joints(axes);
         for i in 0..AXES {
@@ -97,10 +83,11 @@ impl Geometry {
                 angles[i] += self.joint_errors.correction(i, joints[i], senses[i]);
             }
         }
-        if self.compliance.iter().any(|c| *c != 0.0) {
-            let torques = self.torques(&angles);
+        if self.bends() {
+            let torques = self.torques(&angles, payload);
             for i in 0..AXES {
-                angles[i] += self.compliance[i] * torques[i];
+                angles[i] +=
+                    self.compliance[i] * torques.all[i] + self.payload_compliance[i] * torques.payload[i];
             }
         }
         angles
@@ -118,16 +105,21 @@ impl Geometry {
         self.joint_errors.derivatives(&joints, senses, each);
     }
 
+    /// Whether gravity turns its joints.
+    fn bends(&self) -> bool {
+        self.compliance.iter().chain(&self.payload_compliance).any(|compliance| *compliance != 0.0)
+    }
+
     /// Whether the joints are rigid and have no errors.
     pub(crate) fn is_rigid(&self) -> bool {
-        let bends = self.compliance.iter().any(|c| *c != 0.0) && !self.masses.is_empty();
-        !bends && self.gear.iter().flatten().all(|part| *part == 0.0) && self.joint_errors.is_none()
+        !self.bends() && self.gear.iter().flatten().all(|part| *part == 0.0) && self.joint_errors.is_none()
     }
 
     /// The same robot with rigid joints that have no errors.
     pub fn rigid(&self) -> Self {
         Self {
             compliance: [0.0; AXES],
+            payload_compliance: [0.0; AXES],
             gear: [[0.0; 2]; AXES],
             joint_errors: JointErrors::default(),
             ..self.clone()
@@ -162,36 +154,14 @@ impl Geometry {
         frames
     }
 
-    /// Gravity torque about each joint, N m, at joint angles in the sense of the table. The base is upright.
-    pub(super) fn torques(&self, angles: &[f64; AXES]) -> [f64; AXES] {
-        let mut torques = [0.0; AXES];
-        if self.masses.is_empty() {
-            return torques;
-        }
-        let frames = self.frames(angles);
-        for mass in &self.masses {
-            let carrier = &frames[mass.joint.index()];
-            let centre = carrier.position + carrier.rotation * mass.centre;
-            let weight = Vector3::new(0.0, 0.0, -GRAVITY * mass.kg);
-            for joint in 0..mass.joint.number() {
-                let lever = (centre - frames[joint].position) * 1e-3;
-                torques[joint] += frames[joint].rotation.column(2).dot(&lever.cross(&weight));
-            }
-        }
-        torques
+    /// Gravity torques at joint angles in the sense of the table.
+    pub(super) fn torques(&self, angles: &[f64; AXES], payload: PayloadId) -> GravityTorques {
+        self.load.torques(&self.frames(angles), payload)
     }
 
-    /// An upper bound of the gravity torque about each joint in any pose, N m: every mass at full stretch.
+    /// An upper bound of the gravity torque about each joint in any pose, N m.
     pub(crate) fn greatest_torques(&self) -> [f64; AXES] {
-        let mut torques = [0.0; AXES];
-        for mass in &self.masses {
-            let mut lever_mm = mass.centre.norm();
-            for joint in (0..mass.joint.number()).rev() {
-                torques[joint] += GRAVITY * mass.kg * lever_mm * 1e-3;
-                lever_mm += self.rows[joint].a.hypot(self.rows[joint].d);
-            }
-        }
-        torques
+        self.load.greatest_torques(&self.rows)
     }
 
     /// The flange (frame 6) in the robot base at axis angles (rad).
@@ -247,6 +217,7 @@ impl Geometry {
 
 #[cfg(test)]
 mod tests {
+    use super::super::{Mass, Payload};
     use super::*;
     use nalgebra::Matrix3;
 
@@ -265,14 +236,19 @@ mod tests {
             ],
             coupling: Coupling::default(),
             tool: Vector3::new(10.0, -20.0, 150.0),
-            masses: vec![
+            load: ArmLoad::known(vec![
                 mass(Joint::J2, 100.0, [400.0, 0.0, 50.0]),
                 mass(Joint::J6, 60.0, [10.0, 20.0, 150.0]),
-            ],
+            ]),
             compliance: [0.0; AXES],
+            payload_compliance: [0.0; AXES],
             gear: [[0.0; 2]; AXES],
             joint_errors: JointErrors::default(),
         }
+    }
+
+    fn torques(arm: &Geometry) -> [f64; AXES] {
+        arm.torques(&arm.joint_angles(&AT), PayloadId::FIRST).all
     }
 
     const AT: [f64; AXES] = [0.3, -0.8, 0.6, 1.1, -0.7, 2.0];
@@ -305,7 +281,7 @@ mod tests {
     /// tau_i = z_i . ((c - o_i) x (0, 0, -9.80665 m)) over the masses that joint i carries.
     #[test]
     fn gravity_torques_match_numpy() {
-        let torques = arm().torques(&arm().joint_angles(&AT));
+        let torques = torques(&arm());
         let expected = [
             -166.24672728305254,
             1111.1987798067726,
@@ -317,22 +293,38 @@ mod tests {
         for (found, expected) in torques.into_iter().zip(expected) {
             assert!((found - expected).abs() < 1e-10, "{found} for {expected}");
         }
-        let unloaded = Geometry { masses: Vec::new(), ..arm() };
-        assert_eq!(unloaded.torques(&AT), [0.0; AXES]);
+        let unloaded = Geometry { load: ArmLoad::known(Vec::new()), ..arm() };
+        assert_eq!(self::torques(&unloaded), [0.0; AXES]);
+        // What the flange carries is a mass of the last frame.
+        let mut carrying = arm();
+        let last = carrying.load.masses.pop().unwrap();
+        let payload = Payload { kg: last.kg, centre: last.centre, ..Payload::default() };
+        carrying.load.payloads = vec![Payload::default(), payload];
+        let carried = |at: usize| carrying.torques(&arm().joint_angles(&AT), PayloadId::at(at));
+        assert_eq!((carried(1).all, carried(0).payload), (torques, [0.0; AXES]));
+        let without = carried(0).all;
+        for (joint, payload) in carried(1).payload.into_iter().enumerate() {
+            assert!((without[joint] + payload - torques[joint]).abs() < 1e-10);
+        }
+        // On its head the arm hangs.
+        let hanging = ArmLoad { gravity: -ArmLoad::DOWN, ..arm().load };
+        let hanging = Geometry { load: hanging, ..arm() };
+        assert_eq!(self::torques(&hanging), torques.map(|torque| -torque));
     }
 
-    /// The sum over the masses of 9.80665 m (|c| + sum hypot(a, d) of the rows between).
+    /// The sum over the masses of 9.80665 m (|c| + sum hypot(a, d) of the rows between), with 0.2 * 160 kg in front of the flange by
+    /// a tenth of the length of the rows from the third on.
     #[test]
     fn greatest_torques_stretch_every_mass() {
         let expected = [
-            2125.222655436902,
-            1576.0300821274254,
-            680.5666945483837,
-            190.59423078521115,
-            189.27853062331826,
-            89.23512656808978,
+            2875.393906848042,
+            2216.3628188766697,
+            1054.1555977817445,
+            302.86448667821327,
+            300.84707976331083,
+            147.44719354529383,
         ];
-        let at = arm().torques(&AT);
+        let at = torques(&arm());
         for ((found, expected), at) in arm().greatest_torques().into_iter().zip(expected).zip(at) {
             assert!((found - expected).abs() < 1e-9 && at.abs() <= found, "{found} for {expected}");
         }
@@ -378,8 +370,13 @@ mod tests {
         let sagged = compliant.joint_angles(&AT);
         assert!((sagged[1] - rigid[1] - 1e-6 * 1111.1987798067726).abs() < 1e-14);
         assert_eq!((sagged[0], sagged[5]), (rigid[0], rigid[5]));
+        // The payload's own part: 60 kg in front of the last frame.
+        let mut carrying = Geometry { payload_compliance: compliant.compliance, ..arm() };
+        let last = carrying.load.masses.pop().unwrap();
+        carrying.load.payloads = vec![Payload { kg: last.kg, centre: last.centre, ..Payload::default() }];
+        let torque = carrying.torques(&rigid, PayloadId::FIRST).payload[1];
+        assert!((carrying.joint_angles(&AT)[1] - rigid[1] - 1e-6 * torque).abs() < 1e-14 && torque > 100.0);
         assert!(arm().is_rigid() && !geometry.is_rigid() && !compliant.is_rigid());
-        assert!(Geometry { masses: Vec::new(), ..compliant.clone() }.is_rigid(), "no mass bends it");
         assert!(geometry.rigid().is_rigid() && compliant.rigid().is_rigid());
         // With a known approach the backlash is part of the joint offset.
         let approached = geometry.approached(approach);

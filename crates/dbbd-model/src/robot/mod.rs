@@ -10,12 +10,14 @@ pub use catalogue::RobotFinding;
 mod chain;
 mod coupling;
 mod definition;
+mod dh_row;
 mod file;
 mod ids;
 pub mod inverse;
 mod joint_error;
 mod joint_table;
 pub mod kinematics;
+mod load;
 pub mod parameter;
 pub mod pose;
 mod posterior;
@@ -25,14 +27,17 @@ pub(crate) use chain::{AxesAtPose, KinematicChain, TrackerPlane};
 pub use chain::{JointSinCos, LengthRow};
 pub use coupling::{CoupledAxis, Coupling};
 pub use definition::{LoadedRobot, Robot, Tolerance};
+pub use dh_row::DhRow;
 pub use ids::{
-    Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, TargetId, max_axis_difference,
+    Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, PayloadId, TargetId,
+    max_axis_difference,
 };
 pub use joint_error::{
     JointErrorModel, JointErrors, JointTerm, Ripple, SmoothJointError, TermKind, VisitedAngles,
 };
 pub use joint_table::{CouplingTable, JointTable};
-pub use kinematics::{DhRow, Geometry, Mass};
+pub use kinematics::Geometry;
+pub use load::{ArmLoad, Mass, Payload};
 pub use parameter::{ParamGroup, ParamId, ParamOwner, ParamUnit, PriorRule};
 pub use pose::Pose;
 pub use posterior::RobotPosterior;

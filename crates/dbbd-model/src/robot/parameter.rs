@@ -34,6 +34,8 @@ pub enum ParamId {
     /// Rotation vector of the tracker's frame in the robot base.
     TrackerTurn(Coordinate),
     Compliance(Joint),
+    /// What is added to the compliance under the torque of the payload.
+    PayloadCompliance(Joint),
     /// Cosine of the first harmonic of the transmission error.
     GearCos(Joint),
     /// Sine of the first harmonic of the transmission error.
@@ -122,12 +124,10 @@ pub enum PriorRule {
     /// The tolerances of the flange on the last axis, mm and rad.
     FlangeLength,
     FlangeAngle,
-    /// The tolerance of an angle over the greatest torque at the joint, rad/(N m): the deflection is then as large as the
-    /// tolerance. Without known masses the compliance moves nothing, and the value is that of `without_masses`.
-    AngleToleranceOverTorque {
-        joint: Joint,
-        without_masses: f64,
-    },
+    /// The usual deflection of a joint over the greatest torque at the joint, rad/(N m).
+    DeflectionOverTorque(Joint),
+    /// That, times what is not known of the masses of the links against the payload.
+    MassErrorOverTorque(Joint),
     /// The standard uncertainty of the bar's certificate, else the value of `uncertified`, mm: the bar is not part of the robot.
     Certificate {
         uncertified: f64,
@@ -194,8 +194,8 @@ impl ParamId {
         use ParamGroup::{Balls, Bar, Compliance, Gear, Geometric, Targets, Tool, Tracker};
         use ParamUnit::{Mm, Rad, RadPerNm};
         use PriorRule::{
-            AngleTolerance, AngleToleranceOverTorque, Certificate, FlangeAngle, FlangeLength, Free,
-            LengthTolerance,
+            AngleTolerance, Certificate, DeflectionOverTorque, FlangeAngle, FlangeLength, Free,
+            LengthTolerance, MassErrorOverTorque,
         };
         match self {
             Self::Alpha(_) => ParamFamily::of_robot("alpha{i}", Rad, Geometric, 0, AngleTolerance),
@@ -213,15 +213,17 @@ impl ParamId {
             Self::Tracker(_) => ParamFamily::of_place("tracker_{c}", Tracker, 33, 1000.0, 500.0, None),
             Self::BarOffset(_) => ParamFamily {
                 max_correction_mm: Some(50.0),
-                ..ParamFamily::of_robot("bar_offset{n}", Mm, Bar, 36, Certificate { uncertified: 0.05 })
+                ..ParamFamily::of_robot("bar_offset{n}", Mm, Bar, 36, Certificate { uncertified: 0.07 })
             },
-            // One arc minute at 300 N m.
-            Self::Compliance(joint) => ParamFamily::of_robot(
-                "compliance{n}",
+            Self::Compliance(joint) => {
+                ParamFamily::of_robot("compliance{n}", RadPerNm, Compliance, 37, DeflectionOverTorque(joint))
+            }
+            Self::PayloadCompliance(joint) => ParamFamily::of_robot(
+                "payload_compliance{n}",
                 RadPerNm,
                 Compliance,
-                37,
-                AngleToleranceOverTorque { joint, without_masses: 1e-6 },
+                58,
+                MassErrorOverTorque(joint),
             ),
             Self::GearCos(_) => ParamFamily::of_robot("gear{n}_cos", Rad, Gear, 43, AngleTolerance),
             Self::GearSin(_) => ParamFamily::of_robot("gear{n}_sin", Rad, Gear, 49, AngleTolerance),
@@ -233,7 +235,7 @@ impl ParamId {
     }
 
     /// Number of columns of a [`super::LengthRow`].
-    pub(super) const COLUMNS: usize = Self::TrackerTurn(Coordinate::Z).column() + 1;
+    pub(super) const COLUMNS: usize = Self::PayloadCompliance(Joint::J6).column() + 1;
 
     /// The column of the derivative with respect to it in a [`super::LengthRow`]. A row has one target, one base ball or
     /// tracker, and one bar: all targets share their columns, and so on; derivatives with respect to others are zero.
@@ -251,6 +253,7 @@ impl ParamId {
             | Self::D(joint)
             | Self::Beta(joint)
             | Self::Compliance(joint)
+            | Self::PayloadCompliance(joint)
             | Self::GearCos(joint)
             | Self::GearSin(joint) => joint as usize,
         };
@@ -293,6 +296,7 @@ impl ParamId {
             | Self::D(_)
             | Self::Beta(_)
             | Self::Compliance(_)
+            | Self::PayloadCompliance(_)
             | Self::GearCos(_)
             | Self::GearSin(_) => ParamOwner::Robot,
             Self::Tool(_) => ParamOwner::ToolBall,
@@ -351,6 +355,7 @@ impl fmt::Display for ParamId {
             | Self::D(joint)
             | Self::Beta(joint)
             | Self::Compliance(joint)
+            | Self::PayloadCompliance(joint)
             | Self::GearCos(joint)
             | Self::GearSin(joint) => of_joint(joint),
             Self::Tool(axis) | Self::Tracker(axis) | Self::TrackerTurn(axis) => at(axis),
@@ -446,9 +451,9 @@ impl From<usize> for SetUpCounts {
 
 /// The parameters of the optional groups, compliance and gear.
 pub fn optional() -> impl Iterator<Item = ParamId> {
-    let inner = Joint::ALL.into_iter().skip(1).take(4);
+    let inner = || Joint::ALL.into_iter().skip(1).take(4);
     let gear = Joint::ALL.into_iter().flat_map(|joint| [ParamId::GearCos(joint), ParamId::GearSin(joint)]);
-    inner.map(ParamId::Compliance).chain(gear)
+    inner().map(ParamId::Compliance).chain(inner().map(ParamId::PayloadCompliance)).chain(gear)
 }
 
 /// The parameters of the group `compliance`.
@@ -544,9 +549,10 @@ mod tests {
         }
         // Hayati's turn of the first joint, and the compliance of a joint that carries no weight, have columns but no names. A
         // family that is missing in the lists of names leaves more columns open.
-        let unnamed =
-            [ParamId::Beta(Joint::J1), ParamId::Compliance(Joint::J1), ParamId::Compliance(Joint::J6)];
-        all.extend(unnamed.map(ParamId::column));
+        all.insert(ParamId::Beta(Joint::J1).column());
+        for joint in [Joint::J1, Joint::J6] {
+            all.extend([ParamId::Compliance(joint), ParamId::PayloadCompliance(joint)].map(ParamId::column));
+        }
         assert!(all.into_iter().eq(0..ParamId::COLUMNS));
         for word in [
             "centre01_x",

@@ -49,6 +49,16 @@ impl RobotUncertainty {
             && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.length_scale_rad > 0.0)
     }
 
+    /// Of a tool whose place on the flange is known exactly.
+    pub(crate) fn without_tool(mut self) -> Self {
+        for (row, id) in self.parameters.iter().enumerate() {
+            if matches!(id, ParamId::Tool(_)) {
+                self.root.row_mut(row).fill(0.0);
+            }
+        }
+        self
+    }
+
     /// With the digits that a robot's file has, so that a result in memory is that of its file.
     pub(crate) fn with_digits_of_file(mut self) -> Self {
         self.root.apply(|value| *value = rounded(*value));

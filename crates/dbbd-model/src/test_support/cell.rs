@@ -5,7 +5,9 @@ use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::{AngleSource, CompletedCalibration, Input, Options};
 use dbbd_model::measurement::{BaseBall, Datum, LengthModel, Measurement, Measurements, TargetId};
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
-use dbbd_model::robot::{Approach, AxisAngles, BallId, BarId, Geometry, ParamId, Pose, Robot, inverse};
+use dbbd_model::robot::{
+    Approach, AxisAngles, BallId, BarId, Geometry, ParamId, PayloadId, Pose, Robot, inverse,
+};
 use nalgebra::{Matrix3, Vector3};
 
 /// The paper's circle: centre and radius, mm.
@@ -117,6 +119,7 @@ pub(crate) fn measure(truth: &Robot, circles: &[Circle], points: usize, amplitud
                 approach: Approach::default(),
                 length_mm: 0.0,
                 sigma_mm: None,
+                payload: PayloadId::FIRST,
                 context: None,
             };
             row.length_mm = truth.geometry.length(&row.axes.radians(), &Vector3::from(circle.centre), 0.0);

@@ -41,6 +41,7 @@ fn measured(plan: &Plan, robot: &Robot, seed: u64) -> Measurements {
             approach,
             length_mm: (there - Vector3::from(BALLS[row.centre.index()])).norm() + LENGTH_MM * normal(),
             sigma_mm: Some(LENGTH_MM),
+            payload: dbbd_model::robot::PayloadId::FIRST,
             context: None,
         }
     });

@@ -142,6 +142,7 @@ fn measurements(
             approach: approaches.get(at).copied().unwrap_or_default(),
             length_mm: plan.header.job.bar.length_mm + reading.reading_mm,
             sigma_mm: Some(reading.u_mm.hypot(timing_mm).max(input.bar_sigma_mm)),
+            payload: dbbd_model::robot::PayloadId::FIRST,
             context: Some(Arc::new(context)),
         })
     };
@@ -150,5 +151,5 @@ fn measurements(
     let mut rows: Vec<Measurement> = stopped.chain(passed).collect();
     rows.sort_by_key(|row| row.index);
     let taught = plan.taught().next().map(|_| ContextColumn::TaughtDeg);
-    Measurements { rows, columns: COLUMNS.into_iter().chain(taught).collect() }
+    Measurements { rows, columns: COLUMNS.into_iter().chain(taught).collect(), payloads: Vec::new() }
 }

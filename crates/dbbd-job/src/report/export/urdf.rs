@@ -11,9 +11,8 @@ use std::fmt::Write;
 use nalgebra::{Matrix3, Vector3};
 
 use dbbd_model::estimation::left_out_mm;
-use dbbd_model::robot::kinematics::Mass;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
-use dbbd_model::robot::{AXES, Joint, Robot};
+use dbbd_model::robot::{AXES, Joint, Mass, Payload, Robot};
 
 /// The URDF of a robot: links `base_link`, `link_1` to `link_6`, `flange` and `ball`.
 pub fn urdf(robot: &Robot) -> String {
@@ -72,7 +71,10 @@ pub fn coupled(robot: &Robot) -> impl Iterator<Item = CoupledJoint> {
 
 /// A link with the masses that move with it; its frame is `d_mm` before the frame of the row.
 fn link(robot: &Robot, number: usize, d_mm: f64) -> String {
-    let own: Vec<&Mass> = robot.geometry.masses.iter().filter(|mass| mass.joint.number() == number).collect();
+    let load = &robot.geometry.load;
+    let stated =
+        load.masses.iter().copied().filter(|_| !load.is_assumed).chain(load.carried().map(Payload::mass));
+    let own: Vec<Mass> = stated.filter(|mass| mass.joint.number() == number).collect();
     let kg: f64 = own.iter().map(|mass| mass.kg).sum();
     if kg <= 0.0 {
         return format!("  <link name=\"link_{number}\"/>\n");

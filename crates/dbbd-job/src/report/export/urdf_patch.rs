@@ -16,7 +16,7 @@ use crate::report::ReportFinding::{
     self, NoSixJoints, NoSuchJoint, NoUrdf, NotNumbers, NotXml, OtherCount, OtherJoint, OtherOrder, OtherUrdf,
 };
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::robot::kinematics::DhRow;
+use dbbd_model::robot::DhRow;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
 use dbbd_model::robot::{AXES, Geometry, Pose, Robot};
 

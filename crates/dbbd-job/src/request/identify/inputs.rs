@@ -109,6 +109,9 @@ impl LoadedInputs {
             (None, None) if is_tracked => Vec::new(),
             (None, None) => return Err(EstimationFinding::NoBalls.into()),
         };
+        let load = &robot.geometry.load;
+        let observations =
+            observations.carrying(load).map_err(|finding| Diagnostic::file(&input, finding))?;
         check_measurements(&input, &observations, &robot, &centres)?;
         findings.extend(doubts(&input, &observations, &robot, &centres));
         let mut positions = None;
@@ -144,6 +147,8 @@ impl LoadedInputs {
     ) -> Result<Measurements, Diagnostic> {
         let name = path.display().to_string();
         let set = measurements(path, lengths_or_positions, &mut self.findings, session)?;
+        let set =
+            set.carrying(&self.robot.geometry.load).map_err(|finding| Diagnostic::file(&name, finding))?;
         check_measurements(&name, &set, &self.robot, &self.centres)?;
         set.check(&name, self.observations.set_up(self.centres.len()))?;
         let TracedArtefact { artefact, .. } = read_further(path, &self.lengths, &mut self.findings)?;
@@ -298,6 +303,8 @@ fn read_positions(
 ) -> Result<Measurements, Diagnostic> {
     let name = path.display().to_string();
     let positions = measurements(path, Measurements::positions_from_table, findings, session)?;
+    let positions =
+        positions.carrying(&robot.geometry.load).map_err(|finding| Diagnostic::file(&name, finding))?;
     check_measurements(&name, &positions, robot, &[])?;
     let doubts = doubts(&name, &positions, robot, &[]).into_iter();
     findings.extend(doubts.filter(|doubt| doubt.severity() != Severity::Info));

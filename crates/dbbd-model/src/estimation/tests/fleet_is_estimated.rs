@@ -195,6 +195,7 @@ impl World {
             approach: Approach::default(),
             length_mm: one.length_mm,
             sigma_mm: Some(NOISE_MM),
+            payload: crate::robot::PayloadId::FIRST,
             context: None,
         });
         Measurements { rows: rows.collect(), ..Measurements::default() }

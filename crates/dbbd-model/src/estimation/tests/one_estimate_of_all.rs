@@ -1,7 +1,7 @@
 //! One estimate of everything that is unknown: few lengths do no harm, nothing depends on the order of the rows, a list is
 //! followed exactly, and a second run goes on where the first ended.
 
-use dbbd_model::estimation::{CompletedCalibration, ErrorModel, Options, Prior, Workspace, factor};
+use dbbd_model::estimation::{CompletedCalibration, ErrorModel, Options, Prior, Priors, Workspace, factor};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::{BaseBall, LengthModel, Measurements, PreparedMeasurement};
 use dbbd_model::robot::{BallId, BarId, Joint, ParamId, Robot, parameter};
@@ -144,7 +144,7 @@ fn aligned_worst(one: &Robot, other: &Robot) -> f64 {
 #[test]
 fn a_second_run_goes_on_from_the_first() {
     let (mut first_mm, mut second_mm) = (0.0, 0.0);
-    for seed in 0..4 {
+    for seed in 0..8 {
         let truth = eccentric(10 + seed);
         let first = find(&kr60(), &lengths(&truth, 10, 0.01, seed), &options());
         let again = Options { prior: Prior::Posterior, ..options() };
@@ -199,13 +199,17 @@ fn the_geometry_alone_has_what_it_leaves_out_as_noise_of_every_pose() {
     assert!(alone.robot.geometry.value(ParamId::GearCos(Joint::J2)).is_none_or(|value| value == 0.0));
 }
 
-/// Robots and harmonics of all joints drawn from the prior: mean 3-D error over the workspace, true and as predicted, mm.
+/// Robots, harmonics and compliance of all joints drawn from the prior: mean 3-D error over the workspace, true and as predicted, mm.
 fn true_and_predicted(model: ErrorModel) -> [f64; 2] {
+    let priors = Priors::datasheet(&kr60(), None);
     let mut sums = [0.0; 2];
     for seed in 20..26 {
         let mut truth = drawn(&kr60(), seed);
         let mut random = Pcg64::seed_from_u64(700 + seed);
         truth.geometry.gear.iter_mut().flatten().for_each(|part| *part = 5e-4 * normal(&mut random));
+        for id in parameter::compliance() {
+            *truth.geometry.value_mut(id).unwrap() = priors.sd(id) * normal(&mut random);
+        }
         let found = find(&kr60(), &lengths(&truth, 20, 0.01, seed), &Options { model, ..options() });
         sums[0] += error_mm(&truth, &found.robot) / 6.0;
         sums[1] += found.result.predicted_position_uncertainty_mm.identified.mean / 6.0;

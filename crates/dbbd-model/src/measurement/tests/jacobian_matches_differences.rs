@@ -1,7 +1,7 @@
 //! The analytic design row of a length agrees with central differences, for every parameter.
 
 use dbbd_model::measurement::{ColumnSelection, Datum, LengthModel, PreparedMeasurement, TargetId, Tracker};
-use dbbd_model::robot::kinematics::Mass;
+use dbbd_model::robot::Mass;
 use dbbd_model::robot::parameter::SetUpCounts;
 use dbbd_model::robot::pose::rotation_vector;
 use dbbd_model::robot::{
@@ -38,7 +38,7 @@ proptest! {
         centre in proptest::array::uniform3(-1500.0f64..1500.0),
     ) {
         let mut model = model(arms()[arm].clone(), Vector3::from(centre));
-        model.geometry.masses = vec![
+        model.geometry.load.masses = vec![
             Mass { joint: Joint::J2, kg: 100.0, centre: Vector3::new(400.0, 0.0, 50.0) },
             Mass { joint: Joint::J6, kg: 60.0, centre: Vector3::new(10.0, 20.0, 150.0) },
         ];

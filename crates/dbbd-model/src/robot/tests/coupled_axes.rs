@@ -1,8 +1,8 @@
 //! Arms whose controller displays axis 3 relative to the horizontal, so that joint 3 turns by A3 + A2: poses, inverse kinematics, sag and
 //! joint errors.
 
+use dbbd_model::robot::Mass;
 use dbbd_model::robot::inverse::branches;
-use dbbd_model::robot::kinematics::Mass;
 use dbbd_model::robot::{Approach, Geometry, Joint, JointErrorModel, JointErrors, Pose, Ripple};
 use nalgebra::Vector3;
 
@@ -111,7 +111,7 @@ fn level_forearm_has_the_same_sag() {
     let rigid = named("m10id12").geometry;
     let mut soft = rigid.clone();
     // 10 kg in the wrist: 9.80665 * 10 * 0.7 = 68.647 N m about joint 3.
-    soft.masses = vec![Mass { joint: Joint::J5, kg: 10.0, centre: Vector3::zeros() }];
+    soft.load.masses = vec![Mass { joint: Joint::J5, kg: 10.0, centre: Vector3::zeros() }];
     soft.compliance[2] = 1e-6;
     for a2 in [-30.0, 0.0, 40.0, 90.0] {
         let axes = rad([0.0, a2, 0.0, 0.0, 0.0, 0.0]);

@@ -20,7 +20,7 @@ use crate::program::Language;
 use crate::program::ProgramFinding;
 pub use crate::program::emission::Sync;
 use crate::program::emission::{
-    Templates, Written, module_calls, module_variables, name, payload, plan_variables, without_rotation,
+    Templates, Written, module_calls, module_variables, name, plan_variables, without_rotation,
 };
 use crate::program::sequence::{Module, Timed, modules};
 use dbbd_model::diagnostic::Diagnostic;
@@ -113,7 +113,7 @@ fn variables(plan: &Plan, robot: &Robot, options: Options) -> Result<Value, Diag
         krc2 => options.controller == Controller::Krc2,
         tool => Serde([x, y, z, a, b, c]),
         base => Serde(job.motion.base.unwrap_or_default()),
-        payload => payload(robot).map(|mass| context! { kg => mass.kg, centre => without_rotation(mass.centre.into()) }),
+        payload => robot.geometry.load.carried().map(|payload| context! { kg => payload.kg, centre => without_rotation(payload.centre.into()) }),
         ptp_acceleration_percent => PTP_ACCELERATION_PERCENT,
         acceleration_mm_s2 => ACCELERATION_MM_S2,
         acceleration_deg_s2 => ACCELERATION_DEG_S2,

@@ -8,16 +8,17 @@
 
 use minijinja::context;
 use minijinja::value::{Serde, Value};
+use nalgebra::Vector3;
 
 use crate::plan::timing::ACCELERATION_MM_S2;
 use crate::plan::{MotionKind, Plan, PlanFrames};
 use crate::program::Language;
 use crate::program::emission::{
-    Sync, Templates, Written, module_calls, module_variables, name, payload, plan_variables, refuse_krl_only,
+    Sync, Templates, Written, module_calls, module_variables, name, plan_variables, refuse_krl_only,
 };
 use crate::program::sequence::{Timed, modules};
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::robot::{Pose, Robot, inverse};
+use dbbd_model::robot::{Payload, Pose, Robot, inverse};
 
 const TEMPLATES: [(&str, &str); 3] = [
     ("main.mod", include_str!("main.mod")),
@@ -59,12 +60,13 @@ fn variables(plan: &Plan, robot: &Robot, sync: Sync) -> Result<Value, Diagnostic
     let [.., a, b, c] = motion.tool.unwrap_or_default();
     let [x, y, z, u, v, w] = motion.base.unwrap_or_default();
     // A controller refuses a tool without mass.
-    let (kg, centre) =
-        payload(robot).map_or((0.001, [0.0, 0.0, 0.001]), |mass| (mass.kg, mass.centre.into()));
+    let least = Payload { kg: 0.001, centre: Vector3::new(0.0, 0.0, 0.001), ..Payload::default() };
+    let payload = robot.geometry.load.carried().unwrap_or(&least);
+    let centre: [f64; 3] = payload.centre.into();
     Ok(context! {
         tool => frame(&Pose::from_kuka(robot.geometry.tool.into(), [a, b, c])),
         base => frame(&Pose::from_kuka([x, y, z], [u, v, w])),
-        payload => context! { kg => kg, centre => Serde(centre) },
+        payload => context! { kg => payload.kg, centre => Serde(centre) },
         acceleration_mm_s2 => ACCELERATION_MM_S2,
         ..plan_variables(plan, Language::Rapid, sync)?
     })

@@ -13,7 +13,7 @@ use crate::plan::timing::ACCELERATION_MM_S2;
 use crate::program::Language;
 use crate::program::ProgramFinding;
 use crate::program::emission::{
-    Sync, Templates, Written, module_variables, name, payload, plan_variables, refuse_krl_only,
+    Sync, Templates, Written, module_variables, name, plan_variables, refuse_krl_only,
 };
 use crate::program::sequence::{Timed, modules};
 use dbbd_model::diagnostic::Diagnostic;
@@ -43,9 +43,9 @@ pub fn emit(plan: &Plan, sync: Sync) -> Result<Written, Diagnostic> {
     }
     let controller = robot.controller();
     let tool = Pose { position: controller.geometry.tool, ..Pose::identity() };
-    let payload = payload(controller).map(|mass| {
-        let centre: [f64; 3] = (mass.centre * 1e-3).into();
-        context! { kg => mass.kg, centre => Serde(centre) }
+    let payload = controller.geometry.load.carried().map(|payload| {
+        let centre: [f64; 3] = (payload.centre * 1e-3).into();
+        context! { kg => payload.kg, centre => Serde(centre) }
     });
     let plan = context! {
         tool => metres(&tool),
