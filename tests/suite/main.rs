@@ -60,6 +60,7 @@ mod nothing_wrong_is_silent;
 mod page_story;
 mod page_texts;
 mod passes_are_evaluated;
+mod payloads;
 mod plan_command;
 mod plan_is_refused_with_a_reason;
 mod positions_identify;

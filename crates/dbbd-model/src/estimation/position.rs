@@ -114,6 +114,8 @@ impl Positions {
 pub struct Orientations {
     /// Rotation vectors by the root's columns, 3 rows a pose, rad.
     turned: DMatrix<f64>,
+    /// How far each pose is turned when it is repeated, rad.
+    repeated_rad: Vec<f64>,
     /// Rotation vectors by the angle of each joint, rad/rad, and the standard deviation of its error beside the root's, rad.
     joints: Vec<[JointDisplacement; AXES]>,
 }
@@ -161,14 +163,21 @@ impl Orientations {
             })
         });
         let joints = joints.collect();
-        Self { turned, joints }
+        // A pose scatters as if all joints did so alike.
+        let repeated = |moved: &[Vector3<f64>; AXES]| {
+            let squares: f64 = moved.iter().map(Vector3::norm_squared).sum();
+            (3.0 * AXES as f64 / squares).sqrt() * unknown.pose_mm
+        };
+        let repeated_rad =
+            BallMotion::new(&robot.geometry, &given, &[]).by_joint.iter().map(repeated).collect();
+        Self { turned, repeated_rad, joints }
     }
 
     /// The standard deviation of the rotation at a pose (root of the mean square angle), rad.
     pub fn sd_rad(&self, pose: usize) -> f64 {
         let by_angle = |joint: &JointDisplacement| joint.column.norm_squared() * joint.sd_rad.powi(2);
         let by_joints: f64 = self.joints[pose].iter().map(by_angle).sum();
-        (self.turned.rows(3 * pose, 3).norm_squared() + by_joints).sqrt()
+        (self.turned.rows(3 * pose, 3).norm_squared() + by_joints).sqrt().hypot(self.repeated_rad[pose])
     }
 }
 
@@ -311,8 +320,8 @@ const COLUMNS: usize = 60;
 /// Iterations that find them: what they leave out is scaled in.
 const ITERATIONS: usize = 4;
 
-/// The same uncertainty with few columns: those that move the tool ball at these poses, as measured and with another payload, and
-/// the base balls most against each other, each place in units of its own standard deviation, so that it is kept where it is
+/// The same uncertainty with few columns: those that move the tool ball at these poses, the base balls, and another tool with
+/// another payload most against each other, each place in units of its own standard deviation, so that it is kept where it is
 /// small.
 pub(super) fn compressed(
     model: &LengthModel,
@@ -350,11 +359,13 @@ fn moved_with_balls(
     let poses: Vec<_> = poses.iter().map(|pose| (pose.axes.radians(), pose.approach)).collect();
     let BallMotion { jacobian, balls: mut places, .. } =
         BallMotion::new(&model.geometry, &poses, &unknown.parameters);
-    let mut loaded = model.geometry.clone();
-    loaded.load.payloads.insert(0, loaded.load.rated(&loaded.rows));
-    let with_payload = BallMotion::new(&loaded, &poses, &unknown.parameters);
-    let jacobian = stacked(&jacobian, &with_payload.jacobian);
-    places.extend(&with_payload.balls);
+    let mut other = model.geometry.clone();
+    let payload = other.load.rated(&other.rows);
+    other.tool += Vector3::repeat(payload.centre.norm());
+    other.load.payloads.insert(0, payload);
+    let other = BallMotion::new(&other, &poses, &unknown.parameters);
+    let jacobian = stacked(&jacobian, &other.jacobian);
+    places.extend(&other.balls);
     let is_ball = |id: &ParamId| matches!(id, ParamId::Ball(..));
     let rows: Vec<usize> =
         (0..unknown.parameters.len()).filter(|at| is_ball(&unknown.parameters[*at])).collect();

@@ -71,6 +71,8 @@ pub(super) fn sharing(priors: &Priors, analysis: &Analysis) -> Vec<ParamId> {
         .collect();
     let others = analysis.dependent().into_iter().chain(analysis.zero());
     sharing.extend(others.filter(|id| priors.is_of_posterior(*id)));
+    // What moves no ball moves another tool.
+    sharing.extend(analysis.zero().into_iter().filter(|id| id.is_geometric()));
     sharing.sort();
     sharing.dedup();
     sharing

@@ -377,6 +377,31 @@ mod tests {
     }
 
     #[test]
+    fn gravity_and_payloads_read_back_and_are_checked() {
+        let (_, text) = Robot::built_in()[0];
+        let with = |tables: &str| Robot::from_toml("robot.toml", &format!("{text}\n{tables}"));
+        let on_wall =
+            with("[mounting]\ngravity = [0.0, 9.81, 0.0]\n[payload]\nkg = 3.0\ncentre_mm = [0.0, 0.0, 80.0]");
+        let on_wall = on_wall.unwrap();
+        assert_eq!(on_wall.geometry.load.gravity, Vector3::y());
+        assert_eq!(on_wall.geometry.load.carried().unwrap().kg, 3.0);
+        assert_eq!(Robot::from_toml("robot.toml", &on_wall.to_toml().unwrap()).unwrap(), on_wall);
+        let payload = |name: &str| {
+            format!(
+                "[[payload]]\nname = \"{name}\"\nkg = 0.0\ncentre_mm = [0.0, 0.0, 0.0]\nu_kg = 0.5\nu_mm = 5.0\n"
+            )
+        };
+        let several = with(&[payload("bar"), payload("gripper")].concat()).unwrap();
+        let names: Vec<&str> = several.geometry.load.payloads.iter().map(|one| one.name.as_str()).collect();
+        assert_eq!(names, ["bar", "gripper"]);
+        assert_eq!(Robot::from_toml("robot.toml", &several.to_toml().unwrap()).unwrap(), several);
+        for wrong in ["[mounting]\ngravity = [0.0, 0.0, 0.0]", &payload("bar").repeat(2)] {
+            assert_eq!(with(wrong).unwrap_err().code().as_str(), "E0505", "{wrong}");
+        }
+        assert_eq!(with("[payload]\nkg = 3.0").unwrap_err().code().as_str(), "E0120");
+    }
+
+    #[test]
     fn joint_errors_read_back() {
         let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
         let error = JointErrorModel {
