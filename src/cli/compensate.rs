@@ -15,8 +15,9 @@ use dbbd_job::request::compensate::{CompensateDocument, CompensateRequest, DEFAU
 ///
 /// Lengths do not determine the robot's base frame. The points are corrected in the robot's own frame, so that they are right
 /// with respect to each other; measure $BASE again afterwards if a place in the room matters. $BASE is taken in the robot's
-/// own base ($ROBROOT null). Lengths do not determine the place of the ball on the flange either: it is taken from the
-/// nominal robot file. $TOOL is that of the program, never the ball.
+/// own base ($ROBROOT null). What is flange and what is a ball that was mounted beside its place,
+/// the identification decides by [tool] ball_u_mm and [tolerance] flange_mm, flange_deg of the robot file. $TOOL is that of the
+/// program, never the ball.
 #[derive(clap::Args)]
 pub(crate) struct CompensateArgs {
     /// The program: .src of KRL (motions by PTP, LIN, CIRC, SPTP, SLIN, SCIRC and SPL, inline forms or plain), .mod of

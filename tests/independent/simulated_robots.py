@@ -9,6 +9,7 @@ Campaigns (or `all`); every robot has its own seed, so that a run repeats exactl
     changes     true changes amid the run: is the right one named, at its row
     second_run  an identified robot is measured again
     bar_scale   a bar that is not as long as stated, and the error that the result states
+    tool        a ball that is beside its place on the flange: what a corrected program does at other tools
     load        an arm that sags, predicted with a payload of 50 kg that was never measured, and one that was
 
 --robots N takes N robots for each case in place of the full number. With --assert a violated limit or a failed command
@@ -40,12 +41,13 @@ LIMITS = {  # what: lowest, highest
     "no_change: share reported as certain": (0, .01),
     "changes: share named or possible": (.95, 1), "changes: share named alone": (.80, 1),
     "second_run: mean error over that of the first run": (0, 1), "second_run: share worse by 10 %": (0, .05),
+    "tool: error over that with the true ball": (0, 1.15), "tool: error over that before": (0, 1), "tool: p/t": (.85, 1.25),
     "load: p/t, never measured": (.85, 3), "load: coverage, never measured": (.9, 1),
     "load: p/t, measured": (.85, 1.25), "load: coverage, measured": (.9, .98),
     "load: error over that without payload": (0, 1.3),
     "bar_scale: share with true <= 2 predicted": (.9, 1),
 }
-FULL = {"few": 40, "honesty": 100, "no_change": 200, "changes": 100, "second_run": 100, "bar_scale": 100, "load": 100}
+FULL = {"few": 40, "honesty": 100, "no_change": 200, "changes": 100, "second_run": 100, "bar_scale": 100, "load": 100, "tool": 30}
 HARD = (("partly reversed", 1), ("ripple", 1))  # case and number of balls
 CHANGES = ("bar_zero_step", "bar_zero_drift", "base_ball_moved", "tool_ball_moved", "wrong_ball", "rows_shifted",
            "tracker_moved")
@@ -489,6 +491,58 @@ def bar_scale(judge):
             judge.limit("bar_scale: share with true <= 2 predicted", covered, f"{bar} mm, {mode}")
 
 
+def tool(judge):
+    """Points corrected for a robot whose ball was mounted beside its place, at three tools, against a calibration that is told."""
+    print("\ntool: points of a corrected program, mm\n  ball off   tool                    before    after   true ball      p/t")
+    points = {"0, 0, 200": [0, 0, 200.], "150, -80, 120": [150, -80, 120.], "-60, 200, 300": [-60, 200, 300.]}
+    for off in (0.0, .3, 1.5):
+        def work(i, bench):
+            rng = np.random.default_rng([8, i])
+            robot, nominal = Robot(rng), Geometry(ROBOT)
+            robot.d[5] = nominal.d[5] + rng.normal(0, .05)
+            robot.offset[5] = nominal.offset[5] + math.radians(rng.normal(0, .02))
+            robot.tool = nominal.tool + off * rng.choice([-1, 1], 3)
+            bench.lengths(*robot.run(70, 3))
+            low, high = np.array([[-100, 100], [-110, -40], [60, 130], [-90, 90], [30, 100], [-90, 90.]]).T  # no singularity
+            q = rng.uniform(low, high, (60, 6))
+            lines = [f"PTP {{A1 {a:.9f}, A2 {b:.9f}, A3 {c:.9f}, A4 {d:.9f}, A5 {e:.9f}, A6 {f:.9f}}}" for a, b, c, d, e, f in q]
+            bench.text("p.src", ["DEF P()", *lines, "END"])
+            at = lambda model, q, x: model.frames(q)[5][1] + model.frames(q)[5][0] @ np.array(x)
+            def reached(q, x, turn):
+                R, o = robot.frames(q, turn)[5]
+                return o + R @ np.array(x)
+            out = {}
+            text = ROBOT.read_text()
+            told = re.sub(r"ball_mm = .*", f"ball_mm = {robot.tool.tolist()}\nball_u_mm = 0.001", text)
+            sense = np.zeros_like(q)
+            for name, content in (("found", text), ("told", told)):
+                (bench.dir / "robot.toml").write_text(content)
+                bench.identify(name, "lengths.csv", robot="robot.toml")
+                bench.call("compensate", "p.src", "--robot", f"{name}/robot-identified.toml", "--out", f"{name}_p", "--limit", "50",
+                           "--tool", "0,0,100,0,0,0", "--base", "0,0,0,0,0,0")
+                number = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
+                found = re.findall(r"PTP \{" + ", ".join(f"A{k} ({number})" for k in range(1, 7)), (bench.dir / f"{name}_p/p.src").read_text())
+                corrected = np.array(found, float)
+                for tcp, x in points.items():
+                    p = reached(corrected, x, robot.turn(corrected, sense, np.ones(len(q))))
+                    out[name, tcp] = distances(p, at(nominal, q, x)).mean()
+            for tcp, x in points.items():
+                p = reached(q, x, robot.turn(q, sense, np.ones(len(q))))
+                out["before", tcp] = distances(p, at(nominal, q, x)).mean()
+                here, sd = bench.predict("found/robot-identified.toml", q, None, "--tool", ",".join(map(str, x)))
+                e = distances(here, p)
+                out["e2", tcp], out["s2", tcp] = (e**2).mean(), (sd**2).mean()
+            return out
+        results = judge.each("tool", work, f"{off} mm")
+        for tcp in points if results else ():
+            before, after, told, e2, s2 = (np.mean([r[k, tcp] for r in results]) for k in ("before", "found", "told", "e2", "s2"))
+            print(f"  {off:8.1f}   {tcp:18}{before:12.3f}{after:9.4f}{told:12.4f}{math.sqrt(s2 / e2):9.2f}")
+            about = f"{off} mm, {tcp}"
+            judge.limit("tool: error over that with the true ball", after / told, about)
+            judge.limit("tool: error over that before", after / before, about)
+            judge.limit("tool: p/t", math.sqrt(s2 / e2), about)
+
+
 def load(judge):
     """Production with 50 kg on the flange: predicted from a calibration without it, and from half of the poses with it."""
     print("\nload: kept poses with 50 kg, mm\n  case                          p/t  coverage   mean error   without payload")
@@ -540,7 +594,7 @@ centre_mm = {PAYLOAD_MM}
 
 
 def main():
-    campaigns = {f.__name__: f for f in (few, honesty, no_change, changes, second_run, bar_scale, load)}
+    campaigns = {f.__name__: f for f in (few, honesty, no_change, changes, second_run, bar_scale, load, tool)}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dbbd", type=pathlib.Path)
     parser.add_argument("campaigns", nargs="+", metavar="CAMPAIGN", choices=[*campaigns, "all"])

@@ -4,8 +4,9 @@
 //! For each target: P is the nominal pose of the flange; q are the axis angles at which the flange of the identified robot is
 //! at P; the corrected target is the nominal pose of the flange at q. Each robot is taken in its own base frame.
 //!
-//! A longer last link and a ball further out have the same effect on the lengths. The identified flange is therefore defined
-//! by the ball at its nominal place on it, and the tools of the program stay what they are.
+//! A longer last link and a ball further out have the same effect on the lengths. What is flange and what is ball is decided by
+//! the priors of both, in the identification alone: here the flange is the identified one, as in a URDF, and the tools of the
+//! program stay what they are.
 
 use nalgebra::Vector3;
 
@@ -81,10 +82,9 @@ impl Corrector {
     pub fn new(robot: &Robot, limit_mm: f64) -> Self {
         let controller = robot.controller();
         let flange = |geometry: &Geometry, tool| Geometry { tool, ..geometry.clone() };
-        let off = robot.geometry.tool - controller.geometry.tool;
         Self {
             nominal: Robot { geometry: flange(&controller.geometry, Vector3::zeros()), ..controller.clone() },
-            identified: flange(&robot.geometry, off),
+            identified: flange(&robot.geometry, Vector3::zeros()),
             limit_mm,
             last: Language::of_robot(robot).home_deg().map(f64::to_radians),
             approach: Approach::default(),

@@ -4,7 +4,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use dbbd_model::robot::{Joint, Robot};
+use dbbd_model::robot::{Joint, Robot, Tolerance};
 
 /// The first keys of a WORLD.toml: a robot with the repeatability of its file, and a bar with the noise `sigma_um`.
 pub fn noise(robot: &Robot, sigma_um: f64) -> String {
@@ -13,7 +13,7 @@ pub fn noise(robot: &Robot, sigma_um: f64) -> String {
 }
 
 /// A robot whose parameters have normal errors with `scale` times the tolerance of the nominal robot as standard deviation:
-/// all a, alpha, theta and d. A joint that is nominally parallel to the one before has an error of beta in place of d, because
+/// all a, alpha, theta and d; the last theta and d have those of the flange. A joint that is nominally parallel to the one before has an error of beta in place of d, because
 /// only the sum of the two d has an effect. The same seed gives the same robot.
 pub fn draw_true_robot(nominal: &Robot, seed: u64, scale: f64) -> Robot {
     // A random stream of its own: the noise of the world is drawn with the plain seed.
@@ -22,18 +22,19 @@ pub fn draw_true_robot(nominal: &Robot, seed: u64, scale: f64) -> Robot {
         let normal: f64 = StandardNormal.sample(&mut random);
         scale * sd * normal
     };
-    let length = nominal.tolerance.length_mm;
-    let angle = nominal.tolerance.angle_deg.to_radians();
+    let Tolerance { length_mm: length, angle_deg, flange_mm, flange_deg } = nominal.tolerance;
+    let [angle, flange_rad] = [angle_deg, flange_deg].map(f64::to_radians);
     let parallel = nominal.parallel_joints();
     let mut robot = nominal.clone();
     for (joint, row) in Joint::ALL.into_iter().zip(&mut robot.geometry.rows) {
         row.alpha += error(angle);
         row.a += error(length);
-        row.theta += error(angle);
+        let is_last = joint == Joint::J6;
+        row.theta += error(if is_last { flange_rad } else { angle });
         if parallel.contains(&joint) {
             row.beta += error(angle);
         } else {
-            row.d += error(length);
+            row.d += error(if is_last { flange_mm } else { length });
         }
     }
     robot.name = format!("{}, true robot of seed {seed}", nominal.name);
@@ -54,13 +55,14 @@ mod tests {
                 (0..200).map(|seed| (of(&draw_true_robot(&nominal, seed, scale)) - of(&nominal)).powi(2));
             (squares.sum::<f64>() / 200.0).sqrt()
         };
-        // The file: 0.5 mm and 0.05 degrees. Joint 3 is parallel to joint 2.
+        // The file: 0.5 mm and 0.05 degrees; a flange 0.05 mm and 0.02 degrees. Joint 3 is parallel to joint 2.
         let angle = 0.05_f64.to_radians();
         for (of, expected) in [
             ((|robot| robot.geometry.rows[1].a) as fn(&Robot) -> f64, 0.5),
             (|robot| robot.geometry.rows[3].d, 0.5),
             (|robot| robot.geometry.rows[0].alpha, angle),
-            (|robot| robot.geometry.rows[5].theta, angle),
+            (|robot| robot.geometry.rows[5].theta, 0.4 * angle),
+            (|robot| robot.geometry.rows[5].d, 0.05),
             (|robot| robot.geometry.rows[2].beta, angle),
             (|robot| robot.geometry.rows[2].d, 0.0),
             (|robot| robot.geometry.rows[1].beta, 0.0),

@@ -15,7 +15,7 @@ use dbbd_model::robot::{Joint, ParamId};
 pub struct AxisOffset {
     /// From 1.
     pub axis: usize,
-    /// True angle minus the controller's, degrees; 0 if it is not identified.
+    /// True angle minus the controller's, degrees; 0 if nothing is known of it.
     pub offset_deg: f64,
     pub sd_deg: Option<f64>,
     /// Of the joint's theta; the offset is meaningful by itself only if this is `Identified`.
@@ -29,11 +29,12 @@ pub fn offsets(calibration: &CompletedCalibration) -> Vec<AxisOffset> {
         .filter_map(|joint| {
             let found = calibration.result.parameter(ParamId::Theta(joint))?;
             let sign = calibration.robot.geometry.rows.get(joint.index())?.sign;
-            let identified = found.status == Status::Identified;
+            // The most probable angle is one with the prior's help too: its standard deviation says how well it is known.
+            let is_known = matches!(found.status, Status::Identified | Status::SupportedByPrior);
             Some(AxisOffset {
                 axis: joint.number(),
-                offset_deg: if identified { sign * found.correction.to_degrees() } else { 0.0 },
-                sd_deg: found.sd.filter(|_| identified).map(f64::to_degrees),
+                offset_deg: if is_known { sign * found.correction.to_degrees() } else { 0.0 },
+                sd_deg: found.sd.filter(|_| is_known).map(f64::to_degrees),
                 status: found.status,
                 remark: match calibration.robot.geometry.coupling.of(joint) {
                     Some(by) => format!("{}; of the joint, at A{}{by}", remark(found), joint.number()),
