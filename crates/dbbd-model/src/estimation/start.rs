@@ -101,21 +101,16 @@ impl EstimateStart {
     pub(super) fn known_before(&self, setting: &Setting<'_>, lengths: &Lengths) -> Option<KnownBefore> {
         let Setting { options, priors, start, .. } = setting;
         if options.follows_list() {
-            // A list says nothing of the length of a bar.
+            // A list says nothing of the length of a bar, and without a prior of the robot nothing else does: where there is no
+            // certificate it has the whole standard deviation of Student's t with four degrees of freedom.
+            let far_mm = std::f64::consts::SQRT_2 * FAR_BAR_MM;
+            let sd = |id: ParamId| if priors.is_certified() { priors.bound(id) } else { Some(far_mm) };
             let ids = self.kept.clone();
-            let of_bar =
-                |id: &ParamId| priors.bound_at_start(*id).filter(|_| is_bar(id)).map(Variance::Fixed);
+            let of_bar = |id: &ParamId| sd(*id).filter(|_| is_bar(id)).map(Variance::Fixed);
             let variances: Vec<Option<Variance>> = ids.iter().map(of_bar).collect();
             let means =
                 ids.iter().zip(&variances).map(|(id, v)| v.map_or(0.0, |_| start.value(*id))).collect();
-            let are_bars_uncertified = !priors.is_certified();
-            return Some(KnownBefore {
-                ids,
-                means,
-                variances,
-                are_bars_uncertified,
-                ..KnownBefore::default()
-            });
+            return Some(KnownBefore { ids, means, variances, ..KnownBefore::default() });
         }
         let is_fixed = |id: &ParamId| options.hold.contains(id) || self.kept.contains(id);
         let optional = parameter::optional().filter(|id| !is_fixed(id));
