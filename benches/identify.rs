@@ -10,7 +10,7 @@ use dbbd_model::measurement::{
     BaseBall, ColumnSelection, Datum, LengthModel, Measurement, Measurements, TargetId,
 };
 use dbbd_model::robot::{
-    Approach, AxisAngles, BallId, BarId, LengthRow, ParamId, ParamUnit, Robot, parameter,
+    Approach, AxisAngles, BallId, BarId, LengthRow, ParamId, ParamUnit, PayloadId, Robot, parameter,
 };
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -41,7 +41,7 @@ fn problem(poses: usize) -> (Robot, Measurements, Vec<BaseBall>) {
                 approach: Approach::default(),
                 length_mm: 0.0,
                 sigma_mm: None,
-                payload: dbbd_model::robot::PayloadId::FIRST,
+                payload: PayloadId::FIRST,
                 context: None,
             };
             row.length_mm = truth.length(&row.axes.radians(), &centre, 0.0) + noise.sample(&mut random);

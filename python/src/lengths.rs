@@ -5,7 +5,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{check_measurements, doubts};
 use dbbd_model::measurement::MeasurementFinding;
 use dbbd_model::measurement::{BaseBall, DistinctMeasurements, Measurement, Measurements};
-use dbbd_model::robot::{AXES, AxisAngles, BallId, BarId, Coordinate, Datum, Robot, TargetId};
+use dbbd_model::robot::{AXES, AxisAngles, BallId, BarId, Coordinate, Datum, PayloadId, Robot, TargetId};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -52,7 +52,7 @@ impl Given<'_, '_> {
             approach: approaches[at],
             length_mm: lengths[at],
             sigma_mm: sigmas[at],
-            payload: dbbd_model::robot::PayloadId::FIRST,
+            payload: PayloadId::FIRST,
             context: None,
         };
         let table = Measurements::new((0..count).map(row).collect(), Vec::new()).map_err(failed)?;
@@ -96,7 +96,7 @@ impl GivenPositions<'_, '_> {
                 approach: approaches[at],
                 length_mm: 0.0,
                 sigma_mm: sigmas[at],
-                payload: dbbd_model::robot::PayloadId::FIRST,
+                payload: PayloadId::FIRST,
                 context: None,
             };
             row.at_place(places[at])

@@ -47,7 +47,7 @@ LIMITS = {  # what: lowest, highest
     "load: error over that without payload": (0, 1.3),
     "bar_scale: share with true <= 2 predicted": (.9, 1),
 }
-FULL = {"few": 40, "honesty": 100, "no_change": 200, "changes": 100, "second_run": 100, "bar_scale": 100, "load": 100, "tool": 30}
+FULL = {"few": 40, "honesty": 100, "no_change": 200, "changes": 100, "second_run": 100, "bar_scale": 100, "load": 100, "tool": 100}
 HARD = (("partly reversed", 1), ("ripple", 1))  # case and number of balls
 CHANGES = ("bar_zero_step", "bar_zero_drift", "base_ball_moved", "tool_ball_moved", "wrong_ball", "rows_shifted",
            "tracker_moved")

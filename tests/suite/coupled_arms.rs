@@ -9,7 +9,7 @@ use dbbd_model::estimation::Workspace;
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::{Datum, Measurement, Measurements, TargetId};
 use dbbd_model::robot::inverse::turns_within;
-use dbbd_model::robot::{Approach, AxisAngles, BallId, BarId, Geometry, Robot};
+use dbbd_model::robot::{Approach, AxisAngles, BallId, BarId, Geometry, PayloadId, Robot};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -118,7 +118,7 @@ fn lengths(truth: &Robot, poses: usize) -> Measurements {
                 approach: Approach::default(),
                 length_mm: truth.geometry.length(&rad(axes), &Vector3::from(place), 0.0) + SIGMA_MM * noise,
                 sigma_mm: Some(SIGMA_MM),
-                payload: dbbd_model::robot::PayloadId::FIRST,
+                payload: PayloadId::FIRST,
                 context: None,
             });
         }

@@ -8,7 +8,8 @@ use dbbd_job::sim::truth;
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::{Datum, Measurement, Measurements, TargetId};
 use dbbd_model::robot::{
-    Approach, AxisAngles, BallId, BarId, Joint, JointErrorModel, JointErrors, Ripple, Robot, SmoothJointError,
+    Approach, AxisAngles, BallId, BarId, Joint, JointErrorModel, JointErrors, PayloadId, Ripple, Robot,
+    SmoothJointError,
 };
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -59,7 +60,7 @@ fn lengths(truth: &Robot, poses: usize, seed: u64) -> Measurements {
                 approach,
                 length_mm: there.length(&radians(axes), &Vector3::from(place), 0.0) + SIGMA_MM * noise,
                 sigma_mm: Some(SIGMA_MM),
-                payload: dbbd_model::robot::PayloadId::FIRST,
+                payload: PayloadId::FIRST,
                 context: None,
             });
         }

@@ -121,10 +121,23 @@ fn a_payload_that_was_never_measured_is_a_wider_number_and_a_warning() {
     let args = ["predict", "axes.csv", "--robot", "o/robot-identified.toml", "--out", "p.csv"];
     let warned = dbbd(at, &[&args[..], &["--payload", "gripper"]].concat());
     assert!(codes(&warned).contains(&"W0583".to_owned()), "{}", stderr(&warned));
-    for wrong in ["grippr", "50", "50,0,0", "-5,0,0,0"] {
+    for (wrong, code) in [("grippr", "E0582"), ("50", "E0582"), ("50,0,0", "E0582"), ("-5,0,0,0", "E0130")] {
         let refused = dbbd(at, &[&args[..], &["--payload", wrong]].concat());
-        assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E0582".to_owned()]), "{wrong}");
+        assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec![code.to_owned()]), "{wrong}");
     }
+
+    // A row with a name that the robot file does not have.
+    let rows = fs::read_to_string(at.join("obs.csv")).unwrap();
+    let named: String = rows
+        .lines()
+        .enumerate()
+        .map(|(at, row)| format!("{row},{}\n", if at == 0 { "payload" } else { "fork" }))
+        .collect();
+    fs::write(at.join("named.csv"), named).unwrap();
+    let args = ["identify", "named.csv", "--robot", "robot.toml", "--centres", "centres.csv", "--out", "n"];
+    let refused = dbbd(at, &args);
+    assert_eq!((refused.status.code(), codes(&refused)), (Some(1), vec!["E0582".to_owned()]));
+    assert!(stderr(&refused).contains("bar, gripper"), "{}", stderr(&refused));
 
     // Measured with it: no warning, and the number is that of the load itself.
     identify(at, true);

@@ -25,7 +25,7 @@ pub fn carrying(
     payload: Option<&str>,
 ) -> Result<Option<RobotFinding>, Diagnostic> {
     let Some(payload) = payload else { return Ok(None) };
-    robot.geometry.load.carry(payload).map_err(|finding| Diagnostic::file(name, finding))?;
+    robot.geometry.load.carry(payload).map_err(|finding| finding.in_file(name))?;
     let beyond = robot.geometry.load.beyond_measured().filter(|_| robot.nominal.is_some());
     Ok(beyond.map(|[kg, measured_kg]| RobotFinding::PayloadNeverMeasured { kg, measured_kg }))
 }

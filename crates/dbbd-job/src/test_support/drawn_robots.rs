@@ -4,7 +4,8 @@ use dbbd_job::sim::truth;
 use dbbd_model::estimation::Positions;
 use dbbd_model::measurement::{ApproachedPose, Datum, Measurement, Measurements, TargetId};
 use dbbd_model::robot::{
-    Approach, AxisAngles, BallId, BarId, JointErrorModel, JointErrors, Ripple, Robot, SmoothJointError,
+    Approach, AxisAngles, BallId, BarId, JointErrorModel, JointErrors, PayloadId, Ripple, Robot,
+    SmoothJointError,
 };
 use nalgebra::{DMatrix, DVector, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -96,7 +97,7 @@ pub(crate) fn lengths(truth: &Robot, poses_: usize, balls: usize, seed: u64) -> 
                 approach: pose.approach,
                 length_mm: (place - Vector3::from(centre)).norm() + LENGTH_MM * noise,
                 sigma_mm: Some(LENGTH_MM),
-                payload: dbbd_model::robot::PayloadId::FIRST,
+                payload: PayloadId::FIRST,
                 context: None,
             });
         }

@@ -6,7 +6,7 @@ use dbbd_job::program::krl::{Files, Given, Text, read};
 use dbbd_model::estimation::{CompletedCalibration, Options};
 use dbbd_model::measurement::{BaseBall, Datum, Measurement, Measurements, TargetId};
 use dbbd_model::robot::{
-    Approach, AxisAngles, BallId, BarId, Geometry, Joint, Mass, ParamId, Pose, Robot, inverse,
+    Approach, AxisAngles, BallId, BarId, Geometry, Joint, Mass, ParamId, PayloadId, Pose, Robot, inverse,
 };
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -58,7 +58,7 @@ pub(crate) fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64
             approach: Approach::default(),
             length_mm: length + noise_mm * random.sample::<f64, _>(StandardNormal),
             sigma_mm: None,
-            payload: dbbd_model::robot::PayloadId::FIRST,
+            payload: PayloadId::FIRST,
             context: None,
         }
     });

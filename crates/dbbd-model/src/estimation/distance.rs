@@ -191,7 +191,7 @@ mod tests {
 
     use super::*;
     use crate::measurement::{AxisAngles, BallId, BarId, BaseBall, Datum, MeasurementContext, TargetId};
-    use crate::robot::{Approach, Robot};
+    use crate::robot::{Approach, PayloadId, Robot};
 
     /// Three poses in turn, four times. From tables: t(0.975; 9), chi-square(0.025 and 0.975; 9).
     #[test]
@@ -210,7 +210,7 @@ mod tests {
                 approach: Approach::default(),
                 length_mm: 0.0,
                 sigma_mm: None,
-                payload: crate::robot::PayloadId::FIRST,
+                payload: PayloadId::FIRST,
                 context: Some(
                     MeasurementContext { time_s: Some(600.0 * at as f64), ..MeasurementContext::default() }
                         .into(),

@@ -470,7 +470,7 @@ mod tests {
     use super::*;
     use crate::estimation::Options;
     use crate::measurement::{Measurement, PreparedMeasurement, TargetId, Tracker};
-    use crate::robot::{AXES, AxisAngles, Coordinate, Joint, ParamId};
+    use crate::robot::{AXES, AxisAngles, Coordinate, Joint, ParamId, PayloadId};
     use crate::test_support::cell::kr60;
 
     const SIGMA_MM: f64 = 0.03;
@@ -487,7 +487,7 @@ mod tests {
             approach: reading.approach,
             length_mm: reading.length_mm,
             sigma_mm: None,
-            payload: crate::robot::PayloadId::FIRST,
+            payload: PayloadId::FIRST,
             context: None,
         };
         (1..).zip(readings).map(row).collect()

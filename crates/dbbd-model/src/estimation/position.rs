@@ -419,6 +419,53 @@ mod tests {
         }
     }
 
+    fn identified(pose_mm: f64) -> (Robot, Vec<ApproachedPose>) {
+        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let unknown = RobotUncertainty {
+            parameters: Vec::new(),
+            root: DMatrix::zeros(0, 0),
+            pose_mm,
+            ..robot.known_uncertainty()
+        };
+        robot.uncertainty = Some(Box::new(unknown));
+        let axes = crate::robot::AxisAngles::from_degrees([10.0, -60.0, 90.0, 20.0, 40.0, 0.0]);
+        (robot, vec![ApproachedPose { axes, approach: Approach::default() }])
+    }
+
+    /// If each joint scatters by s, the ball scatters by s times the root of the squares of what the joints move, and the flange
+    /// turns by s times the root of six: axes are unit vectors.
+    #[test]
+    fn a_flange_turns_as_far_as_the_joints_that_scatter_the_ball() {
+        let (robot, poses) = identified(0.05);
+        let moved = robot.geometry.axis_jacobian(&poses[0].axes.radians());
+        let ball: f64 = moved.iter().map(|(shift, _)| shift.norm_squared()).sum();
+        let turn: f64 = moved.iter().map(|(_, turn)| turn.norm_squared()).sum();
+        let each_rad = (3.0 * 0.05f64.powi(2) / ball).sqrt();
+        let found = Orientations::of(&robot, &poses).sd_rad(0);
+        assert!((found - each_rad * turn.sqrt()).abs() < 1e-12, "{found}");
+    }
+
+    /// 5 kg more about joint 2, whose axis is level: the ball turns with it by the compliance times 5 * 9.80665 N at their lever.
+    #[test]
+    fn an_uncertain_payload_moves_the_ball_by_its_torque() {
+        let (mut robot, poses) = identified(0.0);
+        robot.geometry.compliance[1] = 3e-7;
+        let payload = Payload { kg: 40.0, u_kg: 5.0, ..Payload::default() };
+        robot.geometry.load.payloads = vec![payload];
+        let axes = poses[0].axes.radians();
+        let given = [(axes, Approach::default())];
+        let balls = BallMotion::new(&robot.geometry, &given, &[]).balls;
+        let found = by_payload(&robot.geometry, &given, &balls);
+        let (shift, axis) = robot.geometry.axis_jacobian(&axes)[1];
+        let shoulder = robot.geometry.skeleton(&axes)[1];
+        let lever = (robot.geometry.flange(&axes).position - shoulder) * 1e-3;
+        let torque = axis.dot(&lever.cross(&Vector3::new(0.0, 0.0, -5.0 * 9.80665)));
+        let expected = shift * (3e-7 * torque);
+        assert_eq!(found.shape(), (3, 1));
+        assert!(expected.norm() > 0.01, "{expected}");
+        assert!((found.column(0) - expected).norm() < 1e-3 * expected.norm(), "{found} {expected}");
+    }
+
     #[test]
     fn draws_have_unit_covariance() {
         for rows in [3, 64, 120] {

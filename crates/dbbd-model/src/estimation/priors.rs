@@ -312,6 +312,11 @@ mod tests {
             vec![crate::robot::Mass { joint: Joint::J2, kg: 100.0, centre: nalgebra::Vector3::x() * 500.0 }];
         let torque = robot.geometry.greatest_torques()[1];
         assert_eq!(Priors::datasheet(&robot, None).sd(id), 4e-4 / torque);
+        // The masses of a usual arm are right to a half, stated ones to a tenth.
+        let payload = ParamId::PayloadCompliance(Joint::J2);
+        assert_eq!(Priors::datasheet(&robot, None).sd(payload), 0.5 * 4e-4 / torque);
+        robot.geometry.load.is_assumed = false;
+        assert_eq!(Priors::datasheet(&robot, None).sd(payload), 0.1 * 4e-4 / torque);
     }
 
     /// The tolerances of the built-in KR 60 HA are 0.5 mm and 0.05 deg.

@@ -285,7 +285,29 @@ mod tests {
     use super::super::tests::cell_of_poses::base_balls;
     use super::*;
     use crate::estimation::Options;
+    use crate::robot::{BarId, Joint};
     use crate::test_support::cell::{CENTRE, horizontal, kr60, measure, with_errors};
+
+    /// A list leaves the robot without a prior, but not the bar: Student's t with scale 0.5 mm and four degrees of freedom has the
+    /// variance 0.25 * 4 / 2 mm^2.
+    #[test]
+    fn a_list_leaves_the_bar_what_is_known_of_it() {
+        let data = measure(&with_errors([("a1", 0.4)]), &[horizontal(1, CENTRE)], 40, 25.0);
+        let robot = kr60();
+        let ids = vec![ParamId::A(Joint::J2), ParamId::BarOffset(BarId::FIRST)];
+        let start = LengthModel::new(robot.geometry.clone(), &base_balls(1));
+        for (bar_u_mm, variance) in [(None, 0.5f64), (Some(0.003), 9e-6)] {
+            let estimate = Some(ids.clone());
+            let options = Options { estimate, prior: Prior::None, bar_u_mm, ..Options::default() };
+            let setting = Setting::new(&robot, &start, &data, &options);
+            let lengths = Lengths::of(&data.rows, &options, &robot);
+            let found = EstimateStart::of(&setting, &lengths, &setting.asked()).unwrap();
+            let known = found.known_before(&setting, &lengths).unwrap();
+            assert_eq!((known.ids.as_slice(), known.variances[0]), (ids.as_slice(), None));
+            let Some(Variance::Fixed(sd)) = known.variances[1] else { panic!("{:?}", known.variances) };
+            assert!((sd * sd / variance - 1.0).abs() < 1e-12 && !known.are_bars_uncertified, "{sd}");
+        }
+    }
 
     /// What the lengths of one circle know of the directions of the transform, in tolerances, with the set-up taken out of dense
     /// normal equations by its Schur complement.

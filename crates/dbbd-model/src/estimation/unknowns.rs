@@ -393,7 +393,7 @@ mod tests {
     use super::super::tests::cell_of_poses::{base_balls, hypers, model, normals, pose, readings};
     use super::*;
     use crate::measurement::{Measurement, PreparedMeasurement, TargetId};
-    use crate::robot::{AxisAngles, BallId, Coordinate, Joint};
+    use crate::robot::{AxisAngles, BallId, Coordinate, Joint, PayloadId};
     use crate::test_support::cell::kr60;
 
     fn poses(count: usize) -> Vec<[f64; AXES]> {
@@ -435,7 +435,7 @@ mod tests {
             approach: reading.approach,
             length_mm: reading.length_mm,
             sigma_mm: None,
-            payload: crate::robot::PayloadId::FIRST,
+            payload: PayloadId::FIRST,
             context: None,
         };
         (1..).zip(readings).map(row).collect()

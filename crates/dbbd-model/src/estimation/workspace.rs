@@ -9,7 +9,7 @@ use super::position::BallMotion;
 use super::result::MapPoint;
 use crate::math::{OrthonormalBasis, aligned_distances};
 use crate::robot::{
-    AXES, Approach, AxesAtPose, Geometry, JointErrors, JointSinCos, KinematicChain, ParamId, Robot,
+    AXES, Approach, AxesAtPose, Geometry, JointErrors, JointSinCos, KinematicChain, ParamId, PayloadId, Robot,
 };
 
 /// Position error of the tool ball over a workspace for many drawn robots, mm.
@@ -170,7 +170,7 @@ pub fn left_out_mm(robot: &Robot) -> Option<f64> {
                 sin_cos: &JointSinCos::of(axes),
                 approach,
                 target: &geometry.tool,
-                payload: crate::robot::PayloadId::FIRST,
+                payload: PayloadId::FIRST,
             })
         };
         approached.map(ball).collect()

@@ -28,7 +28,6 @@ findings! {
             UnknownBall { index: u32, ball: u32, balls: usize } => "index {index}: base ball {ball} is not among the {balls} that are given";
             UnknownTarget { index: u32, target: u32, targets: usize } => "index {index}: target {target} is not among the {targets} of the input";
             UntrackedPosition { index: u32 } => "index {index}: a position, but the robot is identified from lengths alone";
-            UnknownPayload { index: u32, name: String, known: String } => "index {index}: payload `{name}` is not in the robot file, which has [[payload]] {known}";
             UnknownBar { index: u32, bar: u32, bars: usize } => "index {index}: bar {bar} is not among the {bars} of the input";
         }
         E1204 "a table is not of measurements",

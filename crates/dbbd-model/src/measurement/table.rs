@@ -10,11 +10,13 @@ use crate::base::table::{TableReader, TableRow};
 use crate::diagnostic::Diagnostic;
 use crate::measurement::MeasurementFinding::{
     self, BarWithoutLength, NoMeasurement, NoPose, NotASense, TooMany, TooManyTargets, UnknownBall,
-    UnknownBar, UnknownPayload, UnknownTarget, UnseenTarget, UntrackedPosition,
+    UnknownBar, UnknownTarget, UnseenTarget, UntrackedPosition,
 };
 use crate::plausibility::{PlausibilityFinding, Quantity};
 use crate::robot::parameter::SetUpCounts;
-use crate::robot::{AXES, Approach, ArmLoad, AxisAngles, BarId, Datum, PayloadId, Robot, TargetId};
+use crate::robot::{
+    AXES, Approach, ArmLoad, AxisAngles, BarId, Datum, PayloadId, Robot, RobotFinding, TargetId,
+};
 
 /// One length at one pose. A position of a tracker is three of them, one for each plane of the tracker's frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -189,7 +191,7 @@ impl Measurements {
     ///
     /// # Errors
     /// A row names a payload that the robot does not have.
-    pub fn carrying(mut self, load: &ArmLoad) -> Result<Self, MeasurementFinding> {
+    pub fn carrying(mut self, load: &ArmLoad) -> Result<Self, RobotFinding> {
         if self.payloads.is_empty() {
             return Ok(self);
         }
@@ -200,8 +202,8 @@ impl Measurements {
                 Some(at) => PayloadId::at(at),
                 None if name.is_empty() => PayloadId::FIRST,
                 None => {
-                    let (index, name, known) = (row.index, name.clone(), known.join(", "));
-                    return Err(UnknownPayload { index, name, known });
+                    let (index, name, known) = (row.index, name.clone(), load.named());
+                    return Err(RobotFinding::PayloadOfRow { index, name, known });
                 }
             };
         }
@@ -502,6 +504,7 @@ fn distance(row: &TableRow<'_>, at: usize) -> Result<f64, Diagnostic> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::Payload;
 
     const HEADER: &str = "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm";
 
@@ -592,6 +595,28 @@ mod tests {
         mixed[4] = [0.1234, -1.2345, 1.3456, 0.4567, 0.5678, 0.6789];
         assert!(matches!(of(&mixed), Some(MeasurementFinding::RowsInRadians { rows: 1, index: 5 })));
         assert!(of(&mixed[3..6]).is_none(), "a third of the poses is near zero");
+    }
+
+    /// The file of the robot lists its payloads in another order than the rows.
+    #[test]
+    fn payloads_are_those_of_the_robot_and_read_back() {
+        let rows = ["1,1,0,0,0,0,0,0,300,gripper", "2,1,1,0,0,0,0,0,300,", "3,1,2,0,0,0,0,0,300,bar"];
+        let read = table(",payload", &rows).unwrap();
+        let payload = |name: &str| Payload { name: name.into(), ..Payload::default() };
+        let load =
+            |names: [&str; 3]| ArmLoad { payloads: names.map(payload).to_vec(), ..ArmLoad::known(vec![]) };
+        let carrying = read.clone().carrying(&load(["fork", "bar", "gripper"])).unwrap();
+        let places = |of: &Measurements| of.rows.iter().map(|row| row.payload.index()).collect::<Vec<_>>();
+        // Where nothing is said the robot carries the first.
+        assert_eq!(places(&carrying), [2, 0, 1]);
+        let again = Measurements::from_csv("t.csv", &carrying.to_csv()).unwrap();
+        assert_eq!(places(&again.carrying(&load(["gripper", "fork", "bar"])).unwrap()), [0, 1, 2]);
+        let lacking = read.carrying(&load(["fork", "grip", "gripper"])).unwrap_err();
+        assert!(matches!(lacking, RobotFinding::PayloadOfRow { index: 3, .. }), "{lacking:?}");
+        // Without the column nothing is asked of the robot.
+        let plain = table("", &["1,1,0,0,0,0,0,0,300"]).unwrap();
+        assert_eq!(plain.clone().carrying(&ArmLoad::known(vec![])).unwrap(), plain);
+        assert!(!plain.to_csv().contains("payload"));
     }
 
     #[test]

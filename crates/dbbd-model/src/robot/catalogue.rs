@@ -7,7 +7,7 @@ findings! {
     RobotFinding "Robots" {
         E0501 "a word is not a parameter",
         cause: "A list of parameters holds a word that is not a parameter, group or range, or a range whose numbers are no parameters.",
-        cure: "The parameters are alpha0..5, a0..5, theta1..6, d1..6, beta1..5, tool_x/_y/_z, target<k>_x/_y/_z of further targets, centre<k>_x/_y/_z, bar_offset (bar_offset2, .. of further bars), tracker_x/_y/_z, tracker_rx/_ry/_rz, compliance2..5, gear1..6_cos/_sin; the groups geometric, tool, targets, centres, bar, tracker, all, compliance, gear; a range is written alpha1-5." {
+        cure: "The parameters are alpha0..5, a0..5, theta1..6, d1..6, beta1..5, tool_x/_y/_z, target<k>_x/_y/_z of further targets, centre<k>_x/_y/_z, bar_offset (bar_offset2, .. of further bars), tracker_x/_y/_z, tracker_rx/_ry/_rz, compliance2..5, payload_compliance2..5, gear1..6_cos/_sin; the groups geometric, tool, targets, centres, bar, tracker, all, compliance, gear; a range is written alpha1-5." {
             UnknownParameter { word: String } => "`{word}` is not a parameter", help: "names such as alpha1 or centre1_x; ranges such as alpha1-5; groups: geometric, tool, targets, centres, bar, tracker, all, compliance, gear";
         }
         E0502 "a parameter is about a ball, bar, target or tracker that the data do not have",
@@ -44,8 +44,9 @@ findings! {
             Uncertainty => "[uncertainty] does not fit the robot: a row of `root` for each of `parameters` and each coefficient of the joints, all of one length";
         }
         E0582 "a payload is not known",
-        cause: "The name is not that of a [[payload]] of the robot file, and the text is not KG,X,Y,Z.",
-        cure: "Name a payload of the robot file, or give its mass in kg and its centre in the flange frame in mm." {
+        cause: "The name is not that of a [[payload]] of the robot file. A command takes KG,X,Y,Z in place of a name, a table does not.",
+        cure: "Name a payload of the robot file, add one to it, or give a command the mass in kg and the centre in the flange frame in mm." {
+            PayloadOfRow { index: u32, name: String, known: String } => "index {index}: `{name}` is not a [[payload]] of the robot file: {known}";
             NoSuchPayload { asked: String, known: String } => "`{asked}` is neither KG,X,Y,Z nor a [[payload]] of the robot file: {known}";
         }
         W0583 "a payload was never measured",

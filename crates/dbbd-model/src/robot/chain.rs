@@ -280,13 +280,11 @@ impl<'a> KinematicChain<'a> {
     /// Compliance and transmission errors rotate the joints: their columns are multiples of those of theta.
     #[inline]
     fn non_geometric(&self, at: &AxesAtPose<'_>, columns: &mut DerivativeColumns) {
-        if !self.geometry.load.masses.is_empty() {
-            let angles = self.geometry.joint_angles_carrying(at.axes, at.approach, at.payload);
-            let torques = self.geometry.torques(&angles, at.payload);
-            for j in 0..AXES {
-                columns[column::COMPLIANCE + j] = columns[column::THETA + j] * torques.all[j];
-                columns[column::PAYLOAD_COMPLIANCE + j] = columns[column::THETA + j] * torques.payload[j];
-            }
+        let angles = self.geometry.joint_angles_carrying(at.axes, at.approach, at.payload);
+        let torques = self.geometry.torques(&angles, at.payload);
+        for j in 0..AXES {
+            columns[column::COMPLIANCE + j] = columns[column::THETA + j] * torques.all[j];
+            columns[column::PAYLOAD_COMPLIANCE + j] = columns[column::THETA + j] * torques.payload[j];
         }
         for (j, [sin, cos]) in self.own_angles(at).into_iter().enumerate() {
             columns[column::GEAR_COS + j] = columns[column::THETA + j] * cos;

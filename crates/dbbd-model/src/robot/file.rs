@@ -222,22 +222,17 @@ impl RobotFile {
 
     /// The masses that the file states, else those of a usual arm.
     fn load(&self, rows: &[DhRow; AXES]) -> Result<ArmLoad, Diagnostic> {
-        let checked = |kg: f64, centre_mm: [f64; 3]| -> Result<(), PlausibilityFinding> {
-            Quantity::Mass.check("kg", kg)?;
-            centre_mm.into_iter().try_for_each(|mm| Quantity::ArmLength.check("centre_mm", mm))
-        };
         let mass = |mass: &MassTable| -> Result<Mass, Diagnostic> {
-            checked(mass.kg, mass.centre_mm)?;
+            Quantity::Mass.check("kg", mass.kg)?;
+            mass.centre_mm.into_iter().try_for_each(|mm| Quantity::ArmLength.check("centre_mm", mm))?;
             let joint = Joint::new(mass.joint).ok_or(RobotFinding::MassJoint { joint: mass.joint })?;
             Ok(Mass { joint, kg: mass.kg, centre: mass.centre_mm.into() })
         };
         let payload = |payload: &PayloadTable| -> Result<Payload, Diagnostic> {
             let PayloadTable { name, kg, centre_mm, u_kg, u_mm, measured } = payload.clone();
-            // Nothing on the flange is a payload too.
-            if kg != 0.0 {
-                checked(kg, centre_mm)?;
-            }
-            Ok(Payload { name, kg, centre: centre_mm.into(), u_kg, u_mm, is_measured: measured })
+            let payload = Payload { name, kg, centre: centre_mm.into(), u_kg, u_mm, is_measured: measured };
+            payload.check()?;
+            Ok(payload)
         };
         let names = || self.payload.iter().map(|payload| payload.name.as_str());
         if let Some(twice) =

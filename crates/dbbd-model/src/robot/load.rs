@@ -5,6 +5,8 @@ use nalgebra::Vector3;
 use super::dh_row::DhRow;
 use super::pose::Pose;
 use super::{AXES, Joint, PayloadId, RobotFinding};
+use crate::diagnostic::Diagnostic;
+use crate::plausibility::{PlausibilityFinding, Quantity};
 
 /// Standard gravity, m/s^2.
 const GRAVITY: f64 = 9.806_65;
@@ -35,6 +37,17 @@ pub struct Payload {
 }
 
 impl Payload {
+    /// Whether its numbers are possible. Nothing on the flange is a payload too.
+    pub(super) fn check(&self) -> Result<(), PlausibilityFinding> {
+        let masses = [("kg", self.kg), ("u_kg", self.u_kg)];
+        masses
+            .into_iter()
+            .filter(|(_, kg)| *kg != 0.0)
+            .try_for_each(|(key, kg)| Quantity::Mass.check(key, kg))?;
+        let lengths = self.centre.iter().map(|mm| ("centre_mm", mm)).chain([("u_mm", &self.u_mm)]);
+        lengths.into_iter().try_for_each(|(key, mm)| Quantity::ArmLength.check(key, *mm))
+    }
+
     /// As a mass of the last frame.
     pub fn mass(&self) -> Mass {
         Mass { joint: Joint::J6, kg: self.kg, centre: self.centre }
@@ -64,7 +77,7 @@ pub struct ArmLoad {
 }
 
 impl ArmLoad {
-    /// An arm that stands on the floor.
+    /// Of an arm on the floor.
     pub const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);
 
     /// Masses that are known.
@@ -97,30 +110,31 @@ impl ArmLoad {
     /// Puts a payload in front: one of the list by its name, or `KG,X,Y,Z` with its centre in the flange frame, mm.
     ///
     /// # Errors
-    /// It is neither.
-    pub fn carry(&mut self, asked: &str) -> Result<(), RobotFinding> {
+    /// It is neither, or its numbers are not plausible.
+    pub fn carry(&mut self, asked: &str) -> Result<(), Diagnostic> {
         let payload = match self.payloads.iter().position(|payload| payload.name == asked) {
             Some(at) => self.payloads.remove(at),
-            None => {
-                let numbers: Result<Vec<f64>, _> = asked.split(',').map(|part| part.trim().parse()).collect();
-                match numbers.as_deref() {
-                    Ok([kg, centre @ ..]) if centre.len() == 3 && *kg >= 0.0 && kg.is_finite() => {
-                        let centre = Vector3::from_column_slice(centre);
-                        Payload { name: asked.into(), kg: *kg, centre, ..Payload::default() }
-                    }
-                    _ => {
-                        let names: Vec<&str> =
-                            self.payloads.iter().map(|payload| payload.name.as_str()).collect();
-                        return Err(RobotFinding::NoSuchPayload {
-                            asked: asked.into(),
-                            known: names.join(", "),
-                        });
-                    }
-                }
-            }
+            None => self.by_numbers(asked)?,
         };
         self.payloads.insert(0, payload);
         Ok(())
+    }
+
+    /// The names of the payloads.
+    pub(crate) fn named(&self) -> String {
+        let names: Vec<&str> = self.payloads.iter().map(|payload| payload.name.as_str()).collect();
+        if names.is_empty() { "it has none".into() } else { names.join(", ") }
+    }
+
+    /// The payload `KG,X,Y,Z`.
+    fn by_numbers(&self, asked: &str) -> Result<Payload, Diagnostic> {
+        let numbers: Option<Vec<f64>> = asked.split(',').map(|part| part.trim().parse().ok()).collect();
+        let Some(Ok([kg, x, y, z])) = numbers.map(<[f64; 4]>::try_from) else {
+            return Err(RobotFinding::NoSuchPayload { asked: asked.into(), known: self.named() }.into());
+        };
+        let payload = Payload { name: asked.into(), kg, centre: Vector3::new(x, y, z), ..Payload::default() };
+        payload.check()?;
+        Ok(payload)
     }
 
     /// The mass of the payload carried, and of the heaviest that was measured, if that is much lighter, kg.
@@ -218,8 +232,12 @@ mod tests {
         let carried = load.carried().unwrap();
         assert_eq!((carried.kg, carried.centre), (53.5, Vector3::new(0.0, 0.0, 200.0)));
         assert_eq!(load.beyond_measured(), Some([53.5, 50.0]));
-        for wrong in ["grip", "50", "50,0,0", "-1,0,0,0", "50,0,0,x", ""] {
-            assert!(matches!(load.carry(wrong), Err(RobotFinding::NoSuchPayload { .. })), "{wrong}");
+        for wrong in ["grip", "50", "50,0,0", "50,0,0,0,0", "50,0,0,x", ""] {
+            assert_eq!(load.carry(wrong).unwrap_err().code().as_str(), "E0582", "{wrong}");
+        }
+        // Negative, in grams, not a number.
+        for wrong in ["-1,0,0,0", "50000,0,0,200", "nan,0,0,0", "50,inf,0,0"] {
+            assert_eq!(load.carry(wrong).unwrap_err().code().as_str(), "E0130", "{wrong}");
         }
     }
 

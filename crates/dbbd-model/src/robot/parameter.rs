@@ -211,6 +211,7 @@ impl ParamId {
             Self::Target(..) => ParamFamily::of_place("target{n}_{c}", Targets, 30, 100.0, 50.0, None),
             Self::Ball(..) => ParamFamily::of_place("centre{n}_{c}", Balls, 33, 10.0, 500.0, Some(300.0)),
             Self::Tracker(_) => ParamFamily::of_place("tracker_{c}", Tracker, 33, 1000.0, 500.0, None),
+            // A bar that is set by hand is right to a tenth of a millimetre or so.
             Self::BarOffset(_) => ParamFamily {
                 max_correction_mm: Some(50.0),
                 ..ParamFamily::of_robot("bar_offset{n}", Mm, Bar, 36, Certificate { uncertified: 0.07 })

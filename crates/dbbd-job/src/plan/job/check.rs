@@ -20,7 +20,8 @@ const MIN_BALL_DISTANCE_MM: f64 = 10.0;
 /// Digital outputs that a controller has.
 const OUTPUTS: std::ops::RangeInclusive<u32> = 1..=4096;
 /// Keys and tables of the robot file that no table of the job has.
-const OF_ROBOT: [&str; 6] = ["ball_mm", "joint", "tolerance", "mass", "payload", "repeatability_mm"];
+const OF_ROBOT: [&str; 7] =
+    ["ball_mm", "joint", "tolerance", "mass", "mounting", "payload", "repeatability_mm"];
 
 type JobCheck = Result<(), MisplacedFinding>;
 

@@ -6,7 +6,7 @@ use dbbd_job::program::krl::{Files, Given, Text, compensate, read};
 use dbbd_model::estimation::{ErrorModel, Options, Prior};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::{BaseBall, Datum, Measurement, Measurements, TargetId};
-use dbbd_model::robot::{Approach, AxisAngles, BallId, BarId, ParamId, Robot};
+use dbbd_model::robot::{Approach, AxisAngles, BallId, BarId, ParamId, PayloadId, Robot};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -41,7 +41,7 @@ fn measured(plan: &Plan, robot: &Robot, seed: u64) -> Measurements {
             approach,
             length_mm: (there - Vector3::from(BALLS[row.centre.index()])).norm() + LENGTH_MM * normal(),
             sigma_mm: Some(LENGTH_MM),
-            payload: dbbd_model::robot::PayloadId::FIRST,
+            payload: PayloadId::FIRST,
             context: None,
         }
     });

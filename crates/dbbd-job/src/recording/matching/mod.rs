@@ -30,7 +30,7 @@ use crate::recording::matching::MatchingFinding as Finding;
 use dbbd_model::measurement::{
     AxisAngles, BallId, BarId, CircleId, ContextColumn, Measurement, MeasurementContext, Measurements,
 };
-use dbbd_model::robot::{AXES, Approach, Datum, TargetId};
+use dbbd_model::robot::{AXES, Approach, Datum, PayloadId, TargetId};
 
 pub use alignment::{DwellEvidence, ExpectedLengths, Pairing, PoseAlignment, align};
 pub use input::{MatchingInput, MeasuredAxes};
@@ -142,7 +142,7 @@ fn measurements(
             approach: approaches.get(at).copied().unwrap_or_default(),
             length_mm: plan.header.job.bar.length_mm + reading.reading_mm,
             sigma_mm: Some(reading.u_mm.hypot(timing_mm).max(input.bar_sigma_mm)),
-            payload: dbbd_model::robot::PayloadId::FIRST,
+            payload: PayloadId::FIRST,
             context: Some(Arc::new(context)),
         })
     };

@@ -73,8 +73,8 @@ pub fn data_list(robot: &str, frames: &[Frame], offsets: &[AxisOffset]) -> Strin
         }
         let _ = writeln!(text, "DECL FRAME {variable}={{{},A 0.0,B 0.0,C 0.0}}", krl(identified_mm));
     }
-    text.push_str("\n; Zero errors of the axes, degrees: an axis that shows A is at A + offset. An offset of 0.0 that is not\n");
-    text.push_str("; identified says nothing. They belong to the identified table as a whole: with the nominal table they are\n");
+    text.push_str("\n; Zero errors of the axes, degrees: an axis that shows A is at A + offset. An offset of 0.0 without\n");
+    text.push_str("; a standard deviation says nothing. They belong to the identified table as a whole: with the nominal table they are\n");
     text.push_str("; the best of these single corrections, not all of it.\n");
     for offset in offsets {
         text.push_str(&comment(&format!("A{}: {}", offset.axis, offset.remark)));

@@ -18,7 +18,7 @@ pub struct AxisOffset {
     /// True angle minus the controller's, degrees; 0 if nothing is known of it.
     pub offset_deg: f64,
     pub sd_deg: Option<f64>,
-    /// Of the joint's theta; the offset is meaningful by itself only if this is `Identified`.
+    /// Of the joint's theta: by the data alone only if this is `Identified`.
     pub status: Status,
     pub remark: String,
 }
@@ -29,7 +29,7 @@ pub fn offsets(calibration: &CompletedCalibration) -> Vec<AxisOffset> {
         .filter_map(|joint| {
             let found = calibration.result.parameter(ParamId::Theta(joint))?;
             let sign = calibration.robot.geometry.rows.get(joint.index())?.sign;
-            // The most probable angle is one with the prior's help too: its standard deviation says how well it is known.
+            // With the prior's help the most probable angle is known too; its standard deviation says how well.
             let is_known = matches!(found.status, Status::Identified | Status::SupportedByPrior);
             Some(AxisOffset {
                 axis: joint.number(),

@@ -7,6 +7,10 @@ use crate::report::svg::Anchor;
 
 const ROW: f64 = 19.0;
 const TOP: f64 = 46.0;
+/// Room for names: for short ones, for each letter of a longer one, and between a name and the chart.
+const NAME: f64 = 104.0;
+const LETTER: f64 = 7.2;
+const GAP: f64 = 8.0;
 
 /// A chart of corrections or changes, about zero.
 pub(crate) struct Intervals {
@@ -41,7 +45,9 @@ impl Intervals {
         });
         let most = 1.06 * magnitude(ends.chain(tolerance));
         let bottom = TOP + ROW * self.rows.len() as f64 + 4.0;
-        let area = Area { width: NARROW, left: 104.0, right: 466.0, top: TOP, bottom };
+        let letters = self.rows.iter().map(|row| row.name.chars().count()).max().unwrap_or(0) as f64;
+        let left = NAME.max(LETTER * letters + 2.0 * GAP);
+        let area = Area { width: NARROW, left, right: 466.0, top: TOP, bottom };
         let labels = Labels {
             title: &self.title,
             description: self.description,
@@ -70,7 +76,7 @@ impl Intervals {
         let [x, y] = frame.at(value, number as f64 + 0.5);
         let [low, high] =
             [value - half_width, value + half_width].map(|end| frame.x.at(end).clamp(left, right));
-        frame.svg.text("mono", [left - 8.0, y + 4.0], Anchor::End, name);
+        frame.svg.text("mono", [left - GAP, y + 4.0], Anchor::End, name);
         frame.svg.line("l-bar", [low, y], [high, y]);
         frame.svg.line("l-bar", [low, y - 4.0], [low, y + 4.0]);
         frame.svg.line("l-bar", [high, y - 4.0], [high, y + 4.0]);

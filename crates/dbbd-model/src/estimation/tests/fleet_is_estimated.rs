@@ -8,7 +8,7 @@ use dbbd_model::estimation::priors::Priors;
 use dbbd_model::estimation::{AngleSource, ErrorModel, ErrorSummary, Input, Options, Prior, Workspace};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::{BaseBall, LengthModel, Measurement, Measurements, PreparedMeasurement};
-use dbbd_model::robot::{Approach, AxisAngles, BallId, Geometry, ParamId, Robot, parameter};
+use dbbd_model::robot::{Approach, AxisAngles, BallId, Geometry, ParamId, PayloadId, Robot, parameter};
 use nalgebra::{DMatrix, DVector, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal, StandardNormal};
@@ -195,7 +195,7 @@ impl World {
             approach: Approach::default(),
             length_mm: one.length_mm,
             sigma_mm: Some(NOISE_MM),
-            payload: crate::robot::PayloadId::FIRST,
+            payload: PayloadId::FIRST,
             context: None,
         });
         Measurements { rows: rows.collect(), ..Measurements::default() }
