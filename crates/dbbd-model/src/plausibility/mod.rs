@@ -188,6 +188,8 @@ pub const POSITIVE: f64 = 1e-9;
 const MAX_NUMBER: f64 = 1e5;
 /// Arms and their tools are shorter, mm.
 const MAX_ARM_MM: f64 = 1e4;
+/// A kilometre: farther away, rounding an angle to 16 digits moves the arm.
+const MAX_OFFSET_MM: f64 = 1e6;
 
 quantities! {
     /// Gauges between balls are longer than a fingertip. No telescoping bar is longer than ten metres.
@@ -259,6 +261,8 @@ quantities! {
 
     /// Arms are shorter.
     ArmLength => range("a length of an arm", "mm", -MAX_ARM_MM, MAX_ARM_MM).not_in(IN_MICROMETRES);
+    /// Axes with an angle of 1e-5 between them have their common normal a hundred metres away.
+    CancelledOffset => range("an offset that another one cancels", "mm", -MAX_OFFSET_MM, MAX_OFFSET_MM);
     /// Angles between axes are mostly multiples of a right angle: in radians these are easily recognised.
     AxisAngle => range("an angle between axes", "degrees", -MAX_NUMBER, MAX_NUMBER).in_degrees();
     /// A small angle between nearly parallel axes.

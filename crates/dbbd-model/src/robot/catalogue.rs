@@ -40,6 +40,8 @@ findings! {
             NoName => "name is empty: runs and programs are compared by it";
             PayloadTwice { name: String } => "[[payload]]: `{name}` is there twice: rows of measurements name one of several";
             Gravity => "[mounting] gravity must be the direction of gravity in the robot base, as [0, 0, -1] for an arm on the floor";
+            ControllerRows { rows: usize, needed: usize } => "[controller] has {rows} [[controller.joint]] tables: model = \"calibrated\" needs 6, another model none (here {needed})";
+            ControllerOfIdentified => "[controller] of an identified robot belongs to its nominal one: write it as [nominal.controller]";
             MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";
             Uncertainty => "[uncertainty] does not fit the robot: a row of `root` for each of `parameters` and each coefficient of the joints, all of one length";
         }

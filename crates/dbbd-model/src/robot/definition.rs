@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use super::controller::ControllerModel;
 use super::kinematics::Geometry;
 use super::parameter::all_parameters;
 use super::posterior::RobotPosterior;
@@ -51,6 +52,8 @@ pub struct Robot {
     pub controller_serial: Option<String>,
     /// The language of its controller's programs, such as `krl`.
     pub language: Option<String>,
+    /// What its controller computes with; of an identified robot as of the nominal one.
+    pub controller_model: ControllerModel,
     /// The table, the tool ball and what loads the joints.
     pub geometry: Geometry,
     /// Limits of the axes of the controller.
@@ -233,7 +236,7 @@ impl Robot {
     fn unlike_built_in(&self) -> Option<RobotFinding> {
         /// Rounding of published tables, mm and degrees.
         const ALIKE: f64 = 1.0;
-        if self.nominal.is_some() {
+        if self.nominal.is_some() || self.controller_model == ControllerModel::Calibrated {
             return None;
         }
         let all = BUILT_IN.iter().filter_map(|(name, text)| Self::from_toml(name, text).ok());

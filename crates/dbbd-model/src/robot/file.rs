@@ -7,6 +7,7 @@ use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::controller::{ControllerModel, ControllerTable};
 use super::joint_table::{JointTable, coupling, is_zero};
 use super::kinematics::Geometry;
 use super::load::{ArmLoad, Mass, Payload};
@@ -35,6 +36,7 @@ struct RobotFile {
     repeatability_mm: Option<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     doubts: Vec<String>,
+    controller: Option<ControllerTable>,
     joint: Vec<JointTable>,
     #[serde(default)]
     tool: RobotToolTable,
@@ -274,6 +276,8 @@ impl RobotFile {
         let coupling = coupling(&joints).map_err(|(at, finding)| (Some(at), finding.into()))?;
         self.check().map_err(|finding| (None, finding))?;
         let rows = joints.map(JointTable::row);
+        let stated = self.controller.as_ref().map(|stated| stated.rows(&rows)).transpose();
+        let calibrated = stated.map_err(|finding| (None, finding))?.flatten();
         let load = self.load(&rows).map_err(|finding| (None, finding))?;
         let mut robot = Robot {
             geometry: Geometry {
@@ -297,6 +301,7 @@ impl RobotFile {
             serial: self.serial,
             controller_serial: self.controller_serial,
             language: self.language,
+            controller_model: ControllerModel::Nominal,
             provenance: self.provenance,
             doubts: self.doubts,
             posterior: self.posterior,
@@ -314,6 +319,17 @@ impl RobotFile {
             return Err((None, RobotFinding::Uncertainty.into()));
         }
         robot.uncertainty = self.uncertainty.map(Box::new);
+        let usual = || ControllerModel::usual(robot.controller_language());
+        let stated = self.controller.as_ref().map(ControllerTable::model);
+        robot.controller_model = match (&robot.nominal, stated) {
+            (Some(_), Some(_)) => return Err((None, RobotFinding::ControllerOfIdentified.into())),
+            (Some(nominal), None) => nominal.controller_model,
+            (None, stated) => stated.unwrap_or_else(usual),
+        };
+        if let Some(rows) = calibrated {
+            robot.geometry.rows = rows;
+            robot.geometry.shorten_offsets();
+        }
         Ok(robot)
     }
 
@@ -340,6 +356,7 @@ impl RobotFile {
             source: robot.source.clone(),
             repeatability_mm: robot.repeatability_mm,
             doubts: robot.doubts.clone(),
+            controller: ControllerTable::of(robot),
             joint: robot.joint_tables(),
             tool: RobotToolTable { ball_mm: robot.geometry.tool.into(), ball_u_mm: robot.ball_u_mm },
             tolerance: robot.tolerance,

@@ -8,12 +8,14 @@ mod catalogue;
 pub use catalogue::RobotFinding;
 
 mod chain;
+mod controller;
 mod coupling;
 mod definition;
 mod dh_row;
 mod file;
 mod ids;
 pub mod inverse;
+mod joint_axes;
 mod joint_error;
 mod joint_table;
 pub mod kinematics;
@@ -25,6 +27,7 @@ mod uncertainty;
 
 pub(crate) use chain::{AxesAtPose, KinematicChain, TrackerPlane};
 pub use chain::{JointSinCos, LengthRow};
+pub use controller::ControllerModel;
 pub use coupling::{CoupledAxis, Coupling};
 pub use definition::{LoadedRobot, Robot, Tolerance};
 pub use dh_row::DhRow;
@@ -32,6 +35,7 @@ pub use ids::{
     Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, PayloadId, TargetId,
     max_axis_difference,
 };
+pub use joint_axes::{ArmTable, JointAxis};
 pub use joint_error::{
     JointErrorModel, JointErrors, JointTerm, Ripple, SmoothJointError, TermKind, VisitedAngles,
 };
