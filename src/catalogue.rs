@@ -17,6 +17,7 @@ use dbbd_job::recording::{BarFinding, RecordingFinding};
 use dbbd_job::report::ReportFinding;
 use dbbd_job::report::certificate::CertificateFinding;
 use dbbd_job::request::RequestFinding;
+use dbbd_job::robot_description::DescriptionFinding;
 use dbbd_job::sim::SimulationFinding;
 use dbbd_model::base::{FileFinding, InternalFinding};
 use dbbd_model::circular::CircularFinding;
@@ -45,6 +46,7 @@ const FAMILIES: &[Family] = &[
     InternalFinding::FAMILY,
     FileFinding::FAMILY,
     RobotFinding::FAMILY,
+    DescriptionFinding::FAMILY,
     ProvenanceFinding::FAMILY,
     IdentityFinding::FAMILY,
     PlausibilityFinding::FAMILY,

@@ -6,6 +6,7 @@ use super::{CommandOutput, value};
 use dbbd_job::program::Moved;
 use dbbd_job::request::Request;
 use dbbd_job::request::compensate::{CompensateDocument, CompensateRequest, DEFAULT_LIMIT_MM};
+use dbbd_model::estimation::ProgramErrors;
 
 /// Correct the points of a program for an identified robot.
 ///
@@ -43,6 +44,9 @@ pub(crate) struct CompensateArgs {
     /// centre in the flange frame in mm [default: the first of the robot file].
     #[arg(long, value_name = "NAME|KG,X,Y,Z", allow_hyphen_values = true)]
     payload: Option<String>,
+    /// The controller computes with the nominal table, although its make has a factory calibration (Universal Robots).
+    #[arg(long, value_name = "MODEL", value_parser = ["nominal"])]
+    controller_model: Option<String>,
     /// Refuse the program if a commanded point would move by more than this, mm.
     #[arg(long, value_name = "MM", default_value_t = DEFAULT_LIMIT_MM)]
     limit: f64,
@@ -58,6 +62,7 @@ pub(super) fn request(args: &CompensateArgs) -> Request {
         tool_mm_deg: args.tool,
         base_mm_deg: args.base,
         payload: args.payload.clone(),
+        nominal_controller: args.controller_model.is_some(),
         limit_mm: args.limit,
     })
 }
@@ -74,5 +79,11 @@ pub(super) fn show(out: &CommandOutput, document: &CompensateDocument, directory
         points.len(),
         directory.display()
     ));
+    if let Some(ProgramErrors { before, after }) = document.predicted {
+        out.result(format!(
+            "expected error of the program's tool at its points: {:.3} mm before (largest {:.3}), {:.3} mm after (largest {:.3})",
+            before.mean, before.max, after.mean, after.max
+        ));
+    }
     out.progress("corrected in the robot's own frame; run it first in T1, slowly");
 }

@@ -22,6 +22,7 @@ fn option(input: Input) -> (&'static str, &'static str) {
         Input::CertificateTemperature => ("--certified C", "temperature of the certificate"),
         Input::CircleRepeatability => ("--repeat-u MM", "repeatability of a circular test"),
         Input::Controller => ("--controller NAME", "controller"),
+        Input::ControllerModel => ("--controller-model nominal", "model of the controller"),
         Input::ControllerConfig => ("--config FILE", "$config.dat, or tools and work objects"),
         Input::Dates => ("--dates DATE,..", "dates of the results"),
         Input::Estimated => ("--estimate LIST", "parameters that are estimated"),

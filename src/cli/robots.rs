@@ -1,9 +1,13 @@
 //! `dbbd robots`.
 
+use std::path::{Path, PathBuf};
+
 use serde::Serialize;
 
 use super::{CommandOutcome, CommandOutput};
+use dbbd_job::files;
 use dbbd_job::request;
+use dbbd_job::robot_description::{self, CHECKED_POSES, DescriptionFinding, FactoryTable, ImportedRobot};
 use dbbd_job::robot_files::named_robot;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Tolerance;
@@ -29,6 +33,26 @@ enum RobotsVerb {
         /// Built-in name or robot file.
         #[arg(value_name = "NAME|FILE")]
         name: String,
+    },
+    /// Make a robot file from a URDF, or from the factory calibration of a controller.
+    ///
+    /// A URDF is read as a chain of six rotary joints. The factory calibration of a Universal Robots controller is its file
+    /// calibration.conf, the YAML that the ROS driver extracts, or what the controller itself sends; the robot file then has
+    /// `[controller] model = "calibrated"`, and plans and corrections are computed with this table. Limits, speeds and
+    /// masses are those of --robot or of the URDF; tool ball, tolerance and repeatability are to be added by hand.
+    Import {
+        /// The file, or ur://HOST[:30001].
+        #[arg(value_name = "FILE|URL")]
+        from: String,
+        /// The type of a calibrated robot: a built-in name or a robot file.
+        #[arg(long, value_name = "NAME|FILE")]
+        robot: Option<String>,
+        /// The six joints of a URDF that has several chains, base to flange, with commas.
+        #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+        joints: Vec<String>,
+        /// The robot file to write.
+        #[arg(long, value_name = "ROBOT.toml")]
+        out: PathBuf,
     },
     /// Check a robot file, and report a mistake with its line.
     Check {
@@ -75,6 +99,9 @@ pub(crate) fn run(args: &RobotsArgs, out: &CommandOutput) -> Result<CommandOutco
     match &args.what {
         None | Some(RobotsVerb::List) => list_robots(out),
         Some(RobotsVerb::Show { name }) => show_robot(name, out),
+        Some(RobotsVerb::Import { from, robot, joints, out: path }) => {
+            import_robot(from, robot.as_deref(), joints, path, out)
+        }
         Some(RobotsVerb::Check { name }) => {
             let robot = named(name, out)?;
             out.findings_in(name, request::edited(&robot));
@@ -83,6 +110,56 @@ pub(crate) fn run(args: &RobotsArgs, out: &CommandOutput) -> Result<CommandOutco
             Ok(CommandOutcome::Done)
         }
     }
+}
+
+/// The JSON document of `robots import`.
+#[derive(Serialize)]
+struct ImportDocument<'a> {
+    name: &'a str,
+    out: String,
+    largest_difference_mm: f64,
+    poses: usize,
+}
+
+fn import_robot(
+    from: &str,
+    like: Option<&str>,
+    joints: &[String],
+    path: &Path,
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
+    let like = like.map(|name| named(name, out)).transpose()?;
+    let imported = match from.strip_prefix("ur://") {
+        Some(host) => {
+            let like = like
+                .as_ref()
+                .ok_or(DescriptionFinding::TypeNeeded)
+                .map_err(|why| Diagnostic::file(from, why))?;
+            FactoryTable::ask(host)?.imported(like)
+        }
+        None => {
+            files::keeps(path, [Path::new(from)])?;
+            robot_description::import(from, &files::read_text(Path::new(from))?, like.as_ref(), joints)?
+        }
+    };
+    let ImportedRobot { robot, findings, largest_mm } = imported;
+    out.findings_in(from, findings);
+    let text = robot.to_toml()?;
+    // What is written must be a robot.
+    Robot::from_toml(&path.display().to_string(), &text)?;
+    files::write_file(path, text)?;
+    let (name, poses) = (robot.name.as_str(), CHECKED_POSES);
+    out.document(&ImportDocument {
+        name,
+        out: path.display().to_string(),
+        largest_difference_mm: largest_mm,
+        poses,
+    })?;
+    out.result(format!(
+        "{name}: its flange differs by {largest_mm:.1e} mm at most over {poses} poses; written to {}",
+        path.display()
+    ));
+    Ok(CommandOutcome::Done)
 }
 
 fn list_robots(out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {

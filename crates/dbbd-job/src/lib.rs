@@ -19,6 +19,8 @@ pub mod page;
 
 pub mod robot_files;
 
+pub mod robot_description;
+
 pub mod plan;
 
 pub mod program;

@@ -126,6 +126,7 @@ pub enum Input {
     Controller,
     /// The controller's $config.dat, or a module with tools and work objects.
     ControllerConfig,
+    ControllerModel,
     Dates,
     /// The parameters that are estimated.
     Estimated,

@@ -13,9 +13,11 @@ use nalgebra::Vector3;
 use super::{Frames, Language, Target};
 use crate::program::CompensationFinding;
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::ToolPoint;
+use dbbd_model::measurement::ApproachedPose;
 use dbbd_model::plausibility::Quantity;
 use dbbd_model::robot::inverse::{self, Unsolved};
-use dbbd_model::robot::{AXES, Approach, Geometry, Pose, Robot};
+use dbbd_model::robot::{AXES, Approach, AxisAngles, Geometry, Pose, Robot};
 
 /// Largest change of an axis by a correction, degrees: a larger one shows that a singularity is near.
 const LARGEST_TURN_DEG: f64 = 5.0;
@@ -53,6 +55,8 @@ pub struct Corrected {
     /// The axis angles of the nominal and of the identified robot at the taught target, rad.
     taught: [f64; AXES],
     axes: [f64; AXES],
+    /// The tool at a pose with the sense of approach; `None` for axis angles.
+    tool_point: Option<ToolPoint>,
 }
 
 /// Corrects targets one after the other, in the order in which the robot moves to them.
@@ -108,7 +112,13 @@ impl Corrector {
         if shift_mm > self.limit_mm {
             return Err(CompensationFinding::TooFar { shift_mm, limit_mm: self.limit_mm });
         }
-        Ok(Corrected { numbers, shift_mm, turn_deg: after.angle_to(&before).to_degrees(), taught, axes })
+        let turn_deg = after.angle_to(&before).to_degrees();
+        let pose = ApproachedPose {
+            axes: AxisAngles::from_degrees(taught.map(f64::to_degrees)),
+            approach: self.approach,
+        };
+        let tool_point = commanded.frames.map(|frames| ToolPoint { tool: frames.tool.position, pose });
+        Ok(Corrected { numbers, shift_mm, turn_deg, taught, axes, tool_point })
     }
 
     /// The nominal pose of the flange at a target, and the nominal axis angles there.
@@ -232,6 +242,17 @@ pub struct Moved {
     pub turn_deg: f64,
     /// KUKA's turn bits before and after, if an axis moved through zero.
     pub turn_bits: Option<[u8; 2]>,
+    /// The tool there; `None` if the point is written as axis angles.
+    #[serde(skip)]
+    pub tool_point: Option<ToolPoint>,
+}
+
+impl Moved {
+    /// For a point that is moved to in this line.
+    pub(super) fn new(name: String, line: usize, corrected: &Corrected, turn_bits: Option<[u8; 2]>) -> Self {
+        let Corrected { shift_mm, turn_deg, tool_point, .. } = *corrected;
+        Self { name, line, shift_mm, turn_deg, turn_bits, tool_point }
+    }
 }
 
 /// A finding if most places are so near the origin of their frame that they must be in metres.

@@ -124,6 +124,18 @@ findings! {
             NoLanguage { file: String } => "{file} is in no language that is known by its extension", help: ".src is KRL, .mod RAPID, .script URScript";
             NotKrl { begins: String } => "is not a program in KRL: it begins with `{begins}`";
         }
+        E0917 "the controller corrects with a table that is not known",
+        cause: "Every controller of this make holds a factory calibration of its arm and computes axis angles with it. A correction against the nominal table would be added to the controller's own.",
+        cure: "Import the controller's table with `dbbd robots import`, plan and identify with that robot; or say that the controller has the nominal table.",
+        asks: [ControllerModel] {
+            ControllerUnknown { robot: String } => "{robot}: [controller] model = \"unknown\": with which table the controller computes is not known";
+            ControllerCalibrated => "the robot file has the controller's table: the nominal table cannot be meant as well", help: "leave the option out, or take the file of another robot";
+        }
+        W0918 "a correction does not make the program better",
+        cause: "What the identification leaves unknown is as large as the correction, at the points and with the tool of this program.",
+        cure: "Measure more poses near these points (`dbbd identify` proposes some), then correct the program again." {
+            NoBetter { before_mm: f64, after_mm: f64 } => "the expected error of the tool is {after_mm:.3} mm with the correction and {before_mm:.3} mm without it";
+        }
         W0914 "no point was corrected",
         cause: "The program has no motion to a point in its own .src or .dat.",
         cure: "Name the program that holds the points, with its .dat beside it." {

@@ -10,19 +10,6 @@ findings! {
         cure: "`dbbd recover` writes a capture without its damaged records; export that one." {
             NotJson { record: String, why: String } => "a {record} record is not JSON: {why}";
         }
-        E1720 "a URDF cannot be read",
-        cause: "The file is not XML, or its joints are not those of a six-axis arm: another number of joints, several arms, a sliding joint, a xacro file that was not expanded.",
-        cure: "Expand xacro files (`xacro FILE > robot.urdf`). Name the six joints where the file has several chains.",
-        asks: [UrdfJoints] {
-            NotXml { why: String } => "{why}";
-            NoSixJoints { chains: usize, joints: String } => "{chains} chains of six movable joints; exactly one is needed", help: "movable joints: {joints}";
-            NoUrdf { root: String } => "its root is <{root}>, and that of a URDF is <robot>";
-            NoSuchJoint { joint: String, joints: String } => "there is no movable joint `{joint}`", help: "movable joints: {joints}";
-            OtherOrder { named: String } => "the joints {named} are not a chain in this order", help: "name them from the base to the flange";
-            OtherCount { named: usize } => "{named} joints are named, and an arm has six";
-            OtherJoint { joint: String, kind: String } => "joint `{joint}` is of type `{kind}`, and only turning joints are corrected";
-            NotNumbers { attribute: String } => "`{attribute}` is not three numbers";
-        }
         E1721 "a URDF is of another robot",
         cause: "With all joints at zero an axis of the URDF is not where the nominal robot has it: the file is of another robot, or its joints have another zero or sense than the controller's axes.",
         cure: "Use the URDF of this robot. Change the zero or the sense of a joint in the URDF to that of the controller." {

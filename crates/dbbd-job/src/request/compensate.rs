@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use dbbd_model::base::hash::sha256;
 use dbbd_model::base::text::unreadable;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::estimation::{EstimationFinding, ProgramErrors};
 use dbbd_model::plausibility::Quantity;
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact};
-use dbbd_model::robot::{LoadedRobot, Pose, Robot};
+use dbbd_model::robot::{ControllerModel, LoadedRobot, Pose, Robot};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
@@ -42,6 +42,9 @@ pub struct CompensateRequest {
     pub base_mm_deg: Option<[f64; 6]>,
     /// What the flange carries while the program runs: a payload of the robot file by its name, or `KG,X,Y,Z`.
     pub payload: Option<String>,
+    /// The controller has the nominal model, although its make has another one by default.
+    #[serde(default)]
+    pub nominal_controller: bool,
     /// The program is refused if a commanded point would move by more than this.
     #[serde(default = "default_limit_mm")]
     pub limit_mm: f64,
@@ -60,6 +63,8 @@ pub struct CompensateDocument {
     pub points: Vec<Moved>,
     /// How many points are left as they are.
     pub left: usize,
+    /// The error of the program's own tools at its points; `None` if all points are written as axis angles.
+    pub predicted: Option<ProgramErrors>,
     /// The directory of the corrected program.
     pub out: String,
 }
@@ -80,6 +85,7 @@ impl Serialize for CompensateDocument {
         let document = json!({
             "points": self.points, "mean_shift_mm": mean_mm, "largest_shift_mm": largest_mm,
             "left": self.left, "out": self.out,
+            "predicted_position_uncertainty_mm": self.predicted, "datum": "program",
         });
         document.serialize(serializer)
     }
@@ -108,6 +114,7 @@ impl CompensateRequest {
         if robot.nominal.is_none() {
             return Err(Diagnostic::file(&self.robot, CompensationFinding::NotIdentified));
         }
+        self.check_controller(&robot)?;
         let edited = edited(&robot).filter(|doubt| *doubt == EstimationFinding::PosteriorOfOtherValues);
         session.findings_in(&self.robot, edited);
         let language = program_language(&self.program)?;
@@ -129,12 +136,32 @@ impl CompensateRequest {
         }
         let files = set.finish()?;
         report(&corrected, session);
+        let tool_points: Vec<_> = corrected.moved.iter().filter_map(|moved| moved.tool_point).collect();
+        let predicted = ProgramErrors::of(&robot, &tool_points);
+        if let Some(ProgramErrors { before, after }) = predicted.filter(|errors| !errors.is_better()) {
+            let [before_mm, after_mm] = [before.mean, after.mean];
+            session.finding(CompensationFinding::NoBetter { before_mm, after_mm });
+        }
         let document = CompensateDocument {
+            predicted,
             points: corrected.moved,
             left: corrected.left.len(),
             out: self.out.display().to_string(),
         };
         Ok(RequestResult { outcome: AnswerOutcome::Done, files, document })
+    }
+
+    /// Refuses a controller that corrects with a table of its own which is not known: the nominal robot is not what it drives.
+    fn check_controller(&self, robot: &Robot) -> Result<(), Diagnostic> {
+        let wrong = match (robot.controller_model, self.nominal_controller) {
+            (ControllerModel::Unknown, false) => {
+                CompensationFinding::ControllerUnknown { robot: robot.name.clone() }
+            }
+            (ControllerModel::Calibrated, true) => CompensationFinding::ControllerCalibrated,
+            (ControllerModel::Unknown | ControllerModel::Nominal, true)
+            | (ControllerModel::Nominal | ControllerModel::Calibrated, false) => return Ok(()),
+        };
+        Err(Diagnostic::file(&self.robot, wrong))
     }
 
     /// The stated frame of the tool in the flange frame.

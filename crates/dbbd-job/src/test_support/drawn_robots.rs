@@ -117,7 +117,7 @@ pub(crate) struct Judged {
 pub(crate) fn judged(truth: &Robot, found: &Robot, senses: Senses, seed: u64) -> Judged {
     let kept = poses(truth, KEPT, seed).into_iter().map(|(pose, place)| (senses.seen(pose), place));
     let (kept, places): (Vec<ApproachedPose>, Vec<Vector3<f64>>) = kept.unzip();
-    let positions = Positions::new(&found.geometry, &found.known_uncertainty(), &kept, &[]);
+    let positions = Positions::new(&found.geometry, &found.known_uncertainty(), &kept);
     let errors = without_rigid_motion(&positions.balls, &places);
     let mut judged = Judged { mean: 0.0, predicted: 0.0, covered: 0.0 };
     for (at, error) in errors.iter().enumerate() {

@@ -46,6 +46,7 @@ mod shifted_rows;
 mod solver;
 mod start;
 mod system;
+mod tool_points;
 mod unknowns;
 mod validation;
 pub mod wording;
@@ -72,6 +73,7 @@ pub use prediction::PositionParts;
 pub use priors::{Prior, Priors, largest_plausible, length_sd_mm};
 pub use result::{CalibrationResult, CompletedCalibration};
 pub use selection::{is_place, without_open_places};
+pub use tool_points::{PointErrors, ProgramErrors, ToolPoint};
 pub use workspace::{ErrorSummary, Workspace, left_out_mm};
 
 #[cfg(test)]

@@ -42,24 +42,16 @@ struct JointDisplacement {
 impl Positions {
     /// Of a robot at `poses`, by what is not known of it.
     pub fn of(robot: &Robot, poses: &[ApproachedPose]) -> Self {
-        /// Poses of the workspace that align few poses, and their seed.
-        const WORKSPACE_POSES: usize = 300;
-        const SEED: u64 = 1;
-        let workspace = Workspace::uniform(robot.controller(), WORKSPACE_POSES, SEED);
-        Self::new(&robot.geometry, &robot.known_uncertainty(), poses, &workspace)
+        let mut positions =
+            Self::new(&robot.geometry, &robot.known_uncertainty(), &datum_poses(robot, poses));
+        positions.balls.truncate(poses.len());
+        positions
     }
 
-    /// Of a robot at `poses`, aligned over these; over `workspace` too where they are few.
-    pub fn new(
-        geometry: &Geometry,
-        unknown: &RobotUncertainty,
-        poses: &[ApproachedPose],
-        workspace: &[[f64; AXES]],
-    ) -> Self {
-        let more: &[[f64; AXES]] = if poses.len() < MIN_POSES { workspace } else { &[] };
-        let given = poses.iter().map(|pose| (pose.axes.radians(), pose.approach));
+    /// Of a robot at `poses`, aligned over these.
+    pub fn new(geometry: &Geometry, unknown: &RobotUncertainty, poses: &[ApproachedPose]) -> Self {
         let all: Vec<([f64; AXES], Approach)> =
-            given.chain(more.iter().map(|axes| (*axes, Approach::default()))).collect();
+            poses.iter().map(|pose| (pose.axes.radians(), pose.approach)).collect();
         let motion = BallMotion::new(geometry, &all, &unknown.parameters);
         let remaining = RemainingErrors::new(geometry, unknown);
         let joints = all.iter().zip(&motion.by_joint).map(|((axes, approach), by_joint)| {
@@ -68,10 +60,9 @@ impl Positions {
         });
         let joints = joints.collect();
         let by_payload = by_payload(geometry, &all, &motion.balls);
-        let BallMotion { jacobian, mut balls, .. } = motion;
+        let BallMotion { jacobian, balls, .. } = motion;
         let mut moved = beside(jacobian * &unknown.root, &by_payload);
         take_out_rigid_motion(&mut moved, &balls);
-        balls.truncate(poses.len());
         Self { balls, moved, joints, pose_mm: unknown.pose_mm }
     }
 
@@ -108,6 +99,15 @@ impl Positions {
         }
         drawn
     }
+}
+
+/// The poses by which a robot at `poses` is aligned: these, and where they are few, poses of the workspace after them.
+pub(super) fn datum_poses(robot: &Robot, poses: &[ApproachedPose]) -> Vec<ApproachedPose> {
+    const WORKSPACE_POSES: usize = 300;
+    const SEED: u64 = 1;
+    let more = if poses.len() < MIN_POSES { WORKSPACE_POSES } else { 0 };
+    let workspace = Workspace::uniform(robot.controller(), more, SEED);
+    poses.iter().copied().chain(workspace.iter().map(ApproachedPose::unapproached)).collect()
 }
 
 /// How a tool frame is turned at poses, with what is not known of it.

@@ -49,7 +49,7 @@ impl Prediction {
     pub(super) fn of(setting: &Setting<'_>, estimate: &Estimate, lengths: &Lengths) -> Self {
         let model = &estimate.fit.model;
         let axes = setting.options.workspace_poses(setting.robot);
-        let poses: Vec<ApproachedPose> = axes.iter().map(unapproached).collect();
+        let poses: Vec<ApproachedPose> = axes.iter().map(ApproachedPose::unapproached).collect();
         let some = |poses: &[ApproachedPose]| -> Vec<ApproachedPose> {
             poses.iter().step_by(poses.len().div_ceil(COMPRESSING).max(1)).copied().collect()
         };
@@ -61,7 +61,7 @@ impl Prediction {
             Some(left_out) => (&left_out.whole, &left_out.uncertainty),
             None => (&model.geometry, &own),
         };
-        let positions = Positions::new(whole, unknown, &poses, &[]);
+        let positions = Positions::new(whole, unknown, &poses);
         let mut moved = positions.draws(unexplained_mm(setting, estimate, lengths));
         if let Some(left_out) = &estimate.left_out {
             let poses: Vec<_> = axes.iter().map(|axes| (*axes, Approach::default())).collect();
@@ -92,7 +92,7 @@ impl Prediction {
 fn nominal(setting: &Setting<'_>, poses: &[ApproachedPose]) -> (ErrorSummary, ErrorSummary) {
     let geometry = &setting.start.geometry;
     let of = |geometry: &Geometry, unknown: &RobotUncertainty| {
-        ErrorSummary::of(&Positions::new(geometry, unknown, poses, &[]).draws(0.0))
+        ErrorSummary::of(&Positions::new(geometry, unknown, poses).draws(0.0))
     };
     let ids = setting.all_and(0.into(), &[]);
     let ids: Vec<ParamId> = ids.into_iter().filter(|id| id.is_geometric()).collect();
@@ -188,13 +188,6 @@ fn measured_pose(reading: &PreparedMeasurement) -> ApproachedPose {
     }
 }
 
-fn unapproached(axes: &[f64; AXES]) -> ApproachedPose {
-    ApproachedPose {
-        axes: AxisAngles::from_degrees(axes.map(f64::to_degrees)),
-        approach: Approach::default(),
-    }
-}
-
 /// What the lengths scatter beyond what is given of them and of the robot's repeatability, mm: it is of the robot, such
 /// as backlash where the sense of approach is not known.
 fn unexplained_mm(setting: &Setting<'_>, estimate: &Estimate, lengths: &Lengths) -> f64 {
@@ -220,7 +213,7 @@ mod tests {
         let (ids, root) = ([ParamId::A(Joint::J2)], DMatrix::from_element(1, 1, 0.0));
         let poses: Vec<ApproachedPose> = [[0.3, -1.0, 1.2, 0.4, 0.5, 0.1], [-0.6, -1.4, 0.9, -0.2, 0.8, 0.3]]
             .iter()
-            .map(unapproached)
+            .map(ApproachedPose::unapproached)
             .collect();
         let unknown = with_usual_joint_errors(&ids, &root, true);
         let geometry = kr60().geometry.rigid();

@@ -419,6 +419,14 @@ pub struct ApproachedPose {
     pub approach: Approach,
 }
 
+impl ApproachedPose {
+    /// At axis angles (rad), with an unknown sense of approach.
+    pub(crate) fn unapproached(axes: &[f64; AXES]) -> Self {
+        let axes = AxisAngles::from_degrees(axes.map(f64::to_degrees));
+        Self { axes, approach: Approach::default() }
+    }
+}
+
 /// The column with the names of payloads, if present, and the names that were read.
 pub(super) struct PayloadColumn {
     pub(super) at: Option<usize>,

@@ -1,14 +1,15 @@
 //! A robot: geometry, limits, speeds, tolerance, and the posterior of its identification.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::controller::ControllerModel;
 use super::kinematics::Geometry;
+use super::load::ArmLoad;
 use super::parameter::all_parameters;
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
-use super::{AXES, Joint, ParamId, PriorRule};
+use super::{AXES, Coupling, DhRow, Joint, JointErrors, ParamId, PriorRule};
 use crate::base::serialised::Seal;
 use crate::diagnostic::Names;
 use crate::diagnostic::{Diagnostic, nearest};
@@ -133,11 +134,59 @@ const LANGUAGES: [(&str, &str); 9] = [
     ("Motoman", "inform"),
 ];
 
+/// A tool ball is mounted to tenths of a millimetre.
+pub(super) const USUAL_BALL_U_MM: f64 = 0.5;
+
 /// Repeatability by ISO 9283 is the mean distance plus three standard deviations of the distance. For an isotropic normal
 /// error with the standard deviation s of each coordinate that is (1.596 + 3 * 0.673) s.
 const REPEATABILITY: f64 = 3.616;
 
 impl Robot {
+    /// A robot whose table is not set yet, with limits (degrees) and speeds (degrees/s), the usual tolerance, and its ball at the
+    /// flange.
+    pub fn rigid(name: &str, limits_deg: [[f64; 2]; AXES], max_speed_deg_s: [f64; AXES]) -> Self {
+        let rows = [DhRow { sign: 1.0, ..DhRow::default() }; AXES];
+        Self {
+            name: name.to_owned(),
+            serial: None,
+            controller_serial: None,
+            language: None,
+            controller_model: ControllerModel::Nominal,
+            geometry: Geometry {
+                rows,
+                coupling: Coupling::default(),
+                tool: Vector3::zeros(),
+                load: ArmLoad::usual(&rows),
+                compliance: [0.0; AXES],
+                payload_compliance: [0.0; AXES],
+                gear: [[0.0; 2]; AXES],
+                joint_errors: JointErrors::default(),
+            },
+            limits_deg,
+            coupled_limits_deg: [None; AXES],
+            max_speed_deg_s,
+            max_acceleration_deg_s2: [None; AXES],
+            tolerance: Tolerance::default(),
+            ball_u_mm: USUAL_BALL_U_MM,
+            repeatability_mm: None,
+            nominal: None,
+            posterior: None,
+            uncertainty: None,
+            source: None,
+            provenance: Provenance::default(),
+            doubts: Vec::new(),
+        }
+    }
+
+    /// Replaces the table; the masses of a usual arm follow from it.
+    pub fn set_rows(&mut self, rows: [DhRow; AXES]) {
+        if self.geometry.load.is_assumed {
+            let ArmLoad { masses, .. } = ArmLoad::usual(&rows);
+            self.geometry.load.masses = masses;
+        }
+        self.geometry.rows = rows;
+    }
+
     pub fn built_in() -> &'static [(&'static str, &'static str)] {
         BUILT_IN
     }

@@ -8,6 +8,7 @@ use serde::de::{MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::controller::{ControllerModel, ControllerTable};
+use super::definition::USUAL_BALL_U_MM;
 use super::joint_table::{JointTable, coupling, is_zero};
 use super::kinematics::Geometry;
 use super::load::{ArmLoad, Mass, Payload};
@@ -69,9 +70,8 @@ impl Default for RobotToolTable {
     }
 }
 
-/// A tool ball is mounted to tenths of a millimetre.
 fn usual_ball_u_mm() -> f64 {
-    0.5
+    USUAL_BALL_U_MM
 }
 
 #[derive(Clone, Serialize, Deserialize)]

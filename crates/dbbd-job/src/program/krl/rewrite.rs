@@ -41,10 +41,9 @@ pub fn compensate(
             _ => (files.source, &mut source_edits),
         };
         let rewritten = rewrite(corrector, point, text, edits);
-        let (Corrected { shift_mm, turn_deg, .. }, turn_bits) =
-            rewritten.map_err(|why| text.wrong(&point.span, why))?;
+        let (corrected, turn_bits) = rewritten.map_err(|why| text.wrong(&point.span, why))?;
         let line = files.source.line(point.first_use.start);
-        Ok(Moved { name: point.name.clone(), line, shift_mm, turn_deg, turn_bits })
+        Ok(Moved::new(point.name.clone(), line, &corrected, turn_bits))
     })?;
     let source = rewritten(files.source.text, source_edits);
     let data = files.data.map(|data| rewritten(data.text, data_edits));

@@ -158,10 +158,9 @@ impl Points {
             let commanded = Commanded { target: &point.target, frames, branch: point.branch };
             let corrected = corrector.correct(commanded).map_err(wrong)?;
             edits.extend((self.write)(corrector, point, &corrected, file).map_err(wrong)?);
-            let Corrected { shift_mm, turn_deg, .. } = corrected;
             let name = point.value.name.clone().unwrap_or_else(|| "inline".into());
             let line = file.line(point.first_use.start);
-            Ok(Moved { name, line, shift_mm, turn_deg, turn_bits: None })
+            Ok(Moved::new(name, line, &corrected, None))
         })?;
         Ok((rewritten(file.text, edits), moved))
     }

@@ -8,13 +8,12 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use roxmltree::{Document, Node};
+use roxmltree::Node;
 use serde::Serialize;
 
 use super::urdf::origin_tag;
-use crate::report::ReportFinding::{
-    self, NoSixJoints, NoSuchJoint, NoUrdf, NotNumbers, NotXml, OtherCount, OtherJoint, OtherOrder, OtherUrdf,
-};
+use crate::report::ReportFinding::OtherUrdf;
+use crate::robot_description::urdf::{self, UrdfJoint, UrdfReader};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::DhRow;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
@@ -42,23 +41,10 @@ pub struct PatchedJoint {
     pub turned_deg: f64,
 }
 
-struct UrdfJoint<'a> {
-    node: Node<'a, 'a>,
-    name: &'a str,
-    /// The fixed joints between the movable joint before and this one.
-    fixed_before: Pose,
-    origin: Pose,
-    /// Unit vector in the joint's frame.
-    axis: Vector3<f64>,
-}
-
 /// Puts the identified geometry of `robot` into a URDF; `names` are its six joints, in order, where the file has more.
 pub fn patch(file: &str, text: &str, robot: &Robot, names: &[String]) -> Result<PatchedUrdf, Diagnostic> {
-    let document = Document::parse(text).map_err(|error| {
-        let at = error.pos();
-        Diagnostic::position(file, text, at.row as usize, at.col as usize, NotXml { why: error.to_string() })
-    })?;
-    let joints = Reader { file, text, document: &document }.six(names)?;
+    let document = urdf::parse(file, text)?;
+    let joints = UrdfReader { file, text, document: &document }.six(names)?;
     let nominal = frames(&robot.controller().geometry);
     let signs = robot.geometry.rows.map(|row| row.sign);
     let links = Placement { nominal: &nominal, signs, joints: &joints };
@@ -95,7 +81,7 @@ fn rewritten(text: &str, changes: &[(Node<'_, '_>, Pose)]) -> String {
         .iter()
         .map(|(joint, origin)| {
             let tag = origin_tag(&origin.position, &origin.rotation);
-            match child(*joint, "origin") {
+            match urdf::child(*joint, "origin") {
                 Some(old) => (old.range(), tag),
                 // Before the first child; a joint always has children, its links.
                 None => {
@@ -208,136 +194,6 @@ impl Placement<'_> {
             Rotation3::rotation_between(&axis, &z).map_or_else(Matrix3::identity, Rotation3::into_inner);
         Pose { rotation: turn * apart.rotation, position: Vector3::z() * apart.position.z }
     }
-}
-
-struct Reader<'a> {
-    file: &'a str,
-    text: &'a str,
-    document: &'a Document<'a>,
-}
-
-impl<'a> Reader<'a> {
-    fn refused(&self, node: Node<'_, '_>, finding: ReportFinding) -> Diagnostic {
-        let at = self.document.text_pos_at(node.range().start);
-        Diagnostic::position(self.file, self.text, at.row as usize, at.col as usize, finding)
-    }
-
-    fn joints(&self) -> impl Iterator<Item = Node<'a, 'a>> {
-        self.document.root_element().children().filter(|node| node.has_tag_name("joint"))
-    }
-
-    /// The joints from the root to this one.
-    fn path(&self, joint: Node<'a, 'a>) -> Vec<Node<'a, 'a>> {
-        let mut path = vec![joint];
-        // A joint that is on the path already ends it: the links form a loop.
-        while let Some(parent) = link(path[path.len() - 1], "parent")
-            && let Some(before) = self.joints().find(|joint| link(*joint, "child") == Some(parent))
-            && !path.contains(&before)
-        {
-            path.push(before);
-        }
-        path.reverse();
-        path
-    }
-
-    /// The six joints of the arm: those with these names, or the first six of every chain.
-    fn six(&self, names: &[String]) -> Result<Vec<UrdfJoint<'a>>, Diagnostic> {
-        let root = self.document.root_element();
-        if !root.has_tag_name("robot") {
-            return Err(self.refused(root, NoUrdf { root: root.tag_name().name().into() }));
-        }
-        if !names.is_empty() && names.len() != AXES {
-            return Err(self.refused(root, OtherCount { named: names.len() }));
-        }
-        let is_arm = |path: &Vec<Node<'_, '_>>| {
-            let found = path.iter().copied().filter(|joint| movable(*joint)).map(name);
-            if names.is_empty() { found.count() == AXES } else { found.eq(names.iter().map(String::as_str)) }
-        };
-        let joints = self.joints().filter(|joint| movable(*joint));
-        let mut chains: Vec<Vec<_>> = joints.map(|joint| self.path(joint)).filter(is_arm).collect();
-        let finding = self.no_chain(names, chains.len());
-        let chain = chains.pop().filter(|_| chains.is_empty()).ok_or_else(|| self.refused(root, finding))?;
-        let mut six = Vec::new();
-        let mut fixed_before = Pose::identity();
-        for node in chain {
-            let origin = self.origin(node)?;
-            if !movable(node) {
-                fixed_before = fixed_before.then(&origin);
-                continue;
-            }
-            if !matches!(kind(node), "revolute" | "continuous") {
-                return Err(
-                    self.refused(node, OtherJoint { joint: name(node).into(), kind: kind(node).into() })
-                );
-            }
-            let axis = match child(node, "axis") {
-                Some(axis) => self.numbers(axis, "xyz")?,
-                None => Vector3::x(),
-            };
-            let axis = axis.try_normalize(1e-9).ok_or_else(|| self.refused(node, not_numbers("axis")))?;
-            six.push(UrdfJoint { node, name: name(node), fixed_before, origin, axis });
-            fixed_before = Pose::identity();
-        }
-        Ok(six)
-    }
-
-    /// Why there is not one chain.
-    fn no_chain(&self, names: &[String], chains: usize) -> ReportFinding {
-        let found: Vec<&str> = self.joints().filter(|joint| movable(*joint)).map(name).collect();
-        let joints = found.join(", ");
-        match names.iter().find(|name| !found.contains(&name.as_str())) {
-            Some(joint) => NoSuchJoint { joint: joint.clone(), joints },
-            None if names.is_empty() => NoSixJoints { chains, joints },
-            None => OtherOrder { named: names.join(", ") },
-        }
-    }
-
-    /// The origin of a joint, mm.
-    fn origin(&self, joint: Node<'_, '_>) -> Result<Pose, Diagnostic> {
-        let Some(origin) = child(joint, "origin") else { return Ok(Pose::identity()) };
-        let rpy = self.numbers(origin, "rpy")?;
-        Ok(Pose {
-            rotation: rot_z(rpy.z) * rot_y(rpy.y) * rot_x(rpy.x),
-            position: self.numbers(origin, "xyz")? * 1e3,
-        })
-    }
-
-    /// The three numbers of an attribute; zeros if it is absent.
-    fn numbers(&self, node: Node<'_, '_>, attribute: &str) -> Result<Vector3<f64>, Diagnostic> {
-        let Some(text) = node.attribute(attribute) else { return Ok(Vector3::zeros()) };
-        let numbers: Option<Vec<f64>> = text
-            .split_ascii_whitespace()
-            .map(|word| word.parse().ok().filter(|x: &f64| x.is_finite()))
-            .collect();
-        match numbers.as_deref() {
-            Some([x, y, z]) => Ok(Vector3::new(*x, *y, *z)),
-            _ => Err(self.refused(node, not_numbers(attribute))),
-        }
-    }
-}
-
-fn not_numbers(attribute: &str) -> ReportFinding {
-    NotNumbers { attribute: attribute.into() }
-}
-
-fn child<'a>(node: Node<'a, 'a>, tag: &str) -> Option<Node<'a, 'a>> {
-    node.children().find(|child| child.has_tag_name(tag))
-}
-
-fn link<'a>(joint: Node<'a, 'a>, end: &str) -> Option<&'a str> {
-    child(joint, end)?.attribute("link")
-}
-
-fn name<'a>(joint: Node<'a, '_>) -> &'a str {
-    joint.attribute("name").unwrap_or_default()
-}
-
-fn kind<'a>(joint: Node<'a, '_>) -> &'a str {
-    joint.attribute("type").unwrap_or_default()
-}
-
-fn movable(joint: Node<'_, '_>) -> bool {
-    kind(joint) != "fixed"
 }
 
 /// What a rigid model such as a URDF leaves out of a robot: the displacement of its tool ball by gear errors, compliance and

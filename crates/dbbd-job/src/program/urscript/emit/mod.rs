@@ -18,7 +18,7 @@ use crate::program::emission::{
 use crate::program::sequence::{Timed, modules};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::pose::rotation_vector;
-use dbbd_model::robot::{Pose, Robot};
+use dbbd_model::robot::{ControllerModel, Pose, Robot};
 
 const TEMPLATES: [(&str, &str); 1] = [("program.script", include_str!("program.script"))];
 /// Number of standard outputs, which are numbered from 0.
@@ -50,6 +50,8 @@ pub fn emit(plan: &Plan, sync: Sync) -> Result<Written, Diagnostic> {
     let plan = context! {
         tool => metres(&tool),
         payload => payload,
+        // A controller with a table of its own is elsewhere at a Cartesian target: a short joint motion ends at the planned axes.
+        to_axes => controller.controller_model == ControllerModel::Unknown,
         acceleration_mm_s2 => ACCELERATION_MM_S2,
         ..plan_variables(plan, Language::Urscript, sync)?
     };

@@ -1,0 +1,343 @@
+//! The factory calibration of a Universal Robots controller: its file `calibration.conf`, the YAML of the ROS driver, or what its
+//! primary interface sends.
+
+use std::io::{self, Read};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
+use dbbd_model::robot::{AXES, ControllerModel, JointAxis, Pose, Robot};
+use nalgebra::Vector3;
+use saphyr::{LoadableYamlNode, Yaml};
+
+use super::{ArmLines, DescriptionFinding, ImportedRobot};
+
+/// The segments of the YAML, base to flange.
+const SEGMENTS: [&str; AXES] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
+const COORDINATES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
+/// The port of the primary interface.
+const PRIMARY_PORT: u16 = 30001;
+/// A controller sends its kinematics when a client connects.
+const WAIT_S: u64 = 5;
+/// A message of the primary interface with the state of the robot, and its part with the kinematics.
+const ROBOT_STATE: u8 = 16;
+const KINEMATICS: u8 = 5;
+/// Longer messages are not of this interface.
+const MAX_MESSAGE: usize = 1 << 16;
+
+/// What a controller computes with.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FactoryTable {
+    /// Standard DH, `Rz(theta) Tz(d) Tx(a) Rx(alpha)`, mm and rad: differences from the nominal table.
+    Differences(StandardTable),
+    /// The same, whole.
+    Whole(StandardTable),
+    /// The place of each segment in the one before, where its joint is at zero.
+    Segments([Pose; AXES]),
+}
+
+/// The columns of a table in standard DH, base to flange; mm and rad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StandardTable {
+    pub theta: [f64; AXES],
+    pub a: [f64; AXES],
+    pub d: [f64; AXES],
+    pub alpha: [f64; AXES],
+}
+
+impl StandardTable {
+    /// Of a table in modified DH, whose rows have the a and alpha of the link before; the last link has none.
+    fn of(robot: &Robot) -> Self {
+        let rows = &robot.geometry.rows;
+        let next = |at: usize| rows.get(at + 1);
+        Self {
+            theta: rows.map(|row| row.theta),
+            a: std::array::from_fn(|at| next(at).map_or(0.0, |row| row.a)),
+            d: rows.map(|row| row.d),
+            alpha: std::array::from_fn(|at| next(at).map_or(0.0, |row| row.alpha)),
+        }
+    }
+
+    fn plus(&self, other: &Self) -> Self {
+        let sum = |a: &[f64; AXES], b: &[f64; AXES]| std::array::from_fn(|at| a[at] + b[at]);
+        Self {
+            theta: sum(&self.theta, &other.theta),
+            a: sum(&self.a, &other.a),
+            d: sum(&self.d, &other.d),
+            alpha: sum(&self.alpha, &other.alpha),
+        }
+    }
+
+    /// The fixed part of each link after its joint.
+    fn links(&self) -> [Pose; AXES] {
+        std::array::from_fn(|at| {
+            let turned = rot_z(self.theta[at]);
+            Pose {
+                rotation: turned * rot_x(self.alpha[at]),
+                position: turned * Vector3::new(self.a[at], 0.0, self.d[at]),
+            }
+        })
+    }
+}
+
+impl FactoryTable {
+    /// From the text of a `calibration.conf`, or of a YAML with `kinematics`.
+    pub fn read(text: &str) -> Result<Self, DescriptionFinding> {
+        if text.contains("delta_theta") {
+            let numbers = |key: &str| six_numbers(text, key);
+            let metres = |key: &str| numbers(key).map(|values| values.map(|metres| 1e3 * metres));
+            return Ok(Self::Differences(StandardTable {
+                theta: numbers("delta_theta")?,
+                a: metres("delta_a")?,
+                d: metres("delta_d")?,
+                alpha: numbers("delta_alpha")?,
+            }));
+        }
+        let documents = Yaml::load_from_str(text).unwrap_or_default();
+        let kinematics = documents.first().and_then(|document| document.as_mapping_get("kinematics"));
+        let kinematics = kinematics.ok_or(DescriptionFinding::NotKnown)?;
+        let mut segments = [Pose::identity(); AXES];
+        for (segment, name) in segments.iter_mut().zip(SEGMENTS) {
+            let number = |coordinate: &str| {
+                let value = kinematics.as_mapping_get(name)?.as_mapping_get(coordinate)?;
+                value.as_floating_point().or_else(|| value.as_integer().map(|integer| integer as f64))
+            };
+            let numbers: Option<Vec<f64>> = COORDINATES.iter().map(|coordinate| number(coordinate)).collect();
+            let Some(&[x, y, z, roll, pitch, yaw]) = numbers.as_deref() else {
+                return Err(DescriptionFinding::Segment { segment: name.into() });
+            };
+            *segment = Pose {
+                rotation: rot_z(yaw) * rot_y(pitch) * rot_x(roll),
+                position: Vector3::new(x, y, z) * 1e3,
+            };
+        }
+        Ok(Self::Segments(segments))
+    }
+
+    /// What the controller at `host` (with a port, or without) sends.
+    pub fn ask(host: &str) -> Result<Self, DescriptionFinding> {
+        let address = if host.contains(':') { host.to_owned() } else { format!("{host}:{PRIMARY_PORT}") };
+        let unreachable = |error: io::Error| DescriptionFinding::Unreachable {
+            address: address.clone(),
+            why: error.to_string(),
+        };
+        let mut stream = TcpStream::connect(&address).map_err(unreachable)?;
+        stream.set_read_timeout(Some(Duration::from_secs(WAIT_S))).map_err(unreachable)?;
+        let begun = Instant::now();
+        let none = || DescriptionFinding::NoKinematics { address: address.clone(), wait_s: WAIT_S };
+        while begun.elapsed() < Duration::from_secs(WAIT_S) {
+            let message = message(&mut stream).map_err(|error| match error.kind() {
+                io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::UnexpectedEof => none(),
+                _ => unreachable(error),
+            })?;
+            if let Some(table) = kinematics(&message) {
+                return Ok(Self::Whole(table));
+            }
+        }
+        Err(none())
+    }
+
+    /// The robot of this type with the controller's table.
+    pub fn imported(&self, like: &Robot) -> ImportedRobot {
+        let mut robot = Robot { controller_model: ControllerModel::Calibrated, ..like.clone() };
+        robot.source = Some("Geometry: the factory calibration of the controller.".into());
+        let lines = match self {
+            Self::Differences(table) => lines_after(&StandardTable::of(like).plus(table).links()),
+            Self::Whole(table) => lines_after(&table.links()),
+            Self::Segments(segments) => lines_before(segments),
+        };
+        lines.imported(robot)
+    }
+}
+
+/// The lines of joints whose links follow them.
+fn lines_after(links: &[Pose; AXES]) -> ArmLines {
+    let mut frame = Pose::identity();
+    let axes = links.map(|link| {
+        let axis = JointAxis { point: frame.position, direction: frame.rotation.column(2).into() };
+        frame = frame.then(&link);
+        axis
+    });
+    ArmLines { axes, flange: frame }
+}
+
+/// The lines of joints that follow their segments.
+fn lines_before(segments: &[Pose; AXES]) -> ArmLines {
+    let mut frame = Pose::identity();
+    let axes = segments.map(|segment| {
+        frame = frame.then(&segment);
+        JointAxis { point: frame.position, direction: frame.rotation.column(2).into() }
+    });
+    ArmLines { axes, flange: frame }
+}
+
+/// The six numbers of `key = [..]`.
+fn six_numbers(text: &str, key: &str) -> Result<[f64; AXES], DescriptionFinding> {
+    let value = text.lines().find_map(|line| line.trim().strip_prefix(key)?.trim_start().strip_prefix('='));
+    let numbers = value.and_then(|value| {
+        let list = value.trim().trim_start_matches('[').split(']').next()?;
+        let numbers = list.split(',').map(|number| finite(number.trim()));
+        numbers.collect::<Option<Vec<f64>>>()?.try_into().ok()
+    });
+    numbers.ok_or_else(|| DescriptionFinding::SixNumbers { key: key.into() })
+}
+
+/// The messages of the primary interface: a length of 4 bytes with itself, a type, and the rest (big endian).
+fn message(stream: &mut impl Read) -> io::Result<Vec<u8>> {
+    let mut length = [0; 4];
+    stream.read_exact(&mut length)?;
+    let length = u32::from_be_bytes(length) as usize;
+    if !(5..=MAX_MESSAGE).contains(&length) {
+        return Err(io::Error::new(io::ErrorKind::InvalidData, "this is not the primary interface"));
+    }
+    let mut message = vec![0; length - 4];
+    stream.read_exact(&mut message)?;
+    Ok(message)
+}
+
+/// The table in a message with the state of the robot: its parts have a length of 4 bytes with itself, and a type. In that of the
+/// kinematics are six checksums of 4 bytes, then theta, a, d and alpha of all joints as 8-byte numbers, in m and rad, whole.
+fn kinematics(message: &[u8]) -> Option<StandardTable> {
+    let (&ROBOT_STATE, mut parts) = message.split_first()? else { return None };
+    loop {
+        let (length, _) = parts.split_first_chunk::<4>()?;
+        let length = u32::from_be_bytes(*length) as usize;
+        let part = parts.get(4..length)?;
+        match part.split_first() {
+            Some((&KINEMATICS, part)) => return standard_table(part.get(4 * AXES..)?),
+            _ => parts = &parts[length..],
+        }
+    }
+}
+
+/// Four columns of six numbers.
+fn standard_table(bytes: &[u8]) -> Option<StandardTable> {
+    let (numbers, _) = bytes.as_chunks::<8>();
+    let mut numbers = numbers.iter().map(|bytes| f64::from_be_bytes(*bytes));
+    let mut column = |unit: f64| {
+        let column: Vec<f64> = numbers.by_ref().take(AXES).map(|value| unit * value).collect();
+        <[f64; AXES]>::try_from(column).ok().filter(|column| column.iter().all(|value| value.is_finite()))
+    };
+    Some(StandardTable { theta: column(1.0)?, a: column(1e3)?, d: column(1e3)?, alpha: column(1.0)? })
+}
+
+fn finite(text: &str) -> Option<f64> {
+    text.parse().ok().filter(|value: &f64| value.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dbbd_model::estimation::Workspace;
+
+    fn robot() -> Robot {
+        Robot::by_name("ur10").unwrap().unwrap()
+    }
+
+    /// Differences as a controller has them: parallel axes 2 and 3 with offsets that cancel each other.
+    const CONF: &str = "[mounting]\n\
+        calibration_status = 2\n\
+        delta_theta = [ 1.2e-05, -0.31, 0.33, -0.02, 3.2e-06, -5.0e-06 ]\n\
+        delta_a = [ 4.1e-05, -0.0021, -0.0034, 3.8e-05, -1.9e-05, 0 ]\n\
+        delta_d = [ 9.9e-05, 121.7, -128.2, 6.5, 1.1e-05, -2.0e-05 ]\n\
+        delta_alpha = [ -2.0e-04, 1.9e-04, -3.1e-03, 6.2e-04, -1.8e-04, 0 ]\n";
+
+    /// Standard DH multiplied out, apart from the conversion: T = Rz(theta + q) Tz(d) Tx(a) Rx(alpha).
+    fn flange(table: &StandardTable, angles: &[f64; AXES]) -> Pose {
+        let mut frame = Pose::identity();
+        for at in 0..AXES {
+            let turn = Pose { rotation: rot_z(table.theta[at] + angles[at]), position: Vector3::zeros() };
+            let up = Pose {
+                position: Vector3::new(table.a[at], 0.0, table.d[at]),
+                rotation: rot_x(table.alpha[at]),
+            };
+            frame = frame.then(&turn).then(&up);
+        }
+        frame
+    }
+
+    fn assert_same(imported: &ImportedRobot, expected: impl Fn(&[f64; AXES]) -> Pose) {
+        assert!(imported.findings.is_empty(), "{:?}", imported.findings);
+        assert!(imported.largest_mm < 1e-6, "{}", imported.largest_mm);
+        for axes in Workspace::uniform(&imported.robot, 50, 3) {
+            let found = imported.robot.geometry.flange(&axes);
+            let expected = expected(&axes);
+            assert!((found.position - expected.position).norm() < 1e-6, "{axes:?}");
+            assert!(found.angle_to(&expected) < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_calibration_conf_is_added_to_the_nominal_table() {
+        let table = FactoryTable::read(CONF).unwrap();
+        let FactoryTable::Differences(differences) = table else { panic!("{table:?}") };
+        assert_eq!((differences.d[1], differences.a[1]), (121_700.0, -2.1));
+        let whole = StandardTable::of(&robot()).plus(&differences);
+        let imported = table.imported(&robot());
+        assert_same(&imported, |axes| flange(&whole, axes));
+        assert_eq!(imported.robot.controller_model, ControllerModel::Calibrated);
+        assert!(imported.robot.geometry.rows.iter().all(|row| row.d.abs() < 1000.0));
+        // Without differences it is the nominal robot.
+        let zero = StandardTable { theta: [0.0; AXES], a: [0.0; AXES], d: [0.0; AXES], alpha: [0.0; AXES] };
+        let same = FactoryTable::Differences(zero).imported(&robot());
+        let nominal = robot().geometry.rows;
+        for (row, nominal) in same.robot.geometry.rows.iter().zip(nominal) {
+            assert!((row.a - nominal.a).abs() < 1e-9 && (row.d - nominal.d).abs() < 1e-9, "{row:?}");
+            assert!((row.alpha - nominal.alpha).abs() < 1e-12 && (row.theta - nominal.theta).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn what_is_missing_in_a_conf_is_named() {
+        let short = CONF.replace("delta_a = [ 4.1e-05,", "delta_a = [");
+        assert_eq!(FactoryTable::read(&short), Err(DescriptionFinding::SixNumbers { key: "delta_a".into() }));
+        let none = CONF.replace("delta_alpha", "alpha");
+        assert_eq!(
+            FactoryTable::read(&none),
+            Err(DescriptionFinding::SixNumbers { key: "delta_alpha".into() })
+        );
+        assert_eq!(FactoryTable::read("robot = 3"), Err(DescriptionFinding::NotKnown));
+    }
+
+    /// The segments of the nominal UR10: each joint turns about the z of its segment.
+    #[test]
+    fn segments_of_a_yaml_are_the_places_of_the_joints() {
+        let yaml = "kinematics:\n  shoulder:\n    x: 0\n    y: 0\n    z: 0.1273\n    roll: 0\n    pitch: 0\n    yaw: 0\n\
+            \x20 upper_arm: {x: 0, y: 0, z: 0, roll: 1.5707963267948966, pitch: 0, yaw: 0}\n\
+            \x20 forearm: {x: -0.612, y: 0, z: 0, roll: 0, pitch: 0, yaw: 0}\n\
+            \x20 wrist_1: {x: -0.5723, y: 0, z: 0.163941, roll: 0, pitch: 0, yaw: 0}\n\
+            \x20 wrist_2: {x: 0, y: -0.1157, z: 0, roll: 1.5707963267948966, pitch: 0, yaw: 0}\n\
+            \x20 wrist_3: {x: 0, y: 0.0922, z: 0, roll: -1.5707963267948966, pitch: 0, yaw: 0}\n\
+            \x20 hash: calib_123\n";
+        let nominal = robot().geometry;
+        let imported = FactoryTable::read(yaml).unwrap().imported(&robot());
+        assert_same(&imported, |axes| nominal.flange(axes));
+        let cut = yaml.replace("pitch: 0, yaw: 0}\n  hash", "pitch: 0}\n  hash");
+        assert_eq!(FactoryTable::read(&cut), Err(DescriptionFinding::Segment { segment: "wrist_3".into() }));
+    }
+
+    /// A message with another part before the kinematics, cut off at every byte.
+    #[test]
+    fn kinematics_are_found_in_the_state_of_the_robot() {
+        let table = StandardTable::of(&robot());
+        let mut part = vec![KINEMATICS];
+        part.extend([0; 4 * AXES]);
+        for (column, unit) in [(table.theta, 1.0), (table.a, 1e-3), (table.d, 1e-3), (table.alpha, 1.0)] {
+            part.extend(column.iter().flat_map(|value| (unit * value).to_be_bytes()));
+        }
+        part.extend(1u32.to_be_bytes());
+        let with_length = |bytes: &[u8]| [&(bytes.len() as u32 + 4).to_be_bytes()[..], bytes].concat();
+        let body = [vec![ROBOT_STATE], with_length(&[0, 1, 2, 3]), with_length(&part)].concat();
+        let found = kinematics(&body).unwrap();
+        assert!((found.d[3] - 163.941).abs() < 1e-9 && (found.alpha[0] - table.alpha[0]).abs() < 1e-15);
+        let whole = FactoryTable::Whole(found).imported(&robot());
+        assert_same(&whole, |axes| robot().geometry.flange(axes));
+        for cut in 0..body.len() - 4 {
+            assert_eq!(kinematics(&body[..cut]), None, "{cut}");
+        }
+        assert_eq!(kinematics(&[ROBOT_STATE, 0, 0, 0, 0, 1]), None);
+        let mut stream = &with_length(&body)[..];
+        assert_eq!(message(&mut stream).unwrap(), body);
+        assert!(message(&mut &[0xff; 8][..]).is_err());
+    }
+}

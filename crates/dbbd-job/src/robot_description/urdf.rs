@@ -1,0 +1,241 @@
+//! A URDF: its six moving joints, and the robot that they are.
+
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
+use dbbd_model::robot::{AXES, JointAxis, Pose, Robot};
+use nalgebra::Vector3;
+use roxmltree::{Document, Node};
+
+use super::DescriptionFinding::{
+    self, NoSixJoints, NoSuchJoint, NoUrdf, NotNumbers, NotXml, OtherCount, OtherJoint, OtherOrder,
+};
+use super::{ArmLines, ImportedRobot};
+
+/// Links at which makers end an arm, the best first.
+const ENDS: [&str; 2] = ["tool0", "flange"];
+/// Limits of a joint that turns without end: two turns to either side are common.
+const ENDLESS_DEG: f64 = 360.0;
+/// Speed of a joint that states none or zero, degrees/s.
+const USUAL_SPEED_DEG_S: f64 = 180.0;
+
+/// The robot of a URDF, with the limits and speeds of its joints.
+pub(super) fn import(file: &str, text: &str, names: &[String]) -> Result<ImportedRobot, Diagnostic> {
+    let document = parse(file, text)?;
+    let reader = UrdfReader { file, text, document: &document };
+    let joints = reader.six(names)?;
+    let mut frame = Pose::identity();
+    let mut axes = Vec::with_capacity(AXES);
+    for joint in &joints {
+        frame = frame.then(&joint.fixed_before).then(&joint.origin);
+        axes.push(JointAxis { point: frame.position, direction: frame.rotation * joint.axis });
+    }
+    let flange = frame.then(&reader.end(&joints)?);
+    let limits = joints.iter().map(|joint| reader.limits(joint)).collect::<Result<Vec<_>, _>>()?;
+    let six = |_| reader.refused(document.root_element(), NoSixJoints { chains: 0, joints: String::new() });
+    let limits: [JointLimits; AXES] =
+        limits.try_into().map_err(|limits: Vec<JointLimits>| six(limits.len()))?;
+    let lines = ArmLines { axes: axes.try_into().map_err(|axes: Vec<JointAxis>| six(axes.len()))?, flange };
+    let name = document.root_element().attribute("name").unwrap_or("arm");
+    let robot = Robot::rigid(name, limits.map(|limits| limits.deg), limits.map(|limits| limits.deg_s));
+    Ok(lines.imported(robot))
+}
+
+#[derive(Clone, Copy)]
+struct JointLimits {
+    deg: [f64; 2],
+    deg_s: f64,
+}
+
+/// The document of a URDF.
+pub(crate) fn parse<'a>(file: &str, text: &'a str) -> Result<Document<'a>, Diagnostic> {
+    Document::parse(text).map_err(|error| {
+        let at = error.pos();
+        Diagnostic::position(file, text, at.row as usize, at.col as usize, NotXml { why: error.to_string() })
+    })
+}
+
+/// A moving joint of an arm.
+pub(crate) struct UrdfJoint<'a> {
+    pub(crate) node: Node<'a, 'a>,
+    pub(crate) name: &'a str,
+    /// The fixed joints between the movable joint before and this one.
+    pub(crate) fixed_before: Pose,
+    pub(crate) origin: Pose,
+    /// Unit vector in the joint's frame.
+    pub(crate) axis: Vector3<f64>,
+}
+
+/// Reads the arm of a URDF.
+pub(crate) struct UrdfReader<'a> {
+    pub(crate) file: &'a str,
+    pub(crate) text: &'a str,
+    pub(crate) document: &'a Document<'a>,
+}
+
+impl<'a> UrdfReader<'a> {
+    fn refused(&self, node: Node<'_, '_>, finding: DescriptionFinding) -> Diagnostic {
+        let at = self.document.text_pos_at(node.range().start);
+        Diagnostic::position(self.file, self.text, at.row as usize, at.col as usize, finding)
+    }
+
+    fn joints(&self) -> impl Iterator<Item = Node<'a, 'a>> {
+        self.document.root_element().children().filter(|node| node.has_tag_name("joint"))
+    }
+
+    /// The joints from the root to this one.
+    fn path(&self, joint: Node<'a, 'a>) -> Vec<Node<'a, 'a>> {
+        let mut path = vec![joint];
+        // A joint that is on the path already ends it: the links form a loop.
+        while let Some(parent) = link(path[path.len() - 1], "parent")
+            && let Some(before) = self.joints().find(|joint| link(*joint, "child") == Some(parent))
+            && !path.contains(&before)
+        {
+            path.push(before);
+        }
+        path.reverse();
+        path
+    }
+
+    /// The six joints of the arm: those with these names, or the first six of every chain.
+    pub(crate) fn six(&self, names: &[String]) -> Result<Vec<UrdfJoint<'a>>, Diagnostic> {
+        let root = self.document.root_element();
+        if !root.has_tag_name("robot") {
+            return Err(self.refused(root, NoUrdf { root: root.tag_name().name().into() }));
+        }
+        if !names.is_empty() && names.len() != AXES {
+            return Err(self.refused(root, OtherCount { named: names.len() }));
+        }
+        let is_arm = |path: &Vec<Node<'_, '_>>| {
+            let found = path.iter().copied().filter(|joint| movable(*joint)).map(name);
+            if names.is_empty() { found.count() == AXES } else { found.eq(names.iter().map(String::as_str)) }
+        };
+        let joints = self.joints().filter(|joint| movable(*joint));
+        let mut chains: Vec<Vec<_>> = joints.map(|joint| self.path(joint)).filter(is_arm).collect();
+        let finding = self.no_chain(names, chains.len());
+        let chain = chains.pop().filter(|_| chains.is_empty()).ok_or_else(|| self.refused(root, finding))?;
+        let mut six = Vec::new();
+        let mut fixed_before = Pose::identity();
+        for node in chain {
+            let origin = self.origin(node)?;
+            if !movable(node) {
+                fixed_before = fixed_before.then(&origin);
+                continue;
+            }
+            if !matches!(kind(node), "revolute" | "continuous") {
+                return Err(
+                    self.refused(node, OtherJoint { joint: name(node).into(), kind: kind(node).into() })
+                );
+            }
+            let axis = match child(node, "axis") {
+                Some(axis) => self.numbers(axis, "xyz")?,
+                None => Vector3::x(),
+            };
+            let axis = axis.try_normalize(1e-9).ok_or_else(|| self.refused(node, not_numbers("axis")))?;
+            six.push(UrdfJoint { node, name: name(node), fixed_before, origin, axis });
+            fixed_before = Pose::identity();
+        }
+        Ok(six)
+    }
+
+    /// Why there is not one chain.
+    fn no_chain(&self, names: &[String], chains: usize) -> DescriptionFinding {
+        let found: Vec<&str> = self.joints().filter(|joint| movable(*joint)).map(name).collect();
+        let joints = found.join(", ");
+        match names.iter().find(|name| !found.contains(&name.as_str())) {
+            Some(joint) => NoSuchJoint { joint: joint.clone(), joints },
+            None if names.is_empty() => NoSixJoints { chains, joints },
+            None => OtherOrder { named: names.join(", ") },
+        }
+    }
+
+    /// The origin of a joint, mm.
+    fn origin(&self, joint: Node<'_, '_>) -> Result<Pose, Diagnostic> {
+        let Some(origin) = child(joint, "origin") else { return Ok(Pose::identity()) };
+        let rpy = self.numbers(origin, "rpy")?;
+        Ok(Pose {
+            rotation: rot_z(rpy.z) * rot_y(rpy.y) * rot_x(rpy.x),
+            position: self.numbers(origin, "xyz")? * 1e3,
+        })
+    }
+
+    /// The three numbers of an attribute; zeros if it is absent.
+    fn numbers(&self, node: Node<'_, '_>, attribute: &str) -> Result<Vector3<f64>, Diagnostic> {
+        let Some(text) = node.attribute(attribute) else { return Ok(Vector3::zeros()) };
+        let numbers: Option<Vec<f64>> = text
+            .split_ascii_whitespace()
+            .map(|word| word.parse().ok().filter(|x: &f64| x.is_finite()))
+            .collect();
+        match numbers.as_deref() {
+            Some([x, y, z]) => Ok(Vector3::new(*x, *y, *z)),
+            _ => Err(self.refused(node, not_numbers(attribute))),
+        }
+    }
+}
+
+fn not_numbers(attribute: &str) -> DescriptionFinding {
+    NotNumbers { attribute: attribute.into() }
+}
+
+pub(crate) fn child<'a>(node: Node<'a, 'a>, tag: &str) -> Option<Node<'a, 'a>> {
+    node.children().find(|child| child.has_tag_name(tag))
+}
+
+fn link<'a>(joint: Node<'a, 'a>, end: &str) -> Option<&'a str> {
+    child(joint, end)?.attribute("link")
+}
+
+fn name<'a>(joint: Node<'a, '_>) -> &'a str {
+    joint.attribute("name").unwrap_or_default()
+}
+
+fn kind<'a>(joint: Node<'a, '_>) -> &'a str {
+    joint.attribute("type").unwrap_or_default()
+}
+
+fn movable(joint: Node<'_, '_>) -> bool {
+    kind(joint) != "fixed"
+}
+
+impl UrdfReader<'_> {
+    /// The end of the arm in the frame of the last joint: the best known link that is fixed to it, else the link of the joint.
+    fn end(&self, joints: &[UrdfJoint<'_>]) -> Result<Pose, Diagnostic> {
+        let Some(last) = joints.last().and_then(|joint| link(joint.node, "child")) else {
+            return Ok(Pose::identity());
+        };
+        // The links that are fixed to the last one, with their places, breadth first.
+        let mut fixed = vec![(last, Pose::identity())];
+        let mut at = 0;
+        while let Some((parent, frame)) = fixed.get(at).copied() {
+            at += 1;
+            for joint in self.joints().filter(|joint| !movable(*joint)) {
+                let (from, to) = (link(joint, "parent"), link(joint, "child"));
+                if let Some(to) =
+                    to.filter(|to| from == Some(parent) && fixed.iter().all(|known| known.0 != *to))
+                {
+                    fixed.push((to, frame.then(&self.origin(joint)?)));
+                }
+            }
+        }
+        let end = ENDS.iter().find_map(|end| fixed.iter().find(|(link, _)| link.ends_with(end)));
+        Ok(end.map_or_else(Pose::identity, |(_, frame)| *frame))
+    }
+
+    fn limits(&self, joint: &UrdfJoint<'_>) -> Result<JointLimits, Diagnostic> {
+        let limit = child(joint.node, "limit");
+        let number = |attribute: &str| -> Result<Option<f64>, Diagnostic> {
+            let Some(node) = limit else { return Ok(None) };
+            let Some(text) = node.attribute(attribute) else { return Ok(None) };
+            let value = text.trim().parse().ok().filter(|value: &f64| value.is_finite());
+            value.map(|value| Some(value.to_degrees())).ok_or_else(|| {
+                self.refused(node, DescriptionFinding::NotNumber { attribute: attribute.into() })
+            })
+        };
+        let (lower, upper) = (number("lower")?, number("upper")?);
+        let deg = match (kind(joint.node), lower, upper) {
+            ("revolute", Some(lower), Some(upper)) if lower < upper => [lower, upper],
+            _ => [-ENDLESS_DEG, ENDLESS_DEG],
+        };
+        let deg_s = number("velocity")?.filter(|speed| *speed > 0.0).unwrap_or(USUAL_SPEED_DEG_S);
+        Ok(JointLimits { deg, deg_s })
+    }
+}

@@ -1,0 +1,157 @@
+//! The error of a tool at the points of a program: as the nominal robot drives them, and as the identified robot does after a
+//! correction.
+
+use nalgebra::{DMatrix, Vector3};
+use serde::Serialize;
+
+use super::position::{Positions, datum_poses};
+use super::workspace::take_out_rigid_motion;
+use crate::measurement::ApproachedPose;
+use crate::robot::Robot;
+
+/// A point to which a program moves a tool.
+#[derive(Clone, Copy, Debug)]
+pub struct ToolPoint {
+    /// The tool point in the flange frame, mm.
+    pub tool: Vector3<f64>,
+    /// The axis angles to which the controller moves without a correction.
+    pub pose: ApproachedPose,
+}
+
+/// Root mean square of the expected 3-D error at a point, mm.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PointErrors {
+    /// Mean over the points.
+    pub mean: f64,
+    pub max: f64,
+}
+
+impl PointErrors {
+    fn of(errors_mm: impl Iterator<Item = f64> + Clone) -> Self {
+        let count = errors_mm.clone().count().max(1) as f64;
+        Self { mean: errors_mm.clone().sum::<f64>() / count, max: errors_mm.fold(0.0, f64::max) }
+    }
+}
+
+/// The errors of a tool at the points of a program, after the best rigid alignment over these points; of fewer than 10 points,
+/// over the workspace too.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ProgramErrors {
+    /// The nominal robot's: how far the identified robot is from it, and what is not known of the identified one.
+    pub before: PointErrors,
+    /// What is not known of the identified robot, with the repeatability of a pose.
+    pub after: PointErrors,
+}
+
+impl ProgramErrors {
+    /// Of an identified robot; `None` without points. The points of each tool are aligned by themselves.
+    pub fn of(robot: &Robot, points: &[ToolPoint]) -> Option<Self> {
+        let mut tools: Vec<Vector3<f64>> = Vec::new();
+        for point in points {
+            if !tools.contains(&point.tool) {
+                tools.push(point.tool);
+            }
+        }
+        let of_tool = |tool: &Vector3<f64>| {
+            let own = points.iter().filter(|point| point.tool == *tool);
+            errors(robot, tool, &own.map(|point| point.pose).collect::<Vec<_>>())
+        };
+        let errors: Vec<[f64; 2]> = tools.iter().flat_map(of_tool).collect();
+        (!errors.is_empty()).then(|| Self {
+            before: PointErrors::of(errors.iter().map(|[before, _]| *before)),
+            after: PointErrors::of(errors.iter().map(|[_, after]| *after)),
+        })
+    }
+
+    /// Whether a correction makes the errors smaller by more than a tenth. Otherwise what is corrected is smaller than what is
+    /// not known.
+    pub fn is_better(&self) -> bool {
+        self.after.mean < 0.9 * self.before.mean
+    }
+}
+
+/// The errors before and after at each pose of one tool, mm.
+fn errors(robot: &Robot, tool: &Vector3<f64>, poses: &[ApproachedPose]) -> Vec<[f64; 2]> {
+    let robot = robot.clone().with_exact_tool((*tool).into());
+    let mut controller = robot.controller().geometry.clone();
+    controller.tool = *tool;
+    let aligned = datum_poses(&robot, poses);
+    let (mut off, mut places) = (DMatrix::zeros(3 * aligned.len(), 1), Vec::new());
+    for (at, pose) in aligned.iter().enumerate() {
+        let axes = pose.axes.radians();
+        let there = robot.geometry.approached(pose.approach).ball(&axes).position;
+        let commanded = controller.ball(&axes).position;
+        off.fixed_view_mut::<3, 1>(3 * at, 0).copy_from(&(there - commanded));
+        places.push(commanded);
+    }
+    take_out_rigid_motion(&mut off, &places);
+    let positions = Positions::of(&robot, poses);
+    let pair = |at: usize| {
+        let after = positions.sd_mm(at);
+        [off.rows(3 * at, 3).norm().hypot(after), after]
+    };
+    (0..poses.len()).map(pair).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::Workspace;
+    use crate::robot::{Approach, AxisAngles, Joint, ParamId, RobotUncertainty};
+
+    /// A robot whose second arm is 1 mm longer than nominal, known to 0.1 mm.
+    fn identified() -> Robot {
+        let nominal = Robot::by_name("kr60ha").unwrap().unwrap();
+        let unknown = RobotUncertainty {
+            parameters: vec![ParamId::A(Joint::J3)],
+            root: DMatrix::from_element(1, 1, 0.1),
+            pose_mm: 0.0,
+            ..nominal.known_uncertainty()
+        };
+        let mut robot = Robot { nominal: Some(Box::new(nominal.clone())), ..nominal };
+        robot.geometry.rows[2].a += 1.0;
+        robot.uncertainty = Some(Box::new(unknown));
+        robot
+    }
+
+    fn points(robot: &Robot, count: usize, tool: Vector3<f64>) -> Vec<ToolPoint> {
+        let pose = |axes: &[f64; 6]| ApproachedPose {
+            axes: AxisAngles::from_degrees(axes.map(f64::to_degrees)),
+            approach: Approach::default(),
+        };
+        let axes = Workspace::uniform(robot.controller(), count, 5);
+        axes.iter().map(|axes| ToolPoint { tool, pose: pose(axes) }).collect()
+    }
+
+    /// The same displacement, ten times as large: before is sqrt(1 + 0.1^2) of it, after 0.1, for every tool.
+    #[test]
+    fn before_is_the_correction_and_what_is_not_known() {
+        let robot = identified();
+        for (count, tool) in [(40, Vector3::zeros()), (4, Vector3::new(0.0, 100.0, 300.0))] {
+            let found = ProgramErrors::of(&robot, &points(&robot, count, tool)).unwrap();
+            let ratio = found.before.mean / found.after.mean;
+            assert!((ratio - 101f64.sqrt()).abs() < 1e-3 * ratio, "{count}: {ratio}");
+            assert!(found.after.mean > 0.02 && found.after.max < 0.15 && found.is_better(), "{found:?}");
+        }
+        assert!(ProgramErrors::of(&robot, &[]).is_none());
+    }
+
+    #[test]
+    fn two_tools_count_by_their_points() {
+        let robot = identified();
+        let [few, many] =
+            [(12, 0.0), (36, 400.0)].map(|(count, z)| points(&robot, count, Vector3::new(0.0, 0.0, z)));
+        let mean = |points: &[ToolPoint]| ProgramErrors::of(&robot, points).unwrap().after.mean;
+        let both = mean(&[few.clone(), many.clone()].concat());
+        assert!((both - 0.25 * mean(&few) - 0.75 * mean(&many)).abs() < 1e-12);
+    }
+
+    /// A correction of 0.05 mm that is known to 0.1 mm.
+    #[test]
+    fn a_correction_that_is_smaller_than_its_uncertainty_does_not_help() {
+        let mut robot = identified();
+        robot.geometry.rows[2].a -= 0.96;
+        let found = ProgramErrors::of(&robot, &points(&robot, 40, Vector3::zeros())).unwrap();
+        assert!(!found.is_better(), "{found:?}");
+    }
+}
