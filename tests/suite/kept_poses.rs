@@ -221,7 +221,7 @@ fn joint_errors_lower_the_error_at_kept_poses() {
 }
 
 #[test]
-#[ignore = "48 identifications"]
+#[ignore = "48 identifications: see docs/how-to/tracker.md"]
 fn lengths_and_positions_side_by_side() {
     let lengths = Case::of("lengths to one ball, 105 poses", 1, true, &[]);
     let tracked = Case::of("positions, 105 poses", 0, true, &[]).with_positions(SEEN);
