@@ -21,7 +21,7 @@ else
     echo "SKIPPED: the comparison of the stubs: mypy cannot be installed"
 fi
 # The Python of the documents, each document's blocks as one program in the repository.
-for page in ../README.md ../docs/how-to/python.md ../docs/how-to/crash-check.md; do
+for page in ../README.md ../docs/how-to/python.md; do
     awk '/^```python$/ { on = 1; next } /^```$/ { on = 0 } on' "$page" >"$work/page.py"
     (cd .. && "$venv/python" -W error "$work/page.py")
 done

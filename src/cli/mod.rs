@@ -85,7 +85,7 @@ pub(crate) struct CommonOptions {
     until_stdin_closes: bool,
 }
 
-/// The commands. The doc comment of each `Args` is the help text, and the text of README.md and docs/reference/commands.md.
+/// The commands. The doc comment of each `Args` is the help text, and the text of docs/reference/commands.md.
 #[derive(Subcommand)]
 enum Verb {
     Plan(plan::PlanArgs),

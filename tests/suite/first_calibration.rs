@@ -103,7 +103,7 @@ fn every_command_of_the_tutorial_and_its_guides_runs_and_prints_what_they_show()
     let runs = |step: &Step| !step.commands.contains("YOUR-");
     all.extend(GUIDES.into_iter().flat_map(steps).filter(runs));
     let shown = all.iter().filter(|step| step.output.is_some()).count();
-    assert!(all.len() >= 27 && shown >= 22, "{shown} of {} steps", all.len());
+    assert!(all.len() >= 22 && shown >= 18, "{shown} of {} steps", all.len());
     run(&all);
 }
 
@@ -112,6 +112,6 @@ fn every_command_of_the_tutorial_and_its_guides_runs_and_prints_what_they_show()
 fn every_command_of_the_readme_runs() {
     let mut steps = steps(README);
     steps.retain(|step| !step.commands.starts_with("cargo ") && !step.commands.starts_with("dbbd import "));
-    assert_eq!(steps.len(), 2);
+    assert_eq!(steps.len(), 1);
     run(&steps);
 }

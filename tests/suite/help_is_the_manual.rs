@@ -1,5 +1,5 @@
-//! The text of a command is written once, above its `Args`. `--help`, the manual page, docs/reference/commands.md and the list
-//! in the README repeat it. `DBBD_BLESS=1 cargo test help_is_the_manual` writes the two documents.
+//! The text of a command is written once, above its `Args`. `--help`, the manual page and docs/reference/commands.md repeat it.
+//! `DBBD_BLESS=1 cargo test help_is_the_manual` writes the document.
 
 use std::fs;
 use std::path::Path;
@@ -62,17 +62,6 @@ fn assert_generated(document: &str, wanted: &str) {
         assert_eq!(is, wanted, "{document} differs; DBBD_BLESS=1 writes it anew");
     }
     assert_eq!(section.lines().count(), wanted.lines().count(), "{document}: DBBD_BLESS=1 writes it anew");
-}
-
-#[test]
-fn readme_lists_every_command() {
-    let line = |verb: &String| {
-        let (paragraphs, _) = paragraphs_and_usage(verb);
-        let summary = paragraphs[0].trim_end_matches('.');
-        format!("| [`{verb}`](docs/reference/commands.md#{verb}) | {summary} |\n")
-    };
-    let lines: String = verbs().iter().map(line).collect();
-    assert_generated("README.md", &format!("| command | does |\n|---|---|\n{lines}"));
 }
 
 #[test]
