@@ -1,4 +1,4 @@
-"""Golden values of crates/dbbd-model/src/circular/tests/circular_quantities.rs, from scipy alone.
+"""Golden values of crates/dbbd-model/src/test_support/circular_cases.rs, from scipy alone.
 
     python3 -m venv v && v/bin/pip install numpy scipy && v/bin/python tests/independent/circular.py
 

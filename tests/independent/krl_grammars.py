@@ -3,8 +3,16 @@
     krl_grammars.py GENERATED START FILE..
 
 GENERATED is the directory into which ANTLR's Python target wrote krlLexer.py and krlParser.py, START the
-grammar's first rule; docs/reference/krl.md says how to fetch and build both grammars. Exit code 1 when a file does not
-parse. Needs antlr4-python3-runtime of the same version as the tool that generated the parser.
+grammar's first rule. Exit code 1 when a file does not parse. Needs antlr4-python3-runtime of the same version as the
+tool that generated the parser. The grammars are antlr/grammars-v4 (aca577d) and liukegeek/KrlParser (d48d794):
+
+    git clone https://github.com/antlr/grammars-v4; git clone https://github.com/liukegeek/KrlParser
+    npm i antlr4ng-cli@2.0.0; pip install antlr4-python3-runtime==4.13.2
+    antlr="java -jar node_modules/antlr4ng-cli/antlr4-4.13.2-SNAPSHOT-complete.jar -Dlanguage=Python3"
+    $antlr -o gen_up grammars-v4/kuka/krl.g4
+    $antlr -o gen_ext KrlParser/krl-core/src/main/resources/krl.g4
+    python tests/independent/krl_grammars.py gen_up module --spline OUT/*.src OUT/*.dat
+    python tests/independent/krl_grammars.py gen_ext start OUT/*.src OUT/*.dat
 
 --spline reads SCIRC as CIRC: the motion of KSS 8 that a grammar of 2011 does not know, in the same form.
 """

@@ -132,7 +132,7 @@ fn each_packet_of_a_bad_line_is_counted() {
 }
 
 #[test]
-#[ignore = "10 million packets of each protocol over 256 bad lines; its figures go to docs/reference/measured-axes.md"]
+#[ignore = "10 million packets of each protocol over 256 bad lines; its figures go to docs/evidence/README.md"]
 fn campaign_of_ten_million_packets() {
     for protocol in [AxesProtocol::Rsi, AxesProtocol::Rtde] {
         let (mut all, mut drift_off) = (PacketCounts::default(), 0.0_f64);

@@ -1,5 +1,5 @@
 //! A base ball that moved during the measurement is named, the table stays as it was, and the robot is as accurate as without.
-//! Campaign: docs/explanation/reliability.md.
+//! Campaign: docs/evidence/README.md.
 
 use std::fs;
 use std::path::Path;
@@ -147,7 +147,7 @@ fn no_remounted_ball_is_found_on_a_real_robot() {
 }
 
 #[test]
-#[ignore = "500 identifications: see docs/explanation/reliability.md"]
+#[ignore = "500 identifications: see docs/evidence/README.md"]
 fn remounted_balls_of_a_hundred_robots() {
     let balls = BALLS.map(|ball| Vector3::from(ball) + Vector3::new(3.0, -2.0, 1.0));
     for size_mm in [0.0, 0.1, 0.3, 1.0, 10.0] {

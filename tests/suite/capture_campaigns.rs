@@ -1,6 +1,6 @@
 //! Kills, truncation, flipped bits and failing disks: short samples here, the campaigns with `-- --ignored`
 //! (commands and
-//! figures: docs/reference/capture.md).
+//! figures: docs/evidence/README.md).
 #![cfg(unix)]
 
 use std::io::{self, Write};

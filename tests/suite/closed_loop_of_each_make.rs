@@ -273,7 +273,7 @@ fn every_dwell_of_each_make_is_matched() {
     }
 }
 
-/// `cargo test --release --test suite chosen_poses_of_each_make -- --ignored --nocapture`: docs/explanation/closed-loop.md.
+/// `cargo test --release --test suite chosen_poses_of_each_make -- --ignored --nocapture`: docs/evidence/README.md.
 #[test]
 #[cfg(unix)]
 #[ignore = "takes minutes"]

@@ -102,7 +102,7 @@ fn one_robot_is_more_accurate_after_correction() {
     assert!(before > 0.3 && after < before / 8.0, "{before} {after}");
 }
 
-/// `cargo test --release --test suite through_the_programs -- --ignored --nocapture`: docs/explanation/closed-loop.md.
+/// `cargo test --release --test suite through_the_programs -- --ignored --nocapture`: docs/evidence/README.md.
 #[test]
 #[ignore = "takes minutes"]
 fn twenty_robots_through_the_programs() {

@@ -100,7 +100,7 @@ fn compensated_circle_has_a_smaller_radial_deviation() {
     assert!(many.iter().all(|[before, after]| *after < before / 4.0), "{many:?}");
 }
 
-/// `cargo test --release --test suite circles_of_twenty -- --ignored --nocapture`: the table of docs/explanation/closed-loop.md.
+/// `cargo test --release --test suite circles_of_twenty -- --ignored --nocapture`: docs/evidence/README.md.
 #[test]
 #[ignore = "prints figures"]
 fn circles_of_twenty_robots() {

@@ -1,7 +1,7 @@
 //! How accurate an identified robot is where it was not measured: the lengths of the KR60 to three balls, poses kept from
 //! the identification, by the commands that a user runs. `identify` reads the lengths of some poses, `predict` says where
 //! the ball is at the others, and their three lengths say where it was. The data carry no licence and are not part of
-//! the project: without them beside the checkout these tests say so and pass. Figures: docs/explanation/accuracy.md.
+//! the project: without them beside the checkout these tests say so and pass. Figures: docs/evidence/README.md.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -221,7 +221,7 @@ fn joint_errors_lower_the_error_at_kept_poses() {
 }
 
 #[test]
-#[ignore = "48 identifications: see docs/how-to/tracker.md"]
+#[ignore = "48 identifications: see docs/evidence/README.md"]
 fn lengths_and_positions_side_by_side() {
     let lengths = Case::of("lengths to one ball, 105 poses", 1, true, &[]);
     let tracked = Case::of("positions, 105 poses", 0, true, &[]).with_positions(SEEN);
@@ -232,7 +232,7 @@ fn lengths_and_positions_side_by_side() {
 }
 
 #[test]
-#[ignore = "84 identifications: see docs/explanation/accuracy.md"]
+#[ignore = "84 identifications: see docs/evidence/README.md"]
 fn kept_poses_in_twelve_splits() {
     twelve_splits(&[
         Case::of("three balls, geometric", 3, true, &["--model", "geometric", "--prior", "datasheet"]),
@@ -265,7 +265,7 @@ fn twelve_splits(cases: &[Case]) {
 }
 
 #[test]
-#[ignore = "18 identifications: see docs/explanation/accuracy.md"]
+#[ignore = "18 identifications: see docs/evidence/README.md"]
 fn beyond_the_angles_measured() {
     let Some(robot) = Robot60::read() else { return };
     for axis in 0..6 {

@@ -1,5 +1,5 @@
 //! Compliance and first harmonics are found by the evidence with the right values, and not on a robot without them. The
-//! campaign is an ignored test; its command and figures are in docs/explanation/accuracy.md.
+//! campaign is an ignored test; its command and figures are in docs/evidence/README.md.
 
 use std::fs;
 
@@ -201,7 +201,7 @@ fn a_geometric_robot_has_no_joint_errors() {
 }
 
 #[test]
-#[ignore = "200 seeds: see docs/explanation/accuracy.md"]
+#[ignore = "200 seeds: see docs/evidence/README.md"]
 fn a_geometric_robot_has_no_joint_errors_in_200_seeds() {
     let found = found_for_nothing(0..200);
     eprintln!("of 200 robots without errors of the joints: found {found} times");
@@ -226,7 +226,7 @@ fn found_in(seeds: u64, errors: &[(&str, f64)], group: &str) -> [f64; 2] {
 }
 
 #[test]
-#[ignore = "200 identifications: see docs/explanation/accuracy.md"]
+#[ignore = "200 identifications: see docs/evidence/README.md"]
 fn joint_errors_are_found_in_100_seeds() {
     for (name, errors, group) in [("sag", &SAG[..], "compliance"), ("first harmonics", &GEAR, "harmonic")] {
         let [right, covered] = found_in(100, errors, group);

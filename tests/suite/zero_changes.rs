@@ -1,5 +1,5 @@
 //! A step or drift of the bar's zero or of the tracker during the measurement is named, the table stays as it was, and the robot
-//! is as accurate as without. Campaign: docs/explanation/reliability.md.
+//! is as accurate as without. Campaign: docs/evidence/README.md.
 
 use std::fs;
 
@@ -214,13 +214,13 @@ fn campaigns(table: Table) {
 }
 
 #[test]
-#[ignore = "900 identifications: see docs/explanation/reliability.md"]
+#[ignore = "900 identifications: see docs/evidence/README.md"]
 fn zeros_of_a_hundred_robots() {
     campaigns(Table { robots: 100, poses: 70, balls: 3, order: Order::ByPose });
 }
 
 #[test]
-#[ignore = "540 identifications: see docs/explanation/reliability.md"]
+#[ignore = "540 identifications: see docs/evidence/README.md"]
 fn zeros_of_thirty_robots() {
     campaigns(Table { robots: 30, poses: 70, balls: 3, order: Order::ByBall });
     campaigns(Table { robots: 30, poses: 140, balls: 1, order: Order::ByPose });

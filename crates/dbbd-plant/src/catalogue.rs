@@ -12,7 +12,7 @@ findings! {
         }
         E2402 "an address of the archive is not valid",
         cause: "The archive is at `sqlite:FILE` or `postgres://USER@HOST/DATABASE`, its store at `file:DIRECTORY` or `s3://BUCKET/PREFIX`. The spool is a directory of its own.",
-        cure: "Give the archive and the store, or set DBBD_ARCHIVE and DBBD_STORE. docs/how-to/archive.md has examples.",
+        cure: "Give the archive and the store, or set DBBD_ARCHIVE and DBBD_STORE. docs/evidence/README.md has examples.",
         asks: [Archive, Store, Spool] {
             NoAddress { option: String, variable: String } => "{option} is missing", help: "give it, or set {variable}";
             OtherScheme { option: String, schemes: String } => "{option}: is none of {schemes}";
@@ -38,7 +38,7 @@ findings! {
         }
         E2405 "the database refuses",
         cause: "The role may not do this, the disk is full, or the database was changed by others.",
-        cure: "The message is the database's own. docs/how-to/archive.md lists what each role may do." {
+        cure: "The message is the database's own. docs/evidence/README.md lists what each role may do." {
             Refused { why: String } => "the database refuses: {why}";
             NotAValue { why: String } => "a value of a row or a parameter is not as expected: {why}";
         }

@@ -231,7 +231,7 @@ fn each_broken_rule_is_named() {
     assert!(campaign(1) >= RULES.len() - 3);
 }
 
-/// `cargo test --release infeasible_jobs -- --ignored --nocapture`: docs/explanation/planning.md.
+/// `cargo test --release infeasible_jobs -- --ignored --nocapture`: docs/evidence/README.md.
 #[test]
 #[ignore = "takes minutes"]
 fn a_thousand_infeasible_jobs() {

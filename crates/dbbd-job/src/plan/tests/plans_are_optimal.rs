@@ -170,7 +170,7 @@ fn eighty_chosen_poses_beat_circles() {
 }
 
 #[test]
-#[ignore = "the full figures of docs/explanation/planning.md: a minute"]
+#[ignore = "the full figures of docs/evidence/README.md: a minute"]
 fn eighty_of_twenty_thousand() {
     campaign(20_000, 2000);
 }

@@ -88,7 +88,7 @@ fn joint_errors_are_compensated() {
 }
 
 #[test]
-#[ignore = "200 identifications: see docs/explanation/accuracy.md"]
+#[ignore = "200 identifications: see docs/evidence/README.md"]
 fn a_hundred_robots_with_errors_of_joints_are_compensated() {
     let (plan, program) = (chosen(3, 240, true), production(200, true, 7));
     let all: Vec<[f64; 3]> = (1..=100).map(|seed| errors(&plan, &program, seed)).collect();

@@ -54,7 +54,7 @@ fn campaign(plan: &Plan, cube: bool, robots: u64, sag: bool) -> Vec<[f64; 4]> {
 #[test]
 fn compensated_program_is_more_accurate() {
     let plan = chosen(1, 80, true);
-    // The smallest factor of twenty robots was 16.5 with another draw of 80 poses (docs/explanation/closed-loop.md), here it is that of
+    // The smallest factor of twenty robots was 16.5 with another draw of 80 poses, here it is that of
     // a robot whose error is only 0.39 mm.
     for [factor, before, after, doubts] in campaign(&plan, true, 3, false) {
         assert!(
@@ -64,7 +64,7 @@ fn compensated_program_is_more_accurate() {
     }
 }
 
-/// `cargo test --release --test suite closed_loop -- --ignored --nocapture`: the figures of docs/explanation/closed-loop.md.
+/// `cargo test --release --test suite closed_loop -- --ignored --nocapture`: the figures of docs/evidence/README.md.
 #[test]
 #[ignore = "prints figures"]
 fn closed_loop_over_twenty_robots() {

@@ -218,7 +218,7 @@ fn the_share_that_leaves_the_stroke_is_the_one_stated() {
     eprintln!("at {risk}: {count:?}; expected {:.2} +- {:.2}", count.expected, 1.96 * count.variance.sqrt());
 }
 
-/// `cargo test --release thousand_random_jobs -- --ignored --nocapture`: docs/reference/krl.md.
+/// `cargo test --release thousand_random_jobs -- --ignored --nocapture`: docs/evidence/README.md.
 #[test]
 #[ignore = "takes minutes"]
 fn thousand_random_jobs_run_to_their_end() {

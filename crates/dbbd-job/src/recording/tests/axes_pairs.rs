@@ -263,7 +263,7 @@ fn disturbances_give_no_wrong_pair() {
 }
 
 #[test]
-#[ignore = "2 x 1000 runs of each kind of trouble; its figures go to docs/explanation/pose-matching.md"]
+#[ignore = "2 x 1000 runs of each kind of trouble; its figures go to docs/evidence/README.md"]
 fn campaign_of_trouble() {
     let mut wrong = 0;
     for trouble in TROUBLES {

@@ -240,7 +240,7 @@ fn axes_with_an_inconsistent_clock_are_not_used() {
 }
 
 #[test]
-#[ignore = "dwells and continuous circles by commanded and by measured axes; its figures go to docs/how-to/measured-axes.md"]
+#[ignore = "dwells and continuous circles by commanded and by measured axes; its figures go to docs/evidence/README.md"]
 fn campaign_of_commanded_and_measured_axes() {
     for (name, plan) in [
         ("24 dwells x 3 circles", plan(&PLANES, 24, "")),

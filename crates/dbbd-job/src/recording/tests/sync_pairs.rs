@@ -206,7 +206,7 @@ fn split_merged_and_missing_dwells_pair_none_wrongly() {
 }
 
 #[test]
-#[ignore = "campaigns of 1000 runs of drawn trouble, and of long plans; their figures go to docs/explanation/pose-matching.md"]
+#[ignore = "campaigns of 1000 runs of drawn trouble, and of long plans; their figures go to docs/evidence/README.md"]
 fn campaign_of_drawn_trouble() {
     for first in [7000, 20_000, 21_000, 22_000] {
         for model in [false, true] {
@@ -229,7 +229,7 @@ fn campaign_of_drawn_trouble() {
 }
 
 #[test]
-#[ignore = "a campaign of 1000 runs, and of 100 with equal moves; its figures go to docs/explanation/pose-matching.md"]
+#[ignore = "a campaign of 1000 runs, and of 100 with equal moves; its figures go to docs/evidence/README.md"]
 fn campaign() {
     for (distinct, seeds) in [(true, 1000..2000), (false, 1000..1100)] {
         let score = score(seeds, distinct, STUDY);

@@ -1,5 +1,5 @@
 //! Robots with random joint errors: whether the predicted position uncertainty is right, and what the estimation of joint errors costs
-//! a robot without them. Campaigns; figures in docs/explanation/accuracy.md.
+//! a robot without them. Campaigns; figures in docs/evidence/README.md.
 
 use dbbd_model::conformity::{CheckInput, DecisionRule};
 use dbbd_model::estimation::CompletedCalibration;
@@ -77,13 +77,13 @@ fn lengths_of_a_pose_share_its_noise_without_errors_of_joints() {
 }
 
 #[test]
-#[ignore = "800 identifications: see docs/explanation/accuracy.md"]
+#[ignore = "800 identifications: see docs/evidence/README.md"]
 fn four_hundred_drawn_robots() {
     campaign(400, 70, 3, Senses::Known);
 }
 
 #[test]
-#[ignore = "480 identifications: see docs/explanation/accuracy.md"]
+#[ignore = "480 identifications: see docs/evidence/README.md"]
 fn eighty_drawn_robots() {
     campaign(80, 70, 3, Senses::Unknown);
     campaign(80, 140, 1, Senses::Known);
@@ -139,7 +139,7 @@ fn check_includes_the_uncertainty_of_joint_errors() {
 }
 
 #[test]
-#[ignore = "a campaign: see docs/explanation/check.md"]
+#[ignore = "a campaign: see docs/evidence/README.md"]
 fn checks_of_robots_with_errors_of_joints() {
     for balls in [1, 3] {
         let robots: Vec<u64> = (1..=40).filter(|seed: &u64| !seed.is_multiple_of(4)).collect();

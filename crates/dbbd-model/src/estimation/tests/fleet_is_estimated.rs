@@ -380,7 +380,7 @@ fn intervals_of_robots_and_bars_cover() {
 
 /// `cargo test --release coverage_of_400 -- --ignored --nocapture`
 #[test]
-#[ignore = "minutes: the figures of docs/how-to/archive.md"]
+#[ignore = "minutes: the figures of docs/evidence/README.md"]
 fn coverage_of_400_plants() {
     let coverage = Coverage::of(10_000..10_400, [4, 12, 40, 8]);
     for (name, covered) in
@@ -392,7 +392,7 @@ fn coverage_of_400_plants() {
 
 /// `cargo test --release fleet_of_200 -- --ignored --nocapture`
 #[test]
-#[ignore = "minutes: the figures of docs/how-to/archive.md"]
+#[ignore = "minutes: the figures of docs/evidence/README.md"]
 fn fleet_of_200_robots() {
     let mut world = World::new(1, 4, 12);
     let (first, runs) = world.plant(200, 25, 10);

@@ -1,6 +1,6 @@
 //! Statistical efficiency: scatter at the Cramer-Rao bound, coverage of intervals, convergence from distant starts, detection
 //! of outliers. The suite runs a seeded sample; the full campaigns are ignored tests, with their commands and figures in
-//! docs/explanation/accuracy.md.
+//! docs/evidence/README.md.
 
 use dbbd_model::estimation::result::Status;
 use dbbd_model::estimation::{CompletedCalibration, Options, Prior};
@@ -71,7 +71,7 @@ fn scatter_reaches_the_cramer_rao_bound() {
 }
 
 #[test]
-#[ignore = "2000 seeds: see docs/explanation/accuracy.md"]
+#[ignore = "2000 seeds: see docs/evidence/README.md"]
 fn scatter_reaches_the_cramer_rao_bound_in_2000_seeds() {
     for (name, scatter, covered) in scatter_and_coverage(2000) {
         eprintln!("{name}: scatter / bound {scatter:.3}, 95 % intervals cover {:.2} %", covered * 100.0);
@@ -135,7 +135,7 @@ fn distant_starts_converge() {
 }
 
 #[test]
-#[ignore = "4000 fits: see docs/explanation/accuracy.md"]
+#[ignore = "4000 fits: see docs/evidence/README.md"]
 fn distant_starts_converge_in_1000() {
     for (name, circles, points) in
         [("one ball", three_planes(1, CENTRE).to_vec(), 27), ("three balls", three_balls(), 9)]

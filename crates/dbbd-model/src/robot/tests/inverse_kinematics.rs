@@ -256,7 +256,7 @@ fn no_branch_is_lost() {
 }
 
 #[test]
-#[ignore = "takes minutes; prints the figures of docs/explanation/planning.md"]
+#[ignore = "takes minutes; prints the figures of docs/evidence/README.md"]
 fn a_hundred_thousand_poses() {
     for geometry in geometries() {
         println!("{:?}", census(&geometry, 100_000, 0, 2));
