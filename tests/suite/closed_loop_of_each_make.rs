@@ -5,10 +5,11 @@ use std::fs;
 use std::path::Path;
 
 use dbbd_job::program::{Language, Program, Text, krl, rapid, urscript};
+use dbbd_job::robot_description;
 use dbbd_job::sim::truth;
 use dbbd_model::math::aligned_distances;
 use dbbd_model::robot::pose::rotation_vector;
-use dbbd_model::robot::{Geometry, Robot, inverse};
+use dbbd_model::robot::{ControllerModel, Geometry, Robot, inverse, max_axis_difference};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -73,6 +74,20 @@ const UR: Arm = Arm {
     ],
 };
 
+/// The table of a UR10 in a controller: differences of some tenths of a millimetre and degrees, and parallel axes whose offsets cancel
+/// each other.
+const FACTORY_TABLE: &str = "[mounting]\n\
+    delta_theta = [0.0004, -0.31, 0.33, -0.02, 0.0007, 0.0]\n\
+    delta_a = [0.00004, -0.0009, 0.0007, 0.00004, -0.00002, 0]\n\
+    delta_d = [0.0001, 121.7, -128.2, 6.5, 0.0002, -0.0001]\n\
+    delta_alpha = [-0.0006, 0.0002, -0.0021, 0.0006, -0.0007, 0]\n";
+const FACTORY: Arm = Arm { name: "ur10 with its factory table", ..UR };
+
+fn with_factory_table() -> Robot {
+    let found = robot_description::import("calibration.conf", FACTORY_TABLE, Some(&named(UR.name)), &[]);
+    Robot { name: FACTORY.name.into(), ..found.unwrap().robot }
+}
+
 /// A KR 60 HA with the wrist of a CRX-10iA/L, which has no closed form: axes 4 and 6 have a distance of 150 mm.
 fn offset_wrist() -> Robot {
     let mut robot = Robot { name: OFFSET_WRIST.into(), language: Some("krl".into()), ..kr60() };
@@ -82,8 +97,13 @@ fn offset_wrist() -> Robot {
 
 impl Arm {
     fn robot(&self) -> Robot {
-        let language = Some(self.language.name().into());
-        if self.name == OFFSET_WRIST { offset_wrist() } else { Robot { language, ..named(self.name) } }
+        let robot = match self.name {
+            OFFSET_WRIST => offset_wrist(),
+            name if name == FACTORY.name => with_factory_table(),
+            // The simulated controller computes with the table of the file.
+            name => Robot { controller_model: ControllerModel::Nominal, ..named(name) },
+        };
+        Robot { language: Some(self.language.name().into()), ..robot }
     }
 }
 
@@ -263,11 +283,50 @@ fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
     ([lengths, dwells], errors)
 }
 
+/// A controller with a factory table is elsewhere than planned at a Cartesian target, but for a robot whose controller is unknown
+/// every dwell is at the planned axis angles.
+#[test]
+fn dwells_of_an_unknown_controller_are_at_the_planned_axes() {
+    let largest_deg = |robot: &Robot| {
+        let dir = tempdir().unwrap();
+        let at = dir.path();
+        fs::write(at.join("robot.toml"), robot.to_toml().unwrap()).unwrap();
+        fs::write(at.join("job.toml"), job("robot.toml", UR.centre, 8)).unwrap();
+        step(at, "plan job.toml --out plan --quiet");
+        step(at, "program plan/plan.csv --out program --sync output --quiet");
+        let text = fs::read_to_string(at.join("program/DBB_MAIN.script")).unwrap();
+        let mut dwells: Vec<[f64; 6]> = Vec::new();
+        let mut was_high = false;
+        for moment in run(urscript::open(("P".to_owned(), text)).unwrap(), &with_factory_table()) {
+            // Pulses that mark the start and the end are short; a dwell lasts.
+            if moment.strobe && was_high && dwells.last() != Some(&moment.axes) {
+                dwells.push(moment.axes);
+            }
+            was_high = moment.strobe;
+        }
+        let plan = fs::read_to_string(at.join("plan/plan.csv")).unwrap();
+        let mut rows = csv::Reader::from_reader(plan.as_bytes());
+        let first = rows.headers().unwrap().iter().position(|name| name == "a1_deg").unwrap();
+        let kind = rows.headers().unwrap().iter().position(|name| name == "kind").unwrap();
+        let planned = rows.records().map(Result::unwrap).filter(|row| &row[kind] != "transit").map(|row| {
+            std::array::from_fn::<f64, 6, _>(|axis| row[first + axis].parse::<f64>().unwrap().to_radians())
+        });
+        let nearest = |axes: [f64; 6]| {
+            dwells.iter().map(|dwell| max_axis_difference(dwell, &axes)).fold(f64::INFINITY, f64::min)
+        };
+        planned.map(nearest).fold(0.0, f64::max).to_degrees()
+    };
+    let unknown = named(UR.name);
+    assert_eq!(unknown.controller_model, ControllerModel::Unknown);
+    let [by_joints, by_poses] = [unknown, UR.robot()].map(|robot| largest_deg(&robot));
+    assert!(by_joints < 1e-6 && by_poses > 0.02, "{by_joints} {by_poses}");
+}
+
 /// The lengths are too few to determine a robot, but they pass through every step.
 #[test]
 #[cfg(unix)]
 fn every_dwell_of_each_make_is_matched() {
-    for arm in [KUKA, OFFSET, FANUC, CRX, ABB, UR] {
+    for arm in [KUKA, OFFSET, FANUC, CRX, ABB, UR, FACTORY] {
         let ([lengths, dwells], _) = closed_loop(&arm, &job(arm.name, arm.centre, 8), 1);
         assert_eq!((lengths, dwells > 0), (dwells, true), "{}", arm.name);
     }
@@ -278,7 +337,7 @@ fn every_dwell_of_each_make_is_matched() {
 #[cfg(unix)]
 #[ignore = "takes minutes"]
 fn chosen_poses_of_each_make() {
-    for arm in [KUKA, OFFSET, FANUC, CRX, ABB, UR] {
+    for arm in [KUKA, OFFSET, FANUC, CRX, ABB, UR, FACTORY] {
         let [low, high] = [-250.0, 250.0].map(|side| arm.centre.map(|middle| middle + side));
         let text = job(arm.name, arm.centre, 8);
         let text = text.split("[[circle]]").next().unwrap_or_default();

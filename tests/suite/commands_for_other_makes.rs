@@ -5,7 +5,7 @@ use std::path::Path;
 
 use dbbd_job::sim::truth;
 use dbbd_model::robot::Robot;
-use serde_json::json;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 use crate::cell::named;
@@ -87,6 +87,29 @@ fn programs_are_corrected_once_and_for_their_own_robot() {
         fs::write(at.join(name), "x_mm,y_mm\n1,2\n").unwrap();
         assert_eq!(compensate(name, robot, "no"), (Some(1), vec!["E0913".into()]), "{name}");
     }
+    // A UR controller has a factory table.
+    let script = "def P():\n  set_tcp(p[0,0,0.1,0,0,0])\n  movej([0,-1.5,1.5,-1.5,-1.5,0])\n  movel(p[0.7,0.1,0.4,2.2,2.2,0])\nend\n";
+    fs::write(at.join("P.script"), script).unwrap();
+    assert_eq!(compensate("P.script", "ur10.toml", "ur"), (Some(1), vec!["E0917".into()]));
+    assert!(!at.join("ur").exists());
+    let nominal = [
+        "compensate",
+        "P.script",
+        "--robot",
+        "ur10.toml",
+        "--out",
+        "ur",
+        "--controller-model",
+        "nominal",
+        "--limit",
+        "20",
+        "--json",
+    ];
+    let output = dbbd(at, &nominal);
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let errors = &found["predicted_position_uncertainty_mm"];
+    let mean = |when: &str| errors[when]["mean"].as_f64().unwrap();
+    assert!(mean("before") > mean("after") && mean("after") > 0.0, "{errors}");
     // The corrected module has its provenance.
     let info = dbbd(at, &["info", "new/DBB_C001.mod"]);
     let text = String::from_utf8_lossy(&info.stdout).into_owned();

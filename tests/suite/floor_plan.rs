@@ -65,6 +65,7 @@ pub(crate) const CRATES: &[(&str, &[Room])] = &[
             room("artefact", &["provenance"]),
             room("page", &[]),
             room("robot_files", &["robot", "estimation"]),
+            room("robot_description", &["robot", "estimation"]),
             room("plan", &["provenance", "robot", "measurement", "estimation", "design"]),
             room("program", &["provenance", "robot", "measurement", "plan"]),
             room(
@@ -84,6 +85,7 @@ pub(crate) const CRATES: &[(&str, &[Room])] = &[
             room(
                 "report",
                 &[
+                    "robot_description",
                     "provenance",
                     "robot",
                     "measurement",

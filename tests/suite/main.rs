@@ -72,6 +72,7 @@ mod replay;
 mod requests;
 mod results_are_compared;
 mod reversal_steps_hold;
+mod robots_are_imported;
 mod rows_are_used_once;
 mod runs_the_whole_job;
 mod sag_and_harmonics_by_evidence;

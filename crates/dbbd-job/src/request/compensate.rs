@@ -114,7 +114,6 @@ impl CompensateRequest {
         if robot.nominal.is_none() {
             return Err(Diagnostic::file(&self.robot, CompensationFinding::NotIdentified));
         }
-        self.check_controller(&robot)?;
         let edited = edited(&robot).filter(|doubt| *doubt == EstimationFinding::PosteriorOfOtherValues);
         session.findings_in(&self.robot, edited);
         let language = program_language(&self.program)?;
@@ -129,6 +128,7 @@ impl CompensateRequest {
             Language::Krl => context.krl()?,
             Language::Rapid | Language::Urscript => context.one_file(language)?,
         };
+        self.check_controller(&robot)?;
         let provenance = crate::artefact::made_from(corrected.sources.iter().chain([&identified]));
         let mut set = FileSet::begin(&self.out)?;
         for (program, text) in &corrected.texts {

@@ -5,7 +5,7 @@ use dbbd_job::plan::{Job, MotionKind, Plan, PlanRow, PoseKind as RowKind};
 use dbbd_job::program::listing::{ActionKind, Standstill};
 use dbbd_job::program::{Frames, Language, Listing, Sync, Target, Text, rapid, urscript};
 use dbbd_job::sim::{ControllerMoment, SimulatedController};
-use dbbd_model::robot::{Geometry, Pose, Robot};
+use dbbd_model::robot::{ControllerModel, Geometry, Pose, Robot};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -23,7 +23,12 @@ const FRAMES: &str =
 
 fn plan_of((_, name, centre): (Language, &str, [f64; 3]), more: &str) -> Plan {
     let text = format!("{}{more}", job(name, centre, 8));
-    Plan::build(&Job::from_toml("job.toml", &text).unwrap(), &named(name)).unwrap()
+    Plan::build(&Job::from_toml("job.toml", &text).unwrap(), &robot(name)).unwrap()
+}
+
+/// The simulated controller computes with the table of the file.
+fn robot(name: &str) -> Robot {
+    Robot { controller_model: ControllerModel::Nominal, ..named(name) }
 }
 
 /// The program of the plan, read back.
@@ -48,7 +53,7 @@ fn dwells(moments: &[ControllerMoment]) -> Vec<[ControllerMoment; 2]> {
 fn plans() -> [(Language, Robot, Plan); 3] {
     let [abb, ur] = BOTH;
     let of =
-        |cell: (Language, &'static str, [f64; 3]), more: &str| (cell.0, named(cell.1), plan_of(cell, more));
+        |cell: (Language, &'static str, [f64; 3]), more: &str| (cell.0, robot(cell.1), plan_of(cell, more));
     [of(abb, ""), of(abb, FRAMES), of(ur, "")]
 }
 
