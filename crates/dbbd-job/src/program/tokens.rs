@@ -73,6 +73,22 @@ impl<'a> Tokens<'a> {
         start..self.end().max(start)
     }
 
+    /// Whether the last token that was read is this name or keyword.
+    pub(super) fn has_read_name(&self, name: &str) -> bool {
+        let last = self.at.checked_sub(1).and_then(|at| self.tokens.get(at));
+        matches!(last, Some((Token::Name(last), _)) if last.eq_ignore_ascii_case(name))
+    }
+
+    /// The names from a position to the last token that was read after which a bracket opens: what is called there.
+    pub(super) fn called_since(&self, position: usize) -> Vec<String> {
+        let read = self.tokens.get(position..self.at).unwrap_or_default();
+        let called = read.windows(2).filter_map(|pair| match pair {
+            [(Token::Name(name), _), (Token::Sign("("), _)] => Some(name.clone()),
+            _ => None,
+        });
+        called.collect()
+    }
+
     /// Reads a sign if it is the next token.
     pub(super) fn accept(&mut self, sign: &str) -> bool {
         let is_next = matches!(self.peek(), Token::Sign(next) if *next == sign);

@@ -4,6 +4,7 @@ mod compensated_joint_errors;
 mod compensated_program_is_accurate;
 mod compensated_robot_arrives;
 mod emitted_programs_run;
+mod frame_variants;
 mod krl_reads_back;
 mod krl_round_trips;
 mod program_frames;
