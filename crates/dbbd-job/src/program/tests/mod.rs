@@ -1,5 +1,6 @@
 //! What the room promises, shown without the program.
 
+mod branches_of_users;
 mod compensated_joint_errors;
 mod compensated_program_is_accurate;
 mod compensated_robot_arrives;
