@@ -10,7 +10,7 @@ findings! {
         cure: "Give the controller's $config.dat, or tool and base; or set both frames in the program before the motion.",
         asks: [ControllerConfig, ToolFrame, BaseFrame] {
             FrameNotSet { frame: &'static str } => "nothing sets {frame} before this",
-                help: "give $config.dat, or tool and base";
+                help: "set it in the program, or give it; in KRL $config.dat gives all";
             FrameComputed { frame: &'static str, line: usize } => "{frame} is computed in line {line}";
             FramePart { frame: &'static str, line: usize } => "line {line} sets a part of {frame}";
             FrameMixed { frame: &'static str, first: String, second: String } => "{frame} is the one {first} or the one {second}, by the way on which the program comes here",
@@ -23,8 +23,8 @@ findings! {
             RootSet { line: usize } => "line {line} moves the robot away from the origin of $BASE ($ROBROOT)", help: "put the place of the robot into $BASE";
             MovedWorkObject { name: String } => "{name} is moved by a mechanical unit";
             Displaced { word: String, line: usize } => "{word} in line {line} displaces this motion", help: "put the displacement into the work object";
-            FixedTool { name: String } => "{name} moves the workpiece against a fixed tool (#TCP)",
-                help: "only a tool on the flange (#BASE) can be compensated";
+            FixedTool { name: String } => "{name} moves the workpiece against a fixed tool",
+                help: "only a tool on the flange can be compensated";
         }
         E0915 "a frame or the points are in another unit",
         cause: "X, Y and Z of a tool, a base or most points are in metres where millimetres are needed, or the other way round.",
@@ -78,7 +78,7 @@ findings! {
             NotRead { word: String } => "a motion by {word} stays as it is: its point is not in the statement";
             Displacing { word: String } => "{word} displaces the motions after it: their points are corrected without the displacement";
             NeverReached => "this motion stays as it is: no way of the program leads to it";
-            PointElsewhere { name: String } => "{name} stays as it is: it has no value in the program's files";
+            PointElsewhere { name: String } => "{name} stays as it is: it has no fixed value in the program's files";
         }
         E0906 "a robot does not reach a point",
         cause: "The point, with the tool and base given, is out of reach of the nominal or of the identified robot, or beyond an axis limit.",
@@ -137,7 +137,7 @@ findings! {
         cure: "Name the .src of a KUKA program, the .mod of an ABB or the .script of a Universal Robots program. Programs in other languages are not corrected." {
             NotRapid { begins: String } => "is not a module in RAPID: it begins with `{begins}`";
             NotUrscript { begins: String } => "is not a program in URScript: it begins with `{begins}`";
-            NoLanguage { file: String } => "{file} is in no language that is known by its extension", help: ".src is KRL, .mod RAPID, .script URScript";
+            NoLanguage { file: String } => "{file} is in no language that is known by its extension", help: ".src is KRL, .mod RAPID, .script URScript; PolyScope saves the .script of a program beside its .urp";
             NotKrl { begins: String } => "is not a program in KRL: it begins with `{begins}`";
         }
         W0914 "no point was corrected",

@@ -280,6 +280,23 @@ impl Builder {
 /// A statement: the index of its routine, and its index there.
 pub(crate) type At = (usize, usize);
 
+/// By routine and statement: the routines that it calls, in order.
+pub(crate) type Calls = Vec<Vec<Vec<usize>>>;
+
+/// Some routines and those that they call, themselves or by others.
+pub(crate) fn reached_from(mut routines: Vec<usize>, calls: &Calls) -> Vec<usize> {
+    let mut at = 0;
+    while let Some(routine) = routines.get(at).copied() {
+        for called in calls[routine].iter().flatten() {
+            if !routines.contains(called) {
+                routines.push(*called);
+            }
+        }
+        at += 1;
+    }
+    routines
+}
+
 /// A program whose state is followed.
 pub(crate) trait Followed {
     type State: State;
@@ -334,7 +351,7 @@ impl<'p, P: Followed> Follower<'p, P> {
     }
 
     /// Visits each statement that a routine reaches, about in the order in which they run, with each of the states that are
-    /// possible before it.
+    /// possible after the calls in it and before what it does itself.
     pub(crate) fn visit(
         &mut self,
         routine: usize,
@@ -355,10 +372,11 @@ impl<'p, P: Followed> Follower<'p, P> {
                     let entry = self.entry(at, *called, &state);
                     self.visit(*called, entry, visit)?;
                 }
-                visit(at, &state)?;
-                if !self.run(at, &mut state) {
+                if !self.call(at, &mut state) {
                     break;
                 }
+                visit(at, &state)?;
+                self.program.apply(at, &mut state);
             }
         }
         self.calling.pop();
@@ -378,8 +396,8 @@ impl<'p, P: Followed> Follower<'p, P> {
         entry
     }
 
-    /// Runs a statement; `false` if a routine that it calls does not return.
-    fn run(&mut self, at: At, state: &mut P::State) -> bool {
+    /// Runs what a statement calls; `false` if a routine does not return.
+    fn call(&mut self, at: At, state: &mut P::State) -> bool {
         self.steps += 1;
         for called in self.program.calls(at) {
             if self.is_beyond(*called) {
@@ -390,7 +408,6 @@ impl<'p, P: Followed> Follower<'p, P> {
             let Some(end) = self.end(*called, entry) else { return false };
             *state = self.program.leave(*called, state, end);
         }
-        self.program.apply(at, state);
         true
     }
 
@@ -414,7 +431,12 @@ impl<'p, P: Followed> Follower<'p, P> {
         let mut changed = BTreeSet::from([ENTRY]);
         while let Some(at) = changed.pop_first() {
             let (block, Some(mut state)) = (&ways.blocks[at], states[at].clone()) else { continue };
-            if !block.statements.iter().all(|statement| self.run((routine, *statement), &mut state)) {
+            let mut run = |at| {
+                let returns = self.call(at, &mut state);
+                self.program.apply(at, &mut state);
+                returns
+            };
+            if !block.statements.iter().all(|statement| run((routine, *statement))) {
                 continue;
             }
             for next in &block.next {

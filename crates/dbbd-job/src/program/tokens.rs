@@ -79,14 +79,19 @@ impl<'a> Tokens<'a> {
         matches!(last, Some((Token::Name(last), _)) if last.eq_ignore_ascii_case(name))
     }
 
-    /// The names from a position to the last token that was read after which a bracket opens: what is called there.
+    /// The names from a position to the last token that was read after which a bracket opens: what is called there. Methods of
+    /// an object (`object.name(..)`) are not among them.
     pub(super) fn called_since(&self, position: usize) -> Vec<String> {
-        let read = self.tokens.get(position..self.at).unwrap_or_default();
-        let called = read.windows(2).filter_map(|pair| match pair {
-            [(Token::Name(name), _), (Token::Sign("("), _)] => Some(name.clone()),
-            _ => None,
-        });
-        called.collect()
+        let mut called = Vec::new();
+        for at in position..self.at.saturating_sub(1) {
+            let token = |at: usize| self.tokens.get(at).map(|(token, _)| token);
+            if let (Some(Token::Name(name)), Some(Token::Sign("("))) = (token(at), token(at + 1))
+                && (at == position || !matches!(token(at - 1), Some(Token::Sign("."))))
+            {
+                called.push(name.clone());
+            }
+        }
+        called
     }
 
     /// Reads a sign if it is the next token.

@@ -9,9 +9,9 @@ use super::program::declared;
 use crate::program::CompensationFinding;
 use crate::program::MotionKind;
 use crate::program::compensate::{Branch, Corrected, Corrector, external_motion, mixed};
-use crate::program::flow::{At, Control, Followed, Follower, InForce, State, Ways};
+use crate::program::flow::{At, Calls, Followed, Follower, InForce, State, Ways, reached_from};
 use crate::program::script::expression::{
-    Argument, ExpressionKind, Parameter, Routine, Statement, StatementKind, statements,
+    Argument, ExpressionKind, Parameter, Routine, Statement, StatementKind, calls, statements,
 };
 use crate::program::script::points::{OtherInstructions, Point, Points, elements, replaced};
 use crate::program::script::scope::Scope;
@@ -44,8 +44,7 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
     let config = config.map(|config| parse(config, 1)).transpose()?;
     let routines: Vec<&Routine> = module.routines.iter().chain(&module.functions).collect();
     let program = InFile::new(text, &module, config.as_ref(), routines);
-    let controls = |routine: &&Routine| Ways::new(routine.body.iter().map(control));
-    let ways: Vec<Ways> = program.routines.iter().map(controls).collect();
+    let ways: Vec<Ways> = program.routines.iter().map(|routine| routine.ways()).collect();
     let mut follower = Follower::new(&program, &ways);
     let mut reader = Reader {
         program: &program,
@@ -83,10 +82,6 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
     let external = external.map(|(at, finding)| text.wrong(&points.points[at].first_use, finding));
     points.doubts.extend(external);
     Ok(points)
-}
-
-fn control(statement: &Statement) -> Option<&Control> {
-    if let StatementKind::Control { control, .. } = &statement.kind { Some(control) } else { None }
 }
 
 /// What is in force at a statement.
@@ -130,7 +125,7 @@ struct InFile<'a> {
     config: Option<&'a Module>,
     routines: Vec<&'a Routine>,
     /// By routine and statement: the routines that it calls.
-    calls: Vec<Vec<Vec<usize>>>,
+    calls: Calls,
     changing: Changing<'a>,
     /// The data of the module that a statement changes, with the last line that does.
     assigned_lines: HashMap<&'a str, usize>,
@@ -145,11 +140,7 @@ impl<'a> InFile<'a> {
         config: Option<&'a Module>,
         routines: Vec<&'a Routine>,
     ) -> Self {
-        let index = |name: &String| routines.iter().position(|routine| routine.name == *name);
-        let called =
-            |statement: &Statement| -> Vec<usize> { statement.called.iter().filter_map(index).collect() };
-        let calls: Vec<Vec<Vec<usize>>> =
-            routines.iter().map(|routine| routine.body.iter().map(called).collect()).collect();
+        let calls = calls(routines.iter().copied());
         let changing = changing(&routines);
         let mut assigned_lines = HashMap::new();
         for routine in &routines {
@@ -159,16 +150,8 @@ impl<'a> InFile<'a> {
                 assigned_lines.extend(names.map(|name| (name, text.line(statement.span.start))));
             }
         }
-        let mut beside: Vec<usize> = (0..routines.len()).filter(|at| routines[*at].is_concurrent).collect();
-        let mut at = 0;
-        while let Some(routine) = beside.get(at).copied() {
-            for called in calls[routine].iter().flatten() {
-                if !beside.contains(called) {
-                    beside.push(*called);
-                }
-            }
-            at += 1;
-        }
+        let traps = (0..routines.len()).filter(|at| routines[*at].is_concurrent).collect();
+        let beside = reached_from(traps, &calls);
         let displaced_beside = beside.iter().flat_map(|at| &routines[*at].body).find_map(|statement| {
             let StatementKind::Call { name, .. } = &statement.kind else { return None };
             let is_displacing = DISPLACING.iter().any(|(on, _)| on.contains(&name.as_str()));

@@ -1,7 +1,7 @@
 //! Statements and expressions of RAPID and URScript, and the parser of expressions.
 
 use crate::program::ProgramFinding;
-use crate::program::flow::Control;
+use crate::program::flow::{Calls, Control, Ways};
 use crate::program::lexer::Token;
 use crate::program::text::Span;
 use crate::program::tokens::Tokens;
@@ -49,6 +49,23 @@ impl Statement {
         }
         Self { span: tokens.since(start), kind, called }
     }
+}
+
+impl Routine {
+    /// The ways through the routine.
+    pub(crate) fn ways(&self) -> Ways {
+        Ways::new(self.body.iter().map(|statement| {
+            if let StatementKind::Control { control, .. } = &statement.kind { Some(control) } else { None }
+        }))
+    }
+}
+
+/// The routines that the statements of routines call. What runs beside the program is not called.
+pub(crate) fn calls<'a>(routines: impl Iterator<Item = &'a Routine> + Clone) -> Calls {
+    let index =
+        |name: &String| routines.clone().position(|routine| routine.name == *name && !routine.is_concurrent);
+    let called = |statement: &Statement| statement.called.iter().filter_map(index).collect();
+    routines.clone().map(|routine| routine.body.iter().map(called).collect()).collect()
 }
 
 /// The statements of routines, each with the index of its routine and its own.

@@ -148,6 +148,9 @@ const URSCRIPT: &[(&str, &str)] = &[
     ("def f():|def g():|global t=T2|end|global t=T1|g()|set_tcp(t)|movel(PP)|end", "8=2"),
     ("def f():|def g():|t=T2|end|t=T1|g()|set_tcp(t)|movel(PP)|end", "E0901 8"),
     ("def f():|def g(t):|t=T2|end|t=T1|g(t)|set_tcp(t)|movel(PP)|end", "8=1"),
+    ("def f():|def g():|set_tcp(T2)|return 1|end|set_tcp(T1)|movel(PP, a=g())|end", "7=2"),
+    ("def f():|set_tcp(T1)|dev.set_tcp(T2)|movel(PP)|end", "4=1"),
+    ("def f():|def movel(x):|set_tcp(T2)|movej(x)|end|movel(PP)|end", "4=2"),
     // Threads run at any time, but only if they are started.
     ("def f():|thread w():|set_tcp(T2)|end|run w()|set_tcp(T1)|movel(PP)|end", "E0901 7"),
     ("def f():|thread w():|set_tcp(T2)|end|h=run w()|set_tcp(T1)|movel(PP)|end", "E0901 7"),
@@ -322,6 +325,7 @@ const KRL: &[(&str, &str)] = &[
         "5=1/2",
     ),
     ("DEF P()|$TOOL=T1|$BASE=B1|N=F()|LIN PT|END|DEFFCT INT F()|$BASE=B2|RETURN 1|ENDFCT", "5=1/2"),
+    ("DEF P()|$TOOL=T1|$BASE=B1|$BASE=F()|LIN PT|END|DEFFCT FRAME F()|RETURN B2|ENDFCT", "E0901 5"),
     ("DEF P()|$TOOL=T1|$BASE=B1|A()|LIN PT|END|DEF A()|B()|END|DEF B()|$BASE=B2|END", "5=1/2"),
     ("DEF P()|$TOOL=T1|$BASE=B1|S()|END|DEF S()|LIN PT|$BASE=B2|S()|END", "E0901 7"),
     ("DEF P()|$TOOL=T1|$BASE=B1|LIN PT|END|DEF S()|LIN PT|END", "E0901 7"),
@@ -351,6 +355,10 @@ const KRL: &[(&str, &str)] = &[
         "DEF P()|INTERRUPT DECL 5 WHEN $IN[1] DO S()|$TOOL=T1|$BASE=B1|PTP XQ|END|DEF S()|$BASE=B2|END",
         "5=axes",
     ),
+    (
+        "DEF P()|INTERRUPT DECL 5 WHEN $IN[1] DO S()|$TOOL=T1|$BASE=B1|LIN PT|END|DEF S()|$ABS_ACCUR=TRUE|END",
+        "E0922 5",
+    ),
     // Routines of other files.
     ("DEF P()|$TOOL=T1|$BASE=B1|GRIP()|LIN PT|END", "5=1/1 W0921@5"),
     ("DEF P()|$TOOL=T1|$BASE=B1|GRIP()|LIN PT|GRIP()|LIN PT|END", "5=1/1 7=1/1 W0921@5"),
@@ -358,6 +366,9 @@ const KRL: &[(&str, &str)] = &[
     ("DEF P()|FDAT_ACT=FP1|GRIP()|BAS(#CP_PARAMS,0.2)|LIN PT|END", "5=1/1"),
     ("DEF P()|$TOOL=T1|$BASE=B1|GRIP()|PTP XQ|END", "5=axes"),
     ("DEF P()|$TOOL=T1|$BASE=B1|IF $IN[1] THEN|GRIP(1,TRUE)|ENDIF|LIN PT|END", "7=1/1 W0921@7"),
+    ("DEF P()|CALC(B1)|$TOOL=T1|$BASE=B1|LIN PT|END", "5=1/1 W0921@2"),
+    ("DEF P()|CALC(B2)|$TOOL=T1|$BASE=B1|LIN PT|END", "5=1/1"),
+    ("DEF P()|CALC(B1)|$TOOL=T1|$BASE=B1|LIN PT|END|DEF CALC(F:OUT)|FRAME F|F.X=5|END", "5=1/1 W0921@2"),
     ("DEF P()|EXT GRIP()|$TOOL=T1|$BASE=B1|PULSE($OUT[1],TRUE,0.1)|LIN PT|END", "6=1/1"),
     // What the controller does with a pose.
     ("DEF P()|$TOOL=T1|$BASE=B1|$IPO_MODE=#TCP|LIN PT|END", "E0901 5"),

@@ -8,8 +8,10 @@ use super::instruction::{Instruction, argument, is_motion, pose, target};
 use super::parser::parse;
 use crate::program::CompensationFinding;
 use crate::program::compensate::{Branch, Corrected, Corrector, mixed};
-use crate::program::flow::{At, Control, Followed, Follower, InForce, State, Ways};
-use crate::program::script::expression::{ExpressionKind, Routine, Statement, StatementKind, statements};
+use crate::program::flow::{At, Calls, Followed, Follower, InForce, State, Ways, reached_from};
+use crate::program::script::expression::{
+    ExpressionKind, Routine, Statement, StatementKind, calls, statements,
+};
 use crate::program::script::points::{OtherInstructions, Point, Points, replaced};
 use crate::program::script::scope::Scope;
 use crate::program::script::value::{self, Evaluated, Value, evaluated};
@@ -43,8 +45,7 @@ const INVERSE: (&str, [&str; 5]) =
 pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
     let routines = parse(text)?;
     let script = Script::new(text, &routines);
-    let controls = |routine: &Routine| Ways::new(routine.body.iter().map(control));
-    let ways: Vec<Ways> = routines.iter().map(controls).collect();
+    let ways: Vec<Ways> = routines.iter().map(Routine::ways).collect();
     let mut follower = Follower::new(&script, &ways);
     let mut reader =
         Reader { script: &script, given: tool, points: Points::new(write), reached: HashSet::new() };
@@ -66,10 +67,6 @@ pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
     }
     reader.report_unreached();
     Ok(reader.points.completed())
-}
-
-fn control(statement: &Statement) -> Option<&Control> {
-    if let StatementKind::Control { control, .. } = &statement.kind { Some(control) } else { None }
 }
 
 /// The TCP that the script has set.
@@ -106,7 +103,7 @@ struct Script<'a> {
     text: Text<'a>,
     routines: &'a [Routine],
     /// By routine and statement: the routines that it calls.
-    calls: Vec<Vec<Vec<usize>>>,
+    calls: Calls,
     /// The names that are declared as global.
     globals: HashSet<&'a str>,
     /// The threads that are started.
@@ -118,13 +115,7 @@ struct Script<'a> {
 
 impl<'a> Script<'a> {
     fn new(text: Text<'a>, routines: &'a [Routine]) -> Self {
-        let index = |name: &String| {
-            routines.iter().position(|routine| routine.name == *name && !routine.is_concurrent)
-        };
-        let called =
-            |statement: &Statement| -> Vec<usize> { statement.called.iter().filter_map(index).collect() };
-        let calls: Vec<Vec<Vec<usize>>> =
-            routines.iter().map(|routine| routine.body.iter().map(called).collect()).collect();
+        let calls = calls(routines.iter());
         let statements = || routines.iter().flat_map(|routine| &routine.body);
         let code = |statement: &Statement| text.text.get(statement.span.clone()).unwrap_or("");
         let globals = statements().filter(|statement| code(statement).starts_with("global "));
@@ -141,16 +132,8 @@ impl<'a> Script<'a> {
             calls,
         };
         let is_started = |routine: &Routine| routine.is_concurrent && script.started.contains(&routine.name);
-        let mut beside: Vec<usize> = (0..routines.len()).filter(|at| is_started(&routines[*at])).collect();
-        let mut at = 0;
-        while let Some(routine) = beside.get(at).copied() {
-            for called in script.calls[routine].iter().flatten() {
-                if !beside.contains(called) {
-                    beside.push(*called);
-                }
-            }
-            at += 1;
-        }
+        let started = (0..routines.len()).filter(|at| is_started(&routines[*at])).collect();
+        let beside = reached_from(started, &script.calls);
         for statement in beside.iter().flat_map(|at| &routines[*at].body) {
             script.set_beside.extend(assigned(statement));
             if matches!(&statement.kind, StatementKind::Call { name, .. } if name == SET_TCP) {
@@ -218,8 +201,9 @@ impl Followed for Script<'_> {
     }
 
     fn apply(&self, at: At, state: &mut InScript) {
-        let Statement { span, kind, .. } = self.statement(at);
+        let Statement { span, kind, called } = self.statement(at);
         let lookup = |name: &str| self.lookup(state, name);
+        let line = self.text.line(span.start);
         match kind {
             StatementKind::Assign { name, value } => {
                 let value = value::value(value, 0, &lookup);
@@ -228,13 +212,17 @@ impl Followed for Script<'_> {
             }
             StatementKind::Call { name, arguments } if name == SET_TCP => {
                 let value = tcp(&evaluated(arguments, 0, &lookup)).map_or(Tcp::Computed, Tcp::Known);
-                state.tcp = InForce::One { value, line: self.text.line(span.start) };
+                state.tcp = InForce::One { value, line };
             }
             StatementKind::Other(name) => state.variables.set(name, None),
             StatementKind::Call { .. }
             | StatementKind::Declare { .. }
             | StatementKind::UntilSteady
-            | StatementKind::Control { .. } => {}
+            | StatementKind::Control { .. } => {
+                if called.iter().any(|name| name == SET_TCP) {
+                    state.tcp = InForce::One { value: Tcp::Computed, line };
+                }
+            }
         }
     }
 
@@ -269,7 +257,8 @@ impl Reader<'_> {
             if name == SET_TCP {
                 return self.check_given(span, &arguments);
             }
-            if let Some(instruction) = Instruction::new(name, &arguments) {
+            let is_own = script.routines.iter().any(|routine| routine.name == *name);
+            if let Some(instruction) = Instruction::new(name, &arguments).filter(|_| !is_own) {
                 return self.motion(span, &instruction, state);
             }
             if script.calls(at).is_empty() {

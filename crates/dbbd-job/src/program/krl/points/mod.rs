@@ -20,7 +20,7 @@ use crate::plan::MotionKind;
 use crate::program::CompensationFinding;
 use crate::program::ProgramFinding;
 use crate::program::compensate::{External, external_motion, mixed};
-use crate::program::flow::{At, Control, Followed, Follower, InForce, Ways};
+use crate::program::flow::{At, Calls, Control, Followed, Follower, InForce, Ways, reached_from};
 use crate::program::lexer::Token;
 use crate::program::{Frames, Target};
 use dbbd_model::diagnostic::Diagnostic;
@@ -96,7 +96,7 @@ pub struct PointProgram {
 const SAME: f64 = 1e-6;
 
 /// What begins the lines that set a frame: they use no point.
-const SETTING: [&str; 6] = ["$TOOL", "$BASE", "BAS", "FDAT_ACT", "SPLINE", "PTP_SPLINE"];
+const SETTING: [&str; 4] = ["BAS", "FDAT_ACT", "SPLINE", "PTP_SPLINE"];
 
 pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> {
     let config = files.config.map(data_items).transpose()?.unwrap_or_default();
@@ -127,9 +127,12 @@ pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> 
         program: PointProgram::default(),
         given_for: [None, None],
         set_beside: [None, None],
+        obstacle_beside: None,
         named: Vec::new(),
         reached: HashSet::new(),
         doubted: HashSet::new(),
+        frame_names: HashSet::new(),
+        given_away: Vec::new(),
     }
     .read()
 }
@@ -185,12 +188,14 @@ struct InFile<'a> {
     file: Text<'a>,
     routines: Vec<Routine<'a>>,
     /// By routine and line: the routines that it calls, and what it does.
-    calls: Vec<Vec<Vec<usize>>>,
+    calls: Calls,
     effects: Vec<Vec<Option<Effect>>>,
     /// The routines that run beside the program, each with the line that names it.
     beside: Vec<(usize, usize)>,
     /// By [`FrameKind`], a line that sets it beside the program.
     set_beside: [Option<usize>; 2],
+    /// Why no pose can be corrected, as a routine beside the program sets it.
+    obstacle_beside: Option<CompensationFinding>,
 }
 
 impl<'a> InFile<'a> {
@@ -211,31 +216,27 @@ impl<'a> InFile<'a> {
                     called_by.push(called);
                 }
                 let is_motion = motion_of(&line.word).is_some() || line.is_relative_motion();
-                let calls_own = called_by.last().is_some_and(|called| !called.is_empty());
-                effect_of.push(if is_motion || calls_own { None } else { definitions.effect(line)? });
+                let effect = if is_motion { None } else { definitions.effect(line)? };
+                let is_own = |name: &str| routines.iter().any(|routine| routine.name == name);
+                effect_of.push(effect.filter(|effect| !matches!(effect, Effect::Call(name) if is_own(name))));
             }
             calls.push(called_by);
             effects.push(effect_of);
         }
-        let mut program = Self { file, routines, calls, effects, beside, set_beside: [None, None] };
-        let mut reached: Vec<usize> = program.beside.iter().map(|(routine, _)| *routine).collect();
-        let mut at = 0;
-        while let Some(routine) = reached.get(at).copied() {
-            for called in program.calls[routine].iter().flatten() {
-                if !reached.contains(called) {
-                    reached.push(*called);
-                }
-            }
+        let mut program =
+            Self { file, routines, calls, effects, beside, set_beside: [None, None], obstacle_beside: None };
+        let named = program.beside.iter().map(|(routine, _)| *routine).collect();
+        for routine in reached_from(named, &program.calls) {
             for (line, effect) in program.routines[routine].lines.iter().zip(&program.effects[routine]) {
                 let mut state = InRoutine::before();
-                effect.iter().for_each(|effect| state.apply(effect, 1));
+                effect.iter().for_each(|effect| state.apply(effect, file.line(line.span.start)));
+                program.obstacle_beside = program.obstacle_beside.take().or_else(|| state.obstacle());
                 for (set, frame) in program.set_beside.iter_mut().zip(&state.frames) {
-                    if matches!(frame, InForce::One { line: 1, .. }) {
+                    if !matches!(frame, InForce::One { line: 0, .. }) {
                         set.get_or_insert(file.line(line.span.start));
                     }
                 }
             }
-            at += 1;
         }
         Ok(program)
     }
@@ -274,12 +275,18 @@ struct Reader<'a> {
     given_for: [Option<CompensationFinding>; 2],
     /// By [`FrameKind`], a line that sets it beside the program.
     set_beside: [Option<usize>; 2],
+    /// Why no pose can be corrected, as a routine beside the program sets it.
+    obstacle_beside: Option<CompensationFinding>,
     /// The points in statements other than motions.
     named: Vec<(String, Span)>,
     /// The lines that were reached, by their first bytes.
     reached: HashSet<usize>,
     /// The calls of other files that were reported.
     doubted: HashSet<String>,
+    /// The names in lines that set a frame.
+    frame_names: HashSet<String>,
+    /// The frames among the arguments of routines, each with the finding about it.
+    given_away: Vec<(String, Diagnostic)>,
 }
 
 /// The motion that is being read.
@@ -299,6 +306,7 @@ impl<'a> Reader<'a> {
         check_is_krl(file)?;
         let program = InFile::new(&self.definitions)?;
         self.set_beside = program.set_beside;
+        self.obstacle_beside = program.obstacle_beside.clone();
         let controls: Vec<Vec<Option<Control>>> = program
             .routines
             .iter()
@@ -335,6 +343,11 @@ impl<'a> Reader<'a> {
             .into_iter()
             .map(|(name, span)| file.wrong(&span, CompensationFinding::PointInStatement { name }));
         self.program.not_corrected.extend(in_statements);
+        let is_frame = |name: &String| {
+            self.frame_names.contains(name) && self.definitions.constants.get((name, None)).is_some()
+        };
+        let given_away = self.given_away.into_iter().filter(|(name, _)| is_frame(name));
+        self.program.doubts.extend(given_away.map(|(_, finding)| finding));
         let points = &self.program.points;
         let external = external_motion(points.iter().map(|point| (point.name.as_str(), point.external)));
         let external = external.map(|(at, finding)| file.wrong(&points[at].first_use, finding));
@@ -354,11 +367,26 @@ impl<'a> Reader<'a> {
         if line.is_relative_motion() {
             let relative = self.files.source.wrong(&line.span, CompensationFinding::RelativeMotion);
             self.program.not_corrected.push(relative);
+        } else if ["$TOOL", "$BASE"].contains(&line.word.as_str()) {
+            self.frame_names.extend(line.words().skip(1).map(|(name, _)| name));
         } else if !SETTING.contains(&line.word.as_str()) && line.control().is_none() {
             let named = self.points_in(line);
             self.named.extend(named);
+            self.note_given_away(line);
         }
         Ok(())
+    }
+
+    /// Notes the variables that a routine is given, which it may change.
+    fn note_given_away(&mut self, line: &Line<'_>) {
+        if !line.is_call() {
+            return;
+        }
+        for (name, span) in line.words().skip(1) {
+            let routine = line.word.clone();
+            let given_away = CompensationFinding::FrameGivenAway { name: name.clone(), routine };
+            self.given_away.push((name, self.files.source.wrong(&span, given_away)));
+        }
     }
 
     /// The points of the program's files that a statement other than a motion uses: in a call, in an assignment.
@@ -386,7 +414,8 @@ impl<'a> Reader<'a> {
         }
         let frames = state.with(with, self.files.source.line(line.span.start));
         let by_ptp = motion.motion == MotionKind::Ptp;
-        let current = Current { line, frames, called, obstacle: state.obstacle(), by_ptp };
+        let obstacle = self.obstacle_beside.clone().or_else(|| state.obstacle());
+        let current = Current { line, frames, called, obstacle, by_ptp };
         let through = match &motion.through {
             Some(through) => self.target(through, &current)?,
             None => Vec::new(),
