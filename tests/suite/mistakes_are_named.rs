@@ -209,7 +209,8 @@ const OF_RAPID: &[(&str, &str, i32, &str)] = &[
     ("ENDPROC", "TriggL p20,v100,t1,fine,tGun;\nENDPROC", 3, "W0905"),
     ("ENDPROC", "MovL p20,v100,fine,tGun;\nENDPROC", 3, "W0905"),
     ("ENDPROC", "MoveL *,v100,fine,tGun;\nENDPROC", 3, "W0905"),
-    ("MoveJ", "PDispSet d10;\nMoveJ", 3, "W0905"),
+    ("MoveJ", "PDispSet d10;\nMoveJ", 1, "E0901"),
+    ("MoveJ", "PickPart tGun;\nMoveJ", 3, "W0921"),
     ("MoveJ", "p10.trans.x:=900;\nMoveJ", 1, "E0903"),
     ("[0.0,0.991444861", "[2.5,0.991444861", 1, "E0903"),
     ("MoveJ", "tGun.tframe.trans.z:=100;\nMoveJ", 1, "E0901"),
@@ -224,7 +225,7 @@ const OF_URSCRIPT: &[(&str, &str, i32, &str)] = &[
     ("  movel", "  track_conveyor_linear(p[1,0,0,0,0,0],500)\n  movel", 3, "W0905"),
     (
         "  movel",
-        "  if get_standard_digital_in(1):\n    set_tcp(p[0.03,0.02,0.15,0,0,0])\n  end\n  movel",
+        "  if get_standard_digital_in(1):\n    set_tcp(get_tcp_offset())\n  end\n  movel",
         1,
         "E0901",
     ),

@@ -150,7 +150,7 @@ const STATEMENTS: &[(&str, &[usize])] = &[
     ("LIN XP1\nXHELP=XP3\n", &[5]),
     ("LIN XP1\nTRIGGER WHEN DISTANCE=0 DELAY=0 DO SUB(XP3) PRIO=-1\n", &[5]),
     // The point is corrected for another motion, or it is not a point.
-    ("LIN XP1\nMYMOVE(XP1)\nLIN XP3\nMYMOVE(XP3)\n", &[]),
+    ("LIN XP1\nLIN XP3\nMYMOVE(XP1)\nMYMOVE(XP3)\n", &[]),
     ("LIN XP1\nSHOW(N, \"XP3\") ; XP3\n", &[]),
 ];
 

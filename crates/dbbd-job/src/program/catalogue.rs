@@ -5,11 +5,11 @@ use dbbd_model::findings;
 findings! {
     /// A program that cannot be read, executed or written.
     ProgramFinding "Programs" {
-        E0801 "a word of a program is not valid KRL",
+        E0801 "a word of a program is not valid",
         cause: "The file is not plain ASCII outside of comments, or a number, a text or a name has a form that controllers refuse.",
         cure: "Correct the word at the place named. Numbers have a decimal point; save the file as plain ASCII." {
             ByteOrderMark => "the file begins with a byte order mark", help: "save it as plain ASCII: controllers do not read it";
-            UnknownCharacter { character: char } => "`{character}` has no meaning in KRL", help: "outside of comments a program is plain ASCII";
+            UnknownCharacter { character: char, language: &'static str } => "`{character}` has no meaning in {language}", help: "outside of comments and texts a program is plain ASCII";
             OpenText => "this text has no closing quote";
             NotBinaryOrHexadecimal => "this is not a number", help: "binary numbers are written 'B0101', hexadecimal ones 'HFF'";
             NumberOutOfRange { number: String } => "{number} is out of range";
@@ -34,7 +34,7 @@ findings! {
             ArraySize { elements: i64, most: usize } => "an array cannot have {elements} elements: all arrays of a file hold at most {most} numbers";
             TooManyFields { most: usize } => "a structure has at most {most} components";
         }
-        E0804 "a program uses KRL that is not supported",
+        E0804 "a program uses what is not supported",
         cause: "Controllers accept more of the language than dbbd reads, and the simulated controller executes only what can be executed in exact stops.",
         cure: "Write the program without it where it is to be simulated. `dbbd compensate` passes over statements that move nothing." {
             Unsupported { what: String, instead: String } => "{what} is not supported", help: "{instead}";

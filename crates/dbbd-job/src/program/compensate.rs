@@ -25,7 +25,7 @@ const LARGEST_TURN_DEG: f64 = 5.0;
 const ROUNDED_DEG: f64 = 0.005;
 
 /// How the controller selects the solution branch of a pose.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Branch {
     /// By the status and turn of the target.
     ByStatusAndTurn,
@@ -33,6 +33,8 @@ pub enum Branch {
     ByQuadrants([i32; 4]),
     /// The branch nearest to the position before.
     Nearest,
+    /// The branch nearest to these axis angles, rad.
+    NearestTo([f64; AXES]),
 }
 
 /// A target with what its axis angles depend on.
@@ -145,6 +147,7 @@ impl Corrector {
                         };
                         self.branch(&flange, status, turn)
                     }
+                    (Branch::NearestTo(near), _) => inverse::nearest(&self.nominal.geometry, &flange, &near),
                     _ => inverse::nearest(&self.nominal.geometry, &flange, &self.last),
                 };
                 let unreached =
@@ -211,6 +214,11 @@ impl Corrector {
         Ok(inverse::quadrants(&self.nominal.geometry, &axes))
     }
 
+    /// ABB's configuration of a target before its correction.
+    pub fn taught_quadrants(&self, corrected: &Corrected) -> [i32; 4] {
+        inverse::quadrants(&self.nominal.geometry, &corrected.taught)
+    }
+
     /// The nominal axis angles at a corrected pose as it is printed, in the branch in which it was taught.
     fn printed_axes(
         &self,
@@ -227,6 +235,13 @@ impl Corrector {
         }
         Ok(axes)
     }
+}
+
+/// The finding about a frame that differs between the ways to a motion, which set it in these lines (0: before the program).
+pub(crate) fn mixed(frame: &'static str, lines: [usize; 2]) -> CompensationFinding {
+    let set_in = |line| if line == 0 { "before the program".into() } else { format!("of line {line}") };
+    let [first, second] = lines.map(set_in);
+    CompensationFinding::FrameMixed { frame, first, second }
 }
 
 /// A point that was corrected.

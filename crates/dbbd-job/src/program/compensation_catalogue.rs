@@ -5,22 +5,26 @@ use dbbd_model::findings;
 findings! {
     /// A program that cannot be corrected, or a part of it that stays as it is.
     CompensationFinding "Correcting a program" {
-        E0901 "$TOOL or $BASE is not known at a motion",
-        cause: "The correction of a point depends on its frames, and these are set elsewhere, computed, or differ between the branches of a choice.",
+        E0901 "a frame is not known at a motion",
+        cause: "The correction of a point depends on its frames, and these are set elsewhere, computed, or differ between the ways through the program; or the controller displaces or corrects the motion itself.",
         cure: "Give the controller's $config.dat, or tool and base; or set both frames in the program before the motion.",
         asks: [ControllerConfig, ToolFrame, BaseFrame] {
             FrameNotSet { frame: &'static str } => "nothing sets {frame} before this",
-                help: "give $config.dat, or tool and base";
+                help: "set it in the program, or give it; in KRL $config.dat gives all";
             FrameComputed { frame: &'static str, line: usize } => "{frame} is computed in line {line}";
             FramePart { frame: &'static str, line: usize } => "line {line} sets a part of {frame}";
-            FrameChosen { frame: &'static str, line: usize } => "the choice that ends in line {line} may set {frame}";
-            FrameInRoutine { frame: &'static str, routine: String } => "the routine {routine} sets {frame}";
+            FrameMixed { frame: &'static str, first: String, second: String } => "{frame} is the one {first} or the one {second}, by the way on which the program comes here",
+                help: "set it again before this motion";
+            FrameBeside { frame: &'static str, line: usize } => "line {line} sets {frame} in a routine that runs beside the program",
+                help: "let the program itself set it before each motion";
             FrameElsewhere { frame: &'static str, name: String } => "{frame} is {name}, which is in no file given",
                 help: "give $config.dat, or tool and base";
             FramesInLoop => "this motion has different frames when the loop repeats", help: "set $TOOL and $BASE at the start of the loop";
+            RootSet { line: usize } => "line {line} moves the robot away from the origin of $BASE ($ROBROOT)", help: "put the place of the robot into $BASE";
             MovedWorkObject { name: String } => "{name} is moved by a mechanical unit";
-            FixedTool { name: String } => "{name} moves the workpiece against a fixed tool (#TCP)",
-                help: "only a tool on the flange (#BASE) can be compensated";
+            Displaced { word: String, line: usize } => "{word} in line {line} displaces this motion", help: "put the displacement into the work object";
+            FixedTool { name: String } => "{name} moves the workpiece against a fixed tool",
+                help: "only a tool on the flange can be compensated";
         }
         E0915 "a frame or the points are in another unit",
         cause: "X, Y and Z of a tool, a base or most points are in metres where millimetres are needed, or the other way round.",
@@ -32,6 +36,17 @@ findings! {
         cause: "The points of the program have different positions of a rail or a positioner. The model of the robot does not have this axis: its points are corrected as if robot and work stood where they are.",
         cure: "Check the corrected points, or correct one program for each position of the external axis, with its own base." {
             ExternalAxis { axis: usize, name: String, at: f64, before: f64 } => "external axis {axis} is at {at} at {name}, and at {before} before: it is not corrected";
+        }
+        E0922 "the controller corrects the program by itself",
+        cause: "The program switches on the absolute accuracy of the controller, which then corrects each pose by its own model: a corrected point would be corrected twice.",
+        cure: "Switch absolute accuracy off in the program, identify the robot with it off, and correct again; or leave the program to the controller." {
+            ControllerCorrects { line: usize } => "line {line} switches absolute accuracy on: the controller corrects this point itself";
+        }
+        W0921 "a routine of another file may change a frame",
+        cause: "The program calls a routine that is not in its file between setting a frame and a motion with it, or gives it a tool or a work object. The correction takes it that the frame stays what it was.",
+        cure: "Look whether the routine changes the frame. If so, set the frame after the call and correct again." {
+            FrameAfterCall { frame: &'static str, routine: String, line: usize } => "{routine}, called in line {line}, is taken not to change {frame}";
+            FrameGivenAway { name: String, routine: String } => "{routine} is given {name}, and is taken not to change it";
         }
         E0902 "the tool or the base that is given contradicts the program",
         cause: "The program sets the frame to another value, or uses several frames that it does not define.",
@@ -62,7 +77,8 @@ findings! {
             PointOfOtherCall { name: String, call: String } => "{name} stays as it is: {call} is not a motion that is corrected";
             NotRead { word: String } => "a motion by {word} stays as it is: its point is not in the statement";
             Displacing { word: String } => "{word} displaces the motions after it: their points are corrected without the displacement";
-            PointElsewhere { name: String } => "{name} stays as it is: it has no value in the program's files";
+            NeverReached => "this motion stays as it is: no way of the program leads to it";
+            PointElsewhere { name: String } => "{name} stays as it is: it has no fixed value in the program's files";
         }
         E0906 "a robot does not reach a point",
         cause: "The point, with the tool and base given, is out of reach of the nominal or of the identified robot, or beyond an axis limit.",
@@ -121,7 +137,7 @@ findings! {
         cure: "Name the .src of a KUKA program, the .mod of an ABB or the .script of a Universal Robots program. Programs in other languages are not corrected." {
             NotRapid { begins: String } => "is not a module in RAPID: it begins with `{begins}`";
             NotUrscript { begins: String } => "is not a program in URScript: it begins with `{begins}`";
-            NoLanguage { file: String } => "{file} is in no language that is known by its extension", help: ".src is KRL, .mod RAPID, .script URScript";
+            NoLanguage { file: String } => "{file} is in no language that is known by its extension", help: ".src is KRL, .mod RAPID, .script URScript; PolyScope saves the .script of a program beside its .urp";
             NotKrl { begins: String } => "is not a program in KRL: it begins with `{begins}`";
         }
         E0917 "the controller corrects with a table that is not known",

@@ -25,6 +25,15 @@ impl Language {
         }
     }
 
+    /// As its users write it.
+    pub(crate) fn title(self) -> &'static str {
+        match self {
+            Self::Krl => "KRL",
+            Self::Rapid => "RAPID",
+            Self::Urscript => "URScript",
+        }
+    }
+
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|language| language.name() == name)
     }

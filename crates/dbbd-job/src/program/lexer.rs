@@ -40,8 +40,14 @@ pub(super) fn tokens(file: Text<'_>, language: Language) -> Result<Vec<(Token, S
     if text.starts_with('\u{feff}') {
         return Err(file.wrong(&(0..3), ProgramFinding::ByteOrderMark));
     }
-    let mut lexer =
-        Lexer { file: Text { text, ..file }, language, at: 0, tokens: Vec::new(), folds: Vec::new() };
+    let mut lexer = Lexer {
+        file: Text { text, ..file },
+        language,
+        at: 0,
+        tokens: Vec::new(),
+        folds: Vec::new(),
+        brackets: 0,
+    };
     lexer.run()?;
     match lexer.folds.pop() {
         Some(span) => Err(lexer.wrong(span, ProgramFinding::FoldNotClosed)),
@@ -52,7 +58,8 @@ pub(super) fn tokens(file: Text<'_>, language: Language) -> Result<Vec<(Token, S
 /// As [`tokens`], for the last line of a KRL text, which begins at the byte `start`. Folds are not checked.
 pub(super) fn line_tokens(file: Text<'_>, start: usize) -> Result<Vec<(Token, Span)>, Diagnostic> {
     let tokens = Vec::with_capacity(64);
-    let mut lexer = Lexer { file, language: Language::Krl, at: start, tokens, folds: Vec::new() };
+    let mut lexer =
+        Lexer { file, language: Language::Krl, at: start, tokens, folds: Vec::new(), brackets: 0 };
     lexer.run()?;
     Ok(lexer.tokens)
 }
@@ -64,6 +71,8 @@ struct Lexer<'a> {
     tokens: Vec<(Token, Span)>,
     /// The folds that are open.
     folds: Vec<Span>,
+    /// How many brackets are open: in URScript a line goes on inside them.
+    brackets: usize,
 }
 
 /// The longest prefix of a text whose characters are all accepted.
@@ -111,7 +120,13 @@ impl<'a> Lexer<'a> {
                 }
                 self.at += line().len();
             }
-            '\n' if self.language != Language::Rapid => self.push(Token::LineEnd, 1),
+            '\n' if self.goes_on(after_first(rest)) => self.at += 1,
+            '\n' => {
+                self.brackets = 0;
+                self.push(Token::LineEnd, 1);
+            }
+            // PolyScope notes the node of the program tree to which the lines after it belong.
+            '$' if self.language == Language::Urscript && starts_line => self.at += line().len(),
             ' ' | '\t' | '\r' => self.at += 1,
             c if !is_krl && c.is_whitespace() => self.at += c.len_utf8(),
             '&' if is_krl && starts_line => self.at += line().len(),
@@ -132,12 +147,32 @@ impl<'a> Lexer<'a> {
                 let signs = if is_krl { KRL_SIGNS } else { SCRIPT_SIGNS };
                 let Some(sign) = signs.iter().find(|sign| rest.starts_with(**sign)) else {
                     let span = self.at..self.at + character.len_utf8();
-                    return Err(self.wrong(span, ProgramFinding::UnknownCharacter { character }));
+                    let language = self.language.title();
+                    return Err(self.wrong(span, ProgramFinding::UnknownCharacter { character, language }));
                 };
+                match *sign {
+                    "(" | "[" => self.brackets += 1,
+                    ")" | "]" => self.brackets = self.brackets.saturating_sub(1),
+                    _ => {}
+                }
                 self.push(Token::Sign(sign), sign.len());
             }
         }
         Ok(())
+    }
+
+    /// Whether a statement goes on in the next line. A bracket that was never closed ends at a keyword that begins a line.
+    fn goes_on(&self, next: &str) -> bool {
+        const BEGIN: [&str; 10] =
+            ["def", "end", "thread", "while", "if", "elif", "else", "return", "global", "local"];
+        match self.language {
+            Language::Krl => false,
+            Language::Rapid => true,
+            Language::Urscript => {
+                let word = prefix(next.trim_start(), |c| self.is_in_name(c));
+                self.brackets > 0 && !BEGIN.contains(&word)
+            }
+        }
     }
 
     fn is_in_name(&self, c: char) -> bool {

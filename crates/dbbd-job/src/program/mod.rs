@@ -10,6 +10,7 @@ pub use catalogue::ProgramFinding;
 
 pub mod compensate;
 mod emission;
+mod flow;
 mod header;
 pub mod krl;
 mod language;

@@ -73,6 +73,27 @@ impl<'a> Tokens<'a> {
         start..self.end().max(start)
     }
 
+    /// Whether the last token that was read is this name or keyword.
+    pub(super) fn has_read_name(&self, name: &str) -> bool {
+        let last = self.at.checked_sub(1).and_then(|at| self.tokens.get(at));
+        matches!(last, Some((Token::Name(last), _)) if last.eq_ignore_ascii_case(name))
+    }
+
+    /// The names from a position to the last token that was read after which a bracket opens: what is called there. Methods of
+    /// an object (`object.name(..)`) are not among them.
+    pub(super) fn called_since(&self, position: usize) -> Vec<String> {
+        let mut called = Vec::new();
+        for at in position..self.at.saturating_sub(1) {
+            let token = |at: usize| self.tokens.get(at).map(|(token, _)| token);
+            if let (Some(Token::Name(name)), Some(Token::Sign("("))) = (token(at), token(at + 1))
+                && (at == position || !matches!(token(at - 1), Some(Token::Sign("."))))
+            {
+                called.push(name.clone());
+            }
+        }
+        called
+    }
+
     /// Reads a sign if it is the next token.
     pub(super) fn accept(&mut self, sign: &str) -> bool {
         let is_next = matches!(self.peek(), Token::Sign(next) if *next == sign);

@@ -26,6 +26,11 @@ const MOTIONS: [(&str, MotionKind); 4] = [
     ("MOVEC", MotionKind::Circ),
 ];
 
+/// Whether an instruction is one of them.
+pub(super) fn is_motion(name: &str) -> bool {
+    MOTIONS.iter().any(|(known, _)| *known == name)
+}
+
 /// The names of the frames in findings.
 const TOOL: &str = "the tool";
 const WORK_OBJECT: &str = "the work object";
@@ -60,6 +65,11 @@ impl<'a> Instruction<'a> {
     /// The points, the auxiliary one first.
     pub(super) fn points(&self) -> impl Iterator<Item = &'a Evaluated<'a>> {
         [self.through, Some(self.to)].into_iter().flatten()
+    }
+
+    /// The variables that are its tool and its work object.
+    pub(super) fn frame_names(&self) -> impl Iterator<Item = &'a str> {
+        [self.tool, self.work_object].into_iter().flatten().filter_map(Evaluated::variable)
     }
 
     pub(super) fn frames(&self) -> Result<Frames, CompensationFinding> {

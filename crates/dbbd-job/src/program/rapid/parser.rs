@@ -3,8 +3,9 @@
 use crate::program::CompensationFinding;
 use crate::program::Language;
 use crate::program::ProgramFinding;
+use crate::program::flow::Control;
 use crate::program::lexer::Token;
-use crate::program::script::expression::{Expression, Routine, Statement, StatementKind};
+use crate::program::script::expression::{Expression, Parameter, Routine, Statement, StatementKind};
 use crate::program::text::Text;
 use crate::program::tokens::Tokens;
 use dbbd_model::diagnostic::Diagnostic;
@@ -22,7 +23,9 @@ pub(super) struct Declared {
 #[derive(Clone, Debug)]
 pub(super) struct Module {
     pub(super) data: Vec<Declared>,
+    /// Procedures and TRAPs.
     pub(super) routines: Vec<Routine>,
+    pub(super) functions: Vec<Routine>,
 }
 
 /// The keywords that end a routine.
@@ -43,7 +46,7 @@ pub(super) fn parse(text: Text<'_>, file: usize) -> Result<Module, Diagnostic> {
     if tokens.accept("(") {
         tokens.arguments(")", 0)?;
     }
-    let mut module = Module { data: Vec::new(), routines: Vec::new() };
+    let mut module = Module { data: Vec::new(), routines: Vec::new(), functions: Vec::new() };
     while !tokens.accept_name("ENDMODULE") {
         if *tokens.peek() == Token::End {
             return Err(tokens.expected("ENDMODULE"));
@@ -61,16 +64,19 @@ fn item(tokens: &mut Tokens<'_>, module: &mut Module, file: usize) -> Result<(),
     let is_local = tokens.accept_name("LOCAL");
     tokens.accept_name("TASK");
     if ["CONST", "PERS", "VAR"].into_iter().any(|word| tokens.accept_name(word)) {
-        if let Some((name, value)) = declaration(tokens)? {
+        if let (name, Some(value)) = declaration(tokens)? {
             module.data.push(Declared { name, value, is_local });
         }
         return Ok(());
     }
-    if tokens.accept_name("PROC") || tokens.accept_name("TRAP") {
-        module.routines.push(routine(tokens, file, is_local)?);
+    let is_trap = tokens.is_name("TRAP");
+    if is_trap || tokens.is_name("PROC") {
+        tokens.advance();
+        let is_concurrent = is_trap;
+        module.routines.push(Routine { is_concurrent, ..routine(tokens, file, is_local)? });
     } else if tokens.accept_name("FUNC") {
         tokens.name()?;
-        routine(tokens, file, is_local)?;
+        module.functions.push(routine(tokens, file, is_local)?);
     } else if tokens.accept_name("RECORD") {
         while !tokens.accept_name("ENDRECORD") && *tokens.peek() != Token::End {
             tokens.advance();
@@ -84,14 +90,14 @@ fn item(tokens: &mut Tokens<'_>, module: &mut Module, file: usize) -> Result<(),
 }
 
 /// After CONST, PERS or VAR: the name with its value, if it has one that can be parsed.
-fn declaration(tokens: &mut Tokens<'_>) -> Result<Option<(String, Expression)>, Diagnostic> {
+fn declaration(tokens: &mut Tokens<'_>) -> Result<(String, Option<Expression>), Diagnostic> {
     tokens.name()?;
     let (name, _) = tokens.name()?;
     let is_array = tokens.accept("{");
     let value = (!is_array && tokens.accept(":=")).then(|| tokens.expression()).transpose();
     let value = value.ok().flatten();
     skip(tokens);
-    Ok(value.map(|value| (name, value)))
+    Ok((name, value))
 }
 
 /// Skips everything up to the next semicolon and the semicolon.
@@ -104,28 +110,13 @@ fn skip(tokens: &mut Tokens<'_>) {
 /// After PROC, TRAP or the type of a FUNC.
 fn routine(tokens: &mut Tokens<'_>, file: usize, is_local: bool) -> Result<Routine, Diagnostic> {
     let (name, _) = tokens.name()?;
-    let mut parameters = Vec::new();
-    if tokens.accept("(") {
-        let mut last = None;
-        while !tokens.accept(")") {
-            match tokens.next() {
-                Token::Name(name) => last = Some(name),
-                Token::End => return Err(tokens.expected("`)`")),
-                Token::Sign(",") => parameters.extend(last.take()),
-                Token::Enum(_)
-                | Token::Int(_)
-                | Token::Real(_)
-                | Token::Text(_)
-                | Token::Sign(_)
-                | Token::LineEnd => {}
-            }
-        }
-        parameters.extend(last);
-    }
+    let parameters = if tokens.accept("(") { parameters(tokens)? } else { Vec::new() };
     let mut body = Vec::new();
+    // The IFs without THEN that end after the next statement.
+    let mut compact = 0;
     loop {
         if ENDS.into_iter().any(|end| tokens.accept_name(end)) {
-            return Ok(Routine { name, file, is_local, parameters, body });
+            return Ok(Routine { name, file, is_local, is_concurrent: false, parameters, body });
         }
         if tokens.is_name("ENDMODULE") || *tokens.peek() == Token::End {
             return Err(tokens.expected("ENDPROC"));
@@ -142,8 +133,56 @@ fn routine(tokens: &mut Tokens<'_>, file: usize, is_local: bool) -> Result<Routi
                 "this statement".into()
             }))
         });
-        body.extend(kind.map(|kind| Statement { span: tokens.since(start), kind }));
+        let is_if = matches!(&kind, Some(StatementKind::Control { control: Control::If, .. }));
+        let is_compact = is_if && !tokens.has_read_name("THEN");
+        body.extend(kind.map(|kind| Statement::new(tokens, start, kind)));
+        if is_compact {
+            compact += 1;
+            continue;
+        }
+        for _ in 0..std::mem::take(&mut compact) {
+            let end = StatementKind::Control { word: "IF".into(), control: Control::EndChoice };
+            body.push(Statement::new(tokens, tokens.position(), end));
+        }
     }
+}
+
+/// After the opening bracket: the parameters of a routine.
+fn parameters(tokens: &mut Tokens<'_>) -> Result<Vec<Parameter>, Diagnostic> {
+    let mut parameters = Vec::new();
+    let (mut last, mut is_optional, mut is_reference) = (None, false, false);
+    let mut add = |last: &mut Option<String>, is_optional: bool, is_reference: bool| {
+        let named = last.take();
+        parameters.extend(named.map(|name| Parameter { name, default: None, is_optional, is_reference }));
+    };
+    loop {
+        match tokens.next() {
+            Token::Name(name) if ["INOUT", "VAR", "PERS"].contains(&name.as_str()) => is_reference = true,
+            Token::Name(name) => last = Some(name),
+            Token::Sign("\\") => {
+                add(&mut last, is_optional, is_reference);
+                (is_optional, is_reference) = (true, false);
+            }
+            Token::Sign("|") => {
+                add(&mut last, is_optional, is_reference);
+                is_reference = false;
+            }
+            Token::Sign(",") => {
+                add(&mut last, is_optional, is_reference);
+                (is_optional, is_reference) = (false, false);
+            }
+            Token::Sign(")") => break,
+            Token::End => return Err(tokens.expected("`)`")),
+            Token::Enum(_)
+            | Token::Int(_)
+            | Token::Real(_)
+            | Token::Text(_)
+            | Token::Sign(_)
+            | Token::LineEnd => {}
+        }
+    }
+    add(&mut last, is_optional, is_reference);
+    Ok(parameters)
 }
 
 /// A statement, or the head of a compound one.
@@ -161,32 +200,71 @@ fn statement(tokens: &mut Tokens<'_>) -> Result<Option<StatementKind>, Diagnosti
         }
         Ok(())
     };
-    match name.as_str() {
-        // Without THEN the condition is that of one statement, which follows and is parsed by itself.
+    let control = match name.as_str() {
         "IF" => {
-            tokens.expression()?;
-            tokens.accept_name("THEN");
+            let condition = tokens.position();
+            // Without THEN the condition is that of one statement, which follows and is parsed by itself.
+            if head(tokens, "THEN").is_err() {
+                tokens.go_to(condition);
+                tokens.expression()?;
+            }
+            Control::If
         }
-        "ELSEIF" => head(tokens, "THEN")?,
-        "FOR" | "WHILE" => head(tokens, "DO")?,
-        "TEST" => _ = tokens.expression()?,
-        "CASE" => while !tokens.accept(":") && !matches!(tokens.next(), Token::End) {},
-        "DEFAULT" => _ = tokens.accept(":"),
-        "ELSE" | "ENDIF" | "ENDFOR" | "ENDWHILE" | "ENDTEST" | "ERROR" | "BACKWARD" | "UNDO" => {}
-        "GOTO" | "RETURN" | "CONNECT" | "RAISE" => skip(tokens),
+        "ELSEIF" => {
+            head(tokens, "THEN")?;
+            Control::Way
+        }
+        "FOR" | "WHILE" => {
+            head(tokens, "DO")?;
+            Control::While
+        }
+        "TEST" => {
+            tokens.expression()?;
+            Control::Cases
+        }
+        "CASE" => {
+            while !tokens.accept(":") && !matches!(tokens.next(), Token::End) {}
+            Control::Way
+        }
+        "DEFAULT" => {
+            tokens.accept(":");
+            Control::LastWay
+        }
+        "ELSE" => Control::LastWay,
+        "ENDIF" | "ENDTEST" => Control::EndChoice,
+        "ENDFOR" | "ENDWHILE" => Control::EndLoop,
+        "ERROR" | "BACKWARD" | "UNDO" => Control::Handler,
+        "RETRY" | "TRYNEXT" => {
+            skip(tokens);
+            Control::Resume
+        }
+        "GOTO" => {
+            let (label, _) = tokens.name()?;
+            skip(tokens);
+            Control::Goto(label)
+        }
+        "RETURN" | "RAISE" | "EXIT" | "EXITCYCLE" => {
+            skip(tokens);
+            Control::Return
+        }
+        "CONNECT" => {
+            skip(tokens);
+            return Ok(Some(StatementKind::Other(name)));
+        }
         "CONST" | "PERS" | "VAR" => {
-            return Ok(declaration(tokens)?.map(|(name, value)| StatementKind::Assign { name, value }));
+            let (name, value) = declaration(tokens)?;
+            return Ok(Some(StatementKind::Declare { name, value }));
         }
         _ if tokens.accept(":=") => {
             let value = tokens.expression()?;
             tokens.expect(";")?;
             return Ok(Some(StatementKind::Assign { name, value }));
         }
-        _ if tokens.accept(":") => {}
+        _ if tokens.accept(":") => Control::Label(name.clone()),
         _ => {
             let arguments = tokens.arguments(";", 0)?;
             return Ok(Some(StatementKind::Call { name, arguments }));
         }
-    }
-    Ok(Some(StatementKind::Other(name)))
+    };
+    Ok(Some(StatementKind::Control { word: name, control }))
 }

@@ -1,18 +1,22 @@
 //! The points of a RAPID module and their correction.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
-use super::instruction::Instruction;
-use super::literal::{external, not_of_unit_length, predefined, taught};
+use super::instruction::{Instruction, is_motion};
+use super::literal::{external, not_of_unit_length, predefined, taught, tool, work_object};
 use super::parser::{Module, parse};
 use super::program::declared;
 use crate::program::CompensationFinding;
 use crate::program::MotionKind;
-use crate::program::compensate::{Branch, Corrected, Corrector, external_motion};
-use crate::program::script::expression::{Statement, StatementKind};
+use crate::program::compensate::{Branch, Corrected, Corrector, external_motion, mixed};
+use crate::program::flow::{At, Calls, Followed, Follower, InForce, State, Ways, reached_from};
+use crate::program::script::expression::{
+    Argument, ExpressionKind, Parameter, Routine, Statement, StatementKind, calls, statements,
+};
 use crate::program::script::points::{OtherInstructions, Point, Points, elements, replaced};
-use crate::program::script::value::evaluated;
-use crate::program::text::{Edit, Text};
+use crate::program::script::scope::Scope;
+use crate::program::script::value::{self, Evaluated, Value, evaluated};
+use crate::program::text::{Edit, Span, Text};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Pose;
 
@@ -23,30 +27,54 @@ const DECIMALS_QUATERNION: usize = 8;
 
 const OTHERS: OtherInstructions = OtherInstructions {
     motions: &["MOVE", "TRIGG", "SEARCH", "ARC", "SPOT", "PAINT", "DISP"],
-    displacements: &["PDISPON", "PDISPSET", "EOFFSON", "EOFFSSET"],
+    displacements: &[],
     settings: &[],
 };
+
+/// Instructions that displace the motions after them, with the one that ends it.
+const DISPLACING: [(&[&str], &str); 2] =
+    [(&["PDISPON", "PDISPSET"], "PDISPOFF"), (&["EOFFSON", "EOFFSSET"], "EOFFSOFF")];
+const DISPLACEMENT: &str = "the displacement";
+/// What the names of instructions begin with that measure a tool and write it: `MToolTCPCalib`, `SToolRotCalib`.
+const MEASURING: [&str; 2] = ["MTOOL", "STOOL"];
 
 /// The points of a module; `config` is a module with tools and work objects.
 pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnostic> {
     let module = parse(text, 0)?;
     let config = config.map(|config| parse(config, 1)).transpose()?;
-    let statements = || module.routines.iter().flat_map(|routine| &routine.body);
-    // The last line that assigns to a name.
-    let assigned = statements().filter_map(|statement| {
-        if let StatementKind::Assign { name, .. } | StatementKind::Other(name) = &statement.kind {
-            Some((name.as_str(), text.line(statement.span.start)))
-        } else {
-            None
+    let routines: Vec<&Routine> = module.routines.iter().chain(&module.functions).collect();
+    let program = InFile::new(text, &module, config.as_ref(), routines);
+    let ways: Vec<Ways> = program.routines.iter().map(|routine| routine.ways()).collect();
+    let mut follower = Follower::new(&program, &ways);
+    let mut reader = Reader {
+        program: &program,
+        points: Points::new(write),
+        reached: HashSet::new(),
+        used: HashSet::new(),
+        given_away: Vec::new(),
+    };
+    let all = 0..program.routines.len();
+    // `main` is where the program begins; what it does not reach is called from other modules.
+    let (main, others): (Vec<usize>, Vec<usize>) = all.partition(|at| program.routines[*at].name == "MAIN");
+    for at in main.into_iter().chain(others) {
+        let routine = program.routines[at];
+        if !follower.has_visited(at) {
+            let mut state = InRoutine::before(routine);
+            if routine.is_concurrent {
+                state.forget_modes(text.line(routine.body.first().map_or(0, |first| first.span.start)));
+            }
+            follower.visit(at, state, &mut |at, state| reader.statement(at, state))?;
         }
-    });
-    let assigned_lines: HashMap<&str, usize> = assigned.collect();
-    let mut reader =
-        Reader { text, module: &module, config: config.as_ref(), assigned_lines, points: Points::new(write) };
-    for statement in statements() {
-        reader.statement(statement)?;
     }
-    let mut points = reader.points.completed();
+    for (at, statement) in statements(program.routines.iter().copied()) {
+        if let StatementKind::Call { name, .. } = &statement.kind
+            && is_motion(name)
+            && !reader.reached.contains(&at)
+        {
+            reader.points.leave(text, &statement.span, CompensationFinding::NeverReached);
+        }
+    }
+    let mut points = reader.completed();
     let external = external_motion(points.points.iter().map(|point| {
         let name = point.value.name.as_deref().unwrap_or("inline");
         (name, external(&point.value))
@@ -56,48 +84,357 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
     Ok(points)
 }
 
-struct Reader<'a> {
+/// What is in force at a statement.
+#[derive(Clone, PartialEq)]
+struct InRoutine {
+    /// The parameters and variables of the routine.
+    locals: Scope,
+    /// Whether `MoveJ` goes to the configuration of its point.
+    conf_j: InForce<bool>,
+    /// For each of [`DISPLACING`], the instruction that displaces.
+    displaced: [InForce<Option<String>>; 2],
+}
+
+impl InRoutine {
+    /// At the begin of a routine that is called from elsewhere.
+    fn before(routine: &Routine) -> Self {
+        let none = || InForce::One { value: None, line: 0 };
+        let mut locals = Scope::default();
+        routine.parameters.iter().for_each(|parameter| locals.set(&parameter.name, None));
+        Self { locals, conf_j: InForce::One { value: true, line: 0 }, displaced: [none(), none()] }
+    }
+
+    fn forget_modes(&mut self, line: usize) {
+        self.conf_j.forget(line);
+        self.displaced.iter_mut().for_each(|displaced| displaced.forget(line));
+    }
+}
+
+impl State for InRoutine {
+    fn join(&mut self, other: &Self) {
+        self.locals.join(&other.locals);
+        self.conf_j.join(&other.conf_j);
+        self.displaced.iter_mut().zip(&other.displaced).for_each(|(known, other)| known.join(other));
+    }
+}
+
+/// The module of a program and what is known of it before it is followed.
+struct InFile<'a> {
     text: Text<'a>,
     module: &'a Module,
     config: Option<&'a Module>,
+    routines: Vec<&'a Routine>,
+    /// By routine and statement: the routines that it calls.
+    calls: Calls,
+    changing: Changing<'a>,
+    /// The data of the module that a statement changes, with the last line that does.
     assigned_lines: HashMap<&'a str, usize>,
+    /// A line of a TRAP that displaces motions.
+    displaced_beside: Option<(String, usize)>,
+}
+
+impl<'a> InFile<'a> {
+    fn new(
+        text: Text<'a>,
+        module: &'a Module,
+        config: Option<&'a Module>,
+        routines: Vec<&'a Routine>,
+    ) -> Self {
+        let calls = calls(routines.iter().copied());
+        let changing = changing(&routines);
+        let mut assigned_lines = HashMap::new();
+        for routine in &routines {
+            for statement in &routine.body {
+                let names = changed(statement, &routines, &changing);
+                let names = names.into_iter().filter(|name| !is_local(routine, name));
+                assigned_lines.extend(names.map(|name| (name, text.line(statement.span.start))));
+            }
+        }
+        let traps = (0..routines.len()).filter(|at| routines[*at].is_concurrent).collect();
+        let beside = reached_from(traps, &calls);
+        let displaced_beside = beside.iter().flat_map(|at| &routines[*at].body).find_map(|statement| {
+            let StatementKind::Call { name, .. } = &statement.kind else { return None };
+            let is_displacing = DISPLACING.iter().any(|(on, _)| on.contains(&name.as_str()));
+            is_displacing.then(|| (name.clone(), text.line(statement.span.start)))
+        });
+        Self { text, module, config, routines, calls, changing, assigned_lines, displaced_beside }
+    }
+
+    fn statement(&self, (routine, at): At) -> &'a Statement {
+        &self.routines[routine].body[at]
+    }
+
+    /// The value of data as it is declared, outside of any routine.
+    fn data(&self, name: &str) -> Option<Value> {
+        let own = declared(self.module, name, 0);
+        own.or_else(|| declared(self.config?, name, 1)).or_else(|| predefined(name))
+    }
+
+    fn lookup(&self, state: &InRoutine, name: &str) -> Option<Value> {
+        match state.locals.get(name) {
+            Some(local) => local.cloned(),
+            None => self.data(name).filter(|_| !self.assigned_lines.contains_key(name)),
+        }
+    }
+}
+
+fn is_local(routine: &Routine, name: &str) -> bool {
+    routine.parameters.iter().any(|parameter| parameter.name == name)
+        || routine.body.iter().any(
+            |statement| matches!(&statement.kind, StatementKind::Declare { name: local, .. } if local == name),
+        )
+}
+
+/// Routines, each with a parameter whose variable it changes.
+type Changing<'a> = HashSet<(&'a str, &'a str)>;
+
+/// The parameters that routines change, themselves or by a routine that they give them to.
+fn changing<'a>(routines: &[&'a Routine]) -> Changing<'a> {
+    let mut changing = Changing::new();
+    loop {
+        let known = changing.len();
+        for routine in routines {
+            let changed: Vec<&str> =
+                routine.body.iter().flat_map(|statement| changed(statement, routines, &changing)).collect();
+            let references = routine.parameters.iter().filter(|parameter| parameter.is_reference);
+            let references = references.map(|parameter| parameter.name.as_str());
+            let new = references.filter(|name| changed.contains(name));
+            changing.extend(new.map(|name| (routine.name.as_str(), name)));
+        }
+        if changing.len() == known {
+            return changing;
+        }
+    }
+}
+
+/// The variables that a statement may change.
+fn changed<'s>(statement: &'s Statement, routines: &[&Routine], changing: &Changing<'_>) -> Vec<&'s str> {
+    match &statement.kind {
+        StatementKind::Assign { name, .. } | StatementKind::Other(name) => vec![name],
+        StatementKind::Call { name, arguments } => {
+            let routine = routines.iter().find(|routine| routine.name == *name);
+            let is_measuring = MEASURING.iter().any(|start| name.starts_with(start));
+            let is_changed = |at: usize, argument: &Argument| {
+                let parameter = routine.and_then(|routine| bound(routine, arguments, at, argument));
+                let is_changing =
+                    |parameter: &Parameter| changing.contains(&(name.as_str(), parameter.name.as_str()));
+                parameter.map_or(is_measuring, is_changing)
+            };
+            let arguments = arguments.iter().enumerate();
+            let changed = arguments.filter(|(at, argument)| is_changed(*at, argument));
+            changed.filter_map(|(_, argument)| variable(argument)).collect()
+        }
+        StatementKind::Declare { .. } | StatementKind::UntilSteady | StatementKind::Control { .. } => {
+            Vec::new()
+        }
+    }
+}
+
+/// The variable that is an argument.
+fn variable(argument: &Argument) -> Option<&str> {
+    match &argument.value.as_ref()?.kind {
+        ExpressionKind::Name(name) => Some(name),
+        ExpressionKind::Number(_)
+        | ExpressionKind::Text(_)
+        | ExpressionKind::Bool(_)
+        | ExpressionKind::List(_)
+        | ExpressionKind::Pose(_)
+        | ExpressionKind::Call { .. }
+        | ExpressionKind::Computed => None,
+    }
+}
+
+/// The parameter that an argument (the one at this index) is given to.
+fn bound<'r>(
+    routine: &'r Routine,
+    arguments: &[Argument],
+    at: usize,
+    argument: &Argument,
+) -> Option<&'r Parameter> {
+    if let Some(name) = &argument.name {
+        return routine.parameters.iter().find(|parameter| parameter.name.eq_ignore_ascii_case(name));
+    }
+    let before = arguments.iter().take(at).filter(|argument| argument.name.is_none()).count();
+    routine.parameters.iter().filter(|parameter| !parameter.is_optional).nth(before)
+}
+
+impl Followed for InFile<'_> {
+    type State = InRoutine;
+
+    fn calls(&self, (routine, at): At) -> &[usize] {
+        &self.calls[routine][at]
+    }
+
+    fn enter(&self, at: At, routine: usize, state: &InRoutine) -> InRoutine {
+        let routine = self.routines[routine];
+        let mut entry = InRoutine { locals: InRoutine::before(routine).locals, ..state.clone() };
+        if let StatementKind::Call { name, arguments } = &self.statement(at).kind
+            && *name == routine.name
+        {
+            let lookup = |name: &str| self.lookup(state, name);
+            for (at, argument) in arguments.iter().enumerate() {
+                if let (Some(parameter), Some(given)) =
+                    (bound(routine, arguments, at, argument), &argument.value)
+                {
+                    entry.locals.set(&parameter.name, value::value(given, 0, &lookup));
+                }
+            }
+        }
+        entry
+    }
+
+    fn leave(&self, _: usize, before: &InRoutine, after: InRoutine) -> InRoutine {
+        InRoutine { locals: before.locals.clone(), ..after }
+    }
+
+    fn apply(&self, at: At, state: &mut InRoutine) {
+        let statement @ Statement { span, kind, .. } = self.statement(at);
+        let lookup = |name: &str| self.lookup(state, name);
+        let given = match kind {
+            StatementKind::Assign { value, .. } | StatementKind::Declare { value: Some(value), .. } => {
+                value::value(value, 0, &lookup)
+            }
+            StatementKind::Declare { value: None, .. }
+            | StatementKind::Call { .. }
+            | StatementKind::UntilSteady
+            | StatementKind::Control { .. }
+            | StatementKind::Other(_) => None,
+        };
+        let named = |name: &str| given.clone().map(|value| Value { name: Some(name.to_owned()), ..value });
+        if let StatementKind::Declare { name, .. } = kind {
+            state.locals.set(name, named(name));
+            return;
+        }
+        let routine = self.routines[at.0];
+        let changed = changed(statement, &self.routines, &self.changing);
+        for name in changed.into_iter().filter(|name| is_local(routine, name)) {
+            state.locals.set(name, named(name));
+        }
+        let StatementKind::Call { name, arguments } = kind else { return };
+        let line = self.text.line(span.start);
+        if name == "CONFJ" {
+            let is_off = arguments.iter().any(|argument| {
+                argument.name.as_deref().is_some_and(|switch| switch.eq_ignore_ascii_case("Off"))
+            });
+            state.conf_j = InForce::One { value: !is_off, line };
+        }
+        for ((on, off), displaced) in DISPLACING.into_iter().zip(&mut state.displaced) {
+            if on.contains(&name.as_str()) {
+                *displaced = InForce::One { value: Some(name.clone()), line };
+            } else if name == off {
+                *displaced = InForce::One { value: None, line };
+            }
+        }
+    }
+
+    fn forget(&self, at: At, state: &mut InRoutine) {
+        state.locals.forget();
+        state.forget_modes(self.text.line(self.statement(at).span.start));
+    }
+}
+
+/// Notes the points of the statements that are visited.
+struct Reader<'a> {
+    program: &'a InFile<'a>,
     points: Points,
+    reached: HashSet<At>,
+    /// The tools and work objects of motions.
+    used: HashSet<String>,
+    /// Those that routines of other files are given, each with the finding about it.
+    given_away: Vec<(String, Diagnostic)>,
 }
 
 impl Reader<'_> {
-    fn statement(&mut self, Statement { span, kind }: &Statement) -> Result<(), Diagnostic> {
-        let (text, module, config) = (self.text, self.module, self.config);
-        let lookup = |name: &str| {
-            let own = declared(module, name, 0);
-            own.or_else(|| declared(config?, name, 1)).or_else(|| predefined(name))
-        };
+    fn statement(&mut self, at: At, state: &InRoutine) -> Result<(), Diagnostic> {
+        let (program, text) = (self.program, self.program.text);
+        self.reached.insert(at);
+        let lookup = |name: &str| program.lookup(state, name);
+        let Statement { span, kind, .. } = program.statement(at);
         let (name, arguments) = if let StatementKind::Call { name, arguments } = kind {
             (name.as_str(), evaluated(arguments, 0, &lookup))
         } else {
             ("", Vec::new())
         };
         let Some(instruction) = Instruction::new(name, &arguments) else {
-            self.points.other(text, (span, kind), &arguments, &OTHERS, |value| taught(value).is_some());
+            if program.calls(at).is_empty() {
+                self.note_given_away(span, name, &arguments);
+                self.points.other(text, (span, kind), &arguments, &OTHERS, |value| taught(value).is_some());
+            }
             return Ok(());
         };
-        // A local variable of the routine is not looked up: it counts as declared elsewhere.
-        let assigned_line = |name: &str| lookup(name).and(self.assigned_lines.get(name).copied());
+        // A parameter or variable of the routine is not data of the module.
+        let assigned_line = |name: &str| match state.locals.get(name) {
+            Some(_) => None,
+            None => program.data(name).and(program.assigned_lines.get(name).copied()),
+        };
         if let Some(why) = instruction.computed(assigned_line) {
             return Err(text.wrong(span, why));
         }
+        self.used.extend(instruction.frame_names().map(str::to_owned));
         for argument in instruction.points() {
             if let Some(why) = argument.value.as_ref().and_then(not_of_unit_length) {
                 return Err(text.wrong(span, why));
             }
-            let taught = argument.value.as_ref().and_then(taught).map(|(target, configuration)| {
-                let is_ptp = instruction.motion == MotionKind::Ptp;
-                let branch = configuration.filter(|_| is_ptp).map_or(Branch::Nearest, Branch::ByQuadrants);
-                (target, branch)
-            });
-            let frames = || instruction.frames().map_err(|why| text.wrong(span, why));
+            let taught = match argument.value.as_ref().and_then(taught) {
+                Some((target, Some(quadrants))) if instruction.motion == MotionKind::Ptp => {
+                    let to_configuration = match &state.conf_j {
+                        InForce::One { value, .. } => *value,
+                        InForce::Mixed(lines) => return Err(text.wrong(span, mixed("ConfJ", *lines))),
+                    };
+                    let nearest = Branch::Nearest;
+                    Some((target, if to_configuration { Branch::ByQuadrants(quadrants) } else { nearest }))
+                }
+                taught => taught.map(|(target, _)| (target, Branch::Nearest)),
+            };
+            let frames = || {
+                let displaced = program.displaced(state).map_or(Ok(()), Err);
+                displaced.and_then(|()| instruction.frames()).map_err(|why| text.wrong(span, why))
+            };
             self.points.add(text, span, argument, taught, frames)?;
         }
         Ok(())
+    }
+
+    /// Notes the tools and work objects that a routine of another file is given.
+    fn note_given_away(&mut self, span: &Span, routine: &str, arguments: &[Evaluated<'_>]) {
+        if OTHERS.motions.iter().any(|motion| routine.starts_with(motion)) {
+            return;
+        }
+        for argument in arguments {
+            let is_frame = |value: &Value| tool(value).is_some() || work_object(value).is_some();
+            if let (Some(name), Some(_)) =
+                (argument.variable(), argument.value.as_ref().filter(|v| is_frame(v)))
+            {
+                let (name, routine) = (name.to_owned(), routine.to_owned());
+                let finding = CompensationFinding::FrameGivenAway { name: name.clone(), routine };
+                if !self.given_away.iter().any(|(known, _)| *known == name) {
+                    self.given_away.push((name, self.program.text.wrong(span, finding)));
+                }
+            }
+        }
+    }
+
+    fn completed(self) -> Points {
+        let mut points = self.points.completed();
+        let given_away = self.given_away.into_iter().filter(|(name, _)| self.used.contains(name));
+        points.doubts.extend(given_away.map(|(_, finding)| finding));
+        points
+    }
+}
+
+impl InFile<'_> {
+    /// Why the poses of a motion are displaced.
+    fn displaced(&self, state: &InRoutine) -> Option<CompensationFinding> {
+        if let Some((word, line)) = self.displaced_beside.clone() {
+            return Some(CompensationFinding::Displaced { word, line });
+        }
+        state.displaced.iter().find_map(|displaced| match displaced {
+            InForce::One { value, line } => {
+                let (word, line) = (value.clone()?, *line);
+                Some(CompensationFinding::Displaced { word, line })
+            }
+            InForce::Mixed(lines) => Some(mixed(DISPLACEMENT, *lines)),
+        })
     }
 }
 
@@ -124,7 +461,10 @@ fn write(
     let printed =
         Pose::from_quaternion(position, quaternion).ok_or(CompensationFinding::PointShape { numbers: 4 })?;
     let quadrants = corrector.quadrants(corrected, &printed, frames)?;
-    for (old, new) in elements::<4>(configuration)?.iter().zip(quadrants) {
+    // A configuration that is not the taught one is a dummy: with `ConfJ\Off` and `ConfL\Off` the controller ignores it.
+    let is_taught = configuration.numbers() == Some(corrector.taught_quadrants(corrected).map(f64::from));
+    let is_dummy = point.branch == Branch::Nearest && !is_taught;
+    for (old, new) in elements::<4>(configuration)?.iter().zip(quadrants).filter(|_| !is_dummy) {
         if old.number() != Some(f64::from(new)) {
             edits.push((old.span.clone(), new.to_string()));
         }

@@ -1,6 +1,7 @@
 //! Statements and expressions of RAPID and URScript, and the parser of expressions.
 
 use crate::program::ProgramFinding;
+use crate::program::flow::{Calls, Control, Ways};
 use crate::program::lexer::Token;
 use crate::program::text::Span;
 use crate::program::tokens::Tokens;
@@ -11,16 +12,69 @@ pub(crate) struct Routine {
     pub(crate) name: String,
     /// Index of the file.
     pub(crate) file: usize,
-    /// Whether it is invisible in other files.
+    /// Whether it is invisible in other files, or inside another routine.
     pub(crate) is_local: bool,
-    pub(crate) parameters: Vec<String>,
+    /// Whether it runs beside the program: a thread of URScript, a TRAP of RAPID.
+    pub(crate) is_concurrent: bool,
+    pub(crate) parameters: Vec<Parameter>,
     pub(crate) body: Vec<Statement>,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) struct Parameter {
+    pub(crate) name: String,
+    pub(crate) default: Option<Expression>,
+    /// Whether it may be left out by name: `\Name` of RAPID.
+    pub(crate) is_optional: bool,
+    /// Whether the routine may change the variable that is given: INOUT, VAR and PERS of RAPID.
+    pub(crate) is_reference: bool,
 }
 
 #[derive(Clone, Debug)]
 pub(crate) struct Statement {
     pub(crate) span: Span,
     pub(crate) kind: StatementKind,
+    /// The routines and functions that it calls.
+    pub(crate) called: Vec<String>,
+}
+
+impl Statement {
+    /// A statement that begins at a position and ends with the last token that was read.
+    pub(crate) fn new(tokens: &Tokens<'_>, start: usize, kind: StatementKind) -> Self {
+        let mut called = tokens.called_since(start);
+        if let StatementKind::Call { name, .. } = &kind
+            && !called.contains(name)
+        {
+            called.push(name.clone());
+        }
+        Self { span: tokens.since(start), kind, called }
+    }
+}
+
+impl Routine {
+    /// The ways through the routine.
+    pub(crate) fn ways(&self) -> Ways {
+        Ways::new(self.body.iter().map(|statement| {
+            if let StatementKind::Control { control, .. } = &statement.kind { Some(control) } else { None }
+        }))
+    }
+}
+
+/// The routines that the statements of routines call. What runs beside the program is not called.
+pub(crate) fn calls<'a>(routines: impl Iterator<Item = &'a Routine> + Clone) -> Calls {
+    let index =
+        |name: &String| routines.clone().position(|routine| routine.name == *name && !routine.is_concurrent);
+    let called = |statement: &Statement| statement.called.iter().filter_map(index).collect();
+    routines.clone().map(|routine| routine.body.iter().map(called).collect()).collect()
+}
+
+/// The statements of routines, each with the index of its routine and its own.
+pub(crate) fn statements<'a>(
+    routines: impl IntoIterator<Item = &'a Routine>,
+) -> impl Iterator<Item = ((usize, usize), &'a Statement)> {
+    routines.into_iter().enumerate().flat_map(|(routine, of)| {
+        of.body.iter().enumerate().map(move |(at, statement)| ((routine, at), statement))
+    })
 }
 
 #[derive(Clone, Debug)]
@@ -34,14 +88,24 @@ pub(crate) enum StatementKind {
         name: String,
         value: Expression,
     },
+    /// A variable of the routine, with its value if it has one that can be parsed.
+    Declare {
+        name: String,
+        value: Option<Expression>,
+    },
     /// `while not is_steady()` of URScript.
     UntilSteady,
+    /// A statement that directs which one runs next, with its first word.
+    Control {
+        word: String,
+        control: Control,
+    },
     /// A statement that is not supported, with its first word.
     Other(String),
 }
 
 /// An argument: of RAPID `value`, `\Name:=value` or `\Name`; of URScript `value` or `name=value`.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Argument {
     pub(crate) name: Option<String>,
     pub(crate) value: Option<Expression>,
@@ -64,7 +128,10 @@ pub(crate) enum ExpressionKind {
     /// `p[x,y,z,rx,ry,rz]` of URScript.
     Pose(Vec<Expression>),
     /// `f(..)`, which is not evaluated.
-    Call(String),
+    Call {
+        name: String,
+        arguments: Vec<Argument>,
+    },
     /// Any other computation, which is not evaluated.
     Computed,
 }
@@ -154,8 +221,12 @@ impl Tokens<'_> {
         };
         loop {
             if self.accept("(") {
-                self.arguments(")", depth)?;
-                kind = ExpressionKind::Call(name.clone());
+                let arguments = self.arguments(")", depth)?;
+                let is_function = matches!(kind, ExpressionKind::Name(_));
+                kind = ExpressionKind::Computed;
+                if is_function {
+                    kind = ExpressionKind::Call { name: name.clone(), arguments };
+                }
                 continue;
             } else if self.accept("{") {
                 self.list(depth, "}")?;

@@ -2,5 +2,6 @@
 
 pub(super) mod expression;
 pub(super) mod points;
+pub(super) mod scope;
 pub(super) mod unroll;
 pub(super) mod value;

@@ -1,9 +1,9 @@
 //! The points of a program and their correction: each point once, where its numbers are written.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use super::expression::{ExpressionKind, StatementKind};
-use super::value::{Evaluated, Value};
+use super::value::{Content, Evaluated, Value};
 use crate::program::CompensationFinding;
 use crate::program::compensate::{Branch, Commanded, Corrected, Corrector, Moved, correct_points};
 use crate::program::text::{Edit, Span, Text, number_like, rewritten};
@@ -18,7 +18,7 @@ pub struct Point {
     pub(crate) value: Value,
     /// The first statement that moves there.
     pub(crate) first_use: Span,
-    branch: Branch,
+    pub(crate) branch: Branch,
     pub target: Target,
     /// The frames that are active there; `None` for axis angles.
     pub(crate) frames: Option<Frames>,
@@ -41,6 +41,8 @@ pub struct Points {
     by_start: HashMap<usize, usize>,
     /// Uses in calls that are not motions, by the first byte of the point's literal.
     other_uses: Vec<(usize, Diagnostic)>,
+    /// The first bytes of the statements and arguments that were reported: several ways may lead to one.
+    reported: HashSet<usize>,
 }
 
 /// Names of instructions other than the supported motions that matter for points.
@@ -56,7 +58,15 @@ pub(crate) struct OtherInstructions {
 impl Points {
     pub(crate) fn new(write: Write) -> Self {
         let (points, not_corrected, doubts) = (Vec::new(), Vec::new(), Vec::new());
-        Self { write, points, not_corrected, doubts, by_start: HashMap::new(), other_uses: Vec::new() }
+        let (by_start, other_uses, reported) = (HashMap::new(), Vec::new(), HashSet::new());
+        Self { write, points, not_corrected, doubts, by_start, other_uses, reported }
+    }
+
+    /// Adds what stays as it is, once for each place.
+    pub(crate) fn leave(&mut self, file: Text<'_>, span: &Span, why: CompensationFinding) {
+        if self.reported.insert(span.start) {
+            self.not_corrected.push(file.wrong(span, why));
+        }
     }
 
     /// Adds the point of a motion, with `frames` if it is a pose. A point that is computed or not written in this file (the
@@ -69,14 +79,14 @@ impl Points {
         taught: Option<(Target, Branch)>,
         frames: impl FnOnce() -> Result<Frames, Diagnostic>,
     ) -> Result<(), Diagnostic> {
-        let value = argument.value.clone().filter(|value| value.file == 0);
+        let value = argument.value.clone().filter(|value| value.file == 0 && is_literal(value));
         let (Some(value), Some((target, branch))) = (value, taught) else {
             let name = match argument.expression.map(|expression| &expression.kind) {
-                Some(ExpressionKind::Name(name) | ExpressionKind::Call(name)) => name.clone(),
+                Some(ExpressionKind::Name(name) | ExpressionKind::Call { name, .. }) => name.clone(),
                 _ => "this point".into(),
             };
             let span = argument.expression.map_or(motion, |expression| &expression.span);
-            self.not_corrected.push(file.wrong(span, CompensationFinding::PointElsewhere { name }));
+            self.leave(file, span, CompensationFinding::PointElsewhere { name });
             return Ok(());
         };
         let frames = match target {
@@ -113,12 +123,11 @@ impl Points {
         let (StatementKind::Call { name: word, .. } | StatementKind::Other(word)) = statement else { return };
         let begins_with = |starts: &[&str]| starts.iter().any(|start| word.starts_with(start));
         if names.displacements.contains(&word.as_str()) {
-            let displacing = CompensationFinding::Displacing { word: word.clone() };
-            self.not_corrected.push(file.wrong(span, displacing));
+            self.leave(file, span, CompensationFinding::Displacing { word: word.clone() });
             return;
         }
         if matches!(statement, StatementKind::Other(_)) && begins_with(names.motions) {
-            self.not_corrected.push(file.wrong(span, CompensationFinding::NotRead { word: word.clone() }));
+            self.leave(file, span, CompensationFinding::NotRead { word: word.clone() });
         }
         if begins_with(names.settings) {
             return;
@@ -128,7 +137,9 @@ impl Points {
             if value.file == 0 && is_point(value) {
                 let name = value.name.clone().unwrap_or_else(|| "this point".into());
                 let finding = CompensationFinding::PointOfOtherCall { name, call: word.clone() };
-                self.other_uses.push((value.span.start, file.wrong(&expression.span, finding)));
+                if self.reported.insert(expression.span.start) {
+                    self.other_uses.push((value.span.start, file.wrong(&expression.span, finding)));
+                }
             }
         }
     }
@@ -164,6 +175,15 @@ impl Points {
         })?;
         Ok((rewritten(file.text, edits), moved))
     }
+}
+
+/// Whether all numbers of a point are written in its own literal: those of a variable may be used elsewhere as well.
+fn is_literal(value: &Value) -> bool {
+    let (Content::List(parts) | Content::Pose(parts)) = &value.content else { return true };
+    let is_inside = |part: &Value| {
+        part.file == value.file && part.span.start >= value.span.start && part.span.end <= value.span.end
+    };
+    parts.iter().all(|part| is_inside(part) && is_literal(part))
 }
 
 /// The elements of a point's value, of which there must be `N`.

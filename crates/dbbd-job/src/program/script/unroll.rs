@@ -80,17 +80,19 @@ impl<D: Dialect> Unroller<D> {
         statement: &Statement,
         locals: &mut Variables,
     ) -> Result<(), Diagnostic> {
-        let Statement { span, kind } = statement;
+        let Statement { span, kind, .. } = statement;
         match kind {
             StatementKind::UntilSteady => {
                 self.push(file, span.clone(), ActionKind::WaitForStandstill(Standstill::ZeroSpeed));
             }
-            StatementKind::Other(word) => {
+            StatementKind::Control { word, .. } | StatementKind::Other(word) => {
                 let instead = "only motions, waits, outputs and calls without conditions are simulated";
                 let unsupported = ProgramFinding::Unsupported { what: word.clone(), instead: instead.into() };
                 return Err(self.listing.text(file).wrong(span, unsupported));
             }
-            StatementKind::Assign { name, value: assigned } => {
+            StatementKind::Declare { name, value: None } => _ = locals.remove(name),
+            StatementKind::Assign { name, value: assigned }
+            | StatementKind::Declare { name, value: Some(assigned) } => {
                 match value(assigned, file, &|name| self.lookup(file, locals, name)) {
                     Some(value) => _ = locals.insert(name.clone(), value),
                     None => _ = locals.remove(name),
@@ -126,7 +128,8 @@ impl<D: Dialect> Unroller<D> {
             return Err(wrong(&self.listing, finding));
         }
         let values = routine.parameters.iter().zip(arguments);
-        let locals = values.filter_map(|(name, argument)| Some((name.clone(), argument.value.clone()?)));
+        let locals =
+            values.filter_map(|(given, argument)| Some((given.name.clone(), argument.value.clone()?)));
         self.routine(&routine, locals.collect())
     }
 

@@ -71,7 +71,7 @@ pub(crate) fn value(
         ExpressionKind::List(list) => Content::List(all(list)?),
         ExpressionKind::Pose(list) => Content::Pose(all(list)?),
         ExpressionKind::Name(name) => return lookup(name),
-        ExpressionKind::Call(_) | ExpressionKind::Computed => return None,
+        ExpressionKind::Call { .. } | ExpressionKind::Computed => return None,
     };
     Some(Value { file, span: expression.span.clone(), name: None, content })
 }

@@ -130,7 +130,7 @@ const REFUSED: &[(&str, &str, usize, usize)] = &[
     ("$TOOL=F1\n$BASE=F1\nBAS(#BASE,N)\nPTP XP1\n", "E0901", 5, 1),
     ("$TOOL=F1\n$BASE=F1\nIF $IN[1] THEN\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDIF\nPTP XP1\n", "E0901", 7, 1),
     ("$TOOL=F1\n$BASE=F1\nLOOP\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nENDLOOP\n", "E0901", 5, 1),
-    ("$TOOL=F1\n$BASE=F1\nSUB()\nPTP XP1\nEND\nDEF SUB()\n$TOOL=$NULLFRAME\n", "E0901", 5, 1),
+    ("$TOOL=F1\n$BASE=F1\nSUB()\nPTP XP1\nEND\nDEF SUB()\n$TOOL=F1:F1\n", "E0901", 5, 1),
     ("$TOOL=F1\n$BASE=F1\nXP1.X=10.0\nPTP XP1\n", "E0903", 5, 5),
     ("$TOOL=F1\n$BASE=F1\nLIN XP1:F1\n", "E0903", 4, 1),
     ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5,Z 1}\n", "E0903", 4, 5),

@@ -1,9 +1,11 @@
 //! What the room promises, shown without the program.
 
+mod branches_of_users;
 mod compensated_joint_errors;
 mod compensated_program_is_accurate;
 mod compensated_robot_arrives;
 mod emitted_programs_run;
+mod frame_variants;
 mod krl_reads_back;
 mod krl_round_trips;
 mod program_frames;

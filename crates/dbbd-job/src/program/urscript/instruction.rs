@@ -17,6 +17,11 @@ const MOTIONS: [(&str, MotionKind, &[&str]); 3] = [
     ("movec", MotionKind::Circ, &["pose_via", "pose_to", "a", "v", "r", "mode"]),
 ];
 
+/// Whether a function is one of them.
+pub(super) fn is_motion(name: &str) -> bool {
+    MOTIONS.iter().any(|(known, ..)| *known == name)
+}
+
 /// An argument by its name, or by its position among the `names` of all.
 pub(super) fn argument<'a>(
     arguments: &'a [Evaluated<'a>],

@@ -3,8 +3,9 @@
 use crate::program::CompensationFinding;
 use crate::program::Language;
 use crate::program::ProgramFinding;
+use crate::program::flow::Control;
 use crate::program::lexer::Token;
-use crate::program::script::expression::{Routine, Statement, StatementKind};
+use crate::program::script::expression::{Parameter, Routine, Statement, StatementKind};
 use crate::program::text::Text;
 use crate::program::tokens::Tokens;
 use dbbd_model::diagnostic::Diagnostic;
@@ -12,14 +13,23 @@ use dbbd_model::diagnostic::Diagnostic;
 /// A block that is open: what the next `end` ends.
 enum Block {
     Routine(Routine),
-    Other,
+    /// With what ends it.
+    Other(Control),
 }
 
 /// Parses the routines of a script. A routine follows those inside it; the last one, without a name, has the lines
 /// outside of any.
 pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
     let mut tokens = Tokens::new(text, Language::Urscript)?;
-    let mut open = vec![Block::Routine(routine(String::new(), Vec::new()))];
+    let outside = Routine {
+        name: String::new(),
+        file: 0,
+        is_local: false,
+        is_concurrent: false,
+        parameters: Vec::new(),
+        body: Vec::new(),
+    };
+    let mut open = vec![Block::Routine(outside)];
     let mut routines = Vec::new();
     while *tokens.peek() != Token::End {
         if *tokens.peek() == Token::LineEnd {
@@ -27,15 +37,19 @@ pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
             continue;
         }
         let start = tokens.position();
-        if tokens.accept_name("def") {
-            open.push(Block::Routine(head(&mut tokens)?));
+        if let Some(word) = ["def", "thread", "sec"].into_iter().find(|word| tokens.accept_name(word)) {
+            let (name, parameters) = head(&mut tokens)?;
+            let (is_local, is_concurrent) = (open.len() > 1, word == "thread");
+            let body = Vec::new();
+            open.push(Block::Routine(Routine { name, file: 0, is_local, is_concurrent, parameters, body }));
             continue;
         }
         if tokens.accept_name("end") {
             match open.pop() {
                 Some(Block::Routine(routine)) if !open.is_empty() => routines.push(routine),
-                Some(Block::Other) => {
-                    add(&mut open, Statement { span: tokens.since(start), kind: other("end") })
+                Some(Block::Other(control)) => {
+                    let kind = StatementKind::Control { word: "end".into(), control };
+                    add(&mut open, Statement::new(&tokens, start, kind));
                 }
                 _ => return Err(text.wrong(&tokens.since(start), ProgramFinding::NoBlock)),
             }
@@ -44,18 +58,30 @@ pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
         // A line that is not supported is skipped here, and refused if the program is executed.
         let kind = line(&mut tokens).unwrap_or_else(|_| {
             tokens.go_to(start);
-            let first = tokens.next();
+            let mut first = tokens.next();
+            if matches!(&first, Token::Name(word) if word == "global" || word == "local") {
+                first = tokens.next();
+            }
+            let is_endless = is_true(&mut tokens);
             while !tokens.is_line_end() {
                 tokens.advance();
             }
-            if let Token::Name(name) = first { StatementKind::Other(name) } else { other("this line") }
+            let Token::Name(word) = first else { return StatementKind::Other("this line".into()) };
+            match control(&word) {
+                Some(Control::While) if is_endless => StatementKind::Control { word, control: Control::Loop },
+                Some(control) => StatementKind::Control { word, control },
+                None => StatementKind::Other(word),
+            }
         });
-        if let StatementKind::Other(word) = &kind
-            && ["if", "while", "thread"].contains(&word.as_str())
-        {
-            open.push(Block::Other);
-        }
-        add(&mut open, Statement { span: tokens.since(start), kind });
+        let end = if let StatementKind::Control { control, .. } = &kind {
+            let is_choice = matches!(control, Control::If | Control::Cases);
+            let is_loop = matches!(control, Control::While | Control::Loop);
+            is_choice.then_some(Control::EndChoice).or(is_loop.then_some(Control::EndLoop))
+        } else {
+            None
+        };
+        add(&mut open, Statement::new(&tokens, start, kind));
+        open.extend(end.map(Block::Other));
     }
     match (open.pop(), open.is_empty()) {
         (Some(Block::Routine(routine)), true) => routines.push(routine),
@@ -68,42 +94,53 @@ pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
     Err(text.wrong(&(0..0), CompensationFinding::NotUrscript { begins: text.beginning() }))
 }
 
-fn routine(name: String, parameters: Vec<String>) -> Routine {
-    Routine { name, file: 0, is_local: false, parameters, body: Vec::new() }
-}
-
-/// After `def`: the head of a routine. Default values of parameters are skipped.
-fn head(tokens: &mut Tokens<'_>) -> Result<Routine, Diagnostic> {
-    let (name, _) = tokens.name()?;
+/// After `def` or `thread`: the name and the parameters of a routine.
+fn head(tokens: &mut Tokens<'_>) -> Result<(String, Vec<Parameter>), Diagnostic> {
+    let (routine, _) = tokens.name()?;
     tokens.expect("(")?;
     let mut parameters = Vec::new();
     while !tokens.accept(")") {
-        parameters.push(tokens.name()?.0);
-        while !matches!(tokens.peek(), Token::Sign("," | ")") | Token::LineEnd | Token::End) {
-            tokens.advance();
+        if !parameters.is_empty() {
+            tokens.expect(",")?;
         }
-        tokens.accept(",");
-        if tokens.is_line_end() {
-            return Err(tokens.expected("`)`"));
-        }
+        let (name, _) = tokens.name()?;
+        let default = tokens.accept("=").then(|| tokens.expression()).transpose()?;
+        parameters.push(Parameter { name, default, is_optional: false, is_reference: false });
     }
     tokens.expect(":")?;
-    Ok(routine(name, parameters))
+    Ok((routine, parameters))
+}
+
+/// Reads the condition of an endless loop, `True`, if it is next.
+fn is_true(tokens: &mut Tokens<'_>) -> bool {
+    let bracket = tokens.accept("(");
+    tokens.accept_name("True") && (!bracket || tokens.accept(")")) && tokens.accept(":")
+}
+
+/// How a line that begins with this word directs which one runs next.
+fn control(word: &str) -> Option<Control> {
+    Some(match word {
+        "if" => Control::If,
+        "elif" | "case" => Control::Way,
+        "else" | "default" => Control::LastWay,
+        "switch" => Control::Cases,
+        "while" => Control::While,
+        "break" => Control::Break,
+        "continue" => Control::Continue,
+        "return" | "halt" => Control::Return,
+        _ => return None,
+    })
 }
 
 fn is_call(statement: &Statement) -> bool {
     matches!(statement.kind, StatementKind::Call { .. })
 }
 
-fn other(word: &str) -> StatementKind {
-    StatementKind::Other(word.into())
-}
-
 /// Adds a statement to the innermost routine.
 fn add(open: &mut [Block], statement: Statement) {
     let routine = open.iter_mut().rev().find_map(|block| match block {
         Block::Routine(routine) => Some(routine),
-        Block::Other => None,
+        Block::Other(_) => None,
     });
     if let Some(routine) = routine {
         routine.body.push(statement);
@@ -114,6 +151,9 @@ fn add(open: &mut [Block], statement: Statement) {
 fn line(tokens: &mut Tokens<'_>) -> Result<StatementKind, Diagnostic> {
     if tokens.is_name("while") {
         return until_steady(tokens);
+    }
+    if matches!(tokens.peek(), Token::Name(word) if control(word).is_some()) {
+        return Err(tokens.expected("a statement"));
     }
     let scoped = tokens.accept_name("global") || tokens.accept_name("local");
     let (name, _) = tokens.name()?;

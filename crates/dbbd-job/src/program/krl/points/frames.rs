@@ -1,13 +1,12 @@
-//! The values of `$TOOL` and `$BASE` at each motion.
-//!
-//! They are tracked down the text. If the branches of an IF or SWITCH leave them different, they are unknown after it. If a
-//! loop changes them, a motion in the loop before the change would run under both values, which is refused.
+//! The values of `$TOOL` and `$BASE` at each motion, and what else its place depends on.
 
 use std::collections::HashMap;
 
 use super::line::Line;
 use crate::program::CompensationFinding;
 use crate::program::Target;
+use crate::program::compensate::mixed;
+use crate::program::flow::{InForce, State};
 use crate::program::krl::data::{Constants, Origin, key};
 use crate::program::krl::evaluate::constant_target;
 use crate::program::krl::parser::Parser;
@@ -47,94 +46,168 @@ impl FrameKind {
 }
 
 /// A frame, or why it is unknown. Frames that are unknown for the same reason are taken for one frame.
-type Frame = Result<Pose, CompensationFinding>;
-
-/// `$TOOL` and `$BASE`, by [`FrameKind`].
-pub(super) type ActiveFrames = [Frame; 2];
+pub(super) type Frame = Result<Pose, CompensationFinding>;
 
 /// Both unknown, for the same reason.
-pub(super) fn unknown(why: impl Fn(&'static str) -> CompensationFinding) -> ActiveFrames {
+fn unknown(why: impl Fn(&'static str) -> CompensationFinding) -> [Frame; 2] {
     [FrameKind::Tool, FrameKind::Base].map(|kind| Err(why(kind.name())))
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum BlockKind {
-    /// IF or SWITCH.
-    Branch,
-    Loop,
+/// What makes the controller move otherwise than by the frames alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Obstacle {
+    /// `$IPO_MODE=#TCP`: the tool is fixed.
+    Mode,
+    /// The controller corrects poses by itself.
+    Accuracy,
+    /// The robot's base is not the origin of `$BASE`.
+    Root,
 }
 
-/// A block that is open.
-struct Block {
-    kind: BlockKind,
-    /// The frames before the block.
-    before: ActiveFrames,
-    /// Whether an earlier branch changed the frames.
-    changed: bool,
-    /// The first motion in the block that runs under the frames from before it.
-    first_use: Option<Span>,
-}
+impl Obstacle {
+    const ALL: [Self; 3] = [Self::Mode, Self::Accuracy, Self::Root];
 
-/// Tracks the frames through the control flow of a routine.
-pub(super) struct FrameTracker {
-    pub(super) active: ActiveFrames,
-    open: Vec<Block>,
-}
-
-impl FrameTracker {
-    pub(super) fn new() -> Self {
-        Self { active: unknown(|frame| CompensationFinding::FrameNotSet { frame }), open: Vec::new() }
+    fn name(self) -> &'static str {
+        match self {
+            Self::Mode => "$IPO_MODE",
+            Self::Accuracy => "$ABS_ACCUR",
+            Self::Root => "$ROBROOT",
+        }
     }
+}
 
-    /// Notes that a motion runs under the active frames.
-    pub(super) fn note_use(&mut self, span: &Span) {
-        for block in self.open.iter_mut().filter(|block| block.before == self.active) {
-            block.first_use.get_or_insert_with(|| span.clone());
+/// What a line does to what is in force.
+#[derive(Clone, Debug)]
+pub(super) enum Effect {
+    Frame(FrameKind, Frame),
+    /// `FDAT_ACT`: both frames, which `BAS (#PTP_PARAMS, ..)` and its like set again.
+    FrameData([Frame; 2]),
+    SetFrameData,
+    Obstacle(Obstacle, Option<CompensationFinding>),
+    /// `SPLINE` with the frames of its `WITH`.
+    Spline([Option<Frame>; 2]),
+    EndSpline,
+    /// A call of a routine of another file.
+    Call(String),
+}
+
+/// A call of a routine of another file, with its line.
+type Called = Option<(String, usize)>;
+
+/// What is in force at a line.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct InRoutine {
+    /// `$TOOL` and `$BASE`, by [`FrameKind`].
+    pub(super) frames: [InForce<Frame>; 2],
+    /// By [`FrameKind`], the first call of another file since it was set.
+    pub(super) called: [Called; 2],
+    frame_data: InForce<Option<[Frame; 2]>>,
+    /// The frames of a spline block.
+    spline: Option<[InForce<Frame>; 2]>,
+    /// By [`Obstacle`].
+    obstacles: [InForce<Option<CompensationFinding>>; 3],
+}
+
+impl InRoutine {
+    /// At the begin of a routine that is called from elsewhere.
+    pub(super) fn before() -> Self {
+        let none = || InForce::One { value: None, line: 0 };
+        Self {
+            frames: unknown(|frame| CompensationFinding::FrameNotSet { frame })
+                .map(|value| InForce::One { value, line: 0 }),
+            called: [None, None],
+            frame_data: InForce::One { value: None, line: 0 },
+            spline: None,
+            obstacles: [none(), none(), none()],
         }
     }
 
-    /// Tracks a line of control flow; `false` if it is another statement.
-    pub(super) fn control_flow(&mut self, file: Text<'_>, line: &Line<'_>) -> Result<bool, Diagnostic> {
-        match line.word.as_str() {
-            "IF" | "SWITCH" => self.open(BlockKind::Branch),
-            "FOR" | "WHILE" | "LOOP" | "REPEAT" => self.open(BlockKind::Loop),
-            "ELSE" | "CASE" | "DEFAULT" => {
-                if let Some(block) = self.open.last_mut() {
-                    block.changed |= self.active != block.before;
-                    self.active = block.before.clone();
+    /// The frames of the motions here.
+    pub(super) fn active(&self) -> &[InForce<Frame>; 2] {
+        self.spline.as_ref().unwrap_or(&self.frames)
+    }
+
+    /// Why no pose can be corrected here.
+    pub(super) fn obstacle(&self) -> Option<CompensationFinding> {
+        Obstacle::ALL.iter().zip(&self.obstacles).find_map(|(obstacle, in_force)| match in_force {
+            InForce::One { value, .. } => value.clone(),
+            InForce::Mixed(lines) => Some(mixed(obstacle.name(), *lines)),
+        })
+    }
+
+    pub(super) fn forget(&mut self, line: usize) {
+        self.frames.iter_mut().for_each(|frame| frame.forget(line));
+        self.frame_data.forget(line);
+        self.obstacles.iter_mut().for_each(|obstacle| obstacle.forget(line));
+        self.spline = None;
+    }
+
+    fn set(&mut self, kind: FrameKind, value: Frame, line: usize) {
+        self.frames[kind as usize] = InForce::One { value, line };
+        self.called[kind as usize] = None;
+    }
+
+    fn set_both(&mut self, [tool, base]: [Frame; 2], line: usize) {
+        self.set(FrameKind::Tool, tool, line);
+        self.set(FrameKind::Base, base, line);
+    }
+
+    /// Runs a line of this effect.
+    pub(super) fn apply(&mut self, effect: &Effect, line: usize) {
+        match effect {
+            Effect::Frame(kind, value) => self.set(*kind, value.clone(), line),
+            Effect::FrameData(frames) => {
+                self.set_both(frames.clone(), line);
+                self.frame_data = InForce::One { value: Some(frames.clone()), line };
+                self.obstacles[Obstacle::Mode as usize] = InForce::One { value: None, line };
+            }
+            Effect::SetFrameData => match &self.frame_data {
+                InForce::One { value: Some(frames), line } => self.set_both(frames.clone(), *line),
+                InForce::One { value: None, .. } => {}
+                InForce::Mixed(lines) => self.frames = [InForce::Mixed(*lines), InForce::Mixed(*lines)],
+            },
+            Effect::Obstacle(obstacle, value) => {
+                self.obstacles[*obstacle as usize] = InForce::One { value: value.clone(), line };
+            }
+            Effect::Spline(with) => self.spline = Some(self.with(with.clone(), line)),
+            Effect::EndSpline => self.spline = None,
+            Effect::Call(routine) => {
+                for called in &mut self.called {
+                    called.get_or_insert_with(|| (routine.clone(), line));
                 }
             }
-            "ENDIF" | "ENDSWITCH" | "ENDFOR" | "ENDWHILE" | "ENDLOOP" | "UNTIL" => self.close(file, line)?,
-            _ => return Ok(false),
         }
-        Ok(true)
     }
 
-    fn open(&mut self, kind: BlockKind) {
-        self.open.push(Block { kind, before: self.active.clone(), changed: false, first_use: None });
-    }
-
-    fn close(&mut self, file: Text<'_>, line: &Line<'_>) -> Result<(), Diagnostic> {
-        let Some(block) = self.open.pop() else { return Ok(()) };
-        if !block.changed && self.active == block.before {
-            return Ok(());
-        }
-        if block.kind == BlockKind::Loop {
-            return match block.first_use {
-                Some(span) => Err(file.wrong(&span, CompensationFinding::FramesInLoop)),
-                None => Ok(()),
-            };
-        }
-        let line = file.line(line.span.start);
-        let chosen = unknown(|frame| CompensationFinding::FrameChosen { frame, line });
-        for ((active, before), chosen) in self.active.iter_mut().zip(block.before).zip(chosen) {
-            if *active != before || block.changed {
-                *active = chosen;
-            }
-        }
-        Ok(())
+    /// The frames of a motion with those of its `WITH`.
+    pub(super) fn with(&self, with: [Option<Frame>; 2], line: usize) -> [InForce<Frame>; 2] {
+        let [tool, base] = self.active().clone();
+        let [with_tool, with_base] = with.map(|with| with.map(|value| InForce::One { value, line }));
+        [with_tool.unwrap_or(tool), with_base.unwrap_or(base)]
     }
 }
+
+impl State for InRoutine {
+    fn join(&mut self, other: &Self) {
+        let frames = self.frames.iter_mut().zip(&other.frames);
+        frames.for_each(|(known, other)| known.join(other));
+        for (known, other) in self.called.iter_mut().zip(&other.called) {
+            *known = known.take().or_else(|| other.clone());
+        }
+        self.frame_data.join(&other.frame_data);
+        if self.spline != other.spline {
+            self.spline = None;
+        }
+        let obstacles = self.obstacles.iter_mut().zip(&other.obstacles);
+        obstacles.for_each(|(known, other)| known.join(other));
+    }
+}
+
+/// Routines of the controller and of its options that leave the frames alone, by what their names begin with.
+const HARMLESS: &[&str] = &[
+    "CWRITE", "CREAD", "COPEN", "CCLOSE", "SREAD", "SWRITE", "CAST_", "MBX_", "EKI_", "CLEAR", "CANCEL",
+    "SYNC", "PULSE", "LOCK", "UNLOCK",
+];
 
 /// The values of the names in a program.
 pub(super) struct Definitions<'a> {
@@ -145,22 +218,43 @@ pub(super) struct Definitions<'a> {
 }
 
 impl Definitions<'_> {
-    /// Applies a line that sets a frame; `false` if it is another statement.
-    pub(super) fn set(&self, frames: &mut ActiveFrames, line: &Line<'_>) -> Result<bool, Diagnostic> {
-        match line.word.as_str() {
-            "$TOOL" => frames[FrameKind::Tool as usize] = self.assigned(FrameKind::Tool, line)?,
-            "$BASE" => frames[FrameKind::Base as usize] = self.assigned(FrameKind::Base, line)?,
-            "BAS" => return self.bas(frames, line),
+    /// What a line that is no motion does; `None` if it sets nothing that matters here.
+    pub(super) fn effect(&self, line: &Line<'_>) -> Result<Option<Effect>, Diagnostic> {
+        Ok(Some(match line.word.as_str() {
+            "$TOOL" => Effect::Frame(FrameKind::Tool, self.assigned(FrameKind::Tool, line)?),
+            "$BASE" => Effect::Frame(FrameKind::Base, self.assigned(FrameKind::Base, line)?),
+            "BAS" => return self.bas(line),
             "FDAT_ACT" => {
                 let mut parser = line.parser(self.file)?;
                 parser.tokens.advance();
                 parser.tokens.expect("=")?;
                 let (name, span) = parser.name()?;
-                *frames = self.frame_data(&name, &span)?;
+                Effect::FrameData(self.frame_data(&name, &span)?)
             }
-            _ => return Ok(false),
-        }
-        Ok(true)
+            "$IPO_MODE" => self.obstacle(Obstacle::Mode, line, "#BASE"),
+            "$ABS_ACCUR" => self.obstacle(Obstacle::Accuracy, line, "FALSE"),
+            "$DEACTIVATE_ABS_ACCUR" => self.obstacle(Obstacle::Accuracy, line, "TRUE"),
+            "$ROBROOT" => self.obstacle(Obstacle::Root, line, "$NULLFRAME"),
+            "SPLINE" | "PTP_SPLINE" => Effect::Spline(self.with(&mut line.parser(self.file)?)?),
+            "ENDSPLINE" => Effect::EndSpline,
+            word if line.is_call() && !HARMLESS.iter().any(|start| word.starts_with(start)) => {
+                Effect::Call(word.to_owned())
+            }
+            _ => return Ok(None),
+        }))
+    }
+
+    /// A line that sets an obstacle, unless to the value that removes it.
+    fn obstacle(&self, obstacle: Obstacle, line: &Line<'_>, without: &str) -> Effect {
+        let code = line.code().to_ascii_uppercase();
+        let value = code.split_once('=').map_or("", |(_, value)| value.trim());
+        let number = self.file.line(line.span.start);
+        let why = match obstacle {
+            Obstacle::Mode => CompensationFinding::FixedTool { name: format!("$IPO_MODE of line {number}") },
+            Obstacle::Accuracy => CompensationFinding::ControllerCorrects { line: number },
+            Obstacle::Root => CompensationFinding::RootSet { line: number },
+        };
+        Effect::Obstacle(obstacle, (value != without).then_some(why))
     }
 
     /// `$TOOL=..` or `$BASE=..`
@@ -175,40 +269,57 @@ impl Definitions<'_> {
     }
 
     /// `BAS (#TOOL,1)`
-    fn bas(&self, frames: &mut ActiveFrames, line: &Line<'_>) -> Result<bool, Diagnostic> {
+    fn bas(&self, line: &Line<'_>) -> Result<Option<Effect>, Diagnostic> {
         let mut parser = line.parser(self.file)?;
         parser.tokens.advance();
         parser.tokens.expect("(")?;
-        let Token::Enum(command) = parser.tokens.peek() else { return Ok(false) };
+        let Token::Enum(command) = parser.tokens.peek().clone() else { return Ok(None) };
         let kind = match command.as_str() {
             "TOOL" => FrameKind::Tool,
-            "BASE" => FrameKind::Base,
-            _ => return Ok(false),
+            "BASE" | "EX_BASE" => FrameKind::Base,
+            // The frames that it sets depend on the version of the controller.
+            "INITMOV" => {
+                let not_set = unknown(|frame| CompensationFinding::FrameNotSet { frame });
+                return Ok(Some(Effect::FrameData(not_set)));
+            }
+            "FRAMES" | "PTP_PARAMS" | "CP_PARAMS" => return Ok(Some(Effect::SetFrameData)),
+            _ => return Ok(None),
         };
         parser.tokens.advance();
         parser.tokens.expect(",")?;
         let index = parser.expression()?;
-        frames[kind as usize] = match index.index() {
+        let frame = match index.index() {
+            Some(number) if command == "EX_BASE" => {
+                Err(CompensationFinding::MovedWorkObject { name: format!("EX_BASE {number}") })
+            }
             Some(number) => self.numbered(kind, number, &index.span)?,
             None => self.computed(kind, &index.span),
         };
-        Ok(true)
+        Ok(Some(Effect::Frame(kind, frame)))
     }
 
     /// `WITH $TOOL=..` after a spline motion: frames for this motion only.
-    pub(super) fn with(&self, frames: &mut ActiveFrames, parser: &mut Parser<'_>) -> Result<(), Diagnostic> {
+    pub(super) fn with(&self, parser: &mut Parser<'_>) -> Result<[Option<Frame>; 2], Diagnostic> {
+        let mut frames = [None, None];
         while !parser.tokens.is_line_end() {
             let kind = [FrameKind::Tool, FrameKind::Base]
                 .into_iter()
                 .find(|kind| parser.tokens.is_name(kind.name()));
+            let is_mode = parser.tokens.is_name(Obstacle::Mode.name());
+            let span = parser.tokens.span();
             parser.tokens.advance();
-            if let Some(kind) = kind
-                && parser.tokens.accept("=")
-            {
-                frames[kind as usize] = self.value(kind, parser)?;
+            if (kind.is_none() && !is_mode) || !parser.tokens.accept("=") {
+                continue;
+            }
+            if let Some(kind) = kind {
+                frames[kind as usize] = Some(self.value(kind, parser)?);
+            } else if matches!(parser.tokens.peek(), Token::Enum(mode) if mode != "BASE") {
+                return Err(self
+                    .file
+                    .wrong(&span, CompensationFinding::FixedTool { name: "$IPO_MODE".into() }));
             }
         }
-        Ok(())
+        Ok(frames)
     }
 
     fn computed(&self, kind: FrameKind, span: &Span) -> Frame {
@@ -251,10 +362,10 @@ impl Definitions<'_> {
         let start = parser.tokens.span();
         parser.tokens.advance();
         parser.tokens.advance();
-        let (frame_data, span) = parser.name()?;
         if !matches!(function, "STOOL" | "STOOL2" | "SBASE") {
             return Ok(self.computed(kind, &start));
         }
+        let (frame_data, span) = parser.name()?;
         let [tool, base] = self.frame_data(&frame_data, &span)?;
         while !parser.tokens.accept(")") {
             if parser.tokens.is_line_end() {
@@ -299,6 +410,9 @@ impl Definitions<'_> {
         if index == 0 {
             return Ok(Ok(Pose::identity()));
         }
+        if let Some(assignment) = self.variables.get(kind.array()) {
+            return Ok(self.computed(kind, assignment));
+        }
         let name = format!("{}[{index}]", kind.array());
         match self.constants.get((kind.array(), Some(index))) {
             Some(constant) if constant.origin != Origin::Source => {
@@ -309,7 +423,10 @@ impl Definitions<'_> {
     }
 
     /// The frames of an FDAT, which belongs to the point of an inline form.
-    fn frame_data(&self, name: &str, span: &Span) -> Result<ActiveFrames, Diagnostic> {
+    fn frame_data(&self, name: &str, span: &Span) -> Result<[Frame; 2], Diagnostic> {
+        if let Some(assignment) = self.variables.get(name) {
+            return Ok([FrameKind::Tool, FrameKind::Base].map(|kind| self.computed(kind, assignment)));
+        }
         let Some(constant) = self.constants.get((name, None)) else {
             return Ok(unknown(|frame| CompensationFinding::FrameElsewhere { frame, name: name.into() }));
         };

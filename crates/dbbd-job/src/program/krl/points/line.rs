@@ -1,5 +1,6 @@
 //! The lines of a KRL file.
 
+use crate::program::flow::Control;
 use crate::program::krl::parser::Parser;
 use crate::program::krl::syntax::{Span, Text, declares_without_decl};
 use crate::program::tokens::Tokens;
@@ -85,6 +86,61 @@ impl Line<'_> {
     pub(super) fn is_assignment(&self) -> bool {
         let rest = self.code().get(self.word.len()..).unwrap_or("").trim_start();
         !self.word.is_empty() && !self.word.starts_with('$') && rest.starts_with(['=', '[', '.'])
+    }
+
+    /// Whether the line calls a routine: a name with arguments.
+    pub(super) fn is_call(&self) -> bool {
+        let rest = self.code().get(self.word.len()..).unwrap_or("").trim_start();
+        const OTHERS: [&str; 7] = ["EXT", "EXTFCT", "DEF", "DEFFCT", "DECL", "SIGNAL", "WAIT"];
+        rest.starts_with('(')
+            && !self.word.is_empty()
+            && !self.word.starts_with('$')
+            && self.control().is_none()
+            && !OTHERS.contains(&self.word.as_str())
+    }
+
+    /// The names on the line after which a bracket opens, in capitals: what it calls.
+    pub(super) fn called(&self) -> impl Iterator<Item = String> {
+        let code = self.code();
+        self.words().filter_map(move |(word, span)| {
+            let rest = code.get(span.end - self.span.start..).unwrap_or("").trim_start();
+            rest.starts_with('(').then_some(word)
+        })
+    }
+
+    /// How the line directs which one runs next.
+    pub(super) fn control(&self) -> Option<Control> {
+        Some(match self.word.as_str() {
+            "IF" => Control::If,
+            "SWITCH" => Control::Cases,
+            "CASE" => Control::Way,
+            "ELSE" | "DEFAULT" => Control::LastWay,
+            "ENDIF" | "ENDSWITCH" => Control::EndChoice,
+            "FOR" | "WHILE" => Control::While,
+            "LOOP" | "REPEAT" => Control::Loop,
+            "ENDFOR" | "ENDWHILE" | "ENDLOOP" => Control::EndLoop,
+            "UNTIL" => Control::Until,
+            "EXIT" => Control::Break,
+            "RETURN" | "RESUME" => Control::Return,
+            "GOTO" => Control::Goto(self.words().nth(1)?.0),
+            "" => return None,
+            word => {
+                let is_label = self.code().get(word.len()..)?.trim() == ":";
+                return is_label.then(|| Control::Label(word.to_owned()));
+            }
+        })
+    }
+
+    /// Whether the line names a routine that runs beside the program: an interrupt, or an action on the path.
+    pub(super) fn runs_beside(&self) -> bool {
+        let mut words = self.words().map(|(word, _)| word);
+        match self.word.as_str() {
+            "TRIGGER" => true,
+            "INTERRUPT" | "GLOBAL" => {
+                words.any(|word| word == "INTERRUPT") && words.next().as_deref() == Some("DECL")
+            }
+            _ => false,
+        }
     }
 
     /// The name of the routine that begins here, in capitals.

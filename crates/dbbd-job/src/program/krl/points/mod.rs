@@ -8,9 +8,9 @@
 mod frames;
 mod line;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
-use self::frames::{ActiveFrames, Definitions, FrameKind, FrameTracker, unknown};
+use self::frames::{Definitions, Effect, Frame, FrameKind, InRoutine};
 use self::line::{Line, lines};
 use super::data::{Constant, Constants, Origin, key};
 use super::evaluate::{AXIS_NAMES, EXTERNAL_NAMES, POSE_NAMES, constant_target};
@@ -19,7 +19,8 @@ use super::syntax::{DataItem, Expression, ExpressionKind, Part, Place, Span, Tex
 use crate::plan::MotionKind;
 use crate::program::CompensationFinding;
 use crate::program::ProgramFinding;
-use crate::program::compensate::{External, external_motion};
+use crate::program::compensate::{External, external_motion, mixed};
+use crate::program::flow::{At, Calls, Control, Followed, Follower, InForce, Ways, reached_from};
 use crate::program::lexer::Token;
 use crate::program::{Frames, Target};
 use dbbd_model::diagnostic::Diagnostic;
@@ -94,6 +95,9 @@ pub struct PointProgram {
 /// A tool or base of the user that differs by more (mm, or of the rotation matrix) from the program's is another one.
 const SAME: f64 = 1e-6;
 
+/// What begins the lines that set a frame: they use no point.
+const SETTING: [&str; 4] = ["BAS", "FDAT_ACT", "SPLINE", "PTP_SPLINE"];
+
 pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> {
     let config = files.config.map(data_items).transpose()?.unwrap_or_default();
     let data = files.data.map(data_items).transpose()?.unwrap_or_default();
@@ -122,6 +126,13 @@ pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> 
         by_name: HashMap::new(),
         program: PointProgram::default(),
         given_for: [None, None],
+        set_beside: [None, None],
+        obstacle_beside: None,
+        named: Vec::new(),
+        reached: HashSet::new(),
+        doubted: HashSet::new(),
+        frame_names: HashSet::new(),
+        given_away: Vec::new(),
     }
     .read()
 }
@@ -150,21 +161,142 @@ fn assignment<'l>(file: Text<'_>, line: Line<'l>) -> (Line<'l>, Option<DataItem>
     (line, item)
 }
 
+/// A routine of the file.
+struct Routine<'a> {
+    name: String,
+    /// Whether other files may call it.
+    is_global: bool,
+    lines: Vec<Line<'a>>,
+}
+
+/// The routines of a file; the first one has the lines before any as well.
+fn routines<'a>(file: Text<'a>) -> Vec<Routine<'a>> {
+    let mut routines: Vec<Routine<'a>> = Vec::new();
+    for line in lines(file) {
+        if let Some(name) = line.routine() {
+            let is_global = routines.is_empty() || line.word == "GLOBAL";
+            routines.push(Routine { name, is_global, lines: Vec::new() });
+        } else if let Some(routine) = routines.last_mut() {
+            routine.lines.push(line);
+        }
+    }
+    routines
+}
+
+/// The routines of a program and what is known of them before they are followed.
+struct InFile<'a> {
+    file: Text<'a>,
+    routines: Vec<Routine<'a>>,
+    /// By routine and line: the routines that it calls, and what it does.
+    calls: Calls,
+    effects: Vec<Vec<Option<Effect>>>,
+    /// The routines that run beside the program, each with the line that names it.
+    beside: Vec<(usize, usize)>,
+    /// By [`FrameKind`], a line that sets it beside the program.
+    set_beside: [Option<usize>; 2],
+    /// Why no pose can be corrected, as a routine beside the program sets it.
+    obstacle_beside: Option<CompensationFinding>,
+}
+
+impl<'a> InFile<'a> {
+    fn new(definitions: &Definitions<'a>) -> Result<Self, Diagnostic> {
+        let file = definitions.file;
+        let routines = routines(file);
+        let (mut calls, mut effects, mut beside) = (Vec::new(), Vec::new(), Vec::new());
+        for routine in &routines {
+            let (mut called_by, mut effect_of) = (Vec::new(), Vec::new());
+            for line in &routine.lines {
+                let index = |name: String| routines.iter().position(|routine| routine.name == name);
+                let called: Vec<usize> = line.called().filter_map(index).collect();
+                if line.runs_beside() {
+                    let number = file.line(line.span.start);
+                    beside.extend(called.iter().map(|routine| (*routine, number)));
+                    called_by.push(Vec::new());
+                } else {
+                    called_by.push(called);
+                }
+                let is_motion = motion_of(&line.word).is_some() || line.is_relative_motion();
+                let effect = if is_motion { None } else { definitions.effect(line)? };
+                let is_own = |name: &str| routines.iter().any(|routine| routine.name == name);
+                effect_of.push(effect.filter(|effect| !matches!(effect, Effect::Call(name) if is_own(name))));
+            }
+            calls.push(called_by);
+            effects.push(effect_of);
+        }
+        let mut program =
+            Self { file, routines, calls, effects, beside, set_beside: [None, None], obstacle_beside: None };
+        let named = program.beside.iter().map(|(routine, _)| *routine).collect();
+        for routine in reached_from(named, &program.calls) {
+            for (line, effect) in program.routines[routine].lines.iter().zip(&program.effects[routine]) {
+                let mut state = InRoutine::before();
+                effect.iter().for_each(|effect| state.apply(effect, file.line(line.span.start)));
+                program.obstacle_beside = program.obstacle_beside.take().or_else(|| state.obstacle());
+                for (set, frame) in program.set_beside.iter_mut().zip(&state.frames) {
+                    if !matches!(frame, InForce::One { line: 0, .. }) {
+                        set.get_or_insert(file.line(line.span.start));
+                    }
+                }
+            }
+        }
+        Ok(program)
+    }
+
+    fn line(&self, (routine, at): At) -> &Line<'a> {
+        &self.routines[routine].lines[at]
+    }
+}
+
+impl Followed for InFile<'_> {
+    type State = InRoutine;
+
+    fn calls(&self, (routine, at): At) -> &[usize] {
+        &self.calls[routine][at]
+    }
+
+    fn apply(&self, at: At, state: &mut InRoutine) {
+        if let Some(effect) = &self.effects[at.0][at.1] {
+            state.apply(effect, self.file.line(self.line(at).span.start));
+        }
+    }
+
+    fn forget(&self, at: At, state: &mut InRoutine) {
+        state.forget(self.file.line(self.line(at).span.start));
+    }
+}
+
 struct Reader<'a> {
     files: Files<'a>,
     given: Given,
     definitions: Definitions<'a>,
-    /// The index of each named point in the program's points.
+    /// The index of each point in the program's points: by its name, or by its bytes if it has none.
     by_name: HashMap<(String, Option<i64>), usize>,
     program: PointProgram,
     /// Why the frames of the user are used: the reason for which the program's own are unknown.
     given_for: [Option<CompensationFinding>; 2],
+    /// By [`FrameKind`], a line that sets it beside the program.
+    set_beside: [Option<usize>; 2],
+    /// Why no pose can be corrected, as a routine beside the program sets it.
+    obstacle_beside: Option<CompensationFinding>,
+    /// The points in statements other than motions.
+    named: Vec<(String, Span)>,
+    /// The lines that were reached, by their first bytes.
+    reached: HashSet<usize>,
+    /// The calls of other files that were reported.
+    doubted: HashSet<String>,
+    /// The names in lines that set a frame.
+    frame_names: HashSet<String>,
+    /// The frames among the arguments of routines, each with the finding about it.
+    given_away: Vec<(String, Diagnostic)>,
 }
 
 /// The motion that is being read.
 struct Current<'l> {
     line: &'l Line<'l>,
-    frames: ActiveFrames,
+    frames: [InForce<Frame>; 2],
+    /// The calls of other files since each frame was set.
+    called: [Option<(String, usize)>; 2],
+    /// Why no pose can be corrected here.
+    obstacle: Option<CompensationFinding>,
     by_ptp: bool,
 }
 
@@ -172,55 +304,89 @@ impl<'a> Reader<'a> {
     fn read(mut self) -> Result<PointProgram, Diagnostic> {
         let file = self.files.source;
         check_is_krl(file)?;
-        let frame_setters = self.routines_that_set_frames();
-        let mut tracker = FrameTracker::new();
-        let mut spline: Option<ActiveFrames> = None;
-        let mut named = Vec::new();
-        for line in lines(file) {
-            if tracker.control_flow(file, &line)? {
-                continue;
+        let program = InFile::new(&self.definitions)?;
+        self.set_beside = program.set_beside;
+        self.obstacle_beside = program.obstacle_beside.clone();
+        let controls: Vec<Vec<Option<Control>>> = program
+            .routines
+            .iter()
+            .map(|routine| routine.lines.iter().map(Line::control).collect())
+            .collect();
+        let ways: Vec<Ways> =
+            controls.iter().map(|controls| Ways::new(controls.iter().map(Option::as_ref))).collect();
+        let mut follower = Follower::new(&program, &ways);
+        let all = 0..program.routines.len();
+        for at in all.clone().filter(|at| program.routines[*at].is_global) {
+            follower.visit(at, InRoutine::before(), &mut |at, state| self.line(program.line(at), state))?;
+        }
+        for (at, line) in &program.beside {
+            let mut state = InRoutine::before();
+            state.forget(*line);
+            follower.visit(*at, state, &mut |at, state| self.line(program.line(at), state))?;
+        }
+        for at in all {
+            if !follower.has_visited(at) {
+                follower
+                    .visit(at, InRoutine::before(), &mut |at, state| self.line(program.line(at), state))?;
             }
-            match line.word.as_str() {
-                "DEF" | "DEFFCT" | "GLOBAL" if line.routine().is_some() => tracker = FrameTracker::new(),
-                "SPLINE" | "PTP_SPLINE" => {
-                    let mut frames = tracker.active.clone();
-                    self.definitions.with(&mut frames, &mut line.parser(file)?)?;
-                    spline = Some(frames);
-                }
-                "ENDSPLINE" => spline = None,
-                word if motion_of(word).is_some() => {
-                    let frames = spline.as_ref().unwrap_or(&tracker.active).clone();
-                    if self.motion(&line, frames)? == tracker.active {
-                        tracker.note_use(&line.span);
-                    }
-                }
-                _ if line.is_relative_motion() => {
-                    let relative = file.wrong(&line.span, CompensationFinding::RelativeMotion);
-                    self.program.not_corrected.push(relative);
-                }
-                _ if self.definitions.set(&mut tracker.active, &line)? => {}
-                word => {
-                    named.extend(self.points_in(&line));
-                    if frame_setters.iter().any(|name| name == word) {
-                        tracker.active = unknown(|frame| CompensationFinding::FrameInRoutine {
-                            frame,
-                            routine: word.into(),
-                        });
-                    }
-                }
+        }
+        let lines = program.routines.iter().flat_map(|routine| &routine.lines);
+        for line in lines.filter(|line| motion_of(&line.word).is_some()) {
+            if !self.reached.contains(&line.span.start) {
+                self.program.not_corrected.push(file.wrong(&line.span, CompensationFinding::NeverReached));
             }
         }
         // A point to which a motion goes as well is corrected.
-        named.retain(|(name, _)| !self.by_name.keys().any(|(corrected, _)| corrected == name));
-        let in_statements = named
+        self.named.retain(|(name, _)| !self.by_name.keys().any(|(corrected, _)| corrected == name));
+        let in_statements = self
+            .named
             .into_iter()
             .map(|(name, span)| file.wrong(&span, CompensationFinding::PointInStatement { name }));
         self.program.not_corrected.extend(in_statements);
+        let is_frame = |name: &String| {
+            self.frame_names.contains(name) && self.definitions.constants.get((name, None)).is_some()
+        };
+        let given_away = self.given_away.into_iter().filter(|(name, _)| is_frame(name));
+        self.program.doubts.extend(given_away.map(|(_, finding)| finding));
         let points = &self.program.points;
         let external = external_motion(points.iter().map(|point| (point.name.as_str(), point.external)));
         let external = external.map(|(at, finding)| file.wrong(&points[at].first_use, finding));
         self.program.doubts.extend(external);
         Ok(self.program)
+    }
+
+    /// Reads a line in one of the states that are possible before it.
+    fn line(&mut self, line: &Line<'_>, state: &InRoutine) -> Result<(), Diagnostic> {
+        let is_first = self.reached.insert(line.span.start);
+        if motion_of(&line.word).is_some() {
+            return self.motion(line, state, is_first);
+        }
+        if !is_first {
+            return Ok(());
+        }
+        if line.is_relative_motion() {
+            let relative = self.files.source.wrong(&line.span, CompensationFinding::RelativeMotion);
+            self.program.not_corrected.push(relative);
+        } else if ["$TOOL", "$BASE"].contains(&line.word.as_str()) {
+            self.frame_names.extend(line.words().skip(1).map(|(name, _)| name));
+        } else if !SETTING.contains(&line.word.as_str()) && line.control().is_none() {
+            let named = self.points_in(line);
+            self.named.extend(named);
+            self.note_given_away(line);
+        }
+        Ok(())
+    }
+
+    /// Notes the variables that a routine is given, which it may change.
+    fn note_given_away(&mut self, line: &Line<'_>) {
+        if !line.is_call() {
+            return;
+        }
+        for (name, span) in line.words().skip(1) {
+            let routine = line.word.clone();
+            let given_away = CompensationFinding::FrameGivenAway { name: name.clone(), routine };
+            self.given_away.push((name, self.files.source.wrong(&span, given_away)));
+        }
     }
 
     /// The points of the program's files that a statement other than a motion uses: in a call, in an assignment.
@@ -233,48 +399,33 @@ impl<'a> Reader<'a> {
         words.filter(|(word, _)| !word.starts_with("XHOME") && constants.has_point(word)).collect()
     }
 
-    /// The routines of the file that set a frame: after a call of one, the frames are unknown.
-    fn routines_that_set_frames(&self) -> Vec<String> {
-        let mut names: Vec<String> = Vec::new();
-        let mut routine = String::new();
-        for line in lines(self.files.source) {
-            let sets_frame = match line.word.as_str() {
-                "DEF" | "DEFFCT" | "GLOBAL" => {
-                    routine = line.routine().unwrap_or(routine);
-                    false
-                }
-                "$TOOL" | "$BASE" | "FDAT_ACT" => true,
-                "BAS" => {
-                    let code = line.code().to_ascii_uppercase().replace(' ', "");
-                    code.starts_with("BAS(#TOOL") || code.starts_with("BAS(#BASE")
-                }
-                _ => false,
-            };
-            if sets_frame && names.last() != Some(&routine) {
-                names.push(routine.clone());
-            }
-        }
-        names
-    }
-
-    /// Adds a motion; the frames under which it runs.
-    fn motion(&mut self, line: &Line<'_>, mut frames: ActiveFrames) -> Result<ActiveFrames, Diagnostic> {
+    /// Adds a motion.
+    fn motion(&mut self, line: &Line<'_>, state: &InRoutine, is_first: bool) -> Result<(), Diagnostic> {
         let mut parser = line.parser(self.files.source)?;
         let mut motion = parser.motion()?;
         if matches!(parser.tokens.peek(), Token::Sign(":")) {
             return Err(self.files.source.wrong(&line.span, CompensationFinding::PointExpression));
         }
         motion.angle = parser.angle()?;
-        self.definitions.with(&mut frames, &mut parser)?;
-        let current = Current { line, frames, by_ptp: motion.motion == MotionKind::Ptp };
+        let with = self.definitions.with(&mut parser)?;
+        let mut called = state.called.clone();
+        for (called, _) in called.iter_mut().zip(&with).filter(|(_, with)| with.is_some()) {
+            *called = None;
+        }
+        let frames = state.with(with, self.files.source.line(line.span.start));
+        let by_ptp = motion.motion == MotionKind::Ptp;
+        let obstacle = self.obstacle_beside.clone().or_else(|| state.obstacle());
+        let current = Current { line, frames, called, obstacle, by_ptp };
         let through = match &motion.through {
             Some(through) => self.target(through, &current)?,
             None => Vec::new(),
         };
         let to = self.target(&motion.to, &current)?;
         let sweep_deg = motion.angle.and_then(|angle| angle.constant().ok()?.number().ok());
-        self.program.motions.push(ProgramMotion { motion: motion.motion, through, to, sweep_deg });
-        Ok(current.frames)
+        if is_first {
+            self.program.motions.push(ProgramMotion { motion: motion.motion, through, to, sweep_deg });
+        }
+        Ok(())
     }
 
     /// Adds the point or points that a target may mean; their indices.
@@ -284,8 +435,8 @@ impl<'a> Reader<'a> {
             ExpressionKind::Aggregate(_) => {
                 let inline = Constant { value: target, origin: Origin::Source };
                 let point = self.point("inline", inline, current)?;
-                self.program.points.push(point);
-                return Ok(vec![self.program.points.len() - 1]);
+                let key = (String::new(), i64::try_from(target.span.start).ok());
+                return Ok(vec![self.add(key, point, &target.span)?]);
             }
             ExpressionKind::Place(place) => place,
             ExpressionKind::Int(_)
@@ -318,7 +469,7 @@ impl<'a> Reader<'a> {
         }
         if indices.is_empty() && !place.name.starts_with("XHOME") {
             let elsewhere = CompensationFinding::PointElsewhere { name: place.name.clone() };
-            self.program.not_corrected.push(file.wrong(&place.span, elsewhere));
+            self.leave(&place.span, elsewhere);
         }
         Ok(indices)
     }
@@ -342,18 +493,36 @@ impl<'a> Reader<'a> {
             None => place.name.clone(),
         };
         let point = self.point(&name, constant, current)?;
+        Ok(Some(self.add((place.name.clone(), element), point, &place.span)?))
+    }
+
+    /// Adds a point that a motion uses at `span`, unless it is known; its index.
+    fn add(
+        &mut self,
+        key: (String, Option<i64>),
+        point: TaughtPoint,
+        span: &Span,
+    ) -> Result<usize, Diagnostic> {
         let points = &mut self.program.points;
-        let at = *self.by_name.entry((place.name.clone(), element)).or_insert(points.len());
+        let at = *self.by_name.entry(key).or_insert(points.len());
         match points.get_mut(at) {
             None => points.push(point),
-            Some(known) if known.frames == point.frames => known.by_ptp |= current.by_ptp,
+            Some(known) if known.frames == point.frames => known.by_ptp |= point.by_ptp,
             Some(known) => {
                 let line = self.files.source.line(known.first_use.start);
-                let twice = CompensationFinding::PointTwice { name, line };
-                return Err(self.files.source.wrong(&place.span, twice));
+                let twice = CompensationFinding::PointTwice { name: point.name, line };
+                return Err(self.files.source.wrong(span, twice));
             }
         }
-        Ok(Some(at))
+        Ok(at)
+    }
+
+    /// Adds what stays as it is, once for each place.
+    fn leave(&mut self, span: &Span, why: CompensationFinding) {
+        let left = self.files.source.wrong(span, why);
+        if !self.program.not_corrected.contains(&left) {
+            self.program.not_corrected.push(left);
+        }
     }
 
     fn point(
@@ -393,6 +562,9 @@ impl<'a> Reader<'a> {
         let frames = match target {
             Target::Axes(_) => None,
             Target::Pose { .. } => {
+                if let Some(obstacle) = &current.obstacle {
+                    return Err(self.files.source.wrong(&current.line.span, obstacle.clone()));
+                }
                 let tool = self.frame(FrameKind::Tool, current)?;
                 Some(Frames { tool, base: self.frame(FrameKind::Base, current)? })
             }
@@ -413,9 +585,23 @@ impl<'a> Reader<'a> {
 
     /// The frame that the program sets, else the one that the user gave.
     fn frame(&mut self, kind: FrameKind, current: &Current<'_>) -> Result<Pose, Diagnostic> {
-        let (at, active) = (kind as usize, &current.frames[kind as usize]);
-        let (given, given_for) = ([self.given.tool, self.given.base][at], &mut self.given_for[at]);
+        let at = kind as usize;
         let wrong = |finding: CompensationFinding| self.files.source.wrong(&current.line.span, finding);
+        let active = match &current.frames[at] {
+            InForce::One { value, .. } => value,
+            InForce::Mixed(lines) => return Err(wrong(mixed(kind.name(), *lines))),
+        };
+        if let Some(line) = self.set_beside[at] {
+            return Err(wrong(CompensationFinding::FrameBeside { frame: kind.name(), line }));
+        }
+        if let Some((routine, line)) = &current.called[at]
+            && self.doubted.insert(routine.clone())
+        {
+            let (frame, routine) = (kind.name(), routine.clone());
+            let after = wrong(CompensationFinding::FrameAfterCall { frame, routine, line: *line });
+            self.program.doubts.push(after);
+        }
+        let (given, given_for) = ([self.given.tool, self.given.base][at], &mut self.given_for[at]);
         let stated = kind.stated();
         match (active, given) {
             (Ok(pose), None) => Ok(*pose),
@@ -426,7 +612,10 @@ impl<'a> Reader<'a> {
                 }
                 Ok(*pose)
             }
-            (Err(why), None) => Err(wrong(why.clone())),
+            // No frame stands still for one that a mechanical unit moves.
+            (Err(why @ CompensationFinding::MovedWorkObject { .. }), _) | (Err(why), None) => {
+                Err(wrong(why.clone()))
+            }
             (Err(why), Some(given)) => match given_for {
                 Some(before) if before != why => {
                     let (first, second) = (before.to_string(), why.to_string());
