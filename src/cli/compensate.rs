@@ -46,6 +46,9 @@ pub(crate) struct CompensateArgs {
     /// Refuse the program if a commanded point would move by more than this, mm.
     #[arg(long, value_name = "MM", default_value_t = DEFAULT_LIMIT_MM)]
     limit: f64,
+    /// Replace files that exist in DIR [default: refuse].
+    #[arg(long)]
+    replace: bool,
 }
 
 /// What the arguments ask for.
@@ -59,6 +62,7 @@ pub(super) fn request(args: &CompensateArgs) -> Request {
         base_mm_deg: args.base,
         payload: args.payload.clone(),
         limit_mm: args.limit,
+        replace: args.replace,
     })
 }
 

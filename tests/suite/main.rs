@@ -73,6 +73,7 @@ mod requests;
 mod results_are_compared;
 mod reversal_steps_hold;
 mod rows_are_used_once;
+mod runs_in_parts;
 mod runs_the_whole_job;
 mod sag_and_harmonics_by_evidence;
 mod says_what_it_found;
