@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use dbbd_job::file_set::EarlierFiles;
 use dbbd_job::plan::{Plan, PlanRow};
 use dbbd_job::recording::run::read_plan;
 use dbbd_job::request::plan::{PlanRequest, PlannedPoses, UnwrittenPlan};
@@ -94,7 +95,7 @@ impl PyPlan {
 
     /// Writes `plan.csv`, `plan.json`, `centres.csv` and, of a plan made now, `plan.html` into a directory.
     fn write(&self, directory: PathBuf) -> Result<(), Failure> {
-        self.made.write(&directory)?;
+        self.made.write(&directory, EarlierFiles::Keep)?;
         Ok(())
     }
 
@@ -114,6 +115,7 @@ pub(crate) fn plan(py: Python<'_>, job: PathBuf, robot: Option<&PyRobot>) -> Res
         robot: robot.and_then(|robot| robot.file.as_ref()).map(|file| file.display().to_string()),
         measured: Vec::new(),
         poses: PlannedPoses::Job,
+        replace: false,
     };
     let given = robot.map(|robot| robot.read.clone());
     py.detach(|| {

@@ -23,8 +23,10 @@ use dbbd_device::port::{self, PortAddress};
 use dbbd_device::protocol::ProtocolFinding;
 use dbbd_job::plan::DEFAULT_PROTOCOL;
 use dbbd_job::recording::axes::PacketCounts;
+use dbbd_job::recording::capture::CaptureSummary;
 use dbbd_job::recording::run::{self, PlanFiles};
 use dbbd_job::request;
+use dbbd_job::sim::SimulationFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::Identity;
 
@@ -79,6 +81,9 @@ pub(crate) struct AcquireArgs {
     /// controller that is configured to wait for answers. rtde://HOST[:30004][?hz=125] asks a UR controller over RTDE (TCP).
     #[arg(long, value_name = "ADDRESS")]
     axes: Option<AxesAddress>,
+    /// For the port `sim`: seed of the simulated noise and repeatability [default: 1].
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
     /// Capture to write; an existing file is not overwritten.
     #[arg(long, value_name = "RUN")]
     out: PathBuf,
@@ -108,12 +113,22 @@ pub(crate) fn run(args: &AcquireArgs, out: &CommandOutput) -> Result<CommandOutc
         out.progress(format!("axes over {} at {}", address.protocol().name(), axes.address()));
     }
     let controller = ControllerConnections { ekrl: server, axes };
+    if args.port != PortAddress::Sim && args.seed.is_some() {
+        return Err(SimulationFinding::SeedWithoutSimulation.into());
+    }
     if args.port == PortAddress::Sim {
         let address = controller.ekrl.as_ref().map(EkrlServer::address);
         // Telegrams are stamped with the host's time: the simulation must run in real time.
         let speed = if address.is_some() { "1" } else { "0" };
-        let cell =
-            simulated::PlanSimulator::start(args.plan.as_deref(), speed, simulated::HALT_S, address, out)?;
+        let protocol = args.protocol.as_deref().map(|name| (name, args.params.as_slice()));
+        let options = simulated::CellOptions {
+            speed,
+            halt_s: simulated::HALT_S,
+            server: address,
+            protocol,
+            seed: args.seed,
+        };
+        let cell = simulated::PlanSimulator::start(args.plan.as_deref(), options, out)?;
         let args = AcquireArgs { port: cell.port().clone(), plan: Some(cell.plan().into()), ..args.clone() };
         let summary = record(&args, identity, controller, out)?;
         // If the run ended earlier, the simulator still waits for a reader.
@@ -145,6 +160,7 @@ impl AcquireArgs {
             zero: false,
             ekrl: None,
             axes: None,
+            seed: None,
             out,
             duration: Some(s),
             gone: 10.0,
@@ -278,6 +294,8 @@ fn conclude(summary: &AcquisitionSummary, args: &AcquireArgs, out: &CommandOutpu
     ));
     out.findings(doubts(summary, args));
     out.findings(axes_doubts(summary, args));
+    // What was written may have been overwritten since.
+    out.findings_in(capture.display(), CaptureSummary::over(capture, |_| Ok(()))?.findings());
     if args.plan.is_some() && counts.samples > 0 {
         out.findings(run::losses(capture)?);
     }

@@ -10,7 +10,7 @@ use super::{CommandOutcome, CommandOutput, acquire, value};
 use crate::daemon::{ControllerConnections, ProbeAttempt, ProtocolSearch};
 use dbbd_device::port::PortAddress;
 use dbbd_device::protocol::ProtocolDefinition;
-use dbbd_job::file_set::FileSet;
+use dbbd_job::file_set::{EarlierFiles, FileSet};
 use dbbd_job::files;
 use dbbd_job::plan::DEFAULT_PROTOCOL;
 use dbbd_job::recording::BarFinding;
@@ -178,7 +178,7 @@ fn run_bar_check(args: &BarCheckArgs, out: &CommandOutput) -> Result<CommandOutc
         dbbd_job::artefact::made_from(
             [&dbbd_job::artefact::of_file(ArtefactRole::Capture, &capture)?.into()],
         );
-    let mut set = FileSet::begin(&args.out)?;
+    let mut set = FileSet::begin(&args.out, EarlierFiles::Keep)?;
     set.write("bar.toml", check.to_toml())?;
     set.write("bar.json", serialised::json(&check)? + "\n")?;
     set.write("bar.html", report::bar::html(&check, &provenance)?)?;

@@ -27,6 +27,9 @@ pub(crate) struct CertificateArgs {
     /// keys of a job's table [identity].
     #[arg(long, value_name = "FILE")]
     identity: Option<PathBuf>,
+    /// Replace an earlier result in DIR [default: its files move to DIR/previous-1, DIR/previous-2 and so on].
+    #[arg(long)]
+    replace: bool,
 }
 
 /// What the arguments ask for.
@@ -36,6 +39,7 @@ pub(super) fn request(args: &CertificateArgs) -> Request {
         out: args.out.clone(),
         check: args.check.clone(),
         identity: args.identity.clone(),
+        replace: args.replace,
     })
 }
 

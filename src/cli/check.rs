@@ -65,6 +65,9 @@ pub(crate) struct CheckArgs {
     /// Identify what changed, with the posterior as prior, and write robot-identified.toml and lengths.csv to --out.
     #[arg(long)]
     update: bool,
+    /// Replace an earlier result in DIR [default: its files move to DIR/previous-1, DIR/previous-2 and so on].
+    #[arg(long)]
+    replace: bool,
 }
 
 /// What the arguments ask for.
@@ -88,6 +91,7 @@ pub(super) fn request(args: &CheckArgs) -> Request {
         bar_u_mm: args.bar_u,
         workspace: args.workspace.clone(),
         update: args.update,
+        replace: args.replace,
     })
 }
 

@@ -51,6 +51,9 @@ pub(crate) struct CircleArgs {
     /// Number of Monte Carlo draws for the 95 % intervals: 0 for none, else 50 to 1000000.
     #[arg(long, value_name = "N", default_value_t = DEFAULT_DRAWS, value_parser = value::draws)]
     monte_carlo: usize,
+    /// Replace an earlier result in DIR [default: its files move to DIR/previous-1, DIR/previous-2 and so on].
+    #[arg(long)]
+    replace: bool,
 }
 
 /// What the arguments ask for.
@@ -67,6 +70,7 @@ pub(super) fn request(args: &CircleArgs) -> Request {
         certified_c: args.certified,
         machine_expansion_per_k: args.machine_expansion,
         monte_carlo: args.monte_carlo,
+        replace: args.replace,
     })
 }
 

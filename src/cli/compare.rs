@@ -9,7 +9,7 @@ use serde_json::Value as Json;
 
 use super::{CommandOutcome, CommandOutput, artefact, robots, value};
 use dbbd_device::clock;
-use dbbd_job::file_set::FileSet;
+use dbbd_job::file_set::{EarlierFiles, FileSet};
 use dbbd_job::files;
 use dbbd_job::report::compare;
 use dbbd_job::request::identify::ROBOT;
@@ -53,6 +53,9 @@ pub(crate) struct CompareArgs {
     /// Standard uncertainty of the repeatability of a circle's quantities from run to run, mm [default: 0].
     #[arg(long, value_name = "MM", value_parser = value::length_sd)]
     repeat_u: Option<f64>,
+    /// Replace an earlier result in DIR [default: its files move to DIR/previous-1, DIR/previous-2 and so on].
+    #[arg(long)]
+    replace: bool,
 }
 
 /// The files that are looked for in a directory.
@@ -275,7 +278,7 @@ fn write_comparison(
     timeline: &ResultTimeline,
 ) -> Result<(), Diagnostic> {
     let ComparisonDocument { comparison, provenance } = written;
-    let mut set = FileSet::begin(&args.out)?;
+    let mut set = FileSet::begin(&args.out, EarlierFiles::kept_unless(args.replace))?;
     set.write("compare.json", serialised::sealed_json(written)?)?;
     set.write("compare.csv", csv(comparison)?)?;
     set.write("compare.html", compare::html(comparison, timeline, provenance)?)?;

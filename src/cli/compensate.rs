@@ -50,6 +50,9 @@ pub(crate) struct CompensateArgs {
     /// Refuse the program if a commanded point would move by more than this, mm.
     #[arg(long, value_name = "MM", default_value_t = DEFAULT_LIMIT_MM)]
     limit: f64,
+    /// Replace files that exist in DIR [default: refuse].
+    #[arg(long)]
+    replace: bool,
 }
 
 /// What the arguments ask for.
@@ -64,6 +67,7 @@ pub(super) fn request(args: &CompensateArgs) -> Request {
         payload: args.payload.clone(),
         nominal_controller: args.controller_model.is_some(),
         limit_mm: args.limit,
+        replace: args.replace,
     })
 }
 

@@ -33,14 +33,25 @@ pub(crate) struct KrlArgs {
     /// The controller that runs the program; `simulated` is that of `dbbd simulate`, which moves robots of any make.
     #[arg(long, value_parser = value::one_of(&Controller::ALL, Controller::name), default_value = Controller::Krc4.name())]
     controller: Controller,
+    /// Replace files that exist in DIR [default: refuse].
+    #[arg(long)]
+    replace: bool,
 }
 
 pub(crate) fn run(args: &KrlArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
-    let KrlArgs { plan, out: directory, sync, server, controller } = args;
+    let KrlArgs { plan, out: directory, sync, server, controller, replace } = args;
     let (language, controller) = (Some(Language::Krl), Some(*controller));
     let (plan, directory) = (plan.clone(), directory.clone());
     program::run(
-        &program::ProgramArgs { plan, language, out: directory, sync: *sync, server: *server, controller },
+        &program::ProgramArgs {
+            plan,
+            language,
+            out: directory,
+            sync: *sync,
+            server: *server,
+            controller,
+            replace: *replace,
+        },
         out,
     )
 }

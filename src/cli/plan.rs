@@ -6,7 +6,7 @@ use super::{CommandOutput, output, value};
 use dbbd_job::plan::prediction::Identifiability;
 use dbbd_job::plan::{PlanPrediction, PoseKind};
 use dbbd_job::request::Request;
-use dbbd_job::request::plan::{CheckPoses, PlanDocument, PlanRequest, PlannedPoses};
+use dbbd_job::request::plan::{CheckPoses, PlanDocument, PlanRequest, PlannedPoses, PoseRows};
 use dbbd_model::estimation::change::CheckPower;
 use dbbd_model::robot::ParamUnit;
 
@@ -36,6 +36,13 @@ pub(crate) struct PlanArgs {
     /// a plan that is refused for its risk of leaving the stroke.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(6..=242))]
     stage: Option<u32>,
+    /// Plan the poses of these captures' plans that have no length in any of them, in place of the job's circles.
+    #[arg(long, value_name = "RUN", num_args = 1.., conflicts_with_all = ["stage", "check", "repeat"])]
+    remaining: Vec<PathBuf>,
+    /// Plan poses to be measured again: those of a capture, a table of lengths or a result (its directory). ROWS are indices as
+    /// 3,7-9, or the outliers of a result [default: all]. Their lengths supersede the earlier ones in `identify`.
+    #[arg(long, value_name = "RUN[:ROWS]", value_parser = value::run_rows, conflicts_with_all = ["stage", "check"])]
+    repeat: Option<(PathBuf, PoseRows)>,
     /// Plan a short check of a calibrated robot; --robot is its robot-identified.toml. In place of the job's circles, chooses
     /// the poses about its base balls that are most sensitive to a change of any parameter. plan.json and plan.html state
     /// the smallest changes that are detected with 95 % probability at 1 % false alarms.
@@ -53,6 +60,9 @@ pub(crate) struct PlanArgs {
     /// Largest probability of a wrong decision of the check.
     #[arg(long, value_name = "P", requires = "tolerance", default_value_t = 0.05, value_parser = value::risk)]
     risk: f64,
+    /// Replace an earlier result in DIR [default: its files move to DIR/previous-1, DIR/previous-2 and so on].
+    #[arg(long)]
+    replace: bool,
 }
 
 /// What the arguments ask for.
@@ -65,7 +75,11 @@ pub(super) fn request(args: &PlanArgs) -> Request {
             risk: args.risk,
         }),
         Some(poses) => PlannedPoses::Stage { poses },
-        None => PlannedPoses::Job,
+        None if !args.remaining.is_empty() => PlannedPoses::Remaining { runs: args.remaining.clone() },
+        None => match &args.repeat {
+            Some((run, rows)) => PlannedPoses::Repeat { run: run.clone(), rows: rows.clone() },
+            None => PlannedPoses::Job,
+        },
     };
     Request::Plan(PlanRequest {
         job: args.job.clone(),
@@ -73,6 +87,7 @@ pub(super) fn request(args: &PlanArgs) -> Request {
         robot: args.robot.clone(),
         measured: args.measured.clone(),
         poses,
+        replace: args.replace,
     })
 }
 

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::{CommandOutcome, CommandOutput};
-use dbbd_job::file_set::FileSet;
+use dbbd_job::file_set::{EarlierFiles, FileSet};
 use dbbd_job::plan::Plan;
 use dbbd_job::program::ProgramFinding;
 use dbbd_job::program::krl::{self, Controller, Options};
@@ -44,6 +44,9 @@ pub(crate) struct ProgramArgs {
     /// The KUKA controller that runs a KRL program [default: krc4].
     #[arg(long, value_parser = value::one_of(&Controller::ALL, Controller::name))]
     pub(super) controller: Option<Controller>,
+    /// Replace files that exist in DIR [default: refuse].
+    #[arg(long)]
+    pub(super) replace: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -55,6 +58,7 @@ pub(super) enum SyncChoice {
 
 pub(crate) fn run(args: &ProgramArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let plan = run::read_plan(&args.plan)?;
+    out.findings(request::plan::changed_job(&plan, &args.plan));
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
     let language = args.language.unwrap_or_else(|| Language::of_robot(&robot));
     check_language(args, &robot, language, out)?;
@@ -75,7 +79,7 @@ pub(crate) fn run(args: &ProgramArgs, out: &CommandOutput) -> Result<CommandOutc
         Language::Rapid => rapid::emit(&plan, sync)?,
         Language::Urscript => urscript::emit(&plan, sync)?,
     };
-    let mut set = FileSet::begin(&args.out)?;
+    let mut set = FileSet::begin(&args.out, EarlierFiles::refused_unless(args.replace))?;
     let mut written = Vec::new();
     for (name, text) in &files {
         let path = args.out.join(name);

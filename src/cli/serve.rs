@@ -69,7 +69,7 @@ fn make_cell(out: CommandOutput) -> Option<MakeCell> {
             HaltBehaviour::Continue => simulated::HALT_S,
             HaltBehaviour::Wait => "86400",
         };
-        Ok(Box::new(simulated::PlanSimulator::start(plan, "1", halt_s, None, &out)?))
+        Ok(Box::new(simulated::PlanSimulator::start(plan, simulated::CellOptions::real_time(halt_s), &out)?))
     };
     Some(Box::new(make))
 }

@@ -1,10 +1,12 @@
 //! Parsers of option values. Their errors state the valid range.
 
 use std::fmt;
+use std::path::{Path, PathBuf};
 
 use crate::cli::CliFinding;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use dbbd_job::program::CompensationFinding;
+use dbbd_job::request::plan::PoseRows;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::plausibility::{POSITIVE, PlausibleRange, Quantity, ValueKey};
@@ -133,4 +135,16 @@ pub(crate) fn one_of<T: Copy + Send + Sync + 'static>(
     let names = PossibleValuesParser::new(all.iter().map(|one| name(*one)));
     // Cannot fail: the text is one of the names.
     names.try_map(move |text| all.iter().copied().find(|one| name(*one) == text).ok_or(fmt::Error))
+}
+
+/// A run, and after the last colon the rows of it.
+pub(super) fn run_rows(text: &str) -> Result<(PathBuf, PoseRows), String> {
+    // A path may have a colon itself, as a drive of Windows.
+    if Path::new(text).exists() {
+        return Ok((text.into(), PoseRows::All));
+    }
+    match text.rsplit_once(':') {
+        Some((run, rows)) => Ok((run.into(), rows.parse()?)),
+        None => Ok((text.into(), PoseRows::All)),
+    }
 }

@@ -134,3 +134,18 @@ fn other_users_cannot_read_a_capture() {
     let mode = fs::metadata(dir.path().join("run")).unwrap().permissions().mode();
     assert_eq!(mode & 0o007, 0, "{mode:o}");
 }
+
+/// Another program writes into the capture: the damage is reported when the run ends.
+#[test]
+fn overwritten_capture_is_a_loss() {
+    use std::io::{Seek as _, SeekFrom, Write as _};
+    let recording = Recording::begin();
+    let path = recording.path("runs/run.dbbd");
+    let mut file = fs::OpenOptions::new().write(true).open(&path).unwrap();
+    file.seek(SeekFrom::Start(20_000)).unwrap();
+    file.write_all(&[0x55; 300]).unwrap();
+    signal(&recording.child, "INT");
+    let output = recording.child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(codes(&output).contains(&"W0410".to_owned()), "{}", stderr(&output));
+}

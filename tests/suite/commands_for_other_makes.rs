@@ -30,7 +30,7 @@ fn robot_selects_the_language_and_unsupported_options_are_refused() {
     let program = |more: &[&str]| {
         // Each has its own directory, because modules of another plan would be reported.
         let out = format!("p{}", more.join(""));
-        said(at, &[&["program", "plan.csv", "--out", &out], more].concat())
+        said(at, &[&["program", "--replace", "plan.csv", "--out", &out], more].concat())
     };
     // The language of the robot is the default; another one is refused.
     assert_eq!(program(&[]), (Some(0), vec![]));
@@ -61,7 +61,10 @@ fn programs_are_corrected_once_and_for_their_own_robot() {
     };
     ["irb1600-10-145", "irb120", "ur10"].into_iter().for_each(identified);
     let compensate = |program: &str, robot: &str, out: &str| {
-        said(at, &["compensate", program, "--robot", robot, "--out", out, "--limit", "20", "--quiet"])
+        said(
+            at,
+            &["compensate", "--replace", program, "--robot", robot, "--out", out, "--limit", "20", "--quiet"],
+        )
     };
     assert_eq!(compensate("p/DBB_C001.mod", "irb1600-10-145.toml", "new"), (Some(0), vec![]));
     assert_eq!(
@@ -73,6 +76,7 @@ fn programs_are_corrected_once_and_for_their_own_robot() {
     assert_eq!(compensate("p/DBB_C001.mod", "irb1600-10-145.toml", "p"), (Some(1), vec!["E0910".into()]));
     let frames = [
         "compensate",
+        "--replace",
         "p/DBB_C001.mod",
         "--robot",
         "irb1600-10-145.toml",

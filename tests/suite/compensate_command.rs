@@ -60,7 +60,7 @@ fn other_bytes_are_unchanged() {
     fs::write(path("config.dat"), fixture("config.dat")).unwrap();
     fs::write(path("id.toml"), identified(3).to_toml().unwrap()).unwrap();
     let run_to = |out: &str, extra: &[&str]| {
-        let args = ["compensate", "GLUE01.src", "--robot", "id.toml", "--out", out];
+        let args = ["compensate", "--replace", "GLUE01.src", "--robot", "id.toml", "--out", out];
         dbbd(dir.path(), &[&args, extra].concat())
     };
     let run = |extra: &[&str]| run_to("new", extra);
@@ -101,7 +101,7 @@ fn other_bytes_are_unchanged() {
     refused(run_to(".", &["--config", "config.dat"]), COMMAND[4]);
     refused(run(&["--limit", "0"]), "E0130");
     // A `.dat` alone is not a program.
-    let args = ["compensate", "glue01.DAT", "--robot", "id.toml", "--out", "new"];
+    let args = ["compensate", "--replace", "glue01.DAT", "--robot", "id.toml", "--out", "new"];
     refused(dbbd(dir.path(), &args), COMMAND[4]);
     fs::write(path("id.toml"), kr60().to_toml().unwrap()).unwrap();
     refused(run(&["--config", "config.dat"]), COMMAND[5]);

@@ -26,8 +26,8 @@ fn doubtful_robot_is_reported_by_every_command() {
     fs::write(at.join("P.dat"), points).unwrap();
     let robot = "out/robot-identified.toml";
     let verbs = [
-        &["compensate", "P.src", "--robot", robot, "--out", "new", "--limit", "50"][..],
-        &["export", robot, "--urdf-in", "arm.urdf", "--out", "urdf"],
+        &["compensate", "--replace", "P.src", "--robot", robot, "--out", "new", "--limit", "50"][..],
+        &["export", "--replace", robot, "--urdf-in", "arm.urdf", "--out", "urdf"],
         &["predict", "obs.csv", "--robot", robot, "--out", "p.csv"],
         &["check", "again.csv", "--robot", robot, "--centres", "C.csv", "--out", "check"],
         &["robots", "check", robot],

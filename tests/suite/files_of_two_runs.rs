@@ -17,11 +17,24 @@ fn modules_of_two_plans() {
     fs::write(at.join("other.toml"), JOB.replace("points = 3", "points = 4")).unwrap();
     for (job, krl) in [("job.toml", "krl"), ("other.toml", "krl2")] {
         assert_eq!(dbbd(at, &["plan", job, "--out", "plan"]).status.code(), Some(0));
-        assert_ne!(dbbd(at, &["krl", "plan/plan.csv", "--out", krl]).status.code(), Some(1));
+        assert_ne!(dbbd(at, &["krl", "--replace", "plan/plan.csv", "--out", krl]).status.code(), Some(1));
     }
     let correct = || {
         let robot = "out/robot-identified.toml";
-        dbbd(at, &["compensate", "krl/DBB_C001.src", "--robot", robot, "--out", "new", "--limit", "50"])
+        dbbd(
+            at,
+            &[
+                "compensate",
+                "--replace",
+                "krl/DBB_C001.src",
+                "--robot",
+                robot,
+                "--out",
+                "new",
+                "--limit",
+                "50",
+            ],
+        )
     };
     assert_eq!(correct().status.code(), Some(0), "{}", stderr(&correct()));
     fs::copy(at.join("krl2/DBB_C001.dat"), at.join("krl/DBB_C001.dat")).unwrap();
@@ -245,7 +258,7 @@ fn robots_frames_and_rows_in_other_units() {
     fs::write(at.join("P.src"), program).unwrap();
     fs::write(at.join("P.dat"), points).unwrap();
     let robot = "out/robot-identified.toml";
-    says(&dbbd(at, &["compensate", "P.src", "--robot", robot, "--out", "new"]), 1, "E0915");
+    says(&dbbd(at, &["compensate", "--replace", "P.src", "--robot", robot, "--out", "new"]), 1, "E0915");
     let tenths: Vec<String> = data.rows.iter().map(|row| format!("{:.1}", row.length_mm)).collect();
     let mut rounded = data.clone();
     rounded.rows.iter_mut().zip(tenths).for_each(|(row, tenth)| row.length_mm = tenth.parse().unwrap());

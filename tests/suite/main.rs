@@ -74,6 +74,7 @@ mod results_are_compared;
 mod reversal_steps_hold;
 mod robots_are_imported;
 mod rows_are_used_once;
+mod runs_in_parts;
 mod runs_the_whole_job;
 mod sag_and_harmonics_by_evidence;
 mod says_what_it_found;

@@ -245,7 +245,7 @@ fn corrected(
     let robot =
         Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw_true_robot(&nominal, 1, 0.3) };
     fs::write(at.join("id.toml"), robot.to_toml().unwrap()).unwrap();
-    let args = [&["compensate", file, "--robot", "id.toml", "--out", "new"][..], more].concat();
+    let args = [&["compensate", "--replace", file, "--robot", "id.toml", "--out", "new"][..], more].concat();
     for (from, to, exit, code) in [("", "", 0, "")].iter().chain(cases) {
         fs::write(at.join(file), program.replacen(from, to, 1)).unwrap();
         let output = dbbd(at, &args);
@@ -272,7 +272,15 @@ fn urdfs_and_joints() {
     done(&identify(at, &data.to_csv(), &PRIOR));
     let export = |urdf: &str, joints: &[&str]| {
         fs::write(at.join("user.urdf"), urdf).unwrap();
-        let given = ["export", "out/robot-identified.toml", "--urdf-in", "user.urdf", "--out", "patched"];
+        let given = [
+            "export",
+            "--replace",
+            "out/robot-identified.toml",
+            "--urdf-in",
+            "user.urdf",
+            "--out",
+            "patched",
+        ];
         dbbd(at, &[&given[..], joints].concat())
     };
     let urdf = fs::read_to_string(at.join("out/robot-identified.urdf")).unwrap();

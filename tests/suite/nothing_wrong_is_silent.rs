@@ -194,7 +194,8 @@ fn plans_programs_and_traces() {
     fs::write(at.join("mixed/plan.csv"), german).unwrap();
     says(&dbbd(at, &["krl", "mixed/plan.csv", "--out", "krl"]), 1, "E0731");
 
-    let krl = |more: &[&str]| dbbd(at, &[&["krl", "plan/plan.csv", "--out", "krl"], more].concat());
+    let krl =
+        |more: &[&str]| dbbd(at, &[&["krl", "--replace", "plan/plan.csv", "--out", "krl"], more].concat());
     says(&krl(&["--server", "10.0.0.1:54600"]), 1, "E0880");
     says(&krl(&["--sync", "ekrl", "--server", "10.0.0.1:0"]), 1, "E0880");
     for nobody in ["0.0.0.0:54600", "255.255.255.255:54600", "239.0.0.1:54600"] {
@@ -247,7 +248,7 @@ fn corrections_and_circles() {
     let compensate = |program: &str, points: &str, robot: &str| {
         fs::write(at.join("P.src"), program).unwrap();
         fs::write(at.join("P.dat"), points).unwrap();
-        dbbd(at, &["compensate", "P.src", "--robot", robot, "--out", "new"])
+        dbbd(at, &["compensate", "--replace", "P.src", "--robot", robot, "--out", "new"])
     };
     let robot = "out/robot-identified.toml";
     assert_eq!(compensate(program, points, robot).status.code(), Some(0));
@@ -277,7 +278,8 @@ fn corrections_and_circles() {
     fs::write(at.join("frames.dat"), "DEFDAT CELL\nTOOL_DATA[1]={X 0,Y 0,Z 0,A 0,B 0,C 0}\nENDDAT\n")
         .unwrap();
     compensate(program, points, robot);
-    let config = ["compensate", "P.src", "--robot", robot, "--out", "new", "--config", "frames.dat"];
+    let config =
+        ["compensate", "--replace", "P.src", "--robot", robot, "--out", "new", "--config", "frames.dat"];
     says(&dbbd(at, &config), 3, "W1841");
 
     let circle = |name: &str, length: &dyn Fn(u32) -> f64, more: &[&str]| {

@@ -38,7 +38,7 @@ pub(crate) fn edit(dir: &Path, change: impl FnOnce(&mut Value)) {
 
 /// The exit code of `krl` and the codes of its findings.
 fn krl(dir: &Path, options: &[&str]) -> (Option<i32>, Vec<String>) {
-    let output = dbbd(dir, &[&["krl", "plan.csv", "--out", "krl"], options].concat());
+    let output = dbbd(dir, &[&["krl", "--replace", "plan.csv", "--out", "krl"], options].concat());
     (output.status.code(), codes(&output))
 }
 
@@ -59,7 +59,8 @@ fn krl_is_refused_for_other_makes() {
         for language in
             [&[][..], &["--language", "krl"], &["--language", "rapid"], &["--language", "urscript"]]
         {
-            let output = dbbd(at, &[&["program", "plan.csv", "--out", "program"], language].concat());
+            let output =
+                dbbd(at, &[&["program", "--replace", "plan.csv", "--out", "program"], language].concat());
             assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0824".into()]), "{name}");
         }
     }
@@ -127,7 +128,7 @@ fn only_krl_is_corrected() {
     fs::write(at.join("id.toml"), identified(kr60()).to_toml().unwrap()).unwrap();
     let compensate = |text: &str, robot: &str| {
         fs::write(at.join("P.src"), text).unwrap();
-        dbbd(at, &["compensate", "P.src", "--robot", robot, "--out", "out", "--json"])
+        dbbd(at, &["compensate", "--replace", "P.src", "--robot", robot, "--out", "out", "--json"])
     };
     for (text, line) in OTHERS {
         let output = compensate(text, "id.toml");
@@ -166,7 +167,8 @@ fn points_in_other_statements_are_reported() {
     for (statements, lines) in STATEMENTS {
         let source = format!("DEF P ( )\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\n{statements}END\n");
         fs::write(at.join("P.src"), source).unwrap();
-        let output = dbbd(at, &["compensate", "P.src", "--robot", "id.toml", "--out", "out", "--json"]);
+        let output =
+            dbbd(at, &["compensate", "--replace", "P.src", "--robot", "id.toml", "--out", "out", "--json"]);
         let found: Value = serde_json::from_slice(&output.stdout).unwrap();
         let named: Vec<(String, u64)> = found["findings"]
             .as_array()

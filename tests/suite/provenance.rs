@@ -73,8 +73,8 @@ fn identify<'a>(robot: &'a str, out: &'a str) -> Vec<&'a str> {
     [&args[..], &["--folds", "0", "--out", out]].concat()
 }
 
-fn compensate<'a>(program: &'a str, robot: &'a str, out: &'a str) -> [&'a str; 6] {
-    ["compensate", program, "--robot", robot, "--out", out]
+fn compensate<'a>(program: &'a str, robot: &'a str, out: &'a str) -> [&'a str; 7] {
+    ["compensate", "--replace", program, "--robot", robot, "--out", out]
 }
 
 /// The output of `dbbd info` for a file.

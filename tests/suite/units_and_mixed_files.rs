@@ -99,7 +99,10 @@ fn programs_in_metres_and_on_rails() {
         fs::write(at.join("id.toml"), known.to_toml().unwrap()).unwrap();
     };
     let corrected = |program: &str, more: &[&str]| {
-        dbbd(at, &[&["compensate", program, "--robot", "id.toml", "--out", "new"], more].concat())
+        dbbd(
+            at,
+            &[&["compensate", "--replace", program, "--robot", "id.toml", "--out", "new"], more].concat(),
+        )
     };
     for name in ["GLUE01.src", "GLUE01.dat", "config.dat"] {
         fs::write(at.join(name), fixture(name)).unwrap();
@@ -248,7 +251,8 @@ fn exports_replace_only_exports() {
         dbbd(at, &["import", "t.csv", "--plan", "plan/plan.csv", "--out", "run"]).status.code(),
         Some(0)
     );
-    let export = |more: &[&str]| dbbd(at, &[&["export", "run", "--out", "tables"], more].concat());
+    let export =
+        |more: &[&str]| dbbd(at, &[&["export", "--replace", "run", "--out", "tables"], more].concat());
     for _ in 0..2 {
         assert_eq!(export(&[]).status.code(), Some(0));
         assert_eq!(export(&["--mcap"]).status.code(), Some(0));

@@ -124,8 +124,10 @@ fn the_flange_is_where_the_model_has_it() {
         let users = users(&kr60(), root, seed);
         fs::write(dir.path().join("arm.urdf"), &users.text).unwrap();
         fs::write(dir.path().join("robot.toml"), robot.to_toml().unwrap()).unwrap();
-        let output =
-            dbbd(dir.path(), &["export", "robot.toml", "--urdf-in", "arm.urdf", "--out", "out", "--json"]);
+        let output = dbbd(
+            dir.path(),
+            &["export", "--replace", "robot.toml", "--urdf-in", "arm.urdf", "--out", "out", "--json"],
+        );
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
         let patched = fs::read_to_string(dir.path().join("out/arm.urdf")).unwrap();
         assert_eq!(rest(&patched), rest(&users.text));
@@ -147,7 +149,7 @@ fn a_urdf_of_another_robot_is_refused() {
     fs::write(dir.path().join("robot.toml"), identified().to_toml().unwrap()).unwrap();
     let patch = |text: &str, more: &[&str]| {
         fs::write(dir.path().join("arm.urdf"), text).unwrap();
-        let args = ["export", "robot.toml", "--urdf-in", "arm.urdf", "--out", "out"];
+        let args = ["export", "--replace", "robot.toml", "--urdf-in", "arm.urdf", "--out", "out"];
         dbbd(dir.path(), &[&args, more].concat())
     };
     for (from, to, exit, code) in REFUSED {
@@ -188,8 +190,10 @@ fn effects_that_a_urdf_cannot_model_are_reported() {
     robot.geometry.gear[1] = [1e-3, 0.0];
     fs::write(dir.path().join("arm.urdf"), users(&kr60(), pose([0.0; 3], [0.0; 3]), 1).text).unwrap();
     fs::write(dir.path().join("robot.toml"), robot.to_toml().unwrap()).unwrap();
-    let output =
-        dbbd(dir.path(), &["export", "robot.toml", "--urdf-in", "arm.urdf", "--out", "out", "--json"]);
+    let output = dbbd(
+        dir.path(),
+        &["export", "--replace", "robot.toml", "--urdf-in", "arm.urdf", "--out", "out", "--json"],
+    );
     assert_eq!(codes(&output), ["I1722"]);
     let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let most = document["left_out"]["max_mm"].as_f64().unwrap();

@@ -1,17 +1,50 @@
-//! The files of one result, replaced together: after an error the files of the earlier result are still there.
+//! The files of one result, replaced together: after an error the files of the earlier result are still there. What becomes
+//! of an earlier result is decided here, for every command.
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use super::files::{self, DirectoryLock, UnfinishedFile};
+use dbbd_model::base::FileFinding;
 use dbbd_model::diagnostic::Diagnostic;
+
+/// What becomes of the files of an earlier result in the directory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EarlierFiles {
+    /// They move to `previous-1`, `previous-2`, .. in the directory.
+    Keep,
+    /// The new result is refused.
+    Refuse,
+    Replace,
+}
+
+impl EarlierFiles {
+    /// For results of measurements, which cannot be made again.
+    pub fn kept_unless(replace: bool) -> Self {
+        if replace { Self::Replace } else { Self::Keep }
+    }
+
+    /// For programs and tables, of which a controller or another program uses what is in the directory.
+    pub fn refused_unless(replace: bool) -> Self {
+        if replace { Self::Replace } else { Self::Refuse }
+    }
+
+    /// Refuses a file that exists, if it must not be replaced.
+    pub fn check(self, path: &Path) -> Result<(), Diagnostic> {
+        match self {
+            Self::Refuse if path.is_file() => Err(Diagnostic::file(path.display(), FileFinding::Exists)),
+            Self::Keep | Self::Refuse | Self::Replace => Ok(()),
+        }
+    }
+}
 
 /// Files that are written under temporary names and renamed together at the end.
 #[must_use = "the files get their names when it is finished"]
 #[derive(Debug)]
 pub struct FileSet {
     directory: PathBuf,
+    earlier: EarlierFiles,
     /// The names of the files of the set, in the order in which they were written.
     names: Vec<String>,
     written: Vec<UnfinishedFile>,
@@ -27,10 +60,11 @@ struct Backup {
 
 impl FileSet {
     /// Creates the directory, and waits until no other process writes a set to it.
-    pub fn begin(directory: &Path) -> Result<Self, Diagnostic> {
+    pub fn begin(directory: &Path, earlier: EarlierFiles) -> Result<Self, Diagnostic> {
         let lock = files::exclusive(directory)?;
         Ok(Self {
             directory: directory.into(),
+            earlier,
             names: Vec::new(),
             written: Vec::new(),
             removed: Vec::new(),
@@ -49,6 +83,7 @@ impl FileSet {
         pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
     ) -> Result<PathBuf, Diagnostic> {
         let path = self.directory.join(name);
+        self.earlier.check(&path)?;
         self.names.push(name.into());
         let Some(file) = files::write_unfinished(&path, pieces)? else { return Ok(path) };
         let temporary = file.part.clone();
@@ -67,7 +102,8 @@ impl FileSet {
     /// A file cannot be replaced or removed. The earlier files are then restored.
     pub fn finish(self) -> Result<Vec<String>, Diagnostic> {
         let (mut backups, mut placed) = (Vec::new(), 0);
-        let done = self.replace(&mut backups, &mut placed);
+        let kept = (self.earlier == EarlierFiles::Keep).then(|| self.next_previous());
+        let done = self.replace(&mut backups, &mut placed, kept.as_deref());
         if done.is_err() {
             let is_new = |path: &Path| backups.iter().all(|one: &Backup| one.path != path);
             for file in self.written[..placed].iter().filter(|file| is_new(&file.target)) {
@@ -75,24 +111,56 @@ impl FileSet {
             }
         }
         for Backup { path, backup } in backups {
+            if done.is_ok() && kept.is_some() {
+                continue;
+            }
             // A backup that cannot be renamed back is kept.
             if done.is_ok() || fs::rename(&backup, path).is_ok() {
                 // Not there any more after the renaming, unless both are links to one file.
                 let _ = fs::remove_file(backup);
             }
         }
+        if let Some(kept) = kept.filter(|_| done.is_err()) {
+            // Remains if it holds a file that could not be renamed back.
+            let _ = fs::remove_dir(kept);
+        }
         done.map(|()| self.names)
     }
 
-    fn replace(&self, backups: &mut Vec<Backup>, placed: &mut usize) -> Result<(), Diagnostic> {
+    /// The first directory for an earlier result that does not exist.
+    fn next_previous(&self) -> PathBuf {
+        let mut number = 1_u32;
+        loop {
+            let directory = self.directory.join(format!("previous-{number}"));
+            if directory.symlink_metadata().is_err() {
+                return directory;
+            }
+            number += 1;
+        }
+    }
+
+    /// Earlier files go to `kept`, or to names beside them.
+    fn replace(
+        &self,
+        backups: &mut Vec<Backup>,
+        placed: &mut usize,
+        kept: Option<&Path>,
+    ) -> Result<(), Diagnostic> {
+        let backup_of = |path: &Path| match (kept, path.file_name()) {
+            (Some(kept), Some(name)) => fs::create_dir_all(kept).map(|()| kept.join(name)),
+            _ => Ok(files::beside(path, "old.part")),
+        };
         for UnfinishedFile { part, target, .. } in &self.written {
             let wrong = files::unwritable(target);
-            backups.extend(back_up(target).map_err(&wrong)?);
+            if target.is_file() {
+                let backup = backup_of(target).map_err(&wrong)?;
+                backups.push(back_up(target, backup).map_err(&wrong)?);
+            }
             fs::rename(part, target).map_err(&wrong)?;
             *placed += 1;
         }
         for path in self.removed.iter().filter(|path| path.is_file()) {
-            let backup = files::beside(path, "old.part");
+            let backup = backup_of(path).map_err(files::unwritable(path))?;
             fs::rename(path, &backup).map_err(files::unwritable(path))?;
             backups.push(Backup { path: path.clone(), backup });
         }
@@ -101,14 +169,83 @@ impl FileSet {
 }
 
 /// Gives an existing file a second name, so that it keeps its own until it is replaced.
-fn back_up(path: &Path) -> io::Result<Option<Backup>> {
-    if !path.is_file() {
-        return Ok(None);
-    }
-    let backup = files::beside(path, "old.part");
+fn back_up(path: &Path, backup: PathBuf) -> io::Result<Backup> {
     // Not every file system has hard links.
     if fs::hard_link(path, &backup).is_err() {
         fs::copy(path, &backup)?;
     }
-    Ok(Some(Backup { path: path.into(), backup }))
+    Ok(Backup { path: path.into(), backup })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn write(
+        at: &Path,
+        earlier: EarlierFiles,
+        files: &[(&str, &str)],
+        removed: &[&str],
+    ) -> Result<(), Diagnostic> {
+        let mut set = FileSet::begin(at, earlier)?;
+        files.iter().try_for_each(|(name, text)| set.write(name, text))?;
+        removed.iter().for_each(|name| set.remove(name));
+        set.finish().map(drop)
+    }
+
+    fn read(at: &Path, name: &str) -> Option<String> {
+        fs::read_to_string(at.join(name)).ok()
+    }
+
+    #[test]
+    fn earlier_results_are_kept_in_their_order() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = dir.path();
+        fs::write(at.join("of the user"), "mine").unwrap();
+        for text in ["first", "second", "third"] {
+            write(at, EarlierFiles::Keep, &[("a", text), ("b", text)], &[]).unwrap();
+        }
+        write(at, EarlierFiles::Keep, &[("a", "fourth")], &["b"]).unwrap();
+        for (name, text) in [
+            ("a", Some("fourth")),
+            ("b", None),
+            ("previous-1/a", Some("first")),
+            ("previous-2/b", Some("second")),
+            ("previous-3/a", Some("third")),
+            ("previous-3/b", Some("third")),
+            ("previous-4/a", None),
+            ("of the user", Some("mine")),
+        ] {
+            assert_eq!(read(at, name).as_deref(), text, "{name}");
+        }
+        write(at, EarlierFiles::Replace, &[("a", "fifth")], &[]).unwrap();
+        assert_eq!(read(at, "a").as_deref(), Some("fifth"));
+        assert!(!at.join("previous-4").exists());
+    }
+
+    #[test]
+    fn refused_set_changes_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = dir.path();
+        write(at, EarlierFiles::Refuse, &[("a", "first")], &[]).unwrap();
+        let refused = write(at, EarlierFiles::Refuse, &[("b", "second"), ("a", "second")], &[]).unwrap_err();
+        assert_eq!(refused.code().to_string(), "E0182");
+        assert_eq!(read(at, "a").as_deref(), Some("first"));
+        assert_eq!(fs::read_dir(at).unwrap().count(), 1);
+    }
+
+    /// A file of the set cannot be placed: its name is a directory by then.
+    #[test]
+    fn failed_set_leaves_the_earlier_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = dir.path();
+        write(at, EarlierFiles::Keep, &[("a", "first")], &[]).unwrap();
+        let mut set = FileSet::begin(at, EarlierFiles::Keep).unwrap();
+        set.write("a", "second").unwrap();
+        set.write("b", "second").unwrap();
+        fs::create_dir_all(at.join("b/full")).unwrap();
+        assert!(set.finish().is_err());
+        assert_eq!(read(at, "a").as_deref(), Some("first"));
+        assert!(!at.join("previous-1").exists());
+    }
 }

@@ -169,6 +169,12 @@ pub enum Input {
     /// The address of the axes that a controller publishes.
     PublishedAxes,
     Radius,
+    /// Runs whose remaining poses are planned.
+    Remaining,
+    /// A run whose poses are measured again.
+    Repeat,
+    /// That files of an earlier result are replaced.
+    Replace,
     Risk,
     Robot,
     /// Where what was received is kept.
@@ -177,6 +183,8 @@ pub enum Input {
     /// That the configuration of the service is only checked.
     ServiceCheck,
     /// The standard deviation of a length.
+    /// Whether parts of a measurement have one set-up.
+    SetUpRelation,
     Sigma,
     Since,
     Spool,

@@ -12,6 +12,7 @@ use dbbd_device::port::PortAddress;
 use dbbd_job::files;
 use dbbd_job::plan::{Plan, TaughtBall};
 use dbbd_job::recording::run::read_plan;
+use dbbd_job::request;
 use dbbd_job::sim::truth;
 use dbbd_model::base::FileFinding;
 use dbbd_model::diagnostic::Diagnostic;
@@ -19,6 +20,27 @@ use dbbd_model::robot::Robot;
 
 /// How long a program waits at its HALT, s.
 pub(crate) const HALT_S: &str = "2";
+
+/// How a simulated cell runs.
+#[derive(Clone, Copy)]
+pub(crate) struct CellOptions<'a> {
+    /// Device time per host time; 0: as fast as the bytes are read.
+    pub(crate) speed: &'a str,
+    /// How long the program waits at each HALT, s.
+    pub(crate) halt_s: &'a str,
+    /// Where the program reports its dwells over EthernetKRL.
+    pub(crate) server: Option<SocketAddr>,
+    /// The protocol of the bar with its parameters; `None` for that of the plan.
+    pub(crate) protocol: Option<(&'a str, &'a [(String, String)])>,
+    pub(crate) seed: Option<u64>,
+}
+
+impl<'a> CellOptions<'a> {
+    /// A cell in real time with the bar of the plan.
+    pub(crate) fn real_time(halt_s: &'a str) -> Self {
+        Self { speed: "1", halt_s, server: None, protocol: None, seed: None }
+    }
+}
 
 /// A simulator that runs a plan.
 pub(crate) struct PlanSimulator {
@@ -38,6 +60,10 @@ fn private_directory() -> Result<TempDir, Diagnostic> {
     })
 }
 
+fn absolute(path: &Path) -> Result<PathBuf, Diagnostic> {
+    std::path::absolute(path).map_err(unreadable(path.display()))
+}
+
 /// A world with the repeatability and the noise that the plan assumes, and with the base balls where they were taught.
 fn world(plan: &Plan, robot: &Robot) -> String {
     let table = |TaughtBall { centre, axes_deg }: TaughtBall| {
@@ -48,20 +74,18 @@ fn world(plan: &Plan, robot: &Robot) -> String {
 }
 
 impl PlanSimulator {
-    /// Starts the simulator with `plan`, or with that of the demo. `speed` is device time per host time; 0: as fast as the
-    /// bytes are read. The program waits `halt_s` at each HALT, and reports its dwells to `server`, if given.
+    /// Starts the simulator with `plan`, or with that of the demo.
     pub(crate) fn start(
         plan: Option<&Path>,
-        speed: &str,
-        halt_s: &str,
-        server: Option<SocketAddr>,
+        options: CellOptions<'_>,
         out: &CommandOutput,
     ) -> Result<Self, Diagnostic> {
+        let CellOptions { speed, halt_s, server, protocol, seed } = options;
         let directory = private_directory()?;
         let inside = directory.path();
         let steps = ChildCommands::new(inside, out);
         let plan = match plan {
-            Some(plan) => std::path::absolute(plan).map_err(unreadable(plan.display()))?,
+            Some(plan) => absolute(plan)?,
             None => {
                 files::write_file(&inside.join("job.toml"), demo::JOB)?;
                 steps.run(&["plan", "job.toml", "--out", "plan"])?;
@@ -78,6 +102,20 @@ impl PlanSimulator {
         let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--nominal", "robot.toml"];
         simulate.extend(["--world", "world.toml", "--speed", speed, "--halt", halt_s]);
         simulate.extend(["--listen", LOOPBACK]);
+        let (named, params) = protocol.unwrap_or((content.header.job.bar.protocol.as_str(), &[]));
+        // The simulator runs in another directory; a built-in name is no file.
+        let is_file = Path::new(named).is_file();
+        let protocol = if is_file { absolute(Path::new(named))?.display().to_string() } else { named.into() };
+        // A bar without a strobe is synchronised by the markers of the plan.
+        let definition = request::read_protocol(&protocol, params)?;
+        if !definition.has_strobe() && server.is_none() {
+            emit.extend(["--sync", "marker"]);
+        }
+        simulate.extend(["--protocol", &protocol]);
+        let settings: Vec<String> = params.iter().map(|(name, value)| format!("{name}={value}")).collect();
+        settings.iter().for_each(|setting| simulate.extend(["--param", setting]));
+        let seed = seed.map(|seed| seed.to_string());
+        seed.iter().for_each(|seed| simulate.extend(["--seed", seed.as_str()]));
         let address = server.map(|server| match server.ip().is_unspecified() {
             true => SocketAddr::from((Ipv4Addr::LOCALHOST, server.port())).to_string(),
             false => server.to_string(),

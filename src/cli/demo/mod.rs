@@ -39,9 +39,9 @@ pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome
     let steps = ChildCommands::new(dir, out);
 
     steps.say("1. Plan the circles, and check them before anything moves");
-    steps.run(&["plan", "job.toml", "--out", "plan"])?;
+    steps.run(&["plan", "job.toml", "--out", "plan", "--replace"])?;
     steps.say("2. Write the KRL programs for the controller");
-    steps.run(&["krl", "plan/plan.csv", "--out", "krl"])?;
+    steps.run(&["krl", "plan/plan.csv", "--out", "krl", "--replace"])?;
     steps.say("3. A robot whose true parameters nobody knows executes them; the bar is read meanwhile");
     let truth = truth::Truth::draw(dir, args.seed)?;
     measure(&steps, args.seed)?;
@@ -49,7 +49,7 @@ pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome
     steps.run(&["sync", "run.dbbd", "--out", "observations.csv"])?;
     steps.say("5. Identify the robot");
     let inputs = ["identify", "observations.csv", "--robot", "kr60ha", "--centres", "plan/centres.csv"];
-    steps.run(&[&inputs[..], &["--out", "result", "--prior", "datasheet"]].concat())?;
+    steps.run(&[&inputs[..], &["--out", "result", "--prior", "datasheet", "--replace"]].concat())?;
 
     let path = dir.join("result/result.json");
     let result = CalibrationResult::from_json(&path.display().to_string(), &files::read_text(&path)?)?;

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, json};
 
 use super::{CommandOutcome, CommandOutput};
+use dbbd_job::file_set::EarlierFiles;
 use dbbd_job::files::{self, UnfinishedFile};
 use dbbd_job::recording::capture::CaptureSummary;
 use dbbd_job::recording::run;
@@ -43,6 +44,9 @@ pub(crate) struct ExportArgs {
     /// The six joints of the arm from base to flange, if the URDF has several chains.
     #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "urdf_in")]
     joints: Vec<String>,
+    /// Replace files that exist in DIR [default: refuse].
+    #[arg(long)]
+    replace: bool,
 }
 
 /// The first bytes of an MCAP file.
@@ -58,6 +62,7 @@ pub(crate) fn run(args: &ExportArgs, out: &CommandOutput) -> Result<CommandOutco
     let pass = if args.mcap {
         let name = Path::new(args.run.file_name().unwrap_or_default()).with_extension("mcap");
         let path = args.out.join(name);
+        EarlierFiles::refused_unless(args.replace).check(&path)?;
         files::is_earlier(&path, MCAP_MAGIC)?;
         let (unfinished, file) = UnfinishedFile::create(&path)?;
         let wrong = |error: Diagnostic| error.in_file(path.display());
@@ -71,7 +76,7 @@ pub(crate) fn run(args: &ExportArgs, out: &CommandOutput) -> Result<CommandOutco
         }
         pass
     } else {
-        let mut tables = CaptureTables::create(&args.out)?;
+        let mut tables = CaptureTables::create(&args.out, EarlierFiles::refused_unless(args.replace))?;
         let pass = CaptureSummary::over(&args.run, |stamped| tables.add(&stamped))?;
         for WrittenTable { name, path, rows } in tables.finish()? {
             out.result(format!("{}: {rows} rows", path.display()));

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::cli::info;
 use dbbd_device::protocol::{LineFault, LineFaultKind};
+use dbbd_job::file_set::EarlierFiles;
 use dbbd_job::files::{self, UnfinishedFile};
 use dbbd_job::recording::axes::AxesRecords;
 use dbbd_job::recording::capture::{CaptureRecord, RunEvent, StampedRecord};
@@ -24,6 +25,7 @@ pub(super) struct CaptureTables {
     axes: Option<CaptureTable>,
     received: AxesRecords,
     directory: PathBuf,
+    earlier: EarlierFiles,
 }
 
 struct CaptureTable {
@@ -50,8 +52,8 @@ fn cell<T: ToString>(value: Option<T>) -> String {
 }
 
 impl CaptureTables {
-    pub(super) fn create(directory: &Path) -> Result<Self, Diagnostic> {
-        let table = |name, columns| CaptureTable::create(directory, name, columns);
+    pub(super) fn create(directory: &Path, earlier: EarlierFiles) -> Result<Self, Diagnostic> {
+        let table = |name, columns| CaptureTable::create(directory, earlier, name, columns);
         Ok(Self {
             samples: table(
                 "samples.csv",
@@ -64,6 +66,7 @@ impl CaptureTables {
             axes: None,
             received: AxesRecords::default(),
             directory: directory.to_owned(),
+            earlier,
         })
     }
 
@@ -122,7 +125,9 @@ impl CaptureTables {
         self.received.add(stamped.host, &stamped.record, |place, _, sample| samples.push((place, sample)));
         let table = match &mut self.axes {
             Some(table) => table,
-            none => none.insert(CaptureTable::create(&self.directory, "axes.csv", AXES_COLUMNS)?),
+            none => {
+                none.insert(CaptureTable::create(&self.directory, self.earlier, "axes.csv", AXES_COLUMNS)?)
+            }
         };
         samples.into_iter().try_for_each(|(place, sample)| {
             let commanded = sample.commanded_deg.map_or([None; AXES], |axes| axes.map(Some));
@@ -134,8 +139,14 @@ impl CaptureTables {
 }
 
 impl CaptureTable {
-    fn create(directory: &Path, name: &'static str, columns: &str) -> Result<Self, Diagnostic> {
+    fn create(
+        directory: &Path,
+        earlier: EarlierFiles,
+        name: &'static str,
+        columns: &str,
+    ) -> Result<Self, Diagnostic> {
         let path = directory.join(name);
+        earlier.check(&path)?;
         files::is_earlier(&path, columns.as_bytes())?;
         let (file, content) = UnfinishedFile::create(&path)?;
         let mut writer = csv::Writer::from_writer(BufWriter::new(content));

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::super::{CommandOutcome, CommandOutput, robots};
 use super::ExportArgs;
+use dbbd_job::file_set::EarlierFiles;
 use dbbd_job::files;
 use dbbd_job::report::ReportFinding::{CoupledInUrdf, NotInUrdf};
 use dbbd_job::report::export::urdf::{CoupledJoint, coupled};
@@ -33,6 +34,7 @@ pub(super) fn run(args: &ExportArgs, urdf: &Path, out: &CommandOutput) -> Result
     if files::same_place(&to, urdf) {
         return Err(Diagnostic::file(to.display(), FileFinding::IsRead));
     }
+    EarlierFiles::refused_unless(args.replace).check(&to)?;
     let patched = patch(&urdf.display().to_string(), &files::read_text(urdf)?, &robot, &args.joints)?;
     files::write_file(&to, &patched.text)?;
     for joint in &patched.joints {

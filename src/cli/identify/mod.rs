@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use super::value;
 use dbbd_job::request::Request;
-use dbbd_job::request::identify::{IdentifyRequest, RequestedPrior};
+use dbbd_job::request::identify::{IdentifyRequest, RequestedPrior, SetUpRelation};
 use dbbd_model::estimation::ErrorModel;
 pub(super) use say::show;
 
@@ -22,6 +22,17 @@ pub(crate) struct IdentifyArgs {
     /// absent: 1), each with an offset of its own. One bar set to two lengths keeps its number: its offset is then separable
     /// from a scale of the robot.
     input: PathBuf,
+    /// Further captures and tables of the same robot, in the order in which they were measured. Identity, certificate of the bar
+    /// and temperatures of all count. A part that was measured on the same day with the same bar and balls as the one before
+    /// goes on in its set-up; else its base balls and the zero of its bar are its own.
+    #[arg(value_name = "INPUT")]
+    further: Vec<PathBuf>,
+    /// All parts have one set-up: base balls and bar were not touched in between.
+    #[arg(long, conflicts_with = "new_setup")]
+    same_setup: bool,
+    /// Each part has a set-up of its own.
+    #[arg(long)]
+    new_setup: bool,
     /// Directory for report.html, result.json, parameters.csv, covariance.csv (mm, rad), lengths.csv and positions.csv (the
     /// observations that the result rests on); the identified robot as robot-identified.toml and as robot-identified.urdf
     /// (m, rad; a joint variable is the controller's axis angle); for the controller mastering.csv (zero error of each axis,
@@ -88,6 +99,9 @@ pub(crate) struct IdentifyArgs {
     /// Poses, CSV a1_deg,..,a6_deg, over which the 3-D error is predicted [default: 2000 within the axis limits].
     #[arg(long, value_name = "FILE.csv")]
     workspace: Option<PathBuf>,
+    /// Replace an earlier result in DIR [default: its files move to DIR/previous-1, DIR/previous-2 and so on].
+    #[arg(long)]
+    replace: bool,
 }
 
 /// The error model of the robot.
@@ -101,6 +115,12 @@ enum ErrorModelChoice {
 pub(super) fn request(args: &IdentifyArgs) -> Request {
     Request::Identify(IdentifyRequest {
         input: args.input.clone(),
+        further: args.further.clone(),
+        set_ups: match (args.same_setup, args.new_setup) {
+            (true, _) => SetUpRelation::Same,
+            (false, true) => SetUpRelation::New,
+            (false, false) => SetUpRelation::ByDay,
+        },
         out: args.out.clone(),
         robot: args.robot.clone(),
         estimate: args.estimate.clone(),
@@ -120,5 +140,6 @@ pub(super) fn request(args: &IdentifyArgs) -> Request {
         monte_carlo: args.monte_carlo.map(|trials| trials as usize),
         identity: args.identity.clone(),
         workspace: args.workspace.clone(),
+        replace: args.replace,
     })
 }

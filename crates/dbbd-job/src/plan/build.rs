@@ -12,11 +12,12 @@ use super::{
     files, optimise, orientations, pass,
 };
 use crate::plan::PlanFinding;
+use dbbd_model::design::Candidate;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::result::MapPoint;
 use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::inverse::Unsolved;
-use dbbd_model::robot::{AXES, Robot};
+use dbbd_model::robot::{AXES, BallId, Robot};
 
 /// How cautiously poses are chosen.
 #[derive(Clone, Copy)]
@@ -45,14 +46,36 @@ impl Plan {
 
     /// As [`Plan::build`], with what is known of the robot.
     pub fn build_with(job: &Job, robot: &Robot, prior: &PlanningPrior) -> Result<Self, Refusal> {
+        Self::of_poses(job, robot, prior, None)
+    }
+
+    /// Plans these poses of the controller (axis angles, rad) about the base balls of the job, in place of its circles.
+    pub fn build_again(
+        job: &Job,
+        robot: &Robot,
+        prior: &PlanningPrior,
+        poses: &[(BallId, [f64; AXES])],
+    ) -> Result<Self, Refusal> {
+        let rig = PlanKinematics::new(job, robot);
+        let given =
+            poses.iter().map(|(ball, axes)| Candidate { ball: *ball, axes: *axes, pose: rig.arm.ball(axes) });
+        Self::of_poses(job, robot, prior, Some(&given.collect::<Vec<_>>()))
+    }
+
+    fn of_poses(
+        job: &Job,
+        robot: &Robot,
+        prior: &PlanningPrior,
+        given: Option<&[Candidate]>,
+    ) -> Result<Self, Refusal> {
         job.check().map_err(|misplaced| *misplaced.finding)?;
-        let plan = Self::cautious(job, robot, prior);
+        let plan = Self::cautious(job, robot, prior, given);
         // Before the first length a ball can still be taught from elsewhere: try without `taught_deg`.
         let taught = job.centres.iter().any(|table| table.taught_deg.is_some());
         match plan {
             Err(refusal) if refusal.is_for_place() && prior.lengths == 0 && taught => {
                 let job = job.untaught();
-                let mut plan = Self::cautious(&job, robot, &PlanningPrior::datasheet(&job, robot))
+                let mut plan = Self::cautious(&job, robot, &PlanningPrior::datasheet(&job, robot), given)
                     .map_err(|_| refusal)?;
                 let anew = plan.header.taught.iter().map(|ball| PlanFinding::TeachAnew { ball: ball.centre });
                 plan.header.notes.extend(anew);
@@ -63,11 +86,17 @@ impl Plan {
     }
 
     /// Chooses poses ever more cautiously while the paths between them are refused.
-    fn cautious(job: &Job, robot: &Robot, prior: &PlanningPrior) -> Result<Self, Refusal> {
+    fn cautious(
+        job: &Job,
+        robot: &Robot,
+        prior: &PlanningPrior,
+        given: Option<&[Candidate]>,
+    ) -> Result<Self, Refusal> {
         let [first, further @ ..] = CAUTION;
-        match Self::attempt(job, robot, prior, first) {
+        match Self::attempt(job, robot, prior, given, first) {
             Err(refusal) if refusal.is_for_caution() && job.circles.is_empty() => {
-                let mut plans = further.into_iter().map(|caution| Self::attempt(job, robot, prior, caution));
+                let mut plans =
+                    further.into_iter().map(|caution| Self::attempt(job, robot, prior, given, caution));
                 plans.find_map(Result::ok).ok_or(refusal)
             }
             plan => plan,
@@ -78,6 +107,7 @@ impl Plan {
         job: &Job,
         robot: &Robot,
         prior: &PlanningPrior,
+        given: Option<&[Candidate]>,
         caution: SafetyMargin,
     ) -> Result<Self, Refusal> {
         let job = orientations::chosen(&PlanKinematics::new(job, robot), prior)?;
@@ -86,8 +116,11 @@ impl Plan {
         if job.optimise.is_some() {
             let mut wary = job.clone();
             wary.limits.min_clearance_mm += caution.clearance_mm;
-            let chosen =
-                optimise::choose_steps(&PlanKinematics::new(&wary, robot), prior, caution.risk_share)?;
+            let (rig, share) = (PlanKinematics::new(&wary, robot), caution.risk_share);
+            let chosen = match given {
+                Some(poses) => optimise::given_steps(&rig, prior, poses, share)?,
+                None => optimise::choose_steps(&rig, prior, share)?,
+            };
             steps.extend(chosen.steps);
             (notes, stage) = (chosen.notes, chosen.stage);
         }
@@ -98,7 +131,8 @@ impl Plan {
         if !found.findings.is_empty() {
             return Err(rig.refusal(&found));
         }
-        let mut moves = found.time_moves(&job, robot);
+        let pose_hash = files::pose_hash(&found.rows, &job, robot).map_err(Diagnostic::from)?;
+        let mut moves = found.time_moves(&job, robot, pose_hash);
         let checks = found.checks(&job);
         if !checks.iter().all(PlanCheck::holds) {
             return Err(rig.refusal(&found));
@@ -109,12 +143,14 @@ impl Plan {
             schema: files::PLAN_FILE_SCHEMA,
             hash: String::new(),
             text_hash: String::new(),
+            pose_hash: files::digits(pose_hash),
             robot: robot.to_toml().map_err(Diagnostic::from)?,
             provenance: Provenance::default(),
             moves,
             passes,
             checks: summary(&checks),
             notes,
+            again: false,
             stage,
             taught,
             stroke_risk,

@@ -5,6 +5,14 @@ use dbbd_model::findings;
 findings! {
     /// What the planner finds. `quantity` has the name and the unit that `checks` in plan.json have.
     PlanFinding "The plan" {
+        E0722 "there are no poses to measure again",
+        cause: "Every pose of the runs has a length, a row that is named does not exist, or the outliers of something other than a result are asked for.",
+        cure: "Name other runs or rows; outliers are those of a result's directory.",
+        asks: [Remaining, Repeat] {
+            NothingRemains => "no pose is left to be measured";
+            NoSuchRow { index: u32 } => "there is no pose to be measured with the index {index}";
+            OutliersWithoutResult => "only a result has outliers", help: "name the directory of `dbbd identify`";
+        }
         E0701 "a plan is refused",
         cause: "At least one pose or path is unsafe or impossible. The findings before this one name rows, quantities and limits.",
         cure: "See the cures of those findings. Nothing was written." {

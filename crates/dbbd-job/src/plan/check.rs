@@ -126,8 +126,8 @@ impl Inspection {
     }
 
     /// The speeds and durations of the moves, whose axis speeds and accelerations are noted.
-    pub(super) fn time_moves(&mut self, job: &Job, robot: &Robot) -> Vec<MoveTime> {
-        let moves = move_times(&self.rows, &self.paces, &job.motion, robot, u64::from(job.seed));
+    pub(super) fn time_moves(&mut self, job: &Job, robot: &Robot, pose_hash: u64) -> Vec<MoveTime> {
+        let moves = move_times(&self.rows, &self.paces, &job.motion, robot, pose_hash);
         for worst in &mut self.worst {
             let at = worst.position();
             if let (Some(Some(pace)), Some(time)) = (self.paces.get(at), moves.get(at)) {

@@ -19,7 +19,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::change::CheckPower;
 use dbbd_model::measurement::table::APPROACH;
 use dbbd_model::provenance::{Artefact, ArtefactRole, Provenance, TracedArtefact};
-use dbbd_model::robot::Approach;
+use dbbd_model::robot::{Approach, Robot};
 
 /// Version of the form of `plan.json`.
 pub(super) const PLAN_FILE_SCHEMA: u32 = 1;
@@ -51,6 +51,10 @@ pub struct PlanHeader {
     /// whose `hash` is that of `plan.csv` alone.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub text_hash: String,
+    /// From what the time code was drawn: a hash over everything that the poses and the program depend on, sixteen hexadecimal
+    /// digits. Absent in files of older versions, whose code was drawn from the seed of the job.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub pose_hash: String,
     pub job: Job,
     /// The text of the robot's file.
     pub robot: String,
@@ -72,6 +76,9 @@ pub struct PlanHeader {
     /// Probability that a robot within its tolerance leaves the stroke anywhere while the bar is mounted.
     #[serde(default)]
     pub stroke_risk: f64,
+    /// Whether the poses are measured again on request: their lengths supersede earlier ones at the same poses.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub again: bool,
     /// Present if not every pose that can be reached is allowed yet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage: Option<Stage>,
@@ -174,13 +181,17 @@ impl Plan {
 
 impl Plan {
     pub fn to_csv(&self) -> Result<String, InternalFinding> {
-        let rows = self.rows.iter().zip(self.approaches()).map(|(row, approach)| (row, approach.senses()));
-        serialised::csv_table(all_columns().split(','), rows)
+        rows_to_csv(&self.rows)
     }
 
     /// How the moves bring the axes to each row.
     pub fn approaches(&self) -> impl Iterator<Item = Approach> {
-        Approach::along(self.rows.iter().map(|row| row.axes_deg.map(f64::to_radians)))
+        approaches(&self.rows)
+    }
+
+    /// Whether the time code of the program depends on all poses.
+    pub fn identifies_its_poses(&self) -> bool {
+        !self.header.pose_hash.is_empty()
     }
 
     /// What `hash` of the header must be.
@@ -247,6 +258,23 @@ impl Plan {
     }
 }
 
+fn approaches(rows: &[PlanRow]) -> impl Iterator<Item = Approach> {
+    Approach::along(rows.iter().map(|row| row.axes_deg.map(f64::to_radians)))
+}
+
+fn rows_to_csv(rows: &[PlanRow]) -> Result<String, InternalFinding> {
+    let rows = rows.iter().zip(approaches(rows)).map(|(row, approach)| (row, approach.senses()));
+    serialised::csv_table(all_columns().split(','), rows)
+}
+
+/// The hash over everything that the poses and the program depend on: the poses as they are printed, base balls, length of the
+/// bar, robot and motion.
+pub(super) fn pose_hash(rows: &[PlanRow], job: &Job, robot: &Robot) -> Result<u64, InternalFinding> {
+    let balls: Vec<[f64; 3]> = job.centres.iter().map(|ball| ball.xyz_mm).collect();
+    let set_up = serialised::json_line(&(&robot.name, balls, job.bar.length_mm, &job.motion))?;
+    Ok(crc_of([rows_to_csv(rows)?.as_str(), &set_up]))
+}
+
 fn read_rows(name: &str, text: &str) -> Result<Vec<PlanRow>, Diagnostic> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let columns = reader.headers().map_err(|error| wrong_csv(name, &error))?;
@@ -269,10 +297,19 @@ fn read_rows(name: &str, text: &str) -> Result<Vec<PlanRow>, Diagnostic> {
 }
 
 fn hash_of<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
+    digits(crc_of(texts))
+}
+
+/// A hash as it is written.
+pub(super) fn digits(hash: u64) -> String {
+    format!("{hash:016x}")
+}
+
+fn crc_of<'a>(texts: impl IntoIterator<Item = &'a str>) -> u64 {
     let crc = crc::Crc::<u64>::new(&crc::CRC_64_XZ);
     let mut digest = crc.digest();
     texts.into_iter().for_each(|text| digest.update(text.as_bytes()));
-    format!("{:016x}", digest.finalize())
+    digest.finalize()
 }
 
 /// The digits of a hash that is not computed yet.

@@ -13,6 +13,7 @@ use nalgebra::{Rotation3, Vector3};
 use super::circle::REFERENCE_EVERY;
 use super::path::{ToolBallPath, between};
 use super::steps::{DETOUR, MarkerPosition, room, safe_marker};
+use super::timing::MIN_CODED_DWELLS;
 use super::{PlanningCell, PoseKind, RouteLeg, StepBuilder};
 use crate::plan::PlanFinding;
 use dbbd_model::design::Candidate;
@@ -49,7 +50,7 @@ pub(super) fn module(
     };
     poses.insert(0, start.clone());
     order(&mut poses);
-    let chosen = poses.len();
+    let (chosen, visited) = (poses.len(), poses.clone());
     (walk.circle, walk.centre) = (walk.circle + 1, start.ball.number());
     let began = walk.steps.len();
     walk.ptp(start.pose, start.axes);
@@ -60,6 +61,7 @@ pub(super) fn module(
     chain.walk.lines(vec![aside(&here, &chain.router.ball), here], PoseKind::Measure);
     chain.visit(&mut poses);
     chain.reference();
+    chain.revisit(&visited);
     chain.markers(MarkerPosition::Finish);
     let (ball, missed) = (start.ball.number(), chain.missed);
     let mut notes = Vec::new();
@@ -114,6 +116,24 @@ impl ModulePath<'_, '_> {
             }
             if count % REFERENCE_EVERY == 0 && !poses.is_empty() {
                 self.reference();
+            }
+        }
+    }
+
+    /// Visits poses again where there are too few dwells for the time code.
+    fn revisit(&mut self, visited: &[Candidate]) {
+        /// There is no way to some of them.
+        const MAX_TRIES: usize = 4 * MIN_CODED_DWELLS;
+        for pose in visited.iter().cycle().skip(1).take(MAX_TRIES) {
+            if self.walk.dwell_count() >= MIN_CODED_DWELLS {
+                return;
+            }
+            if self.here != *pose
+                && let Some(way) = self.router.way(&self.here, pose)
+            {
+                self.walk.go(way, pose, PoseKind::Reference);
+                self.here = pose.clone();
+                self.dwells += 1;
             }
         }
     }

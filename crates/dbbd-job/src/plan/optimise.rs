@@ -135,6 +135,37 @@ pub(super) fn choose_steps(
     Ok(ChosenSteps { steps: walk.steps, notes, stage: staged.then_some(survey.stage) })
 }
 
+/// The steps to given poses, in modules of one base ball and one branch each.
+pub(super) fn given_steps(
+    rig: &PlanKinematics<'_>,
+    prior: &PlanningPrior,
+    poses: &[Candidate],
+    share: f64,
+) -> Result<ChosenSteps, Refusal> {
+    let risk = share * rig.job.limits.max_stroke_risk;
+    let mut walk = StepBuilder::new(rig.job);
+    let mut groups: Vec<((BallId, u8), Vec<Candidate>)> = Vec::new();
+    for pose in poses {
+        let key = (pose.ball, status(rig.arm, &pose.axes) & 7);
+        match groups.iter_mut().find(|(other, _)| *other == key) {
+            Some((_, group)) => group.push(pose.clone()),
+            None => groups.push((key, vec![pose.clone()])),
+        }
+    }
+    let mut notes = Vec::new();
+    for ((ball, _), mut group) in groups {
+        // From the start the ball can be touched.
+        let touches = |pose: &Candidate| rig.touching(ball.number(), &pose.axes).is_some();
+        let start = group.remove(group.iter().position(touches).unwrap_or(0));
+        let cell = PlanningCell::new(*rig, prior, ball.number(), &start.axes);
+        notes.extend(module(&mut walk, &cell, &start, group, risk));
+    }
+    if walk.steps.is_empty() {
+        return Err(Diagnostic::from(PlanFinding::NoPath).into());
+    }
+    Ok(ChosenSteps { steps: walk.steps, notes, stage: None })
+}
+
 struct PoseChooser<'a> {
     rig: PlanKinematics<'a>,
     prior: &'a PlanningPrior,

@@ -52,6 +52,14 @@ impl Job {
         self.with_poses(OptimiseTable { points, criterion, parameters: None, stage_points: points, ..before })
     }
 
+    /// The job with `poses` given poses in place of its circles.
+    #[must_use]
+    pub fn as_given(&self, poses: usize) -> Self {
+        let points = u32::try_from(poses).unwrap_or(u32::MAX);
+        let before = self.optimise.clone().unwrap_or_default();
+        self.with_poses(OptimiseTable { points, stage_points: points, parameters: None, ..before })
+    }
+
     fn with_poses(&self, optimise: OptimiseTable) -> Self {
         Self { circles: Vec::new(), optimise: Some(optimise), ..self.clone() }
     }

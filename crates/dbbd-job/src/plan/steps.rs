@@ -6,7 +6,8 @@
 //!
 //! The reference pose is the first point. It is visited after every twenty points and after the last, along the circle,
 //! the shorter way round: on this path the bar's length is known to stay in the stroke. It costs three turns of the circle
-//! for eighty points.
+//! for eighty points. Where a job has too few dwells for the time code, the points of its last circle are
+//! visited again.
 //!
 //! A continuous circle has no reference pose; its passes go over it from end to end (`pass.rs`).
 //!
@@ -20,6 +21,7 @@ use nalgebra::{Rotation3, Vector3};
 use super::circle::REFERENCE_EVERY;
 use super::job::{CircleDirection, CircleMode, CircleTable, Job, JobBar};
 use super::path::between;
+use super::timing::MIN_CODED_DWELLS;
 use super::{MotionKind, PlanStep, PlannedCircle, PoseKind, RouteLeg, StepBuilder};
 use crate::plan::job::JobFinding;
 use dbbd_model::design::Candidate;
@@ -38,6 +40,8 @@ const END_MARKERS: u32 = 2;
 /// All steps of the job's circles; an error only in a job that was not checked.
 pub(super) fn circle_steps(job: &Job) -> Result<Vec<PlanStep>, JobFinding> {
     let mut walk = StepBuilder::new(job);
+    let with_dwells = (1_u32..).zip(&job.circles).filter(|(_, table)| table.mode == CircleMode::Dwell);
+    let last_of_dwells = with_dwells.last().map(|(number, _)| number);
     for (number, table) in (1_u32..).zip(&job.circles) {
         let circle = PlannedCircle::new(job, table, number)?;
         let angles = table.angles();
@@ -64,7 +68,21 @@ pub(super) fn circle_steps(job: &Job) -> Result<Vec<PlanStep>, JobFinding> {
                 let passes = angles.chunks(table.points as usize);
                 passes.fold(start, |at, points| walk.pass(&circle, at, points, sweep))
             }
-            CircleMode::Dwell => walk.dwells(&circle, table, start, outside),
+            CircleMode::Dwell => {
+                let end = walk.dwells(&circle, table, start, outside);
+                if last_of_dwells == Some(number) {
+                    let chosen = job.optimise.as_ref().map_or(0, |wanted| wanted.points as usize);
+                    let missing = MIN_CODED_DWELLS.saturating_sub(walk.dwell_count() + chosen);
+                    // On round the circle: two visits of one pose in a row look alike by the axes.
+                    let further = angles.iter().cycle().skip(1).take(missing);
+                    further.fold(end, |at, angle| {
+                        walk.visit(&circle, [at, end + angle - first], PoseKind::Reference, outside);
+                        end + angle - first
+                    })
+                } else {
+                    end
+                }
+            }
         };
         walk.markers(MarkerPosition::Finish, circle.pose(end, 0.0), circle.pose(end, out));
     }
@@ -134,6 +152,11 @@ impl StepBuilder {
         for (at, pose) in poses.into_iter().enumerate() {
             self.push(if at == last { kind } else { PoseKind::Transit }, MotionKind::Lin, pose);
         }
+    }
+
+    /// The number of dwells so far.
+    pub(super) fn dwell_count(&self) -> usize {
+        self.steps.iter().filter(|step| step.dwell_s > 0.0).count()
     }
 
     /// The sync markers of an end of a module: short moves from `rest` out and back.
@@ -329,6 +352,19 @@ mod tests {
         // From the twentieth point, at 295 degrees, and from the last one.
         assert!((before(references[0]) - 332.5).abs() < 1e-9);
         assert!((before(references[1]) - 2.5).abs() < 1e-9);
+    }
+
+    /// Five points and the visit at the end are six dwells.
+    #[test]
+    fn few_points_are_visited_again() {
+        let circle = "[[circle]]\nplane = \"XY\"\npoints = 5\n";
+        let count = |tables: &str| {
+            let steps = circle_steps(&job(tables)).expect("the job is possible");
+            kinds(&steps, PoseKind::Reference).len()
+        };
+        assert_eq!(count(circle), 7);
+        assert_eq!(count(&circle.repeat(3)), 3);
+        assert_eq!(count(&format!("{circle}[optimise]\npoints = 20\n")), 1);
     }
 
     #[test]

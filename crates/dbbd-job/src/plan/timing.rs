@@ -27,7 +27,10 @@ pub const AFTER_STROBE_S: f64 = 0.1;
 const AXIS_SHARE: f64 = 0.5;
 /// Shortest coded move, and the range of the durations, s.
 const SHORTEST_S: f64 = 0.8;
-const SPREAD_S: f64 = 2.2;
+pub(crate) const SPREAD_S: f64 = 2.2;
+/// Least number of dwells of a plan whose time code tells its program from any other: eleven intervals, of which each makes
+/// the own code some eight times as likely as another one, give odds of 10^9 (`cargo test few_dwells_show`).
+pub(super) const MIN_CODED_DWELLS: usize = 12;
 /// Least difference between the durations of the moves into a module's dwells, s.
 const APART_S: f64 = 0.005;
 /// A smaller motion (mm, degrees) is the rounding of printed poses.
@@ -69,16 +72,17 @@ pub struct MoveTime {
 }
 
 /// Speeds and durations of all rows. `paces` has the motion into each row; `None` for auxiliary points and for the first row,
-/// which is reached from wherever the robot is.
+/// which is reached from wherever the robot is. The code is drawn from `pose_hash`, so that a program whose poses are others
+/// has another code.
 pub(super) fn move_times(
     rows: &[PlanRow],
     paces: &[Option<PathTiming>],
     motion: &MotionTable,
     robot: &Robot,
-    seed: u64,
+    pose_hash: u64,
 ) -> Vec<MoveTime> {
     let dwells = rows.iter().filter(|row| row.dwell_s > 0.0).count();
-    let mut code = code(dwells, seed).into_iter();
+    let mut code = code(dwells, pose_hash).into_iter();
     let mut taken: Vec<(u32, f64)> = Vec::with_capacity(dwells);
     let mut times = Vec::with_capacity(rows.len());
     for (row, pace) in rows.iter().zip(paces) {

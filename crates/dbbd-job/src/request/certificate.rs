@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::identify::ROBOT;
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
-use crate::file_set::FileSet;
+use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
 use crate::report::certificate::{Certificate, CertificateFinding};
 
@@ -27,6 +27,9 @@ pub struct CertificateRequest {
     pub check: Option<PathBuf>,
     /// A file with the identity of robot, bar and laboratory, in place of that in the result.
     pub identity: Option<PathBuf>,
+    /// Replace the files of an earlier result; otherwise they are kept beside it.
+    #[serde(default)]
+    pub replace: bool,
 }
 
 /// The names of the files of a certificate.
@@ -45,7 +48,7 @@ impl CertificateRequest {
         session.findings(certificate.identity().old_certificate(&date::utc(clock::unix_ns())));
         let dcc = certificate.dcc()?;
         let pdf = certificate.pdf(&dcc)?;
-        let mut set = FileSet::begin(&self.out)?;
+        let mut set = FileSet::begin(&self.out, EarlierFiles::kept_unless(self.replace))?;
         set.write("certificate.html", certificate.html()?)?;
         set.write("dcc.xml", dcc)?;
         match pdf {

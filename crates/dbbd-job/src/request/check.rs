@@ -14,11 +14,12 @@ use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::{Coordinate, ParamId, Robot};
 use serde::{Deserialize, Serialize};
 
+use super::identify::SetUpRelation;
 use super::identify::inputs::{LoadedInputs, NamedInputs};
 use super::identify::tables::read_workspace;
 use super::identify::{LENGTHS, ROBOT};
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
-use crate::file_set::FileSet;
+use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
 use crate::report;
 use crate::robot_files::{ResultBeside, result_beside};
@@ -57,6 +58,9 @@ pub struct CheckRequest {
     /// Identify what changed, and write the robot and the lengths.
     #[serde(default)]
     pub update: bool,
+    /// Replace the files of an earlier result; otherwise they are kept beside it.
+    #[serde(default)]
+    pub replace: bool,
 }
 
 /// `check.json`.
@@ -150,6 +154,8 @@ impl CheckRequest {
         }
         let named = NamedInputs {
             input: &self.input,
+            further: &[],
+            set_ups: SetUpRelation::default(),
             positions: None,
             robot: Some(&self.robot),
             tool_mm: self.tool_mm,
@@ -231,7 +237,7 @@ fn write_check(
     given: &LoadedInputs,
 ) -> Result<Vec<String>, Diagnostic> {
     let CheckDocument { checked: CheckedLengths { check, distance }, provenance } = document;
-    let mut set = FileSet::begin(&request.out)?;
+    let mut set = FileSet::begin(&request.out, EarlierFiles::kept_unless(request.replace))?;
     set.write("check.json", serialised::sealed_json(document)?)?;
     set.write("check.html", report::check::html(check, distance.as_ref(), provenance)?)?;
     if let Some(robot) = check.update().filter(|_| request.update) {

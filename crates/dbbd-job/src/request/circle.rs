@@ -11,7 +11,7 @@ use dbbd_model::provenance::{ArtefactRole, Provenance, TracedArtefact, one_robot
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
-use crate::file_set::FileSet;
+use crate::file_set::{EarlierFiles, FileSet};
 use crate::recording::matching::MatchingFinding;
 use crate::recording::run;
 use crate::report;
@@ -45,6 +45,9 @@ pub struct CircleRequest {
     /// Number of Monte Carlo draws for the intervals; 0 for none.
     #[serde(default = "default_draws")]
     pub monte_carlo: usize,
+    /// Replace the files of an earlier result; otherwise they are kept beside it.
+    #[serde(default)]
+    pub replace: bool,
 }
 
 /// The default number of Monte Carlo draws.
@@ -115,7 +118,7 @@ impl CircleRequest {
     /// Returns the names of the files.
     fn write(&self, document: &CircleDocument) -> Result<Vec<String>, Diagnostic> {
         let CircleDocument { tests, provenance } = document;
-        let mut set = FileSet::begin(&self.out)?;
+        let mut set = FileSet::begin(&self.out, EarlierFiles::kept_unless(self.replace))?;
         for (at, test) in tests.iter().enumerate() {
             let name = if at == 0 { "circle.svg".to_owned() } else { format!("circle-{}.svg", at + 1) };
             set.write(&name, report::svg::standalone(&test.svg()))?;

@@ -16,7 +16,7 @@ use serde_json::json;
 
 use super::robots::{carrying, edited, robot_for_measurement};
 use super::{AnswerOutcome, RequestResult, RequestSession};
-use crate::file_set::FileSet;
+use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
 use crate::program::CompensationFinding;
 use crate::program::ProgramFinding;
@@ -48,6 +48,9 @@ pub struct CompensateRequest {
     /// The program is refused if a commanded point would move by more than this.
     #[serde(default = "default_limit_mm")]
     pub limit_mm: f64,
+    /// Replace the files of an earlier result; otherwise it is refused.
+    #[serde(default)]
+    pub replace: bool,
 }
 
 /// The default of [`CompensateRequest::limit_mm`].
@@ -130,7 +133,7 @@ impl CompensateRequest {
         };
         self.check_controller(&robot)?;
         let provenance = crate::artefact::made_from(corrected.sources.iter().chain([&identified]));
-        let mut set = FileSet::begin(&self.out)?;
+        let mut set = FileSet::begin(&self.out, EarlierFiles::refused_unless(self.replace))?;
         for (program, text) in &corrected.texts {
             program.write(&mut set, &stamped(language, text, &provenance)?)?;
         }

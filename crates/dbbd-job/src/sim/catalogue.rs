@@ -10,6 +10,7 @@ findings! {
         cure: "The help of `dbbd simulate` has the range of each number.",
         asks: [Fault, PublishedAxes, Pace] {
             OptionOutOfRange { option: String, value: f64, low: f64, high: f64 } => "{option} {value} must be {low} to {high}";
+            SeedWithoutSimulation => "a seed applies only to the simulated cell", help: "give the port sim";
             FaultNotANumber { name: String, value: String } => "fault {name}={value}: not a number";
             AxesWithoutPace => "publishing axes needs a pace: packets have the time of the host, and with the speed 0 the bar has none", help: "give the speed 1";
             UnknownFault { name: String, known: String } => "there is no fault `{name}`", help: "there are: {known}";

@@ -58,7 +58,7 @@ pub(crate) fn plan(seed: u64, poses: u32, module: u32, distinct: bool) -> Plan {
     });
     // Parsed, not constructed: a header holds more than is needed here.
     let header = serde_json::json!({
-        "schema": 1, "hash": "", "job": job, "robot": "", "moves": moves, "checks": [],
+        "schema": 1, "hash": "", "pose_hash": "5eed", "job": job, "robot": "", "moves": moves, "checks": [],
     });
     let header: PlanHeader = serde_json::from_value(header).unwrap();
     Plan { rows, header }

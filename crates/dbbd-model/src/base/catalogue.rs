@@ -20,6 +20,12 @@ findings! {
             NoDirectory { why: String } => "cannot be made: {why}";
             IsRead => "is read by this command: name another directory for the result";
         }
+        E0182 "a file of an earlier result would be replaced",
+        cause: "The directory has a file of this name, from an earlier run of the command or from elsewhere: a program, a table or a URDF that may be in use.",
+        cure: "Name another directory, or replace the files explicitly.",
+        asks: [Out, Replace] {
+            Exists => "exists, and is not replaced";
+        }
         E0103 "a file is not text",
         cause: "The file is binary, or in an encoding that is not read here: tables are UTF-8, UTF-16 behind a byte order mark or Windows-1252, other files UTF-8.",
         cure: "Save it as UTF-8. A capture is read by `dbbd info`, `sync`, `identify`, `circle` and `export` only." {

@@ -38,6 +38,21 @@ findings! {
         asks: [ToolBall] {
             NotAPoint => "three numbers in mm are needed, as 30,20,10";
         }
+        E1306 "parts of a measurement cannot be joined",
+        cause: "A capture or a table is given twice, or a part has positions of a tracker.",
+        cure: "Give each capture and table once, and positions by their own option.",
+        asks: [Positions] {
+            PartTwice { lengths: String } => "{lengths} is given twice";
+            PartOfPositions => "positions of a tracker are not a part of a measurement with a bar";
+        }
+        I1342 "how the parts of a measurement belong together",
+        cause: "Several captures or tables are evaluated together.",
+        cure: "Nothing to do, if the message is right; else say whether the set-up is the same.",
+        asks: [SetUpRelation] {
+            PartOfSameSetUp => "goes on in the set-up of the part before: base balls and zero of the bar are shared, and tested for a change";
+            PartOfNewSetUp { first_ball: usize, bar: u32 } => "is a set-up of its own: its base balls are numbered from {first_ball}, its bar is {bar}";
+            Superseded { count: usize, rows: String } => "{count} lengths were measured again on request and are not used: rows {rows}";
+        }
         W1310 "the solver did not converge",
         cause: "The start is too far from the truth: a base ball or the tool ball is elsewhere than given, or lengths and poses do not belong together.",
         cure: "Check the places of the base balls and the tool ball.",

@@ -34,7 +34,7 @@ pub struct Job {
     /// Serial numbers, people, place and circumstances.
     #[serde(default, skip_serializing_if = "Identity::is_empty")]
     pub identity: Identity,
-    /// Seed of the time code and of random orientations.
+    /// Seed of random orientations and of chosen poses.
     #[serde(default = "one")]
     pub seed: u32,
     pub bar: JobBar,

@@ -287,7 +287,7 @@ fn dwells_are_reported_over_ethernet_krl() {
                 };
                 reported.push((of("Id").parse::<u32>().unwrap(), of("Ph"), of("A2").parse::<f64>().unwrap()));
                 assert!(
-                    telegram.starts_with("<Dbb><Pt Run=\"291\" Id=\"")
+                    telegram.starts_with("<Dbb><Pt Run=\"74565\" Id=\"")
                         && telegram.contains("\"></Pt><Ax A1=\"")
                 );
                 stream.write_all(format!("<Ack Id=\"{}\"/>\n", of("Id")).as_bytes()).unwrap();

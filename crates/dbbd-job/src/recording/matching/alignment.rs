@@ -13,7 +13,7 @@ use std::cell::Cell;
 
 use super::program::{
     BROKEN, CommandedDwell, CommandedTimes, Densities, DwellInterval, ElapsedTime, MAX_LOG_DENSITY,
-    ProgramPace,
+    ProgramPace, TimeCode,
 };
 
 /// Evidence of a detected dwell.
@@ -94,16 +94,40 @@ pub fn align(
     PoseAlignment { pairings, override_factor: (1.0 / likeliest.stretch).min(1.0) }
 }
 
+/// Natural logarithm of the odds that the dwells are of a program with the time code of these poses, against one with another
+/// code. If they are of another code, a program has odds of `n` or more with a probability of at most `1 / n`.
+pub(super) fn code_log_odds(poses: &[CommandedDwell], dwells: &[DwellEvidence]) -> f64 {
+    if poses.is_empty() || dwells.is_empty() {
+        return 0.0;
+    }
+    let [own, other] = [TimeCode::Mostly, TimeCode::Other].map(|code| {
+        let mut trellis = Trellis::new(poses, middle(dwells), None);
+        trellis.program.code = code;
+        trellis.greatest_evidence()
+    });
+    own - other
+}
+
+/// The middle of a long run.
+fn middle(dwells: &[DwellEvidence]) -> &[DwellEvidence] {
+    let from = dwells.len().saturating_sub(SEARCH_DWELLS) / 2;
+    &dwells[from..dwells.len().min(from + SEARCH_DWELLS)]
+}
+
+/// The ratios of durations of a move to the planned one, in steps that [`SEARCH_SLACK`] contains.
+fn stretches() -> Vec<f64> {
+    let steps = ((MAX_OVERRIDE / MIN_OVERRIDE).ln() / STEP.ln()).ceil() as i32;
+    (0..=steps).map(|step| 1.0 / (MIN_OVERRIDE * STEP.powi(step))).collect()
+}
+
 /// Local maxima of the evidence over the override that are nearly as good as the best.
 fn likely_stretches(
     poses: &[CommandedDwell],
     dwells: &[DwellEvidence],
     expected: Option<ExpectedLengths<'_>>,
 ) -> Vec<f64> {
-    let from = dwells.len().saturating_sub(SEARCH_DWELLS) / 2;
-    let search = Trellis::new(poses, &dwells[from..dwells.len().min(from + SEARCH_DWELLS)], expected);
-    let steps = ((MAX_OVERRIDE / MIN_OVERRIDE).ln() / STEP.ln()).ceil() as i32;
-    let stretches: Vec<f64> = (0..=steps).map(|step| 1.0 / (MIN_OVERRIDE * STEP.powi(step))).collect();
+    let search = Trellis::new(poses, middle(dwells), expected);
+    let stretches = stretches();
     let pace = |stretch: &f64| ProgramPace { stretch: *stretch, slack: SEARCH_SLACK };
     let evidence: Vec<f64> =
         stretches.iter().map(|stretch| search.evidence(pace(stretch), SEARCH_BEAM)).collect();
@@ -144,8 +168,6 @@ const SPURIOUS_BY_HAND: usize = 60;
 const LOST_BY_HAND: usize = 4;
 /// Most missed poses in a row where time does not limit them.
 const MISSED_RUN: usize = 60;
-/// An interval may be shorter than commanded by this, s.
-const EARLY_S: f64 = 1.5;
 /// States worse than the best by more than this (natural logarithm) are pruned.
 const BEAM: f64 = 45.0;
 /// Range of the override.
@@ -298,7 +320,7 @@ impl<'a> Trellis<'a> {
             };
             for pose in first..self.poses.min(end) {
                 let interval = self.program.interval(from.pose, pose, elapsed);
-                if !elapsed.clock_broke && interval.residual_s(pace) < -EARLY_S {
+                if !elapsed.clock_broke && interval.residual_s(pace) < -self.program.code.early_s() {
                     break;
                 }
                 let skipped = spurious + self.passed[interval.passed.min(MISSED_RUN)];
@@ -379,6 +401,17 @@ impl<'a> Trellis<'a> {
     /// Logarithm of the probability of all dwells at this pace.
     fn evidence(&self, pace: ProgramPace, beam: f64) -> f64 {
         self.forward(pace, beam).evidence
+    }
+
+    /// The evidence at the override that explains the dwells best.
+    fn greatest_evidence(&self) -> f64 {
+        /// Steps between neighbours of the grid, which the narrow slack contains.
+        const FINE: i32 = 6;
+        let at = |stretch: f64, slack: f64, beam: f64| self.evidence(ProgramPace { stretch, slack }, beam);
+        let coarse = stretches().into_iter().map(|stretch| (stretch, at(stretch, SEARCH_SLACK, SEARCH_BEAM)));
+        let Some((best, _)) = coarse.max_by(|a, b| a.1.total_cmp(&b.1)) else { return f64::NEG_INFINITY };
+        let fine = (-FINE..=FINE).map(|step| best * STEP.powf(f64::from(step) / f64::from(FINE)));
+        fine.map(|stretch| at(stretch, SLACK, BEAM)).fold(f64::NEG_INFINITY, f64::max)
     }
 
     fn forward(&self, pace: ProgramPace, beam: f64) -> ForwardSums {

@@ -29,6 +29,22 @@ findings! {
         cure: "Take strobe and length from one device, or shift the column back, and import again." {
             ReadingLate { waves: usize, late_s: f64 } => "at {waves} sync marks the reading comes {late_s:.2} s or more after the signals of the dwells";
         }
+        E1084 "the program that ran is one of another plan",
+        cause: "The program was written for another plan, or the plan was made again after the program was written. The times between the dwells are drawn from everything that the poses depend on, and they are not those of this plan.",
+        cure: "Match the capture with the plan of the program that ran; or write the program of this plan, load all of its modules, and measure again.",
+        asks: [Plan] {
+            ForeignProgram { module: usize } => "the intervals between the dwells of module {module} are not those of this plan: the program that ran is one of another plan";
+        }
+        W1085 "the dwells do not show which plan was run",
+        cause: "So few dwells were detected that the times between them could also be those of another plan.",
+        cure: "Make sure that the program which ran is that of this plan, or measure again." {
+            PlanNotShown { dwells: usize } => "the times between {dwells} dwells do not show that the program that ran is this plan's";
+        }
+        W1086 "the plan was made by an earlier version",
+        cause: "The time code of its moves depends on few keys of the job: a program that was written before the job was edited looks like this plan's.",
+        cure: "Make sure that program and plan belong together, or make the plan and its program again." {
+            CodeOfEarlierVersion => "the plan was made by an earlier version: the run does not show whether its program was written for exactly this plan";
+        }
         W1002 "poses were dropped as ambiguous",
         cause: "The program was stopped or started again, the override changed on the way, or the program is not this plan's.",
         cure: "The poses that remain are right with more than 99 %. Where many are dropped, write the program with a strobe or with EthernetKRL.",
@@ -107,6 +123,12 @@ findings! {
         cause: "The circle was not passed in both directions, so that its lag cannot be estimated.",
         cure: "Plan the circle with direction = \"both\"." {
             OneWayCircle { circle: u32, lag_sd_ms: f64 } => "circle {circle} was not passed both ways: its lag is taken as 0 +- {lag_sd_ms:.0} ms";
+        }
+        I1014 "the run has not all modules of the plan",
+        cause: "The program was started at a later module, or was ended before the last one.",
+        cure: "Nothing to do, if another run has the other modules: identify both together. Else plan the poses that remain.",
+        asks: [Remaining] {
+            SomeModules { first: usize, last: usize, modules: usize } => "the run has the modules {first} to {last} of {modules}";
         }
         I1020 "the capture does not cover a pose",
         cause: "The recording began after the program or ended before it.",

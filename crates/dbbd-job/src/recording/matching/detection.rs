@@ -3,11 +3,12 @@
 
 use std::collections::BTreeMap;
 
-use super::alignment::{DwellEvidence, Pairing, align};
+use super::alignment::{DwellEvidence, Pairing, align, code_log_odds};
 use super::inferred;
 use super::input::{MatchingInput, MeasuredAxes};
 use super::outcome::{self, DwellSource, ExpectedTimes, MatchOutcome, PoseOutcome};
 use super::passes::{MatchedPasses, read_passes};
+use super::pose_matching::{CodeOdds, ModuleOdds};
 use super::program::DwellPoses;
 use super::published::AxesReport;
 use super::stillness::still_dwells;
@@ -75,6 +76,36 @@ impl DwellDetection {
             .collect()
     }
 
+    /// How likely the dwells are of a program with this plan's time code. Empty for a plan of an earlier version, whose code
+    /// other plans share.
+    pub(super) fn code_odds(&self, input: &MatchingInput<'_>, poses: &DwellPoses<'_>) -> CodeOdds {
+        if !input.plan.identifies_its_poses() {
+            return CodeOdds::default();
+        }
+        let mut order: Vec<usize> = (0..self.dwells.len()).collect();
+        order.sort_by(|a, b| self.dwells[*a].start_s.total_cmp(&self.dwells[*b].start_s));
+        let dwells: Vec<Dwell> = order.iter().map(|at| self.dwells[*at]).collect();
+        let plain = MatchingInput { expected: None, ..*input };
+        let evidence = evidence(&plain, &dwells, self.source);
+        let kept = |pairing: &Pairing| match *pairing {
+            Pairing::Dwell { dwell, .. } => order.iter().position(|at| *at == dwell),
+            Pairing::None { .. } | Pairing::Ambiguous { .. } => None,
+        };
+        let kept: Vec<Option<usize>> = self.pairings.iter().map(kept).collect();
+        let (mut by_module, mut first) = (Vec::new(), 0);
+        for module in poses.commanded.chunk_by(|a, b| a.module == b.module) {
+            let end = first + module.len();
+            // A module that was run from another plan has no pairs: its dwells are between those of its neighbours.
+            let after = kept[..first].iter().flatten().max().map_or(0, |last| last + 1);
+            let until = kept[end..].iter().flatten().min().copied().unwrap_or(evidence.len());
+            let log_odds = code_log_odds(module, evidence.get(after..until).unwrap_or_default());
+            let matched = kept[first..end].iter().flatten().count();
+            by_module.push(ModuleOdds { log_odds, matched });
+            first = end;
+        }
+        CodeOdds { by_module }
+    }
+
     /// The dwells that belong to no pose and no pass.
     pub(super) fn spurious(&self) -> Vec<Dwell> {
         let mut used = vec![false; self.dwells.len()];
@@ -139,9 +170,15 @@ fn by_strobe(input: &MatchingInput<'_>, poses: &DwellPoses<'_>, passes: &Matched
     let mut pairings = alignment.pairings;
     let mut findings = Vec::new();
     let pose_modules: Vec<usize> = poses.commanded.iter().map(|pose| pose.module).collect();
-    let dwell_modules: Vec<usize> = strobed.iter().map(|dwell| dwell.module).collect();
-    let last_module = pose_modules.last().max(dwell_modules.last());
-    for module in 0..last_module.map_or(0, |last| last + 1) {
+    let mut dwell_modules: Vec<usize> = strobed.iter().map(|dwell| dwell.module).collect();
+    let first_module = first_module(&pairings, &pose_modules, &dwell_modules);
+    dwell_modules.iter_mut().for_each(|module| *module += first_module);
+    let last_module = dwell_modules.last().copied().unwrap_or(0);
+    let modules = pose_modules.last().map_or(0, |last| last + 1);
+    if !strobed.is_empty() && (first_module > 0 || last_module + 1 < modules) {
+        findings.push(Finding::SomeModules { first: first_module + 1, last: last_module + 1, modules });
+    }
+    for module in first_module..=last_module {
         let of_module = |modules: &[usize]| {
             modules.partition_point(|other| *other < module)
                 ..modules.partition_point(|other| *other <= module)
@@ -165,6 +202,22 @@ fn by_strobe(input: &MatchingInput<'_>, poses: &DwellPoses<'_>, passes: &Matched
     }
     let override_factor = Some(alignment.override_factor);
     DwellDetection { override_factor, findings, ..DwellDetection::new(DwellSource::Strobe, dwells, pairings) }
+}
+
+/// The module of the plan with which the run began: most of the pairs that the durations show have this difference.
+fn first_module(pairings: &[Pairing], pose_modules: &[usize], dwell_modules: &[usize]) -> usize {
+    let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
+    for (pairing, pose_module) in pairings.iter().zip(pose_modules) {
+        if let Pairing::Dwell { dwell, .. } = *pairing
+            && let Some(later) = pose_module.checked_sub(dwell_modules[dwell])
+        {
+            *counts.entry(later).or_default() += 1;
+        }
+    }
+    counts
+        .into_iter()
+        .max_by_key(|(later, count)| (*count, std::cmp::Reverse(*later)))
+        .map_or(0, |(later, _)| later)
 }
 
 fn by_stillness(input: &MatchingInput<'_>, poses: &DwellPoses<'_>) -> DwellDetection {

@@ -37,7 +37,7 @@ pub use input::{MatchingInput, MeasuredAxes};
 pub use markers::MarkerFit;
 pub use outcome::{DwellSource, MatchOutcome, PoseOutcome};
 pub use passes::PassLag;
-pub use pose_matching::{LengthDrift, PoseMatching, nothing_matched};
+pub use pose_matching::{CodeOdds, LengthDrift, ModuleOdds, PoseMatching, nothing_matched};
 pub use program::CommandedDwell;
 pub use published::{AxesReport, BarLag, PublishedAxes};
 pub use stillness::still_dwells;
@@ -68,6 +68,7 @@ pub fn match_poses(input: &MatchingInput<'_>) -> PoseMatching {
     let poses = DwellPoses::of(input.plan);
     let detection = by_axes::detect_by_axes(input, &poses).unwrap_or_else(|| detect_dwells(input, &poses));
     let mut outcomes = detection.outcomes(input, &poses);
+    let code = detection.code_odds(input, &poses);
     let drift = largest_drift(&poses.rows, &outcomes, input.bar_sigma_mm);
     let frozen = detect_frozen_reading(input.stream, &outcomes);
     let spurious = detection.spurious();
@@ -90,10 +91,11 @@ pub fn match_poses(input: &MatchingInput<'_>) -> PoseMatching {
         override_factor: override_factor.filter(|_| !poses.rows.is_empty()),
         lags: passes.lags,
         drift,
+        code,
         axes: report,
         findings,
     };
-    let more = run_findings(&matching, input.stream);
+    let more = run_findings(&matching, input);
     matching.findings.extend(more);
     let deviation = axes_deviation(&matching, input.plan);
     matching.findings.extend(deviation);

@@ -3,6 +3,7 @@
 
 use std::ops::Range;
 
+use super::input::MatchingInput;
 use super::outcome::{DwellSource, MatchOutcome, PoseOutcome};
 use super::passes::PassLag;
 use super::published::AxesReport;
@@ -33,6 +34,8 @@ pub struct PoseMatching {
     pub lags: Vec<PassLag>,
     /// Drift of the length at the reference pose, if it was read twice or more.
     pub drift: Option<LengthDrift>,
+    /// Whether the program that ran is this plan's.
+    pub code: CodeOdds,
     /// Results from the published axes, if they were used.
     pub axes: Option<AxesReport>,
     pub findings: Vec<Finding>,
@@ -43,6 +46,52 @@ impl PoseMatching {
     pub fn same_pairs(&self, other: &Self) -> bool {
         let pair = |pose: &PoseOutcome| pose.reading().map(|reading| (reading.from_s, reading.to_s));
         self.outcomes.iter().map(pair).eq(other.outcomes.iter().map(pair))
+    }
+}
+
+/// Whether the intervals between the dwells are those of this plan's time code, against those of another plan's.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CodeOdds {
+    pub by_module: Vec<ModuleOdds>,
+}
+
+/// The odds of the dwells of a module.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ModuleOdds {
+    /// Natural logarithm of the odds of this plan's code against another one.
+    pub log_odds: f64,
+    /// Number of dwells that were matched to poses.
+    pub matched: usize,
+}
+
+impl ModuleOdds {
+    /// An interval between matched dwells of this plan's program makes its code about six times as likely as another one, an
+    /// interval of another plan's at most 1.8 times (`cargo test foreign_programs`).
+    const LEAST_OF_AN_INTERVAL: f64 = 2.0;
+    /// Whatever was matched, a module counts as another plan's from these odds. Where hardly anything was detected they are
+    /// about 1.
+    const FOREIGN: f64 = 0.2;
+
+    fn is_foreign(self) -> bool {
+        let intervals = self.matched.saturating_sub(1);
+        let asked = (intervals as f64 * Self::LEAST_OF_AN_INTERVAL.ln()).min(CodeOdds::OWN.ln());
+        let too_low = intervals > 0 && self.log_odds < asked;
+        too_low || self.log_odds < Self::FOREIGN.ln()
+    }
+}
+
+impl CodeOdds {
+    /// The odds at which a program counts as this plan's: one of another plan reaches them once in a million runs.
+    const OWN: f64 = 1e6;
+
+    /// The first module (from 1) that was run by a program of another plan.
+    pub fn foreign_module(&self) -> Option<usize> {
+        self.by_module.iter().position(|module| module.is_foreign()).map(|at| at + 1)
+    }
+
+    /// Whether all dwells together show that the program is this plan's.
+    pub fn is_own(&self) -> bool {
+        self.by_module.iter().map(|module| module.log_odds).sum::<f64>() >= Self::OWN.ln()
     }
 }
 
@@ -84,8 +133,8 @@ fn percent(part: usize, all: usize) -> f64 {
     100.0 * part as f64 / all as f64
 }
 
-pub(super) fn run_findings(matching: &PoseMatching, stream: &SampleStream) -> Vec<Finding> {
-    let mut findings = Vec::new();
+pub(super) fn run_findings(matching: &PoseMatching, input: &MatchingInput<'_>) -> Vec<Finding> {
+    let (mut findings, stream) = (Vec::new(), input.stream);
     let poses = matching.outcomes.len();
     let readings = || matching.outcomes.iter().filter_map(PoseOutcome::reading);
     let matched = readings().count();
@@ -98,6 +147,12 @@ pub(super) fn run_findings(matching: &PoseMatching, stream: &SampleStream) -> Ve
     let lost = poses - matched - ambiguous;
     if lost > 0 {
         findings.push(Finding::PosesLost { lost, poses, percent: percent(lost, poses) });
+    }
+    let dwells = readings().count();
+    if !input.plan.identifies_its_poses() {
+        findings.push(Finding::CodeOfEarlierVersion);
+    } else if dwells > 0 && !matching.code.by_module.is_empty() && !matching.code.is_own() {
+        findings.push(Finding::PlanNotShown { dwells });
     }
     let touched = || readings().filter(|reading| reading.invalid > 0);
     let invalid: usize = touched().map(|reading| reading.invalid).sum();
@@ -319,6 +374,21 @@ mod tests {
         assert_eq!(longest(&[1.0, 1.0, 2.0, 2.0]), None);
         assert_eq!(longest(&[99.0, 99.0, 99.0, 2.0, 2.0, 2.0]), Some(3..6));
         assert_eq!(longest(&[]), None);
+    }
+
+    #[test]
+    fn odds_of_a_module_grow_with_its_dwells() {
+        let is_foreign = |log_odds, matched| ModuleOdds { log_odds, matched }.is_foreign();
+        // Seven intervals ask for 7 ln 2 = 4.85; without a pair only odds of 1 : 5 count.
+        assert!(is_foreign(4.8, 8) && !is_foreign(4.9, 8));
+        assert!(is_foreign(-1.7, 0) && !is_foreign(-1.5, 0) && !is_foreign(-1.5, 1));
+        // Odds of a million suffice however many dwells there are.
+        assert!(!is_foreign(13.9, 200) && is_foreign(13.7, 200));
+        let odds = |log_odds: [f64; 2]| CodeOdds {
+            by_module: log_odds.map(|log_odds| ModuleOdds { log_odds, matched: 5 }).to_vec(),
+        };
+        assert!(odds([7.0, 7.0]).is_own() && !odds([7.0, 6.0]).is_own());
+        assert_eq!(odds([7.0, -7.0]).foreign_module(), Some(2));
     }
 
     #[test]

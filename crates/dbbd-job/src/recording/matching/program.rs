@@ -1,6 +1,7 @@
 //! The program as the alignment sees it: dwells with the moves before them, and the probability of a time between two
 //! of them.
 
+use crate::plan::timing::SPREAD_S;
 use crate::plan::{MODULE_DWELLS, Plan, PlanRow, PoseKind};
 
 /// A commanded dwell.
@@ -60,9 +61,58 @@ impl<'a> DwellPoses<'a> {
 
 /// The commanded dwells as cumulative sums, so that any interval is a difference.
 pub(super) struct CommandedTimes {
+    pub(super) code: TimeCode,
     moves_s: Vec<f64>,
     waits_s: Vec<f64>,
     modules: Vec<usize>,
+}
+
+/// Which time code the program is assumed to have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum TimeCode {
+    /// That of the plan.
+    Own,
+    /// That of the plan but for some intervals, in which something else happened (a stop, another override).
+    Mostly,
+    /// That of another plan: the durations of the moves are those of this plan plus any change that a code can make.
+    Other,
+}
+
+/// Standard deviation of the difference between two time codes in a move: each adds a time that is uniform within
+/// [`SPREAD_S`].
+const CODE_SD_S: f64 = SPREAD_S * 0.408_248_290_463_863; // 1 / sqrt(6)
+/// Share of the intervals of [`TimeCode::Mostly`] that follow the code.
+const CODED: f64 = 0.9;
+
+impl TimeCode {
+    /// An interval may be shorter than commanded by this, s.
+    pub(super) fn early_s(self) -> f64 {
+        match self {
+            Self::Own => 1.5,
+            Self::Mostly | Self::Other => SPREAD_S,
+        }
+    }
+
+    /// Density of a duration that differs by `residual_s` from the one that the plan commands, 1/s. `sigma_s` is its standard
+    /// deviation, `code_sd_s` that of the difference between two codes.
+    fn density(self, residual_s: f64, sigma_s: f64, code_sd_s: f64) -> f64 {
+        let other = || normal(residual_s, sigma_s.hypot(code_sd_s));
+        match self {
+            Self::Own => normal(residual_s, sigma_s),
+            Self::Mostly => CODED * normal(residual_s, sigma_s) + (1.0 - CODED) * other(),
+            Self::Other => other(),
+        }
+    }
+}
+
+/// Density of a normal distribution, cut off at nine standard deviations.
+fn normal(residual: f64, sigma: f64) -> f64 {
+    let standard = residual / sigma;
+    if standard.abs() < 9.0 {
+        (-0.5 * standard * standard).exp() / (sigma * std::f64::consts::TAU.sqrt())
+    } else {
+        0.0
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -91,6 +141,7 @@ pub(super) struct DwellInterval {
     pub(super) wait_s: f64,
     /// Number of poses skipped.
     pub(super) passed: usize,
+    pub(super) code: TimeCode,
     /// Whether a module ends within.
     pub(super) by_hand: bool,
     pub(super) elapsed: ElapsedTime,
@@ -128,6 +179,7 @@ impl CommandedTimes {
             poses.iter().scan(0.0, add).collect()
         };
         Self {
+            code: TimeCode::Own,
             moves_s: sums(|pose| pose.move_s),
             waits_s: sums(|pose| pose.wait_s),
             modules: poses.iter().map(|pose| pose.module).collect(),
@@ -159,6 +211,7 @@ impl CommandedTimes {
             move_s: self.moves_s[to] - self.moves_s[from],
             wait_s: wait(to) - wait(from),
             passed: to - from - 1,
+            code: self.code,
             by_hand: self.modules[from] != self.modules[to],
             elapsed,
         }
@@ -186,17 +239,14 @@ impl DwellInterval {
     pub(super) fn densities(&self, pace: ProgramPace) -> Densities {
         let residual_s = self.residual_s(pace);
         let sigma_s = self.sigma_s(pace);
-        let standard = residual_s / sigma_s;
         let steps = (self.passed + 1) as f64;
         let pauses = if self.by_hand { 0.95 } else { (PAUSES * steps).min(0.95) };
         let mut running = 0.0;
         if residual_s.abs() < 30.0 * BAD_S {
             running += BAD / (2.0 * BAD_S) * (-residual_s.abs() / BAD_S).exp();
         }
-        if standard.abs() < 9.0 {
-            let normal = (-0.5 * standard * standard).exp() / (sigma_s * std::f64::consts::TAU.sqrt());
-            running += (1.0 - pauses - BAD).max(0.01) * normal;
-        }
+        let code_sd_s = pace.stretch * CODE_SD_S * steps.sqrt();
+        running += (1.0 - pauses - BAD).max(0.01) * self.code.density(residual_s, sigma_s, code_sd_s);
         let paused = if residual_s <= 0.0 {
             0.0
         } else if self.by_hand {
@@ -247,7 +297,7 @@ mod tests {
 
     fn interval(seen_s: f64, by_hand: bool) -> DwellInterval {
         let elapsed = ElapsedTime { seen_s, variance_s2: 0.0008, clock_broke: false };
-        DwellInterval { move_s: 5.0, wait_s: 4.0, passed: 1, by_hand, elapsed }
+        DwellInterval { move_s: 5.0, wait_s: 4.0, passed: 1, code: TimeCode::Own, by_hand, elapsed }
     }
 
     const PACE: ProgramPace = ProgramPace { stretch: 1.2, slack: 0.01 };
@@ -273,6 +323,27 @@ mod tests {
         // 30 times half a second are too far for a start that was detected badly.
         assert_eq!(interval(25.01, false).densities(PACE).running, 0.0);
         assert!(interval(24.99, false).densities(PACE).running > 0.0);
+    }
+
+    /// Two codes add times that are uniform within 2.2 s: their difference is triangular with the variance 2.2^2 / 6, of two
+    /// moves twice that, at a pace of 1.2 times 1.2^2. With the sigma of the interval: sqrt(2 (1.2 * 0.898146)^2 + 0.05099^2).
+    #[test]
+    fn another_code_makes_any_duration_as_likely() {
+        let density = |code: TimeCode, seen_s: f64| {
+            DwellInterval { code, ..interval(seen_s, false) }.densities(PACE).running
+        };
+        let sd_s = (2.0 * (1.2 * 0.898_146_2_f64).powi(2) + 0.050_990_2_f64.powi(2)).sqrt();
+        let bad = |late_s: f64| 0.02 * (-2.0 * late_s).exp();
+        let normal = |late_s: f64, sd_s: f64| {
+            0.96 / (sd_s * std::f64::consts::TAU.sqrt()) * (-0.5 * (late_s / sd_s).powi(2)).exp()
+        };
+        let close =
+            |value: f64, expected: f64| assert!((value / expected - 1.0).abs() < 1e-5, "{value} {expected}");
+        for late_s in [0.05, 1.3] {
+            close(density(TimeCode::Other, 10.0 + late_s), normal(late_s, sd_s) + bad(late_s));
+        }
+        close(density(TimeCode::Own, 11.3), bad(1.3));
+        close(density(TimeCode::Mostly, 11.3), 0.1 * normal(1.3, sd_s) + bad(1.3));
     }
 
     #[test]

@@ -65,7 +65,7 @@ impl RecordedRun {
     /// To use predicted lengths: match, identify, and match again until [`PoseMatching::same_pairs`] shows no change.
     ///
     /// # Errors
-    /// The reading runs against the motion.
+    /// The program is that of another plan, or the reading runs against the motion.
     pub fn matching(&self, predicted: Option<PredictedLengths<'_>>) -> Result<PoseMatching, Diagnostic> {
         let certificate = self.certificate();
         let warm = certificate.zip(self.temperatures.mean());
@@ -96,7 +96,7 @@ impl RecordedRun {
     /// The measurements without a correction for temperature.
     ///
     /// # Errors
-    /// The reading runs against the motion.
+    /// The program is that of another plan, or the reading runs against the motion.
     pub fn matching_as_read(
         &self,
         predicted: Option<PredictedLengths<'_>>,
@@ -117,6 +117,9 @@ impl RecordedRun {
                 .map(|(track, robot)| PublishedAxes { track, geometry: &robot.controller().geometry }),
             ..MatchingInput::new(&self.plan, &self.stream)
         });
+        if let Some(module) = matching.code.foreign_module() {
+            return Err(MatchingFinding::ForeignProgram { module }.into());
+        }
         let repeatability_mm = robot.as_ref().and_then(|robot| robot.controller().repeatability_mm);
         let markers = MarkerFit::seen(&self.plan, &self.stream, &matching);
         let settle_s = self.plan.header.job.motion.settle_s;

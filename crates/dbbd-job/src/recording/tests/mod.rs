@@ -6,6 +6,7 @@ mod capture_survives_damage;
 mod continuous_circles;
 mod device_time_on_the_hosts_clock;
 mod dwells_are_measured;
+mod foreign_programs;
 mod mounting_faults;
 mod sync_joins;
 mod sync_pairs;

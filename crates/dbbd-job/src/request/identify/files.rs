@@ -4,7 +4,7 @@ use dbbd_model::base::InternalFinding;
 use std::path::Path;
 
 use super::IdentifyDocument;
-use crate::file_set::FileSet;
+use crate::file_set::{EarlierFiles, FileSet};
 use crate::program::{self, Language};
 use crate::report;
 use crate::report::export::{frames, mastering, urdf};
@@ -34,12 +34,14 @@ const PARAMETER_COLUMNS: &str =
 /// provenance the tables of the measurements are added, and the names of the files.
 pub(super) fn write_results(
     dir: &Path,
+    replaced: EarlierFiles,
     mut document: IdentifyDocument,
     observations: &Measurements,
 ) -> Result<(IdentifyDocument, Vec<String>), Diagnostic> {
     let calibration = &document.calibration;
     let is_used = |place: usize| calibration.uses(place);
-    let (mut set, earlier) = (FileSet::begin(dir)?, EarlierResult::read(&dir.join(RESULT)).provenance);
+    let (mut set, earlier) =
+        (FileSet::begin(dir, replaced)?, EarlierResult::read(&dir.join(RESULT)).provenance);
     let lengths = (calibration.result.made_from.lengths > 0)
         .then(|| set.write_pieces(LENGTHS, observations.csv_pieces(is_used)));
     let positions = observations.positions_csv(is_used).map(|text| set.write_pieces(POSITIONS, [text]));

@@ -1,7 +1,8 @@
 //! The inputs of an identification or a check: measurements from tables or a capture, the robot, and the base balls.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use super::parts::{self, InputPart, JoinedParts, SetUpRelation};
 use super::tables::{lengths_or_positions, measurements};
 use super::{AskedIdentification, LENGTHS, POSITIONS};
 use crate::recording::matching::MatchingFinding;
@@ -21,7 +22,7 @@ use dbbd_model::provenance::{
     one_robot,
 };
 use dbbd_model::robot::parameter::SetUpCounts;
-use dbbd_model::robot::{AXES, BallId, BarId, LoadedRobot, Robot};
+use dbbd_model::robot::{AXES, BallId, LoadedRobot, Robot};
 
 /// The least standard deviation of a predicted length in the pose matching, mm.
 const MIN_PREDICTED_SIGMA_MM: f64 = 0.02;
@@ -30,6 +31,9 @@ const MIN_PREDICTED_SIGMA_MM: f64 = 0.02;
 #[derive(Clone, Copy)]
 pub(crate) struct NamedInputs<'a> {
     pub(crate) input: &'a Path,
+    /// Further captures and tables of the same robot.
+    pub(crate) further: &'a [PathBuf],
+    pub(crate) set_ups: SetUpRelation,
     /// Positions beside the lengths of the input.
     pub(crate) positions: Option<&'a Path>,
     pub(crate) robot: Option<&'a str>,
@@ -39,9 +43,9 @@ pub(crate) struct NamedInputs<'a> {
 }
 
 /// A capture, and its latest pose matching.
-struct MatchedRun {
-    run: Box<RecordedRun>,
-    matching: PoseMatching,
+pub(super) struct MatchedRun {
+    pub(super) run: Box<RecordedRun>,
+    pub(super) matching: PoseMatching,
 }
 
 /// The inputs as they were read.
@@ -54,13 +58,12 @@ pub(crate) struct LoadedInputs {
     /// Standard uncertainty of the bar's length, mm, if known.
     pub(crate) bar_u_mm: Option<f64>,
     pub(crate) provenance: Provenance,
-    /// The table or the capture with the lengths.
-    lengths: TracedArtefact,
     findings: Vec<Diagnostic>,
     /// Findings about the capture and its latest pose matching.
     run_findings: Vec<Diagnostic>,
     pub(crate) axes: AngleSource,
-    matched: Option<MatchedRun>,
+    /// The captures and tables with the lengths; the first is always there.
+    parts: Vec<InputPart>,
 }
 
 impl LoadedInputs {
@@ -109,6 +112,17 @@ impl LoadedInputs {
             (None, None) if is_tracked => Vec::new(),
             (None, None) => return Err(EstimationFinding::NoBalls.into()),
         };
+        let first = InputPart::first(named.input.into(), lengths, observations, matched);
+        let mut parts = vec![first];
+        for path in named.further {
+            let part = InputPart::read(path, session, &mut findings)?;
+            check_further(&part, &parts[0].lengths, &mut findings)?;
+            parts.push(part);
+        }
+        let JoinedParts { measurements: observations, centres } =
+            JoinedParts::of(&mut parts, centres, named.set_ups, &mut findings)?;
+        let lengths = &parts[0].lengths;
+        let matched = &parts[0].matched;
         let load = &robot.geometry.load;
         let observations =
             observations.carrying(load).map_err(|finding| Diagnostic::file(&input, finding))?;
@@ -116,26 +130,26 @@ impl LoadedInputs {
         findings.extend(doubts(&input, &observations, &robot, &centres));
         let mut positions = None;
         if let Some(path) = named.positions {
-            sources.push(read_further(path, &lengths, &mut findings)?);
+            sources.push(read_further(path, lengths, &mut findings)?);
             positions = Some(read_positions(path, &robot, &mut findings, session)?);
         }
         let observations = with_positions(observations, positions.as_ref())?;
-        let provenance = crate::artefact::made_from([&source].into_iter().chain(&sources).chain([&lengths]));
+        let lengths = parts.iter().map(|part| &part.lengths);
+        let provenance = crate::artefact::made_from([&source].into_iter().chain(&sources).chain(lengths));
         let bar = &provenance.identity.bar;
         let uncorrected = uncorrected_bar(&observations, bar).filter(|_| matched.is_none());
         findings.extend(uncorrected.map(|finding| Diagnostic::file(&input, finding)));
         Ok(Self {
             bar_u_mm: named.bar_u_mm.or(bar.u_mm()),
-            run_findings: matched.as_ref().map_or_else(Vec::new, |matched| matched.findings(&robot)),
-            axes: matched.as_ref().map_or(AngleSource::Given, MatchedRun::axes),
+            run_findings: run_findings(&parts, &robot),
+            axes: angle_source(&parts),
             robot,
             centres,
             observations,
             positions,
             provenance,
-            lengths,
             findings,
-            matched,
+            parts,
         })
     }
 
@@ -151,7 +165,7 @@ impl LoadedInputs {
             set.carrying(&self.robot.geometry.load).map_err(|finding| Diagnostic::file(&name, finding))?;
         check_measurements(&name, &set, &self.robot, &self.centres)?;
         set.check(&name, self.observations.set_up(self.centres.len()))?;
-        let TracedArtefact { artefact, .. } = read_further(path, &self.lengths, &mut self.findings)?;
+        let TracedArtefact { artefact, .. } = read_further(path, &self.parts[0].lengths, &mut self.findings)?;
         if self.provenance.has(&artefact) {
             session.finding(ProvenanceFinding::GivenTwice { lengths: artefact.to_string() });
         }
@@ -160,7 +174,8 @@ impl LoadedInputs {
 
     /// Refuses a run whose plan is for another robot.
     pub(crate) fn check_planned_robot(&self) -> Result<(), ConformityFinding> {
-        let planned = self.matched.as_ref().and_then(|matched| matched.other_robot(&self.robot));
+        let mut runs = self.parts.iter().filter_map(|part| part.matched.as_ref());
+        let planned = runs.find_map(|matched| matched.other_robot(&self.robot));
         let given = || self.robot.name.clone();
         planned.map_or(Ok(()), |planned| Err(ConformityFinding::PlanOfAnother { planned, given: given() }))
     }
@@ -198,36 +213,69 @@ impl LoadedInputs {
         known.sum()
     }
 
-    /// Matches the capture again with the lengths that the identified robot predicts. Returns whether the pairs changed.
+    /// Matches the captures again with the lengths that the identified robot predicts. Returns whether the pairs changed.
     pub(super) fn match_again(&mut self, calibration: &CompletedCalibration) -> bool {
-        let Some(MatchedRun { run, matching: before }) = &mut self.matched else { return false };
         let model = &calibration.posterior.model;
-        let length = |ball: BallId, axes_deg: &[f64; AXES]| match model.balls.get(ball.index()) {
-            Some(centre) => {
-                model.geometry.length(&axes_deg.map(f64::to_radians), centre, model.bar_offset(BarId::FIRST))
-            }
-            None => f64::NAN,
-        };
         let sigma_mm = (3.0 * calibration.result.noise_mm.length).max(MIN_PREDICTED_SIGMA_MM);
-        let Ok(matching) = run.matching(Some(PredictedLengths { length_mm: &length, sigma_mm })) else {
-            return false;
-        };
-        if matching.same_pairs(before) || matching.observations.rows.is_empty() {
-            return false;
+        let mut changed = false;
+        for part in &mut self.parts {
+            let (first_ball, bar) = (part.set_up.first_ball, part.set_up.bar());
+            let length =
+                |ball: BallId, axes_deg: &[f64; AXES]| match model.balls.get(first_ball + ball.index()) {
+                    Some(centre) => {
+                        model.geometry.length(&axes_deg.map(f64::to_radians), centre, model.bar_offset(bar))
+                    }
+                    None => f64::NAN,
+                };
+            let Some(MatchedRun { run, matching: before }) = &mut part.matched else { continue };
+            let Ok(matching) = run.matching(Some(PredictedLengths { length_mm: &length, sigma_mm })) else {
+                continue;
+            };
+            if matching.same_pairs(before) || matching.observations.rows.is_empty() {
+                continue;
+            }
+            part.measurements = matching.observations.clone();
+            *before = matching;
+            changed = true;
         }
-        let Ok(observations) = with_positions(matching.observations.clone(), self.positions.as_ref()) else {
+        let joined = changed.then(|| parts::joined(&self.parts)).and_then(Result::ok);
+        let Some(Ok(observations)) =
+            joined.map(|(lengths, _)| with_positions(lengths, self.positions.as_ref()))
+        else {
             return false;
         };
         self.observations = observations;
-        *before = matching;
-        self.run_findings = self.matched.iter().flat_map(|matched| matched.findings(&self.robot)).collect();
+        self.run_findings = run_findings(&self.parts, &self.robot);
         true
     }
 }
 
+/// Findings about the captures among the inputs.
+fn run_findings(parts: &[InputPart], robot: &Robot) -> Vec<Diagnostic> {
+    let runs = parts.iter().filter_map(|part| Some((part, part.matched.as_ref()?)));
+    let in_part = |(part, matched): (&InputPart, &MatchedRun)| {
+        let findings = matched.findings(robot).into_iter();
+        // With one capture it is clear which one is meant.
+        let file = (parts.len() > 1).then(|| part.path.display().to_string());
+        findings.map(move |finding| match &file {
+            Some(file) => finding.in_file(file),
+            None => finding,
+        })
+    };
+    runs.flat_map(in_part).collect()
+}
+
+/// Whether the axis angles of all parts were measured or given.
+fn angle_source(parts: &[InputPart]) -> AngleSource {
+    let commanded = |part: &InputPart| {
+        part.matched.as_ref().is_some_and(|matched| matched.axes() == AngleSource::Commanded)
+    };
+    if parts.iter().any(commanded) { AngleSource::Commanded } else { AngleSource::Given }
+}
+
 impl MatchedRun {
     /// Reads and matches a capture; `None` if the file is not a capture.
-    fn read(path: &Path, session: &RequestSession<'_>) -> Result<Option<Self>, Diagnostic> {
+    pub(super) fn read(path: &Path, session: &RequestSession<'_>) -> Result<Option<Self>, Diagnostic> {
         if !run::is_capture(path)? {
             return Ok(None);
         }
@@ -284,14 +332,38 @@ fn read_further(
     let name = path.display().to_string();
     let (table, changed) = crate::artefact::of_table(ArtefactRole::Measurements, path)?;
     findings.extend(changed);
-    one_robot([(lengths.artefact.name.clone(), lengths), (name.clone(), &table)])?;
+    check_one_set_up(&name, lengths, &table, findings)?;
+    Ok(table)
+}
+
+/// Refuses a part of another robot; another bar or ball than that of `lengths` is a finding.
+fn check_further(
+    part: &InputPart,
+    lengths: &TracedArtefact,
+    findings: &mut Vec<Diagnostic>,
+) -> Result<(), Diagnostic> {
+    let name = part.path.display().to_string();
+    if part.lengths.artefact.sha256 == lengths.artefact.sha256 {
+        let lengths = lengths.artefact.to_string();
+        return Err(Diagnostic::file(&name, EstimationFinding::PartTwice { lengths }));
+    }
+    check_one_set_up(&name, lengths, &part.lengths, findings)
+}
+
+fn check_one_set_up(
+    name: &str,
+    lengths: &TracedArtefact,
+    table: &TracedArtefact,
+    findings: &mut Vec<Diagnostic>,
+) -> Result<(), Diagnostic> {
+    one_robot([(lengths.artefact.name.clone(), lengths), (name.to_owned(), table)])?;
     let others = lengths.provenance.identity.contradictions(&table.provenance.identity).into_iter();
     let is_set_up = |key: &str| key == BarIdentity::SERIAL || key.starts_with(Identity::BALLS);
     let others = others.filter(|other| is_set_up(&other.key));
     findings.extend(others.map(|Contradiction { key, known, stated }| {
-        Diagnostic::file(&name, ProvenanceFinding::OtherSetUp { key, known, stated })
+        Diagnostic::file(name, ProvenanceFinding::OtherSetUp { key, known, stated })
     }));
-    Ok(table)
+    Ok(())
 }
 
 /// Reads positions that are given beside lengths.

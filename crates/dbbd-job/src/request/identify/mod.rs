@@ -3,6 +3,7 @@
 mod files;
 pub(super) mod inputs;
 mod options;
+mod parts;
 pub(super) mod tables;
 
 use std::path::{Path, PathBuf};
@@ -19,9 +20,11 @@ use dbbd_model::robot::parameter::SetUpCounts;
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
+use crate::file_set::EarlierFiles;
 pub use files::{LENGTHS, POSITIONS, ROBOT};
 use inputs::{LoadedInputs, NamedInputs};
 pub use options::AskedIdentification;
+pub use parts::SetUpRelation;
 pub use tables::{checked_workspace, plausible_deviation};
 use tables::{read_prior, read_workspace};
 
@@ -34,6 +37,11 @@ const MAX_MATCHINGS: usize = 5;
 pub struct IdentifyRequest {
     /// A table of lengths or of positions, or a capture.
     pub input: PathBuf,
+    /// Further captures and tables of the same robot.
+    #[serde(default)]
+    pub further: Vec<PathBuf>,
+    #[serde(default)]
+    pub set_ups: SetUpRelation,
     /// The directory of the result.
     pub out: PathBuf,
     /// A built-in name or a file; `None` for the robot of the capture's plan.
@@ -66,6 +74,9 @@ pub struct IdentifyRequest {
     pub identity: Option<PathBuf>,
     /// A table of poses over which the position uncertainty is predicted.
     pub workspace: Option<PathBuf>,
+    /// Replace the files of an earlier result; otherwise they are kept beside it.
+    #[serde(default)]
+    pub replace: bool,
 }
 
 /// What is known of the robot before. `T` is a table of standard deviations: the path of one, or what was read.
@@ -156,7 +167,12 @@ impl IdentifyRequest {
         let identity = &given.provenance.identity;
         let budget = UncertaintyBudget::of(&calibration, &observations, given.bar_u_mm, identity);
         let document = IdentifyDocument { calibration, budget, provenance: given.provenance };
-        let (document, files) = files::write_results(&self.out, document, &observations)?;
+        let (document, files) = files::write_results(
+            &self.out,
+            EarlierFiles::kept_unless(self.replace),
+            document,
+            &observations,
+        )?;
         Ok(RequestResult {
             outcome: if document.calibration.result.is_doubtful() {
                 AnswerOutcome::Warned
@@ -170,7 +186,8 @@ impl IdentifyRequest {
 
     /// Refuses a directory in which the result would replace an input.
     fn check_inputs_are_kept(&self) -> Result<(), Diagnostic> {
-        let inputs = || [&self.input].into_iter().chain(&self.positions).map(PathBuf::as_path);
+        let inputs =
+            || [&self.input].into_iter().chain(&self.further).chain(&self.positions).map(PathBuf::as_path);
         crate::files::keeps(&self.out.join(LENGTHS), inputs())?;
         crate::files::keeps(&self.out.join(POSITIONS), inputs())?;
         crate::files::keeps(&self.out.join(ROBOT), self.robot.as_deref().map(Path::new))
@@ -180,6 +197,8 @@ impl IdentifyRequest {
     fn read_inputs(&self, session: &RequestSession<'_>) -> Result<LoadedInputs, Diagnostic> {
         let named = NamedInputs {
             input: &self.input,
+            further: &self.further,
+            set_ups: self.set_ups,
             positions: self.positions.as_deref(),
             robot: self.robot.as_deref(),
             tool_mm: self.tool_mm,

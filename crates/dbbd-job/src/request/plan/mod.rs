@@ -1,9 +1,11 @@
 //! Plans the poses of a calibration from a job, and checks them.
 
+mod again;
 mod check;
 
 use std::path::{Path, PathBuf};
 
+pub use again::PoseRows;
 use check::PlannedCheck;
 use dbbd_device::clock;
 use dbbd_model::diagnostic::Diagnostic;
@@ -20,10 +22,11 @@ use super::identify::LENGTHS;
 use super::identify::tables::{lengths, measurements};
 use super::robots::robot_for_measurement;
 use super::{AnswerOutcome, RequestResult, RequestSession, RequestWatch, read_protocol};
-use crate::file_set::FileSet;
+use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
 use crate::plan::PlanFinding;
 use crate::plan::{Job, Plan, PlanCheck, PlanPrediction, PlanningPrior, PoseKind, Stage, TaughtBall};
+use crate::program::ProgramFinding;
 use crate::recording::dwell;
 use crate::report;
 
@@ -42,10 +45,13 @@ pub struct PlanRequest {
     pub measured: Vec<PathBuf>,
     #[serde(default)]
     pub poses: PlannedPoses,
+    /// Replace the files of an earlier result; otherwise they are kept beside it.
+    #[serde(default)]
+    pub replace: bool,
 }
 
 /// Which poses are planned.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PlannedPoses {
     /// Those of the job.
@@ -55,6 +61,10 @@ pub enum PlannedPoses {
     Stage { poses: u32 },
     /// Those of a check of a calibrated robot.
     Check(CheckPoses),
+    /// Those of the plans of these captures that have no length in any of them.
+    Remaining { runs: Vec<PathBuf> },
+    /// Those of a capture, a table or a result that are measured again.
+    Repeat { run: PathBuf, rows: PoseRows },
 }
 
 /// The check whose poses are planned.
@@ -88,9 +98,9 @@ impl From<Plan> for UnwrittenPlan {
 
 impl UnwrittenPlan {
     /// Writes the files of the plan into a directory, and returns their names.
-    pub fn write(&self, directory: &Path) -> Result<Vec<String>, Diagnostic> {
+    pub fn write(&self, directory: &Path, earlier: EarlierFiles) -> Result<Vec<String>, Diagnostic> {
         let (csv, json) = self.plan.to_files()?;
-        let mut set = FileSet::begin(directory)?;
+        let mut set = FileSet::begin(directory, earlier)?;
         set.write("plan.csv", csv)?;
         set.write("plan.json", json)?;
         if let Some(page) = &self.page {
@@ -156,7 +166,7 @@ impl PlanRequest {
         session: &RequestSession<'_>,
     ) -> Result<RequestResult<PlanDocument>, Diagnostic> {
         let (robot, unwritten) = self.plan(None, session)?;
-        let files = unwritten.write(&self.out)?;
+        let files = unwritten.write(&self.out, EarlierFiles::kept_unless(self.replace))?;
         let plan = unwritten.plan;
         session.findings(plan.header.notes.iter().cloned());
         let predictions = plan.header.predictions.iter();
@@ -192,14 +202,18 @@ impl PlanRequest {
         job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
         session.findings_in(&name, job.without_effect(&robot));
         session.findings_in(&name, job.in_robot(&robot));
-        let check = match self.poses {
+        let check = match &self.poses {
             PlannedPoses::Check(poses) => {
                 // Without a file of the robot there is no posterior: the check refuses that.
                 let file = self.robot.as_deref().unwrap_or_default();
-                Some(PlannedCheck::new(poses, file, &job, &robot, session)?)
+                Some(PlannedCheck::new(*poses, file, &job, &robot, session)?)
             }
-            PlannedPoses::Job | PlannedPoses::Stage { .. } => None,
+            PlannedPoses::Job
+            | PlannedPoses::Stage { .. }
+            | PlannedPoses::Remaining { .. }
+            | PlannedPoses::Repeat { .. } => None,
         };
+        let given = again::given_poses(&self.poses, session)?;
         let measured = match check {
             Some(_) => EarlierMeasurements::default(),
             None => EarlierMeasurements::find(self, file, &source, session)?,
@@ -210,15 +224,21 @@ impl PlanRequest {
         session.findings(robot.asked_repeatability().filter(|_| measured.files.is_empty()));
         let provenance =
             crate::artefact::made_from([&made_from, &source].into_iter().chain(&measured.sources));
+        let job = given.as_ref().map_or_else(|| job.clone(), |given| job.as_given(given.len()));
         let PlanningKnowledge { job, robot, prior } = match &check {
             Some(check) => check.known(&job)?,
             None => PlanningKnowledge::after(job, robot, &measured.files, session)?,
         };
-        let mut plan = Plan::build_with(&job, &robot, &prior).map_err(|refusal| {
+        let built = match &given {
+            Some(poses) => Plan::build_again(&job, &robot, &prior, poses),
+            None => Plan::build_with(&job, &robot, &prior),
+        };
+        let mut plan = built.map_err(|refusal| {
             session.findings(refusal.printed().cloned());
             Diagnostic::from(refusal).in_file(&name)
         })?;
         plan.header.provenance = provenance;
+        plan.header.again = matches!(self.poses, PlannedPoses::Repeat { .. });
         let map = match &check {
             Some(check) => check.predict(&mut plan, session)?,
             None => plan.predict(&robot, &prior),
@@ -235,7 +255,10 @@ impl PlanRequest {
         let made_from = job.traced(&self.job)?;
         let job = match self.poses {
             PlannedPoses::Stage { poses } => job.as_stage(poses),
-            PlannedPoses::Job | PlannedPoses::Check(_) => job,
+            PlannedPoses::Job
+            | PlannedPoses::Check(_)
+            | PlannedPoses::Remaining { .. }
+            | PlannedPoses::Repeat { .. } => job,
         };
         // The file of a definition may exist only on the computer that records.
         if !job.bar.protocol.ends_with(".toml") {
@@ -244,6 +267,17 @@ impl PlanRequest {
         }
         Ok((job, made_from))
     }
+}
+
+/// A finding if the job beside a plan, or in the directory above, is not the one that the plan was made from.
+pub fn changed_job(plan: &Plan, csv: &Path) -> Option<ProgramFinding> {
+    let job = plan.header.provenance.from.iter().rev().find(|source| source.role == ArtefactRole::Job)?;
+    let directory = files::directory_of(csv);
+    let file = [directory.join(&job.name), directory.join("..").join(&job.name)]
+        .into_iter()
+        .find(|file| file.is_file())?;
+    let changed = files::sha256(&file).ok()? != job.sha256;
+    changed.then(|| ProgramFinding::JobChanged { job: file.display().to_string() })
 }
 
 /// The robot with the serial number of the job. Refuses a robot with another one.

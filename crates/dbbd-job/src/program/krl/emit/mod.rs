@@ -70,9 +70,10 @@ pub struct Options {
     pub controller: Controller,
 }
 
-/// The number by which a server recognises the run of the plan with this hash; `None` if it is no hash.
+/// The number by which a server recognises the run of the plan with this hash: its first 24 bits, which an INT of KRL holds;
+/// `None` if it is no hash.
 pub fn run_number(hash: &str) -> Option<u32> {
-    u32::from_str_radix(hash.get(..4)?, 16).ok()
+    u32::from_str_radix(hash.get(..6)?, 16).ok()
 }
 
 /// The modules of a plan (ASCII, CR LF); the first file is the code of the main module.

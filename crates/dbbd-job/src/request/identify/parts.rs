@@ -1,0 +1,265 @@
+//! The parts of one measurement: captures and tables of one robot that are evaluated together, each with its set-up.
+//!
+//! Two parts of one set-up share the base balls and the zero of the bar; whether one of them moved between the parts is tested
+//! like any change within a run. In another set-up the base balls are anywhere and the bar has a zero of its own.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::inputs::MatchedRun;
+use super::tables::{lengths_or_positions, measurements};
+use crate::request::RequestSession;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::EstimationFinding;
+use dbbd_model::measurement::{BaseBall, Measurement, MeasurementFinding, Measurements};
+use dbbd_model::provenance::{ArtefactRole, Identity, TracedArtefact};
+use dbbd_model::robot::{BallId, BarId, Datum};
+
+/// How the set-ups of consecutive parts belong together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SetUpRelation {
+    /// One set-up if both were measured on one day with the same bar and the same balls.
+    #[default]
+    ByDay,
+    Same,
+    New,
+}
+
+/// The numbers that a set-up adds to those of its part.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct SetUpNumbers {
+    pub(super) first_ball: usize,
+    first_bar: usize,
+}
+
+impl SetUpNumbers {
+    /// The first bar of the set-up.
+    pub(super) fn bar(self) -> BarId {
+        BarId::at(self.first_bar)
+    }
+
+    fn datum(self, datum: Datum) -> Datum {
+        match datum {
+            Datum::Ball(ball, bar) => Datum::Ball(
+                BallId::at(self.first_ball + ball.index()),
+                BarId::at(self.first_bar + bar.index()),
+            ),
+            Datum::Plane(_) => datum,
+        }
+    }
+}
+
+/// A capture or a table.
+pub(super) struct InputPart {
+    pub(super) path: PathBuf,
+    pub(super) lengths: TracedArtefact,
+    /// As they were read.
+    pub(super) measurements: Measurements,
+    pub(super) matched: Option<MatchedRun>,
+    pub(super) set_up: SetUpNumbers,
+}
+
+impl InputPart {
+    pub(super) fn first(
+        path: PathBuf,
+        lengths: TracedArtefact,
+        measurements: Measurements,
+        matched: Option<MatchedRun>,
+    ) -> Self {
+        Self { path, lengths, measurements, matched, set_up: SetUpNumbers::default() }
+    }
+
+    pub(super) fn read(
+        path: &Path,
+        session: &RequestSession<'_>,
+        findings: &mut Vec<Diagnostic>,
+    ) -> Result<Self, Diagnostic> {
+        let (measurements, lengths, matched) = match MatchedRun::read(path, session)? {
+            Some(matched) => {
+                (matched.matching.observations.clone(), matched.run.traced(path)?, Some(matched))
+            }
+            None => {
+                let read = measurements(path, lengths_or_positions, findings, session)?;
+                let (lengths, changed) = crate::artefact::of_table(ArtefactRole::Measurements, path)?;
+                findings.extend(changed);
+                (read, lengths, None)
+            }
+        };
+        if measurements.rows.is_empty() {
+            return Err(Diagnostic::file(path.display(), EstimationFinding::NoLength));
+        }
+        if measurements.rows.iter().any(|row| row.datum.bar().is_none()) {
+            return Err(Diagnostic::file(path.display(), EstimationFinding::PartOfPositions));
+        }
+        Ok(Self::first(path.into(), lengths, measurements, matched))
+    }
+
+    /// Whether the part measures poses again.
+    fn supersedes(&self) -> bool {
+        self.matched.as_ref().is_some_and(|matched| matched.run.plan.header.again)
+    }
+
+    /// Whether a part that was measured after `before` has the same set-up, by what both state.
+    fn follows(&self, before: &Self) -> bool {
+        let [earlier, later] = [before, self].map(|part| &part.lengths.provenance.identity);
+        let day = |identity: &Identity| {
+            identity.measured.as_deref().and_then(|date| date.split('T').next()).map(str::to_owned)
+        };
+        let places = |part: &Self| part.matched.as_ref().map(|matched| matched.run.centres());
+        let (days, contradictions) = ([day(earlier), day(later)], earlier.contradictions(later));
+        let same_places = match (places(before), places(self)) {
+            (Some(before), Some(own)) => before == own,
+            _ => true,
+        };
+        days[0].is_some()
+            && days[0] == days[1]
+            && same_places
+            && !contradictions
+                .iter()
+                .any(|other| other.key.starts_with("bar.") || other.key.starts_with(Identity::BALLS))
+    }
+}
+
+/// The measurements of all parts, and the base balls of all set-ups.
+pub(super) struct JoinedParts {
+    pub(super) measurements: Measurements,
+    pub(super) centres: Vec<BaseBall>,
+}
+
+impl JoinedParts {
+    /// Gives each part its set-up. `centres` are the base balls of the first.
+    pub(super) fn of(
+        parts: &mut [InputPart],
+        centres: Vec<BaseBall>,
+        relation: SetUpRelation,
+        findings: &mut Vec<Diagnostic>,
+    ) -> Result<Self, Diagnostic> {
+        let of_first = centres.clone();
+        let mut all = centres;
+        for at in 1..parts.len() {
+            let (earlier, later) = parts.split_at_mut(at);
+            let (Some(before), Some(part)) = (earlier.last(), later.first_mut()) else { continue };
+            let same = match relation {
+                SetUpRelation::Same => true,
+                SetUpRelation::New => false,
+                SetUpRelation::ByDay => part.follows(before),
+            };
+            part.set_up = before.set_up;
+            if !same {
+                part.set_up.first_ball = all.len();
+                part.set_up.first_bar += before.measurements.bars();
+                let own = part.matched.as_ref().map(|matched| matched.run.centres());
+                let own = own.unwrap_or_else(|| of_first.clone());
+                all.extend(own.iter().map(|ball| BaseBall {
+                    id: BallId::at(part.set_up.first_ball + ball.id.index()),
+                    ..*ball
+                }));
+            }
+            let (first_ball, bar) = (part.set_up.first_ball + 1, part.set_up.bar().number());
+            let joined = match same {
+                true => EstimationFinding::PartOfSameSetUp,
+                false => EstimationFinding::PartOfNewSetUp { first_ball, bar },
+            };
+            findings.push(Diagnostic::file(part.path.display(), joined));
+        }
+        let (measurements, superseded) = joined(parts)?;
+        findings.extend((!superseded.is_empty()).then(|| {
+            let rows = superseded.iter().map(u32::to_string).collect::<Vec<_>>().join(", ");
+            Diagnostic::from(EstimationFinding::Superseded { count: superseded.len(), rows })
+        }));
+        Ok(Self { measurements, centres: all })
+    }
+}
+
+/// The measurements of all parts, the indices and times of each going on from those before; and the indices of those that a
+/// later part measured again on request, which are left out.
+pub(super) fn joined(parts: &[InputPart]) -> Result<(Measurements, Vec<u32>), MeasurementFinding> {
+    let [first, further @ ..] = parts else { return Ok((Measurements::default(), Vec::new())) };
+    let (mut all, mut superseded) = (first.measurements.clone(), Vec::new());
+    for part in further {
+        let last_index = all.rows.iter().map(|row| row.index).max().unwrap_or(0);
+        let last_s = all.rows.iter().filter_map(time_s).fold(0.0, f64::max);
+        let mut own = part.measurements.clone();
+        for row in &mut own.rows {
+            row.index += last_index;
+            row.datum = part.set_up.datum(row.datum);
+            if let Some(context) = &mut row.context
+                && let Some(time_s) = &mut Arc::make_mut(context).time_s
+            {
+                *time_s += last_s;
+            }
+        }
+        if part.supersedes() {
+            let again = |row: &Measurement| part.measurements.rows.iter().any(|own| is_same_pose(row, own));
+            superseded.extend(all.rows.iter().filter(|row| again(row)).map(|row| row.index));
+            all.rows.retain(|row| !again(row));
+        }
+        let (count, same_columns) = (all.rows.len(), all.columns == own.columns);
+        let mut both = all.and(&own)?;
+        if same_columns {
+            for (row, own) in both.rows[count..].iter_mut().zip(own.rows) {
+                row.context = own.context;
+            }
+        }
+        all = both;
+    }
+    Ok((all, superseded))
+}
+
+fn time_s(row: &Measurement) -> Option<f64> {
+    row.context.as_ref()?.time_s
+}
+
+/// Poses of two plans are rounded alike, degrees.
+const SAME_DEG: f64 = 1e-3;
+
+fn is_same_pose(a: &Measurement, b: &Measurement) -> bool {
+    let mut axes = a.axes.degrees().into_iter().zip(b.axes.degrees());
+    a.target == b.target && axes.all(|(a, b)| (a - b).abs() <= SAME_DEG)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dbbd_model::provenance::Artefact;
+
+    fn part(rows: &[(u32, u32, f64, f64)], first_ball: usize, first_bar: usize) -> InputPart {
+        let header = "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm,t_s\n";
+        let row = |(index, ball, axis, length): &(u32, u32, f64, f64)| {
+            format!("{index},{ball},{axis},0,0,0,0,0,{length},{index}\n")
+        };
+        let text = [header.to_owned(), rows.iter().map(row).collect()].concat();
+        let measurements = Measurements::from_csv("t.csv", &text).unwrap();
+        let lengths = TracedArtefact::from(Artefact::new(ArtefactRole::Measurements, "t.csv", text));
+        InputPart {
+            set_up: SetUpNumbers { first_ball, first_bar },
+            ..InputPart::first("t.csv".into(), lengths, measurements, None)
+        }
+    }
+
+    #[test]
+    fn parts_keep_their_balls_bars_and_order() {
+        let parts = [
+            part(&[(3, 1, 1.0, 300.0), (7, 2, 2.0, 301.0)], 0, 0),
+            part(&[(2, 1, 1.0, 300.5), (3, 2, 3.0, 302.0)], 2, 1),
+        ];
+        let (joined, superseded) = joined(&parts).unwrap();
+        assert!(superseded.is_empty());
+        let rows: Vec<_> = joined
+            .rows
+            .iter()
+            .map(|row| {
+                (
+                    row.index,
+                    row.datum.ball().unwrap().number(),
+                    row.datum.bar().unwrap().number(),
+                    time_s(row).unwrap(),
+                )
+            })
+            .collect();
+        assert_eq!(rows, [(3, 1, 1, 3.0), (7, 2, 1, 7.0), (9, 3, 2, 9.0), (10, 4, 2, 10.0)]);
+    }
+}

@@ -1,0 +1,179 @@
+//! The poses of a run that have no length yet, or that are measured again.
+
+use std::fmt;
+use std::path::Path;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use super::PlannedPoses;
+use crate::files;
+use crate::plan::{PlanFinding, PoseKind};
+use crate::recording::run;
+use crate::request::RequestSession;
+use crate::request::identify::LENGTHS;
+use crate::request::identify::tables::{lengths, measurements};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::CalibrationResult;
+use dbbd_model::robot::{AXES, BallId, max_axis_difference};
+
+/// The rows of a plan or a table that are measured again.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseRows {
+    #[default]
+    All,
+    /// The outliers of a result.
+    Outliers,
+    /// By their index.
+    Indices(Vec<u32>),
+}
+
+impl FromStr for PoseRows {
+    type Err = String;
+
+    /// Reads `outliers` or indices as `3,7-9`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "outliers" {
+            return Ok(Self::Outliers);
+        }
+        let mut indices = Vec::new();
+        for item in text.split(',') {
+            let (first, last) = item.split_once('-').unwrap_or((item, item));
+            let number = |text: &str| text.trim().parse::<u32>();
+            match (number(first), number(last)) {
+                (Ok(first), Ok(last)) if first <= last && last - first < 100_000 => {
+                    indices.extend(first..=last)
+                }
+                _ => return Err(format!("`{item}` is neither an index nor a range as 7-9, nor `outliers`")),
+            }
+        }
+        Ok(Self::Indices(indices))
+    }
+}
+
+impl fmt::Display for PoseRows {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::All => out.write_str("all"),
+            Self::Outliers => out.write_str("outliers"),
+            Self::Indices(indices) => {
+                out.write_str(&indices.iter().map(u32::to_string).collect::<Vec<_>>().join(","))
+            }
+        }
+    }
+}
+
+/// A pose of the controller: base ball and axis angles, rad.
+pub(super) type GivenPose = (BallId, [f64; AXES]);
+
+/// Axis angles of two plans are rounded alike, rad.
+const SAME_RAD: f64 = 2e-5;
+
+/// A pose of a run with its index.
+struct RunPose {
+    index: u32,
+    pose: GivenPose,
+}
+
+/// The poses that are planned again; `None` for those of the job.
+pub(super) fn given_poses(
+    poses: &PlannedPoses,
+    session: &RequestSession<'_>,
+) -> Result<Option<Vec<GivenPose>>, Diagnostic> {
+    match poses {
+        PlannedPoses::Job | PlannedPoses::Stage { .. } | PlannedPoses::Check(_) => Ok(None),
+        PlannedPoses::Remaining { runs } => remaining(runs.iter().map(AsRef::as_ref), session).map(Some),
+        PlannedPoses::Repeat { run, rows } => repeated(run, rows, session).map(Some),
+    }
+}
+
+fn remaining<'a>(
+    runs: impl Iterator<Item = &'a Path>,
+    session: &RequestSession<'_>,
+) -> Result<Vec<GivenPose>, Diagnostic> {
+    let (mut planned, mut measured): (Vec<GivenPose>, Vec<GivenPose>) = (Vec::new(), Vec::new());
+    let is_among = |list: &[GivenPose], (ball, axes): &GivenPose| {
+        list.iter().any(|(other, others)| other == ball && max_axis_difference(others, axes) < SAME_RAD)
+    };
+    for path in runs {
+        let (of_plan, with_length) = of_capture(path, session)?;
+        for RunPose { pose, .. } in of_plan {
+            if !is_among(&planned, &pose) {
+                planned.push(pose);
+            }
+        }
+        measured.extend(with_length.into_iter().map(|one| one.pose));
+    }
+    planned.retain(|pose| !is_among(&measured, pose));
+    if planned.is_empty() { Err(PlanFinding::NothingRemains.into()) } else { Ok(planned) }
+}
+
+/// The poses to be measured of the capture's plan, and those of them that have a length.
+fn of_capture(path: &Path, session: &RequestSession<'_>) -> Result<(Vec<RunPose>, Vec<RunPose>), Diagnostic> {
+    let run = run::open_run(path, None, &[], &mut |finding| session.finding(finding))?;
+    let matching = run.matching(None)?;
+    let is_measured = |index: u32| matching.observations.rows.iter().any(|row| row.index == index);
+    let rows = run.plan.rows.iter().filter(|row| row.kind == PoseKind::Measure && !row.is_passed());
+    let poses = || {
+        rows.clone()
+            .map(|row| RunPose { index: row.index, pose: (row.centre, row.axes_deg.map(f64::to_radians)) })
+    };
+    let with_length = poses().filter(|pose| is_measured(pose.index)).collect();
+    Ok((poses().collect(), with_length))
+}
+
+fn repeated(
+    path: &Path,
+    rows: &PoseRows,
+    session: &RequestSession<'_>,
+) -> Result<Vec<GivenPose>, Diagnostic> {
+    let name = path.display().to_string();
+    let of_result = if path.is_dir() { Some(path.to_owned()) } else { None };
+    let poses: Vec<RunPose> = match &of_result {
+        None if run::is_capture(path)? => of_capture(path, session)?.0,
+        _ => {
+            let table = of_result.as_ref().map_or(path.to_owned(), |result| result.join(LENGTHS));
+            let read = measurements(&table, lengths, &mut Vec::new(), session)?;
+            let pose = |row: &dbbd_model::measurement::Measurement| {
+                Some(RunPose { index: row.index, pose: (row.datum.ball()?, row.axes.radians()) })
+            };
+            read.rows.iter().filter_map(pose).collect()
+        }
+    };
+    let wanted: Vec<u32> = match (rows, &of_result) {
+        (PoseRows::All, _) => poses.iter().map(|pose| pose.index).collect(),
+        (PoseRows::Indices(indices), _) => indices.clone(),
+        (PoseRows::Outliers, Some(result)) => {
+            let file = result.join("result.json");
+            let result =
+                CalibrationResult::from_json(&file.display().to_string(), &files::read_text(&file)?)?;
+            result.outliers.iter().map(|outlier| outlier.index).collect()
+        }
+        (PoseRows::Outliers, None) => {
+            return Err(Diagnostic::file(&name, PlanFinding::OutliersWithoutResult));
+        }
+    };
+    let mut again: Vec<GivenPose> = Vec::new();
+    for index in wanted {
+        let Some(found) = poses.iter().find(|pose| pose.index == index) else {
+            return Err(Diagnostic::file(&name, PlanFinding::NoSuchRow { index }));
+        };
+        again.push(found.pose);
+    }
+    if again.is_empty() { Err(Diagnostic::file(&name, PlanFinding::NothingRemains)) } else { Ok(again) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_indices_and_ranges() {
+        assert_eq!("3,7-9".parse(), Ok(PoseRows::Indices(vec![3, 7, 8, 9])));
+        assert_eq!("outliers".parse(), Ok(PoseRows::Outliers));
+        for wrong in ["", "a", "9-7", "1,,2", "1-999999999"] {
+            assert!(wrong.parse::<PoseRows>().is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! A run that was stopped is completed by another one, poses are measured again, and nothing is overwritten.
+
+use std::fs;
+use std::path::Path;
+
+use dbbd_job::plan::PoseKind;
+use dbbd_job::recording::run::read_plan;
+use dbbd_model::estimation::CalibrationResult;
+use dbbd_model::measurement::Measurements;
+
+use crate::cell::{codes, dbbd, stderr};
+
+const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\
+    length_u_mm = 0.002\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
+    [[circle]]\nplane = \"XY\"\npoints = 40\namplitude_deg = 25.0\ntilt_deg = 30.0\n\
+    [identity]\nmeasured = \"2026-11-20\"\n";
+
+fn done(at: &Path, args: &[&str]) -> Vec<String> {
+    let output = dbbd(at, args);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{args:?}: {}", stderr(&output));
+    codes(&output)
+}
+
+fn result(at: &Path, out: &str) -> CalibrationResult {
+    let file = at.join(out).join("result.json");
+    CalibrationResult::from_json(out, &fs::read_to_string(file).unwrap()).unwrap()
+}
+
+fn lengths(at: &Path, out: &str) -> Measurements {
+    Measurements::from_csv(out, &fs::read_to_string(at.join(out).join("lengths.csv")).unwrap()).unwrap()
+}
+
+/// The first part of a capture, as a computer leaves it whose power failed.
+fn cut(at: &Path, whole: &str, part: &str, share: f64) {
+    let bytes = fs::read(at.join(whole)).unwrap();
+    fs::write(at.join(part), &bytes[..(share * bytes.len() as f64) as usize]).unwrap();
+}
+
+#[test]
+fn a_stopped_run_is_completed() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    fs::write(at.join("job.toml"), JOB).unwrap();
+    done(at, &["plan", "job.toml", "--out", "plan"]);
+    done(at, &["acquire", "--port", "sim", "--seed", "3", "--plan", "plan/plan.csv", "--out", "whole.dbbd"]);
+    cut(at, "whole.dbbd", "first.dbbd", 0.5);
+    done(at, &["plan", "job.toml", "--remaining", "first.dbbd", "--out", "rest"]);
+    done(at, &["acquire", "--port", "sim", "--seed", "4", "--plan", "rest/plan.csv", "--out", "second.dbbd"]);
+    done(at, &["identify", "whole.dbbd", "--out", "o"]);
+    let joined = ["identify", "first.dbbd", "second.dbbd", "--same-setup", "--out", "parts"];
+    assert!(done(at, &joined).contains(&"I1342".to_owned()));
+    // Each pose has one length.
+    let (whole, parts) = (lengths(at, "o"), lengths(at, "parts"));
+    let measured = |table: &Measurements| {
+        let is_measured = |row: &&dbbd_model::measurement::Measurement| {
+            row.context.as_ref().is_none_or(|context| context.kind != Some(PoseKind::Reference))
+        };
+        let axes = |row: &dbbd_model::measurement::Measurement| {
+            row.axes.degrees().map(|deg| (deg * 1e3).round() as i64)
+        };
+        let mut poses: Vec<[i64; 6]> = table.rows.iter().filter(is_measured).map(axes).collect();
+        poses.sort_unstable();
+        poses
+    };
+    assert_eq!(measured(&whole), measured(&parts));
+    assert_eq!(measured(&whole).len(), 40);
+    // The parameters agree within their uncertainty, and the certificate of the bar went along.
+    let (whole, parts) = (result(at, "o"), result(at, "parts"));
+    for (one, other) in whole.parameters.iter().zip(&parts.parameters) {
+        assert_eq!(one.name, other.name);
+        if let (Some(a), Some(b)) = (one.sd, other.sd) {
+            let z = (one.identified - other.identified).abs() / a.hypot(b);
+            assert!(z < 4.0, "{}: {} and {}", one.name, one.identified, other.identified);
+        }
+    }
+    let bar = |result: &CalibrationResult| {
+        result.parameters.iter().find(|one| one.name.to_string() == "bar_offset").and_then(|one| one.prior_sd)
+    };
+    assert_eq!((bar(&whole), bar(&parts)), (Some(0.001), Some(0.001)));
+    // By the date both are of one set-up; a set-up of its own has balls and a bar of its own.
+    done(at, &["identify", "first.dbbd", "second.dbbd", "--new-setup", "--out", "new"]);
+    assert!(result(at, "new").parameters.iter().any(|one| one.name.to_string() == "centre2_x"));
+    // Nothing remains.
+    let output = dbbd(at, &["plan", "job.toml", "--remaining", "whole.dbbd", "--out", "none"]);
+    assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0722".to_owned()]));
+    let output = dbbd(at, &["identify", "whole.dbbd", "whole.dbbd", "--out", "twice"]);
+    assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1306".to_owned()]));
+}
+
+#[test]
+fn poses_are_measured_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    fs::write(at.join("job.toml"), JOB).unwrap();
+    done(at, &["plan", "job.toml", "--out", "plan"]);
+    done(at, &["acquire", "--port", "sim", "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    let plan = read_plan(&at.join("plan/plan.csv")).unwrap();
+    let measured: Vec<u32> =
+        plan.rows.iter().filter(|row| row.kind == PoseKind::Measure).map(|row| row.index).collect();
+    let rows = format!("run.dbbd:{},{}", measured[3], measured[9]);
+    done(at, &["plan", "job.toml", "--repeat", &rows, "--out", "again"]);
+    done(at, &["acquire", "--port", "sim", "--seed", "9", "--plan", "again/plan.csv", "--out", "again.dbbd"]);
+    done(at, &["identify", "run.dbbd", "again.dbbd", "--same-setup", "--out", "o"]);
+    let table = lengths(at, "o");
+    let is_first = |index: u32| table.rows.iter().any(|row| row.index == index);
+    assert!(!is_first(measured[3]) && !is_first(measured[9]) && is_first(measured[4]));
+    let output = dbbd(at, &["plan", "job.toml", "--repeat", "run.dbbd:1", "--out", "none"]);
+    assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0722".to_owned()]));
+}
+
+#[test]
+fn nothing_is_overwritten() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    fs::write(at.join("job.toml"), JOB).unwrap();
+    done(at, &["plan", "job.toml", "--out", "plan"]);
+    let first = fs::read(at.join("plan/plan.csv")).unwrap();
+    done(at, &["krl", "plan/plan.csv", "--out", "krl"]);
+    fs::write(at.join("job.toml"), JOB.replace("tilt_deg = 30.0", "tilt_deg = 31.0")).unwrap();
+    // The program would be that of the earlier job.
+    assert!(done(at, &["krl", "plan/plan.csv", "--out", "old"]).contains(&"W0885".to_owned()));
+    done(at, &["plan", "job.toml", "--out", "plan"]);
+    assert_eq!(fs::read(at.join("plan/previous-1/plan.csv")).unwrap(), first);
+    assert_ne!(fs::read(at.join("plan/plan.csv")).unwrap(), first);
+    let program = fs::read(at.join("krl/DBB_C001.src")).unwrap();
+    let output = dbbd(at, &["krl", "plan/plan.csv", "--out", "krl"]);
+    assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0182".to_owned()]));
+    assert_eq!(fs::read(at.join("krl/DBB_C001.src")).unwrap(), program);
+    done(at, &["krl", "plan/plan.csv", "--out", "krl", "--replace"]);
+    assert_ne!(fs::read(at.join("krl/DBB_C001.src")).unwrap(), program);
+    done(at, &["plan", "job.toml", "--out", "plan", "--replace"]);
+    assert!(!at.join("plan/previous-2").exists());
+}
+
+/// The program of an earlier plan, and the plan that was made after it.
+#[test]
+fn a_program_of_another_plan_gives_no_lengths() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    for (job, tilt) in [("old", "30.0"), ("new", "30.5")] {
+        fs::write(at.join("job.toml"), JOB.replace("tilt_deg = 30.0", &format!("tilt_deg = {tilt}")))
+            .unwrap();
+        done(at, &["plan", "job.toml", "--out", job]);
+    }
+    done(at, &["acquire", "--port", "sim", "--plan", "old/plan.csv", "--out", "run.dbbd"]);
+    let output = dbbd(at, &["sync", "run.dbbd", "--plan", "new/plan.csv", "--out", "obs.csv"]);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    assert!(codes(&output).contains(&"E1084".to_owned()), "{}", stderr(&output));
+    assert!(!at.join("obs.csv").exists());
+    done(at, &["sync", "run.dbbd", "--plan", "old/plan.csv", "--out", "obs.csv"]);
+}
+
+#[test]
+fn the_simulated_bar_speaks_the_protocol_of_the_plan() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    fs::write(at.join("job.toml"), JOB.replace("length_u_mm", "protocol = \"dbb-csv-1\"\nlength_u_mm"))
+        .unwrap();
+    done(at, &["plan", "job.toml", "--out", "plan"]);
+    for (seed, out) in [("1", "a"), ("1", "b"), ("2", "c")] {
+        done(at, &["acquire", "--port", "sim", "--seed", seed, "--plan", "plan/plan.csv", "--out", out]);
+        done(at, &["sync", out, "--out", &format!("{out}.csv")]);
+    }
+    let table = |name: &str| fs::read_to_string(at.join(name)).unwrap();
+    assert_eq!(table("a.csv"), table("b.csv"));
+    assert_ne!(table("a.csv"), table("c.csv"));
+    let output = dbbd(at, &["acquire", "--port", "tcp://127.0.0.1:1", "--seed", "1", "--out", "d"]);
+    assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1601".to_owned()]));
+}
