@@ -157,6 +157,13 @@ impl CollectedInfo {
                 info.gaps += 1;
                 info.missing = info.missing.saturating_add(missing.unwrap_or(0));
             }
+            CaptureRecord::Event(RunEvent::Withheld { gaps, missing, others }) => {
+                info.gaps = info.gaps.saturating_add(gaps);
+                info.missing = info.missing.saturating_add(missing);
+                if others > 0 {
+                    info.remarks.push(format!("{others} further remarks within a second were not recorded"));
+                }
+            }
             CaptureRecord::Event(RunEvent::Controller { .. }) => info.controller_events += 1,
             CaptureRecord::Event(RunEvent::Mark { text }) => info.remarks.push(text),
             CaptureRecord::Event(RunEvent::Opened { stamps, .. }) => info.stamps = info.stamps.or(stamps),

@@ -124,9 +124,11 @@ def timed(work):
     return time.time() - begun if status == 200 else float("inf")
 
 
-def under_storm(addresses, pid, held):
+def under_storm(addresses, pid):
     """What the operator sees of a storm: the delays by kind, the memory before, at most and a minute later."""
     before, sizes = memory_kb(pid), []
+    held = connect(OPERATOR, 1.0)
+    assert answer(held, request("GET", "/api/v1/status"))[0] == 200
     opened = [multiprocessing.Value("l", 0) for _ in range(2)]
     end = time.time() + SECONDS
     processes = [multiprocessing.Process(target=storm, args=(addresses, end, count)) for count in opened]
@@ -183,12 +185,10 @@ def wrong_tokens(source, end):
 
 def main(cell, service):
     assert ask("POST", "/api/v1/run", {"name": "storm"})[0] == 201
-    held = connect(OPERATOR, 1.0)
-    assert answer(held, request("GET", "/api/v1/status"))[0] == 200
     time.sleep(2)
     wrong = []
     for count in (1, 8):
-        wrong += under_storm([f"127.0.0.{number}" for number in range(1, count + 1)], service.pid, held)
+        wrong += under_storm([f"127.0.0.{number}" for number in range(1, count + 1)], service.pid)
     guessing = multiprocessing.Process(target=wrong_tokens, args=("127.0.0.1", time.time() + 62))
     guessing.start()
     time.sleep(60)

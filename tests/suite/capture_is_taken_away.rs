@@ -126,6 +126,23 @@ fn truncated_capture_continues_in_a_new_file() {
     }
 }
 
+/// Nothing shows it while it is recorded: the length is right. The capture is read back at the end.
+#[test]
+fn overwritten_capture_is_damaged() {
+    use std::os::unix::fs::FileExt;
+    let recording = Recording::begin();
+    let path = recording.path("runs/run.dbbd");
+    let over = fs::OpenOptions::new().write(true).open(&path).unwrap();
+    over.write_all_at(&[0x55; 3000], 20_000).unwrap();
+    clock::sleep(0.7);
+    signal(&recording.child, "INT");
+    let output = recording.child.wait_with_output().unwrap();
+    let found = codes(&output);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(found.iter().any(|code| code == "W0410"), "{found:?}");
+    assert_eq!(read(&path).damages.len(), 1);
+}
+
 #[test]
 fn other_users_cannot_read_a_capture() {
     use std::os::unix::fs::PermissionsExt;

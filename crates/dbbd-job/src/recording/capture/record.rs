@@ -56,6 +56,14 @@ pub enum RunEvent {
         missing: Option<u64>,
         reason: String,
     },
+    /// Events that have no record of their own, because too many came within a second.
+    Withheld {
+        gaps: u64,
+        /// Number of samples that are missing in these gaps, as far as it is known.
+        missing: u64,
+        /// Remarks, actions and findings.
+        others: u64,
+    },
     /// A telegram of the controller: phase 1 at the start of a dwell, 2 at its end.
     Controller {
         index: u32,

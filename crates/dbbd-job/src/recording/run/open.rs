@@ -96,6 +96,11 @@ fn unlikely_date(identity: &Identity) -> Option<RecordingFinding> {
     wrong.err().map(|(_, why)| RecordingFinding::UnlikelyDate { why: why.message() })
 }
 
+/// Reads the capture at `path` back and returns what is damaged in it.
+pub fn damages(path: &Path) -> Result<Vec<RecordingFinding>, Diagnostic> {
+    Ok(CaptureSummary::over(path, |_| Ok(()))?.findings())
+}
+
 /// Findings about lengths that were lost between the capture at `path` and the poses of its plan.
 pub fn losses(path: &Path) -> Result<Vec<Diagnostic>, Diagnostic> {
     let run = open_run(path, None, &[], &mut |_| {})?;
