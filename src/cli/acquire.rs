@@ -281,7 +281,7 @@ fn conclude(summary: &AcquisitionSummary, args: &AcquireArgs, out: &CommandOutpu
     // Another program may have written into the file: it is read back.
     out.findings_in(capture.display(), run::damages(capture)?);
     if args.plan.is_some() && counts.samples > 0 {
-        out.findings(run::losses(capture)?);
+        out.findings(run::losses_at_end(capture, counts.samples, run::MAX_COMPARED)?);
     }
     Ok(())
 }

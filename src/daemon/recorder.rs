@@ -162,7 +162,10 @@ impl EventRate {
     /// Whether the event may have a record; it is counted if not. What the evaluation needs always has one.
     fn admits(&mut self, event: &RunEvent) -> bool {
         let counts = match event {
-            RunEvent::Gap { missing, .. } => [1, missing.unwrap_or(0), 0],
+            RunEvent::Gap { .. } => {
+                let (gaps, missing) = event.gaps();
+                [gaps, missing, 0]
+            }
             RunEvent::Mark { .. } | RunEvent::Operator { .. } | RunEvent::Finding { .. } => [0, 0, 1],
             RunEvent::Started { .. }
             | RunEvent::Opened { .. }

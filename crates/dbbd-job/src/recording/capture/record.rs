@@ -87,6 +87,24 @@ pub enum RunEvent {
     Ended(RunEnd),
 }
 
+impl RunEvent {
+    /// The number of gaps that the event records, and of the samples known to be missing in them.
+    pub fn gaps(&self) -> (u64, u64) {
+        match self {
+            Self::Gap { missing, .. } => (1, missing.unwrap_or(0)),
+            Self::Withheld { gaps, missing, .. } => (*gaps, *missing),
+            Self::Started { .. }
+            | Self::Opened { .. }
+            | Self::AxesOpened { .. }
+            | Self::Controller { .. }
+            | Self::Mark { .. }
+            | Self::Operator { .. }
+            | Self::Finding { .. }
+            | Self::Ended(_) => (0, 0),
+        }
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunEnd {
     pub reason: String,
