@@ -96,7 +96,7 @@ impl Gate {
         self.access.check_site(request.uri(), request.headers(), own_pages_only)?;
         let client = self.access.client(request.headers(), peer.address);
         let credentials = self.access.credentials(request.headers(), client);
-        peer.authenticated(credentials == Credentials::Valid);
+        peer.authenticated(credentials.check().is_ok());
         // The files hold no secret, and the page asks for the token.
         if is_file || (path == SESSION && request.method() == Method::POST) {
             return Ok(());

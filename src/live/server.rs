@@ -1,10 +1,12 @@
 //! The HTTP server: accepts connections and limits their number, the size and time of request heads, and send stalls.
 //!
 //! Every connection is accepted at once; otherwise those that wait for it would keep the operator from *stop*. At a limit
-//! another connection is closed for a new one: first one that has not authenticated, then one without a request in
-//! progress, then the one that has been idle longest. A young connection is never closed for another, because its request
-//! may be on the way. If only young ones are left, the new connection is closed before anything is allocated for it.
+//! another connection is closed for a new one: first one that has not authenticated, then one of the network that has most,
+//! then one without a request in progress, then the one that has been idle longest. A young connection is never closed for
+//! another, because its request may be on the way. If only young ones are left, the new connection is closed before
+//! anything is allocated for it.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::future::Future;
 use std::io::{self, ErrorKind};
@@ -53,7 +55,7 @@ const MAX_UNAUTHENTICATED: usize = 128;
 /// a network would admit fewer new connections per second than a storm from it makes (64 / 0.01 s = 6400).
 const YOUNG_S: f64 = 0.01;
 /// Connections that may wait to be accepted. The system lets a client repeat its handshake a second later if there are more.
-const BACKLOG: u32 = 1024;
+const BACKLOG: u32 = 4096;
 
 fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
@@ -282,11 +284,17 @@ impl Table {
             Rivals::Unauthenticated(network) => !entry.authenticated && entry.network == *network,
             Rivals::All => true,
         };
+        let of_network = |network: IpAddr| match rivals {
+            Rivals::All => self.open.iter().filter(|entry| entry.network == network).count(),
+            Rivals::None | Rivals::Unauthenticated(_) => 0,
+        };
         let open = self.open.iter().enumerate();
         let grown =
             open.filter(|(_, entry)| is_rival(entry) && now.seconds_since(entry.last_event) >= YOUNG_S);
-        let order =
-            |(_, entry): &(usize, &Entry)| (entry.authenticated, entry.busy > 0, entry.last_event, entry.id);
+        let order = |(_, entry): &(usize, &Entry)| {
+            let most = Reverse(of_network(entry.network));
+            (entry.authenticated, most, entry.busy > 0, entry.last_event, entry.id)
+        };
         grown.min_by_key(order).map(|(at, _)| at)
     }
 }
@@ -456,6 +464,17 @@ mod tests {
         let (closed, _new) = connections.instead(ip(99), later(1.0)).expect("one is not young");
         assert_eq!(closed, ip(2));
         assert!(!connections.has(&many[0]) && mine.iter().all(|place| connections.has(place)));
+    }
+
+    /// Where no token is required, all who ask are authenticated.
+    #[test]
+    fn network_with_most_connections_gives_a_place_when_all_are_taken() {
+        let connections = Connections::default();
+        let _many = connections.open(ip(1), 250, true, 1);
+        let idle = connections.open(ip(2), 6, true, 0);
+        let (closed, _new) = connections.instead(ip(3), later(1.0)).expect("one is not young");
+        assert_eq!(closed, ip(1));
+        assert!(idle.iter().all(|place| connections.has(place)));
     }
 
     #[test]
