@@ -111,16 +111,31 @@ fn measured(arguments: &[&str]) -> [f64; 3] {
     [seconds, processor_s() - before, peak_kb / 1024.0]
 }
 
+/// Writes a capture of so many samples into `directory`, with the plan that it was recorded with.
+fn record(directory: &Path, samples: u64) -> String {
+    let path = |name: &str| directory.join(name).to_str().unwrap().to_owned();
+    let job = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/demo.toml");
+    measured(&["plan", job, "--out", &path("plan")]);
+    write(Path::new(&path("run")), &directory.join("plan/plan.csv"), samples);
+    path("run")
+}
+
+/// Peak memory of the matching of so many samples, MB.
+#[allow(dead_code)] // the bench does not use it
+pub(crate) fn sync_peak_mb(samples: u64) -> f64 {
+    let directory = tempfile::tempdir().unwrap();
+    let run = record(directory.path(), samples);
+    measured(&["sync", &run, "--out", directory.path().join("obs.csv").to_str().unwrap()])[2]
+}
+
 /// Writes a capture of so many samples and runs the verbs on it, each so many times.
 pub(crate) fn run(samples: u64, times: usize) {
     let directory = tempfile::tempdir().unwrap();
     let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
-    let job = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/demo.toml");
-    measured(&["plan", job, "--out", &path("plan")]);
-    write(Path::new(&path("run")), &directory.path().join("plan/plan.csv"), samples);
-    let bytes = std::fs::metadata(path("run")).unwrap().len();
+    let run = record(directory.path(), samples);
+    let bytes = std::fs::metadata(&run).unwrap().len();
     eprintln!("{samples} samples, {bytes} bytes, {:.1} a sample", bytes as f64 / samples as f64);
-    let (run, observations, circle, tables) = (path("run"), path("obs.csv"), path("circle"), path("csv"));
+    let (observations, circle, tables) = (path("obs.csv"), path("circle"), path("csv"));
     let verbs: [&[&str]; 5] = [
         &["info", &run],
         &["sync", &run, "--out", &observations],

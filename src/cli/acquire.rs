@@ -40,8 +40,8 @@ reported its last dwell and closed the channel), after --duration, on a signal (
 SIGUSR1, SIGUSR2; after `nohup` not on SIGHUP), or when the port stays away for --gone. Bytes are written before they are \
 decoded: if the process is killed, at most the record being written is lost; if the power fails, what arrived since the \
 last --sync-every. If the disk is full or fails, the run ends and every complete record is kept (exit code 1). Exit code \
-3: samples, poses or time are missing, nothing was decoded, or the capture was taken away and recording continued in a \
-new file.";
+3: samples, poses or time are missing, nothing was decoded, the capture was taken away and recording continued in a new \
+file, or another program wrote into it.";
 
 /// Record the readings of a bar in a capture.
 ///
@@ -294,10 +294,10 @@ fn conclude(summary: &AcquisitionSummary, args: &AcquireArgs, out: &CommandOutpu
     ));
     out.findings(doubts(summary, args));
     out.findings(axes_doubts(summary, args));
-    // What was written may have been overwritten since.
-    out.findings_in(capture.display(), CaptureSummary::over(capture, |_| Ok(()))?.findings());
+    // Another program may have written into the file: it is read back.
+    out.findings_in(capture.display(), run::damages(capture)?);
     if args.plan.is_some() && counts.samples > 0 {
-        out.findings(run::losses(capture)?);
+        out.findings(run::losses_at_end(capture, counts.samples, run::MAX_COMPARED)?);
     }
     Ok(())
 }

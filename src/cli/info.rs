@@ -125,6 +125,11 @@ impl CollectedInfo {
     fn add(&mut self, stamped: StampedRecord) {
         self.axes.add(stamped.host, &stamped.record, |_, _, _| {});
         let info = &mut self.info;
+        if let CaptureRecord::Event(event) = &stamped.record {
+            let (gaps, missing) = event.gaps();
+            (info.gaps, info.missing) =
+                (info.gaps.saturating_add(gaps), info.missing.saturating_add(missing));
+        }
         match stamped.record {
             CaptureRecord::Attachment { name, content } => {
                 info.attachments.insert(name.clone(), content.len());
@@ -153,9 +158,8 @@ impl CollectedInfo {
                 info.started_unix_ns = Some(unix_ns);
                 info.dbbd = Some(version);
             }
-            CaptureRecord::Event(RunEvent::Gap { missing, .. }) => {
-                info.gaps += 1;
-                info.missing = info.missing.saturating_add(missing.unwrap_or(0));
+            CaptureRecord::Event(RunEvent::Withheld { others: others @ 1.., .. }) => {
+                info.remarks.push(format!("{others} further remarks within a second were not recorded"));
             }
             CaptureRecord::Event(RunEvent::Controller { .. }) => info.controller_events += 1,
             CaptureRecord::Event(RunEvent::Mark { text }) => info.remarks.push(text),
@@ -167,7 +171,12 @@ impl CollectedInfo {
                 info.remarks.push(format!("{code}: {text}"))
             }
             CaptureRecord::Axes(_)
-            | CaptureRecord::Event(RunEvent::AxesOpened { .. } | RunEvent::Ended(_)) => {}
+            | CaptureRecord::Event(
+                RunEvent::AxesOpened { .. }
+                | RunEvent::Gap { .. }
+                | RunEvent::Withheld { .. }
+                | RunEvent::Ended(_),
+            ) => {}
         }
     }
 

@@ -1,6 +1,5 @@
 //! Prints results on stdout, and progress, warnings and errors on stderr. Determines the exit code.
 
-use std::borrow::Cow;
 use std::error::Error;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
@@ -23,6 +22,7 @@ use dbbd_model::base::FileFinding;
 use dbbd_model::base::InternalFinding;
 use dbbd_model::base::serialised;
 use dbbd_model::base::table::TableReader;
+use dbbd_model::base::text::escape_controls;
 use dbbd_model::diagnostic::{Diagnostic, Finding, FindingCode, Severity};
 use dbbd_model::estimation::Observability;
 
@@ -82,7 +82,7 @@ impl CommandOutput {
 
     /// Prints the answer to a request as JSON on stdout.
     pub(super) fn answer(&self, answer: &Answer) -> Result<(), Diagnostic> {
-        self.print(&answer.to_json()?);
+        self.print(&escape_controls(&answer.to_json()?));
         Ok(())
     }
 
@@ -90,7 +90,7 @@ impl CommandOutput {
     pub(crate) fn result(&self, line: impl AsRef<str>) {
         match self.results {
             _ if self.common.json => {}
-            ResultStream::Stdout => self.print(&plain(line.as_ref())),
+            ResultStream::Stdout => self.print(&escape_controls(line.as_ref())),
             ResultStream::Stderr => write_line(&mut io::stderr(), line.as_ref()),
         }
     }
@@ -144,7 +144,7 @@ impl CommandOutput {
 
     fn json(&self, value: &impl Serialize) -> Result<(), Diagnostic> {
         if self.common.json {
-            self.print(&plain(&serialised::json(value)?));
+            self.print(&escape_controls(&serialised::json(value)?));
         }
         Ok(())
     }
@@ -230,7 +230,7 @@ impl RequestWatch for CommandOutput {
             None => "{spinner} {msg} {elapsed}",
         };
         line.set_style(style(template));
-        line.set_message(what.to_owned());
+        line.set_message(escape_controls(what).into_owned());
         line.enable_steady_tick(TICK);
         Box::new(ProgressIndicator { line })
     }
@@ -249,17 +249,7 @@ pub(crate) fn style(template: &str) -> ProgressStyle {
 /// Writes a line with one system call, so that the lines of child and parent on one stderr do not mix. Ignores that the
 /// reader may be gone.
 fn write_line(to: &mut impl Write, line: &str) {
-    let _ = to.write_all(format!("{}\n", plain(line)).as_bytes());
-}
-
-/// Escapes control characters as JSON does: text from files and devices must not control the terminal.
-fn plain(text: &str) -> Cow<'_, str> {
-    let is_control = |c: char| c.is_control() && c != '\n' && c != '\t';
-    if !text.contains(is_control) {
-        return text.into();
-    }
-    let escaped = |c: char| if is_control(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
-    text.chars().map(escaped).collect::<String>().into()
+    let _ = to.write_all(format!("{}\n", escape_controls(line)).as_bytes());
 }
 
 /// A finding as a line `warning[W0123]: FILE:LINE: ..`, with the options that its cure is about.
@@ -311,7 +301,7 @@ pub(super) fn finish(out: &CommandOutput, result: Result<CommandOutcome, Diagnos
             write_line(&mut io::stderr(), &labelled(&error));
             if out.common.json {
                 let document = serde_json::json!({ "error": error });
-                out.print(&plain(&format!("{document:#}")));
+                out.print(&escape_controls(&format!("{document:#}")));
             }
             ExitCode::FAILURE
         }

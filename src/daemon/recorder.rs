@@ -24,6 +24,8 @@ const SILENT_S: f64 = 1.0;
 const ONE_BY_ONE: u32 = 16;
 /// Interval between checks of the capture file, s.
 const CHECK_S: f64 = 0.5;
+/// Events of a second that have a record each: more than a bar of 1 kHz that loses every tenth sample makes.
+const MAX_EVENTS: u32 = 200;
 /// Without a plan the program is over when the strobe stays low for this time after an end mark, s.
 const OVER_S: f64 = 20.0;
 
@@ -53,6 +55,7 @@ pub struct Recorder {
     decoded: Vec<DecodedItem>,
     stream: BarStream,
     upkeep: CaptureUpkeep,
+    rate: EventRate,
     /// The time of the device, if it has a clock.
     time: Option<DeviceTime>,
     program: ProgramEnd,
@@ -125,6 +128,60 @@ impl PendingCapture {
     fn flush(&mut self) -> Result<(), Diagnostic> {
         self.flush_samples()?;
         self.flush_fault()
+    }
+}
+
+/// Limits the records of events that a broken or hostile line, client or controller can cause.
+struct EventRate {
+    second: HostNs,
+    /// Events of this second.
+    events: u32,
+    /// Gaps, samples missing in them, and other events since the last record of what was withheld.
+    withheld: [u64; 3],
+}
+
+impl EventRate {
+    fn new(now: HostNs) -> Self {
+        Self { second: now, events: 0, withheld: [0; 3] }
+    }
+
+    /// What was withheld, when its second is over.
+    fn due(&mut self, now: HostNs) -> Option<RunEvent> {
+        if now.seconds_since(self.second) < 1.0 {
+            return None;
+        }
+        (self.second, self.events) = (now, 0);
+        self.withheld()
+    }
+
+    fn withheld(&mut self) -> Option<RunEvent> {
+        let [gaps, missing, others] = std::mem::take(&mut self.withheld);
+        (gaps + others > 0).then_some(RunEvent::Withheld { gaps, missing, others })
+    }
+
+    /// Whether the event may have a record; it is counted if not. What the evaluation needs always has one.
+    fn admits(&mut self, event: &RunEvent) -> bool {
+        let counts = match event {
+            RunEvent::Gap { .. } => {
+                let (gaps, missing) = event.gaps();
+                [gaps, missing, 0]
+            }
+            RunEvent::Mark { .. } | RunEvent::Operator { .. } | RunEvent::Finding { .. } => [0, 0, 1],
+            RunEvent::Started { .. }
+            | RunEvent::Opened { .. }
+            | RunEvent::AxesOpened { .. }
+            | RunEvent::Withheld { .. }
+            | RunEvent::Controller { .. }
+            | RunEvent::Ended(_) => return true,
+        };
+        self.events = self.events.saturating_add(1);
+        if self.events <= MAX_EVENTS {
+            return true;
+        }
+        for (sum, count) in self.withheld.iter_mut().zip(counts) {
+            *sum = sum.saturating_add(count);
+        }
+        false
     }
 }
 
@@ -304,6 +361,7 @@ impl Recorder {
                 rate_samples: 0,
                 findings: Vec::new(),
             },
+            rate: EventRate::new(now),
             time: definition.clock.map(|clock| DeviceTime::new(clock.into())),
             program: ProgramEnd::new(modules),
             axes: AxesRecords::default(),
@@ -330,6 +388,13 @@ impl Recorder {
     pub fn event(&mut self, host: HostNs, event: RunEvent) -> Result<(), Diagnostic> {
         if matches!(event, RunEvent::Gap { .. }) {
             self.progress.counts.gaps += 1;
+        }
+        if let Some(withheld) = self.rate.due(host) {
+            self.capture.flush()?;
+            self.capture.write(host, &CaptureRecord::Event(withheld))?;
+        }
+        if !self.rate.admits(&event) {
+            return Ok(());
         }
         self.capture.flush()?;
         let record = CaptureRecord::Event(event);
@@ -485,6 +550,9 @@ impl Recorder {
         if let Some(feed) = &mut self.feed {
             feed.tick(now);
         }
+        if let Some(withheld) = self.rate.due(now) {
+            self.event(now, withheld)?;
+        }
         let upkeep = &mut self.upkeep;
         let since_s = now.seconds_since(upkeep.rate_since);
         if since_s >= 1.0 {
@@ -518,6 +586,9 @@ impl Recorder {
         self.silent(now, SILENT_S)?;
         self.interrupted(now)?;
         self.capture.flush_fault()?;
+        if let Some(withheld) = self.rate.withheld() {
+            self.event(now, withheld)?;
+        }
         self.program.finish();
         self.progress.counts.dwells = self.progress.counts.dwells.max(self.program.dwells);
         self.progress.counts.elapsed_s = now.seconds_since(self.upkeep.began);
@@ -600,6 +671,20 @@ mod tests {
         assert_eq!(missing(250), Some(None));
         let mut none = SequenceNumbers { modulo: None, last: Some(1) };
         assert_eq!(none.gap(&Sample { sequence: Some(9), ..Sample::of(0.0) }), None);
+    }
+
+    #[test]
+    fn events_beyond_the_rate_are_counted() {
+        let mut rate = EventRate::new(at(1.0));
+        let gap = || RunEvent::Gap { seconds: None, missing: Some(3), reason: String::new() };
+        assert_eq!((0..300).filter(|_| rate.admits(&gap())).count(), 200);
+        assert!(!rate.admits(&RunEvent::Mark { text: String::new() }));
+        let telegram = RunEvent::Controller { index: 1, phase: 1, axes_deg: [0.0; 6] };
+        assert!(rate.admits(&telegram));
+        assert_eq!(rate.due(at(1.9)), None);
+        assert_eq!(rate.due(at(2.0)), Some(RunEvent::Withheld { gaps: 100, missing: 300, others: 1 }));
+        assert!(rate.admits(&gap()));
+        assert_eq!((rate.due(at(2.9)), rate.due(at(3.0)), rate.withheld()), (None, None, None));
     }
 
     #[test]

@@ -41,7 +41,7 @@ fn open_stopped(address: &PortAddress, definition: &ProtocolDefinition) -> Resul
     let mut stale = find_rate(&mut port, address, definition)?;
     stale += perform(&mut port, &definition.stop)?.count();
     if definition.stop.is_empty() {
-        stale += port.drain(Duration::from_millis(1))?.len() as u64;
+        stale += port.drain(Duration::from_millis(1))?;
     }
     Ok((port, stale))
 }
@@ -169,8 +169,7 @@ fn perform(port: &mut Port, steps: &[CommandStep]) -> Result<CommandReply, PortF
             CommandStep::DtrPulse(duration) => port.pulse_dtr(*duration)?,
             CommandStep::Wait(duration) => clock::sleep(duration.as_secs_f64()),
             CommandStep::Drain(quiet) => {
-                let discarded = port.drain(*quiet)?.len() + std::mem::take(&mut received.rest).len();
-                received.drained += discarded as u64;
+                received.drained += port.drain(*quiet)? + std::mem::take(&mut received.rest).len() as u64;
             }
         }
     }

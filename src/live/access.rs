@@ -7,7 +7,7 @@ use dbbd_model::base::InternalFinding::NoSystem;
 use std::collections::VecDeque;
 use std::hint::black_box;
 use std::io;
-use std::net::{IpAddr, Ipv6Addr};
+use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 use std::sync::Mutex;
 
 use axum::http::header::{AUTHORIZATION, COOKIE, HOST, HeaderMap, ORIGIN};
@@ -21,6 +21,8 @@ use dbbd_model::diagnostic::Diagnostic;
 
 /// Name of the session cookie.
 pub(super) const COOKIE_NAME: &str = "dbbd";
+/// Names the client of a proxy.
+const FORWARDED_FOR: &str = "x-forwarded-for";
 /// A shorter token can be guessed.
 const SHORTEST_TOKEN: usize = 16;
 /// Sessions at a time. A new one ends the oldest.
@@ -31,6 +33,8 @@ pub struct Access {
     loopback: bool,
     hosts: Vec<String>,
     token: Option<Token>,
+    /// Proxies whose `X-Forwarded-For` names the client.
+    proxies: Vec<IpAddr>,
     /// Values of the session cookies, the oldest first.
     sessions: Mutex<VecDeque<String>>,
     failed: Mutex<FailedLogins>,
@@ -39,20 +43,21 @@ pub struct Access {
 /// The token or session cookie of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Credentials {
-    /// Valid, or none is required.
+    /// None is required.
+    NotRequired,
     Valid,
     Missing,
     Wrong,
-    /// Not compared: too many wrong tokens came from this address.
-    RateLimited,
+    /// Wrong, as too many others from this client were.
+    TooManyWrong,
 }
 
 impl Credentials {
     pub(super) fn check(self) -> Result<(), Problem> {
         match self {
-            Self::Valid => Ok(()),
+            Self::NotRequired | Self::Valid => Ok(()),
             Self::Missing | Self::Wrong => Err(Problem::new(StatusCode::UNAUTHORIZED, NoToken)),
-            Self::RateLimited => Err(Diagnostic::new(TooManyGuesses).into()),
+            Self::TooManyWrong => Err(Diagnostic::new(TooManyGuesses).into()),
         }
     }
 }
@@ -97,7 +102,32 @@ impl Access {
     pub fn new(address: IpAddr, hosts: &[String], token: Option<Token>) -> Self {
         let hosts = hosts.iter().map(|host| host.to_ascii_lowercase()).collect();
         let (sessions, failed) = (Mutex::default(), Mutex::default());
-        Self { loopback: address.is_loopback(), hosts, token, sessions, failed }
+        Self { loopback: address.is_loopback(), hosts, token, proxies: Vec::new(), sessions, failed }
+    }
+
+    /// Trusts these proxies to name their clients in `X-Forwarded-For`.
+    #[must_use]
+    pub fn behind(self, proxies: Vec<IpAddr>) -> Self {
+        Self { proxies, ..self }
+    }
+
+    /// The address of the client: that of the connection, or what a trusted proxy says. Each proxy adds the address that
+    /// it sees at the end, so the last one that is no trusted proxy is the client, whatever stands before it.
+    pub(super) fn client(&self, headers: &HeaderMap, connected: IpAddr) -> IpAddr {
+        let named = headers.get_all(FORWARDED_FOR).iter().rev();
+        let named = named.flat_map(|value| value.to_str().unwrap_or_default().rsplit(','));
+        let mut client = connected.to_canonical();
+        for named in named.map(str::trim) {
+            if !self.proxies.contains(&client) {
+                break;
+            }
+            let address = named.parse().or_else(|_| named.parse().map(|socket: SocketAddr| socket.ip()));
+            match address {
+                Ok(address) => client = IpAddr::to_canonical(&address),
+                Err(_) => break,
+            }
+        }
+        client
     }
 
     /// Checks Host and Origin. `own_pages_only` also refuses links from other sites.
@@ -149,7 +179,10 @@ impl Access {
 
     /// Checks the session cookie, then the bearer token.
     pub(super) fn credentials(&self, headers: &HeaderMap, address: IpAddr) -> Credentials {
-        if self.token.is_none() || self.session(headers).is_some() {
+        if self.token.is_none() {
+            return Credentials::NotRequired;
+        }
+        if self.session(headers).is_some() {
             return Credentials::Valid;
         }
         let bearer = headers.get(AUTHORIZATION).map(|value| value.as_bytes());
@@ -159,18 +192,14 @@ impl Access {
         }
     }
 
-    /// Compares a token and counts wrong ones.
+    /// Compares a token and counts wrong ones. The right one is never limited: whoever sends wrong ones would keep the
+    /// operator behind the same address from *stop*.
     fn compare(&self, sent: &[u8], address: IpAddr) -> Credentials {
-        let Some(token) = &self.token else { return Credentials::Valid };
-        let mut failed = lock(&self.failed);
-        if failed.is_limited(address) {
-            return Credentials::RateLimited;
-        }
+        let Some(token) = &self.token else { return Credentials::NotRequired };
         if same(sent, token.0.as_bytes()) {
             return Credentials::Valid;
         }
-        failed.add(address);
-        Credentials::Wrong
+        if lock(&self.failed).add(address) { Credentials::TooManyWrong } else { Credentials::Wrong }
     }
 
     /// The value of the request's session cookie, if the session exists.
@@ -187,9 +216,10 @@ impl Access {
     pub(super) fn log_in(&self, token: &str, address: IpAddr) -> Result<String, Problem> {
         match self.compare(token.as_bytes(), address) {
             Credentials::Wrong => return Err(Problem::new(StatusCode::UNAUTHORIZED, WrongToken)),
-            other @ (Credentials::Valid | Credentials::Missing | Credentials::RateLimited) => {
-                other.check()?
-            }
+            other @ (Credentials::NotRequired
+            | Credentials::Valid
+            | Credentials::Missing
+            | Credentials::TooManyWrong) => other.check()?,
         }
         let session =
             random_cookie().map_err(|error| Diagnostic::new(NoSystem { why: error.to_string() }))?;
@@ -263,6 +293,44 @@ mod tests {
         }
         assert!(access("192.168.0.7").is_own_host("192.168.0.7:8230"));
         assert!(!access("0.0.0.0").is_own_host("rebound.example:8230"));
+    }
+
+    #[test]
+    fn client_is_what_the_last_trusted_proxy_saw() {
+        let proxied =
+            access("127.0.0.1").behind(vec!["127.0.0.1".parse().unwrap(), "10.0.0.9".parse().unwrap()]);
+        let client = |connected: &str, named: &[&'static str]| {
+            let mut headers = HeaderMap::new();
+            for named in named {
+                headers.append(FORWARDED_FOR, axum::http::HeaderValue::from_static(named));
+            }
+            proxied.client(&headers, connected.parse().unwrap()).to_string()
+        };
+        assert_eq!(client("127.0.0.1", &[]), "127.0.0.1");
+        assert_eq!(client("127.0.0.1", &["192.168.7.1"]), "192.168.7.1");
+        // What stands before was sent by the client.
+        assert_eq!(client("127.0.0.1", &["1.2.3.4, 192.168.7.1"]), "192.168.7.1");
+        assert_eq!(client("127.0.0.1", &["1.2.3.4", "192.168.7.1, 10.0.0.9"]), "192.168.7.1");
+        assert_eq!(client("::ffff:127.0.0.1", &["[2001:db8::7]:443"]), "2001:db8::7");
+        assert_eq!(client("127.0.0.1", &["unknown"]), "127.0.0.1");
+        assert_eq!(client("127.0.0.1", &["192.168.7.1, 10.0.0.9, -"]), "127.0.0.1");
+        // Whoever is no trusted proxy cannot name another client.
+        assert_eq!(client("192.168.7.1", &["192.168.7.2"]), "192.168.7.1");
+        assert_eq!(client("127.0.0.1", &["10.0.0.9"]), "10.0.0.9");
+    }
+
+    #[test]
+    fn right_token_is_valid_after_any_number_of_wrong_ones() {
+        let token = Token::new("0123456789abcdef");
+        let access = Access::new("127.0.0.1".parse().unwrap(), &[], token);
+        let from = "10.0.0.1".parse().unwrap();
+        let answers: Vec<_> = (0..1000).map(|_| access.compare(b"0123456789abcdeg", from)).collect();
+        assert_eq!(
+            [answers[9], answers[10], answers[999]].map(|one| one == Credentials::TooManyWrong),
+            [false, true, true]
+        );
+        assert_eq!(access.compare(b"0123456789abcdef", from), Credentials::Valid);
+        assert!(access.log_in("0123456789abcdef", from).is_ok());
     }
 
     #[test]

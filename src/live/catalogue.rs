@@ -13,6 +13,7 @@ findings! {
             OutOfRange { value: f64, least: f64, most: f64 } => "{value} must be {least} to {most}";
             NotAnAddress => "no address", help: "an address and a port are needed, as \"127.0.0.1:8230\" or \"[::1]:8230\"";
             OpenWithoutToken => "others could reach this address, and no token is asked for", help: "set `token_file`, or listen on 127.0.0.1";
+            NotAProxy => "no address of a proxy", help: "the addresses under which the service sees its proxies, as [\"127.0.0.1\"]";
             NotAHost => "no name of a host", help: "a name without scheme and port, as \"cell-3.local\"";
             ParametersWithoutProtocol => "`device.params` needs `device.protocol`";
             NotADirectory => "`data` and `plans` are directories, and this is none";
@@ -69,10 +70,10 @@ findings! {
             BodyContent { why: String } => "{why}";
         }
         E1506 "too many at once",
-        cause: "More jobs wait than the service keeps, or too many wrong tokens came from this address within a minute.",
+        cause: "More jobs wait than the service keeps, or too many wrong tokens came from this address within a minute. The right token is accepted nevertheless.",
         cure: "Wait a minute, or until some jobs have ended." {
             TooManyJobs => "too many jobs wait already";
-            TooManyGuesses => "too many wrong tokens came from this address: wait a minute";
+            TooManyGuesses => "the token is wrong, as too many from this address were: wait a minute";
         }
         E1507 "the service failed",
         cause: "A thread of the service ended, or the disk or the system failed: a fault of dbbd or of the computer, not of the request.",

@@ -1,4 +1,4 @@
-//! Rate limit for wrong tokens: each address has a few attempts per minute.
+//! Rate limit for wrong tokens: each address has a few per minute. The right token is not limited.
 
 use std::collections::VecDeque;
 use std::net::{IpAddr, Ipv6Addr};
@@ -6,7 +6,7 @@ use std::net::{IpAddr, Ipv6Addr};
 use dbbd_device::clock;
 use dbbd_model::base::units::HostNs;
 
-/// Wrong tokens per network within [`WINDOW_S`]. Further attempts are refused without a comparison.
+/// Wrong tokens per network within [`WINDOW_S`] that are answered as such. Further ones are told to wait.
 const MAX_WRONG_TOKENS: u32 = 10;
 const WINDOW_S: f64 = 60.0;
 /// Networks that are remembered. The oldest is dropped for a new one.
@@ -23,7 +23,7 @@ struct WrongTokens {
 pub(super) struct FailedLogins(VecDeque<WrongTokens>);
 
 /// The network that one user has: the address in IPv4, the first 64 bits in IPv6.
-fn network(address: IpAddr) -> IpAddr {
+pub(super) fn network(address: IpAddr) -> IpAddr {
     match address {
         IpAddr::V4(_) => address,
         IpAddr::V6(ip) => match ip.to_ipv4_mapped() {
@@ -34,22 +34,23 @@ fn network(address: IpAddr) -> IpAddr {
 }
 
 impl FailedLogins {
-    pub(super) fn is_limited(&mut self, address: IpAddr) -> bool {
-        let now = clock::now();
-        self.0.retain(|count| now.seconds_since(count.since) < WINDOW_S);
-        let network = network(address);
-        self.0.iter().any(|count| count.network == network && count.wrong >= MAX_WRONG_TOKENS)
+    /// Counts a wrong token; `true` if too many came from its network.
+    pub(super) fn add(&mut self, address: IpAddr) -> bool {
+        self.add_at(address, clock::now())
     }
 
-    pub(super) fn add(&mut self, address: IpAddr) {
+    fn add_at(&mut self, address: IpAddr, now: HostNs) -> bool {
+        self.0.retain(|count| now.seconds_since(count.since) < WINDOW_S);
         let network = network(address);
-        match self.0.iter_mut().find(|count| count.network == network) {
-            Some(count) => count.wrong += 1,
-            None => self.0.push_back(WrongTokens { network, since: clock::now(), wrong: 1 }),
+        if let Some(count) = self.0.iter_mut().find(|count| count.network == network) {
+            count.wrong += 1;
+            return count.wrong > MAX_WRONG_TOKENS;
         }
+        self.0.push_back(WrongTokens { network, since: now, wrong: 1 });
         if self.0.len() > MAX_NETWORKS {
             self.0.pop_front();
         }
+        false
     }
 }
 
@@ -76,28 +77,27 @@ mod tests {
         }
     }
 
+    fn at(s: u64) -> HostNs {
+        HostNs(s * 1_000_000_000)
+    }
+
     #[test]
-    fn tenth_wrong_token_of_a_network_is_its_last() {
+    fn eleventh_wrong_token_of_a_network_is_too_many() {
         let mut failed = FailedLogins::default();
         for number in 0..10 {
-            assert!(!failed.is_limited(ip("2001:db8::1")), "{number}");
-            failed.add(ip(&format!("2001:db8::{number}")));
+            assert!(!failed.add_at(ip(&format!("2001:db8::{number}")), at(100)), "{number}");
         }
-        assert!(failed.is_limited(ip("2001:db8::ffff")));
-        assert!(!failed.is_limited(ip("2001:db8:0:1::")));
-        assert!(!failed.is_limited(ip("192.168.7.9")));
+        assert!(failed.add_at(ip("2001:db8::ffff"), at(100)));
+        assert!(!failed.add_at(ip("2001:db8:0:1::"), at(100)));
+        assert!(!failed.add_at(ip("192.168.7.9"), at(100)));
     }
 
     #[test]
     fn wrong_tokens_are_forgotten_after_a_minute() {
-        let mut failed = FailedLogins::default();
-        let ago = |s: u64| HostNs(clock::now().0.saturating_sub(s * 1_000_000_000));
-        for (since_s, limited) in [(59, true), (61, false)] {
-            // The clock of the host may have begun less than a minute ago.
-            if ago(since_s).0 > 0 {
-                failed.0 = [WrongTokens { network: ip("10.0.0.1"), since: ago(since_s), wrong: 10 }].into();
-                assert_eq!(failed.is_limited(ip("10.0.0.1")), limited, "{since_s}");
-            }
+        for (later_s, too_many) in [(59, true), (61, false)] {
+            let mut failed = FailedLogins::default();
+            (0..10).for_each(|_| assert!(!failed.add_at(ip("10.0.0.1"), at(100))));
+            assert_eq!(failed.add_at(ip("10.0.0.1"), at(100 + later_s)), too_many, "{later_s}");
         }
     }
 
@@ -105,7 +105,7 @@ mod tests {
     fn oldest_of_too_many_networks_is_dropped() {
         let mut failed = FailedLogins::default();
         for number in 0..=1024_u16 {
-            failed.add(Ipv6Addr::new(0x2001, 0xdb8, 0, number, 0, 0, 0, 1).into());
+            failed.add_at(Ipv6Addr::new(0x2001, 0xdb8, 0, number, 0, 0, 0, 1).into(), at(100));
         }
         assert_eq!(failed.0.len(), 1024);
         assert_eq!(failed.0[0].network, ip("2001:db8:0:1::"));

@@ -1,6 +1,7 @@
 //! The middleware of every request: Host and Origin, token or session cookie, security headers.
 
 use dbbd_job::page::PageFile;
+use std::net::IpAddr;
 use std::sync::Arc;
 
 use axum::Router;
@@ -93,14 +94,15 @@ impl Gate {
         // Other sites may link to a page. The API is for the service's own pages.
         let own_pages_only = !(is_file || self.sign_in.is_some() && is_page(request));
         self.access.check_site(request.uri(), request.headers(), own_pages_only)?;
-        let credentials = self.access.credentials(request.headers(), peer.address);
-        peer.authenticated(credentials == Credentials::Valid);
+        let client = self.access.client(request.headers(), peer.address);
+        let credentials = self.access.credentials(request.headers(), client);
+        peer.authenticated(credentials.check().is_ok());
         // The files hold no secret, and the page asks for the token.
         if is_file || (path == SESSION && request.method() == Method::POST) {
             return Ok(());
         }
-        if matches!(credentials, Credentials::Wrong | Credentials::RateLimited) {
-            self.log_wrong_token(peer);
+        if matches!(credentials, Credentials::Wrong | Credentials::TooManyWrong) {
+            self.log_wrong_token(client);
         }
         credentials.check()
     }
@@ -114,8 +116,8 @@ impl Gate {
         }
     }
 
-    fn log_wrong_token(&self, peer: &Peer) {
-        self.journal.warn("wrong_token", &[("address", &peer.address)]);
+    fn log_wrong_token(&self, client: IpAddr) {
+        self.journal.warn("wrong_token", &[("address", &client)]);
     }
 }
 
@@ -143,10 +145,12 @@ struct LogIn {
 async fn log_in(
     Extension(gate): Extension<Arc<Gate>>,
     Extension(peer): Extension<Peer>,
+    headers: HeaderMap,
     Body(LogIn { token }): Body<LogIn>,
 ) -> Result<Response, Problem> {
-    let logged_in = gate.access.log_in(&token, peer.address);
-    let session = logged_in.inspect_err(|_| gate.log_wrong_token(&peer))?;
+    let client = gate.access.client(&headers, peer.address);
+    let logged_in = gate.access.log_in(&token, client);
+    let session = logged_in.inspect_err(|_| gate.log_wrong_token(client))?;
     peer.authenticated(true);
     let cookie = format!("{COOKIE_NAME}={session}; Path=/; HttpOnly; SameSite=Strict");
     Ok((StatusCode::NO_CONTENT, [(SET_COOKIE, cookie)]).into_response())

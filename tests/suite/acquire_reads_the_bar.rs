@@ -139,13 +139,7 @@ fn damaged_frames_are_recorded_and_give_a_warning() {
     let output = child.wait_with_output().unwrap();
     assert_eq!((output.status.code(), codes(&output)), (Some(3), vec![SAMPLES_MISSING.to_owned()]));
     let capture = read(&path);
-    let missing: u64 = capture
-        .events()
-        .map(|event| match event {
-            RunEvent::Gap { missing, .. } => missing.unwrap(),
-            _ => 0,
-        })
-        .sum();
+    let missing: u64 = capture.events().map(|event| event.gaps().1).sum();
     let faults =
         capture.records.iter().filter(|stamped| matches!(stamped.record, CaptureRecord::Fault(_))).count();
     let expected = samples(&capture).len() as u64 / 99;

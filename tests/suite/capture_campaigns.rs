@@ -425,10 +425,7 @@ fn what_a_stalled_disk_loses_of_a_device_is_counted_and_named() {
         .map(|bytes| bytes.parse::<u64>().unwrap())
         .sum();
     assert_eq!(lost, progress.counts.lost_bytes);
-    let missing = capture.events().filter_map(|event| match event {
-        RunEvent::Gap { missing, .. } => *missing,
-        _ => None,
-    });
+    let missing = capture.events().map(|event| event.gaps().1);
     assert_eq!(missing.sum::<u64>(), progress.counts.missing);
     eprintln!("{} samples kept, {lost} bytes lost and counted", progress.counts.samples);
 }

@@ -14,6 +14,7 @@ use crate::played_bar::{endless, play, wait_for};
 use crate::process::{dbbd, run, signal};
 
 const TAKEN_AWAY: &str = "W0415";
+const DAMAGED: &str = "W0410";
 
 struct Recording {
     dir: tempfile::TempDir,
@@ -36,8 +37,8 @@ impl Recording {
         self.dir.path().join(name)
     }
 
-    /// Waits until the file exists, and stops.
-    fn end(self, new: &str) -> (Output, PathBuf, tempfile::TempDir) {
+    /// Waits until the file exists, and stops. `damages` are found in it when it is read back.
+    fn end(self, new: &str, damages: usize) -> (Output, PathBuf, tempfile::TempDir) {
         let new = self.path(new);
         let begun = clock::now();
         while !new.exists() && clock::now().seconds_since(begun) < 5.0 {
@@ -48,7 +49,11 @@ impl Recording {
         clock::sleep(0.3);
         signal(&self.child, "INT");
         let output = self.child.wait_with_output().unwrap();
-        assert_eq!((output.status.code(), codes(&output)), (Some(3), vec![TAKEN_AWAY.to_owned()]));
+        let expected = [&[TAKEN_AWAY][..], &vec![DAMAGED; damages]].concat();
+        assert_eq!(
+            (output.status.code(), codes(&output)),
+            (Some(3), expected.iter().map(|code| (*code).into()).collect())
+        );
         let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(summary["capture"].as_str(), new.to_str(), "{}", stderr(&output));
         assert_eq!(summary["findings"][0]["code"], TAKEN_AWAY);
@@ -74,7 +79,7 @@ fn is_whole(path: &Path) {
 fn removed_capture_is_rewritten() {
     let recording = Recording::begin();
     fs::remove_file(recording.path("runs/run.dbbd")).unwrap();
-    let (_, new, _dir) = recording.end("runs/run.dbbd");
+    let (_, new, _dir) = recording.end("runs/run.dbbd", 0);
     is_whole(&new);
 }
 
@@ -82,7 +87,7 @@ fn removed_capture_is_rewritten() {
 fn renamed_capture_continues_in_a_new_file() {
     let recording = Recording::begin();
     fs::rename(recording.path("runs/run.dbbd"), recording.path("runs/old.dbbd")).unwrap();
-    let (_, new, dir) = recording.end("runs/run.dbbd");
+    let (_, new, dir) = recording.end("runs/run.dbbd", 0);
     is_whole(&new);
     let old = read(&dir.path().join("runs/old.dbbd"));
     assert!(old.records.len() > 10 && read(&new).records.starts_with(&old.records));
@@ -93,7 +98,7 @@ fn replaced_capture_is_not_overwritten() {
     let recording = Recording::begin();
     fs::write(recording.path("other"), "mine").unwrap();
     fs::rename(recording.path("other"), recording.path("runs/run.dbbd")).unwrap();
-    let (_, new, dir) = recording.end("runs/run-2.dbbd");
+    let (_, new, dir) = recording.end("runs/run-2.dbbd", 0);
     is_whole(&new);
     assert_eq!(fs::read(dir.path().join("runs/run.dbbd")).unwrap(), b"mine");
 }
@@ -102,7 +107,7 @@ fn replaced_capture_is_not_overwritten() {
 fn missing_directory_is_recreated() {
     let recording = Recording::begin();
     fs::remove_dir_all(recording.path("runs")).unwrap();
-    let (_, new, _dir) = recording.end("runs/run.dbbd");
+    let (_, new, _dir) = recording.end("runs/run.dbbd", 0);
     is_whole(&new);
 }
 
@@ -113,7 +118,8 @@ fn truncated_capture_continues_in_a_new_file() {
         let recording = Recording::begin();
         let cut = fs::OpenOptions::new().write(true).open(recording.path("runs/run.dbbd")).unwrap();
         cut.set_len(left).unwrap();
-        let (_, new, dir) = recording.end("runs/run-2.dbbd");
+        // Records are missing, and the number of samples at the end is not that of the file.
+        let (_, new, dir) = recording.end("runs/run-2.dbbd", 2);
         let capture = read(&new);
         assert!(capture.ended() && capture.attachment("protocol.toml").is_some());
         assert_eq!(capture.damages.len(), 1, "{:?}", capture.damages);
@@ -121,9 +127,26 @@ fn truncated_capture_continues_in_a_new_file() {
         for file in ["runs/run.dbbd", "runs/run-2.dbbd"] {
             let info = run(&["info", dir.path().join(file).to_str().unwrap()]);
             assert_eq!(info.status.code(), Some(3), "{file}: {}", stderr(&info));
-            assert!(codes(&info).iter().any(|code| code == "W0410"), "{file}: {}", stderr(&info));
+            assert!(codes(&info).iter().any(|code| code == DAMAGED), "{file}: {}", stderr(&info));
         }
     }
+}
+
+/// Nothing shows it while it is recorded: the length is right. The capture is read back at the end.
+#[test]
+fn overwritten_capture_is_damaged() {
+    use std::os::unix::fs::FileExt;
+    let recording = Recording::begin();
+    let path = recording.path("runs/run.dbbd");
+    let over = fs::OpenOptions::new().write(true).open(&path).unwrap();
+    over.write_all_at(&[0x55; 3000], 20_000).unwrap();
+    clock::sleep(0.7);
+    signal(&recording.child, "INT");
+    let output = recording.child.wait_with_output().unwrap();
+    let found = codes(&output);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(found.iter().any(|code| code == DAMAGED), "{found:?}");
+    assert_eq!(read(&path).damages.len(), 1);
 }
 
 #[test]

@@ -1,10 +1,10 @@
 //! Every shipped definition: encoded samples are decoded, and `acquire` on its virtual bar through a pseudo-terminal
 //! gives the simulated lengths.
 
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use dbbd_device::protocol::{DecodedItem, ProtocolDefinition};
-use dbbd_job::recording::capture;
+use dbbd_job::recording::capture::{self, CaptureRecord, StampedRecord};
 use dbbd_job::sim::bar::{self, SimulatedReading, Terminal, VirtualBarOptions};
 use dbbd_model::base::units::DeviceTicks;
 use dbbd_model::diagnostic::Finding;
@@ -14,6 +14,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use crate::any_bytes_are_taken::entries;
+use crate::process::{dbbd, end_when};
 
 fn all() -> impl Iterator<Item = ProtocolDefinition> {
     ProtocolDefinition::built_in().iter().map(|(name, _)| ProtocolDefinition::by_name(name).unwrap().unwrap())
@@ -159,13 +160,15 @@ fn acquired(
     let options = VirtualBarOptions { rate_hz: RATE_HZ, speed: 1.0, first_ticks: 0 };
     let served = definition.clone();
     let _bar = std::thread::spawn(move || {
-        bar::serve_bar(terminal, &served, options, |t_s: f64| (t_s < 20.0).then(|| read(t_s)))
+        bar::serve_bar(terminal, &served, options, |t_s: f64| (t_s < 60.0).then(|| read(t_s)))
     });
-    let settle = definition.line.settle.as_secs_f64();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
-    command.args(["acquire", "--port", &port, "--protocol", protocol, "--out", path.to_str().unwrap()]);
-    command.args(["--duration", &(settle + 0.8).to_string()]).args(params).stdin(Stdio::null());
-    let output = command.output().unwrap();
+    let mut command =
+        dbbd(&["acquire", "--port", &port, "--protocol", protocol, "--out", path.to_str().unwrap()]);
+    let output = end_when(command.args(params).spawn().unwrap(), &path, |capture| {
+        let decoded =
+            |one: &StampedRecord| matches!(one.record, CaptureRecord::Samples(_) | CaptureRecord::Fault(_));
+        capture.records.iter().filter(|one| decoded(one)).count() >= 15
+    });
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     (capture::read_capture(&std::fs::read(&path).unwrap()), output.status.code(), said)
 }

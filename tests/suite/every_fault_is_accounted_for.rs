@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
+use dbbd_job::recording::capture::{Capture, CaptureRecord, RunEvent, StampedRecord};
 use dbbd_job::recording::{DeviceClock, SampleStream, StreamBuilder};
 use dbbd_job::sim::bar::Terminal;
 use serde_json::Value;
@@ -16,7 +17,7 @@ use serialport::{SerialPort, TTYPort};
 
 use crate::cell::{codes, stderr};
 use crate::process::dbbd;
-use crate::virtual_bar::{RATE_HZ, Row, Run, acquire, simulate, simulate_at};
+use crate::virtual_bar::{RATE_HZ, Row, Run, acquire, acquire_until, simulate, simulate_at};
 
 /// Length of a frame of `dbb-cobs-1`.
 const FRAME: u64 = 18;
@@ -236,13 +237,21 @@ fn unplugged_and_back_under_another_name() {
     let faults = ["--link", link, "--fault", "unplug_s=0.6", "--fault", "away_s=0.8"];
     let bar = simulate(directory.path(), "1", &faults);
     let before = std::fs::read_link(link).unwrap();
-    let run = acquire(directory.path(), link, "3", &[]);
+    let came_back = |capture: &Capture| {
+        let opened =
+            |stamped: &StampedRecord| matches!(stamped.record, CaptureRecord::Event(RunEvent::Opened { .. }));
+        let last = capture.records.iter().rposition(opened).unwrap_or(0);
+        capture.records.iter().filter(|stamped| opened(stamped)).count() == 2
+            && capture.records.len() > last + 500
+    };
+    let run = acquire_until(directory.path(), link, came_back);
     run.holds();
     assert_ne!(std::fs::read_link(link).unwrap(), before, "it has another name now");
     let gaps = run.events("gap");
     assert!(matches!(gaps[..], [gap] if gap["reason"].as_str().unwrap().contains("gone")), "{gaps:?}");
     let seconds = gaps[0]["seconds"].as_f64().unwrap();
-    assert!((0.6..3.8).contains(&seconds), "{seconds}");
+    // 0.8 s, and what a busy machine takes to open the line.
+    assert!((0.6..20.0).contains(&seconds), "{seconds}");
     assert_eq!(run.events("opened").len(), 2);
     // Device time continued: the gap is exactly what is missing.
     let holes: Vec<u64> =

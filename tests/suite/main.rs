@@ -43,6 +43,7 @@ mod every_fault_is_accounted_for;
 mod fault_matrix;
 mod files_of_two_runs;
 mod first_calibration;
+mod floods_are_bounded;
 mod floor_plan;
 mod hands_the_robot_back;
 mod help_is_the_manual;

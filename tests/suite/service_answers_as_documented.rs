@@ -91,6 +91,7 @@ const CONFIGURATIONS: &[(&str, &str, &str)] = &[
     ("address = \"localhost\"\n", "dbbd.toml:1:11:", "E1501"),
     ("address = \"0.0.0.0:8230\"\n", "dbbd.toml:1:11:", "E1501"),
     ("\n  hosts = [\"http://cell\"]\n", "dbbd.toml:2:12:", "E1501"),
+    ("trusted_proxies = [\"proxy\"]\n", "dbbd.toml:1:20:", "E1501"),
     ("token_file = \"none\"\n", "dbbd.toml:1:14:", "E1501"),
     ("token_file = \"short\"\n", "dbbd.toml:1:14:", "E1501"),
     ("[device]\nprotocol = \"dbb-cobs\"\n", "dbbd.toml:2:12:", "E1501"),

@@ -48,14 +48,14 @@ fn closed_pipe_is_not_an_error() {
 
 #[test]
 fn control_characters_are_escaped() {
-    const HOSTILE: &str = "\u{1b}]0;title\u{7}\u{9b}2J\r\ndamages      none";
+    const HOSTILE: &str = "\u{1b}]0;title\u{7}\u{9b}2J\u{202e}\r\ndamages      none";
     let dir = tempfile::tempdir().unwrap();
     let mut writer = CaptureWriter::create(&dir.path().join("run")).unwrap();
     let mut write = |record| writer.write(HostNs(1), &record).unwrap();
     write(CaptureRecord::Attachment { name: HOSTILE.into(), content: vec![1] });
     write(CaptureRecord::Event(RunEvent::Mark { text: HOSTILE.into() }));
     write(CaptureRecord::Event(RunEvent::Ended(RunEnd { reason: HOSTILE.into(), samples: 0, lost: 0 })));
-    let steers = |c: char| c.is_control() && c != '\n';
+    let steers = |c: char| c.is_control() && c != '\n' || c == '\u{202e}';
     let lines = dbbd(dir.path(), &["info", "run"]);
     let text = String::from_utf8(lines.stdout.clone()).unwrap();
     assert!(!text.contains(steers), "{text:?}");

@@ -111,6 +111,10 @@ impl CaptureTables {
                 if let RunEvent::Gap { seconds, missing, reason } = event {
                     self.gaps.row([host.clone(), cell(*seconds), cell(*missing), reason.clone()])?;
                 }
+                if let RunEvent::Withheld { gaps: gaps @ 1.., missing, .. } = event {
+                    let reason = format!("{gaps} further gaps within a second");
+                    self.gaps.row([host.clone(), String::new(), missing.to_string(), reason])?;
+                }
                 let mut value = serde_json::to_value(event).map_err(|error| self.events.wrong(&error))?;
                 let name = value.as_object_mut().and_then(|object| object.remove("event"));
                 let name = name.as_ref().and_then(|name| name.as_str()).unwrap_or_default().to_owned();

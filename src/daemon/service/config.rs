@@ -11,7 +11,7 @@ use toml::Spanned;
 
 use crate::daemon::ALARM_SHARE;
 use crate::live::ServiceFinding::{
-    self, NoPlans, NotADirectory, NotAHost, NotAProtocol, NotAStroke, NotAnAddress, NotReadings,
+    self, NoPlans, NotADirectory, NotAHost, NotAProtocol, NotAProxy, NotAStroke, NotAnAddress, NotReadings,
     OneDirectory, OpenWithoutToken, OutOfRange, ParametersWithoutProtocol, TokenTooShort, TokenUnreadable,
 };
 use crate::live::Token;
@@ -44,6 +44,8 @@ pub struct Endpoint {
     /// Host names besides its addresses.
     pub hosts: Vec<String>,
     pub token: Option<Token>,
+    /// Proxies that are trusted to name their clients.
+    pub proxies: Vec<IpAddr>,
 }
 
 #[derive(Debug)]
@@ -88,6 +90,7 @@ struct ConfigFile {
     address: Option<Spanned<String>>,
     hosts: Vec<Spanned<String>>,
     token_file: Option<Spanned<String>>,
+    trusted_proxies: Vec<Spanned<String>>,
     data: Option<String>,
     plans: Option<String>,
     device: DeviceTable,
@@ -132,6 +135,7 @@ impl Default for ServiceConfig {
                 address: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8230),
                 hosts: Vec::new(),
                 token: None,
+                proxies: Vec::new(),
             },
             data: PathBuf::from("dbbd-runs"),
             plans: PathBuf::from("."),
@@ -237,6 +241,10 @@ impl ServiceConfig {
         }
         for host in table.hosts {
             config.endpoint.add_host(host.get_ref()).map_err(|wrong| source.wrong(host.span(), wrong))?;
+        }
+        for proxy in table.trusted_proxies {
+            let address = proxy.get_ref().parse().map_err(|_| source.wrong(proxy.span(), NotAProxy))?;
+            config.endpoint.proxies.push(address);
         }
         if let Some(port) = table.device.port {
             let address = port.get_ref().parse();

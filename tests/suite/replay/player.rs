@@ -14,6 +14,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serialport::{SerialPort, TTYPort};
 
+use super::received;
 use crate::recordings::{Line, Recording, What, all};
 
 /// How long the other side is waited for, s.
@@ -92,7 +93,10 @@ fn plays() {
         ended.store(true, Ordering::Relaxed);
     });
     let settle_s = recording.definition().line.settle.as_secs_f64();
-    player.play(&pieces(&recording, Cuts::of(word, seed.parse().unwrap())), settle_s);
+    let pieces = pieces(&recording, Cuts::of(word, seed.parse().unwrap()));
+    let behind = pieces.iter().skip_while(|piece| **piece != What::Unplugged).skip(1 + recording.opening());
+    let bytes = |piece: &What| if let What::Bar(bytes) = piece { bytes.len() } else { 0 };
+    player.play(&pieces, settle_s, recording.stream.saturating_sub(behind.map(bytes).sum()));
     while !over.load(Ordering::Relaxed) {
         player.listen();
     }
@@ -166,7 +170,8 @@ impl Player {
         Self { line, link: link.into(), plug: Some(plug), heard: Vec::new(), reads: Arc::default() }
     }
 
-    fn play(&mut self, pieces: &[What], settle_s: f64) {
+    /// `before` is the number of bytes of the stream before the bar is unplugged.
+    fn play(&mut self, pieces: &[What], settle_s: f64, before: usize) {
         let mut spoken_to = false;
         for what in pieces {
             match what {
@@ -185,7 +190,11 @@ impl Player {
                 }
                 What::Unplugged => {
                     // A terminal throws away what nobody has read yet.
-                    clock::sleep(0.3);
+                    let run = Path::new(&self.link).with_file_name("run").display().to_string();
+                    let begun = clock::now();
+                    while received(&run) < before && clock::now().seconds_since(begun) < PATIENCE_S {
+                        clock::sleep(0.01);
+                    }
                     drop(self.plug.take());
                     // The new one is made before the old one goes: it has another name then.
                     let (line, plug) = terminal(&self.link);

@@ -4,6 +4,9 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
+use dbbd_device::clock;
+use dbbd_job::recording::capture::{Capture, read_capture};
+
 /// The binary with arguments; what it prints is kept.
 pub(crate) fn dbbd(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_dbbd"));
@@ -23,6 +26,18 @@ pub(crate) fn spawn(dir: &Path, args: &[&str]) -> Child {
 pub(crate) fn signal(child: &Child, name: &str) {
     let status = Command::new("kill").args([format!("-{name}"), child.id().to_string()]).status().unwrap();
     assert!(status.success());
+}
+
+/// Ends a recording when its capture is as it should be, whatever time that takes on a busy machine; after half a minute in any
+/// case.
+pub(crate) fn end_when(child: Child, capture: &Path, done: impl Fn(&Capture) -> bool) -> Output {
+    let begun = clock::now();
+    let read = || read_capture(&std::fs::read(capture).unwrap_or_default());
+    while !done(&read()) && clock::now().seconds_since(begun) < 30.0 {
+        clock::sleep(0.05);
+    }
+    signal(&child, "INT");
+    child.wait_with_output().unwrap()
 }
 
 /// `dbbd simulate`, which is ended with the test.

@@ -5,13 +5,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Output;
 
+use dbbd_job::recording::capture::Capture;
 use dbbd_model::base::units::{DeviceTicks, HostNs};
 use dbbd_model::measurement::sample::Sample;
 use dbbd_model::robot::Robot;
 use serde_json::Value;
 
 use crate::cell::stderr;
-use crate::process::{Simulator, dbbd};
+use crate::process::{Simulator, dbbd, end_when, spawn};
 
 /// The seed of the virtual bar.
 pub(crate) const RATE_HZ: f64 = 1000.0;
@@ -65,7 +66,16 @@ pub(crate) struct Run {
 
 pub(crate) fn acquire(directory: &Path, port: &str, seconds: &str, rest: &[&str]) -> Run {
     let mut command = dbbd(&["acquire", "--port", port, "--out", "run", "--duration", seconds, "--json"]);
-    let output = command.args(rest).current_dir(directory).output().unwrap();
+    exported(directory, command.args(rest).current_dir(directory).output().unwrap())
+}
+
+/// The same until the capture is as it should be.
+pub(crate) fn acquire_until(directory: &Path, port: &str, done: impl Fn(&Capture) -> bool) -> Run {
+    let child = spawn(directory, &["acquire", "--port", port, "--out", "run", "--json"]);
+    exported(directory, end_when(child, &directory.join("run"), done))
+}
+
+fn exported(directory: &Path, output: Output) -> Run {
     let exported = dbbd(&["export", "run", "--out", "csv"]).current_dir(directory).output().unwrap();
     assert_eq!(exported.status.code(), Some(0), "{}", stderr(&output));
     let table = |name: &str| -> Vec<BTreeMap<String, String>> {

@@ -33,6 +33,8 @@ pub use settings::{Flow, LineSettings, Parity};
 const PORT_READ_TIMEOUT: Duration = Duration::from_millis(if cfg!(windows) { 5 } else { 50 });
 /// Timeout of a write.
 const PORT_WRITE_TIMEOUT: Duration = Duration::from_secs(2);
+/// Most bytes that are kept while an answer is waited for: two seconds of the fastest line of any definition, 4 Mbaud.
+const MAX_ANSWER_BYTES: usize = 1 << 20;
 
 /// An open line.
 pub struct Port {
@@ -81,39 +83,52 @@ impl Port {
         Ok(())
     }
 
-    /// Discards input until the line is quiet for `quiet`, and returns it. Gives up a second later: a device that
-    /// does not stop must not block the run.
-    pub fn drain(&mut self, quiet: Duration) -> Result<Vec<u8>, PortFinding> {
-        self.read_until(quiet, 1.0 + quiet.as_secs_f64(), |_| false)
+    /// Discards input until the line is quiet for `quiet`, and returns the number of bytes. Gives up a second later: a
+    /// device that does not stop must not block the run.
+    pub fn drain(&mut self, quiet: Duration) -> Result<u64, PortFinding> {
+        let mut count = 0;
+        self.read_until(quiet, 1.0 + quiet.as_secs_f64(), |bytes| {
+            count += bytes.len() as u64;
+            false
+        })?;
+        Ok(count)
     }
 
-    /// Reads until `answer` was received or the time is up, and returns all bytes.
+    /// Reads until `answer` was received, the time is up or [`MAX_ANSWER_BYTES`] came without it, and returns all bytes.
+    /// What the device sends then stays in the line.
     pub fn listen(&mut self, timeout: Duration, answer: &[u8]) -> Result<Vec<u8>, PortFinding> {
+        let mut came: Vec<u8> = Vec::new();
         self.read_until(timeout, timeout.as_secs_f64(), |bytes| {
-            bytes.windows(answer.len().max(1)).any(|part| part == answer)
-        })
+            // The answer may begin in the bytes before.
+            let from = came.len().saturating_sub(answer.len().saturating_sub(1));
+            came.extend_from_slice(bytes);
+            let is_answered = came[from..].windows(answer.len().max(1)).any(|part| part == answer);
+            is_answered || came.len() >= MAX_ANSWER_BYTES
+        })?;
+        Ok(came)
     }
 
+    /// Gives the bytes of each read to `done`, until it returns `true`, the line is quiet or the time is up.
     fn read_until(
         &mut self,
         quiet: Duration,
         limit_s: f64,
-        done: impl Fn(&[u8]) -> bool,
-    ) -> Result<Vec<u8>, PortFinding> {
+        mut done: impl FnMut(&[u8]) -> bool,
+    ) -> Result<(), PortFinding> {
         let began = clock::now();
-        let (mut came, mut buffer) = (Vec::new(), [0; 4096]);
+        let mut buffer = [0; 4096];
         self.line.set_timeout(quiet.max(Duration::from_millis(1))).map_err(|error| self.gone(&error))?;
-        while clock::now().seconds_since(began) < limit_s && !done(&came) {
+        while clock::now().seconds_since(began) < limit_s {
             match self.line.read(&mut buffer) {
                 Ok(0) => return Err(self.gone(&ErrorKind::UnexpectedEof)),
-                Ok(count) => came.extend_from_slice(&buffer[..count.min(buffer.len())]),
+                Ok(count) if done(&buffer[..count.min(buffer.len())]) => break,
+                Ok(_) => {}
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
                 Err(error) if error.kind() == ErrorKind::TimedOut => break,
                 Err(error) => return Err(self.gone(&error)),
             }
         }
-        self.line.set_timeout(PORT_READ_TIMEOUT).map_err(|error| self.gone(&error))?;
-        Ok(came)
+        self.line.set_timeout(PORT_READ_TIMEOUT).map_err(|error| self.gone(&error))
     }
 
     /// Changes the rate, symbols per second; a line without a rate ignores it.

@@ -120,6 +120,11 @@ findings! {
         asks: [Identity] {
             UnlikelyDate { why: String } => "by the clock of the computer that recorded the run: {why}";
         }
+        W0417 "a run was not compared with its plan at its end",
+        cause: "The run is longer than what fits into the memory that recording may take. It is recorded as a whole.",
+        cure: "`dbbd sync RUN` compares it; it takes 20 bytes of memory for each sample." {
+            TooLongToCompare { samples: u64, most: u64 } => "{samples} samples were recorded and are not compared with the plan: `dbbd sync` does it ({most} at most are compared at the end of a run)";
+        }
         I0420 "the controller was in its absolute-accuracy mode",
         cause: "The controller corrects its motions by a model of its own ($ABS_ACCUR), so its axes are not at the commanded angles.",
         cure: "Nothing is wrong while the logged axis angles of all modules are given (by file, or by EthernetKRL).",

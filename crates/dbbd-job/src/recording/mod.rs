@@ -21,10 +21,12 @@ pub mod stream;
 pub mod strobe_decoder;
 pub mod telegram;
 
-pub use device_clock::{ClockBreak, ClockMap, ClockSegment, ClockStamp, DeviceClock, DeviceTime};
+pub use device_clock::{
+    ClockBreak, ClockMap, ClockSegment, ClockStamp, ClockStamps, DeviceClock, DeviceTime,
+};
 pub use dwell::{Dwell, DwellReading, reading_between};
 pub use reports::{DwellReport, reported_axes};
-pub use stream::{SampleStream, SampleTimeline, SequenceStep, StreamBuilder, sequence_step};
+pub use stream::{Readings, SampleStream, SampleTimeline, SequenceStep, StreamBuilder, sequence_step};
 pub use strobe_decoder::{StrobeDecoder, StrobeEvent, StrobedDwell, strobed_dwells};
 pub use telegram::{LONGEST_TELEGRAM, Telegram, TelegramReader, TelegramResult};
 

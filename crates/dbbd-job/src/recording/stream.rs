@@ -1,8 +1,9 @@
 //! The samples of a run as columns on one time axis: the device clock mapped to the host's, else the host's.
 
-use std::ops::Deref;
+use std::collections::HashMap;
+use std::ops::{Deref, Index};
 
-use super::device_clock::{ClockMap, ClockStamp, DeviceClock};
+use super::device_clock::{ClockMap, ClockStamp, ClockStamps, DeviceClock};
 use dbbd_model::base::units::{DeviceTicks, HostNs};
 use dbbd_model::math::robust;
 use dbbd_model::measurement::sample::Sample;
@@ -10,7 +11,7 @@ use dbbd_model::measurement::sample::Sample;
 /// Times of samples in order; `t_s` never decreases.
 #[derive(Clone, Debug, Default)]
 pub struct SampleTimeline {
-    /// The fit of the device clock, if there is one; its `device_s` were moved into `t_s`.
+    /// The fit of the device clock, if there is one.
     clock: Option<ClockMap>,
     begin: HostNs,
     /// Time since the first sample, s.
@@ -21,30 +22,29 @@ pub struct SampleTimeline {
 
 impl SampleTimeline {
     /// Puts stamps on one time axis; without a `clock`, that of the host.
-    pub fn new(stamps: &[ClockStamp], clock: Option<DeviceClock>) -> Self {
-        let begin = stamps.first().map_or(HostNs(0), |stamp| stamp.host);
-        let mut line = Self { begin, ..Self::default() };
+    pub fn new(stamps: ClockStamps, clock: Option<DeviceClock>) -> Self {
+        let begin = stamps.iter().next().map_or(HostNs(0), |stamp| stamp.host);
         let mut latest_s = 0.0f64;
         // Adjacent windows differ within their bounds, and a polled reading is stamped at its request.
         let mut forward = |t_s: f64| {
             latest_s = latest_s.max(t_s);
             latest_s
         };
-        if let Some(clock) = clock {
-            let mut map = ClockMap::new(stamps, clock);
-            let first_s = map.host_s(0.0).unwrap_or(0.0);
-            let on_host = |device_s: f64| map.host_s(device_s).map_or(device_s, |host_s| host_s - first_s);
-            line.t_s = map.device_s.iter().map(|device_s| forward(on_host(*device_s))).collect();
-            line.breaks = map.breaks.iter().map(|broken| broken.at).collect();
-            map.device_s = Vec::new();
-            line.clock = Some(map);
-        } else {
-            line.t_s = stamps.iter().map(|stamp| forward(stamp.host.seconds_since(begin))).collect();
-        }
-        line
+        let Some(clock) = clock else {
+            let t_s = stamps.into_numbers(|stamp| forward(stamp.host.seconds_since(begin)));
+            return Self { begin, t_s, ..Self::default() };
+        };
+        let map = ClockMap::new(&stamps, clock);
+        let first_s = map.host_s(0.0).unwrap_or(0.0);
+        let on_host = |device_s: f64| map.host_s(device_s).map_or(device_s, |host_s| host_s - first_s);
+        let mut device_time = map.device_time(clock);
+        let t_s = stamps.into_numbers(|stamp| forward(on_host(device_time(stamp))));
+        drop(device_time);
+        let breaks = map.breaks.iter().map(|broken| broken.at).collect();
+        Self { begin, t_s, breaks, clock: Some(map) }
     }
 
-    /// The fit of the device clock, without `device_s`; `None` if the protocol has no clock.
+    /// The fit of the device clock; `None` if the protocol has no clock.
     pub fn clock(&self) -> Option<&ClockMap> {
         self.clock.as_ref()
     }
@@ -96,11 +96,63 @@ impl SampleTimeline {
     }
 }
 
+/// Readings in the order of arrival, mm. They are multiples of the resolution of the bar, so that there are few different
+/// ones: each is stored once, and an hour at 1 kHz takes half of the memory.
+#[derive(Clone, Debug, Default)]
+pub struct Readings {
+    different_mm: Vec<f64>,
+    which: Vec<u32>,
+}
+
+/// Finds readings that came before, by their bits.
+#[derive(Clone, Debug, Default)]
+struct KnownReadings(HashMap<u64, u32>);
+
+/// Readings that are looked for. A bar of float numbers may have more of them: the further ones are stored each.
+const MAX_KNOWN: usize = 1 << 18;
+
+impl KnownReadings {
+    fn push(&mut self, reading_mm: f64, to: &mut Readings) {
+        // More than 2^32 different readings are 32 GB.
+        let new = u32::try_from(to.different_mm.len()).unwrap_or(u32::MAX);
+        let known = match self.0.len() {
+            ..MAX_KNOWN => *self.0.entry(reading_mm.to_bits()).or_insert(new),
+            MAX_KNOWN.. => self.0.get(&reading_mm.to_bits()).copied().unwrap_or(new),
+        };
+        if known == new {
+            to.different_mm.push(reading_mm);
+        }
+        to.which.push(known);
+    }
+}
+
+impl Readings {
+    pub fn len(&self) -> usize {
+        self.which.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.which.is_empty()
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = f64> {
+        self.which.iter().map(|which| self.different_mm[*which as usize])
+    }
+}
+
+impl Index<usize> for Readings {
+    type Output = f64;
+
+    fn index(&self, at: usize) -> &f64 {
+        &self.different_mm[self.which[at] as usize]
+    }
+}
+
 /// Samples in the order of arrival.
 #[derive(Clone, Debug, Default)]
 pub struct SampleStream {
     time: SampleTimeline,
-    pub reading_mm: Vec<f64>,
+    pub reading_mm: Readings,
     flags: Vec<u8>,
 }
 
@@ -117,7 +169,8 @@ impl Deref for SampleStream {
 pub struct StreamBuilder {
     clock: Option<DeviceClock>,
     sequence_modulo: Option<u32>,
-    stamps: Vec<ClockStamp>,
+    stamps: ClockStamps,
+    known: KnownReadings,
     last_sequence: Option<u32>,
     stream: SampleStream,
 }
@@ -131,7 +184,8 @@ impl StreamBuilder {
     /// Without a `clock`, or if a sample has no ticks, the host's stamps are the times.
     pub fn new(clock: Option<DeviceClock>) -> Self {
         let stream = SampleStream::default();
-        Self { clock, sequence_modulo: None, stamps: Vec::new(), last_sequence: None, stream }
+        let (stamps, known) = (ClockStamps::default(), KnownReadings::default());
+        Self { clock, sequence_modulo: None, stamps, known, last_sequence: None, stream }
     }
 
     /// Sets the modulo of the sequence numbers, which show missing samples.
@@ -153,7 +207,7 @@ impl StreamBuilder {
         {
             flags |= GAP_BEFORE;
         }
-        self.stream.reading_mm.push(sample.reading_mm);
+        self.known.push(sample.reading_mm, &mut self.stream.reading_mm);
         self.stream.flags.push(flags);
         if sample.ticks.is_none() {
             self.clock = None;
@@ -163,8 +217,9 @@ impl StreamBuilder {
 
     /// Fits the clock and puts all samples on one time axis.
     pub fn build(self) -> SampleStream {
-        let Self { clock, stamps, mut stream, .. } = self;
-        stream.time = SampleTimeline::new(&stamps, clock);
+        let Self { clock, stamps, known, mut stream, .. } = self;
+        drop(known);
+        stream.time = SampleTimeline::new(stamps, clock);
         stream
     }
 }
@@ -236,6 +291,24 @@ mod tests {
         ] {
             assert_eq!(sequence_step(256, before, now), expected, "{before} {now}");
         }
+    }
+
+    #[test]
+    fn readings_return_bit_for_bit() {
+        let sent = [1.25, -0.0, 0.0, 1.25, f64::NAN, 1.25 + f64::EPSILON, -0.0];
+        let stream = stream(&sent.map(|reading_mm| (0, Sample::of(reading_mm))), None);
+        assert!(stream.reading_mm.iter().map(f64::to_bits).eq(sent.map(f64::to_bits)));
+        assert_eq!((stream.reading_mm.len(), stream.reading_mm.different_mm.len()), (7, 5));
+        assert_eq!(stream.reading_mm[5], 1.25 + f64::EPSILON);
+    }
+
+    #[test]
+    fn more_different_readings_than_are_looked_for_are_kept() {
+        let (mut known, mut readings) = (KnownReadings::default(), Readings::default());
+        let many = (0..MAX_KNOWN + 10).map(|at| at as f64);
+        many.clone().chain([3.0, MAX_KNOWN as f64]).for_each(|mm| known.push(mm, &mut readings));
+        assert!(readings.iter().eq(many.chain([3.0, MAX_KNOWN as f64])));
+        assert_eq!((known.0.len(), readings.different_mm.len()), (MAX_KNOWN, MAX_KNOWN + 11));
     }
 
     #[test]

@@ -1,13 +1,16 @@
 //! The frame of all pages: style, provenance, and the template engine with its filters.
 
+use std::borrow::Cow;
+
 use minijinja::value::Serde;
-use minijinja::{Environment, UndefinedBehavior};
+use minijinja::{Environment, UndefinedBehavior, escape_formatter};
 use serde::Serialize;
 
 use super::scale::{fixed, index, plain, rounded, signed, significant, typeset};
 use super::svg::plot_css;
 use dbbd_model::base::InternalFinding::NoPage;
 use dbbd_model::base::serialised;
+use dbbd_model::base::text::escape_controls;
 use dbbd_model::diagnostic::{Diagnostic, Finding};
 
 const PAGE_CSS: &str = include_str!("page.css");
@@ -52,6 +55,11 @@ fn filled(
 ) -> Result<String, minijinja::Error> {
     let mut engine = Environment::new();
     engine.set_undefined_behavior(UndefinedBehavior::Strict);
+    // Names and remarks must not turn the order of what a page says.
+    engine.set_formatter(|out, state, value| match value.as_str().map(escape_controls) {
+        Some(Cow::Owned(text)) if !value.is_safe() => escape_formatter(out, state, &text.into()),
+        _ => escape_formatter(out, state, value),
+    });
     type Format = fn(f64, usize) -> String;
     let formats: [(&str, Format); 5] = [
         ("fixed", fixed),

@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use dbbd_model::base::text::escape_controls;
+
 const PLOT_CSS: &str = include_str!("plot.css");
 
 /// Which part of a text is at its point.
@@ -157,14 +159,14 @@ pub(crate) fn plot_css() -> &'static str {
 /// Text for XML: the five characters that mean something there.
 fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
-    for character in text.chars() {
+    for character in escape_controls(text).chars() {
         match character {
             '&' => escaped.push_str("&amp;"),
             '<' => escaped.push_str("&lt;"),
             '>' => escaped.push_str("&gt;"),
             '"' => escaped.push_str("&quot;"),
             '\'' => escaped.push_str("&#39;"),
-            // XML has no control characters.
+            // A line feed or a tab: XML has no other control characters.
             control if control.is_control() => escaped.push(' '),
             other => escaped.push(other),
         }

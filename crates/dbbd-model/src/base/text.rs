@@ -1,6 +1,7 @@
 //! Reads text files line by line in the encoding that their bytes suggest: UTF-16 with a byte order mark, UTF-8, else
 //! Windows-1252.
 
+use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::{self, BufRead};
 
@@ -15,6 +16,22 @@ pub fn unreadable(file: impl Display) -> impl Fn(io::Error) -> Diagnostic {
 /// A decimal number without trailing zeros.
 pub fn without_end_zeros(number: &str) -> &str {
     if number.contains('.') { number.trim_end_matches('0').trim_end_matches('.') } else { number }
+}
+
+/// Escapes, as JSON does, what would control a terminal or the order in which a text is read: control characters but line
+/// feed and tab, bidirectional controls, and the other separators of lines. Text from files, devices and clients is
+/// printed through this.
+pub fn escape_controls(text: &str) -> Cow<'_, str> {
+    let steers = |c: char| match c {
+        '\n' | '\t' => false,
+        '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => true,
+        other => other.is_control(),
+    };
+    if !text.contains(steers) {
+        return text.into();
+    }
+    let escaped = |c: char| if steers(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
+    text.chars().map(escaped).collect::<String>().into()
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -154,6 +171,18 @@ fn windows_1252(byte: u8) -> Option<char> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The characters are those of Unicode's property Bidi_Control, and its line and paragraph separators.
+    #[test]
+    fn text_that_steers_a_terminal_is_escaped() {
+        assert_eq!(escape_controls("ä 日本\tб\nעברית"), "ä 日本\tб\nעברית");
+        assert_eq!(escape_controls("\u{1b}[2J\u{9b}\r\u{7f}"), "\\u001b[2J\\u009b\\u000d\\u007f");
+        for steers in "\u{61c}\u{200e}\u{200f}\u{202a}\u{202b}\u{202c}\u{202d}\u{202e}\u{2066}\u{2067}\u{2068}\u{2069}\u{2028}\u{2029}".chars() {
+            assert_eq!(escape_controls(&format!("a{steers}b")), format!("a\\u{:04x}b", u32::from(steers)));
+        }
+        // A joiner is part of words and of pictures.
+        assert_eq!(escape_controls("\u{200d}\u{200c}"), "\u{200d}\u{200c}");
+    }
 
     fn lines(bytes: &[u8]) -> Result<(Vec<String>, Encoding), Diagnostic> {
         let mut lines = LineReader::new("t", bytes);

@@ -73,7 +73,7 @@ impl AxisTrackBuilder {
         let (stamps, samples): (Vec<ClockStamp>, Vec<AxesSample>) = self.samples.into_iter().unzip();
         let commanded: Option<Vec<_>> = samples.iter().map(|sample| sample.commanded_deg).collect();
         Some(AxisTrack {
-            time: SampleTimeline::new(&stamps, Some(clock(protocol))),
+            time: SampleTimeline::new(stamps.into_iter().collect(), Some(clock(protocol))),
             measured_deg: samples.iter().map(|sample| sample.measured_deg).collect(),
             commanded_deg: commanded.unwrap_or_default(),
             protocol,

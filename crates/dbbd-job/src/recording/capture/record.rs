@@ -56,6 +56,14 @@ pub enum RunEvent {
         missing: Option<u64>,
         reason: String,
     },
+    /// Events that have no record of their own, because too many came within a second.
+    Withheld {
+        gaps: u64,
+        /// Number of samples that are missing in these gaps, as far as it is known.
+        missing: u64,
+        /// Remarks, actions and findings.
+        others: u64,
+    },
     /// A telegram of the controller: phase 1 at the start of a dwell, 2 at its end.
     Controller {
         index: u32,
@@ -77,6 +85,24 @@ pub enum RunEvent {
     Finding { code: String, text: String },
     /// The run ended properly; a run without this record was cut off.
     Ended(RunEnd),
+}
+
+impl RunEvent {
+    /// The number of gaps that the event records, and of the samples known to be missing in them.
+    pub fn gaps(&self) -> (u64, u64) {
+        match self {
+            Self::Gap { missing, .. } => (1, missing.unwrap_or(0)),
+            Self::Withheld { gaps, missing, .. } => (*gaps, *missing),
+            Self::Started { .. }
+            | Self::Opened { .. }
+            | Self::AxesOpened { .. }
+            | Self::Controller { .. }
+            | Self::Mark { .. }
+            | Self::Operator { .. }
+            | Self::Finding { .. }
+            | Self::Ended(_) => (0, 0),
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

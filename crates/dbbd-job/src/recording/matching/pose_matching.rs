@@ -324,8 +324,7 @@ fn longest_constant(stream: &SampleStream) -> Option<Range<usize>> {
 }
 
 fn is_constant(stream: &SampleStream, samples: Range<usize>) -> bool {
-    let readings = stream.reading_mm.get(samples).unwrap_or_default();
-    readings.windows(2).all(|pair| pair[0] == pair[1])
+    samples.skip(1).all(|at| stream.reading_mm[at] == stream.reading_mm[at - 1])
 }
 
 #[cfg(test)]

@@ -324,7 +324,7 @@ fn blocks(stream: &SampleStream, block_s: f64) -> Vec<ReadingBlock> {
         }
         values.clear();
     };
-    for (at, (&t_s, &reading_mm)) in stream.t_s.iter().zip(&stream.reading_mm).enumerate() {
+    for (at, (&t_s, reading_mm)) in stream.t_s.iter().zip(stream.reading_mm.iter()).enumerate() {
         let broke = breaks.next_if(|&&broken| broken <= at).is_some();
         if broke || t_s >= begin_s + block_s {
             close(&mut values, begin_s, epoch);

@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 pub use circles::{MeasuredCircle, MeasuredCircles, drives};
-pub use open::{is_capture, losses, open_run};
+pub use open::{MAX_COMPARED, damages, is_capture, losses, losses_at_end, open_run};
 pub use plan_files::{ATTACHED_IDENTITY, PlanFiles, attached_plan, identity, read_plan, sources, unread};
 use temperature::SampleTemperatures;
 

@@ -96,6 +96,26 @@ fn unlikely_date(identity: &Identity) -> Option<RecordingFinding> {
     wrong.err().map(|(_, why)| RecordingFinding::UnlikelyDate { why: why.message() })
 }
 
+/// Reads the capture at `path` back and returns what is damaged in it.
+pub fn damages(path: &Path) -> Result<Vec<RecordingFinding>, Diagnostic> {
+    Ok(CaptureSummary::over(path, |_| Ok(()))?.findings())
+}
+
+/// Samples that are compared with a plan when a run ends: an hour at 1 kHz and what comes before and after it. They take
+/// 60 MB.
+pub const MAX_COMPARED: u64 = 4_000_000;
+
+/// [`losses`] of a run that has just ended, unless it has more than `most` samples.
+pub fn losses_at_end(path: &Path, samples: u64, most: u64) -> Result<Vec<Diagnostic>, Diagnostic> {
+    if samples > most {
+        return Ok(vec![Diagnostic::file(
+            path.display(),
+            RecordingFinding::TooLongToCompare { samples, most },
+        )]);
+    }
+    losses(path)
+}
+
 /// Findings about lengths that were lost between the capture at `path` and the poses of its plan.
 pub fn losses(path: &Path) -> Result<Vec<Diagnostic>, Diagnostic> {
     let run = open_run(path, None, &[], &mut |_| {})?;
@@ -196,4 +216,16 @@ fn stream(attachments: &BTreeMap<String, Vec<u8>>, run: &str) -> Result<StreamBu
     let definition = ProtocolDefinition::from_toml(&format!("{run}: protocol.toml"), text)?;
     let clock = definition.clock.map(Into::into);
     Ok(StreamBuilder::new(clock).sequence(definition.sequence_modulo))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_run_is_not_compared_when_it_ends() {
+        let [found] = &losses_at_end(Path::new("none"), 11, 10).unwrap()[..] else { panic!("one finding") };
+        assert_eq!(found.code().as_str(), "W0417");
+        assert!(losses_at_end(Path::new("none"), 10, 10).is_err(), "it is read");
+    }
 }

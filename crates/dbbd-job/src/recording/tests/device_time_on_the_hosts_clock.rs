@@ -42,6 +42,13 @@ fn run(seconds: f64, hz: f64, seed: u64) -> Run {
     Run { stamps, truth }
 }
 
+/// The map, and the device times of the stamps, s.
+fn map_of(stamps: &[ClockStamp]) -> (ClockMap, Vec<f64>) {
+    let map = ClockMap::new(&stamps.iter().copied().collect(), CLOCK);
+    let device_s = stamps.iter().copied().map(map.device_time(CLOCK)).collect();
+    (map, device_s)
+}
+
 /// Mean and standard deviation, ms.
 fn spread(errors: &[f64]) -> (f64, f64) {
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
@@ -53,25 +60,21 @@ fn spread(errors: &[f64]) -> (f64, f64) {
 fn hull_is_biased_by_the_least_delay_only() {
     for seed in 0..10 {
         let Run { stamps, truth } = run(600.0, 100.0, seed);
-        let map = ClockMap::new(&stamps, CLOCK);
+        let (map, device_s) = map_of(&stamps);
         assert_eq!(map.breaks, []);
         let begin = map.begin.0 as f64 * 1e-9;
-        let hull: Vec<f64> = map
-            .device_s
-            .iter()
-            .zip(&truth)
-            .map(|(t, truth)| begin + map.host_s(*t).unwrap() - truth)
-            .collect();
+        let hull: Vec<f64> =
+            device_s.iter().zip(&truth).map(|(t, truth)| begin + map.host_s(*t).unwrap() - truth).collect();
         let arrival: Vec<f64> =
             stamps.iter().zip(&truth).map(|(stamp, t)| stamp.host.0 as f64 * 1e-9 - t).collect();
         // A least-squares line through the same points.
         let n = truth.len() as f64;
         let host: Vec<f64> = stamps.iter().map(|stamp| stamp.host.0 as f64 * 1e-9).collect();
-        let (mt, mh) = (map.device_s.iter().sum::<f64>() / n, host.iter().sum::<f64>() / n);
-        let slope = map.device_s.iter().zip(&host).map(|(t, h)| (t - mt) * (h - mh)).sum::<f64>()
-            / map.device_s.iter().map(|t| (t - mt).powi(2)).sum::<f64>();
+        let (mt, mh) = (device_s.iter().sum::<f64>() / n, host.iter().sum::<f64>() / n);
+        let slope = device_s.iter().zip(&host).map(|(t, h)| (t - mt) * (h - mh)).sum::<f64>()
+            / device_s.iter().map(|t| (t - mt).powi(2)).sum::<f64>();
         let line: Vec<f64> =
-            map.device_s.iter().zip(&truth).map(|(t, truth)| mh + (t - mt) * slope - truth).collect();
+            device_s.iter().zip(&truth).map(|(t, truth)| mh + (t - mt) * slope - truth).collect();
         let [hull, arrival, line] = [&hull, &arrival, &line].map(|errors| spread(errors));
         eprintln!(
             "seed {seed}: arrival {arrival:.4?}, least squares {line:.4?}, hull {hull:.4?} ms (mean, sd)"
@@ -93,12 +96,12 @@ fn resets_and_jumps_are_breaks_and_wraps_are_not() {
     for stamp in &mut stamps[reset..] {
         stamp.ticks = DeviceTicks(stamp.ticks.0.wrapping_sub(from) % (1 << 32));
     }
-    let map = ClockMap::new(&stamps, CLOCK);
+    let (map, device_s) = map_of(&stamps);
     assert_eq!(map.breaks.iter().map(|broken| broken.at).collect::<Vec<_>>(), [reset]);
-    assert!(map.device_s.windows(2).all(|pair| pair[1] >= pair[0]));
+    assert!(device_s.windows(2).all(|pair| pair[1] >= pair[0]));
     assert!(map.breaks[0].reset);
-    assert_eq!(ClockMap::new(&[], CLOCK).host_s(0.0), None);
-    assert!(ClockMap::new(&stamps[..2000], CLOCK).host_s(0.0).is_some());
+    assert_eq!(map_of(&[]).0.host_s(0.0), None);
+    assert!(map_of(&stamps[..2000]).0.host_s(0.0).is_some());
 }
 
 /// A jump is distinguished from a stall: only the jump shifts the least delay permanently.
@@ -116,7 +119,7 @@ fn jump_is_a_break_and_stall_is_not() {
         for stamp in &mut stamps[stall..] {
             stamp.host = stamp.host.max(held);
         }
-        let map = ClockMap::new(&stamps, CLOCK);
+        let (map, _) = map_of(&stamps);
         let found: Vec<usize> = map.breaks.iter().map(|broken| broken.at).collect();
         assert_eq!(found, vec![jump; expected], "jump {jump_s} s, stall {stall_s} s");
         assert!(map.breaks.iter().all(|broken| broken.reset == (jump_s < 0.0)), "{:?}", map.breaks);
@@ -131,9 +134,9 @@ fn run_faster_than_real_time_uses_device_time_only() {
     let mut stamps: Vec<ClockStamp> = (0..10_000).map(stamp).collect();
     // The host may be delayed in such a run.
     stamps.iter_mut().skip(7000).for_each(|stamp| stamp.host.0 += 700_000_000);
-    let map = ClockMap::new(&stamps, CLOCK);
+    let (map, device_s) = map_of(&stamps);
     assert_eq!((map.breaks.len(), map.host_s(1.0), map.drift()), (0, None, None));
-    assert!((map.device_s[9999] - 9.999).abs() < 1e-9);
+    assert!((device_s[9999] - 9.999).abs() < 1e-9);
     stamps.iter_mut().skip(5000).for_each(|stamp| stamp.ticks.0 += 10_000_000);
-    assert_eq!(ClockMap::new(&stamps, CLOCK).breaks.len(), 1);
+    assert_eq!(map_of(&stamps).0.breaks.len(), 1);
 }

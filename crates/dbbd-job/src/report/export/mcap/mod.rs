@@ -82,7 +82,7 @@ impl<W: Write> McapFile<W> {
                     self.began = Some((host, *unix_ns));
                 }
                 let value = serde_json::to_value(event).map_err(|error| not_json("event", &error))?;
-                if matches!(event, RunEvent::Gap { .. }) {
+                if matches!(event, RunEvent::Gap { .. } | RunEvent::Withheld { gaps: 1.., .. }) {
                     self.message(Channel::Gaps, host, value.clone())?;
                 }
                 self.message(Channel::Events, host, value)
