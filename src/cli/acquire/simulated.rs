@@ -47,6 +47,13 @@ fn world(plan: &Plan, robot: &Robot) -> String {
     std::iter::once(noise).chain(plan.taught().map(table)).collect()
 }
 
+/// The true robot and the true world of a simulated cell beside the directory of the plan, if the plan is of such a cell.
+fn true_cell(plan: &Path) -> Option<[PathBuf; 2]> {
+    let cell = plan.parent()?.parent()?;
+    let truth = ["truth.toml", "world.toml"].map(|name| cell.join(name));
+    truth.iter().all(|path| path.is_file()).then_some(truth)
+}
+
 impl PlanSimulator {
     /// Starts the simulator with `plan`, or with that of the demo. `speed` is device time per host time; 0: as fast as the
     /// bytes are read. The program waits `halt_s` at each HALT, and reports its dwells to `server`, if given.
@@ -73,10 +80,17 @@ impl PlanSimulator {
         let robot = Robot::from_toml("the plan's robot", &content.header.robot)?;
         // The controller computes with the nominal robot, even if the plan was made for an identified one.
         files::write_file(&inside.join("robot.toml"), robot.controller().to_toml()?)?;
-        files::write_file(&inside.join("world.toml"), world(&content, &robot))?;
-        let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
         let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--nominal", "robot.toml"];
-        simulate.extend(["--world", "world.toml", "--speed", speed, "--halt", halt_s]);
+        let truth = true_cell(&plan).map(|file| file.map(|path| path.display().to_string()));
+        match &truth {
+            Some([robot, world]) => simulate.extend(["--robot", robot, "--world", world]),
+            None => {
+                files::write_file(&inside.join("world.toml"), world(&content, &robot))?;
+                simulate.extend(["--world", "world.toml"]);
+            }
+        }
+        let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
+        simulate.extend(["--speed", speed, "--halt", halt_s]);
         simulate.extend(["--listen", LOOPBACK]);
         let address = server.map(|server| match server.ip().is_unspecified() {
             true => SocketAddr::from((Ipv4Addr::LOCALHOST, server.port())).to_string(),

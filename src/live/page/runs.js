@@ -1,8 +1,8 @@
 // Runs, their results, and the jobs that compute them.
 
 import { ask } from "/link.js";
-import { count, fixed } from "/numbers.js";
-import { known, language, t } from "/texts.js";
+import { count, dateAndTime, fixed } from "/numbers.js";
+import { known, t } from "/texts.js";
 
 const $ = (id) => document.getElementById(id);
 const KINDS = ["identify", "circle", "sync"];
@@ -37,7 +37,7 @@ export async function refresh() {
 function row(run) {
   const line = make("tr", null);
   line.append(make("th", run.name, { scope: "row" }));
-  const when = run.started_unix_ms ? new Date(run.started_unix_ms).toLocaleString(language) : "";
+  const when = run.started_unix_ms ? dateAndTime(run.started_unix_ms) : "";
   const cell = (key, text) => make("td", text, { "data-head": t(key) });
   line.append(cell("results.started", when));
   const reason = run.ended?.reason;
