@@ -102,9 +102,12 @@ function measureLabel(report) {
   const now = measure.now();
   if (report.state === "running" || now?.run) return t("act.watch");
   if (!now?.device.port) return work?.simulated ? t("act.simulate") : t("act.choose_port");
-  if (now.reading) return work?.simulated ? t("act.halt") : t("act.start");
-  return report.state === "ready" ? t("act.connect") : t(report.label);
+  if (isRead(report)) return work?.simulated ? t("act.halt") : t("act.start");
+  return t(report.label);
 }
+
+/** Whether the bar is read against the plan of a step. */
+const isRead = (report) => measure.now()?.reading?.plan === report.plan;
 
 function drawStep(report) {
   const { step } = report;
@@ -141,7 +144,7 @@ const isNext = (report) => work.steps.find((one) => !["done", "todo"].includes(o
 
 /** Puts the new state into the page; what has the focus keeps it. */
 function draw() {
-  const state = JSON.stringify([work, measure.now()?.device, measure.now()?.state, !!measure.now()?.reading]);
+  const state = JSON.stringify([work, ofBar(measure.now())]);
   if (state === drawn) return;
   drawn = state;
   const focused = document.activeElement?.dataset.action === "next" ? document.activeElement.closest("[data-step]")?.dataset.step : null;
@@ -157,6 +160,9 @@ function draw() {
   const of = (step) => work.steps.find((one) => one.step === step);
   attempt(() => correct.show(of("correct")));
 }
+
+/** What the buttons depend on besides the files. */
+const ofBar = (now) => [now?.device.port, now?.reading?.plan, now?.run?.name].join("|");
 
 let asked = 0;
 
@@ -218,7 +224,7 @@ async function record(report) {
     return measure.connect();
   }
   if (!now?.device.port) return $("port").focus();
-  if (!now.reading) return measure.connect();
+  if (!isRead(report)) return measure.connect();
   if (work.simulated) return measure.confirmHalt();
   const open = measure.openCheck();
   if (open) return open.focus();
@@ -236,6 +242,8 @@ async function goOn() {
     sessionStorage.removeItem("demo");
     $("pilot").textContent = t("demo.over");
     $("pilot").hidden = false;
+    $("live").open = false;
+    $("step-result").scrollIntoView();
     return;
   }
   const now = measure.now();
@@ -252,7 +260,7 @@ async function goOn() {
 }
 
 const look = () => attempt(refresh);
-let runBefore = null;
+let barBefore = "";
 window.addEventListener("dbbd:job", ({ detail: job }) => {
   if (job.robot !== robot || !work) return;
   if (["waiting", "running"].includes(job.state)) {
@@ -264,13 +272,10 @@ window.addEventListener("dbbd:job", ({ detail: job }) => {
   }
 });
 window.addEventListener("dbbd:status", ({ detail: now }) => {
-  const run = now.run?.name ?? null;
-  const changed = run !== runBefore;
-  runBefore = run;
-  if (!work) return;
-  if (changed) look();
-  else draw();
-  if (pilot) attempt(goOn);
+  const bar = ofBar(now);
+  if (bar === barBefore) return;
+  barBefore = bar;
+  look();
 });
 for (const kind of ["focus", "pageshow"]) window.addEventListener(kind, look);
 setInterval(() => document.hidden || look(), LOOK_MS);

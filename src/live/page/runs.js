@@ -76,6 +76,8 @@ async function submit(kind, run) {
 /** Updates a job. */
 export function show(job) {
   const before = jobs.get(job.id)?.state;
+  // Those of a step are shown there.
+  if (job.step) return;
   jobs.set(job.id, job);
   drawJobs();
   const over = !["waiting", "running"].includes(job.state);
@@ -88,7 +90,7 @@ export function show(job) {
 /** Sets all jobs after a connection. */
 export async function refreshJobs() {
   const list = (await ask("GET", "/jobs")).jobs;
-  jobs = new Map(list.reverse().map((job) => [job.id, job]));
+  jobs = new Map(list.reverse().filter((job) => !job.step).map((job) => [job.id, job]));
   drawJobs();
 }
 

@@ -133,7 +133,7 @@ function resize() {
 function reset() {
   const far = Math.max(1200, ...cell.path.flatMap((one) => one.arm.map((point) => Math.hypot(...point))));
   controls.target.set(far * 0.35, 0, far * 0.3);
-  camera.position.set(far * 1.5, -far * 1.9, far * 1.2);
+  camera.position.set(far * 1.1, -far * 1.45, far * 0.95);
   controls.update();
   redraw();
 }
@@ -179,7 +179,13 @@ function drawArrows() {
       const centre = cell.balls[one.ball - 1];
       if (!centre) continue;
       const along = new T.Vector3().subVectors(from, vector(centre)).normalize();
-      points.push(from, from.clone().addScaledVector(along, one.residual_mm * factor));
+      const size = one.residual_mm * factor;
+      const tip = from.clone().addScaledVector(along, size);
+      // A head of two short lines.
+      const side = new T.Vector3().crossVectors(along, camera.up).normalize();
+      const back = tip.clone().addScaledVector(along, -0.3 * size);
+      points.push(from, tip);
+      for (const way of [0.15, -0.15]) points.push(tip, back.clone().addScaledVector(side, way * size));
     }
   }
   arrows.geometry.dispose();
@@ -290,7 +296,7 @@ export async function open(robot) {
 export const pause = () => play(false);
 
 function wire() {
-  $("scene-magnify").append(...MAGNIFICATIONS.map((one) => new Option(`× ${one}`, String(one), false, one === 1000)));
+  $("scene-magnify").append(...MAGNIFICATIONS.map((one) => new Option(`× ${one}`, String(one), false, one === 5000)));
   $("scene-play").addEventListener("click", () => play(!playing));
   $("scene-time").addEventListener("input", () => {
     play(false);
