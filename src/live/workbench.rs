@@ -163,7 +163,7 @@ pub struct NewRobot {
 pub struct StepOptions {
     /// Of a check: largest position error, mm.
     pub tolerance_mm: Option<f64>,
-    /// Of a correction: the file to begin with.
+    /// Of a correction: the program; `None` for the first that is not corrected yet.
     pub program: Option<String>,
 }
 

@@ -163,6 +163,8 @@ class Story:
         self.next("correct")
         self.state("correct", "done")
         expect(self.page.locator("#shift-rows tr").nth(10)).to_be_attached(timeout=10_000)
+        corrected = {file.name for file in (cell / "demo" / "corrected").iterdir()}
+        assert corrected >= {name for name in names if name.endswith(".src")}, corrected
         with self.page.expect_download() as downloaded:
             self.page.locator("#download").click()
         downloaded.value.save_as(OUT / "corrected.zip")
@@ -178,6 +180,7 @@ class Story:
         self.halt("check")
         expect(check).to_have_text("Decide", timeout=180_000)
         self.state("result", "done")
+        expect(self.step("programs")).to_contain_text("Files in program")
         check.click()
         self.state("check", "done")
         assert self.step("check").locator("[data-verdict]").get_attribute("data-verdict") in ("pass", "fail", "undecided")

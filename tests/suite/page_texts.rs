@@ -66,12 +66,13 @@ fn every_step_has_its_sentence_and_its_action() {
     let steps = fs::read_to_string(root.join("src/daemon/service/workbench/steps.rs")).unwrap();
     let code = steps.split("#[cfg(test)]").next().unwrap();
     let english = texts("en");
-    let steps = [
-        "robot", "cell", "plan", "programs", "measure", "result", "correct", "check", "certificate", "act",
-    ];
+    let steps =
+        ["robot", "cell", "plan", "programs", "measure", "result", "correct", "check", "certificate", "act"];
     let mut keys: BTreeSet<String> = BTreeSet::new();
     for literal in code.split('"').skip(1).step_by(2) {
-        let is_key = |rest: &str| !rest.is_empty() && rest.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_');
+        let is_key = |rest: &str| {
+            !rest.is_empty() && rest.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_')
+        };
         if let Some((step, rest)) = literal.split_once('.')
             && steps.contains(&step)
             && is_key(rest)

@@ -50,35 +50,55 @@ export function start(now) {
   $("download").addEventListener("click", () => attempt(download));
 }
 
-let shownJob = null;
+/** The corrected points by the number of their job. @type {Map<number, any>} */
+let answers = new Map();
 let made = null;
+/** Whether all programs are corrected, one after the other. */
+let goesOn = false;
+
+/** Corrects the uploaded programs, one after the other. */
+export async function begin() {
+  goesOn = true;
+  answers = new Map();
+  await next();
+}
+
+async function next() {
+  await ask("POST", `/workbench/${context.robot}/steps/correct`, {});
+  await context.changed();
+}
 
 /** Shows what was corrected. @param {any} report the step of the service */
 export async function show(report) {
   made = report.state === "done" ? report : null;
   $("download").hidden = !made;
-  const job = report.job;
-  if (!job || job.kind !== "compensate" || !["done", "doubt"].includes(job.state)) {
-    if (report.state !== "done") $("shifts").hidden = true;
-    return;
+  const { job } = report;
+  const over = job?.kind === "compensate" && ["done", "doubt"].includes(job.state);
+  if (over && !answers.has(job.id)) {
+    answers.set(job.id, null);
+    answers.set(job.id, await ask("GET", `/jobs/${job.id}/answer`));
+    table();
+    if (goesOn && report.state === "ready") return next();
   }
-  if (shownJob === job.id) return;
-  shownJob = job.id;
-  const answer = await ask("GET", `/jobs/${job.id}/answer`);
-  if (!answer) return;
-  const cells = (point) => [point.name, String(point.line), signed(point.shift_mm, 3), fixed(point.turn_deg, 4)];
+  if (report.state !== "running" && !(goesOn && report.state === "ready" && over)) goesOn = false;
+}
+
+function table() {
+  const all = [...answers.values()].filter(Boolean);
+  const points = all.flatMap((answer) => answer.points);
   $("shift-rows").replaceChildren(
-    ...answer.points.map((point) => {
+    ...points.map((point) => {
       const row = make("tr", null);
-      const [name, ...rest] = cells(point);
-      row.append(make("th", name, { scope: "row" }), ...rest.map((text) => make("td", text, { class: "num" })));
+      const rest = [String(point.line), signed(point.shift_mm, 3), fixed(point.turn_deg, 4)];
+      row.append(make("th", point.name, { scope: "row" }), ...rest.map((text) => make("td", text, { class: "num" })));
       return row;
     }),
   );
-  $("shift-summary").textContent = t("correct.summary", {
-    points: answer.points.length, mean: fixed(answer.mean_shift_mm, 3), most: fixed(answer.largest_shift_mm, 3), left: answer.left,
-  });
-  $("shifts").hidden = false;
+  const mean = points.reduce((sum, point) => sum + point.shift_mm, 0) / Math.max(1, points.length);
+  const most = points.reduce((most, point) => Math.max(most, point.shift_mm), 0);
+  const left = all.reduce((sum, answer) => sum + answer.left, 0);
+  $("shift-summary").textContent = t("correct.summary", { points: points.length, mean: fixed(mean, 3), most: fixed(most, 3), left });
+  $("shifts").hidden = !all.length;
 }
 
 async function download() {

@@ -186,6 +186,7 @@ async function act(report) {
   if (report.action === "edit") return edit();
   if (report.action === "upload") return $("program").click();
   if (report.action === "measure") return record(report);
+  if (report.step === "correct") return correct.begin();
   await compute(report.step);
 }
 
@@ -247,7 +248,8 @@ async function goOn() {
     return;
   }
   const now = measure.now();
-  $("pilot").textContent = t(next.step === "measure" && now?.reading ? "demo.halt" : `demo.${next.step}`);
+  const measuring = now?.run ? "demo.running" : now?.reading ? "demo.halt" : "demo.measure";
+  $("pilot").textContent = t(next.step === "measure" ? measuring : `demo.${next.step}`);
   if (next.state !== "ready" || begun.has(next.step)) return;
   if (next.step === "measure" && !now) return;
   begun.add(next.step);

@@ -40,6 +40,8 @@ pub(super) const TRUTH: [&str; 2] = ["truth.toml", "world.toml"];
 pub(super) struct FoundDirectory {
     pub(super) name: String,
     pub(super) files: Vec<String>,
+    /// When each of them was written, ms since the Unix epoch.
+    pub(super) times_ms: Vec<u64>,
     /// Of its newest file, ms since the Unix epoch.
     pub(super) changed_ms: u64,
 }
@@ -150,12 +152,19 @@ impl FoundDirectory {
     fn read(parent: &Path, name: &str) -> Self {
         let path = parent.join(name);
         let files: Vec<String> = names(&path).into_iter().filter(|file| path.join(file).is_file()).collect();
-        let changed_ms = files.iter().map(|file| changed_ms(&path.join(file))).max().unwrap_or(0);
-        Self { name: name.into(), files, changed_ms }
+        let times_ms: Vec<u64> = files.iter().map(|file| changed_ms(&path.join(file))).collect();
+        let changed_ms = times_ms.iter().copied().max().unwrap_or(0);
+        Self { name: name.into(), files, times_ms, changed_ms }
     }
 
     pub(super) fn has(&self, file: &str) -> bool {
-        self.files.iter().any(|one| one == file)
+        self.written_ms(file).is_some()
+    }
+
+    /// When a file was written.
+    pub(super) fn written_ms(&self, file: &str) -> Option<u64> {
+        let place = self.files.iter().position(|one| one == file)?;
+        self.times_ms.get(place).copied()
     }
 }
 
@@ -249,7 +258,9 @@ impl WorkFiles {
         }
         found.plans.sort_by_key(|plan| std::cmp::Reverse(plan.directory.changed_ms));
         for plan in &mut found.plans {
-            let of_plan = programs.iter().filter(|(_, text)| text.contains(&plan.hash));
+            // Its provenance may name other plans too.
+            let own = format!("calibration, plan {}", plan.hash);
+            let of_plan = programs.iter().filter(|(_, text)| text.contains(&own));
             plan.program = of_plan.map(|(directory, _)| directory.clone()).max_by_key(|one| one.changed_ms);
         }
         found.runs = found_runs(&directory, data, running, run_plans);

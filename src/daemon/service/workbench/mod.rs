@@ -110,7 +110,7 @@ fn work_of(
         WorkStep::Correct => {
             let uploaded = files.uploaded.as_ref().filter(|_| files.result.is_some()).ok_or_else(early)?;
             let chosen = options.program.as_deref().filter(|name| uploaded.has(name));
-            let program = chosen.or_else(|| steps::main_program(Some(uploaded))).ok_or_else(early)?;
+            let program = chosen.or(steps::uncorrected(files).first().copied()).ok_or_else(early)?;
             let in_upload = |name: &str| Path::new(UPLOADED).join(name);
             let request = CompensateRequest {
                 program: in_upload(program),

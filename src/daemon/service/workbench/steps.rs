@@ -353,33 +353,49 @@ fn micrometres(mm: &Value) -> Option<f64> {
 
 fn correct(files: &WorkFiles) -> Drafted {
     let result = result_directory(files);
-    let program = main_program(files.uploaded.as_ref()).unwrap_or("PROGRAM.src");
+    let next = uncorrected(files).first().copied().or(programs_in(files.uploaded.as_ref()).next());
+    let program = next.unwrap_or("PROGRAM.src");
     let command = format!(
         "dbbd compensate {UPLOADED}/{program} --robot {result}/robot-identified.toml --out {CORRECTED}"
     );
     if files.result.is_none() {
         return Drafted::todo("correct.no_result").command(command);
     }
-    let newest_input = [files.uploaded.as_ref(), files.result.as_ref().map(|result| &result.directory)];
-    let newest_ms = newest_input.into_iter().flatten().map(|one| one.changed_ms).max().unwrap_or(0);
-    let drafted = match (&files.uploaded, &files.corrected) {
-        (None, None) => Drafted::ready("correct.none").acting(StepAction::Upload, "act.upload"),
-        (_, Some(made)) if made.changed_ms >= newest_ms => {
+    let left = uncorrected(files);
+    let all = programs_in(files.uploaded.as_ref()).count();
+    let drafted = match &files.corrected {
+        _ if all == 0 => Drafted::ready("correct.none").acting(StepAction::Upload, "act.upload"),
+        Some(made) if left.is_empty() => {
             let values = json!({ "files": made.files.len(), "directory": made.name });
-            Drafted::done(StepVerdict::None, "correct.found", values)
-                .acting(StepAction::Upload, "act.upload_again")
+            let done = Drafted::done(StepVerdict::None, "correct.found", values);
+            done.acting(StepAction::Upload, "act.upload_again")
         }
-        (Some(_), _) => Drafted::ready("correct.uploaded").acting(StepAction::Compute, "act.correct"),
-        (None, Some(_)) => Drafted::ready("correct.none").acting(StepAction::Upload, "act.upload"),
+        Some(_) | None => {
+            let values = json!({ "left": left.len(), "all": all });
+            let ready = Drafted::new(StepState::Ready, StepVerdict::None, "correct.uploaded", values);
+            ready.acting(StepAction::Compute, "act.correct")
+        }
     };
     drafted.command(command).made(files.corrected.as_ref())
 }
 
-/// The file to begin with.
-pub(super) fn main_program(uploaded: Option<&FoundDirectory>) -> Option<&str> {
-    let is_main =
-        |name: &&String| [".src", ".mod", ".script"].iter().any(|end| name.to_lowercase().ends_with(end));
-    uploaded?.files.iter().find(is_main).map(String::as_str)
+/// The programs among uploaded files; the others belong to them.
+fn programs_in(uploaded: Option<&FoundDirectory>) -> impl Iterator<Item = &str> {
+    let is_program =
+        |name: &&str| [".src", ".mod", ".script"].iter().any(|end| name.to_ascii_lowercase().ends_with(end));
+    uploaded.into_iter().flat_map(|uploaded| &uploaded.files).map(String::as_str).filter(is_program)
+}
+
+/// The uploaded programs that were not corrected with the result yet.
+pub(super) fn uncorrected(files: &WorkFiles) -> Vec<&str> {
+    let result_ms = files.result.as_ref().map_or(0, |result| result.directory.changed_ms);
+    let uploaded = files.uploaded.as_ref();
+    let is_corrected = |name: &str| {
+        let written_ms = files.corrected.as_ref().and_then(|corrected| corrected.written_ms(name));
+        let uploaded_ms = uploaded.and_then(|uploaded| uploaded.written_ms(name)).unwrap_or(0);
+        written_ms.is_some_and(|written_ms| written_ms >= uploaded_ms.max(result_ms))
+    };
+    programs_in(uploaded).filter(|name| !is_corrected(name)).collect()
 }
 
 /// What a check needs next; `None` without a result.
@@ -485,7 +501,7 @@ mod tests {
     use super::*;
 
     fn directory(name: &str, changed_ms: u64) -> FoundDirectory {
-        FoundDirectory { name: name.into(), files: vec!["a".into()], changed_ms }
+        FoundDirectory { name: name.into(), files: vec!["a".into()], times_ms: vec![changed_ms], changed_ms }
     }
 
     fn job() -> WorkFiles {
@@ -615,6 +631,29 @@ mod tests {
         let newer = FoundPlan { directory: directory("plan", 21), ..planned(false) };
         let files = WorkFiles { plans: vec![newer], ..job() };
         assert_eq!(seen(&files, &jobs, None)[2].state, StepState::Done);
+    }
+
+    #[test]
+    fn every_uploaded_program_is_corrected_once() {
+        let of = |files: [(&str, u64); 2]| {
+            let (files, times_ms): (Vec<String>, Vec<u64>) =
+                files.map(|(name, ms)| (name.to_owned(), ms)).into_iter().unzip();
+            Some(FoundDirectory { name: String::new(), files, changed_ms: 0, times_ms })
+        };
+        let mut files = WorkFiles { result: identified(30), ..job() };
+        assert_eq!(seen(&files, &[], None)[6].text, "correct.none");
+        files.uploaded = of([("a.src", 40), ("b.SRC", 40)]);
+        assert_eq!(uncorrected(&files), ["a.src", "b.SRC"]);
+        // The one was corrected before it was uploaded again, or before the robot was identified again.
+        files.corrected = of([("a.src", 50), ("b.SRC", 39)]);
+        assert_eq!(uncorrected(&files), ["b.SRC"]);
+        let step = &seen(&files, &[], None)[6];
+        assert_eq!((step.state, step.values["left"].as_u64()), (StepState::Ready, Some(1)));
+        assert!(step.command.starts_with("dbbd compensate uploaded/b.SRC "));
+        files.corrected = of([("a.src", 50), ("b.SRC", 51)]);
+        assert_eq!(seen(&files, &[], None)[6].state, StepState::Done);
+        files.result = identified(60);
+        assert_eq!(uncorrected(&files), ["a.src", "b.SRC"]);
     }
 
     #[test]
