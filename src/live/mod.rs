@@ -43,8 +43,8 @@ pub use view::{
 };
 
 pub use workbench::{
-    ExplainedFinding, NewRobot, ProgramFile, ProgramUpload, RobotSummary, RobotWork, StepAction, StepOptions,
-    StepReport, StepState, StepVerdict, WorkStep, Workbench,
+    ExplainedFinding, NewRobot, ProgramUpload, RobotSummary, RobotWork, StepAction, StepOptions, StepReport,
+    StepState, StepVerdict, UploadedFile, WorkStep, Workbench,
 };
 
 /// A path, its methods as `GET` or `GET, POST`, and its handlers.

@@ -144,6 +144,8 @@ pub struct RunEntry {
     /// Size of the capture, bytes.
     pub bytes: u64,
     pub ended: Option<Ended>,
+    /// Its plan is that of a check: it leads to `dbbd check`, not to `dbbd identify`.
+    pub is_check: bool,
     pub results: Vec<ResultFile>,
 }
 

@@ -171,12 +171,12 @@ pub struct StepOptions {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProgramUpload {
-    pub files: Vec<ProgramFile>,
+    pub files: Vec<UploadedFile>,
 }
 
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ProgramFile {
+pub struct UploadedFile {
     pub name: String,
     /// One character a byte (U+0000 to U+00FF): a program keeps the bytes of its own code page.
     pub bytes: String,

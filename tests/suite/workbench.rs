@@ -93,6 +93,33 @@ fn a_step_makes_the_files_of_the_command_beside_it() {
 }
 
 #[test]
+fn what_the_demo_of_the_command_line_left_is_shown_to_its_end() {
+    let dir = tempfile::tempdir().unwrap();
+    dbbd(dir.path(), "dbbd --quiet demo --out shown");
+    let server = Server::start(dir.path(), "");
+    let work = server.get("/api/v1/workbench/shown").json();
+    assert_eq!(work["simulated"], true);
+    for name in ["robot", "cell", "plan", "programs", "measure", "result"] {
+        assert_eq!(step(&work, name)["state"], "done", "{name}");
+    }
+    let result: Value =
+        serde_json::from_str(&fs::read_to_string(dir.path().join("shown/result/result.json")).unwrap())
+            .unwrap();
+    let shown = &step(&work, "result")["values"];
+    assert_eq!(
+        (&shown["u_mm"], &shown["k"]),
+        (&result["budget"]["expanded_mm"], &result["budget"]["coverage_factor"])
+    );
+    // The arrows of the scene are the residuals of the result.
+    let scene = server.get("/api/v1/workbench/shown/scene").json();
+    let residuals =
+        scene["residuals"].as_array().unwrap().iter().map(|one| one["residual_mm"].as_f64().unwrap());
+    let (count, squares) = residuals.fold((0.0, 0.0), |(count, sum), mm| (count + 1.0, sum + mm * mm));
+    let rms = f64::sqrt(squares / count);
+    assert!((rms - result["residual_mm"]["after"]["rms"].as_f64().unwrap()).abs() < 1e-9, "{rms}");
+}
+
+#[test]
 fn a_job_is_checked_as_on_the_command_line() {
     let dir = tempfile::tempdir().unwrap();
     let server = Server::start(dir.path(), "");

@@ -72,6 +72,15 @@ impl Supervisor {
     }
 }
 
+impl Supervisor {
+    /// Notes what the plan of a run is for.
+    fn note_plan(&self, run: &mut RunEntry) {
+        let capture = self.config.data.join(&run.name).join(runs::CAPTURE);
+        let plan = self.run_plans.of(&capture, run.started_unix_ms);
+        run.is_check = plan.is_some_and(|plan| plan.is_check);
+    }
+}
+
 impl Journal for Supervisor {
     fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]) {
         self.journal.warn(event, fields);
@@ -238,11 +247,15 @@ impl Service for Supervisor {
     }
 
     fn runs(&self) -> Result<Vec<RunEntry>, Diagnostic> {
-        runs::list_recorded_runs(&self.config.data, self.running().as_deref())
+        let mut runs = runs::list_recorded_runs(&self.config.data, self.running().as_deref())?;
+        runs.iter_mut().for_each(|run| self.note_plan(run));
+        Ok(runs)
     }
 
     fn run(&self, name: &str) -> Result<RunEntry, Diagnostic> {
-        runs::entry(&self.config.data, name, self.running().as_deref())
+        let mut run = runs::entry(&self.config.data, name, self.running().as_deref())?;
+        self.note_plan(&mut run);
+        Ok(run)
     }
 
     fn file(&self, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Diagnostic> {

@@ -150,7 +150,7 @@ pub(super) fn entry_of(
         (None, false) => RunState::EndedEarly,
         (Some(_), _) => RunState::Ended,
     };
-    Ok(RunEntry { name: name.into(), state, started_unix_ms, bytes, ended, results })
+    Ok(RunEntry { name: name.into(), state, started_unix_ms, bytes, ended, is_check: false, results })
 }
 
 /// The first and the last bytes of a file, and its length.

@@ -29,6 +29,8 @@ try {
 if (pilot?.name !== robot) pilot = null;
 /** Steps that the demo has begun: none is begun twice. */
 const begun = new Set();
+/** The bar of the demo was reported as mounted before its program halts. */
+let mountedEarly = false;
 
 const part = (step, selector) => document.querySelector(`[data-step="${step}"] ${selector}`);
 
@@ -220,6 +222,7 @@ async function record(report) {
   measure.open(report.plan);
   const now = measure.now();
   if (now?.run) return $("length").focus();
+  if (pilot && !isRead(report)) return (mountedEarly = true);
   if (work.simulated && now?.device.port !== "sim") {
     await measure.simulate(pilot?.speed ?? 20);
     return measure.connect();
@@ -250,15 +253,26 @@ async function goOn() {
   const now = measure.now();
   const measuring = now?.run ? "demo.running" : now?.reading ? "demo.halt" : "demo.measure";
   $("pilot").textContent = t(next.step === "measure" ? measuring : `demo.${next.step}`);
+  if (next.step === "measure" && mountedEarly && isRead(next) && !now.run) {
+    mountedEarly = false;
+    return measure.confirmHalt();
+  }
   if (next.state !== "ready" || begun.has(next.step)) return;
   if (next.step === "measure" && !now) return;
   begun.add(next.step);
-  if (next.step !== "measure") return compute(next.step);
-  // The program begins and halts for the bar: the operator goes on.
-  await measure.refreshLists();
-  measure.open(next.plan);
-  await measure.simulate(pilot.speed);
-  await measure.connect();
+  try {
+    if (next.step !== "measure") return await compute(next.step);
+    // The program begins and halts for the bar: the operator goes on.
+    await measure.refreshLists();
+    measure.open(next.plan);
+    await measure.simulate(pilot.speed);
+    await measure.connect();
+  } catch (error) {
+    // The operator goes on by hand.
+    pilot = null;
+    $("pilot").hidden = true;
+    throw error;
+  }
 }
 
 const look = () => attempt(refresh);
@@ -284,6 +298,7 @@ setInterval(() => document.hidden || look(), LOOK_MS);
 afterSignIn(look);
 
 if (robot) {
+  $("robot-name").textContent = robot;
   drawNav();
   correct.start({ robot, changed: refresh });
   let scene = null;

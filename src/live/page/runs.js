@@ -46,7 +46,9 @@ function row(run) {
   const size = fixed(run.bytes / 1e6, 1);
   line.append(cell("results.recorded", run.ended ? t("results.samples", { samples: count(run.ended.samples), size }) : t("results.size", { size })));
   const act = cell("results.evaluate", null);
-  for (const kind of KINDS) {
+  // A run of a check is no calibration.
+  if (run.is_check) act.append(make("span", t("runs.check")), " ");
+  for (const kind of KINDS.filter((kind) => !run.is_check || kind === "sync")) {
     const label = t("kind.of", { kind: t(`kind.${kind}`), run: run.name });
     const button = make("button", t(`kind.${kind}`), { type: "button", "aria-label": label, "data-kind": kind });
     button.disabled = run.state === "running";

@@ -11,7 +11,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use dbbd_device::sync::lock;
 use dbbd_job::files;
 use dbbd_job::plan::{Job, PoseKind};
-use dbbd_job::recording::capture;
+use dbbd_job::recording::capture::{CapturePart, CaptureReader, CaptureRecord};
 use dbbd_job::recording::run::PlanFiles;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::ArtefactRole;
@@ -21,7 +21,7 @@ use serde_json::Value;
 use crate::daemon::service::runs::{self, CAPTURE, is_plain_directory, is_sound, open_plain};
 
 /// Bytes at the begin of a capture that hold the files in force: a plan of 1000 poses has a few hundred kB.
-const CAPTURE_HEAD: u64 = 4 << 20;
+const CAPTURE_HEAD: u64 = 16 << 20;
 /// Runs whose plan is looked for, the newest.
 const MAX_RUNS: usize = 100;
 /// Directories of one robot that are looked into.
@@ -104,29 +104,49 @@ pub(super) struct WorkFiles {
     pub(super) simulated: bool,
 }
 
+/// The plan of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::daemon::service) struct RunPlan {
+    hash: String,
+    /// Of a check of a calibrated robot.
+    pub(in crate::daemon::service) is_check: bool,
+}
+
 /// The plans of captures by their path and start: the begin of a capture never changes.
 #[derive(Default)]
-pub(in crate::daemon::service) struct RunPlans(Mutex<BTreeMap<(PathBuf, Option<u64>), Option<String>>>);
+pub(in crate::daemon::service) struct RunPlans(Mutex<BTreeMap<(PathBuf, Option<u64>), Option<RunPlan>>>);
 
 impl RunPlans {
-    fn hash_of(&self, path: &Path, started_ms: Option<u64>) -> Option<String> {
+    pub(in crate::daemon::service) fn of(&self, path: &Path, started_ms: Option<u64>) -> Option<RunPlan> {
         let key = (path.to_owned(), started_ms);
         if let Some(known) = lock(&self.0).get(&key) {
             return known.clone();
         }
-        let hash = attached_hash(path);
-        lock(&self.0).insert(key, hash.clone());
-        hash
+        let plan = attached_plan(path)?;
+        lock(&self.0).insert(key, plan.clone());
+        plan
     }
 }
 
-/// The hash of the plan in a capture.
-fn attached_hash(path: &Path) -> Option<String> {
-    let mut head = Vec::new();
-    open_plain(path).ok()?.take(CAPTURE_HEAD).read_to_end(&mut head).ok()?;
-    let capture = capture::read_capture(&head);
-    let header: Value = serde_json::from_slice(capture.attachment("plan.json")?).ok()?;
-    Some(header["hash"].as_str()?.to_owned())
+/// The plan in a capture, which precedes all samples; `None` while nothing is recorded yet.
+fn attached_plan(path: &Path) -> Option<Option<RunPlan>> {
+    let reader = CaptureReader::new(open_plain(path).ok()?.take(CAPTURE_HEAD)).ok()?;
+    for part in reader.flatten() {
+        let CapturePart::Record(stamped) = part else { continue };
+        match stamped.record {
+            CaptureRecord::Attachment { name, content } if name == "plan.json" => {
+                let header: Value = serde_json::from_slice(&content).ok()?;
+                let (hash, is_check) = (header["hash"].as_str()?.to_owned(), header["check"].is_object());
+                return Some(Some(RunPlan { hash, is_check }));
+            }
+            CaptureRecord::Raw(_) | CaptureRecord::Samples(_) => return Some(None),
+            CaptureRecord::Attachment { .. }
+            | CaptureRecord::Fault(_)
+            | CaptureRecord::Axes(_)
+            | CaptureRecord::Event(_) => {}
+        }
+    }
+    None
 }
 
 fn unix_ms(time: SystemTime) -> u64 {
@@ -336,14 +356,14 @@ fn found_runs(directory: &Path, data: &Path, running: Option<&str>, run_plans: &
     for name in names(directory).into_iter().filter(|name| name.ends_with(".dbbd")).take(MAX_RUNS) {
         let path = directory.join(&name);
         let Ok(entry) = runs::entry_of(&name, &path, None, Vec::new()) else { continue };
-        if let Some(plan_hash) = run_plans.hash_of(&path, entry.started_unix_ms) {
+        if let Some(RunPlan { hash: plan_hash, .. }) = run_plans.of(&path, entry.started_unix_ms) {
             found.push(FoundRun::new(name.clone(), name, plan_hash, changed_ms(&path), entry.ended));
         }
     }
     let of_service = runs::list_recorded_runs(data, running).unwrap_or_default();
     for entry in of_service.into_iter().take(MAX_RUNS).filter(|entry| running != Some(entry.name.as_str())) {
         let path = data.join(&entry.name).join(CAPTURE);
-        if let Some(plan_hash) = run_plans.hash_of(&path, entry.started_unix_ms) {
+        if let Some(RunPlan { hash: plan_hash, .. }) = run_plans.of(&path, entry.started_unix_ms) {
             let shown = relative(directory, &path).display().to_string();
             found.push(FoundRun::new(entry.name, shown, plan_hash, changed_ms(&path), entry.ended));
         }
