@@ -23,7 +23,6 @@ use dbbd_device::port::{self, PortAddress};
 use dbbd_device::protocol::ProtocolFinding;
 use dbbd_job::plan::DEFAULT_PROTOCOL;
 use dbbd_job::recording::axes::PacketCounts;
-use dbbd_job::recording::capture::CaptureSummary;
 use dbbd_job::recording::run::{self, PlanFiles};
 use dbbd_job::request;
 use dbbd_job::sim::SimulationFinding;

@@ -36,7 +36,7 @@ pub(crate) struct CheckArgs {
     #[arg(long, value_name = "MM", value_parser = value::tolerance)]
     tolerance: Option<f64>,
     /// Largest probability of a wrong decision, which sets the guard band (JCGM 106).
-    #[arg(long, value_name = "P", default_value_t = 0.05, value_parser = value::risk, requires = "tolerance")]
+    #[arg(long, value_name = "P", default_value_t = CheckRequest::RISK, value_parser = value::risk, requires = "tolerance")]
     risk: f64,
     /// Decide by the median of the position error alone, without a guard band.
     #[arg(long, conflicts_with = "risk", requires = "tolerance")]

@@ -7,8 +7,11 @@ use std::sync::Arc;
 use serde_json::json;
 
 use super::acquire::simulated;
-use super::{CommandOutcome, CommandOutput};
-use crate::daemon::{self, HaltBehaviour, LogLevel, MakeCell, ServiceConfig, ServiceLog};
+use super::{CommandOutcome, CommandOutput, demo};
+use crate::catalogue;
+use crate::daemon::{
+    self, CellRequest, HaltBehaviour, LogLevel, MakeCell, ServiceConfig, ServiceLog, ServiceParts,
+};
 use dbbd_device::port::PortAddress;
 use dbbd_job::files;
 use dbbd_model::diagnostic::Diagnostic;
@@ -48,7 +51,15 @@ pub(crate) fn run(args: &ServeArgs, out: &CommandOutput) -> Result<CommandOutcom
         out.result(format!("the configuration is sound: http://{address}/, runs in {data}"));
         return Ok(CommandOutcome::Done);
     }
-    daemon::serve(config, Arc::new(LogLines { out: out.clone() }), make_cell(out.clone()))?;
+    let parts = ServiceParts {
+        make_cell: make_cell(out.clone()),
+        make_demo: Box::new(demo::write_cell),
+        explain: |code| {
+            let entry = catalogue::entries().find(|entry| entry.code.as_str() == code)?;
+            Some((entry.cause, entry.cure))
+        },
+    };
+    daemon::serve(config, Arc::new(LogLines { out: out.clone() }), parts)?;
     Ok(CommandOutcome::Done)
 }
 
@@ -60,16 +71,16 @@ fn check_writable(directory: &Path) -> Result<(), Diagnostic> {
     file.map(drop).map_err(files::unwritable(directory))
 }
 
-/// Creates the simulated cell of the port `sim`, which runs in real time.
+/// Creates the simulated cell of the port `sim`.
 fn make_cell(out: CommandOutput) -> Option<MakeCell> {
-    let make = move |plan: Option<&Path>,
-                     halt: HaltBehaviour|
-          -> Result<Box<dyn daemon::SimulatedCell>, Diagnostic> {
-        let halt_s = match halt {
+    let make = move |wanted: &CellRequest<'_>| -> Result<Box<dyn daemon::SimulatedCell>, Diagnostic> {
+        let halt_s = match wanted.halt {
             HaltBehaviour::Continue => simulated::HALT_S,
             HaltBehaviour::Wait => "86400",
         };
-        Ok(Box::new(simulated::PlanSimulator::start(plan, simulated::CellOptions::real_time(halt_s), &out)?))
+        let speed = wanted.speed.to_string();
+        let options = simulated::CellOptions { speed: &speed, ..simulated::CellOptions::real_time(halt_s) };
+        Ok(Box::new(simulated::PlanSimulator::start(wanted.plan, options, &out)?))
     };
     Some(Box::new(make))
 }

@@ -28,8 +28,8 @@ pub use schedule::{ALARM_SHARE, Schedule};
 #[cfg(feature = "archive")]
 pub use service::serve_plant;
 pub use service::{
-    Endpoint, HaltBehaviour, LogLevel, MakeCell, ServiceConfig, ServiceLog, SimulatedCell, abort_on_panic,
-    serve,
+    CellRequest, Endpoint, Explain, HaltBehaviour, LogLevel, MakeCell, MakeDemo, ServiceConfig, ServiceLog,
+    ServiceParts, SimulatedCell, abort_on_panic, serve,
 };
 pub use session::zero_bar;
 pub use signals::stop_on_signal;

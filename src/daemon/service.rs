@@ -12,6 +12,7 @@ mod jobs;
 mod log;
 mod runs;
 mod serve;
+mod workbench;
 
 pub use config::{Endpoint, ServiceConfig};
 pub use log::{LogLevel, ServiceLog};
@@ -29,6 +30,7 @@ use tokio::sync::{broadcast, watch};
 use self::catalogue::PlanCache;
 use self::jobs::JobQueue;
 use self::log::RateLimitedLog;
+use self::workbench::RunPlans;
 use super::live_state::LiveState;
 use super::{Acquisition, Schedule};
 use crate::live::ServiceFinding;
@@ -52,9 +54,32 @@ pub enum HaltBehaviour {
     Wait,
 }
 
-/// Creates a simulated cell that runs this plan, or a plan of its own.
-pub type MakeCell =
-    Box<dyn Fn(Option<&Path>, HaltBehaviour) -> Result<Box<dyn SimulatedCell>, Diagnostic> + Send + Sync>;
+/// The simulated cell that is wanted.
+#[derive(Clone, Copy, Debug)]
+pub struct CellRequest<'a> {
+    /// The plan that it runs; `None`: a plan of its own.
+    pub plan: Option<&'a Path>,
+    pub halt: HaltBehaviour,
+    /// Device time per host time.
+    pub speed: f64,
+}
+
+/// Creates a simulated cell.
+pub type MakeCell = Box<dyn Fn(&CellRequest<'_>) -> Result<Box<dyn SimulatedCell>, Diagnostic> + Send + Sync>;
+
+/// Writes the job of a simulated cell into a directory, with its true robot and its true base balls.
+pub type MakeDemo = Box<dyn Fn(&Path) -> Result<(), Diagnostic> + Send + Sync>;
+
+/// Cause and cure of a code.
+pub type Explain = fn(&str) -> Option<(&'static str, &'static str)>;
+
+/// What the program adds to the service.
+pub struct ServiceParts {
+    /// Creates the cell of the port `sim`.
+    pub make_cell: Option<MakeCell>,
+    pub make_demo: MakeDemo,
+    pub explain: Explain,
+}
 
 /// A simulated cell. Its program begins when its bar is read; the cell ends when it is dropped.
 pub trait SimulatedCell: Send {
@@ -68,6 +93,8 @@ struct Supervisor {
     config: ServiceConfig,
     log: Arc<dyn ServiceLog>,
     make_cell: Option<MakeCell>,
+    make_demo: MakeDemo,
+    run_plans: RunPlans,
     status: watch::Sender<Status>,
     live: LiveState,
     jobs: JobQueue,
@@ -136,7 +163,7 @@ impl Supervisor {
     fn new(
         config: ServiceConfig,
         log: Arc<dyn ServiceLog>,
-        make_cell: Option<MakeCell>,
+        parts: ServiceParts,
     ) -> std::io::Result<(Self, Receiver<()>)> {
         let messages = broadcast::Sender::new(BACKLOG);
         let (over, notified) = channel();
@@ -153,9 +180,11 @@ impl Supervisor {
             config,
             journal: RateLimitedLog::new(Arc::clone(&log)),
             log,
-            make_cell,
+            make_cell: parts.make_cell,
+            make_demo: parts.make_demo,
+            run_plans: RunPlans::default(),
             status: watch::Sender::new(Status::default()),
-            jobs: JobQueue::start(messages.clone(), over.clone())?,
+            jobs: JobQueue::start(messages.clone(), over.clone(), parts.explain)?,
             live: LiveState { messages, run: Arc::default() },
             plans: PlanCache::default(),
             archiving: Mutex::default(),

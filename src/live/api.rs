@@ -16,9 +16,9 @@ use super::access::Access;
 use super::guard::session;
 use super::json::{Body, Problem, json};
 use super::server::Peer;
-use super::service::{Act, Catalogue, JobKind, JobRequest, Service, StartRequest};
+use super::service::{Act, Catalogue, ConnectRequest, JobKind, JobRequest, Service, StartRequest};
 use super::{Gate, Journal, Route, Site};
-use super::{downloads, metrics, stream};
+use super::{downloads, metrics, stream, workbench};
 use crate::live::ServiceFinding::{NoJob, NoResultKind, PathNotText, RemarkLength, WorkerLost};
 use dbbd_job::page::PageFile;
 use dbbd_model::diagnostic::Diagnostic;
@@ -29,19 +29,29 @@ pub const OPENAPI: &str = include_str!("openapi.json");
 const LONGEST_REMARK: usize = 250;
 
 #[derive(Clone)]
-struct App {
+pub(super) struct App {
     service: Arc<dyn Service>,
     stop: watch::Receiver<bool>,
 }
 
-type Answer = Result<Response, Problem>;
+pub(super) type Answer = Result<Response, Problem>;
 /// Parameters of a path. They fail to decode where the path is not UTF-8.
-type Parts<T> = Result<Path<T>, PathRejection>;
+pub(super) type Parts<T> = Result<Path<T>, PathRejection>;
 
 const FILES: &[PageFile] = &[
-    file("/", "text/html; charset=utf-8", include_str!("page/index.html")),
+    file("/", HTML, include_str!("page/home.html")),
+    file("/robot/{name}", HTML, include_str!("page/robot.html")),
+    file("/live", HTML, include_str!("page/robot.html")),
     file("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
-    script("/app.js", include_str!("page/app.js")),
+    script("/home.js", include_str!("page/home.js")),
+    script("/robot.js", include_str!("page/robot.js")),
+    script("/sentence.js", include_str!("page/sentence.js")),
+    script("/frame.js", include_str!("page/frame.js")),
+    script("/job_form.js", include_str!("page/job_form.js")),
+    script("/correct.js", include_str!("page/correct.js")),
+    script("/zip.js", include_str!("page/zip.js")),
+    script("/scene.js", include_str!("page/scene.js")),
+    script("/measure.js", include_str!("page/measure.js")),
     script("/gauge.js", include_str!("page/gauge.js")),
     script("/polar.js", include_str!("page/polar.js")),
     script("/numbers.js", include_str!("page/numbers.js")),
@@ -52,6 +62,8 @@ const FILES: &[PageFile] = &[
     file("/texts.json", "application/json", LANGUAGES),
     script("/runs.js", include_str!("page/runs.js")),
 ];
+
+const HTML: &str = "text/html; charset=utf-8";
 
 /// The texts of the page by language. A new language is a file and a line here.
 const LANGUAGES: &str = concat!(
@@ -71,7 +83,7 @@ const fn script(path: &'static str, content: &'static str) -> PageFile {
 }
 
 fn table() -> Vec<Route<App>> {
-    vec![
+    let cell = vec![
         ("/api/v1/openapi.json", "GET", get(openapi)),
         session(),
         ("/api/v1/status", "GET", get(status)),
@@ -96,7 +108,8 @@ fn table() -> Vec<Route<App>> {
         ("/api/v1/jobs/{id}", "GET", get(job)),
         ("/api/v1/jobs/{id}/cancel", "POST", post(cancel)),
         ("/metrics", "GET", get(prometheus)),
-    ]
+    ];
+    cell.into_iter().chain(workbench::table()).collect()
 }
 
 /// Paths of the API and their methods, as `GET` or `GET, POST`.
@@ -108,11 +121,13 @@ pub fn routes() -> Vec<(&'static str, &'static str)> {
 pub fn cell_site(service: Arc<dyn Service>, access: Arc<Access>, stop: watch::Receiver<bool>) -> Site {
     let journal: Arc<dyn Journal> = service.clone();
     let gate = Gate { access, journal, files: FILES, form_action: "'none'", sign_in: None };
-    Site::new(gate, table(), App { service, stop })
+    // Beside the API: a script that is loaded when it is needed.
+    let script = ("/vendor/three.js", "GET", get(workbench::scene_script));
+    Site::new(gate, table().into_iter().chain([script]).collect(), App { service, stop })
 }
 
 /// Calls the service on a thread that may block.
-async fn ask<T: Send + 'static>(
+pub(super) async fn ask<T: Send + 'static>(
     app: App,
     question: impl FnOnce(&dyn Service) -> Result<T, Diagnostic> + Send + 'static,
 ) -> Result<T, Problem> {
@@ -127,7 +142,7 @@ pub(super) async fn on_blocking_thread<T: Send + 'static>(
 }
 
 /// The JSON that the service gives.
-async fn reply<T: Serialize + Send + 'static>(
+pub(super) async fn reply<T: Serialize + Send + 'static>(
     app: App,
     question: impl FnOnce(&dyn Service) -> Result<T, Diagnostic> + Send + 'static,
 ) -> Answer {
@@ -143,7 +158,7 @@ async fn accept(
     Ok(StatusCode::ACCEPTED.into_response())
 }
 
-fn parts<T>(parts: Parts<T>) -> Result<T, Problem> {
+pub(super) fn parts<T>(parts: Parts<T>) -> Result<T, Problem> {
     parts
         .map(|Path(parts)| parts)
         .map_err(|error| Problem::new(StatusCode::BAD_REQUEST, PathNotText { why: error.body_text() }))
@@ -184,14 +199,8 @@ fn list(which: Catalogue) -> MethodRouter<App> {
     get(move |State(app): State<App>| reply(app, move |service| service.catalogue(which)))
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Connect {
-    plan: Option<String>,
-}
-
-async fn connect(State(app): State<App>, Body(Connect { plan }): Body<Connect>) -> Answer {
-    accept(app, move |service| service.connect(plan)).await
+async fn connect(State(app): State<App>, Body(request): Body<ConnectRequest>) -> Answer {
+    accept(app, move |service| service.connect(request)).await
 }
 
 async fn disconnect(State(app): State<App>) -> Answer {
@@ -280,7 +289,7 @@ async fn submit(State(app): State<App>, Body(request): Body<JobRequest>) -> Answ
     Ok(json(StatusCode::ACCEPTED, &job))
 }
 
-fn job_number(id: Parts<String>) -> Result<u64, Problem> {
+pub(super) fn job_number(id: Parts<String>) -> Result<u64, Problem> {
     let id = parts(id)?;
     id.parse().map_err(|_| Diagnostic::new(NoJob { job: id }).into())
 }

@@ -41,6 +41,7 @@ findings! {
             NoPlan { plan: String } => "there is no plan `{plan}`";
             NoSuchPort { port: String } => "there is no port `{port}`";
             NoSuchProtocol { protocol: String } => "there is no protocol `{protocol}`";
+            NoRobot { robot: String } => "there is no robot `{robot}`";
             NoResultKind { kind: String } => "`{kind}`: results are of sync, identify or circle";
             NothingHere => "there is nothing here";
         }
@@ -56,6 +57,9 @@ findings! {
             PortAway { port: String } => "there is no port `{port}`: plug the bar in";
             NameTaken { run: String } => "there is a run `{run}` already: choose another name";
             ProtocolNotBuiltIn { protocol: String } => "the plan's protocol `{protocol}` is not built in: configure it";
+            RobotTaken { robot: String } => "there is a directory `{robot}` already: choose another name";
+            StepTooEarly { step: &'static str } => "`{step}` cannot be computed yet: an earlier step comes first";
+            LinkedDirectory { directory: String } => "`{directory}` is a link or holds one", help: "files are written inside the working directory only: remove the link";
             LinkedResults { run: String, kind: String } => "`{kind}` of run `{run}` is a link or holds one", help: "results are written inside the data directory only: remove the link";
             DataUnwritable { why: String } => "the data directory cannot be written: {why}";
         }
@@ -63,6 +67,10 @@ findings! {
         cause: "A value of the request is outside of what it can be.",
         cure: "/api/v1/openapi.json describes every request." {
             RunName => "a run's name has 1 to 64 letters, digits, `.`, `_`, `-`, and begins with a letter or digit";
+            RobotName => "a robot's name has 1 to 64 letters, digits, `.`, `_`, `-`, and begins with a letter or digit";
+            Speed { most: f64 } => "a simulated cell runs at a speed above 0 and at most {most}";
+            ProgramName { name: String } => "`{name}` is no file of a robot program", help: "KRL .src and .dat, RAPID .mod and .pgf, URScript .script";
+            JobKey { key: String } => "the key `{key}` of the job cannot be set to this value";
             RunDuration { most_s: f64 } => "duration_s must be above 0 and at most {most_s}";
             OptionOfAnotherJob { option: String } => "`{option}` belongs to identify";
             OptionValue { option: String, value: String } => "`{option}` cannot be `{value}`";
@@ -129,8 +137,13 @@ impl ServiceFinding {
             | Self::NoSuchPort { .. }
             | Self::NoSuchProtocol { .. }
             | Self::NoResultKind { .. }
+            | Self::NoRobot { .. }
             | Self::NothingHere => StatusCode::NOT_FOUND,
             Self::RunName
+            | Self::RobotName
+            | Self::Speed { .. }
+            | Self::ProgramName { .. }
+            | Self::JobKey { .. }
             | Self::RunDuration { .. }
             | Self::OptionOfAnotherJob { .. }
             | Self::OptionValue { .. }

@@ -27,6 +27,8 @@ const PAGE_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'sel
     img-src 'self' data:; base-uri 'none'; frame-ancestors 'none'; form-action ";
 /// Longest path with query, bytes.
 const LONGEST_URI: usize = 2048;
+/// Scripts of others, which hold no secret either.
+const VENDOR: &str = "/vendor/";
 const SESSION: &str = "/api/v1/session";
 
 impl Site {
@@ -90,7 +92,7 @@ impl Gate {
         if request.uri().to_string().len() > LONGEST_URI {
             return Err(Problem::new(StatusCode::URI_TOO_LONG, PathTooLong));
         }
-        let is_file = self.files.iter().any(|file| file.path == path);
+        let is_file = self.files.iter().any(|file| is_path_of(file.path, path)) || path.starts_with(VENDOR);
         // Other sites may link to a page. The API is for the service's own pages.
         let own_pages_only = !(is_file || self.sign_in.is_some() && is_page(request));
         self.access.check_site(request.uri(), request.headers(), own_pages_only)?;
@@ -118,6 +120,14 @@ impl Gate {
 
     fn log_wrong_token(&self, client: IpAddr) {
         self.journal.warn("wrong_token", &[("address", &client)]);
+    }
+}
+
+/// Whether a path is that of a page, whose last part may be any name.
+fn is_path_of(page: &str, path: &str) -> bool {
+    match page.strip_suffix("{name}") {
+        Some(start) => path.strip_prefix(start).is_some_and(|name| !name.is_empty() && !name.contains('/')),
+        None => page == path,
     }
 }
 

@@ -22,6 +22,8 @@ use dbbd_plant::ArchiveFinding;
 
 /// Longest body, bytes.
 const LONGEST_BODY: usize = 64 * 1024;
+/// Longest body with files, bytes: the programs of a cell have a few hundred kB.
+const LONGEST_UPLOAD: usize = 4 * 1024 * 1024;
 /// Timeout for a body.
 const BODY_TIME: Duration = Duration::from_secs(10);
 
@@ -120,30 +122,43 @@ pub(super) fn json(status: StatusCode, content: &impl Serialize) -> Response {
 /// A JSON body.
 pub(super) struct Body<T>(pub(super) T);
 
+/// A JSON body that may hold the files of a program.
+pub(super) struct LongBody<T>(pub(super) T);
+
 impl<T: DeserializeOwned, S: Sync> FromRequest<S> for Body<T> {
     type Rejection = Problem;
 
     async fn from_request(request: Request, _: &S) -> Result<Self, Problem> {
-        let kind = request.headers().get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
-        let kind = kind.split(';').next().unwrap_or("").trim();
-        if !kind.eq_ignore_ascii_case("application/json") {
-            let status = StatusCode::UNSUPPORTED_MEDIA_TYPE;
-            return Err(Problem::new(status, BodyNotJson));
-        }
-        let bytes = tokio::time::timeout(BODY_TIME, to_bytes(request.into_body(), LONGEST_BODY))
-            .await
-            .map_err(|_| Problem::new(StatusCode::REQUEST_TIMEOUT, BodyTooSlow))?
-            .map_err(|_| {
-                Problem::new(StatusCode::PAYLOAD_TOO_LARGE, BodyTooLong { most_bytes: LONGEST_BODY })
-            })?;
-        serde_json::from_slice(&bytes).map(Self).map_err(|error| {
-            // Valid JSON with the wrong content has a status of its own.
-            let why = error.to_string();
-            if matches!(error.classify(), Category::Data) {
-                Problem::new(StatusCode::UNPROCESSABLE_ENTITY, BodyContent { why })
-            } else {
-                Problem::new(StatusCode::BAD_REQUEST, BodySyntax { why })
-            }
-        })
+        read_body(request, LONGEST_BODY).await.map(Self)
     }
+}
+
+impl<T: DeserializeOwned, S: Sync> FromRequest<S> for LongBody<T> {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, _: &S) -> Result<Self, Problem> {
+        read_body(request, LONGEST_UPLOAD).await.map(Self)
+    }
+}
+
+async fn read_body<T: DeserializeOwned>(request: Request, most_bytes: usize) -> Result<T, Problem> {
+    let kind = request.headers().get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
+    let kind = kind.split(';').next().unwrap_or("").trim();
+    if !kind.eq_ignore_ascii_case("application/json") {
+        let status = StatusCode::UNSUPPORTED_MEDIA_TYPE;
+        return Err(Problem::new(status, BodyNotJson));
+    }
+    let bytes = tokio::time::timeout(BODY_TIME, to_bytes(request.into_body(), most_bytes))
+        .await
+        .map_err(|_| Problem::new(StatusCode::REQUEST_TIMEOUT, BodyTooSlow))?
+        .map_err(|_| Problem::new(StatusCode::PAYLOAD_TOO_LARGE, BodyTooLong { most_bytes }))?;
+    serde_json::from_slice(&bytes).map_err(|error| {
+        // Valid JSON with the wrong content has a status of its own.
+        let why = error.to_string();
+        if matches!(error.classify(), Category::Data) {
+            Problem::new(StatusCode::UNPROCESSABLE_ENTITY, BodyContent { why })
+        } else {
+            Problem::new(StatusCode::BAD_REQUEST, BodySyntax { why })
+        }
+    })
 }

@@ -19,6 +19,7 @@ mod server;
 mod service;
 mod stream;
 mod view;
+mod workbench;
 
 use std::fmt::Display;
 use std::sync::Arc;
@@ -33,12 +34,17 @@ pub use api::{OPENAPI, cell_site, routes};
 pub use plant::plant_site;
 pub use server::serve;
 pub use service::{
-    Act, Catalogue, CheckItem, Ended, EvaluationJob, JobKind, JobRequest, JobState, ResultFile, RunEntry,
-    RunState, Service, StartRequest,
+    Act, Catalogue, CheckItem, ConnectRequest, Ended, EvaluationJob, JobKind, JobRequest, JobState,
+    ResultFile, RunEntry, RunState, Service, StartRequest,
 };
 pub use view::{
     Alarm, Archiving, Device, Frame, LastRun, Message, Mounting, MountingNote, NextPose, Point, RunCounts,
     RunStatus, State, Status,
+};
+
+pub use workbench::{
+    ExplainedFinding, NewRobot, ProgramUpload, RobotSummary, RobotWork, StepAction, StepOptions, StepReport,
+    StepState, StepVerdict, UploadedFile, WorkStep, Workbench,
 };
 
 /// A path, its methods as `GET` or `GET, POST`, and its handlers.

@@ -7,10 +7,11 @@ use tokio::sync::{broadcast, watch};
 
 use super::Journal;
 use super::view::{Message, Point, Status};
+use super::workbench::{ExplainedFinding, WorkStep, Workbench};
 use dbbd_model::diagnostic::Diagnostic;
 
 /// The service behind the pages. The methods may block: they are called on blocking threads.
-pub trait Service: Journal {
+pub trait Service: Journal + Workbench {
     fn status(&self) -> watch::Receiver<Status>;
     /// The live stream. A receiver that reads too slowly loses messages.
     fn messages(&self) -> broadcast::Receiver<Message>;
@@ -20,7 +21,7 @@ pub trait Service: Journal {
     /// Selects the device for the next run.
     fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Diagnostic>;
     /// Reads the bar without a run and shows it against the stroke of a plan.
-    fn connect(&self, plan: Option<String>) -> Result<(), Diagnostic>;
+    fn connect(&self, request: ConnectRequest) -> Result<(), Diagnostic>;
     fn disconnect(&self) -> Result<(), Diagnostic>;
     /// Sets the reading of the connected bar to zero.
     fn zero(&self) -> Result<(), Diagnostic>;
@@ -62,9 +63,21 @@ pub struct StartRequest {
     pub plan: Option<String>,
     /// The run ends after this time, s.
     pub duration_s: Option<f64>,
+    /// Of a simulated cell: device time per host time.
+    pub speed: Option<f64>,
     /// What the operator checked at the cell.
     #[serde(default)]
     pub checked: Vec<CheckItem>,
+}
+
+/// A reading of the bar without a run.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ConnectRequest {
+    /// The plan whose stroke is shown.
+    pub plan: Option<String>,
+    /// Of a simulated cell: device time per host time.
+    pub speed: Option<f64>,
 }
 
 /// An item of the check list for the cell.
@@ -95,6 +108,8 @@ impl CheckItem {
 #[serde(rename_all = "snake_case")]
 pub enum Act {
     AlarmCleared,
+    /// The bar was mounted while the program halts.
+    BarMounted,
     SoundOn,
     SoundOff,
 }
@@ -103,6 +118,7 @@ impl Act {
     pub fn name(self) -> &'static str {
         match self {
             Act::AlarmCleared => "alarm_cleared",
+            Act::BarMounted => "bar_mounted",
             Act::SoundOn => "sound_on",
             Act::SoundOff => "sound_off",
         }
@@ -128,6 +144,8 @@ pub struct RunEntry {
     /// Size of the capture, bytes.
     pub bytes: u64,
     pub ended: Option<Ended>,
+    /// Its plan is that of a check: it leads to `dbbd check`, not to `dbbd identify`.
+    pub is_check: bool,
     pub results: Vec<ResultFile>,
 }
 
@@ -196,12 +214,21 @@ pub enum JobState {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EvaluationJob {
     pub id: u64,
-    pub kind: JobKind,
+    /// What is computed: `identify`, `plan`, ..
+    pub kind: &'static str,
+    /// Empty if no run is evaluated.
     pub run: String,
+    /// Of a step of the workbench.
+    pub robot: Option<String>,
+    pub step: Option<WorkStep>,
     pub state: JobState,
     pub elapsed_s: f64,
+    /// When it ended, ms since the Unix epoch.
+    pub ended_unix_ms: Option<u64>,
     /// Progress by the steps of the command, per cent.
     pub percent: u8,
     /// The last lines of its output.
     pub log: Vec<String>,
+    /// What it found, and why it was refused.
+    pub findings: Vec<ExplainedFinding>,
 }

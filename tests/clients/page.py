@@ -78,7 +78,7 @@ class Story:
         self.cut = False
         self.page.on("console", lambda m: self.complain(m.text))
         self.page.on("pageerror", lambda error: self.complain(str(error)))
-        self.page.goto(url)
+        self.page.goto(url + "live")
         expect(self.page.locator("html")).to_have_attribute("lang", language)
 
     def complain(self, text):

@@ -94,6 +94,7 @@ mod units_and_mixed_files;
 mod unplugged_and_back;
 mod users_urdf_is_patched;
 mod what_contradicts_is_named;
+mod workbench;
 mod zero_changes;
 
 use support::{cell, played_bar, process, recordings, service, virtual_bar};

@@ -1,4 +1,5 @@
-//! The page in a browser: the workflow of an operator, played by `tests/clients/page.py` if Chromium, playwright and
+//! The pages in a browser: the workflow of an operator, played by `tests/clients/page.py`, and the whole work on a robot, played by
+//! `tests/clients/workbench.py`, if Chromium, playwright and
 //! axe are installed.
 #![cfg(unix)]
 
@@ -7,11 +8,11 @@ use std::path::Path;
 
 use crate::cell::client;
 
-/// Plays the stories of these languages.
-fn play(languages: &[&str]) {
+/// Plays the stories of a script in these languages.
+fn play(script: &str, languages: &[&str]) {
     let dir = tempfile::tempdir().unwrap();
     let paths = [Path::new(env!("CARGO_BIN_EXE_dbbd")), dir.path()].map(Path::as_os_str);
-    if let Some(said) = client("page.py", paths.into_iter().chain(languages.iter().map(OsStr::new))) {
+    if let Some(said) = client(script, paths.into_iter().chain(languages.iter().map(OsStr::new))) {
         eprintln!("{said}");
     }
 }
@@ -19,11 +20,16 @@ fn play(languages: &[&str]) {
 /// In the suite the German stories; `page_stories -- --ignored` plays all.
 #[test]
 fn an_operator_goes_from_the_open_page_to_the_report() {
-    play(&["de"]);
+    play("page.py", &["de"]);
 }
 
 #[test]
 #[ignore = "four stories of two minutes each"]
 fn all_page_stories() {
-    play(&[]);
+    play("page.py", &[]);
+}
+
+#[test]
+fn a_robot_goes_from_an_empty_directory_to_the_certificate() {
+    play("workbench.py", &[]);
 }

@@ -41,14 +41,53 @@ fn page_texts_are_complete() {
         }
     }
     assert!(languages >= 2);
-    for file in ["index.html", "app.js", "gauge.js", "mounting.js", "polar.js", "strip.js", "runs.js"] {
+    let files = fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/live/page")).unwrap();
+    let names = files.map(|file| file.unwrap().file_name().into_string().unwrap());
+    let names: Vec<String> = names.filter(|name| name.ends_with(".js") || name.ends_with(".html")).collect();
+    assert!(names.len() > 15);
+    for file in &names {
         let text = page(file);
-        let marks = [" t(\"", "(t(\"", "[t(\"", "data-text=\"", "data-label=\"", "data-title=\""];
+        let marks =
+            [" t(\"", "(t(\"", "[t(\"", "list(\"form", "data-text=\"", "data-label=\"", "data-title=\""];
         for key in marks.into_iter().flat_map(|mark| quoted(&text, mark)) {
-            assert!(english.contains_key(key), "{file} asks for `{key}`");
+            let key = key.strip_prefix('.').map_or(key.to_owned(), |rest| format!("form.{rest}"));
+            assert!(english.contains_key(&key), "{file} asks for `{key}`");
         }
     }
     for code in ["W0280", "W0281", "W0282", "W0283", "W0284"] {
         assert!(english.contains_key(code), "{code} has no text");
+    }
+}
+
+/// The service names its sentences and its actions by keys.
+#[test]
+fn every_step_has_its_sentence_and_its_action() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let steps = fs::read_to_string(root.join("src/daemon/service/workbench/steps.rs")).unwrap();
+    let code = steps.split("#[cfg(test)]").next().unwrap();
+    let english = texts("en");
+    let steps =
+        ["robot", "cell", "plan", "programs", "measure", "result", "correct", "check", "certificate", "act"];
+    let mut keys: BTreeSet<String> = BTreeSet::new();
+    for literal in code.split('"').skip(1).step_by(2) {
+        let is_key = |rest: &str| {
+            !rest.is_empty() && rest.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_')
+        };
+        if let Some((step, rest)) = literal.split_once('.')
+            && steps.contains(&step)
+            && is_key(rest)
+            && rest != "toml"
+            && rest != "dbbd"
+        {
+            keys.insert(if step == "act" { literal.into() } else { format!("say.{literal}") });
+        }
+    }
+    keys.remove("act.none");
+    assert!(keys.len() > 40, "{keys:?}");
+    for key in &keys {
+        assert!(english.contains_key(key), "{key} has no text");
+    }
+    for word in ["step.", "state_of.", "verdict."] {
+        assert!(english.keys().any(|key| key.starts_with(word)));
     }
 }

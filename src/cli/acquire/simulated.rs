@@ -73,6 +73,13 @@ fn world(plan: &Plan, robot: &Robot) -> String {
     std::iter::once(noise).chain(plan.taught().map(table)).collect()
 }
 
+/// The true robot and the true world of a simulated cell beside the directory of the plan, if the plan is of such a cell.
+fn true_cell(plan: &Path) -> Option<[PathBuf; 2]> {
+    let cell = plan.parent()?.parent()?;
+    let truth = ["truth.toml", "world.toml"].map(|name| cell.join(name));
+    truth.iter().all(|path| path.is_file()).then_some(truth)
+}
+
 impl PlanSimulator {
     /// Starts the simulator with `plan`, or with that of the demo.
     pub(crate) fn start(
@@ -97,10 +104,17 @@ impl PlanSimulator {
         let robot = Robot::from_toml("the plan's robot", &content.header.robot)?;
         // The controller computes with the nominal robot, even if the plan was made for an identified one.
         files::write_file(&inside.join("robot.toml"), robot.controller().to_toml()?)?;
-        files::write_file(&inside.join("world.toml"), world(&content, &robot))?;
-        let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
         let mut simulate = vec!["simulate", "--program", "krl/DBB_MAIN.src", "--nominal", "robot.toml"];
-        simulate.extend(["--world", "world.toml", "--speed", speed, "--halt", halt_s]);
+        let truth = true_cell(&plan).map(|file| file.map(|path| path.display().to_string()));
+        match &truth {
+            Some([robot, world]) => simulate.extend(["--robot", robot, "--world", world]),
+            None => {
+                files::write_file(&inside.join("world.toml"), world(&content, &robot))?;
+                simulate.extend(["--world", "world.toml"]);
+            }
+        }
+        let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
+        simulate.extend(["--speed", speed, "--halt", halt_s]);
         simulate.extend(["--listen", LOOPBACK]);
         let (named, params) = protocol.unwrap_or((content.header.job.bar.protocol.as_str(), &[]));
         // The simulator runs in another directory; a built-in name is no file.

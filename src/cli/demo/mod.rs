@@ -2,7 +2,7 @@
 
 mod truth;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::child::{ChildCommands, LOOPBACK};
 use super::{CommandOutcome, CommandOutput};
@@ -26,16 +26,14 @@ pub(crate) struct DemoArgs {
     #[arg(long, value_name = "DIR", default_value = "demo-out")]
     out: PathBuf,
     /// Seed of the true robot, its repeatability and the bar's noise.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = SEED)]
     seed: u64,
 }
 
 pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     files::directory(&args.out)?;
     let dir = args.out.as_path();
-    // Replace only the job of an earlier demo.
-    files::is_same(&dir.join("job.toml"), &sha256(JOB))?;
-    files::write_file(&dir.join("job.toml"), JOB)?;
+    write_job(dir)?;
     let steps = ChildCommands::new(dir, out);
 
     steps.say("1. Plan the circles, and check them before anything moves");
@@ -62,6 +60,22 @@ pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome
     }
     out.result(format!("The report: {}", dir.join("result/report.html").display()));
     Ok(CommandOutcome::Done)
+}
+
+/// Writes the job, and replaces only that of an earlier demo.
+fn write_job(dir: &Path) -> Result<(), Diagnostic> {
+    files::is_same(&dir.join("job.toml"), &sha256(JOB))?;
+    files::write_file(&dir.join("job.toml"), JOB)
+}
+
+/// The seed of the true robot where none is given.
+const SEED: u64 = 1;
+
+/// Writes the job of the demo with its true robot and base balls, for a cell that is simulated later.
+pub(crate) fn write_cell(dir: &Path) -> Result<(), Diagnostic> {
+    files::directory(dir)?;
+    write_job(dir)?;
+    truth::Truth::draw(dir, SEED).map(drop)
 }
 
 /// Simulates the program and records the bar.

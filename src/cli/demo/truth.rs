@@ -60,8 +60,7 @@ impl Truth {
         let nominal = named_robot("kr60ha")?.robot;
         let robot = truth::draw_true_robot(&nominal, seed, 1.0);
         let job = Job::from_toml("job.toml", super::JOB)?;
-        let path = dir.join("plan/centres.csv");
-        let mut centres = BaseBall::from_csv(&path.display().to_string(), &files::read_text(&path)?)?;
+        let mut centres = job.balls();
         let mut random = Pcg64::seed_from_u64(seed);
         let mut world = truth::noise(&nominal, job.bar.sigma_um);
         for centre in &mut centres {

@@ -7,17 +7,18 @@ use serde_json::Value;
 use tokio::sync::{broadcast, watch};
 
 use super::begin::ReadPurpose;
+use super::jobs::JobSubject;
 use super::log::LogLevel;
 use super::{ActiveRun, LineUse, Supervisor};
 use super::{catalogue, jobs, runs};
 use crate::daemon::session;
 use crate::live::ServiceFinding::{
     NoRunIsOn, NoSuchPort, NoSuchProtocol, NoZeroCommand, NotRead, RunDuration, RunIsOn, RunIsStarting,
-    RunName, ThisRunIsOn,
+    RunName, Speed, ThisRunIsOn,
 };
 use crate::live::{
-    Act, Catalogue, CheckItem, EvaluationJob, JobKind, JobRequest, Journal, Message, Point, RunEntry,
-    Service, StartRequest, Status,
+    Act, Catalogue, CheckItem, ConnectRequest, EvaluationJob, JobKind, JobRequest, Journal, Message, Point,
+    RunEntry, Service, StartRequest, Status,
 };
 use dbbd_device::clock;
 use dbbd_device::port::{self, PortAddress};
@@ -31,6 +32,16 @@ use dbbd_model::diagnostic::Diagnostic;
 const LONGEST_S: f64 = 1e6;
 /// Operator actions that are kept until a run begins. The oldest are dropped.
 const MAX_NOTES: usize = 100;
+
+/// The greatest speed of a simulated cell: beyond it the line of the virtual bar is the limit.
+const MAX_SPEED: f64 = 100.0;
+
+fn check_speed(speed: Option<f64>) -> Result<(), Diagnostic> {
+    match speed {
+        Some(speed) if !(speed > 0.0 && speed <= MAX_SPEED) => Err(Speed { most: MAX_SPEED }.into()),
+        Some(_) | None => Ok(()),
+    }
+}
 
 /// Frees the reserved line if the start of a run panics.
 struct StartGuard<'a>(&'a Supervisor);
@@ -58,6 +69,15 @@ impl Supervisor {
             inner.notes.remove(0);
         }
         inner.notes.push(event);
+    }
+}
+
+impl Supervisor {
+    /// Notes what the plan of a run is for.
+    fn note_plan(&self, run: &mut RunEntry) {
+        let capture = self.config.data.join(&run.name).join(runs::CAPTURE);
+        let plan = self.run_plans.of(&capture, run.started_unix_ms);
+        run.is_check = plan.is_some_and(|plan| plan.is_check);
     }
 }
 
@@ -117,12 +137,13 @@ impl Service for Supervisor {
         Ok(())
     }
 
-    fn connect(&self, plan: Option<String>) -> Result<(), Diagnostic> {
+    fn connect(&self, ConnectRequest { plan, speed }: ConnectRequest) -> Result<(), Diagnostic> {
+        check_speed(speed)?;
         if let Some(before) = self.reserve_line()? {
             before.end();
         }
         let detail = plan.clone().unwrap_or_default();
-        self.release_line(self.begin(ReadPurpose::Reading { plan }).map(Some))?;
+        self.release_line(self.begin(ReadPurpose::Reading { plan, speed }).map(Some))?;
         self.note("connect", &detail);
         Ok(())
     }
@@ -155,7 +176,7 @@ impl Service for Supervisor {
         let before_mm = acquisition.progress().counts.reading_mm;
         stop.store(true, Ordering::Relaxed);
         let zeroed = acquisition.join().and_then(|_| Ok(session::zero_bar(&line.port, &definition)?));
-        self.release_line(self.open(ReadPurpose::Reading { plan }, line).map(Some))?;
+        self.release_line(self.open(ReadPurpose::Reading { plan, speed: None }, line).map(Some))?;
         zeroed?;
         self.note("zero", &before_mm.map_or(String::new(), |mm| format!("{mm:.4} mm before")));
         Ok(())
@@ -172,6 +193,7 @@ impl Service for Supervisor {
         if request.duration_s.is_some_and(|s| !(s > 0.0 && s <= LONGEST_S)) {
             return Err(RunDuration { most_s: LONGEST_S }.into());
         }
+        check_speed(request.speed)?;
         let reading = self.reserve_line()?;
         let _guard = StartGuard(self);
         if let Some(reading) = reading {
@@ -225,11 +247,15 @@ impl Service for Supervisor {
     }
 
     fn runs(&self) -> Result<Vec<RunEntry>, Diagnostic> {
-        runs::list_recorded_runs(&self.config.data, self.running().as_deref())
+        let mut runs = runs::list_recorded_runs(&self.config.data, self.running().as_deref())?;
+        runs.iter_mut().for_each(|run| self.note_plan(run));
+        Ok(runs)
     }
 
     fn run(&self, name: &str) -> Result<RunEntry, Diagnostic> {
-        runs::entry(&self.config.data, name, self.running().as_deref())
+        let mut run = runs::entry(&self.config.data, name, self.running().as_deref())?;
+        self.note_plan(&mut run);
+        Ok(run)
     }
 
     fn file(&self, run: &str, result: Option<(JobKind, &str)>) -> Result<Download, Diagnostic> {
@@ -242,9 +268,12 @@ impl Service for Supervisor {
         }
         let work = jobs::work_of(&request)?;
         let directory = runs::evaluable(&self.config.data, &request.run, request.kind)?;
-        let job = self.jobs.submit(request, work, directory)?;
-        let fields: &[(&str, &dyn Display)] =
-            &[("job", &job.id), ("kind", &job.kind.name()), ("run", &job.run)];
+        if request.kind == JobKind::Sync {
+            dbbd_job::files::directory(&directory.join(request.kind.name()))?;
+        }
+        let subject = JobSubject { kind: request.kind.name(), run: request.run, step: None };
+        let job = self.jobs.submit(subject, work, directory)?;
+        let fields: &[(&str, &dyn Display)] = &[("job", &job.id), ("kind", &job.kind), ("run", &job.run)];
         self.log.event(LogLevel::Info, "job_taken", fields);
         Ok(job)
     }

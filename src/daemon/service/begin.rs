@@ -9,7 +9,7 @@ use std::sync::atomic::AtomicBool;
 use serde_json::json;
 
 use super::log::LogLevel;
-use super::{ActiveRun, HaltBehaviour, LineUse, Supervisor, UnopenedLine};
+use super::{ActiveRun, CellRequest, HaltBehaviour, LineUse, Supervisor, UnopenedLine};
 use super::{catalogue, runs};
 use crate::daemon::live_state::{LiveFeed, LiveRun};
 use crate::daemon::{Acquisition, AcquisitionOptions, ControllerConnections, Schedule};
@@ -34,6 +34,7 @@ pub(super) enum ReadPurpose {
     /// To show the bar against the stroke of a plan.
     Reading {
         plan: Option<String>,
+        speed: Option<f64>,
     },
 }
 
@@ -90,13 +91,15 @@ impl Supervisor {
         let find = |name: &String| {
             catalogue::plan_file(&self.config.plans, name).ok_or_else(|| NoPlan { plan: name.clone() })
         };
-        let (plan, halt) = match purpose {
-            ReadPurpose::Run(request) => (&request.plan, HaltBehaviour::Continue),
-            ReadPurpose::Reading { plan } => (plan, HaltBehaviour::Wait),
+        let (plan, halt, speed) = match purpose {
+            ReadPurpose::Run(request) => (&request.plan, HaltBehaviour::Continue, request.speed),
+            ReadPurpose::Reading { plan, speed } => (plan, HaltBehaviour::Wait, *speed),
         };
         let mut plan = plan.as_ref().map(find).transpose()?;
         let cell = match &self.make_cell {
-            Some(make_cell) if port == PortAddress::Sim => Some(make_cell(plan.as_deref(), halt)?),
+            Some(make_cell) if port == PortAddress::Sim => {
+                Some(make_cell(&CellRequest { plan: plan.as_deref(), halt, speed: speed.unwrap_or(1.0) })?)
+            }
             _ => None,
         };
         if let Some(cell) = &cell {
@@ -138,7 +141,7 @@ impl Supervisor {
         };
         *lock(&self.live.run) = LiveRun::default();
         let (name, plan, acquisition) = match purpose {
-            ReadPurpose::Reading { plan } => {
+            ReadPurpose::Reading { plan, speed: _ } => {
                 let nowhere = CaptureWriter::on(Box::new(io::sink()), Path::new("live"))?;
                 let acquisition = Acquisition::start_on(nowhere, options, Arc::clone(&stop))?;
                 (String::new(), plan, acquisition)

@@ -8,7 +8,7 @@ use std::time::SystemTime;
 
 use serde_json::{Value, json};
 
-use super::runs::is_sound;
+use super::runs::{is_plain_directory, is_sound};
 use crate::live::Catalogue;
 use dbbd_device::port;
 use dbbd_device::protocol::ProtocolDefinition;
@@ -47,9 +47,18 @@ fn protocols() -> Vec<Value> {
         .collect()
 }
 
-/// The file of a plan; `None` for an invalid name.
+/// The file of a plan `NAME` or `ROBOT/NAME`; `None` for an invalid name.
 pub(super) fn plan_file(plans: &Path, name: &str) -> Option<PathBuf> {
-    Some(plans.join(name).join("plan.csv")).filter(|path| is_sound(name) && path.is_file())
+    let mut parts = name.splitn(2, '/');
+    Some(plans.join(name).join("plan.csv")).filter(|path| parts.all(is_sound) && path.is_file())
+}
+
+/// The names of the directories in a directory.
+fn names(directory: &Path) -> impl Iterator<Item = String> {
+    let entries = fs::read_dir(directory).into_iter().flatten().flatten();
+    entries
+        .filter(|entry| is_plain_directory(&entry.path()))
+        .filter_map(|entry| entry.file_name().into_string().ok())
 }
 
 /// Plans that are listed.
@@ -73,9 +82,13 @@ impl PlanCache {
     /// The newest first.
     fn list(&self, plans: &Path) -> Vec<Value> {
         let mut known = lock(&self.0);
-        let entries = fs::read_dir(plans).into_iter().flatten().flatten();
-        let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
-        let mut found: Vec<(FileStamps, String, PathBuf)> = names
+        let of_robots = |name: String| {
+            let inner: Vec<String> =
+                names(&plans.join(&name)).map(|inner| format!("{name}/{inner}")).collect();
+            std::iter::once(name).chain(inner)
+        };
+        let mut found: Vec<(FileStamps, String, PathBuf)> = names(plans)
+            .flat_map(of_robots)
             .filter_map(|name| {
                 let csv = plan_file(plans, &name)?;
                 Some((stamp(&csv), name, csv))

@@ -10,11 +10,12 @@ use std::{io, thread};
 
 use tokio::sync::broadcast;
 
+use super::Explain;
 use super::runs::CAPTURE;
 use crate::live::ServiceFinding::{
     CommandFailed, NoJob, OptionOfAnotherJob, OptionValue, TooManyJobs, WorkerLost,
 };
-use crate::live::{EvaluationJob, JobKind, JobRequest, JobState, Message};
+use crate::live::{EvaluationJob, ExplainedFinding, JobKind, JobRequest, JobState, Message, WorkStep};
 use dbbd_device::clock;
 use dbbd_device::sync::lock;
 use dbbd_job::child_process;
@@ -23,7 +24,8 @@ use dbbd_job::request::circle::{CircleRequest, DEFAULT_DRAWS};
 use dbbd_job::request::identify::{IdentifyRequest, RequestedPrior};
 use dbbd_job::request::{AnswerOutcome, AnswerResult, Request, RequestChild, RequestResult, read_answer};
 use dbbd_model::base::units::HostNs;
-use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::diagnostic::{Diagnostic, FindingRecord, Severity};
+use serde_json::Value;
 
 const MAX_WAITING_JOBS: usize = 16;
 const MAX_KEPT_JOBS: usize = 100;
@@ -44,11 +46,23 @@ struct JobsShared {
     messages: broadcast::Sender<Message>,
     /// Signals the end of each job.
     over: Sender<()>,
+    explain: Explain,
 }
 
 struct KeptJob {
     job: EvaluationJob,
     began: Option<HostNs>,
+    /// The result of its request.
+    document: Option<Arc<Value>>,
+}
+
+/// What a job is for.
+pub(super) struct JobSubject {
+    pub(super) kind: &'static str,
+    /// Empty if no run is evaluated.
+    pub(super) run: String,
+    /// Of a step of the workbench.
+    pub(super) step: Option<(String, WorkStep)>,
 }
 
 struct JobTask {
@@ -60,8 +74,8 @@ struct JobTask {
 
 /// What a job computes.
 pub(super) enum JobWork {
-    /// The join of the lengths with the poses: a command.
-    Sync,
+    /// A command without a request, by its arguments.
+    Command(Vec<String>),
     Request(Box<Request>),
 }
 
@@ -90,7 +104,9 @@ pub(super) fn work_of(request: &JobRequest) -> Result<JobWork, Diagnostic> {
         }
     }
     Ok(match request.kind {
-        JobKind::Sync => JobWork::Sync,
+        JobKind::Sync => {
+            JobWork::Command(["sync", CAPTURE, "--out=sync/observations.csv"].map(String::from).into())
+        }
         JobKind::Identify => JobWork::Request(Box::new(Request::Identify(identify))),
         JobKind::Circle => JobWork::Request(Box::new(Request::Circle(CircleRequest {
             inputs: vec![CAPTURE.into()],
@@ -103,18 +119,23 @@ pub(super) fn work_of(request: &JobRequest) -> Result<JobWork, Diagnostic> {
 
 impl JobQueue {
     /// Starts the worker thread.
-    pub(super) fn start(messages: broadcast::Sender<Message>, over: Sender<()>) -> io::Result<Self> {
-        let shared = Arc::new(JobsShared { jobs: Mutex::default(), child: Mutex::default(), messages, over });
+    pub(super) fn start(
+        messages: broadcast::Sender<Message>,
+        over: Sender<()>,
+        explain: Explain,
+    ) -> io::Result<Self> {
+        let (jobs, child) = (Mutex::default(), Mutex::default());
+        let shared = Arc::new(JobsShared { jobs, child, messages, over, explain });
         let (queue, tasks) = channel();
         let worker = Arc::clone(&shared);
         thread::Builder::new().name("jobs".into()).spawn(move || work(&worker, &tasks))?;
         Ok(Self { shared, queue })
     }
 
-    /// Queues a job on the run in `directory`.
+    /// Queues a job in `directory`.
     pub(super) fn submit(
         &self,
-        request: JobRequest,
+        subject: JobSubject,
         work: JobWork,
         directory: PathBuf,
     ) -> Result<EvaluationJob, Diagnostic> {
@@ -123,16 +144,21 @@ impl JobQueue {
             return Err(TooManyJobs.into());
         }
         let id = jobs.back().map_or(1, |kept| kept.job.id + 1);
+        let (robot, step) = subject.step.unzip();
         let job = EvaluationJob {
             id,
-            kind: request.kind,
-            run: request.run,
+            kind: subject.kind,
+            run: subject.run,
+            robot,
+            step,
             state: JobState::Waiting,
             elapsed_s: 0.0,
+            ended_unix_ms: None,
             percent: 0,
             log: Vec::new(),
+            findings: Vec::new(),
         };
-        jobs.push_back(KeptJob { job: job.clone(), began: None });
+        jobs.push_back(KeptJob { job: job.clone(), began: None, document: None });
         if jobs.len() > MAX_KEPT_JOBS {
             jobs.pop_front();
         }
@@ -155,6 +181,16 @@ impl JobQueue {
 
     pub(super) fn get(&self, id: u64) -> Result<EvaluationJob, Diagnostic> {
         self.shared.get(id).ok_or_else(|| NoJob { job: id.to_string() }.into())
+    }
+
+    /// The result of the request of a job.
+    pub(super) fn document(&self, id: u64) -> Option<Arc<Value>> {
+        lock(&self.shared.jobs).iter().find(|kept| kept.job.id == id)?.document.clone()
+    }
+
+    /// Explains a finding by the catalogue.
+    pub(super) fn explained(&self, finding: FindingRecord) -> ExplainedFinding {
+        explained(self.shared.explain, finding)
     }
 
     pub(super) fn cancel(&self, id: u64) -> Result<EvaluationJob, Diagnostic> {
@@ -183,6 +219,29 @@ impl JobQueue {
     }
 }
 
+/// A finding with cause and cure; both are empty for a code of another version.
+fn explained(explain: Explain, finding: FindingRecord) -> ExplainedFinding {
+    let (cause, cure) = explain(&finding.code).unwrap_or_default();
+    ExplainedFinding { finding, cause, cure }
+}
+
+/// The findings in the output of a command, as `error[E0123]: ..`.
+fn printed_finding(line: &str) -> Option<FindingRecord> {
+    let (label, rest) = line.split_once('[')?;
+    let severity = [Severity::Error, Severity::Warning].into_iter().find(|known| known.label() == label)?;
+    let (code, text) = rest.split_once("]: ")?;
+    Some(FindingRecord {
+        code: code.into(),
+        severity,
+        text: text.into(),
+        file: String::new(),
+        line: None,
+        column: None,
+        help: None,
+        values: Value::Null,
+    })
+}
+
 impl KeptJob {
     fn is_open(&self) -> bool {
         matches!(self.job.state, JobState::Waiting | JobState::Running)
@@ -207,6 +266,12 @@ impl JobsShared {
             change(&mut kept.job);
         }
         self.publish(id);
+    }
+
+    fn keep(&self, id: u64, document: Value) {
+        if let Some(kept) = lock(&self.jobs).iter_mut().find(|kept| kept.job.id == id) {
+            kept.document = Some(Arc::new(document));
+        }
     }
 
     fn publish(&self, id: u64) {
@@ -249,6 +314,7 @@ fn work(shared: &Arc<JobsShared>, tasks: &Receiver<JobTask>) {
         });
         let elapsed_s = shared.get(id).map_or(0.0, |job| job.elapsed_s);
         shared.change(id, |job| {
+            job.ended_unix_ms = Some(clock::unix_ns() / 1_000_000);
             if job.state == JobState::Running {
                 (job.state, job.elapsed_s, job.percent) = (state, elapsed_s, 100);
             }
@@ -264,16 +330,19 @@ fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
         command.current_dir(&task.directory).env("NO_COLOR", "1").env(PROGRESS_VARIABLE, "1");
     };
     match &task.work {
-        JobWork::Sync => {
-            std::fs::create_dir_all(task.directory.join("sync"))?;
+        JobWork::Command(args) => {
             let mut command = child_process::own()?;
-            command.args(["sync", CAPTURE, "--out=sync/observations.csv"]);
+            command.args(args);
             command.stdout(Stdio::piped()).stderr(Stdio::piped());
             set_up(&mut command);
             let mut child = command.spawn()?;
             let _stdin = child.stdin.take();
             let line = |stdout: ChildStdout| listen(shared, task.id, stdout);
             let (status, _) = follow(shared, task.id, child, line)?;
+            shared.change(task.id, |job| {
+                let found: Vec<_> = job.log.iter().filter_map(|line| printed_finding(line)).collect();
+                job.findings.extend(found.into_iter().map(|one| explained(shared.explain, one)));
+            });
             Ok(match status.code() {
                 Some(0) => JobState::Done,
                 Some(3) => JobState::Doubt,
@@ -284,14 +353,23 @@ fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
             let RequestChild { child, stdin: _stdin } = RequestChild::start(request, set_up)?;
             let (_, answer) = follow(shared, task.id, child, io::read_to_string)?;
             let answer = answer.transpose()?.as_deref().and_then(read_answer);
-            Ok(match answer.map(|answer| answer.result) {
-                Some(AnswerResult::Result(RequestResult { outcome, .. })) => match outcome {
-                    AnswerOutcome::Done => JobState::Done,
-                    AnswerOutcome::Warned | AnswerOutcome::Undecided => JobState::Doubt,
-                    AnswerOutcome::Failed => JobState::Failed,
-                },
-                // The log has the refusal.
-                Some(AnswerResult::Refusal(_)) | None => JobState::Failed,
+            let Some(mut answer) = answer else { return Ok(JobState::Failed) };
+            if let AnswerResult::Refusal(refusal) = &answer.result {
+                answer.findings.push(refusal.clone());
+            }
+            let findings: Vec<_> =
+                answer.findings.into_iter().map(|finding| explained(shared.explain, finding)).collect();
+            shared.change(task.id, |job| job.findings = findings);
+            Ok(match answer.result {
+                AnswerResult::Result(RequestResult { outcome, document, .. }) => {
+                    shared.keep(task.id, document);
+                    match outcome {
+                        AnswerOutcome::Done => JobState::Done,
+                        AnswerOutcome::Warned | AnswerOutcome::Undecided => JobState::Doubt,
+                        AnswerOutcome::Failed => JobState::Failed,
+                    }
+                }
+                AnswerResult::Refusal(_) => JobState::Failed,
             })
         }
     }

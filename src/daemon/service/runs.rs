@@ -59,7 +59,7 @@ pub(super) fn is_plain_directory(path: &Path) -> bool {
 }
 
 /// Opens a regular file: no link, which could lead out of the data directory, and no pipe, which could block.
-fn open_plain(path: &Path) -> io::Result<File> {
+pub(super) fn open_plain(path: &Path) -> io::Result<File> {
     let no_file = || io::Error::other("is no plain file");
     if !path.parent().is_some_and(is_plain_directory) {
         return Err(no_file());
@@ -124,7 +124,17 @@ pub(super) fn entry(data: &Path, name: &str, running: Option<&str>) -> Result<Ru
     if !is_plain_directory(&directory) {
         return Err(missing(name));
     }
-    let (first, last, bytes) = glimpse(&directory.join(CAPTURE)).map_err(|_| missing(name))?;
+    entry_of(name, &directory.join(CAPTURE), running, results(&directory))
+}
+
+/// The entry of a capture.
+pub(super) fn entry_of(
+    name: &str,
+    path: &Path,
+    running: Option<&str>,
+    results: Vec<ResultFile>,
+) -> Result<RunEntry, Diagnostic> {
+    let (first, last, bytes) = glimpse(path).map_err(|_| missing(name))?;
     let started_unix_ms = capture::read_capture(&first).events().find_map(|event| {
         if let RunEvent::Started { unix_ns, .. } = event { Some(unix_ns / 1_000_000) } else { None }
     });
@@ -140,7 +150,7 @@ pub(super) fn entry(data: &Path, name: &str, running: Option<&str>) -> Result<Ru
         (None, false) => RunState::EndedEarly,
         (Some(_), _) => RunState::Ended,
     };
-    Ok(RunEntry { name: name.into(), state, started_unix_ms, bytes, ended, results: results(&directory) })
+    Ok(RunEntry { name: name.into(), state, started_unix_ms, bytes, ended, is_check: false, results })
 }
 
 /// The first and the last bytes of a file, and its length.

@@ -11,7 +11,7 @@ use tokio::sync::watch;
 
 use super::config::{Endpoint, ServiceConfig};
 use super::log::{LogLevel, ServiceLog};
-use super::{MakeCell, Supervisor};
+use super::{ServiceParts, Supervisor};
 use crate::daemon::signals;
 use crate::live::ServiceFinding::NotServing;
 use crate::live::{self, Access, Site, State};
@@ -41,15 +41,15 @@ pub fn abort_on_panic() {
     }));
 }
 
-/// Serves until SIGINT or SIGTERM, which also end the run in progress. `make_cell` creates the cell of the port `sim`.
+/// Serves until SIGINT or SIGTERM, which also end the run in progress.
 pub fn serve(
     mut config: ServiceConfig,
     log: Arc<dyn ServiceLog>,
-    make_cell: Option<MakeCell>,
+    parts: ServiceParts,
 ) -> Result<(), Diagnostic> {
     let (address, access) = log_endpoint(&mut config.endpoint, &*log);
     let signalled = signals::stop_on_signal()?;
-    let (supervisor, over) = Supervisor::new(config, Arc::clone(&log), make_cell).map_err(no_system)?;
+    let (supervisor, over) = Supervisor::new(config, Arc::clone(&log), parts).map_err(no_system)?;
     let supervisor = Arc::new(supervisor);
     #[cfg(feature = "archive")]
     super::archiving::start(&supervisor, over).map_err(no_system)?;

@@ -14,6 +14,7 @@ export async function ask(method, path, body) {
   const content = text && answer.headers.get("Content-Type")?.includes("json") ? JSON.parse(text) : null;
   if (answer.ok) return content;
   const said = content ? [content.error, content.help].filter(Boolean).join("\n") : answer.statusText;
+  if (answer.status === 401 && path !== "/session") window.dispatchEvent(new Event("dbbd:sign-in"));
   throw Object.assign(new Error(said), { status: answer.status });
 }
 

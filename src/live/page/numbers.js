@@ -1,8 +1,8 @@
-// Number formats in the language of the page.
+// Number formats in the browser's locale.
 
-import { language } from "/texts.js";
+import { locale } from "/texts.js";
 
-const POINT = (1.5).toLocaleString(language)[1];
+const POINT = (1.5).toLocaleString(locale)[1];
 
 /** Fixed decimals, with a minus sign (not a hyphen) and no negative zero. */
 export function fixed(value, digits = 3) {
@@ -17,16 +17,28 @@ export function signed(value, digits = 3) {
 }
 
 /** A count with thousands separators. */
-export const count = (value) => value.toLocaleString(language);
+export const count = (value) => value.toLocaleString(locale);
 
 /** Minutes of a plan, in the format of `dbbd plan`. */
 export const minutes = (s) => fixed(s / 60, 1);
 
 /** Time of day. */
-export const timeOfDay = (ms) => new Date(ms).toLocaleTimeString(language);
+export const timeOfDay = (ms) => new Date(ms).toLocaleTimeString(locale);
 
 /** Elapsed time, to the second. */
 export function clock(s) {
   const [h, m] = [Math.floor(s / 3600), Math.floor(s / 60) % 60];
   return `${h ? h + " h " : ""}${h || m ? m + " min " : ""}${Math.floor(s % 60)} s`;
+}
+
+/** Date and time. */
+export const dateAndTime = (ms) => new Date(ms).toLocaleString(locale);
+
+const STEPS = [["year", 31_557_600], ["month", 2_629_800], ["day", 86_400], ["hour", 3600], ["minute", 60], ["second", 1]];
+
+/** How long ago, as "3 days ago". */
+export function age(ms) {
+  const s = Math.max(0, (Date.now() - ms) / 1000);
+  const [unit, length] = STEPS.find(([, length]) => s >= length) ?? STEPS.at(-1);
+  return new Intl.RelativeTimeFormat(locale, { numeric: "auto" }).format(-Math.floor(s / length), unit);
 }

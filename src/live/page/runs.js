@@ -1,8 +1,8 @@
 // Runs, their results, and the jobs that compute them.
 
 import { ask } from "/link.js";
-import { count, fixed } from "/numbers.js";
-import { known, language, t } from "/texts.js";
+import { count, dateAndTime, fixed } from "/numbers.js";
+import { known, t } from "/texts.js";
 
 const $ = (id) => document.getElementById(id);
 const KINDS = ["identify", "circle", "sync"];
@@ -37,7 +37,7 @@ export async function refresh() {
 function row(run) {
   const line = make("tr", null);
   line.append(make("th", run.name, { scope: "row" }));
-  const when = run.started_unix_ms ? new Date(run.started_unix_ms).toLocaleString(language) : "";
+  const when = run.started_unix_ms ? dateAndTime(run.started_unix_ms) : "";
   const cell = (key, text) => make("td", text, { "data-head": t(key) });
   line.append(cell("results.started", when));
   const reason = run.ended?.reason;
@@ -46,7 +46,9 @@ function row(run) {
   const size = fixed(run.bytes / 1e6, 1);
   line.append(cell("results.recorded", run.ended ? t("results.samples", { samples: count(run.ended.samples), size }) : t("results.size", { size })));
   const act = cell("results.evaluate", null);
-  for (const kind of KINDS) {
+  // A run of a check is no calibration.
+  if (run.is_check) act.append(make("span", t("runs.check")), " ");
+  for (const kind of KINDS.filter((kind) => !run.is_check || kind === "sync")) {
     const label = t("kind.of", { kind: t(`kind.${kind}`), run: run.name });
     const button = make("button", t(`kind.${kind}`), { type: "button", "aria-label": label, "data-kind": kind });
     button.disabled = run.state === "running";
@@ -76,6 +78,8 @@ async function submit(kind, run) {
 /** Updates a job. */
 export function show(job) {
   const before = jobs.get(job.id)?.state;
+  // Those of a step are shown there.
+  if (job.step) return;
   jobs.set(job.id, job);
   drawJobs();
   const over = !["waiting", "running"].includes(job.state);
@@ -88,7 +92,7 @@ export function show(job) {
 /** Sets all jobs after a connection. */
 export async function refreshJobs() {
   const list = (await ask("GET", "/jobs")).jobs;
-  jobs = new Map(list.reverse().map((job) => [job.id, job]));
+  jobs = new Map(list.reverse().filter((job) => !job.step).map((job) => [job.id, job]));
   drawJobs();
 }
 

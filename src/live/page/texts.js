@@ -6,6 +6,9 @@ const wanted = [localStorage.getItem("language"), ...navigator.languages.map((ta
 /** The language of the page. */
 export const language = wanted.find((tag) => tag in all);
 
+/** The browser's locale of this language: it writes numbers and dates. */
+export const locale = navigator.languages.find((tag) => tag.slice(0, 2) === language) ?? language;
+
 /** All languages with their own names. */
 export const languages = Object.entries(all).map(([tag, texts]) => [tag, texts.language]);
 

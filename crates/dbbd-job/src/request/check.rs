@@ -63,6 +63,32 @@ pub struct CheckRequest {
     pub replace: bool,
 }
 
+impl CheckRequest {
+    /// Largest probability of a wrong decision where none is asked for.
+    pub const RISK: f64 = 0.05;
+
+    /// A check with the defaults of everything else.
+    pub fn new(input: PathBuf, robot: String, out: PathBuf, tolerance_mm: Option<f64>) -> Self {
+        Self {
+            input,
+            robot,
+            out,
+            centres: None,
+            tool_mm: None,
+            tolerance_mm,
+            rule: DecisionRule::GuardBand { risk: Self::RISK },
+            sigma_mm: None,
+            tool_repeat_mm: Mounting::SEAT_REPEAT_MM,
+            balls_kept: false,
+            ball_repeat_mm: None,
+            bar_u_mm: None,
+            workspace: None,
+            update: false,
+            replace: false,
+        }
+    }
+}
+
 /// `check.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct CheckDocument {

@@ -16,6 +16,7 @@ pub mod identify;
 pub mod plan;
 mod protocols;
 mod robots;
+pub mod scene;
 mod watch;
 
 pub use answer::{AnswerOf, AnswerOutcome, AnswerRecord, AnswerResult, RequestResult};

@@ -1,15 +1,15 @@
-// Main script: reads the stream, shows the state, connects, starts and stops.
+// The step Measure: reads the stream, shows the state, connects, starts and stops.
 
-import { choose, known, language, languages, t } from "/texts.js";
+import { $, afterSignIn, attempt, say, turnTheme } from "/frame.js";
+import { known, t } from "/texts.js";
 import { ask, hear } from "/link.js";
+import { SPEEDS } from "/sentence.js";
 import { clock, count, fixed, minutes, signed } from "/numbers.js";
 import * as gauge from "/gauge.js";
 import * as mounting from "/mounting.js";
 import * as polar from "/polar.js";
 import * as strip from "/strip.js";
 import * as runs from "/runs.js";
-
-const $ = (id) => document.getElementById(id);
 
 let status = null;
 let plans = [];
@@ -18,10 +18,8 @@ let named = false;
 let seenState = null;
 // Whether to connect to the bar again after the run.
 let connected = false;
-
-function say(text) {
-  $("message").textContent = text;
-}
+// The run whose bar was reported as mounted.
+let mountedIn = null;
 
 function set(id, text, bad = false) {
   if ($(id).textContent !== text) $(id).textContent = text;
@@ -89,12 +87,14 @@ function showStatus(now) {
   const { run, reading, last } = now;
   $("state").dataset.state = (run ?? reading)?.gone ? "gone" : now.state;
   set("state", stateText(now));
-  document.title = run ? `${run.name} · dbbd` : "dbbd";
   set("version", t("version", { version: now.version }));
   gauge.setup(run ?? reading);
   mounting.show((run ?? reading)?.mounting);
   document.body.dataset.run = run ? "on" : "off";
-  $("stop").disabled = $("mark").disabled = !run;
+  $("mark").disabled = !run;
+  $("stop").hidden = !run;
+  // Before the first pose the program halts for the bar.
+  $("at-halt").hidden = !run || run.dwells > 0 || mountedIn === run.name;
   $("connect").hidden = !!run || !!reading;
   $("disconnect").hidden = !reading;
   $("zero").hidden = !reading?.can_zero;
@@ -117,6 +117,7 @@ function showStatus(now) {
     named = true;
   }
   choosePort();
+  window.dispatchEvent(new CustomEvent("dbbd:status", { detail: now }));
 }
 
 const checks = () => [...document.querySelectorAll("#checks input")];
@@ -135,14 +136,18 @@ function showPlan() {
 }
 
 async function connect() {
-  await ask("POST", "/reading", { plan: $("plan").value || null });
+  await ask("POST", "/reading", { plan: $("plan").value || null, speed: speed() });
   connected = true;
 }
+
+/** The speed of the simulated cell; null for a real one. */
+const speed = () => (status?.device.port === "sim" ? Number($("speed").value) : null);
 
 function choosePort() {
   const { port, protocol } = status.device;
   if (port && ![...$("port").options].some((o) => o.value === port)) $("port").add(new Option(port, port));
   if (document.activeElement !== $("port")) $("port").value = port ?? "";
+  $("sim-speed").hidden = port !== "sim";
   if (protocol && ![...$("protocol").options].some((o) => o.value === protocol)) $("protocol").add(new Option(protocol, protocol));
   if (document.activeElement !== $("protocol")) $("protocol").value = protocol ?? "";
 }
@@ -161,21 +166,7 @@ async function lists() {
   if (status) choosePort();
 }
 
-async function attempt(work) {
-  try {
-    say("");
-    await work();
-  } catch (error) {
-    if (error.status === 401) askToken();
-    else say(error.status ? t("problem", { text: error.message }) : t("link.none"));
-  }
-}
-
 const greet = () => attempt(() => Promise.all([lists(), runs.refresh(), runs.refreshJobs()]));
-
-function askToken() {
-  if (!$("ask").open) $("ask").showModal();
-}
 
 const reopen = hear({
   status: showStatus,
@@ -195,7 +186,10 @@ const reopen = hear({
     lost = 0;
     named = false;
   },
-  job: runs.show,
+  job(job) {
+    runs.show(job);
+    window.dispatchEvent(new CustomEvent("dbbd:job", { detail: job }));
+  },
   lost(what) {
     lost += what.messages;
     // The lost messages may include points.
@@ -209,22 +203,32 @@ const reopen = hear({
   down() {
     document.body.classList.add("stale");
     set("link", t("link.down"));
-    ask("GET", "/status").catch((error) => error.status === 401 && askToken());
+    // A refusal opens the sign-in.
+    ask("GET", "/status").catch(() => {});
   },
 });
 
 runs.start(say);
+async function begin(checked) {
+  // A simulated cell ends with its program.
+  connected = !!status?.reading && status.device.port !== "sim";
+  await ask("POST", "/run", { name: $("name").value, plan: $("plan").value || null, checked, speed: speed() });
+  // Each run has a new check list.
+  checks().forEach((box) => (box.checked = false));
+  permit();
+}
+
 $("start-form").addEventListener("submit", (event) => {
   event.preventDefault();
-  attempt(async () => {
-    connected = !!status?.reading;
-    const checked = checks().filter((box) => box.checked).map((box) => box.value);
-    await ask("POST", "/run", { name: $("name").value, plan: $("plan").value || null, checked });
-    // Each run has a new check list.
-    checks().forEach((box) => (box.checked = false));
-    permit();
-  });
+  attempt(() => begin(checks().filter((box) => box.checked).map((box) => box.value)));
 });
+$("mounted").addEventListener("click", () =>
+  attempt(async () => {
+    await ask("POST", "/act", { act: "bar_mounted" });
+    mountedIn = status?.run?.name ?? null;
+    $("at-halt").hidden = true;
+  }),
+);
 $("mark-form").addEventListener("submit", (event) => {
   event.preventDefault();
   attempt(async () => {
@@ -258,32 +262,9 @@ $("zero").addEventListener("click", () =>
 for (const id of ["port", "protocol"]) {
   $(id).addEventListener("change", () => $(id).value && attempt(() => ask("PUT", "/device", { [id]: $(id).value })));
 }
-$("token-form").addEventListener("submit", async (event) => {
-  event.preventDefault();
-  try {
-    await ask("POST", "/session", { token: $("token").value });
-    $("token").value = "";
-    $("ask").close();
-    reopen();
-  } catch (error) {
-    set("wrong", error.message);
-  }
-});
-
-function theme(dark) {
-  document.documentElement.dataset.theme = dark ? "dark" : "light";
-  $("theme").textContent = t(dark ? "theme.light" : "theme.dark");
-}
-function turnTheme() {
-  const dark = document.documentElement.dataset.theme !== "dark";
-  localStorage.setItem("theme", dark ? "dark" : "light");
-  theme(dark);
-}
-const kept = localStorage.getItem("theme");
-theme(kept ? kept === "dark" : matchMedia("(prefers-color-scheme: dark)").matches);
-$("theme").addEventListener("click", turnTheme);
-$("language").replaceChildren(...languages.map(([tag, name]) => new Option(name, tag, false, tag === language)));
-$("language").addEventListener("change", () => choose($("language").value));
+afterSignIn(reopen);
+$("speed").replaceChildren(...SPEEDS.map((one) => new Option(t("speed.value", { speed: one }), String(one), false, one === 20)));
+$("live").addEventListener("toggle", () => window.dispatchEvent(new Event("resize")));
 permit();
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName)) return;
@@ -294,3 +275,34 @@ document.addEventListener("keydown", (event) => {
     act();
   }
 });
+
+/** The state of the service as the stream gave it last; null before. */
+export const now = () => status;
+
+/** Chooses a plan and shows the live part. @param {string} plan */
+export function open(plan) {
+  $("live").open = true;
+  if (plan && [...$("plan").options].some((one) => one.value === plan)) $("plan").value = plan;
+  showPlan();
+}
+
+/** Reads the lists again: a plan was made. */
+export const refreshLists = () => lists();
+
+/** Connects to the bar. */
+export { connect };
+
+/** Chooses the simulated cell at a speed. @param {number} value */
+export async function simulate(value) {
+  $("speed").value = String(value);
+  if (status?.device.port !== "sim") await ask("PUT", "/device", { port: "sim" });
+}
+
+/** The bar of the simulated cell is mounted: its program goes on, and the run begins. */
+export const confirmHalt = () => begin(["bar_mounted"]);
+
+/** The first item of the check list that is open; null if the run may start. */
+export const openCheck = () => checks().find((box) => !box.checked) ?? null;
+
+/** Starts the run of the form. */
+export const startRun = () => $("start-form").requestSubmit();

@@ -1,0 +1,396 @@
+//! Which files of the work on a robot exist: they are found by what they contain, so that what the command line began is
+//! continued on the page, and the other way round.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use dbbd_device::sync::lock;
+use dbbd_job::files;
+use dbbd_job::plan::{Job, PoseKind};
+use dbbd_job::recording::capture::{CapturePart, CaptureReader, CaptureRecord};
+use dbbd_job::recording::run::PlanFiles;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::provenance::ArtefactRole;
+use dbbd_model::robot::Robot;
+use serde_json::Value;
+
+use crate::daemon::service::runs::{self, CAPTURE, is_plain_directory, is_sound, open_plain};
+
+/// Bytes at the begin of a capture that hold the files in force: a plan of 1000 poses has a few hundred kB.
+const CAPTURE_HEAD: u64 = 16 << 20;
+/// Runs whose plan is looked for, the newest.
+const MAX_RUNS: usize = 100;
+/// Directories of one robot that are looked into.
+const MAX_DIRECTORIES: usize = 200;
+/// The main module of a program.
+const MAIN: [&str; 4] = ["DBB_MAIN.dat", "DBB_MAIN.src", "DBB_MAIN.mod", "DBB_MAIN.script"];
+/// Where the page keeps a program that shall be corrected.
+pub(super) const UPLOADED: &str = "uploaded";
+/// Where it writes the corrected one.
+pub(super) const CORRECTED: &str = "corrected";
+/// The true robot and world of a simulated cell.
+pub(super) const TRUTH: [&str; 2] = ["truth.toml", "world.toml"];
+
+/// A directory with its files.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct FoundDirectory {
+    pub(super) name: String,
+    pub(super) files: Vec<String>,
+    /// When each of them was written, ms since the Unix epoch.
+    pub(super) times_ms: Vec<u64>,
+    /// Of its newest file, ms since the Unix epoch.
+    pub(super) changed_ms: u64,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct FoundPlan {
+    pub(super) directory: FoundDirectory,
+    pub(super) hash: String,
+    /// Of a check of a calibrated robot.
+    pub(super) is_check: bool,
+    pub(super) poses: usize,
+    pub(super) duration_s: f64,
+    /// Position uncertainty that it will leave, 95 % of the poses, mm.
+    pub(super) predicted_mm: Option<f64>,
+    /// The hash of the job that it was made from.
+    pub(super) job_sha256: Option<String>,
+    /// A program that carries its hash.
+    pub(super) program: Option<FoundDirectory>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct FoundRun {
+    pub(super) name: String,
+    /// As the commands in the directory of the robot name it.
+    pub(super) path: String,
+    pub(super) plan_hash: String,
+    pub(super) changed_ms: u64,
+    /// `None`: it was cut off.
+    pub(super) reason: Option<String>,
+    pub(super) samples: Option<u64>,
+}
+
+/// A result with the JSON that states it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct FoundDocument {
+    pub(super) directory: FoundDirectory,
+    pub(super) content: Value,
+}
+
+#[derive(Default)]
+pub(super) struct WorkFiles {
+    pub(super) name: String,
+    pub(super) directory: PathBuf,
+    /// `NAME/`, or empty for the working directory itself: plans are named by it.
+    pub(super) prefix: String,
+    /// The file of the job.
+    pub(super) job_name: Option<String>,
+    pub(super) job: Option<Result<Job, Diagnostic>>,
+    pub(super) job_sha256: Option<String>,
+    /// The name of the job's robot.
+    pub(super) robot: Option<Result<String, Diagnostic>>,
+    /// The newest first.
+    pub(super) plans: Vec<FoundPlan>,
+    pub(super) runs: Vec<FoundRun>,
+    pub(super) result: Option<FoundDocument>,
+    pub(super) check: Option<FoundDocument>,
+    pub(super) certificate: Option<FoundDirectory>,
+    pub(super) uploaded: Option<FoundDirectory>,
+    pub(super) corrected: Option<FoundDirectory>,
+    pub(super) simulated: bool,
+}
+
+/// The plan of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::daemon::service) struct RunPlan {
+    hash: String,
+    /// Of a check of a calibrated robot.
+    pub(in crate::daemon::service) is_check: bool,
+}
+
+/// The plans of captures by their path and start: the begin of a capture never changes.
+#[derive(Default)]
+pub(in crate::daemon::service) struct RunPlans(Mutex<BTreeMap<(PathBuf, Option<u64>), Option<RunPlan>>>);
+
+impl RunPlans {
+    pub(in crate::daemon::service) fn of(&self, path: &Path, started_ms: Option<u64>) -> Option<RunPlan> {
+        let key = (path.to_owned(), started_ms);
+        if let Some(known) = lock(&self.0).get(&key) {
+            return known.clone();
+        }
+        let plan = attached_plan(path)?;
+        lock(&self.0).insert(key, plan.clone());
+        plan
+    }
+}
+
+/// The plan in a capture, which precedes all samples; `None` while nothing is recorded yet.
+fn attached_plan(path: &Path) -> Option<Option<RunPlan>> {
+    let reader = CaptureReader::new(open_plain(path).ok()?.take(CAPTURE_HEAD)).ok()?;
+    for part in reader.flatten() {
+        let CapturePart::Record(stamped) = part else { continue };
+        match stamped.record {
+            CaptureRecord::Attachment { name, content } if name == "plan.json" => {
+                let header: Value = serde_json::from_slice(&content).ok()?;
+                let (hash, is_check) = (header["hash"].as_str()?.to_owned(), header["check"].is_object());
+                return Some(Some(RunPlan { hash, is_check }));
+            }
+            CaptureRecord::Raw(_) | CaptureRecord::Samples(_) => return Some(None),
+            CaptureRecord::Attachment { .. }
+            | CaptureRecord::Fault(_)
+            | CaptureRecord::Axes(_)
+            | CaptureRecord::Event(_) => {}
+        }
+    }
+    None
+}
+
+fn unix_ms(time: SystemTime) -> u64 {
+    time.duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64)
+}
+
+fn changed_ms(path: &Path) -> u64 {
+    fs::metadata(path).and_then(|data| data.modified()).map_or(0, unix_ms)
+}
+
+/// The names in a directory that may be file names, sorted.
+fn names(directory: &Path) -> Vec<String> {
+    let entries = fs::read_dir(directory).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .filter(|name| is_sound(name))
+        .collect();
+    names.sort();
+    names
+}
+
+impl FoundDirectory {
+    fn read(parent: &Path, name: &str) -> Self {
+        let path = parent.join(name);
+        let files: Vec<String> = names(&path).into_iter().filter(|file| path.join(file).is_file()).collect();
+        let times_ms: Vec<u64> = files.iter().map(|file| changed_ms(&path.join(file))).collect();
+        let changed_ms = times_ms.iter().copied().max().unwrap_or(0);
+        Self { name: name.into(), files, times_ms, changed_ms }
+    }
+
+    pub(super) fn has(&self, file: &str) -> bool {
+        self.written_ms(file).is_some()
+    }
+
+    /// When a file was written.
+    pub(super) fn written_ms(&self, file: &str) -> Option<u64> {
+        let place = self.files.iter().position(|one| one == file)?;
+        self.times_ms.get(place).copied()
+    }
+}
+
+/// The directories of robots in the working directory: itself, if it has a job, a plan or a result, and those in it.
+/// `data` has runs only.
+pub(super) fn robots(plans: &Path, data: &Path) -> Vec<(String, PathBuf, String)> {
+    let own = own_name(plans);
+    let inner = names(plans).into_iter().filter(|name| *name != own);
+    let mut found: Vec<(String, PathBuf, String)> = inner
+        .map(|name| (name.clone(), plans.join(&name), format!("{name}/")))
+        .filter(|(_, path, _)| is_plain_directory(path) && !files::same_place(path, data))
+        .filter(|(_, path, _)| holds_work(path))
+        .take(MAX_DIRECTORIES)
+        .collect();
+    if holds_work(plans) {
+        // What is beside a job is its plan or its result, not another robot, unless it has a job itself.
+        found.retain(|(_, path, _)| job_name(path).is_some());
+        found.insert(0, (own, plans.to_owned(), String::new()));
+    }
+    found
+}
+
+/// What the page calls the working directory itself.
+fn own_name(plans: &Path) -> String {
+    let name = fs::canonicalize(plans).ok();
+    let name = name.as_deref().and_then(Path::file_name).and_then(|name| name.to_str());
+    name.filter(|name| is_sound(name)).unwrap_or("robot").to_owned()
+}
+
+fn holds_work(path: &Path) -> bool {
+    job_name(path).is_some()
+        || names(path).iter().any(|name| {
+            let inner = path.join(name);
+            is_plain_directory(&inner)
+                && ["plan.json", "result.json"].iter().any(|file| inner.join(file).is_file())
+        })
+}
+
+/// `job.toml`, or the first file that has the table of a bar.
+fn job_name(path: &Path) -> Option<String> {
+    let is_job = |name: &String| {
+        let text = files::read_at_most(&path.join(name), 1 << 20);
+        text.is_ok_and(|text| text.lines().any(|line| line.trim() == "[bar]"))
+    };
+    let all = names(path);
+    all.iter().find(|name| *name == "job.toml").cloned().or_else(|| {
+        all.into_iter().filter(|name| name.ends_with(".toml") && path.join(name).is_file()).find(is_job)
+    })
+}
+
+impl WorkFiles {
+    /// Looks into the directory of a robot. `running` is the run in progress.
+    pub(super) fn read(
+        (name, directory, prefix): (String, PathBuf, String),
+        data: &Path,
+        running: Option<&str>,
+        run_plans: &RunPlans,
+    ) -> Self {
+        let mut found = Self { name, prefix, ..Self::default() };
+        found.simulated = TRUTH.iter().all(|name| directory.join(name).is_file());
+        if let Some(name) = job_name(&directory) {
+            let text = files::read_text(&directory.join(&name));
+            let job = text.and_then(|text| Job::from_toml(&name, &text));
+            found.robot = job.as_ref().ok().map(|job| robot_name(&directory, &job.robot));
+            found.job_sha256 = files::sha256(&directory.join(&name)).ok();
+            (found.job_name, found.job) = (Some(name), Some(job));
+        }
+        let mut programs = Vec::new();
+        let inner = names(&directory).into_iter().filter(|name| is_plain_directory(&directory.join(name)));
+        for name in inner.take(MAX_DIRECTORIES) {
+            let inside = FoundDirectory::read(&directory, &name);
+            let path = directory.join(&name);
+            if name == UPLOADED || name == CORRECTED {
+                let place = if name == UPLOADED { &mut found.uploaded } else { &mut found.corrected };
+                *place = (!inside.files.is_empty()).then_some(inside);
+            } else if inside.has("result.json") {
+                keep_newest(&mut found.result, &path.join("result.json"), inside);
+            } else if inside.has("check.json") {
+                keep_newest(&mut found.check, &path.join("check.json"), inside);
+            } else if inside.has("certificate.html") {
+                if found.certificate.as_ref().is_none_or(|one| one.changed_ms < inside.changed_ms) {
+                    found.certificate = Some(inside);
+                }
+            } else if inside.has("plan.csv") && inside.has("plan.json") {
+                found.plans.extend(FoundPlan::read(&path, inside));
+            } else if MAIN.iter().any(|main| inside.has(main)) {
+                let texts =
+                    MAIN.iter().filter_map(|main| files::read_at_most(&path.join(main), 4 << 20).ok());
+                programs.push((inside, texts.collect::<String>()));
+            }
+        }
+        found.plans.sort_by_key(|plan| std::cmp::Reverse(plan.directory.changed_ms));
+        for plan in &mut found.plans {
+            // Its provenance may name other plans too.
+            let own = format!("calibration, plan {}", plan.hash);
+            let of_plan = programs.iter().filter(|(_, text)| text.contains(&own));
+            plan.program = of_plan.map(|(directory, _)| directory.clone()).max_by_key(|one| one.changed_ms);
+        }
+        found.runs = found_runs(&directory, data, running, run_plans);
+        let plans = &found.plans;
+        found.runs.retain(|run| plans.iter().any(|plan| plan.hash == run.plan_hash));
+        found.runs.sort_by_key(|run| std::cmp::Reverse(run.changed_ms));
+        found.directory = directory;
+        found
+    }
+
+    /// The newest plan, of a calibration or of a check.
+    pub(super) fn plan(&self, is_check: bool) -> Option<&FoundPlan> {
+        self.plans.iter().find(|plan| plan.is_check == is_check)
+    }
+
+    /// The newest run of a plan.
+    pub(super) fn run(&self, plan: &FoundPlan) -> Option<&FoundRun> {
+        self.runs.iter().find(|run| run.plan_hash == plan.hash)
+    }
+
+    /// When its newest file was written.
+    pub(super) fn changed_ms(&self) -> Option<u64> {
+        let job = self.job_name.as_ref().map(|name| changed_ms(&self.directory.join(name)));
+        let directories = self.plans.iter().map(|plan| &plan.directory);
+        let documents = [&self.result, &self.check].into_iter().flatten().map(|one| &one.directory);
+        let others = [&self.certificate, &self.corrected].into_iter().flatten();
+        let changed = directories.chain(documents).chain(others).map(|one| one.changed_ms);
+        changed.chain(self.runs.iter().map(|run| run.changed_ms)).chain(job).max()
+    }
+}
+
+fn keep_newest(place: &mut Option<FoundDocument>, path: &Path, directory: FoundDirectory) {
+    let is_newest = place.as_ref().is_none_or(|one| one.directory.changed_ms < directory.changed_ms);
+    let content = files::read_text(path).ok().and_then(|text| serde_json::from_str(&text).ok());
+    if let Some(content) = content.filter(|_| is_newest) {
+        *place = Some(FoundDocument { directory, content });
+    }
+}
+
+/// The name of a robot that a job names: built in, or a file beside the job.
+fn robot_name(directory: &Path, name: &str) -> Result<String, Diagnostic> {
+    let robot = match Robot::built_in_file(name) {
+        Some(text) => Robot::from_toml(name, text)?,
+        None if name.ends_with(".toml") => Robot::from_toml(name, &files::read_text(&directory.join(name))?)?,
+        None => return Err(Robot::unknown(name)),
+    };
+    Ok(robot.name)
+}
+
+impl FoundPlan {
+    /// `None` if its files cannot be read: a plan is then made again.
+    fn read(path: &Path, directory: FoundDirectory) -> Option<Self> {
+        let PlanFiles { plan, json, .. } = PlanFiles::read(&path.join("plan.csv")).ok()?;
+        // What is for people is not read back with the plan.
+        let header: Value = serde_json::from_str(&json).ok()?;
+        let job = plan.header.provenance.from.iter().find(|source| source.role == ArtefactRole::Job);
+        Some(Self {
+            directory,
+            hash: plan.header.hash.clone(),
+            is_check: header["check"].is_object(),
+            poses: plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).count(),
+            duration_s: plan.duration_s(),
+            predicted_mm: header["predictions"]["identified_mm"]["p95"].as_f64(),
+            job_sha256: job.map(|job| job.sha256.clone()),
+            program: None,
+        })
+    }
+}
+
+/// The captures in the directory of a robot and those of the service.
+fn found_runs(directory: &Path, data: &Path, running: Option<&str>, run_plans: &RunPlans) -> Vec<FoundRun> {
+    let mut found = Vec::new();
+    for name in names(directory).into_iter().filter(|name| name.ends_with(".dbbd")).take(MAX_RUNS) {
+        let path = directory.join(&name);
+        let Ok(entry) = runs::entry_of(&name, &path, None, Vec::new()) else { continue };
+        if let Some(RunPlan { hash: plan_hash, .. }) = run_plans.of(&path, entry.started_unix_ms) {
+            found.push(FoundRun::new(name.clone(), name, plan_hash, changed_ms(&path), entry.ended));
+        }
+    }
+    let of_service = runs::list_recorded_runs(data, running).unwrap_or_default();
+    for entry in of_service.into_iter().take(MAX_RUNS).filter(|entry| running != Some(entry.name.as_str())) {
+        let path = data.join(&entry.name).join(CAPTURE);
+        if let Some(RunPlan { hash: plan_hash, .. }) = run_plans.of(&path, entry.started_unix_ms) {
+            let shown = relative(directory, &path).display().to_string();
+            found.push(FoundRun::new(entry.name, shown, plan_hash, changed_ms(&path), entry.ended));
+        }
+    }
+    found
+}
+
+/// A path as a command in `directory` names it: relative where both are in one working directory.
+fn relative(directory: &Path, path: &Path) -> PathBuf {
+    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let (directory, path) = (absolute(directory), absolute(path));
+    if let Ok(inside) = path.strip_prefix(&directory) {
+        return inside.to_owned();
+    }
+    let beside = directory.parent().and_then(|parent| path.strip_prefix(parent).ok());
+    beside.map_or_else(|| path.clone(), |beside| Path::new("..").join(beside))
+}
+
+impl FoundRun {
+    fn new(
+        name: String,
+        path: String,
+        plan_hash: String,
+        changed_ms: u64,
+        ended: Option<crate::live::Ended>,
+    ) -> Self {
+        let (reason, samples) = ended.map(|ended| (ended.reason, ended.samples)).unzip();
+        Self { name, path, plan_hash, changed_ms, reason, samples }
+    }
+}

@@ -1,0 +1,168 @@
+//! Edits the file of a job: keys are set or removed, comments and all other keys stay.
+
+use serde_json::Value;
+use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, value};
+
+use crate::live::ServiceFinding::{self, JobKey};
+
+/// What a new file begins with.
+pub(super) const HEAD: &str =
+    "# A job for `dbbd plan`: lengths in mm, angles in degrees. examples/demo.toml explains every key.\n";
+
+/// Sets the keys of `keys` in a table: null removes, an object goes into the table of that name, a list of objects is a list of
+/// tables, of which the first are kept and the rest removed.
+pub(super) fn set_keys(document: &mut DocumentMut, keys: &Value) -> Result<(), ServiceFinding> {
+    set_in(document.as_table_mut(), keys, "job")
+}
+
+fn set_in(table: &mut Table, keys: &Value, at: &str) -> Result<(), ServiceFinding> {
+    let wrong = |key: &str| JobKey { key: key.into() };
+    let keys = keys.as_object().ok_or_else(|| wrong(at))?;
+    for (key, wanted) in keys {
+        let is_tables = |all: &Vec<Value>| !all.is_empty() && all.iter().all(Value::is_object);
+        match wanted {
+            Value::Null => {
+                table.remove(key);
+            }
+            Value::Object(_) => {
+                let inner = table.entry(key).or_insert_with(|| Item::Table(Table::new()));
+                let inner = inner.as_table_mut().ok_or_else(|| wrong(key))?;
+                set_in(inner, wanted, key)?;
+            }
+            Value::Array(all) if is_tables(all) => {
+                let list = table.entry(key).or_insert_with(|| Item::ArrayOfTables(ArrayOfTables::new()));
+                let list = list.as_array_of_tables_mut().ok_or_else(|| wrong(key))?;
+                while list.len() > all.len() {
+                    list.remove(list.len() - 1);
+                }
+                for (place, wanted) in all.iter().enumerate() {
+                    if list.len() == place {
+                        list.push(Table::new());
+                    }
+                    set_in(list.get_mut(place).ok_or_else(|| wrong(key))?, wanted, key)?;
+                }
+            }
+            // A list of tables that becomes empty.
+            Value::Array(all) if all.is_empty() && table.get(key).is_some_and(Item::is_array_of_tables) => {
+                table.remove(key);
+            }
+            Value::Bool(_) | Value::Number(_) | Value::String(_) | Value::Array(_) => {
+                let new = of_json(wanted).ok_or_else(|| wrong(key))?;
+                set_value(table, key, new);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Sets a value unless it is there already, and keeps the comment behind the old one.
+fn set_value(table: &mut Table, key: &str, mut new: toml_edit::Value) {
+    if let Some(old) = table.get(key).and_then(Item::as_value) {
+        if is_same(old, &new) {
+            return;
+        }
+        *new.decor_mut() = old.decor().clone();
+    }
+    match table.get_mut(key) {
+        Some(item) => *item = Item::Value(new),
+        None => {
+            table.insert(key, value(new));
+        }
+    }
+}
+
+/// Whether two values mean the same: `300` and `300.0` do.
+fn is_same(a: &toml_edit::Value, b: &toml_edit::Value) -> bool {
+    let number =
+        |one: &toml_edit::Value| one.as_float().or_else(|| one.as_integer().map(|whole| whole as f64));
+    match (number(a), number(b)) {
+        (Some(a), Some(b)) => a == b,
+        _ => match (a.as_array(), b.as_array()) {
+            (Some(a), Some(b)) => a.len() == b.len() && a.iter().zip(b).all(|(a, b)| is_same(a, b)),
+            _ => {
+                a.as_str().is_some() && a.as_str() == b.as_str()
+                    || a.as_bool().is_some() && a.as_bool() == b.as_bool()
+            }
+        },
+    }
+}
+
+fn of_json(json: &Value) -> Option<toml_edit::Value> {
+    Some(match json {
+        Value::Bool(flag) => (*flag).into(),
+        Value::String(text) => text.as_str().into(),
+        Value::Number(number) => match number.as_i64() {
+            Some(whole) => whole.into(),
+            None => number.as_f64()?.into(),
+        },
+        Value::Array(all) => {
+            let all: Option<toml_edit::Array> = all.iter().map(of_json).collect();
+            all?.into()
+        }
+        Value::Null | Value::Object(_) => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    const HAND_WRITTEN: &str = "\
+# My cell.
+robot = \"kr60ha\"  # the new one
+
+[bar]
+length_mm = 300.0 # certificate of May
+stroke_mm = [-5.0, 5.0]
+own_key = 1
+
+# the post
+[[centre]]
+id = 1
+xyz_mm = [1300.0, 0.0, 800.0]
+
+[[circle]]
+plane = \"XY\" # the first
+points = 80
+";
+
+    fn edited(keys: &Value) -> String {
+        let mut document: DocumentMut = HAND_WRITTEN.parse().unwrap();
+        set_keys(&mut document, keys).unwrap();
+        document.to_string()
+    }
+
+    #[test]
+    fn the_same_values_leave_the_file_as_it_is() {
+        let keys = json!({
+            "robot": "kr60ha", "bar": { "length_mm": 300, "stroke_mm": [-5, 5] },
+            "centre": [{ "id": 1, "xyz_mm": [1300, 0, 800] }], "circle": [{ "plane": "XY", "points": 80 }],
+        });
+        assert_eq!(edited(&keys), HAND_WRITTEN);
+    }
+
+    #[test]
+    fn a_changed_value_keeps_comments_and_unknown_keys() {
+        let text =
+            edited(&json!({ "bar": { "length_mm": 299.5 }, "circle": [{ "points": 40 }, { "points": 12 }] }));
+        let wanted = HAND_WRITTEN.replace("300.0 #", "299.5 #").replace("points = 80", "points = 40");
+        assert!(text.starts_with(&wanted), "{text}");
+        assert!(text.trim_end().ends_with("[[circle]]\npoints = 12"), "{text}");
+    }
+
+    #[test]
+    fn null_and_shorter_lists_remove() {
+        let text = edited(&json!({ "bar": { "own_key": null }, "circle": [] }));
+        let wanted = HAND_WRITTEN.replace("own_key = 1\n", "");
+        assert_eq!(text, wanted[..wanted.find("\n[[circle]]").unwrap()]);
+    }
+
+    #[test]
+    fn a_table_in_place_of_a_number_is_refused() {
+        let mut document: DocumentMut = HAND_WRITTEN.parse().unwrap();
+        let refused = set_keys(&mut document, &json!({ "robot": { "name": "x" } }));
+        assert!(matches!(refused, Err(JobKey { key }) if key == "robot"));
+    }
+}

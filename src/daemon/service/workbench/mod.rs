@@ -1,0 +1,390 @@
+//! The work on robots: what the pages see of the files in the working directory, and the requests that make the next ones.
+//!
+//! Everything is made by a request or a command in a child process, as from the command line, in the directory of the robot.
+
+mod files;
+mod job_file;
+mod steps;
+
+use std::path::{Path, PathBuf};
+
+use dbbd_job::page::Download;
+use dbbd_job::plan::Job;
+use dbbd_job::request::Request;
+use dbbd_job::request::certificate::CertificateRequest;
+use dbbd_job::request::check::CheckRequest;
+use dbbd_job::request::compensate::{CompensateRequest, DEFAULT_LIMIT_MM};
+use dbbd_job::request::identify::{self, IdentifyRequest};
+use dbbd_job::request::plan::{CheckPoses, PlanRequest, PlannedPoses};
+use dbbd_job::request::scene::CellScene;
+use dbbd_model::diagnostic::Diagnostic;
+use serde_json::Value;
+use toml_edit::DocumentMut;
+
+pub(super) use self::files::RunPlans;
+use self::files::{CORRECTED, FoundPlan, UPLOADED, WorkFiles};
+use self::steps::{Activity, CheckPart};
+use super::jobs::{JobSubject, JobWork};
+use super::log::LogLevel;
+use super::runs::{is_plain_directory, is_sound, open_plain};
+use super::{LineUse, Supervisor};
+use crate::live::ServiceFinding::{
+    LinkedDirectory, NoResult, NoRobot, ProgramName, RobotName, RobotTaken, StepTooEarly, Unwritten,
+};
+use crate::live::{
+    EvaluationJob, NewRobot, ProgramUpload, RobotSummary, RobotWork, StepOptions, StepReport, StepState,
+    WorkStep, Workbench,
+};
+
+/// The name of the simulated cell.
+const DEMO: &str = "demo";
+/// Poses of a check, as `dbbd plan --check` chooses them.
+const CHECK_POSES: u32 = 18;
+/// The ends of the files of a program.
+const PROGRAM_ENDS: [&str; 5] = [".src", ".dat", ".mod", ".pgf", ".script"];
+/// Files of one upload.
+const MAX_UPLOADED: usize = 50;
+/// The declarations of a controller, as the page names them (`$config.dat` is no plain name).
+const CONFIG: &str = "config.dat";
+
+impl Supervisor {
+    /// The files of a robot.
+    fn files_of(&self, robot: &str) -> Result<WorkFiles, Diagnostic> {
+        let mut all = files::robots(&self.config.plans, &self.config.data).into_iter();
+        let found = all.find(|(name, ..)| name == robot).ok_or_else(|| NoRobot { robot: robot.into() })?;
+        Ok(self.read_files(found))
+    }
+
+    fn read_files(&self, robot: (String, PathBuf, String)) -> WorkFiles {
+        WorkFiles::read(robot, &self.config.data, self.running().as_deref(), &self.run_plans)
+    }
+
+    fn reports(&self, files: &WorkFiles) -> Vec<StepReport> {
+        let mut jobs = self.jobs.list();
+        jobs.retain(|job| job.robot.as_ref() == Some(&files.name));
+        let recording = match &self.inner().run {
+            LineUse::On(running) => running.plan.clone(),
+            LineUse::None | LineUse::Starting | LineUse::Reading(_) => None,
+        };
+        let explain = |finding| self.jobs.explained(finding);
+        steps::steps(files, &Activity { jobs: &jobs, recording: recording.as_deref(), explain: &explain })
+    }
+
+    /// Checks the job after a change, and writes it.
+    fn write_job(&self, path: &Path, document: &DocumentMut) -> Result<(), Diagnostic> {
+        let text = document.to_string();
+        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        Job::from_toml(name, &text)?;
+        dbbd_job::files::write_file(path, text)
+    }
+}
+
+/// Why a step cannot be computed.
+fn too_early(step: WorkStep) -> Diagnostic {
+    StepTooEarly { step: step.name() }.into()
+}
+
+/// What a step computes, and the name of its directory.
+fn work_of(
+    files: &WorkFiles,
+    step: WorkStep,
+    options: &StepOptions,
+) -> Result<(JobWork, String), Diagnostic> {
+    let early = || too_early(step);
+    let result = steps::result_directory(files).to_owned();
+    let identified = format!("{result}/{}", identify::ROBOT);
+    let plan = |is_check: bool| files.plan(is_check).ok_or_else(early);
+    let (request, out) = match step {
+        WorkStep::Robot | WorkStep::Cell | WorkStep::Measure => return Err(early()),
+        WorkStep::Plan => plan_request(files, None).ok_or_else(early)?,
+        WorkStep::Programs => return Ok(programs_of(plan(false)?)),
+        WorkStep::Result => {
+            let run = steps::usable_run(files, plan(false)?).ok_or_else(early)?;
+            let request = IdentifyRequest {
+                input: run.path.clone().into(),
+                out: result.clone().into(),
+                ..IdentifyRequest::default()
+            };
+            (Request::Identify(request), result)
+        }
+        WorkStep::Correct => {
+            let uploaded = files.uploaded.as_ref().filter(|_| files.result.is_some()).ok_or_else(early)?;
+            let chosen = options.program.as_deref().filter(|name| uploaded.has(name));
+            let program = chosen.or(steps::uncorrected(files).first().copied()).ok_or_else(early)?;
+            let in_upload = |name: &str| Path::new(UPLOADED).join(name);
+            let request = CompensateRequest {
+                program: in_upload(program),
+                robot: identified,
+                out: CORRECTED.into(),
+                config: uploaded.has(CONFIG).then(|| in_upload(CONFIG)),
+                tool_mm_deg: None,
+                base_mm_deg: None,
+                payload: None,
+                nominal_controller: false,
+                limit_mm: DEFAULT_LIMIT_MM,
+                // The directory is the page's own.
+                replace: true,
+            };
+            (Request::Compensate(request), CORRECTED.to_owned())
+        }
+        WorkStep::Check => match steps::check_part(files).ok_or_else(early)? {
+            CheckPart::Plan => {
+                plan_request(files, Some((identified, options.tolerance_mm))).ok_or_else(early)?
+            }
+            CheckPart::Programs => return Ok(programs_of(plan(true)?)),
+            CheckPart::Measure => return Err(early()),
+            CheckPart::Decide => {
+                let run = steps::usable_run(files, plan(true)?).ok_or_else(early)?;
+                let out = files.check.as_ref().map_or("check", |check| &check.directory.name).to_owned();
+                let request = CheckRequest::new(
+                    run.path.clone().into(),
+                    identified,
+                    out.clone().into(),
+                    options.tolerance_mm,
+                );
+                (Request::Check(request), out)
+            }
+        },
+        WorkStep::Certificate => {
+            files.result.as_ref().ok_or_else(early)?;
+            let out = files.certificate.as_ref().map_or("certificate", |made| &made.name).to_owned();
+            let check = files.check.as_ref().map(|check| PathBuf::from(&check.directory.name));
+            let request = CertificateRequest {
+                result: result.into(),
+                out: out.clone().into(),
+                check,
+                identity: None,
+                replace: false,
+            };
+            (Request::Certificate(request), out)
+        }
+    };
+    Ok((JobWork::Request(Box::new(request)), out))
+}
+
+/// The plan of the job, or that of a check of the robot in a file.
+fn plan_request(files: &WorkFiles, check: Option<(String, Option<f64>)>) -> Option<(Request, String)> {
+    let job = files.job_name.as_ref()?;
+    let out = steps::plan_directory(files, check.is_some()).to_owned();
+    let (robot, poses) = match check {
+        None => (None, PlannedPoses::Job),
+        Some((robot, tolerance_mm)) => {
+            let (poses, risk) = (CHECK_POSES, CheckRequest::RISK);
+            (Some(robot), PlannedPoses::Check(CheckPoses { poses, balls_kept: false, tolerance_mm, risk }))
+        }
+    };
+    let request = PlanRequest {
+        job: job.into(),
+        out: out.clone().into(),
+        robot,
+        measured: Vec::new(),
+        poses,
+        replace: false,
+    };
+    Some((Request::Plan(request), out))
+}
+
+fn programs_of(plan: &FoundPlan) -> (JobWork, String) {
+    let out = steps::program_directory(plan).to_owned();
+    let csv = format!("{}/plan.csv", plan.directory.name);
+    (JobWork::Command(vec!["program".into(), csv, "--out".into(), out.clone(), "--replace".into()]), out)
+}
+
+/// Refuses a directory that is a link or holds one: what is written stays in the working directory.
+fn check_plain(directory: &Path, name: &str) -> Result<(), Diagnostic> {
+    let path = directory.join(name);
+    let linked = || Diagnostic::from(LinkedDirectory { directory: name.into() });
+    match std::fs::symlink_metadata(&path) {
+        Err(_) => Ok(()),
+        Ok(data) if !data.is_dir() => Err(linked()),
+        Ok(_) => {
+            let mut entries = std::fs::read_dir(&path).into_iter().flatten().flatten();
+            let is_plain = entries.all(|entry| entry.file_type().is_ok_and(|kind| !kind.is_symlink()));
+            if is_plain { Ok(()) } else { Err(linked()) }
+        }
+    }
+}
+
+impl Workbench for Supervisor {
+    fn robots(&self) -> Result<Vec<RobotSummary>, Diagnostic> {
+        let all = files::robots(&self.config.plans, &self.config.data).into_iter();
+        let mut found: Vec<RobotSummary> = all
+            .map(|robot| {
+                let files = self.read_files(robot);
+                let changed_unix_ms = files.changed_ms();
+                let steps = self.reports(&files);
+                summary(&files, &steps, changed_unix_ms)
+            })
+            .collect();
+        found.sort_by(|a, b| b.changed_unix_ms.cmp(&a.changed_unix_ms));
+        Ok(found)
+    }
+
+    fn work(&self, robot: &str) -> Result<RobotWork, Diagnostic> {
+        let files = self.files_of(robot)?;
+        let steps = self.reports(&files);
+        let directory = files.directory.display().to_string();
+        Ok(RobotWork {
+            robot: robot_of(&files),
+            name: files.name,
+            directory,
+            simulated: files.simulated,
+            steps,
+        })
+    }
+
+    fn create(&self, NewRobot { name, job }: NewRobot) -> Result<(), Diagnostic> {
+        if !is_sound(&name) {
+            return Err(RobotName.into());
+        }
+        let directory = self.config.plans.join(&name);
+        if directory.exists() {
+            return Err(RobotTaken { robot: name }.into());
+        }
+        let mut document: DocumentMut = job_file::HEAD.parse().map_err(|error| not_written(&error))?;
+        job_file::set_keys(&mut document, &job)?;
+        Job::from_toml("job.toml", &document.to_string())?;
+        dbbd_job::files::directory(&directory)?;
+        self.write_job(&directory.join("job.toml"), &document)?;
+        self.log.event(LogLevel::Info, "robot_created", &[("robot", &name)]);
+        Ok(())
+    }
+
+    fn demo(&self) -> Result<String, Diagnostic> {
+        let directory = self.config.plans.join(DEMO);
+        check_plain(&self.config.plans, DEMO)?;
+        (self.make_demo)(&directory)?;
+        self.log.event(LogLevel::Info, "robot_created", &[("robot", &DEMO)]);
+        Ok(DEMO.into())
+    }
+
+    fn job_of(&self, robot: &str) -> Result<Value, Diagnostic> {
+        let files = self.files_of(robot)?;
+        let Some(name) = &files.job_name else { return Ok(Value::Null) };
+        let text = dbbd_job::files::read_text(&files.directory.join(name))?;
+        Ok(dbbd_model::base::parse::from_toml(name, &text)?)
+    }
+
+    fn edit_job(&self, robot: &str, keys: &Value) -> Result<(), Diagnostic> {
+        let files = self.files_of(robot)?;
+        let path = files.directory.join(files.job_name.as_deref().unwrap_or("job.toml"));
+        let text = if path.exists() { dbbd_job::files::read_text(&path)? } else { job_file::HEAD.to_owned() };
+        let mut document: DocumentMut = text.parse().map_err(|error| not_written(&error))?;
+        job_file::set_keys(&mut document, keys)?;
+        self.write_job(&path, &document)?;
+        self.log.event(LogLevel::Info, "job_edited", &[("robot", &robot)]);
+        Ok(())
+    }
+
+    fn scene(&self, robot: &str) -> Result<Value, Diagnostic> {
+        let files = self.files_of(robot)?;
+        let plan = files.plan(false).or(files.plans.first()).ok_or_else(|| too_early(WorkStep::Cell))?;
+        let csv = files.directory.join(&plan.directory.name).join("plan.csv");
+        let result = files.result.as_ref().map(|result| files.directory.join(&result.directory.name));
+        let scene = CellScene::read(&csv, result.as_deref())?;
+        serde_json::to_value(scene).map_err(|error| not_written(&error))
+    }
+
+    fn upload(&self, robot: &str, upload: ProgramUpload) -> Result<(), Diagnostic> {
+        let files = self.files_of(robot)?;
+        let is_program = |name: &str| {
+            is_sound(name) && PROGRAM_ENDS.iter().any(|end| name.to_ascii_lowercase().ends_with(end))
+        };
+        if let Some(file) = upload.files.iter().find(|file| !is_program(&file.name)) {
+            return Err(ProgramName { name: file.name.chars().take(80).collect() }.into());
+        }
+        let taken = upload.files.len();
+        if taken == 0 || taken > MAX_UPLOADED {
+            return Err(ProgramName { name: format!("{taken} files") }.into());
+        }
+        check_plain(&files.directory, UPLOADED)?;
+        let directory = files.directory.join(UPLOADED);
+        dbbd_job::files::directory(&directory)?;
+        // A program is uploaded as a whole: what is left of another one would be corrected with it.
+        for name in files.uploaded.iter().flat_map(|earlier| &earlier.files).filter(|name| is_program(name)) {
+            let _ = std::fs::remove_file(directory.join(name));
+        }
+        for file in &upload.files {
+            let bytes: Result<Vec<u8>, _> = file.bytes.chars().map(u8::try_from).collect();
+            let bytes = bytes.map_err(|_| ProgramName { name: file.name.clone() })?;
+            dbbd_job::files::write_file(&directory.join(&file.name), bytes)?;
+        }
+        Ok(())
+    }
+
+    fn compute(
+        &self,
+        robot: &str,
+        step: WorkStep,
+        options: StepOptions,
+    ) -> Result<EvaluationJob, Diagnostic> {
+        let files = self.files_of(robot)?;
+        let (work, out) = work_of(&files, step, &options)?;
+        check_plain(&files.directory, &out)?;
+        let kind = match &work {
+            JobWork::Command(_) => "program",
+            JobWork::Request(request) => match **request {
+                Request::Identify(_) => "identify",
+                Request::Plan(_) => "plan",
+                Request::Check(_) => "check",
+                Request::Compensate(_) => "compensate",
+                Request::Circle(_) => "circle",
+                Request::Certificate(_) => "certificate",
+            },
+        };
+        let subject = JobSubject { kind, run: String::new(), step: Some((files.name, step)) };
+        let job = self.jobs.submit(subject, work, files.directory)?;
+        self.log.event(LogLevel::Info, "job_taken", &[("job", &job.id), ("kind", &kind), ("robot", &robot)]);
+        Ok(job)
+    }
+
+    fn work_file(&self, robot: &str, directory: &str, file: &str) -> Result<Download, Diagnostic> {
+        let files = self.files_of(robot)?;
+        let missing = || Diagnostic::from(NoResult { file: file.into() });
+        let parent = files.directory.join(directory);
+        if !is_sound(directory) || !is_sound(file) || !is_plain_directory(&parent) {
+            return Err(missing());
+        }
+        let opened = open_plain(&parent.join(file)).map_err(|_| missing())?;
+        let bytes = opened.metadata().map_err(|_| missing())?.len();
+        Ok(Download { file: opened, name: file.to_owned(), bytes })
+    }
+
+    fn job_answer(&self, id: u64) -> Result<Value, Diagnostic> {
+        self.jobs.get(id)?;
+        Ok(self.jobs.document(id).map_or(Value::Null, |document| (*document).clone()))
+    }
+}
+
+fn not_written(error: &dyn std::fmt::Display) -> Diagnostic {
+    Unwritten { why: error.to_string() }.into()
+}
+
+/// The name of the robot of the job, or else of the result.
+fn robot_of(files: &WorkFiles) -> Option<String> {
+    let of_job = files.robot.as_ref().and_then(|robot| robot.as_ref().ok()).cloned();
+    let of_result = || Some(files.result.as_ref()?.content["robot"].as_str()?.to_owned());
+    of_job.or_else(of_result)
+}
+
+/// The last decision: of the check if there is one, else the result, else the step that is next.
+fn summary(files: &WorkFiles, steps: &[StepReport], changed_unix_ms: Option<u64>) -> RobotSummary {
+    let is_done = |step: &&&StepReport| step.state == StepState::Done;
+    let decided = [WorkStep::Check, WorkStep::Result];
+    let decision = decided
+        .iter()
+        .filter_map(|wanted| steps.iter().find(|step| step.step == *wanted))
+        .filter(|step| is_done(&step));
+    let open = steps.iter().find(|step| step.state != StepState::Done);
+    let shown = decision.into_iter().next().or(open).or(steps.first());
+    RobotSummary {
+        name: files.name.clone(),
+        robot: robot_of(files),
+        step: shown.map_or(WorkStep::Robot, |step| step.step),
+        state: shown.map_or(StepState::Todo, |step| step.state),
+        verdict: shown.map_or(crate::live::StepVerdict::None, |step| step.verdict),
+        text: shown.map_or("robot.none", |step| step.text),
+        values: shown.map_or(Value::Null, |step| step.values.clone()),
+        changed_unix_ms,
+    }
+}

@@ -1,0 +1,686 @@
+//! The states of the nine steps, from the files that exist and the jobs of the service.
+
+use dbbd_model::diagnostic::{Diagnostic, FindingRecord, Severity};
+use serde_json::{Value, json};
+
+use super::files::{CORRECTED, FoundDirectory, FoundDocument, FoundPlan, FoundRun, UPLOADED, WorkFiles};
+use crate::live::{
+    EvaluationJob, ExplainedFinding, JobState, StepAction, StepReport, StepState, StepVerdict, WorkStep,
+};
+
+/// What ends a run properly.
+const END_MARK: &str = "the program's end mark";
+/// Findings that are shown of a result.
+const MAX_FINDINGS: usize = 40;
+
+/// What the service does at the moment.
+pub(super) struct Activity<'a> {
+    /// The jobs of this robot, the newest first.
+    pub(super) jobs: &'a [EvaluationJob],
+    /// The plan of the run in progress.
+    pub(super) recording: Option<&'a str>,
+    pub(super) explain: &'a dyn Fn(FindingRecord) -> ExplainedFinding,
+}
+
+/// What is to be computed for a check: three things, one after the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum CheckPart {
+    Plan,
+    Programs,
+    Measure,
+    Decide,
+}
+
+/// A step before the jobs of the service are looked at.
+struct Drafted {
+    state: StepState,
+    verdict: StepVerdict,
+    text: &'static str,
+    values: Value,
+    findings: Vec<FindingRecord>,
+    action: Option<StepAction>,
+    label: &'static str,
+    command: String,
+    plan: Option<String>,
+    directory: Option<FoundDirectory>,
+}
+
+impl Drafted {
+    fn new(state: StepState, verdict: StepVerdict, text: &'static str, values: Value) -> Self {
+        Self {
+            state,
+            verdict,
+            text,
+            values,
+            findings: Vec::new(),
+            action: None,
+            label: "act.none",
+            command: String::new(),
+            plan: None,
+            directory: None,
+        }
+    }
+
+    fn todo(text: &'static str) -> Self {
+        Self::new(StepState::Todo, StepVerdict::None, text, Value::Null)
+    }
+
+    fn ready(text: &'static str) -> Self {
+        Self::new(StepState::Ready, StepVerdict::None, text, Value::Null)
+    }
+
+    fn done(verdict: StepVerdict, text: &'static str, values: Value) -> Self {
+        Self::new(StepState::Done, verdict, text, values)
+    }
+
+    fn refused(text: &'static str, why: &Diagnostic) -> Self {
+        let mut refused = Self::new(StepState::Attention, StepVerdict::Fail, text, Value::Null);
+        refused.findings.push(FindingRecord::from(why));
+        refused
+    }
+
+    fn acting(mut self, action: StepAction, label: &'static str) -> Self {
+        (self.action, self.label) = (Some(action), label);
+        self
+    }
+
+    fn command(mut self, command: String) -> Self {
+        self.command = command;
+        self
+    }
+
+    fn made(mut self, directory: Option<&FoundDirectory>) -> Self {
+        self.directory = directory.cloned();
+        self
+    }
+}
+
+/// The nine steps.
+pub(super) fn steps(files: &WorkFiles, now: &Activity<'_>) -> Vec<StepReport> {
+    [
+        (WorkStep::Robot, robot(files)),
+        (WorkStep::Cell, cell(files)),
+        (WorkStep::Plan, plan(files)),
+        (WorkStep::Programs, programs(files)),
+        (WorkStep::Measure, measure(files, now)),
+        (WorkStep::Result, result(files)),
+        (WorkStep::Correct, correct(files)),
+        (WorkStep::Check, check(files, now)),
+        (WorkStep::Certificate, certificate(files)),
+    ]
+    .map(|(step, drafted)| report(step, drafted, now))
+    .into()
+}
+
+/// With the last job of the step.
+fn report(step: WorkStep, mut drafted: Drafted, now: &Activity<'_>) -> StepReport {
+    let job = now.jobs.iter().find(|job| job.step == Some(step));
+    let mut findings: Vec<ExplainedFinding> =
+        drafted.findings.drain(..).map(|finding| (now.explain)(finding)).collect();
+    match job.map(|job| job.state) {
+        Some(JobState::Waiting | JobState::Running) => {
+            drafted = Drafted {
+                command: drafted.command,
+                ..Drafted::new(StepState::Running, StepVerdict::None, "computing", Value::Null)
+            };
+        }
+        // What was made after the refusal, also by the command line, is newer.
+        Some(JobState::Failed) if !made_since(&drafted, job) && is_refusal(job) => {
+            (drafted.state, drafted.verdict) = (StepState::Attention, StepVerdict::Fail);
+            (drafted.text, drafted.values) = ("refused", Value::Null);
+            findings.clear();
+        }
+        Some(JobState::Failed | JobState::Done | JobState::Doubt | JobState::Cancelled) | None => {}
+    }
+    if let Some(job) = job.filter(|_| findings.is_empty()) {
+        findings.clone_from(&job.findings);
+    }
+    findings.sort_by_key(|one| match one.finding.severity {
+        Severity::Error => 0,
+        Severity::Warning => 1,
+        Severity::Info => 2,
+    });
+    findings.truncate(MAX_FINDINGS);
+    let directory = drafted.directory.unwrap_or_default();
+    StepReport {
+        step,
+        state: drafted.state,
+        verdict: drafted.verdict,
+        text: drafted.text,
+        values: drafted.values,
+        findings,
+        action: drafted.action,
+        label: drafted.label,
+        command: drafted.command,
+        plan: drafted.plan,
+        directory: directory.name,
+        files: directory.files,
+        job: job.cloned(),
+    }
+}
+
+fn made_since(drafted: &Drafted, job: Option<&EvaluationJob>) -> bool {
+    let ended_ms = job.and_then(|job| job.ended_unix_ms).unwrap_or(0);
+    drafted.directory.as_ref().is_some_and(|directory| directory.changed_ms > ended_ms)
+}
+
+/// A check that fails is a result, not a refusal.
+fn is_refusal(job: Option<&EvaluationJob>) -> bool {
+    let mut findings = job.iter().flat_map(|job| &job.findings);
+    job.is_some_and(|job| job.kind != "check") || findings.any(|one| one.finding.severity == Severity::Error)
+}
+
+fn robot(files: &WorkFiles) -> Drafted {
+    let robot = match (&files.job, &files.robot) {
+        (Some(Err(why)), _) => Drafted::refused("robot.job_refused", why),
+        (Some(Ok(_)), Some(Err(why))) => Drafted::refused("robot.refused", why),
+        (Some(Ok(job)), Some(Ok(name))) => {
+            let values = json!({ "robot": name, "file": job.robot, "serial": job.serial });
+            Drafted::done(StepVerdict::Pass, "robot.found", values)
+        }
+        (Some(Ok(_)), None) | (None, _) => Drafted::ready("robot.none"),
+    };
+    let label = if files.job.is_some() { "act.edit" } else { "act.new_job" };
+    robot.acting(StepAction::Edit, label).command("dbbd robots list".into())
+}
+
+fn cell(files: &WorkFiles) -> Drafted {
+    let Some(Ok(job)) = &files.job else { return Drafted::todo("cell.none") };
+    let values = json!({
+        "length_mm": job.bar.length_mm, "low_mm": job.bar.stroke_mm[0], "high_mm": job.bar.stroke_mm[1],
+        "balls": job.centres.len(), "circles": job.circles.len(), "obstacles": job.obstacles.len(),
+        "u_mm": job.bar.length_u_mm,
+    });
+    Drafted::done(StepVerdict::Pass, "cell.found", values).acting(StepAction::Edit, "act.edit")
+}
+
+/// The name of the job's file in a command.
+fn job_file(files: &WorkFiles) -> &str {
+    files.job_name.as_deref().unwrap_or("job.toml")
+}
+
+/// The directory of the newest plan, or that of a new one.
+pub(super) fn plan_directory(files: &WorkFiles, is_check: bool) -> &str {
+    let new = if is_check { "check-plan" } else { "plan" };
+    files.plan(is_check).map_or(new, |plan| &plan.directory.name)
+}
+
+fn plan(files: &WorkFiles) -> Drafted {
+    let command = format!("dbbd plan {} --out {}", job_file(files), plan_directory(files, false));
+    let Some(Ok(_)) = &files.job else { return Drafted::todo("plan.no_job").command(command) };
+    let drafted = match files.plan(false) {
+        None => Drafted::ready("plan.none").acting(StepAction::Compute, "act.plan"),
+        Some(plan) if is_stale(files, plan) => {
+            Drafted::ready("plan.stale").acting(StepAction::Compute, "act.plan_again")
+        }
+        Some(plan) => {
+            let values = json!({
+                "poses": plan.poses, "minutes": plan.duration_s / 60.0, "predicted_mm": plan.predicted_mm,
+            });
+            let text = if plan.predicted_mm.is_some() { "plan.found" } else { "plan.found_bare" };
+            Drafted::done(StepVerdict::Pass, text, values).acting(StepAction::Compute, "act.plan_again")
+        }
+    };
+    drafted.command(command).made(files.plan(false).map(|plan| &plan.directory))
+}
+
+/// Whether the job was changed since the plan was made.
+fn is_stale(files: &WorkFiles, plan: &FoundPlan) -> bool {
+    matches!((&plan.job_sha256, &files.job_sha256), (Some(of_plan), Some(of_job)) if of_plan != of_job)
+}
+
+/// The directory of the programs of a plan, or that of new ones.
+pub(super) fn program_directory(plan: &FoundPlan) -> &str {
+    let new = if plan.is_check { "check-program" } else { "program" };
+    plan.program.as_ref().map_or(new, |directory| &directory.name)
+}
+
+fn program_command(plan: &FoundPlan) -> String {
+    format!("dbbd program {}/plan.csv --out {}", plan.directory.name, program_directory(plan))
+}
+
+fn programs(files: &WorkFiles) -> Drafted {
+    let Some(plan) = files.plan(false) else {
+        return Drafted::todo("programs.no_plan").command("dbbd program plan/plan.csv --out program".into());
+    };
+    let drafted = match &plan.program {
+        None => Drafted::ready("programs.none").acting(StepAction::Compute, "act.programs"),
+        Some(program) => {
+            let values = json!({ "files": program.files.len(), "directory": program.name });
+            let done = Drafted::done(StepVerdict::None, "programs.found", values);
+            done.acting(StepAction::Compute, "act.programs_again")
+        }
+    };
+    drafted.command(program_command(plan)).made(plan.program.as_ref())
+}
+
+fn acquire_command(plan: &FoundPlan, run: &str) -> String {
+    format!("dbbd acquire --port PORT --plan {}/plan.csv --out {run}", plan.directory.name)
+}
+
+/// The name of a plan as the service knows it.
+fn served_plan(files: &WorkFiles, plan: &FoundPlan) -> String {
+    format!("{}{}", files.prefix, plan.directory.name)
+}
+
+fn measure(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
+    let Some(plan) = files.plan(false) else {
+        let command = "dbbd acquire --port PORT --plan plan/plan.csv --out run.dbbd";
+        return Drafted::todo("measure.no_plan").command(command.into());
+    };
+    let served = served_plan(files, plan);
+    let run = files.run(plan);
+    let mut drafted = match run {
+        _ if now.recording == Some(&*served) => {
+            let running = Drafted::new(StepState::Running, StepVerdict::None, "measure.running", Value::Null);
+            running.acting(StepAction::Measure, "act.watch")
+        }
+        None if plan.program.is_none() => Drafted::todo("measure.no_programs"),
+        None => Drafted::ready("measure.ready").acting(StepAction::Measure, "act.measure"),
+        Some(run) => of_run(run).acting(StepAction::Measure, "act.measure_again"),
+    };
+    drafted.plan = Some(served);
+    drafted.command(acquire_command(plan, "run.dbbd"))
+}
+
+/// A run that ended: its state follows what it recorded.
+fn of_run(run: &FoundRun) -> Drafted {
+    let values = json!({ "run": run.name, "samples": run.samples, "reason": run.reason });
+    match (run.samples, run.reason.as_deref()) {
+        (Some(0), _) => Drafted::new(StepState::Attention, StepVerdict::Fail, "measure.empty", values),
+        (Some(_), Some(END_MARK)) => Drafted::done(StepVerdict::Pass, "measure.done", values),
+        (Some(_), _) => Drafted::new(StepState::Attention, StepVerdict::Undecided, "measure.early", values),
+        (None, _) => Drafted::new(StepState::Attention, StepVerdict::Undecided, "measure.cut_off", values),
+    }
+}
+
+/// The run that a result is made from: one with samples.
+pub(super) fn usable_run<'a>(files: &'a WorkFiles, plan: &FoundPlan) -> Option<&'a FoundRun> {
+    files.run(plan).filter(|run| run.samples != Some(0))
+}
+
+/// The directory of the newest result, or that of a new one.
+pub(super) fn result_directory(files: &WorkFiles) -> &str {
+    files.result.as_ref().map_or("result", |result| &result.directory.name)
+}
+
+fn result(files: &WorkFiles) -> Drafted {
+    let run = files.plan(false).and_then(|plan| usable_run(files, plan));
+    let input = run.map_or("run.dbbd", |run| &run.path);
+    let command = format!("dbbd identify {input} --out {}", result_directory(files));
+    let drafted = match (&files.result, run) {
+        (None, None) => return Drafted::todo("result.no_run").command(command),
+        (None, Some(_)) => Drafted::ready("result.none").acting(StepAction::Compute, "act.result"),
+        (Some(result), Some(run)) if run.changed_ms > result.directory.changed_ms => {
+            Drafted::ready("result.stale").acting(StepAction::Compute, "act.result")
+        }
+        (Some(result), run) => {
+            let done = of_result(result);
+            if run.is_some() { done.acting(StepAction::Compute, "act.result_again") } else { done }
+        }
+    };
+    drafted.command(command).made(files.result.as_ref().map(|result| &result.directory))
+}
+
+fn of_result(result: &FoundDocument) -> Drafted {
+    let content = &result.content;
+    let found: Vec<FindingRecord> =
+        content["findings"].as_array().into_iter().flatten().filter_map(recorded).collect();
+    let is_doubtful = found.iter().any(|finding| finding.severity != Severity::Info);
+    let verdict = if is_doubtful { StepVerdict::Undecided } else { StepVerdict::Pass };
+    let values = json!({
+        "robot": content["robot"], "measurements": content["measurements"],
+        "u_mm": content["budget"]["expanded_mm"], "k": content["budget"]["coverage_factor"],
+        "before_um": micrometres(&content["residual_mm"]["before"]["rms"]),
+        "after_um": micrometres(&content["residual_mm"]["after"]["rms"]),
+        "nominal_mm": content["predicted_position_uncertainty_mm"]["nominal"]["p95"],
+        "identified_mm": content["predicted_position_uncertainty_mm"]["identified"]["p95"],
+        "rank": content["rank"],
+    });
+    let text = if is_doubtful { "result.doubtful" } else { "result.found" };
+    let mut drafted = Drafted::done(verdict, text, values);
+    drafted.findings = found;
+    drafted
+}
+
+fn recorded(finding: &Value) -> Option<FindingRecord> {
+    serde_json::from_value(finding.clone()).ok()
+}
+
+fn micrometres(mm: &Value) -> Option<f64> {
+    mm.as_f64().map(|mm| 1e3 * mm)
+}
+
+fn correct(files: &WorkFiles) -> Drafted {
+    let result = result_directory(files);
+    let next = uncorrected(files).first().copied().or(programs_in(files.uploaded.as_ref()).next());
+    let program = next.unwrap_or("PROGRAM.src");
+    let command = format!(
+        "dbbd compensate {UPLOADED}/{program} --robot {result}/robot-identified.toml --out {CORRECTED}"
+    );
+    if files.result.is_none() {
+        return Drafted::todo("correct.no_result").command(command);
+    }
+    let left = uncorrected(files);
+    let all = programs_in(files.uploaded.as_ref()).count();
+    let drafted = match &files.corrected {
+        _ if all == 0 => Drafted::ready("correct.none").acting(StepAction::Upload, "act.upload"),
+        Some(made) if left.is_empty() => {
+            let values = json!({ "files": made.files.len(), "directory": made.name });
+            let done = Drafted::done(StepVerdict::None, "correct.found", values);
+            done.acting(StepAction::Upload, "act.upload_again")
+        }
+        Some(_) | None => {
+            let values = json!({ "left": left.len(), "all": all });
+            let ready = Drafted::new(StepState::Ready, StepVerdict::None, "correct.uploaded", values);
+            ready.acting(StepAction::Compute, "act.correct")
+        }
+    };
+    drafted.command(command).made(files.corrected.as_ref())
+}
+
+/// The programs among uploaded files; the others belong to them.
+fn programs_in(uploaded: Option<&FoundDirectory>) -> impl Iterator<Item = &str> {
+    let is_program =
+        |name: &&str| [".src", ".mod", ".script"].iter().any(|end| name.to_ascii_lowercase().ends_with(end));
+    uploaded.into_iter().flat_map(|uploaded| &uploaded.files).map(String::as_str).filter(is_program)
+}
+
+/// The uploaded programs that were not corrected with the result yet.
+pub(super) fn uncorrected(files: &WorkFiles) -> Vec<&str> {
+    let result_ms = files.result.as_ref().map_or(0, |result| result.directory.changed_ms);
+    let uploaded = files.uploaded.as_ref();
+    let is_corrected = |name: &str| {
+        let written_ms = files.corrected.as_ref().and_then(|corrected| corrected.written_ms(name));
+        let uploaded_ms = uploaded.and_then(|uploaded| uploaded.written_ms(name)).unwrap_or(0);
+        written_ms.is_some_and(|written_ms| written_ms >= uploaded_ms.max(result_ms))
+    };
+    programs_in(uploaded).filter(|name| !is_corrected(name)).collect()
+}
+
+/// What a check needs next; `None` without a result.
+pub(super) fn check_part(files: &WorkFiles) -> Option<CheckPart> {
+    files.result.as_ref()?;
+    let Some(plan) = files.plan(true) else { return Some(CheckPart::Plan) };
+    let run = usable_run(files, plan);
+    Some(match (run, &plan.program) {
+        (Some(_), _) => CheckPart::Decide,
+        (None, None) => CheckPart::Programs,
+        (None, Some(_)) => CheckPart::Measure,
+    })
+}
+
+fn check(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
+    let robot = format!("{}/robot-identified.toml", result_directory(files));
+    let directory = files.check.as_ref().map_or("check", |check| &check.directory.name);
+    let plan_command = format!(
+        "dbbd plan --check {} --robot {robot} --out {}",
+        job_file(files),
+        plan_directory(files, true)
+    );
+    let plan = files.plan(true);
+    let run = plan.and_then(|plan| usable_run(files, plan));
+    let served = plan.map(|plan| served_plan(files, plan));
+    let decide_command = |run: &str| format!("dbbd check {run} --robot {robot} --out {directory}");
+    let drafted = match (check_part(files), plan) {
+        (None, _) => return Drafted::todo("check.no_result").command(plan_command),
+        _ if served.is_some() && served.as_deref() == now.recording => {
+            let running = Drafted::new(StepState::Running, StepVerdict::None, "measure.running", Value::Null);
+            running.acting(StepAction::Measure, "act.watch")
+        }
+        (Some(CheckPart::Programs), Some(plan)) => {
+            let ready = Drafted::ready("check.programs").acting(StepAction::Compute, "act.check_programs");
+            ready.command(program_command(plan))
+        }
+        (Some(CheckPart::Measure), Some(plan)) => {
+            let ready = Drafted::ready("check.measure").acting(StepAction::Measure, "act.check_measure");
+            ready.command(acquire_command(plan, "check.dbbd"))
+        }
+        (Some(CheckPart::Decide), _) => {
+            let is_decided =
+                |check: &&FoundDocument| run.is_none_or(|run| run.changed_ms <= check.directory.changed_ms);
+            let decided = match files.check.as_ref().filter(is_decided) {
+                Some(check) => of_check(check).acting(StepAction::Compute, "act.check_again"),
+                None => Drafted::ready("check.none").acting(StepAction::Compute, "act.check"),
+            };
+            decided.command(decide_command(run.map_or("check.dbbd", |run| &run.path)))
+        }
+        (Some(CheckPart::Plan | CheckPart::Programs | CheckPart::Measure), _) => match &files.check {
+            // A check that the command line made, without a plan here.
+            Some(check) => of_check(check).command(decide_command("check.dbbd")),
+            None => {
+                let ready = Drafted::ready("check.plan").acting(StepAction::Compute, "act.check_plan");
+                ready.command(plan_command)
+            }
+        },
+    };
+    let mut drafted = drafted.made(files.check.as_ref().map(|check| &check.directory));
+    drafted.plan = served;
+    drafted
+}
+
+fn of_check(check: &FoundDocument) -> Drafted {
+    let content = &check.content;
+    let (verdict, text) = match content["decision"].as_str() {
+        Some("pass") => (StepVerdict::Pass, "check.pass"),
+        Some("fail") => (StepVerdict::Fail, "check.fail"),
+        _ => (StepVerdict::Undecided, "check.undecided"),
+    };
+    let values = json!({
+        "error_mm": content["position_error_mm"], "upper_mm": content["upper_mm"],
+        "tolerance_mm": content["tolerance_mm"], "risk": content["specific_risk"],
+        "lengths": content["lengths"],
+    });
+    Drafted::done(verdict, text, values)
+}
+
+fn certificate(files: &WorkFiles) -> Drafted {
+    let directory = files.certificate.as_ref().map_or("certificate", |made| &made.name);
+    let check = files.check.as_ref().map(|check| format!(" --check {}", check.directory.name));
+    let check = check.unwrap_or_default();
+    let command = format!("dbbd certificate {}{check} --out {directory}", result_directory(files));
+    let Some(result) = &files.result else { return Drafted::todo("certificate.no_result").command(command) };
+    let drafted = match &files.certificate {
+        None => Drafted::ready("certificate.none").acting(StepAction::Compute, "act.certificate"),
+        Some(made) if made.changed_ms < result.directory.changed_ms => {
+            Drafted::ready("certificate.stale").acting(StepAction::Compute, "act.certificate")
+        }
+        Some(made) => {
+            let values = json!({ "files": made.files.len() });
+            let done = Drafted::done(StepVerdict::None, "certificate.found", values);
+            done.acting(StepAction::Compute, "act.certificate_again")
+        }
+    };
+    drafted.command(command).made(files.certificate.as_ref())
+}
+
+#[cfg(test)]
+mod tests {
+    use dbbd_job::plan::Job;
+
+    use super::*;
+
+    fn directory(name: &str, changed_ms: u64) -> FoundDirectory {
+        FoundDirectory { name: name.into(), files: vec!["a".into()], times_ms: vec![changed_ms], changed_ms }
+    }
+
+    fn job() -> WorkFiles {
+        let text = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\n[[centre]]\nid = 1\n\
+                    xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 8\n";
+        WorkFiles {
+            job_name: Some("job.toml".into()),
+            job: Some(Job::from_toml("job.toml", text)),
+            job_sha256: Some("aa".into()),
+            robot: Some(Ok("KUKA KR 60 HA".into())),
+            ..WorkFiles::default()
+        }
+    }
+
+    fn planned(is_check: bool) -> FoundPlan {
+        FoundPlan {
+            directory: directory(if is_check { "check-plan" } else { "plan" }, 10),
+            hash: if is_check { "c" } else { "p" }.into(),
+            is_check,
+            job_sha256: Some("aa".into()),
+            program: Some(directory("krl", 11)),
+            ..FoundPlan::default()
+        }
+    }
+
+    fn run(hash: &str, changed_ms: u64) -> FoundRun {
+        FoundRun {
+            name: format!("run-{hash}"),
+            path: format!("../dbbd-runs/run-{hash}/run.dbbd"),
+            plan_hash: hash.into(),
+            changed_ms,
+            reason: Some(END_MARK.into()),
+            samples: Some(1000),
+        }
+    }
+
+    fn identified(changed_ms: u64) -> Option<FoundDocument> {
+        let content = json!({ "findings": [], "budget": { "expanded_mm": 0.5, "coverage_factor": 2.0 } });
+        Some(FoundDocument { directory: directory("result", changed_ms), content })
+    }
+
+    fn seen(files: &WorkFiles, jobs: &[EvaluationJob], recording: Option<&str>) -> Vec<StepReport> {
+        let explain = |finding| ExplainedFinding { finding, cause: "", cure: "" };
+        steps(files, &Activity { jobs, recording, explain: &explain })
+    }
+
+    fn states(files: &WorkFiles) -> Vec<StepState> {
+        seen(files, &[], None).iter().map(|step| step.state).collect()
+    }
+
+    #[test]
+    fn each_file_makes_the_next_step_ready() {
+        use StepState::{Done as D, Ready as R, Todo as T};
+        let mut files = WorkFiles::default();
+        assert_eq!(states(&files), [R, T, T, T, T, T, T, T, T]);
+        files = job();
+        assert_eq!(states(&files), [D, D, R, T, T, T, T, T, T]);
+        files.plans = vec![FoundPlan { program: None, ..planned(false) }];
+        assert_eq!(states(&files), [D, D, D, R, T, T, T, T, T]);
+        files.plans = vec![planned(false)];
+        assert_eq!(states(&files), [D, D, D, D, R, T, T, T, T]);
+        files.runs = vec![run("p", 20)];
+        assert_eq!(states(&files), [D, D, D, D, D, R, T, T, T]);
+        files.result = identified(30);
+        assert_eq!(states(&files), [D, D, D, D, D, D, R, R, R]);
+        // A newer run asks for a new result.
+        files.runs = vec![run("p", 40)];
+        assert_eq!(states(&files)[5], R);
+    }
+
+    #[test]
+    fn a_changed_job_asks_for_a_new_plan() {
+        let files = WorkFiles { plans: vec![planned(false)], job_sha256: Some("bb".into()), ..job() };
+        let plan = &seen(&files, &[], None)[2];
+        assert_eq!((plan.state, plan.text), (StepState::Ready, "plan.stale"));
+    }
+
+    #[test]
+    fn a_run_of_a_check_leads_to_the_check() {
+        let mut files = WorkFiles { plans: vec![planned(true), planned(false)], ..job() };
+        (files.runs, files.result) = (vec![run("c", 50)], identified(30));
+        let steps = seen(&files, &[], None);
+        // It is no run of the calibration: neither measured nor identified.
+        assert_eq!((steps[4].text, steps[5].text), ("measure.ready", "result.found"));
+        assert_eq!((steps[7].text, steps[7].label), ("check.none", "act.check"));
+        assert!(steps[7].command.starts_with("dbbd check ../dbbd-runs/run-c/run.dbbd --robot result/"));
+    }
+
+    #[test]
+    fn a_run_without_samples_is_no_success() {
+        let mut files = WorkFiles { plans: vec![planned(false)], ..job() };
+        for (samples, reason, text) in [
+            (Some(0), Some(END_MARK), "measure.empty"),
+            (Some(9), Some("stopped"), "measure.early"),
+            (None, None, "measure.cut_off"),
+        ] {
+            files.runs = vec![FoundRun { samples, reason: reason.map(str::to_owned), ..run("p", 20) }];
+            let measure = &seen(&files, &[], None)[4];
+            assert_eq!((measure.state, measure.text), (StepState::Attention, text));
+        }
+    }
+
+    #[test]
+    fn a_refused_plan_shows_why_until_another_is_made() {
+        let refusal = FindingRecord::from(&Diagnostic::new(crate::live::ServiceFinding::NoRunIsOn));
+        let job_of_plan = EvaluationJob {
+            id: 1,
+            kind: "plan",
+            run: String::new(),
+            robot: Some("r".into()),
+            step: Some(WorkStep::Plan),
+            state: JobState::Failed,
+            elapsed_s: 1.0,
+            ended_unix_ms: Some(20),
+            percent: 100,
+            log: Vec::new(),
+            findings: vec![ExplainedFinding { finding: refusal, cause: "cause", cure: "cure" }],
+        };
+        let files = WorkFiles { plans: vec![planned(false)], ..job() };
+        let jobs = [job_of_plan];
+        let plan = &seen(&files, &jobs, None)[2];
+        assert_eq!(
+            (plan.state, plan.verdict, plan.text),
+            (StepState::Attention, StepVerdict::Fail, "refused")
+        );
+        assert_eq!((plan.findings[0].cure, &*plan.findings[0].finding.code), ("cure", "E1504"));
+        let newer = FoundPlan { directory: directory("plan", 21), ..planned(false) };
+        let files = WorkFiles { plans: vec![newer], ..job() };
+        assert_eq!(seen(&files, &jobs, None)[2].state, StepState::Done);
+    }
+
+    #[test]
+    fn every_uploaded_program_is_corrected_once() {
+        let of = |files: [(&str, u64); 2]| {
+            let (files, times_ms): (Vec<String>, Vec<u64>) =
+                files.map(|(name, ms)| (name.to_owned(), ms)).into_iter().unzip();
+            Some(FoundDirectory { name: String::new(), files, changed_ms: 0, times_ms })
+        };
+        let mut files = WorkFiles { result: identified(30), ..job() };
+        assert_eq!(seen(&files, &[], None)[6].text, "correct.none");
+        files.uploaded = of([("a.src", 40), ("b.SRC", 40)]);
+        assert_eq!(uncorrected(&files), ["a.src", "b.SRC"]);
+        // The one was corrected before it was uploaded again, or before the robot was identified again.
+        files.corrected = of([("a.src", 50), ("b.SRC", 39)]);
+        assert_eq!(uncorrected(&files), ["b.SRC"]);
+        let step = &seen(&files, &[], None)[6];
+        assert_eq!((step.state, step.values["left"].as_u64()), (StepState::Ready, Some(1)));
+        assert!(step.command.starts_with("dbbd compensate uploaded/b.SRC "));
+        files.corrected = of([("a.src", 50), ("b.SRC", 51)]);
+        assert_eq!(seen(&files, &[], None)[6].state, StepState::Done);
+        files.result = identified(60);
+        assert_eq!(uncorrected(&files), ["a.src", "b.SRC"]);
+    }
+
+    #[test]
+    fn a_decision_is_shown_as_it_was_made() {
+        let mut files = WorkFiles { plans: vec![planned(true), planned(false)], ..job() };
+        (files.runs, files.result) = (vec![run("c", 50)], identified(30));
+        for (word, verdict) in
+            [("pass", StepVerdict::Pass), ("fail", StepVerdict::Fail), ("undecided", StepVerdict::Undecided)]
+        {
+            let content = json!({ "decision": word });
+            files.check = Some(FoundDocument { directory: directory("check", 60), content });
+            let check = &seen(&files, &[], None)[7];
+            assert_eq!((check.state, check.verdict), (StepState::Done, verdict));
+        }
+    }
+
+    #[test]
+    fn a_run_in_progress_is_running_at_its_own_step() {
+        let mut files =
+            WorkFiles { plans: vec![planned(true), planned(false)], prefix: "r/".into(), ..job() };
+        files.result = identified(30);
+        let at = |recording| {
+            let steps = seen(&files, &[], recording);
+            (steps[4].state, steps[7].state)
+        };
+        assert_eq!(at(Some("r/plan")), (StepState::Running, StepState::Ready));
+        assert_eq!(at(Some("r/check-plan")), (StepState::Ready, StepState::Running));
+        assert_eq!(at(Some("other/plan")), (StepState::Ready, StepState::Ready));
+    }
+}

@@ -1,0 +1,53 @@
+// The first page: the robots of the working directory with their last decisions; a new robot; the demo.
+
+import { $, afterSignIn, attempt, make } from "/frame.js";
+import { jobForm } from "/job_form.js";
+import { ask } from "/link.js";
+import { age } from "/numbers.js";
+import { SPEEDS, sentence, verdictLine } from "/sentence.js";
+import { t } from "/texts.js";
+
+/** @param {any} robot */
+function row(robot) {
+  const item = make("li", null);
+  const link = make("a", robot.name, { href: `/robot/${encodeURIComponent(robot.name)}`, class: "name" });
+  const about = make("p", robot.robot ?? "", { class: "small" });
+  const decision = verdictLine(robot.verdict, `${t(`step.${robot.step}`)}: ${sentence(robot)}`);
+  const when = robot.changed_unix_ms ? make("p", age(robot.changed_unix_ms), { class: "small" }) : "";
+  item.append(link, about, decision, when);
+  return item;
+}
+
+async function refresh() {
+  const { robots } = await ask("GET", "/workbench");
+  $("robots").replaceChildren(...robots.map(row));
+  $("empty").hidden = robots.length > 0;
+}
+
+$("speed").replaceChildren(...SPEEDS.map((speed) => new Option(t("speed.value", { speed }), String(speed), false, speed === 20)));
+$("demo").addEventListener("click", () =>
+  attempt(async () => {
+    const { name } = await ask("POST", "/demo", {});
+    // The page of the robot goes on by itself until the program halts.
+    sessionStorage.setItem("demo", JSON.stringify({ name, speed: Number($("speed").value) }));
+    location.href = `/robot/${name}`;
+  }),
+);
+$("new").addEventListener("click", () =>
+  attempt(async () => {
+    const form = $("new-form");
+    form.hidden = !form.hidden;
+    $("new").setAttribute("aria-expanded", String(!form.hidden));
+    if (form.hidden) return;
+    await jobForm(form, {
+      job: null,
+      save: async (name, job) => {
+        await ask("POST", "/workbench", { name, job });
+        location.href = `/robot/${encodeURIComponent(name)}`;
+      },
+    });
+  }),
+);
+afterSignIn(() => attempt(refresh));
+window.addEventListener("focus", () => attempt(refresh));
+attempt(refresh);

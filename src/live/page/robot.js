@@ -1,0 +1,318 @@
+// The page of a robot: nine steps, each with its state, what it found, one next action and its command.
+// At /live there is no robot: only the step Measure is shown.
+
+import { $, afterSignIn, attempt, make, say } from "/frame.js";
+import * as correct from "/correct.js";
+import { jobForm } from "/job_form.js";
+import { ask } from "/link.js";
+import * as measure from "/measure.js";
+import { sentence, verdictLine } from "/sentence.js";
+import { t } from "/texts.js";
+
+const STEPS = ["robot", "cell", "plan", "programs", "measure", "result", "correct", "check", "certificate"];
+const MARKS = { todo: "○", ready: "▶", running: "◔", done: "✓", attention: "!" };
+/** How often the files are looked at while the page is seen, ms: the command line may change them. */
+const LOOK_MS = 15_000;
+
+/** The robot of the page; null at /live. */
+const robot = location.pathname.startsWith("/robot/") ? location.pathname.slice("/robot/".length) : null;
+/** @type {any} the work as the service gave it last */
+let work = null;
+let drawn = "";
+/** The demo that goes on by itself until its program halts. */
+let pilot = null;
+try {
+  pilot = JSON.parse(sessionStorage.getItem("demo"));
+} catch {
+  // Not of this page.
+}
+if (pilot?.name !== robot) pilot = null;
+/** Steps that the demo has begun: none is begun twice. */
+const begun = new Set();
+/** The bar of the demo was reported as mounted before its program halts. */
+let mountedEarly = false;
+
+const part = (step, selector) => document.querySelector(`[data-step="${step}"] ${selector}`);
+
+function drawNav() {
+  $("step-links").replaceChildren(
+    ...STEPS.map((step) => {
+      const item = make("li", null);
+      const link = make("a", null, { href: `#step-${step}`, "data-to": step });
+      link.append(make("span", MARKS.todo, { class: "mark", "aria-hidden": "true" }), " ", make("span", t(`step.${step}`)), " ", make("span", "", { class: "hidden-text" }));
+      item.append(link);
+      return item;
+    }),
+  );
+}
+
+/** One finding with its cause and cure. */
+function finding(one) {
+  const item = make("li", null, { class: one.severity });
+  const place = one.file ? `${one.file}${one.line ? `:${one.line}` : ""}: ` : "";
+  item.append(make("strong", `${t(`severity.${one.severity}`)} ${one.code}`), " ", make("span", place + one.text));
+  for (const [key, text] of [["help", one.help], ["cause", one.cause], ["cure", one.cure]]) {
+    if (text) item.append(make("p", `${t(`finding.${key}`)}: ${text}`, { class: "small" }));
+  }
+  return item;
+}
+
+function findings(report) {
+  const serious = report.findings.filter((one) => one.severity !== "info");
+  const info = report.findings.filter((one) => one.severity === "info");
+  const nodes = [];
+  // A refusal shows its cause at once; warnings and what is only to know are folded.
+  const refused = report.state === "attention" ? serious : [];
+  if (refused.length) {
+    const list = make("ul", null, { class: "findings" });
+    list.append(...refused.map(finding));
+    nodes.push(list);
+  }
+  const folded = refused.length ? info : [...serious, ...info];
+  if (folded.length) {
+    const fold = make("details", null, { class: "fold" });
+    const list = make("ul", null, { class: "findings" });
+    list.append(...folded.map(finding));
+    fold.append(make("summary", t("findings", { count: folded.length })), list);
+    nodes.push(fold);
+  }
+  return nodes;
+}
+
+function files(report) {
+  if (!report.files.length) return [];
+  const base = `/api/v1/workbench/${robot}/files/${report.directory}`;
+  const link = (file, attributes = {}) => make("a", file, { href: `${base}/${file}`, target: "_blank", rel: "noopener", ...attributes });
+  const pages = report.files.filter((file) => file.endsWith(".html"));
+  const shown = make("p", null, { class: "row" });
+  shown.append(...pages.map((file) => link(file, { class: "button" })));
+  const fold = make("details", null, { class: "fold" });
+  const list = make("ul", null, { class: "files" });
+  list.append(
+    ...report.files.map((file) => {
+      const item = make("li", null);
+      item.append(link(file));
+      return item;
+    }),
+  );
+  fold.append(make("summary", t("files", { count: report.files.length, directory: report.directory })), list);
+  return pages.length ? [shown, fold] : [fold];
+}
+
+/** What the button of Measure does depends on the bar. */
+function measureLabel(report) {
+  const now = measure.now();
+  if (report.state === "running" || now?.run) return t("act.watch");
+  if (!now?.device.port) return work?.simulated ? t("act.simulate") : t("act.choose_port");
+  if (isRead(report)) return work?.simulated ? t("act.halt") : t("act.start");
+  return t(report.label);
+}
+
+/** Whether the bar is read against the plan of a step. */
+const isRead = (report) => measure.now()?.reading?.plan === report.plan;
+
+function drawStep(report) {
+  const { step } = report;
+  const section = document.querySelector(`[data-step="${step}"]`);
+  section.dataset.state = report.state;
+  part(step, ".mark").textContent = MARKS[report.state];
+  part(step, ".badge").textContent = t(`state_of.${report.state}`);
+  const says = [verdictLine(report.verdict, sentence(report))];
+  if (report.state === "running" && report.job) {
+    says.push(make("progress", null, { max: "100", value: String(report.job.percent), "aria-label": t(`step.${step}`) }));
+    const cancel = make("button", t("jobs.cancel"), { type: "button" });
+    cancel.addEventListener("click", () => attempt(() => ask("POST", `/jobs/${report.job.id}/cancel`)));
+    says.push(cancel);
+  }
+  part(step, ".says").replaceChildren(...says);
+  const row = [];
+  if (report.action) {
+    const label = report.action === "measure" ? measureLabel(report) : t(report.label);
+    const button = make("button", label, { type: "button", "data-action": "next", class: isNext(report) ? "main" : undefined });
+    button.addEventListener("click", () => attempt(() => act(report)));
+    row.push(button);
+  }
+  if (report.command) row.push(make("code", report.command, { class: "command", "aria-label": t("command") }));
+  part(step, ".act").replaceChildren(...row);
+  part(step, ".more").replaceChildren(...findings(report), ...files(report));
+  const link = document.querySelector(`[data-to="${step}"]`);
+  link.dataset.state = report.state;
+  link.querySelector(".mark").textContent = MARKS[report.state];
+  link.querySelector(".hidden-text").textContent = t(`state_of.${report.state}`);
+}
+
+/** The first step that is open has the button that stands out. */
+const isNext = (report) => work.steps.find((one) => !["done", "todo"].includes(one.state))?.step === report.step;
+
+/** Puts the new state into the page; what has the focus keeps it. */
+function draw() {
+  const state = JSON.stringify([work, ofBar(measure.now())]);
+  if (state === drawn) return;
+  drawn = state;
+  const focused = document.activeElement?.dataset.action === "next" ? document.activeElement.closest("[data-step]")?.dataset.step : null;
+  const opened = new Set([...document.querySelectorAll(".more details[open]")].map((one) => `${one.closest("[data-step]").dataset.step}/${one.querySelector("summary").textContent}`));
+  work.steps.forEach(drawStep);
+  for (const one of document.querySelectorAll(".more details")) {
+    one.open = opened.has(`${one.closest("[data-step]").dataset.step}/${one.querySelector("summary").textContent}`);
+  }
+  if (focused) part(focused, "[data-action=next]")?.focus();
+  $("robot-name").textContent = work.robot ? `${work.name} · ${work.robot}` : work.name;
+  document.title = `${work.name} · dbbd`;
+  $("scene").hidden = !work.steps.some((one) => one.plan);
+  const of = (step) => work.steps.find((one) => one.step === step);
+  attempt(() => correct.show(of("correct")));
+}
+
+/** What the buttons depend on besides the files. */
+const ofBar = (now) => [now?.device.port, now?.reading?.plan, now?.run?.name].join("|");
+
+let asked = 0;
+
+/** Looks at the files again. */
+async function refresh() {
+  if (!robot) return;
+  const number = ++asked;
+  const answer = await ask("GET", `/workbench/${robot}`);
+  // An older answer may come later.
+  if (number !== asked) return;
+  const before = work;
+  work = answer;
+  draw();
+  const plans = (one) => JSON.stringify(one?.steps.map((step) => step.plan));
+  if (before && plans(before) !== plans(work)) await measure.refreshLists();
+  await goOn();
+}
+
+/** Does the next action of a step. */
+async function act(report) {
+  if (report.action === "edit") return edit();
+  if (report.action === "upload") return $("program").click();
+  if (report.action === "measure") return record(report);
+  if (report.step === "correct") return correct.begin();
+  await compute(report.step);
+}
+
+async function compute(step) {
+  const tolerance = $("tolerance").value.trim().replace(",", ".");
+  const options = step === "check" && tolerance ? { tolerance_mm: Number(tolerance) } : {};
+  await ask("POST", `/workbench/${robot}/steps/${step}`, options);
+  await refresh();
+}
+
+async function edit() {
+  const form = $("job-form");
+  form.hidden = !form.hidden;
+  if (form.hidden) return;
+  const { job } = await ask("GET", `/workbench/${robot}/job`);
+  await jobForm(form, {
+    job,
+    save: async (_, keys) => {
+      await ask("PUT", `/workbench/${robot}/job`, keys);
+      form.hidden = true;
+      say(t("form.saved"));
+      await refresh();
+      part("plan", "h2").scrollIntoView();
+    },
+  });
+  form.querySelector("select, input").focus();
+}
+
+/** From the port to the run, one action after the other. */
+async function record(report) {
+  measure.open(report.plan);
+  const now = measure.now();
+  if (now?.run) return $("length").focus();
+  if (pilot && !isRead(report)) return (mountedEarly = true);
+  if (work.simulated && now?.device.port !== "sim") {
+    await measure.simulate(pilot?.speed ?? 20);
+    return measure.connect();
+  }
+  if (!now?.device.port) return $("port").focus();
+  if (!isRead(report)) return measure.connect();
+  if (work.simulated) return measure.confirmHalt();
+  const open = measure.openCheck();
+  if (open) return open.focus();
+  measure.startRun();
+}
+
+/** The demo: everything up to the HALT of its program, and the result after its run. */
+async function goOn() {
+  $("pilot").hidden = !pilot;
+  if (!pilot) return;
+  const of = (step) => work.steps.find((one) => one.step === step);
+  const next = ["plan", "programs", "measure", "result"].map(of).find((one) => one.state !== "done");
+  if (!next) {
+    pilot = null;
+    sessionStorage.removeItem("demo");
+    $("pilot").textContent = t("demo.over");
+    $("pilot").hidden = false;
+    $("live").open = false;
+    $("step-result").scrollIntoView();
+    return;
+  }
+  const now = measure.now();
+  const measuring = now?.run ? "demo.running" : now?.reading ? "demo.halt" : "demo.measure";
+  $("pilot").textContent = t(next.step === "measure" ? measuring : `demo.${next.step}`);
+  if (next.step === "measure" && mountedEarly && isRead(next) && !now.run) {
+    mountedEarly = false;
+    return measure.confirmHalt();
+  }
+  if (next.state !== "ready" || begun.has(next.step)) return;
+  if (next.step === "measure" && !now) return;
+  begun.add(next.step);
+  try {
+    if (next.step !== "measure") return await compute(next.step);
+    // The program begins and halts for the bar: the operator goes on.
+    await measure.refreshLists();
+    measure.open(next.plan);
+    await measure.simulate(pilot.speed);
+    await measure.connect();
+  } catch (error) {
+    // The operator goes on by hand.
+    pilot = null;
+    $("pilot").hidden = true;
+    throw error;
+  }
+}
+
+const look = () => attempt(refresh);
+let barBefore = "";
+window.addEventListener("dbbd:job", ({ detail: job }) => {
+  if (job.robot !== robot || !work) return;
+  if (["waiting", "running"].includes(job.state)) {
+    // Only the bar moves: the files are looked at when the job is over.
+    const bar = part(job.step, "progress");
+    if (bar) bar.value = job.percent;
+  } else {
+    look();
+  }
+});
+window.addEventListener("dbbd:status", ({ detail: now }) => {
+  const bar = ofBar(now);
+  if (bar === barBefore) return;
+  barBefore = bar;
+  look();
+});
+for (const kind of ["focus", "pageshow"]) window.addEventListener(kind, look);
+setInterval(() => document.hidden || look(), LOOK_MS);
+afterSignIn(look);
+
+if (robot) {
+  $("robot-name").textContent = robot;
+  drawNav();
+  correct.start({ robot, changed: refresh });
+  let scene = null;
+  $("scene").addEventListener("toggle", () =>
+    attempt(async () => {
+      if (!$("scene").open) return scene?.pause();
+      scene ??= await import("/scene.js");
+      await scene.open(robot);
+    }),
+  );
+  look();
+} else {
+  document.body.classList.add("bare");
+  $("live").open = true;
+  $("robot-name").textContent = t("home.live");
+  for (const step of STEPS) document.querySelector(`[data-step="${step}"]`).hidden = step !== "measure";
+}

@@ -1,0 +1,310 @@
+// The cell in three dimensions: arm as capsules, tool ball, bar, base balls, obstacles, planned poses, path, residuals.
+// Nothing is drawn while nothing changes.
+
+import { $, make } from "/frame.js";
+import { ask } from "/link.js";
+import { fixed, signed } from "/numbers.js";
+import { t } from "/texts.js";
+import * as T from "/vendor/three.js";
+
+/** Program time a second of playing shows, s. */
+const PLAY_SPEED = 10;
+const MAGNIFICATIONS = [100, 500, 1000, 5000, 20000];
+const DOWN = new T.Vector3(0, 1, 0);
+
+/** @type {any} */
+let cell = null;
+let renderer, camera, scene, controls, arm, bar, toolBall, baseBalls, arrows, marks;
+let at = 0;
+let rows = [];
+let playing = false;
+let due = false;
+let played = 0;
+
+const colour = (name) => new T.Color(getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+const vector = (point) => new T.Vector3(...point);
+const material = (name, more = {}) => new T.MeshLambertMaterial({ color: colour(name), ...more });
+
+/** A cylinder of unit length along Y with round ends where it is scaled: a capsule between two points. */
+function link(radius, look) {
+  const group = new T.Group();
+  const body = new T.Mesh(new T.CylinderGeometry(radius, radius, 1, 20), look);
+  const ends = [0, 1].map(() => new T.Mesh(new T.SphereGeometry(radius, 20, 14), look));
+  group.add(body, ...ends);
+  return {
+    group,
+    between(from, to) {
+      const along = new T.Vector3().subVectors(to, from);
+      const length = along.length();
+      body.visible = length > 0.1;
+      body.scale.set(1, Math.max(length, 0.1), 1);
+      body.position.copy(from).addScaledVector(along, 0.5);
+      if (length > 0.1) body.quaternion.setFromUnitVectors(DOWN, along.normalize());
+      ends[0].position.copy(from);
+      ends[1].position.copy(to);
+    },
+  };
+}
+
+function ball(radius, look, point) {
+  const mesh = new T.Mesh(new T.SphereGeometry(radius, 24, 16), look);
+  if (point) mesh.position.copy(vector(point));
+  return mesh;
+}
+
+function obstacle(one) {
+  const look = material("--soft", { transparent: true, opacity: 0.5 });
+  if (one.shape === "floor") {
+    const grid = new T.GridHelper(6000, 24, colour("--soft"), colour("--rule"));
+    grid.rotation.x = Math.PI / 2;
+    grid.position.z = one.z_mm;
+    return grid;
+  }
+  if (one.shape === "box") {
+    const size = [0, 1, 2].map((i) => one.high_mm[i] - one.low_mm[i]);
+    const mesh = new T.Mesh(new T.BoxGeometry(...size), look);
+    mesh.position.set(...[0, 1, 2].map((i) => (one.high_mm[i] + one.low_mm[i]) / 2));
+    return mesh;
+  }
+  const post = link(one.radius_mm, look);
+  post.between(vector(one.from_mm), vector(one.to_mm));
+  return post.group;
+}
+
+function build() {
+  const canvas = $("scene-canvas");
+  renderer = new T.WebGLRenderer({ canvas, antialias: true });
+  renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+  camera = new T.PerspectiveCamera(40, 1.6, 10, 30000);
+  camera.up.set(0, 0, 1);
+  scene = new T.Scene();
+  scene.add(new T.AmbientLight(0xffffff, 1.6));
+  const sun = new T.DirectionalLight(0xffffff, 2.2);
+  sun.position.set(2000, -3000, 5000);
+  scene.add(sun);
+  controls = new T.OrbitControls(camera, canvas);
+  controls.enableDamping = false;
+  controls.addEventListener("change", redraw);
+  controls.keyPanSpeed = 20;
+  // The wheel and the thumb scroll the page until the view has the focus.
+  controls.enableZoom = false;
+  canvas.style.touchAction = "pan-y";
+  canvas.addEventListener("pointerdown", () => canvas.focus());
+  canvas.addEventListener("focus", () => (controls.enableZoom = true));
+  canvas.addEventListener("blur", () => (controls.enableZoom = false));
+  canvas.addEventListener("keydown", keys);
+  // The arm is thinner than the body that the plan keeps clear of obstacles: its poses can be seen.
+  const radius = Math.min(cell.arm_radius_mm, 90);
+  const points = cell.path[0].arm.length;
+  arm = Array.from({ length: points - 1 }, (_, i) => link(i === points - 2 ? cell.tool_radius_mm : radius * (1 - 0.09 * i), material("--near-fill")));
+  arm.forEach((one) => scene.add(one.group));
+  bar = link(Math.max(8, cell.bar_radius_mm / 2), material("--mark"));
+  toolBall = ball(22, material("--over"));
+  baseBalls = cell.balls.map((point) => ball(22, material("--good"), point));
+  scene.add(bar.group, toolBall, ...baseBalls, ...cell.obstacles.map(obstacle));
+  const path = new T.BufferGeometry().setFromPoints(cell.path.map((one) => vector(one.arm.at(-1))));
+  scene.add(new T.Line(path, new T.LineBasicMaterial({ color: colour("--soft") })));
+  const measured = cell.path.filter((one) => one.kind && one.kind !== "transit");
+  marks = new T.InstancedMesh(new T.SphereGeometry(7, 10, 8), material("--mark"), Math.max(1, measured.length));
+  marks.count = measured.length;
+  measured.forEach((one, i) => marks.setMatrixAt(i, new T.Matrix4().setPosition(vector(one.arm.at(-1)))));
+  scene.add(marks);
+  arrows = new T.LineSegments(new T.BufferGeometry(), new T.LineBasicMaterial({ color: colour("--over") }));
+  scene.add(arrows);
+  new ResizeObserver(resize).observe(canvas.parentElement);
+  window.addEventListener("dbbd:theme", () => {
+    scene.background = colour("--paper");
+    redraw();
+  });
+  scene.background = colour("--paper");
+  reset();
+}
+
+function resize() {
+  const box = $("scene-canvas").parentElement;
+  if (!box.clientWidth) return;
+  renderer.setSize(box.clientWidth, box.clientHeight, false);
+  camera.aspect = box.clientWidth / box.clientHeight;
+  camera.updateProjectionMatrix();
+  redraw();
+}
+
+/** The whole cell from the front right. */
+function reset() {
+  const far = Math.max(1200, ...cell.path.flatMap((one) => one.arm.map((point) => Math.hypot(...point))));
+  controls.target.set(far * 0.35, 0, far * 0.3);
+  camera.position.set(far * 1.1, -far * 1.45, far * 0.95);
+  controls.update();
+  redraw();
+}
+
+function redraw() {
+  if (due) return;
+  due = true;
+  requestAnimationFrame(() => {
+    due = false;
+    renderer.render(scene, camera);
+  });
+}
+
+/** Shows a position of the path. @param {number} place */
+function show(place) {
+  at = Math.max(0, Math.min(cell.path.length - 1, place));
+  const position = cell.path[at];
+  const points = position.arm.map(vector);
+  arm.forEach((one, i) => one.between(points[i], points[i + 1]));
+  toolBall.position.copy(points.at(-1));
+  const centre = cell.balls[position.ball - 1];
+  const reach = centre ? vector(centre).distanceTo(points.at(-1)) : Infinity;
+  // The bar is drawn where it can be: near its length.
+  bar.group.visible = Math.abs(reach - cell.bar_length_mm) < 30;
+  if (bar.group.visible) bar.between(vector(centre), points.at(-1));
+  // The last row of the plan that was reached.
+  let row = at;
+  while (row > 0 && cell.path[row].index === null) row--;
+  $("scene").dataset.pose = String(cell.path[row].index ?? 0);
+  $("scene-time").value = String(at);
+  const angles = position.axes_deg.map((deg, i) => `A${i + 1} ${fixed(deg, 1)}°`).join("  ");
+  const near = position.axes_deg.some((deg, i) => Math.min(deg - cell.limits_deg[i][0], cell.limits_deg[i][1] - deg) < 5);
+  $("scene-at").textContent = `${t("scene.at", { index: cell.path[row].index ?? "–", s: fixed(position.t_s, 0) })}  ${angles}${near ? `  ${t("scene.limit")}` : ""}`;
+  redraw();
+}
+
+function drawArrows() {
+  const factor = Number($("scene-magnify").value);
+  const points = [];
+  if ($("scene-arrows").checked) {
+    for (const one of cell.residuals) {
+      const from = vector(one.at);
+      const centre = cell.balls[one.ball - 1];
+      if (!centre) continue;
+      const along = new T.Vector3().subVectors(from, vector(centre)).normalize();
+      const size = one.residual_mm * factor;
+      const tip = from.clone().addScaledVector(along, size);
+      // A head of two short lines.
+      const side = new T.Vector3().crossVectors(along, camera.up).normalize();
+      const back = tip.clone().addScaledVector(along, -0.3 * size);
+      points.push(from, tip);
+      for (const way of [0.15, -0.15]) points.push(tip, back.clone().addScaledVector(side, way * size));
+    }
+  }
+  arrows.geometry.dispose();
+  arrows.geometry = new T.BufferGeometry().setFromPoints(points);
+  redraw();
+}
+
+function play(on) {
+  playing = on;
+  $("scene").dataset.playing = String(on);
+  $("scene-play").textContent = t(on ? "scene.pause" : "scene.play");
+  if (!on) return;
+  if (at === cell.path.length - 1) show(0);
+  const start = performance.now();
+  played = cell.path[at].t_s;
+  const step = (now) => {
+    if (!playing) return;
+    const t_s = played + (PLAY_SPEED * (now - start)) / 1000;
+    let place = at;
+    while (place < cell.path.length - 1 && cell.path[place + 1].t_s <= t_s) place++;
+    if (place !== at) show(place);
+    if (place === cell.path.length - 1) return play(false);
+    requestAnimationFrame(step);
+  };
+  requestAnimationFrame(step);
+}
+
+/** The next or the previous row that is measured. @param {1 | -1} way */
+function turnPage(way) {
+  let place = at + way;
+  while (place > 0 && place < cell.path.length - 1 && !isMeasured(cell.path[place])) place += way;
+  show(place);
+}
+
+const isMeasured = (one) => one.kind !== null && one.kind !== "transit";
+
+function orbit(sideways, up) {
+  const arm = new T.Vector3().subVectors(camera.position, controls.target);
+  arm.applyAxisAngle(new T.Vector3(0, 0, 1), sideways);
+  const side = new T.Vector3().crossVectors(arm, camera.up).normalize();
+  const tilted = arm.clone().applyAxisAngle(side, up);
+  if (Math.abs(tilted.clone().normalize().z) < 0.98) arm.copy(tilted);
+  camera.position.addVectors(controls.target, arm);
+  controls.update();
+  redraw();
+}
+
+function keys(event) {
+  const zoom = (factor) => {
+    camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
+    controls.update();
+    redraw();
+  };
+  const acts = {
+    ArrowLeft: () => orbit(-0.1, 0), ArrowRight: () => orbit(0.1, 0), ArrowUp: () => orbit(0, 0.1), ArrowDown: () => orbit(0, -0.1),
+    "+": () => zoom(0.9), "-": () => zoom(1.1), " ": () => play(!playing), PageDown: () => turnPage(1), PageUp: () => turnPage(-1), Home: reset,
+  };
+  const act = acts[event.key];
+  if (!act || event.ctrlKey || event.altKey || event.metaKey) return;
+  event.preventDefault();
+  event.stopPropagation();
+  act();
+}
+
+function table() {
+  const residual = new Map(cell.residuals.map((one) => [one.index, one.residual_mm]));
+  rows = cell.path.map((one, place) => ({ one, place })).filter(({ one }) => isMeasured(one));
+  $("scene-rows").replaceChildren(
+    ...rows.map(({ one, place }) => {
+      const row = make("tr", null);
+      const head = make("th", null, { scope: "row" });
+      const button = make("button", String(one.index), { type: "button" });
+      button.addEventListener("click", () => show(place));
+      head.append(button);
+      const value = residual.get(one.index);
+      const cells = [String(one.ball), ...one.axes_deg.map((deg) => fixed(deg, 2)), value === undefined ? "–" : signed(1e3 * value, 1)];
+      row.append(head, ...cells.map((text) => make("td", text, { class: "num" })));
+      return row;
+    }),
+  );
+}
+
+let text = "";
+
+/** Shows the cell of a robot. @param {string} robot */
+export async function open(robot) {
+  const now = await ask("GET", `/workbench/${robot}/scene`);
+  const same = JSON.stringify(now);
+  if (same === text) return resize();
+  const first = !cell;
+  text = same;
+  cell = now;
+  if (first) wire();
+  if (!first) {
+    controls.dispose();
+    renderer.dispose();
+  }
+  build();
+  $("scene-time").max = String(cell.path.length - 1);
+  $("scene-arrows").disabled = !cell.residuals.length;
+  table();
+  show(0);
+  drawArrows();
+  resize();
+}
+
+/** Stops playing. */
+export const pause = () => play(false);
+
+function wire() {
+  $("scene-magnify").append(...MAGNIFICATIONS.map((one) => new Option(`× ${one}`, String(one), false, one === 5000)));
+  $("scene-play").addEventListener("click", () => play(!playing));
+  $("scene-time").addEventListener("input", () => {
+    play(false);
+    show(Number($("scene-time").value));
+  });
+  $("scene-back").addEventListener("click", () => turnPage(-1));
+  $("scene-next").addEventListener("click", () => turnPage(1));
+  $("scene-reset").addEventListener("click", reset);
+  $("scene-arrows").addEventListener("change", drawArrows);
+  $("scene-magnify").addEventListener("change", drawArrows);
+}

@@ -1,0 +1,205 @@
+//! The work on a robot over HTTP: what a step makes is what the command line makes; nothing leaves the working directory.
+#![cfg(unix)]
+
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::{Value, json};
+
+use crate::service::{Answer, Server};
+
+const JOB: &str = "# by hand\nrobot = \"kr60ha\" # ours\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\
+    [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 12\namplitude_deg = 25.0\ntilt_deg = 30.0\n";
+
+fn put(server: &Server, path: &str, body: &Value) -> Answer {
+    server.ask("PUT", path, "Content-Type: application/json\r\n", &body.to_string())
+}
+
+fn step<'a>(work: &'a Value, name: &str) -> &'a Value {
+    work["steps"].as_array().unwrap().iter().find(|step| step["step"] == name).unwrap()
+}
+
+/// Computes a step and waits for its end.
+fn compute(server: &Server, robot: &str, name: &str) -> Value {
+    let answer = server.post(&format!("/api/v1/workbench/{robot}/steps/{name}"), "{}");
+    assert_eq!(answer.status, 202, "{answer:?}");
+    let id = answer.json()["id"].clone();
+    let over = |job: &Value| !["waiting", "running"].contains(&job["state"].as_str().unwrap());
+    server.wait(&format!("/api/v1/jobs/{id}"), over)
+}
+
+fn dbbd(directory: &Path, command: &str) {
+    let args = command.strip_prefix("dbbd ").unwrap().split(' ');
+    let run = Command::new(env!("CARGO_BIN_EXE_dbbd")).args(args).current_dir(directory).output().unwrap();
+    assert!(matches!(run.status.code(), Some(0 | 3)), "{run:?}");
+}
+
+#[test]
+fn a_step_makes_the_files_of_the_command_beside_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Server::start(dir.path(), "");
+    assert_eq!(server.get("/api/v1/workbench").json(), json!({ "robots": [] }));
+    // The command line begins, the page goes on.
+    let cell = dir.path().join("cell-1");
+    fs::create_dir(&cell).unwrap();
+    fs::write(cell.join("job.toml"), JOB).unwrap();
+    let work = server.get("/api/v1/workbench/cell-1").json();
+    let plan = step(&work, "plan");
+    assert_eq!((plan["state"].as_str(), plan["action"].as_str()), (Some("ready"), Some("compute")));
+    let command = plan["command"].as_str().unwrap().to_owned();
+    let job = compute(&server, "cell-1", "plan");
+    assert!(["done", "doubt"].contains(&job["state"].as_str().unwrap()), "{job}");
+    let twin = dir.path().join("twin");
+    fs::create_dir(&twin).unwrap();
+    fs::write(twin.join("job.toml"), JOB).unwrap();
+    dbbd(&twin, &command);
+    for file in ["plan.csv", "plan.json", "plan.html", "centres.csv"] {
+        let [one, other] = [&cell, &twin].map(|at| fs::read(at.join("plan").join(file)).unwrap());
+        assert!(one == other, "{file} differs");
+    }
+    // And the other way round: programs by the command line.
+    let work = server.get("/api/v1/workbench/cell-1").json();
+    assert_eq!(step(&work, "plan")["state"], "done");
+    dbbd(&cell, step(&work, "programs")["command"].as_str().unwrap());
+    let work = server.get("/api/v1/workbench/cell-1").json();
+    assert_eq!(
+        (&step(&work, "programs")["state"], &step(&work, "measure")["state"]),
+        (&"done".into(), &"ready".into())
+    );
+    assert_eq!(step(&work, "measure")["plan"], "cell-1/plan");
+    let listed = server.get("/api/v1/plans").json();
+    assert!(listed["plans"].as_array().unwrap().iter().any(|plan| plan["name"] == "cell-1/plan"), "{listed}");
+    let scene = server.get("/api/v1/workbench/cell-1/scene").json();
+    // The tool ball of a drawn pose is where the plan has it, to the tenth that is drawn.
+    let first = fs::read_to_string(cell.join("plan/plan.csv")).unwrap();
+    let row: Vec<f64> =
+        first.lines().nth(1).unwrap().split(',').filter_map(|cell| cell.parse().ok()).collect();
+    let ball = scene["path"][0]["arm"].as_array().unwrap().last().unwrap().clone();
+    for axis in 0..3 {
+        // index, circle, centre, then x, y, z: kind and move are words.
+        assert!((ball[axis].as_f64().unwrap() - row[3 + axis]).abs() < 0.06, "{ball} {row:?}");
+    }
+    // An edit of the job asks for a new plan, and keeps what was written by hand.
+    let edited = put(&server, "/api/v1/workbench/cell-1/job", &json!({ "circle": [{ "points": 16 }] }));
+    assert_eq!(edited.status, 204, "{edited:?}");
+    assert_eq!(fs::read_to_string(cell.join("job.toml")).unwrap(), JOB.replace("points = 12", "points = 16"));
+    let work = server.get("/api/v1/workbench/cell-1").json();
+    assert_eq!(
+        (&step(&work, "plan")["state"], &step(&work, "plan")["text"]),
+        (&"ready".into(), &"plan.stale".into())
+    );
+}
+
+#[test]
+fn what_the_demo_of_the_command_line_left_is_shown_to_its_end() {
+    let dir = tempfile::tempdir().unwrap();
+    dbbd(dir.path(), "dbbd --quiet demo --out shown");
+    let server = Server::start(dir.path(), "");
+    let work = server.get("/api/v1/workbench/shown").json();
+    assert_eq!(work["simulated"], true);
+    for name in ["robot", "cell", "plan", "programs", "measure", "result"] {
+        assert_eq!(step(&work, name)["state"], "done", "{name}");
+    }
+    let result: Value =
+        serde_json::from_str(&fs::read_to_string(dir.path().join("shown/result/result.json")).unwrap())
+            .unwrap();
+    let shown = &step(&work, "result")["values"];
+    assert_eq!(
+        (&shown["u_mm"], &shown["k"]),
+        (&result["budget"]["expanded_mm"], &result["budget"]["coverage_factor"])
+    );
+    // The arrows of the scene are the residuals of the result.
+    let scene = server.get("/api/v1/workbench/shown/scene").json();
+    let residuals =
+        scene["residuals"].as_array().unwrap().iter().map(|one| one["residual_mm"].as_f64().unwrap());
+    let (count, squares) = residuals.fold((0.0, 0.0), |(count, sum), mm| (count + 1.0, sum + mm * mm));
+    let rms = f64::sqrt(squares / count);
+    assert!((rms - result["residual_mm"]["after"]["rms"].as_f64().unwrap()).abs() < 1e-9, "{rms}");
+}
+
+#[test]
+fn a_job_is_checked_as_on_the_command_line() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Server::start(dir.path(), "");
+    let create = |name: &str, length_mm: f64| {
+        let job = json!({
+            "robot": "kr60ha", "bar": { "length_mm": length_mm, "stroke_mm": [-5, 5] },
+            "centre": [{ "id": 1, "xyz_mm": [9300, 0, 800] }], "circle": [{ "plane": "XY", "points": 8 }],
+        });
+        server.post("/api/v1/workbench", &json!({ "name": name, "job": job }).to_string())
+    };
+    // Metres in place of millimetres.
+    let refused = create("a", 0.3);
+    assert_eq!(refused.status, 409, "{refused:?}");
+    assert!(refused.json()["code"].as_str().unwrap().starts_with('E'));
+    assert!(!dir.path().join("a").exists());
+    for name in ["", "..", "../a", "a/b", ".a", "con", "a b"] {
+        assert_eq!(create(name, 300.0).status, 422, "{name}");
+    }
+    assert_eq!(create("a", 300.0).status, 201);
+    assert_eq!(create("a", 300.0).status, 409);
+    // Out of reach: the refusal stands at the step, with its cause and cure.
+    assert_eq!(compute(&server, "a", "plan")["state"], "failed");
+    let work = server.get("/api/v1/workbench/a").json();
+    let plan = step(&work, "plan");
+    assert_eq!((plan["state"].as_str(), plan["verdict"].as_str()), (Some("attention"), Some("fail")));
+    let first = &plan["findings"][0];
+    assert_eq!((first["code"].as_str(), first["severity"].as_str()), (Some("E0702"), Some("error")));
+    assert!(!first["cause"].as_str().unwrap().is_empty() && !first["cure"].as_str().unwrap().is_empty());
+    // Nothing is planned: the later steps wait.
+    assert_eq!(server.post("/api/v1/workbench/a/steps/programs", "{}").status, 409);
+    assert_eq!(server.post("/api/v1/workbench/a/steps/nothing", "{}").status, 400);
+    assert_eq!(server.get("/api/v1/workbench/nobody").status, 404);
+    let wrong = put(&server, "/api/v1/workbench/a/job", &json!({ "robot": { "name": "x" } }));
+    assert_eq!((wrong.status, wrong.json()["code"].as_str()), (422, Some("E1505")));
+}
+
+#[test]
+fn nothing_is_read_or_written_outside() {
+    let (dir, outside) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let server = Server::start(dir.path(), "");
+    let cell = dir.path().join("a");
+    fs::create_dir(&cell).unwrap();
+    fs::write(cell.join("job.toml"), JOB).unwrap();
+    fs::write(outside.path().join("secret"), "secret").unwrap();
+    symlink(outside.path(), cell.join("out")).unwrap();
+    symlink(outside.path(), cell.join("plan")).unwrap();
+    fs::create_dir(cell.join("in")).unwrap();
+    symlink(outside.path().join("secret"), cell.join("in/link")).unwrap();
+    for path in ["out/secret", "in/link", "..%2F../secret", "in/..%2F..%2Fdbbd.toml", "in/none"] {
+        assert_eq!(server.get(&format!("/api/v1/workbench/a/files/{path}")).status, 404, "{path}");
+    }
+    let planned = server.post("/api/v1/workbench/a/steps/plan", "{}");
+    assert_eq!((planned.status, planned.json()["code"].as_str()), (409, Some("E1504")));
+    let upload = |name: &str, bytes: &str| {
+        put(&server, "/api/v1/workbench/a/program", &json!({ "files": [{ "name": name, "bytes": bytes }] }))
+    };
+    for name in ["../x.src", "x.sh", "x", ".src", "/etc/x.src"] {
+        assert_eq!(upload(name, "DEF").status, 422, "{name}");
+    }
+    // Every byte of another code page arrives as it was; a character that is no byte is refused.
+    assert_eq!(upload("A.src", "; \u{e4}\u{0}\u{ff}").status, 204);
+    assert_eq!(fs::read(cell.join("uploaded/A.src")).unwrap(), b"; \xe4\x00\xff");
+    assert_eq!(upload("B.src", "\u{20ac}").status, 422);
+    assert_eq!(upload("C.src", &"x".repeat((4 << 20) + 1)).status, 413);
+    assert!(fs::read_dir(outside.path()).unwrap().count() == 1);
+}
+
+#[test]
+fn pages_of_robots_need_no_token_and_their_answers_do() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::write(dir.path().join("token"), "a-token-of-many-letters").unwrap();
+    fs::set_permissions(dir.path().join("token"), std::os::unix::fs::PermissionsExt::from_mode(0o600))
+        .unwrap();
+    let server = Server::start(dir.path(), "token_file = \"token\"\n");
+    for page in ["/", "/live", "/robot/any", "/vendor/three.js"] {
+        assert_eq!(server.get(page).status, 200, "{page}");
+    }
+    for path in
+        ["/robot/", "/robot/a/b", "/api/v1/workbench", "/api/v1/workbench/any", "/api/v1/jobs/1/answer"]
+    {
+        assert_eq!(server.get(path).status, 401, "{path}");
+    }
+}
