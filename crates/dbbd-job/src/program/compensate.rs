@@ -147,14 +147,31 @@ impl Corrector {
                         };
                         self.branch(&flange, status, turn)
                     }
-                    (Branch::NearestTo(near), _) => inverse::nearest(&self.nominal.geometry, &flange, &near),
-                    _ => inverse::nearest(&self.nominal.geometry, &flange, &self.last),
+                    (Branch::NearestTo(near), _) => self.nearest(&flange, &near),
+                    _ => self.nearest(&flange, &self.last),
                 };
                 let unreached =
                     |why: Unsolved| CompensationFinding::NominalDoesNotReach { why: why.to_string() };
                 Ok((flange, axes.map_err(unreached)?))
             }
         }
+    }
+
+    /// The nominal axis angles that lie nearest to `near` and within the limits; if none do, those beyond them.
+    fn nearest(&self, flange: &Pose, near: &[f64; AXES]) -> Result<[f64; AXES], Unsolved> {
+        let Robot { geometry, .. } = &self.nominal;
+        let nearest = inverse::nearest(geometry, flange, near)?;
+        let limits_deg = self.nominal.limits_at_deg(&nearest.map(f64::to_degrees));
+        let is_within = |(axis, [low, high]): (&f64, [f64; 2])| (low..=high).contains(&axis.to_degrees());
+        if nearest.iter().zip(limits_deg).all(is_within) {
+            return Ok(nearest);
+        }
+        let turn = |axes: &[f64; AXES]| {
+            axes.iter().zip(near).map(|(axis, near)| (axis - near).abs()).fold(0.0, f64::max)
+        };
+        let branches = inverse::branches(geometry, flange).unwrap_or_default();
+        let within = branches.iter().flat_map(|axes| inverse::turns_within(axes, &self.nominal));
+        Ok(within.min_by(|a, b| turn(a).total_cmp(&turn(b))).unwrap_or(nearest))
     }
 
     /// The nominal axis angles by status and turn. If rounding the pose to its digits moves an axis that was taught at zero

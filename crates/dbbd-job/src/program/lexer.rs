@@ -137,6 +137,10 @@ impl<'a> Lexer<'a> {
                 self.push(Token::Enum(name.to_ascii_uppercase()), name.len() + 1);
             }
             c if c.is_ascii_digit() => self.number(rest)?,
+            // PolyScope writes `.5`; no component of a structure begins with a digit.
+            '.' if !is_krl && after_first(rest).starts_with(|c: char| c.is_ascii_digit()) => {
+                self.number(rest)?
+            }
             c if self.is_in_name(c) && !c.is_numeric() => {
                 let name = prefix(rest, |c| self.is_in_name(c));
                 let is_case_kept = self.language == Language::Urscript;

@@ -174,6 +174,7 @@ const URSCRIPT: &[(&str, &str)] = &[
     ("def f():|set_tcp(T1)|movep(PP, r=0.01)|end", "W0905@3"),
     ("def f():|set_tcp(T1)|x=movel(PP)|end", "W0905@3"),
     // What PolyScope saves.
+    ("def f():|set_tcp(T1)|a_p=p[.5, -.1, .3, .0, 3.14, -.000027]|movel(a_p)|end", "4=1"),
     ("def f():|set_tcp(T1)|$ 1 \"BeforeStart\"|$ 2 \"v≔1\" \"noBreak\"|movel(PP)|end", "5=1"),
     ("def f():|set_tcp(T1)|movej(get_inverse_kin(PP, qnear=QQ), a=1.4)|end", "3=1"),
     ("def f():|set_tcp(T1)|movej(get_inverse_kin(PP, QQ))|end", "3=1"),
@@ -367,7 +368,7 @@ const KRL: &[(&str, &str)] = &[
     ("DEF P()|$TOOL=T1|$BASE=B1|GRIP()|PTP XQ|END", "5=axes"),
     ("DEF P()|$TOOL=T1|$BASE=B1|IF $IN[1] THEN|GRIP(1,TRUE)|ENDIF|LIN PT|END", "7=1/1 W0921@7"),
     ("DEF P()|CALC(B1)|$TOOL=T1|$BASE=B1|LIN PT|END", "5=1/1 W0921@2"),
-    ("DEF P()|CALC(B2)|$TOOL=T1|$BASE=B1|LIN PT|END", "5=1/1"),
+    ("DEF P()|CALC(B2)|$TOOL=T1|$BASE=B1|LIN PT|END", "5=1/1 W0905@2"),
     ("DEF P()|CALC(B1)|$TOOL=T1|$BASE=B1|LIN PT|END|DEF CALC(F:OUT)|FRAME F|F.X=5|END", "5=1/1 W0921@2"),
     ("DEF P()|EXT GRIP()|$TOOL=T1|$BASE=B1|PULSE($OUT[1],TRUE,0.1)|LIN PT|END", "6=1/1"),
     // What the controller does with a pose.

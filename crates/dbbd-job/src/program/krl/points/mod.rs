@@ -336,8 +336,9 @@ impl<'a> Reader<'a> {
                 self.program.not_corrected.push(file.wrong(&line.span, CompensationFinding::NeverReached));
             }
         }
-        // A point to which a motion goes as well is corrected.
-        self.named.retain(|(name, _)| !self.by_name.keys().any(|(corrected, _)| corrected == name));
+        // A point to which a motion goes as well is corrected, and a frame is no point.
+        let is_corrected = |name: &String| self.by_name.keys().any(|(corrected, _)| corrected == name);
+        self.named.retain(|(name, _)| !is_corrected(name) && !self.frame_names.contains(name));
         let in_statements = self
             .named
             .into_iter()
