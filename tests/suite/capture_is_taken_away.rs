@@ -36,8 +36,8 @@ impl Recording {
         self.dir.path().join(name)
     }
 
-    /// Waits until the file exists, and stops.
-    fn end(self, new: &str) -> (Output, PathBuf, tempfile::TempDir) {
+    /// Waits until the file exists, and stops; `damages` of the new file are reported.
+    fn end(self, new: &str, damages: usize) -> (Output, PathBuf, tempfile::TempDir) {
         let new = self.path(new);
         let begun = clock::now();
         while !new.exists() && clock::now().seconds_since(begun) < 5.0 {
@@ -48,7 +48,9 @@ impl Recording {
         clock::sleep(0.3);
         signal(&self.child, "INT");
         let output = self.child.wait_with_output().unwrap();
-        assert_eq!((output.status.code(), codes(&output)), (Some(3), vec![TAKEN_AWAY.to_owned()]));
+        let mut expected = vec![TAKEN_AWAY.to_owned()];
+        expected.extend(std::iter::repeat_n("W0410".to_owned(), damages));
+        assert_eq!((output.status.code(), codes(&output)), (Some(3), expected));
         let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(summary["capture"].as_str(), new.to_str(), "{}", stderr(&output));
         assert_eq!(summary["findings"][0]["code"], TAKEN_AWAY);
@@ -74,7 +76,7 @@ fn is_whole(path: &Path) {
 fn removed_capture_is_rewritten() {
     let recording = Recording::begin();
     fs::remove_file(recording.path("runs/run.dbbd")).unwrap();
-    let (_, new, _dir) = recording.end("runs/run.dbbd");
+    let (_, new, _dir) = recording.end("runs/run.dbbd", 0);
     is_whole(&new);
 }
 
@@ -82,7 +84,7 @@ fn removed_capture_is_rewritten() {
 fn renamed_capture_continues_in_a_new_file() {
     let recording = Recording::begin();
     fs::rename(recording.path("runs/run.dbbd"), recording.path("runs/old.dbbd")).unwrap();
-    let (_, new, dir) = recording.end("runs/run.dbbd");
+    let (_, new, dir) = recording.end("runs/run.dbbd", 0);
     is_whole(&new);
     let old = read(&dir.path().join("runs/old.dbbd"));
     assert!(old.records.len() > 10 && read(&new).records.starts_with(&old.records));
@@ -93,7 +95,7 @@ fn replaced_capture_is_not_overwritten() {
     let recording = Recording::begin();
     fs::write(recording.path("other"), "mine").unwrap();
     fs::rename(recording.path("other"), recording.path("runs/run.dbbd")).unwrap();
-    let (_, new, dir) = recording.end("runs/run-2.dbbd");
+    let (_, new, dir) = recording.end("runs/run-2.dbbd", 0);
     is_whole(&new);
     assert_eq!(fs::read(dir.path().join("runs/run.dbbd")).unwrap(), b"mine");
 }
@@ -102,7 +104,7 @@ fn replaced_capture_is_not_overwritten() {
 fn missing_directory_is_recreated() {
     let recording = Recording::begin();
     fs::remove_dir_all(recording.path("runs")).unwrap();
-    let (_, new, _dir) = recording.end("runs/run.dbbd");
+    let (_, new, _dir) = recording.end("runs/run.dbbd", 0);
     is_whole(&new);
 }
 
@@ -113,7 +115,7 @@ fn truncated_capture_continues_in_a_new_file() {
         let recording = Recording::begin();
         let cut = fs::OpenOptions::new().write(true).open(recording.path("runs/run.dbbd")).unwrap();
         cut.set_len(left).unwrap();
-        let (_, new, dir) = recording.end("runs/run-2.dbbd");
+        let (_, new, dir) = recording.end("runs/run-2.dbbd", 2);
         let capture = read(&new);
         assert!(capture.ended() && capture.attachment("protocol.toml").is_some());
         assert_eq!(capture.damages.len(), 1, "{:?}", capture.damages);
