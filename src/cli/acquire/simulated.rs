@@ -21,6 +21,10 @@ use dbbd_model::robot::Robot;
 /// How long a program waits at its HALT, s.
 pub(crate) const HALT_S: &str = "2";
 
+/// Device time per host time of a bar whose line must settle, and how much longer than that its program waits, s.
+const SETTLING_SPEED: f64 = 20.0;
+const SETTLING_MARGIN_S: f64 = 1.0;
+
 /// How a simulated cell runs.
 #[derive(Clone, Copy)]
 pub(crate) struct CellOptions<'a> {
@@ -114,7 +118,6 @@ impl PlanSimulator {
             }
         }
         let mut emit = vec!["krl", plan_name.as_str(), "--out", "krl", "--controller", "simulated"];
-        simulate.extend(["--speed", speed, "--halt", halt_s]);
         simulate.extend(["--listen", LOOPBACK]);
         let (named, params) = protocol.unwrap_or((content.header.job.bar.protocol.as_str(), &[]));
         // The simulator runs in another directory; a built-in name is no file.
@@ -126,6 +129,15 @@ impl PlanSimulator {
             emit.extend(["--sync", "marker"]);
         }
         simulate.extend(["--protocol", &protocol]);
+        // What a bar sends while its line settles is not read: it must not be the run.
+        let settle_s = definition.line.settle.as_secs_f64();
+        let waited = (speed == "0" && settle_s > 0.0).then(|| {
+            let halt_s =
+                halt_s.parse::<f64>().unwrap_or(0.0) + SETTLING_SPEED * (settle_s + SETTLING_MARGIN_S);
+            (SETTLING_SPEED.to_string(), halt_s.to_string())
+        });
+        let (speed, halt_s) = waited.as_ref().map_or((speed, halt_s), |(speed, halt_s)| (speed, halt_s));
+        simulate.extend(["--speed", speed, "--halt", halt_s]);
         let settings: Vec<String> = params.iter().map(|(name, value)| format!("{name}={value}")).collect();
         settings.iter().for_each(|setting| simulate.extend(["--param", setting]));
         let seed = seed.map(|seed| seed.to_string());

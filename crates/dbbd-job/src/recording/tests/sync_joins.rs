@@ -305,3 +305,35 @@ fn reports_identify_the_poses() {
     };
     assert!((worst_deg - 0.2).abs() < 1e-9, "{worst_deg}");
 }
+
+/// The samples from the start of a dwell on, less two seconds.
+fn from_dwell(run: &Run, dwell: usize) -> Vec<(HostNs, Sample)> {
+    let from_s = run.starts_s[dwell] - 2.0;
+    let is_later = |sample: &Sample| sample.ticks.unwrap().0 as f64 * 1e-6 >= from_s;
+    run.samples.iter().filter(|(_, sample)| is_later(sample)).copied().collect()
+}
+
+/// The operator began at the third of four modules.
+#[test]
+fn run_may_begin_at_a_later_module() {
+    let plan = plan(4, 48, 12, true);
+    let run = run(&plan, 4, World { strobe: true, ..WORLD });
+    let matching = match_poses(&MatchingInput::new(&plan, &stream(&from_dwell(&run, 24))));
+    assert_eq!(matching.observations.rows.len(), 24);
+    let some = MatchingFinding::SomeModules { first: 3, last: 4, modules: 4 };
+    assert_eq!(matching.findings[0], some);
+    assert!(!codes(&matching).contains(&"W1004"), "{:?}", matching.findings);
+}
+
+/// Four dwells at the end of a run do not show its plan; one of an earlier version never does.
+#[test]
+fn few_dwells_or_an_old_plan_do_not_show_the_plan() {
+    let mut plan = plan(5, 20, 20, true);
+    let run = run(&plan, 5, World { strobe: true, ..WORLD });
+    let matching = match_poses(&MatchingInput::new(&plan, &stream(&from_dwell(&run, 16))));
+    assert!(codes(&matching).contains(&"W1085"), "{:?}", matching.findings);
+    assert_eq!(matching.code.foreign_module(), None);
+    plan.header.pose_hash.clear();
+    let matching = match_poses(&MatchingInput::new(&plan, &stream(&run.samples)));
+    assert_eq!(codes(&matching), ["W1086"]);
+}
