@@ -88,9 +88,14 @@ async def main(cell, service):
             sizes.append(memory_kb(service.pid))
             await asyncio.sleep(1)
 
-    tasks = [listen(newest, oldest, lost, end) for _ in range(CLIENTS - DEAF)]
-    tasks += [deaf(end) for _ in range(DEAF)]
-    await asyncio.gather(watch(), *tasks)
+    async def later(number, client):
+        # A network has 64 places for connections that have not asked yet.
+        await asyncio.sleep(0.005 * number)
+        await client
+
+    clients = [listen(newest, oldest, lost, end) for _ in range(CLIENTS - DEAF)]
+    clients += [deaf(end) for _ in range(DEAF)]
+    await asyncio.gather(watch(), *(later(number, client) for number, client in enumerate(clients)))
     cpu = (cpu_s(service.pid) - began) / SECONDS
     await ask("POST", "/run/stop")
     status = await ask("GET", "/status")

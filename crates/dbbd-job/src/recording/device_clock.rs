@@ -466,6 +466,9 @@ fn slope_under(points: &[ClockPoint], middle_s: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
     use super::*;
 
     #[test]
@@ -605,6 +608,47 @@ mod tests {
         let (map, _) = map_of(&stamps, DeviceClock { wrap: None, ..CLOCK });
         assert!(map.breaks.is_empty());
         assert!((map.drift().unwrap() - 5e-5).abs() < 1e-7);
+    }
+
+    /// The delays of all stamps, summed from the first one, show the same shifts as the few that are summed near a step.
+    #[test]
+    fn shift_of_the_least_delay_is_found_near_the_step() {
+        let clock = DeviceClock { wrap: None, ..CLOCK };
+        let mut dice = Pcg64::seed_from_u64(3);
+        let (mut ready_ns, mut ticks, mut arrived_ns) = (0u64, 10_000u64, 0u64);
+        let stamps: Vec<ClockStamp> = (0..2000)
+            .map(|_| {
+                ready_ns += 70_000_000;
+                // The counter jumps, or the line stalls and then delivers all at once.
+                ticks += 70 + if dice.random_bool(0.01) { dice.random_range(0..800) } else { 0 };
+                let stall_ns = if dice.random_bool(0.02) { dice.random_range(0..3_000_000_000) } else { 0 };
+                arrived_ns = arrived_ns.max(ready_ns + stall_ns + dice.random_range(0..3_000_000));
+                ClockStamp { host: HostNs(arrived_ns), ticks: DeviceTicks(ticks) }
+            })
+            .collect();
+        let steps: Vec<ClockStep> = stamps.windows(2).map(|pair| clock.step(pair[0], pair[1])).collect();
+        let mut late_s = vec![0.0];
+        steps.iter().for_each(|step| late_s.push(late_s[late_s.len() - 1] + step.host_s - step.device_s));
+        let least = |samples: &mut dyn Iterator<Item = usize>| {
+            let (mut least_s, mut passed_s) = (f64::INFINITY, 0.0);
+            for sample in samples {
+                least_s = f64::min(least_s, late_s[sample]);
+                passed_s += steps.get(sample).map_or(0.0, |step| step.host_s);
+                if passed_s > 10.0 {
+                    break;
+                }
+            }
+            least_s
+        };
+        let packed: ClockStamps = stamps.iter().copied().collect();
+        let mut found = 0;
+        for at in 1..stamps.len() {
+            let shift_s = least(&mut (at..stamps.len())) - least(&mut (0..at).rev());
+            let shifted = (late_s[at] - late_s[at - 1]).abs() >= 0.1 && shift_s.abs() > 0.12;
+            assert_eq!(shifts(&packed, clock, 0, at), shifted, "{at}: {shift_s}");
+            found += u32::from(shifted);
+        }
+        assert!(found > 5, "{found}");
     }
 
     #[test]
