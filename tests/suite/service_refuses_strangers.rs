@@ -107,7 +107,7 @@ const REQUESTS: &[(&str, &str, &str, u16, &str)] = &[
     ("POST", "/api/v1/run", "{", 400, "E1509"),
     ("POST", "/api/v1/run", "[]", 422, "E1505"),
     ("POST", "/api/v1/run", "{}", 422, "E1505"),
-    ("POST", "/api/v1/run", "{\"name\":\"a\",\"speed\":1}", 422, "E1505"),
+    ("POST", "/api/v1/run", "{\"name\":\"a\",\"hurry\":1}", 422, "E1505"),
     ("POST", "/api/v1/run", "{\"name\":\"a\",\"duration_s\":-1}", 422, "E1505"),
     ("POST", "/api/v1/run", "{\"name\":7}", 422, "E1505"),
     ("POST", "/api/v1/run", "{\"name\":\"../a\"}", 422, "E1505"),
