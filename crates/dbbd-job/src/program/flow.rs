@@ -325,12 +325,18 @@ pub(crate) trait Followed {
 const DEPTH: usize = 50;
 const STEPS: usize = 2_000_000;
 
+/// The states with which a routine begins, each with the one at its end, unless it does not end.
+type Ends<S> = Vec<(S, Option<S>)>;
+
+/// What is told of each statement with a state in which it runs.
+pub(crate) type Visit<'v, S> = &'v mut dyn FnMut(At, &S) -> Result<(), Diagnostic>;
+
 /// The state of a program by its statements.
 pub(crate) struct Follower<'p, P: Followed> {
     program: &'p P,
     ways: &'p [Ways],
-    /// By routine: the states with which it begins, each with the one at its end, unless it does not end.
-    ends: Vec<Vec<(P::State, Option<P::State>)>>,
+    /// By routine.
+    ends: Vec<Ends<P::State>>,
     /// By routine: the states with which it was visited.
     visited: Vec<Vec<P::State>>,
     calling: Vec<usize>,
@@ -356,7 +362,7 @@ impl<'p, P: Followed> Follower<'p, P> {
         &mut self,
         routine: usize,
         entry: P::State,
-        visit: &mut dyn FnMut(At, &P::State) -> Result<(), Diagnostic>,
+        visit: Visit<'_, P::State>,
     ) -> Result<(), Diagnostic> {
         if self.visited[routine].contains(&entry) {
             return Ok(());

@@ -132,15 +132,20 @@ impl Points {
         if begins_with(names.settings) {
             return;
         }
+        let mut has_point = false;
         for argument in arguments {
             let (Some(expression), Some(value)) = (argument.expression, &argument.value) else { continue };
             if value.file == 0 && is_point(value) {
+                has_point = true;
                 let name = value.name.clone().unwrap_or_else(|| "this point".into());
                 let finding = CompensationFinding::PointOfOtherCall { name, call: word.clone() };
                 if self.reported.insert(expression.span.start) {
                     self.other_uses.push((value.span.start, file.wrong(&expression.span, finding)));
                 }
             }
+        }
+        if !has_point && !arguments.is_empty() && begins_with(names.motions) {
+            self.leave(file, span, CompensationFinding::NotRead { word: word.clone() });
         }
     }
 

@@ -143,6 +143,7 @@ const URSCRIPT: &[(&str, &str)] = &[
     ("def f():|def g(t):|set_tcp(t)|end|g(t=T2)|movel(PP)|end", "6=2"),
     ("def f():|def g(t=T2):|set_tcp(t)|end|g()|movel(PP)|end", "6=2"),
     ("def f():|def g(t=T2):|set_tcp(t)|end|g(T3)|movel(PP)|end", "6=3"),
+    ("def f():|def g(t=T2):|set_tcp(t)|return 1|end|sleep(g(T3))|movel(PP)|end", "E0901 7"),
     ("def f():|def g(q=QQ, n=1):|movej(q)|end|g()|end", "3=axes"),
     ("def f():|def g(n, q=[0,0]):|sleep(n)|end|set_tcp(T1)|g(1)|movel(PP)|end", "7=1"),
     ("def f():|def g():|global t=T2|end|global t=T1|g()|set_tcp(t)|movel(PP)|end", "8=2"),
@@ -172,6 +173,7 @@ const URSCRIPT: &[(&str, &str)] = &[
     ("def f():|set_tcp(T1)|a=pose_trans(PP, PP)|movel(a)|end", "W0905@4"),
     ("def f():|set_tcp(T1)|z=0.3|movel(p[0.5,0.1,z,0,3.14,0])|end", "W0905@4"),
     ("def f():|set_tcp(T1)|movep(PP, r=0.01)|end", "W0905@3"),
+    ("def f():|set_tcp(T1)|movep(pose_trans(PP, PP), r=0.01)|end", "W0905@3"),
     ("def f():|set_tcp(T1)|x=movel(PP)|end", "W0905@3"),
     // What PolyScope saves.
     ("def f():|set_tcp(T1)|a_p=p[.5, -.1, .3, .0, 3.14, -.000027]|movel(a_p)|end", "4=1"),
@@ -464,6 +466,7 @@ const RAPID: &[(&str, &str)] = &[
         "PROC main()|MoveL [[n1,0,900],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],v100,fine,t1;|ENDPROC",
         "W0905@3",
     ),
+    ("PROC main()|TriggL Offs(p1,0,0,5),v100,n1,fine,t1;|ENDPROC", "W0905@3"),
     // Parameters and variables of routines hide the data of the module.
     ("PROC main()|go p1;|ENDPROC|PROC go(robtarget p2)|MoveL p2,v100,fine,t1;|ENDPROC", "6=1/0n"),
     (

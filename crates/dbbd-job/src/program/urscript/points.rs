@@ -173,20 +173,28 @@ impl Followed for Script<'_> {
     fn enter(&self, at: At, routine: usize, state: &InScript) -> InScript {
         let routine = &self.routines[routine];
         let lookup = |name: &str| self.lookup(state, name);
-        let arguments = match &self.statement(at).kind {
-            StatementKind::Call { name, arguments } if *name == routine.name => {
-                evaluated(arguments, 0, &lookup)
+        let statement = self.statement(at);
+        // Of a call inside an expression the arguments are not known.
+        let calls = statement.called.iter().filter(|called| **called == routine.name).count();
+        let arguments = match &statement.kind {
+            StatementKind::Call { name, arguments } if *name == routine.name && calls == 1 => {
+                Some(evaluated(arguments, 0, &lookup))
             }
-            _ => Vec::new(),
+            StatementKind::Call { .. }
+            | StatementKind::Assign { .. }
+            | StatementKind::Declare { .. }
+            | StatementKind::UntilSteady
+            | StatementKind::Control { .. }
+            | StatementKind::Other(_) => None,
         };
         let names: Vec<&str> = routine.parameters.iter().map(|parameter| parameter.name.as_str()).collect();
         let mut entry = state.clone();
         for parameter in &routine.parameters {
-            let default = || value::value(parameter.default.as_ref()?, 0, &lookup);
-            let given = argument(&arguments, &names, &parameter.name);
-            let is_read =
-                !arguments.is_empty() || matches!(self.statement(at).kind, StatementKind::Call { .. });
-            let value = given.map_or_else(|| is_read.then(default).flatten(), |given| given.value.clone());
+            let value = arguments.as_ref().and_then(|arguments| {
+                let given = argument(arguments, &names, &parameter.name);
+                let default = || value::value(parameter.default.as_ref()?, 0, &lookup);
+                given.map_or_else(default, |given| given.value.clone())
+            });
             entry.variables.set(&parameter.name, value);
         }
         entry
