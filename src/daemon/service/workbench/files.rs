@@ -112,9 +112,12 @@ pub(in crate::daemon::service) struct RunPlan {
     pub(in crate::daemon::service) is_check: bool,
 }
 
-/// The plans of captures by their path and start: the begin of a capture never changes.
+/// A capture by its path and its start, ms since the Unix epoch.
+type CaptureKey = (PathBuf, Option<u64>);
+
+/// The plans of captures: the begin of a capture never changes.
 #[derive(Default)]
-pub(in crate::daemon::service) struct RunPlans(Mutex<BTreeMap<(PathBuf, Option<u64>), Option<RunPlan>>>);
+pub(in crate::daemon::service) struct RunPlans(Mutex<BTreeMap<CaptureKey, Option<RunPlan>>>);
 
 impl RunPlans {
     pub(in crate::daemon::service) fn of(&self, path: &Path, started_ms: Option<u64>) -> Option<RunPlan> {
