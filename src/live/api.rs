@@ -2,24 +2,24 @@
 
 use std::sync::Arc;
 
-use axum::extract::rejection::PathRejection;
-use axum::extract::{Extension, Path, State};
+use axum::extract::{Extension, State};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post, put};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use serde_json::json;
 use tokio::sync::watch;
 
 use super::access::Access;
+use super::asking::{Answer, App, Parts, ask, job_number, parts, reply};
 use super::guard::session;
-use super::json::{Body, Problem, json};
+use super::json::{Body, json};
 use super::server::Peer;
 use super::service::{Act, Catalogue, ConnectRequest, JobKind, JobRequest, Service, StartRequest};
 use super::{Gate, Journal, Route, Site};
 use super::{downloads, metrics, stream, workbench};
-use crate::live::ServiceFinding::{NoJob, NoResultKind, PathNotText, RemarkLength, WorkerLost};
+use crate::live::ServiceFinding::{NoResultKind, RemarkLength};
 use dbbd_job::page::PageFile;
 use dbbd_model::diagnostic::Diagnostic;
 
@@ -27,16 +27,6 @@ use dbbd_model::diagnostic::Diagnostic;
 pub const OPENAPI: &str = include_str!("openapi.json");
 /// Longest remark, characters.
 const LONGEST_REMARK: usize = 250;
-
-#[derive(Clone)]
-pub(super) struct App {
-    service: Arc<dyn Service>,
-    stop: watch::Receiver<bool>,
-}
-
-pub(super) type Answer = Result<Response, Problem>;
-/// Parameters of a path. They fail to decode where the path is not UTF-8.
-pub(super) type Parts<T> = Result<Path<T>, PathRejection>;
 
 const FILES: &[PageFile] = &[
     file("/", HTML, include_str!("page/home.html")),
@@ -126,29 +116,6 @@ pub fn cell_site(service: Arc<dyn Service>, access: Arc<Access>, stop: watch::Re
     Site::new(gate, table().into_iter().chain([script]).collect(), App { service, stop })
 }
 
-/// Calls the service on a thread that may block.
-pub(super) async fn ask<T: Send + 'static>(
-    app: App,
-    question: impl FnOnce(&dyn Service) -> Result<T, Diagnostic> + Send + 'static,
-) -> Result<T, Problem> {
-    Ok(on_blocking_thread(move || question(&*app.service)).await?)
-}
-
-pub(super) async fn on_blocking_thread<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, Diagnostic> + Send + 'static,
-) -> Result<T, Diagnostic> {
-    let done = tokio::task::spawn_blocking(work).await;
-    done.unwrap_or_else(|error| Err(WorkerLost { worker: error.to_string() }.into()))
-}
-
-/// The JSON that the service gives.
-pub(super) async fn reply<T: Serialize + Send + 'static>(
-    app: App,
-    question: impl FnOnce(&dyn Service) -> Result<T, Diagnostic> + Send + 'static,
-) -> Answer {
-    Ok(json(StatusCode::OK, &ask(app, question).await?))
-}
-
 /// 202 without a body, if the service accepts.
 async fn accept(
     app: App,
@@ -156,12 +123,6 @@ async fn accept(
 ) -> Answer {
     ask(app, command).await?;
     Ok(StatusCode::ACCEPTED.into_response())
-}
-
-pub(super) fn parts<T>(parts: Parts<T>) -> Result<T, Problem> {
-    parts
-        .map(|Path(parts)| parts)
-        .map_err(|error| Problem::new(StatusCode::BAD_REQUEST, PathNotText { why: error.body_text() }))
 }
 
 async fn openapi() -> Response {
@@ -287,11 +248,6 @@ async fn jobs(State(app): State<App>) -> Answer {
 async fn submit(State(app): State<App>, Body(request): Body<JobRequest>) -> Answer {
     let job = ask(app, move |service| service.submit(request)).await?;
     Ok(json(StatusCode::ACCEPTED, &job))
-}
-
-pub(super) fn job_number(id: Parts<String>) -> Result<u64, Problem> {
-    let id = parts(id)?;
-    id.parse().map_err(|_| Diagnostic::new(NoJob { job: id }).into())
 }
 
 async fn job(State(app): State<App>, id: Parts<String>) -> Answer {

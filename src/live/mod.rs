@@ -8,6 +8,7 @@ pub use catalogue::ServiceFinding;
 
 mod access;
 mod api;
+mod asking;
 mod downloads;
 mod failed_logins;
 mod guard;

@@ -10,7 +10,7 @@ use axum::routing::{MethodRouter, get};
 use serde::de::DeserializeOwned;
 
 use super::access::Access;
-use super::api::on_blocking_thread;
+use super::asking::on_blocking_thread;
 use super::downloads;
 use super::guard::{page_content, session};
 use super::json::Problem;

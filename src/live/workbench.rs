@@ -11,7 +11,7 @@ use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::api::{Answer, App, Parts, ask, parts, reply};
+use super::asking::{Answer, App, Parts, ask, job_number, parts, reply};
 use super::json::{Body, LongBody, json};
 use super::server::Peer;
 use super::service::EvaluationJob;
@@ -295,6 +295,6 @@ async fn work_file(
 }
 
 async fn job_answer(State(app): State<App>, id: Parts<String>) -> Answer {
-    let id = super::api::job_number(id)?;
+    let id = job_number(id)?;
     reply(app, move |service| service.job_answer(id)).await
 }

@@ -38,70 +38,70 @@ pub(super) const TRUTH: [&str; 2] = ["truth.toml", "world.toml"];
 /// A directory with its files.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct FoundDirectory {
-    pub(super) name: String,
-    pub(super) files: Vec<String>,
+    pub name: String,
+    pub files: Vec<String>,
     /// When each of them was written, ms since the Unix epoch.
-    pub(super) times_ms: Vec<u64>,
+    pub times_ms: Vec<u64>,
     /// Of its newest file, ms since the Unix epoch.
-    pub(super) changed_ms: u64,
+    pub changed_ms: u64,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct FoundPlan {
-    pub(super) directory: FoundDirectory,
-    pub(super) hash: String,
+    pub directory: FoundDirectory,
+    pub hash: String,
     /// Of a check of a calibrated robot.
-    pub(super) is_check: bool,
-    pub(super) poses: usize,
-    pub(super) duration_s: f64,
+    pub is_check: bool,
+    pub poses: usize,
+    pub duration_s: f64,
     /// Position uncertainty that it will leave, 95 % of the poses, mm.
-    pub(super) predicted_mm: Option<f64>,
+    pub predicted_mm: Option<f64>,
     /// The hash of the job that it was made from.
-    pub(super) job_sha256: Option<String>,
+    pub job_sha256: Option<String>,
     /// A program that carries its hash.
-    pub(super) program: Option<FoundDirectory>,
+    pub program: Option<FoundDirectory>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct FoundRun {
-    pub(super) name: String,
+    pub name: String,
     /// As the commands in the directory of the robot name it.
-    pub(super) path: String,
-    pub(super) plan_hash: String,
-    pub(super) changed_ms: u64,
+    pub path: String,
+    pub plan_hash: String,
+    pub changed_ms: u64,
     /// `None`: it was cut off.
-    pub(super) reason: Option<String>,
-    pub(super) samples: Option<u64>,
+    pub reason: Option<String>,
+    pub samples: Option<u64>,
 }
 
 /// A result with the JSON that states it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct FoundDocument {
-    pub(super) directory: FoundDirectory,
-    pub(super) content: Value,
+    pub directory: FoundDirectory,
+    pub content: Value,
 }
 
 #[derive(Default)]
 pub(super) struct WorkFiles {
-    pub(super) name: String,
-    pub(super) directory: PathBuf,
+    pub name: String,
+    pub directory: PathBuf,
     /// `NAME/`, or empty for the working directory itself: plans are named by it.
-    pub(super) prefix: String,
+    pub prefix: String,
     /// The file of the job.
-    pub(super) job_name: Option<String>,
-    pub(super) job: Option<Result<Job, Diagnostic>>,
-    pub(super) job_sha256: Option<String>,
+    pub job_name: Option<String>,
+    pub job: Option<Result<Job, Diagnostic>>,
+    pub job_sha256: Option<String>,
     /// The name of the job's robot.
-    pub(super) robot: Option<Result<String, Diagnostic>>,
+    pub robot: Option<Result<String, Diagnostic>>,
     /// The newest first.
-    pub(super) plans: Vec<FoundPlan>,
-    pub(super) runs: Vec<FoundRun>,
-    pub(super) result: Option<FoundDocument>,
-    pub(super) check: Option<FoundDocument>,
-    pub(super) certificate: Option<FoundDirectory>,
-    pub(super) uploaded: Option<FoundDirectory>,
-    pub(super) corrected: Option<FoundDirectory>,
-    pub(super) simulated: bool,
+    pub plans: Vec<FoundPlan>,
+    pub runs: Vec<FoundRun>,
+    pub result: Option<FoundDocument>,
+    pub check: Option<FoundDocument>,
+    pub certificate: Option<FoundDirectory>,
+    pub uploaded: Option<FoundDirectory>,
+    pub corrected: Option<FoundDirectory>,
+    pub simulated: bool,
 }
 
 /// The plan of a run.
@@ -112,9 +112,12 @@ pub(in crate::daemon::service) struct RunPlan {
     pub(in crate::daemon::service) is_check: bool,
 }
 
-/// The plans of captures by their path and start: the begin of a capture never changes.
+/// A capture by its path and its start, ms since the Unix epoch.
+type CaptureKey = (PathBuf, Option<u64>);
+
+/// The plans of captures: the begin of a capture never changes.
 #[derive(Default)]
-pub(in crate::daemon::service) struct RunPlans(Mutex<BTreeMap<(PathBuf, Option<u64>), Option<RunPlan>>>);
+pub(in crate::daemon::service) struct RunPlans(Mutex<BTreeMap<CaptureKey, Option<RunPlan>>>);
 
 impl RunPlans {
     pub(in crate::daemon::service) fn of(&self, path: &Path, started_ms: Option<u64>) -> Option<RunPlan> {

@@ -216,7 +216,7 @@ impl Workbench for Supervisor {
                 summary(&files, &steps, changed_unix_ms)
             })
             .collect();
-        found.sort_by(|a, b| b.changed_unix_ms.cmp(&a.changed_unix_ms));
+        found.sort_by_key(|robot| std::cmp::Reverse(robot.changed_unix_ms));
         Ok(found)
     }
 
@@ -262,7 +262,7 @@ impl Workbench for Supervisor {
         let files = self.files_of(robot)?;
         let Some(name) = &files.job_name else { return Ok(Value::Null) };
         let text = dbbd_job::files::read_text(&files.directory.join(name))?;
-        Ok(dbbd_model::base::parse::from_toml(name, &text)?)
+        dbbd_model::base::parse::from_toml(name, &text)
     }
 
     fn edit_job(&self, robot: &str, keys: &Value) -> Result<(), Diagnostic> {
