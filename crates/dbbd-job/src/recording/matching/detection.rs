@@ -100,7 +100,7 @@ impl DwellDetection {
             let until = kept[end..].iter().flatten().min().copied().unwrap_or(evidence.len());
             let log_odds = code_log_odds(module, evidence.get(after..until).unwrap_or_default());
             let matched = kept[first..end].iter().flatten().count();
-            by_module.push(ModuleOdds { log_odds, matched });
+            by_module.push(ModuleOdds { log_odds, dwells: module.len(), matched });
             first = end;
         }
         CodeOdds { by_module }
