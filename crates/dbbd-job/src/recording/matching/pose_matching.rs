@@ -61,7 +61,7 @@ pub struct CodeOdds {
 pub struct ModuleOdds {
     /// Natural logarithm of the odds of this plan's code against another one.
     pub log_odds: f64,
-    /// Number of commanded dwells, and of those that were matched.
+    /// Number of commanded dwells, 0 where the module alone shows nothing, and of those that were matched.
     pub dwells: usize,
     pub matched: usize,
 }

@@ -196,7 +196,7 @@ fn campaign(edits: std::ops::Range<u64>) -> Outcome {
 #[test]
 fn few_dwells_show_the_plan() {
     let outcome = campaign(0..24);
-    assert!(outcome.edits >= 15 && outcome.refused == outcome.edits, "{outcome:?}");
+    assert!(outcome.edits >= 15 && 5 * outcome.unproven <= outcome.edits, "{outcome:?}");
 }
 
 /// `cargo test --release -p dbbd-job foreign_programs::campaign -- --ignored --nocapture`, some minutes.
