@@ -196,7 +196,7 @@ fn idle_connections_do_not_block_the_controller() {
     let index = small_plan(dir.path());
     let json = std::fs::read_to_string(dir.path().join("plan/plan.json")).unwrap();
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
-    let run = u32::from_str_radix(&json["hash"].as_str().unwrap()[..4], 16).unwrap();
+    let run = u32::from_str_radix(&json["hash"].as_str().unwrap()[..6], 16).unwrap();
     let Listening { _simulator, mut acquire, address } = listen(dir.path());
     let good = |phase| written(&Telegram { run, ..telegram(index, phase) });
     let mut first = connect(address);
@@ -217,7 +217,7 @@ fn misbehaving_client_loses_only_its_own_telegrams() {
     let index = small_plan(dir.path());
     let json = std::fs::read_to_string(dir.path().join("plan/plan.json")).unwrap();
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
-    let run = u32::from_str_radix(&json["hash"].as_str().unwrap()[..4], 16).unwrap();
+    let run = u32::from_str_radix(&json["hash"].as_str().unwrap()[..6], 16).unwrap();
     let Listening { _simulator, acquire, address } = listen(dir.path());
     let good = |phase| written(&Telegram { run, ..telegram(index, phase) });
 

@@ -186,9 +186,9 @@ fn lengths_measured_before_and_traces() {
     let planned_s = read_plan(&at.join("plan/plan.csv")).unwrap().duration_s();
     // Traces as multiples of the plan: waits for the operator, and a clock that runs slow.
     for (times, exit, code) in [(20.0, 0, "I1113"), (0.93, 3, "W1110")] {
-        let trace: String = (0..4800)
+        let trace: String = (0..9600)
             .map(|n| {
-                let share = f64::from(n) / 4799.0;
+                let share = f64::from(n) / 9599.0;
                 format!("{},{}\n", share * times * planned_s, 300.0 + 0.001 * f64::from(n % 7))
             })
             .collect();

@@ -158,7 +158,8 @@ fn the_simulated_bar_speaks_the_protocol_of_the_plan() {
         .unwrap();
     done(at, &["plan", "job.toml", "--out", "plan"]);
     for (seed, out) in [("1", "a"), ("1", "b"), ("2", "c")] {
-        done(at, &["acquire", "--port", "sim", "--seed", seed, "--plan", "plan/plan.csv", "--out", out]);
+        let sim = ["acquire", "--port", "sim", "--gone", "1", "--seed", seed];
+        done(at, &[&sim[..], &["--plan", "plan/plan.csv", "--out", out]].concat());
         done(at, &["sync", out, "--out", &format!("{out}.csv")]);
     }
     let table = |name: &str| fs::read_to_string(at.join(name)).unwrap();

@@ -30,7 +30,7 @@ const SHORTEST_S: f64 = 0.8;
 pub(crate) const SPREAD_S: f64 = 2.2;
 /// Least number of dwells of a plan whose time code tells its program from any other: eleven intervals, of which each makes
 /// the own code some eight times as likely as another one, give odds of 10^9 (`cargo test few_dwells_show`).
-pub(super) const MIN_CODED_DWELLS: usize = 12;
+pub(crate) const MIN_CODED_DWELLS: usize = 12;
 /// Least difference between the durations of the moves into a module's dwells, s.
 const APART_S: f64 = 0.005;
 /// A smaller motion (mm, degrees) is the rounding of printed poses.

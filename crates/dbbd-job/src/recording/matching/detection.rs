@@ -100,7 +100,9 @@ impl DwellDetection {
             let until = kept[end..].iter().flatten().min().copied().unwrap_or(evidence.len());
             let log_odds = code_log_odds(module, evidence.get(after..until).unwrap_or_default());
             let matched = kept[first..end].iter().flatten().count();
-            by_module.push(ModuleOdds { log_odds, matched });
+            // By stillness the dwells of a module may be undetectable: then only the whole run shows its plan.
+            let dwells = if self.source == DwellSource::Stillness { 0 } else { module.len() };
+            by_module.push(ModuleOdds { log_odds, dwells, matched });
             first = end;
         }
         CodeOdds { by_module }

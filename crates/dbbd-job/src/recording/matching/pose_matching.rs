@@ -7,6 +7,7 @@ use super::input::MatchingInput;
 use super::outcome::{DwellSource, MatchOutcome, PoseOutcome};
 use super::passes::PassLag;
 use super::published::AxesReport;
+use crate::plan::timing::MIN_CODED_DWELLS;
 use crate::plan::{Plan, PlanRow, PoseKind};
 use crate::recording::dwell::{Dwell, DwellReading};
 use crate::recording::matching::MatchingFinding as Finding;
@@ -56,11 +57,12 @@ pub struct CodeOdds {
 }
 
 /// The odds of the dwells of a module.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ModuleOdds {
     /// Natural logarithm of the odds of this plan's code against another one.
     pub log_odds: f64,
-    /// Number of dwells that were matched to poses.
+    /// Number of commanded dwells, 0 where the module alone shows nothing, and of those that were matched.
+    pub dwells: usize,
     pub matched: usize,
 }
 
@@ -84,9 +86,21 @@ impl CodeOdds {
     /// The odds at which a program counts as this plan's: one of another plan reaches them once in a million runs.
     const OWN: f64 = 1e6;
 
-    /// The first module (from 1) that was run by a program of another plan.
+    /// The first module (from 1) that was run by a program of another plan. One with fewer dwells than show a plan counts
+    /// only together with the others.
     pub fn foreign_module(&self) -> Option<usize> {
-        self.by_module.iter().position(|module| module.is_foreign()).map(|at| at + 1)
+        let suffices = |module: &ModuleOdds| module.dwells >= MIN_CODED_DWELLS;
+        let alone = self.by_module.iter().position(|module| suffices(module) && module.is_foreign());
+        let all = self.by_module.iter().fold(ModuleOdds::default(), |all, module| ModuleOdds {
+            log_odds: all.log_odds + module.log_odds,
+            dwells: all.dwells + module.dwells,
+            matched: all.matched + module.matched,
+        });
+        let least = |all: ModuleOdds| {
+            let odds = self.by_module.iter().map(|module| module.log_odds).enumerate();
+            odds.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(at, _)| at).filter(|_| all.is_foreign())
+        };
+        alone.or_else(|| least(all)).map(|at| at + 1)
     }
 
     /// Whether all dwells together show that the program is this plan's.
@@ -377,17 +391,20 @@ mod tests {
 
     #[test]
     fn odds_of_a_module_grow_with_its_dwells() {
-        let is_foreign = |log_odds, matched| ModuleOdds { log_odds, matched }.is_foreign();
+        let is_foreign = |log_odds, matched| ModuleOdds { log_odds, dwells: 20, matched }.is_foreign();
         // Seven intervals ask for 7 ln 2 = 4.85; without a pair only odds of 1 : 5 count.
         assert!(is_foreign(4.8, 8) && !is_foreign(4.9, 8));
         assert!(is_foreign(-1.7, 0) && !is_foreign(-1.5, 0) && !is_foreign(-1.5, 1));
         // Odds of a million suffice however many dwells there are.
         assert!(!is_foreign(13.9, 200) && is_foreign(13.7, 200));
-        let odds = |log_odds: [f64; 2]| CodeOdds {
-            by_module: log_odds.map(|log_odds| ModuleOdds { log_odds, matched: 5 }).to_vec(),
+        let odds = |dwells, log_odds: [f64; 2]| CodeOdds {
+            by_module: log_odds.map(|log_odds| ModuleOdds { log_odds, dwells, matched: 5 }).to_vec(),
         };
-        assert!(odds([7.0, 7.0]).is_own() && !odds([7.0, 6.0]).is_own());
-        assert_eq!(odds([7.0, -7.0]).foreign_module(), Some(2));
+        assert!(odds(12, [7.0, 7.0]).is_own() && !odds(12, [7.0, 6.0]).is_own());
+        assert_eq!(odds(12, [20.0, -7.0]).foreign_module(), Some(2));
+        // Small modules count together: nine intervals ask for 6.2.
+        assert_eq!(odds(8, [20.0, -7.0]).foreign_module(), None);
+        assert_eq!(odds(8, [9.0, -7.0]).foreign_module(), Some(2));
     }
 
     #[test]
