@@ -92,18 +92,29 @@ pub trait SimulatedCell: Send {
 struct Supervisor {
     config: ServiceConfig,
     log: Arc<dyn ServiceLog>,
-    make_cell: Option<MakeCell>,
-    make_demo: MakeDemo,
-    run_plans: RunPlans,
+    simulated: SimulatedCells,
+    known: KnownPlans,
     status: watch::Sender<Status>,
     live: LiveState,
     jobs: JobQueue,
-    plans: PlanCache,
     journal: RateLimitedLog,
     archiving: Mutex<Option<Archiving>>,
     /// Signals the end of each run.
     over: Sender<()>,
     inner: Mutex<SupervisorState>,
+}
+
+/// How simulated cells are made.
+struct SimulatedCells {
+    make_cell: Option<MakeCell>,
+    make_demo: MakeDemo,
+}
+
+/// What was read of plans and of the plans of runs.
+#[derive(Default)]
+struct KnownPlans {
+    plans: PlanCache,
+    of_runs: RunPlans,
 }
 
 /// The mutable state.
@@ -180,13 +191,11 @@ impl Supervisor {
             config,
             journal: RateLimitedLog::new(Arc::clone(&log)),
             log,
-            make_cell: parts.make_cell,
-            make_demo: parts.make_demo,
-            run_plans: RunPlans::default(),
+            simulated: SimulatedCells { make_cell: parts.make_cell, make_demo: parts.make_demo },
+            known: KnownPlans::default(),
             status: watch::Sender::new(Status::default()),
             jobs: JobQueue::start(messages.clone(), over.clone(), parts.explain)?,
             live: LiveState { messages, run: Arc::default() },
-            plans: PlanCache::default(),
             archiving: Mutex::default(),
             over,
             inner: Mutex::new(inner),
@@ -297,7 +306,7 @@ impl Supervisor {
 
     /// Whether this is the port of the simulated cell, and there is one.
     fn is_simulated(&self, port: &PortAddress) -> bool {
-        *port == PortAddress::Sim && self.make_cell.is_some()
+        *port == PortAddress::Sim && self.simulated.make_cell.is_some()
     }
 
     fn run_status(&self, running: &ActiveRun) -> RunStatus {

@@ -20,6 +20,7 @@ mod server;
 mod service;
 mod stream;
 mod view;
+mod work;
 mod workbench;
 
 use std::fmt::Display;
@@ -35,17 +36,17 @@ pub use api::{OPENAPI, cell_site, routes};
 pub use plant::plant_site;
 pub use server::serve;
 pub use service::{
-    Act, Catalogue, CheckItem, ConnectRequest, Ended, EvaluationJob, JobKind, JobRequest, JobState,
-    ResultFile, RunEntry, RunState, Service, StartRequest,
+    Act, Catalogue, CheckItem, ConnectRequest, Ended, JobKind, JobRequest, ResultFile, RunEntry, RunState,
+    Service, StartRequest,
 };
 pub use view::{
     Alarm, Archiving, Device, Frame, LastRun, Message, Mounting, MountingNote, NextPose, Point, RunCounts,
     RunStatus, State, Status,
 };
 
-pub use workbench::{
-    ExplainedFinding, NewRobot, ProgramUpload, RobotSummary, RobotWork, StepAction, StepOptions, StepReport,
-    StepState, StepVerdict, UploadedFile, WorkStep, Workbench,
+pub use work::{
+    EvaluationJob, ExplainedFinding, JobState, NewRobot, ProgramUpload, RobotSummary, RobotWork, StepAction,
+    StepOptions, StepReport, StepState, StepVerdict, UploadedFile, WorkStep, Workbench,
 };
 
 /// A path, its methods as `GET` or `GET, POST`, and its handlers.

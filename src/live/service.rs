@@ -7,7 +7,7 @@ use tokio::sync::{broadcast, watch};
 
 use super::Journal;
 use super::view::{Message, Point, Status};
-use super::workbench::{ExplainedFinding, WorkStep, Workbench};
+use super::work::{EvaluationJob, Workbench};
 use dbbd_model::diagnostic::Diagnostic;
 
 /// The service behind the pages. The methods may block: they are called on blocking threads.
@@ -197,38 +197,4 @@ pub struct JobRequest {
     pub estimate: Option<String>,
     /// Of `identify`: the parameters to fix.
     pub hold: Option<String>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum JobState {
-    Waiting,
-    Running,
-    Done,
-    /// Done with warnings (exit code 3).
-    Doubt,
-    Failed,
-    Cancelled,
-}
-
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct EvaluationJob {
-    pub id: u64,
-    /// What is computed: `identify`, `plan`, ..
-    pub kind: &'static str,
-    /// Empty if no run is evaluated.
-    pub run: String,
-    /// Of a step of the workbench.
-    pub robot: Option<String>,
-    pub step: Option<WorkStep>,
-    pub state: JobState,
-    pub elapsed_s: f64,
-    /// When it ended, ms since the Unix epoch.
-    pub ended_unix_ms: Option<u64>,
-    /// Progress by the steps of the command, per cent.
-    pub percent: u8,
-    /// The last lines of its output.
-    pub log: Vec<String>,
-    /// What it found, and why it was refused.
-    pub findings: Vec<ExplainedFinding>,
 }

@@ -69,7 +69,7 @@ fn a_urdf_becomes_a_robot_with_the_same_flange() {
         fs::write(at.join("wrong.urdf"), wrong).unwrap();
         says(&dbbd(at, &["robots", "import", "wrong.urdf", "--out", "no.toml"]), 1, "E1720");
     }
-    says(&dbbd(at, &["robots", "import", "arm.urdf", "--out", "arm.urdf"]), 1, "E0009");
+    says(&dbbd(at, &["robots", "import", "arm.urdf", "--out", "arm.urdf"]), 1, "E0180");
     assert!(!at.join("no.toml").exists() && fs::read_to_string(at.join("arm.urdf")).unwrap() == urdf());
 }
 

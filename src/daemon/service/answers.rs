@@ -76,7 +76,7 @@ impl Supervisor {
     /// Notes what the plan of a run is for.
     fn note_plan(&self, run: &mut RunEntry) {
         let capture = self.config.data.join(&run.name).join(runs::CAPTURE);
-        let plan = self.run_plans.of(&capture, run.started_unix_ms);
+        let plan = self.known.of_runs.of(&capture, run.started_unix_ms);
         run.is_check = plan.is_some_and(|plan| plan.is_check);
     }
 }
@@ -101,7 +101,7 @@ impl Service for Supervisor {
     }
 
     fn catalogue(&self, which: Catalogue) -> Result<Value, Diagnostic> {
-        catalogue::list_catalogue(which, &self.plans, &self.config.plans)
+        catalogue::list_catalogue(which, &self.known.plans, &self.config.plans)
     }
 
     fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Diagnostic> {

@@ -96,7 +96,7 @@ impl Supervisor {
             ReadPurpose::Reading { plan, speed } => (plan, HaltBehaviour::Wait, *speed),
         };
         let mut plan = plan.as_ref().map(find).transpose()?;
-        let cell = match &self.make_cell {
+        let cell = match &self.simulated.make_cell {
             Some(make_cell) if port == PortAddress::Sim => {
                 Some(make_cell(&CellRequest { plan: plan.as_deref(), halt, speed: speed.unwrap_or(1.0) })?)
             }

@@ -140,7 +140,7 @@ impl CompensateRequest {
         let files = set.finish()?;
         report(&corrected, session);
         let tool_points: Vec<_> = corrected.moved.iter().filter_map(|moved| moved.tool_point).collect();
-        let predicted = ProgramErrors::of(&robot, &tool_points);
+        let predicted = robot.has_posterior().then(|| ProgramErrors::of(&robot, &tool_points)).flatten();
         if let Some(ProgramErrors { before, after }) = predicted.filter(|errors| !errors.is_better()) {
             let [before_mm, after_mm] = [before.mean, after.mean];
             session.finding(CompensationFinding::NoBetter { before_mm, after_mm });

@@ -2,76 +2,17 @@
 //!
 //! This room reads joint axes as lines in space, and makes a table of them. It does not know what is measured with the robot.
 
+mod arm_lines;
 mod catalogue;
 mod universal;
 pub(crate) mod urdf;
 
+pub use arm_lines::{CHECKED_POSES, ImportedRobot};
 pub use catalogue::DescriptionFinding;
 pub use universal::FactoryTable;
 
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::Workspace;
-use dbbd_model::robot::{AXES, ArmTable, JointAxis, Pose, Robot};
-
-/// A robot with what its table cannot hold.
-#[derive(Clone, Debug)]
-pub struct ImportedRobot {
-    pub robot: Robot,
-    /// Where the description has its base and its flange otherwise than the table.
-    pub findings: Vec<DescriptionFinding>,
-    /// The largest distance of the flange from that of the description over [`CHECKED_POSES`] poses, mm.
-    pub largest_mm: f64,
-}
-
-/// Poses over which the table is compared with the description.
-pub const CHECKED_POSES: usize = 1000;
-/// A frame that is nearer is the same, mm and rad: descriptions have six digits.
-const SAME_MM: f64 = 1e-3;
-const SAME_RAD: f64 = 1e-5;
-
-/// The joint axes and the flange of an arm where all axis angles are zero.
-#[derive(Clone, Debug)]
-struct ArmLines {
-    axes: [JointAxis; AXES],
-    flange: Pose,
-}
-
-impl ArmLines {
-    /// The flange at axis angles (rad): the turns about the lines, one after the other.
-    fn flange_at(&self, angles: &[f64; AXES]) -> Pose {
-        let turn = |axis: &JointAxis, angle: f64| {
-            let turn = Pose::from_rotation_vector([0.0; 3], (axis.direction * angle).into());
-            let position = axis.point - turn.rotation * axis.point;
-            Pose { position, ..turn }
-        };
-        let moved = self.axes.iter().zip(angles).map(|(axis, angle)| turn(axis, *angle));
-        moved.fold(Pose::identity(), |before, next| before.then(&next)).then(&self.flange)
-    }
-
-    /// The same robot with the table of these lines.
-    fn imported(&self, mut robot: Robot) -> ImportedRobot {
-        let table = ArmTable::of(&self.axes, &self.flange);
-        robot.set_rows(table.rows);
-        let poses = Workspace::uniform(&robot, CHECKED_POSES, 1);
-        let off = |axes: &[f64; AXES]| {
-            let found = table.base.then(&robot.geometry.rigid().flange(axes)).then(&table.flange);
-            (found.position - self.flange_at(axes).position).norm()
-        };
-        let largest_mm = poses.iter().map(off).fold(0.0, f64::max);
-        let is_other =
-            |pose: &Pose| pose.position.norm() > SAME_MM || pose.angle_to(&Pose::identity()) > SAME_RAD;
-        let base =
-            is_other(&table.base).then(|| DescriptionFinding::BaseElsewhere { frame: shown(&table.base) });
-        let flange = is_other(&table.flange)
-            .then(|| DescriptionFinding::FlangeElsewhere { frame: shown(&table.flange) });
-        ImportedRobot { robot, findings: base.into_iter().chain(flange).collect(), largest_mm }
-    }
-}
-
-/// X, Y, Z in mm and A, B, C in degrees.
-fn shown(pose: &Pose) -> String {
-    pose.xyzabc().map(|value| format!("{:.4}", value + 0.0)).join(",")
-}
+use dbbd_model::robot::Robot;
 
 /// A robot from the text of a URDF, or of the factory calibration of a controller. `like` is the nominal robot of the type, which a
 /// calibration needs; `joints` names the six joints of a URDF where it has several chains.

@@ -10,7 +10,8 @@ use dbbd_model::robot::{AXES, ControllerModel, JointAxis, Pose, Robot};
 use nalgebra::Vector3;
 use saphyr::{LoadableYamlNode, Yaml};
 
-use super::{ArmLines, DescriptionFinding, ImportedRobot};
+use super::arm_lines::{ArmLines, ImportedRobot};
+use super::catalogue::DescriptionFinding;
 
 /// The segments of the YAML, base to flange.
 const SEGMENTS: [&str; AXES] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];

@@ -6,10 +6,10 @@ use dbbd_model::robot::{AXES, JointAxis, Pose, Robot};
 use nalgebra::Vector3;
 use roxmltree::{Document, Node};
 
-use super::DescriptionFinding::{
+use super::arm_lines::{ArmLines, ImportedRobot};
+use super::catalogue::DescriptionFinding::{
     self, NoSixJoints, NoSuchJoint, NoUrdf, NotNumbers, NotXml, OtherCount, OtherJoint, OtherOrder,
 };
-use super::{ArmLines, ImportedRobot};
 
 /// Links at which makers end an arm, the best first.
 const ENDS: [&str; 2] = ["tool0", "flange"];

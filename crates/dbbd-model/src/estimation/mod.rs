@@ -73,7 +73,7 @@ pub use prediction::PositionParts;
 pub use priors::{Prior, Priors, largest_plausible, length_sd_mm};
 pub use result::{CalibrationResult, CompletedCalibration};
 pub use selection::{is_place, without_open_places};
-pub use tool_points::{PointErrors, ProgramErrors, ToolPoint};
+pub use tool_points::{PointErrors, ProgramErrors};
 pub use workspace::{ErrorSummary, Workspace, left_out_mm};
 
 #[cfg(test)]

@@ -6,17 +6,8 @@ use serde::Serialize;
 
 use super::position::{Positions, datum_poses};
 use super::workspace::take_out_rigid_motion;
-use crate::measurement::ApproachedPose;
+use crate::measurement::{ApproachedPose, ToolPoint};
 use crate::robot::Robot;
-
-/// A point to which a program moves a tool.
-#[derive(Clone, Copy, Debug)]
-pub struct ToolPoint {
-    /// The tool point in the flange frame, mm.
-    pub tool: Vector3<f64>,
-    /// The axis angles to which the controller moves without a correction.
-    pub pose: ApproachedPose,
-}
 
 /// Root mean square of the expected 3-D error at a point, mm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -19,7 +19,7 @@ pub use distinct::DistinctMeasurements;
 pub use model::{ColumnSelection, LengthModel, MeasurementPieces, PreparedMeasurement, PreparedModel};
 pub use positions::MeasuredPosition;
 pub use sample::Sample;
-pub use table::{APPROACH, ApproachedPose, Measurement, Measurements, beyond};
+pub use table::{APPROACH, ApproachedPose, Measurement, Measurements, ToolPoint, beyond};
 pub use tracker::Tracker;
 
 #[cfg(test)]

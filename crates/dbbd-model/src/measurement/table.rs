@@ -1,5 +1,6 @@
 //! Measurements and the observations CSV of the lengths among them.
 
+use nalgebra::Vector3;
 use std::f64::consts::TAU;
 use std::fmt::Write;
 use std::iter;
@@ -425,6 +426,15 @@ impl ApproachedPose {
         let axes = AxisAngles::from_degrees(axes.map(f64::to_degrees));
         Self { axes, approach: Approach::default() }
     }
+}
+
+/// A point to which a program moves a tool.
+#[derive(Clone, Copy, Debug)]
+pub struct ToolPoint {
+    /// The tool point in the flange frame, mm.
+    pub tool: Vector3<f64>,
+    /// The axis angles to which the controller moves without a correction.
+    pub pose: ApproachedPose,
 }
 
 /// The column with the names of payloads, if present, and the names that were read.

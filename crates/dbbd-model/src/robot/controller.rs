@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{AXES, DhRow, Robot, RobotFinding};
+use super::{AXES, DhRow, RobotFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plausibility::Quantity;
 
@@ -52,14 +52,8 @@ struct ControllerJointTable {
 }
 
 impl ControllerTable {
-    /// The table of a robot file whose controller has not the usual model of its language.
-    pub(super) fn of(robot: &Robot) -> Option<Self> {
-        let model = robot.controller_model;
-        let is_usual = model == ControllerModel::usual(robot.controller_language());
-        // An identified robot has its controller in the nominal one.
-        if is_usual || robot.nominal.is_some() {
-            return None;
-        }
+    /// The table for the file of a robot with this model and these rows.
+    pub(super) fn of(model: ControllerModel, rows: &[DhRow; AXES]) -> Self {
         let joint = |row: &DhRow| ControllerJointTable {
             alpha_deg: row.alpha.to_degrees(),
             a_mm: row.a,
@@ -68,10 +62,10 @@ impl ControllerTable {
             beta_deg: row.beta.to_degrees(),
         };
         let joint = match model {
-            ControllerModel::Calibrated => robot.geometry.rows.iter().map(joint).collect(),
+            ControllerModel::Calibrated => rows.iter().map(joint).collect(),
             ControllerModel::Nominal | ControllerModel::Unknown => Vec::new(),
         };
-        Some(Self { model, joint })
+        Self { model, joint }
     }
 
     pub(super) fn model(&self) -> ControllerModel {
@@ -121,6 +115,7 @@ impl ControllerTable {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::Robot;
 
     fn with(name: &str, tables: &str) -> Result<Robot, Diagnostic> {
         let text = Robot::built_in_file(name).unwrap();

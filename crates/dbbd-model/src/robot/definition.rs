@@ -262,6 +262,11 @@ impl Robot {
         self.uncertainty.as_deref().cloned().or_else(by_posterior).unwrap_or_else(by_tolerance)
     }
 
+    /// Whether what its identification left unknown is known.
+    pub fn has_posterior(&self) -> bool {
+        self.uncertainty.is_some() || self.posterior.as_ref().is_some_and(|known| known.is_of(&self.geometry))
+    }
+
     /// The uncertainty with this root of the parameters' covariance; the coefficients of the joint errors are exact.
     fn rigid_uncertainty(&self, parameters: Vec<ParamId>, known: &DMatrix<f64>) -> RobotUncertainty {
         let rows = known.nrows() + self.geometry.joint_errors.count();

@@ -346,6 +346,9 @@ impl RobotFile {
             PayloadTable { name, kg, centre_mm: centre.into(), u_kg, u_mm, measured: is_measured }
         };
         // The masses of a usual arm follow from the nominal geometry: an identified one has another.
+        // An identified robot has its controller in the nominal one.
+        let usual = ControllerModel::usual(robot.controller_language());
+        let is_stated = robot.nominal.is_none() && robot.controller_model != usual;
         let is_written = robot.nominal.is_some() || *masses != ArmLoad::usual(&robot.geometry.rows).masses;
         Self {
             name: robot.name.clone(),
@@ -356,7 +359,7 @@ impl RobotFile {
             source: robot.source.clone(),
             repeatability_mm: robot.repeatability_mm,
             doubts: robot.doubts.clone(),
-            controller: ControllerTable::of(robot),
+            controller: is_stated.then(|| ControllerTable::of(robot.controller_model, &robot.geometry.rows)),
             joint: robot.joint_tables(),
             tool: RobotToolTable { ball_mm: robot.geometry.tool.into(), ball_u_mm: robot.ball_u_mm },
             tolerance: robot.tolerance,

@@ -87,21 +87,27 @@ pub(super) struct WorkFiles {
     pub directory: PathBuf,
     /// `NAME/`, or empty for the working directory itself: plans are named by it.
     pub prefix: String,
-    /// The file of the job.
-    pub job_name: Option<String>,
-    pub job: Option<Result<Job, Diagnostic>>,
-    pub job_sha256: Option<String>,
-    /// The name of the job's robot.
-    pub robot: Option<Result<String, Diagnostic>>,
+    pub job: Option<WorkJob>,
     /// The newest first.
     pub plans: Vec<FoundPlan>,
     pub runs: Vec<FoundRun>,
     pub result: Option<FoundDocument>,
     pub check: Option<FoundDocument>,
     pub certificate: Option<FoundDirectory>,
+    /// The user's programs, and what became of them.
     pub uploaded: Option<FoundDirectory>,
     pub corrected: Option<FoundDirectory>,
     pub simulated: bool,
+}
+
+/// The job of a directory.
+pub(super) struct WorkJob {
+    /// The name of its file.
+    pub file: String,
+    pub job: Result<Job, Diagnostic>,
+    pub sha256: Option<String>,
+    /// The name of its robot; `None` if the job cannot be read.
+    pub robot: Option<Result<String, Diagnostic>>,
 }
 
 /// The plan of a run.
@@ -251,9 +257,12 @@ impl WorkFiles {
         if let Some(name) = job_name(&directory) {
             let text = files::read_text(&directory.join(&name));
             let job = text.and_then(|text| Job::from_toml(&name, &text));
-            found.robot = job.as_ref().ok().map(|job| robot_name(&directory, &job.robot));
-            found.job_sha256 = files::sha256(&directory.join(&name)).ok();
-            (found.job_name, found.job) = (Some(name), Some(job));
+            found.job = Some(WorkJob {
+                robot: job.as_ref().ok().map(|job| robot_name(&directory, &job.robot)),
+                sha256: files::sha256(&directory.join(&name)).ok(),
+                file: name,
+                job,
+            });
         }
         let mut programs = Vec::new();
         let inner = names(&directory).into_iter().filter(|name| is_plain_directory(&directory.join(name)));
@@ -306,7 +315,7 @@ impl WorkFiles {
 
     /// When its newest file was written.
     pub(super) fn changed_ms(&self) -> Option<u64> {
-        let job = self.job_name.as_ref().map(|name| changed_ms(&self.directory.join(name)));
+        let job = self.job.as_ref().map(|job| changed_ms(&self.directory.join(&job.file)));
         let directories = self.plans.iter().map(|plan| &plan.directory);
         let documents = [&self.result, &self.check].into_iter().flatten().map(|one| &one.directory);
         let others = [&self.certificate, &self.corrected].into_iter().flatten();

@@ -22,7 +22,7 @@ use serde_json::Value;
 use toml_edit::DocumentMut;
 
 pub(super) use self::files::RunPlans;
-use self::files::{CORRECTED, FoundPlan, UPLOADED, WorkFiles};
+use self::files::{CORRECTED, FoundPlan, UPLOADED, WorkFiles, WorkJob};
 use self::steps::{Activity, CheckPart};
 use super::jobs::{JobSubject, JobWork};
 use super::log::LogLevel;
@@ -56,7 +56,7 @@ impl Supervisor {
     }
 
     fn read_files(&self, robot: (String, PathBuf, String)) -> WorkFiles {
-        WorkFiles::read(robot, &self.config.data, self.running().as_deref(), &self.run_plans)
+        WorkFiles::read(robot, &self.config.data, self.running().as_deref(), &self.known.of_runs)
     }
 
     fn reports(&self, files: &WorkFiles) -> Vec<StepReport> {
@@ -164,7 +164,7 @@ fn work_of(
 
 /// The plan of the job, or that of a check of the robot in a file.
 fn plan_request(files: &WorkFiles, check: Option<(String, Option<f64>)>) -> Option<(Request, String)> {
-    let job = files.job_name.as_ref()?;
+    let job = &files.job.as_ref()?.file;
     let out = steps::plan_directory(files, check.is_some()).to_owned();
     let (robot, poses) = match check {
         None => (None, PlannedPoses::Job),
@@ -253,21 +253,21 @@ impl Workbench for Supervisor {
     fn demo(&self) -> Result<String, Diagnostic> {
         let directory = self.config.plans.join(DEMO);
         check_plain(&self.config.plans, DEMO)?;
-        (self.make_demo)(&directory)?;
+        (self.simulated.make_demo)(&directory)?;
         self.log.event(LogLevel::Info, "robot_created", &[("robot", &DEMO)]);
         Ok(DEMO.into())
     }
 
     fn job_of(&self, robot: &str) -> Result<Value, Diagnostic> {
         let files = self.files_of(robot)?;
-        let Some(name) = &files.job_name else { return Ok(Value::Null) };
+        let Some(WorkJob { file: name, .. }) = &files.job else { return Ok(Value::Null) };
         let text = dbbd_job::files::read_text(&files.directory.join(name))?;
         dbbd_model::base::parse::from_toml(name, &text)
     }
 
     fn edit_job(&self, robot: &str, keys: &Value) -> Result<(), Diagnostic> {
         let files = self.files_of(robot)?;
-        let path = files.directory.join(files.job_name.as_deref().unwrap_or("job.toml"));
+        let path = files.directory.join(files.job.as_ref().map_or("job.toml", |job| &job.file));
         let text = if path.exists() { dbbd_job::files::read_text(&path)? } else { job_file::HEAD.to_owned() };
         let mut document: DocumentMut = text.parse().map_err(|error| not_written(&error))?;
         job_file::set_keys(&mut document, keys)?;
@@ -362,7 +362,7 @@ fn not_written(error: &dyn std::fmt::Display) -> Diagnostic {
 
 /// The name of the robot of the job, or else of the result.
 fn robot_of(files: &WorkFiles) -> Option<String> {
-    let of_job = files.robot.as_ref().and_then(|robot| robot.as_ref().ok()).cloned();
+    let of_job = files.job.as_ref().and_then(|job| job.robot.as_ref()?.as_ref().ok()).cloned();
     let of_result = || Some(files.result.as_ref()?.content["robot"].as_str()?.to_owned());
     of_job.or_else(of_result)
 }

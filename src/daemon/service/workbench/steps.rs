@@ -3,7 +3,9 @@
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord, Severity};
 use serde_json::{Value, json};
 
-use super::files::{CORRECTED, FoundDirectory, FoundDocument, FoundPlan, FoundRun, UPLOADED, WorkFiles};
+use super::files::{
+    CORRECTED, FoundDirectory, FoundDocument, FoundPlan, FoundRun, UPLOADED, WorkFiles, WorkJob,
+};
 use crate::live::{
     EvaluationJob, ExplainedFinding, JobState, StepAction, StepReport, StepState, StepVerdict, WorkStep,
 };
@@ -171,21 +173,21 @@ fn is_refusal(job: Option<&EvaluationJob>) -> bool {
 }
 
 fn robot(files: &WorkFiles) -> Drafted {
-    let robot = match (&files.job, &files.robot) {
-        (Some(Err(why)), _) => Drafted::refused("robot.job_refused", why),
-        (Some(Ok(_)), Some(Err(why))) => Drafted::refused("robot.refused", why),
-        (Some(Ok(job)), Some(Ok(name))) => {
+    let robot = match files.job.as_ref().map(|of| (&of.job, &of.robot)) {
+        Some((Err(why), _)) => Drafted::refused("robot.job_refused", why),
+        Some((Ok(_), Some(Err(why)))) => Drafted::refused("robot.refused", why),
+        Some((Ok(job), Some(Ok(name)))) => {
             let values = json!({ "robot": name, "file": job.robot, "serial": job.serial });
             Drafted::done(StepVerdict::Pass, "robot.found", values)
         }
-        (Some(Ok(_)), None) | (None, _) => Drafted::ready("robot.none"),
+        Some((Ok(_), None)) | None => Drafted::ready("robot.none"),
     };
     let label = if files.job.is_some() { "act.edit" } else { "act.new_job" };
     robot.acting(StepAction::Edit, label).command("dbbd robots list".into())
 }
 
 fn cell(files: &WorkFiles) -> Drafted {
-    let Some(Ok(job)) = &files.job else { return Drafted::todo("cell.none") };
+    let Some(WorkJob { job: Ok(job), .. }) = &files.job else { return Drafted::todo("cell.none") };
     let values = json!({
         "length_mm": job.bar.length_mm, "low_mm": job.bar.stroke_mm[0], "high_mm": job.bar.stroke_mm[1],
         "balls": job.centres.len(), "circles": job.circles.len(), "obstacles": job.obstacles.len(),
@@ -196,7 +198,7 @@ fn cell(files: &WorkFiles) -> Drafted {
 
 /// The name of the job's file in a command.
 fn job_file(files: &WorkFiles) -> &str {
-    files.job_name.as_deref().unwrap_or("job.toml")
+    files.job.as_ref().map_or("job.toml", |job| &job.file)
 }
 
 /// The directory of the newest plan, or that of a new one.
@@ -207,7 +209,9 @@ pub(super) fn plan_directory(files: &WorkFiles, is_check: bool) -> &str {
 
 fn plan(files: &WorkFiles) -> Drafted {
     let command = format!("dbbd plan {} --out {}", job_file(files), plan_directory(files, false));
-    let Some(Ok(_)) = &files.job else { return Drafted::todo("plan.no_job").command(command) };
+    let Some(WorkJob { job: Ok(_), .. }) = &files.job else {
+        return Drafted::todo("plan.no_job").command(command);
+    };
     let drafted = match files.plan(false) {
         None => Drafted::ready("plan.none").acting(StepAction::Compute, "act.plan"),
         Some(plan) if is_stale(files, plan) => {
@@ -226,7 +230,8 @@ fn plan(files: &WorkFiles) -> Drafted {
 
 /// Whether the job was changed since the plan was made.
 fn is_stale(files: &WorkFiles, plan: &FoundPlan) -> bool {
-    matches!((&plan.job_sha256, &files.job_sha256), (Some(of_plan), Some(of_job)) if of_plan != of_job)
+    let of_job = files.job.as_ref().and_then(|job| job.sha256.as_ref());
+    matches!((&plan.job_sha256, of_job), (Some(of_plan), Some(of_job)) if of_plan != of_job)
 }
 
 /// The directory of the programs of a plan, or that of new ones.
@@ -508,10 +513,12 @@ mod tests {
         let text = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\n[[centre]]\nid = 1\n\
                     xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 8\n";
         WorkFiles {
-            job_name: Some("job.toml".into()),
-            job: Some(Job::from_toml("job.toml", text)),
-            job_sha256: Some("aa".into()),
-            robot: Some(Ok("KUKA KR 60 HA".into())),
+            job: Some(WorkJob {
+                file: "job.toml".into(),
+                job: Job::from_toml("job.toml", text),
+                sha256: Some("aa".into()),
+                robot: Some(Ok("KUKA KR 60 HA".into())),
+            }),
             ..WorkFiles::default()
         }
     }
@@ -574,7 +581,8 @@ mod tests {
 
     #[test]
     fn a_changed_job_asks_for_a_new_plan() {
-        let files = WorkFiles { plans: vec![planned(false)], job_sha256: Some("bb".into()), ..job() };
+        let mut files = WorkFiles { plans: vec![planned(false)], ..job() };
+        files.job.as_mut().unwrap().sha256 = Some("bb".into());
         let plan = &seen(&files, &[], None)[2];
         assert_eq!((plan.state, plan.text), (StepState::Ready, "plan.stale"));
     }

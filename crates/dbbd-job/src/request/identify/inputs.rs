@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::matched_run::MatchedRun;
 use super::parts::{self, InputPart, JoinedParts, SetUpRelation};
 use super::tables::{lengths_or_positions, measurements};
 use super::{AskedIdentification, LENGTHS, POSITIONS};
@@ -40,12 +41,6 @@ pub(crate) struct NamedInputs<'a> {
     pub(crate) tool_mm: Option<[f64; 3]>,
     pub(crate) centres: Option<&'a Path>,
     pub(crate) bar_u_mm: Option<f64>,
-}
-
-/// A capture, and its latest pose matching.
-pub(super) struct MatchedRun {
-    pub(super) run: Box<RecordedRun>,
-    pub(super) matching: PoseMatching,
 }
 
 /// The inputs as they were read.
@@ -271,46 +266,6 @@ fn angle_source(parts: &[InputPart]) -> AngleSource {
         part.matched.as_ref().is_some_and(|matched| matched.axes() == AngleSource::Commanded)
     };
     if parts.iter().any(commanded) { AngleSource::Commanded } else { AngleSource::Given }
-}
-
-impl MatchedRun {
-    /// Reads and matches a capture; `None` if the file is not a capture.
-    pub(super) fn read(path: &Path, session: &RequestSession<'_>) -> Result<Option<Self>, Diagnostic> {
-        if !run::is_capture(path)? {
-            return Ok(None);
-        }
-        let run = run::open_run(path, None, &[], &mut |finding| session.finding(finding))?;
-        let matching = run.matching(None)?;
-        Ok(Some(Self { run: Box::new(run), matching }))
-    }
-
-    /// Whether the axis angles were measured by the controller.
-    fn axes(&self) -> AngleSource {
-        let published = self.matching.axes.as_ref().is_some_and(|axes| axes.measured > 0);
-        if published || !self.run.axes_deg.is_empty() { AngleSource::Given } else { AngleSource::Commanded }
-    }
-
-    /// The name of the robot of the plan, if it is not `robot`.
-    fn other_robot(&self, robot: &Robot) -> Option<String> {
-        self.run.robot().ok().map(|planned| planned.name).filter(|name| *name != robot.name)
-    }
-
-    fn findings(&self, robot: &Robot) -> Vec<Diagnostic> {
-        let lost = self.run.doubtful.then(|| EstimationFinding::PartOfRunLost.into());
-        let is_reported = |finding: &&MatchingFinding| {
-            let is_of_axes = matches!(
-                finding,
-                MatchingFinding::AxesMeasured { .. } | MatchingFinding::AxesMeasuredLagUnknown { .. }
-            );
-            is_of_axes || finding.code().severity() == Severity::Warning
-        };
-        let of_matching = self.matching.findings.iter().filter(is_reported).cloned().map(Diagnostic::from);
-        let given = || robot.name.clone();
-        let other = self
-            .other_robot(robot)
-            .map(|planned| EstimationFinding::PlannedForAnother { planned, given: given() }.into());
-        lost.into_iter().chain(of_matching).chain(other).collect()
-    }
 }
 
 /// A finding if the bar of a table was warm or cold and nothing says that its lengths are referred to its certificate.

@@ -2,6 +2,7 @@
 
 mod files;
 pub(super) mod inputs;
+mod matched_run;
 mod options;
 mod parts;
 pub(super) mod tables;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::inputs::MatchedRun;
+use super::matched_run::MatchedRun;
 use super::tables::{lengths_or_positions, measurements};
 use crate::request::RequestSession;
 use dbbd_model::diagnostic::Diagnostic;

@@ -121,13 +121,11 @@ pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> 
     }
     Reader {
         files,
-        given,
+        user: UserFrames { given, used_for: [None, None] },
         definitions: Definitions { file: files.source, constants, variables },
         by_name: HashMap::new(),
         program: PointProgram::default(),
-        given_for: [None, None],
-        set_beside: [None, None],
-        obstacle_beside: None,
+        beside: SetBeside::default(),
         named: Vec::new(),
         reached: HashSet::new(),
         doubted: HashSet::new(),
@@ -192,10 +190,16 @@ struct InFile<'a> {
     effects: Vec<Vec<Option<Effect>>>,
     /// The routines that run beside the program, each with the line that names it.
     beside: Vec<(usize, usize)>,
-    /// By [`FrameKind`], a line that sets it beside the program.
-    set_beside: [Option<usize>; 2],
-    /// Why no pose can be corrected, as a routine beside the program sets it.
-    obstacle_beside: Option<CompensationFinding>,
+    set_beside: SetBeside,
+}
+
+/// What routines do that run beside the program.
+#[derive(Clone, Default)]
+struct SetBeside {
+    /// By [`FrameKind`], a line that sets it.
+    lines: [Option<usize>; 2],
+    /// Why no pose can be corrected.
+    obstacle: Option<CompensationFinding>,
 }
 
 impl<'a> InFile<'a> {
@@ -223,15 +227,15 @@ impl<'a> InFile<'a> {
             calls.push(called_by);
             effects.push(effect_of);
         }
-        let mut program =
-            Self { file, routines, calls, effects, beside, set_beside: [None, None], obstacle_beside: None };
+        let mut program = Self { file, routines, calls, effects, beside, set_beside: SetBeside::default() };
         let named = program.beside.iter().map(|(routine, _)| *routine).collect();
         for routine in reached_from(named, &program.calls) {
             for (line, effect) in program.routines[routine].lines.iter().zip(&program.effects[routine]) {
                 let mut state = InRoutine::before();
                 effect.iter().for_each(|effect| state.apply(effect, file.line(line.span.start)));
-                program.obstacle_beside = program.obstacle_beside.take().or_else(|| state.obstacle());
-                for (set, frame) in program.set_beside.iter_mut().zip(&state.frames) {
+                let found = &mut program.set_beside;
+                found.obstacle = found.obstacle.take().or_else(|| state.obstacle());
+                for (set, frame) in found.lines.iter_mut().zip(&state.frames) {
                     if !matches!(frame, InForce::One { line: 0, .. }) {
                         set.get_or_insert(file.line(line.span.start));
                     }
@@ -264,19 +268,21 @@ impl Followed for InFile<'_> {
     }
 }
 
+/// The frames that the user gives.
+struct UserFrames {
+    given: Given,
+    /// By [`FrameKind`], why it is used: the reason for which the program's own is unknown.
+    used_for: [Option<CompensationFinding>; 2],
+}
+
 struct Reader<'a> {
     files: Files<'a>,
-    given: Given,
+    user: UserFrames,
     definitions: Definitions<'a>,
     /// The index of each point in the program's points: by its name, or by its bytes if it has none.
     by_name: HashMap<(String, Option<i64>), usize>,
     program: PointProgram,
-    /// Why the frames of the user are used: the reason for which the program's own are unknown.
-    given_for: [Option<CompensationFinding>; 2],
-    /// By [`FrameKind`], a line that sets it beside the program.
-    set_beside: [Option<usize>; 2],
-    /// Why no pose can be corrected, as a routine beside the program sets it.
-    obstacle_beside: Option<CompensationFinding>,
+    beside: SetBeside,
     /// The points in statements other than motions.
     named: Vec<(String, Span)>,
     /// The lines that were reached, by their first bytes.
@@ -305,8 +311,7 @@ impl<'a> Reader<'a> {
         let file = self.files.source;
         check_is_krl(file)?;
         let program = InFile::new(&self.definitions)?;
-        self.set_beside = program.set_beside;
-        self.obstacle_beside = program.obstacle_beside.clone();
+        self.beside = program.set_beside.clone();
         let controls: Vec<Vec<Option<Control>>> = program
             .routines
             .iter()
@@ -415,7 +420,7 @@ impl<'a> Reader<'a> {
         }
         let frames = state.with(with, self.files.source.line(line.span.start));
         let by_ptp = motion.motion == MotionKind::Ptp;
-        let obstacle = self.obstacle_beside.clone().or_else(|| state.obstacle());
+        let obstacle = self.beside.obstacle.clone().or_else(|| state.obstacle());
         let current = Current { line, frames, called, obstacle, by_ptp };
         let through = match &motion.through {
             Some(through) => self.target(through, &current)?,
@@ -592,7 +597,7 @@ impl<'a> Reader<'a> {
             InForce::One { value, .. } => value,
             InForce::Mixed(lines) => return Err(wrong(mixed(kind.name(), *lines))),
         };
-        if let Some(line) = self.set_beside[at] {
+        if let Some(line) = self.beside.lines[at] {
             return Err(wrong(CompensationFinding::FrameBeside { frame: kind.name(), line }));
         }
         if let Some((routine, line)) = &current.called[at]
@@ -602,7 +607,8 @@ impl<'a> Reader<'a> {
             let after = wrong(CompensationFinding::FrameAfterCall { frame, routine, line: *line });
             self.program.doubts.push(after);
         }
-        let (given, given_for) = ([self.given.tool, self.given.base][at], &mut self.given_for[at]);
+        let UserFrames { given, used_for } = &mut self.user;
+        let (given, used_for) = ([given.tool, given.base][at], &mut used_for[at]);
         let stated = kind.stated();
         match (active, given) {
             (Ok(pose), None) => Ok(*pose),
@@ -617,13 +623,13 @@ impl<'a> Reader<'a> {
             (Err(why @ CompensationFinding::MovedWorkObject { .. }), _) | (Err(why), None) => {
                 Err(wrong(why.clone()))
             }
-            (Err(why), Some(given)) => match given_for {
+            (Err(why), Some(given)) => match used_for {
                 Some(before) if before != why => {
                     let (first, second) = (before.to_string(), why.to_string());
                     Err(wrong(CompensationFinding::TwoFrames { stated, first, second }))
                 }
                 _ => {
-                    *given_for = Some(why.clone());
+                    *used_for = Some(why.clone());
                     Ok(given)
                 }
             },

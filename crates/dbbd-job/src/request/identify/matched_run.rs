@@ -1,0 +1,57 @@
+//! A capture with the poses that its dwells were matched to.
+
+use std::path::Path;
+
+use dbbd_model::diagnostic::{Diagnostic, Finding, Severity};
+use dbbd_model::estimation::{AngleSource, EstimationFinding};
+use dbbd_model::robot::Robot;
+
+use crate::recording::matching::{MatchingFinding, PoseMatching};
+use crate::recording::run::{self, RecordedRun};
+use crate::request::RequestSession;
+
+/// A capture, and its latest pose matching.
+pub(super) struct MatchedRun {
+    pub(super) run: Box<RecordedRun>,
+    pub(super) matching: PoseMatching,
+}
+
+impl MatchedRun {
+    /// Reads and matches a capture; `None` if the file is not a capture.
+    pub(super) fn read(path: &Path, session: &RequestSession<'_>) -> Result<Option<Self>, Diagnostic> {
+        if !run::is_capture(path)? {
+            return Ok(None);
+        }
+        let run = run::open_run(path, None, &[], &mut |finding| session.finding(finding))?;
+        let matching = run.matching(None)?;
+        Ok(Some(Self { run: Box::new(run), matching }))
+    }
+
+    /// Whether the axis angles were measured by the controller.
+    pub(super) fn axes(&self) -> AngleSource {
+        let published = self.matching.axes.as_ref().is_some_and(|axes| axes.measured > 0);
+        if published || !self.run.axes_deg.is_empty() { AngleSource::Given } else { AngleSource::Commanded }
+    }
+
+    /// The name of the robot of the plan, if it is not `robot`.
+    pub(super) fn other_robot(&self, robot: &Robot) -> Option<String> {
+        self.run.robot().ok().map(|planned| planned.name).filter(|name| *name != robot.name)
+    }
+
+    pub(super) fn findings(&self, robot: &Robot) -> Vec<Diagnostic> {
+        let lost = self.run.doubtful.then(|| EstimationFinding::PartOfRunLost.into());
+        let is_reported = |finding: &&MatchingFinding| {
+            let is_of_axes = matches!(
+                finding,
+                MatchingFinding::AxesMeasured { .. } | MatchingFinding::AxesMeasuredLagUnknown { .. }
+            );
+            is_of_axes || finding.code().severity() == Severity::Warning
+        };
+        let of_matching = self.matching.findings.iter().filter(is_reported).cloned().map(Diagnostic::from);
+        let given = || robot.name.clone();
+        let other = self
+            .other_robot(robot)
+            .map(|planned| EstimationFinding::PlannedForAnother { planned, given: given() }.into());
+        lost.into_iter().chain(of_matching).chain(other).collect()
+    }
+}
