@@ -10,6 +10,7 @@ mod catalogue;
 mod config;
 mod jobs;
 mod log;
+mod run_plans;
 mod runs;
 mod serve;
 mod workbench;
@@ -28,9 +29,10 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use tokio::sync::{broadcast, watch};
 
 use self::catalogue::PlanCache;
+pub use self::jobs::Explain;
 use self::jobs::JobQueue;
 use self::log::RateLimitedLog;
-use self::workbench::RunPlans;
+use self::run_plans::RunPlans;
 use super::live_state::LiveState;
 use super::{Acquisition, Schedule};
 use crate::live::ServiceFinding;
@@ -69,9 +71,6 @@ pub type MakeCell = Box<dyn Fn(&CellRequest<'_>) -> Result<Box<dyn SimulatedCell
 
 /// Writes the job of a simulated cell into a directory, with its true robot and its true base balls.
 pub type MakeDemo = Box<dyn Fn(&Path) -> Result<(), Diagnostic> + Send + Sync>;
-
-/// Cause and cure of a code.
-pub type Explain = fn(&str) -> Option<(&'static str, &'static str)>;
 
 /// What the program adds to the service.
 pub struct ServiceParts {

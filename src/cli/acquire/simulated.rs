@@ -29,14 +29,14 @@ const SETTLING_MARGIN_S: f64 = 1.0;
 #[derive(Clone, Copy)]
 pub(crate) struct CellOptions<'a> {
     /// Device time per host time; 0: as fast as the bytes are read.
-    pub(crate) speed: &'a str,
+    pub speed: &'a str,
     /// How long the program waits at each HALT, s.
-    pub(crate) halt_s: &'a str,
+    pub halt_s: &'a str,
     /// Where the program reports its dwells over EthernetKRL.
-    pub(crate) server: Option<SocketAddr>,
+    pub server: Option<SocketAddr>,
     /// The protocol of the bar with its parameters; `None` for that of the plan.
-    pub(crate) protocol: Option<(&'a str, &'a [(String, String)])>,
-    pub(crate) seed: Option<u64>,
+    pub protocol: Option<(&'a str, &'a [(String, String)])>,
+    pub seed: Option<u64>,
 }
 
 impl<'a> CellOptions<'a> {

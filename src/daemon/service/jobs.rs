@@ -10,7 +10,6 @@ use std::{io, thread};
 
 use tokio::sync::broadcast;
 
-use super::Explain;
 use super::runs::CAPTURE;
 use crate::live::ServiceFinding::{
     CommandFailed, NoJob, OptionOfAnotherJob, OptionValue, TooManyJobs, WorkerLost,
@@ -26,6 +25,9 @@ use dbbd_job::request::{AnswerOutcome, AnswerResult, Request, RequestChild, Requ
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord, Severity};
 use serde_json::Value;
+
+/// Cause and cure of a code.
+pub type Explain = fn(&str) -> Option<(&'static str, &'static str)>;
 
 const MAX_WAITING_JOBS: usize = 16;
 const MAX_KEPT_JOBS: usize = 100;

@@ -24,8 +24,8 @@ const SAME_RAD: f64 = 1e-5;
 /// The joint axes and the flange of an arm where all axis angles are zero.
 #[derive(Clone, Debug)]
 pub(super) struct ArmLines {
-    pub(super) axes: [JointAxis; AXES],
-    pub(super) flange: Pose,
+    pub axes: [JointAxis; AXES],
+    pub flange: Pose,
 }
 
 impl ArmLines {

@@ -21,7 +21,7 @@ const USUAL_SPEED_DEG_S: f64 = 180.0;
 /// The robot of a URDF, with the limits and speeds of its joints.
 pub(super) fn import(file: &str, text: &str, names: &[String]) -> Result<ImportedRobot, Diagnostic> {
     let document = parse(file, text)?;
-    let reader = UrdfReader { file, text, document: &document };
+    let reader = UrdfReader::new(file, text, &document);
     let joints = reader.six(names)?;
     let mut frame = Pose::identity();
     let mut axes = Vec::with_capacity(AXES);
@@ -56,23 +56,27 @@ pub(crate) fn parse<'a>(file: &str, text: &'a str) -> Result<Document<'a>, Diagn
 
 /// A moving joint of an arm.
 pub(crate) struct UrdfJoint<'a> {
-    pub(crate) node: Node<'a, 'a>,
-    pub(crate) name: &'a str,
+    pub node: Node<'a, 'a>,
+    pub name: &'a str,
     /// The fixed joints between the movable joint before and this one.
-    pub(crate) fixed_before: Pose,
-    pub(crate) origin: Pose,
+    pub fixed_before: Pose,
+    pub origin: Pose,
     /// Unit vector in the joint's frame.
-    pub(crate) axis: Vector3<f64>,
+    pub axis: Vector3<f64>,
 }
 
 /// Reads the arm of a URDF.
 pub(crate) struct UrdfReader<'a> {
-    pub(crate) file: &'a str,
-    pub(crate) text: &'a str,
-    pub(crate) document: &'a Document<'a>,
+    file: &'a str,
+    text: &'a str,
+    document: &'a Document<'a>,
 }
 
 impl<'a> UrdfReader<'a> {
+    pub(crate) fn new(file: &'a str, text: &'a str, document: &'a Document<'a>) -> Self {
+        Self { file, text, document }
+    }
+
     fn refused(&self, node: Node<'_, '_>, finding: DescriptionFinding) -> Diagnostic {
         let at = self.document.text_pos_at(node.range().start);
         Diagnostic::position(self.file, self.text, at.row as usize, at.col as usize, finding)

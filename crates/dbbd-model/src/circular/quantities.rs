@@ -65,7 +65,7 @@ impl FitConditions {
 #[derive(Clone, Debug, Default)]
 pub(super) struct QuantityValues {
     /// By [`QUANTITY_NAMES`].
-    pub(super) overall: [f64; QUANTITY_NAMES.len()],
+    overall: [f64; QUANTITY_NAMES.len()],
     /// By [`TRACE_NAMES`], for each trace.
     pub(super) alone: Vec<[f64; TRACE_NAMES.len()]>,
 }

@@ -99,7 +99,7 @@ pub(crate) struct Estimate {
     pub(super) noise: LengthNoise<'static>,
     pub(super) hypers: Hypers,
     /// The hyper-parameters that the uncertainty is of.
-    pub(super) cautious: Hypers,
+    cautious: Hypers,
     pub(super) shape: NoiseShape,
     /// What an unknown sense of approach leaves of each joint's angle, rad.
     pub(super) unapproached_rad: [f64; AXES],

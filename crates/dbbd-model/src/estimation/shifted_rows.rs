@@ -51,7 +51,7 @@ pub(super) fn shifted_rows(estimate: &Estimate, lengths: &Lengths) -> Option<Est
 
 /// The natural logarithm of the likelihood ratio by which the standard deviation of the residuals falls from `before` to
 /// `after`, if it is decisive and they fall by the factor `smaller`.
-pub(super) fn decisive(freedom: f64, [before, after]: [f64; 2], smaller: f64) -> Option<f64> {
+fn decisive(freedom: f64, [before, after]: [f64; 2], smaller: f64) -> Option<f64> {
     let gain = freedom * (before / after).ln();
     (freedom >= MIN_FREEDOM && gain > DECISIVE && before > smaller * after).then_some(gain)
 }

@@ -27,24 +27,20 @@ pub struct LengthRow {
 
 type DerivativeColumns = [f64; ParamId::COLUMNS];
 
-/// The first column of each family of parameters.
-mod column {
-    use super::{BallId, BarId, Coordinate, Joint, ParamId};
-
-    pub(super) const ALPHA: usize = ParamId::Alpha(Joint::J1).column();
-    pub(super) const A: usize = ParamId::A(Joint::J1).column();
-    pub(super) const THETA: usize = ParamId::Theta(Joint::J1).column();
-    pub(super) const D: usize = ParamId::D(Joint::J1).column();
-    pub(super) const BETA: usize = ParamId::Beta(Joint::J1).column();
-    pub(super) const TOOL: usize = ParamId::Tool(Coordinate::X).column();
-    pub(super) const BALL: usize = ParamId::Ball(BallId::FIRST, Coordinate::X).column();
-    pub(super) const BAR: usize = ParamId::BarOffset(BarId::FIRST).column();
-    pub(super) const COMPLIANCE: usize = ParamId::Compliance(Joint::J1).column();
-    pub(super) const PAYLOAD_COMPLIANCE: usize = ParamId::PayloadCompliance(Joint::J1).column();
-    pub(super) const GEAR_COS: usize = ParamId::GearCos(Joint::J1).column();
-    pub(super) const GEAR_SIN: usize = ParamId::GearSin(Joint::J1).column();
-    pub(super) const TURN: usize = ParamId::TrackerTurn(Coordinate::X).column();
-}
+// The first column of each family of parameters.
+const ALPHA_COLUMN: usize = ParamId::Alpha(Joint::J1).column();
+const A_COLUMN: usize = ParamId::A(Joint::J1).column();
+const THETA_COLUMN: usize = ParamId::Theta(Joint::J1).column();
+const D_COLUMN: usize = ParamId::D(Joint::J1).column();
+const BETA_COLUMN: usize = ParamId::Beta(Joint::J1).column();
+const TOOL_COLUMN: usize = ParamId::Tool(Coordinate::X).column();
+const BALL_COLUMN: usize = ParamId::Ball(BallId::FIRST, Coordinate::X).column();
+const BAR_COLUMN: usize = ParamId::BarOffset(BarId::FIRST).column();
+const COMPLIANCE_COLUMN: usize = ParamId::Compliance(Joint::J1).column();
+const PAYLOAD_COMPLIANCE_COLUMN: usize = ParamId::PayloadCompliance(Joint::J1).column();
+const GEAR_COS_COLUMN: usize = ParamId::GearCos(Joint::J1).column();
+const GEAR_SIN_COLUMN: usize = ParamId::GearSin(Joint::J1).column();
+const TURN_COLUMN: usize = ParamId::TrackerTurn(Coordinate::X).column();
 
 impl Default for LengthRow {
     fn default() -> Self {
@@ -61,12 +57,12 @@ impl LengthRow {
 
     /// The unit vector along the length, from the base ball or plane to the target, in the robot base.
     pub fn unit(&self) -> Vector3<f64> {
-        -Vector3::from_fn(|axis, _| self.columns[column::BALL + axis])
+        -Vector3::from_fn(|axis, _| self.columns[BALL_COLUMN + axis])
     }
 
     /// The derivatives with respect to the coefficients of the joint errors, mm per unit, for a row at these axis angles (rad).
     pub fn joint_terms(&self, geometry: &Geometry, axes: &[f64; AXES], approach: Approach, out: &mut [f64]) {
-        let by_joint = &self.columns[column::THETA..column::THETA + AXES];
+        let by_joint = &self.columns[THETA_COLUMN..THETA_COLUMN + AXES];
         let mut out = out.iter_mut();
         geometry.error_derivatives(axes, approach, |joint, value| {
             if let Some(out) = out.next() {
@@ -214,16 +210,16 @@ impl<'a> KinematicChain<'a> {
             }
             let p = &inward.points[i];
             let (s, c) = self.alpha[i];
-            columns[column::BETA + i] = (p.y * s + p.z * c) * u.x - p.x * u.z;
+            columns[BETA_COLUMN + i] = (p.y * s + p.z * c) * u.x - p.x * u.z;
             u = Vector3::new(u.x, u.y * c + u.z * s, u.z * c - u.y * s);
-            columns[column::ALPHA + i] = p.y * u.z - p.z * u.y;
-            columns[column::A + i] = u.x;
-            columns[column::THETA + i] = (p.x - self.geometry.rows[i].a) * u.y - p.y * u.x;
-            columns[column::D + i] = u.z;
+            columns[ALPHA_COLUMN + i] = p.y * u.z - p.z * u.y;
+            columns[A_COLUMN + i] = u.x;
+            columns[THETA_COLUMN + i] = (p.x - self.geometry.rows[i].a) * u.y - p.y * u.x;
+            columns[D_COLUMN + i] = u.z;
             let (s, c) = inward.joints[i];
             u = Vector3::new(u.x * c + u.y * s, u.y * c - u.x * s, u.z);
         }
-        columns[column::TOOL..column::TOOL + 3].copy_from_slice(u.as_slice());
+        columns[TOOL_COLUMN..TOOL_COLUMN + 3].copy_from_slice(u.as_slice());
     }
 
     /// The target in the robot base, mm.
@@ -242,7 +238,7 @@ impl<'a> KinematicChain<'a> {
         let columns = &mut row.columns;
         if distance > 0.0 {
             self.along(bar / distance, at, &inward, columns);
-            columns[column::BAR] = 1.0;
+            columns[BAR_COLUMN] = 1.0;
         } else {
             *columns = [0.0; ParamId::COLUMNS];
         }
@@ -254,9 +250,9 @@ impl<'a> KinematicChain<'a> {
         let from = inward.ball - plane.origin;
         row.length = plane.normal.dot(&from);
         self.along(plane.normal, at, &inward, &mut row.columns);
-        row.columns[column::BAR] = 0.0;
+        row.columns[BAR_COLUMN] = 0.0;
         for (axis, by_turn) in plane.normal_by_turn.iter().enumerate() {
-            row.columns[column::TURN + axis] = by_turn.dot(&from);
+            row.columns[TURN_COLUMN + axis] = by_turn.dot(&from);
         }
     }
 
@@ -272,7 +268,7 @@ impl<'a> KinematicChain<'a> {
     ) {
         self.derivatives(inward, u, columns);
         for axis in 0..3 {
-            columns[column::BALL + axis] = -u[axis];
+            columns[BALL_COLUMN + axis] = -u[axis];
         }
         self.non_geometric(at, columns);
     }
@@ -283,12 +279,12 @@ impl<'a> KinematicChain<'a> {
         let angles = self.geometry.joint_angles_carrying(at.axes, at.approach, at.payload);
         let torques = self.geometry.torques(&angles, at.payload);
         for j in 0..AXES {
-            columns[column::COMPLIANCE + j] = columns[column::THETA + j] * torques.all[j];
-            columns[column::PAYLOAD_COMPLIANCE + j] = columns[column::THETA + j] * torques.payload[j];
+            columns[COMPLIANCE_COLUMN + j] = columns[THETA_COLUMN + j] * torques.all[j];
+            columns[PAYLOAD_COMPLIANCE_COLUMN + j] = columns[THETA_COLUMN + j] * torques.payload[j];
         }
         for (j, [sin, cos]) in self.own_angles(at).into_iter().enumerate() {
-            columns[column::GEAR_COS + j] = columns[column::THETA + j] * cos;
-            columns[column::GEAR_SIN + j] = columns[column::THETA + j] * sin;
+            columns[GEAR_COS_COLUMN + j] = columns[THETA_COLUMN + j] * cos;
+            columns[GEAR_SIN_COLUMN + j] = columns[THETA_COLUMN + j] * sin;
         }
     }
 

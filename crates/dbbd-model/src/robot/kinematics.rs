@@ -59,7 +59,7 @@ impl Geometry {
     }
 
     /// As [`Self::joint_angles`], for a known sense of approach.
-    pub(super) fn joint_angles_approached(&self, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
+    fn joint_angles_approached(&self, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
         self.joint_angles_carrying(axes, approach, PayloadId::FIRST)
     }
 

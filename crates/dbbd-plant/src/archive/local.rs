@@ -20,7 +20,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::{ArtefactRole, Identity, Provenance};
 
 /// The name of the capture among the files of a run.
-pub(super) const CAPTURE: &str = "run.dbbd";
+const CAPTURE: &str = "run.dbbd";
 /// The result of an interim check, and its decisions.
 const CHECK: &str = "check/check.json";
 const DECISIONS: [&str; 3] = ["pass", "fail", "undecided"];

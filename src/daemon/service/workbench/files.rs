@@ -1,27 +1,21 @@
 //! Which files of the work on a robot exist: they are found by what they contain, so that what the command line began is
 //! continued on the page, and the other way round.
 
-use std::collections::BTreeMap;
 use std::fs;
-use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use dbbd_device::sync::lock;
 use dbbd_job::files;
 use dbbd_job::plan::{Job, PoseKind};
-use dbbd_job::recording::capture::{CapturePart, CaptureReader, CaptureRecord};
 use dbbd_job::recording::run::PlanFiles;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::ArtefactRole;
 use dbbd_model::robot::Robot;
 use serde_json::Value;
 
-use crate::daemon::service::runs::{self, CAPTURE, is_plain_directory, is_sound, open_plain};
+use crate::daemon::service::run_plans::{RunPlan, RunPlans};
+use crate::daemon::service::runs::{CAPTURE, entry_of, is_plain_directory, is_sound, list_recorded_runs};
 
-/// Bytes at the begin of a capture that hold the files in force: a plan of 1000 poses has a few hundred kB.
-const CAPTURE_HEAD: u64 = 16 << 20;
 /// Runs whose plan is looked for, the newest.
 const MAX_RUNS: usize = 100;
 /// Directories of one robot that are looked into.
@@ -33,7 +27,7 @@ pub(super) const UPLOADED: &str = "uploaded";
 /// Where it writes the corrected one.
 pub(super) const CORRECTED: &str = "corrected";
 /// The true robot and world of a simulated cell.
-pub(super) const TRUTH: [&str; 2] = ["truth.toml", "world.toml"];
+const TRUTH: [&str; 2] = ["truth.toml", "world.toml"];
 
 /// A directory with its files.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -94,10 +88,15 @@ pub(super) struct WorkFiles {
     pub result: Option<FoundDocument>,
     pub check: Option<FoundDocument>,
     pub certificate: Option<FoundDirectory>,
-    /// The user's programs, and what became of them.
+    pub programs: UserPrograms,
+    pub simulated: bool,
+}
+
+/// The programs of the user, and what became of them.
+#[derive(Default)]
+pub(super) struct UserPrograms {
     pub uploaded: Option<FoundDirectory>,
     pub corrected: Option<FoundDirectory>,
-    pub simulated: bool,
 }
 
 /// The job of a directory.
@@ -108,54 +107,6 @@ pub(super) struct WorkJob {
     pub sha256: Option<String>,
     /// The name of its robot; `None` if the job cannot be read.
     pub robot: Option<Result<String, Diagnostic>>,
-}
-
-/// The plan of a run.
-#[derive(Clone, Debug, PartialEq)]
-pub(in crate::daemon::service) struct RunPlan {
-    hash: String,
-    /// Of a check of a calibrated robot.
-    pub(in crate::daemon::service) is_check: bool,
-}
-
-/// A capture by its path and its start, ms since the Unix epoch.
-type CaptureKey = (PathBuf, Option<u64>);
-
-/// The plans of captures: the begin of a capture never changes.
-#[derive(Default)]
-pub(in crate::daemon::service) struct RunPlans(Mutex<BTreeMap<CaptureKey, Option<RunPlan>>>);
-
-impl RunPlans {
-    pub(in crate::daemon::service) fn of(&self, path: &Path, started_ms: Option<u64>) -> Option<RunPlan> {
-        let key = (path.to_owned(), started_ms);
-        if let Some(known) = lock(&self.0).get(&key) {
-            return known.clone();
-        }
-        let plan = attached_plan(path)?;
-        lock(&self.0).insert(key, plan.clone());
-        plan
-    }
-}
-
-/// The plan in a capture, which precedes all samples; `None` while nothing is recorded yet.
-fn attached_plan(path: &Path) -> Option<Option<RunPlan>> {
-    let reader = CaptureReader::new(open_plain(path).ok()?.take(CAPTURE_HEAD)).ok()?;
-    for part in reader.flatten() {
-        let CapturePart::Record(stamped) = part else { continue };
-        match stamped.record {
-            CaptureRecord::Attachment { name, content } if name == "plan.json" => {
-                let header: Value = serde_json::from_slice(&content).ok()?;
-                let (hash, is_check) = (header["hash"].as_str()?.to_owned(), header["check"].is_object());
-                return Some(Some(RunPlan { hash, is_check }));
-            }
-            CaptureRecord::Raw(_) | CaptureRecord::Samples(_) => return Some(None),
-            CaptureRecord::Attachment { .. }
-            | CaptureRecord::Fault(_)
-            | CaptureRecord::Axes(_)
-            | CaptureRecord::Event(_) => {}
-        }
-    }
-    None
 }
 
 fn unix_ms(time: SystemTime) -> u64 {
@@ -270,7 +221,11 @@ impl WorkFiles {
             let inside = FoundDirectory::read(&directory, &name);
             let path = directory.join(&name);
             if name == UPLOADED || name == CORRECTED {
-                let place = if name == UPLOADED { &mut found.uploaded } else { &mut found.corrected };
+                let place = if name == UPLOADED {
+                    &mut found.programs.uploaded
+                } else {
+                    &mut found.programs.corrected
+                };
                 *place = (!inside.files.is_empty()).then_some(inside);
             } else if inside.has("result.json") {
                 keep_newest(&mut found.result, &path.join("result.json"), inside);
@@ -318,7 +273,7 @@ impl WorkFiles {
         let job = self.job.as_ref().map(|job| changed_ms(&self.directory.join(&job.file)));
         let directories = self.plans.iter().map(|plan| &plan.directory);
         let documents = [&self.result, &self.check].into_iter().flatten().map(|one| &one.directory);
-        let others = [&self.certificate, &self.corrected].into_iter().flatten();
+        let others = [&self.certificate, &self.programs.corrected].into_iter().flatten();
         let changed = directories.chain(documents).chain(others).map(|one| one.changed_ms);
         changed.chain(self.runs.iter().map(|run| run.changed_ms)).chain(job).max()
     }
@@ -367,12 +322,12 @@ fn found_runs(directory: &Path, data: &Path, running: Option<&str>, run_plans: &
     let mut found = Vec::new();
     for name in names(directory).into_iter().filter(|name| name.ends_with(".dbbd")).take(MAX_RUNS) {
         let path = directory.join(&name);
-        let Ok(entry) = runs::entry_of(&name, &path, None, Vec::new()) else { continue };
+        let Ok(entry) = entry_of(&name, &path, None, Vec::new()) else { continue };
         if let Some(RunPlan { hash: plan_hash, .. }) = run_plans.of(&path, entry.started_unix_ms) {
             found.push(FoundRun::new(name.clone(), name, plan_hash, changed_ms(&path), entry.ended));
         }
     }
-    let of_service = runs::list_recorded_runs(data, running).unwrap_or_default();
+    let of_service = list_recorded_runs(data, running).unwrap_or_default();
     for entry in of_service.into_iter().take(MAX_RUNS).filter(|entry| running != Some(entry.name.as_str())) {
         let path = data.join(&entry.name).join(CAPTURE);
         if let Some(RunPlan { hash: plan_hash, .. }) = run_plans.of(&path, entry.started_unix_ms) {

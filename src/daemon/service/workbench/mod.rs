@@ -21,7 +21,6 @@ use dbbd_model::diagnostic::Diagnostic;
 use serde_json::Value;
 use toml_edit::DocumentMut;
 
-pub(super) use self::files::RunPlans;
 use self::files::{CORRECTED, FoundPlan, UPLOADED, WorkFiles, WorkJob};
 use self::steps::{Activity, CheckPart};
 use super::jobs::{JobSubject, JobWork};
@@ -108,7 +107,8 @@ fn work_of(
             (Request::Identify(request), result)
         }
         WorkStep::Correct => {
-            let uploaded = files.uploaded.as_ref().filter(|_| files.result.is_some()).ok_or_else(early)?;
+            let uploaded =
+                files.programs.uploaded.as_ref().filter(|_| files.result.is_some()).ok_or_else(early)?;
             let chosen = options.program.as_deref().filter(|name| uploaded.has(name));
             let program = chosen.or(steps::uncorrected(files).first().copied()).ok_or_else(early)?;
             let in_upload = |name: &str| Path::new(UPLOADED).join(name);
@@ -301,7 +301,9 @@ impl Workbench for Supervisor {
         let directory = files.directory.join(UPLOADED);
         dbbd_job::files::directory(&directory)?;
         // A program is uploaded as a whole: what is left of another one would be corrected with it.
-        for name in files.uploaded.iter().flat_map(|earlier| &earlier.files).filter(|name| is_program(name)) {
+        for name in
+            files.programs.uploaded.iter().flat_map(|earlier| &earlier.files).filter(|name| is_program(name))
+        {
             let _ = std::fs::remove_file(directory.join(name));
         }
         for file in &upload.files {

@@ -358,7 +358,7 @@ fn micrometres(mm: &Value) -> Option<f64> {
 
 fn correct(files: &WorkFiles) -> Drafted {
     let result = result_directory(files);
-    let next = uncorrected(files).first().copied().or(programs_in(files.uploaded.as_ref()).next());
+    let next = uncorrected(files).first().copied().or(programs_in(files.programs.uploaded.as_ref()).next());
     let program = next.unwrap_or("PROGRAM.src");
     let command = format!(
         "dbbd compensate {UPLOADED}/{program} --robot {result}/robot-identified.toml --out {CORRECTED}"
@@ -367,8 +367,8 @@ fn correct(files: &WorkFiles) -> Drafted {
         return Drafted::todo("correct.no_result").command(command);
     }
     let left = uncorrected(files);
-    let all = programs_in(files.uploaded.as_ref()).count();
-    let drafted = match &files.corrected {
+    let all = programs_in(files.programs.uploaded.as_ref()).count();
+    let drafted = match &files.programs.corrected {
         _ if all == 0 => Drafted::ready("correct.none").acting(StepAction::Upload, "act.upload"),
         Some(made) if left.is_empty() => {
             let values = json!({ "files": made.files.len(), "directory": made.name });
@@ -381,7 +381,7 @@ fn correct(files: &WorkFiles) -> Drafted {
             ready.acting(StepAction::Compute, "act.correct")
         }
     };
-    drafted.command(command).made(files.corrected.as_ref())
+    drafted.command(command).made(files.programs.corrected.as_ref())
 }
 
 /// The programs among uploaded files; the others belong to them.
@@ -394,9 +394,9 @@ fn programs_in(uploaded: Option<&FoundDirectory>) -> impl Iterator<Item = &str> 
 /// The uploaded programs that were not corrected with the result yet.
 pub(super) fn uncorrected(files: &WorkFiles) -> Vec<&str> {
     let result_ms = files.result.as_ref().map_or(0, |result| result.directory.changed_ms);
-    let uploaded = files.uploaded.as_ref();
+    let uploaded = files.programs.uploaded.as_ref();
     let is_corrected = |name: &str| {
-        let written_ms = files.corrected.as_ref().and_then(|corrected| corrected.written_ms(name));
+        let written_ms = files.programs.corrected.as_ref().and_then(|corrected| corrected.written_ms(name));
         let uploaded_ms = uploaded.and_then(|uploaded| uploaded.written_ms(name)).unwrap_or(0);
         written_ms.is_some_and(|written_ms| written_ms >= uploaded_ms.max(result_ms))
     };
@@ -650,15 +650,15 @@ mod tests {
         };
         let mut files = WorkFiles { result: identified(30), ..job() };
         assert_eq!(seen(&files, &[], None)[6].text, "correct.none");
-        files.uploaded = of([("a.src", 40), ("b.SRC", 40)]);
+        files.programs.uploaded = of([("a.src", 40), ("b.SRC", 40)]);
         assert_eq!(uncorrected(&files), ["a.src", "b.SRC"]);
         // The one was corrected before it was uploaded again, or before the robot was identified again.
-        files.corrected = of([("a.src", 50), ("b.SRC", 39)]);
+        files.programs.corrected = of([("a.src", 50), ("b.SRC", 39)]);
         assert_eq!(uncorrected(&files), ["b.SRC"]);
         let step = &seen(&files, &[], None)[6];
         assert_eq!((step.state, step.values["left"].as_u64()), (StepState::Ready, Some(1)));
         assert!(step.command.starts_with("dbbd compensate uploaded/b.SRC "));
-        files.corrected = of([("a.src", 50), ("b.SRC", 51)]);
+        files.programs.corrected = of([("a.src", 50), ("b.SRC", 51)]);
         assert_eq!(seen(&files, &[], None)[6].state, StepState::Done);
         files.result = identified(60);
         assert_eq!(uncorrected(&files), ["a.src", "b.SRC"]);

@@ -44,7 +44,7 @@ pub struct PatchedJoint {
 /// Puts the identified geometry of `robot` into a URDF; `names` are its six joints, in order, where the file has more.
 pub fn patch(file: &str, text: &str, robot: &Robot, names: &[String]) -> Result<PatchedUrdf, Diagnostic> {
     let document = urdf::parse(file, text)?;
-    let joints = UrdfReader { file, text, document: &document }.six(names)?;
+    let joints = UrdfReader::new(file, text, &document).six(names)?;
     let nominal = frames(&robot.controller().geometry);
     let signs = robot.geometry.rows.map(|row| row.sign);
     let links = Placement { nominal: &nominal, signs, joints: &joints };

@@ -12,8 +12,8 @@ use crate::request::RequestSession;
 
 /// A capture, and its latest pose matching.
 pub(super) struct MatchedRun {
-    pub(super) run: Box<RecordedRun>,
-    pub(super) matching: PoseMatching,
+    pub run: Box<RecordedRun>,
+    pub matching: PoseMatching,
 }
 
 impl MatchedRun {

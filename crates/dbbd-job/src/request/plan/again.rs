@@ -6,7 +6,6 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::PlannedPoses;
 use crate::files;
 use crate::plan::{PlanFinding, PoseKind};
 use crate::recording::run;
@@ -76,19 +75,8 @@ struct RunPose {
     pose: GivenPose,
 }
 
-/// The poses that are planned again; `None` for those of the job.
-pub(super) fn given_poses(
-    poses: &PlannedPoses,
-    session: &RequestSession<'_>,
-) -> Result<Option<Vec<GivenPose>>, Diagnostic> {
-    match poses {
-        PlannedPoses::Job | PlannedPoses::Stage { .. } | PlannedPoses::Check(_) => Ok(None),
-        PlannedPoses::Remaining { runs } => remaining(runs.iter().map(AsRef::as_ref), session).map(Some),
-        PlannedPoses::Repeat { run, rows } => repeated(run, rows, session).map(Some),
-    }
-}
-
-fn remaining<'a>(
+/// The poses of the plans of these captures that have no length in any of them.
+pub(super) fn remaining<'a>(
     runs: impl Iterator<Item = &'a Path>,
     session: &RequestSession<'_>,
 ) -> Result<Vec<GivenPose>, Diagnostic> {
@@ -123,7 +111,8 @@ fn of_capture(path: &Path, session: &RequestSession<'_>) -> Result<(Vec<RunPose>
     Ok((poses().collect(), with_length))
 }
 
-fn repeated(
+/// The poses of a capture, a table or a result that are measured again.
+pub(super) fn repeated(
     path: &Path,
     rows: &PoseRows,
     session: &RequestSession<'_>,

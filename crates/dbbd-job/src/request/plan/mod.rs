@@ -213,7 +213,13 @@ impl PlanRequest {
             | PlannedPoses::Remaining { .. }
             | PlannedPoses::Repeat { .. } => None,
         };
-        let given = again::given_poses(&self.poses, session)?;
+        let given = match &self.poses {
+            PlannedPoses::Job | PlannedPoses::Stage { .. } | PlannedPoses::Check(_) => None,
+            PlannedPoses::Remaining { runs } => {
+                Some(again::remaining(runs.iter().map(AsRef::as_ref), session)?)
+            }
+            PlannedPoses::Repeat { run, rows } => Some(again::repeated(run, rows, session)?),
+        };
         let measured = match check {
             Some(_) => EarlierMeasurements::default(),
             None => EarlierMeasurements::find(self, file, &source, session)?,
