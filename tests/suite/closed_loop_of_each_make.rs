@@ -272,7 +272,7 @@ fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
     let (text, wanted) = production(arm, &nominal, 100);
     write(production_file, text.clone());
     let args = format!(
-        "compensate {production_file} --robot result/robot-identified.toml --limit 50 --out new --quiet"
+        "compensate {production_file} --robot result/robot-identified.toml --limit 50 --out new --replace --quiet"
     );
     step(at, &args);
     let corrected = lines(&format!("new/{production_file}"));

@@ -67,8 +67,7 @@ fn stops(dir: &Path, program: &str, robot: &Robot) -> Vec<Vector3<f64>> {
     }
 }
 
-/// Mean 3-D error of the production program before and after, mm, and whether there are doubts about the result.
-fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ([f64; 2], bool) {
+fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ClosedLoop {
     for left in ["run.dbbd", "link"] {
         let _ = fs::remove_file(dir.join(left));
     }
@@ -83,23 +82,41 @@ fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ([f64; 2], bool) {
                     --folds 0 --out result --quiet";
     let doubt =
         step(dir, &identify.split(' ').filter(|word| !word.is_empty()).collect::<Vec<_>>()) == Some(3);
-    let compensate = "compensate P.src --robot result/robot-identified.toml --limit 50 --out new --quiet";
-    step(dir, &compensate.split(' ').collect::<Vec<_>>());
+    let compensate =
+        "compensate P.src --robot result/robot-identified.toml --limit 50 --out new --replace --json";
+    let output = dbbd(dir, &compensate.split(' ').collect::<Vec<_>>());
+    let corrected: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let predicted = ["before", "after"]
+        .map(|when| corrected["predicted_position_uncertainty_mm"][when]["mean"].as_f64().unwrap());
     let program = fs::read_to_string(dir.join("P.src")).unwrap();
     let wanted: Vec<_> = taught(&program).into_iter().map(|(ball, _)| ball.position).collect();
     let errors = [".", "new"].map(|program| {
         let off = aligned_distances(&stops(dir, program, robot), &wanted);
         off.iter().sum::<f64>() / off.len() as f64
     });
-    (errors, doubt)
+    ClosedLoop { errors, predicted, doubt }
+}
+
+/// A production program before and after its correction.
+struct ClosedLoop {
+    /// Mean 3-D error, mm.
+    errors: [f64; 2],
+    /// What `compensate` expects of it.
+    predicted: [f64; 2],
+    /// Whether there are doubts about the result.
+    doubt: bool,
 }
 
 #[test]
 fn one_robot_is_more_accurate_after_correction() {
     let dir = tempdir().unwrap();
     prepare(dir.path(), RADIUS, 1, 40, true);
-    let ([before, after], _) = loop_closed(dir.path(), &truth::draw_true_robot(&kr60(), 1, 1.0), 1);
+    let ClosedLoop { errors: [before, after], predicted, .. } =
+        loop_closed(dir.path(), &truth::draw_true_robot(&kr60(), 1, 1.0), 1);
     assert!(before > 0.3 && after < before / 8.0, "{before} {after}");
+    // Of one robot: before is known from the correction, after within the scatter of an error.
+    assert!((predicted[0] / before - 1.0).abs() < 0.15, "{predicted:?} {before}");
+    assert!((0.5..2.5).contains(&(predicted[1] / after)), "{predicted:?} {after}");
 }
 
 /// `cargo test --release --test suite through_the_programs -- --ignored --nocapture`: docs/evidence/README.md.
@@ -115,7 +132,8 @@ fn twenty_robots_through_the_programs() {
             let mut all: Vec<([f64; 2], bool)> = (1..=20)
                 .map(|seed| {
                     let drawn = truth::draw_true_robot(&kr60(), seed, 1.0);
-                    loop_closed(dir.path(), &if sag { sagging(drawn) } else { drawn }, seed)
+                    let found = loop_closed(dir.path(), &if sag { sagging(drawn) } else { drawn }, seed);
+                    (found.errors, found.doubt)
                 })
                 .collect();
             all.sort_by(|([a, b], _), ([c, d], _)| (a / b).total_cmp(&(c / d)));

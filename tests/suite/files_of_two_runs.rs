@@ -36,7 +36,8 @@ fn modules_of_two_plans() {
             ],
         )
     };
-    assert_eq!(correct().status.code(), Some(0), "{}", stderr(&correct()));
+    // The lengths are those of the nominal robot: there is nothing to correct.
+    says(&correct(), 3, "W0918");
     fs::copy(at.join("krl2/DBB_C001.dat"), at.join("krl/DBB_C001.dat")).unwrap();
     says(&correct(), 1, "E0806");
 }

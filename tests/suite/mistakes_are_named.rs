@@ -6,7 +6,7 @@ use std::process::Output;
 
 use dbbd_job::recording::run::read_plan;
 use dbbd_job::sim::truth;
-use dbbd_model::robot::Robot;
+use dbbd_model::robot::{ControllerModel, Robot};
 use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, measure, stderr, three_planes, with_errors};
@@ -241,7 +241,8 @@ fn corrected(
     cases: &[(&str, &str, i32, &str)],
     more: &[&str],
 ) {
-    let nominal = Robot::by_name(robot).unwrap().unwrap();
+    let built_in = Robot::by_name(robot).unwrap().unwrap();
+    let nominal = Robot { controller_model: ControllerModel::Nominal, ..built_in };
     let robot =
         Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw_true_robot(&nominal, 1, 0.3) };
     fs::write(at.join("id.toml"), robot.to_toml().unwrap()).unwrap();

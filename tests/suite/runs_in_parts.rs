@@ -157,14 +157,32 @@ fn the_simulated_bar_speaks_the_protocol_of_the_plan() {
     fs::write(at.join("job.toml"), JOB.replace("length_u_mm", "protocol = \"dbb-csv-1\"\nlength_u_mm"))
         .unwrap();
     done(at, &["plan", "job.toml", "--out", "plan"]);
-    for (seed, out) in [("1", "a"), ("1", "b"), ("2", "c")] {
-        let sim = ["acquire", "--port", "sim", "--gone", "1", "--seed", seed];
-        done(at, &[&sim[..], &["--plan", "plan/plan.csv", "--out", out]].concat());
+    done(at, &["acquire", "--port", "sim", "--gone", "1", "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    let info = dbbd(at, &["info", "run.dbbd", "--json"]);
+    let found: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
+    assert!(found.to_string().contains("dbb-csv-1"), "{found}");
+    done(at, &["sync", "run.dbbd", "--out", "obs.csv"]);
+    let table = fs::read_to_string(at.join("obs.csv")).unwrap();
+    assert!(table.lines().count() > 40, "{table}");
+}
+
+/// The noise of the bar is drawn from the seed. The clock of the host is not, so that the text of a table differs.
+#[test]
+fn the_seed_decides_what_the_simulated_bar_reads() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    fs::write(at.join("job.toml"), JOB).unwrap();
+    done(at, &["plan", "job.toml", "--out", "plan"]);
+    let lengths = [("1", "a"), ("1", "b"), ("2", "c")].map(|(seed, out)| {
+        let sim = ["acquire", "--port", "sim", "--seed", seed, "--plan", "plan/plan.csv", "--out", out];
+        done(at, &sim);
         done(at, &["sync", out, "--out", &format!("{out}.csv")]);
-    }
-    let table = |name: &str| fs::read_to_string(at.join(name)).unwrap();
-    assert_eq!(table("a.csv"), table("b.csv"));
-    assert_ne!(table("a.csv"), table("c.csv"));
+        let table = fs::read_to_string(at.join(format!("{out}.csv"))).unwrap();
+        let measurements = Measurements::from_csv(out, &table).unwrap();
+        measurements.rows.iter().map(|row| row.length_mm).collect::<Vec<f64>>()
+    });
+    assert!(lengths[0].len() >= 40 && lengths[0] == lengths[1]);
+    assert_ne!(lengths[0], lengths[2]);
     let output = dbbd(at, &["acquire", "--port", "tcp://127.0.0.1:1", "--seed", "1", "--out", "d"]);
     assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1601".to_owned()]));
 }

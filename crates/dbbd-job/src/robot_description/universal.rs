@@ -3,7 +3,7 @@
 
 use std::io::{self, Read};
 use std::net::TcpStream;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
 use dbbd_model::robot::{AXES, ControllerModel, JointAxis, Pose, Robot};
@@ -20,6 +20,8 @@ const COORDINATES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
 const PRIMARY_PORT: u16 = 30001;
 /// A controller sends its kinematics when a client connects.
 const WAIT_S: u64 = 5;
+/// Messages in this time: there are at least ten a second.
+const MAX_MESSAGES: usize = 500;
 /// A message of the primary interface with the state of the robot, and its part with the kinematics.
 const ROBOT_STATE: u8 = 16;
 const KINEMATICS: u8 = 5;
@@ -34,7 +36,7 @@ pub enum FactoryTable {
     /// The same, whole.
     Whole(StandardTable),
     /// The place of each segment in the one before, where its joint is at zero.
-    Segments([Pose; AXES]),
+    Segments(Box<[Pose; AXES]>),
 }
 
 /// The columns of a table in standard DH, base to flange; mm and rad.
@@ -112,7 +114,7 @@ impl FactoryTable {
                 position: Vector3::new(x, y, z) * 1e3,
             };
         }
-        Ok(Self::Segments(segments))
+        Ok(Self::Segments(Box::new(segments)))
     }
 
     /// What the controller at `host` (with a port, or without) sends.
@@ -124,13 +126,14 @@ impl FactoryTable {
         };
         let mut stream = TcpStream::connect(&address).map_err(unreachable)?;
         stream.set_read_timeout(Some(Duration::from_secs(WAIT_S))).map_err(unreachable)?;
-        let begun = Instant::now();
         let none = || DescriptionFinding::NoKinematics { address: address.clone(), wait_s: WAIT_S };
-        while begun.elapsed() < Duration::from_secs(WAIT_S) {
-            let message = message(&mut stream).map_err(|error| match error.kind() {
-                io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::UnexpectedEof => none(),
-                _ => unreachable(error),
-            })?;
+        let is_silent = |error: &io::Error| {
+            use io::ErrorKind::{TimedOut, UnexpectedEof, WouldBlock};
+            matches!(error.kind(), WouldBlock | TimedOut | UnexpectedEof)
+        };
+        for _ in 0..MAX_MESSAGES {
+            let message = message(&mut stream)
+                .map_err(|error| if is_silent(&error) { none() } else { unreachable(error) })?;
             if let Some(table) = kinematics(&message) {
                 return Ok(Self::Whole(table));
             }
