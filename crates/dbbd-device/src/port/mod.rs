@@ -94,7 +94,7 @@ impl Port {
         Ok(count)
     }
 
-    /// Reads until `answer` was received, the time is up or [`MAX_ANSWER_BYTES`] came without it, and returns all bytes.
+    /// Reads until `answer` was received, the time is up or `MAX_ANSWER_BYTES` came without it, and returns all bytes.
     /// What the device sends then stays in the line.
     pub fn listen(&mut self, timeout: Duration, answer: &[u8]) -> Result<Vec<u8>, PortFinding> {
         let mut came: Vec<u8> = Vec::new();
