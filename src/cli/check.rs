@@ -56,7 +56,7 @@ pub(crate) struct CheckArgs {
     /// in the calibration [default: 0.01].
     #[arg(long, value_name = "MM", value_parser = value::positive)]
     ball_repeat: Option<f64>,
-    /// Standard uncertainty (k = 1) of the bar's length, mm [default: half of length_u_mm in a capture's job, else 0.5].
+    /// Standard uncertainty (k = 1) of the bar's length, mm [default: half of length_u_mm in a capture's job, else 0.07].
     #[arg(long, value_name = "MM", value_parser = value::bar_u)]
     bar_u: Option<f64>,
     /// Poses, CSV a1_deg..a6_deg, over which the position error is taken [default: 2000 within the axis limits].

@@ -74,7 +74,9 @@ pub struct CompensateDocument {
 
 impl CompensateDocument {
     pub fn mean_shift_mm(&self) -> f64 {
-        self.points.iter().map(|point| point.shift_mm).sum::<f64>() / self.points.len().max(1) as f64
+        // The sum of no numbers is -0.
+        let sum = self.points.iter().map(|point| point.shift_mm).fold(0.0, |sum, shift| sum + shift);
+        sum / self.points.len().max(1) as f64
     }
 
     pub fn largest_shift_mm(&self) -> f64 {
