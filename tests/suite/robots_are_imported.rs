@@ -60,6 +60,13 @@ fn a_urdf_becomes_a_robot_with_the_same_flange() {
     fs::write(at.join("wall.urdf"), urdf().replace("rpy='0 0 3.141592653589793'", "rpy='0.5 0.2 0'"))
         .unwrap();
     says(&dbbd(at, &["robots", "import", "wall.urdf", "--out", "wall.toml"]), 3, "W0593");
+    // A seventh joint: an arm of seven, or a gripper.
+    let seventh = "<link name='l7'/><joint name='j7' type='revolute'><parent link='tool0'/><child link='l7'/>\
+                   <axis xyz='0 0 1'/></joint></robot>";
+    fs::write(at.join("more.urdf"), urdf().replace("</robot>", seventh)).unwrap();
+    says(&dbbd(at, &["robots", "import", "more.urdf", "--out", "no.toml"]), 1, "E1720");
+    let named = ["robots", "import", "more.urdf", "--joints", "j1,j2,j3,j4,j5,j6", "--out", "arm.toml"];
+    assert_eq!(dbbd(at, &named).status.code(), Some(0));
     for (from, to) in
         [("revolute", "prismatic"), ("<robot", "<model"), ("velocity='2.09'", "velocity='fast'")]
     {

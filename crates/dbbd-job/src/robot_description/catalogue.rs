@@ -11,6 +11,7 @@ findings! {
         asks: [UrdfJoints] {
             NotXml { why: String } => "{why}";
             NoSixJoints { chains: usize, joints: String } => "{chains} chains of six movable joints; exactly one is needed", help: "movable joints: {joints}";
+            MoreJoints { sixth: String, joints: String } => "behind `{sixth}`, the sixth joint, others move: {joints}", help: "name the six joints of the arm if these are of a gripper; an arm with seven joints is not modelled";
             NoUrdf { root: String } => "its root is <{root}>, and that of a URDF is <robot>";
             NoSuchJoint { joint: String, joints: String } => "there is no movable joint `{joint}`", help: "movable joints: {joints}";
             OtherOrder { named: String } => "the joints {named} are not a chain in this order", help: "name them from the base to the flange";

@@ -8,7 +8,8 @@ use roxmltree::{Document, Node};
 
 use super::arm_lines::{ArmLines, ImportedRobot};
 use super::catalogue::DescriptionFinding::{
-    self, NoSixJoints, NoSuchJoint, NoUrdf, NotNumbers, NotXml, OtherCount, OtherJoint, OtherOrder,
+    self, MoreJoints, NoSixJoints, NoSuchJoint, NoUrdf, NotNumbers, NotXml, OtherCount, OtherJoint,
+    OtherOrder,
 };
 
 /// Links at which makers end an arm, the best first.
@@ -23,6 +24,9 @@ pub(super) fn import(file: &str, text: &str, names: &[String]) -> Result<Importe
     let document = parse(file, text)?;
     let reader = UrdfReader::new(file, text, &document);
     let joints = reader.six(names)?;
+    if names.is_empty() {
+        reader.check_ends(&joints)?;
+    }
     let mut frame = Pose::identity();
     let mut axes = Vec::with_capacity(AXES);
     for joint in &joints {
@@ -201,6 +205,17 @@ fn movable(joint: Node<'_, '_>) -> bool {
 }
 
 impl UrdfReader<'_> {
+    /// Refuses an arm that goes on: the first six joints of an arm with seven are another robot. A gripper goes on too, and its
+    /// joints cannot be told from those of an arm.
+    fn check_ends(&self, joints: &[UrdfJoint<'_>]) -> Result<(), Diagnostic> {
+        let Some(sixth) = joints.last().map(|joint| joint.node) else { return Ok(()) };
+        let is_behind = |joint: &Node<'_, '_>| *joint != sixth && self.path(*joint).contains(&sixth);
+        let behind: Vec<&str> =
+            self.joints().filter(|joint| movable(*joint)).filter(is_behind).map(name).collect();
+        let finding = || MoreJoints { sixth: name(sixth).into(), joints: behind.join(", ") };
+        if behind.is_empty() { Ok(()) } else { Err(self.refused(sixth, finding())) }
+    }
+
     /// The end of the arm in the frame of the last joint: the best known link that is fixed to it, else the link of the joint.
     fn end(&self, joints: &[UrdfJoint<'_>]) -> Result<Pose, Diagnostic> {
         let Some(last) = joints.last().and_then(|joint| link(joint.node, "child")) else {
