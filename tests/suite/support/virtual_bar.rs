@@ -77,7 +77,7 @@ pub(crate) fn acquire_until(directory: &Path, port: &str, done: impl Fn(&Capture
 
 fn exported(directory: &Path, output: Output) -> Run {
     let exported = dbbd(&["export", "run", "--out", "csv"]).current_dir(directory).output().unwrap();
-    assert_eq!(exported.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(exported.status.code(), Some(0), "{}{}", stderr(&output), stderr(&exported));
     let table = |name: &str| -> Vec<BTreeMap<String, String>> {
         let mut rows = csv::Reader::from_path(directory.join("csv").join(name)).unwrap();
         rows.deserialize().map(Result::unwrap).collect()
