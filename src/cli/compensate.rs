@@ -6,7 +6,7 @@ use super::{CommandOutput, value};
 use dbbd_job::program::Moved;
 use dbbd_job::request::Request;
 use dbbd_job::request::compensate::{CompensateDocument, CompensateRequest, DEFAULT_LIMIT_MM};
-use dbbd_model::estimation::ProgramErrors;
+use dbbd_model::estimation::ProgramUncertainty;
 
 /// Correct the points of a program for an identified robot.
 ///
@@ -83,10 +83,10 @@ pub(super) fn show(out: &CommandOutput, document: &CompensateDocument, directory
         points.len(),
         directory.display()
     ));
-    if let Some(ProgramErrors { before, after }) = document.predicted {
+    if let Some(ProgramUncertainty { before, after }) = document.predicted {
         out.result(format!(
-            "expected error of the program's tool at its points: {:.3} mm before (largest {:.3}), {:.3} mm after (largest {:.3})",
-            before.mean, before.max, after.mean, after.max
+            "predicted position uncertainty of the program's tool at its points: mean {:.3} mm before, {:.3} after; largest {:.3} mm before, {:.3} after",
+            before.mean, after.mean, before.max, after.max
         ));
     }
     out.progress("corrected in the robot's own frame; run it first in T1, slowly");

@@ -110,7 +110,7 @@ findings! {
             BodyNotJson => "the body must be JSON", help: "Content-Type: application/json";
             BodySyntax { why: String } => "{why}";
             BodyTooSlow => "the body took too long";
-            BodyTooLong { most_bytes: usize } => "a body has at most {most_bytes} bytes";
+            BodyTooLong { max_bytes: usize } => "a body has at most {max_bytes} bytes";
         }
         E1520 "the bar cannot be set to zero",
         cause: "Its protocol has no command for it, or the bar is not being read.",

@@ -141,17 +141,17 @@ impl<T: DeserializeOwned, S: Sync> FromRequest<S> for LongBody<T> {
     }
 }
 
-async fn read_body<T: DeserializeOwned>(request: Request, most_bytes: usize) -> Result<T, Problem> {
+async fn read_body<T: DeserializeOwned>(request: Request, max_bytes: usize) -> Result<T, Problem> {
     let kind = request.headers().get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
     let kind = kind.split(';').next().unwrap_or("").trim();
     if !kind.eq_ignore_ascii_case("application/json") {
         let status = StatusCode::UNSUPPORTED_MEDIA_TYPE;
         return Err(Problem::new(status, BodyNotJson));
     }
-    let bytes = tokio::time::timeout(BODY_TIME, to_bytes(request.into_body(), most_bytes))
+    let bytes = tokio::time::timeout(BODY_TIME, to_bytes(request.into_body(), max_bytes))
         .await
         .map_err(|_| Problem::new(StatusCode::REQUEST_TIMEOUT, BodyTooSlow))?
-        .map_err(|_| Problem::new(StatusCode::PAYLOAD_TOO_LARGE, BodyTooLong { most_bytes }))?;
+        .map_err(|_| Problem::new(StatusCode::PAYLOAD_TOO_LARGE, BodyTooLong { max_bytes }))?;
     serde_json::from_slice(&bytes).map_err(|error| {
         // Valid JSON with the wrong content has a status of its own.
         let why = error.to_string();

@@ -10,20 +10,18 @@ whether the capture lost anything. Ends with an error when it did.
 import asyncio
 import json
 import pathlib
-import shutil
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
+
+from cell import served
 
 DBBD = pathlib.Path(sys.argv[1]).resolve()
 SECONDS = float(sys.argv[2]) if len(sys.argv) > 2 else 60.0
 CLIENTS = int(sys.argv[3]) if len(sys.argv) > 3 else 100
 DEAF = int(sys.argv[4]) if len(sys.argv) > 4 else 20
 PORT = 8232
-JOB = pathlib.Path(__file__).parents[2] / "examples" / "demo.toml"
-WORLD = "[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nrate_hz = 1000.0\n"
 
 
 def memory_kb(pid):
@@ -113,22 +111,5 @@ async def main(cell, service):
     assert info["missing"] == 0 and info["lost"] == 0 and info["gaps"] == 0 and not info["faults"]
 
 
-with tempfile.TemporaryDirectory() as folder:
-    cell = pathlib.Path(folder)
-    shutil.copy(JOB, cell / "job.toml")
-    (cell / "world.toml").write_text(WORLD)
-    (cell / "dbbd.toml").write_text(f'address = "127.0.0.1:{PORT}"\n[device]\nport = "bar"\n')
-    for step in (["plan", "job.toml", "--out", "plan"], ["krl", "plan/plan.csv", "--out", "krl"]):
-        subprocess.run([DBBD, "--quiet", *step], cwd=cell, check=True, stdout=subprocess.DEVNULL)
-    robot = subprocess.Popen(
-        [DBBD, "simulate", "--program", "krl/DBB_MAIN.src", "--link", "bar", "--world", "world.toml"],
-        cwd=cell, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    service = subprocess.Popen([DBBD, "serve", "--config", "dbbd.toml"], cwd=cell, stderr=subprocess.DEVNULL)
-    try:
-        time.sleep(1.5)
-        asyncio.run(main(cell, service))
-    finally:
-        robot.kill()
-        service.terminate()
-        service.wait()
-        robot.wait()
+with served(DBBD, PORT) as (cell, service):
+    asyncio.run(main(cell, service))

@@ -17,21 +17,10 @@ import subprocess
 import sys
 import urllib.request
 
-try:
-    import axe_playwright_python
-    from playwright.sync_api import expect, sync_playwright
-except ImportError as missing:
-    print(f"SKIPPED: {missing}")
-    sys.exit(77)
-
-CHROMIUM = shutil.which("chromium")
-if CHROMIUM is None:
-    print("SKIPPED: there is no chromium")
-    sys.exit(77)
+from browser import AXE, CHROMIUM, expect, serve, sync_playwright
 
 DBBD, OUT = pathlib.Path(sys.argv[1]).resolve(), pathlib.Path(sys.argv[2]).resolve()
 ROOT = pathlib.Path(__file__).parents[2]
-AXE = next(pathlib.Path(axe_playwright_python.__file__).parent.glob("**/axe.min.js")).read_text()
 TEXTS = {file.stem: json.loads(file.read_text()) for file in (ROOT / "src/live/page/texts").glob("*.json")}
 # Every view that axe looked at, and what the console, the pages and axe complained about.
 looked, said = [], []
@@ -54,14 +43,6 @@ def simulate(cell, *more):
     # Every run needs a cell of its own: the program ends with it.
     args = [DBBD, "simulate", "--program", "krl/DBB_MAIN.src", "--link", "bar", "--quiet", *more]
     return subprocess.Popen(args, cwd=cell, stdout=subprocess.DEVNULL)
-
-
-def serve(cell):
-    child = subprocess.Popen([DBBD, "serve", "--config", "dbbd.toml"], cwd=cell, stderr=subprocess.PIPE, text=True)
-    for line in child.stderr:
-        if "event=listening" in line:
-            return child, re.search(r"http://[0-9.:]+/", line)[0]
-    raise SystemExit("the service does not listen")
 
 
 class Story:
@@ -232,7 +213,7 @@ def main():
     cell = OUT / "cell"
     prepare(cell)
     stories = [story for story in STORIES if len(sys.argv) < 4 or story[1] in sys.argv[3:]]
-    service, url = serve(cell)
+    service, url = serve(DBBD, cell)
     try:
         with sync_playwright() as playwright:
             # The policy of the page forbids scripts of others; axe is evaluated from outside.

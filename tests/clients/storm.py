@@ -14,20 +14,18 @@ import json
 import multiprocessing
 import pathlib
 import resource
-import shutil
 import socket
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
+
+from cell import served
 
 DBBD = pathlib.Path(sys.argv[1]).resolve()
 SECONDS = float(sys.argv[2]) if len(sys.argv) > 2 else 30.0
 PORT = 8233
 TOKEN = "0123456789abcdef-storm"
-JOB = pathlib.Path(__file__).parents[2] / "examples" / "demo.toml"
-WORLD = "[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nrate_hz = 1000.0\n"
 OPERATOR = "127.0.0.9"
 # Of a hundred requests: how many are answered within how many seconds.
 LIMITS = {"open connection": (99, 1.0), "new connection": (95, 2.0), "from the storm's address": (50, 3.0)}
@@ -45,8 +43,8 @@ SENT = [
 
 
 def storm(addresses, end, opened):
-    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    allowed = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, allowed))
     held, begun, number = collections.deque(), collections.deque(), 0
     while time.time() < end:
         one = socket.socket()
@@ -210,25 +208,5 @@ def main(cell, service):
 
 
 if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as folder:
-        cell = pathlib.Path(folder)
-        shutil.copy(JOB, cell / "job.toml")
-        (cell / "world.toml").write_text(WORLD)
-        (cell / "token").write_text(TOKEN)
-        (cell / "token").chmod(0o600)
-        (cell / "dbbd.toml").write_text(
-            f'address = "127.0.0.1:{PORT}"\ntoken_file = "token"\n[device]\nport = "bar"\n')
-        for step in (["plan", "job.toml", "--out", "plan"], ["krl", "plan/plan.csv", "--out", "krl"]):
-            subprocess.run([DBBD, "--quiet", *step], cwd=cell, check=True, stdout=subprocess.DEVNULL)
-        robot = subprocess.Popen(
-            [DBBD, "simulate", "--program", "krl/DBB_MAIN.src", "--link", "bar", "--world", "world.toml"],
-            cwd=cell, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        service = subprocess.Popen([DBBD, "serve", "--config", "dbbd.toml"], cwd=cell, stderr=subprocess.DEVNULL)
-        try:
-            time.sleep(1.5)
-            main(cell, service)
-        finally:
-            robot.kill()
-            service.terminate()
-            service.wait()
-            robot.wait()
+    with served(DBBD, PORT, TOKEN) as (cell, service):
+        main(cell, service)

@@ -16,34 +16,18 @@ import shutil
 import subprocess
 import sys
 
-try:
-    import axe_playwright_python
-    from playwright.sync_api import expect, sync_playwright
-except ImportError as missing:
-    print(f"SKIPPED: {missing}")
-    sys.exit(77)
-
-CHROMIUM = shutil.which("chromium")
-if CHROMIUM is None:
-    print("SKIPPED: there is no chromium")
-    sys.exit(77)
+from browser import AXE, CHROMIUM, expect, serve, sync_playwright
 
 DBBD, OUT = pathlib.Path(sys.argv[1]).resolve(), pathlib.Path(sys.argv[2]).resolve()
-AXE = next(pathlib.Path(axe_playwright_python.__file__).parent.glob("**/axe.min.js")).read_text()
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 TOKEN = "a-token-for-the-workbench"
 said = []
 
 
-def serve(cell):
+def configure(cell):
     (cell / "token").write_text(TOKEN)
     (cell / "token").chmod(0o600)
     (cell / "dbbd.toml").write_text('address = "127.0.0.1:0"\ntoken_file = "token"\n')
-    child = subprocess.Popen([DBBD, "serve", "--config", "dbbd.toml"], cwd=cell, stderr=subprocess.PIPE, text=True)
-    for line in child.stderr:
-        if "event=listening" in line:
-            return child, re.search(r"http://[0-9.:]+/", line)[0]
-    raise SystemExit("the service does not listen")
 
 
 class Story:
@@ -207,7 +191,8 @@ def main():
     cell = OUT / "cell"
     shutil.rmtree(cell, ignore_errors=True)
     cell.mkdir()
-    service, url = serve(cell)
+    configure(cell)
+    service, url = serve(DBBD, cell)
     try:
         with sync_playwright() as playwright:
             graphics = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

@@ -80,7 +80,7 @@ fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ClosedLoop {
     step(dir, &["sync", "run.dbbd", "--out", "obs.csv", "--quiet"]);
     let identify = "identify obs.csv --robot kr60ha --centres plan/centres.csv --sigma 0.02 --hold bar --prior datasheet \
                     --folds 0 --out result --quiet";
-    let doubt =
+    let has_warnings =
         step(dir, &identify.split(' ').filter(|word| !word.is_empty()).collect::<Vec<_>>()) == Some(3);
     let compensate =
         "compensate P.src --robot result/robot-identified.toml --limit 50 --out new --replace --json";
@@ -94,7 +94,7 @@ fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ClosedLoop {
         let off = aligned_distances(&stops(dir, program, robot), &wanted);
         off.iter().sum::<f64>() / off.len() as f64
     });
-    ClosedLoop { errors, predicted, doubt }
+    ClosedLoop { errors, predicted, has_warnings }
 }
 
 /// A production program before and after its correction.
@@ -103,8 +103,8 @@ struct ClosedLoop {
     errors: [f64; 2],
     /// What `compensate` expects of it.
     predicted: [f64; 2],
-    /// Whether there are doubts about the result.
-    doubt: bool,
+    /// Whether the result has warnings.
+    has_warnings: bool,
 }
 
 #[test]
@@ -133,7 +133,7 @@ fn twenty_robots_through_the_programs() {
                 .map(|seed| {
                     let drawn = truth::draw_true_robot(&kr60(), seed, 1.0);
                     let found = loop_closed(dir.path(), &if sag { sagging(drawn) } else { drawn }, seed);
-                    (found.errors, found.doubt)
+                    (found.errors, found.has_warnings)
                 })
                 .collect();
             all.sort_by(|([a, b], _), ([c, d], _)| (a / b).total_cmp(&(c / d)));

@@ -23,7 +23,8 @@ use dbbd_job::request::circle::{CircleRequest, DEFAULT_DRAWS};
 use dbbd_job::request::identify::{IdentifyRequest, RequestedPrior};
 use dbbd_job::request::{AnswerOutcome, AnswerResult, Request, RequestChild, RequestResult, read_answer};
 use dbbd_model::base::units::HostNs;
-use dbbd_model::diagnostic::{Diagnostic, FindingRecord, Severity};
+use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
+use serde::Deserialize;
 use serde_json::Value;
 
 /// Cause and cure of a code.
@@ -76,8 +77,10 @@ struct JobTask {
 
 /// What a job computes.
 pub(super) enum JobWork {
-    /// A command without a request, by its arguments.
+    /// A command without a request, by its arguments; its output is the log.
     Command(Vec<String>),
+    /// The same with a JSON document as its output, which has the findings.
+    Document(Vec<String>),
     Request(Box<Request>),
 }
 
@@ -227,21 +230,12 @@ fn explained(explain: Explain, finding: FindingRecord) -> ExplainedFinding {
     ExplainedFinding { finding, cause, cure }
 }
 
-/// The findings in the output of a command, as `error[E0123]: ..`.
-fn printed_finding(line: &str) -> Option<FindingRecord> {
-    let (label, rest) = line.split_once('[')?;
-    let severity = [Severity::Error, Severity::Warning].into_iter().find(|known| known.label() == label)?;
-    let (code, text) = rest.split_once("]: ")?;
-    Some(FindingRecord {
-        code: code.into(),
-        severity,
-        text: text.into(),
-        file: String::new(),
-        line: None,
-        column: None,
-        help: None,
-        values: Value::Null,
-    })
+/// What a command prints with `--json`, as far as it is the same for all commands.
+#[derive(Deserialize)]
+struct PrintedDocument {
+    #[serde(default)]
+    findings: Vec<FindingRecord>,
+    error: Option<FindingRecord>,
 }
 
 impl KeptJob {
@@ -341,15 +335,24 @@ fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
             let _stdin = child.stdin.take();
             let line = |stdout: ChildStdout| listen(shared, task.id, stdout);
             let (status, _) = follow(shared, task.id, child, line)?;
-            shared.change(task.id, |job| {
-                let found: Vec<_> = job.log.iter().filter_map(|line| printed_finding(line)).collect();
-                job.findings.extend(found.into_iter().map(|one| explained(shared.explain, one)));
-            });
-            Ok(match status.code() {
-                Some(0) => JobState::Done,
-                Some(3) => JobState::Doubt,
-                _ => JobState::Failed,
-            })
+            Ok(state_of(status))
+        }
+        JobWork::Document(args) => {
+            let mut command = child_process::own()?;
+            command.args(args).arg("--json");
+            command.stdout(Stdio::piped()).stderr(Stdio::piped());
+            set_up(&mut command);
+            let mut child = command.spawn()?;
+            let _stdin = child.stdin.take();
+            let (status, printed) = follow(shared, task.id, child, io::read_to_string)?;
+            if let Ok(document) =
+                serde_json::from_str::<PrintedDocument>(&printed.transpose()?.unwrap_or_default())
+            {
+                let all = document.findings.into_iter().chain(document.error);
+                let findings: Vec<_> = all.map(|finding| explained(shared.explain, finding)).collect();
+                shared.change(task.id, |job| job.findings = findings);
+            }
+            Ok(state_of(status))
         }
         JobWork::Request(request) => {
             let RequestChild { child, stdin: _stdin } = RequestChild::start(request, set_up)?;
@@ -374,6 +377,15 @@ fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
                 AnswerResult::Refusal(_) => JobState::Failed,
             })
         }
+    }
+}
+
+/// By the exit codes of all commands.
+fn state_of(status: ExitStatus) -> JobState {
+    match status.code() {
+        Some(0) => JobState::Done,
+        Some(3) => JobState::Doubt,
+        _ => JobState::Failed,
     }
 }
 

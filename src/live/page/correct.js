@@ -7,7 +7,7 @@ import { t } from "/texts.js";
 import { zip } from "/zip.js";
 
 /** Largest upload, bytes; the service refuses more. */
-const MOST = 2e6;
+const MAX_BYTES = 2e6;
 
 /** @type {{ robot: string, changed: () => Promise<void> }} */
 let context;
@@ -22,7 +22,7 @@ function bytesOf(buffer) {
 async function upload(files) {
   const all = [...files];
   if (!all.length) return;
-  if (all.reduce((sum, file) => sum + file.size, 0) > MOST) throw new Error(t("correct.too_large"));
+  if (all.reduce((sum, file) => sum + file.size, 0) > MAX_BYTES) throw new Error(t("correct.too_large"));
   // `$config.dat` has no plain name.
   const named = await Promise.all(all.map(async (file) => ({ name: file.name.replace(/^\$/, ""), bytes: bytesOf(await file.arrayBuffer()) })));
   await ask("PUT", `/workbench/${context.robot}/program`, { files: named });
@@ -97,8 +97,18 @@ function table() {
   const mean = points.reduce((sum, point) => sum + point.shift_mm, 0) / Math.max(1, points.length);
   const most = points.reduce((most, point) => Math.max(most, point.shift_mm), 0);
   const left = all.reduce((sum, answer) => sum + answer.left, 0);
-  $("shift-summary").textContent = t("correct.summary", { points: points.length, mean: fixed(mean, 3), most: fixed(most, 3), left });
+  const says = [t("correct.summary", { points: points.length, mean: fixed(mean, 3), most: fixed(most, 3), left }), predicted(all)];
+  $("shift-summary").textContent = says.filter(Boolean).join(" ");
   $("shifts").hidden = !all.length;
+}
+
+/** What is predicted of the tools of all programs at their points. @param {any[]} all */
+function predicted(all) {
+  const known = all.filter((answer) => answer.predicted_position_uncertainty_mm);
+  const points = known.reduce((sum, answer) => sum + answer.points.length, 0);
+  if (!points) return null;
+  const mean = (when) => known.reduce((sum, answer) => sum + answer.points.length * answer.predicted_position_uncertainty_mm[when].mean, 0) / points;
+  return t("correct.predicted", { before: fixed(mean("before"), 3), after: fixed(mean("after"), 3) });
 }
 
 async function download() {

@@ -38,7 +38,7 @@ use self::job::CircleTable;
 use self::path::ToolBallPath;
 use dbbd_model::design::Near;
 use dbbd_model::estimation::Posterior;
-use dbbd_model::robot::{AXES, Geometry, Pose, Robot};
+use dbbd_model::robot::{AXES, Geometry, Pose, Robot, max_axis_difference};
 
 pub use circle::REFERENCE_EVERY;
 pub use dbbd_model::measurement::PoseKind;
@@ -54,6 +54,13 @@ pub use refusal::Refusal;
 pub use rows::{MotionKind, PlanRow};
 pub use stage::Stage;
 pub use timing::MoveTime;
+
+/// Whether a pose of one plan is a pose of another one, by its axis angles in rad: they may differ by the rounding of a pose, which is
+/// a micrometre and 0.0001 degrees.
+pub fn is_same_planned_pose(a: &[f64; AXES], b: &[f64; AXES]) -> bool {
+    const ROUNDED_RAD: f64 = 2e-5;
+    max_axis_difference(a, b) < ROUNDED_RAD
+}
 
 /// The job, the controller that is commanded, and the arm that moves. They differ where the robot was identified:
 /// the controller computes with the nominal robot.

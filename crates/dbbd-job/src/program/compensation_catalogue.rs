@@ -150,7 +150,7 @@ findings! {
         W0918 "a correction does not make the program better",
         cause: "What the identification leaves unknown is as large as the correction, at the points and with the tool of this program.",
         cure: "Measure more poses near these points (`dbbd identify` proposes some), then correct the program again." {
-            NoBetter { before_mm: f64, after_mm: f64 } => "the expected error of the tool is {after_mm:.3} mm with the correction and {before_mm:.3} mm without it";
+            NoBetter { before_mm: f64, after_mm: f64 } => "the predicted position uncertainty of the tool is {after_mm:.3} mm with the correction and {before_mm:.3} mm without it";
         }
         W0914 "no point was corrected",
         cause: "The program has no motion to a point in its own .src or .dat.",

@@ -328,7 +328,7 @@ const STEPS: usize = 2_000_000;
 /// The states with which a routine begins, each with the one at its end, unless it does not end.
 type Ends<S> = Vec<(S, Option<S>)>;
 
-/// What is told of each statement with a state in which it runs.
+/// What is called for each statement with a state in which it runs.
 pub(crate) type Visit<'v, S> = &'v mut dyn FnMut(At, &S) -> Result<(), Diagnostic>;
 
 /// The state of a program by its statements.

@@ -630,15 +630,15 @@ mod tests {
         let mut late_s = vec![0.0];
         steps.iter().for_each(|step| late_s.push(late_s[late_s.len() - 1] + step.host_s - step.device_s));
         let least = |samples: &mut dyn Iterator<Item = usize>| {
-            let (mut least_s, mut passed_s) = (f64::INFINITY, 0.0);
+            let (mut min_s, mut passed_s) = (f64::INFINITY, 0.0);
             for sample in samples {
-                least_s = f64::min(least_s, late_s[sample]);
+                min_s = f64::min(min_s, late_s[sample]);
                 passed_s += steps.get(sample).map_or(0.0, |step| step.host_s);
                 if passed_s > 10.0 {
                     break;
                 }
             }
-            least_s
+            min_s
         };
         let packed: ClockStamps = stamps.iter().copied().collect();
         let mut found = 0;

@@ -9,7 +9,9 @@ use dbbd_model::circular::{
     CircleSense, CircularEvaluation, DriveBacklash, DriveId, QUANTITY_NAMES, TRACE_NAMES,
 };
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::math::distributions::{COVERAGE_95, normal_deviate};
 use dbbd_model::provenance::Provenance;
+use dbbd_model::robot::AXES;
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CircleTest {
@@ -99,15 +101,17 @@ fn panel(test: &CircleTest) -> Panel<'_> {
 }
 
 /// How many expanded uncertainties an error must be from zero, so that in 95 of 100 tests without any backlash none of six
-/// joints shows one: the quantile of 1 - 0.05 / 12 over the quantile of 0.975 of a normal distribution.
-const ALL_DRIVES: f64 = 2.638 / 1.960;
+/// joints shows one.
+fn significant_for_all() -> f64 {
+    normal_deviate((0.05 / AXES as f64).ln()) / COVERAGE_95
+}
 
 fn reversal_error(step: &DriveBacklash) -> ReversalError {
     let (drive, factor, unit) = match step.mover {
         DriveId::Axis(axis) => (format!("axis {axis}"), 1e3, "µm"),
         DriveId::Joint(joint) => (format!("joint {joint}"), 1e6, "µrad"),
     };
-    let significant_error = step.play.abs() > ALL_DRIVES * step.u95;
+    let significant_error = step.play.abs() > significant_for_all() * step.u95;
     // A bound of more than a degree means that the joint hardly changes the length.
     let (bound, degree) = (step.play.abs() + step.u95, 1f64.to_radians());
     // The step is proportional to the error.
@@ -137,4 +141,15 @@ fn trend(tests: &[CircleTest]) -> Vec<&CircleTest> {
     let mut again: Vec<&CircleTest> = tests.iter().filter(|test| times(test.circle) > 1).collect();
     again.sort_by_key(|test| test.circle);
     again
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A normal variable is beyond 2.638 standard deviations with a probability of 0.05 / 6.
+    #[test]
+    fn six_joints_together_show_a_backlash_in_one_test_of_twenty() {
+        assert!((significant_for_all() * 1.96 - 2.638).abs() < 1e-3, "{}", significant_for_all());
+    }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use dbbd_model::base::hash::sha256;
 use dbbd_model::base::text::unreadable;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::{EstimationFinding, ProgramErrors};
+use dbbd_model::estimation::{EstimationFinding, ProgramUncertainty};
 use dbbd_model::plausibility::Quantity;
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact};
@@ -66,8 +66,8 @@ pub struct CompensateDocument {
     pub points: Vec<Moved>,
     /// How many points are left as they are.
     pub left: usize,
-    /// The error of the program's own tools at its points; `None` if all points are written as axis angles.
-    pub predicted: Option<ProgramErrors>,
+    /// Of the program's own tools at its points; `None` if all points are axis angles, or the file lacks the posterior.
+    pub predicted: Option<ProgramUncertainty>,
     /// The directory of the corrected program.
     pub out: String,
 }
@@ -142,8 +142,8 @@ impl CompensateRequest {
         let files = set.finish()?;
         report(&corrected, session);
         let tool_points: Vec<_> = corrected.moved.iter().filter_map(|moved| moved.tool_point).collect();
-        let predicted = robot.has_posterior().then(|| ProgramErrors::of(&robot, &tool_points)).flatten();
-        if let Some(ProgramErrors { before, after }) = predicted.filter(|errors| !errors.is_better()) {
+        let predicted = robot.has_posterior().then(|| ProgramUncertainty::of(&robot, &tool_points)).flatten();
+        if let Some(ProgramUncertainty { before, after }) = predicted.filter(|errors| !errors.is_better()) {
             let [before_mm, after_mm] = [before.mean, after.mean];
             session.finding(CompensationFinding::NoBetter { before_mm, after_mm });
         }

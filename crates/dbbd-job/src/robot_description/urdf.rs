@@ -206,7 +206,7 @@ fn movable(joint: Node<'_, '_>) -> bool {
 
 impl UrdfReader<'_> {
     /// Refuses an arm that goes on: the first six joints of an arm with seven are another robot. A gripper goes on too, and its
-    /// joints cannot be told from those of an arm.
+    /// joints look like those of an arm.
     fn check_ends(&self, joints: &[UrdfJoint<'_>]) -> Result<(), Diagnostic> {
         let Some(sixth) = joints.last().map(|joint| joint.node) else { return Ok(()) };
         let is_behind = |joint: &Node<'_, '_>| *joint != sixth && self.path(*joint).contains(&sixth);

@@ -44,7 +44,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(of.hypotheses().iter().map(happened));
     found.extend(beyond_prior(of));
     found.extend(implausible(of));
-    found.extend(displaced(&of.parameters));
+    found.extend(displaced(of));
     found.extend(contradicted(of));
     found.extend(shifted_rows(&of.estimate, &of.lengths));
     found.extend(kinds_disagree(&of.estimate, &of.lengths));
@@ -126,11 +126,15 @@ fn implausible(of: &Calibration<'_>) -> Option<EstimationFinding> {
 }
 
 /// Balls and bars with implausibly large corrections.
-fn displaced(parameters: &[ParameterResult]) -> Option<EstimationFinding> {
+fn displaced(of: &Calibration<'_>) -> Option<EstimationFinding> {
+    // The robot file states how accurately the tool ball is mounted.
+    let of_tool_mm = largest_plausible(false) * of.setting.robot.ball_u_mm;
+    let max_mm =
+        |id: ParamId| matches!(id, ParamId::Tool(_)).then_some(of_tool_mm).or_else(|| id.max_correction_mm());
     let is_displaced = |found: &&ParameterResult| {
-        found.name.max_correction_mm().is_some_and(|most| (found.identified - found.start).abs() > most)
+        max_mm(found.name).is_some_and(|max_mm| (found.identified - found.start).abs() > max_mm)
     };
-    Some(EstimationFinding::Displaced { parameters: names(parameters.iter().filter(is_displaced))? })
+    Some(EstimationFinding::Displaced { parameters: names(of.parameters.iter().filter(is_displaced))? })
 }
 
 fn outliers(outliers: usize, lengths: usize) -> Option<EstimationFinding> {

@@ -39,6 +39,7 @@ pub mod posterior;
 mod prediction;
 mod prior;
 pub mod priors;
+mod program_uncertainty;
 pub mod result;
 mod ripple;
 mod selection;
@@ -46,7 +47,6 @@ mod shifted_rows;
 mod solver;
 mod start;
 mod system;
-mod tool_points;
 mod unknowns;
 mod validation;
 pub mod wording;
@@ -71,9 +71,9 @@ pub use position::{Orientations, Positions};
 pub use posterior::{Posterior, inverse_root, root_after};
 pub use prediction::PositionParts;
 pub use priors::{Prior, Priors, largest_plausible, length_sd_mm};
+pub use program_uncertainty::{PointUncertainty, ProgramUncertainty};
 pub use result::{CalibrationResult, CompletedCalibration};
 pub use selection::{is_place, without_open_places};
-pub use tool_points::{PointErrors, ProgramErrors};
 pub use workspace::{ErrorSummary, Workspace, left_out_mm};
 
 #[cfg(test)]

@@ -4,6 +4,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::controller::ControllerModel;
+use super::joint_axes::PARALLEL;
 use super::kinematics::Geometry;
 use super::load::ArmLoad;
 use super::parameter::all_parameters;
@@ -340,7 +341,7 @@ impl Robot {
     /// The joints whose axis is nominally parallel to the one before, which need Hayati's beta.
     pub fn parallel_joints(&self) -> Vec<Joint> {
         let after_first = Joint::ALL.into_iter().skip(1);
-        after_first.filter(|joint| self.geometry.row(*joint).alpha.sin().abs() < 0.1).collect()
+        after_first.filter(|joint| self.geometry.row(*joint).alpha.sin().abs() < PARALLEL).collect()
     }
 
     /// The axis accelerations for planning, degrees/s^2: those of the file, else full speed in 0.4 s.

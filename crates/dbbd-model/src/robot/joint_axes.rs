@@ -8,7 +8,7 @@ use super::{AXES, Geometry, Pose};
 use crate::plausibility::Quantity;
 
 /// Axes with a smaller sine of the angle between them get Hayati's beta: their common normal is badly defined.
-const PARALLEL: f64 = 0.1;
+pub(super) const PARALLEL: f64 = 0.1;
 /// Lines that are nearer than this meet, mm: rounding errors of published tables are larger.
 const MEET_MM: f64 = 1e-9;
 

@@ -158,7 +158,7 @@ struct ParamFamily {
     prior: PriorRule,
     /// A larger posterior standard deviation, mm or rad, is better replaced by a measurement with a ruler.
     max_sd: Option<f64>,
-    /// A larger correction is implausible, mm; the robot's parameters are judged by their tolerance instead.
+    /// A larger correction is implausible, mm; the robot's parameters and its tool ball are judged by what the robot file states.
     max_correction_mm: Option<f64>,
 }
 
@@ -206,7 +206,7 @@ impl ParamId {
             Self::D(_) => ParamFamily::of_robot("d{n}", Mm, Geometric, 18, LengthTolerance),
             Self::Beta(_) => ParamFamily::of_robot("beta{i}", Rad, Geometric, 24, AngleTolerance),
             // The tool ball is known from a drawing or from the controller.
-            Self::Tool(_) => ParamFamily::of_place("tool_{c}", Tool, 30, 0.1, 50.0, Some(20.0)),
+            Self::Tool(_) => ParamFamily::of_place("tool_{c}", Tool, 30, 0.1, 50.0, None),
             // A tracker and targets may be set up anywhere.
             Self::Target(..) => ParamFamily::of_place("target{n}_{c}", Targets, 30, 100.0, 50.0, None),
             Self::Ball(..) => ParamFamily::of_place("centre{n}_{c}", Balls, 33, 10.0, 500.0, Some(300.0)),

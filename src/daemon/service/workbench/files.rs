@@ -148,21 +148,31 @@ impl FoundDirectory {
     }
 }
 
+/// Where the work on a robot is.
+#[derive(Clone)]
+pub(super) struct WorkPlace {
+    pub name: String,
+    pub directory: PathBuf,
+    /// `NAME/`, or empty for the working directory itself: plans are named by it.
+    pub prefix: String,
+}
+
 /// The directories of robots in the working directory: itself, if it has a job, a plan or a result, and those in it.
 /// `data` has runs only.
-pub(super) fn robots(plans: &Path, data: &Path) -> Vec<(String, PathBuf, String)> {
+pub(super) fn robots(plans: &Path, data: &Path) -> Vec<WorkPlace> {
     let own = own_name(plans);
     let inner = names(plans).into_iter().filter(|name| *name != own);
-    let mut found: Vec<(String, PathBuf, String)> = inner
-        .map(|name| (name.clone(), plans.join(&name), format!("{name}/")))
-        .filter(|(_, path, _)| is_plain_directory(path) && !files::same_place(path, data))
-        .filter(|(_, path, _)| holds_work(path))
+    let mut found: Vec<WorkPlace> = inner
+        .map(|name| WorkPlace { directory: plans.join(&name), prefix: format!("{name}/"), name })
+        .filter(|WorkPlace { directory, .. }| {
+            is_plain_directory(directory) && !files::same_place(directory, data) && holds_work(directory)
+        })
         .take(MAX_DIRECTORIES)
         .collect();
     if holds_work(plans) {
         // What is beside a job is its plan or its result, not another robot, unless it has a job itself.
-        found.retain(|(_, path, _)| job_name(path).is_some());
-        found.insert(0, (own, plans.to_owned(), String::new()));
+        found.retain(|place| job_name(&place.directory).is_some());
+        found.insert(0, WorkPlace { name: own, directory: plans.to_owned(), prefix: String::new() });
     }
     found
 }
@@ -198,7 +208,7 @@ fn job_name(path: &Path) -> Option<String> {
 impl WorkFiles {
     /// Looks into the directory of a robot. `running` is the run in progress.
     pub(super) fn read(
-        (name, directory, prefix): (String, PathBuf, String),
+        WorkPlace { name, directory, prefix }: WorkPlace,
         data: &Path,
         running: Option<&str>,
         run_plans: &RunPlans,

@@ -21,7 +21,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use serde_json::Value;
 use toml_edit::DocumentMut;
 
-use self::files::{CORRECTED, FoundPlan, UPLOADED, WorkFiles, WorkJob};
+use self::files::{CORRECTED, FoundPlan, UPLOADED, WorkFiles, WorkJob, WorkPlace};
 use self::steps::{Activity, CheckPart};
 use super::jobs::{JobSubject, JobWork};
 use super::log::LogLevel;
@@ -50,12 +50,12 @@ impl Supervisor {
     /// The files of a robot.
     fn files_of(&self, robot: &str) -> Result<WorkFiles, Diagnostic> {
         let mut all = files::robots(&self.config.plans, &self.config.data).into_iter();
-        let found = all.find(|(name, ..)| name == robot).ok_or_else(|| NoRobot { robot: robot.into() })?;
+        let found = all.find(|place| place.name == robot).ok_or_else(|| NoRobot { robot: robot.into() })?;
         Ok(self.read_files(found))
     }
 
-    fn read_files(&self, robot: (String, PathBuf, String)) -> WorkFiles {
-        WorkFiles::read(robot, &self.config.data, self.running().as_deref(), &self.known.of_runs)
+    fn read_files(&self, place: WorkPlace) -> WorkFiles {
+        WorkFiles::read(place, &self.config.data, self.running().as_deref(), &self.known.of_runs)
     }
 
     fn reports(&self, files: &WorkFiles) -> Vec<StepReport> {
@@ -187,7 +187,7 @@ fn plan_request(files: &WorkFiles, check: Option<(String, Option<f64>)>) -> Opti
 fn programs_of(plan: &FoundPlan) -> (JobWork, String) {
     let out = steps::program_directory(plan).to_owned();
     let csv = format!("{}/plan.csv", plan.directory.name);
-    (JobWork::Command(vec!["program".into(), csv, "--out".into(), out.clone(), "--replace".into()]), out)
+    (JobWork::Document(vec!["program".into(), csv, "--out".into(), out.clone(), "--replace".into()]), out)
 }
 
 /// Refuses a directory that is a link or holds one: what is written stays in the working directory.
@@ -209,8 +209,8 @@ impl Workbench for Supervisor {
     fn robots(&self) -> Result<Vec<RobotSummary>, Diagnostic> {
         let all = files::robots(&self.config.plans, &self.config.data).into_iter();
         let mut found: Vec<RobotSummary> = all
-            .map(|robot| {
-                let files = self.read_files(robot);
+            .map(|place| {
+                let files = self.read_files(place);
                 let changed_unix_ms = files.changed_ms();
                 let steps = self.reports(&files);
                 summary(&files, &steps, changed_unix_ms)
@@ -324,7 +324,7 @@ impl Workbench for Supervisor {
         let (work, out) = work_of(&files, step, &options)?;
         check_plain(&files.directory, &out)?;
         let kind = match &work {
-            JobWork::Command(_) => "program",
+            JobWork::Command(_) | JobWork::Document(_) => "program",
             JobWork::Request(request) => match **request {
                 Request::Identify(_) => "identify",
                 Request::Plan(_) => "plan",

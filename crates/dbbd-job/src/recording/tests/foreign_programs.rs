@@ -134,14 +134,14 @@ struct Outcome {
     accepted_wrong: Vec<String>,
     sound: usize,
     sound_refused: Vec<String>,
-    least_sound: f64,
-    most_foreign: f64,
+    min_sound: f64,
+    max_foreign: f64,
 }
 
 fn campaign(edits: std::ops::Range<u64>) -> Outcome {
     let originals = JOBS.map(|tables| (job(tables), Plan::build(&job(tables), &robot()).unwrap()));
     let mut outcome =
-        Outcome { least_sound: f64::INFINITY, most_foreign: f64::NEG_INFINITY, ..Outcome::default() };
+        Outcome { min_sound: f64::INFINITY, max_foreign: f64::NEG_INFINITY, ..Outcome::default() };
     for seed in edits {
         let mut rng = Pcg64::seed_from_u64(seed);
         let (original, plan) = &originals[seed as usize % JOBS.len()];
@@ -160,7 +160,7 @@ fn campaign(edits: std::ops::Range<u64>) -> Outcome {
         let sound = own.code;
         outcome.sound += 1;
         let odds: f64 = sound.by_module.iter().map(|module| module.log_odds).sum();
-        outcome.least_sound = outcome.least_sound.min(odds);
+        outcome.min_sound = outcome.min_sound.min(odds);
         if sound.foreign_module().is_some() && own_lengths > 0 {
             outcome.sound_refused.push(format!("{name}: {:?}", sound.by_module));
         }
@@ -176,7 +176,7 @@ fn campaign(edits: std::ops::Range<u64>) -> Outcome {
         );
         outcome.edits += 1;
         let odds = foreign.by_module.iter().map(|module| module.log_odds).sum();
-        outcome.most_foreign = outcome.most_foreign.max(odds);
+        outcome.max_foreign = outcome.max_foreign.max(odds);
         // Without a length nothing is written, and one length comes with warnings (W1085, W1003).
         let is_proven = foreign.is_own();
         if foreign.foreign_module().is_some() || (foreign_lengths <= 1 && !is_proven) {

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::matched_run::MatchedRun;
 use super::tables::{lengths_or_positions, measurements};
+use crate::plan::is_same_planned_pose;
 use crate::request::RequestSession;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
@@ -60,6 +61,8 @@ pub(super) struct InputPart {
     pub(super) measurements: Measurements,
     pub(super) matched: Option<MatchedRun>,
     pub(super) set_up: SetUpNumbers,
+    /// Whether the part measures poses again.
+    supersedes: bool,
 }
 
 impl InputPart {
@@ -69,7 +72,8 @@ impl InputPart {
         measurements: Measurements,
         matched: Option<MatchedRun>,
     ) -> Self {
-        Self { path, lengths, measurements, matched, set_up: SetUpNumbers::default() }
+        let supersedes = matched.as_ref().is_some_and(|matched| matched.run.plan.header.again);
+        Self { path, lengths, measurements, matched, set_up: SetUpNumbers::default(), supersedes }
     }
 
     pub(super) fn read(
@@ -95,11 +99,6 @@ impl InputPart {
             return Err(Diagnostic::file(path.display(), EstimationFinding::PartOfPositions));
         }
         Ok(Self::first(path.into(), lengths, measurements, matched))
-    }
-
-    /// Whether the part measures poses again.
-    fn supersedes(&self) -> bool {
-        self.matched.as_ref().is_some_and(|matched| matched.run.plan.header.again)
     }
 
     /// Whether a part that was measured after `before` has the same set-up, by what both state.
@@ -177,12 +176,17 @@ impl JoinedParts {
 /// The measurements of all parts, the indices and times of each going on from those before; and the indices of those that a
 /// later part measured again on request, which are left out.
 pub(super) fn joined(parts: &[InputPart]) -> Result<(Measurements, Vec<u32>), MeasurementFinding> {
-    let [first, further @ ..] = parts else { return Ok((Measurements::default(), Vec::new())) };
-    let (mut all, mut superseded) = (first.measurements.clone(), Vec::new());
-    for part in further {
-        let last_index = all.rows.iter().map(|row| row.index).max().unwrap_or(0);
-        let last_s = all.rows.iter().filter_map(time_s).fold(0.0, f64::max);
+    let (mut all, mut superseded) = (Measurements::default(), Vec::new());
+    let (mut last_index, mut last_s) = (0, 0.0);
+    for (at, part) in parts.iter().enumerate() {
         let mut own = part.measurements.clone();
+        // The balls of two parts are compared as their own files number them.
+        let again = |row: &Measurement| {
+            let later = parts[at + 1..].iter().filter(|later| later.supersedes);
+            later.flat_map(|later| &later.measurements.rows).any(|new| is_same_pose(row, new))
+        };
+        superseded.extend(own.rows.iter().filter(|row| again(row)).map(|row| row.index + last_index));
+        own.rows.retain(|row| !again(row));
         for row in &mut own.rows {
             row.index += last_index;
             row.datum = part.set_up.datum(row.datum);
@@ -192,10 +196,11 @@ pub(super) fn joined(parts: &[InputPart]) -> Result<(Measurements, Vec<u32>), Me
                 *time_s += last_s;
             }
         }
-        if part.supersedes() {
-            let again = |row: &Measurement| part.measurements.rows.iter().any(|own| is_same_pose(row, own));
-            superseded.extend(all.rows.iter().filter(|row| again(row)).map(|row| row.index));
-            all.rows.retain(|row| !again(row));
+        last_index += part.measurements.rows.iter().map(|row| row.index).max().unwrap_or(0);
+        last_s += part.measurements.rows.iter().filter_map(time_s).fold(0.0, f64::max);
+        if at == 0 {
+            all = own;
+            continue;
         }
         let (count, same_columns) = (all.rows.len(), all.columns == own.columns);
         let mut both = all.and(&own)?;
@@ -213,12 +218,8 @@ fn time_s(row: &Measurement) -> Option<f64> {
     row.context.as_ref()?.time_s
 }
 
-/// Poses of two plans are rounded alike, degrees.
-const SAME_DEG: f64 = 1e-3;
-
 fn is_same_pose(a: &Measurement, b: &Measurement) -> bool {
-    let mut axes = a.axes.degrees().into_iter().zip(b.axes.degrees());
-    a.target == b.target && axes.all(|(a, b)| (a - b).abs() <= SAME_DEG)
+    (a.target, a.datum) == (b.target, b.datum) && is_same_planned_pose(&a.axes.radians(), &b.axes.radians())
 }
 
 #[cfg(test)]
@@ -261,5 +262,21 @@ mod tests {
             })
             .collect();
         assert_eq!(rows, [(3, 1, 1, 3.0), (7, 2, 1, 7.0), (9, 3, 2, 9.0), (10, 4, 2, 10.0)]);
+    }
+
+    /// The pose of two balls is measured again to the second one, in another set-up: only the length to this ball is replaced, and
+    /// the numbers go on as if it were still there.
+    #[test]
+    fn a_length_that_is_measured_again_replaces_the_one_to_the_same_ball() {
+        let mut parts = [
+            part(&[(1, 1, 5.0, 300.0), (2, 2, 5.0, 301.0)], 0, 0),
+            part(&[(1, 2, 5.0, 301.5)], 2, 1),
+            part(&[(1, 1, 7.0, 299.0)], 2, 1),
+        ];
+        parts[1].supersedes = true;
+        let (joined, superseded) = joined(&parts).unwrap();
+        assert_eq!(superseded, [2]);
+        let rows: Vec<_> = joined.rows.iter().map(|row| (row.index, row.length_mm)).collect();
+        assert_eq!(rows, [(1, 300.0), (3, 301.5), (4, 299.0)]);
     }
 }

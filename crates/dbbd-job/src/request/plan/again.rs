@@ -7,14 +7,14 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::files;
-use crate::plan::{PlanFinding, PoseKind};
+use crate::plan::{PlanFinding, PoseKind, is_same_planned_pose};
 use crate::recording::run;
 use crate::request::RequestSession;
 use crate::request::identify::LENGTHS;
 use crate::request::identify::tables::{lengths, measurements};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
-use dbbd_model::robot::{AXES, BallId, max_axis_difference};
+use dbbd_model::robot::{AXES, BallId};
 
 /// The rows of a plan or a table that are measured again.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -66,9 +66,6 @@ impl fmt::Display for PoseRows {
 /// A pose of the controller: base ball and axis angles, rad.
 pub(super) type GivenPose = (BallId, [f64; AXES]);
 
-/// Axis angles of two plans are rounded alike, rad.
-const SAME_RAD: f64 = 2e-5;
-
 /// A pose of a run with its index.
 struct RunPose {
     index: u32,
@@ -82,7 +79,7 @@ pub(super) fn remaining<'a>(
 ) -> Result<Vec<GivenPose>, Diagnostic> {
     let (mut planned, mut measured): (Vec<GivenPose>, Vec<GivenPose>) = (Vec::new(), Vec::new());
     let is_among = |list: &[GivenPose], (ball, axes): &GivenPose| {
-        list.iter().any(|(other, others)| other == ball && max_axis_difference(others, axes) < SAME_RAD)
+        list.iter().any(|(other, others)| other == ball && is_same_planned_pose(others, axes))
     };
     for path in runs {
         let (of_plan, with_length) = of_capture(path, session)?;

@@ -128,7 +128,7 @@ pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> 
         beside: SetBeside::default(),
         named: Vec::new(),
         reached: HashSet::new(),
-        doubted: HashSet::new(),
+        reported_calls: HashSet::new(),
         frame_names: HashSet::new(),
         given_away: Vec::new(),
     }
@@ -288,7 +288,7 @@ struct Reader<'a> {
     /// The lines that were reached, by their first bytes.
     reached: HashSet<usize>,
     /// The calls of other files that were reported.
-    doubted: HashSet<String>,
+    reported_calls: HashSet<String>,
     /// The names in lines that set a frame.
     frame_names: HashSet<String>,
     /// The frames among the arguments of routines, each with the finding about it.
@@ -601,7 +601,7 @@ impl<'a> Reader<'a> {
             return Err(wrong(CompensationFinding::FrameBeside { frame: kind.name(), line }));
         }
         if let Some((routine, line)) = &current.called[at]
-            && self.doubted.insert(routine.clone())
+            && self.reported_calls.insert(routine.clone())
         {
             let (frame, routine) = (kind.name(), routine.clone());
             let after = wrong(CompensationFinding::FrameAfterCall { frame, routine, line: *line });

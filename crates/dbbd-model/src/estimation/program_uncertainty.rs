@@ -1,5 +1,5 @@
-//! The error of a tool at the points of a program: as the nominal robot drives them, and as the identified robot does after a
-//! correction.
+//! The predicted position uncertainty of a tool at the points of a program: as the nominal robot drives them, and as the identified
+//! robot does after a correction.
 
 use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
@@ -9,32 +9,32 @@ use super::workspace::take_out_rigid_motion;
 use crate::measurement::{ApproachedPose, ToolPoint};
 use crate::robot::Robot;
 
-/// Root mean square of the expected 3-D error at a point, mm.
+/// Predicted position uncertainty at points: the root mean square of the 3-D error that is expected at a point, mm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct PointErrors {
+pub struct PointUncertainty {
     /// Mean over the points.
     pub mean: f64,
     pub max: f64,
 }
 
-impl PointErrors {
+impl PointUncertainty {
     fn of(errors_mm: impl Iterator<Item = f64> + Clone) -> Self {
         let count = errors_mm.clone().count().max(1) as f64;
         Self { mean: errors_mm.clone().sum::<f64>() / count, max: errors_mm.fold(0.0, f64::max) }
     }
 }
 
-/// The errors of a tool at the points of a program, after the best rigid alignment over these points; of fewer than 10 points,
+/// The predicted position uncertainty of the program's own tool, after the best rigid alignment over these points; of fewer than 10 points,
 /// over the workspace too.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct ProgramErrors {
+pub struct ProgramUncertainty {
     /// The nominal robot's: how far the identified robot is from it, and what is not known of the identified one.
-    pub before: PointErrors,
+    pub before: PointUncertainty,
     /// What is not known of the identified robot, with the repeatability of a pose.
-    pub after: PointErrors,
+    pub after: PointUncertainty,
 }
 
-impl ProgramErrors {
+impl ProgramUncertainty {
     /// Of an identified robot; `None` without points. The points of each tool are aligned by themselves.
     pub fn of(robot: &Robot, points: &[ToolPoint]) -> Option<Self> {
         let mut tools: Vec<Vector3<f64>> = Vec::new();
@@ -49,12 +49,12 @@ impl ProgramErrors {
         };
         let errors: Vec<[f64; 2]> = tools.iter().flat_map(of_tool).collect();
         (!errors.is_empty()).then(|| Self {
-            before: PointErrors::of(errors.iter().map(|[before, _]| *before)),
-            after: PointErrors::of(errors.iter().map(|[_, after]| *after)),
+            before: PointUncertainty::of(errors.iter().map(|[before, _]| *before)),
+            after: PointUncertainty::of(errors.iter().map(|[_, after]| *after)),
         })
     }
 
-    /// Whether a correction makes the errors smaller by more than a tenth. Otherwise what is corrected is smaller than what is
+    /// Whether a correction makes it smaller by more than a tenth. Otherwise what is corrected is smaller than what is
     /// not known.
     pub fn is_better(&self) -> bool {
         self.after.mean < 0.9 * self.before.mean
@@ -119,12 +119,12 @@ mod tests {
     fn before_is_the_correction_and_what_is_not_known() {
         let robot = identified();
         for (count, tool) in [(40, Vector3::zeros()), (4, Vector3::new(0.0, 100.0, 300.0))] {
-            let found = ProgramErrors::of(&robot, &points(&robot, count, tool)).unwrap();
+            let found = ProgramUncertainty::of(&robot, &points(&robot, count, tool)).unwrap();
             let ratio = found.before.mean / found.after.mean;
             assert!((ratio - 101f64.sqrt()).abs() < 1e-3 * ratio, "{count}: {ratio}");
             assert!(found.after.mean > 0.02 && found.after.max < 0.15 && found.is_better(), "{found:?}");
         }
-        assert!(ProgramErrors::of(&robot, &[]).is_none());
+        assert!(ProgramUncertainty::of(&robot, &[]).is_none());
     }
 
     #[test]
@@ -132,7 +132,7 @@ mod tests {
         let robot = identified();
         let [few, many] =
             [(12, 0.0), (36, 400.0)].map(|(count, z)| points(&robot, count, Vector3::new(0.0, 0.0, z)));
-        let mean = |points: &[ToolPoint]| ProgramErrors::of(&robot, points).unwrap().after.mean;
+        let mean = |points: &[ToolPoint]| ProgramUncertainty::of(&robot, points).unwrap().after.mean;
         let both = mean(&[few.clone(), many.clone()].concat());
         assert!((both - 0.25 * mean(&few) - 0.75 * mean(&many)).abs() < 1e-12);
     }
@@ -142,7 +142,7 @@ mod tests {
     fn a_correction_that_is_smaller_than_its_uncertainty_does_not_help() {
         let mut robot = identified();
         robot.geometry.rows[2].a -= 0.96;
-        let found = ProgramErrors::of(&robot, &points(&robot, 40, Vector3::zeros())).unwrap();
+        let found = ProgramUncertainty::of(&robot, &points(&robot, 40, Vector3::zeros())).unwrap();
         assert!(!found.is_better(), "{found:?}");
     }
 }
