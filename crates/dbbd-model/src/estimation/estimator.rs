@@ -16,7 +16,7 @@ use super::hypotheses::{
     wrong_balls,
 };
 use super::lengths::{Lengths, Sigma, Weighted};
-use super::noise_shape::{BacklashNoise, NoiseScore, NoiseShape, OwnNoise};
+use super::noise_shape::{JointNoise, NoiseScore, NoiseShape, OwnNoise};
 use super::options::{ErrorModel, Setting};
 use super::pose_rows::{LengthNoise, PoseRows};
 use super::position::BallMotion;
@@ -101,6 +101,8 @@ pub(crate) struct Estimate {
     /// The hyper-parameters that the uncertainty is of.
     cautious: Hypers,
     pub(super) shape: NoiseShape,
+    /// How far each joint is off its angle from visit to visit, rad.
+    scatter_rad: [f64; AXES],
     /// What an unknown sense of approach leaves of each joint's angle, rad.
     pub(super) unapproached_rad: [f64; AXES],
     unknowns: Unknowns,
@@ -377,7 +379,7 @@ impl<'a> Search<'a> {
             z: unknowns.at(&model, &DVector::zeros(0)),
             model,
             hypers: Hypers::start(&HyperPrior::all(1.0), pose_mm),
-            shape: NoiseShape { own: OwnNoise::Stated(stated_mm), backlash: unknowns.backlash_noise() },
+            shape: NoiseShape { own: OwnNoise::Stated(stated_mm), joints: unknowns.joint_noise() },
             bar_sds: Vec::new(),
         });
         Self { unknowns, used, state, ln_sd: [0.0; HYPERS] }
@@ -412,10 +414,9 @@ impl<'a> Search<'a> {
 
     /// Linearises, finds the hyper-parameters and moves the model to the likeliest unknowns.
     fn round(&mut self, round: usize) -> Option<Step> {
-        if self.state.shape.backlash.is_known() {
+        if let JointNoise::Approached { backlash, .. } = &mut self.state.shape.joints {
             let errors = &self.state.model.geometry.joint_errors;
-            let backlash = |at: usize| errors.at(at).map_or(0.0, |error| error.backlash);
-            self.state.shape.backlash = BacklashNoise::Known(std::array::from_fn(|at| backlash(at).abs()));
+            *backlash = std::array::from_fn(|at| errors.at(at).map_or(0.0, |error| error.backlash.abs()));
         }
         self.state.model.geometry.joint_errors =
             self.unknowns.errors(&self.state.model.geometry.joint_errors, &self.state.hypers);
@@ -428,17 +429,15 @@ impl<'a> Search<'a> {
         let best = whitened.equations.maximise(self.state.hypers)?;
         self.ln_sd = best.ln_sd;
         self.rescale(best.hypers);
-        if round < ROUNDS {
-            for _ in 0..SCORES {
-                whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
-                self.state.shape = self.scored(&system, &whitened)?;
-            }
+        for _ in 0..SCORES {
+            whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
+            self.state.shape = self.scored(&system, &whitened)?;
         }
         whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
         let posterior = whitened.equations.posterior(&self.state.hypers)?;
         self.state.bar_sds = self.bar_sds(&posterior)?;
         self.move_to(&posterior);
-        let ln_evidence = posterior.ln_evidence(&self.state.hypers) + self.state.shape.backlash.ln_prior();
+        let ln_evidence = posterior.ln_evidence(&self.state.hypers) + self.state.shape.joints.ln_prior();
         Some(Step { system, whitened, ln_evidence })
     }
 
@@ -475,7 +474,7 @@ impl<'a> Search<'a> {
             &self.state.model,
             &z,
             self.used,
-            self.state.shape.backlash,
+            self.state.shape.joints,
             &self.state.bar_sds,
         )
     }
@@ -511,7 +510,7 @@ impl<'a> Search<'a> {
                 &self.state.model,
                 &z,
                 &used,
-                self.state.shape.backlash,
+                self.state.shape.joints,
                 &self.state.bar_sds,
             );
             system.normal_sums(self.state.shape, self.state.hypers.sigma_mm())
@@ -540,19 +539,22 @@ impl<'a> Search<'a> {
             let mut wider = self.clone();
             wider.state.model.geometry.joint_errors.push(candidate.joint, candidate.order);
             let least = best.ln_evidence + ln_candidates();
-            let Some(step) = wider.round(ROUNDS).filter(|step| step.ln_evidence > least) else { break };
+            let Some(step) = wider.round(1).filter(|step| step.ln_evidence > least) else { break };
             (*self, best) = (wider, step);
         }
         Some(best)
     }
 
-    /// The ripple of the largest Bayes factor.
+    /// The ripple of the largest Bayes factor. It is sought beside no more noise of the joints than is usual: what a ripple
+    /// explains was noise before.
     fn ripple(&self, step: &Step) -> Option<Candidate> {
-        let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
+        let shape = NoiseShape { joints: self.state.shape.joints.at_most_usual(), ..self.state.shape };
+        let whitened = step.system.whitened(shape, self.state.hypers.sigma_mm())?;
+        let posterior = whitened.equations.posterior(&self.state.hypers)?;
         let joints = Joint::ALL.into_iter().filter(|joint| self.unknowns.moved(joint.index()));
         let search = RippleSearch {
             rows: &step.system.rows,
-            whitened: &step.whitened,
+            whitened: &whitened,
             sigma_mm: self.state.hypers.sigma_mm(),
             mean: &posterior.mean,
             root: &posterior.root()?,
@@ -604,13 +606,15 @@ impl<'a> Search<'a> {
             backlash_places,
         };
         let of_coefficient = |place: Option<usize>| place.map_or(0.0, |place| all.row(place).norm());
-        let unapproached_rad = match shape.backlash {
-            // Several lengths show the scatter of a pose in other directions too: what more backlash adds, sigma loses.
-            BacklashNoise::Sought(sds) if system.rows.tell_noise_apart() => sds,
-            BacklashNoise::Sought(_) => score.rms_rad()?,
-            BacklashNoise::Known(sds) => {
-                std::array::from_fn(|joint| sds[joint].hypot(of_coefficient(backlash_places[joint])))
+        let (scatter_rad, unapproached_rad) = match shape.joints {
+            // Where scatter is larger, sigma is smaller.
+            JointNoise::Approached { backlash, scatter } => {
+                let left = |joint: usize| of_coefficient(backlash_places[joint]);
+                (scatter, std::array::from_fn(|joint| backlash[joint].hypot(left(joint))))
             }
+            // Several lengths show the scatter of a pose in other directions too: what more backlash adds, sigma loses.
+            JointNoise::Unapproached(sds) if system.rows.tell_noise_apart() => ([0.0; AXES], sds),
+            JointNoise::Unapproached(_) => ([0.0; AXES], score.rms_rad()?),
         };
         // The coefficients of the events are the last unknowns.
         let mut place = posterior.mean.len() - unknowns.events().iter().map(RunEvent::columns).sum::<usize>();
@@ -658,6 +662,7 @@ impl<'a> Search<'a> {
             hypers,
             cautious,
             shape,
+            scatter_rad,
             unapproached_rad,
             z,
             bar_sds,
@@ -737,12 +742,12 @@ fn groups(
 
 /// One standard deviation of the members of a group.
 fn sd_of(group: Group, hypers: &Hypers, shape: NoiseShape) -> f64 {
-    match (group, shape.backlash) {
+    match (group, shape.joints) {
         (Group::Smooth, _) => {
             let [quick, slow] = hypers.processes();
             quick.sd_rad.hypot(slow.sd_rad)
         }
-        (Group::Backlash, BacklashNoise::Sought(sds)) => {
+        (Group::Backlash, JointNoise::Unapproached(sds)) => {
             let moved = sds.iter().filter(|sd| **sd > 0.0).count().max(1) as f64;
             (sds.iter().map(|sd| sd * sd).sum::<f64>() / moved).sqrt()
         }
@@ -758,7 +763,7 @@ impl Estimate {
 
     /// Whether backlash is noise, because no sense of approach is known.
     pub(super) fn lacks_approach(&self) -> bool {
-        !self.shape.backlash.is_known()
+        !self.shape.joints.is_approached()
     }
 
     /// The factor on the maker's tolerance by the evidence.
@@ -821,6 +826,7 @@ impl Estimate {
             pose_mm,
             smooth,
             smooth_of_joints,
+            scatter_rad: self.scatter_rad,
             unapproached_rad: self.unapproached_rad,
         }
     }
@@ -874,16 +880,17 @@ impl Estimate {
         // What backlash is known is left out at the poses measured.
         if !self.lacks_approach() {
             self.unapproached_rad = [0.0; AXES];
+            self.scatter_rad = [0.0; AXES];
         }
         self
     }
 
     /// `None` if errors of the joints were not sought.
     pub(super) fn joint_summary(&self) -> Option<JointSummary> {
-        let backlash = self.shape.backlash;
+        let joints = self.shape.joints;
         (!self.fit.model.geometry.joint_errors.is_none()).then(|| JointSummary {
             smooth: self.hypers.processes(),
-            backlash_noise_rad: (!backlash.is_known()).then(|| backlash.sds()),
+            backlash_noise_rad: (!joints.is_approached()).then(|| joints.sought()),
         })
     }
 }

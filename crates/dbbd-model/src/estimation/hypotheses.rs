@@ -464,18 +464,17 @@ pub(super) fn wrong_balls(
 #[cfg(test)]
 mod tests {
     use super::super::hyper_parameters::{Group, Hypers, Variance};
-    use super::super::noise_shape::{BacklashNoise, NoiseShape, OwnNoise};
+    use super::super::noise_shape::{JointNoise, NoiseShape, OwnNoise};
     use super::super::system::System;
     use super::super::tests::cell_of_poses::{hypers, model, normals, readings};
     use super::*;
     use crate::estimation::Options;
     use crate::measurement::{Measurement, PreparedMeasurement, TargetId, Tracker};
-    use crate::robot::{AXES, AxisAngles, Coordinate, Joint, ParamId, PayloadId};
+    use crate::robot::{AxisAngles, Coordinate, Joint, ParamId, PayloadId};
     use crate::test_support::cell::kr60;
 
     const SIGMA_MM: f64 = 0.03;
-    const SHAPE: NoiseShape =
-        NoiseShape { own: OwnNoise::Stated(0.01), backlash: BacklashNoise::Known([0.0; AXES]) };
+    const SHAPE: NoiseShape = NoiseShape { own: OwnNoise::Stated(0.01), joints: JointNoise::NONE };
 
     /// Rows of readings as a table has them, measured one after the other.
     fn table(readings: &[PreparedMeasurement]) -> Vec<Measurement> {

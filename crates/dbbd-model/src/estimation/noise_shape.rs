@@ -1,11 +1,12 @@
 //! The noise of lengths, pose by pose.
 //!
-//! Where the sense of approach is not known, a joint is half of its reversal error off its angle, to either side: that is
-//! noise along what the joint moves. Its variances are the likeliest, by scoring (Harville, Journal of the American
-//! Statistical Association 72, 1977) on their logarithms under the prior of backlash: with P = S^-1 - S^-1 A C A' S^-1
+//! Where the sense of approach is not known, a joint is half of its reversal error off its angle, to either side. Where it is
+//! known, a joint may still scatter: a last move can be too short to cross the play. Either is noise along what the joint moves,
+//! and is in the lengths of a pose together. Its variances are the likeliest, by scoring (Harville, Journal of the American
+//! Statistical Association 72, 1977) on their logarithms under their priors: with P = S^-1 - S^-1 A C A' S^-1
 //! of a pose's rows, r what they leave and l what a joint moves, d ln Z / d ln u = u^2 sum((l' S^-1 r)^2 - l' P l), and the
-//! information is 2 u_k^2 u_l^2 sum (l_k' P l_l)^2. What is expected of the sense has a coefficient of its own, whose prior
-//! standard deviation is the same u: it adds (w^2 + C) / u^2 - 1. The noise t that each length has of its own is one more
+//! information is 2 u_k^2 u_l^2 sum (l_k' P l_l)^2. What is expected of an unknown sense has a coefficient of its
+//! own, whose prior standard deviation is the same u: it adds (w^2 + C) / u^2 - 1. The noise t that each length has of its own is one more
 //! such variance: W^2 in place of l l'. Where it cannot be separated from that of the pose, it is what is stated.
 
 use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
@@ -23,16 +24,18 @@ const LONGEST_STEP: f64 = 1.0;
 pub(super) struct NoiseShape {
     /// What each length has of its own.
     pub(super) own: OwnNoise,
-    pub(super) backlash: BacklashNoise,
+    pub(super) joints: JointNoise,
 }
 
-/// Half of the reversal error of each joint where its sense of approach is not known: standard deviation, rad.
+/// How far each joint is off its angle from visit to visit: standard deviation, rad. What is sought of it is 0 for a joint that
+/// did not move.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum BacklashNoise {
-    /// By other lengths, whose sense is known, or none.
-    Known([f64; AXES]),
-    /// To be found from the scatter.
-    Sought([f64; AXES]),
+pub(super) enum JointNoise {
+    /// The sense of approach is known of lengths: their backlash is an unknown. Where it is not known, half of the reversal error
+    /// is noise. The scatter of all visits is to be found: a last move that is too short to cross the play, for example.
+    Approached { backlash: [f64; AXES], scatter: [f64; AXES] },
+    /// No sense is known: backlash is to be found from the scatter.
+    Unapproached([f64; AXES]),
 }
 
 /// The standard deviation that a length has beside its pose, mm.
@@ -57,16 +60,13 @@ const STATED_LN_SD: f64 = 1.0;
 impl NoiseShape {
     /// Whether nothing of it is sought.
     pub(super) fn is_known(&self) -> bool {
-        self.backlash.is_known() && matches!(self.own, OwnNoise::Stated(_))
+        self.joints.sought() == [0.0; AXES] && matches!(self.own, OwnNoise::Stated(_))
     }
 
     /// The noise of rows whose own noise has these weights, over sigma.
     pub(super) fn of_rows(&self, rows: &PoseRows, weights: &[f64], sigma_mm: f64) -> RowNoise {
-        let sds = self.backlash.sds().map(|sd| sd / sigma_mm);
         let own = self.own.sd() / sigma_mm;
-        let joints = |senses: &[i8; AXES]| {
-            std::array::from_fn(|joint| if senses[joint] == 0 { sds[joint] } else { 0.0 })
-        };
+        let joints = |senses: &[i8; AXES]| self.joints.sds(senses).map(|sd| sd / sigma_mm);
         RowNoise {
             pose: 1.0,
             own: weights.iter().map(|weight| own * weight).collect(),
@@ -75,30 +75,77 @@ impl NoiseShape {
     }
 }
 
-impl BacklashNoise {
+/// The scatter of a joint before any length: a repeatability of 0.01 mm at an arm of 2 m.
+const SCATTER_RAD: f64 = 5e-6;
+
+impl JointNoise {
+    /// None.
+    pub(super) const NONE: Self = Self::Approached { backlash: [0.0; AXES], scatter: [0.0; AXES] };
+
     /// Of joints that moved, where the search begins.
-    pub(super) fn sought(moved: [bool; AXES]) -> Self {
-        Self::Sought(moved.map(|moved| if moved { Self::prior().median } else { 0.0 }))
+    pub(super) fn of_moved(moved: [bool; AXES], is_approached: bool) -> Self {
+        let begin = |prior: HyperPrior| moved.map(|moved| if moved { prior.median } else { 0.0 });
+        if is_approached {
+            Self::NONE.with_sought(begin(Self::NONE.prior()))
+        } else {
+            let none = Self::Unapproached([0.0; AXES]);
+            none.with_sought(begin(none.prior()))
+        }
     }
 
-    pub(super) fn is_known(self) -> bool {
-        matches!(self, Self::Known(_))
+    pub(super) fn is_approached(self) -> bool {
+        match self {
+            Self::Approached { .. } => true,
+            Self::Unapproached(_) => false,
+        }
     }
 
-    pub(super) fn sds(self) -> [f64; AXES] {
-        let (Self::Known(sds) | Self::Sought(sds)) = self;
+    /// What is to be found.
+    pub(super) fn sought(self) -> [f64; AXES] {
+        let (Self::Approached { scatter: sds, .. } | Self::Unapproached(sds)) = self;
         sds
     }
 
-    /// The logarithm of the prior against its middle.
-    pub(super) fn ln_prior(self) -> f64 {
-        let Self::Sought(sds) = self else { return 0.0 };
-        let off = |sd: f64| Self::prior().off(sd.ln());
-        sds.into_iter().filter(|sd| *sd > 0.0).map(|sd| -0.5 * off(sd).powi(2)).sum()
+    fn with_sought(self, sds: [f64; AXES]) -> Self {
+        match self {
+            Self::Approached { backlash, .. } => Self::Approached { backlash, scatter: sds },
+            Self::Unapproached(_) => Self::Unapproached(sds),
+        }
     }
 
-    fn prior() -> HyperPrior {
-        HyperPrior::all(1.0)[Group::Backlash as usize]
+    /// With no more than is usual before any length.
+    pub(super) fn at_most_usual(self) -> Self {
+        let usual = self.prior().median;
+        self.with_sought(self.sought().map(|sd| sd.min(usual)))
+    }
+
+    /// Whether what is sought of a joint is in a length that came with this sense.
+    fn is_in(self, sense: i8) -> bool {
+        self.is_approached() || sense == 0
+    }
+
+    /// Of a length that came with these senses.
+    fn sds(self, senses: &[i8; AXES]) -> [f64; AXES] {
+        std::array::from_fn(|joint| match self {
+            Self::Approached { scatter, .. } if senses[joint] != 0 => scatter[joint],
+            Self::Approached { backlash, scatter } => backlash[joint].hypot(scatter[joint]),
+            Self::Unapproached(sds) if senses[joint] == 0 => sds[joint],
+            Self::Unapproached(_) => 0.0,
+        })
+    }
+
+    /// The logarithm of the prior of what is sought against its middle.
+    pub(super) fn ln_prior(self) -> f64 {
+        let off = |sd: f64| self.prior().off(sd.ln());
+        self.sought().into_iter().filter(|sd| *sd > 0.0).map(|sd| -0.5 * off(sd).powi(2)).sum()
+    }
+
+    fn prior(self) -> HyperPrior {
+        let of_backlash = HyperPrior::all(1.0)[Group::Backlash as usize];
+        match self {
+            Self::Approached { .. } => HyperPrior { median: SCATTER_RAD, ..of_backlash },
+            Self::Unapproached(_) => of_backlash,
+        }
     }
 }
 
@@ -126,17 +173,12 @@ const OWN: usize = AXES;
 impl NoiseScore<'_> {
     /// The shape after a step towards the likeliest.
     pub(super) fn step(&self) -> Option<NoiseShape> {
-        let NoiseShape { own, backlash } = self.whitened.shape;
+        let NoiseShape { own, joints } = self.whitened.shape;
         let Slopes { gradient, information } = self.slopes()?;
         let step = Cholesky::new(information)?.solve(&gradient);
         let factor = |at: usize| step[at].clamp(-LONGEST_STEP, LONGEST_STEP).exp();
         Some(NoiseShape {
-            backlash: match backlash {
-                BacklashNoise::Sought(sds) => {
-                    BacklashNoise::Sought(std::array::from_fn(|joint| sds[joint] * factor(joint)))
-                }
-                BacklashNoise::Known(_) => backlash,
-            },
+            joints: joints.with_sought(std::array::from_fn(|joint| joints.sought()[joint] * factor(joint))),
             own: match own {
                 OwnNoise::Sought { sd, stated } => OwnNoise::Sought { sd: sd * factor(OWN), stated },
                 OwnNoise::Stated(_) => own,
@@ -144,20 +186,21 @@ impl NoiseScore<'_> {
         })
     }
 
-    /// Root of the posterior mean square of each joint's backlash, rad: the likeliest is the median of a log-normal
+    /// Root of the posterior mean square of what is sought of each joint, rad: the likeliest is the median of a log-normal
     /// distribution. What lengths hardly show may be larger.
     pub(super) fn rms_rad(&self) -> Option<[f64; AXES]> {
-        let sds = self.whitened.shape.backlash.sds();
+        let sds = self.whitened.shape.joints.sought();
         let covariance = Cholesky::new(self.slopes()?.information)?.inverse();
         Some(std::array::from_fn(|joint| sds[joint] * covariance[(joint, joint)].exp()))
     }
 
     fn slopes(&self) -> Option<Slopes> {
         let Self { rows, whitened, sigma_mm, .. } = *self;
-        let NoiseShape { own, backlash } = whitened.shape;
-        let sds = if backlash.is_known() { [0.0; AXES] } else { backlash.sds() };
+        let NoiseShape { own, joints } = whitened.shape;
+        let sds = joints.sought();
         let mut by_joint = DMatrix::from_fn(rows.lengths.len(), AXES, |row, joint| {
-            if rows.lengths[row].senses[joint] == 0 { rows.lengths[row].by_joint[joint] } else { 0.0 }
+            let length = &rows.lengths[row];
+            if joints.is_in(length.senses[joint]) { length.by_joint[joint] } else { 0.0 }
         });
         whitened.whitening.apply(&mut by_joint);
         by_joint /= sigma_mm;
@@ -206,9 +249,10 @@ impl NoiseScore<'_> {
             gradient[OWN] -= (sd / stated).ln() / STATED_LN_SD.powi(2);
         }
         information[(OWN, OWN)] += STATED_LN_SD.powi(-2);
-        let prior = BacklashNoise::prior();
+        let prior = joints.prior();
         for k in 0..AXES {
-            if let Some(place) = self.backlash_places[k].filter(|_| sds[k] > 0.0) {
+            let is_of_sense = |_: &usize| !joints.is_approached() && sds[k] > 0.0;
+            if let Some(place) = self.backlash_places[k].filter(is_of_sense) {
                 let left = self.root.row(place).norm_squared() / variances[k];
                 gradient[k] += self.mean[place].powi(2) / variances[k] + left - 1.0;
                 information[(k, k)] += 2.0 * (1.0 - left).powi(2);
@@ -248,7 +292,7 @@ mod tests {
     }
 
     fn shape(own: OwnNoise) -> NoiseShape {
-        NoiseShape { own, backlash: BacklashNoise::Known([0.0; AXES]) }
+        NoiseShape { own, joints: JointNoise::NONE }
     }
 
     fn sought(sd: f64) -> NoiseShape {
@@ -276,7 +320,7 @@ mod tests {
             OwnNoise::Stated(_) => 0.0,
         };
         let evidence = whitened.equations.posterior(hypers).unwrap().ln_evidence(hypers);
-        evidence + of_own + shape.backlash.ln_prior()
+        evidence + of_own + shape.joints.ln_prior()
     }
 
     #[test]
@@ -291,21 +335,44 @@ mod tests {
     }
 
     #[test]
-    fn gradient_by_backlash_is_that_of_the_evidence() {
+    fn gradient_by_the_noise_of_joints_is_that_of_the_evidence() {
         let (system, hypers) = (system(), hypers(SIGMA_MM));
-        let at = |sds: [f64; AXES]| NoiseShape { backlash: BacklashNoise::Sought(sds), ..sought(0.015) };
         let sds = [2e-5, 5e-5, 3e-5, 8e-5, 4e-5, 1e-4];
-        let found = scored(&system, at(sds), |score| score.slopes().unwrap().gradient);
-        for joint in 0..AXES {
-            let moved = |step: f64| {
-                let mut sds = sds;
-                sds[joint] *= step.exp();
-                ln_evidence(&system, at(sds), &hypers)
-            };
-            let numeric = (moved(1e-4) - moved(-1e-4)) / 2e-4;
-            let size = numeric.abs().max(1.0);
-            assert!((found[joint] - numeric).abs() < 1e-4 * size, "{joint}: {} {numeric}", found[joint]);
+        // The lengths have no sense, so that what is known of backlash is in their noise too.
+        let approached = JointNoise::Approached { backlash: [3e-5; AXES], scatter: sds };
+        for joints in [JointNoise::Unapproached(sds), approached] {
+            let at = |sds| NoiseShape { joints: joints.with_sought(sds), ..sought(0.015) };
+            let found = scored(&system, at(sds), |score| score.slopes().unwrap().gradient);
+            for joint in 0..AXES {
+                let moved = |step: f64| {
+                    let mut sds = sds;
+                    sds[joint] *= step.exp();
+                    ln_evidence(&system, at(sds), &hypers)
+                };
+                let numeric = (moved(1e-4) - moved(-1e-4)) / 2e-4;
+                let size = numeric.abs().max(1.0);
+                assert!((found[joint] - numeric).abs() < 1e-4 * size, "{joint}: {} {numeric}", found[joint]);
+            }
         }
+    }
+
+    /// 0.01 mm at an arm of 2 m; the medians of [`HyperPrior::all`] and half of a standard deviation of a logarithm from them.
+    #[test]
+    fn noise_of_joints_is_of_the_sense_of_approach() {
+        let moved = [true, true, false, true, true, true];
+        let [approached, not] = [true, false].map(|is_approached| JointNoise::of_moved(moved, is_approached));
+        assert_eq!(approached.sought(), [5e-6, 5e-6, 0.0, 5e-6, 5e-6, 5e-6]);
+        assert_eq!(not.sought(), [3e-5, 3e-5, 0.0, 3e-5, 3e-5, 3e-5]);
+        assert_eq!([approached, not, JointNoise::NONE].map(JointNoise::ln_prior), [0.0; 3]);
+        let wider = approached.with_sought(approached.sought().map(|sd| sd * 0.5f64.exp()));
+        assert!((wider.ln_prior() + 5.0 * 0.125).abs() < 1e-12);
+        assert_eq!(wider.at_most_usual().sought(), approached.sought());
+        // A known sense leaves the scatter alone; an unknown one adds what backlash is.
+        let noise = JointNoise::Approached { backlash: [4e-5; AXES], scatter: [3e-5; AXES] };
+        let found = noise.sds(&[1, 0, -1, 0, 0, 0]);
+        assert_eq!([found[0], found[2]], [3e-5; 2]);
+        assert!((found[1] - 5e-5).abs() < 1e-19);
+        assert_eq!(not.sds(&[1, 0, -1, 1, 1, 1]), [0.0, 3e-5, 0.0, 0.0, 0.0, 0.0]);
     }
 
     /// The information is the variance of the gradient over data that are as the noise says, without those of the priors; 2000
@@ -342,16 +409,16 @@ mod tests {
 
     #[test]
     fn what_is_stated_or_known_is_not_moved() {
-        let (system, known) = (system(), BacklashNoise::Known([1e-5; AXES]));
-        let stated = NoiseShape { own: OwnNoise::Stated(0.015), backlash: known };
+        let known = JointNoise::Approached { backlash: [1e-5; AXES], scatter: [0.0; AXES] };
+        let (system, stated) = (system(), NoiseShape { own: OwnNoise::Stated(0.015), joints: known });
         assert!(stated.is_known() && !sought(0.01).is_known());
         let after = scored(&system, stated, |score| score.step().unwrap());
-        assert_eq!((after.own.sd(), after.backlash.sds()), (0.015, [1e-5; AXES]));
+        assert_eq!((after.own.sd(), after.joints.sds(&[0; AXES])), (0.015, [1e-5; AXES]));
         assert!(after.is_known());
         // The noise that is sought alone moves, towards that of the numbers.
-        let both = NoiseShape { backlash: known, ..sought(0.015) };
+        let both = NoiseShape { joints: known, ..sought(0.015) };
         let after = scored(&system, both, |score| score.step().unwrap());
-        assert_eq!(after.backlash.sds(), [1e-5; AXES]);
+        assert_eq!(after.joints.sds(&[0; AXES]), [1e-5; AXES]);
         assert!(matches!(after.own, OwnNoise::Sought { sd, stated: 0.02 } if sd > 0.015), "{after:?}");
     }
 }

@@ -168,14 +168,14 @@ impl PoseRows {
         10 * oblique > self.poses.len()
     }
 
-    /// The noise of the rows of a robot at `model`. The scatter of lengths, a mean over the rows, contains backlash of unknown
-    /// sense: its mean is taken out of what the lengths that it moves have of their own.
+    /// The noise of the rows of a robot at `model`. The scatter of lengths, a mean over the rows, contains that of the joints, and
+    /// backlash of unknown sense: its mean is taken out of what the lengths that it moves have of their own.
     pub(super) fn noise(&self, noise: &LengthNoise<'_>, model: &LengthModel) -> RowNoise {
         let rows = self.values.nrows();
-        let backlash = noise.joints.map_or([0.0; AXES], |unknown| unknown.unapproached_rad);
         let moved = |row: usize| -> f64 {
-            let unknown = (0..AXES).filter(|joint| self.lengths[row].senses[*joint] == 0);
-            unknown.map(|joint| (self.lengths[row].by_joint[joint] * backlash[joint]).powi(2)).sum()
+            let LengthAtPose { senses, by_joint, .. } = &self.lengths[row];
+            let sds = noise.joints.map_or([0.0; AXES], |unknown| unknown.of_visit(*senses));
+            sds.iter().zip(by_joint).map(|(sd, by_angle)| (sd * by_angle).powi(2)).sum()
         };
         let moved: Vec<f64> = (0..rows).map(moved).collect();
         let count = moved.iter().filter(|moved| **moved > 0.0).count();

@@ -295,12 +295,11 @@ impl<'a> RemainingErrors<'a> {
         let nearest: [f64; AXES] = std::array::from_fn(|place| nearest(place).unwrap_or(joints[place]));
         let here = self.smooth_variance(&joints);
         let measured = if nearest == joints { here } else { self.smooth_variance(&nearest) };
-        let senses = geometry.coupling.senses(approach).senses();
+        let of_visit = uncertainty.of_visit(geometry.coupling.senses(approach).senses());
         std::array::from_fn(|place| {
-            let backlash = if senses[place] == 0 { uncertainty.unapproached_rad[place] } else { 0.0 };
             // Among measured angles what the basis lacks is in the noise of the lengths already.
             let held = if measured[place] > 0.0 { (here[place] / measured[place]).min(1.0) } else { 0.0 };
-            (uncertainty.smooth_variance(Joint::ALL[place]) * (1.0 - held)).sqrt().hypot(backlash)
+            (uncertainty.smooth_variance(Joint::ALL[place]) * (1.0 - held)).sqrt().hypot(of_visit[place])
         })
     }
 

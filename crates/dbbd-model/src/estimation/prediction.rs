@@ -123,6 +123,7 @@ fn with_usual_joint_errors(ids: &[ParamId], root: &DMatrix<f64>, has_errors: boo
             pose_mm: 0.0,
             smooth: Vec::new(),
             smooth_of_joints: [1.0; AXES],
+            scatter_rad: [0.0; AXES],
             unapproached_rad: [0.0; AXES],
         };
     }
@@ -137,6 +138,7 @@ fn with_usual_joint_errors(ids: &[ParamId], root: &DMatrix<f64>, has_errors: boo
         pose_mm: 0.0,
         smooth: usual.processes().to_vec(),
         smooth_of_joints: usual.of_joints(),
+        scatter_rad: [0.0; AXES],
         unapproached_rad: [usual.sd(Group::Backlash); AXES],
     }
 }

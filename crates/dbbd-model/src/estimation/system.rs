@@ -257,15 +257,14 @@ impl SystemPosterior<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::noise_shape::{BacklashNoise, OwnNoise};
+    use super::super::noise_shape::{JointNoise, OwnNoise};
     use super::super::tests::cell_of_poses::{hypers, model, normals, readings};
     use super::*;
     use crate::measurement::PreparedMeasurement;
-    use crate::robot::{AXES, BallId, BarId, Coordinate, Joint, ParamId};
+    use crate::robot::{BallId, BarId, Coordinate, Joint, ParamId};
 
     const SIGMA_MM: f64 = 0.03;
-    const SHAPE: NoiseShape =
-        NoiseShape { own: OwnNoise::Stated(0.01), backlash: BacklashNoise::Known([0.0; AXES]) };
+    const SHAPE: NoiseShape = NoiseShape { own: OwnNoise::Stated(0.01), joints: JointNoise::NONE };
 
     /// Two bound parameters of the robot, a bar, and two free balls.
     fn ids() -> Vec<ParamId> {

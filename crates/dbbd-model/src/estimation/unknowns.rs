@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use super::hyper_parameters::{Group, Hypers, Variance};
 use super::hypotheses::RunEvent;
 use super::lengths::{Sigma, Weighted};
-use super::noise_shape::BacklashNoise;
+use super::noise_shape::JointNoise;
 use super::pose_rows::PoseRows;
 use super::system::System;
 use crate::math::{beside, stacked};
@@ -134,13 +134,10 @@ impl Unknowns {
         model.geometry.joint_errors.backlash_places().map(|place| Some(self.own() + place?))
     }
 
-    /// Where the search for backlash as noise begins.
-    pub(super) fn backlash_noise(&self) -> BacklashNoise {
+    /// Where the search for the noise of the joints begins.
+    pub(super) fn joint_noise(&self) -> JointNoise {
         let moved: [bool; AXES] = std::array::from_fn(|joint| self.moved(joint));
-        if self.approached || moved == [false; AXES] {
-            return BacklashNoise::Known([0.0; AXES]);
-        }
-        BacklashNoise::sought(moved)
+        JointNoise::of_moved(moved, self.approached || moved == [false; AXES])
     }
 
     /// The functions that the length scale needs, with the coefficients that `before` has of them.
@@ -174,7 +171,7 @@ impl Unknowns {
         model: &LengthModel,
         z: &DVector<f64>,
         used: &Weighted,
-        backlash: BacklashNoise,
+        noise: JointNoise,
         bar_sds: &[f64],
     ) -> System {
         let KnownBefore { ids, transform, variances, has_coefficients, .. } = &self.before;
@@ -189,8 +186,8 @@ impl Unknowns {
         let errors = &model.geometry.joint_errors;
         let of_term = |term: JointTerm| match term.kind {
             TermKind::Smooth { frequency } => Variance::Spectral(term.joint, frequency),
-            TermKind::Backlash if backlash.is_known() => Variance::Of(Group::Backlash, 1.0),
-            TermKind::Backlash => Variance::ByNoise(backlash.sds()[term.joint.index()]),
+            TermKind::Backlash if noise.is_approached() => Variance::Of(Group::Backlash, 1.0),
+            TermKind::Backlash => Variance::ByNoise(noise.sought()[term.joint.index()]),
             TermKind::Ripple { .. } => Variance::Of(Group::Ripple, 1.0),
         };
         let terms = if *has_coefficients { Vec::new() } else { errors.terms() };
@@ -506,7 +503,7 @@ mod tests {
             &there,
             &unknowns.at(&there, &DVector::zeros(0)),
             &used,
-            BacklashNoise::Known([0.0; AXES]),
+            JointNoise::NONE,
             &[],
         );
         let warming = (AXES + 1) * WARMING;

@@ -277,6 +277,7 @@ impl Robot {
             pose_mm: self.repeatability_sd_mm().unwrap_or(0.0),
             smooth: Vec::new(),
             smooth_of_joints: [1.0; AXES],
+            scatter_rad: [0.0; AXES],
             unapproached_rad: [0.0; AXES],
         }
     }

@@ -29,6 +29,9 @@ pub struct RobotUncertainty {
     /// The factor on the smooth function of each joint.
     #[serde(default = "one_each", deserialize_with = "fixed_array")]
     pub smooth_of_joints: [f64; AXES],
+    /// How far each joint is off its angle from visit to visit, rad.
+    #[serde(default, deserialize_with = "fixed_array")]
+    pub(crate) scatter_rad: [f64; AXES],
     /// What an unknown sense of approach leaves of each joint's angle, rad.
     #[serde(deserialize_with = "fixed_array")]
     pub(crate) unapproached_rad: [f64; AXES],
@@ -47,6 +50,13 @@ impl RobotUncertainty {
             && self.root.iter().all(|value| value.is_finite())
             && self.pose_mm.is_finite()
             && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.length_scale_rad > 0.0)
+    }
+
+    /// How far each joint is off its angle on a visit with these senses of approach beside its known errors, one standard
+    /// deviation, rad.
+    pub(crate) fn of_visit(&self, senses: [i8; AXES]) -> [f64; AXES] {
+        let of_sense = |joint: usize| if senses[joint] == 0 { self.unapproached_rad[joint] } else { 0.0 };
+        std::array::from_fn(|joint| self.scatter_rad[joint].hypot(of_sense(joint)))
     }
 
     /// Of a tool whose place on the flange is known exactly.
@@ -129,6 +139,7 @@ mod tests {
             pose_mm: 0.0,
             smooth: vec![process, GaussianProcess { sd_rad: 0.1, ..process }],
             smooth_of_joints: [1.0, 2.0, 1.0, 1.0, 1.0, 1.0],
+            scatter_rad: [0.0; AXES],
             unapproached_rad: [0.0; AXES],
             parameters: Vec::new(),
             root: DMatrix::zeros(0, 0),
@@ -136,6 +147,23 @@ mod tests {
         assert!((unknown.smooth_variance(Joint::J1) - 0.5).abs() < 1e-15);
         let sum = process.spectral_density(2.0) * (1.0 + 1.0 / 49.0);
         assert!((unknown.spectral_density(Joint::J2, 2.0) - 4.0 * sum).abs() < 1e-15);
+    }
+
+    /// A joint that scatters by 3 urad, with 4 urad of backlash where its sense is not known.
+    #[test]
+    fn a_visit_has_backlash_where_its_sense_is_not_known() {
+        let unknown = RobotUncertainty {
+            pose_mm: 0.0,
+            smooth: Vec::new(),
+            smooth_of_joints: [1.0; AXES],
+            scatter_rad: [3e-6; AXES],
+            unapproached_rad: [4e-6; AXES],
+            parameters: Vec::new(),
+            root: DMatrix::zeros(0, 0),
+        };
+        let found = unknown.of_visit([1, -1, 0, 0, 0, 0]);
+        let expected = [3e-6, 3e-6, 5e-6, 5e-6, 5e-6, 5e-6];
+        assert!(found.iter().zip(expected).all(|(sd, rad)| (sd - rad).abs() < 1e-18), "{found:?}");
     }
 
     #[test]
