@@ -1,5 +1,6 @@
 //! `dbbd demo`: runs the commands that a user would type.
 
+mod real;
 mod truth;
 
 use std::path::{Path, PathBuf};
@@ -19,7 +20,7 @@ pub(crate) const JOB: &str = include_str!("../../../examples/demo.toml");
 ///
 /// Plans poses, writes KRL programs, executes them on a simulated robot with a virtual ball-bar on a TCP port of this
 /// computer, records a capture, matches the poses and identifies the robot, each with its own command on files. At the end,
-/// compares the identified with the true parameters.
+/// compares the identified with the true parameters. With --real, identifies a robot that others measured.
 #[derive(clap::Args)]
 pub(crate) struct DemoArgs {
     /// Directory for all files. Those of an earlier demo are replaced.
@@ -28,11 +29,21 @@ pub(crate) struct DemoArgs {
     /// Seed of the true robot, its repeatability and the bar's noise.
     #[arg(long, value_name = "N", default_value_t = SEED)]
     seed: u64,
+    /// Identify a real robot, measured by others with a laser tracker, from lengths to three base balls, and compare it with
+    /// the tracker at poses that were not used.
+    #[arg(long, value_name = "ROBOT", num_args = 0..=1, default_missing_value = "ur5", conflicts_with = "seed")]
+    real: Option<real::RealRobot>,
 }
 
 pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     files::directory(&args.out)?;
     let dir = args.out.as_path();
+    if let Some(robot) = args.real {
+        let error = real::run(robot, dir, out)?;
+        out.document(&error)?;
+        error.lines().into_iter().for_each(|line| out.result(line));
+        return Ok(CommandOutcome::Done);
+    }
     write_job(dir)?;
     let steps = ChildCommands::new(dir, out);
 
