@@ -187,7 +187,7 @@ fn refused_and_doubted(at: &Path) {
 
 /// pydcc, dccQuantities and, with the feature `pdf`, pikepdf.
 #[test]
-#[ignore = "needs pydcc, dccQuantities and pikepdf: .ci/night"]
+#[ignore = "needs pydcc, dccQuantities with the network, and pikepdf: .ci/night"]
 fn other_programs_read_a_certificate() {
     let dir = cell();
     certified(dir.path());

@@ -9,7 +9,7 @@ use dbbd_model::estimation::result::Status;
 use dbbd_model::robot::ParamUnit;
 use tempfile::tempdir;
 
-use crate::cell::{dbbd, stderr};
+use crate::cell::{codes, dbbd, stderr};
 
 /// Measurements that are not part of the project, in the directory that `DBBD_SHARED` names, or beside the checkout.
 pub(crate) fn data(name: &str) -> PathBuf {
@@ -158,13 +158,17 @@ fn a_check_of_the_real_robot_passes_and_finds_a_moved_joint() {
 }
 
 /// The mean 3-D error at the kept poses was 0.0511 mm (UR5, 20 poses) and 0.0942 mm (UR10, 2464 poses). For the UR5 another
-/// method is published: 0.1549 mm.
+/// method is published: 0.1549 mm. The target of the UR5 seems to move early in the series (W1331).
 #[test]
 fn the_demo_of_real_robots_is_as_accurate_as_stated() {
     let dir = tempdir().unwrap();
-    for (robot, kept_poses, mean_mm) in [("ur5", 20, 0.0511), ("ur10", 2464, 0.0942)] {
+    for (robot, doubts, kept_poses, mean_mm) in
+        [("ur5", vec!["W1331"], 20, 0.0511), ("ur10", vec![], 2464, 0.0942)]
+    {
         let output = dbbd(dir.path(), &["demo", "--real", robot, "--json"]);
-        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        let said = codes(&output).into_iter().filter(|code| code.starts_with('W')).collect::<Vec<_>>();
+        assert_eq!(said, doubts, "{}", stderr(&output));
+        assert_eq!(output.status.code(), Some(if doubts.is_empty() { 0 } else { 3 }));
         let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         let value = |key: &str| found[key].as_f64().unwrap();
         assert_eq!(found["kept_poses"], kept_poses);

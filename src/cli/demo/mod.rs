@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use super::child::{ChildCommands, LOOPBACK};
 use super::{CommandOutcome, CommandOutput};
 use dbbd_job::files;
+use dbbd_job::robot_files::named_robot;
 use dbbd_model::base::hash::sha256;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
@@ -39,10 +40,7 @@ pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome
     files::directory(&args.out)?;
     let dir = args.out.as_path();
     if let Some(robot) = args.real {
-        let error = real::run(robot, dir, out)?;
-        out.document(&error)?;
-        error.lines().into_iter().for_each(|line| out.result(line));
-        return Ok(CommandOutcome::Done);
+        return identify_real(&robot.tracked()?, dir, out);
     }
     write_job(dir)?;
     let steps = ChildCommands::new(dir, out);
@@ -71,6 +69,28 @@ pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome
     }
     out.result(format!("The report: {}", dir.join("result/report.html").display()));
     Ok(CommandOutcome::Done)
+}
+
+/// Identifies a real robot in a directory of its own, and judges it at the poses that it did not see.
+fn identify_real(
+    robot: &real::TrackedRobot,
+    dir: &Path,
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
+    let (name, dir) = (robot.name(), &dir.join(robot.name()));
+    let nominal = named_robot(name)?.robot;
+    files::directory(dir)?;
+    robot.write(dir, &nominal)?;
+    let steps = ChildCommands::new(dir, out);
+    steps.say(&format!("Identify a real {} from lengths to three base balls", nominal.name));
+    let inputs = ["identify", "observations.csv", "--robot", name, "--tool", &robot.tool()];
+    let further = ["--centres", "centres.csv", "--folds", "0", "--out", "result", "--replace"];
+    let outcome = steps.run(&[&inputs[..], &further].concat())?;
+    let path = dir.join("result/robot-identified.toml");
+    let error = robot.judge(&Robot::from_toml(&path.display().to_string(), &files::read_text(&path)?)?)?;
+    out.document(&error)?;
+    error.lines().into_iter().for_each(|line| out.result(line));
+    Ok(outcome)
 }
 
 /// Writes the job, and replaces only that of an earlier demo.

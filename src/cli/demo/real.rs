@@ -6,10 +6,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::cli::CommandOutput;
-use crate::cli::child::ChildCommands;
 use dbbd_job::files;
-use dbbd_job::robot_files::named_robot;
 use dbbd_model::base::InternalFinding;
 use dbbd_model::base::table::TableReader;
 use dbbd_model::diagnostic::Diagnostic;
@@ -36,7 +33,7 @@ const TAPED_MM: f64 = 10.0;
 const SEEN_EVERY: usize = 9;
 
 /// What is known of a real robot.
-struct TrackedRobot {
+pub(super) struct TrackedRobot {
     name: &'static str,
     /// Rough place of the tracker's target on the flange, mm.
     tool_mm: [f64; 3],
@@ -75,7 +72,8 @@ pub(super) struct HeldOutError {
 }
 
 impl RealRobot {
-    fn tracked(self) -> Result<TrackedRobot, Diagnostic> {
+    /// What is known of it.
+    pub(super) fn tracked(self) -> Result<TrackedRobot, Diagnostic> {
         match self {
             Self::Ur5 => Ok(TrackedRobot {
                 name: "ur5",
@@ -122,26 +120,25 @@ impl TrackedPose {
     }
 }
 
-/// Identifies a real robot in `dir`, and judges it at the kept poses.
-pub(super) fn run(robot: RealRobot, dir: &Path, out: &CommandOutput) -> Result<HeldOutError, Diagnostic> {
-    let tracked = robot.tracked()?;
-    let dir = &dir.join(tracked.name);
-    files::directory(dir)?;
-    let nominal = named_robot(tracked.name)?.robot;
-    let balls = tracked.balls();
-    files::write_file(&dir.join("LICENSE"), tracked.licence)?;
-    files::write_file(&dir.join("observations.csv"), tracked.lengths(&balls).to_csv())?;
-    files::write_file(&dir.join("centres.csv"), BaseBall::to_csv(&tracked.taped(&balls, &nominal)?))?;
-    let steps = ChildCommands::new(dir, out);
-    steps.say(&format!("Identify a real {} from lengths to three base balls", nominal.name));
-    let tool = tracked.tool_mm.map(|mm| mm.to_string()).join(",");
-    let inputs = ["identify", "observations.csv", "--robot", tracked.name, "--centres", "centres.csv"];
-    steps.run(&[&inputs[..], &["--tool", &tool, "--folds", "0", "--out", "result", "--replace"]].concat())?;
-    let path = dir.join("result/robot-identified.toml");
-    tracked.judge(&Robot::from_toml(&path.display().to_string(), &files::read_text(&path)?)?)
-}
-
 impl TrackedRobot {
+    /// Its name among the built-in robots.
+    pub(super) fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// The rough place of the target, as the option `--tool` takes it.
+    pub(super) fn tool(&self) -> String {
+        self.tool_mm.map(|mm| mm.to_string()).join(",")
+    }
+
+    /// Writes the lengths of the seen poses, the taped places of the balls, and the licence of the measurements.
+    pub(super) fn write(&self, dir: &Path, nominal: &Robot) -> Result<(), Diagnostic> {
+        let balls = self.balls();
+        files::write_file(&dir.join("LICENSE"), self.licence)?;
+        files::write_file(&dir.join("observations.csv"), self.lengths(&balls).to_csv())?;
+        files::write_file(&dir.join("centres.csv"), BaseBall::to_csv(&self.taped(&balls, nominal)?))
+    }
+
     /// Base balls in the tracker's frame, mm.
     fn balls(&self) -> [Vector3<f64>; 3] {
         let places = || self.seen.iter().map(|seen| seen.place);
@@ -185,7 +182,7 @@ impl TrackedRobot {
     }
 
     /// Where the identified robot says that the target was at the kept poses, beside where it was.
-    fn judge(&self, identified: &Robot) -> Result<HeldOutError, Diagnostic> {
+    pub(super) fn judge(&self, identified: &Robot) -> Result<HeldOutError, Diagnostic> {
         let all = || self.seen.iter().chain(&self.kept);
         let positions = Positions::of(identified, &all().map(|tracked| tracked.pose).collect::<Vec<_>>());
         let places: Vec<_> = all().map(|tracked| tracked.place).collect();
