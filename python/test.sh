@@ -5,21 +5,16 @@ cd "$(dirname "$0")"
 cargo fmt --check
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-skip() { echo "SKIPPED: the Python package: $1"; exit 0; }
-python3 -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || skip "no Python 3.10 or newer"
-python3 -m venv "$work/venv" 2>/dev/null || skip "no venv"
+python3 -c 'import sys; sys.exit(sys.version_info < (3, 10) and "it needs Python 3.10")'
+python3 -m venv "$work/venv"
 venv=$work/venv/bin
-"$venv/pip" -q install 'maturin>=1.9,<2' "${DBBD_NUMPY:-numpy}" pytest >/dev/null 2>&1 || skip "maturin, NumPy and pytest cannot be installed"
-"$venv/pip" -q install pin example-robot-data >/dev/null 2>&1 || echo "SKIPPED: the comparison with Pinocchio: pin cannot be installed"
+# pin and example-robot-data are Pinocchio, for a comparison.
+"$venv/pip" -q install 'maturin>=1.9,<2' "${DBBD_NUMPY:-numpy}" pytest mypy pin example-robot-data
 PATH=$venv:$PATH maturin build --release --locked --quiet --out "$work/wheel"
 "$venv/pip" -q install --no-deps "$work"/wheel/*.whl
 "$venv/dbbd" --version
 # The types that the stubs state are those of the module.
-if "$venv/pip" -q install mypy >/dev/null 2>&1; then
-    (cd "$work" && "$venv/python" -m mypy.stubtest dbbd)
-else
-    echo "SKIPPED: the comparison of the stubs: mypy cannot be installed"
-fi
+(cd "$work" && "$venv/python" -m mypy.stubtest dbbd)
 # The Python of the documents, each document's blocks as one program in the repository.
 for page in ../README.md ../docs/how-to/python.md; do
     awk '/^```python$/ { on = 1; next } /^```$/ { on = 0 } on' "$page" >"$work/page.py"

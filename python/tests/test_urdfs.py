@@ -9,11 +9,10 @@ import pathlib
 import sysconfig
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import dbbd
-
-pin = pytest.importorskip("pinocchio")
 
 
 def public():
@@ -26,9 +25,9 @@ def public():
 
 
 URDFS = list(public())
+assert URDFS, "no public URDFs: DBBD_URDFS and example-robot-data are absent"
 
 
-@pytest.mark.skipif(not URDFS, reason="no public URDFs: DBBD_URDFS and example-robot-data are absent")
 @pytest.mark.parametrize("name, path", URDFS, ids=[name for name, _ in URDFS])
 def test_the_last_link_moves_as_the_identified_flange(tmp_path, name, path):
     # As an identification leaves it: an identified robot has its nominal one inside.

@@ -6,8 +6,7 @@
     python3 tests/clients/axes.py rsi-listen PORT SECONDS       reads `dbbd simulate --axes rsi://..`
     python3 tests/clients/axes.py rsi-send HOST PORT SECONDS    is a controller for `dbbd acquire --axes rsi://..`
 
-prints what came, as JSON. The suite runs `ur-rtde` where it is installed; exit code 77 where it is not. The others are run by
-hand; `rtde` needs UniversalRobots/RTDE_Python_Client_Library on PYTHONPATH.
+prints what came, as JSON. `.ci/night` runs `ur-rtde`. The others are run by hand; `rtde` needs UniversalRobots/RTDE_Python_Client_Library on PYTHONPATH.
 """
 import json
 import math
@@ -48,11 +47,8 @@ def rtde(host, port, seconds):
 
 
 def ur_rtde(host, seconds):
-    try:
-        from rtde_receive import RTDEReceiveInterface
-    except ImportError as missing:
-        print(f"SKIPPED: {missing} (pip install ur-rtde)")
-        sys.exit(77)
+    from rtde_receive import RTDEReceiveInterface  # of ur-rtde
+
     robot = RTDEReceiveInterface(host, 250.0, ["timestamp", "actual_q", "target_q"])
     times, until = [robot.getTimestamp()], time.monotonic() + float(seconds)
     while time.monotonic() < until:

@@ -5,7 +5,7 @@
 
 Plans a small circle, serves, and plays the story for each of desktop and phone, light and dark, English and German.
 Screenshots go to OUT. Ends with an error when something is missing, cut off on the phone, when the console is not silent
-or axe finds a violation; with exit code 77 where Chromium, playwright or axe is not installed.
+or axe finds a violation.
 """
 
 import json

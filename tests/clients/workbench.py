@@ -5,8 +5,7 @@
 
 Serves an empty directory behind a token, signs in, makes a robot by the form, sees a plan refused, mends it, runs the demo at
 20 times the speed of a real cell, corrects a program, plans and measures a check, and makes the certificate. Then compares the
-result with that of the command line on the same run. Screenshots go to OUT. Exit code 77 where Chromium, playwright or axe is
-not installed.
+result with that of the command line on the same run. Screenshots go to OUT.
 """
 
 import json

@@ -3,8 +3,8 @@
     python3 tests/independent/real_robots.py DBBD --shared DIR [--jobs N] [--only NAME] [--splits K..] [--assert]
         [--keep DIR]
 
-DIR/data has the measurements, which are not part of the project: kr60 (KUKA KR60), ur5 and ur10 (Universal Robots) by
-laser tracker, irb120_drawwire (ABB IRB 120). --only takes the cases with NAME in their name, --keep leaves all files.
+UR5 and UR10 (Universal Robots, laser tracker) are in fixtures/real. DIR/data has measurements that are not part of the
+project: kr60 (KUKA KR60, laser tracker) and irb120_drawwire (ABB IRB 120). --only takes the cases with NAME in their name, --keep leaves all files.
 
 Tracked robots: a case is the robot, the number of poses to learn, the input (lengths to three balls or one, or
 positions), and whether the sense of approach is known. Lengths of UR5 and UR10 are those to virtual balls. Split K
@@ -47,12 +47,13 @@ MEAN_RATIO = (0.9, 1.15)       # geometric mean of p/t over all cases; not with 
 COVERAGE = (0.85, 1.0)
 WIRE_RMS = 0.31                # mm, in every mode, and no zero changed
 
-Source = collections.namedtuple("Source", "file robot tool learn frame")
+Source = collections.namedtuple("Source", "files robot tool learn frame")
 SOURCES = {
-    "kr60": Source("kr60/three_balls_approach.csv", "kr60ha", "0,0,104", [105], "robot base"),
-    "ur5": Source("ur5/grid.csv", "ur5", "0,0,0", [300, 700], "robot base"),
-    "ur10": Source("ur10/random.csv", "ur10", "0,0,93", [300, 1000], "tracker"),
+    "kr60": Source(["kr60/three_balls_approach.csv"], "kr60ha", "0,0,104", [105], "robot base"),
+    "ur5": Source(["ur5/grid.csv"], "ur5", "0,0,0", [300, 700], "robot base"),
+    "ur10": Source(["ur10/random.csv"], "ur10", "0,0,93", [300, 1000], "tracker"),
 }
+FIXTURES = pathlib.Path(__file__).resolve().parents[2] / "fixtures/real"
 KEPT = 1000                    # poses, at most
 VIRTUAL = np.array([[0.0, 0, -500], [400, 300, 0], [-300, 400, 200]])
 TAPED = np.array([[270.0, -1490, 530], [760, -1570, 1030], [340, -1000, 1230]])  # base balls of the KR60, to 10 mm
@@ -80,6 +81,15 @@ Case = collections.namedtuple("Case", "robot learn input sense")
 def read(path, columns):
     with open(path, newline="") as file:
         return np.array([[float(row[name]) for name in columns] for row in csv.DictReader(file)])
+
+
+def senses(axes):
+    """The sense in which each axis came to each pose of a series, in the order in which it was measured; 0: not known."""
+    found = np.zeros(axes.shape, int)
+    for at in range(1, len(axes)):
+        moved = np.sign(axes[at] - axes[at - 1])
+        found[at] = np.where(moved != 0, moved, found[at - 1])
+    return found
 
 
 def write(path, columns, *parts):
@@ -141,17 +151,17 @@ def trilaterated(lengths, there):
 class Robot:
     """What was measured on a robot: axis angles, senses of approach, lengths to three balls, and places if known."""
 
-    def __init__(self, dbbd, name, data, at):
-        source = SOURCES[name]
+    def __init__(self, dbbd, source, data, at):
         self.dbbd, self.options = dbbd, ["--robot", source.robot, "--tool", source.tool]
-        if name == "kr60":
-            table = read(data / source.file, AXES + SENSE + ["sigma_mm", "length_mm", "centre"])
+        if source.robot == "kr60ha":
+            table = read(data / source.files[0], AXES + SENSE + ["sigma_mm", "length_mm", "centre"])
             one, *_ = balls = [table[table[:, -1] == ball] for ball in (1, 2, 3)]
             assert all((ball[:, :13] == one[:, :13]).all() for ball in balls), "the balls have other poses"
             self.lengths, self.sigma = np.column_stack([ball[:, 13] for ball in balls]), one[:, 12:13]
             self.places, self.start = None, TAPED
         else:
-            one = read(data / source.file, AXES + SENSE + XYZ)
+            series = [read(FIXTURES / file, AXES + XYZ) for file in source.files]
+            one = np.vstack([np.hstack([rows[:, :6], senses(rows[:, :6]), rows[:, 6:]]) for rows in series])
             self.places, self.sigma = one[:, 12:], one[:, :0]
         self.axes, self.sense = one[:, :6], one[:, 6:12]
         if self.places is not None:
@@ -248,7 +258,7 @@ def campaign(args, work):
     modes = {f"irb120 draw-wire, {mode}": mode for mode in WIRE_MODES if args.only in f"irb120 draw-wire, {mode}"}
     if not cases and not modes:
         sys.exit(f"no case has {args.only} in its name")
-    robots = {name: Robot(args.dbbd, name, data, work / name) for name in {case.robot for case in cases.values()}}
+    robots = {name: Robot(args.dbbd, SOURCES[name], data, work / name) for name in {case.robot for case in cases.values()}}
 
     def directory(name):
         return name.replace(",", "").replace(" ", "-")

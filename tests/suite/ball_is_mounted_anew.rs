@@ -132,6 +132,7 @@ fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> Option<(
 }
 
 #[test]
+#[ignore = "needs data that are not part of the project: .ci/night"]
 fn no_remounted_ball_is_found_on_a_real_robot() {
     let of = |x: f64, y: f64, z: f64| Vector3::new(x, y, z);
     let kr60_balls = [of(270.0, -1490.0, 530.0), of(760.0, -1570.0, 1030.0), of(340.0, -1000.0, 1230.0)];
@@ -140,7 +141,7 @@ fn no_remounted_ball_is_found_on_a_real_robot() {
     for (file, balls) in
         [("kr60/three_balls.csv", 3), ("kr60/three_balls_approach.csv", 3), ("kr60/one_ball.csv", 1)]
     {
-        let Some(path) = data(file) else { return };
+        let path = data(file);
         let table = Measurements::from_csv(file, &fs::read_to_string(path).unwrap()).unwrap();
         assert_eq!(found(&table, &arm, &kr60_balls[..balls]), None, "{file}");
     }

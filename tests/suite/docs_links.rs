@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -309,19 +308,13 @@ fn every_key_of_a_result_is_described() {
 }
 
 #[test]
+#[ignore = "needs mdbook: .ci/night"]
 fn the_book_is_rendered() {
     let out = tempdir().unwrap();
-    let built =
-        Command::new("mdbook").arg("build").arg("--dest-dir").arg(out.path()).current_dir(root()).output();
-    match built {
-        Err(error) if error.kind() == ErrorKind::NotFound => {
-            eprintln!("SKIPPED: the book is not rendered: mdbook is not installed (`cargo install mdbook`)");
-        }
-        built => {
-            let output = built.unwrap();
-            let said = String::from_utf8_lossy(&output.stderr);
-            assert!(output.status.success() && !said.contains("ERROR"), "{said}");
-            assert!(out.path().join("tutorial/first-calibration.html").is_file());
-        }
-    }
+    let mut mdbook = Command::new("mdbook");
+    let built = mdbook.arg("build").arg("--dest-dir").arg(out.path()).current_dir(root()).output();
+    let output = built.expect("mdbook is installed: cargo install mdbook");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && !said.contains("ERROR"), "{said}");
+    assert!(out.path().join("tutorial/first-calibration.html").is_file());
 }

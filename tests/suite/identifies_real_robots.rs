@@ -1,5 +1,5 @@
-//! Real robots, measured by a laser tracker and a draw-wire sensor. The data have no licence and are not part of the project:
-//! without them beside the checkout these tests report that and pass.
+//! Real robots, measured by a laser tracker and a draw-wire sensor. The measurements of UR5 and UR10 are part of the project.
+//! Those of KR 60 and IRB 120 have no licence and are not: tests of these are ignored, and fail where the data are missing.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,15 +9,14 @@ use dbbd_model::estimation::result::Status;
 use dbbd_model::robot::ParamUnit;
 use tempfile::tempdir;
 
-use crate::cell::{dbbd, stderr};
+use crate::cell::{codes, dbbd, stderr};
 
-pub(crate) fn data(name: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
-    if !path.is_file() {
-        eprintln!("skipped: {} is not there", path.display());
-        return None;
-    }
-    Some(path)
+/// Measurements that are not part of the project, in the directory that `DBBD_SHARED` names, or beside the checkout.
+pub(crate) fn data(name: &str) -> PathBuf {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared");
+    let path = std::env::var_os("DBBD_SHARED").map_or_else(beside, PathBuf::from).join("data").join(name);
+    assert!(path.is_file(), "{} is not there: DBBD_SHARED names its directory", path.display());
+    path
 }
 
 fn identify(dir: &Path, data: &Path, args: &[&str]) -> (CalibrationResult, String) {
@@ -33,8 +32,9 @@ fn identify(dir: &Path, data: &Path, args: &[&str]) -> (CalibrationResult, Strin
 const TAPED: &str = "centre,x_mm,y_mm,z_mm\n1,300,-1530,500\n2,720,-1600,1080\n3,390,-960,1190\n";
 
 #[test]
+#[ignore = "needs data that are not part of the project: .ci/night"]
 fn three_balls_give_small_residuals_and_plausible_corrections() {
-    let Some(data) = data("kr60/three_balls.csv") else { return };
+    let data = data("kr60/three_balls.csv");
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("C.csv"), TAPED).unwrap();
     let (result, _) =
@@ -55,8 +55,9 @@ fn three_balls_give_small_residuals_and_plausible_corrections() {
 }
 
 #[test]
+#[ignore = "needs data that are not part of the project: .ci/night"]
 fn one_ball_does_not_determine_the_position() {
-    let Some(data) = data("kr60/one_ball.csv") else { return };
+    let data = data("kr60/one_ball.csv");
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,270,-1490,530\n").unwrap();
     let (result, said) =
@@ -86,8 +87,9 @@ angle_deg = 0.1
 "#;
 
 #[test]
+#[ignore = "needs data that are not part of the project: .ci/night"]
 fn draw_wire_lengths_of_clustered_poses() {
-    let Some(data) = data("irb120_drawwire/lengths.csv") else { return };
+    let data = data("irb120_drawwire/lengths.csv");
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("irb120.toml"), IRB120).unwrap();
     fs::write(dir.path().join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,220,-470,-40\n").unwrap();
@@ -108,8 +110,9 @@ fn draw_wire_lengths_of_clustered_poses() {
 
 /// A third of the poses is the check of a calibration by the others: it passes, and finds a joint whose angles are off.
 #[test]
+#[ignore = "needs data that are not part of the project: .ci/night"]
 fn a_check_of_the_real_robot_passes_and_finds_a_moved_joint() {
-    let Some(data) = data("kr60/three_balls.csv") else { return };
+    let data = data("kr60/three_balls.csv");
     let dir = tempdir().unwrap();
     let at = dir.path();
     fs::write(at.join("C.csv"), TAPED).unwrap();
@@ -152,4 +155,29 @@ fn a_check_of_the_real_robot_passes_and_finds_a_moved_joint() {
     // The controller's angles are 0.02 degrees too large: the offset is that much smaller.
     let [change, sd] = ["change", "sd"].map(|key| likeliest[key][0].as_f64().unwrap().to_degrees());
     assert!((change + 0.02).abs() < 3.0 * sd && sd < 0.01, "{change} {sd}");
+}
+
+/// The mean 3-D error at the kept poses was 0.0511 mm (UR5, 20 poses) and 0.0942 mm (UR10, 2464 poses). For the UR5 another
+/// method is published: 0.1549 mm. The target of the UR5 seems to move early in the series (W1331).
+#[test]
+fn the_demo_of_real_robots_is_as_accurate_as_stated() {
+    let dir = tempdir().unwrap();
+    for (robot, doubts, kept_poses, mean_mm) in
+        [("ur5", vec!["W1331"], 20, 0.0511), ("ur10", vec![], 2464, 0.0942)]
+    {
+        let output = dbbd(dir.path(), &["demo", "--real", robot, "--json"]);
+        let said = codes(&output).into_iter().filter(|code| code.starts_with('W')).collect::<Vec<_>>();
+        assert_eq!(said, doubts, "{}", stderr(&output));
+        assert_eq!(output.status.code(), Some(if doubts.is_empty() { 0 } else { 3 }));
+        let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let value = |key: &str| found[key].as_f64().unwrap();
+        assert_eq!(found["kept_poses"], kept_poses);
+        assert!(value("mean_mm") < 1.1 * mean_mm, "{found}");
+        let ratio = value("predicted_rms_mm") / value("rms_mm");
+        assert!((0.6..1.5).contains(&ratio), "{ratio} {found}");
+        let published = &found["published"]["after_mm"];
+        assert!(published.as_f64().is_none_or(|published| value("mean_mm") < published), "{found}");
+        let licence = dir.path().join("demo-out").join(robot).join("LICENSE");
+        assert!(fs::read_to_string(licence).unwrap().contains("MIT License"));
+    }
 }

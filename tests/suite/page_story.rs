@@ -1,6 +1,5 @@
 //! The pages in a browser: the workflow of an operator, played by `tests/clients/page.py`, and the whole work on a robot, played by
-//! `tests/clients/workbench.py`, if Chromium, playwright and
-//! axe are installed.
+//! `tests/clients/workbench.py`. They need Chromium, playwright and axe.
 #![cfg(unix)]
 
 use std::ffi::OsStr;
@@ -12,24 +11,17 @@ use crate::cell::client;
 fn play(script: &str, languages: &[&str]) {
     let dir = tempfile::tempdir().unwrap();
     let paths = [Path::new(env!("CARGO_BIN_EXE_dbbd")), dir.path()].map(Path::as_os_str);
-    if let Some(said) = client(script, paths.into_iter().chain(languages.iter().map(OsStr::new))) {
-        eprintln!("{said}");
-    }
-}
-
-/// In the suite the German stories; `page_stories -- --ignored` plays all.
-#[test]
-fn an_operator_goes_from_the_open_page_to_the_report() {
-    play("page.py", &["de"]);
+    eprintln!("{}", client(script, paths.into_iter().chain(languages.iter().map(OsStr::new))));
 }
 
 #[test]
-#[ignore = "four stories of two minutes each"]
+#[ignore = "needs Chromium, playwright and axe, and four times two minutes: .ci/night"]
 fn all_page_stories() {
     play("page.py", &[]);
 }
 
 #[test]
+#[ignore = "needs Chromium, playwright and axe: .ci/night"]
 fn a_robot_goes_from_an_empty_directory_to_the_certificate() {
     play("workbench.py", &[]);
 }

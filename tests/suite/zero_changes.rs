@@ -149,6 +149,7 @@ fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> (Robot, 
 }
 
 #[test]
+#[ignore = "needs data that are not part of the project: .ci/night"]
 fn no_change_of_zero_is_found_on_a_real_robot() {
     let of = |x: f64, y: f64, z: f64| Vector3::new(x, y, z);
     let kr60_balls = [of(270.0, -1490.0, 530.0), of(760.0, -1570.0, 1030.0), of(340.0, -1000.0, 1230.0)];
@@ -157,7 +158,7 @@ fn no_change_of_zero_is_found_on_a_real_robot() {
     for (name, balls) in
         [("three_balls", 3), ("three_balls_approach", 3), ("one_ball", 1), ("one_ball_approach", 1)]
     {
-        let Some(path) = data(&format!("kr60/{name}.csv")) else { return };
+        let path = data(&format!("kr60/{name}.csv"));
         let table = Measurements::from_csv(name, &fs::read_to_string(path).unwrap()).unwrap();
         let (_, result) = found(&table, &arm, &kr60_balls[..balls]);
         assert!(changes(&result).is_empty(), "{name}: {:?}", result.findings);

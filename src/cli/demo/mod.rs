@@ -1,5 +1,6 @@
 //! `dbbd demo`: runs the commands that a user would type.
 
+mod real;
 mod truth;
 
 use std::path::{Path, PathBuf};
@@ -7,6 +8,7 @@ use std::path::{Path, PathBuf};
 use super::child::{ChildCommands, LOOPBACK};
 use super::{CommandOutcome, CommandOutput};
 use dbbd_job::files;
+use dbbd_job::robot_files::named_robot;
 use dbbd_model::base::hash::sha256;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
@@ -19,7 +21,7 @@ pub(crate) const JOB: &str = include_str!("../../../examples/demo.toml");
 ///
 /// Plans poses, writes KRL programs, executes them on a simulated robot with a virtual ball-bar on a TCP port of this
 /// computer, records a capture, matches the poses and identifies the robot, each with its own command on files. At the end,
-/// compares the identified with the true parameters.
+/// compares the identified with the true parameters. With --real, identifies a robot that others measured.
 #[derive(clap::Args)]
 pub(crate) struct DemoArgs {
     /// Directory for all files. Those of an earlier demo are replaced.
@@ -28,11 +30,18 @@ pub(crate) struct DemoArgs {
     /// Seed of the true robot, its repeatability and the bar's noise.
     #[arg(long, value_name = "N", default_value_t = SEED)]
     seed: u64,
+    /// Identify a real robot, measured by others with a laser tracker, from lengths to three base balls, and compare it with
+    /// the tracker at poses that were not used.
+    #[arg(long, value_name = "ROBOT", num_args = 0..=1, default_missing_value = "ur5", conflicts_with = "seed")]
+    real: Option<real::RealRobot>,
 }
 
 pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     files::directory(&args.out)?;
     let dir = args.out.as_path();
+    if let Some(robot) = args.real {
+        return identify_real(&robot.tracked()?, dir, out);
+    }
     write_job(dir)?;
     let steps = ChildCommands::new(dir, out);
 
@@ -60,6 +69,28 @@ pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome
     }
     out.result(format!("The report: {}", dir.join("result/report.html").display()));
     Ok(CommandOutcome::Done)
+}
+
+/// Identifies a real robot in a directory of its own, and judges it at the poses that it did not see.
+fn identify_real(
+    robot: &real::TrackedRobot,
+    dir: &Path,
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
+    let (name, dir) = (robot.name(), &dir.join(robot.name()));
+    let nominal = named_robot(name)?.robot;
+    files::directory(dir)?;
+    robot.write(dir, &nominal)?;
+    let steps = ChildCommands::new(dir, out);
+    steps.say(&format!("Identify a real {} from lengths to three base balls", nominal.name));
+    let inputs = ["identify", "observations.csv", "--robot", name, "--tool", &robot.tool()];
+    let further = ["--centres", "centres.csv", "--folds", "0", "--out", "result", "--replace"];
+    let outcome = steps.run(&[&inputs[..], &further].concat())?;
+    let path = dir.join("result/robot-identified.toml");
+    let error = robot.judge(&Robot::from_toml(&path.display().to_string(), &files::read_text(&path)?)?)?;
+    out.document(&error)?;
+    error.lines().into_iter().for_each(|line| out.result(line));
+    Ok(outcome)
 }
 
 /// Writes the job, and replaces only that of an earlier demo.

@@ -74,10 +74,10 @@ fn measure(name: &str, times: usize, mut work: impl FnMut()) {
 }
 
 #[test]
-#[ignore = "a campaign"]
+#[ignore = "a campaign; needs PostgreSQL"]
 fn figures_of_the_page() {
     let results = std::env::var("DBBD_RESULTS").unwrap_or_else(|_| "5000".into());
-    let Some(plant) = Plant::new("figures", 0) else { return };
+    let plant = Plant::new("figures", 0);
     let mut owner = plant.client("postgres");
     let posterior = posterior();
     eprintln!("{results} results, a posterior of {} bytes", posterior.len());
@@ -119,10 +119,10 @@ fn identified(plant: &Plant, workers: usize) -> f64 {
 }
 
 #[test]
-#[ignore = "a campaign"]
+#[ignore = "a campaign; needs PostgreSQL"]
 fn rates_of_push_and_work() {
     const RUNS: u64 = 120;
-    let Some(plant) = Plant::new("rates", RUNS) else { return };
+    let plant = Plant::new("rates", RUNS);
     let load = || std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     let push = || assert_eq!(plant.run_as("a", &["push", "runs"]).status.code(), Some(0));
     let pushed = seconds(push);

@@ -1,5 +1,5 @@
-//! Servers of one test: PostgreSQL in a temporary directory, an S3 store, and lines to them that can be cut. What is
-//! not installed is skipped loudly; with DBBD_REQUIRE_SERVERS set the test fails.
+//! Servers of one test: PostgreSQL in a temporary directory, an S3 store, and lines to them that can be cut. A test fails
+//! where one of them is not installed.
 
 use std::ffi::OsString;
 use std::fs;
@@ -17,19 +17,13 @@ use dbbd_device::clock;
 use postgres::{Client, NoTls};
 use tempfile::TempDir;
 
-/// Says what is missing.
-pub(crate) fn skipped<T>(what: &str) -> Option<T> {
-    assert!(std::env::var_os("DBBD_REQUIRE_SERVERS").is_none(), "missing: {what}");
-    eprintln!("SKIPPED: missing: {what}");
-    None
-}
-
 /// A program in the search path, or where Debian keeps those of PostgreSQL.
-pub(crate) fn program(name: &str) -> Option<PathBuf> {
+pub(crate) fn program(name: &str) -> PathBuf {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let debian = fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten();
     let debian: Vec<PathBuf> = debian.map(|version| version.path().join("bin")).collect();
-    std::env::split_paths(&path).chain(debian).map(|dir| dir.join(name)).find(|path| path.is_file())
+    let mut places = std::env::split_paths(&path).chain(debian).map(|dir| dir.join(name));
+    places.find(|path| path.is_file()).unwrap_or_else(|| panic!("{name} is not installed"))
 }
 
 fn free_port() -> u16 {
@@ -65,13 +59,12 @@ fn as_user(program: &Path) -> Command {
 
 impl Cluster {
     /// A cluster whose superuser `postgres` needs no password; `prepare` may add files and lines of configuration.
-    pub(crate) fn new(prepare: impl FnOnce(&Path) -> String) -> Option<Self> {
-        let Some(initdb) = program("initdb") else { return skipped("initdb of PostgreSQL") };
+    pub(crate) fn new(prepare: impl FnOnce(&Path) -> String) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let give = |path: &Path| user().iter().for_each(|own| chown(path, Some(own.0), Some(own.1)).unwrap());
         give(dir.path());
         let data = dir.path().join("data");
-        let mut init = as_user(&initdb);
+        let mut init = as_user(&program("initdb"));
         init.args(["-U", "postgres", "-A", "trust", "-E", "UTF8", "--no-locale", "-N", "-D"]).arg(&data);
         assert!(init.status().unwrap().success());
         let more = prepare(&data);
@@ -81,16 +74,11 @@ impl Cluster {
             fs::OpenOptions::new().append(true).open(data.join("postgresql.conf")).unwrap();
         configuration.write_all(own.as_bytes()).unwrap();
         let port = free_port();
-        Some(Self { server: Self::spawn(&data, port), dir, port })
+        Self { server: Self::spawn(&data, port), dir, port }
     }
 
     fn spawn(data: &Path, port: u16) -> Child {
-        as_user(&program("postgres").unwrap())
-            .arg("-D")
-            .arg(data)
-            .args(["-p", &port.to_string()])
-            .spawn()
-            .unwrap()
+        as_user(&program("postgres")).arg("-D").arg(data).args(["-p", &port.to_string()]).spawn().unwrap()
     }
 
     /// Kills the server (SIGKILL) and starts it again on its data.
@@ -135,11 +123,10 @@ pub(crate) struct S3 {
 }
 
 impl S3 {
-    pub(crate) fn new() -> Option<Self> {
+    pub(crate) fn new() -> Self {
         let named = std::env::var_os("DBBD_TEST_MOTO").map(PathBuf::from);
-        let Some(moto) = named.or_else(|| program("moto_server")) else { return skipped("moto_server") };
         let port = free_port();
-        let mut command = Command::new(moto);
+        let mut command = Command::new(named.unwrap_or_else(|| program("moto_server")));
         command
             .args(["-H", "127.0.0.1", "-p", &port.to_string()])
             .stdout(Stdio::null())
@@ -147,7 +134,7 @@ impl S3 {
         let s3 = Self { server: command.spawn().unwrap(), port };
         for _ in 0..600 {
             if s3.ask("PUT", "/dbbd") == Some(200) {
-                return Some(s3);
+                return s3;
             }
             clock::sleep(0.1);
         }

@@ -1,7 +1,6 @@
 //! The binary, run in a directory of a cell.
 
 use std::ffi::OsStr;
-use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -17,28 +16,13 @@ pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// What a script of tests/clients prints; `None` where something that it needs is not installed, which is said.
-pub(crate) fn client<'a>(script: &str, args: impl Iterator<Item = &'a OsStr>) -> Option<String> {
-    /// Exit code of a script where something is not installed.
-    const SKIPPED: i32 = 77;
+/// What a script of tests/clients prints. It fails where something that it needs is not installed.
+pub(crate) fn client<'a>(script: &str, args: impl Iterator<Item = &'a OsStr>) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/clients").join(script);
-    let run = Command::new("python3").arg(path).args(args).output();
-    // Straight to stderr, past the test harness, which keeps what a test that passes prints.
-    let mut loud = std::io::stderr();
-    let mut skip = |why: &str| writeln!(loud, "SKIPPED: {script}: {why}").unwrap();
-    let Ok(run) = run else {
-        skip("there is no python3");
-        return None;
-    };
-    let [said, errors] = [run.stdout, run.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
-    match run.status.code() {
-        Some(0) => Some(said),
-        Some(SKIPPED) => {
-            skip(&said);
-            None
-        }
-        code => panic!("{script}: {code:?}\n{said}\n{errors}"),
-    }
+    let run = Command::new("python3").arg(path).args(args).output().expect("python3 is installed");
+    let said = String::from_utf8_lossy(&run.stdout).into_owned();
+    assert!(run.status.success(), "{script}: {:?}\n{said}\n{}", run.status.code(), stderr(&run));
+    said
 }
 
 /// The codes that a run of dbbd printed on stderr, in order.

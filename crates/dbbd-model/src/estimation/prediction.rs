@@ -50,13 +50,11 @@ impl Prediction {
         let model = &estimate.fit.model;
         let axes = setting.options.workspace_poses(setting.robot);
         let poses: Vec<ApproachedPose> = axes.iter().map(ApproachedPose::unapproached).collect();
-        let some = |poses: &[ApproachedPose]| -> Vec<ApproachedPose> {
-            poses.iter().step_by(poses.len().div_ceil(COMPRESSING).max(1)).copied().collect()
-        };
-        let measured = (0..lengths.len()).step_by(lengths.len().div_ceil(COMPRESSING).max(1));
-        let measured: Vec<ApproachedPose> = measured.map(|at| measured_pose(&lengths.reading(at))).collect();
+        let of_workspace = thinned(poses.len()).map(|at| poses[at]);
+        let measured = thinned(lengths.len()).map(|at| measured_pose(&lengths.reading(at)));
         let own = estimate.uncertainty(setting.robot);
-        let uncertainty = compressed(model, &own, &[some(&poses), measured].concat()).with_digits_of_file();
+        let by: Vec<ApproachedPose> = of_workspace.chain(measured).collect();
+        let uncertainty = compressed(model, &own, &by).with_digits_of_file();
         let (whole, unknown) = match &estimate.left_out {
             Some(left_out) => (&left_out.whole, &left_out.uncertainty),
             None => (&model.geometry, &own),
@@ -151,11 +149,7 @@ fn parts(estimate: &Estimate, axes: &[[f64; AXES]]) -> PositionParts {
     let own: Vec<usize> = (0..kept.len()).filter(|&k| is_own(kept[k])).collect();
     let ids: Vec<ParamId> = own.iter().map(|&k| kept[k]).collect();
     let rows: Vec<usize> = own.iter().copied().chain(kept.len()..root.nrows()).collect();
-    let some: Vec<([f64; AXES], Approach)> = axes
-        .iter()
-        .step_by(axes.len().div_ceil(COMPRESSING).max(1))
-        .map(|axes| (*axes, Approach::default()))
-        .collect();
+    let some: Vec<_> = thinned(axes.len()).map(|at| (axes[at], Approach::default())).collect();
     let BallMotion { jacobian, balls, by_joint } = BallMotion::new(&fit.model.geometry, &some, &ids);
     let mut moved = jacobian * root.select_rows(&rows);
     take_out_rigid_motion(&mut moved, &balls);
@@ -183,6 +177,11 @@ fn robot_posterior(estimate: &Estimate) -> Option<RobotPosterior> {
     RobotPosterior::with_balls(&ids, &fit.model.geometry, &fit.model.balls, &root.select_rows(&own))
 }
 
+/// At most [`COMPRESSING`] of so many, evenly spread.
+fn thinned(count: usize) -> impl Iterator<Item = usize> {
+    (0..count).step_by(count.div_ceil(COMPRESSING).max(1))
+}
+
 fn measured_pose(reading: &PreparedMeasurement) -> ApproachedPose {
     ApproachedPose {
         axes: AxisAngles::from_degrees(reading.axes.map(f64::to_degrees)),
@@ -207,6 +206,17 @@ mod tests {
     use super::*;
     use crate::robot::Joint;
     use crate::test_support::cell::kr60;
+
+    #[test]
+    fn at_most_so_many_are_spread_evenly() {
+        for count in [0, 1, COMPRESSING, COMPRESSING + 1, 7 * COMPRESSING + 3] {
+            let kept: Vec<usize> = thinned(count).collect();
+            assert!(kept.len() <= COMPRESSING && kept.len() >= count.min(COMPRESSING / 2), "{count}");
+            let step = kept.get(1).copied().unwrap_or(1);
+            assert!(kept.iter().zip(0..).all(|(at, number)| *at == step * number), "{kept:?}");
+            assert!(kept.last().is_none_or(|last| last + step >= count), "{count}");
+        }
+    }
 
     /// At one joint: half a milliradian of each harmonic, 0.1 mrad of each smooth process, 0.03 mrad of backlash, by the medians
     /// of the hyper-priors. A sine and a cosine of 0.5 mrad are an error of 0.5 mrad at any angle.

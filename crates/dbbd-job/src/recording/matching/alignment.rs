@@ -698,6 +698,45 @@ mod tests {
         }
     }
 
+    /// The probability of all dwells is the same from either end.
+    #[test]
+    fn forward_and_backward_sums_have_one_evidence() {
+        let (poses, dwells) = (poses(), dwells(&[2]));
+        let trellis = Trellis::new(&poses, &dwells, None);
+        let pace = ProgramPace { stretch: 1.0, slack: SLACK };
+        let forward = trellis.forward(pace, BEAM);
+        let backward = trellis.backward(&forward, pace).sums;
+        let states = (0..dwells.len())
+            .flat_map(|dwell| (0..poses.len()).map(move |pose| TrellisState { dwell, pose }));
+        let spurious = dwells.len() as f64 * SPURIOUS.ln();
+        let from_its_end = states
+            .fold(spurious, |sum, state| log_sum(sum, trellis.first(state) + backward[trellis.cell(state)]));
+        near(from_its_end, forward.evidence);
+    }
+
+    /// Moves at an override of 99.5 %, fitted from 100 %. Neither an interval across a break of the clock nor one that lasts
+    /// more than four standard deviations too long has a part in it.
+    #[test]
+    fn the_override_is_fitted_to_the_moves() {
+        let (poses, mut dwells) = (poses(), dwells(&[]));
+        dwells.iter_mut().zip(0..).for_each(|(dwell, at)| {
+            dwell.start_s = 5.0 + (dwell.start_s - 5.0 - f64::from(at)) * 1.005 + f64::from(at)
+        });
+        let fitted = |dwells: &[DwellEvidence]| {
+            let trellis = Trellis::new(&poses, dwells, None);
+            let pace = ProgramPace { stretch: 1.0, slack: SLACK };
+            trellis.backward(&trellis.forward(pace, BEAM), pace).stretch
+        };
+        assert!((fitted(&dwells) - 1.005).abs() < 1e-4, "{}", fitted(&dwells));
+        let off_s = 0.2;
+        dwells[4].start_s += off_s;
+        assert!((fitted(&dwells) - 1.005).abs() < 1e-4, "{}", fitted(&dwells));
+        dwells[4].start_s -= off_s - 0.06;
+        assert!((fitted(&dwells) - 1.005).abs() > 1e-3, "{}", fitted(&dwells));
+        dwells[4].after_break = true;
+        assert!((fitted(&dwells) - 1.005).abs() < 1e-4, "{}", fitted(&dwells));
+    }
+
     #[test]
     fn log_sum_equals_the_log_of_the_sum() {
         assert!((log_sum(2f64.ln(), 3f64.ln()) - 5f64.ln()).abs() < 1e-15);

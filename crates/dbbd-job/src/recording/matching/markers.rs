@@ -280,6 +280,30 @@ mod tests {
         assert!(found.share > 0.99);
     }
 
+    /// Both less their straight lines: the wave 0, 1, 0, 1, .. and readings of a quarter of it with as much of 0, 0, 1, 1, ..
+    /// have 1 : 1 of equal squares, so the wave explains half of the readings. Without a motion there is nothing to fit.
+    #[test]
+    fn share_is_the_squared_correlation() {
+        let wave = |at: u32| f64::from(at % 2);
+        let stream = |reading: &dyn Fn(u32) -> f64| {
+            let mut builder = StreamBuilder::new(None);
+            (0..401)
+                .for_each(|at| builder.push(HostNs(u64::from(at) * 10_000_000), &Sample::of(reading(at))));
+            builder.build()
+        };
+        let knots: Vec<[f64; 2]> = (0..401).map(|at| [0.01 * f64::from(at), wave(at)]).collect();
+        let both = |at: u32| 7.0 + 0.003 * f64::from(at) + 0.25 * (wave(at) + f64::from(at / 2 % 2));
+        let found = fit(&knots, &stream(&both), 0.0).unwrap();
+        assert!(
+            (found.share - 0.5).abs() < 0.01 && (found.scale - 0.25).abs() < 0.005,
+            "{} {}",
+            found.share,
+            found.scale
+        );
+        assert!(fit(&knots, &stream(&|_| 7.0), 0.0).is_none());
+        assert!(fit(&[[0.0, 1.0], [4.0, 1.0]], &stream(&both), 0.0).is_none());
+    }
+
     /// Markers of 0.4 mm: without a stated repeatability of the robot, 0.1 mm counts.
     #[test]
     fn sign_and_scale_of_the_markers_are_judged() {

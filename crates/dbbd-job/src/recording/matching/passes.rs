@@ -230,7 +230,11 @@ fn sense_pairs(plan: &Plan, found: &[DrivenPass<'_>], points: &[Vec<PointReading
         });
         Some(known.collect::<Vec<_>>())
     };
-    let (counter, clockwise) = (sense(false)?, sense(true)?);
+    Some(at_same_angles(&sense(false)?, &sense(true)?))
+}
+
+/// The pairs of [`sense_pairs`], from the readings at angles (deg) counter-clockwise and clockwise.
+fn at_same_angles(counter: &[(f64, &PassingReading)], clockwise: &[(f64, &PassingReading)]) -> Vec<[f64; 2]> {
     let pair = |(angle_deg, one): &(f64, &PassingReading)| {
         let same = |other: &&(f64, &PassingReading)| {
             let apart = (other.0 - angle_deg).rem_euclid(360.0);
@@ -239,7 +243,7 @@ fn sense_pairs(plan: &Plan, found: &[DrivenPass<'_>], points: &[Vec<PointReading
         let (_, other) = clockwise.iter().find(same)?;
         Some([one.slope_mm_s - other.slope_mm_s, other.reading.reading_mm - one.reading.reading_mm])
     };
-    Some(counter.iter().filter_map(pair).collect())
+    counter.iter().filter_map(pair).collect()
 }
 
 /// When each pass started and ended, s of the stream, or why this is unknown.
@@ -356,6 +360,26 @@ mod tests {
         // Of exact readings the resolution remains.
         assert_eq!(reading.u_mm, least_u_mm());
         assert!(passing(&stream, 0.0, 0.2).is_none());
+    }
+
+    /// Readings t^2 of slope 2 t: counter-clockwise at 1, 2 and 3 s, clockwise at 4 and 5 s. 359.995 and 0 degrees are one angle.
+    #[test]
+    fn readings_at_one_angle_are_paired() {
+        let mut builder = StreamBuilder::new(None);
+        for at in 0..700_u32 {
+            let t = 0.01 * f64::from(at);
+            builder.push(HostNs(u64::from(at) * 10_000_000), &Sample::of(t * t));
+        }
+        let stream = builder.build();
+        let [one, two, three, four, five] =
+            [1.0, 2.0, 3.0, 4.0, 5.0].map(|at_s| passing(&stream, at_s, 0.205).unwrap());
+        let counter = [(10.0, &one), (359.995, &two), (20.0, &three)];
+        let pairs = at_same_angles(&counter, &[(10.015, &four), (0.0, &four), (20.009, &five)]);
+        let expected = [[4.0 - 8.0, 16.0 - 4.0], [6.0 - 10.0, 25.0 - 9.0]];
+        assert_eq!(pairs.len(), expected.len());
+        for (pair, expected) in pairs.iter().zip(expected) {
+            assert!((0..2).all(|at| (pair[at] - expected[at]).abs() < 1e-9), "{pair:?}");
+        }
     }
 
     #[test]

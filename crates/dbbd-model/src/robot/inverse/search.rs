@@ -417,3 +417,45 @@ pub(super) fn branches(geometry: &Geometry, ball: &Pose) -> Vec<[f64; AXES]> {
     }
     found.branches
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::Robot;
+
+    fn arm(change: impl Fn(&mut Geometry)) -> Option<OffsetArm> {
+        let mut geometry = Robot::by_name("crx10ia").unwrap().unwrap().geometry;
+        change(&mut geometry);
+        OffsetArm::near(&geometry)
+    }
+
+    /// Twists off by 0.3 rad, axes 5 and 6 that miss each other by 10 mm, and a sine of 0.1 between them.
+    #[test]
+    fn an_arm_with_an_offset_wrist_is_recognised_within_bounds() {
+        assert!(arm(|_| {}).is_some());
+        for (within, rad) in [(true, 0.29), (false, 0.31)] {
+            assert_eq!(arm(|arm| arm.rows[1].alpha += rad).is_some(), within);
+            assert_eq!(arm(|arm| arm.rows[2].alpha -= rad).is_some(), within);
+            assert_eq!(arm(|arm| arm.rows[3].beta = rad).is_some(), within);
+        }
+        for (within, mm) in [(true, -9.9), (false, -10.1), (false, 10.1)] {
+            assert_eq!(arm(|arm| arm.rows[5].a = mm).is_some(), within);
+        }
+        for (within, alpha) in [(true, FRAC_PI_2), (true, 0.11), (true, -0.11), (false, 0.09), (false, -0.09)]
+        {
+            assert_eq!(arm(|arm| arm.rows[5].alpha = alpha).is_some(), within, "{alpha}");
+        }
+    }
+
+    /// Rx(0.5) (0, 0, 100) = 100 (0, -sin 0.5, cos 0.5), behind a shift of 3 mm along x.
+    #[test]
+    fn the_wrist_is_where_its_row_puts_it() {
+        let found = arm(|arm| (arm.rows[4].a, arm.rows[4].alpha, arm.rows[4].d) = (3.0, 0.5, 100.0)).unwrap();
+        let expected = Vector3::new(3.0, -47.942_553_860_420_3, 87.758_256_189_037_27);
+        assert!((found.wrist - expected).norm() < 1e-12, "{}", found.wrist);
+        assert_eq!(found.touching, 0.0);
+        // An arm beside the ideal one gets room, and is solved as if axes 5 and 6 met.
+        let beside = arm(|arm| arm.rows[5].a = 1.0).unwrap();
+        assert_eq!((beside.touching, beside.rows[5].a), (TOUCHING, 0.0));
+    }
+}
