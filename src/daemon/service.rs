@@ -96,6 +96,8 @@ struct Supervisor {
     status: watch::Sender<Status>,
     live: LiveState,
     jobs: JobQueue,
+    /// Held while a changed job is tried.
+    trial: Mutex<()>,
     journal: RateLimitedLog,
     archiving: Mutex<Option<Archiving>>,
     /// Signals the end of each run.
@@ -155,6 +157,8 @@ struct UnopenedLine {
 struct ActiveRun {
     /// Empty for a reading.
     name: String,
+    /// Who started it, if users have names.
+    by: Option<String>,
     plan: Option<String>,
     robot: Option<String>,
     started_unix_ms: u64,
@@ -194,6 +198,7 @@ impl Supervisor {
             known: KnownPlans::default(),
             status: watch::Sender::new(Status::default()),
             jobs: JobQueue::start(messages.clone(), over.clone(), parts.explain)?,
+            trial: Mutex::default(),
             live: LiveState { messages, run: Arc::default() },
             archiving: Mutex::default(),
             over,
@@ -314,6 +319,7 @@ impl Supervisor {
         let live = lock(&self.live.run);
         RunStatus {
             name: running.name.clone(),
+            by: running.by.clone(),
             plan: running.plan.clone(),
             robot: running.robot.clone(),
             left_s: schedule.left_s(progress.counts.dwells),

@@ -3,6 +3,7 @@
 import { ask } from "/link.js";
 import { choose, language, languages, t } from "/texts.js";
 
+/** An element of the page by its id; every page has those that its script names. @type {(id: string) => any} */
 export const $ = (id) => document.getElementById(id);
 
 /**
@@ -10,7 +11,7 @@ export const $ = (id) => document.getElementById(id);
  * @param {string} name
  * @param {string | null} text
  * @param {Record<string, string | undefined>} [attributes]
- * @returns {HTMLElement}
+ * @returns {any}
  */
 export function make(name, text, attributes = {}) {
   const node = document.createElement(name);
