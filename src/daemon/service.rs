@@ -96,8 +96,6 @@ struct Supervisor {
     status: watch::Sender<Status>,
     live: LiveState,
     jobs: JobQueue,
-    /// Held while a changed job is tried.
-    trial: Mutex<()>,
     journal: RateLimitedLog,
     archiving: Mutex<Option<Archiving>>,
     /// Signals the end of each run.
@@ -198,7 +196,6 @@ impl Supervisor {
             known: KnownPlans::default(),
             status: watch::Sender::new(Status::default()),
             jobs: JobQueue::start(messages.clone(), over.clone(), parts.explain)?,
-            trial: Mutex::default(),
             live: LiveState { messages, run: Arc::default() },
             archiving: Mutex::default(),
             over,

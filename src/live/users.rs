@@ -65,7 +65,7 @@ impl KnownUser {
         let hash = token_sha256.to_ascii_lowercase();
         let is_hash = hash.len() == 64 && hash.bytes().all(|byte| byte.is_ascii_hexdigit());
         let user = Arc::new(User { name: Some(name), role });
-        is_hash.then(|| Self { user, secret: Secret::Hash(hash) })
+        is_hash.then_some(Self { user, secret: Secret::Hash(hash) })
     }
 
     pub(super) fn has(&self, sent: &[u8]) -> bool {

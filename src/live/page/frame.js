@@ -20,8 +20,9 @@ export function make(name, text, attributes = {}) {
   return node;
 }
 
-/** Shows a message; an empty one clears it. @param {string} text */
-export function say(text) {
+/** Shows a message; an empty one clears it. The service speaks English. @param {string} text @param {string} [lang] */
+export function say(text, lang = language) {
+  $("message").lang = lang;
   $("message").textContent = text;
 }
 
@@ -32,7 +33,9 @@ export async function attempt(work) {
     await work();
   } catch (error) {
     // A 401 opens the sign-in.
-    if (error.status !== 401) say(error.status ? error.message : error instanceof TypeError ? t("link.none") : String(error));
+    if (error.status === 401) return;
+    if (error.status) say(error.message, "en");
+    else say(error instanceof TypeError ? t("link.none") : String(error));
   }
 }
 

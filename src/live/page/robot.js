@@ -123,6 +123,10 @@ function drawStep(report) {
     cancel.addEventListener("click", () => attempt(() => ask("POST", `/jobs/${report.job.id}/cancel`)));
     says.push(cancel);
   }
+  if (isLocked(step)) {
+    const { name, by } = measure.now().run;
+    says.push(make("p", t("lock.note", { run: name, by: by ?? t("user.owner") }), { class: "small" }));
+  }
   part(step, ".says").replaceChildren(...says);
   const row = [];
   if (report.action) {
@@ -130,7 +134,7 @@ function drawStep(report) {
     const button = make("button", label, { type: "button", "data-action": "next", class: isNext(report) ? "main" : undefined });
     button.addEventListener("click", () => attempt(() => act(report)));
     // Whoever may only look sees what would be done.
-    button.disabled = !may(report.action === "measure" ? "measure" : "plan");
+    button.disabled = !may(report.action === "measure" ? "measure" : "plan") || isLocked(step);
     row.push(button);
   }
   if (report.command) row.push(make("code", report.command, { class: "command", "aria-label": t("command") }));
@@ -142,6 +146,9 @@ function drawStep(report) {
   link.querySelector(".mark").textContent = MARKS[report.state];
   link.querySelector(".hidden-text").textContent = t(`state_of.${report.state}`);
 }
+
+/** What a run was planned from is locked while it is on; the service refuses it, too. */
+const isLocked = (step) => ["robot", "cell", "plan", "programs"].includes(step) && !!measure.now()?.run?.plan && work.steps.some((one) => one.text === "measure.running");
 
 /** The first step that is open has the button that stands out. */
 const isNext = (report) => work.steps.find((one) => !["done", "todo"].includes(one.state))?.step === report.step;

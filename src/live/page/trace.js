@@ -9,8 +9,8 @@ import { t } from "/texts.js";
 const FINE_S = 60;
 /** Seconds that are kept, as the service keeps them. */
 const MAX_SECONDS = 1800;
-/** A longer silence is a gap in the line, s. */
-const GAP_S = 3;
+/** A longer silence is a gap in the line, s: the frames of a fast simulated cell are seconds apart. */
+const GAP_S = 10;
 /** Time between two drawings, ms. */
 const DRAW_MS = 100;
 

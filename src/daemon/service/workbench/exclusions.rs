@@ -3,40 +3,39 @@
 use dbbd_job::request::RowIndices;
 use dbbd_job::request::identify::Exclusion;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::result::ExcludedMeasurement;
 use serde_json::Value;
 
-use super::files::WorkFiles;
-use super::steps;
+use super::files::{FoundRun, WorkFiles};
 use crate::live::ExcludedRows;
 use crate::live::ServiceFinding::RemarkLength;
 
 /// Longest reason, characters.
 const LONGEST_REASON: usize = 250;
 
-/// What the result left out, if no newer run is identified next.
-pub(super) fn of_result(files: &WorkFiles) -> Vec<Exclusion> {
-    let run = files.plan(false).and_then(|plan| steps::usable_run(files, plan));
+/// What the result left out, if `run`, which is identified next, is not newer.
+pub(super) fn of_result(files: &WorkFiles, run: Option<&FoundRun>) -> Vec<Exclusion> {
     let is_current = |changed_ms: u64| run.is_none_or(|run| run.changed_ms <= changed_ms);
     let result = files.result.as_ref().filter(|result| is_current(result.directory.changed_ms));
     let listed = result.and_then(|result| result.content["excluded"].as_array());
-    let rows = listed.into_iter().flatten().filter_map(excluded);
-    rows.map(|row| Exclusion { rows: RowIndices::from_iter([row.index]), reason: row.reason, by: row.by })
-        .collect()
+    listed.into_iter().flatten().filter_map(excluded).collect()
 }
 
-fn excluded(row: &Value) -> Option<ExcludedMeasurement> {
-    serde_json::from_value(row.clone()).ok()
+/// A row as `result.json` lists it.
+fn excluded(row: &Value) -> Option<Exclusion> {
+    let index = row["index"].as_u64().and_then(|index| u32::try_from(index).ok())?;
+    let text = |key: &str| row[key].as_str().map(str::to_owned);
+    Some(Exclusion { rows: RowIndices::from_iter([index]), reason: text("reason"), by: text("by") })
 }
 
 /// What the page asks for, or what the result left out where it asks for nothing. What was left out before keeps the name of
 /// who did it; the rest is by `user`.
 pub(super) fn asked(
     files: &WorkFiles,
+    run: &FoundRun,
     rows: Option<&[ExcludedRows]>,
     user: Option<&str>,
 ) -> Result<Vec<Exclusion>, Diagnostic> {
-    let known = of_result(files);
+    let known = of_result(files, Some(run));
     let Some(rows) = rows else { return Ok(known) };
     let exclusion = |asked: &ExcludedRows| {
         let reason = asked.reason.as_deref().map(str::trim).filter(|reason| !reason.is_empty());
@@ -83,14 +82,15 @@ mod tests {
 
     #[test]
     fn what_was_left_out_stays_and_keeps_its_author() {
-        let files = left_out();
-        assert_eq!(asked(&files, None, Some("B")).unwrap(), of_result(&files));
-        let both = asked(&files, Some(&[rows(5, "it's loose"), rows(7, "a knock")]), Some("B")).unwrap();
+        let (files, run) = (left_out(), FoundRun::default());
+        assert_eq!(asked(&files, &run, None, Some("B")).unwrap(), of_result(&files, None));
+        let both =
+            asked(&files, &run, Some(&[rows(5, "it's loose"), rows(7, "a knock")]), Some("B")).unwrap();
         assert_eq!(both.iter().map(|one| one.by.as_deref()).collect::<Vec<_>>(), [Some("A"), Some("B")]);
-        assert!(asked(&files, Some(&[]), None).unwrap().is_empty());
+        assert!(asked(&files, &run, Some(&[]), None).unwrap().is_empty());
         assert_eq!(options(&both), " --exclude '5:it'\\''s loose' --exclude '7:a knock'");
         let long = "x".repeat(LONGEST_REASON + 1);
-        assert!(asked(&files, Some(&[rows(1, &long)]), None).is_err());
-        assert!(asked(&files, Some(&[rows(1, "a\nb")]), None).is_err());
+        assert!(asked(&files, &run, Some(&[rows(1, &long)]), None).is_err());
+        assert!(asked(&files, &run, Some(&[rows(1, "a\nb")]), None).is_err());
     }
 }

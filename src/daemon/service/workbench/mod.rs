@@ -31,7 +31,7 @@ use super::runs::{is_plain_directory, is_sound, open_plain};
 use super::{LineUse, Supervisor};
 use crate::live::ServiceFinding::{
     LinkedDirectory, NoResult, NoRobot, ProgramName, RobotIsMeasured, RobotName, RobotTaken, RunIsOn,
-    StepTooEarly, TooManyJobs, Unwritten,
+    StepTooEarly, Unwritten,
 };
 use crate::live::{
     EvaluationJob, NewRobot, ProgramUpload, RobotSummary, RobotWork, StepOptions, StepReport, StepState,
@@ -126,7 +126,7 @@ fn work_of(
             let request = IdentifyRequest {
                 input: run.path.clone().into(),
                 out: result.clone().into(),
-                exclude: exclusions::asked(files, options.exclude.as_deref(), options.by.as_deref())?,
+                exclude: exclusions::asked(files, run, options.exclude.as_deref(), options.by.as_deref())?,
                 ..IdentifyRequest::default()
             };
             (Request::Identify(request), result)
@@ -306,7 +306,7 @@ impl Workbench for Supervisor {
         if matches!(self.inner().run, LineUse::On(_) | LineUse::Starting) {
             return Err(RunIsOn.into());
         }
-        let Ok(_one) = self.trial.try_lock() else { return Err(TooManyJobs.into()) };
+        let _one = self.jobs.begin_trial()?;
         let explained = |finding| json!(self.jobs.explained(finding));
         trial::try_job(&files.directory, &document.to_string(), explained)
     }

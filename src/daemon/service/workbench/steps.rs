@@ -314,7 +314,7 @@ pub(super) fn result_directory(files: &WorkFiles) -> &str {
 fn result(files: &WorkFiles) -> Drafted {
     let run = files.plan(false).and_then(|plan| usable_run(files, plan));
     let input = run.map_or("run.dbbd", |run| &run.path);
-    let exclude = exclusions::options(&exclusions::of_result(files));
+    let exclude = exclusions::options(&exclusions::of_result(files, run));
     let command = format!("dbbd identify {input}{exclude} --out {}", result_directory(files));
     let drafted = match (&files.result, run) {
         (None, None) => return Drafted::todo("result.no_run").command(command),

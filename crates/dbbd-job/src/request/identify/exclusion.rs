@@ -31,44 +31,56 @@ impl FromStr for Exclusion {
     }
 }
 
-/// Takes the rows out of the observations, and returns them.
-///
-/// # Errors
-/// There is no such row, or no other one.
-pub(super) fn leave_out(
-    observations: &mut Measurements,
-    exclude: &[Exclusion],
-) -> Result<Vec<Measurement>, EstimationFinding> {
-    let is_asked = |row: &Measurement| exclude.iter().any(|one| one.rows.contains(row.index));
-    let (excluded, used): (Vec<_>, Vec<_>) =
-        std::mem::take(&mut observations.rows).into_iter().partition(is_asked);
-    observations.rows = used;
-    let mut asked = exclude.iter().flat_map(|one| one.rows.iter());
-    match asked.find(|index| !excluded.iter().any(|row| row.index == *index)) {
-        Some(index) => Err(EstimationFinding::NoRowToExclude { index }),
-        None if observations.rows.is_empty() => Err(EstimationFinding::NoLength),
-        None => Ok(excluded),
+/// What is left out of the observations.
+pub(super) struct LeftOut {
+    asked: Vec<Exclusion>,
+    rows: Vec<Measurement>,
+}
+
+impl LeftOut {
+    /// Takes the rows that are asked for out of the observations.
+    ///
+    /// # Errors
+    /// There is no such row, or no other one.
+    pub(super) fn of(
+        observations: &mut Measurements,
+        asked: &[Exclusion],
+    ) -> Result<Self, EstimationFinding> {
+        let is_asked = |row: &Measurement| asked.iter().any(|one| one.rows.contains(row.index));
+        let (rows, used): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut observations.rows).into_iter().partition(is_asked);
+        observations.rows = used;
+        let mut indices = asked.iter().flat_map(|one| one.rows.iter());
+        match indices.find(|index| !rows.iter().any(|row| row.index == *index)) {
+            Some(index) => Err(EstimationFinding::NoRowToExclude { index }),
+            None if observations.rows.is_empty() => Err(EstimationFinding::NoLength),
+            None => Ok(Self { asked: asked.to_vec(), rows }),
+        }
     }
-}
 
-/// The finding about rows that are left out.
-pub(super) fn finding(excluded: &[Measurement]) -> Option<Diagnostic> {
-    let mut indices: Vec<u32> = excluded.iter().map(|row| row.index).collect();
-    indices.dedup();
-    let rows = RowIndices::from_iter(indices.iter().copied()).to_string();
-    (!indices.is_empty()).then(|| EstimationFinding::Excluded { count: indices.len(), rows }.into())
-}
+    /// The same rows of observations that were read again.
+    pub(super) fn again(&self, observations: &mut Measurements) -> Result<Self, EstimationFinding> {
+        Self::of(observations, &self.asked)
+    }
 
-/// Lists the rows in the result. `operator` left out those for which nobody is named.
-pub(super) fn list(
-    calibration: CompletedCalibration,
-    excluded: &[Measurement],
-    exclude: &[Exclusion],
-    operator: Option<&str>,
-) -> CompletedCalibration {
-    exclude.iter().fold(calibration, |calibration, Exclusion { rows, reason, by }| {
-        let own: Vec<Measurement> =
-            excluded.iter().filter(|row| rows.contains(row.index) && row.datum.is_first()).cloned().collect();
-        calibration.with_excluded(&own, by.as_deref().or(operator), reason.as_deref())
-    })
+    /// The finding about rows that are left out.
+    pub(super) fn finding(&self) -> Option<Diagnostic> {
+        let mut indices: Vec<u32> = self.rows.iter().map(|row| row.index).collect();
+        indices.dedup();
+        let rows = RowIndices::from_iter(indices.iter().copied()).to_string();
+        (!indices.is_empty()).then(|| EstimationFinding::Excluded { count: indices.len(), rows }.into())
+    }
+
+    /// Lists the rows in the result. `operator` left out those for which nobody is named.
+    pub(super) fn listed_in(
+        &self,
+        calibration: CompletedCalibration,
+        operator: Option<&str>,
+    ) -> CompletedCalibration {
+        self.asked.iter().fold(calibration, |calibration, Exclusion { rows, reason, by }| {
+            let is_own = |row: &&Measurement| rows.contains(row.index) && row.datum.is_first();
+            let own: Vec<Measurement> = self.rows.iter().filter(is_own).cloned().collect();
+            calibration.with_excluded(&own, by.as_deref().or(operator), reason.as_deref())
+        })
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::exclusion::{self, Exclusion};
+use super::exclusion::{Exclusion, LeftOut};
 use super::matched_run::MatchedRun;
 use super::parts::{self, InputPart, JoinedParts, SetUpRelation};
 use super::tables::{lengths_or_positions, measurements};
@@ -14,7 +14,7 @@ use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::diagnostic::{Diagnostic, Severity};
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::{AngleSource, CompletedCalibration, Options, check_measurements, doubts};
-use dbbd_model::measurement::{BaseBall, Measurement, Measurements};
+use dbbd_model::measurement::{BaseBall, Measurements};
 use dbbd_model::provenance::IdentityFinding;
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{
@@ -60,9 +60,7 @@ pub(crate) struct LoadedInputs {
     pub(crate) axes: AngleSource,
     /// The captures and tables with the lengths; the first is always there.
     parts: Vec<InputPart>,
-    exclude: Vec<Exclusion>,
-    /// What is left out of the observations.
-    excluded: Vec<Measurement>,
+    left_out: LeftOut,
 }
 
 impl LoadedInputs {
@@ -125,9 +123,9 @@ impl LoadedInputs {
         let load = &robot.geometry.load;
         let mut observations =
             observations.carrying(load).map_err(|finding| Diagnostic::file(&input, finding))?;
-        let excluded = exclusion::leave_out(&mut observations, named.exclude)
+        let left_out = LeftOut::of(&mut observations, named.exclude)
             .map_err(|finding| Diagnostic::file(&input, finding))?;
-        findings.extend(exclusion::finding(&excluded));
+        findings.extend(left_out.finding());
         check_measurements(&input, &observations, &robot, &centres)?;
         findings.extend(doubts(&input, &observations, &robot, &centres));
         let mut positions = None;
@@ -152,8 +150,7 @@ impl LoadedInputs {
             provenance,
             findings,
             parts,
-            exclude: named.exclude.to_vec(),
-            excluded,
+            left_out,
         })
     }
 
@@ -186,8 +183,7 @@ impl LoadedInputs {
 
     /// Lists what was left out in the result.
     pub(super) fn with_excluded(&self, calibration: CompletedCalibration) -> CompletedCalibration {
-        let operator = self.provenance.identity.operator.as_deref();
-        exclusion::list(calibration, &self.excluded, &self.exclude, operator)
+        self.left_out.listed_in(calibration, self.provenance.identity.operator.as_deref())
     }
 
     pub(crate) fn findings(&self) -> Vec<Diagnostic> {
@@ -250,9 +246,9 @@ impl LoadedInputs {
         }
         let joined = changed.then(|| parts::joined(&self.parts)).and_then(Result::ok);
         let Some((mut lengths, _)) = joined else { return false };
-        let Ok(excluded) = exclusion::leave_out(&mut lengths, &self.exclude) else { return false };
+        let Ok(left_out) = self.left_out.again(&mut lengths) else { return false };
         let Ok(observations) = with_positions(lengths, self.positions.as_ref()) else { return false };
-        self.excluded = excluded;
+        self.left_out = left_out;
         self.observations = observations;
         self.run_findings = run_findings(&self.parts, &self.robot);
         true
