@@ -26,6 +26,7 @@ fn option(input: Input) -> (&'static str, &'static str) {
         Input::ControllerConfig => ("--config FILE", "$config.dat, or tools and work objects"),
         Input::Dates => ("--dates DATE,..", "dates of the results"),
         Input::Estimated => ("--estimate LIST", "parameters that are estimated"),
+        Input::Exclude => ("--exclude ROWS", "rows that are left out"),
         Input::Expansion => ("--expansion PER_K", "expansion of the bar"),
         Input::Fault => ("--fault NAME=VALUE", "fault"),
         Input::Fixed => ("--hold LIST", "parameters that are fixed"),

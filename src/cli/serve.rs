@@ -46,7 +46,7 @@ pub(crate) fn run(args: &ServeArgs, out: &CommandOutput) -> Result<CommandOutcom
         out.document(&json!({
             "address": address.to_string(), "data": data, "plans": config.plans.display().to_string(),
             "port": config.port.map(|port| port.to_string()), "protocol": config.protocol.as_ref().map(|one| &one.id),
-            "token": config.endpoint.token.is_some(),
+            "token": config.endpoint.token.is_some(), "users": config.endpoint.users.len(),
         }))?;
         out.result(format!("the configuration is sound: http://{address}/, runs in {data}"));
         return Ok(CommandOutcome::Done);

@@ -1,13 +1,14 @@
 //! The live state of a run: frames a few times a second, and a point per dwell. The stream drops messages that are not
 //! read, so that no client can hold up the recorder.
 
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
 use tokio::sync::broadcast;
 
 use super::mount_detector::{MountDetector, MountReading};
 use super::schedule::Schedule;
-use crate::live::{Alarm, Frame, Message, Mounting, MountingNote, Point};
+use crate::live::{Alarm, Frame, Message, Mounting, MountingNote, Point, ReadingRange};
 use dbbd_device::clock;
 use dbbd_device::sync::lock;
 use dbbd_job::recording::mounting::{ExpectedMounting, MountedReading, MountingMonitor};
@@ -19,6 +20,9 @@ use dbbd_model::measurement::sample::Sample;
 const FRAME_S: f64 = 0.05;
 /// Findings about the mounting that are kept.
 const MAX_FINDINGS: usize = 20;
+
+/// Seconds of readings that a page gets when it connects: half an hour is the longest circle of poses.
+const MAX_TRACE_S: usize = 1800;
 
 /// The state that is shared with clients.
 #[derive(Clone, Debug)]
@@ -35,6 +39,27 @@ pub struct LiveRun {
     /// Drift of the device's clock against the host's since the first sample, ms.
     pub clock_ahead_ms: Option<f64>,
     pub mounting: Mounting,
+    /// The readings by the second, the newest last.
+    pub trace: VecDeque<ReadingRange>,
+}
+
+impl LiveRun {
+    /// Adds a frame to the second that it is in.
+    fn add_to_trace(&mut self, frame: &Frame) {
+        let Frame { t_s, min_mm, max_mm, .. } = *frame;
+        match self.trace.back_mut().filter(|last| last.t_s.floor() == t_s.floor()) {
+            Some(last) => {
+                *last =
+                    ReadingRange { t_s, min_mm: last.min_mm.min(min_mm), max_mm: last.max_mm.max(max_mm) };
+            }
+            None => {
+                if self.trace.len() >= MAX_TRACE_S {
+                    self.trace.pop_front();
+                }
+                self.trace.push_back(ReadingRange { t_s, min_mm, max_mm });
+            }
+        }
+    }
 }
 
 /// The recorder's side of the live state.
@@ -170,6 +195,9 @@ impl LiveFeed {
         run.mounting.state = self.monitor.state().name();
         (run.mounting.scatter_um, run.mounting.drift_um_s) = scatter.map(|[sd, drift]| (sd, drift)).unzip();
         run.mounting.temperature_c = self.temperature_c;
+        if frame.mounted {
+            run.add_to_trace(&frame);
+        }
         drop(run);
         self.send("frame", &frame);
     }
@@ -211,6 +239,20 @@ mod tests {
         assert!(feed.frame.is_some());
         feed.tick(host(50));
         assert_eq!((feed.frame.is_some(), feed.frames), (false, 1));
+    }
+
+    #[test]
+    fn the_trace_has_the_extremes_of_each_second() {
+        let mut run = LiveRun::default();
+        for (t_s, min_mm, max_mm) in [(0.2, 1.0, 2.0), (0.9, 0.5, 1.5), (1.0, 7.0, 8.0)] {
+            run.add_to_trace(&Frame { t_s, min_mm, max_mm, ..Frame::default() });
+        }
+        let range = |t_s, min_mm, max_mm| ReadingRange { t_s, min_mm, max_mm };
+        assert_eq!(run.trace, [range(0.9, 0.5, 2.0), range(1.0, 7.0, 8.0)]);
+        for second in 2..=MAX_TRACE_S {
+            run.add_to_trace(&Frame { t_s: second as f64, ..Frame::default() });
+        }
+        assert_eq!((run.trace.len(), run.trace[0].t_s), (MAX_TRACE_S, 1.0));
     }
 
     #[test]

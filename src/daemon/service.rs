@@ -155,6 +155,8 @@ struct UnopenedLine {
 struct ActiveRun {
     /// Empty for a reading.
     name: String,
+    /// Who started it, if users have names.
+    by: Option<String>,
     plan: Option<String>,
     robot: Option<String>,
     started_unix_ms: u64,
@@ -314,6 +316,7 @@ impl Supervisor {
         let live = lock(&self.live.run);
         RunStatus {
             name: running.name.clone(),
+            by: running.by.clone(),
             plan: running.plan.clone(),
             robot: running.robot.clone(),
             left_s: schedule.left_s(progress.counts.dwells),

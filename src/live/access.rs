@@ -5,16 +5,16 @@
 
 use dbbd_model::base::InternalFinding::NoSystem;
 use std::collections::VecDeque;
-use std::hint::black_box;
 use std::io;
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use axum::http::header::{AUTHORIZATION, COOKIE, HOST, HeaderMap, ORIGIN};
 use axum::http::{StatusCode, Uri};
 
 use super::failed_logins::FailedLogins;
 use super::json::Problem;
+use super::users::{KnownUser, User, same};
 use crate::live::ServiceFinding::{NoHost, NoToken, OtherHost, OtherSite, TooManyGuesses, WrongToken};
 use dbbd_device::sync::lock;
 use dbbd_model::diagnostic::Diagnostic;
@@ -23,29 +23,34 @@ use dbbd_model::diagnostic::Diagnostic;
 pub(super) const COOKIE_NAME: &str = "dbbd";
 /// Names the client of a proxy.
 const FORWARDED_FOR: &str = "x-forwarded-for";
-/// A shorter token can be guessed.
-const SHORTEST_TOKEN: usize = 16;
 /// Sessions at a time. A new one ends the oldest.
 const MAX_SESSIONS: usize = 64;
 
-/// Which hosts a service answers for, and the token that its clients must send.
+/// Which hosts a service answers for, and the users whose token its clients must send.
 pub struct Access {
     loopback: bool,
     hosts: Vec<String>,
-    token: Option<Token>,
+    /// Nobody is asked for a token if there is none.
+    users: Vec<KnownUser>,
     /// Proxies whose `X-Forwarded-For` names the client.
     proxies: Vec<IpAddr>,
-    /// Values of the session cookies, the oldest first.
-    sessions: Mutex<VecDeque<String>>,
+    /// The oldest first.
+    sessions: Mutex<VecDeque<Session>>,
     failed: Mutex<FailedLogins>,
 }
 
+/// A signed-in browser.
+struct Session {
+    /// The value of its cookie.
+    cookie: String,
+    user: Arc<User>,
+}
+
 /// The token or session cookie of a request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Credentials {
-    /// None is required.
-    NotRequired,
-    Valid,
+    /// Of this user; also where none is required.
+    Valid(Arc<User>),
     Missing,
     Wrong,
     /// Wrong, as too many others from this client were.
@@ -53,9 +58,9 @@ pub(super) enum Credentials {
 }
 
 impl Credentials {
-    pub(super) fn check(self) -> Result<(), Problem> {
+    pub(super) fn user(self) -> Result<Arc<User>, Problem> {
         match self {
-            Self::NotRequired | Self::Valid => Ok(()),
+            Self::Valid(user) => Ok(user),
             Self::Missing | Self::Wrong => Err(Problem::new(StatusCode::UNAUTHORIZED, NoToken)),
             Self::TooManyWrong => Err(Diagnostic::new(TooManyGuesses).into()),
         }
@@ -69,40 +74,12 @@ fn random_cookie() -> io::Result<String> {
     Ok(random.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// The secret that clients must send. `Debug` does not print it.
-pub struct Token(String);
-
-impl std::fmt::Debug for Token {
-    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        out.write_str("Token(..)")
-    }
-}
-
-impl Token {
-    /// The content of a token file without white space at its ends. `None` if it is too short or has a character that a
-    /// header cannot carry.
-    pub fn new(text: &str) -> Option<Self> {
-        let text = text.trim();
-        let sound = text.len() >= SHORTEST_TOKEN && text.bytes().all(|byte| byte.is_ascii_graphic());
-        sound.then(|| Self(text.to_owned()))
-    }
-}
-
-/// Compares in a time that depends on the length of `secret` alone.
-fn same(sent: &[u8], secret: &[u8]) -> bool {
-    let mut different = u8::from(sent.len() != secret.len());
-    for (one, other) in sent.iter().zip(secret.iter().cycle()) {
-        different |= black_box(one ^ other);
-    }
-    black_box(different) == 0 && !secret.is_empty()
-}
-
 impl Access {
     /// `hosts` are the names of the service besides its addresses.
-    pub fn new(address: IpAddr, hosts: &[String], token: Option<Token>) -> Self {
+    pub fn new(address: IpAddr, hosts: &[String], users: Vec<KnownUser>) -> Self {
         let hosts = hosts.iter().map(|host| host.to_ascii_lowercase()).collect();
         let (sessions, failed) = (Mutex::default(), Mutex::default());
-        Self { loopback: address.is_loopback(), hosts, token, proxies: Vec::new(), sessions, failed }
+        Self { loopback: address.is_loopback(), hosts, users, proxies: Vec::new(), sessions, failed }
     }
 
     /// Trusts these proxies to name their clients in `X-Forwarded-For`.
@@ -179,11 +156,11 @@ impl Access {
 
     /// Checks the session cookie, then the bearer token.
     pub(super) fn credentials(&self, headers: &HeaderMap, address: IpAddr) -> Credentials {
-        if self.token.is_none() {
-            return Credentials::NotRequired;
+        if self.users.is_empty() {
+            return Credentials::Valid(Arc::new(User::OWNER));
         }
-        if self.session(headers).is_some() {
-            return Credentials::Valid;
+        if let Some((_, user)) = self.session(headers) {
+            return Credentials::Valid(user);
         }
         let bearer = headers.get(AUTHORIZATION).map(|value| value.as_bytes());
         match bearer.and_then(|value| value.strip_prefix(b"Bearer ")) {
@@ -192,48 +169,51 @@ impl Access {
         }
     }
 
-    /// Compares a token and counts wrong ones. The right one is never limited: whoever sends wrong ones would keep the
-    /// operator behind the same address from *stop*.
+    /// Compares a token with those of all users and counts wrong ones. A right one is never limited: whoever sends wrong ones
+    /// would keep the operator behind the same address from *stop*.
     fn compare(&self, sent: &[u8], address: IpAddr) -> Credentials {
-        let Some(token) = &self.token else { return Credentials::NotRequired };
-        if same(sent, token.0.as_bytes()) {
-            return Credentials::Valid;
+        if self.users.is_empty() {
+            return Credentials::Valid(Arc::new(User::OWNER));
+        }
+        // All are compared, so that the time does not say whose token is nearly right.
+        let known = self.users.iter().filter(|known| known.has(sent)).fold(None, |_, known| Some(known));
+        if let Some(known) = known {
+            return Credentials::Valid(Arc::clone(&known.user));
         }
         if lock(&self.failed).add(address) { Credentials::TooManyWrong } else { Credentials::Wrong }
     }
 
-    /// The value of the request's session cookie, if the session exists.
-    fn session(&self, headers: &HeaderMap) -> Option<String> {
+    /// The cookie of the request's session and its user, if the session exists.
+    fn session(&self, headers: &HeaderMap) -> Option<(String, Arc<User>)> {
         let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
         let mut sent = cookies
             .flat_map(|value| value.split(';'))
             .filter_map(|pair| pair.trim().strip_prefix(COOKIE_NAME)?.strip_prefix('='));
         let sessions = lock(&self.sessions);
-        sent.find_map(|one| sessions.iter().find(|known| same(one.as_bytes(), known.as_bytes())).cloned())
+        let of = |one: &str| sessions.iter().find(|known| same(one.as_bytes(), known.cookie.as_bytes()));
+        sent.find_map(|one| of(one).map(|known| (known.cookie.clone(), Arc::clone(&known.user))))
     }
 
     /// Starts a session and returns the value of its cookie.
     pub(super) fn log_in(&self, token: &str, address: IpAddr) -> Result<String, Problem> {
-        match self.compare(token.as_bytes(), address) {
+        let user = match self.compare(token.as_bytes(), address) {
             Credentials::Wrong => return Err(Problem::new(StatusCode::UNAUTHORIZED, WrongToken)),
-            other @ (Credentials::NotRequired
-            | Credentials::Valid
-            | Credentials::Missing
-            | Credentials::TooManyWrong) => other.check()?,
-        }
-        let session =
-            random_cookie().map_err(|error| Diagnostic::new(NoSystem { why: error.to_string() }))?;
+            other @ (Credentials::Valid(_) | Credentials::Missing | Credentials::TooManyWrong) => {
+                other.user()?
+            }
+        };
+        let cookie = random_cookie().map_err(|error| Diagnostic::new(NoSystem { why: error.to_string() }))?;
         let mut sessions = lock(&self.sessions);
-        sessions.push_back(session.clone());
+        sessions.push_back(Session { cookie: cookie.clone(), user });
         if sessions.len() > MAX_SESSIONS {
             sessions.pop_front();
         }
-        Ok(session)
+        Ok(cookie)
     }
 
     pub(super) fn log_out(&self, headers: &HeaderMap) {
-        if let Some(ended) = self.session(headers) {
-            lock(&self.sessions).retain(|known| *known != ended);
+        if let Some((ended, _)) = self.session(headers) {
+            lock(&self.sessions).retain(|known| known.cookie != ended);
         }
     }
 }
@@ -252,20 +232,11 @@ fn without_port(host: &str) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::users::{Role, Token};
     use super::*;
 
     fn access(address: &str) -> Access {
-        Access::new(address.parse().unwrap(), &["Cell-3".into()], None)
-    }
-
-    #[test]
-    fn tokens_are_compared_byte_by_byte() {
-        assert!(same(b"0123456789abcdef", b"0123456789abcdef"));
-        for wrong in [&b""[..], b"0123456789abcdeg", b"0123456789abcde", b"0123456789abcdef0123456789abcdef"]
-        {
-            assert!(!same(wrong, b"0123456789abcdef"));
-        }
-        assert!(!same(b"", b""));
+        Access::new(address.parse().unwrap(), &["Cell-3".into()], Vec::new())
     }
 
     #[test]
@@ -321,22 +292,22 @@ mod tests {
 
     #[test]
     fn right_token_is_valid_after_any_number_of_wrong_ones() {
-        let token = Token::new("0123456789abcdef");
-        let access = Access::new("127.0.0.1".parse().unwrap(), &[], token);
+        let hash = dbbd_model::base::hash::sha256("fedcba9876543210");
+        let operator = KnownUser::named("operator".into(), Role::Measure, &hash).unwrap();
+        let owner = KnownUser::owner(Token::new("0123456789abcdef").unwrap());
+        let access = Access::new("127.0.0.1".parse().unwrap(), &[], vec![owner, operator]);
         let from = "10.0.0.1".parse().unwrap();
         let answers: Vec<_> = (0..1000).map(|_| access.compare(b"0123456789abcdeg", from)).collect();
         assert_eq!(
-            [answers[9], answers[10], answers[999]].map(|one| one == Credentials::TooManyWrong),
+            [9, 10, 999].map(|at: usize| answers[at] == Credentials::TooManyWrong),
             [false, true, true]
         );
-        assert_eq!(access.compare(b"0123456789abcdef", from), Credentials::Valid);
+        let user = |token| access.compare(token, from).user().unwrap();
+        assert_eq!(*user(b"0123456789abcdef"), User::OWNER);
+        assert_eq!(
+            (user(b"fedcba9876543210").name.as_deref(), user(b"fedcba9876543210").role),
+            (Some("operator"), Role::Measure)
+        );
         assert!(access.log_in("0123456789abcdef", from).is_ok());
-    }
-
-    #[test]
-    fn short_tokens_are_refused() {
-        assert!(Token::new("0123456789abcde\n").is_none());
-        assert!(Token::new(" 0123456789abcdef\n").is_some());
-        assert!(Token::new("0123456789abc def").is_none());
     }
 }

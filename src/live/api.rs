@@ -1,6 +1,6 @@
 //! The pages and the HTTP API of a cell: routes and handlers.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use axum::extract::{Extension, State};
 use axum::http::StatusCode;
@@ -13,7 +13,7 @@ use tokio::sync::watch;
 
 use super::access::Access;
 use super::asking::{Answer, App, Parts, ask, job_number, parts, reply};
-use super::guard::session;
+use super::guard::{Asking, session};
 use super::json::{Body, json};
 use super::server::Peer;
 use super::service::{Act, Catalogue, ConnectRequest, JobKind, JobRequest, Service, StartRequest};
@@ -33,6 +33,7 @@ const FILES: &[PageFile] = &[
     file("/robot/{name}", HTML, include_str!("page/robot.html")),
     file("/live", HTML, include_str!("page/robot.html")),
     file("/style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
+    file("/vendor/uplot.css", "text/css; charset=utf-8", include_str!("page/vendor/uplot.css")),
     script("/home.js", include_str!("page/home.js")),
     script("/robot.js", include_str!("page/robot.js")),
     script("/sentence.js", include_str!("page/sentence.js")),
@@ -43,13 +44,20 @@ const FILES: &[PageFile] = &[
     script("/scene.js", include_str!("page/scene.js")),
     script("/measure.js", include_str!("page/measure.js")),
     script("/gauge.js", include_str!("page/gauge.js")),
+    script("/plots.js", include_str!("page/plots.js")),
+    script("/residuals.js", include_str!("page/residuals.js")),
     script("/polar.js", include_str!("page/polar.js")),
     script("/numbers.js", include_str!("page/numbers.js")),
-    script("/strip.js", include_str!("page/strip.js")),
+    script("/moving.js", include_str!("page/moving.js")),
+    script("/users.js", include_str!("page/users.js")),
+    script("/trace.js", include_str!("page/trace.js")),
+    script("/circle.js", include_str!("page/circle.js")),
     script("/link.js", include_str!("page/link.js")),
     script("/mounting.js", include_str!("page/mounting.js")),
     script("/texts.js", include_str!("page/texts.js")),
     file("/texts.json", "application/json", LANGUAGES),
+    file("/codes.json", "application/json", CODES),
+    script("/findings.js", include_str!("page/findings.js")),
     script("/runs.js", include_str!("page/runs.js")),
 ];
 
@@ -64,6 +72,9 @@ const LANGUAGES: &str = concat!(
     "}"
 );
 
+/// Title and cure of the codes that the page can show, by language; English ones come with the findings.
+const CODES: &str = concat!("{\"de\":", include_str!("page/texts/codes.de.json"), "}");
+
 const fn file(path: &'static str, kind: &'static str, content: &'static str) -> PageFile {
     PageFile { path, kind, content }
 }
@@ -75,7 +86,6 @@ const fn script(path: &'static str, content: &'static str) -> PageFile {
 fn table() -> Vec<Route<App>> {
     let cell = vec![
         ("/api/v1/openapi.json", "GET", get(openapi)),
-        session(),
         ("/api/v1/status", "GET", get(status)),
         ("/api/v1/stream", "GET", get(live_stream)),
         ("/api/v1/points", "GET", get(points)),
@@ -99,7 +109,7 @@ fn table() -> Vec<Route<App>> {
         ("/api/v1/jobs/{id}/cancel", "POST", post(cancel)),
         ("/metrics", "GET", get(prometheus)),
     ];
-    cell.into_iter().chain(workbench::table()).collect()
+    cell.into_iter().chain(session()).chain(workbench::table()).collect()
 }
 
 /// Paths of the API and their methods, as `GET` or `GET, POST`.
@@ -110,10 +120,16 @@ pub fn routes() -> Vec<(&'static str, &'static str)> {
 /// The pages and the API of a cell.
 pub fn cell_site(service: Arc<dyn Service>, access: Arc<Access>, stop: watch::Receiver<bool>) -> Site {
     let journal: Arc<dyn Journal> = service.clone();
-    let gate = Gate { access, journal, files: FILES, form_action: "'none'", sign_in: None };
-    // Beside the API: a script that is loaded when it is needed.
-    let script = ("/vendor/three.js", "GET", get(workbench::scene_script));
-    Site::new(gate, table().into_iter().chain([script]).collect(), App { service, stop })
+    let gate = Gate {
+        access,
+        journal,
+        files: FILES,
+        form_action: "'none'",
+        sign_in: None,
+        events: Mutex::default(),
+    };
+    let routes = table().into_iter().chain(workbench::vendor_scripts()).collect();
+    Site::new(gate, routes, App { service, stop })
 }
 
 /// 202 without a body, if the service accepts.
@@ -186,7 +202,12 @@ async fn act(State(app): State<App>, Body(ActRequest { act }): Body<ActRequest>)
     .await
 }
 
-async fn start(State(app): State<App>, Body(request): Body<StartRequest>) -> Answer {
+async fn start(
+    State(app): State<App>,
+    Extension(Asking(user)): Extension<Asking>,
+    Body(mut request): Body<StartRequest>,
+) -> Answer {
+    request.by.clone_from(&user.name);
     let name = request.name.clone();
     ask(app, move |service| service.start(request)).await?;
     Ok(json(StatusCode::CREATED, &json!({ "name": name })))

@@ -24,6 +24,7 @@ findings! {
             NotAProtocol { name: String, why: String } => "`{name}` is neither a built-in protocol nor a file: {why}", help: "`dbbd protocols` lists what is built in";
             TokenUnreadable { why: String } => "the token cannot be read: {why}";
             TokenOpen => "every user of this machine may read the token", help: "chmod 640 the file, or 600";
+            NotAUser { why: &'static str } => "no user: {why}", help: "name, role (\"look\", \"measure\" or \"plan\") and token_hash: the SHA-256 of the token, as `printf %s TOKEN | sha256sum` prints it";
             TokenTooShort => "a token has 16 or more visible ASCII characters and no space", help: "make one: `openssl rand -hex 24`";
         }
         E1502 "the service cannot start",
@@ -59,6 +60,7 @@ findings! {
             ProtocolNotBuiltIn { protocol: String } => "the plan's protocol `{protocol}` is not built in: configure it";
             RobotTaken { robot: String } => "there is a directory `{robot}` already: choose another name";
             StepTooEarly { step: &'static str } => "`{step}` cannot be computed yet: an earlier step comes first";
+            RobotIsMeasured { robot: String, run: String, by: String } => "`{robot}` is being measured (run `{run}`, started by {by}): its job, plan and programs are locked", help: "stop the run first, or wait for its end";
             LinkedDirectory { directory: String } => "`{directory}` is a link or holds one", help: "files are written inside the working directory only: remove the link";
             LinkedResults { run: String, kind: String } => "`{kind}` of run `{run}` is a link or holds one", help: "results are written inside the data directory only: remove the link";
             DataUnwritable { why: String } => "the data directory cannot be written: {why}";
@@ -100,6 +102,7 @@ findings! {
             OtherSite => "a page of another site may not ask here";
             NoToken => "the token is missing or wrong", help: "send it as `Authorization: Bearer TOKEN`, or give it to the page";
             WrongToken => "the token is wrong";
+            RoleTooLow { role: &'static str, needed: &'static str } => "this needs the role `{needed}`, and this user has `{role}`", help: "sign in as another user, or change `role` in the configuration";
         }
         E1509 "a request's form is not valid",
         cause: "The method, the path, the type or the size of a request is not what the API takes.",

@@ -5,7 +5,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::extract::{Extension, Request, State};
+use axum::extract::{Extension, MatchedPath, Request, State};
 use axum::http::header::{
     ACCEPT, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderValue, REFERRER_POLICY, SET_COOKIE,
     X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
@@ -15,12 +15,16 @@ use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{delete, get, post};
 use serde::Deserialize;
+use serde_json::json;
 
 use super::access::{COOKIE_NAME, Credentials};
-use super::json::{Body, Problem};
+use super::json::{Body, Problem, json};
 use super::server::Peer;
+use super::users::{Role, User, UserEvent};
 use super::{Gate, Route, Site};
-use crate::live::ServiceFinding::{NotAllowed, NothingHere, PathTooLong};
+use crate::live::ServiceFinding::{NotAllowed, NothingHere, PathTooLong, RoleTooLow};
+use dbbd_device::clock;
+use dbbd_device::sync::lock;
 
 /// Content security policy of the pages: they reach their own service only. The source of `form-action` follows.
 const PAGE_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
@@ -60,13 +64,19 @@ impl Site {
 async fn guard(
     State(gate): State<Arc<Gate>>,
     Extension(peer): Extension<Peer>,
-    request: Request,
+    mut request: Request,
     next: Next,
 ) -> Response {
     let mut response = match gate.admit(&peer, &request) {
-        Ok(()) => {
+        Ok(user) => {
             let _busy = peer.busy();
-            next.run(request).await
+            let change = Change::of(&request);
+            request.extensions_mut().insert(Asking(Arc::clone(&user)));
+            let response = next.run(request).await;
+            if let Some(change) = change.filter(|_| response.status().is_success()) {
+                lock(&gate.events).add(change.by(&user));
+            }
+            response
         }
         Err(problem) => gate.refuse(&request, problem),
     };
@@ -86,8 +96,47 @@ async fn guard(
     response
 }
 
+/// Who asks.
+#[derive(Clone)]
+pub(super) struct Asking(pub(super) Arc<User>);
+
+/// A request that changes something.
+struct Change {
+    act: String,
+    path: String,
+}
+
+impl Change {
+    fn of(request: &Request) -> Option<Self> {
+        let path = request.uri().path();
+        // A trial leaves nothing behind.
+        let is_change = needed(request.method(), path) > Role::Look && !path.ends_with("/trial");
+        let route = request.extensions().get::<MatchedPath>().map_or(path, MatchedPath::as_str);
+        is_change.then(|| Self { act: format!("{} {route}", request.method()), path: path.to_owned() })
+    }
+
+    fn by(self, user: &User) -> UserEvent {
+        let Self { act, path } = self;
+        UserEvent { unix_ms: clock::unix_ns() / 1_000_000, user: user.name.clone(), act, path }
+    }
+}
+
+/// The role that a request needs. What a new route changes needs the highest one, unless it is listed here.
+fn needed(method: &Method, path: &str) -> Role {
+    const MEASURE: [&str; 4] = ["/api/v1/run", "/api/v1/reading", "/api/v1/act", "/api/v1/device"];
+    let is_below =
+        |start: &str| path.strip_prefix(start).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'));
+    if *method == Method::GET || *method == Method::HEAD || path == SESSION {
+        Role::Look
+    } else if MEASURE.into_iter().any(is_below) {
+        Role::Measure
+    } else {
+        Role::Plan
+    }
+}
+
 impl Gate {
-    fn admit(&self, peer: &Peer, request: &Request) -> Result<(), Problem> {
+    fn admit(&self, peer: &Peer, request: &Request) -> Result<Arc<User>, Problem> {
         let path = request.uri().path();
         if request.uri().to_string().len() > LONGEST_URI {
             return Err(Problem::new(StatusCode::URI_TOO_LONG, PathTooLong));
@@ -98,15 +147,21 @@ impl Gate {
         self.access.check_site(request.uri(), request.headers(), own_pages_only)?;
         let client = self.access.client(request.headers(), peer.address);
         let credentials = self.access.credentials(request.headers(), client);
-        peer.authenticated(credentials.check().is_ok());
+        peer.authenticated(matches!(credentials, Credentials::Valid(_)));
         // The files hold no secret, and the page asks for the token.
         if is_file || (path == SESSION && request.method() == Method::POST) {
-            return Ok(());
+            return Ok(Arc::new(User { name: None, role: Role::Look }));
         }
         if matches!(credentials, Credentials::Wrong | Credentials::TooManyWrong) {
             self.log_wrong_token(client);
         }
-        credentials.check()
+        let user = credentials.user()?;
+        let needed = needed(request.method(), path);
+        if user.role < needed {
+            let finding = RoleTooLow { role: user.role.name(), needed: needed.name() };
+            return Err(Problem::new(StatusCode::FORBIDDEN, finding));
+        }
+        Ok(user)
     }
 
     fn refuse(&self, request: &Request, problem: Problem) -> Response {
@@ -141,9 +196,20 @@ pub(super) fn page_content(page: String) -> impl IntoResponse {
     ([(CONTENT_TYPE, "text/html; charset=utf-8")], page)
 }
 
-/// The route to log in with the token and to log out.
-pub(super) fn session<A: Clone + Send + Sync + 'static>() -> Route<A> {
-    (SESSION, "DELETE, POST", post(log_in).merge(delete(log_out)))
+/// The routes to log in with the token, to ask who is signed in, to log out; and what users changed.
+pub(super) fn session<A: Clone + Send + Sync + 'static>() -> [Route<A>; 2] {
+    [
+        (SESSION, "DELETE, GET, POST", get(signed_in).merge(post(log_in)).merge(delete(log_out))),
+        ("/api/v1/events", "GET", get(events)),
+    ]
+}
+
+async fn signed_in(Extension(Asking(user)): Extension<Asking>) -> Response {
+    json(StatusCode::OK, &*user)
+}
+
+async fn events(Extension(gate): Extension<Arc<Gate>>) -> Response {
+    json(StatusCode::OK, &json!({ "events": lock(&gate.events).list() }))
 }
 
 #[derive(Deserialize)]

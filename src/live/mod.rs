@@ -19,18 +19,20 @@ mod plant;
 mod server;
 mod service;
 mod stream;
+mod users;
 mod view;
 mod work;
 mod workbench;
 
 use std::fmt::Display;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use axum::Router;
 use axum::routing::MethodRouter;
 use dbbd_job::page::PageFile;
+use users::EventList;
 
-pub use access::{Access, Token};
+pub use access::Access;
 pub use api::{OPENAPI, cell_site, routes};
 #[cfg(feature = "archive")]
 pub use plant::plant_site;
@@ -39,14 +41,16 @@ pub use service::{
     Act, Catalogue, CheckItem, ConnectRequest, Ended, JobKind, JobRequest, ResultFile, RunEntry, RunState,
     Service, StartRequest,
 };
+pub use users::{KnownUser, Role, Token, User};
 pub use view::{
-    Alarm, Archiving, Device, Frame, LastRun, Message, Mounting, MountingNote, NextPose, Point, RunCounts,
-    RunStatus, State, Status,
+    Alarm, Archiving, Device, Frame, LastRun, Message, Mounting, MountingNote, NextPose, Point, ReadingRange,
+    RunCounts, RunStatus, State, Status,
 };
 
 pub use work::{
-    EvaluationJob, ExplainedFinding, JobState, NewRobot, ProgramUpload, RobotSummary, RobotWork, StepAction,
-    StepOptions, StepReport, StepState, StepVerdict, UploadedFile, WorkStep, Workbench,
+    EvaluationJob, ExcludedRows, ExplainedFinding, JobState, NewRobot, ProgramUpload, RobotSummary,
+    RobotWork, StepAction, StepOptions, StepReport, StepState, StepVerdict, UploadedFile, WorkStep,
+    Workbench,
 };
 
 /// A path, its methods as `GET` or `GET, POST`, and its handlers.
@@ -67,6 +71,8 @@ struct Gate {
     form_action: &'static str,
     /// The page that asks for the token, if none of the files does.
     sign_in: Option<String>,
+    /// What users changed.
+    events: Mutex<EventList>,
 }
 
 /// Pages and API behind the middleware.

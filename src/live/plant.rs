@@ -1,6 +1,6 @@
 //! The pages of a plant: robots, bars and runs of an archive.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, State};
@@ -30,13 +30,19 @@ pub fn plant_site(
     journal: Arc<dyn Journal>,
 ) -> Result<Site, Diagnostic> {
     let sign_in = Some(plant.sign_in()?);
-    let gate = Gate { access, journal, files: plant.files(), form_action: "'self'", sign_in };
+    let gate = Gate {
+        access,
+        journal,
+        files: plant.files(),
+        form_action: "'self'",
+        sign_in,
+        events: Mutex::default(),
+    };
     Ok(Site::new(gate, table(), plant))
 }
 
 fn table() -> Vec<Route<App>> {
-    vec![
-        session(),
+    let pages = vec![
         ("/", "GET", page(Question::Robots)),
         ("/robot", "GET", page(Question::Robot)),
         ("/bars", "GET", page(Question::Bars)),
@@ -45,7 +51,8 @@ fn table() -> Vec<Route<App>> {
         ("/runs/{run}", "GET", get(run)),
         ("/runs/{run}/report.html", "GET", get(report)),
         ("/metrics", "GET", get(numbers)),
-    ]
+    ];
+    session().into_iter().chain(pages).collect()
 }
 
 /// A page whose question is in the query of its address.

@@ -6,7 +6,7 @@ use serde_json::Value;
 use tokio::sync::{broadcast, watch};
 
 use super::Journal;
-use super::view::{Message, Point, Status};
+use super::view::{Message, Point, ReadingRange, Status};
 use super::work::{EvaluationJob, Workbench};
 use dbbd_model::diagnostic::Diagnostic;
 
@@ -17,6 +17,8 @@ pub trait Service: Journal + Workbench {
     fn messages(&self) -> broadcast::Receiver<Message>;
     /// The dwells of the current run, or of the last one.
     fn points(&self) -> Vec<Point>;
+    /// The readings of the current run, or of the last one, by the second.
+    fn trace(&self) -> Vec<ReadingRange>;
     fn catalogue(&self, which: Catalogue) -> Result<Value, Diagnostic>;
     /// Selects the device for the next run.
     fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Diagnostic>;
@@ -68,6 +70,9 @@ pub struct StartRequest {
     /// What the operator checked at the cell.
     #[serde(default)]
     pub checked: Vec<CheckItem>,
+    /// Who starts it, by the token.
+    #[serde(skip)]
+    pub by: Option<String>,
 }
 
 /// A reading of the bar without a run.

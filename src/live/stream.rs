@@ -26,12 +26,13 @@ struct Stream {
     _busy: Busy,
 }
 
-/// First the state and the points so far, then the messages.
+/// First the state, the points and the readings so far, then the messages.
 pub(super) fn answer(service: &dyn Service, stop: watch::Receiver<bool>, busy: Busy) -> Response {
     // Subscribe before reading the points: none is lost, one may come twice.
     let messages = service.messages();
     let status = Message::new("status", &*service.status().borrow());
-    let first = VecDeque::from([status, Message::new("points", &service.points())]);
+    let points = Message::new("points", &service.points());
+    let first = VecDeque::from([status, points, Message::new("trace", &service.trace())]);
     let stream = Stream { first, messages, stop, _busy: busy };
     let events = stream::unfold(stream, |mut stream| async move {
         let message = stream.next().await?;

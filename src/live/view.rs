@@ -86,6 +86,8 @@ pub struct Device {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RunStatus {
     pub name: String,
+    /// Who started it, if users have names.
+    pub by: Option<String>,
     pub plan: Option<String>,
     pub robot: Option<String>,
     /// Remaining time of the plan at full override, s.
@@ -218,6 +220,15 @@ pub struct Frame {
     pub strobe: Option<bool>,
     /// Whether the device flags all readings as valid.
     pub valid: bool,
+}
+
+/// The extremes of the readings of a second with the bar mounted.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ReadingRange {
+    /// Of the last frame, as [`Frame::t_s`].
+    pub t_s: f64,
+    pub min_mm: f64,
+    pub max_mm: f64,
 }
 
 /// A completed dwell.

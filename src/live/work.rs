@@ -103,6 +103,8 @@ pub struct StepReport {
     /// What the step made: directory and names.
     pub directory: String,
     pub files: Vec<String>,
+    /// When its newest file was written, ms since the Unix epoch.
+    pub changed_unix_ms: Option<u64>,
     /// The last job of the step.
     pub job: Option<EvaluationJob>,
 }
@@ -153,6 +155,19 @@ pub struct StepOptions {
     pub tolerance_mm: Option<f64>,
     /// Of a correction: the program; `None` for the first that is not corrected yet.
     pub program: Option<String>,
+    /// Of an identification: all rows that are left out; `None` for those of the last result.
+    pub exclude: Option<Vec<ExcludedRows>>,
+    /// Who asks, by the token.
+    #[serde(skip)]
+    pub by: Option<String>,
+}
+
+/// Rows that are left out of a fit.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExcludedRows {
+    pub rows: Vec<u32>,
+    pub reason: Option<String>,
 }
 
 /// Files of a program.
@@ -182,6 +197,8 @@ pub trait Workbench {
     fn job_of(&self, robot: &str) -> Result<Value, Diagnostic>;
     /// Sets keys of the job; all others, and comments, stay.
     fn edit_job(&self, robot: &str, keys: &Value) -> Result<(), Diagnostic>;
+    /// Plans the job with changed keys and keeps nothing: findings, checks, predictions, and the view in three dimensions.
+    fn try_job(&self, robot: &str, keys: &Value) -> Result<Value, Diagnostic>;
     /// Robot, poses, obstacles and residuals for the view in three dimensions.
     fn scene(&self, robot: &str) -> Result<Value, Diagnostic>;
     /// Keeps the files of a program that shall be corrected.

@@ -4,24 +4,29 @@ use axum::body::Bytes;
 use axum::extract::{Extension, State};
 use axum::http::StatusCode;
 use axum::http::header::{CONTENT_ENCODING, CONTENT_TYPE};
-use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post, put};
+use axum::response::IntoResponse;
+use axum::routing::{MethodRouter, get, post, put};
 use serde_json::{Value, json};
 
 use super::asking::{Answer, App, Parts, ask, job_number, parts, reply};
+use super::guard::Asking;
 use super::json::{Body, LongBody, json};
 use super::server::Peer;
 use super::work::{NewRobot, ProgramUpload, StepOptions, WorkStep};
 use super::{Route, downloads};
 
-/// The view in three dimensions, as the renewing script made it, compressed.
-const SCENE_SCRIPT: &[u8] = include_bytes!("page/vendor/three.js.gz");
+/// Scripts of others, as the renewing script made them, compressed; they are loaded when they are needed.
+const VENDOR_SCRIPTS: [(&str, &[u8]); 2] = [
+    ("/vendor/three.js", include_bytes!("page/vendor/three.js.gz")),
+    ("/vendor/uplot.js", include_bytes!("page/vendor/uplot.js.gz")),
+];
 
 pub(super) fn table() -> Vec<Route<App>> {
     vec![
         ("/api/v1/workbench", "GET, POST", get(robots).merge(post(create))),
         ("/api/v1/workbench/{robot}", "GET", get(work)),
         ("/api/v1/workbench/{robot}/job", "GET, PUT", get(job_of).merge(put(edit_job))),
+        ("/api/v1/workbench/{robot}/trial", "POST", post(try_job)),
         ("/api/v1/workbench/{robot}/scene", "GET", get(scene)),
         ("/api/v1/workbench/{robot}/program", "PUT", put(upload)),
         ("/api/v1/workbench/{robot}/steps/{step}", "POST", post(compute)),
@@ -31,10 +36,17 @@ pub(super) fn table() -> Vec<Route<App>> {
     ]
 }
 
-/// `/vendor/three.js`: every browser takes gzip.
-pub(super) async fn scene_script() -> Response {
-    let headers = [(CONTENT_TYPE, "text/javascript; charset=utf-8"), (CONTENT_ENCODING, "gzip")];
-    (headers, Bytes::from_static(SCENE_SCRIPT)).into_response()
+/// The routes of the scripts of others: every browser takes gzip.
+pub(super) fn vendor_scripts() -> impl Iterator<Item = Route<App>> {
+    let route = |(path, script): (&'static str, &'static [u8])| {
+        let answer = move || async move {
+            let headers = [(CONTENT_TYPE, "text/javascript; charset=utf-8"), (CONTENT_ENCODING, "gzip")];
+            (headers, Bytes::from_static(script)).into_response()
+        };
+        let handlers: MethodRouter<App> = get(answer);
+        (path, "GET", handlers)
+    };
+    VENDOR_SCRIPTS.into_iter().map(route)
 }
 
 async fn robots(State(app): State<App>) -> Answer {
@@ -68,6 +80,11 @@ async fn edit_job(State(app): State<App>, robot: Parts<String>, Body(keys): Body
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 
+async fn try_job(State(app): State<App>, robot: Parts<String>, Body(keys): Body<Value>) -> Answer {
+    let robot = parts(robot)?;
+    reply(app, move |service| service.try_job(&robot, &keys)).await
+}
+
 async fn scene(State(app): State<App>, robot: Parts<String>) -> Answer {
     let robot = parts(robot)?;
     reply(app, move |service| service.scene(&robot)).await
@@ -85,9 +102,11 @@ async fn upload(
 
 async fn compute(
     State(app): State<App>,
+    Extension(Asking(user)): Extension<Asking>,
     path: Parts<(String, WorkStep)>,
-    Body(options): Body<StepOptions>,
+    Body(mut options): Body<StepOptions>,
 ) -> Answer {
+    options.by.clone_from(&user.name);
     let (robot, step) = parts(path)?;
     let job = ask(app, move |service| service.compute(&robot, step, options)).await?;
     Ok(json(StatusCode::ACCEPTED, &job))

@@ -23,11 +23,15 @@ fn lengths(points: usize) -> Measurements {
 }
 
 fn identify(data: &Measurements) -> (TempDir, Output) {
+    identify_with(data, &[])
+}
+
+fn identify_with(data: &Measurements, more: &[&str]) -> (TempDir, Output) {
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("obs.csv"), data.to_csv()).unwrap();
     fs::write(dir.path().join("C.csv"), centres_csv(&three_planes(1, CENTRE))).unwrap();
     let args = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "out"];
-    let output = dbbd(dir.path(), &[&args[..], &["--folds", "0"]].concat());
+    let output = dbbd(dir.path(), &[&args[..], &["--folds", "0"], more].concat());
     (dir, output)
 }
 
@@ -90,4 +94,53 @@ fn different_rows_with_the_same_index_are_refused() {
     data.rows[5].index = data.rows[2].index;
     let (_, output) = identify(&data);
     assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1208".to_owned()]));
+}
+
+/// A row that is left out has no effect, whatever its length is; the result, the report and the certificate list it with who and
+/// why; the table of the user keeps it.
+#[test]
+fn a_row_is_left_out_on_request() {
+    let data = lengths(20);
+    let mut wild = data.clone();
+    wild.rows[4].length_mm += 0.05;
+    let index = wild.rows[4].index;
+    let mut without = data.clone();
+    without.rows.remove(4);
+    let asked = format!("{index}:door slammed");
+    let (dir, output) = identify_with(&wild, &["--exclude", &asked]);
+    assert!(codes(&output).iter().any(|code| code == "I1343"), "{output:?}");
+    let found = result(&dir);
+    assert_eq!(found.parameters, result(&identify(&without).0).parameters);
+    assert_eq!((found.measurements, found.outliers.len(), found.excluded.len()), (59, 0, 1));
+    let listed = &found.excluded[0];
+    assert_eq!(
+        (listed.index, listed.reason.as_deref(), listed.by.as_deref()),
+        (index, Some("door slammed"), None)
+    );
+    // It is 0.05 mm longer than the others, and the noise of a length is 0.01 mm.
+    assert!((listed.residual_mm - 0.05).abs() < 0.04, "{}", listed.residual_mm);
+    let read = |name: &str| fs::read_to_string(dir.path().join(name)).unwrap();
+    assert_eq!(read("obs.csv"), wild.to_csv());
+    assert_eq!(Measurements::from_csv("lengths.csv", &read("out/lengths.csv")).unwrap().rows.len(), 59);
+    assert!(read("out/report.html").contains("door slammed"));
+    dbbd(dir.path(), &["certificate", "out", "--out", "certificate"]);
+    assert!(read("certificate/certificate.html").contains("door slammed"));
+    // Who: the operator of the measurement.
+    fs::write(dir.path().join("identity.toml"), "operator = 'A. Example'\n").unwrap();
+    let args =
+        ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "named", "--folds", "0"];
+    let more = ["--identity", "identity.toml", "--exclude", "3,7-8", "--exclude", "5:twice"];
+    dbbd(dir.path(), &[&args[..], &more].concat());
+    let named: CalibrationResult = serde_json::from_str(&read("named/result.json")).unwrap();
+    let listed = named.excluded.iter().map(|one| (one.index, one.by.as_deref(), one.reason.as_deref()));
+    let operator = Some("A. Example");
+    let expected =
+        [(3, operator, None), (7, operator, None), (8, operator, None), (5, operator, Some("twice"))];
+    assert_eq!(listed.collect::<Vec<_>>(), expected);
+}
+
+#[test]
+fn a_row_that_does_not_exist_cannot_be_left_out() {
+    let (_, output) = identify_with(&lengths(9), &["--exclude", "999"]);
+    assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1307".to_owned()]));
 }

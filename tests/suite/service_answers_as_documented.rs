@@ -93,6 +93,7 @@ const CONFIGURATIONS: &[(&str, &str, &str)] = &[
     ("\n  hosts = [\"http://cell\"]\n", "dbbd.toml:2:12:", "E1501"),
     ("trusted_proxies = [\"proxy\"]\n", "dbbd.toml:1:20:", "E1501"),
     ("token_file = \"none\"\n", "dbbd.toml:1:14:", "E1501"),
+    ("[[user]]\nname = \"A\"\nrole = \"plan\"\ntoken_hash = \"00\"\n", "dbbd.toml:1:1:", "E1501"),
     ("token_file = \"short\"\n", "dbbd.toml:1:14:", "E1501"),
     ("[device]\nprotocol = \"dbb-cobs\"\n", "dbbd.toml:2:12:", "E1501"),
     ("[alarm]\nshare = 1.5\n", "dbbd.toml:2:9:", "E1501"),

@@ -101,6 +101,59 @@ fn requests_without_the_token_are_refused() {
     assert_eq!(server.raw(rebound.as_bytes()).status, 421);
 }
 
+#[test]
+fn a_user_may_do_what_the_role_allows() {
+    let dir = tempfile::tempdir().unwrap();
+    let user = |name: &str, role: &str, token: &str| {
+        let hash = dbbd_model::base::hash::sha256(token);
+        format!("[[user]]\nname = \"{name}\"\nrole = \"{role}\"\ntoken_hash = \"{hash}\"\n")
+    };
+    let tokens = ["a-token-that-looks", "a-token-that-measures", "a-token-that-plans"];
+    let names = [("Lea", "look"), ("Max", "measure"), ("Pia", "plan")];
+    let users: String =
+        names.iter().zip(tokens).map(|((name, role), token)| user(name, role, token)).collect();
+    let server = Server::start(dir.path(), &users);
+    let ask = |token: &str, method: &str, path: &str, body: &str| {
+        let headers = format!("Authorization: Bearer {token}\r\nContent-Type: application/json\r\n");
+        server.ask(method, path, &headers, body)
+    };
+    assert_eq!(server.get("/api/v1/status").status, 401);
+    // Of each request the statuses for the three roles; 409 passed the access control: no run is on, no port was chosen.
+    for (method, path, body, statuses) in [
+        ("GET", "/api/v1/runs", "", [200, 200, 200]),
+        ("POST", "/api/v1/run/stop", "", [403, 409, 409]),
+        ("POST", "/api/v1/run", "{\"name\":\"a\"}", [403, 409, 409]),
+        ("POST", "/api/v1/act", "{\"act\":\"sound_on\"}", [403, 202, 202]),
+        ("POST", "/api/v1/demo", "", [403, 403, 201]),
+        ("PUT", "/api/v1/workbench/demo/job", "{}", [403, 403, 204]),
+    ] {
+        let found = tokens.map(|token| ask(token, method, path, body).status);
+        assert_eq!(found, statuses, "{method} {path}");
+    }
+    let refused = ask(tokens[0], "POST", "/api/v1/run/stop", "");
+    assert_eq!(refused.json()["code"], STRANGER);
+    let asked = ask(tokens[1], "GET", "/api/v1/session", "").json();
+    assert_eq!((&asked["name"], &asked["role"]), (&"Max".into(), &"measure".into()));
+    // What was changed is listed with who did it, the newest first; what was refused is not.
+    let events = ask(tokens[0], "GET", "/api/v1/events", "").json();
+    let listed = events["events"].as_array().unwrap().iter();
+    let listed: Vec<_> =
+        listed.map(|event| [&event["user"], &event["act"]].map(|text| text.as_str().unwrap())).collect();
+    let expected = [
+        ["Pia", "PUT /api/v1/workbench/{robot}/job"],
+        ["Pia", "POST /api/v1/demo"],
+        ["Pia", "POST /api/v1/act"],
+        ["Max", "POST /api/v1/act"],
+    ];
+    assert_eq!(listed, expected);
+    // The page signs in with the same token.
+    let answer = server.post("/api/v1/session", &format!("{{\"token\":\"{}\"}}", tokens[0]));
+    let cookie = answer.head.lines().find_map(|line| line.strip_prefix("set-cookie: ")).unwrap();
+    let cookie = format!("Cookie: {}\r\n", cookie.split(';').next().unwrap());
+    assert_eq!(server.ask("POST", "/api/v1/demo", &cookie, "").status, 403);
+    assert_eq!(server.ask("GET", "/api/v1/runs", &cookie, "").status, 200);
+}
+
 /// A request that is refused: method, path, body, status and code.
 const REQUESTS: &[(&str, &str, &str, u16, &str)] = &[
     ("POST", "/api/v1/run", "", 400, "E1509"),

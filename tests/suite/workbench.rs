@@ -203,3 +203,38 @@ fn pages_of_robots_need_no_token_and_their_answers_do() {
         assert_eq!(server.get(path).status, 401, "{path}");
     }
 }
+
+/// A changed job is tried: planned as the command line plans it, or refused with the same code; nothing of it stays.
+#[test]
+fn a_trial_plans_a_changed_job_and_leaves_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Server::start(dir.path(), "");
+    let cell = dir.path().join("cell-1");
+    fs::create_dir(&cell).unwrap();
+    fs::write(cell.join("job.toml"), JOB).unwrap();
+    let moved = |x: f64| {
+        let keys = json!({ "centre": [{ "xyz_mm": [x, 0.0, 800.0] }] });
+        server.post("/api/v1/workbench/cell-1/trial", &keys.to_string())
+    };
+    let far = moved(9300.0);
+    assert_eq!(far.status, 200, "{far:?}");
+    let codes = far.json();
+    let codes: Vec<_> =
+        codes["findings"].as_array().unwrap().iter().map(|one| one["code"].as_str().unwrap()).collect();
+    assert!(codes.contains(&"E0702") && far.json()["checks"].is_null(), "{codes:?}");
+    let near = moved(1250.0).json();
+    let margin = |checks: &Value| {
+        let checks = checks.as_array().unwrap();
+        checks.iter().find(|check| check["quantity"] == "axis_margin_deg").unwrap()["worst"].as_f64().unwrap()
+    };
+    assert_eq!(near["scene"]["balls"][0][0], 1250.0);
+    let twin = dir.path().join("twin");
+    fs::create_dir(&twin).unwrap();
+    fs::write(twin.join("job.toml"), JOB.replace("1300.0", "1250.0")).unwrap();
+    dbbd(&twin, "dbbd plan job.toml --out plan");
+    let plan: Value =
+        serde_json::from_str(&fs::read_to_string(twin.join("plan/plan.json")).unwrap()).unwrap();
+    assert_eq!(margin(&near["checks"]), margin(&plan["checks"]));
+    assert_eq!(fs::read_to_string(cell.join("job.toml")).unwrap(), JOB);
+    assert_eq!(fs::read_dir(&cell).unwrap().count(), 1);
+}

@@ -130,6 +130,8 @@ pub enum Input {
     Dates,
     /// The parameters that are estimated.
     Estimated,
+    /// Rows that are left out of a fit.
+    Exclude,
     Expansion,
     /// A fault of the simulated line or bar.
     Fault,

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use super::value;
 use dbbd_job::request::Request;
-use dbbd_job::request::identify::{IdentifyRequest, RequestedPrior, SetUpRelation};
+use dbbd_job::request::identify::{Exclusion, IdentifyRequest, RequestedPrior, SetUpRelation};
 use dbbd_model::estimation::ErrorModel;
 pub(super) use say::show;
 
@@ -99,6 +99,10 @@ pub(crate) struct IdentifyArgs {
     /// Poses, CSV a1_deg,..,a6_deg, over which the 3-D error is predicted [default: 2000 within the axis limits].
     #[arg(long, value_name = "FILE.csv")]
     workspace: Option<PathBuf>,
+    /// Rows that are left out of the fit by their index, as `3,7-9`, and why (`3,7-9:the door was slammed`); may be repeated. The
+    /// result lists them with the operator and the reason.
+    #[arg(long, value_name = "ROWS[:WHY]")]
+    exclude: Vec<Exclusion>,
     /// Replace an earlier result in DIR [default: its files move to DIR/previous-1, DIR/previous-2 and so on].
     #[arg(long)]
     replace: bool,
@@ -140,6 +144,7 @@ pub(super) fn request(args: &IdentifyArgs) -> Request {
         monte_carlo: args.monte_carlo.map(|trials| trials as usize),
         identity: args.identity.clone(),
         workspace: args.workspace.clone(),
+        exclude: args.exclude.clone(),
         replace: args.replace,
     })
 }

@@ -18,7 +18,7 @@ use crate::live::ServiceFinding::{
 };
 use crate::live::{
     Act, Catalogue, CheckItem, ConnectRequest, EvaluationJob, JobKind, JobRequest, Journal, Message, Point,
-    RunEntry, Service, StartRequest, Status,
+    ReadingRange, RunEntry, Service, StartRequest, Status,
 };
 use dbbd_device::clock;
 use dbbd_device::port::{self, PortAddress};
@@ -98,6 +98,10 @@ impl Service for Supervisor {
 
     fn points(&self) -> Vec<Point> {
         lock(&self.live.run).points.clone()
+    }
+
+    fn trace(&self) -> Vec<ReadingRange> {
+        lock(&self.live.run).trace.iter().copied().collect()
     }
 
     fn catalogue(&self, which: Catalogue) -> Result<Value, Diagnostic> {
@@ -200,6 +204,10 @@ impl Service for Supervisor {
             reading.end();
         }
         let (name, plan) = (request.name.clone(), request.plan.clone().unwrap_or_default());
+        let started = match &request.by {
+            Some(by) => format!("{name} by {by}"),
+            None => name.clone(),
+        };
         let checked: Vec<&str> = request.checked.iter().copied().map(CheckItem::name).collect();
         let begun = self.begin(ReadPurpose::Run(request));
         let mut inner = self.inner();
@@ -211,7 +219,7 @@ impl Service for Supervisor {
                 inner.failed = None;
                 drop(inner);
                 self.note("checked", &checked.join(" "));
-                self.note("start", &name);
+                self.note("start", &started);
                 self.tick();
                 Ok(())
             }

@@ -140,11 +140,11 @@ impl Supervisor {
             feed: Some(LiveFeed::new(self.live.clone(), schedule.clone(), expected)),
         };
         *lock(&self.live.run) = LiveRun::default();
-        let (name, plan, acquisition) = match purpose {
+        let (name, by, plan, acquisition) = match purpose {
             ReadPurpose::Reading { plan, speed: _ } => {
                 let nowhere = CaptureWriter::on(Box::new(io::sink()), Path::new("live"))?;
                 let acquisition = Acquisition::start_on(nowhere, options, Arc::clone(&stop))?;
-                (String::new(), plan, acquisition)
+                (String::new(), None, plan, acquisition)
             }
             ReadPurpose::Run(request) => {
                 let directory = self.create_directory(&request.name)?;
@@ -158,11 +158,12 @@ impl Supervisor {
                     // Nothing was recorded: free the name. Fails if the directory has other files, which stay.
                     let _ = fs::remove_dir(&directory);
                 })?;
-                (request.name, request.plan, acquisition)
+                (request.name, request.by, request.plan, acquisition)
             }
         };
         Ok(ActiveRun {
             name,
+            by,
             plan,
             robot,
             started_unix_ms: clock::unix_ns() / 1_000_000,

@@ -11,10 +11,11 @@ use toml::Spanned;
 
 use crate::daemon::ALARM_SHARE;
 use crate::live::ServiceFinding::{
-    self, NoPlans, NotADirectory, NotAHost, NotAProtocol, NotAProxy, NotAStroke, NotAnAddress, NotReadings,
-    OneDirectory, OpenWithoutToken, OutOfRange, ParametersWithoutProtocol, TokenTooShort, TokenUnreadable,
+    self, NoPlans, NotADirectory, NotAHost, NotAProtocol, NotAProxy, NotAStroke, NotAUser, NotAnAddress,
+    NotReadings, OneDirectory, OpenWithoutToken, OutOfRange, ParametersWithoutProtocol, TokenTooShort,
+    TokenUnreadable,
 };
-use crate::live::Token;
+use crate::live::{KnownUser, Role, Token};
 use dbbd_device::clock;
 use dbbd_device::port::PortAddress;
 use dbbd_device::port::PortFinding;
@@ -34,6 +35,8 @@ const MAX_STROKE_MM: f64 = 500.0;
 /// Default of [`ArchiveTarget::retry_s`].
 #[cfg(feature = "archive")]
 const RETRY_S: f64 = 60.0;
+/// Longest name of a user, bytes.
+const LONGEST_USER: usize = 64;
 /// No user waits longer for a port, s: larger numbers are milliseconds.
 const MAX_GONE_S: f64 = 14_400.0;
 
@@ -44,6 +47,8 @@ pub struct Endpoint {
     /// Host names besides its addresses.
     pub hosts: Vec<String>,
     pub token: Option<Token>,
+    /// Named users beside the owner of the token.
+    pub users: Vec<KnownUser>,
     /// Proxies that are trusted to name their clients.
     pub proxies: Vec<IpAddr>,
 }
@@ -91,12 +96,22 @@ struct ConfigFile {
     hosts: Vec<Spanned<String>>,
     token_file: Option<Spanned<String>>,
     trusted_proxies: Vec<Spanned<String>>,
+    user: Vec<Spanned<UserTable>>,
     data: Option<String>,
     plans: Option<String>,
     device: DeviceTable,
     alarm: AlarmTable,
     identity: Option<Spanned<Identity>>,
     archive: Option<Spanned<ArchiveTable>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct UserTable {
+    name: String,
+    role: Role,
+    /// SHA-256 of the token in hexadecimal digits.
+    token_hash: String,
 }
 
 #[derive(Default, Deserialize)]
@@ -135,6 +150,7 @@ impl Default for ServiceConfig {
                 address: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8230),
                 hosts: Vec::new(),
                 token: None,
+                users: Vec::new(),
                 proxies: Vec::new(),
             },
             data: PathBuf::from("dbbd-runs"),
@@ -181,10 +197,16 @@ impl Endpoint {
         Ok(endpoint)
     }
 
-    /// Sets the address. The token must be set before.
+    /// Everybody who is asked for a token.
+    pub(super) fn take_users(&mut self) -> Vec<KnownUser> {
+        let owner = self.token.take().map(KnownUser::owner);
+        owner.into_iter().chain(std::mem::take(&mut self.users)).collect()
+    }
+
+    /// Sets the address. The token and the users must be set before.
     fn listen(&mut self, address: &str) -> Result<(), ServiceFinding> {
         self.address = address.parse().map_err(|_| NotAnAddress)?;
-        if !self.address.ip().is_loopback() && self.token.is_none() {
+        if !self.address.ip().is_loopback() && self.token.is_none() && self.users.is_empty() {
             return Err(OpenWithoutToken);
         }
         Ok(())
@@ -234,6 +256,13 @@ impl ServiceConfig {
         if let Some(path) = &table.token_file {
             let file = source.base.join(path.get_ref());
             config.endpoint.token = Some(token(&file).map_err(|wrong| source.wrong(path.span(), wrong))?);
+        }
+        let names: Vec<String> = table.user.iter().map(|user| user.get_ref().name.clone()).collect();
+        for user in table.user {
+            let span = user.span();
+            config.endpoint.users.push(
+                known_user(user.into_inner(), &names).map_err(|wrong| source.wrong(span.clone(), wrong))?,
+            );
         }
         if let Some(address) = &table.address {
             let listen = config.endpoint.listen(address.get_ref());
@@ -325,6 +354,19 @@ fn definition(
         source.wrong(name.span(), finding)
     })?;
     ProtocolDefinition::from_toml_with(&path.display().to_string(), &text, params)
+}
+
+/// `names` are those of all users.
+fn known_user(user: UserTable, names: &[String]) -> Result<KnownUser, ServiceFinding> {
+    let UserTable { name, role, token_hash } = user;
+    if name.trim().is_empty() || name.len() > LONGEST_USER || name.contains(char::is_control) {
+        return Err(NotAUser { why: "its name is empty, too long or not printable" });
+    }
+    if names.iter().filter(|other| **other == name).count() > 1 {
+        return Err(NotAUser { why: "there is another one of this name" });
+    }
+    KnownUser::named(name, role, &token_hash)
+        .ok_or(NotAUser { why: "token_hash has no 64 hexadecimal digits" })
 }
 
 fn token(file: &Path) -> Result<Token, ServiceFinding> {

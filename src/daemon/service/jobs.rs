@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
 use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 use std::{io, thread};
 
 use tokio::sync::broadcast;
@@ -41,6 +41,8 @@ const LINES_STREAMED: usize = 12;
 pub(super) struct JobQueue {
     shared: Arc<JobsShared>,
     queue: Sender<JobTask>,
+    /// Held while a changed job is tried.
+    trial: Mutex<()>,
 }
 
 struct JobsShared {
@@ -134,7 +136,16 @@ impl JobQueue {
         let (queue, tasks) = channel();
         let worker = Arc::clone(&shared);
         thread::Builder::new().name("jobs".into()).spawn(move || work(&worker, &tasks))?;
-        Ok(Self { shared, queue })
+        Ok(Self { shared, queue, trial: Mutex::default() })
+    }
+
+    /// Lets one changed job at a time be tried, which does not wait in the queue.
+    pub(super) fn begin_trial(&self) -> Result<MutexGuard<'_, ()>, Diagnostic> {
+        match self.trial.try_lock() {
+            Ok(trial) => Ok(trial),
+            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => Err(TooManyJobs.into()),
+        }
     }
 
     /// Queues a job in `directory`.

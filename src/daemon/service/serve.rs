@@ -96,7 +96,8 @@ fn log_endpoint(endpoint: &mut Endpoint, log: &dyn ServiceLog) -> (SocketAddr, A
     if is_root() {
         log.event(LogLevel::Warning, "running_as_root", &[("help", &"docs/how-to/service.md")]);
     }
-    let access = Access::new(address.ip(), &endpoint.hosts, endpoint.token.take());
+    let users = endpoint.take_users();
+    let access = Access::new(address.ip(), &endpoint.hosts, users);
     (address, Arc::new(access.behind(std::mem::take(&mut endpoint.proxies))))
 }
 

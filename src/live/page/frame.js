@@ -3,6 +3,7 @@
 import { ask } from "/link.js";
 import { choose, language, languages, t } from "/texts.js";
 
+/** An element of the page by its id; every page has those that its script names. @type {(id: string) => any} */
 export const $ = (id) => document.getElementById(id);
 
 /**
@@ -10,7 +11,7 @@ export const $ = (id) => document.getElementById(id);
  * @param {string} name
  * @param {string | null} text
  * @param {Record<string, string | undefined>} [attributes]
- * @returns {HTMLElement}
+ * @returns {any}
  */
 export function make(name, text, attributes = {}) {
   const node = document.createElement(name);
@@ -19,8 +20,9 @@ export function make(name, text, attributes = {}) {
   return node;
 }
 
-/** Shows a message; an empty one clears it. @param {string} text */
-export function say(text) {
+/** Shows a message; an empty one clears it. The service speaks English. @param {string} text @param {string} [lang] */
+export function say(text, lang = language) {
+  $("message").lang = lang;
   $("message").textContent = text;
 }
 
@@ -31,7 +33,9 @@ export async function attempt(work) {
     await work();
   } catch (error) {
     // A 401 opens the sign-in.
-    if (error.status !== 401) say(error.status ? error.message : error instanceof TypeError ? t("link.none") : String(error));
+    if (error.status === 401) return;
+    if (error.status) say(error.message, "en");
+    else say(error instanceof TypeError ? t("link.none") : String(error));
   }
 }
 

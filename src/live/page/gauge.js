@@ -5,6 +5,7 @@ import { fixed, signed, timeOfDay } from "/numbers.js";
 import { t } from "/texts.js";
 
 const SVG = "http://www.w3.org/2000/svg";
+/** @type {(id: string) => any} */
 const $ = (id) => document.getElementById(id);
 const FORGET_MS = 700;
 

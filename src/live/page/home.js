@@ -6,13 +6,15 @@ import { ask } from "/link.js";
 import { age } from "/numbers.js";
 import { SPEEDS, sentence, verdictLine } from "/sentence.js";
 import { t } from "/texts.js";
+import { may } from "/users.js";
 
 /** @param {any} robot */
 function row(robot) {
   const item = make("li", null);
   const link = make("a", robot.name, { href: `/robot/${encodeURIComponent(robot.name)}`, class: "name" });
   const about = make("p", robot.robot ?? "", { class: "small" });
-  const decision = verdictLine(robot.verdict, `${t(`step.${robot.step}`)}: ${sentence(robot)}`);
+  const decision = verdictLine(robot.verdict, sentence(robot), robot.step);
+  decision.prepend(make("span", `${t(`step.${robot.step}`)}: `));
   const when = robot.changed_unix_ms ? make("p", age(robot.changed_unix_ms), { class: "small" }) : "";
   item.append(link, about, decision, when);
   return item;
@@ -48,6 +50,9 @@ $("new").addEventListener("click", () =>
     });
   }),
 );
+window.addEventListener("dbbd:user", () => {
+  for (const id of ["new", "demo"]) $(id).disabled = !may("plan");
+});
 afterSignIn(() => attempt(refresh));
 window.addEventListener("focus", () => attempt(refresh));
 attempt(refresh);

@@ -4,7 +4,8 @@ import { make } from "/frame.js";
 import { ask } from "/link.js";
 import { t } from "/texts.js";
 
-/** Name, how it is read, whether it may be empty, and what a new job begins with. */
+/** @typedef {any[]} Field name, how it is read, whether it may be empty, and what a new job begins with */
+
 const BAR = [
   ["length_mm", "number", false, "300"],
   ["stroke_low_mm", "number", false, "-5"],
@@ -42,8 +43,9 @@ const NEW_CIRCLES = [
 
 let made = 0;
 
-/** A labelled field. */
-function field([name, kind], value) {
+/** A labelled field. @param {Field} of */
+function field(of, value) {
+  const [name, kind] = of;
   const id = `f${++made}`;
   const label = make("label", null, { for: id });
   label.append(make("span", t(`field.${name}`)));
@@ -68,8 +70,9 @@ function wrong(input, text) {
   throw new Error(text);
 }
 
-/** The value of a field; null if it is empty. */
-function value(parent, [name, kind, optional]) {
+/** The value of a field; null if it is empty. @param {any} parent @param {Field} of */
+function value(parent, of) {
+  const [name, kind, optional] = of;
   const input = parent.querySelector(`[data-name="${name}"]`);
   input.removeAttribute("aria-invalid");
   const text = input.value.trim();

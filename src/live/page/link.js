@@ -12,7 +12,10 @@ export async function ask(method, path, body) {
   });
   const text = await answer.text();
   const content = text && answer.headers.get("Content-Type")?.includes("json") ? JSON.parse(text) : null;
-  if (answer.ok) return content;
+  if (answer.ok) {
+    if (method !== "GET") window.dispatchEvent(new Event("dbbd:changed"));
+    return content;
+  }
   const said = content ? [content.error, content.help].filter(Boolean).join("\n") : answer.statusText;
   if (answer.status === 401 && path !== "/session") window.dispatchEvent(new Event("dbbd:sign-in"));
   throw Object.assign(new Error(said), { status: answer.status });
@@ -33,7 +36,7 @@ export function hear(on) {
     source?.close();
     last = performance.now();
     source = new EventSource("/api/v1/stream");
-    for (const name of ["status", "frame", "point", "points", "mounting", "begin", "job", "lost"]) {
+    for (const name of ["status", "frame", "point", "points", "trace", "mounting", "begin", "job", "lost"]) {
       source.addEventListener(name, (event) => {
         last = performance.now();
         set(true);

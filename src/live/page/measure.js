@@ -3,12 +3,13 @@
 import { $, afterSignIn, attempt, say, turnTheme } from "/frame.js";
 import { known, t } from "/texts.js";
 import { ask, hear } from "/link.js";
+import { may } from "/users.js";
 import { SPEEDS } from "/sentence.js";
 import { clock, count, fixed, minutes, signed } from "/numbers.js";
 import * as gauge from "/gauge.js";
 import * as mounting from "/mounting.js";
 import * as polar from "/polar.js";
-import * as strip from "/strip.js";
+import * as trace from "/trace.js";
 import * as runs from "/runs.js";
 
 let status = null;
@@ -92,7 +93,8 @@ function showStatus(now) {
   mounting.show((run ?? reading)?.mounting);
   document.body.dataset.run = run ? "on" : "off";
   $("mark").disabled = !run;
-  $("stop").hidden = !run;
+  $("stop").hidden = !run || !may("measure");
+  for (const id of ["connect", "disconnect", "zero"]) $(id).disabled = !may("measure");
   // Before the first pose the program halts for the bar.
   $("at-halt").hidden = !run || run.dwells > 0 || mountedIn === run.name;
   $("connect").hidden = !!run || !!reading;
@@ -106,6 +108,7 @@ function showStatus(now) {
   set("archive", now.archive ? archiveText(now.archive) : "", now.archive?.waiting > 0);
   if (run) showRun(run);
   if (before?.run && !run && connected) attempt(connect);
+  if (before?.run?.plan !== run?.plan) expect(expectation.plan, expectation.list);
   if (now.state !== seenState) {
     seenState = now.state;
     runs.refresh().catch(() => {});
@@ -120,12 +123,13 @@ function showStatus(now) {
   window.dispatchEvent(new CustomEvent("dbbd:status", { detail: now }));
 }
 
+/** @returns {any[]} */
 const checks = () => [...document.querySelectorAll("#checks input")];
 
 // The start button is enabled when the check list is complete.
 function permit() {
   const ready = checks().every((box) => box.checked);
-  $("start").disabled = !!status?.run || !ready;
+  $("start").disabled = !!status?.run || !ready || !may("measure");
   $("start-hint").hidden = !!status?.run || ready;
 }
 
@@ -173,15 +177,16 @@ const reopen = hear({
   frame(frame) {
     const shown = status?.run ?? status?.reading;
     gauge.show(frame, shown);
-    strip.add(frame, shown);
+    trace.add(frame, shown);
   },
   point: polar.add,
   points: polar.all,
+  trace: trace.all,
   mounting: mounting.add,
   begin() {
     gauge.begin();
     polar.begin();
-    strip.begin();
+    trace.begin();
     mounting.begin();
     lost = 0;
     named = false;
@@ -263,10 +268,11 @@ for (const id of ["port", "protocol"]) {
   $(id).addEventListener("change", () => $(id).value && attempt(() => ask("PUT", "/device", { [id]: $(id).value })));
 }
 afterSignIn(reopen);
+window.addEventListener("dbbd:user", () => (status ? showStatus(status) : permit()));
 $("speed").replaceChildren(...SPEEDS.map((one) => new Option(t("speed.value", { speed: one }), String(one), false, one === 20)));
 $("live").addEventListener("toggle", () => window.dispatchEvent(new Event("resize")));
 permit();
-document.addEventListener("keydown", (event) => {
+document.addEventListener("keydown", (/** @type {any} */ event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName)) return;
   const keys = { m: () => $("remark").focus(), "+": () => polar.magnify(-1), "-": () => polar.magnify(1), 0: () => polar.magnify(null), d: turnTheme };
   const act = keys[event.key.toLowerCase()];
@@ -275,6 +281,14 @@ document.addEventListener("keydown", (event) => {
     act();
   }
 });
+
+let expectation = { plan: "", list: [] };
+
+/** What an identified robot shows at the rows of a plan. @param {string} plan @param {any[]} list */
+export function expect(plan, list) {
+  expectation = { plan, list };
+  polar.expect(status?.run && status.run.plan !== plan ? [] : list);
+}
 
 /** The state of the service as the stream gave it last; null before. */
 export const now = () => status;
@@ -301,7 +315,7 @@ export async function simulate(value) {
 /** The bar of the simulated cell is mounted: its program goes on, and the run begins. */
 export const confirmHalt = () => begin(["bar_mounted"]);
 
-/** The first item of the check list that is open; null if the run may start. */
+/** The first item of the check list that is open; null if the run may start. @returns {any} */
 export const openCheck = () => checks().find((box) => !box.checked) ?? null;
 
 /** Starts the run of the form. */

@@ -5,6 +5,7 @@ import { fixed, timeOfDay } from "/numbers.js";
 import { known, t } from "/texts.js";
 import { beep } from "/gauge.js";
 
+/** @type {(id: string) => any} */
 const $ = (id) => document.getElementById(id);
 const MOST = 3;
 let found = [];

@@ -16,6 +16,12 @@ export function signed(value, digits = 3) {
   return value > 0 && /[1-9]/.test(text) ? "+" + text : text;
 }
 
+/** A number with so many significant digits, as the reports have them. */
+export function significant(value, digits) {
+  const size = Math.floor(Math.log10(Math.abs(value)));
+  return Number.isFinite(size) ? fixed(value, Math.max(0, digits - 1 - size)) : fixed(value, digits - 1);
+}
+
 /** A count with thousands separators. */
 export const count = (value) => value.toLocaleString(locale);
 
@@ -34,6 +40,7 @@ export function clock(s) {
 /** Date and time. */
 export const dateAndTime = (ms) => new Date(ms).toLocaleString(locale);
 
+/** @type {[Intl.RelativeTimeFormatUnit, number][]} */
 const STEPS = [["year", 31_557_600], ["month", 2_629_800], ["day", 86_400], ["hour", 3600], ["minute", 60], ["second", 1]];
 
 /** How long ago, as "3 days ago". */

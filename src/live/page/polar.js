@@ -1,9 +1,11 @@
 // The polar plot: the magnified deviation at each dwell.
 
+import { quantities } from "/circle.js";
 import { count, signed } from "/numbers.js";
 import { t } from "/texts.js";
 
 const SVG = "http://www.w3.org/2000/svg";
+/** @type {(id: string) => any} */
 const $ = (id) => document.getElementById(id);
 const RADIUS = 70;
 // Deviation per ring, um: 1, 2, 5 and so on.
@@ -13,6 +15,16 @@ const RING = 20;
 let points = new Map();
 let circle = null;
 let step = null;
+
+/** What an identified robot shows at the rows of the plan, mm. @type {Map<number, number>} */
+let expected = new Map();
+
+/** Sets what is expected at the rows of the plan; an empty list where nothing is known. @param {{ index: number, deviation_mm: number }[]} list */
+export function expect(list) {
+  expected = new Map(list.map((one) => [one.index, one.deviation_mm]));
+  $("polar-expected").hidden = !expected.size;
+  draw();
+}
 
 /** Clears the last run. */
 export function begin() {
@@ -91,9 +103,24 @@ function draw() {
       else node("circle", { class: kind, cx: x, cy: y, r: 1.6 }, svg);
     }
   }
+  drawExpected(svg, list, scale);
+  const found = quantities(list);
+  for (const [name, value] of Object.entries(found)) $(`q-${name}`).textContent = value === null ? "–" : `${signed(1e3 * value, 1)} µm`;
   const last = list.at(-1);
   const text = last ? t("polar.points", { count: list.length, ring: count(scale), last: signed(last.deviation_mm * 1e3, 1) }) : t("polar.none");
   svg.setAttribute("aria-label", t("polar.label", { text }));
+}
+
+/** What is expected, and what is left of it: the measured minus the expected deviation. */
+function drawExpected(svg, list, scale) {
+  const known = list.filter((p) => expected.has(p.index)).map((p) => ({ ...p, expected_mm: expected.get(p.index) }));
+  const radius = (mm) => Math.max(4, Math.min(116, RADIUS + ((mm * 1e3) / scale) * RING));
+  const path = known.map((p, i) => (i ? "L" : "M") + at(p.angle_deg, radius(p.expected_mm)).map((v) => v.toFixed(2)).join(" "));
+  if (path.length > 1) node("path", { class: "expected", d: path.join("") }, svg);
+  for (const p of known) {
+    const [cx, cy] = at(p.angle_deg, radius(p.deviation_mm - p.expected_mm));
+    node("circle", { class: "after", cx, cy, r: 1.4 }, svg);
+  }
 }
 
 /** Changes the scale by a number of steps (negative magnifies), or fits it if null. */

@@ -3,11 +3,14 @@
 
 import { $, afterSignIn, attempt, make, say } from "/frame.js";
 import * as correct from "/correct.js";
+import { finding } from "/findings.js";
 import { jobForm } from "/job_form.js";
 import { ask } from "/link.js";
 import * as measure from "/measure.js";
-import { sentence, verdictLine } from "/sentence.js";
+import * as residuals from "/residuals.js";
+import { after, sentence, verdictLine } from "/sentence.js";
 import { t } from "/texts.js";
+import { may } from "/users.js";
 
 const STEPS = ["robot", "cell", "plan", "programs", "measure", "result", "correct", "check", "certificate"];
 const MARKS = { todo: "○", ready: "▶", running: "◔", done: "✓", attention: "!" };
@@ -32,6 +35,7 @@ const begun = new Set();
 /** The bar of the demo was reported as mounted before its program halts. */
 let mountedEarly = false;
 
+/** @type {(step: string, selector: string) => any} */
 const part = (step, selector) => document.querySelector(`[data-step="${step}"] ${selector}`);
 
 function drawNav() {
@@ -46,15 +50,9 @@ function drawNav() {
   );
 }
 
-/** One finding with its cause and cure. */
-function finding(one) {
-  const item = make("li", null, { class: one.severity });
-  const place = one.file ? `${one.file}${one.line ? `:${one.line}` : ""}: ` : "";
-  item.append(make("strong", `${t(`severity.${one.severity}`)} ${one.code}`), " ", make("span", place + one.text));
-  for (const [key, text] of [["help", one.help], ["cause", one.cause], ["cure", one.cure]]) {
-    if (text) item.append(make("p", `${t(`finding.${key}`)}: ${text}`, { class: "small" }));
-  }
-  return item;
+/** The texts of the codes come later. */
+function fill(list, all) {
+  Promise.all(all.map(finding)).then((items) => list.append(...items));
 }
 
 function findings(report) {
@@ -65,14 +63,14 @@ function findings(report) {
   const refused = report.state === "attention" ? serious : [];
   if (refused.length) {
     const list = make("ul", null, { class: "findings" });
-    list.append(...refused.map(finding));
+    fill(list, refused);
     nodes.push(list);
   }
   const folded = refused.length ? info : [...serious, ...info];
   if (folded.length) {
     const fold = make("details", null, { class: "fold" });
     const list = make("ul", null, { class: "findings" });
-    list.append(...folded.map(finding));
+    fill(list, folded);
     fold.append(make("summary", t("findings", { count: folded.length })), list);
     nodes.push(fold);
   }
@@ -113,16 +111,21 @@ const isRead = (report) => measure.now()?.reading?.plan === report.plan;
 
 function drawStep(report) {
   const { step } = report;
+  /** @type {any} */
   const section = document.querySelector(`[data-step="${step}"]`);
   section.dataset.state = report.state;
   part(step, ".mark").textContent = MARKS[report.state];
   part(step, ".badge").textContent = t(`state_of.${report.state}`);
-  const says = [verdictLine(report.verdict, sentence(report))];
+  const says = [verdictLine(report.verdict, sentence(report), step), ...after(report)];
   if (report.state === "running" && report.job) {
     says.push(make("progress", null, { max: "100", value: String(report.job.percent), "aria-label": t(`step.${step}`) }));
     const cancel = make("button", t("jobs.cancel"), { type: "button" });
     cancel.addEventListener("click", () => attempt(() => ask("POST", `/jobs/${report.job.id}/cancel`)));
     says.push(cancel);
+  }
+  if (isLocked(step)) {
+    const { name, by } = measure.now().run;
+    says.push(make("p", t("lock.note", { run: name, by: by ?? t("user.owner") }), { class: "small" }));
   }
   part(step, ".says").replaceChildren(...says);
   const row = [];
@@ -130,16 +133,22 @@ function drawStep(report) {
     const label = report.action === "measure" ? measureLabel(report) : t(report.label);
     const button = make("button", label, { type: "button", "data-action": "next", class: isNext(report) ? "main" : undefined });
     button.addEventListener("click", () => attempt(() => act(report)));
+    // Whoever may only look sees what would be done.
+    button.disabled = !may(report.action === "measure" ? "measure" : "plan") || isLocked(step);
     row.push(button);
   }
   if (report.command) row.push(make("code", report.command, { class: "command", "aria-label": t("command") }));
   part(step, ".act").replaceChildren(...row);
   part(step, ".more").replaceChildren(...findings(report), ...files(report));
+  /** @type {any} */
   const link = document.querySelector(`[data-to="${step}"]`);
   link.dataset.state = report.state;
   link.querySelector(".mark").textContent = MARKS[report.state];
   link.querySelector(".hidden-text").textContent = t(`state_of.${report.state}`);
 }
+
+/** What a run was planned from is locked while it is on; the service refuses it, too. */
+const isLocked = (step) => ["robot", "cell", "plan", "programs"].includes(step) && !!measure.now()?.run?.plan && work.steps.some((one) => one.text === "measure.running");
 
 /** The first step that is open has the button that stands out. */
 const isNext = (report) => work.steps.find((one) => !["done", "todo"].includes(one.state))?.step === report.step;
@@ -149,19 +158,34 @@ function draw() {
   const state = JSON.stringify([work, ofBar(measure.now())]);
   if (state === drawn) return;
   drawn = state;
-  const focused = document.activeElement?.dataset.action === "next" ? document.activeElement.closest("[data-step]")?.dataset.step : null;
-  const opened = new Set([...document.querySelectorAll(".more details[open]")].map((one) => `${one.closest("[data-step]").dataset.step}/${one.querySelector("summary").textContent}`));
+  /** @type {any} */
+  const active = document.activeElement;
+  const focused = active?.dataset.action === "next" ? active.closest("[data-step]")?.dataset.step : null;
+  const folds = (open) => [.../** @type {NodeListOf<any>} */ (document.querySelectorAll(`.more details${open}`))];
+  const nameOf = (one) => `${one.closest("[data-step]").dataset.step}/${one.querySelector("summary").textContent}`;
+  const opened = new Set(folds("[open]").map(nameOf));
   work.steps.forEach(drawStep);
-  for (const one of document.querySelectorAll(".more details")) {
-    one.open = opened.has(`${one.closest("[data-step]").dataset.step}/${one.querySelector("summary").textContent}`);
-  }
+  for (const one of folds("")) one.open = opened.has(nameOf(one));
   if (focused) part(focused, "[data-action=next]")?.focus();
   $("robot-name").textContent = work.robot ? `${work.name} · ${work.robot}` : work.name;
   document.title = `${work.name} · dbbd`;
   $("scene").hidden = !work.steps.some((one) => one.plan);
   const of = (step) => work.steps.find((one) => one.step === step);
   attempt(() => correct.show(of("correct")));
+  const made = of("result");
+  $("residuals").hidden = !made.directory;
+  if (made.state === "done" && made.changed_unix_ms !== shownResult) {
+    shownResult = made.changed_unix_ms;
+    attempt(residuals.open);
+    attempt(async () => {
+      const cell = await ask("GET", `/workbench/${robot}/scene`);
+      measure.expect(cell.plan, cell.expected);
+    });
+  }
 }
+
+/** When the result was written whose residuals are shown. */
+let shownResult = null;
 
 /** What the buttons depend on besides the files. */
 const ofBar = (now) => [now?.device.port, now?.reading?.plan, now?.run?.name].join("|");
@@ -192,9 +216,9 @@ async function act(report) {
   await compute(report.step);
 }
 
-async function compute(step) {
+async function compute(step, options = {}) {
   const tolerance = $("tolerance").value.trim().replace(",", ".");
-  const options = step === "check" && tolerance ? { tolerance_mm: Number(tolerance) } : {};
+  if (step === "check" && tolerance) options.tolerance_mm = Number(tolerance);
   await ask("POST", `/workbench/${robot}/steps/${step}`, options);
   await refresh();
 }
@@ -275,9 +299,13 @@ async function goOn() {
   }
 }
 
+window.addEventListener("dbbd:user", () => {
+  drawn = "";
+  if (work) draw();
+});
 const look = () => attempt(refresh);
 let barBefore = "";
-window.addEventListener("dbbd:job", ({ detail: job }) => {
+window.addEventListener("dbbd:job", (/** @type {any} */ { detail: job }) => {
   if (job.robot !== robot || !work) return;
   if (["waiting", "running"].includes(job.state)) {
     // Only the bar moves: the files are looked at when the job is over.
@@ -287,7 +315,7 @@ window.addEventListener("dbbd:job", ({ detail: job }) => {
     look();
   }
 });
-window.addEventListener("dbbd:status", ({ detail: now }) => {
+window.addEventListener("dbbd:status", (/** @type {any} */ { detail: now }) => {
   const bar = ofBar(now);
   if (bar === barBefore) return;
   barBefore = bar;
@@ -301,6 +329,7 @@ if (robot) {
   $("robot-name").textContent = robot;
   drawNav();
   correct.start({ robot, changed: refresh });
+  residuals.start({ robot, compute: (exclude) => compute("result", { exclude }) });
   let scene = null;
   $("scene").addEventListener("toggle", () =>
     attempt(async () => {
@@ -314,5 +343,5 @@ if (robot) {
   document.body.classList.add("bare");
   $("live").open = true;
   $("robot-name").textContent = t("home.live");
-  for (const step of STEPS) document.querySelector(`[data-step="${step}"]`).hidden = step !== "measure";
+  for (const step of STEPS) /** @type {any} */ (document.querySelector(`[data-step="${step}"]`)).hidden = step !== "measure";
 }

@@ -4,10 +4,12 @@ import { ask } from "/link.js";
 import { count, dateAndTime, fixed } from "/numbers.js";
 import { known, t } from "/texts.js";
 
+/** @type {(id: string) => any} */
 const $ = (id) => document.getElementById(id);
 const KINDS = ["identify", "circle", "sync"];
 
 let jobs = new Map();
+/** @type {(text: string) => void} */
 let say = () => {};
 
 /** Sets the function that shows messages. */

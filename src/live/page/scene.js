@@ -1,20 +1,25 @@
 // The cell in three dimensions: arm as capsules, tool ball, bar, base balls, obstacles, planned poses, path, residuals.
 // Nothing is drawn while nothing changes.
 
-import { $, make } from "/frame.js";
+import { $, attempt, make } from "/frame.js";
 import { ask } from "/link.js";
+import * as moving from "/moving.js";
 import { fixed, signed } from "/numbers.js";
 import { t } from "/texts.js";
 import * as T from "/vendor/three.js";
 
 /** Program time a second of playing shows, s. */
 const PLAY_SPEED = 10;
+/** How near to a ball it is taken, pixels. */
+const GRIP_PX = 14;
 const MAGNIFICATIONS = [100, 500, 1000, 5000, 20000];
 const DOWN = new T.Vector3(0, 1, 0);
 
 /** @type {any} */
 let cell = null;
-let renderer, camera, scene, controls, arm, bar, toolBall, baseBalls, arrows, marks;
+let renderer, camera, scene, controls, arm, bar, toolBall, baseBalls, arrows, marks, path;
+/** What can be moved: base balls, then obstacles. @type {any[]} */
+let movables = [];
 let at = 0;
 let rows = [];
 let playing = false;
@@ -85,6 +90,7 @@ function build() {
   controls = new T.OrbitControls(camera, canvas);
   controls.enableDamping = false;
   controls.addEventListener("change", redraw);
+  drag(canvas);
   controls.keyPanSpeed = 20;
   // The wheel and the thumb scroll the page until the view has the focus.
   controls.enableZoom = false;
@@ -101,14 +107,13 @@ function build() {
   bar = link(Math.max(8, cell.bar_radius_mm / 2), material("--mark"));
   toolBall = ball(22, material("--over"));
   baseBalls = cell.balls.map((point) => ball(22, material("--good"), point));
-  scene.add(bar.group, toolBall, ...baseBalls, ...cell.obstacles.map(obstacle));
-  const path = new T.BufferGeometry().setFromPoints(cell.path.map((one) => vector(one.arm.at(-1))));
-  scene.add(new T.Line(path, new T.LineBasicMaterial({ color: colour("--soft") })));
-  const measured = cell.path.filter((one) => one.kind && one.kind !== "transit");
-  marks = new T.InstancedMesh(new T.SphereGeometry(7, 10, 8), material("--mark"), Math.max(1, measured.length));
-  marks.count = measured.length;
-  measured.forEach((one, i) => marks.setMatrixAt(i, new T.Matrix4().setPosition(vector(one.arm.at(-1)))));
+  movables = [...baseBalls, ...cell.obstacles.map(obstacle)];
+  scene.add(bar.group, toolBall, ...movables);
+  path = new T.Line(new T.BufferGeometry(), new T.LineBasicMaterial({ color: colour("--soft") }));
+  scene.add(path);
+  marks = new T.InstancedMesh(new T.SphereGeometry(7, 6, 4), material("--mark"), Math.max(1, cell.path.length));
   scene.add(marks);
+  drawPath();
   arrows = new T.LineSegments(new T.BufferGeometry(), new T.LineBasicMaterial({ color: colour("--over") }));
   scene.add(arrows);
   new ResizeObserver(resize).observe(canvas.parentElement);
@@ -118,6 +123,95 @@ function build() {
   });
   scene.background = colour("--paper");
   reset();
+}
+
+/** The path of the tool ball, and its measured poses. */
+function drawPath() {
+  path.geometry.dispose();
+  path.geometry = new T.BufferGeometry().setFromPoints(cell.path.map((one) => vector(one.arm.at(-1))));
+  const measured = cell.path.filter((one) => one.kind && one.kind !== "transit").slice(0, marks.instanceMatrix.count);
+  marks.count = measured.length;
+  measured.forEach((one, i) => marks.setMatrixAt(i, new T.Matrix4().setPosition(vector(one.arm.at(-1)))));
+  marks.instanceMatrix.needsUpdate = true;
+  marks.computeBoundingSphere();
+}
+
+/** The plan of a changed job, while something is moved. @param {any} now */
+function planned(now) {
+  cell = { ...cell, path: now.path, balls: now.balls };
+  $("scene-time").max = String(cell.path.length - 1);
+  drawPath();
+  table();
+  show(Math.min(at, cell.path.length - 1));
+}
+
+/** Lets a ball or an obstacle be dragged: level, or upright with Shift. */
+function drag(canvas) {
+  const ray = new T.Raycaster();
+  const pointer = new T.Vector2();
+  let held = -1;
+  let last = new T.Vector3();
+  let normal = new T.Vector3();
+  let from = [0, 0, 0];
+  const aim = (event) => {
+    const box = canvas.getBoundingClientRect();
+    pointer.set((2 * (event.clientX - box.left)) / box.width - 1, 1 - (2 * (event.clientY - box.top)) / box.height);
+    ray.setFromCamera(pointer, camera);
+  };
+  /** Where the ray meets the plane through `last`. */
+  const met = () => {
+    const { origin, direction } = ray.ray;
+    const slope = direction.dot(normal);
+    if (Math.abs(slope) < 1e-3) return null;
+    const distance = new T.Vector3().subVectors(last, origin).dot(normal) / slope;
+    return distance > 0 ? origin.clone().addScaledVector(direction, distance) : null;
+  };
+  /** The base ball under the finger: it is drawn smaller than a finger is. */
+  const near = (event) => {
+    const box = canvas.getBoundingClientRect();
+    const away = (ball) => {
+      const seen = ball.position.clone().project(camera);
+      return Math.hypot(((seen.x + 1) / 2) * box.width - (event.clientX - box.left), ((1 - seen.y) / 2) * box.height - (event.clientY - box.top));
+    };
+    const ball = baseBalls.find((one) => away(one) < GRIP_PX);
+    return ball && { object: ball, point: ball.position };
+  };
+  const place = (by) => movables[held].position.add(vector(by));
+  canvas.addEventListener("pointerdown", (event) => {
+    if ($("move").hidden || event.button !== 0) return;
+    aim(event);
+    // The floor is under everything: it is moved by typing.
+    const hit = near(event) ?? ray.intersectObjects(movables.filter((_, i) => cell.obstacles[i - cell.balls.length]?.shape !== "floor"), true)[0];
+    if (!hit) return;
+    held = movables.findIndex((one) => one === hit.object || one === hit.object.parent);
+    last = hit.point.clone();
+    const level = new T.Vector3(0, 0, 1);
+    normal = event.shiftKey ? new T.Vector3().subVectors(camera.position, last).setZ(0).normalize() : level;
+    from = [0, 0, 0];
+    controls.enabled = false;
+    canvas.setPointerCapture(event.pointerId);
+  });
+  canvas.addEventListener("pointermove", (event) => {
+    if (held < 0) return;
+    aim(event);
+    const point = met();
+    if (!point) return;
+    const by = [point.x - last.x, point.y - last.y, point.z - last.z].map((value, axis) => (normal.z ? axis < 2 : axis === 2) ? value : 0);
+    last = point;
+    from = from.map((value, axis) => value + by[axis]);
+    place(by);
+    redraw();
+  });
+  canvas.addEventListener("pointerup", () => {
+    if (held < 0) return;
+    controls.enabled = true;
+    const at = held;
+    // The job moves it as a whole.
+    place(from.map((value) => -value));
+    held = -1;
+    if (from.some((value) => Math.abs(value) > 0.1)) moving.moveBy(at, from);
+    redraw();
+  });
 }
 
 function resize() {
@@ -290,6 +384,18 @@ export async function open(robot) {
   show(0);
   drawArrows();
   resize();
+  await moving.open({
+    robot,
+    planned,
+    place(at, by) {
+      movables[at].position.add(vector(by));
+      redraw();
+    },
+    restore() {
+      text = "";
+      attempt(() => open(robot));
+    },
+  });
 }
 
 /** Stops playing. */

@@ -28,6 +28,8 @@ export function choose(tag) {
 }
 
 document.documentElement.lang = language;
-for (const node of document.querySelectorAll("[data-text]")) node.textContent = t(node.dataset.text);
-for (const node of document.querySelectorAll("[data-label]")) node.setAttribute("aria-label", t(node.dataset.label));
-for (const node of document.querySelectorAll("[data-title]")) node.title = t(node.dataset.title);
+/** @type {(selector: string) => NodeListOf<any>} */
+const nodes = (selector) => document.querySelectorAll(selector);
+for (const node of nodes("[data-text]")) node.textContent = t(node.dataset.text);
+for (const node of nodes("[data-label]")) node.setAttribute("aria-label", t(node.dataset.label));
+for (const node of nodes("[data-title]")) node.title = t(node.dataset.title);

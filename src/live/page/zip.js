@@ -17,7 +17,9 @@ export function crc32(bytes) {
  * @returns {Blob}
  */
 export function zip(files) {
+  /** @type {any[]} */
   const parts = [];
+  /** @type {any[]} */
   const directory = [];
   let offset = 0;
   const record = (fields) => {

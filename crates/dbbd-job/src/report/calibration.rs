@@ -13,6 +13,7 @@ use super::plot::{
     residuals,
 };
 use super::scene::{BallMark, Scene, ScenePose, skeleton};
+use super::verdict::Verdict;
 use dbbd_model::conformity::{BudgetLine, UncertaintyBudget};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::result::Recommendation;
@@ -43,6 +44,7 @@ struct Page<'a> {
     zeros: Vec<AxisOffset>,
     balls: Vec<Frame>,
     budget: &'a UncertaintyBudget,
+    verdict: Verdict,
     /// Source and basis of each line of the budget, in words.
     contributions: Vec<(&'static str, &'static str, &'a BudgetLine)>,
     identity: Vec<(String, String)>,
@@ -92,6 +94,7 @@ pub fn html(
         zeros: offsets(found),
         balls: frames(result),
         budget,
+        verdict: Verdict::of_calibration(result, budget),
         contributions: budget.lines.iter().map(|l| (l.source.words(), l.basis.words(), l)).collect(),
         identity: provenance.identity.facts(),
         scene: scene(found, &points).json()?,

@@ -5,6 +5,7 @@ use serde::Serialize;
 use super::page::{findings, render};
 use super::plot::HeatMap;
 use super::scale::Unit;
+use super::verdict::Verdict;
 use dbbd_model::conformity::InterimCheck;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::DistanceQuantities;
@@ -18,6 +19,7 @@ struct Page<'a> {
     hypotheses: Vec<Row>,
     maps: Vec<String>,
     findings: Vec<Diagnostic>,
+    verdict: Verdict,
     distance: Option<&'a DistanceQuantities>,
     provenance: &'a Provenance,
 }
@@ -50,6 +52,7 @@ pub fn html(
         hypotheses: check.changes.iter().map(row).collect(),
         maps: HeatMap::of_positions("Position error of the robot file now", &check.map),
         findings: findings(&check.findings),
+        verdict: Verdict::of_check(check),
         distance,
         provenance,
     };

@@ -12,6 +12,7 @@ use super::plot::{
     TrendPoint,
 };
 use super::scale::{Unit, decimals};
+use super::verdict::Verdict;
 use dbbd_model::circular::CircleSense;
 use dbbd_model::conformity::{
     ComparedCircle, ComparedResults, ComparisonSubject, ResultComparison, ResultTimeline, TimelineUnit,
@@ -33,6 +34,8 @@ struct Page<'a> {
     overlays: Vec<String>,
     trends: Vec<String>,
     has_trend: bool,
+    /// `None` before the tables are made.
+    verdict: Option<Verdict>,
     time_word: &'static str,
     provenance: &'a Provenance,
 }
@@ -61,6 +64,7 @@ pub fn html(
         overlays: Vec::new(),
         trends: Vec::new(),
         has_trend: timeline.has_trend(),
+        verdict: None,
         time_word: comparison.time_unit.word(),
         provenance,
     };
@@ -70,6 +74,7 @@ pub fn html(
             circles.iter().for_each(|circle| page.add_circle(circle, timeline));
         }
     }
+    page.verdict = Some(Verdict::of_comparison(comparison, &page.changed));
     render("compare.html", include_str!("compare.html"), &page)
 }
 

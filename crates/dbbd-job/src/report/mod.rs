@@ -21,6 +21,7 @@ pub mod plot;
 mod scale;
 mod scene;
 pub mod svg;
+mod verdict;
 
 #[cfg(test)]
 mod tests;

@@ -37,6 +37,39 @@ pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Resul
     let style = format!("{}{PAGE_CSS}", plot_css());
     let context = Context { style, script: VIEWER_JS, version: crate::artefact::VERSION, page };
     fill(&[&[("page.html", PAGE_HTML), ("macros.html", MACROS)], &[(name, template)][..]].concat(), &context)
+        .map(|page| folded(&page))
+}
+
+/// Begins a part of a page that is folded: a heading with an anchor. What users write is escaped, so it has none.
+const PART: &str = "<h2 id=\"";
+
+/// Folds the parts of a page after its contents, which open them.
+fn folded(page: &str) -> String {
+    let end = page.rfind("</main>").unwrap_or(page.len());
+    let (body, foot) = page.split_at(end);
+    let mut pieces = body.split(PART);
+    let head = pieces.next().unwrap_or_default();
+    let parts: Vec<(&str, &str, &str)> = pieces
+        .filter_map(|piece| {
+            let (id, rest) = piece.split_once("\">")?;
+            let (title, content) = rest.split_once("</h2>")?;
+            Some((id, title, content))
+        })
+        .collect();
+    // One part is no reason for contents.
+    if parts.len() < 2 {
+        return page.to_owned();
+    }
+    let links: String =
+        parts.iter().map(|(id, title, _)| format!("<li><a href=\"#{id}\">{title}</a></li>\n")).collect();
+    // A link to an anchor inside a closed part opens it.
+    let part = |(id, title, content): &(&str, &str, &str)| {
+        format!(
+            "<details class=\"part\"><summary><h2>{title}</h2></summary>\n<div id=\"{id}\">{content}</div></details>\n"
+        )
+    };
+    let details: String = parts.iter().map(part).collect();
+    format!("{head}<nav class=\"contents\" aria-label=\"Contents\"><ul>\n{links}</ul></nav>\n{details}{foot}")
 }
 
 /// Fills the last of these templates, which may use the ones before and `frame.html`.
@@ -133,6 +166,22 @@ pub(super) fn findings<F: Finding + Clone>(findings: &[F]) -> Vec<Diagnostic> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn parts_are_folded_after_their_contents() {
+        let page = "<main><h1>T</h1><p>first</p><h2 id=\"a\">A</h2>1<h2 id=\"b\">B</h2>2</main></body>";
+        let part = |id: &str, title: &str, content: &str| {
+            format!(
+                "<details class=\"part\"><summary><h2>{title}</h2></summary>\n<div id=\"{id}\">{content}</div></details>\n"
+            )
+        };
+        let links = "<li><a href=\"#a\">A</a></li>\n<li><a href=\"#b\">B</a></li>\n";
+        let contents = format!("<nav class=\"contents\" aria-label=\"Contents\"><ul>\n{links}</ul></nav>\n");
+        let parts = part("a", "A", "1") + &part("b", "B", "2");
+        assert_eq!(folded(page), format!("<main><h1>T</h1><p>first</p>{contents}{parts}</main></body>"));
+        let single = "<main><h2 id=\"a\">A</h2>1</main>";
+        assert_eq!(folded(single), single);
+    }
 
     #[test]
     fn a_template_error_is_a_finding() {

@@ -179,6 +179,7 @@ impl CheckRequest {
             files::keeps(&self.out.join(ROBOT), [Path::new(&self.robot)])?;
         }
         let named = NamedInputs {
+            exclude: &[],
             input: &self.input,
             further: &[],
             set_ups: SetUpRelation::default(),

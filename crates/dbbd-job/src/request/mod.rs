@@ -16,6 +16,7 @@ pub mod identify;
 pub mod plan;
 mod protocols;
 mod robots;
+mod row_indices;
 pub mod scene;
 mod watch;
 
@@ -25,6 +26,7 @@ pub use child::{RequestChild, read_answer};
 pub use earlier::{other_run, read_identity};
 pub use protocols::{read_protocol, read_protocol_file};
 pub use robots::{carrying, edited};
+pub use row_indices::RowIndices;
 pub use watch::{BusyIndicator, RequestWatch, WatchedFile, read_table};
 
 use std::path::Path;

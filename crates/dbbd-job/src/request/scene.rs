@@ -3,16 +3,17 @@
 use std::path::Path;
 
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::result::ExcludedMeasurement;
 use dbbd_model::estimation::{CalibrationResult, Positions};
 use dbbd_model::measurement::{ApproachedPose, Measurement, Measurements, PoseKind};
-use dbbd_model::robot::{AXES, Coordinate, Datum, ParamId, Robot};
+use dbbd_model::robot::{AXES, Approach, AxisAngles, BallId, BarId, Coordinate, Datum, ParamId, Robot};
 use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::identify::{LENGTHS, ROBOT};
 use crate::files;
-use crate::plan::Plan;
 use crate::plan::job::ObstacleTable;
+use crate::plan::{Plan, PlanRow};
 use crate::recording::run::read_plan;
 
 /// A longer move of an axis is drawn with positions in between, degrees.
@@ -34,6 +35,10 @@ pub struct CellScene {
     /// The path: the rows of the plan, with positions in between.
     pub path: Vec<ScenePosition>,
     pub residuals: Vec<SceneResidual>,
+    /// What the identified robot shows at the measured rows of the plan.
+    pub expected: Vec<ExpectedDeviation>,
+    /// What the result left out on request.
+    pub excluded: Vec<ExcludedMeasurement>,
 }
 
 /// The arm at a time.
@@ -61,12 +66,30 @@ pub struct SceneResidual {
     pub residual_mm: f64,
 }
 
+/// The length that is expected of the identified robot at a pose, minus the planned one.
+#[derive(Debug, PartialEq, Serialize)]
+pub struct ExpectedDeviation {
+    /// Row of the plan.
+    pub index: u32,
+    pub deviation_mm: f64,
+}
+
+/// What a result says of the poses of a plan.
+#[derive(Default)]
+struct ResultAtPoses {
+    residuals: Vec<SceneResidual>,
+    expected: Vec<ExpectedDeviation>,
+    excluded: Vec<ExcludedMeasurement>,
+}
+
 impl CellScene {
     /// The cell of the plan whose rows are in `csv`, with the residuals of the result in the directory `result`.
     pub fn read(csv: &Path, result: Option<&Path>) -> Result<Self, Diagnostic> {
         let plan = read_plan(csv)?;
         let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
-        let residuals = result.map_or(Ok(Vec::new()), residuals)?;
+        let of_result =
+            result.map_or(Ok(ResultAtPoses::default()), |result| ResultAtPoses::read(result, &plan))?;
+        let ResultAtPoses { residuals, expected, excluded } = of_result;
         let job = &plan.header.job;
         Ok(Self {
             robot: robot.name.clone(),
@@ -79,6 +102,8 @@ impl CellScene {
             obstacles: job.obstacles.clone(),
             path: path(&plan, robot.controller()),
             residuals,
+            expected,
+            excluded,
         })
     }
 }
@@ -125,25 +150,42 @@ fn path(plan: &Plan, robot: &Robot) -> Vec<ScenePosition> {
     path
 }
 
-/// Measured minus identified length at each measured pose of a result.
-fn residuals(directory: &Path) -> Result<Vec<SceneResidual>, Diagnostic> {
-    let [robot_file, lengths, result] = [ROBOT, LENGTHS, "result.json"].map(|name| directory.join(name));
-    if !lengths.is_file() {
-        return Ok(Vec::new());
+impl ResultAtPoses {
+    fn read(directory: &Path, plan: &Plan) -> Result<Self, Diagnostic> {
+        let [robot_file, lengths, result] = [ROBOT, LENGTHS, "result.json"].map(|name| directory.join(name));
+        if !lengths.is_file() {
+            return Ok(Self::default());
+        }
+        let robot = Robot::from_toml(&robot_file.display().to_string(), &files::read_text(&robot_file)?)?;
+        let table = Measurements::from_csv(&lengths.display().to_string(), &files::read_text(&lengths)?)?;
+        let result =
+            CalibrationResult::from_json(&result.display().to_string(), &files::read_text(&result)?)?;
+        let value = |id: ParamId| result.parameter(id).map_or(0.0, |parameter| parameter.identified);
+        let length = |place: &Vector3<f64>, ball: BallId, bar: BarId| {
+            let centre = Vector3::from(Coordinate::ALL.map(|axis| value(ParamId::Ball(ball, axis))));
+            (place - centre).norm() + value(ParamId::BarOffset(bar))
+        };
+        let places = |poses: &[ApproachedPose]| Positions::of(&robot, poses).balls;
+        let poses: Vec<ApproachedPose> =
+            table.rows.iter().map(|row| ApproachedPose { axes: row.axes, approach: row.approach }).collect();
+        let of_row = |(row, place): (&Measurement, &Vector3<f64>)| {
+            let Datum::Ball(ball, bar) = row.datum else { return None };
+            let residual_mm = row.length_mm - length(place, ball, bar);
+            Some(SceneResidual { index: row.index, ball: ball.number(), at: rounded(*place), residual_mm })
+        };
+        let residuals = table.rows.iter().zip(&places(&poses)).filter_map(of_row).collect();
+        let approaches = Approach::along(plan.rows.iter().map(|row| row.axes_deg.map(f64::to_radians)));
+        let measured = plan.rows.iter().zip(approaches).filter(|(row, _)| row.kind != PoseKind::Transit);
+        let pose = |(row, approach): (_, Approach)| {
+            let row: &PlanRow = row;
+            (row, ApproachedPose { axes: AxisAngles::from_degrees(row.axes_deg), approach })
+        };
+        let (rows, poses): (Vec<&PlanRow>, Vec<ApproachedPose>) = measured.map(pose).unzip();
+        let expected = |(row, place): (&&PlanRow, &Vector3<f64>)| ExpectedDeviation {
+            index: row.index,
+            deviation_mm: length(place, row.centre, BarId::FIRST) - row.length_mm,
+        };
+        let expected = rows.iter().zip(&places(&poses)).map(expected).collect();
+        Ok(Self { residuals, expected, excluded: result.excluded })
     }
-    let robot = Robot::from_toml(&robot_file.display().to_string(), &files::read_text(&robot_file)?)?;
-    let table = Measurements::from_csv(&lengths.display().to_string(), &files::read_text(&lengths)?)?;
-    let result = CalibrationResult::from_json(&result.display().to_string(), &files::read_text(&result)?)?;
-    let value = |id: ParamId| result.parameter(id).map_or(0.0, |parameter| parameter.identified);
-    let poses: Vec<ApproachedPose> =
-        table.rows.iter().map(|row| ApproachedPose { axes: row.axes, approach: row.approach }).collect();
-    let places = Positions::of(&robot, &poses).balls;
-    let of_row = |(row, place): (&Measurement, &Vector3<f64>)| {
-        let Datum::Ball(ball, bar) = row.datum else { return None };
-        let centre = Vector3::from(Coordinate::ALL.map(|axis| value(ParamId::Ball(ball, axis))));
-        let predicted = (place - centre).norm() + value(ParamId::BarOffset(bar));
-        let residual_mm = row.length_mm - predicted;
-        Some(SceneResidual { index: row.index, ball: ball.number(), at: rounded(*place), residual_mm })
-    };
-    Ok(table.rows.iter().zip(&places).filter_map(of_row).collect())
 }

@@ -199,6 +199,7 @@ impl<'a> Calibration<'a> {
             combinations: estimate.analysis.combinations(),
             correlated,
             outliers,
+            excluded: Vec::new(),
             recommendations,
             findings: findings.iter().cloned().map(RecordedFinding::from).collect(),
         };

@@ -53,6 +53,17 @@ findings! {
             PartOfNewSetUp { first_ball: usize, bar: u32 } => "is a set-up of its own: its base balls are numbered from {first_ball}, its bar is {bar}";
             Superseded { count: usize, rows: String } => "{count} lengths were measured again on request and are not used: rows {rows}";
         }
+        E1307 "a row that shall be left out does not exist",
+        cause: "No length or position of the inputs has this index.",
+        cure: "Name rows by the column index of lengths.csv, of the run or of the table.",
+        asks: [Exclude] {
+            NoRowToExclude { index: u32 } => "no length has the index {index}: none can be left out";
+        }
+        I1343 "lengths are left out on request",
+        cause: "The request names them.",
+        cure: "Nothing, if the reason holds. `excluded` in result.json lists them with who and why." {
+            Excluded { count: usize, rows: String } => "{count} lengths are left out of the fit on request: rows {rows}";
+        }
         W1310 "the solver did not converge",
         cause: "The start is too far from the truth: a base ball or the tool ball is elsewhere than given, or lengths and poses do not belong together.",
         cure: "Check the places of the base balls and the tool ball.",

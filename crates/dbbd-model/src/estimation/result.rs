@@ -74,6 +74,9 @@ pub struct CalibrationResult {
     /// Strongly correlated pairs, strongest first.
     pub correlated: Vec<Correlation>,
     pub outliers: Vec<Outlier>,
+    /// Those that were left out on request.
+    #[serde(default)]
+    pub excluded: Vec<ExcludedMeasurement>,
     /// Further measurements that would help, best first.
     pub recommendations: Vec<Recommendation>,
     /// Those of the estimate first, then those about the inputs.
@@ -188,6 +191,20 @@ impl CompletedCalibration {
             self.robot.doubts.sort();
         }
         self.result.findings.push(finding.into());
+        self
+    }
+
+    /// Lists measurements that were left out of the fit, with who did it and why.
+    pub fn with_excluded(mut self, rows: &[Measurement], by: Option<&str>, reason: Option<&str>) -> Self {
+        let after = self.posterior.model.prepare();
+        let excluded = |row: &Measurement| ExcludedMeasurement {
+            index: row.index,
+            ball: row.datum.ball(),
+            residual_mm: after.residual(&PreparedMeasurement::from(row)),
+            by: by.map(str::to_owned),
+            reason: reason.map(str::to_owned),
+        };
+        self.result.excluded.extend(rows.iter().map(excluded));
         self
     }
 
@@ -401,6 +418,21 @@ pub struct Outlier {
     pub ball: Option<BallId>,
     /// For a position the 3-D distance.
     pub residual_mm: f64,
+}
+
+/// A measurement that was left out on request.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExcludedMeasurement {
+    /// Its index column.
+    pub index: u32,
+    /// `None` for a position.
+    pub ball: Option<BallId>,
+    /// Of the identified robot, which does not know it.
+    pub residual_mm: f64,
+    /// Who left it out; `None` if nobody is stated.
+    pub by: Option<String>,
+    /// `None` if no reason is stated.
+    pub reason: Option<String>,
 }
 
 /// The number of used measurements by their kind.

@@ -35,7 +35,7 @@ impl Datum {
     }
 
     /// Whether this row is the first of its measurement.
-    pub(crate) fn is_first(self) -> bool {
+    pub fn is_first(self) -> bool {
         !matches!(self, Self::Plane(Coordinate::Y | Coordinate::Z))
     }
 }

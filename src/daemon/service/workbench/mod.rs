@@ -2,9 +2,11 @@
 //!
 //! Everything is made by a request or a command in a child process, as from the command line, in the directory of the robot.
 
+mod exclusions;
 mod files;
 mod job_file;
 mod steps;
+mod trial;
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +20,7 @@ use dbbd_job::request::identify::{self, IdentifyRequest};
 use dbbd_job::request::plan::{CheckPoses, PlanRequest, PlannedPoses};
 use dbbd_job::request::scene::CellScene;
 use dbbd_model::diagnostic::Diagnostic;
-use serde_json::Value;
+use serde_json::{Value, json};
 use toml_edit::DocumentMut;
 
 use self::files::{CORRECTED, FoundPlan, UPLOADED, WorkFiles, WorkJob, WorkPlace};
@@ -28,7 +30,8 @@ use super::log::LogLevel;
 use super::runs::{is_plain_directory, is_sound, open_plain};
 use super::{LineUse, Supervisor};
 use crate::live::ServiceFinding::{
-    LinkedDirectory, NoResult, NoRobot, ProgramName, RobotName, RobotTaken, StepTooEarly, Unwritten,
+    LinkedDirectory, NoResult, NoRobot, ProgramName, RobotIsMeasured, RobotName, RobotTaken, RunIsOn,
+    StepTooEarly, Unwritten,
 };
 use crate::live::{
     EvaluationJob, NewRobot, ProgramUpload, RobotSummary, RobotWork, StepOptions, StepReport, StepState,
@@ -69,6 +72,18 @@ impl Supervisor {
         steps::steps(files, &Activity { jobs: &jobs, recording: recording.as_deref(), explain: &explain })
     }
 
+    /// Refuses what would change the job, the plan or the programs of a run that is on.
+    fn check_unlocked(&self, files: &WorkFiles) -> Result<(), Diagnostic> {
+        let inner = self.inner();
+        let LineUse::On(running) = &inner.run else { return Ok(()) };
+        let is_own = |plan: &FoundPlan| running.plan.as_deref() == Some(&*steps::served_plan(files, plan));
+        if !files.plans.iter().any(is_own) {
+            return Ok(());
+        }
+        let by = running.by.clone().unwrap_or_else(|| "this service".into());
+        Err(RobotIsMeasured { robot: files.name.clone(), run: running.name.clone(), by }.into())
+    }
+
     /// Checks the job after a change, and writes it.
     fn write_job(&self, path: &Path, document: &DocumentMut) -> Result<(), Diagnostic> {
         let text = document.to_string();
@@ -76,6 +91,15 @@ impl Supervisor {
         Job::from_toml(name, &text)?;
         dbbd_job::files::write_file(path, text)
     }
+}
+
+/// The file of the job, and its text with these keys set.
+fn edited_job(files: &WorkFiles, keys: &Value) -> Result<(PathBuf, DocumentMut), Diagnostic> {
+    let path = files.directory.join(files.job.as_ref().map_or("job.toml", |job| &job.file));
+    let text = if path.exists() { dbbd_job::files::read_text(&path)? } else { job_file::HEAD.to_owned() };
+    let mut document: DocumentMut = text.parse().map_err(|error| not_written(&error))?;
+    job_file::set_keys(&mut document, keys)?;
+    Ok((path, document))
 }
 
 /// Why a step cannot be computed.
@@ -102,6 +126,7 @@ fn work_of(
             let request = IdentifyRequest {
                 input: run.path.clone().into(),
                 out: result.clone().into(),
+                exclude: exclusions::asked(files, run, options.exclude.as_deref(), options.by.as_deref())?,
                 ..IdentifyRequest::default()
             };
             (Request::Identify(request), result)
@@ -267,13 +292,23 @@ impl Workbench for Supervisor {
 
     fn edit_job(&self, robot: &str, keys: &Value) -> Result<(), Diagnostic> {
         let files = self.files_of(robot)?;
-        let path = files.directory.join(files.job.as_ref().map_or("job.toml", |job| &job.file));
-        let text = if path.exists() { dbbd_job::files::read_text(&path)? } else { job_file::HEAD.to_owned() };
-        let mut document: DocumentMut = text.parse().map_err(|error| not_written(&error))?;
-        job_file::set_keys(&mut document, keys)?;
+        self.check_unlocked(&files)?;
+        let (path, document) = edited_job(&files, keys)?;
         self.write_job(&path, &document)?;
         self.log.event(LogLevel::Info, "job_edited", &[("robot", &robot)]);
         Ok(())
+    }
+
+    fn try_job(&self, robot: &str, keys: &Value) -> Result<Value, Diagnostic> {
+        let files = self.files_of(robot)?;
+        let document = edited_job(&files, keys)?.1;
+        // A trial must not take the processor from a recording, nor another trial.
+        if matches!(self.inner().run, LineUse::On(_) | LineUse::Starting) {
+            return Err(RunIsOn.into());
+        }
+        let _one = self.jobs.begin_trial()?;
+        let explained = |finding| json!(self.jobs.explained(finding));
+        trial::try_job(&files.directory, &document.to_string(), explained)
     }
 
     fn scene(&self, robot: &str) -> Result<Value, Diagnostic> {
@@ -282,7 +317,10 @@ impl Workbench for Supervisor {
         let csv = files.directory.join(&plan.directory.name).join("plan.csv");
         let result = files.result.as_ref().map(|result| files.directory.join(&result.directory.name));
         let scene = CellScene::read(&csv, result.as_deref())?;
-        serde_json::to_value(scene).map_err(|error| not_written(&error))
+        let mut scene = serde_json::to_value(scene).map_err(|error| not_written(&error))?;
+        // As the runs of the service name it.
+        scene["plan"] = steps::served_plan(&files, plan).into();
+        Ok(scene)
     }
 
     fn upload(&self, robot: &str, upload: ProgramUpload) -> Result<(), Diagnostic> {
@@ -321,6 +359,15 @@ impl Workbench for Supervisor {
         options: StepOptions,
     ) -> Result<EvaluationJob, Diagnostic> {
         let files = self.files_of(robot)?;
+        match step {
+            WorkStep::Plan | WorkStep::Programs | WorkStep::Check => self.check_unlocked(&files)?,
+            WorkStep::Robot
+            | WorkStep::Cell
+            | WorkStep::Measure
+            | WorkStep::Result
+            | WorkStep::Correct
+            | WorkStep::Certificate => {}
+        }
         let (work, out) = work_of(&files, step, &options)?;
         check_plain(&files.directory, &out)?;
         let kind = match &work {

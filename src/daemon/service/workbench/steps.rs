@@ -3,6 +3,7 @@
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord, Severity};
 use serde_json::{Value, json};
 
+use super::exclusions;
 use super::files::{
     CORRECTED, FoundDirectory, FoundDocument, FoundPlan, FoundRun, UPLOADED, WorkFiles, WorkJob,
 };
@@ -155,6 +156,7 @@ fn report(step: WorkStep, mut drafted: Drafted, now: &Activity<'_>) -> StepRepor
         label: drafted.label,
         command: drafted.command,
         plan: drafted.plan,
+        changed_unix_ms: (!directory.files.is_empty()).then_some(directory.changed_ms),
         directory: directory.name,
         files: directory.files,
         job: job.cloned(),
@@ -264,7 +266,7 @@ fn acquire_command(plan: &FoundPlan, run: &str) -> String {
 }
 
 /// The name of a plan as the service knows it.
-fn served_plan(files: &WorkFiles, plan: &FoundPlan) -> String {
+pub(super) fn served_plan(files: &WorkFiles, plan: &FoundPlan) -> String {
     format!("{}{}", files.prefix, plan.directory.name)
 }
 
@@ -312,7 +314,8 @@ pub(super) fn result_directory(files: &WorkFiles) -> &str {
 fn result(files: &WorkFiles) -> Drafted {
     let run = files.plan(false).and_then(|plan| usable_run(files, plan));
     let input = run.map_or("run.dbbd", |run| &run.path);
-    let command = format!("dbbd identify {input} --out {}", result_directory(files));
+    let exclude = exclusions::options(&exclusions::of_result(files, run));
+    let command = format!("dbbd identify {input}{exclude} --out {}", result_directory(files));
     let drafted = match (&files.result, run) {
         (None, None) => return Drafted::todo("result.no_run").command(command),
         (None, Some(_)) => Drafted::ready("result.none").acting(StepAction::Compute, "act.result"),
@@ -466,10 +469,14 @@ fn check(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
 
 fn of_check(check: &FoundDocument) -> Drafted {
     let content = &check.content;
-    let (verdict, text) = match content["decision"].as_str() {
-        Some("pass") => (StepVerdict::Pass, "check.pass"),
-        Some("fail") => (StepVerdict::Fail, "check.fail"),
-        _ => (StepVerdict::Undecided, "check.undecided"),
+    let is_bare = content["tolerance_mm"].is_null();
+    let (verdict, text) = match (content["decision"].as_str(), is_bare) {
+        (Some("pass"), false) => (StepVerdict::Pass, "check.pass"),
+        (Some("pass"), true) => (StepVerdict::Pass, "check.pass_bare"),
+        (Some("fail"), false) => (StepVerdict::Fail, "check.fail"),
+        (Some("fail"), true) => (StepVerdict::Fail, "check.fail_bare"),
+        (_, false) => (StepVerdict::Undecided, "check.undecided"),
+        (_, true) => (StepVerdict::Undecided, "check.undecided_bare"),
     };
     let values = json!({
         "error_mm": content["position_error_mm"], "upper_mm": content["upper_mm"],

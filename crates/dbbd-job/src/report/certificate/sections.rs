@@ -5,9 +5,10 @@ use serde::Serialize;
 use super::{Certificate, Check, DRAFT};
 use crate::report::parameters::not_estimated;
 use crate::report::scale::{decimals, fixed, signed, significant, typeset};
+use crate::report::verdict::Verdict;
 use dbbd_model::conformity::BudgetLine;
 use dbbd_model::diagnostic::{Names, RecordedFinding};
-use dbbd_model::estimation::result::{ParameterResult, Status};
+use dbbd_model::estimation::result::{ExcludedMeasurement, ParameterResult, Status};
 use dbbd_model::robot::ParamUnit;
 
 #[derive(Serialize)]
@@ -78,6 +79,7 @@ impl Certificate {
     pub(super) fn sections(&self) -> Vec<Section> {
         let section = |title, blocks| Section { title, blocks };
         vec![
+            section("Statement", self.statement()),
             section("Object and order", vec![Block::Facts(self.object())]),
             section("Method", vec![Block::Text(METHOD.into())]),
             section("Equipment, traceability and conditions", self.traceability()),
@@ -89,6 +91,13 @@ impl Certificate {
             section("Warnings and notes of the result", self.findings_of_result()),
             section("Signatures", self.signatures()),
         ]
+    }
+
+    /// The verdict in the words of the report.
+    fn statement(&self) -> Vec<Block> {
+        let verdict = Verdict::of_calibration(&self.result, &self.budget);
+        let said = Block::Text(format!("{} {}", verdict.word, verdict.sentence));
+        [said].into_iter().chain(verdict.validity.map(Block::Text)).collect()
     }
 
     fn object(&self) -> Vec<Fact> {
@@ -135,7 +144,11 @@ impl Certificate {
         let pair = |name: &str, before: f64, after: f64| {
             fact(name, format!("{} before, {} after", mm(before), mm(after)))
         };
-        let used = format!("{} used, {} excluded as outliers", result.measurements, result.outliers.len());
+        let mut used =
+            format!("{} used, {} excluded as outliers", result.measurements, result.outliers.len());
+        if !result.excluded.is_empty() {
+            used.push_str(&format!(", {} on request", result.excluded.len()));
+        }
         let mut facts = vec![
             fact("Lengths", used),
             fact("Standard deviation of a length", mm(result.noise_mm.length)),
@@ -146,6 +159,7 @@ impl Certificate {
         facts.extend(result.validation.map(|separate| {
             pair("Residual of separate lengths, rms", separate.before.rms, separate.after.rms)
         }));
+        facts.extend(result.excluded.iter().map(left_out));
         facts.push(pair("Position uncertainty, mean", nominal.mean, identified.mean));
         facts.push(pair("Position uncertainty, 95 % of the poses", nominal.p95, identified.p95));
         let (k, expanded) = (self.budget.coverage_factor, self.budget.expanded_mm);
@@ -241,6 +255,14 @@ impl Certificate {
             Block::Signatures(vec!["Performed by, date", "Approved by, date"]),
         ]
     }
+}
+
+/// Who left out a length, and why.
+fn left_out(excluded: &ExcludedMeasurement) -> Fact {
+    let stated = |text: &Option<String>| text.clone().unwrap_or_else(|| "not stated".into());
+    let ExcludedMeasurement { index, residual_mm, by, reason, .. } = excluded;
+    let about = format!("residual {}; by {}: {}", mm(*residual_mm), stated(by), stated(reason));
+    fact(&format!("Left out on request: row {index}"), about)
 }
 
 /// The decision with its rule.

@@ -103,6 +103,11 @@ fn found(robot: &Robot) -> (CompletedCalibration, Measurements) {
     (found, observations)
 }
 
+fn without_findings(mut found: CompletedCalibration) -> CompletedCalibration {
+    found.result.findings.clear();
+    found
+}
+
 fn provenance(robot: &str) -> Provenance {
     dbbd_job::artefact::made_from([&Artefact::new(ArtefactRole::Measurements, robot, "").into()])
 }
@@ -131,7 +136,10 @@ fn the_report_shows_every_parameter_finding_and_figure() {
             finding.code()
         );
     }
-    assert!(place(&html, "class=\"doubt\"") < place(&html, "aria-label=\"Summary\""), "doubts come first");
+    // The verdict says that there are warnings; they follow, before all that is folded.
+    let order = ["data-verdict=\"undecided\"", "class=\"doubt\"", "class=\"contents\"", "class=\"part\""];
+    assert!(order.map(|part| place(&html, part)).is_sorted());
+    assert!(!report(&without_findings(found.clone()), &observations).contains("data-verdict=\"undecided\""));
     assert_eq!(found.result.outliers.len(), 1);
     for number in [
         found.result.outliers[0].residual_mm,

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::exclusion::{Exclusion, LeftOut};
 use super::matched_run::MatchedRun;
 use super::parts::{self, InputPart, JoinedParts, SetUpRelation};
 use super::tables::{lengths_or_positions, measurements};
@@ -39,6 +40,8 @@ pub(crate) struct NamedInputs<'a> {
     pub(crate) tool_mm: Option<[f64; 3]>,
     pub(crate) centres: Option<&'a Path>,
     pub(crate) bar_u_mm: Option<f64>,
+    /// Rows that are left out.
+    pub(crate) exclude: &'a [Exclusion],
 }
 
 /// The inputs as they were read.
@@ -57,6 +60,7 @@ pub(crate) struct LoadedInputs {
     pub(crate) axes: AngleSource,
     /// The captures and tables with the lengths; the first is always there.
     parts: Vec<InputPart>,
+    left_out: LeftOut,
 }
 
 impl LoadedInputs {
@@ -117,8 +121,11 @@ impl LoadedInputs {
         let lengths = &parts[0].lengths;
         let matched = &parts[0].matched;
         let load = &robot.geometry.load;
-        let observations =
+        let mut observations =
             observations.carrying(load).map_err(|finding| Diagnostic::file(&input, finding))?;
+        let left_out = LeftOut::of(&mut observations, named.exclude)
+            .map_err(|finding| Diagnostic::file(&input, finding))?;
+        findings.extend(left_out.finding());
         check_measurements(&input, &observations, &robot, &centres)?;
         findings.extend(doubts(&input, &observations, &robot, &centres));
         let mut positions = None;
@@ -143,6 +150,7 @@ impl LoadedInputs {
             provenance,
             findings,
             parts,
+            left_out,
         })
     }
 
@@ -171,6 +179,11 @@ impl LoadedInputs {
         let planned = runs.find_map(|matched| matched.other_robot(&self.robot));
         let given = || self.robot.name.clone();
         planned.map_or(Ok(()), |planned| Err(ConformityFinding::PlanOfAnother { planned, given: given() }))
+    }
+
+    /// Lists what was left out in the result.
+    pub(super) fn with_excluded(&self, calibration: CompletedCalibration) -> CompletedCalibration {
+        self.left_out.listed_in(calibration, self.provenance.identity.operator.as_deref())
     }
 
     pub(crate) fn findings(&self) -> Vec<Diagnostic> {
@@ -232,11 +245,10 @@ impl LoadedInputs {
             changed = true;
         }
         let joined = changed.then(|| parts::joined(&self.parts)).and_then(Result::ok);
-        let Some(Ok(observations)) =
-            joined.map(|(lengths, _)| with_positions(lengths, self.positions.as_ref()))
-        else {
-            return false;
-        };
+        let Some((mut lengths, _)) = joined else { return false };
+        let Ok(left_out) = self.left_out.again(&mut lengths) else { return false };
+        let Ok(observations) = with_positions(lengths, self.positions.as_ref()) else { return false };
+        self.left_out = left_out;
         self.observations = observations;
         self.run_findings = run_findings(&self.parts, &self.robot);
         true

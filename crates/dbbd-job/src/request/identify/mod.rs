@@ -1,5 +1,6 @@
 //! Identifies the parameters of a robot from lengths or positions.
 
+mod exclusion;
 mod files;
 pub(super) mod inputs;
 mod matched_run;
@@ -22,6 +23,7 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
 use crate::file_set::EarlierFiles;
+pub use exclusion::Exclusion;
 pub use files::{LENGTHS, POSITIONS, ROBOT};
 use inputs::{LoadedInputs, NamedInputs};
 pub use options::AskedIdentification;
@@ -75,6 +77,9 @@ pub struct IdentifyRequest {
     pub identity: Option<PathBuf>,
     /// A table of poses over which the position uncertainty is predicted.
     pub workspace: Option<PathBuf>,
+    /// Measurements that are left out of the fit.
+    #[serde(default)]
+    pub exclude: Vec<Exclusion>,
     /// Replace the files of an earlier result; otherwise they are kept beside it.
     #[serde(default)]
     pub replace: bool,
@@ -163,6 +168,7 @@ impl IdentifyRequest {
         let validation = validation.map(|path| given.validation(path, session)).transpose()?;
         let busy = session.busy(&format!("identifying from {} measurements", given.observations.count()));
         let calibration = calibrate_and_match(&mut given, validation.as_ref(), &options, session)?;
+        let calibration = given.with_excluded(calibration);
         drop(busy);
         let observations = given.observations;
         let identity = &given.provenance.identity;
@@ -205,6 +211,7 @@ impl IdentifyRequest {
             tool_mm: self.tool_mm,
             centres: self.centres.as_deref(),
             bar_u_mm: self.bar_u_mm,
+            exclude: &self.exclude,
         };
         let mut given = LoadedInputs::read(named, session)?;
         let balls = given.centres.len();

@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 use crate::files;
 use crate::plan::{PlanFinding, PoseKind, is_same_planned_pose};
 use crate::recording::run;
-use crate::request::RequestSession;
 use crate::request::identify::LENGTHS;
 use crate::request::identify::tables::{lengths, measurements};
+use crate::request::{RequestSession, RowIndices};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::robot::{AXES, BallId};
@@ -25,7 +25,7 @@ pub enum PoseRows {
     /// The outliers of a result.
     Outliers,
     /// By their index.
-    Indices(Vec<u32>),
+    Indices(RowIndices),
 }
 
 impl FromStr for PoseRows {
@@ -36,17 +36,7 @@ impl FromStr for PoseRows {
         if text == "outliers" {
             return Ok(Self::Outliers);
         }
-        let mut indices = Vec::new();
-        for item in text.split(',') {
-            let (first, last) = item.split_once('-').unwrap_or((item, item));
-            let number = |text: &str| text.trim().parse::<u32>();
-            match (number(first), number(last)) {
-                (Ok(first), Ok(last)) if first <= last && last - first < 100_000 => {
-                    indices.extend(first..=last)
-                }
-                _ => return Err(format!("`{item}` is neither an index nor a range as 7-9, nor `outliers`")),
-            }
-        }
+        let indices = text.parse().map_err(|why| format!("{why}, nor `outliers`"))?;
         Ok(Self::Indices(indices))
     }
 }
@@ -56,9 +46,7 @@ impl fmt::Display for PoseRows {
         match self {
             Self::All => out.write_str("all"),
             Self::Outliers => out.write_str("outliers"),
-            Self::Indices(indices) => {
-                out.write_str(&indices.iter().map(u32::to_string).collect::<Vec<_>>().join(","))
-            }
+            Self::Indices(indices) => indices.fmt(out),
         }
     }
 }
@@ -129,7 +117,7 @@ pub(super) fn repeated(
     };
     let wanted: Vec<u32> = match (rows, &of_result) {
         (PoseRows::All, _) => poses.iter().map(|pose| pose.index).collect(),
-        (PoseRows::Indices(indices), _) => indices.clone(),
+        (PoseRows::Indices(indices), _) => indices.iter().collect(),
         (PoseRows::Outliers, Some(result)) => {
             let file = result.join("result.json");
             let result =
@@ -156,7 +144,7 @@ mod tests {
 
     #[test]
     fn rows_are_indices_and_ranges() {
-        assert_eq!("3,7-9".parse(), Ok(PoseRows::Indices(vec![3, 7, 8, 9])));
+        assert_eq!("3,7-9".parse(), Ok(PoseRows::Indices([3, 7, 8, 9].into_iter().collect())));
         assert_eq!("outliers".parse(), Ok(PoseRows::Outliers));
         for wrong in ["", "a", "9-7", "1,,2", "1-999999999"] {
             assert!(wrong.parse::<PoseRows>().is_err(), "{wrong}");

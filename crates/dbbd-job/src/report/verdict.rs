@@ -1,0 +1,140 @@
+//! What a page says first: a verdict in one sentence, and what to do next. The pages of the workbench say it in the same words
+//! (`say.result.*` and `say.check.*` of their texts).
+
+use dbbd_model::conformity::UncertaintyBudget;
+use dbbd_model::conformity::{ComparisonSubject, ConformityOutcome, InterimCheck, ResultComparison};
+use dbbd_model::estimation::CalibrationResult;
+use serde::Serialize;
+
+use super::scale::{plain, significant};
+
+/// A verdict with its sentences. The template gives each kind a colour and a shape.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Verdict {
+    pub(crate) kind: VerdictKind,
+    /// The sentence goes on behind it.
+    pub(crate) word: &'static str,
+    pub(crate) sentence: String,
+    /// How long and for what the result may be used, where that is known.
+    pub(crate) validity: Option<String>,
+    pub(crate) next: String,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum VerdictKind {
+    Pass,
+    Fail,
+    Undecided,
+}
+
+/// A quantity with two significant digits (JCGM 100:2008, 7.2.6).
+fn mm(value: f64) -> String {
+    format!("{} mm", significant(value, 2))
+}
+
+fn um(value_mm: f64) -> String {
+    format!("{} µm", significant(1e3 * value_mm, 3))
+}
+
+impl Verdict {
+    pub(crate) fn of_calibration(result: &CalibrationResult, budget: &UncertaintyBudget) -> Self {
+        let (expanded, k) = (mm(budget.expanded_mm), plain(budget.coverage_factor, 1));
+        let residual = &result.residual_mm;
+        let lengths = format!(
+            "The lengths agree to {} rms, {} before.",
+            um(residual.after.rms),
+            um(residual.before.rms)
+        );
+        if result.is_doubtful() || !result.converged {
+            return Self {
+                kind: VerdictKind::Undecided,
+                word: "With warnings.",
+                sentence: format!(
+                    "Valid for this tool if they are of no account: U = {expanded} (k = {k}). {lengths}"
+                ),
+                validity: None,
+                next: "Read the warnings, and do what they say before you use this result.".into(),
+            };
+        }
+        let further = result.recommendations.iter().find(|one| one.adds);
+        let next = match further {
+            Some(one) => format!(
+                "Correct the programs of the robot, and check it after a collision or a repair. To be better than that, \
+                 measure {}: the mean position uncertainty is predicted to fall from {} to {}.",
+                one.what(),
+                mm(one.before_mm),
+                mm(one.after_mm)
+            ),
+            None => "Correct the programs of the robot, and check it after a collision or a repair.".into(),
+        };
+        Self {
+            kind: VerdictKind::Pass,
+            word: "Valid",
+            sentence: format!("for this tool: U = {expanded} (k = {k}). {lengths}"),
+            validity: None,
+            next,
+        }
+    }
+
+    pub(crate) fn of_check(check: &InterimCheck) -> Self {
+        let decision = &check.decision;
+        let tolerance = decision.tolerance_mm.map(|tolerance| format!(", tolerance {}", mm(tolerance)));
+        let sentence = format!(
+            "The position error is {} (upper limit {}{}).",
+            mm(decision.position_error_mm),
+            mm(decision.upper_mm),
+            tolerance.unwrap_or_default()
+        );
+        let (kind, word, next) = match decision.decision {
+            ConformityOutcome::Pass => (
+                VerdictKind::Pass,
+                "Pass.",
+                "Go on using the calibration. Check the robot again after a collision or a repair.",
+            ),
+            ConformityOutcome::Fail => (
+                VerdictKind::Fail,
+                "Fail.",
+                "Do not use the calibration. Look at what changed, repair it or identify the robot again, and correct its \
+                 programs anew.",
+            ),
+            ConformityOutcome::Undecided => (
+                VerdictKind::Undecided,
+                "Undecided.",
+                "These lengths cannot decide. Measure more poses, or state a tolerance that they can decide.",
+            ),
+        };
+        Self { kind, word, sentence, validity: None, next: next.into() }
+    }
+
+    /// `changed` are the names of what changed significantly.
+    pub(crate) fn of_comparison(comparison: &ResultComparison, changed: &[String]) -> Self {
+        let (moved_mm, next) = match &comparison.subject {
+            ComparisonSubject::Results(results) => (
+                Some(results.position_change_mm.whole.p95),
+                "Find out why it changed, and correct the programs with the last result.",
+            ),
+            ComparisonSubject::Circles { .. } => (None, "Find out why it changed: calibrate the robot."),
+        };
+        let moved = moved_mm.map(|moved| format!(" 95 % of the poses moved by less than {}.", mm(moved)));
+        let moved = moved.unwrap_or_default();
+        if changed.is_empty() {
+            return Self {
+                kind: VerdictKind::Pass,
+                word: "Unchanged.",
+                sentence: format!("Nothing changed significantly.{moved}"),
+                validity: None,
+                next: "Nothing: go on using it.".into(),
+            };
+        }
+        let exceeded =
+            moved_mm.zip(comparison.tolerance_mm).is_some_and(|(moved, tolerance)| moved > tolerance);
+        Self {
+            kind: if exceeded { VerdictKind::Fail } else { VerdictKind::Undecided },
+            word: "Changed.",
+            sentence: format!("Changed significantly: {}.{moved}", changed.join(", ")),
+            validity: None,
+            next: next.into(),
+        }
+    }
+}

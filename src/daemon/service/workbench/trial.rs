@@ -1,0 +1,99 @@
+//! A changed job is tried: it is planned in a child process, and nothing of it stays. The page shows reach, limits and the risk of
+//! the stroke while a ball or an obstacle is moved.
+
+use std::io::{self, Read, Write as _};
+use std::path::Path;
+use std::thread;
+
+use dbbd_device::clock;
+use dbbd_job::request::plan::{PlanRequest, PlannedPoses};
+use dbbd_job::request::scene::CellScene;
+use dbbd_job::request::{AnswerResult, Request, RequestChild, read_answer};
+use dbbd_model::base::InternalFinding::NoSystem;
+use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
+use serde_json::{Value, json};
+
+use crate::daemon::service::jobs::prefer_for_oom_kill;
+use crate::live::ServiceFinding::{TooManyJobs, WorkerLost};
+
+/// A job that is planned for longer is not tried but planned, s.
+const MAX_S: f64 = 20.0;
+/// Time between two looks whether the child has ended, s.
+const LOOK_S: f64 = 0.02;
+
+fn failed(error: &io::Error) -> Diagnostic {
+    NoSystem { why: error.to_string() }.into()
+}
+
+/// Plans a job whose file would be in `directory`: `findings`, and of a plan `checks`, `predictions` and the `scene`.
+///
+/// # Errors
+/// The directory cannot be written, or planning takes too long.
+pub(super) fn try_job(
+    directory: &Path,
+    job: &str,
+    explained: impl Fn(FindingRecord) -> Value,
+) -> Result<Value, Diagnostic> {
+    // A robot file beside the job is found from there; the page does not see names with a leading dot.
+    let mut file = tempfile::Builder::new()
+        .prefix(".trial-")
+        .suffix(".toml")
+        .tempfile_in(directory)
+        .map_err(|error| failed(&error))?;
+    file.write_all(job.as_bytes()).map_err(|error| failed(&error))?;
+    let out = tempfile::tempdir().map_err(|error| failed(&error))?;
+    let request = Request::Plan(PlanRequest {
+        job: file.path().to_owned(),
+        out: out.path().to_owned(),
+        robot: None,
+        measured: Vec::new(),
+        poses: PlannedPoses::Job,
+        replace: true,
+    });
+    let answer = plan(&request, directory)?.ok_or(WorkerLost { worker: "trial".into() })?;
+    let findings = |all: Vec<FindingRecord>| all.into_iter().map(&explained).collect::<Vec<Value>>();
+    Ok(match answer.result {
+        AnswerResult::Refusal(refusal) => {
+            json!({ "findings": findings(answer.findings.into_iter().chain([refusal]).collect()) })
+        }
+        AnswerResult::Result(result) => {
+            let scene = CellScene::read(&out.path().join("plan.csv"), None)?;
+            json!({
+                "findings": findings(answer.findings),
+                "checks": result.document["checks"],
+                "predictions": result.document["predictions"],
+                "scene": scene,
+            })
+        }
+    })
+}
+
+/// The answer of a child process; `None` if it ended without one.
+fn plan(request: &Request, directory: &Path) -> Result<Option<dbbd_job::request::AnswerRecord>, Diagnostic> {
+    let set_up = |command: &mut std::process::Command| {
+        command.current_dir(directory).stderr(std::process::Stdio::null());
+    };
+    let RequestChild { mut child, stdin } =
+        RequestChild::start(request, set_up).map_err(|error| failed(&error))?;
+    prefer_for_oom_kill(&child);
+    let stdout = child.stdout.take();
+    let began = clock::now();
+    thread::scope(|scope| {
+        let answer = scope.spawn(|| {
+            let mut text = String::new();
+            let read = stdout.map(|mut stdout| stdout.read_to_string(&mut text));
+            read.and_then(Result::ok).and_then(|_| read_answer(&text))
+        });
+        while !answer.is_finished() {
+            if clock::now().seconds_since(began) > MAX_S {
+                let _ = child.kill();
+                let _ = child.wait();
+                return Err(TooManyJobs.into());
+            }
+            clock::sleep(LOOK_S);
+        }
+        drop(stdin);
+        let _ = child.wait();
+        Ok(answer.join().ok().flatten())
+    })
+}

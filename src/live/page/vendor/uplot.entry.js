@@ -1,0 +1,2 @@
+// What plots.js uses of uplot.
+export { default as UPlot } from "uplot";

@@ -1,0 +1,2 @@
+// The scripts of others, which are bundled without their types.
+declare module "/vendor/*";
