@@ -89,7 +89,7 @@ pub fn html(
         counts,
         groups: groups(result, &found.robot),
         not_estimated: not_estimated(&result.parameters),
-        zeros: offsets(found),
+        zeros: offsets(&found.result, &found.robot),
         balls: frames(result),
         budget,
         contributions: budget.lines.iter().map(|l| (l.source.words(), l.basis.words(), l)).collect(),
