@@ -1,6 +1,6 @@
 //! Values for the machine data of a KUKA controller that bring its model nearest to an identified arm, where its zeros are mastered.
 //!
-//! The controller's inverse kinematics need axis 2 normal to axis 1 and axis 3 parallel to axis 2, so that twists and offsets there
+//! The controller's inverse kinematics need axis 2 normal to axis 1 and axis 3 parallel to axis 2, so that twists there
 //! cannot be entered. The other values are fitted to the flange over the workspace.
 
 use std::fmt::Write;
@@ -34,14 +34,15 @@ struct MachineValue {
     mm: f64,
 }
 
+/// At B = 90 degrees C turns as A does, and the turn about axis 4 is its zero.
 const VALUES: [MachineValue; 13] = [
     MachineValue { of: |data| &mut data.length_a, mm: 1.0 },
     MachineValue { of: |data| &mut data.length_b, mm: 1.0 },
     MachineValue { of: |data| &mut data.tx3p3[0], mm: 1.0 },
+    MachineValue { of: |data| &mut data.tx3p3[1], mm: 1.0 },
     MachineValue { of: |data| &mut data.tx3p3[2], mm: 1.0 },
     MachineValue { of: |data| &mut data.tx3p3[3], mm: MM_PER_DEG },
     MachineValue { of: |data| &mut data.tx3p3[4], mm: MM_PER_DEG },
-    MachineValue { of: |data| &mut data.tx3p3[5], mm: MM_PER_DEG },
     MachineValue { of: |data| &mut data.dh_4.a, mm: 1.0 },
     MachineValue { of: |data| &mut data.dh_4.alpha_deg, mm: MM_PER_DEG },
     MachineValue { of: |data| &mut data.dh_5.a, mm: 1.0 },
@@ -206,7 +207,7 @@ mod tests {
         SimplifiedModelError::by(robot, &proposal.geometry(robot))
     }
 
-    /// What the machine data have a value for is entered as it is; the zeros are mastered.
+    /// What the machine data have a value for is entered as it is; the zeros are mastered. A fit of the same values in numpy leaves 2e-8 mm.
     #[test]
     fn what_machine_data_hold_is_entered_wholly() {
         let robot = with_errors(&[
@@ -214,6 +215,8 @@ mod tests {
             ("a2", -0.7),
             ("a3", 0.5),
             ("d4", 0.6),
+            ("d2", 0.3),
+            ("d5", -0.1),
             ("alpha3", 5e-4),
             ("alpha4", -4e-4),
             ("alpha5", 3e-4),
@@ -227,26 +230,35 @@ mod tests {
         ]);
         let (before, after) =
             (SimplifiedModelError::by(&robot, &robot.controller().geometry), remains(&robot));
-        assert!(before.mean_mm > 0.5 && after.max_mm < 1e-4, "{before:?} {after:?}");
+        assert!(before.mean_mm > 0.5 && after.max_mm < 1e-6, "{before:?} {after:?}");
         let proposal = MachineDataProposal::of(&robot).unwrap();
-        assert!((proposal.proposed.length_a - 350.4).abs() < 1e-4, "{:?}", proposal.proposed);
-        assert!((proposal.proposed.length_b - 849.3).abs() < 1e-4);
-        assert!((proposal.proposed.tflwp[2] - 170.3).abs() < 1e-4);
+        assert!((proposal.proposed.length_a - 350.4).abs() < 1e-6, "{:?}", proposal.proposed);
+        assert!((proposal.proposed.length_b - 849.3).abs() < 1e-6);
+        assert!((proposal.proposed.tflwp[2] - 170.3).abs() < 1e-6);
         // What is not identified by anything stays nominal.
         assert_eq!(proposal.proposed.tiroro, proposal.nominal.tiroro);
         let text = proposal.text("KUKA KR 60 HA");
-        assert!(text.contains("REAL $LENGTH_A=350.40000 ; nominal 350.00000\n"), "{text}");
+        assert!(
+            (proposal.proposed.tx3p3[1] - 0.71).abs() < 1e-3,
+            "d2 and the twist alpha3 of an arm of 820 mm"
+        );
+        assert!(
+            text.contains("REAL $LENGTH_A=350.40000 ; nominal 350.00000\n")
+                && text.contains("; nominal 350.00000\n"),
+            "{text}"
+        );
     }
 
     /// A twist between axes 1 and 2 and one between 2 and 3 are no machine data: their errors remain, and the fit does not add to them.
+    /// numpy's fit leaves 0.340, 0.300 and 0.236 mm at other poses.
     #[test]
     fn twists_of_the_main_axes_remain() {
-        for (name, error) in [("alpha1", 5e-4), ("alpha2", 5e-4), ("beta2", 5e-4)] {
-            let robot = with_errors(&[(name, error)]);
+        for (name, expected_mm) in [("alpha1", 0.340), ("alpha2", 0.300), ("beta2", 0.236)] {
+            let robot = with_errors(&[(name, 5e-4)]);
             let (before, after) =
                 (SimplifiedModelError::by(&robot, &robot.controller().geometry), remains(&robot));
             assert!(
-                after.mean_mm > 0.02 && after.mean_mm < 1.05 * before.mean_mm,
+                (after.mean_mm / expected_mm - 1.0).abs() < 0.1 && after.mean_mm < before.mean_mm,
                 "{name}: {before:?} {after:?}"
             );
         }
