@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{CommandOutput, value};
 use dbbd_job::program::Moved;
 use dbbd_job::request::Request;
-use dbbd_job::request::compensate::{CompensateDocument, CompensateRequest, DEFAULT_LIMIT_MM};
+use dbbd_job::request::compensate::{CompensateDocument, CompensateRequest, DEFAULT_LIMIT_MM, ProgramDatum};
 use dbbd_model::estimation::ProgramUncertainty;
 
 /// Correct the points of a program for an identified robot.
@@ -47,6 +47,11 @@ pub(crate) struct CompensateArgs {
     /// The controller computes with the nominal table, although its make has a factory calibration (Universal Robots).
     #[arg(long, value_name = "MODEL", value_parser = ["nominal"])]
     controller_model: Option<String>,
+    /// Where the predicted uncertainty is zero in the mean: the poses over which robot and program are aligned. `program`: the
+    /// points of each tool, whose base is measured at them. `workspace`: the whole robot, as in result.json, for a base that is
+    /// measured elsewhere. Or a table of poses with the columns a1_deg..a6_deg.
+    #[arg(long, value_name = "program|workspace|FILE", default_value = "program")]
+    datum: String,
     /// Refuse the program if a commanded point would move by more than this, mm.
     #[arg(long, value_name = "MM", default_value_t = DEFAULT_LIMIT_MM)]
     limit: f64,
@@ -66,6 +71,11 @@ pub(super) fn request(args: &CompensateArgs) -> Request {
         base_mm_deg: args.base,
         payload: args.payload.clone(),
         nominal_controller: args.controller_model.is_some(),
+        datum: match args.datum.as_str() {
+            "program" => ProgramDatum::Program,
+            "workspace" => ProgramDatum::Workspace,
+            file => ProgramDatum::File(file.into()),
+        },
         limit_mm: args.limit,
         replace: args.replace,
     })
@@ -85,8 +95,8 @@ pub(super) fn show(out: &CommandOutput, document: &CompensateDocument, directory
     ));
     if let Some(ProgramUncertainty { before, after }) = document.predicted {
         out.result(format!(
-            "predicted position uncertainty of the program's tool at its points: mean {:.3} mm before, {:.3} after; largest {:.3} mm before, {:.3} after",
-            before.mean, after.mean, before.max, after.max
+            "predicted position uncertainty of the program's tool at its points (datum: {}): mean {:.3} mm before, {:.3} after; largest {:.3} mm before, {:.3} after",
+            document.datum, before.mean, after.mean, before.max, after.max
         ));
     }
     out.progress("corrected in the robot's own frame; run it first in T1, slowly");

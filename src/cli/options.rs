@@ -32,6 +32,7 @@ fn option(input: Input) -> (&'static str, &'static str) {
         Input::Fixed => ("--hold LIST", "parameters that are fixed"),
         Input::Folds => ("--folds N", "folds of the validation"),
         Input::GoneTime => ("--gone S", "how long the bar may be away"),
+        Input::HandBackTarget => ("--for TARGET", "target"),
         Input::Identity => ("--identity FILE", "identity"),
         Input::InterimCheck => ("--check", "plan of an interim check"),
         Input::Language => ("--language NAME", "language of the program"),

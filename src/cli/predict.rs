@@ -33,6 +33,10 @@ pub(crate) struct PredictArgs {
     /// frame in mm [default: the first of the robot file].
     #[arg(long, value_name = "NAME|KG,X,Y,Z", allow_hyphen_values = true)]
     payload: Option<String>,
+    /// Predict by lengths and angles alone, as a program that reads robot-identified.toml or a URDF: without compliance and errors of
+    /// the joints, whose displacement is added to sd_mm.
+    #[arg(long, value_name = "MODEL", value_parser = ["geometric"])]
+    model: Option<String>,
     /// Table to write: the columns of the poses, the position of the tool ball in the robot base x_mm,y_mm,z_mm, and sd_mm,
     /// its 3-D standard deviation (root of the mean square distance). This includes the repeatability of a pose, and is
     /// taken after the best rigid alignment over the poses (of fewer than 10, over the workspace too). sd_mrad is the
@@ -67,12 +71,17 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
         robot = robot.with_exact_tool(tool);
     }
     let positions = Positions::of(&robot, &poses);
+    let table = args.model.is_some().then(|| robot.geometry.rigid());
+    let ball = |at: usize| match &table {
+        Some(table) => table.ball(&poses[at].axes.radians()).position,
+        None => positions.balls[at],
+    };
     let predicted: Vec<PredictedBall> = (0..poses.len())
         .map(|at| PredictedBall {
             axes_deg: poses[at].axes.degrees(),
             approach: poses[at].approach.senses(),
-            ball_mm: positions.balls[at].into(),
-            sd_mm: positions.sd_mm(at),
+            ball_mm: ball(at).into(),
+            sd_mm: positions.sd_mm(at).hypot((ball(at) - positions.balls[at]).norm()),
             sd_mrad: 1e3 * orientations.sd_rad(at),
         })
         .collect();

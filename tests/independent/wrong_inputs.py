@@ -396,7 +396,8 @@ def make_sound(dbbd, where, report):
         f"{float(s['ticks']) * 1e-6:.3f},{300 + float(s['reading_mm']):.4f},{s['trigger']},{s['valid']}\n" for s in samples))
     b.write("mapping.toml", '[time]\nunit = "s"\n\n[length]\nunit = "mm"\nkind = "distance"\n\n[strobe]\ncolumn = "strobe"\n\n[valid]\ncolumn = "valid"\n')
     b.run("import trace.csv --mapping mapping.toml --plan plan/plan.csv --out traced.dbbd", "sync traced.dbbd --out traced.csv",
-          "identify traced.dbbd --prior datasheet --out traced", "export result/robot-identified.toml --urdf-in result/robot-identified.urdf --out urdf")
+          "identify traced.dbbd --prior datasheet --out traced", "export result --for urdf --out result",
+          "export kr16-result --for urdf --out kr16-result", "export result/robot-identified.toml --urdf-in result/robot-identified.urdf --out urdf")
     b.write("identity.toml", 'laboratory = "Laboratory"\noperator = "A. Example"\n').run("certificate result --identity identity.toml --out certificate-2")
     report(b)
     return b

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use dbbd_job::program::krl::Program;
 use dbbd_job::sim::{SimulatedController, truth};
+use dbbd_model::estimation::Workspace;
 use dbbd_model::math::aligned_distances;
 use dbbd_model::robot::{Geometry, Robot};
 use nalgebra::Vector3;
@@ -117,6 +118,22 @@ fn one_robot_is_more_accurate_after_correction() {
     // Of one robot: before is known from the correction, after within the scatter of an error.
     assert!((predicted[0] / before - 1.0).abs() < 0.15, "{predicted:?} {before}");
     assert!((0.5..2.5).contains(&(predicted[1] / after)), "{predicted:?} {after}");
+    // The points lie near each other: aligned over the whole robot they share an error.
+    let pose = |axes: [f64; 6]| axes.map(|angle| angle.to_degrees().to_string()).join(",") + "\n";
+    let poses: String = Workspace::uniform(&kr60(), 2000, 1).into_iter().map(pose).collect();
+    let table = format!("a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n{poses}");
+    fs::write(dir.path().join("poses.csv"), table).unwrap();
+    let in_datum = |datum: &str| {
+        let compensate = "compensate P.src --robot result/robot-identified.toml --limit 50 --out new --replace --json --datum";
+        let output = dbbd(dir.path(), &[&compensate.split(' ').collect::<Vec<_>>()[..], &[datum]].concat());
+        let corrected: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(corrected["datum"], datum);
+        corrected["predicted_position_uncertainty_mm"]["after"]["mean"].as_f64().unwrap()
+    };
+    let [program, workspace, table] = ["program", "workspace", "poses.csv"].map(in_datum);
+    assert!(program == predicted[1] && workspace > 1.2 * program, "{program} {workspace}");
+    // The same poses, with the digits of a table.
+    assert!((table / workspace - 1.0).abs() < 1e-6, "{table} {workspace}");
 }
 
 /// `cargo test --release --test suite through_the_programs -- --ignored --nocapture`: docs/evidence/README.md.

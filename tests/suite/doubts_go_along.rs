@@ -28,6 +28,7 @@ fn doubtful_robot_is_reported_by_every_command() {
     let verbs = [
         &["compensate", "--replace", "P.src", "--robot", robot, "--out", "new", "--limit", "50"][..],
         &["export", "--replace", robot, "--urdf-in", "arm.urdf", "--out", "urdf"],
+        &["export", "--replace", "out", "--for", "kuka", "--out", "kuka"],
         &["predict", "obs.csv", "--robot", robot, "--out", "p.csv"],
         &["check", "again.csv", "--robot", robot, "--centres", "C.csv", "--out", "check"],
         &["robots", "check", robot],
@@ -40,8 +41,9 @@ fn doubtful_robot_is_reported_by_every_command() {
         })
     };
     assert_eq!(identify(at, &data.to_csv(), &PRIOR).status.code(), Some(0));
-    fs::copy(at.join("out/robot-identified.urdf"), at.join("arm.urdf")).unwrap();
-    assert_eq!(doubted(), [false; 5]);
+    assert_eq!(dbbd(at, &["export", "out", "--for", "urdf", "--out", "back"]).status.code(), Some(0));
+    fs::copy(at.join("back/robot-identified.urdf"), at.join("arm.urdf")).unwrap();
+    assert_eq!(doubted(), [false; 6]);
     // Sorted lengths at the same poses fit no robot.
     let mut sorted = data.clone();
     let mut lengths: Vec<f64> = data.rows.iter().map(|row| row.length_mm).collect();
@@ -59,7 +61,7 @@ fn doubtful_robot_is_reported_by_every_command() {
     let of_result =
         result["findings"].as_array().unwrap().iter().filter(|found| found["severity"] == "warning");
     assert!(of_result.into_iter().all(|found| doubts.contains(&found["code"].as_str().unwrap())));
-    assert_eq!(doubted(), [true; 5]);
+    assert_eq!(doubted(), [true; 6]);
     assert_eq!(dbbd(at, &["robots", "check", robot]).status.code(), Some(3));
     // More lengths are the cure.
     let plan = dbbd(at, &["plan", "job.toml", "--robot", robot, "--out", "second"]);
@@ -76,6 +78,7 @@ fn export_takes_a_robot_or_a_capture() {
         says(&dbbd(at, &["export", robot, "--out", "e"]), 1, "E1724");
     }
     says(&dbbd(at, &["export", "run.dbbd", "--urdf-in", "arm.urdf", "--out", "e"]), 1, "E1724");
+    says(&dbbd(at, &["export", "run.dbbd", "--for", "kuka", "--out", "e"]), 1, "E1724");
     assert!(!at.join("e").exists());
     // Inputs of another kind.
     fs::write(at.join("job.toml"), JOB).unwrap();

@@ -6,6 +6,8 @@ use std::fs;
 
 use dbbd_job::program::krl;
 use dbbd_job::report::export::urdf::urdf;
+use dbbd_job::sim::truth;
+use dbbd_model::estimation::Workspace;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
 use dbbd_model::robot::{ArmLoad, Joint, Mass, Pose, Robot};
 use nalgebra::{Rotation3, Unit, Vector3};
@@ -13,7 +15,9 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use tempfile::tempdir;
 
-use crate::cell::{CENTRE, centres_csv, dbbd, kr60, measure, stderr, three_planes, with_errors};
+use crate::cell::{
+    CENTRE, centres_csv, codes, dbbd, kr60, measure, named, stderr, three_planes, with_errors,
+};
 
 /// The numbers of an attribute in a fragment of XML.
 fn numbers(xml: &str, attribute: &str) -> Vec<f64> {
@@ -25,7 +29,7 @@ fn numbers(xml: &str, attribute: &str) -> Vec<f64> {
 pub(crate) fn ball_of(urdf: &str, axes: &[f64; 6]) -> Vector3<f64> {
     let mut frame = Pose::identity();
     let mut turning = axes.iter();
-    for joint in urdf.split("<joint ").skip(1) {
+    for joint in urdf.split("<joint ").skip(1).filter(|joint| joint.contains("<parent")) {
         let joint = joint.split("</joint>").next().unwrap();
         let (xyz, rpy) = (numbers(joint, "xyz"), numbers(joint, "rpy"));
         let origin = Pose {
@@ -74,9 +78,10 @@ fn masses_are_part_of_the_links() {
     robot.geometry.load = ArmLoad::known(vec![mass(Joint::J6, 20.0, -100.0), mass(Joint::J6, 20.0, 100.0)]);
     let text = urdf(&robot);
     let link = text.split("<link name=\"link_6\">").nth(1).unwrap();
-    // Two points of 20 kg at a distance of 0.2 m: 40 kg * (0.1 m)^2 about y and z. The frame of the link is 170 mm before the flange.
+    // Two points of 20 kg at a distance of 0.2 m: 40 kg * (0.1 m)^2 about y and z, and 0.01 kg m^2 about every axis, without which
+    // MuJoCo refuses the link. The frame of the link is 170 mm before the flange.
     assert_eq!(numbers(link, "value"), [40.0]);
-    assert!((numbers(link, "iyy")[0] - 0.4).abs() < 1e-12 && numbers(link, "ixx")[0].abs() < 1e-12);
+    assert!((numbers(link, "iyy")[0] - 0.41).abs() < 1e-12 && (numbers(link, "ixx")[0] - 0.01).abs() < 1e-12);
     assert!((numbers(link, "xyz")[2] - 0.32).abs() < 1e-12);
     assert!(
         !text.contains("<KR>")
@@ -110,7 +115,9 @@ fn mastering_offsets_have_the_sense_of_the_axes() {
     let more = ["--sigma", "0.001", "--hold", "bar_offset", "--model", "geometric"];
     let output = dbbd(dir.path(), &[&args[..], &more].concat());
     assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
-    let table = fs::read_to_string(dir.path().join("out/mastering.csv")).unwrap();
+    let output = dbbd(dir.path(), &["export", "out", "--for", "kuka", "--out", "kuka"]);
+    assert!(codes(&output).contains(&"I1722".to_owned()), "{}", stderr(&output));
+    let table = fs::read_to_string(dir.path().join("kuka/mastering.csv")).unwrap();
     let rows: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
     let offset: Vec<f64> = rows.iter().map(|row| row[1].parse().unwrap()).collect();
     // The angle of the table is sign * A + offset, and joint 4 of a KUKA has the opposite sense of its axis.
@@ -124,7 +131,7 @@ fn mastering_offsets_have_the_sense_of_the_axes() {
     let truly = truth.geometry.ball(&shown.map(f64::to_radians)).position;
     assert!((kr60().geometry.ball(&stands).position - truly).norm() < 0.05);
 
-    let data = fs::read_to_string(dir.path().join("out/DBB_RESULT.dat")).unwrap();
+    let data = fs::read_to_string(dir.path().join("kuka/DBB_RESULT.dat")).unwrap();
     assert!(data.is_ascii() && data.lines().all(|line| line.len() < 200) && data.contains("\r\n"));
     let parsed = krl::parse_data("DBB_RESULT.dat", &data).unwrap();
     let text = format!("{parsed:?}");
@@ -132,9 +139,68 @@ fn mastering_offsets_have_the_sense_of_the_axes() {
         assert!(text.contains(name), "{name}");
     }
     // The URDF is of the identified robot.
-    let urdf = fs::read_to_string(dir.path().join("out/robot-identified.urdf")).unwrap();
+    let output = dbbd(dir.path(), &["export", "out", "--for", "urdf", "--out", "urdf"]);
+    assert!(!codes(&output).contains(&"I1722".to_owned()), "{}", stderr(&output));
+    let urdf = fs::read_to_string(dir.path().join("urdf/robot-identified.urdf")).unwrap();
     let toml = fs::read_to_string(dir.path().join("out/robot-identified.toml")).unwrap();
     let found = Robot::from_toml("robot-identified.toml", &toml).unwrap();
     let axes = shown.map(f64::to_radians);
     assert!((ball_of(&urdf, &axes) - found.geometry.ball(&axes).position).norm() < 1e-9);
+}
+
+/// The largest number of a kind that the document of an export has under `left_out`.
+fn left_out_mm(output: &std::process::Output) -> Option<f64> {
+    let document: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    document["left_out"]["max_mm"].as_f64()
+}
+
+/// A calibrated arm of Universal Robots: the YAML is read back as the same arm.
+#[test]
+fn the_file_of_ros_is_read_back() {
+    let dir = tempdir().unwrap();
+    let nominal = named("ur10e");
+    let found =
+        Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw_true_robot(&nominal, 3, 1.0) };
+    let mut found = Robot { geometry: found.geometry.rigid(), ..found };
+    // Where the base is in the room is not part of the file's form.
+    (found.geometry.rows[0].alpha, found.geometry.rows[0].a) = (0.0, 0.0);
+    fs::write(dir.path().join("found.toml"), found.to_toml().unwrap()).unwrap();
+    let output = dbbd(dir.path(), &["export", "found.toml", "--for", "ros", "--out", "ros", "--json"]);
+    assert_eq!((output.status.code(), left_out_mm(&output)), (Some(0), None), "{}", stderr(&output));
+    let yaml = "ros/robot_calibration.yaml";
+    assert!(dir.path().join("ros/robot-identified.urdf").is_file());
+    let output = dbbd(dir.path(), &["robots", "import", yaml, "--robot", "ur10e", "--out", "again.toml"]);
+    assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
+    let again = fs::read_to_string(dir.path().join("again.toml")).unwrap();
+    let again = Robot::from_toml("again.toml", &again).unwrap();
+    for axes in Workspace::uniform(&nominal, 50, 1) {
+        let off = (again.geometry.flange(&axes).position - found.geometry.flange(&axes).position).norm();
+        assert!(off < 1e-6, "{off} mm");
+    }
+    // A KUKA has no such file.
+    fs::write(dir.path().join("kuka.toml"), kr60().to_toml().unwrap()).unwrap();
+    assert_eq!(
+        dbbd(dir.path(), &["export", "kuka.toml", "--for", "ros", "--out", "no"]).status.code(),
+        Some(0)
+    );
+    assert!(!dir.path().join("no/robot_calibration.yaml").exists());
+}
+
+/// Zeros need the result, machine data a KUKA.
+#[test]
+fn what_a_target_needs_is_asked_for() {
+    let dir = tempdir().unwrap();
+    let found = with_errors([("theta2", 1e-3), ("a2", 0.5)]);
+    let found = Robot { nominal: Some(Box::new(kr60())), ..found };
+    fs::write(dir.path().join("found.toml"), found.to_toml().unwrap()).unwrap();
+    for target in ["kuka", "fanuc", "abb", "yaskawa", "staubli"] {
+        let output = dbbd(dir.path(), &["export", "found.toml", "--for", target, "--out", "out"]);
+        assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1725".to_owned()]), "{target}");
+    }
+    let output = dbbd(dir.path(), &["export", "kr60ha", "--for", "robodk", "--out", "dk", "--json"]);
+    assert_eq!((output.status.code(), left_out_mm(&output)), (Some(0), None), "{}", stderr(&output));
+    let table = fs::read_to_string(dir.path().join("dk/robodk.csv")).unwrap();
+    assert!(table.contains("\n2,-90.0,350.0,0.0,0.0,0.0,1.0\n"), "{table}");
+    let again = dbbd(dir.path(), &["export", "kr60ha", "--for", "robodk", "--out", "dk"]);
+    assert_eq!(again.status.code(), Some(1));
 }

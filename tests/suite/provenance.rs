@@ -94,6 +94,7 @@ fn chain_leads_from_corrected_program_to_job() {
     let far = ["--limit", "50"];
     let correct = compensate("krl/DBB_C001.src", "result/robot-identified.toml", "corrected");
     step(at, &[&correct[..], &far].concat());
+    step(at, &["export", "result", "--for", "kuka", "--out", "back"]);
     let roles = |file: &str| -> Vec<(String, String)> {
         let found = info(at, file);
         let text = |source: &Value, key: &str| source[key].as_str().unwrap().to_owned();
@@ -110,7 +111,7 @@ fn chain_leads_from_corrected_program_to_job() {
     }
     let lengths = is("measurements", "result/lengths.csv");
     let result = [robot.clone(), is("base_balls", "C.csv"), is("measurements", "obs.csv"), lengths];
-    for file in ["result/result.json", "result/robot-identified.toml", "result/DBB_RESULT.dat"] {
+    for file in ["result/result.json", "result/robot-identified.toml", "back/DBB_RESULT.dat"] {
         assert_eq!(roles(file)[..3], result[..3], "{file}");
     }
     let identified = is("identified_robot", "result/robot-identified.toml");

@@ -140,6 +140,8 @@ pub enum Input {
     Folds,
     /// How long a bar may be away.
     GoneTime,
+    /// Whom the files of a robot are for.
+    HandBackTarget,
     Identity,
     /// That an interim check is planned.
     InterimCheck,

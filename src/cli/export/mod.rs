@@ -1,5 +1,6 @@
 //! `dbbd export`.
 
+mod hand_back;
 mod tables;
 mod urdf;
 
@@ -14,30 +15,36 @@ use dbbd_job::files::{self, UnfinishedFile};
 use dbbd_job::recording::capture::CaptureSummary;
 use dbbd_job::recording::run;
 use dbbd_job::report::ReportFinding;
-use dbbd_job::report::export::mcap::{CHANNELS, McapFile};
+use dbbd_job::report::export::mcap::{CHANNELS, McapFile, RunScene};
 use dbbd_job::robot_files::named_robot;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Robot;
+use hand_back::{TargetName, robot_file};
 use tables::{CaptureTables, WrittenTable};
 
-/// Export a capture as CSV or MCAP, or an identified robot into a URDF.
+/// Export a capture as CSV or MCAP, or an identified robot for another program or its controller.
 ///
 /// Writes the samples, raw bytes, events, gaps and faults of a capture as CSV for scripts, or as MCAP for Foxglove, Python
-/// and ROS (examples/python, examples/foxglove). More: docs/reference/capture.md. With --urdf-in, replaces the origins of the
-/// joints in a URDF by those of an identified robot, and changes nothing else of it.
+/// and ROS (examples/python, examples/foxglove). More: docs/reference/capture.md. With --for, writes an identified robot in
+/// the files of a target, states in mm what these leave out, and adds the errors of the joints as joint-errors.csv where there
+/// are any. With --urdf-in, replaces the origins of the joints in your own URDF, and changes nothing else of it.
 #[derive(clap::Args)]
 pub(crate) struct ExportArgs {
-    /// The capture; with --urdf-in the robot: a built-in name or a TOML file, such as robot-identified.toml.
-    #[arg(value_name = "RUN|ROBOT")]
+    /// The capture. With --for or --urdf-in the directory of a result, or the robot: a built-in name or a TOML file, such as
+    /// robot-identified.toml.
+    #[arg(value_name = "RUN|RESULT|ROBOT")]
     run: PathBuf,
     /// Directory for samples.csv, raw.csv, events.csv, gaps.csv and faults.csv (times in ns of the host's clock, readings in
-    /// mm), or for the URDF.
+    /// mm), or for the files of the robot.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Write one MCAP file (RUN's name with the extension .mcap) instead: the channels raw, samples, faults, events and gaps
-    /// as JSON, and the capture's attachments.
+    /// Write one MCAP file (RUN's name with the extension .mcap) instead: the channels raw, samples, faults, events, gaps and axes
+    /// as JSON, tf and scene (robot, balls and bar in 3-D) as Foxglove's Protobuf, the capture's attachments and robot.urdf.
     #[arg(long)]
     mcap: bool,
+    /// Whom the files of the robot are for.
+    #[arg(long = "for", value_name = "TARGET", value_enum, conflicts_with_all = ["mcap", "urdf_in"])]
+    target: Option<TargetName>,
     /// Your URDF. It is written to DIR under its name, with the robot's identified joints.
     #[arg(long, value_name = "FILE", conflicts_with = "mcap")]
     urdf_in: Option<PathBuf>,
@@ -55,6 +62,9 @@ const MCAP_MAGIC: &[u8] = b"\x89MCAP0\r\n";
 pub(crate) fn run(args: &ExportArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     check_kind(args)?;
     files::directory(&args.out)?;
+    if let Some(target) = args.target {
+        return hand_back::run(args, target, out);
+    }
     if let Some(urdf) = &args.urdf_in {
         return urdf::run(args, urdf, out);
     }
@@ -66,7 +76,7 @@ pub(crate) fn run(args: &ExportArgs, out: &CommandOutput) -> Result<CommandOutco
         files::is_earlier(&path, MCAP_MAGIC)?;
         let (unfinished, file) = UnfinishedFile::create(&path)?;
         let wrong = |error: Diagnostic| error.in_file(path.display());
-        let mut mcap = McapFile::new(BufWriter::new(file)).map_err(wrong)?;
+        let mut mcap = McapFile::new(BufWriter::new(file), scene(&args.run)).map_err(wrong)?;
         let pass = CaptureSummary::over(&args.run, |stamped| mcap.add(&stamped).map_err(wrong))?;
         let messages = mcap.finish().map_err(wrong)?;
         unfinished.finish()?;
@@ -89,16 +99,25 @@ pub(crate) fn run(args: &ExportArgs, out: &CommandOutput) -> Result<CommandOutco
     Ok(CommandOutcome::Done)
 }
 
-/// Refuses a capture with --urdf-in, and a robot without it.
+/// The scene of a run whose poses can be matched; a capture without a plan, or of a foreign program, has none.
+fn scene(run: &Path) -> Option<RunScene> {
+    let run = run::open_run(run, None, &[], &mut |_| {}).ok()?;
+    let (robot, matching) = (run.robot().ok()?, run.matching(None).ok()?);
+    Some(RunScene::of(&run, &robot, &matching))
+}
+
+/// Refuses a capture where a robot is exported, and a robot where nothing says for whom.
 fn check_kind(args: &ExportArgs) -> Result<(), Diagnostic> {
-    let name = args.run.to_string_lossy();
+    let file = robot_file(args);
+    let name = file.to_string_lossy();
     let is_capture = args.run.is_file() && run::is_capture(&args.run)?;
-    let is_named = Robot::built_in_file(&name).is_some() || args.run.is_file();
+    let is_named = Robot::built_in_file(&name).is_some() || file.is_file();
     let is_robot = || is_named && named_robot(&name).is_ok();
-    let finding = match &args.urdf_in {
-        Some(_) if is_capture => ReportFinding::CaptureIntoUrdf,
-        None if !is_capture && is_robot() => ReportFinding::RobotWithoutUrdf,
-        _ => return Ok(()),
+    let wants_robot = args.target.is_some() || args.urdf_in.is_some();
+    let finding = match wants_robot {
+        true if is_capture => ReportFinding::CaptureAsRobot,
+        false if !is_capture && is_robot() => ReportFinding::RobotWithoutTarget,
+        true | false => return Ok(()),
     };
     Err(Diagnostic::file(&name, finding))
 }

@@ -34,10 +34,8 @@ pub(crate) struct IdentifyArgs {
     #[arg(long)]
     new_setup: bool,
     /// Directory for report.html, result.json, parameters.csv, covariance.csv (mm, rad), lengths.csv and positions.csv (the
-    /// observations that the result rests on); the identified robot as robot-identified.toml and as robot-identified.urdf
-    /// (m, rad; a joint variable is the controller's axis angle); for the controller mastering.csv (zero error of each axis,
-    /// degrees) and DBB_RESULT.dat (tool ball, base balls and offsets in KRL, which take effect only where a program uses
-    /// them).
+    /// observations that the result rests on), and the identified robot as robot-identified.toml; `dbbd export --for` writes
+    /// it for other programs and for its controller.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Robot: a built-in name or a TOML file.

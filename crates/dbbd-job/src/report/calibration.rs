@@ -91,7 +91,7 @@ pub fn html(
         counts,
         groups: groups(result, &found.robot),
         not_estimated: not_estimated(&result.parameters),
-        zeros: offsets(found),
+        zeros: offsets(&found.result, &found.robot),
         balls: frames(result),
         budget,
         verdict: Verdict::of_calibration(result, budget),

@@ -20,17 +20,23 @@ findings! {
         cure: "Give the joint of the URDF the sum that is named, as with the maker's own URDF." {
             CoupledInUrdf { joint: usize, sum: String } => "the variable of the URDF's joint {joint} is {sum}, not what the controller shows for axis {joint}";
         }
-        E1724 "a robot is exported into a URDF, a capture into tables",
-        cause: "With a URDF given the joints of a robot are written into your URDF, and the first argument is the robot's file. Without it the first argument is a capture.",
-        cure: "Give the URDF with a robot, and leave it out with a capture.",
-        asks: [Urdf] {
-            RobotWithoutUrdf => "is a robot: it is exported into a URDF, and none is given";
-            CaptureIntoUrdf => "is a capture: a robot is exported into a URDF, such as robot-identified.toml";
+        E1724 "a robot is exported for a target, a capture into tables",
+        cause: "With a target or a URDF given the first argument is a robot, or the directory of its result. Without them it is a capture.",
+        cure: "Give a target or your URDF with a robot, and neither with a capture.",
+        asks: [HandBackTarget, Urdf] {
+            RobotWithoutTarget => "is a robot, and neither a target nor a URDF is given";
+            CaptureAsRobot => "is a capture: a robot is exported for a target or into a URDF, such as robot-identified.toml";
         }
-        I1722 "a URDF cannot hold all that was identified",
-        cause: "A URDF describes rigid links. It cannot represent gear errors, compliance, backlash and smooth joint errors.",
-        cure: "Nothing to do, if the accuracy suffices; else compute positions with `dbbd predict`, which includes them." {
-            NotInUrdf { mean_mm: f64, max_mm: f64 } => "the URDF leaves out joint errors and compliance: {mean_mm:.3} mm at the tool ball on average, {max_mm:.3} mm at most, without backlash";
+        E1725 "a robot cannot be handed back to this controller",
+        cause: "Zeros of axes are differences from the nominal robot, and need the result of its identification (result.json beside robot-identified.toml). Machine data of a KUKA need a KUKA arm with a central wrist.",
+        cure: "Give the directory that `dbbd identify` wrote, and the target of the robot's make." {
+            NoResult => "the result of this robot's identification is not beside its file";
+            NotKuka => "its table is not that of a KUKA with a central wrist";
+        }
+        I1722 "a target cannot hold all that was identified",
+        cause: "A URDF, a DH table and machine data describe rigid links. They cannot represent gear errors, compliance, backlash and smooth joint errors; machine data and zeros hold only a part of the table.",
+        cure: "Nothing to do, if the accuracy suffices. Else correct programs with `dbbd compensate`, compute positions with `dbbd predict`, or use joint-errors.csv in your own post-processor." {
+            LeftOut { mean_mm: f64, max_mm: f64 } => "left out: {mean_mm:.3} mm at the tool ball on average over the workspace, {max_mm:.3} mm at most";
         }
     }
 }

@@ -6,14 +6,15 @@ use std::path::{Path, PathBuf};
 use dbbd_model::base::hash::sha256;
 use dbbd_model::base::text::unreadable;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::{EstimationFinding, ProgramUncertainty};
+use dbbd_model::estimation::{EstimationFinding, ProgramUncertainty, Workspace};
 use dbbd_model::plausibility::Quantity;
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact};
-use dbbd_model::robot::{ControllerModel, LoadedRobot, Pose, Robot};
+use dbbd_model::robot::{AXES, ControllerModel, LoadedRobot, Pose, Robot};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
+use super::identify::read_workspace;
 use super::robots::{carrying, edited, robot_for_measurement};
 use super::{AnswerOutcome, RequestResult, RequestSession};
 use crate::file_set::{EarlierFiles, FileSet};
@@ -45,12 +46,54 @@ pub struct CompensateRequest {
     /// The controller has the nominal model, although its make has another one by default.
     #[serde(default)]
     pub nominal_controller: bool,
+    /// The poses over which robot and program are aligned, for the predicted uncertainty.
+    #[serde(default)]
+    pub datum: ProgramDatum,
     /// The program is refused if a commanded point would move by more than this.
     #[serde(default = "default_limit_mm")]
     pub limit_mm: f64,
     /// Replace the files of an earlier result; otherwise it is refused.
     #[serde(default)]
     pub replace: bool,
+}
+
+/// Poses over which robot and program are aligned.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ProgramDatum {
+    /// The points of the program, whose base is measured at them.
+    #[default]
+    Program,
+    /// The workspace of the robot, as in `result.json`.
+    Workspace,
+    /// A table of poses with the columns a1_deg..a6_deg.
+    File(PathBuf),
+}
+
+impl ProgramDatum {
+    /// Poses and seed of the workspace.
+    const WORKSPACE: (usize, u64) = (2000, 1);
+
+    /// As in the answer.
+    fn name(&self) -> String {
+        match self {
+            Self::Program => "program".into(),
+            Self::Workspace => "workspace".into(),
+            Self::File(path) => path.display().to_string(),
+        }
+    }
+
+    /// Axis angles, rad; none where the points of the program are the datum.
+    fn poses(&self, robot: &Robot, session: &RequestSession<'_>) -> Result<Vec<[f64; AXES]>, Diagnostic> {
+        match self {
+            Self::Program => Ok(Vec::new()),
+            Self::Workspace => {
+                let (poses, seed) = Self::WORKSPACE;
+                Ok(Workspace::uniform(robot.controller(), poses, seed))
+            }
+            Self::File(path) => read_workspace(path, robot, session),
+        }
+    }
 }
 
 /// The default of [`CompensateRequest::limit_mm`].
@@ -68,6 +111,8 @@ pub struct CompensateDocument {
     pub left: usize,
     /// Of the program's own tools at its points; `None` if all points are axis angles, or the file lacks the posterior.
     pub predicted: Option<ProgramUncertainty>,
+    /// Over which poses it is aligned: `program`, `workspace` or a file.
+    pub datum: String,
     /// The directory of the corrected program.
     pub out: String,
 }
@@ -90,7 +135,7 @@ impl Serialize for CompensateDocument {
         let document = json!({
             "points": self.points, "mean_shift_mm": mean_mm, "largest_shift_mm": largest_mm,
             "left": self.left, "out": self.out,
-            "predicted_position_uncertainty_mm": self.predicted, "datum": "program",
+            "predicted_position_uncertainty_mm": self.predicted, "datum": self.datum,
         });
         document.serialize(serializer)
     }
@@ -128,6 +173,7 @@ impl CompensateRequest {
             let finding = ProgramFinding::OtherLanguage { robot, language, wanted };
             return Err(Diagnostic::file(&self.robot, finding));
         }
+        let datum = self.datum.poses(&robot, session)?;
         let context = CorrectionContext { request: self, robot: &robot, identified: &identified, session };
         let corrected = match language {
             Language::Krl => context.krl()?,
@@ -142,13 +188,15 @@ impl CompensateRequest {
         let files = set.finish()?;
         report(&corrected, session);
         let tool_points: Vec<_> = corrected.moved.iter().filter_map(|moved| moved.tool_point).collect();
-        let predicted = robot.has_posterior().then(|| ProgramUncertainty::of(&robot, &tool_points)).flatten();
+        let predicted =
+            robot.has_posterior().then(|| ProgramUncertainty::of(&robot, &tool_points, &datum)).flatten();
         if let Some(ProgramUncertainty { before, after }) = predicted.filter(|errors| !errors.is_better()) {
             let [before_mm, after_mm] = [before.mean, after.mean];
             session.finding(CompensationFinding::NoBetter { before_mm, after_mm });
         }
         let document = CompensateDocument {
             predicted,
+            datum: self.datum.name(),
             points: corrected.moved,
             left: corrected.left.len(),
             out: self.out.display().to_string(),

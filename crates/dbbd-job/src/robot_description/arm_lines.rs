@@ -1,7 +1,7 @@
 //! The joint axes of an arm as lines in space, and the robot with their table.
 
 use dbbd_model::estimation::Workspace;
-use dbbd_model::robot::{AXES, ArmTable, JointAxis, Pose, Robot};
+use dbbd_model::robot::{AXES, ArmTable, DhRow, JointAxis, Pose, Robot};
 
 use super::catalogue::DescriptionFinding;
 
@@ -25,24 +25,33 @@ const SAME_RAD: f64 = 1e-5;
 #[derive(Clone, Debug)]
 pub(super) struct ArmLines {
     pub axes: [JointAxis; AXES],
+    /// 1, or -1 where the controller counts an axis against the direction of its line.
+    pub signs: [f64; AXES],
     pub flange: Pose,
 }
 
 impl ArmLines {
     /// The flange at axis angles (rad): the turns about the lines, one after the other.
-    fn flange_at(&self, angles: &[f64; AXES]) -> Pose {
-        let turn = |axis: &JointAxis, angle: f64| {
-            let turn = Pose::from_rotation_vector([0.0; 3], (axis.direction * angle).into());
+    pub(super) fn flange_at(&self, angles: &[f64; AXES]) -> Pose {
+        let turn = |(axis, sign): (&JointAxis, &f64), angle: f64| {
+            let turn = Pose::from_rotation_vector([0.0; 3], (axis.direction * (sign * angle)).into());
             let position = axis.point - turn.rotation * axis.point;
             Pose { position, ..turn }
         };
-        let moved = self.axes.iter().zip(angles).map(|(axis, angle)| turn(axis, *angle));
+        let moved = self.axes.iter().zip(&self.signs).zip(angles).map(|(axis, angle)| turn(axis, *angle));
         moved.fold(Pose::identity(), |before, next| before.then(&next)).then(&self.flange)
+    }
+
+    /// The table of these lines, with their senses.
+    pub(super) fn table(&self) -> ArmTable {
+        let table = ArmTable::of(&self.axes, &self.flange);
+        let rows = std::array::from_fn(|at| DhRow { sign: self.signs[at], ..table.rows[at] });
+        ArmTable { rows, ..table }
     }
 
     /// The same robot with the table of these lines.
     pub(super) fn imported(&self, mut robot: Robot) -> ImportedRobot {
-        let table = ArmTable::of(&self.axes, &self.flange);
+        let table = self.table();
         robot.set_rows(table.rows);
         let poses = Workspace::uniform(&robot, CHECKED_POSES, 1);
         let off = |axes: &[f64; AXES]| {

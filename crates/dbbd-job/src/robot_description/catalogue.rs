@@ -20,10 +20,12 @@ findings! {
             NotNumbers { attribute: String } => "`{attribute}` is not three numbers";
             NotNumber { attribute: String } => "`{attribute}` is not a number";
         }
-        E0590 "a factory calibration cannot be read",
-        cause: "The file is neither a URDF, nor the calibration of a Universal Robots controller (calibration.conf, or YAML with `kinematics`), or a value is missing in it.",
+        E0590 "a description of a controller cannot be read",
+        cause: "The file is neither a URDF, nor the machine data of a KUKA ($machine.dat of R1), nor the calibration of a Universal Robots controller (calibration.conf, or YAML with `kinematics`); a value is missing in it; or its kinematics are not those of an arm with six axes and a central wrist.",
         cure: "Give the file of the controller as it is, or the address of the controller." {
-            NotKnown => "is neither a URDF nor a factory calibration of a known form";
+            NotKnown => "is neither a URDF, nor a $machine.dat, nor a factory calibration of a known form";
+            MachineValue { key: String } => "`{key}` is missing, or has no possible value";
+            OtherKinematics { key: String, found: String, needed: String } => "`{key}` is {found}: only arms with {needed} are read";
             SixNumbers { key: String } => "`{key}` is missing, or is not six numbers";
             Segment { segment: String } => "`{segment}` of `kinematics` is missing, or lacks one of x, y, z, roll, pitch, yaw";
         }

@@ -1,24 +1,26 @@
-//! A robot from a description that is not a robot file: a URDF, or the factory calibration of a controller.
+//! A robot from a description that is not a robot file: a URDF, the machine data of a controller, or its factory calibration.
 //!
 //! This room reads joint axes as lines in space, and makes a table of them. It does not know what is measured with the robot.
 
 mod arm_lines;
 mod catalogue;
-mod universal;
+mod machine_data;
+pub(crate) mod universal;
 pub(crate) mod urdf;
 
 pub use arm_lines::{CHECKED_POSES, ImportedRobot};
 pub use catalogue::DescriptionFinding;
+pub use machine_data::{MachineData, WristLink};
 pub use universal::FactoryTable;
 
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Robot;
 
-/// A robot from the text of a URDF, or of the factory calibration of a controller. `like` is the nominal robot of the type, which a
+/// A robot from the text of a URDF, of a `$machine.dat`, or of the factory calibration of a controller. `like` is the nominal robot of the type, which a
 /// calibration needs; `joints` names the six joints of a URDF where it has several chains.
 ///
 /// # Errors
-/// The text is neither, or is no arm of six rotary joints in a chain.
+/// The text is none of these, or is no arm of six rotary joints in a chain.
 pub fn import(
     file: &str,
     text: &str,
@@ -29,7 +31,14 @@ pub fn import(
         return urdf::import(file, text, joints);
     }
     let in_file = |finding: DescriptionFinding| Diagnostic::file(file, finding);
+    if MachineData::is_in(text) {
+        return machine_data::import(text).map_err(in_file);
+    }
     let table = FactoryTable::read(text).map_err(in_file)?;
     let like = like.ok_or_else(|| in_file(DescriptionFinding::TypeNeeded))?;
     Ok(table.imported(like))
+}
+
+fn finite(text: &str) -> Option<f64> {
+    text.parse().ok().filter(|value: &f64| value.is_finite())
 }

@@ -12,10 +12,13 @@ use saphyr::{LoadableYamlNode, Yaml};
 
 use super::arm_lines::{ArmLines, ImportedRobot};
 use super::catalogue::DescriptionFinding;
+use super::finite;
 
 /// The segments of the YAML, base to flange.
-const SEGMENTS: [&str; AXES] = ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
-const COORDINATES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
+pub(crate) const SEGMENTS: [&str; AXES] =
+    ["shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"];
+/// The keys of a segment, m and rad.
+pub(crate) const COORDINATES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
 /// The port of the primary interface.
 const PRIMARY_PORT: u16 = 30001;
 /// A controller sends its kinematics when a client connects.
@@ -162,7 +165,7 @@ fn lines_after(links: &[Pose; AXES]) -> ArmLines {
         frame = frame.then(&link);
         axis
     });
-    ArmLines { axes, flange: frame }
+    ArmLines { axes, signs: [1.0; AXES], flange: frame }
 }
 
 /// The lines of joints that follow their segments.
@@ -172,7 +175,7 @@ fn lines_before(segments: &[Pose; AXES]) -> ArmLines {
         frame = frame.then(&segment);
         JointAxis { point: frame.position, direction: frame.rotation.column(2).into() }
     });
-    ArmLines { axes, flange: frame }
+    ArmLines { axes, signs: [1.0; AXES], flange: frame }
 }
 
 /// The six numbers of `key = [..]`.
@@ -223,10 +226,6 @@ fn standard_table(bytes: &[u8]) -> Option<StandardTable> {
         <[f64; AXES]>::try_from(column).ok().filter(|column| column.iter().all(|value| value.is_finite()))
     };
     Some(StandardTable { theta: column(1.0)?, a: column(1e3)?, d: column(1e3)?, alpha: column(1.0)? })
-}
-
-fn finite(text: &str) -> Option<f64> {
-    text.parse().ok().filter(|value: &f64| value.is_finite())
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ const ENDS: [&str; 2] = ["tool0", "flange"];
 /// Limits of a joint that turns without end: two turns to either side are common.
 const ENDLESS_DEG: f64 = 360.0;
 /// Speed of a joint that states none or zero, degrees/s.
-const USUAL_SPEED_DEG_S: f64 = 180.0;
+pub(super) const USUAL_SPEED_DEG_S: f64 = 180.0;
 
 /// The robot of a URDF, with the limits and speeds of its joints.
 pub(super) fn import(file: &str, text: &str, names: &[String]) -> Result<ImportedRobot, Diagnostic> {
@@ -38,7 +38,8 @@ pub(super) fn import(file: &str, text: &str, names: &[String]) -> Result<Importe
     let six = |_| reader.refused(document.root_element(), NoSixJoints { chains: 0, joints: String::new() });
     let limits: [JointLimits; AXES] =
         limits.try_into().map_err(|limits: Vec<JointLimits>| six(limits.len()))?;
-    let lines = ArmLines { axes: axes.try_into().map_err(|axes: Vec<JointAxis>| six(axes.len()))?, flange };
+    let axes = axes.try_into().map_err(|axes: Vec<JointAxis>| six(axes.len()))?;
+    let lines = ArmLines { axes, signs: [1.0; AXES], flange };
     let name = document.root_element().attribute("name").unwrap_or("arm");
     let robot = Robot::rigid(name, limits.map(|limits| limits.deg), limits.map(|limits| limits.deg_s));
     Ok(lines.imported(robot))

@@ -8,7 +8,7 @@ use super::linear_system::factor;
 use super::priors::{Prior, largest_plausible};
 use super::result::{MonteCarlo, ParameterResult, Status};
 use super::shifted_rows::shifted_rows;
-use super::workspace::left_out_mm;
+use super::workspace::SimplifiedModelError;
 use crate::diagnostic::Names;
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::ChiSquareOutcome;
@@ -54,7 +54,9 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(position(of));
     found.extend(poorly_observable(&of.parameters));
     let identified = Robot { geometry: fit.model.geometry.clone(), ..of.setting.robot.clone() };
-    found.extend(left_out_mm(&identified).map(|left_out_mm| EstimationFinding::BeyondTable { left_out_mm }));
+    let beyond =
+        |left_out: SimplifiedModelError| EstimationFinding::BeyondTable { left_out_mm: left_out.mean_mm };
+    found.extend(SimplifiedModelError::of(&identified).map(beyond));
     found.extend(approach_unknown(of));
     found.extend(of.checks.monte_carlo.iter().flat_map(monte_carlo));
     found.extend(absolute_accuracy_mode(of));

@@ -74,7 +74,7 @@ pub use priors::{Prior, Priors, largest_plausible, length_sd_mm};
 pub use program_uncertainty::{PointUncertainty, ProgramUncertainty};
 pub use result::{CalibrationResult, CompletedCalibration};
 pub use selection::{is_place, without_open_places};
-pub use workspace::{ErrorSummary, Workspace, left_out_mm};
+pub use workspace::{ErrorSummary, SimplifiedModelError, Workspace};
 
 #[cfg(test)]
 mod tests;

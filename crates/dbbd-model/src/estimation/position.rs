@@ -4,12 +4,14 @@
 //! smooth function has left beyond the angles measured (all of it far from them) and, where the sense of approach
 //! is not known, its backlash.
 
+use std::ops::Range;
+
 use nalgebra::{DMatrix, Matrix3, Vector3};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::workspace::{Workspace, take_out_rigid_motion};
+use super::workspace::{Workspace, take_out_rigid_motion, take_out_rigid_motion_of};
 use crate::math::{beside, stacked};
 use crate::measurement::{ApproachedPose, LengthModel};
 use crate::robot::{
@@ -42,14 +44,28 @@ struct JointDisplacement {
 impl Positions {
     /// Of a robot at `poses`, by what is not known of it.
     pub fn of(robot: &Robot, poses: &[ApproachedPose]) -> Self {
-        let mut positions =
-            Self::new(&robot.geometry, &robot.known_uncertainty(), &datum_poses(robot, poses));
-        positions.balls.truncate(poses.len());
+        Self::aligned(robot, &AlignedPoses::of(robot, poses, &[]))
+    }
+
+    /// Of a robot at aligned poses.
+    pub(super) fn aligned(robot: &Robot, poses: &AlignedPoses) -> Self {
+        let AlignedPoses { all, datum, count } = poses;
+        let mut positions = Self::in_datum(&robot.geometry, &robot.known_uncertainty(), all, datum.clone());
+        positions.balls.truncate(*count);
         positions
     }
 
     /// Of a robot at `poses`, aligned over these.
     pub fn new(geometry: &Geometry, unknown: &RobotUncertainty, poses: &[ApproachedPose]) -> Self {
+        Self::in_datum(geometry, unknown, poses, 0..poses.len())
+    }
+
+    fn in_datum(
+        geometry: &Geometry,
+        unknown: &RobotUncertainty,
+        poses: &[ApproachedPose],
+        datum: Range<usize>,
+    ) -> Self {
         let all: Vec<([f64; AXES], Approach)> =
             poses.iter().map(|pose| (pose.axes.radians(), pose.approach)).collect();
         let motion = BallMotion::new(geometry, &all, &unknown.parameters);
@@ -62,7 +78,7 @@ impl Positions {
         let by_payload = by_payload(geometry, &all, &motion.balls);
         let BallMotion { jacobian, balls, .. } = motion;
         let mut moved = beside(jacobian * &unknown.root, &by_payload);
-        take_out_rigid_motion(&mut moved, &balls);
+        take_out_rigid_motion_of(&mut moved, &balls, datum);
         Self { balls, moved, joints, pose_mm: unknown.pose_mm }
     }
 
@@ -101,13 +117,28 @@ impl Positions {
     }
 }
 
-/// The poses by which a robot at `poses` is aligned: these, and where they are few, poses of the workspace after them.
-pub(super) fn datum_poses(robot: &Robot, poses: &[ApproachedPose]) -> Vec<ApproachedPose> {
-    const WORKSPACE_POSES: usize = 300;
-    const SEED: u64 = 1;
-    let more = if poses.len() < MIN_POSES { WORKSPACE_POSES } else { 0 };
-    let workspace = Workspace::uniform(robot.controller(), more, SEED);
-    poses.iter().copied().chain(workspace.iter().map(ApproachedPose::unapproached)).collect()
+/// Poses, with those by which the robot's base is aligned.
+pub(super) struct AlignedPoses {
+    /// The poses, and those of the datum after them that are not among them.
+    pub(super) all: Vec<ApproachedPose>,
+    pub(super) datum: Range<usize>,
+    /// Of the poses themselves.
+    count: usize,
+}
+
+impl AlignedPoses {
+    /// Aligned over `datum` (axis angles, rad). If it is empty, over the poses themselves, and where they are few, over poses of the
+    /// workspace too.
+    pub(super) fn of(robot: &Robot, poses: &[ApproachedPose], datum: &[[f64; AXES]]) -> Self {
+        const WORKSPACE_POSES: usize = 300;
+        const SEED: u64 = 1;
+        let more = if datum.is_empty() && poses.len() < MIN_POSES { WORKSPACE_POSES } else { 0 };
+        let workspace = Workspace::uniform(robot.controller(), more, SEED);
+        let further = workspace.iter().chain(datum).map(ApproachedPose::unapproached);
+        let all: Vec<ApproachedPose> = poses.iter().copied().chain(further).collect();
+        let first = if datum.is_empty() { 0 } else { poses.len() };
+        Self { datum: first..all.len(), all, count: poses.len() }
+    }
 }
 
 /// How a tool frame is turned at poses, with what is not known of it.

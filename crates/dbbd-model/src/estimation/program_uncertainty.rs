@@ -4,10 +4,10 @@
 use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
 
-use super::position::{Positions, datum_poses};
-use super::workspace::take_out_rigid_motion;
+use super::position::{AlignedPoses, Positions};
+use super::workspace::take_out_rigid_motion_of;
 use crate::measurement::{ApproachedPose, ToolPoint};
-use crate::robot::Robot;
+use crate::robot::{AXES, Robot};
 
 /// Predicted position uncertainty at points: the root mean square of the 3-D error that is expected at a point, mm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -24,8 +24,7 @@ impl PointUncertainty {
     }
 }
 
-/// The predicted position uncertainty of the program's own tool, after the best rigid alignment over these points; of fewer than 10 points,
-/// over the workspace too.
+/// The predicted position uncertainty of the program's own tool, after the best rigid alignment over its datum.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ProgramUncertainty {
     /// The nominal robot's: how far the identified robot is from it, and what is not known of the identified one.
@@ -35,8 +34,9 @@ pub struct ProgramUncertainty {
 }
 
 impl ProgramUncertainty {
-    /// Of an identified robot; `None` without points. The points of each tool are aligned by themselves.
-    pub fn of(robot: &Robot, points: &[ToolPoint]) -> Option<Self> {
+    /// Of an identified robot; `None` without points. The datum are poses (axis angles, rad). If there are none, the points of each
+    /// tool are aligned by themselves; fewer than 10 of them with poses of the workspace.
+    pub fn of(robot: &Robot, points: &[ToolPoint], datum: &[[f64; AXES]]) -> Option<Self> {
         let mut tools: Vec<Vector3<f64>> = Vec::new();
         for point in points {
             if !tools.contains(&point.tool) {
@@ -45,7 +45,7 @@ impl ProgramUncertainty {
         }
         let of_tool = |tool: &Vector3<f64>| {
             let own = points.iter().filter(|point| point.tool == *tool);
-            errors(robot, tool, &own.map(|point| point.pose).collect::<Vec<_>>())
+            errors(robot, tool, &own.map(|point| point.pose).collect::<Vec<_>>(), datum)
         };
         let errors: Vec<[f64; 2]> = tools.iter().flat_map(of_tool).collect();
         (!errors.is_empty()).then(|| Self {
@@ -62,21 +62,26 @@ impl ProgramUncertainty {
 }
 
 /// The errors before and after at each pose of one tool, mm.
-fn errors(robot: &Robot, tool: &Vector3<f64>, poses: &[ApproachedPose]) -> Vec<[f64; 2]> {
+fn errors(
+    robot: &Robot,
+    tool: &Vector3<f64>,
+    poses: &[ApproachedPose],
+    datum: &[[f64; AXES]],
+) -> Vec<[f64; 2]> {
     let robot = robot.clone().with_exact_tool((*tool).into());
     let mut controller = robot.controller().geometry.clone();
     controller.tool = *tool;
-    let aligned = datum_poses(&robot, poses);
-    let (mut off, mut places) = (DMatrix::zeros(3 * aligned.len(), 1), Vec::new());
-    for (at, pose) in aligned.iter().enumerate() {
+    let aligned = AlignedPoses::of(&robot, poses, datum);
+    let (mut off, mut places) = (DMatrix::zeros(3 * aligned.all.len(), 1), Vec::new());
+    for (at, pose) in aligned.all.iter().enumerate() {
         let axes = pose.axes.radians();
         let there = robot.geometry.approached(pose.approach).ball(&axes).position;
         let commanded = controller.ball(&axes).position;
         off.fixed_view_mut::<3, 1>(3 * at, 0).copy_from(&(there - commanded));
         places.push(commanded);
     }
-    take_out_rigid_motion(&mut off, &places);
-    let positions = Positions::of(&robot, poses);
+    take_out_rigid_motion_of(&mut off, &places, aligned.datum.clone());
+    let positions = Positions::aligned(&robot, &aligned);
     let pair = |at: usize| {
         let after = positions.sd_mm(at);
         [off.rows(3 * at, 3).norm().hypot(after), after]
@@ -119,12 +124,12 @@ mod tests {
     fn before_is_the_correction_and_what_is_not_known() {
         let robot = identified();
         for (count, tool) in [(40, Vector3::zeros()), (4, Vector3::new(0.0, 100.0, 300.0))] {
-            let found = ProgramUncertainty::of(&robot, &points(&robot, count, tool)).unwrap();
+            let found = ProgramUncertainty::of(&robot, &points(&robot, count, tool), &[]).unwrap();
             let ratio = found.before.mean / found.after.mean;
             assert!((ratio - 101f64.sqrt()).abs() < 1e-3 * ratio, "{count}: {ratio}");
             assert!(found.after.mean > 0.02 && found.after.max < 0.15 && found.is_better(), "{found:?}");
         }
-        assert!(ProgramUncertainty::of(&robot, &[]).is_none());
+        assert!(ProgramUncertainty::of(&robot, &[], &[]).is_none());
     }
 
     #[test]
@@ -132,7 +137,7 @@ mod tests {
         let robot = identified();
         let [few, many] =
             [(12, 0.0), (36, 400.0)].map(|(count, z)| points(&robot, count, Vector3::new(0.0, 0.0, z)));
-        let mean = |points: &[ToolPoint]| ProgramUncertainty::of(&robot, points).unwrap().after.mean;
+        let mean = |points: &[ToolPoint]| ProgramUncertainty::of(&robot, points, &[]).unwrap().after.mean;
         let both = mean(&[few.clone(), many.clone()].concat());
         assert!((both - 0.25 * mean(&few) - 0.75 * mean(&many)).abs() < 1e-12);
     }
@@ -142,7 +147,28 @@ mod tests {
     fn a_correction_that_is_smaller_than_its_uncertainty_does_not_help() {
         let mut robot = identified();
         robot.geometry.rows[2].a -= 0.96;
-        let found = ProgramUncertainty::of(&robot, &points(&robot, 40, Vector3::zeros())).unwrap();
+        let found = ProgramUncertainty::of(&robot, &points(&robot, 40, Vector3::zeros()), &[]).unwrap();
         assert!(!found.is_better(), "{found:?}");
+    }
+
+    /// Aligned over the workspace, points near each other have an error that they would share with their own base.
+    #[test]
+    fn points_near_each_other_are_worse_in_the_datum_of_the_workspace() {
+        let robot = identified();
+        let near = |at: usize| {
+            let axes_deg = [10.0, -60.0, 70.0, 20.0, 40.0, 5.0].map(|deg| deg + 0.3 * at as f64);
+            let pose =
+                ApproachedPose { axes: AxisAngles::from_degrees(axes_deg), approach: Approach::default() };
+            ToolPoint { tool: Vector3::zeros(), pose }
+        };
+        let points: Vec<ToolPoint> = (0..12).map(near).collect();
+        let workspace = Workspace::uniform(robot.controller(), 400, 1);
+        let own = ProgramUncertainty::of(&robot, &points, &[]).unwrap();
+        let shared = ProgramUncertainty::of(&robot, &points, &workspace).unwrap();
+        assert!(shared.before.mean > 5.0 * own.before.mean, "{shared:?} {own:?}");
+        // The same poses as datum are the same.
+        let axes: Vec<[f64; AXES]> = points.iter().map(|point| point.pose.axes.radians()).collect();
+        let again = ProgramUncertainty::of(&robot, &points, &axes).unwrap();
+        assert!((again.before.mean - own.before.mean).abs() < 1e-9);
     }
 }

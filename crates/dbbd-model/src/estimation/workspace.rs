@@ -1,15 +1,17 @@
 //! The position of the tool ball over a workspace: its Jacobian, and the size of its errors.
 
-use nalgebra::{DMatrix, Vector3};
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector, DVectorViewMut, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use super::position::BallMotion;
 use super::result::MapPoint;
-use crate::math::{OrthonormalBasis, aligned_distances};
+use crate::math::aligned_distances;
 use crate::robot::{
-    AXES, Approach, AxesAtPose, Geometry, JointErrors, JointSinCos, KinematicChain, ParamId, PayloadId, Robot,
+    AXES, Approach, AxesAtPose, Geometry, JointSinCos, KinematicChain, ParamId, PayloadId, Robot,
 };
 
 /// Position error of the tool ball over a workspace for many drawn robots, mm.
@@ -122,10 +124,17 @@ fn percentile_95(values: &mut [f64]) -> f64 {
 
 /// Projects the six rigid motions of the positions out of the columns.
 pub(super) fn take_out_rigid_motion(jacobian: &mut DMatrix<f64>, positions: &[Vector3<f64>]) {
-    if positions.is_empty() {
-        return;
-    }
-    let centroid = positions.iter().sum::<Vector3<f64>>() / positions.len() as f64;
+    take_out_rigid_motion_of(jacobian, positions, 0..positions.len());
+}
+
+/// Takes the rigid motion out of the columns that fits those of the positions best which are the datum.
+pub(super) fn take_out_rigid_motion_of(
+    jacobian: &mut DMatrix<f64>,
+    positions: &[Vector3<f64>],
+    datum: Range<usize>,
+) {
+    let Some(fitted) = positions.get(datum.clone()).filter(|fitted| !fitted.is_empty()) else { return };
+    let centroid = fitted.iter().sum::<Vector3<f64>>() / fitted.len() as f64;
     let mut rigid = DMatrix::zeros(3 * positions.len(), 6);
     for (at, position) in positions.iter().enumerate() {
         for axis in 0..3 {
@@ -135,47 +144,69 @@ pub(super) fn take_out_rigid_motion(jacobian: &mut DMatrix<f64>, positions: &[Ve
             rigid.fixed_view_mut::<3, 1>(3 * at, 3 + axis).copy_from(&rotation);
         }
     }
-    // Collinear positions have fewer than six independent motions.
-    let mut motions = OrthonormalBasis::default();
+    // Motions that are orthonormal over the datum. Collinear positions have fewer than six independent ones.
+    let (first, rows) = (3 * datum.start, 3 * datum.len());
+    let mut motions: Vec<DVector<f64>> = Vec::with_capacity(6);
+    let remove = |motions: &[DVector<f64>], mut column: DVectorViewMut<'_, f64>| {
+        for motion in motions {
+            let share = motion.rows(first, rows).dot(&column.rows(first, rows));
+            column.axpy(-share, motion, 1.0);
+        }
+    };
     for column in rigid.column_iter() {
-        motions.push(column.into_owned(), 1e-9 * column.norm());
+        let (mut motion, size) = (column.into_owned(), column.rows(first, rows).norm());
+        // Twice: once leaves rounding errors of nearly dependent motions.
+        remove(&motions, motion.as_view_mut());
+        remove(&motions, motion.as_view_mut());
+        let norm = motion.rows(first, rows).norm();
+        if norm > 1e-9 * size {
+            motions.push(motion / norm);
+        }
     }
     for column in jacobian.column_iter_mut() {
-        motions.remove_from(column);
+        remove(&motions, column);
     }
 }
 
-/// The mean distance of the tool ball from that of the DH table alone, without compliance and joint errors, over poses of
-/// the workspace after the best rigid alignment, mm. `None` if the robot has neither.
-pub fn left_out_mm(robot: &Robot) -> Option<f64> {
-    const POSES: usize = 200;
+/// What a simpler model of a robot leaves out: the distance of its tool ball from the robot's over the workspace, after the best
+/// rigid alignment, mm. Backlash is taken along the way from pose to pose.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SimplifiedModelError {
+    pub mean_mm: f64,
+    pub max_mm: f64,
+}
+
+impl SimplifiedModelError {
+    const POSES: usize = 2000;
     const SEED: u64 = 1;
-    let table = Geometry {
-        compliance: [0.0; AXES],
-        payload_compliance: [0.0; AXES],
-        gear: [[0.0; 2]; AXES],
-        joint_errors: JointErrors::default(),
-        ..robot.geometry.clone()
-    };
-    if table == robot.geometry {
-        return None;
+
+    /// Of the DH table alone, without compliance and joint errors. `None` if the robot has neither.
+    pub fn of(robot: &Robot) -> Option<Self> {
+        let table = robot.geometry.rigid();
+        (table != robot.geometry).then(|| Self::by(robot, &table))
     }
-    let poses = Workspace::uniform(robot, POSES, SEED);
-    let balls = |geometry: &Geometry| -> Vec<Vector3<f64>> {
-        let chain = KinematicChain::new(geometry);
-        let approached = poses.iter().zip(Approach::along(poses.iter().copied()));
-        let ball = |(axes, approach): (&[f64; AXES], Approach)| {
-            chain.ball(&AxesAtPose {
-                axes,
-                sin_cos: &JointSinCos::of(axes),
-                approach,
-                target: &geometry.tool,
-                payload: PayloadId::FIRST,
-            })
+
+    /// Of another geometry with the same tool ball.
+    pub fn by(robot: &Robot, model: &Geometry) -> Self {
+        let poses = Workspace::uniform(robot.controller(), Self::POSES, Self::SEED);
+        let balls = |geometry: &Geometry| -> Vec<Vector3<f64>> {
+            let chain = KinematicChain::new(geometry);
+            let approached = poses.iter().zip(Approach::along(poses.iter().copied()));
+            let ball = |(axes, approach): (&[f64; AXES], Approach)| {
+                chain.ball(&AxesAtPose {
+                    axes,
+                    sin_cos: &JointSinCos::of(axes),
+                    approach,
+                    target: &geometry.tool,
+                    payload: PayloadId::FIRST,
+                })
+            };
+            approached.map(ball).collect()
         };
-        approached.map(ball).collect()
-    };
-    Some(aligned_distances(&balls(&robot.geometry), &balls(&table)).iter().sum::<f64>() / POSES as f64)
+        let off = aligned_distances(&balls(&robot.geometry), &balls(model));
+        let max_mm = off.iter().copied().fold(0.0, f64::max);
+        Self { mean_mm: off.iter().sum::<f64>() / off.len() as f64, max_mm }
+    }
 }
 
 #[cfg(test)]
@@ -242,6 +273,27 @@ mod tests {
         assert!((jacobian.column(1) - &scale).norm() < 1e-9 * scale.norm());
     }
 
+    /// A screw that the datum shares is taken out of all positions, one of the others alone stays.
+    #[test]
+    fn the_motion_of_the_datum_is_taken_out_everywhere() {
+        let place =
+            |at: usize| Vector3::from_fn(|axis, _| 500.0 + 300.0 * ((at * 3 + axis) as f64 * 1.7).sin());
+        let positions: Vec<Vector3<f64>> = (0..10).map(place).collect();
+        let screw = |p: &Vector3<f64>| Vector3::new(0.1, -0.2, 0.3).cross(p) + Vector3::new(4.0, 5.0, 6.0);
+        let of = |from: usize| -> Vec<f64> {
+            let moved = positions.iter().enumerate();
+            let moved = moved.map(|(at, p)| if at >= from { screw(p) } else { Vector3::zeros() });
+            moved.flat_map(|moved| <[f64; 3]>::from(moved)).collect()
+        };
+        let mut jacobian = DMatrix::from_column_slice(30, 2, &[of(0), of(2)].concat());
+        take_out_rigid_motion_of(&mut jacobian, &positions, 2..10);
+        assert!(jacobian.column(0).norm() < 1e-9, "{}", jacobian.column(0).norm());
+        // The first two positions did not move, and now move against the screw.
+        let first = jacobian.fixed_view::<3, 1>(0, 1).into_owned();
+        assert!((first + screw(&positions[0])).norm() < 1e-9);
+        assert!(jacobian.view((6, 1), (24, 1)).norm() < 1e-9);
+    }
+
     /// The first row of the table moves the whole robot.
     #[test]
     fn parameters_of_the_first_row_move_no_ball_against_another() {
@@ -283,9 +335,24 @@ mod tests {
     #[test]
     fn table_alone_leaves_nothing_out() {
         let mut robot = robot();
-        assert_eq!(left_out_mm(&robot), None);
+        assert_eq!(SimplifiedModelError::of(&robot), None);
         robot.geometry.gear[1] = [1e-3, 0.0];
         // A milliradian about the second axis moves the ball by at most its reach of about two metres.
-        assert!((1e-3..2.5).contains(&left_out_mm(&robot).unwrap()));
+        let SimplifiedModelError { mean_mm, max_mm } = SimplifiedModelError::of(&robot).unwrap();
+        assert!((1e-3..max_mm).contains(&mean_mm) && max_mm < 2.5, "{mean_mm} {max_mm}");
+    }
+
+    /// A base that is elsewhere is taken out; a forearm that is 1 mm longer moves a ball near the wrist by a millimetre in a direction
+    /// that changes from pose to pose.
+    #[test]
+    fn another_table_leaves_out_its_difference() {
+        let robot = robot();
+        let mut model = robot.geometry.clone();
+        model.rows[0].d += 7.0;
+        model.rows[0].theta += 0.1;
+        assert!(SimplifiedModelError::by(&robot, &model).max_mm < 1e-7);
+        model.rows[3].d += 1.0;
+        let SimplifiedModelError { mean_mm, max_mm } = SimplifiedModelError::by(&robot, &model);
+        assert!((0.5..1.0).contains(&mean_mm) && (mean_mm..1.5).contains(&max_mm), "{mean_mm} {max_mm}");
     }
 }

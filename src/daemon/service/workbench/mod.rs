@@ -15,7 +15,7 @@ use dbbd_job::plan::Job;
 use dbbd_job::request::Request;
 use dbbd_job::request::certificate::CertificateRequest;
 use dbbd_job::request::check::CheckRequest;
-use dbbd_job::request::compensate::{CompensateRequest, DEFAULT_LIMIT_MM};
+use dbbd_job::request::compensate::{CompensateRequest, DEFAULT_LIMIT_MM, ProgramDatum};
 use dbbd_job::request::identify::{self, IdentifyRequest};
 use dbbd_job::request::plan::{CheckPoses, PlanRequest, PlannedPoses};
 use dbbd_job::request::scene::CellScene;
@@ -146,6 +146,7 @@ fn work_of(
                 base_mm_deg: None,
                 payload: None,
                 nominal_controller: false,
+                datum: ProgramDatum::Program,
                 limit_mm: DEFAULT_LIMIT_MM,
                 // The directory is the page's own.
                 replace: true,

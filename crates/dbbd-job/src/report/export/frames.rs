@@ -8,8 +8,10 @@ use super::mastering::{AxisOffset, remark};
 use dbbd_model::estimation::result::{CalibrationResult, ParameterResult, Status};
 use dbbd_model::robot::{BallId, Coordinate, ParamId};
 
-/// Name of the data list and of its file.
-pub const MODULE: &str = "DBB_RESULT";
+/// Name of the data list.
+const MODULE: &str = "DBB_RESULT";
+/// Name of its file.
+pub(super) const FILE: &str = "DBB_RESULT.dat";
 
 /// Characters of a comment line.
 const LINE: usize = 110;
@@ -62,7 +64,7 @@ fn frame(variable: String, what: String, place: [&ParameterResult; 3]) -> Frame 
 }
 
 /// `DBB_RESULT.dat`: frames and offsets, each with its remark as a comment.
-pub fn data_list(robot: &str, frames: &[Frame], offsets: &[AxisOffset]) -> String {
+pub(super) fn data_list(robot: &str, frames: &[Frame], offsets: &[AxisOffset]) -> String {
     let mut text = format!("&ACCESS RVO\n&COMMENT dbbd\nDEFDAT {MODULE} PUBLIC\n");
     text.push_str(&comment(&format!("Identified from ball-bar lengths on {robot}")));
     text.push_str("; Nothing here acts by itself. Frames as X, Y, Z in mm; A, B, C are those of the flange or the base.\n");

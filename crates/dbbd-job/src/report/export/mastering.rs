@@ -7,9 +7,8 @@ use serde::Serialize;
 
 use dbbd_model::base::FileFinding::Unwritable;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::CompletedCalibration;
-use dbbd_model::estimation::result::{ParameterResult, Status};
-use dbbd_model::robot::{Joint, ParamId};
+use dbbd_model::estimation::result::{CalibrationResult, ParameterResult, Status};
+use dbbd_model::robot::{AXES, Joint, ParamId, Payload, Robot};
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AxisOffset {
@@ -21,14 +20,37 @@ pub struct AxisOffset {
     /// Of the joint's theta: by the data alone only if this is `Identified`.
     pub status: Status,
     pub remark: String,
+    /// What the flange carried while it was measured: with another load a joint bends otherwise.
+    pub payload: String,
 }
 
-pub fn offsets(calibration: &CompletedCalibration) -> Vec<AxisOffset> {
+/// True angle minus the controller's of each axis, rad, by the tables of an identified robot.
+pub(super) fn zeros(robot: &Robot) -> [f64; AXES] {
+    let nominal = &robot.controller().geometry;
+    std::array::from_fn(|at| {
+        let row = &robot.geometry.rows[at];
+        row.sign * (row.theta - nominal.rows[at].theta)
+    })
+}
+
+/// The payloads of the measurements: mass in kg, centre in the flange frame in mm.
+fn measured_payload(robot: &Robot) -> String {
+    let measured = robot.geometry.load.payloads.iter().filter(|payload| payload.is_measured);
+    let shown = |Payload { name, kg, centre, .. }: &Payload| {
+        let [x, y, z] = <[f64; 3]>::from(*centre);
+        format!("{name}: {kg} kg at {x} {y} {z} mm")
+    };
+    let shown: Vec<String> = measured.map(shown).collect();
+    if shown.is_empty() { "not stated".into() } else { shown.join("; ") }
+}
+
+pub fn offsets(result: &CalibrationResult, robot: &Robot) -> Vec<AxisOffset> {
+    let payload = measured_payload(robot);
     Joint::ALL
         .into_iter()
         .filter_map(|joint| {
-            let found = calibration.result.parameter(ParamId::Theta(joint))?;
-            let sign = calibration.robot.geometry.rows.get(joint.index())?.sign;
+            let found = result.parameter(ParamId::Theta(joint))?;
+            let sign = robot.geometry.rows.get(joint.index())?.sign;
             // With the prior's help the most probable angle is known too; its standard deviation says how well.
             let is_known = matches!(found.status, Status::Identified | Status::SupportedByPrior);
             Some(AxisOffset {
@@ -36,10 +58,11 @@ pub fn offsets(calibration: &CompletedCalibration) -> Vec<AxisOffset> {
                 offset_deg: if is_known { sign * found.correction.to_degrees() } else { 0.0 },
                 sd_deg: found.sd.filter(|_| is_known).map(f64::to_degrees),
                 status: found.status,
-                remark: match calibration.robot.geometry.coupling.of(joint) {
+                remark: match robot.geometry.coupling.of(joint) {
                     Some(by) => format!("{}; of the joint, at A{}{by}", remark(found), joint.number()),
                     None => remark(found),
                 },
+                payload: payload.clone(),
             })
         })
         .collect()
@@ -56,14 +79,14 @@ pub(super) fn remark(found: &ParameterResult) -> String {
     }
 }
 
-/// `mastering.csv`: `axis,offset_deg,sd_deg,identified,status,remark`.
+/// `mastering.csv`: `axis,offset_deg,sd_deg,identified,status,payload,remark`.
 pub fn csv(offsets: &[AxisOffset]) -> Result<Vec<u8>, Diagnostic> {
     let write = || {
         let mut table = csv::Writer::from_writer(Vec::new());
-        table.write_record(["axis", "offset_deg", "sd_deg", "identified", "status", "remark"])?;
-        for AxisOffset { axis, offset_deg, sd_deg, status, remark } in offsets {
+        table.write_record(["axis", "offset_deg", "sd_deg", "identified", "status", "payload", "remark"])?;
+        for AxisOffset { axis, offset_deg, sd_deg, status, payload, remark } in offsets {
             let identified = if *status == Status::Identified { "yes" } else { "no" };
-            table.serialize((format!("A{axis}"), offset_deg, sd_deg, identified, status, remark))?;
+            table.serialize((format!("A{axis}"), offset_deg, sd_deg, identified, status, payload, remark))?;
         }
         table.into_inner().map_err(|error| csv::Error::from(error.into_error()))
     };

@@ -101,7 +101,7 @@ fn rewritten(text: &str, changes: &[(Node<'_, '_>, Pose)]) -> String {
 }
 
 /// A row at axis angle 0.
-fn row_pose(row: &DhRow) -> Pose {
+pub(super) fn row_pose(row: &DhRow) -> Pose {
     let turned = rot_y(row.beta) * rot_x(row.alpha);
     let rotation = turned * rot_z(row.theta);
     Pose { rotation, position: turned.column(0) * row.a + rotation.column(2) * row.d }
@@ -193,26 +193,5 @@ impl Placement<'_> {
         let turn =
             Rotation3::rotation_between(&axis, &z).map_or_else(Matrix3::identity, Rotation3::into_inner);
         Pose { rotation: turn * apart.rotation, position: Vector3::z() * apart.position.z }
-    }
-}
-
-/// What a rigid model such as a URDF leaves out of a robot: the displacement of its tool ball by gear errors, compliance and
-/// errors of joints without backlash, mm.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct LeftOut {
-    pub mean_mm: f64,
-    pub max_mm: f64,
-}
-
-impl LeftOut {
-    /// Over poses (axis angles, rad); `None` for a rigid robot.
-    pub fn of(geometry: &Geometry, poses: &[[f64; AXES]]) -> Option<Self> {
-        let rigid = geometry.rigid();
-        let moved: Vec<f64> = poses
-            .iter()
-            .map(|axes| (geometry.ball(axes).position - rigid.ball(axes).position).norm())
-            .collect();
-        let max_mm = moved.iter().copied().fold(0.0, f64::max);
-        (max_mm > 0.0).then(|| Self { mean_mm: moved.iter().sum::<f64>() / moved.len() as f64, max_mm })
     }
 }

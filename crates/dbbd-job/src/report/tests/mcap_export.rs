@@ -12,7 +12,7 @@ use mcap::{Attachment, WriteOptions, Writer};
 
 fn exported(records: impl IntoIterator<Item = CaptureRecord>) -> Vec<u8> {
     let mut file = Vec::new();
-    let mut export = McapFile::new(&mut file).unwrap();
+    let mut export = McapFile::new(&mut file, None).unwrap();
     for (at, record) in records.into_iter().enumerate() {
         export.add(&StampedRecord { host: HostNs(1_000_000 * at as u64), record }).unwrap();
     }

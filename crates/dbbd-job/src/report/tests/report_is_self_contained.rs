@@ -270,7 +270,7 @@ fn empty_and_undefined_data_break_nothing() {
 
 #[test]
 fn a_record_that_is_not_json_is_not_exported() {
-    let mut file = McapFile::new(std::io::Cursor::new(Vec::new())).unwrap();
+    let mut file = McapFile::new(std::io::Cursor::new(Vec::new()), None).unwrap();
     let record = StampedRecord { host: HostNs(0), record: CaptureRecord::Fault(b"{".to_vec()) };
     assert_eq!(file.add(&record).unwrap_err().code().as_str(), "E1702");
 }

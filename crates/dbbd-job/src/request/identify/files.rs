@@ -5,24 +5,20 @@ use std::path::Path;
 
 use super::IdentifyDocument;
 use crate::file_set::{EarlierFiles, FileSet};
-use crate::program::{self, Language};
 use crate::report;
-use crate::report::export::{frames, mastering, urdf};
 use crate::request::earlier::EarlierResult;
 use dbbd_model::base::serialised::{self, Seal};
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::Posterior;
 use dbbd_model::estimation::result::ParameterResult;
-use dbbd_model::estimation::{CompletedCalibration, JointPoint, Posterior, joint_curve};
 use dbbd_model::measurement::Measurements;
-use dbbd_model::provenance::{Artefact, ArtefactRole, Provenance};
-use dbbd_model::robot::{Joint, Robot};
+use dbbd_model::provenance::{Artefact, ArtefactRole};
+use dbbd_model::robot::Robot;
 
 /// The lengths that the result rests on.
 pub const LENGTHS: &str = "lengths.csv";
 /// The positions that the result rests on.
 pub const POSITIONS: &str = "positions.csv";
-/// The correction of each axis, if the result has errors of the joints.
-const JOINT_ERRORS: &str = "joint-errors.csv";
 pub(super) const RESULT: &str = "result.json";
 /// The identified robot.
 pub const ROBOT: &str = "robot-identified.toml";
@@ -66,11 +62,6 @@ pub(super) fn write_results(
     set.write(ROBOT, Seal::Toml.append(&robot.to_toml()?))?;
     set.write("parameters.csv", parameters_csv(&calibration.result.parameters)?)?;
     set.write("covariance.csv", covariance_csv(&calibration.posterior))?;
-    match calibration.result.joint_errors {
-        Some(_) => set.write(JOINT_ERRORS, joint_errors_csv(&calibration.robot))?,
-        None => set.remove(JOINT_ERRORS),
-    }
-    write_for_controller(&mut set, calibration, provenance)?;
     set.write("report.html", report::calibration::html(calibration, observations, provenance, budget)?)?;
     let files = set.finish()?;
     Ok((document, files))
@@ -107,30 +98,4 @@ fn covariance_csv(posterior: &Posterior) -> String {
         format!("{id}{values}\n")
     });
     [format!("name{names}\n")].into_iter().chain(rows).collect()
-}
-
-/// The correction of each axis in its own sense, by the sense of approach.
-fn joint_errors_csv(robot: &Robot) -> String {
-    let row = |joint: Joint, JointPoint { angle_deg, rising, falling, sd }: JointPoint| {
-        let [rising, falling, sd] = [rising, falling, sd].map(f64::to_degrees);
-        format!("{},{angle_deg:.3},{rising:.6},{falling:.6},{sd:.6}\n", joint.number())
-    };
-    let rows = Joint::ALL
-        .into_iter()
-        .flat_map(|joint| joint_curve(robot, joint).into_iter().map(move |point| row(joint, point)));
-    ["axis,angle_deg,rising_deg,falling_deg,sd_deg\n".to_owned()].into_iter().chain(rows).collect()
-}
-
-/// Writes the files for other programs and for the controller: URDF, mastering offsets, KRL frames.
-fn write_for_controller(
-    set: &mut FileSet,
-    calibration: &CompletedCalibration,
-    provenance: &Provenance,
-) -> Result<(), Diagnostic> {
-    set.write("robot-identified.urdf", urdf::urdf(&calibration.robot))?;
-    let offsets = mastering::offsets(calibration);
-    set.write("mastering.csv", mastering::csv(&offsets)?)?;
-    let data = frames::data_list(&calibration.robot.name, &frames::frames(&calibration.result), &offsets);
-    let data = program::stamped(Language::Krl, &data, provenance)?;
-    set.write(&format!("{}.dat", frames::MODULE), data)
 }

@@ -28,8 +28,9 @@ pub use files::{LENGTHS, POSITIONS, ROBOT};
 use inputs::{LoadedInputs, NamedInputs};
 pub use options::AskedIdentification;
 pub use parts::SetUpRelation;
+use tables::read_prior;
+pub(in crate::request) use tables::read_workspace;
 pub use tables::{checked_workspace, plausible_deviation};
-use tables::{read_prior, read_workspace};
 
 /// How often a capture is matched again with the identified robot.
 const MAX_MATCHINGS: usize = 5;

@@ -50,7 +50,7 @@ pub fn plausible_deviation(id: ParamId, sd: f64) -> Result<(), PlausibilityFindi
 }
 
 /// Reads the poses of a workspace from a table with the columns a1_deg..a6_deg.
-pub(crate) fn read_workspace(
+pub(in crate::request) fn read_workspace(
     path: &Path,
     robot: &Robot,
     session: &RequestSession<'_>,

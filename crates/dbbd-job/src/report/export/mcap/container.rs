@@ -29,6 +29,23 @@ enum Kind {
     DataEnd = 0x0F,
 }
 
+/// What the messages of a channel are.
+#[derive(Clone, Copy)]
+pub(super) enum MessageEncoding {
+    Json,
+    Protobuf,
+}
+
+impl MessageEncoding {
+    /// Of the schema, and of the messages.
+    fn names(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Json => ("jsonschema", "json"),
+            Self::Protobuf => ("protobuf", "protobuf"),
+        }
+    }
+}
+
 /// The serialised fields of a record.
 #[derive(Default)]
 struct Fields(Vec<u8>);
@@ -161,11 +178,18 @@ impl<W: Write> Container<W> {
         self.to.write_all(bytes)
     }
 
-    /// Adds a channel of JSON messages with their JSON Schema; returns its number.
-    pub(super) fn add_channel(&mut self, topic: &str, schema_name: &str, schema: &[u8]) -> u16 {
+    /// Adds a channel with the schema of its messages; returns its number.
+    pub(super) fn add_channel(
+        &mut self,
+        topic: &str,
+        encoding: MessageEncoding,
+        schema_name: &str,
+        schema: &[u8],
+    ) -> u16 {
         let id = self.channels.count as u16 + 1;
-        let schema = Fields::default().u16(id).text(schema_name).text("jsonschema").bytes(schema);
-        let channel = Fields::default().u16(id).u16(id).text(topic).text("json").bytes(&[]);
+        let (of_schema, of_message) = encoding.names();
+        let schema = Fields::default().u16(id).text(schema_name).text(of_schema).bytes(schema);
+        let channel = Fields::default().u16(id).u16(id).text(topic).text(of_message).bytes(&[]);
         schema.append_to(&mut self.chunk.records, Kind::Schema, &[]);
         channel.append_to(&mut self.chunk.records, Kind::Channel, &[]);
         self.schemas.add(&schema, Kind::Schema);

@@ -3,14 +3,23 @@
 //! Channels `raw`, `samples`, `faults`, `events`, `gaps`, `axes`; each message is a JSON object with `host_ns`, the capture's
 //! own time. Log times are on the wall clock at the beginning of the run. The attachments of the capture are copied.
 //! Chunks are not compressed and have checksums.
+//!
+//! Channels `tf` and `scene` show the run in 3-D as Foxglove's Protobuf messages: the links of the robot (the attachment robot.urdf),
+//! balls and bar, at the dwells and where axes were published.
 
 mod container;
+mod foxglove;
+mod scene;
 
 use std::io::{self, Write};
 
 use serde_json::{Map, Value, json};
 
-use container::{Attachment, Container};
+use container::{Attachment, Container, MessageEncoding};
+use foxglove::{FRAME_TRANSFORMS, SCENE_UPDATE};
+use prost::Message;
+pub use scene::RunScene;
+use scene::SceneMessages;
 
 use crate::recording::axes::AxesRecords;
 use crate::recording::capture::{CaptureRecord, RunEvent, StampedRecord};
@@ -18,9 +27,10 @@ use crate::report::ReportFinding;
 use dbbd_model::base::FileFinding;
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::robot::AXES;
 
 /// Names of the channels, in the order of their counts.
-pub const CHANNELS: [&str; 6] = ["raw", "samples", "faults", "events", "gaps", "axes"];
+pub const CHANNELS: [&str; 8] = ["raw", "samples", "faults", "events", "gaps", "axes", "tf", "scene"];
 
 /// An index of [`CHANNELS`].
 #[derive(Clone, Copy)]
@@ -31,6 +41,8 @@ enum Channel {
     Events,
     Gaps,
     Axes,
+    Transforms,
+    Scene,
 }
 
 /// An MCAP file that is being written.
@@ -41,19 +53,27 @@ pub struct McapFile<W> {
     /// Host time and wall clock (ns since the Unix epoch) at the beginning of the run.
     began: Option<(HostNs, u64)>,
     axes: AxesRecords,
+    scene: Option<RunScene>,
 }
 
 impl<W: Write> McapFile<W> {
-    pub fn new(to: W) -> Result<Self, Diagnostic> {
+    /// With the scene of the run, if its poses are known.
+    pub fn new(to: W, scene: Option<RunScene>) -> Result<Self, Diagnostic> {
         let library = concat!("dbbd ", env!("CARGO_PKG_VERSION"));
         let mut file = Container::new(to, library).map_err(unwritable)?;
-        let channels = CHANNELS.map(|name| file.add_channel(name, &format!("dbbd.{name}"), &schema(name)));
-        Ok(Self { file, channels, counts: [0; CHANNELS.len()], began: None, axes: AxesRecords::default() })
+        let channels = CHANNELS.map(|name| match name {
+            "tf" => file.add_channel(name, MessageEncoding::Protobuf, FRAME_TRANSFORMS, &foxglove::schema()),
+            "scene" => file.add_channel(name, MessageEncoding::Protobuf, SCENE_UPDATE, &foxglove::schema()),
+            _ => file.add_channel(name, MessageEncoding::Json, &format!("dbbd.{name}"), &schema(name)),
+        });
+        let axes = AxesRecords::default();
+        Ok(Self { file, channels, counts: [0; CHANNELS.len()], began: None, axes, scene })
     }
 
     /// Appends a record of the capture; an error also if a record that must be JSON is not.
     pub fn add(&mut self, stamped: &StampedRecord) -> Result<(), Diagnostic> {
         let host = stamped.host;
+        self.show_dwells(host)?;
         let mut axes = Vec::new();
         self.axes.add(host, &stamped.record, |place, _, sample| axes.push((place, sample)));
         match &stamped.record {
@@ -71,7 +91,8 @@ impl<W: Write> McapFile<W> {
                     "ticks": sample.ticks, "place": place.word(), "measured_deg": sample.measured_deg,
                     "commanded_deg": sample.commanded_deg,
                 });
-                self.message(Channel::Axes, host, value)
+                self.message(Channel::Axes, host, value)?;
+                self.show_axes(host, &sample.measured_deg)
             }),
             CaptureRecord::Fault(json) => {
                 let value = serde_json::from_slice(json).map_err(|error| not_json("fault", &error))?;
@@ -80,6 +101,9 @@ impl<W: Write> McapFile<W> {
             CaptureRecord::Event(event) => {
                 if let RunEvent::Started { unix_ns, .. } = event {
                     self.began = Some((host, *unix_ns));
+                    if let Some(urdf) = self.scene.as_ref().map(RunScene::urdf) {
+                        self.attach(host, "robot.urdf", urdf.as_bytes())?;
+                    }
                 }
                 let value = serde_json::to_value(event).map_err(|error| not_json("event", &error))?;
                 if matches!(event, RunEvent::Gap { .. } | RunEvent::Withheld { gaps: 1.., .. }) {
@@ -91,7 +115,8 @@ impl<W: Write> McapFile<W> {
     }
 
     /// Ends the file; the number of messages in each of [`CHANNELS`].
-    pub fn finish(self) -> Result<[u32; CHANNELS.len()], Diagnostic> {
+    pub fn finish(mut self) -> Result<[u32; CHANNELS.len()], Diagnostic> {
+        self.show_dwells(HostNs(u64::MAX))?;
         self.file.finish().map_err(unwritable)?;
         Ok(self.counts)
     }
@@ -102,6 +127,7 @@ impl<W: Write> McapFile<W> {
             Some("csv") => "text/csv",
             Some("json") => "application/json",
             Some("toml") => "application/toml",
+            Some("urdf") => "application/xml",
             _ => "application/octet-stream",
         };
         self.file.attach(&Attachment { at_ns, name, media_type, data: content }).map_err(unwritable)
@@ -117,12 +143,40 @@ impl<W: Write> McapFile<W> {
         if let Value::Object(content) = content {
             message.extend(content);
         }
+        self.put(channel, host, Value::Object(message).to_string().as_bytes())
+    }
+
+    fn put(&mut self, channel: Channel, host: HostNs, content: &[u8]) -> Result<(), Diagnostic> {
         let at_ns = self.wall_clock(host);
         let (id, count) = (self.channels[channel as usize], &mut self.counts[channel as usize]);
         let sequence = *count;
         *count = count.wrapping_add(1);
-        let message = Value::Object(message).to_string();
-        self.file.message(id, sequence, at_ns, message.as_bytes()).map_err(unwritable)
+        self.file.message(id, sequence, at_ns, content).map_err(unwritable)
+    }
+
+    /// Shows the dwells up to a time.
+    fn show_dwells(&mut self, until: HostNs) -> Result<(), Diagnostic> {
+        let due = self.scene.as_mut().map(|scene| scene.dwells_until(until)).unwrap_or_default();
+        due.into_iter().try_for_each(|(host, axes_deg)| self.show(host, &axes_deg))
+    }
+
+    /// Shows axes that were published.
+    fn show_axes(&mut self, host: HostNs, axes_deg: &[f64; AXES]) -> Result<(), Diagnostic> {
+        if self.scene.as_mut().is_some_and(|scene| scene.draws_axes(host)) {
+            self.show(host, axes_deg)?;
+        }
+        Ok(())
+    }
+
+    fn show(&mut self, host: HostNs, axes_deg: &[f64; AXES]) -> Result<(), Diagnostic> {
+        let at_ns = self.wall_clock(host);
+        let Some(SceneMessages { transforms, update }) =
+            self.scene.as_ref().map(|scene| scene.messages(axes_deg, at_ns))
+        else {
+            return Ok(());
+        };
+        self.put(Channel::Transforms, host, &transforms.encode_to_vec())?;
+        self.put(Channel::Scene, host, &update.encode_to_vec())
     }
 }
 

@@ -1,0 +1,108 @@
+//! An identified robot in the files of another program or of its controller, with what these files leave out.
+
+use super::kuka::MachineDataProposal;
+use super::ros_calibration::ros_calibration;
+use super::{frames, joint_errors, mastering, urdf};
+use crate::program::{Language, stamped};
+use crate::report::ReportFinding;
+use dbbd_model::base::InternalFinding;
+use dbbd_model::base::serialised;
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::{CalibrationResult, SimplifiedModelError};
+use dbbd_model::provenance::Provenance;
+use dbbd_model::robot::{DhRow, Geometry, Robot};
+
+/// Whom the files are for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HandBackTarget {
+    /// A URDF, as ROS, MuJoCo, Drake and others read it.
+    Urdf,
+    /// A URDF, and of a Universal Robots arm the file of its ROS description.
+    Ros,
+    /// Machine data and mastering of a KUKA controller.
+    Kuka,
+    /// A controller that takes only the zeros of its axes.
+    ZerosOnly,
+    /// The DH table, as RoboDK has it.
+    RoboDk,
+}
+
+/// The files for a target: name and content.
+pub struct HandBack {
+    pub files: Vec<(&'static str, Vec<u8>)>,
+    /// What the target computes with the files, against the identified robot; `None` if nothing is left out.
+    pub left_out: Option<SimplifiedModelError>,
+}
+
+impl HandBack {
+    /// Of a robot, with its result where the target takes zeros. `provenance` is what the files are made from.
+    ///
+    /// # Errors
+    /// The robot is not identified, its result is missing, or it is not a robot of the target's make.
+    pub fn of(
+        target: HandBackTarget,
+        robot: &Robot,
+        result: Option<&CalibrationResult>,
+        provenance: &Provenance,
+    ) -> Result<Self, Diagnostic> {
+        let zeros = || -> Result<Vec<mastering::AxisOffset>, Diagnostic> {
+            let result = result.filter(|_| robot.nominal.is_some()).ok_or(ReportFinding::NoResult)?;
+            Ok(mastering::offsets(result, robot))
+        };
+        let with_errors = SimplifiedModelError::of(robot);
+        let by = |geometry: &Geometry| Some(SimplifiedModelError::by(robot, geometry));
+        let (mut files, left_out) = match target {
+            HandBackTarget::Urdf => (vec![(URDF, urdf::urdf(robot).into_bytes())], with_errors),
+            HandBackTarget::Ros => {
+                let yaml = ros_calibration(robot).map(|text| (ROS_CALIBRATION, text.into_bytes()));
+                ([(URDF, urdf::urdf(robot).into_bytes())].into_iter().chain(yaml).collect(), with_errors)
+            }
+            HandBackTarget::Kuka => {
+                let (offsets, result) = (zeros()?, result.ok_or(ReportFinding::NoResult)?);
+                let proposal = MachineDataProposal::of(robot).ok_or(ReportFinding::NotKuka)?;
+                let frames = frames::data_list(&robot.name, &frames::frames(result), &offsets);
+                let files = vec![
+                    (MASTERING, mastering::csv(&offsets)?),
+                    ("machine-data.txt", proposal.text(&robot.name).into_bytes()),
+                    (frames::FILE, stamped(Language::Krl, &frames, provenance)?.into_bytes()),
+                ];
+                (files, by(&proposal.geometry(robot)))
+            }
+            HandBackTarget::ZerosOnly => {
+                let nominal = &robot.controller().geometry;
+                let rows = std::array::from_fn(|at| DhRow {
+                    theta: robot.geometry.rows[at].theta,
+                    ..nominal.rows[at]
+                });
+                let mastered = Geometry { rows, ..robot.geometry.rigid() };
+                (vec![(MASTERING, mastering::csv(&zeros()?)?)], by(&mastered))
+            }
+            HandBackTarget::RoboDk => {
+                let rows = robot.geometry.rows.map(|row| DhRow { beta: 0.0, ..row });
+                (vec![("robodk.csv", dh_table(robot)?)], by(&Geometry { rows, ..robot.geometry.rigid() }))
+            }
+        };
+        if with_errors.is_some() {
+            files.push(("joint-errors.csv", joint_errors::csv(robot).into_bytes()));
+        }
+        Ok(Self { files, left_out: left_out.filter(|left_out| left_out.max_mm > SAME_MM) })
+    }
+}
+
+/// The identified robot as a URDF.
+const URDF: &str = "robot-identified.urdf";
+/// The file that `ur_description` takes as `kinematics_params`.
+const ROS_CALIBRATION: &str = "robot_calibration.yaml";
+const MASTERING: &str = "mastering.csv";
+/// Rounding of a table that holds all.
+const SAME_MM: f64 = 1e-6;
+
+/// The table in modified DH. RoboDK has no beta: where a column is not zero, the finding says what is lost without it.
+fn dh_table(robot: &Robot) -> Result<Vec<u8>, InternalFinding> {
+    let columns = ["joint", "alpha_deg", "a_mm", "theta_deg", "d_mm", "beta_deg", "sense"];
+    let rows = robot.geometry.rows.iter().zip(1..).map(|(row, joint)| {
+        let [alpha, theta, beta] = [row.alpha, row.theta, row.beta].map(f64::to_degrees);
+        (joint, alpha, row.a, theta, row.d, beta, row.sign)
+    });
+    serialised::csv_table(columns, rows).map(Into::into)
+}

@@ -1,0 +1,96 @@
+//! `dbbd export --for`.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::super::{CommandOutcome, CommandOutput, robots};
+use super::ExportArgs;
+use super::urdf::{report_coupled, report_left_out};
+use dbbd_job::artefact;
+use dbbd_job::file_set::{EarlierFiles, FileSet};
+use dbbd_job::report::export::hand_back::{HandBack, HandBackTarget};
+use dbbd_job::request::identify::ROBOT;
+use dbbd_job::robot_files::{ResultBeside, result_beside};
+use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::SimplifiedModelError;
+use dbbd_model::robot::LoadedRobot;
+
+/// The programs and controllers by their names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(super) enum TargetName {
+    /// robot-identified.urdf, and of a Universal Robots arm robot_calibration.yaml (kinematics of ur_description).
+    Ros,
+    /// robot-identified.urdf: m, rad; a joint variable is the controller's axis angle.
+    Urdf,
+    /// As urdf.
+    Mujoco,
+    /// As urdf.
+    Drake,
+    /// mastering.csv, values for $machine.dat as a proposal, DBB_RESULT.dat (tool ball, base balls and offsets in KRL).
+    Kuka,
+    /// mastering.csv: the zero error of each axis, degrees.
+    Fanuc,
+    /// As fanuc.
+    Abb,
+    /// As fanuc.
+    Yaskawa,
+    /// As fanuc.
+    Staubli,
+    /// robodk.csv: the table in modified DH.
+    Robodk,
+}
+
+impl TargetName {
+    fn target(self) -> HandBackTarget {
+        match self {
+            Self::Ros => HandBackTarget::Ros,
+            Self::Urdf | Self::Mujoco | Self::Drake => HandBackTarget::Urdf,
+            Self::Kuka => HandBackTarget::Kuka,
+            Self::Fanuc | Self::Abb | Self::Yaskawa | Self::Staubli => HandBackTarget::ZerosOnly,
+            Self::Robodk => HandBackTarget::RoboDk,
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct HandBackDocument {
+    files: Vec<String>,
+    left_out: Option<SimplifiedModelError>,
+}
+
+/// The robot's file: in the directory of a result, or the one named.
+pub(super) fn robot_file(args: &ExportArgs) -> PathBuf {
+    if args.run.is_dir() { args.run.join(ROBOT) } else { args.run.clone() }
+}
+
+pub(super) fn run(
+    args: &ExportArgs,
+    target: TargetName,
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
+    let file = robot_file(args);
+    let LoadedRobot { robot, source, .. } = robots::read_named_robot(&file.to_string_lossy(), out)?;
+    let result = match result_beside(&file, &robot)? {
+        (_, ResultBeside::Own(result)) => Some(result),
+        (_, ResultBeside::Another | ResultBeside::Nothing) => None,
+    };
+    let provenance = artefact::made_from([&source]);
+    let HandBack { files, left_out } = HandBack::of(target.target(), &robot, result.as_deref(), &provenance)
+        .map_err(|refused| refused.in_file(file.display()))?;
+    let mut set = FileSet::begin(&args.out, EarlierFiles::refused_unless(args.replace))?;
+    for (name, content) in files {
+        set.write(name, content)?;
+    }
+    let files = set.finish()?;
+    for name in &files {
+        out.result(format!("{}: written", args.out.join(name).display()));
+    }
+    match target.target() {
+        HandBackTarget::Urdf | HandBackTarget::Ros => report_coupled(&robot, out),
+        HandBackTarget::Kuka | HandBackTarget::ZerosOnly | HandBackTarget::RoboDk => {}
+    }
+    report_left_out(left_out, out);
+    out.document(&HandBackDocument { files, left_out })?;
+    Ok(CommandOutcome::Done)
+}
