@@ -12,7 +12,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{Orientations, Positions};
 use dbbd_model::measurement::{self, APPROACH, Measurements};
 use dbbd_model::provenance::ArtefactRole;
-use dbbd_model::robot::LoadedRobot;
+use dbbd_model::robot::{LoadedRobot, MeasurementConditions};
 
 /// Predict the position of the tool ball at axis angles, with its uncertainty.
 ///
@@ -33,6 +33,10 @@ pub(crate) struct PredictArgs {
     /// frame in mm [default: the first of the robot file].
     #[arg(long, value_name = "NAME|KG,X,Y,Z", allow_hyphen_values = true)]
     payload: Option<String>,
+    /// The day of the prediction, YYYY-MM-DD [default: today]: what is known of the robot fades with the months since its
+    /// measurement.
+    #[arg(long, value_name = "DATE", value_parser = value::date)]
+    date: Option<String>,
     /// Table to write: the columns of the poses, the position of the tool ball in the robot base x_mm,y_mm,z_mm, and sd_mm,
     /// its 3-D standard deviation (root of the mean square distance). This includes the repeatability of a pose, and is
     /// taken after the best rigid alignment over the poses (of fewer than 10, over the workspace too). sd_mrad is the
@@ -54,6 +58,10 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
     files::keeps(&args.out, [args.axes.as_path(), Path::new(&args.robot)])?;
     files::is_earlier(&args.out, (columns().join(",") + "\n").as_bytes())?;
     let LoadedRobot { mut robot, source, .. } = robots::read_named_robot(&args.robot, out)?;
+    robot = match &args.date {
+        Some(date) => robot.under(&MeasurementConditions { date: Some(date.clone()), temperature_c: None }),
+        None => request::today(&robot),
+    };
     out.findings_in(&args.robot, request::carrying(&args.robot, &mut robot, args.payload.as_deref())?);
     let (table, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, &args.axes)?;
     out.findings(changed);

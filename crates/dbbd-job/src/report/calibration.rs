@@ -32,6 +32,8 @@ struct Page<'a> {
     /// The robot that "before" refers to.
     before: String,
     made_from: String,
+    /// For which tool, payload and time the result holds.
+    valid: Option<String>,
     /// The measurement that each recommendation proposes.
     further: Vec<String>,
     /// Each combination in words.
@@ -83,6 +85,7 @@ pub fn html(
         result,
         before: result.start.to_string(),
         made_from: result.made_from.to_string(),
+        valid: result.validity.as_ref().map(ToString::to_string),
         further: result.recommendations.iter().map(Recommendation::what).collect(),
         combinations: result.combinations.iter().map(Combination::to_string).collect(),
         figures: Figures::of(found, &points),

@@ -15,6 +15,8 @@ use dbbd_model::robot::ParamUnit;
 #[derive(Serialize)]
 struct Page<'a> {
     check: &'a InterimCheck,
+    /// For which tool, payload and time the robot file holds.
+    valid: Option<String>,
     hypotheses: Vec<Row>,
     maps: Vec<String>,
     findings: Vec<Diagnostic>,
@@ -47,6 +49,7 @@ pub fn html(
 ) -> Result<String, Diagnostic> {
     let page = Page {
         check,
+        valid: check.validity.as_ref().map(ToString::to_string),
         hypotheses: check.changes.iter().map(row).collect(),
         maps: HeatMap::of_positions("Position error of the robot file now", &check.map),
         findings: findings(&check.findings),

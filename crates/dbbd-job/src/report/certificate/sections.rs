@@ -150,6 +150,7 @@ impl Certificate {
         facts.push(pair("Position uncertainty, 95 % of the poses", nominal.p95, identified.p95));
         let (k, expanded) = (self.budget.coverage_factor, self.budget.expanded_mm);
         facts.push(fact("Expanded position uncertainty", format!("U = {} (k = {k})", mm(expanded))));
+        facts.extend(result.validity.iter().map(|validity| fact("Validity", validity.to_string())));
         facts
     }
 
