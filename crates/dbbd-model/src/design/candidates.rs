@@ -5,8 +5,8 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
+use crate::estimation::Posterior;
 use crate::estimation::expected::Expected;
-use crate::estimation::{Posterior};
 use crate::robot::inverse::{branches, status, turns_within};
 use crate::robot::{AXES, BallId, Geometry, Pose, Robot};
 
