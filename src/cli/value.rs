@@ -38,6 +38,10 @@ pub(super) fn date(text: &str) -> Result<String, Diagnostic> {
     is_moment(text).then(|| text.to_owned()).ok_or_else(|| not_a_date().into())
 }
 
+pub(super) fn temperature(text: &str) -> Result<f64, Diagnostic> {
+    of(text, Quantity::Temperature)
+}
+
 pub(super) fn bar_u(text: &str) -> Result<f64, Diagnostic> {
     of(text, Quantity::StandardLengthUncertainty)
 }

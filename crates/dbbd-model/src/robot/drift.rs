@@ -54,8 +54,9 @@ impl Drift {
 const TOOL_MM: f64 = 0.01;
 /// So does a base ball on the floor of a hall, with its stand, mm for a month.
 const BASE_BALL_MM: f64 = 0.02;
-/// Expansion of iron and steel, 1/K.
+/// Expansion of iron and steel, 1/K, and its relative standard uncertainty for an arm that is of aluminium in parts.
 const EXPANSION_PER_K: f64 = 12e-6;
+const EXPANSION_U: f64 = 0.3;
 /// A hall is this much warmer in summer, and colder in winter, than in the mean, K.
 const SEASON_K: f64 = 5.0;
 const MONTHS_OF_YEAR: f64 = 12.0;
@@ -64,8 +65,8 @@ const MONTHS_OF_YEAR: f64 = 12.0;
 type JointStep = Vec<(ParamId, f64)>;
 
 impl Robot {
-    /// With what is known of it under the conditions of a later or earlier measurement. The day goes along; without
-    /// a date on both sides it stays as it is.
+    /// With what is known of it under the conditions of a later or earlier measurement. Where both temperatures
+    /// are known the links have grown by their difference. The day goes along; without a date on both sides it stays as it is.
     #[must_use]
     pub fn under(&self, then: &MeasurementConditions) -> Self {
         let MeasurementConditions { date, temperature_c } = &self.measured;
@@ -73,8 +74,10 @@ impl Robot {
         else {
             return self.clone();
         };
-        let kelvin = temperature_c.zip(then.temperature_c).map(|(here, there)| (there - here).abs());
-        let later = self.widened(months.abs(), kelvin.unwrap_or_else(|| season_k(months)));
+        let warmer_k = temperature_c.zip(then.temperature_c).map(|(here, there)| there - here);
+        let unknown_k = warmer_k.map_or_else(|| season_k(months), |k| EXPANSION_U * k.abs());
+        let mut later = self.widened(months.abs(), unknown_k);
+        later.expand(EXPANSION_PER_K * warmer_k.unwrap_or(0.0));
         Self { measured: then.clone(), ..later }
     }
 
@@ -84,6 +87,18 @@ impl Robot {
         let date = self.measured.date.as_deref().and_then(|day| date::after_months(day, months));
         let measured = MeasurementConditions { date, temperature_c: None };
         Self { measured, ..self.widened(months, season_k(months)) }
+    }
+
+    /// Lets all links grow by this share of their length.
+    fn expand(&mut self, share: f64) {
+        for (joint, row) in Joint::ALL.into_iter().zip(self.geometry.rows) {
+            for (id, mm) in [(ParamId::A(joint), share * row.a), (ParamId::D(joint), share * row.d)] {
+                if let Some(value) = self.geometry.value_mut(id) {
+                    *value += mm;
+                }
+                self.posterior.iter_mut().for_each(|known| known.shift(id, mm));
+            }
+        }
     }
 
     fn widened(&self, months: f64, kelvin: f64) -> Self {
@@ -166,17 +181,21 @@ mod tests {
         assert!(later.geometry == robot.geometry && known.is_of(&later.geometry));
     }
 
-    /// The links share their temperature: the expansion of two of them is one error.
+    /// 850 mm grow by 12e-6 / K in 15 K, known to three tenths of it; the links share their temperature: the rest is one error.
     #[test]
-    fn links_expand_together_and_by_the_temperature_that_was_measured() {
+    fn links_expand_together_by_the_temperature_that_was_measured() {
         let ids = [ParamId::A(Joint::J3), ParamId::D(Joint::J4)];
         let mut robot = identified(&ids, 1e-9);
         robot.measured.temperature_c = Some(18.0);
-        let later = robot.under(&conditions("2026-02-01", Some(33.0))).posterior.unwrap();
-        let root = later.root_of(&ids);
+        let later = robot.under(&conditions("2026-02-01", Some(33.0)));
+        let grown = 850.0 * 12e-6 * 15.0;
+        let found = later.geometry.value(ids[0]).unwrap() - robot.geometry.value(ids[0]).unwrap();
+        assert!((found - grown).abs() < 1e-9, "{found}");
+        let known = later.posterior.as_ref().unwrap();
+        assert!(known.is_of(&later.geometry));
+        let root = known.root_of(&ids);
         let covariance = &root * root.transpose();
-        let expected = 850.0 * 12e-6 * 15.0;
-        assert!((covariance[(0, 0)].sqrt() / expected - 1.0).abs() < 1e-6);
+        assert!((covariance[(0, 0)].sqrt() / (0.3 * grown) - 1.0).abs() < 1e-6);
         let correlation = covariance[(0, 1)] / (covariance[(0, 0)] * covariance[(1, 1)]).sqrt();
         assert!((correlation.abs() - 1.0).abs() < 1e-6, "{correlation}");
     }
@@ -188,7 +207,7 @@ mod tests {
         assert_eq!(robot.under(&MeasurementConditions::default()), robot);
         let undated = Robot { measured: MeasurementConditions::default(), ..robot.clone() };
         assert_eq!(undated.under(&conditions("2030-01-01", None)), undated);
-        let same_day = robot.under(&conditions("2026-01-31", Some(40.0))).posterior.unwrap();
+        let same_day = robot.under(&conditions("2026-01-31", None)).posterior.unwrap();
         assert!((same_day.sd(ids[0]).unwrap() - 1e-6).abs() < 1e-18);
         // Earlier lengths are as far away as later ones.
         let [before, after] = ["2026-01-01", "2026-03-02"]

@@ -95,6 +95,13 @@ impl RobotPosterior {
         self.root = triangular(&with_steps(&self.root, &self.ids, steps));
     }
 
+    /// Moves the value of a parameter, mm or rad, if it has it.
+    pub(super) fn shift(&mut self, id: ParamId, by: f64) {
+        if let Some(at) = self.position(id) {
+            self.values[at] += by;
+        }
+    }
+
     /// The posterior of the parameters for which `keep` is true; `None` if there are none.
     pub fn keeping(&self, keep: impl Fn(ParamId) -> bool) -> Option<Self> {
         let kept = self.ids.iter().zip(&self.values).filter(|(id, _)| keep(**id));

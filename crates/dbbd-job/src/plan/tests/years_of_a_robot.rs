@@ -18,7 +18,6 @@ use rand_pcg::Pcg64;
 use crate::plan::{Job, Plan, PlanningPrior, PoseKind};
 use crate::test_support::cell::{calibrated, kr60};
 use crate::test_support::drawn_robots::{BALLS, LENGTH_MM, POSE_MM, Senses, drawn, judged, lengths};
-use crate::test_support::production;
 
 const FIRST_DAY: &str = "2023-11-27";
 /// Months between two runs, and runs of three years.
@@ -28,8 +27,9 @@ const LENGTHS: u32 = 20;
 /// Standard uncertainty of the bar, mm.
 const BAR_U_MM: f64 = 0.002;
 
-fn day(months: f64) -> MeasurementConditions {
-    MeasurementConditions { date: after_months(FIRST_DAY, months), temperature_c: None }
+/// So many months after the first day, at a temperature that was measured.
+fn day(months: f64, temperature_c: f64) -> MeasurementConditions {
+    MeasurementConditions { date: after_months(FIRST_DAY, months), temperature_c: Some(temperature_c) }
 }
 
 /// A robot that wears: its zeros settle at a rate of their own and wander, and its links expand with the season.
@@ -65,13 +65,23 @@ impl WearingRobot {
             let step: f64 = self.random.sample(StandardNormal);
             self.zero(joint, self.settling[at] * months + WEAR_RAD * (months / 12.0).sqrt() * step);
         }
-        let warm = |at: f64, summer: f64| SUMMER_K * (std::f64::consts::TAU * (at - summer) / 12.0).cos();
-        let kelvin = warm(self.months + months, self.summer) - warm(self.months, self.summer);
+        let before_c = self.celsius();
+        self.months += months;
+        let kelvin = self.celsius() - before_c;
         for row in &mut self.truth.geometry.rows {
             row.a *= 1.0 + EXPANSION_PER_K * kelvin;
             row.d *= 1.0 + EXPANSION_PER_K * kelvin;
         }
-        self.months += months;
+    }
+
+    fn celsius(&self) -> f64 {
+        20.0 + SUMMER_K * (std::f64::consts::TAU * (self.months - self.summer) / 12.0).cos()
+    }
+
+    /// The day, with a temperature that is measured to half a kelvin.
+    fn day(&mut self) -> MeasurementConditions {
+        let off: f64 = self.random.sample(StandardNormal);
+        day(self.months, self.celsius() + 0.5 * off)
     }
 
     /// Lengths at the dwells of a plan, the tool ball and the base balls mounted anew.
@@ -113,20 +123,20 @@ fn balls_of(plan: &Plan) -> Vec<BaseBall> {
     plan.header.job.balls()
 }
 
-fn options(prior: Prior, months: f64) -> Options {
+fn options(prior: Prior, measured: MeasurementConditions) -> Options {
     Options {
         prior,
         bar_u_mm: Some(BAR_U_MM),
         folds: Some(0),
         workspace: Some(Workspace::uniform(&kr60(), 50, 1)),
-        measured: day(months),
+        measured,
         model: ErrorModel::Joints,
         ..Options::default()
     }
 }
 
 /// The calibration of the first day: 70 poses to each of three balls.
-fn calibration(truth: &Robot, seed: u64, months: f64) -> Robot {
+fn calibration(truth: &Robot, seed: u64, measured: MeasurementConditions) -> Robot {
     let data = lengths(truth, 70, 3, seed);
     let balls: Vec<BaseBall> = (1..)
         .zip(BALLS)
@@ -135,13 +145,19 @@ fn calibration(truth: &Robot, seed: u64, months: f64) -> Robot {
             position: place.into(),
         })
         .collect();
-    calibrated(&kr60(), &data, &balls, &options(Prior::Datasheet, months)).unwrap().robot
+    calibrated(&kr60(), &data, &balls, &options(Prior::Datasheet, measured)).unwrap().robot
 }
 
 /// The plan of lengths that renew a calibration so many months after the first day.
-fn renewal(robot: &Robot, months: f64) -> Plan {
-    let job = Job::from_toml("job.toml", &production::job(300.0, 2, 50, false)).unwrap();
-    let robot = robot.under(&day(months));
+fn renewal(robot: &Robot, then: &MeasurementConditions) -> Plan {
+    let mut text = String::from(
+        "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 15.0\n",
+    );
+    for (id, place) in (1..).zip(BALLS) {
+        text += &format!("[[centre]]\nid = {id}\nxyz_mm = {place:?}\n");
+    }
+    let job = Job::from_toml("job.toml", &text).unwrap();
+    let robot = robot.under(then);
     let start = LengthModel::new(robot.geometry.clone(), &job.balls());
     let known = Posterior::of_robot(start, robot.posterior.as_ref().unwrap(), robot.uncertainty.as_deref());
     let expected = Expected::new(&known, 1, Mounting::again(&robot, Some(BAR_U_MM)));
@@ -180,8 +196,8 @@ struct Years {
 }
 
 impl Years {
-    fn judge(&mut self, wearing: &WearingRobot, robot: &Robot, seed: u64) {
-        let known = robot.under(&day(wearing.months));
+    fn judge(&mut self, wearing: &mut WearingRobot, robot: &Robot, seed: u64) {
+        let known = robot.under(&wearing.day());
         let found = judged(&wearing.truth, &known, Senses::Known, seed);
         self.errors.push(found.mean);
         self.predicted.push(found.predicted);
@@ -192,13 +208,14 @@ impl Years {
 /// Three years of one robot, with a crash before each of the runs in `crashes`.
 fn three_years(seed: u64, crashes: &[usize], years: &mut Years) {
     let mut wearing = WearingRobot::new(seed);
-    let mut robot = calibration(&wearing.truth, 1000 + seed, 0.0);
+    let first = wearing.day();
+    let mut robot = calibration(&wearing.truth, 1000 + seed, first);
     let full = judged(&wearing.truth, &robot, Senses::Known, 50 + seed).mean;
     years.full.push(full);
-    let plan = renewal(&robot, INTERVAL);
+    let plan = renewal(&robot, &day(INTERVAL, 20.0));
     for run in 1..=RUNS {
         wearing.later(INTERVAL / 2.0);
-        years.judge(&wearing, &robot, 100 * seed + run as u64);
+        years.judge(&mut wearing, &robot, 100 * seed + run as u64);
         let crashed = crashes.contains(&run).then(|| {
             let joint = Joint::ALL[1 + (seed as usize + run) % 4];
             let size = wearing.random.random_range(0.05f64..0.2).to_radians();
@@ -207,10 +224,11 @@ fn three_years(seed: u64, crashes: &[usize], years: &mut Years) {
         });
         wearing.later(INTERVAL / 2.0);
         if crashed.is_none() {
-            years.judge(&wearing, &robot, 200 * seed + run as u64);
+            years.judge(&mut wearing, &robot, 200 * seed + run as u64);
         }
         let data = wearing.measured(&plan);
-        let known = robot.under(&day(wearing.months));
+        let today = wearing.day();
+        let known = robot.under(&today);
         let checked = check(&known, &plan, &data);
         eprintln!(
             "robot {seed} run {run}: p {:.4}, {crashed:?}, {:?}",
@@ -226,17 +244,15 @@ fn three_years(seed: u64, crashes: &[usize], years: &mut Years) {
                     likeliest.is_some_and(|one| one.parameters.contains(&axis) || one.alike.contains(&axis)),
                 );
                 // After a crash the robot is calibrated anew.
-                calibration(&wearing.truth, 2000 + seed + run as u64, wearing.months)
+                calibration(&wearing.truth, 2000 + seed + run as u64, today)
             }
             None => {
                 years.checks += 1;
                 years.alarms += usize::from(checked.test.changed);
-                calibrated(&known, &data, &balls_of(&plan), &options(Prior::Posterior, wearing.months))
-                    .unwrap()
-                    .robot
+                calibrated(&known, &data, &balls_of(&plan), &options(Prior::Posterior, today)).unwrap().robot
             }
         };
-        years.judge(&wearing, &robot, 300 * seed + run as u64);
+        years.judge(&mut wearing, &robot, 300 * seed + run as u64);
         eprintln!(
             "   full {full:.4}, error {:.4}, predicted {:.4}, covered {:.2}",
             years.errors.last().unwrap(),
@@ -285,14 +301,14 @@ fn a_payload_in_a_check_is_no_change() {
         ..Payload::default()
     };
     let (mut checks, mut changed, mut blamed) = (0, 0, 0);
-    let plan = renewal(&calibration(&drawn(1), 1, 0.0), INTERVAL);
+    let plan = renewal(&calibration(&drawn(1), 1, day(0.0, 20.0)), &day(INTERVAL, 20.0));
     for seed in 1..=20 {
         let mut wearing = WearingRobot::new(seed);
         wearing.truth.geometry.load.payloads = vec![payload("bar", 0.0), payload("gripper", 50.0)];
         for (joint, compliance) in [(1, 2e-7), (2, 4e-7), (3, 6e-7), (4, 6e-7)] {
             wearing.truth.geometry.compliance[joint] = compliance;
         }
-        let mut robot = calibration(&wearing.truth, seed, 0.0);
+        let mut robot = calibration(&wearing.truth, seed, day(0.0, 20.0));
         robot.geometry.load.payloads = wearing.truth.geometry.load.payloads.clone();
         wearing.truth.geometry.load.payloads.swap(0, 1);
         let mut data = wearing.measured(&plan);
