@@ -48,6 +48,12 @@ pub(crate) struct PlanArgs {
     /// the smallest changes that are detected with 95 % probability at 1 % false alarms.
     #[arg(long, requires = "robot", conflicts_with_all = ["stage", "measured"])]
     check: bool,
+    /// Plan N lengths, 10 to 242 [default: 20], that renew a calibration; --robot is its robot-identified.toml. In place of the job's circles, chooses
+    /// the poses about its base balls that leave the least position error, with what is known of the robot today: its
+    /// posterior, widened by the months since. `identify` with the same --robot then continues the posterior.
+    #[arg(long, value_name = "N", requires = "robot", num_args = 0..=1, require_equals = true, default_missing_value = "20",
+        conflicts_with_all = ["stage", "measured", "check", "remaining", "repeat"], value_parser = clap::value_parser!(u32).range(10..=242))]
+    renew: Option<u32>,
     /// Number of poses of the check, 12 to 24.
     #[arg(long, value_name = "N", requires = "check", default_value_t = 18, value_parser = clap::value_parser!(u32).range(12..=24))]
     poses: u32,
@@ -76,9 +82,10 @@ pub(super) fn request(args: &PlanArgs) -> Request {
         }),
         Some(poses) => PlannedPoses::Stage { poses },
         None if !args.remaining.is_empty() => PlannedPoses::Remaining { runs: args.remaining.clone() },
-        None => match &args.repeat {
-            Some((run, rows)) => PlannedPoses::Repeat { run: run.clone(), rows: rows.clone() },
-            None => PlannedPoses::Job,
+        None => match (&args.repeat, args.renew) {
+            (Some((run, rows)), _) => PlannedPoses::Repeat { run: run.clone(), rows: rows.clone() },
+            (None, Some(poses)) => PlannedPoses::Renew { poses },
+            (None, None) => PlannedPoses::Job,
         },
     };
     Request::Plan(PlanRequest {

@@ -5,14 +5,16 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::{CommandOutcome, CommandOutput, robots, value};
+use dbbd_device::clock;
 use dbbd_job::files;
 use dbbd_job::request;
+use dbbd_model::base::date::utc;
 use dbbd_model::base::serialised;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{Orientations, Positions};
 use dbbd_model::measurement::{self, APPROACH, Measurements};
 use dbbd_model::provenance::ArtefactRole;
-use dbbd_model::robot::LoadedRobot;
+use dbbd_model::robot::{LoadedRobot, MeasurementConditions};
 
 /// Predict the position of the tool ball at axis angles, with its uncertainty.
 ///
@@ -37,6 +39,14 @@ pub(crate) struct PredictArgs {
     /// the joints, whose displacement is added to sd_mm.
     #[arg(long, value_name = "MODEL", value_parser = ["geometric"])]
     model: Option<String>,
+    /// The day of the prediction, YYYY-MM-DD [default: today]: what is known of the robot fades with the months since its
+    /// measurement.
+    #[arg(long, value_name = "DATE", value_parser = value::date)]
+    date: Option<String>,
+    /// Mean temperature then, degrees Celsius [default: not known]: if that of the measurement is known too, the links have
+    /// grown by the difference; otherwise the season widens the prediction.
+    #[arg(long, value_name = "CELSIUS", value_parser = value::temperature, allow_hyphen_values = true)]
+    temperature: Option<f64>,
     /// Table to write: the columns of the poses, the position of the tool ball in the robot base x_mm,y_mm,z_mm, and sd_mm,
     /// its 3-D standard deviation (root of the mean square distance). This includes the repeatability of a pose, and is
     /// taken after the best rigid alignment over the poses (of fewer than 10, over the workspace too). sd_mrad is the
@@ -58,6 +68,8 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
     files::keeps(&args.out, [args.axes.as_path(), Path::new(&args.robot)])?;
     files::is_earlier(&args.out, (columns().join(",") + "\n").as_bytes())?;
     let LoadedRobot { mut robot, source, .. } = robots::read_named_robot(&args.robot, out)?;
+    let date = args.date.clone().unwrap_or_else(|| utc(clock::unix_ns()));
+    robot = robot.under(&MeasurementConditions { date: Some(date), temperature_c: args.temperature });
     out.findings_in(&args.robot, request::carrying(&args.robot, &mut robot, args.payload.as_deref())?);
     let (table, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, &args.axes)?;
     out.findings(changed);

@@ -7,9 +7,11 @@ use crate::cli::CliFinding;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use dbbd_job::program::CompensationFinding;
 use dbbd_job::request::plan::PoseRows;
+use dbbd_model::base::date::is_moment;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::plausibility::{POSITIVE, PlausibleRange, Quantity, ValueKey};
+use dbbd_model::provenance::IdentityFinding;
 
 fn number(text: &str, is_valid: impl Fn(f64) -> bool, refusal: CliFinding) -> Result<f64, CliFinding> {
     text.parse().ok().filter(|value: &f64| value.is_finite() && is_valid(*value)).ok_or(refusal)
@@ -31,6 +33,15 @@ pub(super) fn positive(text: &str) -> Result<f64, CliFinding> {
 }
 
 /// The standard uncertainty of a bar's length, mm.
+pub(super) fn date(text: &str) -> Result<String, Diagnostic> {
+    let not_a_date = || IdentityFinding::NotADate { key: "date".into(), date: text.into() };
+    is_moment(text).then(|| text.to_owned()).ok_or_else(|| not_a_date().into())
+}
+
+pub(super) fn temperature(text: &str) -> Result<f64, Diagnostic> {
+    of(text, Quantity::Temperature)
+}
+
 pub(super) fn bar_u(text: &str) -> Result<f64, Diagnostic> {
     of(text, Quantity::StandardLengthUncertainty)
 }

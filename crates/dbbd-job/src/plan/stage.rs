@@ -44,11 +44,10 @@ impl Job {
         self.with_poses(OptimiseTable { stage_points: points, ..before })
     }
 
-    /// The job with `points` poses about its base balls that detect changes best, in place of its circles.
+    /// The job with `points` poses about its base balls that are best for a calibrated robot, in place of its circles.
     #[must_use]
-    pub fn as_check(&self, points: u32) -> Self {
+    pub fn as_check(&self, points: u32, criterion: Criterion) -> Self {
         let before = self.optimise.clone().unwrap_or_default();
-        let criterion = Criterion::Change;
         self.with_poses(OptimiseTable { points, criterion, parameters: None, stage_points: points, ..before })
     }
 
@@ -86,7 +85,7 @@ mod tests {
         let stage = job.as_stage(8);
         let table = stage.optimise.expect("a stage has chosen poses");
         assert_eq!((stage.circles.len(), table.points, table.stage_points), (0, 50, 8));
-        let check = job.as_check(9);
+        let check = job.as_check(9, Criterion::Change);
         let table = check.optimise.expect("a check has chosen poses");
         assert_eq!((check.circles.len(), table.points, table.stage_points), (0, 9, 9));
         assert_eq!(table.criterion, Criterion::Change);

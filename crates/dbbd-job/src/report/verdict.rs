@@ -3,9 +3,10 @@
 
 use dbbd_model::conformity::UncertaintyBudget;
 use dbbd_model::conformity::{ComparisonSubject, ConformityOutcome, InterimCheck, ResultComparison};
-use dbbd_model::estimation::CalibrationResult;
+use dbbd_model::estimation::{CalibrationResult, Validity};
 use serde::Serialize;
 
+use super::page::capitalised;
 use super::scale::{plain, significant};
 
 /// A verdict with its sentences. The template gives each kind a colour and a shape.
@@ -35,6 +36,10 @@ fn mm(value: f64) -> String {
 
 fn um(value_mm: f64) -> String {
     format!("{} µm", significant(1e3 * value_mm, 3))
+}
+
+fn holds(validity: &Validity) -> String {
+    format!("{}.", capitalised(&validity.to_string()))
 }
 
 impl Verdict {
@@ -72,7 +77,7 @@ impl Verdict {
             kind: VerdictKind::Pass,
             word: "Valid",
             sentence: format!("for this tool: U = {expanded} (k = {k}). {lengths}"),
-            validity: None,
+            validity: result.validity.as_ref().map(holds),
             next,
         }
     }
@@ -104,7 +109,7 @@ impl Verdict {
                 "These lengths cannot decide. Measure more poses, or state a tolerance that they can decide.",
             ),
         };
-        Self { kind, word, sentence, validity: None, next: next.into() }
+        Self { kind, word, sentence, validity: check.validity.as_ref().map(holds), next: next.into() }
     }
 
     /// `changed` are the names of what changed significantly.

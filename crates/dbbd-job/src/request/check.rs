@@ -189,7 +189,8 @@ impl CheckRequest {
             centres: self.centres.as_deref(),
             bar_u_mm: self.bar_u_mm,
         };
-        let given = LoadedInputs::read(named, session)?;
+        let mut given = LoadedInputs::read(named, session)?;
+        given.age_robot(None);
         if given.observations.set_up(0).trackers > 0 {
             return Err(EstimationFinding::LengthsOnly.into());
         }

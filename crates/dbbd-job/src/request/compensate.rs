@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
 use super::identify::read_workspace;
-use super::robots::{carrying, edited, robot_for_measurement};
+use super::robots::{carrying, edited, robot_for_measurement, today};
 use super::{AnswerOutcome, RequestResult, RequestSession};
 use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
@@ -159,6 +159,7 @@ impl CompensateRequest {
     ) -> Result<RequestResult<CompensateDocument>, Diagnostic> {
         Quantity::CorrectionLimit.check("limit", self.limit_mm)?;
         let LoadedRobot { mut robot, source: identified, .. } = robot_for_measurement(&self.robot, session)?;
+        robot = today(&robot);
         session.findings_in(&self.robot, carrying(&self.robot, &mut robot, self.payload.as_deref())?);
         session.findings_in(&self.robot, robot.doubtful());
         if robot.nominal.is_none() {

@@ -1,8 +1,10 @@
 //! The robot of a request, and what its file says of itself.
 
+use dbbd_device::clock;
+use dbbd_model::base::date;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
-use dbbd_model::robot::{LoadedRobot, Robot, RobotFinding};
+use dbbd_model::robot::{LoadedRobot, MeasurementConditions, Robot, RobotFinding};
 
 use super::RequestSession;
 use crate::robot_files::named_robot;
@@ -28,6 +30,12 @@ pub fn carrying(
     robot.geometry.load.carry(payload).map_err(|finding| finding.in_file(name))?;
     let beyond = robot.geometry.load.beyond_measured().filter(|_| robot.nominal.is_some());
     Ok(beyond.map(|[kg, measured_kg]| RobotFinding::PayloadNeverMeasured { kg, measured_kg }))
+}
+
+/// With what is known of a robot today.
+pub fn today(robot: &Robot) -> Robot {
+    let date = Some(date::utc(clock::unix_ns()));
+    robot.under(&MeasurementConditions { date, temperature_c: None })
 }
 
 /// A finding if the file of an identified robot lacks its posterior, or has values that the posterior does not belong to.

@@ -1,5 +1,9 @@
 //! Dates of the Gregorian calendar.
 
+/// Days of a month in the mean of the Julian years of science.
+const DAYS_OF_MONTH: f64 = 365.25 / 12.0;
+const NS_OF_DAY: u64 = 86_400_000_000_000;
+
 /// Days from 1970-01-01 to a date `YYYY-MM-DD`; `None` if the text is not a date.
 pub fn day_number(date: &str) -> Option<f64> {
     let number = |part: &str, digits: usize| {
@@ -15,9 +19,22 @@ pub fn day_number(date: &str) -> Option<f64> {
     is_date.then(|| days(month, day) as f64)
 }
 
+/// Months of mean length from one date to another, with or without a time; `None` if one is not a date.
+pub fn months_between(from: &str, to: &str) -> Option<f64> {
+    let day = |moment: &str| day_number(moment.split('T').next()?);
+    Some((day(to)? - day(from)?) / DAYS_OF_MONTH)
+}
+
+/// The date so many months after another one; `None` if that is not a date.
+pub fn after_months(date: &str, months: f64) -> Option<String> {
+    let day = day_number(date.split('T').next()?)? + (months * DAYS_OF_MONTH).floor();
+    let ns = (day >= 0.0).then_some(day as u64 * NS_OF_DAY)?;
+    utc(ns).split('T').next().map(str::to_owned)
+}
+
 /// Whether a date is later than a time (nanoseconds since the Unix epoch) in every time zone.
 pub fn is_after(date: &str, unix_ns: u64) -> bool {
-    let day = (unix_ns / 86_400_000_000_000) as f64;
+    let day = (unix_ns / NS_OF_DAY) as f64;
     day_number(date).is_some_and(|date| date > day + 1.0)
 }
 
@@ -82,6 +99,16 @@ mod tests {
         assert!(!["2024-03-01T", "2024-03-01Tnoon", "2024-03-01 10:00"].into_iter().any(is_moment));
         assert!(["23:59", "00:00:59Z"].into_iter().all(is_time));
         assert!(!["24:00", "10:60", "10", "10:00:00+01:00", "+1:00", ""].into_iter().any(is_time));
+    }
+
+    /// 2024 has 366 days, 12 mean months 365.25: the day before the anniversary.
+    #[test]
+    fn months_are_twelfths_of_a_year() {
+        let months = months_between("2024-01-31T10:00:00Z", "2028-01-31").unwrap();
+        assert!((months - 48.0).abs() < 1e-12, "{months}");
+        assert_eq!(after_months("2024-01-31", 12.0).as_deref(), Some("2025-01-30"));
+        assert_eq!(after_months("2024-01-31T10:00:00Z", 1.0).as_deref(), Some("2024-03-01"));
+        assert_eq!((after_months("2024-13-01", 1.0), months_between("", "2024-01-01")), (None, None));
     }
 
     #[test]

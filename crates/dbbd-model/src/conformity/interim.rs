@@ -13,7 +13,7 @@ use crate::estimation::change::{
 };
 use crate::estimation::expected::{BallMounting, Expected, FREE_BALL_MM, Mounting};
 use crate::estimation::result::MapPoint;
-use crate::estimation::{ErrorSummary, LengthNoise, Posterior, Workspace, length_sd_mm};
+use crate::estimation::{ErrorSummary, LengthNoise, Posterior, Validity, Workspace, length_sd_mm};
 use crate::math::distributions::chi_square_tail;
 use crate::measurement::{LengthModel, Measurements, PreparedMeasurement};
 use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, RobotPosterior, RobotUncertainty};
@@ -76,6 +76,8 @@ pub struct InterimCheck {
     /// Probability that nothing changed.
     pub unchanged_probability: f64,
     pub predicted_position_uncertainty_mm: CheckUncertainty,
+    /// For which tool, payload and time the robot file holds after a check that found no change.
+    pub validity: Option<Validity>,
     pub detectable: Vec<Detectable>,
     /// The 95th percentile of the position error over the poses, for each drawn robot, ascending, mm.
     #[serde(skip)]
@@ -143,6 +145,7 @@ impl CheckInput<'_> {
                 now: of_workspace(&now),
                 updated: updated.as_ref().map(|posterior| of_workspace(&position.of(posterior, 1.0))),
             },
+            validity: if test.changed { None } else { self.validity(&expected, &known)? },
             detectable: innovation.detectable(),
             map: position.workspace.map(&position.moved(&now)),
             update: updated.and_then(|posterior| self.robot_of(&posterior, &known)),
@@ -194,6 +197,17 @@ impl CheckInput<'_> {
         let best = expected.posterior.after(self.readings, self.noise())?;
         let best = decide(&position.sizes(&position.of(&best, 1.0)), None, self.rule, false);
         Some(if self.rule == DecisionRule::SimpleAcceptance { best.position_error_mm } else { best.upper_mm })
+    }
+
+    /// How long the robot holds with what the lengths say of it.
+    fn validity(
+        &self,
+        expected: &Expected,
+        known: &Posterior,
+    ) -> Result<Option<Validity>, ConformityFinding> {
+        let after =
+            expected.posterior.after(self.readings, self.noise()).ok_or(ConformityFinding::NotFinite)?;
+        Ok(self.robot_of(&after, known).and_then(|robot| Validity::of(&robot, self.tolerance_mm)))
     }
 
     /// The posterior of the calibration.
@@ -318,13 +332,7 @@ struct CheckWorkspace {
 
 impl CheckWorkspace {
     fn new(check: &CheckInput<'_>, known: &Posterior) -> Self {
-        let geometry = &check.robot.geometry;
-        let workspace = if known.coefficients() > 0 {
-            Workspace::with_joint_errors(geometry, check.workspace, known.ids())
-        } else {
-            Workspace::new(geometry, check.workspace, known.ids())
-        };
-        Self { workspace, start: known.model.clone() }
+        Self { workspace: known.workspace(check.workspace), start: known.model.clone() }
     }
 
     /// Draws of the parameter errors of `posterior`, a column each; `share` of all draws.

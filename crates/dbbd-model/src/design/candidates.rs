@@ -5,8 +5,8 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
+use crate::estimation::Posterior;
 use crate::estimation::expected::Expected;
-use crate::estimation::{Posterior, Workspace};
 use crate::robot::inverse::{branches, status, turns_within};
 use crate::robot::{AXES, BallId, Geometry, Pose, Robot};
 
@@ -133,5 +133,5 @@ pub(super) fn columns(rows: usize, columns: impl ExactSizeIterator<Item = DVecto
 
 /// The Jacobian of the tool ball over a workspace, three rows a pose, in the coordinates of the posterior's root.
 pub fn workspace_rows(posterior: &Posterior, poses: &[[f64; AXES]]) -> DMatrix<f64> {
-    Workspace::new(&posterior.model.geometry, poses, posterior.ids()).jacobian() * posterior.root()
+    posterior.workspace(poses).jacobian() * posterior.root()
 }

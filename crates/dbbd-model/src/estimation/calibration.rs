@@ -19,7 +19,7 @@ use super::result::{
 };
 use super::selection::data_sd;
 use super::validation::{self, residual_of, residual_of_used};
-use super::{Correlation, DistanceQuantities, ErrorModel, Observability, Options, factor};
+use super::{Correlation, DistanceQuantities, ErrorModel, Observability, Options, Validity, factor};
 use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::coverage_95;
@@ -163,6 +163,17 @@ impl<'a> Calibration<'a> {
         let nominal = setting.robot.nominal.clone().unwrap_or_else(|| Box::new(setting.robot.clone()));
         let warnings = findings.iter().filter(|finding| finding.severity() == Severity::Warning);
         let joint_errors = estimate.joint_summary();
+        let robot = Robot {
+            doubts: BTreeSet::from_iter(warnings.map(|finding| finding.code().to_string()))
+                .into_iter()
+                .collect(),
+            posterior: prediction.posterior,
+            geometry: with_measured_payloads(estimate.fit.model.geometry.clone(), self.observations),
+            nominal: Some(nominal),
+            uncertainty: Some(Box::new(prediction.uncertainty)),
+            measured: setting.options.measured.clone(),
+            ..setting.robot.clone()
+        };
         let result = CalibrationResult {
             schema: RESULT_SCHEMA,
             robot: setting.robot.name.clone(),
@@ -195,6 +206,7 @@ impl<'a> Calibration<'a> {
             hypotheses,
             monte_carlo: checks.monte_carlo,
             predicted_position_uncertainty_mm: prediction.pair,
+            validity: Validity::of(&robot, None),
             parameters: self.parameters,
             combinations: estimate.analysis.combinations(),
             correlated,
@@ -205,16 +217,7 @@ impl<'a> Calibration<'a> {
         };
         CompletedCalibration {
             result,
-            robot: Robot {
-                doubts: BTreeSet::from_iter(warnings.map(|finding| finding.code().to_string()))
-                    .into_iter()
-                    .collect(),
-                posterior: prediction.posterior,
-                geometry: with_measured_payloads(estimate.fit.model.geometry.clone(), self.observations),
-                nominal: Some(nominal),
-                uncertainty: Some(Box::new(prediction.uncertainty)),
-                ..setting.robot.clone()
-            },
+            robot,
             before: estimate.before,
             posterior,
             position_parts: prediction.parts,

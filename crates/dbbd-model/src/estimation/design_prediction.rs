@@ -3,9 +3,7 @@
 use super::position::unit_draws;
 use super::priors::WEAK;
 use super::result::MapPoint;
-use super::{
-    Analysis, ErrorSummary, Observability, Posterior, Workspace, analyse, factor, inverse_root, observability,
-};
+use super::{Analysis, ErrorSummary, Observability, Posterior, analyse, factor, inverse_root, observability};
 use crate::measurement::PreparedMeasurement;
 use crate::robot::{AXES, ParamId};
 
@@ -58,7 +56,7 @@ pub fn predict_design(
     let is_identifiable =
         |id: ParamId| alone(id).is_some_and(|alone| alone <= WEAK * prior.sd(id).unwrap_or(0.0));
     let identifiable: Vec<usize> = (0..kept.len()).filter(|&at| is_identifiable(kept[at])).collect();
-    let workspace = Workspace::new(&prior.model.geometry, poses, ids);
+    let workspace = prior.workspace(poses);
     let [now, then] =
         [prior.root(), after.root()].map(|root| workspace.displacements(&(root * unit_draws(root.ncols()))));
     Some(DesignPrediction {

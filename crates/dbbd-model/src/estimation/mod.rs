@@ -49,6 +49,7 @@ mod start;
 mod system;
 mod unknowns;
 mod validation;
+mod validity;
 pub mod wording;
 mod workspace;
 
@@ -74,6 +75,7 @@ pub use priors::{Prior, Priors, largest_plausible, length_sd_mm};
 pub use program_uncertainty::{PointUncertainty, ProgramUncertainty};
 pub use result::{CalibrationResult, CompletedCalibration};
 pub use selection::{is_place, without_open_places};
+pub use validity::{DriftBasis, Validity};
 pub use workspace::{ErrorSummary, SimplifiedModelError, Workspace};
 
 #[cfg(test)]

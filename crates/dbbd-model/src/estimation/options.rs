@@ -9,7 +9,7 @@ use super::priors::{Prior, Priors};
 use crate::estimation::EstimationFinding;
 use crate::measurement::{LengthModel, Measurements};
 use crate::robot::parameter::{self, SetUpCounts};
-use crate::robot::{AXES, ParamId, Robot};
+use crate::robot::{AXES, MeasurementConditions, ParamId, Robot};
 
 /// Which errors of a robot are modelled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -41,6 +41,8 @@ pub struct Options {
     pub monte_carlo: Option<usize>,
     /// Axis vectors (rad) over which the position error is predicted; by default uniform within the axis limits.
     pub workspace: Option<Vec<[f64; AXES]>>,
+    /// When the data were measured, and how warm it was.
+    pub measured: MeasurementConditions,
 }
 
 /// Poses and seed of the default workspace.

@@ -12,6 +12,7 @@ use super::expected::FREE_BALL_MM;
 use super::linear_system::{linear_system, linear_system_by_pose};
 use super::pose_rows::LengthNoise;
 use super::priors::Priors;
+use super::workspace::Workspace;
 use crate::math::{Triangle, stacked};
 use crate::measurement::{ColumnSelection, LengthModel, PreparedMeasurement};
 use crate::robot::{
@@ -121,6 +122,16 @@ impl Posterior {
     /// The standard deviations in the order of the parameters.
     pub fn sds(&self) -> impl Iterator<Item = f64> {
         self.root.row_iter().map(|row| row.norm())
+    }
+
+    /// The tool ball at `poses` (axis angles, rad) by the rows of the root.
+    pub fn workspace(&self, poses: &[[f64; AXES]]) -> Workspace {
+        let (geometry, ids) = (&self.model.geometry, self.ids());
+        if self.coefficients() > 0 {
+            Workspace::with_joint_errors(geometry, poses, ids)
+        } else {
+            Workspace::new(geometry, poses, ids)
+        }
     }
 
     /// With the covariance `columns columns'` added.

@@ -12,6 +12,7 @@ use super::options::ErrorModel;
 use super::priors::Prior;
 use super::{
     Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, PositionParts, Posterior,
+    Validity,
 };
 use crate::base::serialised::Seal;
 use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
@@ -68,6 +69,8 @@ pub struct CalibrationResult {
     pub hypotheses: Vec<RunHypothesis>,
     pub monte_carlo: Option<MonteCarlo>,
     pub predicted_position_uncertainty_mm: PredictedPair,
+    /// For which tool, payload and time the result holds.
+    pub validity: Option<Validity>,
     /// Every parameter of the model.
     pub parameters: Vec<ParameterResult>,
     pub combinations: Vec<Combination>,

@@ -219,7 +219,18 @@ impl EstimateStart {
 fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
     let uncertainty = setting.robot.known_uncertainty();
     let KnownBefore { ids, are_bars_uncertified, .. } = known;
-    let is_robots = |id: &ParamId| uncertainty.parameters.contains(id) && !matches!(id, ParamId::Ball(..));
+    // A tool ball that the posterior has not is another one than that of the identification.
+    let is_here = |id: &ParamId| match id.group() {
+        ParamGroup::Balls => false,
+        ParamGroup::Tool => setting.priors.is_of_posterior(*id),
+        ParamGroup::Geometric
+        | ParamGroup::Targets
+        | ParamGroup::Bar
+        | ParamGroup::Tracker
+        | ParamGroup::Compliance
+        | ParamGroup::Gear => true,
+    };
+    let is_robots = |id: &ParamId| uncertainty.parameters.contains(id) && is_here(id);
     // Harmonics and compliance that the robot has not are not added.
     let ids: Vec<ParamId> = ids.into_iter().filter(|id| !id.is_optional() || is_robots(id)).collect();
     let own: Vec<usize> = (0..ids.len()).filter(|at| is_robots(&ids[*at])).collect();

@@ -37,6 +37,8 @@ findings! {
             Coupling { joint: usize, axis: usize, factor: i8 } => "joint {joint}: coupling with axis = {axis} and factor = {factor}: axis must be 2 to {joint} - 1, factor 1 or -1";
             NoCoupledAngle { joint: usize, axis: usize, axis_deg: f64 } => "joint {joint}: limits_deg and those of coupling leave axis {joint} no angle where axis {axis} is at its limit of {axis_deg} degrees";
             Posterior => "[posterior]: `values` and the rows of `root`, which are 1, 2, .. numbers long, must be as many as `parameters` of the robot, each there once";
+            NotADate { date: String } => "date = \"{date}\" is not a date YYYY-MM-DD";
+            Drift => "[drift]: `zero_rad` must be above 0 and at most 0.01 rad, `ln_sd` 0 to 2";
             NoName => "name is empty: runs and programs are compared by it";
             PayloadTwice { name: String } => "[[payload]]: `{name}` is there twice: rows of measurements name one of several";
             Gravity => "[mounting] gravity must be the direction of gravity in the robot base, as [0, 0, -1] for an arm on the floor";

@@ -10,7 +10,7 @@ use super::load::ArmLoad;
 use super::parameter::all_parameters;
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
-use super::{AXES, Coupling, DhRow, Joint, JointErrors, ParamId, PriorRule};
+use super::{AXES, Coupling, DhRow, Drift, Joint, JointErrors, MeasurementConditions, ParamId, PriorRule};
 use crate::base::serialised::Seal;
 use crate::diagnostic::Names;
 use crate::diagnostic::{Diagnostic, nearest};
@@ -75,6 +75,10 @@ pub struct Robot {
     pub posterior: Option<RobotPosterior>,
     /// The posterior with the errors of the joints, for the position uncertainty.
     pub uncertainty: Option<Box<RobotUncertainty>>,
+    /// When it was identified.
+    pub measured: MeasurementConditions,
+    /// How fast its zeros wander.
+    pub drift: Drift,
     /// The source of the numbers in the file.
     pub source: Option<String>,
     pub provenance: Provenance,
@@ -173,6 +177,8 @@ impl Robot {
             nominal: None,
             posterior: None,
             uncertainty: None,
+            measured: MeasurementConditions::default(),
+            drift: Drift::default(),
             source: None,
             provenance: Provenance::default(),
             doubts: Vec::new(),

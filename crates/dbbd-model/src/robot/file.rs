@@ -14,8 +14,9 @@ use super::kinematics::Geometry;
 use super::load::{ArmLoad, Mass, Payload};
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
-use super::{AXES, DhRow, Joint, JointErrors, Robot, Tolerance};
+use super::{AXES, DhRow, Drift, Joint, JointErrors, MeasurementConditions, Robot, Tolerance};
 use crate::base::InternalFinding;
+use crate::base::date::is_moment;
 use crate::base::fixed_array::fixed_array;
 use crate::base::parse::from_toml;
 use crate::base::serialised;
@@ -37,6 +38,8 @@ struct RobotFile {
     repeatability_mm: Option<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     doubts: Vec<String>,
+    date: Option<String>,
+    temperature_c: Option<f64>,
     controller: Option<ControllerTable>,
     joint: Vec<JointTable>,
     #[serde(default)]
@@ -50,6 +53,7 @@ struct RobotFile {
     payload: Vec<PayloadTable>,
     #[serde(default, skip_serializing_if = "Provenance::is_empty")]
     provenance: Provenance,
+    drift: Option<Drift>,
     posterior: Option<RobotPosterior>,
     nominal: Option<Box<RobotFile>>,
     uncertainty: Option<RobotUncertainty>,
@@ -177,6 +181,7 @@ impl RobotFile {
             ("[tolerance] flange_deg", Some(self.tolerance.flange_deg), Quantity::AngleTolerance),
             ("[tool] ball_u_mm", Some(self.tool.ball_u_mm), Quantity::LengthTolerance),
             ("repeatability_mm", self.repeatability_mm, Quantity::Repeatability),
+            ("temperature_c", self.temperature_c, Quantity::Temperature),
             ("[tool] ball_mm", ball_mm, Quantity::ToolBallDistance),
         ];
         let coordinates = self.tool.ball_mm.map(|mm| ("[tool] ball_mm", Some(mm), Quantity::ArmLength));
@@ -261,6 +266,12 @@ impl RobotFile {
         if self.name.trim().is_empty() {
             return Err(RobotFinding::NoName.into());
         }
+        if let Some(date) = self.date.as_ref().filter(|date| !is_moment(date)) {
+            return Err(RobotFinding::NotADate { date: date.clone() }.into());
+        }
+        if self.drift.is_some_and(|drift| !drift.is_sound()) {
+            return Err(RobotFinding::Drift.into());
+        }
         if self.posterior.as_ref().is_some_and(|posterior| !posterior.is_sound()) {
             return Err(RobotFinding::Posterior.into());
         }
@@ -306,6 +317,8 @@ impl RobotFile {
             doubts: self.doubts,
             posterior: self.posterior,
             uncertainty: None,
+            measured: MeasurementConditions { date: self.date, temperature_c: self.temperature_c },
+            drift: self.drift.unwrap_or_default(),
             // The line of a joint of the nominal robot is not known: the text has the joints of both robots.
             nominal: match self.nominal {
                 Some(nominal) => {
@@ -359,6 +372,8 @@ impl RobotFile {
             source: robot.source.clone(),
             repeatability_mm: robot.repeatability_mm,
             doubts: robot.doubts.clone(),
+            date: robot.measured.date.clone(),
+            temperature_c: robot.measured.temperature_c,
             controller: is_stated.then(|| ControllerTable::of(robot.controller_model, &robot.geometry.rows)),
             joint: robot.joint_tables(),
             tool: RobotToolTable { ball_mm: robot.geometry.tool.into(), ball_u_mm: robot.ball_u_mm },
@@ -367,6 +382,7 @@ impl RobotFile {
             mass: masses.iter().filter(|_| is_written).map(mass).collect(),
             payload: payloads.iter().map(payload).collect(),
             provenance: robot.provenance.clone(),
+            drift: (robot.drift != Drift::default()).then_some(robot.drift),
             posterior: robot.posterior.clone(),
             nominal: robot.nominal.as_ref().map(|nominal| Box::new(Self::from_robot(nominal))),
             uncertainty: robot.uncertainty.as_deref().cloned(),

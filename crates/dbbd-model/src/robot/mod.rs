@@ -12,6 +12,7 @@ mod controller;
 mod coupling;
 mod definition;
 mod dh_row;
+mod drift;
 mod file;
 mod ids;
 pub mod inverse;
@@ -31,6 +32,7 @@ pub use controller::ControllerModel;
 pub use coupling::{CoupledAxis, Coupling};
 pub use definition::{LoadedRobot, Robot, Tolerance};
 pub use dh_row::DhRow;
+pub use drift::{Drift, MeasurementConditions};
 pub use ids::{
     Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, PayloadId, TargetId,
     max_axis_difference,

@@ -90,6 +90,18 @@ impl RobotPosterior {
         triangular(&self.root.select_rows(&rows))
     }
 
+    /// Adds the variances of independent steps, each of several parameters together (mm or rad).
+    pub(super) fn widen(&mut self, steps: &[Vec<(ParamId, f64)>]) {
+        self.root = triangular(&with_steps(&self.root, &self.ids, steps));
+    }
+
+    /// Moves the value of a parameter, mm or rad, if it has it.
+    pub(super) fn shift(&mut self, id: ParamId, by: f64) {
+        if let Some(at) = self.position(id) {
+            self.values[at] += by;
+        }
+    }
+
     /// The posterior of the parameters for which `keep` is true; `None` if there are none.
     pub fn keeping(&self, keep: impl Fn(ParamId) -> bool) -> Option<Self> {
         let kept = self.ids.iter().zip(&self.values).filter(|(id, _)| keep(**id));
@@ -126,6 +138,25 @@ fn read_root<'de, D: Deserializer<'de>>(from: D) -> Result<DMatrix<f64>, D::Erro
     let element = |row: usize, column: usize| rows[row].get(column).copied().unwrap_or(0.0);
     let of = |row, column| if is_triangular { element(row, column) } else { f64::NAN };
     Ok(DMatrix::from_fn(rows.len(), rows.len(), of))
+}
+
+/// The root of a covariance, whose first rows are those of `ids`, with a column for each step: one standard deviation of each of
+/// its parameters (mm or rad) that has a row.
+pub(super) fn with_steps(
+    root: &DMatrix<f64>,
+    ids: &[ParamId],
+    steps: &[Vec<(ParamId, f64)>],
+) -> DMatrix<f64> {
+    let own = root.ncols();
+    let mut wider = root.clone().resize_horizontally(own + steps.len(), 0.0);
+    for (at, step) in steps.iter().enumerate() {
+        for (id, size) in step {
+            if let Some(row) = ids.iter().position(|own| own == id) {
+                wider[(row, own + at)] = *size;
+            }
+        }
+    }
+    wider
 }
 
 /// The lower triangular root of the same covariance.

@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use super::posterior::with_steps;
 use super::{AXES, Geometry, Joint, ParamId};
 use crate::base::fixed_array::fixed_array;
 
@@ -67,6 +68,11 @@ impl RobotUncertainty {
             }
         }
         self
+    }
+
+    /// Adds the variances of independent steps, each of several parameters together (mm or rad).
+    pub(super) fn widen(&mut self, steps: &[Vec<(ParamId, f64)>]) {
+        self.root = with_steps(&self.root, &self.parameters, steps);
     }
 
     /// With the digits that a robot's file has, so that a result in memory is that of its file.

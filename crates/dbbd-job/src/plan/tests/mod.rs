@@ -6,3 +6,4 @@ mod job_keys;
 mod obstacle_distances;
 mod plans_are_optimal;
 mod plans_read_back;
+mod years_of_a_robot;

@@ -10,6 +10,8 @@ use super::{AskedIdentification, LENGTHS, POSITIONS};
 use crate::recording::run::{PredictedLengths, RecordedRun};
 use crate::request::RequestSession;
 use crate::request::robots::robot_for_measurement;
+use dbbd_device::clock;
+use dbbd_model::base::date;
 use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::diagnostic::{Diagnostic, Severity};
 use dbbd_model::estimation::EstimationFinding;
@@ -22,7 +24,7 @@ use dbbd_model::provenance::{
     one_robot,
 };
 use dbbd_model::robot::parameter::SetUpCounts;
-use dbbd_model::robot::{AXES, BallId, LoadedRobot, Robot};
+use dbbd_model::robot::{AXES, BallId, LoadedRobot, MeasurementConditions, Robot};
 
 /// The least standard deviation of a predicted length in the pose matching, mm.
 const MIN_PREDICTED_SIGMA_MM: f64 = 0.02;
@@ -54,6 +56,8 @@ pub(crate) struct LoadedInputs {
     /// Standard uncertainty of the bar's length, mm, if known.
     pub(crate) bar_u_mm: Option<f64>,
     pub(crate) provenance: Provenance,
+    /// When the lengths were measured, and how warm it was.
+    pub(crate) measured: MeasurementConditions,
     findings: Vec<Diagnostic>,
     /// Findings about the capture and its latest pose matching.
     run_findings: Vec<Diagnostic>,
@@ -136,6 +140,7 @@ impl LoadedInputs {
         let observations = with_positions(observations, positions.as_ref())?;
         let lengths = parts.iter().map(|part| &part.lengths);
         let provenance = crate::artefact::made_from([&source].into_iter().chain(&sources).chain(lengths));
+        let measured = conditions(&parts, &observations);
         let bar = &provenance.identity.bar;
         let uncorrected = uncorrected_bar(&observations, bar).filter(|_| matched.is_none());
         findings.extend(uncorrected.map(|finding| Diagnostic::file(&input, finding)));
@@ -148,10 +153,21 @@ impl LoadedInputs {
             observations,
             positions,
             provenance,
+            measured,
             findings,
             parts,
             left_out,
         })
+    }
+
+    /// With what is known of the robot when the lengths were measured: on the day that they or `stated` tell, else today.
+    pub(crate) fn age_robot(&mut self, stated: Option<&Identity>) {
+        if let Some(stated) = stated {
+            self.measured.date = stated.measured.clone().or(self.measured.date.take());
+            self.measured.temperature_c = temperature_c(stated).or(self.measured.temperature_c);
+        }
+        let day = self.measured.date.clone().unwrap_or_else(|| date::utc(clock::unix_ns()));
+        self.robot = self.robot.under(&MeasurementConditions { date: Some(day), ..self.measured.clone() });
     }
 
     /// Reads measurements that only check the result. They must be of the same robot in the same set-up.
@@ -253,6 +269,20 @@ impl LoadedInputs {
         self.run_findings = run_findings(&self.parts, &self.robot);
         true
     }
+}
+
+/// The last day of the parts and their temperature: of the robot, else of the air, else of the rows.
+fn conditions(parts: &[InputPart], observations: &Measurements) -> MeasurementConditions {
+    let identities = || parts.iter().map(|part| &part.lengths.provenance.identity);
+    MeasurementConditions {
+        date: identities().filter_map(|identity| identity.measured.clone()).max(),
+        temperature_c: identities().find_map(temperature_c).or_else(|| observations.mean_temperature_c()),
+    }
+}
+
+fn temperature_c(identity: &Identity) -> Option<f64> {
+    let of = |what: &str| identity.temperatures.iter().find(|found| found.of == what);
+    of("robot").or_else(|| of("air")).map(|found| found.celsius)
 }
 
 /// Findings about the captures among the inputs.

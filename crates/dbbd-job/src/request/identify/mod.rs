@@ -219,11 +219,12 @@ impl IdentifyRequest {
         if let Some(RequestedPrior::Table(file)) = &self.prior {
             given.provenance.add(&crate::artefact::of_file(ArtefactRole::Prior, file)?);
         }
+        let stated = self.identity.as_ref().map(|path| earlier::read_identity(path)).transpose()?;
+        given.age_robot(stated.as_ref());
         let identity = &mut given.provenance.identity;
-        if let Some(path) = &self.identity {
-            let stated = earlier::read_identity(path)?;
-            session.findings(earlier::other_run(identity, balls, &stated));
-            identity.extend(&stated);
+        if let Some(stated) = &stated {
+            session.findings(earlier::other_run(identity, balls, stated));
+            identity.extend(stated);
         }
         session.findings(identity.old_certificate(&date::utc(clock::unix_ns())));
         let replaced = self.out.join(files::RESULT);
@@ -251,6 +252,7 @@ impl IdentifyRequest {
                 bar_u_mm: given.bar_u_mm,
                 folds: self.folds,
                 monte_carlo: self.monte_carlo,
+                measured: given.measured.clone(),
                 ..Options::default()
             },
         };

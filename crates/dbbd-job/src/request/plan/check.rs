@@ -1,11 +1,13 @@
-//! The poses of a short check of a calibrated robot.
+//! The poses of a short run of a calibrated robot in a new set-up: to see whether it changed, or to renew its calibration.
 
 use super::{CheckPoses, PlanningKnowledge};
 use crate::plan::{Job, Plan, PlanRow, PlanningPrior, PoseKind};
 use crate::request::RequestSession;
 use crate::request::check::LengthSigma;
+use crate::request::robots::today;
 use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::conformity::{CheckInput, DecisionRule};
+use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::estimation::result::MapPoint;
@@ -13,10 +15,11 @@ use dbbd_model::estimation::{Options, length_sd_mm};
 use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
 use dbbd_model::robot::{AXES, BallId, Robot};
 
-/// The check that is planned, without its poses.
+/// The run that is planned, without its poses.
 pub(super) struct PlannedCheck<'a> {
     file: &'a str,
     poses: u32,
+    criterion: Criterion,
     robot: Robot,
     start: LengthModel,
     sigma_mm: f64,
@@ -29,6 +32,7 @@ pub(super) struct PlannedCheck<'a> {
 impl<'a> PlannedCheck<'a> {
     pub(super) fn new(
         poses: CheckPoses,
+        criterion: Criterion,
         file: &'a str,
         job: &Job,
         robot: &Robot,
@@ -43,7 +47,8 @@ impl<'a> PlannedCheck<'a> {
         Ok(Self {
             file,
             poses: poses.poses,
-            robot: robot.clone(),
+            criterion,
+            robot: today(robot),
             start: LengthModel::new(robot.geometry.clone(), &job.balls()),
             sigma_mm: noise.sigma_mm,
             mounting,
@@ -71,7 +76,11 @@ impl<'a> PlannedCheck<'a> {
         self.check_kept_balls(job)?;
         let expected = self.input(&[]).expected().map_err(|finding| Diagnostic::file(self.file, finding))?;
         let prior = PlanningPrior::of_check(job, &self.robot, expected);
-        Ok(PlanningKnowledge { job: job.as_check(self.poses), robot: self.robot.clone(), prior })
+        Ok(PlanningKnowledge {
+            job: job.as_check(self.poses, self.criterion),
+            robot: self.robot.clone(),
+            prior,
+        })
     }
 
     /// Refuses kept base balls that are farther from their places in the job, about which the poses are, than the stroke
@@ -92,12 +101,16 @@ impl<'a> PlannedCheck<'a> {
         Ok(())
     }
 
-    /// Writes what the check can detect into the header. A check has no map of the remaining error.
+    /// Writes what the run can tell into the header. A check has no map of the remaining error.
     pub(super) fn predict(
         &self,
         plan: &mut Plan,
+        prior: &PlanningPrior,
         session: &RequestSession<'_>,
     ) -> Result<Vec<MapPoint>, Diagnostic> {
+        if self.criterion != Criterion::Change {
+            return Ok(plan.predict(&self.robot, prior));
+        }
         let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit);
         let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
         let power = self.input(&readings).power()?;

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 pub use again::PoseRows;
 use check::PlannedCheck;
 use dbbd_device::clock;
+use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::change::CheckPower;
 use dbbd_model::estimation::{check_measurements, doubts};
@@ -18,6 +19,7 @@ use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact, one_robot};
 use dbbd_model::robot::{LoadedRobot, Robot};
 use serde::{Deserialize, Serialize, Serializer};
 
+use super::check::CheckRequest;
 use super::identify::LENGTHS;
 use super::identify::tables::{lengths, measurements};
 use super::robots::robot_for_measurement;
@@ -61,6 +63,8 @@ pub enum PlannedPoses {
     Stage { poses: u32 },
     /// Those of a check of a calibrated robot.
     Check(CheckPoses),
+    /// Those that renew the calibration of a robot best.
+    Renew { poses: u32 },
     /// Those of the plans of these captures that have no length in any of them.
     Remaining { runs: Vec<PathBuf> },
     /// Those of a capture, a table or a result that are measured again.
@@ -206,7 +210,13 @@ impl PlanRequest {
             PlannedPoses::Check(poses) => {
                 // Without a file of the robot there is no posterior: the check refuses that.
                 let file = self.robot.as_deref().unwrap_or_default();
-                Some(PlannedCheck::new(*poses, file, &job, &robot, session)?)
+                Some(PlannedCheck::new(*poses, Criterion::Change, file, &job, &robot, session)?)
+            }
+            PlannedPoses::Renew { poses } => {
+                let file = self.robot.as_deref().unwrap_or_default();
+                let risk = CheckRequest::RISK;
+                let poses = CheckPoses { poses: *poses, balls_kept: false, tolerance_mm: None, risk };
+                Some(PlannedCheck::new(poses, Criterion::I, file, &job, &robot, session)?)
             }
             PlannedPoses::Job
             | PlannedPoses::Stage { .. }
@@ -214,7 +224,10 @@ impl PlanRequest {
             | PlannedPoses::Repeat { .. } => None,
         };
         let given = match &self.poses {
-            PlannedPoses::Job | PlannedPoses::Stage { .. } | PlannedPoses::Check(_) => None,
+            PlannedPoses::Job
+            | PlannedPoses::Stage { .. }
+            | PlannedPoses::Check(_)
+            | PlannedPoses::Renew { .. } => None,
             PlannedPoses::Remaining { runs } => {
                 Some(again::remaining(runs.iter().map(AsRef::as_ref), session)?)
             }
@@ -246,7 +259,7 @@ impl PlanRequest {
         plan.header.provenance = provenance;
         plan.header.again = matches!(self.poses, PlannedPoses::Repeat { .. });
         let map = match &check {
-            Some(check) => check.predict(&mut plan, session)?,
+            Some(check) => check.predict(&mut plan, &prior, session)?,
             None => plan.predict(&robot, &prior),
         };
         let page = Some(report::plan::html(&plan, &robot, &map)?);
@@ -263,6 +276,7 @@ impl PlanRequest {
             PlannedPoses::Stage { poses } => job.as_stage(poses),
             PlannedPoses::Job
             | PlannedPoses::Check(_)
+            | PlannedPoses::Renew { .. }
             | PlannedPoses::Remaining { .. }
             | PlannedPoses::Repeat { .. } => job,
         };

@@ -1,0 +1,177 @@
+//! How long a calibration holds: for which tool and payload, until when, with what uncertainty.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Positions, Workspace};
+use crate::base::date;
+use crate::measurement::ApproachedPose;
+use crate::robot::{Payload, Robot};
+
+/// Poses over which the uncertainty is taken, uniform within the axis limits, and their seed.
+const POSES: usize = 300;
+const SEED: u64 = 1;
+/// Without a tolerance of the user the calibration holds until its uncertainty is this many times that of its day.
+const GROWTH: f64 = 1.5;
+/// Beyond so many months nothing is stated, and so finely a time is sought.
+const MOST_MONTHS: f64 = 120.0;
+const FINEST_MONTHS: f64 = 0.02;
+/// Coverage factor of the expanded uncertainty.
+const COVERAGE: f64 = 2.0;
+
+/// What a calibration states of itself in one line.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Validity {
+    /// The point that it holds for, in the flange frame, mm.
+    pub tool_mm: [f64; 3],
+    /// Mass of the payload that the uncertainty counts with, kg; `None` if the robot file states none.
+    pub payload_kg: Option<f64>,
+    /// Day of the measurements, if it is known.
+    pub measured: Option<String>,
+    /// Expanded uncertainty U (k = 2) on that day: twice the root of the mean square of the 3-D error over the workspace, mm.
+    pub expanded_uncertainty_mm: f64,
+    /// The uncertainty that ends it, mm: the user's tolerance, else 1.5 times that of the day.
+    pub limit_mm: f64,
+    /// Months from the day of the measurements until U reaches the limit; `None` if it is more than 120.
+    pub months: Option<f64>,
+    /// That day, if the day of the measurements is known.
+    pub until: Option<String>,
+    pub basis: DriftBasis,
+}
+
+/// What the drift of a robot is known from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DriftBasis {
+    /// Hyper-priors alone: this robot has no history.
+    HyperPrior,
+    /// Earlier measurements of this robot.
+    History,
+}
+
+impl Validity {
+    /// Of a robot with its posterior, which is carried on by the drift of its months; `None` without a posterior.
+    pub fn of(robot: &Robot, tolerance_mm: Option<f64>) -> Option<Self> {
+        if !robot.has_posterior() {
+            return None;
+        }
+        let poses = Workspace::uniform(robot.controller(), POSES, SEED);
+        let poses: Vec<ApproachedPose> = poses.iter().map(ApproachedPose::unapproached).collect();
+        let expanded = |months: f64| {
+            let positions = Positions::of(&robot.after_months(months), &poses);
+            let square: f64 = (0..poses.len()).map(|pose| positions.sd_mm(pose).powi(2)).sum();
+            COVERAGE * (square / poses.len() as f64).sqrt()
+        };
+        let now_mm = expanded(0.0);
+        let limit_mm = tolerance_mm.unwrap_or(GROWTH * now_mm);
+        if !now_mm.is_finite() {
+            return None;
+        }
+        let months = crossing(limit_mm, now_mm, expanded);
+        let measured = robot.measured.date.clone();
+        let until = measured.as_deref().zip(months).and_then(|(day, months)| date::after_months(day, months));
+        Some(Self {
+            tool_mm: robot.geometry.tool.into(),
+            payload_kg: robot.geometry.load.carried().map(|Payload { kg, .. }| *kg),
+            measured,
+            expanded_uncertainty_mm: now_mm,
+            limit_mm,
+            months,
+            until,
+            basis: if robot.drift.intervals == 0 { DriftBasis::HyperPrior } else { DriftBasis::History },
+        })
+    }
+}
+
+/// The months until a growing uncertainty reaches a limit.
+fn crossing(limit_mm: f64, now_mm: f64, expanded_mm: impl Fn(f64) -> f64) -> Option<f64> {
+    if now_mm >= limit_mm {
+        return Some(0.0);
+    }
+    let (mut before, mut after) = (0.0, MOST_MONTHS);
+    if expanded_mm(after) < limit_mm {
+        return None;
+    }
+    while after - before > FINEST_MONTHS {
+        let middle = 0.5 * (before + after);
+        if expanded_mm(middle) < limit_mm { before = middle } else { after = middle }
+    }
+    Some(before)
+}
+
+impl fmt::Display for Validity {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [x, y, z] = self.tool_mm;
+        write!(out, "valid for the tool at ({x:.1}, {y:.1}, {z:.1}) mm")?;
+        match self.payload_kg {
+            Some(kg) => write!(out, ", up to {kg} kg")?,
+            None => write!(out, ", payload not stated")?,
+        }
+        match (&self.until, self.months) {
+            (Some(until), _) => write!(out, ", until {until}")?,
+            (None, Some(months)) => write!(out, ", for {months:.1} months")?,
+            (None, None) => write!(out, ", for 10 years or more")?,
+        }
+        write!(
+            out,
+            ": U = {:.2} mm (k = 2) at first, {:.2} mm then",
+            self.expanded_uncertainty_mm,
+            self.limit_mm.max(self.expanded_uncertainty_mm)
+        )?;
+        match self.basis {
+            DriftBasis::HyperPrior => write!(out, "; the drift is assumed, this robot has no history"),
+            DriftBasis::History => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{Joint, MeasurementConditions, ParamId, RobotUncertainty};
+    use nalgebra::DMatrix;
+
+    /// An uncertainty that grows with the root of the months: 0.1 (1 + m)^(1/2) mm is 0.3 mm after 8 months.
+    #[test]
+    fn the_limit_is_reached_where_the_uncertainty_crosses_it() {
+        let expanded = |months: f64| 0.1 * (1.0 + months).sqrt();
+        let found = crossing(0.3, 0.1, expanded).unwrap();
+        assert!((found - 8.0).abs() <= FINEST_MONTHS, "{found}");
+        assert_eq!(crossing(0.1, 0.1, expanded), Some(0.0));
+        assert_eq!(crossing(1.2, 0.1, expanded), None);
+    }
+
+    fn identified(sd_rad: f64) -> Robot {
+        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let unknown = RobotUncertainty {
+            parameters: vec![ParamId::Theta(Joint::J3)],
+            root: DMatrix::from_element(1, 1, sd_rad),
+            pose_mm: 0.0,
+            ..robot.known_uncertainty()
+        };
+        robot.uncertainty = Some(Box::new(unknown));
+        robot.measured = MeasurementConditions { date: Some("2026-03-01".into()), temperature_c: None };
+        robot
+    }
+
+    /// If the zero of one joint alone is uncertain, U grows as its standard deviation: by 1.5 where the walk has added 1.25 of the
+    /// variance, which are (s / rate)^2 1.25 months.
+    #[test]
+    fn without_a_tolerance_it_holds_until_u_has_grown_by_half() {
+        let robot = identified(40e-6);
+        let found = Validity::of(&robot, None).unwrap();
+        let months = 1.25 * (40e-6 / robot.drift.rms_zero_rad()).powi(2);
+        assert!((found.months.unwrap() - months).abs() < 0.03, "{found:?} {months}");
+        assert!((found.limit_mm / found.expanded_uncertainty_mm - 1.5).abs() < 1e-12);
+        assert_eq!(found.until, date::after_months("2026-03-01", found.months.unwrap()));
+        assert_eq!(found.basis, DriftBasis::HyperPrior);
+        // A tolerance that is reached already, and one that is far away.
+        assert_eq!(Validity::of(&robot, Some(0.01)).unwrap().until.as_deref(), Some("2026-03-01"));
+        assert_eq!(Validity::of(&robot, Some(50.0)).unwrap().months, None);
+        let undated = Robot { measured: MeasurementConditions::default(), ..robot.clone() };
+        let undated = Validity::of(&undated, None).unwrap();
+        assert!(undated.until.is_none() && undated.months == found.months);
+        assert!(Validity::of(&Robot { uncertainty: None, posterior: None, ..robot }, None).is_none());
+    }
+}
