@@ -29,7 +29,7 @@ pub(crate) enum RealRobot {
 const BALLS: [[f64; 3]; 3] = [[0.0, 0.0, -500.0], [400.0, 300.0, 0.0], [-300.0, 400.0, 200.0]];
 /// The places of the balls are given as a user would tape them, mm.
 const TAPED_MM: f64 = 10.0;
-/// Of the UR10's random poses every ninth identifies: about 300, what a user measures in a day.
+/// Of the UR10's random poses every ninth identifies: about 300.
 const SEEN_EVERY: usize = 9;
 
 /// What is known of a real robot.
@@ -143,8 +143,8 @@ impl TrackedRobot {
     fn balls(&self) -> [Vector3<f64>; 3] {
         let places = || self.seen.iter().map(|seen| seen.place);
         let mean = places().sum::<Vector3<f64>>() / self.seen.len() as f64;
-        let first = mean.map(|_| f64::INFINITY);
-        let (low, high) = places().fold((first, -first), |(low, high), at| (low.inf(&at), high.sup(&at)));
+        let far = Vector3::repeat(f64::INFINITY);
+        let (low, high) = places().fold((far, -far), |(low, high), at| (low.inf(&at), high.sup(&at)));
         BALLS.map(|ball| mean + Vector3::from(ball) * ((high - low).mean() / 1000.0))
     }
 
