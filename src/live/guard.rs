@@ -116,8 +116,7 @@ impl Change {
     }
 
     fn by(self, user: &User) -> UserEvent {
-        let Self { act, path } = self;
-        UserEvent { unix_ms: clock::unix_ns() / 1_000_000, user: user.name.clone(), act, path }
+        UserEvent::new(clock::unix_ns() / 1_000_000, user, self.act, self.path)
     }
 }
 

@@ -111,12 +111,18 @@ pub(super) fn same(sent: &[u8], secret: &[u8]) -> bool {
 /// What a user changed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct UserEvent {
-    pub(super) unix_ms: u64,
+    unix_ms: u64,
     /// `None`: the owner of the token of the service.
-    pub(super) user: Option<String>,
+    user: Option<String>,
     /// Method and route, as `POST /api/v1/run`.
-    pub(super) act: String,
-    pub(super) path: String,
+    act: String,
+    path: String,
+}
+
+impl UserEvent {
+    pub(super) fn new(unix_ms: u64, user: &User, act: String, path: String) -> Self {
+        Self { unix_ms, user: user.name.clone(), act, path }
+    }
 }
 
 /// The last events, the newest first.
@@ -174,7 +180,7 @@ mod tests {
     fn the_oldest_events_are_dropped() {
         let mut events = EventList::default();
         for unix_ms in 0..=MAX_EVENTS as u64 {
-            events.add(UserEvent { unix_ms, user: None, act: String::new(), path: String::new() });
+            events.add(UserEvent::new(unix_ms, &User::OWNER, String::new(), String::new()));
         }
         let kept: Vec<u64> = events.list().iter().map(|event| event.unix_ms).collect();
         assert_eq!((kept.len(), kept[0], kept[MAX_EVENTS - 1]), (MAX_EVENTS, MAX_EVENTS as u64, 1));

@@ -12,18 +12,18 @@ use super::scale::{plain, significant};
 /// A verdict with its sentences. The template gives each kind a colour and a shape.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Verdict {
-    pub(crate) kind: VerdictKind,
+    kind: VerdictKind,
     /// The sentence goes on behind it.
-    pub(crate) word: &'static str,
-    pub(crate) sentence: String,
+    word: &'static str,
+    sentence: String,
     /// How long and for what the result may be used, where that is known.
-    pub(crate) validity: Option<String>,
-    pub(crate) next: String,
+    validity: Option<String>,
+    next: String,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum VerdictKind {
+enum VerdictKind {
     Pass,
     Fail,
     Undecided,
@@ -80,6 +80,11 @@ impl Verdict {
             validity: result.validity.as_ref().map(holds),
             next,
         }
+    }
+
+    /// The verdict without what to do next, a paragraph each.
+    pub(crate) fn statement(self) -> impl Iterator<Item = String> {
+        [format!("{} {}", self.word, self.sentence)].into_iter().chain(self.validity)
     }
 
     pub(crate) fn of_check(check: &InterimCheck) -> Self {

@@ -95,9 +95,7 @@ impl Certificate {
 
     /// The verdict in the words of the report.
     fn statement(&self) -> Vec<Block> {
-        let verdict = Verdict::of_calibration(&self.result, &self.budget);
-        let said = Block::Text(format!("{} {}", verdict.word, verdict.sentence));
-        [said].into_iter().chain(verdict.validity.map(Block::Text)).collect()
+        Verdict::of_calibration(&self.result, &self.budget).statement().map(Block::Text).collect()
     }
 
     fn object(&self) -> Vec<Fact> {
