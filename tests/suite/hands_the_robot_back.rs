@@ -204,3 +204,37 @@ fn what_a_target_needs_is_asked_for() {
     let again = dbbd(dir.path(), &["export", "kr60ha", "--for", "robodk", "--out", "dk"]);
     assert_eq!(again.status.code(), Some(1));
 }
+
+/// By lengths and angles alone the ball is that of the URDF, and what these leave out is part of the standard deviation.
+#[test]
+fn a_prediction_by_the_table_is_the_ball_of_the_urdf() {
+    let dir = tempdir().unwrap();
+    let mut found = Robot { nominal: Some(Box::new(kr60())), ..with_errors([("theta2", 1e-3)]) };
+    found.geometry.gear[1] = [1e-3, 0.0];
+    fs::write(dir.path().join("found.toml"), found.to_toml().unwrap()).unwrap();
+    fs::write(
+        dir.path().join("axes.csv"),
+        "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n10,-70,80,20,40,-30\n",
+    )
+    .unwrap();
+    let output = dbbd(dir.path(), &["export", "found.toml", "--for", "mujoco", "--out", "out", "--json"]);
+    assert_eq!(codes(&output), ["I1722"]);
+    assert!(left_out_mm(&output).unwrap() > 0.5 && dir.path().join("out/joint-errors.csv").is_file());
+    let predict = |model: &[&str]| {
+        let given = ["predict", "axes.csv", "--robot", "found.toml", "--out", "p.csv"];
+        let output = dbbd(dir.path(), &[&given[..], model].concat());
+        assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
+        let table = fs::read_to_string(dir.path().join("p.csv")).unwrap();
+        let row: Vec<f64> =
+            table.lines().nth(1).unwrap().split(',').map(|cell| cell.parse().unwrap()).collect();
+        (Vector3::new(row[12], row[13], row[14]), row[15])
+    };
+    let ((whole, sd), (table, table_sd)) = (predict(&[]), predict(&["--model", "geometric"]));
+    let axes = [10.0f64, -70.0, 80.0, 20.0, 40.0, -30.0].map(f64::to_radians);
+    let urdf = fs::read_to_string(dir.path().join("out/robot-identified.urdf")).unwrap();
+    assert!((ball_of(&urdf, &axes) - table).norm() < 1e-9);
+    let left_out = (whole - table).norm();
+    // A milliradian times the cosine of A2, at more than a metre from axis 2.
+    assert!((0.3..1.0).contains(&left_out), "{left_out}");
+    assert!((table_sd - sd.hypot(left_out)).abs() < 1e-9);
+}
