@@ -36,6 +36,7 @@ fn day(months: f64, temperature_c: f64) -> MeasurementConditions {
 /// A robot that wears: its zeros settle at a rate of their own and wander, and its links expand with the season.
 struct WearingRobot {
     truth: Robot,
+    wear_rad: f64,
     months: f64,
     /// rad in a month.
     settling: [f64; 6],
@@ -43,8 +44,9 @@ struct WearingRobot {
     random: Pcg64,
 }
 
-/// In a year a zero settles by this, and wanders by as much, rad; the seasons span 15 K.
-const WEAR_RAD: f64 = 20e-6;
+/// In a year a zero settles by this, and wanders by as much, rad: of a sound, a usual and a worn robot, a factor of e apart as
+/// robots are taken to be. The seasons span 15 K.
+const WEAR_RAD: [f64; 3] = [7.4e-6, 20e-6, 54e-6];
 const SUMMER_K: f64 = 7.5;
 const EXPANSION_PER_K: f64 = 11.5e-6;
 
@@ -52,9 +54,10 @@ impl WearingRobot {
     fn new(seed: u64) -> Self {
         let mut random = Pcg64::seed_from_u64(seed ^ 0x3e45);
         let mut normal = || -> f64 { random.sample(StandardNormal) };
-        let settling = [(); 6].map(|()| WEAR_RAD / 12.0 * normal());
+        let wear_rad = WEAR_RAD[seed as usize % WEAR_RAD.len()];
+        let settling = [(); 6].map(|()| wear_rad / 12.0 * normal());
         let summer = random.random_range(0.0..12.0);
-        Self { truth: drawn(seed), months: 0.0, settling, summer, random }
+        Self { truth: drawn(seed), wear_rad, months: 0.0, settling, summer, random }
     }
 
     fn zero(&mut self, joint: Joint, rad: f64) {
@@ -64,7 +67,7 @@ impl WearingRobot {
     fn later(&mut self, months: f64) {
         for (at, joint) in Joint::ALL.into_iter().enumerate() {
             let step: f64 = self.random.sample(StandardNormal);
-            self.zero(joint, self.settling[at] * months + WEAR_RAD * (months / 12.0).sqrt() * step);
+            self.zero(joint, self.settling[at] * months + self.wear_rad * (months / 12.0).sqrt() * step);
         }
         let before_c = self.celsius();
         self.months += months;
@@ -276,10 +279,10 @@ fn rms(values: &[f64]) -> f64 {
 }
 
 #[test]
-#[ignore = "a campaign: three years of eight robots"]
+#[ignore = "a campaign: three years of six robots"]
 fn robots_are_renewed_for_three_years() {
     let mut years = Years::default();
-    for seed in [1, 2, 3, 5, 6, 7, 9, 10] {
+    for seed in [1, 2, 3, 5, 6, 7] {
         three_years(seed, &[4, 9], &mut years);
     }
     let (error, full, predicted, covered) =
