@@ -334,10 +334,9 @@ fn of_result(result: &FoundDocument) -> Drafted {
     let is_doubtful = found.iter().any(|finding| finding.severity != Severity::Info);
     let verdict = if is_doubtful { StepVerdict::Undecided } else { StepVerdict::Pass };
     let validity = &content["validity"];
-    let u_mm = validity.get("expanded_uncertainty_mm").unwrap_or(&content["budget"]["expanded_mm"]);
     let values = json!({
         "robot": content["robot"], "measurements": content["measurements"],
-        "u_mm": u_mm, "k": content["budget"]["coverage_factor"],
+        "u_mm": content["budget"]["expanded_mm"], "k": content["budget"]["coverage_factor"],
         "before_um": micrometres(&content["residual_mm"]["before"]["rms"]),
         "after_um": micrometres(&content["residual_mm"]["after"]["rms"]),
         "nominal_mm": content["predicted_position_uncertainty_mm"]["nominal"]["p95"],
