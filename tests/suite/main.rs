@@ -56,6 +56,7 @@ mod joint_errors;
 mod kept_poses;
 mod logged_axes_identify;
 mod mistakes_are_named;
+mod months;
 mod no_stage_is_a_dead_end;
 mod nothing_wrong_is_silent;
 mod page_story;

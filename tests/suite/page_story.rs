@@ -10,7 +10,7 @@ use crate::cell::client;
 fn play(script: &str) {
     let dir = tempfile::tempdir().unwrap();
     let paths = [Path::new(env!("CARGO_BIN_EXE_dbbd")), dir.path()].map(Path::as_os_str);
-    eprintln!("{}", client(script, paths));
+    eprintln!("{}", client(script, paths.into_iter()));
 }
 
 #[test]

@@ -33,7 +33,7 @@ pub fn carrying(
 }
 
 /// With what is known of a robot today.
-pub fn today(robot: &Robot) -> Robot {
+pub(super) fn today(robot: &Robot) -> Robot {
     let date = Some(date::utc(clock::unix_ns()));
     robot.under(&MeasurementConditions { date, temperature_c: None })
 }

@@ -336,6 +336,7 @@ fn of_result(result: &FoundDocument) -> Drafted {
         content["findings"].as_array().into_iter().flatten().filter_map(recorded).collect();
     let is_doubtful = found.iter().any(|finding| finding.severity != Severity::Info);
     let verdict = if is_doubtful { StepVerdict::Undecided } else { StepVerdict::Pass };
+    let validity = &content["validity"];
     let values = json!({
         "robot": content["robot"], "measurements": content["measurements"],
         "u_mm": content["budget"]["expanded_mm"], "k": content["budget"]["coverage_factor"],
@@ -343,9 +344,13 @@ fn of_result(result: &FoundDocument) -> Drafted {
         "after_um": micrometres(&content["residual_mm"]["after"]["rms"]),
         "nominal_mm": content["predicted_position_uncertainty_mm"]["nominal"]["p95"],
         "identified_mm": content["predicted_position_uncertainty_mm"]["identified"]["p95"],
-        "rank": content["rank"],
+        "rank": content["rank"], "until": validity["until"],
     });
-    let text = if is_doubtful { "result.doubtful" } else { "result.found" };
+    let text = match (is_doubtful, &validity["until"]) {
+        (true, _) => "result.doubtful",
+        (false, Value::String(_)) => "result.valid",
+        (false, _) => "result.found",
+    };
     let mut drafted = Drafted::done(verdict, text, values);
     drafted.findings = found;
     drafted

@@ -24,6 +24,7 @@ const FIRST_DAY: &str = "2023-11-27";
 const INTERVAL: f64 = 3.0;
 const RUNS: usize = 12;
 const LENGTHS: u32 = 20;
+const CHECKED: u32 = 24;
 /// Standard uncertainty of the bar, mm.
 const BAR_U_MM: f64 = 0.002;
 
@@ -35,6 +36,7 @@ fn day(months: f64, temperature_c: f64) -> MeasurementConditions {
 /// A robot that wears: its zeros settle at a rate of their own and wander, and its links expand with the season.
 struct WearingRobot {
     truth: Robot,
+    wear_rad: f64,
     months: f64,
     /// rad in a month.
     settling: [f64; 6],
@@ -42,8 +44,9 @@ struct WearingRobot {
     random: Pcg64,
 }
 
-/// In a year a zero settles by this, and wanders by as much, rad; the seasons span 15 K.
-const WEAR_RAD: f64 = 20e-6;
+/// In a year a zero settles by this, and wanders by as much, rad: of a sound, a usual and a worn robot, a factor of e apart as
+/// robots are taken to be. The seasons span 15 K.
+const WEAR_RAD: [f64; 3] = [7.4e-6, 20e-6, 54e-6];
 const SUMMER_K: f64 = 7.5;
 const EXPANSION_PER_K: f64 = 11.5e-6;
 
@@ -51,9 +54,10 @@ impl WearingRobot {
     fn new(seed: u64) -> Self {
         let mut random = Pcg64::seed_from_u64(seed ^ 0x3e45);
         let mut normal = || -> f64 { random.sample(StandardNormal) };
-        let settling = [(); 6].map(|()| WEAR_RAD / 12.0 * normal());
+        let wear_rad = WEAR_RAD[seed as usize % WEAR_RAD.len()];
+        let settling = [(); 6].map(|()| wear_rad / 12.0 * normal());
         let summer = random.random_range(0.0..12.0);
-        Self { truth: drawn(seed), months: 0.0, settling, summer, random }
+        Self { truth: drawn(seed), wear_rad, months: 0.0, settling, summer, random }
     }
 
     fn zero(&mut self, joint: Joint, rad: f64) {
@@ -63,7 +67,7 @@ impl WearingRobot {
     fn later(&mut self, months: f64) {
         for (at, joint) in Joint::ALL.into_iter().enumerate() {
             let step: f64 = self.random.sample(StandardNormal);
-            self.zero(joint, self.settling[at] * months + WEAR_RAD * (months / 12.0).sqrt() * step);
+            self.zero(joint, self.settling[at] * months + self.wear_rad * (months / 12.0).sqrt() * step);
         }
         let before_c = self.celsius();
         self.months += months;
@@ -148,21 +152,24 @@ fn calibration(truth: &Robot, seed: u64, measured: MeasurementConditions) -> Rob
     calibrated(&kr60(), &data, &balls, &options(Prior::Datasheet, measured)).unwrap().robot
 }
 
-/// The plan of lengths that renew a calibration so many months after the first day.
-fn renewal(robot: &Robot, then: &MeasurementConditions) -> Plan {
+/// The plan of a check (24 poses), or of the lengths that renew a calibration.
+fn planned(robot: &Robot, then: &MeasurementConditions, criterion: Criterion) -> Plan {
     let mut text = String::from(
         "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 15.0\n",
     );
-    for (id, place) in (1..).zip(BALLS) {
+    // One on either side: what turns about axis 2 is then no tilt of the base.
+    for (id, place) in (1..).zip([BALLS[1], BALLS[2]]) {
         text += &format!("[[centre]]\nid = {id}\nxyz_mm = {place:?}\n");
     }
+    text += "[optimise]\npoints = 50\n";
     let job = Job::from_toml("job.toml", &text).unwrap();
     let robot = robot.under(then);
     let start = LengthModel::new(robot.geometry.clone(), &job.balls());
     let known = Posterior::of_robot(start, robot.posterior.as_ref().unwrap(), robot.uncertainty.as_deref());
     let expected = Expected::new(&known, 1, Mounting::again(&robot, Some(BAR_U_MM)));
     let prior = PlanningPrior::of_check(&job, &robot, expected);
-    Plan::build_with(&job.as_check(LENGTHS, Criterion::I), &robot, &prior).unwrap()
+    let points = if criterion == Criterion::Change { CHECKED } else { LENGTHS };
+    Plan::build_with(&job.as_check(points, criterion), &robot, &prior).unwrap()
 }
 
 fn check(robot: &Robot, plan: &Plan, data: &Measurements) -> InterimCheck {
@@ -212,7 +219,8 @@ fn three_years(seed: u64, crashes: &[usize], years: &mut Years) {
     let mut robot = calibration(&wearing.truth, 1000 + seed, first);
     let full = judged(&wearing.truth, &robot, Senses::Known, 50 + seed).mean;
     years.full.push(full);
-    let plan = renewal(&robot, &day(INTERVAL, 20.0));
+    let [plan, to_check] =
+        [Criterion::I, Criterion::Change].map(|criterion| planned(&robot, &day(INTERVAL, 20.0), criterion));
     for run in 1..=RUNS {
         wearing.later(INTERVAL / 2.0);
         years.judge(&mut wearing, &robot, 100 * seed + run as u64);
@@ -229,7 +237,7 @@ fn three_years(seed: u64, crashes: &[usize], years: &mut Years) {
         let data = wearing.measured(&plan);
         let today = wearing.day();
         let known = robot.under(&today);
-        let checked = check(&known, &plan, &data);
+        let checked = check(&known, &to_check, &wearing.measured(&to_check));
         eprintln!(
             "robot {seed} run {run}: p {:.4}, {crashed:?}, {:?}",
             checked.test.p,
@@ -271,10 +279,10 @@ fn rms(values: &[f64]) -> f64 {
 }
 
 #[test]
-#[ignore = "a campaign: three years of eight robots"]
+#[ignore = "a campaign: three years of six robots"]
 fn robots_are_renewed_for_three_years() {
     let mut years = Years::default();
-    for seed in [1, 2, 3, 5, 6, 7, 9, 10] {
+    for seed in [1, 2, 3, 5, 6, 7] {
         three_years(seed, &[4, 9], &mut years);
     }
     let (error, full, predicted, covered) =
@@ -301,7 +309,7 @@ fn a_payload_in_a_check_is_no_change() {
         ..Payload::default()
     };
     let (mut checks, mut changed, mut blamed) = (0, 0, 0);
-    let plan = renewal(&calibration(&drawn(1), 1, day(0.0, 20.0)), &day(INTERVAL, 20.0));
+    let plan = planned(&calibration(&drawn(1), 1, day(0.0, 20.0)), &day(INTERVAL, 20.0), Criterion::Change);
     for seed in 1..=20 {
         let mut wearing = WearingRobot::new(seed);
         wearing.truth.geometry.load.payloads = vec![payload("bar", 0.0), payload("gripper", 50.0)];
