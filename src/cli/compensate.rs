@@ -10,8 +10,8 @@ use dbbd_model::estimation::ProgramUncertainty;
 
 /// Correct the points of a program for an identified robot.
 ///
-/// Corrects the points of a program in KRL (PROGRAM.src and the PROGRAM.dat beside it), RAPID or URScript; the extension
-/// of the file selects the language. Every other byte remains. Only points in these files are corrected, not XHOME points and
+/// Corrects the points of a program in KRL (PROGRAM.src and the PROGRAM.dat beside it), RAPID, URScript or of a FANUC; the
+/// extension of the file selects the language. Every other byte remains. Only points in these files are corrected, not XHOME points and
 /// relative motions.
 ///
 /// Lengths do not determine the robot's base frame. The points are corrected in the robot's own frame, so that they are right
@@ -22,7 +22,7 @@ use dbbd_model::estimation::ProgramUncertainty;
 #[derive(clap::Args)]
 pub(crate) struct CompensateArgs {
     /// The program: .src of KRL (motions by PTP, LIN, CIRC, SPTP, SLIN, SCIRC and SPL, inline forms or plain), .mod of
-    /// RAPID (MoveAbsJ, MoveJ, MoveL, MoveC) or .script of URScript (movej, movel, movec).
+    /// RAPID (MoveAbsJ, MoveJ, MoveL, MoveC), .script of URScript (movej, movel, movec) or .ls of a FANUC (J, L, C).
     #[arg(value_name = "PROGRAM")]
     program: PathBuf,
     /// The identified robot: its file, or a built-in name.
@@ -31,13 +31,14 @@ pub(crate) struct CompensateArgs {
     /// Directory for the corrected program; not that of the program itself.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The controller's $config.dat, for TOOL_DATA and BASE_DATA; in RAPID a module that declares tools and work objects.
+    /// The controller's $config.dat, for TOOL_DATA and BASE_DATA; in RAPID a module that declares tools and work objects;
+    /// of a FANUC its SYSFRAME.VA.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["tool", "base"])]
     config: Option<PathBuf>,
-    /// $TOOL (in URScript the TCP) if the program does not set it: mm and degrees, in the flange frame.
+    /// $TOOL (in URScript the TCP, of a FANUC the tool frame) if the program does not set it: mm and degrees, in the flange frame.
     #[arg(long, value_name = "X,Y,Z,A,B,C", value_parser = value::frame, allow_hyphen_values = true)]
     tool: Option<[f64; 6]>,
-    /// $BASE if the program does not set it: mm and degrees, in the robot's base.
+    /// $BASE (of a FANUC the user frame) if the program does not set it: mm and degrees, in the robot's base.
     #[arg(long, value_name = "X,Y,Z,A,B,C", value_parser = value::frame, allow_hyphen_values = true)]
     base: Option<[f64; 6]>,
     /// What the flange carries while the program runs: the name of a [[payload]] of the robot file, or its mass in kg and its

@@ -11,7 +11,7 @@ use dbbd_job::file_set::{EarlierFiles, FileSet};
 use dbbd_job::plan::Plan;
 use dbbd_job::program::ProgramFinding;
 use dbbd_job::program::krl::{self, Controller, Options};
-use dbbd_job::program::{self, Language, Written, rapid, urscript};
+use dbbd_job::program::{self, Language, Written, fanuc, rapid, urscript};
 use dbbd_job::recording::run;
 use dbbd_job::request;
 use dbbd_model::diagnostic::Diagnostic;
@@ -19,9 +19,9 @@ use dbbd_model::robot::Robot;
 
 /// Write the programs of a plan in the language of the robot's controller.
 ///
-/// Writes KRL (KUKA) as `dbbd krl` does, RAPID (ABB) as .mod with a .pgf, or URScript (Universal Robots) as .script. The
-/// program moves, waits and marks each dwell. It never starts by itself. None of these programs has run on a real
-/// controller. More: docs/reference/krl.md, docs/reference/rapid.md and docs/reference/urscript.md.
+/// Writes KRL (KUKA) as `dbbd krl` does, RAPID (ABB) as .mod with a .pgf, URScript (Universal Robots) as .script, or listings
+/// of TP programs (FANUC) as .ls. The program moves, waits and marks each dwell. It never starts by itself. None of these
+/// programs has run on a real controller. More: docs/reference/krl.md, rapid.md, urscript.md and fanuc.md.
 #[derive(clap::Args)]
 pub(crate) struct ProgramArgs {
     /// The plan; its .json is read beside it.
@@ -78,6 +78,7 @@ pub(crate) fn run(args: &ProgramArgs, out: &CommandOutput) -> Result<CommandOutc
         }
         Language::Rapid => rapid::emit(&plan, sync)?,
         Language::Urscript => urscript::emit(&plan, sync)?,
+        Language::Fanuc => fanuc::emit(&plan, sync)?,
     };
     let mut set = FileSet::begin(&args.out, EarlierFiles::refused_unless(args.replace))?;
     let mut written = Vec::new();

@@ -14,7 +14,7 @@ use dbbd_device::axes::AxesAddress;
 use dbbd_device::port::PortAddress;
 use dbbd_job::files;
 use dbbd_job::plan::DEFAULT_PROTOCOL;
-use dbbd_job::program::{Language, Program, Text, krl, provenance, rapid, urscript};
+use dbbd_job::program::{Language, Program, Text, fanuc, krl, provenance, rapid, urscript};
 use dbbd_job::request;
 use dbbd_job::request::compensate::program_language;
 use dbbd_job::sim::SimulationFinding;
@@ -42,12 +42,12 @@ const FIRST_TICKS: u64 = 300_000_000;
 /// The program is the only source of the robot's motion. The true robot differs from that of the controller. The bar sends
 /// the true lengths through a pseudo-terminal, or with --listen through the network; its address for `acquire --port` is
 /// printed on stdout. The program continues from its HALT when a reader has started the bar. The extension of the file
-/// selects KRL, RAPID or URScript; in the last two, programs that `dbbd program` writes are executed. Exit code 3: a reading
-/// at a dwell was outside the stroke.
+/// selects KRL, RAPID, URScript or a TP program; in all but KRL, programs that `dbbd program` writes are executed. Exit
+/// code 3: a reading at a dwell was outside the stroke.
 #[derive(clap::Args)]
 pub(crate) struct SimulateArgs {
-    /// The program: .src of KRL, with its .dat and the modules that it calls beside it; .mod of RAPID, likewise; or
-    /// .script of URScript.
+    /// The program: .src of KRL, with its .dat and the modules that it calls beside it; .mod of RAPID and .ls of a FANUC,
+    /// likewise; or .script of URScript.
     #[arg(long, value_name = "FILE")]
     program: PathBuf,
     /// The controller's robot: a built-in name or a file.
@@ -197,10 +197,10 @@ fn open_program(path: &Path) -> Result<Program, Diagnostic> {
     let entries = || directory.read_dir().map_err(unreadable(directory.display()));
     match language {
         Language::Urscript => Ok(urscript::open(read(path)?)?.into()),
-        Language::Rapid => {
+        Language::Rapid | Language::Fanuc => {
             let is_other = |other: &PathBuf| {
                 let extension = other.extension().and_then(|extension| extension.to_str());
-                extension.and_then(Language::of_extension) == Some(Language::Rapid)
+                extension.and_then(Language::of_extension) == Some(language)
                     && other.file_name() != path.file_name()
             };
             let program = read(path)?;
@@ -208,7 +208,8 @@ fn open_program(path: &Path) -> Result<Program, Diagnostic> {
                 entries()?.flatten().map(|entry| entry.path()).filter(is_other).collect();
             others.sort();
             let others = others.iter().map(|other| read(other)).collect::<Result<_, _>>()?;
-            Ok(rapid::open(program, others)?.into())
+            let is_rapid = language == Language::Rapid;
+            Ok(if is_rapid { rapid::open(program, others) } else { fanuc::open(program, others) }?.into())
         }
         Language::Krl => {
             let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();

@@ -4,10 +4,12 @@
 use std::fs;
 use std::path::Path;
 
+use dbbd_job::program::fanuc::{self, GivenFrames};
 use dbbd_job::program::{Language, Program, Text, krl, rapid, urscript};
 use dbbd_job::robot_description;
 use dbbd_job::sim::truth;
 use dbbd_model::math::aligned_distances;
+use dbbd_model::robot::inverse::FanucConfiguration;
 use dbbd_model::robot::pose::rotation_vector;
 use dbbd_model::robot::{ControllerModel, Geometry, Robot, inverse, max_axis_difference};
 use nalgebra::Vector3;
@@ -23,7 +25,7 @@ use crate::support::makes::{job, run};
 /// An arm with its language.
 struct Arm {
     language: Language,
-    /// A built-in robot, or that of [`offset_wrist`]; a FANUC has KRL, because the languages of FANUC are not supported.
+    /// A built-in robot, or that of [`offset_wrist`].
     name: &'static str,
     /// Position of the base ball, mm.
     centre: [f64; 3],
@@ -45,11 +47,11 @@ const KUKA: Arm = Arm {
 };
 const OFFSET: Arm = Arm { name: OFFSET_WRIST, centre: [1400.0, -300.0, 700.0], ..KUKA };
 const FANUC: Arm = Arm {
+    language: Language::Fanuc,
     name: "m10id12",
     centre: [900.0, 0.0, 300.0],
     most_mm: 0.05,
     range_deg: [[-40.0, 40.0], [-20.0, 40.0], [-40.0, 20.0], [-60.0, 60.0], [-100.0, -40.0], [-60.0, 60.0]],
-    ..KUKA
 };
 const CRX: Arm = Arm { name: "crx10ia", centre: [650.0, -150.0, 200.0], ..FANUC };
 const ABB: Arm = Arm {
@@ -138,6 +140,27 @@ fn production(arm: &Arm, robot: &Robot, count: usize) -> (String, Vec<Vector3<f6
                 );
                 moves += &format!("    MoveJ p{number},v200,fine,tBall;\n    WaitTime 1;\n");
             }
+            Language::Fanuc => {
+                let frames = format!("P[{number}]{{\n   GP1:\n\tUF : 0, UT : 1,");
+                let listed = |names: [&str; 6], numbers: [f64; 6]| -> String {
+                    let unit = |at: usize| if names[0] == "X" && at < 3 { "mm" } else { "deg" };
+                    let pairs = (0..6).map(|at| format!("\t{} = {:.3} {}", names[at], numbers[at], unit(at)));
+                    pairs.collect::<Vec<_>>().join(",\n")
+                };
+                let ([x, y, z], [a, b, c]) = (place, ball.abc_deg());
+                let numbers = match FanucConfiguration::certain(&robot.geometry, &axes) {
+                    Some(config) => {
+                        let pose = listed(["X", "Y", "Z", "W", "P", "R"], [x, y, z, c, b, a]);
+                        format!("\t\tCONFIG : '{config}',\n{pose}")
+                    }
+                    None => {
+                        let angles = axes.map(f64::to_degrees);
+                        format!("\t\n{}", listed(["J1", "J2", "J3", "J4", "J5", "J6"], angles))
+                    }
+                };
+                data += &format!("{frames}{numbers}\n}};\n");
+                moves += &format!("   1:J P[{number}] 50% FINE    ;\n   1:  WAIT   1.00(sec) ;\n");
+            }
             Language::Urscript => {
                 let turn: [f64; 3] = rotation_vector(&ball.rotation).into();
                 let pose = format!("p[{},{}]", numbers(&place.map(|x| x * 1e-3), 7), numbers(&turn, 7));
@@ -156,6 +179,18 @@ fn production(arm: &Arm, robot: &Robot, count: usize) -> (String, Vec<Vector3<f6
              {moves}  ENDPROC\nENDMODULE\n",
             numbers(&tool, 3)
         ),
+        Language::Fanuc => {
+            let [x, y, z] = tool;
+            let frame = format!(
+                "P[{}]{{\n   GP1:\n\tUF : 0, UT : 0,\t\tCONFIG : 'N U T, 0, 0, 0',\n\tX = {x:.3} mm,\tY = {y:.3} mm,\tZ = {z:.3} mm,\n\tW = 0.000 deg,\tP = 0.000 deg,\tR = 0.000 deg\n}};\n",
+                count + 1
+            );
+            let set = format!(
+                "   1:  PR[1]=P[{}] ;\n   2:  UTOOL[1]=PR[1] ;\n   3:  UTOOL_NUM=1 ;\n   4:  UFRAME_NUM=0 ;\n",
+                count + 1
+            );
+            format!("/PROG  PROD\n/ATTR\n/MN\n{set}{moves}/POS\n{data}{frame}/END\n")
+        }
         Language::Urscript => {
             format!("def prod():\n  set_tcp(p[{},0,0,0])\n{moves}end\n", numbers(&tool.map(|x| x * 1e-3), 6))
         }
@@ -173,6 +208,7 @@ fn stops(language: Language, text: &str, nominal: &Robot, robot: &Robot) -> Vec<
         }
         Language::Rapid => rapid::open(file, vec![]).unwrap().into(),
         Language::Urscript => urscript::open(file).unwrap().into(),
+        Language::Fanuc => fanuc::open(file, vec![]).unwrap().into(),
     };
     let there = Geometry { tool: nominal.geometry.tool, ..robot.geometry.clone() };
     let mut stops: Vec<Vector3<f64>> = Vec::new();
@@ -196,7 +232,7 @@ fn with_ball(name: &str) -> Robot {
 
 #[test]
 fn corrected_programs_reach_the_nominal_positions() {
-    for arm in [ABB, UR] {
+    for arm in [ABB, UR, FANUC] {
         let (language, nominal) = (arm.language, with_ball(arm.name));
         // The identified robot is the true one: only the rounding of numbers remains, at most half a micrometre.
         let found =
@@ -205,10 +241,13 @@ fn corrected_programs_reach_the_nominal_positions() {
         let file = Text { file: "P", text: &text };
         let (corrected, moved) = match language {
             Language::Rapid => rapid::read(file, None).unwrap().compensate(file, &found, 50.0),
+            Language::Fanuc => {
+                fanuc::read(file, GivenFrames::default()).unwrap().compensate(file, &found, 50.0)
+            }
             _ => urscript::read(file, None).unwrap().compensate(file, &found, 50.0),
         }
         .unwrap();
-        assert_eq!(moved.len(), if language == Language::Rapid { 20 } else { 40 });
+        assert_eq!(moved.len(), if language == Language::Urscript { 40 } else { 20 });
         let [before, after] = [&text, &corrected].map(|text| {
             let off = aligned_distances(&stops(language, text, &nominal, &found), &wanted);
             off.iter().sum::<f64>() / off.len() as f64
@@ -250,6 +289,7 @@ fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
         Language::Krl => ("DBB_MAIN.src", "P.src"),
         Language::Rapid => ("DBB_MAIN.mod", "P.mod"),
         Language::Urscript => ("DBB_MAIN.script", "P.script"),
+        Language::Fanuc => ("DBB_MAIN.ls", "P.ls"),
     };
     let program = ["--program", &format!("program/{main}"), "--nominal", "nominal.toml", "--speed", "0"];
     let truth = ["--robot", "truth.toml", "--world", "world.toml", "--seed", &seed.to_string()];

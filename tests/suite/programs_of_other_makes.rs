@@ -53,12 +53,16 @@ fn krl_is_refused_for_other_makes() {
         assert!(!at.join("krl").exists());
     }
     // Makers whose language is not supported are refused in every language.
-    for name in ["tx2-60", "tx2-90", "tx2-90l", "gp12", "gp25", "m10id12", "m20id25", "crx10ia"] {
+    for name in ["tx2-60", "tx2-90", "tx2-90l", "gp12", "gp25"] {
         let robot = named(name);
         edit(at, |header| header["robot"] = json!(robot.to_toml().unwrap()));
-        for language in
-            [&[][..], &["--language", "krl"], &["--language", "rapid"], &["--language", "urscript"]]
-        {
+        for language in [
+            &[][..],
+            &["--language", "krl"],
+            &["--language", "rapid"],
+            &["--language", "urscript"],
+            &["--language", "fanuc"],
+        ] {
             let output =
                 dbbd(at, &[&["program", "--replace", "plan.csv", "--out", "program"], language].concat());
             assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0824".into()]), "{name}");

@@ -211,7 +211,7 @@ findings! {
             ModuleNamedAsRoutine { name: String } => "the module and a routine in it are both named {name}";
         }
         E0883 "a plan needs a feature that a language does not have",
-        cause: "Circles without stops are one motion further round than an arc of RAPID or URScript goes, and EthernetKRL is KUKA's.",
+        cause: "Circles without stops are one motion further round than an arc of RAPID, URScript or a FANUC goes, and EthernetKRL is KUKA's.",
         cure: "Plan dwells in place of continuous circles, or synchronise by the strobe or by markers; or write KRL.",
         asks: [Synchronisation, Controller] {
             NoPasses { language: &'static str } => "circles without stops are not written in {language}";
@@ -250,7 +250,7 @@ findings! {
         }
         I0827 "the language of a robot is not known",
         cause: "The robot file has no `language`, and the robot's name begins with no known maker.",
-        cure: "Add language = \"krl\", \"rapid\" or \"urscript\" to the robot file." {
+        cure: "Add language = \"krl\", \"rapid\", \"urscript\" or \"fanuc\" to the robot file." {
             LanguageNotKnown { robot: String, wanted: &'static str } => "it is not known whether {robot} is programmed in {wanted}";
         }
     }

@@ -15,7 +15,7 @@ use crate::program::CompensationFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::{ApproachedPose, ToolPoint};
 use dbbd_model::plausibility::Quantity;
-use dbbd_model::robot::inverse::{self, Unsolved};
+use dbbd_model::robot::inverse::{self, FanucConfiguration, Unsolved};
 use dbbd_model::robot::{AXES, Approach, AxisAngles, Geometry, Pose, Robot};
 
 /// Largest change of an axis by a correction, degrees: a larger one shows that a singularity is near.
@@ -30,6 +30,10 @@ pub enum Branch {
     ByStatusAndTurn,
     /// By ABB's configuration: see [`inverse::quadrants`].
     ByQuadrants([i32; 4]),
+    /// By FANUC's configuration with its turns.
+    ByFanuc(FanucConfiguration),
+    /// On a line or an arc of a FANUC: by its configuration, with the turns nearest to the position before.
+    OnLine(FanucConfiguration),
     /// The branch nearest to the position before.
     Nearest,
     /// The branch nearest to these axis angles, rad.
@@ -139,6 +143,13 @@ impl Corrector {
                     (Branch::ByQuadrants(wanted), _) => {
                         inverse::from_quadrants(&self.nominal, &flange, wanted)
                     }
+                    (Branch::ByFanuc(wanted), _) if self.knows_fanuc() => {
+                        inverse::from_fanuc(&self.nominal, &flange, wanted, None)
+                    }
+                    (Branch::ByFanuc(_), _) => return Err(CompensationFinding::NoFanucRule),
+                    (Branch::OnLine(wanted), _) if self.knows_fanuc() => {
+                        inverse::from_fanuc(&self.nominal, &flange, wanted, Some(&self.last))
+                    }
                     (Branch::ByStatusAndTurn, Some((status, turn))) => {
                         let bits = (u8::try_from(status & 7), u8::try_from(turn));
                         let (Ok(status), Ok(turn)) = bits else {
@@ -228,6 +239,24 @@ impl Corrector {
     ) -> Result<[i32; 4], CompensationFinding> {
         let axes = self.printed_axes(corrected, printed, frames)?;
         Ok(inverse::quadrants(&self.nominal.geometry, &axes))
+    }
+
+    /// Whether it is known how FANUC's configuration selects a branch of this arm.
+    fn knows_fanuc(&self) -> bool {
+        FanucConfiguration::at(&self.nominal.geometry, &[0.0; AXES]).is_some()
+    }
+
+    /// FANUC's configuration of a target before its correction, and of the corrected one at its printed pose; `None` for an
+    /// arm for which the rule is not known.
+    pub fn fanuc(
+        &self,
+        corrected: &Corrected,
+        printed: &Pose,
+        frames: &Frames,
+    ) -> Result<Option<[FanucConfiguration; 2]>, CompensationFinding> {
+        let axes = self.printed_axes(corrected, printed, frames)?;
+        let of = |axes: &[f64; AXES]| FanucConfiguration::at(&self.nominal.geometry, axes);
+        Ok(of(&corrected.taught).zip(of(&axes)).map(|(taught, new)| [taught, new]))
     }
 
     /// ABB's configuration of a target before its correction.

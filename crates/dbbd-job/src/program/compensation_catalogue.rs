@@ -90,6 +90,12 @@ findings! {
                 "axis {axis} would leave its limits: {angle_deg:.3} deg of {low_deg} to {high_deg}";
             StatusOutOfRange => "S or T is out of range";
         }
+        E0923 "the configuration of a point selects no branch",
+        cause: "How a FANUC counts CONFIG on an arm whose wrist axes do not meet (CRX) is not known, or the point has no CONFIG.",
+        cure: "Write the point as axis angles (J1 to J6)." {
+            NoFanucRule => "what CONFIG means for this arm is not known";
+            NoFanucConfiguration { name: String } => "{name} has no CONFIG that can be read";
+        }
         E0907 "a point is too near to a singularity",
         cause: "A small correction of the pose turns an axis far, or changes the branch of the arm.",
         cure: "Teach the point further away from the singularity, or go there by LIN." {
@@ -119,7 +125,7 @@ findings! {
             DataNamed => "the file contains the points of a program but no motion", help: "name the .src; the .dat beside it is corrected with it";
             WouldOverwrite { directory: String } => "writing into {directory} would overwrite the program itself";
             FrameUnused { language: &'static str } => "a program in {language} does not take these frames",
-                help: "in RAPID a module with tools and work objects is given, in URScript the TCP as the tool";
+                help: "in RAPID a module with tools and work objects is given, in URScript the TCP as the tool, for a FANUC SYSFRAME.VA, or tool and base";
             NotAFrame => "six numbers in mm and degrees are needed, as 0,0,150,0,0,0";
         }
         I0911 "an axis passes zero",
@@ -133,11 +139,12 @@ findings! {
             PointsRefused { points: usize } => "{points} point(s) cannot be compensated; nothing is written";
         }
         E0913 "a file is not a program in its language",
-        cause: "The file has no routine (DEF NAME ( ) .. END of KRL, MODULE .. ENDMODULE of RAPID, def name(): .. end of URScript): it is a program in another language than its extension says, or a table.",
-        cure: "Name the .src of a KUKA program, the .mod of an ABB or the .script of a Universal Robots program. Programs in other languages are not corrected." {
+        cause: "The file has no routine (DEF NAME ( ) .. END of KRL, MODULE .. ENDMODULE of RAPID, def name(): .. end of URScript, /PROG .. /MN of a TP program): it is a program in another language than its extension says, or a table.",
+        cure: "Name the .src of a KUKA program, the .mod of an ABB, the .script of a Universal Robots or the .ls of a FANUC program. Programs in other languages are not corrected." {
             NotRapid { begins: String } => "is not a module in RAPID: it begins with `{begins}`";
+            NotFanuc { begins: String } => "is not a TP program: it begins with `{begins}`";
             NotUrscript { begins: String } => "is not a program in URScript: it begins with `{begins}`";
-            NoLanguage { file: String } => "{file} is in no language that is known by its extension", help: ".src is KRL, .mod RAPID, .script URScript; PolyScope saves the .script of a program beside its .urp";
+            NoLanguage { file: String } => "{file} is in no language that is known by its extension", help: ".src is KRL, .mod RAPID, .script URScript, .ls a FANUC TP program; PolyScope saves the .script of a program beside its .urp";
             NotKrl { begins: String } => "is not a program in KRL: it begins with `{begins}`";
         }
         E0917 "the controller corrects with a table that is not known",

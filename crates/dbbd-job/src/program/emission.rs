@@ -160,6 +160,11 @@ fn environment(templates: &[(&'static str, &'static str)]) -> Result<Environment
     // Components of quaternions; metres and radians.
     environment.add_filter("fine", |value: f64| fixed(value, 9));
     environment.add_filter("axis", |value: f64| fixed(value, 6));
+    // Numbers of a FANUC's listing: positions, waits, long times, speeds.
+    environment.add_filter("listed", |value: f64| format!("{:>10}", fixed(value, 3)));
+    environment.add_filter("hundredths", |value: f64| format!("{:>6}", fixed(value, 2)));
+    environment.add_filter("tenths", |value: f64| fixed(value, 1));
+    environment.add_filter("ceiling", |value: f64| fixed(value.ceil(), 0));
     // Rounded down, because the controller would round up.
     environment.add_filter("percent", |value: f64| fixed(value.floor(), 0));
     for &(name, text) in templates {

@@ -1,6 +1,6 @@
 //! The provenance of a program, as comments after its first line.
 
-use super::{Language, Text};
+use super::{Language, Text, fanuc};
 use crate::program::ProgramFinding;
 use dbbd_model::base::InternalFinding;
 use dbbd_model::base::serialised;
@@ -14,18 +14,51 @@ const FROM: &str = " made from ";
 
 /// The comments, in ASCII.
 pub(super) fn lines(language: Language, provenance: &Provenance) -> Result<Vec<String>, InternalFinding> {
-    let sign = language.comment();
     let source = |artefact: &Artefact| {
         let json = serialised::json_line(artefact)?;
-        Ok([sign].into_iter().chain(FROM.chars()).chain(json.chars()).map(escaped).collect())
+        Ok(FROM.chars().chain(json.chars()).map(escaped).collect())
     };
-    let by = format!("{sign}{BY}{}", provenance.dbbd);
-    [Ok(by)].into_iter().chain(provenance.from.iter().map(source)).collect()
+    let by = format!("{BY}{}", provenance.dbbd);
+    let comments = [Ok(by)].into_iter().chain(provenance.from.iter().map(source));
+    let lines: Result<Vec<Vec<String>>, InternalFinding> =
+        comments.map(|comment| comment.map(|comment| written(language, &comment))).collect();
+    Ok(lines?.concat())
 }
 
-/// The comment of a line that begins with the comment sign of any language.
+/// A remark of a TP program has at most 32 characters, keeps no blank at its end and ends at a semicolon.
+const REMARK: usize = 31;
+/// What a remark begins with that goes on.
+const ON: char = '+';
+
+/// The lines of a comment.
+fn written(language: Language, comment: &str) -> Vec<String> {
+    match language {
+        Language::Krl | Language::Rapid | Language::Urscript => {
+            vec![format!("{}{comment}", language.comment())]
+        }
+        Language::Fanuc => {
+            let (start, json) =
+                if comment.starts_with(FROM) { comment.split_at(FROM.len()) } else { (comment, "") };
+            let json = json.replace(' ', "\\u0020").replace(';', "\\u003b");
+            let whole: Vec<char> = start.chars().chain(json.chars()).collect();
+            let pieces = whole.chunks(REMARK - 1).enumerate();
+            let piece = |(at, piece): (usize, &[char])| {
+                let on = if at == 0 { String::new() } else { ON.to_string() };
+                format!("   1:  !{on}{} ;", piece.iter().collect::<String>())
+            };
+            pieces.map(piece).collect()
+        }
+    }
+}
+
+/// The comment of a line that begins with the comment sign of any language, or is a remark of a TP program.
 fn comment(line: &str) -> Option<&str> {
-    line.strip_prefix(Language::ALL.map(Language::comment))
+    line.strip_prefix(Language::ALL.map(Language::comment)).or_else(|| fanuc::remark_of(line))
+}
+
+/// What a remark of a TP program adds to the one before.
+fn goes_on(line: &str) -> Option<&str> {
+    fanuc::remark_of(line)?.strip_prefix(ON)
 }
 
 /// A character as ASCII, with the escapes of JSON.
@@ -43,8 +76,16 @@ fn escaped(character: char) -> String {
 /// A damaged comment, because its source could not be compared.
 pub fn provenance(file: &str, text: &str) -> Result<Provenance, Diagnostic> {
     let mut provenance = Provenance::default();
+    let mut comments: Vec<(usize, String)> = Vec::new();
     for (line, number) in text.lines().zip(1..) {
         let Some(comment) = comment(line) else { continue };
+        match (goes_on(line), comments.last_mut()) {
+            (Some(more), Some((_, last))) => last.push_str(more),
+            _ => comments.push((number, comment.to_owned())),
+        }
+    }
+    for (number, comment) in &comments {
+        let number = *number;
         if let Some(version) = comment.strip_prefix(BY) {
             provenance.dbbd = version.trim().to_owned();
         } else if let Some(json) = comment.strip_prefix(FROM) {
@@ -77,8 +118,11 @@ pub fn check_one_plan(source: Text<'_>, data: Text<'_>) -> Result<(), Diagnostic
 pub fn stamped(language: Language, text: &str, provenance: &Provenance) -> Result<String, InternalFinding> {
     let mut comments = lines(language, provenance)?;
     let mut stamped = String::with_capacity(text.len() + 256 * comments.len());
+    let mut is_old = false;
     for line in text.split_inclusive('\n') {
-        if comment(line).is_some_and(|comment| [BY, FROM].iter().any(|start| comment.starts_with(start))) {
+        let begins = |comment: &str| [BY, FROM].iter().any(|start| comment.starts_with(start));
+        is_old = comment(line).is_some_and(begins) || is_old && goes_on(line).is_some();
+        if is_old {
             continue;
         }
         stamped.push_str(line);
@@ -87,5 +131,25 @@ pub fn stamped(language: Language, text: &str, provenance: &Provenance) -> Resul
             comments.drain(..).for_each(|comment| stamped.extend([comment.as_str(), end]));
         }
     }
-    Ok(stamped)
+    Ok(if language == Language::Fanuc { fanuc::renumbered(&stamped) } else { stamped })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A remark of a TP program has at most 32 characters: the chain is written over several, and read back.
+    #[test]
+    fn remarks_of_a_listing_hold_the_chain() {
+        let mut chain = Provenance { dbbd: "0.1.0".into(), ..Provenance::default() };
+        let robot = Artefact::new(ArtefactRole::Robot, "robot; of cell 7, long name.toml", "text");
+        chain.add(&robot);
+        let listing = "/PROG  P\r\n/MN\r\n   1:J P[1] 5% FINE ;\r\n/POS\r\n/END\r\n";
+        let once = stamped(Language::Fanuc, listing, &chain).unwrap();
+        assert_eq!(provenance("P.LS", &once).unwrap().from, chain.from);
+        let remarks: Vec<&str> = once.lines().filter_map(fanuc::remark_of).collect();
+        assert!(remarks.len() > 3 && remarks.iter().all(|remark| remark.len() <= 32), "{once}");
+        assert!(once.contains(&format!("{:4}:J P[1]", remarks.len() + 1)), "{once}");
+        assert_eq!(stamped(Language::Fanuc, &once, &chain).unwrap(), once);
+    }
 }

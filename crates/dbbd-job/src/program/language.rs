@@ -11,10 +11,12 @@ pub enum Language {
     Rapid,
     /// Universal Robots.
     Urscript,
+    /// FANUC: the listing of a TP program.
+    Fanuc,
 }
 
 impl Language {
-    pub const ALL: [Self; 3] = [Self::Krl, Self::Rapid, Self::Urscript];
+    pub const ALL: [Self; 4] = [Self::Krl, Self::Rapid, Self::Urscript, Self::Fanuc];
 
     /// As in robot files and on the command line.
     pub fn name(self) -> &'static str {
@@ -22,6 +24,7 @@ impl Language {
             Self::Krl => "krl",
             Self::Rapid => "rapid",
             Self::Urscript => "urscript",
+            Self::Fanuc => "fanuc",
         }
     }
 
@@ -31,6 +34,7 @@ impl Language {
             Self::Krl => "KRL",
             Self::Rapid => "RAPID",
             Self::Urscript => "URScript",
+            Self::Fanuc => "FANUC TP",
         }
     }
 
@@ -44,6 +48,7 @@ impl Language {
             Self::Krl => &["src", "dat"],
             Self::Rapid => &["mod", "modx", "sys", "sysx", "prg"],
             Self::Urscript => &["script"],
+            Self::Fanuc => &["ls"],
         }
     }
 
@@ -64,12 +69,12 @@ impl Language {
     pub fn comment(self) -> char {
         match self {
             Self::Krl => ';',
-            Self::Rapid => '!',
+            Self::Rapid | Self::Fanuc => '!',
             Self::Urscript => '#',
         }
     }
 
-    /// Whether a whole line begins a routine, a data list or a module.
+    /// Whether a whole line begins a routine, a data list, a module or the statements of a TP program.
     pub(crate) fn begins(self, line: &str) -> bool {
         let mut words = line.split_ascii_whitespace();
         let first = words.next().unwrap_or("");
@@ -84,6 +89,7 @@ impl Language {
             }
             Self::Rapid => ends && first.eq_ignore_ascii_case("MODULE"),
             Self::Urscript => ends && first == "def" && line.trim_end().ends_with(':'),
+            Self::Fanuc => ends && first == "/MN",
         }
     }
 
@@ -93,6 +99,8 @@ impl Language {
             Self::Krl => [0.0, -90.0, 90.0, 0.0, 0.0, 0.0],
             Self::Rapid => [0.0; AXES],
             Self::Urscript => [0.0, -90.0, 0.0, -90.0, 0.0, 0.0],
+            // The wrist points down.
+            Self::Fanuc => [0.0, 0.0, 0.0, 0.0, -90.0, 0.0],
         }
     }
 

@@ -7,11 +7,11 @@ use dbbd_model::diagnostic::Diagnostic;
 
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Token {
-    /// A name or keyword. In KRL and RAPID, which ignore case, in capitals.
+    /// A name or keyword. In KRL, RAPID and TP programs, which ignore case, in capitals.
     Name(String),
     /// `#NAME` of KRL, in capitals.
     Enum(String),
-    /// A whole number of KRL. RAPID and URScript have one type of number: [`Token::Real`].
+    /// A whole number of KRL. The other languages have one type of number: [`Token::Real`].
     Int(i64),
     Real(f64),
     Text(String),
@@ -35,7 +35,7 @@ pub(super) fn tokens(file: Text<'_>, language: Language) -> Result<Vec<(Token, S
     let text = match language {
         // Old KUKA controllers end a file with the end-of-file mark of DOS.
         Language::Krl => file.text.strip_suffix('\u{1a}').unwrap_or(file.text),
-        Language::Rapid | Language::Urscript => file.text,
+        Language::Rapid | Language::Urscript | Language::Fanuc => file.text,
     };
     if text.starts_with('\u{feff}') {
         return Err(file.wrong(&(0..3), ProgramFinding::ByteOrderMark));
@@ -130,8 +130,9 @@ impl<'a> Lexer<'a> {
             ' ' | '\t' | '\r' => self.at += 1,
             c if !is_krl && c.is_whitespace() => self.at += c.len_utf8(),
             '&' if is_krl && starts_line => self.at += line().len(),
-            '"' => self.text(line())?,
+            '"' => self.text(line(), '"')?,
             '\'' if is_krl => self.based_number(line())?,
+            '\'' if self.language == Language::Fanuc => self.text(line(), '\'')?,
             '#' if is_krl => {
                 let name = prefix(after_first(rest), |c| self.is_in_name(c));
                 self.push(Token::Enum(name.to_ascii_uppercase()), name.len() + 1);
@@ -171,7 +172,7 @@ impl<'a> Lexer<'a> {
             ["def", "end", "thread", "while", "if", "elif", "else", "return", "global", "local"];
         match self.language {
             Language::Krl => false,
-            Language::Rapid => true,
+            Language::Rapid | Language::Fanuc => true,
             Language::Urscript => {
                 let word = prefix(next.trim_start(), |c| self.is_in_name(c));
                 self.brackets > 0 && !BEGIN.contains(&word)
@@ -181,7 +182,7 @@ impl<'a> Lexer<'a> {
 
     fn is_in_name(&self, c: char) -> bool {
         match self.language {
-            Language::Krl => c.is_ascii_alphanumeric() || c == '_' || c == '$',
+            Language::Krl | Language::Fanuc => c.is_ascii_alphanumeric() || c == '_' || c == '$',
             Language::Rapid | Language::Urscript => c.is_alphanumeric() || c == '_',
         }
     }
@@ -199,8 +200,8 @@ impl<'a> Lexer<'a> {
     }
 
     /// `"text"`, which ends on its line.
-    fn text(&mut self, line: &str) -> Result<(), Diagnostic> {
-        let Some((text, _)) = after_first(line).split_once('"') else {
+    fn text(&mut self, line: &str, quote: char) -> Result<(), Diagnostic> {
+        let Some((text, _)) = after_first(line).split_once(quote) else {
             return Err(self.wrong(self.at..self.at + line.len(), ProgramFinding::OpenText));
         };
         self.push(Token::Text(text.to_owned()), text.len() + 2);

@@ -1,9 +1,14 @@
-//! A program as the list of its actions, independent of the language: what the simulated controller executes of RAPID and
-//! URScript, whose supported programs have neither variables that change nor conditions. KRL has an interpreter.
+//! A program as the list of its actions, independent of the language: what the simulated controller executes of RAPID,
+//! URScript and TP programs, whose supported programs have neither variables that change nor conditions. KRL has an
+//! interpreter.
+
+use std::fmt;
 
 use super::text::{Span, Text};
 use super::{Frames, Language, MotionKind, Setup, Target, krl};
 use dbbd_model::diagnostic::{Diagnostic, Finding};
+use dbbd_model::robot::inverse::{self, FanucConfiguration, Unsolved};
+use dbbd_model::robot::{AXES, Geometry, Pose, Robot};
 
 /// A program for the simulated controller.
 #[derive(Clone, Debug)]
@@ -100,13 +105,58 @@ pub enum Standstill {
 #[derive(Clone, Debug)]
 pub struct Move {
     pub motion: MotionKind,
-    /// The auxiliary point of an arc in the base frame.
-    pub through_mm: Option<[f64; 3]>,
+    /// The auxiliary point of an arc.
+    pub through: Option<Target>,
     pub to: Target,
-    /// ABB's configuration: of a PTP the one to reach, of a line or an arc the one that is checked at its end.
-    pub configuration: Option<[i32; 4]>,
+    /// Of a PTP the one to reach, of a line or an arc the one that is checked at its end.
+    pub configuration: Option<ProgrammedConfiguration>,
     pub frames: Frames,
     pub pace: Pace,
+    /// Whether the motion ends for the program in position: `FINE` of a TP program.
+    pub ends_in_position: bool,
+}
+
+/// The configuration of the arm that a target names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ProgrammedConfiguration {
+    /// ABB's, see [`inverse::quadrants`].
+    Quadrants([i32; 4]),
+    /// FANUC's.
+    Fanuc(FanucConfiguration),
+}
+
+impl ProgrammedConfiguration {
+    /// The axis angles (rad) of a pose.
+    pub fn axes(self, robot: &Robot, pose: &Pose) -> Result<[f64; AXES], Unsolved> {
+        match self {
+            Self::Quadrants(wanted) => inverse::from_quadrants(robot, pose, wanted),
+            Self::Fanuc(wanted) => inverse::from_fanuc(robot, pose, wanted, None),
+        }
+    }
+
+    /// The configuration of an arm at the end of a line, if the controller refuses it there. A FANUC ignores the turns.
+    pub fn refused(self, geometry: &Geometry, axes: &[f64; AXES]) -> Option<Self> {
+        let (reached, is_accepted) = match self {
+            Self::Quadrants(wanted) => {
+                let reached = inverse::quadrants(geometry, axes);
+                (Self::Quadrants(reached), reached == wanted)
+            }
+            Self::Fanuc(wanted) => {
+                let reached = FanucConfiguration::certain(geometry, axes)?;
+                (Self::Fanuc(reached), reached.is_branch_of(&wanted))
+            }
+        };
+        (!is_accepted).then_some(reached)
+    }
+}
+
+impl fmt::Display for ProgrammedConfiguration {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Quadrants(quadrants) => write!(out, "{quadrants:?}"),
+            Self::Fanuc(configuration) => write!(out, "{configuration}"),
+        }
+    }
 }
 
 /// The programmed speed of a motion.
@@ -118,4 +168,6 @@ pub enum Pace {
     Tool { mm_s: f64, mm_s2: f64, deg_s: Option<f64> },
     /// Speed and acceleration of the fastest axis.
     Axis { deg_s: f64, deg_s2: f64 },
+    /// Share of the greatest speed of the axes.
+    AxisShare(f64),
 }

@@ -10,6 +10,7 @@ pub use catalogue::ProgramFinding;
 
 pub mod compensate;
 mod emission;
+pub mod fanuc;
 mod flow;
 mod header;
 pub mod krl;

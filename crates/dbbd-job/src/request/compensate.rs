@@ -22,6 +22,7 @@ use crate::files;
 use crate::program::CompensationFinding;
 use crate::program::ProgramFinding;
 use crate::program::compensate::in_metres;
+use crate::program::fanuc::{self, GivenFrames};
 use crate::program::krl::{self, Files, Given};
 use crate::program::{Language, Moved, Target, Text, check_one_plan, provenance, rapid, stamped, urscript};
 
@@ -178,7 +179,7 @@ impl CompensateRequest {
         let context = CorrectionContext { request: self, robot: &robot, identified: &identified, session };
         let corrected = match language {
             Language::Krl => context.krl()?,
-            Language::Rapid | Language::Urscript => context.one_file(language)?,
+            Language::Rapid | Language::Urscript | Language::Fanuc => context.one_file(language)?,
         };
         self.check_controller(&robot)?;
         let provenance = crate::artefact::made_from(corrected.sources.iter().chain([&identified]));
@@ -296,16 +297,16 @@ impl CorrectionContext<'_> {
         let traced = source.traced()?;
         check_robot(&traced, identified, session)?;
         let config = request.config.as_deref().map(ProgramFile::open).transpose()?;
-        let is_urscript = language == Language::Urscript;
-        let unused = if is_urscript { config.is_some() } else { request.tool_mm_deg.is_some() };
-        if unused || request.base_mm_deg.is_some() {
-            return Err(CompensationFinding::FrameUnused { language: language.name() }.into());
-        }
-        let text = source.text();
-        let points = if is_urscript {
-            urscript::read(text, request.tool())?
-        } else {
-            rapid::read(text, config.as_ref().map(ProgramFile::text))?
+        let (text, config) = (source.text(), config.as_ref().map(ProgramFile::text));
+        let (tool, base) = (request.tool(), request.base());
+        let unused = || Err(CompensationFinding::FrameUnused { language: language.name() }.into());
+        let points = match language {
+            Language::Krl => return self.krl(),
+            Language::Rapid if tool.is_some() || base.is_some() => return unused(),
+            Language::Rapid => rapid::read(text, config)?,
+            Language::Urscript if config.is_some() || base.is_some() => return unused(),
+            Language::Urscript => urscript::read(text, tool)?,
+            Language::Fanuc => fanuc::read(text, GivenFrames { config, tool, base })?,
         };
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
         session.findings(points.doubts.iter().cloned());

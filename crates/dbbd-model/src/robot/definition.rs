@@ -134,7 +134,7 @@ const LANGUAGES: [(&str, &str); 9] = [
     ("UR", "urscript"),
     ("Staubli", "val3"),
     ("Stäubli", "val3"),
-    ("Fanuc", "karel"),
+    ("Fanuc", "fanuc"),
     ("Yaskawa", "inform"),
     ("Motoman", "inform"),
 ];
@@ -496,9 +496,13 @@ mod tests {
 
     #[test]
     fn the_language_is_that_of_the_maker() {
-        for (name, language) in
-            [("kr60ha", "krl"), ("irb120", "rapid"), ("ur10e", "urscript"), ("gp25", "inform")]
-        {
+        for (name, language) in [
+            ("kr60ha", "krl"),
+            ("irb120", "rapid"),
+            ("ur10e", "urscript"),
+            ("m10id12", "fanuc"),
+            ("gp25", "inform"),
+        ] {
             assert_eq!(robot(name).controller_language(), Some(language));
         }
         let own = Robot { language: Some("krl".into()), ..robot("irb120") };

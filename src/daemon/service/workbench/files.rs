@@ -21,7 +21,7 @@ const MAX_RUNS: usize = 100;
 /// Directories of one robot that are looked into.
 const MAX_DIRECTORIES: usize = 200;
 /// The main module of a program.
-const MAIN: [&str; 4] = ["DBB_MAIN.dat", "DBB_MAIN.src", "DBB_MAIN.mod", "DBB_MAIN.script"];
+const MAIN: [&str; 5] = ["DBB_MAIN.dat", "DBB_MAIN.src", "DBB_MAIN.mod", "DBB_MAIN.script", "DBB_MAIN.ls"];
 /// Where the page keeps a program that shall be corrected.
 pub(super) const UPLOADED: &str = "uploaded";
 /// Where it writes the corrected one.

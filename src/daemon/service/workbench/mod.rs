@@ -43,7 +43,7 @@ const DEMO: &str = "demo";
 /// Poses of a check, as `dbbd plan --check` chooses them.
 const CHECK_POSES: u32 = 18;
 /// The ends of the files of a program.
-const PROGRAM_ENDS: [&str; 5] = [".src", ".dat", ".mod", ".pgf", ".script"];
+const PROGRAM_ENDS: [&str; 6] = [".src", ".dat", ".mod", ".pgf", ".script", ".ls"];
 /// Files of one upload.
 const MAX_UPLOADED: usize = 50;
 /// The declarations of a controller, as the page names them (`$config.dat` is no plain name).

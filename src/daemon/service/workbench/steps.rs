@@ -394,8 +394,9 @@ fn correct(files: &WorkFiles) -> Drafted {
 
 /// The programs among uploaded files; the others belong to them.
 fn programs_in(uploaded: Option<&FoundDirectory>) -> impl Iterator<Item = &str> {
-    let is_program =
-        |name: &&str| [".src", ".mod", ".script"].iter().any(|end| name.to_ascii_lowercase().ends_with(end));
+    let is_program = |name: &&str| {
+        [".src", ".mod", ".script", ".ls"].iter().any(|end| name.to_ascii_lowercase().ends_with(end))
+    };
     uploaded.into_iter().flat_map(|uploaded| &uploaded.files).map(String::as_str).filter(is_program)
 }
 

@@ -7,7 +7,7 @@ use super::instruction::{Instruction, optional, required};
 use super::literal::{predefined, taught};
 use super::parser::{Declared, Module, parse};
 use crate::program::ProgramFinding;
-use crate::program::listing::{ActionKind, Move, Pace, Standstill};
+use crate::program::listing::{ActionKind, Move, Pace, ProgrammedConfiguration, Standstill};
 use crate::program::script::expression::Routine;
 use crate::program::script::unroll::{Dialect, unroll};
 use crate::program::script::value::{self, Evaluated, Value};
@@ -89,10 +89,9 @@ impl Rapid {
             argument.value.as_ref().and_then(taught).ok_or(ProgramFinding::NoPosition)
         };
         let (to, configuration) = point(instruction.to)?;
-        let through_mm = match instruction.through.map(point).transpose()? {
-            Some((Target::Pose { xyz_mm, .. }, _)) => Some(xyz_mm),
+        let through = match instruction.through.map(point).transpose()? {
             Some((Target::Axes(_), _)) => return Err(ProgramFinding::NoPosition),
-            None => None,
+            through => through.map(|(target, _)| target),
         };
         let frames = instruction.frames();
         let frames = frames.map_err(|why| ProgramFinding::NotDeclared { name: why.to_string() })?;
@@ -104,8 +103,10 @@ impl Rapid {
             _ => return Err(ProgramFinding::NoSpeed { variable: "the speed".into() }),
         };
         let motion = instruction.motion;
-        let configuration = configuration.filter(|_| motion == MotionKind::Ptp || self.checks_configuration);
-        Ok(Move { motion, through_mm, to, configuration, frames, pace })
+        let configuration = configuration
+            .filter(|_| motion == MotionKind::Ptp || self.checks_configuration)
+            .map(ProgrammedConfiguration::Quadrants);
+        Ok(Move { motion, through, to, configuration, frames, pace, ends_in_position: false })
     }
 }
 

@@ -2,12 +2,13 @@
 //!
 //! The answers are derived by hand from the manuals of the languages: KUKA *Expert Programming* and *BAS* of the system
 //! files; ABB *Technical reference manual - RAPID instructions, functions and data types*; Universal Robots *The URScript
-//! Programming Language*. A program with the wrong answer would be corrected wrongly without a word.
+//! Programming Language*; FANUC *HandlingTool Setup and Operations Manual*. A program with the wrong answer would be corrected wrongly without a word.
 //!
 //! In a source `|` ends a line, and some words stand for values (see each `text`). An answer has, for each point, the line of
 //! its first motion and its frames by their numbers (`axes` for axis angles), then what stays as it is and the doubts, with
 //! their lines; or the code and the line of the refusal.
 
+use dbbd_job::program::fanuc::{self, GivenFrames};
 use dbbd_job::program::{CompensationFinding, Frames, Text, krl, rapid, urscript};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Pose;
@@ -421,6 +422,7 @@ fn of_rapid(source: &str) -> String {
                     (None, _) => "",
                     (_, Branch::ByQuadrants(_)) => "q",
                     (_, Branch::Nearest | Branch::NearestTo(_) | Branch::ByStatusAndTurn) => "n",
+                    (_, Branch::ByFanuc(_) | Branch::OnLine(_)) => "?",
                 };
                 (text.line(point.first_use.start), numbers(point.frames.as_ref()) + branch)
             });
@@ -541,6 +543,217 @@ const RAPID: &[(&str, &str)] = &[
 #[test]
 fn rapid_frames() {
     check(RAPID, of_rapid);
+}
+
+/// A controller's file with the frames 1 and 2.
+fn sysframe() -> String {
+    let entry = |n: usize, x: usize, z: usize| {
+        format!(
+            "     [1,{n}] =\n  Group: 1   Config: N D B, 0, 0, 0\n  X:  {x}.000   Y:     0.000   Z:  {z}.000\n  W:     0.000   P:     0.000   R:     0.000\n"
+        )
+    };
+    let array = |name: &str, entries: [String; 2]| {
+        format!(
+            "[*SYSTEM*]${name}  Storage: SHADOW  Access: RW  : ARRAY[1,9] OF POSITION\n{}",
+            entries.concat()
+        )
+    };
+    array("MNUFRAME", [entry(1, 1000, 0), entry(2, 2000, 0)])
+        + &array("MNUTOOL", [entry(1, 0, 100), entry(2, 0, 200)])
+}
+
+/// A listing in which the first statement is in line 3; `@L` and `@J` are a speed with an exact stop. Positions: 1 and 2 of
+/// the frames 1, 3 of the frames 2, 4 and 6 of the frames that are selected, 5 axis angles, 7 a tool 3, 8 not taught, 10 and 11
+/// with a second group, 12 without a configuration. After the frames: `q` if the configuration with its turns selects the
+/// branch, `l` the one on a line, `n` for the branch next to the position before.
+fn of_fanuc(source: &str, given: GivenFrames<'_>) -> String {
+    let position =
+        |n: usize, frames: &str, rest: &str| format!("P[{n}]{{\n   GP1:\n\tUF : {frames},{rest}\n}};\n");
+    let pose = "\t\tCONFIG : 'N U T, 0, 0, 0',\n\tX =  1.000  mm,\tY =  2.000  mm,\tZ =  3.000  mm,\n\tW =  .000 deg,\tP = -.500 deg,\tR = 0.000 deg";
+    let second = |at: usize| format!("{pose}\n   GP2:\n\tUF : 1, UT : 1,\t\n\tJ1=  {at}.000 deg");
+    let joint = "\t\n\tJ1=  1.000 deg,\tJ2=  2.000 deg,\tJ3=  3.000 deg,\n\tJ4=  4.000 deg,\tJ5=  -5.000 deg,\tJ6=  6.000 deg";
+    let positions = [
+        position(1, "1, UT : 1", pose),
+        position(2, "1, UT : 1", pose),
+        position(3, "2, UT : 2", pose),
+        position(4, "F, UT : F", pose),
+        position(5, "1, UT : 1", joint),
+        position(6, "F, UT : F", pose),
+        position(7, "0, UT : 0", &pose.replace(" 1.000", " 0.000").replace(" 3.000", " 300.000")),
+        position(8, "1, UT : 1", &pose.replace("2.000", "********")),
+        position(10, "1, UT : 1", &second(10)),
+        position(11, "1, UT : 1", &second(11)),
+        position(12, "1, UT : 1", &pose.replace("\t\tCONFIG : 'N U T, 0, 0, 0',", "")),
+    ];
+    let lines: String = source.split('|').zip(1..).map(|(line, n)| format!("{n:4}:  {line} ;\n")).collect();
+    let lines = lines.replace("@L", "100mm/sec FINE").replace("@J", "50% FINE");
+    let text = format!("/PROG  P\n/MN\n{lines}/POS\n{}/END\n", positions.concat());
+    let text = Text { file: "P.LS", text: &text };
+    match fanuc::read(text, given) {
+        Err(wrong) => refusal(&wrong),
+        Ok(read) => {
+            let points = read.points.iter().map(|point| {
+                let branch = match (&point.frames, point.branch) {
+                    (None, _) => "",
+                    (_, Branch::ByFanuc(_)) => "q",
+                    (_, Branch::OnLine(_)) => "l",
+                    (_, Branch::Nearest | Branch::NearestTo(_)) => "n",
+                    (_, Branch::ByQuadrants(_) | Branch::ByStatusAndTurn) => "?",
+                };
+                (text.line(point.first_use.start), numbers(point.frames.as_ref()) + branch)
+            });
+            answer(points.collect(), read.not_corrected.iter().chain(&read.doubts).cloned())
+        }
+    }
+}
+
+const FANUC: &[(&str, &str)] = &[
+    // A position names its frames, and the controller stops where others are selected.
+    ("L P[1] @L", "3=1/1l"),
+    ("J P[1] @J", "3=1/1q"),
+    ("J P[5] @J", "3=axes"),
+    ("C P[1] P[2] @L", "3=1/1l 3=1/1l"),
+    ("C P[1]\n    :  P[2] @L", "3=1/1l 3=1/1l"),
+    ("UFRAME_NUM=1|UTOOL_NUM=1|L P[1] @L", "5=1/1l"),
+    ("UFRAME_NUM=2|UTOOL_NUM=1|L P[1] @L", "E0902 5"),
+    ("UFRAME_NUM=1|UTOOL_NUM=2|L P[1] @L", "E0902 5"),
+    ("UTOOL_NUM=2|J P[5] @J", "4=axes"),
+    ("L P[1] @L|L P[3] @L", "3=1/1l 4=2/2l"),
+    ("L P[1] @L|L P[1] @L", "3=1/1l"),
+    ("!L P[3] @L|L P[1] @L", "4=1/1l"),
+    ("J P[1:above part] 50% CNT100", "3=1/1q"),
+    // One of the frames that are selected.
+    ("L P[4] @L", "E0901 3"),
+    ("UFRAME_NUM=2|UTOOL_NUM=1|L P[4] @L", "5=1/2l"),
+    ("UFRAME_NUM=2|L P[4] @L", "E0901 4"),
+    ("UFRAME_NUM=0|UTOOL_NUM=0|L P[4] @L", "5=0/0l"),
+    ("UFRAME_NUM=1|UTOOL_NUM=1|L P[4] @L|UFRAME_NUM=2|L P[4] @L", "E0904 7"),
+    ("UFRAME_NUM=1|UTOOL_NUM=1|L P[4] @L|UFRAME_NUM=2|L P[6] @L", "5=1/1l 7=1/2l"),
+    ("UFRAME_NUM=R[1]|UTOOL_NUM=1|L P[4] @L", "E0901 5"),
+    ("R[1:user frame]=2|UFRAME_NUM=R[1:user frame]|UTOOL_NUM=1|L P[4] @L", "6=1/2l"),
+    ("R[1]=2|R[1]=R[1]+1|UFRAME_NUM=R[1]|UTOOL_NUM=1|L P[4] @L", "E0901 7"),
+    ("UFRAME_NUM=AR[1]|UTOOL_NUM=1|L P[1] @L", "E0901 5"),
+    ("UFRAME_NUM=9|UTOOL_NUM=1|L P[4] @L", "E0901 5"),
+    ("$MNUFRAMENUM[1]=2|UTOOL_NUM=1|L P[4] @L", "E0901 5"),
+    ("$WAITTMOUT=200|UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L", "6=1/1l"),
+    // Choices.
+    ("UFRAME_NUM=1|UTOOL_NUM=1|IF R[1]=1,JMP LBL[1]|UFRAME_NUM=2|LBL[1]|L P[4] @L", "E0901 8"),
+    ("UFRAME_NUM=1|UTOOL_NUM=1|IF R[1]=1,JMP LBL[1]|UFRAME_NUM=1|LBL[1]|L P[4] @L", "8=1/1l"),
+    ("UTOOL_NUM=1|IF (R[1]=1) THEN|UFRAME_NUM=1|ELSE|UFRAME_NUM=2|ENDIF|L P[4] @L", "E0901 9"),
+    ("UTOOL_NUM=1|IF (R[1]=1) THEN|UFRAME_NUM=1|ELSE|UFRAME_NUM=1|ENDIF|L P[4] @L", "9=1/1l"),
+    ("UFRAME_NUM=1|UTOOL_NUM=1|IF (!DI[1] AND R[1]=1),UFRAME_NUM=(2)|L P[4] @L", "E0901 6"),
+    (
+        "UTOOL_NUM=1|SELECT R[1]=1,JMP LBL[1]|=2,JMP LBL[2]|ELSE,JMP LBL[3]|LBL[1]|UFRAME_NUM=1|JMP LBL[9]|LBL[2]|\
+         UFRAME_NUM=1|JMP LBL[9]|LBL[3]|UFRAME_NUM=1|LBL[9]|L P[4] @L",
+        "16=1/1l",
+    ),
+    (
+        "UTOOL_NUM=1|SELECT R[1]=1,JMP LBL[1]|=2,JMP LBL[2]|ELSE,JMP LBL[3]|LBL[1]|UFRAME_NUM=1|JMP LBL[9]|LBL[2]|\
+         UFRAME_NUM=2|JMP LBL[9]|LBL[3]|UFRAME_NUM=1|LBL[9]|L P[4] @L",
+        "E0901 16",
+    ),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|SELECT R[1]=1,CALL A|ELSE,CALL B|L P[4] @L", "7=1/1l W0921@7 W0921@7"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|WAIT DI[1]=ON,TIMEOUT,LBL[1]|UFRAME_NUM=2|LBL[1]|L P[4] @L", "E0901 8"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L Skip,LBL[1]|UFRAME_NUM=2|LBL[1]|L P[6] @L", "E0901 8"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L Skip,LBL[1],PR[9]=LPOS|LBL[1]|L P[6] @L", "5=1/1l 7=1/1l"),
+    // Loops and jumps.
+    ("UFRAME_NUM=1|UTOOL_NUM=1|LBL[1]|L P[4] @L|UFRAME_NUM=2|JMP LBL[1]", "E0901 6"),
+    ("UFRAME_NUM=1|UTOOL_NUM=1|LBL[1]|L P[4] @L|UFRAME_NUM=1|JMP LBL[1]", "6=1/1l"),
+    (
+        "UTOOL_NUM=1|LBL[1]|UFRAME_NUM=1|L P[4] @L|UFRAME_NUM=2|IF R[1]<3,JMP LBL[1]|L P[6] @L",
+        "6=1/1l 9=1/2l",
+    ),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|FOR R[1]=1 TO 3|L P[4] @L|UFRAME_NUM=2|ENDFOR", "E0901 6"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|FOR R[1]=1 TO 3|UFRAME_NUM=2|ENDFOR|L P[4] @L", "E0901 8"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|END|UFRAME_NUM=2|L P[4] @L", "W0905@7"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|JMP LBL[2]|UFRAME_NUM=2|LBL[2:over]|L P[4] @L", "8=1/1l"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|JMP LBL[R[1]]|LBL[1]|UFRAME_NUM=2|LBL[2]|L P[4] @L", "E0901 9"),
+    // Programs of other files.
+    ("UTOOL_NUM=1|UFRAME_NUM=1|CALL A|L P[4] @L", "6=1/1l W0921@6 W0921@6"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|RUN A|L P[4] @L", "6=1/1l W0921@6 W0921@6"),
+    ("UTOOL_NUM=1|CALL A|UFRAME_NUM=1|L P[4] @L", "6=1/1l W0921@6"),
+    ("CALL A|UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L", "6=1/1l"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|CALL A(1,'b')|L P[1] @L", "6=1/1l"),
+    ("UTOOL_NUM=1|UFRAME_NUM=2|CALL A|L P[1] @L", "6=1/1l"),
+    ("PR[1]=P[7]|UTOOL[1]=PR[1]|CALL A|UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L", "E0901 8"),
+    // Frames that the program defines.
+    ("PR[1]=P[7]|UTOOL[1]=PR[1]|UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L", "7=3/1l"),
+    ("PR[1]=P[7]|UTOOL[1]=PR[1]|L P[1] @L", "5=3/1l"),
+    ("PR[1]=P[7]|PR[1,3]=5|UTOOL[1]=PR[1]|UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L", "E0901 8"),
+    ("UTOOL[1]=PR[3]|UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L", "E0901 6"),
+    ("UTOOL[2]=PR[3]|UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L", "6=1/1l"),
+    ("UTOOL[R[1]]=PR[3]|UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L", "E0901 6"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|$MNUTOOL[1,1]=PR[1]|L P[4] @L", "E0901 6"),
+    ("L P[1] @L|UTOOL[1]=PR[3]", "3=1/1l"),
+    // Position registers: the frames that are selected apply.
+    ("UTOOL_NUM=1|UFRAME_NUM=2|L PR[1] @L", "W0905@5"),
+    ("UTOOL_NUM=1|UFRAME_NUM=2|PR[1]=P[1]|L PR[1] @L", "6=1/2l"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|PR[1]=P[1]|L PR[1] @L|L P[1] @L", "6=1/1l"),
+    ("UTOOL_NUM=1|UFRAME_NUM=2|PR[1]=P[1]|L PR[1] @L|UFRAME_NUM=1|L P[1] @L", "E0904 8"),
+    ("UTOOL_NUM=1|UFRAME_NUM=2|PR[1]=P[1]|PR[1,3]=PR[1,3]+40|L PR[1] @L", "W0905@5 W0905@7"),
+    ("UTOOL_NUM=1|UFRAME_NUM=2|PR[1]=P[1]|PR[GP1:1,3]=5|L PR[1] @L", "W0905@5 W0905@7"),
+    ("PR[1]=P[1]|R[1]=1|PR[R[1]]=PR[2]|UTOOL_NUM=1|UFRAME_NUM=1|L PR[1] @L", "W0905@3 W0905@8"),
+    ("PR[1]=P[1]|CALL A", "W0905@3"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|PR[1]=LPOS|L PR[1] @L", "W0905@6"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|L PR[R[1]] @L", "W0905@5"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|L P[R[1]] @L", "W0905@5"),
+    ("L P[1] @L|P[1,3]=5|L P[1] @L", "3=1/1l W0905@5"),
+    // Options.
+    ("L P[1] @L INC", "W0905@3"),
+    ("L P[1] @L Offset,PR[1]", "E0901 3"),
+    ("OFFSET CONDITION PR[1]|L P[1] @L Offset", "E0901 4"),
+    ("OFFSET CONDITION PR[1]|L P[1] @L", "4=1/1l"),
+    ("L P[1] @L Tool_Offset,PR[1]", "E0901 3"),
+    ("TOOL_OFFSET CONDITION PR[1]|L P[1] @L Tool_Offset", "E0901 4"),
+    ("L P[1] @L ACC80 Offset,PR[1:shift]", "E0901 3"),
+    ("L P[1] @L ACC R[7] Offset,PR[1]", "E0901 3"),
+    ("L P[1] @L EV50% Offset", "E0901 3"),
+    ("L P[1] @L TB .50sec,DO[1]=ON Offset", "E0901 3"),
+    ("J P[5] @J Offset,PR[1]", "E0901 3"),
+    ("L P[1] @L VOFFSET,VR[1]", "E0901 3"),
+    ("L P[1] @L COORD", "E0901 3"),
+    ("L P[1] @L COORD[2]", "E0901 3"),
+    ("L P[1] @L RTCP", "E0901 3"),
+    ("L P[1] @L TRACK", "E0901 3"),
+    ("L P[1] @L ACC80 Wjnt PTH", "3=1/1l"),
+    ("L P[1] @L TB .50sec,DO[1]=ON", "3=1/1l"),
+    ("L P[1] @L TA 0.50sec,CALL A", "3=1/1l"),
+    ("L P[1] R[5:speed]mm/sec CNT R[6] ACC R[7] EV50%", "3=1/1l"),
+    ("L P[1] WELD_SPEED FINE", "3=1/1l"),
+    // What is not read, and positions that are none.
+    ("A P[1] @L", "W0905@3"),
+    ("L P[1] 100mm/sec", "W0905@3"),
+    ("L P[9] @L", "W0905@3"),
+    ("L P[8] @L", "W0905@3"),
+    ("J P[12] @J", "E0923 3"),
+    ("L P[12] @L", "3=1/1n"),
+    ("L P[10] @L|L P[11] @L", "3=1/1l 4=1/1l W0916@4"),
+    ("~ # \"|L P[1] @L", "4=1/1l"),
+];
+
+#[test]
+fn fanuc_frames() {
+    let sysframe = sysframe();
+    let config = Some(Text { file: "SYSFRAME.VA", text: &sysframe });
+    check(FANUC, |source| of_fanuc(source, GivenFrames { config, ..GivenFrames::default() }));
+}
+
+/// With the tool `T1` and the base `B1` of the user, which stand for one number each.
+const FANUC_GIVEN: &[(&str, &str)] = &[
+    ("L P[1] @L", "3=1/1l"),
+    ("L P[3] @L", "3=1/1l"),
+    ("L P[1] @L|L P[3] @L", "E0902 4"),
+    ("UFRAME_NUM=0|UTOOL_NUM=2|L P[4] @L", "5=1/0l"),
+];
+
+#[test]
+fn fanuc_frames_of_the_user() {
+    let pose = |x: f64, z: f64| Some(Pose::from_xyzabc([x, 0.0, z, 0.0, 0.0, 0.0]));
+    let given = GivenFrames { config: None, tool: pose(0.0, 100.0), base: pose(1000.0, 0.0) };
+    check(FANUC_GIVEN, |source| of_fanuc(source, given));
+    let none = |source: &str| of_fanuc(source, GivenFrames::default());
+    assert_eq!(none("L P[1] @L"), "E0901 3");
+    assert_eq!(none("J P[5] @J"), "3=axes");
 }
 
 /// The finding about ways that differ names both lines.

@@ -50,9 +50,9 @@ impl Urscript {
             argument.value.as_ref().and_then(target).ok_or(ProgramFinding::NoPosition)
         };
         let points: Vec<Target> = instruction.points().map(point).collect::<Result<_, _>>()?;
-        let (through_mm, to) = match points.as_slice() {
+        let (through, to) = match points.as_slice() {
             [to] => (None, to.clone()),
-            [Target::Pose { xyz_mm, .. }, to] => (Some(*xyz_mm), to.clone()),
+            [through @ Target::Pose { .. }, to] => (Some(through.clone()), to.clone()),
             _ => return Err(ProgramFinding::NoPosition),
         };
         let [a, v] = if instruction.motion == MotionKind::Ptp { JOINT } else { TOOL };
@@ -64,7 +64,15 @@ impl Urscript {
             MotionKind::Lin | MotionKind::Circ => Pace::Tool { mm_s: 1e3 * v, mm_s2: 1e3 * a, deg_s: None },
         };
         let frames = Frames { tool: self.tool, base: Pose::identity() };
-        Ok(Move { motion: instruction.motion, through_mm, to, configuration: None, frames, pace })
+        Ok(Move {
+            motion: instruction.motion,
+            through,
+            to,
+            configuration: None,
+            frames,
+            pace,
+            ends_in_position: false,
+        })
     }
 }
 

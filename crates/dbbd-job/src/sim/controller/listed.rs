@@ -1,4 +1,4 @@
-//! Executes a list of actions: programs of RAPID and URScript.
+//! Executes a list of actions: programs of RAPID and URScript, and TP programs.
 //!
 //! Unlike the interpreter of KRL it has an arm that lags behind its command: for the program a motion ends when the command is
 //! at its end, and the arm comes to rest later. So a program that does not wait for standstill measures a moving robot. Lag,
@@ -10,11 +10,11 @@ use super::{
     unsolved,
 };
 use crate::program::ProgramFinding;
-use crate::program::listing::{Action, ActionKind, Move, Pace, Standstill};
+use crate::program::listing::{Action, ActionKind, Move, Pace, ProgrammedConfiguration, Standstill};
 use crate::program::{self, Frames, Language, Listing, Target};
 use crate::sim::ControllerMoment;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::robot::{AXES, Geometry, Pose, Robot, inverse};
+use dbbd_model::robot::{AXES, Geometry, Pose, Robot};
 
 /// Time constant of the lag, s.
 const LAG_S: f64 = 0.08;
@@ -37,7 +37,9 @@ enum ListingActivity {
         motion: Box<CommandedMotion>,
         geometry: Box<Geometry>,
         /// The configuration that is checked at the end.
-        configuration: Option<[i32; 4]>,
+        configuration: Option<ProgrammedConfiguration>,
+        /// Whether the program waits until the arm is in position.
+        ends_in_position: bool,
     },
     /// Until this time, s.
     Waiting(f64),
@@ -152,7 +154,9 @@ impl ListingExecutor {
             if ended.is_none() {
                 return Ok(());
             }
-            self.activity = ListingActivity::Ready;
+            let settles = matches!(self.activity, ListingActivity::Moving { ends_in_position: true, .. });
+            let settling = ListingActivity::Settling(Standstill::InPosition);
+            self.activity = if settles { settling } else { ListingActivity::Ready };
         }
     }
 
@@ -172,16 +176,13 @@ impl ListingExecutor {
                 let standstill = *standstill;
                 Ok(self.lagging.is_at_rest(&self.arm.axes, standstill).then_some(0.0))
             }
-            ListingActivity::Moving { motion, geometry, configuration } => {
+            ListingActivity::Moving { motion, geometry, configuration, .. } => {
                 let ended = self.arm.advance(motion, geometry, [left_s, rate])?;
-                if let (Some(_), Some(programmed)) = (ended, *configuration) {
-                    let reached = inverse::quadrants(geometry, &self.arm.axes);
-                    if reached != programmed {
-                        return Err(ProgramFinding::OtherConfiguration {
-                            programmed: format!("{programmed:?}"),
-                            reached: format!("{reached:?}"),
-                        });
-                    }
+                if let (Some(_), Some(programmed)) = (ended, *configuration)
+                    && let Some(reached) = programmed.refused(geometry, &self.arm.axes)
+                {
+                    let [programmed, reached] = [programmed, reached].map(|config| config.to_string());
+                    return Err(ProgramFinding::OtherConfiguration { programmed, reached });
                 }
                 Ok(ended)
             }
@@ -222,10 +223,13 @@ impl ListingExecutor {
         let before = self.listing.actions.get(..self.next.saturating_sub(1)).unwrap_or_default();
         let is_standstill = |action: &&Action| matches!(action.kind, ActionKind::WaitForStandstill(_));
         let standstills = before.iter().rev().take_while(is_standstill).count();
-        let at = self.next.saturating_sub(2 + standstills);
-        let waits =
-            self.listing.actions.get(at).is_some_and(|action| matches!(action.kind, ActionKind::Wait(_)));
-        standstills > 0 && waits
+        let kinds: Vec<_> =
+            before.iter().rev().skip(standstills).take(2).map(|action| &action.kind).collect();
+        match kinds.as_slice() {
+            [ActionKind::Wait(_), ActionKind::Move(motion)] => standstills > 0 || motion.ends_in_position,
+            [ActionKind::Wait(_), ..] => standstills > 0,
+            _ => false,
+        }
     }
 
     fn begin_motion(&mut self, motion: &Move) -> Result<ListingActivity, ProgramFinding> {
@@ -234,21 +238,24 @@ impl ListingExecutor {
             let to = self.axes_at(motion, &geometry)?;
             self.arm.check_limits(&to)?;
             let path = CommandedPath::Axes { from: self.arm.axes, to };
+            let ends_in_position = motion.ends_in_position;
             let motion = Box::new(self.arm.begin(path, self.joint_profile(&to, motion.pace)));
-            return Ok(ListingActivity::Moving { motion, geometry: Box::new(geometry), configuration: None });
+            let geometry = Box::new(geometry);
+            return Ok(ListingActivity::Moving { motion, geometry, configuration: None, ends_in_position });
         }
         if self.arm.motions == 0 {
             return Err(ProgramFinding::FirstMotion);
         }
         let from = geometry.ball(&self.arm.axes);
-        let to = match &motion.to {
+        let place = |target: &Target| match target {
             Target::Axes(axes_deg) => geometry.ball(&axes_deg.map(f64::to_radians)),
             Target::Pose { xyz_mm, abc_deg, .. } => tool_point(&motion.frames, *xyz_mm, *abc_deg),
         };
-        let (arc, length_mm) = match motion.through_mm {
+        let to = place(&motion.to);
+        let (arc, length_mm) = match &motion.through {
             None => (None, (to.position - from.position).norm()),
-            Some(through_mm) => {
-                let via = tool_point(&motion.frames, through_mm, [0.0; 3]).position;
+            Some(through) => {
+                let via = place(through).position;
                 let arc = ToolArc::through(from.position, via, to.position, None);
                 let (arc, length_mm) = arc.ok_or(ProgramFinding::StraightArc)?;
                 (Some(arc), length_mm)
@@ -263,13 +270,16 @@ impl ListingExecutor {
                 });
                 SpeedProfile::slowest([(length_mm, mm_s, mm_s2), orientation])
             }
-            Pace::Axis { .. } => return Err(ProgramFinding::NoSpeed { variable: "the speed".into() }),
+            Pace::Axis { .. } | Pace::AxisShare(_) => {
+                return Err(ProgramFinding::NoSpeed { variable: "the speed".into() });
+            }
         };
         let path = CommandedPath::Tool { from, to, turn, arc };
         Ok(ListingActivity::Moving {
             motion: Box::new(self.arm.begin(path, profile)),
             geometry: Box::new(geometry),
             configuration: motion.configuration,
+            ends_in_position: motion.ends_in_position,
         })
     }
 
@@ -283,7 +293,7 @@ impl ListingExecutor {
         match motion.configuration {
             Some(configuration) => {
                 let robot = Robot { geometry: geometry.clone(), ..self.arm.robot.clone() };
-                inverse::from_quadrants(&robot, &pose, configuration).map_err(unsolved)
+                configuration.axes(&robot, &pose).map_err(unsolved)
             }
             None if self.arm.motions == 0 && self.listing.language == Language::Rapid => {
                 Err(ProgramFinding::FirstMotion)
@@ -305,6 +315,7 @@ impl ListingExecutor {
         match pace {
             Pace::Duration(seconds) => fastest.not_before(seconds),
             Pace::Axis { deg_s, deg_s2 } => within(deg_s, deg_s2),
+            Pace::AxisShare(share) => fastest.not_before(fastest.duration_s / share),
             Pace::Tool { mm_s, .. } => within((mm_s / LEVER_MM).to_degrees(), f64::INFINITY),
         }
     }

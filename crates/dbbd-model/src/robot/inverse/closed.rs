@@ -95,6 +95,11 @@ impl ClosedFormArm {
         self.rows[2].alpha.cos().signum()
     }
 
+    /// Whether axes 4, 5 and 6 meet; otherwise axes 2, 3 and 4 are parallel.
+    pub(super) fn has_wrist(&self) -> bool {
+        matches!(self.fourth, FourthAxis::Wrist)
+    }
+
     /// As [`elbow`], at axis angles.
     pub(super) fn elbow(&self, axes: &[f64; AXES]) -> f64 {
         elbow(&self.rows, &self.coupling.joints(axes))

@@ -1,13 +1,15 @@
-//! Status and turn, by KUKA's rules, and ABB's quadrants and configuration, which tell the branches and turns of one pose
+//! Status and turn, by KUKA's rules, ABB's quadrants and FANUC's CONFIG, which tell the branches and turns of one pose
 //! apart; how far from singular.
 
 use std::f64::consts::TAU;
+use std::fmt;
+use std::str::FromStr;
 
 use nalgebra::Matrix6;
 
 use super::{Unsolved, branches, closed};
 use crate::robot::pose::Pose;
-use crate::robot::{AXES, Geometry, Robot};
+use crate::robot::{AXES, Geometry, Robot, max_axis_difference};
 
 /// An axis nearer to zero than this (1e-6 degrees) counts as zero.
 const ZERO_RAD: f64 = 1e-6 * std::f64::consts::PI / 180.0;
@@ -153,6 +155,104 @@ pub fn from_quadrants(robot: &Robot, ball: &Pose, wanted: [i32; 4]) -> Result<[f
         .ok_or_else(|| Unsolved::NoSuchQuadrants { wanted: format!("{wanted:?}") })
 }
 
+/// FANUC's CONFIG, as `N U T, 0, 0, 0`: the branch of an arm with a spherical wrist, and its turns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FanucConfiguration {
+    /// F: axis 5 is above zero; else N.
+    flip: bool,
+    /// D: the wrist centre is past the line through shoulder and elbow; else U.
+    down: bool,
+    /// B: the wrist centre is behind axis 1; else T.
+    back: bool,
+    /// Of axes 1, 4 and 6: 0 within half a turn of zero, 1 from 180 to 539 degrees, -1 from -539 to -180.
+    turns: [i32; 3],
+}
+
+/// The axes whose turns CONFIG counts, from 0.
+const COUNTED: [usize; 3] = [0, 3, 5];
+
+impl FanucConfiguration {
+    /// At axis angles in rad; `None` where the rule is not known: for an arm without a spherical wrist.
+    pub fn at(geometry: &Geometry, axes: &[f64; AXES]) -> Option<Self> {
+        let arm = closed::ClosedFormArm::near(geometry).filter(closed::ClosedFormArm::has_wrist)?;
+        let turns = COUNTED.map(|axis| (axes[axis] / TAU).round() as i32);
+        let (flip, down) = (arm.wrist(axes) > ZERO_RAD, arm.elbow(axes) > ZERO_RAD);
+        Some(Self { flip, down, back: forward(geometry, axes) < 0.0, turns })
+    }
+
+    /// As [`Self::at`]; `None` also where the digits of a pose leave the configuration open.
+    pub fn certain(geometry: &Geometry, axes: &[f64; AXES]) -> Option<Self> {
+        let [low, high] = [-BORDER_RAD, BORDER_RAD].map(|by| Self::at(geometry, &axes.map(|axis| axis + by)));
+        low.filter(|low| high == Some(*low))
+    }
+
+    /// Whether two name the same branch, whatever their turns.
+    pub fn is_branch_of(&self, other: &Self) -> bool {
+        *self == Self { turns: self.turns, ..*other }
+    }
+}
+
+impl fmt::Display for FanucConfiguration {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let letter = |is_set: bool, [set, not]: [char; 2]| if is_set { set } else { not };
+        let [flip, down, back] = [(self.flip, ['F', 'N']), (self.down, ['D', 'U']), (self.back, ['B', 'T'])]
+            .map(|(is, of)| letter(is, of));
+        let [first, fourth, sixth] = self.turns;
+        write!(out, "{flip} {down} {back}, {first}, {fourth}, {sixth}")
+    }
+}
+
+impl FromStr for FanucConfiguration {
+    type Err = ();
+
+    fn from_str(text: &str) -> Result<Self, ()> {
+        let (letters, turns) = text.split_once(',').ok_or(())?;
+        let letter = |at: usize, [set, not]: [&str; 2]| match letters.split_whitespace().nth(at) {
+            Some(letter) if letter == set => Ok(true),
+            Some(letter) if letter == not => Ok(false),
+            Some(_) | None => Err(()),
+        };
+        let turns: Result<Vec<i32>, _> = turns.split(',').map(|turn| turn.trim().parse()).collect();
+        let is_whole = letters.split_whitespace().count() == COUNTED.len();
+        Ok(Self {
+            flip: letter(0, ["F", "N"])?,
+            down: letter(1, ["D", "U"])?,
+            back: letter(2, ["B", "T"])?,
+            turns: turns.ok().and_then(|turns| turns.try_into().ok()).filter(|_| is_whole).ok_or(())?,
+        })
+    }
+}
+
+/// The axis angles (rad) that a controller takes for a pose with FANUC's CONFIG: with the turns that it names, or on a line
+/// (`near`, the axis angles before) with those that are nearest.
+///
+/// # Errors
+/// Out of reach, or no axis angles within the limits have it.
+pub fn from_fanuc(
+    robot: &Robot,
+    ball: &Pose,
+    wanted: FanucConfiguration,
+    near: Option<&[f64; AXES]>,
+) -> Result<[f64; AXES], Unsolved> {
+    let geometry = &robot.geometry;
+    // An axis on a border has both configurations.
+    let about = |axes: &[f64; AXES]| {
+        [-BORDER_RAD, BORDER_RAD].map(|by| FanucConfiguration::at(geometry, &axes.map(|axis| axis + by)))
+    };
+    let none = || Unsolved::NoSuchQuadrants { wanted: wanted.to_string() };
+    let found = branches(geometry, ball)?;
+    let mut turned = found.iter().flat_map(|axes| turns_within(axes, robot));
+    match near {
+        None => turned.find(|axes| about(axes).contains(&Some(wanted))).ok_or_else(none),
+        Some(near) => {
+            let of_branch =
+                turned.filter(|axes| about(axes).iter().flatten().any(|is| is.is_branch_of(&wanted)));
+            let distance = |axes: &[f64; AXES]| max_axis_difference(axes, near);
+            of_branch.min_by(|a, b| distance(a).total_cmp(&distance(b))).ok_or_else(none)
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -270,6 +370,76 @@ mod tests {
         let ball = robot.geometry.ball(&border);
         for wanted in [[0, 1, -1, 0], [-1, 0, -2, 0]] {
             assert!(from_quadrants(&robot, &ball, wanted).is_ok(), "{wanted:?}");
+        }
+    }
+
+    /// J1 to J6 and CONFIG of an M-20iD/25 from the virtual controller of the maker (ROBOGUIDE), published by the project robconv
+    /// (tests/fixtures/probes/results/CFGPROBE_roboguide.LS).
+    const ROBOGUIDE: [([f64; 6], &str); 16] = [
+        ([0.0, 0.0, 0.0, 0.0, -90.0, 0.0], "N U T, 0, 0, 0"),
+        ([0.0, 0.0, 0.0, 0.0, 90.0, 0.0], "F U T, 0, 0, 0"),
+        ([0.0, 0.0, 0.0, 0.0, -30.0, 0.0], "N U T, 0, 0, 0"),
+        ([0.0, 0.0, 0.0, 0.0, 30.0, 0.0], "F U T, 0, 0, 0"),
+        ([0.0, 0.0, 0.0, 185.0, -90.0, 0.0], "N U T, 0, 1, 0"),
+        ([0.0, 0.0, 0.0, -185.0, -90.0, 0.0], "N U T, 0, -1, 0"),
+        ([0.0, 0.0, 0.0, 0.0, -90.0, 190.0], "N U T, 0, 0, 1"),
+        ([0.0, 0.0, 0.0, 0.0, -90.0, -190.0], "N U T, 0, 0, -1"),
+        ([0.0, 0.0, 0.0, 0.0, -90.0, 350.0], "N U T, 0, 0, 1"),
+        ([0.0, 40.0, 60.0, 0.0, -90.0, 0.0], "N D T, 0, 0, 0"),
+        ([0.0, 40.0, -60.0, 0.0, -90.0, 0.0], "N U T, 0, 0, 0"),
+        ([0.0, -60.0, -80.0, 0.0, -90.0, 0.0], "N D B, 0, 0, 0"),
+        ([0.0, -60.0, 80.0, 0.0, -90.0, 0.0], "N U B, 0, 0, 0"),
+        ([0.0, 60.0, 80.0, 0.0, -90.0, 0.0], "N D T, 0, 0, 0"),
+        ([90.0, 0.0, 0.0, 0.0, -90.0, 0.0], "N U T, 0, 0, 0"),
+        ([-150.0, 0.0, 0.0, 0.0, -90.0, 0.0], "N U T, 0, 0, 0"),
+    ];
+
+    #[test]
+    fn fanuc_configurations_are_those_of_the_virtual_controller() {
+        // Joint 3 of one pose is beyond the limit of the sum.
+        let robot = Robot { coupled_limits_deg: [None; AXES], ..robot("m20id25") };
+        for (axes_deg, config) in ROBOGUIDE {
+            let axes = axes_deg.map(deg);
+            let found = FanucConfiguration::certain(&robot.geometry, &axes).unwrap();
+            assert_eq!(found.to_string(), config, "{axes_deg:?}");
+            assert_eq!(config.parse(), Ok(found));
+            let ball = robot.geometry.ball(&axes);
+            let back = from_fanuc(&robot, &ball, found, None).unwrap();
+            assert!(max_axis_difference(&back, &axes) < 1e-6, "{axes_deg:?}");
+            // On a line the turns are those of the axes before.
+            let plain = FanucConfiguration { turns: [0; 3], ..found };
+            let on_line = from_fanuc(&robot, &ball, plain, Some(&axes.map(|axis| axis + 0.02))).unwrap();
+            assert!(max_axis_difference(&on_line, &axes) < 1e-6, "{axes_deg:?}");
+        }
+        // Axis 1 makes no full turn.
+        let other = "N U T, 1, 0, 0".parse().unwrap();
+        let ball = robot.geometry.ball(&[0.0, 0.0, 0.0, 0.0, -90.0, 0.0].map(deg));
+        assert!(matches!(from_fanuc(&robot, &ball, other, None), Err(Unsolved::NoSuchQuadrants { .. })));
+    }
+
+    #[test]
+    fn fanuc_configuration_is_open_on_a_border_and_for_other_wrists() {
+        let at =
+            |name: &str, axes: [f64; 6]| FanucConfiguration::certain(&robot(name).geometry, &axes.map(deg));
+        assert!(at("m20id25", [0.0, 0.0, 0.0, 0.0, 0.004, 0.0]).is_none());
+        assert!(at("m20id25", [0.0, 0.0, 0.0, 0.0, 0.006, 0.0]).is_some());
+        assert!(at("m20id25", [0.0, 0.0, 0.0, 179.996, -50.0, 0.0]).is_none());
+        for (name, axes) in [
+            ("crx10ia", [0.0, 20.0, 10.0, 10.0, -50.0, 0.0]),
+            ("ur10e", [10.0, -80.0, 90.0, 10.0, 60.0, 0.0]),
+        ] {
+            assert!(at(name, axes).is_none(), "{name}");
+        }
+        for wrong in [
+            "",
+            "N U T",
+            "N U T, 0, 0",
+            "N U X, 0, 0, 0",
+            "N U T L, 0, 0, 0",
+            "N U T, 0, 0, 0, x",
+            "N U T, a, 0, 0",
+        ] {
+            assert!(wrong.parse::<FanucConfiguration>().is_err(), "{wrong}");
         }
     }
 }

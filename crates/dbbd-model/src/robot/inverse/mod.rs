@@ -17,7 +17,8 @@ use super::{AXES, Geometry, max_axis_difference};
 
 pub use crate::robot::RobotFinding as Unsolved;
 pub use configuration::{
-    SingularityClearance, clearance, from_quadrants, from_status_turn, quadrants, status, turn, turns_within,
+    FanucConfiguration, SingularityClearance, clearance, from_fanuc, from_quadrants, from_status_turn,
+    quadrants, status, turn, turns_within,
 };
 pub use iterate::numeric;
 

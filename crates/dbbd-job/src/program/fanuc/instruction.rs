@@ -1,0 +1,121 @@
+//! The motion instructions of a TP program with their arguments.
+
+use super::motion::without_number;
+use crate::program::MotionKind;
+use crate::program::listing::Pace;
+use crate::program::script::value::Evaluated;
+
+/// `J`, `L` or `C`.
+pub(super) struct Instruction<'a> {
+    pub(super) motion: MotionKind,
+    arguments: &'a [Evaluated<'a>],
+}
+
+const MOTIONS: [(&str, MotionKind); 3] =
+    [("J", MotionKind::Ptp), ("L", MotionKind::Lin), ("C", MotionKind::Circ)];
+
+/// The words of motions that are not read: arcs of three instructions and splines.
+pub(super) const OTHER_MOTIONS: [&str; 2] = ["A", "S"];
+
+/// The units of speeds, and options that leave the end of the motion where it is.
+const HARMLESS: [&str; 29] = [
+    "%",
+    "MM/SEC",
+    "CM/MIN",
+    "INCH/MIN",
+    "DEG/SEC",
+    "SEC",
+    "MSEC",
+    "FINE",
+    "CNT",
+    "CR",
+    "CD",
+    "WELD_SPEED",
+    "ACC",
+    "WJNT",
+    "PTH",
+    "EV",
+    "INDEV",
+    "TA",
+    "TB",
+    "DB",
+    "MROT",
+    "BREAK",
+    "AP_LD",
+    "RT_LD",
+    "PSPD",
+    "ARC",
+    "START",
+    "END",
+    "SPOT",
+];
+/// The motion is relative.
+const RELATIVE: [&str; 2] = ["INC", "INCREMENTAL"];
+/// The tool is fixed, and the robot moves the work.
+const FIXED: &str = "RTCP";
+
+/// What an option does to the place where a motion ends.
+pub(super) enum OptionEffect<'a> {
+    Relative,
+    FixedTool(&'a str),
+    /// Any other option: an offset, the motion of another group, tracking, or one that is not known.
+    Displaced(&'a str),
+}
+
+/// Whether an instruction is a motion.
+pub(super) fn is_motion(name: &str) -> bool {
+    MOTIONS.iter().any(|(known, _)| *known == name)
+}
+
+impl<'a> Instruction<'a> {
+    /// The motion that a call is, if it is one.
+    pub(super) fn new(name: &str, arguments: &'a [Evaluated<'a>]) -> Option<Self> {
+        let (_, motion) = *MOTIONS.iter().find(|(known, _)| *known == name)?;
+        Some(Self { motion, arguments })
+    }
+
+    /// The points, the auxiliary one first.
+    pub(super) fn points(&self) -> impl Iterator<Item = &'a Evaluated<'a>> {
+        self.arguments.iter().filter(|argument| argument.name.is_none())
+    }
+
+    /// The first option that changes where the motion ends.
+    pub(super) fn effect(&self) -> Option<OptionEffect<'a>> {
+        let words = self.arguments.iter().filter_map(|argument| argument.name);
+        let word = words
+            .into_iter()
+            .find(|word| !HARMLESS.contains(word) && !HARMLESS.contains(&without_number(word)))?;
+        Some(match word {
+            FIXED => OptionEffect::FixedTool(word),
+            _ if RELATIVE.contains(&word) => OptionEffect::Relative,
+            _ => OptionEffect::Displaced(word),
+        })
+    }
+
+    fn number(&self, unit: &str) -> Option<f64> {
+        self.arguments
+            .iter()
+            .find(|argument| argument.name == Some(unit))?
+            .number()
+            .filter(|number| *number > 0.0)
+    }
+
+    /// Whether it ends in an exact stop.
+    pub(super) fn stops(&self) -> bool {
+        self.arguments.iter().any(|argument| argument.name == Some("FINE"))
+    }
+
+    /// Its speed, with an acceleration of the tool, mm/s^2, that a program cannot set.
+    pub(super) fn pace(&self, mm_s2: f64) -> Option<Pace> {
+        let duration = self.number("SEC").or_else(|| self.number("MSEC").map(|ms| 1e-3 * ms));
+        let tool = || {
+            let mm_s = self.number("MM/SEC").or_else(|| self.number("CM/MIN").map(|cm_min| cm_min / 6.0))?;
+            (self.motion != MotionKind::Ptp).then_some(Pace::Tool { mm_s, mm_s2, deg_s: None })
+        };
+        let share = || {
+            let percent = self.number("%").filter(|_| self.motion == MotionKind::Ptp)?;
+            Some(Pace::AxisShare(1e-2 * percent.min(100.0)))
+        };
+        duration.map(Pace::Duration).or_else(tool).or_else(share)
+    }
+}

@@ -1,0 +1,107 @@
+//! Parser of the motion instructions: their points, speed, termination and options.
+
+use super::parser::{indexed, label};
+use crate::program::flow::Control;
+use crate::program::lexer::Token;
+use crate::program::script::expression::{Argument, Expression, ExpressionKind, StatementKind};
+use crate::program::tokens::Tokens;
+use dbbd_model::diagnostic::Diagnostic;
+
+/// After `J`, `L` or `C`: a call with the points, and an argument for each part that follows, with the unit of the speed, the
+/// termination or the option as its name.
+pub(super) fn motion(tokens: &mut Tokens<'_>, motion: &str) -> Result<Vec<StatementKind>, Diagnostic> {
+    let mut arguments = Vec::new();
+    let points = if motion == "C" { 2 } else { 1 };
+    for _ in 0..points {
+        if !tokens.is_name("P") && !tokens.is_name("PR") {
+            return Err(tokens.expected("a position"));
+        }
+        arguments.push(Argument { name: None, value: Some(indexed(tokens)?) });
+    }
+    arguments.push(speed(tokens)?);
+    arguments.push(termination(tokens)?);
+    let mut after = Vec::new();
+    while !matches!(tokens.peek(), Token::End | Token::Sign(";")) {
+        if tokens.accept_name("SKIP") {
+            tokens.expect(",")?;
+            let label = label(tokens)?;
+            let controls = [Control::If, Control::Goto(label), Control::EndChoice];
+            after.extend(controls.map(|control| StatementKind::Control { word: "SKIP".into(), control }));
+            if tokens.accept(",") {
+                after.insert(0, taught(tokens)?);
+            }
+            continue;
+        }
+        arguments.extend(option(tokens));
+    }
+    let call = StatementKind::Call { name: motion.to_owned(), arguments };
+    Ok([call].into_iter().chain(after).collect())
+}
+
+/// After the label of `Skip`: the register that takes the position.
+fn taught(tokens: &mut Tokens<'_>) -> Result<StatementKind, Diagnostic> {
+    let register = indexed(tokens)?;
+    tokens.expect("=")?;
+    tokens.name()?;
+    let name = if let ExpressionKind::Name(name) = register.kind { name } else { "PR[]".into() };
+    let value = Some(Expression { span: register.span, kind: ExpressionKind::Computed });
+    Ok(StatementKind::Call { name, arguments: vec![Argument { name: None, value }] })
+}
+
+/// `50%`, `200mm/sec`, `R[1]mm/sec`, `2500msec`, or a word.
+fn speed(tokens: &mut Tokens<'_>) -> Result<Argument, Diagnostic> {
+    let start = tokens.position();
+    let kind = if let Token::Real(number) = *tokens.peek() {
+        tokens.advance();
+        ExpressionKind::Number(number)
+    } else if *tokens.ahead(1) == Token::Sign("[") {
+        indexed(tokens)?.kind
+    } else {
+        let (name, _) = tokens.name()?;
+        return Ok(Argument { name: Some(name), value: None });
+    };
+    let value = Some(Expression { span: tokens.since(start), kind });
+    let mut unit = String::from("%");
+    if !tokens.accept("%") {
+        unit = tokens.name()?.0;
+        if tokens.accept("/") {
+            unit = format!("{unit}/{}", tokens.name()?.0);
+        }
+    }
+    Ok(Argument { name: Some(unit), value })
+}
+
+/// `FINE`, `CNT50` or `CNT R[9]`.
+fn termination(tokens: &mut Tokens<'_>) -> Result<Argument, Diagnostic> {
+    let (name, _) = tokens.name()?;
+    if !["FINE", "CNT", "CR", "CD"].contains(&without_number(&name)) {
+        return Err(tokens.expected("FINE or CNT"));
+    }
+    if *tokens.ahead(1) == Token::Sign("[") && tokens.is_name("R") {
+        indexed(tokens)?;
+    }
+    Ok(Argument { name: Some(name), value: None })
+}
+
+/// The word of an option: `ACC` of `ACC80`.
+pub(super) fn without_number(word: &str) -> &str {
+    word.trim_end_matches(|c: char| c.is_ascii_digit())
+}
+
+/// The next word of the options, if it names one. What follows a comma, `=` or a number belongs to the word before.
+fn option(tokens: &mut Tokens<'_>) -> Option<Argument> {
+    const REGISTERS: [&str; 5] = ["R", "AR", "PR", "SR", "VR"];
+    let found = tokens.next();
+    if matches!(found, Token::Sign("," | "=") | Token::Real(_)) {
+        if !matches!(found, Token::Real(_)) {
+            tokens.accept_name("CALL");
+        }
+        if matches!(tokens.peek(), Token::Name(_)) {
+            tokens.advance();
+        }
+        return None;
+    }
+    let Token::Name(word) = found else { return None };
+    let is_register = *tokens.peek() == Token::Sign("[") && REGISTERS.contains(&word.as_str());
+    (!is_register).then_some(Argument { name: Some(word), value: None })
+}
