@@ -90,10 +90,10 @@ impl SampleTimeline {
         Some(host.seconds_since(self.begin) - first_s)
     }
 
-    /// The host's time at a time of this axis; `None` as for [`Self::time_of`], or before the host's clock began.
-    pub fn host_at(&self, t_s: f64) -> Option<HostNs> {
-        let at_ns = self.begin.0 as f64 + 1e9 * (t_s - self.time_of(self.begin)?);
-        (at_ns >= 0.0).then(|| HostNs(at_ns.round() as u64))
+    /// The host's time at a time of this axis. Of a run faster than real time it is counted from the first stamp by the device's clock.
+    pub fn host_at(&self, t_s: f64) -> HostNs {
+        let at_ns = self.begin.0 as f64 + 1e9 * (t_s - self.time_of(self.begin).unwrap_or(0.0));
+        HostNs(at_ns.max(0.0).round() as u64)
     }
 
     /// Offset from a time on this axis to the same moment on `other`, s; `None` as for [`Self::time_of`].
@@ -341,7 +341,7 @@ mod tests {
         assert_eq!(stream.t_s, [0.0, 0.1, 0.1, 0.2]);
         assert_eq!([0.0, 0.05, 0.1, 0.15, 0.3].map(|t_s| stream.at(t_s)), [0, 1, 1, 3, 4]);
         assert_eq!(stream.time_of(HostNs(4_500_000_000)), Some(-0.5));
-        assert_eq!(stream.host_at(-0.5), Some(HostNs(4_500_000_000)));
+        assert_eq!(stream.host_at(-0.5), HostNs(4_500_000_000));
     }
 
     #[test]

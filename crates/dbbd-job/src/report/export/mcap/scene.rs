@@ -57,9 +57,8 @@ impl RunScene {
         for outcome in &matching.outcomes {
             let Some((reading, row)) = outcome.reading().zip(of_index(outcome.index)) else { continue };
             for t_s in [reading.from_s, reading.to_s] {
-                if let Some(host) = run.stream.host_at(t_s) {
-                    dwells.push(ShownPose { host, axes_deg: row.axes_deg, ball: row.centre });
-                }
+                let host = run.stream.host_at(t_s);
+                dwells.push(ShownPose { host, axes_deg: row.axes_deg, ball: row.centre });
             }
         }
         dwells.sort_by_key(|pose| pose.host);
