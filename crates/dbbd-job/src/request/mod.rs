@@ -18,6 +18,7 @@ mod protocols;
 mod robots;
 pub mod scene;
 mod watch;
+mod workspace;
 
 pub use answer::{AnswerOf, AnswerOutcome, AnswerRecord, AnswerResult, RequestResult};
 pub use catalogue::RequestFinding;
@@ -26,6 +27,7 @@ pub use earlier::{other_run, read_identity};
 pub use protocols::{read_protocol, read_protocol_file};
 pub use robots::{carrying, edited};
 pub use watch::{BusyIndicator, RequestWatch, WatchedFile, read_table};
+pub use workspace::checked_workspace;
 
 use std::path::Path;
 
