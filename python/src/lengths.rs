@@ -1,6 +1,6 @@
 //! Lengths and positions at poses, as arrays.
 
-use dbbd_job::request::identify::checked_workspace;
+use dbbd_job::request::checked_workspace;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{check_measurements, doubts};
 use dbbd_model::measurement::MeasurementFinding;

@@ -1,8 +1,7 @@
 //! `dbbd export`.
 
-mod hand_back;
+mod robot;
 mod tables;
-mod urdf;
 
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -19,7 +18,7 @@ use dbbd_job::report::export::mcap::{CHANNELS, McapFile, RunScene};
 use dbbd_job::robot_files::named_robot;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Robot;
-use hand_back::{TargetName, robot_file};
+use robot::{TargetName, robot_file};
 use tables::{CaptureTables, WrittenTable};
 
 /// Export a capture as CSV or MCAP, or an identified robot for another program or its controller.
@@ -63,10 +62,10 @@ pub(crate) fn run(args: &ExportArgs, out: &CommandOutput) -> Result<CommandOutco
     check_kind(args)?;
     files::directory(&args.out)?;
     if let Some(target) = args.target {
-        return hand_back::run(args, target, out);
+        return robot::hand_back(args, target, out);
     }
     if let Some(urdf) = &args.urdf_in {
-        return urdf::run(args, urdf, out);
+        return robot::patch_urdf(args, urdf, out);
     }
     let mut counts = Map::new();
     let pass = if args.mcap {

@@ -16,8 +16,8 @@ use serde::{Deserialize, Serialize};
 
 use super::identify::SetUpRelation;
 use super::identify::inputs::{LoadedInputs, NamedInputs};
-use super::identify::tables::read_workspace;
 use super::identify::{LENGTHS, ROBOT};
+use super::workspace::read_workspace;
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
 use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;

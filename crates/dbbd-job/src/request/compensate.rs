@@ -14,8 +14,8 @@ use dbbd_model::robot::{AXES, ControllerModel, LoadedRobot, Pose, Robot};
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::json;
 
-use super::identify::read_workspace;
 use super::robots::{carrying, edited, robot_for_measurement, today};
+use super::workspace::read_workspace;
 use super::{AnswerOutcome, RequestResult, RequestSession};
 use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;

@@ -19,6 +19,7 @@ mod robots;
 mod row_indices;
 pub mod scene;
 mod watch;
+mod workspace;
 
 pub use answer::{AnswerOf, AnswerOutcome, AnswerRecord, AnswerResult, RequestResult};
 pub use catalogue::RequestFinding;
@@ -28,6 +29,7 @@ pub use protocols::{read_protocol, read_protocol_file};
 pub use robots::{carrying, edited};
 pub use row_indices::RowIndices;
 pub use watch::{BusyIndicator, RequestWatch, WatchedFile, read_table};
+pub use workspace::checked_workspace;
 
 use std::path::Path;
 

@@ -10,6 +10,7 @@ use nalgebra::Vector3;
 
 use super::arm_lines::{ArmLines, ImportedRobot};
 use super::catalogue::DescriptionFinding;
+use super::universal::finite;
 use super::urdf::USUAL_SPEED_DEG_S;
 
 /// X, Y, Z in mm and A, B, C in degrees.
@@ -182,7 +183,7 @@ fn value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
 }
 
 fn number(text: &str, key: &str) -> Result<f64, DescriptionFinding> {
-    value(text, key).and_then(super::finite).ok_or_else(|| missing(key))
+    value(text, key).and_then(finite).ok_or_else(|| missing(key))
 }
 
 /// The numbers of `{NAME number, ..}`.
@@ -191,7 +192,7 @@ fn parts<const N: usize>(text: &str, key: &str, names: [&str; N]) -> Result<[f64
         let list = value(text, key)?.trim_matches(['{', '}']);
         list.split(',').find_map(|part| {
             let (found, number) = part.trim().split_once(char::is_whitespace)?;
-            found.eq_ignore_ascii_case(name).then(|| super::finite(number.trim()))?
+            found.eq_ignore_ascii_case(name).then(|| finite(number.trim()))?
         })
     };
     let mut numbers = [0.0; N];

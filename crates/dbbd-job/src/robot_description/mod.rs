@@ -38,7 +38,3 @@ pub fn import(
     let like = like.ok_or_else(|| in_file(DescriptionFinding::TypeNeeded))?;
     Ok(table.imported(like))
 }
-
-fn finite(text: &str) -> Option<f64> {
-    text.parse().ok().filter(|value: &f64| value.is_finite())
-}

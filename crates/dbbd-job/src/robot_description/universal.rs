@@ -12,7 +12,6 @@ use saphyr::{LoadableYamlNode, Yaml};
 
 use super::arm_lines::{ArmLines, ImportedRobot};
 use super::catalogue::DescriptionFinding;
-use super::finite;
 
 /// The segments of the YAML, base to flange.
 pub(crate) const SEGMENTS: [&str; AXES] =
@@ -226,6 +225,10 @@ fn standard_table(bytes: &[u8]) -> Option<StandardTable> {
         <[f64; AXES]>::try_from(column).ok().filter(|column| column.iter().all(|value| value.is_finite()))
     };
     Some(StandardTable { theta: column(1.0)?, a: column(1e3)?, d: column(1e3)?, alpha: column(1.0)? })
+}
+
+pub(super) fn finite(text: &str) -> Option<f64> {
+    text.parse().ok().filter(|value: &f64| value.is_finite())
 }
 
 #[cfg(test)]

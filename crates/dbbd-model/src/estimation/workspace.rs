@@ -283,7 +283,7 @@ mod tests {
         let of = |from: usize| -> Vec<f64> {
             let moved = positions.iter().enumerate();
             let moved = moved.map(|(at, p)| if at >= from { screw(p) } else { Vector3::zeros() });
-            moved.flat_map(|moved| <[f64; 3]>::from(moved)).collect()
+            moved.flat_map(<[f64; 3]>::from).collect()
         };
         let mut jacobian = DMatrix::from_column_slice(30, 2, &[of(0), of(2)].concat());
         take_out_rigid_motion_of(&mut jacobian, &positions, 2..10);

@@ -143,7 +143,7 @@ impl MachineDataFit {
         let [x, y, z, turns @ ..] = *base;
         let base = Pose::from_rotation_vector([x, y, z], turns);
         let points = self.shown.iter().flat_map(|axes| points(&base.then(&data.flange(axes))));
-        DVector::from_iterator(3 * self.places.len(), points.flat_map(|point| <[f64; 3]>::from(point)))
+        DVector::from_iterator(3 * self.places.len(), points.flat_map(<[f64; 3]>::from))
     }
 
     /// A damped Gauss-Newton step of the values and of the base; `None` if the system is singular.

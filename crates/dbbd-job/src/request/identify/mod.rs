@@ -21,6 +21,7 @@ use dbbd_model::provenance::{ArtefactRole, Provenance};
 use dbbd_model::robot::parameter::SetUpCounts;
 use serde::{Deserialize, Serialize, Serializer};
 
+use super::workspace::read_workspace;
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
 use crate::file_set::EarlierFiles;
 pub use exclusion::Exclusion;
@@ -28,9 +29,8 @@ pub use files::{LENGTHS, POSITIONS, ROBOT};
 use inputs::{LoadedInputs, NamedInputs};
 pub use options::AskedIdentification;
 pub use parts::SetUpRelation;
+pub use tables::plausible_deviation;
 use tables::read_prior;
-pub(in crate::request) use tables::read_workspace;
-pub use tables::{checked_workspace, plausible_deviation};
 
 /// How often a capture is matched again with the identified robot.
 const MAX_MATCHINGS: usize = 5;

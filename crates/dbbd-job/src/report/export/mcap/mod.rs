@@ -8,7 +8,6 @@
 //! balls and bar, at the dwells and where axes were published.
 
 mod container;
-mod foxglove;
 mod scene;
 
 use std::io::{self, Write};
@@ -16,10 +15,8 @@ use std::io::{self, Write};
 use serde_json::{Map, Value, json};
 
 use container::{Attachment, Container, MessageEncoding};
-use foxglove::{FRAME_TRANSFORMS, SCENE_UPDATE};
-use prost::Message;
 pub use scene::RunScene;
-use scene::SceneMessages;
+use scene::{FRAME_TRANSFORMS, SCENE_UPDATE, SceneMessages};
 
 use crate::recording::axes::AxesRecords;
 use crate::recording::capture::{CaptureRecord, RunEvent, StampedRecord};
@@ -62,8 +59,8 @@ impl<W: Write> McapFile<W> {
         let library = concat!("dbbd ", env!("CARGO_PKG_VERSION"));
         let mut file = Container::new(to, library).map_err(unwritable)?;
         let channels = CHANNELS.map(|name| match name {
-            "tf" => file.add_channel(name, MessageEncoding::Protobuf, FRAME_TRANSFORMS, &foxglove::schema()),
-            "scene" => file.add_channel(name, MessageEncoding::Protobuf, SCENE_UPDATE, &foxglove::schema()),
+            "tf" => file.add_channel(name, MessageEncoding::Protobuf, FRAME_TRANSFORMS, &scene::schema()),
+            "scene" => file.add_channel(name, MessageEncoding::Protobuf, SCENE_UPDATE, &scene::schema()),
             _ => file.add_channel(name, MessageEncoding::Json, &format!("dbbd.{name}"), &schema(name)),
         });
         let axes = AxesRecords::default();
@@ -175,8 +172,8 @@ impl<W: Write> McapFile<W> {
         else {
             return Ok(());
         };
-        self.put(Channel::Transforms, host, &transforms.encode_to_vec())?;
-        self.put(Channel::Scene, host, &update.encode_to_vec())
+        self.put(Channel::Transforms, host, &transforms)?;
+        self.put(Channel::Scene, host, &update)
     }
 }
 

@@ -1,20 +1,24 @@
-//! `dbbd export --for`.
+//! `dbbd export` of a robot: `--for` and `--urdf-in`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use super::super::{CommandOutcome, CommandOutput, robots};
 use super::ExportArgs;
-use super::urdf::{report_coupled, report_left_out};
 use dbbd_job::artefact;
 use dbbd_job::file_set::{EarlierFiles, FileSet};
+use dbbd_job::files;
+use dbbd_job::report::ReportFinding::{CoupledInUrdf, LeftOut};
 use dbbd_job::report::export::hand_back::{HandBack, HandBackTarget};
+use dbbd_job::report::export::urdf::{CoupledJoint, coupled};
+use dbbd_job::report::export::urdf_patch::{PatchedUrdf, patch};
 use dbbd_job::request::identify::ROBOT;
 use dbbd_job::robot_files::{ResultBeside, result_beside};
+use dbbd_model::base::FileFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::SimplifiedModelError;
-use dbbd_model::robot::LoadedRobot;
+use dbbd_model::robot::{LoadedRobot, Robot};
 
 /// The programs and controllers by their names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -64,7 +68,7 @@ pub(super) fn robot_file(args: &ExportArgs) -> PathBuf {
     if args.run.is_dir() { args.run.join(ROBOT) } else { args.run.clone() }
 }
 
-pub(super) fn run(
+pub(super) fn hand_back(
     args: &ExportArgs,
     target: TargetName,
     out: &CommandOutput,
@@ -93,4 +97,49 @@ pub(super) fn run(
     report_left_out(left_out, out);
     out.document(&HandBackDocument { files, left_out })?;
     Ok(CommandOutcome::Done)
+}
+
+#[derive(Serialize)]
+struct UrdfDocument<'a> {
+    file: String,
+    #[serde(flatten)]
+    patched: &'a PatchedUrdf,
+    left_out: Option<SimplifiedModelError>,
+}
+
+pub(super) fn patch_urdf(
+    args: &ExportArgs,
+    urdf: &Path,
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
+    let robot = robots::named(&robot_file(args).to_string_lossy(), out)?;
+    let to = args.out.join(urdf.file_name().unwrap_or_default());
+    if files::same_place(&to, urdf) {
+        return Err(Diagnostic::file(to.display(), FileFinding::IsRead));
+    }
+    EarlierFiles::refused_unless(args.replace).check(&to)?;
+    let patched = patch(&urdf.display().to_string(), &files::read_text(urdf)?, &robot, &args.joints)?;
+    files::write_file(&to, &patched.text)?;
+    for joint in &patched.joints {
+        out.result(format!(
+            "{}: origin moved by {:.3} mm, turned by {:.4} deg (its axis was {:.3} mm and {:.4} deg from the nominal robot's)",
+            joint.name, joint.moved_mm, joint.turned_deg, joint.from_nominal_mm, joint.from_nominal_deg
+        ));
+    }
+    out.result(format!("{}: written", to.display()));
+    report_coupled(&robot, out);
+    let left_out = SimplifiedModelError::of(&robot);
+    report_left_out(left_out, out);
+    out.document(&UrdfDocument { file: to.display().to_string(), patched: &patched, left_out })?;
+    Ok(CommandOutcome::Done)
+}
+
+/// Reports joints of a URDF that turn with two axes.
+fn report_coupled(robot: &Robot, out: &CommandOutput) {
+    out.findings(coupled(robot).map(|CoupledJoint { number: joint, sum }| CoupledInUrdf { joint, sum }));
+}
+
+/// Reports what the written files leave out of a robot.
+fn report_left_out(left_out: Option<SimplifiedModelError>, out: &CommandOutput) {
+    out.findings(left_out.map(|SimplifiedModelError { mean_mm, max_mm }| LeftOut { mean_mm, max_mm }));
 }
