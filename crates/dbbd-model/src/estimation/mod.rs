@@ -73,9 +73,8 @@ pub use posterior::{Posterior, inverse_root, root_after};
 pub use prediction::PositionParts;
 pub use priors::{Prior, Priors, largest_plausible, length_sd_mm};
 pub use program_uncertainty::{PointUncertainty, ProgramUncertainty};
-pub use result::{CalibrationResult, CompletedCalibration};
+pub use result::{CalibrationResult, CompletedCalibration, DriftBasis, Validity};
 pub use selection::{is_place, without_open_places};
-pub use validity::{DriftBasis, Validity};
 pub use workspace::{ErrorSummary, SimplifiedModelError, Workspace};
 
 #[cfg(test)]

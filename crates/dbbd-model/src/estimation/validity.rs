@@ -2,8 +2,7 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Serialize};
-
+use super::result::{DriftBasis, Validity};
 use super::{Positions, Workspace};
 use crate::base::date;
 use crate::measurement::ApproachedPose;
@@ -19,36 +18,6 @@ const MOST_MONTHS: f64 = 120.0;
 const FINEST_MONTHS: f64 = 0.02;
 /// Coverage factor of the expanded uncertainty.
 const COVERAGE: f64 = 2.0;
-
-/// What a calibration states of itself in one line.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Validity {
-    /// The point that it holds for, in the flange frame, mm.
-    pub tool_mm: [f64; 3],
-    /// Mass of the payload that the uncertainty counts with, kg; `None` if the robot file states none.
-    pub payload_kg: Option<f64>,
-    /// Day of the measurements, if it is known.
-    pub measured: Option<String>,
-    /// Expanded uncertainty U (k = 2) on that day: twice the root of the mean square of the 3-D error over the workspace, mm.
-    pub expanded_uncertainty_mm: f64,
-    /// The uncertainty that ends it, mm: the user's tolerance, else 1.5 times that of the day.
-    pub limit_mm: f64,
-    /// Months from the day of the measurements until U reaches the limit; `None` if it is more than 120.
-    pub months: Option<f64>,
-    /// That day, if the day of the measurements is known.
-    pub until: Option<String>,
-    pub basis: DriftBasis,
-}
-
-/// What the drift of a robot is known from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DriftBasis {
-    /// Hyper-priors alone: this robot has no history.
-    HyperPrior,
-    /// Earlier measurements of this robot.
-    History,
-}
 
 impl Validity {
     /// Of a robot with its posterior, which is carried on by the drift of its months; `None` without a posterior.

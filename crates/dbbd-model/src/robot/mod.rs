@@ -21,6 +21,7 @@ mod joint_error;
 mod joint_table;
 pub mod kinematics;
 mod load;
+mod months;
 pub mod parameter;
 pub mod pose;
 mod posterior;
