@@ -358,7 +358,7 @@ def make_sound(dbbd, where, report):
     b.run("identify kr16.dbbd --prior datasheet --out kr16-result", "identify irb.dbbd --prior datasheet --out irb-result",
           "compensate irb-program/DBB_C001.mod --robot irb-result/robot-identified.toml --limit 20 --out irb-corrected")
     b.run("identify ur.dbbd --prior datasheet --out ur-result",
-          "compensate ur-program/DBB_MAIN.script --robot ur-result/robot-identified.toml --limit 20 --out ur-corrected")
+          "compensate ur-program/DBB_MAIN.script --robot ur-result/robot-identified.toml --controller-model nominal --limit 20 --out ur-corrected")
     # tables as a user writes them: without the record of their origin
     lean = ["index", "centre"] + AXES + ["length_mm", "sigma_mm"]
     for name, source in (("own.csv", "observations.csv"), ("check.csv", "check-observations.csv"), ("own-b.csv", "observations-b.csv")):
