@@ -4,7 +4,7 @@ usage: tp_listing.py PROGRAM.ls..
 
 Sections and their order, the numbers of the lines, the length of remarks and messages, labels and programs that are jumped to or called, positions
 that are moved to, their layout (tabs, three decimals), their frames and configuration. The facts are from the exports of controllers and the probes on
-ROBOGUIDE that LeroyDu56/CrossArm publishes (docs/fanuc_ls_format.md). Prints what is wrong; exit code 1 then.
+ROBOGUIDE that LeroyDu56/CrossArm publishes. Prints what is wrong; exit code 1 then.
 """
 
 import re

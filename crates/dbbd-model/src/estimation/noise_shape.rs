@@ -75,8 +75,8 @@ impl NoiseShape {
     }
 }
 
-/// The scatter of a joint before any length: a repeatability of 0.01 mm at an arm of 2 m.
-const SCATTER_RAD: f64 = 5e-6;
+/// The scatter of a joint before any length: a repeatability of 0.01 mm at an arm of 2 m, of four joints that move the ball.
+const SCATTER_RAD: f64 = 2.5e-6;
 
 impl JointNoise {
     /// None.
@@ -113,10 +113,14 @@ impl JointNoise {
         }
     }
 
-    /// With no more than is usual before any length.
+    /// With no more scatter than is usual before any length. Backlash of unknown sense is there at any rate.
     pub(super) fn at_most_usual(self) -> Self {
-        let usual = self.prior().median;
-        self.with_sought(self.sought().map(|sd| sd.min(usual)))
+        match self {
+            Self::Approached { backlash, scatter } => {
+                Self::Approached { backlash, scatter: scatter.map(|sd| sd.min(SCATTER_RAD)) }
+            }
+            Self::Unapproached(_) => self,
+        }
     }
 
     /// Whether what is sought of a joint is in a length that came with this sense.
@@ -356,12 +360,12 @@ mod tests {
         }
     }
 
-    /// 0.01 mm at an arm of 2 m; the medians of [`HyperPrior::all`] and half of a standard deviation of a logarithm from them.
+    /// Half of 0.01 mm at an arm of 2 m; the medians of [`HyperPrior::all`] and half of a standard deviation of a logarithm from them.
     #[test]
     fn noise_of_joints_is_of_the_sense_of_approach() {
         let moved = [true, true, false, true, true, true];
         let [approached, not] = [true, false].map(|is_approached| JointNoise::of_moved(moved, is_approached));
-        assert_eq!(approached.sought(), [5e-6, 5e-6, 0.0, 5e-6, 5e-6, 5e-6]);
+        assert_eq!(approached.sought(), [2.5e-6, 2.5e-6, 0.0, 2.5e-6, 2.5e-6, 2.5e-6]);
         assert_eq!(not.sought(), [3e-5, 3e-5, 0.0, 3e-5, 3e-5, 3e-5]);
         assert_eq!([approached, not, JointNoise::NONE].map(JointNoise::ln_prior), [0.0; 3]);
         let wider = approached.with_sought(approached.sought().map(|sd| sd * 0.5f64.exp()));

@@ -9,6 +9,7 @@ mod emit;
 mod instruction;
 mod layout;
 mod motion;
+mod operand;
 mod parser;
 mod points;
 mod position;

@@ -1,6 +1,6 @@
 //! Parser of the motion instructions: their points, speed, termination and options.
 
-use super::parser::{indexed, label};
+use super::operand::{indexed, label};
 use crate::program::flow::Control;
 use crate::program::lexer::Token;
 use crate::program::script::expression::{Argument, Expression, ExpressionKind, StatementKind};

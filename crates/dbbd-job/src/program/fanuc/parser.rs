@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use super::layout::ListingLayout;
 use super::motion::motion;
+use super::operand::{ANY_LABEL, indexed, label, number};
 use super::position::positions;
 use crate::program::Language;
 use crate::program::flow::Control;
@@ -76,9 +77,6 @@ pub(super) fn parse(text: Text<'_>, file: usize) -> Result<TpProgram, Diagnostic
     let positions = positions(&mut tokens, file).into_iter().collect();
     Ok(TpProgram { routine, positions, remarks: remarks(&layout, file) })
 }
-
-/// A jump to a label that is computed may go to each.
-const ANY_LABEL: &str = "";
 
 fn with_targets(body: Vec<Statement>) -> Vec<Statement> {
     let label = |statement: &Statement| match &statement.kind {
@@ -166,43 +164,6 @@ fn is_last_choice(tokens: &Tokens<'_>) -> bool {
     tokens.is_name("ELSE") && *tokens.ahead(1) == Token::Sign(",")
 }
 
-/// A number with its sign, perhaps in brackets.
-pub(super) fn number(tokens: &mut Tokens<'_>) -> Result<f64, Diagnostic> {
-    let bracket = tokens.accept("(");
-    let factor = if tokens.accept("-") { -1.0 } else { 1.0 };
-    let Token::Real(number) = *tokens.peek() else { return Err(tokens.expected("a number")) };
-    tokens.advance();
-    if bracket {
-        tokens.expect(")")?;
-    }
-    Ok(factor * number)
-}
-
-/// `P[3]`, `PR[5]` or `R[1]`, with its name as it is written without a comment. One whose index is computed has none.
-pub(super) fn indexed(tokens: &mut Tokens<'_>) -> Result<Expression, Diagnostic> {
-    let start = tokens.position();
-    let (name, _) = tokens.name()?;
-    tokens.expect("[")?;
-    if let (Token::Real(number), Token::Sign("]")) = (tokens.peek().clone(), tokens.ahead(1)) {
-        tokens.advance();
-        tokens.advance();
-        return Ok(Expression {
-            span: tokens.since(start),
-            kind: ExpressionKind::Name(format!("{name}[{number}]")),
-        });
-    }
-    let mut open = 1;
-    while open > 0 {
-        if matches!(tokens.peek(), Token::End | Token::Sign(";")) {
-            return Err(tokens.expected("`]`"));
-        }
-        open += usize::from(*tokens.peek() == Token::Sign("["));
-        open -= usize::from(*tokens.peek() == Token::Sign("]"));
-        tokens.advance();
-    }
-    Ok(Expression { span: tokens.since(start), kind: ExpressionKind::Computed })
-}
-
 /// The right side of an assignment; what is not a number, a register or a position is computed.
 fn value(tokens: &mut Tokens<'_>) -> Expression {
     let start = tokens.position();
@@ -225,15 +186,6 @@ fn value(tokens: &mut Tokens<'_>) -> Expression {
 
 fn given(value: Expression) -> Argument {
     Argument { name: None, value: Some(value) }
-}
-
-/// A label in brackets.
-pub(super) fn label(tokens: &mut Tokens<'_>) -> Result<String, Diagnostic> {
-    if !tokens.is_name("LBL") {
-        return Err(tokens.expected("LBL"));
-    }
-    let target = indexed(tokens)?;
-    Ok(if let ExpressionKind::Name(label) = target.kind { label } else { ANY_LABEL.into() })
 }
 
 /// What a statement does, up to its semicolon.

@@ -1,6 +1,6 @@
 //! The positions of a listing: their frames, configuration and numbers.
 
-use super::parser::number;
+use super::operand::number;
 use crate::program::Target;
 use crate::program::compensate::External;
 use crate::program::lexer::Token;
@@ -100,8 +100,9 @@ fn position(tokens: &mut Tokens<'_>, file: usize) -> Result<(String, Value), Dia
             group = word;
         } else if word == "UF" || word == "UT" {
             tokens.expect(":")?;
+            let span = tokens.span();
             let frame = if tokens.accept_name("F") {
-                value(Content::Text("F".into()))
+                Value { span, ..value(Content::Text("F".into())) }
             } else {
                 number_value(tokens, file)?
             };

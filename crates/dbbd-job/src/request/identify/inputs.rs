@@ -59,8 +59,6 @@ pub(crate) struct LoadedInputs {
     /// When the lengths were measured, and how warm it was.
     pub(crate) measured: MeasurementConditions,
     findings: Vec<Diagnostic>,
-    /// Findings about the capture and its latest pose matching.
-    run_findings: Vec<Diagnostic>,
     pub(crate) axes: AngleSource,
     /// The captures and tables with the lengths; the first is always there.
     parts: Vec<InputPart>,
@@ -146,7 +144,6 @@ impl LoadedInputs {
         findings.extend(uncorrected.map(|finding| Diagnostic::file(&input, finding)));
         Ok(Self {
             bar_u_mm: named.bar_u_mm.or(bar.u_mm()),
-            run_findings: run_findings(&parts, &robot),
             axes: angle_source(&parts),
             robot,
             centres,
@@ -203,7 +200,7 @@ impl LoadedInputs {
     }
 
     pub(crate) fn findings(&self) -> Vec<Diagnostic> {
-        [self.findings.as_slice(), self.run_findings.as_slice()].concat()
+        [self.findings.clone(), run_findings(&self.parts, &self.robot)].concat()
     }
 
     /// The options of an identification. Reports that the robot file has lost its posterior.
@@ -261,12 +258,12 @@ impl LoadedInputs {
             changed = true;
         }
         let joined = changed.then(|| parts::joined(&self.parts)).and_then(Result::ok);
-        let Some((mut lengths, _)) = joined else { return false };
+        let Some((lengths, _)) = joined else { return false };
+        let Ok(mut lengths) = lengths.carrying(&self.robot.geometry.load) else { return false };
         let Ok(left_out) = self.left_out.again(&mut lengths) else { return false };
         let Ok(observations) = with_positions(lengths, self.positions.as_ref()) else { return false };
         self.left_out = left_out;
         self.observations = observations;
-        self.run_findings = run_findings(&self.parts, &self.robot);
         true
     }
 }
