@@ -94,7 +94,7 @@ impl ListingLayout {
     /// Code without comments in brackets. A sign that no statement has is `?`, so that its statement is not read.
     fn push_code(&mut self, line: &str) {
         let (mut depth, mut is_comment, mut is_text, mut start) = (0_usize, false, false, 0);
-        let can_quote = line.matches('\'').count() % 2 == 0;
+        let can_quote = line.matches('\'').count().is_multiple_of(2);
         for (at, c) in line.char_indices() {
             match c {
                 '\'' if can_quote => is_text = !is_text,
