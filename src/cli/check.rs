@@ -130,7 +130,7 @@ fn check_lines(check: &InterimCheck) -> Vec<String> {
     if let Some(updated) = position.updated {
         lines.push(format!("with what changed identified anew (--update): {:.3} mm", updated.p95));
     }
-    lines.extend(check.validity.iter().map(ToString::to_string));
+    lines.extend(check.validity.iter().map(|validity| format!("valid {validity}")));
     let word = match decision.decision {
         ConformityOutcome::Pass => "pass",
         ConformityOutcome::Fail => "fail",

@@ -79,7 +79,7 @@ fn position(result: &CalibrationResult) -> Vec<String> {
         mm(predicted.nominal.p95),
         mm(predicted.identified.p95)
     ));
-    lines.extend(result.validity.iter().map(ToString::to_string));
+    lines.extend(result.validity.iter().map(|validity| format!("valid {validity}")));
     if result.count(Status::Fixed) > 0 {
         lines.push("  fixed parameters count as exact in it".into());
     }

@@ -6,7 +6,6 @@ use dbbd_model::conformity::{ComparisonSubject, ConformityOutcome, InterimCheck,
 use dbbd_model::estimation::{CalibrationResult, Validity};
 use serde::Serialize;
 
-use super::page::capitalised;
 use super::scale::{plain, significant};
 
 /// A verdict with its sentences. The template gives each kind a colour and a shape.
@@ -39,7 +38,7 @@ fn um(value_mm: f64) -> String {
 }
 
 fn holds(validity: &Validity) -> String {
-    format!("{}.", capitalised(&validity.to_string()))
+    format!("Valid {validity}.")
 }
 
 impl Verdict {
@@ -73,11 +72,15 @@ impl Verdict {
             ),
             None => "Correct the programs of the robot, and check it after a collision or a repair.".into(),
         };
+        let holds_for = match &result.validity {
+            Some(validity) => validity.to_string(),
+            None => format!("for this tool: U = {expanded} (k = {k})"),
+        };
         Self {
             kind: VerdictKind::Pass,
             word: "Valid",
-            sentence: format!("for this tool: U = {expanded} (k = {k}). {lengths}"),
-            validity: result.validity.as_ref().map(holds),
+            sentence: format!("{holds_for}. {lengths}"),
+            validity: None,
             next,
         }
     }

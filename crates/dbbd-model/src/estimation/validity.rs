@@ -72,7 +72,7 @@ fn crossing(limit_mm: f64, now_mm: f64, expanded_mm: impl Fn(f64) -> f64) -> Opt
 impl fmt::Display for Validity {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [x, y, z] = self.tool_mm;
-        write!(out, "valid for the tool at ({x:.1}, {y:.1}, {z:.1}) mm")?;
+        write!(out, "for the tool at ({x:.1}, {y:.1}, {z:.1}) mm")?;
         match self.payload_kg {
             Some(kg) => write!(out, ", up to {kg} kg")?,
             None => write!(out, ", payload not stated")?,
