@@ -207,7 +207,7 @@ fn a_worker_of_the_archive_stores_the_files_of_the_command() {
     let at = plant.path();
     fs::create_dir_all(at.join("runs/a")).unwrap();
     fs::copy("fixtures/captures/run.dbbd", at.join("runs/a/run.dbbd")).unwrap();
-    for args in [&["init"][..], &["push", "runs"], &["work", "--until-empty"]] {
+    for args in [&["init"][..], &["push", "runs"], &["worker", "--until-empty"]] {
         let output = archive(at, args);
         assert!(matches!(output.status.code(), Some(0 | 3)), "{args:?}: {}", crate::cell::stderr(&output));
     }
