@@ -108,8 +108,8 @@ impl Verdict {
             ConformityOutcome::Fail => (
                 VerdictKind::Fail,
                 "Fail.",
-                "Do not use the calibration. Look at what changed, repair it or identify the robot again, and correct its \
-                 programs anew.",
+                "Do not use the calibration. Look at what changed, repair it or identify the robot again, and then correct \
+                 its programs.",
             ),
             ConformityOutcome::Undecided => (
                 VerdictKind::Undecided,

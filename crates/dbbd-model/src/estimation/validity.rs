@@ -14,8 +14,8 @@ const SEED: u64 = 1;
 /// Without a tolerance of the user the calibration holds until its uncertainty is this many times that of its day.
 const GROWTH: f64 = 1.5;
 /// Beyond so many months nothing is stated, and so finely a time is sought.
-const MOST_MONTHS: f64 = 120.0;
-const FINEST_MONTHS: f64 = 0.02;
+const MAX_MONTHS: f64 = 120.0;
+const MONTHS_RESOLUTION: f64 = 0.02;
 /// Coverage factor of the expanded uncertainty.
 const COVERAGE: f64 = 2.0;
 
@@ -58,11 +58,11 @@ fn crossing(limit_mm: f64, now_mm: f64, expanded_mm: impl Fn(f64) -> f64) -> Opt
     if now_mm >= limit_mm {
         return Some(0.0);
     }
-    let (mut before, mut after) = (0.0, MOST_MONTHS);
+    let (mut before, mut after) = (0.0, MAX_MONTHS);
     if expanded_mm(after) < limit_mm {
         return None;
     }
-    while after - before > FINEST_MONTHS {
+    while after - before > MONTHS_RESOLUTION {
         let middle = 0.5 * (before + after);
         if expanded_mm(middle) < limit_mm { before = middle } else { after = middle }
     }
@@ -106,7 +106,7 @@ mod tests {
     fn the_limit_is_reached_where_the_uncertainty_crosses_it() {
         let expanded = |months: f64| 0.1 * (1.0 + months).sqrt();
         let found = crossing(0.3, 0.1, expanded).unwrap();
-        assert!((found - 8.0).abs() <= FINEST_MONTHS, "{found}");
+        assert!((found - 8.0).abs() <= MONTHS_RESOLUTION, "{found}");
         assert_eq!(crossing(0.1, 0.1, expanded), Some(0.0));
         assert_eq!(crossing(1.2, 0.1, expanded), None);
     }

@@ -6,9 +6,9 @@ use super::controller_frames::controller_frames;
 use super::instruction::{Instruction, OTHER_MOTIONS, OptionEffect, is_motion};
 use super::parser::{TpProgram, is_instruction, parse};
 use super::position::{Taught, external, frame, pose, swapped, taught};
-use crate::program::compensate::{Branch, Corrected, Corrector, external_motion, mixed};
+use crate::program::compensate::{Branch, Corrected, Corrector, mixed};
 use crate::program::flow::{At, Followed, Follower, InForce, State};
-use crate::program::script::expression::{ExpressionKind, Statement, StatementKind, statements};
+use crate::program::script::expression::{ExpressionKind, Statement, StatementKind};
 use crate::program::script::points::{Point, Points, elements, replaced};
 use crate::program::script::scope::Scope;
 use crate::program::script::value::{Content, Evaluated, Value, evaluated};
@@ -68,21 +68,9 @@ pub fn read(text: Text<'_>, given: GivenFrames<'_>) -> Result<Points, Diagnostic
         copied: Vec::new(),
     };
     follower.visit(0, InProgram::before(), &mut |at, state| reader.statement(at, state))?;
-    for (at, statement) in statements([&program.routine]) {
-        if let StatementKind::Call { name, .. } = &statement.kind
-            && is_motion(name)
-            && !reader.reached.contains(&at)
-        {
-            reader.points.leave(text, &statement.span, CompensationFinding::NeverReached);
-        }
-    }
+    reader.points.leave_unreached(text, [&program.routine], is_motion, &reader.reached);
     let mut points = reader.completed();
-    let external = external_motion(points.points.iter().map(|point| {
-        let name = point.value.name.as_deref().unwrap_or("inline");
-        (name, external(&point.value))
-    }));
-    let external = external.map(|(at, finding)| text.wrong(&points.points[at].first_use, finding));
-    points.doubts.extend(external);
+    points.doubt_external_axes(text, external);
     Ok(points)
 }
 

@@ -8,10 +8,10 @@ use super::parser::{Module, parse};
 use super::program::declared;
 use crate::program::CompensationFinding;
 use crate::program::MotionKind;
-use crate::program::compensate::{Branch, Corrected, Corrector, external_motion, mixed};
+use crate::program::compensate::{Branch, Corrected, Corrector, mixed};
 use crate::program::flow::{At, Calls, Followed, Follower, InForce, State, Ways, reached_from};
 use crate::program::script::expression::{
-    Argument, ExpressionKind, Parameter, Routine, Statement, StatementKind, calls, statements,
+    Argument, ExpressionKind, Parameter, Routine, Statement, StatementKind, calls,
 };
 use crate::program::script::points::{OtherInstructions, Point, Points, elements, replaced};
 use crate::program::script::scope::Scope;
@@ -66,21 +66,9 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
             follower.visit(at, state, &mut |at, state| reader.statement(at, state))?;
         }
     }
-    for (at, statement) in statements(program.routines.iter().copied()) {
-        if let StatementKind::Call { name, .. } = &statement.kind
-            && is_motion(name)
-            && !reader.reached.contains(&at)
-        {
-            reader.points.leave(text, &statement.span, CompensationFinding::NeverReached);
-        }
-    }
+    reader.points.leave_unreached(text, program.routines.iter().copied(), is_motion, &reader.reached);
     let mut points = reader.completed();
-    let external = external_motion(points.points.iter().map(|point| {
-        let name = point.value.name.as_deref().unwrap_or("inline");
-        (name, external(&point.value))
-    }));
-    let external = external.map(|(at, finding)| text.wrong(&points.points[at].first_use, finding));
-    points.doubts.extend(external);
+    points.doubt_external_axes(text, external);
     Ok(points)
 }
 

@@ -40,7 +40,7 @@ pub(crate) struct Statement {
 
 impl Statement {
     /// A statement that begins at a position and ends with the last token that was read.
-    pub(crate) fn new(tokens: &Tokens<'_>, start: usize, kind: StatementKind) -> Self {
+    pub(in crate::program) fn new(tokens: &Tokens<'_>, start: usize, kind: StatementKind) -> Self {
         let mut called = tokens.called_since(start);
         if let StatementKind::Call { name, .. } = &kind
             && !called.contains(name)

@@ -2,10 +2,13 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::expression::{ExpressionKind, StatementKind};
+use super::expression::{ExpressionKind, Routine, StatementKind, statements};
 use super::value::{Content, Evaluated, Value};
 use crate::program::CompensationFinding;
-use crate::program::compensate::{Branch, Commanded, Corrected, Corrector, Moved, correct_points};
+use crate::program::compensate::{
+    Branch, Commanded, Corrected, Corrector, External, Moved, correct_points, external_motion,
+};
+use crate::program::flow::At;
 use crate::program::text::{Edit, Span, Text, number_like, rewritten};
 use crate::program::{Frames, Target};
 use dbbd_model::diagnostic::Diagnostic;
@@ -67,6 +70,34 @@ impl Points {
         if self.reported.insert(span.start) {
             self.not_corrected.push(file.wrong(span, why));
         }
+    }
+
+    /// Adds the motions to which no way leads, such as those of a routine that is never called.
+    pub(crate) fn leave_unreached<'r>(
+        &mut self,
+        file: Text<'_>,
+        routines: impl IntoIterator<Item = &'r Routine>,
+        is_motion: fn(&str) -> bool,
+        reached: &HashSet<At>,
+    ) {
+        for (at, statement) in statements(routines) {
+            if let StatementKind::Call { name, .. } = &statement.kind
+                && is_motion(name)
+                && !reached.contains(&at)
+            {
+                self.leave(file, &statement.span, CompensationFinding::NeverReached);
+            }
+        }
+    }
+
+    /// Doubts all corrections if the external axes of the points, which `external` reads, move.
+    pub(crate) fn doubt_external_axes(&mut self, file: Text<'_>, external: fn(&Value) -> External) {
+        let of_points = self.points.iter().map(|point| {
+            let name = point.value.name.as_deref().unwrap_or("inline");
+            (name, external(&point.value))
+        });
+        let moved = external_motion(of_points);
+        self.doubts.extend(moved.map(|(at, finding)| file.wrong(&self.points[at].first_use, finding)));
     }
 
     /// Adds the point of a motion, with `frames` if it is a pose. A point that is computed or not written in this file (the

@@ -9,9 +9,7 @@ use super::parser::parse;
 use crate::program::CompensationFinding;
 use crate::program::compensate::{Branch, Corrected, Corrector, mixed};
 use crate::program::flow::{At, Calls, Followed, Follower, InForce, State, Ways, reached_from};
-use crate::program::script::expression::{
-    ExpressionKind, Routine, Statement, StatementKind, calls, statements,
-};
+use crate::program::script::expression::{ExpressionKind, Routine, Statement, StatementKind, calls};
 use crate::program::script::points::{OtherInstructions, Point, Points, replaced};
 use crate::program::script::scope::Scope;
 use crate::program::script::value::{self, Evaluated, Value, evaluated};
@@ -65,7 +63,7 @@ pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
             follower.visit(at, state, &mut |at, state| reader.statement(at, state))?;
         }
     }
-    reader.report_unreached();
+    reader.points.leave_unreached(text, &routines, is_motion, &reader.reached);
     Ok(reader.points.completed())
 }
 
@@ -284,19 +282,6 @@ impl Reader<'_> {
             }
         }
         Ok(())
-    }
-
-    /// Reports the motions to which no way leads, such as those of a routine that is never called.
-    fn report_unreached(&mut self) {
-        let script = self.script;
-        for (at, statement) in statements(script.routines.iter()) {
-            if let StatementKind::Call { name, .. } = &statement.kind
-                && is_motion(name)
-                && !self.reached.contains(&at)
-            {
-                self.points.leave(script.text, &statement.span, CompensationFinding::NeverReached);
-            }
-        }
     }
 
     /// Refuses a TCP of the user that is not the one that the script sets.
