@@ -7,7 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::estimation::result::{PriorSource, SigmaSource};
+use crate::estimation::result::{MapPoint, PriorSource, SigmaSource};
 use crate::estimation::{CompletedCalibration, Priors};
 use crate::math::distributions::COVERAGE_FACTOR;
 use crate::measurement::Measurements;
@@ -97,14 +97,15 @@ impl BudgetBasis {
 }
 
 impl UncertaintyBudget {
-    /// The budget of a result from these lengths. `bar_u_mm` is the standard uncertainty of the bar's length, if known.
+    /// The budget of a result from these lengths. `bar_u_mm` is the standard uncertainty of the bar's length with its temperature,
+    /// if known.
     pub fn of(
         found: &CompletedCalibration,
         lengths: &Measurements,
         bar_u_mm: Option<f64>,
         identity: &Identity,
     ) -> Self {
-        let mut lines = vec![bar(found, bar_u_mm), temperature(found, bar_u_mm, identity)];
+        let mut lines = bar(found, bar_u_mm, identity.bar_temperature_u_mm()).to_vec();
         lines.extend(scatter(found, lengths));
         lines.push(geometry(found));
         Self::with_lines(lines)
@@ -119,39 +120,47 @@ impl UncertaintyBudget {
     }
 }
 
-/// Prior standard uncertainty of the bar's length, mm.
-fn bar_sd_mm(found: &CompletedCalibration, bar_u_mm: Option<f64>) -> f64 {
-    Priors::datasheet(&found.robot, bar_u_mm).sd(ParamId::BarOffset(BarId::FIRST))
-}
-
-fn bar(found: &CompletedCalibration, bar_u_mm: Option<f64>) -> BudgetLine {
-    let position_mm = found.position_parts.bar_mm;
+/// The lines of the bar's length and of its temperature. The estimate knows one error of the length: what that does to the
+/// positions is in the ratio of the variances.
+fn bar(found: &CompletedCalibration, bar_u_mm: Option<f64>, temperature_mm: Option<f64>) -> [BudgetLine; 2] {
+    let whole_mm = found.position_parts.bar_mm;
     let offset = found.result.parameter(ParamId::BarOffset(BarId::FIRST));
     let estimated = offset.is_some_and(|offset| offset.sd.is_some());
     let basis = match bar_u_mm {
         _ if estimated && found.result.prior == PriorSource::None => BudgetBasis::Lengths,
-        _ if position_mm == 0.0 => BudgetBasis::Exact,
+        _ if whole_mm == 0.0 => BudgetBasis::Exact,
         Some(_) => BudgetBasis::Certificate,
         None => BudgetBasis::Assumed,
     };
     let stated = [BudgetBasis::Certificate, BudgetBasis::Assumed].contains(&basis);
-    let length_mm = stated.then(|| bar_sd_mm(found, bar_u_mm));
-    BudgetLine { source: BudgetSource::Bar, basis, length_mm, position_mm: Some(position_mm) }
+    let sd_mm = Priors::datasheet(&found.robot, bar_u_mm).sd(ParamId::BarOffset(BarId::FIRST));
+    bar_lines(basis, stated.then_some(sd_mm), temperature_mm, whole_mm)
 }
 
-/// An error of the bar's temperature changes its length by u = L alpha u(T), and the position as an error of length
-/// does.
-fn temperature(found: &CompletedCalibration, bar_u_mm: Option<f64>, identity: &Identity) -> BudgetLine {
-    let of_bar = identity.temperatures.iter().find(|found| found.of == "bar").and_then(|found| found.u_k);
-    let length_mm = identity.bar.length_mm.zip(identity.bar.expansion_per_k).zip(of_bar);
-    let length_mm = length_mm.map(|((length, per_k), u_k)| length * per_k.abs() * 0.5 * u_k);
-    let leverage = found.position_parts.bar_mm / bar_sd_mm(found, bar_u_mm);
-    BudgetLine {
-        source: BudgetSource::Temperature,
-        basis: if length_mm.is_some() { BudgetBasis::Stated } else { BudgetBasis::NotDetermined },
-        length_mm,
-        position_mm: length_mm.map(|mm| mm * leverage),
-    }
+/// `sd_mm` is the standard uncertainty of the length, if one is stated, and `whole_mm` what the error of the length does to the
+/// positions.
+fn bar_lines(
+    basis: BudgetBasis,
+    sd_mm: Option<f64>,
+    temperature_mm: Option<f64>,
+    whole_mm: f64,
+) -> [BudgetLine; 2] {
+    let share = temperature_mm.zip(sd_mm).map_or(0.0, |(mm, sd_mm)| (mm / sd_mm).min(1.0));
+    let of_length = (1.0 - share * share).sqrt();
+    [
+        BudgetLine {
+            source: BudgetSource::Bar,
+            basis,
+            length_mm: sd_mm.map(|mm| mm * of_length),
+            position_mm: Some(whole_mm * of_length),
+        },
+        BudgetLine {
+            source: BudgetSource::Temperature,
+            basis: if temperature_mm.is_some() { BudgetBasis::Stated } else { BudgetBasis::NotDetermined },
+            length_mm: temperature_mm,
+            position_mm: temperature_mm.map(|_| whole_mm * share),
+        },
+    ]
 }
 
 /// Splits the scatter of the lengths into its known sources. The contributions are in the ratio of the variances.
@@ -211,10 +220,8 @@ fn scatter_lines(
 
 /// The rest of the predicted position uncertainty.
 fn geometry(found: &CompletedCalibration) -> BudgetLine {
-    let total =
-        found.map.iter().map(|point| point.rms_mm.powi(2)).sum::<f64>() / found.map.len().max(1) as f64;
     let parts = found.position_parts;
-    let rest = (total - parts.bar_mm.powi(2) - parts.noise_mm.powi(2)).max(0.0).sqrt();
+    let rest = (MapPoint::root_mean_square_mm(&found.map).powi(2) - parts.bar_mm.powi(2) - parts.noise_mm.powi(2)).max(0.0).sqrt();
     BudgetLine {
         source: BudgetSource::Geometry,
         basis: BudgetBasis::Prediction,
@@ -235,6 +242,19 @@ mod tests {
     fn variances(lines: &[BudgetLine]) -> Vec<(BudgetBasis, Option<f64>)> {
         let variance = |line: &BudgetLine| line.length_mm.map(|mm| (1e6 * mm * mm).round());
         lines.iter().map(|line| (line.basis, variance(line))).collect()
+    }
+
+    /// 5 um are 4 by the certificate and 3 by the temperature: 25 um at the position are 20 and 15.
+    #[test]
+    fn error_of_the_bar_is_split_by_variance() {
+        let [length, warm] = bar_lines(BudgetBasis::Certificate, Some(0.005), Some(0.003), 0.025);
+        for (line, in_length, at_position) in [(length, 0.004, 0.020), (warm, 0.003, 0.015)] {
+            assert!((line.length_mm.unwrap() - in_length).abs() < 1e-12, "{line:?}");
+            assert!((line.position_mm.unwrap() - at_position).abs() < 1e-12, "{line:?}");
+        }
+        let [length, unknown] = bar_lines(BudgetBasis::Certificate, Some(0.005), None, 0.025);
+        assert_eq!((length.position_mm, unknown.position_mm), (Some(0.025), None));
+        assert_eq!(unknown.basis, BudgetBasis::NotDetermined);
     }
 
     /// 0.05^2 = 0.03^2 + 0.02^2 + 0.0012; a contribution is 2 times the root of its share of the variance.

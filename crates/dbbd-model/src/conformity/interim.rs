@@ -123,6 +123,7 @@ impl CheckInput<'_> {
         };
         let of_workspace = |errors: &DMatrix<f64>| ErrorSummary::of(&position.moved(errors));
         let least_mm = self.least_tolerance(&expected, &position).ok_or(ConformityFinding::NotFinite)?;
+        let map = position.workspace.map(&position.moved(&now));
         let undecidable = self.tolerance_mm.is_some_and(|tolerance| tolerance < least_mm);
         let position_errors_mm = position.sizes(&now);
         let mut decision = decide(&position_errors_mm, self.tolerance_mm, self.rule, test.changed);
@@ -145,9 +146,9 @@ impl CheckInput<'_> {
                 now: of_workspace(&now),
                 updated: updated.as_ref().map(|posterior| of_workspace(&position.of(posterior, 1.0))),
             },
-            validity: if test.changed { None } else { self.validity(&expected, &known)? },
+            validity: if test.changed { None } else { self.validity(&expected, &known, &map)? },
             detectable: innovation.detectable(),
-            map: position.workspace.map(&position.moved(&now)),
+            map,
             update: updated.and_then(|posterior| self.robot_of(&posterior, &known)),
             changes,
         })
@@ -204,10 +205,11 @@ impl CheckInput<'_> {
         &self,
         expected: &Expected,
         known: &Posterior,
+        map: &[MapPoint],
     ) -> Result<Option<Validity>, ConformityFinding> {
         let after =
             expected.posterior.after(self.readings, self.noise()).ok_or(ConformityFinding::NotFinite)?;
-        Ok(self.robot_of(&after, known).and_then(|robot| Validity::of(&robot, self.tolerance_mm)))
+        Ok(self.robot_of(&after, known).and_then(|robot| Validity::of(&robot, self.tolerance_mm, map)))
     }
 
     /// The posterior of the calibration.

@@ -206,7 +206,7 @@ impl<'a> Calibration<'a> {
             hypotheses,
             monte_carlo: checks.monte_carlo,
             predicted_position_uncertainty_mm: prediction.pair,
-            validity: Validity::of(&robot, None),
+            validity: Validity::of(&robot, None, &prediction.map),
             parameters: self.parameters,
             combinations: estimate.analysis.combinations(),
             correlated,

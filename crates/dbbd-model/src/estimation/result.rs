@@ -326,6 +326,14 @@ pub struct MapPoint {
     pub rms_mm: f64,
 }
 
+impl MapPoint {
+    /// Over all points of a map, mm.
+    pub fn root_mean_square_mm(map: &[Self]) -> f64 {
+        let square: f64 = map.iter().map(|point| point.rms_mm.powi(2)).sum();
+        (square / map.len().max(1) as f64).sqrt()
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PriorSource {

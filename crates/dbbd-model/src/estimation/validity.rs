@@ -2,13 +2,14 @@
 
 use std::fmt;
 
-use super::result::{DriftBasis, Validity};
+use super::result::{DriftBasis, MapPoint, Validity};
 use super::{Positions, Workspace};
 use crate::base::date;
+use crate::math::distributions::COVERAGE_FACTOR;
 use crate::measurement::ApproachedPose;
 use crate::robot::{Payload, Robot};
 
-/// Poses over which the uncertainty is taken, uniform within the axis limits, and their seed.
+/// Poses over which the growth is taken, uniform within the axis limits, and their seed.
 const POSES: usize = 300;
 const SEED: u64 = 1;
 /// Without a tolerance of the user the calibration holds until its uncertainty is this many times that of its day.
@@ -16,22 +17,22 @@ const GROWTH: f64 = 1.5;
 /// Beyond so many months nothing is stated, and so finely a time is sought.
 const MAX_MONTHS: f64 = 120.0;
 const MONTHS_RESOLUTION: f64 = 0.02;
-/// Coverage factor of the expanded uncertainty.
-const COVERAGE: f64 = 2.0;
 
 impl Validity {
-    /// Of a robot with its posterior, which is carried on by the drift of its months; `None` without a posterior.
-    pub fn of(robot: &Robot, tolerance_mm: Option<f64>) -> Option<Self> {
+    /// Of a robot with its posterior, whose position uncertainty is `map` today and grows by the drift of its months; `None`
+    /// without a posterior.
+    pub fn of(robot: &Robot, tolerance_mm: Option<f64>, map: &[MapPoint]) -> Option<Self> {
         if !robot.has_posterior() {
             return None;
         }
         let poses = Workspace::uniform(robot.controller(), POSES, SEED);
         let poses: Vec<ApproachedPose> = poses.iter().map(ApproachedPose::unapproached).collect();
-        let expanded = |months: f64| {
+        let mean_square = |months: f64| {
             let positions = Positions::of(&robot.after_months(months), &poses);
-            let square: f64 = (0..poses.len()).map(|pose| positions.sd_mm(pose).powi(2)).sum();
-            COVERAGE * (square / poses.len() as f64).sqrt()
+            (0..poses.len()).map(|pose| positions.sd_mm(pose).powi(2)).sum::<f64>() / poses.len() as f64
         };
+        let (today, known) = (MapPoint::root_mean_square_mm(map).powi(2), mean_square(0.0));
+        let expanded = |months| COVERAGE_FACTOR * (today + mean_square(months) - known).max(today).sqrt();
         let now_mm = expanded(0.0);
         let limit_mm = tolerance_mm.unwrap_or(GROWTH * now_mm);
         if !now_mm.is_finite() {
@@ -124,23 +125,34 @@ mod tests {
         robot
     }
 
+    /// One point with what is known of the robot over the poses.
+    fn map(robot: &Robot) -> [MapPoint; 1] {
+        let poses = Workspace::uniform(robot.controller(), POSES, SEED);
+        let poses: Vec<ApproachedPose> = poses.iter().map(ApproachedPose::unapproached).collect();
+        let positions = Positions::of(robot, &poses);
+        let square: f64 = (0..POSES).map(|pose| positions.sd_mm(pose).powi(2)).sum();
+        [MapPoint { position: nalgebra::Vector3::zeros(), rms_mm: (square / POSES as f64).sqrt() }]
+    }
+
     /// If the zero of one joint alone is uncertain, U grows as its standard deviation: by 1.5 where the walk has added 1.25 of the
     /// variance, which are (s / rate)^2 1.25 months.
     #[test]
     fn without_a_tolerance_it_holds_until_u_has_grown_by_half() {
         let robot = identified(40e-6);
-        let found = Validity::of(&robot, None).unwrap();
+        let map = map(&robot);
+        let found = Validity::of(&robot, None, &map).unwrap();
+        assert!((found.expanded_uncertainty_mm / (2.0 * map[0].rms_mm) - 1.0).abs() < 1e-12);
         let months = 1.25 * (40e-6 / robot.drift.rms_zero_rad()).powi(2);
         assert!((found.months.unwrap() - months).abs() < 0.03, "{found:?} {months}");
         assert!((found.limit_mm / found.expanded_uncertainty_mm - 1.5).abs() < 1e-12);
         assert_eq!(found.until, date::after_months("2026-03-01", found.months.unwrap()));
         assert_eq!(found.basis, DriftBasis::HyperPrior);
         // A tolerance that is reached already, and one that is far away.
-        assert_eq!(Validity::of(&robot, Some(0.01)).unwrap().until.as_deref(), Some("2026-03-01"));
-        assert_eq!(Validity::of(&robot, Some(50.0)).unwrap().months, None);
+        assert_eq!(Validity::of(&robot, Some(0.01), &map).unwrap().until.as_deref(), Some("2026-03-01"));
+        assert_eq!(Validity::of(&robot, Some(50.0), &map).unwrap().months, None);
         let undated = Robot { measured: MeasurementConditions::default(), ..robot.clone() };
-        let undated = Validity::of(&undated, None).unwrap();
+        let undated = Validity::of(&undated, None, &map).unwrap();
         assert!(undated.until.is_none() && undated.months == found.months);
-        assert!(Validity::of(&Robot { uncertainty: None, posterior: None, ..robot }, None).is_none());
+        assert!(Validity::of(&Robot { uncertainty: None, posterior: None, ..robot }, None, &map).is_none());
     }
 }

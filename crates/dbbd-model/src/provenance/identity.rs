@@ -200,6 +200,19 @@ impl Identity {
         self.measured.as_ref()?.split('T').next()
     }
 
+    /// Standard uncertainty of the bar's length by the uncertainty of its temperature, u = L alpha u(T), mm.
+    pub fn bar_temperature_u_mm(&self) -> Option<f64> {
+        let of_bar = self.temperatures.iter().find(|found| found.of == "bar").and_then(|found| found.u_k);
+        let per_k = self.bar.length_mm.zip(self.bar.expansion_per_k);
+        per_k.zip(of_bar).map(|((length, per_k), u_k)| length * per_k.abs() * 0.5 * u_k)
+    }
+
+    /// Standard uncertainty of the bar's length, mm: `certified_mm`, or that of the certificate, and its temperature.
+    pub fn bar_u_mm(&self, certified_mm: Option<f64>) -> Option<f64> {
+        let certified_mm = certified_mm.or(self.bar.u_mm())?;
+        Some(certified_mm.hypot(self.bar_temperature_u_mm().unwrap_or(0.0)))
+    }
+
     /// Reads an identity from a file of its own.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let identity: Self = from_toml(file, text)?;

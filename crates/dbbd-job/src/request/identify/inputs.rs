@@ -143,7 +143,7 @@ impl LoadedInputs {
         let uncorrected = uncorrected_bar(&observations, bar).filter(|_| matched.is_none());
         findings.extend(uncorrected.map(|finding| Diagnostic::file(&input, finding)));
         Ok(Self {
-            bar_u_mm: named.bar_u_mm.or(bar.u_mm()),
+            bar_u_mm: provenance.identity.bar_u_mm(named.bar_u_mm),
             axes: angle_source(&parts),
             robot,
             centres,
