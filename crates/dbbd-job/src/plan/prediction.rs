@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::job::{BaseBallTable, Job};
+use super::job::{BaseBallTable, Job, JobBar};
 use super::prior::length_sigma_mm;
 use super::workspace::workspace;
 use super::{PlanRow, PlanningPrior, PoseKind};
@@ -97,9 +97,11 @@ pub enum Identifiability {
 }
 
 impl PlanRow {
-    /// The row as a length to be measured.
-    pub fn reading(&self) -> PreparedMeasurement {
-        PreparedMeasurement::new(self.axes_deg.map(f64::to_radians), self.centre, self.length_mm)
+    /// The row as a length to be measured with a bar of the job.
+    pub fn reading(&self, bar: &JobBar) -> PreparedMeasurement {
+        let axes = self.axes_deg.map(f64::to_radians);
+        let force_n = bar.force_n.unwrap_or(0.0);
+        PreparedMeasurement { force_n, ..PreparedMeasurement::new(axes, self.centre, self.length_mm) }
     }
 }
 
@@ -114,7 +116,7 @@ impl PlanPrediction {
         prior: &PlanningPrior,
     ) -> Option<(Self, Vec<MapPoint>)> {
         let dwells = rows.iter().filter(|row| row.kind != PoseKind::Transit);
-        let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
+        let readings: Vec<PreparedMeasurement> = dwells.map(|row| row.reading(&job.bar)).collect();
         let poses = workspace(job, robot, PREDICTION_WORKSPACE_POSES);
         let sigma_mm = length_sigma_mm(job, robot);
         let seen = predict_design(&prior.posterior, &readings, sigma_mm, &poses)?;

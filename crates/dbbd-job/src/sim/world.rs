@@ -51,6 +51,8 @@ pub struct TrueBar {
     pub rate_hz: f64,
     /// Temperature that the bar reports, degrees Celsius.
     pub temperature_c: f64,
+    /// How strongly the bar pulls the tool ball towards the base ball, N.
+    pub force_n: f64,
 }
 
 /// WORLD.toml; every key is optional.
@@ -92,12 +94,21 @@ struct WorldBarTable {
     resolution_um: f64,
     rate_hz: f64,
     temperature_c: f64,
+    force_n: f64,
 }
 
 impl Default for WorldBarTable {
     fn default() -> Self {
         let (length_mm, stroke_mm) = (None, None);
-        Self { length_mm, stroke_mm, noise_um: 1.0, resolution_um: 0.1, rate_hz: 200.0, temperature_c: 20.0 }
+        Self {
+            length_mm,
+            stroke_mm,
+            noise_um: 1.0,
+            resolution_um: 0.1,
+            rate_hz: 200.0,
+            temperature_c: 20.0,
+            force_n: 0.0,
+        }
     }
 }
 
@@ -145,6 +156,7 @@ impl WorldSetup {
                 resolution_um: file.bar.resolution_um,
                 rate_hz: file.bar.rate_hz,
                 temperature_c: file.bar.temperature_c,
+                force_n: file.bar.force_n,
             },
             repeatability_um: file.repeatability_um,
             backlash_deg: file.backlash_deg,
@@ -163,6 +175,7 @@ impl WorldSetup {
             resolution_um,
             rate_hz,
             temperature_c,
+            force_n,
         } = self.bar;
         let scalars = [
             ("[bar] noise_um", noise_um, Quantity::SimulatedError),
@@ -171,6 +184,7 @@ impl WorldSetup {
             ("[bar] length_mm", length_mm, Quantity::Length),
             ("[bar] rate_hz", rate_hz, Quantity::SampleRate),
             ("[bar] temperature_c", temperature_c, Quantity::Coordinate),
+            ("[bar] force_n", force_n, Quantity::BarForce),
         ];
         let backlash = self.backlash_deg.iter().map(|deg| ("backlash_deg", *deg, Quantity::SimulatedError));
         let following = self.following_ms.iter().map(|ms| ("following_ms", *ms, Quantity::SimulatedError));
@@ -287,8 +301,11 @@ impl World {
         let ball = self.robot.ball(&axes).position + self.offset(moment.t_s);
         let centre = self.setup.centres_mm.get(&moment.centre).copied().map(Vector3::from);
         // A ball without a known centre is out of the reach of the bar.
-        let distance = centre.map_or(f64::INFINITY, |centre| (ball - centre).norm());
         let bar = self.setup.bar;
+        let distance = centre.map_or(f64::INFINITY, |centre| {
+            let pulled = self.robot.length_row(&axes, &centre, 0.0);
+            (ball - centre).norm() - pulled.shortened_mm(&self.robot, bar.force_n)
+        });
         let reading_mm = distance - bar.length_mm;
         let noise_mm = bar.noise_um * 1e-3 * self.normal();
         let [low, high] = bar.stroke_mm;
@@ -355,6 +372,7 @@ mod tests {
                 resolution_um: 0.0,
                 rate_hz: 200.0,
                 temperature_c: 20.0,
+                force_n: 0.0,
             },
             repeatability_um: 0.0,
             backlash_deg: [0.0; AXES],
@@ -527,5 +545,21 @@ mod tests {
         let world = World::new(robot.clone(), setup, 1);
         let centre = Vector3::from(world.setup().centres_mm[&1]);
         assert!((centre - robot.ball(&HOME).position).norm() < 1e-9);
+    }
+
+    /// A bar that pulls by 50 N reads less by what the compliance of joint 3 gives way.
+    #[test]
+    fn a_bar_that_pulls_reads_less() {
+        let mut robot = robot();
+        robot.compliance[2] = 4e-7;
+        let free = setup(&robot);
+        let pulling = WorldSetup { bar: TrueBar { force_n: 50.0, ..free.bar }, ..free.clone() };
+        let [free, pulled] = [free, pulling].map(|setup| {
+            World::new(robot.clone(), setup, 1).reading(&moment(0.0, HOME, 1)).reading_mm
+        });
+        let ball = robot.ball(&HOME).position;
+        let lever = robot.axis_jacobian(&HOME)[2].0.dot(&Vector3::z());
+        let shorter = 50.0 * 4e-7 * 1e-3 * lever * lever;
+        assert!(shorter > 1e-3 && (free - pulled - shorter).abs() < 1e-6, "{free} {pulled} {shorter} {ball}");
     }
 }

@@ -221,7 +221,10 @@ fn scatter_lines(
 /// The rest of the predicted position uncertainty.
 fn geometry(found: &CompletedCalibration) -> BudgetLine {
     let parts = found.position_parts;
-    let rest = (MapPoint::root_mean_square_mm(&found.map).powi(2) - parts.bar_mm.powi(2) - parts.noise_mm.powi(2)).max(0.0).sqrt();
+    let rest =
+        (MapPoint::root_mean_square_mm(&found.map).powi(2) - parts.bar_mm.powi(2) - parts.noise_mm.powi(2))
+            .max(0.0)
+            .sqrt();
     BudgetLine {
         source: BudgetSource::Geometry,
         basis: BudgetBasis::Prediction,

@@ -12,7 +12,7 @@ use super::monte_carlo::Draws;
 use super::options::Setting;
 use super::parameters::ParameterTable;
 use super::posterior::Posterior;
-use super::prediction::Prediction;
+use super::prediction::{Prediction, drift_after};
 use super::result::{
     BeforeAfter, CalibrationResult, CompletedCalibration, Folds, MadeFrom, MonteCarlo, NoiseSummary, Outlier,
     ParameterResult, RESULT_SCHEMA, Recommendation, SigmaSource, StartRobot, Status,
@@ -172,6 +172,7 @@ impl<'a> Calibration<'a> {
             nominal: Some(nominal),
             uncertainty: Some(Box::new(prediction.uncertainty)),
             measured: setting.options.measured.clone(),
+            drift: drift_after(&setting, &estimate),
             ..setting.robot.clone()
         };
         let result = CalibrationResult {

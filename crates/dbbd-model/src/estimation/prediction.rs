@@ -13,7 +13,8 @@ use super::selection::is_bar;
 use super::workspace::{ErrorSummary, take_out_rigid_motion};
 use crate::measurement::{ApproachedPose, PreparedMeasurement};
 use crate::robot::{
-    AXES, Approach, AxisAngles, Geometry, ParamId, RobotPosterior, RobotUncertainty, parameter,
+    AXES, Approach, AxisAngles, Drift, Geometry, Joint, ParamId, RobotPosterior, RobotUncertainty, ZeroSteps,
+    parameter,
 };
 
 /// Poses of the workspace, and as many of those measured, by which the uncertainty is compressed.
@@ -175,6 +176,21 @@ fn robot_posterior(estimate: &Estimate) -> Option<RobotPosterior> {
     let own: Vec<usize> = (0..kept.len()).filter(|&k| is_own(kept[k])).collect();
     let ids: Vec<ParamId> = own.iter().map(|&k| kept[k]).collect();
     RobotPosterior::with_balls(&ids, &fit.model.geometry, &fit.model.balls, &root.select_rows(&own))
+}
+
+/// How fast the zeros wander, with what this estimate says of their steps since the one whose posterior is its prior.
+pub(super) fn drift_after(setting: &Setting<'_>, estimate: &Estimate) -> Drift {
+    let before = setting.robot.drift;
+    let known = setting.robot.posterior.as_ref().filter(|_| setting.options.prior == Prior::Posterior);
+    let Some(known) = known.filter(|_| before.has_waited()) else { return before };
+    let Estimate { kept, root, fit, .. } = estimate;
+    let own: Vec<usize> = (0..kept.len()).filter(|&k| known.ids().contains(&kept[k])).collect();
+    let ids: Vec<ParamId> = own.iter().map(|&k| kept[k]).collect();
+    let moved = ids.iter().map(|id| fit.model.value(*id) - setting.start.value(*id));
+    let moved = DVector::from_iterator(ids.len(), moved);
+    let zeros = Joint::ALL.map(|joint| ids.iter().position(|id| *id == ParamId::Theta(joint)));
+    let steps = ZeroSteps::of(&known.root_of(&ids), zeros, &root.select_rows(&own), &moved);
+    steps.map_or(before, |steps| before.after(&steps))
 }
 
 /// At most [`COMPRESSING`] of so many, evenly spread.

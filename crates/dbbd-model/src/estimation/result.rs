@@ -313,7 +313,7 @@ pub struct Validity {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DriftBasis {
-    /// Hyper-priors alone: this robot has no history.
+    /// Hyper-priors: this robot has no history of three runs.
     HyperPrior,
     /// Earlier measurements of this robot.
     History,

@@ -49,7 +49,7 @@ impl Validity {
             limit_mm,
             months,
             until,
-            basis: if robot.drift.intervals == 0 { DriftBasis::HyperPrior } else { DriftBasis::History },
+            basis: if robot.drift.has_history() { DriftBasis::History } else { DriftBasis::HyperPrior },
         })
     }
 }
@@ -90,7 +90,9 @@ impl fmt::Display for Validity {
             self.limit_mm.max(self.expanded_uncertainty_mm)
         )?;
         match self.basis {
-            DriftBasis::HyperPrior => write!(out, "; the drift is assumed, this robot has no history"),
+            DriftBasis::HyperPrior => {
+                write!(out, "; the drift is assumed, this robot has no history of three runs")
+            }
             DriftBasis::History => Ok(()),
         }
     }

@@ -42,6 +42,8 @@ pub struct MeasurementContext {
     pub taught_deg: Option<Box<[f64; AXES]>>,
     /// The change of the bar's zero that was subtracted from the length, mm.
     pub zero_mm: Option<f64>,
+    /// How strongly the bar pulled the tool ball towards the base ball, N.
+    pub force_n: Option<f64>,
     /// Cells by their column's number that the fields do not reproduce: the user's own columns, and other spellings of a
     /// value.
     pub texts: Vec<(usize, Box<str>)>,
@@ -59,12 +61,13 @@ pub enum ContextColumn {
     TemperatureC,
     TaughtDeg,
     ZeroMm,
+    ForceN,
     /// A column of the user.
     Other(String),
 }
 
 impl ContextColumn {
-    const NAMED: [(Self, &'static str); 9] = [
+    const NAMED: [(Self, &'static str); 10] = [
         (Self::Kind, "kind"),
         (Self::TimeS, "t_s"),
         (Self::Samples, "samples"),
@@ -74,6 +77,7 @@ impl ContextColumn {
         (Self::TemperatureC, "temp_c"),
         (Self::TaughtDeg, "taught_deg"),
         (Self::ZeroMm, "zero_mm"),
+        (Self::ForceN, "force_n"),
     ];
 
     pub fn of(name: &str) -> Self {
@@ -111,6 +115,7 @@ impl MeasurementContext {
                 ContextColumn::TemperatureC => context.temperature_c = cell.parse().ok(),
                 ContextColumn::TaughtDeg => context.taught_deg = angles(cell).map(Box::new),
                 ContextColumn::ZeroMm => context.zero_mm = cell.parse().ok(),
+                ContextColumn::ForceN => context.force_n = cell.parse().ok(),
                 ContextColumn::Other(_) => {}
             }
             if context.field(column) != cell {
@@ -142,6 +147,7 @@ impl MeasurementContext {
                 self.taught_deg.as_ref().map(|axes| axes.map(|deg| deg.to_string()).join(" "))
             }
             ContextColumn::ZeroMm => self.zero_mm.map(|mm| mm.to_string()),
+            ContextColumn::ForceN => self.force_n.map(|newtons| newtons.to_string()),
             ContextColumn::Other(_) => None,
         };
         text.unwrap_or_default()

@@ -38,6 +38,8 @@ pub struct PreparedMeasurement {
     pub payload: PayloadId,
     /// Distance between the ball centres, or from a plane of the tracker's frame.
     pub length_mm: f64,
+    /// How strongly the bar pulls the tool ball towards the base ball, N.
+    pub force_n: f64,
 }
 
 impl PreparedMeasurement {
@@ -46,7 +48,7 @@ impl PreparedMeasurement {
         let sin_cos = JointSinCos::of(&axes);
         let (datum, target) = (Datum::Ball(ball, BarId::FIRST), TargetId::FIRST);
         let (approach, payload) = (Approach::default(), PayloadId::FIRST);
-        Self { axes, sin_cos, approach, datum, target, payload, length_mm }
+        Self { axes, sin_cos, approach, datum, target, payload, length_mm, force_n: 0.0 }
     }
 }
 
@@ -58,6 +60,7 @@ impl From<&Measurement> for PreparedMeasurement {
             target,
             payload,
             approach,
+            force_n: measurement.context.as_ref().and_then(|context| context.force_n).unwrap_or(0.0),
             ..Self::new(measurement.axes.radians(), BallId::FIRST, length_mm)
         }
     }
@@ -104,6 +107,9 @@ impl PreparedModel<'_> {
     /// The predicted length or coordinate, mm; NaN if the model lacks its ball, target or tracker.
     #[inline]
     pub fn length(&self, measurement: &PreparedMeasurement) -> f64 {
+        if measurement.force_n != 0.0 {
+            return self.row(measurement).length;
+        }
         let target = self.chain.ball(&self.at(measurement));
         match measurement.datum {
             Datum::Ball(ball, bar) => (target - self.model.ball(ball)).norm() + self.model.bar_offset(bar),
@@ -139,6 +145,9 @@ impl PreparedModel<'_> {
         match measurement.datum {
             Datum::Ball(ball, bar) => {
                 self.chain.row(&at, &self.model.ball(ball), self.model.bar_offset(bar), row);
+                if measurement.force_n != 0.0 {
+                    row.pulled(&self.model.geometry, measurement.force_n);
+                }
             }
             Datum::Plane(coordinate) => self.chain.plane_row(&at, &self.planes[coordinate.index()], row),
         }
@@ -412,6 +421,39 @@ mod tests {
         assert_eq!(length, [false, true, false, true, true, false, false, true]);
         let position = changes(Datum::Plane(Coordinate::X), TargetId::at(1));
         assert_eq!(position, [false, false, false, false, false, true, true, true]);
+    }
+
+    /// A pull of 50 N turns joint 3 by its compliance times the torque of the force about its axis, as a load there would.
+    #[test]
+    fn a_bar_that_pulls_shortens_its_length_by_the_compliance() {
+        let mut model = model();
+        let free = reading(Datum::Ball(BallId::FIRST, BarId::FIRST), TargetId::FIRST);
+        let pulled = PreparedMeasurement { force_n: 50.0, ..free };
+        let [stiff, same] = [free, pulled].map(|of| model.prepare().length(&of));
+        assert_eq!(stiff, same);
+        let ball = model.geometry.ball(&AXES_AT).position;
+        let towards = (model.balls[0] - ball).normalize();
+        let (shift, _) = model.geometry.axis_jacobian(&AXES_AT)[2];
+        let torque_nm = 1e-3 * shift.dot(&(towards * 50.0));
+        let moved = shift * (4e-7 * torque_nm);
+        let expected = (ball + moved - model.balls[0]).norm();
+        for split in [0.0, 1e-7] {
+            model.geometry.compliance[2] = 4e-7 - split;
+            model.geometry.payload_compliance[2] = split;
+            model.geometry.load.masses.clear();
+            model.geometry.load.payloads.clear();
+            let found = model.prepare().length(&pulled);
+            assert!((found - expected).abs() < 1e-6 && stiff - found > 0.005, "{found} {expected} {stiff}");
+        }
+        let joint = crate::robot::Joint::J3;
+        let ids = [ParamId::Compliance(joint), ParamId::PayloadCompliance(joint), ParamId::Theta(joint)];
+        let mut row = [0.0; 3];
+        ColumnSelection::new(&ids).pick(&model.prepare().row(&pulled), &mut row);
+        for ((id, value), step) in ids.iter().zip(row).zip([1e-8, 1e-8, 1e-6]) {
+            let at = |step: f64| model.shifted(&[*id], &[step]).prepare().length(&pulled);
+            let expected = (at(step) - at(-step)) / (2.0 * step);
+            assert!((value - expected).abs() < 1e-4 * expected.abs(), "{id}: {value} {expected}");
+        }
     }
 
     #[test]

@@ -94,6 +94,7 @@ const SIGMA: &str = "sigma_mm";
 const BAR: &str = "bar";
 pub(super) const TARGET: &str = "target";
 pub(super) const PAYLOAD: &str = "payload";
+const FORCE: &str = "force_n";
 /// The sense of approach of each axis: -1, 0 (not known) or 1 (rising angle).
 pub const APPROACH: [&str; AXES] =
     ["approach1", "approach2", "approach3", "approach4", "approach5", "approach6"];
@@ -129,6 +130,7 @@ impl Measurements {
         let (sigma, bar) = (table.optional(SIGMA)?, table.optional(BAR)?);
         let (target, approach) = (table.optional(TARGET)?, ApproachColumns::of(table)?);
         let mut payloads = PayloadColumn::of(table)?;
+        let force = table.optional(FORCE)?;
         let is_known = |at: &usize| {
             places.contains(at)
                 || [sigma, bar, target, payloads.at].contains(&Some(*at))
@@ -141,6 +143,7 @@ impl Measurements {
         let mut rows: Vec<Measurement> = Vec::new();
         while let Some(row) = table.row()? {
             let (axes, length_mm) = (angles(&row, axes)?, distance(&row, length)?);
+            row.given(force, |at| bar_force(&row, at))?;
             let context = MeasurementContext::read(&further, others.iter().map(|&at| row.plain(at)));
             let before = rows.last().and_then(|row| row.context.as_ref());
             rows.push(Measurement {
@@ -517,6 +520,13 @@ fn distance(row: &TableRow<'_>, at: usize) -> Result<f64, Diagnostic> {
     row.positive(at).map_err(|wrong| {
         wrong.help("is it the bar's reading? length_mm is between the ball centres: the bar's length plus the reading")
     })
+}
+
+/// The pull of the bar, N.
+fn bar_force(row: &TableRow<'_>, at: usize) -> Result<f64, Diagnostic> {
+    let force_n = row.number(at)?;
+    Quantity::BarForce.check(FORCE, force_n).map_err(|finding| row.wrong(at, finding))?;
+    Ok(force_n)
 }
 
 #[cfg(test)]

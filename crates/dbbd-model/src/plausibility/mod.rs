@@ -212,6 +212,8 @@ quantities! {
     TemperatureUncertainty => range("the expanded uncertainty of a temperature", "K", 0.001, 20.0);
     /// The largest robots carry 2300 kg.
     Load => range("the load of a robot", "kg", 0.0, 2500.0).not_in(IN_GRAMS);
+    /// A hand pulls no harder, and the springs of bars are weaker; a bar that pushes has a negative force.
+    BarForce => range("the pull of a bar", "N", -500.0, 500.0);
     /// No arm and no part of it is heavier.
     Mass => range("a mass of a robot", "kg", 0.0, 5e3).not_in(IN_GRAMS);
 

@@ -42,6 +42,31 @@ const GEAR_COS_COLUMN: usize = ParamId::GearCos(Joint::J1).column();
 const GEAR_SIN_COLUMN: usize = ParamId::GearSin(Joint::J1).column();
 const TURN_COLUMN: usize = ParamId::TrackerTurn(Coordinate::X).column();
 
+impl LengthRow {
+    /// How much shorter the length is if the bar pulls the tool ball by a force (N): each joint turns by its compliance c times the
+    /// torque F a for the derivative a of the length by the joint, which is F c a^2 of the length, mm.
+    pub fn shortened_mm(&self, geometry: &Geometry, force_n: f64) -> f64 {
+        let of_joint = |joint| geometry.compliance_of_payload(joint) * self.by_compliance(joint, force_n);
+        -(0..AXES).map(of_joint).sum::<f64>()
+    }
+
+    /// The same length with a bar that pulls. What this changes of derivatives by other parameters than the compliances is of
+    /// second order.
+    pub(crate) fn pulled(&mut self, geometry: &Geometry, force_n: f64) {
+        self.length -= self.shortened_mm(geometry, force_n);
+        for joint in 0..AXES {
+            let by_compliance = self.by_compliance(joint, force_n);
+            self.columns[COMPLIANCE_COLUMN + joint] += by_compliance;
+            self.columns[PAYLOAD_COMPLIANCE_COLUMN + joint] += by_compliance;
+        }
+    }
+
+    /// The derivative of a length by the compliance of a joint that the bar's force turns, mm per rad/(N m).
+    fn by_compliance(&self, joint: usize, force_n: f64) -> f64 {
+        -1e-3 * force_n * self.columns[THETA_COLUMN + joint].powi(2)
+    }
+}
+
 impl Default for LengthRow {
     fn default() -> Self {
         let datum = Datum::Ball(BallId::FIRST, BarId::FIRST);

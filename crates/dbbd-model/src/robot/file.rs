@@ -382,7 +382,7 @@ impl RobotFile {
             mass: masses.iter().filter(|_| is_written).map(mass).collect(),
             payload: payloads.iter().map(payload).collect(),
             provenance: robot.provenance.clone(),
-            drift: (robot.drift != Drift::default()).then_some(robot.drift),
+            drift: robot.drift.is_learnt().then_some(robot.drift),
             posterior: robot.posterior.clone(),
             nominal: robot.nominal.as_ref().map(|nominal| Box::new(Self::from_robot(nominal))),
             uncertainty: robot.uncertainty.as_deref().cloned(),

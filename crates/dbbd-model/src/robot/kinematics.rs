@@ -105,6 +105,12 @@ impl Geometry {
         self.joint_errors.derivatives(&joints, senses, each);
     }
 
+    /// How far a joint turns under a torque that is known, rad/(N m). `compliance` alone is by that of the links, which is known
+    /// as well as their masses.
+    pub(super) fn compliance_of_payload(&self, joint: usize) -> f64 {
+        self.compliance[joint] + self.payload_compliance[joint]
+    }
+
     /// Whether gravity turns its joints.
     fn bends(&self) -> bool {
         self.compliance.iter().chain(&self.payload_compliance).any(|compliance| *compliance != 0.0)

@@ -33,7 +33,7 @@ pub use controller::ControllerModel;
 pub use coupling::{CoupledAxis, Coupling};
 pub use definition::{LoadedRobot, Robot, Tolerance};
 pub use dh_row::DhRow;
-pub use drift::{Drift, MeasurementConditions};
+pub use drift::{Drift, MeasurementConditions, ZeroSteps};
 pub use ids::{
     Approach, AxisAngles, BallId, BarId, CircleId, Coordinate, Datum, Joint, PayloadId, TargetId,
     max_axis_difference,

@@ -61,6 +61,7 @@ impl Robot {
     fn widened(&self, months: f64, kelvin: f64) -> Self {
         let steps = self.steps(months, kelvin);
         let mut later = self.clone();
+        later.drift.since_months += months;
         if let Some(known) = &mut later.posterior {
             known.widen(&steps);
         }

@@ -120,6 +120,7 @@ impl Job {
             ("[bar]", "radius_mm", Some(bar.radius_mm), Quantity::BodyRadius),
             ("[bar]", "length_u_mm", bar.length_u_mm, Quantity::ExpandedLengthUncertainty),
             ("[bar]", "temperature_c", bar.temperature_c, Quantity::CertificateTemperature),
+            ("[bar]", "force_n", bar.force_n, Quantity::BarForce),
             ("[bar]", "expansion_per_k", bar.expansion_per_k, Quantity::Expansion),
             ("[motion]", "feed_mm_s", Some(motion.feed_mm_s), Quantity::Feed),
             ("[motion]", "turn_deg_s", Some(motion.turn_deg_s), Quantity::TurnSpeed),

@@ -112,6 +112,9 @@ pub struct JobBar {
     /// Thermal expansion of the bar, 1/K.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expansion_per_k: Option<f64>,
+    /// How strongly the bar pulls the tool ball towards the base ball, N.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_n: Option<f64>,
     /// Radius of the bar's body, mm, for the distance from obstacles.
     #[serde(default = "default_radius")]
     pub radius_mm: f64,

@@ -279,10 +279,10 @@ fn rms(values: &[f64]) -> f64 {
 }
 
 #[test]
-#[ignore = "a campaign: three years of six robots"]
+#[ignore = "a campaign: three years of eight robots"]
 fn robots_are_renewed_for_three_years() {
     let mut years = Years::default();
-    for seed in [1, 2, 3, 5, 6, 7] {
+    for seed in 1..=8 {
         three_years(seed, &[4, 9], &mut years);
     }
     let (error, full, predicted, covered) =

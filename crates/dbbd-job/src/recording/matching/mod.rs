@@ -134,6 +134,7 @@ fn measurements(
             circle: place.and_then(|_| CircleId::new(row.circle)),
             angle_deg: place.map(|place| place.angle_deg),
             taught_deg: taught.map(|taught| Box::new(taught.axes_deg)),
+            force_n: plan.header.job.bar.force_n,
             ..MeasurementContext::default()
         };
         Some(Measurement {
@@ -153,5 +154,10 @@ fn measurements(
     let mut rows: Vec<Measurement> = stopped.chain(passed).collect();
     rows.sort_by_key(|row| row.index);
     let taught = plan.taught().next().map(|_| ContextColumn::TaughtDeg);
-    Measurements { rows, columns: COLUMNS.into_iter().chain(taught).collect(), payloads: Vec::new() }
+    let force = plan.header.job.bar.force_n.map(|_| ContextColumn::ForceN);
+    Measurements {
+        rows,
+        columns: COLUMNS.into_iter().chain(taught).chain(force).collect(),
+        payloads: Vec::new(),
+    }
 }

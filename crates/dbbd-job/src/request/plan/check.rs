@@ -1,7 +1,7 @@
 //! The poses of a short run of a calibrated robot in a new set-up: to see whether it changed, or to renew its calibration.
 
 use super::{CheckPoses, PlanningKnowledge};
-use crate::plan::{Job, Plan, PlanRow, PlanningPrior, PoseKind};
+use crate::plan::{Job, Plan, PlanningPrior, PoseKind};
 use crate::request::RequestSession;
 use crate::request::check::LengthSigma;
 use crate::request::robots::today;
@@ -112,7 +112,8 @@ impl<'a> PlannedCheck<'a> {
             return Ok(plan.predict(&self.robot, prior));
         }
         let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit);
-        let readings: Vec<PreparedMeasurement> = dwells.map(PlanRow::reading).collect();
+        let readings: Vec<PreparedMeasurement> =
+            dwells.map(|row| row.reading(&plan.header.job.bar)).collect();
         let power = self.input(&readings).power()?;
         let best_mm = power.least_tolerance_mm;
         if let Some(tolerance_mm) = power.tolerance_mm.filter(|tolerance| *tolerance < best_mm) {
