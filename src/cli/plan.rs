@@ -108,6 +108,11 @@ pub(super) fn show(out: &CommandOutput, document: &PlanDocument, directory: &Pat
         plan.rows.last().map_or(0, |row| row.circle),
         plan.duration_s() / 60.0
     ));
+    if let Some(payload) = &plan.header.job.payload {
+        out.result(format!(
+            "the flange carries `{payload}` during the run: mount it, and tell the controller"
+        ));
+    }
     out.result("worst of what was checked along the whole path:");
     for check in &plan.header.checks {
         out.result(format!("  {check}"));

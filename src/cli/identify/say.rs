@@ -79,6 +79,10 @@ fn position(result: &CalibrationResult) -> Vec<String> {
         mm(predicted.nominal.p95),
         mm(predicted.identified.p95)
     ));
+    lines.extend(result.predicted_orientation_uncertainty_mrad.iter().map(|turned| {
+        let [before, after] = [turned.nominal.mean, turned.identified.mean];
+        format!("predicted orientation error of the flange: mean {before:.2} -> {after:.2} mrad")
+    }));
     lines.extend(result.validity.iter().map(|validity| format!("valid {validity}")));
     if result.count(Status::Fixed) > 0 {
         lines.push("  fixed parameters count as exact in it".into());

@@ -554,9 +554,8 @@ mod tests {
         robot.compliance[2] = 4e-7;
         let free = setup(&robot);
         let pulling = WorldSetup { bar: TrueBar { force_n: 50.0, ..free.bar }, ..free.clone() };
-        let [free, pulled] = [free, pulling].map(|setup| {
-            World::new(robot.clone(), setup, 1).reading(&moment(0.0, HOME, 1)).reading_mm
-        });
+        let [free, pulled] = [free, pulling]
+            .map(|setup| World::new(robot.clone(), setup, 1).reading(&moment(0.0, HOME, 1)).reading_mm);
         let ball = robot.ball(&HOME).position;
         let lever = robot.axis_jacobian(&HOME)[2].0.dot(&Vector3::z());
         let shorter = 50.0 * 4e-7 * 1e-3 * lever * lever;

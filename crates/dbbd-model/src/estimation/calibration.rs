@@ -207,6 +207,7 @@ impl<'a> Calibration<'a> {
             hypotheses,
             monte_carlo: checks.monte_carlo,
             predicted_position_uncertainty_mm: prediction.pair,
+            predicted_orientation_uncertainty_mrad: Some(prediction.orientation),
             validity: Validity::of(&robot, None, &prediction.map),
             parameters: self.parameters,
             combinations: estimate.analysis.combinations(),

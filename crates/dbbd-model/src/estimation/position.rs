@@ -11,7 +11,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::workspace::{Workspace, take_out_rigid_motion, take_out_rigid_motion_of};
+use super::workspace::{ErrorSummary, Workspace, take_out_rigid_motion, take_out_rigid_motion_of};
 use crate::math::{beside, stacked};
 use crate::measurement::{ApproachedPose, LengthModel};
 use crate::robot::{
@@ -28,17 +28,54 @@ const MIN_POSES: usize = 10;
 pub struct Positions {
     /// In the robot base, mm.
     pub balls: Vec<Vector3<f64>>,
-    /// What the root's columns move, 3 rows a pose, mm.
+    errors: PoseErrors,
+}
+
+/// What is not known of a vector at poses: the place of the ball (mm), or the turn of the flange (rad).
+struct PoseErrors {
+    /// What the root's columns move, 3 rows a pose.
     moved: DMatrix<f64>,
-    /// What each joint moves, mm/rad, and the standard deviation of its error beside the root's, rad.
+    /// What each joint moves, a rad, and the standard deviation of its error beside the root's, rad.
     joints: Vec<[JointDisplacement; AXES]>,
-    pose_mm: f64,
+    /// The standard deviation of each coordinate when a pose is repeated.
+    repeated: Vec<f64>,
 }
 
 #[derive(Clone, Copy)]
 struct JointDisplacement {
     column: Vector3<f64>,
     sd_rad: f64,
+}
+
+impl PoseErrors {
+    fn covariance(&self, pose: usize) -> Matrix3<f64> {
+        let moved = self.moved.rows(3 * pose, 3);
+        let mut covariance = Matrix3::identity() * self.repeated[pose].powi(2);
+        covariance += moved * moved.transpose();
+        for by_angle in &self.joints[pose] {
+            covariance += by_angle.column * by_angle.column.transpose() * (by_angle.sd_rad * by_angle.sd_rad);
+        }
+        covariance
+    }
+
+    /// Errors of robots drawn from it, a column each, 3 rows a pose, with a repeatability of their own at each pose.
+    fn draws(&self, repeated: impl Fn(usize) -> f64) -> DMatrix<f64> {
+        let mut drawn = &self.moved * unit_draws(self.moved.ncols());
+        let mut random = Pcg64::seed_from_u64(2);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
+        for mut column in drawn.column_iter_mut() {
+            for (pose, by_joint) in self.joints.iter().enumerate() {
+                let sd = repeated(pose);
+                let mut error = Vector3::from_fn(|_, _| sd * normal());
+                for by_angle in by_joint {
+                    error += by_angle.column * (by_angle.sd_rad * normal());
+                }
+                let mut there = column.fixed_rows_mut::<3>(3 * pose);
+                there += error;
+            }
+        }
+        drawn
+    }
 }
 
 impl Positions {
@@ -79,18 +116,13 @@ impl Positions {
         let BallMotion { jacobian, balls, .. } = motion;
         let mut moved = beside(jacobian * &unknown.root, &by_payload);
         take_out_rigid_motion_of(&mut moved, &balls, datum);
-        Self { balls, moved, joints, pose_mm: unknown.pose_mm }
+        let repeated = vec![unknown.pose_mm; balls.len()];
+        Self { balls, errors: PoseErrors { moved, joints, repeated } }
     }
 
     /// The covariance of the ball's place at a pose, with the repeatability of the pose, mm^2.
     pub fn covariance(&self, pose: usize) -> Matrix3<f64> {
-        let moved = self.moved.rows(3 * pose, 3);
-        let mut covariance = Matrix3::identity() * (self.pose_mm * self.pose_mm);
-        covariance += moved * moved.transpose();
-        for by_angle in &self.joints[pose] {
-            covariance += by_angle.column * by_angle.column.transpose() * (by_angle.sd_rad * by_angle.sd_rad);
-        }
-        covariance
+        self.errors.covariance(pose)
     }
 
     /// The 3-D standard deviation (root of the mean square) at a pose, mm.
@@ -100,20 +132,7 @@ impl Positions {
 
     /// Errors of robots drawn from it, a column each, 3 rows a pose, mm; a pose repeats to `pose_mm` in them.
     pub(super) fn draws(&self, pose_mm: f64) -> DMatrix<f64> {
-        let mut drawn = &self.moved * unit_draws(self.moved.ncols());
-        let mut random = Pcg64::seed_from_u64(2);
-        let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
-        for mut column in drawn.column_iter_mut() {
-            for (pose, by_joint) in self.joints.iter().enumerate() {
-                let mut error = Vector3::from_fn(|_, _| pose_mm * normal());
-                for by_angle in by_joint {
-                    error += by_angle.column * (by_angle.sd_rad * normal());
-                }
-                let mut there = column.fixed_rows_mut::<3>(3 * pose);
-                there += error;
-            }
-        }
-        drawn
+        self.errors.draws(|_| pose_mm)
     }
 }
 
@@ -143,27 +162,27 @@ impl AlignedPoses {
 
 /// How a tool frame is turned at poses, with what is not known of it.
 pub struct Orientations {
-    /// Rotation vectors by the root's columns, 3 rows a pose, rad.
-    turned: DMatrix<f64>,
-    /// How far each pose is turned when it is repeated, rad.
-    repeated_rad: Vec<f64>,
-    /// Rotation vectors by the angle of each joint, rad/rad, and the standard deviation of its error beside the root's, rad.
-    joints: Vec<[JointDisplacement; AXES]>,
+    errors: PoseErrors,
 }
 
 impl Orientations {
     /// Of a robot's flange at `poses`; the turn that all poses have in common is taken out.
+    pub fn of(robot: &Robot, poses: &[ApproachedPose]) -> Self {
+        Self::new(&robot.geometry, &robot.known_uncertainty(), robot.reach_mm(), poses)
+    }
+
+    /// By what is not known of an arm that reaches so far (mm).
     ///
     /// It follows from three points of the flange, one on each axis, as far as the arm is long, against the flange itself.
-    pub fn of(robot: &Robot, poses: &[ApproachedPose]) -> Self {
-        let unknown = robot.known_uncertainty().without_tool();
-        let arm_mm = robot.reach_mm();
+    pub(super) fn new(
+        geometry: &Geometry,
+        unknown: &RobotUncertainty,
+        arm_mm: f64,
+        poses: &[ApproachedPose],
+    ) -> Self {
+        let unknown = unknown.clone().without_tool();
         let points = [Vector3::zeros(), Vector3::x(), Vector3::y(), Vector3::z()];
-        let geometries = points.map(|point| {
-            let mut geometry = robot.geometry.clone();
-            geometry.tool = point * arm_mm;
-            geometry
-        });
+        let geometries = points.map(|point| Geometry { tool: point * arm_mm, ..geometry.clone() });
         let given: Vec<([f64; AXES], Approach)> =
             poses.iter().map(|pose| (pose.axes.radians(), pose.approach)).collect();
         let motions = geometries.map(|geometry| BallMotion::new(&geometry, &given, &unknown.parameters));
@@ -175,7 +194,7 @@ impl Orientations {
             places.extend(&motion.balls);
         }
         take_out_rigid_motion(&mut moved, &places);
-        let remaining = RemainingErrors::new(&robot.geometry, &unknown);
+        let remaining = RemainingErrors::new(geometry, &unknown);
         let mut turned = DMatrix::zeros(rows, unknown.root.ncols());
         let joints = given.iter().enumerate().map(|(pose, (axes, approach))| {
             let axis = |of: usize| (motions[of].balls[pose] - motions[0].balls[pose]) / arm_mm;
@@ -197,18 +216,20 @@ impl Orientations {
         // A pose scatters as if all joints did so alike.
         let repeated = |moved: &[Vector3<f64>; AXES]| {
             let squares: f64 = moved.iter().map(Vector3::norm_squared).sum();
-            (3.0 * AXES as f64 / squares).sqrt() * unknown.pose_mm
+            (AXES as f64 / squares).sqrt() * unknown.pose_mm
         };
-        let repeated_rad =
-            BallMotion::new(&robot.geometry, &given, &[]).by_joint.iter().map(repeated).collect();
-        Self { turned, repeated_rad, joints }
+        let repeated = BallMotion::new(geometry, &given, &[]).by_joint.iter().map(repeated).collect();
+        Self { errors: PoseErrors { moved: turned, joints, repeated } }
     }
 
     /// The standard deviation of the rotation at a pose (root of the mean square angle), rad.
     pub fn sd_rad(&self, pose: usize) -> f64 {
-        let by_angle = |joint: &JointDisplacement| joint.column.norm_squared() * joint.sd_rad.powi(2);
-        let by_joints: f64 = self.joints[pose].iter().map(by_angle).sum();
-        (self.turned.rows(3 * pose, 3).norm_squared() + by_joints).sqrt().hypot(self.repeated_rad[pose])
+        self.errors.covariance(pose).trace().sqrt()
+    }
+
+    /// Over all poses and many robots, mrad, without the repeatability of a pose.
+    pub(super) fn summary_mrad(&self) -> ErrorSummary {
+        ErrorSummary::of(&(self.errors.draws(|_| 0.0) * 1e3))
     }
 }
 

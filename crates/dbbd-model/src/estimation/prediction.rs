@@ -6,7 +6,7 @@ use super::estimator::Estimate;
 use super::hyper_parameters::{Group, Hypers};
 use super::lengths::Lengths;
 use super::options::Setting;
-use super::position::{BallMotion, Positions, compressed};
+use super::position::{BallMotion, Orientations, Positions, compressed};
 use super::priors::Prior;
 use super::result::{MapPoint, PredictedPair};
 use super::selection::is_bar;
@@ -36,6 +36,8 @@ pub struct PositionParts {
 /// The predicted position uncertainty of the nominal and the identified robot.
 pub(crate) struct Prediction {
     pub(crate) pair: PredictedPair,
+    /// The same of the orientation of the flange, mrad.
+    pub(super) orientation: PredictedPair,
     pub(super) parts: PositionParts,
     pub(super) map: Vec<MapPoint>,
     /// Of the robot by its manufacturer's tolerance, independent of an earlier identification.
@@ -51,10 +53,10 @@ impl Prediction {
         let model = &estimate.fit.model;
         let axes = setting.options.workspace_poses(setting.robot);
         let poses: Vec<ApproachedPose> = axes.iter().map(ApproachedPose::unapproached).collect();
-        let of_workspace = thinned(poses.len()).map(|at| poses[at]);
+        let of_workspace: Vec<ApproachedPose> = thinned(poses.len()).map(|at| poses[at]).collect();
         let measured = thinned(lengths.len()).map(|at| measured_pose(&lengths.reading(at)));
         let own = estimate.uncertainty(setting.robot);
-        let by: Vec<ApproachedPose> = of_workspace.chain(measured).collect();
+        let by: Vec<ApproachedPose> = of_workspace.iter().copied().chain(measured).collect();
         let uncertainty = compressed(model, &own, &by).with_digits_of_file();
         let (whole, unknown) = match &estimate.left_out {
             Some(left_out) => (&left_out.whole, &left_out.uncertainty),
@@ -70,9 +72,17 @@ impl Prediction {
         let rms = |pose: usize| (moved.rows(3 * pose, 3).norm_squared() / moved.ncols() as f64).sqrt();
         let point =
             |(pose, ball): (usize, &nalgebra::Vector3<f64>)| MapPoint { position: *ball, rms_mm: rms(pose) };
-        let (nominal, maker) = nominal(setting, &poses);
+        let (before, maker) = nominal(setting, &poses);
+        let turned = |geometry: &Geometry, unknown: &RobotUncertainty| {
+            Orientations::new(geometry, unknown, setting.robot.reach_mm(), &of_workspace).summary_mrad()
+        };
+        let (start, of_start) = &before;
+        let orientation =
+            PredictedPair { nominal: turned(start, of_start), identified: turned(whole, unknown) };
+        let nominal = position_summary(start, of_start, &poses);
         Self {
             pair: PredictedPair { nominal, identified: ErrorSummary::of(&moved) },
+            orientation,
             parts: parts(estimate, &axes),
             map: positions.balls.iter().enumerate().map(point).collect(),
             maker,
@@ -87,29 +97,35 @@ impl Prediction {
     }
 }
 
-/// Of the robot before the lengths, and of one by its manufacturer's tolerance.
-fn nominal(setting: &Setting<'_>, poses: &[ApproachedPose]) -> (ErrorSummary, ErrorSummary) {
+/// The robot before the lengths with what is not known of it, and the position uncertainty of one by its manufacturer's tolerance.
+fn nominal(setting: &Setting<'_>, poses: &[ApproachedPose]) -> ((Geometry, RobotUncertainty), ErrorSummary) {
     let geometry = &setting.start.geometry;
-    let of = |geometry: &Geometry, unknown: &RobotUncertainty| {
-        ErrorSummary::of(&Positions::new(geometry, unknown, poses).draws(0.0))
-    };
     let ids = setting.all_and(0.into(), &[]);
     let ids: Vec<ParamId> = ids.into_iter().filter(|id| id.is_geometric()).collect();
     let has_errors = !setting.options.follows_list();
-    let of_usual =
-        |root: &DMatrix<f64>| of(&geometry.rigid(), &with_usual_joint_errors(&ids, root, has_errors));
+    let of_usual = |root: &DMatrix<f64>| (geometry.rigid(), with_usual_joint_errors(&ids, root, has_errors));
     let tolerances = ids.iter().map(|id| setting.priors.geometric(*id).unwrap_or(0.0));
     let tolerances = DVector::from_iterator(ids.len(), tolerances);
     let maker = of_usual(&DMatrix::from_diagonal(&tolerances));
+    let of_maker = position_summary(&maker.0, &maker.1, poses);
     let before = match setting.options.prior {
-        Prior::Posterior => of(geometry, &setting.robot.known_uncertainty()),
+        Prior::Posterior => (geometry.clone(), setting.robot.known_uncertainty()),
         Prior::Given(_) => {
             let sds: Vec<f64> = ids.iter().map(|id| setting.priors.bound(*id).unwrap_or(0.0)).collect();
             of_usual(&setting.priors.root(&ids, &sds))
         }
         Prior::None | Prior::Datasheet => maker,
     };
-    (before, maker)
+    (before, of_maker)
+}
+
+/// Of a robot over poses, mm, without the repeatability of a pose.
+fn position_summary(
+    geometry: &Geometry,
+    unknown: &RobotUncertainty,
+    poses: &[ApproachedPose],
+) -> ErrorSummary {
+    ErrorSummary::of(&Positions::new(geometry, unknown, poses).draws(0.0))
 }
 
 /// What is not known of a robot whose geometry has this root, with the errors of joints that robots usually have. Where a list

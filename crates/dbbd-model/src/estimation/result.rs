@@ -68,6 +68,9 @@ pub struct CalibrationResult {
     pub hypotheses: Vec<RunHypothesis>,
     pub monte_carlo: Option<MonteCarlo>,
     pub predicted_position_uncertainty_mm: PredictedPair,
+    /// Of the flange, over some of the same poses; absent in results of earlier versions.
+    #[serde(default)]
+    pub predicted_orientation_uncertainty_mrad: Option<PredictedPair>,
     /// For which tool, payload and time the result holds.
     pub validity: Option<Validity>,
     /// Every parameter of the model.
@@ -282,7 +285,7 @@ pub struct Folds {
     pub rms: f64,
 }
 
-/// Predicted position uncertainty over the workspace, of the nominal robot by its tolerance and of the identified one.
+/// A predicted uncertainty over the workspace, of the nominal robot by its tolerance and of the identified one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PredictedPair {
     pub nominal: ErrorSummary,

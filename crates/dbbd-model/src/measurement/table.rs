@@ -215,15 +215,39 @@ impl Measurements {
         Ok(self)
     }
 
-    /// Appends the rows of a further table of the same robot, with the same payloads, without its further columns.
+    /// Appends the rows of a further table of the same robot. Of its further columns only the pull of the bar, which the lengths
+    /// depend on, goes along.
     ///
     /// # Errors
     /// As [`Self::new`].
     pub fn and(mut self, further: &Self) -> Result<Self, MeasurementFinding> {
-        let plain = |row: &Measurement| Measurement { context: None, ..row.clone() };
-        self.rows.extend(further.rows.iter().map(plain));
+        let mut payloads = self.payloads;
+        // Where one table names no payload, the first of the other is that of all its rows.
+        let are_named = !payloads.is_empty();
+        let place = |(at, name): (usize, &String)| {
+            let known = payloads.iter().position(|known| known == name);
+            let appended = || {
+                payloads.push(name.clone());
+                payloads.len() - 1
+            };
+            if are_named { known.unwrap_or_else(appended) } else { at }
+        };
+        let places: Vec<usize> = further.payloads.iter().enumerate().map(place).collect();
+        let appended = further.rows.iter().map(|row| {
+            let force_n = row.context.as_ref().and_then(|context| context.force_n);
+            let context =
+                force_n.map(|_| Arc::new(MeasurementContext { force_n, ..MeasurementContext::default() }));
+            let payload = places.get(row.payload.index()).map_or(row.payload, |at| PayloadId::at(*at));
+            Measurement { context, payload, ..row.clone() }
+        });
+        self.rows.extend(appended);
+        let has_force =
+            self.rows.iter().any(|row| row.context.as_ref().is_some_and(|it| it.force_n.is_some()));
+        if has_force && !self.columns.contains(&ContextColumn::ForceN) {
+            self.columns.push(ContextColumn::ForceN);
+        }
         let all = Self::new(self.rows, self.columns)?;
-        let payloads = if self.payloads.is_empty() { further.payloads.clone() } else { self.payloads };
+        let payloads = if are_named { payloads } else { further.payloads.clone() };
         Ok(Self { payloads, ..all })
     }
 
@@ -567,6 +591,34 @@ mod tests {
         assert!(read.check("t.csv", read.set_up(2)).is_ok() && read.check("t.csv", read.set_up(1)).is_err());
         let both = read.clone().and(&read).unwrap();
         assert_eq!((both.rows.len(), both.rows[2].context.is_none()), (4, true));
+    }
+
+    /// Tables that name payloads in another order, and one that names none.
+    #[test]
+    fn joined_rows_keep_their_payload_and_the_pull_of_the_bar() {
+        let first = table(",payload", &["1,1,0,0,0,0,0,0,300,bar", "2,1,1,0,0,0,0,0,300,gripper"]).unwrap();
+        let rows =
+            ["3,1,2,0,0,0,0,0,300,gripper,20", "4,1,3,0,0,0,0,0,300,spindle,", "5,1,4,0,0,0,0,0,300,bar,50"];
+        let second = table(",payload,force_n", &rows).unwrap();
+        let names = |of: &Measurements| -> Vec<String> {
+            of.rows
+                .iter()
+                .map(|row| of.payloads.get(row.payload.index()).cloned().unwrap_or_default())
+                .collect()
+        };
+        let forces = |of: &Measurements| -> Vec<Option<f64>> {
+            of.rows.iter().map(|row| row.context.as_ref().and_then(|context| context.force_n)).collect()
+        };
+        let both = first.clone().and(&second).unwrap();
+        assert_eq!(names(&both), ["bar", "gripper", "gripper", "spindle", "bar"]);
+        assert_eq!(forces(&both), [None, None, Some(20.0), None, Some(50.0)]);
+        let read = Measurements::from_csv("t.csv", &both.to_csv()).unwrap();
+        assert_eq!((names(&read), forces(&read)), (names(&both), forces(&both)));
+        let plain = table("", &["6,1,5,0,0,0,0,0,300"]).unwrap();
+        assert_eq!(names(&plain.clone().and(&first).unwrap()), ["", "bar", "gripper"]);
+        assert_eq!(names(&first.and(&plain).unwrap()), ["bar", "gripper", ""]);
+        assert!(table(",force_n", &["1,1,0,0,0,0,0,0,300,x"]).is_err());
+        assert!(table(",force_n", &["1,1,0,0,0,0,0,0,300,5000"]).is_err());
     }
 
     #[test]

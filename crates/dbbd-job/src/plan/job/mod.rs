@@ -34,6 +34,9 @@ pub struct Job {
     /// Serial numbers, people, place and circumstances.
     #[serde(default, skip_serializing_if = "Identity::is_empty")]
     pub identity: Identity,
+    /// What the flange carries during the run: the name of a payload of the robot's file; the first of them when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub payload: Option<String>,
     /// Seed of random orientations and of chosen poses.
     #[serde(default = "one")]
     pub seed: u32,

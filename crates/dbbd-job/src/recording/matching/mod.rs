@@ -145,7 +145,7 @@ fn measurements(
             approach: approaches.get(at).copied().unwrap_or_default(),
             length_mm: plan.header.job.bar.length_mm + reading.reading_mm,
             sigma_mm: Some(reading.u_mm.hypot(timing_mm).max(input.bar_sigma_mm)),
-            payload: PayloadId::FIRST,
+            payload: PayloadId::at(usize::from(plan.header.job.payload.is_some())),
             context: Some(Arc::new(context)),
         })
     };
@@ -158,6 +158,7 @@ fn measurements(
     Measurements {
         rows,
         columns: COLUMNS.into_iter().chain(taught).chain(force).collect(),
-        payloads: Vec::new(),
+        // The first name is the one of rows that name none.
+        payloads: plan.header.job.payload.iter().flat_map(|name| [String::new(), name.clone()]).collect(),
     }
 }

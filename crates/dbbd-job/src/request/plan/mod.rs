@@ -202,7 +202,9 @@ impl PlanRequest {
         let file = self.robot.as_deref().or(given.is_none().then_some(job.robot.as_str()));
         let robot_name = file.unwrap_or(given.as_ref().map_or("", |given| &given.robot.name)).to_owned();
         let read = given.map_or_else(|| robot_for_measurement(&robot_name, session), Ok)?;
-        let LoadedRobot { robot, source, .. } = with_serial(&job, read)?;
+        let LoadedRobot { mut robot, source, .. } = with_serial(&job, read)?;
+        let carried = job.payload.as_ref().map(|payload| robot.geometry.load.carry(payload));
+        carried.transpose().map_err(|why| why.in_file(&name))?;
         job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
         session.findings_in(&name, job.without_effect(&robot));
         session.findings_in(&name, job.in_robot(&robot));
