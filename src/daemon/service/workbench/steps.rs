@@ -1,5 +1,7 @@
 //! The states of the nine steps, from the files that exist and the jobs of the service.
 
+use dbbd_job::request::identify;
+use dbbd_model::base::date;
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord, Severity};
 use serde_json::{Value, json};
 
@@ -15,6 +17,12 @@ use crate::live::{
 const END_MARK: &str = "the program's end mark";
 /// Findings that are shown of a result.
 const MAX_FINDINGS: usize = 40;
+/// So many months before a calibration ends its renewal is offered.
+const RENEWAL_MONTHS: f64 = 1.0;
+/// The sentence of a result whose validity is over.
+pub(super) const OVER: &str = "result.over";
+/// The directory of the plan of a renewal: the plan of the job is kept.
+const RENEWAL: &str = "renewal-plan";
 
 /// What the service does at the moment.
 pub(super) struct Activity<'a> {
@@ -22,6 +30,8 @@ pub(super) struct Activity<'a> {
     pub(super) jobs: &'a [EvaluationJob],
     /// The plan of the run in progress.
     pub(super) recording: Option<&'a str>,
+    /// The time, as `date::utc` writes it.
+    pub(super) today: &'a str,
     pub(super) explain: &'a dyn Fn(FindingRecord) -> ExplainedFinding,
 }
 
@@ -103,10 +113,10 @@ pub(super) fn steps(files: &WorkFiles, now: &Activity<'_>) -> Vec<StepReport> {
     [
         (WorkStep::Robot, robot(files)),
         (WorkStep::Cell, cell(files)),
-        (WorkStep::Plan, plan(files)),
+        (WorkStep::Plan, plan(files, now)),
         (WorkStep::Programs, programs(files)),
         (WorkStep::Measure, measure(files, now)),
-        (WorkStep::Result, result(files)),
+        (WorkStep::Result, result(files, now)),
         (WorkStep::Correct, correct(files)),
         (WorkStep::Check, check(files, now)),
         (WorkStep::Certificate, certificate(files)),
@@ -203,23 +213,72 @@ fn job_file(files: &WorkFiles) -> &str {
     files.job.as_ref().map_or("job.toml", |job| &job.file)
 }
 
-/// The directory of the newest plan, or that of a new one.
+/// The directory of the newest plan of a kind, or that of a new one.
 pub(super) fn plan_directory(files: &WorkFiles, is_check: bool) -> &str {
     let new = if is_check { "check-plan" } else { "plan" };
-    files.plan(is_check).map_or(new, |plan| &plan.directory.name)
+    let own = |plan: &&FoundPlan| plan.is_check == is_check && plan.directory.name != RENEWAL;
+    files.plans.iter().find(own).map_or(new, |plan| &plan.directory.name)
 }
 
-fn plan(files: &WorkFiles) -> Drafted {
-    let command = format!("dbbd plan {} --out {}", job_file(files), plan_directory(files, false));
+/// A calibration that ends.
+pub(super) struct Renewal<'a> {
+    until: &'a str,
+    is_over: bool,
+    /// The identified robot.
+    pub(super) robot: String,
+    /// Of its plan.
+    pub(super) directory: &'static str,
+}
+
+/// The renewal of the result if its validity is over or nearly so, unless the job was changed since it was planned.
+pub(super) fn renewal<'a>(files: &'a WorkFiles, today: &str) -> Option<Renewal<'a>> {
+    let result = files.result.as_ref()?;
+    let is_current = files.plan(false).is_none_or(|plan| !is_stale(files, plan));
+    (months_left(result, today)? < RENEWAL_MONTHS && is_current).then_some(Renewal {
+        until: result.content["validity"]["until"].as_str()?,
+        is_over: is_over(result, today),
+        robot: identified_robot(files),
+        directory: RENEWAL,
+    })
+}
+
+/// Until the end of the validity; `None` if it has no known one.
+fn months_left(result: &FoundDocument, today: &str) -> Option<f64> {
+    date::months_between(today, result.content["validity"]["until"].as_str()?)
+}
+
+fn is_over(result: &FoundDocument, today: &str) -> bool {
+    months_left(result, today).is_some_and(|months| months < 0.0)
+}
+
+/// The file of the identified robot.
+pub(super) fn identified_robot(files: &WorkFiles) -> String {
+    format!("{}/{}", result_directory(files), identify::ROBOT)
+}
+
+fn plan(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
+    let renewal = renewal(files, now.today);
+    let (asked, directory) = match &renewal {
+        Some(renewal) => (format!(" --renew --robot {}", renewal.robot), renewal.directory),
+        None => (String::new(), plan_directory(files, false)),
+    };
+    let command = format!("dbbd plan {}{asked} --out {directory}", job_file(files));
     let Some(WorkJob { job: Ok(_), .. }) = &files.job else {
         return Drafted::todo("plan.no_job").command(command);
     };
-    let drafted = match files.plan(false) {
-        None => Drafted::ready("plan.none").acting(StepAction::Compute, "act.plan"),
-        Some(plan) if is_stale(files, plan) => {
+    let result_ms = files.result.as_ref().map_or(0, |result| result.directory.changed_ms);
+    let drafted = match (files.plan(false), renewal) {
+        (Some(plan), _) if is_stale(files, plan) => {
             Drafted::ready("plan.stale").acting(StepAction::Compute, "act.plan_again")
         }
-        Some(plan) => {
+        (plan, Some(renewal)) if plan.is_none_or(|plan| plan.directory.changed_ms < result_ms) => {
+            let text = if renewal.is_over { "plan.over" } else { "plan.ends" };
+            let values = json!({ "until": renewal.until });
+            let ready = Drafted::new(StepState::Ready, StepVerdict::None, text, values);
+            ready.acting(StepAction::Compute, "act.renew")
+        }
+        (None, _) => Drafted::ready("plan.none").acting(StepAction::Compute, "act.plan"),
+        (Some(plan), _) => {
             let values = json!({
                 "poses": plan.poses, "minutes": plan.duration_s / 60.0, "predicted_mm": plan.predicted_mm,
             });
@@ -238,7 +297,11 @@ fn is_stale(files: &WorkFiles, plan: &FoundPlan) -> bool {
 
 /// The directory of the programs of a plan, or that of new ones.
 pub(super) fn program_directory(plan: &FoundPlan) -> &str {
-    let new = if plan.is_check { "check-program" } else { "program" };
+    let new = match &*plan.directory.name {
+        RENEWAL => "renewal-program",
+        _ if plan.is_check => "check-program",
+        _ => "program",
+    };
     plan.program.as_ref().map_or(new, |directory| &directory.name)
 }
 
@@ -311,7 +374,7 @@ pub(super) fn result_directory(files: &WorkFiles) -> &str {
     files.result.as_ref().map_or("result", |result| &result.directory.name)
 }
 
-fn result(files: &WorkFiles) -> Drafted {
+fn result(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
     let run = files.plan(false).and_then(|plan| usable_run(files, plan));
     let input = run.map_or("run.dbbd", |run| &run.path);
     let exclude = exclusions::options(&exclusions::of_result(files, run));
@@ -323,19 +386,19 @@ fn result(files: &WorkFiles) -> Drafted {
             Drafted::ready("result.stale").acting(StepAction::Compute, "act.result")
         }
         (Some(result), run) => {
-            let done = of_result(result);
+            let done = of_result(result, is_over(result, now.today));
             if run.is_some() { done.acting(StepAction::Compute, "act.result_again") } else { done }
         }
     };
     drafted.command(command).made(files.result.as_ref().map(|result| &result.directory))
 }
 
-fn of_result(result: &FoundDocument) -> Drafted {
+fn of_result(result: &FoundDocument, is_over: bool) -> Drafted {
     let content = &result.content;
     let found: Vec<FindingRecord> =
         content["findings"].as_array().into_iter().flatten().filter_map(recorded).collect();
     let is_doubtful = found.iter().any(|finding| finding.severity != Severity::Info);
-    let verdict = if is_doubtful { StepVerdict::Undecided } else { StepVerdict::Pass };
+    let verdict = if is_doubtful || is_over { StepVerdict::Undecided } else { StepVerdict::Pass };
     let validity = &content["validity"];
     let values = json!({
         "robot": content["robot"], "measurements": content["measurements"],
@@ -347,6 +410,7 @@ fn of_result(result: &FoundDocument) -> Drafted {
         "rank": content["rank"], "until": validity["until"],
     });
     let text = match (is_doubtful, &validity["until"]) {
+        _ if is_over => OVER,
         (true, _) => "result.doubtful",
         (false, Value::String(_)) => "result.valid",
         (false, _) => "result.found",
@@ -365,12 +429,10 @@ fn micrometres(mm: &Value) -> Option<f64> {
 }
 
 fn correct(files: &WorkFiles) -> Drafted {
-    let result = result_directory(files);
+    let robot = identified_robot(files);
     let next = uncorrected(files).first().copied().or(programs_in(files.programs.uploaded.as_ref()).next());
     let program = next.unwrap_or("PROGRAM.src");
-    let command = format!(
-        "dbbd compensate {UPLOADED}/{program} --robot {result}/robot-identified.toml --out {CORRECTED}"
-    );
+    let command = format!("dbbd compensate {UPLOADED}/{program} --robot {robot} --out {CORRECTED}");
     if files.result.is_none() {
         return Drafted::todo("correct.no_result").command(command);
     }
@@ -425,7 +487,7 @@ pub(super) fn check_part(files: &WorkFiles) -> Option<CheckPart> {
 }
 
 fn check(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
-    let robot = format!("{}/robot-identified.toml", result_directory(files));
+    let robot = identified_robot(files);
     let directory = files.check.as_ref().map_or("check", |check| &check.directory.name);
     let plan_command = format!(
         "dbbd plan --check {} --robot {robot} --out {}",
@@ -487,7 +549,7 @@ fn of_check(check: &FoundDocument) -> Drafted {
     let values = json!({
         "error_mm": content["position_error_mm"], "upper_mm": content["upper_mm"],
         "tolerance_mm": content["tolerance_mm"], "risk": content["specific_risk"],
-        "lengths": content["lengths"],
+        "lengths": content["lengths"], "until": content["validity"]["until"],
     });
     Drafted::done(verdict, text, values)
 }
@@ -517,6 +579,8 @@ mod tests {
     use dbbd_job::plan::Job;
 
     use super::*;
+
+    const TODAY: &str = "2026-05-01T12:00:00Z";
 
     fn directory(name: &str, changed_ms: u64) -> FoundDirectory {
         FoundDirectory { name: name.into(), files: vec!["a".into()], times_ms: vec![changed_ms], changed_ms }
@@ -565,7 +629,7 @@ mod tests {
 
     fn seen(files: &WorkFiles, jobs: &[EvaluationJob], recording: Option<&str>) -> Vec<StepReport> {
         let explain = |finding| ExplainedFinding { finding, cause: "", cure: "" };
-        steps(files, &Activity { jobs, recording, explain: &explain })
+        steps(files, &Activity { jobs, recording, today: TODAY, explain: &explain })
     }
 
     fn states(files: &WorkFiles) -> Vec<StepState> {
@@ -598,6 +662,47 @@ mod tests {
         files.job.as_mut().unwrap().sha256 = Some("bb".into());
         let plan = &seen(&files, &[], None)[2];
         assert_eq!((plan.state, plan.text), (StepState::Ready, "plan.stale"));
+    }
+
+    #[test]
+    fn a_calibration_that_ends_is_renewed() {
+        let mut files = WorkFiles { plans: vec![planned(false)], ..job() };
+        let of = |until: &str| {
+            let content = json!({ "findings": [], "validity": { "until": until } });
+            Some(FoundDocument { directory: directory("result", 30), content })
+        };
+        let texts = |files: &WorkFiles| {
+            let steps = seen(files, &[], None);
+            (steps[2].text, steps[5].text, steps[2].command.clone())
+        };
+        let job_plan = "dbbd plan job.toml --out plan";
+        let renewing = "dbbd plan job.toml --renew --robot result/robot-identified.toml --out renewal-plan";
+        for (until, plan, result, command) in [
+            ("2026-06-02", "plan.found_bare", "result.valid", job_plan),
+            ("2026-05-20", "plan.ends", "result.valid", renewing),
+            ("2026-04-30", "plan.over", "result.over", renewing),
+        ] {
+            files.result = of(until);
+            assert_eq!(texts(&files), (plan, result, command.into()), "{until}");
+        }
+        // Once it is planned, its programs are next; those of the job are kept.
+        let renewal = FoundPlan {
+            directory: directory(RENEWAL, 40),
+            hash: "r".into(),
+            program: None,
+            ..planned(false)
+        };
+        files.plans.insert(0, renewal);
+        let steps = seen(&files, &[], None);
+        assert_eq!((steps[2].text, steps[3].text), ("plan.found_bare", "programs.none"));
+        assert_eq!(steps[3].command, "dbbd program renewal-plan/plan.csv --out renewal-program");
+        files.runs = vec![run("r", 50)];
+        assert_eq!(seen(&files, &[], None)[5].text, "result.stale");
+        // A changed job is planned as a whole.
+        files.job.as_mut().unwrap().sha256 = Some("bb".into());
+        assert_eq!(texts(&files).2, job_plan);
+        files.runs.clear();
+        assert_eq!(texts(&files).1, OVER);
     }
 
     #[test]
