@@ -249,8 +249,11 @@ function resize() {
 /** The whole cell from the front right. */
 function reset() {
   const far = Math.max(1200, ...cell.path.flatMap((one) => one.arm.map((point) => Math.hypot(...point))));
+  const box = $("scene-canvas").parentElement;
+  // A narrow view sees less to its sides.
+  const back = far * Math.max(1, (1.2 * box.clientHeight) / (box.clientWidth || 1));
   controls.target.set(far * 0.35, 0, far * 0.3);
-  camera.position.set(far * 1.1, -far * 1.45, far * 0.95);
+  camera.position.set(back * 0.75, -back * 1.45, back * 0.65).add(controls.target);
   controls.update();
   redraw();
 }
