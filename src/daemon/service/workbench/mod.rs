@@ -129,12 +129,9 @@ fn work_of(
     let (request, out) = match step {
         WorkStep::Robot | WorkStep::Cell | WorkStep::Measure => return Err(early()),
         WorkStep::Plan => {
-            let (robot, poses, out) = match steps::renewal(files, &today()) {
-                Some(renewal) => {
-                    (Some(renewal.robot), PlannedPoses::Renew { poses: RENEWAL_POSES }, renewal.directory)
-                }
-                None => (None, PlannedPoses::Job, steps::plan_directory(files, false)),
-            };
+            let (robot, out) = steps::planned(files, false, &today());
+            let renewal = PlannedPoses::Renew { poses: RENEWAL_POSES };
+            let poses = if robot.is_some() { renewal } else { PlannedPoses::Job };
             plan_request(files, robot, poses, out).ok_or_else(early)?
         }
         WorkStep::Programs => return Ok(programs_of(plan(false)?)),
@@ -175,8 +172,8 @@ fn work_of(
                 let (poses, risk) = (CHECK_POSES, CheckRequest::RISK);
                 let tolerance_mm = options.tolerance_mm;
                 let poses = CheckPoses { poses, balls_kept: false, tolerance_mm, risk };
-                let out = steps::plan_directory(files, true);
-                plan_request(files, Some(identified), PlannedPoses::Check(poses), out).ok_or_else(early)?
+                let (robot, out) = steps::planned(files, true, &today());
+                plan_request(files, robot, PlannedPoses::Check(poses), out).ok_or_else(early)?
             }
             CheckPart::Programs => return Ok(programs_of(plan(true)?)),
             CheckPart::Measure => return Err(early()),
@@ -432,7 +429,7 @@ fn robot_of(files: &WorkFiles) -> Option<String> {
 fn summary(files: &WorkFiles, steps: &[StepReport], changed_unix_ms: Option<u64>) -> RobotSummary {
     let is_done = |step: &&StepReport| step.state == StepState::Done;
     let decision = |wanted| steps.iter().find(|step| step.step == wanted).filter(is_done);
-    let over = decision(WorkStep::Result).filter(|result| result.text == steps::OVER);
+    let over = decision(WorkStep::Result).filter(|result| result.text == "result.over");
     let decided = over.or_else(|| decision(WorkStep::Check)).or_else(|| decision(WorkStep::Result));
     let open = steps.iter().find(|step| !is_done(step));
     let shown = decided.or(open).or(steps.first());

@@ -19,8 +19,6 @@ const END_MARK: &str = "the program's end mark";
 const MAX_FINDINGS: usize = 40;
 /// So many months before a calibration ends its renewal is offered.
 const RENEWAL_MONTHS: f64 = 1.0;
-/// The sentence of a result whose validity is over.
-pub(super) const OVER: &str = "result.over";
 /// The directory of the plan of a renewal: the plan of the job is kept.
 const RENEWAL: &str = "renewal-plan";
 
@@ -214,32 +212,25 @@ fn job_file(files: &WorkFiles) -> &str {
 }
 
 /// The directory of the newest plan of a kind, or that of a new one.
-pub(super) fn plan_directory(files: &WorkFiles, is_check: bool) -> &str {
+fn plan_directory(files: &WorkFiles, is_check: bool) -> &str {
     let new = if is_check { "check-plan" } else { "plan" };
     let own = |plan: &&FoundPlan| plan.is_check == is_check && plan.directory.name != RENEWAL;
     files.plans.iter().find(own).map_or(new, |plan| &plan.directory.name)
 }
 
-/// A calibration that ends.
-pub(super) struct Renewal<'a> {
-    until: &'a str,
-    is_over: bool,
-    /// The identified robot.
-    pub(super) robot: String,
-    /// Of its plan.
-    pub(super) directory: &'static str,
+/// The robot that the next plan is made for, if it is not that of the job, and the directory of the plan: of a check, of a renewal, or of
+/// the job.
+pub(super) fn planned<'a>(files: &'a WorkFiles, is_check: bool, today: &str) -> (Option<String>, &'a str) {
+    let is_renewal = !is_check && is_renewed(files, today);
+    let robot = (is_check || is_renewal).then(|| identified_robot(files));
+    (robot, if is_renewal { RENEWAL } else { plan_directory(files, is_check) })
 }
 
-/// The renewal of the result if its validity is over or nearly so, unless the job was changed since it was planned.
-pub(super) fn renewal<'a>(files: &'a WorkFiles, today: &str) -> Option<Renewal<'a>> {
-    let result = files.result.as_ref()?;
+/// Whether the next plan renews the calibration: its validity is over or nearly so, and the job was not changed since it was planned.
+fn is_renewed(files: &WorkFiles, today: &str) -> bool {
+    let left = files.result.as_ref().and_then(|result| months_left(result, today));
     let is_current = files.plan(false).is_none_or(|plan| !is_stale(files, plan));
-    (months_left(result, today)? < RENEWAL_MONTHS && is_current).then_some(Renewal {
-        until: result.content["validity"]["until"].as_str()?,
-        is_over: is_over(result, today),
-        robot: identified_robot(files),
-        directory: RENEWAL,
-    })
+    left.is_some_and(|months| months < RENEWAL_MONTHS) && is_current
 }
 
 /// Until the end of the validity; `None` if it has no known one.
@@ -257,23 +248,22 @@ pub(super) fn identified_robot(files: &WorkFiles) -> String {
 }
 
 fn plan(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
-    let renewal = renewal(files, now.today);
-    let (asked, directory) = match &renewal {
-        Some(renewal) => (format!(" --renew --robot {}", renewal.robot), renewal.directory),
-        None => (String::new(), plan_directory(files, false)),
-    };
+    let (robot, directory) = planned(files, false, now.today);
+    let asked = robot.as_ref().map(|robot| format!(" --renew --robot {robot}")).unwrap_or_default();
     let command = format!("dbbd plan {}{asked} --out {directory}", job_file(files));
     let Some(WorkJob { job: Ok(_), .. }) = &files.job else {
         return Drafted::todo("plan.no_job").command(command);
     };
-    let result_ms = files.result.as_ref().map_or(0, |result| result.directory.changed_ms);
-    let drafted = match (files.plan(false), renewal) {
+    let ending = files.result.as_ref().filter(|_| robot.is_some());
+    let drafted = match (files.plan(false), ending) {
         (Some(plan), _) if is_stale(files, plan) => {
             Drafted::ready("plan.stale").acting(StepAction::Compute, "act.plan_again")
         }
-        (plan, Some(renewal)) if plan.is_none_or(|plan| plan.directory.changed_ms < result_ms) => {
-            let text = if renewal.is_over { "plan.over" } else { "plan.ends" };
-            let values = json!({ "until": renewal.until });
+        (plan, Some(result))
+            if plan.is_none_or(|plan| plan.directory.changed_ms < result.directory.changed_ms) =>
+        {
+            let text = if is_over(result, now.today) { "plan.over" } else { "plan.ends" };
+            let values = json!({ "until": result.content["validity"]["until"] });
             let ready = Drafted::new(StepState::Ready, StepVerdict::None, text, values);
             ready.acting(StepAction::Compute, "act.renew")
         }
@@ -410,7 +400,7 @@ fn of_result(result: &FoundDocument, is_over: bool) -> Drafted {
         "rank": content["rank"], "until": validity["until"],
     });
     let text = match (is_doubtful, &validity["until"]) {
-        _ if is_over => OVER,
+        _ if is_over => "result.over",
         (true, _) => "result.doubtful",
         (false, Value::String(_)) => "result.valid",
         (false, _) => "result.found",
@@ -702,7 +692,7 @@ mod tests {
         files.job.as_mut().unwrap().sha256 = Some("bb".into());
         assert_eq!(texts(&files).2, job_plan);
         files.runs.clear();
-        assert_eq!(texts(&files).1, OVER);
+        assert_eq!(texts(&files).1, "result.over");
     }
 
     #[test]
