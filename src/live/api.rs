@@ -21,6 +21,7 @@ use super::{Gate, Journal, Route, Site};
 use super::{downloads, metrics, stream, workbench};
 use crate::live::ServiceFinding::{NoResultKind, RemarkLength};
 use dbbd_job::page::PageFile;
+use dbbd_job::report::page::CODES;
 use dbbd_model::diagnostic::Diagnostic;
 
 /// The description of the API. A test compares it with the routes.
@@ -71,9 +72,6 @@ const LANGUAGES: &str = concat!(
     include_str!("page/texts/de.json"),
     "}"
 );
-
-/// Title and cure of the codes that the page can show, by language; English ones come with the findings.
-const CODES: &str = concat!("{\"de\":", include_str!("page/texts/codes.de.json"), "}");
 
 const fn file(path: &'static str, kind: &'static str, content: &'static str) -> PageFile {
     PageFile { path, kind, content }

@@ -10,19 +10,19 @@ use futures_util::stream;
 
 use super::server::Busy;
 use dbbd_job::page::Download;
-use dbbd_job::report::page::VIEWER_JS;
+use dbbd_job::report::page::REPORT_JS;
 use dbbd_model::base::hash::sha256_base64;
 
 /// Size of a piece, bytes.
 const PIECE: usize = 64 * 1024;
 
-/// Content security policy of a report: its own style and images, no script but the viewer's, and an opaque origin, so
+/// Content security policy of a report: its own style and images, no script but that of reports, and an opaque origin, so
 /// that it cannot reach the service.
 fn report_policy() -> String {
     format!(
         "default-src 'none'; script-src 'sha256-{}'; style-src 'unsafe-inline'; img-src data:; sandbox allow-scripts; \
          base-uri 'none'; form-action 'none'; frame-ancestors 'self'",
-        sha256_base64(VIEWER_JS)
+        sha256_base64(REPORT_JS)
     )
 }
 

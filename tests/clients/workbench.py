@@ -1,12 +1,15 @@
 """Carries a robot through the workbench in headless Chromium: from an empty directory to the certificate.
 
-    pip install playwright axe-playwright-python
+    pip install playwright axe-playwright-python pillow
     python tests/clients/workbench.py target/release/dbbd OUT [FORM ..]
+    python tests/clients/workbench.py target/release/dbbd OUT --pictures
 
 Serves an empty directory, makes a robot by the form, sees a plan refused, mends it, moves a ball, runs the demo, leaves a length
-out, corrects a program, plans and measures a check, and makes the certificate. Then compares the result with that of the command
+out, corrects a program, plans and measures a check, and makes the certificate. At a desk each step is disturbed: the page is loaded
+again, a second browser looks, the connection is lost, the bar is unplugged. Then compares the result with that of the command
 line on the same run. A form is a size, a language, a scheme, and with or without a token, as `phone-de-dark-open`; without one all
-forms of the list are played: each pair of two properties is among them. Screenshots go to OUT. Asserts that the console and axe are
+forms of the list are played: each pair of two properties is among them. Screenshots go to OUT; with --pictures those of the steps
+are renewed in docs/workbench/. Asserts that the console and axe are
 silent, how much the first view loads, and how long a frame of the view in three dimensions takes.
 """
 
@@ -16,9 +19,12 @@ import os
 import pathlib
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
+
+from PIL import Image
 
 from browser import AXE, CHROMIUM, expect, serve, sync_playwright
 
@@ -34,12 +40,16 @@ FORMS = [
     "desktop-en-light-token", "desktop-de-dark-open", "tablet-en-dark-token", "tablet-de-light-open",
     "phone-en-dark-open", "phone-de-light-token", "desktop-de-light-token", "phone-en-light-open",
 ]
+# The form whose pictures the book shows, and the height to which they are cut, pixels.
+PICTURED, MAX_PICTURE = "desktop-en-light-token", 900
 # Device time of the simulated cell per host time.
 SPEED = "50"
 # Bytes of the first view, each file compressed.
 MAX_FIRST_VIEW = 300_000
 # Median time of a frame while the view turns, ms.
 MAX_FRAME_MS = 30
+# The parts of a report whose words are the page's own.
+OWN_WORDS = "h1, h2, h3, th, dt, summary, strong, [data-verdict] p"
 said = []
 
 
@@ -49,29 +59,50 @@ def configure(cell, token):
         (cell / "token").write_text(TOKEN)
         (cell / "token").chmod(0o600)
         asked = 'token_file = "token"\n'
-    (cell / "dbbd.toml").write_text(f'address = "127.0.0.1:0"\n{asked}')
+    (cell / "dbbd.toml").write_text(f'address = "127.0.0.1:0"\n{asked}[device]\nport = "bar"\n')
+
+
+class Bar:
+    """A virtual bar at the port `bar` of a directory, which can be pulled."""
+
+    def __init__(self, cell):
+        self.cell = cell
+        self.plug()
+
+    def plug(self):
+        program = next(self.cell.glob("*/program/DBB_MAIN.src"))
+        self.process = subprocess.Popen(
+            [DBBD, "simulate", "--program", program, "--link", "bar"], cwd=self.cell, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        while not (self.cell / "bar").exists():
+            time.sleep(0.05)
+
+    def pull(self):
+        self.process.kill()
+        self.process.wait()
+        (self.cell / "bar").unlink(missing_ok=True)
 
 
 class Story:
-    def __init__(self, browser, url, form, out):
-        self.url, self.form, self.out = url, form, out
-        size, language, scheme, token = form.split("-")
-        self.texts, self.token, self.size = TEXTS[language], token == "token", size
+    def __init__(self, browser, service, url, form, out):
+        self.browser, self.service, self.url, self.form, self.out = browser, service, url, form, out
+        size, self.language, scheme, token = form.split("-")
+        self.texts, self.token, self.size = TEXTS[self.language], token == "token", size
         width, height = SIZES[size]
         self.context = browser.new_context(
-            viewport={"width": width, "height": height}, locale=LOCALES[language], color_scheme=scheme, has_touch=size == "phone")
+            viewport={"width": width, "height": height}, locale=LOCALES[self.language], color_scheme=scheme, has_touch=size == "phone")
         self.page = self.context.new_page()
         self.page.on("console", lambda m: self.complain(m.text))
         self.page.on("pageerror", lambda error: said.append(f"{form}: {error}"))
         self.shots = 0
+        self.is_cut = False
 
     def text(self, key):
         """A text of the page up to its first value."""
         return self.texts[key].split("{")[0].strip()
 
     def complain(self, text):
-        # What the story provokes: no token yet, and refused jobs.
-        if not re.search(r"40[19]|422", text):
+        # What the story provokes: no token yet, refused jobs, and a lost connection.
+        if not re.search(r"40[19]|422", text) and not (self.is_cut and "ERR_INTERNET_DISCONNECTED" in text):
             said.append(f"{self.form}: {text}")
 
     def step(self, name):
@@ -86,9 +117,9 @@ class Story:
     def look(self, what):
         """A screenshot, what axe says, and whether something is too wide."""
         self.shots += 1
-        self.page.screenshot(path=self.out / f"{self.shots:02}-{what}.png", full_page=True)
         # What lies under the head of the page cannot be reached there.
         self.page.evaluate("scrollTo(0, 0)")
+        self.page.screenshot(path=self.out / f"{self.shots:02}-{what}.png", full_page=True)
         self.page.evaluate(AXE)
         found = self.page.evaluate("(rules) => axe.run({ runOnly: rules })", RULES)
         for one in found["violations"]:
@@ -96,6 +127,103 @@ class Story:
             said.append(f"axe: {one['id']} in {what} of {self.form}")
         wide = self.page.evaluate("document.documentElement.scrollWidth - innerWidth")
         assert wide <= 0, f"{what}, {self.form}: {wide} px too wide"
+
+    def disturb(self, *steps):
+        """What happens beside the work: each step shows the same afterwards, and what is true meanwhile."""
+        if self.size != "desktop":
+            return
+        for step in steps:
+            state = self.step(step).get_attribute("data-state")
+            sentence = self.step(step).locator("[data-verdict]").inner_text()
+            self.page.reload()
+            self.shows(self.page, step, state, sentence)
+            self.look_from_elsewhere(step, state, sentence)
+            self.cut(step)
+            self.shows(self.page, step, state, sentence)
+
+    def shows(self, page, step, state, sentence):
+        shown = page.locator(f"[data-step={step}]")
+        expect(shown).to_have_attribute("data-state", state, timeout=20_000)
+        expect(shown.locator("[data-verdict]")).to_have_text(sentence, use_inner_text=True, timeout=20_000)
+
+    def look_from_elsewhere(self, step, state, sentence):
+        """A browser of its own, with the same language."""
+        other = self.browser.new_context(locale=LOCALES[self.language])
+        if self.token:
+            assert other.request.post(f"{self.url}api/v1/session", data={"token": TOKEN}).ok
+        page = other.new_page()
+        page.goto(self.page.url)
+        self.shows(page, step, state, sentence)
+        other.close()
+
+    def cut(self, step):
+        """Without a connection the page says so; what is asked then is not done, and said to be so."""
+        # The stream of a service that does not answer falls silent.
+        self.service.send_signal(signal.SIGSTOP)
+        expect(self.page.locator("#link")).to_have_text(self.texts["link.down"], timeout=20_000)
+        self.service.send_signal(signal.SIGCONT)
+        expect(self.page.locator("#link")).to_be_empty(timeout=20_000)
+        self.is_cut = True
+        self.context.set_offline(True)
+        look = "dispatchEvent(new Event('focus'))"
+        self.page.evaluate(look)
+        expect(self.page.locator("#message")).to_have_text(self.texts["link.none"], timeout=10_000)
+        self.context.set_offline(False)
+        self.page.evaluate(look)
+        expect(self.page.locator("#message")).to_be_empty(timeout=20_000)
+        self.is_cut = False
+
+    def unplug(self, cell, *steps):
+        """The bar is unplugged and plugged in again while its reading is shown: the page says so, and each step keeps its state."""
+        if self.size != "desktop":
+            return
+        bar = Bar(cell)
+        self.ask("PUT", "device", {"port": "bar"})
+        self.ask("POST", "reading", {"plan": None, "speed": None})
+        for step in steps:
+            state = self.step(step).get_attribute("data-state")
+            expect(self.page.locator("#state")).to_have_text(self.texts["state.reading"], timeout=20_000)
+            bar.pull()
+            expect(self.page.locator("#state")).to_have_text(self.texts["state.gone"], timeout=20_000)
+            self.page.reload()
+            expect(self.page.locator("#state")).to_have_text(self.texts["state.gone"], timeout=20_000)
+            expect(self.step(step)).to_have_attribute("data-state", state, timeout=20_000)
+            bar.plug()
+            expect(self.page.locator("#state")).to_have_text(self.texts["state.reading"], timeout=20_000)
+            expect(self.step(step)).to_have_attribute("data-state", state)
+        if "measure" in steps:
+            self.pull_in_a_run(bar)
+        else:
+            self.ask("DELETE", "reading")
+        bar.pull()
+
+    def pull_in_a_run(self, bar):
+        """A run waits for its bar, goes on, and is one that ended early when it is stopped."""
+        self.ask("POST", "run", {"name": "pulled", "plan": "cell-1/plan", "checked": [], "speed": None})
+        self.state("measure", "running", 30)
+        state = self.page.locator("#state")
+        bar.pull()
+        expect(state).to_have_text(self.texts["state.gone"], timeout=20_000)
+        self.state("measure", "running")
+        bar.plug()
+        expect(state).to_have_text(self.texts["state.running"], timeout=20_000)
+        self.page.locator("#stop").click()
+        self.page.locator("#confirm button[value=yes]").click()
+        self.state("measure", "attention", 30)
+        expect(self.step("measure")).to_contain_text(self.texts["ending.stopped"])
+
+    def ask(self, method, path, body=None):
+        """A request of the page itself."""
+        send = """async ([method, path, body]) => (await fetch(`/api/v1/${path}`, {
+            method, headers: body ? { "Content-Type": "application/json" } : {}, body: body && JSON.stringify(body) })).status"""
+        status = self.page.evaluate(send, [method, path, body])
+        assert status < 300, (method, path, status)
+
+    def picture(self, step):
+        """The step as the book shows it, without the head of the page above it."""
+        self.page.evaluate("document.querySelectorAll('.top, #step-nav').forEach((one) => (one.style.position = 'static'))")
+        self.step(step).screenshot(path=self.out / f"step-{step}.png")
+        self.page.evaluate("document.querySelectorAll('.top, #step-nav').forEach((one) => one.style.removeProperty('position'))")
 
     def sign_in(self):
         self.page.goto(self.url)
@@ -109,7 +237,7 @@ class Story:
         dialog.locator("button").click()
         expect(dialog).to_be_hidden()
 
-    def make_a_robot(self):
+    def make_a_robot(self, cell):
         """By the form. A bar that no robot reaches is refused with its cure, and the mended job is planned."""
         self.page.locator("[data-action=new-robot]").click()
         form = self.page.locator("#new-form")
@@ -137,6 +265,8 @@ class Story:
         self.next("programs")
         self.state("programs", "done")
         self.state("measure", "ready")
+        self.disturb("robot", "cell", "plan", "programs", "measure")
+        self.unplug(cell, "robot", "cell", "plan", "programs", "measure")
 
     def demo(self):
         self.page.goto(self.url)
@@ -206,6 +336,8 @@ class Story:
             locked = "async () => (await fetch('/api/v1/workbench/demo/job', { method: 'PUT', headers: { 'Content-Type': 'application/json' }, body: '{}' })).status"
             assert self.page.evaluate(locked) == 409
             self.look("running")
+            self.picture("measure")
+            self.disturb(step)
 
     def scene(self):
         scene = self.page.locator("[data-scene]")
@@ -220,6 +352,7 @@ class Story:
         expect(scene).to_have_attribute("data-playing", "false")
         scene.locator("#scene-arrows").check()
         self.look("scene")
+        self.picture("cell")
         self.frames()
         self.move(scene)
         scene.locator("summary").first.click()
@@ -287,18 +420,30 @@ class Story:
         self.state("check", "done")
         assert self.step("check").locator("[data-verdict]").get_attribute("data-verdict") in ("pass", "fail", "undecided")
 
-    def certificate(self):
+    def certificate(self, cell):
         self.next("certificate")
         self.state("certificate", "done")
         self.look("certificate")
-
+        for step in ("robot", "plan", "programs", "result", "correct", "check", "certificate"):
+            self.picture(step)
+        self.disturb("result", "correct", "check", "certificate")
+        self.unplug(cell, "result", "correct", "check", "certificate")
 
     def reports(self):
         """Every page that was made says its verdict first, is narrow enough for a phone, and axe is silent with all its parts open."""
         page = self.context.new_page()
         page.set_viewport_size({"width": 390, "height": 844})
+        page.on("console", lambda m: self.complain(m.text))
+        page.on("pageerror", lambda error: said.append(f"{self.form}: {error}"))
         for directory, file in (("plan", "plan"), ("result", "report"), ("check", "check"), ("certificate", "certificate")):
-            page.goto(f"{self.url}api/v1/workbench/demo/files/{directory}/{file}.html")
+            step = "result" if file == "report" else file
+            link = self.step(step).locator(f"a.button[href*='{directory}/{file}.html']")
+            page.goto(self.url.rstrip("/") + link.get_attribute("href"))
+            # What is signed has one language.
+            if self.language == "de" and file != "certificate":
+                assert page.evaluate("document.documentElement.lang").startswith("de"), file
+                english = page.locator(f":is({OWN_WORDS}):is([lang=en], :has([lang=en]))")
+                assert english.count() == 0, (file, english.first.inner_text())
             if file in ("report", "check"):
                 assert page.locator("[data-verdict]").get_attribute("data-verdict") in ("pass", "fail", "undecided")
                 # A link of the contents opens its part.
@@ -319,7 +464,7 @@ class Story:
 
 def same_as_the_command_line(cell):
     """The result of the page is that of the command which the page shows."""
-    runs = sorted((cell / "dbbd-runs").glob("*/run.dbbd"), key=lambda path: path.stat().st_mtime)
+    runs = sorted((cell / "dbbd-runs").glob("run-*/run.dbbd"), key=lambda path: path.stat().st_mtime)
     run = runs[0]
     subprocess.run([DBBD, "--quiet", "identify", run, "--out", cell / "again"], stdout=subprocess.DEVNULL, timeout=120)
     one, other = (json.loads((cell / at / "result.json").read_text()) for at in ("demo/result", "again"))
@@ -337,15 +482,15 @@ def play(browser, form):
     configure(cell, form.endswith("-token"))
     service, url = serve(DBBD, cell)
     try:
-        story = Story(browser, url, form, out)
+        story = Story(browser, service, url, form, out)
         story.sign_in()
-        story.make_a_robot()
+        story.make_a_robot(cell)
         story.demo()
         story.leave_out(cell)
         story.scene()
         story.correct(cell)
         story.check()
-        story.certificate()
+        story.certificate(cell)
         story.reports()
         story.context.close()
         same_as_the_command_line(cell)
@@ -354,18 +499,32 @@ def play(browser, form):
         service.wait()
 
 
+def renew_pictures(form):
+    for file in sorted((OUT / form).glob("step-*.png")):
+        picture = Image.open(file).convert("RGB")
+        shown = picture.crop((0, 0, picture.width, min(picture.height, MAX_PICTURE)))
+        target = ROOT / "docs/workbench" / f"{file.stem.removeprefix('step-')}.webp"
+        target.parent.mkdir(exist_ok=True)
+        shown.save(target, quality=70, method=6)
+        print(f"{target}: {target.stat().st_size} bytes")
+
+
 def main():
+    pictures = sys.argv[3:] == ["--pictures"]
+    forms = [PICTURED] if pictures else sys.argv[3:] or FORMS
     OUT.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as playwright:
         graphics = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *graphics])
-        for form in sys.argv[3:] or FORMS:
+        for form in forms:
             began = time.monotonic()
             play(browser, form)
             print(f"{form}: played in {time.monotonic() - began:.0f} s", flush=True)
         browser.close()
     print("console and axe:", said or "silent")
     assert not said
+    if pictures:
+        renew_pictures(PICTURED)
 
 
 main()

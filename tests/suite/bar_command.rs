@@ -13,6 +13,7 @@ use serde_json::Value;
 
 use crate::cell::codes;
 use crate::process::run;
+use crate::support::spoken::assert_spoken;
 
 const UNKNOWN: &str = "W2100";
 const SILENT: &str = "W2102";
@@ -140,6 +141,7 @@ fn bar_check_measures_noise_resolution_and_rate() {
     for file in ["bar.html", "bar.json", "bar.dbbd"] {
         assert!(directory.path().join("check").join(file).exists());
     }
+    assert_spoken(&std::fs::read_to_string(directory.path().join("check/bar.html")).unwrap());
 }
 
 #[test]

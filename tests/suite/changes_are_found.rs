@@ -13,6 +13,7 @@ use crate::cell::{
     CENTRE, Circle, DESIGNED, centres_csv, codes, dbbd, measure, stderr, three_planes, with_errors,
 };
 use crate::support::checked_robot::{SIGMA, calibration, normal};
+use crate::support::spoken::assert_spoken;
 
 /// The lengths of a check as their file; the robot's true errors are those that it was calibrated with.
 fn lengths(truth: &Robot, circles: &[Circle], points: usize, seed: u64) -> String {
@@ -83,6 +84,7 @@ fn the_command_decides_and_refuses() {
     assert!(likeliest["probability"].as_f64().unwrap() > 0.8, "{likeliest}");
     let page = fs::read_to_string(at.join("out/check.html")).unwrap();
     assert!(page.contains("theta3") && page.contains("<svg") && !page.contains("NaN"));
+    assert_spoken(&page);
     if let Some(folder) = std::env::var_os("DBBD_PAGES") {
         fs::write(Path::new(&folder).join("check.html"), page).unwrap();
     }
@@ -221,6 +223,7 @@ fn a_check_is_planned_for_detectable_changes() {
     assert_eq!(shift(&power), None);
     let page = fs::read_to_string(at.join("plan/plan.html")).unwrap();
     assert!(page.contains("What this check will find") && !page.contains("NaN"));
+    assert_spoken(&page);
     if let Some(folder) = std::env::var_os("DBBD_PAGES") {
         fs::write(Path::new(&folder).join("plan-check.html"), page).unwrap();
     }

@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use crate::cell::codes;
 use crate::process::run;
 use crate::support::circular_cases::{CASES, Case, GOLDEN};
+use crate::support::spoken::assert_spoken;
 
 fn csv(case: &Case, noise_mm: f64) -> String {
     let mut text = String::from("run,direction,angle_deg,length_mm,temp_c\n");
@@ -52,13 +53,14 @@ fn command_writes_json_html_and_svg() {
     }
     assert_eq!(json["tests"].as_array().unwrap().len(), 2);
     let page = std::fs::read_to_string(path("out/circle.html")).unwrap();
-    for foreign in ["<script", "http://", "https://", "src=", "url(", "@import", "<link"] {
+    for foreign in ["<script src", "http://", "https://", "src=", "url(", "@import", "<link"] {
         assert!(!page.contains(foreign), "the page holds {foreign}");
     }
     assert!(
         page.contains("Trend") && page.contains("id=\"standard-not-read\""),
         "the page says what it rests on"
     );
+    assert_spoken(&page);
     let svg = std::fs::read_to_string(path("out/circle.svg")).unwrap();
     assert!(svg.starts_with("<svg xmlns=") && svg.ends_with("</svg>") && !svg.contains("NaN"));
     let again = run(&[

@@ -27,6 +27,23 @@ fn identify(at: &Path, lengths: &str, robot: &str, out: &str, day: &str, celsius
     json(at, &format!("{out}/result.json"))
 }
 
+/// A drawn robot, and its calibration `first` of a day with the job of its base balls.
+pub(crate) fn calibrated_on(at: &Path, day: &str) -> (Robot, Value) {
+    let balls = (1..).zip(BALLS).map(|(ball, [x, y, z])| format!("{ball},{x},{y},{z}\n"));
+    fs::write(at.join("C.csv"), format!("centre,x_mm,y_mm,z_mm\n{}", balls.collect::<String>())).unwrap();
+    let mut job = String::from(
+        "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 10.0\nlength_u_mm = 0.004\n",
+    );
+    for (id, place) in (1..).zip(BALLS) {
+        job += &format!("[[centre]]\nid = {id}\nxyz_mm = {place:?}\n");
+    }
+    fs::write(at.join("job.toml"), job + "[optimise]\npoints = 40\n").unwrap();
+    let truth = drawn(4);
+    fs::write(at.join("obs.csv"), lengths(&truth, 70, 3, 1).to_csv()).unwrap();
+    let first = identify(at, "obs.csv", "kr60ha", "first", day, 19.5);
+    (truth, first)
+}
+
 /// Mean `sd_mm` of poses.
 fn predicted_mm(at: &Path, more: &[&str]) -> f64 {
     let poses = "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n0,-60,90,10,40,0\n30,-40,70,-20,60,30\n-40,-90,100,0,50,10\n";
@@ -44,11 +61,7 @@ fn predicted_mm(at: &Path, more: &[&str]) -> f64 {
 fn a_calibration_fades_and_is_renewed() {
     let dir = tempdir().unwrap();
     let at = dir.path();
-    let balls = (1..).zip(BALLS).map(|(ball, [x, y, z])| format!("{ball},{x},{y},{z}\n"));
-    fs::write(at.join("C.csv"), format!("centre,x_mm,y_mm,z_mm\n{}", balls.collect::<String>())).unwrap();
-    let truth = drawn(4);
-    fs::write(at.join("obs.csv"), lengths(&truth, 70, 3, 1).to_csv()).unwrap();
-    let first = identify(at, "obs.csv", "kr60ha", "first", "2024-02-29", 19.5);
+    let (truth, first) = calibrated_on(at, "2024-02-29");
     let robot = robot_of(&at.join("first"));
     assert_eq!(robot.measured.date.as_deref(), Some("2024-02-29"));
     assert_eq!(robot.measured.temperature_c, Some(19.5));
@@ -88,14 +101,6 @@ fn a_calibration_fades_and_is_renewed() {
     assert_eq!(Robot::from_toml("robot.toml", &drift(0.5)).unwrap_err().code().as_str(), "E0505");
 
     // 20 lengths that renew it are planned with what is known today, and continue the posterior.
-    let mut job = String::from(
-        "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 10.0\nlength_u_mm = 0.004\n",
-    );
-    for (id, place) in (1..).zip(BALLS) {
-        job += &format!("[[centre]]\nid = {id}\nxyz_mm = {place:?}\n");
-    }
-    job += "[optimise]\npoints = 40\n";
-    fs::write(at.join("job.toml"), job).unwrap();
     let plan = ["plan", "job.toml", "--renew", "--robot", "first/robot-identified.toml", "--out", "renewal"];
     let planned = dbbd(at, &plan);
     assert!(matches!(planned.status.code(), Some(0 | 3)), "{}", stderr(&planned));

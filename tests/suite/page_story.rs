@@ -20,7 +20,7 @@ fn all_page_stories() {
 }
 
 #[test]
-#[ignore = "needs Chromium, playwright and axe, and eight times two minutes: .ci/night"]
+#[ignore = "needs Chromium, playwright and axe, and eight times three minutes: .ci/night"]
 fn a_robot_goes_from_an_empty_directory_to_the_certificate() {
     play("workbench.py");
 }

@@ -12,6 +12,7 @@ use tempfile::{TempDir, tempdir};
 use crate::cell::{
     CENTRE, Circle, DESIGNED, centres_csv, codes, dbbd, measure, stderr, three_planes, with_errors,
 };
+use crate::support::spoken::assert_spoken;
 
 /// Calibrations of one robot from lengths of 2 um noise; `theta3` moves by `step` rad from one to the next.
 fn calibrations(count: u32, step: f64) -> TempDir {
@@ -74,6 +75,7 @@ fn a_drift_is_found_and_forecast() {
     assert!(table.lines().next().unwrap().starts_with("family,name,unit,value_1,sd_1,value_2"));
     let page = fs::read_to_string(dir.path().join("out/compare.html")).unwrap();
     assert!(page.matches("<svg").count() >= 5 && !page.contains("NaN"));
+    assert_spoken(&page);
     if let Some(folder) = std::env::var_os("DBBD_PAGES") {
         fs::write(Path::new(&folder).join("compare.html"), page).unwrap();
     }
@@ -178,6 +180,7 @@ fn circular_tests_are_compared_and_forecast() {
     );
     let page = fs::read_to_string(at.join("out/compare.html")).unwrap();
     assert!(page.contains("Circles overlaid") && page.contains("number 2") && !page.contains("NaN"));
+    assert_spoken(&page);
     if let Some(folder) = std::env::var_os("DBBD_PAGES") {
         fs::write(Path::new(&folder).join("compare-circles.html"), page).unwrap();
     }

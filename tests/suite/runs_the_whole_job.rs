@@ -9,6 +9,7 @@ use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, stderr};
 use crate::process::Simulator;
+use crate::support::spoken::assert_spoken;
 
 /// The same three circles with few points, so that the test is short.
 fn short_job(dir: &Path) {
@@ -49,6 +50,7 @@ fn demo_compares_result_and_truth() {
     assert!(result.residual_mm.after.rms < 0.03 && result.residual_mm.before.rms > 0.05);
     let page = fs::read_to_string(dir.path().join("demo-out/result/report.html")).unwrap();
     assert!(page.contains("<svg") && page.contains("Circle 1"));
+    assert_spoken(&page);
 }
 
 /// Each command needs the file of the previous step.

@@ -8,6 +8,7 @@ use std::process::Command;
 
 use serde_json::{Value, json};
 
+use crate::months::calibrated_on;
 use crate::service::{Answer, Server};
 
 const JOB: &str = "# by hand\nrobot = \"kr60ha\" # ours\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\
@@ -90,6 +91,34 @@ fn a_step_makes_the_files_of_the_command_beside_it() {
         (&step(&work, "plan")["state"], &step(&work, "plan")["text"]),
         (&"ready".into(), &"plan.stale".into())
     );
+}
+
+#[test]
+fn a_calibration_that_is_over_is_renewed() {
+    let dir = tempfile::tempdir().unwrap();
+    let cell = dir.path().join("cell-1");
+    fs::create_dir(&cell).unwrap();
+    calibrated_on(&cell, "2020-02-29");
+    let server = Server::start(dir.path(), "");
+    let work = || server.get("/api/v1/workbench/cell-1").json();
+    let (plan, result) = (step(&work(), "plan").clone(), step(&work(), "result").clone());
+    assert_eq!((&plan["text"], &result["text"]), (&"plan.over".into(), &"result.over".into()));
+    assert_eq!((&plan["state"], &result["verdict"]), (&"ready".into(), &"undecided".into()));
+    assert_eq!(plan["values"]["until"], result["values"]["until"]);
+    let command = "dbbd plan job.toml --renew --robot first/robot-identified.toml --out renewal-plan";
+    assert_eq!(plan["command"], command);
+    assert_eq!(server.get("/api/v1/workbench").json()["robots"][0]["text"], "result.over");
+    let job = compute(&server, "cell-1", "plan");
+    assert!(["done", "doubt"].contains(&job["state"].as_str().unwrap()), "{job}");
+    let planned = work();
+    assert_eq!(step(&planned, "plan")["text"], "plan.found");
+    assert!((20..40).contains(&step(&planned, "plan")["values"]["poses"].as_u64().unwrap()), "{planned}");
+    compute(&server, "cell-1", "programs");
+    assert_eq!(step(&work(), "measure")["state"], "ready");
+    assert!(cell.join("renewal-program/DBB_MAIN.src").is_file());
+    // Its run would continue the posterior of the calibration.
+    let renewal = fs::read_to_string(cell.join("renewal-plan/plan.json")).unwrap();
+    assert!(renewal.contains("posterior"));
 }
 
 #[test]

@@ -4,7 +4,7 @@ import { $, afterSignIn, attempt, make } from "/frame.js";
 import { jobForm } from "/job_form.js";
 import { ask } from "/link.js";
 import { age } from "/numbers.js";
-import { SPEEDS, sentence, verdictLine } from "/sentence.js";
+import { SPEEDS, verdictLine } from "/sentence.js";
 import { t } from "/texts.js";
 import { may } from "/users.js";
 
@@ -13,7 +13,7 @@ function row(robot) {
   const item = make("li", null);
   const link = make("a", robot.name, { href: `/robot/${encodeURIComponent(robot.name)}`, class: "name" });
   const about = make("p", robot.robot ?? "", { class: "small" });
-  const decision = verdictLine(robot.verdict, sentence(robot), robot.step);
+  const decision = verdictLine(robot);
   decision.prepend(make("span", `${t(`step.${robot.step}`)}: `));
   const when = robot.changed_unix_ms ? make("p", age(robot.changed_unix_ms), { class: "small" }) : "";
   item.append(link, about, decision, when);

@@ -204,6 +204,7 @@ const reopen = hear({
     document.body.classList.remove("stale");
     set("link", "");
     greet();
+    window.dispatchEvent(new Event("dbbd:up"));
   },
   down() {
     document.body.classList.add("stale");

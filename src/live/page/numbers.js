@@ -40,6 +40,9 @@ export function clock(s) {
 /** Date and time. */
 export const dateAndTime = (ms) => new Date(ms).toLocaleString(locale);
 
+/** A date `YYYY-MM-DD`. */
+export const day = (date) => new Date(date).toLocaleDateString(locale, { dateStyle: "medium", timeZone: "UTC" });
+
 /** @type {[Intl.RelativeTimeFormatUnit, number][]} */
 const STEPS = [["year", 31_557_600], ["month", 2_629_800], ["day", 86_400], ["hour", 3600], ["minute", 60], ["second", 1]];
 

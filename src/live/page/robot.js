@@ -8,8 +8,8 @@ import { jobForm } from "/job_form.js";
 import { ask } from "/link.js";
 import * as measure from "/measure.js";
 import * as residuals from "/residuals.js";
-import { after, sentence, verdictLine } from "/sentence.js";
-import { t } from "/texts.js";
+import { after, verdictLine } from "/sentence.js";
+import { spoken, t } from "/texts.js";
 import { may } from "/users.js";
 
 const STEPS = ["robot", "cell", "plan", "programs", "measure", "result", "correct", "check", "certificate"];
@@ -80,7 +80,7 @@ function findings(report) {
 function files(report) {
   if (!report.files.length) return [];
   const base = `/api/v1/workbench/${robot}/files/${report.directory}`;
-  const link = (file, attributes = {}) => make("a", file, { href: `${base}/${file}`, target: "_blank", rel: "noopener", ...attributes });
+  const link = (file, attributes = {}) => make("a", file, { href: spoken(`${base}/${file}`), target: "_blank", rel: "noopener", ...attributes });
   const pages = report.files.filter((file) => file.endsWith(".html"));
   const shown = make("p", null, { class: "row" });
   shown.append(...pages.map((file) => link(file, { class: "button" })));
@@ -116,7 +116,7 @@ function drawStep(report) {
   section.dataset.state = report.state;
   part(step, ".mark").textContent = MARKS[report.state];
   part(step, ".badge").textContent = t(`state_of.${report.state}`);
-  const says = [verdictLine(report.verdict, sentence(report), step), ...after(report)];
+  const says = [verdictLine(report), ...after(report)];
   if (report.state === "running" && report.job) {
     says.push(make("progress", null, { max: "100", value: String(report.job.percent), "aria-label": t(`step.${step}`) }));
     const cancel = make("button", t("jobs.cancel"), { type: "button" });
@@ -321,7 +321,7 @@ window.addEventListener("dbbd:status", (/** @type {any} */ { detail: now }) => {
   barBefore = bar;
   look();
 });
-for (const kind of ["focus", "pageshow"]) window.addEventListener(kind, look);
+for (const kind of ["focus", "pageshow", "dbbd:up"]) window.addEventListener(kind, look);
 setInterval(() => document.hidden || look(), LOOK_MS);
 afterSignIn(look);
 

@@ -2,7 +2,7 @@
 
 import { ask } from "/link.js";
 import { count, dateAndTime, fixed } from "/numbers.js";
-import { known, t } from "/texts.js";
+import { known, spoken, t } from "/texts.js";
 
 /** @type {(id: string) => any} */
 const $ = (id) => document.getElementById(id);
@@ -60,7 +60,7 @@ function row(run) {
   const results = cell("results.results", null);
   const base = `/api/v1/runs/${run.name}`;
   for (const result of run.results.filter((one) => /\.(html|json|csv|toml)$/.test(one.file))) {
-    const link = make("a", result.file, { href: `${base}/${result.kind}/${result.file}`, target: "_blank", rel: "noopener" });
+    const link = make("a", result.file, { href: spoken(`${base}/${result.kind}/${result.file}`), target: "_blank", rel: "noopener" });
     results.append(link, " ");
   }
   results.append(make("a", t("results.capture"), { href: `${base}/capture`, download: "" }));

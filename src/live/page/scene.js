@@ -30,12 +30,15 @@ const colour = (name) => new T.Color(getComputedStyle(document.documentElement).
 const vector = (point) => new T.Vector3(...point);
 const material = (name, more = {}) => new T.MeshLambertMaterial({ color: colour(name), ...more });
 
-/** A cylinder of unit length along Y with round ends where it is scaled: a capsule between two points. */
-function link(radius, look) {
+/**
+ * A cylinder of unit length along Y with round ends where it is scaled: a capsule between two points. That it goes on from a thicker one
+ * leaves out the end which cannot be seen.
+ */
+function link(radius, look, goesOn = false) {
   const group = new T.Group();
-  const body = new T.Mesh(new T.CylinderGeometry(radius, radius, 1, 20), look);
-  const ends = [0, 1].map(() => new T.Mesh(new T.SphereGeometry(radius, 20, 14), look));
-  group.add(body, ...ends);
+  const body = new T.Mesh(new T.CylinderGeometry(radius, radius, 1, 14, 1, true), look);
+  const ends = [0, 1].map(() => ball(radius, look));
+  group.add(body, ...(goesOn ? ends.slice(1) : ends));
   return {
     group,
     between(from, to) {
@@ -52,7 +55,7 @@ function link(radius, look) {
 }
 
 function ball(radius, look, point) {
-  const mesh = new T.Mesh(new T.SphereGeometry(radius, 24, 16), look);
+  const mesh = new T.Mesh(new T.SphereGeometry(radius, 14, 10), look);
   if (point) mesh.position.copy(vector(point));
   return mesh;
 }
@@ -113,7 +116,8 @@ function build() {
   // The arm is thinner than the body that the plan keeps clear of obstacles: its poses can be seen.
   const radius = Math.min(cell.arm_radius_mm, 90);
   const points = cell.path[0].arm.length;
-  arm = Array.from({ length: points - 1 }, (_, i) => link(i === points - 2 ? cell.tool_radius_mm : radius * (1 - 0.09 * i), material("--near-fill")));
+  const radii = Array.from({ length: points - 1 }, (_, i) => (i === points - 2 ? cell.tool_radius_mm : radius * (1 - 0.09 * i)));
+  arm = radii.map((one, i) => link(one, material("--near-fill"), one <= radii[i - 1]));
   arm.forEach((one) => scene.add(one.group));
   bar = link(Math.max(8, cell.bar_radius_mm / 2), material("--mark"));
   toolBall = ball(22, material("--over"));
@@ -122,7 +126,7 @@ function build() {
   scene.add(bar.group, toolBall, ...movables);
   path = new T.Line(new T.BufferGeometry(), new T.LineBasicMaterial({ color: colour("--soft") }));
   scene.add(path);
-  marks = new T.InstancedMesh(new T.SphereGeometry(7, 6, 4), material("--mark"), Math.max(1, cell.path.length));
+  marks = new T.Mesh(new T.BufferGeometry(), material("--mark"));
   scene.add(marks);
   drawPath();
   arrows = new T.LineSegments(new T.BufferGeometry(), new T.LineBasicMaterial({ color: colour("--over") }));
@@ -136,15 +140,23 @@ function build() {
   reset();
 }
 
-/** The path of the tool ball, and its measured poses. */
+/** The path of the tool ball, and its measured poses: one body, which a processor draws faster than as many. */
 function drawPath() {
   path.geometry.dispose();
   path.geometry = new T.BufferGeometry().setFromPoints(cell.path.map((one) => vector(one.arm.at(-1))));
-  const measured = cell.path.filter((one) => one.kind && one.kind !== "transit").slice(0, marks.instanceMatrix.count);
-  marks.count = measured.length;
-  measured.forEach((one, i) => marks.setMatrixAt(i, new T.Matrix4().setPosition(vector(one.arm.at(-1)))));
-  marks.instanceMatrix.needsUpdate = true;
-  marks.computeBoundingSphere();
+  const measured = cell.path.filter(isMeasured).map((one) => one.arm.at(-1));
+  const mark = new T.SphereGeometry(7, 4, 2);
+  const corners = [...mark.index.array];
+  /** An attribute of all marks; `isPlace` moves each to its own. */
+  const all = (name, isPlace) => {
+    const { array } = mark.attributes[name];
+    const corner = (at, i) => [0, 1, 2].map((axis) => array[3 * i + axis] + (isPlace ? at[axis] : 0));
+    return new T.Float32BufferAttribute(measured.flatMap((at) => corners.flatMap((i) => corner(at, i))), 3);
+  };
+  marks.geometry.dispose();
+  marks.geometry = new T.BufferGeometry();
+  marks.geometry.setAttribute("position", all("position", true));
+  marks.geometry.setAttribute("normal", all("normal", false));
 }
 
 /** The plan of a changed job, while something is moved. @param {any} now */
@@ -237,8 +249,11 @@ function resize() {
 /** The whole cell from the front right. */
 function reset() {
   const far = Math.max(1200, ...cell.path.flatMap((one) => one.arm.map((point) => Math.hypot(...point))));
+  const box = $("scene-canvas").parentElement;
+  // A narrow view sees less to its sides.
+  const back = far * Math.max(1, (1.2 * box.clientHeight) / (box.clientWidth || 1));
   controls.target.set(far * 0.35, 0, far * 0.3);
-  camera.position.set(far * 1.1, -far * 1.45, far * 0.95);
+  camera.position.set(back * 0.75, -back * 1.45, back * 0.65).add(controls.target);
   controls.update();
   redraw();
 }

@@ -1,7 +1,7 @@
 // The sentence of a step: its verdict by colour, word and shape.
 
 import { make } from "/frame.js";
-import { count, fixed, significant } from "/numbers.js";
+import { count, day, fixed, significant } from "/numbers.js";
 import { known, t } from "/texts.js";
 
 /** Speeds of a simulated cell: device time per host time. */
@@ -14,6 +14,7 @@ const TWO_DIGITS = ["u_mm", "error_mm", "upper_mm", "tolerance_mm", "predicted_m
 /** Digits after the point of a value by the unit in its name. */
 function shown(name, value) {
   if (value === null || value === undefined) return "–";
+  if (name === "until") return day(value);
   if (typeof value !== "number") return String(value);
   // An uncertainty and what is decided have two digits, as in the reports.
   if (TWO_DIGITS.includes(name)) return significant(value, 2);
@@ -27,7 +28,7 @@ function shown(name, value) {
 }
 
 /** @param {{ text: string, values: Record<string, unknown> | null }} report */
-export function sentence({ text, values }) {
+function sentence({ text, values }) {
   const shownValues = Object.fromEntries(Object.entries(values ?? {}).map(([name, value]) => [name, shown(name, value)]));
   const reason = values?.reason;
   if (reason && known(`ending.${reason}`)) shownValues.reason = t(`ending.${reason}`);
@@ -35,24 +36,24 @@ export function sentence({ text, values }) {
 }
 
 /**
- * A verdict by colour, word and shape. The word is that of the step, if it has one.
- * @param {"pass" | "fail" | "undecided" | "none"} verdict
- * @param {string} text
- * @param {string} [step]
+ * The verdict of a step by colour, word and shape. The word is that of its sentence or of the step, if there is one.
+ * @param {{ verdict: "pass" | "fail" | "undecided" | "none", step: string, text: string, values: any }} report
  */
-export function verdictLine(verdict, text, step = "") {
+export function verdictLine(report) {
+  const { verdict, step, text } = report;
   const line = make("p", null, { class: "verdict", "data-verdict": verdict });
   line.append(make("span", SHAPES[verdict], { class: "shape", "aria-hidden": "true" }), " ");
-  const own = `verdict.${step}.${verdict}`;
-  if (verdict !== "none") line.append(make("strong", t(known(own) ? own : `verdict.${verdict}`)), " ");
-  line.append(make("span", text));
+  const word = [`verdict.${text}`, `verdict.${step}.${verdict}`, `verdict.${verdict}`].find(known);
+  if (verdict !== "none") line.append(make("strong", t(word)), " ");
+  line.append(make("span", sentence(report)));
   return line;
 }
 
 /** What to do next, and for how long a result may be used where that is known. @param {any} report @returns {HTMLElement[]} */
-export function after({ text, values }) {
+export function after({ step, text, values }) {
   const lines = [];
-  if (values?.validity) lines.push(make("p", values.validity, { "data-validity": "" }));
+  // The sentence of a result says it.
+  if (step === "check" && values?.until) lines.push(make("p", t("valid.until", { until: day(values.until) }), { "data-validity": "" }));
   const key = `next.${text}`;
   if (known(key)) {
     const line = make("p", null, { class: "next" });

@@ -18,6 +18,9 @@ export function t(key, values = {}) {
   return text.replace(/\{(\w+)\}/g, (_, name) => values[name] ?? "");
 }
 
+/** The address of a file that was made: a page opens in the language of this one. @param {string} address */
+export const spoken = (address) => (address.endsWith(".html") ? `${address}?lang=${language}` : address);
+
 /** Whether a text exists. */
 export const known = (key) => key in all[language];
 

@@ -5,6 +5,7 @@ pub(crate) mod played_bar;
 pub(crate) mod process;
 pub(crate) mod recordings;
 pub(crate) mod service;
+pub(crate) mod spoken;
 pub(crate) mod virtual_bar;
 
 #[allow(dead_code)]

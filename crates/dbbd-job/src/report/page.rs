@@ -14,8 +14,12 @@ use dbbd_model::base::text::escape_controls;
 use dbbd_model::diagnostic::{Diagnostic, Finding};
 
 const PAGE_CSS: &str = include_str!("page.css");
-/// The script of a report that shows its scene.
-pub const VIEWER_JS: &str = include_str!("viewer.js");
+/// The script of a report: its texts in the reader's language, and its scene.
+pub const REPORT_JS: &str = concat!(include_str!("language.js"), include_str!("viewer.js"));
+/// Title and cure of the codes that the workbench can show, in other languages; English ones come with the findings.
+pub const CODES: &str = concat!("{\"de\":", include_str!("texts/codes.de.json"), "}");
+/// The texts of the reports in other languages, by the English ones. A new language is a file and a line here.
+const LANGUAGES: &str = concat!("{\"de\":", include_str!("texts/de.json"), "}");
 /// The skeleton of every page, also of a service.
 const FRAME_HTML: &str = include_str!("frame.html");
 /// The skeleton of a report, with style and provenance.
@@ -31,11 +35,21 @@ pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Resul
     struct Context<'a, T> {
         style: String,
         script: &'static str,
+        texts: String,
+        codes: String,
         version: &'static str,
         page: &'a T,
     }
     let style = format!("{}{PAGE_CSS}", plot_css());
-    let context = Context { style, script: VIEWER_JS, version: crate::artefact::VERSION, page };
+    let version = crate::artefact::VERSION;
+    let context = Context {
+        style,
+        script: REPORT_JS,
+        texts: within_script(LANGUAGES),
+        codes: within_script(CODES),
+        version,
+        page,
+    };
     fill(&[&[("page.html", PAGE_HTML), ("macros.html", MACROS)], &[(name, template)][..]].concat(), &context)
         .map(|page| folded(&page))
 }
@@ -136,9 +150,14 @@ fn um(value: Option<f64>, u95: Option<f64>) -> String {
     value.map_or_else(dash, |value| fixed(1e3 * value, decimals))
 }
 
-/// A value as JSON within a script element, escaped so that nothing closes the element.
+/// A value as JSON within a script element.
 pub(super) fn script_json(value: &impl Serialize) -> Result<String, Diagnostic> {
-    Ok(serialised::json_line(value)?.replace('<', "\\u003c").replace('/', "\\/"))
+    Ok(within_script(&serialised::json_line(value)?))
+}
+
+/// JSON escaped so that nothing closes the script element that it is in.
+fn within_script(json: &str) -> String {
+    json.replace('<', "\\u003c").replace('/', "\\/")
 }
 
 pub(super) fn capitalised(text: &str) -> String {

@@ -1,5 +1,4 @@
 /* The cell in three dimensions: drag turns it, the wheel or two fingers zoom, the slider chooses the pose. */
-"use strict";
 for (const figure of document.querySelectorAll("figure.viewer")) {
   const scene = JSON.parse(figure.querySelector("script").textContent);
   const canvas = figure.querySelector("canvas"), slider = figure.querySelector("input"), said = figure.querySelector("output");
@@ -80,10 +79,10 @@ for (const figure of document.querySelectorAll("figure.viewer")) {
       line(pose.arm, colour("rule"), 6);
       pose.arm.forEach(joint => dot(joint, 3.5, colour("paper"), colour("rule")));
       dot(pose.at, 6, tint(pose, colour), colour("ink"));
-      said.textContent = pose.text;
+      said.textContent = spoken(pose.text);
     }
-    scene.balls.forEach(ball => label(dot(ball.at, 7, colour("before"), colour("paper")), "ball " + ball.id, colour("ink")));
-    if (scene.poses[near] && near !== chosen) label(project(scene.poses[near].at), scene.poses[near].text, colour("ink"));
+    scene.balls.forEach(ball => label(dot(ball.at, 7, colour("before"), colour("paper")), spoken("ball " + ball.id), colour("ink")));
+    if (scene.poses[near] && near !== chosen) label(project(scene.poses[near].at), spoken(scene.poses[near].text), colour("ink"));
   }
 
   function nearest(event) {
@@ -134,7 +133,8 @@ for (const figure of document.querySelectorAll("figure.viewer")) {
   };
   canvas.addEventListener("pointerup", lifted);
   canvas.addEventListener("pointercancel", lifted);
-  canvas.addEventListener("wheel", event => { event.preventDefault(); zoomed(Math.exp(-0.0015 * event.deltaY)); draw(); }, { passive: false });
+  /* The wheel and the thumb scroll the page until the view has the focus. */
+  canvas.addEventListener("wheel", event => { if (document.activeElement !== canvas) return; event.preventDefault(); zoomed(Math.exp(-0.0015 * event.deltaY)); draw(); }, { passive: false });
   canvas.addEventListener("dblclick", () => { view = { ...home }; draw(); });
   canvas.addEventListener("keydown", event => {
     const step = { ArrowLeft: ["turn", -0.1], ArrowRight: ["turn", 0.1], ArrowUp: ["tilt", 0.1], ArrowDown: ["tilt", -0.1] }[event.key];
@@ -152,6 +152,9 @@ for (const figure of document.querySelectorAll("figure.viewer")) {
   new ResizeObserver(draw).observe(canvas);
 }
 /* What is wider than the page says so. */
-const hint = () => document.querySelectorAll(".scroll, .wide").forEach(part => part.classList.toggle("more", part.scrollWidth > part.clientWidth + 2));
+const hint = () => document.querySelectorAll(".scroll, .wide").forEach(part => {
+  part.dataset.hint = spoken("wider than the page: scroll sideways");
+  part.classList.toggle("more", part.scrollWidth > part.clientWidth + 2);
+});
 addEventListener("resize", hint);
 hint();

@@ -10,15 +10,17 @@ mod trial;
 
 use std::path::{Path, PathBuf};
 
+use dbbd_device::clock;
 use dbbd_job::page::Download;
 use dbbd_job::plan::Job;
 use dbbd_job::request::Request;
 use dbbd_job::request::certificate::CertificateRequest;
 use dbbd_job::request::check::CheckRequest;
 use dbbd_job::request::compensate::{CompensateRequest, DEFAULT_LIMIT_MM, ProgramDatum};
-use dbbd_job::request::identify::{self, IdentifyRequest};
+use dbbd_job::request::identify::IdentifyRequest;
 use dbbd_job::request::plan::{CheckPoses, PlanRequest, PlannedPoses};
 use dbbd_job::request::scene::CellScene;
+use dbbd_model::base::date;
 use dbbd_model::diagnostic::Diagnostic;
 use serde_json::{Value, json};
 use toml_edit::DocumentMut;
@@ -42,6 +44,8 @@ use crate::live::{
 const DEMO: &str = "demo";
 /// Poses of a check, as `dbbd plan --check` chooses them.
 const CHECK_POSES: u32 = 18;
+/// Lengths of a renewal, as `dbbd plan --renew` chooses them.
+const RENEWAL_POSES: u32 = 20;
 /// The ends of the files of a program.
 const PROGRAM_ENDS: [&str; 6] = [".src", ".dat", ".mod", ".pgf", ".script", ".ls"];
 /// Files of one upload.
@@ -69,7 +73,8 @@ impl Supervisor {
             LineUse::None | LineUse::Starting | LineUse::Reading(_) => None,
         };
         let explain = |finding| self.jobs.explained(finding);
-        steps::steps(files, &Activity { jobs: &jobs, recording: recording.as_deref(), explain: &explain })
+        let (recording, today) = (recording.as_deref(), &*today());
+        steps::steps(files, &Activity { jobs: &jobs, recording, today, explain: &explain })
     }
 
     /// Refuses what would change the job, the plan or the programs of a run that is on.
@@ -102,6 +107,10 @@ fn edited_job(files: &WorkFiles, keys: &Value) -> Result<(PathBuf, DocumentMut),
     Ok((path, document))
 }
 
+fn today() -> String {
+    date::utc(clock::unix_ns())
+}
+
 /// Why a step cannot be computed.
 fn too_early(step: WorkStep) -> Diagnostic {
     StepTooEarly { step: step.name() }.into()
@@ -115,11 +124,16 @@ fn work_of(
 ) -> Result<(JobWork, String), Diagnostic> {
     let early = || too_early(step);
     let result = steps::result_directory(files).to_owned();
-    let identified = format!("{result}/{}", identify::ROBOT);
+    let identified = steps::identified_robot(files);
     let plan = |is_check: bool| files.plan(is_check).ok_or_else(early);
     let (request, out) = match step {
         WorkStep::Robot | WorkStep::Cell | WorkStep::Measure => return Err(early()),
-        WorkStep::Plan => plan_request(files, None).ok_or_else(early)?,
+        WorkStep::Plan => {
+            let (robot, out) = steps::planned(files, false, &today());
+            let renewal = PlannedPoses::Renew { poses: RENEWAL_POSES };
+            let poses = if robot.is_some() { renewal } else { PlannedPoses::Job };
+            plan_request(files, robot, poses, out).ok_or_else(early)?
+        }
         WorkStep::Programs => return Ok(programs_of(plan(false)?)),
         WorkStep::Result => {
             let run = steps::usable_run(files, plan(false)?).ok_or_else(early)?;
@@ -155,7 +169,11 @@ fn work_of(
         }
         WorkStep::Check => match steps::check_part(files).ok_or_else(early)? {
             CheckPart::Plan => {
-                plan_request(files, Some((identified, options.tolerance_mm))).ok_or_else(early)?
+                let (poses, risk) = (CHECK_POSES, CheckRequest::RISK);
+                let tolerance_mm = options.tolerance_mm;
+                let poses = CheckPoses { poses, balls_kept: false, tolerance_mm, risk };
+                let (robot, out) = steps::planned(files, true, &today());
+                plan_request(files, robot, PlannedPoses::Check(poses), out).ok_or_else(early)?
             }
             CheckPart::Programs => return Ok(programs_of(plan(true)?)),
             CheckPart::Measure => return Err(early()),
@@ -188,26 +206,16 @@ fn work_of(
     Ok((JobWork::Request(Box::new(request)), out))
 }
 
-/// The plan of the job, or that of a check of the robot in a file.
-fn plan_request(files: &WorkFiles, check: Option<(String, Option<f64>)>) -> Option<(Request, String)> {
-    let job = &files.job.as_ref()?.file;
-    let out = steps::plan_directory(files, check.is_some()).to_owned();
-    let (robot, poses) = match check {
-        None => (None, PlannedPoses::Job),
-        Some((robot, tolerance_mm)) => {
-            let (poses, risk) = (CHECK_POSES, CheckRequest::RISK);
-            (Some(robot), PlannedPoses::Check(CheckPoses { poses, balls_kept: false, tolerance_mm, risk }))
-        }
-    };
-    let request = PlanRequest {
-        job: job.into(),
-        out: out.clone().into(),
-        robot,
-        measured: Vec::new(),
-        poses,
-        replace: false,
-    };
-    Some((Request::Plan(request), out))
+/// A plan of the job, of its robot or that in a file; `None` without a job.
+fn plan_request(
+    files: &WorkFiles,
+    robot: Option<String>,
+    poses: PlannedPoses,
+    out: &str,
+) -> Option<(Request, String)> {
+    let job = files.job.as_ref()?.file.as_str().into();
+    let request = PlanRequest { job, out: out.into(), robot, measured: Vec::new(), poses, replace: false };
+    Some((Request::Plan(request), out.to_owned()))
 }
 
 fn programs_of(plan: &FoundPlan) -> (JobWork, String) {
@@ -417,16 +425,14 @@ fn robot_of(files: &WorkFiles) -> Option<String> {
     of_job.or_else(of_result)
 }
 
-/// The last decision: of the check if there is one, else the result, else the step that is next.
+/// The last decision: the result if it is over, else that of the check if there is one, else the result, else the step that is next.
 fn summary(files: &WorkFiles, steps: &[StepReport], changed_unix_ms: Option<u64>) -> RobotSummary {
-    let is_done = |step: &&&StepReport| step.state == StepState::Done;
-    let decided = [WorkStep::Check, WorkStep::Result];
-    let decision = decided
-        .iter()
-        .filter_map(|wanted| steps.iter().find(|step| step.step == *wanted))
-        .filter(|step| is_done(&step));
-    let open = steps.iter().find(|step| step.state != StepState::Done);
-    let shown = decision.into_iter().next().or(open).or(steps.first());
+    let is_done = |step: &&StepReport| step.state == StepState::Done;
+    let decision = |wanted| steps.iter().find(|step| step.step == wanted).filter(is_done);
+    let over = decision(WorkStep::Result).filter(|result| result.text == "result.over");
+    let decided = over.or_else(|| decision(WorkStep::Check)).or_else(|| decision(WorkStep::Result));
+    let open = steps.iter().find(|step| !is_done(step));
+    let shown = decided.or(open).or(steps.first());
     RobotSummary {
         name: files.name.clone(),
         robot: robot_of(files),

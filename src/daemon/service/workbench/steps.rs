@@ -1,5 +1,7 @@
 //! The states of the nine steps, from the files that exist and the jobs of the service.
 
+use dbbd_job::request::identify;
+use dbbd_model::base::date;
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord, Severity};
 use serde_json::{Value, json};
 
@@ -15,6 +17,10 @@ use crate::live::{
 const END_MARK: &str = "the program's end mark";
 /// Findings that are shown of a result.
 const MAX_FINDINGS: usize = 40;
+/// So many months before a calibration ends its renewal is offered.
+const RENEWAL_MONTHS: f64 = 1.0;
+/// The directory of the plan of a renewal: the plan of the job is kept.
+const RENEWAL: &str = "renewal-plan";
 
 /// What the service does at the moment.
 pub(super) struct Activity<'a> {
@@ -22,6 +28,8 @@ pub(super) struct Activity<'a> {
     pub(super) jobs: &'a [EvaluationJob],
     /// The plan of the run in progress.
     pub(super) recording: Option<&'a str>,
+    /// The time, as `date::utc` writes it.
+    pub(super) today: &'a str,
     pub(super) explain: &'a dyn Fn(FindingRecord) -> ExplainedFinding,
 }
 
@@ -103,10 +111,10 @@ pub(super) fn steps(files: &WorkFiles, now: &Activity<'_>) -> Vec<StepReport> {
     [
         (WorkStep::Robot, robot(files)),
         (WorkStep::Cell, cell(files)),
-        (WorkStep::Plan, plan(files)),
+        (WorkStep::Plan, plan(files, now)),
         (WorkStep::Programs, programs(files)),
         (WorkStep::Measure, measure(files, now)),
-        (WorkStep::Result, result(files)),
+        (WorkStep::Result, result(files, now)),
         (WorkStep::Correct, correct(files)),
         (WorkStep::Check, check(files, now)),
         (WorkStep::Certificate, certificate(files)),
@@ -203,23 +211,64 @@ fn job_file(files: &WorkFiles) -> &str {
     files.job.as_ref().map_or("job.toml", |job| &job.file)
 }
 
-/// The directory of the newest plan, or that of a new one.
-pub(super) fn plan_directory(files: &WorkFiles, is_check: bool) -> &str {
+/// The directory of the newest plan of a kind, or that of a new one.
+fn plan_directory(files: &WorkFiles, is_check: bool) -> &str {
     let new = if is_check { "check-plan" } else { "plan" };
-    files.plan(is_check).map_or(new, |plan| &plan.directory.name)
+    let own = |plan: &&FoundPlan| plan.is_check == is_check && plan.directory.name != RENEWAL;
+    files.plans.iter().find(own).map_or(new, |plan| &plan.directory.name)
 }
 
-fn plan(files: &WorkFiles) -> Drafted {
-    let command = format!("dbbd plan {} --out {}", job_file(files), plan_directory(files, false));
+/// The robot that the next plan is made for, if it is not that of the job, and the directory of the plan: of a check, of a renewal, or of
+/// the job.
+pub(super) fn planned<'a>(files: &'a WorkFiles, is_check: bool, today: &str) -> (Option<String>, &'a str) {
+    let is_renewal = !is_check && is_renewed(files, today);
+    let robot = (is_check || is_renewal).then(|| identified_robot(files));
+    (robot, if is_renewal { RENEWAL } else { plan_directory(files, is_check) })
+}
+
+/// Whether the next plan renews the calibration: its validity is over or nearly so, and the job was not changed since it was planned.
+fn is_renewed(files: &WorkFiles, today: &str) -> bool {
+    let left = files.result.as_ref().and_then(|result| months_left(result, today));
+    let is_current = files.plan(false).is_none_or(|plan| !is_stale(files, plan));
+    left.is_some_and(|months| months < RENEWAL_MONTHS) && is_current
+}
+
+/// Until the end of the validity; `None` if it has no known one.
+fn months_left(result: &FoundDocument, today: &str) -> Option<f64> {
+    date::months_between(today, result.content["validity"]["until"].as_str()?)
+}
+
+fn is_over(result: &FoundDocument, today: &str) -> bool {
+    months_left(result, today).is_some_and(|months| months < 0.0)
+}
+
+/// The file of the identified robot.
+pub(super) fn identified_robot(files: &WorkFiles) -> String {
+    format!("{}/{}", result_directory(files), identify::ROBOT)
+}
+
+fn plan(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
+    let (robot, directory) = planned(files, false, now.today);
+    let asked = robot.as_ref().map(|robot| format!(" --renew --robot {robot}")).unwrap_or_default();
+    let command = format!("dbbd plan {}{asked} --out {directory}", job_file(files));
     let Some(WorkJob { job: Ok(_), .. }) = &files.job else {
         return Drafted::todo("plan.no_job").command(command);
     };
-    let drafted = match files.plan(false) {
-        None => Drafted::ready("plan.none").acting(StepAction::Compute, "act.plan"),
-        Some(plan) if is_stale(files, plan) => {
+    let ending = files.result.as_ref().filter(|_| robot.is_some());
+    let drafted = match (files.plan(false), ending) {
+        (Some(plan), _) if is_stale(files, plan) => {
             Drafted::ready("plan.stale").acting(StepAction::Compute, "act.plan_again")
         }
-        Some(plan) => {
+        (plan, Some(result))
+            if plan.is_none_or(|plan| plan.directory.changed_ms < result.directory.changed_ms) =>
+        {
+            let text = if is_over(result, now.today) { "plan.over" } else { "plan.ends" };
+            let values = json!({ "until": result.content["validity"]["until"] });
+            let ready = Drafted::new(StepState::Ready, StepVerdict::None, text, values);
+            ready.acting(StepAction::Compute, "act.renew")
+        }
+        (None, _) => Drafted::ready("plan.none").acting(StepAction::Compute, "act.plan"),
+        (Some(plan), _) => {
             let values = json!({
                 "poses": plan.poses, "minutes": plan.duration_s / 60.0, "predicted_mm": plan.predicted_mm,
             });
@@ -238,7 +287,11 @@ fn is_stale(files: &WorkFiles, plan: &FoundPlan) -> bool {
 
 /// The directory of the programs of a plan, or that of new ones.
 pub(super) fn program_directory(plan: &FoundPlan) -> &str {
-    let new = if plan.is_check { "check-program" } else { "program" };
+    let new = match &*plan.directory.name {
+        RENEWAL => "renewal-program",
+        _ if plan.is_check => "check-program",
+        _ => "program",
+    };
     plan.program.as_ref().map_or(new, |directory| &directory.name)
 }
 
@@ -311,7 +364,7 @@ pub(super) fn result_directory(files: &WorkFiles) -> &str {
     files.result.as_ref().map_or("result", |result| &result.directory.name)
 }
 
-fn result(files: &WorkFiles) -> Drafted {
+fn result(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
     let run = files.plan(false).and_then(|plan| usable_run(files, plan));
     let input = run.map_or("run.dbbd", |run| &run.path);
     let exclude = exclusions::options(&exclusions::of_result(files, run));
@@ -323,19 +376,19 @@ fn result(files: &WorkFiles) -> Drafted {
             Drafted::ready("result.stale").acting(StepAction::Compute, "act.result")
         }
         (Some(result), run) => {
-            let done = of_result(result);
+            let done = of_result(result, is_over(result, now.today));
             if run.is_some() { done.acting(StepAction::Compute, "act.result_again") } else { done }
         }
     };
     drafted.command(command).made(files.result.as_ref().map(|result| &result.directory))
 }
 
-fn of_result(result: &FoundDocument) -> Drafted {
+fn of_result(result: &FoundDocument, is_over: bool) -> Drafted {
     let content = &result.content;
     let found: Vec<FindingRecord> =
         content["findings"].as_array().into_iter().flatten().filter_map(recorded).collect();
     let is_doubtful = found.iter().any(|finding| finding.severity != Severity::Info);
-    let verdict = if is_doubtful { StepVerdict::Undecided } else { StepVerdict::Pass };
+    let verdict = if is_doubtful || is_over { StepVerdict::Undecided } else { StepVerdict::Pass };
     let validity = &content["validity"];
     let values = json!({
         "robot": content["robot"], "measurements": content["measurements"],
@@ -347,6 +400,7 @@ fn of_result(result: &FoundDocument) -> Drafted {
         "rank": content["rank"], "until": validity["until"],
     });
     let text = match (is_doubtful, &validity["until"]) {
+        _ if is_over => "result.over",
         (true, _) => "result.doubtful",
         (false, Value::String(_)) => "result.valid",
         (false, _) => "result.found",
@@ -365,12 +419,10 @@ fn micrometres(mm: &Value) -> Option<f64> {
 }
 
 fn correct(files: &WorkFiles) -> Drafted {
-    let result = result_directory(files);
+    let robot = identified_robot(files);
     let next = uncorrected(files).first().copied().or(programs_in(files.programs.uploaded.as_ref()).next());
     let program = next.unwrap_or("PROGRAM.src");
-    let command = format!(
-        "dbbd compensate {UPLOADED}/{program} --robot {result}/robot-identified.toml --out {CORRECTED}"
-    );
+    let command = format!("dbbd compensate {UPLOADED}/{program} --robot {robot} --out {CORRECTED}");
     if files.result.is_none() {
         return Drafted::todo("correct.no_result").command(command);
     }
@@ -425,7 +477,7 @@ pub(super) fn check_part(files: &WorkFiles) -> Option<CheckPart> {
 }
 
 fn check(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
-    let robot = format!("{}/robot-identified.toml", result_directory(files));
+    let robot = identified_robot(files);
     let directory = files.check.as_ref().map_or("check", |check| &check.directory.name);
     let plan_command = format!(
         "dbbd plan --check {} --robot {robot} --out {}",
@@ -487,7 +539,7 @@ fn of_check(check: &FoundDocument) -> Drafted {
     let values = json!({
         "error_mm": content["position_error_mm"], "upper_mm": content["upper_mm"],
         "tolerance_mm": content["tolerance_mm"], "risk": content["specific_risk"],
-        "lengths": content["lengths"],
+        "lengths": content["lengths"], "until": content["validity"]["until"],
     });
     Drafted::done(verdict, text, values)
 }
@@ -517,6 +569,8 @@ mod tests {
     use dbbd_job::plan::Job;
 
     use super::*;
+
+    const TODAY: &str = "2026-05-01T12:00:00Z";
 
     fn directory(name: &str, changed_ms: u64) -> FoundDirectory {
         FoundDirectory { name: name.into(), files: vec!["a".into()], times_ms: vec![changed_ms], changed_ms }
@@ -565,7 +619,7 @@ mod tests {
 
     fn seen(files: &WorkFiles, jobs: &[EvaluationJob], recording: Option<&str>) -> Vec<StepReport> {
         let explain = |finding| ExplainedFinding { finding, cause: "", cure: "" };
-        steps(files, &Activity { jobs, recording, explain: &explain })
+        steps(files, &Activity { jobs, recording, today: TODAY, explain: &explain })
     }
 
     fn states(files: &WorkFiles) -> Vec<StepState> {
@@ -598,6 +652,47 @@ mod tests {
         files.job.as_mut().unwrap().sha256 = Some("bb".into());
         let plan = &seen(&files, &[], None)[2];
         assert_eq!((plan.state, plan.text), (StepState::Ready, "plan.stale"));
+    }
+
+    #[test]
+    fn a_calibration_that_ends_is_renewed() {
+        let mut files = WorkFiles { plans: vec![planned(false)], ..job() };
+        let of = |until: &str| {
+            let content = json!({ "findings": [], "validity": { "until": until } });
+            Some(FoundDocument { directory: directory("result", 30), content })
+        };
+        let texts = |files: &WorkFiles| {
+            let steps = seen(files, &[], None);
+            (steps[2].text, steps[5].text, steps[2].command.clone())
+        };
+        let job_plan = "dbbd plan job.toml --out plan";
+        let renewing = "dbbd plan job.toml --renew --robot result/robot-identified.toml --out renewal-plan";
+        for (until, plan, result, command) in [
+            ("2026-06-02", "plan.found_bare", "result.valid", job_plan),
+            ("2026-05-20", "plan.ends", "result.valid", renewing),
+            ("2026-04-30", "plan.over", "result.over", renewing),
+        ] {
+            files.result = of(until);
+            assert_eq!(texts(&files), (plan, result, command.into()), "{until}");
+        }
+        // Once it is planned, its programs are next; those of the job are kept.
+        let renewal = FoundPlan {
+            directory: directory(RENEWAL, 40),
+            hash: "r".into(),
+            program: None,
+            ..planned(false)
+        };
+        files.plans.insert(0, renewal);
+        let steps = seen(&files, &[], None);
+        assert_eq!((steps[2].text, steps[3].text), ("plan.found_bare", "programs.none"));
+        assert_eq!(steps[3].command, "dbbd program renewal-plan/plan.csv --out renewal-program");
+        files.runs = vec![run("r", 50)];
+        assert_eq!(seen(&files, &[], None)[5].text, "result.stale");
+        // A changed job is planned as a whole.
+        files.job.as_mut().unwrap().sha256 = Some("bb".into());
+        assert_eq!(texts(&files).2, job_plan);
+        files.runs.clear();
+        assert_eq!(texts(&files).1, "result.over");
     }
 
     #[test]
