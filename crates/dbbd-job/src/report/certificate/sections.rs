@@ -160,6 +160,14 @@ impl Certificate {
         facts.extend(result.excluded.iter().map(left_out));
         facts.push(pair("Position uncertainty, mean", nominal.mean, identified.mean));
         facts.push(pair("Position uncertainty, 95 % of the poses", nominal.p95, identified.p95));
+        facts.extend(result.predicted_orientation_uncertainty_mrad.iter().map(|turned| {
+            let [before, after] =
+                [turned.nominal.mean, turned.identified.mean].map(|mrad| significant(mrad, 2));
+            fact(
+                "Orientation uncertainty of the flange, mean",
+                format!("{before} mrad before, {after} mrad after"),
+            )
+        }));
         let (k, expanded) = (self.budget.coverage_factor, self.budget.expanded_mm);
         facts.push(fact("Expanded position uncertainty", format!("U = {} (k = {k})", mm(expanded))));
         facts
