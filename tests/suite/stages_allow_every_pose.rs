@@ -65,11 +65,11 @@ pub(crate) fn execute(plan: &Plan, cell: &Cell, seed: u64) -> (f64, Vec<Prepared
         }
     }
     assert_eq!(controller.dwells() as usize, rows.len());
-    let bar_mm = plan.header.job.bar.length_mm;
-    let lengths = rows
-        .iter()
-        .zip(&sums)
-        .map(|(row, (sum, count))| PreparedMeasurement { length_mm: bar_mm + sum / count, ..row.reading() });
+    let bar = &plan.header.job.bar;
+    let lengths = rows.iter().zip(&sums).map(|(row, (sum, count))| PreparedMeasurement {
+        length_mm: bar.length_mm + sum / count,
+        ..row.reading(bar)
+    });
     (worst, lengths.collect())
 }
 

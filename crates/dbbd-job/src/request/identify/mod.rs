@@ -226,6 +226,7 @@ impl IdentifyRequest {
             session.findings(earlier::other_run(identity, balls, stated));
             identity.extend(stated);
         }
+        given.bar_u_mm = identity.bar_u_mm(self.bar_u_mm);
         session.findings(identity.old_certificate(&date::utc(clock::unix_ns())));
         let replaced = self.out.join(files::RESULT);
         earlier::check_replaced(&replaced, Some(&given.robot.name), &given.provenance)?;
