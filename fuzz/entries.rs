@@ -2,37 +2,57 @@
 //! and what is accepted keeps its laws. The suite sends the corpus and mutations of it through these
 //! (`tests/suite/any_bytes_are_taken.rs`), the targets beside this file whatever a fuzzer finds.
 
+use std::path::Path;
 use std::sync::OnceLock;
 
+use dbbd::daemon::ServiceConfig;
 use dbbd::live::{JobRequest, StartRequest};
 use dbbd_device::axes::{AxesDecoder, AxesProtocol, rsi, rtde};
 use dbbd_device::protocol::{DecodedItem, ProtocolDefinition};
 use dbbd_job::plan::{Job, Plan};
-use dbbd_job::program::krl::{self, Files, Given, Text};
+use dbbd_job::program::fanuc::GivenFrames;
+use dbbd_job::program::krl::{self, Files, Given};
+use dbbd_job::program::{self, Language, Moved, Program, Text, fanuc, rapid, urscript};
 use dbbd_job::recording::TelegramReader;
 use dbbd_job::recording::axes::AxesReceiver;
 use dbbd_job::recording::capture;
-use dbbd_job::sim::SimulatedController;
+use dbbd_job::recording::import::{TraceBar, TraceMapping, TraceReader};
+use dbbd_job::report::export::urdf_patch;
+use dbbd_job::request::Request;
+use dbbd_job::robot_description::{self, FactoryTable};
+use dbbd_job::sim::world::WorldSetup;
+use dbbd_job::sim::{SimulatedController, truth};
 use dbbd_model::base::table::TableReader;
 use dbbd_model::base::units::HostNs;
+use dbbd_model::circular::{self, CircularSettings};
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::measurement::{BaseBall, Measurements};
+use dbbd_model::provenance::{Artefact, ArtefactRole, Identity, Provenance};
 use dbbd_model::robot::Robot;
 
 /// An entrance.
 pub(crate) type Entry = fn(&[u8]);
 
 /// The entrances by name; each has a corpus of that name.
-pub(crate) const ENTRIES: [(&str, Entry); 10] = [
+pub(crate) const ENTRIES: [(&str, Entry); 18] = [
     ("axes", axes),
     ("capture", capture_reader),
+    ("circle", circle),
     ("decoder", decoder),
     ("definition", definition),
+    ("description", description),
+    ("fanuc", |data| script("m10id12", data)),
     ("http", http),
     ("job", job),
     ("krl", krl_reader),
     ("plan", plan),
+    ("rapid", |data| script("irb1600-10-145", data)),
+    ("result", result),
     ("robot", robot),
+    ("settings", settings),
     ("tables", tables),
+    ("trace", trace),
+    ("urscript", |data| script("ur10e", data)),
 ];
 
 /// A framing that no built-in definition has: a length in the frame.
@@ -138,6 +158,23 @@ fn definition(data: &[u8]) {
     }
 }
 
+/// The largest correction of a program, mm.
+const LIMIT_MM: f64 = 8.0;
+
+fn built_in(name: &str) -> Robot {
+    Robot::by_name(name).expect("a robot of that name").expect("its file can be read")
+}
+
+/// A robot with errors, as it was identified.
+fn identified(name: &str) -> Robot {
+    let nominal = built_in(name);
+    Robot { nominal: Some(Box::new(nominal.clone())), ..truth::draw_true_robot(&nominal, 1, 1.0) }
+}
+
+fn file<'a>(file: &'a str, text: &'a str) -> Text<'a> {
+    Text { file, text }
+}
+
 /// A `.src`, behind a zero byte a `.dat`, behind another a `$config.dat`.
 fn krl_reader(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
@@ -148,26 +185,76 @@ fn krl_reader(data: &[u8]) {
         let _ = (krl::logged_axes(data), krl::plan_hash(data));
         let _ = (krl::absolute_accuracy(data), krl::read_setup(data));
     }
-    execute(source, data);
-    fn file<'a>(file: &'a str, text: &'a str) -> Text<'a> {
-        Text { file, text }
+    let texts = [("M.src", source), ("M.dat", data)];
+    let wanted = |wanted: &str| texts.iter().find(|(name, text)| *name == wanted && !text.is_empty());
+    let open = |name: &str| Ok(wanted(name).map(|(name, text)| ((*name).to_owned(), (*text).to_owned())));
+    if let Ok(program) = krl::Program::open("M", open) {
+        execute(program.into(), &built_in("kr60ha"));
     }
     let files = Files {
         source: file("M.src", source),
         data: (!data.is_empty()).then(|| file("M.dat", data)),
         config: (!config.is_empty()).then(|| file("config.dat", config)),
     };
-    let _ = krl::read(files, Given::default());
+    let Ok(points) = krl::read(files, Given::default()) else { return };
+    let Ok(corrected) = krl::compensate(files, &points, &identified("kr60ha"), LIMIT_MM) else { return };
+    let data = corrected.data.as_deref().map(|data| file("M.dat", data));
+    let again =
+        krl::read(Files { source: file("M.src", &corrected.source), data, ..files }, Given::default());
+    let again = again.expect("a program that was corrected is read again");
+    check_corrected(&corrected.moved, [points.points.len(), again.points.len()]);
+    check_stamped(Language::Krl, &corrected.source);
+}
+
+/// A program of a robot's language, and behind a zero byte the frames of its controller: a module, or SYSFRAME.VA.
+fn script(robot: &str, data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let (source, config) = text.split_once('\0').unwrap_or((text, ""));
+    let (nominal, first) = (built_in(robot), ("M".to_owned(), source.to_owned()));
+    let language = Language::of_robot(&nominal);
+    let opened = match language {
+        Language::Rapid => rapid::open(first, Vec::new()),
+        Language::Urscript => urscript::open(first),
+        Language::Krl | Language::Fanuc => fanuc::open(first, Vec::new()),
+    };
+    if let Ok(listing) = opened {
+        execute(listing.into(), &nominal);
+    }
+    let config = (!config.is_empty()).then(|| file("config", config));
+    let read = |source| match language {
+        Language::Rapid => rapid::read(file("M", source), config),
+        Language::Urscript => urscript::read(file("M", source), None),
+        Language::Krl | Language::Fanuc => {
+            fanuc::read(file("M", source), GivenFrames { config, ..GivenFrames::default() })
+        }
+    };
+    let Ok(points) = read(source) else { return };
+    let corrected = points.compensate(file("M", source), &identified(robot), LIMIT_MM);
+    let Ok((corrected, moved)) = corrected else { return };
+    let again = read(&corrected).expect("a program that was corrected is read again");
+    check_corrected(&moved, [points.points.len(), again.points.len()]);
+    check_stamped(language, &corrected);
+}
+
+/// Every point is corrected, none by more than the limit, and the corrected program has the same.
+fn check_corrected(moved: &[Moved], points: [usize; 2]) {
+    assert!(moved.iter().all(|moved| moved.shift_mm <= LIMIT_MM));
+    assert_eq!(points, [moved.len(); 2], "a correction changes the points");
+}
+
+/// What a program says of its origin is read as it was written, and written once.
+fn check_stamped(language: Language, text: &str) {
+    let mut chain = Provenance { dbbd: "1".into(), ..Provenance::default() };
+    chain.add(&Artefact::new(ArtefactRole::Robot, "a robot; of cell 7.toml", "text"));
+    let once = program::stamped(language, text, &chain).expect("a chain that can be written");
+    assert_eq!(program::stamped(language, &once, &chain).ok().as_ref(), Some(&once), "written twice");
+    let read = program::provenance("M", &once).expect("a chain that was written");
+    assert!(read == chain || read.is_empty(), "{read:?}");
 }
 
 /// What is read is executed for a while.
-fn execute(source: &str, data: &str) {
-    let files = [("M.src", source), ("M.dat", data)];
-    let file = |wanted: &str| files.iter().find(|(name, text)| *name == wanted && !text.is_empty());
-    let open = |wanted: &str| Ok(file(wanted).map(|(name, text)| ((*name).to_owned(), (*text).to_owned())));
-    let Ok(program) = krl::Program::open("M", open) else { return };
-    let Some(Ok(robot)) = Robot::by_name("kr60ha") else { return };
-    let Ok(mut controller) = SimulatedController::new(program, &robot, 100.0) else { return };
+fn execute(program: Program, robot: &Robot) {
+    let Ok(mut controller) = SimulatedController::new(program, robot, 100.0) else { return };
     for _ in 0..4 {
         match controller.step(0.5) {
             Ok(moment) if moment.done => return,
@@ -235,10 +322,67 @@ fn job(data: &[u8]) {
 fn robot(data: &[u8]) {
     let Ok(text) = std::str::from_utf8(data) else { return };
     if let Ok(robot) = Robot::from_toml("robot.toml", text) {
-        // Angles go through radians, which may cost their last bit.
-        let again = Robot::from_toml("robot.toml", &robot.to_toml().unwrap());
-        assert!(again.is_ok(), "what was read and written is not read again");
-        let _ = robot.geometry.ball(&[0.1; 6]);
+        check_robot(&robot);
+    }
+}
+
+/// Angles go through radians, which may cost their last bit.
+fn check_robot(robot: &Robot) {
+    let again = Robot::from_toml("robot.toml", &robot.to_toml().unwrap());
+    assert!(again.is_ok(), "what was read and written is not read again");
+    let _ = robot.geometry.ball(&[0.1; 6]);
+}
+
+/// A robot that is no robot is refused when it is written.
+fn check_imported(robot: &Robot) {
+    if let Ok(robot) = Robot::from_toml("robot.toml", &robot.to_toml().unwrap()) {
+        check_robot(&robot);
+    }
+}
+
+/// A robot as others describe it: a URDF, `$machine.dat`, a factory calibration, the messages of a controller.
+fn description(data: &[u8]) {
+    if let Ok(table) = FactoryTable::receive(&mut &data[..]) {
+        check_imported(&table.imported(&built_in("ur10e")).robot);
+    }
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    if let Ok(imported) = robot_description::import("arm", text, Some(&built_in("ur10e")), &[]) {
+        check_imported(&imported.robot);
+    }
+    let robot = identified("kr60ha");
+    let read = |text: &str| robot_description::import("arm", text, None, &[]);
+    if let Ok(patched) = urdf_patch::patch("arm", text, &robot, &[]) {
+        assert!(read(text).is_err() || read(&patched.text).is_ok(), "not read again after the patch");
+    }
+}
+
+/// A `result.json`; its checksum is tried as it is, and left out.
+fn result(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let _ = CalibrationResult::from_json("result.json", text);
+    let Ok(json) = serde_json::from_str(text) else { return };
+    if let Ok(result) = CalibrationResult::from_value(json) {
+        let written = serde_json::to_value(&result).expect("a result that can be written");
+        assert_eq!(CalibrationResult::from_value(written), Ok(result), "not read as it was written");
+    }
+}
+
+/// TOML beside job and robot: an identity, a world, the configuration of the service.
+fn settings(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    if let Ok(identity) = Identity::from_toml("identity.toml", text) {
+        let written = serde_json::to_value(&identity).expect("an identity that can be written");
+        let again = serde_json::from_value::<Identity>(written);
+        assert!(again.is_ok_and(|again| again == identity), "not read as it was written");
+        let _ = (identity.facts(), identity.check_dates(0), identity.old_certificate("2026-01-01"));
+    }
+    if let Ok(world) = WorldSetup::new(&[], Some(("world.toml", text))) {
+        assert!(world.check().is_ok());
+    }
+    if let Ok(config) = ServiceConfig::from_toml(Path::new("dbbd.toml"), text) {
+        let endpoint = config.endpoint;
+        let is_guarded = endpoint.token.is_some() || !endpoint.users.is_empty();
+        assert!(is_guarded || endpoint.address.ip().is_loopback(), "{endpoint:?} is open");
     }
 }
 
@@ -266,10 +410,55 @@ fn tables(data: &[u8]) {
     let _ = table().and_then(|mut table| Measurements::poses_from_table(&mut table));
 }
 
-/// Bodies of requests.
+/// A mapping, and behind a zero byte a trace of other software.
+fn trace(data: &[u8]) {
+    let at = data.iter().position(|byte| *byte == 0).unwrap_or(0);
+    let (mapping, trace) = data.split_at(at);
+    let mapping = std::str::from_utf8(mapping).ok();
+    let mapping = mapping.and_then(|text| TraceMapping::from_toml("mapping.toml", text).ok());
+    let (Some(mapping), Some(trace)) = (mapping, trace.get(1..)) else { return };
+    let Ok(table) = TableReader::new("trace.csv", trace, mapping.layout()) else { return };
+    let mut reader = TraceReader::new(table, &mapping, TraceBar { length_mm: 300.0, stroke_mm: [-5.0, 5.0] });
+    let (mut last, mut samples) = (HostNs(0), 0);
+    while let Ok(row) = reader.row() {
+        let Some((host, sample)) = row.sample else {
+            let finished = reader.finish();
+            assert_eq!(samples > 0, finished.is_ok());
+            if let Ok((counts, _)) = finished {
+                assert_eq!(counts.samples, samples);
+                let _ = counts.doubts(last.seconds_since(HostNs(0)), 0.5).count();
+            }
+            return;
+        };
+        assert!(host >= last && sample.reading_mm.is_finite(), "{host:?} {sample:?}");
+        (last, samples) = (host, samples + 1);
+    }
+}
+
+/// A circular test of other software.
+fn circle(data: &[u8]) {
+    let table = TableReader::of("circle.csv", data);
+    let Ok(traces) = table.and_then(|mut table| circular::traces_from_table(&mut table)) else { return };
+    let lengths: Vec<f64> =
+        traces.iter().flat_map(|trace| &trace.points).map(|point| point.length_mm).collect();
+    let radius_mm = lengths.iter().sum::<f64>() / lengths.len() as f64;
+    let settings = CircularSettings { draws: 20, ..CircularSettings::new(radius_mm) };
+    if let Ok(found) = circular::circular(&traces, &settings) {
+        let numbers =
+            circular::QUANTITY_NAMES.map(|name| found.get(name)).map(|found| [found.value, found.u95]);
+        assert!(numbers.iter().flatten().flatten().all(|value| value.is_finite()), "{numbers:?}");
+    }
+}
+
+/// Bodies of requests to the service, and requests to a child process.
 fn http(data: &[u8]) {
     let _ = serde_json::from_slice::<StartRequest>(data);
     let _ = serde_json::from_slice::<JobRequest>(data);
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    if let Ok(request) = Request::from_json("request", text) {
+        let written = serde_json::to_string(&request).expect("a request that can be written");
+        assert_eq!(Request::from_json("request", &written).ok(), Some(request), "not read as it was written");
+    }
 }
 
 /// Sends bytes through an entrance.

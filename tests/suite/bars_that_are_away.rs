@@ -100,8 +100,12 @@ fn bar_that_disappears_ends_the_run() {
 #[test]
 fn port_that_disappears_during_a_command() {
     let (mut line, host) = serialport::TTYPort::pair().unwrap();
-    let name = serialport::SerialPort::name(&host).unwrap();
+    // Another test may get the same terminal: this name is gone before it.
+    let directory = tempfile::tempdir().unwrap();
+    let link = directory.path().join("bar");
+    std::os::unix::fs::symlink(serialport::SerialPort::name(&host).unwrap(), &link).unwrap();
     drop(host);
+    let name = link.display().to_string();
     let pulled = std::thread::spawn(move || {
         // At first the line is not open.
         let came =
@@ -109,6 +113,7 @@ fn port_that_disappears_during_a_command() {
         while !came(&mut line) {
             clock::sleep(0.001);
         }
+        std::fs::remove_file(link).unwrap();
     });
     let definition = ProtocolDefinition::by_name("microepsilon-ild1420").unwrap().unwrap();
     let gone = daemon::zero_bar(&name.parse().unwrap(), &definition).unwrap_err();

@@ -4,10 +4,13 @@
 
 use std::fs;
 
-use dbbd_job::program::krl;
+use dbbd_job::program::{Language, krl};
+use dbbd_job::report::ReportFinding;
+use dbbd_job::report::export::hand_back::{HandBack, HandBackTarget};
 use dbbd_job::report::export::urdf::urdf;
 use dbbd_job::sim::truth;
 use dbbd_model::estimation::Workspace;
+use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
 use dbbd_model::robot::{ArmLoad, Joint, Mass, Pose, Robot};
 use nalgebra::{Rotation3, Unit, Vector3};
@@ -197,6 +200,9 @@ fn what_a_target_needs_is_asked_for() {
         let output = dbbd(dir.path(), &["export", "found.toml", "--for", target, "--out", "out"]);
         assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1725".to_owned()]), "{target}");
     }
+    let fanuc = HandBackTarget::ZerosOnly(Some(Language::Fanuc));
+    let refused = HandBack::of(fanuc, &found, None, &Provenance::default()).err().unwrap();
+    assert!(matches!(refused.finding::<ReportFinding>(), Some(ReportFinding::OtherMake { .. })), "{refused}");
     let output = dbbd(dir.path(), &["export", "kr60ha", "--for", "robodk", "--out", "dk", "--json"]);
     assert_eq!((output.status.code(), left_out_mm(&output)), (Some(0), None), "{}", stderr(&output));
     let table = fs::read_to_string(dir.path().join("dk/robodk.csv")).unwrap();

@@ -150,6 +150,7 @@ fn golden(recording: &Recording) -> String {
 /// On a busy machine an answer may be late, which is reported: a request counts as unanswered, the bar as silent, or the answer
 /// to a command as part of the stream. Then the recording is played again.
 fn patiently(recording: &Recording, cuts: Cuts) -> String {
+    const MOST_TRIES: u32 = 20;
     let reference = golden(recording);
     let mut tries = 0;
     loop {
@@ -158,7 +159,7 @@ fn patiently(recording: &Recording, cuts: Cuts) -> String {
         let in_time = count(&now, "bytes ") == Some(recording.stream as u64);
         let late = is_late(&now, &reference);
         // Unplugged, a request may remain unanswered.
-        if in_time && !late || tries == 5 || matches!(cuts, Cuts::Unplugged(_)) {
+        if in_time && !late || tries == MOST_TRIES || matches!(cuts, Cuts::Unplugged(_)) {
             let blesses = std::env::var_os("DBBD_BLESS").is_some();
             return if in_time && late && !blesses { as_in_time(&now, &reference) } else { now };
         }

@@ -94,6 +94,13 @@ const CONFIGURATIONS: &[(&str, &str, &str)] = &[
     ("trusted_proxies = [\"proxy\"]\n", "dbbd.toml:1:20:", "E1501"),
     ("token_file = \"none\"\n", "dbbd.toml:1:14:", "E1501"),
     ("[[user]]\nname = \"A\"\nrole = \"plan\"\ntoken_hash = \"00\"\n", "dbbd.toml:1:1:", "E1501"),
+    // Two users of one token.
+    (
+        "[[user]]\nname = \"A\"\nrole = \"plan\"\ntoken_hash = \"0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef\"\n\
+         [[user]]\nname = \"B\"\nrole = \"look\"\ntoken_hash = \"0123456789ABCDEF0123456789ABCDEF0123456789ABCDEF0123456789ABCDEF\"\n",
+        "dbbd.toml:1:1:",
+        "E1501",
+    ),
     ("token_file = \"short\"\n", "dbbd.toml:1:14:", "E1501"),
     ("[device]\nprotocol = \"dbb-cobs\"\n", "dbbd.toml:2:12:", "E1501"),
     ("[alarm]\nshare = 1.5\n", "dbbd.toml:2:9:", "E1501"),

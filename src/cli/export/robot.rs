@@ -9,6 +9,7 @@ use super::ExportArgs;
 use dbbd_job::artefact;
 use dbbd_job::file_set::{EarlierFiles, FileSet};
 use dbbd_job::files;
+use dbbd_job::program::Language;
 use dbbd_job::report::ReportFinding::{CoupledInUrdf, LeftOut};
 use dbbd_job::report::export::hand_back::{HandBack, HandBackTarget};
 use dbbd_job::report::export::urdf::{CoupledJoint, coupled};
@@ -51,7 +52,9 @@ impl TargetName {
             Self::Ros => HandBackTarget::Ros,
             Self::Urdf | Self::Mujoco | Self::Drake => HandBackTarget::Urdf,
             Self::Kuka => HandBackTarget::Kuka,
-            Self::Fanuc | Self::Abb | Self::Yaskawa | Self::Staubli => HandBackTarget::ZerosOnly,
+            Self::Fanuc => HandBackTarget::ZerosOnly(Some(Language::Fanuc)),
+            Self::Abb => HandBackTarget::ZerosOnly(Some(Language::Rapid)),
+            Self::Yaskawa | Self::Staubli => HandBackTarget::ZerosOnly(None),
             Self::Robodk => HandBackTarget::RoboDk,
         }
     }
@@ -92,7 +95,7 @@ pub(super) fn hand_back(
     }
     match target.target() {
         HandBackTarget::Urdf | HandBackTarget::Ros => report_coupled(&robot, out),
-        HandBackTarget::Kuka | HandBackTarget::ZerosOnly | HandBackTarget::RoboDk => {}
+        HandBackTarget::Kuka | HandBackTarget::ZerosOnly(_) | HandBackTarget::RoboDk => {}
     }
     report_left_out(left_out, out);
     out.document(&HandBackDocument { files, left_out })?;

@@ -223,16 +223,20 @@ impl Endpoint {
 }
 
 impl ServiceConfig {
-    /// Reads a file. Relative paths in it start at its directory.
+    /// Reads a file.
     pub fn read(path: &Path) -> Result<Self, Diagnostic> {
+        Self::from_toml(path, &files::read_text(path)?)
+    }
+
+    /// From the text of a file. Relative paths in it start at its directory.
+    pub fn from_toml(path: &Path, text: &str) -> Result<Self, Diagnostic> {
         let file = path.display().to_string();
-        let text = files::read_text(path)?;
         let base = path.parent().unwrap_or(Path::new(""));
-        let table: ConfigFile = from_toml(&file, &text).map_err(|wrong| match wrong.help_line() {
+        let table: ConfigFile = from_toml(&file, text).map_err(|wrong| match wrong.help_line() {
             Some(_) => wrong,
             None => wrong.help("docs/reference/service.md explains every key"),
         })?;
-        Self::from_table(&ConfigSource { file, text: &text, base }, table)
+        Self::from_table(&ConfigSource { file, text, base }, table)
     }
 
     fn from_table(source: &ConfigSource, table: ConfigFile) -> Result<Self, Diagnostic> {
@@ -257,11 +261,12 @@ impl ServiceConfig {
             let file = source.base.join(path.get_ref());
             config.endpoint.token = Some(token(&file).map_err(|wrong| source.wrong(path.span(), wrong))?);
         }
-        let names: Vec<String> = table.user.iter().map(|user| user.get_ref().name.clone()).collect();
+        let users = table.user.iter().map(Spanned::get_ref);
+        let all: Vec<_> = users.map(|user| (user.name.clone(), user.token_hash.to_lowercase())).collect();
         for user in table.user {
             let span = user.span();
             config.endpoint.users.push(
-                known_user(user.into_inner(), &names).map_err(|wrong| source.wrong(span.clone(), wrong))?,
+                known_user(user.into_inner(), &all).map_err(|wrong| source.wrong(span.clone(), wrong))?,
             );
         }
         if let Some(address) = &table.address {
@@ -356,14 +361,17 @@ fn definition(
     ProtocolDefinition::from_toml_with(&path.display().to_string(), &text, params)
 }
 
-/// `names` are those of all users.
-fn known_user(user: UserTable, names: &[String]) -> Result<KnownUser, ServiceFinding> {
+/// `all` are the names of all users, and the hashes of their tokens.
+fn known_user(user: UserTable, all: &[(String, String)]) -> Result<KnownUser, ServiceFinding> {
     let UserTable { name, role, token_hash } = user;
     if name.trim().is_empty() || name.len() > LONGEST_USER || name.contains(char::is_control) {
         return Err(NotAUser { why: "its name is empty, too long or not printable" });
     }
-    if names.iter().filter(|other| **other == name).count() > 1 {
+    if all.iter().filter(|(other, _)| *other == name).count() > 1 {
         return Err(NotAUser { why: "there is another one of this name" });
+    }
+    if all.iter().filter(|(_, other)| *other == token_hash.to_lowercase()).count() > 1 {
+        return Err(NotAUser { why: "another one has this token" });
     }
     KnownUser::named(name, role, &token_hash)
         .ok_or(NotAUser { why: "token_hash has no 64 hexadecimal digits" })

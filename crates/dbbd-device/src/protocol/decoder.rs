@@ -210,8 +210,9 @@ impl ProtocolDecoder {
 
     fn accept(&mut self, meaning: MessageMeaning, bytes: u64, out: &mut Vec<DecodedItem>) {
         match meaning {
-            MessageMeaning::Sample(sample) => {
-                out.push(DecodedItem::Sample(Sample { offset: self.offset, ..sample }, bytes));
+            MessageMeaning::Sample(mut sample) => {
+                sample.offset = self.offset;
+                out.push(DecodedItem::Sample(sample, bytes));
                 self.offset += bytes;
             }
             MessageMeaning::Reject(word) => self.fault(LineFaultKind::Reject(word), bytes, out),

@@ -27,7 +27,7 @@ pub(super) fn lines(language: Language, provenance: &Provenance) -> Result<Vec<S
 
 /// A remark of a TP program has at most 32 characters, keeps no blank at its end and ends at a semicolon.
 const REMARK: usize = 31;
-/// What a remark begins with that goes on.
+/// What a remark ends with whose comment goes on in the next one.
 const ON: char = '+';
 
 /// The lines of a comment.
@@ -41,12 +41,10 @@ fn written(language: Language, comment: &str) -> Vec<String> {
                 if comment.starts_with(FROM) { comment.split_at(FROM.len()) } else { (comment, "") };
             let json = json.replace(' ', "\\u0020").replace(';', "\\u003b");
             let whole: Vec<char> = start.chars().chain(json.chars()).collect();
-            let pieces = whole.chunks(REMARK - 1).enumerate();
-            let piece = |(at, piece): (usize, &[char])| {
-                let on = if at == 0 { String::new() } else { ON.to_string() };
-                format!("   1:  !{on}{} ;", piece.iter().collect::<String>())
-            };
-            pieces.map(piece).collect()
+            let pieces = whole.chunks(REMARK - 1).map(|piece| piece.iter().collect::<String>());
+            let last = whole.len().div_ceil(REMARK - 1);
+            let on = |at: usize| if at < last { ON.to_string() } else { String::new() };
+            pieces.zip(1..).map(|(piece, at)| format!("   1:  !{piece}{} ;", on(at))).collect()
         }
     }
 }
@@ -56,9 +54,14 @@ fn comment(line: &str) -> Option<&str> {
     line.strip_prefix(Language::ALL.map(Language::comment)).or_else(|| fanuc::remark_of(line))
 }
 
-/// What a remark of a TP program adds to the one before.
+/// Whether a line begins a comment of these.
+fn is_first(line: &str) -> bool {
+    comment(line).is_some_and(|comment| [BY, FROM].iter().any(|start| comment.starts_with(start)))
+}
+
+/// The text of a remark of a TP program whose comment goes on in the next one.
 fn goes_on(line: &str) -> Option<&str> {
-    fanuc::remark_of(line)?.strip_prefix(ON)
+    fanuc::remark_of(line)?.strip_suffix(ON)
 }
 
 /// A character as ASCII, with the escapes of JSON.
@@ -77,12 +80,20 @@ fn escaped(character: char) -> String {
 pub fn provenance(file: &str, text: &str) -> Result<Provenance, Diagnostic> {
     let mut provenance = Provenance::default();
     let mut comments: Vec<(usize, String)> = Vec::new();
+    let mut is_open = false;
     for (line, number) in text.lines().zip(1..) {
-        let Some(comment) = comment(line) else { continue };
-        match (goes_on(line), comments.last_mut()) {
-            (Some(more), Some((_, last))) => last.push_str(more),
-            _ => comments.push((number, comment.to_owned())),
+        let Some(comment) = comment(line) else {
+            is_open = false;
+            continue;
+        };
+        let more = goes_on(line);
+        let text = more.unwrap_or(comment);
+        match comments.last_mut().filter(|_| is_open) {
+            Some((_, last)) => last.push_str(text),
+            None if is_first(line) => comments.push((number, text.to_owned())),
+            None => continue,
         }
+        is_open = more.is_some();
     }
     for (number, comment) in &comments {
         let number = *number;
@@ -118,13 +129,13 @@ pub fn check_one_plan(source: Text<'_>, data: Text<'_>) -> Result<(), Diagnostic
 pub fn stamped(language: Language, text: &str, provenance: &Provenance) -> Result<String, InternalFinding> {
     let mut comments = lines(language, provenance)?;
     let mut stamped = String::with_capacity(text.len() + 256 * comments.len());
-    let mut is_old = false;
+    let mut is_open = false;
     for line in text.split_inclusive('\n') {
-        let begins = |comment: &str| [BY, FROM].iter().any(|start| comment.starts_with(start));
-        is_old = comment(line).is_some_and(begins) || is_old && goes_on(line).is_some();
-        if is_old {
+        if is_first(line) || is_open && comment(line).is_some() {
+            is_open = goes_on(line).is_some();
             continue;
         }
+        is_open = false;
         stamped.push_str(line);
         if language.begins(line) {
             let end = if line.ends_with("\r\n") { "\r\n" } else { "\n" };
@@ -151,5 +162,11 @@ mod tests {
         assert!(remarks.len() > 3 && remarks.iter().all(|remark| remark.len() <= 32), "{once}");
         assert!(once.contains(&format!("{:4}:J P[1]", remarks.len() + 1)), "{once}");
         assert_eq!(stamped(Language::Fanuc, &once, &chain).unwrap(), once);
+        // A remark of the user after them stays what it is.
+        let own = listing.replace("   1:J", "   1:  !+40 mm ;\r\n   2:J");
+        let once = stamped(Language::Fanuc, &own, &chain).unwrap();
+        assert_eq!(provenance("P.LS", &once).unwrap().from, chain.from);
+        assert_eq!(stamped(Language::Fanuc, &once, &chain).unwrap(), once);
+        assert!(once.contains("!+40 mm ;"), "{once}");
     }
 }

@@ -34,13 +34,17 @@ impl Text<'_> {
 /// A span with the text that replaces it.
 pub(crate) type Edit = (Span, String);
 
-/// Applies edits, which do not overlap.
+/// Applies edits, which do not overlap. A number whose sign alone was between it and a name gets a blank in its place.
 pub(crate) fn rewritten(text: &str, mut edits: Vec<Edit>) -> String {
+    let is_of_word = |character: char| character.is_ascii_alphanumeric() || character == '_';
     edits.sort_by_key(|(span, _)| span.start);
     let mut edited = String::with_capacity(text.len() + 4 * edits.len());
     let mut at = 0;
     for (span, new) in edits {
         edited.push_str(text.get(at..span.start).unwrap_or(""));
+        if edited.ends_with(is_of_word) && new.starts_with(is_of_word) {
+            edited.push(' ');
+        }
         edited.push_str(&new);
         at = span.end;
     }
@@ -68,6 +72,13 @@ pub(crate) fn fixed(value: f64, decimals: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_number_does_not_become_a_part_of_a_name() {
+        let edits = |new: &str| vec![(3..7, new.to_owned()), (11..13, "7".to_owned())];
+        assert_eq!(rewritten("{A1-0.5,A2 +1}", edits("0.07")), "{A1 0.07,A2 7}");
+        assert_eq!(rewritten("{A1-0.5,A2 +1}", edits("-0.6")), "{A1-0.6,A2 7}");
+    }
 
     #[test]
     fn numbers_have_neither_a_negative_zero_nor_an_exponent() {

@@ -32,6 +32,7 @@ findings! {
         cure: "Give the directory that `dbbd identify` wrote, and the target of the robot's make." {
             NoResult => "the result of this robot's identification is not beside its file";
             NotKuka => "its table is not that of a KUKA with a central wrist";
+            OtherMake { robot: String, language: String } => "{robot} has a controller of another make, whose language is {language}";
         }
         I1722 "a target cannot hold all that was identified",
         cause: "A URDF, a DH table and machine data describe rigid links. They cannot represent gear errors, compliance, backlash and smooth joint errors; machine data and zeros hold only a part of the table.",

@@ -128,19 +128,27 @@ impl FactoryTable {
         };
         let mut stream = TcpStream::connect(&address).map_err(unreachable)?;
         stream.set_read_timeout(Some(Duration::from_secs(WAIT_S))).map_err(unreachable)?;
-        let none = || DescriptionFinding::NoKinematics { address: address.clone(), wait_s: WAIT_S };
-        let is_silent = |error: &io::Error| {
+        Self::receive(&mut stream).map_err(|error| {
             use io::ErrorKind::{TimedOut, UnexpectedEof, WouldBlock};
-            matches!(error.kind(), WouldBlock | TimedOut | UnexpectedEof)
-        };
+            if matches!(error.kind(), WouldBlock | TimedOut | UnexpectedEof) {
+                DescriptionFinding::NoKinematics { address: address.clone(), wait_s: WAIT_S }
+            } else {
+                unreachable(error)
+            }
+        })
+    }
+
+    /// The table in the messages of a primary interface.
+    ///
+    /// # Errors
+    /// The stream cannot be read, is none of this interface, or has no table.
+    pub fn receive(stream: &mut impl Read) -> io::Result<Self> {
         for _ in 0..MAX_MESSAGES {
-            let message = message(&mut stream)
-                .map_err(|error| if is_silent(&error) { none() } else { unreachable(error) })?;
-            if let Some(table) = kinematics(&message) {
+            if let Some(table) = kinematics(&message(stream)?) {
                 return Ok(Self::Whole(table));
             }
         }
-        Err(none())
+        Err(io::ErrorKind::UnexpectedEof.into())
     }
 
     /// The robot of this type with the controller's table.

@@ -1,5 +1,7 @@
 //! A URDF: its six moving joints, and the robot that they are.
 
+use std::collections::{HashMap, HashSet};
+
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
 use dbbd_model::robot::{AXES, JointAxis, Pose, Robot};
@@ -75,11 +77,15 @@ pub(crate) struct UrdfReader<'a> {
     file: &'a str,
     text: &'a str,
     document: &'a Document<'a>,
+    /// The first joint that leads to a link.
+    before: HashMap<&'a str, Node<'a, 'a>>,
 }
 
 impl<'a> UrdfReader<'a> {
     pub(crate) fn new(file: &'a str, text: &'a str, document: &'a Document<'a>) -> Self {
-        Self { file, text, document }
+        // Backwards, so that the first one stays.
+        let before = all_joints(document).rev().filter_map(|joint| Some((link(joint, "child")?, joint)));
+        Self { file, text, document, before: before.collect() }
     }
 
     fn refused(&self, node: Node<'_, '_>, finding: DescriptionFinding) -> Diagnostic {
@@ -87,20 +93,13 @@ impl<'a> UrdfReader<'a> {
         Diagnostic::position(self.file, self.text, at.row as usize, at.col as usize, finding)
     }
 
-    fn joints(&self) -> impl Iterator<Item = Node<'a, 'a>> {
-        self.document.root_element().children().filter(|node| node.has_tag_name("joint"))
-    }
-
     /// The joints from the root to this one.
     fn path(&self, joint: Node<'a, 'a>) -> Vec<Node<'a, 'a>> {
-        let mut path = vec![joint];
+        let before = |joint: &Node<'a, 'a>| self.before.get(link(*joint, "parent")?).copied();
+        let mut seen = HashSet::new();
         // A joint that is on the path already ends it: the links form a loop.
-        while let Some(parent) = link(path[path.len() - 1], "parent")
-            && let Some(before) = self.joints().find(|joint| link(*joint, "child") == Some(parent))
-            && !path.contains(&before)
-        {
-            path.push(before);
-        }
+        let path = std::iter::successors(Some(joint), before).take_while(|joint| seen.insert(*joint));
+        let mut path: Vec<_> = path.collect();
         path.reverse();
         path
     }
@@ -118,7 +117,7 @@ impl<'a> UrdfReader<'a> {
             let found = path.iter().copied().filter(|joint| movable(*joint)).map(name);
             if names.is_empty() { found.count() == AXES } else { found.eq(names.iter().map(String::as_str)) }
         };
-        let joints = self.joints().filter(|joint| movable(*joint));
+        let joints = all_joints(self.document).filter(|joint| movable(*joint));
         let mut chains: Vec<Vec<_>> = joints.map(|joint| self.path(joint)).filter(is_arm).collect();
         let finding = self.no_chain(names, chains.len());
         let chain = chains.pop().filter(|_| chains.is_empty()).ok_or_else(|| self.refused(root, finding))?;
@@ -148,7 +147,7 @@ impl<'a> UrdfReader<'a> {
 
     /// Why there is not one chain.
     fn no_chain(&self, names: &[String], chains: usize) -> DescriptionFinding {
-        let found: Vec<&str> = self.joints().filter(|joint| movable(*joint)).map(name).collect();
+        let found: Vec<&str> = all_joints(self.document).filter(|joint| movable(*joint)).map(name).collect();
         let joints = found.join(", ");
         match names.iter().find(|name| !found.contains(&name.as_str())) {
             Some(joint) => NoSuchJoint { joint: joint.clone(), joints },
@@ -179,6 +178,10 @@ impl<'a> UrdfReader<'a> {
             _ => Err(self.refused(node, not_numbers(attribute))),
         }
     }
+}
+
+fn all_joints<'a>(document: &'a Document<'a>) -> impl DoubleEndedIterator<Item = Node<'a, 'a>> {
+    document.root_element().children().filter(|node| node.has_tag_name("joint"))
 }
 
 fn not_numbers(attribute: &str) -> DescriptionFinding {
@@ -212,7 +215,7 @@ impl UrdfReader<'_> {
         let Some(sixth) = joints.last().map(|joint| joint.node) else { return Ok(()) };
         let is_behind = |joint: &Node<'_, '_>| *joint != sixth && self.path(*joint).contains(&sixth);
         let behind: Vec<&str> =
-            self.joints().filter(|joint| movable(*joint)).filter(is_behind).map(name).collect();
+            all_joints(self.document).filter(|joint| movable(*joint)).filter(is_behind).map(name).collect();
         let finding = || MoreJoints { sixth: name(sixth).into(), joints: behind.join(", ") };
         if behind.is_empty() { Ok(()) } else { Err(self.refused(sixth, finding())) }
     }
@@ -227,7 +230,7 @@ impl UrdfReader<'_> {
         let mut at = 0;
         while let Some((parent, frame)) = fixed.get(at).copied() {
             at += 1;
-            for joint in self.joints().filter(|joint| !movable(*joint)) {
+            for joint in all_joints(self.document).filter(|joint| !movable(*joint)) {
                 let (from, to) = (link(joint, "parent"), link(joint, "child"));
                 if let Some(to) =
                     to.filter(|to| from == Some(parent) && fixed.iter().all(|known| known.0 != *to))

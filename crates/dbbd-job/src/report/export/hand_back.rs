@@ -21,8 +21,8 @@ pub enum HandBackTarget {
     Ros,
     /// Machine data and mastering of a KUKA controller.
     Kuka,
-    /// A controller that takes only the zeros of its axes.
-    ZerosOnly,
+    /// A controller that takes only the zeros of its axes, with its language if dbbd writes it.
+    ZerosOnly(Option<Language>),
     /// The DH table, as RoboDK has it.
     RoboDk,
 }
@@ -68,7 +68,12 @@ impl HandBack {
                 ];
                 (files, by(&proposal.geometry(robot)))
             }
-            HandBackTarget::ZerosOnly => {
+            HandBackTarget::ZerosOnly(language) => {
+                let wanted = language.map(Language::name);
+                if let Some(own) = robot.controller_language().filter(|own| Some(*own) != wanted) {
+                    let (robot, language) = (robot.name.clone(), own.to_owned());
+                    return Err(ReportFinding::OtherMake { robot, language }.into());
+                }
                 let nominal = &robot.controller().geometry;
                 let rows = std::array::from_fn(|at| DhRow {
                     theta: robot.geometry.rows[at].theta,
