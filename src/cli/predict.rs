@@ -69,6 +69,7 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
     files::is_earlier(&args.out, (columns().join(",") + "\n").as_bytes())?;
     let LoadedRobot { mut robot, source, .. } = robots::read_named_robot(&args.robot, out)?;
     let date = args.date.clone().unwrap_or_else(|| utc(clock::unix_ns()));
+    out.findings_in(&args.robot, robot.far_day(&date));
     robot = robot.under(&MeasurementConditions { date: Some(date), temperature_c: args.temperature });
     out.findings_in(&args.robot, request::carrying(&args.robot, &mut robot, args.payload.as_deref())?);
     let (table, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, &args.axes)?;

@@ -68,6 +68,12 @@ fn a_calibration_fades_and_is_renewed() {
     let validity = &first["validity"];
     assert_eq!((&validity["measured"], &validity["basis"]), (&"2024-02-29".into(), &"hyper_prior".into()));
     let u_mm = validity["expanded_uncertainty_mm"].as_f64().unwrap();
+    // One number: the line, the budget and the page say the same.
+    let of_budget = first["budget"]["expanded_mm"].as_f64().unwrap();
+    assert!((u_mm / of_budget - 1.0).abs() < 1e-9, "{u_mm} {of_budget}");
+    let turned = &first["predicted_orientation_uncertainty_mrad"];
+    let [before, after] = ["nominal", "identified"].map(|when| turned[when]["mean"].as_f64().unwrap());
+    assert!(after > 0.0 && after < before, "{turned}");
     let limit_mm = validity["limit_mm"].as_f64().unwrap();
     assert!((limit_mm / u_mm - 1.5).abs() < 1e-9);
     assert!(validity["months"].as_f64().unwrap() > 1.0, "{validity}");
@@ -82,6 +88,12 @@ fn a_calibration_fades_and_is_renewed() {
     ]
     .map(|more| predicted_mm(at, more));
     assert!(years > 1.1 * day && warm < years && warm > day, "{day} {warm} {years}");
+    // Before the calibration, and long after it.
+    for far in ["2023-12-31", "2224-02-29"] {
+        let args = ["predict", "axes.csv", "--robot", "first/robot-identified.toml", "--out", "p.csv"];
+        let doubted = dbbd(at, &[&args[..], &["--date", far]].concat());
+        assert_eq!((doubted.status.code(), codes(&doubted)), (Some(3), vec!["W0584".to_owned()]), "{far}");
+    }
     let today = predicted_mm(at, &[]);
     assert!(today >= years, "{today} {years}");
     for wrong in [["--date", "2024-02-30"], ["--temperature", "293.15"]] {
@@ -138,6 +150,9 @@ fn a_calibration_fades_and_is_renewed() {
     assert_eq!(second["prior"], "posterior");
     let renewed = robot_of(&at.join("second"));
     assert_eq!(renewed.measured.date.as_deref(), Some("2026-02-28"));
+    // One interval is no history yet, but the rate of the zeros is known better.
+    assert_eq!((renewed.drift.intervals, renewed.drift.has_history()), (1, false));
+    assert!(renewed.drift.ln_sd < robot.drift.ln_sd, "{:?}", renewed.drift);
     let moved = renewed.geometry.value(zero).unwrap() - robot.geometry.value(zero).unwrap();
     assert!((moved / 1e-4 - 1.0).abs() < 0.5, "{moved}");
 

@@ -183,3 +183,82 @@ fn any_point_of_a_tool_is_predicted() {
     let wrong = dbbd(at, &["predict", "axes.csv", "--robot", "kr60ha", "--tool", "1,2", "--out", "q.csv"]);
     assert_eq!(wrong.status.code(), Some(2), "{}", stderr(&wrong));
 }
+
+/// Two runs of one cell, with another payload each, and a bar that pulls: each row says so, and together they are one measurement.
+#[test]
+fn a_run_names_its_payload_and_the_pull_of_its_bar() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let robot = format!("{}{PAYLOADS}", include_str!("../../robots/kr60ha.toml"));
+    fs::write(at.join("robot.toml"), robot).unwrap();
+    let job = |payload: &str, force: &str| {
+        format!(
+            "robot = \"robot.toml\"\n{payload}[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n{force}\
+             [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
+             [[circle]]\nplane = \"XY\"\npoints = 12\ntilt_deg = 30.0\namplitude_deg = 25.0\n"
+        )
+    };
+    for payload in ["bar", "gripper"] {
+        let text = job(&format!("payload = \"{payload}\"\n"), "force_n = 20.0\n");
+        fs::write(at.join(format!("{payload}.toml")), text).unwrap();
+        let plan = dbbd(at, &["plan", &format!("{payload}.toml"), "--out", payload]);
+        assert!(matches!(plan.status.code(), Some(0 | 3)), "{}", stderr(&plan));
+        assert!(String::from_utf8_lossy(&plan.stdout).contains(&format!("carries `{payload}`")));
+        let (plan, run) = (format!("{payload}/plan.csv"), format!("{payload}.dbbd"));
+        let measured = dbbd(at, &["acquire", "--port", "sim", "--plan", &plan, "--out", &run]);
+        assert!(matches!(measured.status.code(), Some(0 | 3)), "{}", stderr(&measured));
+    }
+    let args =
+        ["identify", "bar.dbbd", "gripper.dbbd", "--estimate", "a1-2,bar", "--folds", "0", "--out", "o"];
+    let done = dbbd(at, &args);
+    assert!(matches!(done.status.code(), Some(0 | 3)), "{}", stderr(&done));
+    let table = fs::read_to_string(at.join("o/lengths.csv")).unwrap();
+    let table = Measurements::from_csv("lengths.csv", &table).unwrap();
+    let carried = |name: &str| {
+        let is_of = |row: &&Measurement| table.payloads[row.payload.index()] == name;
+        table.rows.iter().filter(is_of).count()
+    };
+    assert!(
+        carried("bar") >= 10 && carried("bar") == carried("gripper"),
+        "{} {}",
+        carried("bar"),
+        table.rows.len()
+    );
+    assert_eq!(carried("bar") + carried("gripper"), table.rows.len());
+    assert!(table.rows.iter().all(|row| row.context.as_ref().unwrap().force_n == Some(20.0)));
+
+    for (payload, force, code) in [
+        ("payload = \"fork\"\n", "", "E0582"),
+        ("", "force_n = 5000.0\n", "E0130"),
+        ("payload = 3\n", "", "E0120"),
+    ] {
+        fs::write(at.join("wrong.toml"), job(payload, force)).unwrap();
+        let refused = dbbd(at, &["plan", "wrong.toml", "--out", "wrong"]);
+        assert_eq!(
+            (refused.status.code(), codes(&refused)),
+            (Some(1), vec![code.to_owned()]),
+            "{payload}{force}"
+        );
+    }
+}
+
+/// A centre in metres, an uncertainty in grams.
+#[test]
+fn payloads_in_other_units_are_refused() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let check = |payload: &str| {
+        let text =
+            format!("{}[payload]\nname = \"gripper\"\n{payload}\n", include_str!("../../robots/kr60ha.toml"));
+        fs::write(at.join("robot.toml"), text).unwrap();
+        let checked = dbbd(at, &["robots", "check", "robot.toml"]);
+        (checked.status.code(), codes(&checked))
+    };
+    assert_eq!(check("kg = 50.0\ncentre_mm = [0.0, 0.0, 150.0]\nu_kg = 0.5").0, Some(0));
+    assert_eq!(check("kg = 0.0\ncentre_mm = [0.0, 0.0, 0.0]\nu_kg = 0.5").0, Some(0));
+    assert_eq!(check("kg = 50.0\ncentre_mm = [0.0, 0.0, 0.15]"), (Some(1), vec!["E0130".into()]));
+    assert_eq!(
+        check("kg = 50.0\ncentre_mm = [0.0, 0.0, 150.0]\nu_kg = 500.0"),
+        (Some(1), vec!["E0505".into()])
+    );
+}

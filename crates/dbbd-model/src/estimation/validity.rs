@@ -7,15 +7,14 @@ use super::{Positions, Workspace};
 use crate::base::date;
 use crate::math::distributions::COVERAGE_FACTOR;
 use crate::measurement::ApproachedPose;
-use crate::robot::{Payload, Robot};
+use crate::robot::{Drift, Payload, Robot};
 
 /// Poses over which the growth is taken, uniform within the axis limits, and their seed.
 const POSES: usize = 300;
 const SEED: u64 = 1;
 /// Without a tolerance of the user the calibration holds until its uncertainty is this many times that of its day.
 const GROWTH: f64 = 1.5;
-/// Beyond so many months nothing is stated, and so finely a time is sought.
-const MAX_MONTHS: f64 = 120.0;
+/// So finely a time is sought, months.
 const MONTHS_RESOLUTION: f64 = 0.02;
 
 impl Validity {
@@ -59,7 +58,7 @@ fn crossing(limit_mm: f64, now_mm: f64, expanded_mm: impl Fn(f64) -> f64) -> Opt
     if now_mm >= limit_mm {
         return Some(0.0);
     }
-    let (mut before, mut after) = (0.0, MAX_MONTHS);
+    let (mut before, mut after) = (0.0, Drift::MAX_MONTHS);
     if expanded_mm(after) < limit_mm {
         return None;
     }

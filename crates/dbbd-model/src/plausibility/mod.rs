@@ -232,6 +232,8 @@ quantities! {
     FrameDistance => range("the distance of a tool or a base", "mm", 3.0, 1e4).usually(5.0, 1e4).not_in(LENGTH_UNITS);
     /// The largest coordinate of a tool ball that is not 0: no ball is nearer to the centre of the flange.
     ToolBallDistance => range("the distance of a tool ball from the flange", "mm", 3.0, MAX_ARM_MM).usually(5.0, 2e3).not_in(IN_METRES);
+    /// The distance of a centre of mass that is not the centre of the flange; otherwise as a tool ball.
+    PayloadDistance => range("the distance of a payload's centre from the flange", "mm", 3.0, MAX_ARM_MM).usually(5.0, 2e3).not_in(IN_METRES);
     /// With a mounted bar the speed of a controller's test mode is the most; a speed below the least is in m/s.
     Feed => range("a feed with a mounted bar", "mm/s", 0.5, 250.0).not_in(IN_METRES_PER_SECOND);
     /// Any speed that a job can name.

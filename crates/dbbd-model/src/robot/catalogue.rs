@@ -41,6 +41,7 @@ findings! {
             Drift => "[drift]: `zero_rad` must be above 0 and at most 0.01 rad, `ln_sd` 0 to 2";
             NoName => "name is empty: runs and programs are compared by it";
             PayloadTwice { name: String } => "[[payload]]: `{name}` is there twice: rows of measurements name one of several";
+            PayloadUncertainty { kg: f64, u_kg: f64 } => "[[payload]]: u_kg = {u_kg} is more than the mass of {kg} kg", help: "is it in grams?";
             Gravity => "[mounting] gravity must be the direction of gravity in the robot base, as [0, 0, -1] for an arm on the floor";
             ControllerRows { rows: usize, needed: usize } => "[controller] has {rows} [[controller.joint]] tables: model = \"calibrated\" needs 6, another model none (here {needed})";
             ControllerOfIdentified => "[controller] of an identified robot belongs to its nominal one: write it as [nominal.controller]";
@@ -57,6 +58,11 @@ findings! {
         cause: "The robot was identified with a lighter payload. How far its joints give way under this one follows from the weight of the arm, whose masses are known roughly.",
         cure: "Measure the same poses once more with this payload and name both payloads in the column `payload`; the stated uncertainty then falls." {
             PayloadNeverMeasured { kg: f64, measured_kg: f64 } => "a payload of {kg:.1} kg was never measured: the heaviest was {measured_kg:.1} kg";
+        }
+        W0584 "a day is before the calibration, or long after it",
+        cause: "The day is of another year, or the robot file of another calibration. Beyond ten years nothing is known of a drift.",
+        cure: "Correct the date, or take the robot file of that time." {
+            FarDay { day: String, measured: String } => "{day} is before {measured}, the day of the calibration, or more than ten years after it";
         }
         W0581 "a robot file has the name of a built-in robot and another table",
         cause: "The table was copied and edited, or a value is in another unit or has another sign. Files of plans and results are compared by the robot's name.",

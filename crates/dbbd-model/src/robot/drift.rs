@@ -54,6 +54,9 @@ const RATE_STEPS: i32 = 40;
 const HISTORY: u32 = 2;
 
 impl Drift {
+    /// Beyond so many months nothing is stated.
+    pub const MAX_MONTHS: f64 = 120.0;
+
     /// Whether its numbers are possible.
     pub(super) fn is_sound(&self) -> bool {
         self.zero_rad > 0.0 && self.zero_rad <= 0.01 && (0.0..=2.0).contains(&self.ln_sd)
@@ -151,7 +154,7 @@ impl ZeroSteps {
         for (joint, row) in zeros.into_iter().enumerate() {
             row.into_iter().for_each(|row| of_zeros[(row, joint)] = 1.0);
         }
-        let [moved, new, of_zeros] = [&DMatrix::from_columns(&[moved.clone()]), new, &of_zeros]
+        let [moved, new, of_zeros] = [&DMatrix::from_columns(std::slice::from_ref(moved)), new, &of_zeros]
             .map(|part| prior.solve_lower_triangular(part));
         let (moved, new, of_zeros) = (moved?, new?, of_zeros?);
         let known = new.tr_mul(&of_zeros);

@@ -6,7 +6,7 @@ use super::dh_row::DhRow;
 use super::pose::Pose;
 use super::{AXES, Joint, PayloadId, RobotFinding};
 use crate::diagnostic::Diagnostic;
-use crate::plausibility::{PlausibilityFinding, Quantity};
+use crate::plausibility::Quantity;
 
 /// Standard gravity, m/s^2.
 const GRAVITY: f64 = 9.806_65;
@@ -36,16 +36,27 @@ pub struct Payload {
     pub is_measured: bool,
 }
 
+/// The mass of a holder and its ball, which are not stated, kg.
+const HOLDER_KG: f64 = 3.0;
+
 impl Payload {
     /// Whether its numbers are possible. Nothing on the flange is a payload too.
-    pub(super) fn check(&self) -> Result<(), PlausibilityFinding> {
-        let masses = [("kg", self.kg), ("u_kg", self.u_kg)];
+    pub(super) fn check(&self) -> Result<(), Diagnostic> {
+        let Self { kg, u_kg, u_mm, .. } = *self;
+        let masses = [("kg", kg), ("u_kg", u_kg)];
         masses
             .into_iter()
             .filter(|(_, kg)| *kg != 0.0)
             .try_for_each(|(key, kg)| Quantity::Mass.check(key, kg))?;
-        let lengths = self.centre.iter().map(|mm| ("centre_mm", mm)).chain([("u_mm", &self.u_mm)]);
-        lengths.into_iter().try_for_each(|(key, mm)| Quantity::ArmLength.check(key, *mm))
+        if u_kg > kg.max(HOLDER_KG) {
+            return Err(RobotFinding::PayloadUncertainty { kg, u_kg }.into());
+        }
+        Quantity::ArmLength.check("u_mm", u_mm)?;
+        let distance_mm = self.centre.norm();
+        if distance_mm != 0.0 {
+            Quantity::PayloadDistance.check("centre_mm", distance_mm)?;
+        }
+        Ok(())
     }
 
     /// As a mass of the last frame.
@@ -139,8 +150,6 @@ impl ArmLoad {
 
     /// The mass of the payload carried, and of the heaviest that was measured, if that is much lighter, kg.
     pub fn beyond_measured(&self) -> Option<[f64; 2]> {
-        /// A holder and its ball, which are not stated.
-        const HOLDER_KG: f64 = 3.0;
         let measured = self.payloads.iter().filter(|payload| payload.is_measured);
         let heaviest_kg = measured.map(|payload| payload.kg).fold(0.0, f64::max);
         let carried_kg = self.carried()?.kg;

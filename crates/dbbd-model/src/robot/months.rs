@@ -4,7 +4,7 @@
 //! the base balls wander: each month adds the same variance. Where the posterior of a robot becomes the prior of what comes
 //! later, this is the only place that widens it.
 
-use super::{AXES, Coordinate, Joint, MeasurementConditions, ParamId, Robot};
+use super::{AXES, Coordinate, Drift, Joint, MeasurementConditions, ParamId, Robot, RobotFinding};
 use crate::base::date::{self, months_between};
 
 /// A tool ball that is used wanders by as much as its seat repeats, mm for a month.
@@ -22,6 +22,14 @@ const MONTHS_OF_YEAR: f64 = 12.0;
 type JointStep = Vec<(ParamId, f64)>;
 
 impl Robot {
+    /// A finding if a day is before that of its calibration, or too long after it.
+    pub fn far_day(&self, day: &str) -> Option<RobotFinding> {
+        let measured = self.measured.date.as_deref()?;
+        let months = months_between(measured, day)?;
+        let far = || RobotFinding::FarDay { day: day.into(), measured: measured.into() };
+        (!(0.0..=Drift::MAX_MONTHS).contains(&months)).then(far)
+    }
+
     /// With what is known of it under the conditions of a later or earlier measurement. Where both temperatures
     /// are known the links have grown by their difference. The day goes along; without a date on both sides it stays as it is.
     #[must_use]
@@ -156,6 +164,18 @@ mod tests {
         assert!((covariance[(0, 0)].sqrt() / (0.3 * grown) - 1.0).abs() < 1e-6);
         let correlation = covariance[(0, 1)] / (covariance[(0, 0)] * covariance[(1, 1)]).sqrt();
         assert!((correlation.abs() - 1.0).abs() < 1e-6, "{correlation}");
+    }
+
+    #[test]
+    fn a_day_before_the_calibration_or_ten_years_later_is_doubted() {
+        let robot = identified(&[ParamId::Theta(Joint::J3)], 1e-6);
+        for (day, is_far) in
+            [("2026-01-30", true), ("2026-01-31", false), ("2035-12-31", false), ("2036-03-01", true)]
+        {
+            assert_eq!(robot.far_day(day).is_some(), is_far, "{day}");
+        }
+        let undated = Robot { measured: MeasurementConditions::default(), ..robot };
+        assert!(undated.far_day("1990-01-01").is_none());
     }
 
     #[test]

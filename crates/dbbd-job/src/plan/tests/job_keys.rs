@@ -123,8 +123,8 @@ fn a_bad_value_of_every_key_names_its_line() {
             let in_place = |bad: &str| value.replacen(first, bad, 1);
             let mut bad = vec![if value.starts_with('"') { "7".into() } else { "\"word\"".to_owned() }];
             if value.starts_with('"') {
-                // Names of robots and protocols are looked up later, lists of parameters with the robot; texts are free.
-                let later = ["robot", "protocol", "parameters"];
+                // Names of robots, payloads and protocols are looked up later, lists of parameters with the robot; texts are free.
+                let later = ["robot", "payload", "protocol", "parameters"];
                 let texts = ["serial", "certificate", "certified_by", "laboratory", "cell", "operator"];
                 let more = ["customer", "controller", "of", "device"];
                 if ![&later[..], &texts, &more].concat().contains(&key) {
