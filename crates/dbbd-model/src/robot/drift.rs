@@ -50,8 +50,10 @@ const JUMP_RAD: f64 = 1e-3;
 /// The rate is tried so far from its median, in standard deviations of its logarithm, and in so many steps.
 const RATE_SDS: f64 = 4.0;
 const RATE_STEPS: i32 = 40;
-/// With fewer intervals the rate is that of the hyper-prior.
+/// With fewer intervals, or a rate that is known no better than by this factor of the hyper-prior's standard deviation, it is that of
+/// the hyper-prior: a second measurement on one day says nothing of it.
 const HISTORY: u32 = 2;
+const LEARNT: f64 = 0.5;
 
 impl Drift {
     /// Beyond so many months nothing is stated.
@@ -69,7 +71,7 @@ impl Drift {
 
     /// Whether it is of this robot's own history of three measurements or more.
     pub fn has_history(&self) -> bool {
-        self.intervals >= HISTORY
+        self.intervals >= HISTORY && self.ln_sd <= LEARNT * Self::default().ln_sd
     }
 
     /// Whether it differs from the hyper-prior.
@@ -246,5 +248,10 @@ mod tests {
             }
         }
         assert!(!learnt(5e-6, 1, 1, None).has_history());
+        // Measured again and again on one day.
+        let flat = ZeroSteps { gradient: SVector::zeros(), precision: SMatrix::identity() * 1e9 };
+        let same_day = |drift: Drift| Drift { since_months: 0.01, ..drift }.after(&flat);
+        let often = (0..5).fold(Drift::default(), |drift, _| same_day(drift));
+        assert!(often.intervals == 5 && !often.has_history() && often.ln_sd > 0.9, "{often:?}");
     }
 }
