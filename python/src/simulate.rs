@@ -45,6 +45,7 @@ pub(crate) fn simulate<'py>(
         resolution_um,
         rate_hz: 200.0,
         temperature_c: 20.0,
+        force_n: 0.0,
     };
     let setup = WorldSetup {
         centres_mm,
