@@ -194,10 +194,13 @@ struct BarStream {
 }
 
 /// How long nothing may come before it is recorded as a gap.
+#[derive(Clone, Copy)]
 struct SilenceLimit {
     /// Seconds; `None` for a device that may be silent.
     limit_s: Option<f64>,
     last_bytes: Option<HostNs>,
+    /// Seconds without a byte, of which the next sample says whether the bar was silent or its host stood still.
+    unexplained_s: f64,
 }
 
 impl SilenceLimit {
@@ -205,13 +208,20 @@ impl SilenceLimit {
         let numbered = definition.sequence_modulo.is_some();
         let stall_s = definition.stall.map(|stall| stall.as_secs_f64());
         let limit_s = stall_s.map(|s| if numbered { s.max(SILENCE_S) } else { s });
-        Self { limit_s, last_bytes: None }
+        Self { limit_s, last_bytes: None, unexplained_s: 0.0 }
     }
 
     /// The silence since the last bytes, s, if it exceeds the limit of the device and `least_s`.
     fn exceeded_s(&self, host: HostNs, least_s: f64) -> Option<f64> {
         let silent_s = host.seconds_since(self.last_bytes?);
         (silent_s > self.limit_s?.max(least_s)).then_some(silent_s)
+    }
+
+    /// The seconds for which the bar itself was silent before a sample, by the times of its clock before and at the sample.
+    fn of_bar(&mut self, device_s: Option<(f64, f64)>) -> f64 {
+        let silent_s = std::mem::take(&mut self.unexplained_s);
+        let went_on = device_s.is_some_and(|(before, now)| now - before < SILENT_S);
+        if went_on { 0.0 } else { silent_s }
     }
 }
 
@@ -431,7 +441,7 @@ impl Recorder {
     fn silent(&mut self, host: HostNs, least_s: f64) -> Result<(), Diagnostic> {
         let Some(silent_s) = self.stream.silence.exceeded_s(host, least_s) else { return Ok(()) };
         if silent_s > SILENT_S {
-            self.progress.silent_s += silent_s;
+            self.stream.silence.unexplained_s += silent_s;
         }
         let reason = "nothing was received".into();
         self.event(host, RunEvent::Gap { seconds: Some(silent_s), missing: None, reason })
@@ -515,6 +525,8 @@ impl Recorder {
         let device = self.time.as_mut().zip(sample.ticks);
         let device_s = device.map(|(time, ticks)| time.seconds(ClockStamp { host, ticks }));
         self.program.push(device_s.unwrap_or_else(|| host.seconds_since(self.upkeep.began)), sample);
+        let before_s = self.progress.counts.device_s;
+        self.progress.silent_s += self.stream.silence.of_bar(before_s.zip(device_s));
         self.progress.counts.device_s = device_s;
         self.progress.counts.dwells = self.progress.counts.dwells.max(self.program.dwells);
         self.progress.counts.modules = self.program.modules_over;
@@ -584,6 +596,7 @@ impl Recorder {
     pub fn finish(&mut self, now: HostNs, reason: &str) -> Result<RunProgress, Diagnostic> {
         // Shorter silence may be caused by the end of the run itself.
         self.silent(now, SILENT_S)?;
+        self.progress.silent_s += self.stream.silence.of_bar(None);
         self.interrupted(now)?;
         self.capture.flush_fault()?;
         if let Some(withheld) = self.rate.withheld() {
@@ -649,13 +662,25 @@ mod tests {
 
     #[test]
     fn silence_is_recorded_beyond_the_limit_of_the_device() {
-        let silence = SilenceLimit { limit_s: Some(0.5), last_bytes: Some(at(10.0)) };
+        let silence = SilenceLimit { limit_s: Some(0.5), last_bytes: Some(at(10.0)), unexplained_s: 0.0 };
         assert_eq!(silence.exceeded_s(at(10.5), 0.0), None);
         assert_eq!(silence.exceeded_s(at(10.75), 0.0), Some(0.75));
         assert_eq!([silence.exceeded_s(at(11.0), 1.0), silence.exceeded_s(at(11.5), 1.0)], [None, Some(1.5)]);
         assert_eq!(SilenceLimit { last_bytes: None, ..silence }.exceeded_s(at(99.0), 0.0), None);
-        let patient = SilenceLimit { limit_s: None, last_bytes: Some(at(10.0)) };
+        let patient = SilenceLimit { limit_s: None, ..silence };
         assert_eq!(patient.exceeded_s(at(99.0), 0.0), None);
+    }
+
+    /// 3 s without a byte are of the host if the bar's clock went on by a sample, and of the bar if it has no clock.
+    #[test]
+    fn a_host_that_stood_still_is_no_silent_bar() {
+        let mut silence = SilenceLimit { limit_s: Some(0.5), last_bytes: None, unexplained_s: 3.0 };
+        assert_eq!(silence.of_bar(Some((10.0, 10.005))), 0.0);
+        assert_eq!(silence.of_bar(None), 0.0);
+        for device_s in [Some((10.0, 13.0)), None] {
+            silence.unexplained_s = 3.0;
+            assert_eq!((silence.of_bar(device_s), silence.unexplained_s), (3.0, 0.0));
+        }
     }
 
     #[test]
