@@ -163,6 +163,13 @@ fn network(own: u16, server: u16, length: Length, seed: u64, ready: &AtomicBool)
     away
 }
 
+/// A port that nobody is given while the network is cut: below those from which the system chooses.
+fn port_that_stays_free(seed: u64) -> u16 {
+    let mut dice = Pcg64::seed_from_u64(seed + (u64::from(std::process::id()) << 16));
+    let is_free = |port: &u16| TcpListener::bind(("127.0.0.1", *port)).is_ok();
+    std::iter::repeat_with(|| dice.random_range(12_000..32_000)).find(is_free).unwrap()
+}
+
 /// Passes received bytes on; `false` if an end disappeared.
 fn pass(from: &mut TcpStream, to: &mut TcpStream) -> bool {
     let mut room = [0; 4096];
@@ -200,13 +207,14 @@ fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
         Wire::Network(scheme) => {
             let bar = simulate(&directory, "1", &["--listen", &format!("{scheme}://127.0.0.1:0")]);
             let server = bar.port.rsplit_once(':').unwrap().1.parse().unwrap();
-            let own = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+            let own = port_that_stays_free(seed);
             let cut = move || network(own, server, length, seed, &plugged);
             (format!("{scheme}://127.0.0.1:{own}"), std::thread::spawn(cut), Some(bar))
         }
     };
     let port: PortAddress = port.parse().unwrap();
     while !ready.load(Ordering::Relaxed) {
+        assert!(!bar.is_finished(), "the bar did not begin");
         clock::sleep(0.01);
     }
     let options = AcquisitionOptions {
