@@ -123,8 +123,8 @@ fn takes(name: &str, mutations: u64, seed: u64) {
 
 /// One test for each entrance, with the number of mutations.
 macro_rules! sent {
-    ($($name:ident: $mutations:literal,)*) => {
-        $(#[test]
+    ($(#[$test:meta] $name:ident: $mutations:literal,)*) => {
+        $(#[$test]
         fn $name() {
             takes(stringify!($name), $mutations, 1);
         })*
@@ -134,23 +134,41 @@ macro_rules! sent {
 }
 
 sent! {
+    #[test]
     axes: 3000,
+    #[test]
     capture: 1000,
+    #[test]
     circle: 500,
+    #[test]
     decoder: 6000,
+    #[test]
     definition: 3000,
+    #[test]
     description: 2000,
+    #[test]
     fanuc: 1000,
+    #[test]
     http: 3000,
+    #[test]
     job: 2000,
+    #[test]
     krl: 2000,
+    #[test]
     plan: 1500,
+    #[test]
     rapid: 1000,
+    #[test]
     result: 1000,
+    #[test]
     robot: 3000,
+    #[test]
     settings: 3000,
+    #[test]
     tables: 4000,
+    #[test]
     trace: 4000,
+    #[test]
     urscript: 1000,
 }
 
