@@ -51,11 +51,11 @@ pub(crate) struct PlanArgs {
     /// Plan N lengths, 10 to 242 [default: 20], that renew a calibration; --robot is its robot-identified.toml. In place of the job's circles, chooses
     /// the poses about its base balls that leave the least position error, with what is known of the robot today: its
     /// posterior, widened by the months since. `identify` with the same --robot then continues the posterior.
-    #[arg(long, value_name = "N", requires = "robot", num_args = 0..=1, require_equals = true, default_missing_value = "20",
+    #[arg(long, value_name = "N", requires = "robot", num_args = 0..=1, require_equals = true,
         conflicts_with_all = ["stage", "measured", "check", "remaining", "repeat"], value_parser = clap::value_parser!(u32).range(10..=242))]
-    renew: Option<u32>,
+    renew: Option<Option<u32>>,
     /// Number of poses of the check, 12 to 24.
-    #[arg(long, value_name = "N", requires = "check", default_value_t = 18, value_parser = clap::value_parser!(u32).range(12..=24))]
+    #[arg(long, value_name = "N", requires = "check", default_value_t = CheckPoses::COUNT, value_parser = clap::value_parser!(u32).range(12..=24))]
     poses: u32,
     /// The base balls of the check are still mounted as in the calibration: the check detects whether one moved.
     #[arg(long, requires = "check")]
@@ -84,7 +84,7 @@ pub(super) fn request(args: &PlanArgs) -> Request {
         None if !args.remaining.is_empty() => PlannedPoses::Remaining { runs: args.remaining.clone() },
         None => match (&args.repeat, args.renew) {
             (Some((run, rows)), _) => PlannedPoses::Repeat { run: run.clone(), rows: rows.clone() },
-            (None, Some(poses)) => PlannedPoses::Renew { poses },
+            (None, Some(asked)) => PlannedPoses::Renew { poses: asked.unwrap_or(PlannedPoses::RENEWAL) },
             (None, None) => PlannedPoses::Job,
         },
     };

@@ -204,14 +204,14 @@ impl CheckRequest {
 
 /// What mounting changes. The posterior does not hold another tool ball: its place has the datasheet's prior.
 fn mounting(request: &CheckRequest, given: &LoadedInputs) -> Mounting {
-    let datasheet = || Priors::datasheet(&given.robot, given.bar_u_mm).sd(ParamId::Tool(Coordinate::X));
+    let datasheet = || Priors::datasheet(&given.robot, given.bar_u_mm()).sd(ParamId::Tool(Coordinate::X));
     let tool_mm = if request.tool_mm.is_some() { datasheet() } else { request.tool_repeat_mm };
     let balls = match request.ball_repeat_mm {
         repeat if request.balls_kept => BallMounting::Kept(repeat.unwrap_or(Mounting::SEAT_REPEAT_MM)),
         Some(repeat) => BallMounting::About(repeat),
         None => BallMounting::Anywhere,
     };
-    Mounting { tool_mm, balls, ..Mounting::again(&given.robot, given.bar_u_mm) }
+    Mounting { tool_mm, balls, ..Mounting::again(&given.robot, given.bar_u_mm()) }
 }
 
 /// The standard deviation of a length, mm, and a finding if a part of it is unknown.

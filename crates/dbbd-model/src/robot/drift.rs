@@ -40,8 +40,8 @@ impl Default for Drift {
 /// What lengths say of the steps of the zeros since the last measurement, beside the posterior that was widened by them: the
 /// gradient of the log likelihood by the steps and its precision, with all other unknowns taken out.
 pub struct ZeroSteps {
-    pub gradient: SVector<f64, AXES>,
-    pub precision: SMatrix<f64, AXES, AXES>,
+    gradient: SVector<f64, AXES>,
+    precision: SMatrix<f64, AXES, AXES>,
 }
 
 /// Probability that a zero jumped in an interval, as in a crash, and the size of a jump, rad: it says nothing of the rate.
@@ -143,9 +143,9 @@ impl ZeroSteps {
         (determinant > 0.0).then(|| 0.5 * (along - determinant.ln()))
     }
 
-    /// By the root R of the prior's covariance (square, lower triangular; `zeros` are the rows of the zeros that are among its parameters), the new root
-    /// of theirs, and the change of their values: w = R^-1 dx, B = R^-1 R_new and F = R^-1 E for the columns E of the zeros give
-    /// g = F'w and D = F'(I - B B')F. `None` if the prior's covariance is singular.
+    /// By the root R of the prior's covariance (square, lower triangular), in which `zeros` are the rows of the zeros, by the root
+    /// of the same parameters after the lengths, and by how far their values moved: w = R^-1 dx, B = R^-1 R_new and F = R^-1 E for
+    /// the columns E of the zeros give g = F'w and D = F'(I - B B')F. `None` if the prior's covariance is singular.
     pub fn of(
         prior: &DMatrix<f64>,
         zeros: [Option<usize>; AXES],

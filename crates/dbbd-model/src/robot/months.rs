@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_day_before_the_calibration_or_ten_years_later_is_doubted() {
+    fn a_day_before_the_calibration_or_ten_years_later_is_a_warning() {
         let robot = identified(&[ParamId::Theta(Joint::J3)], 1e-6);
         for (day, is_far) in
             [("2026-01-30", true), ("2026-01-31", false), ("2035-12-31", false), ("2036-03-01", true)]

@@ -42,10 +42,6 @@ use crate::live::{
 
 /// The name of the simulated cell.
 const DEMO: &str = "demo";
-/// Poses of a check, as `dbbd plan --check` chooses them.
-const CHECK_POSES: u32 = 18;
-/// Lengths of a renewal, as `dbbd plan --renew` chooses them.
-const RENEWAL_POSES: u32 = 20;
 /// The ends of the files of a program.
 const PROGRAM_ENDS: [&str; 6] = [".src", ".dat", ".mod", ".pgf", ".script", ".ls"];
 /// Files of one upload.
@@ -130,7 +126,7 @@ fn work_of(
         WorkStep::Robot | WorkStep::Cell | WorkStep::Measure => return Err(early()),
         WorkStep::Plan => {
             let (robot, out) = steps::planned(files, false, &today());
-            let renewal = PlannedPoses::Renew { poses: RENEWAL_POSES };
+            let renewal = PlannedPoses::Renew { poses: PlannedPoses::RENEWAL };
             let poses = if robot.is_some() { renewal } else { PlannedPoses::Job };
             plan_request(files, robot, poses, out).ok_or_else(early)?
         }
@@ -169,7 +165,7 @@ fn work_of(
         }
         WorkStep::Check => match steps::check_part(files).ok_or_else(early)? {
             CheckPart::Plan => {
-                let (poses, risk) = (CHECK_POSES, CheckRequest::RISK);
+                let (poses, risk) = (CheckPoses::COUNT, CheckRequest::RISK);
                 let tolerance_mm = options.tolerance_mm;
                 let poses = CheckPoses { poses, balls_kept: false, tolerance_mm, risk };
                 let (robot, out) = steps::planned(files, true, &today());

@@ -70,7 +70,7 @@ pub fn read(text: Text<'_>, given: GivenFrames<'_>) -> Result<Points, Diagnostic
     follower.visit(0, InProgram::before(), &mut |at, state| reader.statement(at, state))?;
     reader.points.leave_unreached(text, [&program.routine], is_motion, &reader.reached);
     let mut points = reader.completed();
-    points.doubt_external_axes(text, external);
+    points.warn_of_external_axes(text, external);
     Ok(points)
 }
 

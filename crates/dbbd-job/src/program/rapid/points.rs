@@ -68,7 +68,7 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
     }
     reader.points.leave_unreached(text, program.routines.iter().copied(), is_motion, &reader.reached);
     let mut points = reader.completed();
-    points.doubt_external_axes(text, external);
+    points.warn_of_external_axes(text, external);
     Ok(points)
 }
 

@@ -90,8 +90,8 @@ impl Points {
         }
     }
 
-    /// Doubts all corrections if the external axes of the points, which `external` reads, move.
-    pub(crate) fn doubt_external_axes(&mut self, file: Text<'_>, external: fn(&Value) -> External) {
+    /// Warns of all corrections if the external axes of the points, which `external` reads, move.
+    pub(crate) fn warn_of_external_axes(&mut self, file: Text<'_>, external: fn(&Value) -> External) {
         let of_points = self.points.iter().map(|point| {
             let name = point.value.name.as_deref().unwrap_or("inline");
             (name, external(&point.value))

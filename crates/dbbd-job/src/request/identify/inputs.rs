@@ -53,8 +53,8 @@ pub(crate) struct LoadedInputs {
     pub(crate) observations: Measurements,
     /// The positions from a table of their own, which are among the observations too.
     positions: Option<Measurements>,
-    /// Standard uncertainty of the bar's length, mm, if known.
-    pub(crate) bar_u_mm: Option<f64>,
+    /// As the request states it.
+    stated_bar_u_mm: Option<f64>,
     pub(crate) provenance: Provenance,
     /// When the lengths were measured, and how warm it was.
     pub(crate) measured: MeasurementConditions,
@@ -143,7 +143,7 @@ impl LoadedInputs {
         let uncorrected = uncorrected_bar(&observations, bar).filter(|_| matched.is_none());
         findings.extend(uncorrected.map(|finding| Diagnostic::file(&input, finding)));
         Ok(Self {
-            bar_u_mm: provenance.identity.bar_u_mm(named.bar_u_mm),
+            stated_bar_u_mm: named.bar_u_mm,
             axes: angle_source(&parts),
             robot,
             centres,
@@ -155,6 +155,11 @@ impl LoadedInputs {
             parts,
             left_out,
         })
+    }
+
+    /// Standard uncertainty of the bar's length, mm, if known: as stated, else by its certificate, and by its temperature.
+    pub(crate) fn bar_u_mm(&self) -> Option<f64> {
+        self.provenance.identity.bar_u_mm(self.stated_bar_u_mm)
     }
 
     /// With what is known of the robot when the lengths were measured: on the day that they or `stated` tell, else today.

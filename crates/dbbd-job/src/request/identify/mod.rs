@@ -171,9 +171,10 @@ impl IdentifyRequest {
         let calibration = calibrate_and_match(&mut given, validation.as_ref(), &options, session)?;
         let calibration = given.with_excluded(calibration);
         drop(busy);
+        let bar_u_mm = given.bar_u_mm();
         let observations = given.observations;
         let identity = &given.provenance.identity;
-        let budget = UncertaintyBudget::of(&calibration, &observations, given.bar_u_mm, identity);
+        let budget = UncertaintyBudget::of(&calibration, &observations, bar_u_mm, identity);
         let document = IdentifyDocument { calibration, budget, provenance: given.provenance };
         let (document, files) = files::write_results(
             &self.out,
@@ -226,7 +227,6 @@ impl IdentifyRequest {
             session.findings(earlier::other_run(identity, balls, stated));
             identity.extend(stated);
         }
-        given.bar_u_mm = identity.bar_u_mm(self.bar_u_mm);
         session.findings(identity.old_certificate(&date::utc(clock::unix_ns())));
         let replaced = self.out.join(files::RESULT);
         earlier::check_replaced(&replaced, Some(&given.robot.name), &given.provenance)?;
@@ -250,7 +250,7 @@ impl IdentifyRequest {
             rest: Options {
                 model: self.model,
                 sigma_mm: self.sigma_mm,
-                bar_u_mm: given.bar_u_mm,
+                bar_u_mm: given.bar_u_mm(),
                 folds: self.folds,
                 monte_carlo: self.monte_carlo,
                 measured: given.measured.clone(),

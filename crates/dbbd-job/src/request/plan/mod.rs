@@ -85,6 +85,16 @@ pub struct CheckPoses {
     pub risk: f64,
 }
 
+impl CheckPoses {
+    /// How many if nothing is asked.
+    pub const COUNT: u32 = 18;
+}
+
+impl PlannedPoses {
+    /// How many renew a calibration if nothing is asked.
+    pub const RENEWAL: u32 = 20;
+}
+
 /// A plan with its page. It is in no file yet.
 #[derive(Clone, Debug)]
 pub struct UnwrittenPlan {
