@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use super::{CommandOutcome, CommandOutput};
+use super::CommandOutput;
 use dbbd_device::clock;
 use dbbd_device::port::PortAddress;
 use dbbd_job::child_process;
@@ -56,8 +56,8 @@ impl<'a> ChildCommands<'a> {
         Ok(command)
     }
 
-    /// Runs a command to its end. Its stdout is printed on stderr, as progress, and what it doubts as its own findings.
-    pub(crate) fn run(&self, args: &[&str]) -> Result<CommandOutcome, Diagnostic> {
+    /// Runs a command to its end. Its stdout is printed on stderr, as progress. Its warnings are ours: see `warned_by_child`.
+    pub(crate) fn run(&self, args: &[&str]) -> Result<(), Diagnostic> {
         let failed = |error| not_started(args, error);
         let mut child = self.command(args)?.stdout(Stdio::piped()).spawn().map_err(failed)?;
         let _stdin = child.stdin.take();
@@ -68,8 +68,11 @@ impl<'a> ChildCommands<'a> {
         }
         let status = child.wait().map_err(failed)?;
         match status.code() {
-            Some(0) => Ok(CommandOutcome::Done),
-            Some(3) => Ok(CommandOutcome::Doubt),
+            Some(0) => Ok(()),
+            Some(3) => {
+                self.out.warned_by_child();
+                Ok(())
+            }
             _ => {
                 Err(SimulationFinding::StepFailed { step: args.join(" "), status: status.to_string() }.into())
             }

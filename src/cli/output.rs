@@ -5,6 +5,7 @@ use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 use std::path::Path;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
@@ -35,6 +36,8 @@ pub(crate) struct CommandOutput {
     common: CommonOptions,
     results: ResultStream,
     reported: Arc<Mutex<Vec<Diagnostic>>>,
+    /// Whether a command that this one started ended with a warning, which it printed itself.
+    child_warned: Arc<AtomicBool>,
     /// The first error of writing to stdout.
     stdout_error: Arc<OnceLock<String>>,
 }
@@ -60,8 +63,13 @@ impl Drop for ProgressIndicator {
 
 impl CommandOutput {
     pub(super) fn new(common: CommonOptions) -> Self {
-        let (reported, stdout_error) = (Arc::default(), Arc::default());
-        Self { common, results: ResultStream::Stdout, reported, stdout_error }
+        Self {
+            common,
+            results: ResultStream::Stdout,
+            reported: Arc::default(),
+            child_warned: Arc::default(),
+            stdout_error: Arc::default(),
+        }
     }
 
     /// The output of `dbbd request`: stdout has the answer alone.
@@ -181,6 +189,11 @@ impl CommandOutput {
         findings.into_iter().for_each(|finding| self.finding(Diagnostic::file(&file, finding)));
     }
 
+    /// A command that this one started printed a warning: the exit code is 3, as after a warning of our own.
+    pub(crate) fn warned_by_child(&self) {
+        self.child_warned.store(true, Ordering::Relaxed);
+    }
+
     /// Prints a line on stderr even with `--quiet`.
     pub(crate) fn always(&self, line: impl AsRef<str>) {
         write_line(&mut io::stderr(), line.as_ref());
@@ -292,7 +305,8 @@ pub(super) fn finish(out: &CommandOutput, result: Result<CommandOutcome, Diagnos
         }
         None => result,
     };
-    let warned = lock(&out.reported).iter().any(|finding| finding.severity() == Severity::Warning);
+    let warned = out.child_warned.load(Ordering::Relaxed)
+        || lock(&out.reported).iter().any(|finding| finding.severity() == Severity::Warning);
     match result {
         Ok(CommandOutcome::Done) if !warned => ExitCode::SUCCESS,
         Ok(CommandOutcome::Failed) => ExitCode::from(4),

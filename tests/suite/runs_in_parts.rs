@@ -101,7 +101,13 @@ fn poses_are_measured_again() {
     done(at, &["plan", "job.toml", "--repeat", &rows, "--out", "again"]);
     done(at, &["acquire", "--port", "sim", "--seed", "9", "--plan", "again/plan.csv", "--out", "again.dbbd"]);
     done(at, &["identify", "run.dbbd", "again.dbbd", "--same-setup", "--out", "o"]);
+    // The order of the files makes no difference: the later run replaces.
+    done(at, &["identify", "again.dbbd", "run.dbbd", "--same-setup", "--out", "other"]);
     let table = lengths(at, "o");
+    let readings = |table: &Measurements| -> Vec<_> {
+        table.rows.iter().map(|row| (row.index, row.length_mm)).collect()
+    };
+    assert_eq!(readings(&table), readings(&lengths(at, "other")));
     let is_first = |index: u32| table.rows.iter().any(|row| row.index == index);
     assert!(!is_first(measured[3]) && !is_first(measured[9]) && is_first(measured[4]));
     let output = dbbd(at, &["plan", "job.toml", "--repeat", "run.dbbd:1", "--out", "none"]);
@@ -119,6 +125,10 @@ fn nothing_is_overwritten() {
     fs::write(at.join("job.toml"), JOB.replace("tilt_deg = 30.0", "tilt_deg = 31.0")).unwrap();
     // The program would be that of the earlier job.
     assert!(done(at, &["krl", "plan/plan.csv", "--out", "old"]).contains(&"W0885".to_owned()));
+    // The warning of a command that another one starts.
+    let output = dbbd(at, &["acquire", "--port", "sim", "--plan", "plan/plan.csv", "--out", "old.dbbd"]);
+    let is_named = codes(&output).contains(&"W0885".to_owned());
+    assert!(output.status.code() == Some(3) && is_named, "{}", stderr(&output));
     done(at, &["plan", "job.toml", "--out", "plan"]);
     assert_eq!(fs::read(at.join("plan/previous-1/plan.csv")).unwrap(), first);
     assert_ne!(fs::read(at.join("plan/plan.csv")).unwrap(), first);

@@ -155,7 +155,7 @@ impl CheckRequest {
         };
         let checked = CheckedLengths::of(&input, &given.observations)
             .map_err(|finding| Diagnostic::file(&self.robot, finding))?;
-        let (known, lengths) = (given.known_lengths(Some(&self.robot), session)?, readings.len());
+        let (known, lengths) = (given.known_lengths(Some(Path::new(&self.robot)), session)?, readings.len());
         if 2 * known > lengths {
             session.finding(ConformityFinding::LengthsOfCalibration { known, lengths });
         }

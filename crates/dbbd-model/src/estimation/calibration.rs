@@ -265,8 +265,12 @@ impl<'a> Calibration<'a> {
         for ball in balls {
             let rows: Vec<u32> =
                 wrong.iter().filter(|(_, own)| *own == ball).map(|(place, _)| index(*place)).collect();
-            let place =
-                EventPlace { ball: Some(ball.number()), index: rows.first().copied(), rows, bar: None };
+            let place = EventPlace {
+                ball: Some(ball.number()),
+                index: rows.first().copied(),
+                rows,
+                ..EventPlace::default()
+            };
             found.push(RunHypothesis {
                 name: RunEventKind::WrongBall,
                 place,

@@ -206,23 +206,24 @@ findings! {
             PosteriorOfOtherValues => "[posterior] is of other values than the robot's: they were changed since, and it is not used";
         }
         W1333 "a zero changed within the data",
-        cause: "The zero of a bar or the frame of the tracker stepped at one row or drifted over the rows: the bar was reset, hit or warmed up, its counter lost a count, the tracker moved, or a column of the table was sorted. The table is as it was: what happened is an unknown of the result, with its own standard deviation.",
-        cure: "Check the zero of the bar before and after a run, and let bar and robot become warm first. The lengths do not show which zero is right: measure again where it matters." {
+        cause: "The zero of a bar or of an axis, or the frame of the tracker, stepped at one row or drifted over the rows: the bar was reset, hit or warmed up, its counter lost a count, the arm was hit or mastered, the tracker moved, or a column of the table was sorted. The table is as it was: what happened is an unknown of the result, with its own standard deviation.",
+        cure: "Check the zero of the bar before and after a run, and let bar and robot become warm first. The lengths do not show which zero of a bar is right: measure again where it matters. Where an axis stepped, the result is the robot before: measure the robot again as it is now." {
             ZeroStep { bar: u32, index: u32, by_mm: f64, sd_mm: f64 } => "from index {index} on the lengths of bar {bar} are {by_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) longer than before";
             ZeroDrift { bar: u32, by_mm: f64, sd_mm: f64 } => "the lengths of bar {bar} drift by {by_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from the first row to the last";
+            AxisZeroStep { axis: usize, index: u32, by_deg: f64, sd_deg: f64 } => "from index {index} on axis {axis} is {by_deg:.4}° (standard uncertainty {sd_deg:.4}°) from where it was";
             TrackerStep { index: u32, size_mm: f64, sd_mm: f64 } => "from index {index} on the tracker's frame is {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from where it was";
             TrackerDrift { size_mm: f64, sd_mm: f64 } => "the tracker's frame drifts by {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from the first row to the last";
         }
         I1336 "something may have happened within the data",
         cause: "The lengths speak for it, but not beyond what else explains the same. The result is as if it had not happened.",
         cure: "Check the bar, the balls and the table at that row; `hypotheses` in result.json has the probability and the rivals." {
-            CouldBe { event: &'static str, size_mm: f64, probability: f64, rivals: String } => "could be {event}, {size_mm:.4} mm (probability {probability:.2}){rivals}";
-            CouldBeFrom { event: &'static str, index: u32, size_mm: f64, probability: f64, rivals: String } => "could be {event} from index {index} on, {size_mm:.4} mm (probability {probability:.2}){rivals}";
+            CouldBe { event: &'static str, size: f64, unit: &'static str, probability: f64, rivals: String } => "could be {event}, {size:.4} {unit} (probability {probability:.2}){rivals}";
+            CouldBeFrom { event: &'static str, index: u32, size: f64, unit: &'static str, probability: f64, rivals: String } => "could be {event} from index {index} on, {size:.4} {unit} (probability {probability:.2}){rivals}";
         }
         W1334 "lengths that identified the robot are used again",
-        cause: "Most of these lengths are in the lengths.csv beside the robot's file, so its [posterior] holds them already. Counted twice, they would state an accuracy that they do not have.",
-        cure: "Nothing: [posterior] is not used. To identify again, give the nominal robot; to go on, give only new lengths." {
-            KnownLengths { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot already: its [posterior] is not used";
+        cause: "Most of these lengths are in the lengths.csv beside the robot's file or the table of the prior, which holds them already. Counted twice, they would state an accuracy that they do not have.",
+        cure: "Nothing: the prior of the data sheet was used. To identify again, give the nominal robot; to go on, give only new lengths." {
+            KnownLengths { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot already: what they showed is not used as a prior";
         }
         W1335 "the sigma given is far larger than the residuals",
         cause: "The standard deviation given or the column sigma_mm is in micrometres, or it is not that of these lengths. Lengths that seem so poor leave most of the robot at its nominal values.",

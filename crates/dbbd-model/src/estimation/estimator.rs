@@ -622,7 +622,7 @@ impl<'a> Search<'a> {
             let columns = judged.event.columns();
             judged.coefficients = posterior.mean.rows(place, columns).into_owned();
             let own = all.rows(place, columns);
-            judged.sd_mm = sd_along(&judged.coefficients, &(own * own.transpose()));
+            judged.sd = sd_along(&judged.coefficients, &(own * own.transpose()));
             place += columns;
         }
         let effective_parameters: f64 = determined.iter().sum();

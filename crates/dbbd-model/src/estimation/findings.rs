@@ -2,7 +2,7 @@
 
 use super::calibration::{AngleSource, Calibration};
 use super::contradiction::{contradicted, kinds_disagree};
-use super::hypotheses::{EventTreatment, RunEventKind, RunHypothesis};
+use super::hypotheses::{EventTreatment, MRAD, RunEventKind, RunHypothesis};
 use super::lengths::Sigma;
 use super::linear_system::factor;
 use super::priors::{Prior, largest_plausible};
@@ -66,7 +66,8 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
 /// What happened within the data, or could have.
 fn happened(found: &RunHypothesis) -> EstimationFinding {
     let RunHypothesis { name, place, size, sd, probability, rivals, treated } = found;
-    let (size_mm, sd_mm, index) = (*size, *sd, place.index.unwrap_or(0));
+    let (size, sd, index) = (*size, *sd, place.index.unwrap_or(0));
+    let (size_mm, sd_mm) = (size, sd);
     let (bar, ball) = (place.bar.unwrap_or(1), place.ball.unwrap_or(1));
     if *treated == EventTreatment::Reported {
         let rivals: Vec<&str> = rivals.iter().map(|rival| rival.name()).collect();
@@ -74,10 +75,10 @@ fn happened(found: &RunHypothesis) -> EstimationFinding {
             true => String::new(),
             false => format!("; or {}", rivals.join(", or ")),
         };
-        let (event, probability) = (name.name(), *probability);
+        let (event, unit, probability) = (name.name(), name.unit(), *probability);
         return match place.index {
-            Some(index) => EstimationFinding::CouldBeFrom { event, index, size_mm, probability, rivals },
-            None => EstimationFinding::CouldBe { event, size_mm, probability, rivals },
+            Some(index) => EstimationFinding::CouldBeFrom { event, index, size, unit, probability, rivals },
+            None => EstimationFinding::CouldBe { event, size, unit, probability, rivals },
         };
     }
     match name {
@@ -87,6 +88,10 @@ fn happened(found: &RunHypothesis) -> EstimationFinding {
         }
         RunEventKind::BaseBallMoved => EstimationFinding::BaseBallMoved { ball, index, size_mm, sd_mm },
         RunEventKind::ToolBallMoved => EstimationFinding::ToolBallMoved { index, size_mm, sd_mm },
+        RunEventKind::JointZeroStep => {
+            let [by_deg, sd_deg] = [size, sd].map(|mrad| (mrad / MRAD).to_degrees());
+            EstimationFinding::AxisZeroStep { axis: place.joint.unwrap_or(1), index, by_deg, sd_deg }
+        }
         RunEventKind::TrackerMoved => EstimationFinding::TrackerStep { index, size_mm, sd_mm },
         RunEventKind::TrackerDrift => EstimationFinding::TrackerDrift { size_mm, sd_mm },
         RunEventKind::WrongBall => {

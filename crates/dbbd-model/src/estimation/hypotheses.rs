@@ -13,7 +13,7 @@ use super::lengths::Lengths;
 use super::pose_rows::PoseRows;
 use super::system::{SystemPosterior, Whitened};
 use crate::measurement::LengthModel;
-use crate::robot::{BallId, BarId, Datum};
+use crate::robot::{BallId, BarId, Datum, Joint};
 
 /// Prior probability that anything of the table happened.
 const ANYTHING: f64 = 0.01;
@@ -23,6 +23,8 @@ const CERTAIN_ODDS: f64 = 99.0;
 const ALIKE: f64 = 0.9;
 /// Sizes that are tried.
 const SIZES: usize = 6;
+/// Milliradians of a radian.
+pub(super) const MRAD: f64 = 1e3;
 /// Least number of rows before and after a place.
 pub(super) const MIN_LENGTHS: usize = 8;
 /// At most so many places are tried, evenly spread.
@@ -40,6 +42,8 @@ pub enum RunEventKind {
     BarZeroDrift,
     BaseBallMoved,
     ToolBallMoved,
+    /// The zero of an axis changed: the arm was hit.
+    JointZeroStep,
     TrackerMoved,
     TrackerDrift,
     WrongBall,
@@ -49,11 +53,12 @@ pub enum RunEventKind {
 
 impl RunEventKind {
     /// Those that add columns.
-    const OF_COLUMNS: [Self; 7] = [
+    const OF_COLUMNS: [Self; 8] = [
         Self::BarZeroStep,
         Self::BarZeroDrift,
         Self::BaseBallMoved,
         Self::ToolBallMoved,
+        Self::JointZeroStep,
         Self::TrackerMoved,
         Self::TrackerDrift,
         Self::BallOffset,
@@ -66,6 +71,7 @@ impl RunEventKind {
             Self::BarZeroDrift => "a drift of the bar's zero",
             Self::BaseBallMoved => "a base ball that moved",
             Self::ToolBallMoved => "a tool ball that moved",
+            Self::JointZeroStep => "a step of an axis's zero",
             Self::TrackerMoved => "a tracker that moved",
             Self::TrackerDrift => "a tracker that drifted",
             Self::WrongBall => "a wrong ball number",
@@ -73,13 +79,20 @@ impl RunEventKind {
         }
     }
 
-    /// Least and largest size, mm.
-    fn sizes_mm(self) -> [f64; 2] {
+    /// Unit of its size.
+    pub(super) fn unit(self) -> &'static str {
+        if self == Self::JointZeroStep { "mrad" } else { "mm" }
+    }
+
+    /// Least and largest size, mm; of a zero of an axis mrad.
+    fn sizes(self) -> [f64; 2] {
         match self {
             Self::BarZeroStep | Self::BarZeroDrift | Self::BallOffset => [0.005, 5.0],
-            Self::BaseBallMoved | Self::ToolBallMoved | Self::TrackerMoved | Self::TrackerDrift => {
-                [0.02, 50.0]
-            }
+            Self::BaseBallMoved
+            | Self::ToolBallMoved
+            | Self::JointZeroStep
+            | Self::TrackerMoved
+            | Self::TrackerDrift => [0.02, 50.0],
             Self::WrongBall => [0.0, 0.0],
         }
     }
@@ -91,19 +104,23 @@ pub(super) struct RunEvent {
     pub(super) kind: RunEventKind,
     pub(super) bar: Option<BarId>,
     pub(super) ball: Option<BallId>,
+    pub(super) joint: Option<Joint>,
     /// Elapsed time of the first row that it concerns, and the place of that row; `None` for all rows.
     pub(super) from: Option<(f64, usize)>,
     /// Whether a drift grows with the length, as that of a bar that warms up, or is the same for all lengths.
     pub(super) grows: bool,
-    /// Prior standard deviation of its size, mm.
-    pub(super) size_mm: f64,
+    /// Prior standard deviation of its size, mm; of a zero of an axis mrad.
+    pub(super) size: f64,
 }
 
 impl RunEvent {
     /// How many columns it adds.
     pub(super) fn columns(&self) -> usize {
         match self.kind {
-            RunEventKind::BarZeroStep | RunEventKind::BarZeroDrift | RunEventKind::BallOffset => 1,
+            RunEventKind::BarZeroStep
+            | RunEventKind::BarZeroDrift
+            | RunEventKind::JointZeroStep
+            | RunEventKind::BallOffset => 1,
             RunEventKind::BaseBallMoved
             | RunEventKind::ToolBallMoved
             | RunEventKind::TrackerMoved
@@ -116,14 +133,15 @@ impl RunEvent {
     fn is_of(&self, datum: Datum) -> bool {
         let is_of_tracker = matches!(self.kind, RunEventKind::TrackerMoved | RunEventKind::TrackerDrift);
         if datum.is_plane() {
-            return is_of_tracker || self.kind == RunEventKind::ToolBallMoved;
+            return is_of_tracker
+                || matches!(self.kind, RunEventKind::ToolBallMoved | RunEventKind::JointZeroStep);
         }
         !is_of_tracker
             && self.bar.is_none_or(|bar| datum.bar() == Some(bar))
             && self.ball.is_none_or(|ball| datum.ball() == Some(ball))
     }
 
-    /// Its columns at the rows, mm per mm.
+    /// Its columns at the rows, mm per unit of its size.
     pub(super) fn of_rows(&self, rows: &PoseRows, lengths: &Lengths) -> DMatrix<f64> {
         let mut columns = DMatrix::zeros(rows.lengths.len(), self.columns());
         let sum: f64 = rows.lengths.iter().map(|length| lengths.reading(length.place).length_mm).sum();
@@ -142,6 +160,10 @@ impl RunEvent {
                 RunEventKind::BarZeroDrift => [elapsed, 0.0, 0.0],
                 RunEventKind::BaseBallMoved => rows.lengths[row].unit.map(|part| -part),
                 RunEventKind::ToolBallMoved => rows.lengths[row].target,
+                RunEventKind::JointZeroStep => {
+                    let by = self.joint.map_or(0.0, |joint| length.by_joint[joint.index()]);
+                    [by / MRAD, 0.0, 0.0]
+                }
                 RunEventKind::TrackerMoved => rows.lengths[row].unit,
                 RunEventKind::TrackerDrift => rows.lengths[row].unit.map(|part| part * elapsed),
                 RunEventKind::WrongBall => [0.0; 3],
@@ -158,7 +180,7 @@ pub struct RunHypothesis {
     pub name: RunEventKind,
     #[serde(rename = "where")]
     pub place: EventPlace,
-    /// Its size, mm.
+    /// Its size, mm; of a zero of an axis mrad.
     pub size: f64,
     /// Standard deviation of the size, mm.
     pub sd: f64,
@@ -175,6 +197,8 @@ pub struct EventPlace {
     pub bar: Option<u32>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ball: Option<u32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub joint: Option<usize>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub index: Option<u32>,
     /// The rows of a wrong ball number, by their indices.
@@ -196,9 +220,9 @@ pub enum EventTreatment {
 pub(super) struct JudgedEvent {
     pub(super) event: RunEvent,
     pub(super) probability: f64,
-    /// Coefficients of its columns, mm, and the standard deviation along them.
+    /// Coefficients of its columns, and the standard deviation along them, mm; of a zero of an axis mrad.
     pub(super) coefficients: DVector<f64>,
-    pub(super) sd_mm: f64,
+    pub(super) sd: f64,
     pub(super) rivals: Vec<RunEventKind>,
     pub(super) is_certain: bool,
 }
@@ -290,7 +314,7 @@ impl<'a> EventSearch<'a> {
         let (coefficients, covariance) = self.coefficients(&first.event)?;
         Some(JudgedEvent {
             event: first.event,
-            sd_mm: sd_along(&coefficients, &covariance),
+            sd: sd_along(&coefficients, &covariance),
             coefficients,
             probability: exp(first.ln_odds()) / all,
             is_certain: first.ln_odds() > margin && rivals.is_empty(),
@@ -307,13 +331,17 @@ impl<'a> EventSearch<'a> {
         bars.dedup();
         balls.sort_unstable();
         balls.dedup();
-        let event = RunEvent { kind, bar: None, ball: None, from: None, grows: false, size_mm: 0.0 };
+        let event =
+            RunEvent { kind, bar: None, ball: None, joint: None, from: None, grows: false, size: 0.0 };
         let of_bars = || bars.iter().map(|bar| RunEvent { bar: Some(*bar), ..event });
         let of_balls = || balls.iter().map(|ball| RunEvent { ball: Some(*ball), ..event });
         let whole: Vec<RunEvent> = match kind {
             RunEventKind::BarZeroStep | RunEventKind::BarZeroDrift => of_bars().collect(),
             RunEventKind::BaseBallMoved => of_balls().collect(),
             RunEventKind::BallOffset if balls.len() > 1 => of_balls().collect(),
+            RunEventKind::JointZeroStep => {
+                Joint::ALL.iter().map(|joint| RunEvent { joint: Some(*joint), ..event }).collect()
+            }
             RunEventKind::BallOffset | RunEventKind::WrongBall => Vec::new(),
             RunEventKind::ToolBallMoved | RunEventKind::TrackerMoved | RunEventKind::TrackerDrift => {
                 vec![event]
@@ -360,15 +388,15 @@ impl<'a> EventSearch<'a> {
         let explained = self.known.tr_mul(&columns);
         let gram = columns.tr_mul(&columns) - explained.tr_mul(&explained);
         let gradient = columns.tr_mul(&self.residual);
-        let [least, most] = event.kind.sizes_mm().map(f64::ln);
+        let [least, most] = event.kind.sizes().map(f64::ln);
         let of_size = |at: usize| {
-            let size_mm = (least + (most - least) * at as f64 / (SIZES - 1) as f64).exp();
-            let precision = DMatrix::identity(gram.nrows(), gram.nrows()) / (size_mm * size_mm);
+            let size = (least + (most - least) * at as f64 / (SIZES - 1) as f64).exp();
+            let precision = DMatrix::identity(gram.nrows(), gram.nrows()) / (size * size);
             let factor = Cholesky::new(&gram + precision)?;
-            let ln_determinant = 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum()
-                + 2.0 * gram.nrows() as f64 * size_mm.ln();
+            let ln_determinant =
+                2.0 * factor.l_dirty().diagonal().map(f64::ln).sum() + 2.0 * gram.nrows() as f64 * size.ln();
             let ln_bayes = 0.5 * gradient.dot(&factor.solve(&gradient)) - 0.5 * ln_determinant;
-            ln_bayes.is_finite().then_some((RunEvent { size_mm, ..event }, ln_bayes))
+            ln_bayes.is_finite().then_some((RunEvent { size, ..event }, ln_bayes))
         };
         let best = (0..SIZES).filter_map(of_size).max_by(|a, b| a.1.total_cmp(&b.1))?;
         Some((best.0, best.1 - (SIZES as f64).ln()))
@@ -379,7 +407,7 @@ impl<'a> EventSearch<'a> {
         let columns = self.columns(event);
         let explained = self.known.tr_mul(&columns);
         let gram = columns.tr_mul(&columns) - explained.tr_mul(&explained);
-        let precision = &gram + DMatrix::identity(gram.nrows(), gram.nrows()) / event.size_mm.powi(2);
+        let precision = &gram + DMatrix::identity(gram.nrows(), gram.nrows()) / event.size.powi(2);
         let covariance = Cholesky::new(precision)?.inverse();
         Some((&covariance * columns.tr_mul(&self.residual), covariance))
     }
@@ -404,7 +432,7 @@ pub(super) fn sd_along(vector: &DVector<f64>, covariance: &DMatrix<f64>) -> f64 
 impl JudgedEvent {
     /// As a result has it.
     pub(super) fn hypothesis(&self, index: impl Fn(usize) -> u32) -> RunHypothesis {
-        let RunEvent { kind, bar, ball, from, .. } = self.event;
+        let RunEvent { kind, bar, ball, joint, from, .. } = self.event;
         let size = match self.coefficients.len() {
             1 => self.coefficients[0],
             _ => self.coefficients.norm(),
@@ -414,11 +442,12 @@ impl JudgedEvent {
             place: EventPlace {
                 bar: bar.map(BarId::number),
                 ball: ball.map(BallId::number),
+                joint: joint.map(Joint::number),
                 index: from.map(|(_, place)| index(place)),
                 rows: Vec::new(),
             },
             size,
-            sd: self.sd_mm,
+            sd: self.sd,
             probability: self.probability,
             rivals: self.rivals.clone(),
             treated: if self.is_certain { EventTreatment::Unknown } else { EventTreatment::Reported },
@@ -470,7 +499,7 @@ mod tests {
     use super::*;
     use crate::estimation::Options;
     use crate::measurement::{Measurement, PreparedMeasurement, TargetId, Tracker};
-    use crate::robot::{AxisAngles, Coordinate, Joint, ParamId, PayloadId};
+    use crate::robot::{AxisAngles, Coordinate, ParamId, PayloadId};
     use crate::test_support::cell::kr60;
 
     const SIGMA_MM: f64 = 0.03;
@@ -501,9 +530,10 @@ mod tests {
             kind,
             bar: None,
             ball: None,
+            joint: None,
             from,
             grows: kind == RunEventKind::BarZeroDrift,
-            size_mm: 0.5,
+            size: 0.5,
         }
     }
 
@@ -558,6 +588,13 @@ mod tests {
                     );
                 }
             }
+        }
+        let mut of_axis = event(RunEventKind::JointZeroStep, from);
+        of_axis.joint = Some(Joint::J3);
+        let (of_axis, expected) = (of_axis.of_rows(&at, &lengths), moved(ParamId::Theta(Joint::J3)));
+        for row in 0..40 {
+            let expected = if row < 10 { 0.0 } else { expected[row] / 1e3 };
+            assert!((of_axis[row] - expected).abs() < 1e-3, "{row}: {} {expected}", of_axis[row]);
         }
         let bar = moved(ParamId::BarOffset(BarId::FIRST));
         let step_of_bar = event(RunEventKind::BarZeroStep, from).of_rows(&at, &lengths);
@@ -649,7 +686,7 @@ mod tests {
             for kind in [RunEventKind::BarZeroStep, RunEventKind::BarZeroDrift, RunEventKind::ToolBallMoved] {
                 let (event, found) = search.judged(event(kind, from)).unwrap();
                 let h = event.of_rows(rows, search.lengths);
-                let [least, most] = kind.sizes_mm().map(f64::ln);
+                let [least, most] = kind.sizes().map(f64::ln);
                 let of_size = |at: usize| {
                     let size = (least + (most - least) * at as f64 / 5.0).exp();
                     (ln_density(&(&v + &h * h.transpose() * (size * size))) - ln_density(&v), size)
@@ -659,7 +696,7 @@ mod tests {
                     (found - (best - 6f64.ln())).abs() < 1e-6 * best.abs().max(1.0),
                     "{kind:?}: {found} {best}"
                 );
-                assert!((event.size_mm / size - 1.0).abs() < 1e-12);
+                assert!((event.size / size - 1.0).abs() < 1e-12);
             }
         });
     }
@@ -671,7 +708,7 @@ mod tests {
             assert_eq!(found.event.kind, RunEventKind::BarZeroStep);
             assert_eq!(found.event.from.map(|(_, place)| place), Some(42));
             assert!(found.is_certain && found.probability > 0.99 && found.rivals.is_empty(), "{found:?}");
-            assert!((found.coefficients[0] - 0.3).abs() < 4.0 * found.sd_mm, "{found:?}");
+            assert!((found.coefficients[0] - 0.3).abs() < 4.0 * found.sd, "{found:?}");
             // What is an unknown already is no further event.
             let again = search.strongest(search.candidates(&[found.event]));
             assert!(again.is_none_or(|other| other.event.from != found.event.from));

@@ -23,8 +23,8 @@ pub fn check_measurements(
 ) -> Result<(), Diagnostic> {
     observations.check(file, observations.set_up(centres.len()))?;
     let refused = |mistake: UnitMistake| {
-        let UnitMistake { columns, unit } = mistake;
-        Diagnostic::file(file, OtherUnit { columns: columns.into(), unit: unit.into() })
+        let UnitMistake { columns, unit, rows, index } = mistake;
+        Diagnostic::file(file, OtherUnit { columns: columns.into(), unit: unit.into(), rows, index })
     };
     if let Some(mistake) = unit_of_lengths(&robot.geometry, centres, &observations.rows) {
         return Err(refused(mistake));
@@ -51,7 +51,7 @@ pub fn doubts(
         frozen(observations).map(Diagnostic::from),
         other_sigma(observations),
         one_decimal(observations).map(Diagnostic::from),
-        two_decimals(observations, robot).map(Diagnostic::from),
+        few_decimals(observations, robot).map(Diagnostic::from),
     ];
     let unknown = robot.asked_repeatability().map(Diagnostic::from);
     unknown.into_iter().chain(doubts.into_iter().flatten().map(|doubt| doubt.in_file(file))).collect()
@@ -83,25 +83,24 @@ fn one_decimal(observations: &Measurements) -> Option<MeasurementFinding> {
         .then_some(MeasurementFinding::OneDecimal { rows: tenths.len() })
 }
 
-/// Angles that all have two decimals, as a teach pendant displays them. Commanded angles seldom use both decimals.
-fn two_decimals(observations: &Measurements, robot: &Robot) -> Option<MeasurementFinding> {
-    /// Fewer angles may have two decimals by chance.
-    const MIN_LENGTHS: usize = 60;
-    /// Standard deviation of rounding to the last digit, degrees.
-    const ROUNDING_DEG: f64 = 0.005 / 1.732;
+/// Angles that all have so few decimals, the last of which most of them use, as a teach pendant displays them.
+fn few_decimals(observations: &Measurements, robot: &Robot) -> Option<MeasurementFinding> {
+    /// Fewer angles may have few decimals by chance.
+    const MIN_ANGLES: usize = 60;
     let rows = &observations.rows;
-    let hundredths: Vec<f64> = rows
-        .iter()
-        .flat_map(|row| row.axes.degrees())
-        .filter(|deg| *deg != 0.0)
-        .map(|deg| 100.0 * deg)
-        .collect();
-    let is_whole = |value: f64| (value - value.round()).abs() < 1e-6;
-    let is_rounded = hundredths.len() >= MIN_LENGTHS && hundredths.iter().all(|value| is_whole(*value));
-    let both = hundredths.iter().filter(|value| !is_whole(**value / 10.0)).count();
-    let length_mm = ROUNDING_DEG.to_radians() * robot.reach_mm();
-    (is_rounded && 2 * both > hundredths.len())
-        .then_some(MeasurementFinding::TwoDecimals { rows: rows.len(), length_mm })
+    let angles = rows.iter().flat_map(|row| row.axes.degrees()).filter(|deg| *deg != 0.0);
+    let angles: Vec<f64> = angles.collect();
+    let whole = |decimals: i32| {
+        let step_deg = 10f64.powi(-decimals);
+        let is_whole = |deg: &&f64| (*deg / step_deg - (*deg / step_deg).round()).abs() < 1e-6;
+        angles.iter().filter(is_whole).count()
+    };
+    let decimals = (0..=2).find(|decimals| whole(*decimals) == angles.len())?;
+    // Rounding has a uniform distribution over a step.
+    let sd_deg = 10f64.powi(-decimals) / 12f64.sqrt();
+    let length_mm = sd_deg.to_radians() * robot.reach_mm();
+    (angles.len() >= MIN_ANGLES && 2 * whole(decimals - 1) < angles.len())
+        .then_some(MeasurementFinding::FewDecimals { rows: rows.len(), decimals, length_mm })
 }
 
 /// Consecutive lengths at different poses that are exactly equal.
@@ -158,13 +157,12 @@ const MIN_LENGTHS: usize = 4;
 struct UnitMistake {
     columns: &'static str,
     unit: &'static str,
+    /// How many rows have it, and the index of the first of them.
+    rows: usize,
+    index: u32,
 }
 
-impl UnitMistake {
-    fn of_angles(unit: &MistakenUnit) -> Self {
-        Self { columns: "a1_deg..a6_deg", unit: unit.name }
-    }
-}
+const ANGLES: &str = "a1_deg..a6_deg";
 
 /// The length of a row by the nominal robot at axis angles (rad), mm; `None` for a position or an unknown ball.
 fn nominal_mm(
@@ -176,24 +174,31 @@ fn nominal_mm(
     Some(geometry.length(axes, &centres.get(row.datum.ball()?.index())?.position, 0.0))
 }
 
-/// Compares the lengths in several units with those of the nominal robot.
+/// Compares the lengths in several units with those of the nominal robot: all, or those rows that disagree as they are.
 fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measurement]) -> Option<UnitMistake> {
-    let lengths: Vec<&Measurement> = rows.iter().filter(|row| !row.datum.is_plane()).collect();
-    let agree = |degrees: f64, unit_mm: f64| {
-        let is_near = |row: &&&Measurement| {
-            nominal_mm(geometry, centres, row, &row.axes.radians().map(|angle| degrees * angle))
-                .is_some_and(|mm| (unit_mm * row.length_mm - mm).abs() <= AGREES * mm)
-        };
-        let count = lengths.len();
-        count >= MIN_LENGTHS && lengths.iter().filter(is_near).count() as f64 >= MAX_SHARE * count as f64
+    /// In their unit the rows agree so much better: else a ball or a tool is elsewhere.
+    const CLEARLY: f64 = 5.0;
+    let misfit = |row: &Measurement, degrees: f64, unit_mm: f64| {
+        nominal_mm(geometry, centres, row, &row.axes.radians().map(|angle| degrees * angle))
+            .map_or(f64::INFINITY, |mm| (unit_mm * row.length_mm - mm).abs() / mm)
     };
-    if agree(1.0, 1.0) {
-        return None;
-    }
-    if let Some(unit) = LENGTH_UNITS.iter().find(|unit| agree(1.0, unit.factor)) {
-        return Some(UnitMistake { columns: "length_mm", unit: unit.name });
-    }
-    ANGLE_UNITS.iter().find(|unit| agree(unit.factor, 1.0)).map(UnitMistake::of_angles)
+    let off = rows.iter().filter(|row| !row.datum.is_plane() && misfit(row, 1.0, 1.0) > AGREES);
+    let off: Vec<&Measurement> = off.collect();
+    let misfits = |degrees: f64, unit_mm: f64| -> Vec<f64> {
+        off.iter().map(|row| misfit(row, degrees, unit_mm)).collect()
+    };
+    let as_given = median(&mut misfits(1.0, 1.0))?;
+    let agree = |degrees: f64, unit_mm: f64| {
+        let mut misfits = misfits(degrees, unit_mm);
+        let near = misfits.iter().filter(|misfit| **misfit <= AGREES).count();
+        off.len() >= MIN_LENGTHS
+            && near as f64 >= MAX_SHARE * off.len() as f64
+            && median(&mut misfits).is_some_and(|misfit| CLEARLY * misfit <= as_given)
+    };
+    let of_lengths = LENGTH_UNITS.iter().find(|unit| agree(1.0, unit.factor)).map(|unit| ("length_mm", unit));
+    let of_angles = || ANGLE_UNITS.iter().find(|unit| agree(unit.factor, 1.0)).map(|unit| (ANGLES, unit));
+    let (columns, unit) = of_lengths.or_else(of_angles)?;
+    Some(UnitMistake { columns, unit: unit.name, rows: off.len(), index: off.first()?.index })
 }
 
 /// Fewer positions can be fitted to any poses.
@@ -222,17 +227,23 @@ fn unit_of_positions(
         positions.iter().map(|position| geometry.flange(&position.axes.map(|angle| factor * angle))).collect()
     };
     let Some(found) = fit_frame(&places, &flanges(1.0), geometry.tool) else { return Ok(None) };
+    let mistake = |columns: &'static str, unit: &MistakenUnit| UnitMistake {
+        columns,
+        unit: unit.name,
+        rows: observations.rows.len(),
+        index: observations.rows.first().map_or(1, |row| row.index),
+    };
     let is_near = |scale: f64, unit_mm: f64| (scale / unit_mm - 1.0).abs() <= AGREES;
     if found.misfit <= AGREES {
         let other = LENGTH_UNITS.iter().find(|unit| is_near(found.scale, unit.factor));
-        return Ok(other.map(|unit| UnitMistake { columns: "x_mm..z_mm", unit: unit.name }));
+        return Ok(other.map(|unit| mistake("x_mm..z_mm", unit)));
     }
     let fits = |places: &[Vector3<f64>], flanges: &[Pose]| {
         let found = fit_frame(places, flanges, geometry.tool);
         found.is_some_and(|found| found.misfit <= AGREES && is_near(found.scale, 1.0))
     };
     if let Some(unit) = ANGLE_UNITS.iter().find(|unit| fits(&places, &flanges(unit.factor))) {
-        return Ok(Some(UnitMistake::of_angles(unit)));
+        return Ok(Some(mistake(ANGLES, unit)));
     }
     let mirrored: Vec<Vector3<f64>> =
         places.iter().map(|place| Vector3::new(-place.x, place.y, place.z)).collect();
@@ -265,4 +276,65 @@ fn fit_frame(places: &[Vector3<f64>], flanges: &[Pose], mut target: Vector3<f64>
         found = RigidAlignment::of(places, &on_tool(target))?;
     }
     Some(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{AxisAngles, BallId};
+    use crate::test_support::cell::{CENTRE, kr60, measure, three_planes};
+
+    fn lengths() -> Measurements {
+        measure(&kr60(), &three_planes(1, CENTRE), 16, 40.0)
+    }
+
+    fn ball(x_off_mm: f64) -> [BaseBall; 1] {
+        [BaseBall { id: BallId::at(0), position: Vector3::from(CENTRE) + Vector3::new(x_off_mm, 0.0, 0.0) }]
+    }
+
+    fn with_angles(of: impl Fn(usize, f64) -> f64) -> Measurements {
+        let mut table = lengths();
+        for (at, row) in table.rows.iter_mut().enumerate() {
+            row.axes = AxisAngles::from_degrees(row.axes.degrees().map(|deg| of(at, deg)));
+        }
+        table
+    }
+
+    fn mistake(table: &Measurements, x_off_mm: f64) -> Option<(&'static str, &'static str, usize, u32)> {
+        let found = unit_of_lengths(&kr60().geometry, &ball(x_off_mm), &table.rows)?;
+        Some((found.columns, found.unit, found.rows, found.index))
+    }
+
+    #[test]
+    fn rows_in_radians_are_refused_all_or_half_of_them() {
+        let first = lengths().rows[0].index;
+        assert_eq!(mistake(&lengths(), 0.0), None);
+        let all = with_angles(|_, deg| deg.to_radians());
+        let count = all.rows.len();
+        assert_eq!(mistake(&all, 0.0), Some((ANGLES, "radians", count, first)));
+        let half = with_angles(|at, deg| if 2 * at < count { deg } else { deg.to_radians() });
+        assert_eq!(mistake(&half, 0.0), Some((ANGLES, "radians", count / 2, half.rows[count / 2].index)));
+        // Some lengths to a ball that is elsewhere agree about as well in gon.
+        assert_eq!(mistake(&lengths(), 90.0), None);
+    }
+
+    #[test]
+    fn angles_of_a_pendant_have_few_decimals() {
+        let rounded = |step_deg: f64| {
+            let table = with_angles(|_, deg| (deg / step_deg).round() * step_deg);
+            match few_decimals(&table, &kr60()) {
+                Some(MeasurementFinding::FewDecimals { rows, decimals, length_mm }) => {
+                    assert_eq!(rows, table.rows.len());
+                    // A uniform distribution over a step, at the reach of the robot.
+                    let expected = (step_deg / 12f64.sqrt()).to_radians() * kr60().reach_mm();
+                    assert!((length_mm / expected - 1.0).abs() < 1e-12);
+                    Some(decimals)
+                }
+                _ => None,
+            }
+        };
+        assert_eq!([1.0, 0.1, 0.01].map(rounded), [0, 1, 2].map(Some));
+        // As commanded angles are, and as a controller logs them.
+        assert_eq!([10.0, 0.001].map(rounded), [None, None]);
+    }
 }

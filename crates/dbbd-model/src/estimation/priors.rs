@@ -49,16 +49,20 @@ impl Prior {
     ) -> Result<(Self, Option<EstimationFinding>), E> {
         let lost = match &robot.posterior {
             Some(posterior) if posterior.is_of(&robot.geometry) => {
-                let known = known()?;
-                if 2 * known <= lengths {
-                    return Ok((Self::Posterior, None));
-                }
-                Some(EstimationFinding::KnownLengths { known, lengths })
+                return Ok(Self::Posterior.of_other_lengths(lengths, known()?));
             }
             Some(_) => Some(EstimationFinding::PosteriorOfOtherValues),
             None => robot.nominal.as_ref().map(|_| EstimationFinding::PosteriorLost),
         };
         Ok((Self::Datasheet, lost))
+    }
+
+    /// This prior, unless most of the lengths are among the `known` ones from which it was identified; then the datasheet's.
+    pub fn of_other_lengths(self, lengths: usize, known: usize) -> (Self, Option<EstimationFinding>) {
+        match 2 * known > lengths {
+            true => (Self::Datasheet, Some(EstimationFinding::KnownLengths { known, lengths })),
+            false => (self, None),
+        }
     }
 }
 

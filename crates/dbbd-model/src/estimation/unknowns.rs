@@ -328,7 +328,7 @@ impl ModelErrors {
         variances.extend(vec![Variance::Of(Group::Warming, 1.0); warming]);
         for event in &self.events {
             columns = beside(columns, &event.of_rows(rows, used.lengths()));
-            variances.extend(vec![Variance::Fixed(event.size_mm); event.columns()]);
+            variances.extend(vec![Variance::Fixed(event.size); event.columns()]);
         }
         (columns, variances)
     }

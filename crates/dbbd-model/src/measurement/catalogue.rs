@@ -34,7 +34,7 @@ findings! {
         cause: "The file is a plan, whose lengths are the wanted ones, or its lengths or angles are in another unit than its header says.",
         cure: "Measure the plan with `dbbd acquire` and give the capture; convert the table to mm and degrees." {
             IsPlan => "is a plan: its lengths are the wanted ones, not measured ones", help: "measure them: `dbbd acquire`, then give the capture";
-            OtherUnit { columns: String, unit: String } => "{columns} seem to be {unit}: in these the measurements agree with the poses", help: "convert the table: lengths in mm, angles in degrees";
+            OtherUnit { columns: String, unit: String, rows: usize, index: u32 } => "{columns} of {rows} rows, from index {index} on, seem to be {unit}: in these the measurements agree with the poses", help: "convert the table: lengths in mm, angles in degrees";
         }
         E1208 "different rows of a table have the same index",
         cause: "Tables of several runs were joined, or rows were edited: it is not certain which length belongs to which pose.",
@@ -54,11 +54,11 @@ findings! {
             SigmaMissing { without: usize, rows: usize } => "{without} of {rows} rows have no sigma_mm: none is used, and all lengths have equal weight";
         }
         I1284 "the numbers of a table are rounded",
-        cause: "Lengths have one decimal, or angles two: they were read from a pendant, or rounded. The axis angles are then known to 0.003 degrees only, which is 0.1 mm at a distance of two metres.",
+        cause: "Lengths have one decimal, or angles at most two: they were read from a pendant, or rounded. Axis angles with two decimals are known to 0.003 degrees only, which is 0.1 mm at a distance of two metres.",
         cure: "Nothing, if these are the commanded angles. Else take the angles that the program logged (to `dbbd sync`, or from the controller).",
         asks: [LoggedAxes] {
             OneDecimal { rows: usize } => "the lengths of {rows} rows have one decimal: they are uncertain by 0.03 mm";
-            TwoDecimals { rows: usize, length_mm: f64 } => "the axis angles of {rows} rows have two decimals: if they are rounded, a length is uncertain by some {length_mm:.2} mm";
+            FewDecimals { rows: usize, decimals: i32, length_mm: f64 } => "the decimals of the axis angles of {rows} rows are {decimals}: if they are rounded, a length is uncertain by some {length_mm:.2} mm";
         }
         W1283 "all lengths of a table are equal",
         cause: "The lengths are the commanded ones, the bar was frozen, or the column was filled with one value. No two measured lengths are equal to the last digit so often.",

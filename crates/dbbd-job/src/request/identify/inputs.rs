@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::exclusion::{Exclusion, LeftOut};
 use super::matched_run::MatchedRun;
-use super::parts::{self, InputPart, JoinedParts, SetUpRelation};
+use super::parts::{self, InputPart, JoinedParts, SetUpRelation, sort_by_time};
 use super::tables::{lengths_or_positions, measurements};
 use super::{AskedIdentification, LENGTHS, POSITIONS};
 use crate::recording::run::{PredictedLengths, RecordedRun};
@@ -101,16 +101,6 @@ impl LoadedInputs {
         if let Some(tool) = named.tool_mm {
             robot.set_tool(tool);
         }
-        let mut sources = Vec::new();
-        let centres = match (named.centres, run) {
-            (Some(path), _) => {
-                sources.push(crate::artefact::of_file(ArtefactRole::BaseBalls, path)?.into());
-                session.table(path, BaseBall::from_table)?
-            }
-            (None, Some(run)) => run.centres(),
-            (None, None) if is_tracked => Vec::new(),
-            (None, None) => return Err(EstimationFinding::NoBalls.into()),
-        };
         let first = InputPart::first(named.input.into(), lengths, observations, matched);
         let mut parts = vec![first];
         for path in named.further {
@@ -118,6 +108,17 @@ impl LoadedInputs {
             check_further(&part, &parts[0].lengths, &mut findings)?;
             parts.push(part);
         }
+        sort_by_time(&mut parts);
+        let mut sources = Vec::new();
+        let centres = match (named.centres, &parts[0].matched) {
+            (Some(path), _) => {
+                sources.push(crate::artefact::of_file(ArtefactRole::BaseBalls, path)?.into());
+                session.table(path, BaseBall::from_table)?
+            }
+            (None, Some(matched)) => matched.run.centres(),
+            (None, None) if is_tracked => Vec::new(),
+            (None, None) => return Err(EstimationFinding::NoBalls.into()),
+        };
         let JoinedParts { measurements: observations, centres } =
             JoinedParts::of(&mut parts, centres, named.set_ups, &mut findings)?;
         let lengths = &parts[0].lengths;
@@ -208,28 +209,28 @@ impl LoadedInputs {
         [self.findings.clone(), run_findings(&self.parts, &self.robot)].concat()
     }
 
-    /// The options of an identification. Reports that the robot file has lost its posterior.
+    /// The options of an identification, whose prior is of the file `prior`. Reports that the robot file has lost its posterior.
     pub(super) fn options(
         &mut self,
         asked: AskedIdentification<'_>,
-        robot_file: Option<&str>,
+        prior: Option<&Path>,
         set_up: SetUpCounts,
         session: &RequestSession<'_>,
     ) -> Result<Options, Diagnostic> {
-        let (known, rows) = (|| self.known_lengths(robot_file, session), self.observations.rows.len());
+        let (known, rows) = (|| self.known_lengths(prior, session), self.observations.rows.len());
         let (options, lost) = asked.options(&self.robot, rows, set_up, known)?;
         self.findings.extend(lost.map(Diagnostic::from));
         Ok(options)
     }
 
-    /// How many of the observations are among those beside the robot file, from which the robot was identified.
+    /// How many of the observations are among those beside a file of an earlier result, from which it was identified.
     pub(crate) fn known_lengths(
         &self,
-        robot_file: Option<&str>,
+        result: Option<&Path>,
         session: &RequestSession<'_>,
     ) -> Result<usize, Diagnostic> {
-        let Some(robot_file) = robot_file else { return Ok(0) };
-        let tables = [LENGTHS, POSITIONS].map(|name| Path::new(robot_file).with_file_name(name));
+        let Some(result) = result else { return Ok(0) };
+        let tables = [LENGTHS, POSITIONS].map(|name| result.with_file_name(name));
         let known = tables.iter().filter(|path| path.is_file()).map(|path| {
             let table = measurements(path, lengths_or_positions, &mut Vec::new(), session)?;
             Ok(table.holds(&self.observations))

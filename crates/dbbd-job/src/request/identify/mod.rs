@@ -257,7 +257,11 @@ impl IdentifyRequest {
                 ..Options::default()
             },
         };
-        let mut options = given.options(asked, self.robot.as_deref(), set_up, session)?;
+        let prior = match &self.prior {
+            Some(RequestedPrior::Table(file)) => Some(file.as_path()),
+            _ => self.robot.as_deref().map(Path::new),
+        };
+        let mut options = given.options(asked, prior, set_up, session)?;
         // A doubtful earlier identification matters only if it is the prior.
         session.findings(given.robot.doubtful().filter(|_| matches!(options.prior, Prior::Posterior)));
         let workspace = self.workspace.as_deref();

@@ -22,7 +22,8 @@ pub struct AskedIdentification<'a> {
 }
 
 impl AskedIdentification<'_> {
-    /// The options for a robot and so many measured rows. `known` counts those of the rows from which the robot was identified.
+    /// The options for a robot and so many measured rows. `known` counts those of the rows from which the
+    /// prior was identified.
     /// The finding says why the posterior of the robot is not used.
     ///
     /// # Errors
@@ -47,7 +48,9 @@ impl AskedIdentification<'_> {
                     return Err(EstimationFinding::NoPosterior.into());
                 }
             },
-            Some(RequestedPrior::Table(deviations)) => (Prior::Given(deviations), None),
+            Some(RequestedPrior::Table(deviations)) => {
+                Prior::Given(deviations).of_other_lengths(rows, known()?)
+            }
         };
         let betas = robot.parallel_joints();
         let list =

@@ -122,6 +122,15 @@ impl InputPart {
     }
 }
 
+/// Sorts parts by the times of day at which they were measured, if all have one: a pose that was measured again replaces
+/// the one before, in whatever order the files were given.
+pub(super) fn sort_by_time(parts: &mut [InputPart]) {
+    let time = |part: &InputPart| part.lengths.provenance.identity.measured.clone();
+    if parts.iter().all(|part| time(part).is_some_and(|time| time.contains('T'))) {
+        parts.sort_by_key(time);
+    }
+}
+
 /// The measurements of all parts, and the base balls of all set-ups.
 pub(super) struct JoinedParts {
     pub(super) measurements: Measurements,

@@ -64,6 +64,28 @@ fn a_step_of_the_zero_is_named_at_its_row() {
     assert_eq!(found.result.measurements, 96);
 }
 
+/// The arm is hit: an axis is elsewhere than the controller says from there on.
+#[test]
+fn a_step_of_an_axis_is_named() {
+    let (truth, mut data) = run(3);
+    const STEP_DEG: f64 = 0.1;
+    for row in data.rows.iter_mut().filter(|row| row.index >= 50) {
+        let ball = Vector3::from(if row.datum.ball() == Some(BallId::at(1)) { SECOND } else { CENTRE });
+        let mut axes = row.axes.radians();
+        let before = truth.geometry.length(&axes, &ball, 0.0);
+        axes[2] += STEP_DEG.to_radians();
+        row.length_mm += truth.geometry.length(&axes, &ball, 0.0) - before;
+    }
+    let found = find(&data);
+    let all = certain(&found);
+    let [event] = all[..] else { panic!("{:?}", found.result.hypotheses) };
+    assert_eq!(
+        (event.name, event.place.joint, event.place.index),
+        (RunEventKind::JointZeroStep, Some(3), Some(50))
+    );
+    assert!((event.size - 1e3 * STEP_DEG.to_radians()).abs() < 4.0 * event.sd, "{event:?}");
+}
+
 #[test]
 fn a_base_ball_that_moved_is_named() {
     let (truth, mut data) = run(2);
