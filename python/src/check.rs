@@ -1,6 +1,6 @@
 //! `check` and `Check`.
 
-use dbbd_job::request::check::{CheckedLengths, LengthSigma};
+use dbbd_job::request::check::{CheckSigma, CheckedLengths};
 use dbbd_model::conformity::{CheckInput, DecisionRule};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::Options;
@@ -101,7 +101,7 @@ pub(crate) fn check<'py>(
     let balls = balls(&balls_mm)?;
     let (of, file) = (robot.robot(), robot.file.as_ref().map(|file| file.to_string_lossy()));
     findings.extend(checked(&lengths, of, &balls)?);
-    let noise = LengthSigma::of(all, &lengths, file.as_deref(), of)?;
+    let noise = CheckSigma::of(all, &lengths, file.as_deref(), of)?;
     findings.extend(noise.finding.map(Diagnostic::from));
     let workspace = Options { workspace: workspace(py, workspace_deg.as_ref(), of)?, ..Options::default() };
     let start = LengthModel::new(of.geometry.clone(), &balls);

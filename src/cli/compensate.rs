@@ -25,8 +25,8 @@ pub(crate) struct CompensateArgs {
     /// RAPID (MoveAbsJ, MoveJ, MoveL, MoveC), .script of URScript (movej, movel, movec) or .ls of a FANUC (J, L, C).
     #[arg(value_name = "PROGRAM")]
     program: PathBuf,
-    /// The identified robot: its file, or a built-in name.
-    #[arg(long, value_name = "NAME|FILE")]
+    /// The identified robot: robot-identified.toml.
+    #[arg(long, value_name = "FILE")]
     robot: String,
     /// Directory for the corrected program; not that of the program itself.
     #[arg(long, value_name = "DIR")]

@@ -6,7 +6,7 @@ use super::{CommandOutput, output, value};
 use dbbd_job::plan::prediction::Identifiability;
 use dbbd_job::plan::{PlanPrediction, PoseKind};
 use dbbd_job::request::Request;
-use dbbd_job::request::plan::{CheckPoses, PlanDocument, PlanRequest, PlannedPoses, PoseRows};
+use dbbd_job::request::plan::{CheckPoses, PlanDocument, PlanRequest, PlannedPoses, RepeatedRows};
 use dbbd_model::estimation::change::CheckPower;
 use dbbd_model::robot::ParamUnit;
 
@@ -42,7 +42,7 @@ pub(crate) struct PlanArgs {
     /// Plan poses to be measured again: those of a capture, a table of lengths or a result (its directory). ROWS are indices as
     /// 3,7-9, or the outliers of a result [default: all]. Their lengths supersede the earlier ones in `identify`.
     #[arg(long, value_name = "RUN[:ROWS]", value_parser = value::run_rows, conflicts_with_all = ["stage", "check"])]
-    repeat: Option<(PathBuf, PoseRows)>,
+    repeat: Option<(PathBuf, RepeatedRows)>,
     /// Plan a short check of a calibrated robot; --robot is its robot-identified.toml. In place of the job's circles, chooses
     /// the poses about its base balls that are most sensitive to a change of any parameter. plan.json and plan.html state
     /// the smallest changes that are detected with 95 % probability at 1 % false alarms.
@@ -144,7 +144,7 @@ fn prediction_lines(prediction: &PlanPrediction) -> Vec<String> {
             count(Identifiability::PoorlyObservable)
         ),
         format!(
-            "predicted 3-D error over the workspace, with --prior datasheet: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
+            "predicted 3-D error over the workspace, without errors of the joints: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
             now.mean, then.mean, now.p95, then.p95
         ),
     ];

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::cli::CliFinding;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use dbbd_job::program::CompensationFinding;
-use dbbd_job::request::plan::PoseRows;
+use dbbd_job::request::plan::RepeatedRows;
 use dbbd_model::base::date::is_moment;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
@@ -149,13 +149,13 @@ pub(crate) fn one_of<T: Copy + Send + Sync + 'static>(
 }
 
 /// A run, and after the last colon the rows of it.
-pub(super) fn run_rows(text: &str) -> Result<(PathBuf, PoseRows), String> {
+pub(super) fn run_rows(text: &str) -> Result<(PathBuf, RepeatedRows), String> {
     // A path may have a colon itself, as a drive of Windows.
     if Path::new(text).exists() {
-        return Ok((text.into(), PoseRows::All));
+        return Ok((text.into(), RepeatedRows::All));
     }
     match text.rsplit_once(':') {
         Some((run, rows)) => Ok((run.into(), rows.parse()?)),
-        None => Ok((text.into(), PoseRows::All)),
+        None => Ok((text.into(), RepeatedRows::All)),
     }
 }

@@ -8,7 +8,7 @@ use tokio::sync::broadcast;
 
 use super::mount_detector::{MountDetector, MountReading};
 use super::schedule::Schedule;
-use crate::live::{Alarm, Frame, Message, Mounting, MountingNote, Point, ReadingRange};
+use crate::live::{Alarm, Frame, Message, MountingNote, MountingState, Point, ReadingRange};
 use dbbd_device::clock;
 use dbbd_device::sync::lock;
 use dbbd_job::recording::mounting::{ExpectedMounting, MountedReading, MountingMonitor};
@@ -38,7 +38,7 @@ pub struct LiveRun {
     pub points: Vec<Point>,
     /// Drift of the device's clock against the host's since the first sample, ms.
     pub clock_ahead_ms: Option<f64>,
-    pub mounting: Mounting,
+    pub mounting: MountingState,
     /// The readings by the second, the newest last.
     pub trace: VecDeque<ReadingRange>,
 }

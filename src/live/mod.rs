@@ -43,8 +43,8 @@ pub use service::{
 };
 pub use users::{KnownUser, Role, Token, User};
 pub use view::{
-    Alarm, Archiving, Device, Frame, LastRun, Message, Mounting, MountingNote, NextPose, Point, ReadingRange,
-    RunCounts, RunStatus, State, Status,
+    Alarm, Archiving, Device, Frame, LastRun, Message, MountingNote, MountingState, NextPose, Point,
+    ReadingRange, RunCounts, RunStatus, State, Status,
 };
 
 pub use work::{

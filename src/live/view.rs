@@ -93,7 +93,7 @@ pub struct RunStatus {
     /// Remaining time of the plan at full override, s.
     pub left_s: Option<f64>,
     pub next: Option<NextPose>,
-    pub mounting: Mounting,
+    pub mounting: MountingState,
     pub can_zero: bool,
     pub started_unix_ms: u64,
     #[serde(flatten)]
@@ -153,7 +153,7 @@ pub struct NextPose {
 
 /// How the bar is mounted, estimated from its readings.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Mounting {
+pub struct MountingState {
     /// `off`, `handled`, `settling`, `stable`, `moving`.
     pub state: &'static str,
     /// Standard deviation of means over 50 ms at rest, micrometres.

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use dbbd_model::design::calibrate;
 use dbbd_model::estimation::{
-    AngleSource, CalibrationResult, EventTreatment, Input, Options, RunEventKind, RunHypothesis,
+    AngleSource, CalibrationResult, EventTreatment, Input, Options, RunHypothesis, SupposedEventKind,
 };
 use dbbd_model::measurement::{BaseBall, Datum, LengthModel, Measurements};
 use dbbd_model::robot::{BallId, BarId, Robot};
@@ -62,7 +62,7 @@ fn a_ball_that_moved_is_an_unknown() {
     assert_eq!(exit, Some(3));
     assert!(found.contains(&"W1331".to_owned()), "{found:?}");
     let [event] = &after.hypotheses[..] else { panic!("{:?}", after.hypotheses) };
-    assert_eq!((event.name, event.treated), (RunEventKind::BaseBallMoved, EventTreatment::Unknown));
+    assert_eq!((event.name, event.treated), (SupposedEventKind::BaseBallMoved, EventTreatment::Unknown));
     assert_eq!(event.place.ball, Some(2));
     assert!(event.place.index.unwrap().abs_diff(101) <= 6, "{event:?}");
     assert!((event.size - by_mm.norm()).abs() < 4.0 * event.sd && event.sd < 0.05, "{event:?}");
@@ -93,7 +93,7 @@ fn a_tool_ball_that_moved_is_an_unknown() {
     let (exit, found, after) = identified(dir.path(), &data, "bumped");
     assert!(exit == Some(3) && found.contains(&"W1331".to_owned()), "{found:?}");
     let [event] = &after.hypotheses[..] else { panic!("{:?}", after.hypotheses) };
-    assert_eq!((event.name, event.treated), (RunEventKind::ToolBallMoved, EventTreatment::Unknown));
+    assert_eq!((event.name, event.treated), (SupposedEventKind::ToolBallMoved, EventTreatment::Unknown));
     assert!((event.size - 0.17_f64.sqrt()).abs() < 4.0 * event.sd && event.sd < 0.05, "{event:?}");
 }
 
@@ -108,7 +108,7 @@ fn rows_with_the_number_of_another_ball_are_lengths_to_it() {
     let (exit, found, after) = identified(dir.path(), &data, "wrong");
     assert!(exit == Some(3) && found.contains(&"W1331".to_owned()), "{found:?}");
     let [event] = &after.hypotheses[..] else { panic!("{:?}", after.hypotheses) };
-    assert_eq!((event.name, event.place.ball), (RunEventKind::WrongBall, Some(3)));
+    assert_eq!((event.name, event.place.ball), (SupposedEventKind::WrongBall, Some(3)));
     assert_eq!(event.place.rows, [93, 96, 99, 102, 105, 108, 111]);
     // The table is as it was.
     let table = fs::read_to_string(dir.path().join("wrong/lengths.csv")).unwrap();
@@ -125,7 +125,7 @@ fn found(data: &Measurements, robot: &Robot, balls: &[Vector3<f64>]) -> Option<(
     let input = Input { robot, observations: data, start: &start, validation: None, options: &options, axes };
     let result = calibrate(&input, Vec::new()).unwrap().result;
     let is_moved = |event: &&RunHypothesis| {
-        event.name == RunEventKind::BaseBallMoved && event.treated == EventTreatment::Unknown
+        event.name == SupposedEventKind::BaseBallMoved && event.treated == EventTreatment::Unknown
     };
     let found = result.hypotheses.iter().find(is_moved)?;
     Some((found.place.ball?, found.place.index?))

@@ -142,6 +142,18 @@ fn html_dcc_and_pdf_state_the_result() {
         first
     );
     let check = fs::read_to_string(at.join("check.json")).unwrap();
+    let warned = check.replacen(
+        '{',
+        "{\"findings\":[{\"code\":\"W1918\",\"severity\":\"warning\",\"text\":\"no check\",\"values\":{}}],",
+        1,
+    );
+    fs::write(at.join("check.json"), warned).unwrap();
+    let warned = dbbd(at, &CERTIFICATE);
+    assert!(
+        warned.status.code() == Some(3) && codes(&warned).contains(&"W2005".to_owned()),
+        "{}",
+        stderr(&warned)
+    );
     fs::write(at.join("check.json"), check.replace("KR 60", "KR 6")).unwrap();
     assert_eq!(codes(&dbbd(at, &CERTIFICATE)), ["E2002"]);
     refused_and_doubted(at);

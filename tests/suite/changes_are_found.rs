@@ -91,6 +91,9 @@ fn the_command_decides_and_refuses() {
     // The lengths of the update are no check of it.
     let known = check("moved.csv", "out/robot-identified.toml", &[]);
     assert_eq!((known.status.code(), codes(&known).contains(&"W1918".to_owned())), (Some(3), true));
+    let no_check = json();
+    let is_kept = no_check["findings"].as_array().unwrap().iter().any(|finding| finding["code"] == "W1918");
+    assert!(no_check["decision"] == "undecided" && no_check["validity"].is_null() && is_kept, "{no_check}");
     fs::rename(at.join("out/robot-identified.toml"), at.join("updated.toml")).unwrap();
     let again = check("again.csv", "updated.toml", &[]);
     assert_eq!(again.status.code(), Some(0), "{}", stderr(&again));

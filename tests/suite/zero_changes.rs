@@ -5,7 +5,9 @@ use std::fs;
 
 use dbbd_model::design::calibrate;
 use dbbd_model::diagnostic::RecordedFinding;
-use dbbd_model::estimation::{AngleSource, CalibrationResult, EventTreatment, Input, Options, RunEventKind};
+use dbbd_model::estimation::{
+    AngleSource, CalibrationResult, EventTreatment, Input, Options, SupposedEventKind,
+};
 use dbbd_model::measurement::{BaseBall, LengthModel, Measurements};
 use dbbd_model::robot::{BallId, Robot};
 use nalgebra::Vector3;
@@ -75,8 +77,8 @@ fn is_an_unknown(course: Course, size_mm: f64) -> RecordedFinding {
     assert!(value("sd_mm") < 0.012, "{}", found.values());
     let [event] = &after.hypotheses[..] else { panic!("{:?}", after.hypotheses) };
     let name = match course {
-        Course::Step => RunEventKind::BarZeroStep,
-        Course::Drift => RunEventKind::BarZeroDrift,
+        Course::Step => SupposedEventKind::BarZeroStep,
+        Course::Drift => SupposedEventKind::BarZeroDrift,
     };
     assert_eq!((event.name, event.treated), (name, EventTreatment::Unknown));
     assert!(!fs::read_to_string(at.join("changed/lengths.csv")).unwrap().contains("zero_mm"));
@@ -110,7 +112,7 @@ fn a_small_step_is_said() {
     let (exit, said, after) = identified(dir.path(), &data, "small");
     assert!(exit == Some(0) && said.contains(&"I1336".to_owned()), "{said:?}");
     let [event] = &after.hypotheses[..] else { panic!("{:?}", after.hypotheses) };
-    assert_eq!((event.name, event.treated), (RunEventKind::BarZeroStep, EventTreatment::Reported));
+    assert_eq!((event.name, event.treated), (SupposedEventKind::BarZeroStep, EventTreatment::Reported));
     assert!((0.5..0.99).contains(&event.probability), "{event:?}");
 }
 
@@ -121,11 +123,11 @@ fn a_motion_of_the_tracker_is_an_unknown() {
     let step = |row: usize| if row > 30 { 0.2 } else { 0.0 };
     let drift = |row: usize| 0.3 * row as f64 / 70.0;
     /// How far the tracker moved by each row, mm, and what that is.
-    type Motion<'a> = (&'a dyn Fn(usize) -> f64, Option<RunEventKind>);
+    type Motion<'a> = (&'a dyn Fn(usize) -> f64, Option<SupposedEventKind>);
     let of: [Motion<'_>; 3] = [
         (&still, None),
-        (&step, Some(RunEventKind::TrackerMoved)),
-        (&drift, Some(RunEventKind::TrackerDrift)),
+        (&step, Some(SupposedEventKind::TrackerMoved)),
+        (&drift, Some(SupposedEventKind::TrackerDrift)),
     ];
     for (off_mm, expected) in of {
         fs::write(dir.path().join("p.csv"), moved_tracker(off_mm)).unwrap();

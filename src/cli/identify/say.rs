@@ -79,14 +79,15 @@ fn position(result: &CalibrationResult) -> Vec<String> {
         mm(predicted.nominal.p95),
         mm(predicted.identified.p95)
     ));
+    if result.count(Status::Fixed) > 0 {
+        lines.push("  fixed parameters count as exact in this prediction".into());
+    }
     lines.extend(result.predicted_orientation_uncertainty_mrad.iter().map(|turned| {
         let [before, after] = [turned.nominal.mean, turned.identified.mean];
         format!("predicted orientation error of the flange: mean {before:.2} -> {after:.2} mrad")
     }));
-    lines.extend(result.validity.iter().map(|validity| format!("valid {validity}")));
-    if result.count(Status::Fixed) > 0 {
-        lines.push("  fixed parameters count as exact in it".into());
-    }
+    let validity = result.validity.iter().filter(|_| !result.is_doubtful() && result.converged);
+    lines.extend(validity.map(|validity| format!("valid {validity}")));
     lines
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::export::frames::{Frame, frames};
+use super::export::frames::{BallInFrame, frames};
 use super::export::mastering::{AxisOffset, offsets};
 use super::page::render;
 use super::parameters::{Group, NotEstimated, groups, not_estimated};
@@ -42,7 +42,7 @@ struct Page<'a> {
     groups: Vec<Group<'a>>,
     not_estimated: Vec<NotEstimated<'a>>,
     zeros: Vec<AxisOffset>,
-    balls: Vec<Frame>,
+    balls: Vec<BallInFrame>,
     budget: &'a UncertaintyBudget,
     verdict: Verdict,
     /// Source and basis of each line of the budget, in words.

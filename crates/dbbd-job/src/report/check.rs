@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::page::{findings, render};
+use super::page::render;
 use super::plot::HeatMap;
 use super::scale::Unit;
 use super::verdict::Verdict;
@@ -45,13 +45,14 @@ struct Part {
 pub fn html(
     check: &InterimCheck,
     distance: Option<&DistanceQuantities>,
+    findings: &[Diagnostic],
     provenance: &Provenance,
 ) -> Result<String, Diagnostic> {
     let page = Page {
         check,
         hypotheses: check.changes.iter().map(row).collect(),
         maps: HeatMap::of_positions("Position error of the robot file now", &check.map),
-        findings: findings(&check.findings),
+        findings: findings.to_vec(),
         verdict: Verdict::of_check(check),
         distance,
         provenance,

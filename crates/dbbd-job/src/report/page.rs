@@ -12,6 +12,7 @@ use dbbd_model::base::InternalFinding::NoPage;
 use dbbd_model::base::serialised;
 use dbbd_model::base::text::escape_controls;
 use dbbd_model::diagnostic::{Diagnostic, Finding};
+use dbbd_model::math::distributions::COVERAGE_95;
 
 const PAGE_CSS: &str = include_str!("page.css");
 /// The script of a report: its texts in the reader's language, and its scene.
@@ -123,6 +124,7 @@ fn filled(
     engine.add_filter("index", |value: Option<f64>| value.map_or_else(dash, index));
     engine.add_filter("degrees", |value: Option<f64>| value.map(f64::to_degrees));
     engine.add_filter("times", |value: Option<f64>, factor: f64| value.map(|value| value * factor));
+    engine.add_global("COVERAGE_95", COVERAGE_95);
     engine.add_filter("um", um);
     engine.add_filter("typeset", typeset);
     engine.add_filter("capitalise", |text: String| capitalised(&text));

@@ -55,7 +55,7 @@ impl Verdict {
                 kind: VerdictKind::Undecided,
                 word: "With warnings.",
                 sentence: format!(
-                    "Valid for this tool if they are of no account: U = {expanded} (k = {k}). {lengths}"
+                    "Use it only if you have judged them harmless: U = {expanded} (k = {k}). {lengths}"
                 ),
                 validity: None,
                 next: "Read the warnings, and do what they say before you use this result.".into(),

@@ -94,6 +94,7 @@ impl CheckRequest {
 pub struct CheckDocument {
     #[serde(flatten)]
     pub checked: CheckedLengths,
+    pub findings: Vec<Diagnostic>,
     pub provenance: Provenance,
 }
 
@@ -140,7 +141,7 @@ impl CheckRequest {
         let workspace = self.workspace.as_deref();
         let workspace = workspace.map(|path| read_workspace(path, &given.robot, session)).transpose()?;
         let workspace = Options { workspace, ..Options::default() };
-        let noise = LengthSigma::of(self.sigma_mm, &given.observations, Some(&self.robot), &given.robot)?;
+        let noise = CheckSigma::of(self.sigma_mm, &given.observations, Some(&self.robot), &given.robot)?;
         session.findings(noise.finding);
         let input = CheckInput {
             robot: &given.robot,
@@ -153,18 +154,20 @@ impl CheckRequest {
             rule: self.rule,
             workspace: &workspace.workspace_poses(&given.robot),
         };
-        let checked = CheckedLengths::of(&input, &given.observations)
+        let mut checked = CheckedLengths::of(&input, &given.observations)
             .map_err(|finding| Diagnostic::file(&self.robot, finding))?;
         let (known, lengths) = (given.known_lengths(Some(Path::new(&self.robot)), session)?, readings.len());
         if 2 * known > lengths {
             session.finding(ConformityFinding::LengthsOfCalibration { known, lengths });
+            checked.check.decide_nothing();
         }
         session.findings(given.findings());
         session.findings(checked.findings());
         if self.update && checked.check.update().is_none() && checked.check.is_explained() {
             session.finding(ConformityFinding::NothingToUpdate);
         }
-        let document = CheckDocument { checked, provenance: given.provenance.clone() };
+        let document =
+            CheckDocument { checked, findings: session.so_far(), provenance: given.provenance.clone() };
         let files = write_check(self, &document, &given)?;
         let outcome = match document.checked.check.decision.decision {
             ConformityOutcome::Pass => AnswerOutcome::Done,
@@ -215,12 +218,12 @@ fn mounting(request: &CheckRequest, given: &LoadedInputs) -> Mounting {
 }
 
 /// The standard deviation of a length, mm, and a finding if a part of it is unknown.
-pub struct LengthSigma {
+pub struct CheckSigma {
     pub sigma_mm: f64,
     pub finding: Option<ConformityFinding>,
 }
 
-impl LengthSigma {
+impl CheckSigma {
     /// The standard deviation of bar and repeatability, at least that in the result.json beside a robot file.
     pub(super) fn at_least(own: Option<f64>, file: &str, robot: &Robot) -> Result<Self, Diagnostic> {
         let (path, beside) = result_beside(Path::new(file), robot)?;
@@ -264,10 +267,10 @@ fn write_check(
     document: &CheckDocument,
     given: &LoadedInputs,
 ) -> Result<Vec<String>, Diagnostic> {
-    let CheckDocument { checked: CheckedLengths { check, distance }, provenance } = document;
+    let CheckDocument { checked: CheckedLengths { check, distance }, findings, provenance } = document;
     let mut set = FileSet::begin(&request.out, EarlierFiles::kept_unless(request.replace))?;
     set.write("check.json", serialised::sealed_json(document)?)?;
-    set.write("check.html", report::check::html(check, distance.as_ref(), provenance)?)?;
+    set.write("check.html", report::check::html(check, distance.as_ref(), findings, provenance)?)?;
     if let Some(robot) = check.update().filter(|_| request.update) {
         let robot = Robot { provenance: provenance.clone(), ..robot.clone() };
         set.write(ROBOT, Seal::Toml.append(&robot.to_toml()?))?;

@@ -133,6 +133,11 @@ impl<'a> RequestSession<'a> {
     }
 
     /// The findings of the request so far.
+    pub(super) fn so_far(&self) -> Vec<Diagnostic> {
+        self.findings.borrow().clone()
+    }
+
+    /// All findings of the request.
     pub(super) fn into_findings(self) -> Vec<Diagnostic> {
         self.findings.into_inner()
     }

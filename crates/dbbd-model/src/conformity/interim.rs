@@ -7,7 +7,7 @@ use rand_pcg::Pcg64;
 use serde::Serialize;
 
 use super::decision::{ConformityDecision, DecisionRule, decide};
-use crate::conformity::ConformityFinding;
+use crate::conformity::{ConformityFinding, ConformityOutcome};
 use crate::estimation::change::{
     ChangeTest, CheckPower, Detectable, FALSE_ALARM, Hypothesis, Innovation, POWER,
 };
@@ -296,6 +296,14 @@ impl CheckInput<'_> {
 }
 
 impl InterimCheck {
+    /// The lengths cannot check this robot: without a tolerance exceeded, nothing is decided.
+    pub fn decide_nothing(&mut self) {
+        if self.decision.decision == ConformityOutcome::Pass {
+            self.decision.decision = ConformityOutcome::Undecided;
+        }
+        self.validity = None;
+    }
+
     /// The robot with the changed parameters identified again; `None` if nothing changed or no hypothesis explains the
     /// lengths.
     pub fn update(&self) -> Option<&Robot> {

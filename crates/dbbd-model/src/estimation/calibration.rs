@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use super::estimator::{Estimate, estimate, refit};
 use super::findings::findings;
-use super::hypotheses::{EventPlace, EventTreatment, RunEventKind, RunHypothesis};
+use super::hypotheses::{EventPlace, EventTreatment, RunHypothesis, SupposedEventKind};
 use super::identifiability::{correlations, observability};
 use super::lengths::Lengths;
 use super::monte_carlo::Draws;
@@ -99,7 +99,7 @@ impl<'a> Calibration<'a> {
         let setting = input.setting();
         let estimate = estimate(&setting, &lengths, &setting.asked())?;
         let lengths = estimate.corrected(&lengths);
-        let folds = cross_validated(&setting, &lengths, &estimate)?;
+        let folds = cross_validated(&setting, &lengths, &estimate);
         let used = estimate.used(&lengths);
         let (before, model) = (&estimate.before, &estimate.fit.model);
         let posterior = Posterior::with_root(model.clone(), &estimate.kept, estimate.root.clone());
@@ -254,7 +254,8 @@ impl<'a> Calibration<'a> {
         observability(&scaled, used.count())
     }
 
-    /// What happened while the lengths were measured, or could have, most probable first.
+    /// What happened while the lengths were measured, or could have: wrong ball numbers, then the events in the order in which
+    /// they were found.
     pub(super) fn hypotheses(&self) -> Vec<RunHypothesis> {
         let index = |place: usize| self.observations.rows[place].index;
         let mut found: Vec<RunHypothesis> = Vec::new();
@@ -272,7 +273,7 @@ impl<'a> Calibration<'a> {
                 ..EventPlace::default()
             };
             found.push(RunHypothesis {
-                name: RunEventKind::WrongBall,
+                name: SupposedEventKind::WrongBall,
                 place,
                 size: 0.0,
                 sd: 0.0,
@@ -312,19 +313,11 @@ impl<'a> Calibration<'a> {
 }
 
 /// Cross-validation. The variances stay as they are in each fold.
-fn cross_validated(
-    setting: &Setting<'_>,
-    lengths: &Lengths,
-    estimate: &Estimate,
-) -> Result<Option<Folds>, EstimationFinding> {
-    let Some(folds) = validation::folds(setting.options.folds, lengths.len(), estimate.base.len()) else {
-        return Ok(None);
-    };
-    let fit = |training: &Lengths| {
-        refit(training, estimate).map(|[_, at_rest]| at_rest).ok_or(EstimationFinding::NotFinite)
-    };
+fn cross_validated(setting: &Setting<'_>, lengths: &Lengths, estimate: &Estimate) -> Option<Folds> {
+    let folds = validation::folds(setting.options.folds, lengths.len(), estimate.base.len())?;
+    let fit = |training: &Lengths| refit(training, estimate).map(|[_, at_rest]| at_rest);
     let rms = validation::held_out_rms(lengths, &estimate.fit.outliers, folds, fit)?;
-    Ok(rms.map(|rms| Folds { folds, rms }))
+    Some(Folds { folds, rms })
 }
 
 /// The standard deviation of a length, mm.

@@ -208,9 +208,9 @@ findings! {
         W1333 "a zero changed within the data",
         cause: "The zero of a bar or of an axis, or the frame of the tracker, stepped at one row or drifted over the rows: the bar was reset, hit or warmed up, its counter lost a count, the arm was hit or mastered, the tracker moved, or a column of the table was sorted. The table is as it was: what happened is an unknown of the result, with its own standard deviation.",
         cure: "Check the zero of the bar before and after a run, and let bar and robot become warm first. The lengths do not show which zero of a bar is right: measure again where it matters. Where an axis stepped, the result is the robot before: measure the robot again as it is now." {
-            ZeroStep { bar: u32, index: u32, by_mm: f64, sd_mm: f64 } => "from index {index} on the lengths of bar {bar} are {by_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) longer than before";
+            ZeroStep { bar: u32, index: u32, by_mm: f64, sd_mm: f64 } => "from index {index} on the lengths of bar {bar} differ by {by_mm:+.4} mm (standard uncertainty {sd_mm:.4} mm) from those before";
             ZeroDrift { bar: u32, by_mm: f64, sd_mm: f64 } => "the lengths of bar {bar} drift by {by_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from the first row to the last";
-            AxisZeroStep { axis: usize, index: u32, by_deg: f64, sd_deg: f64 } => "from index {index} on axis {axis} is {by_deg:.4}° (standard uncertainty {sd_deg:.4}°) from where it was";
+            AxisZeroStep { axis: usize, index: u32, by_deg: f64, sd_deg: f64 } => "from index {index} on axis {axis} is {by_deg:+.4}° (standard uncertainty {sd_deg:.4}°) from where it was";
             TrackerStep { index: u32, size_mm: f64, sd_mm: f64 } => "from index {index} on the tracker's frame is {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from where it was";
             TrackerDrift { size_mm: f64, sd_mm: f64 } => "the tracker's frame drifts by {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from the first row to the last";
         }

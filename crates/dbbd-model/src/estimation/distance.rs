@@ -17,18 +17,18 @@ pub struct DistanceQuantities {
     pub poses: usize,
     pub lengths: usize,
     /// Mean measured minus predicted length, for the pose where it is largest.
-    pub accuracy: Quantity,
+    pub accuracy: DistanceQuantity,
     /// Three standard deviations, pooled over the poses.
-    pub repeatability: Quantity,
+    pub repeatability: DistanceQuantity,
     /// Of the length at one pose with time; `None` if times are not known.
-    pub drift: Option<Quantity>,
+    pub drift: Option<DistanceQuantity>,
     /// Repeatability of the second half of the run minus that of the first; `None` with too few lengths.
-    pub repeatability_drift: Option<Quantity>,
+    pub repeatability_drift: Option<DistanceQuantity>,
 }
 
 /// A value with its 95 % interval, and how it relates to the standard.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Quantity {
+pub struct DistanceQuantity {
     pub value: f64,
     pub interval95: [f64; 2],
     /// `mm` or `mm/h`.
@@ -105,11 +105,11 @@ impl Pooled {
         (freedom > 0).then(|| Self { sd_mm: (squares / freedom as f64).sqrt(), means, freedom })
     }
 
-    fn accuracy(&self) -> Quantity {
+    fn accuracy(&self) -> DistanceQuantity {
         let larger = |a: &&(f64, usize), b: &&(f64, usize)| a.0.abs().total_cmp(&b.0.abs());
         let (value, count) = self.means.iter().max_by(larger).copied().unwrap_or((f64::NAN, 1));
         let half = coverage_95(Some(self.freedom as f64)) * self.sd_mm / (count as f64).sqrt();
-        Quantity {
+        DistanceQuantity {
             value,
             interval95: [value - half, value + half],
             unit: "mm".into(),
@@ -120,10 +120,10 @@ impl Pooled {
         }
     }
 
-    fn repeatability(&self) -> Quantity {
+    fn repeatability(&self) -> DistanceQuantity {
         let freedom = self.freedom as f64;
         let end = |p: f64| 3.0 * self.sd_mm * (freedom / chi_square_exceeded(p, freedom)).sqrt();
-        Quantity {
+        DistanceQuantity {
             value: 3.0 * self.sd_mm,
             interval95: [end(0.025), end(0.975)],
             unit: "mm".into(),
@@ -135,7 +135,7 @@ impl Pooled {
     }
 
     /// A common slope of the deviations from the mean of each pose.
-    fn drift(&self, visits: &[Visit]) -> Option<Quantity> {
+    fn drift(&self, visits: &[Visit]) -> Option<DistanceQuantity> {
         let times: Vec<f64> = visits.iter().map(|visit| visit.time_h).collect::<Option<_>>()?;
         let mean_time = |pose: usize| {
             let of_pose = || visits.iter().zip(&times).filter(move |(visit, _)| visit.pose == pose);
@@ -152,7 +152,7 @@ impl Pooled {
         // The means of the poses are estimated from the same lengths.
         let sd = slope_sd * ((points.len() as f64 - 2.0) / freedom).sqrt();
         let half = coverage_95(Some(freedom)) * sd;
-        Some(Quantity {
+        Some(DistanceQuantity {
             value: slope,
             interval95: [slope - half, slope + half],
             unit: "mm/h".into(),
@@ -163,7 +163,7 @@ impl Pooled {
 }
 
 /// The interval uses the normal approximation of the distribution of a standard deviation.
-fn repeatability_drift(visits: &[Visit]) -> Option<Quantity> {
+fn repeatability_drift(visits: &[Visit]) -> Option<DistanceQuantity> {
     let mut times: Vec<f64> = visits.iter().map(|visit| visit.time_h).collect::<Option<_>>()?;
     times.sort_by(f64::total_cmp);
     let middle = times[times.len() / 2];
@@ -176,7 +176,7 @@ fn repeatability_drift(visits: &[Visit]) -> Option<Quantity> {
     let value = 3.0 * (second.sd_mm - first.sd_mm);
     let variance = |half: &Pooled| half.sd_mm.powi(2) / (2.0 * half.freedom as f64);
     let half = 3.0 * coverage_95(None) * (variance(&first) + variance(&second)).sqrt();
-    Some(Quantity {
+    Some(DistanceQuantity {
         value,
         interval95: [value - half, value + half],
         unit: "mm".into(),

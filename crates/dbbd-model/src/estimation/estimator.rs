@@ -12,8 +12,7 @@ use super::Analysis;
 use super::fit::{Fit, outliers};
 use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, Variance};
 use super::hypotheses::{
-    EventSearch, JudgedEvent, MAX_CERTAIN, MAX_ROWS, MIN_LENGTHS, RunEvent, are_wrong_balls, sd_along,
-    wrong_balls,
+    EventSearch, JudgedEvent, MAX_CERTAIN, MIN_LENGTHS, SupposedEvent, are_wrong_balls, sd_along, wrong_balls,
 };
 use super::lengths::{Lengths, Sigma, Weighted};
 use super::noise_shape::{JointNoise, NoiseScore, NoiseShape, OwnNoise};
@@ -114,14 +113,14 @@ pub(crate) struct Estimate {
     /// What certain events did to each length, mm; empty without them.
     event_mm: Vec<f64>,
     /// What a result of the geometry alone leaves out.
-    pub(super) left_out: Option<LeftOut>,
+    pub(super) left_out: Option<GeometryRemainder>,
     /// Rows that belong to another ball than the table says.
     pub(super) wrong_balls: Vec<(usize, BallId)>,
 }
 
 /// What the geometry alone leaves out of an estimate.
 #[derive(Clone, Debug)]
-pub(super) struct LeftOut {
+pub(super) struct GeometryRemainder {
     /// The geometry with all its errors, and what is not known of it.
     pub(super) whole: Geometry,
     pub(super) uncertainty: RobotUncertainty,
@@ -129,7 +128,7 @@ pub(super) struct LeftOut {
     rms_mm: f64,
 }
 
-impl LeftOut {
+impl GeometryRemainder {
     /// How far the tool ball of `alone` is off at poses where the whole geometry has it, 3 rows a pose, mm; the rigid motion
     /// of all poses is taken out.
     pub(super) fn displacements(&self, alone: &Geometry, poses: &[([f64; AXES], Approach)]) -> DVector<f64> {
@@ -267,13 +266,14 @@ fn from_start(
 ) -> Option<Estimate> {
     let all = lengths.weighted(start.sigma, &start.fit.outliers);
     // The variances follow from an even sample of many lengths.
-    let sample = (all.count() > MAX_WHOLE).then(|| lengths.at(&all.sampled_places()));
+    let places = (all.count() > MAX_WHOLE).then(|| all.sampled_places());
+    let sample = places.as_ref().map(|places| lengths.at(places));
     let used = &sample.as_ref().map_or(all, |sample| sample.weighted(start.sigma, &[]));
     let known = start.known_before(setting, lengths)?;
     let model = if known.has_coefficients { &start.at_start } else { &start.fit.model };
     let with_errors = setting.options.seeks_joint_errors();
     let mut unknowns = Unknowns::new(known, model, used, with_errors);
-    let (mut state, mut events) = (None, Vec::new());
+    let (mut state, mut events): (_, Vec<JudgedEvent>) = (None, Vec::new());
     loop {
         let first = usize::from(state.is_some());
         let mut search = Search::new(&unknowns, used, model.clone(), state.take());
@@ -281,10 +281,11 @@ fn from_start(
         for round in first + 1..ROUNDS {
             step = search.round(round)?;
         }
-        let event = if with_errors && seeks_events { search.event(&step) } else { None };
+        let has_room = unknowns.events().len() < MAX_CERTAIN;
+        let event = if with_errors && seeks_events && has_room { search.event(&step) } else { None };
         let certain = event.as_ref().filter(|event| event.is_certain).map(|event| event.event);
         events.extend(event);
-        if let Some(event) = certain.filter(|_| events.len() < MAX_CERTAIN) {
+        if let Some(event) = certain {
             state = Some(search.state());
             unknowns = unknowns.with_event(event);
             continue;
@@ -294,6 +295,10 @@ fn from_start(
         }
         if sample.is_some() {
             search.streamed(&mut step, &all)?;
+        }
+        // What was found in a sample began at a row of all lengths.
+        for (_, place) in events.iter_mut().filter_map(|judged| judged.event.from.as_mut()) {
+            *place = places.as_ref().map_or(*place, |places| places[*place]);
         }
         return search.estimate(&step, &all, start, events);
     }
@@ -393,7 +398,7 @@ impl<'a> Search<'a> {
     /// that are not unlikely are judged with variances of their own.
     fn event(&self, step: &Step) -> Option<JudgedEvent> {
         let lengths = self.used.lengths();
-        if lengths.len() > MAX_ROWS || !step.system.is_noisy() {
+        if !step.system.is_noisy() {
             return None;
         }
         let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
@@ -617,7 +622,8 @@ impl<'a> Search<'a> {
             JointNoise::Unapproached(_) => ([0.0; AXES], score.rms_rad()?),
         };
         // The coefficients of the events are the last unknowns.
-        let mut place = posterior.mean.len() - unknowns.events().iter().map(RunEvent::columns).sum::<usize>();
+        let mut place =
+            posterior.mean.len() - unknowns.events().iter().map(SupposedEvent::columns).sum::<usize>();
         for judged in events.iter_mut().take(unknowns.events().len()) {
             let columns = judged.event.columns();
             judged.coefficients = posterior.mean.rows(place, columns).into_owned();
@@ -855,7 +861,8 @@ impl Estimate {
         let full = BallMotion::new(&whole, &poses, &optional);
         let mut unknown = full.jacobian * self.root.select_rows(&rows);
         take_out_rigid_motion(&mut unknown, &full.balls);
-        let mut left_out = LeftOut { whole, uncertainty: self.uncertainty(setting.robot), rms_mm: 0.0 };
+        let mut left_out =
+            GeometryRemainder { whole, uncertainty: self.uncertainty(setting.robot), rms_mm: 0.0 };
         let off = left_out.displacements(&rigid, &poses);
         let mean_square = off.norm_squared() / off.len() as f64;
         let mut normal = jacobian.tr_mul(&jacobian);

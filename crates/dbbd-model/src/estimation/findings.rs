@@ -2,7 +2,7 @@
 
 use super::calibration::{AngleSource, Calibration};
 use super::contradiction::{contradicted, kinds_disagree};
-use super::hypotheses::{EventTreatment, MRAD, RunEventKind, RunHypothesis};
+use super::hypotheses::{EventTreatment, MRAD, RunHypothesis, SupposedEventKind};
 use super::lengths::Sigma;
 use super::linear_system::factor;
 use super::priors::{Prior, largest_plausible};
@@ -41,7 +41,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     if residual_rms_mm > predicted_max_mm {
         found.push(EstimationFinding::FitsWorseThanNominal { residual_rms_mm, predicted_max_mm });
     }
-    found.extend(of.hypotheses().iter().map(happened));
+    found.extend(of.hypotheses().iter().filter_map(happened));
     found.extend(beyond_prior(of));
     found.extend(implausible(of));
     found.extend(displaced(of));
@@ -63,41 +63,49 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found
 }
 
-/// What happened within the data, or could have.
-fn happened(found: &RunHypothesis) -> EstimationFinding {
+/// What happened within the data, or could have; `None` without the part that it is about.
+fn happened(found: &RunHypothesis) -> Option<EstimationFinding> {
     let RunHypothesis { name, place, size, sd, probability, rivals, treated } = found;
-    let (size, sd, index) = (*size, *sd, place.index.unwrap_or(0));
-    let (size_mm, sd_mm) = (size, sd);
-    let (bar, ball) = (place.bar.unwrap_or(1), place.ball.unwrap_or(1));
+    let (size_mm, sd_mm) = (*size, *sd);
     if *treated == EventTreatment::Reported {
         let rivals: Vec<&str> = rivals.iter().map(|rival| rival.name()).collect();
         let rivals = match rivals.is_empty() {
             true => String::new(),
             false => format!("; or {}", rivals.join(", or ")),
         };
-        let (event, unit, probability) = (name.name(), name.unit(), *probability);
-        return match place.index {
+        let (event, size, unit, probability) = (name.name(), *size, name.unit(), *probability);
+        return Some(match place.index {
             Some(index) => EstimationFinding::CouldBeFrom { event, index, size, unit, probability, rivals },
             None => EstimationFinding::CouldBe { event, size, unit, probability, rivals },
-        };
+        });
     }
-    match name {
-        RunEventKind::BarZeroStep => EstimationFinding::ZeroStep { bar, index, by_mm: size_mm, sd_mm },
-        RunEventKind::BarZeroDrift | RunEventKind::BallOffset => {
-            EstimationFinding::ZeroDrift { bar, by_mm: size_mm, sd_mm }
+    Some(match name {
+        SupposedEventKind::BarZeroStep => {
+            EstimationFinding::ZeroStep { bar: place.bar?, index: place.index?, by_mm: size_mm, sd_mm }
         }
-        RunEventKind::BaseBallMoved => EstimationFinding::BaseBallMoved { ball, index, size_mm, sd_mm },
-        RunEventKind::ToolBallMoved => EstimationFinding::ToolBallMoved { index, size_mm, sd_mm },
-        RunEventKind::JointZeroStep => {
-            let [by_deg, sd_deg] = [size, sd].map(|mrad| (mrad / MRAD).to_degrees());
-            EstimationFinding::AxisZeroStep { axis: place.joint.unwrap_or(1), index, by_deg, sd_deg }
+        SupposedEventKind::BarZeroDrift => {
+            EstimationFinding::ZeroDrift { bar: place.bar?, by_mm: size_mm, sd_mm }
         }
-        RunEventKind::TrackerMoved => EstimationFinding::TrackerStep { index, size_mm, sd_mm },
-        RunEventKind::TrackerDrift => EstimationFinding::TrackerDrift { size_mm, sd_mm },
-        RunEventKind::WrongBall => {
-            EstimationFinding::WrongBall { ball, indices: Names::of(place.rows.iter()) }
+        SupposedEventKind::BaseBallMoved => {
+            EstimationFinding::BaseBallMoved { ball: place.ball?, index: place.index?, size_mm, sd_mm }
         }
-    }
+        SupposedEventKind::ToolBallMoved => {
+            EstimationFinding::ToolBallMoved { index: place.index?, size_mm, sd_mm }
+        }
+        SupposedEventKind::JointZeroStep => {
+            let [by_deg, sd_deg] = [*size, *sd].map(|mrad| (mrad / MRAD).to_degrees());
+            EstimationFinding::AxisZeroStep { axis: place.joint?, index: place.index?, by_deg, sd_deg }
+        }
+        SupposedEventKind::TrackerMoved => {
+            EstimationFinding::TrackerStep { index: place.index?, size_mm, sd_mm }
+        }
+        SupposedEventKind::TrackerDrift => EstimationFinding::TrackerDrift { size_mm, sd_mm },
+        SupposedEventKind::WrongBall => {
+            EstimationFinding::WrongBall { ball: place.ball?, indices: Names::of(place.rows.iter()) }
+        }
+        // A rival of the others alone.
+        SupposedEventKind::BallOffset => return None,
+    })
 }
 
 /// Compares the corrections with the prior.

@@ -1,7 +1,7 @@
 //! The stages of a fit: set-up first, then joint offsets, then all parameters, with rejection of outliers.
 
 use super::lengths::{Lengths, Sigma, Weighted};
-use super::prior::PriorRows;
+use super::prior_rows::PriorRows;
 use super::selection::{is_bar, is_place};
 use super::solver::{Loss, Problem, ROUNDING, Solution, minimise, robust_scale, whitened};
 use crate::math::robust::SIGMA_OF_MAD;

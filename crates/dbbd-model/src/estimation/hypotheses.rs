@@ -29,15 +29,13 @@ pub(super) const MRAD: f64 = 1e3;
 pub(super) const MIN_LENGTHS: usize = 8;
 /// At most so many places are tried, evenly spread.
 const MAX_PLACES: usize = 128;
-/// Rows beyond which none are tried: so many lengths show what happened in their residuals.
-pub(super) const MAX_ROWS: usize = 8192;
 /// Hypotheses that may be certain together.
 pub(super) const MAX_CERTAIN: usize = 8;
 
 /// What may have happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum RunEventKind {
+pub enum SupposedEventKind {
     BarZeroStep,
     BarZeroDrift,
     BaseBallMoved,
@@ -51,7 +49,7 @@ pub enum RunEventKind {
     BallOffset,
 }
 
-impl RunEventKind {
+impl SupposedEventKind {
     /// Those that add columns.
     const OF_COLUMNS: [Self; 8] = [
         Self::BarZeroStep,
@@ -64,44 +62,43 @@ impl RunEventKind {
         Self::BallOffset,
     ];
 
+    /// Its name in words, the unit of its size, its least and largest size, and how many columns it adds.
+    const fn description(self) -> (&'static str, &'static str, [f64; 2], usize) {
+        const SLIGHT: [f64; 2] = [0.005, 5.0];
+        const LARGE: [f64; 2] = [0.02, 50.0];
+        match self {
+            Self::BarZeroStep => ("a step of the bar's zero", "mm", SLIGHT, 1),
+            Self::BarZeroDrift => ("a drift of the bar's zero", "mm", SLIGHT, 1),
+            Self::BaseBallMoved => ("a base ball that moved", "mm", LARGE, 3),
+            Self::ToolBallMoved => ("a tool ball that moved", "mm", LARGE, 3),
+            Self::JointZeroStep => ("a step of an axis's zero", "mrad", LARGE, 1),
+            Self::TrackerMoved => ("a tracker that moved", "mm", LARGE, 3),
+            Self::TrackerDrift => ("a tracker that drifted", "mm", LARGE, 3),
+            Self::WrongBall => ("a wrong ball number", "mm", [0.0; 2], 0),
+            Self::BallOffset => ("an error of a ball", "mm", SLIGHT, 1),
+        }
+    }
+
     /// In words.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::BarZeroStep => "a step of the bar's zero",
-            Self::BarZeroDrift => "a drift of the bar's zero",
-            Self::BaseBallMoved => "a base ball that moved",
-            Self::ToolBallMoved => "a tool ball that moved",
-            Self::JointZeroStep => "a step of an axis's zero",
-            Self::TrackerMoved => "a tracker that moved",
-            Self::TrackerDrift => "a tracker that drifted",
-            Self::WrongBall => "a wrong ball number",
-            Self::BallOffset => "an error of a ball",
-        }
+        self.description().0
     }
 
     /// Unit of its size.
     pub(super) fn unit(self) -> &'static str {
-        if self == Self::JointZeroStep { "mrad" } else { "mm" }
+        self.description().1
     }
 
-    /// Least and largest size, mm; of a zero of an axis mrad.
+    /// Least and largest size in its unit.
     fn sizes(self) -> [f64; 2] {
-        match self {
-            Self::BarZeroStep | Self::BarZeroDrift | Self::BallOffset => [0.005, 5.0],
-            Self::BaseBallMoved
-            | Self::ToolBallMoved
-            | Self::JointZeroStep
-            | Self::TrackerMoved
-            | Self::TrackerDrift => [0.02, 50.0],
-            Self::WrongBall => [0.0, 0.0],
-        }
+        self.description().2
     }
 }
 
 /// What happened and where: the part that it is of, and when it began.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct RunEvent {
-    pub(super) kind: RunEventKind,
+pub(super) struct SupposedEvent {
+    pub(super) kind: SupposedEventKind,
     pub(super) bar: Option<BarId>,
     pub(super) ball: Option<BallId>,
     pub(super) joint: Option<Joint>,
@@ -113,28 +110,25 @@ pub(super) struct RunEvent {
     pub(super) size: f64,
 }
 
-impl RunEvent {
+impl SupposedEvent {
     /// How many columns it adds.
     pub(super) fn columns(&self) -> usize {
-        match self.kind {
-            RunEventKind::BarZeroStep
-            | RunEventKind::BarZeroDrift
-            | RunEventKind::JointZeroStep
-            | RunEventKind::BallOffset => 1,
-            RunEventKind::BaseBallMoved
-            | RunEventKind::ToolBallMoved
-            | RunEventKind::TrackerMoved
-            | RunEventKind::TrackerDrift => 3,
-            RunEventKind::WrongBall => 0,
-        }
+        self.kind.description().3
+    }
+
+    /// Whether another one is of the same kind, part and row.
+    fn is_of_place(&self, other: &Self) -> bool {
+        let place = |event: &Self| (event.kind, event.bar, event.ball, event.joint, event.from);
+        place(self) == place(other)
     }
 
     /// Whether a length is of the part that it is of.
     fn is_of(&self, datum: Datum) -> bool {
-        let is_of_tracker = matches!(self.kind, RunEventKind::TrackerMoved | RunEventKind::TrackerDrift);
+        let is_of_tracker =
+            matches!(self.kind, SupposedEventKind::TrackerMoved | SupposedEventKind::TrackerDrift);
         if datum.is_plane() {
             return is_of_tracker
-                || matches!(self.kind, RunEventKind::ToolBallMoved | RunEventKind::JointZeroStep);
+                || matches!(self.kind, SupposedEventKind::ToolBallMoved | SupposedEventKind::JointZeroStep);
         }
         !is_of_tracker
             && self.bar.is_none_or(|bar| datum.bar() == Some(bar))
@@ -153,20 +147,20 @@ impl RunEvent {
                 continue;
             }
             let along: [f64; 3] = match self.kind {
-                RunEventKind::BarZeroStep | RunEventKind::BallOffset => [1.0, 0.0, 0.0],
-                RunEventKind::BarZeroDrift if self.grows => {
+                SupposedEventKind::BarZeroStep | SupposedEventKind::BallOffset => [1.0, 0.0, 0.0],
+                SupposedEventKind::BarZeroDrift if self.grows => {
                     [elapsed * lengths.reading(length.place).length_mm / mean_mm, 0.0, 0.0]
                 }
-                RunEventKind::BarZeroDrift => [elapsed, 0.0, 0.0],
-                RunEventKind::BaseBallMoved => rows.lengths[row].unit.map(|part| -part),
-                RunEventKind::ToolBallMoved => rows.lengths[row].target,
-                RunEventKind::JointZeroStep => {
+                SupposedEventKind::BarZeroDrift => [elapsed, 0.0, 0.0],
+                SupposedEventKind::BaseBallMoved => rows.lengths[row].unit.map(|part| -part),
+                SupposedEventKind::ToolBallMoved => rows.lengths[row].target,
+                SupposedEventKind::JointZeroStep => {
                     let by = self.joint.map_or(0.0, |joint| length.by_joint[joint.index()]);
                     [by / MRAD, 0.0, 0.0]
                 }
-                RunEventKind::TrackerMoved => rows.lengths[row].unit,
-                RunEventKind::TrackerDrift => rows.lengths[row].unit.map(|part| part * elapsed),
-                RunEventKind::WrongBall => [0.0; 3],
+                SupposedEventKind::TrackerMoved => rows.lengths[row].unit,
+                SupposedEventKind::TrackerDrift => rows.lengths[row].unit.map(|part| part * elapsed),
+                SupposedEventKind::WrongBall => [0.0; 3],
             };
             (0..self.columns()).for_each(|k| columns[(row, k)] = along[k]);
         }
@@ -177,16 +171,16 @@ impl RunEvent {
 /// A hypothesis in a result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunHypothesis {
-    pub name: RunEventKind,
+    pub name: SupposedEventKind,
     #[serde(rename = "where")]
     pub place: EventPlace,
     /// Its size, mm; of a zero of an axis mrad.
     pub size: f64,
-    /// Standard deviation of the size, mm.
+    /// Standard deviation of the size, in its unit.
     pub sd: f64,
     pub probability: f64,
     /// What else explains the same.
-    pub rivals: Vec<RunEventKind>,
+    pub rivals: Vec<SupposedEventKind>,
     pub treated: EventTreatment,
 }
 
@@ -218,19 +212,19 @@ pub enum EventTreatment {
 /// A hypothesis with its evidence.
 #[derive(Clone, Debug)]
 pub(super) struct JudgedEvent {
-    pub(super) event: RunEvent,
+    pub(super) event: SupposedEvent,
     pub(super) probability: f64,
     /// Coefficients of its columns, and the standard deviation along them, mm; of a zero of an axis mrad.
     pub(super) coefficients: DVector<f64>,
     pub(super) sd: f64,
-    pub(super) rivals: Vec<RunEventKind>,
+    pub(super) rivals: Vec<SupposedEventKind>,
     pub(super) is_certain: bool,
 }
 
 /// The best place of a kind, with the logarithms of its prior odds and of its Bayes factor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EventCandidate {
-    pub(super) event: RunEvent,
+    pub(super) event: SupposedEvent,
     ln_prior: f64,
     pub(super) ln_bayes: f64,
 }
@@ -276,18 +270,17 @@ impl<'a> EventSearch<'a> {
     }
 
     /// The best place of each kind.
-    pub(super) fn candidates(&self, among: &[RunEvent]) -> Vec<EventCandidate> {
-        let kinds = RunEventKind::OF_COLUMNS.len() as f64;
-        let best = |kind: RunEventKind| {
+    pub(super) fn candidates(&self, among: &[SupposedEvent]) -> Vec<EventCandidate> {
+        let kinds = SupposedEventKind::OF_COLUMNS.len() as f64;
+        let best = |kind: SupposedEventKind| {
             let events = self.events(kind);
             let ln_prior = (ANYTHING / kinds / events.len().max(1) as f64 / (1.0 - ANYTHING)).ln();
-            let is_new =
-                |event: &RunEvent| !among.iter().any(|known| known.kind == kind && known.from == event.from);
+            let is_new = |event: &SupposedEvent| !among.iter().any(|known| known.is_of_place(event));
             let judged = events.into_iter().filter(is_new).filter_map(|event| self.judged(event));
             let (event, ln_bayes) = judged.max_by(|a, b| a.1.total_cmp(&b.1))?;
             Some(EventCandidate { event, ln_prior, ln_bayes })
         };
-        RunEventKind::OF_COLUMNS.into_iter().filter_map(best).collect()
+        SupposedEventKind::OF_COLUMNS.into_iter().filter_map(best).collect()
     }
 
     /// The most probable event, if it is more probable than nothing. The offset of a ball is none; where it explains the
@@ -302,15 +295,16 @@ impl<'a> EventSearch<'a> {
         let most = candidates.iter().map(EventCandidate::ln_odds).fold(0.0, f64::max);
         let exp = |ln: f64| (ln - most).exp();
         let all: f64 = exp(0.0) + candidates.iter().map(|candidate| exp(candidate.ln_odds())).sum::<f64>();
-        let (offsets, mut events): (Vec<_>, Vec<_>) =
-            candidates.into_iter().partition(|candidate| candidate.event.kind == RunEventKind::BallOffset);
+        let (offsets, mut events): (Vec<_>, Vec<_>) = candidates
+            .into_iter()
+            .partition(|candidate| candidate.event.kind == SupposedEventKind::BallOffset);
         events.sort_by(|a, b| b.ln_odds().total_cmp(&a.ln_odds()));
         let (first, others) = events.split_first()?;
         if first.ln_odds() <= 0.0 || offsets.iter().any(|offset| !is_rival(offset, first)) {
             return None;
         }
         let rivals = offsets.iter().chain(others).filter(|other| is_rival(first, other));
-        let rivals: Vec<RunEventKind> = rivals.map(|other| other.event.kind).collect();
+        let rivals: Vec<SupposedEventKind> = rivals.map(|other| other.event.kind).collect();
         let (coefficients, covariance) = self.coefficients(&first.event)?;
         Some(JudgedEvent {
             event: first.event,
@@ -323,7 +317,7 @@ impl<'a> EventSearch<'a> {
     }
 
     /// All hypotheses of a kind.
-    fn events(&self, kind: RunEventKind) -> Vec<RunEvent> {
+    fn events(&self, kind: SupposedEventKind) -> Vec<SupposedEvent> {
         let mut bars: Vec<BarId> = self.rows.lengths.iter().filter_map(|length| length.datum.bar()).collect();
         let mut balls: Vec<BallId> =
             self.rows.lengths.iter().filter_map(|length| length.datum.ball()).collect();
@@ -332,18 +326,20 @@ impl<'a> EventSearch<'a> {
         balls.sort_unstable();
         balls.dedup();
         let event =
-            RunEvent { kind, bar: None, ball: None, joint: None, from: None, grows: false, size: 0.0 };
-        let of_bars = || bars.iter().map(|bar| RunEvent { bar: Some(*bar), ..event });
-        let of_balls = || balls.iter().map(|ball| RunEvent { ball: Some(*ball), ..event });
-        let whole: Vec<RunEvent> = match kind {
-            RunEventKind::BarZeroStep | RunEventKind::BarZeroDrift => of_bars().collect(),
-            RunEventKind::BaseBallMoved => of_balls().collect(),
-            RunEventKind::BallOffset if balls.len() > 1 => of_balls().collect(),
-            RunEventKind::JointZeroStep => {
-                Joint::ALL.iter().map(|joint| RunEvent { joint: Some(*joint), ..event }).collect()
+            SupposedEvent { kind, bar: None, ball: None, joint: None, from: None, grows: false, size: 0.0 };
+        let of_bars = || bars.iter().map(|bar| SupposedEvent { bar: Some(*bar), ..event });
+        let of_balls = || balls.iter().map(|ball| SupposedEvent { ball: Some(*ball), ..event });
+        let whole: Vec<SupposedEvent> = match kind {
+            SupposedEventKind::BarZeroStep | SupposedEventKind::BarZeroDrift => of_bars().collect(),
+            SupposedEventKind::BaseBallMoved => of_balls().collect(),
+            SupposedEventKind::BallOffset if balls.len() > 1 => of_balls().collect(),
+            SupposedEventKind::JointZeroStep => {
+                Joint::ALL.iter().map(|joint| SupposedEvent { joint: Some(*joint), ..event }).collect()
             }
-            RunEventKind::BallOffset | RunEventKind::WrongBall => Vec::new(),
-            RunEventKind::ToolBallMoved | RunEventKind::TrackerMoved | RunEventKind::TrackerDrift => {
+            SupposedEventKind::BallOffset | SupposedEventKind::WrongBall => Vec::new(),
+            SupposedEventKind::ToolBallMoved
+            | SupposedEventKind::TrackerMoved
+            | SupposedEventKind::TrackerDrift => {
                 vec![event]
             }
         };
@@ -351,8 +347,8 @@ impl<'a> EventSearch<'a> {
     }
 
     /// A hypothesis at all places where it may begin.
-    fn places(&self, event: RunEvent) -> Vec<RunEvent> {
-        if event.kind == RunEventKind::BallOffset {
+    fn places(&self, event: SupposedEvent) -> Vec<SupposedEvent> {
+        if event.kind == SupposedEventKind::BallOffset {
             return vec![event];
         }
         let own = (0..self.rows.lengths.len()).filter(|row| event.is_of(self.rows.lengths[*row].datum));
@@ -365,25 +361,25 @@ impl<'a> EventSearch<'a> {
         else {
             return Vec::new();
         };
-        if matches!(event.kind, RunEventKind::BarZeroDrift | RunEventKind::TrackerDrift) {
-            let grown = RunEvent { grows: event.kind == RunEventKind::BarZeroDrift, ..event };
+        if matches!(event.kind, SupposedEventKind::BarZeroDrift | SupposedEventKind::TrackerDrift) {
+            let grown = SupposedEvent { grows: event.kind == SupposedEventKind::BarZeroDrift, ..event };
             return if inner.is_empty() { Vec::new() } else { vec![event, grown] };
         }
         let mut first: Vec<(f64, usize)> = inner.to_vec();
         first.dedup_by(|next, before| next.0 == before.0);
         let step = first.len().div_ceil(MAX_PLACES).max(1);
-        first.into_iter().step_by(step).map(|from| RunEvent { from: Some(from), ..event }).collect()
+        first.into_iter().step_by(step).map(|from| SupposedEvent { from: Some(from), ..event }).collect()
     }
 
     /// Columns of unit noise.
-    fn columns(&self, event: &RunEvent) -> DMatrix<f64> {
+    fn columns(&self, event: &SupposedEvent) -> DMatrix<f64> {
         let mut columns = event.of_rows(self.rows, self.lengths);
         self.whitened.whitening.apply(&mut columns);
         columns / self.sigma_mm
     }
 
     /// With its size and the logarithm of its Bayes factor.
-    fn judged(&self, event: RunEvent) -> Option<(RunEvent, f64)> {
+    fn judged(&self, event: SupposedEvent) -> Option<(SupposedEvent, f64)> {
         let columns = self.columns(&event);
         let explained = self.known.tr_mul(&columns);
         let gram = columns.tr_mul(&columns) - explained.tr_mul(&explained);
@@ -396,14 +392,14 @@ impl<'a> EventSearch<'a> {
             let ln_determinant =
                 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum() + 2.0 * gram.nrows() as f64 * size.ln();
             let ln_bayes = 0.5 * gradient.dot(&factor.solve(&gradient)) - 0.5 * ln_determinant;
-            ln_bayes.is_finite().then_some((RunEvent { size, ..event }, ln_bayes))
+            ln_bayes.is_finite().then_some((SupposedEvent { size, ..event }, ln_bayes))
         };
         let best = (0..SIZES).filter_map(of_size).max_by(|a, b| a.1.total_cmp(&b.1))?;
         Some((best.0, best.1 - (SIZES as f64).ln()))
     }
 
     /// The coefficients of its columns with their covariance.
-    fn coefficients(&self, event: &RunEvent) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    fn coefficients(&self, event: &SupposedEvent) -> Option<(DVector<f64>, DMatrix<f64>)> {
         let columns = self.columns(event);
         let explained = self.known.tr_mul(&columns);
         let gram = columns.tr_mul(&columns) - explained.tr_mul(&explained);
@@ -413,8 +409,8 @@ impl<'a> EventSearch<'a> {
     }
 
     /// Cosine of the angle between what two hypotheses add along their best directions, all other unknowns taken out.
-    fn cosine(&self, one: &RunEvent, other: &RunEvent) -> f64 {
-        let direction = |event: &RunEvent| -> Option<DVector<f64>> {
+    fn cosine(&self, one: &SupposedEvent, other: &SupposedEvent) -> f64 {
+        let direction = |event: &SupposedEvent| -> Option<DVector<f64>> {
             let along = self.columns(event) * self.coefficients(event)?.0;
             let apart = &along - &self.known * self.known.tr_mul(&along);
             (apart.norm() > 0.0).then(|| apart.normalize())
@@ -432,7 +428,7 @@ pub(super) fn sd_along(vector: &DVector<f64>, covariance: &DMatrix<f64>) -> f64 
 impl JudgedEvent {
     /// As a result has it.
     pub(super) fn hypothesis(&self, index: impl Fn(usize) -> u32) -> RunHypothesis {
-        let RunEvent { kind, bar, ball, joint, from, .. } = self.event;
+        let SupposedEvent { kind, bar, ball, joint, from, .. } = self.event;
         let size = match self.coefficients.len() {
             1 => self.coefficients[0],
             _ => self.coefficients.norm(),
@@ -461,7 +457,7 @@ pub(super) fn are_wrong_balls(rows: usize, count: usize, sd_mm: f64) -> bool {
     const RANGE_MM: f64 = 1000.0;
     let rows = rows as f64;
     let ln_bayes = rows * (RANGE_MM / (2.0 * FITS * sd_mm) / count as f64).ln();
-    let kinds = RunEventKind::OF_COLUMNS.len() as f64;
+    let kinds = SupposedEventKind::OF_COLUMNS.len() as f64;
     ln_bayes + (ANYTHING / kinds).ln() > CERTAIN_ODDS.ln()
 }
 
@@ -525,14 +521,14 @@ mod tests {
         PoseRows::at(model, &lengths.plain(), ids, |_| None)
     }
 
-    fn event(kind: RunEventKind, from: Option<(f64, usize)>) -> RunEvent {
-        RunEvent {
+    fn event(kind: SupposedEventKind, from: Option<(f64, usize)>) -> SupposedEvent {
+        SupposedEvent {
             kind,
             bar: None,
             ball: None,
             joint: None,
             from,
-            grows: kind == RunEventKind::BarZeroDrift,
+            grows: kind == SupposedEventKind::BarZeroDrift,
             size: 0.5,
         }
     }
@@ -561,18 +557,18 @@ mod tests {
                 .map(|one| (moved.prepare().length(one) - model.prepare().length(one)) / step)
                 .collect::<Vec<f64>>()
         };
-        let mut of_second = event(RunEventKind::BaseBallMoved, from);
+        let mut of_second = event(SupposedEventKind::BaseBallMoved, from);
         of_second.ball = Some(BallId::at(1));
         let ball = |axis| ParamId::Ball(BallId::at(1), axis);
         let tracker = |axis| moved(ParamId::Tracker(axis)).into_iter().map(|mm| -mm).collect::<Vec<f64>>();
         for (event, expected) in [
             (of_second, Coordinate::ALL.map(|axis| moved(ball(axis)))),
             (
-                event(RunEventKind::ToolBallMoved, from),
+                event(SupposedEventKind::ToolBallMoved, from),
                 Coordinate::ALL.map(|axis| moved(ParamId::Tool(axis))),
             ),
             // A tracker that moved sees the target moved to the other side.
-            (event(RunEventKind::TrackerMoved, from), Coordinate::ALL.map(tracker)),
+            (event(SupposedEventKind::TrackerMoved, from), Coordinate::ALL.map(tracker)),
         ] {
             let found = event.of_rows(&at, &lengths);
             assert_eq!(found.ncols(), 3);
@@ -589,7 +585,7 @@ mod tests {
                 }
             }
         }
-        let mut of_axis = event(RunEventKind::JointZeroStep, from);
+        let mut of_axis = event(SupposedEventKind::JointZeroStep, from);
         of_axis.joint = Some(Joint::J3);
         let (of_axis, expected) = (of_axis.of_rows(&at, &lengths), moved(ParamId::Theta(Joint::J3)));
         for row in 0..40 {
@@ -597,11 +593,11 @@ mod tests {
             assert!((of_axis[row] - expected).abs() < 1e-3, "{row}: {} {expected}", of_axis[row]);
         }
         let bar = moved(ParamId::BarOffset(BarId::FIRST));
-        let step_of_bar = event(RunEventKind::BarZeroStep, from).of_rows(&at, &lengths);
+        let step_of_bar = event(SupposedEventKind::BarZeroStep, from).of_rows(&at, &lengths);
         let mean_mm = all.iter().map(|one| one.length_mm).sum::<f64>() / 40.0;
-        let drift = event(RunEventKind::BarZeroDrift, None).of_rows(&at, &lengths);
-        let drifted = event(RunEventKind::TrackerDrift, None).of_rows(&at, &lengths);
-        let mut second = event(RunEventKind::BallOffset, None);
+        let drift = event(SupposedEventKind::BarZeroDrift, None).of_rows(&at, &lengths);
+        let drifted = event(SupposedEventKind::TrackerDrift, None).of_rows(&at, &lengths);
+        let mut second = event(SupposedEventKind::BallOffset, None);
         second.ball = Some(BallId::at(1));
         let offset = second.of_rows(&at, &lengths);
         for row in 0..40 {
@@ -683,7 +679,11 @@ mod tests {
                 -0.5 * (ln_determinant + system.right.dot(&factor.solve(&system.right)))
             };
             let from = Some((40.0 / 79.0, 40));
-            for kind in [RunEventKind::BarZeroStep, RunEventKind::BarZeroDrift, RunEventKind::ToolBallMoved] {
+            for kind in [
+                SupposedEventKind::BarZeroStep,
+                SupposedEventKind::BarZeroDrift,
+                SupposedEventKind::ToolBallMoved,
+            ] {
                 let (event, found) = search.judged(event(kind, from)).unwrap();
                 let h = event.of_rows(rows, search.lengths);
                 let [least, most] = kind.sizes().map(f64::ln);
@@ -705,7 +705,7 @@ mod tests {
     fn a_step_is_found_at_its_place_and_noise_has_none() {
         Bench::new(Some((42, 0.3))).with(|search, _| {
             let found = search.strongest(search.candidates(&[])).unwrap();
-            assert_eq!(found.event.kind, RunEventKind::BarZeroStep);
+            assert_eq!(found.event.kind, SupposedEventKind::BarZeroStep);
             assert_eq!(found.event.from.map(|(_, place)| place), Some(42));
             assert!(found.is_certain && found.probability > 0.99 && found.rivals.is_empty(), "{found:?}");
             assert!((found.coefficients[0] - 0.3).abs() < 4.0 * found.sd, "{found:?}");
@@ -727,11 +727,12 @@ mod tests {
     #[test]
     fn a_step_that_an_offset_of_a_ball_explains_is_not_certain() {
         stepped_between_balls().with(|search, _| {
-            let step = RunEvent {
+            let step = SupposedEvent {
                 bar: Some(BarId::FIRST),
-                ..event(RunEventKind::BarZeroStep, Some((40.0 / 79.0, 40)))
+                ..event(SupposedEventKind::BarZeroStep, Some((40.0 / 79.0, 40)))
             };
-            let offset = RunEvent { ball: Some(BallId::at(1)), ..event(RunEventKind::BallOffset, None) };
+            let offset =
+                SupposedEvent { ball: Some(BallId::at(1)), ..event(SupposedEventKind::BallOffset, None) };
             let [of_step, of_offset] = [step, offset].map(|event| search.judged(event).unwrap());
             assert!(
                 (of_step.1 - of_offset.1).abs() < 1e-9 && of_step.1 > 10.0,
@@ -748,8 +749,8 @@ mod tests {
     fn a_step_that_an_offset_of_a_ball_explains_is_reported() {
         stepped_between_balls().with(|search, _| {
             let found = search.strongest(search.candidates(&[])).unwrap();
-            assert!(!found.is_certain && found.event.kind != RunEventKind::BallOffset, "{found:?}");
-            assert!(found.rivals.contains(&RunEventKind::BallOffset), "{found:?}");
+            assert!(!found.is_certain && found.event.kind != SupposedEventKind::BallOffset, "{found:?}");
+            assert!(found.rivals.contains(&SupposedEventKind::BallOffset), "{found:?}");
         });
     }
 

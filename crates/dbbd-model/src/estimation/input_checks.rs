@@ -178,12 +178,16 @@ fn nominal_mm(
 fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measurement]) -> Option<UnitMistake> {
     /// In their unit the rows agree so much better: else a ball or a tool is elsewhere.
     const CLEARLY: f64 = 5.0;
+    /// Fewer are mistakes of single rows.
+    const LEAST_SHARE: f64 = 0.2;
     let misfit = |row: &Measurement, degrees: f64, unit_mm: f64| {
         nominal_mm(geometry, centres, row, &row.axes.radians().map(|angle| degrees * angle))
             .map_or(f64::INFINITY, |mm| (unit_mm * row.length_mm - mm).abs() / mm)
     };
-    let off = rows.iter().filter(|row| !row.datum.is_plane() && misfit(row, 1.0, 1.0) > AGREES);
-    let off: Vec<&Measurement> = off.collect();
+    let lengths: Vec<&Measurement> = rows.iter().filter(|row| !row.datum.is_plane()).collect();
+    let off: Vec<&Measurement> =
+        lengths.iter().copied().filter(|row| misfit(row, 1.0, 1.0) > AGREES).collect();
+    let least = MIN_LENGTHS.max((LEAST_SHARE * lengths.len() as f64) as usize);
     let misfits = |degrees: f64, unit_mm: f64| -> Vec<f64> {
         off.iter().map(|row| misfit(row, degrees, unit_mm)).collect()
     };
@@ -191,7 +195,7 @@ fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measuremen
     let agree = |degrees: f64, unit_mm: f64| {
         let mut misfits = misfits(degrees, unit_mm);
         let near = misfits.iter().filter(|misfit| **misfit <= AGREES).count();
-        off.len() >= MIN_LENGTHS
+        off.len() >= least
             && near as f64 >= MAX_SHARE * off.len() as f64
             && median(&mut misfits).is_some_and(|misfit| CLEARLY * misfit <= as_given)
     };

@@ -7,7 +7,7 @@
 use nalgebra::DMatrix;
 
 use super::pose_rows::{LengthNoise, PoseRows};
-use super::prior::PriorRows;
+use super::prior_rows::PriorRows;
 use crate::math::Triangle;
 use crate::measurement::{ColumnSelection, LengthModel, MeasurementPieces, PreparedMeasurement};
 use crate::robot::{LengthRow, ParamId};

@@ -37,7 +37,7 @@ mod pose_rows;
 mod position;
 pub mod posterior;
 mod prediction;
-mod prior;
+mod prior_rows;
 pub mod priors;
 mod program_uncertainty;
 pub mod result;
@@ -59,7 +59,7 @@ pub use distance::DistanceQuantities;
 pub use estimator::{GroupEvidence, JointSummary};
 pub use findings::beyond_repeatability;
 pub use hyper_parameters::Group;
-pub use hypotheses::{EventPlace, EventTreatment, RunEventKind, RunHypothesis};
+pub use hypotheses::{EventPlace, EventTreatment, RunHypothesis, SupposedEventKind};
 pub use identifiability::{
     Analysis, Combination, Correlation, Observability, analyse, correlations, observability, order_of_choice,
 };

@@ -228,11 +228,6 @@ impl Priors {
         self.tolerance(id).map_or(f64::INFINITY, |sd| WEAK * sd)
     }
 
-    /// The standard deviation of the error of a fixed parameter; 0 for optional ones.
-    pub fn fixed_sd(&self, id: ParamId) -> f64 {
-        self.tolerance(id).filter(|_| !id.is_optional()).unwrap_or(0.0)
-    }
-
     /// The manufacturer's tolerance of a length, mm.
     pub fn length_tolerance_mm(&self) -> f64 {
         self.length_mm
@@ -283,7 +278,7 @@ mod tests {
         let bar = ParamId::BarOffset(BarId::FIRST);
         for (u, sd) in [(None, 0.07), (Some(0.002), 0.002)] {
             let priors = priors(u, Prior::None);
-            for found in [priors.sd(bar), priors.weak_limit(bar) / WEAK, priors.fixed_sd(bar)] {
+            for found in [priors.sd(bar), priors.weak_limit(bar) / WEAK] {
                 assert!((found - sd).abs() < 1e-15, "{found}");
             }
             assert_eq!(priors.bound(bar), Some(sd));
@@ -328,27 +323,25 @@ mod tests {
     fn prior_follows_the_rule_of_the_parameter() {
         let priors = priors(None, Prior::None);
         let angle = 0.05f64.to_radians();
-        for (id, sd, fixed, weak) in [
-            (ParamId::Alpha(Joint::J1), angle, angle, 3.0 * angle),
-            (ParamId::A(Joint::J2), 0.5, 0.5, 1.5),
-            (ParamId::Theta(Joint::J5), angle, angle, 3.0 * angle),
+        for (id, sd, weak) in [
+            (ParamId::Alpha(Joint::J1), angle, 3.0 * angle),
+            (ParamId::A(Joint::J2), 0.5, 1.5),
+            (ParamId::Theta(Joint::J5), angle, 3.0 * angle),
             // The flange is made better than the arm.
-            (ParamId::Theta(Joint::J6), 0.4 * angle, 0.4 * angle, 1.2 * angle),
-            (ParamId::D(Joint::J6), 0.05, 0.05, 0.15),
-            (ParamId::D(Joint::J4), 0.5, 0.5, 1.5),
-            (ParamId::Beta(Joint::J3), angle, angle, 3.0 * angle),
-            (ParamId::GearCos(Joint::J1), angle, 0.0, 3.0 * angle),
-            (ParamId::GearSin(Joint::J6), angle, 0.0, 3.0 * angle),
-            (ParamId::Tool(Coordinate::X), 0.1, 0.0, f64::INFINITY),
-            (ParamId::Target(TargetId::at(1), Coordinate::Y), 100.0, 0.0, f64::INFINITY),
-            (ParamId::Ball(BallId::FIRST, Coordinate::Z), 10.0, 0.0, f64::INFINITY),
-            (ParamId::Tracker(Coordinate::X), 1000.0, 0.0, f64::INFINITY),
-            (ParamId::TrackerTurn(Coordinate::X), 1.0, 0.0, f64::INFINITY),
-            (ParamId::BarOffset(BarId::FIRST), 0.07, 0.07, 0.21),
+            (ParamId::Theta(Joint::J6), 0.4 * angle, 1.2 * angle),
+            (ParamId::D(Joint::J6), 0.05, 0.15),
+            (ParamId::D(Joint::J4), 0.5, 1.5),
+            (ParamId::Beta(Joint::J3), angle, 3.0 * angle),
+            (ParamId::GearCos(Joint::J1), angle, 3.0 * angle),
+            (ParamId::GearSin(Joint::J6), angle, 3.0 * angle),
+            (ParamId::Tool(Coordinate::X), 0.1, f64::INFINITY),
+            (ParamId::Target(TargetId::at(1), Coordinate::Y), 100.0, f64::INFINITY),
+            (ParamId::Ball(BallId::FIRST, Coordinate::Z), 10.0, f64::INFINITY),
+            (ParamId::Tracker(Coordinate::X), 1000.0, f64::INFINITY),
+            (ParamId::TrackerTurn(Coordinate::X), 1.0, f64::INFINITY),
+            (ParamId::BarOffset(BarId::FIRST), 0.07, 0.21),
         ] {
-            for (found, expected) in
-                [(priors.sd(id), sd), (priors.fixed_sd(id), fixed), (priors.weak_limit(id), weak)]
-            {
+            for (found, expected) in [(priors.sd(id), sd), (priors.weak_limit(id), weak)] {
                 assert!(
                     found == expected || (found / expected - 1.0).abs() < 1e-12,
                     "{id}: {found} for {expected}"

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::base::serialised::Seal;
 use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
-use crate::estimation::{EstimationFinding, ResultFinding};
+use crate::estimation::ResultFinding;
 use crate::measurement::{LengthModel, Measurement, Measurements, PreparedMeasurement};
 use crate::robot::{BallId, ParamId, ParamUnit, Robot};
 
@@ -172,11 +172,6 @@ impl CompletedCalibration {
         self.diagnostics().skip(self.of_estimate).collect()
     }
 
-    /// The findings of the estimate.
-    pub fn estimate_findings(&self) -> impl Iterator<Item = &EstimationFinding> {
-        self.result.findings.iter().take(self.of_estimate).filter_map(|finding| finding.made()?.finding())
-    }
-
     /// The residuals of observations, measured minus predicted.
     pub fn residuals<'a>(
         &'a self,
@@ -187,16 +182,6 @@ impl CompletedCalibration {
             before: before.residual(&reading),
             after: after.residual(&reading),
         })
-    }
-
-    /// Adds a finding about the inputs. A warning is also stored with the robot.
-    pub fn with_finding(mut self, finding: Diagnostic) -> Self {
-        if finding.severity() == Severity::Warning {
-            self.robot.doubts.push(finding.code().to_string());
-            self.robot.doubts.sort();
-        }
-        self.result.findings.push(finding.into());
-        self
     }
 
     /// Lists measurements that were left out of the fit, with who did it and why.
@@ -504,6 +489,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+    use crate::estimation::EstimationFinding;
     use crate::robot::Joint;
 
     #[test]

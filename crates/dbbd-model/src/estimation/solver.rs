@@ -7,7 +7,7 @@ use nalgebra::DVector;
 
 use super::lengths::Weighted;
 use super::linear_system::{Rows, add_prior};
-use super::prior::PriorRows;
+use super::prior_rows::PriorRows;
 use crate::math::{Triangle, robust};
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;

@@ -8,7 +8,7 @@ use super::hyper_parameters::{Group, Variance};
 use super::lengths::{Lengths, Sigma};
 use super::linear_system::{factor, linear_system};
 use super::options::Setting;
-use super::prior;
+use super::prior_rows;
 use super::priors::{FAR_BAR_MM, Prior, WEAK, largest_plausible};
 use super::selection::{is_bar, is_place, open_places, without_open_places};
 use super::unknowns::KnownBefore;
@@ -86,11 +86,11 @@ impl EstimateStart {
         }
         let mut kept = base.clone();
         if !follows_list {
-            kept.extend(prior::sharing(priors, &analysis));
+            kept.extend(prior_rows::sharing(priors, &analysis));
             kept.sort();
         }
         let sigma = start_sigma(lengths, &set_up, &base);
-        let prior = prior::rows(setting, &kept);
+        let prior = prior_rows::prior_rows(setting, &kept);
         let fit = fit::all(lengths, sigma, &kept, base.len(), prior.as_ref(), follows_list, &set_up.model);
         let iterations = set_up.iterations + fit.iterations;
         let fit = Fit { iterations, ..fit };

@@ -8,7 +8,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::hyper_parameters::{Group, Hypers, Variance};
-use super::hypotheses::RunEvent;
+use super::hypotheses::SupposedEvent;
 use super::lengths::{Sigma, Weighted};
 use super::noise_shape::JointNoise;
 use super::pose_rows::PoseRows;
@@ -56,7 +56,7 @@ struct ModelErrors {
     centres: Vec<Features>,
     warms: bool,
     /// What happened for certain.
-    events: Vec<RunEvent>,
+    events: Vec<SupposedEvent>,
 }
 
 /// Sines and cosines of the joints, by how far they move the tool ball.
@@ -97,12 +97,12 @@ impl Unknowns {
     }
 
     /// With an event as further unknowns.
-    pub(super) fn with_event(mut self, event: RunEvent) -> Self {
+    pub(super) fn with_event(mut self, event: SupposedEvent) -> Self {
         self.errors.events.push(event);
         self
     }
 
-    pub(super) fn events(&self) -> &[RunEvent] {
+    pub(super) fn events(&self) -> &[SupposedEvent] {
         &self.errors.events
     }
 

@@ -6,7 +6,6 @@ use rand_pcg::Pcg64;
 
 use super::lengths::{Lengths, Weighted};
 use super::result::Residual;
-use crate::estimation::EstimationFinding;
 use crate::measurement::{LengthModel, MeasurementPieces, Measurements, PreparedMeasurement};
 
 const DEFAULT_FOLDS: usize = 5;
@@ -29,14 +28,14 @@ pub(super) fn folds(asked: Option<usize>, lengths: usize, parameters: usize) -> 
 
 /// Root mean square of the held-out residuals, mm: each fold is predicted by `fit` of the others, without `outliers`. Rows
 /// with equal axis angles (one pose measured to several balls) are in one fold, so that no fold is fitted to its own poses.
-/// `None` if there are fewer poses than folds.
+/// `None` if there are fewer poses than folds, or a fold leaves too few lengths to fit, as to a ball with a few of them.
 pub(super) fn held_out_rms(
     lengths: &Lengths,
     outliers: &[usize],
     folds: usize,
-    fit: impl Fn(&Lengths) -> Result<LengthModel, EstimationFinding>,
-) -> Result<Option<f64>, EstimationFinding> {
-    let Some(fold_of) = assign(lengths, folds) else { return Ok(None) };
+    fit: impl Fn(&Lengths) -> Option<LengthModel>,
+) -> Option<f64> {
+    let fold_of = assign(lengths, folds)?;
     let used: Vec<usize> = (0..lengths.len()).filter(|at| outliers.binary_search(at).is_err()).collect();
     let mut residuals = vec![0.0; lengths.len()];
     for fold in 0..folds {
@@ -46,7 +45,7 @@ pub(super) fn held_out_rms(
         held_out.into_iter().for_each(|at| residuals[at] = prepared.residual(&lengths.reading(at)));
     }
     let squares: f64 = used.iter().map(|at| residuals[*at] * residuals[*at]).sum();
-    Ok(Some((squares / used.len().max(1) as f64).sqrt()))
+    Some((squares / used.len().max(1) as f64).sqrt())
 }
 
 /// The fold of each reading: the poses, shuffled with a fixed seed, are assigned in turn.

@@ -84,7 +84,7 @@ impl fmt::Display for Validity {
         }
         write!(
             out,
-            ": U = {:.2} mm (k = 2) at first, {:.2} mm then",
+            ": U = {:.2} mm (k = 2) at first, at most {:.2} mm until then",
             self.expanded_uncertainty_mm,
             self.limit_mm.max(self.expanded_uncertainty_mm)
         )?;

@@ -32,9 +32,9 @@ findings! {
             NotStated { what: Names } => "not stated: {what}";
         }
         W2005 "a certificate of a result with warnings",
-        cause: "The result has warnings or did not converge.",
-        cure: "Resolve the warnings of the result first; `report.html` shows them." {
-            Doubtful { warnings: usize } => "the result has {warnings} warnings; the certificate lists them";
+        cause: "The result or its check has warnings, or the estimate did not converge.",
+        cure: "Resolve the warnings first; `report.html` and `check.html` show them." {
+            Doubtful { warnings: usize } => "the result and its check have {warnings} warnings; the certificate lists them";
         }
         W2007 "an identity contradicts the result",
         cause: "The file of the identity states another robot, controller, load, day, bar, certificate of the bar, ball or temperature than the result carries, or a base ball that the measurement has not. The certificate states what the file states; the numbers are those of the measurement.",

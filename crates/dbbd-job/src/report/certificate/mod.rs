@@ -19,8 +19,8 @@ use crate::report::certificate::CertificateFinding::{
 };
 use dbbd_model::base::hash::sha256;
 use dbbd_model::conformity::UncertaintyBudget;
-use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::diagnostic::Names;
+use dbbd_model::diagnostic::{Diagnostic, RecordedFinding, Severity};
 use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::estimation::result::ParameterResult;
 use dbbd_model::provenance::{Artefact, ArtefactRole, Contradiction, Identity, Provenance};
@@ -54,6 +54,8 @@ struct Check {
     upper_mm: f64,
     guard_band_mm: Option<f64>,
     specific_risk: Option<f64>,
+    #[serde(default)]
+    findings: Vec<RecordedFinding>,
     #[serde(default)]
     provenance: Provenance,
 }
@@ -155,7 +157,9 @@ impl Certificate {
         ];
         let lacking: Vec<&str> = lacks.iter().filter(|(_, lacks)| *lacks).map(|(name, _)| *name).collect();
         let empty = (!lacking.is_empty()).then(|| NotStated { what: Names::of(lacking) });
-        let doubts = self.result.warnings().count() + usize::from(!self.result.converged);
+        let is_warning = |found: &&RecordedFinding| found.severity() == Severity::Warning;
+        let of_check = self.check.iter().flat_map(|check| &check.findings).filter(is_warning).count();
+        let doubts = self.result.warnings().count() + usize::from(!self.result.converged) + of_check;
         let is_ball = |found: &&ParameterResult| matches!(found.name, ParamId::Ball(_, Coordinate::X));
         let balls = self.result.parameters.iter().filter(is_ball).count();
         let other =

@@ -88,7 +88,7 @@ impl Certificate {
             section("Conformity", self.conformity()),
             section("What was not determined", self.not_determined()),
             section("Identified parameters", self.parameters()),
-            section("Warnings and notes of the result", self.findings_of_result()),
+            section("Warnings and notes of the result and the check", self.findings_of_result()),
             section("Signatures", self.signatures()),
         ]
     }
@@ -242,7 +242,8 @@ impl Certificate {
         let line = |finding: &RecordedFinding| {
             Block::Text(format!("{} {}", finding.code(), typeset(finding.text())))
         };
-        let mut blocks: Vec<Block> = self.result.findings.iter().map(line).collect();
+        let of_check = self.check.iter().flat_map(|check| &check.findings);
+        let mut blocks: Vec<Block> = self.result.findings.iter().chain(of_check).map(line).collect();
         if !self.result.converged {
             blocks.insert(0, Block::Text("The solver did not converge.".into()));
         }

@@ -18,7 +18,7 @@ const LINE: usize = 110;
 
 /// A ball in a frame: the tool ball in the flange's, or a base ball in the robot base.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Frame {
+pub struct BallInFrame {
     /// Variable in the data list.
     pub variable: String,
     /// What it is, such as `tool ball in $FLANGE`.
@@ -33,7 +33,7 @@ pub struct Frame {
 }
 
 /// The tool ball, then the base balls.
-pub fn frames(result: &CalibrationResult) -> Vec<Frame> {
+pub fn frames(result: &CalibrationResult) -> Vec<BallInFrame> {
     let balls = (0..).map(BallId::at).map_while(|ball| {
         let place = coordinates(result, |axis| ParamId::Ball(ball, axis))?;
         Some(frame(format!("DBB_BALL{ball}"), format!("base ball {ball} in $ROBROOT"), place))
@@ -51,8 +51,8 @@ fn coordinates(
     Some([x?, y?, z?])
 }
 
-fn frame(variable: String, what: String, place: [&ParameterResult; 3]) -> Frame {
-    Frame {
+fn frame(variable: String, what: String, place: [&ParameterResult; 3]) -> BallInFrame {
+    BallInFrame {
         variable,
         what,
         nominal_mm: place.map(|coordinate| coordinate.nominal),
@@ -64,11 +64,11 @@ fn frame(variable: String, what: String, place: [&ParameterResult; 3]) -> Frame 
 }
 
 /// `DBB_RESULT.dat`: frames and offsets, each with its remark as a comment.
-pub(super) fn data_list(robot: &str, frames: &[Frame], offsets: &[AxisOffset]) -> String {
+pub(super) fn data_list(robot: &str, frames: &[BallInFrame], offsets: &[AxisOffset]) -> String {
     let mut text = format!("&ACCESS RVO\n&COMMENT dbbd\nDEFDAT {MODULE} PUBLIC\n");
     text.push_str(&comment(&format!("Identified from ball-bar lengths on {robot}")));
     text.push_str("; Nothing here acts by itself. Frames as X, Y, Z in mm; A, B, C are those of the flange or the base.\n");
-    for Frame { variable, what, identified_mm, corrections_mm, remarks, .. } in frames {
+    for BallInFrame { variable, what, identified_mm, corrections_mm, remarks, .. } in frames {
         let _ = writeln!(text, "\n; {what}, corrected by {}", krl(corrections_mm));
         for (axis, remark) in ["X", "Y", "Z"].into_iter().zip(remarks) {
             text.push_str(&comment(&format!("{axis}: {remark}")));

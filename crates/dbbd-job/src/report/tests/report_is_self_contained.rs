@@ -13,6 +13,7 @@ use dbbd_job::report::{calibration, circle, plan, svg};
 use dbbd_model::base::units::HostNs;
 use dbbd_model::circular::{self, CircularSettings};
 use dbbd_model::conformity::UncertaintyBudget;
+use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::{CompletedCalibration, Options};
 use dbbd_model::measurement::{BallId, BaseBall, CircleId, MeasurementContext, Measurements, PoseKind};
@@ -99,7 +100,7 @@ fn found(robot: &Robot) -> (CompletedCalibration, Measurements) {
     let centres = [BaseBall { id: BallId::FIRST, position: Vector3::from(CENTRE) }];
     let options = Options { folds: Some(0), ..Options::default() };
     let mut found = calibrated(robot, &observations, &centres, &options).unwrap();
-    found = found.with_finding(EstimationFinding::PartOfRunLost.into());
+    found.result.findings.push(Diagnostic::from(EstimationFinding::PartOfRunLost).into());
     (found, observations)
 }
 

@@ -32,12 +32,12 @@ impl FromStr for Exclusion {
 }
 
 /// What is left out of the observations.
-pub(super) struct LeftOut {
+pub(super) struct AppliedExclusion {
     asked: Vec<Exclusion>,
     rows: Vec<Measurement>,
 }
 
-impl LeftOut {
+impl AppliedExclusion {
     /// Takes the rows that are asked for out of the observations.
     ///
     /// # Errors

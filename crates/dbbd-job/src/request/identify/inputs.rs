@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::exclusion::{Exclusion, LeftOut};
+use super::exclusion::{AppliedExclusion, Exclusion};
 use super::matched_run::MatchedRun;
 use super::parts::{self, InputPart, JoinedParts, SetUpRelation, sort_by_time};
 use super::tables::{lengths_or_positions, measurements};
@@ -62,7 +62,7 @@ pub(crate) struct LoadedInputs {
     pub(crate) axes: AngleSource,
     /// The captures and tables with the lengths; the first is always there.
     parts: Vec<InputPart>,
-    left_out: LeftOut,
+    left_out: AppliedExclusion,
 }
 
 impl LoadedInputs {
@@ -126,7 +126,7 @@ impl LoadedInputs {
         let load = &robot.geometry.load;
         let mut observations =
             observations.carrying(load).map_err(|finding| Diagnostic::file(&input, finding))?;
-        let left_out = LeftOut::of(&mut observations, named.exclude)
+        let left_out = AppliedExclusion::of(&mut observations, named.exclude)
             .map_err(|finding| Diagnostic::file(&input, finding))?;
         findings.extend(left_out.finding());
         check_measurements(&input, &observations, &robot, &centres)?;

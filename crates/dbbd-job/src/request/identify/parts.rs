@@ -159,13 +159,16 @@ impl JoinedParts {
             if !same {
                 part.set_up.first_ball = all.len();
                 part.set_up.first_bar += before.measurements.bars();
-                let own = part.matched.as_ref().map(|matched| matched.run.centres());
-                let own = own.unwrap_or_else(|| of_first.clone());
-                all.extend(own.iter().map(|ball| BaseBall {
-                    id: BallId::at(part.set_up.first_ball + ball.id.index()),
-                    ..*ball
-                }));
             }
+            // A part of the same set-up may have a ball more.
+            let first_ball = part.set_up.first_ball;
+            let own = part.matched.as_ref().map(|matched| matched.run.centres());
+            let own = own.unwrap_or_else(|| of_first.clone()).into_iter();
+            let further = own.filter(|ball| first_ball + ball.id.index() >= all.len());
+            let further: Vec<BaseBall> = further
+                .map(|ball| BaseBall { id: BallId::at(first_ball + ball.id.index()), ..ball })
+                .collect();
+            all.extend(further);
             let (first_ball, bar) = (part.set_up.first_ball + 1, part.set_up.bar().number());
             let joined = match same {
                 true => EstimationFinding::PartOfSameSetUp,

@@ -19,7 +19,7 @@ use dbbd_model::robot::{AXES, BallId};
 /// The rows of a plan or a table that are measured again.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum PoseRows {
+pub enum RepeatedRows {
     #[default]
     All,
     /// The outliers of a result.
@@ -28,7 +28,7 @@ pub enum PoseRows {
     Indices(RowIndices),
 }
 
-impl FromStr for PoseRows {
+impl FromStr for RepeatedRows {
     type Err = String;
 
     /// Reads `outliers` or indices as `3,7-9`.
@@ -41,7 +41,7 @@ impl FromStr for PoseRows {
     }
 }
 
-impl fmt::Display for PoseRows {
+impl fmt::Display for RepeatedRows {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::All => out.write_str("all"),
@@ -99,7 +99,7 @@ fn of_capture(path: &Path, session: &RequestSession<'_>) -> Result<(Vec<RunPose>
 /// The poses of a capture, a table or a result that are measured again.
 pub(super) fn repeated(
     path: &Path,
-    rows: &PoseRows,
+    rows: &RepeatedRows,
     session: &RequestSession<'_>,
 ) -> Result<Vec<GivenPose>, Diagnostic> {
     let name = path.display().to_string();
@@ -116,15 +116,15 @@ pub(super) fn repeated(
         }
     };
     let wanted: Vec<u32> = match (rows, &of_result) {
-        (PoseRows::All, _) => poses.iter().map(|pose| pose.index).collect(),
-        (PoseRows::Indices(indices), _) => indices.iter().collect(),
-        (PoseRows::Outliers, Some(result)) => {
+        (RepeatedRows::All, _) => poses.iter().map(|pose| pose.index).collect(),
+        (RepeatedRows::Indices(indices), _) => indices.iter().collect(),
+        (RepeatedRows::Outliers, Some(result)) => {
             let file = result.join("result.json");
             let result =
                 CalibrationResult::from_json(&file.display().to_string(), &files::read_text(&file)?)?;
             result.outliers.iter().map(|outlier| outlier.index).collect()
         }
-        (PoseRows::Outliers, None) => {
+        (RepeatedRows::Outliers, None) => {
             return Err(Diagnostic::file(&name, PlanFinding::OutliersWithoutResult));
         }
     };
@@ -144,10 +144,10 @@ mod tests {
 
     #[test]
     fn rows_are_indices_and_ranges() {
-        assert_eq!("3,7-9".parse(), Ok(PoseRows::Indices([3, 7, 8, 9].into_iter().collect())));
-        assert_eq!("outliers".parse(), Ok(PoseRows::Outliers));
+        assert_eq!("3,7-9".parse(), Ok(RepeatedRows::Indices([3, 7, 8, 9].into_iter().collect())));
+        assert_eq!("outliers".parse(), Ok(RepeatedRows::Outliers));
         for wrong in ["", "a", "9-7", "1,,2", "1-999999999"] {
-            assert!(wrong.parse::<PoseRows>().is_err(), "{wrong}");
+            assert!(wrong.parse::<RepeatedRows>().is_err(), "{wrong}");
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::{CheckPoses, PlanningKnowledge};
 use crate::plan::{Job, Plan, PlanningPrior, PoseKind};
 use crate::request::RequestSession;
-use crate::request::check::LengthSigma;
+use crate::request::check::CheckSigma;
 use crate::request::robots::today;
 use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::conformity::{CheckInput, DecisionRule};
@@ -38,7 +38,7 @@ impl<'a> PlannedCheck<'a> {
         robot: &Robot,
         session: &RequestSession<'_>,
     ) -> Result<Self, Diagnostic> {
-        let noise = LengthSigma::at_least(Some(length_sd_mm(job.bar.sigma_um * 1e-3, robot)), file, robot)?;
+        let noise = CheckSigma::at_least(Some(length_sd_mm(job.bar.sigma_um * 1e-3, robot)), file, robot)?;
         session.findings(noise.finding);
         let mut mounting = Mounting::again(robot, job.bar.u_mm());
         if poses.balls_kept {

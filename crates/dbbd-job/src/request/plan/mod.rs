@@ -5,7 +5,7 @@ mod check;
 
 use std::path::{Path, PathBuf};
 
-pub use again::PoseRows;
+pub use again::RepeatedRows;
 use check::PlannedCheck;
 use dbbd_device::clock;
 use dbbd_model::design::Criterion;
@@ -68,7 +68,7 @@ pub enum PlannedPoses {
     /// Those of the plans of these captures that have no length in any of them.
     Remaining { runs: Vec<PathBuf> },
     /// Those of a capture, a table or a result that are measured again.
-    Repeat { run: PathBuf, rows: PoseRows },
+    Repeat { run: PathBuf, rows: RepeatedRows },
 }
 
 /// The check whose poses are planned.

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{Assumptions, BarHistory, EPOCH_DAYS, Estimate, Jump, Knot, YEAR_DAYS};
+use super::{Assumptions, BarHistory, EPOCH_DAYS, Jump, Knot, ValueWithSd, YEAR_DAYS};
 
 /// Prior standard deviations of a bar's drift, mm a year, and of a jump, mm.
 const DRIFT_MM: f64 = 0.05;
@@ -60,7 +60,7 @@ pub(super) fn histories(
 ) -> Vec<BarHistory> {
     let epochs = knots.iter().map(|(_, epoch)| *epoch);
     let (first, last) = (epochs.clone().min().unwrap_or(0), epochs.max().unwrap_or(0));
-    let along = |row: DVector<f64>| Estimate {
+    let along = |row: DVector<f64>| ValueWithSd {
         value: row.dot(values),
         sd: (row.dot(&(covariance * &row))).max(0.0).sqrt(),
     };

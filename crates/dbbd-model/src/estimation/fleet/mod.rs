@@ -20,6 +20,7 @@ use self::fold::{Folded, fold};
 use self::kind::{Kind, kinds};
 use self::plant::Plant;
 use super::catalogue::FleetFinding;
+use crate::math::distributions::COVERAGE_95;
 use crate::robot::{ParamId, Robot, RobotPosterior};
 
 /// The offset of a bar is constant within so many days.
@@ -64,15 +65,15 @@ impl Default for Assumptions {
 
 /// A number with its standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Estimate {
+pub struct ValueWithSd {
     pub value: f64,
     pub sd: f64,
 }
 
-impl Estimate {
+impl ValueWithSd {
     /// Whether the 95 % interval contains the value.
     pub fn covers(&self, truth: f64) -> bool {
-        (self.value - truth).abs() <= 1.959_964 * self.sd
+        (self.value - truth).abs() <= COVERAGE_95 * self.sd
     }
 }
 
@@ -81,11 +82,11 @@ impl Estimate {
 pub struct BarHistory {
     pub bar: String,
     /// At the plant's first run, mm.
-    pub offset_mm: Estimate,
-    pub drift_mm_a_year: Estimate,
+    pub offset_mm: ValueWithSd,
+    pub drift_mm_a_year: ValueWithSd,
     pub jumps: Vec<Jump>,
     /// At the plant's last run, mm.
-    pub offset_now_mm: Estimate,
+    pub offset_now_mm: ValueWithSd,
 }
 
 /// A sudden change of a bar, as after a fall.
@@ -94,7 +95,7 @@ pub struct Jump {
     /// It happened between these days.
     pub after_day: f64,
     pub before_day: f64,
-    pub change_mm: Estimate,
+    pub change_mm: ValueWithSd,
 }
 
 /// A robot at its first run.

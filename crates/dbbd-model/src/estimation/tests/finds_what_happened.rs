@@ -1,7 +1,7 @@
 //! What happened while the lengths were measured is found and named, and noise has no events.
 
 use dbbd_model::estimation::{
-    CompletedCalibration, EventTreatment, Options, RunEventKind, RunHypothesis, Workspace,
+    CompletedCalibration, EventTreatment, Options, RunHypothesis, SupposedEventKind, Workspace,
 };
 use dbbd_model::measurement::{BaseBall, Datum, Measurements};
 use dbbd_model::robot::{BallId, BarId, Robot};
@@ -21,9 +21,13 @@ fn circles() -> Vec<Circle> {
 /// Lengths of a robot drawn by its tolerance, 16 on each of six circles, the balls in turn: an order in which nothing but time
 /// tells the first half from the second.
 fn run(seed: u64) -> (Robot, Measurements) {
+    run_of(seed, 16)
+}
+
+fn run_of(seed: u64, of_circle: usize) -> (Robot, Measurements) {
     let truth = drawn(&kr60(), seed);
     let mut random = Pcg64::seed_from_u64(seed);
-    let mut data = measure(&truth, &circles(), 16, 40.0);
+    let mut data = measure(&truth, &circles(), of_circle, 40.0);
     let count = data.rows.len();
     // 37 and 96 have no common divisor.
     data.rows = (0..count).map(|at| data.rows[at * 37 % count].clone()).collect();
@@ -57,33 +61,45 @@ fn a_step_of_the_zero_is_named_at_its_row() {
     let [step] = all[..] else { panic!("{:?}", found.result.hypotheses) };
     assert_eq!(
         (step.name, step.place.index, step.place.bar),
-        (RunEventKind::BarZeroStep, Some(49), Some(BarId::FIRST.number()))
+        (SupposedEventKind::BarZeroStep, Some(49), Some(BarId::FIRST.number()))
     );
     assert!((step.size - 0.3).abs() < 4.0 * step.sd, "{step:?}");
     // The data are as they were.
     assert_eq!(found.result.measurements, 96);
 }
 
-/// The arm is hit: an axis is elsewhere than the controller says from there on.
-#[test]
-fn a_step_of_an_axis_is_named() {
-    let (truth, mut data) = run(3);
-    const STEP_DEG: f64 = 0.1;
+/// The arm is hit: axes are elsewhere than the controller says from index 50 on.
+fn with_steps(seed: u64, steps_deg: &[(usize, f64)]) -> Measurements {
+    let (truth, mut data) = run(seed);
     for row in data.rows.iter_mut().filter(|row| row.index >= 50) {
         let ball = Vector3::from(if row.datum.ball() == Some(BallId::at(1)) { SECOND } else { CENTRE });
         let mut axes = row.axes.radians();
         let before = truth.geometry.length(&axes, &ball, 0.0);
-        axes[2] += STEP_DEG.to_radians();
+        steps_deg.iter().for_each(|(axis, deg)| axes[axis - 1] += deg.to_radians());
         row.length_mm += truth.geometry.length(&axes, &ball, 0.0) - before;
     }
-    let found = find(&data);
+    data
+}
+
+#[test]
+fn a_step_of_an_axis_is_named() {
+    const STEP_DEG: f64 = 0.1;
+    let found = find(&with_steps(3, &[(3, STEP_DEG)]));
     let all = certain(&found);
     let [event] = all[..] else { panic!("{:?}", found.result.hypotheses) };
     assert_eq!(
         (event.name, event.place.joint, event.place.index),
-        (RunEventKind::JointZeroStep, Some(3), Some(50))
+        (SupposedEventKind::JointZeroStep, Some(3), Some(50))
     );
     assert!((event.size - 1e3 * STEP_DEG.to_radians()).abs() < 4.0 * event.sd, "{event:?}");
+}
+
+#[test]
+fn two_axes_that_step_at_one_row_are_both_named() {
+    let found = find(&with_steps(3, &[(2, 0.1), (3, -0.15)]));
+    let steps: Vec<_> = certain(&found).iter().map(|event| (event.place.joint, event.place.index)).collect();
+    let is_named = |axis: usize| steps.contains(&(Some(axis), Some(50)));
+    assert!(is_named(2) && is_named(3), "{:?}", found.result.hypotheses);
 }
 
 #[test]
@@ -98,7 +114,7 @@ fn a_base_ball_that_moved_is_named() {
     let found = find(&data);
     let all = certain(&found);
     let [event] = all[..] else { panic!("{:?}", found.result.hypotheses) };
-    assert_eq!((event.name, event.place.ball), (RunEventKind::BaseBallMoved, Some(2)));
+    assert_eq!((event.name, event.place.ball), (SupposedEventKind::BaseBallMoved, Some(2)));
     assert!((event.size - 0.5f64.sqrt()).abs() < 5.0 * event.sd, "{event:?}");
     // The row of another ball may be named with it.
     assert!(event.place.index.is_some_and(|index| index.abs_diff(50) <= 3), "{event:?}");
@@ -165,10 +181,22 @@ fn a_wrong_ball_number_is_found_and_the_table_stays() {
     }
     let found = find(&data);
     let all = certain(&found);
-    assert!(all.iter().all(|one| one.name == RunEventKind::WrongBall), "{all:?}");
+    assert!(all.iter().all(|one| one.name == SupposedEventKind::WrongBall), "{all:?}");
     let mut rows: Vec<(u32, u32)> =
         all.iter().flat_map(|one| one.place.rows.iter().map(|row| (one.place.ball.unwrap(), *row))).collect();
     rows.sort_by_key(|(_, row)| *row);
     assert_eq!(rows, expected);
     assert!(found.result.outliers.is_empty(), "{:?}", found.result.outliers);
+}
+
+/// Of so many lengths a sample is searched; the place is that among all lengths.
+#[test]
+fn a_step_among_many_lengths_is_named_at_its_row() {
+    let (_, mut data) = run_of(1, 1000);
+    data.rows.iter_mut().filter(|row| row.index >= 3001).for_each(|row| row.length_mm += 0.3);
+    let found = find(&data);
+    let step = certain(&found)[0];
+    let index = step.place.index.unwrap();
+    // Every 50th row or so is tried.
+    assert!(step.name == SupposedEventKind::BarZeroStep && (2950..3050).contains(&index), "{step:?}");
 }

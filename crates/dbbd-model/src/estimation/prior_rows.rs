@@ -39,7 +39,7 @@ fn values(model: &LengthModel, ids: &[ParamId]) -> DVector<f64> {
 }
 
 /// The prior of the parameters `kept` about their values at the start: of the bars alone where a list of the user is followed.
-pub(super) fn rows(setting: &Setting<'_>, kept: &[ParamId]) -> Option<PriorRows> {
+pub(super) fn prior_rows(setting: &Setting<'_>, kept: &[ParamId]) -> Option<PriorRows> {
     let follows_list = setting.options.follows_list();
     let is_bound = |id: &ParamId| !follows_list || is_bar(id);
     let sd = |place: usize| {
@@ -109,7 +109,7 @@ mod tests {
         let (start, options) = (model(), Options { bar_u_mm: Some(0.05), ..Options::default() });
         let setting = Setting::new(&robot, &start, &Measurements::default(), &options);
         let ids = [IDS[0], ParamId::Ball(BallId::FIRST, Coordinate::X), IDS[2]];
-        let prior = rows(&setting, &ids).unwrap();
+        let prior = prior_rows(&setting, &ids).unwrap();
         let expected = DMatrix::from_row_slice(2, 3, &[2.0, 0.0, 0.0, 0.0, 0.0, 20.0]);
         assert!((prior.matrix() - expected).norm() < 1e-12);
     }
