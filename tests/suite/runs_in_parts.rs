@@ -114,6 +114,38 @@ fn poses_are_measured_again() {
     assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0722".to_owned()]));
 }
 
+/// A part of the same set-up has a second ball, with so few lengths that a fold may have none.
+#[test]
+fn a_part_of_the_same_set_up_may_have_another_ball() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    fs::write(at.join("job.toml"), JOB).unwrap();
+    let second = JOB.replace("points = 40", "points = 6").replace(
+        "[identity]",
+        "[[centre]]\nid = 2\nxyz_mm = [1100.0, 500.0, 700.0]\n\
+         [[circle]]\ncentre = 2\nplane = \"XY\"\npoints = 6\ntilt_deg = 20.0\n[identity]",
+    );
+    fs::write(at.join("second.toml"), second).unwrap();
+    done(at, &["plan", "job.toml", "--out", "plan"]);
+    done(at, &["plan", "second.toml", "--out", "further"]);
+    done(at, &["acquire", "--port", "sim", "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    done(at, &["acquire", "--port", "sim", "--plan", "further/plan.csv", "--out", "further.dbbd"]);
+    done(at, &["identify", "run.dbbd", "further.dbbd", "--same-setup", "--out", "o"]);
+    let balls = |out: &str| {
+        let mut balls: Vec<u32> =
+            lengths(at, out).rows.iter().filter_map(|row| Some(row.datum.ball()?.number())).collect();
+        balls.sort_unstable();
+        balls.dedup();
+        balls
+    };
+    assert_eq!(balls("o"), [1, 2]);
+    done(at, &["identify", "run.dbbd", "further.dbbd", "--new-setup", "--out", "new"]);
+    assert_eq!(balls("new"), [1, 2, 3]);
+    // The robot to start from is that of the first run, whatever the order of the files.
+    done(at, &["identify", "further.dbbd", "run.dbbd", "--same-setup", "--out", "other"]);
+    assert_eq!(result(at, "o").parameters, result(at, "other").parameters);
+}
+
 #[test]
 fn nothing_is_overwritten() {
     let dir = tempfile::tempdir().unwrap();

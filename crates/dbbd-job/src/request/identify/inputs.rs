@@ -67,19 +67,19 @@ pub(crate) struct LoadedInputs {
 
 impl LoadedInputs {
     pub(crate) fn read(named: NamedInputs<'_>, session: &RequestSession<'_>) -> Result<Self, Diagnostic> {
-        let input = named.input.display().to_string();
         let mut findings = Vec::new();
-        let matched = MatchedRun::read(named.input, session)?;
-        let observations = match &matched {
-            Some(matched) => matched.matching.observations.clone(),
-            None => measurements(named.input, lengths_or_positions, &mut findings, session)?,
-        };
-        let is_tracked = observations.set_up(0).trackers > 0;
+        let mut parts = vec![InputPart::read(named.input, session, &mut findings)?];
+        for path in named.further {
+            let part = InputPart::read(path, session, &mut findings)?;
+            check_further(&part, &parts[0].lengths, &mut findings)?;
+            parts.push(part);
+        }
+        sort_by_time(&mut parts);
+        let first = &parts[0];
+        let input = first.path.display().to_string();
+        let is_tracked = first.measurements.set_up(0).trackers > 0;
         if is_tracked && named.positions.is_some() {
             return Err(EstimationFinding::PositionsTwice.into());
-        }
-        if observations.rows.is_empty() {
-            return Err(Diagnostic::file(&input, EstimationFinding::NoLength));
         }
         let of_lengths = named
             .centres
@@ -88,34 +88,18 @@ impl LoadedInputs {
         if is_tracked && let Some(input) = of_lengths {
             return Err(EstimationFinding::OfLengths { input }.into());
         }
-        let run = matched.as_ref().map(|matched| matched.run.as_ref());
-        let lengths = match run {
-            Some(run) => run.traced(named.input)?,
-            None => {
-                let (lengths, changed) = crate::artefact::of_table(ArtefactRole::Measurements, named.input)?;
-                findings.extend(changed);
-                lengths
-            }
-        };
-        let LoadedRobot { mut robot, source, .. } = read_robot(named.robot, run, &lengths, session)?;
+        let run = first.matched.as_ref().map(|matched| matched.run.as_ref());
+        let LoadedRobot { mut robot, source, .. } = read_robot(named.robot, run, &first.lengths, session)?;
         if let Some(tool) = named.tool_mm {
             robot.set_tool(tool);
         }
-        let first = InputPart::first(named.input.into(), lengths, observations, matched);
-        let mut parts = vec![first];
-        for path in named.further {
-            let part = InputPart::read(path, session, &mut findings)?;
-            check_further(&part, &parts[0].lengths, &mut findings)?;
-            parts.push(part);
-        }
-        sort_by_time(&mut parts);
         let mut sources = Vec::new();
-        let centres = match (named.centres, &parts[0].matched) {
+        let centres = match (named.centres, run) {
             (Some(path), _) => {
                 sources.push(crate::artefact::of_file(ArtefactRole::BaseBalls, path)?.into());
                 session.table(path, BaseBall::from_table)?
             }
-            (None, Some(matched)) => matched.run.centres(),
+            (None, Some(run)) => run.centres(),
             (None, None) if is_tracked => Vec::new(),
             (None, None) => return Err(EstimationFinding::NoBalls.into()),
         };
@@ -344,6 +328,9 @@ fn check_further(
     if part.lengths.artefact.sha256 == lengths.artefact.sha256 {
         let lengths = lengths.artefact.to_string();
         return Err(Diagnostic::file(&name, EstimationFinding::PartTwice { lengths }));
+    }
+    if part.measurements.rows.iter().any(|row| row.datum.bar().is_none()) {
+        return Err(Diagnostic::file(&name, EstimationFinding::PartOfPositions));
     }
     check_one_set_up(&name, lengths, &part.lengths, findings)
 }

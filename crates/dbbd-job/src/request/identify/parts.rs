@@ -66,7 +66,7 @@ pub(super) struct InputPart {
 }
 
 impl InputPart {
-    pub(super) fn first(
+    fn new(
         path: PathBuf,
         lengths: TracedArtefact,
         measurements: Measurements,
@@ -95,10 +95,7 @@ impl InputPart {
         if measurements.rows.is_empty() {
             return Err(Diagnostic::file(path.display(), EstimationFinding::NoLength));
         }
-        if measurements.rows.iter().any(|row| row.datum.bar().is_none()) {
-            return Err(Diagnostic::file(path.display(), EstimationFinding::PartOfPositions));
-        }
-        Ok(Self::first(path.into(), lengths, measurements, matched))
+        Ok(Self::new(path.into(), lengths, measurements, matched))
     }
 
     /// Whether a part that was measured after `before` has the same set-up, by what both state.
@@ -249,7 +246,7 @@ mod tests {
         let lengths = TracedArtefact::from(Artefact::new(ArtefactRole::Measurements, "t.csv", text));
         InputPart {
             set_up: SetUpNumbers { first_ball, first_bar },
-            ..InputPart::first("t.csv".into(), lengths, measurements, None)
+            ..InputPart::new("t.csv".into(), lengths, measurements, None)
         }
     }
 
