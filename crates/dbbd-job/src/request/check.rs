@@ -157,12 +157,12 @@ impl CheckRequest {
         let mut checked = CheckedLengths::of(&input, &given.observations)
             .map_err(|finding| Diagnostic::file(&self.robot, finding))?;
         let (known, lengths) = (given.known_lengths(Some(Path::new(&self.robot)), session)?, readings.len());
+        session.findings(given.findings());
+        session.findings(checked.findings());
         if 2 * known > lengths {
             session.finding(ConformityFinding::LengthsOfCalibration { known, lengths });
             checked.check.decide_nothing();
         }
-        session.findings(given.findings());
-        session.findings(checked.findings());
         if self.update && checked.check.update().is_none() && checked.check.is_explained() {
             session.finding(ConformityFinding::NothingToUpdate);
         }

@@ -121,7 +121,7 @@ impl Certificate {
         let statement = if self.is_traceable() {
             "The lengths are traceable to the SI through the certificate of the bar's length."
         } else {
-            "The lengths are not traceable to the SI: no certificate of the bar's length with its uncertainty is stated."
+            "The lengths are not traceable to the SI: the certificate of the bar, or the uncertainty of its length, is not stated."
         };
         let of_object =
             ["robot", "controller", "laboratory", "operator", "customer", "cell", "measured", "country"];
