@@ -96,6 +96,20 @@ fn repeated_measurement_does_not_raise_the_predicted_error() {
 }
 
 #[test]
+fn a_table_of_the_same_lengths_is_no_prior() {
+    let (dir, _) = cell("none");
+    let identify = |lengths: &str, balls: &str| {
+        let args =
+            ["identify", lengths, "--robot", "kr60ha", "--centres", balls, "--folds", "0", "--out", "again"];
+        dbbd(dir.path(), &[&args[..], &["--prior", "first/parameters.csv"]].concat())
+    };
+    let same = identify("obs.csv", "C.csv");
+    assert!(same.status.code() == Some(3) && told(&same, "W1334"), "{}", stderr(&same));
+    assert_eq!(result(dir.path(), "again").prior, PriorSource::Datasheet);
+    assert!(!told(&identify("check.csv", "ball.csv"), "W1334"));
+}
+
+#[test]
 fn a_lost_posterior_is_reported() {
     let (dir, _) = cell("none");
     let path = dir.path().join("first/robot-identified.toml");

@@ -81,17 +81,20 @@ impl SupposedEventKind {
 
     /// In words.
     pub fn name(self) -> &'static str {
-        self.description().0
+        let (name, ..) = self.description();
+        name
     }
 
     /// Unit of its size.
     pub(super) fn unit(self) -> &'static str {
-        self.description().1
+        let (_, unit, ..) = self.description();
+        unit
     }
 
     /// Least and largest size in its unit.
     fn sizes(self) -> [f64; 2] {
-        self.description().2
+        let (.., sizes, _) = self.description();
+        sizes
     }
 }
 
@@ -113,7 +116,8 @@ pub(super) struct SupposedEvent {
 impl SupposedEvent {
     /// How many columns it adds.
     pub(super) fn columns(&self) -> usize {
-        self.kind.description().3
+        let (.., columns) = self.kind.description();
+        columns
     }
 
     /// Whether another one is of the same kind, part and row.

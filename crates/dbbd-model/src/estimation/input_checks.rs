@@ -147,8 +147,8 @@ fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) ->
 
 /// A length agrees with the nominal one within this fraction: tool and ball are known to some centimetres.
 const AGREES: f64 = 0.15;
-/// The fraction of lengths that must agree.
-const MAX_SHARE: f64 = 0.9;
+/// The fraction of lengths that must agree in a unit.
+const MIN_SHARE_NEAR: f64 = 0.9;
 /// Fewer lengths may agree by chance.
 const MIN_LENGTHS: usize = 4;
 
@@ -178,8 +178,8 @@ fn nominal_mm(
 fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measurement]) -> Option<UnitMistake> {
     /// In their unit the rows agree so much better: else a ball or a tool is elsewhere.
     const CLEARLY: f64 = 5.0;
-    /// Fewer are mistakes of single rows.
-    const LEAST_SHARE: f64 = 0.2;
+    /// A smaller share of rows that disagree are mistakes of single rows.
+    const MIN_SHARE_OFF: f64 = 0.2;
     let misfit = |row: &Measurement, degrees: f64, unit_mm: f64| {
         nominal_mm(geometry, centres, row, &row.axes.radians().map(|angle| degrees * angle))
             .map_or(f64::INFINITY, |mm| (unit_mm * row.length_mm - mm).abs() / mm)
@@ -187,7 +187,7 @@ fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measuremen
     let lengths: Vec<&Measurement> = rows.iter().filter(|row| !row.datum.is_plane()).collect();
     let off: Vec<&Measurement> =
         lengths.iter().copied().filter(|row| misfit(row, 1.0, 1.0) > AGREES).collect();
-    let least = MIN_LENGTHS.max((LEAST_SHARE * lengths.len() as f64) as usize);
+    let least = MIN_LENGTHS.max((MIN_SHARE_OFF * lengths.len() as f64) as usize);
     let misfits = |degrees: f64, unit_mm: f64| -> Vec<f64> {
         off.iter().map(|row| misfit(row, degrees, unit_mm)).collect()
     };
@@ -196,7 +196,7 @@ fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measuremen
         let mut misfits = misfits(degrees, unit_mm);
         let near = misfits.iter().filter(|misfit| **misfit <= AGREES).count();
         off.len() >= least
-            && near as f64 >= MAX_SHARE * off.len() as f64
+            && near as f64 >= MIN_SHARE_NEAR * off.len() as f64
             && median(&mut misfits).is_some_and(|misfit| CLEARLY * misfit <= as_given)
     };
     let of_lengths = LENGTH_UNITS.iter().find(|unit| agree(1.0, unit.factor)).map(|unit| ("length_mm", unit));
@@ -318,8 +318,15 @@ mod tests {
         assert_eq!(mistake(&all, 0.0), Some((ANGLES, "radians", count, first)));
         let half = with_angles(|at, deg| if 2 * at < count { deg } else { deg.to_radians() });
         assert_eq!(mistake(&half, 0.0), Some((ANGLES, "radians", count / 2, half.rows[count / 2].index)));
-        // Some lengths to a ball that is elsewhere agree about as well in gon.
+        // A share of 3/10, but not of 1/10, is a table of two parts.
+        let some = |share: f64| {
+            with_angles(|at, deg| if at as f64 >= share * count as f64 { deg } else { deg.to_radians() })
+        };
+        assert!(mistake(&some(0.3), 0.0).is_some() && mistake(&some(0.1), 0.0).is_none());
+        // Some lengths to a ball that is elsewhere agree about as well in gon; a whole table in gon agrees far better.
         assert_eq!(mistake(&lengths(), 90.0), None);
+        let gon = with_angles(|_, deg| deg / 0.9);
+        assert_eq!(mistake(&gon, 20.0).map(|found| found.1), Some("gon"));
     }
 
     #[test]

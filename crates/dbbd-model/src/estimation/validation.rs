@@ -113,6 +113,11 @@ pub(super) fn residual_of(model: &LengthModel, set: &Measurements) -> Option<Res
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimation::Options;
+    use crate::measurement::BaseBall;
+    use crate::robot::BallId;
+    use crate::test_support::cell::{CENTRE, kr60, measure, three_planes};
+    use nalgebra::Vector3;
 
     #[test]
     fn folds_by_default_need_enough_lengths() {
@@ -125,5 +130,27 @@ mod tests {
         ] {
             assert_eq!(folds(asked, lengths, 10), expected);
         }
+    }
+
+    /// With the true robot in each fold, what is held out is off by what was added; an outlier does not count.
+    #[test]
+    fn held_out_lengths_are_off_by_their_noise_and_a_fold_without_a_fit_gives_nothing() {
+        let robot = kr60();
+        let mut data = measure(&robot, &three_planes(1, CENTRE), 10, 30.0);
+        for (at, row) in data.rows.iter_mut().enumerate() {
+            row.length_mm += if at % 2 == 0 { 0.03 } else { -0.01 };
+        }
+        data.rows[4].length_mm += 5.0;
+        let balls = [BaseBall { id: BallId::FIRST, position: Vector3::from(CENTRE) }];
+        let model = LengthModel::new(robot.geometry.clone(), &balls);
+        let options = Options::default();
+        let lengths = Lengths::of(&data.rows, &options, &robot);
+        let rms = held_out_rms(&lengths, &[4], 5, |_| Some(model.clone())).unwrap();
+        // 14 lengths are off by 0.03 and 15 by 0.01 mm.
+        let expected = ((14.0 * 0.03f64.powi(2) + 15.0 * 0.01f64.powi(2)) / 29.0).sqrt();
+        assert!((rms / expected - 1.0).abs() < 1e-6, "{rms} {expected}");
+        let of_most = |training: &Lengths| (training.len() > 23).then(|| model.clone());
+        assert_eq!(held_out_rms(&lengths, &[4], 5, of_most), None);
+        assert_eq!(held_out_rms(&lengths, &[4], 31, |_| Some(model.clone())), None);
     }
 }
