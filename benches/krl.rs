@@ -38,7 +38,7 @@ fn plan(robot: &Robot) -> Plan {
     plan
 }
 
-/// A production program of named points in its `.dat`, every one taught anew.
+/// A production program of named points in its `.dat`, every one taught again.
 fn production(robot: &Robot) -> (String, String) {
     let mut source =
         "DEF P ( )\r\n$TOOL={X 0.0,Y 0.0,Z 150.0,A 0.0,B 0.0,C 0.0}\r\n$BASE=$NULLFRAME\r\n".to_owned();

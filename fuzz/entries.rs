@@ -426,7 +426,7 @@ fn trace(data: &[u8]) {
             assert_eq!(samples > 0, finished.is_ok());
             if let Ok((counts, _)) = finished {
                 assert_eq!(counts.samples, samples);
-                let _ = counts.doubts(last.seconds_since(HostNs(0)), 0.5).count();
+                let _ = counts.findings(last.seconds_since(HostNs(0)), 0.5).count();
             }
             return;
         };

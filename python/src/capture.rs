@@ -67,7 +67,8 @@ impl PyCapture {
             }
             Ok(())
         })?;
-        let findings = pass.doubts().into_iter().map(|doubt| Diagnostic::file(&name, doubt)).collect();
+        let findings =
+            pass.all_findings().into_iter().map(|finding| Diagnostic::file(&name, finding)).collect();
         Ok(Self { path, samples, events, findings, attachments })
     }
 }

@@ -45,7 +45,7 @@ impl PyCheck {
         to_python(py, &self.found)
     }
 
-    /// The robot with what changed identified anew, or None where nothing changed.
+    /// The robot with what changed identified again, or None where nothing changed.
     #[getter]
     fn updated(&self) -> Result<Option<PyRobot>, Failure> {
         self.found.check.update().cloned().map(PyRobot::of).transpose()

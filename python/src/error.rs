@@ -46,7 +46,7 @@ impl From<Failure> for PyErr {
     }
 }
 
-/// A doubt as a `dbbd.DbbdWarning`.
+/// A warning as a `dbbd.DbbdWarning`.
 ///
 /// # Errors
 /// Warnings are errors to the caller.

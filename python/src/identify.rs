@@ -68,10 +68,10 @@ impl PyResult_ {
         to_python(py, &self.found.diagnostics().collect::<Vec<_>>())
     }
 
-    /// Whether a finding throws doubt on the result.
+    /// Whether the result has warnings.
     #[getter]
-    fn doubtful(&self) -> bool {
-        self.found.result.is_doubtful()
+    fn has_warnings(&self) -> bool {
+        self.found.result.has_warnings()
     }
 
     /// The identified robot, with the nominal one and what is not known of it.

@@ -2,7 +2,7 @@
 
 use dbbd_job::request::checked_workspace;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::{check_measurements, doubts};
+use dbbd_model::estimation::{check_measurements, measurement_findings};
 use dbbd_model::measurement::MeasurementFinding;
 use dbbd_model::measurement::{BaseBall, DistinctMeasurements, Measurement, Measurements};
 use dbbd_model::robot::{AXES, AxisAngles, BallId, BarId, Coordinate, Datum, PayloadId, Robot, TargetId};
@@ -141,10 +141,10 @@ pub(crate) fn balls(array: &Numbers<'_>) -> PyResult<Vec<BaseBall>> {
         .collect())
 }
 
-/// What is doubtful in the measurements, after what makes them unusable.
+/// The findings about the measurements, after what makes them unusable.
 pub(crate) fn checked(lengths: &Measurements, robot: &Robot, balls: &[BaseBall]) -> Outcome<Vec<Diagnostic>> {
     check_measurements(ARRAYS, lengths, robot, balls)?;
-    Ok(doubts(ARRAYS, lengths, robot, balls))
+    Ok(measurement_findings(ARRAYS, lengths, robot, balls))
 }
 
 /// The poses of a workspace, rad; a warning if the robot's limits do not allow them.

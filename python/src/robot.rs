@@ -134,14 +134,14 @@ fn pieces<T: Sync, const W: usize>(items: &[T], work: impl Fn(&T) -> [f64; W] + 
 
 #[pymethods]
 impl PyRobot {
-    /// A robot by built-in name (`built_in` lists them) or by its TOML file, such as robot-identified.toml. What is doubtful in
+    /// A robot by built-in name (`built_in` lists them) or by its TOML file, such as robot-identified.toml. What is wrong in
     /// the file, or was in its identification, is a DbbdWarning.
     #[staticmethod]
     fn load(py: Python<'_>, name_or_path: PathBuf) -> Result<Self, Failure> {
         let name = name_or_path.to_string_lossy();
         let read = named_robot(&name)?;
-        let doubt = read.robot.doubtful().map(|doubt| Diagnostic::file(&name, doubt));
-        read.findings.iter().chain(&doubt).try_for_each(|finding| warn(py, finding))?;
+        let warnings = read.robot.calibration_warnings().map(|warnings| Diagnostic::file(&name, warnings));
+        read.findings.iter().chain(&warnings).try_for_each(|finding| warn(py, finding))?;
         let file = Robot::built_in_file(&name).is_none().then_some(name_or_path.clone());
         Ok(Self { read, file })
     }

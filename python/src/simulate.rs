@@ -13,7 +13,7 @@ use crate::lengths::balls;
 use crate::robot::PyRobot;
 
 /// The lengths (mm) that a bar reads at rest at axis angles (degrees) of the true `robot`; NaN where the bar is out of its
-/// stroke. Each pose is reached by a motion of its own, which draws the repeatability anew.
+/// stroke. Each pose is reached by a motion of its own, which draws the repeatability again.
 #[pyfunction]
 #[pyo3(signature = (
     axes_deg, ball, *, robot, balls_mm, bar_mm, stroke_mm=[-1e9, 1e9], noise_um=1.0, resolution_um=0.1,

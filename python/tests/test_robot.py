@@ -187,12 +187,12 @@ def test_other_threads_run_during_a_computation(paper):
     assert during > 10_000 * seconds
 
 
-def test_doubts_of_a_robot_are_warnings(tmp_path):
+def test_warnings_of_a_robot_are_python_warnings(tmp_path):
     text = (ROOT / "robots" / "kr60ha.toml").read_text()
-    doubtful = tmp_path / "doubtful.toml"
-    doubtful.write_text('doubts = ["W1333"]\n' + text)
+    warned = tmp_path / "warned.toml"
+    warned.write_text('warnings = ["W1333"]\n' + text)
     with pytest.warns(dbbd.DbbdWarning, match="W1333") as said:
-        dbbd.Robot.load(doubtful)
+        dbbd.Robot.load(warned)
     assert said[0].message.code == "W1843"
     other = tmp_path / "other.toml"
     other.write_text(text.replace("sign = -1", "sign = 1", 1))

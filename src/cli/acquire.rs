@@ -171,7 +171,7 @@ impl AcquireArgs {
 /// The remark in the capture after `--zero`.
 const ZEROED: &str = "the bar's reading was set to zero before the run";
 
-/// Records until the run is over, and reports its result and its doubts.
+/// Records until the run is over, and reports its result and its warnings.
 pub(super) fn record(
     args: &AcquireArgs,
     identity: Identity,
@@ -291,8 +291,8 @@ fn conclude(summary: &AcquisitionSummary, args: &AcquireArgs, out: &CommandOutpu
         counts.elapsed_s,
         ending.reason()
     ));
-    out.findings(doubts(summary, args));
-    out.findings(axes_doubts(summary, args));
+    out.findings(run_warnings(summary, args));
+    out.findings(axes_warnings(summary, args));
     // Another program may have written into the file: it is read back.
     out.findings_in(capture.display(), run::damages(capture)?);
     if args.plan.is_some() && counts.samples > 0 {
@@ -301,14 +301,14 @@ fn conclude(summary: &AcquisitionSummary, args: &AcquireArgs, out: &CommandOutpu
     Ok(())
 }
 
-fn doubts(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<PortFinding> {
+fn run_warnings(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<PortFinding> {
     /// A run has more than one valid reading in so many, also with long pauses without the bar.
     const FEW_IN: u64 = 100;
     let AcquisitionSummary { ending, progress, .. } = *summary;
     let RunCounts { missing, lost_bytes, gaps, .. } = progress.counts;
     let (counts, silent_s) = (progress.counts, progress.silent_s);
     let valid = counts.samples.saturating_sub(progress.invalid);
-    let doubts = [
+    let found = [
         (
             ending == EndReason::Gone,
             PortFinding::StayedAway { port: args.port.to_string(), gone_s: args.gone },
@@ -323,10 +323,10 @@ fn doubts(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<PortFinding> 
         (progress.refused > 0, PortFinding::TelegramsRefused { telegrams: progress.refused }),
         (args.ekrl.is_some() && progress.telegrams == 0, PortFinding::NoTelegram),
     ];
-    doubts.into_iter().filter_map(|(found, finding)| found.then_some(finding)).collect()
+    found.into_iter().filter_map(|(found, finding)| found.then_some(finding)).collect()
 }
 
-fn axes_doubts(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<AxesFinding> {
+fn axes_warnings(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<AxesFinding> {
     let Some(address) = args.axes.as_ref().map(ToString::to_string) else { return Vec::new() };
     let counts = summary.progress.axes.unwrap_or_default();
     let PacketCounts { packets, used, lost, malformed, restarts, late_answers, .. } = counts;
@@ -335,11 +335,11 @@ fn axes_doubts(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<AxesFind
     } else {
         AxesFinding::NothingCame { address }
     };
-    let doubts = [
+    let found = [
         (used == 0, none),
         (lost + malformed > 0 && used > 0, AxesFinding::PacketsLost { lost, malformed, packets }),
         (restarts > 0, AxesFinding::ClockRestarted { restarts }),
         (late_answers > 0, AxesFinding::AnswersLate { late_answers }),
     ];
-    doubts.into_iter().filter_map(|(found, finding)| found.then_some(finding)).collect()
+    found.into_iter().filter_map(|(found, finding)| found.then_some(finding)).collect()
 }

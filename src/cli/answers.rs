@@ -37,7 +37,7 @@ impl From<AnswerOutcome> for CommandOutcome {
     fn from(outcome: AnswerOutcome) -> Self {
         match outcome {
             AnswerOutcome::Done => Self::Done,
-            AnswerOutcome::Warned | AnswerOutcome::Undecided => Self::Doubt,
+            AnswerOutcome::Warned | AnswerOutcome::Undecided => Self::Warned,
             AnswerOutcome::Failed => Self::Failed,
         }
     }

@@ -13,6 +13,7 @@ findings! {
         E0003 "an option's value is not valid",
         cause: "The value of an option on the command line is not of its type or out of its range (exit code 2).",
         cure: "`dbbd VERB --help` says what the option takes, with the unit." {
+            NotANumber { range: String } => "a number without its unit is needed; {range}";
             NotPositive => "a positive number is needed";
             NotDraws { least: usize, most: usize } => "a number of draws from {least} to {most}, or 0, is needed";
             NotSeconds => "a number of seconds, 0 or more, is needed";

@@ -128,7 +128,7 @@ fn check_lines(check: &InterimCheck) -> Vec<String> {
         decision.position_error_mm, decision.upper_mm
     ));
     if let Some(updated) = position.updated {
-        lines.push(format!("with what changed identified anew (--update): {:.3} mm", updated.p95));
+        lines.push(format!("with what changed identified again (--update): {:.3} mm", updated.p95));
     }
     lines.extend(check.validity.iter().map(|validity| format!("valid {validity}")));
     let word = match decision.decision {

@@ -109,7 +109,7 @@ pub(crate) fn run(args: &CompareArgs, out: &CommandOutput) -> Result<CommandOutc
             let parameters = Names::of(results.not_compared.iter().map(|parameter| parameter.name));
             out.finding(ConformityFinding::DifferentlyEstimated { parameters });
         }
-        out.findings(doubts_of_results(&documents, &sources));
+        out.findings(warnings_of_results(&documents, &sources));
     }
     out.document(&written)?;
     comparison_lines(&comparison).into_iter().for_each(|line| out.result(line));
@@ -153,23 +153,23 @@ fn other_date(date: &str, identity: &Identity) -> Option<ConformityFinding> {
     (apart_days > TOLERANCE_DAYS).then(|| ConformityFinding::OtherDate { date: date.into(), measured })
 }
 
-/// Why the difference of results may be doubtful: a result is doubtful itself, two rest on the same lengths, or they are not
+/// Why the difference of results may not be a change of the robot: a result has warnings itself, two rest on the same lengths, or they are not
 /// in the order of time.
-fn doubts_of_results(documents: &[ComparedFile], sources: &[TracedArtefact]) -> Vec<Diagnostic> {
+fn warnings_of_results(documents: &[ComparedFile], sources: &[TracedArtefact]) -> Vec<Diagnostic> {
     let mut findings = Vec::new();
     for (at, (document, source)) in documents.iter().zip(sources).enumerate() {
-        let mut doubt = |finding: Diagnostic| findings.push(finding.in_file(&document.name));
-        let doubts = doubts(&document.json);
-        if !doubts.is_empty() {
-            let (robot, doubts) = (document.name.clone(), Names::of(doubts));
-            doubt(ProvenanceFinding::DoubtfulRobot { robot, doubts }.into());
+        let mut warn = |finding: Diagnostic| findings.push(finding.in_file(&document.name));
+        let warnings = warning_codes(&document.json);
+        if !warnings.is_empty() {
+            let (robot, warnings) = (document.name.clone(), Names::of(warnings));
+            warn(ProvenanceFinding::RobotWithWarnings { robot, warnings }.into());
         }
         let own = &source.provenance;
         for (first, before) in documents.iter().zip(sources).take(at) {
             let known: Vec<&Artefact> = before.provenance.measured().collect();
             let same = own.measured().find(|one| known.iter().any(|other| other.sha256 == one.sha256));
             if let Some(lengths) = same.map(ToString::to_string) {
-                doubt(ProvenanceFinding::SameLengths { lengths, first: first.name.clone() }.into());
+                warn(ProvenanceFinding::SameLengths { lengths, first: first.name.clone() }.into());
             }
         }
         let day = |source: &TracedArtefact| source.provenance.identity.day().map(str::to_owned);
@@ -177,18 +177,18 @@ fn doubts_of_results(documents: &[ComparedFile], sources: &[TracedArtefact]) -> 
             at.checked_sub(1).and_then(|before| day(&sources[before])).zip(day(source))
             && day_number(&now) < day_number(&before)
         {
-            doubt(ConformityFinding::MeasuredBefore { measured: now, before }.into());
+            warn(ConformityFinding::MeasuredBefore { measured: now, before }.into());
         }
     }
     findings
 }
 
-/// The codes of the doubts in a result.json.
-fn doubts(result: &Json) -> Vec<String> {
+/// The codes of the warnings in a result.json.
+fn warning_codes(result: &Json) -> Vec<String> {
     let warnings = result.get("findings").and_then(Json::as_array).into_iter().flatten();
-    let doubtful = warnings.filter(|warning| warning.get("severity").and_then(Json::as_str) != Some("info"));
+    let warnings = warnings.filter(|warning| warning.get("severity").and_then(Json::as_str) != Some("info"));
     let code = |warning: &Json| warning.get("code").and_then(Json::as_str).map(str::to_owned);
-    let mut codes: Vec<String> = doubtful.filter_map(code).collect();
+    let mut codes: Vec<String> = warnings.filter_map(code).collect();
     codes.sort();
     codes.dedup();
     codes

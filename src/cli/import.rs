@@ -19,7 +19,7 @@ use dbbd_model::measurement::sample::Sample;
 /// The size of a record with lines of the trace, bytes.
 const BLOCK: usize = 1 << 16;
 
-/// A trace longer than this multiple of the plan's duration is doubtful: the lowest override is 1 %.
+/// A trace longer than this multiple of the plan's duration gives a warning: the lowest override is 1 %.
 const MAX_DURATION_RATIO: f64 = 100.0;
 /// A trace longer than this multiple of it is reported.
 const LONG: f64 = 1.5;
@@ -98,7 +98,7 @@ pub(crate) fn run(args: &ImportArgs, out: &CommandOutput) -> Result<CommandOutco
         let times = seconds / planned_s;
         out.finding(Diagnostic::file(&name, ImportFinding::Longer { seconds, times }));
     }
-    out.findings_in(&name, counts.doubts(seconds, dwell_s));
+    out.findings_in(&name, counts.findings(seconds, dwell_s));
     out.document(&json!({ "samples": samples, "invalid": invalid, "seconds": seconds }))?;
     out.result(format!("{}: {samples} samples over {seconds:.1} s", args.out.display()));
     Ok(CommandOutcome::Done)

@@ -91,7 +91,7 @@ pub(crate) fn run(args: &InfoArgs, out: &CommandOutput) -> Result<CommandOutcome
     let mut info = collected.finish(&pass)?;
     info.sha256 = files::sha256(path)?;
     let name = path.display().to_string();
-    out.findings_in(&name, pass.doubts());
+    out.findings_in(&name, pass.all_findings());
     let planned = ["plan.csv", "plan.json"].iter().all(|file| info.attachments.contains_key(*file));
     let mut outcome = CommandOutcome::Done;
     let losses = match info.samples {
@@ -104,7 +104,7 @@ pub(crate) fn run(args: &InfoArgs, out: &CommandOutput) -> Result<CommandOutcome
         // The contents of the capture are shown even if its plan cannot be used.
         Err(unusable) => {
             out.finding(unusable);
-            outcome = CommandOutcome::Doubt;
+            outcome = CommandOutcome::Warned;
         }
     }
     out.document(&info)?;

@@ -52,7 +52,7 @@ const EVERYWHERE: &str = "Options of every command";
 
 /// Printed below the list of commands.
 const EXITS: &str = "Exit codes: 0 done; 1 failed or refused, with the reason on stderr; 2 wrong usage; 3 done, with a \
-loss or a doubt that you must see; 4 `check` only: the robot fails or has changed. Results go to stdout, everything else to \
+loss or a warning that you must see; 4 `check` only: the robot fails or has changed. Results go to stdout, everything else to \
 stderr. NO_COLOR is honoured. `dbbd explain CODE` explains the code of a message.";
 
 /// Calibrates an industrial robot with a telescoping double ball-bar.
@@ -77,7 +77,7 @@ pub(crate) struct CommonOptions {
     /// Print the result as one JSON document on stdout, and nothing else there.
     #[arg(long, global = true, help_heading = EVERYWHERE)]
     json: bool,
-    /// Exit with 1 instead of 3 if there is a loss or a doubt.
+    /// Exit with 1 instead of 3 if there is a loss or a warning.
     #[arg(long, global = true, help_heading = EVERYWHERE)]
     strict: bool,
     /// End when the standard input closes, because the parent process has ended.
@@ -123,8 +123,8 @@ enum Verb {
 pub(crate) enum CommandOutcome {
     /// Exit code 0.
     Done,
-    /// A loss or a doubt that the user must see: exit code 3.
-    Doubt,
+    /// A loss or a warning that the user must see: exit code 3.
+    Warned,
     /// The robot that was checked fails or has changed: exit code 4.
     Failed,
 }

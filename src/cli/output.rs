@@ -297,7 +297,7 @@ fn code(why: &(dyn Error + 'static)) -> Option<FindingCode> {
         .or_else(|| why.downcast_ref::<Diagnostic>().map(Diagnostic::code))
 }
 
-/// Reports the error, if there is one, and returns the exit code. A command that reported a warning ends with a doubt.
+/// Reports the error, if there is one, and returns the exit code. A command that reported a warning ends with exit code 3.
 pub(super) fn finish(out: &CommandOutput, result: Result<CommandOutcome, Diagnostic>) -> ExitCode {
     let result = match out.stdout_error.get() {
         Some(why) => {

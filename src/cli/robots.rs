@@ -62,11 +62,11 @@ enum RobotsVerb {
     },
 }
 
-/// Reads a robot by built-in name or file, and reports a doubtful identification.
+/// Reads a robot by built-in name or file, and reports the warnings of its identification.
 pub(crate) fn read_named_robot(name: &str, out: &CommandOutput) -> Result<LoadedRobot, Diagnostic> {
     let mut read = named_robot(name)?;
     out.findings(std::mem::take(&mut read.findings));
-    out.findings_in(name, read.robot.doubtful());
+    out.findings_in(name, read.robot.calibration_warnings());
     Ok(read)
 }
 

@@ -17,13 +17,13 @@ fn number(text: &str, is_valid: impl Fn(f64) -> bool, refusal: CliFinding) -> Re
     text.parse().ok().filter(|value: &f64| value.is_finite() && is_valid(*value)).ok_or(refusal)
 }
 
-/// A number that its quantity can have. A text that is no number is none of any.
+/// A number that its quantity can have.
 fn of(text: &str, quantity: Quantity) -> Result<f64, Diagnostic> {
     within(text, quantity.range())
 }
 
 fn within(text: &str, range: PlausibleRange) -> Result<f64, Diagnostic> {
-    let value = text.parse().unwrap_or(f64::NAN);
+    let value = text.parse().map_err(|_| CliFinding::NotANumber { range: range.to_string() })?;
     range.check(ValueKey::NONE, value)?;
     Ok(value)
 }
@@ -32,16 +32,18 @@ pub(super) fn positive(text: &str) -> Result<f64, CliFinding> {
     number(text, |value| value > 0.0, CliFinding::NotPositive)
 }
 
-/// The standard uncertainty of a bar's length, mm.
+/// A date, or date and time.
 pub(super) fn date(text: &str) -> Result<String, Diagnostic> {
     let not_a_date = || IdentityFinding::NotADate { key: "date".into(), date: text.into() };
     is_moment(text).then(|| text.to_owned()).ok_or_else(|| not_a_date().into())
 }
 
+/// A temperature, degrees Celsius.
 pub(super) fn temperature(text: &str) -> Result<f64, Diagnostic> {
     of(text, Quantity::Temperature)
 }
 
+/// The standard uncertainty of a bar's length, mm.
 pub(super) fn bar_u(text: &str) -> Result<f64, Diagnostic> {
     of(text, Quantity::StandardLengthUncertainty)
 }

@@ -50,7 +50,7 @@ pub struct AcquisitionOptions {
     pub out: PathBuf,
     /// The plan that the robot executes. Its files are attached to the capture.
     pub plan: Option<PlanFiles>,
-    /// Identity data of this run, in addition to those of the plan.
+    /// Identity data of this run, in addition to the identity data of the plan.
     pub identity: Identity,
     pub controller: ControllerConnections,
     /// The run ends after this host time.
@@ -63,7 +63,7 @@ pub struct AcquisitionOptions {
     pub sync_s: f64,
 }
 
-/// What ended a run.
+/// The reason for the end of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EndReason {
@@ -71,7 +71,7 @@ pub enum EndReason {
     Mark,
     Duration,
     Stopped,
-    /// The port stayed absent.
+    /// The port was absent for too long.
     Gone,
 }
 
@@ -123,7 +123,7 @@ impl Acquisition {
         Self::record(writer, options, opened, stop)
     }
 
-    /// The same, into an open writer.
+    /// The same as [`Self::start`], into an open writer.
     pub fn start_on(
         writer: CaptureWriter,
         options: AcquisitionOptions,
@@ -202,7 +202,7 @@ impl Acquisition {
     }
 }
 
-/// Records that the bar was opened, and the bytes that came with its start.
+/// Records that the bar was opened, and the bytes that followed its start command.
 fn record_opened(
     recorder: &mut Recorder,
     address: &PortAddress,
@@ -232,10 +232,10 @@ struct RecorderThread {
     began: HostNs,
 }
 
-/// How the recording from an open port ended.
+/// The reason why the recording from an open port ended.
 enum PortSessionEnd {
     Over(EndReason),
-    /// Since when, and the reason.
+    /// The port is gone: since when, and the reason.
     Gone(HostNs, String),
 }
 
@@ -348,7 +348,7 @@ impl RecorderThread {
         }
     }
 
-    /// Opens the port again, with growing pauses between the attempts, or returns what ended the run meanwhile.
+    /// Opens the port again, with growing pauses between the attempts, or returns the reason if the run ends meanwhile.
     fn reopen(&mut self, since: HostNs) -> Result<Result<OpenedBar, EndReason>, Diagnostic> {
         let mut backoff = 0.1;
         let mut next = 0.0;

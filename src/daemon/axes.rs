@@ -54,7 +54,7 @@ impl AxesSource {
         Ok(Self { address, arrivals, stop })
     }
 
-    /// The address that it listens on, or the controller's.
+    /// The address at which RSI is received, or the address of the RTDE controller.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -70,7 +70,7 @@ impl Drop for AxesSource {
     }
 }
 
-/// The state of the thread.
+/// The state of the receiving thread.
 struct AxesThread {
     address: AxesAddress,
     sender: SyncSender<(HostNs, AxesArrival)>,
@@ -86,7 +86,7 @@ impl AxesThread {
         ControllerAway { address: self.address.to_string(), why: error.to_string() }
     }
 
-    /// Ignored once the run is over.
+    /// Sends an arrival to the recorder; it is ignored once the run is over.
     fn send(&self, host: HostNs, arrival: AxesArrival) {
         let _ = self.sender.send((host, arrival));
     }
@@ -126,7 +126,7 @@ impl AxesThread {
         let mut room = vec![0; rsi::MAX_DATAGRAM_BYTES + 1];
         let (mut controller, mut unrecorded, mut strangers): (Option<IpAddr>, u64, u64) = (None, 0, 0);
         while !self.over() {
-            // The error may refer to an earlier answer: nobody listens at that port.
+            // The error may refer to an earlier answer, which nobody received.
             let Ok((count, from)) = socket.recv_from(&mut room) else { continue };
             let host = clock::now();
             let bytes = room.get(..count).unwrap_or_default();
@@ -253,7 +253,7 @@ impl AxesThread {
         String::new()
     }
 
-    /// `None` when the run is over.
+    /// Connects again. `None` when the run is over.
     fn reconnect(&self) -> Option<TcpStream> {
         while !self.over() {
             if let Ok(stream) = self.connect() {

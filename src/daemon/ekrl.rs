@@ -23,8 +23,8 @@ use dbbd_job::recording::{Telegram, TelegramReader, TelegramResult};
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
 
-/// Connections at a time: the controller's and stale ones. A new connection replaces the one that has been idle
-/// longest.
+/// Connections at a time: the connection of the controller and stale ones. A new connection replaces the one that has
+/// been idle longest.
 const MAX_CLIENTS: usize = 8;
 /// Events that are not recorded yet. Each client waits for its answer, so the queue never fills.
 const QUEUE: usize = 4 * MAX_CLIENTS;
@@ -50,7 +50,7 @@ pub struct EkrlServer {
 }
 
 impl EkrlServer {
-    /// Port 0 means any free port.
+    /// Listens for the controller. Port 0 means any free port.
     pub fn listen(address: SocketAddr) -> Result<Self, PortFinding> {
         let error = |error: io::Error| NotListening { address: address.to_string(), why: error.to_string() };
         let listener = TcpListener::bind(address).map_err(error)?;
@@ -87,7 +87,7 @@ struct TelegramChannel {
 
 #[derive(Debug, Default)]
 struct TelegramClient {
-    /// Time of its last telegram, ns; 0 for none.
+    /// Time of the client's last telegram, ns; 0 for none.
     heard_ns: AtomicU64,
     replaced: AtomicBool,
 }
@@ -97,7 +97,7 @@ impl TelegramChannel {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Ignored once the run is over.
+    /// Sends an event to the recorder; it is ignored once the run is over.
     fn send(&self, event: ChannelEvent) {
         let _ = self.sender.send((clock::now(), event));
     }
@@ -111,7 +111,7 @@ impl TelegramChannel {
                     self.take(stream, from);
                 }
                 Err(error) => {
-                    // Remarked once, not fifty times a second.
+                    // The error is noted once, not fifty times a second.
                     if error.kind() != ErrorKind::WouldBlock && !std::mem::replace(&mut failing, true) {
                         self.send(ChannelEvent::Remark(format!("EthernetKRL: nobody can connect: {error}")));
                     }
@@ -160,7 +160,7 @@ impl TelegramChannel {
         client
     }
 
-    /// Returns the number of remaining clients.
+    /// Removes a client, and returns the number of remaining clients.
     fn leave(&self, client: &Arc<TelegramClient>) -> usize {
         let mut open = lock(&self.open);
         open.retain(|other| !Arc::ptr_eq(other, client));
@@ -203,7 +203,7 @@ impl TelegramChannel {
         (reader, "was left: the run is over".into())
     }
 
-    /// Waits until the telegram is recorded. `None` when the run is over.
+    /// Waits until the telegram is recorded, and returns the answer. `None` when the run is over.
     fn answer(&self, heard: TelegramResult) -> Option<u32> {
         match heard {
             TelegramResult::Telegram(telegram) => {
@@ -247,7 +247,7 @@ impl TelegramRecorder {
         Self { server, schedule, waiting: VecDeque::new(), last_dwell_over: false, closed: false }
     }
 
-    /// Records and answers the telegrams that are old enough; all of them while the bar is idle.
+    /// Records and answers the telegrams that are old enough; all telegrams while the bar is idle.
     pub(super) fn step(&mut self, recorder: &mut Recorder, line: BarLineState) -> Result<(), Diagnostic> {
         self.waiting.extend(self.server.events.try_iter());
         let now = clock::now();

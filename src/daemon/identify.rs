@@ -32,7 +32,7 @@ pub struct ProtocolSearch<'a> {
 pub struct ProbeAttempt {
     /// The definition whose commands were sent; `None` if nothing was sent.
     pub asked: Option<String>,
-    /// `None` for a line without a baud rate.
+    /// Baud rate; `None` for a line without one.
     pub baud: Option<u32>,
     pub bytes: usize,
     /// The definitions that explain some bytes, the best first.
@@ -97,8 +97,8 @@ impl ProtocolSearch<'_> {
         lines
     }
 
-    /// Waits for the first byte, and listens longer if the bytes may be of a bar. Also returns the time until the first
-    /// byte, s.
+    /// Waits for the first byte, and listens longer if a bar may have sent the bytes. Also returns the time until the
+    /// first byte, s.
     fn listen(&self, line: &LineSettings, patience_s: f64) -> Result<(ProbeAttempt, f64), PortFinding> {
         let mut port = Port::open(self.port, line)?;
         let has_rate = matches!(port.stamps().transport, LineTransport::Tty | LineTransport::Rfc2217);

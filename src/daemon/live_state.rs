@@ -39,12 +39,12 @@ pub struct LiveRun {
     /// Drift of the device's clock against the host's since the first sample, ms.
     pub clock_ahead_ms: Option<f64>,
     pub mounting: MountingState,
-    /// The readings by the second, the newest last.
+    /// The range of the readings in each second, the newest last.
     pub trace: VecDeque<ReadingRange>,
 }
 
 impl LiveRun {
-    /// Adds a frame to the second that it is in.
+    /// Adds a frame to the trace: to the second in which it lies.
     fn add_to_trace(&mut self, frame: &Frame) {
         let Frame { t_s, min_mm, max_mm, .. } = *frame;
         match self.trace.back_mut().filter(|last| last.t_s.floor() == t_s.floor()) {
@@ -106,8 +106,8 @@ impl LiveFeed {
         }
     }
 
-    /// Adds a recorded sample; `device_s` is its device time since the first one, `dwells` the completed dwells.
-    /// Returns what it shows of the mounting.
+    /// Adds a recorded sample; `device_s` is its device time since the first one, `dwells` the number of completed
+    /// dwells. Returns a note about the mounting if the sample shows a fault of it.
     pub(super) fn sample(
         &mut self,
         host: HostNs,
@@ -234,7 +234,7 @@ mod tests {
         assert_eq!((began, frame.samples, frame.frame), (host(0), 4, 1));
         assert_eq!([frame.min_mm, frame.max_mm, frame.last_mm], [-0.2, 1.5, 0.7]);
         assert!((frame.span_ms - 30.0).abs() < 1e-9 && !frame.valid);
-        // It is published after 50 ms.
+        // The frame is published after 50 ms.
         feed.tick(host(49));
         assert!(feed.frame.is_some());
         feed.tick(host(50));

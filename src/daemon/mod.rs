@@ -37,15 +37,15 @@ pub use signals::stop_on_signal;
 /// An open and started bar.
 struct OpenedBar {
     port: Port,
-    /// Before the line was opened.
+    /// Host time before the line was opened.
     began: HostNs,
-    /// Discarded bytes of an earlier stream.
+    /// Number of discarded bytes of an earlier stream.
     stale: u64,
     /// Bytes of the stream that followed the answer to the start command.
     first: Vec<u8>,
 }
 
-/// Why a telegram is not of the plan's program.
+/// Why a telegram does not belong to the program of the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum TelegramMismatch {
     Run { expected: u32 },

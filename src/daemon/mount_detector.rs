@@ -3,16 +3,17 @@
 use super::schedule::Schedule;
 use crate::live::Alarm;
 
-/// Longer than hands hold the bar within its stroke while they mount it, s.
+/// Time in the stroke after which a bar is mounted, s: longer than hands hold the bar within its stroke while they
+/// mount it.
 const SETTLED_S: f64 = 1.0;
 
 #[derive(Clone, Copy, Debug)]
 pub struct MountReading {
     pub t_s: f64,
     pub reading_mm: f64,
-    /// As flagged by the bar.
+    /// Whether the bar flags the reading as valid.
     pub valid: bool,
-    /// Completed dwells.
+    /// Number of completed dwells.
     pub dwells: u32,
 }
 
@@ -43,7 +44,7 @@ impl MountDetector {
             self.mounted = false;
         }
         match self.removal_due {
-            // It was not taken off.
+            // The bar was not taken off.
             Some(since) if inside && dwells > since => (self.removal_due, self.mounted) = (None, true),
             Some(_) if inside => {}
             Some(_) => self.removal_due = None,
@@ -96,7 +97,7 @@ mod tests {
                 "at {t_s} s"
             );
         }
-        // Left on between two balls: the next dwell shows it.
+        // The bar is left on between two balls: the next dwell shows it.
         let mut detector = MountDetector::default();
         for (t_s, dwells) in [(0.0, 0), (1.0, 0), (3.0, 3), (4.0, 4)] {
             assert_eq!(
@@ -129,7 +130,7 @@ mod tests {
         for (readings, expected) in [
             (vec![(0.0, 0.0, 0), (0.99, 0.0, 0), (0.995, 3.0, 0)], None),
             (vec![(0.0, 0.0, 0), (1.0, 0.0, 0), (1.005, 3.0, 0)], Some(Alarm::Over)),
-            // Interrupted: the second begins again.
+            // Interrupted: the second in the stroke begins again.
             (vec![(0.0, 0.0, 0), (0.6, 3.0, 0), (0.7, 0.0, 0), (1.6, 0.0, 0), (1.65, 3.0, 0)], None),
             (vec![(0.0, 0.0, 0), (1.0, 0.0, 0), (1.5, 2.9, 0)], Some(Alarm::Near)),
         ] {

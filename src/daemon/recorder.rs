@@ -16,11 +16,12 @@ use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::sample::Sample;
 
-/// Shorter silence is not recorded where sequence numbers show losses, s: radio links deliver batches of a second.
+/// Shorter silence is not recorded where sequence numbers show losses, s: radio links deliver the samples of a second
+/// together.
 const SILENCE_S: f64 = 2.5;
 /// Shorter silence may be caused by a busy host, s.
 const SILENT_S: f64 = 1.0;
-/// The first faults in a row have one record each. Further faults of the same kind share one.
+/// The first faults in a row have one record each. Further faults of the same kind share one record.
 const ONE_BY_ONE: u32 = 16;
 /// Interval between checks of the capture file, s.
 const CHECK_S: f64 = 0.5;
@@ -29,7 +30,7 @@ const MAX_EVENTS: u32 = 200;
 /// Without a plan the program is over when the strobe stays low for this time after an end mark, s.
 const OVER_S: f64 = 20.0;
 
-/// What a run has read so far.
+/// The counts and readings of a run so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct RunProgress {
     #[serde(flatten)]
@@ -42,7 +43,7 @@ pub struct RunProgress {
     pub silent_s: f64,
     /// Recorded telegrams of the program.
     pub telegrams: u64,
-    /// Telegrams of another plan or of no dwell.
+    /// Telegrams of another plan, or of a row without a dwell.
     pub refused: u64,
     /// Packets of a controller that publishes its axes.
     pub axes: Option<PacketCounts>,
@@ -56,7 +57,7 @@ pub struct Recorder {
     stream: BarStream,
     upkeep: CaptureUpkeep,
     rate: EventRate,
-    /// The time of the device, if it has a clock.
+    /// Device time of the samples, if the device has a clock.
     time: Option<DeviceTime>,
     program: ProgramEnd,
     axes: AxesRecords,
@@ -70,7 +71,7 @@ struct PendingCapture {
     /// Samples of one host time.
     samples: Vec<Sample>,
     samples_host: HostNs,
-    /// The next fault may join it.
+    /// The last fault; the next one may be joined to it.
     fault: Option<(HostNs, LineFault)>,
     /// Faults since the last sample.
     faults_in_a_row: u32,
@@ -136,7 +137,7 @@ struct EventRate {
     second: HostNs,
     /// Events of this second.
     events: u32,
-    /// Gaps, samples missing in them, and other events since the last record of what was withheld.
+    /// Gaps, samples missing in them, and other events that had no record since the last record about withheld events.
     withheld: [u64; 3],
 }
 
@@ -145,7 +146,7 @@ impl EventRate {
         Self { second: now, events: 0, withheld: [0; 3] }
     }
 
-    /// What was withheld, when its second is over.
+    /// The event with the counts of withheld events, when their second is over.
     fn due(&mut self, now: HostNs) -> Option<RunEvent> {
         if now.seconds_since(self.second) < 1.0 {
             return None;
@@ -159,7 +160,8 @@ impl EventRate {
         (gaps + others > 0).then_some(RunEvent::Withheld { gaps, missing, others })
     }
 
-    /// Whether the event may have a record; it is counted if not. What the evaluation needs always has one.
+    /// Whether the event may have a record; otherwise it is counted as withheld. Events that the evaluation needs
+    /// always have one.
     fn admits(&mut self, event: &RunEvent) -> bool {
         let counts = match event {
             RunEvent::Gap { .. } => {
@@ -185,7 +187,7 @@ impl EventRate {
     }
 }
 
-/// What is known of the stream of the bar.
+/// The state of the stream of the bar.
 struct BarStream {
     silence: SilenceLimit,
     sequence: SequenceNumbers,
@@ -193,13 +195,13 @@ struct BarStream {
     requests: PollRequests,
 }
 
-/// How long nothing may come before it is recorded as a gap.
+/// The longest silence that is not recorded as a gap.
 #[derive(Clone, Copy)]
 struct SilenceLimit {
     /// Seconds; `None` for a device that may be silent.
     limit_s: Option<f64>,
     last_bytes: Option<HostNs>,
-    /// Seconds without a byte, of which the next sample says whether the bar was silent or its host stood still.
+    /// Seconds without a byte. The next sample shows whether the bar was silent or its host stood still.
     unexplained_s: f64,
 }
 
@@ -232,7 +234,8 @@ struct SequenceNumbers {
 }
 
 impl SequenceNumbers {
-    /// Samples that are missing before this one, if their number is known, and the reason of the gap; `None` without a gap.
+    /// The number of samples that are missing before this one, if it is known, and the reason of the gap; `None`
+    /// without a gap.
     fn gap(&mut self, sample: &Sample) -> Option<(Option<u64>, String)> {
         let (modulo, sequence) = (self.modulo?, sample.sequence?);
         let last = self.last.replace(sequence)?;
@@ -254,7 +257,7 @@ struct FrameSync {
 
 /// The requests of a polled device.
 struct PollRequests {
-    /// The time of the last one.
+    /// The time of the last request.
     last: Option<HostNs>,
     /// Whether the reading belongs to the time of the request, `latch_delay_ns` later.
     is_latched: bool,
@@ -271,14 +274,14 @@ impl PollRequests {
     }
 }
 
-/// What is done at intervals while a run goes on.
+/// The times and counts of the work that is done at intervals during a run.
 struct CaptureUpkeep {
     began: HostNs,
     sync_s: f64,
     last_sync: HostNs,
     last_check: HostNs,
     rate_since: HostNs,
-    /// Samples when the rate was taken last.
+    /// Number of samples when the rate was last computed.
     rate_samples: u64,
     /// Interference of other programs with the capture file.
     findings: Vec<Diagnostic>,
@@ -385,7 +388,7 @@ impl Recorder {
         self.feed = Some(feed);
     }
 
-    /// What was found about the capture file since it was asked last.
+    /// The findings about the capture file since the last call.
     pub(super) fn take_findings(&mut self) -> Vec<Diagnostic> {
         std::mem::take(&mut self.upkeep.findings)
     }
@@ -671,7 +674,8 @@ mod tests {
         assert_eq!(patient.exceeded_s(at(99.0), 0.0), None);
     }
 
-    /// 3 s without a byte are of the host if the bar's clock went on by a sample, and of the bar if it has no clock.
+    /// 3 s without a byte: the host stood still if the bar's clock went on by one sample; the bar was silent if it has
+    /// no clock.
     #[test]
     fn a_host_that_stood_still_is_no_silent_bar() {
         let mut silence = SilenceLimit { limit_s: Some(0.5), last_bytes: None, unexplained_s: 3.0 };
@@ -691,7 +695,7 @@ mod tests {
             numbers.gap(&sample).map(|(missing, _)| missing)
         };
         assert_eq!([missing(5), missing(6), missing(10)], [None, None, Some(Some(3))]);
-        // Over the end of the counter: 221 to 255 and 0 and 1 are 37. More than half of the range is a step back.
+        // The counter wraps: 221 to 255 and 0 and 1 are 37. More than half of the range is a step back.
         assert_eq!([missing(130), missing(220), missing(2)], [119, 89, 37].map(|few| Some(Some(few))));
         assert_eq!(missing(250), Some(None));
         let mut none = SequenceNumbers { modulo: None, last: Some(1) };

@@ -33,18 +33,18 @@ struct PlannedDwell {
     angle_deg: Option<f64>,
     clockwise: bool,
     length_mm: f64,
-    /// Time of the plan after it, s.
+    /// Remaining time of the plan after the dwell, s.
     left_s: f64,
 }
 
-/// The plan's program.
+/// The program of the plan.
 #[derive(Clone, Debug, PartialEq)]
 struct ScheduledProgram {
-    /// One per circle of the plan.
+    /// Number of modules: one per circle of the plan.
     modules: usize,
-    /// The run number in its telegrams.
+    /// The run number in the telegrams of the program.
     run: Option<u32>,
-    /// The rows whose end it reports: dwells, and ends of passes without stops.
+    /// The rows whose end the program reports: dwells, and ends of passes without stops.
     reported: BTreeSet<u32>,
 }
 
@@ -105,7 +105,7 @@ impl Schedule {
         self.program.as_ref().map(|program| program.modules)
     }
 
-    /// `None` if the telegram is of the plan's program, or without a plan.
+    /// Why the telegram does not belong to the program of the plan; `None` if it does, or without a plan.
     pub(super) fn mismatch(&self, telegram: &Telegram) -> Option<TelegramMismatch> {
         let program = self.program.as_ref()?;
         match program.run {
@@ -119,7 +119,7 @@ impl Schedule {
         self.program.as_ref().is_some_and(|program| program.reported.last() == Some(&index))
     }
 
-    /// Dwells of the plan.
+    /// Number of dwells of the plan.
     pub fn poses(&self) -> Option<u32> {
         self.bar_length_mm.and_then(|_| u32::try_from(self.dwells.len()).ok())
     }

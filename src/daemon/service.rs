@@ -47,22 +47,22 @@ use dbbd_model::diagnostic::Diagnostic;
 /// Messages that a client may lag behind before it loses some: about ten seconds.
 const BACKLOG: usize = 256;
 
-/// What the program of a simulated cell does at its HALT.
+/// The behaviour of a simulated cell's program at its HALT.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HaltBehaviour {
-    /// It continues once the bar is read.
+    /// The program continues once the bar is read.
     Continue,
-    /// It waits, so that the bar can be mounted.
+    /// The program waits, so that the bar can be mounted.
     Wait,
 }
 
-/// The simulated cell that is wanted.
+/// The simulated cell that is requested.
 #[derive(Clone, Copy, Debug)]
 pub struct CellRequest<'a> {
-    /// The plan that it runs; `None`: a plan of its own.
+    /// The plan that the cell runs; `None` for the cell's own plan.
     pub plan: Option<&'a Path>,
     pub halt: HaltBehaviour,
-    /// Device time per host time.
+    /// Speed of the cell: device time per host time.
     pub speed: f64,
 }
 
@@ -72,7 +72,7 @@ pub type MakeCell = Box<dyn Fn(&CellRequest<'_>) -> Result<Box<dyn SimulatedCell
 /// Writes the job of a simulated cell into a directory, with its true robot and its true base balls.
 pub type MakeDemo = Box<dyn Fn(&Path) -> Result<(), Diagnostic> + Send + Sync>;
 
-/// What the program adds to the service.
+/// Functions of the program that the service calls.
 pub struct ServiceParts {
     /// Creates the cell of the port `sim`.
     pub make_cell: Option<MakeCell>,
@@ -103,13 +103,13 @@ struct Supervisor {
     inner: Mutex<SupervisorState>,
 }
 
-/// How simulated cells are made.
+/// The functions that make simulated cells.
 struct SimulatedCells {
     make_cell: Option<MakeCell>,
     make_demo: MakeDemo,
 }
 
-/// What was read of plans and of the plans of runs.
+/// The plans that were read, and the plans of runs.
 #[derive(Default)]
 struct KnownPlans {
     plans: PlanCache,
@@ -126,11 +126,11 @@ struct SupervisorState {
     last: Option<LastRun>,
     /// Actions of the operator since the last run began.
     notes: Vec<RunEvent>,
-    /// The process is about to end: no run may begin.
+    /// Whether the process is about to end: then no run may begin.
     ending: bool,
 }
 
-/// Who uses the line to the bar.
+/// The user of the line to the bar.
 enum LineUse {
     None,
     /// The port is being opened.
@@ -143,7 +143,7 @@ enum LineUse {
 /// The line to a bar, not yet open.
 struct UnopenedLine {
     port: PortAddress,
-    /// `None`: the protocol of the plan.
+    /// Protocol of the bar; `None` for the protocol of the plan.
     protocol: Option<ProtocolDefinition>,
     /// File of the plan.
     plan: Option<PathBuf>,
@@ -153,9 +153,9 @@ struct UnopenedLine {
 
 /// A run or a reading in progress.
 struct ActiveRun {
-    /// Empty for a reading.
+    /// Name of the run; empty for a reading.
     name: String,
-    /// Who started it, if users have names.
+    /// Who started the run, if users have names.
     by: Option<String>,
     plan: Option<String>,
     robot: Option<String>,
@@ -166,7 +166,7 @@ struct ActiveRun {
     interferences: Vec<Diagnostic>,
     stop: Arc<AtomicBool>,
     definition: ProtocolDefinition,
-    /// To open the line again.
+    /// The line, to open it again.
     line: UnopenedLine,
 }
 
@@ -305,7 +305,7 @@ impl Supervisor {
         }
     }
 
-    /// Whether this is the port of the simulated cell, and there is one.
+    /// Whether this is the port of the simulated cell, and there is a simulated cell.
     fn is_simulated(&self, port: &PortAddress) -> bool {
         *port == PortAddress::Sim && self.simulated.make_cell.is_some()
     }
@@ -360,7 +360,7 @@ impl Supervisor {
 }
 
 impl ActiveRun {
-    /// Stops a reading and waits for its end. Its result is of no interest.
+    /// Stops a reading and waits for its end. Its result is not used.
     fn end(self) {
         self.stop.store(true, Ordering::Relaxed);
         let _ = self.acquisition.join();

@@ -21,27 +21,27 @@ use dbbd_model::diagnostic::Diagnostic;
 
 /// Name of the session cookie.
 pub(super) const COOKIE_NAME: &str = "dbbd";
-/// Names the client of a proxy.
+/// Header in which a proxy names its client.
 const FORWARDED_FOR: &str = "x-forwarded-for";
-/// Sessions at a time. A new one ends the oldest.
+/// Number of sessions at a time. A new one ends the oldest.
 const MAX_SESSIONS: usize = 64;
 
 /// Which hosts a service answers for, and the users whose token its clients must send.
 pub struct Access {
     loopback: bool,
     hosts: Vec<String>,
-    /// Nobody is asked for a token if there is none.
+    /// Users with a token; if there are none, nobody is asked for a token.
     users: Vec<KnownUser>,
     /// Proxies whose `X-Forwarded-For` names the client.
     proxies: Vec<IpAddr>,
-    /// The oldest first.
+    /// The sessions, the oldest first.
     sessions: Mutex<VecDeque<Session>>,
     failed: Mutex<FailedLogins>,
 }
 
 /// A signed-in browser.
 struct Session {
-    /// The value of its cookie.
+    /// The value of the session's cookie.
     cookie: String,
     user: Arc<User>,
 }
@@ -49,11 +49,11 @@ struct Session {
 /// The token or session cookie of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Credentials {
-    /// Of this user; also where none is required.
+    /// The credentials of this user, or no token is required.
     Valid(Arc<User>),
     Missing,
     Wrong,
-    /// Wrong, as too many others from this client were.
+    /// Wrong, and too many wrong tokens came from this client before.
     TooManyWrong,
 }
 
@@ -88,8 +88,9 @@ impl Access {
         Self { proxies, ..self }
     }
 
-    /// The address of the client: that of the connection, or what a trusted proxy says. Each proxy adds the address that
-    /// it sees at the end, so the last one that is no trusted proxy is the client, whatever stands before it.
+    /// The address of the client: the address of the connection, or what a trusted proxy says. Each proxy adds the
+    /// address that it sees at the end, so the last one that is no trusted proxy is the client, whatever stands before
+    /// it.
     pub(super) fn client(&self, headers: &HeaderMap, connected: IpAddr) -> IpAddr {
         let named = headers.get_all(FORWARDED_FOR).iter().rev();
         let named = named.flat_map(|value| value.to_str().unwrap_or_default().rsplit(','));
@@ -169,13 +170,13 @@ impl Access {
         }
     }
 
-    /// Compares a token with those of all users and counts wrong ones. A right one is never limited: whoever sends wrong ones
-    /// would keep the operator behind the same address from *stop*.
+    /// Compares a token with the tokens of all users and counts wrong ones. The right token is never limited:
+    /// otherwise, someone who sends wrong ones could keep the operator behind the same address from *stop*.
     fn compare(&self, sent: &[u8], address: IpAddr) -> Credentials {
         if self.users.is_empty() {
             return Credentials::Valid(Arc::new(User::OWNER));
         }
-        // All are compared, so that the time does not say whose token is nearly right.
+        // All tokens are compared, so that the time does not tell whose token is nearly right.
         let known = self.users.iter().filter(|known| known.has(sent)).fold(None, |_, known| Some(known));
         if let Some(known) = known {
             return Credentials::Valid(Arc::clone(&known.user));
@@ -279,13 +280,13 @@ mod tests {
         };
         assert_eq!(client("127.0.0.1", &[]), "127.0.0.1");
         assert_eq!(client("127.0.0.1", &["192.168.7.1"]), "192.168.7.1");
-        // What stands before was sent by the client.
+        // The client itself sent the addresses before the last one.
         assert_eq!(client("127.0.0.1", &["1.2.3.4, 192.168.7.1"]), "192.168.7.1");
         assert_eq!(client("127.0.0.1", &["1.2.3.4", "192.168.7.1, 10.0.0.9"]), "192.168.7.1");
         assert_eq!(client("::ffff:127.0.0.1", &["[2001:db8::7]:443"]), "2001:db8::7");
         assert_eq!(client("127.0.0.1", &["unknown"]), "127.0.0.1");
         assert_eq!(client("127.0.0.1", &["192.168.7.1, 10.0.0.9, -"]), "127.0.0.1");
-        // Whoever is no trusted proxy cannot name another client.
+        // A client that is no trusted proxy cannot name another client.
         assert_eq!(client("192.168.7.1", &["192.168.7.2"]), "192.168.7.1");
         assert_eq!(client("127.0.0.1", &["10.0.0.9"]), "10.0.0.9");
     }

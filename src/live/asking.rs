@@ -1,4 +1,4 @@
-//! How the handlers of a cell ask the service.
+//! Passes the requests of a cell's pages to the service.
 
 use std::sync::Arc;
 
@@ -39,7 +39,7 @@ pub(super) async fn on_blocking_thread<T: Send + 'static>(
     done.unwrap_or_else(|error| Err(WorkerLost { worker: error.to_string() }.into()))
 }
 
-/// The JSON that the service gives.
+/// Answers with what the service returns, as JSON.
 pub(super) async fn reply<T: Serialize + Send + 'static>(
     app: App,
     question: impl FnOnce(&dyn Service) -> Result<T, Diagnostic> + Send + 'static,

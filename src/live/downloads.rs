@@ -16,8 +16,8 @@ use dbbd_model::base::hash::sha256_base64;
 /// Size of a piece, bytes.
 const PIECE: usize = 64 * 1024;
 
-/// Content security policy of a report: its own style and images, no script but that of reports, and an opaque origin, so
-/// that it cannot reach the service.
+/// Content security policy of a report: its own style and images, no script except the script of reports, and an opaque
+/// origin, so that it cannot reach the service.
 fn report_policy() -> String {
     format!(
         "default-src 'none'; script-src 'sha256-{}'; style-src 'unsafe-inline'; img-src data:; sandbox allow-scripts; \

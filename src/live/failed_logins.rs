@@ -6,10 +6,11 @@ use std::net::{IpAddr, Ipv6Addr};
 use dbbd_device::clock;
 use dbbd_model::base::units::HostNs;
 
-/// Wrong tokens per network within [`WINDOW_S`] that are answered as such. Further ones are asked to wait.
+/// Wrong tokens per network within [`WINDOW_S`] that are answered as wrong. Clients with further ones are asked to
+/// wait.
 const MAX_WRONG_TOKENS: u32 = 10;
 const WINDOW_S: f64 = 60.0;
-/// Networks that are remembered. The oldest is dropped for a new one.
+/// Number of networks that are remembered. The oldest is dropped for a new one.
 const MAX_NETWORKS: usize = 1024;
 
 struct WrongTokens {

@@ -29,9 +29,9 @@ use dbbd_device::sync::lock;
 /// Content security policy of the pages: they reach their own service only. The source of `form-action` follows.
 const PAGE_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
     img-src 'self' data:; base-uri 'none'; frame-ancestors 'none'; form-action ";
-/// Longest path with query, bytes.
+/// Longest path with its query, bytes.
 const LONGEST_URI: usize = 2048;
-/// Scripts of others, which hold no secret either.
+/// Path of third-party scripts, which hold no secret either.
 const VENDOR: &str = "/vendor/";
 const SESSION: &str = "/api/v1/session";
 
@@ -96,7 +96,7 @@ async fn guard(
     response
 }
 
-/// Who asks.
+/// The user who sent the request.
 #[derive(Clone)]
 pub(super) struct Asking(pub(super) Arc<User>);
 
@@ -109,7 +109,7 @@ struct Change {
 impl Change {
     fn of(request: &Request) -> Option<Self> {
         let path = request.uri().path();
-        // A trial leaves nothing behind.
+        // A trial changes nothing.
         let is_change = needed(request.method(), path) > Role::Look && !path.ends_with("/trial");
         let route = request.extensions().get::<MatchedPath>().map_or(path, MatchedPath::as_str);
         is_change.then(|| Self { act: format!("{} {route}", request.method()), path: path.to_owned() })
@@ -120,7 +120,8 @@ impl Change {
     }
 }
 
-/// The role that a request needs. What a new route changes needs the highest one, unless it is listed here.
+/// The role that a request needs. A request that changes something needs the highest role, unless its route is listed
+/// here.
 fn needed(method: &Method, path: &str) -> Role {
     const MEASURE: [&str; 4] = ["/api/v1/run", "/api/v1/reading", "/api/v1/act", "/api/v1/device"];
     let is_below =
@@ -177,7 +178,7 @@ impl Gate {
     }
 }
 
-/// Whether a path is that of a page, whose last part may be any name.
+/// Whether a path is the path of `page`, whose last part may be any name.
 fn is_path_of(page: &str, path: &str) -> bool {
     match page.strip_suffix("{name}") {
         Some(start) => path.strip_prefix(start).is_some_and(|name| !name.is_empty() && !name.contains('/')),

@@ -50,7 +50,7 @@ impl Problem {
     }
 }
 
-/// The HTTP status of a finding. One that is not listed concerns the device, a run or a file: 409.
+/// The HTTP status of a finding. A finding that is not listed concerns the device, a run or a file: 409.
 #[expect(
     clippy::wildcard_enum_match_arm,
     reason = "a finding that is not listed is a conflict with the state"

@@ -20,7 +20,7 @@ pub(super) fn answer(text: String) -> Response {
     ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response()
 }
 
-/// The metrics of a cell. Counts are those of the current run, 0 without one.
+/// The metrics of a cell. Counts are the counts of the current run, 0 without a run.
 pub(super) fn text(status: &Status) -> String {
     let mut out = String::new();
     let mut metric =

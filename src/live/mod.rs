@@ -62,16 +62,16 @@ pub trait Journal: Send + Sync + 'static {
     fn warn(&self, event: &'static str, fields: &[(&str, &dyn Display)]);
 }
 
-/// What the middleware needs.
+/// The data of the middleware.
 struct Gate {
     access: Arc<Access>,
     journal: Arc<dyn Journal>,
     files: &'static [PageFile],
     /// Source of `form-action` in the content security policy.
     form_action: &'static str,
-    /// The page that asks for the token, if none of the files does.
+    /// The page that asks for the token, if `files` has no page that asks for it.
     sign_in: Option<String>,
-    /// What users changed.
+    /// List of the changes by users.
     events: Mutex<EventList>,
 }
 

@@ -48,7 +48,7 @@ const SHUTDOWN_TIME: Duration = Duration::from_secs(2);
 
 /// Connections at a time: a quarter of the 1024 descriptors that a process usually has.
 const MAX_CONNECTIONS: usize = 256;
-/// Of them, connections that have not authenticated. The other places are reserved for those that have.
+/// Connections at a time that have not authenticated. The other places are reserved for authenticated connections.
 const MAX_UNAUTHENTICATED: usize = 128;
 /// A connection is young for this time after its last event, s. A client sends its request right behind the last packet of
 /// the handshake, so that it comes within milliseconds, whatever the delay of the network. With a longer time the places of
@@ -92,7 +92,7 @@ pub async fn serve(
                             site.journal.warn("connection_shed", &[("address", &closed), ("for", &address)]);
                         }
                         connections.spawn(serve_connection(stream, router.clone(), stop.clone(), place));
-                        // It reads what has arrived before the next one may take a place.
+                        // The connection reads what has arrived before the next one may take its place.
                         yield_now().await;
                     }
                     Admission::Refused => site.journal.warn("connection_refused", &[("address", &address)]),
@@ -227,11 +227,11 @@ struct Place {
     close: Arc<Notify>,
 }
 
-/// What happens to a new connection.
+/// The decision about a new connection.
 enum Admission {
-    /// It has a place, which that of a client in this network was closed for.
+    /// The connection has a place. The address is the network of the client whose connection was closed for it.
     Entered(Place, Option<IpAddr>),
-    /// There is no place for it.
+    /// There is no place for the connection.
     Refused,
 }
 
@@ -246,18 +246,19 @@ pub(super) struct Peer {
 /// A request in progress, until it is dropped.
 pub(super) struct Busy(Peer);
 
-/// Whose connections compete for a place.
+/// The connections that compete for a place.
 enum Rivals {
     /// There is a free place.
     None,
-    /// Those without authentication in this network.
+    /// The connections without authentication in this network.
     Unauthenticated(IpAddr),
     All,
 }
 
 impl Table {
-    /// A network has as many places without authentication as every other one and one that may come. When it has used
-    /// them up, it competes with itself. When those of all are used up, the network that has most of them gives one.
+    /// Each network has an equal share of the places without authentication, and one share is left for a network that
+    /// may come. A network that has used up its share competes with itself. When the places of all networks are used
+    /// up, the network that has most of them gives one.
     fn rivals(&self, from: IpAddr) -> Rivals {
         let mut unauthenticated: BTreeMap<IpAddr, usize> = BTreeMap::from([(from, 0)]);
         for entry in self.open.iter().filter(|entry| !entry.authenticated) {

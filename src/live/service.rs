@@ -45,15 +45,15 @@ pub trait Service: Journal + Workbench {
     fn cancel(&self, id: u64) -> Result<EvaluationJob, Diagnostic>;
 }
 
-/// A list to choose from.
+/// A list from which the user chooses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Catalogue {
     Ports,
-    /// Built in.
+    /// The built-in definitions of protocols.
     Protocols,
-    /// Built in.
+    /// The built-in robots.
     Robots,
-    /// In the plan directory.
+    /// The plans in the plan directory.
     Plans,
 }
 
@@ -65,12 +65,12 @@ pub struct StartRequest {
     pub plan: Option<String>,
     /// The run ends after this time, s.
     pub duration_s: Option<f64>,
-    /// Of a simulated cell: device time per host time.
+    /// Speed of a simulated cell: device time per host time.
     pub speed: Option<f64>,
-    /// What the operator checked at the cell.
+    /// The items that the operator checked at the cell.
     #[serde(default)]
     pub checked: Vec<CheckItem>,
-    /// Who starts it, by the token.
+    /// Who starts the run: the user of the token.
     #[serde(skip)]
     pub by: Option<String>,
 }
@@ -81,7 +81,7 @@ pub struct StartRequest {
 pub struct ConnectRequest {
     /// The plan whose stroke is shown.
     pub plan: Option<String>,
-    /// Of a simulated cell: device time per host time.
+    /// Speed of a simulated cell: device time per host time.
     pub speed: Option<f64>,
 }
 
@@ -149,7 +149,7 @@ pub struct RunEntry {
     /// Size of the capture, bytes.
     pub bytes: u64,
     pub ended: Option<Ended>,
-    /// Its plan is that of a check: it leads to `dbbd check`, not to `dbbd identify`.
+    /// Whether its plan is a plan of a check: the run leads to `dbbd check`, not to `dbbd identify`.
     pub is_check: bool,
     pub results: Vec<ResultFile>,
 }
@@ -158,7 +158,7 @@ pub struct RunEntry {
 pub struct Ended {
     pub reason: String,
     pub samples: u64,
-    /// Samples missing by their sequence numbers.
+    /// Number of samples that are missing, by their sequence numbers.
     pub lost: u64,
 }
 
@@ -181,7 +181,7 @@ pub enum JobKind {
 impl JobKind {
     pub const ALL: [JobKind; 3] = [JobKind::Sync, JobKind::Identify, JobKind::Circle];
 
-    /// The command, and the directory of its results.
+    /// The name of the command, and of the directory of its results.
     pub fn name(self) -> &'static str {
         match self {
             JobKind::Sync => "sync",
@@ -196,10 +196,10 @@ impl JobKind {
 pub struct JobRequest {
     pub kind: JobKind,
     pub run: String,
-    /// Of `identify`: `none`, `datasheet` or `posterior`.
+    /// Prior of `identify`: `none`, `datasheet` or `posterior`.
     pub prior: Option<String>,
-    /// Of `identify`: the parameters to estimate.
+    /// The parameters that `identify` estimates.
     pub estimate: Option<String>,
-    /// Of `identify`: the parameters to fix.
+    /// The parameters that `identify` fixes.
     pub hold: Option<String>,
 }

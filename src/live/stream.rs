@@ -28,7 +28,7 @@ struct Stream {
 
 /// First the state, the points and the readings so far, then the messages.
 pub(super) fn answer(service: &dyn Service, stop: watch::Receiver<bool>, busy: Busy) -> Response {
-    // Subscribe before reading the points: none is lost, one may come twice.
+    // Subscribe before reading the points: no point is lost, one may come twice.
     let messages = service.messages();
     let status = Message::new("status", &*service.status().borrow());
     let points = Message::new("points", &service.points());

@@ -1,4 +1,4 @@
-//! Who asks: names, roles and secrets of users; and what they did.
+//! The users who send requests: names, roles and secrets; and what they changed.
 
 use std::collections::VecDeque;
 use std::hint::black_box;
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use dbbd_model::base::hash::sha256;
 use serde::{Deserialize, Serialize};
 
-/// What a user may do; each may also do what those before it may.
+/// The actions that a user is permitted. Each role also permits the actions of the roles before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
@@ -31,17 +31,17 @@ impl Role {
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct User {
-    /// `None`: whoever has the token of the service, or where none is asked for.
+    /// `None` for a user who has the token of the service, or where no token is asked for.
     pub name: Option<String>,
     pub role: Role,
 }
 
 impl User {
-    /// Who needs no name: the owner of the token file, or anybody where no token is asked for.
+    /// The user who needs no name: the owner of the token file, or anybody where no token is asked for.
     pub(super) const OWNER: Self = Self { name: None, role: Role::Plan };
 }
 
-/// A user with the secret that makes known who asks.
+/// A user with the secret that identifies the sender of a request.
 #[derive(Debug)]
 pub struct KnownUser {
     pub(super) user: Arc<User>,
@@ -60,7 +60,7 @@ impl KnownUser {
         Self { user: Arc::new(User::OWNER), secret: Secret::Token(token) }
     }
 
-    /// A user whose token has this SHA-256 in hexadecimal digits; `None` if it is none.
+    /// A user whose token has this SHA-256 in hexadecimal digits; `None` if the text is no SHA-256.
     pub fn named(name: String, role: Role, token_sha256: &str) -> Option<Self> {
         let hash = token_sha256.to_ascii_lowercase();
         let is_hash = hash.len() == 64 && hash.bytes().all(|byte| byte.is_ascii_hexdigit());
@@ -86,7 +86,7 @@ impl std::fmt::Debug for Token {
     }
 }
 
-/// A shorter token can be guessed.
+/// Fewest characters of a token: a shorter one can be guessed.
 const SHORTEST_TOKEN: usize = 16;
 
 impl Token {
@@ -108,11 +108,11 @@ pub(super) fn same(sent: &[u8], secret: &[u8]) -> bool {
     black_box(different) == 0 && !secret.is_empty()
 }
 
-/// What a user changed.
+/// A change that a user made.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct UserEvent {
     unix_ms: u64,
-    /// `None`: the owner of the token of the service.
+    /// `None` for the owner of the token of the service.
     user: Option<String>,
     /// Method and route, as `POST /api/v1/run`.
     act: String,

@@ -78,7 +78,7 @@ pub struct Archiving {
 pub struct Device {
     pub port: Option<String>,
     pub present: bool,
-    /// `None`: the protocol of the plan.
+    /// Protocol of the device; `None` for the protocol of the plan.
     pub protocol: Option<String>,
 }
 
@@ -86,7 +86,7 @@ pub struct Device {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RunStatus {
     pub name: String,
-    /// Who started it, if users have names.
+    /// Who started the run, if users have names.
     pub by: Option<String>,
     pub plan: Option<String>,
     pub robot: Option<String>,
@@ -121,7 +121,7 @@ pub struct RunCounts {
     pub gone: bool,
     /// Whether consecutive frames were decoded without a fault.
     pub in_step: bool,
-    /// Over the last second.
+    /// Samples per second over the last second.
     pub rate_hz: f64,
     pub bytes: u64,
     pub samples: u64,
@@ -132,7 +132,7 @@ pub struct RunCounts {
     /// Completed modules, by their end marks.
     pub modules: u32,
     pub gaps: u64,
-    /// Samples missing by their sequence numbers.
+    /// Number of samples that are missing, by their sequence numbers.
     pub missing: u64,
     pub faults: u64,
     /// Replies of the device without a reading.
@@ -151,18 +151,18 @@ pub struct NextPose {
     pub angle_deg: Option<f64>,
 }
 
-/// How the bar is mounted, estimated from its readings.
+/// The state of the mounting of the bar, estimated from its readings.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct MountingState {
     /// `off`, `handled`, `settling`, `stable`, `moving`.
     pub state: &'static str,
     /// Standard deviation of means over 50 ms at rest, micrometres.
     pub scatter_um: Option<f64>,
-    /// Drift at rest, micrometres a second.
+    /// Drift at rest, micrometres per second.
     pub drift_um_s: Option<f64>,
-    /// Of the bar.
+    /// Temperature of the bar, degrees Celsius.
     pub temperature_c: Option<f64>,
-    /// The newest last.
+    /// Findings about the mounting, the newest last.
     pub findings: Vec<MountingNote>,
 }
 
@@ -171,7 +171,7 @@ pub struct MountingState {
 pub struct MountingNote {
     pub code: FindingCode,
     pub text: String,
-    /// Of a drift in micrometres per second.
+    /// Size of what was found, micrometres; for a drift, micrometres per second.
     pub size_um: f64,
     pub unix_ms: u64,
 }
@@ -179,21 +179,21 @@ pub struct MountingNote {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LastRun {
     pub name: String,
-    /// What ended it, or why it failed.
+    /// Why the run ended, or why it failed.
     pub ending: String,
     pub failed: bool,
     pub samples: u64,
 }
 
-/// How near the reading is to the end of the stroke.
+/// Warning level: how near the reading is to the end of the stroke.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Alarm {
     #[default]
     None,
-    /// Beyond the alarm share of the stroke.
+    /// The reading is beyond the alarm share of the stroke.
     Near,
-    /// Beyond the stroke.
+    /// The reading is beyond the stroke.
     Over,
 }
 
@@ -204,7 +204,7 @@ pub struct Frame {
     pub frame: u64,
     /// Time of the last sample since the run's first one, s, by the device's clock if it has one.
     pub t_s: f64,
-    /// Arrival of the last sample.
+    /// Arrival of the last sample, ms since the Unix epoch.
     pub unix_ms: f64,
     /// Time between the first and the last sample of the frame, ms.
     pub span_ms: f64,
@@ -212,7 +212,7 @@ pub struct Frame {
     pub min_mm: f64,
     pub max_mm: f64,
     pub last_mm: f64,
-    /// The worst of the samples.
+    /// The highest alarm of the samples.
     pub alarm: Alarm,
     /// Whether the bar was mounted during the whole frame. Otherwise its reading is meaningless.
     pub mounted: bool,
@@ -225,7 +225,7 @@ pub struct Frame {
 /// The extremes of the readings of a second with the bar mounted.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ReadingRange {
-    /// Of the last frame, as [`Frame::t_s`].
+    /// Time of the last frame, as [`Frame::t_s`].
     pub t_s: f64,
     pub min_mm: f64,
     pub max_mm: f64,

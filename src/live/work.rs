@@ -1,4 +1,4 @@
-//! The work on a robot as its pages show it: steps, what they found, and what computes them.
+//! The work on a robot as its pages show it: the steps, their results, and the jobs that compute them.
 
 use dbbd_job::page::Download;
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
@@ -36,11 +36,11 @@ impl WorkStep {
     }
 }
 
-/// How far a step is.
+/// The progress of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StepState {
-    /// An earlier step comes first.
+    /// An earlier step must be done first.
     Todo,
     Ready,
     Running,
@@ -49,7 +49,7 @@ pub enum StepState {
     Attention,
 }
 
-/// What a step found, as colour, word and shape show it.
+/// The result of a step, which is shown by colour, word and shape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StepVerdict {
@@ -82,7 +82,7 @@ pub struct ExplainedFinding {
     pub cure: &'static str,
 }
 
-/// What a page shows of a step.
+/// The state of a step as a page shows it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StepReport {
     pub step: WorkStep,
@@ -92,15 +92,15 @@ pub struct StepReport {
     pub text: &'static str,
     pub values: Value,
     pub findings: Vec<ExplainedFinding>,
-    /// `None` where there is nothing to do.
+    /// The next action; `None` where there is nothing to do.
     pub action: Option<StepAction>,
     /// Key of the label of the action.
     pub label: &'static str,
-    /// The same on the command line, in the directory of the work.
+    /// The same action on the command line, in the directory of the work.
     pub command: String,
     /// The plan that is measured next.
     pub plan: Option<String>,
-    /// What the step made: directory and names.
+    /// Directory of the files that the step made, and their names.
     pub directory: String,
     pub files: Vec<String>,
     /// When its newest file was written, ms since the Unix epoch.
@@ -115,9 +115,9 @@ pub struct RobotWork {
     pub name: String,
     /// Name of the robot of the job or of the result.
     pub robot: Option<String>,
-    /// Where its files are, as the service was started.
+    /// Directory of its files, as the service was started.
     pub directory: String,
-    /// The cell is simulated: its true robot is beside the job.
+    /// Whether the cell is simulated: its true robot is beside the job.
     pub simulated: bool,
     pub steps: Vec<StepReport>,
 }
@@ -147,17 +147,17 @@ pub struct NewRobot {
     pub job: Value,
 }
 
-/// How a step is computed, beside its files.
+/// The options of a step, beside its files.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct StepOptions {
-    /// Of a check: largest position error, mm.
+    /// Option of a check: largest position error, mm.
     pub tolerance_mm: Option<f64>,
-    /// Of a correction: the program; `None` for the first that is not corrected yet.
+    /// Option of a correction: the program; `None` for the first program that is not corrected yet.
     pub program: Option<String>,
-    /// Of an identification: all rows that are left out; `None` for those of the last result.
+    /// Option of an identification: all rows that are left out; `None` for the rows that the last result left out.
     pub exclude: Option<Vec<ExcludedRows>>,
-    /// Who asks, by the token.
+    /// The user of the token who asks.
     #[serde(skip)]
     pub by: Option<String>,
 }
@@ -191,7 +191,7 @@ pub trait Workbench {
     fn robots(&self) -> Result<Vec<RobotSummary>, Diagnostic>;
     fn work(&self, robot: &str) -> Result<RobotWork, Diagnostic>;
     fn create(&self, new: NewRobot) -> Result<(), Diagnostic>;
-    /// A simulated cell with its job; returns its name.
+    /// Makes a simulated cell with its job; returns its name.
     fn demo(&self) -> Result<String, Diagnostic>;
     /// The job as JSON; null if there is none.
     fn job_of(&self, robot: &str) -> Result<Value, Diagnostic>;
@@ -217,7 +217,7 @@ pub enum JobState {
     Running,
     Done,
     /// Done with warnings (exit code 3).
-    Doubt,
+    Warned,
     Failed,
     Cancelled,
 }
@@ -225,11 +225,11 @@ pub enum JobState {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EvaluationJob {
     pub id: u64,
-    /// What is computed: `identify`, `plan`, ..
+    /// The command of the job: `identify`, `plan`, ..
     pub kind: &'static str,
-    /// Empty if no run is evaluated.
+    /// Name of the run; empty if no run is evaluated.
     pub run: String,
-    /// Of a step of the workbench.
+    /// Name of the robot, for a job of a step of the workbench.
     pub robot: Option<String>,
     pub step: Option<WorkStep>,
     pub state: JobState,
@@ -240,6 +240,6 @@ pub struct EvaluationJob {
     pub percent: u8,
     /// The last lines of its output.
     pub log: Vec<String>,
-    /// What it found, and why it was refused.
+    /// The findings of the job, and why it was refused.
     pub findings: Vec<ExplainedFinding>,
 }

@@ -1,4 +1,4 @@
-//! The work on a robot in nine steps: what the pages ask, and the routes.
+//! The work on a robot in nine steps: the routes, and their requests.
 
 use axum::body::Bytes;
 use axum::extract::{Extension, State};
@@ -15,7 +15,7 @@ use super::server::Peer;
 use super::work::{NewRobot, ProgramUpload, StepOptions, WorkStep};
 use super::{Route, downloads};
 
-/// Scripts of others, as the renewing script made them, compressed; they are loaded when they are needed.
+/// Third-party scripts, as the renewing script made them, compressed; they are loaded when they are needed.
 const VENDOR_SCRIPTS: [(&str, &[u8]); 2] = [
     ("/vendor/three.js", include_bytes!("page/vendor/three.js.gz")),
     ("/vendor/uplot.js", include_bytes!("page/vendor/uplot.js.gz")),
@@ -36,7 +36,7 @@ pub(super) fn table() -> Vec<Route<App>> {
     ]
 }
 
-/// The routes of the scripts of others: every browser takes gzip.
+/// The routes of the third-party scripts: every browser takes gzip.
 pub(super) fn vendor_scripts() -> impl Iterator<Item = Route<App>> {
     let route = |(path, script): (&'static str, &'static [u8])| {
         let answer = move || async move {

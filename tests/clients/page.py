@@ -147,7 +147,7 @@ class Story:
     def evaluate(self, run):
         row = self.page.locator("#runs tr", has_text=run)
         row.get_by_role("button", name=self.texts["kind.identify"]).click()
-        done = re.compile("|".join(re.escape(self.texts[key]) for key in ("job.done", "job.doubt")))
+        done = re.compile("|".join(re.escape(self.texts[key]) for key in ("job.done", "job.warned")))
         expect(self.at("jobs").locator("li", has_text=run).first).to_contain_text(done, timeout=180_000)
         report = row.get_by_role("link", name="report.html")
         expect(report).to_be_visible(timeout=10_000)

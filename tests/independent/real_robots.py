@@ -100,7 +100,7 @@ def write(path, columns, *parts):
 
 
 def run(dbbd, at, *arguments):
-    """Runs a command in a directory; a doubt (exit code 3) is no failure. The wall time, s."""
+    """Runs a command in a directory; a warning (exit code 3) is no failure. The wall time, s."""
     begin = time.monotonic()
     done = subprocess.run([dbbd, *arguments], cwd=at, capture_output=True, text=True, errors="replace",
                           stdin=subprocess.DEVNULL, env={**os.environ, "NO_COLOR": "1"})

@@ -237,7 +237,7 @@ fn a_kill_keeps_what_was_written() {
         assert_eq!(sample.reading_mm, reading_mm(frame));
     }
     let info = run(&["info", path.to_str().unwrap()]);
-    assert_eq!(info.status.code(), Some(3), "a run that was cut off is a doubt: {}", stderr(&info));
+    assert_eq!(info.status.code(), Some(3), "a run that was cut off has a warning: {}", stderr(&info));
     // The bar can be started again under the same name.
     let again = directory.path().join("again");
     let output = run(&["acquire", "--port", &port, "--out", again.to_str().unwrap(), "--duration", "0.5"]);

@@ -75,7 +75,7 @@ fn unmodelled_errors_are_reported() {
         "fixtures/golden/unmodelled.csv",
         &["--sigma", "0.005", "--folds", "0", "--model", "geometric"],
     );
-    let doubt = result.findings.iter().find(|w| w.code() == "W1316");
-    assert!(doubt.is_some(), "{:?}", result.findings);
+    let warning = result.findings.iter().find(|w| w.code() == "W1316");
+    assert!(warning.is_some(), "{:?}", result.findings);
     assert!(result.residual_mm.after.rms > 0.02);
 }

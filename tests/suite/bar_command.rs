@@ -157,7 +157,7 @@ fn bar_check_reports_faults_of_the_bar() {
         ("drift", served(&cobs, 1000.0, noisy(|t_s| 1e-4 * t_s)), vec![DRIFTS]),
         ("slow", served(&cobs, 200.0, noisy(|_| 0.0)), vec![RATE]),
         (
-            "doubtful",
+            "has_warnings",
             served(&cobs, 1000.0, |t_s: f64| {
                 at_rest(0.1).map(|at| SimulatedReading { valid: t_s % 1.0 < 0.5, ..at })
             }),

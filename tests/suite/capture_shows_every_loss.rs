@@ -55,7 +55,7 @@ fn each_verb(dir: &Path, run: &str, mut check: impl FnMut(&str, &Output)) {
     }
 }
 
-fn is_doubted(dir: &Path, run: &str, bytes: &[u8]) {
+fn has_a_warning(dir: &Path, run: &str, bytes: &[u8]) {
     std::fs::write(dir.join(run), bytes).unwrap();
     each_verb(dir, run, |verb, output| {
         assert_eq!(output.status.code(), Some(3), "{run} {verb}: {}", stderr(output));
@@ -69,10 +69,10 @@ fn missing_and_repeated_records_are_reported() {
     let (bytes, ends) = run(dir.path());
     let middle = ends.len() / 2;
     let without = |from: usize, to: usize| [&bytes[..ends[from]], &bytes[ends[to]..]].concat();
-    is_doubted(dir.path(), "one-less", &without(middle, middle + 1));
-    is_doubted(dir.path(), "many-less", &without(middle, middle + ends.len() / 20));
-    is_doubted(dir.path(), "twice", &[&bytes[..ends[middle]], &bytes[ends[middle - 9]..]].concat());
-    is_doubted(dir.path(), "no-header", &bytes[16..]);
+    has_a_warning(dir.path(), "one-less", &without(middle, middle + 1));
+    has_a_warning(dir.path(), "many-less", &without(middle, middle + ends.len() / 20));
+    has_a_warning(dir.path(), "twice", &[&bytes[..ends[middle]], &bytes[ends[middle - 9]..]].concat());
+    has_a_warning(dir.path(), "no-header", &bytes[16..]);
     let info = dbbd(dir.path(), &["info", "many-less", "--json"]);
     let info: Value = serde_json::from_slice(&info.stdout).unwrap();
     let missing = &info["findings"][0]["values"]["records"];
@@ -91,7 +91,7 @@ fn old_capture_is_compared_with_its_own_count() {
     let ends = ends(&bytes);
     let is_samples = |at: &usize| bytes[ends[*at] + 4] == 6;
     let at = (ends.len() / 2..).find(is_samples).unwrap();
-    is_doubted(dir.path(), "old", &[&bytes[..ends[at]], &bytes[ends[at + 1]..]].concat());
+    has_a_warning(dir.path(), "old", &[&bytes[..ends[at]], &bytes[ends[at + 1]..]].concat());
 }
 
 #[test]
@@ -104,7 +104,7 @@ fn flipped_header_bit_loses_only_the_header() {
         let capture = capture::read_capture(&bytes);
         assert_eq!((capture.records.len(), capture.damages.len()), (records, 1), "byte {byte}");
         if byte % 5 == 0 {
-            is_doubted(dir.path(), &format!("flipped-{byte}"), &bytes);
+            has_a_warning(dir.path(), &format!("flipped-{byte}"), &bytes);
         }
         bytes[byte] ^= 4;
     }

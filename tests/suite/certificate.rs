@@ -90,7 +90,7 @@ const CERTIFICATE: [&str; 6] = ["certificate", "result", "--check", "check.json"
 /// A result and its check in `at`, and what making their certificate says.
 fn certified(at: &Path) -> (Value, Output) {
     let mut result = identify(at, "result", &["--estimate", "a1-3,bar", "--prior", "none"]);
-    // What so few parameters leave is doubted: that is tried below.
+    // What so few parameters leave has a warning: that is tried below.
     result["findings"] = Value::Array(Vec::new());
     result.as_object_mut().unwrap().remove("sha256");
     fs::write(at.join("result/result.json"), serde_json::to_string_pretty(&result).unwrap()).unwrap();
@@ -156,10 +156,10 @@ fn html_dcc_and_pdf_state_the_result() {
     );
     fs::write(at.join("check.json"), check.replace("KR 60", "KR 6")).unwrap();
     assert_eq!(codes(&dbbd(at, &CERTIFICATE)), ["E2002"]);
-    refused_and_doubted(at);
+    refused_and_warned_of(at);
 }
 
-fn refused_and_doubted(at: &Path) {
+fn refused_and_warned_of(at: &Path) {
     let text = fs::read_to_string(at.join("result/result.json")).unwrap();
     let certificate = |text: &str, more: &[&str]| {
         fs::write(at.join("other.json"), text).unwrap();
@@ -189,8 +189,8 @@ fn refused_and_doubted(at: &Path) {
     assert_eq!(codes(&certificate(&text.replace("\"budget\"", "\"no_budget\""), &[])), ["E2001"]);
     let none = certificate(&text.replace("\"operator\"", "\"cell\""), &[]);
     assert!(codes(&none).contains(&"I2004".to_owned()) && none.status.code() == Some(0));
-    let doubtful = certificate(&text.replace("\"converged\": true", "\"converged\": false"), &[]);
-    assert!(codes(&doubtful).contains(&"W2005".to_owned()) && doubtful.status.code() == Some(3));
+    let not_converged = certificate(&text.replace("\"converged\": true", "\"converged\": false"), &[]);
+    assert!(codes(&not_converged).contains(&"W2005".to_owned()) && not_converged.status.code() == Some(3));
     fs::write(at.join("other.toml"), "operator = '\u{4e2d}\u{6587}'\n").unwrap();
     let foreign = certificate(&text, &["--identity", "other.toml"]);
     let expected = if cfg!(feature = "pdf") { "E2006" } else { "I2003" };

@@ -107,8 +107,8 @@ fn the_command_decides_and_refuses() {
     let [x, y, z] = CENTRE;
     let away = three_planes(1, [x + 0.3, y - 0.2, z + 0.25]);
     write("ball.csv", &lengths(&with_errors(DESIGNED), &away, 8, 6));
-    let anew = check("ball.csv", "robot.toml", &[]);
-    assert_eq!((anew.status.code(), codes(&anew).contains(&"I1924".to_owned())), (Some(0), true));
+    let again = check("ball.csv", "robot.toml", &[]);
+    assert_eq!((again.status.code(), codes(&again).contains(&"I1924".to_owned())), (Some(0), true));
     let kept = check("ball.csv", "robot.toml", &["--balls-kept"]);
     assert_eq!((kept.status.code(), codes(&kept).contains(&"I1924".to_owned())), (Some(4), false));
     assert_eq!(json()["changes"][0]["parameters"], json!(["centre1_x", "centre1_y", "centre1_z"]));

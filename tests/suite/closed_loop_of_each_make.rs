@@ -263,7 +263,7 @@ fn corrected_programs_reach_the_nominal_positions() {
 /// Error of each coordinate of the tool ball at each stop.
 const WORLD: &str = "repeatability_um = 20.0\n[bar]\nstroke_mm = [-15.0, 15.0]\nnoise_um = 1.0\n";
 
-/// Runs a step; exit code 3 (a doubt) is a result as well.
+/// Runs a step; exit code 3 (a warning) is a result as well.
 fn step(dir: &Path, args: &str) -> Vec<String> {
     let args: Vec<&str> = args.split_whitespace().collect();
     let output = dbbd(dir, &args);

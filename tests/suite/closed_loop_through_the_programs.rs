@@ -20,7 +20,7 @@ use crate::support::production::{BALLS, OFF_MM, job, production, sagging, taught
 /// Error of each coordinate of the tool ball at each stop, which is the noise of a length; that of the bar is negligible.
 const WORLD: &str = "repeatability_um = 20.0\n[bar]\nstroke_mm = [-15.0, 15.0]\nnoise_um = 1.0\n";
 
-/// Runs a step; exit code 3 (a doubt) is a result as well.
+/// Runs a step; exit code 3 (a warning) is a result as well.
 fn step(dir: &Path, args: &[&str]) -> Option<i32> {
     let output = dbbd(dir, args);
     assert!(matches!(output.status.code(), Some(0 | 3)), "dbbd {}: {}", args.join(" "), stderr(&output));
@@ -158,7 +158,7 @@ fn twenty_robots_through_the_programs() {
             let mean = |at: usize| all.iter().map(|(pair, _)| pair[at]).sum::<f64>() / 20.0;
             eprintln!(
                 "bar of {bar_mm} mm, {balls} ball(s), {points} poses, {}{}: before {:.3} mm, after {:.4}; factor {:.1} in the middle, {:.1} at \
-                 least ({:.3} -> {:.4} mm); {} of 20 in doubt",
+                 least ({:.3} -> {:.4} mm); {} of 20 with a warning",
                 if cube { "cube" } else { "whole workspace" },
                 if sag { ", sag" } else { "" },
                 mean(0),
@@ -167,7 +167,7 @@ fn twenty_robots_through_the_programs() {
                 factor(0),
                 all[0].0[0],
                 all[0].0[1],
-                all.iter().filter(|(_, doubt)| *doubt).count()
+                all.iter().filter(|(_, has_warnings)| *has_warnings).count()
             );
         }
     }

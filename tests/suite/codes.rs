@@ -43,7 +43,7 @@ fn troubleshooting_page_is_the_catalogue() {
     if std::env::var_os("DBBD_BLESS").is_some() {
         fs::write(&path, catalogue::page()).unwrap();
     }
-    assert_eq!(fs::read_to_string(path).unwrap(), catalogue::page(), "DBBD_BLESS=1 writes it anew");
+    assert_eq!(fs::read_to_string(path).unwrap(), catalogue::page(), "DBBD_BLESS=1 writes it again");
 }
 
 #[test]

@@ -236,7 +236,7 @@ fn architecture_has_the_floor_plan() {
     if std::env::var_os("DBBD_BLESS").is_some() {
         fs::write(&path, &wanted).unwrap();
     } else {
-        assert_eq!(text, wanted, "DBBD_BLESS=1 writes the column anew");
+        assert_eq!(text, wanted, "DBBD_BLESS=1 writes the column again");
     }
 }
 

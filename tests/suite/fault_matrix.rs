@@ -378,7 +378,7 @@ fn counted_anew(
         return None;
     }
     let modulo = definition.sequence_modulo.unwrap_or(1);
-    let mut anew = Vec::new();
+    let mut again = Vec::new();
     for (at, (t_s, sample)) in samples.iter().enumerate() {
         let mut sample = *sample;
         if harm == Harm::Wrap || at >= middle {
@@ -388,9 +388,9 @@ fn counted_anew(
         }
         let mut bytes = Vec::new();
         definition.encoder().encode(&sample, &mut bytes).unwrap();
-        anew.push((*t_s, bytes));
+        again.push((*t_s, bytes));
     }
-    Some(anew)
+    Some(again)
 }
 
 fn matrix(seeds: std::ops::Range<u64>) {

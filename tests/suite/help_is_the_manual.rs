@@ -59,9 +59,9 @@ fn assert_generated(document: &str, wanted: &str) {
         return;
     }
     for (is, wanted) in section.lines().zip(wanted.lines()) {
-        assert_eq!(is, wanted, "{document} differs; DBBD_BLESS=1 writes it anew");
+        assert_eq!(is, wanted, "{document} differs; DBBD_BLESS=1 writes it again");
     }
-    assert_eq!(section.lines().count(), wanted.lines().count(), "{document}: DBBD_BLESS=1 writes it anew");
+    assert_eq!(section.lines().count(), wanted.lines().count(), "{document}: DBBD_BLESS=1 writes it again");
 }
 
 #[test]

@@ -162,13 +162,13 @@ fn a_check_of_the_real_robot_passes_and_finds_a_moved_joint() {
 #[test]
 fn the_demo_of_real_robots_is_as_accurate_as_stated() {
     let dir = tempdir().unwrap();
-    for (robot, doubts, kept_poses, mean_mm) in
+    for (robot, warnings, kept_poses, mean_mm) in
         [("ur5", vec!["W1331"], 20, 0.0511), ("ur10", vec![], 2464, 0.0942)]
     {
         let output = dbbd(dir.path(), &["demo", "--real", robot, "--json"]);
         let said = codes(&output).into_iter().filter(|code| code.starts_with('W')).collect::<Vec<_>>();
-        assert_eq!(said, doubts, "{}", stderr(&output));
-        assert_eq!(output.status.code(), Some(if doubts.is_empty() { 0 } else { 3 }));
+        assert_eq!(said, warnings, "{}", stderr(&output));
+        assert_eq!(output.status.code(), Some(if warnings.is_empty() { 0 } else { 3 }));
         let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
         let value = |key: &str| found[key].as_f64().unwrap();
         assert_eq!(found["kept_poses"], kept_poses);

@@ -42,7 +42,7 @@ fn sound(points: usize) -> Measurements {
     measure(&with_errors(DESIGNED), &three_planes(1, CENTRE), points, 25.0)
 }
 
-/// With and without a prior: an answer without a doubt is near the truth, otherwise there is a finding.
+/// With and without a prior: an answer without a warning is near the truth, otherwise there is a finding.
 fn said_or_right(data: &Measurements, words: &str) {
     for args in [&[][..], &["--prior", "datasheet"][..]] {
         let run = identify(&data.to_csv(), args);

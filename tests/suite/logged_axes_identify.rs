@@ -1,5 +1,5 @@
 //! A controller in absolute-accuracy mode moves the axes to other angles than those of the plan. The axes that it logs in the `.dat`
-//! replace them; without these the run ends with a doubt.
+//! replace them; without these the run ends with a warning.
 #![cfg(unix)]
 
 use std::fs;

@@ -1,4 +1,4 @@
-//! Inputs that contradict each other, and options that have no effect, are refused or reported as doubtful.
+//! Inputs that contradict each other, and options that have no effect, are refused or reported with a warning.
 
 use std::fs;
 use std::path::Path;

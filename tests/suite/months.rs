@@ -8,7 +8,7 @@ use dbbd_model::robot::{ParamId, Robot};
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::ball_is_mounted_anew::robot_of;
+use crate::ball_is_mounted_again::robot_of;
 use crate::cell::{codes, dbbd, stderr};
 use crate::support::drawn_robots::{BALLS, drawn, lengths};
 
@@ -91,8 +91,8 @@ fn a_calibration_fades_and_is_renewed() {
     // Before the calibration, and long after it.
     for far in ["2023-12-31", "2224-02-29"] {
         let args = ["predict", "axes.csv", "--robot", "first/robot-identified.toml", "--out", "p.csv"];
-        let doubted = dbbd(at, &[&args[..], &["--date", far]].concat());
-        assert_eq!((doubted.status.code(), codes(&doubted)), (Some(3), vec!["W0584".to_owned()]), "{far}");
+        let warned = dbbd(at, &[&args[..], &["--date", far]].concat());
+        assert_eq!((warned.status.code(), codes(&warned)), (Some(3), vec!["W0584".to_owned()]), "{far}");
     }
     let today = predicted_mm(at, &[]);
     assert!(today >= years, "{today} {years}");

@@ -140,7 +140,7 @@ fn run(drawn: &Drawn, seed: u64) -> Ending {
         Ok(plan) => plan,
         Err(refusal) => return refused(&refusal),
     };
-    // A ball that is taught anew is there from now on.
+    // A ball that is taught again is there from now on.
     let mut job = plan.header.job.clone();
     let cell = Cell {
         nominal: nominal.clone(),
@@ -256,7 +256,7 @@ fn teaching_a_ball_never_bars_poses() {
     assert_eq!(taught_deg(&at.join("plan2")), taught);
 }
 
-/// A ball to be taught anew.
+/// A ball to be taught again.
 const ANEW: &str = "I0717";
 
 /// From where the example's ball was taught no run keeps a stroke of 0.7 mm; from elsewhere one does.
@@ -271,6 +271,6 @@ fn a_ball_that_bars_all_is_taught_anew() {
     let output = dbbd(dir.path(), &["plan", "job.toml", "--out", "plan"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     assert!(codes(&output).contains(&ANEW.to_owned()), "{}", stderr(&output));
-    let anew = taught_deg(&dir.path().join("plan"));
-    assert!(!short.contains(&anew[0].to_string()), "{anew}");
+    let again = taught_deg(&dir.path().join("plan"));
+    assert!(!short.contains(&again[0].to_string()), "{again}");
 }

@@ -1,4 +1,4 @@
-//! Mistakes that users make, through the binary: each is refused, or reported as doubtful with exit code 3.
+//! Mistakes that users make, through the binary: each is refused, or reported with a warning with exit code 3.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! Every artefact records its sources. Inputs that do not belong together are refused or reported as doubtful.
+//! Every artefact records its sources. Inputs that do not belong together are refused or reported with a warning.
 
 use std::fs;
 use std::path::Path;
@@ -272,6 +272,8 @@ fn outdated_and_foreign_runs_are_reported() {
     };
     let newer = identify(&robot("KR-1", first.chain().cloned().collect()));
     assert_eq!(said(&newer, "W1804"), (Some(3), true), "{}", stderr(&newer));
+    let of_other_lengths = identify(&robot("KR-1", Vec::new()));
+    assert_eq!(said(&of_other_lengths, "W1804"), (Some(3), true), "{}", stderr(&of_other_lengths));
     let other = identify(&robot("KR-2", Vec::new()));
     assert_eq!(said(&other, "E1802"), (Some(1), true), "{}", stderr(&other));
     let chain = info(at, "run.dbbd")["provenance"]["from"].clone();

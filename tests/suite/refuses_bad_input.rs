@@ -170,7 +170,7 @@ fn robots_parameter_lists_and_numbers() {
     let same: String = (0..20).map(|i| ROW.replacen("1", &(i + 1).to_string(), 1)).collect();
     let output = identify(dir.path(), &format!("{HEADER}{same}"), &["--robot", "kr60ha"]);
     assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
-    // One length is not an error of the file: the result has a doubt.
+    // One length is not an error of the file: the result has a warning.
     let output = identify(dir.path(), &good, &["--robot", "kr60ha", "--estimate", "geometric"]);
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(3), "{said}");

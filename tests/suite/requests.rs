@@ -191,7 +191,7 @@ fn the_service_gives_the_files_of_the_command() {
         assert_eq!(job.status, 202, "{job:?}");
         let path = format!("/api/v1/jobs/{}", job.json()["id"]);
         let job = server.wait(&path, |job| job["state"] != "waiting" && job["state"] != "running");
-        assert_eq!((&job["state"], &job["percent"]), (&"doubt".into(), &100.into()), "{job}");
+        assert_eq!((&job["state"], &job["percent"]), (&"warned".into(), &100.into()), "{job}");
         let [wanted, written] = [by_command.path().join(kind), run.join(kind)].map(|dir| files(&dir));
         assert_eq!(wanted, written, "{kind}");
     }

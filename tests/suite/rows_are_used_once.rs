@@ -49,7 +49,7 @@ fn moved(mut data: Measurements) -> Measurements {
 }
 
 #[test]
-fn lengths_shifted_by_a_row_are_doubted() {
+fn lengths_shifted_by_a_row_have_a_warning() {
     let (dir, output) = identify(&moved(lengths(27)));
     assert_eq!(output.status.code(), Some(3));
     let found = result(&dir);
@@ -57,7 +57,7 @@ fn lengths_shifted_by_a_row_are_doubted() {
     assert_eq!(moved.values()["rows"], -1);
     assert!(moved.values()["gain"].as_f64().unwrap() > 20.0);
     assert!(moved.values()["shifted_mm"].as_f64() < Some(0.1), "{}", moved.values());
-    // Unshifted lengths are not doubted, nor with one outlier.
+    // Unshifted lengths have no warning, nor with one outlier.
     for wild in [0.0, 5.0] {
         let mut data = lengths(27);
         data.rows[11].length_mm += wild;

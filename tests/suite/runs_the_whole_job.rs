@@ -154,14 +154,14 @@ fn capture_alone_suffices() {
     assert!(!stderr(&known).contains("accuracy model"), "{}", stderr(&known));
     let again: CalibrationResult = serde_json::from_str(&read("again")).unwrap();
     assert!(again.residual_mm.before.rms < 0.03, "{}", again.residual_mm.before.rms);
-    // Poses of one robot are no data of another; the result has this doubt too.
+    // Poses of one robot are no data of another; the result has this warning too.
     let other = dbbd(at, &["identify", "run.dbbd", "--robot", "kr16-2", "--out", "other", "--json"]);
     assert!(other.status.code() == Some(3) && codes(&other).contains(&"W1328".into()), "{}", stderr(&other));
     // Findings of the run and of the result are in one list.
     let printed: serde_json::Value = serde_json::from_slice(&other.stdout).unwrap();
     let printed: Vec<_> = printed["findings"].as_array().unwrap().iter().map(|one| &one["code"]).collect();
     assert!(["W1328", "W1311"].iter().all(|code| printed.contains(&&(*code).into())), "{printed:?}");
-    let doubted: CalibrationResult = serde_json::from_str(&read("other")).unwrap();
-    let planned = doubted.findings.iter().find(|finding| finding.code() == "W1328").unwrap().values();
+    let warned: CalibrationResult = serde_json::from_str(&read("other")).unwrap();
+    let planned = warned.findings.iter().find(|finding| finding.code() == "W1328").unwrap().values();
     assert_eq!((&planned["planned"], &planned["given"]), (&"KUKA KR 60 HA".into(), &"KUKA KR 16-2".into()));
 }

@@ -119,7 +119,7 @@ fn scenes() -> Vec<Scene> {
     let mut random = Pcg64::seed_from_u64(2);
     drawn.data.rows.iter_mut().for_each(|row| row.length_mm *= random.random_range(0.2..1.8));
     scenes.push(drawn);
-    // Two bars with an offset each; lengths drawn anew.
+    // Two bars with an offset each; lengths drawn again.
     let mut two = Scene::new(&kr60(), &planes, 27, 0.0, &["--estimate", "all", "--folds", "0"]);
     two.data
         .rows
@@ -224,22 +224,22 @@ fn every_code_is_reported_in_a_scene() {
 
 /// With a tool ball fixed 50 mm off, the lengths fit as well, but with implausible corrections.
 #[test]
-fn wrong_fixed_values_are_doubted() {
+fn wrong_fixed_values_have_warnings() {
     let truth = with_errors([("a1", 0.4), ("alpha2", 6e-4), ("d4", -0.5), ("theta3", 9e-4)]);
-    let doubted = |args: &[&'static str]| {
+    let warned = |args: &[&'static str]| {
         let scene = Scene::new(&truth, &three_planes(1, CENTRE), 27, 0.01, args);
         scene.codes().iter().any(|code| code == "W1312")
     };
     for prior in ["none", "datasheet"] {
-        assert!(doubted(&["--hold", "tool", "--tool", "30,20,60", "--prior", prior]));
-        assert!(!doubted(&["--hold", "tool", "--prior", prior]));
+        assert!(warned(&["--hold", "tool", "--tool", "30,20,60", "--prior", prior]));
+        assert!(!warned(&["--hold", "tool", "--prior", prior]));
     }
 }
 
 /// With a list the user knows that the other parameters are fixed; a result that is predicted worse than the nominal robot is
-/// still doubted.
+/// still warned of.
 #[test]
-fn a_list_that_worsens_the_robot_is_doubted() {
+fn a_list_that_worsens_the_robot_has_a_warning() {
     let truth = with_errors(DESIGNED);
     let codes = |list: &'static str| {
         let args = ["--estimate", list, "--folds", "0"];

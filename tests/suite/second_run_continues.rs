@@ -77,7 +77,7 @@ fn repeated_measurement_does_not_raise_the_predicted_error() {
         let second = result(dir.path(), "second");
         let second_mm = second.predicted_position_uncertainty_mm;
         let said = stderr(&output);
-        // The only doubt comes from the first run: some of its poses are beyond the limits.
+        // The only warning comes from the first run: some of its poses are beyond the limits.
         let own = second.findings.iter().all(|found| found.severity() == Severity::Info);
         assert!(output.status.code() == Some(3) && told(&output, "W1843") && own, "{said}");
         assert!(second_mm.identified.mean < 1.05 * first_mm, "{prior} {first_mm}: {second_mm:?} {said}");

@@ -268,7 +268,7 @@ fn a_killed_run_is_listed_and_can_be_identified() {
     assert_eq!(job.status, 202, "{job:?}");
     let path = format!("/api/v1/jobs/{}", job.json()["id"]);
     let job = server.wait(&path, |job| job["state"] != "waiting" && job["state"] != "running");
-    assert_eq!(job["state"], "doubt", "a run that was cut off is a doubt: {job}");
+    assert_eq!(job["state"], "warned", "a run that was cut off has a warning: {job}");
     let report = server.get("/api/v1/runs/killed/identify/report.html");
     assert_eq!(report.status, 200);
     for part in ["default-src 'none'; script-src 'sha256-", "; sandbox allow-scripts; "] {

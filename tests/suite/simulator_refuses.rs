@@ -69,7 +69,7 @@ fn unresponsive_server_is_reported() {
 }
 
 #[test]
-fn doubtful_or_impossible_readings_are_reported() {
+fn impossible_readings_are_refused_and_strange_ones_warned_of() {
     for (options, code) in READ {
         let dir = tempdir().unwrap();
         cell(dir.path());

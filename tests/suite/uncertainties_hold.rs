@@ -187,19 +187,19 @@ fn prior_files_are_checked() {
 }
 
 #[test]
-fn meaningless_lengths_are_doubted() {
+fn meaningless_lengths_have_warnings() {
     let mut random = Pcg64::seed_from_u64(3);
     let mut data = lengths(20, 0.01);
     data.rows.iter_mut().for_each(|row| row.length_mm = random.random_range(50.0..900.0));
     for extra in [vec![], vec!["--prior", "datasheet"], THIRTEEN.to_vec()] {
         let (code, result, said) = run(cell(&data).path(), &extra);
         assert_eq!(code, 3, "{extra:?}: {said}");
-        let doubted = |w: &RecordedFinding| ["W1311", "W1312", "W1322"].contains(&w.code());
-        assert!(result.unwrap().findings.iter().any(doubted), "{extra:?}: {said}");
+        let expected = |w: &RecordedFinding| ["W1311", "W1312", "W1322"].contains(&w.code());
+        assert!(result.unwrap().findings.iter().any(expected), "{extra:?}: {said}");
     }
 }
 
-/// A sigma that is far too small is doubted, one that is far too large changes nothing; neither crashes.
+/// A sigma that is far too small gives a warning, one that is far too large changes nothing; neither crashes.
 #[test]
 fn absurd_sigmas_are_reported() {
     let dir = cell(&lengths(27, 0.01));

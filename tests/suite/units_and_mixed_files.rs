@@ -1,4 +1,4 @@
-//! Values in another unit, and files that do not belong together, are refused, or doubted with a code and exit code 3.
+//! Values in another unit, and files that do not belong together, are refused, or have a warning with a code and exit code 3.
 
 use std::fs;
 use std::path::Path;

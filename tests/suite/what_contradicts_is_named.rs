@@ -1,4 +1,4 @@
-//! Contradictions in a run, in a table or between two files are refused, or doubted with a code and exit code 3.
+//! Contradictions in a run, in a table or between two files are refused, or have a warning with a code and exit code 3.
 #![cfg(unix)]
 
 use std::fs;

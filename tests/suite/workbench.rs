@@ -51,7 +51,7 @@ fn a_step_makes_the_files_of_the_command_beside_it() {
     assert_eq!((plan["state"].as_str(), plan["action"].as_str()), (Some("ready"), Some("compute")));
     let command = plan["command"].as_str().unwrap().to_owned();
     let job = compute(&server, "cell-1", "plan");
-    assert!(["done", "doubt"].contains(&job["state"].as_str().unwrap()), "{job}");
+    assert!(["done", "warned"].contains(&job["state"].as_str().unwrap()), "{job}");
     let twin = dir.path().join("twin");
     fs::create_dir(&twin).unwrap();
     fs::write(twin.join("job.toml"), JOB).unwrap();
@@ -109,7 +109,7 @@ fn a_calibration_that_is_over_is_renewed() {
     assert_eq!(plan["command"], command);
     assert_eq!(server.get("/api/v1/workbench").json()["robots"][0]["text"], "result.over");
     let job = compute(&server, "cell-1", "plan");
-    assert!(["done", "doubt"].contains(&job["state"].as_str().unwrap()), "{job}");
+    assert!(["done", "warned"].contains(&job["state"].as_str().unwrap()), "{job}");
     let planned = work();
     assert_eq!(step(&planned, "plan")["text"], "plan.found");
     assert!((20..40).contains(&step(&planned, "plan")["values"]["poses"].as_u64().unwrap()), "{planned}");

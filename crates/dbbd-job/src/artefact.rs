@@ -1,6 +1,7 @@
-//! What was this file made from? Reads and writes the chain of an artefact, which `dbbd_model::provenance` defines.
+//! Reads and writes the chain of an artefact: the files from which it was made. `dbbd_model::provenance` defines the
+//! chain.
 //!
-//! This room knows where the chain of each kind of file is kept, and not what the file contains.
+//! This module knows where the chain of each kind of file is kept, and not what the file contains.
 
 use std::path::{Path, PathBuf};
 
@@ -15,11 +16,11 @@ use crate::files;
 /// dbbd's version; in a release build from a repository with the commit.
 pub const VERSION: &str = env!("DBBD_VERSION");
 
-/// The file beside a CSV table with the chain of the table, which has no place for it.
+/// The file beside a CSV table that holds the chain of the table, because the table has no place for it.
 #[derive(Serialize, Deserialize)]
 struct TableRecord {
     table: String,
-    /// Of the table.
+    /// SHA-256 of the table.
     sha256: String,
     provenance: Provenance,
 }
@@ -52,7 +53,7 @@ pub fn of_table(role: ArtefactRole, path: &Path) -> Result<(TracedArtefact, Opti
     Ok((TracedArtefact { artefact, provenance }, changed))
 }
 
-/// The provenance of what this version makes from `inputs`.
+/// The provenance of a file that this version makes from `inputs`.
 pub fn made_from<'a>(inputs: impl IntoIterator<Item = &'a TracedArtefact>) -> Provenance {
     Provenance::made_by(VERSION, inputs)
 }

@@ -1,5 +1,5 @@
-//! The files of one result, replaced together: after an error the files of the earlier result are still there. What becomes
-//! of an earlier result is decided here, for every command.
+//! The files of one result, which are replaced together: after an error the files of the earlier result are still
+//! there. For every command, this module decides what is done with an earlier result.
 
 use std::fs;
 use std::io;
@@ -9,10 +9,10 @@ use super::files::{self, DirectoryLock, UnfinishedFile};
 use dbbd_model::base::FileFinding;
 use dbbd_model::diagnostic::Diagnostic;
 
-/// What becomes of the files of an earlier result in the directory.
+/// The treatment of the files of an earlier result in the directory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EarlierFiles {
-    /// They move to `previous-1`, `previous-2`, .. in the directory.
+    /// The files move to `previous-1`, `previous-2`, .. in the directory.
     Keep,
     /// The new result is refused.
     Refuse,
@@ -20,12 +20,13 @@ pub enum EarlierFiles {
 }
 
 impl EarlierFiles {
-    /// For results of measurements, which cannot be made again.
+    /// The treatment for results of measurements, which cannot be made again: kept, unless `replace` is set.
     pub fn kept_unless(replace: bool) -> Self {
         if replace { Self::Replace } else { Self::Keep }
     }
 
-    /// For programs and tables, of which a controller or another program uses what is in the directory.
+    /// The treatment for programs and tables, which a controller or another program may be using: refused, unless
+    /// `replace` is set.
     pub fn refused_unless(replace: bool) -> Self {
         if replace { Self::Replace } else { Self::Refuse }
     }
@@ -96,7 +97,7 @@ impl FileSet {
         self.removed.push(self.directory.join(name));
     }
 
-    /// Gives the files their names, and returns these.
+    /// Gives the files their final names, and returns these names.
     ///
     /// # Errors
     /// A file cannot be replaced or removed. The earlier files are then restored.
@@ -116,12 +117,12 @@ impl FileSet {
             }
             // A backup that cannot be renamed back is kept.
             if done.is_ok() || fs::rename(&backup, path).is_ok() {
-                // Not there any more after the renaming, unless both are links to one file.
+                // After the renaming the backup is gone, unless both names are links to one file.
                 let _ = fs::remove_file(backup);
             }
         }
         if let Some(kept) = kept.filter(|_| done.is_err()) {
-            // Remains if it holds a file that could not be renamed back.
+            // The directory remains if it holds a file that could not be renamed back.
             let _ = fs::remove_dir(kept);
         }
         done.map(|()| self.names)
@@ -139,7 +140,7 @@ impl FileSet {
         }
     }
 
-    /// Earlier files go to `kept`, or to names beside them.
+    /// Replaces the earlier files, which go to `kept`, or to names beside them.
     fn replace(
         &self,
         backups: &mut Vec<Backup>,
@@ -168,7 +169,7 @@ impl FileSet {
     }
 }
 
-/// Gives an existing file a second name, so that it keeps its own until it is replaced.
+/// Gives an existing file a second name, so that its content is kept when the file is replaced.
 fn back_up(path: &Path, backup: PathBuf) -> io::Result<Backup> {
     // Not every file system has hard links.
     if fs::hard_link(path, &backup).is_err() {
@@ -234,7 +235,7 @@ mod tests {
         assert_eq!(fs::read_dir(at).unwrap().count(), 1);
     }
 
-    /// A file of the set cannot be placed: its name is a directory by then.
+    /// A file of the set cannot be placed, because its name has become the name of a directory.
     #[test]
     fn failed_set_leaves_the_earlier_one() {
         let dir = tempfile::tempdir().unwrap();

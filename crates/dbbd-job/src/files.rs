@@ -41,7 +41,7 @@ pub fn read_text(path: &Path) -> Result<String, Diagnostic> {
     })
 }
 
-/// Reads a file if it exists. A path with this ending is meant to be a file: if it does not exist, that is an error.
+/// Reads a file if it exists. A path with this ending must be a file: if it does not exist, that is an error.
 pub fn if_there(path: &Path, ending: &str) -> Option<Result<String, Diagnostic>> {
     (path.exists() || path.to_string_lossy().ends_with(ending)).then(|| read_text(path))
 }
@@ -75,8 +75,8 @@ pub fn sha256(path: &Path) -> Result<String, Diagnostic> {
     }
 }
 
-/// A file that is written under a temporary name and renamed when it is complete. If it is dropped before, nothing of it
-/// remains.
+/// A file that is written under a temporary name and renamed when it is complete. If it is dropped before that, no part
+/// of it remains.
 #[derive(Debug)]
 #[must_use = "the file gets its name when it is finished"]
 pub struct UnfinishedFile {
@@ -113,7 +113,7 @@ pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Diagnost
     write_unfinished(path, [content])?.map_or(Ok(()), UnfinishedFile::finish)
 }
 
-/// Writes a file in pieces under its temporary name. `None`: `path` is a device or a pipe, which took the pieces.
+/// Writes a file in pieces under its temporary name. `None` if `path` is a device or a pipe, which took the pieces.
 pub(super) fn write_unfinished(
     path: &Path,
     pieces: impl IntoIterator<Item = impl AsRef<[u8]>>,
@@ -173,7 +173,7 @@ pub fn is_earlier(out: &Path, head: &[u8]) -> Result<(), Diagnostic> {
     if head.starts_with(&begin) { Ok(()) } else { Err(Diagnostic::file(out.display(), NoResult)) }
 }
 
-/// Refuses to replace a file with another content than that of this SHA-256.
+/// Refuses to replace a file whose content does not have this SHA-256.
 pub fn is_same(out: &Path, content_sha256: &str) -> Result<(), Diagnostic> {
     if out.symlink_metadata().is_err() || (out.is_file() && sha256(out)? == content_sha256) {
         return Ok(());
@@ -194,20 +194,21 @@ pub fn exclusive(path: &Path) -> Result<DirectoryLock, Diagnostic> {
     Ok(DirectoryLock { _lock: lock(path) })
 }
 
-/// `None` on a file system where directories cannot be locked: sets are then written unprotected.
+/// Locks a directory. `None` on a file system where directories cannot be locked: sets are then written unprotected.
 #[cfg(not(windows))]
 fn lock(directory: &Path) -> Option<File> {
     File::open(directory).ok().filter(|directory| directory.lock().is_ok())
 }
 
-/// Windows does not lock directories: a file in it is opened exclusively and deleted with its handle.
+/// Locks a directory. Windows does not lock directories: a file in it is opened exclusively and deleted with its
+/// handle.
 #[cfg(windows)]
 fn lock(directory: &Path) -> Option<File> {
     use std::os::windows::fs::OpenOptionsExt;
     const DELETE_ON_CLOSE: u32 = 0x0400_0000;
     const SHARING_VIOLATION: i32 = 32;
     const ACCESS_DENIED: i32 = 5;
-    /// 20 ms apart. Without a limit this would wait forever in a directory that is not writable.
+    /// Number of tries, 20 ms apart. Without a limit this would wait forever in a directory that is not writable.
     const TRIES: usize = 1500;
     let mut options = fs::OpenOptions::new();
     options.write(true).create(true).truncate(true).share_mode(0).custom_flags(DELETE_ON_CLOSE);

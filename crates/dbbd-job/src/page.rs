@@ -1,4 +1,4 @@
-//! What a page in a browser is made of, apart from how it is served.
+//! The parts of a page in a browser, independent of how the page is served.
 
 use std::fs::File;
 
@@ -16,6 +16,6 @@ pub struct PageFile {
 pub struct Download {
     pub file: File,
     pub name: String,
-    /// Size when it was opened.
+    /// Size of the file when it was opened, bytes.
     pub bytes: u64,
 }

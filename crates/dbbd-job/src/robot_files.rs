@@ -1,6 +1,7 @@
-//! Which robot does the user name, and what is known of it? Reads a robot by its built-in name or file, and the result beside it.
+//! Reads the robot that the user names, by its built-in name or file, and the result beside it.
 //!
-//! This room knows where these files are, and neither what is measured with the robot nor what is computed from the result.
+//! This module knows where these files are. It knows neither what is measured with the robot nor what is computed from
+//! the result.
 
 use std::path::{Path, PathBuf};
 
@@ -11,10 +12,10 @@ use serde_json::{Value, json};
 
 use crate::files;
 
-/// A robot by the name of a built-in one or by its file. A name with the ending `.toml` is meant to be a file.
+/// The robot with a built-in name, or in a file. A name with the ending `.toml` must be a file.
 ///
 /// # Errors
-/// There is neither, or the file is not a robot.
+/// There is no such robot and no such file, or the file is not a robot.
 pub fn named_robot(name: &str) -> Result<LoadedRobot, Diagnostic> {
     match Robot::built_in_file(name) {
         Some(text) => LoadedRobot::from_toml(name, text),
@@ -28,9 +29,9 @@ pub fn named_robot(name: &str) -> Result<LoadedRobot, Diagnostic> {
 /// The `result.json` beside a robot file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ResultBeside {
-    /// Of the same calibration.
+    /// A result of the same calibration.
     Own(Box<CalibrationResult>),
-    /// Of another robot or calibration.
+    /// A result of another robot or calibration.
     Another,
     Nothing,
 }
@@ -38,7 +39,7 @@ pub enum ResultBeside {
 /// The result file beside the file of `robot`, and its path.
 ///
 /// # Errors
-/// It cannot be read, or is not a result.
+/// The file cannot be read, or is not a result.
 pub fn result_beside(robot_file: &Path, robot: &Robot) -> Result<(PathBuf, ResultBeside), Diagnostic> {
     let path = robot_file.with_file_name("result.json");
     let Some(text) = files::read_if_file(&path).transpose()? else {

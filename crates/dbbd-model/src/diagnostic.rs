@@ -1,4 +1,5 @@
-//! What a user reads of an error, a warning or an information: a finding with its code, sentence, help and values, and its place in a file.
+//! Errors, warnings and information for the user: a finding with its code, sentence, help and values, and its place in
+//! a file.
 //!
 //! A finding keeps its type: whoever decides by a finding asks [`Diagnostic::finding`] for it. The sentences are in the file
 //! `catalogue.rs` of the room that owns them, made by the macro [`findings!`](crate::findings). This room knows no particular
@@ -81,18 +82,18 @@ pub trait Finding: Any + fmt::Debug + fmt::Display + Send + Sync {
     /// The values by their field names; null if there are none.
     fn values(&self) -> Value;
 
-    /// What to do, if one line can say it.
+    /// The advice what to do, if one line can say it.
     fn help(&self) -> Option<String>;
 
     /// The inputs of the request that the cure is about.
     fn asks(&self) -> &'static [Input];
 }
 
-/// What the catalogue says of a code.
+/// The entry of the catalogue for a code.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
     pub code: FindingCode,
-    /// What happened, in a few words.
+    /// The event in a few words.
     pub title: &'static str,
     pub cause: &'static str,
     pub cure: &'static str,
@@ -109,13 +110,13 @@ pub struct Family {
     pub entries: &'static [Entry],
 }
 
-/// What a request is made of beside its files. A finding names what to give or to correct by these; the command line knows the
-/// option of each, a page its field.
+/// The inputs of a request besides its files. A finding names by them what to give or to correct; the command line
+/// knows the option of each input, a page its field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Input {
     Archive,
-    /// That the base balls are mounted as in the calibration.
+    /// Whether the base balls are mounted as in the calibration.
     BallsKept,
     BarUncertainty,
     BaseBalls,
@@ -138,12 +139,12 @@ pub enum Input {
     /// The parameters that are fixed.
     Fixed,
     Folds,
-    /// How long a bar may be away.
+    /// The longest time that a bar may be away.
     GoneTime,
     /// Whom the files of a robot are for.
     HandBackTarget,
     Identity,
-    /// That an interim check is planned.
+    /// Whether an interim check is planned.
     InterimCheck,
     Language,
     /// The largest correction of a point.
@@ -152,7 +153,7 @@ pub enum Input {
     Link,
     /// The address of a simulated line.
     ListenAddress,
-    /// That nothing is sent to a bar.
+    /// Whether nothing is sent to a bar.
     ListenOnly,
     /// The .dat with the axis angles that a program logged.
     LoggedAxes,
@@ -160,7 +161,7 @@ pub enum Input {
     /// Lengths of earlier stages.
     MeasuredLengths,
     Model,
-    /// Where the result is written.
+    /// The place where the result is written.
     Out,
     /// Seconds of the simulated bar per second.
     Pace,
@@ -177,24 +178,24 @@ pub enum Input {
     Remaining,
     /// A run whose poses are measured again.
     Repeat,
-    /// That files of an earlier result are replaced.
+    /// Whether files of an earlier result are replaced.
     Replace,
     Risk,
     Robot,
-    /// Where what was received is kept.
+    /// The place where received data are kept.
     Save,
     Search,
-    /// That the configuration of the service is only checked.
+    /// Whether the configuration of the service is only checked.
     ServiceCheck,
-    /// The standard deviation of a length.
     /// Whether parts of a measurement have one set-up.
     SetUpRelation,
+    /// The standard deviation of a length.
     Sigma,
     Since,
     Spool,
     Stage,
     Store,
-    /// How a program marks its dwells.
+    /// The way in which a program marks its dwells.
     Synchronisation,
     /// The server in a program that sends telegrams.
     TelegramServer,
@@ -204,14 +205,14 @@ pub enum Input {
     ToolBall,
     ToolFrame,
     Until,
-    /// That an updated robot is written.
+    /// Whether an updated robot is written.
     Update,
     Urdf,
     UrdfJoints,
     /// Lengths that only validate.
     Validation,
     World,
-    /// That the bar's zero is set.
+    /// Whether the bar's zero is set.
     Zero,
 }
 
@@ -418,7 +419,7 @@ impl Diagnostic {
         self.finding.asks()
     }
 
-    /// What to do, in one line.
+    /// The advice what to do, in one line.
     pub fn help_line(&self) -> Option<String> {
         self.help.as_deref().map(str::to_owned).or_else(|| self.finding.help())
     }
@@ -468,7 +469,7 @@ impl Diagnostic {
         self
     }
 
-    /// Adds what to do, in one line.
+    /// Adds the advice what to do, in one line.
     #[must_use]
     pub fn help(mut self, help: impl AsRef<str>) -> Self {
         self.help = Some(help.as_ref().into());
@@ -546,7 +547,7 @@ pub struct FindingRecord {
     /// The column from 1, in characters; `None` if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub column: Option<usize>,
-    /// What to do, in one line.
+    /// The advice what to do, in one line.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub help: Option<String>,
     /// The values of the finding by name; null if it has none.
@@ -650,7 +651,7 @@ impl From<FindingRecord> for RecordedFinding {
 }
 
 impl From<RecordedFinding> for FindingRecord {
-    /// Without its place in the user's file, so that equal inputs give equal results wherever they are.
+    /// The record has no place in the user's file, so that equal inputs give equal results wherever they are.
     fn from(finding: RecordedFinding) -> Self {
         match finding {
             RecordedFinding::Made(finding) => {

@@ -15,7 +15,7 @@ class DbbdError(Exception):
 
 
 class DbbdWarning(UserWarning):
-    """What a command would have reported as a doubt (exit code 3), such as that a robot's identification was doubtful."""
+    """What a command would have reported as a warning (exit code 3), such as that the identification of a robot has warnings."""
 
     code: str
 

@@ -305,7 +305,7 @@ fn results_csv(columns: &[&str], results: &[ArchivedResult]) -> Result<String, I
             &one.measured,
             &one.settings,
             &one.version,
-            summary.doubtful,
+            summary.has_warnings,
             summary.lengths,
             numbers,
         )

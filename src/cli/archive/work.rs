@@ -123,7 +123,7 @@ fn do_job(
     };
     match answer.result {
         AnswerResult::Result(RequestResult { outcome, .. }) => {
-            let (summary, contents) = read_result(&directory.path().join("result"), outcome.is_doubtful())?;
+            let (summary, contents) = read_result(&directory.path().join("result"), outcome.has_warnings())?;
             patiently(archive, out, |archive| archive.finish(job, worker, &summary, &contents))?;
             Ok(true)
         }
@@ -200,7 +200,7 @@ pub(super) fn report_failures(jobs: u64, out: &CommandOutput) {
 }
 
 /// The summary of a result, and the files that are stored.
-fn read_result(result: &Path, doubtful: bool) -> Result<(ResultSummary, FileContents), Diagnostic> {
+fn read_result(result: &Path, has_warnings: bool) -> Result<(ResultSummary, FileContents), Diagnostic> {
     let mut contents = Vec::new();
     for name in KEPT {
         let path = result.join(name);
@@ -212,7 +212,7 @@ fn read_result(result: &Path, doubtful: bool) -> Result<(ResultSummary, FileCont
     let covariance = files::read_text(&result.join("covariance.csv"))?;
     let posterior = WrittenPosterior::of(&file, &covariance, &priors(result)?);
     let summary = ResultSummary {
-        doubtful,
+        has_warnings,
         lengths: file.measurements as u64,
         sigma_mm: Some(file.noise_mm.length),
         rms_before_mm: Some(file.residual_mm.before.rms),

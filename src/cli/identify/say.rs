@@ -86,7 +86,7 @@ fn position(result: &CalibrationResult) -> Vec<String> {
         let [before, after] = [turned.nominal.mean, turned.identified.mean];
         format!("predicted orientation error of the flange: mean {before:.2} -> {after:.2} mrad")
     }));
-    let validity = result.validity.iter().filter(|_| !result.is_doubtful() && result.converged);
+    let validity = result.validity.iter().filter(|_| !result.has_warnings() && result.converged);
     lines.extend(validity.map(|validity| format!("valid {validity}")));
     lines
 }

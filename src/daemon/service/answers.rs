@@ -1,4 +1,4 @@
-//! The service as the pages call it.
+//! The requests of the pages, answered by the service.
 
 use std::fmt::Display;
 use std::sync::atomic::Ordering;
@@ -33,7 +33,7 @@ const LONGEST_S: f64 = 1e6;
 /// Operator actions that are kept until a run begins. The oldest are dropped.
 const MAX_NOTES: usize = 100;
 
-/// The greatest speed of a simulated cell: beyond it the line of the virtual bar is the limit.
+/// The greatest speed of a simulated cell: at greater speeds the line of the virtual bar is the limit.
 const MAX_SPEED: f64 = 100.0;
 
 fn check_speed(speed: Option<f64>) -> Result<(), Diagnostic> {
@@ -73,7 +73,7 @@ impl Supervisor {
 }
 
 impl Supervisor {
-    /// Notes what the plan of a run is for.
+    /// Notes the purpose of the plan of a run.
     fn note_plan(&self, run: &mut RunEntry) {
         let capture = self.config.data.join(&run.name).join(runs::CAPTURE);
         let plan = self.known.of_runs.of(&capture, run.started_unix_ms);
@@ -165,7 +165,7 @@ impl Service for Supervisor {
         Ok(())
     }
 
-    /// Ends the reading meanwhile: the command needs the line for itself.
+    /// Sets the bar to zero. A reading is ended meanwhile: the command needs the line for itself.
     fn zero(&self) -> Result<(), Diagnostic> {
         let Some(running) = self.reserve_line()? else {
             self.release_line(Ok(None))?;

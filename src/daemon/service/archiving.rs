@@ -1,4 +1,4 @@
-//! Completed runs go to the archive: `dbbd archive push` as a child process, one run at a time.
+//! Sends completed runs to the archive: `dbbd archive push` as a child process, one run at a time.
 
 use std::fs;
 use std::io;
@@ -28,11 +28,11 @@ const HANDED_OVER: &str = ".archive";
 const IDLE_S: f64 = 3600.0;
 
 enum PushAttempt {
-    /// The archive confirmed it, perhaps with a warning.
+    /// The archive confirmed the run, perhaps with a warning.
     Confirmed(Option<String>),
-    /// It is in the spool, with the reason.
+    /// The run is in the spool, with the reason.
     Waits(String),
-    /// Neither pushed nor spooled, with the reason.
+    /// The run was neither pushed nor spooled, with the reason.
     Failed(String),
 }
 
@@ -67,7 +67,7 @@ fn push_all(supervisor: &Supervisor, over: &Receiver<()>) {
     }
 }
 
-/// `confirmed` is the number of runs confirmed before.
+/// Pushes once all that waits. `confirmed` is the number of runs confirmed before.
 fn round(supervisor: &Supervisor, archive: &ArchiveTarget, confirmed: u64) -> Archiving {
     let mut state = Archiving::default();
     let spooled = || Spool::count(&archive.spool).map_or(1, |waiting| waiting as u64);
@@ -82,13 +82,13 @@ fn round(supervisor: &Supervisor, archive: &ArchiveTarget, confirmed: u64) -> Ar
         let pushed = hand_over(archive, &directory);
         match pushed {
             Ok(None) => {}
-            Ok(Some(PushAttempt::Confirmed(doubt))) => {
+            Ok(Some(PushAttempt::Confirmed(warning))) => {
                 (sent, handed_over) = (true, handed_over + 1);
-                let level = if doubt.is_some() { LogLevel::Warning } else { LogLevel::Info };
-                let doubt = doubt.unwrap_or_default();
-                supervisor.log.event(level, "archived", &[("run", &name), ("doubt", &doubt)]);
+                let level = if warning.is_some() { LogLevel::Warning } else { LogLevel::Info };
+                let warning = warning.unwrap_or_default();
+                supervisor.log.event(level, "archived", &[("run", &name), ("warning", &warning)]);
             }
-            // Counted in the spool.
+            // The run is counted in the spool.
             Ok(Some(PushAttempt::Waits(why))) => {
                 (sent, handed_over, state.reason) = (true, handed_over + 1, Some(why));
             }
@@ -152,7 +152,7 @@ fn hand_over(archive: &ArchiveTarget, directory: &Path) -> io::Result<Option<Pus
     Ok(Some(pushed))
 }
 
-/// Pushes the runs in the spool, and this run.
+/// Pushes the runs in the spool, and `run` if there is one.
 fn push(archive: &ArchiveTarget, run: Option<&Path>) -> io::Result<PushAttempt> {
     let mut command = child_process::own()?;
     command.args(["archive", "push", "--json"]).args(run.map(absolute).transpose()?);
@@ -171,7 +171,7 @@ fn push(archive: &ArchiveTarget, run: Option<&Path>) -> io::Result<PushAttempt> 
     let mut warnings = findings.iter().filter(|finding| finding.severity == Severity::Warning);
     Ok(match status.code() {
         Some(0) => PushAttempt::Confirmed(None),
-        // What waits is reported last.
+        // The command reports waiting runs last.
         Some(3) if Spool::count(&archive.spool).map_err(io::Error::other)? > 0 => {
             PushAttempt::Waits(warnings.next_back().map(FindingRecord::labelled).unwrap_or_default())
         }
@@ -183,7 +183,7 @@ fn push(archive: &ArchiveTarget, run: Option<&Path>) -> io::Result<PushAttempt> 
     })
 }
 
-/// What the service reads of the document that `archive push` prints.
+/// The parts of the document printed by `archive push` that the service reads.
 #[derive(Default, Deserialize)]
 struct PushReport {
     #[serde(default)]

@@ -28,10 +28,10 @@ use dbbd_job::recording::run::PlanFiles;
 use dbbd_model::diagnostic::{Diagnostic, Finding};
 use dbbd_model::robot::Robot;
 
-/// Why the bar is read.
+/// The reason for reading the bar.
 pub(super) enum ReadPurpose {
     Run(StartRequest),
-    /// To show the bar against the stroke of a plan.
+    /// The bar is shown against the stroke of a plan.
     Reading {
         plan: Option<String>,
         speed: Option<f64>,
@@ -56,7 +56,7 @@ impl Supervisor {
         }
     }
 
-    /// Gives the reserved line to a reading, or frees it. An error is passed on.
+    /// Gives the reserved line to a reading, or frees it. An error is returned as it is.
     pub(super) fn release_line(
         &self,
         reading: Result<Option<ActiveRun>, Diagnostic>,
@@ -192,7 +192,7 @@ impl Supervisor {
     }
 }
 
-/// What the mounting monitor expects of the readings.
+/// The readings that the mounting monitor expects.
 fn expected(purpose: &ReadPurpose, files: Option<&PlanFiles>, rest: RestCondition) -> ExpectedMounting {
     match (purpose, files) {
         (ReadPurpose::Run(_), Some(files)) => ExpectedMounting::of(&files.plan, RestCondition::Program),

@@ -28,23 +28,23 @@ use dbbd_model::provenance::Identity;
 
 /// Default of [`ServiceConfig::gone_s`].
 const GONE_S: f64 = 60.0;
-/// A smaller share raises the alarm permanently.
+/// Least alarm share: a smaller share raises the alarm permanently.
 const MIN_ALARM_SHARE: f64 = 0.05;
-/// No bar has a longer stroke, mm: larger numbers are micrometres.
+/// Longest stroke of a bar, mm: larger numbers are micrometres.
 const MAX_STROKE_MM: f64 = 500.0;
 /// Default of [`ArchiveTarget::retry_s`].
 #[cfg(feature = "archive")]
 const RETRY_S: f64 = 60.0;
 /// Longest name of a user, bytes.
 const LONGEST_USER: usize = 64;
-/// No user waits longer for a port, s: larger numbers are milliseconds.
+/// Longest time to wait for a port, s: larger numbers are milliseconds.
 const MAX_GONE_S: f64 = 14_400.0;
 
 /// The address of a service, its host names and its token.
 #[derive(Debug)]
 pub struct Endpoint {
     pub address: SocketAddr,
-    /// Host names besides its addresses.
+    /// Host names of the service besides its addresses.
     pub hosts: Vec<String>,
     pub token: Option<Token>,
     /// Named users beside the owner of the token.
@@ -61,7 +61,7 @@ pub struct ServiceConfig {
     /// The directory of the plans: `NAME/plan.csv`.
     pub plans: PathBuf,
     pub port: Option<PortAddress>,
-    /// `None`: the protocol of the plan.
+    /// Protocol of the bar; `None` for the protocol of the plan.
     pub protocol: Option<ProtocolDefinition>,
     /// A run ends when its port has been absent for this time.
     pub gone_s: f64,
@@ -77,15 +77,15 @@ pub struct ServiceConfig {
 /// The archive that receives completed runs.
 #[derive(Debug)]
 pub struct ArchiveTarget {
-    /// As of `dbbd archive --archive`.
+    /// Database, as in `dbbd archive --archive`.
     pub database: String,
-    /// As of `dbbd archive --store`.
+    /// Store, as in `dbbd archive --store`.
     pub store: String,
-    /// Base of relative paths in both.
+    /// Base of relative paths in database and store.
     pub base: PathBuf,
     /// Directory of the runs that wait while the archive is unreachable.
     pub spool: PathBuf,
-    /// Interval between attempts while runs wait.
+    /// Interval between attempts while runs wait, s.
     pub retry_s: f64,
 }
 
@@ -197,7 +197,7 @@ impl Endpoint {
         Ok(endpoint)
     }
 
-    /// Everybody who is asked for a token.
+    /// Takes all users who are asked for a token, the owner included.
     pub(super) fn take_users(&mut self) -> Vec<KnownUser> {
         let owner = self.token.take().map(KnownUser::owner);
         owner.into_iter().chain(std::mem::take(&mut self.users)).collect()
@@ -228,7 +228,7 @@ impl ServiceConfig {
         Self::from_toml(path, &files::read_text(path)?)
     }
 
-    /// From the text of a file. Relative paths in it start at its directory.
+    /// Reads the text of a configuration file. Relative paths in it start at the directory of the file.
     pub fn from_toml(path: &Path, text: &str) -> Result<Self, Diagnostic> {
         let file = path.display().to_string();
         let base = path.parent().unwrap_or(Path::new(""));
@@ -361,7 +361,7 @@ fn definition(
     ProtocolDefinition::from_toml_with(&path.display().to_string(), &text, params)
 }
 
-/// `all` are the names of all users, and the hashes of their tokens.
+/// Checks a user of the file. `all` are the names of all users, and the hashes of their tokens.
 fn known_user(user: UserTable, all: &[(String, String)]) -> Result<KnownUser, ServiceFinding> {
     let UserTable { name, role, token_hash } = user;
     if name.trim().is_empty() || name.len() > LONGEST_USER || name.contains(char::is_control) {

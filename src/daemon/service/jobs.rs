@@ -41,7 +41,7 @@ const LINES_STREAMED: usize = 12;
 pub(super) struct JobQueue {
     shared: Arc<JobsShared>,
     queue: Sender<JobTask>,
-    /// Held while a changed job is tried.
+    /// Locked while a changed job is tried.
     trial: Mutex<()>,
 }
 
@@ -57,36 +57,36 @@ struct JobsShared {
 struct KeptJob {
     job: EvaluationJob,
     began: Option<HostNs>,
-    /// The result of its request.
+    /// The result of the job's request.
     document: Option<Arc<Value>>,
 }
 
-/// What a job is for.
+/// The subject of a job: the command, and the run or the step that it is for.
 pub(super) struct JobSubject {
     pub(super) kind: &'static str,
-    /// Empty if no run is evaluated.
+    /// Name of the run; empty if no run is evaluated.
     pub(super) run: String,
-    /// Of a step of the workbench.
+    /// Robot and step of the workbench, if the job computes a step.
     pub(super) step: Option<(String, WorkStep)>,
 }
 
 struct JobTask {
     id: u64,
-    /// The directory of the run.
+    /// The directory in which the job runs.
     directory: PathBuf,
     work: JobWork,
 }
 
-/// What a job computes.
+/// The computation of a job.
 pub(super) enum JobWork {
     /// A command without a request, by its arguments; its output is the log.
     Command(Vec<String>),
-    /// The same with a JSON document as its output, which has the findings.
+    /// A command that prints a JSON document with its findings.
     Document(Vec<String>),
     Request(Box<Request>),
 }
 
-/// What a client asks for. Settings must be lists of names.
+/// The computation that a client requests. Settings must be lists of names.
 pub(super) fn work_of(request: &JobRequest) -> Result<JobWork, Diagnostic> {
     let mut identify =
         IdentifyRequest { input: CAPTURE.into(), out: request.kind.name().into(), ..Default::default() };
@@ -99,7 +99,7 @@ pub(super) fn work_of(request: &JobRequest) -> Result<JobWork, Diagnostic> {
         }
         let sound = |byte: u8| byte.is_ascii_alphanumeric() || b"_,-".contains(&byte);
         let prior = RequestedPrior::named(value);
-        // A client names no file.
+        // A client must not name a file.
         let known = option != "prior" || !matches!(prior, RequestedPrior::Table(_));
         if !known || value.len() > 1000 || !value.bytes().all(sound) {
             return Err(OptionValue { option: option.into(), value: value.into() }.into());
@@ -139,7 +139,7 @@ impl JobQueue {
         Ok(Self { shared, queue, trial: Mutex::default() })
     }
 
-    /// Lets one changed job at a time be tried, which does not wait in the queue.
+    /// Lets one changed job at a time be tried. The trial does not wait in the queue.
     pub(super) fn begin_trial(&self) -> Result<MutexGuard<'_, ()>, Diagnostic> {
         match self.trial.try_lock() {
             Ok(trial) => Ok(trial),
@@ -184,7 +184,7 @@ impl JobQueue {
         Ok(job)
     }
 
-    /// The newest first.
+    /// All jobs, the newest first.
     pub(super) fn list(&self) -> Vec<EvaluationJob> {
         lock(&self.shared.jobs).iter().rev().map(KeptJob::now).collect()
     }
@@ -229,7 +229,7 @@ impl JobQueue {
         if let Some((id, child)) = &mut *lock(&self.shared.child)
             && meant(*id)
         {
-            // Fails if it has just ended.
+            // Fails if the child has just ended.
             let _ = child.kill();
         }
     }
@@ -241,7 +241,7 @@ fn explained(explain: Explain, finding: FindingRecord) -> ExplainedFinding {
     ExplainedFinding { finding, cause, cure }
 }
 
-/// What a command prints with `--json`, as far as it is the same for all commands.
+/// The parts of a document printed with `--json` that are the same for all commands.
 #[derive(Deserialize)]
 struct PrintedDocument {
     #[serde(default)]
@@ -381,7 +381,7 @@ fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
                     shared.keep(task.id, document);
                     match outcome {
                         AnswerOutcome::Done => JobState::Done,
-                        AnswerOutcome::Warned | AnswerOutcome::Undecided => JobState::Doubt,
+                        AnswerOutcome::Warned | AnswerOutcome::Undecided => JobState::Warned,
                         AnswerOutcome::Failed => JobState::Failed,
                     }
                 }
@@ -391,16 +391,17 @@ fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
     }
 }
 
-/// By the exit codes of all commands.
+/// The state of a job whose child ended: all commands have the same exit codes.
 fn state_of(status: ExitStatus) -> JobState {
     match status.code() {
         Some(0) => JobState::Done,
-        Some(3) => JobState::Doubt,
+        Some(3) => JobState::Warned,
         _ => JobState::Failed,
     }
 }
 
-/// Follows a child process to its end. Returns its status and what `read` makes of its stdout; its stderr is the log.
+/// Follows a child process to its end. Returns its status and the result of `read` on its stdout; its stderr is the
+/// log.
 fn follow<T: Send>(
     shared: &Arc<JobsShared>,
     id: u64,
@@ -423,14 +424,14 @@ fn follow<T: Send>(
         }
         reader.and_then(|reader| reader.join().ok())
     });
-    // Its outputs are closed: the process ends.
+    // The outputs of the child are closed, so it ends.
     let Some((_, mut child)) = lock(&shared.child).take() else {
         return Err(io::Error::other("the child process was lost"));
     };
     Ok((child.wait()?, output))
 }
 
-/// If memory runs out, the system kills this evaluation and not the recorder.
+/// Makes the system kill this evaluation and not the recorder if memory runs out.
 pub(super) fn prefer_for_oom_kill(child: &Child) {
     // Only Linux has this file.
     let _ = std::fs::write(format!("/proc/{}/oom_score_adj", child.id()), "1000");

@@ -1,4 +1,4 @@
-//! Which plan the runs belong to.
+//! Finds the plan to which a run belongs.
 
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -18,7 +18,7 @@ const CAPTURE_HEAD: u64 = 16 << 20;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct RunPlan {
     pub hash: String,
-    /// Of a check of a calibrated robot.
+    /// Whether the plan is for the check of a calibrated robot.
     pub is_check: bool,
 }
 

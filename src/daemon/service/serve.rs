@@ -22,7 +22,7 @@ use dbbd_model::diagnostic::Diagnostic;
 
 /// Interval of the main loop, s.
 const TICK_S: f64 = 0.2;
-/// The web thread is alive if its heartbeat is younger, s.
+/// The web thread is alive if its last heartbeat is not older than this, s.
 const ALIVE_S: f64 = 5.0;
 /// Blocking requests of clients at a time.
 const MAX_BLOCKING: usize = 16;
@@ -87,7 +87,7 @@ pub fn serve_plant(
     close(served?, &*log)
 }
 
-/// Logs what is dangerous about the address and the user of the process.
+/// Logs the risks of the address and of the user of the process.
 fn log_endpoint(endpoint: &mut Endpoint, log: &dyn ServiceLog) -> (SocketAddr, Arc<Access>) {
     let address = endpoint.address;
     if !address.ip().is_loopback() {
@@ -135,7 +135,7 @@ fn main_loop(
         }
         if served.is_finished() {
             match served.join() {
-                // It returns by itself only if it cannot start.
+                // The web thread returns by itself only if it cannot start.
                 Ok(ended) => ended?,
                 Err(_) => web.log.event(LogLevel::Error, "web_died", &[]),
             }
@@ -157,7 +157,7 @@ fn main_loop(
 struct WebServer {
     site: Site,
     log: Arc<dyn ServiceLog>,
-    /// With the port that the system assigned, once it has.
+    /// The address, with the port that the system assigned once it is bound.
     address: Arc<Mutex<SocketAddr>>,
     /// Time of the last heartbeat, ns.
     beat: Arc<AtomicU64>,
@@ -210,7 +210,7 @@ fn no_system(error: io::Error) -> InternalFinding {
     InternalFinding::NoSystem { why: error.to_string() }
 }
 
-/// The service needs no root rights.
+/// Whether the process has root rights, which the service does not need.
 #[cfg(target_os = "linux")]
 fn is_root() -> bool {
     use std::os::unix::fs::MetadataExt;

@@ -73,7 +73,7 @@ export async function show(report) {
   made = report.state === "done" ? report : null;
   $("download").hidden = !made;
   const { job } = report;
-  const over = job?.kind === "compensate" && ["done", "doubt"].includes(job.state);
+  const over = job?.kind === "compensate" && ["done", "warned"].includes(job.state);
   if (over && !answers.has(job.id)) {
     answers.set(job.id, null);
     answers.set(job.id, await ask("GET", `/jobs/${job.id}/answer`));

@@ -84,8 +84,8 @@ export function show(frame, run) {
   const where = stroke
     ? t("length.share", { percent: fixed((100 * (frame.last_mm - stroke[0])) / (stroke[1] - stroke[0]), 0) })
     : t("length.no_stroke");
-  const doubt = frame.valid ? "" : t("length.invalid");
-  const shown = frame.mounted ? [length, where, doubt] : [t("length.off")];
+  const invalid = frame.valid ? "" : t("length.invalid");
+  const shown = frame.mounted ? [length, where, invalid] : [t("length.off")];
   $("detail").textContent = shown.filter(Boolean).join(" · ");
   if (stroke && $("hand")) {
     $("hand").setAttribute("x", place(frame.last_mm) - 4);

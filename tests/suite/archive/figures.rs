@@ -104,10 +104,10 @@ fn seconds(work: impl FnOnce()) -> f64 {
     1e-9 * (clock::now().0 - begun.0) as f64
 }
 
-/// Identifies all runs anew with so many workers; the time that takes, s.
+/// Identifies all runs again with so many workers; the time that takes, s.
 fn identified(plant: &Plant, workers: usize) -> f64 {
-    let anew = "DELETE FROM result_file; DELETE FROM result; UPDATE job SET state = 'waiting', attempts = 0";
-    plant.client("postgres").batch_execute(anew).unwrap();
+    let again = "DELETE FROM result_file; DELETE FROM result; UPDATE job SET state = 'waiting', attempts = 0";
+    plant.client("postgres").batch_execute(again).unwrap();
     seconds(|| {
         let start = |_| {
             let mut command = plant.command("w", &["worker", "--until-empty", "--quiet"]);

@@ -123,7 +123,7 @@ fn a_cell_sees_and_writes_only_its_own_runs() {
             format!("INSERT INTO job (run, settings, version) VALUES ('{run}', 'x', '')"),
             format!("UPDATE job SET state = 'done' WHERE run = '{run}'"),
             format!(
-                "INSERT INTO result (run, settings, version, made_at, worker, doubtful, lengths) VALUES ('{run}', '', '', 0, '', 0, 0)"
+                "INSERT INTO result (run, settings, version, made_at, worker, has_warnings, lengths) VALUES ('{run}', '', '', 0, '', 0, 0)"
             ),
             format!("SET ROLE {a}"),
             "ALTER TABLE run DISABLE ROW LEVEL SECURITY".into(),
@@ -232,7 +232,7 @@ fn sql_in_names_is_harmless() {
     assert_eq!(jobs, 3);
 }
 
-/// Runs that are identified anew are compared with what was found before; nothing is overwritten.
+/// Runs that are identified again are compared with what was found before; nothing is overwritten.
 #[test]
 fn jobs_are_done_once_per_settings() {
     let dir = tempdir().unwrap();

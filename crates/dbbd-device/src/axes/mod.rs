@@ -30,9 +30,9 @@ pub enum AxesProtocol {
 pub struct AxesSample {
     /// Clock of the controller; its tick is [`AxesProtocol::tick_ns`].
     pub ticks: DeviceTicks,
-    /// By the encoders, degrees.
+    /// Axis angles measured by the encoders, degrees.
     pub measured_deg: [f64; AXES],
-    /// Commanded by the controller, degrees, if it sends them.
+    /// Axis angles commanded by the controller, degrees, if it sends them.
     pub commanded_deg: Option<[f64; AXES]>,
     /// Number of late answers as counted by the controller (RSI `Delay`).
     pub late: Option<u32>,

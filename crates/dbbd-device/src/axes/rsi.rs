@@ -80,7 +80,7 @@ mod tests {
         assert!(text.starts_with("<Rob Type=\"KUKA\"><AIPos A1=\"1.5000\" A2=\"-90.0000\""), "{text}");
         assert!(text.ends_with("<Delay D=\"3\"/><IPOC>4208163</IPOC></Rob>"), "{text}");
         assert_eq!(read_datagram(text.as_bytes()), Ok(SAMPLE));
-        // A controller ends it with zeros or blanks.
+        // A controller ends a datagram with zeros or blanks.
         assert_eq!(read_datagram(format!("{text}\0\0").as_bytes()), Ok(SAMPLE));
         assert_eq!(read_datagram(format!(" {text}\r\n").as_bytes()), Ok(SAMPLE));
     }

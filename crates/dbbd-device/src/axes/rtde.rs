@@ -71,7 +71,7 @@ pub fn data(recipe: u8, sample: &AxesSample) -> Vec<u8> {
 /// Extracts packages from a stream.
 #[derive(Clone, Debug, Default)]
 pub struct RtdeDecoder {
-    /// Starts like a package.
+    /// Bytes of a package that is not complete yet.
     pending: Vec<u8>,
     /// Number of the accepted recipe.
     recipe: Option<u8>,
@@ -82,7 +82,7 @@ impl RtdeDecoder {
         self.pending.len() as u64
     }
 
-    /// After an impossible size one byte is skipped.
+    /// Extracts the packages from the next bytes. After an impossible size one byte is skipped.
     pub(super) fn push(&mut self, bytes: &[u8], mut out: impl FnMut(AxesPacket)) {
         self.pending.extend_from_slice(bytes);
         let mut at = 0;
@@ -125,7 +125,7 @@ fn data_of(recipe: Option<u8>, content: &[u8]) -> Result<AxesSample, AxesFault> 
     let seconds = word(0);
     let degrees = |from: usize| std::array::from_fn(|axis| word(from + axis).to_degrees());
     let (measured_deg, commanded_deg) = (degrees(1), degrees(1 + AXES));
-    // Half of the ticks that a float represents exactly.
+    // 4e9 s are 4e15 ticks: about half of the ticks that a float represents exactly.
     let clock = (0.0..4e9).contains(&seconds);
     if !clock || !possible(&measured_deg) || !possible(&commanded_deg) {
         return Err(AxesFault::NotANumber);

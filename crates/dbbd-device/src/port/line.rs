@@ -7,12 +7,12 @@ use serde::{Deserialize, Serialize};
 
 /// A connected line. Settings that its transport lacks (modem lines, a rate) are ignored.
 pub(super) trait PortLine: Send {
-    /// `TimedOut` if nothing was received in time; 0 bytes if the line was closed.
+    /// Reads bytes into `room`. `TimedOut` if nothing was received in time; 0 bytes if the line was closed.
     fn read(&mut self, room: &mut [u8]) -> io::Result<usize>;
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize>;
     /// Timeout of a read.
     fn set_timeout(&mut self, timeout: Duration) -> io::Result<()>;
-    /// In symbols per second.
+    /// Sets the rate, symbols per second.
     fn set_baud(&mut self, baud: u32) -> io::Result<()>;
     fn set_dtr(&mut self, level: bool) -> io::Result<()>;
     fn handle(&self) -> io::Result<Box<dyn PortLine>>;

@@ -95,7 +95,7 @@ impl Port {
     }
 
     /// Reads until `answer` was received, the time is up or `MAX_ANSWER_BYTES` came without it, and returns all bytes.
-    /// What the device sends then stays in the line.
+    /// Bytes that the device sends afterwards stay in the line.
     pub fn listen(&mut self, timeout: Duration, answer: &[u8]) -> Result<Vec<u8>, PortFinding> {
         let mut came: Vec<u8> = Vec::new();
         self.read_until(timeout, timeout.as_secs_f64(), |bytes| {

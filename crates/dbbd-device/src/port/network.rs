@@ -21,7 +21,7 @@ use crate::sync::lock;
 const CONNECT: Duration = Duration::from_secs(1);
 /// A server whose line is in use accepts a connection and closes it within this time.
 const TURNED_AWAY_S: f64 = 0.15;
-/// Longest message before it closes; a bar sends more.
+/// Longest message of a server before it closes the connection, bytes; a bar sends more.
 const LAST_WORDS: usize = 256;
 /// Timeout of the answer to a command.
 const ANSWER_S: f64 = 2.0;
@@ -36,7 +36,7 @@ pub(super) struct NetworkLine {
 }
 
 struct NetworkShared {
-    /// None for raw TCP.
+    /// `None` for raw TCP.
     telnet: Option<Telnet>,
     /// Bytes received while waiting for something else.
     early: VecDeque<u8>,
@@ -132,7 +132,7 @@ impl NetworkLine {
     /// Reads from the network and extracts the data.
     fn receive(&mut self, room: &mut [u8]) -> io::Result<usize> {
         let count = self.stream.read(room).map_err(|error| {
-            // Unix reports a read timeout so.
+            // Unix reports a read timeout as `WouldBlock`.
             if error.kind() == ErrorKind::WouldBlock { ErrorKind::TimedOut.into() } else { error }
         })?;
         let received = match &mut self.shared().telnet {

@@ -71,7 +71,7 @@ pub enum Parity {
     Odd,
 }
 
-/// By the characters XON and XOFF, or by the wires RTS and CTS.
+/// Flow control: by the characters XON and XOFF, or by the wires RTS and CTS.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Flow {

@@ -36,9 +36,9 @@ pub enum TelnetSide {
 #[derive(Clone, Copy, Debug)]
 enum TelnetState {
     Data,
-    /// After an IAC.
+    /// An IAC was received.
     Command,
-    /// After one of the four verbs, which is stored.
+    /// One of the four verbs was received, which is stored.
     Option(u8),
 }
 
@@ -67,7 +67,7 @@ pub struct TelnetReceived {
 }
 
 impl Telnet {
-    /// With the greeting of this side.
+    /// Creates one end of a connection, and the greeting that it sends first.
     pub fn new(side: TelnetSide) -> (Self, Vec<u8>) {
         let com_port = if side == TelnetSide::Client { WILL } else { DO };
         let sent = vec![

@@ -92,7 +92,7 @@ impl PortLine for Tty {
     }
 }
 
-/// By the words of the system, which has no kind of error for a port in use.
+/// Tells the cause of a refusal by the words of the system, which has no kind of error for a port in use.
 #[expect(
     clippy::wildcard_enum_match_arm,
     reason = "the kinds of errors of the system and of the crate are open"
@@ -103,7 +103,7 @@ fn refusal(name: &str, error: &serialport::Error) -> PortFinding {
     let says = |words: &[&str]| words.iter().any(|word| text.contains(word));
     let port = name.to_owned();
     match error.kind() {
-        // Windows denies a port that another program has open, and calls it no device.
+        // Windows denies a port that another program has open, and reports it as no device.
         NoDevice | Io(ErrorKind::PermissionDenied) if cfg!(windows) && says(&["denied"]) => PortBusy { port },
         Io(ErrorKind::PermissionDenied) => PortDenied { port },
         Io(ErrorKind::NotFound) => NoPort { port },

@@ -79,7 +79,7 @@ enum ChecksumAlgorithm {
 #[derive(Clone)]
 struct TabulatedCrc {
     crc: crc::Crc<u32, Table<BLOCK>>,
-    /// What the initial value does to the first bytes.
+    /// The initial value as bytes, which are XORed with the first bytes of the data.
     first: [u8; 4],
 }
 
@@ -142,7 +142,7 @@ impl TabulatedCrc {
         if head.len() < self.first.len() {
             return self.crc.checksum(bytes);
         }
-        // Zeros in front change nothing if the initial value is in the bytes, and fill a block.
+        // With the initial value in the bytes, zeros in front change nothing: they fill a block.
         let mut block = [0; BLOCK];
         let tail = &mut block[BLOCK - head.len()..];
         tail.copy_from_slice(head);

@@ -40,7 +40,7 @@ pub struct ProtocolDecoder {
     discarded: u64,
     /// Bytes before the pending ones that start no frame, and why.
     junk: Option<(LineFaultKind, u64)>,
-    /// For unpacking frames.
+    /// Buffer for unpacking frames.
     buffer: Vec<u8>,
 }
 

@@ -59,7 +59,7 @@ pub struct ProtocolDefinition {
     pub latch_at_request: bool,
     /// Time from the latch event (request, first byte) to the reading.
     pub latch_delay: Duration,
-    /// Uncertainty of that time.
+    /// Uncertainty of the latch delay.
     pub latch_jitter: Duration,
     /// Silence that terminates a frame, if silence does.
     pub idle: Option<Duration>,
@@ -79,7 +79,7 @@ pub struct ProtocolDefinition {
     pub(super) engine: Arc<ProtocolEngine>,
 }
 
-/// Who speaks first.
+/// The side that speaks first.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ProtocolMode {
     /// The device, by itself.

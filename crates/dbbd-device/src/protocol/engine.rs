@@ -28,7 +28,7 @@ pub(super) enum RejectCodeFormat {
 pub(super) struct ProtocolEngine {
     pub(super) framing: Framing,
     pub(super) check: Option<FrameCheck>,
-    /// Tried in order; the encoder writes the first.
+    /// The messages of the device: the decoder tries them in order, the encoder writes the first.
     pub(super) messages: Vec<MessageFormat>,
     pub(super) rejects: Vec<RejectMessage>,
     /// Prefixes of records to skip.
@@ -51,7 +51,7 @@ pub(super) struct RejectMessage {
     pub(super) text: Vec<u8>,
     /// Whether the text is the whole content, not a prefix.
     pub(super) whole: bool,
-    /// Whether it is followed by the check of the frame.
+    /// Whether the message is followed by the check of the frame.
     pub(super) checked: bool,
     /// Format of the code after the text, if there is one.
     pub(super) code: Option<RejectCodeFormat>,
@@ -184,7 +184,7 @@ impl RejectMessage {
         Some(known.map_or_else(text, |(_, word)| word.clone()))
     }
 
-    /// The content of such a frame, with the lowest code.
+    /// The content of a frame with this message and its lowest code.
     pub(super) fn body(&self) -> Vec<u8> {
         let mut body = self.text.clone();
         let code = self.words.first().map_or(1, |(code, _)| *code);

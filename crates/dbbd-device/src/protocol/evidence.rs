@@ -98,7 +98,7 @@ impl ProtocolEvidence {
         self.bits * self.explained
     }
 
-    /// Whether it identifies the device.
+    /// Whether the evidence identifies the device.
     pub fn is_enough(&self) -> bool {
         self.explained >= MIN_EXPLAINED
             && self.samples >= MIN_EVIDENCE_SAMPLES

@@ -44,14 +44,14 @@ pub(super) enum FieldForm {
 #[derive(Clone, Debug)]
 pub(super) enum FieldRole {
     Length(FieldScale, RawLimits),
-    /// Wraps to 0 at `modulo`.
+    /// Sequence number that wraps to 0 at `modulo`.
     Sequence {
         modulo: u32,
     },
     Ticks(TickCounter),
     Temperature(FieldScale),
     Status(StatusFlags),
-    /// Status by words; the flag of each word.
+    /// Status as a word; the flag of each word.
     StatusWord(Vec<u32>, StatusFlags),
     /// Millimetres per unit of each word; `None` for a word that means an invalid reading.
     Unit(Vec<Option<f64>>),
@@ -330,7 +330,7 @@ fn integer(field: &[u8], endian: Endian) -> u64 {
     }
 }
 
-/// For up to 32 bits.
+/// The value of an integer of up to 32 bits.
 #[inline]
 fn signed_value(value: u64, bits: u32, signed: bool) -> RawValue {
     let negative = signed && value >> (bits - 1) != 0;

@@ -70,7 +70,7 @@ pub(super) enum Framing {
     Cobs {
         /// Terminates a frame and does not occur in it; the stuffed bytes are XORed with it.
         delimiter: u8,
-        /// With the delimiter.
+        /// Longest frame with its delimiter, bytes.
         max_len: usize,
     },
     /// Lines of text, or records with a terminator.
@@ -79,7 +79,7 @@ pub(super) enum Framing {
         start: Option<u8>,
         /// Terminators, the longest first.
         ends: Vec<Vec<u8>>,
-        /// With start and terminator.
+        /// Longest frame with start and terminator, bytes.
         max_len: usize,
     },
     /// Records of one length.
@@ -94,7 +94,7 @@ pub(super) enum Framing {
     Idle { max_len: usize },
 }
 
-/// What the pending bytes start with.
+/// Result of the search for a frame at the start of the pending bytes.
 pub(super) enum FrameCut<'a> {
     /// A frame may start here: more bytes are needed.
     More,

@@ -3,7 +3,8 @@
 //!
 //! A definition is a TOML file: `source` is its text with parameters. `load` has the form of its tables, checks it and
 //! compiles it into an `engine`: `framing` cuts the stream, `check` verifies a frame, `field` reads and writes its
-//! content. A table that only one of these reads stands there. A new device is a new file; a new kind of framing, check or field is a match arm.
+//! content. A table that only one of these modules reads is defined there. A new device is a new file; a new kind of
+//! framing, check or field is a match arm.
 
 mod catalogue;
 pub use catalogue::ProtocolFinding;

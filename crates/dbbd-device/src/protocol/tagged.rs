@@ -1,7 +1,7 @@
 //! Records whose bytes hold data in their low bits and their position in the high bits.
 //!
 //! A tag is written from the highest bit: `0` and `1` are fixed; a letter is a value that is equal in every byte of a
-//! record. It follows the data in the content, one byte per letter.
+//! record. The values of the letters follow the data in the content, one byte per letter.
 
 use crate::protocol::ProtocolFinding::{
     self, TagBits, TagCount, TagLetterApart, TagLettersDiffer, TagSymbol,

@@ -1,4 +1,4 @@
-//! From a job to a plan, or to its refusal.
+//! Makes a plan from a job, or refuses it.
 
 use super::check::{Inspection, summary};
 use super::quantity::PlanCheck;
@@ -19,16 +19,16 @@ use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::inverse::Unsolved;
 use dbbd_model::robot::{AXES, BallId, Robot};
 
-/// How cautiously poses are chosen.
+/// The caution with which poses are chosen.
 #[derive(Clone, Copy)]
 struct SafetyMargin {
-    /// Of the risk that is allowed.
+    /// Share of the allowed risk that is used.
     risk_share: f64,
-    /// Beyond the least clearance, mm: ways are tried in coarser steps than they are checked.
+    /// Distance to keep beyond the least clearance, mm: ways are tried in coarser steps than they are checked.
     clearance_mm: f64,
 }
 
-/// Tried in turn.
+/// Degrees of caution that are tried in turn.
 const CAUTION: [SafetyMargin; 3] = [
     SafetyMargin { risk_share: 1.0, clearance_mm: 0.0 },
     SafetyMargin { risk_share: 0.3, clearance_mm: 3.0 },
@@ -38,13 +38,13 @@ const CAUTION: [SafetyMargin; 3] = [
 const TRIED: usize = 4;
 
 impl Plan {
-    /// Plans a job for a robot. For an identified robot (which carries its nominal one) the poses are those to command
-    /// to its controller, which computes with the nominal one.
+    /// Plans a job for a robot. For an identified robot (which carries its nominal robot), the plan has the poses to
+    /// command to its controller, which computes with the nominal robot.
     pub fn build(job: &Job, robot: &Robot) -> Result<Self, Refusal> {
         Self::build_with(job, robot, &PlanningPrior::datasheet(job, robot))
     }
 
-    /// As [`Plan::build`], with what is known of the robot.
+    /// The same as [`Plan::build`], with prior knowledge of the robot.
     pub fn build_with(job: &Job, robot: &Robot, prior: &PlanningPrior) -> Result<Self, Refusal> {
         Self::of_poses(job, robot, prior, None)
     }
@@ -77,8 +77,9 @@ impl Plan {
                 let job = job.untaught();
                 let mut plan = Self::cautious(&job, robot, &PlanningPrior::datasheet(&job, robot), given)
                     .map_err(|_| refusal)?;
-                let anew = plan.header.taught.iter().map(|ball| PlanFinding::TeachAnew { ball: ball.centre });
-                plan.header.notes.extend(anew);
+                let again =
+                    plan.header.taught.iter().map(|ball| PlanFinding::TeachAgain { ball: ball.centre });
+                plan.header.notes.extend(again);
                 Ok(plan)
             }
             plan => plan,
@@ -126,7 +127,7 @@ impl Plan {
         }
         let rig = PlanKinematics::new(&job, robot);
         let (mut found, taught) = rig.inspect(&steps, prior);
-        // One robot makes all the runs: their risks are not independent.
+        // One robot makes all the runs, so their risks are not independent.
         let stroke_risk = found.note_run_risk();
         if !found.findings.is_empty() {
             return Err(rig.refusal(&found));
@@ -185,7 +186,7 @@ impl Plan {
         0.95 * self.duration_s()
     }
 
-    /// The time of each row: the move to it, and the stop there, s.
+    /// The time of each row, s: the move to it, and the stop there.
     pub fn row_times_s(&self) -> impl Iterator<Item = f64> {
         let motion = &self.header.job.motion;
         self.rows.iter().zip(&self.header.moves).map(|(row, time)| {
@@ -214,7 +215,7 @@ impl PlanKinematics<'_> {
         (all, taught)
     }
 
-    /// The run in the branch and turn with the largest margin that is safe; if none is, with the largest margin.
+    /// The run in the safe branch and turn with the largest margin; if none is safe, the run with the largest margin.
     fn best(
         &self,
         run: &[PlanStep],
@@ -251,7 +252,7 @@ impl PlanKinematics<'_> {
         best.unwrap_or_else(refused)
     }
 
-    /// What cannot be reached, then the limits that are not kept.
+    /// The refusal: the poses and paths that cannot be reached, then the limits that are not kept.
     fn refusal(&self, found: &Inspection) -> Refusal {
         let mut broken = found.checks(self.job);
         broken.retain(|check| !check.holds());

@@ -116,7 +116,7 @@ findings! {
         I0717 "teach a base ball again",
         cause: "No pose is safe enough from where `taught_deg` says that the ball was taught; from another place there is one.",
         cure: "Put the ball where the tool ball is at the axis angles that the plan prints, and write these into `taught_deg`." {
-            TeachAnew { ball: u32 } => "base ball {ball}: no run is safe from where it was taught: the plan gives a new place to teach it";
+            TeachAgain { ball: u32 } => "base ball {ball}: no run is safe from where it was taught: the plan gives a new place to teach it";
         }
         W0720 "the covariance of the identification is not known",
         cause: "The robot file was identified, but the lengths.csv that `identify` wrote beside it is not there.",

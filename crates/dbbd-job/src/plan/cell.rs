@@ -1,4 +1,4 @@
-//! The checked quantities at one position of the arm: limits, singularities, cups, obstacles, stroke.
+//! The checked quantities at one pose of the arm: limits, singularities, cups, obstacles, stroke.
 
 use nalgebra::{DVector, Vector3};
 use rand::SeedableRng;
@@ -12,15 +12,15 @@ use dbbd_model::design::{Candidate, Sphere};
 use dbbd_model::robot::inverse::{clearance, status};
 use dbbd_model::robot::{AXES, BallId};
 
-/// Length of the bar from its ball that is not checked, mm: there it is in the cup, whose limit guards it.
+/// Length of the bar at the base ball that is not checked, mm: there the bar is in the cup, whose limit guards it.
 const IN_CUP_MM: f64 = 50.0;
-/// Robots drawn: at a risk of 1e-3 the share has a relative standard deviation of a fifth.
+/// Number of robots drawn: at a risk of 1e-3 the share has a relative standard deviation of a fifth.
 const ROBOTS: usize = 20_000;
 /// Poses with less than this share of the greatest risk are neglected.
 const NEGLIGIBLE: f64 = 1e-4;
 
 impl<'a> PlanningCell<'a> {
-    /// For a run about base ball `centre` (from 1) that starts at axis angles in rad.
+    /// The cell for a run about base ball `centre` (from 1) that starts at axis angles in rad.
     pub(super) fn new(
         rig: PlanKinematics<'a>,
         prior: &PlanningPrior,
@@ -119,13 +119,13 @@ impl<'a> PlanningCell<'a> {
         self.risk_out(pose, 0.0)
     }
 
-    /// The same `out` mm farther from the ball.
+    /// The probability that the length leaves the stroke if the pose is moved `out` mm away from the ball.
     pub(super) fn risk_out(&self, pose: &Candidate, out: f64) -> f64 {
         let margin = self.evaluate(&pose.axes, pose.ball.number(), BarPresence::Yes, &mut |_, _| Some(()));
         margin.map_or(1.0, |one| self.leaves([one.room[0] + out, one.room[1] - out], &one.design_row))
     }
 
-    /// The probability that a length with this room (mm) leaves the stroke.
+    /// The probability that a length with this distance to the ends of the stroke (`room`, mm) leaves the stroke.
     fn leaves(&self, room: [f64; 2], design_row: &DVector<f64>) -> f64 {
         // At the start itself only the bar's own noise is left.
         let sd = design_row.norm().max(self.rig.job.bar.sigma_um * 1e-3);
@@ -185,11 +185,11 @@ fn normal_tail(z: f64) -> f64 {
     if z >= 0.0 { tail } else { 1.0 - tail }
 }
 
-/// The probability that a run leaves the stroke anywhere: the share of drawn robots that leave it at any of the poses; the
-/// sum of the risks if that is less.
+/// The probability that a run leaves the stroke anywhere: the share of drawn robots that leave it at any of the poses;
+/// the sum of the risks if that is less.
 ///
-/// The readings of one robot are correlated: the sum of the risks of all poses is far too large, the greatest one too small.
-/// Robots are drawn from the prior, and the worst pose of each row is evaluated to first order.
+/// The readings of one robot are correlated: the sum of the risks of all poses is far too large, the greatest one too
+/// small. Robots are drawn from the prior, and the worst pose of each row is evaluated to first order.
 pub(super) fn over_run(poses: &[StrokeMargin]) -> f64 {
     let sum: f64 = poses.iter().map(|pose| pose.risk).sum();
     let largest = poses.iter().map(|pose| pose.risk).fold(0.0, f64::max);
@@ -219,7 +219,7 @@ mod tests {
     use crate::plan::example::{job, robot};
     use dbbd_model::robot::Pose;
 
-    /// 0.5 erfc(z / sqrt 2) by Python's `math.erfc`.
+    /// Reference values: 0.5 erfc(z / sqrt 2) by Python's `math.erfc`.
     #[test]
     fn normal_tail_is_that_of_python() {
         for (z, tail) in [
@@ -260,7 +260,7 @@ mod tests {
         assert!((sd_mm - margin.design_row.norm()).abs() < 1e-12);
         let expected = normal_tail(3.5 / sd_mm) + normal_tail(4.5 / sd_mm);
         assert!((margin.risk / expected - 1.0).abs() < 1e-6);
-        // Outwards there is less room above, inwards below.
+        // Farther out there is less room above, farther in there is less room below.
         let outwards = normal_tail(5.5 / sd_mm) + normal_tail(2.5 / sd_mm);
         let inwards = normal_tail(2.0 / sd_mm) + normal_tail(6.0 / sd_mm);
         assert!((cell.risk_out(&pose, 2.0) / outwards - 1.0).abs() < 1e-6);
@@ -315,7 +315,7 @@ mod tests {
         let outwards = margin([9.0, 1.0], 1.0, tail);
         let risk = over_run(&[outwards.clone(), outwards.clone(), outwards.clone()]);
         assert!((risk - tail).abs() < 0.008, "{risk}");
-        // Inwards it is the opposite robots that leave, and outwards with the opposite derivative.
+        // Inwards the opposite robots leave the stroke; outwards they do so with the opposite derivative.
         let inwards = over_run(&[outwards.clone(), margin([1.0, 9.0], 1.0, tail)]);
         assert!((inwards - 2.0 * tail).abs() < 0.011, "{inwards}");
         let opposite = over_run(&[outwards.clone(), margin([9.0, 1.0], -1.0, tail)]);

@@ -16,11 +16,11 @@ use crate::plan::PlanFinding;
 use dbbd_model::robot::inverse::{nearest, status};
 use dbbd_model::robot::{AXES, Pose, Robot};
 
-/// Finest step along a path, of the ball and of the tool's orientation or (PTP) of an axis.
+/// Finest step along a path: of the ball in mm, of the tool's orientation or (PTP) of an axis in degrees.
 const STEP_MM: f64 = 1.0;
 const STEP_DEG: f64 = 1.0;
 
-/// The worst of each quantity on the way to one row.
+/// The worst value of each quantity on the way to one row.
 struct WorstOfRow {
     row: u32,
     values: [Option<f64>; CheckQuantity::COUNT],
@@ -40,7 +40,8 @@ impl WorstOfRow {
         }
     }
 
-    /// The greatest axis speed and acceleration on the way to the row at the speeds chosen, percent of the limits.
+    /// Notes the greatest axis speed and acceleration on the way to the row at the chosen speeds, percent of the
+    /// limits.
     fn note_speed(&mut self, pace: &PathTiming, time: &MoveTime) {
         let (speed, acceleration) = match pace.path {
             ToolBallPath::Axes { .. } => (time.axis_percent, PTP_ACCELERATION_PERCENT),
@@ -62,7 +63,7 @@ impl WorstOfRow {
     }
 }
 
-/// Rows with what their motions come near to.
+/// Rows with the worst values of the checked quantities along their motions.
 #[derive(Default)]
 pub(super) struct Inspection {
     pub(super) rows: Vec<PlanRow>,
@@ -116,7 +117,7 @@ impl Inspection {
         found
     }
 
-    /// Notes the risk of all rows together at the last one.
+    /// Notes the risk of all rows together at the last row, and returns it.
     pub(super) fn note_run_risk(&mut self) -> f64 {
         let risk = over_run(&self.margins);
         if let Some(last) = self.worst.last_mut() {
@@ -125,7 +126,7 @@ impl Inspection {
         risk
     }
 
-    /// The speeds and durations of the moves, whose axis speeds and accelerations are noted.
+    /// Chooses the speeds and durations of the moves, and notes their axis speeds and accelerations.
     pub(super) fn time_moves(&mut self, job: &Job, robot: &Robot, pose_hash: u64) -> Vec<MoveTime> {
         let moves = move_times(&self.rows, &self.paces, &job.motion, robot, pose_hash);
         for worst in &mut self.worst {
@@ -145,7 +146,7 @@ impl Inspection {
         self.margins.append(&mut run.margins);
     }
 
-    /// The worst of each quantity on the way to each row, with its limit.
+    /// The worst value of each quantity on the way to each row, with its limit.
     pub(super) fn checks(&self, job: &Job) -> Vec<PlanCheck> {
         let mut checks = Vec::new();
         for there in &self.worst {
@@ -169,7 +170,7 @@ impl Inspection {
     }
 }
 
-/// Of each quantity the check that is nearest to its limit.
+/// For each quantity, the check that is nearest to its limit.
 pub(super) fn summary(checks: &[PlanCheck]) -> Vec<PlanCheck> {
     let worst = |quantity: CheckQuantity| {
         let same = checks.iter().filter(|check| check.quantity == quantity);
@@ -188,7 +189,7 @@ struct Inspector<'a> {
     found: Inspection,
 }
 
-/// What the axes do along one motion, step by step.
+/// Follows the axes along one motion, step by step.
 struct MotionStepper {
     parts: u32,
     start: [f64; AXES],
@@ -210,11 +211,11 @@ impl MotionStepper {
         Self { parts, start, last: start, before: None, axis_s: 0.0, slope_s2: 0.0, bend_s2: 0.0 }
     }
 
-    /// Takes the step to `axes`: the greatest speeds and accelerations of an axis along the path.
+    /// Steps to `axes`, and keeps the greatest speeds and accelerations of an axis along the path.
     fn advance(&mut self, axes: [f64; AXES], robot: &Robot, worst: &mut WorstOfRow) {
         let parts = f64::from(self.parts);
         for i in 0..AXES {
-            // What the robot's file does not say is no limit.
+            // A limit that the robot's file does not state does not bind.
             let greatest = robot.max_acceleration_deg_s2[i].unwrap_or(f64::INFINITY);
             let travel = (axes[i] - self.last[i]).abs().to_degrees();
             worst.note(CheckQuantity::AxisJumpDeg, travel);
@@ -236,8 +237,8 @@ fn widest_deg(a: &[f64; AXES], b: &[f64; AXES]) -> f64 {
 }
 
 impl Inspector<'_> {
-    /// Follows the motion into `row`: from which row, and on which path. The bar is on all the way, except in a PTP
-    /// motion, at whose end it is mounted.
+    /// Follows the motion into `row`: `motion` has the row before and the path. The bar is on all the way, except in a
+    /// PTP motion, at whose end it is mounted.
     fn follow(&mut self, motion: Option<(&PlanRow, ToolBallPath)>, row: &PlanRow) -> Option<PathTiming> {
         let mut worst = WorstOfRow { row: row.index, values: [None; CheckQuantity::COUNT] };
         let there = row.axes_deg.map(f64::to_radians);
@@ -275,13 +276,13 @@ impl Inspector<'_> {
             }
             let (began, became) = (self.began, status(&controller.geometry, &axes));
             if became != began && row.motion != MotionKind::Ptp && !self.strayed {
-                // What follows from it is not reported again.
+                // Findings that follow from this one are not reported again.
                 self.strayed = true;
                 self.found.findings.push(PlanFinding::BranchLeft { row: row.index, began, became });
                 break;
             }
         }
-        // The fine path must end where the row says that it does, full turns included.
+        // The fine path must end at the axis angles of the row, full turns included.
         let astray = widest_deg(&stepper.last, &there);
         if astray > 1.0 {
             worst.note(CheckQuantity::AxisJumpDeg, astray.max(JUMP_DEG * 2.0));
@@ -352,7 +353,8 @@ mod tests {
         assert!(worst.values[CheckQuantity::WristDeg as usize].is_some_and(f64::is_nan));
     }
 
-    /// Over a share s(t) of the path the axis has q' ds/dt and q' d2s/dt2 + q'' (ds/dt)^2.
+    /// With the share s(t) of the path, the axis has the speed q' ds/dt and the acceleration q' d2s/dt2 + q''
+    /// (ds/dt)^2.
     #[test]
     fn axis_speed_and_acceleration_follow_from_the_rate_of_the_path() {
         let time = |turn_deg_s| MoveTime {
@@ -378,8 +380,8 @@ mod tests {
         assert_near(acceleration, 100.0 * (0.5 * 5.0 / 3.0 + 3.0 * 0.04));
     }
 
-    /// In steps of a quarter of the path: 1, 2 and 0.5 degrees are 4, 8 and 2 degrees per path, and their differences 16 and
-    /// -24 degrees per path^2. Axis 1 has 128 degrees/s.
+    /// Steps of a quarter of the path: 1, 2 and 0.5 degrees are 4, 8 and 2 degrees per path, and their differences 16
+    /// and -24 degrees per path^2. Axis 1 has 128 degrees/s.
     #[test]
     fn derivatives_of_the_axes_are_taken_from_the_steps() {
         let mut robot = robot();
@@ -404,7 +406,7 @@ mod tests {
         let lin = PlanRow { motion: MotionKind::Lin, ..row(PoseKind::Measure) };
         let parts = |path: &ToolBallPath| MotionStepper::new(path, &lin, [0.0; AXES]).parts;
         assert_eq!([parts(&line(7.5, 3.0)), parts(&line(7.5, 19.5)), parts(&line(0.0, 0.0))], [8, 20, 1]);
-        // A motion of the axes by its widest turn.
+        // The duration of a motion of the axes follows from its widest turn.
         let ptp = PlanRow { axes_deg: [0.0, -12.5, 3.0, 0.0, 0.0, 0.0], ..row(PoseKind::Transit) };
         let path = ToolBallPath::Axes { from: [0.0; AXES], to: [0.0; AXES] };
         assert_eq!(MotionStepper::new(&path, &ptp, [0.0; AXES]).parts, 13);

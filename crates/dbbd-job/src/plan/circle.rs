@@ -12,11 +12,11 @@ use dbbd_model::robot::pose::{Pose, rot_x, rot_y, rot_z};
 /// Points between two visits of the reference pose.
 pub const REFERENCE_EVERY: u32 = 20;
 
-/// Amplitude of an orientation pattern when the job does not say, degrees (the paper's).
+/// Amplitude of an orientation pattern if the job states none, degrees (the paper's).
 const AMPLITUDE_DEG: f64 = 45.0;
 
 impl CircleTable {
-    /// Dwells in its module: the points of all passes and the reference poses.
+    /// Number of dwells in the module of the circle: the points of all passes and the reference poses.
     pub(super) fn dwells(&self) -> u32 {
         let passes = if self.direction == CircleDirection::Both { 2 } else { 1 };
         let points = self.points.saturating_mul(passes);
@@ -27,7 +27,7 @@ impl CircleTable {
         self.arc_deg >= 360.0
     }
 
-    /// Angle between neighbours, rad.
+    /// Angle between neighbouring points, rad.
     pub(super) fn step(&self) -> f64 {
         let gaps = if self.is_closed() { self.points } else { self.points.saturating_sub(1).max(1) };
         self.arc_deg.to_radians() / f64::from(gaps)
@@ -38,7 +38,7 @@ impl CircleTable {
         self.arc_deg + 2.0 * self.overshoot_deg
     }
 
-    /// Whether its first pass, or its `second`, goes against growing angles.
+    /// Whether the first pass of the circle, or its `second`, goes against growing angles.
     pub(super) fn is_clockwise(&self, second: bool) -> bool {
         match self.direction {
             CircleDirection::Ccw => false,
@@ -218,9 +218,9 @@ mod tests {
             ("plane = \"XY\"\n", [radius * cosine, radius * sine, 0.0]),
             ("plane = \"XZ\"\n", [radius * cosine, 0.0, radius * sine]),
             ("plane = \"YZ\"\n", [0.0, radius * cosine, radius * sine]),
-            // X is in the plane, and the second axis is -Z.
+            // X is in the plane, and the plane's second axis is -Z.
             ("normal = [0.0, 2.0, 0.0]\n", [radius * cosine, 0.0, -radius * sine]),
-            // X is normal to it: Y is its first axis.
+            // X is normal to the plane: Y is its first axis.
             ("normal = [1.0, 0.0, 0.0]\n", [0.0, radius * cosine, radius * sine]),
         ] {
             let job = job(&format!("[[circle]]\n{plane}{quarter}"));

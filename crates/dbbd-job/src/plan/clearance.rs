@@ -10,7 +10,7 @@ use super::job::ObstacleTable;
 /// A segment from one point to another, mm.
 pub type LineSegment = [Vector3<f64>; 2];
 
-/// Golden-section steps: a segment of 2 m is known to 1e-4 mm.
+/// Golden-section steps: on a segment of 2 m the minimum is known to 1e-4 mm.
 const GOLDEN_SECTION_STEPS: u32 = 36;
 
 impl ObstacleTable {
@@ -65,7 +65,7 @@ mod tests {
         assert!((found - expected).abs() < 1e-4, "{found}, not {expected}");
     }
 
-    /// By Pythagoras: 3-4-5 and 2-3-6-7.
+    /// Expected distances by Pythagoras: 3-4-5 and 2-3-6-7.
     #[test]
     fn box_is_as_far_as_its_nearest_face_edge_or_corner() {
         let table = ObstacleTable::Box { low_mm: [-10.0, -20.0, 0.0], high_mm: [5.0, 7.0, 9.0] };
@@ -83,7 +83,7 @@ mod tests {
 
     #[test]
     fn cylinder_is_as_far_as_its_mantle_lid_or_rim() {
-        // Its axis is along Y and begins at 10.
+        // The axis of the cylinder is along Y and begins at 10.
         let column = ObstacleTable::Cylinder {
             from_mm: [100.0, 10.0, 0.0],
             to_mm: [100.0, 30.0, 0.0],
@@ -116,7 +116,7 @@ mod tests {
         let distance = |from: [f64; 3], to: [f64; 3]| cube.from_segment(&[from.into(), to.into()]);
         assert_near(distance([12.0, 0.0, 0.0], [0.0, 6.0, 0.0]), 9.0 / 5.0_f64.sqrt());
         assert_near(distance([0.0, 6.0, 0.0], [12.0, 0.0, 0.0]), 9.0 / 5.0_f64.sqrt());
-        // At one end, at the other, and through.
+        // The nearest point is at one end, at the other end, and inside.
         assert_near(distance([4.0, 0.0, 0.0], [9.0, 0.0, 0.0]), 3.0);
         assert_near(distance([0.0, 0.0, -90.0], [0.0, 0.0, -3.5]), 2.5);
         assert_near(distance([-500.0, 0.3, 0.0], [70.0, 0.3, 0.0]), 0.0);

@@ -40,18 +40,18 @@ pub struct Plan {
     pub header: PlanHeader,
 }
 
-/// `plan.json`.
+/// The content of `plan.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanHeader {
     pub schema: u32,
     /// CRC-64/XZ over the text of `plan.csv` with job, robot, moves and passes, sixteen hexadecimal digits.
     pub hash: String,
-    /// The same over both files, computed with these digits as 0; present only in a file. Absent in files of older versions,
-    /// whose `hash` is that of `plan.csv` alone.
+    /// The same hash over both files, computed with these digits as 0; present only in a file. Absent in files of older
+    /// versions, whose `hash` is the hash of `plan.csv` alone.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub text_hash: String,
-    /// From what the time code was drawn: a hash over everything that the poses and the program depend on, sixteen hexadecimal
+    /// The seed of the time code: a hash over everything that the poses and the program depend on, sixteen hexadecimal
     /// digits. Absent in files of older versions, whose code was drawn from the seed of the job.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub pose_hash: String,
@@ -70,7 +70,7 @@ pub struct PlanHeader {
     /// Findings about the chosen poses; for people, not read back.
     #[serde(default, skip_serializing_if = "Vec::is_empty", with = "notes")]
     pub notes: Vec<PlanFinding>,
-    /// The base balls that are to be taught before the bar is mounted; the risk depends on it.
+    /// The base balls that are to be taught before the bar is mounted; the stroke risk depends on them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub taught: Vec<TaughtBall>,
     /// Probability that a robot within its tolerance leaves the stroke anywhere while the bar is mounted.
@@ -82,10 +82,10 @@ pub struct PlanHeader {
     /// Present if not every pose that can be reached is allowed yet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage: Option<Stage>,
-    /// What the plan will determine; for people, not read back.
+    /// Predicted result of an identification with this plan; for people, not read back.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "not_read")]
     pub predictions: Option<PlanPrediction>,
-    /// What the check of a calibrated robot by this plan will find; for people, not read back.
+    /// Predicted result of a check of a calibrated robot with this plan; for people, not read back.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "not_read")]
     pub check: Option<CheckPower>,
 }
@@ -116,13 +116,13 @@ fn not_read<'de, D: Deserializer<'de>, T: Default>(from: D) -> Result<T, D::Erro
 pub struct CirclePlace {
     /// Angle of its pose as rounded for the program, degrees from the plane's first axis, 0..360.
     pub angle_deg: f64,
-    /// Whether the pass goes against growing angles.
+    /// Whether the pass of the circle goes against growing angles.
     pub clockwise: bool,
     pub radius_mm: f64,
 }
 
 impl PlanRow {
-    /// Checks what the types of the columns do not say; `at` is the position from 0.
+    /// Checks what the types of the columns do not ensure; `at` is the position of the row from 0.
     fn check(&self, at: usize) -> Result<(), PlanFinding> {
         let &Self { index, status, turn, dwell_s, .. } = self;
         if index as usize != at + 1 {
@@ -170,7 +170,7 @@ impl Plan {
         Some(pass::arc(at(planned.through[0].checked_sub(1)?)?, through, at(planned.end)?, planned.sweep_deg))
     }
 
-    /// How each base ball was taught, or is to be taught before this run.
+    /// The axis angles at which each base ball was taught, or is to be taught before this run.
     pub fn taught(&self) -> impl Iterator<Item = TaughtBall> {
         let tables = self.header.job.centres.iter();
         let before =
@@ -184,7 +184,7 @@ impl Plan {
         rows_to_csv(&self.rows)
     }
 
-    /// How the moves bring the axes to each row.
+    /// The sense in which the axes approach each row.
     pub fn approaches(&self) -> impl Iterator<Item = Approach> {
         approaches(&self.rows)
     }
@@ -194,13 +194,13 @@ impl Plan {
         !self.header.pose_hash.is_empty()
     }
 
-    /// What `hash` of the header must be.
+    /// The `hash` that the header must have.
     pub(super) fn hash(&self) -> Result<String, InternalFinding> {
         let PlanHeader { job, robot, moves, passes, .. } = &self.header;
         Ok(hash_of([self.to_csv()?.as_str(), &serialised::json_line(&(job, robot, moves, passes))?]))
     }
 
-    /// The plan as an artefact.
+    /// The plan as an artefact, with its provenance.
     pub fn traced(&self) -> Result<TracedArtefact, InternalFinding> {
         let artefact = Artefact::new(ArtefactRole::Plan, &self.header.hash, self.to_csv()?);
         Ok(TracedArtefact { artefact, provenance: self.header.provenance.clone() })
@@ -300,7 +300,7 @@ fn hash_of<'a>(texts: impl IntoIterator<Item = &'a str>) -> String {
     digits(crc_of(texts))
 }
 
-/// A hash as it is written.
+/// The sixteen digits of a hash.
 pub(super) fn digits(hash: u64) -> String {
     format!("{hash:016x}")
 }
@@ -312,10 +312,10 @@ fn crc_of<'a>(texts: impl IntoIterator<Item = &'a str>) -> u64 {
     digest.finalize()
 }
 
-/// The digits of a hash that is not computed yet.
+/// The digits of a text hash that is not computed yet.
 const BLANK: &str = "0000000000000000";
 
-/// The hash of both files as `plan.json` has it.
+/// The entry of the hash of both files in `plan.json`.
 fn text_hash(digits: &str) -> String {
     format!("\"text_hash\": \"{digits}\"")
 }

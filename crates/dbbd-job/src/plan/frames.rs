@@ -1,21 +1,21 @@
-//! The frames of the program: poses as they are commanded, and back.
+//! The frames of the program: converts poses into the commanded numbers, and back.
 
 use super::{MotionTable, PlanRow};
 use dbbd_model::robot::Pose;
 
-/// $TOOL and $BASE. The tool's origin is the tool ball; only its orientation is the job's.
+/// $TOOL and $BASE. The tool's origin is the tool ball; only the tool's orientation is given by the job.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanFrames {
-    /// The tool's orientation, from the flange's, without a shift.
+    /// The tool's orientation relative to the flange, without a shift.
     tool: Pose,
     /// The base frame in the robot base.
     base: Pose,
-    /// Whether both are null, so that poses are commanded as they are.
+    /// Whether tool and base are null, so that poses are commanded as they are.
     null: bool,
 }
 
 impl MotionTable {
-    /// The frames of the job; null where it gives none.
+    /// The frames of the job; a frame that the job does not give is null.
     pub fn frames(&self) -> PlanFrames {
         let [.., a, b, c] = self.tool.unwrap_or_default();
         let [x, y, z, u, v, w] = self.base.unwrap_or_default();
@@ -36,7 +36,7 @@ impl PlanFrames {
 
     /// A row's numbers as KRL prints them.
     pub fn printed(&self, row: &PlanRow) -> ([f64; 3], [f64; 3]) {
-        // At B = 90 degrees A and C are ambiguous: keep those of the row.
+        // At B = 90 degrees A and C are ambiguous: keep the angles of the row.
         if self.null {
             (row.xyz_mm, row.abc_deg)
         } else {
@@ -54,7 +54,7 @@ impl PlanFrames {
     }
 }
 
-/// Rounded to a fraction of 1, without a negative zero.
+/// The value rounded to a fraction of 1, without a negative zero.
 fn rounded(value: f64, parts: f64) -> f64 {
     (value * parts).round() / parts + 0.0
 }
@@ -78,7 +78,7 @@ mod tests {
             PlanRow { xyz_mm: [107.0, 25.0, 13.0], abc_deg: [100.0, 0.0, 0.0], ..row(PoseKind::Measure) };
         let (xyz_mm, abc_deg) = frames.printed(&row);
         assert_eq!(xyz_mm, [5.0, -7.0, 10.0]);
-        // The tool is turned by 30 degrees from the flange: 100 - 90 + 30.
+        // The tool is turned by 30 degrees relative to the flange: 100 - 90 + 30.
         assert_eq!(abc_deg, [40.0, 0.0, 0.0]);
         let (driven_mm, driven_deg) = frames.as_driven((xyz_mm, abc_deg));
         for (found, expected) in
@@ -96,7 +96,7 @@ mod tests {
         assert_eq!(xyz_mm, [1.001, -2.0, 0.0]);
         assert_eq!(abc_deg, [10.0001, 0.0, 5.0]);
         assert!(abc_deg[1].is_sign_positive());
-        // Without frames the numbers of the row are those of the program, whatever A and C are at B = 90 degrees.
+        // Without frames the program has the numbers of the row, whatever A and C are at B = 90 degrees.
         let steep = PlanRow { abc_deg: [10.0, 90.0, 20.0], ..row(PoseKind::Measure) };
         assert_eq!(frames.printed(&steep).1, [10.0, 90.0, 20.0]);
     }

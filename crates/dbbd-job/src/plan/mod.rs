@@ -1,6 +1,6 @@
-//! From a job to a plan: circles and chosen poses, checked before anything moves.
+//! Makes a plan from a job: circles and chosen poses, checked before anything moves.
 //!
-//! The types below are what the files of this room hand to each other; their fields are private to the room.
+//! The types below are shared by the files of this module; their fields are private to the module.
 
 mod catalogue;
 pub use catalogue::PlanFinding;
@@ -55,8 +55,8 @@ pub use rows::{MotionKind, PlanRow};
 pub use stage::Stage;
 pub use timing::MoveTime;
 
-/// Whether a pose of one plan is a pose of another one, by its axis angles in rad: they may differ by the rounding of a pose, which is
-/// a micrometre and 0.0001 degrees.
+/// Whether a pose of one plan is a pose of another plan, by its axis angles in rad: they may differ by the rounding of
+/// a pose, which is a micrometre and 0.0001 degrees.
 pub fn is_same_planned_pose(a: &[f64; AXES], b: &[f64; AXES]) -> bool {
     const ROUNDED_RAD: f64 = 2e-5;
     max_axis_difference(a, b) < ROUNDED_RAD
@@ -69,7 +69,7 @@ struct PlanKinematics<'a> {
     job: &'a Job,
     robot: &'a Robot,
     controller: &'a Robot,
-    /// The arm as well as it is known.
+    /// The best known geometry of the arm.
     arm: &'a Geometry,
 }
 
@@ -81,7 +81,7 @@ struct BranchRun {
     starts: Vec<(f64, [f64; AXES])>,
 }
 
-/// A pose of the tool ball to which the robot is to go.
+/// A pose of the tool ball to which the robot shall go.
 struct PlanStep {
     circle: u32,
     centre: u32,
@@ -104,9 +104,9 @@ enum RouteLeg {
 /// A path with the derivatives of the axis angles along it, by the share of the path from 0 to 1.
 struct PathTiming {
     path: ToolBallPath,
-    /// Largest first derivative of an axis over its greatest speed, s.
+    /// Greatest ratio of an axis's first derivative to its greatest speed, s.
     axis_s: f64,
-    /// Largest first and second derivative of an axis over its greatest acceleration, s^2.
+    /// Greatest ratio of an axis's first and second derivative to its greatest acceleration, s^2.
     slope_s2: f64,
     bend_s2: f64,
 }
@@ -119,25 +119,25 @@ struct RowsOfPass {
     end: usize,
 }
 
-/// A `circ` row that belongs to no arc, by its position from 0.
+/// A `circ` row that belongs to no arc: its position from 0.
 #[derive(Debug)]
 struct UngroupedRow {
     at: usize,
     finding: PlanFinding,
 }
 
-/// Distance of a reading from the ends of the stroke, with its uncertainty.
+/// Distance of a reading from the ends of the stroke, with the uncertainty of the reading.
 #[derive(Clone)]
 struct StrokeMargin {
-    /// To the lower and to the upper end of the stroke, mm.
+    /// Distance to the lower and to the upper end of the stroke, mm.
     room: [f64; 2],
-    /// The reading's derivative in the coordinates of the prior, mm.
+    /// The reading's derivative with respect to the coordinates of the prior, mm.
     design_row: DVector<f64>,
-    /// Probability of leaving the stroke at this pose.
+    /// Probability that the reading leaves the stroke at this pose.
     risk: f64,
 }
 
-/// Whether the bar is mounted; without it only limits and clearance of the arm count.
+/// Whether the bar is mounted; without the bar only the limits and the clearance of the arm count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum BarPresence {
     Yes,
@@ -147,7 +147,7 @@ enum BarPresence {
 /// Conditions on candidates.
 struct CandidateConditions {
     risk: f64,
-    /// Status bits of the only branch, if it matters.
+    /// Status bits of the branch that is required, if it matters.
     branch: Option<u8>,
     near: Option<Near>,
 }
@@ -163,12 +163,12 @@ struct PlannedCircle<'a> {
     start: f64,
     /// Greatest turn of the tool about each axis.
     amplitude: f64,
-    /// The base orientation of the tool.
+    /// The orientation of the tool without a turn.
     down: Matrix3<f64>,
     seed: u64,
 }
 
-/// The steps so far.
+/// The steps that were made so far.
 struct StepBuilder {
     steps: Vec<PlanStep>,
     circle: u32,
@@ -176,13 +176,13 @@ struct StepBuilder {
     dwell_s: f64,
 }
 
-/// The robot in its cell with what is known of it when a run starts.
+/// The robot in its cell, and the posterior at the start of a run.
 struct PlanningCell<'a> {
     rig: PlanKinematics<'a>,
     posterior: Posterior,
 }
 
-/// A robot, a job and a row for the tests of the room.
+/// A robot, a job and a row for the tests of the module.
 #[cfg(test)]
 mod example {
     use super::{Job, MotionKind, PlanRow, PoseKind};
@@ -192,8 +192,8 @@ mod example {
         Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read")
     }
 
-    /// A base ball in front of the KR 60, and a bar whose stroke reaches farther outwards than inwards.
-    /// It has a circle if the tables name neither one nor chosen poses.
+    /// A base ball in front of the KR 60, and a bar whose stroke reaches farther outwards than inwards. The job has a
+    /// circle if the tables name neither a circle nor chosen poses.
     pub(super) fn job(tables: &str) -> Job {
         let measures = tables.contains("[[circle]]") || tables.contains("[optimise]");
         let circle = if measures { "" } else { "[[circle]]\nplane = \"XY\"\npoints = 12\n" };

@@ -1,10 +1,11 @@
-//! A module of chosen poses: from pose to pose on the sphere about one base ball, with sync markers; the start pose is the
-//! reference.
+//! A module of chosen poses: it goes from pose to pose on the sphere about one base ball, with sync markers; the start
+//! pose is the reference.
 //!
-//! The ways between them are short and continuous, the ball always on the sphere about its base ball. It goes along a great
-//! circle: as one arc with the orientation turning about one axis, as the controller does it, or where that fails in short
-//! chords whose orientation follows the axes from one pose to the next, so that the wrist does not pass its singularity. The
-//! last try goes past the cup's axis. Every way is checked before it is taken.
+//! The ways between the poses are short and continuous, with the ball always on the sphere about its base ball. The
+//! ball goes along a great circle. First one arc is tried, with the orientation turning about one axis, as the
+//! controller does it. Where that fails, short chords are tried, whose orientation follows the axes from one pose to
+//! the next, so that the wrist does not pass its singularity. The last try goes past the cup's axis. Every way is
+//! checked before it is taken.
 
 use std::f64::consts::PI;
 
@@ -22,9 +23,9 @@ use dbbd_model::robot::{AXES, Pose, max_axis_difference};
 
 /// Poses that are tried in order when the next one cannot be reached.
 const AHEAD: usize = 12;
-/// Most dwells of a module: their index goes out on eight outputs.
+/// Most dwells of a module: the index of a dwell goes out on eight outputs.
 pub const MODULE_DWELLS: u32 = 255;
-/// After so many steps another module begins: a controller limits the lines of one.
+/// After this number of steps another module begins: a controller limits the lines of one module.
 const MAX_MODULE_STEPS: usize = 400;
 /// Steps in which a way is tried, mm and degrees; the plan's own check is finer.
 const ROUTE_STEP_MM: f64 = 2.0;
@@ -33,7 +34,7 @@ const ROUTE_STEP_DEG: f64 = 2.0;
 const CHORD_TURN: f64 = 0.2;
 /// Greatest turn of an axis in one arc, rad: after a larger one the full turns are ambiguous.
 const ARC_TURN: f64 = 1.5;
-/// Greatest deviation of an axis at the end of a way, rad: more is another turn of it.
+/// Greatest deviation of an axis at the end of a way, rad: a larger one is another turn of the axis.
 const ASTRAY: f64 = 0.01;
 
 /// Appends one module, or several where it grows long: sync markers, the poses in order with visits of the reference pose,
@@ -56,7 +57,7 @@ pub(super) fn module(
     walk.ptp(start.pose, start.axes);
     let mut chain = ModulePath { walk, router, start, here: poses.remove(0), began, dwells: 1, missed: 0 };
     chain.markers(MarkerPosition::Start);
-    // The start is the first to be measured, and the reference.
+    // The start is the first pose to be measured, and the reference.
     let here = chain.here.pose;
     chain.walk.lines(vec![aside(&here, &chain.router.ball), here], PoseKind::Measure);
     chain.visit(&mut poses);
@@ -88,7 +89,7 @@ struct ModulePath<'a, 'c> {
 }
 
 impl ModulePath<'_, '_> {
-    /// Visits the poses; those that cannot be reached are left in `poses`.
+    /// Visits the poses; poses that cannot be reached are left in `poses`.
     fn visit(&mut self, poses: &mut Vec<Candidate>) {
         let (mut count, mut skipped) = (1_u32, 0);
         while !poses.is_empty() {
@@ -122,7 +123,7 @@ impl ModulePath<'_, '_> {
 
     /// Visits poses again where there are too few dwells for the time code.
     fn revisit(&mut self, visited: &[Candidate]) {
-        /// There is no way to some of them.
+        /// Limit of the tries, because some poses may have no way to them.
         const MAX_TRIES: usize = 4 * MIN_CODED_DWELLS;
         for pose in visited.iter().cycle().skip(1).take(MAX_TRIES) {
             if self.walk.dwell_count() >= MIN_CODED_DWELLS {
@@ -157,7 +158,7 @@ impl ModulePath<'_, '_> {
         self.walk.markers(end, rest, out);
     }
 
-    /// Visits the reference pose; from the pose itself by a step aside and back.
+    /// Visits the reference pose. If the robot is there already, it steps aside and comes back.
     fn reference(&mut self) {
         if self.here == *self.start {
             let pose = self.here.pose;
@@ -173,7 +174,7 @@ impl ModulePath<'_, '_> {
     }
 }
 
-/// A pose nearby on the sphere.
+/// A pose nearby on the sphere, with the same orientation.
 fn aside(pose: &Pose, ball: &Vector3<f64>) -> Pose {
     let along = pose.position - ball;
     let across = if along.x.abs() < 0.9 * along.norm() { Vector3::x() } else { Vector3::y() };
@@ -181,7 +182,7 @@ fn aside(pose: &Pose, ball: &Vector3<f64>) -> Pose {
     Pose { rotation: pose.rotation, position: ball + turn * along }
 }
 
-/// Ways about one base ball.
+/// Finds ways about one base ball.
 struct RoutePlanner<'a> {
     cell: &'a PlanningCell<'a>,
     centre: u32,
@@ -194,7 +195,7 @@ struct RoutePlanner<'a> {
 }
 
 impl<'a> RoutePlanner<'a> {
-    /// `None` where the job has no such ball.
+    /// `None` if the job has no such ball.
     fn new(cell: &'a PlanningCell<'a>, centre: u32, risk: f64) -> Option<Self> {
         let (bar, ball) = (&cell.rig.job.bar, Vector3::from(cell.rig.job.ball(centre)?.xyz_mm));
         let sagitta = (0.25 * room(bar, bar.length_mm)).clamp(0.02, 0.2);
@@ -209,7 +210,7 @@ impl<'a> RoutePlanner<'a> {
         if bend < PI - 0.1 && bend > 1e-3 && turn < ARC_TURN {
             let rotation = between(&from.pose.rotation, &to.pose.rotation, 0.5);
             let aux = Pose { rotation, position: self.ball + on_arc(&u, &v, 0.5) * self.radius };
-            // The arc is one of the controller's model, and not of the arm's.
+            // The arc is an arc of the controller's model, not of the arm's.
             let half: [f64; AXES] = std::array::from_fn(|i| 0.5 * (from.axes[i] + to.axes[i]));
             let rig = self.cell.rig;
             let [start, end] = [from, to].map(|pose| rig.controller.geometry.ball(&pose.axes));
@@ -225,7 +226,7 @@ impl<'a> RoutePlanner<'a> {
         self.chords(from, to, &[u, v]).or_else(|| self.chords(from, to, &[u, over, v])).map(RouteLeg::Chords)
     }
 
-    /// Chords past these directions, with an orientation that follows the axes.
+    /// Chords along great circles past these directions, with an orientation that follows the axes.
     fn chords(&self, from: &Candidate, to: &Candidate, past: &[Vector3<f64>]) -> Option<Vec<Pose>> {
         let widest = 2.0 * (1.0 - self.sagitta / self.radius).clamp(-1.0, 1.0).acos();
         let legs: Vec<f64> = past.windows(2).map(|pair| arc_angle(&pair[0], &pair[1])).collect();
@@ -265,7 +266,7 @@ impl<'a> RoutePlanner<'a> {
         let mut axes = *start;
         for part in 1..=parts {
             let next = nearest(arm, &path.pose(f64::from(part) / f64::from(parts))?, &axes).ok()?;
-            // A larger turn than this in one step is a wrist that flips.
+            // A larger turn in one step means that the wrist flips.
             let fits = max_axis_difference(&next, &axes) < 0.3 && status(arm, &next) == began;
             if !(fits && self.cell.allows(&next, self.centre, self.risk)) {
                 return None;
@@ -280,7 +281,7 @@ impl<'a> RoutePlanner<'a> {
     }
 }
 
-/// Orders the poses so that the axes turn little: nearest neighbour, then 2-opt. The first stays first.
+/// Orders the poses so that the axes turn little: nearest neighbour, then 2-opt. The first pose stays first.
 fn order(poses: &mut [Candidate]) {
     for at in 1..poses.len() {
         let next = (at..poses.len()).min_by(|&a, &b| {
@@ -321,7 +322,7 @@ fn on_arc(u: &Vector3<f64>, v: &Vector3<f64>, share: f64) -> Vector3<f64> {
     }
 }
 
-/// The unit vector after `angle` rad along the great circles past the directions.
+/// The unit vector after `angle` rad along the great circles from direction to direction.
 fn along(past: &[Vector3<f64>], legs: &[f64], angle: f64) -> Vector3<f64> {
     let mut left = angle;
     for (pair, leg) in past.windows(2).zip(legs) {

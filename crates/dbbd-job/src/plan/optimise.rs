@@ -1,4 +1,4 @@
-//! Poses chosen among those that can be reached, as steps: one module for each base ball.
+//! Steps to poses that are chosen among the poses that can be reached: one module for each base ball.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -32,16 +32,16 @@ const MIN_STAGE_POSES: u32 = 6;
 pub(super) struct ChosenSteps {
     pub(super) steps: Vec<PlanStep>,
     pub(super) notes: Vec<PlanFinding>,
-    /// Present if not every pose is allowed yet.
+    /// Present if not every pose that can be reached is allowed yet.
     pub(super) stage: Option<Stage>,
 }
 
 /// The poses about one base ball that can be reached, whatever their stroke risk.
 struct ReachablePoses {
     ball: BallId,
-    /// In any orientation.
+    /// Poses in any orientation.
     reach: Vec<Candidate>,
-    /// Near the orientation in which the ball was taught, or with the tool down.
+    /// Poses near the orientation in which the ball was taught, or with the tool down.
     near: Vec<Candidate>,
 }
 
@@ -52,7 +52,8 @@ impl ReachablePoses {
         self.near.iter().chain(&self.reach).filter(touches)
     }
 
-    /// The controller's axis angles at which it touches the ball, with the orientation of the first start, degrees.
+    /// The controller's axis angles at which the tool ball touches the base ball, with the orientation of the first
+    /// start, degrees.
     fn touching(&self, rig: &PlanKinematics<'_>) -> Option<String> {
         let axes = self.starts(rig).find_map(|start| rig.touching(self.ball.number(), &start.axes))?;
         Some(axes.map(|angle| format!("{:.4}", angle.to_degrees())).join(", "))
@@ -79,25 +80,25 @@ impl SafePoses<'_> {
 /// The safe poses about all base balls, for a number of poses to choose.
 struct SafePoseSearch<'a> {
     points: u32,
-    /// Greatest risk of one pose: an equal share of that of the whole run.
+    /// Greatest risk of one pose: an equal share of the risk of the whole run.
     risk: f64,
     abouts: Vec<SafePoses<'a>>,
     stage: Stage,
 }
 
 impl SafePoseSearch<'_> {
-    /// Poses to choose besides the starts.
+    /// Number of poses to choose besides the starts.
     fn count(&self) -> usize {
         (self.points as usize).saturating_sub(self.abouts.len())
     }
 
-    /// Poses to choose from.
+    /// Number of poses to choose from.
     fn pool(&self) -> usize {
         self.abouts.iter().map(|about| about.others().count()).sum()
     }
 }
 
-/// Chooses the job's poses, with this share of the risk that is allowed.
+/// Chooses the job's poses, with this share of the allowed risk.
 pub(super) fn choose_steps(
     rig: &PlanKinematics<'_>,
     prior: &PlanningPrior,
@@ -171,12 +172,12 @@ struct PoseChooser<'a> {
     prior: &'a PlanningPrior,
     /// Greatest risk of all poses together.
     risk: f64,
-    /// Number for each base ball.
+    /// Number of candidates for each base ball.
     candidates: usize,
 }
 
 impl<'a> PoseChooser<'a> {
-    /// The safe poses: for all poses wanted, else for a stage, which is halved down to the fewest.
+    /// The safe poses: for all requested poses; else for a stage, whose number of poses is halved down to the fewest.
     fn safe(&self, scans: &[ReachablePoses], wanted: &OptimiseTable) -> Result<SafePoseSearch<'a>, Refusal> {
         let halves = std::iter::successors(Some(wanted.stage_points), |points| Some(points / 2));
         let stages =
@@ -220,10 +221,10 @@ impl<'a> PoseChooser<'a> {
         Ok(SafePoseSearch { points, risk, abouts, stage })
     }
 
-    /// What would make a smallest stage about a ball safe: that the ball is taught, or a longer stroke.
+    /// A remedy if even the smallest stage about a ball is not safe: teach the ball, or use a bar with a longer stroke.
     fn help(&self, scan: &ReachablePoses) -> Option<PlanFinding> {
         let (job, ball) = (self.rig.job, scan.ball.number());
-        // After lengths it matters how the ball was taught.
+        // After lengths were measured, it matters whether the ball was taught.
         let untaught = self.prior.lengths > 0 && job.ball(ball)?.taught_deg.is_none();
         if let Some(axes_deg) = untaught.then(|| scan.touching(&self.rig)).flatten() {
             return Some(PlanFinding::TeachFirst { ball, axes_deg });
@@ -242,7 +243,7 @@ impl<'a> PoseChooser<'a> {
         half_mm.is_finite().then_some(PlanFinding::StrokeNeeded { ball, half_mm, low_mm, high_mm })
     }
 
-    /// The cell for a run that starts there.
+    /// The cell for a run that starts at `start`.
     fn cell(&self, start: &Candidate) -> PlanningCell<'a> {
         PlanningCell::new(self.rig, self.prior, start.ball.number(), &start.axes)
     }
@@ -274,7 +275,7 @@ impl<'a> PoseChooser<'a> {
         let candidates = |count, branch, near| {
             anywhere.candidates(table.id, count, &CandidateConditions { risk: 1.0, branch, near })
         };
-        // Where the ball was taught the risk is least in that branch and orientation.
+        // If the ball was taught, the risk is least in that branch and orientation.
         let taught = table.taught_deg.map(|deg| deg.map(f64::to_radians));
         let branch = taught.map(|axes| status(rig.arm, &axes) & 7);
         let reach = candidates(self.candidates, branch, None);
@@ -286,7 +287,7 @@ impl<'a> PoseChooser<'a> {
                 let exactly = candidates(COMPARED / 2, branch, Some(Near::exactly(orientation)));
                 [exactly, candidates(COMPARED, branch, Some(Near::about(orientation)))].concat()
             }
-            // Else with the tool down, in the branch of the others.
+            // Otherwise with the tool down, in the branch of the other poses.
             None => [0.0, FRAC_PI_2, PI, -FRAC_PI_2]
                 .map(|spin| candidates(COMPARED, branch, Some(Near::about(rot_x(PI) * rot_z(spin)))))
                 .into_iter()
@@ -329,7 +330,7 @@ impl<'a> PoseChooser<'a> {
             .map(|(start, _)| start.clone())
     }
 
-    /// The most informative poses besides the starts, which are measured as well.
+    /// The most informative poses besides the starts; the starts are measured as well.
     fn choose(&self, survey: &SafePoseSearch<'_>) -> Result<Vec<Candidate>, Diagnostic> {
         let job = self.rig.job;
         let pool: Vec<Candidate> = survey.abouts.iter().flat_map(SafePoses::others).cloned().collect();
@@ -351,8 +352,8 @@ impl<'a> PoseChooser<'a> {
         Ok(chosen.iter().filter_map(|&at| pool.get(at).cloned()).collect())
     }
 
-    /// The unknown parameters that the poses are to determine: all, or those that the job lists, with the maker's tolerances
-    /// as their prior.
+    /// The unknown parameters that the poses are to determine: all parameters, or those that the job lists, with the
+    /// maker's tolerances as their prior.
     fn unknown(&self) -> Result<Posterior, JobFinding> {
         let (PlanKinematics { job, controller, .. }, prior) = (self.rig, &self.prior.posterior);
         let Some(list) = job.optimise.as_ref().and_then(|wanted| wanted.parameters.clone()) else {

@@ -1,4 +1,5 @@
-//! Optimal orientation patterns: of many random orientations at each point of a circle, the most informative combination.
+//! Optimal orientation patterns: the most informative combination of many random orientations at each point of a
+//! circle.
 
 use std::ops::Range;
 
@@ -27,7 +28,7 @@ struct DrawnOrientation {
     turn_deg: [f64; 3],
 }
 
-/// The job with the turns of its optimal circles chosen: together they minimise the 3-D error.
+/// The job with the turns of its optimal circles chosen so that together they minimise the 3-D error.
 pub(super) fn chosen(rig: &PlanKinematics<'_>, prior: &PlanningPrior) -> Result<Job, Diagnostic> {
     let mut job = rig.job.clone();
     let mut draws: Vec<DrawnOrientation> = Vec::new();
@@ -93,7 +94,7 @@ impl<'a> OrientationSampler<'a> {
         Ok(Self { table, ball, circle, cell: PlanningCell::new(*rig, prior, table.centre, &start), start })
     }
 
-    /// The safe draws at an angle; `near` are the axis angles of the point before, then of this one.
+    /// The safe draws at an angle. `near` holds the axis angles of the point before, and is set to those of this point.
     fn draws(&self, angle: f64, near: &mut [f64; AXES]) -> Result<Vec<DrawnOrientation>, PlanFinding> {
         let Self { table, ball, circle, cell, .. } = self;
         let PlanKinematics { job, arm, .. } = cell.rig;

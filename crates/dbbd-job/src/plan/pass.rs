@@ -18,18 +18,18 @@ use dbbd_model::robot::Pose;
 
 /// A pass, as in `plan.json`: the indices of its rows, and its motion.
 ///
-/// Times are those of the commanded motion from its beginning, at full override: constant acceleration, the feed, constant
+/// Times refer to the commanded motion from its beginning, at full override: constant acceleration, the feed, constant
 /// deceleration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannedPass {
     pub circle: u32,
-    /// Whether it goes against growing angles.
+    /// Whether the pass goes against growing angles.
     pub clockwise: bool,
     pub through: [u32; 2],
     /// The first and the last measured row.
     pub points: [u32; 2],
-    /// The row at which it stops.
+    /// The row at which the pass stops.
     pub end: u32,
     /// Angle of the whole motion with feed-in and overshoot, degrees, above 0.
     pub sweep_deg: f64,
@@ -81,7 +81,7 @@ impl PlannedPass {
 }
 
 impl PlanRow {
-    /// Whether it is measured without a stop.
+    /// Whether the row is measured without a stop.
     pub fn is_passed(&self) -> bool {
         self.kind != PoseKind::Transit && self.dwell_s == 0.0
     }
@@ -109,7 +109,7 @@ impl RowsOfPass {
         (self.through[0]..=self.end).contains(&at)
     }
 
-    /// Its arc; `None` without a row before it.
+    /// The arc of the pass; `None` without a row before it.
     pub(super) fn path(&self, job: &Job, from: Option<&PlanRow>, rows: &[PlanRow]) -> Option<ToolBallPath> {
         let [a, b, end] = [self.through[0], self.through[1], self.end].map(|at| rows.get(at));
         let table = job.circles.get((end?.circle as usize).checked_sub(1)?)?;
@@ -149,8 +149,8 @@ pub(super) fn groups(rows: &[PlanRow]) -> Result<Vec<RowsOfPass>, UngroupedRow> 
     if auxiliary.is_empty() { Ok(found) } else { arc(rows.len().saturating_sub(1)) }
 }
 
-/// The passes of planned rows. Sets the times of their points in `moves`, which has the time of the whole motion at the end of
-/// each pass.
+/// The passes of planned rows. Sets the times of their points in `moves`; before the call, `moves` has the time of the
+/// whole motion at the end of each pass.
 pub(super) fn passes(
     job: &Job,
     rows: &[PlanRow],
@@ -202,7 +202,7 @@ pub(super) fn passes(
     Ok(passes)
 }
 
-/// Checks that the passes of `plan.json` are those of its rows.
+/// Checks that `plan.json` has the passes of its rows.
 pub(super) fn check_passes(rows: &[PlanRow], passes: &[PlannedPass]) -> Result<(), PlanFinding> {
     let groups = groups(rows)?;
     if groups.len() != passes.len() {

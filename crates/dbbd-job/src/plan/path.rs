@@ -1,4 +1,4 @@
-//! The motion of the controller between two rows: straight line, arc, or all axes together.
+//! The motion of the controller between two rows: a straight line, an arc, or all axes together.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
@@ -10,14 +10,14 @@ use dbbd_model::robot::{AXES, Pose};
 pub enum ToolBallPath {
     /// All axes start and stop together; axis angles in rad.
     Axes { from: [f64; AXES], to: [f64; AXES] },
-    /// The ball on a straight line.
+    /// The ball moves on a straight line.
     Line { from: Pose, to: Pose },
-    /// The ball on an arc of `angle` rad about the unit vector `axis` through `centre`, mm.
+    /// The ball moves on an arc of `angle` rad about the unit vector `axis` through `centre`, mm.
     Arc { from: Pose, to: Pose, centre: Vector3<f64>, axis: Vector3<f64>, angle: f64 },
 }
 
 impl ToolBallPath {
-    /// The arc from `from` through `aux` to `to`, of less than a full turn; a line if the three are on one.
+    /// The arc from `from` through `aux` to `to`, of less than a full turn; a line if the three points are collinear.
     pub fn arc(from: Pose, aux: &Vector3<f64>, to: Pose) -> Self {
         let (a, b) = (aux - from.position, to.position - from.position);
         let normal = a.cross(&b);

@@ -1,4 +1,4 @@
-//! What a plan will determine, for `plan.json`, the page and the terminal.
+//! Predicts the result of a plan, for `plan.json`, the page and the terminal.
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -23,7 +23,7 @@ use dbbd_model::robot::{AXES, Robot};
 
 /// Poses over which the 3-D error is taken, as in an identification.
 const PREDICTION_WORKSPACE_POSES: usize = 2000;
-/// The same where it is taken for many pose sets.
+/// Number of such poses where the error is taken for many pose sets.
 const FEW_POSES: usize = 300;
 /// A second ball helps when it leaves less than this share of the error.
 const HELPS: f64 = 0.85;
@@ -34,12 +34,12 @@ const ALIKE: f64 = 2.0;
 /// Fewest poses of a shell.
 const MIN_SHELL_POSES: usize = 10;
 
-/// What the poses of a plan will determine, with the bar's sigma and the robot's repeatability as noise.
+/// Predicted result of the poses of a plan, with the bar's sigma and the robot's repeatability as noise.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlanPrediction {
     /// Number of lengths that will be measured.
     pub lengths: usize,
-    /// Standard deviation of one length, mm: of the bar and of the robot's repeatability together.
+    /// Standard deviation of one length, mm: the bar's sigma and the robot's repeatability together.
     pub sigma_mm: f64,
     /// Rank of the scaled Jacobian of all parameters.
     pub rank: usize,
@@ -50,20 +50,19 @@ pub struct PlanPrediction {
     /// Observability indices of the base set, its columns in units of their prior deviations.
     pub observability: Option<Observability>,
     pub parameters: Vec<PredictedParameter>,
-    /// Combinations of which only one value is identifiable, in words.
+    /// Combinations of parameters of which only one value is identifiable, in words.
     pub dependent: Vec<String>,
-    /// The same for a terminal.
+    /// The same combinations in short, for a terminal.
     #[serde(skip)]
     pub dependent_in_short: Vec<String>,
     /// 3-D error over the workspace after the best rigid alignment, mm, as the robot is known now.
     pub now_mm: ErrorSummary,
-    /// The same after an identification with the datasheet as prior, mm.
+    /// The same error after an identification with the datasheet as prior, mm.
     pub identified_mm: ErrorSummary,
-    /// The same for fewer and for more lengths.
+    /// The same prediction for fewer and for more lengths.
     pub against: Vec<LengthCount>,
-    /// The error left afterwards by the distance from the base balls.
+    /// The error left after the identification, by the distance from the base balls.
     pub regions: Vec<ErrorShell>,
-    #[serde(rename = "advice")]
     pub recommendations: Vec<Diagnostic>,
 }
 
@@ -74,9 +73,8 @@ pub struct PredictedParameter {
     pub unit: String,
     pub before: f64,
     pub sd: f64,
-    /// From the lengths without the prior; absent outside the base set.
+    /// Standard deviation from the lengths without the prior; absent outside the base set.
     pub alone: Option<f64>,
-    #[serde(rename = "fate")]
     pub identifiability: Identifiability,
 }
 
@@ -84,15 +82,13 @@ pub struct PredictedParameter {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Identifiability {
-    /// To 3 tolerances or better.
+    /// The lengths determine the parameter to 3 tolerances or better.
     Identified,
-    /// Worse than that.
-    #[serde(rename = "too_weak")]
+    /// The lengths determine the parameter worse than that.
     PoorlyObservable,
-    /// Only in a combination that another parameter represents.
+    /// The lengths determine only a combination, which another parameter represents.
     Dependent,
-    /// It changes no length.
-    #[serde(rename = "unseen")]
+    /// The parameter changes no length.
     Unobservable,
 }
 
@@ -106,8 +102,8 @@ impl PlanRow {
 }
 
 impl PlanPrediction {
-    /// What the rows of a plan will add to `prior`, and the map of the error that is left; `None` if a number is not finite.
-    /// `is_stage`: the rows are a stage, after which only the next plan matters.
+    /// The information that the rows of a plan will add to `prior`, and the map of the error that is left; `None` if a
+    /// number is not finite. `is_stage`: the rows are a stage, after which only the next plan matters.
     pub(super) fn of_rows(
         job: &Job,
         rows: &[PlanRow],
@@ -260,7 +256,7 @@ fn regions(job: &Job, map: &[MapPoint]) -> Vec<ErrorShell> {
     regions
 }
 
-/// Up to which distance the result is valid.
+/// The finding that states up to which distance the result is valid.
 fn validity(regions: &[ErrorShell]) -> Option<PlanFinding> {
     let least_mm = regions.iter().map(|region| region.error_mm).fold(f64::INFINITY, f64::min);
     let good = regions.iter().take_while(|region| region.error_mm <= ALIKE * least_mm).last()?;
@@ -286,7 +282,7 @@ mod tests {
 
     #[test]
     fn shells_have_the_root_mean_square_of_enough_poses() {
-        // Half with 3 and half with 4: sqrt(12.5). Nine poses are too few.
+        // Half of the points have 3 and half have 4: sqrt(12.5). Nine poses are too few.
         let map = [
             shell(5, 100.0, 3.0),
             shell(5, 299.0, 4.0),

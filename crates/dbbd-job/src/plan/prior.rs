@@ -1,4 +1,4 @@
-//! What is known of robot and set-up when a plan is made.
+//! The knowledge of robot and set-up when a plan is made.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -21,21 +21,21 @@ const TOOL_MM: f64 = 1e-3;
 #[derive(Clone, Debug)]
 pub struct PlanningPrior {
     pub posterior: Posterior,
-    /// Number of lengths that it was determined from.
+    /// Number of lengths from which the posterior was determined.
     pub lengths: usize,
-    /// Whether each base ball was measured or taught. One that was not is taught before its first run: it is put where the
-    /// controller has the tool ball, so that its error is that of the robot there.
+    /// Whether each base ball was measured or taught. A ball that was not is taught before its first run: it is put
+    /// where the controller has the tool ball, so that its error is the error of the robot there.
     located: Vec<bool>,
-    /// A calibrated robot in a new set-up, whose check is planned.
+    /// Present if a check of a calibrated robot in a new set-up is planned.
     pub(super) calibrated: Option<Expected>,
 }
 
-/// How a base ball is to be taught.
+/// The pose at which a base ball is to be taught.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TaughtBall {
     pub centre: u32,
-    /// The controller's axis angles with the tool ball on it, degrees.
+    /// The controller's axis angles with the tool ball on the base ball, degrees.
     pub axes_deg: [f64; AXES],
 }
 
@@ -46,12 +46,13 @@ impl PlanningPrior {
         Posterior::prior(robot, model, &Priors::datasheet(robot, job.bar.u_mm()))
     }
 
-    /// Before anything is measured: the robot's tolerance, the bar's certificate, the balls that were taught.
+    /// Knowledge before anything is measured: the robot's tolerance, the bar's certificate, the balls that were taught.
     pub fn datasheet(job: &Job, robot: &Robot) -> Self {
         Self::with_taught(job, robot, Self::of_maker(job, robot))
     }
 
-    /// Before a check: the posterior of the calibration, what mounting again changes, the balls that were taught.
+    /// Knowledge before a check: the posterior of the calibration, the changes by mounting again, the balls that were
+    /// taught.
     pub fn of_check(job: &Job, robot: &Robot, expected: Expected) -> Self {
         let known = Self::with_taught(job, robot, expected.posterior.clone());
         Self { calibrated: Some(expected), ..known }
@@ -68,11 +69,12 @@ impl PlanningPrior {
         Self { posterior, lengths: 0, located, calibrated: None }
     }
 
-    /// After lengths: the most probable robot (with the given one as its nominal) and base balls, and their covariance.
+    /// Knowledge after lengths were measured: the most probable robot (with the given one as its nominal robot) and
+    /// base balls, and their covariance.
     ///
     /// # Errors
     /// A number is not finite, a length is to a ball that the job does not have, or the bar of the lengths is longer or
-    /// shorter than the job's by more than its stroke.
+    /// shorter than the job's bar by more than its stroke.
     pub fn after_lengths(
         job: &Job,
         robot: &Robot,
@@ -97,8 +99,9 @@ impl PlanningPrior {
         Ok(Self { posterior, lengths: readings.len(), located, ..before })
     }
 
-    /// Doubts about the lengths: their residual far exceeds the robot's repeatability, or another bar fits far better.
-    pub fn doubts(
+    /// Warnings about the lengths: their residual far exceeds the robot's repeatability, or another bar fits far
+    /// better.
+    pub fn lengths_findings(
         &self,
         job: &Job,
         robot: &Robot,
@@ -115,7 +118,7 @@ impl PlanningPrior {
         worse.into_iter().chain(other).collect()
     }
 
-    /// Job and robot with the most probable base balls and geometry.
+    /// The job and the robot with the most probable base balls and geometry.
     pub fn applied(&self, job: &Job, robot: &Robot) -> (Job, Robot) {
         let (mut job, nominal) = (job.clone(), robot.controller());
         for (table, centre) in job.centres.iter_mut().zip(&self.posterior.model.balls) {
@@ -139,8 +142,8 @@ impl PlanningPrior {
         RobotPosterior::new(&ids, &posterior.model.geometry, &posterior.root().select_rows(&own))
     }
 
-    /// What is known when a run about base ball `centre` (from 1) starts at axis angles in rad. A ball that was neither
-    /// measured nor taught is touched before, with the orientation of the tool at the start.
+    /// The knowledge when a run about base ball `centre` (from 1) starts at axis angles in rad. A ball that was neither
+    /// measured nor taught is touched before the run, with the orientation of the tool at the start.
     pub(super) fn at_start(&self, rig: &PlanKinematics<'_>, centre: u32, start: &[f64; AXES]) -> RunStart {
         let unlocated = |ball: &BallId| self.located.get(ball.index()) == Some(&false);
         let Some(ball) = BallId::new(centre).filter(unlocated) else {
@@ -153,7 +156,7 @@ impl PlanningPrior {
         RunStart { posterior, taught: Some(TaughtBall { centre, axes_deg }) }
     }
 
-    /// Continues with what is known at a start; the ball that is to be taught for it.
+    /// Continues with the knowledge at a start, and returns the ball that is to be taught for it.
     pub(super) fn begin(&mut self, start: RunStart) -> Option<TaughtBall> {
         let taught = start.taught?;
         self.posterior = start.posterior;
@@ -165,7 +168,8 @@ impl PlanningPrior {
     }
 }
 
-/// By how much the bar would have to be longer for a robot within its tolerance to explain the lengths.
+/// The error of the bar's length: how much longer the bar would have to be for a robot within its tolerance to explain
+/// the lengths.
 struct BarLengthError {
     off_mm: f64,
     sd_mm: f64,
@@ -173,7 +177,7 @@ struct BarLengthError {
 
 impl BarLengthError {
     fn by_lengths(job: &Job, robot: &Robot, readings: &[PreparedMeasurement]) -> Option<Self> {
-        // A prior standard deviation so wide that nothing is known of the bar.
+        // A prior standard deviation so wide that the bar's length is unknown.
         const UNKNOWN_MM: f64 = 1e3;
         let model = LengthModel::new(robot.geometry.clone(), &job.balls());
         let prior = Posterior::prior(robot, model, &Priors::datasheet(robot, Some(UNKNOWN_MM)));
@@ -183,17 +187,17 @@ impl BarLengthError {
         Some(Self { off_mm: found.model.bar_offset(BarId::FIRST), sd_mm })
     }
 
-    /// Whether it is implausible by the bar's certificate and the robot's tolerance.
+    /// Whether the error is implausible by the bar's certificate and the robot's tolerance.
     fn is_contradicted(&self, job: &Job) -> bool {
         let u_mm = Priors::certified_bar_mm(job.bar.u_mm());
         self.off_mm.abs() > largest_plausible(true) * self.sd_mm.hypot(u_mm)
     }
 }
 
-/// What is known at the start of a run.
+/// The knowledge at the start of a run.
 pub(super) struct RunStart {
     pub(super) posterior: Posterior,
-    /// The ball that is taught before it.
+    /// The ball that is taught before the run.
     taught: Option<TaughtBall>,
 }
 
@@ -220,7 +224,7 @@ impl Job {
     }
 }
 
-/// Standard deviation of one length, mm: of the bar and of the robot's repeatability together.
+/// Standard deviation of one length, mm: the bar's sigma and the robot's repeatability together.
 pub(super) fn length_sigma_mm(job: &Job, robot: &Robot) -> f64 {
     length_sd_mm(job.bar.sigma_um * 1e-3, robot)
 }
@@ -239,10 +243,11 @@ mod tests {
         let RunStart { posterior, taught } = prior.at_start(&rig, 1, &start);
         let taught = taught.expect("the ball was not taught");
         let axes = taught.axes_deg.map(f64::to_radians);
-        // The ball's place to the four decimals of the angles: 0.00005 degrees at 1.5 m are 1.3 um for each axis.
+        // The ball's place from the four decimals of the angles: 0.00005 degrees at 1.5 m are 1.3 um for each axis.
         let ball = robot.geometry.ball(&axes).position;
         assert!((ball - Vector3::new(1300.0, 0.0, 800.0)).norm() < 0.01);
-        // The length from the ball to the tool ball at the very place is exact but for the noise of teaching.
+        // At the very place of the ball, the length from the ball to the tool ball is exact except for the noise of
+        // teaching.
         let near_mm = posterior.design_row(&axes, BallId::FIRST).norm();
         let far_mm = prior.posterior.design_row(&axes, BallId::FIRST).norm();
         assert!(near_mm < far_mm, "{near_mm} {far_mm}");

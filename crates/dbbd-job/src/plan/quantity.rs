@@ -20,9 +20,9 @@ pub enum CheckQuantity {
     AxisSpeedPercent,
     ReadingLowMm,
     ReadingHighMm,
-    /// The greatest of any one pose.
+    /// The greatest risk of any one pose to leave the stroke.
     StrokeRisk,
-    /// Of a whole run in which the bar stays on.
+    /// The risk of leaving the stroke in a whole run in which the bar stays on.
     RunRisk,
     CupDeg,
     ToolCupDeg,
@@ -30,7 +30,7 @@ pub enum CheckQuantity {
     ClearanceMm,
 }
 
-/// How the limit of a quantity binds.
+/// The side on which the limit of a quantity binds.
 #[derive(Clone, Copy, PartialEq)]
 enum LimitBound {
     AtLeast,
@@ -70,7 +70,7 @@ impl CheckQuantity {
         TABLE.iter().map(|entry| entry.0)
     }
 
-    /// Whether small values are the unsafe ones.
+    /// Whether the limit is a least value: small values are unsafe.
     pub fn at_least(self) -> bool {
         TABLE[self as usize].1 == LimitBound::AtLeast
     }
@@ -79,7 +79,7 @@ impl CheckQuantity {
         TABLE[self as usize].2
     }
 
-    /// The name that it has in plan.json, unit included.
+    /// The name of the quantity in plan.json, unit included.
     pub fn name(self) -> String {
         serde_json::to_value(self).ok().and_then(|name| name.as_str().map(str::to_owned)).unwrap_or_default()
     }
@@ -124,7 +124,7 @@ pub struct PlanCheck {
 }
 
 impl PlanCheck {
-    /// Whether the limit is kept; rounding in the last digits breaks none.
+    /// Whether the limit is kept; rounding in the last digits does not break it.
     pub fn holds(&self) -> bool {
         self.slack() >= -1e-9
     }

@@ -1,5 +1,5 @@
-//! Recommendations for a refused plan: another orientation of the tool where a circle fails at the axis limits or the wrist,
-//! a stage before it where the stroke is at risk.
+//! Recommendations for a refused plan: another orientation of the tool where a circle fails at the axis limits or the
+//! wrist, or a stage before the plan where the length may leave the stroke.
 
 use super::job::CircleTable;
 use super::quantity::{CheckQuantity, PlanCheck};
@@ -8,17 +8,18 @@ use super::steps::circle_steps;
 use super::{Job, PlanKinematics, PlanRow};
 use crate::plan::PlanFinding;
 
-/// The coarse grid, degrees.
+/// The coarse grid of tilts and spins that are tried, degrees.
 const TILTS_DEG: [f64; 7] = [0.0, 15.0, 30.0, 45.0, -15.0, -30.0, -45.0];
 const SPINS_DEG: [f64; 12] =
     [0.0, 30.0, -30.0, 60.0, -60.0, 90.0, -90.0, 120.0, -120.0, 150.0, -150.0, 180.0];
-/// Points by which a circle is tried, and the margin that these must keep, degrees.
+/// Number of points by which a circle is tried, and the margin that these must keep, degrees.
 const POINTS: u32 = 40;
 const MARGIN_DEG: f64 = 1.0;
 const STAGE_POINTS: u32 = 20;
 
-/// For each circle that fails so: tilt and spin that keep axis limits, wrist and branch at its points. For a length
-/// that might leave the stroke: a stage. `lost` are the poses and paths that cannot be reached, `broken` the limits.
+/// For each circle that fails at axis limits, wrist or branch: a tilt and a spin that keep them at its points. For a
+/// length that might leave the stroke: a stage. `lost` are the poses and paths that cannot be reached, `broken` the
+/// limits that are not kept.
 pub(super) fn recommendations(
     rig: &PlanKinematics<'_>,
     rows: &[PlanRow],

@@ -1,16 +1,16 @@
-//! Why there is no plan.
+//! The refusal of a plan, with its reasons.
 
 use crate::plan::PlanFinding;
 use crate::plan::job::JobFinding;
 use dbbd_model::diagnostic::Diagnostic;
 
-/// Findings of a refusal that are printed.
+/// Number of findings of a refusal that are printed.
 const PRINTED: usize = 10;
 
-/// Why a plan would be unsafe or impossible.
+/// The reasons why a plan would be unsafe or impossible.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refusal {
-    /// In the order of the rows.
+    /// The reasons, in the order of the rows.
     pub findings: Vec<Diagnostic>,
     pub recommendations: Vec<Diagnostic>,
 }

@@ -1,4 +1,4 @@
-//! From steps to rows: poses as KRL prints them, with the axis angles that the controller computes for them.
+//! Converts steps into rows: poses as KRL prints them, with the axis angles that the controller computes for them.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use crate::plan::PlanFinding;
 use dbbd_model::robot::inverse::{Unsolved, branches, clearance, nearest, status, turn, turns_within};
 use dbbd_model::robot::{AXES, BallId, Pose, Robot};
 
-/// How near a run comes to the limits.
+/// The extremes of a run, which show its distance from the limits.
 struct RunExtremes {
     /// Lowest and highest angle of each axis and of each joint, degrees.
     axes_deg: [[f64; 2]; AXES],
@@ -63,8 +63,8 @@ impl<'a> PlanKinematics<'a> {
         Ok(self.controller.geometry.ball(&nearest(self.arm, pose, near)?))
     }
 
-    /// The controller's axis angles, rad, at which the tool ball is at the job's place of base ball `ball` (from 1), with the
-    /// orientation of the tool at `start`.
+    /// The controller's axis angles, rad, at which the tool ball is at the job's place of base ball `ball` (from 1),
+    /// with the orientation that the tool has at `start`.
     pub(super) fn touching(&self, ball: u32, start: &[f64; AXES]) -> Option<[f64; AXES]> {
         let geometry = &self.controller.geometry;
         let position = Vector3::from(self.job.ball(ball)?.xyz_mm);
@@ -80,7 +80,7 @@ impl<'a> PlanKinematics<'a> {
         let all = branches(self.arm, &first.pose)?;
         let turns = |axes: &&[f64; AXES]| !turns_within(axes, self.controller).is_empty();
         let within: Vec<_> = all.iter().filter(turns).copied().collect();
-        // With all branches beyond the limits, the findings say by how much.
+        // If all branches are beyond the limits, the findings say by how much.
         Ok(if within.is_empty() { all } else { within })
     }
 
@@ -93,7 +93,7 @@ impl<'a> PlanKinematics<'a> {
     ) -> Result<BranchRun, PlanFinding> {
         let frames = self.job.motion.frames();
         let mut near = *start;
-        // The robot's axis angles before a pass, whose auxiliary points are far away on its circle.
+        // The robot's axis angles before a pass: the auxiliary points of the pass are far away on its circle.
         let mut before_pass = None;
         let mut rows = Vec::with_capacity(steps.len());
         let mut extremes = RunExtremes::new();
@@ -240,7 +240,7 @@ mod tests {
         for (row, step) in run.rows.iter().zip(&steps) {
             let axes = row.axes_deg.map(f64::to_radians);
             let ball = robot.geometry.ball(&axes);
-            // 0.5 um of each coordinate, and what 0.00005 degrees are at the wrist.
+            // 0.5 um for each coordinate, and the effect of 0.00005 degrees at the wrist.
             assert!((ball.position - Vector3::from(row.xyz_mm)).norm() < 1e-6);
             assert!((ball.position - step.pose.position).norm() < 1e-3);
             assert!(row.xyz_mm.iter().all(|x| ((x * 1e3).round() - x * 1e3).abs() < 1e-6));

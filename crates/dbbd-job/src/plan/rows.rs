@@ -5,22 +5,22 @@ use serde::{Deserialize, Serialize};
 use dbbd_model::measurement::PoseKind;
 use dbbd_model::robot::{AXES, BallId};
 
-/// How the robot moves to a row's pose.
+/// The kind of motion to a row's pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MotionKind {
-    /// All axes together, to the axis angles.
+    /// All axes move together, to the axis angles.
     Ptp,
-    /// The ball on a straight line.
+    /// The ball moves on a straight line.
     Lin,
-    /// The ball on an arc, through the auxiliary point in the transit row before.
+    /// The ball moves on an arc, through the auxiliary point in the transit row before.
     Circ,
 }
 
 /// One row of the plan: a pose of the tool ball and what happens there. The fields are the columns of `plan.csv`, in their order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlanRow {
-    /// From 1, over all rows.
+    /// Number of the row, from 1, over all rows.
     pub index: u32,
     /// Number of the circle, from 1; 0 for rows of no circle.
     pub circle: u32,
@@ -38,12 +38,12 @@ pub struct PlanRow {
     pub turn: u8,
     /// Nominal distance between the ball centres, mm.
     pub length_mm: f64,
-    /// How long the robot is at rest for the measurement, s; 0 in transit.
+    /// Time at rest for the measurement, s; 0 in transit.
     pub dwell_s: f64,
 }
 
 impl PlanRow {
-    /// Whether it is the auxiliary point of an arc, or the end of a pass.
+    /// Whether the row is the auxiliary point of an arc, or the end of a pass.
     pub fn is_auxiliary(&self) -> bool {
         self.kind == PoseKind::Transit && self.motion == MotionKind::Circ
     }

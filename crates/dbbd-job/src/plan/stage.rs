@@ -1,23 +1,24 @@
-//! Stages: a few poses whose length is safe as the robot is known now, measured before the rest.
+//! Stages: a few poses that are measured before the rest, because their length is safe with the present knowledge of
+//! the robot.
 
 use serde::{Deserialize, Serialize};
 
 use super::job::{Job, OptimiseTable};
 use dbbd_model::design::Criterion;
 
-/// Share of the poses that may be barred without a stage: before the first length, and later.
+/// Share of the poses that may be barred without a stage: before the first length is measured, and later.
 const FEW_AT_FIRST: f64 = 1.0 / 3.0;
 const FEW_LATER: f64 = 0.01;
 
-/// The poses that are barred in a stage.
+/// The poses that are barred in a stage, because their length might leave the stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
-    /// Lengths that were measured before it.
+    /// Number of lengths that were measured before the stage.
     pub lengths: usize,
-    /// Candidates that can be reached.
+    /// Number of candidates that can be reached.
     pub reachable: usize,
-    /// Of these, the ones whose length might leave the stroke.
+    /// Number of candidates that can be reached, but whose length might leave the stroke.
     pub barred: usize,
 }
 
@@ -54,7 +55,7 @@ impl Job {
     /// The job with `poses` given poses in place of its circles.
     #[must_use]
     pub fn as_given(&self, poses: usize) -> Self {
-        /// The least number of poses that a job may ask for.
+        /// Fewest poses that a job may request.
         const MIN_POINTS: u32 = 6;
         let points = u32::try_from(poses).unwrap_or(u32::MAX).max(MIN_POINTS);
         let before = self.optimise.clone().unwrap_or_default();

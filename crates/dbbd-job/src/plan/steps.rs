@@ -5,11 +5,11 @@
 //! the first point is reached as all others are.
 //!
 //! The reference pose is the first point. It is visited after every twenty points and after the last, along the circle,
-//! the shorter way round: on this path the bar's length is known to stay in the stroke. It costs three turns of the circle
-//! for eighty points. Where a job has too few dwells for the time code, the points of its last circle are
+//! the shorter way round: on this path the bar's length is known to stay in the stroke. For eighty points this takes
+//! three turns of the circle. Where a job has too few dwells for the time code, the points of its last circle are
 //! visited again.
 //!
-//! A continuous circle has no reference pose; its passes go over it from end to end (`pass.rs`).
+//! A continuous circle has no reference pose; its passes go over the circle from end to end (`pass.rs`).
 //!
 //! Between two circles about one base ball the bar stays on: the robot goes along the sphere in short chords to the next
 //! start pose, where the next module begins. Before a circle about another base ball the bar is taken off.
@@ -29,9 +29,9 @@ use dbbd_model::robot::{AXES, Pose};
 
 /// Length of a sync marker where the stroke has room, mm.
 const MARKER_MM: f64 = 0.3;
-/// Shares of it that are tried where the length is not known well enough.
+/// Shares of [`MARKER_MM`] that are tried where the length is not known well enough.
 const SMALLER: [f64; 3] = [1.0, 0.7, 0.4];
-/// How far to step aside where two dwells follow at one place, rad.
+/// Angle of a step aside between two dwells at one place, rad.
 pub(super) const DETOUR: f64 = 0.035;
 /// Sync markers at the start and the end of a module: short moves out and back.
 const START_MARKERS: u32 = 3;
@@ -47,14 +47,14 @@ pub(super) fn circle_steps(job: &Job) -> Result<Vec<PlanStep>, JobFinding> {
         let angles = table.angles();
         let Some(&first) = angles.first() else { continue };
         let sense = if table.direction == CircleDirection::Cw { -1.0 } else { 1.0 };
-        // Outside an open arc may be an obstacle: its start is inside.
+        // An obstacle may be outside an open arc: its start is inside.
         let outside = if table.is_closed() { sense } else { -sense } * table.step();
         let start = match table.mode {
             CircleMode::Continuous => first - sense * table.overshoot_deg.to_radians(),
             CircleMode::Dwell => first - outside,
         };
         if walk.centre == table.centre {
-            // At most half of the stroke that is left inwards, and no more than a marker.
+            // The sagitta uses at most half of the stroke that is left inwards, and is not larger than a marker.
             let sagitta = (0.5 * room(&job.bar, circle.radius)).clamp(0.02, MARKER_MM);
             walk.along_the_sphere(circle.centre, &circle.pose(start, 0.0), sagitta);
         }
@@ -73,7 +73,7 @@ pub(super) fn circle_steps(job: &Job) -> Result<Vec<PlanStep>, JobFinding> {
                 if last_of_dwells == Some(number) {
                     let chosen = job.optimise.as_ref().map_or(0, |wanted| wanted.points as usize);
                     let missing = MIN_CODED_DWELLS.saturating_sub(walk.dwell_count() + chosen);
-                    // On round the circle: two visits of one pose in a row look alike by the axes.
+                    // Go on round the circle: two visits of one pose in a row look alike by the axes.
                     let further = angles.iter().cycle().skip(1).take(missing);
                     further.fold(end, |at, angle| {
                         walk.visit(&circle, [at, end + angle - first], PoseKind::Reference, outside);
@@ -102,13 +102,13 @@ pub(super) fn least_marker(bar: &JobBar, radius: f64) -> f64 {
     marker(bar, radius) * SMALLER[SMALLER.len() - 1]
 }
 
-/// The longest marker at a radius with a risk of at most `most`, mm; the shortest one where all have more.
+/// The longest marker at a radius with a risk of at most `most`, mm; the shortest marker where all have a larger risk.
 pub(super) fn safe_marker(bar: &JobBar, radius: f64, most: f64, risk: impl Fn(f64) -> f64) -> f64 {
     let markers = SMALLER.map(|share| marker(bar, radius) * share);
     markers.into_iter().find(|out| risk(*out) <= most).unwrap_or(least_marker(bar, radius))
 }
 
-/// Stroke that is left inwards at a radius, mm.
+/// Length of the stroke that is left inwards at a radius, mm.
 pub(super) fn room(bar: &JobBar, radius: f64) -> f64 {
     radius - bar.length_mm - bar.stroke_mm[0] - bar.margin_mm
 }
@@ -124,7 +124,7 @@ impl StepBuilder {
         Self { steps: Vec::new(), circle: 0, centre: 0, dwell_s: job.motion.dwell_s }
     }
 
-    /// A PTP motion to a pose with these axis angles, rad.
+    /// Adds a PTP motion to a pose with these axis angles, rad.
     pub(super) fn ptp(&mut self, pose: Pose, axes: [f64; AXES]) {
         self.push(PoseKind::Transit, MotionKind::Ptp, pose);
         if let Some(step) = self.steps.last_mut() {
@@ -132,7 +132,7 @@ impl StepBuilder {
         }
     }
 
-    /// Along a way to a dwell.
+    /// Adds the motions along a way, with a dwell at its end.
     pub(super) fn go(&mut self, way: RouteLeg, to: &Candidate, kind: PoseKind) {
         match way {
             RouteLeg::Arc(aux) => {
@@ -146,7 +146,7 @@ impl StepBuilder {
         }
     }
 
-    /// In straight lines from pose to pose, to a dwell at the last one.
+    /// Adds straight lines from pose to pose, with a dwell at the last pose.
     pub(super) fn lines(&mut self, poses: Vec<Pose>, kind: PoseKind) {
         let last = poses.len().saturating_sub(1);
         for (at, pose) in poses.into_iter().enumerate() {
@@ -159,7 +159,7 @@ impl StepBuilder {
         self.steps.iter().filter(|step| step.dwell_s > 0.0).count()
     }
 
-    /// The sync markers of an end of a module: short moves from `rest` out and back.
+    /// Adds the sync markers of an end of the module: short moves from `rest` out and back.
     pub(super) fn markers(&mut self, end: MarkerPosition, rest: Pose, out: Pose) {
         let count = match end {
             MarkerPosition::Start => START_MARKERS,
@@ -177,7 +177,7 @@ impl StepBuilder {
         self.steps.push(PlanStep { circle, centre, kind, motion, pose, dwell_s, axes: None });
     }
 
-    /// Along the circle to a dwell, through the middle of the arc.
+    /// Adds an arc along the circle, through its middle, with a dwell at its end.
     fn arc(&mut self, circle: &PlannedCircle<'_>, from: f64, to: f64, kind: PoseKind) {
         let end = circle.pose(to, 0.0);
         let mut aux = circle.pose(0.5 * (from + to), 0.0);
@@ -186,8 +186,8 @@ impl StepBuilder {
         self.push(kind, MotionKind::Circ, end);
     }
 
-    /// The dwells of a circle from `start`, with the visits of the reference pose; the angle of the last one. `outside` is
-    /// the step towards the side on which no point is.
+    /// Adds the dwells of a circle from `start`, with the visits of the reference pose. Returns the angle of the last
+    /// dwell. `outside` is the step towards the side without points.
     fn dwells(&mut self, circle: &PlannedCircle<'_>, table: &CircleTable, start: f64, outside: f64) -> f64 {
         let angles = table.angles();
         let Some(&first) = angles.first() else { return start };
@@ -205,7 +205,7 @@ impl StepBuilder {
         at
     }
 
-    /// Along the circle to a dwell, with a step aside where the robot is at its pose already.
+    /// Adds a move along the circle to a dwell, with a step aside if the robot is already at its pose.
     fn visit(&mut self, circle: &PlannedCircle<'_>, [from, to]: [f64; 2], kind: PoseKind, outside: f64) {
         let mut at = from;
         if (to - at).abs() < 1e-9 {
@@ -216,10 +216,10 @@ impl StepBuilder {
         self.arc(circle, at, to, kind);
     }
 
-    /// A pass without stops from angle `from`; the angle at which it stops.
+    /// Adds a pass without stops from angle `from`. Returns the angle at which it stops.
     fn pass(&mut self, circle: &PlannedCircle<'_>, from: f64, points: &[f64], sweep: f64) -> f64 {
         let sense = points.first().map_or(1.0, |first| (first - from).signum());
-        // With auxiliary points far apart the rounding of the poses hardly moves the circle.
+        // With auxiliary points far apart, the rounding of the poses hardly moves the circle.
         let third = sense * sweep.min(TAU) / 3.0;
         for share in [1.0, 2.0] {
             self.push(PoseKind::Transit, MotionKind::Circ, circle.pose(from + share * third, 0.0));
@@ -235,7 +235,8 @@ impl StepBuilder {
         end
     }
 
-    /// Along the sphere about the base ball at `centre` to the pose `to`, in chords of at most this sagitta, mm.
+    /// Adds a way along the sphere about the base ball at `centre` to the pose `to`, in chords of at most this sagitta,
+    /// mm.
     fn along_the_sphere(&mut self, centre: Vector3<f64>, to: &Pose, sagitta: f64) {
         let Some(from) = self.steps.last().map(|step| step.pose) else {
             return;
@@ -249,7 +250,7 @@ impl StepBuilder {
         }
         let normal = u.cross(&v);
         let angle = normal.norm().atan2(u.dot(&v));
-        // At opposite ends any great circle will do.
+        // Between opposite points any great circle will do.
         let axis = if normal.norm() > 1e-9 {
             normal.normalize()
         } else if u.z.abs() < 0.9 {
@@ -282,7 +283,8 @@ mod tests {
         JobBar { stroke_mm, margin_mm, ..job("").bar }
     }
 
-    /// The bar has 300 mm. Outwards while there are 0.3 mm, else to the side with more room, at most 0.8 of it.
+    /// The bar has 300 mm. The marker goes outwards while there are 0.3 mm, else to the side with more room, at most
+    /// 0.8 of it.
     #[test]
     fn marker_goes_to_the_side_with_room() {
         for (stroke_mm, margin_mm, radius, expected) in [
@@ -337,7 +339,7 @@ mod tests {
         let references = kinds(&steps, PoseKind::Reference);
         assert_eq!(references.len(), 2);
         assert!(references.iter().all(|at| (angle_deg(&steps[*at]) - 10.0).abs() < 1e-9));
-        // After twenty points, and at the end before two markers.
+        // The reference is visited after twenty points, and at the end before two markers.
         assert!(measured[19] < references[0] && references[0] < measured[20]);
         assert_eq!(references[1] + 1 + 4, steps.len());
     }
@@ -349,7 +351,7 @@ mod tests {
         let steps = circle_steps(&job).expect("the job is possible");
         let references = kinds(&steps, PoseKind::Reference);
         let before = |at: usize| angle_deg(&steps[at - 1]);
-        // From the twentieth point, at 295 degrees, and from the last one.
+        // The reference is reached from the twentieth point, at 295 degrees, and from the last one.
         assert!((before(references[0]) - 332.5).abs() < 1e-9);
         assert!((before(references[1]) - 2.5).abs() < 1e-9);
     }
@@ -391,7 +393,7 @@ mod tests {
             .filter(|step| step.motion == MotionKind::Circ)
             .map(|step| (angle_deg(step) + 15.0).rem_euclid(360.0).round())
             .collect();
-        // From -15 to 135 degrees and back, counted from -15; each pass has its stop.
+        // The passes go from -15 to 135 degrees and back, counted from -15; each pass has its stop.
         let points = (0..13).map(|point| 15.0 + 10.0 * f64::from(point));
         let forward = [50.0, 100.0].into_iter().chain(points.clone()).chain([150.0]);
         let backward = [100.0, 50.0].into_iter().chain(points.rev()).chain([0.0]);
@@ -417,7 +419,7 @@ mod tests {
         assert!((ninth.position - centre - Vector3::new(half, half, 0.0)).norm() < 1e-9);
         assert!((ninth.rotation - pose(0.0, 0.0, 0.45).rotation).norm() < 1e-9);
         assert_eq!(builder.steps.last().map(|step| step.pose), Some(pose(0.0, 300.0, 0.9)));
-        // From another radius the ball first goes straight out to the new one.
+        // From another radius the ball first goes straight out to the new radius.
         builder.along_the_sphere(centre, &pose(0.0, 310.0, 0.9), 0.3);
         assert_eq!(builder.steps.len(), 1 + 18 + 2);
         assert!((builder.steps[19].pose.position - centre).norm() - 310.0 < 1e-9);

@@ -23,17 +23,18 @@ pub const PTP_ACCELERATION_PERCENT: f64 = 20.0;
 /// Wait after the strobe falls, s.
 pub const AFTER_STROBE_S: f64 = 0.1;
 
-/// Share of the axis speeds that a coded move may use: the axes of the true robot move differently.
+/// Share of the axis speeds that a coded move may use: the axes of the true robot move at other speeds.
 const AXIS_SHARE: f64 = 0.5;
 /// Shortest coded move, and the range of the durations, s.
 const SHORTEST_S: f64 = 0.8;
 pub(crate) const SPREAD_S: f64 = 2.2;
-/// Least number of dwells of a plan whose time code distinguishes its program from any other: eleven intervals, of which each makes
-/// the own code some eight times as likely as another one, give odds of 10^9 (`cargo test few_dwells_show`).
+/// Fewest dwells of a plan whose time code distinguishes its program from any other program: each of the eleven
+/// intervals makes the right code some eight times as likely as another one, which gives odds of 10^9 (`cargo test
+/// few_dwells_show`).
 pub(crate) const MIN_CODED_DWELLS: usize = 12;
-/// Least difference between the durations of the moves into a module's dwells, s.
+/// Least difference between the durations of the moves to the dwells of a module, s.
 const APART_S: f64 = 0.005;
-/// A smaller motion (mm, degrees) is the rounding of printed poses.
+/// A smaller motion (mm, degrees) is only the rounding of printed poses.
 const STILL: f64 = 0.01;
 /// Speed of a sync marker, mm/s: slow enough for the stream of a slow bar.
 pub(crate) const MARKER_MM_S: f64 = 1.0;
@@ -49,11 +50,11 @@ pub fn ramped_s(distance: f64, speed: f64, acceleration: f64) -> f64 {
     }
 }
 
-/// The speed at which `distance` takes `duration`; `None` if the ramps alone take longer.
+/// The speed at which `distance` takes the time `duration`; `None` if the ramps alone take longer.
 fn speed_for(distance: f64, duration: f64, acceleration: f64) -> Option<f64> {
     let ramp = acceleration * duration;
     let root = ramp * ramp - 4.0 * acceleration * distance;
-    // The smaller root, without cancellation.
+    // The smaller root, computed without cancellation.
     (root >= 0.0 && ramp > 0.0).then(|| 2.0 * acceleration * distance / (ramp + root.sqrt()))
 }
 
@@ -71,8 +72,8 @@ pub struct MoveTime {
     pub duration_s: f64,
 }
 
-/// Speeds and durations of all rows. `paces` has the motion into each row; `None` for auxiliary points and for the first row,
-/// which is reached from wherever the robot is. The code is drawn from `pose_hash`, so that a program whose poses are others
+/// Speeds and durations of all rows. `paces` has the motion into each row; `None` for auxiliary points and for the
+/// first row, which is reached from any pose. The code is drawn from `pose_hash`, so that a program with other poses
 /// has another code.
 pub(super) fn move_times(
     rows: &[PlanRow],
@@ -117,13 +118,13 @@ pub(super) fn move_times(
     times
 }
 
-/// A radial marker is the only move of less than a millimetre.
+/// Whether the path is a radial marker, the only move of less than a millimetre.
 fn is_marker(path: &ToolBallPath) -> bool {
     matches!(path, ToolBallPath::Line { .. }) && path.length_mm() < 1.0
 }
 
-/// What is added to the shortest duration of the move into each dwell: equally spaced values in random order, so that all
-/// differ and no sequence repeats.
+/// The times that are added to the shortest duration of the move to each dwell: equally spaced values in random order,
+/// so that all differ and no sequence repeats.
 fn code(count: usize, seed: u64) -> Vec<f64> {
     let mut extra: Vec<f64> = (0..count).map(|i| SPREAD_S * (i as f64 + 0.5) / count as f64).collect();
     let mut rng = Pcg64::seed_from_u64(seed);
@@ -133,17 +134,17 @@ fn code(count: usize, seed: u64) -> Vec<f64> {
     extra
 }
 
-/// The speeds of a line or arc: at most `feed` and `turn`, the axes within their share, with a duration of `wanted` seconds if
-/// it is given.
+/// The speeds of a line or arc: at most `feed` and `turn`, the axes within their share. If `wanted` is given, the
+/// motion takes this time, s.
 fn paced(still: MoveTime, pace: &PathTiming, feed: f64, turn: f64, wanted: Option<f64>) -> MoveTime {
     let (distance, angle) = (pace.path.length_mm(), pace.path.turn_deg());
-    // Shares of the path per second within the limits of feed, orientation and axes.
+    // Greatest share of the path per second within the limits of feed, orientation and axes.
     let allowed = |speed: f64, whole: f64| if whole > STILL { speed / whole } else { f64::INFINITY };
     let rate = allowed(feed, distance).min(allowed(turn, angle)).min(allowed(AXIS_SHARE, pace.axis_s));
     let chosen = |limit: f64, whole: f64, acceleration: f64| {
         let fastest = if rate.is_finite() { limit.min(rate * whole) } else { limit };
         let coded = wanted.and_then(|duration| speed_for(whole, duration, acceleration)).unwrap_or(fastest);
-        // As KRL prints it, and never below a hundredth; a part at rest keeps the limit.
+        // The speed as KRL prints it, and never below a hundredth; a part at rest keeps the limit.
         if whole > STILL { (coded.min(fastest) * 1e3).round().max(10.0) / 1e3 } else { limit }
     };
     let feed_mm_s = chosen(feed, distance, ACCELERATION_MM_S2);
@@ -157,7 +158,7 @@ fn line_s(distance: f64, angle: f64, feed_mm_s: f64, turn_deg_s: f64) -> f64 {
     ramped_s(distance, feed_mm_s, ACCELERATION_MM_S2).max(ramped_s(angle, turn_deg_s, ACCELERATION_DEG_S2))
 }
 
-/// Duration of a PTP motion between axis angles in rad, s: that of the slowest axis.
+/// Duration of a PTP motion between axis angles in rad, s: the duration of the slowest axis.
 fn axes_s(robot: &Robot, from: &[f64; AXES], to: &[f64; AXES]) -> f64 {
     let acceleration = robot.acceleration_deg_s2();
     (0..AXES)
@@ -210,7 +211,7 @@ mod tests {
         assert_near(ramped_s(80.0, speed, ACCELERATION_MM_S2), 3.1);
     }
 
-    /// With 200 mm/s^2 and 100 degrees/s^2.
+    /// The accelerations are 200 mm/s^2 and 100 degrees/s^2.
     #[test]
     fn slower_one_of_path_and_orientation_sets_the_duration() {
         assert_near(line_s(100.0, 10.0, 40.0, 40.0), 100.0 / 40.0 + 40.0 / 200.0);
@@ -232,7 +233,7 @@ mod tests {
         });
     }
 
-    /// Of 2.2 s in four parts the middles are 0.275, 0.825, 1.375 and 1.925 s.
+    /// 2.2 s are divided into four parts, whose middles are 0.275, 0.825, 1.375 and 1.925 s.
     #[test]
     fn time_code_is_equally_spaced_and_shuffled() {
         let mut sorted = code(4, 7);
@@ -265,7 +266,7 @@ mod tests {
         // The orientation needs 60 / 20 s: the path has no more than a third per second.
         let turned = paced(still, &line(80.0, 60.0), 40.0, 20.0, None);
         assert_eq!((turned.feed_mm_s, turned.turn_deg_s), (26.667, 20.0));
-        // A time that is wanted is kept to the rounding of the speed as it is printed.
+        // A wanted time is kept to the rounding of the speed as it is printed.
         let coded = paced(still, &line(80.0, 60.0), 40.0, 40.0, Some(4.5));
         assert!((coded.duration_s - 4.5).abs() < 1e-3, "{}", coded.duration_s);
         let longest = paced(still, &line(0.5, 0.0), 40.0, 40.0, Some(900.0));

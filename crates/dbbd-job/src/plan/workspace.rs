@@ -1,4 +1,4 @@
-//! The workspace over which the 3-D error is taken.
+//! The workspace over which the 3-D error is computed.
 
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -13,7 +13,7 @@ use dbbd_model::robot::{AXES, Pose, Robot};
 /// Seed of the poses, as in an identification.
 const WORKSPACE_POSES_SEED: u64 = 1;
 
-/// Axis vectors (rad) over which an error is taken: in the job's box if it has one, else uniform within the limits.
+/// Axis vectors (rad) over which an error is computed: in the job's box if it has one, else uniform within the limits.
 pub fn workspace(job: &Job, robot: &Robot, count: usize) -> Vec<[f64; AXES]> {
     let limits = robot.controller();
     let Some([low, high]) = job.optimise.as_ref().and_then(|optimise| optimise.workspace_mm) else {
@@ -28,7 +28,7 @@ pub fn in_box(robot: &Robot, low: [f64; 3], high: [f64; 3], count: usize) -> Vec
     let mut random = Pcg64::seed_from_u64(WORKSPACE_POSES_SEED);
     let home = [0.0, -60.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians);
     let controller = robot.controller();
-    // A box far from the arm has few poses, or none.
+    // A box far from the arm has few poses, or no poses.
     let mut found = Vec::with_capacity(count);
     for _ in 0..20 * count {
         let position = Vector3::from_fn(|i, _| random.random_range(low[i]..high[i]));
@@ -66,7 +66,7 @@ mod tests {
         let highest =
             poses.iter().map(|axes| robot().geometry.ball(axes).position.y).fold(f64::MIN, f64::max);
         assert!(highest > 250.0, "{highest}");
-        // Out of reach there are none.
+        // Out of reach there are no poses.
         assert!(in_box(&robot(), [9000.0; 3], [9500.0; 3], 5).is_empty());
     }
 

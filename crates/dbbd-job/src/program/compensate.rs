@@ -1,12 +1,12 @@
-//! Correction of the targets of a program: with the corrected targets, the identified robot under a controller that knows the
-//! nominal robot moves to where the nominal robot would move with the original ones.
+//! Correction of the targets of a program. With the corrected targets, the identified robot under a controller that
+//! knows the nominal robot moves to where the nominal robot would move with the original targets.
 //!
 //! For each target: P is the nominal pose of the flange; q are the axis angles at which the flange of the identified robot is
 //! at P; the corrected target is the nominal pose of the flange at q. Each robot is taken in its own base frame.
 //!
-//! A longer last link and a ball further out have the same effect on the lengths. What is flange and what is ball is decided by
-//! the priors of both, in the identification alone: here the flange is the identified one, as in a URDF, and the tools of the
-//! program stay what they are.
+//! A longer last link and a tool ball further out have the same effect on the lengths. The priors of both decide in the
+//! identification which part is flange and which is ball. Here the flange is the identified flange, as in a URDF, and
+//! the tools of the program are not changed.
 
 use nalgebra::Vector3;
 
@@ -23,16 +23,16 @@ const LARGEST_TURN_DEG: f64 = 5.0;
 /// Rounding a pose to its digits moves an axis by less than this, degrees.
 const ROUNDED_DEG: f64 = 0.005;
 
-/// How the controller selects the solution branch of a pose.
+/// The way in which the controller selects the solution branch of a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Branch {
-    /// By the status and turn of the target.
+    /// Selected by the status and turn of the target.
     ByStatusAndTurn,
-    /// By ABB's configuration: see [`inverse::quadrants`].
+    /// Selected by ABB's configuration: see [`inverse::quadrants`].
     ByQuadrants([i32; 4]),
-    /// By FANUC's configuration with its turns.
+    /// Selected by FANUC's configuration with its turns.
     ByFanuc(FanucConfiguration),
-    /// On a line or an arc of a FANUC: by its configuration, with the turns nearest to the position before.
+    /// Selected on a line or an arc of a FANUC: by its configuration, with the turns nearest to the position before.
     OnLine(FanucConfiguration),
     /// The branch nearest to the position before.
     Nearest,
@@ -40,11 +40,11 @@ pub enum Branch {
     NearestTo([f64; AXES]),
 }
 
-/// A target with what its axis angles depend on.
+/// A target with the data on which its axis angles depend.
 #[derive(Clone, Copy, Debug)]
 pub struct Commanded<'a> {
     pub target: &'a Target,
-    /// Needed for a pose.
+    /// Frames of the target; a pose needs them.
     pub frames: Option<&'a Frames>,
     pub branch: Branch,
 }
@@ -53,9 +53,9 @@ pub struct Commanded<'a> {
 pub struct Corrected {
     /// A1 to A6, or X, Y, Z, A, B, C.
     pub numbers: [f64; 6],
-    /// Shift of the commanded tool point; for axis angles, of the flange.
+    /// Shift of the commanded tool point, mm; for axis angles, of the flange.
     pub shift_mm: f64,
-    /// Rotation of the commanded orientation.
+    /// Rotation of the commanded orientation, degrees.
     pub turn_deg: f64,
     /// The axis angles of the nominal and of the identified robot at the taught target, rad.
     taught: [f64; AXES],
@@ -87,7 +87,8 @@ fn other_unit(frames: &Frames) -> Option<CompensationFinding> {
 }
 
 impl Corrector {
-    /// For `robot`, an identified robot with its nominal one; no tool point may move by more than `limit_mm`.
+    /// A corrector for `robot`, an identified robot with its nominal one; no tool point may move by more than
+    /// `limit_mm`.
     pub fn new(robot: &Robot, limit_mm: f64) -> Self {
         let controller = robot.controller();
         let flange = |geometry: &Geometry, tool| Geometry { tool, ..geometry.clone() };
@@ -167,7 +168,8 @@ impl Corrector {
         }
     }
 
-    /// The nominal axis angles that lie nearest to `near` and within the limits; if none do, those beyond them.
+    /// The nominal axis angles that lie nearest to `near` and within the limits; without such angles, the nearest
+    /// beyond the limits.
     fn nearest(&self, flange: &Pose, near: &[f64; AXES]) -> Result<[f64; AXES], Unsolved> {
         let Robot { geometry, .. } = &self.nominal;
         let nearest = inverse::nearest(geometry, flange, near)?;
@@ -241,13 +243,13 @@ impl Corrector {
         Ok(inverse::quadrants(&self.nominal.geometry, &axes))
     }
 
-    /// Whether it is known how FANUC's configuration selects a branch of this arm.
+    /// Whether the rule is known by which FANUC's configuration selects a branch of this arm.
     fn knows_fanuc(&self) -> bool {
         FanucConfiguration::at(&self.nominal.geometry, &[0.0; AXES]).is_some()
     }
 
-    /// FANUC's configuration of a target before its correction, and of the corrected one at its printed pose; `None` for an
-    /// arm for which the rule is not known.
+    /// FANUC's configuration of a target before its correction, and the configuration of the corrected target at its
+    /// printed pose; `None` for an arm for which the rule is not known.
     pub fn fanuc(
         &self,
         corrected: &Corrected,
@@ -282,7 +284,8 @@ impl Corrector {
     }
 }
 
-/// The finding about a frame that differs between the ways to a motion, which set it in these lines (0: before the program).
+/// The finding about a frame that differs between the ways to a motion; the frame is set in these lines (0: before the
+/// program).
 pub(crate) fn mixed(frame: &'static str, lines: [usize; 2]) -> CompensationFinding {
     let set_in = |line| if line == 0 { "before the program".into() } else { format!("of line {line}") };
     let [first, second] = lines.map(set_in);
@@ -292,23 +295,23 @@ pub(crate) fn mixed(frame: &'static str, lines: [usize; 2]) -> CompensationFindi
 /// A point that was corrected.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Moved {
-    /// `inline` if it has no name.
+    /// Name of the point; `inline` if it has no name.
     pub name: String,
-    /// The first line that moves there; in KRL, of the `.src`.
+    /// The first line that moves to the point; in KRL, a line of the `.src`.
     pub line: usize,
-    /// As in [`Corrected`].
+    /// Shift of the point as in [`Corrected`], mm.
     pub shift_mm: f64,
-    /// As in [`Corrected`].
+    /// Rotation of the point as in [`Corrected`], degrees.
     pub turn_deg: f64,
     /// KUKA's turn bits before and after, if an axis moved through zero.
     pub turn_bits: Option<[u8; 2]>,
-    /// The tool there; `None` if the point is written as axis angles.
+    /// The tool at the point; `None` if the point is written as axis angles.
     #[serde(skip)]
     pub tool_point: Option<ToolPoint>,
 }
 
 impl Moved {
-    /// For a point that is moved to in this line.
+    /// The correction of a point to which this line moves.
     pub(super) fn new(name: String, line: usize, corrected: &Corrected, turn_bits: Option<[u8; 2]>) -> Self {
         let Corrected { shift_mm, turn_deg, tool_point, .. } = *corrected;
         Self { name, line, shift_mm, turn_deg, turn_bits, tool_point }
@@ -329,10 +332,10 @@ pub fn in_metres<'a>(targets: impl IntoIterator<Item = &'a Target>) -> Option<Co
         .then_some(CompensationFinding::PointsInMetres { points: near.len(), size_mm })
 }
 
-/// Positions of external axes; `None` for one that the robot does not have.
+/// Positions of external axes; `None` for an axis that the robot does not have.
 pub(crate) type External = [Option<f64>; 6];
 
-/// The first point, by its index, at which an external axis is elsewhere than before.
+/// The first point, by its index, at which an external axis has another position than before.
 pub(crate) fn external_motion<'a>(
     points: impl IntoIterator<Item = (&'a str, External)>,
 ) -> Option<(usize, CompensationFinding)> {
@@ -351,7 +354,7 @@ pub(crate) fn external_motion<'a>(
     None
 }
 
-/// Corrects all points for `robot`, in the order of their first use; `rewrite` writes the new numbers of one.
+/// Corrects all points for `robot`, in the order of their first use; `rewrite` writes the new numbers of a point.
 ///
 /// # Errors
 /// One finding for each point that cannot be corrected.

@@ -1,4 +1,5 @@
-//! What the emitters of all languages share: the variables of the templates, and the checks for what no controller accepts.
+//! Shared by the emitters of all languages: the variables of the templates, and the checks for data that no controller
+//! accepts.
 
 use std::net::SocketAddrV4;
 
@@ -18,14 +19,14 @@ use dbbd_model::robot::Robot;
 /// The files of a program, names and texts; the program begins in the first.
 pub type Written = Vec<(String, String)>;
 
-/// How the dwells are marked.
+/// The way in which the dwells are marked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sync {
-    /// By the sync markers of the plan alone; the program sets no output.
+    /// The sync markers of the plan alone mark the dwells; the program sets no output.
     Marker,
-    /// By a strobe and an index on digital outputs as well.
+    /// A strobe and an index on digital outputs mark the dwells as well.
     Output,
-    /// By telegrams over EthernetKRL (an option of KUKA's KR C4 and later); dbbd is the server.
+    /// Telegrams over EthernetKRL (an option of KUKA's KR C4 and later) mark the dwells as well; dbbd is the server.
     Ekrl {
         /// The address of the server in the network of the controller.
         server: SocketAddrV4,
@@ -54,7 +55,7 @@ pub(super) fn plan_variables(plan: &Plan, language: Language, sync: Sync) -> Res
     Ok(context! {
         hash => printable(&plan.header.hash, 32),
         robot => printable(&robot.name, 64),
-        // Comments with the provenance.
+        // Comments that state the provenance.
         made => Value::from_iter(header::lines(language, &crate::artefact::made_from([&plan.traced()?]))?),
         sync => sync.name(),
         outputs => Serde(&job.motion.outputs),
@@ -104,7 +105,8 @@ pub(super) fn without_rotation([x, y, z]: [f64; 3]) -> Value {
     Serde([x, y, z, 0.0, 0.0, 0.0]).into()
 }
 
-/// Refuses what only KRL supports: passes, because an arc of other controllers is shorter than a full circle, and EthernetKRL.
+/// Refuses parts of a plan that only KRL supports: passes, because an arc of other controllers is shorter than a full
+/// circle, and EthernetKRL.
 pub(super) fn refuse_krl_only(plan: &Plan, language: Language, sync: Sync) -> Result<(), ProgramFinding> {
     let language = language.name();
     match sync {
@@ -157,10 +159,10 @@ fn environment(templates: &[(&'static str, &'static str)]) -> Result<Environment
     environment.add_filter("deg", |value: f64| fixed(value, 4));
     environment.add_filter("speed", |value: f64| fixed(value, 6));
     environment.add_filter("seconds", |value: f64| fixed(value, 3));
-    // Components of quaternions; metres and radians.
+    // Components of quaternions; numbers in metres and radians.
     environment.add_filter("fine", |value: f64| fixed(value, 9));
     environment.add_filter("axis", |value: f64| fixed(value, 6));
-    // Numbers of a FANUC's listing: positions, waits, long times, speeds.
+    // Numbers of a FANUC listing: positions, waits, long times, speeds.
     environment.add_filter("listed", |value: f64| format!("{:>10}", fixed(value, 3)));
     environment.add_filter("hundredths", |value: f64| format!("{:>6}", fixed(value, 2)));
     environment.add_filter("tenths", |value: f64| fixed(value, 1));

@@ -1,13 +1,14 @@
-//! The ways through a program, and what is in force on them.
+//! The ways through a program, and the settings in force on them.
 //!
-//! A program is corrected, not executed. What its motions depend on (frames, modes, variables) is followed along all ways
-//! through its choices, loops, jumps and calls. Where two ways join on which it differs, it is not known.
+//! A program is corrected, not executed. The settings on which its motions depend (frames, modes, variables) are
+//! followed along all ways through its choices, loops, jumps and calls. A setting that differs where two ways join is
+//! not known from there on.
 
 use std::collections::{BTreeSet, HashMap};
 
 use dbbd_model::diagnostic::Diagnostic;
 
-/// How a statement directs which statement runs after it.
+/// The effect of a statement on which statement runs after it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Control {
     /// IF: its first way follows.
@@ -32,18 +33,18 @@ pub(crate) enum Control {
     Continue,
     Goto(String),
     Label(String),
-    /// RETURN, and what ends the program.
+    /// RETURN, and other statements that end the program.
     Return,
-    /// ERROR of RAPID: what follows runs after an error in any statement of the routine.
+    /// ERROR of RAPID: the statements after it run after an error in any statement of the routine.
     Handler,
     /// RETRY, TRYNEXT of RAPID: back to the statement with the error, or to the next one.
     Resume,
 }
 
-/// What is in force at a statement.
+/// The settings in force at a statement.
 pub(crate) trait State: Clone + PartialEq {
-    /// Joins the state of another way: what differs is not known. Each join either leaves the state as it is or makes it known
-    /// less.
+    /// Joins the state of another way: settings that differ become unknown. Each join leaves the state as it is or
+    /// makes less of it known.
     fn join(&mut self, other: &Self);
 }
 
@@ -54,7 +55,7 @@ pub(crate) enum InForce<T> {
         value: T,
         line: usize,
     },
-    /// One of two values or more: the lines that set two of them.
+    /// Several values are possible: the lines that set two of them.
     Mixed([usize; 2]),
 }
 
@@ -71,7 +72,7 @@ impl<T: Clone + PartialEq> InForce<T> {
         }
     }
 
-    /// After something that may have set it, in this line.
+    /// Makes the setting unknown after a statement in this line that may have set it.
     pub(crate) fn forget(&mut self, line: usize) {
         if let Self::One { line: known, .. } = self {
             *self = Self::Mixed([*known, line]);
@@ -79,7 +80,7 @@ impl<T: Clone + PartialEq> InForce<T> {
     }
 }
 
-/// Statements that always run one after the other, with the blocks of which one runs next.
+/// Statements that always run one after the other, and the blocks of which one runs next.
 #[derive(Debug, Default)]
 struct Block {
     statements: Vec<usize>,
@@ -88,7 +89,8 @@ struct Block {
 
 /// A block of the language that is open.
 enum Open {
-    /// Where the next way begins, where the ways so far end, and whether one of them is always taken.
+    /// The block where the next way begins, the blocks in which the ways so far end, and whether one way is always
+    /// taken.
     Choice {
         from: usize,
         ends: Vec<usize>,
@@ -111,7 +113,7 @@ const ENTRY: usize = 0;
 const EXIT: usize = 1;
 
 impl Ways {
-    /// From the statements of a routine: how each directs control, if it does.
+    /// Builds the ways from the statements of a routine: each with its effect on the order, if it has one.
     pub(crate) fn new<'a>(statements: impl IntoIterator<Item = Option<&'a Control>>) -> Self {
         let statements: Vec<Option<&Control>> = statements.into_iter().collect();
         // After an error the handler may follow any statement.
@@ -147,7 +149,7 @@ struct Builder {
 }
 
 impl Builder {
-    /// A new block after others; after none of them it is reached by jumps only.
+    /// A new block after others. A block after no other block is reached only by jumps.
     fn block(&mut self, after: impl IntoIterator<Item = usize>) -> usize {
         let new = self.blocks.len();
         self.blocks.push(Block::default());
@@ -280,10 +282,10 @@ impl Builder {
 /// A statement: the index of its routine, and its index there.
 pub(crate) type At = (usize, usize);
 
-/// By routine and statement: the routines that it calls, in order.
+/// The routines that each statement calls, in order; indexed by routine and statement.
 pub(crate) type Calls = Vec<Vec<Vec<usize>>>;
 
-/// Some routines and those that they call, themselves or by others.
+/// These routines and all routines that they call, directly or through others.
 pub(crate) fn reached_from(mut routines: Vec<usize>, calls: &Calls) -> Vec<usize> {
     let mut at = 0;
     while let Some(routine) = routines.get(at).copied() {
@@ -309,42 +311,43 @@ pub(crate) trait Followed {
         state.clone()
     }
 
-    /// The state after a call, from those before it and at the end of the routine.
+    /// The state after a call, from the state before it and the state at the end of the routine.
     fn leave(&self, _routine: usize, _before: &Self::State, after: Self::State) -> Self::State {
         after
     }
 
-    /// What a statement itself does, after its calls.
+    /// Applies the effect of the statement itself, after its calls.
     fn apply(&self, at: At, state: &mut Self::State);
 
-    /// After a statement that may have changed everything.
+    /// Makes the state unknown after a statement that may have changed everything.
     fn forget(&self, at: At, state: &mut Self::State);
 }
 
-/// Most calls inside each other, and most statements followed. What is beyond is taken to change everything.
+/// Most calls inside each other, and most statements followed. A call beyond these limits is assumed to change
+/// everything.
 const DEPTH: usize = 50;
 const STEPS: usize = 2_000_000;
 
-/// The states with which a routine begins, each with the one at its end, unless it does not end.
+/// The states with which a routine begins, each with the state at its end; `None` if the routine does not end.
 type Ends<S> = Vec<(S, Option<S>)>;
 
-/// What is called for each statement with a state in which it runs.
+/// The function that is called for each statement with a state in which it runs.
 pub(crate) type Visit<'v, S> = &'v mut dyn FnMut(At, &S) -> Result<(), Diagnostic>;
 
-/// The state of a program by its statements.
+/// Follows the state of a program through its statements.
 pub(crate) struct Follower<'p, P: Followed> {
     program: &'p P,
     ways: &'p [Ways],
-    /// By routine.
+    /// The states at begin and end, by routine.
     ends: Vec<Ends<P::State>>,
-    /// By routine: the states with which it was visited.
+    /// The states with which each routine was visited, by routine.
     visited: Vec<Vec<P::State>>,
     calling: Vec<usize>,
     steps: usize,
 }
 
 impl<'p, P: Followed> Follower<'p, P> {
-    /// For a program with the ways through each of its routines.
+    /// A follower of a program; `ways` are the ways through each of its routines.
     pub(crate) fn new(program: &'p P, ways: &'p [Ways]) -> Self {
         let empty = || ways.iter().map(|_| Vec::new()).collect();
         let visited = ways.iter().map(|_| Vec::new()).collect();
@@ -356,8 +359,8 @@ impl<'p, P: Followed> Follower<'p, P> {
         self.visited.get(routine).is_some_and(|states| !states.is_empty())
     }
 
-    /// Visits each statement that a routine reaches, about in the order in which they run, with each of the states that are
-    /// possible after the calls in it and before what it does itself.
+    /// Visits each statement that a routine reaches, about in the order in which they run. Each is visited with all its
+    /// possible states: the states after its calls and before its own effect.
     pub(crate) fn visit(
         &mut self,
         routine: usize,
@@ -389,7 +392,7 @@ impl<'p, P: Followed> Follower<'p, P> {
         Ok(())
     }
 
-    /// Whether a call is not followed: a recursion, or too much.
+    /// Whether a call is not followed: it is a recursion, or beyond the limits.
     fn is_beyond(&self, routine: usize) -> bool {
         self.calling.contains(&routine) || self.calling.len() > DEPTH || self.steps > STEPS
     }
@@ -402,7 +405,7 @@ impl<'p, P: Followed> Follower<'p, P> {
         entry
     }
 
-    /// Runs what a statement calls; `false` if a routine does not return.
+    /// Runs the calls of a statement; `false` if a routine does not return.
     fn call(&mut self, at: At, state: &mut P::State) -> bool {
         self.steps += 1;
         for called in self.program.calls(at) {
@@ -429,7 +432,7 @@ impl<'p, P: Followed> Follower<'p, P> {
         end
     }
 
-    /// The state at the begin of each block of a routine; `None` for one that is not reached.
+    /// The state at the begin of each block of a routine; `None` for a block that is not reached.
     fn states(&mut self, routine: usize, entry: P::State) -> Vec<Option<P::State>> {
         let ways = &self.ways[routine];
         let mut states = vec![None; ways.blocks.len()];

@@ -8,7 +8,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{Artefact, ArtefactRole, Provenance};
 
-/// What the comments begin with, after the comment sign.
+/// Start of the comments, after the comment sign.
 const BY: &str = " made by dbbd ";
 const FROM: &str = " made from ";
 
@@ -27,10 +27,10 @@ pub(super) fn lines(language: Language, provenance: &Provenance) -> Result<Vec<S
 
 /// A remark of a TP program has at most 32 characters, keeps no blank at its end and ends at a semicolon.
 const REMARK: usize = 31;
-/// What a remark ends with whose comment goes on in the next one.
+/// End of a remark whose comment goes on in the next remark.
 const ON: char = '+';
 
-/// The lines of a comment.
+/// The lines of a comment, in the form of the language.
 fn written(language: Language, comment: &str) -> Vec<String> {
     match language {
         Language::Krl | Language::Rapid | Language::Urscript => {
@@ -54,7 +54,7 @@ fn comment(line: &str) -> Option<&str> {
     line.strip_prefix(Language::ALL.map(Language::comment)).or_else(|| fanuc::remark_of(line))
 }
 
-/// Whether a line begins a comment of these.
+/// Whether a line begins one of the comments about the provenance.
 fn is_first(line: &str) -> bool {
     comment(line).is_some_and(|comment| [BY, FROM].iter().any(|start| comment.starts_with(start)))
 }
@@ -109,7 +109,7 @@ pub fn provenance(file: &str, text: &str) -> Result<Provenance, Diagnostic> {
     Ok(provenance)
 }
 
-/// Refuses source and data of a module that were written for different plans, if both name theirs.
+/// Refuses source and data of a module that were written for different plans, if both name their plan.
 pub fn check_one_plan(source: Text<'_>, data: Text<'_>) -> Result<(), Diagnostic> {
     let plan = |Text { file, text }: Text<'_>| {
         let mut chain = provenance(file, text)?.from.into_iter().rev();
@@ -124,8 +124,8 @@ pub fn check_one_plan(source: Text<'_>, data: Text<'_>) -> Result<(), Diagnostic
     }
 }
 
-/// The program with the comments of `provenance` after the line that begins its first routine, data list or module, and
-/// without those that it had.
+/// The program with the comments of `provenance` after the line that begins its first routine, data list or module.
+/// Earlier such comments are removed.
 pub fn stamped(language: Language, text: &str, provenance: &Provenance) -> Result<String, InternalFinding> {
     let mut comments = lines(language, provenance)?;
     let mut stamped = String::with_capacity(text.len() + 256 * comments.len());
@@ -162,7 +162,7 @@ mod tests {
         assert!(remarks.len() > 3 && remarks.iter().all(|remark| remark.len() <= 32), "{once}");
         assert!(once.contains(&format!("{:4}:J P[1]", remarks.len() + 1)), "{once}");
         assert_eq!(stamped(Language::Fanuc, &once, &chain).unwrap(), once);
-        // A remark of the user after them stays what it is.
+        // A remark of the user after the comments is not changed.
         let own = listing.replace("   1:J", "   1:  !+40 mm ;\r\n   2:J");
         let once = stamped(Language::Fanuc, &own, &chain).unwrap();
         assert_eq!(provenance("P.LS", &once).unwrap().from, chain.from);

@@ -18,7 +18,7 @@ pub enum Language {
 impl Language {
     pub const ALL: [Self; 4] = [Self::Krl, Self::Rapid, Self::Urscript, Self::Fanuc];
 
-    /// As in robot files and on the command line.
+    /// The name in robot files and on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Krl => "krl",
@@ -28,7 +28,7 @@ impl Language {
         }
     }
 
-    /// As its users write it.
+    /// The name as users of the language write it.
     pub(crate) fn title(self) -> &'static str {
         match self {
             Self::Krl => "KRL",

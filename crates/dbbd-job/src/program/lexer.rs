@@ -7,7 +7,7 @@ use dbbd_model::diagnostic::Diagnostic;
 
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Token {
-    /// A name or keyword. In KRL, RAPID and TP programs, which ignore case, in capitals.
+    /// A name or keyword; in capitals in KRL, RAPID and TP programs, which ignore case.
     Name(String),
     /// `#NAME` of KRL, in capitals.
     Enum(String),
@@ -17,12 +17,12 @@ pub(super) enum Token {
     Text(String),
     /// A bracket, operator or separator.
     Sign(&'static str),
-    /// Where the language ends statements by lines: KRL and URScript.
+    /// The end of a line, in the languages that end statements by lines: KRL and URScript.
     LineEnd,
     End,
 }
 
-/// A sign that begins with another comes before it.
+/// The signs of KRL. If one sign begins with another one, the longer sign is first.
 const KRL_SIGNS: &[&str] =
     &["==", "<>", "<=", ">=", "(", ")", "{", "}", "[", "]", ",", ":", ".", "=", "<", ">", "+", "-", "*", "/"];
 const SCRIPT_SIGNS: &[&str] = &[
@@ -55,7 +55,7 @@ pub(super) fn tokens(file: Text<'_>, language: Language) -> Result<Vec<(Token, S
     }
 }
 
-/// As [`tokens`], for the last line of a KRL text, which begins at the byte `start`. Folds are not checked.
+/// The same as [`tokens`], for the last line of a KRL text, which begins at the byte `start`. Folds are not checked.
 pub(super) fn line_tokens(file: Text<'_>, start: usize) -> Result<Vec<(Token, Span)>, Diagnostic> {
     let tokens = Vec::with_capacity(64);
     let mut lexer =
@@ -71,7 +71,7 @@ struct Lexer<'a> {
     tokens: Vec<(Token, Span)>,
     /// The folds that are open.
     folds: Vec<Span>,
-    /// How many brackets are open: in URScript a line goes on inside them.
+    /// Number of open brackets: in URScript a statement goes on inside brackets.
     brackets: usize,
 }
 
@@ -108,12 +108,12 @@ impl<'a> Lexer<'a> {
     }
 
     fn next(&mut self, first: char, rest: &'a str) -> Result<(), Diagnostic> {
-        // A line may be long: its end is looked for only where it is needed.
+        // A line may be long: its end is only searched where it is needed.
         let line = || prefix(rest, |c| c != '\n');
         let is_krl = self.language == Language::Krl;
         let starts_line = matches!(self.tokens.last(), None | Some((Token::LineEnd, _)));
         match first {
-            // Before the signs: `!` begins a comment of RAPID, and `!=` is an operator of URScript.
+            // Checked before the signs: `!` begins a comment of RAPID, and `!=` is an operator of URScript.
             c if c == self.language.comment() => {
                 if is_krl {
                     self.fold(line())?;
@@ -125,7 +125,7 @@ impl<'a> Lexer<'a> {
                 self.brackets = 0;
                 self.push(Token::LineEnd, 1);
             }
-            // PolyScope notes the node of the program tree to which the lines after it belong.
+            // PolyScope notes here the node of the program tree to which the next lines belong.
             '$' if self.language == Language::Urscript && starts_line => self.at += line().len(),
             ' ' | '\t' | '\r' => self.at += 1,
             c if !is_krl && c.is_whitespace() => self.at += c.len_utf8(),
@@ -166,7 +166,7 @@ impl<'a> Lexer<'a> {
         Ok(())
     }
 
-    /// Whether a statement goes on in the next line. A bracket that was never closed ends at a keyword that begins a line.
+    /// Whether a statement goes on in the next line. An open bracket is given up at a keyword that begins a line.
     fn goes_on(&self, next: &str) -> bool {
         const BEGIN: [&str; 10] =
             ["def", "end", "thread", "while", "if", "elif", "else", "return", "global", "local"];
@@ -187,7 +187,7 @@ impl<'a> Lexer<'a> {
         }
     }
 
-    /// Opens or closes a fold where a comment says so.
+    /// Opens or closes a fold if the comment says so.
     fn fold(&mut self, comment: &str) -> Result<(), Diagnostic> {
         let span = self.at..self.at + comment.trim_end().len();
         let word = prefix(after_first(comment).trim_start(), |c| c.is_ascii_alphabetic());

@@ -1,6 +1,6 @@
-//! A program as the list of its actions, independent of the language: what the simulated controller executes of RAPID,
-//! URScript and TP programs, whose supported programs have neither variables that change nor conditions. KRL has an
-//! interpreter.
+//! A program as the list of its actions, independent of the language. The simulated controller executes this list for
+//! RAPID, URScript and TP programs: the supported programs of these languages have neither variables that change nor
+//! conditions. KRL has an interpreter.
 
 use std::fmt;
 
@@ -80,20 +80,20 @@ pub struct Action {
 
 #[derive(Clone, Debug)]
 pub enum ActionKind {
-    /// From here on the bar is on this base ball.
+    /// The bar is on this base ball from here on.
     SelectBall(u32),
     Move(Box<Move>),
-    /// Seconds.
+    /// Wait, seconds.
     Wait(f64),
     WaitForStandstill(Standstill),
     SetStrobe(bool),
-    /// The strobe is high for this time, s, while the program continues.
+    /// Sets the strobe high for this time, s, while the program continues.
     PulseStrobe(f64),
     /// Waits for the operator.
     Halt,
 }
 
-/// What a program waits for after a motion, which ends for the program when the command is at its end.
+/// The condition that a program waits for after a motion; for the program, a motion ends when its command ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standstill {
     /// The arm is within a band about the commanded position.
@@ -108,20 +108,21 @@ pub struct Move {
     /// The auxiliary point of an arc.
     pub through: Option<Target>,
     pub to: Target,
-    /// Of a PTP the one to reach, of a line or an arc the one that is checked at its end.
+    /// The configuration of the arm: for a PTP the one to reach, for a line or an arc the one that is checked at its
+    /// end.
     pub configuration: Option<ProgrammedConfiguration>,
     pub frames: Frames,
     pub pace: Pace,
-    /// Whether the motion ends for the program in position: `FINE` of a TP program.
+    /// Whether the program waits at the end of the motion until the robot is in position: `FINE` of a TP program.
     pub ends_in_position: bool,
 }
 
 /// The configuration of the arm that a target names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProgrammedConfiguration {
-    /// ABB's, see [`inverse::quadrants`].
+    /// ABB's configuration, see [`inverse::quadrants`].
     Quadrants([i32; 4]),
-    /// FANUC's.
+    /// FANUC's configuration.
     Fanuc(FanucConfiguration),
 }
 

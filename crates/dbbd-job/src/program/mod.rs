@@ -1,6 +1,7 @@
 //! Programs for robot controllers: emitted from a plan, parsed, corrected.
 //!
-//! What a program does is defined here, independent of the language; how a language writes it is in the language's module.
+//! The meaning of a program is defined here, independent of the language; the module of a language defines how it is
+//! written.
 
 mod compensation_catalogue;
 pub use compensation_catalogue::CompensationFinding;

@@ -20,7 +20,7 @@ impl Timed<'_> {
         self.row.kind != PoseKind::Transit || self.pass.is_some()
     }
 
-    /// Whether it is an auxiliary point of an arc or a pass.
+    /// Whether the row is an auxiliary point of an arc or a pass.
     pub fn is_auxiliary(&self) -> bool {
         self.row.is_auxiliary() && self.pass.is_none()
     }
@@ -30,7 +30,7 @@ impl Timed<'_> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bar {
     ToBeMounted,
-    /// It stays on its ball: the robot is at the start already.
+    /// The bar stays on its ball: the robot is already at the start.
     Stays,
 }
 
@@ -39,7 +39,7 @@ pub struct Module<'a> {
     pub circle: u32,
     /// Number of the base ball.
     pub ball: u32,
-    /// Where the bar is mounted.
+    /// The row at which the bar is mounted.
     pub start: Timed<'a>,
     pub bar: Bar,
     pub rows: Vec<Timed<'a>>,
@@ -61,7 +61,7 @@ pub enum Step<'a> {
 }
 
 impl Step<'_> {
-    /// The row at which it ends.
+    /// The row at which the step ends.
     pub fn row(&self) -> usize {
         match *self {
             Self::Move { row, .. } | Self::Pass { row, .. } => row,
@@ -130,7 +130,7 @@ impl<'a> Module<'a> {
         if before.is_some_and(|before| before.row.centre == first.row.centre && same_place(before, start)) {
             bar = Bar::Stays;
         }
-        // The last of the leading transits is the start; those before it remain as via points.
+        // The last of the leading transits is the start; earlier ones remain as via points.
         if leading > 0 {
             rows.remove(leading - 1);
         }

@@ -37,9 +37,9 @@ impl Target {
 /// The frames in which a pose is commanded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frames {
-    /// In the flange frame.
+    /// Tool in the flange frame.
     pub tool: Pose,
-    /// In the robot base.
+    /// Base in the robot base.
     pub base: Pose,
 }
 
@@ -60,10 +60,10 @@ impl Frames {
 pub struct Setup {
     /// Number of the base ball, from 1.
     pub ball: u32,
-    /// In the robot base.
+    /// Centre of the base ball in the robot base, mm.
     pub centre_mm: [f64; 3],
-    /// Distance between the ball centres at reading zero.
+    /// Distance between the ball centres at reading zero, mm.
     pub length_mm: f64,
-    /// Lowest and highest reading.
+    /// Lowest and highest reading, mm.
     pub stroke_mm: [f64; 2],
 }

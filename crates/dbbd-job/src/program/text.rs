@@ -19,7 +19,7 @@ impl Text<'_> {
         Diagnostic::span(self.file, self.text, span.clone(), finding)
     }
 
-    /// The first characters that are not blank.
+    /// The beginning of the text, without leading blanks.
     pub(crate) fn beginning(&self) -> String {
         let first = self.text.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or("");
         first.chars().take(40).collect()
@@ -34,7 +34,8 @@ impl Text<'_> {
 /// A span with the text that replaces it.
 pub(crate) type Edit = (Span, String);
 
-/// Applies edits, which do not overlap. A number whose sign alone was between it and a name gets a blank in its place.
+/// Applies edits, which do not overlap. If a new number without sign would follow a name directly, a blank is put
+/// between them.
 pub(crate) fn rewritten(text: &str, mut edits: Vec<Edit>) -> String {
     let is_of_word = |character: char| character.is_ascii_alphanumeric() || character == '_';
     edits.sort_by_key(|(span, _)| span.start);
@@ -52,7 +53,7 @@ pub(crate) fn rewritten(text: &str, mut edits: Vec<Edit>) -> String {
     edited
 }
 
-/// A number with as many decimals as another one was written with, but at least `fewest`.
+/// A number with as many decimals as `written`, but at least `fewest`.
 pub(crate) fn number_like(written: &str, value: f64, fewest: usize) -> String {
     let decimals = written
         .split_once('.')

@@ -17,7 +17,7 @@ impl<'a> Tokens<'a> {
         Ok(Self { file, tokens: tokens(file, language)?, at: 0 })
     }
 
-    /// The tokens of one line of KRL; spans are those of the file.
+    /// The tokens of one line of KRL; their spans are bytes of the file.
     pub(super) fn of_line(file: Text<'a>, line: &Span) -> Result<Self, Diagnostic> {
         let file = Text { text: file.text.get(..line.end).unwrap_or(file.text), ..file };
         Ok(Self { file, tokens: line_tokens(file, line.start)?, at: 0 })
@@ -43,7 +43,7 @@ impl<'a> Tokens<'a> {
         self.at.checked_sub(1).and_then(|at| self.tokens.get(at)).map_or(0, |(_, span)| span.end)
     }
 
-    /// Whether nothing but the end of its line follows.
+    /// Whether only the end of the line follows.
     pub(super) fn is_line_end(&self) -> bool {
         matches!(self.peek(), Token::LineEnd | Token::End)
     }
@@ -79,8 +79,8 @@ impl<'a> Tokens<'a> {
         matches!(last, Some((Token::Name(last), _)) if last.eq_ignore_ascii_case(name))
     }
 
-    /// The names from a position to the last token that was read after which a bracket opens: what is called there. Methods of
-    /// an object (`object.name(..)`) are not among them.
+    /// The names of what is called between a position and the last token that was read: names after which a bracket
+    /// opens. Methods of an object (`object.name(..)`) are not among them.
     pub(super) fn called_since(&self, position: usize) -> Vec<String> {
         let mut called = Vec::new();
         for at in position..self.at.saturating_sub(1) {
@@ -132,7 +132,7 @@ impl<'a> Tokens<'a> {
         self.file.wrong(&span, finding)
     }
 
-    /// That something else was expected than the next token.
+    /// The finding that something else was expected than the next token.
     pub(super) fn expected(&self, what: &str) -> Diagnostic {
         let found = match self.peek() {
             Token::LineEnd => "the end of the line".into(),

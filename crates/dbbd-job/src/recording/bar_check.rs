@@ -35,8 +35,8 @@ pub struct BarCheck {
     pub mean_mm: f64,
     /// Smallest difference of two readings; the resolution of the protocol if all are equal.
     pub resolution_mm: f64,
-    /// Standard deviation of one reading by the mean square of successive differences (von Neumann 1941), which a
-    /// drift does not change; at least that of rounding, resolution / sqrt(12).
+    /// Standard deviation of one reading by the mean square of successive differences (von Neumann 1941), which a drift
+    /// does not change; at least the standard deviation of rounding, resolution / sqrt(12).
     pub noise_mm: f64,
     /// Slope of the straight line through the means of one second, per minute.
     pub drift_mm_min: f64,
@@ -51,7 +51,7 @@ pub struct BarCheck {
     pub means: Vec<[f64; 3]>,
     #[serde(skip)]
     pub line: StraightLine,
-    /// Readings less the line.
+    /// Readings less the line, mm.
     #[serde(skip)]
     pub residual_mm: Vec<f64>,
 }
@@ -158,7 +158,7 @@ fn resolution_mm(reading_mm: &[f64], of_protocol_mm: f64) -> f64 {
     if smallest.is_finite() { smallest } else { of_protocol_mm }
 }
 
-/// Means over whole intervals, each at the mean of its times, with its standard deviation by white noise.
+/// Means over whole intervals, each at the mean of its times, with its standard deviation if the noise is white.
 fn means(t_s: &[f64], reading_mm: &[f64], noise_mm: f64) -> Vec<[f64; 3]> {
     let first = t_s.first().copied().unwrap_or(0.0);
     let interval = |t_s: f64| ((t_s - first) / MEAN_S).floor() as u64;

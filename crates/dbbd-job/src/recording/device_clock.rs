@@ -1,4 +1,4 @@
-//! The clock of a device mapped to that of the host: offset and skew.
+//! The clock of a device mapped to the clock of the host: offset and skew.
 //!
 //! Host stamps are late by the delay of the line, which has a minimum and a long tail. All points (device time,
 //! host time) therefore lie above the true line. The lower convex hull of a window gives the true skew and is biased
@@ -20,7 +20,7 @@ const WINDOW_S: f64 = 150.0;
 const MIN_BREAK_S: f64 = 0.1;
 /// The least delay is compared over this time before and after a step, s.
 const NEAR_S: f64 = 10.0;
-/// A counter that does not run at the host's pace breaks where it steps by more than this, s.
+/// Step by more than which a counter that does not run at the host's pace breaks, s.
 const LONGEST_STEP_S: f64 = 2.0;
 
 /// Counter of a device, as its protocol defines it.
@@ -50,7 +50,7 @@ pub struct ClockStamp {
 pub struct ClockStamps {
     /// The low halves of the host's time and of the ticks.
     low: Vec<u64>,
-    /// The high halves, and the index from which on they hold.
+    /// The high halves, each with the index from which on it holds.
     high: Vec<(usize, [u64; 2])>,
 }
 
@@ -79,7 +79,7 @@ impl ClockStamps {
         Some(whole(self.high[high].1, *self.low.get(at)?))
     }
 
-    /// The difference of a stamp to the next one.
+    /// The step from a stamp to the next one.
     fn step(&self, clock: DeviceClock, at: usize) -> Option<ClockStep> {
         Some(clock.step(self.get(at)?, self.get(at + 1)?))
     }
@@ -171,7 +171,7 @@ impl DeviceTime {
 /// A sample at which the counter does not agree with the host's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockBreak {
-    /// Index of the first sample after it.
+    /// Index of the first sample after the break.
     pub at: usize,
     /// Whether the counter stepped back (a restart of the device); else it jumped ahead.
     pub reset: bool,
@@ -236,7 +236,7 @@ impl ClockMap {
         map
     }
 
-    /// The device time of each stamp that it is asked for in order, s since the first one.
+    /// Computes the device time of each stamp, s since the first one; the stamps must be given in order.
     pub fn device_time(&self, clock: DeviceClock) -> impl FnMut(ClockStamp) -> f64 {
         let mut time = DeviceTime::new(clock);
         let (mut breaks, mut at) = (self.breaks.iter().map(|broken| broken.at).peekable(), 0);
@@ -287,7 +287,7 @@ impl ClockMap {
             let mut windows = (0..windows as usize)
                 .map(|window| (start_s + window as f64 * width, start_s + (window + 1) as f64 * width))
                 .peekable();
-            // Half a window beyond both ends, where the hull is weakest.
+            // Points up to half a window beyond both ends are used, because the hull is weakest there.
             let mut near: VecDeque<ClockPoint> = VecDeque::new();
             for point in points.by_ref().take(*count) {
                 while let Some((from_s, to_s)) =
@@ -314,11 +314,11 @@ impl ClockMap {
 /// Difference of consecutive samples.
 #[derive(Clone, Copy)]
 struct ClockStep {
-    /// By the unwrapped counter, s.
+    /// Step of the unwrapped counter, s.
     device_s: f64,
-    /// By the stamps of the host, s.
+    /// Step of the stamps of the host, s.
     host_s: f64,
-    /// Number of wraps.
+    /// Number of wraps of the counter.
     turns: u64,
 }
 
@@ -342,7 +342,7 @@ impl DeviceClock {
         let (ticks, turns) = match self.wrap.map(|wrap| wrap as f64) {
             Some(wrap) => {
                 let least = ticks.rem_euclid(wrap);
-                // Only the host shows whole turns during which nothing came.
+                // Only the host's clock shows whole turns during which nothing came.
                 let unseen = ((host_s / self.seconds_per_tick - least) / wrap).round().max(0.0);
                 (least + wrap * unseen, unseen as u64 + u64::from(to < from))
             }
@@ -363,12 +363,12 @@ fn paced(steps: impl Iterator<Item = ClockStep>) -> bool {
 /// Whether the least delay changes at sample `at`; `first` begins the stretch before.
 fn shifts(stamps: &ClockStamps, clock: DeviceClock, first: usize, at: usize) -> bool {
     let step = |sample: usize| stamps.step(clock, sample);
-    // Later than the sample before it, by the counter as sent.
+    // Delay of a step: how much longer it is by the host's stamps than by the counter.
     let late = |step: ClockStep| step.host_s - step.device_s;
     let Some(shift_s) = step(at - 1).map(late).filter(|shift_s| shift_s.abs() >= MIN_BREAK_S) else {
         return false;
     };
-    // Delays count from that of the sample before.
+    // Delays are counted from the delay of the sample before.
     let (mut before_s, mut delay_s, mut passed_s) = (f64::INFINITY, 0.0, 0.0);
     for sample in (first..at).rev() {
         before_s = f64::min(before_s, delay_s);
@@ -401,9 +401,9 @@ struct ClockPoint {
 /// Host time as a linear function of device time within a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockSegment {
-    /// Device time of its start, s.
+    /// Device time of the start of the window, s.
     pub from_s: f64,
-    /// Device time of its end, s.
+    /// Device time of the end of the window, s.
     pub to_s: f64,
     /// Host time at `from_s`, s since the first stamp.
     pub host_s: f64,
@@ -411,7 +411,7 @@ pub struct ClockSegment {
     pub drift: f64,
     /// Median delay of the stamps over the line, s.
     median_late_s: f64,
-    /// Bound on the offset error beyond the least delay, s: the line could not move further without a stamp before
+    /// Bound on the offset error beyond the least delay, s: if the line moved further, a stamp would be earlier than
     /// its event.
     pub bound_s: f64,
 }
@@ -444,7 +444,7 @@ fn segment(points: &[ClockPoint], from_s: f64, to_s: f64) -> Option<ClockSegment
     })
 }
 
-/// Slope of the edge of the lower convex hull at `middle_s`; 1 where the points show no plausible skew.
+/// Slope of the edge of the lower convex hull at `middle_s`; 1 if the points show no plausible skew.
 fn slope_under(points: &[ClockPoint], middle_s: f64) -> f64 {
     let mut hull: Vec<ClockPoint> = Vec::new();
     for point in points {
@@ -491,7 +491,7 @@ mod tests {
         ClockStamp { host: HostNs(host_ms * 1_000_000), ticks: DeviceTicks(ticks) }
     }
 
-    /// From 900 to 0 the counter makes 100 ms, or whole seconds more as the host shows; each is a turn.
+    /// Between 900 and 0 the counter counts 100 ms, or whole seconds more by the host's clock; each second is a turn.
     #[test]
     fn turns_after_silence_are_counted_by_the_host() {
         for (host_ms, ticks, device_s, turns) in [
@@ -580,7 +580,7 @@ mod tests {
         assert!((device_s[100] - 10.0).abs() < 1e-9);
     }
 
-    /// At sample 200 the counter jumps ahead by 5 s, or starts anew.
+    /// At sample 200 the counter jumps ahead by 5 s, or starts again.
     #[test]
     fn clock_that_jumps_or_restarts_advances_with_the_host() {
         let clock = DeviceClock { wrap: None, ..CLOCK };

@@ -1,4 +1,4 @@
-//! A dwell: its interval in the stream, and what was read in it.
+//! A dwell: its interval in the stream, and its reading.
 
 use super::stream::SampleStream;
 use crate::plan::job::JobFinding;
@@ -12,9 +12,9 @@ pub struct Dwell {
     pub end_s: f64,
     /// Standard deviation of the start.
     pub start_sd_s: f64,
-    /// The reading counts from here.
+    /// First time at which the reading counts, s.
     pub settled_s: f64,
-    /// The reading counts until here at most.
+    /// Last time at which the reading counts, s.
     pub until_s: f64,
 }
 
@@ -59,7 +59,7 @@ impl DwellReading {
 
 /// Resolution assumed for a constant reading, mm.
 const MIN_RESOLUTION_MM: f64 = 1e-4;
-/// The least uncertainty of a reading, mm: that of a uniform distribution over the step.
+/// The least uncertainty of a reading, mm: the standard deviation of a uniform distribution over the step.
 pub(super) fn least_u_mm() -> f64 {
     MIN_RESOLUTION_MM / 12f64.sqrt()
 }
@@ -85,9 +85,9 @@ const CREEP: f64 = 4.0;
 
 /// Scatter of residuals in time.
 pub(super) struct ResidualScatter {
-    /// Sum of their squares.
+    /// Sum of the squares of the residuals.
     pub(super) squares: f64,
-    /// Correlation of neighbours, 0 to 0.99.
+    /// Correlation of neighbouring residuals, 0 to 0.99.
     pub(super) correlation: f64,
 }
 
@@ -137,7 +137,7 @@ pub fn reading_between(stream: &SampleStream, from_s: f64, to_s: f64) -> Option<
         if step_mm.is_finite() { step_mm / 12f64.sqrt() } else { least_u_mm() }
     };
     let slope = if tt > 0.0 { ty / tt } else { 0.0 };
-    // The slope of as many independent samples, spread over the same time.
+    // The slope of the effective number of independent samples, spread over the same time.
     let slope_sd = if tt > 0.0 { deviation * (count / effective / tt).sqrt() } else { f64::INFINITY };
     let creeps = slope.abs() > CREEP * slope_sd && effective > 5.0;
     let last_s = stream.t_s[range.end - 1];
@@ -161,7 +161,7 @@ mod tests {
     use dbbd_model::base::units::HostNs;
     use dbbd_model::measurement::sample::Sample;
 
-    /// At 100 Hz, one reading per value, mm.
+    /// A stream at 100 Hz with one reading per value, mm.
     fn stream(readings_mm: impl IntoIterator<Item = f64>) -> SampleStream {
         let mut builder = StreamBuilder::new(None);
         for (at, reading_mm) in (0..).zip(readings_mm) {

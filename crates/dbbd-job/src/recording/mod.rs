@@ -1,4 +1,4 @@
-//! From recorded bytes to measurements: the capture file, the device's clock, dwells, the matching of dwells to
+//! Makes measurements from recorded bytes: the capture file, the device's clock, dwells, the matching of dwells to
 //! poses, whole runs, imported traces.
 
 mod bar_catalogue;

@@ -22,8 +22,8 @@ pub struct DwellReport {
     pub axes_deg: [f64; AXES],
 }
 
-/// Measured axis angles of each reported dwell, degrees, by index: the mean of start and end. Of a pose that was
-/// driven twice the last.
+/// Measured axis angles of each reported dwell, degrees, by index: the mean of start and end. If a pose was driven
+/// twice, the last dwell counts.
 pub fn reported_axes(reports: &[DwellReport]) -> BTreeMap<u32, [f64; AXES]> {
     let mut axes: BTreeMap<u32, [f64; AXES]> = BTreeMap::new();
     let mut begin: Option<&DwellReport> = None;
@@ -41,7 +41,7 @@ pub fn reported_axes(reports: &[DwellReport]) -> BTreeMap<u32, [f64; AXES]> {
 /// Largest delay of a report, s.
 const LATE_S: f64 = 0.05;
 
-/// Why the reports give no dwell, if there are some.
+/// The reason why the reports give no dwell, if there are reports.
 pub(super) fn unused(reports: &[DwellReport], stream: &SampleStream) -> Option<MatchingFinding> {
     let first = reports.first()?;
     if spans(reports, stream).is_some() {
@@ -54,8 +54,8 @@ pub(super) fn unused(reports: &[DwellReport], stream: &SampleStream) -> Option<M
     })
 }
 
-/// Intervals between the reports of start and end, by index, s of the stream; of a pose that was driven twice the
-/// last. `None` without any, or if the device clock cannot be compared with the host's.
+/// Intervals between the reports of start and end, by index, s of the stream. If a pose was driven twice, the last
+/// interval counts. `None` without an interval, or if the device clock cannot be compared with the host's.
 pub(super) fn spans(reports: &[DwellReport], stream: &SampleStream) -> Option<BTreeMap<u32, Range<f64>>> {
     let mut spans = BTreeMap::new();
     let mut open: Option<(u32, f64)> = None;
@@ -73,7 +73,7 @@ pub(super) fn spans(reports: &[DwellReport], stream: &SampleStream) -> Option<BT
     (!spans.is_empty()).then_some(spans)
 }
 
-/// The reported dwells, shortened by the delay of a report: the robot surely stood that long.
+/// The reported dwells, shortened by the delay of a report: the robot surely stood for this time.
 pub(super) fn reported_dwells(
     reports: &[DwellReport],
     stream: &SampleStream,

@@ -21,7 +21,7 @@ pub struct SampleTimeline {
 }
 
 impl SampleTimeline {
-    /// Puts stamps on one time axis; without a `clock`, that of the host.
+    /// Puts stamps on one time axis; without a `clock`, on the time axis of the host.
     pub fn new(stamps: ClockStamps, clock: Option<DeviceClock>) -> Self {
         let begin = stamps.iter().next().map_or(HostNs(0), |stamp| stamp.host);
         let mut latest_s = 0.0f64;
@@ -80,8 +80,8 @@ impl SampleTimeline {
         robust::median(&mut spans).unwrap_or(0.0)
     }
 
-    /// Time of a host stamp on this axis; `None` if the device clock does not run at the host's pace (a run faster
-    /// than real time).
+    /// Time of a host stamp on this axis; `None` if the device clock does not run at the host's pace (a run faster than
+    /// real time).
     pub fn time_of(&self, host: HostNs) -> Option<f64> {
         let first_s = match &self.clock {
             Some(map) => map.host_s(0.0)?,
@@ -90,7 +90,8 @@ impl SampleTimeline {
         Some(host.seconds_since(self.begin) - first_s)
     }
 
-    /// The host's time at a time of this axis. Of a run faster than real time it is counted from the first stamp by the device's clock.
+    /// The host's time at a time of this axis. For a run faster than real time it is counted from the first stamp by
+    /// the device's clock.
     pub fn host_at(&self, t_s: f64) -> HostNs {
         let at_ns = self.begin.0 as f64 + 1e9 * (t_s - self.time_of(self.begin).unwrap_or(0.0));
         HostNs(at_ns.max(0.0).round() as u64)
@@ -102,19 +103,20 @@ impl SampleTimeline {
     }
 }
 
-/// Readings in the order of arrival, mm. They are multiples of the resolution of the bar, so that there are few different
-/// ones: each is stored once, and an hour at 1 kHz takes half of the memory.
+/// Readings in the order of arrival, mm. They are multiples of the resolution of the bar, so that there are few
+/// different values: each value is stored once, and an hour at 1 kHz takes half of the memory.
 #[derive(Clone, Debug, Default)]
 pub struct Readings {
     different_mm: Vec<f64>,
     which: Vec<u32>,
 }
 
-/// Finds readings that came before, by their bits.
+/// Finds readings whose value came before, by their bits.
 #[derive(Clone, Debug, Default)]
 struct KnownReadings(HashMap<u64, u32>);
 
-/// Readings that are looked for. A bar of float numbers may have more of them: the further ones are stored each.
+/// Most different readings that are searched. A bar with floating-point numbers may have more: further values are each
+/// stored.
 const MAX_KNOWN: usize = 1 << 18;
 
 impl KnownReadings {
@@ -187,7 +189,7 @@ const STROBE_HIGH: u8 = 4;
 const GAP_BEFORE: u8 = 8;
 
 impl StreamBuilder {
-    /// Without a `clock`, or if a sample has no ticks, the host's stamps are the times.
+    /// A builder; without a `clock`, or if a sample has no ticks, the host's stamps are the times.
     pub fn new(clock: Option<DeviceClock>) -> Self {
         let stream = SampleStream::default();
         let (stamps, known) = (ClockStamps::default(), KnownReadings::default());

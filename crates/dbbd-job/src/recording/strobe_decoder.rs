@@ -22,7 +22,7 @@ pub struct StrobedDwell {
     pub module: usize,
 }
 
-/// Reported as soon as later samples cannot change it.
+/// An event of the strobe, reported as soon as later samples cannot change it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StrobeEvent {
     Dwell(StrobedDwell),
@@ -50,7 +50,7 @@ enum StrobeLevel {
     #[default]
     Low,
     High,
-    /// Low, but for so short a time that it may be a bounce.
+    /// The strobe is low, but for so short a time that it may be a bounce.
     Fell,
 }
 

@@ -10,7 +10,7 @@ use crate::recording::RecordingFinding as Finding;
 use dbbd_device::axes::{MAX_AXIS_DEG, rsi};
 use dbbd_model::robot::AXES;
 
-/// Sent by the controller at the start and at the end of a dwell.
+/// A telegram, which the controller sends at the start and at the end of a dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Telegram {
     /// Number of the plan that the program was made from ([`crate::program::krl::run_number`]).
@@ -33,7 +33,7 @@ pub enum TelegramResult {
 /// Extracts telegrams from a stream of bytes.
 #[derive(Clone, Debug, Default)]
 pub struct TelegramReader {
-    /// Begins as a telegram does.
+    /// Bytes that begin like a telegram.
     pending: Vec<u8>,
     skipped: u64,
 }
@@ -92,7 +92,7 @@ impl TelegramReader {
         None
     }
 
-    /// Drops all pending bytes but the last ones.
+    /// Drops all pending bytes except the last ones.
     fn keep(&mut self, last: usize) {
         let dropped = self.pending.len().saturating_sub(last);
         self.pending.drain(..dropped);

@@ -28,7 +28,7 @@ pub fn html(check: &BarCheck, provenance: &Provenance) -> Result<String, Diagnos
         time,
         value: mm - check.mean_mm,
         u95: COVERAGE_95 * sd,
-        doubtful: false,
+        has_warnings: false,
     };
     let points: Vec<TrendPoint> = check.means.iter().map(point).collect();
     let line = StraightLine { level: 0.0, ..check.line };

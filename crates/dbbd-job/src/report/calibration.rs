@@ -24,7 +24,7 @@ use dbbd_model::robot::{AXES, Approach, BallId, BarId, CircleId, Datum, Joint};
 
 /// Most lengths that are drawn; more are sampled evenly.
 const DRAWN: usize = 20_000;
-/// The same in the panels of the axes.
+/// The same limit in the panels of the axes.
 const DRAWN_BY_AXIS: usize = 1500;
 
 #[derive(Serialize)]
@@ -58,7 +58,7 @@ struct Counts {
     per_ball: BTreeMap<BallId, usize>,
     positions: usize,
     at_reference: usize,
-    /// One length in so many is drawn.
+    /// Only one length of this number is drawn.
     stride: usize,
 }
 
@@ -168,7 +168,7 @@ fn scene(found: &CompletedCalibration, points: &[ResidualPoint]) -> Scene {
     Scene::new(&balls(found), poses.collect(), &[])
 }
 
-/// For each circle: before and after on one scale, and after alone on its own.
+/// Two plots for each circle: before and after on one scale, and after alone on its own scale.
 fn circles(inliers: &[&ResidualPoint]) -> Vec<String> {
     let mut circles: BTreeMap<(CircleId, BallId), [Vec<[f64; 2]>; 2]> = BTreeMap::new();
     for point in inliers {
@@ -191,7 +191,8 @@ fn circles(inliers: &[&ResidualPoint]) -> Vec<String> {
         .collect()
 }
 
-/// For each base ball and each coordinate of the tracker: before and after on one scale, and after alone on its own.
+/// Two plots for each base ball and each coordinate of the tracker: before and after on one scale, and after alone on
+/// its own scale.
 fn per_datum(points: &[ResidualPoint], sigma_mm: f64) -> Vec<String> {
     let mut sets: BTreeMap<Datum, Vec<ResidualPoint>> = BTreeMap::new();
     for point in points {

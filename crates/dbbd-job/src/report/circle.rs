@@ -46,7 +46,7 @@ struct Panel<'a> {
 struct ReversalError {
     drive: String,
     error: String,
-    /// In the length, um: an upper bound if the error is not significant.
+    /// Largest step in the length, um: an upper bound if the error is not significant.
     largest_step: String,
 }
 
@@ -100,8 +100,8 @@ fn panel(test: &CircleTest) -> Panel<'_> {
     }
 }
 
-/// How many expanded uncertainties an error must be from zero, so that in 95 of 100 tests without any backlash none of six
-/// joints shows one.
+/// The number of expanded uncertainties by which an error must differ from zero to be significant. In 95 of 100 tests
+/// without any backlash, none of six joints exceeds it.
 fn significant_for_all() -> f64 {
     normal_deviate((0.05 / AXES as f64).ln()) / COVERAGE_95
 }
@@ -112,7 +112,7 @@ fn reversal_error(step: &DriveBacklash) -> ReversalError {
         DriveId::Joint(joint) => (format!("joint {joint}"), 1e6, "µrad"),
     };
     let significant_error = step.play.abs() > significant_for_all() * step.u95;
-    // A bound of more than a degree means that the joint hardly changes the length.
+    // A bound of more than a degree means that the joint hardly affects the length.
     let (bound, degree) = (step.play.abs() + step.u95, 1f64.to_radians());
     // The step is proportional to the error.
     let bound_um = if step.play == 0.0 { f64::NAN } else { 1e3 * step.most_mm * bound / step.play.abs() };

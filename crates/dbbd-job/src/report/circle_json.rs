@@ -10,7 +10,7 @@ use dbbd_model::circular::{
 };
 use dbbd_model::provenance::Provenance;
 
-/// The largest number of deviations of a trace. A longer trace is sampled evenly.
+/// Most deviations of a trace. A longer trace is sampled evenly.
 const DEVIATIONS: usize = 2000;
 
 /// Adds a value and the half width of its 95 % interval to a JSON object.

@@ -34,19 +34,19 @@ struct Page<'a> {
     overlays: Vec<String>,
     trends: Vec<String>,
     has_trend: bool,
-    /// `None` before the tables are made.
+    /// The verdict; `None` before the tables are made.
     verdict: Option<Verdict>,
     time_word: &'static str,
     provenance: &'a Provenance,
 }
 
-/// Quantities of one unit.
+/// A table of quantities of one unit.
 #[derive(Serialize)]
 struct Table {
     title: String,
     unit: Unit,
     decimals: usize,
-    /// Of type [`TrackedQuantity`].
+    /// Rows, each a [`TrackedQuantity`].
     rows: Vec<Value>,
     chart: Option<String>,
 }
@@ -132,8 +132,8 @@ impl Page<'_> {
         }
     }
 
-    /// The values less `origin` against time, with their line if the trend is significant. The tolerance is that of the
-    /// circular deviation.
+    /// The values less `origin` against time, with their line if the trend is significant. The tolerance is the
+    /// tolerance of the circular deviation.
     fn trend<N: Display>(
         &self,
         tracked: &TrackedQuantity<N>,
@@ -143,7 +143,7 @@ impl Page<'_> {
     ) -> String {
         let point = |(time, value): (&f64, &dbbd_model::conformity::TrackedValue)| {
             let (value, u95) = (value.value - origin, COVERAGE_95 * value.sd);
-            TrendPoint { time: *time, value, u95, doubtful: false }
+            TrendPoint { time: *time, value, u95, has_warnings: false }
         };
         let points: Vec<TrendPoint> = timeline.times.iter().zip(&tracked.values).map(point).collect();
         let trend = tracked.trend.filter(|trend| trend.significant).zip(points.last());
@@ -168,7 +168,7 @@ impl Page<'_> {
     }
 }
 
-/// The traces of all tests in each sense; first and last have colours of their own.
+/// Overlaid traces of all tests in each sense; first and last have colours of their own.
 fn overlays(title: &str, circle: &ComparedCircle) -> Vec<String> {
     let last = circle.traces.len().saturating_sub(1);
     let of_sense = |sense: CircleSense| {
@@ -202,7 +202,7 @@ fn overlays(title: &str, circle: &ComparedCircle) -> Vec<String> {
     [CircleSense::CounterClockwise, CircleSense::Clockwise].into_iter().filter_map(of_sense).collect()
 }
 
-/// `None` for an empty family.
+/// The table of a family of quantities; `None` for an empty family.
 fn table<N: Display + Serialize>(title: &str, family: &[&TrackedQuantity<N>]) -> Option<Table> {
     let unit = unit_of(family.first()?.unit);
     let smallest = family.iter().map(|found| found.change.sd * unit.factor).fold(f64::INFINITY, f64::min);

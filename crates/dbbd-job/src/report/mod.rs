@@ -1,4 +1,4 @@
-//! Pages and pictures from results: SVG and HTML texts. Nothing is computed here but layout.
+//! Pages and pictures from results: SVG and HTML texts. Only layout is computed here.
 //!
 //! The same input gives the same bytes. A page loads nothing, can be read and printed without its script, and follows the
 //! reader's choice of light or dark. Templates take the result itself; numbers are formatted by the filters of `page`.

@@ -17,9 +17,9 @@ use dbbd_model::math::distributions::COVERAGE_95;
 const PAGE_CSS: &str = include_str!("page.css");
 /// The script of a report: its texts in the reader's language, and its scene.
 pub const REPORT_JS: &str = concat!(include_str!("language.js"), include_str!("viewer.js"));
-/// Title and cure of the codes that the workbench can show, in other languages; English ones come with the findings.
+/// Title and cure of the codes that the workbench can show, in other languages; English texts come with the findings.
 pub const CODES: &str = concat!("{\"de\":", include_str!("texts/codes.de.json"), "}");
-/// The texts of the reports in other languages, by the English ones. A new language is a file and a line here.
+/// The texts of the reports in other languages, by the English texts. A new language is a file and a line here.
 const LANGUAGES: &str = concat!("{\"de\":", include_str!("texts/de.json"), "}");
 /// The skeleton of every page, also of a service.
 const FRAME_HTML: &str = include_str!("frame.html");
@@ -27,7 +27,7 @@ const FRAME_HTML: &str = include_str!("frame.html");
 const PAGE_HTML: &str = include_str!("page.html");
 const MACROS: &str = include_str!("macros.html");
 
-/// Name and text.
+/// Name and text of a template.
 pub type Template<'a> = (&'a str, &'a str);
 
 /// Fills a template that extends `page.html`; its name ends in `.html`, which turns escaping on.
@@ -55,10 +55,10 @@ pub(super) fn render(name: &str, template: &str, page: &impl Serialize) -> Resul
         .map(|page| folded(&page))
 }
 
-/// Begins a part of a page that is folded: a heading with an anchor. What users write is escaped, so it has none.
+/// Start of a part of a page that is folded: a heading with an anchor. Text of users is escaped, so it has none.
 const PART: &str = "<h2 id=\"";
 
-/// Folds the parts of a page after its contents, which open them.
+/// Folds the parts of a page after its contents; a link in the contents opens its part.
 fn folded(page: &str) -> String {
     let end = page.rfind("</main>").unwrap_or(page.len());
     let (body, foot) = page.split_at(end);
@@ -87,7 +87,7 @@ fn folded(page: &str) -> String {
     format!("{head}<nav class=\"contents\" aria-label=\"Contents\"><ul>\n{links}</ul></nav>\n{details}{foot}")
 }
 
-/// Fills the last of these templates, which may use the ones before and `frame.html`.
+/// Fills the last of these templates, which may use the earlier ones and `frame.html`.
 pub fn fill(templates: &[Template<'_>], context: &impl Serialize) -> Result<String, Diagnostic> {
     let name = templates.last().map_or("", |(name, _)| name);
     filled(name, templates, context).map_err(|error| {
@@ -103,7 +103,7 @@ fn filled(
 ) -> Result<String, minijinja::Error> {
     let mut engine = Environment::new();
     engine.set_undefined_behavior(UndefinedBehavior::Strict);
-    // Names and remarks must not turn the order of what a page says.
+    // Names and remarks must not change the direction of the text on a page.
     engine.set_formatter(|out, state, value| match value.as_str().map(escape_controls) {
         Some(Cow::Owned(text)) if !value.is_safe() => escape_formatter(out, state, &text.into()),
         _ => escape_formatter(out, state, value),
@@ -136,7 +136,7 @@ fn filled(
     engine.get_template(name)?.render(Serde(context))
 }
 
-/// What stands for a value that does not exist.
+/// The text for a value that does not exist.
 fn dash() -> String {
     "–".into()
 }
@@ -157,7 +157,7 @@ pub(super) fn script_json(value: &impl Serialize) -> Result<String, Diagnostic> 
     Ok(within_script(&serialised::json_line(value)?))
 }
 
-/// JSON escaped so that nothing closes the script element that it is in.
+/// JSON escaped so that nothing closes the script element around it.
 fn within_script(json: &str) -> String {
     json.replace('<', "\\u003c").replace('/', "\\/")
 }

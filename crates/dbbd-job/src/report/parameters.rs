@@ -12,9 +12,9 @@ use dbbd_model::robot::{ParamGroup, ParamId, ParamUnit, Robot};
 #[derive(Serialize)]
 pub(super) struct Group<'a> {
     title: &'static str,
-    /// Of values.
+    /// Unit and decimals of values.
     value: Column,
-    /// Of corrections and standard deviations.
+    /// Unit and decimals of corrections and standard deviations.
     small: Column,
     parameters: Vec<&'a ParameterResult>,
     /// The corrections with their intervals, if some were estimated.
@@ -28,7 +28,7 @@ struct Column {
     decimals: usize,
 }
 
-/// Parameters that were not estimated, for one reason.
+/// Parameters that were not estimated for the same reason.
 #[derive(Serialize)]
 pub(super) struct NotEstimated<'a> {
     pub(super) names: Vec<ParamId>,
@@ -115,7 +115,7 @@ fn group<'a>(
     let largest = parameters.iter().map(|parameter| parameter.correction.abs()).fold(0.0, f64::max);
     let sds = parameters.iter().filter_map(|parameter| parameter.sd).filter(|sd| *sd > 0.0);
     let smallest = sds.fold(f64::INFINITY, f64::min);
-    // Two figures of the smallest sd.
+    // Decimals for two figures of the smallest sd.
     let column = |unit: Unit| {
         let figures = (decimals(smallest * unit.factor) + 1).min(6);
         Column { unit, decimals: if smallest.is_finite() { figures } else { 3 } }

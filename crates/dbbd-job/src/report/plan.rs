@@ -1,4 +1,4 @@
-//! `plan.html`: the path with its checks, and what will be identifiable afterwards.
+//! `plan.html`: the path with its checks, and the predicted result of an identification.
 
 use nalgebra::Matrix6;
 use serde::Serialize;

@@ -94,15 +94,15 @@ pub struct Unit {
 
 impl Unit {
     pub(crate) const MM: Self = Self { sign: "mm", factor: 1.0 };
-    /// Of an angle in rad.
+    /// Degrees, for an angle in rad.
     pub(crate) const DEG: Self = Self { sign: "deg", factor: 180.0 / std::f64::consts::PI };
 
-    /// For deviations up to `largest_mm`.
+    /// The unit for deviations up to `largest_mm`.
     pub(crate) fn length(largest_mm: f64) -> Self {
         if largest_mm < 1.0 { Self { sign: "µm", factor: 1e3 } } else { Self::MM }
     }
 
-    /// For angle errors up to `largest_rad`.
+    /// The unit for angle errors up to `largest_rad`.
     pub(crate) fn angle(largest_rad: f64) -> Self {
         if largest_rad < 2e-4 {
             Self { sign: "µrad", factor: 1e6 }
@@ -130,7 +130,8 @@ pub(crate) fn fixed(value: f64, decimals: usize) -> String {
     }
 }
 
-/// A text with minus signs (U+2212) in place of the hyphens before its numbers.
+/// A text for pages: minus signs (U+2212) in place of the hyphens before its numbers, ± and µ for what a terminal has as
+/// `+-` and `u`.
 pub(crate) fn typeset(text: String) -> String {
     let mut set = String::with_capacity(text.len());
     let mut before = ' ';
@@ -141,7 +142,12 @@ pub(crate) fn typeset(text: String) -> String {
         set.push(if minus { '−' } else { character });
         before = character;
     }
-    set
+    let set = set.replace("+-", "±");
+    let sign = |word: &str| match word.trim_end_matches(|end: char| !end.is_alphanumeric()) {
+        "um" | "urad" => word.replacen('u', "µ", 1),
+        _ => word.to_owned(),
+    };
+    set.split_inclusive(|end: char| !end.is_alphanumeric() && end != '_').map(sign).collect()
 }
 
 pub(crate) fn signed(value: f64, decimals: usize) -> String {
@@ -211,6 +217,8 @@ mod tests {
             ("at least -4.500 mm", "at least −4.500 mm"),
             ("(650, -1128, 800) mm", "(650, −1128, 800) mm"),
             ("only tool_x - 20 theta6", "only tool_x − 20 theta6"),
+            ("70 um (um, 3 urad/Nm) +- 0.5 um.", "70 µm (µm, 3 µrad/Nm) ± 0.5 µm."),
+            ("sigma_um, lumber, um_x", "sigma_um, lumber, um_x"),
             ("plan-2.csv, 2026-11-21, --prior, 1.0e-3", "plan-2.csv, 2026-11-21, --prior, 1.0e-3"),
         ];
         for (text, set) in texts {

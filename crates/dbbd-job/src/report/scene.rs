@@ -10,7 +10,7 @@ use super::page::script_json;
 
 /// Most poses in the viewer; more are sampled evenly.
 const MOST_POSES: usize = 400;
-/// Sides of the polygon that stands for a circle.
+/// Sides of the polygon that is drawn for a circle.
 const SIDES: usize = 24;
 
 /// The data of the viewer; robot base, mm, rounded.
@@ -58,14 +58,14 @@ impl Scene {
         }
     }
 
-    /// As JSON within a script element.
+    /// The scene as JSON within a script element.
     pub(super) fn json(&self) -> Result<String, Diagnostic> {
         script_json(self)
     }
 }
 
 impl ScenePose {
-    /// The arm at axis angles in degrees, with the residual of the length in mm.
+    /// An arm at axis angles in degrees, with the residual of the length in mm.
     pub(super) fn new(
         robot: &Robot,
         index: u32,

@@ -6,7 +6,7 @@ use dbbd_model::base::text::escape_controls;
 
 const PLOT_CSS: &str = include_str!("plot.css");
 
-/// Which part of a text is at its point.
+/// The part of a text that is at its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     Start,
@@ -156,7 +156,7 @@ pub(crate) fn plot_css() -> &'static str {
     PLOT_CSS
 }
 
-/// Text for XML: the five characters that mean something there.
+/// Escapes the five characters that have a meaning in XML.
 fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for character in escape_controls(text).chars() {

@@ -1,5 +1,5 @@
-//! What a page says first: a verdict in one sentence, and what to do next. The pages of the workbench say it in the same words
-//! (`say.result.*` and `say.check.*` of their texts).
+//! The first lines of a page: a verdict in one sentence, and the next action. The pages of the workbench say it in the
+//! same words (`say.result.*` and `say.check.*` of their texts).
 
 use dbbd_model::conformity::UncertaintyBudget;
 use dbbd_model::conformity::{ComparisonSubject, ConformityOutcome, InterimCheck, ResultComparison};
@@ -12,10 +12,10 @@ use super::scale::{plain, significant};
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Verdict {
     kind: VerdictKind,
-    /// The sentence goes on behind it.
+    /// The verdict in one word; the sentence goes on behind it.
     word: &'static str,
     sentence: String,
-    /// How long and for what the result may be used, where that is known.
+    /// The time and the conditions for which the result may be used, if they are known.
     validity: Option<String>,
     next: String,
 }
@@ -50,7 +50,7 @@ impl Verdict {
             um(residual.after.rms),
             um(residual.before.rms)
         );
-        if result.is_doubtful() || !result.converged {
+        if result.has_warnings() || !result.converged {
             return Self {
                 kind: VerdictKind::Undecided,
                 word: "With warnings.",
@@ -85,7 +85,7 @@ impl Verdict {
         }
     }
 
-    /// The verdict without what to do next, a paragraph each.
+    /// The verdict without the next action, a paragraph each.
     pub(crate) fn statement(self) -> impl Iterator<Item = String> {
         [format!("{} {}", self.word, self.sentence)].into_iter().chain(self.validity)
     }
@@ -120,7 +120,7 @@ impl Verdict {
         Self { kind, word, sentence, validity: check.validity.as_ref().map(holds), next: next.into() }
     }
 
-    /// `changed` are the names of what changed significantly.
+    /// The verdict of a comparison; `changed` are the names of parameters that changed significantly.
     pub(crate) fn of_comparison(comparison: &ResultComparison, changed: &[String]) -> Self {
         let (moved_mm, next) = match &comparison.subject {
             ComparisonSubject::Results(results) => (

@@ -1,15 +1,15 @@
-//! What came out of a request.
+//! The answer to a request.
 
 use dbbd_model::diagnostic::FindingRecord;
 use serde::{Deserialize, Serialize};
 
-/// What came out of a request. `F` is a finding and `D` the result document: where the answer is made they have their types
-/// ([`super::Answer`]); who reads the answer of another process has their values ([`AnswerRecord`]).
+/// The answer to a request. `F` is a finding and `D` the result document. Where the answer is made, they have their own
+/// types ([`super::Answer`]); a reader of the answer of another process has their values ([`AnswerRecord`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AnswerOf<F, D> {
-    /// What was found of the inputs and of the result, in the order in which it was found.
+    /// The findings about the inputs and the result, in the order in which they were found.
     pub findings: Vec<F>,
-    /// The result, or why there is none.
+    /// The result, or the reason why there is none.
     #[serde(flatten)]
     pub result: AnswerResult<F, D>,
 }
@@ -34,22 +34,22 @@ pub struct RequestResult<D> {
 /// An answer of another process.
 pub type AnswerRecord = AnswerOf<FindingRecord, serde_json::Value>;
 
-/// How a request ended that has a result.
+/// The outcome of a request that has a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AnswerOutcome {
     Done,
-    /// With a loss or a warning that the user must see.
+    /// The result has a loss or a warning that the user must see.
     Warned,
-    /// A check cannot decide.
+    /// The check cannot decide.
     Undecided,
-    /// A check found that the robot fails or has changed.
+    /// The check found that the robot fails or has changed.
     Failed,
 }
 
 impl AnswerOutcome {
     /// Whether the user must see a warning about the result.
-    pub fn is_doubtful(self) -> bool {
+    pub fn has_warnings(self) -> bool {
         matches!(self, Self::Warned | Self::Undecided)
     }
 }

@@ -25,7 +25,7 @@ pub struct CertificateRequest {
     pub out: PathBuf,
     /// `check.json`, or its directory, whose decision is added.
     pub check: Option<PathBuf>,
-    /// A file with the identity of robot, bar and laboratory, in place of that in the result.
+    /// A file with the identity of robot, bar and laboratory, in place of the identity in the result.
     pub identity: Option<PathBuf>,
     /// Replace the files of an earlier result; otherwise they are kept beside it.
     #[serde(default)]

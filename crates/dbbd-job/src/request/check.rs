@@ -34,7 +34,7 @@ pub struct CheckRequest {
     pub robot: String,
     /// The directory of the result.
     pub out: PathBuf,
-    /// A table of the base balls; `None` for those of the capture's plan.
+    /// A table of the base balls; `None` for the base balls of the capture's plan.
     pub centres: Option<PathBuf>,
     /// Tool ball in the flange frame, if it is not the one of the calibration.
     pub tool_mm: Option<[f64; 3]>,
@@ -42,16 +42,17 @@ pub struct CheckRequest {
     pub tolerance_mm: Option<f64>,
     /// How the check decides on the tolerance.
     pub rule: DecisionRule,
-    /// Standard deviation of every length; `None` for that of the data and the robot's repeatability.
+    /// Standard deviation of every length; `None` for the value in the data and the robot's repeatability.
     pub sigma_mm: Option<f64>,
     /// Standard deviation of the place of the tool ball when it is mounted again.
     pub tool_repeat_mm: f64,
     /// The base balls are still mounted as in the calibration.
     #[serde(default)]
     pub balls_kept: bool,
-    /// Standard deviation of the base balls; `None` for unlimited, or for that of a seat if they are kept.
+    /// Standard deviation of the base balls; `None` for unlimited, or for the standard deviation of a seat if the balls
+    /// are kept.
     pub ball_repeat_mm: Option<f64>,
-    /// Standard uncertainty (k = 1) of the bar's length; `None` for that of the certificate, if known.
+    /// Standard uncertainty (k = 1) of the bar's length; `None` for the value in the certificate, if known.
     pub bar_u_mm: Option<f64>,
     /// A table of poses over which the position error is taken.
     pub workspace: Option<PathBuf>,
@@ -98,7 +99,7 @@ pub struct CheckDocument {
     pub provenance: Provenance,
 }
 
-/// What a check found of lengths.
+/// The result of a check of lengths.
 #[derive(Clone, Debug, Serialize)]
 pub struct CheckedLengths {
     #[serde(flatten)]
@@ -115,7 +116,7 @@ impl CheckedLengths {
         Ok(Self { check, distance })
     }
 
-    /// What was found, and why the check cannot decide.
+    /// The findings of the check, and the reasons why it cannot decide.
     pub fn findings(&self) -> Vec<ConformityFinding> {
         let mut findings = self.check.findings.clone();
         let decision = &self.check.decision;
@@ -200,12 +201,12 @@ impl CheckRequest {
         given.check_planned_robot()?;
         let replaced = self.out.join("check.json");
         earlier::check_replaced(&replaced, Some(&given.robot.name), &given.provenance)?;
-        session.findings_in(&self.robot, given.robot.doubtful());
+        session.findings_in(&self.robot, given.robot.calibration_warnings());
         Ok(given)
     }
 }
 
-/// What mounting changes. The posterior does not hold another tool ball: its place has the datasheet's prior.
+/// The changes by mounting. The posterior does not hold another tool ball: its place has the prior of the datasheet.
 fn mounting(request: &CheckRequest, given: &LoadedInputs) -> Mounting {
     let datasheet = || Priors::datasheet(&given.robot, given.bar_u_mm()).sd(ParamId::Tool(Coordinate::X));
     let tool_mm = if request.tool_mm.is_some() { datasheet() } else { request.tool_repeat_mm };
@@ -224,7 +225,7 @@ pub struct CheckSigma {
 }
 
 impl CheckSigma {
-    /// The standard deviation of bar and repeatability, at least that in the result.json beside a robot file.
+    /// The standard deviation of bar and repeatability, at least the one in the result.json beside a robot file.
     pub(super) fn at_least(own: Option<f64>, file: &str, robot: &Robot) -> Result<Self, Diagnostic> {
         let (path, beside) = result_beside(Path::new(file), robot)?;
         let looked_for = path.display().to_string();
@@ -243,7 +244,7 @@ impl CheckSigma {
         Ok(Self { sigma_mm, finding })
     }
 
-    /// The standard deviation that is given, else that of the data. A robot of no file has no result beside it.
+    /// The standard deviation that is given, else the one of the data. A robot without a file has no result beside it.
     pub fn of(
         given: Option<f64>,
         observations: &Measurements,
@@ -261,7 +262,7 @@ impl CheckSigma {
     }
 }
 
-/// Returns the names of the files.
+/// Writes the files of a check, and returns their names.
 fn write_check(
     request: &CheckRequest,
     document: &CheckDocument,

@@ -1,4 +1,4 @@
-//! A request is computed by a child process, so that a failure or a lack of memory there does not end this process.
+//! Computes a request in a child process, so that a failure or a lack of memory there does not end this process.
 
 use std::io::{self, Write as _};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -16,8 +16,8 @@ pub struct RequestChild {
 }
 
 impl RequestChild {
-    /// Starts the child. `set_up` gives the directory at which the paths of the request start, and the ends of stdout, which
-    /// gets the answer, and of stderr, which gets the text of the command and its progress.
+    /// Starts the child. `set_up` sets the directory at which the paths of the request start, and the targets of
+    /// stdout, which gets the answer, and of stderr, which gets the text of the command and its progress.
     pub fn start(request: &Request, set_up: impl FnOnce(&mut Command)) -> io::Result<Self> {
         let mut command = child_process::own()?;
         command.arg(VERB).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -32,7 +32,7 @@ impl RequestChild {
     }
 }
 
-/// The answer of a child process; `None` if it ended before it had answered.
+/// The answer of a child process; `None` if the child ended before it answered.
 pub fn read_answer(stdout: &str) -> Option<AnswerRecord> {
     serde_json::from_str(stdout).ok()
 }

@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use dbbd_model::base::expansion::ThermalExpansion;
 use dbbd_model::base::serialised;
 use dbbd_model::circular::CircularFinding;
-use dbbd_model::circular::{self, CircleTrace, CircularSettings, ThermalExpansion};
+use dbbd_model::circular::{self, CircleTrace, CircularSettings};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{ArtefactRole, Provenance, TracedArtefact, one_robot};
@@ -25,20 +26,20 @@ pub struct CircleRequest {
     pub inputs: Vec<PathBuf>,
     /// The directory of the result.
     pub out: PathBuf,
-    /// Nominal radius; `None` for that of the plan, or of a table the mean length, rounded to a millimetre.
+    /// Nominal radius; `None` for the radius in the plan, or for a table the mean length, rounded to a millimetre.
     pub radius_mm: Option<f64>,
     /// The plan that the robot executed; `None` for the one in the capture.
     pub plan: Option<PathBuf>,
     /// The data lists that the programs logged their axis angles to.
     #[serde(default)]
     pub axes: Vec<PathBuf>,
-    /// Standard uncertainty of a single length; `None` for that of the dwells, or of a table the scatter.
+    /// Standard uncertainty of a single length; `None` for the uncertainty of the dwells, or for a table the scatter.
     pub sigma_mm: Option<f64>,
-    /// Standard uncertainty (k = 1) of the bar's length; `None` for that in the job of a capture.
+    /// Standard uncertainty (k = 1) of the bar's length; `None` for the value in the job of a capture.
     pub bar_u_mm: Option<f64>,
-    /// Thermal expansion of the bar, 1/K; `None` for that in the job of a capture.
+    /// Thermal expansion of the bar, 1/K; `None` for the value in the job of a capture.
     pub expansion_per_k: Option<f64>,
-    /// Temperature of the bar's certificate, degrees Celsius; `None` for that in the job of a capture, else 20.
+    /// Temperature of the bar's certificate, degrees Celsius; `None` for the value in the job of a capture, else 20.
     pub certified_c: Option<f64>,
     /// Thermal expansion of the machine, 1/K.
     pub machine_expansion_per_k: Option<f64>,
@@ -115,7 +116,7 @@ impl CircleRequest {
         Ok(RequestResult { outcome: AnswerOutcome::Done, files, document })
     }
 
-    /// Returns the names of the files.
+    /// Writes the files of a circular test, and returns their names.
     fn write(&self, document: &CircleDocument) -> Result<Vec<String>, Diagnostic> {
         let CircleDocument { tests, provenance } = document;
         let mut set = FileSet::begin(&self.out, EarlierFiles::kept_unless(self.replace))?;
@@ -123,7 +124,7 @@ impl CircleRequest {
             let name = if at == 0 { "circle.svg".to_owned() } else { format!("circle-{}.svg", at + 1) };
             set.write(&name, report::svg::standalone(&test.svg()))?;
         }
-        // Remove the plots of circles that an earlier evaluation left behind.
+        // Remove the plots of circles that are left from an earlier evaluation.
         let further = (tests.len() + 1..).map(|number| format!("circle-{number}.svg"));
         further.take_while(|file| self.out.join(file).exists()).for_each(|file| set.remove(&file));
         set.write("circle.json", serialised::sealed_json(document)?)?;
@@ -226,9 +227,9 @@ fn from_csv(name: &str, traces: Vec<CircleTrace>, radius: Option<f64>) -> Circle
     }
 }
 
-/// A finding if the mean length is near a whole millimetre, as programs have it, and far from the radius of the request.
+/// The finding if the mean length is near a whole millimetre, as in programs, and far from the radius of the request.
 fn other_radius(radius_mm: f64, mean_mm: f64) -> Option<CircularFinding> {
-    /// How many times nearer the whole millimetre must be.
+    /// Ratio by which the whole millimetre must be nearer than the radius.
     const NEARER: f64 = 5.0;
     const MIN_OTHER_RADIUS_MM: f64 = 0.1;
     let off_mm = (mean_mm - radius_mm).abs();
@@ -244,7 +245,7 @@ fn from_capture(
 ) -> Result<(Vec<CircleInput>, TracedArtefact), Diagnostic> {
     let run =
         run::open_run(path, request.plan.as_deref(), &request.axes, &mut |finding| session.finding(finding))?;
-    let (certified, bar_u_mm) = (run.certificate(), run.plan.header.job.bar.u_mm());
+    let (certified, bar_u_mm) = (run.bar_expansion(), run.plan.header.job.bar.u_mm());
     let circles = run.circles()?;
     session.findings(circles.findings);
     let (measured, empty): (Vec<_>, Vec<_>) =

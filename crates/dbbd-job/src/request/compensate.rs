@@ -30,7 +30,7 @@ use crate::program::{Language, Moved, Target, Text, check_one_plan, provenance, 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CompensateRequest {
-    /// The program; the extension is that of its language.
+    /// The program; its extension is the extension of its language.
     pub program: PathBuf,
     /// The identified robot.
     pub robot: String,
@@ -42,7 +42,7 @@ pub struct CompensateRequest {
     pub tool_mm_deg: Option<[f64; 6]>,
     /// The base in the robot's base if the program does not set it: X, Y, Z in mm, A, B, C in degrees.
     pub base_mm_deg: Option<[f64; 6]>,
-    /// What the flange carries while the program runs: a payload of the robot file by its name, or `KG,X,Y,Z`.
+    /// Payload of the flange while the program runs: a payload of the robot file by its name, or `KG,X,Y,Z`.
     pub payload: Option<String>,
     /// The controller has the nominal model, although its make has another one by default.
     #[serde(default)]
@@ -75,7 +75,7 @@ impl ProgramDatum {
     /// Poses and seed of the workspace.
     const WORKSPACE: (usize, u64) = (2000, 1);
 
-    /// As in the answer.
+    /// The name of the datum, as in the answer.
     fn name(&self) -> String {
         match self {
             Self::Program => "program".into(),
@@ -84,7 +84,7 @@ impl ProgramDatum {
         }
     }
 
-    /// Axis angles, rad; none where the points of the program are the datum.
+    /// Axis angles of the poses, rad; empty if the points of the program are the datum.
     fn poses(&self, robot: &Robot, session: &RequestSession<'_>) -> Result<Vec<[f64; AXES]>, Diagnostic> {
         match self {
             Self::Program => Ok(Vec::new()),
@@ -108,11 +108,12 @@ fn default_limit_mm() -> f64 {
 #[derive(Clone, Debug)]
 pub struct CompensateDocument {
     pub points: Vec<Moved>,
-    /// How many points are left as they are.
+    /// Number of points that are not corrected.
     pub left: usize,
-    /// Of the program's own tools at its points; `None` if all points are axis angles, or the file lacks the posterior.
+    /// Predicted uncertainty of the program's own tools at its points; `None` if all points are axis angles, or the
+    /// file lacks the posterior.
     pub predicted: Option<ProgramUncertainty>,
-    /// Over which poses it is aligned: `program`, `workspace` or a file.
+    /// The poses over which robot and program are aligned: `program`, `workspace` or a file.
     pub datum: String,
     /// The directory of the corrected program.
     pub out: String,
@@ -144,9 +145,9 @@ impl Serialize for CompensateDocument {
 
 /// A corrected program.
 struct CorrectedProgram {
-    /// Its files with their new texts.
+    /// The files of the program with their new texts.
     texts: Vec<(ProgramFile, String)>,
-    /// Its files with their chains.
+    /// The files of the program with their chains.
     sources: Vec<TracedArtefact>,
     moved: Vec<Moved>,
     /// The points that are not corrected, with the reasons.
@@ -162,11 +163,11 @@ impl CompensateRequest {
         let LoadedRobot { mut robot, source: identified, .. } = robot_for_measurement(&self.robot, session)?;
         robot = today(&robot);
         session.findings_in(&self.robot, carrying(&self.robot, &mut robot, self.payload.as_deref())?);
-        session.findings_in(&self.robot, robot.doubtful());
+        session.findings_in(&self.robot, robot.calibration_warnings());
         if robot.nominal.is_none() {
             return Err(Diagnostic::file(&self.robot, CompensationFinding::NotIdentified));
         }
-        let edited = edited(&robot).filter(|doubt| *doubt == EstimationFinding::PosteriorOfOtherValues);
+        let edited = edited(&robot).filter(|finding| *finding == EstimationFinding::PosteriorOfOtherValues);
         session.findings_in(&self.robot, edited);
         let language = program_language(&self.program)?;
         let wanted = language.name();
@@ -206,7 +207,8 @@ impl CompensateRequest {
         Ok(RequestResult { outcome: AnswerOutcome::Done, files, document })
     }
 
-    /// Refuses a controller that corrects with a table of its own which is not known: the nominal robot is not what it drives.
+    /// Refuses a controller that corrects with a table of its own that is not known: the controller does not drive the
+    /// nominal robot.
     fn check_controller(&self, robot: &Robot) -> Result<(), Diagnostic> {
         let wrong = match (robot.controller_model, self.nominal_controller) {
             (ControllerModel::Unknown, false) => {
@@ -239,7 +241,7 @@ pub fn program_language(program: &Path) -> Result<Language, Diagnostic> {
     })
 }
 
-/// Reports a file with tools and bases that is not a `$config.dat`.
+/// Reports a file of tools and bases that is not a `$config.dat`.
 fn check_config(config: &ProgramFile, session: &RequestSession<'_>) {
     let words =
         |line: &str| line.split_whitespace().take(2).collect::<Vec<_>>().join(" ").to_ascii_uppercase();
@@ -250,7 +252,7 @@ fn check_config(config: &ProgramFile, session: &RequestSession<'_>) {
     }
 }
 
-/// What a program is corrected with.
+/// The data with which a program is corrected.
 struct CorrectionContext<'a> {
     request: &'a CompensateRequest,
     robot: &'a Robot,
@@ -282,7 +284,7 @@ impl CorrectionContext<'_> {
         };
         let points = krl::read(program, Given { tool: request.tool(), base: request.base() })?;
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
-        session.findings(points.doubts.iter().cloned());
+        session.findings(points.warnings.iter().cloned());
         let corrected = krl::compensate(program, &points, robot, request.limit_mm)
             .map_err(|refused| self.refused(&source, &refused))?;
         let texts = [(source, corrected.source)].into_iter().chain(data.zip(corrected.data)).collect();
@@ -309,7 +311,7 @@ impl CorrectionContext<'_> {
             Language::Fanuc => fanuc::read(text, GivenFrames { config, tool, base })?,
         };
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
-        session.findings(points.doubts.iter().cloned());
+        session.findings(points.warnings.iter().cloned());
         let corrected = points.compensate(text, robot, request.limit_mm);
         let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
         Ok(CorrectedProgram {
@@ -367,7 +369,7 @@ fn check_robot(
     Ok(())
 }
 
-/// Reports the points that are not corrected, and those at which an axis moved through zero.
+/// Reports the points that are not corrected, and the points at which an axis moved through zero.
 fn report(corrected: &CorrectedProgram, session: &RequestSession<'_>) {
     let CorrectedProgram { moved, left, .. } = corrected;
     session.findings(left.iter().cloned());
@@ -382,8 +384,8 @@ fn report(corrected: &CorrectedProgram, session: &RequestSession<'_>) {
     }
 }
 
-/// A file of a program. Its comments may be in any old code page: each byte is then read as the character of that number, and
-/// written back unchanged.
+/// A file of a program. Its comments may be in any old code page: each byte is then read as the character with the
+/// number of the byte, and written back unchanged.
 struct ProgramFile {
     path: PathBuf,
     /// The path as text.
@@ -413,7 +415,7 @@ impl ProgramFile {
         Ok(TracedArtefact { artefact, provenance: provenance(&self.name, &self.content)? })
     }
 
-    /// Refuses a file that is cut off, and data of another module than that of `source`.
+    /// Refuses a file that is cut off, and data of another module than the module of `source`.
     fn check(&self, begins: &str, source: &Self) -> Result<(), Diagnostic> {
         let words = |line: &str| -> Vec<String> {
             let words = line.split(|c: char| c.is_whitespace() || c == '(');

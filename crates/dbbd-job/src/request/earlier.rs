@@ -1,4 +1,4 @@
-//! What an earlier result and a user's file say of the identity of robot and bar.
+//! The identity of robot and bar, as stated by an earlier result and a file of the user.
 
 use std::path::Path;
 
@@ -19,9 +19,9 @@ pub fn read_identity(path: &Path) -> Result<Identity, Diagnostic> {
     Ok(identity)
 }
 
-/// What `stated` says that cannot be true of a run of this job with so many base balls: another robot, bar, certificate or
-/// bar temperature than the lengths were computed with, or the serial number of a further ball. Other facts may be
-/// known better after the run.
+/// Contradictions in `stated` that cannot be true of a run of this job with this number of base balls: another robot,
+/// bar, certificate or bar temperature than the lengths were computed with, or the serial number of a further ball.
+/// Other facts may be known better after the run.
 pub fn other_run(job: &Identity, balls: usize, stated: &Identity) -> Vec<ProvenanceFinding> {
     let is_fixed = |key: &str| key == "robot" || key.starts_with("bar.") || key == "celsius of bar";
     let other = job.contradictions(stated).into_iter().filter(|other| is_fixed(&other.key));
@@ -32,7 +32,7 @@ pub fn other_run(job: &Identity, balls: usize, stated: &Identity) -> Vec<Provena
     other.chain(further.map(|ball| SerialOfNoBall { ball: ball.clone(), balls })).collect()
 }
 
-/// An earlier result of which a new one takes the place.
+/// An earlier result that a new result replaces.
 #[derive(Default, Deserialize)]
 pub(super) struct EarlierResult {
     #[serde(default)]
@@ -42,7 +42,7 @@ pub(super) struct EarlierResult {
 }
 
 impl EarlierResult {
-    /// Empty if there is no readable result.
+    /// Reads an earlier result; empty if there is no readable result.
     pub(super) fn read(file: &Path) -> Self {
         let text = files::read_if_file(file).and_then(Result::ok);
         text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()

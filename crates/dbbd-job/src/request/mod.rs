@@ -1,8 +1,9 @@
-//! What shall be computed, and what came out: one request and one answer for the command line, the service, the workers of the
-//! archive and Python.
+//! The request of a computation, and its answer: the same for the command line, the service, the workers of the archive
+//! and Python.
 //!
-//! A request goes one way: its inputs are read once into typed values with their provenance, the result is computed, its files
-//! are written, and the answer is made. This room must not know who asks and how the answer is shown.
+//! A request is processed in one direction: its inputs are read once into typed values with their provenance, the
+//! result is computed, its files are written, and the answer is made. This module must not know who asks and how the
+//! answer is shown.
 
 mod answer;
 mod catalogue;
@@ -44,7 +45,7 @@ use plan::{PlanDocument, PlanRequest};
 use serde::{Deserialize, Serialize};
 use watch::RequestSession;
 
-/// What shall be computed. Relative paths start at the directory of the process.
+/// A computation that is requested. Relative paths start at the directory of the process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "request", rename_all = "snake_case")]
 pub enum Request {
@@ -89,7 +90,7 @@ impl Request {
         Answer::of(result, session.into_findings())
     }
 
-    /// The directory of the files that are written.
+    /// The directory into which the files are written.
     pub fn out(&self) -> &Path {
         match self {
             Self::Identify(request) => &request.out,
@@ -102,10 +103,10 @@ impl Request {
     }
 }
 
-/// An answer where it is made.
+/// An answer in the process that makes it.
 pub type Answer = AnswerOf<Diagnostic, AnswerDocument>;
 
-/// The result document of each kind of request: what `--json` prints.
+/// The result document of each kind of request, which `--json` prints.
 #[derive(Serialize)]
 #[serde(untagged)]
 pub enum AnswerDocument {
@@ -118,7 +119,7 @@ pub enum AnswerDocument {
 }
 
 impl AnswerDocument {
-    /// The findings that the document contains itself. They were not reported before.
+    /// The findings inside the document, which were not reported before.
     fn own_findings(&self) -> Vec<Diagnostic> {
         match self {
             Self::Identify(document) => document.calibration.diagnostics().collect(),
@@ -130,7 +131,7 @@ impl AnswerDocument {
 }
 
 impl Answer {
-    /// The answer as every process gives it to another one, without the end of its last line.
+    /// The answer in the form for another process, without the end of its last line.
     pub fn to_json(&self) -> Result<String, Diagnostic> {
         Ok(serialised::json(self)?)
     }
@@ -169,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_warning_makes_a_result_doubtful() {
+    fn a_warning_is_an_outcome() {
         let warning = || Diagnostic::file("run.dbbd", EstimationFinding::PartOfRunLost);
         for (computed, findings, wanted) in [
             (AnswerOutcome::Done, vec![], AnswerOutcome::Done),

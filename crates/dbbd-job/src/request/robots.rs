@@ -1,4 +1,4 @@
-//! The robot of a request, and what its file says of itself.
+//! The robot of a request, and the findings about its file.
 
 use dbbd_device::clock;
 use dbbd_model::base::date;
@@ -9,8 +9,8 @@ use dbbd_model::robot::{LoadedRobot, MeasurementConditions, Robot, RobotFinding}
 use super::RequestSession;
 use crate::robot_files::named_robot;
 
-/// Reads a robot, and reports the findings about its file. A doubtful identification is not reported: a further measurement
-/// is its cure.
+/// Reads a robot, and reports the findings about its file. A warning about its identification is not reported: a
+/// further measurement is its cure.
 pub(super) fn robot_for_measurement(
     name: &str,
     session: &RequestSession<'_>,
@@ -20,7 +20,7 @@ pub(super) fn robot_for_measurement(
     Ok(read)
 }
 
-/// Lets a robot carry another payload: one of its file by name, or `KG,X,Y,Z`.
+/// Lets a robot carry another payload: a payload of its file by name, or `KG,X,Y,Z`.
 pub fn carrying(
     name: &str,
     robot: &mut Robot,
@@ -29,16 +29,20 @@ pub fn carrying(
     let Some(payload) = payload else { return Ok(None) };
     robot.geometry.load.carry(payload).map_err(|finding| finding.in_file(name))?;
     let beyond = robot.geometry.load.beyond_measured().filter(|_| robot.nominal.is_some());
-    Ok(beyond.map(|[kg, measured_kg]| RobotFinding::PayloadNeverMeasured { kg, measured_kg }))
+    Ok(beyond.map(|[kg, measured_kg]| match measured_kg > 0.0 {
+        true => RobotFinding::PayloadNeverMeasured { kg, measured_kg },
+        false => RobotFinding::NoPayloadMeasured { kg },
+    }))
 }
 
-/// With what is known of a robot today.
+/// The robot with what is known of it today.
 pub(super) fn today(robot: &Robot) -> Robot {
     let date = Some(date::utc(clock::unix_ns()));
     robot.under(&MeasurementConditions { date, temperature_c: None })
 }
 
-/// A finding if the file of an identified robot lacks its posterior, or has values that the posterior does not belong to.
+/// The finding if the file of an identified robot lacks its posterior, or has values to which the posterior does not
+/// belong.
 pub fn edited(robot: &Robot) -> Option<EstimationFinding> {
     match &robot.posterior {
         Some(known) => (!known.is_of(&robot.geometry)).then_some(EstimationFinding::PosteriorOfOtherValues),

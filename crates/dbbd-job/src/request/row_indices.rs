@@ -25,7 +25,7 @@ impl FromStr for RowIndices {
 
     /// Reads indices and ranges, as `3,7-9`.
     fn from_str(text: &str) -> Result<Self, String> {
-        /// A longer range is a typing error.
+        /// Longest range: a longer one is a typing error.
         const MAX_RANGE: u32 = 100_000;
         let mut indices = Vec::new();
         for item in text.split(',') {

@@ -1,4 +1,4 @@
-//! The cell of a plan in three dimensions: what a viewer draws.
+//! The cell of a plan in three dimensions, for a viewer.
 
 use std::path::Path;
 
@@ -35,16 +35,16 @@ pub struct CellScene {
     /// The path: the rows of the plan, with positions in between.
     pub path: Vec<ScenePosition>,
     pub residuals: Vec<SceneResidual>,
-    /// What the identified robot shows at the measured rows of the plan.
+    /// Deviations that the identified robot shows at the measured rows of the plan.
     pub expected: Vec<ExpectedDeviation>,
-    /// What the result left out on request.
+    /// Measurements that the result left out on request.
     pub excluded: Vec<ExcludedMeasurement>,
 }
 
-/// The arm at a time.
+/// The arm at one time of the program.
 #[derive(Debug, Serialize)]
 pub struct ScenePosition {
-    /// Since the start of the program at full override, s.
+    /// Time since the start of the program at full override, s.
     pub t_s: f64,
     /// Row of the plan; `None` in between.
     pub index: Option<u32>,
@@ -52,7 +52,7 @@ pub struct ScenePosition {
     /// The base ball.
     pub ball: u32,
     pub axes_deg: [f64; AXES],
-    /// Base, joints, tool ball.
+    /// Base, joints and tool ball, mm.
     pub arm: Vec<[f64; 3]>,
 }
 
@@ -66,7 +66,7 @@ pub struct SceneResidual {
     pub residual_mm: f64,
 }
 
-/// The length that is expected of the identified robot at a pose, minus the planned one.
+/// The length that is expected of the identified robot at a pose, minus the planned length.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct ExpectedDeviation {
     /// Row of the plan.
@@ -74,7 +74,7 @@ pub struct ExpectedDeviation {
     pub deviation_mm: f64,
 }
 
-/// What a result says of the poses of a plan.
+/// The data of a result about the poses of a plan.
 #[derive(Default)]
 struct ResultAtPoses {
     residuals: Vec<SceneResidual>,

@@ -1,4 +1,4 @@
-//! Who follows a request while it is computed, and how its inputs are read meanwhile.
+//! The watch on a request while it is computed, and the reading of its inputs meanwhile.
 
 use std::cell::RefCell;
 use std::fmt::Display;
@@ -10,15 +10,15 @@ use dbbd_model::base::table::{TableLayout, TableReader};
 use dbbd_model::base::text::unreadable;
 use dbbd_model::diagnostic::{Diagnostic, Finding};
 
-/// Who follows a request while it is computed. Each method does nothing unless it is implemented.
+/// A watch on a request while it is computed. Each method does nothing unless it is implemented.
 pub trait RequestWatch {
     /// A finding, as soon as it is known.
     fn finding(&self, _finding: &Diagnostic) {}
 
-    /// How much of the request is done, per cent.
+    /// Progress of the request, per cent.
     fn done(&self, _percent: u8) {}
 
-    /// Work begins that takes a while; with the number of its bytes, if it reads a file.
+    /// Work begins that takes some time; `bytes` is the size of the file, if the work reads a file.
     fn busy(&self, _what: &str, _bytes: Option<u64>) -> Box<dyn BusyIndicator> {
         Box::new(NoIndicator)
     }
@@ -26,11 +26,11 @@ pub trait RequestWatch {
 
 /// Shows that work goes on, until it is dropped.
 pub trait BusyIndicator {
-    /// So many further bytes are read.
+    /// This number of further bytes was read.
     fn advance(&self, bytes: u64);
 }
 
-/// Nobody follows the request: its findings are in the answer.
+/// Without a watch, the findings are only in the answer.
 impl RequestWatch for () {}
 
 struct NoIndicator;
@@ -39,7 +39,7 @@ impl BusyIndicator for NoIndicator {
     fn advance(&self, _bytes: u64) {}
 }
 
-/// A file whose reader sees how much of it is read.
+/// A file whose reader shows how much of it was read.
 pub struct WatchedFile {
     file: BufReader<File>,
     busy: Box<dyn BusyIndicator>,

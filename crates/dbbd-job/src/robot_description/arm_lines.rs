@@ -5,19 +5,19 @@ use dbbd_model::robot::{AXES, ArmTable, DhRow, JointAxis, Pose, Robot};
 
 use super::catalogue::DescriptionFinding;
 
-/// A robot with what its table cannot hold.
+/// A robot, with the data of its description that the table cannot hold.
 #[derive(Clone, Debug)]
 pub struct ImportedRobot {
     pub robot: Robot,
-    /// Where the description has its base and its flange otherwise than the table.
+    /// Findings about a base or flange of the description that differs from the table's.
     pub findings: Vec<DescriptionFinding>,
-    /// The largest distance of the flange from that of the description over [`CHECKED_POSES`] poses, mm.
+    /// The largest distance between the flanges of table and description over [`CHECKED_POSES`] poses, mm.
     pub largest_mm: f64,
 }
 
 /// Poses over which the table is compared with the description.
 pub const CHECKED_POSES: usize = 1000;
-/// A frame that is nearer is the same, mm and rad: descriptions have six digits.
+/// Largest difference between equal frames, mm and rad: descriptions have six digits.
 const SAME_MM: f64 = 1e-3;
 const SAME_RAD: f64 = 1e-5;
 
@@ -69,7 +69,7 @@ impl ArmLines {
     }
 }
 
-/// X, Y, Z in mm and A, B, C in degrees.
+/// A pose as X, Y, Z in mm and A, B, C in degrees.
 fn shown(pose: &Pose) -> String {
     pose.xyzabc().map(|value| format!("{:.4}", value + 0.0)).join(",")
 }

@@ -1,8 +1,9 @@
-//! The geometry in the machine data of a KUKA controller (`$machine.dat`), which it computes with.
+//! The geometry in the machine data of a KUKA controller (`$machine.dat`), with which the controller computes.
 //!
-//! From the base of the robot: `$TIRORO`, axis 1 about z, `$LENGTH_A` along x, axis 2 about y, `$LENGTH_B` along x, axis 3 about y,
-//! `$TX3P3`, axis 4 about z, `$DH_4` (`Tz(D) Tx(A) Rx(ALPHA)`), axis 5 about z, `$DH_5`, axis 6 about z, `$TFLWP`. `$AXIS_DIR` has the
-//! senses. (KUKA, *Machine Data* 12.04, 2005.) `$MAMES` is where the mastering mark is: it is part of what an axis shows.
+//! From the base of the robot: `$TIRORO`, axis 1 about z, `$LENGTH_A` along x, axis 2 about y, `$LENGTH_B` along x,
+//! axis 3 about y, `$TX3P3`, axis 4 about z, `$DH_4` (`Tz(D) Tx(A) Rx(ALPHA)`), axis 5 about z, `$DH_5`, axis 6 about
+//! z, `$TFLWP`. `$AXIS_DIR` has the senses. (KUKA, *Machine Data* 12.04, 2005.) `$MAMES` is the position of the
+//! mastering mark: it is part of the angle that an axis shows.
 
 use dbbd_model::robot::pose::rot_x;
 use dbbd_model::robot::{AXES, ArmTable, Geometry, JointAxis, Pose, Robot};
@@ -13,14 +14,14 @@ use super::catalogue::DescriptionFinding;
 use super::universal::finite;
 use super::urdf::USUAL_SPEED_DEG_S;
 
-/// X, Y, Z in mm and A, B, C in degrees.
+/// A frame: X, Y, Z in mm and A, B, C in degrees.
 type Frame = [f64; 6];
 
-/// Kinematics that this formula describes: an arm with six axes and a wrist whose axes meet.
+/// Kinematics to which this formula applies: an arm with six axes and a wrist whose axes meet.
 const NEEDED: [(&str, &str); 3] =
     [("$KINCLASS", "#STANDARD"), ("$MAIN_AXIS", "#NR"), ("$WRIST_AXIS", "#ZEH")];
 
-/// `{DHART_A .., DHART_D .., DHART_ALPHA ..}`, mm and degrees.
+/// A link of the wrist: `{DHART_A .., DHART_D .., DHART_ALPHA ..}`, mm and degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WristLink {
     pub a: f64,
@@ -28,7 +29,7 @@ pub struct WristLink {
     pub alpha_deg: f64,
 }
 
-/// The values of `$machine.dat` that the position of the flange depends on.
+/// The values of `$machine.dat` on which the position of the flange depends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MachineData {
     pub tiroro: Frame,
@@ -79,7 +80,7 @@ impl MachineData {
         })
     }
 
-    /// Those of a KUKA with the table of this geometry; `None` where they are not the same arm.
+    /// The machine data of a KUKA with the table of this geometry; `None` if they do not describe the same arm.
     pub fn of(geometry: &Geometry) -> Option<Self> {
         let rows = &geometry.rows;
         let data = Self {
@@ -105,7 +106,7 @@ impl MachineData {
         self.lines().flange_at(axes)
     }
 
-    /// The same arm in modified DH, where it has its base and its flange.
+    /// The same arm in modified DH, with the places of base and flange.
     pub fn table(&self) -> ArmTable {
         self.lines().table()
     }
@@ -117,7 +118,7 @@ impl MachineData {
             position: Vector3::new(link.a, 0.0, link.d),
         };
         let (y, z) = (Vector3::y(), Vector3::z());
-        // What leads to each joint, and its axis there.
+        // For each joint, the frame that leads to it, and its axis there.
         let joints = [
             (Pose::from_xyzabc(self.tiroro), z),
             (along_x(self.length_a), y),
@@ -163,7 +164,7 @@ fn missing(key: &str) -> DescriptionFinding {
     DescriptionFinding::MachineValue { key: key.into() }
 }
 
-/// One value for each axis, which count from 1.
+/// The values of an array with one value for each axis, which are numbered from 1.
 fn of_axes<T: Copy + Default>(
     mut of: impl FnMut(usize) -> Result<T, DescriptionFinding>,
 ) -> Result<[T; AXES], DescriptionFinding> {
@@ -174,7 +175,7 @@ fn of_axes<T: Copy + Default>(
     Ok(values)
 }
 
-/// What stands behind `key =`, without the comment.
+/// The text after `key =`, without the comment.
 fn value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     text.lines().find_map(|line| {
         let (left, right) = line.split(';').next()?.split_once('=')?;
@@ -250,7 +251,8 @@ mod tests {
         assert!(kukas >= 8, "{kukas}");
     }
 
-    /// The wrist point of a KR 125 where A2 = -90 and A3 = 90: 410 + 1000 forward, 865 + 1000 + 45 up; its flange 210 further.
+    /// The wrist point of a KR 125 with A2 = -90 and A3 = 90: 410 + 1000 forward, 865 + 1000 + 45 up; the flange is 210
+    /// further.
     #[test]
     fn offsets_have_the_directions_of_the_manual() {
         let data = MachineData {

@@ -1,6 +1,7 @@
 //! A robot from a description that is not a robot file: a URDF, the machine data of a controller, or its factory calibration.
 //!
-//! This room reads joint axes as lines in space, and makes a table of them. It does not know what is measured with the robot.
+//! This module reads joint axes as lines in space, and makes a table of them. It does not know what is measured with
+//! the robot.
 
 mod arm_lines;
 mod catalogue;
@@ -16,11 +17,12 @@ pub use universal::FactoryTable;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Robot;
 
-/// A robot from the text of a URDF, of a `$machine.dat`, or of the factory calibration of a controller. `like` is the nominal robot of the type, which a
-/// calibration needs; `joints` names the six joints of a URDF where it has several chains.
+/// A robot from the text of a URDF, of a `$machine.dat`, or of the factory calibration of a controller. `like` is the
+/// nominal robot of the type, which a calibration needs; `joints` names the six joints of a URDF that has several
+/// chains.
 ///
 /// # Errors
-/// The text is none of these, or is no arm of six rotary joints in a chain.
+/// The text is none of these, or does not describe an arm of six rotary joints in a chain.
 pub fn import(
     file: &str,
     text: &str,

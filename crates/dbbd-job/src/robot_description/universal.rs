@@ -1,5 +1,5 @@
-//! The factory calibration of a Universal Robots controller: its file `calibration.conf`, the YAML of the ROS driver, or what its
-//! primary interface sends.
+//! The factory calibration of a Universal Robots controller: its file `calibration.conf`, the YAML of the ROS driver,
+//! or the messages of its primary interface.
 
 use std::io::{self, Read};
 use std::net::TcpStream;
@@ -20,24 +20,24 @@ pub(crate) const SEGMENTS: [&str; AXES] =
 pub(crate) const COORDINATES: [&str; 6] = ["x", "y", "z", "roll", "pitch", "yaw"];
 /// The port of the primary interface.
 const PRIMARY_PORT: u16 = 30001;
-/// A controller sends its kinematics when a client connects.
+/// Longest wait for the kinematics, s: a controller sends them when a client connects.
 const WAIT_S: u64 = 5;
-/// Messages in this time: there are at least ten a second.
+/// Most messages in this time: there are at least ten a second.
 const MAX_MESSAGES: usize = 500;
 /// A message of the primary interface with the state of the robot, and its part with the kinematics.
 const ROBOT_STATE: u8 = 16;
 const KINEMATICS: u8 = 5;
-/// Longer messages are not of this interface.
+/// Longest message: longer ones do not come from this interface.
 const MAX_MESSAGE: usize = 1 << 16;
 
-/// What a controller computes with.
+/// The table with which a controller computes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FactoryTable {
-    /// Standard DH, `Rz(theta) Tz(d) Tx(a) Rx(alpha)`, mm and rad: differences from the nominal table.
+    /// Differences from the nominal table in standard DH, `Rz(theta) Tz(d) Tx(a) Rx(alpha)`, mm and rad.
     Differences(StandardTable),
-    /// The same, whole.
+    /// The whole table in standard DH.
     Whole(StandardTable),
-    /// The place of each segment in the one before, where its joint is at zero.
+    /// The place of each segment in the segment before it, with its joint at zero.
     Segments(Box<[Pose; AXES]>),
 }
 
@@ -51,7 +51,8 @@ pub struct StandardTable {
 }
 
 impl StandardTable {
-    /// Of a table in modified DH, whose rows have the a and alpha of the link before; the last link has none.
+    /// The standard table of a table in modified DH, whose rows have the a and alpha of the link before; the last link
+    /// has none.
     fn of(robot: &Robot) -> Self {
         let rows = &robot.geometry.rows;
         let next = |at: usize| rows.get(at + 1);
@@ -86,7 +87,7 @@ impl StandardTable {
 }
 
 impl FactoryTable {
-    /// From the text of a `calibration.conf`, or of a YAML with `kinematics`.
+    /// Reads the text of a `calibration.conf`, or of a YAML with `kinematics`.
     pub fn read(text: &str) -> Result<Self, DescriptionFinding> {
         if text.contains("delta_theta") {
             let numbers = |key: &str| six_numbers(text, key);
@@ -119,7 +120,7 @@ impl FactoryTable {
         Ok(Self::Segments(Box::new(segments)))
     }
 
-    /// What the controller at `host` (with a port, or without) sends.
+    /// Reads the table that the controller at `host` (with a port, or without) sends.
     pub fn ask(host: &str) -> Result<Self, DescriptionFinding> {
         let address = if host.contains(':') { host.to_owned() } else { format!("{host}:{PRIMARY_PORT}") };
         let unreachable = |error: io::Error| DescriptionFinding::Unreachable {
@@ -141,7 +142,7 @@ impl FactoryTable {
     /// The table in the messages of a primary interface.
     ///
     /// # Errors
-    /// The stream cannot be read, is none of this interface, or has no table.
+    /// The stream cannot be read, is not a stream of this interface, or has no table.
     pub fn receive(stream: &mut impl Read) -> io::Result<Self> {
         for _ in 0..MAX_MESSAGES {
             if let Some(table) = kinematics(&message(stream)?) {
@@ -175,7 +176,7 @@ fn lines_after(links: &[Pose; AXES]) -> ArmLines {
     ArmLines { axes, signs: [1.0; AXES], flange: frame }
 }
 
-/// The lines of joints that follow their segments.
+/// The lines of joints that come before their segments.
 fn lines_before(segments: &[Pose; AXES]) -> ArmLines {
     let mut frame = Pose::identity();
     let axes = segments.map(|segment| {
@@ -196,7 +197,7 @@ fn six_numbers(text: &str, key: &str) -> Result<[f64; AXES], DescriptionFinding>
     numbers.ok_or_else(|| DescriptionFinding::SixNumbers { key: key.into() })
 }
 
-/// The messages of the primary interface: a length of 4 bytes with itself, a type, and the rest (big endian).
+/// The messages of the primary interface: a length of 4 bytes that includes itself, a type, and the rest (big endian).
 fn message(stream: &mut impl Read) -> io::Result<Vec<u8>> {
     let mut length = [0; 4];
     stream.read_exact(&mut length)?;
@@ -209,8 +210,9 @@ fn message(stream: &mut impl Read) -> io::Result<Vec<u8>> {
     Ok(message)
 }
 
-/// The table in a message with the state of the robot: its parts have a length of 4 bytes with itself, and a type. In that of the
-/// kinematics are six checksums of 4 bytes, then theta, a, d and alpha of all joints as 8-byte numbers, in m and rad, whole.
+/// The table in a message with the state of the robot. Each part of the message has a length of 4 bytes that includes
+/// itself, and a type. The part with the kinematics has six checksums of 4 bytes, then theta, a, d and alpha of all
+/// joints as 8-byte numbers, in m and rad: the whole table.
 fn kinematics(message: &[u8]) -> Option<StandardTable> {
     let (&ROBOT_STATE, mut parts) = message.split_first()? else { return None };
     loop {
@@ -256,7 +258,7 @@ mod tests {
         delta_d = [ 9.9e-05, 121.7, -128.2, 6.5, 1.1e-05, -2.0e-05 ]\n\
         delta_alpha = [ -2.0e-04, 1.9e-04, -3.1e-03, 6.2e-04, -1.8e-04, 0 ]\n";
 
-    /// Standard DH multiplied out, apart from the conversion: T = Rz(theta + q) Tz(d) Tx(a) Rx(alpha).
+    /// Independent computation of the flange: standard DH multiplied out, T = Rz(theta + q) Tz(d) Tx(a) Rx(alpha).
     fn flange(table: &StandardTable, angles: &[f64; AXES]) -> Pose {
         let mut frame = Pose::identity();
         for at in 0..AXES {
@@ -291,7 +293,7 @@ mod tests {
         assert_same(&imported, |axes| flange(&whole, axes));
         assert_eq!(imported.robot.controller_model, ControllerModel::Calibrated);
         assert!(imported.robot.geometry.rows.iter().all(|row| row.d.abs() < 1000.0));
-        // Without differences it is the nominal robot.
+        // Without differences the result is the nominal robot.
         let zero = StandardTable { theta: [0.0; AXES], a: [0.0; AXES], d: [0.0; AXES], alpha: [0.0; AXES] };
         let same = FactoryTable::Differences(zero).imported(&robot());
         let nominal = robot().geometry.rows;

@@ -1,4 +1,4 @@
-//! A URDF: its six moving joints, and the robot that they are.
+//! A URDF: its six moving joints, and the robot that they form.
 
 use std::collections::{HashMap, HashSet};
 
@@ -68,7 +68,7 @@ pub(crate) struct UrdfJoint<'a> {
     /// The fixed joints between the movable joint before and this one.
     pub fixed_before: Pose,
     pub origin: Pose,
-    /// Unit vector in the joint's frame.
+    /// Unit vector of the axis in the joint's frame.
     pub axis: Vector3<f64>,
 }
 
@@ -83,7 +83,7 @@ pub(crate) struct UrdfReader<'a> {
 
 impl<'a> UrdfReader<'a> {
     pub(crate) fn new(file: &'a str, text: &'a str, document: &'a Document<'a>) -> Self {
-        // Backwards, so that the first one stays.
+        // Read backwards, so that the first joint stays.
         let before = all_joints(document).rev().filter_map(|joint| Some((link(joint, "child")?, joint)));
         Self { file, text, document, before: before.collect() }
     }
@@ -145,7 +145,7 @@ impl<'a> UrdfReader<'a> {
         Ok(six)
     }
 
-    /// Why there is not one chain.
+    /// The reason why there is not exactly one chain.
     fn no_chain(&self, names: &[String], chains: usize) -> DescriptionFinding {
         let found: Vec<&str> = all_joints(self.document).filter(|joint| movable(*joint)).map(name).collect();
         let joints = found.join(", ");
@@ -209,8 +209,8 @@ fn movable(joint: Node<'_, '_>) -> bool {
 }
 
 impl UrdfReader<'_> {
-    /// Refuses an arm that goes on: the first six joints of an arm with seven are another robot. A gripper goes on too, and its
-    /// joints look like those of an arm.
+    /// Refuses an arm that has further joints: the first six joints of an arm with seven are another robot. The joints
+    /// of a gripper come further as well, and look like those of an arm.
     fn check_ends(&self, joints: &[UrdfJoint<'_>]) -> Result<(), Diagnostic> {
         let Some(sixth) = joints.last().map(|joint| joint.node) else { return Ok(()) };
         let is_behind = |joint: &Node<'_, '_>| *joint != sixth && self.path(*joint).contains(&sixth);

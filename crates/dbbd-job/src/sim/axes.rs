@@ -51,7 +51,7 @@ pub struct AxesPublisher {
 
 impl AxesPublisher {
     pub fn new(protocol: AxesProtocol, faults: &InjectedFaults, seed: u64, first_ticks: u64) -> Self {
-        // A random stream of its own, which leaves that of the bar's line unchanged.
+        // A separate random stream, so that the stream of the bar's line is unchanged.
         let random = Pcg64::seed_from_u64(seed ^ 0x6178_6573);
         let (faults, on_line) = (*faults, VecDeque::new());
         Self { protocol, faults, random, first_ticks, overtaken: None, on_line, sent: PacketsSent::default() }
@@ -120,7 +120,7 @@ impl AxesPublisher {
         self.on_line.push_back((at_s, packet));
     }
 
-    /// The next packet that has arrived by a time, s.
+    /// The next packet that has arrived at a time, s.
     pub fn arrived(&mut self, t_s: f64) -> Option<Vec<u8>> {
         self.on_line.pop_front_if(|(at_s, _)| *at_s <= t_s).map(|(_, packet)| packet)
     }
@@ -139,7 +139,7 @@ pub enum AxesLine {
         socket: UdpSocket,
         to: SocketAddr,
     },
-    /// A thread answers requests, also while the time of the robot is stopped.
+    /// Serves RTDE; a thread answers requests, also while the time of the robot is stopped.
     Rtde {
         client: Arc<Mutex<Option<RtdeClient>>>,
     },
@@ -154,7 +154,7 @@ pub struct RtdeClient {
 }
 
 impl AxesLine {
-    /// Sends to `rsi://ADDR:PORT`, or serves at `rtde://ADDR:PORT`.
+    /// Opens a line: sends to `rsi://ADDR:PORT`, or serves at `rtde://ADDR:PORT`.
     pub fn open(address: &AxesAddress) -> Result<Self, Diagnostic> {
         let failed = |error: io::Error| {
             let (address, why) = (address.to_string(), error.to_string());
@@ -232,7 +232,7 @@ fn serve_rtde(listener: &TcpListener, client: &Mutex<Option<RtdeClient>>) {
 }
 
 impl RtdeClient {
-    /// Fails if the client is gone or sends something that is not a request.
+    /// Answers the requests of the client. Fails if the client is gone or sends something that is not a request.
     fn serve(&mut self) -> io::Result<()> {
         let mut buffer = [0; 2048];
         match self.stream.read(&mut buffer) {

@@ -26,7 +26,7 @@ use dbbd_model::base::units::{DeviceTicks, HostNs};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::sample::Sample;
 
-/// How long the bar waits at the end for a host that neither reads nor closes, s.
+/// Longest wait of the bar at the end for a host that neither reads nor closes, s.
 const LINGER_S: f64 = 10.0;
 /// Most bytes that are held back.
 const LONGEST_BATCH: usize = 1 << 20;
@@ -66,7 +66,7 @@ pub fn serve_bar(
     serve_over(FaultyLine::new(InjectedFaults::default(), 0), terminal, definition, options, source)
 }
 
-/// As [`serve_bar`], over a faulty line.
+/// The same as [`serve_bar`], over a faulty line.
 pub fn serve_over(
     bad: FaultyLine,
     terminal: Terminal,
@@ -121,7 +121,7 @@ struct VirtualBar<S> {
 struct LineFaultState {
     /// Number of bytes of an earlier stream that are still to be sent.
     stale: usize,
-    /// When the last batch was delivered.
+    /// The time at which the last batch was delivered.
     last_batch: Option<HostNs>,
     unplugged: bool,
 }
@@ -169,7 +169,7 @@ impl<S: ReadingSource> VirtualBar<S> {
         }
     }
 
-    /// Handles what the host sends; waits a millisecond for it, or longer while there is no host.
+    /// Handles the input from the host; waits a millisecond for it, or longer while there is no host.
     #[expect(clippy::wildcard_enum_match_arm, reason = "the kinds of errors of the system are open")]
     fn listen(&mut self) -> Result<(), Diagnostic> {
         // Without pacing the bar streams without waiting for the host.
@@ -192,7 +192,7 @@ impl<S: ReadingSource> VirtualBar<S> {
                     let noise = self.bad.noise(std::mem::take(&mut self.line_faults.stale));
                     self.line.write_all(&noise)?;
                 }
-                // A host is there: that starts a protocol without a start command.
+                // A host is there: this starts a protocol without a start command.
                 ErrorKind::TimedOut if self.device.sends == SendTiming::AtOnce => self.begin(),
                 ErrorKind::TimedOut | ErrorKind::Interrupted => {}
                 _ => {
@@ -282,7 +282,8 @@ impl<S: ReadingSource> VirtualBar<S> {
         speed == 0.0 || self.frames.passed as f64 / self.options.rate_hz <= passed * speed
     }
 
-    /// Writes as fast as the host reads. What a host does not read before it goes away is lost, as on a real line.
+    /// Writes as fast as the host reads. Bytes that a host does not read before it goes away are lost, as on a real
+    /// line.
     fn write(&mut self, bytes: &[u8]) -> Result<(), Diagnostic> {
         let mut rest = bytes;
         while !rest.is_empty() && self.running {
@@ -323,8 +324,8 @@ pub trait ReadingSource {
     /// The reading at a device time, s since the first start, which never decreases. `None` ends the stream.
     fn reading(&mut self, t_s: f64) -> Option<SimulatedReading>;
 
-    /// Whether the program of the robot has ended: the bar then ends when the host sends the stop command or goes away. Before
-    /// that it waits for the host to come back.
+    /// Whether the program of the robot has ended: the bar then ends when the host sends the stop command or goes away.
+    /// Before the end of the program it waits for the host to come back.
     fn over(&self) -> bool {
         false
     }
@@ -358,7 +359,7 @@ enum DeviceCommand {
 /// When readings are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SendTiming {
-    /// As soon as there is a host.
+    /// Readings are sent as soon as there is a host.
     AtOnce,
     AfterStart,
     OnRequest,
@@ -376,10 +377,10 @@ struct VirtualDevice {
     received: Vec<u8>,
     sends: SendTiming,
     reply_delay_s: f64,
-    /// Sent once, at the beginning.
+    /// The text that is sent once, at the beginning.
     banner: Vec<u8>,
     at_mm: f64,
-    /// The reading that is zero, mm; `None`: the next one.
+    /// The reading that becomes zero, mm; `None` for the next reading.
     zero_mm: Option<f64>,
 }
 
@@ -463,7 +464,7 @@ impl VirtualDevice {
         (commands, answer)
     }
 
-    /// After the host has gone away.
+    /// Drops the received bytes after the host has gone away.
     fn forget(&mut self) {
         self.received.clear();
     }
@@ -483,7 +484,8 @@ impl VirtualDevice {
         if refused || bad.happens(silence) {
             return Ok(frame);
         }
-        // Outside of the stroke the device sends its word for "no reading", unless its frames have a flag for that.
+        // Outside of the stroke the device sends its word for "no reading", unless its frames have a flag for an
+        // invalid reading.
         let is_refused =
             !sample.valid && !self.encoder.has_validity() && self.encoder.refuse(&sample, &mut frame);
         if !is_refused {

@@ -3,7 +3,7 @@
 use dbbd_model::findings;
 
 findings! {
-    /// A simulation that cannot be run, or whose readings are doubtful.
+    /// A simulation that cannot be run, or whose readings have a warning.
     SimulationFinding "The simulator" {
         E1601 "a number for the simulator is out of range",
         cause: "A number that is given is not one that the simulator can use.",

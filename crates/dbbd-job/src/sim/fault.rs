@@ -113,7 +113,7 @@ impl FaultyLine {
         &self.faults
     }
 
-    /// The seed of its random numbers.
+    /// The seed of the line's random numbers.
     pub fn seed(&self) -> u64 {
         self.seed
     }
@@ -147,7 +147,7 @@ impl FaultyLine {
         *bytes = received;
     }
 
-    /// Random bytes, as of an earlier stream.
+    /// Random bytes that look like the end of an earlier stream.
     pub fn noise(&mut self, count: usize) -> Vec<u8> {
         (0..count).map(|_| self.random.random::<u8>()).collect()
     }
@@ -177,7 +177,7 @@ mod tests {
         assert!(inserted.iter().skip(1).step_by(2).eq(&bytes));
     }
 
-    /// Of 10 000 events with a probability of 0.2 there are 2000, with a standard deviation of 40.
+    /// 10 000 events with a probability of 0.2: 2000 happen, with a standard deviation of 40.
     #[test]
     fn events_happen_with_their_probability() {
         let mut line = FaultyLine::new(InjectedFaults::default(), 8);

@@ -28,7 +28,7 @@ struct Disturbance {
     lasts_s: f64,
 }
 
-/// Disturbances of one kind: the present one, and when the next may begin, s.
+/// Disturbances of one kind: the present one, and the time at which the next may begin, s.
 #[derive(Clone, Copy, Debug, Default)]
 struct RecurringDisturbance {
     present: Option<Disturbance>,
@@ -47,7 +47,7 @@ struct Rocking {
 pub struct SimulatedMounting {
     faults: InjectedFaults,
     random: Pcg64,
-    /// When the bar was mounted, s.
+    /// The time at which the bar was mounted, s.
     mounted_s: Option<f64>,
     onset_s: Option<f64>,
     rocking: Rocking,
@@ -62,7 +62,7 @@ impl SimulatedMounting {
     pub fn new(faults: InjectedFaults, seed: u64) -> Self {
         Self {
             faults,
-            // A random stream of its own, which leaves that of the line unchanged.
+            // A separate random stream, so that the stream of the line is unchanged.
             random: Pcg64::seed_from_u64(seed ^ 0x6c6f_6f73_6500_0000),
             mounted_s: None,
             onset_s: None,
@@ -74,7 +74,7 @@ impl SimulatedMounting {
         }
     }
 
-    /// When the last disturbance (mounting, slip or pull) began, s.
+    /// The time at which the last disturbance (mounting, slip or pull) began, s.
     pub fn onset_s(&self) -> Option<f64> {
         self.onset_s
     }
@@ -173,7 +173,7 @@ mod tests {
         for (elapsed_s, share) in [(20.0, 1.0 - (-1.0_f64).exp()), (10.0, 1.0 - (-0.5_f64).exp())] {
             assert!((creeping.offset_mm(5.0 + elapsed_s, true, false) - 0.04 * share).abs() < 1e-12);
         }
-        // Taken off and mounted again it begins anew.
+        // After the bar was taken off and mounted, the creep begins again.
         creeping.offset_mm(40.0, false, false);
         assert_eq!(creeping.offset_mm(41.0, true, false), 0.0);
         assert_eq!(creeping.onset_s(), Some(41.0));

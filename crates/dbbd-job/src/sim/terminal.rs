@@ -1,4 +1,4 @@
-//! The bar's end of its line: a pseudo-terminal, or a TCP port like that of a serial server.
+//! The bar's end of its line: a pseudo-terminal, or a TCP port like the port of a serial server.
 
 use std::fmt::Display;
 use std::io::{self, ErrorKind, Read, Write};
@@ -42,7 +42,7 @@ fn failed(why: impl Display) -> SimulationFinding {
 }
 
 impl Terminal {
-    /// A pseudo-terminal.
+    /// Opens a pseudo-terminal.
     #[cfg(unix)]
     pub fn new() -> Result<Self, Diagnostic> {
         let (mut line, host) = TTYPort::pair().map_err(failed)?;
@@ -52,13 +52,13 @@ impl Terminal {
         Ok(Self { wire: TerminalWire::Pty { line, link: None }, address })
     }
 
-    /// A TCP port of this computer, on systems without pseudo-terminals.
+    /// Opens a TCP port of this computer, on systems without pseudo-terminals.
     #[cfg(not(unix))]
     pub fn new() -> Result<Self, Diagnostic> {
         Self::listen(&PortAddress::Tcp(NetworkAddress { host: "127.0.0.1".into(), port: 0 }))
     }
 
-    /// A TCP port, for `tcp://` or `rfc2217://`; for port 0 the system chooses one.
+    /// Opens a TCP port, for `tcp://` or `rfc2217://`; for port 0 the system chooses a port.
     pub fn listen(address: &PortAddress) -> Result<Self, Diagnostic> {
         let (network, transport) = match address {
             PortAddress::Tcp(network) => (network, TerminalTransport::Bytes),
@@ -104,7 +104,8 @@ impl Terminal {
         Ok(())
     }
 
-    /// Fails with `TimedOut` if the host sends nothing, with another error if there is no host.
+    /// Reads bytes of the host. Fails with `TimedOut` if the host sends nothing, with another error if there is no
+    /// host.
     pub(super) fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         match &mut self.wire {
             #[cfg(unix)]
@@ -113,7 +114,7 @@ impl Terminal {
         }
     }
 
-    /// Fails with `TimedOut` if the host reads nothing at present.
+    /// Writes bytes to the host. Fails with `TimedOut` if the host reads nothing at present.
     pub(super) fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match &mut self.wire {
             #[cfg(unix)]
@@ -144,7 +145,7 @@ impl Terminal {
             #[cfg(unix)]
             TerminalWire::Pty { link, .. } => {
                 let path = link.take().map(|link| link.path().to_owned());
-                // The new terminal is opened before the old one is closed: else the system would reuse its name.
+                // The new terminal is opened before the old one is closed: otherwise the system would reuse its name.
                 let new = Self::new()?;
                 let name = new.address.to_string();
                 *self = new;
@@ -156,7 +157,7 @@ impl Terminal {
             TerminalWire::Network(server) => {
                 let address = server.listener.local_addr().map_err(failed)?;
                 server.client = None;
-                // A listener on an unknown port replaces the old one, which is closed by that.
+                // A listener on an unknown port replaces the old one, which closes the old port.
                 server.listener = listener((address.ip(), 0).into()).map_err(failed)?;
                 clock::sleep(away_s);
                 server.listener = listener(address).map_err(failed)?;
@@ -197,7 +198,7 @@ impl TerminalLink {
 #[cfg(unix)]
 impl Drop for TerminalLink {
     fn drop(&mut self) {
-        // Another simulator may have replaced it.
+        // Another simulator may have replaced the link.
         if fs::read_link(&self.path).is_ok_and(|target| target == self.target) {
             let _ = fs::remove_file(&self.path);
         }

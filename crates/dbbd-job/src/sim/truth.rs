@@ -12,12 +12,12 @@ pub fn noise(robot: &Robot, sigma_um: f64) -> String {
     format!("repeatability_um = {repeatability_um:.3}\n\n[bar]\nnoise_um = {sigma_um:?}\n")
 }
 
-/// A robot whose parameters have normal errors with `scale` times the tolerance of the nominal robot as standard deviation:
-/// all a, alpha, theta and d; the last theta and d have those of the flange. A joint that is nominally parallel to the one
-/// before has an error of beta in place of d, because only the sum of the two d has an effect. The same seed gives the same
-/// robot.
+/// A robot whose parameters have normal errors with `scale` times the tolerance of the nominal robot as standard
+/// deviation: all a, alpha, theta and d; the last theta and d have the tolerances of the flange. A joint that is
+/// nominally parallel to the joint before has an error of beta in place of d, because only the sum of the two d has an
+/// effect. The same seed gives the same robot.
 pub fn draw_true_robot(nominal: &Robot, seed: u64, scale: f64) -> Robot {
-    // A random stream of its own: the noise of the world is drawn with the plain seed.
+    // A separate random stream: the noise of the world is drawn with the plain seed.
     let mut random = Pcg64::seed_from_u64(seed ^ 0x7472_7574_6800_0000);
     let mut error = |sd: f64| {
         let normal: f64 = StandardNormal.sample(&mut random);

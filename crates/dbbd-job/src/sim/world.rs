@@ -17,10 +17,10 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::plausibility::Quantity;
 use dbbd_model::robot::{AXES, Geometry};
 
-/// Time in which the repeatability error of a motion replaces that of the one before, s: no robot jumps.
+/// Time in which the repeatability error of a motion replaces the error of the motion before, s: no robot jumps.
 const REPLACED_S: f64 = 0.2;
 
-/// The true set-up: from WORLD.toml, and for keys that it does not have from the modules of the program.
+/// The true set-up: from WORLD.toml; keys that it does not have are taken from the modules of the program.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorldSetup {
     /// True centre of each base ball in the robot base, mm, by its number.
@@ -28,7 +28,7 @@ pub struct WorldSetup {
     /// For a base ball that was taught: the axis angles, degrees, at which the true tool ball is at its centre.
     pub taught_deg: BTreeMap<u32, [f64; AXES]>,
     pub bar: TrueBar,
-    /// Standard deviation of each coordinate of the tool ball, drawn anew for each motion, micrometres.
+    /// Standard deviation of each coordinate of the tool ball, drawn again for each motion, micrometres.
     pub repeatability_um: f64,
     /// Backlash of each axis, degrees: the true axis is behind by half of it, against the sense of its last move.
     pub backlash_deg: [f64; AXES],
@@ -51,7 +51,7 @@ pub struct TrueBar {
     pub rate_hz: f64,
     /// Temperature that the bar reports, degrees Celsius.
     pub temperature_c: f64,
-    /// How strongly the bar pulls the tool ball towards the base ball, N.
+    /// Force with which the bar pulls the tool ball towards the base ball, N.
     pub force_n: f64,
 }
 
@@ -59,10 +59,10 @@ pub struct TrueBar {
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct WorldFile {
-    /// True centres of base balls, or how they were taught; the other balls are where the program has them.
+    /// True centres of base balls, or how they were taught; the other balls are at their places in the program.
     centre: Vec<WorldBallTable>,
     bar: WorldBarTable,
-    /// As in [`WorldSetup`], like the following.
+    /// The same as in [`WorldSetup`], as the following keys.
     repeatability_um: f64,
     #[serde(deserialize_with = "fixed_array")]
     backlash_deg: [f64; AXES],
@@ -74,10 +74,10 @@ struct WorldFile {
 #[serde(deny_unknown_fields)]
 struct WorldBallTable {
     id: u32,
-    /// The true centre, mm, or
+    /// The true centre, mm; either this or `taught_deg`.
     #[serde(default, deserialize_with = "fixed_array")]
     xyz_mm: Option<[f64; 3]>,
-    /// as in [`WorldSetup::taught_deg`].
+    /// The axis angles as in [`WorldSetup::taught_deg`].
     #[serde(default, deserialize_with = "fixed_array")]
     taught_deg: Option<[f64; AXES]>,
 }
@@ -85,9 +85,9 @@ struct WorldBallTable {
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct WorldBarTable {
-    /// Default: that of the program.
+    /// Length of the bar, mm; the default is the length in the program.
     length_mm: Option<f64>,
-    /// Default: that of the program.
+    /// Stroke of the bar, mm; the default is the stroke in the program.
     #[serde(deserialize_with = "fixed_array")]
     stroke_mm: Option<[f64; 2]>,
     noise_um: f64,
@@ -113,7 +113,8 @@ impl Default for WorldBarTable {
 }
 
 impl WorldSetup {
-    /// The set-up of `world` (name and text of a file), and for keys that it does not have that of the program's modules.
+    /// The set-up of `world` (name and text of a file); keys that it does not have are taken from the set-up of the
+    /// program's modules.
     pub fn new(program: &[program::Setup], world: Option<(&str, &str)>) -> Result<Self, Diagnostic> {
         let (name, text) = world.unwrap_or(("WORLD.toml", ""));
         let file: WorldFile = from_toml(name, text)?;
@@ -204,7 +205,8 @@ impl WorldSetup {
 /// A reading of the true bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrueReading {
-    /// Reading, mm; longer is positive. Outside of the stroke, where a real bar would leave its cup, the end of the stroke.
+    /// Reading, mm; longer is positive. Outside of the stroke, where a real bar would leave its cup, it is the end of
+    /// the stroke.
     pub reading_mm: f64,
     pub in_stroke: bool,
 }
@@ -217,7 +219,8 @@ pub struct World {
     random: Pcg64,
     /// The motion for which `offset` was drawn.
     motion: Option<u32>,
-    /// Repeatability error of the tool ball in the motion before and in this one, mm, which began at `since_s`.
+    /// Repeatability errors of the tool ball in the motion before and in this motion, mm; this motion began at
+    /// `since_s`.
     offsets: [Vector3<f64>; 2],
     since_s: f64,
     /// Last commanded joint angles, rad, and the sense of each joint's last move.
@@ -235,7 +238,7 @@ struct FollowedAxes {
 }
 
 impl World {
-    /// The true `robot` (its tool is the true tool ball) in a set-up; `seed` is that of noise and repeatability.
+    /// The true `robot` (its tool is the true tool ball) in a set-up; `seed` is the seed of noise and repeatability.
     pub fn new(robot: Geometry, mut setup: WorldSetup, seed: u64) -> Self {
         for (ball, axes_deg) in &setup.taught_deg {
             let centre = robot.ball(&axes_deg.map(f64::to_radians)).position;
@@ -300,7 +303,7 @@ impl World {
         let axes = self.true_axes(moment);
         let ball = self.robot.ball(&axes).position + self.offset(moment.t_s);
         let centre = self.setup.centres_mm.get(&moment.centre).copied().map(Vector3::from);
-        // A ball without a known centre is out of the reach of the bar.
+        // A ball whose centre is not known is out of the reach of the bar.
         let bar = self.setup.bar;
         let distance = centre.map_or(f64::INFINITY, |centre| {
             let free = (ball - centre).norm();
@@ -318,7 +321,7 @@ impl World {
         TrueReading { reading_mm, in_stroke: true }
     }
 
-    /// By the pull of the bar.
+    /// Shortening of the length by the pull of the bar, mm.
     fn shortened_mm(&self, axes: &[f64; AXES], centre: &Vector3<f64>) -> f64 {
         self.robot.length_row(axes, centre, 0.0).shortened_mm(&self.robot, self.setup.bar.force_n)
     }
@@ -410,7 +413,7 @@ mod tests {
             assert!((found.reading_mm - reading_mm).abs() < 1e-9, "{length_mm}: {found:?}");
             assert_eq!(found.in_stroke, in_stroke);
         }
-        // A ball of which nothing is known is out of reach.
+        // A ball whose place is not known is out of reach.
         let elsewhere = ControllerMoment { centre: 2, ..moment(0.0, HOME, 0) };
         let found = World::new(robot.clone(), setup(&robot), 1).reading(&elsewhere);
         assert_eq!(found, TrueReading { reading_mm: 6.0, in_stroke: false });
@@ -448,7 +451,7 @@ mod tests {
         world.reading(&moment(0.05, HOME, 0));
         assert!((world.offset(0.05) - target * (5.0 / 32.0)).norm() < 1e-12);
         assert!((world.offset(0.2) - target).norm() < 1e-12 && (world.offset(9.0) - target).norm() < 1e-12);
-        // The next motion begins from what the last one left.
+        // The next motion begins with the error that the last one left.
         world.reading(&moment(1.0, HOME, 1));
         assert_eq!(world.offsets[0], target);
         assert_ne!(world.offsets[1], target);
@@ -473,7 +476,7 @@ mod tests {
             moment(0.0, axes, 0)
         };
         let half = 0.1_f64.to_radians();
-        // Before any move there is no sense; then it is against the last move, and stays at rest.
+        // Before any move there is no sense; then the error is against the last move, and stays at rest.
         for (a2, error) in [(0.0, 0.0), (0.1, -half), (0.1, -half), (0.05, half), (0.05, half), (0.3, -half)]
         {
             let axes = world.true_axes(&at(a2));
@@ -552,7 +555,7 @@ mod tests {
         assert!((centre - robot.ball(&HOME).position).norm() < 1e-9);
     }
 
-    /// A bar that pulls by 50 N reads less by what the compliance of joint 3 gives way.
+    /// A bar that pulls by 50 N reads less by the deflection due to the compliance of joint 3.
     #[test]
     fn a_bar_that_pulls_reads_less() {
         let mut robot = robot();

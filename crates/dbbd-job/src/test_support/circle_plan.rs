@@ -11,7 +11,7 @@ pub(crate) fn robot() -> Robot {
     Robot::by_name("kr60ha").unwrap().unwrap()
 }
 
-/// As `plan.csv` holds it: rounded to the digits that KRL prints.
+/// Values as in `plan.csv`: rounded to the digits that KRL prints.
 fn rounded(values: [f64; 3], decimals: i32) -> [f64; 3] {
     let scale = 10_f64.powi(decimals);
     values.map(|value| (value * scale).round() / scale)

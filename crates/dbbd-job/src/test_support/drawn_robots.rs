@@ -53,7 +53,7 @@ pub(crate) fn drawn(seed: u64) -> Robot {
     robot
 }
 
-/// What is known of the sense in which each axis approached a pose.
+/// The knowledge of the sense in which each axis approached a pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Senses {
     Known,

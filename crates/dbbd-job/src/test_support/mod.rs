@@ -1,4 +1,4 @@
-//! What the tests of this crate share. The suite includes these files, so that there is one of each.
+//! Code shared by the tests of this crate. The suite includes these files, so that each exists only once.
 
 #[path = "../../../dbbd-model/src/test_support/cell.rs"]
 pub(crate) mod cell;

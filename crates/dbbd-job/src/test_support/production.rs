@@ -1,4 +1,5 @@
-//! Poses chosen for a robot, what is identified from lengths there, and a production program that is corrected by it.
+//! Poses chosen for a robot, the robot identified from lengths at these poses, and a production program that is
+//! corrected with it.
 
 use dbbd_job::plan::{Job, Plan, PoseKind};
 use dbbd_job::program::Target;
@@ -16,10 +17,10 @@ use rand_pcg::Pcg64;
 use super::cell::{CENTRE, RADIUS, calibrated, kr60};
 
 /// Standard deviation of a length, mm.
-pub(crate) const SIGMA_MM: f64 = 0.02;
+const SIGMA_MM: f64 = 0.02;
 /// Base balls: the second and third at other radii and heights.
 pub(crate) const BALLS: [[f64; 3]; 3] = [CENTRE, [1000.0, 500.0, 1300.0], [1500.0, -300.0, 400.0]];
-/// Difference of the true position of each ball from that of the job, mm.
+/// Difference between the true position of each ball and its position in the job, mm.
 pub(crate) const OFF_MM: [f64; 3] = [0.8, -0.5, 0.3];
 
 /// A job of poses chosen for the smallest error in a cube, or in the whole workspace.
@@ -44,7 +45,7 @@ pub(crate) fn chosen(balls: usize, points: usize, cube: bool) -> Plan {
 }
 
 /// Lengths at the dwells of a plan, with noise; the axis angles are those of the printed poses.
-pub(crate) fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64) -> Measurements {
+fn measured(plan: &Plan, true_robot: &Robot, seed: u64) -> Measurements {
     let mut random = Pcg64::seed_from_u64(seed);
     let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit);
     let rows = dwells.map(|row| {
@@ -56,7 +57,7 @@ pub(crate) fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64
             target: TargetId::FIRST,
             axes: AxisAngles::from_degrees(row.axes_deg),
             approach: Approach::default(),
-            length_mm: length + noise_mm * random.sample::<f64, _>(StandardNormal),
+            length_mm: length + SIGMA_MM * random.sample::<f64, _>(StandardNormal),
             sigma_mm: None,
             payload: PayloadId::FIRST,
             context: None,
@@ -67,10 +68,6 @@ pub(crate) fn measured(plan: &Plan, true_robot: &Robot, seed: u64, noise_mm: f64
 
 /// `true_robot` identified from lengths at the poses of a plan, without a prior.
 pub(crate) fn identified(true_robot: &Robot, plan: &Plan, seed: u64) -> CompletedCalibration {
-    identified_from(&measured(plan, true_robot, seed, SIGMA_MM), plan)
-}
-
-pub(crate) fn identified_from(lengths: &Measurements, plan: &Plan) -> CompletedCalibration {
     let balls = plan.header.job.centres.iter();
     let centres: Vec<BaseBall> = balls
         .map(|ball| BaseBall { id: BallId::new(ball.id).unwrap(), position: ball.xyz_mm.into() })
@@ -78,7 +75,7 @@ pub(crate) fn identified_from(lengths: &Measurements, plan: &Plan) -> CompletedC
     // The length of the bar is held: lengths about one value determine it only together with the size of the robot.
     let hold = vec![ParamId::BarOffset(BarId::FIRST)];
     let options = Options { sigma_mm: Some(SIGMA_MM), folds: Some(0), hold, ..Options::default() };
-    calibrated(&kr60(), lengths, &centres, &options).unwrap()
+    calibrated(&kr60(), &measured(plan, true_robot, seed), &centres, &options).unwrap()
 }
 
 /// A program of PTP motions to `count` random poses: in the cube with the tool within 30 degrees of straight down, else in the whole

@@ -25,7 +25,7 @@ pub fn months_between(from: &str, to: &str) -> Option<f64> {
     Some((day(to)? - day(from)?) / DAYS_OF_MONTH)
 }
 
-/// The date so many months after another one; `None` if that is not a date.
+/// The date this number of months after another date; `None` if that is not a date.
 pub fn after_months(date: &str, months: f64) -> Option<String> {
     let day = day_number(date.split('T').next()?)? + (months * DAYS_OF_MONTH).floor();
     let ns = (day >= 0.0).then_some(day as u64 * NS_OF_DAY)?;

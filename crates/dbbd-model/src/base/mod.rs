@@ -1,7 +1,8 @@
-//! What every room may use: units, dates, hashes, and texts with their tables. Nothing about robots or bars, and no file.
+//! Tools for every room: units, dates, hashes, and texts with their tables. Nothing about robots or bars, and no file.
 
 mod catalogue;
 pub mod date;
+pub mod expansion;
 pub mod fixed_array;
 pub mod hash;
 pub mod parse;

@@ -18,7 +18,7 @@ pub enum Seal {
 }
 
 impl Seal {
-    /// What ends the text, before the hash is added; what separates the text from its hash; what follows the hash.
+    /// The end of the text before the hash is added; the separator of text and hash; the text after the hash.
     fn marks(self) -> [&'static str; 3] {
         match self {
             Self::Json => ["\n}", ",\n  \"sha256\": \"", "\"\n}\n"],

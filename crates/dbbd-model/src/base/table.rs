@@ -12,7 +12,7 @@ use crate::base::FileFinding::{
 };
 use crate::diagnostic::{Diagnostic, Finding};
 
-/// What is known of a table before it is read. `None` is detected.
+/// Known properties of a table before it is read. `None`: the property is detected.
 #[derive(Clone, Debug)]
 pub struct TableLayout {
     pub delimiter: Option<Delimiter>,
@@ -274,7 +274,7 @@ impl<'a> TableRow<'a> {
     pub fn number(&self, at: usize) -> Result<f64, Diagnostic> {
         self.has(at)?;
         let value = self.parsed(at).map_err(|finding| self.wrong(at, finding))?;
-        // The first decimal mark is that of the whole table.
+        // The first decimal mark counts for the whole table.
         if self.columns.decimal.get().is_none() {
             self.columns.decimal.set(self.text(at).chars().find(|mark| matches!(mark, '.' | ',')));
         }

@@ -20,7 +20,7 @@ pub use harmonics::{HarmonicDiagnosis, Harmonics, TERM_NAMES};
 pub use input::{traces_from_csv, traces_from_table};
 pub use quantities::{CircularQuantity, QUANTITY_NAMES, TRACE_NAMES};
 pub use reversal::{DriveBacklash, DriveId};
-pub use trace::{CirclePoint, CircleSense, CircleTrace, CircularSettings, DriveState, ThermalExpansion};
+pub use trace::{CirclePoint, CircleSense, CircleTrace, CircularSettings, DriveState};
 
 use crate::circular::CircularFinding as Finding;
 use crate::diagnostic::Diagnostic;
@@ -41,7 +41,7 @@ pub struct TraceResult {
     pub run: String,
     pub sense: CircleSense,
     pub points: usize,
-    /// In the order of [`TRACE_NAMES`], mm.
+    /// The quantities of the trace in the order of [`TRACE_NAMES`], mm.
     pub quantities: Vec<CircularQuantity>,
     /// Angle (degrees) and deviation about the joint centre (mm), in the order of the motion.
     pub deviations: Vec<[f64; 2]>,
@@ -51,11 +51,11 @@ pub struct TraceResult {
 pub struct CircularEvaluation {
     pub radius_mm: f64,
     pub arc: CoveredArc,
-    /// In the order of [`QUANTITY_NAMES`], mm, referred to 20 degrees if possible.
+    /// The quantities of the test in the order of [`QUANTITY_NAMES`], mm, referred to 20 degrees if possible.
     pub quantities: Vec<CircularQuantity>,
-    /// The same without the temperature correction, if there is one.
+    /// The quantities without the temperature correction, if there is one.
     pub as_measured: Option<Vec<Option<f64>>>,
-    /// Whether F is about the least-squares centre (b) or that of the instrument (a).
+    /// Whether F is about the least-squares centre (b) or the centre of the instrument (a).
     pub free_centre: bool,
     pub traces: Vec<TraceResult>,
     pub diagnosis: HarmonicDiagnosis,
@@ -80,7 +80,7 @@ impl CircularEvaluation {
 /// Evaluates the traces of one circle.
 pub fn circular(traces: &[CircleTrace], settings: &CircularSettings) -> Result<CircularEvaluation, Finding> {
     check_input(traces, settings)?;
-    let corrected = settings.temperature.apply(traces);
+    let corrected = trace::referred(traces, settings.temperature);
     let rays = |traces: &[CircleTrace]| RadialTraces::new(traces, settings.radius_mm);
     let mut measured = rays(corrected.as_deref().unwrap_or(traces));
     let joint = fit_circle(measured.all()).ok_or(Finding::NoCircle)?;

@@ -5,13 +5,13 @@ use super::trace::{CircleSense, CircleTrace};
 use crate::math::distributions::coverage_95_ratio;
 use crate::math::robust::{SIGMA_OF_MAD, median};
 
-/// Where the standard uncertainty of a single length comes from.
+/// The source of the standard uncertainty of a single length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub enum LengthSigmaSource {
     Given,
-    /// Of each length, without the repeatability of the robot.
+    /// The standard uncertainty of each length, without the repeatability of the robot.
     Lengths,
-    /// Of each length, at least the difference of repeated passes.
+    /// The standard uncertainty of each length, but at least the difference of repeated passes.
     LengthsAndPasses,
     /// The difference of repeated passes.
     Passes,
@@ -40,7 +40,7 @@ struct LengthScatter {
 
 #[derive(Clone, Debug)]
 pub(super) struct TraceNoise {
-    /// Per trace and point, mm.
+    /// Standard uncertainty per trace and point, mm.
     pub(super) sigma_mm: Vec<Vec<f64>>,
     pub(super) source: LengthSigmaSource,
     /// Degrees of freedom of an estimate; `None` if it is known.
@@ -59,8 +59,8 @@ impl TraceNoise {
     }
 }
 
-/// The given uncertainty, else that of the points but at least the difference of repeated passes, else that difference,
-/// else the scatter between neighbours.
+/// The given uncertainty. Else the uncertainty of the points, but at least the difference of repeated passes. Else that
+/// difference, else the scatter between neighbours.
 pub(super) fn estimate_noise(traces: &[CircleTrace], rays: &RadialTraces, given: Option<f64>) -> TraceNoise {
     let all = |sigma: f64| traces.iter().map(|trace| vec![sigma; trace.points.len()]).collect();
     if let Some(sigma) = given {

@@ -225,7 +225,8 @@ pub(super) fn unequal(traces: &[CircleTrace], joint: &CoveredArc) -> Option<Find
 pub(super) fn other_sigma(traces: &[CircleTrace], rays: &RadialTraces, sigma_mm: f64) -> Option<Finding> {
     /// Largest ratio to the scatter: a wrong unit makes a factor of a thousand.
     const MAX_SIGMA_RATIO: f64 = 10.0;
-    /// In a motion without stops the scatter of neighbours is less than that of the lengths, mm.
+    /// The finding needs a larger standard deviation: in a motion without stops neighbours scatter less than the
+    /// lengths, mm.
     const LARGE_MM: f64 = 0.1;
     /// On a circle with fewer points the scatter includes the form.
     const DENSE: usize = 36;

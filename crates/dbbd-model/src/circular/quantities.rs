@@ -64,9 +64,9 @@ impl FitConditions {
 /// The values of all quantities; NaN if undefined.
 #[derive(Clone, Debug, Default)]
 pub(super) struct QuantityValues {
-    /// By [`QUANTITY_NAMES`].
+    /// Values in the order of [`QUANTITY_NAMES`].
     overall: [f64; QUANTITY_NAMES.len()],
-    /// By [`TRACE_NAMES`], for each trace.
+    /// Values in the order of [`TRACE_NAMES`], for each trace.
     pub(super) alone: Vec<[f64; TRACE_NAMES.len()]>,
 }
 

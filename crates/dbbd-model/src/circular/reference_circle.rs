@@ -103,7 +103,7 @@ pub(super) struct MinimumZone {
 
 /// Angular sectors whose outermost points are the first candidates.
 const SECTORS: usize = 360;
-/// With more points the sectors save time.
+/// The sectors save time if there are more points than this.
 const MANY: usize = 2 * SECTORS;
 /// Convergence limit of centre and zone, mm: a few rounding errors of a length.
 const CONVERGED_MM: f64 = 1e-11;

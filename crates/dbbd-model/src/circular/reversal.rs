@@ -57,7 +57,7 @@ const SAME_DEG: f64 = 1e-3;
 /// A row of the linear system.
 struct BacklashRow {
     form: Vec<f64>,
-    /// One per drive.
+    /// One effect per drive.
     moves: Vec<DriveEffect>,
     value: f64,
 }
@@ -304,7 +304,8 @@ mod tests {
         assert!(backlash(&[], &RadialTraces::new(&[], 150.0)).is_empty());
     }
 
-    /// In the difference of the senses the form cancels: -b times the lever times the sense, and the drift between the passes.
+    /// The form cancels in the difference of the senses: -b times the lever times the sense, and the drift between the
+    /// passes.
     #[test]
     fn backlash_of_a_joint_is_recovered_from_both_senses() {
         let (play, drift) = (4e-4, 0.003);

@@ -1,5 +1,7 @@
 //! The traces of a circular test, the arc that they cover, their lengths referred to 20 degrees Celsius, and the settings.
 
+use crate::base::expansion::ThermalExpansion;
+
 /// The sense of motion along a circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 pub enum CircleSense {
@@ -106,51 +108,23 @@ impl CircleTrace {
     }
 }
 
-/// Reference temperature of length measurement (ISO 1), degrees Celsius.
-const REFERENCE_C: f64 = 20.0;
-
-/// Thermal expansion of bar and machine.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ThermalExpansion {
-    pub bar_per_k: Option<f64>,
-    /// Temperature of the bar's certified length, degrees Celsius.
-    pub certified_c: f64,
-    pub machine_per_k: Option<f64>,
+/// The traces with lengths at 20 degrees; `None` if no expansion is known or a point has no temperature.
+pub(super) fn referred(traces: &[CircleTrace], expansion: ThermalExpansion) -> Option<Vec<CircleTrace>> {
+    if expansion.bar_per_k.is_none() && expansion.machine_per_k.is_none() {
+        return None;
+    }
+    let mut referred = traces.to_vec();
+    for point in referred.iter_mut().flat_map(|trace| &mut trace.points) {
+        point.length_mm = expansion.referred_mm(point.length_mm, point.temp_c?);
+    }
+    Some(referred)
 }
 
-impl Default for ThermalExpansion {
-    fn default() -> Self {
-        Self { bar_per_k: None, certified_c: REFERENCE_C, machine_per_k: None }
-    }
-}
-
-impl ThermalExpansion {
-    /// Refers a length (bar's length plus reading) measured at `temp_c` to 20 degrees: the warm bar is longer than
-    /// certified, and the machine's circle is larger.
-    pub fn referred_mm(&self, length_mm: f64, temp_c: f64) -> f64 {
-        let bar = 1.0 + self.bar_per_k.unwrap_or(0.0) * (temp_c - self.certified_c);
-        let machine = 1.0 + self.machine_per_k.unwrap_or(0.0) * (temp_c - REFERENCE_C);
-        length_mm * bar / machine
-    }
-
-    /// The traces with corrected lengths; `None` if no expansion is known or a point has no temperature.
-    pub(super) fn apply(&self, traces: &[CircleTrace]) -> Option<Vec<CircleTrace>> {
-        if self.bar_per_k.is_none() && self.machine_per_k.is_none() {
-            return None;
-        }
-        let mut referred = traces.to_vec();
-        for point in referred.iter_mut().flat_map(|trace| &mut trace.points) {
-            point.length_mm = self.referred_mm(point.length_mm, point.temp_c?);
-        }
-        Some(referred)
-    }
-}
-
-/// What is known of a test besides its traces.
+/// The inputs of a test besides its traces.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CircularSettings {
     pub radius_mm: f64,
-    /// Standard uncertainty of a single length; `None`: that of the points, or their scatter.
+    /// Standard uncertainty of a single length; `None`: it follows from the points, or from their scatter.
     pub sigma_mm: Option<f64>,
     /// Standard uncertainty of the bar's length, which is common to all lengths.
     pub bar_u_mm: f64,
@@ -184,22 +158,16 @@ mod tests {
         CircleTrace { run: "1".into(), sense, points: angles.into_iter().map(point).collect() }
     }
 
-    /// L (1 + 11.5e-6 (25 - 22)) / (1 + 10e-6 (25 - 20)).
     #[test]
-    fn lengths_are_referred_to_20_degrees() {
-        let expansion =
-            ThermalExpansion { bar_per_k: Some(11.5e-6), certified_c: 22.0, machine_per_k: Some(10e-6) };
-        let expected = 300.0 * (1.0 + 34.5e-6) / (1.0 + 50e-6);
-        assert!((expansion.referred_mm(300.0, 25.0) - expected).abs() < 1e-12);
+    fn lengths_with_a_temperature_are_referred_to_20_degrees() {
+        let expansion = ThermalExpansion { bar_per_k: Some(11.5e-6), ..ThermalExpansion::default() };
         let traces = [trace(CircleSense::CounterClockwise, [0.0, 90.0])];
-        let referred = expansion.apply(&traces).unwrap();
-        assert!((referred[0].points[1].length_mm - expected / 3.0).abs() < 1e-12);
-        let bar = ThermalExpansion { bar_per_k: Some(11.5e-6), ..ThermalExpansion::default() };
-        assert!((bar.referred_mm(300.0, 25.0) - 300.0 * (1.0 + 57.5e-6)).abs() < 1e-12);
-        assert!(ThermalExpansion::default().apply(&traces).is_none());
+        let found = referred(&traces, expansion).unwrap();
+        assert!((found[0].points[1].length_mm - 100.0 * (1.0 + 57.5e-6)).abs() < 1e-12);
+        assert!(referred(&traces, ThermalExpansion::default()).is_none());
         let mut unknown = traces;
         unknown[0].points[0].temp_c = None;
-        assert!(expansion.apply(&unknown).is_none());
+        assert!(referred(&unknown, expansion).is_none());
     }
 
     #[test]

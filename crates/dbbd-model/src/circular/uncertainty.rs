@@ -18,7 +18,7 @@ use super::reference_circle::{RadialMeasurement, fit_circle, outermost};
 use super::trace::CircularSettings;
 use crate::math::distributions::COVERAGE_95;
 
-/// Of traces with more points only the outermost are drawn.
+/// If a trace has more points than this, only its outermost points are drawn.
 const MANY: usize = 4000;
 const SHARE: f64 = 0.95;
 /// Quantities that are not negative.
@@ -117,7 +117,7 @@ fn mean(values: &[f64], at: usize, reach: usize) -> (f64, f64) {
     (values[at - reach..=at + reach].iter().sum::<f64>() * weight, weight)
 }
 
-/// What each draw of noise adds to each value, mm; `None` if the points determine no circle.
+/// The change of each value by each draw of noise, mm; `None` if the points determine no circle.
 fn draw_noise(
     base: &RadialTraces,
     sigma_mm: &[Vec<f64>],
@@ -145,9 +145,9 @@ fn draw_noise(
     Some(added)
 }
 
-/// The half width from what the draws of noise added to a value. Noise increases extremes in proportion to its standard
-/// deviation. The smoothed form still has the share `left` of the variance of the noise, so a part of the bias is there
-/// before the draw, which shows only sqrt(1 + left) - sqrt(left) of it. NaN if a draw is not a number.
+/// The half width from the changes of a value by draws of noise. Noise increases extremes in proportion to its standard
+/// deviation. The smoothed form still has the share `left` of the variance of the noise. So a part of the bias is there
+/// before the draw, and the draw shows only sqrt(1 + left) - sqrt(left) of the bias. NaN if a draw is not a number.
 fn half_width(added: &mut [f64], left: f64) -> f64 {
     if added.is_empty() || added.iter().any(|value| value.is_nan()) {
         return f64::NAN;

@@ -120,8 +120,8 @@ impl UncertaintyBudget {
     }
 }
 
-/// The lines of the bar's length and of its temperature. The estimate knows one error of the length: what that does to the
-/// positions is in the ratio of the variances.
+/// The lines of the bar's length and of its temperature. The estimate knows only one error of the length; its effect on
+/// the positions is split in the ratio of the variances.
 fn bar(found: &CompletedCalibration, bar_u_mm: Option<f64>, temperature_mm: Option<f64>) -> [BudgetLine; 2] {
     let whole_mm = found.position_parts.bar_mm;
     let offset = found.result.parameter(ParamId::BarOffset(BarId::FIRST));
@@ -137,8 +137,8 @@ fn bar(found: &CompletedCalibration, bar_u_mm: Option<f64>, temperature_mm: Opti
     bar_lines(basis, stated.then_some(sd_mm), temperature_mm, whole_mm)
 }
 
-/// `sd_mm` is the standard uncertainty of the length, if one is stated, and `whole_mm` what the error of the length does to the
-/// positions.
+/// `sd_mm` is the standard uncertainty of the length, if one is stated, and `whole_mm` the contribution of the error of
+/// the length to the positions.
 fn bar_lines(
     basis: BudgetBasis,
     sd_mm: Option<f64>,
@@ -297,7 +297,7 @@ mod tests {
             (BudgetBasis::Residuals, Some(0.0)),
         ];
         assert_eq!(variances(&lines(0.05, SigmaSource::Given, None, Some(0.03))), expected);
-        // What the rows state was replaced by what was given.
+        // The standard deviations in the rows were replaced by the given one.
         assert_eq!(variances(&lines(0.05, SigmaSource::Given, Some(0.0001), Some(0.03))), expected);
         let of_rows = variances(&lines(0.05, SigmaSource::Given, Some(0.0025), Some(0.03)));
         assert_eq!(of_rows[..2], [(BudgetBasis::Stated, Some(2500.0)), (BudgetBasis::Residuals, Some(0.0))]);

@@ -4,7 +4,7 @@ use crate::diagnostic::Names;
 use crate::findings;
 
 findings! {
-    /// What a comparison or an interim check refuses, doubts or notes.
+    /// What a comparison or an interim check refuses, warns of or notes.
     ConformityFinding "Comparison and interim check" {
         E1902 "results are not of one robot",
         cause: "The results are of robots with other names or nominal values, or a circular test is among calibrations, or no circle of one radius is in all tests. Differences between them are not changes of a robot.",

@@ -35,7 +35,7 @@ pub struct StoredCircle {
     /// Number in the plan.
     pub circle: Option<u32>,
     pub radius_mm: f64,
-    /// In the order of [`QUANTITY_NAMES`], with standard deviations from the 95 % intervals.
+    /// The quantities in the order of [`QUANTITY_NAMES`], with standard deviations from the 95 % intervals.
     quantities: Vec<Option<TrackedValue>>,
     pub traces: Vec<StoredTrace>,
     /// Covered angle, degrees; `None` in files of earlier versions.
@@ -57,9 +57,9 @@ pub struct ComparedCircle {
     pub circle: Option<u32>,
     pub radius_mm: f64,
     pub quantities: Vec<TrackedQuantity<&'static str>>,
-    /// When the trend of the circular deviation reaches the tolerance.
+    /// The time at which the trend of the circular deviation reaches the tolerance.
     pub reaches_tolerance: Option<LevelCrossing>,
-    /// Per file.
+    /// The traces of each file.
     #[serde(skip)]
     pub traces: Vec<Vec<StoredTrace>>,
 }

@@ -35,7 +35,7 @@ const TOO_GOOD: f64 = 1e-4;
 pub struct CheckInput<'a> {
     /// The calibrated robot with its posterior.
     pub robot: &'a Robot,
-    /// Its geometry, with the base balls of the check.
+    /// Geometry of the robot, with the base balls of the check.
     pub start: &'a LengthModel,
     pub readings: &'a [PreparedMeasurement],
     pub bars: usize,
@@ -55,8 +55,8 @@ pub fn own_sigma_mm(observations: &Measurements, robot: &Robot) -> Option<f64> {
     bar.or(robot.repeatability_sd_mm().map(|_| 0.0)).map(|bar| length_sd_mm(bar, robot))
 }
 
-/// The standard deviation of the lengths of a check, mm: at least that of the calibration, which includes the model
-/// error.
+/// The standard deviation of the lengths of a check, mm: at least the standard deviation of the calibration, which
+/// includes the model error.
 pub fn sigma_mm(own: Option<f64>, of_calibration: Option<f64>) -> Result<f64, ConformityFinding> {
     let sigma_mm = own.into_iter().chain(of_calibration).reduce(f64::max);
     sigma_mm.filter(|mm| *mm > 0.0).ok_or(ConformityFinding::NoNoise)
@@ -71,7 +71,7 @@ pub struct InterimCheck {
     #[serde(flatten)]
     pub decision: ConformityDecision,
     pub test: ChangeTest,
-    /// The probable changes, the likeliest first; empty if the test finds no change.
+    /// The probable changes, most probable first; empty if the test finds no change.
     pub changes: Vec<Hypothesis>,
     /// Probability that nothing changed.
     pub unchanged_probability: f64,
@@ -94,11 +94,11 @@ pub struct InterimCheck {
 /// Predicted position uncertainty over the workspace, mm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct CheckUncertainty {
-    /// After the calibration.
+    /// Uncertainty after the calibration.
     pub calibrated: ErrorSummary,
-    /// Of the robot file, after this check.
+    /// Uncertainty of the robot file, after this check.
     pub now: ErrorSummary,
-    /// Of the robot that this check updates; `None` if nothing changed.
+    /// Uncertainty of the robot that this check updates; `None` if nothing changed.
     pub updated: Option<ErrorSummary>,
 }
 
@@ -200,7 +200,7 @@ impl CheckInput<'_> {
         Some(if self.rule == DecisionRule::SimpleAcceptance { best.position_error_mm } else { best.upper_mm })
     }
 
-    /// How long the robot holds with what the lengths say of it.
+    /// The validity of the robot with the information of the check's lengths.
     fn validity(
         &self,
         expected: &Expected,
@@ -323,7 +323,7 @@ fn rows_of(posterior: &Posterior, ids: &[ParamId]) -> Vec<usize> {
     places(posterior, ids).chain(posterior.ids().len()..posterior.root().nrows()).collect()
 }
 
-/// The rows of the root for these parameters, as far as it has them.
+/// The rows of the root for these parameters, as far as the root has them.
 fn places(posterior: &Posterior, ids: &[ParamId]) -> impl Iterator<Item = usize> {
     ids.iter().filter_map(|id| posterior.ids().iter().position(|other| other == id))
 }

@@ -57,15 +57,15 @@ pub struct UncomparedParameter {
 /// Change of the identified robot's position over the workspace, after the best rigid alignment, mm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PositionChange {
-    /// Between the first and the last result.
+    /// Change of the position between the first and the last result.
     pub whole: ErrorSummary,
-    /// From the significant changes only.
+    /// Change of the position by the significant changes only.
     pub significant: ErrorSummary,
     #[serde(skip)]
     pub map: Vec<MapPoint>,
     /// Drift of the 95th percentile over the poses, from the significant trends; `None` without one.
     pub drift: Option<StraightLine>,
-    /// When the drift reaches the tolerance.
+    /// The time at which the drift reaches the tolerance.
     pub reaches_tolerance: Option<LevelCrossing>,
 }
 

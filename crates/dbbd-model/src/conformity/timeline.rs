@@ -8,7 +8,7 @@ use crate::conformity::ConformityFinding;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TimelineUnit {
-    /// Since the first result.
+    /// Days since the first result.
     Days,
     /// Number of the result, from 0.
     Results,
@@ -35,7 +35,7 @@ impl ResultTimeline {
         Self { unit: TimelineUnit::Results, times: (0..results).map(|at| at as f64).collect() }
     }
 
-    /// From ascending dates `YYYY-MM-DD`, one per result.
+    /// The timeline from ascending dates `YYYY-MM-DD`, one per result.
     pub fn dated(dates: &[String], results: usize) -> Result<Self, ConformityFinding> {
         if dates.len() != results {
             return Err(ConformityFinding::DateCount { dates: dates.len(), results });

@@ -22,10 +22,10 @@ pub struct TrackedValue {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrackedQuantity<N> {
     pub name: N,
-    /// Of values, changes and standard deviations.
+    /// Unit of values, changes and standard deviations.
     pub unit: &'static str,
     pub values: Vec<TrackedValue>,
-    /// From the first to the last.
+    /// The change from the first to the last value.
     pub change: TrackedChange,
     /// `None` for fewer than three values or equal times.
     pub trend: Option<QuantityTrend>,
@@ -38,7 +38,7 @@ pub struct TrackedChange {
     pub sd: f64,
     /// p-value of this quantity alone.
     pub p: f64,
-    /// Adjusted for the family (Holm).
+    /// p-value adjusted for the family (Holm).
     pub p_holm: f64,
     pub significant: bool,
 }

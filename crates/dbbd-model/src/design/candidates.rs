@@ -18,7 +18,7 @@ pub struct Candidate {
     pub ball: BallId,
     /// The controller's axis angles, rad, including full turns.
     pub axes: [f64; AXES],
-    /// Of the tool ball.
+    /// Pose of the tool ball.
     pub pose: Pose,
 }
 
@@ -26,7 +26,8 @@ pub struct Candidate {
 #[derive(Clone, Copy, Debug)]
 pub struct Near {
     pub orientation: Matrix3<f64>,
-    /// Half of the poses are rotated from it by a uniform angle up to this, rad. If it is 0, all poses have the orientation.
+    /// Half of the poses are rotated from the orientation by a uniform angle up to this, rad. If it is 0, all poses
+    /// have the orientation.
     pub angle_rad: f64,
 }
 
@@ -50,13 +51,13 @@ pub struct Sphere<'a> {
     pub id: BallId,
     pub ball: Vector3<f64>,
     pub radius_mm: f64,
-    /// By default all orientations are equally probable.
+    /// Restricts the orientations; without it all orientations are equally probable.
     pub near: Option<&'a Near>,
 }
 
 impl Sphere<'_> {
-    /// Poses in random directions that `allows` accepts, in random order. All are in one configuration of the arm: that with
-    /// most poses.
+    /// Poses in random directions that `allows` accepts, in random order. All are in one configuration of the arm: the
+    /// one with most poses.
     pub fn candidates(
         &self,
         count: usize,
@@ -124,7 +125,7 @@ pub fn change_rows(expected: &Expected, candidates: &[Candidate], sigma_mm: f64)
     DMatrix::from_columns(&effects.collect::<Vec<_>>())
 }
 
-/// A matrix of columns with so many rows; without columns it is empty.
+/// A matrix of columns with this number of rows; without columns it is empty.
 pub(super) fn columns(rows: usize, columns: impl ExactSizeIterator<Item = DVector<f64>>) -> DMatrix<f64> {
     let mut matrix = DMatrix::zeros(rows, columns.len());
     matrix.column_iter_mut().zip(columns).for_each(|(mut column, values)| column.copy_from(&values));

@@ -33,13 +33,13 @@ pub enum Criterion {
 const PASSES: usize = 12;
 /// Least relative improvement of the criterion by an exchange.
 const WORTH: f64 = 1e-4;
-/// A pass that exchanges less than one in so many poses is the last.
+/// A pass that exchanges less than one pose in this number is the last.
 const SETTLED: usize = 25;
 
 /// The state of the exchange; the symbols are those of the module's description.
 #[derive(Clone)]
 pub struct Exchange<'a> {
-    /// a of each candidate, a column each.
+    /// The row a of each candidate, as a column.
     rows: &'a DMatrix<f64>,
     /// W.
     weight: DMatrix<f64>,
@@ -52,17 +52,17 @@ pub struct Exchange<'a> {
     v: DVector<f64>,
     wv: DVector<f64>,
     u: DVector<f64>,
-    /// g, a row a change and a column a candidate.
+    /// The effects g: a row for each change, a column for each candidate.
     effects: DMatrix<f64>,
-    /// h, likewise.
+    /// The detectable part h of the effects: a row for each change, a column for each candidate.
     detectable: DMatrix<f64>,
-    /// s of each change.
+    /// The noncentrality s of each change.
     noncentrality: DVector<f64>,
 }
 
 impl<'a> Exchange<'a> {
-    /// `candidates` has a column for each, `jacobian` is that of the tool ball over the workspace, three rows a pose; both in
-    /// the coordinates of the posterior's root.
+    /// `candidates` has a column for each candidate, `jacobian` is the Jacobian of the tool ball over the workspace,
+    /// three rows for each pose; both are in the coordinates of the posterior's root.
     pub fn new(candidates: &'a DMatrix<f64>, jacobian: &DMatrix<f64>) -> Self {
         let n = candidates.nrows();
         let poses = (jacobian.nrows() / 3).max(1) as f64;
@@ -86,7 +86,8 @@ impl<'a> Exchange<'a> {
         }
     }
 
-    /// For [`Criterion::Change`]: `effects` has a row a change and a column a candidate, whitened.
+    /// The exchange for [`Criterion::Change`]: `effects` has a row for each change and a column for each candidate,
+    /// whitened.
     pub fn for_changes(candidates: &'a DMatrix<f64>, effects: DMatrix<f64>) -> Self {
         let none = Self::new(candidates, &DMatrix::zeros(0, candidates.nrows()));
         Self { detectable: effects.clone(), noncentrality: DVector::zeros(effects.nrows()), effects, ..none }
@@ -359,7 +360,7 @@ mod tests {
             let ratio = product(&[3, 8, at]) / product(&[3, 8]);
             assert!((exchange.gain(at, Criterion::Change) - ratio).abs() < 1e-12);
         }
-        // Computed anew, the quantities are those of the updates.
+        // Computed again, the quantities are those of the updates.
         exchange.chosen = vec![3, 8];
         let (updated, s) = (exchange.detectable.clone(), exchange.noncentrality.clone());
         exchange.renew(Criterion::Change);

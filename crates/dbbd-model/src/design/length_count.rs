@@ -24,7 +24,7 @@ pub struct LengthCount {
     pub lengths: usize,
     /// Rank of the scaled Jacobian of all parameters.
     pub rank: usize,
-    /// Of the identifiable parameters.
+    /// Observability of the identifiable parameters.
     pub observability: Option<Observability>,
     /// Posterior standard deviation of each parameter, mm or rad.
     pub sd: BTreeMap<String, f64>,

@@ -37,9 +37,9 @@ pub struct SecondBall {
     pub ball: Vector3<f64>,
     /// Root mean square of the position error with the best poses about the first ball, mm.
     pub alone_mm: f64,
-    /// The error with as many poses about both balls, as a fraction of it.
+    /// The error with as many poses about both balls, as a fraction of `alone_mm`.
     pub share: f64,
-    /// The same for a ball that is only rotated about axis 1.
+    /// The same fraction for a ball that is only rotated about axis 1.
     pub turned_share: f64,
     /// Number of places that were compared.
     pub places: usize,

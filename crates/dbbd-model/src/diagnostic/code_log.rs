@@ -1,7 +1,9 @@
-//! Which codes the tests provoke: debug builds append each code that a finding is asked for to the file that `DBBD_CODE_LOG` names.
+//! The codes that the tests provoke: debug builds append each code that a finding is asked for to the file that
+//! `DBBD_CODE_LOG` names.
 //!
-//! What is printed, serialised or compared in a test asks for its code; a finding that nobody looks at is not logged. Tests run in
-//! parallel in several processes: an append of one line is atomic, and a process writes a code once.
+//! A finding that is printed, serialised or compared in a test is asked for its code; a finding that nobody looks at is
+//! not logged. Tests run in parallel in several processes: an append of one line is atomic, and a process writes a code
+//! once.
 
 use super::FindingCode;
 

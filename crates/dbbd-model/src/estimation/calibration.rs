@@ -81,7 +81,7 @@ pub struct Calibration<'a> {
     pub(super) checks: EstimateChecks,
 }
 
-/// The checks of an estimate: its residuals, and what they contain.
+/// The checks of an estimate.
 pub(super) struct EstimateChecks {
     pub(super) residual_mm: BeforeAfter,
     folds: Option<Folds>,
@@ -164,7 +164,7 @@ impl<'a> Calibration<'a> {
         let warnings = findings.iter().filter(|finding| finding.severity() == Severity::Warning);
         let joint_errors = estimate.joint_summary();
         let robot = Robot {
-            doubts: BTreeSet::from_iter(warnings.map(|finding| finding.code().to_string()))
+            warnings: BTreeSet::from_iter(warnings.map(|finding| finding.code().to_string()))
                 .into_iter()
                 .collect(),
             posterior: prediction.posterior,
@@ -229,7 +229,7 @@ impl<'a> Calibration<'a> {
         }
     }
 
-    /// What is known of the robot, its set-up and the bars.
+    /// The posterior of the robot, its set-up and the bars.
     pub(crate) fn posterior(&self) -> Posterior {
         let Estimate { fit, kept, root, .. } = &self.estimate;
         // The same covariance with as few columns as it can have.
@@ -254,8 +254,8 @@ impl<'a> Calibration<'a> {
         observability(&scaled, used.count())
     }
 
-    /// What happened while the lengths were measured, or could have: wrong ball numbers, then the events in the order in which
-    /// they were found.
+    /// Events that happened while the lengths were measured, or could have happened: wrong ball numbers, then the
+    /// events in the order in which they were found.
     pub(super) fn hypotheses(&self) -> Vec<RunHypothesis> {
         let index = |place: usize| self.observations.rows[place].index;
         let mut found: Vec<RunHypothesis> = Vec::new();
@@ -340,7 +340,7 @@ impl LengthSigma {
         Self { mm: estimate.used(lengths).rms_sigma(), source, freedom }
     }
 
-    /// That of a 95 % interval; `None` if sigma is unknown.
+    /// The coverage factor of a 95 % interval; `None` if sigma is unknown.
     fn coverage_factor(self) -> Option<f64> {
         (self.source != SigmaSource::Assumed).then(|| coverage_95(self.freedom))
     }

@@ -1,10 +1,10 @@
-//! Estimation: what is refused, and what is doubted or worth knowing of a result.
+//! Estimation: what is refused, and what has a warning or is worth knowing of a result.
 
 use crate::diagnostic::Names;
 use crate::findings;
 
 findings! {
-    /// What an estimation refuses, doubts or notes.
+    /// What an estimation refuses, warns of or notes.
     EstimationFinding "Estimation" {
         E1301 "these lengths cannot be used",
         cause: "A number is impossible (an angle, a length, a sigma, the tool ball or a base ball), options contradict each other, or none of the parameters asked for changes a length in these poses.",
@@ -87,7 +87,7 @@ findings! {
             Displaced { parameters: Names } => "{parameters} came out far from where they were given";
         }
         W1313 "more than one length in ten is an outlier",
-        cause: "Lengths are matched to wrong poses, or the bar slipped: then the lengths that are left are doubtful too.",
+        cause: "Lengths are matched to wrong poses, or the bar slipped: then the lengths that are left cannot be relied on either.",
         cure: "Check the pose matching with `dbbd sync`; measure again." {
             ManyOutliers { outliers: usize, lengths: usize } => "{outliers} of {lengths} lengths are outliers";
         }
@@ -106,13 +106,13 @@ findings! {
         cure: "Give the standard deviation of a length with the robot's repeatability in it, or measure more poses. report.html shows the residuals against each axis.",
         asks: [Sigma] {
             BeyondSigma { times: f64 } => "the residuals are {times:.1} times the sigma given, from which the standard deviations are computed";
-            BeyondSigmaOfFew { times: f64 } => "the residuals are {times:.1} times the sigma given; so few lengths cannot estimate another, so the standard deviations are computed from the one given";
+            BeyondSigmaOfFew { times: f64 } => "the residuals are {times:.1} times the sigma of the lengths; so few lengths cannot estimate another, so the standard deviations are computed from that sigma";
         }
         I1317 "the residuals do not agree with the sigma in the data",
         cause: "Larger: the robot's repeatability or what the model lacks comes on top of the bar's noise. Smaller: sigma is too large, or lengths repeat each other.",
         cure: "Nothing: larger residuals are counted in the standard deviations. Correct sigma_mm if the standard deviations shall be as small as the residuals." {
-            AboveSigma { times: f64 } => "the residuals are {times:.1} times the sigma given; the standard deviations are computed from the residuals";
-            BelowSigma { times: f64 } => "the residuals are only {times:.2} times the sigma given";
+            AboveSigma { times: f64 } => "the residuals are {times:.1} times the sigma of the lengths; the standard deviations are computed from the residuals";
+            BelowSigma { times: f64 } => "the residuals are only {times:.2} times the sigma of the lengths";
         }
         W1319 "the lengths fit, but the position is not determined",
         cause: "A small residual proves nothing: the predicted position error over the workspace is hardly smaller than that of the nominal robot, or larger.",
@@ -126,11 +126,10 @@ findings! {
         asks: [Estimated] {
             ListImprovesLittle { residual_rms_mm: f64, identified_mm: f64, nominal_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, and the predicted position error is {identified_mm:.2} mm, the nominal robot's {nominal_mm:.2} mm";
         }
-        I1321 "parameters are poorly observable",
-        cause: "These poses determine them worse than three tolerances, so they are fixed at their start values.",
-        cure: "Vary the poses, or use the prior of the data sheet.",
-        asks: [Prior] {
-            PoorlyObservable { parameters: Names } => "fixed because they are poorly observable: {parameters}";
+        I1321 "coordinates of the set-up are poorly observable",
+        cause: "These poses leave a coordinate of the tool ball open by more than 50 mm, or that of a base ball by more than 500 mm, as where the tool never turns or every bar lies in one plane. It keeps its start value.",
+        cure: "Turn the tool in the poses, and tilt the bar out of one plane." {
+            PoorlyObservable { parameters: Names } => "fixed because these poses leave them open: {parameters}";
         }
         W1322 "the corrections are far larger than the prior allows",
         cause: "The robot is worse than the tolerance in its file (a crash, another arm, a lost mastering), or lengths and poses do not belong together.",
@@ -178,7 +177,7 @@ findings! {
         asks: [LoggedAxes] {
             AbsoluteAccuracyMode { residual_rms_mm: f64, expected_mm: f64 } => "the lengths agree with the nominal robot to {residual_rms_mm:.3} mm; its tolerance predicts {expected_mm:.2} mm";
         }
-        W1328 "the run is doubtful",
+        W1328 "the run has warnings",
         cause: "A part of the run is damaged, the bar was mounted badly (W0280 to W0284), or its poses were planned for another robot.",
         cure: "`dbbd info` names the damages. Give the robot of the plan, or plan for this one.",
         asks: [Robot] {
@@ -270,7 +269,7 @@ findings! {
         }
         W1362 "lengths and positions contradict each other",
         cause: "Each kind of measurement alone fits better than both together: they were made of different robots, before and after a change, or with tables of axis angles that differ.",
-        cure: "Identify from each alone and compare (`dbbd compare`); measure the kind that is in doubt again." {
+        cure: "Identify from each alone and compare (`dbbd compare`); measure the kind of which you are less sure again." {
             KindsDisagree { apart_mm: f64, together_mm: f64 } => "fitted separately, lengths and positions leave residuals of {apart_mm:.3} mm; together {together_mm:.3} mm: they do not belong to one robot";
         }
     }

@@ -35,7 +35,7 @@ const OFFSET_SHARE: f64 = 0.5;
 const ALIKE: f64 = 0.995;
 /// Hypotheses with a lower probability are not listed.
 const MIN_PROBABLE: f64 = 1e-3;
-/// Changes beyond so many typical ones are not considered.
+/// Changes beyond this number of typical changes are not considered.
 const LARGEST: f64 = 10.0;
 /// Draws for the distribution of the test statistic without a change, and their seed.
 const DRAWS: usize = 10_000;
@@ -49,9 +49,9 @@ pub struct Innovation {
     candidates: Vec<Vec<usize>>,
     /// Effect of each changeable parameter, a column each, in units of the noise.
     effects: DMatrix<f64>,
-    /// The innovation in the same coordinates.
+    /// The innovation in the same coordinates as the effects.
     innovation: DVector<f64>,
-    /// The sum of squares beyond it.
+    /// The sum of squares that is not in the innovation.
     rest: f64,
     freedom: usize,
     /// The test statistic without a change, drawn and sorted.
@@ -62,7 +62,7 @@ pub struct Innovation {
 pub struct Hypothesis {
     /// The changed parameters.
     pub parameters: Vec<ParamId>,
-    /// By least squares, in the order of the parameters, mm or rad.
+    /// Least-squares estimate of the change, in the order of the parameters, mm or rad.
     pub change: Vec<f64>,
     pub sd: Vec<f64>,
     pub interval95: Vec<[f64; 2]>,
@@ -115,7 +115,7 @@ impl Innovation {
         Self::at(expected, readings, noise, &expected.posterior.learnt(readings, noise)?)
     }
 
-    /// For planned lengths: without an innovation.
+    /// The test for planned lengths: it has no innovation.
     pub fn foreseen(
         expected: &Expected,
         readings: &[PreparedMeasurement],

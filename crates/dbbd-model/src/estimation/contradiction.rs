@@ -1,5 +1,5 @@
-//! Whether the data contradict what the estimate takes as given: places that the user fixed, the certified length of a bar,
-//! and that lengths and positions are of the same robot.
+//! Whether the data contradict the assumptions of the estimate: places that the user fixed, the certified length of a
+//! bar, and that lengths and positions are of the same robot.
 
 use super::calibration::Calibration;
 use super::estimator::Estimate;

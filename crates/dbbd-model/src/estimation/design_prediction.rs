@@ -25,7 +25,7 @@ pub struct ParameterPrediction {
     pub id: ParamId,
     pub before: f64,
     pub after: f64,
-    /// By the lengths alone, for a parameter of the base set.
+    /// Standard deviation by the lengths alone, for a parameter of the base set.
     pub alone: Option<f64>,
 }
 

@@ -20,7 +20,7 @@ pub struct DistanceQuantities {
     pub accuracy: DistanceQuantity,
     /// Three standard deviations, pooled over the poses.
     pub repeatability: DistanceQuantity,
-    /// Of the length at one pose with time; `None` if times are not known.
+    /// Drift of the length at a pose with time; `None` if times are not known.
     pub drift: Option<DistanceQuantity>,
     /// Repeatability of the second half of the run minus that of the first; `None` with too few lengths.
     pub repeatability_drift: Option<DistanceQuantity>,

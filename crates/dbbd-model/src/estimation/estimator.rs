@@ -1,9 +1,9 @@
-//! The estimate: maximum a posteriori of all unknowns, with variances of the largest marginal likelihood.
+//! The estimate: maximum a posteriori of all unknowns, with the variances that have the largest marginal likelihood.
 //!
-//! Geometry, set-up, bar, errors of the joints, and errors that no parameter explains are groups of one linear system. The
-//! lengths of one pose share the robot's own repeatability: their covariance is m^2 U U' + t^2 W, U the unit vectors along
-//! the bar, W what is given of the lengths. The model is linearised again until it settles. A group that the lengths do not
-//! support shrinks: nothing is chosen by a threshold.
+//! Geometry, set-up, bar, errors of the joints, and errors that no parameter explains are groups of one linear system.
+//! The lengths of one pose share the repeatability of the robot: their covariance is m^2 U U' + t^2 W, with U the unit
+//! vectors along the bar and W from the given standard deviations of the lengths. The model is linearised again until
+//! it settles. A group that the lengths do not support shrinks: nothing is chosen by a threshold.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -39,32 +39,32 @@ use crate::robot::{
 const OUTLIER_ROUNDS: usize = 3;
 /// Linearisations.
 const ROUNDS: usize = 4;
-/// Linearisations with variances that are known: at least, and at most until no parameter moves by more than this share of its
-/// standard deviation.
+/// Least and largest number of linearisations with known variances. They end when no parameter moves by more than this
+/// share of its standard deviation.
 const REFIT_ROUNDS: usize = 2;
 const MAX_REFIT_ROUNDS: usize = 12;
 const REST: f64 = 0.02;
-/// Steps towards the likeliest noise in each.
+/// Steps towards the most probable noise in each linearisation.
 const SCORES: usize = 2;
-/// More lengths are summed a piece at a time, with the variances of an even sample.
+/// More lengths than this are summed a piece at a time, with the variances from an even sample.
 const MAX_WHOLE: usize = 4800;
 /// Rows of a piece of many lengths, and pieces whose sums are in memory together.
 const PIECE: usize = 1024;
 const TOGETHER: usize = 8;
-/// Poses over which a geometry is brought near to the estimate.
+/// Number of poses over which a geometry alone is fitted to the estimate.
 const PROJECTED: usize = 400;
-/// With fewer degrees of freedom the residuals say nothing of the noise.
+/// With fewer degrees of freedom the residuals say nothing about the noise.
 const MIN_FREEDOM: f64 = 0.5;
 /// A linearisation that makes the residuals this many times as large, and this much larger (mm), does not hold.
 const DIVERGED: f64 = 10.0;
 const DIVERGED_MM: f64 = 1.0;
-/// Noise that is larger by less is the same.
+/// Noise that is larger by less than this factor counts as the same.
 const SAME_NOISE: f64 = 1.5;
-/// Ripples that are looked for at most.
+/// Largest number of ripples that are searched.
 const MAX_RIPPLES: usize = 8;
-/// Lengths beyond the parameters from which ripple is looked for.
+/// Ripple is searched only if there are this many more lengths than parameters.
 const REDUNDANT: usize = 30;
-/// The share of the noise of a pose in a standard deviation that is stated for the whole length.
+/// The share of a pose's noise in a standard deviation that is stated for the whole length.
 const POSE_SHARE: f64 = 0.1;
 /// A pose scatters by at least this share of the noise of a length.
 const MIN_POSE: f64 = 0.05;
@@ -77,60 +77,61 @@ pub(crate) struct Estimate {
     pub(crate) analysis: Analysis,
     /// The estimated parameters, in canonical order.
     pub(crate) kept: Vec<ParamId>,
-    /// Those of them that are independent by the lengths alone.
+    /// The estimated parameters that are independent by the lengths alone.
     pub(crate) base: Vec<ParamId>,
-    /// Places of the set-up that the poses leave open: they are fixed.
+    /// Coordinates of the set-up that the poses do not determine: they are fixed.
     pub(crate) open: Vec<ParamId>,
     pub(super) fit: Fit,
     /// The weights of the lengths, and the degrees of freedom if the residuals were used.
     pub(super) sigma: Sigma,
     pub(super) freedom: Option<f64>,
-    /// Prior standard deviations of the estimated parameters; `None` of what is free.
+    /// Prior standard deviations of the estimated parameters; `None` for a free one.
     pub(super) prior_sds: Vec<Option<f64>>,
-    /// A root of the covariance of parameters and coefficients, a row each.
+    /// A root of the covariance of parameters and coefficients, a row for each.
     pub(super) root: DMatrix<f64>,
-    /// With P the precision of the prior and C = root root' the covariance of all unknowns, a factor of root' P root: what is
-    /// left of it is of the noise.
+    /// A factor of root' P root, with P the precision of the prior and C = root root' the covariance of all unknowns.
+    /// The identity minus this product is the part of the noise.
     pub(super) of_prior: DMatrix<f64>,
     pub(super) groups: Vec<GroupEvidence>,
-    /// How many unknowns the data determine.
+    /// Number of unknowns that the data determine.
     pub(super) effective_parameters: f64,
     pub(super) noise: LengthNoise<'static>,
     pub(super) hypers: Hypers,
-    /// The hyper-parameters that the uncertainty is of.
+    /// The hyper-parameters with which the uncertainty is computed.
     cautious: Hypers,
     pub(super) shape: NoiseShape,
-    /// How far each joint is off its angle from visit to visit, rad.
+    /// Random error of each joint's angle from visit to visit, one standard deviation, rad.
     scatter_rad: [f64; AXES],
-    /// What an unknown sense of approach leaves of each joint's angle, rad.
+    /// Error of each joint's angle by backlash where the sense of approach is not known, one standard deviation, rad.
     pub(super) unapproached_rad: [f64; AXES],
     unknowns: Unknowns,
-    /// The unknowns that the model has.
+    /// The values of the unknowns in the model.
     z: DVector<f64>,
     bar_sds: Vec<f64>,
-    /// What happened while the lengths were measured, or could have.
+    /// Events that happened while the lengths were measured, or could have happened.
     pub(super) events: Vec<JudgedEvent>,
-    /// What certain events did to each length, mm; empty without them.
+    /// The effect of the certain events on each length, mm; empty without such events.
     event_mm: Vec<f64>,
-    /// What a result of the geometry alone leaves out.
+    /// The errors that a result of the geometry alone leaves out.
     pub(super) left_out: Option<GeometryRemainder>,
     /// Rows that belong to another ball than the table says.
     pub(super) wrong_balls: Vec<(usize, BallId)>,
 }
 
-/// What the geometry alone leaves out of an estimate.
+/// The errors that a geometry alone leaves out of an estimate.
 #[derive(Clone, Debug)]
 pub(super) struct GeometryRemainder {
-    /// The geometry with all its errors, and what is not known of it.
+    /// The geometry with all errors of the joints, and its uncertainty.
     pub(super) whole: Geometry,
     pub(super) uncertainty: RobotUncertainty,
-    /// What is left out at the poses measured, with what is not known of it: root mean square in each direction, mm.
+    /// The displacement that is left out at the measured poses, with its uncertainty: root mean square in each
+    /// direction, mm.
     rms_mm: f64,
 }
 
 impl GeometryRemainder {
-    /// How far the tool ball of `alone` is off at poses where the whole geometry has it, 3 rows a pose, mm; the rigid motion
-    /// of all poses is taken out.
+    /// The displacement of the tool ball between the geometry `alone` and the whole geometry at poses, 3 rows for each
+    /// pose, mm; the rigid motion of all poses is removed.
     pub(super) fn displacements(&self, alone: &Geometry, poses: &[([f64; AXES], Approach)]) -> DVector<f64> {
         let [whole, alone] = [&self.whole, alone].map(|geometry| BallMotion::new(geometry, poses, &[]).balls);
         let mut off =
@@ -140,19 +141,21 @@ impl GeometryRemainder {
     }
 }
 
-/// What the evidence says of a group.
+/// The evidence for a group of unknowns.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct GroupEvidence {
     #[serde(rename = "name")]
     pub group: Group,
-    /// One standard deviation of its members by the evidence: rad or mm; in prior standard deviations for compliance,
-    /// tolerance and tool ball.
+    /// One standard deviation of the group's members by the evidence: rad or mm; in prior standard deviations for
+    /// compliance, tolerance and tool ball.
     pub sd: f64,
-    /// How many of its members the data determine.
+    /// Number of the group's members that the data determine.
     pub effective_parameters: f64,
-    /// What it explains of the lengths beyond the geometry and the groups before it, root mean square, mm.
+    /// The part of the lengths that the group explains beyond the geometry and the groups before it, root mean square,
+    /// mm.
     pub rms_mm: f64,
-    /// Its share of the squares of the residuals that the geometry alone leaves; `None` of geometry and tool ball.
+    /// The explained squares as a share of the squared residuals that the geometry alone leaves; `None` for geometry
+    /// and tool ball.
     pub share: Option<f64>,
 }
 
@@ -166,7 +169,8 @@ pub struct JointSummary {
     pub backlash_noise_rad: Option<[f64; AXES]>,
 }
 
-/// Estimates those of the parameters `asked` that the data or a prior determine, from the nominal robot and a rough set-up.
+/// Estimates the parameters among `asked` that the data or a prior determine, from the nominal robot and a rough
+/// set-up.
 ///
 /// # Errors
 /// A number is not finite, or there is nothing to estimate.
@@ -197,10 +201,11 @@ fn with_wrong_balls(
     Ok(Estimate { wrong_balls: wrong, ..again })
 }
 
-/// A length of another ball is predicted no better than this, mm.
+/// A length to another ball is predicted no better than this, mm.
 const MIN_ERROR_MM: f64 = 0.05;
 
-/// With what happened while the lengths were measured; without it if shifted rows explain the lengths.
+/// The estimate with the events that happened while the lengths were measured; without them if shifted rows explain the
+/// lengths.
 fn with_events(
     setting: &Setting<'_>,
     lengths: &Lengths,
@@ -221,7 +226,8 @@ fn with_outliers(
     seeks_events: bool,
 ) -> Result<Estimate, EstimationFinding> {
     let mut start = EstimateStart::of(setting, lengths, asked)?;
-    // Many outliers may be what began at one row: then they are none, and the noise is no larger with them.
+    // Many outliers may come from an event that began at one row. Then they are no outliers, and with them the noise is
+    // no larger.
     if seeks_events && start.fit.outliers.len() >= MIN_LENGTHS {
         let whole = EstimateStart {
             fit: Fit { outliers: gross(lengths, &start), ..start.fit.clone() },
@@ -237,7 +243,7 @@ fn with_outliers(
     }
     for round in 0.. {
         let found = from_start(setting, lengths, &start, seeks_events).ok_or(EstimationFinding::NotFinite)?;
-        // Beside errors of the joints residuals are smaller: outliers show that the geometry alone hides.
+        // With errors of the joints the residuals are smaller: outliers appear that the geometry alone hides.
         let corrected = found.corrected(lengths);
         let all = corrected.weighted(Sigma::Given, &[]);
         let out = outliers(&all, &found.fit.model, found.effective_parameters as usize);
@@ -249,7 +255,7 @@ fn with_outliers(
     Err(EstimationFinding::NotFinite)
 }
 
-/// Rows that no ball and no bar explains that moved while the lengths were measured.
+/// Rows with an outlier that is too large for a ball or a bar that moved while the lengths were measured.
 fn gross(lengths: &Lengths, start: &EstimateStart) -> Vec<usize> {
     /// Larger residuals are mistakes of a row, mm.
     const GROSS_MM: f64 = 20.0;
@@ -296,7 +302,7 @@ fn from_start(
         if sample.is_some() {
             search.streamed(&mut step, &all)?;
         }
-        // What was found in a sample began at a row of all lengths.
+        // An event that was found in the sample gets its row among all lengths.
         for (_, place) in events.iter_mut().filter_map(|judged| judged.event.from.as_mut()) {
             *place = places.as_ref().map_or(*place, |places| places[*place]);
         }
@@ -304,8 +310,8 @@ fn from_start(
     }
 }
 
-/// The model from other lengths with the same variances: after the first linearisation, and at rest. `None` if it does not come
-/// to rest.
+/// The model that is fitted to other lengths with the same variances: after the first linearisation, and when it has
+/// come to rest. `None` if it does not come to rest.
 pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<[LengthModel; 2]> {
     let used = &lengths.weighted(Sigma::Given, &[]);
     let unknowns = &estimate.unknowns;
@@ -335,7 +341,7 @@ pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<[LengthMod
     None
 }
 
-/// Where a search for the hyper-parameters is.
+/// The state of a search for the hyper-parameters.
 #[derive(Clone)]
 struct Search<'a> {
     unknowns: &'a Unknowns,
@@ -348,7 +354,7 @@ struct Search<'a> {
 #[derive(Clone)]
 struct SearchState {
     model: LengthModel,
-    /// The unknowns that the model has.
+    /// The values of the unknowns in the model.
     z: DVector<f64>,
     hypers: Hypers,
     shape: NoiseShape,
@@ -356,7 +362,7 @@ struct SearchState {
     bar_sds: Vec<f64>,
 }
 
-/// A linearisation with the hyper-parameters that were found for it.
+/// A linearisation, whitened with the noise that was found for it.
 struct Step {
     system: System,
     whitened: Whitened,
@@ -364,7 +370,7 @@ struct Step {
 }
 
 impl<'a> Search<'a> {
-    /// From a state, else from a model and the middle of the priors.
+    /// Begins at a state, else at a model and the medians of the priors.
     fn new(
         unknowns: &'a Unknowns,
         used: &'a Weighted<'a>,
@@ -374,7 +380,7 @@ impl<'a> Search<'a> {
         let (lengths, start_mm) = (used.lengths(), used.rms_sigma());
         let stated_mm = if lengths.known { used.by(Sigma::Given).rms_sigma() } else { MIN_POSE * start_mm };
         let pose_mm = if lengths.is_sigma_given { POSE_SHARE * stated_mm } else { start_mm };
-        // Together they are what is stated.
+        // The pose and the independent noise together have the stated standard deviation.
         let stated_mm = if lengths.is_sigma_given {
             stated_mm * (1.0 - POSE_SHARE * POSE_SHARE).sqrt()
         } else {
@@ -394,8 +400,8 @@ impl<'a> Search<'a> {
         self.state.clone()
     }
 
-    /// The most probable event of the run, if it is more probable than none. What an event explains was noise before, so those
-    /// that are not unlikely are judged with variances of their own.
+    /// The most probable event of the run, if it is more probable than no event. Its effect was in the noise before:
+    /// events that are not unlikely are therefore judged again, with variances that are fitted to them.
     fn event(&self, step: &Step) -> Option<JudgedEvent> {
         let lengths = self.used.lengths();
         if !step.system.is_noisy() {
@@ -417,7 +423,7 @@ impl<'a> Search<'a> {
         search.strongest(candidates)
     }
 
-    /// Linearises, finds the hyper-parameters and moves the model to the likeliest unknowns.
+    /// Linearises, finds the hyper-parameters and moves the model to the most probable unknowns.
     fn round(&mut self, round: usize) -> Option<Step> {
         if let JointNoise::Approached { backlash, .. } = &mut self.state.shape.joints {
             let errors = &self.state.model.geometry.joint_errors;
@@ -446,7 +452,7 @@ impl<'a> Search<'a> {
         Some(Step { system, whitened, ln_evidence })
     }
 
-    /// The prior standard deviations of bars without a certificate at what is known of them now.
+    /// The prior standard deviations of bars without a certificate, from the posterior of their lengths.
     fn bar_sds(&self, posterior: &SystemPosterior<'_>) -> Option<Vec<f64>> {
         let mut columns = self.unknowns.bar_columns().peekable();
         if columns.peek().is_none() {
@@ -457,7 +463,7 @@ impl<'a> Search<'a> {
         Some(columns.map(|k| uncertified_variance(mean_square(k)).sqrt()).collect())
     }
 
-    /// Takes hyper-parameters over, of which sigma is a factor on the whole noise; what is stated stays.
+    /// Takes over hyper-parameters, whose sigma scales the whole noise; a stated part of the noise stays.
     fn rescale(&mut self, hypers: Hypers) {
         let (before_mm, now_mm) = (self.state.hypers.sigma_mm(), hypers.sigma_mm());
         let own_mm = self.state.shape.own.sd();
@@ -495,7 +501,7 @@ impl<'a> Search<'a> {
         let now = self.unknowns.at(&self.state.model, &self.state.z);
         let mut there = self.state.model.clone();
         self.unknowns.move_to(&now, &posterior.mean, &mut there);
-        // Lengths that belong to nothing lead far beyond where the linearisation holds: then the model stays.
+        // Lengths that fit no robot lead far beyond the range of the linearisation: then the model stays.
         let [here_mm, there_mm] = [&self.state.model, &there].map(|model| self.residual_mm(model));
         if there_mm < DIVERGED * here_mm + DIVERGED_MM {
             self.state.model = there;
@@ -503,7 +509,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The equations of all lengths, a piece at a time, with the variances that were found.
+    /// Computes the equations of all lengths, a piece at a time, with the variances that were found.
     fn streamed(&mut self, step: &mut Step, all: &Weighted) -> Option<()> {
         let z = self.unknowns.at(&self.state.model, &self.state.z);
         let places: Vec<usize> = all.used_places().collect();
@@ -536,7 +542,7 @@ impl<'a> Search<'a> {
         Some(())
     }
 
-    /// With the ripples that more than chance speaks for, one after the other.
+    /// Adds the ripples that the evidence supports beyond chance, one after the other.
     fn with_ripple(&mut self, start: Step) -> Option<Step> {
         let mut best = start;
         for _ in 0..MAX_RIPPLES {
@@ -550,8 +556,8 @@ impl<'a> Search<'a> {
         Some(best)
     }
 
-    /// The ripple of the largest Bayes factor. It is sought beside no more noise of the joints than is usual: what a ripple
-    /// explains was noise before.
+    /// The ripple with the largest Bayes factor. During the search the scatter of the joints is at most its usual
+    /// value, because the effect of a ripple was part of the noise before.
     fn ripple(&self, step: &Step) -> Option<Candidate> {
         let shape = NoiseShape { joints: self.state.shape.joints.at_most_usual(), ..self.state.shape };
         let whitened = step.system.whitened(shape, self.state.hypers.sigma_mm())?;
@@ -569,7 +575,7 @@ impl<'a> Search<'a> {
         search.strongest()
     }
 
-    /// The noise after a step towards the likeliest.
+    /// The noise after a step towards its most probable value.
     fn scored(&self, system: &System, whitened: &Whitened) -> Option<NoiseShape> {
         if self.state.shape.is_known() {
             return Some(self.state.shape);
@@ -612,12 +618,13 @@ impl<'a> Search<'a> {
         };
         let of_coefficient = |place: Option<usize>| place.map_or(0.0, |place| all.row(place).norm());
         let (scatter_rad, unapproached_rad) = match shape.joints {
-            // Where scatter is larger, sigma is smaller.
+            // If the scatter is larger than estimated, sigma is smaller.
             JointNoise::Approached { backlash, scatter } => {
                 let left = |joint: usize| of_coefficient(backlash_places[joint]);
                 (scatter, std::array::from_fn(|joint| backlash[joint].hypot(left(joint))))
             }
-            // Several lengths show the scatter of a pose in other directions too: what more backlash adds, sigma loses.
+            // Several lengths show the scatter of a pose in other directions too: if backlash is larger, sigma is
+            // smaller.
             JointNoise::Unapproached(sds) if system.rows.tell_noise_apart() => ([0.0; AXES], sds),
             JointNoise::Unapproached(_) => ([0.0; AXES], score.rms_rad()?),
         };
@@ -635,7 +642,8 @@ impl<'a> Search<'a> {
         let sigma_mm = hypers.sigma_mm();
         let whole_mm = system.rms_sd(shape, sigma_mm) * sigma_mm;
         let mut root = root;
-        // Where a list is followed and the residuals agree with what is stated of the lengths, that is their noise.
+        // If a list of parameters is estimated without a prior, and the residuals agree with the stated standard
+        // deviations of the lengths, these are the noise.
         let stated_mm = used.by(Sigma::Given).rms_sigma();
         let dof = whole.count() as f64 - effective_parameters;
         let ratio = (whole_mm / stated_mm).powi(2);
@@ -682,7 +690,7 @@ impl<'a> Search<'a> {
     }
 }
 
-/// What certain events did to each length, mm; empty without them.
+/// The effect of the certain events on each length, mm; empty without such events.
 fn event_mm(events: &[JudgedEvent], lengths: &Lengths, model: &LengthModel) -> Vec<f64> {
     let certain: Vec<&JudgedEvent> = events.iter().filter(|event| event.is_certain).collect();
     if certain.is_empty() {
@@ -697,7 +705,7 @@ fn event_mm(events: &[JudgedEvent], lengths: &Lengths, model: &LengthModel) -> V
     of_rows
 }
 
-/// The rows of the root over the standard deviations of their priors, transposed.
+/// The rows of the root, divided by the standard deviations of their priors, transposed.
 fn of_prior(system: &System, root: &DMatrix<f64>, hypers: &Hypers) -> DMatrix<f64> {
     let bound: Vec<usize> = (0..system.variances.len()).filter(|k| system.variances[*k].is_some()).collect();
     let mut rows = root.select_rows(&bound);
@@ -707,7 +715,7 @@ fn of_prior(system: &System, root: &DMatrix<f64>, hypers: &Hypers) -> DMatrix<f6
     rows.transpose()
 }
 
-/// What each group came to; what it explains is beyond the groups before it.
+/// The evidence for each group; each group counts beyond the groups before it.
 fn groups(
     system: &System,
     whitened: &Whitened,
@@ -795,7 +803,8 @@ impl Estimate {
         lengths.weighted(self.sigma, &self.fit.outliers)
     }
 
-    /// The lengths as they would be without what happened for certain, each to its own ball. The table keeps what was measured.
+    /// The lengths as they would be without the certain events, each with its own ball. The table keeps the measured
+    /// values.
     pub(super) fn corrected<'a>(&self, lengths: &Lengths<'a>) -> Lengths<'a> {
         let relabelled = lengths.relabelled(&self.wrong_balls);
         if self.event_mm.is_empty() {
@@ -805,19 +814,19 @@ impl Estimate {
         relabelled.with_lengths(corrected.collect())
     }
 
-    /// What is not known of the robot, its tool ball and the base balls.
+    /// The uncertainty of the robot, its tool ball and the base balls.
     pub(super) fn uncertainty(&self, robot: &Robot) -> RobotUncertainty {
         let is_own = |id: ParamId| id.moves_tool_ball() || matches!(id, ParamId::Ball(..));
         let own: Vec<usize> = (0..self.kept.len()).filter(|&k| is_own(self.kept[k])).collect();
         let rows: Vec<usize> = own.iter().copied().chain(self.kept.len()..self.root.nrows()).collect();
         let has_errors = !self.fit.model.geometry.joint_errors.is_none();
-        // What poses that are alike have in common is an error of another pose too.
+        // An error that similar poses have in common is an error of any other pose too.
         let cluster_mm = if has_errors { self.cautious.sd(Group::Cluster) } else { 0.0 };
         let pose_mm = match &self.left_out {
             Some(left_out) => left_out.uncertainty.pose_mm.hypot(left_out.rms_mm),
             None => self.noise.pose_mm.hypot(cluster_mm),
         };
-        // The functions of an earlier identification have its processes still.
+        // The smooth functions of an earlier identification keep its processes.
         let (smooth, smooth_of_joints) = if self.unknowns.has_coefficients() {
             let RobotUncertainty { smooth, smooth_of_joints, .. } = robot.known_uncertainty();
             (smooth, smooth_of_joints)
@@ -837,8 +846,8 @@ impl Estimate {
         }
     }
 
-    /// The geometry that is nearest to the estimate at the poses measured, without what is not geometric. What it leaves out is an
-    /// error of every pose.
+    /// The estimate with the geometry alone that is nearest to it at the measured poses, without errors that are not
+    /// geometric. The part that is left out is an error of every pose.
     fn geometry_alone(mut self, setting: &Setting<'_>, lengths: &Lengths) -> Self {
         let whole = self.fit.model.geometry.clone();
         if whole.is_rigid() {
@@ -853,7 +862,7 @@ impl Estimate {
         let alone = BallMotion::new(&rigid, &poses, &ids);
         let mut jacobian = alone.jacobian.columns(0, ids.len()).into_owned();
         take_out_rigid_motion(&mut jacobian, &alone.balls);
-        // What is not known of the errors that are left out is left out too.
+        // The uncertainty of the errors that are left out is left out too.
         let (optional, geometric): (Vec<usize>, Vec<usize>) =
             (0..self.kept.len()).partition(|at| self.kept[*at].is_optional());
         let rows: Vec<usize> = optional.iter().copied().chain(self.kept.len()..self.root.nrows()).collect();
@@ -884,7 +893,7 @@ impl Estimate {
             self.kept.iter().copied().filter(|id| is_place(id) && !matches!(id, ParamId::Tool(_))).collect();
         let set_up = super::fit::set_up(&self.corrected(lengths), &places, &self.fit.model);
         self.fit.model = set_up.model;
-        // What backlash is known is left out at the poses measured.
+        // Known backlash is part of the errors that are left out at the measured poses.
         if !self.lacks_approach() {
             self.unapproached_rad = [0.0; AXES];
             self.scatter_rad = [0.0; AXES];

@@ -1,9 +1,9 @@
-//! Variances of groups of unknowns by maximum marginal likelihood, under a prior of their logarithms.
+//! Variances of groups of unknowns by maximum marginal likelihood, with a prior on their logarithms.
 //!
 //! Linearised, y = J w + noise with w_i ~ N(0, v_i): in the coordinates w = V^1/2 m the posterior has the precision
 //! B = I + V^1/2 J'J V^1/2 / sigma^2 (MacKay, Neural Computation 4, 1992; Rasmussen and Williams, Gaussian Processes for
-//! Machine Learning, 5.4). A group that explains nothing shrinks to nothing: no test need choose it. Free unknowns are
-//! taken out of the rows before, so that they cost no prior.
+//! Machine Learning, 5.4). A group that explains nothing shrinks to zero: no test need choose it. Free unknowns are
+//! eliminated from the rows before, so that they do not reduce the evidence.
 
 use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
 
@@ -11,14 +11,14 @@ use super::hyper_parameters::{HYPERS, HyperPrior, Hypers, SIGMA, Variance};
 
 /// Steps after which the variances are taken as they are.
 const MAX_STEPS: usize = 60;
-/// A gain of the logarithm of the evidence below this is none.
+/// The search ends at a smaller gain of the logarithm of the evidence.
 const REST: f64 = 1e-3;
-/// No step changes the logarithm of a variance's root by more.
+/// Largest change of the logarithm of a standard deviation in a step.
 const LONGEST_STEP: f64 = 1.0;
-/// A gain of this share of what the gradient promises suffices.
+/// A step is accepted if it gains at least this share of the gain that the gradient predicts (Armijo's rule).
 const ARMIJO: f64 = 1e-4;
 
-/// Normal equations of rows of unit noise, free unknowns taken out.
+/// Normal equations of whitened rows, with the free unknowns eliminated.
 #[derive(Clone, Debug)]
 pub(super) struct NormalEquations {
     pub(super) gram: DMatrix<f64>,
@@ -57,7 +57,7 @@ impl Coefficients {
         root
     }
 
-    /// How much of each the data determine, from 0 to 1.
+    /// The fraction of each coefficient that the data determine, from 0 to 1.
     pub(super) fn determined(&self) -> Vec<f64> {
         self.inverse_factor.column_iter().map(|column| 1.0 - column.norm_squared()).collect()
     }
@@ -77,7 +77,7 @@ pub(super) struct Evidence {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Optimum {
     pub(super) hypers: Hypers,
-    /// Standard deviation of the logarithm of each by the curvature (Laplace).
+    /// Standard deviation of the logarithm of each hyper-parameter, from the curvature (Laplace).
     pub(super) ln_sd: [f64; HYPERS],
 }
 
@@ -141,8 +141,8 @@ impl Evidence {
         Some(Optimum { hypers: here.hypers, ln_sd })
     }
 
-    /// Newton's step within the bounds, with the gradient of what it moves: a hyper-parameter that it would move beyond its bound
-    /// stays there.
+    /// Newton's step within the bounds, and the gradient of the hyper-parameters that it moves. A hyper-parameter that
+    /// would move beyond its bound stays there.
     fn step(&self, here: &Point, slopes: Slopes) -> Option<(SVector<f64, HYPERS>, SVector<f64, HYPERS>)> {
         let Slopes { mut gradient, mut information } = slopes;
         loop {
@@ -188,14 +188,15 @@ impl Evidence {
         Some(Point { hypers, coefficients, ln_evidence })
     }
 
-    /// Logarithm of the prior of the hyper-parameters, against its middle.
+    /// Logarithm of the prior density of the hyper-parameters, relative to its largest value.
     pub(super) fn ln_prior(&self, hypers: &Hypers) -> f64 {
         let deviates = self.hyper_priors.iter().zip(hypers.0).map(|(prior, ln)| prior.off(ln));
         -0.5 * deviates.map(|deviate| deviate * deviate).sum::<f64>()
     }
 
-    /// With C = B^-1: d ln Z / d ln v_i = (m_i^2 + C_ii - 1) / 2, whose information is (I - C)_ij^2 / 2; by ln sigma
-    /// r'r / sigma^2 + p - tr C - n, with the information 2 (n - p + tr C^2), and (C - C^2)_ii across.
+    /// Gradient and information. With C = B^-1, d ln Z / d ln v_i = (m_i^2 + C_ii - 1) / 2, and the information is
+    /// (I - C)_ij^2 / 2. By ln sigma the gradient is r'r / sigma^2 + p - tr C - n, the information is
+    /// 2 (n - p + tr C^2), and the information of ln sigma with ln v_i is (C - C^2)_ii.
     fn slopes(&self, here: &Point) -> Slopes {
         let Point { hypers, coefficients, .. } = here;
         let count = self.variances.len();
@@ -240,8 +241,8 @@ impl Evidence {
     }
 }
 
-/// The lower Cholesky factor of a symmetric matrix, and its inverse. By halves, so that products do most of the work;
-/// `None` of a matrix that is not positive definite.
+/// The lower Cholesky factor of a symmetric matrix, and its inverse. The matrix is halved again and again, so that
+/// products do most of the work; `None` if the matrix is not positive definite.
 fn cholesky_with_inverse(matrix: &DMatrix<f64>) -> Option<[DMatrix<f64>; 2]> {
     /// Smaller matrices are not halved.
     const LEAF: usize = 24;

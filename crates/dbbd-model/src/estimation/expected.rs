@@ -9,10 +9,10 @@ use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, ParamUnit, Robot};
 /// Possible changes by mounting since the calibration, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mounting {
-    /// Of each coordinate of the tool ball.
+    /// Standard deviation of each coordinate of the tool ball, mm.
     pub tool_mm: f64,
     pub balls: BallMounting,
-    /// Of the length of a bar.
+    /// Standard deviation of the length of a bar, mm.
     pub bar_mm: f64,
 }
 
@@ -21,7 +21,7 @@ pub struct Mounting {
 pub enum BallMounting {
     /// Remounted anywhere.
     Anywhere,
-    /// At the given places, with this standard deviation of each coordinate, mm.
+    /// Mounted at the given places, with this standard deviation of each coordinate, mm.
     About(f64),
     /// As in the calibration, with this standard deviation of each coordinate, mm: a ball that moved is a change.
     Kept(f64),
@@ -68,7 +68,7 @@ impl Expected {
             added.extend(Coordinate::ALL.map(|axis| (ParamId::Ball(ball, axis), ball_mm)));
         }
         ids.extend(added.iter().map(|(id, _)| *id).filter(|id| !known.ids().contains(id)));
-        // What the calibration left as it was can change too.
+        // A parameter that the calibration did not estimate can change too.
         let unchanged: Vec<ParamId> = ParamId::denavit_hartenberg().filter(|id| !ids.contains(id)).collect();
         ids.extend(unchanged);
         // Rows: parameters of the calibration, of the set-up, coefficients of the joint errors.
@@ -104,7 +104,7 @@ impl Expected {
         DVector::from_iterator(self.changeable().count(), self.changeable().map(effect))
     }
 
-    /// With possible changes of these parameters.
+    /// The expected robot with possible changes of these parameters.
     pub fn changed(&self, parameters: &[ParamId]) -> Self {
         let ids = self.posterior.ids();
         let mut columns = DMatrix::zeros(self.posterior.root().nrows(), parameters.len());

@@ -15,14 +15,15 @@ use crate::math::distributions::ChiSquareOutcome;
 use crate::measurement::LengthModel;
 use crate::robot::{ParamId, Robot, parameter};
 
-/// With a larger fraction of outliers the remaining lengths are doubtful too.
+/// With a larger fraction of outliers the remaining lengths cannot be relied on either.
 const OUTLIER_FRACTION: f64 = 0.1;
 /// A robot drawn from its tolerance deviates by less than this fraction of the expectation in fewer than one run of a
 /// thousand.
 const CLOSEST_TO_NOMINAL: f64 = 0.04;
 /// With fewer lengths an agreement with the nominal robot may be chance.
 const MIN_LENGTHS: usize = 20;
-/// Residuals beyond so many standard deviations of noise and repeatability are mainly errors that the model lacks.
+/// Residuals beyond this number of standard deviations of noise and repeatability are mainly errors that the model
+/// lacks.
 const FAR: f64 = 5.0;
 
 /// Residuals below this fraction of sigma contradict it,
@@ -63,7 +64,8 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found
 }
 
-/// What happened within the data, or could have; `None` without the part that it is about.
+/// The finding for an event that happened while the lengths were measured, or could have happened; `None` if the
+/// hypothesis lacks the part that the finding names.
 fn happened(found: &RunHypothesis) -> Option<EstimationFinding> {
     let RunHypothesis { name, place, size, sd, probability, rivals, treated } = found;
     let (size_mm, sd_mm) = (*size, *sd);
@@ -103,7 +105,7 @@ fn happened(found: &RunHypothesis) -> Option<EstimationFinding> {
         SupposedEventKind::WrongBall => {
             EstimationFinding::WrongBall { ball: place.ball?, indices: Names::of(place.rows.iter()) }
         }
-        // A rival of the others alone.
+        // It is only a rival of the other events.
         SupposedEventKind::BallOffset => return None,
     })
 }
@@ -115,7 +117,7 @@ fn beyond_prior(of: &Calibration<'_>) -> Option<EstimationFinding> {
     }
     let times = of.estimate.beyond_prior(&of.setting)?;
     let is_default = of.setting.options.prior == Prior::Datasheet;
-    // A default tolerance was widened to fit the lengths, so only impossible corrections are doubted.
+    // A default tolerance was widened to fit the lengths, so only impossible corrections get a warning.
     Some(match times > largest_plausible(!is_default) {
         true => EstimationFinding::FarBeyondPrior { times },
         false if is_default => EstimationFinding::PriorWidened { times },
@@ -231,7 +233,7 @@ fn position(of: &Calibration<'_>) -> Option<EstimationFinding> {
     })
 }
 
-/// What the sense of approach would bring, where no row has it.
+/// The gain that the sense of approach would bring, if no row has it.
 fn approach_unknown(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let (backlash_mm, identified_mm) = (of.prediction.parts.backlash_mm, of.prediction.pair.identified.mean);
     (of.estimate.lacks_approach() && backlash_mm > WORTH_ASKING * identified_mm)

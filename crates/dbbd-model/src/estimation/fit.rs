@@ -22,7 +22,7 @@ pub(super) struct Fit {
     pub(super) outliers: Vec<usize>,
 }
 
-/// Fits those of the `free` parameters that belong to the set-up; the robot stays as it is.
+/// Fits the parameters among `free` that belong to the set-up; the robot stays as it is.
 pub(super) fn set_up(lengths: &Lengths, free: &[ParamId], start: &LengthModel) -> Fit {
     let ids: Vec<ParamId> = free.iter().copied().filter(|id| id.is_setup()).collect();
     if ids.is_empty() {
@@ -38,8 +38,8 @@ pub(super) fn set_up(lengths: &Lengths, free: &[ParamId], start: &LengthModel) -
     robust(&all, ids.len(), plain, |lengths, loss, reached| from(lengths, loss, reached.unwrap_or(start)))
 }
 
-/// Fits the parameters `kept`, of which so many are independent by the lengths alone, from `start`, whose set-up has been
-/// fitted.
+/// Fits the parameters `kept` from `start`, whose set-up has been fitted. By the lengths alone only `independent` of
+/// them are independent.
 pub(super) fn all(
     lengths: &Lengths,
     sigma: Sigma,
@@ -63,7 +63,8 @@ pub(super) fn all(
     let near = (!absurd.is_empty()).then(|| from(&lengths.weighted(sigma, &absurd), Loss::Huber, start));
     if let Some(near) = &near {
         let residuals = whitened(&all, &near.model);
-        // Lengths that stay so far would spread over all residuals in a fit of squares: then it is none to judge them by.
+        // Lengths that stay far would spread over all residuals in a least-squares fit: then this fit must not judge
+        // them.
         plain = match exceeding(&all, &near.model, &residuals, ABSURD, 0).is_empty() {
             true => from(&all, Loss::Squares, &near.model),
             false => Solution { residuals, ..near.clone() },
@@ -139,7 +140,7 @@ fn robust(
     Fit { model: reached.model, iterations, converged: reached.converged, outliers: rejected }
 }
 
-/// Indices of the outliers among `lengths` for a model with so many fitted `parameters`.
+/// Indices of the outliers among `lengths` for a model with this number of fitted `parameters`.
 pub(super) fn outliers(lengths: &Weighted, model: &LengthModel, parameters: usize) -> Vec<usize> {
     exceeding(lengths, model, &whitened(lengths, model), limit(lengths.count()), parameters)
 }

@@ -1,6 +1,6 @@
 //! Groups of unknowns that share a variance, and the hyper-parameters that these variances follow.
 //!
-//! A hyper-parameter is positive, and its logarithm has a normal prior. `evidence` finds their likeliest values.
+//! A hyper-parameter is positive, and its logarithm has a normal prior. `evidence` finds the most probable values.
 
 use serde::{Deserialize, Serialize};
 
@@ -70,22 +70,22 @@ impl Group {
 /// The number of hyper-parameters.
 pub(super) const HYPERS: usize = Group::ALL.len() + 4 + AXES;
 
-/// The place of a hyper-parameter that is not the standard deviation of a group: the length scale of the quick part of the
-/// smooth functions (rad), the noise of a pose (mm), standard deviation and length scale of their slow part (rad), and the
-/// factor on the functions of each joint.
+/// The places of the hyper-parameters that are not the standard deviation of a group: length scale of the quick part of
+/// the smooth functions (rad), noise of a pose (mm), standard deviation and length scale of the slow part (rad), and
+/// the factor on the functions of each joint.
 const LENGTH: usize = Group::ALL.len();
 pub(super) const SIGMA: usize = LENGTH + 1;
 const SLOW: usize = LENGTH + 2;
 const SLOW_LENGTH: usize = LENGTH + 3;
 const OF_JOINT: usize = LENGTH + 4;
 
-/// 95 % of a normal distribution are below so many standard deviations.
+/// 95 % of a normal distribution are below this number of standard deviations.
 const QUANTILE_95: f64 = 1.645;
 
 impl HyperPrior {
-    /// Those of the groups in their order, then the others. Typical of industrial joints: an eccentricity of half a
-    /// milliradian, the other errors a fifth of it and less. A tolerance and what is stated of the tool ball are at least
-    /// what they say. `sigma_mm` is the repeatability of the robot along a length.
+    /// The priors of the groups in their order, then the others. They are typical of industrial joints: an eccentricity
+    /// of half a milliradian, the other errors a fifth of it and less. Tolerance and tool ball have at least their
+    /// stated standard deviations. `sigma_mm` is the repeatability of the robot along a length.
     pub(super) fn all(sigma_mm: f64) -> [Self; HYPERS] {
         let angle = |median, ln_sd| Self { median, ln_sd, bounds: [1e-8, 1e-1] };
         let factor = |ln_sd, bounds| Self { median: 1.0, ln_sd, bounds };
@@ -106,7 +106,7 @@ impl HyperPrior {
         all
     }
 
-    /// The normal deviate of a logarithm.
+    /// The distance of a logarithm from its prior median, in prior standard deviations.
     pub(super) fn off(self, ln: f64) -> f64 {
         (ln - self.median.ln()) / self.ln_sd
     }
@@ -124,19 +124,20 @@ const JOINT_LN_SD: f64 = 0.5;
 pub(super) struct Hypers(pub(super) [f64; HYPERS]);
 
 impl Hypers {
-    /// The middle of the priors, with this standard deviation of the lengths, mm.
+    /// The medians of the priors, with this standard deviation of the lengths, mm.
     pub(super) fn start(priors: &[HyperPrior; HYPERS], sigma_mm: f64) -> Self {
         let mut start = Self(priors.map(|prior| prior.median.ln()));
         start.0[SIGMA] = priors[SIGMA].clamp(sigma_mm.ln());
         start
     }
 
-    /// Those of joints before any length.
+    /// The hyper-parameters of joints before any length.
     pub(super) fn usual() -> Self {
         Self::start(&HyperPrior::all(1.0), 1.0)
     }
 
-    /// One standard deviation of a group, in its unit; of smooth functions that of the quick part of a joint like the others.
+    /// One standard deviation of a group, in its unit; for smooth functions that of the quick part, before the factor
+    /// of a joint.
     pub(super) fn sd(&self, group: Group) -> f64 {
         self.0[group as usize].exp()
     }
@@ -146,8 +147,9 @@ impl Hypers {
         self
     }
 
-    /// With the means of the standard deviations, whose logarithms have the standard deviations `ln_sd`: what the data do not
-    /// support is larger than its likeliest value. At most what 95 % of the prior are below.
+    /// The hyper-parameters with standard deviations replaced by their posterior means, where `ln_sd` are the standard
+    /// deviations of their logarithms. A standard deviation that the data do not support becomes larger than its most
+    /// probable value, but at most the 95 % quantile of its prior.
     pub(super) fn mean_sds(mut self, priors: &[HyperPrior; HYPERS], ln_sd: &[f64; HYPERS]) -> Self {
         let is_sd = |at: usize| at < Group::ALL.len() || at == SLOW;
         for at in (0..HYPERS).filter(|at| is_sd(*at)) {
@@ -158,7 +160,7 @@ impl Hypers {
         self
     }
 
-    /// What the smooth functions are the sum of: a quick and a slow process.
+    /// The processes whose sum the smooth functions are: a quick and a slow one.
     pub(super) fn processes(&self) -> [GaussianProcess; 2] {
         Self::PROCESSES.map(|[sd, length]| GaussianProcess {
             sd_rad: self.0[sd].exp(),
@@ -166,7 +168,7 @@ impl Hypers {
         })
     }
 
-    /// The places of their standard deviations and lengths.
+    /// The places of the processes' standard deviations and length scales.
     const PROCESSES: [[usize; 2]; 2] = [[Group::Smooth as usize, LENGTH], [SLOW, SLOW_LENGTH]];
 
     /// The factor on the smooth functions of each joint.
@@ -179,16 +181,16 @@ impl Hypers {
     }
 }
 
-/// What the prior variance of an unknown follows.
+/// The source of the prior variance of an unknown.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Variance {
-    /// This standard deviation.
+    /// A fixed standard deviation.
     Fixed(f64),
-    /// That of its group times this.
+    /// The standard deviation of a group times a factor.
     Of(Group, f64),
     /// The spectral density of a joint's smooth function at this angular frequency (1/rad).
     Spectral(Joint, f64),
-    /// This standard deviation, which the noise gives to backlash.
+    /// A standard deviation of backlash that follows from the noise.
     ByNoise(f64),
 }
 
@@ -205,7 +207,8 @@ impl Variance {
         }
     }
 
-    /// The derivative of its logarithm by the logarithm of each hyper-parameter that it follows, to `each` with the place.
+    /// Gives the derivative of the variance's logarithm by the logarithm of each hyper-parameter on which it depends to
+    /// `each`, with the place of the hyper-parameter.
     pub(super) fn slopes(self, hypers: &Hypers, mut each: impl FnMut(usize, f64)) {
         match self {
             Self::Fixed(_) | Self::ByNoise(_) => {}
@@ -229,7 +232,7 @@ impl Variance {
         self.value(hypers).sqrt()
     }
 
-    /// The group that it belongs to.
+    /// The group to which the unknown belongs.
     pub(super) fn group(self) -> Option<Group> {
         match self {
             Self::Fixed(_) => None,

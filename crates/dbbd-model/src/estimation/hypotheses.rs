@@ -1,10 +1,11 @@
-//! Hypotheses of what happened while the lengths were measured: a table of kinds, compared with each other and with the errors
+//! Hypotheses of events while the lengths were measured: a table of kinds, compared with each other and with the errors
 //! that the model has anyway, at one shared rate of false alarms.
 //!
-//! A hypothesis adds columns H to the lengths, whose coefficients are N(0, s^2). Beside the posterior at hand, with the columns
-//! of unit noise, G = H'P H and g = H'e, its Bayes factor is ln B = g'(G + I/s^2)^-1 g / 2 - ln|I + s^2 G| / 2, the best of six
-//! sizes s less ln 6. All kinds and places together have a prior probability of 1 %. The data are never changed: what is
-//! certain beyond every rival becomes an unknown of the model, else it is reported with its rivals.
+//! A hypothesis adds columns H to the design rows, whose coefficients are N(0, s^2). With P the projection that
+//! eliminates the other unknowns and e the residuals, for rows of unit noise, G = H'P H and g = H'e. The Bayes factor
+//! is ln B = g'(G + I/s^2)^-1 g / 2 - ln|I + s^2 G| / 2, the best of six sizes s less ln 6. All kinds and places
+//! together have a prior probability of 1 %. The data are never changed: an event that is certain and has no rival
+//! becomes an unknown of the model, others are reported with their rivals.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -17,7 +18,7 @@ use crate::robot::{BallId, BarId, Datum, Joint};
 
 /// Prior probability that anything of the table happened.
 const ANYTHING: f64 = 0.01;
-/// What is certain has these odds against nothing and against every rival.
+/// A certain event has these odds against no event and against every rival.
 const CERTAIN_ODDS: f64 = 99.0;
 /// Columns with a larger cosine are alike.
 const ALIKE: f64 = 0.9;
@@ -27,12 +28,12 @@ const SIZES: usize = 6;
 pub(super) const MRAD: f64 = 1e3;
 /// Least number of rows before and after a place.
 pub(super) const MIN_LENGTHS: usize = 8;
-/// At most so many places are tried, evenly spread.
+/// Largest number of places that are tried, evenly spread.
 const MAX_PLACES: usize = 128;
-/// Hypotheses that may be certain together.
+/// Largest number of certain hypotheses.
 pub(super) const MAX_CERTAIN: usize = 8;
 
-/// What may have happened.
+/// A kind of event that may have happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SupposedEventKind {
@@ -45,12 +46,12 @@ pub enum SupposedEventKind {
     TrackerMoved,
     TrackerDrift,
     WrongBall,
-    /// All lengths of a ball are off alike: a rival of what begins at its first row.
+    /// All lengths to a ball have the same error: a rival of events that begin at the ball's first row.
     BallOffset,
 }
 
 impl SupposedEventKind {
-    /// Those that add columns.
+    /// The kinds that add columns.
     const OF_COLUMNS: [Self; 8] = [
         Self::BarZeroStep,
         Self::BarZeroDrift,
@@ -62,7 +63,7 @@ impl SupposedEventKind {
         Self::BallOffset,
     ];
 
-    /// Its name in words, the unit of its size, its least and largest size, and how many columns it adds.
+    /// The name in words, the unit of the size, the least and largest size, and the number of columns.
     const fn description(self) -> (&'static str, &'static str, [f64; 2], usize) {
         const SLIGHT: [f64; 2] = [0.005, 5.0];
         const LARGE: [f64; 2] = [0.02, 50.0];
@@ -79,54 +80,54 @@ impl SupposedEventKind {
         }
     }
 
-    /// In words.
+    /// The name in words.
     pub fn name(self) -> &'static str {
         let (name, ..) = self.description();
         name
     }
 
-    /// Unit of its size.
+    /// Unit of the size.
     pub(super) fn unit(self) -> &'static str {
         let (_, unit, ..) = self.description();
         unit
     }
 
-    /// Least and largest size in its unit.
+    /// Least and largest size, in the unit of the kind.
     fn sizes(self) -> [f64; 2] {
         let (.., sizes, _) = self.description();
         sizes
     }
 }
 
-/// What happened and where: the part that it is of, and when it began.
+/// An event: its kind, the part that it concerns, and when it began.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SupposedEvent {
     pub(super) kind: SupposedEventKind,
     pub(super) bar: Option<BarId>,
     pub(super) ball: Option<BallId>,
     pub(super) joint: Option<Joint>,
-    /// Elapsed time of the first row that it concerns, and the place of that row; `None` for all rows.
+    /// Elapsed time of the first row that the event concerns, and the place of that row; `None` for all rows.
     pub(super) from: Option<(f64, usize)>,
-    /// Whether a drift grows with the length, as that of a bar that warms up, or is the same for all lengths.
+    /// Whether a drift is proportional to the length, as of a bar that warms up, or the same for all lengths.
     pub(super) grows: bool,
-    /// Prior standard deviation of its size, mm; of a zero of an axis mrad.
+    /// Prior standard deviation of the event's size, mm; for the zero of an axis mrad.
     pub(super) size: f64,
 }
 
 impl SupposedEvent {
-    /// How many columns it adds.
+    /// Number of columns that the event adds.
     pub(super) fn columns(&self) -> usize {
         let (.., columns) = self.kind.description();
         columns
     }
 
-    /// Whether another one is of the same kind, part and row.
+    /// Whether another event has the same kind, part and row.
     fn is_of_place(&self, other: &Self) -> bool {
         let place = |event: &Self| (event.kind, event.bar, event.ball, event.joint, event.from);
         place(self) == place(other)
     }
 
-    /// Whether a length is of the part that it is of.
+    /// Whether a length is measured with the part that the event concerns.
     fn is_of(&self, datum: Datum) -> bool {
         let is_of_tracker =
             matches!(self.kind, SupposedEventKind::TrackerMoved | SupposedEventKind::TrackerDrift);
@@ -139,7 +140,7 @@ impl SupposedEvent {
             && self.ball.is_none_or(|ball| datum.ball() == Some(ball))
     }
 
-    /// Its columns at the rows, mm per unit of its size.
+    /// The columns of the event at the rows, mm per unit of its size.
     pub(super) fn of_rows(&self, rows: &PoseRows, lengths: &Lengths) -> DMatrix<f64> {
         let mut columns = DMatrix::zeros(rows.lengths.len(), self.columns());
         let sum: f64 = rows.lengths.iter().map(|length| lengths.reading(length.place).length_mm).sum();
@@ -178,12 +179,12 @@ pub struct RunHypothesis {
     pub name: SupposedEventKind,
     #[serde(rename = "where")]
     pub place: EventPlace,
-    /// Its size, mm; of a zero of an axis mrad.
+    /// Size of the event, mm; for the zero of an axis mrad.
     pub size: f64,
-    /// Standard deviation of the size, in its unit.
+    /// Standard deviation of the size, in the same unit.
     pub sd: f64,
     pub probability: f64,
-    /// What else explains the same.
+    /// Other events that explain the same lengths.
     pub rivals: Vec<SupposedEventKind>,
     pub treated: EventTreatment,
 }
@@ -207,9 +208,9 @@ pub struct EventPlace {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EventTreatment {
-    /// Certain: it is an unknown of the estimate.
+    /// The event is certain: it is an unknown of the estimate.
     Unknown,
-    /// It could be.
+    /// The event is possible: it is only reported.
     Reported,
 }
 
@@ -218,7 +219,7 @@ pub enum EventTreatment {
 pub(super) struct JudgedEvent {
     pub(super) event: SupposedEvent,
     pub(super) probability: f64,
-    /// Coefficients of its columns, and the standard deviation along them, mm; of a zero of an axis mrad.
+    /// Coefficients of the event's columns, and the standard deviation along them, mm; for the zero of an axis mrad.
     pub(super) coefficients: DVector<f64>,
     pub(super) sd: f64,
     pub(super) rivals: Vec<SupposedEventKind>,
@@ -238,19 +239,19 @@ impl EventCandidate {
         self.ln_prior + self.ln_bayes
     }
 
-    /// Whether it could be an event once its variances are its own.
+    /// Whether the event could become probable when the variances are fitted to it.
     pub(super) fn is_worth_a_fit(&self) -> bool {
         const UNLIKELY: f64 = -5.0;
         self.ln_odds() > UNLIKELY
     }
 
-    /// What choosing its size costs.
+    /// The loss of evidence for the choice of the size, as a logarithm.
     pub(super) fn ln_sizes(&self) -> f64 {
         (SIZES as f64).ln()
     }
 }
 
-/// A posterior beside which hypotheses are judged.
+/// A posterior to which hypotheses are added to judge them.
 pub(super) struct EventSearch<'a> {
     pub(super) rows: &'a PoseRows,
     pub(super) whitened: &'a Whitened,
@@ -287,8 +288,8 @@ impl<'a> EventSearch<'a> {
         SupposedEventKind::OF_COLUMNS.into_iter().filter_map(best).collect()
     }
 
-    /// The most probable event, if it is more probable than nothing. The offset of a ball is none; where it explains the
-    /// lengths better, only an event that resembles it is reported.
+    /// The most probable event, if it is more probable than no event. The offset of a ball is not an event; if it
+    /// explains the lengths better, only an event that resembles it is reported.
     pub(super) fn strongest(&self, candidates: Vec<EventCandidate>) -> Option<JudgedEvent> {
         let margin = CERTAIN_ODDS.ln();
         let is_rival = |of: &EventCandidate, other: &EventCandidate| {
@@ -382,7 +383,7 @@ impl<'a> EventSearch<'a> {
         columns / self.sigma_mm
     }
 
-    /// With its size and the logarithm of its Bayes factor.
+    /// The event with its best size, and the logarithm of its Bayes factor.
     fn judged(&self, event: SupposedEvent) -> Option<(SupposedEvent, f64)> {
         let columns = self.columns(&event);
         let explained = self.known.tr_mul(&columns);
@@ -402,7 +403,7 @@ impl<'a> EventSearch<'a> {
         Some((best.0, best.1 - (SIZES as f64).ln()))
     }
 
-    /// The coefficients of its columns with their covariance.
+    /// The coefficients of the event's columns with their covariance.
     fn coefficients(&self, event: &SupposedEvent) -> Option<(DVector<f64>, DMatrix<f64>)> {
         let columns = self.columns(event);
         let explained = self.known.tr_mul(&columns);
@@ -412,7 +413,8 @@ impl<'a> EventSearch<'a> {
         Some((&covariance * columns.tr_mul(&self.residual), covariance))
     }
 
-    /// Cosine of the angle between what two hypotheses add along their best directions, all other unknowns taken out.
+    /// Cosine of the angle between the effects of two hypotheses on the lengths, each along its best direction, with
+    /// all other unknowns eliminated.
     fn cosine(&self, one: &SupposedEvent, other: &SupposedEvent) -> f64 {
         let direction = |event: &SupposedEvent| -> Option<DVector<f64>> {
             let along = self.columns(event) * self.coefficients(event)?.0;
@@ -430,7 +432,7 @@ pub(super) fn sd_along(vector: &DVector<f64>, covariance: &DMatrix<f64>) -> f64 
 }
 
 impl JudgedEvent {
-    /// As a result has it.
+    /// The hypothesis in the form of a result.
     pub(super) fn hypothesis(&self, index: impl Fn(usize) -> u32) -> RunHypothesis {
         let SupposedEvent { kind, bar, ball, joint, from, .. } = self.event;
         let size = match self.coefficients.len() {
@@ -455,9 +457,10 @@ impl JudgedEvent {
     }
 }
 
-/// Whether so many rows of `count` with a wrong ball number are more than chance, at a standard deviation of a length (mm).
+/// Whether this number of rows (of `count`) with a wrong ball number is more than chance, at a standard deviation of a
+/// length (mm).
 pub(super) fn are_wrong_balls(rows: usize, count: usize, sd_mm: f64) -> bool {
-    /// Lengths to different balls differ by up to so much, mm.
+    /// Lengths to different balls differ by up to this, mm.
     const RANGE_MM: f64 = 1000.0;
     let rows = rows as f64;
     let ln_bayes = rows * (RANGE_MM / (2.0 * FITS * sd_mm) / count as f64).ln();
@@ -465,10 +468,10 @@ pub(super) fn are_wrong_balls(rows: usize, count: usize, sd_mm: f64) -> bool {
     ln_bayes + (ANYTHING / kinds).ln() > CERTAIN_ODDS.ln()
 }
 
-/// A length fits within so many standard deviations, those of its prediction included.
+/// A length fits if its residual is below this many standard deviations, those of its prediction included.
 const FITS: f64 = 6.0;
 
-/// Rows that were left out as outliers, and whose lengths fit another ball: with that ball.
+/// The rows that were left out as outliers and whose lengths fit another ball, each with that ball.
 pub(super) fn wrong_balls(
     model: &LengthModel,
     lengths: &Lengths,
@@ -537,7 +540,7 @@ mod tests {
         }
     }
 
-    /// What a part of the model that moves by a little does to the lengths.
+    /// Columns are the effect on the lengths of a small move of a part of the model.
     #[test]
     fn columns_are_the_differences_of_the_model() {
         let tracker = Tracker {
@@ -622,7 +625,7 @@ mod tests {
     }
 
     impl Bench {
-        /// With a step of the bar's zero at a row.
+        /// Lengths with a step of the bar's zero at a row.
         fn new(step: Option<(usize, f64)>) -> Self {
             let model = model(2);
             let mut readings = readings(&model, 40, 1);
@@ -713,7 +716,7 @@ mod tests {
             assert_eq!(found.event.from.map(|(_, place)| place), Some(42));
             assert!(found.is_certain && found.probability > 0.99 && found.rivals.is_empty(), "{found:?}");
             assert!((found.coefficients[0] - 0.3).abs() < 4.0 * found.sd, "{found:?}");
-            // What is an unknown already is no further event.
+            // An event that is already an unknown is not found again.
             let again = search.strongest(search.candidates(&[found.event]));
             assert!(again.is_none_or(|other| other.event.from != found.event.from));
         });

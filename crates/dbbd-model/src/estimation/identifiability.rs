@@ -16,7 +16,7 @@ use crate::robot::{ParamGroup, ParamId, ParamUnit};
 /// A base-parameter group: a linear combination of parameters that is identifiable although its members are not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Combination {
-    /// All members with their coefficients; that of the kept one is 1.
+    /// All members with their coefficients; the coefficient of the kept member is 1.
     #[serde(with = "members")]
     pub members: Vec<(ParamId, f64)>,
     /// The member in the base set.
@@ -120,10 +120,10 @@ impl Analysis {
 /// Coefficients below this, in units of [`typical_error`], are rounding.
 const ROUNDING: f64 = 1e-6;
 
-/// Which of `ids` are identifiable at `model`; `None` if a number is not finite.
+/// Analyses which of `ids` are identifiable at `model`; `None` if a number is not finite.
 ///
-/// The set-up is preferred to the parameters of the robot, and among these the joints to what moves the base of the robot
-/// or changes its scale: the parameters that a user would fix are the last to enter the base set.
+/// The set-up is preferred to the parameters of the robot. Among these the joints are preferred to parameters that move
+/// the base of the robot or change its scale: the parameters that a user would fix are the last to enter the base set.
 pub fn analyse<L: MeasurementPieces + ?Sized>(
     model: &LengthModel,
     readings: &L,
@@ -137,7 +137,7 @@ pub fn analyse<L: MeasurementPieces + ?Sized>(
 
 /// The order of preference for a base set.
 pub fn order_of_choice(ids: &[ParamId]) -> Vec<usize> {
-    // What the first row of the table does, the place of the base does as well.
+    // The place of the base has the same effect as the first row of the table.
     let first_row = [ParamId::Alpha(J1), ParamId::A(J1), ParamId::Theta(J1), ParamId::D(J1)];
     let tier = |id: ParamId| match id.group() {
         ParamGroup::Tool | ParamGroup::Targets | ParamGroup::Balls | ParamGroup::Tracker => 0,

@@ -36,14 +36,14 @@ pub fn check_measurements(
 /// Longer lengths have a finding of their own, mm.
 const LONGEST_MM: f64 = 1e5;
 
-/// Doubtful features of observations that pass [`check_measurements`], and missing data of their robot.
-pub fn doubts(
+/// WithWarnings features of observations that pass [`check_measurements`], and missing data of their robot.
+pub fn measurement_findings(
     file: &str,
     observations: &Measurements,
     robot: &Robot,
     centres: &[BaseBall],
 ) -> Vec<Diagnostic> {
-    let doubts = [
+    let found = [
         observations.without_sigma().map(Diagnostic::from),
         observations.beyond(robot.controller()).map(Diagnostic::from),
         observations.warm().map(Diagnostic::from),
@@ -54,7 +54,7 @@ pub fn doubts(
         few_decimals(observations, robot).map(Diagnostic::from),
     ];
     let unknown = robot.asked_repeatability().map(Diagnostic::from);
-    unknown.into_iter().chain(doubts.into_iter().flatten().map(|doubt| doubt.in_file(file))).collect()
+    unknown.into_iter().chain(found.into_iter().flatten().map(|finding| finding.in_file(file))).collect()
 }
 
 /// Standard deviations that no bar has, or one that is far from the median.
@@ -124,7 +124,7 @@ fn frozen(observations: &Measurements) -> Option<MeasurementFinding> {
 fn far_rows(observations: &Measurements, robot: &Robot, centres: &[BaseBall]) -> Option<MeasurementFinding> {
     /// Balls may be given to centimetres only, mm.
     const FAR_MM: f64 = 100.0;
-    /// But not worse than this, mm.
+    /// No ball is given worse than this, mm.
     const FAR_FROM_ALL_MM: f64 = 250.0;
     /// With a larger fraction of far rows it is probably another robot or ball.
     const FEW: f64 = 0.2;
@@ -157,7 +157,7 @@ const MIN_LENGTHS: usize = 4;
 struct UnitMistake {
     columns: &'static str,
     unit: &'static str,
-    /// How many rows have it, and the index of the first of them.
+    /// Number of rows with the mistake, and the index of the first of them.
     rows: usize,
     index: u32,
 }
@@ -176,7 +176,7 @@ fn nominal_mm(
 
 /// Compares the lengths in several units with those of the nominal robot: all, or those rows that disagree as they are.
 fn unit_of_lengths(geometry: &Geometry, centres: &[BaseBall], rows: &[Measurement]) -> Option<UnitMistake> {
-    /// In their unit the rows agree so much better: else a ball or a tool is elsewhere.
+    /// In the other unit the rows must agree better by this factor. Otherwise a ball or a tool is elsewhere.
     const CLEARLY: f64 = 5.0;
     /// A smaller share of rows that disagree are mistakes of single rows.
     const MIN_SHARE_OFF: f64 = 0.2;

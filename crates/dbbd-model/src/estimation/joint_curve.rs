@@ -1,25 +1,26 @@
-//! The error of a joint as a table: the correction of its angle over the axis, by either sense, with its uncertainty.
+//! The error of a joint as a table: the correction of its angle over its range, for either sense of approach, with its
+//! uncertainty.
 
 use nalgebra::DMatrix;
 
 use crate::robot::{AXES, Approach, Joint, ParamId, Robot, TermKind};
 
-/// Angles of a table.
+/// Number of angles in a table.
 const STEPS: usize = 361;
 
-/// The correction at an angle: what the joint is further than its axis says, in the sense of the axis.
+/// The correction at an angle: true angle of the joint minus the angle that its axis reports, in the sense of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointPoint {
     pub angle_deg: f64,
-    /// By rising and by falling angles, rad.
+    /// Correction of an axis that came through rising and through falling angles, rad.
     pub rising: f64,
     pub falling: f64,
-    /// Standard deviation of their mean, rad.
+    /// Standard deviation of the mean of `rising` and `falling`, rad.
     pub sd: f64,
 }
 
-/// The correction of a joint over the range of its own angle: first harmonic, smooth function, ripple and backlash. Its mean is shared
-/// with the joint's offset.
+/// The correction of a joint over the range of its own angle: first harmonic, smooth function, ripple and backlash. The
+/// mean of the correction cannot be separated from the joint's offset.
 pub fn joint_curve(robot: &Robot, joint: Joint) -> Vec<JointPoint> {
     let [low, high] = robot.joint_range_deg(joint);
     let angle_deg = |step: usize| low + (high - low) * step as f64 / (STEPS - 1) as f64;
@@ -40,12 +41,12 @@ fn point(robot: &Robot, joint: Joint, angle_deg: f64, sd: f64) -> JointPoint {
     JointPoint { angle_deg, rising: sign * (of_angle + backlash), falling: sign * (of_angle - backlash), sd }
 }
 
-/// One standard deviation of the correction by the angle alone, rad.
+/// Standard deviation of the part of the correction that the angle alone determines (without backlash), rad.
 fn sds(robot: &Robot, joint: Joint, angles_deg: &[f64]) -> Vec<f64> {
     let Some(uncertainty) = robot.uncertainty.as_deref() else { return vec![0.0; angles_deg.len()] };
     let errors = &robot.geometry.joint_errors;
     let terms = errors.terms();
-    // By the angle a row, by what the root is of a column.
+    // A row for each angle, a column for each row of the root.
     let mut derivatives = DMatrix::zeros(angles_deg.len(), uncertainty.root.nrows());
     let mut outside = vec![uncertainty.smooth_variance(joint); angles_deg.len()];
     for (row, angle_deg) in angles_deg.iter().enumerate() {

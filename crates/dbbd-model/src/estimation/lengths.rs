@@ -22,27 +22,27 @@ pub(crate) struct Lengths<'a> {
     pub(super) known: bool,
     /// Standard deviation of the robot's repeatability along a length, mm, if it is known.
     pub(super) repeatability_mm: Option<f64>,
-    /// When each was measured, from 0 for the first to 1 for the last; empty if nothing says so.
+    /// Time of each length, from 0 for the first to 1 for the last; empty if the order is not known.
     elapsed: Vec<f64>,
-    /// Whether that is by their times.
+    /// Whether `elapsed` comes from the times of the rows (and not from their indices).
     timed: bool,
 }
 
 #[derive(Clone, Debug)]
 enum Rows<'a> {
-    /// With the given standard deviation of each, mm; 1 if none is given.
+    /// Prepared lengths with the given standard deviation of each, mm; 1 if none is given.
     Few(Vec<PreparedMeasurement>, Vec<f64>),
-    /// With a standard deviation for all, or with those of the rows.
+    /// Rows of the table with one standard deviation for all, or with those of the rows.
     Many(Cow<'a, [Measurement]>, Option<f64>),
 }
 
-/// How the standard deviation of a length (mm) follows from the given one.
+/// The rule by which the standard deviation of a length (mm) follows from the given one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Sigma {
     Given,
     /// The given variance plus this one, mm^2.
     And(f64),
-    /// The same for all, mm.
+    /// The same standard deviation for all lengths, mm.
     All(f64),
 }
 
@@ -124,7 +124,7 @@ impl<'a> Lengths<'a> {
         other
     }
 
-    /// The time of a length, if it is known, in a unit of its own.
+    /// The time of a length, from 0 for the first to 1 for the last; `None` if the times are not known.
     pub(super) fn time(&self, at: usize) -> Option<f64> {
         self.elapsed(at).filter(|_| self.timed)
     }
@@ -143,7 +143,7 @@ impl<'a> Lengths<'a> {
         other
     }
 
-    /// When a length was measured, from 0 for the first to 1 for the last; `None` if nothing says so.
+    /// The time or order of a length, from 0 for the first to 1 for the last; `None` if the order is not known.
     pub(super) fn elapsed(&self, at: usize) -> Option<f64> {
         self.elapsed.get(at).copied()
     }
@@ -198,7 +198,8 @@ impl<'a> Lengths<'a> {
     }
 }
 
-/// By the times of the rows, which are then known, else by their indices, which must differ; empty without an order.
+/// Time of each row from 0 to 1, and whether it comes from the times in the table. Else it comes from the indices of
+/// the rows, which must differ; empty if there is no order.
 fn elapsed(rows: &[Measurement]) -> (Vec<f64>, bool) {
     let times: Option<Vec<f64>> = rows.iter().map(|row| row.context.as_ref()?.time_s).collect();
     let timed = times.is_some();
@@ -220,7 +221,7 @@ fn given(row: &Measurement, all: Option<f64>) -> f64 {
 }
 
 impl<'a> Weighted<'a> {
-    /// With other standard deviations.
+    /// The same lengths with another rule for the standard deviations.
     pub(super) fn by(self, sigma: Sigma) -> Self {
         Self { sigma, ..self }
     }
@@ -277,11 +278,11 @@ impl<'a> Weighted<'a> {
         self.sigmas().enumerate().filter(|(_, sigma)| *sigma != f64::INFINITY).map(|(at, _)| at)
     }
 
-    /// An even sample of them, in runs of neighbours: the lengths of a visit stay together.
+    /// An even sample of the used lengths, in runs of neighbours: the lengths of a visit stay together.
     pub(super) fn sampled_places(&self) -> Vec<usize> {
         /// Neighbours that are sampled together.
         const RUN: usize = 12;
-        /// So many lengths show the variances to a few per cent.
+        /// This number of lengths determines the variances to a few per cent.
         const SHOWING: usize = 2400;
         let used: Vec<usize> = self.used_places().collect();
         let runs = SHOWING / RUN;

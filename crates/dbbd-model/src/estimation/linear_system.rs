@@ -18,9 +18,9 @@ pub(super) struct WhitenedRow<'a> {
     pub(super) reading: &'a PreparedMeasurement,
     /// 1 / standard deviation; 0 for an excluded length.
     pub(super) weight: f64,
-    /// By all parameters of the model, mm per unit.
+    /// Derivatives by all parameters of the model, mm per unit.
     pub(super) derivatives: &'a LengthRow,
-    /// By the selected parameters, in standard deviations, followed by the further columns.
+    /// Derivatives by the selected parameters, in standard deviations of the length, followed by the further columns.
     pub(super) values: &'a mut [f64],
     /// Measured minus predicted, in standard deviations.
     pub(super) residual: f64,

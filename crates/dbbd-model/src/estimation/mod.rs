@@ -1,9 +1,9 @@
 //! Identification: from lengths and positions to parameters.
 //!
-//! The most probable unknowns are estimated from the lengths L = |p - c| + b, and from the coordinates of a tracker as distances
-//! from its planes: geometry, set-up, and what the geometry does not explain. Each has a prior, whose variance is that of the
-//! greatest evidence. A list of parameters is followed without. Every number has its standard deviation or the reason why it has
-//! none.
+//! The most probable unknowns are estimated from the lengths L = |p - c| + b, and from the coordinates of a tracker as
+//! distances from its planes. The unknowns are geometry, set-up, and errors that the geometry does not explain. Each
+//! has a prior, whose variance is the one with the greatest evidence. A list of parameters can be estimated without a
+//! prior. Every number has its standard deviation or the reason why it has none.
 //!
 //! [`linear_system()`] alone forms design rows, [`priors`] alone has prior standard deviations and limits, [`posterior`] alone
 //! holds a covariance, and [`Calibration::complete`] alone makes a result.
@@ -63,7 +63,7 @@ pub use hypotheses::{EventPlace, EventTreatment, RunHypothesis, SupposedEventKin
 pub use identifiability::{
     Analysis, Combination, Correlation, Observability, analyse, correlations, observability, order_of_choice,
 };
-pub use input_checks::{check_measurements, doubts};
+pub use input_checks::{check_measurements, measurement_findings};
 pub use joint_curve::{JointPoint, joint_curve};
 pub use linear_system::{factor, linear_system};
 pub use options::{ErrorModel, Options};

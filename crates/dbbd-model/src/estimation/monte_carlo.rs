@@ -1,7 +1,7 @@
 //! Uncertainties by Monte Carlo (GUM Supplement 1): lengths are drawn about the solution and fitted again.
 //!
-//! The same sources are drawn that the linearised standard deviations contain: the noise of the lengths (an estimated
-//! standard deviation by its chi-square distribution), and what is not known of the robot.
+//! The sources are those of the linearised standard deviations: the noise of the lengths (an estimated standard
+//! deviation is drawn from its chi-square distribution), and the uncertainty of the robot.
 
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -20,7 +20,7 @@ const SEED: u128 = 1;
 const TAIL: f64 = 0.025;
 /// The ends of two intervals disagree if they differ by more than this fraction of the half width
 const AGREE: f64 = 0.1;
-/// plus so many standard errors of the drawn end.
+/// plus this number of standard errors of the drawn end.
 const STANDARD_ERRORS: f64 = 4.0;
 
 /// The parameters fitted in each trial.
@@ -28,7 +28,7 @@ pub(super) struct Draws {
     trials: usize,
     used: usize,
     ids: Vec<ParamId>,
-    /// Sorted, for each parameter.
+    /// Sorted values of each parameter.
     values: Vec<Vec<f64>>,
 }
 
@@ -78,8 +78,8 @@ impl Draws {
     }
 }
 
-/// The estimated parameters of each trial: a robot is drawn from the posterior, its lengths with their noise are estimated again,
-/// and what that estimate has beyond its first linearisation is added.
+/// The estimated parameters of each trial. A robot is drawn from the posterior, and its lengths with their noise are
+/// estimated again. The difference between that estimate and its first linearisation is added to the drawn robot.
 fn draw(estimate: &Estimate, lengths: &Lengths, trials: usize) -> Vec<Vec<f64>> {
     let model = &estimate.fit.model;
     let weighted = estimate.used(lengths);
@@ -100,7 +100,8 @@ fn draw(estimate: &Estimate, lengths: &Lengths, trials: usize) -> Vec<Vec<f64>> 
         let lengths_mm =
             (0..used.len()).map(|at| exact(at) + factor * sigma[at] * normal(&mut random)).collect();
         let [linear, at_rest] = refit(&used.with_lengths(lengths_mm), estimate)?;
-        // To first order the error is a draw from the posterior: what the next linearisations add is not linear.
+        // To first order the error is a draw from the posterior. The next linearisations add the part that is not
+        // linear.
         let value = |id: &ParamId| truth.value(*id) + at_rest.value(*id) - linear.value(*id);
         Some(estimate.kept.iter().map(value).collect())
     });

@@ -1,13 +1,18 @@
 //! The noise of lengths, pose by pose.
 //!
-//! Where the sense of approach is not known, a joint is half of its reversal error off its angle, to either side. Where it is
-//! known, a joint may still scatter: a last move can be too short to cross the play. Either is noise along what the joint moves,
-//! and is in the lengths of a pose together. Its variances are the likeliest, by scoring (Harville, Journal of the American
-//! Statistical Association 72, 1977) on their logarithms under their priors: with P = S^-1 - S^-1 A C A' S^-1
-//! of a pose's rows, r what they leave and l what a joint moves, d ln Z / d ln u = u^2 sum((l' S^-1 r)^2 - l' P l), and the
-//! information is 2 u_k^2 u_l^2 sum (l_k' P l_l)^2. What is expected of an unknown sense has a coefficient of its
-//! own, whose prior standard deviation is the same u: it adds (w^2 + C) / u^2 - 1. The noise t that each length has of its own is one more
-//! such variance: W^2 in place of l l'. Where it cannot be separated from that of the pose, it is what is stated.
+//! Where the sense of approach is not known, the angle of a joint is wrong by half of its reversal error, to either
+//! side. Where the sense is known, a joint may still scatter: its last move can be too short to cross the play. Both
+//! are noise in the direction in which the joint moves the tool ball, and act on the lengths of a pose together. Their
+//! standard deviations u are the most probable under their priors. They are found by scoring (Harville, Journal of the
+//! American Statistical Association 72, 1977) on the logarithms of u.
+//!
+//! For the rows A of a pose, let S be the covariance of their noise, C the posterior covariance of the unknowns, and
+//! P = S^-1 - S^-1 A C A' S^-1. With the residuals r and the derivatives l by a joint's angle,
+//! d ln Z / d ln u = u^2 sum((l' S^-1 r)^2 - l' P l), and the information is 2 u_k^2 u_l^2 sum (l_k' P l_l)^2. The
+//! expected value of an unknown sense has a coefficient w of its own, whose prior standard deviation is the same u: it
+//! adds (w^2 + C) / u^2 - 1, here with the posterior variance C of w. The independent noise t of each length is one
+//! more such variance, with W^2 in place of l l'. If it cannot be separated from the noise of the pose, it keeps the
+//! stated value.
 
 use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
 
@@ -16,34 +21,35 @@ use super::pose_rows::{PoseRows, RowNoise};
 use super::system::Whitened;
 use crate::robot::AXES;
 
-/// No step changes the logarithm of a standard deviation by more.
+/// Largest change of the logarithm of a standard deviation in a step.
 const LONGEST_STEP: f64 = 1.0;
 
-/// What the noise has beside the standard deviation sigma of a pose in each direction.
+/// The noise besides the standard deviation sigma of a pose in each direction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct NoiseShape {
-    /// What each length has of its own.
+    /// The independent noise of each length.
     pub(super) own: OwnNoise,
     pub(super) joints: JointNoise,
 }
 
-/// How far each joint is off its angle from visit to visit: standard deviation, rad. What is sought of it is 0 for a joint that
-/// did not move.
+/// Random error of each joint's angle from visit to visit: standard deviation, rad. An estimated standard deviation is
+/// 0 for a joint that did not move.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum JointNoise {
-    /// The sense of approach is known of lengths: their backlash is an unknown. Where it is not known, half of the reversal error
-    /// is noise. The scatter of all visits is to be found: a last move that is too short to cross the play, for example.
+    /// The sense of approach is known for some lengths: backlash is an unknown of the model there. Where the sense is
+    /// not known, half of the reversal error is noise. The scatter of all visits is estimated: a last move may be too
+    /// short to cross the play, for example.
     Approached { backlash: [f64; AXES], scatter: [f64; AXES] },
-    /// No sense is known: backlash is to be found from the scatter.
+    /// No sense of approach is known: backlash is estimated from the scatter.
     Unapproached([f64; AXES]),
 }
 
-/// The standard deviation that a length has beside its pose, mm.
+/// Standard deviation of the independent noise of a length (without the noise of the pose), mm.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum OwnNoise {
-    /// As stated: it cannot be separated from that of the pose.
+    /// The stated value: it cannot be separated from the noise of the pose.
     Stated(f64),
-    /// To be found, about what is stated.
+    /// Estimated, with a prior about the stated value.
     Sought { sd: f64, stated: f64 },
 }
 
@@ -54,16 +60,16 @@ impl OwnNoise {
     }
 }
 
-/// Standard deviation of the logarithm of a stated standard deviation.
+/// Prior standard deviation of the logarithm of a standard deviation about its stated value.
 const STATED_LN_SD: f64 = 1.0;
 
 impl NoiseShape {
-    /// Whether nothing of it is sought.
+    /// Whether no part of the noise is estimated.
     pub(super) fn is_known(&self) -> bool {
         self.joints.sought() == [0.0; AXES] && matches!(self.own, OwnNoise::Stated(_))
     }
 
-    /// The noise of rows whose own noise has these weights, over sigma.
+    /// The noise of rows in units of sigma; `weights` are factors on the independent noise of each row.
     pub(super) fn of_rows(&self, rows: &PoseRows, weights: &[f64], sigma_mm: f64) -> RowNoise {
         let own = self.own.sd() / sigma_mm;
         let joints = |senses: &[i8; AXES]| self.joints.sds(senses).map(|sd| sd / sigma_mm);
@@ -75,14 +81,15 @@ impl NoiseShape {
     }
 }
 
-/// The scatter of a joint before any length: a repeatability of 0.01 mm at an arm of 2 m, of four joints that move the ball.
+/// Prior median of the scatter of a joint, rad: a repeatability of 0.01 mm at an arm of 2 m, of four joints that move
+/// the tool ball.
 const SCATTER_RAD: f64 = 2.5e-6;
 
 impl JointNoise {
-    /// None.
+    /// No noise of the joints.
     pub(super) const NONE: Self = Self::Approached { backlash: [0.0; AXES], scatter: [0.0; AXES] };
 
-    /// Of joints that moved, where the search begins.
+    /// The noise at which the search begins: the prior median for joints that moved, 0 for the others.
     pub(super) fn of_moved(moved: [bool; AXES], is_approached: bool) -> Self {
         let begin = |prior: HyperPrior| moved.map(|moved| if moved { prior.median } else { 0.0 });
         if is_approached {
@@ -100,7 +107,7 @@ impl JointNoise {
         }
     }
 
-    /// What is to be found.
+    /// The standard deviations that are estimated, rad.
     pub(super) fn sought(self) -> [f64; AXES] {
         let (Self::Approached { scatter: sds, .. } | Self::Unapproached(sds)) = self;
         sds
@@ -113,7 +120,7 @@ impl JointNoise {
         }
     }
 
-    /// With no more scatter than is usual before any length. Backlash of unknown sense is there at any rate.
+    /// The noise with at most the prior median of scatter. Noise from backlash of unknown sense stays as it is.
     pub(super) fn at_most_usual(self) -> Self {
         match self {
             Self::Approached { backlash, scatter } => {
@@ -123,12 +130,12 @@ impl JointNoise {
         }
     }
 
-    /// Whether what is sought of a joint is in a length that came with this sense.
+    /// Whether the estimated noise of a joint acts on a length with this sense of approach.
     fn is_in(self, sense: i8) -> bool {
         self.is_approached() || sense == 0
     }
 
-    /// Of a length that came with these senses.
+    /// Standard deviations of the joints' angles at a length with these senses of approach, rad.
     fn sds(self, senses: &[i8; AXES]) -> [f64; AXES] {
         std::array::from_fn(|joint| match self {
             Self::Approached { scatter, .. } if senses[joint] != 0 => scatter[joint],
@@ -138,7 +145,7 @@ impl JointNoise {
         })
     }
 
-    /// The logarithm of the prior of what is sought against its middle.
+    /// The logarithm of the prior density of the estimated standard deviations, relative to its largest value.
     pub(super) fn ln_prior(self) -> f64 {
         let off = |sd: f64| self.prior().off(sd.ln());
         self.sought().into_iter().filter(|sd| *sd > 0.0).map(|sd| -0.5 * off(sd).powi(2)).sum()
@@ -153,29 +160,30 @@ impl JointNoise {
     }
 }
 
-/// A posterior by whose residuals the noise is scored.
+/// A posterior whose residuals tell how to change the noise.
 pub(super) struct NoiseScore<'a> {
     pub(super) rows: &'a PoseRows,
     pub(super) whitened: &'a Whitened,
     pub(super) sigma_mm: f64,
-    /// All unknowns, and a root of their covariance.
+    /// Mean of all unknowns, and a root of their covariance.
     pub(super) mean: &'a DVector<f64>,
     pub(super) root: &'a DMatrix<f64>,
-    /// Where the coefficients of backlash are among them.
+    /// Places of the backlash coefficients among the unknowns.
     pub(super) backlash_places: [Option<usize>; AXES],
 }
 
-/// Gradient and information of the evidence by the logarithm of the backlash of each joint, then of the length's own noise.
+/// Gradient and information of the evidence by the logarithm of each joint's noise, then of the independent noise of a
+/// length.
 struct Slopes {
     gradient: SVector<f64, { AXES + 1 }>,
     information: SMatrix<f64, { AXES + 1 }, { AXES + 1 }>,
 }
 
-/// The place of the length's own noise among the slopes.
+/// The place of the independent noise of a length among the slopes.
 const OWN: usize = AXES;
 
 impl NoiseScore<'_> {
-    /// The shape after a step towards the likeliest.
+    /// The noise after a step towards its most probable value.
     pub(super) fn step(&self) -> Option<NoiseShape> {
         let NoiseShape { own, joints } = self.whitened.shape;
         let Slopes { gradient, information } = self.slopes()?;
@@ -190,8 +198,9 @@ impl NoiseScore<'_> {
         })
     }
 
-    /// Root of the posterior mean square of what is sought of each joint, rad: the likeliest is the median of a log-normal
-    /// distribution. What lengths hardly show may be larger.
+    /// Root of the posterior mean square of each joint's noise, rad: its posterior is taken as log-normal, with the
+    /// most probable value as its median. Noise that the lengths hardly show may be larger than its most probable
+    /// value.
     pub(super) fn rms_rad(&self) -> Option<[f64; AXES]> {
         let sds = self.whitened.shape.joints.sought();
         let covariance = Cholesky::new(self.slopes()?.information)?.inverse();
@@ -231,7 +240,7 @@ impl NoiseScore<'_> {
                 }
             }
             if own_variance > 0.0 {
-                // With F F' the covariance of the pose in units of sigma^2, the columns of F^-1 W are those of its lengths.
+                // F F' is the covariance of the pose in units of sigma^2: the columns of F^-1 W belong to its lengths.
                 let mut owns = whitened.whitening.inverse_factor(pose);
                 for (mut column, row) in owns.column_iter_mut().zip(of_pose) {
                     column *= whitened.weights[*row] / sigma_mm;
@@ -342,7 +351,7 @@ mod tests {
     fn gradient_by_the_noise_of_joints_is_that_of_the_evidence() {
         let (system, hypers) = (system(), hypers(SIGMA_MM));
         let sds = [2e-5, 5e-5, 3e-5, 8e-5, 4e-5, 1e-4];
-        // The lengths have no sense, so that what is known of backlash is in their noise too.
+        // The lengths have no sense of approach, so that known backlash is in their noise too.
         let approached = JointNoise::Approached { backlash: [3e-5; AXES], scatter: sds };
         for joints in [JointNoise::Unapproached(sds), approached] {
             let at = |sds| NoiseShape { joints: joints.with_sought(sds), ..sought(0.015) };
@@ -371,7 +380,7 @@ mod tests {
         let wider = approached.with_sought(approached.sought().map(|sd| sd * 0.5f64.exp()));
         assert!((wider.ln_prior() + 5.0 * 0.125).abs() < 1e-12);
         assert_eq!(wider.at_most_usual().sought(), approached.sought());
-        // A known sense leaves the scatter alone; an unknown one adds what backlash is.
+        // A known sense of approach leaves only the scatter; an unknown sense adds backlash.
         let noise = JointNoise::Approached { backlash: [4e-5; AXES], scatter: [3e-5; AXES] };
         let found = noise.sds(&[1, 0, -1, 0, 0, 0]);
         assert_eq!([found[0], found[2]], [3e-5; 2]);
@@ -419,7 +428,7 @@ mod tests {
         let after = scored(&system, stated, |score| score.step().unwrap());
         assert_eq!((after.own.sd(), after.joints.sds(&[0; AXES])), (0.015, [1e-5; AXES]));
         assert!(after.is_known());
-        // The noise that is sought alone moves, towards that of the numbers.
+        // Only the estimated noise moves, towards the noise of the numbers.
         let both = NoiseShape { joints: known, ..sought(0.015) };
         let after = scored(&system, both, |score| score.step().unwrap());
         assert_eq!(after.joints.sds(&[0; AXES]), [1e-5; AXES]);

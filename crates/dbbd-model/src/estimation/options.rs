@@ -11,7 +11,7 @@ use crate::measurement::{LengthModel, Measurements};
 use crate::robot::parameter::{self, SetUpCounts};
 use crate::robot::{AXES, MeasurementConditions, ParamId, Robot};
 
-/// Which errors of a robot are modelled.
+/// The errors of a robot that are modelled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ErrorModel {
@@ -30,7 +30,8 @@ pub struct Options {
     pub model: ErrorModel,
     /// Parameters to fix at their start values.
     pub hold: Vec<ParamId>,
-    /// Standard deviation of every length, mm; by default from the data's `sigma_mm` and the residuals.
+    /// Standard deviation of every length, mm; by default it follows from `sigma_mm` of the data and from the
+    /// residuals.
     pub sigma_mm: Option<f64>,
     pub prior: Prior,
     /// Standard uncertainty of each bar's length by its certificate, mm.
@@ -41,7 +42,7 @@ pub struct Options {
     pub monte_carlo: Option<usize>,
     /// Axis vectors (rad) over which the position error is predicted; by default uniform within the axis limits.
     pub workspace: Option<Vec<[f64; AXES]>>,
-    /// When the data were measured, and how warm it was.
+    /// Date and temperature of the measurement.
     pub measured: MeasurementConditions,
 }
 
@@ -75,7 +76,7 @@ impl Options {
         self.estimate.is_some() && self.prior == Prior::None
     }
 
-    /// Whether what the geometry does not explain is estimated too. A list of parameters names all that is unknown.
+    /// Whether errors that the geometry does not explain are estimated too. A list of parameters names all unknowns.
     pub(super) fn seeks_joint_errors(&self) -> bool {
         self.estimate.is_none()
     }
@@ -115,7 +116,7 @@ impl<'a> Setting<'a> {
         ids
     }
 
-    /// Every parameter of the model and those of `more`, in canonical order.
+    /// Every parameter of the model and the parameters `more`, in canonical order.
     pub(super) fn all_and(&self, set_up: SetUpCounts, more: &[ParamId]) -> Vec<ParamId> {
         let mut ids = parameter::all_parameters(&self.robot.parallel_joints(), set_up);
         ids.extend(more);

@@ -12,20 +12,22 @@ use crate::robot::ParamId;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Reason {
     Identified,
-    /// As a member of a combination; `shared` if the prior distributes it among several members.
+    /// Identified as a member of a combination; `shared` if the prior distributes the combination among several
+    /// members.
     IdentifiedFor {
         combination: Combination,
         shared: bool,
     },
-    /// The lengths determine only the combination; the prior distributes it.
+    /// The lengths determine only the combination; the prior distributes it among its members.
     PriorShares {
         combination: Option<Combination>,
     },
-    /// By the prior: the lengths alone give only this standard deviation.
+    /// Supported by the prior: the lengths alone give only this standard deviation.
     PriorCarries {
         data_sd: f64,
     },
-    /// With a variance of its group by the evidence; the fraction of it that the lengths determine.
+    /// The evidence gives the prior variance of the parameter's group; `determined` is the fraction that the lengths
+    /// determine.
     ByEvidence {
         determined: f64,
     },
@@ -35,7 +37,7 @@ pub(super) enum Reason {
     FixedAsAsked,
     NotAsked,
     ChangesNoLength,
-    /// A place whose standard deviation would exceed the limit.
+    /// A coordinate of the set-up whose standard deviation would exceed the limit.
     Open {
         limit: f64,
     },
@@ -60,7 +62,7 @@ pub(super) struct ParameterTable<'a> {
     pub(super) setting: &'a Setting<'a>,
     pub(super) estimate: &'a Estimate,
     pub(super) posterior: &'a Posterior,
-    /// Standard deviations of the base set by the data alone; none if they are not determined.
+    /// Standard deviations of the base set by the data alone; empty if the data do not determine them.
     pub(super) data_sd: Vec<f64>,
     pub(super) coverage_factor: Option<f64>,
     pub(super) draws: Option<&'a Draws>,
@@ -118,7 +120,7 @@ impl ParameterTable<'_> {
         }
     }
 
-    /// By half of what is known before, or where nothing is known before by the data alone.
+    /// The reason for an estimated parameter, from the data alone, or for an optional one from prior and posterior.
     fn reason_of_estimated(&self, id: ParamId) -> Reason {
         let Estimate { kept, base, .. } = self.estimate;
         let after = self.posterior.sd(id).unwrap_or(f64::INFINITY);

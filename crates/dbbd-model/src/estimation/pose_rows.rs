@@ -1,8 +1,9 @@
-//! Rows of lengths by parameters and coefficients of the joints' errors, whitened pose by pose.
+//! Design rows: the derivatives of lengths by parameters and by coefficients of the joints' errors, whitened pose by
+//! pose.
 //!
-//! The lengths of one visit to a pose share its repeatability: with U the unit vectors along them their covariance is
-//! s^2 U U', plus what joints that are off their angles do to them, plus what each length has of its own. Coordinates of a
-//! position are lengths along the axes of the tracker.
+//! The lengths of one visit to a pose share the repeatability s of the pose: with U the unit vectors along the lengths,
+//! their covariance is s^2 U U', plus a part from the random errors of the joints' angles, plus the independent noise
+//! of each length. Coordinates of a position are lengths along the axes of the tracker.
 
 use std::collections::BTreeMap;
 
@@ -16,66 +17,67 @@ use crate::robot::{AXES, Approach, Coordinate, Datum, Joint, ParamId, RobotUncer
 /// The noise of a length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LengthNoise<'a> {
-    /// Standard deviation of the pose in each direction, which its lengths share, mm.
+    /// Standard deviation of the pose in each direction, mm; all lengths at the pose share this error.
     pub pose_mm: f64,
-    /// Standard deviation of a length beside it, mm.
+    /// Standard deviation of the independent noise of a length, mm.
     pub length_mm: f64,
-    /// What is not known of the joints beside the coefficients of their errors: it adds to the noise.
+    /// The uncertainty of the robot: errors of its joints that the coefficients do not describe add to the noise.
     pub joints: Option<&'a RobotUncertainty>,
 }
 
-/// The noise of rows; what a pose and its joints are off moves the lengths to all balls.
+/// The noise of rows, in mm and rad, or all of it divided by sigma. The errors of a pose and of its joints act on the
+/// lengths to all balls.
 pub(super) struct RowNoise {
     /// Standard deviation of a pose in each direction.
     pub(super) pose: f64,
-    /// Of each row beside it.
+    /// Standard deviation of the independent noise of each row.
     pub(super) own: Vec<f64>,
-    /// Of the joints' angles at each row, rad.
+    /// Standard deviations of the joints' angles at each row.
     pub(super) joints: Vec<[f64; AXES]>,
 }
 
 impl From<f64> for LengthNoise<'_> {
-    /// Of independent lengths with this standard deviation, mm.
+    /// The noise of independent lengths with this standard deviation, mm.
     fn from(sigma_mm: f64) -> Self {
         Self { pose_mm: 0.0, length_mm: sigma_mm, joints: None }
     }
 }
 
 impl<'a> LengthNoise<'a> {
-    /// Of lengths with this standard deviation (mm) of a robot of which this is not known.
+    /// The noise of lengths with this standard deviation (mm), for a robot with the uncertainty `joints`.
     pub fn of(sigma_mm: f64, joints: Option<&'a RobotUncertainty>) -> Self {
         let of_pose = |joints: &RobotUncertainty| joints.pose_mm.min(MAX_OF_POSE * sigma_mm);
         let pose_mm = joints.map_or(0.0, of_pose);
         Self { pose_mm, length_mm: (sigma_mm * sigma_mm - pose_mm * pose_mm).sqrt(), joints }
     }
 
-    /// Of a length, mm.
+    /// Standard deviation of a length, mm.
     pub fn sigma_mm(self) -> f64 {
         self.pose_mm.hypot(self.length_mm)
     }
 }
 
-/// A length has some noise of its own: the share of the pose is at most this.
+/// Largest share of the pose in the standard deviation of a length: each length has some independent noise.
 const MAX_OF_POSE: f64 = 0.995;
-/// And of its variance beside the pose at least this share is its own.
+/// Least share of the independent noise in the variance that a length has besides the pose.
 const MIN_OWN: f64 = 0.01;
 
-/// Rows at a model.
+/// Design rows at a model.
 #[derive(Clone)]
 pub(super) struct PoseRows {
-    /// A row a length, a column an unknown: parameters, then coefficients; mm per unit.
+    /// A row for each length, a column for each unknown: parameters, then coefficients; mm per unit.
     pub(super) values: DMatrix<f64>,
     /// Measured minus predicted, mm.
     pub(super) residual: DVector<f64>,
     pub(super) lengths: Vec<LengthAtPose>,
-    /// Rows of one visit to a pose.
+    /// The rows of each visit to a pose.
     pub(super) poses: Vec<Vec<usize>>,
 }
 
-/// The length of a row, and what moves it.
+/// The length of a row, its pose, and its derivatives.
 #[derive(Clone)]
 pub(super) struct LengthAtPose {
-    /// Its place among all lengths.
+    /// Place of the length among all lengths.
     pub(super) place: usize,
     pub(super) datum: Datum,
     /// Unit vector along the length.
@@ -83,18 +85,19 @@ pub(super) struct LengthAtPose {
     /// Axis angles (rad) with the sense of approach.
     axes: [f64; AXES],
     approach: Approach,
-    /// The joints' own angles (rad), the senses in which they came, and what they move, mm/rad.
+    /// The joints' own angles (rad), their senses of approach, and the derivatives of the length by these angles,
+    /// mm/rad.
     pub(super) joints: [f64; AXES],
     pub(super) senses: [i8; AXES],
     pub(super) by_joint: [f64; AXES],
-    /// What a relative growth of all links moves, mm.
+    /// Derivative of the length by a relative growth of all links, mm.
     pub(super) growth: f64,
-    /// What a displacement of the target on the tool moves, per mm.
+    /// Derivatives of the length by a displacement of the target on the tool, mm per mm.
     pub(super) target: [f64; 3],
 }
 
 impl PoseRows {
-    /// Of lengths with a standard deviation of 1 mm; those of infinity are left out.
+    /// The rows of lengths with a standard deviation of 1 mm; lengths with an infinite standard deviation are left out.
     pub(super) fn at<L: MeasurementPieces + ?Sized>(
         model: &LengthModel,
         lengths: &L,
@@ -130,7 +133,7 @@ impl PoseRows {
         let mut visits: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         for (at, (.., row)) in rows.iter().enumerate() {
             let pose = (row.axes.map(f64::to_bits), row.approach.senses(), time(row.place).map(f64::to_bits));
-            // A second length to the same ball is of another visit.
+            // A second length to the same ball belongs to another visit.
             let mut visit = 0;
             while visits
                 .get(&(pose, visit))
@@ -148,8 +151,9 @@ impl PoseRows {
         }
     }
 
-    /// Whether the noise of a pose and that of its lengths can be separated: a pose has several lengths, in directions that
-    /// are not orthogonal as those of a position are.
+    /// Whether the noise of a pose and the independent noise of its lengths can be separated: more than a tenth of the
+    /// poses have several lengths in directions that are not orthogonal. (The coordinates of a position are
+    /// orthogonal.)
     pub(super) fn tell_noise_apart(&self) -> bool {
         /// Cosine of the angle between two lengths.
         const OBLIQUE: f64 = 0.02;
@@ -168,8 +172,9 @@ impl PoseRows {
         10 * oblique > self.poses.len()
     }
 
-    /// The noise of the rows of a robot at `model`. The scatter of lengths, a mean over the rows, contains that of the joints, and
-    /// backlash of unknown sense: its mean is taken out of what the lengths that it moves have of their own.
+    /// The noise of the rows of a robot at `model`. The standard deviation of the lengths is a mean over the rows, and
+    /// it contains the random errors of the joints and backlash of unknown sense. Their mean variance is therefore
+    /// subtracted from the independent noise of the lengths that they move.
     pub(super) fn noise(&self, noise: &LengthNoise<'_>, model: &LengthModel) -> RowNoise {
         let rows = self.values.nrows();
         let moved = |row: usize| -> f64 {
@@ -204,7 +209,7 @@ impl PoseRows {
         ((0..rows).map(of).sum::<f64>() / rows as f64).sqrt()
     }
 
-    /// What brings these rows to unit noise. `None` where their covariance has no inverse.
+    /// The transformation of these rows to unit noise. `None` if their covariance has no inverse.
     pub(super) fn whitening(&self, noise: &RowNoise) -> Option<Whitening> {
         let factor = |rows: &Vec<usize>| {
             let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
@@ -241,7 +246,7 @@ impl Whitening {
         }
     }
 
-    /// The inverse of the factor of a pose.
+    /// The inverse of the Cholesky factor of a pose's covariance.
     pub(super) fn inverse_factor(&self, pose: usize) -> DMatrix<f64> {
         let (rows, factor) = &self.poses[pose];
         let identity = DMatrix::identity(rows.len(), rows.len());

@@ -1,8 +1,8 @@
-//! The position uncertainty of the tool ball at poses, from all that is not known of a robot.
+//! The predicted position uncertainty of the tool ball at poses, from all uncertainties of a robot.
 //!
-//! At a pose: J C J' of parameters and joint errors, the six rigid motions of all poses taken out; at each joint what a
-//! smooth function has left beyond the angles measured (all of it far from them) and, where the sense of approach
-//! is not known, its backlash.
+//! The covariance at a pose is J C J' of parameters and joint errors, after a rigid motion of all poses (six degrees of
+//! freedom) was removed. Each joint adds the variance that its smooth function keeps outside the measured angles (far
+//! from them its whole variance) and, where the sense of approach is not known, backlash.
 
 use std::ops::Range;
 
@@ -19,23 +19,24 @@ use crate::robot::{
     PayloadId, Robot, RobotUncertainty, TermKind,
 };
 
-/// Robots that are drawn, at least.
+/// Least number of robots that are drawn.
 const ROBOTS: usize = 100;
-/// Fewer poses say too little of where the robot's base is: poses of the workspace are added.
+/// Fewer poses determine the place of the robot's base too poorly: poses of the workspace are added.
 const MIN_POSES: usize = 10;
 
-/// The tool ball at poses, with what is not known of it.
+/// The positions of the tool ball at poses, with their uncertainty.
 pub struct Positions {
-    /// In the robot base, mm.
+    /// Positions of the tool ball in the robot base, mm.
     pub balls: Vec<Vector3<f64>>,
     errors: PoseErrors,
 }
 
-/// What is not known of a vector at poses: the place of the ball (mm), or the turn of the flange (rad).
+/// The uncertainty of a vector at poses: the position of the tool ball (mm), or the rotation of the flange (rad).
 struct PoseErrors {
-    /// What the root's columns move, 3 rows a pose.
+    /// Displacement by each column of the root, 3 rows for each pose.
     moved: DMatrix<f64>,
-    /// What each joint moves, a rad, and the standard deviation of its error beside the root's, rad.
+    /// For each joint the displacement per rad, and the standard deviation of the joint's error that is not in the
+    /// root, rad.
     joints: Vec<[JointDisplacement; AXES]>,
     /// The standard deviation of each coordinate when a pose is repeated.
     repeated: Vec<f64>,
@@ -58,7 +59,8 @@ impl PoseErrors {
         covariance
     }
 
-    /// Errors of robots drawn from it, a column each, 3 rows a pose, with a repeatability of their own at each pose.
+    /// Errors of robots that are drawn from this uncertainty, a column for each robot and 3 rows for each pose. Every
+    /// pose gets a random error of the repeatability `repeated`.
     fn draws(&self, repeated: impl Fn(usize) -> f64) -> DMatrix<f64> {
         let mut drawn = &self.moved * unit_draws(self.moved.ncols());
         let mut random = Pcg64::seed_from_u64(2);
@@ -79,12 +81,12 @@ impl PoseErrors {
 }
 
 impl Positions {
-    /// Of a robot at `poses`, by what is not known of it.
+    /// The tool ball of a robot at `poses`, with the uncertainty in the robot's file.
     pub fn of(robot: &Robot, poses: &[ApproachedPose]) -> Self {
         Self::aligned(robot, &AlignedPoses::of(robot, poses, &[]))
     }
 
-    /// Of a robot at aligned poses.
+    /// The tool ball of a robot at aligned poses, with the uncertainty in the robot's file.
     pub(super) fn aligned(robot: &Robot, poses: &AlignedPoses) -> Self {
         let AlignedPoses { all, datum, count } = poses;
         let mut positions = Self::in_datum(&robot.geometry, &robot.known_uncertainty(), all, datum.clone());
@@ -92,7 +94,7 @@ impl Positions {
         positions
     }
 
-    /// Of a robot at `poses`, aligned over these.
+    /// The tool ball of a robot with the uncertainty `unknown` at `poses`, aligned over these poses.
     pub fn new(geometry: &Geometry, unknown: &RobotUncertainty, poses: &[ApproachedPose]) -> Self {
         Self::in_datum(geometry, unknown, poses, 0..poses.len())
     }
@@ -120,7 +122,7 @@ impl Positions {
         Self { balls, errors: PoseErrors { moved, joints, repeated } }
     }
 
-    /// The covariance of the ball's place at a pose, with the repeatability of the pose, mm^2.
+    /// The covariance of the tool ball's position at a pose, with the repeatability of the pose, mm^2.
     pub fn covariance(&self, pose: usize) -> Matrix3<f64> {
         self.errors.covariance(pose)
     }
@@ -130,24 +132,25 @@ impl Positions {
         self.covariance(pose).trace().sqrt()
     }
 
-    /// Errors of robots drawn from it, a column each, 3 rows a pose, mm; a pose repeats to `pose_mm` in them.
+    /// Errors of robots that are drawn from this uncertainty, a column for each robot and 3 rows for each pose, mm. The
+    /// repeatability of a pose is `pose_mm`.
     pub(super) fn draws(&self, pose_mm: f64) -> DMatrix<f64> {
         self.errors.draws(|_| pose_mm)
     }
 }
 
-/// Poses, with those by which the robot's base is aligned.
+/// Poses, with the poses over which the robot's base is aligned (the datum).
 pub(super) struct AlignedPoses {
-    /// The poses, and those of the datum after them that are not among them.
+    /// The poses, then the poses of the datum that are not among them.
     pub(super) all: Vec<ApproachedPose>,
     pub(super) datum: Range<usize>,
-    /// Of the poses themselves.
+    /// Number of the poses themselves.
     count: usize,
 }
 
 impl AlignedPoses {
-    /// Aligned over `datum` (axis angles, rad). If it is empty, over the poses themselves, and where they are few, over poses of the
-    /// workspace too.
+    /// The poses, aligned over `datum` (axis angles, rad). If `datum` is empty, they are aligned over themselves, and
+    /// where they are few, also over poses of the workspace.
     pub(super) fn of(robot: &Robot, poses: &[ApproachedPose], datum: &[[f64; AXES]]) -> Self {
         const WORKSPACE_POSES: usize = 300;
         const SEED: u64 = 1;
@@ -160,20 +163,22 @@ impl AlignedPoses {
     }
 }
 
-/// How a tool frame is turned at poses, with what is not known of it.
+/// The uncertainty of the orientation of a tool frame at poses.
 pub struct Orientations {
     errors: PoseErrors,
 }
 
 impl Orientations {
-    /// Of a robot's flange at `poses`; the turn that all poses have in common is taken out.
+    /// The orientation uncertainty of a robot's flange at `poses`; the rotation that all poses have in common is
+    /// removed.
     pub fn of(robot: &Robot, poses: &[ApproachedPose]) -> Self {
         Self::new(&robot.geometry, &robot.known_uncertainty(), robot.reach_mm(), poses)
     }
 
-    /// By what is not known of an arm that reaches so far (mm).
+    /// The orientation uncertainty from the uncertainty `unknown` of an arm that reaches `arm_mm`.
     ///
-    /// It follows from three points of the flange, one on each axis, as far as the arm is long, against the flange itself.
+    /// It follows from the displacements of three points relative to the flange: one point on each axis of the flange,
+    /// at the distance `arm_mm`.
     pub(super) fn new(
         geometry: &Geometry,
         unknown: &RobotUncertainty,
@@ -213,7 +218,7 @@ impl Orientations {
             })
         });
         let joints = joints.collect();
-        // A pose scatters as if all joints did so alike.
+        // The repeatability of a pose is taken as if all joints scattered alike.
         let repeated = |moved: &[Vector3<f64>; AXES]| {
             let squares: f64 = moved.iter().map(Vector3::norm_squared).sum();
             (AXES as f64 / squares).sqrt() * unknown.pose_mm
@@ -227,7 +232,7 @@ impl Orientations {
         self.errors.covariance(pose).trace().sqrt()
     }
 
-    /// Over all poses and many robots, mrad, without the repeatability of a pose.
+    /// The errors over all poses and many robots, mrad, without the repeatability of a pose.
     pub(super) fn summary_mrad(&self) -> ErrorSummary {
         ErrorSummary::of(&(self.errors.draws(|_| 0.0) * 1e3))
     }
@@ -238,7 +243,8 @@ fn rotation(units: &[Vector3<f64>; 3], ends: &[Vector3<f64>; 3]) -> Vector3<f64>
     units.iter().zip(ends).map(|(unit, end)| unit.cross(end)).sum::<Vector3<f64>>() / 2.0
 }
 
-/// How the standard uncertainties of the payload carried move the ball at poses, a column each, 3 rows a pose, mm.
+/// The displacement of the tool ball at poses by each standard uncertainty of the payload carried, a column each and 3
+/// rows for each pose, mm.
 fn by_payload(
     geometry: &Geometry,
     poses: &[([f64; AXES], Approach)],
@@ -268,8 +274,8 @@ fn by_payload(
     moved
 }
 
-/// Standard normal numbers, a column a robot, from seed 1, scaled to unit covariance: the sample covariance of so few robots
-/// could be wrong by a tenth in one direction.
+/// Standard normal numbers from seed 1, a column for each robot, transformed so that their sample covariance is exactly
+/// the identity: the sample covariance of so few robots could be wrong by a tenth in one direction.
 pub(super) fn unit_draws(rows: usize) -> DMatrix<f64> {
     let mut random = Pcg64::seed_from_u64(1);
     let robots = ROBOTS.max(rows);
@@ -277,18 +283,18 @@ pub(super) fn unit_draws(rows: usize) -> DMatrix<f64> {
     drawn.qr().q().transpose() * (robots as f64).sqrt()
 }
 
-/// How the tool ball moves at poses.
+/// Derivatives of the tool ball's position at poses.
 pub(super) struct BallMotion {
-    /// By parameters, then by coefficients of the joints' errors: 3 rows a pose, mm per unit.
+    /// Derivatives by parameters, then by coefficients of the joints' errors: 3 rows for each pose, mm per unit.
     pub(super) jacobian: DMatrix<f64>,
-    /// In the robot base, mm.
+    /// Positions of the tool ball in the robot base, mm.
     pub(super) balls: Vec<Vector3<f64>>,
-    /// By the angle of each joint, mm/rad.
+    /// Derivatives by the angle of each joint, mm/rad.
     pub(super) by_joint: Vec<[Vector3<f64>; AXES]>,
 }
 
 impl BallMotion {
-    /// At axis angles (rad) with the sense of approach.
+    /// The derivatives at axis angles (rad) with the sense of approach.
     pub(super) fn new(geometry: &Geometry, poses: &[([f64; AXES], Approach)], ids: &[ParamId]) -> Self {
         let chain = KinematicChain::new(geometry);
         let own = ids.len();
@@ -320,11 +326,11 @@ impl BallMotion {
     }
 }
 
-/// The errors of joints beside what the root of an uncertainty holds.
+/// The errors of joints that are not in the root of an uncertainty.
 pub(super) struct RemainingErrors<'a> {
     geometry: &'a Geometry,
     uncertainty: &'a RobotUncertainty,
-    /// Prior variance of each coefficient of the smooth functions; 0 of the others.
+    /// Prior variance of each coefficient of the smooth functions; 0 for the other coefficients.
     variances: Vec<f64>,
 }
 
@@ -338,7 +344,7 @@ impl<'a> RemainingErrors<'a> {
         Self { geometry, uncertainty, variances }
     }
 
-    /// The standard deviation of each joint's error at axis angles (rad), rad.
+    /// The standard deviation of each joint's remaining error at axis angles (rad), rad.
     pub(super) fn sds(&self, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
         let Self { geometry, uncertainty, .. } = self;
         let joints = geometry.coupling.joints(axes);
@@ -349,13 +355,14 @@ impl<'a> RemainingErrors<'a> {
         let measured = if nearest == joints { here } else { self.smooth_variance(&nearest) };
         let of_visit = uncertainty.of_visit(geometry.coupling.senses(approach).senses());
         std::array::from_fn(|place| {
-            // Among measured angles what the basis lacks is in the noise of the lengths already.
+            // Within the measured angles the noise of the lengths already contains what the basis functions lack.
             let held = if measured[place] > 0.0 { (here[place] / measured[place]).min(1.0) } else { 0.0 };
             (uncertainty.smooth_variance(Joint::ALL[place]) * (1.0 - held)).sqrt().hypot(of_visit[place])
         })
     }
 
-    /// The variance that the basis of each joint's smooth function has at joint angles (rad) before any length, rad^2.
+    /// The variance that the basis functions of each joint's smooth function have at joint angles (rad) before any
+    /// length, rad^2.
     fn smooth_variance(&self, joints: &[f64; AXES]) -> [f64; AXES] {
         let mut variance = [0.0; AXES];
         let mut of_term = self.variances.iter();
@@ -366,14 +373,14 @@ impl<'a> RemainingErrors<'a> {
     }
 }
 
-/// Columns of a root that a robot's file holds.
+/// Largest number of columns of a root in a robot file.
 const COLUMNS: usize = 60;
-/// Iterations that find them: what they leave out is scaled in.
+/// Iterations that find these columns. A scale makes up for the variance that they leave out.
 const ITERATIONS: usize = 4;
 
-/// The same uncertainty with few columns: those that move the tool ball at these poses, the base balls, and another tool with
-/// another payload most against each other, each place in units of its own standard deviation, so that it is kept where it is
-/// small.
+/// The same uncertainty with few columns. They are the directions that most move the tool ball at these poses, another
+/// tool ball with another payload, and the base balls, relative to each other. Each position counts in units of its own
+/// standard deviation, so that small uncertainties are kept too.
 pub(super) fn compressed(
     model: &LengthModel,
     unknown: &RobotUncertainty,
@@ -401,7 +408,8 @@ pub(super) fn compressed(
     RobotUncertainty { root: &unknown.root * space * scale, ..unknown.clone() }
 }
 
-/// What the root's columns move: the tool ball at the poses, then the base balls, 3 rows each, without rigid motions of all.
+/// Displacements by the columns of the root, 3 rows for each position: the tool ball at the poses, another tool ball
+/// with another payload at the poses, then the base balls. Rigid motions of all are removed.
 fn moved_with_balls(
     model: &LengthModel,
     unknown: &RobotUncertainty,
@@ -420,7 +428,7 @@ fn moved_with_balls(
     let is_ball = |id: &ParamId| matches!(id, ParamId::Ball(..));
     let rows: Vec<usize> =
         (0..unknown.parameters.len()).filter(|at| is_ball(&unknown.parameters[*at])).collect();
-    // A ball of which one coordinate is exact is no place that moves freely.
+    // A base ball with an exact coordinate does not move freely: then no base ball is used.
     let whole = rows.len() == 3 * model.balls.len();
     let rows = if whole { rows } else { Vec::new() };
     let mut moved = DMatrix::zeros(jacobian.nrows() + rows.len(), unknown.root.ncols());
@@ -464,7 +472,8 @@ mod tests {
         };
         robot.uncertainty = Some(Box::new(unknown));
         let found = Orientations::of(&robot, &poses);
-        // What all poses have in common is taken out: of turns about axes in all directions little.
+        // The rotation that all poses have in common is removed; it is small for rotations about axes in all
+        // directions.
         for pose in 0..poses.len() {
             assert!((found.sd_rad(pose) / 3e-4 - 1.0).abs() < 0.35, "{}", found.sd_rad(pose));
         }

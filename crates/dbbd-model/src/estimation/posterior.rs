@@ -36,7 +36,7 @@ pub struct Posterior {
 /// A posterior after lengths.
 pub(super) struct Learnt {
     pub(super) posterior: Posterior,
-    /// Its model in the coordinates of the prior's root: x = x0 + root w.
+    /// The model of the posterior in the coordinates of the prior's root: x = x0 + root w.
     pub(super) w: DVector<f64>,
 }
 
@@ -57,7 +57,7 @@ impl Posterior {
         Self::of_known(model, known, known.ids(), unknown)
     }
 
-    /// The same with the base balls of `model` that the identification had.
+    /// As [`Self::of_robot`], with the base balls of `model` that the identification had.
     pub fn of_robot_with_balls(
         model: LengthModel,
         known: &RobotPosterior,
@@ -78,7 +78,7 @@ impl Posterior {
         let Some(unknown) = unknown else {
             return Self::with_root(model, ids, known.root_of(ids));
         };
-        // A tool ball or base ball that is not in `known` is another one than that of the identification.
+        // A tool ball or base ball that is not in `known` is not the one of the identification.
         let is_known = |id: &ParamId| !matches!(id, ParamId::Tool(_) | ParamId::Ball(..)) || ids.contains(id);
         let parameters = unknown.parameters.iter().enumerate().filter(|(_, id)| is_known(id));
         let (mut rows, ids): (Vec<usize>, Vec<ParamId>) = parameters.map(|(row, id)| (row, *id)).unzip();
@@ -124,7 +124,7 @@ impl Posterior {
         self.root.row_iter().map(|row| row.norm())
     }
 
-    /// The tool ball at `poses` (axis angles, rad) by the rows of the root.
+    /// The derivatives of the tool ball at `poses` (axis angles, rad) by the rows of the root.
     pub fn workspace(&self, poses: &[[f64; AXES]]) -> Workspace {
         let (geometry, ids) = (&self.model.geometry, self.ids());
         if self.coefficients() > 0 {
@@ -134,7 +134,7 @@ impl Posterior {
         }
     }
 
-    /// With the covariance `columns columns'` added.
+    /// The posterior with the covariance `columns columns'` added.
     pub(super) fn widened(self, columns: &DMatrix<f64>) -> Self {
         let own = self.root.ncols();
         let mut root = self.root.resize_horizontally(own + columns.ncols(), 0.0);
@@ -162,8 +162,9 @@ impl Posterior {
         picked
     }
 
-    /// With a base ball that the tool ball touched at `axes` (rad) to `sd_mm`: its error is then correlated with that of the
-    /// robot at this pose. Requires that no length to this ball is in the posterior.
+    /// The posterior after the tool ball touched a base ball at `axes` (rad) with the standard deviation `sd_mm`. The
+    /// base ball then has the position of the tool ball, so that its error is correlated with that of the robot at this
+    /// pose. No length to this base ball may be in the posterior.
     pub fn touched(&self, touched_ball: BallId, axes: &[f64; AXES], sd_mm: f64) -> Self {
         let mut touched = self.clone();
         let ball = self.model.geometry.ball(axes).position;
@@ -181,14 +182,14 @@ impl Posterior {
                     there += self.root.row(parameter) * row.derivative(*id);
                 }
             }
-            // Without lengths this coordinate of the ball has a column of its own in the root.
+            // Without lengths this coordinate of the base ball has a column of its own in the root.
             there[self.root.row(at).iamax_full().1] += sd_mm;
             touched.root.set_row(at, &there);
         }
         touched
     }
 
-    /// With a further base ball that is free.
+    /// The posterior with a further base ball, whose position is free.
     pub fn with_ball(&self, ball: Vector3<f64>) -> Self {
         let new = BallId::at(self.model.balls.len());
         let own = self.ids.len();
@@ -222,7 +223,7 @@ impl Posterior {
         self.learnt(readings, noise.into()).map(|learnt| learnt.posterior)
     }
 
-    /// As [`Self::learn`], with the coordinates w.
+    /// As [`Self::learn`], and also returns the coordinates w.
     pub(super) fn learnt(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Learnt> {
         let unknowns = self.root.ncols();
         let identity = DMatrix::identity(unknowns, unknowns);
@@ -243,7 +244,7 @@ impl Posterior {
         posterior.root.iter().chain(w.iter()).all(|x| x.is_finite()).then_some(Learnt { posterior, w })
     }
 
-    /// A model drawn from it, by standard normal numbers.
+    /// A model drawn from the posterior; `normal` gives standard normal numbers.
     pub fn drawn(&self, mut normal: impl FnMut() -> f64) -> LengthModel {
         let numbers = DVector::from_fn(self.root.ncols(), |_, _| normal());
         self.moved(&(&self.root * numbers))
@@ -284,8 +285,8 @@ pub fn root_after(root: &DMatrix<f64>, factor: &DMatrix<f64>) -> Option<DMatrix<
     after.iter().all(|x| x.is_finite()).then_some(after)
 }
 
-/// A root of the covariance (A'A)^-1 of least squares with the whitened rows A, a row an unknown. `None` if A has not full
-/// column rank.
+/// A root of the covariance (A'A)^-1 of least squares with the whitened rows A, a row for each unknown. `None` if A has
+/// not full column rank.
 pub fn inverse_root(rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     // Scaled to unit columns, because mm and rad differ by orders of magnitude.
     let norms: Vec<f64> = rows.column_iter().map(|column| column.norm()).collect();

@@ -17,9 +17,10 @@ use crate::robot::{
     parameter,
 };
 
-/// Poses of the workspace, and as many of those measured, by which the uncertainty is compressed.
+/// Number of poses of the workspace, and of measured poses, for which the uncertainty is compressed.
 const COMPRESSING: usize = 150;
-/// The predicted error of the identified robot must be at most this fraction of that by the manufacturer's tolerance.
+/// The predicted error of the identified robot must be at most this fraction of the predicted error with the
+/// manufacturer's tolerance.
 const BETTER: f64 = 0.5;
 
 /// Contributions to the position error of the identified robot: root mean square over robots and poses, mm.
@@ -36,13 +37,14 @@ pub struct PositionParts {
 /// The predicted position uncertainty of the nominal and the identified robot.
 pub(crate) struct Prediction {
     pub(crate) pair: PredictedPair,
-    /// The same of the orientation of the flange, mrad.
+    /// The predicted orientation uncertainty of the flange, mrad.
     pub(super) orientation: PredictedPair,
     pub(super) parts: PositionParts,
     pub(super) map: Vec<MapPoint>,
-    /// Of the robot by its manufacturer's tolerance, independent of an earlier identification.
+    /// Predicted position error of the robot with its manufacturer's tolerance, independent of an earlier
+    /// identification.
     pub(super) maker: ErrorSummary,
-    /// What is not known of the identified robot, for its file.
+    /// The uncertainty of the identified robot, for its file.
     pub(crate) uncertainty: RobotUncertainty,
     /// The posterior of the identified robot.
     pub(super) posterior: Option<RobotPosterior>,
@@ -97,7 +99,8 @@ impl Prediction {
     }
 }
 
-/// The robot before the lengths with what is not known of it, and the position uncertainty of one by its manufacturer's tolerance.
+/// The robot before the lengths with its uncertainty, and the position uncertainty of a robot with its manufacturer's
+/// tolerance.
 fn nominal(setting: &Setting<'_>, poses: &[ApproachedPose]) -> ((Geometry, RobotUncertainty), ErrorSummary) {
     let geometry = &setting.start.geometry;
     let ids = setting.all_and(0.into(), &[]);
@@ -119,7 +122,7 @@ fn nominal(setting: &Setting<'_>, poses: &[ApproachedPose]) -> ((Geometry, Robot
     (before, of_maker)
 }
 
-/// Of a robot over poses, mm, without the repeatability of a pose.
+/// The position errors of a robot over poses, mm, without the repeatability of a pose.
 fn position_summary(
     geometry: &Geometry,
     unknown: &RobotUncertainty,
@@ -128,8 +131,8 @@ fn position_summary(
     ErrorSummary::of(&Positions::new(geometry, unknown, poses).draws(0.0))
 }
 
-/// What is not known of a robot whose geometry has this root, with the errors of joints that robots usually have. Where a list
-/// is followed, there are none, before as after.
+/// The uncertainty of a robot whose geometry has this root of its covariance, with the usual errors of joints. If the
+/// user gave a list of parameters, there are no errors of joints, neither before nor after the estimate.
 fn with_usual_joint_errors(ids: &[ParamId], root: &DMatrix<f64>, has_errors: bool) -> RobotUncertainty {
     if !has_errors {
         return RobotUncertainty {
@@ -158,8 +161,8 @@ fn with_usual_joint_errors(ids: &[ParamId], root: &DMatrix<f64>, has_errors: boo
     }
 }
 
-/// The posterior is C = root root'. What a bar's error shares with the positions is its part; of the noise it is
-/// C A' A C = C - C P C, with A the whitened rows and P the precision of the prior.
+/// The posterior is C = root root'. The part of a bar is the covariance of its error with the positions. The part of
+/// the noise is C A' A C = C - C P C, with A the whitened rows and P the precision of the prior.
 fn parts(estimate: &Estimate, axes: &[[f64; AXES]]) -> PositionParts {
     let Estimate { kept, root, fit, .. } = estimate;
     let is_own = |id: ParamId| id.moves_tool_ball();
@@ -194,7 +197,7 @@ fn robot_posterior(estimate: &Estimate) -> Option<RobotPosterior> {
     RobotPosterior::with_balls(&ids, &fit.model.geometry, &fit.model.balls, &root.select_rows(&own))
 }
 
-/// How fast the zeros wander, with what this estimate says of their steps since the one whose posterior is its prior.
+/// The drift of the zeros, learnt from their steps since the estimate whose posterior is the prior of this one.
 pub(super) fn drift_after(setting: &Setting<'_>, estimate: &Estimate) -> Drift {
     let before = setting.robot.drift;
     let known = setting.robot.posterior.as_ref().filter(|_| setting.options.prior == Prior::Posterior);
@@ -209,7 +212,7 @@ pub(super) fn drift_after(setting: &Setting<'_>, estimate: &Estimate) -> Drift {
     steps.map_or(before, |steps| before.after(&steps))
 }
 
-/// At most [`COMPRESSING`] of so many, evenly spread.
+/// At most [`COMPRESSING`] indices of `count`, evenly spread.
 fn thinned(count: usize) -> impl Iterator<Item = usize> {
     (0..count).step_by(count.div_ceil(COMPRESSING).max(1))
 }
@@ -221,8 +224,8 @@ fn measured_pose(reading: &PreparedMeasurement) -> ApproachedPose {
     }
 }
 
-/// What the lengths scatter beyond what is given of them and of the robot's repeatability, mm: it is of the robot, such
-/// as backlash where the sense of approach is not known.
+/// The scatter of the lengths beyond their given standard deviations and the robot's repeatability, mm. It comes from
+/// the robot, such as backlash where the sense of approach is not known.
 fn unexplained_mm(setting: &Setting<'_>, estimate: &Estimate, lengths: &Lengths) -> f64 {
     if !lengths.known || lengths.is_sigma_given {
         return 0.0;

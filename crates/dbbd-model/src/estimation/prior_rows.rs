@@ -23,7 +23,7 @@ pub(super) struct PriorRows {
 }
 
 impl PriorRows {
-    /// The coefficients, a row an equation.
+    /// The coefficients, a row for each equation.
     pub(super) fn matrix(&self) -> &DMatrix<f64> {
         &self.rows
     }
@@ -38,7 +38,8 @@ fn values(model: &LengthModel, ids: &[ParamId]) -> DVector<f64> {
     DVector::from_fn(ids.len(), |k, _| model.value(ids[k]))
 }
 
-/// The prior of the parameters `kept` about their values at the start: of the bars alone where a list of the user is followed.
+/// The prior of the parameters `kept` about their values at the start. If a list is estimated without a prior, only
+/// bars have one.
 pub(super) fn prior_rows(setting: &Setting<'_>, kept: &[ParamId]) -> Option<PriorRows> {
     let follows_list = setting.options.follows_list();
     let is_bound = |id: &ParamId| !follows_list || is_bar(id);
@@ -71,7 +72,7 @@ pub(super) fn sharing(priors: &Priors, analysis: &Analysis) -> Vec<ParamId> {
         .collect();
     let others = analysis.dependent().into_iter().chain(analysis.zero());
     sharing.extend(others.filter(|id| priors.is_of_posterior(*id)));
-    // What moves no ball moves another tool.
+    // A parameter that does not move this tool ball moves another tool.
     sharing.extend(analysis.zero().into_iter().filter(|id| id.is_geometric()));
     sharing.sort();
     sharing.dedup();
@@ -96,7 +97,7 @@ mod tests {
         LengthModel::new(geometry, &[ball])
     }
 
-    /// Of a1 and the bar's offset, whose rows have these inverse standard deviations.
+    /// The prior of a1 and the bar's offset, whose rows have these inverse standard deviations.
     fn rows_of([length, bar]: [f64; 2], mean: [f64; 3]) -> PriorRows {
         let rows = DMatrix::from_row_slice(2, 3, &[length, 0.0, 0.0, 0.0, 0.0, bar]);
         PriorRows { rows, mean: DVector::from_column_slice(&mean) }

@@ -1,6 +1,6 @@
-//! Prior standard deviations, and the limits of poor observability and of plausibility. Estimation, design and plan have no
-//! other source of them. The table of the parameters (`robot/parameter.rs`) says which rule each parameter follows; here the
-//! rules become numbers for one robot, one bar and the prior that the user chose.
+//! Prior standard deviations, and the limits of poor observability and of plausibility. Estimation, design and plan
+//! have no other source for them. The table of the parameters (`robot/parameter.rs`) states which rule each parameter
+//! follows. Here the rules become numbers for one robot, one bar and the prior that the user chose.
 
 use std::collections::BTreeMap;
 
@@ -9,39 +9,40 @@ use nalgebra::{DMatrix, DVector};
 use crate::estimation::EstimationFinding;
 use crate::robot::{AXES, BarId, ParamGroup, ParamId, PriorRule, Robot, RobotPosterior};
 
-/// A parameter counts as identified if its standard deviation is at most so many tolerances.
+/// A parameter counts as identified if its standard deviation is at most this number of tolerances.
 pub const WEAK: f64 = 3.0;
-/// Corrections beyond so many standard deviations (of prior and data together) are doubted if a part of the set-up is
-/// fixed, which they may compensate,
+/// Corrections beyond this number of standard deviations (of prior and data together) get a warning if a part of the
+/// set-up is fixed, which they may compensate,
 const IMPLAUSIBLE: f64 = 5.0;
-/// and beyond so many in any case.
+/// and beyond this number in any case.
 const IMPOSSIBLE: f64 = 20.0;
-/// A joint deflects by about so much under the greatest torque of gravity: 2 to 6e-7 rad/(N m) of an arm that carries 60 kg.
+/// A joint deflects by about this angle under the greatest torque of gravity: 2 to 6e-7 rad/(N m) for an arm that
+/// carries 60 kg.
 const DEFLECTION_RAD: f64 = 4e-4;
-/// Masses by the size of an arm are right to half, those of a maker to a tenth.
+/// Relative standard deviation of masses that follow from the size of an arm, and of masses that its maker states.
 const ASSUMED_MASS_ERROR: f64 = 0.5;
 const STATED_MASS_ERROR: f64 = 0.1;
 
 /// The prior on the robot that the user chose.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Prior {
-    /// None but for the directions that the data determine worse than three tolerances.
+    /// No prior, except in the directions that the data determine worse than three tolerances.
     None,
     /// The tolerance in the robot's file.
     #[default]
     Datasheet,
-    /// Standard deviations of some parameters; the datasheet's of the rest.
+    /// Standard deviations of some parameters; the datasheet's for the rest.
     Given(BTreeMap<ParamId, f64>),
-    /// The posterior of an earlier identification; the datasheet's of the rest.
+    /// The posterior of an earlier identification; the datasheet's prior for the rest.
     Posterior,
 }
 
 impl Prior {
-    /// The default prior for so many lengths: the posterior in the robot's file if there is one. `known` counts those of the
-    /// lengths that are in it already. The finding says why a posterior is not used.
+    /// The default prior for this number of lengths: the posterior in the robot's file if there is one. `known` counts
+    /// the lengths that are already in that posterior. The finding says why a posterior is not used.
     ///
     /// # Errors
-    /// Those of `known`.
+    /// The errors of `known`.
     pub fn continued<E>(
         robot: &Robot,
         lengths: usize,
@@ -77,14 +78,14 @@ pub struct Priors {
     /// Relative standard deviation of the masses of the links.
     mass_error: f64,
     bar_u_mm: Option<f64>,
-    /// Of each coordinate of the tool ball on the flange, mm.
+    /// Standard uncertainty of each coordinate of the tool ball on the flange, mm.
     ball_u_mm: f64,
     given: BTreeMap<ParamId, f64>,
     posterior: Option<RobotPosterior>,
 }
 
 impl Priors {
-    /// From the robot's tolerance and the standard uncertainty of the bar's length by its certificate, mm.
+    /// The priors from the robot's tolerance and the standard uncertainty of the bar's length in its certificate, mm.
     pub fn datasheet(robot: &Robot, bar_u_mm: Option<f64>) -> Self {
         Self {
             length_mm: robot.tolerance.length_mm,
@@ -144,7 +145,7 @@ impl Priors {
         }
     }
 
-    /// The same where a fit begins: a bar without a certificate may have any length near what is stated.
+    /// As [`Self::bound`], at the start of a fit: a bar without a certificate may have any length near the stated one.
     pub(super) fn bound_at_start(&self, id: ParamId) -> Option<f64> {
         if matches!(id, ParamId::BarOffset(_)) && !self.is_certified() {
             Some(FAR_BAR_MM)
@@ -165,8 +166,8 @@ impl Priors {
         u_mm.unwrap_or_else(|| Self::unbound(ParamId::BarOffset(BarId::FIRST)))
     }
 
-    /// The standard deviation of a parameter that neither a tolerance nor a certificate binds; infinite for those that a
-    /// tolerance always binds.
+    /// The standard deviation of a parameter that neither a tolerance nor a certificate binds; infinite for parameters
+    /// that a tolerance always binds.
     fn unbound(id: ParamId) -> f64 {
         match id.prior() {
             PriorRule::Free(sd) | PriorRule::Certificate { uncertified: sd } => sd,
@@ -244,21 +245,21 @@ pub fn length_sd_mm(bar_mm: f64, robot: &Robot) -> f64 {
     bar_mm.hypot(robot.repeatability_sd_mm().unwrap_or(0.0))
 }
 
-/// A bar without a certificate has a prior of Student's t; where a fit begins it is as wide as this, mm.
+/// A bar without a certificate has a prior of Student's t; at the start of a fit its standard deviation is this, mm.
 pub(super) const FAR_BAR_MM: f64 = 0.5;
-/// Where a fit begins a tool ball may be anywhere on the tool, mm.
+/// At the start of a fit a tool ball may be anywhere on the tool, mm.
 const FAR_TOOL_MM: f64 = 50.0;
-/// The degrees of freedom of that prior: nobody knows how wrong such a bar is.
+/// Degrees of freedom of the prior of a bar without a certificate: nobody knows how wrong such a bar is.
 const BAR_FREEDOM: f64 = 4.0;
 
-/// The variance of the normal prior that weighs as Student's t does at an offset of this mean square, mm^2 (the mean weight
-/// of its representation as a normal distribution with a gamma-distributed precision): where the bar is as stated, that of a
-/// bar without a certificate.
+/// The variance of the normal prior that has the same weight as Student's t at an offset with this mean square, mm^2
+/// (the mean weight of its representation as a normal distribution with a gamma-distributed precision). For a bar that
+/// is as stated it is the variance of a bar without a certificate.
 pub(super) fn uncertified_variance(mean_square: f64) -> f64 {
     Priors::certified_bar_mm(None).powi(2) + mean_square / (BAR_FREEDOM + 1.0)
 }
 
-/// Corrections beyond so many prior standard deviations are doubted.
+/// Corrections beyond this number of prior standard deviations get a warning.
 pub fn largest_plausible(set_up_is_fixed: bool) -> f64 {
     if set_up_is_fixed { IMPLAUSIBLE } else { IMPOSSIBLE }
 }

@@ -1,5 +1,5 @@
-//! The predicted position uncertainty of a tool at the points of a program: as the nominal robot drives them, and as the identified
-//! robot does after a correction.
+//! The predicted position uncertainty of a tool at the points of a program: of the program as it is, which assumes the
+//! nominal robot, and of the corrected program.
 
 use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
@@ -27,15 +27,17 @@ impl PointUncertainty {
 /// The predicted position uncertainty of the program's own tool, after the best rigid alignment over its datum.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ProgramUncertainty {
-    /// The nominal robot's: how far the identified robot is from it, and what is not known of the identified one.
+    /// Uncertainty of the program as it is: the distance of the identified robot from the nominal one, and the
+    /// uncertainty of the identified robot.
     pub before: PointUncertainty,
-    /// What is not known of the identified robot, with the repeatability of a pose.
+    /// Uncertainty of the corrected program: that of the identified robot, with the repeatability of a pose.
     pub after: PointUncertainty,
 }
 
 impl ProgramUncertainty {
-    /// Of an identified robot; `None` without points. The datum are poses (axis angles, rad). If there are none, the points of each
-    /// tool are aligned by themselves; fewer than 10 of them with poses of the workspace.
+    /// The uncertainty of an identified robot at points; `None` without points. `datum` are poses (axis angles, rad).
+    /// If there are none, the points of each tool are aligned by themselves; fewer than 10 points are aligned with
+    /// poses of the workspace.
     pub fn of(robot: &Robot, points: &[ToolPoint], datum: &[[f64; AXES]]) -> Option<Self> {
         let mut tools: Vec<Vector3<f64>> = Vec::new();
         for point in points {
@@ -54,8 +56,8 @@ impl ProgramUncertainty {
         })
     }
 
-    /// Whether a correction makes it smaller by more than a tenth. Otherwise what is corrected is smaller than what is
-    /// not known.
+    /// Whether a correction makes the uncertainty smaller by more than a tenth. Otherwise the correction is smaller
+    /// than its own uncertainty.
     pub fn is_better(&self) -> bool {
         self.after.mean < 0.9 * self.before.mean
     }

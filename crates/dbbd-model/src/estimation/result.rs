@@ -1,5 +1,5 @@
 //! The result of a calibration: [`CalibrationResult`] is what `result.json` holds, written and read as it is.
-//! [`CompletedCalibration`] has it with the models that other files and the pages are made from.
+//! [`CompletedCalibration`] adds the models from which other files and the pages are made.
 
 use std::ops::Range;
 
@@ -33,23 +33,24 @@ pub struct CalibrationResult {
     /// The robot to which `before` refers.
     pub start: StartRobot,
     pub prior: PriorSource,
-    /// Factor on the maker's tolerance by the evidence, at least 1; `None` where a list of parameters is followed.
+    /// Factor on the maker's tolerance that the evidence asks for, at least 1; `None` if a list of parameters was
+    /// estimated without a prior.
     pub prior_scale: Option<f64>,
     /// Number of used measurements; a position counts once.
     pub measurements: usize,
     pub made_from: MadeFrom,
-    /// Of the scaled Jacobian of the parameters asked for, at the nominal geometry with the fitted set-up.
+    /// Rank of the scaled Jacobian of the parameters asked for, at the nominal geometry with the fitted set-up.
     pub rank: usize,
     pub rank_at_solution: usize,
     /// Condition number of the base set, columns scaled to unit norm.
     pub condition: f64,
-    /// Of the identified parameters at the solution, in units of their prior standard deviations.
+    /// Observability of the identified parameters at the solution, in units of their prior standard deviations.
     pub observability: Option<Observability>,
-    /// Of the solver.
+    /// Iterations of the solver.
     pub iterations: usize,
     pub converged: bool,
     pub noise_mm: NoiseSummary,
-    /// Of `noise_mm.length`.
+    /// Source of `noise_mm.length`.
     pub sigma_source: SigmaSource,
     /// Coverage factor of a 95 % interval: Student's t if sigma was estimated, normal if it was given, `None` if it is
     /// unknown.
@@ -58,17 +59,18 @@ pub struct CalibrationResult {
     pub folds: Option<Folds>,
     /// Residuals of separate lengths.
     pub validation: Option<BeforeAfter>,
-    /// If poses were measured more than once.
+    /// Quantities along the bar, if poses were measured more than once.
     pub distance: Option<DistanceQuantities>,
-    /// What the evidence says of each group of errors of the joints.
+    /// The evidence for each group of errors.
     pub groups: Vec<GroupEvidence>,
     /// Errors of the joints, if the evidence supports them.
     pub joint_errors: Option<JointSummary>,
-    /// What happened while the lengths were measured, or could have.
+    /// Events that happened while the lengths were measured, or could have happened.
     pub hypotheses: Vec<RunHypothesis>,
     pub monte_carlo: Option<MonteCarlo>,
     pub predicted_position_uncertainty_mm: PredictedPair,
-    /// Of the flange, over some of the same poses; absent in results of earlier versions.
+    /// Predicted orientation uncertainty of the flange over some of the same poses; absent in results of earlier
+    /// versions.
     #[serde(default)]
     pub predicted_orientation_uncertainty_mrad: Option<PredictedPair>,
     /// For which tool, payload and time the result holds.
@@ -79,12 +81,12 @@ pub struct CalibrationResult {
     /// Strongly correlated pairs, strongest first.
     pub correlated: Vec<Correlation>,
     pub outliers: Vec<Outlier>,
-    /// Those that were left out on request.
+    /// Measurements that were left out on request.
     #[serde(default)]
     pub excluded: Vec<ExcludedMeasurement>,
     /// Further measurements that would help, best first.
     pub recommendations: Vec<Recommendation>,
-    /// Those of the estimate first, then those about the inputs.
+    /// Findings of the estimate first, then findings about the inputs.
     pub findings: Vec<RecordedFinding>,
 }
 
@@ -92,7 +94,7 @@ impl CalibrationResult {
     /// Reads the text of a `result.json`.
     ///
     /// # Errors
-    /// The text is not that of a result of this schema, or it was edited.
+    /// The text is not a result of this schema, or it was edited.
     pub fn from_json(file: &str, text: &str) -> Result<Self, Diagnostic> {
         Seal::Json.check(text).map_err(|finding| Diagnostic::file(file, finding))?;
         let wrong = |finding: ResultFinding| Diagnostic::file(file, finding);
@@ -102,7 +104,7 @@ impl CalibrationResult {
     }
 
     /// # Errors
-    /// The JSON is not that of a result of this schema.
+    /// The JSON is not a result of this schema.
     pub fn from_value(json: serde_json::Value) -> Result<Self, ResultFinding> {
         check_schema(&json, RESULT_SCHEMA)?;
         serde_json::from_value(json).map_err(|error| ResultFinding::Incomplete { why: error.to_string() })
@@ -122,7 +124,7 @@ impl CalibrationResult {
     }
 
     /// Whether a finding is more severe than an information.
-    pub fn is_doubtful(&self) -> bool {
+    pub fn has_warnings(&self) -> bool {
         self.warnings().next().is_some()
     }
 }
@@ -130,7 +132,7 @@ impl CalibrationResult {
 /// Checks the key `schema` of the JSON of a result.
 ///
 /// # Errors
-/// It is missing, or not `known`.
+/// The key is missing, or its value is not `known`.
 pub fn check_schema(json: &serde_json::Value, known: u32) -> Result<(), ResultFinding> {
     match json.get("schema") {
         Some(schema) if schema.as_u64() == Some(u64::from(known)) => Ok(()),
@@ -162,7 +164,7 @@ pub struct CompletedCalibration {
 }
 
 impl CompletedCalibration {
-    /// All findings as they were made, those of the estimate first.
+    /// All findings as they were made, findings of the estimate first.
     pub fn diagnostics(&self) -> impl Iterator<Item = Diagnostic> {
         self.result.findings.iter().filter_map(RecordedFinding::made).cloned()
     }
@@ -225,11 +227,11 @@ pub enum StartRobot {
 /// The noise of the measurements, one standard deviation, mm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseSummary {
-    /// Of a length: root mean square of those of the used lengths.
+    /// Standard deviation of a length: root mean square over the used lengths.
     pub length: f64,
-    /// Of the pose in each direction, if it was separated from the rest.
+    /// Standard deviation of the pose in each direction, if it was separated from the rest.
     pub pose: Option<f64>,
-    /// Of a length besides that of the pose, if it was separated from the rest.
+    /// Standard deviation of a length without the noise of the pose, if it was separated from the rest.
     pub instrument: Option<f64>,
     /// Degrees of freedom of `length`, if it was estimated.
     pub degrees_of_freedom: Option<f64>,
@@ -238,9 +240,9 @@ pub struct NoiseSummary {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SigmaSource {
-    /// From the user, or `sigma_mm` of the data.
+    /// Given by the user, or as `sigma_mm` in the data.
     Given,
-    /// From the residuals.
+    /// Estimated from the residuals.
     Estimated,
     /// Not given, and there are too few lengths to estimate it.
     #[default]
@@ -270,34 +272,35 @@ pub struct Folds {
     pub rms: f64,
 }
 
-/// A predicted uncertainty over the workspace, of the nominal robot by its tolerance and of the identified one.
+/// A predicted uncertainty over the workspace: of the nominal robot with its tolerance, and of the identified robot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PredictedPair {
     pub nominal: ErrorSummary,
     pub identified: ErrorSummary,
 }
 
-/// What a calibration states of itself in one line.
+/// What a calibration is valid for, as it is stated in one line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Validity {
-    /// The point that it holds for, in the flange frame, mm.
+    /// The point on the tool for which the calibration is valid, in the flange frame, mm.
     pub tool_mm: [f64; 3],
-    /// Mass of the payload that the uncertainty counts with, kg; `None` if the robot file states none.
+    /// Mass of the payload with which the uncertainty is computed, kg; `None` if the robot file states none.
     pub payload_kg: Option<f64>,
     /// Day of the measurements, if it is known.
     pub measured: Option<String>,
     /// Expanded uncertainty U (k = 2) on that day: twice the root of the mean square of the 3-D error over the workspace, mm.
     pub expanded_uncertainty_mm: f64,
-    /// The uncertainty that ends it, mm: the user's tolerance, else 1.5 times that of the day.
+    /// The expanded uncertainty at which the validity ends, mm: the user's tolerance, else 1.5 times that on the day of
+    /// the measurements.
     pub limit_mm: f64,
     /// Months from the day of the measurements until U reaches the limit; `None` if it is more than 120.
     pub months: Option<f64>,
-    /// That day, if the day of the measurements is known.
+    /// The day on which U reaches the limit, if the day of the measurements is known.
     pub until: Option<String>,
     pub basis: DriftBasis,
 }
 
-/// What the drift of a robot is known from.
+/// The source of the drift of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DriftBasis {
@@ -315,7 +318,7 @@ pub struct MapPoint {
 }
 
 impl MapPoint {
-    /// Over all points of a map, mm.
+    /// Root mean square over all points of a map, mm.
     pub fn root_mean_square_mm(map: &[Self]) -> f64 {
         let square: f64 = map.iter().map(|point| point.rms_mm.powi(2)).sum();
         (square / map.len().max(1) as f64).sqrt()
@@ -329,7 +332,7 @@ pub enum PriorSource {
     None,
     Datasheet,
     File,
-    /// That of an earlier identification.
+    /// The posterior of an earlier identification.
     Posterior,
 }
 
@@ -359,7 +362,7 @@ pub struct ParameterResult {
     pub unit: ParamUnit,
     pub start: f64,
     pub nominal: f64,
-    /// Estimated, or the value at which it was fixed.
+    /// The estimated value, or the value at which the parameter was fixed.
     pub identified: f64,
     /// Identified minus nominal.
     pub correction: f64,
@@ -370,7 +373,7 @@ pub struct ParameterResult {
     pub interval95: Option<[f64; 2]>,
     pub monte_carlo: Option<ParameterDraws>,
     pub status: Status,
-    /// Why it has its status, in words; empty if it is identified by itself.
+    /// Why the parameter has its status, in words; empty if it is identified by itself.
     pub reason: String,
 }
 
@@ -403,11 +406,11 @@ pub struct Recommendation {
     pub poses: usize,
     /// Predicted mean position error of the result, mm.
     pub before_mm: f64,
-    /// The same with the measurement, mm.
+    /// Predicted mean position error with the further measurement, mm.
     pub after_mm: f64,
-    /// Whether it lowers the error by more than 3 %.
+    /// Whether the measurement lowers the error by more than 3 %.
     pub adds: bool,
-    /// Parameters that it would identify and that are not identified now.
+    /// Parameters that the measurement would identify and that are not identified now.
     pub identifies: Vec<ParamId>,
 }
 
@@ -440,24 +443,24 @@ pub enum CirclePlane {
 /// A measurement that is not used.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Outlier {
-    /// Its index column.
+    /// Value of the index column.
     pub index: u32,
     /// `None` for a position.
     pub ball: Option<BallId>,
-    /// For a position the 3-D distance.
+    /// Residual of the length; for a position the 3-D distance.
     pub residual_mm: f64,
 }
 
 /// A measurement that was left out on request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExcludedMeasurement {
-    /// Its index column.
+    /// Value of the index column.
     pub index: u32,
     /// `None` for a position.
     pub ball: Option<BallId>,
-    /// Of the identified robot, which does not know it.
+    /// Residual with the identified robot, which was fitted without this measurement.
     pub residual_mm: f64,
-    /// Who left it out; `None` if nobody is stated.
+    /// Who left the measurement out; `None` if nobody is stated.
     pub by: Option<String>,
     /// `None` if no reason is stated.
     pub reason: Option<String>,
@@ -523,7 +526,7 @@ mod tests {
         }
     }
 
-    /// The members keep their order, which their sum in words has.
+    /// The members keep their order: it is the order of the sum in words.
     #[test]
     fn a_combination_is_written_by_the_names_of_its_members() {
         let combination = Combination {

@@ -1,8 +1,8 @@
-//! Transmission ripple: which joint repeats an error how often a turn.
+//! Transmission ripple: the joint that repeats an error, and how often it does so in a turn.
 //!
-//! Each candidate, a cosine and a sine of one joint's angle, is judged by its Bayes factor beside the fit as it is: with
-//! the precision D of its two coefficients by the lengths, all other unknowns taken out, and g the gradient,
-//! ln B = g'(D + I/s^2)^-1 g / 2 - ln|I + s^2 D| / 2.
+//! Each candidate, a cosine and a sine of one joint's angle, is judged by its Bayes factor when it is added to the
+//! present fit. With the precision D of its two coefficients by the lengths, all other unknowns eliminated, and the
+//! gradient g, ln B = g'(D + I/s^2)^-1 g / 2 - ln|I + s^2 D| / 2.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
@@ -14,10 +14,10 @@ use crate::robot::{AXES, Joint};
 const ORDERS: std::ops::RangeInclusive<u32> = 3..=180;
 /// Candidates whose products are formed at once.
 const TOGETHER: usize = 64;
-/// So much more than the number of candidates asks for must speak for the best.
+/// The logarithm of the Bayes factor of the best candidate must exceed that of the number of candidates by this.
 const MARGIN: f64 = 2.0;
 
-/// A joint and how often a turn it repeats its error.
+/// A joint, the number of times in a turn that it repeats an error, and the evidence for this.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Candidate {
     pub(super) joint: Joint,
@@ -26,18 +26,18 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
-    /// Whether it is more than the best of so many by chance.
+    /// Whether the candidate is better than the best of all candidates would be by chance.
     pub(super) fn is_believed(&self) -> bool {
         self.ln_bayes > ln_candidates() + MARGIN
     }
 }
 
-/// The logarithm of the number of candidates: what choosing one of them costs.
+/// The logarithm of the number of candidates: the loss of evidence for the choice of one of them.
 pub(super) fn ln_candidates() -> f64 {
     (AXES as f64 * f64::from(ORDERS.end() - ORDERS.start() + 1)).ln()
 }
 
-/// A posterior beside which candidates are judged.
+/// A posterior to which candidates are added to judge them.
 pub(super) struct RippleSearch<'a> {
     pub(super) rows: &'a PoseRows,
     pub(super) whitened: &'a Whitened,
@@ -45,7 +45,7 @@ pub(super) struct RippleSearch<'a> {
     pub(super) mean: &'a DVector<f64>,
     /// A root of the covariance of all unknowns.
     pub(super) root: &'a DMatrix<f64>,
-    /// One standard deviation of a coefficient before, rad.
+    /// Prior standard deviation of a coefficient, rad.
     pub(super) sd_rad: f64,
     /// Joints that moved.
     pub(super) joints: &'a [Joint],
@@ -73,7 +73,7 @@ impl RippleSearch<'_> {
         judged.max_by(|a, b| a.ln_bayes.total_cmp(&b.ln_bayes))
     }
 
-    /// Cosine and sine of each candidate, of unit noise.
+    /// The whitened columns of cosine and sine of each candidate.
     fn columns(&self, candidates: &[(u32, Joint)]) -> DMatrix<f64> {
         let rows = self.rows;
         let mut columns = DMatrix::zeros(rows.lengths.len(), 2 * candidates.len());

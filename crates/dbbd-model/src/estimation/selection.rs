@@ -1,4 +1,4 @@
-//! The places of the set-up that the poses leave open.
+//! The coordinates of the set-up that the poses do not determine.
 
 use super::inverse_root;
 use super::lengths::{Sigma, Weighted};
@@ -37,7 +37,7 @@ pub fn without_open_places(
     Some(asked.iter().copied().filter(free).collect())
 }
 
-/// Which of these places the lengths leave open for the nominal robot, worst first.
+/// The places among these that the lengths do not determine for the nominal robot, worst first.
 pub(super) fn open_places(
     priors: &Priors,
     model: &LengthModel,

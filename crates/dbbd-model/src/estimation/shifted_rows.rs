@@ -14,7 +14,7 @@ const SHIFTS: [isize; 4] = [-1, 1, -2, 2];
 const DECISIVE: f64 = 20.0;
 /// and the required ratio of the residuals: with very many lengths a tiny improvement reaches the likelihood ratio.
 const SMALLER: f64 = 1.5;
-/// Residuals are truncated at so many robust standard deviations.
+/// Residuals are truncated at this number of robust standard deviations.
 const CAP: f64 = 3.0;
 /// Degrees of freedom below which nothing is decided.
 const MIN_FREEDOM: f64 = 10.0;

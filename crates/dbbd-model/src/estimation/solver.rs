@@ -32,9 +32,9 @@ pub(super) struct Solution {
     pub(super) model: LengthModel,
     pub(super) iterations: usize,
     pub(super) converged: bool,
-    /// Whitened residuals at the model, or at one whose lengths differ by rounding; an even sample of many lengths.
+    /// Whitened residuals at the model, or at a model whose lengths differ by rounding; an even sample of many lengths.
     pub(super) residuals: Vec<f64>,
-    /// The same at the start.
+    /// Whitened residuals at the start.
     pub(super) first: Vec<f64>,
 }
 
@@ -162,11 +162,11 @@ impl<'a> Descent<'a> {
 
 /// The linearised problem at a model.
 struct Equations {
-    /// Whitened rows, including those of the prior.
+    /// Whitened rows, including the rows of the prior.
     system: Triangle,
     /// Whitened residuals; an even sample of many lengths.
     residuals: Vec<f64>,
-    /// The loss, including that of the prior.
+    /// The loss, including the loss of the prior.
     cost: f64,
 }
 

@@ -1,5 +1,5 @@
-//! Where an estimate begins: the set-up is fitted to the nominal robot, the base set is chosen there, and the parameters are
-//! fitted with their prior, without what no nominal robot could show.
+//! The start of an estimate: the set-up is fitted to the nominal robot, the base set is chosen there, and the
+//! parameters are fitted with their prior, without errors that a nominal robot cannot have.
 
 use nalgebra::{DMatrix, SymmetricEigen};
 
@@ -21,7 +21,7 @@ use crate::robot::{ParamGroup, ParamId, parameter};
 /// Least standard deviation of a length, mm, so that exact data cause no division by zero.
 const FLOOR_MM: f64 = 1e-9;
 
-/// Parameters that may be far beyond their tolerance alone, as a lost zero.
+/// Largest number of single parameters that may be far beyond their tolerance, such as a lost zero.
 const MAX_FAR: usize = 2;
 /// Standard uncertainties beyond which a tool ball was not measured.
 const GUESSED: f64 = 10.0;
@@ -30,14 +30,14 @@ const GUESSED: f64 = 10.0;
 pub(super) struct EstimateStart {
     /// The nominal robot with the free part of the set-up fitted.
     pub(super) before: LengthModel,
-    /// The same with bars as stated.
+    /// The same model with bars as stated.
     pub(super) at_start: LengthModel,
     pub(super) analysis: Analysis,
     /// The parameters to estimate, in canonical order.
     pub(super) kept: Vec<ParamId>,
-    /// Those of them that are independent by the lengths alone.
+    /// The parameters to estimate that are independent by the lengths alone.
     pub(super) base: Vec<ParamId>,
-    /// Places of the set-up that the poses leave open, worst first.
+    /// Coordinates of the set-up that the poses do not determine, worst first.
     pub(super) open: Vec<ParamId>,
     pub(super) fit: Fit,
     pub(super) sigma: Sigma,
@@ -58,7 +58,7 @@ impl EstimateStart {
         // A fit of the set-up alone must not change what an earlier identification determined.
         free.retain(|id| !priors.is_of_posterior(*id));
         let before = fit::set_up(lengths, &free, setting.start);
-        // Nor begin with a bar of any length.
+        // Nor may the fit begin with a bar of any length.
         let without_bars: Vec<ParamId> =
             free.iter().copied().filter(|id| follows_list || !is_bar(id)).collect();
         let set_up = match without_bars.len() < free.len() {
@@ -97,12 +97,12 @@ impl EstimateStart {
         Ok(Self { before: before.model, at_start: set_up.model, analysis, kept, base, open, fit, sigma })
     }
 
-    /// What is known of the unknowns of an estimate before its lengths.
+    /// The prior of the unknowns of an estimate.
     pub(super) fn known_before(&self, setting: &Setting<'_>, lengths: &Lengths) -> Option<KnownBefore> {
         let Setting { options, priors, start, .. } = setting;
         if options.follows_list() {
-            // A list says nothing of the length of a bar, and without a prior of the robot nothing else does: where there is no
-            // certificate it has the whole standard deviation of Student's t with four degrees of freedom.
+            // A list says nothing about the length of a bar, and without a prior of the robot nothing else does. A bar
+            // without a certificate has the full standard deviation of Student's t with four degrees of freedom.
             let far_mm = std::f64::consts::SQRT_2 * FAR_BAR_MM;
             let sd = |id: ParamId| if priors.is_certified() { priors.bound(id) } else { Some(far_mm) };
             let ids = self.kept.clone();
@@ -117,13 +117,13 @@ impl EstimateStart {
         let optional = optional.filter(|_| options.estimate.is_none());
         let mut ids: Vec<ParamId> = self.kept.iter().copied().chain(optional).collect();
         ids.sort();
-        // An implausible correction that the geometry finds, as of a lost zero, is no draw from the prior: the prior takes its
-        // size, so that it costs errors of the joints and geometry the same.
+        // An implausible correction that the geometry finds, such as a lost zero, is no draw from the prior. The prior
+        // is widened to its size, so that it costs errors of the joints and geometry the same.
         let correction = |id: ParamId| (self.fit.model.value(id) - start.value(id)).abs();
         let is_far = |id: &ParamId| {
             priors.bound_at_start(*id).is_some_and(|sd| correction(*id) > largest_plausible(true) * sd)
         };
-        // Of several it is the tolerance that is too small.
+        // If several are far, the tolerance is too small.
         let few = self.kept.iter().filter(|id| id.is_geometric() && is_far(id)).count() <= MAX_FAR;
         let widened = |id: ParamId, sd: f64| {
             (few && correction(id) > largest_plausible(true) * sd).then(|| correction(id))
@@ -132,7 +132,7 @@ impl EstimateStart {
             ParamGroup::Compliance => Some(Variance::Of(Group::Compliance, priors.sd(*id))),
             ParamGroup::Gear => Some(Variance::Of(Group::Harmonic, 1.0)),
             ParamGroup::Tool if !priors.is_of_posterior(*id) => {
-                // A tool ball that is centimetres away was not measured, but guessed.
+                // The position of a tool ball that is centimetres away was not measured, but guessed.
                 let guessed = |sd: f64| correction(*id) > GUESSED * sd;
                 let variance = |sd| {
                     if guessed(sd) { Variance::Fixed(correction(*id)) } else { Variance::Of(Group::Tool, sd) }
@@ -163,7 +163,8 @@ impl EstimateStart {
         }
     }
 
-    /// Without a prior of the geometry, but for the directions that the data determine worse than three tolerances.
+    /// The prior without a prior of the geometry, except in directions that the data determine worse than three
+    /// tolerances.
     fn judged_by_data(
         &self,
         setting: &Setting<'_>,
@@ -177,7 +178,7 @@ impl EstimateStart {
             (0..known.ids.len()).partition(|at| is_judged(&known.ids[*at]));
         let set_up: Vec<usize> = others.iter().copied().filter(|at| known.ids[*at].is_setup()).collect();
         let weighted = lengths.weighted(self.sigma, &self.fit.outliers);
-        // The set-up first: what is left of the rows of the geometry then says what the data know of it.
+        // The set-up comes first and is eliminated: the rest of the geometry's rows then shows what the data determine.
         let order: Vec<ParamId> = set_up.iter().chain(&own).map(|at| known.ids[*at]).collect();
         let mut sorted = order.clone();
         sorted.sort();
@@ -188,7 +189,7 @@ impl EstimateStart {
             column *= setting.priors.geometric(*id)?;
         }
         let mut bound = DMatrix::zeros(set_up.len(), order.len());
-        // A bar without a certificate says nothing of the size of the robot.
+        // A bar without a certificate says nothing about the size of the robot.
         let says_size = |id: &ParamId| !is_bar(id) || setting.priors.is_certified();
         for (row, at) in set_up.iter().enumerate() {
             let id = Some(known.ids[*at]).filter(says_size);
@@ -215,11 +216,11 @@ impl EstimateStart {
     }
 }
 
-/// With the posterior of an earlier identification: parameters, and coefficients of the joints' errors.
+/// The prior from the posterior of an earlier identification: parameters, and coefficients of the joints' errors.
 fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
     let uncertainty = setting.robot.known_uncertainty();
     let KnownBefore { ids, are_bars_uncertified, .. } = known;
-    // A tool ball that the posterior has not is another one than that of the identification.
+    // A tool ball that is not in the posterior is not the one of the identification.
     let is_here = |id: &ParamId| match id.group() {
         ParamGroup::Balls => false,
         ParamGroup::Tool => setting.priors.is_of_posterior(*id),
@@ -231,7 +232,7 @@ fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
         | ParamGroup::Gear => true,
     };
     let is_robots = |id: &ParamId| uncertainty.parameters.contains(id) && is_here(id);
-    // Harmonics and compliance that the robot has not are not added.
+    // Harmonics and compliance that the robot does not have are not added.
     let ids: Vec<ParamId> = ids.into_iter().filter(|id| !id.is_optional() || is_robots(id)).collect();
     let own: Vec<usize> = (0..ids.len()).filter(|at| is_robots(&ids[*at])).collect();
     let (coefficients, columns) = (setting.start.geometry.joint_errors.count(), uncertainty.root.ncols());
@@ -320,8 +321,8 @@ mod tests {
         }
     }
 
-    /// What the lengths of one circle know of the directions of the transform, in tolerances, with the set-up taken out of dense
-    /// normal equations by its Schur complement.
+    /// The information of the lengths of one circle about the directions of the transform, in tolerances, with the
+    /// set-up eliminated from dense normal equations by its Schur complement.
     #[test]
     fn without_a_prior_directions_that_the_data_do_not_know_have_the_tolerance() {
         let circles = [horizontal(1, CENTRE)];

@@ -11,18 +11,18 @@ use super::pose_rows::{PoseRows, Whitening};
 /// Design rows at a model.
 pub(super) struct System {
     pub(super) rows: PoseRows,
-    /// Measured minus what the model without its corrections predicts, to first order.
+    /// Measured minus predicted length at a model whose unknowns are zero, to first order, mm.
     pub(super) right: DVector<f64>,
-    /// The given standard deviations about their mean.
+    /// The given standard deviation of each length, divided by their root mean square.
     pub(super) weights: Vec<f64>,
-    /// `None` of free unknowns.
+    /// Prior variance of each unknown; `None` for a free one.
     pub(super) variances: Vec<Option<Variance>>,
     pub(super) is_sigma_given: bool,
     /// Median of the prior of the noise, mm.
     pub(super) sigma_mm: f64,
 }
 
-/// A system of unit noise.
+/// A system whose rows are whitened.
 pub(super) struct Whitened {
     pub(super) shape: NoiseShape,
     pub(super) whitening: Whitening,
@@ -32,17 +32,17 @@ pub(super) struct Whitened {
     pub(super) equations: Equations,
 }
 
-/// Normal equations with what is needed for the free unknowns.
+/// Normal equations of the bound unknowns (those with a prior), and the matrices from which the free unknowns follow.
 pub(super) struct Equations {
     evidence: Evidence,
     /// Places of the bound and of the free unknowns among all.
     bound: Vec<usize>,
     free: Vec<usize>,
-    /// The unit of each free unknown in what follows.
+    /// The unit of each free unknown in the fields below.
     units: DVector<f64>,
     unknowns: usize,
     factor: Cholesky<f64, Dyn>,
-    /// Gram matrix of free by bound, and the right-hand side of the free.
+    /// Gram matrix of free by bound unknowns, and the right-hand side of the free unknowns.
     across: DMatrix<f64>,
     free_right: DVector<f64>,
 }
@@ -52,12 +52,12 @@ pub(super) struct SystemPosterior<'a> {
     equations: &'a Equations,
     coefficients: Coefficients,
     sigma_mm: f64,
-    /// Of what is free the step.
+    /// The posterior mean of all unknowns; for a free unknown the step.
     pub(super) mean: DVector<f64>,
 }
 
 impl System {
-    /// Whether the residuals are more than rounding.
+    /// Whether the residuals are larger than rounding.
     pub(super) fn is_noisy(&self) -> bool {
         const ROUNDING_MM: f64 = 1e-6;
         self.rows.residual.norm() > ROUNDING_MM * (self.right.len() as f64).sqrt()
@@ -68,12 +68,13 @@ impl System {
         (&self.right - &self.rows.values * unknowns).norm_squared() / self.right.len() as f64
     }
 
-    /// Root of the mean variance of the lengths, in units of that of a pose.
+    /// Root mean square of the lengths' standard deviations, in units of sigma, the standard deviation of a pose.
     pub(super) fn rms_sd(&self, shape: NoiseShape, sigma_mm: f64) -> f64 {
         self.rows.rms_sd(&shape.of_rows(&self.rows, &self.weights, sigma_mm))
     }
 
-    /// Of unit noise, where that of a pose is sigma. `None` where noise or free unknowns are not determined.
+    /// The system with whitened rows, whose noise has the standard deviation sigma of a pose. `None` if the noise or
+    /// free unknowns are not determined.
     pub(super) fn whitened(&self, shape: NoiseShape, sigma_mm: f64) -> Option<Whitened> {
         let whitening = self.rows.whitening(&shape.of_rows(&self.rows, &self.weights, sigma_mm))?;
         let (mut rows, mut right) = (self.rows.values.clone(), self.right.clone());
@@ -83,7 +84,7 @@ impl System {
         Some(Whitened { shape, whitening, rows, right, weights: self.weights.clone(), equations })
     }
 
-    /// The sums of its rows alone, of unit noise.
+    /// The sums over the whitened rows of this system.
     pub(super) fn normal_sums(&self, shape: NoiseShape, sigma_mm: f64) -> Option<NormalSums> {
         let whitening = self.rows.whitening(&shape.of_rows(&self.rows, &self.weights, sigma_mm))?;
         let (mut rows, mut right) = (self.rows.values.clone(), self.right.clone());
@@ -93,7 +94,7 @@ impl System {
     }
 }
 
-/// What the rows of unit noise sum to.
+/// Sums over whitened rows, from which the normal equations are formed.
 #[derive(Clone, Debug)]
 pub(super) struct NormalSums {
     gram: DMatrix<f64>,
@@ -126,11 +127,11 @@ impl NormalSums {
     }
 }
 
-/// What is added to the squares of unit columns: a direction with a smaller square is rounding.
+/// Added to the squares of columns of unit norm: a direction with a smaller square is rounding.
 const SINGULAR: f64 = 1e-12;
 
 impl Equations {
-    /// Of sums over rows whose unknowns are those of the system.
+    /// The normal equations from sums over rows that have the unknowns of the system.
     pub(super) fn of(system: &System, sums: NormalSums) -> Option<Self> {
         let NormalSums { gram: mut whole, right: mut whole_right, squares, rows, mut ln_whitening } = sums;
         let unknowns = system.variances.len();
@@ -173,7 +174,7 @@ impl Equations {
         Some(Self { evidence, bound, free, units, unknowns, factor, across, free_right })
     }
 
-    /// The same with those groups only; the coefficients of the others are zero.
+    /// The same equations with only these groups and the unknowns without a group; the other coefficients are zero.
     pub(super) fn with_groups(&self, groups: &[Group]) -> Self {
         let Evidence { normal, variances, .. } = &self.evidence;
         let is_kept = |at: &usize| variances[*at].group().is_none_or(|group| groups.contains(&group));
@@ -246,7 +247,7 @@ impl SystemPosterior<'_> {
         self.coefficients.ln_likelihood + self.equations.evidence.ln_prior(hypers)
     }
 
-    /// How much of each unknown the data determine, from 0 to 1.
+    /// The fraction of each unknown that the data determine, from 0 to 1.
     pub(super) fn determined(&self) -> Vec<f64> {
         let mut determined = vec![1.0; self.equations.unknowns];
         let of_bound = self.coefficients.determined();
@@ -296,7 +297,7 @@ mod tests {
         }
     }
 
-    /// The covariance of the noise: sigma^2 u'v of the lengths of a pose, and what each has of its own.
+    /// The covariance of the noise: sigma^2 u'v of the lengths of a pose, and the independent noise of each.
     fn noise(system: &System) -> DMatrix<f64> {
         let rows = &system.rows;
         let mut noise = DMatrix::zeros(rows.lengths.len(), rows.lengths.len());

@@ -1,9 +1,9 @@
-//! The unknowns of an estimate: parameters of the model, coefficients of the joints' errors, and errors that the model lacks;
-//! what is known of each before the lengths; and the design rows by them.
+//! The unknowns of an estimate (parameters of the model, coefficients of the joints' errors, and errors that the model
+//! lacks), their priors, and the design rows by them.
 //!
-//! With x the parameters and coefficients, x = mean + T z: the unknowns z of what is known before are independent. T is the
-//! root of the posterior of an earlier identification, or the directions in which data alone are judged; else it is the
-//! identity. A free parameter has no prior, and its unknown is the step from where the model is.
+//! The parameters and coefficients are x = mean + T z, with a prior of independent unknowns z. T is the root of the
+//! covariance of an earlier identification, or holds the directions in which the data alone judge the geometry; else it
+//! is the identity. A free parameter has no prior, and its unknown is the step from its value in the model.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -19,47 +19,48 @@ use crate::robot::{
     AXES, JointErrorModel, JointErrors, JointTerm, ParamId, SmoothJointError, TermKind, VisitedAngles,
 };
 
-/// An axis that turns by less has no function of its angle, rad.
+/// A joint that turns by less has no smooth function of its angle, rad.
 const MIN_RANGE: f64 = 0.05;
 /// Basis functions for each length scale in half the interval (Riutort-Mayol et al., Statistics and Computing 33, 2022),
 /// and their limits.
 const FUNCTIONS: f64 = 2.65;
 const MIN_FUNCTIONS: usize = 10;
 const MAX_FUNCTIONS: usize = 48;
-/// Clusters of poses that share a displacement of the tool ball, and poses for each at least.
+/// Largest number of clusters of poses, and least number of poses in each. The poses of a cluster share a displacement
+/// of the tool ball.
 const CLUSTERS: usize = 24;
 const POSES_PER_CLUSTER: usize = 4;
-/// Cosines of the time by which zeros and links may warm up.
+/// Number of cosines of time by which zeros and links may change as the robot warms up.
 const WARMING: usize = 3;
 
-/// What the prior says of the parameters and coefficients.
+/// The prior of the parameters and coefficients.
 #[derive(Clone, Debug, Default)]
 pub(super) struct KnownBefore {
-    /// In canonical order.
+    /// The parameters, in canonical order.
     pub(super) ids: Vec<ParamId>,
-    /// Of each parameter; 0 for a free one.
+    /// Prior mean of each parameter; 0 for a free one.
     pub(super) means: Vec<f64>,
-    /// Of each column of T, or of each parameter without T; `None` of what is free.
+    /// Prior variance of each column of T, or of each parameter if there is no T; `None` for a free one.
     pub(super) variances: Vec<Option<Variance>>,
-    /// A row for each parameter, then, if there are coefficients in it, for each coefficient of the errors.
+    /// The matrix T: a row for each parameter, then, if T contains coefficients, for each coefficient of the errors.
     pub(super) transform: Option<DMatrix<f64>>,
-    /// Whether the coefficients of the joints' errors are in the transform, so that their functions stay as they are.
+    /// Whether T contains the coefficients of the joints' errors, so that the functions stay as they are.
     pub(super) has_coefficients: bool,
-    /// Whether bars have the prior of one without a certificate.
+    /// Whether bars have the prior of a bar without a certificate.
     pub(super) are_bars_uncertified: bool,
 }
 
-/// The unknowns beside parameters and coefficients.
+/// The unknowns besides parameters and coefficients.
 #[derive(Clone, Debug)]
 struct ModelErrors {
-    /// The middle of each cluster of poses.
+    /// The centre of each cluster of poses.
     centres: Vec<Features>,
     warms: bool,
-    /// What happened for certain.
+    /// The events that certainly happened.
     events: Vec<SupposedEvent>,
 }
 
-/// Sines and cosines of the joints, by how far they move the tool ball.
+/// Sines and cosines of the joint angles, weighted by how far each joint moves the tool ball.
 type Features = [f64; 2 * AXES];
 
 #[derive(Clone, Debug)]
@@ -68,13 +69,13 @@ pub(super) struct Unknowns {
     /// The angles of each joint: lowest and highest, rad; equal where there are no errors of the joints.
     ranges: [[f64; 2]; AXES],
     visited: [VisitedAngles; AXES],
-    /// Whether the sense of approach is known of any length.
+    /// Whether the sense of approach is known for any length.
     approached: bool,
     errors: ModelErrors,
 }
 
 impl Unknowns {
-    /// `with_errors`: also what the geometry does not explain.
+    /// `with_errors` adds errors that the geometry does not explain.
     pub(super) fn new(before: KnownBefore, start: &LengthModel, used: &Weighted, with_errors: bool) -> Self {
         let (mut angles, mut approached): ([Vec<f64>; AXES], bool) = Default::default();
         let (mut poses, mut warms) = (Vec::new(), with_errors);
@@ -96,7 +97,7 @@ impl Unknowns {
         Self { before, ranges, visited: angles.map(VisitedAngles::of), approached, errors }
     }
 
-    /// With an event as further unknowns.
+    /// The same unknowns, and an event as further ones.
     pub(super) fn with_event(mut self, event: SupposedEvent) -> Self {
         self.errors.events.push(event);
         self
@@ -110,7 +111,7 @@ impl Unknowns {
         &self.before.ids
     }
 
-    /// Whether the coefficients of the joints' errors are known before.
+    /// Whether the prior contains the coefficients of the joints' errors.
     pub(super) fn has_coefficients(&self) -> bool {
         self.before.has_coefficients
     }
@@ -121,12 +122,12 @@ impl Unknowns {
         high - low >= MIN_RANGE
     }
 
-    /// How many columns belong to the parameters.
+    /// Number of columns that belong to the parameters.
     fn own(&self) -> usize {
         self.before.variances.len()
     }
 
-    /// Where the coefficients of backlash in a model are among all unknowns; nowhere if they are mixed with others.
+    /// The places of the backlash coefficients of a model among all unknowns; none if T mixes them with others.
     pub(super) fn backlash_places(&self, model: &LengthModel) -> [Option<usize>; AXES] {
         if self.before.has_coefficients {
             return [None; AXES];
@@ -134,13 +135,14 @@ impl Unknowns {
         model.geometry.joint_errors.backlash_places().map(|place| Some(self.own() + place?))
     }
 
-    /// Where the search for the noise of the joints begins.
+    /// The noise of the joints at which its search begins.
     pub(super) fn joint_noise(&self) -> JointNoise {
         let moved: [bool; AXES] = std::array::from_fn(|joint| self.moved(joint));
         JointNoise::of_moved(moved, self.approached || moved == [false; AXES])
     }
 
-    /// The functions that the length scale needs, with the coefficients that `before` has of them.
+    /// Joint errors with as many basis functions as the length scale needs, with the coefficients of `before` where the
+    /// functions are the same.
     pub(super) fn errors(&self, before: &JointErrors, hypers: &Hypers) -> JointErrors {
         if self.before.has_coefficients {
             return before.clone();
@@ -165,7 +167,7 @@ impl Unknowns {
         JointErrors::new(std::array::from_fn(joint))
     }
 
-    /// Design rows at a model; `z` are the unknowns that the model has.
+    /// Design rows at a model; `z` are the values of the unknowns in the model.
     pub(super) fn linearised(
         &self,
         model: &LengthModel,
@@ -210,7 +212,7 @@ impl Unknowns {
         }
     }
 
-    /// The unknowns that a model has; `known` are those to which it was brought.
+    /// The values of the unknowns in a model; `known` are the values to which the model was moved before.
     pub(super) fn at(&self, model: &LengthModel, known: &DVector<f64>) -> DVector<f64> {
         let KnownBefore { ids, means, variances, transform, has_coefficients, .. } = &self.before;
         if *has_coefficients {
@@ -226,7 +228,7 @@ impl Unknowns {
         DVector::from_iterator(ids.len() + coefficients.len(), own.iter().copied().chain(coefficients))
     }
 
-    /// The columns of bars without a certificate: those of parameters that the transform leaves as they are.
+    /// The columns of bars without a certificate; T does not mix these parameters with others.
     pub(super) fn bar_columns(&self) -> impl Iterator<Item = usize> {
         let KnownBefore { ids, transform, are_bars_uncertified, .. } = &self.before;
         let is_bar = |at: &usize| *are_bars_uncertified && matches!(ids[*at], ParamId::BarOffset(_));
@@ -237,7 +239,7 @@ impl Unknowns {
         (0..ids.len()).filter(is_bar).map(column)
     }
 
-    /// Prior standard deviations of the parameters; `None` of what is free.
+    /// Prior standard deviations of the parameters; `None` for a free one.
     pub(super) fn prior_sds(&self, hypers: &Hypers) -> Vec<Option<f64>> {
         let KnownBefore { ids, variances, transform, .. } = &self.before;
         let of = |k: usize| match transform {
@@ -253,7 +255,7 @@ impl Unknowns {
         (0..ids.len()).map(of).collect()
     }
 
-    /// Brings a model from the unknowns `now` to those `then`.
+    /// Moves a model from the unknowns `now` to the unknowns `then`.
     pub(super) fn move_to(&self, now: &DVector<f64>, then: &DVector<f64>, model: &mut LengthModel) {
         let own =
             self.own() + if self.before.has_coefficients { 0 } else { model.geometry.joint_errors.count() };
@@ -274,7 +276,7 @@ impl Unknowns {
         *errors = errors.with(coefficients);
     }
 
-    /// The unknowns where the model is: a free one is a step, which was made.
+    /// The unknowns after the model moved to them: a free unknown is a step, which is done and becomes 0.
     pub(super) fn rested(&self, mut z: DVector<f64>) -> DVector<f64> {
         for (k, _) in self.before.variances.iter().enumerate().filter(|(_, variance)| variance.is_none()) {
             z[k] = 0.0;
@@ -282,7 +284,7 @@ impl Unknowns {
         z
     }
 
-    /// Rows of parameters and coefficients from rows of unknowns.
+    /// The rows of parameters and coefficients that follow from rows of unknowns.
     pub(super) fn rows_of_parameters(&self, rows: &DMatrix<f64>, coefficients: usize) -> DMatrix<f64> {
         match &self.before.transform {
             Some(transform) => {
@@ -299,7 +301,7 @@ impl Unknowns {
 const USUAL_SIGMA_MM: f64 = 0.03;
 
 impl ModelErrors {
-    /// Columns with the prior of each, a row each row.
+    /// The columns of these errors, with a row for each design row, and the prior of each column.
     fn columns(&self, rows: &PoseRows, used: &Weighted) -> (DMatrix<f64>, Vec<Variance>) {
         let places = 3 * self.centres.len();
         let warming = if self.warms { (AXES + 1) * WARMING } else { 0 };
@@ -347,7 +349,8 @@ fn square(one: &Features, other: &Features) -> f64 {
     one.iter().zip(other).map(|(a, b)| (a - b).powi(2)).sum()
 }
 
-/// Poses (joint angles, rad) that are far from each other, the farthest from the middle first: each is the middle of a cluster.
+/// The centres of the clusters: poses (joint angles, rad) that are far from each other. The first is the farthest from
+/// the middle of all poses, each further one the farthest from those before it.
 fn centres(poses: &[[f64; AXES]]) -> Vec<Features> {
     let mut distinct: Vec<[u64; AXES]> = poses.iter().map(|pose| pose.map(f64::to_bits)).collect();
     distinct.sort_unstable();
@@ -374,7 +377,7 @@ fn centres(poses: &[[f64; AXES]]) -> Vec<Features> {
     centres
 }
 
-/// Lowest and highest, rad.
+/// Lowest and highest angle, rad.
 fn range(angles: &[f64]) -> [f64; 2] {
     let start = [f64::INFINITY, f64::NEG_INFINITY];
     angles.iter().fold(start, |[low, high], angle| [low.min(*angle), high.max(*angle)])
@@ -469,7 +472,7 @@ mod tests {
         ids
     }
 
-    /// Bound but for the ball.
+    /// Every parameter except the ball has a prior.
     fn variances(ids: &[ParamId]) -> Vec<Option<Variance>> {
         let of = |id: &ParamId| match id {
             ParamId::Ball(..) => None,
@@ -479,7 +482,7 @@ mod tests {
         ids.iter().map(of).collect()
     }
 
-    /// Mixes the first three of the four.
+    /// A transform that mixes the first three of the four parameters.
     fn transform() -> DMatrix<f64> {
         DMatrix::from_row_slice(
             4,

@@ -132,7 +132,8 @@ mod tests {
         }
     }
 
-    /// With the true robot in each fold, what is held out is off by what was added; an outlier does not count.
+    /// With the true robot in each fold, held-out lengths are wrong by the error that was added; an outlier does not
+    /// count.
     #[test]
     fn held_out_lengths_are_off_by_their_noise_and_a_fold_without_a_fit_gives_nothing() {
         let robot = kr60();

@@ -1,4 +1,4 @@
-//! How long a calibration holds: for which tool and payload, until when, with what uncertainty.
+//! The validity of a calibration: for which tool and payload it holds, until when, and with what uncertainty.
 
 use std::fmt;
 
@@ -9,17 +9,18 @@ use crate::math::distributions::COVERAGE_FACTOR;
 use crate::measurement::ApproachedPose;
 use crate::robot::{Drift, Payload, Robot};
 
-/// Poses over which the growth is taken, uniform within the axis limits, and their seed.
+/// Number and seed of the poses over which the growth of the uncertainty is taken, uniform within the axis limits.
 const POSES: usize = 300;
 const SEED: u64 = 1;
-/// Without a tolerance of the user the calibration holds until its uncertainty is this many times that of its day.
+/// Without a tolerance of the user the calibration holds until its uncertainty is this many times that on the day of
+/// the measurements.
 const GROWTH: f64 = 1.5;
-/// So finely a time is sought, months.
+/// Resolution of the time that is sought, months.
 const MONTHS_RESOLUTION: f64 = 0.02;
 
 impl Validity {
-    /// Of a robot with its posterior, whose position uncertainty is `map` today and grows by the drift of its months; `None`
-    /// without a posterior.
+    /// The validity of a robot's calibration. `map` is the predicted position uncertainty today; it grows with the
+    /// drift of the months to come. `None` without a posterior, or if the uncertainty is not finite.
     pub fn of(robot: &Robot, tolerance_mm: Option<f64>, map: &[MapPoint]) -> Option<Self> {
         if !robot.has_posterior() {
             return None;
@@ -53,7 +54,7 @@ impl Validity {
     }
 }
 
-/// The months until a growing uncertainty reaches a limit.
+/// The months until a growing uncertainty reaches a limit; `None` if they are more than [`Drift::MAX_MONTHS`].
 fn crossing(limit_mm: f64, now_mm: f64, expanded_mm: impl Fn(f64) -> f64) -> Option<f64> {
     if now_mm >= limit_mm {
         return Some(0.0);
@@ -126,7 +127,7 @@ mod tests {
         robot
     }
 
-    /// One point with what is known of the robot over the poses.
+    /// A map of one point with the robot's uncertainty over the poses.
     fn map(robot: &Robot) -> [MapPoint; 1] {
         let poses = Workspace::uniform(robot.controller(), POSES, SEED);
         let poses: Vec<ApproachedPose> = poses.iter().map(ApproachedPose::unapproached).collect();
@@ -135,8 +136,8 @@ mod tests {
         [MapPoint { position: nalgebra::Vector3::zeros(), rms_mm: (square / POSES as f64).sqrt() }]
     }
 
-    /// If the zero of one joint alone is uncertain, U grows as its standard deviation: by 1.5 where the walk has added 1.25 of the
-    /// variance, which are (s / rate)^2 1.25 months.
+    /// If only the zero of one joint is uncertain, U is proportional to its standard deviation: it has grown by half
+    /// when the walk has added 1.25 times the variance, after 1.25 (s / rate)^2 months.
     #[test]
     fn without_a_tolerance_it_holds_until_u_has_grown_by_half() {
         let robot = identified(40e-6);

@@ -73,7 +73,8 @@ impl Workspace {
         Self { positions, ids: ids.to_vec(), jacobian }
     }
 
-    /// The displacements of the ball, 3 rows a pose, by parameter errors, a row a parameter; mm, a column a robot.
+    /// The displacements of the tool ball by parameter errors (a row for each parameter, a column for each robot): 3
+    /// rows for each pose, a column for each robot, mm.
     pub fn displacements(&self, errors: &DMatrix<f64>) -> DMatrix<f64> {
         &self.jacobian * errors
     }
@@ -87,7 +88,7 @@ impl Workspace {
         self.positions.iter().enumerate().map(point).collect()
     }
 
-    /// Three rows a pose, a column a parameter, without rigid motions of all poses.
+    /// The Jacobian: three rows for each pose, a column for each parameter, without rigid motions of all poses.
     pub fn jacobian(&self) -> &DMatrix<f64> {
         &self.jacobian
     }
@@ -99,7 +100,7 @@ impl Workspace {
 }
 
 impl ErrorSummary {
-    /// Of displacements, 3 rows a pose and a column a robot, mm.
+    /// The summary of displacements (3 rows for each pose, a column for each robot, mm).
     pub fn of(displacements: &DMatrix<f64>) -> Self {
         let mut sizes = Vec::with_capacity(displacements.len() / 3);
         let mut largest = Vec::with_capacity(displacements.ncols());
@@ -127,7 +128,7 @@ pub(super) fn take_out_rigid_motion(jacobian: &mut DMatrix<f64>, positions: &[Ve
     take_out_rigid_motion_of(jacobian, positions, 0..positions.len());
 }
 
-/// Takes the rigid motion out of the columns that fits those of the positions best which are the datum.
+/// Removes from each column the rigid motion that fits best to the displacements of the positions in the datum.
 pub(super) fn take_out_rigid_motion_of(
     jacobian: &mut DMatrix<f64>,
     positions: &[Vector3<f64>],
@@ -168,8 +169,8 @@ pub(super) fn take_out_rigid_motion_of(
     }
 }
 
-/// What a simpler model of a robot leaves out: the distance of its tool ball from the robot's over the workspace, after the best
-/// rigid alignment, mm. Backlash is taken along the way from pose to pose.
+/// The error of a simpler model of a robot: the distance of its tool ball from the robot's over the workspace, after
+/// the best rigid alignment, mm. Backlash is taken along the way from pose to pose.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SimplifiedModelError {
     pub mean_mm: f64,
@@ -180,13 +181,13 @@ impl SimplifiedModelError {
     const POSES: usize = 2000;
     const SEED: u64 = 1;
 
-    /// Of the DH table alone, without compliance and joint errors. `None` if the robot has neither.
+    /// The error of the DH table alone, without compliance and joint errors. `None` if the robot has neither.
     pub fn of(robot: &Robot) -> Option<Self> {
         let table = robot.geometry.rigid();
         (table != robot.geometry).then(|| Self::by(robot, &table))
     }
 
-    /// Of another geometry with the same tool ball.
+    /// The error of another geometry with the same tool ball.
     pub fn by(robot: &Robot, model: &Geometry) -> Self {
         let poses = Workspace::uniform(robot.controller(), Self::POSES, Self::SEED);
         let balls = |geometry: &Geometry| -> Vec<Vector3<f64>> {
@@ -273,7 +274,7 @@ mod tests {
         assert!((jacobian.column(1) - &scale).norm() < 1e-9 * scale.norm());
     }
 
-    /// A screw that the datum shares is taken out of all positions, one of the others alone stays.
+    /// A screw that the datum shares is removed from all positions; a screw of the other positions alone stays.
     #[test]
     fn the_motion_of_the_datum_is_taken_out_everywhere() {
         let place =

@@ -8,7 +8,7 @@ use super::svd;
 #[derive(Clone, Copy, Debug)]
 pub struct RigidAlignment {
     pub rotation: Rotation3<f64>,
-    /// In the unit of the points.
+    /// The shift, in the unit of the points.
     pub shift: Vector3<f64>,
     /// The scale factor about the centroid that least squares would add to the motion. The motion does not contain it.
     pub scale: f64,

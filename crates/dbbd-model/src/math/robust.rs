@@ -73,7 +73,7 @@ mod tests {
         assert_eq!(slope(&[(1.0, 0.0), (1.0, 5.0)], &mut Vec::new()), 0.0);
     }
 
-    /// Of a uniform distribution all is within 1.5 standard deviations: the median alone counts.
+    /// All of a uniform distribution is within 1.5 standard deviations: only the median counts.
     #[test]
     fn bulk_scale_ignores_a_sixth_of_outliers() {
         let mut magnitudes: Vec<f64> = (0..1000).map(|at| f64::from(at) * 1e-3).collect();

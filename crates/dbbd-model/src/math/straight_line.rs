@@ -51,8 +51,8 @@ impl RegressionLine {
 }
 
 impl StraightLine {
-    /// By weighted least squares; `None` if all x are equal. Where the residuals exceed the standard deviations, both
-    /// uncertainties are multiplied by the Birge ratio.
+    /// The line by weighted least squares; `None` if all x are equal. Where the residuals exceed the standard
+    /// deviations, both uncertainties are multiplied by the Birge ratio.
     pub fn through(sightings: &[WeightedPoint]) -> Option<Self> {
         let weight = |sighting: &WeightedPoint| sighting.sd.powi(-2);
         let sum = |of: &dyn Fn(&WeightedPoint) -> f64| -> f64 {

@@ -19,7 +19,7 @@ pub struct Triangle {
 }
 
 impl Triangle {
-    /// Without any row.
+    /// A problem without any row.
     pub fn new(unknowns: usize) -> Self {
         let width = unknowns + 1;
         Self { n: unknowns, r: vec![0.0; width * width], block: vec![0.0; BLOCK * width], waiting: 0 }

@@ -21,7 +21,7 @@ impl BaseBall {
         Self::from_table(&mut TableReader::of(file, text)?)
     }
 
-    /// Reads the same from a table.
+    /// Reads the base balls from a table.
     pub fn from_table(table: &mut TableReader<'_>) -> Result<Vec<Self>, Diagnostic> {
         let [number, x, y, z] = table.required(["centre", "x_mm", "y_mm", "z_mm"])?;
         let mut balls = Vec::new();

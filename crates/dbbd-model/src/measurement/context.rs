@@ -23,7 +23,7 @@ impl PoseKind {
         [(Self::Measure, "measure"), (Self::Reference, "reference"), (Self::Transit, "transit")];
 }
 
-/// What is known besides pose and length.
+/// The circumstances of a measurement besides pose and length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MeasurementContext {
     pub kind: Option<PoseKind>,
@@ -36,13 +36,13 @@ pub struct MeasurementContext {
     pub circle: Option<CircleId>,
     /// The angle of the pose on its circle.
     pub angle_deg: Option<f64>,
-    /// Of the bar.
+    /// Temperature of the bar, degrees Celsius.
     pub temperature_c: Option<f64>,
     /// The controller's axis angles at which the tool ball touched the place of the base ball, degrees.
     pub taught_deg: Option<Box<[f64; AXES]>>,
     /// The change of the bar's zero that was subtracted from the length, mm.
     pub zero_mm: Option<f64>,
-    /// How strongly the bar pulled the tool ball towards the base ball, N.
+    /// Force with which the bar pulled the tool ball towards the base ball, N.
     pub force_n: Option<f64>,
     /// Cells by their column's number that the fields do not reproduce: the user's own columns, and other spellings of a
     /// value.

@@ -13,8 +13,8 @@ pub struct DistinctMeasurements {
 }
 
 impl Measurements {
-    /// Keeps the first of equal rows. Rows that differ only in their index count as equal only if that concerns half of the
-    /// table: a few can be a pose that was measured again with the same length.
+    /// Keeps the first of equal rows. Rows that differ only in their index count as equal only if at least half of the
+    /// table is repeated in this way: a few can be a pose that was measured again with the same length.
     ///
     /// # Errors
     /// Different rows with the same index.
@@ -52,8 +52,9 @@ impl Measurements {
         Ok(DistinctMeasurements { measurements: self, repeated: count })
     }
 
-    /// How many rows of `other` are in this table too. The index, a subtracted change of the bar's zero and rounding of one of
-    /// the two tables do not matter. A pose that was measured again agrees by chance about once in fifty times.
+    /// The number of rows of `other` that are in this table too. The index, a subtracted change of the bar's zero and
+    /// rounding of one of the two tables do not matter. A pose that was measured again agrees by chance about once in
+    /// fifty times.
     pub fn holds(&self, other: &Self) -> usize {
         let mut known: Vec<(f64, &Measurement)> =
             self.rows.iter().map(|row| (measured_mm(row), row)).collect();

@@ -38,7 +38,7 @@ pub struct PreparedMeasurement {
     pub payload: PayloadId,
     /// Distance between the ball centres, or from a plane of the tracker's frame.
     pub length_mm: f64,
-    /// How strongly the bar pulls the tool ball towards the base ball, N.
+    /// Force with which the bar pulls the tool ball towards the base ball, N.
     pub force_n: f64,
 }
 
@@ -205,7 +205,8 @@ impl ColumnSelection {
 }
 
 impl LengthModel {
-    /// With the base balls in the order of their numbers, exact bars, no target but the tool ball, no tracker.
+    /// A model with the base balls in the order of their numbers, exact bars, no target but the tool ball, and no
+    /// tracker.
     pub fn new(geometry: Geometry, balls: &[BaseBall]) -> Self {
         let balls = balls.iter().map(|ball| ball.position).collect();
         Self { geometry, balls, bar_offsets: vec![], targets: vec![], tracker: None }
@@ -388,7 +389,7 @@ mod tests {
         assert_eq!(model.value(ParamId::Target(TargetId::at(1), Coordinate::Z)), 150.0);
         assert_eq!(model.value(ParamId::TrackerTurn(Coordinate::Y)), -0.3);
         assert!(model.value(ParamId::Ball(BallId::at(2), Coordinate::Y)).is_nan());
-        // A bar beyond the end is added, what the model does not have stays away.
+        // A bar beyond the end is added; parameters that the model does not have are ignored.
         let further = model.shifted(&[ParamId::BarOffset(BarId::at(3))], &[0.5]);
         assert_eq!(further.bar_offsets, [0.0, 0.4, 0.0, 0.5]);
         assert_eq!(model.shifted(&[ParamId::Target(TargetId::at(5), Coordinate::X)], &[1.0]), model);

@@ -21,7 +21,7 @@ pub struct MeasuredPosition {
     /// The controller's axis angles, rad.
     pub axes: [f64; AXES],
     pub target: TargetId,
-    /// In the tracker's frame, mm.
+    /// Position of the target in the tracker's frame, mm.
     pub place: Vector3<f64>,
 }
 

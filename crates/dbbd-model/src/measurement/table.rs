@@ -33,7 +33,7 @@ pub struct Measurement {
     pub length_mm: f64,
     /// Standard deviation of the length, if known.
     pub sigma_mm: Option<f64>,
-    /// What the flange carried.
+    /// The payload on the flange.
     pub payload: PayloadId,
     /// Equal contexts of consecutive rows are shared, so that a million lengths take about 100 bytes each.
     pub context: Option<Arc<MeasurementContext>>,
@@ -99,7 +99,7 @@ const FORCE: &str = "force_n";
 pub const APPROACH: [&str; AXES] =
     ["approach1", "approach2", "approach3", "approach4", "approach5", "approach6"];
 
-/// Which optional columns are written.
+/// The optional columns that are written.
 #[derive(Clone, Copy)]
 struct OptionalColumns {
     bars: bool,
@@ -123,7 +123,7 @@ impl Measurements {
         Self::from_table(&mut TableReader::of(file, text)?)
     }
 
-    /// Reads the same from a table, a row at a time.
+    /// Reads the measurements from a table, a row at a time.
     pub fn from_table(table: &mut TableReader<'_>) -> Result<Self, Diagnostic> {
         let [a1, a2, a3, a4, a5, a6] = AXIS_COLUMNS;
         let places = table.required(["index", "centre", a1, a2, a3, a4, a5, a6, "length_mm"])?;
@@ -191,7 +191,7 @@ impl Measurements {
         }
     }
 
-    /// With the payloads of a robot in the order of its file.
+    /// The measurements with the payloads of a robot in the order of its file.
     ///
     /// # Errors
     /// A row names a payload that the robot does not have.
@@ -215,14 +215,14 @@ impl Measurements {
         Ok(self)
     }
 
-    /// Appends the rows of a further table of the same robot. Of its further columns only the pull of the bar, which the lengths
-    /// depend on, goes along.
+    /// Appends the rows of a further table of the same robot. Of its further columns only the pull of the bar is kept,
+    /// because the lengths depend on it.
     ///
     /// # Errors
     /// As [`Self::new`].
     pub fn and(mut self, further: &Self) -> Result<Self, MeasurementFinding> {
         let mut payloads = self.payloads;
-        // Where one table names no payload, the first of the other is that of all its rows.
+        // If one table names no payload, all its rows have the first payload of the other table.
         let are_named = !payloads.is_empty();
         let place = |(at, name): (usize, &String)| {
             let known = payloads.iter().position(|known| known == name);
@@ -353,7 +353,7 @@ impl Measurements {
         (count > 0).then(|| self.temperatures_c().sum::<f64>() / count as f64)
     }
 
-    /// A finding if the temperatures cannot be those of a room.
+    /// A finding if the temperatures are impossible for a room.
     pub fn warm(&self) -> Option<PlausibilityFinding> {
         const COLUMN: &str = "temp_c";
         let mean_c = self.mean_temperature_c()?;
@@ -364,7 +364,7 @@ impl Measurements {
         Quantity::Temperature.unusual("mean of temp_c", mean_c).or_else(impossible)
     }
 
-    /// The set-up of the rows, with so many base balls.
+    /// The set-up of the rows, with this number of base balls.
     pub fn set_up(&self, balls: usize) -> SetUpCounts {
         let trackers = usize::from(self.rows.iter().any(|row| row.datum.is_plane()));
         SetUpCounts { balls, bars: self.bars(), targets: self.targets(), trackers }
@@ -427,7 +427,7 @@ fn in_radians(poses: &[(usize, AxisAngles)]) -> Option<MeasurementFinding> {
 /// A finding if a few poses have only small numbers with decimals.
 fn single_in_radians(poses: &[(usize, AxisAngles)]) -> Option<MeasurementFinding> {
     const MIN_DECIMALS: usize = 4;
-    /// With a larger fraction the arm probably is near its zero position.
+    /// If the fraction is larger, the arm probably is near its zero position.
     const FEW: f64 = 0.2;
     let is_small = |(_, axes): &&(usize, AxisAngles)| {
         let deg = axes.degrees();
@@ -448,7 +448,7 @@ pub struct ApproachedPose {
 }
 
 impl ApproachedPose {
-    /// At axis angles (rad), with an unknown sense of approach.
+    /// A pose at axis angles (rad) with an unknown sense of approach.
     pub(crate) fn unapproached(axes: &[f64; AXES]) -> Self {
         let axes = AxisAngles::from_degrees(axes.map(f64::to_degrees));
         Self { axes, approach: Approach::default() }
@@ -687,7 +687,7 @@ mod tests {
             |names: [&str; 3]| ArmLoad { payloads: names.map(payload).to_vec(), ..ArmLoad::known(vec![]) };
         let carrying = read.clone().carrying(&load(["fork", "bar", "gripper"])).unwrap();
         let places = |of: &Measurements| of.rows.iter().map(|row| row.payload.index()).collect::<Vec<_>>();
-        // Where nothing is said the robot carries the first.
+        // Without a name in the row the robot carries the first payload.
         assert_eq!(places(&carrying), [2, 0, 1]);
         let again = Measurements::from_csv("t.csv", &carrying.to_csv()).unwrap();
         assert_eq!(places(&again.carrying(&load(["gripper", "fork", "bar"])).unwrap()), [0, 1, 2]);

@@ -8,7 +8,7 @@ use crate::robot::{Geometry, TrackerPlane};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tracker {
-    /// In the robot base, mm.
+    /// Origin of the tracker's frame in the robot base, mm.
     pub origin: Vector3<f64>,
     /// Rotation vector, rad.
     pub turn: Vector3<f64>,

@@ -1,8 +1,9 @@
-//! Whether a value is plausible: one table of quantities with the range of each, and the units that are mistaken for its own.
-//! It must not know where a value was written: it takes a number and the name of its key.
+//! Whether a value is plausible: one table of quantities with the range of each, and the units that are mistaken for
+//! its unit. This room must not know where a value was written: it takes a number and the name of its key.
 //!
-//! A range has one reason, beside its row. A value outside of it is refused, because a result would be computed with it that
-//! nobody can recognise as wrong. Whole tables (equal rows, decimals) are checked where they are read.
+//! A range has one reason, which is the comment of its row. A value outside of the range is refused: a result would be
+//! computed with it that nobody can recognise as wrong. Whole tables (equal rows, decimals) are checked where they are
+//! read.
 
 mod catalogue;
 pub use catalogue::PlausibilityFinding;
@@ -15,11 +16,11 @@ use serde::{Serialize, Serializer};
 /// A unit that is mistaken for the unit of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OtherUnit {
-    /// In the plural.
+    /// Name of the unit in the plural.
     pub name: &'static str,
     /// The value that is 0 in the unit of the quantity.
     pub zero: f64,
-    /// How many units of the quantity it has.
+    /// Number of the quantity's units in one of this unit.
     pub factor: f64,
 }
 
@@ -57,7 +58,7 @@ impl OtherUnit {
     }
 }
 
-/// What a quantity can be.
+/// The possible values of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PlausibleRange {
     pub quantity: &'static str,
@@ -65,7 +66,7 @@ pub struct PlausibleRange {
     pub unit: &'static str,
     pub least: f64,
     pub most: f64,
-    /// The range of what is measured; without one it is that of what is possible.
+    /// The range of measured values; by default the range of possible values.
     #[serde(skip)]
     usual: [f64; 2],
     #[serde(skip)]
@@ -93,7 +94,7 @@ impl PlausibleRange {
         Self { degrees: true, other_units: IN_RADIANS, ..self }
     }
 
-    /// The same quantity where something else of the input gives its least value.
+    /// The same quantity with a least value that another part of the input gives.
     #[must_use]
     pub fn from(self, least: f64) -> Self {
         Self { least, ..self }
@@ -167,14 +168,14 @@ impl Serialize for ValueKey {
 /// The table: a quantity, the reason of its range, and the range.
 macro_rules! quantities {
     ($( $(#[$reason:meta])+ $name:ident => $range:expr; )+) => {
-        /// What a value is of.
+        /// The kind of a value.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Quantity { $( $(#[$reason])+ $name, )+ }
 
         impl Quantity {
             pub const ALL: &[Self] = &[$( Self::$name ),+];
 
-            /// What the quantity can be.
+            /// The possible values of the quantity.
             pub const fn range(self) -> PlausibleRange {
                 match self { $( Self::$name => $range, )+ }
             }
@@ -194,21 +195,22 @@ const MAX_OFFSET_MM: f64 = 1e6;
 quantities! {
     /// Gauges between balls are longer than a fingertip. No telescoping bar is longer than ten metres.
     BarLength => range("the length of a bar", "mm", 10.0, 1e4).usually(50.0, 3e3).not_in(LENGTH_UNITS);
-    /// From 10 nm, the noise of the best sensors, to a rope.
+    /// The range goes from 10 nm, the noise of the best sensors, to the accuracy of a rope.
     LengthSd => range("the standard deviation of a length", "mm", 1e-5, 1.0).usually(5e-4, 0.1).not_in(IN_METRES_OR_MICROMETRES);
-    /// With k = 2. No certificate of a length is better than 0.1 µm; half a millimetre is a ruler.
+    /// Stated with k = 2. No certificate of a length is better than 0.1 µm; half a millimetre is a ruler.
     ExpandedLengthUncertainty => range("the expanded uncertainty of a length", "mm", 1e-4, 0.5).usually(2e-4, 0.05).not_in(IN_METRES_OR_MICROMETRES);
     /// Half of the least expanded uncertainty; otherwise as there.
     StandardLengthUncertainty => range("the standard uncertainty of a length", "mm", 5e-5, 0.5).usually(1e-4, 0.05).not_in(IN_METRES_OR_MICROMETRES);
     /// Laboratories certify at 20 degrees, some cells at their own temperature.
     CertificateTemperature => range("the temperature of a certificate", "degrees Celsius", 0.0, 50.0).not_in(TEMPERATURE_UNITS);
-    /// From carbon fibre, which shrinks, to zinc.
+    /// The range goes from carbon fibre, which shrinks, to zinc.
     Expansion => range("a thermal expansion", "1/K", -2e-6, 5e-5).not_in(IN_MICROMETRES_PER_METRE);
-    /// What people work in. A missing sensor reads less, or more. A mean above 45 degrees is in Fahrenheit.
+    /// The temperatures in which people work. A missing sensor reads less, or more. A mean above 45 degrees is in
+    /// Fahrenheit.
     Temperature => range("a temperature of a cell", "degrees Celsius", -30.0, 60.0).usually(-30.0, 45.0).not_in(TEMPERATURE_UNITS);
-    /// What the sensor of a bar can give; a larger number is in kelvin.
+    /// The values that the sensor of a bar can give; a larger number is in kelvin.
     SensorTemperature => range("the temperature of a bar", "degrees Celsius", -273.15, 150.0).not_in(IN_KELVIN);
-    /// With k = 2: thermometers resolve a millikelvin. Twenty kelvins is no measurement.
+    /// Stated with k = 2: thermometers resolve a millikelvin. Twenty kelvins is no measurement.
     TemperatureUncertainty => range("the expanded uncertainty of a temperature", "K", 0.001, 20.0);
     /// The largest robots carry 2300 kg.
     Load => range("the load of a robot", "kg", 0.0, 2500.0).not_in(IN_GRAMS);
@@ -234,19 +236,19 @@ quantities! {
     ToolBallDistance => range("the distance of a tool ball from the flange", "mm", 3.0, MAX_ARM_MM).usually(5.0, 2e3).not_in(IN_METRES);
     /// The distance of a centre of mass that is not the centre of the flange; otherwise as a tool ball.
     PayloadDistance => range("the distance of a payload's centre from the flange", "mm", 3.0, MAX_ARM_MM).usually(5.0, 2e3).not_in(IN_METRES);
-    /// With a mounted bar the speed of a controller's test mode is the most; a speed below the least is in m/s.
+    /// The largest speed with a mounted bar is that of a controller's test mode; a speed below the least is in m/s.
     Feed => range("a feed with a mounted bar", "mm/s", 0.5, 250.0).not_in(IN_METRES_PER_SECOND);
     /// Any speed that a job can name.
     TurnSpeed => range("a turning speed", "degrees/s", POSITIVE, MAX_NUMBER);
-    /// In a shorter dwell no bar sends enough readings; a longer wait is a mistake.
+    /// No bar sends enough readings in a shorter dwell; a longer wait is a mistake.
     DwellTime => range("a dwell", "s", 0.05, 60.0).not_in(IN_MILLISECONDS);
     /// A longer wait is a mistake.
     SettleTime => range("a time to settle", "s", POSITIVE, 60.0);
-    /// Of a right angle at most.
+    /// An angle of at most a right angle.
     LimitAngle => range("a smallest angle", "degrees", 0.0, 90.0);
-    /// Less than a cell.
+    /// A distance that is smaller than a cell.
     LimitDistance => range("a smallest distance", "mm", 0.0, 1e4);
-    /// By definition.
+    /// A probability is from 0 to 1 by definition.
     Probability => range("a probability", "", 0.0, 1.0);
     /// A shorter arc is one in radians.
     Arc => range("an arc", "degrees", 7.0, 360.0).usually(10.0, 360.0).not_in(IN_RADIANS);
@@ -285,11 +287,12 @@ quantities! {
     JointMiddle => range("a joint angle", "rad", -2e3, 2e3);
     /// The width of a range of joint angles.
     JointWidth => range("a range of joint angles", "rad", POSITIVE, 2e3);
-    /// Robots are built better than 100 mm, and no worse than a micrometre is known of any.
+    /// Every robot is built better than 100 mm, and no robot is known to better than a micrometre.
     LengthTolerance => range("the tolerance of a robot's lengths", "mm", 1e-3, 100.0).usually(0.01, 10.0).not_in(IN_METRES_OR_MICROMETRES);
-    /// As the lengths.
+    /// The reasons are those of the tolerance of lengths.
     AngleTolerance => range("the tolerance of a robot's angles", "degrees", 1e-3, 45.0).usually(1e-3, 5.0).not_in(ANGLE_UNITS);
-    /// By ISO 9283: the best robots repeat to a few micrometres, the largest to a few tenths of a millimetre.
+    /// Pose repeatability by ISO 9283: the best robots repeat to a few micrometres, the largest to a few tenths of a
+    /// millimetre.
     Repeatability => range("the repeatability of a robot", "mm", 5e-4, 5.0).usually(5e-3, 1.0).not_in(IN_METRES_OR_MICROMETRES);
     /// A prior standard deviation of a length of a robot: with more it is free.
     PriorLengthSd => range("the prior standard deviation of a length", "mm", 1e-8, 50.0).usually(1e-3, 50.0).not_in(IN_MICROMETRES);
@@ -298,7 +301,7 @@ quantities! {
 
     /// A robot is accepted to millimetres; a larger number is one in micrometres.
     PositionTolerance => range("a tolerance", "mm", POSITIVE, 20.0).not_in(IN_MICROMETRES);
-    /// No calibration moves a point so far.
+    /// No calibration moves a point this far.
     CorrectionLimit => range("the largest correction of a point", "mm", POSITIVE, 100.0).not_in(IN_MICROMETRES);
     /// Robots are checked between each day and each decade.
     CheckInterval => range("the interval of checks", "days", 1.0, 3650.0);
@@ -306,7 +309,7 @@ quantities! {
     SyncInterval => range("the interval of synchronisation", "s", 0.0, 3600.0);
     /// A worker that is silent for a day is dead.
     WorkerLease => range("the silence of a worker", "s", 1.0, 86_400.0);
-    /// From no error to a metre (µm), a second (ms) or a whole turn many times.
+    /// The range goes from no error to a metre (µm), a second (ms) or many whole turns.
     SimulatedError => range("an error of the simulated world", "", 0.0, 1e6);
     /// Bars send at least every ten seconds.
     SampleRate => range("the rate of a bar", "Hz", 0.1, 1e5);
@@ -325,13 +328,13 @@ impl Quantity {
         (!(least..=most).contains(&value)).then(|| range.warning(key.into(), value))
     }
 
-    /// A warning if a measured value is one that the quantity cannot have.
+    /// A warning if a measured value is impossible for the quantity.
     pub fn impossible(self, key: impl Into<ValueKey>, value: f64) -> Option<PlausibilityFinding> {
         let range = self.range();
         (!(range.least..=range.most).contains(&value)).then(|| range.warning(key.into(), value))
     }
 
-    /// A warning that all values are 0, as those of a sensor that is not connected.
+    /// A warning that all values are 0, as from a sensor that is not connected.
     pub fn always_zero(self, key: impl Into<ValueKey>) -> PlausibilityFinding {
         PlausibilityFinding::AlwaysZero { key: key.into(), range: Box::new(self.range()) }
     }
@@ -350,7 +353,7 @@ impl PlausibleRange {
 /// radians.
 fn is_part_of_turn(value: f64) -> bool {
     use std::f64::consts::FRAC_PI_4;
-    /// Of a number with five significant digits.
+    /// The rounding of a number with five significant digits.
     const ROUNDED: f64 = 5e-5;
     let parts = (value / FRAC_PI_4).round();
     (1.0..=8.0).contains(&parts.abs()) && (value - parts * FRAC_PI_4).abs() < ROUNDED

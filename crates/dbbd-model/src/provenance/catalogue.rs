@@ -24,10 +24,11 @@ findings! {
         cure: "Check what was changed. If it was the table or the tool, plan and measure again." {
             RobotChanged { artefact: String, made_for: String, given: String } => "{artefact} was made with {made_for}, and {given} is given: the robot file was changed";
         }
-        W1804 "an input is older than the newest calibration",
-        cause: "It was made on an identified robot that was identified again since.",
-        cure: "Plan again with the newest robot-identified.toml." {
+        W1804 "an input belongs to another calibration",
+        cause: "It was planned or measured on an identified robot, and another robot-identified.toml is given: one that was made from it since, an older one, or one from other lengths. The poses were chosen for the first.",
+        cure: "Give the robot-identified.toml that the plan was made on. If another one is in force, plan and measure again with it." {
             Outdated { artefact: String, used: String, newest: String } => "{artefact} was made on {used}; {newest} is newer";
+            OtherCalibration { artefact: String, used: String, given: String } => "{artefact} was made on {used}, and {given} is given: that is another calibration";
         }
         W1805 "lengths are used twice",
         cause: "The same lengths are given twice, or the robot given was identified from them, or two results that are compared rest on them. Their information is then counted twice.",
@@ -50,7 +51,7 @@ findings! {
         W1843 "the calibration of a robot has warnings",
         cause: "The result with which robot-identified.toml was written has warnings. They apply to everything that is computed with the file.",
         cure: "`dbbd explain` explains each of the codes, report.html beside the file has their numbers. Resolve them and identify again." {
-            DoubtfulRobot { robot: String, doubts: Names } => "`{robot}` was identified with {doubts}";
+            RobotWithWarnings { robot: String, warnings: Names } => "`{robot}` was identified with {warnings}";
         }
         W1844 "an identity contradicts the job of the plan",
         cause: "The file of the identity states another robot, bar, certificate or temperature of the bar, or further base balls, than the job of the plan that is measured, or than the capture: a file of another run. The lengths were computed with what the job and the bar's sensor say.",

@@ -39,7 +39,7 @@ impl IdentityFact {
 impl BarIdentity {
     /// The key of the bar's length in an identity.
     pub const LENGTH: &str = "bar.length_mm";
-    /// The key of its serial number.
+    /// The key of the bar's serial number.
     pub const SERIAL: &str = "bar.serial";
 }
 
@@ -47,7 +47,7 @@ impl Identity {
     /// The prefix of the keys of the balls' serial numbers.
     pub const BALLS: &str = "balls.";
 
-    /// The facts of the measurement that `stated` contradicts. People and places may be stated anew.
+    /// The facts of the measurement that `stated` contradicts. People and places may differ.
     pub fn contradictions(&self, stated: &Self) -> Vec<Contradiction> {
         let facts = stated.facts_measured();
         let differs = |(key, known): (String, IdentityFact)| {
@@ -58,7 +58,7 @@ impl Identity {
         self.facts_measured().into_iter().filter_map(differs).collect()
     }
 
-    /// What was measured, and with which equipment, by key.
+    /// The facts about the measurement and its equipment, by key.
     fn facts_measured(&self) -> Vec<(String, IdentityFact)> {
         let Self { robot, controller, load_kg, bar, balls, temperatures, .. } = self;
         let text = |text: &Option<String>| text.clone().map(IdentityFact::Text);
@@ -112,7 +112,7 @@ mod tests {
         let keys = |stated: Identity| -> Vec<String> {
             known.contradictions(&stated).into_iter().map(|found| found.key).collect()
         };
-        // Certificates of one bar, and readings of one temperature, may differ a little; people may be stated anew.
+        // Certificates of one bar, and readings of one temperature, may differ a little; people may differ.
         let alike = Identity {
             operator: Some("B".into()),
             bar: bar(300.049, None),

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::catalogue::IdentityFinding::{self, NotACountry, NotADate, NotAText, TooEarly};
 use crate::base::date::{day_number, is_after, is_moment};
+use crate::base::expansion::{REFERENCE_C, ThermalExpansion};
 use crate::base::parse::from_toml;
 use crate::diagnostic::Diagnostic;
 use crate::plausibility::Quantity;
@@ -94,7 +95,7 @@ pub struct BarIdentity {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredTemperature {
-    /// What has the temperature: `air`, `bar`, `robot`, ..
+    /// The part that has the temperature: `air`, `bar`, `robot`, ..
     pub of: String,
     /// Mean, degrees Celsius.
     pub celsius: f64,
@@ -167,16 +168,25 @@ impl BarIdentity {
         self.length_u_mm.map(|u| 0.5 * u)
     }
 
+    /// Temperature of the certified length, degrees Celsius: most certificates are at the reference temperature.
+    fn certified_c(&self) -> f64 {
+        self.temperature_c.unwrap_or(REFERENCE_C)
+    }
+
+    /// The correction of a length for temperature; `None` if the expansion is not given.
+    pub fn expansion(&self) -> Option<ThermalExpansion> {
+        let (bar_per_k, certified_c) = (Some(self.expansion_per_k?), self.certified_c());
+        Some(ThermalExpansion { bar_per_k, certified_c, machine_per_k: None })
+    }
+
     /// A finding if the expansion of the bar is not given and, for steel, the change of length from the certificate's
     /// temperature to `mean_c` exceeds the uncertainty of the certificate.
     pub fn uncorrected(&self, length_mm: f64, mean_c: f64) -> Option<IdentityFinding> {
         /// Most bars are of steel.
         const STEEL_PER_K: f64 = 11.5e-6;
-        /// The usual temperature of certificates.
-        const CERTIFIED_C: f64 = 20.0;
         /// The uncertainty (k = 2) of a length without a certificate, mm.
         const UNKNOWN_U_MM: f64 = 0.02;
-        let longer_mm = length_mm * STEEL_PER_K * (mean_c - self.temperature_c.unwrap_or(CERTIFIED_C));
+        let longer_mm = length_mm * STEEL_PER_K * (mean_c - self.certified_c());
         let u_mm = self.length_u_mm.unwrap_or(UNKNOWN_U_MM);
         (self.expansion_per_k.is_none() && longer_mm.abs() > u_mm).then(|| {
             let (longer_um, u_um) = (1e3 * longer_mm, 1e3 * u_mm);
@@ -207,13 +217,14 @@ impl Identity {
         per_k.zip(of_bar).map(|((length, per_k), u_k)| length * per_k.abs() * 0.5 * u_k)
     }
 
-    /// Standard uncertainty of the bar's length, mm: `certified_mm`, or that of the certificate, and its temperature.
+    /// Standard uncertainty of the bar's length, mm, from its temperature and from `certified_mm` or else the
+    /// certificate.
     pub fn bar_u_mm(&self, certified_mm: Option<f64>) -> Option<f64> {
         let certified_mm = certified_mm.or(self.bar.u_mm())?;
         Some(certified_mm.hypot(self.bar_temperature_u_mm().unwrap_or(0.0)))
     }
 
-    /// Reads an identity from a file of its own.
+    /// Reads an identity from a separate file.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let identity: Self = from_toml(file, text)?;
         identity.check_all().map_err(|(_, finding)| finding.in_file(file))?;
@@ -290,7 +301,7 @@ impl Identity {
         (years > YEARS).then(|| ProvenanceFinding::OldCertificate { date: certified.clone(), years })
     }
 
-    /// Checks all values, and those that depend on each other.
+    /// Checks all values, and that values which depend on each other are consistent.
     pub fn check_all(&self) -> Result<(), IdentityError> {
         self.check()?;
         self.bar.check()?;
@@ -311,7 +322,7 @@ impl Identity {
         Ok(())
     }
 
-    /// Replaces what `other` states.
+    /// Replaces the values that `other` states.
     pub fn extend(&mut self, other: &Self) {
         fn take<T: Clone>(mine: &mut Option<T>, theirs: &Option<T>) {
             if theirs.is_some() {

@@ -1,4 +1,4 @@
-//! Records what an artefact was made from: the chain from job and robot file to a corrected program.
+//! Records the sources of an artefact: the chain from job and robot file to a corrected program.
 //!
 //! An artefact is identified by the SHA-256 of its file. It records its sources and the identity of its measurement, and a
 //! command compares the chains of its inputs before it computes. A chain has no path and no date except that of a
@@ -65,7 +65,7 @@ pub struct Artefact {
     /// The serial number of the robot; of the bar, if this is a job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serial: Option<String>,
-    /// Of the content of the file, in hexadecimal digits.
+    /// SHA-256 of the content of the file, in hexadecimal digits.
     pub sha256: String,
 }
 
@@ -75,12 +75,13 @@ impl Artefact {
         Self { role, name: name.into(), serial: None, sha256: sha256(content) }
     }
 
-    /// The first digits of its hash.
+    /// The first digits of the artefact's hash.
     fn short_hash(&self) -> &str {
         self.sha256.get(..12).unwrap_or(&self.sha256)
     }
 
-    /// By what two robots differ: by serial number if both are known, else by name. `None`: they are the same robot.
+    /// The difference of two robots: of the serial numbers if both are known, else of the names. `None`: they are the
+    /// same robot.
     pub fn differs(&self, other: &Self) -> Option<ArtefactDifference> {
         match (&self.serial, &other.serial) {
             (Some(this), Some(other)) => (this != other).then_some(ArtefactDifference::Serial),
@@ -104,7 +105,7 @@ pub enum ArtefactDifference {
     Name,
 }
 
-/// What an artefact was made from, and by which version; empty if that was not recorded.
+/// The sources of an artefact, and the version that made it; empty if they were not recorded.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// The version of dbbd that made it.
@@ -117,7 +118,7 @@ pub struct Provenance {
     pub identity: Identity,
 }
 
-/// An artefact with what it was made from.
+/// An artefact with its provenance.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TracedArtefact {
     #[serde(flatten)]
@@ -143,7 +144,7 @@ impl TracedArtefact {
         last_robot(self.chain())
     }
 
-    /// Refuses another robot than that for which this artefact was made, if it records one.
+    /// Refuses another robot than the one for which this artefact was made, if the artefact records a robot.
     pub fn check_made_for(&self, given: &Artefact) -> Result<(), ProvenanceFinding> {
         match self.robot().filter(|made_for| made_for.differs(given).is_some()) {
             Some(made_for) => Err(self.of_another_robot(made_for, given)),
@@ -157,16 +158,20 @@ impl TracedArtefact {
         ProvenanceFinding::OtherRobot { artefact, made_for, given }
     }
 
-    /// A finding if this artefact rests on a calibrated robot from which `newer` was made.
-    pub fn outdated_by(&self, newer: &TracedArtefact) -> Option<ProvenanceFinding> {
-        let used = self.robot().filter(|robot| robot.role == ArtefactRole::IdentifiedRobot)?;
-        (newer.artefact.sha256 != used.sha256 && newer.provenance.has(used)).then(|| {
-            let artefact = self.artefact.to_string();
-            ProvenanceFinding::Outdated {
-                artefact,
-                used: used.to_string(),
-                newest: newer.artefact.to_string(),
-            }
+    /// A finding if this artefact was made with another calibration of the robot than `given`, if `given` is a
+    /// calibrated robot.
+    pub fn other_calibration_than(&self, given: &TracedArtefact) -> Option<ProvenanceFinding> {
+        let is_calibrated = |robot: &&Artefact| robot.role == ArtefactRole::IdentifiedRobot;
+        let used = self.robot().filter(is_calibrated)?;
+        if !is_calibrated(&&given.artefact) || given.artefact.sha256 == used.sha256 {
+            return None;
+        }
+        let (artefact, is_newer) = (self.artefact.to_string(), given.provenance.has(used));
+        let (used, given) = (used.to_string(), given.artefact.to_string());
+        Some(if is_newer {
+            ProvenanceFinding::Outdated { artefact, used, newest: given }
+        } else {
+            ProvenanceFinding::OtherCalibration { artefact, used, given }
         })
     }
 }
@@ -200,7 +205,7 @@ impl Provenance {
         last_robot(self.from.iter())
     }
 
-    /// The provenance of what `version` of dbbd makes from `inputs`.
+    /// The provenance of an artefact that `version` of dbbd makes from `inputs`.
     pub fn made_by<'a>(version: &str, inputs: impl IntoIterator<Item = &'a TracedArtefact>) -> Self {
         let mut made = Self { dbbd: version.into(), ..Self::default() };
         for input in inputs {
@@ -231,7 +236,7 @@ impl Provenance {
         self.from.iter().any(|source| source.sha256 == artefact.sha256)
     }
 
-    /// The captures and tables of this measurement, without those of an earlier calibration on which it builds.
+    /// The captures and tables of this measurement, without the sources of an earlier calibration on which it builds.
     pub fn measured(&self) -> impl Iterator<Item = &Artefact> {
         let earlier = self.from.iter().rposition(|source| source.role == ArtefactRole::IdentifiedRobot);
         let own = self.from.iter().skip(earlier.map_or(0, |at| at + 1));
@@ -293,8 +298,15 @@ mod tests {
         assert_eq!(plan.provenance.corrected_by(), None);
         // A newer robot that was made from the used one makes a result outdated.
         let newer = made(ArtefactRole::IdentifiedRobot, "j", &[&result]);
-        assert!(matches!(again.outdated_by(&newer), Some(ProvenanceFinding::Outdated { .. })));
-        assert!(again.outdated_by(&identified).is_none() && plan.outdated_by(&newer).is_none());
+        assert!(matches!(again.other_calibration_than(&newer), Some(ProvenanceFinding::Outdated { .. })));
+        assert!(again.other_calibration_than(&identified).is_none());
+        assert!(
+            again.other_calibration_than(&robot).is_none() && plan.other_calibration_than(&newer).is_none()
+        );
+        // The older calibration, or one from other lengths.
+        let of_newer = made(ArtefactRole::Measurements, "o", &[&newer]);
+        let other = of_newer.other_calibration_than(&identified);
+        assert!(matches!(other, Some(ProvenanceFinding::OtherCalibration { .. })));
         assert!(plan.check_made_for(&artefact(ArtefactRole::Robot, "r", Some("5"))).is_ok());
         assert!(plan.check_made_for(&artefact(ArtefactRole::Robot, "s", None)).is_err());
     }

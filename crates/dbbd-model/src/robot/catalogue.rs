@@ -58,11 +58,13 @@ findings! {
         cause: "The robot was identified with a lighter payload. How far its joints give way under this one follows from the weight of the arm, whose masses are known roughly.",
         cure: "Measure the same poses once more with this payload and name both payloads in the column `payload`; the stated uncertainty then falls." {
             PayloadNeverMeasured { kg: f64, measured_kg: f64 } => "a payload of {kg:.1} kg was never measured: the heaviest was {measured_kg:.1} kg";
+            NoPayloadMeasured { kg: f64 } => "a payload of {kg:.1} kg was never measured: the robot was identified without one";
         }
         W0584 "a day is before the calibration, or long after it",
         cause: "The day is of another year, or the robot file of another calibration. Beyond ten years nothing is known of a drift.",
         cure: "Correct the date, or take the robot file of that time." {
-            FarDay { day: String, measured: String } => "{day} is before {measured}, the day of the calibration, or more than ten years after it";
+            BeforeCalibration { day: String, measured: String } => "{day} is before {measured}, the day of the calibration";
+            LongAfterCalibration { day: String, measured: String, years: f64 } => "{day} is {years:.1} years after {measured}, the day of the calibration: a drift is known for ten";
         }
         W0581 "a robot file has the name of a built-in robot and another table",
         cause: "The table was copied and edited, or a value is in another unit or has another sign. Files of plans and results are compared by the robot's name.",

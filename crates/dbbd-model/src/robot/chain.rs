@@ -43,15 +43,16 @@ const GEAR_SIN_COLUMN: usize = ParamId::GearSin(Joint::J1).column();
 const TURN_COLUMN: usize = ParamId::TrackerTurn(Coordinate::X).column();
 
 impl LengthRow {
-    /// How much shorter the length is if the bar pulls the tool ball by a force (N): each joint turns by its compliance c times the
-    /// torque F a for the derivative a of the length by the joint, which is F c a^2 of the length, mm.
+    /// The amount by which the length is shorter if the bar pulls the tool ball with a force F (N), mm. With the
+    /// derivative a of the length by a joint's angle, the joint turns by its compliance c times the torque F a, which
+    /// shortens the length by F c a^2.
     pub fn shortened_mm(&self, geometry: &Geometry, force_n: f64) -> f64 {
         let of_joint = |joint| geometry.compliance_of_payload(joint) * self.by_compliance(joint, force_n);
         -(0..AXES).map(of_joint).sum::<f64>()
     }
 
-    /// The same length with a bar that pulls. What this changes of derivatives by other parameters than the compliances is of
-    /// second order.
+    /// Changes the length to that of a bar that pulls. The effect on derivatives by other parameters than the
+    /// compliances is of second order.
     pub(crate) fn pulled(&mut self, geometry: &Geometry, force_n: f64) {
         self.length -= self.shortened_mm(geometry, force_n);
         for joint in 0..AXES {
@@ -75,7 +76,7 @@ impl Default for LengthRow {
 }
 
 impl LengthRow {
-    /// The derivative with respect to a parameter. For a target, ball or bar: that of this row.
+    /// The derivative with respect to a parameter. A target, ball or bar counts as the one of this row.
     pub(crate) fn derivative(&self, id: ParamId) -> f64 {
         self.columns[id.column()]
     }
@@ -119,7 +120,7 @@ impl Geometry {
 pub struct JointSinCos(pub(crate) [[f64; 2]; AXES]);
 
 impl JointSinCos {
-    /// Of axis angles in rad.
+    /// Sine and cosine of axis angles in rad.
     pub(crate) fn of(axes: &[f64; AXES]) -> Self {
         Self(axes.map(|angle| angle.sin_cos().into()))
     }
@@ -203,7 +204,7 @@ impl<'a> KinematicChain<'a> {
         if self.is_coupled { self.geometry.coupling.sin_cos(&at.sin_cos.0) } else { at.sin_cos.0 }
     }
 
-    /// From the flange to the base: each row rotates and translates one point.
+    /// The pass from the flange to the base: each row rotates and translates one point.
     #[inline]
     fn inward(&self, at: &AxesAtPose<'_>) -> InwardPass {
         let joints = self.joints(at);
@@ -224,8 +225,8 @@ impl<'a> KinematicChain<'a> {
         InwardPass { joints, points, ball: point }
     }
 
-    /// From the base to the flange: the derivatives of the target's position along the unit vector `u` (robot base) with respect
-    /// to the parameters of the robot and its tool.
+    /// The pass from the base to the flange: the derivatives of the target's position along the unit vector `u` (robot
+    /// base) with respect to the parameters of the robot and its tool.
     #[inline]
     fn derivatives(&self, inward: &InwardPass, mut u: Vector3<f64>, columns: &mut DerivativeColumns) {
         for i in 0..AXES {

@@ -1,4 +1,4 @@
-//! What a controller computes axis angles with: its own model of the arm.
+//! The model of the arm with which a controller computes axis angles.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,9 +12,10 @@ use crate::plausibility::Quantity;
 pub enum ControllerModel {
     /// The nominal table.
     Nominal,
-    /// A table of its own from the maker's calibration, which is the table of the robot.
+    /// The controller's own table from the maker's calibration, which is the table of the robot.
     Calibrated,
-    /// It has a table of its own that is not known here: the axis angles at a Cartesian target are not known either.
+    /// The controller has its own table, which is not known here: the axis angles at a Cartesian target are not known
+    /// either.
     Unknown,
 }
 

@@ -28,7 +28,7 @@ impl fmt::Display for CoupledAxis {
 pub struct Coupling([Option<CoupledAxis>; AXES]);
 
 impl Coupling {
-    /// By joint, base to flange.
+    /// The coupling from the second axis of each joint, base to flange.
     pub fn new(joints: [Option<CoupledAxis>; AXES]) -> Self {
         Self(joints)
     }
@@ -47,7 +47,7 @@ impl Coupling {
         places.filter_map(|(place, coupled)| coupled.map(|by| (place, by.axis.index(), by.factor)))
     }
 
-    /// What the second axis adds to the angle of a joint (by its index) at axis angles.
+    /// The part that the second axis adds to the angle of a joint (by its index) at axis angles.
     pub(super) fn added(&self, joint: usize, axes: &[f64; AXES]) -> f64 {
         self.0[joint].map_or(0.0, |by| by.factor * axes[by.axis.index()])
     }
@@ -95,7 +95,8 @@ impl Coupling {
         joints
     }
 
-    /// The senses in which the joints approached a pose. That of a sum is unknown if its axes moved in opposite senses.
+    /// The senses in which the joints approached a pose. The sense of a sum is unknown if its axes moved in opposite
+    /// senses.
     pub fn senses(&self, approach: Approach) -> Approach {
         let senses = approach.senses();
         let mut joints = senses;

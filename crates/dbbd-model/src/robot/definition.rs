@@ -26,15 +26,15 @@ const BUILT_IN: &[(&str, &str)] = include!("../../../../robots/built-in.rs");
 pub struct LoadedRobot {
     pub robot: Robot,
     pub source: TracedArtefact,
-    /// Doubts about the file.
+    /// Warnings about the file.
     pub findings: Vec<Diagnostic>,
 }
 
 impl LoadedRobot {
-    /// A robot from the text of its file, with the doubts about it.
+    /// A robot from the text of its file, with the warnings about it.
     ///
     /// # Errors
-    /// The text is not that of a robot.
+    /// The text is not the file of a robot.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let robot = Robot::from_toml(file, text)?;
         let edited = Seal::Toml.check(text).is_err();
@@ -54,9 +54,9 @@ pub struct Robot {
     pub controller_serial: Option<String>,
     /// The language of its controller's programs, such as `krl`.
     pub language: Option<String>,
-    /// What its controller computes with; of an identified robot as of the nominal one.
+    /// The model with which the controller computes; an identified robot has that of its nominal robot.
     pub controller_model: ControllerModel,
-    /// The table, the tool ball and what loads the joints.
+    /// The DH table, the tool ball and the masses that load the joints.
     pub geometry: Geometry,
     /// Limits of the axes of the controller.
     pub limits_deg: [[f64; 2]; AXES],
@@ -75,41 +75,41 @@ pub struct Robot {
     pub posterior: Option<RobotPosterior>,
     /// The posterior with the errors of the joints, for the position uncertainty.
     pub uncertainty: Option<Box<RobotUncertainty>>,
-    /// When it was identified.
+    /// Date and temperature of the identification.
     pub measured: MeasurementConditions,
-    /// How fast its zeros wander.
+    /// How fast the zeros of the joints wander.
     pub drift: Drift,
     /// The source of the numbers in the file.
     pub source: Option<String>,
     pub provenance: Provenance,
     /// Codes of the warnings of its identification.
-    pub doubts: Vec<String>,
+    pub warnings: Vec<String>,
 }
 
 /// The maker's tolerance of each geometric parameter, as one standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tolerance {
-    /// Of a and d.
+    /// Tolerance of a and d.
     pub length_mm: f64,
-    /// Of alpha, theta and beta.
+    /// Tolerance of alpha, theta and beta.
     pub angle_deg: f64,
-    /// Of d6: where the flange is on the last axis.
+    /// Tolerance of d6: the position of the flange on the last axis.
     #[serde(default = "Tolerance::usual_flange_mm")]
     pub flange_mm: f64,
-    /// Of theta6: how the flange is turned about the last axis.
+    /// Tolerance of theta6: the rotation of the flange about the last axis.
     #[serde(default = "Tolerance::usual_flange_deg")]
     pub flange_deg: f64,
 }
 
 impl Tolerance {
-    /// Of lengths and angles, with the usual flange.
+    /// The tolerance of lengths and angles, with the usual tolerance of the flange.
     pub fn of(length_mm: f64, angle_deg: f64) -> Self {
         let (flange_mm, flange_deg) = (Self::usual_flange_mm(), Self::usual_flange_deg());
         Self { length_mm, angle_deg, flange_mm, flange_deg }
     }
 
-    /// A flange is turned on a lathe.
+    /// The usual tolerance of d6, mm: a flange is turned on a lathe.
     fn usual_flange_mm() -> f64 {
         0.05
     }
@@ -181,7 +181,7 @@ impl Robot {
             drift: Drift::default(),
             source: None,
             provenance: Provenance::default(),
-            doubts: Vec::new(),
+            warnings: Vec::new(),
         }
     }
 
@@ -217,7 +217,7 @@ impl Robot {
         TracedArtefact { artefact, provenance }
     }
 
-    /// The language of its controller: that of the file, else that of the maker in its name.
+    /// The language of the controller: the one in the file, else the language of the maker in the robot's name.
     pub fn controller_language(&self) -> Option<&str> {
         let maker = self.name.split([' ', '-', '_']).next().unwrap_or("");
         let by_name =
@@ -239,8 +239,8 @@ impl Robot {
         self.repeatability_mm.map(|mm| mm / REPEATABILITY)
     }
 
-    /// What is not known of it, by its file: with the errors of its joints, else what its identification left unknown, else its
-    /// tolerance.
+    /// The uncertainty of the robot that its file states: with the errors of its joints, else the posterior of its
+    /// identification, else its tolerance.
     pub fn known_uncertainty(&self) -> RobotUncertainty {
         let by_posterior = || {
             let posterior = self.posterior.as_ref().filter(|posterior| posterior.is_of(&self.geometry))?;
@@ -269,7 +269,7 @@ impl Robot {
         self.uncertainty.as_deref().cloned().or_else(by_posterior).unwrap_or_else(by_tolerance)
     }
 
-    /// Whether what its identification left unknown is known.
+    /// Whether the uncertainty after an identification is known.
     pub fn has_posterior(&self) -> bool {
         self.uncertainty.is_some() || self.posterior.as_ref().is_some_and(|known| known.is_of(&self.geometry))
     }
@@ -319,18 +319,18 @@ impl Robot {
         })
     }
 
-    /// Replaces the tool ball (flange frame, mm); what an earlier identification determined of the old one is dropped.
+    /// Replaces the tool ball (flange frame, mm); the posterior of the old tool ball is dropped.
     pub fn set_tool(&mut self, tool_mm: [f64; 3]) {
         self.geometry.tool = tool_mm.into();
         self.posterior =
             self.posterior.take().and_then(|known| known.keeping(|id| !matches!(id, ParamId::Tool(_))));
     }
 
-    /// The finding if its identification had warnings.
-    pub fn doubtful(&self) -> Option<ProvenanceFinding> {
-        let doubts = Names::of(&self.doubts);
-        (!self.doubts.is_empty())
-            .then(|| ProvenanceFinding::DoubtfulRobot { robot: self.name.clone(), doubts })
+    /// The finding if the identification of the robot had warnings.
+    pub fn calibration_warnings(&self) -> Option<ProvenanceFinding> {
+        let warnings = Names::of(&self.warnings);
+        (!self.warnings.is_empty())
+            .then(|| ProvenanceFinding::RobotWithWarnings { robot: self.name.clone(), warnings })
     }
 
     /// The same robot with another tool, whose place on the flange is known exactly (flange frame, mm).
@@ -415,7 +415,7 @@ mod tests {
         assert!((sd * factor - 0.05).abs() < 1e-4 * 0.05);
     }
 
-    /// By the table of the file: a2 = 850, hypot(a3, d4) = hypot(145, 820), a1 = 350 before.
+    /// From the table of the file: a2 = 850, hypot(a3, d4) = hypot(145, 820), a1 = 350 before.
     #[test]
     fn reach_accelerations_and_parallel_joints_follow_the_table() {
         let robot = robot("kr60ha");

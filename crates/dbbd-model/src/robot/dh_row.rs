@@ -22,12 +22,12 @@ pub struct DhRow {
 }
 
 impl DhRow {
-    /// The distance between the origins of the frame before and its own, mm.
+    /// The distance between the origins of the row's frame and the frame before, mm.
     pub(super) fn length(&self) -> f64 {
         self.a.hypot(self.d)
     }
 
-    /// The origin of its frame in the frame before, mm: it does not depend on the joint.
+    /// The origin of the row's frame in the frame before, mm: it does not depend on the joint.
     pub(super) fn origin(&self) -> Vector3<f64> {
         rot_y(self.beta) * rot_x(self.alpha) * Vector3::new(self.a, 0.0, self.d)
     }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::AXES;
 
-/// When a robot was measured, and how warm it was.
+/// Date and temperature of the measurement of a robot.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MeasurementConditions {
     /// `YYYY-MM-DD`, with or without a time; `None` if it is not known.
@@ -14,67 +14,69 @@ pub struct MeasurementConditions {
     pub temperature_c: Option<f64>,
 }
 
-/// How fast the zeros of a robot's joints wander. The rate is log-normal.
+/// How fast the zeros of a robot's joints wander. The rate has a log-normal distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Drift {
-    /// Median of the standard deviation of a zero's step in a month, rad; that in t months is t^(1/2) times as large.
+    /// Median of the standard deviation of a zero's step in a month, rad; a step in t months is t^(1/2) times as large.
     pub zero_rad: f64,
-    /// Standard deviation of its logarithm.
+    /// Standard deviation of the logarithm of the rate.
     pub ln_sd: f64,
-    /// Intervals between measurements of this robot that it was learnt from; none: it is a hyper-prior.
+    /// Number of intervals between measurements of this robot from which the rate was learnt; 0: it is a hyper-prior.
     pub intervals: u32,
-    /// Months since the last measurement of this robot, by which its posterior is widened.
+    /// Months since the last measurement of this robot; its posterior was widened for them.
     #[serde(skip)]
     pub(super) since_months: f64,
 }
 
-/// A hyper-prior that is reasoned, not measured: belts, couplings and gears of a sound arm settle by 20 urad in a year, which is as
-/// far at 2 m, 0.04 mm, as it repeats; robots differ by a factor of e.
+/// A hyper-prior that is reasoned, not measured: belts, couplings and gears of a sound arm settle by 20 urad in a year.
+/// At 2 m this is 0.04 mm, as much as the arm's repeatability. Robots differ by a factor of e.
 impl Default for Drift {
     fn default() -> Self {
         Self { zero_rad: 20e-6 / 12f64.sqrt(), ln_sd: 1.0, intervals: 0, since_months: 0.0 }
     }
 }
 
-/// What lengths say of the steps of the zeros since the last measurement, beside the posterior that was widened by them: the
-/// gradient of the log likelihood by the steps and its precision, with all other unknowns taken out.
+/// The information of new lengths about the steps of the zeros since the last measurement, for which the posterior was
+/// widened: gradient of the log likelihood by the steps, and its precision, with all other unknowns eliminated.
 pub struct ZeroSteps {
     gradient: SVector<f64, AXES>,
     precision: SMatrix<f64, AXES, AXES>,
 }
 
-/// Probability that a zero jumped in an interval, as in a crash, and the size of a jump, rad: it says nothing of the rate.
+/// Probability that a zero jumped in an interval, as in a crash, and the size of a jump, rad. A jump says nothing about
+/// the rate.
 const JUMP: f64 = 0.01;
 const JUMP_RAD: f64 = 1e-3;
-/// The rate is tried so far from its median, in standard deviations of its logarithm, and in so many steps.
+/// Rates are tried to this distance on each side of the median, in standard deviations of the logarithm of the rate,
+/// and in this number of steps.
 const RATE_SDS: f64 = 4.0;
 const RATE_STEPS: i32 = 40;
-/// With fewer intervals, or a rate that is known no better than by this factor of the hyper-prior's standard deviation, it is that of
-/// the hyper-prior: a second measurement on one day says nothing of it.
+/// Least number of intervals of a rate that is the robot's own, and the largest ratio of its standard deviation to that
+/// of the hyper-prior: a second measurement on one day says nothing about the rate.
 const HISTORY: u32 = 2;
 const LEARNT: f64 = 0.5;
 
 impl Drift {
-    /// Beyond so many months nothing is stated.
+    /// Nothing is stated beyond this number of months.
     pub const MAX_MONTHS: f64 = 120.0;
 
-    /// Whether its numbers are possible.
+    /// Whether the numbers are possible.
     pub(super) fn is_sound(&self) -> bool {
         self.zero_rad > 0.0 && self.zero_rad <= 0.01 && (0.0..=2.0).contains(&self.ln_sd)
     }
 
-    /// The root of the mean square of the rate, rad for a month: robots that wander fast count with their squares.
+    /// Root mean square of the rate, rad for a month. Rates count with their squares, so that it is above the median.
     pub fn rms_zero_rad(&self) -> f64 {
         self.zero_rad * (self.ln_sd * self.ln_sd).exp()
     }
 
-    /// Whether it is of this robot's own history of three measurements or more.
+    /// Whether the rate was learnt from this robot's own history of three measurements or more.
     pub fn has_history(&self) -> bool {
         self.intervals >= HISTORY && self.ln_sd <= LEARNT * Self::default().ln_sd
     }
 
-    /// Whether it differs from the hyper-prior.
+    /// Whether the drift differs from the hyper-prior.
     pub(super) fn is_learnt(&self) -> bool {
         Self { since_months: 0.0, ..*self } != Self::default()
     }
@@ -84,8 +86,8 @@ impl Drift {
         self.since_months > 0.0
     }
 
-    /// With what the steps since the last measurement say of the rate, after a new one: mean and standard deviation of its
-    /// logarithm over the posterior.
+    /// The drift after a new measurement, learnt from the steps since the last one: mean and standard deviation of the
+    /// logarithm of the rate over its posterior.
     #[must_use]
     pub fn after(&self, steps: &ZeroSteps) -> Self {
         let unit = self.ln_sd * RATE_SDS / f64::from(RATE_STEPS);
@@ -115,8 +117,8 @@ impl Drift {
         }
     }
 
-    /// The logarithm of the evidence of a rate, rad for a month, against the rate that widened the posterior: all zeros wandered,
-    /// or one of them jumped besides.
+    /// The logarithm of the evidence of a rate (rad for a month), relative to the rate for which the posterior was
+    /// widened. Either all zeros wandered, or one of them also jumped.
     fn ln_evidence(&self, zero_rad: f64, steps: &ZeroSteps) -> Option<f64> {
         let wandered = self.since_months * (zero_rad.powi(2) - self.rms_zero_rad().powi(2));
         let without = steps.ln_evidence(SVector::repeat(wandered))? + (1.0 - JUMP).ln();
@@ -132,8 +134,8 @@ impl Drift {
 }
 
 impl ZeroSteps {
-    /// The logarithm of the evidence of these variances V of the steps beyond those that widened the posterior, rad^2:
-    /// g'V(I + D V)^-1 g / 2 - ln|I + V D| / 2. They may be negative, but no more than those.
+    /// The logarithm of the evidence of variances V (rad^2) that are added to the variances for which the posterior was
+    /// widened: g'V(I + D V)^-1 g / 2 - ln|I + V D| / 2. V may be negative, but the sums must not be.
     fn ln_evidence(&self, variances: SVector<f64, AXES>) -> Option<f64> {
         let inner = SMatrix::<f64, AXES, AXES>::identity()
             + self.precision * SMatrix::<f64, AXES, AXES>::from_diagonal(&variances);
@@ -143,9 +145,11 @@ impl ZeroSteps {
         (determinant > 0.0).then(|| 0.5 * (along - determinant.ln()))
     }
 
-    /// By the root R of the prior's covariance (square, lower triangular), in which `zeros` are the rows of the zeros, by the root
-    /// of the same parameters after the lengths, and by how far their values moved: w = R^-1 dx, B = R^-1 R_new and F = R^-1 E for
-    /// the columns E of the zeros give g = F'w and D = F'(I - B B')F. `None` if the prior's covariance is singular.
+    /// The information in the change from a prior to its posterior: `prior` is the root R of the prior's covariance
+    /// (square, lower triangular), `zeros` are the rows of the zeros in it, `new` is the root R_new of the covariance
+    /// of the same parameters after the lengths, and `moved` is the change dx of their values. w = R^-1 dx, B = R^-1
+    /// R_new and F = R^-1 E for the columns E of the zeros give g = F'w and D = F'(I - B B')F. `None` if the prior's
+    /// covariance is singular.
     pub fn of(
         prior: &DMatrix<f64>,
         zeros: [Option<usize>; AXES],
@@ -181,8 +185,8 @@ mod tests {
         -0.5 * y.dot(&factor.solve(y)) - factor.l_dirty().diagonal().map(f64::ln).sum()
     }
 
-    /// Eight unknowns with a prior C and lengths y = A x + e of unit noise: ln N(y; 0, A (C + E V E') A' + I) less the same without V,
-    /// where the posterior after the lengths is all that is known of them.
+    /// Eight unknowns with a prior C and lengths y = A x + e of unit noise: ln N(y; 0, A (C + E V E') A' + I) less the
+    /// same without V, where only the posterior after the lengths is known.
     #[test]
     fn evidence_of_steps_is_that_of_the_dense_covariances() {
         let mut random = Pcg64::seed_from_u64(3);
@@ -205,13 +209,13 @@ mod tests {
             let found = steps.ln_evidence(variances.into()).unwrap();
             assert!((found - expected).abs() < 1e-6 * expected.abs().max(1.0), "{found} {expected}");
         }
-        // A zero that the posterior lacks says nothing.
+        // A zero that the posterior lacks gives no information.
         let some =
             ZeroSteps::of(&root, [None, Some(2), None, None, None, None], &new, &DVector::zeros(8)).unwrap();
         assert!(some.precision[(1, 1)] > 0.0 && some.precision[(0, 0)] == 0.0);
     }
 
-    /// So many intervals of three months with zeros measured to 3 urad.
+    /// The drift learnt from a number of intervals of three months, with zeros measured to 3 urad.
     fn learnt(rad_in_month: f64, intervals: u32, seed: u64, jump: Option<u32>) -> Drift {
         const SD: f64 = 3e-6;
         let mut random = Pcg64::seed_from_u64(seed);

@@ -37,7 +37,7 @@ struct RobotFile {
     source: Option<String>,
     repeatability_mm: Option<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    doubts: Vec<String>,
+    warnings: Vec<String>,
     date: Option<String>,
     temperature_c: Option<f64>,
     controller: Option<ControllerTable>,
@@ -85,7 +85,7 @@ struct MassTable {
     kg: f64,
     #[serde(deserialize_with = "fixed_array")]
     centre_mm: [f64; 3],
-    /// By the size of the arm.
+    /// Whether the masses follow from the size of the arm.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     assumed: bool,
 }
@@ -93,7 +93,7 @@ struct MassTable {
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct MountingTable {
-    /// In the robot base; its length does not matter.
+    /// Direction of gravity in the robot base; its length does not matter.
     #[serde(deserialize_with = "fixed_array")]
     gravity: [f64; 3],
 }
@@ -138,7 +138,7 @@ fn one_or_several<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Payl
 }
 
 impl MountingTable {
-    /// As a unit vector.
+    /// The direction as a unit vector.
     fn direction(&self) -> Result<Vector3<f64>, RobotFinding> {
         let gravity = Vector3::from(self.gravity);
         gravity
@@ -169,7 +169,7 @@ impl Robot {
 }
 
 impl RobotFile {
-    /// Checks the values that are not of a joint or a mass.
+    /// Checks the values that do not belong to a joint or a mass.
     fn check_values(&self) -> Result<(), PlausibilityFinding> {
         let ball_mm = self.tool.ball_mm.into_iter().map(f64::abs).fold(0.0, f64::max);
         // If the nominal ball is at the flange, the identified one may be very near to it.
@@ -314,7 +314,7 @@ impl RobotFile {
             language: self.language,
             controller_model: ControllerModel::Nominal,
             provenance: self.provenance,
-            doubts: self.doubts,
+            warnings: self.warnings,
             posterior: self.posterior,
             uncertainty: None,
             measured: MeasurementConditions { date: self.date, temperature_c: self.temperature_c },
@@ -371,7 +371,7 @@ impl RobotFile {
             convention: "modified-dh".into(),
             source: robot.source.clone(),
             repeatability_mm: robot.repeatability_mm,
-            doubts: robot.doubts.clone(),
+            warnings: robot.warnings.clone(),
             date: robot.measured.date.clone(),
             temperature_c: robot.measured.temperature_c,
             controller: is_stated.then(|| ControllerTable::of(robot.controller_model, &robot.geometry.rows)),

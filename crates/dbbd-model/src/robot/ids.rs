@@ -16,12 +16,12 @@ macro_rules! numbered {
         impl $name {
             pub const FIRST: Self = Self(NonZeroU32::MIN);
 
-            /// From the number as it is written, from 1; `None` for 0.
+            /// Makes the index from the number as it is written, from 1; `None` for 0.
             pub fn new(number: u32) -> Option<Self> {
                 NonZeroU32::new(number).map(Self)
             }
 
-            /// From the index in a list.
+            /// Makes the index from the place in a list, from 0.
             pub fn at(index: usize) -> Self {
                 Self(NonZeroU32::MIN.saturating_add(u32::try_from(index).unwrap_or(u32::MAX)))
             }
@@ -62,11 +62,11 @@ numbered! {
     TargetId
     /// A circle of a plan.
     CircleId
-    /// What the flange carries, in the list of the robot's file; the first where nothing is said.
+    /// A payload on the flange, by its place in the list of the robot file; the first one is the default.
     PayloadId
 }
 
-/// What a length is measured from.
+/// The place from which a length is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Datum {
     /// A base ball, by a bar.
@@ -107,10 +107,10 @@ pub enum Joint {
 }
 
 impl Joint {
-    /// From base to flange.
+    /// All joints, base to flange.
     pub const ALL: [Self; super::AXES] = [Self::J1, Self::J2, Self::J3, Self::J4, Self::J5, Self::J6];
 
-    /// From its number, from 1.
+    /// The joint with this number, from 1.
     pub fn new(number: usize) -> Option<Self> {
         Self::ALL.into_iter().find(|joint| joint.number() == number)
     }

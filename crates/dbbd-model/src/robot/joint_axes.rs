@@ -17,11 +17,11 @@ const MEET_MM: f64 = 1e-9;
 pub struct JointAxis {
     /// Any point of the axis, mm.
     pub point: Vector3<f64>,
-    /// Of unit length, in the sense of a positive angle.
+    /// Unit vector along the axis, in the sense of a positive angle.
     pub direction: Vector3<f64>,
 }
 
-/// A table, and where its first and its last frame are.
+/// A table with the poses of its first and its last frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmTable {
     pub rows: [DhRow; AXES],
@@ -69,7 +69,7 @@ impl ArmTable {
 }
 
 impl JointAxis {
-    /// Its point that is nearest to another one, mm.
+    /// The point of the axis that is nearest to another point, mm.
     fn nearest(&self, to: &Vector3<f64>) -> Vector3<f64> {
         self.point + self.direction * self.direction.dot(&(to - self.point))
     }
@@ -78,7 +78,7 @@ impl JointAxis {
 /// The way from one axis to the next: a row without its joint.
 #[derive(Clone, Copy)]
 struct AxisToAxis {
-    /// Where it leaves the first axis, and where it meets the second one.
+    /// The point where the way leaves the first axis, and the point where it meets the second axis.
     origin: Vector3<f64>,
     foot: Vector3<f64>,
     /// The x and the z of the frame on the first axis.

@@ -1,12 +1,13 @@
-//! What a joint's own angle and the sense of its motion do to it: a smooth function, backlash, transmission ripple.
+//! Errors of a joint that depend on its own angle and on the sense of its last move: a smooth function, backlash and
+//! transmission ripple.
 //!
-//! The joint is where its axis says plus D(q, d), q the joint's own angle (the controller's axis angle, of a coupled joint a sum
-//! of two) and d the sense of its last move:
-//! D = sum_m w_m phi_m(q) + u d + sum_n (c_n cos n q + s_n sin n q), rad, in the sense of the DH table. Where d is not known,
-//! what is expected of it counts: an axis comes to its highest angles from below. The phi_m are
-//! the eigenfunctions of the Laplacian on [c - L, c + L], by which a Gaussian process is written with few coefficients
-//! (Solin and Sarkka, Statistics and Computing 30, 2020). Outside that interval nothing is known of the smooth part, and
-//! it is zero. The first harmonic of an angle is the geometry's (`gear`).
+//! The true angle of a joint is the angle that its axis reports plus a correction D(q, d). Here q is the joint's own
+//! angle (the controller's axis angle; for a coupled joint a sum of two axis angles) and d is the sense of the joint's
+//! last move: D = sum_m w_m phi_m(q) + u d + sum_n (c_n cos n q + s_n sin n q), rad, in the sense of the DH table.
+//! Where d is not known, its expected value is used: an axis comes to its highest angles from below. The phi_m are the
+//! eigenfunctions of the Laplacian on [c - L, c + L]: with them a few coefficients describe a Gaussian process (Solin
+//! and Sarkka, Statistics and Computing 30, 2020). Outside that interval nothing is known of the smooth part, and it is
+//! zero. The first harmonic of the angle belongs to the geometry (`gear`).
 
 use std::f64::consts::PI;
 
@@ -17,14 +18,15 @@ use super::{AXES, Approach, Joint};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointErrorModel {
     pub smooth: SmoothJointError,
-    /// Half of the reversal error, rad: the joint is this much further when its axis came by rising angles.
+    /// Half of the reversal error, rad: the joint's angle is larger by this when its axis came through rising angles.
     pub backlash: f64,
-    /// Where the axis comes from when its sense is not known.
+    /// The angles at the poses of the program. They give the expected sense of approach where the sense is not known.
     pub visited: VisitedAngles,
     pub ripple: Vec<Ripple>,
 }
 
-/// The angles of a joint at the poses of a program: a logistic distribution. A scale of 0 says nothing of them.
+/// The angles of a joint at the poses of a program: a logistic distribution. A scale of 0 means that they are not
+/// known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct VisitedAngles {
@@ -46,7 +48,7 @@ pub struct SmoothJointError {
     /// Half of the interval, rad.
     #[serde(rename = "half_width_rad")]
     pub half_width: f64,
-    /// Of the basis functions 1, 2, .., rad sqrt(rad).
+    /// Coefficients of the basis functions 1, 2, .., rad sqrt(rad).
     pub coefficients: Vec<f64>,
 }
 
@@ -62,14 +64,14 @@ pub struct Ripple {
     pub sin: f64,
 }
 
-/// The errors of all joints; none where nothing is known of them.
+/// The errors of all joints; empty if no error is known.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JointErrors(Option<Box<[JointErrorModel; AXES]>>);
 
-/// What a coefficient belongs to.
+/// The part of a joint's error to which a coefficient belongs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TermKind {
-    /// Of a basis function with this angular frequency, 1/rad.
+    /// A basis function of the smooth function, with this angular frequency, 1/rad.
     Smooth {
         frequency: f64,
     },
@@ -87,7 +89,7 @@ pub struct JointTerm {
 }
 
 impl VisitedAngles {
-    /// By the middle two thirds of angles, rad.
+    /// The distribution that has the median and the middle two thirds of these angles (rad).
     pub fn of(mut angles: Vec<f64>) -> Self {
         /// F(x) = 5/6 at x = scale ln 5.
         const SIXTH: f64 = 1.0 / 6.0;
@@ -97,27 +99,28 @@ impl VisitedAngles {
         Self { middle: at(0.5), scale: width / (2.0 * 5f64.ln()) }
     }
 
-    /// The mean sense of an axis that comes to an angle (rad) from another such pose: F - (1 - F).
+    /// The mean sense of an axis that comes to an angle (rad) from another pose of the program: F - (1 - F), with F the
+    /// distribution function.
     fn expected_sense(self, angle: f64) -> f64 {
         if self.scale > 0.0 { (0.5 * (angle - self.middle) / self.scale).tanh() } else { 0.0 }
     }
 }
 
 impl SmoothJointError {
-    /// The interval is this many times that of the angles measured.
+    /// The interval of the smooth function is this many times as wide as the range of the measured angles.
     const WIDER: f64 = 1.5;
 
-    /// Zero, with `count` basis functions.
+    /// A function that is zero, with `count` basis functions.
     pub fn new(centre: f64, half_width: f64, count: usize) -> Self {
         Self { centre, half_width, coefficients: vec![0.0; count] }
     }
 
-    /// Half of the interval for angles measured in this one, rad.
+    /// Half of the width of the interval for angles measured from `low` to `high`, rad.
     pub(crate) fn half_width_for([low, high]: [f64; 2]) -> f64 {
         Self::WIDER * 0.5 * (high - low)
     }
 
-    /// The nearest angle to which measured ones reach, rad.
+    /// The angle in the range of the measured angles that is nearest to `angle`, rad.
     pub(crate) fn nearest_measured(&self, angle: f64) -> f64 {
         let reach = self.half_width / Self::WIDER;
         self.centre + (angle - self.centre).clamp(-reach, reach)
@@ -128,7 +131,7 @@ impl SmoothJointError {
         self.centre == other.centre && self.half_width == other.half_width
     }
 
-    /// Whether the interval holds an angle, rad.
+    /// Whether the function has coefficients and its interval contains an angle, rad.
     pub fn covers(&self, angle: f64) -> bool {
         (angle - self.centre).abs() <= self.half_width && !self.coefficients.is_empty()
     }
@@ -154,7 +157,7 @@ impl SmoothJointError {
         }
     }
 
-    /// At an angle, rad.
+    /// The value of the function at an angle (rad), rad.
     pub fn value(&self, angle: f64) -> f64 {
         let (mut sum, mut coefficients) = (0.0, self.coefficients.iter());
         self.basis(angle, |value| sum += coefficients.next().map_or(0.0, |weight| weight * value));
@@ -168,7 +171,7 @@ impl JointErrorModel {
         self.of_angle(angle) + self.sense(angle, sense) * self.backlash
     }
 
-    /// The sense, or what is expected of one that is not known (0).
+    /// The sense of approach, or its expected value if it is not known (0).
     fn sense(&self, angle: f64, sense: i8) -> f64 {
         if sense == 0 { self.visited.expected_sense(angle) } else { f64::from(sense) }
     }
@@ -182,7 +185,7 @@ impl JointErrorModel {
         self.smooth.value(angle) + ripple.sum::<f64>()
     }
 
-    /// Coefficients of the errors: those of the smooth function, backlash, then cosine and sine of each ripple.
+    /// The number of coefficients: of the smooth function, of backlash, then cosine and sine of each ripple.
     fn count(&self) -> usize {
         self.smooth.coefficients.len() + 1 + 2 * self.ripple.len()
     }
@@ -212,7 +215,7 @@ impl JointErrorModel {
 }
 
 impl JointErrors {
-    /// Of all joints, base to flange.
+    /// The errors of all joints, base to flange; empty if no joint has an error.
     pub fn new(joints: [JointErrorModel; AXES]) -> Self {
         let none = joints.iter().all(|joint| *joint == JointErrorModel::default());
         Self((!none).then(|| Box::new(joints)))
@@ -222,12 +225,12 @@ impl JointErrors {
         self.0.is_none()
     }
 
-    /// Of a joint, if any joint has one.
+    /// The error of a joint; `None` if no joint has an error.
     pub fn of(&self, joint: Joint) -> Option<&JointErrorModel> {
         self.at(joint.index())
     }
 
-    /// Of the joint at a place, from 0.
+    /// The error of the joint at this place (from 0); `None` if no joint has an error.
     pub fn at(&self, place: usize) -> Option<&JointErrorModel> {
         self.0.as_ref().map(|joints| &joints[place])
     }
@@ -237,12 +240,12 @@ impl JointErrors {
         self.0.as_ref().map_or(0.0, |joints| joints[place].correction(angle, sense))
     }
 
-    /// How many coefficients there are.
+    /// The number of coefficients of all joints.
     pub fn count(&self) -> usize {
         self.0.iter().flat_map(|joints| joints.iter()).map(JointErrorModel::count).sum()
     }
 
-    /// The coefficients' names, joint by joint.
+    /// The joint and the kind of each coefficient, joint by joint.
     pub(crate) fn terms(&self) -> Vec<JointTerm> {
         let of = |joint: Joint| {
             let kinds = self.of(joint).map(|error| error.kinds().collect::<Vec<_>>()).unwrap_or_default();
@@ -251,7 +254,7 @@ impl JointErrors {
         Joint::ALL.into_iter().flat_map(of).collect()
     }
 
-    /// Where the coefficient of each joint's backlash is among them.
+    /// The place of each joint's backlash coefficient in [`JointErrors::terms`]; `None` for a joint without one.
     pub(crate) fn backlash_places(&self) -> [Option<usize>; AXES] {
         let terms = self.terms();
         let is_of = |joint: Joint, term: &JointTerm| term.joint == joint && term.kind == TermKind::Backlash;
@@ -277,13 +280,13 @@ impl JointErrors {
         self.0.as_mut().map_or(0.0, |joints| std::mem::take(&mut joints[place].backlash))
     }
 
-    /// Adds a ripple to a joint, still zero.
+    /// Adds a ripple of amplitude zero to a joint.
     pub fn push(&mut self, joint: Joint, order: u32) {
         let joints = self.0.get_or_insert_with(Box::default);
         joints[joint.index()].ripple.push(Ripple { order, ..Ripple::default() });
     }
 
-    /// With these coefficients, in the order of `JointErrors::terms`.
+    /// The errors with these coefficients, in the order of `JointErrors::terms`.
     pub fn with(&self, coefficients: impl IntoIterator<Item = f64>) -> Self {
         let mut with = self.clone();
         let joints = with.0.iter_mut().flat_map(|joints| joints.iter_mut());

@@ -19,7 +19,8 @@ pub struct Geometry {
     pub load: ArmLoad,
     /// Compliance of each joint, rad/(N m).
     pub compliance: [f64; AXES],
-    /// What is added to it under the torque of the payload, rad/(N m): it shows how far the stated masses of the links are wrong.
+    /// Added to the compliance under the torque of the payload, rad/(N m): it shows how wrong the stated masses of the
+    /// links are.
     pub payload_compliance: [f64; AXES],
     /// First harmonic of the transmission error of each joint: cosine and sine, rad.
     pub gear: [[f64; 2]; AXES],
@@ -63,7 +64,7 @@ impl Geometry {
         self.joint_angles_carrying(axes, approach, PayloadId::FIRST)
     }
 
-    /// The same with a payload of the list.
+    /// The joint angles with a payload of the list.
     pub(super) fn joint_angles_carrying(
         &self,
         axes: &[f64; AXES],
@@ -105,13 +106,13 @@ impl Geometry {
         self.joint_errors.derivatives(&joints, senses, each);
     }
 
-    /// How far a joint turns under a torque that is known, rad/(N m). `compliance` alone is by that of the links, which is known
-    /// as well as their masses.
+    /// The compliance of a joint under a known torque, rad/(N m). `compliance` alone refers to the torque of the links,
+    /// which is known only as well as their masses.
     pub(super) fn compliance_of_payload(&self, joint: usize) -> f64 {
         self.compliance[joint] + self.payload_compliance[joint]
     }
 
-    /// Whether gravity turns its joints.
+    /// Whether gravity turns the joints.
     fn bends(&self) -> bool {
         self.compliance.iter().chain(&self.payload_compliance).any(|compliance| *compliance != 0.0)
     }

@@ -1,4 +1,4 @@
-//! What loads the joints: the masses of the links and what the flange carries, under gravity.
+//! The load of the joints: the masses of the links and the payload on the flange, under gravity.
 
 use nalgebra::Vector3;
 
@@ -21,18 +21,18 @@ pub struct Mass {
     pub centre: Vector3<f64>,
 }
 
-/// What the flange carries.
+/// A payload on the flange.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Payload {
-    /// By which rows of measurements and commands name it; may be empty.
+    /// The name by which rows of measurements and commands refer to the payload; may be empty.
     pub name: String,
     pub kg: f64,
     /// Centre of mass in the flange frame, mm.
     pub centre: Vector3<f64>,
-    /// Standard uncertainties of the mass and of each coordinate of its centre, mm.
+    /// Standard uncertainties of the mass (kg) and of each coordinate of its centre (mm).
     pub u_kg: f64,
     pub u_mm: f64,
-    /// Whether the robot carried it when it was identified.
+    /// Whether the robot carried this payload when it was identified.
     pub is_measured: bool,
 }
 
@@ -40,7 +40,7 @@ pub struct Payload {
 const HOLDER_KG: f64 = 3.0;
 
 impl Payload {
-    /// Whether its numbers are possible. Nothing on the flange is a payload too.
+    /// Checks that the numbers are possible. An empty flange is a payload too.
     pub(super) fn check(&self) -> Result<(), Diagnostic> {
         let Self { kg, u_kg, u_mm, .. } = *self;
         let masses = [("kg", kg), ("u_kg", u_kg)];
@@ -59,7 +59,7 @@ impl Payload {
         Ok(())
     }
 
-    /// As a mass of the last frame.
+    /// The payload as a mass of the last frame.
     pub fn mass(&self) -> Mass {
         Mass { joint: Joint::J6, kg: self.kg, centre: self.centre }
     }
@@ -68,30 +68,30 @@ impl Payload {
 /// Gravity torque about each joint, N m.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct GravityTorques {
-    /// By links and payload together.
+    /// Torque of links and payload together.
     pub(crate) all: [f64; AXES],
-    /// By the payload alone.
+    /// Torque of the payload alone.
     pub(crate) payload: [f64; AXES],
 }
 
 /// The masses of an arm with its payload.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmLoad {
-    /// Of the links.
+    /// Masses of the links.
     pub masses: Vec<Mass>,
     /// Whether the masses follow from the size of the arm, because its file states none.
     pub is_assumed: bool,
-    /// What the flange may carry, by [`PayloadId::index`]; it carries the first where nothing is said.
+    /// The possible payloads, by [`PayloadId::index`]; the first one is the default.
     pub payloads: Vec<Payload>,
     /// Unit vector of gravity in the robot base.
     pub gravity: Vector3<f64>,
 }
 
 impl ArmLoad {
-    /// Of an arm on the floor.
+    /// Gravity for an arm that stands on the floor.
     pub const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);
 
-    /// Masses that are known.
+    /// A load with known masses.
     pub fn known(masses: Vec<Mass>) -> Self {
         Self { masses, is_assumed: false, payloads: Vec::new(), gravity: Self::DOWN }
     }
@@ -101,7 +101,7 @@ impl ArmLoad {
     pub fn usual(rows: &[DhRow; AXES]) -> Self {
         /// Mass beyond the second joint over the cube of the length beyond it, kg/m^3.
         const KG_PER_M3: f64 = 50.0;
-        /// How that mass is distributed over the links that joints 2 to 6 move.
+        /// Distribution of that mass over the links that joints 2 to 6 move.
         const SHARES: [f64; AXES] = [0.0, 0.45, 0.35, 0.1, 0.05, 0.05];
         let kg = KG_PER_M3 * (1e-3 * rows[2..].iter().map(DhRow::length).sum::<f64>()).powi(3);
         let to_next = |link: usize| rows.get(link + 1).map_or_else(Vector3::zeros, DhRow::origin);
@@ -113,7 +113,7 @@ impl ArmLoad {
         Self { is_assumed: true, ..Self::known(masses) }
     }
 
-    /// What the flange carries where nothing is said.
+    /// The default payload.
     pub fn carried(&self) -> Option<&Payload> {
         self.payloads.first()
     }
@@ -121,7 +121,7 @@ impl ArmLoad {
     /// Puts a payload in front: one of the list by its name, or `KG,X,Y,Z` with its centre in the flange frame, mm.
     ///
     /// # Errors
-    /// It is neither, or its numbers are not plausible.
+    /// `asked` is neither, or the numbers are not plausible.
     pub fn carry(&mut self, asked: &str) -> Result<(), Diagnostic> {
         let payload = match self.payloads.iter().position(|payload| payload.name == asked) {
             Some(at) => self.payloads.remove(at),
@@ -176,9 +176,10 @@ impl ArmLoad {
         torques
     }
 
-    /// About the payload that such an arm is made for.
+    /// The approximate payload for which such an arm is made.
     pub(crate) fn rated(&self, rows: &[DhRow; AXES]) -> Payload {
-        /// Over the masses of the links, and its distance from the flange over the length of the arm.
+        /// The payload's mass over the masses of the links, and its distance from the flange over the length of the
+        /// arm.
         const RATED: f64 = 0.2;
         const LEVER: f64 = 0.1;
         let kg = RATED * self.masses.iter().map(|mass| mass.kg).sum::<f64>();

@@ -1,8 +1,9 @@
 //! The kinematic model: poses, the length between the balls, and its derivatives.
 //!
 //! Craig's modified DH with Hayati's beta: row i of a robot is
-//! `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)` with `theta = sign * A + theta_offset`. A is the axis angle of the controller; of a
-//! coupled joint it is the sum of two. Lengths are in mm, angles in rad; files have degrees.
+//! `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)` with `theta = sign * A + theta_offset`. A is the axis angle of the
+//! controller; for a coupled joint it is the sum of two axis angles. Lengths are in mm, angles in rad; files have
+//! degrees.
 
 mod catalogue;
 pub use catalogue::RobotFinding;

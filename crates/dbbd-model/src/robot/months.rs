@@ -1,15 +1,15 @@
-//! What happens to a robot between two measurements: how much less is known of it so many months after its identification.
+//! How the uncertainty of a robot grows in the months after its identification.
 //!
-//! Twists, links and the errors of the gears stay, but for the expansion of the links. The zeros of the joints, the tool ball and
-//! the base balls wander: each month adds the same variance. Where the posterior of a robot becomes the prior of what comes
-//! later, this is the only place that widens it.
+//! Twists, links and gear errors stay, except for the expansion of the links. The zeros of the joints, the tool ball
+//! and the base balls wander: each month adds the same variance. When the posterior of a robot becomes the prior of a
+//! later estimate, this is the only place that widens it.
 
 use super::{AXES, Coordinate, Drift, Joint, MeasurementConditions, ParamId, Robot, RobotFinding};
 use crate::base::date::{self, months_between};
 
-/// A tool ball that is used wanders by as much as its seat repeats, mm for a month.
+/// Standard deviation of the step of a tool ball in use, mm for a month: as much as its seat repeats.
 const TOOL_MM: f64 = 0.01;
-/// So does a base ball on the floor of a hall, with its stand, mm for a month.
+/// Standard deviation of the step of a base ball with its stand on the floor of a hall, mm for a month.
 const BASE_BALL_MM: f64 = 0.02;
 /// Expansion of iron and steel, 1/K, and its relative standard uncertainty for an arm that is of aluminium in parts.
 const EXPANSION_PER_K: f64 = 12e-6;
@@ -22,16 +22,21 @@ const MONTHS_OF_YEAR: f64 = 12.0;
 type JointStep = Vec<(ParamId, f64)>;
 
 impl Robot {
-    /// A finding if a day is before that of its calibration, or too long after it.
+    /// A finding if a day is before the robot's calibration, or too long after it.
     pub fn far_day(&self, day: &str) -> Option<RobotFinding> {
         let measured = self.measured.date.as_deref()?;
         let months = months_between(measured, day)?;
-        let far = || RobotFinding::FarDay { day: day.into(), measured: measured.into() };
-        (!(0.0..=Drift::MAX_MONTHS).contains(&months)).then(far)
+        let (day, measured) = (day.to_owned(), measured.to_owned());
+        if months < 0.0 {
+            return Some(RobotFinding::BeforeCalibration { day, measured });
+        }
+        let years = months / MONTHS_OF_YEAR;
+        (months > Drift::MAX_MONTHS).then_some(RobotFinding::LongAfterCalibration { day, measured, years })
     }
 
-    /// With what is known of it under the conditions of a later or earlier measurement. Where both temperatures
-    /// are known the links have grown by their difference. The day goes along; without a date on both sides it stays as it is.
+    /// The robot with its uncertainty under the conditions of a later or earlier measurement. Where both temperatures
+    /// are known, the links have grown by their difference. The day is taken over; without a date on both sides the
+    /// robot stays as it is.
     #[must_use]
     pub fn under(&self, then: &MeasurementConditions) -> Self {
         let MeasurementConditions { date, temperature_c } = &self.measured;
@@ -46,7 +51,7 @@ impl Robot {
         Self { measured: then.clone(), ..later }
     }
 
-    /// With what is known of it so many months later, at a temperature that nobody knows yet.
+    /// The robot with its uncertainty this many months later, at a temperature that nobody knows yet.
     #[must_use]
     pub fn after_months(&self, months: f64) -> Self {
         let date = self.measured.date.as_deref().and_then(|day| date::after_months(day, months));
@@ -79,7 +84,7 @@ impl Robot {
         later
     }
 
-    /// What may have happened in so many months, independent steps.
+    /// Independent steps that may have happened in this many months, with a temperature that is uncertain by `kelvin`.
     fn steps(&self, months: f64, kelvin: f64) -> Vec<JointStep> {
         let walk = months.sqrt();
         let zeros = Joint::ALL.map(|joint| vec![(ParamId::Theta(joint), self.drift.rms_zero_rad() * walk)]);
@@ -96,8 +101,9 @@ impl Robot {
     }
 }
 
-/// Standard deviation of the difference in temperature of two days in a hall that nobody measured, K: with a wave of the year of
-/// amplitude S and any phase it is S (1 - cos)^(1/2) of the time between. It does not fall again: no year is like another.
+/// Standard deviation of the temperature difference between two days in a hall where nobody measured it, K: for a
+/// yearly wave of amplitude S and any phase it is S (1 - cos)^(1/2) of the time between the days. It does not fall
+/// after half a year: no year is like another.
 fn season_k(months: f64) -> f64 {
     let turn = std::f64::consts::TAU * (months.abs() / MONTHS_OF_YEAR).min(0.5);
     SEASON_K * (1.0 - turn.cos()).sqrt()
@@ -123,8 +129,9 @@ mod tests {
         MeasurementConditions { date: Some(date.into()), temperature_c }
     }
 
-    /// By hand: 20 urad a year with a factor of e (54.366 urad); in two years (730 days of 365.25 / 12 a month) 2^(1/2) of it. The
-    /// second arm of 850 mm grows by 12e-6 / K; half a year of a season of 5 K differ by 5 * 2^(1/2) K.
+    /// Computed by hand: 20 urad a year with a factor of e (54.366 urad); in two years (730 days of 365.25 / 12 a
+    /// month) 2^(1/2) of it. The second arm of 850 mm grows by 12e-6 / K; two days half a year apart in a season of 5 K
+    /// differ by 5 * 2^(1/2) K.
     #[test]
     fn what_is_known_of_zeros_tool_and_links_grows_with_the_months() {
         let ids = [ParamId::Theta(Joint::J3), ParamId::Alpha(Joint::J3), ParamId::A(Joint::J3)];
@@ -169,10 +176,13 @@ mod tests {
     #[test]
     fn a_day_before_the_calibration_or_ten_years_later_is_a_warning() {
         let robot = identified(&[ParamId::Theta(Joint::J3)], 1e-6);
-        for (day, is_far) in
-            [("2026-01-30", true), ("2026-01-31", false), ("2035-12-31", false), ("2036-03-01", true)]
-        {
-            assert_eq!(robot.far_day(day).is_some(), is_far, "{day}");
+        assert!(matches!(robot.far_day("2026-01-30"), Some(RobotFinding::BeforeCalibration { .. })));
+        assert!(robot.far_day("2026-01-31").is_none() && robot.far_day("2035-12-31").is_none());
+        match robot.far_day("2036-03-01") {
+            Some(RobotFinding::LongAfterCalibration { years, .. }) => {
+                assert!((years - 10.08).abs() < 0.02, "{years}");
+            }
+            other => panic!("{other:?}"),
         }
         let undated = Robot { measured: MeasurementConditions::default(), ..robot };
         assert!(undated.far_day("1990-01-01").is_none());

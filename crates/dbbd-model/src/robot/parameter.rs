@@ -34,7 +34,7 @@ pub enum ParamId {
     /// Rotation vector of the tracker's frame in the robot base.
     TrackerTurn(Coordinate),
     Compliance(Joint),
-    /// What is added to the compliance under the torque of the payload.
+    /// Added to the compliance under the torque of the payload.
     PayloadCompliance(Joint),
     /// Cosine of the first harmonic of the transmission error.
     GearCos(Joint),
@@ -108,13 +108,13 @@ impl ParamGroup {
         }
     }
 
-    /// Whether it is estimated only if the data support it.
+    /// Whether the parameters of the group are estimated only if the data support them.
     pub fn is_optional(self) -> bool {
         matches!(self, Self::Compliance | Self::Gear)
     }
 }
 
-/// Where the prior standard deviation of a parameter comes from.
+/// The source of the prior standard deviation of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PriorRule {
     /// The maker's tolerance of a length, mm.
@@ -126,17 +126,19 @@ pub enum PriorRule {
     FlangeAngle,
     /// The usual deflection of a joint over the greatest torque at the joint, rad/(N m).
     DeflectionOverTorque(Joint),
-    /// That, times what is not known of the masses of the links against the payload.
+    /// The usual deflection over the greatest torque, times the relative error of the masses of the links against the
+    /// payload.
     MassErrorOverTorque(Joint),
     /// The standard uncertainty of the bar's certificate, else the value of `uncertified`, mm: the bar is not part of the robot.
     Certificate {
         uncertified: f64,
     },
-    /// Free in an estimate: it is measured, taught or estimated by eye. Where a prior is needed, this one, mm or rad.
+    /// Free in an estimate: measured, taught or estimated by eye. Where a prior is needed, this is its standard
+    /// deviation, mm or rad.
     Free(f64),
 }
 
-/// What a parameter belongs to: the robot, or a part of the set-up.
+/// The owner of a parameter: the robot, or a part of the set-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParamOwner {
     Robot,
@@ -147,7 +149,7 @@ pub enum ParamOwner {
     Tracker,
 }
 
-/// What the parameters of a family have in common.
+/// The common properties of the parameters of a family.
 struct ParamFamily {
     /// `{i}` is the joint counted from 0, `{n}` the joint, ball, target or bar counted from 1, `{c}` the coordinate.
     name: &'static str,
@@ -163,7 +165,7 @@ struct ParamFamily {
 }
 
 impl ParamFamily {
-    /// A parameter of the robot: its limits follow from its tolerance.
+    /// A family of parameters of the robot: their limits follow from their tolerance.
     const fn of_robot(
         name: &'static str,
         unit: ParamUnit,
@@ -238,8 +240,9 @@ impl ParamId {
     /// Number of columns of a [`super::LengthRow`].
     pub(super) const COLUMNS: usize = Self::PayloadCompliance(Joint::J6).column() + 1;
 
-    /// The column of the derivative with respect to it in a [`super::LengthRow`]. A row has one target, one base ball or
-    /// tracker, and one bar: all targets share their columns, and so on; derivatives with respect to others are zero.
+    /// The column of the derivative with respect to the parameter in a [`super::LengthRow`]. A row has one target, one
+    /// base ball or tracker, and one bar: all targets share their columns, and so on; derivatives with respect to
+    /// others are zero.
     pub const fn column(self) -> usize {
         let place = match self {
             Self::Tool(coordinate)

@@ -16,13 +16,13 @@ impl Pose {
         Self { rotation: Matrix3::identity(), position: Vector3::zeros() }
     }
 
-    /// From a frame of KUKA: X, Y, Z in mm and A, B, C in degrees, R = Rz(A) Ry(B) Rx(C).
+    /// The pose from a frame of KUKA: X, Y, Z in mm and A, B, C in degrees, R = Rz(A) Ry(B) Rx(C).
     pub fn from_kuka(xyz_mm: [f64; 3], abc_deg: [f64; 3]) -> Self {
         let [a, b, c] = abc_deg.map(f64::to_radians);
         Self { rotation: rot_z(a) * rot_y(b) * rot_x(c), position: Vector3::from(xyz_mm) }
     }
 
-    /// From X, Y, Z, A, B, C: see [`Pose::from_kuka`].
+    /// The pose from X, Y, Z, A, B, C: see [`Pose::from_kuka`].
     pub fn from_xyzabc([x, y, z, a, b, c]: [f64; 6]) -> Self {
         Self::from_kuka([x, y, z], [a, b, c])
     }
@@ -46,7 +46,8 @@ impl Pose {
         [a, b, c].map(f64::to_degrees)
     }
 
-    /// From a position in mm and a quaternion, real part first, which need not be normalised; `None` if it is zero.
+    /// The pose from a position in mm and a quaternion, real part first, which need not be normalised; `None` if it is
+    /// zero.
     pub fn from_quaternion(xyz_mm: [f64; 3], [w, x, y, z]: [f64; 4]) -> Option<Self> {
         let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6)?;
         Some(Self { rotation: *turn.to_rotation_matrix().matrix(), position: Vector3::from(xyz_mm) })
@@ -59,7 +60,7 @@ impl Pose {
         [turn.w, turn.i, turn.j, turn.k].map(|part| sign * part)
     }
 
-    /// From a position in mm and a rotation vector: the axis times the angle in rad.
+    /// The pose from a position in mm and a rotation vector: the axis times the angle in rad.
     pub fn from_rotation_vector(xyz_mm: [f64; 3], turn: [f64; 3]) -> Self {
         let rotation = *Rotation3::new(Vector3::from(turn)).matrix();
         Self { rotation, position: Vector3::from(xyz_mm) }

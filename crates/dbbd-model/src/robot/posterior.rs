@@ -5,15 +5,16 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{BallId, Coordinate, Geometry, ParamId};
 
-/// The values and covariance (root root', mm and rad) of the parameters of a robot. The coordinates of the base balls follow
-/// those of the robot, if the identification estimated them.
+/// The values and covariance (root root', mm and rad) of the parameters of a robot. The coordinates of the base balls
+/// follow the parameters of the robot, if the identification estimated them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotPosterior {
     #[serde(rename = "parameters")]
     ids: Vec<ParamId>,
     values: Vec<f64>,
-    /// Square and lower triangular, one row per parameter. The file has the triangle, row by row.
+    /// Root of the covariance: square and lower triangular, one row per parameter. The file has the triangle, row by
+    /// row.
     #[serde(serialize_with = "write_root", deserialize_with = "read_root")]
     root: DMatrix<f64>,
 }
@@ -60,7 +61,7 @@ impl RobotPosterior {
         &self.ids
     }
 
-    /// The base ball in the robot base, mm; `None` if it was not estimated.
+    /// The position of a base ball in the robot base, mm; `None` if it was not estimated.
     pub fn ball(&self, ball: BallId) -> Option<Vector3<f64>> {
         let value = |axis| Some(self.values[self.position(ParamId::Ball(ball, axis))?]);
         let [x, y, z] = Coordinate::ALL.map(value);
@@ -71,7 +72,7 @@ impl RobotPosterior {
         self.ids.iter().position(|own| *own == id)
     }
 
-    /// Whether it has the values of this geometry.
+    /// Whether the posterior has the parameter values of this geometry.
     pub fn is_of(&self, geometry: &Geometry) -> bool {
         let same = |(id, value): (&ParamId, &f64)| {
             geometry.value(*id).is_some_and(|here| (here - value).abs() <= SAME)
@@ -84,18 +85,18 @@ impl RobotPosterior {
         self.position(id).map(|at| self.root.row(at).norm())
     }
 
-    /// The root of the covariance of some parameters, in their order; square and lower triangular.
+    /// The root of the covariance of some parameters, in the order of `ids`; square and lower triangular.
     pub(crate) fn root_of(&self, ids: &[ParamId]) -> DMatrix<f64> {
         let rows: Vec<usize> = ids.iter().filter_map(|id| self.position(*id)).collect();
         triangular(&self.root.select_rows(&rows))
     }
 
-    /// Adds the variances of independent steps, each of several parameters together (mm or rad).
+    /// Adds the variances of independent steps. A step moves several parameters together (mm or rad).
     pub(super) fn widen(&mut self, steps: &[Vec<(ParamId, f64)>]) {
         self.root = triangular(&with_steps(&self.root, &self.ids, steps));
     }
 
-    /// Moves the value of a parameter, mm or rad, if it has it.
+    /// Moves the value of a parameter, mm or rad, if the posterior has that parameter.
     pub(super) fn shift(&mut self, id: ParamId, by: f64) {
         if let Some(at) = self.position(id) {
             self.values[at] += by;
@@ -109,7 +110,7 @@ impl RobotPosterior {
         (!ids.is_empty()).then(|| Self { root: self.root_of(&ids), ids, values })
     }
 
-    /// Whether its parts are consistent and its numbers possible.
+    /// Whether the parts are consistent and the numbers possible.
     pub(super) fn is_sound(&self) -> bool {
         let Self { ids, values, root } = self;
         !ids.is_empty()
@@ -140,8 +141,8 @@ fn read_root<'de, D: Deserializer<'de>>(from: D) -> Result<DMatrix<f64>, D::Erro
     Ok(DMatrix::from_fn(rows.len(), rows.len(), of))
 }
 
-/// The root of a covariance, whose first rows are those of `ids`, with a column for each step: one standard deviation of each of
-/// its parameters (mm or rad) that has a row.
+/// The root of a covariance with a further column for each step. The first rows of `root` are those of `ids`. A column
+/// has one standard deviation of each parameter of its step (mm or rad) that has a row.
 pub(super) fn with_steps(
     root: &DMatrix<f64>,
     ids: &[ParamId],

@@ -1,4 +1,5 @@
-//! What is not known of a robot: the covariance of its parameters and of the errors of its joints, as its file holds it.
+//! The uncertainty of a robot: the covariance of its parameters and of the errors of its joints, as the robot file
+//! holds it.
 
 use nalgebra::DMatrix;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -7,7 +8,7 @@ use super::posterior::with_steps;
 use super::{AXES, Geometry, Joint, ParamId};
 use crate::base::fixed_array::fixed_array;
 
-/// Digits of the root that a file holds.
+/// Significant digits of the root in a robot file.
 const DIGITS: usize = 4;
 
 /// A Gaussian process of an angle with Matern-5/2 covariance.
@@ -24,28 +25,28 @@ pub struct GaussianProcess {
 pub struct RobotUncertainty {
     /// Standard deviation with which a pose repeats in each direction, mm.
     pub pose_mm: f64,
-    /// What a smooth function of a joint's angle is the sum of, before any length. It holds where the angles were not
-    /// measured.
+    /// Gaussian processes whose sum is the prior of the smooth function of a joint's angle. It still holds at angles
+    /// that were not measured.
     pub smooth: Vec<GaussianProcess>,
     /// The factor on the smooth function of each joint.
     #[serde(default = "one_each", deserialize_with = "fixed_array")]
     pub smooth_of_joints: [f64; AXES],
-    /// How far each joint is off its angle from visit to visit, rad.
+    /// Random error of each joint's angle from visit to visit, one standard deviation, rad.
     #[serde(default, deserialize_with = "fixed_array")]
     pub(crate) scatter_rad: [f64; AXES],
-    /// What an unknown sense of approach leaves of each joint's angle, rad.
+    /// Error of each joint's angle by backlash where the sense of approach is not known, one standard deviation, rad.
     #[serde(deserialize_with = "fixed_array")]
     pub(crate) unapproached_rad: [f64; AXES],
     /// Parameters of the robot and its tool ball, and coordinates of the base balls.
     pub parameters: Vec<ParamId>,
-    /// A root of the covariance, C = root root': a row each parameter, then a row each coefficient of the joints' errors
-    /// in the order of `JointErrors::terms`.
+    /// A root of the covariance, C = root root': a row for each parameter, then a row for each coefficient of the
+    /// joints' errors in the order of `JointErrors::terms`.
     #[serde(serialize_with = "write_root", deserialize_with = "read_root")]
     pub root: DMatrix<f64>,
 }
 
 impl RobotUncertainty {
-    /// Whether its rows are those of this robot.
+    /// Whether the root has a row for each parameter and coefficient of this geometry, and the numbers are possible.
     pub(super) fn fits(&self, geometry: &Geometry) -> bool {
         self.root.nrows() == self.parameters.len() + geometry.joint_errors.count()
             && self.root.iter().all(|value| value.is_finite())
@@ -53,14 +54,14 @@ impl RobotUncertainty {
             && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.length_scale_rad > 0.0)
     }
 
-    /// How far each joint is off its angle on a visit with these senses of approach beside its known errors, one standard
-    /// deviation, rad.
+    /// Random error of each joint's angle on a visit with these senses of approach, one standard deviation, rad. It
+    /// adds to the joint's known errors.
     pub(crate) fn of_visit(&self, senses: [i8; AXES]) -> [f64; AXES] {
         let of_sense = |joint: usize| if senses[joint] == 0 { self.unapproached_rad[joint] } else { 0.0 };
         std::array::from_fn(|joint| self.scatter_rad[joint].hypot(of_sense(joint)))
     }
 
-    /// Of a tool whose place on the flange is known exactly.
+    /// The uncertainty with a tool whose place on the flange is known exactly.
     pub(crate) fn without_tool(mut self) -> Self {
         for (row, id) in self.parameters.iter().enumerate() {
             if matches!(id, ParamId::Tool(_)) {
@@ -70,12 +71,12 @@ impl RobotUncertainty {
         self
     }
 
-    /// Adds the variances of independent steps, each of several parameters together (mm or rad).
+    /// Adds the variances of independent steps. A step moves several parameters together (mm or rad).
     pub(super) fn widen(&mut self, steps: &[Vec<(ParamId, f64)>]) {
         self.root = with_steps(&self.root, &self.parameters, steps);
     }
 
-    /// With the digits that a robot's file has, so that a result in memory is that of its file.
+    /// The uncertainty rounded to the digits of a robot file, so that a result in memory is equal to its file.
     pub(crate) fn with_digits_of_file(mut self) -> Self {
         self.root.apply(|value| *value = rounded(*value));
         self
@@ -87,7 +88,7 @@ impl RobotUncertainty {
         variance * self.smooth_of_joints[joint.index()].powi(2)
     }
 
-    /// Its spectral density at an angular frequency (1/rad), rad^3.
+    /// The spectral density of the smooth function of a joint at an angular frequency (1/rad), rad^3.
     pub(crate) fn spectral_density(&self, joint: Joint, frequency: f64) -> f64 {
         let density: f64 = self.smooth.iter().map(|part| part.spectral_density(frequency)).sum();
         density * self.smooth_of_joints[joint.index()].powi(2)
@@ -118,7 +119,7 @@ fn read_root<'de, D: Deserializer<'de>>(from: D) -> Result<DMatrix<f64>, D::Erro
     Ok(DMatrix::from_fn(rows.len(), columns, |i, j| if whole { rows[i][j] } else { f64::NAN }))
 }
 
-/// To the digits that are written.
+/// The value rounded to the digits of a robot file.
 fn rounded(value: f64) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return value;

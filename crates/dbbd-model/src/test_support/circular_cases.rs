@@ -63,7 +63,7 @@ pub(crate) const CASES: [Case; 3] = [
 ];
 
 impl Case {
-    /// Its angles, degrees.
+    /// The angles of the test, degrees.
     pub(crate) fn angles(&self) -> Vec<f64> {
         let gaps = if self.span == 360.0 { self.points } else { self.points - 1 };
         (0..self.points).map(|i| self.first + self.span * f64::from(i) / f64::from(gaps)).collect()
@@ -82,7 +82,7 @@ impl Case {
         (px - self.centre[0]).hypot(py - self.centre[1]) + self.offset + form
     }
 
-    /// Its traces without noise.
+    /// The traces of the test without noise.
     pub(crate) fn traces(&self) -> Vec<CircleTrace> {
         let mut senses = vec![CircleSense::CounterClockwise];
         senses.extend(self.both.then_some(CircleSense::Clockwise));

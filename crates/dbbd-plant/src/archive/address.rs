@@ -21,7 +21,7 @@ const STORE: &str = "store";
 #[derive(Clone)]
 pub(super) enum DatabaseAddress {
     Sqlite(PathBuf),
-    /// With the certificate file of its authority if the connection is encrypted.
+    /// PostgreSQL, with the certificate file of its authority if the connection is encrypted.
     Postgres(Box<postgres::Config>, Option<PathBuf>),
 }
 

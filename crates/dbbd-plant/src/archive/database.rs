@@ -22,7 +22,7 @@ use super::address::DatabaseAddress;
 use crate::ArchiveFinding::{NotAValue, NotAnAddress, NotReached, Refused};
 use dbbd_model::diagnostic::Diagnostic;
 
-/// How long SQLite waits for another process that writes.
+/// Longest wait of SQLite for another process that writes.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(60);
 /// The schema of the tables in PostgreSQL.
 const POSTGRES_SCHEMA: &str = "dbbd";

@@ -14,14 +14,14 @@ pub(super) const MIN_TREND_VALUES: usize = 4;
 const AHEAD_DAYS: f64 = 365.0;
 const LAST_DAY: f64 = 200_000.0;
 const YEAR_DAYS: f64 = 365.25;
-/// Equal weights: a standard deviation that is negligible beside the scatter of the values, mm.
+/// Standard deviation for equal weights, mm: negligible beside the scatter of the values.
 const NO_SD_MM: f64 = 1e-9;
 
 /// Weights of the values of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LineWeights {
     Equal,
-    /// By the uncertainties of the values.
+    /// Weights from the uncertainties of the values.
     Uncertainties,
 }
 
@@ -35,7 +35,8 @@ pub(super) struct ErrorTrend {
 }
 
 impl ErrorTrend {
-    /// From values in the order of time. `None` for fewer than [`MIN_TREND_VALUES`] values, or a single day.
+    /// The line through values in the order of time. `None` for fewer than [`MIN_TREND_VALUES`] values, or a single
+    /// day.
     pub(super) fn of(points: &[TrendPoint], weights: LineWeights, limit_mm: Option<f64>) -> Option<Self> {
         let sd = |point: &TrendPoint| match weights {
             LineWeights::Equal => NO_SD_MM,
@@ -162,7 +163,7 @@ mod tests {
             time: 20_000.0 + 100.0 * at as f64,
             value: *value,
             u95: 0.0,
-            doubtful: false,
+            has_warnings: false,
         };
         values.iter().enumerate().map(point).collect()
     }
@@ -175,7 +176,7 @@ mod tests {
         let forecast = trend.forecast();
         assert!((forecast.slope_a_year / YEAR_DAYS - 1.0e-3).abs() < 1e-12, "{forecast:?}");
         assert!(forecast.significant);
-        // 0.8 mm: 500 days after the mean day at the mean 0.301, 20 200.
+        // The limit of 0.8 mm is reached 500 days after the mean day 20 200, where the mean is 0.301 mm.
         let passed = LastCheck { on: Some("2024-10-04T00:00:00Z"), failed: false };
         let due = CheckDue::of(&passed, 365.0, Some((&trend, 0.8)), 20_301.0).unwrap();
         assert_eq!((due.by, due.overdue), (DueBy::Interval, false));

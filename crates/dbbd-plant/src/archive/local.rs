@@ -27,7 +27,7 @@ const DECISIONS: [&str; 3] = ["pass", "fail", "undecided"];
 
 /// A file of a run.
 pub(super) struct LocalFile {
-    /// As `run.dbbd`, `identify/result.json`.
+    /// Path in the directory of the run: `run.dbbd`, `identify/result.json`.
     pub(super) name: String,
     pub(super) path: PathBuf,
     pub(super) sha256: String,
@@ -108,7 +108,7 @@ impl LocalRun {
         Ok(sha256(text))
     }
 
-    /// The SHA-256 of its capture.
+    /// The SHA-256 of the run's capture.
     pub fn sha256(&self) -> &str {
         &self.record.sha256
     }
@@ -166,7 +166,7 @@ fn record(
         Ok(())
     })?;
     let file = capture.display().to_string();
-    findings.extend(pass.doubts().into_iter().map(|doubt| Diagnostic::file(&file, doubt)));
+    findings.extend(pass.all_findings().into_iter().map(|finding| Diagnostic::file(&file, finding)));
     let unread = run::unread(&file, &attachments, started);
     findings.extend(unread.map(|why| NotRegistered { why: why.to_string() }.into()));
     let (plan, provenance) = run::sources(&attachments, started, version)?;

@@ -1,8 +1,8 @@
 //! The archive of a plant: a database of the runs of many cells, and an object store with their files.
 //!
-//! The SHA-256 of its capture identifies a run, as that of its content does a file. The row of a run is written after
-//! all of its files have been stored and read back, so every run in the database is complete. The database is SQLite or
-//! PostgreSQL, the store a directory or a bucket.
+//! The SHA-256 of its capture identifies a run; the SHA-256 of its content identifies a file. The row of a run is
+//! written after all of its files have been stored and read back, so every run in the database is complete. The
+//! database is SQLite or PostgreSQL, the store a directory or a bucket.
 
 mod address;
 mod database;
@@ -58,7 +58,7 @@ impl Archive {
         Ok(archive)
     }
 
-    /// The same, and checks that the store was initialised.
+    /// The same as [`Self::open`], and checks that the store was initialised.
     pub fn open_whole(addresses: &ArchiveAddresses) -> Result<Self, Diagnostic> {
         let archive = Self::open(addresses)?;
         archive.store.check_mark()?;

@@ -51,7 +51,7 @@ pub struct PlantPages {
 struct RunLine {
     #[serde(flatten)]
     run: ArchivedRun,
-    /// State of its newest job.
+    /// State of the run's newest job.
     job: Option<String>,
 }
 
@@ -197,7 +197,7 @@ fn point(past: &PastResult, subject: HistorySubject<'_>) -> Option<TrendPoint> {
         }
     };
     let finite = value.is_finite() && u95.is_finite();
-    finite.then_some(TrendPoint { time: past.day, value, u95, doubtful: past.doubtful })
+    finite.then_some(TrendPoint { time: past.day, value, u95, has_warnings: past.has_warnings })
 }
 
 /// Days since 1970-01-01.

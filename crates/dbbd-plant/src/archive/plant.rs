@@ -52,7 +52,7 @@ pub(super) struct PageRows<T> {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct PlantTotals {
     pub(super) robots: u64,
-    /// By the decision of the last check; `none` without a check.
+    /// Number of robots by the decision of their last check; `none` without a check.
     pub(super) decisions: Vec<(&'static str, u64)>,
     /// Robots whose last check failed or is older than the interval.
     pub(super) overdue: u64,
@@ -72,7 +72,7 @@ impl<'a> HistorySubject<'a> {
             Self::Bar(name) => ("bar", name, "result.posterior"),
         };
         let sql = format!(
-            "SELECT run.sha256, run.measured, result.doubtful, result.error_nominal_mm, {posterior} \
+            "SELECT run.sha256, run.measured, result.has_warnings, result.error_nominal_mm, {posterior} \
              FROM run JOIN result ON result.run = run.sha256 AND result.settings = $2 WHERE run.{column} = $1"
         );
         (name, sql)
@@ -84,18 +84,18 @@ pub(super) struct PastResult {
     run: String,
     /// Days since 1970-01-01.
     pub(super) day: f64,
-    pub(super) doubtful: bool,
+    pub(super) has_warnings: bool,
     pub(super) error_mm: Option<f64>,
-    /// For a bar only.
+    /// JSON of the posterior; for a bar only.
     pub(super) posterior: Option<String>,
 }
 
 type PastRow = (String, String, i64, Option<f64>, Option<String>);
 
 impl PastResult {
-    /// `None` for a run without a date.
-    fn of_row((run, measured, doubtful, error_mm, posterior): PastRow) -> Option<Self> {
-        Some(Self { run, day: day_of(&measured)?, doubtful: doubtful != 0, error_mm, posterior })
+    /// The result of a row; `None` for a run without a date.
+    fn of_row((run, measured, has_warnings, error_mm, posterior): PastRow) -> Option<Self> {
+        Some(Self { run, day: day_of(&measured)?, has_warnings: has_warnings != 0, error_mm, posterior })
     }
 
     /// Appends a result unless the last one is of the same run.
@@ -257,7 +257,7 @@ impl Archive {
 }
 
 impl QueueCounts {
-    /// The counts by state.
+    /// The number of jobs in each state.
     pub(super) fn named(&self) -> Vec<(&'static str, u64)> {
         let Self { waiting, running, done, failed } = *self;
         vec![("waiting", waiting), ("running", running), ("done", done), ("failed", failed)]

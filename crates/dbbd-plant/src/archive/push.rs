@@ -14,7 +14,7 @@ use dbbd_model::diagnostic::Diagnostic;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PushOutcome {
     New,
-    /// The archive had it already. Missing files were added.
+    /// The archive had the run already. Missing files were added.
     HeldAlready(StoreDamage),
 }
 

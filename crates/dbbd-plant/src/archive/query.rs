@@ -20,25 +20,25 @@ const MIN_HASH_DIGITS: usize = 6;
 /// The row of a run. Texts are empty if unknown.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ArchivedRun {
-    /// Of the capture.
+    /// SHA-256 of the capture.
     pub sha256: String,
     pub cell: String,
-    /// Serial number, else the name of the model.
+    /// Serial number of the robot, else the name of its model.
     pub robot: String,
     /// Name of the robot's model.
     #[serde(rename = "type")]
     pub kind: String,
-    /// Serial number.
+    /// Serial number of the bar.
     pub bar: String,
     pub certificate: Option<String>,
     pub certified_on: Option<String>,
     pub operator: Option<String>,
-    /// Date and time, UTC.
+    /// Date and time of the measurement, UTC.
     pub measured: String,
     /// Hash of the plan.
     pub plan: Option<String>,
     pub bytes: u64,
-    /// Decision of the check that was pushed with it: `pass`, `fail` or `undecided`.
+    /// Decision of the check that was pushed with the run: `pass`, `fail` or `undecided`.
     pub decision: Option<String>,
     /// JSON of [`dbbd_model::provenance::Provenance`].
     #[serde(skip_serializing)]
@@ -62,7 +62,7 @@ impl ArchivedRun {
         ("decision", ColumnKind::Text),
     ];
 
-    /// Inserts the row unless the capture has one. Returns whether it was inserted.
+    /// Inserts the row unless the database has one for the capture. Returns whether it was inserted.
     pub(super) fn insert(&self, database: &mut Database) -> Result<bool, Diagnostic> {
         let mut row = json!(self);
         row["provenance"] = json!(self.provenance);

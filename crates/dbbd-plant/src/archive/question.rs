@@ -1,4 +1,4 @@
-//! What a page of the plant is asked for, as the page's address says it.
+//! The question that a page of the plant answers, read from the page's address.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +10,7 @@ pub enum Question {
     Bars(Filter),
     Bar(Name),
     Runs(RunFilter),
-    /// By the first digits of the SHA-256 of its capture.
+    /// The page of a run, found by the first digits of the SHA-256 of its capture.
     Run(String),
 }
 
@@ -22,7 +22,7 @@ pub struct Filter {
     pub q: String,
     pub decision: Decided,
     pub order: Order,
-    /// From 1. 0 also means the first page.
+    /// Number of the page, from 1. 0 also means the first page.
     pub page: u32,
 }
 
@@ -36,7 +36,7 @@ pub enum Decided {
     Pass,
     Fail,
     Undecided,
-    /// Never checked.
+    /// The robot was never checked.
     None,
 }
 
@@ -46,7 +46,7 @@ pub enum Order {
     #[default]
     #[serde(alias = "")]
     Name,
-    /// By the date of the last check, the oldest first.
+    /// Sorted by the date of the last check, the oldest first.
     Check,
 }
 

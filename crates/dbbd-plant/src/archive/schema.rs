@@ -42,7 +42,7 @@ fn applied(database: &mut Database) -> Result<usize, Diagnostic> {
     Ok(applied.len())
 }
 
-/// Checks that the schema is that of this version.
+/// Checks that the schema is the one of this version.
 pub(super) fn check_schema_version(database: &mut Database) -> Result<(), Diagnostic> {
     let exists = match database {
         Database::Sqlite(_) => "SELECT count(*) FROM sqlite_master WHERE name = 'step'",
@@ -61,7 +61,7 @@ pub(super) fn check_schema_version(database: &mut Database) -> Result<(), Diagno
 pub(super) fn migrate(database: &mut Database) -> Result<usize, Diagnostic> {
     database.transaction(|database| {
         if database.is_postgres() {
-            // One process at a time, even before the schema exists.
+            // Only one process migrates at a time, even before the schema exists.
             database.batch("SELECT pg_advisory_xact_lock(2401)")?;
             database.batch(GROUND)?;
         }

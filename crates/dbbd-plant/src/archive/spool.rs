@@ -71,7 +71,7 @@ impl<'a> Spool<'a> {
     }
 }
 
-/// Other entries of a spool, and its waiting runs in the order of their names.
+/// The entries of a spool that are no waiting runs, and its waiting runs in the order of their names.
 fn listed(directory: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>), Diagnostic> {
     let unreadable = |error: io::Error| unreadable(directory.display())(error);
     let entries = match fs::read_dir(directory) {

@@ -29,7 +29,7 @@ use dbbd_model::diagnostic::Diagnostic;
 /// Size of the parts of an upload, bytes, and their number at a time.
 const PART: usize = 8 << 20;
 const PARTS_AT_A_TIME: usize = 4;
-/// Retries of a failed request.
+/// Time for the retries of a failed request.
 const STORE_RETRY_TIMEOUT: Duration = Duration::from_secs(20);
 const TRIES: usize = 4;
 /// The object that marks an initialised store.

@@ -39,7 +39,7 @@ impl IdentifySettings {
     /// The settings of every new run: the geometry, with the robot's tolerances as prior, so that few lengths suffice.
     pub const DEFAULT: &'static str = "--model=geometric --prior=datasheet";
 
-    /// From options and their values. Values that `dbbd identify` would refuse for every run are errors.
+    /// Settings from options and their values. Values that `dbbd identify` would refuse for every run are errors.
     pub fn new(options: &[(&str, Option<&str>)]) -> Result<Self, Diagnostic> {
         let mut given = Vec::new();
         let mut settings =
@@ -112,11 +112,11 @@ pub struct Worker {
     pub lease: Duration,
 }
 
-/// What an identification found.
+/// The findings of an identification in numbers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ResultSummary {
     #[serde(deserialize_with = "flag")]
-    pub doubtful: bool,
+    pub has_warnings: bool,
     pub lengths: u64,
     pub sigma_mm: Option<f64>,
     pub rms_before_mm: Option<f64>,
@@ -137,7 +137,7 @@ fn flag<'a, D: Deserializer<'a>>(column: D) -> Result<bool, D::Error> {
 #[derive(Serialize, Deserialize)]
 pub struct WrittenPosterior {
     pub parameters: Vec<ParamId>,
-    /// From the nominal values.
+    /// Corrections to the nominal values.
     pub corrections: Vec<f64>,
     /// The lower triangle, a row per parameter.
     pub covariance: Vec<Vec<f64>>,
@@ -210,7 +210,7 @@ impl ArchivedResult {
         ("measured", ColumnKind::Text),
         ("settings", ColumnKind::Text),
         ("version", ColumnKind::Text),
-        ("doubtful", ColumnKind::Flag),
+        ("has_warnings", ColumnKind::Flag),
         ("lengths", ColumnKind::Integer),
         ("sigma_mm", ColumnKind::Real),
         ("rms_before_mm", ColumnKind::Real),
@@ -306,7 +306,7 @@ impl Archive {
         match IdentifySettings::of_job(&settings) {
             Ok(known) if known.text() == settings => Ok(Some(ClaimedJob { run, settings: known, asked })),
             _ => {
-                // Not written by this program, so it is not executed.
+                // The job was not written by this program, so it is not executed.
                 let sql = "UPDATE job SET state = 'failed', code = 'E2411', message = 'unknown settings' \
                     WHERE run = $1 AND settings = $2 AND version = $3";
                 self.database.execute(sql, (run, settings, asked))?;
@@ -323,7 +323,7 @@ impl Archive {
         self.database.execute(sql, (why.code().as_str(), why.to_string(), MAX_ATTEMPTS)).map(drop)
     }
 
-    /// Renews the lease. Returns whether the job is still this worker's.
+    /// Renews the lease. Returns whether the job still belongs to this worker.
     pub fn keep(&mut self, job: &ClaimedJob, worker: &Worker) -> Result<bool, Diagnostic> {
         let sql = "UPDATE job SET lease_until = {now} + $1 \
             WHERE run = $2 AND settings = $3 AND version = $4 AND worker = $5 AND state = 'running'";

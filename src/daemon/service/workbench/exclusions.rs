@@ -1,4 +1,4 @@
-//! The lengths that an identification leaves out: those that the last result left out, and those that the page asks for.
+//! The lengths that an identification leaves out: those that the last result left out, or those that the page requests.
 
 use dbbd_job::request::RowIndices;
 use dbbd_job::request::identify::Exclusion;
@@ -12,7 +12,7 @@ use crate::live::ServiceFinding::RemarkLength;
 /// Longest reason, characters.
 const LONGEST_REASON: usize = 250;
 
-/// What the result left out, if `run`, which is identified next, is not newer.
+/// The rows that the last result left out, unless `run`, which is identified next, is newer than the result.
 pub(super) fn of_result(files: &WorkFiles, run: Option<&FoundRun>) -> Vec<Exclusion> {
     let is_current = |changed_ms: u64| run.is_none_or(|run| run.changed_ms <= changed_ms);
     let result = files.result.as_ref().filter(|result| is_current(result.directory.changed_ms));
@@ -27,8 +27,8 @@ fn excluded(row: &Value) -> Option<Exclusion> {
     Some(Exclusion { rows: RowIndices::from_iter([index]), reason: text("reason"), by: text("by") })
 }
 
-/// What the page asks for, or what the result left out where it asks for nothing. What was left out before keeps the name of
-/// who did it; the rest is by `user`.
+/// The rows that the page requests to leave out, or without a request the rows that the last result left out. A row
+/// that was left out before for the same reason keeps the name of who did it; the others get the name `user`.
 pub(super) fn asked(
     files: &WorkFiles,
     run: &FoundRun,
@@ -51,7 +51,7 @@ pub(super) fn asked(
     rows.iter().map(exclusion).collect()
 }
 
-/// The options of the command line, each with a space before it.
+/// The `--exclude` options of the command line, each with a space before it.
 pub(super) fn options(exclusions: &[Exclusion]) -> String {
     let option = |exclusion: &Exclusion| match &exclusion.reason {
         None => format!(" --exclude {}", exclusion.rows),

@@ -1,5 +1,5 @@
-//! Which files of the work on a robot exist: they are found by what they contain, so that what the command line began is
-//! continued on the page, and the other way round.
+//! Finds the files of the work on a robot. They are recognised by their content, so that work begun on the command line
+//! can be continued on the page, and the other way round.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,15 +16,15 @@ use serde_json::Value;
 use crate::daemon::service::run_plans::{RunPlan, RunPlans};
 use crate::daemon::service::runs::{CAPTURE, entry_of, is_plain_directory, is_sound, list_recorded_runs};
 
-/// Runs whose plan is looked for, the newest.
+/// The number of newest runs whose plan is looked for.
 const MAX_RUNS: usize = 100;
 /// Directories of one robot that are looked into.
 const MAX_DIRECTORIES: usize = 200;
 /// The main module of a program.
 const MAIN: [&str; 5] = ["DBB_MAIN.dat", "DBB_MAIN.src", "DBB_MAIN.mod", "DBB_MAIN.script", "DBB_MAIN.ls"];
-/// Where the page keeps a program that shall be corrected.
+/// Directory in which the page keeps a program that shall be corrected.
 pub(super) const UPLOADED: &str = "uploaded";
-/// Where it writes the corrected one.
+/// Directory into which the page writes the corrected program.
 pub(super) const CORRECTED: &str = "corrected";
 /// The true robot and world of a simulated cell.
 const TRUTH: [&str; 2] = ["truth.toml", "world.toml"];
@@ -34,9 +34,9 @@ const TRUTH: [&str; 2] = ["truth.toml", "world.toml"];
 pub(super) struct FoundDirectory {
     pub name: String,
     pub files: Vec<String>,
-    /// When each of them was written, ms since the Unix epoch.
+    /// Time at which each file was written, ms since the Unix epoch.
     pub times_ms: Vec<u64>,
-    /// Of its newest file, ms since the Unix epoch.
+    /// Time at which the newest file was written, ms since the Unix epoch.
     pub changed_ms: u64,
 }
 
@@ -44,26 +44,26 @@ pub(super) struct FoundDirectory {
 pub(super) struct FoundPlan {
     pub directory: FoundDirectory,
     pub hash: String,
-    /// Of a check of a calibrated robot.
+    /// Whether the plan is for the check of a calibrated robot.
     pub is_check: bool,
     pub poses: usize,
     pub duration_s: f64,
-    /// Position uncertainty that it will leave, 95 % of the poses, mm.
+    /// Position uncertainty that the plan will leave, 95 % of the poses, mm.
     pub predicted_mm: Option<f64>,
-    /// The hash of the job that it was made from.
+    /// The hash of the job that the plan was made from.
     pub job_sha256: Option<String>,
-    /// A program that carries its hash.
+    /// A program that carries the hash of the plan.
     pub program: Option<FoundDirectory>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct FoundRun {
     pub name: String,
-    /// As the commands in the directory of the robot name it.
+    /// Path of the capture for commands in the directory of the robot.
     pub path: String,
     pub plan_hash: String,
     pub changed_ms: u64,
-    /// `None`: it was cut off.
+    /// Reason of the end; `None` for a run that was cut off.
     pub reason: Option<String>,
     pub samples: Option<u64>,
 }
@@ -79,10 +79,10 @@ pub(super) struct FoundDocument {
 pub(super) struct WorkFiles {
     pub name: String,
     pub directory: PathBuf,
-    /// `NAME/`, or empty for the working directory itself: plans are named by it.
+    /// Prefix of the names of plans: `NAME/`, or empty for the working directory itself.
     pub prefix: String,
     pub job: Option<WorkJob>,
-    /// The newest first.
+    /// The plans, the newest first.
     pub plans: Vec<FoundPlan>,
     pub runs: Vec<FoundRun>,
     pub result: Option<FoundDocument>,
@@ -92,7 +92,7 @@ pub(super) struct WorkFiles {
     pub simulated: bool,
 }
 
-/// The programs of the user, and what became of them.
+/// The programs that the user uploaded, and their corrected files.
 #[derive(Default)]
 pub(super) struct UserPrograms {
     pub uploaded: Option<FoundDirectory>,
@@ -141,24 +141,24 @@ impl FoundDirectory {
         self.written_ms(file).is_some()
     }
 
-    /// When a file was written.
+    /// The time at which a file was written, ms since the Unix epoch.
     pub(super) fn written_ms(&self, file: &str) -> Option<u64> {
         let place = self.files.iter().position(|one| one == file)?;
         self.times_ms.get(place).copied()
     }
 }
 
-/// Where the work on a robot is.
+/// The place of the work on a robot.
 #[derive(Clone)]
 pub(super) struct WorkPlace {
     pub name: String,
     pub directory: PathBuf,
-    /// `NAME/`, or empty for the working directory itself: plans are named by it.
+    /// Prefix of the names of plans: `NAME/`, or empty for the working directory itself.
     pub prefix: String,
 }
 
-/// The directories of robots in the working directory: itself, if it has a job, a plan or a result, and those in it.
-/// `data` has runs only.
+/// The directories of robots: the working directory itself, if it has a job, a plan or a result, and such directories
+/// in it. `data` has only runs and is left out.
 pub(super) fn robots(plans: &Path, data: &Path) -> Vec<WorkPlace> {
     let own = own_name(plans);
     let inner = names(plans).into_iter().filter(|name| *name != own);
@@ -170,14 +170,14 @@ pub(super) fn robots(plans: &Path, data: &Path) -> Vec<WorkPlace> {
         .take(MAX_DIRECTORIES)
         .collect();
     if holds_work(plans) {
-        // What is beside a job is its plan or its result, not another robot, unless it has a job itself.
+        // A directory beside a job has the job's plan or result: it is another robot only if it has a job itself.
         found.retain(|place| job_name(&place.directory).is_some());
         found.insert(0, WorkPlace { name: own, directory: plans.to_owned(), prefix: String::new() });
     }
     found
 }
 
-/// What the page calls the working directory itself.
+/// The name of the working directory itself on the page.
 fn own_name(plans: &Path) -> String {
     let name = fs::canonicalize(plans).ok();
     let name = name.as_deref().and_then(Path::file_name).and_then(|name| name.to_str());
@@ -255,7 +255,7 @@ impl WorkFiles {
         }
         found.plans.sort_by_key(|plan| std::cmp::Reverse(plan.directory.changed_ms));
         for plan in &mut found.plans {
-            // Its provenance may name other plans too.
+            // The provenance of a program may name other plans too.
             let own = format!("calibration, plan {}", plan.hash);
             let of_plan = programs.iter().filter(|(_, text)| text.contains(&own));
             plan.program = of_plan.map(|(directory, _)| directory.clone()).max_by_key(|one| one.changed_ms);
@@ -278,7 +278,7 @@ impl WorkFiles {
         self.runs.iter().find(|run| run.plan_hash == plan.hash)
     }
 
-    /// When its newest file was written.
+    /// The time at which the newest file was written, ms since the Unix epoch.
     pub(super) fn changed_ms(&self) -> Option<u64> {
         let job = self.job.as_ref().map(|job| changed_ms(&self.directory.join(&job.file)));
         let directories = self.plans.iter().map(|plan| &plan.directory);
@@ -308,10 +308,10 @@ fn robot_name(directory: &Path, name: &str) -> Result<String, Diagnostic> {
 }
 
 impl FoundPlan {
-    /// `None` if its files cannot be read: a plan is then made again.
+    /// Reads a plan. `None` if its files cannot be read: the plan is then made again.
     fn read(path: &Path, directory: FoundDirectory) -> Option<Self> {
         let PlanFiles { plan, json, .. } = PlanFiles::read(&path.join("plan.csv")).ok()?;
-        // What is for people is not read back with the plan.
+        // The predictions are written for people, so reading the plan does not return them.
         let header: Value = serde_json::from_str(&json).ok()?;
         let job = plan.header.provenance.from.iter().find(|source| source.role == ArtefactRole::Job);
         Some(Self {
@@ -327,7 +327,7 @@ impl FoundPlan {
     }
 }
 
-/// The captures in the directory of a robot and those of the service.
+/// The captures in the directory of a robot and the captures of the service.
 fn found_runs(directory: &Path, data: &Path, running: Option<&str>, run_plans: &RunPlans) -> Vec<FoundRun> {
     let mut found = Vec::new();
     for name in names(directory).into_iter().filter(|name| name.ends_with(".dbbd")).take(MAX_RUNS) {

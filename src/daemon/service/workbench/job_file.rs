@@ -5,12 +5,12 @@ use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, value};
 
 use crate::live::ServiceFinding::{self, JobKey};
 
-/// What a new file begins with.
+/// First line of a new file.
 pub(super) const HEAD: &str =
     "# A job for `dbbd plan`: lengths in mm, angles in degrees. examples/demo.toml explains every key.\n";
 
-/// Sets the keys of `keys` in a table: null removes, an object goes into the table of that name, a list of objects is a list of
-/// tables, of which the first are kept and the rest removed.
+/// Sets the keys of `keys` in a table. Null removes a key; an object is set in the table of that name; a list of
+/// objects is a list of tables: the first ones are kept and edited, and surplus ones are removed.
 pub(super) fn set_keys(document: &mut DocumentMut, keys: &Value) -> Result<(), ServiceFinding> {
     set_in(document.as_table_mut(), keys, "job")
 }
@@ -42,7 +42,7 @@ fn set_in(table: &mut Table, keys: &Value, at: &str) -> Result<(), ServiceFindin
                     set_in(list.get_mut(place).ok_or_else(|| wrong(key))?, wanted, key)?;
                 }
             }
-            // A list of tables that becomes empty.
+            // An empty list removes a list of tables.
             Value::Array(all) if all.is_empty() && table.get(key).is_some_and(Item::is_array_of_tables) => {
                 table.remove(key);
             }

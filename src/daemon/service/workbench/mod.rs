@@ -1,6 +1,8 @@
-//! The work on robots: what the pages see of the files in the working directory, and the requests that make the next ones.
+//! The work on robots: the view of the pages on the files in the working directory, and the requests that make the next
+//! files.
 //!
-//! Everything is made by a request or a command in a child process, as from the command line, in the directory of the robot.
+//! Every file is made by a request or a command in a child process, as from the command line, in the directory of the
+//! robot.
 
 mod exclusions;
 mod files;
@@ -73,7 +75,7 @@ impl Supervisor {
         steps::steps(files, &Activity { jobs: &jobs, recording, today, explain: &explain })
     }
 
-    /// Refuses what would change the job, the plan or the programs of a run that is on.
+    /// Refuses a change of the job, the plan or the programs of a run in progress.
     fn check_unlocked(&self, files: &WorkFiles) -> Result<(), Diagnostic> {
         let inner = self.inner();
         let LineUse::On(running) = &inner.run else { return Ok(()) };
@@ -107,12 +109,12 @@ fn today() -> String {
     date::utc(clock::unix_ns())
 }
 
-/// Why a step cannot be computed.
+/// The error for a step that cannot be computed yet.
 fn too_early(step: WorkStep) -> Diagnostic {
     StepTooEarly { step: step.name() }.into()
 }
 
-/// What a step computes, and the name of its directory.
+/// The computation of a step, and the name of the directory of its results.
 fn work_of(
     files: &WorkFiles,
     step: WorkStep,
@@ -158,7 +160,7 @@ fn work_of(
                 nominal_controller: false,
                 datum: ProgramDatum::Program,
                 limit_mm: DEFAULT_LIMIT_MM,
-                // The directory is the page's own.
+                // The directory belongs to the page.
                 replace: true,
             };
             (Request::Compensate(request), CORRECTED.to_owned())
@@ -202,7 +204,7 @@ fn work_of(
     Ok((JobWork::Request(Box::new(request)), out))
 }
 
-/// A plan of the job, of its robot or that in a file; `None` without a job.
+/// The request for a plan of the job, for the robot of the job or the robot in a file; `None` without a job.
 fn plan_request(
     files: &WorkFiles,
     robot: Option<String>,
@@ -220,7 +222,7 @@ fn programs_of(plan: &FoundPlan) -> (JobWork, String) {
     (JobWork::Document(vec!["program".into(), csv, "--out".into(), out.clone(), "--replace".into()]), out)
 }
 
-/// Refuses a directory that is a link or holds one: what is written stays in the working directory.
+/// Refuses a directory that is a link or holds one, so that all files are written in the working directory.
 fn check_plain(directory: &Path, name: &str) -> Result<(), Diagnostic> {
     let path = directory.join(name);
     let linked = || Diagnostic::from(LinkedDirectory { directory: name.into() });
@@ -307,7 +309,7 @@ impl Workbench for Supervisor {
     fn try_job(&self, robot: &str, keys: &Value) -> Result<Value, Diagnostic> {
         let files = self.files_of(robot)?;
         let document = edited_job(&files, keys)?.1;
-        // A trial must not take the processor from a recording, nor another trial.
+        // A trial must not take the processor from a recording or from another trial.
         if matches!(self.inner().run, LineUse::On(_) | LineUse::Starting) {
             return Err(RunIsOn.into());
         }
@@ -323,7 +325,7 @@ impl Workbench for Supervisor {
         let result = files.result.as_ref().map(|result| files.directory.join(&result.directory.name));
         let scene = CellScene::read(&csv, result.as_deref())?;
         let mut scene = serde_json::to_value(scene).map_err(|error| not_written(&error))?;
-        // As the runs of the service name it.
+        // The name of the plan for the runs of the service.
         scene["plan"] = steps::served_plan(&files, plan).into();
         Ok(scene)
     }
@@ -343,7 +345,7 @@ impl Workbench for Supervisor {
         check_plain(&files.directory, UPLOADED)?;
         let directory = files.directory.join(UPLOADED);
         dbbd_job::files::directory(&directory)?;
-        // A program is uploaded as a whole: what is left of another one would be corrected with it.
+        // A program is uploaded as a whole: files left of another program would be corrected with it.
         for name in
             files.programs.uploaded.iter().flat_map(|earlier| &earlier.files).filter(|name| is_program(name))
         {
@@ -421,7 +423,8 @@ fn robot_of(files: &WorkFiles) -> Option<String> {
     of_job.or_else(of_result)
 }
 
-/// The last decision: the result if it is over, else that of the check if there is one, else the result, else the step that is next.
+/// The summary of a robot, which shows its last decision: the result if its validity is over; else the check, if there
+/// is one; else the result; else the next step.
 fn summary(files: &WorkFiles, steps: &[StepReport], changed_unix_ms: Option<u64>) -> RobotSummary {
     let is_done = |step: &&StepReport| step.state == StepState::Done;
     let decision = |wanted| steps.iter().find(|step| step.step == wanted).filter(is_done);

@@ -13,16 +13,16 @@ use crate::live::{
     EvaluationJob, ExplainedFinding, JobState, StepAction, StepReport, StepState, StepVerdict, WorkStep,
 };
 
-/// What ends a run properly.
+/// Reason of the end of a complete run.
 const END_MARK: &str = "the program's end mark";
-/// Findings that are shown of a result.
+/// Number of findings that are shown of a result.
 const MAX_FINDINGS: usize = 40;
-/// So many months before a calibration ends its renewal is offered.
+/// A renewal is offered this many months before a calibration ends.
 const RENEWAL_MONTHS: f64 = 1.0;
-/// The directory of the plan of a renewal: the plan of the job is kept.
+/// The directory of the plan of a renewal, so that the plan of the job is kept.
 const RENEWAL: &str = "renewal-plan";
 
-/// What the service does at the moment.
+/// The present activity of the service.
 pub(super) struct Activity<'a> {
     /// The jobs of this robot, the newest first.
     pub(super) jobs: &'a [EvaluationJob],
@@ -33,7 +33,7 @@ pub(super) struct Activity<'a> {
     pub(super) explain: &'a dyn Fn(FindingRecord) -> ExplainedFinding,
 }
 
-/// What is to be computed for a check: three things, one after the other.
+/// The next part of a check. Plan, programs and decision are computed one after the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum CheckPart {
     Plan,
@@ -42,7 +42,7 @@ pub(super) enum CheckPart {
     Decide,
 }
 
-/// A step before the jobs of the service are looked at.
+/// The state of a step by its files alone, without the jobs of the service.
 struct Drafted {
     state: StepState,
     verdict: StepVerdict,
@@ -123,7 +123,7 @@ pub(super) fn steps(files: &WorkFiles, now: &Activity<'_>) -> Vec<StepReport> {
     .into()
 }
 
-/// With the last job of the step.
+/// The report of a step, with its last job.
 fn report(step: WorkStep, mut drafted: Drafted, now: &Activity<'_>) -> StepReport {
     let job = now.jobs.iter().find(|job| job.step == Some(step));
     let mut findings: Vec<ExplainedFinding> =
@@ -135,13 +135,13 @@ fn report(step: WorkStep, mut drafted: Drafted, now: &Activity<'_>) -> StepRepor
                 ..Drafted::new(StepState::Running, StepVerdict::None, "computing", Value::Null)
             };
         }
-        // What was made after the refusal, also by the command line, is newer.
+        // Files that were made after the refusal, also by the command line, are newer.
         Some(JobState::Failed) if !made_since(&drafted, job) && is_refusal(job) => {
             (drafted.state, drafted.verdict) = (StepState::Attention, StepVerdict::Fail);
             (drafted.text, drafted.values) = ("refused", Value::Null);
             findings.clear();
         }
-        Some(JobState::Failed | JobState::Done | JobState::Doubt | JobState::Cancelled) | None => {}
+        Some(JobState::Failed | JobState::Done | JobState::Warned | JobState::Cancelled) | None => {}
     }
     if let Some(job) = job.filter(|_| findings.is_empty()) {
         findings.clone_from(&job.findings);
@@ -176,7 +176,7 @@ fn made_since(drafted: &Drafted, job: Option<&EvaluationJob>) -> bool {
     drafted.directory.as_ref().is_some_and(|directory| directory.changed_ms > ended_ms)
 }
 
-/// A check that fails is a result, not a refusal.
+/// Whether a failed job is a refusal: a check that fails is a result, not a refusal.
 fn is_refusal(job: Option<&EvaluationJob>) -> bool {
     let mut findings = job.iter().flat_map(|job| &job.findings);
     job.is_some_and(|job| job.kind != "check") || findings.any(|one| one.finding.severity == Severity::Error)
@@ -211,29 +211,30 @@ fn job_file(files: &WorkFiles) -> &str {
     files.job.as_ref().map_or("job.toml", |job| &job.file)
 }
 
-/// The directory of the newest plan of a kind, or that of a new one.
+/// The directory of the newest plan of a kind, or the directory for a new one.
 fn plan_directory(files: &WorkFiles, is_check: bool) -> &str {
     let new = if is_check { "check-plan" } else { "plan" };
     let own = |plan: &&FoundPlan| plan.is_check == is_check && plan.directory.name != RENEWAL;
     files.plans.iter().find(own).map_or(new, |plan| &plan.directory.name)
 }
 
-/// The robot that the next plan is made for, if it is not that of the job, and the directory of the plan: of a check, of a renewal, or of
-/// the job.
+/// The robot that the next plan is made for (`None` for the robot of the job), and the directory of the plan: of a
+/// check, of a renewal, or of the job.
 pub(super) fn planned<'a>(files: &'a WorkFiles, is_check: bool, today: &str) -> (Option<String>, &'a str) {
     let is_renewal = !is_check && is_renewed(files, today);
     let robot = (is_check || is_renewal).then(|| identified_robot(files));
     (robot, if is_renewal { RENEWAL } else { plan_directory(files, is_check) })
 }
 
-/// Whether the next plan renews the calibration: its validity is over or nearly so, and the job was not changed since it was planned.
+/// Whether the next plan renews the calibration: its validity is over or nearly over, and the job was not changed since
+/// it was planned.
 fn is_renewed(files: &WorkFiles, today: &str) -> bool {
     let left = files.result.as_ref().and_then(|result| months_left(result, today));
     let is_current = files.plan(false).is_none_or(|plan| !is_stale(files, plan));
     left.is_some_and(|months| months < RENEWAL_MONTHS) && is_current
 }
 
-/// Until the end of the validity; `None` if it has no known one.
+/// Months until the end of the validity; `None` if the end is not known.
 fn months_left(result: &FoundDocument, today: &str) -> Option<f64> {
     date::months_between(today, result.content["validity"]["until"].as_str()?)
 }
@@ -285,7 +286,7 @@ fn is_stale(files: &WorkFiles, plan: &FoundPlan) -> bool {
     matches!((&plan.job_sha256, of_job), (Some(of_plan), Some(of_job)) if of_plan != of_job)
 }
 
-/// The directory of the programs of a plan, or that of new ones.
+/// The directory of the programs of a plan, or the directory for new ones.
 pub(super) fn program_directory(plan: &FoundPlan) -> &str {
     let new = match &*plan.directory.name {
         RENEWAL => "renewal-program",
@@ -343,7 +344,7 @@ fn measure(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
     drafted.command(acquire_command(plan, "run.dbbd"))
 }
 
-/// A run that ended: its state follows what it recorded.
+/// The state of a step with a run that ended, by the content of the run.
 fn of_run(run: &FoundRun) -> Drafted {
     let values = json!({ "run": run.name, "samples": run.samples, "reason": run.reason });
     match (run.samples, run.reason.as_deref()) {
@@ -359,7 +360,7 @@ pub(super) fn usable_run<'a>(files: &'a WorkFiles, plan: &FoundPlan) -> Option<&
     files.run(plan).filter(|run| run.samples != Some(0))
 }
 
-/// The directory of the newest result, or that of a new one.
+/// The directory of the newest result, or the directory for a new one.
 pub(super) fn result_directory(files: &WorkFiles) -> &str {
     files.result.as_ref().map_or("result", |result| &result.directory.name)
 }
@@ -387,8 +388,8 @@ fn of_result(result: &FoundDocument, is_over: bool) -> Drafted {
     let content = &result.content;
     let found: Vec<FindingRecord> =
         content["findings"].as_array().into_iter().flatten().filter_map(recorded).collect();
-    let is_doubtful = found.iter().any(|finding| finding.severity != Severity::Info);
-    let verdict = if is_doubtful || is_over { StepVerdict::Undecided } else { StepVerdict::Pass };
+    let has_warnings = found.iter().any(|finding| finding.severity != Severity::Info);
+    let verdict = if has_warnings || is_over { StepVerdict::Undecided } else { StepVerdict::Pass };
     let validity = &content["validity"];
     let values = json!({
         "robot": content["robot"], "measurements": content["measurements"],
@@ -399,9 +400,9 @@ fn of_result(result: &FoundDocument, is_over: bool) -> Drafted {
         "identified_mm": content["predicted_position_uncertainty_mm"]["identified"]["p95"],
         "rank": content["rank"], "until": validity["until"],
     });
-    let text = match (is_doubtful, &validity["until"]) {
+    let text = match (has_warnings, &validity["until"]) {
         _ if is_over => "result.over",
-        (true, _) => "result.doubtful",
+        (true, _) => "result.warned",
         (false, Value::String(_)) => "result.valid",
         (false, _) => "result.found",
     };
@@ -444,7 +445,7 @@ fn correct(files: &WorkFiles) -> Drafted {
     drafted.command(command).made(files.programs.corrected.as_ref())
 }
 
-/// The programs among uploaded files; the others belong to them.
+/// The programs among uploaded files; the other files belong to the programs.
 fn programs_in(uploaded: Option<&FoundDirectory>) -> impl Iterator<Item = &str> {
     let is_program = |name: &&str| {
         [".src", ".mod", ".script", ".ls"].iter().any(|end| name.to_ascii_lowercase().ends_with(end))
@@ -464,7 +465,7 @@ pub(super) fn uncorrected(files: &WorkFiles) -> Vec<&str> {
     programs_in(uploaded).filter(|name| !is_corrected(name)).collect()
 }
 
-/// What a check needs next; `None` without a result.
+/// The next part of a check; `None` without a result.
 pub(super) fn check_part(files: &WorkFiles) -> Option<CheckPart> {
     files.result.as_ref()?;
     let Some(plan) = files.plan(true) else { return Some(CheckPart::Plan) };
@@ -512,7 +513,7 @@ fn check(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
             decided.command(decide_command(run.map_or("check.dbbd", |run| &run.path)))
         }
         (Some(CheckPart::Plan | CheckPart::Programs | CheckPart::Measure), _) => match &files.check {
-            // A check that the command line made, without a plan here.
+            // The check was made on the command line, and its plan is not here.
             Some(check) => of_check(check).command(decide_command("check.dbbd")),
             None => {
                 let ready = Drafted::ready("check.plan").acting(StepAction::Compute, "act.check_plan");
@@ -641,7 +642,7 @@ mod tests {
         assert_eq!(states(&files), [D, D, D, D, D, R, T, T, T]);
         files.result = identified(30);
         assert_eq!(states(&files), [D, D, D, D, D, D, R, R, R]);
-        // A newer run asks for a new result.
+        // A newer run needs a new result.
         files.runs = vec![run("p", 40)];
         assert_eq!(states(&files)[5], R);
     }
@@ -675,7 +676,7 @@ mod tests {
             files.result = of(until);
             assert_eq!(texts(&files), (plan, result, command.into()), "{until}");
         }
-        // Once it is planned, its programs are next; those of the job are kept.
+        // Once the renewal is planned, its programs are next; the programs of the job are kept.
         let renewal = FoundPlan {
             directory: directory(RENEWAL, 40),
             hash: "r".into(),
@@ -688,7 +689,7 @@ mod tests {
         assert_eq!(steps[3].command, "dbbd program renewal-plan/plan.csv --out renewal-program");
         files.runs = vec![run("r", 50)];
         assert_eq!(seen(&files, &[], None)[5].text, "result.stale");
-        // A changed job is planned as a whole.
+        // A changed job is planned as a whole, without a renewal.
         files.job.as_mut().unwrap().sha256 = Some("bb".into());
         assert_eq!(texts(&files).2, job_plan);
         files.runs.clear();
@@ -700,7 +701,7 @@ mod tests {
         let mut files = WorkFiles { plans: vec![planned(true), planned(false)], ..job() };
         (files.runs, files.result) = (vec![run("c", 50)], identified(30));
         let steps = seen(&files, &[], None);
-        // It is no run of the calibration: neither measured nor identified.
+        // The run of a check is no run of the calibration: the robot is neither measured nor identified.
         assert_eq!((steps[4].text, steps[5].text), ("measure.ready", "result.found"));
         assert_eq!((steps[7].text, steps[7].label), ("check.none", "act.check"));
         assert!(steps[7].command.starts_with("dbbd check ../dbbd-runs/run-c/run.dbbd --robot result/"));
@@ -760,7 +761,8 @@ mod tests {
         assert_eq!(seen(&files, &[], None)[6].text, "correct.none");
         files.programs.uploaded = of([("a.src", 40), ("b.SRC", 40)]);
         assert_eq!(uncorrected(&files), ["a.src", "b.SRC"]);
-        // The one was corrected before it was uploaded again, or before the robot was identified again.
+        // A correction is too old if it was made before the program was uploaded again, or before the robot was
+        // identified again.
         files.programs.corrected = of([("a.src", 50), ("b.SRC", 39)]);
         assert_eq!(uncorrected(&files), ["b.SRC"]);
         let step = &seen(&files, &[], None)[6];

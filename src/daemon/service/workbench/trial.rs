@@ -1,5 +1,5 @@
-//! A changed job is tried: it is planned in a child process, and nothing of it stays. The page shows reach, limits and the risk of
-//! the stroke while a ball or an obstacle is moved.
+//! Tries a changed job: it is planned in a child process, and none of its files are kept. The page shows reach, limits
+//! and the risk of leaving the stroke while a ball or an obstacle is moved.
 
 use std::io::{self, Read, Write as _};
 use std::path::Path;
@@ -16,16 +16,17 @@ use serde_json::{Value, json};
 use crate::daemon::service::jobs::prefer_for_oom_kill;
 use crate::live::ServiceFinding::{TooManyJobs, WorkerLost};
 
-/// A job that is planned for longer is not tried but planned, s.
+/// Longest time of a trial, s: a job that takes longer is not tried.
 const MAX_S: f64 = 20.0;
-/// Time between two looks whether the child has ended, s.
+/// Interval between checks whether the child has ended, s.
 const LOOK_S: f64 = 0.02;
 
 fn failed(error: &io::Error) -> Diagnostic {
     NoSystem { why: error.to_string() }.into()
 }
 
-/// Plans a job whose file would be in `directory`: `findings`, and of a plan `checks`, `predictions` and the `scene`.
+/// Plans a job whose file would be in `directory`: returns `findings`, and with a plan also `checks`, `predictions` and
+/// the `scene`.
 ///
 /// # Errors
 /// The directory cannot be written, or planning takes too long.
@@ -34,7 +35,7 @@ pub(super) fn try_job(
     job: &str,
     explained: impl Fn(FindingRecord) -> Value,
 ) -> Result<Value, Diagnostic> {
-    // A robot file beside the job is found from there; the page does not see names with a leading dot.
+    // Robot files beside the job are found from its directory; the page does not see names with a leading dot.
     let mut file = tempfile::Builder::new()
         .prefix(".trial-")
         .suffix(".toml")

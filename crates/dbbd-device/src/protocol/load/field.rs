@@ -22,7 +22,7 @@ use dbbd_model::base::fixed_array::FixedArray;
 use dbbd_model::base::parse::from_toml_value;
 use serde::Deserialize;
 
-/// The further keys depend on kind and role.
+/// A field of a message in the file; which further keys it has depends on kind and role.
 #[derive(Clone, Deserialize)]
 pub(super) struct FieldTable {
     kind: FieldKind,
@@ -45,7 +45,7 @@ enum FieldKind {
     Dec,
     /// Hexadecimal number as text.
     Hex,
-    /// Of 4 or 8 bytes.
+    /// IEEE 754 number of 4 or 8 bytes.
     Float,
     /// Bits of a group of bytes, from the lowest.
     Bits,
@@ -78,7 +78,7 @@ enum FieldUnit {
     /// Counts of a scale, of which `per` make a millimetre.
     #[serde(rename = "count")]
     Count,
-    /// As in the field with role `unit`.
+    /// The unit that the field with role `unit` states.
     #[serde(rename = "device")]
     Device,
     #[serde(rename = "C")]

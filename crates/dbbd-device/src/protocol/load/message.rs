@@ -36,13 +36,13 @@ pub(super) struct RejectTable {
     prefix: Option<String>,
     eq: Option<String>,
     hex: Option<String>,
-    /// It is followed by the check of the frame.
+    /// Whether the message is followed by the check of the frame.
     #[serde(default)]
     checked: bool,
     code: Option<RejectCodeFormat>,
     #[serde(default)]
     map: BTreeMap<String, String>,
-    /// The only action; it makes files readable.
+    /// There is only one action; the key makes files readable.
     #[serde(default, rename = "action")]
     _action: RejectAction,
 }

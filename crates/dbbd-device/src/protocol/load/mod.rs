@@ -45,7 +45,7 @@ struct DefinitionFile {
     confidence: Confidence,
     #[serde(default)]
     tested_on: Vec<String>,
-    /// Substituted before the text is parsed.
+    /// Parameters, which are substituted before the text is parsed.
     #[serde(default, rename = "params")]
     _params: BTreeMap<String, ProtocolParamTable>,
     line: LineSettings,
@@ -96,7 +96,7 @@ struct ModeTable {
     sync_frames: Option<u32>,
 }
 
-/// Who speaks first.
+/// The side that speaks first.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum ModeKind {
@@ -124,7 +124,7 @@ fn us<'de, D: Deserializer<'de>>(value: D) -> Result<Duration, D::Error> {
     u32::deserialize(value).map(|us| Duration::from_micros(us.into()))
 }
 
-/// What determines the time of a reading: the request, its first byte, or the device's clock.
+/// The event that determines the time of a reading: the request, its first byte, or the device's clock.
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Latch {
@@ -182,7 +182,7 @@ impl ProtocolDefinition {
         Self::from_toml_with(file, text, &[])
     }
 
-    /// The same with some parameters chosen; the test vectors run with the defaults.
+    /// The same as [`Self::from_toml`] with some parameters chosen; the test vectors run with the defaults.
     pub fn from_toml_with(file: &str, text: &str, params: &[(String, String)]) -> Result<Self, Diagnostic> {
         let defaults = load(file, text, &[]);
         let chosen =

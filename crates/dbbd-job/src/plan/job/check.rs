@@ -1,4 +1,4 @@
-//! Reading a job file, and checking what its types do not say, with the line of what is wrong.
+//! Reads a job file, and checks what its types do not ensure. Findings name the line of the error.
 
 use nalgebra::Vector3;
 
@@ -15,7 +15,7 @@ use dbbd_model::plausibility::Quantity;
 use dbbd_model::provenance::{IdentityError, IdentityFinding, check_text};
 use dbbd_model::robot::{AXES, Robot};
 
-/// Base balls are larger: nearer places are one, mm.
+/// Least distance of two base balls, mm: base balls are larger, so nearer places are one ball.
 const MIN_BALL_DISTANCE_MM: f64 = 10.0;
 /// Digital outputs that a controller has.
 const OUTPUTS: std::ops::RangeInclusive<u32> = 1..=4096;
@@ -74,7 +74,7 @@ impl Job {
 
     /// Obstacles that enclose a part of axis 1 between the robot's foot and its shoulder.
     pub fn in_robot(&self, robot: &Robot) -> Vec<JobFinding> {
-        /// What the robot stands on may reach so far up its foot.
+        /// Share of the height of the foot up to which the robot's stand may reach.
         const FOOT: f64 = 0.3;
         let [shoulder, ..] = robot.geometry.skeleton(&[0.0; AXES]);
         let column = [FOOT, 1.0].map(|share| Vector3::new(0.0, 0.0, share * shoulder.z));
@@ -84,7 +84,7 @@ impl Job {
         inside.map(|(_, obstacle)| JobFinding::ObstacleInRobot { obstacle, z_mm }).collect()
     }
 
-    /// Checks what the types do not say.
+    /// Checks what the types do not ensure.
     pub(crate) fn check(&self) -> JobCheck {
         self.check_ranges()?;
         self.check_bar()?;
@@ -109,7 +109,7 @@ impl Job {
         self.circles.iter().enumerate().try_for_each(|(at, circle)| self.check_circle(at, circle))
     }
 
-    /// The values of the single tables that have a range of their own.
+    /// Checks the values of the single tables that have a range of their own.
     fn check_ranges(&self) -> JobCheck {
         let Self { bar, motion, limits, tool, .. } = self;
         let [bar_table, motion_table] = ["[bar]", "[motion]"].map(JobTable::new);
@@ -299,7 +299,7 @@ fn check_frame(table: JobTable, key: &'static str, frame: Option<[f64; 6]>) -> J
     if distance_mm == 0.0 { Ok(()) } else { table.check(key, distance_mm, Quantity::FrameDistance) }
 }
 
-/// A key that is unknown in the job but known in the robot file, at the same place.
+/// The finding about a key that is unknown in the job, but known in the robot file at the same place.
 fn key_of_robot(unread: Diagnostic) -> Diagnostic {
     let why = match unread.finding() {
         Some(FileFinding::NotToml { why }) => why.as_str(),

@@ -351,7 +351,7 @@ pub enum OrientationPattern {
     /// Rz(q sin 2t) Ry(q sin 3t) Rx(q sin 5t) R0 with t the circle's angle and q the amplitude.
     #[default]
     Seed,
-    /// Rz Ry Rx R0 with three angles drawn anew for each point, uniform within the amplitude.
+    /// Rz Ry Rx R0 with three angles drawn again for each point, uniform within the amplitude.
     Random,
     /// Rz(t) R0: the tool turns about the vertical as the bar does.
     Turning,

@@ -4,14 +4,14 @@ use crate::plan::job::JobFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::plausibility::Quantity;
 
-/// A table of the job: its header, and which one of those with this header, from 0.
+/// A table of the job: its header, and the number of the table among those with this header, from 0.
 #[derive(Clone, Copy)]
 pub(super) struct JobTable {
     header: &'static str,
     at: usize,
 }
 
-/// A finding about a key of a table, or about the table where the key is empty.
+/// A finding about a key of a table; it concerns the table itself if the key is empty.
 pub(crate) struct MisplacedFinding {
     pub(crate) finding: Box<Diagnostic>,
     table: JobTable,
@@ -59,19 +59,19 @@ impl JobTable {
         self.check(key, x.hypot(y).hypot(z), Quantity::DirectionLength)
     }
 
-    /// A box by two corners, of which `key` is one or both.
+    /// Checks a box given by two corners; `key` is the key of one corner or of both.
     pub(super) fn corners(self, key: &'static str, low: [f64; 3], high: [f64; 3]) -> ValueCheck {
         self.finite(key, low.iter().chain(&high))?;
         let ordered = low.iter().zip(&high).all(|(low, high)| low < high);
         self.ensure(key, ordered, || JobFinding::CornersSwapped { key: key.into() })
     }
 
-    /// An obstacle of this size, mm: a tiny one was given in metres.
+    /// Checks the size of an obstacle, mm: a tiny one was given in metres.
     pub(super) fn large(self, key: &'static str, size: [f64; 3]) -> ValueCheck {
         self.check(key, size.into_iter().map(f64::abs).fold(0.0, f64::max), Quantity::ObstacleSize)
     }
 
-    /// The axis of a cup and its limit: both or none.
+    /// Checks the axis of a cup and its limit: both or none must be given.
     pub(super) fn cup(self, axis: Option<[f64; 3]>, limit_deg: Option<f64>) -> ValueCheck {
         const AXIS: &str = "cup_axis";
         const LIMIT: &str = "cup_limit_deg";

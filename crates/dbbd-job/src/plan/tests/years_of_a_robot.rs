@@ -88,7 +88,7 @@ impl WearingRobot {
         day(self.months, self.celsius() + 0.5 * off)
     }
 
-    /// Lengths at the dwells of a plan, the tool ball and the base balls mounted anew.
+    /// Lengths at the dwells of a plan, the tool ball and the base balls mounted again.
     fn measured(&mut self, plan: &Plan) -> Measurements {
         let random = &mut self.random;
         let mut normal = |sd: f64| sd * random.sample::<f64, _>(StandardNormal);
@@ -251,7 +251,7 @@ fn three_years(seed: u64, crashes: &[usize], years: &mut Years) {
                 years.named += usize::from(
                     likeliest.is_some_and(|one| one.parameters.contains(&axis) || one.alike.contains(&axis)),
                 );
-                // After a crash the robot is calibrated anew.
+                // After a crash the robot is calibrated again.
                 calibration(&wearing.truth, 2000 + seed + run as u64, today)
             }
             None => {

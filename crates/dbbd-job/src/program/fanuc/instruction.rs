@@ -5,7 +5,7 @@ use crate::program::MotionKind;
 use crate::program::listing::Pace;
 use crate::program::script::value::Evaluated;
 
-/// `J`, `L` or `C`.
+/// A motion: `J`, `L` or `C`.
 pub(super) struct Instruction<'a> {
     pub(super) motion: MotionKind,
     arguments: &'a [Evaluated<'a>],
@@ -14,7 +14,7 @@ pub(super) struct Instruction<'a> {
 const MOTIONS: [(&str, MotionKind); 3] =
     [("J", MotionKind::Ptp), ("L", MotionKind::Lin), ("C", MotionKind::Circ)];
 
-/// The words of motions that are not read: arcs of three instructions and splines.
+/// The first words of motions that are not read: arcs of three instructions and splines.
 pub(super) const OTHER_MOTIONS: [&str; 2] = ["A", "S"];
 
 /// The units of speeds, and options that leave the end of the motion where it is.
@@ -49,12 +49,12 @@ const HARMLESS: [&str; 29] = [
     "END",
     "SPOT",
 ];
-/// The motion is relative.
+/// Options of a relative motion.
 const RELATIVE: [&str; 2] = ["INC", "INCREMENTAL"];
-/// The tool is fixed, and the robot moves the work.
+/// Option of a fixed tool: the robot moves the work.
 const FIXED: &str = "RTCP";
 
-/// What an option does to the place where a motion ends.
+/// The effect of an option on the place where a motion ends.
 pub(super) enum OptionEffect<'a> {
     Relative,
     FixedTool(&'a str),
@@ -68,7 +68,7 @@ pub(super) fn is_motion(name: &str) -> bool {
 }
 
 impl<'a> Instruction<'a> {
-    /// The motion that a call is, if it is one.
+    /// The motion of a call, if the call is one.
     pub(super) fn new(name: &str, arguments: &'a [Evaluated<'a>]) -> Option<Self> {
         let (_, motion) = *MOTIONS.iter().find(|(known, _)| *known == name)?;
         Some(Self { motion, arguments })
@@ -100,12 +100,12 @@ impl<'a> Instruction<'a> {
             .filter(|number| *number > 0.0)
     }
 
-    /// Whether it ends in an exact stop.
+    /// Whether the motion ends in an exact stop.
     pub(super) fn stops(&self) -> bool {
         self.arguments.iter().any(|argument| argument.name == Some("FINE"))
     }
 
-    /// Its speed, with an acceleration of the tool, mm/s^2, that a program cannot set.
+    /// The speed of the motion, with an acceleration of the tool, mm/s^2, that a program cannot set.
     pub(super) fn pace(&self, mm_s2: f64) -> Option<Pace> {
         let duration = self.number("SEC").or_else(|| self.number("MSEC").map(|ms| 1e-3 * ms));
         let tool = || {

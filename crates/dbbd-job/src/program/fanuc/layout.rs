@@ -1,17 +1,17 @@
-//! The layout of a listing: its sections, and its text with blanks in place of what is no code.
+//! The layout of a listing: its sections, and its text with blanks in place of the parts that are no code.
 
 use crate::program::CompensationFinding;
 use crate::program::text::Text;
 use dbbd_model::diagnostic::Diagnostic;
 
-/// A listing with what is no code (line numbers, remarks, comments in brackets, the header) replaced by blanks: every byte
-/// stays where it is.
+/// A listing in which the parts that are no code (line numbers, remarks, comments in brackets, the header) are replaced
+/// by blanks: every byte of the code stays in its place.
 pub(super) struct ListingLayout {
     pub(super) name: String,
     pub(super) code: String,
-    /// Where the statements end and the positions begin, byte.
+    /// The byte where the statements end and the positions begin.
     pub(super) positions: usize,
-    /// The remarks with their words.
+    /// The text of the remarks.
     pub(super) remarks: Vec<String>,
 }
 
@@ -71,7 +71,7 @@ impl ListingLayout {
         }
     }
 
-    /// A line of a statement; `is_inside` says whether one goes on from the line before.
+    /// Adds a line of a statement; `is_inside` says whether a statement goes on from the line before.
     fn statement(&mut self, line: &str, is_inside: &mut bool) {
         let (number, rest) = numbered(line).unwrap_or(("", line));
         self.push_blank(number);
@@ -91,7 +91,8 @@ impl ListingLayout {
         self.code.extend(text.bytes().map(|byte| if byte == b'\n' { '\n' } else { ' ' }));
     }
 
-    /// Code without comments in brackets. A sign that no statement has is `?`, so that its statement is not read.
+    /// Adds code without comments in brackets. A sign that no statement has becomes `?`, so that its statement is not
+    /// read.
     fn push_code(&mut self, line: &str) {
         let (mut depth, mut is_comment, mut is_text, mut start) = (0_usize, false, false, 0);
         let can_quote = line.matches('\'').count().is_multiple_of(2);
@@ -126,7 +127,7 @@ impl ListingLayout {
     }
 }
 
-/// The line number with its colon, and the rest; a statement that goes on has a colon alone.
+/// The line number with its colon, and the rest of the line; a line that continues a statement has a colon alone.
 fn numbered(line: &str) -> Option<(&str, &str)> {
     let digits = line.trim_start().trim_start_matches(|c: char| c.is_ascii_digit());
     let rest = digits.strip_prefix(':')?;

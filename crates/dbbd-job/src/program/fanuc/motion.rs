@@ -7,8 +7,8 @@ use crate::program::script::expression::{Argument, Expression, ExpressionKind, S
 use crate::program::tokens::Tokens;
 use dbbd_model::diagnostic::Diagnostic;
 
-/// After `J`, `L` or `C`: a call with the points, and an argument for each part that follows, with the unit of the speed, the
-/// termination or the option as its name.
+/// Parses a motion after `J`, `L` or `C`. The result is a call: first the points, then an argument for each further
+/// part, named by the unit of the speed, by the termination or by the option.
 pub(super) fn motion(tokens: &mut Tokens<'_>, motion: &str) -> Result<Vec<StatementKind>, Diagnostic> {
     let mut arguments = Vec::new();
     let points = if motion == "C" { 2 } else { 1 };
@@ -38,7 +38,7 @@ pub(super) fn motion(tokens: &mut Tokens<'_>, motion: &str) -> Result<Vec<Statem
     Ok([call].into_iter().chain(after).collect())
 }
 
-/// After the label of `Skip`: the register that takes the position.
+/// Parses the part after the label of `Skip`: the register that takes the position.
 fn taught(tokens: &mut Tokens<'_>) -> Result<StatementKind, Diagnostic> {
     let register = indexed(tokens)?;
     tokens.expect("=")?;
@@ -48,7 +48,7 @@ fn taught(tokens: &mut Tokens<'_>) -> Result<StatementKind, Diagnostic> {
     Ok(StatementKind::Call { name, arguments: vec![Argument { name: None, value }] })
 }
 
-/// `50%`, `200mm/sec`, `R[1]mm/sec`, `2500msec`, or a word.
+/// Parses a speed: `50%`, `200mm/sec`, `R[1]mm/sec`, `2500msec`, or a word.
 fn speed(tokens: &mut Tokens<'_>) -> Result<Argument, Diagnostic> {
     let start = tokens.position();
     let kind = if let Token::Real(number) = *tokens.peek() {
@@ -71,7 +71,7 @@ fn speed(tokens: &mut Tokens<'_>) -> Result<Argument, Diagnostic> {
     Ok(Argument { name: Some(unit), value })
 }
 
-/// `FINE`, `CNT50` or `CNT R[9]`.
+/// Parses a termination: `FINE`, `CNT50` or `CNT R[9]`.
 fn termination(tokens: &mut Tokens<'_>) -> Result<Argument, Diagnostic> {
     let (name, _) = tokens.name()?;
     if !["FINE", "CNT", "CR", "CD"].contains(&without_number(&name)) {
@@ -88,7 +88,8 @@ pub(super) fn without_number(word: &str) -> &str {
     word.trim_end_matches(|c: char| c.is_ascii_digit())
 }
 
-/// The next word of the options, if it names one. What follows a comma, `=` or a number belongs to the word before.
+/// The next word of the options, if it names an option. Text after a comma, `=` or a number belongs to the option
+/// before.
 fn option(tokens: &mut Tokens<'_>) -> Option<Argument> {
     const REGISTERS: [&str; 5] = ["R", "AR", "PR", "SR", "VR"];
     let found = tokens.next();

@@ -5,7 +5,7 @@ use crate::program::script::expression::{Expression, ExpressionKind};
 use crate::program::tokens::Tokens;
 use dbbd_model::diagnostic::Diagnostic;
 
-/// A jump to a label that is computed may go to each.
+/// Name of a label that is computed: such a jump may go to each label.
 pub(super) const ANY_LABEL: &str = "";
 
 /// A number with its sign, perhaps in brackets.
@@ -20,7 +20,8 @@ pub(super) fn number(tokens: &mut Tokens<'_>) -> Result<f64, Diagnostic> {
     Ok(factor * number)
 }
 
-/// `P[3]`, `PR[5]` or `R[1]`, with its name as it is written without a comment. One whose index is computed has none.
+/// Parses `P[3]`, `PR[5]` or `R[1]`. The name is as written, without a comment; an operand whose index is computed has
+/// no name.
 pub(super) fn indexed(tokens: &mut Tokens<'_>) -> Result<Expression, Diagnostic> {
     let start = tokens.position();
     let (name, _) = tokens.name()?;

@@ -20,9 +20,10 @@ use dbbd_model::diagnostic::Diagnostic;
 #[derive(Clone, Debug)]
 pub(super) struct TpProgram {
     pub(super) routine: Routine,
-    /// By their names: `P[3]`.
+    /// The positions by their names: `P[3]`.
     pub(super) positions: HashMap<String, Value>,
-    /// The numbers of remarks such as `!DBBLEN 300.000`, by the word before them; several of a word are a list.
+    /// The numbers of remarks such as `!DBBLEN 300.000`, by the word before them; several numbers of one word are a
+    /// list.
     pub(super) remarks: HashMap<String, Value>,
 }
 
@@ -124,7 +125,7 @@ fn called(kind: &StatementKind) -> Vec<String> {
     }
 }
 
-/// Whether the name of a call is that of an instruction or of what is set, not of a program.
+/// Whether the name of a call is the name of an instruction or of a setting, not of a program.
 pub(super) fn is_instruction(name: &str) -> bool {
     const WORDS: [&str; 9] =
         ["J", "L", "C", "WAIT", "PAUSE", "MESSAGE", "UFRAME_NUM", "UTOOL_NUM", "OVERRIDE"];
@@ -164,7 +165,7 @@ fn is_last_choice(tokens: &Tokens<'_>) -> bool {
     tokens.is_name("ELSE") && *tokens.ahead(1) == Token::Sign(",")
 }
 
-/// The right side of an assignment; what is not a number, a register or a position is computed.
+/// The right side of an assignment; anything but a number, a register or a position is read as computed.
 fn value(tokens: &mut Tokens<'_>) -> Expression {
     let start = tokens.position();
     let simple = if matches!(tokens.peek(), Token::Name(_)) && *tokens.ahead(1) == Token::Sign("[") {
@@ -188,7 +189,7 @@ fn given(value: Expression) -> Argument {
     Argument { name: None, value: Some(value) }
 }
 
-/// What a statement does, up to its semicolon.
+/// Parses a statement up to its semicolon.
 fn statement(tokens: &mut Tokens<'_>, is_selecting: &mut bool) -> Result<Vec<StatementKind>, Diagnostic> {
     let start = tokens.position();
     if *is_selecting {
@@ -251,7 +252,7 @@ fn statement(tokens: &mut Tokens<'_>, is_selecting: &mut bool) -> Result<Vec<Sta
     }
 }
 
-/// An action that is done in one way of a choice.
+/// The action of a choice, between the statements that open and close the choice.
 fn chosen<const N: usize, const M: usize>(
     tokens: &mut Tokens<'_>,
     before: [StatementKind; N],
@@ -261,7 +262,7 @@ fn chosen<const N: usize, const M: usize>(
     Ok(before.into_iter().chain(action).chain(after).collect())
 }
 
-/// After `IF`: `(..) THEN`, or a condition with the action that follows its comma.
+/// Parses the part after `IF`: `(..) THEN`, or a condition with the action that follows its comma.
 fn condition(tokens: &mut Tokens<'_>) -> Result<Vec<StatementKind>, Diagnostic> {
     let mut depth = 0;
     loop {
@@ -290,7 +291,7 @@ fn condition(tokens: &mut Tokens<'_>) -> Result<Vec<StatementKind>, Diagnostic> 
     }
 }
 
-/// After `WAIT`: a time, or a condition that may jump after a time.
+/// Parses the part after `WAIT`: a time, or a condition that may jump after a time.
 fn wait(tokens: &mut Tokens<'_>) -> Result<Vec<StatementKind>, Diagnostic> {
     let start = tokens.position();
     let time = value(tokens);
@@ -321,8 +322,8 @@ fn wait(tokens: &mut Tokens<'_>) -> Result<Vec<StatementKind>, Diagnostic> {
     Ok(kinds)
 }
 
-/// A setting of the controller or of a register: a call with the name of what is set. An element that is set makes the whole
-/// computed.
+/// Parses a setting of the controller or of a register: a call with the name of the setting. If only an element is set,
+/// the whole setting is computed.
 fn assignment(tokens: &mut Tokens<'_>) -> Result<Vec<StatementKind>, Diagnostic> {
     let start = tokens.position();
     let (mut name, _) = tokens.name()?;

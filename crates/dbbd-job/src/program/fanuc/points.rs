@@ -31,16 +31,16 @@ pub struct GivenFrames<'a> {
 
 /// One of the two frames of a motion.
 struct FrameKind {
-    /// In findings.
+    /// Name of the frame in findings.
     name: &'static str,
     stated: &'static str,
-    /// What selects it, and what it is called.
+    /// The variable that selects the frame, and the array of the frames.
     select: &'static str,
     array: &'static str,
 }
 
 impl FrameKind {
-    /// The name under which a definition is noted whose number is computed.
+    /// The name under which a definition is noted if its number is computed.
     fn any(&self) -> String {
         format!("{}[]", self.array)
     }
@@ -82,19 +82,19 @@ enum Selected {
     Number(u32),
 }
 
-/// A program that was called, and the line.
+/// A program that was called, and the line of the call.
 type Called = Option<(String, usize)>;
 
-/// What is in force at a statement.
+/// The settings in force at a statement.
 #[derive(Clone, PartialEq)]
 struct InProgram {
-    /// Tool and user frame.
+    /// The numbers of the selected tool and user frame.
     selected: [InForce<Selected>; 2],
-    /// The first call since each was selected.
+    /// The first call since tool and user frame were selected.
     called: [Called; 2],
     /// Registers, and the frames that the program defines.
     registers: Scope,
-    /// The last line that defined a frame, or called a program that may have.
+    /// The last line that defined a frame, or that called a program which may have defined one.
     defined_line: usize,
 }
 
@@ -126,7 +126,7 @@ impl State for InProgram {
 struct InListing<'a> {
     text: Text<'a>,
     program: &'a TpProgram,
-    /// None: a listing has one program.
+    /// Empty for each statement: a listing has only one program.
     calls: Vec<Vec<Vec<usize>>>,
 }
 
@@ -155,7 +155,7 @@ impl Followed for InListing<'_> {
         let line = self.text.line(span.start);
         let (name, arguments) = match kind {
             StatementKind::Call { name, arguments } => (name, arguments),
-            // Another program runs, now or when a condition holds.
+            // Another program is started, now or when a condition holds.
             StatementKind::Other(word) if word == "RUN" || word == "MONITOR" => {
                 state.call(word, line);
                 return;
@@ -189,7 +189,7 @@ impl Followed for InListing<'_> {
             state.defined_line = line;
         }
         if name.ends_with("[]") {
-            // Which register is set is computed.
+            // The number of the register is computed: any register may be set.
             state.registers.forget();
         }
         if name.starts_with("$MNU") {
@@ -207,7 +207,7 @@ impl Followed for InListing<'_> {
 }
 
 impl InProgram {
-    /// After a program of another file, which may have changed any register.
+    /// The state after a program of another file, which may have changed any register.
     fn call(&mut self, program: &str, line: usize) {
         for called in &mut self.called {
             called.get_or_insert_with(|| (program.to_owned(), line));
@@ -222,12 +222,13 @@ struct Reader<'a> {
     listed: &'a InListing<'a>,
     /// The frames of the controller by their names.
     controller: HashMap<String, Pose>,
-    /// Tool and user frame of the user, and the number for which each stands.
+    /// Tool and user frame given by the user, and the number that each of them was used for.
     given: [Option<Pose>; 2],
     used: [Option<u32>; 2],
     points: Points,
     reached: HashSet<At>,
-    /// The positions that a register takes, by the first byte, each with the finding if no motion uses it.
+    /// The positions that are copied to a register, by their first byte, each with the finding if no motion uses the
+    /// position.
     copied: Vec<(usize, Diagnostic)>,
 }
 
@@ -299,7 +300,7 @@ impl Reader<'_> {
                 }
             });
             let branch = branch.transpose().map_err(|why| text.wrong(span, why))?;
-            // A register holds no numbers of frames: those that are selected apply.
+            // A register has no frame numbers of its own: the selected frames apply.
             let is_own = argument.variable().is_some_and(|name| name.starts_with("P["));
             let numbers = found.as_ref().filter(|_| is_own).map_or([None, None], |taught| taught.frames);
             let frames = match &found {
@@ -313,7 +314,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The frames of a motion to a position with these numbers of its frames.
+    /// The frames of a motion; `own` are the frame numbers of its position.
     fn frames(
         &mut self,
         motion: &Span,
@@ -330,7 +331,8 @@ impl Reader<'_> {
         Ok(Frames { tool, base })
     }
 
-    /// The number of a frame: that of the position, which the controller compares with the one that is selected, else that.
+    /// The number of a frame: the number in the position, which the controller compares with the selected one; without
+    /// it, the selected number.
     fn number(
         &mut self,
         at: usize,
@@ -350,8 +352,8 @@ impl Reader<'_> {
             }
             (None, Selected::Number(number)) => {
                 if let Some((routine, line)) = called.clone() {
-                    let doubt = CompensationFinding::FrameAfterCall { frame, routine, line };
-                    self.points.doubts.push(self.listed.text.wrong(motion, doubt));
+                    let warning = CompensationFinding::FrameAfterCall { frame, routine, line };
+                    self.points.warnings.push(self.listed.text.wrong(motion, warning));
                 }
                 Ok(number)
             }
@@ -361,7 +363,7 @@ impl Reader<'_> {
         }
     }
 
-    /// The value of a frame: as the program defines it, else as the controller or the user states it.
+    /// The value of a frame: as defined by the program, else as stated by the controller or the user.
     fn value(&mut self, at: usize, state: &InProgram, number: u32) -> Result<Pose, CompensationFinding> {
         let FrameKind { name: kind, stated, array, .. } = KINDS[at];
         if number == 0 {
@@ -387,7 +389,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Notes a position that a register takes: a program that is called may move there.
+    /// Notes a position that is copied to a register: a program that is called may move there.
     fn note_copied(&mut self, span: &Span, name: &str, arguments: &[Evaluated<'_>]) {
         let is_definition = KINDS.iter().any(|kind| name.split('[').next() == Some(kind.array));
         for argument in arguments {
@@ -433,7 +435,7 @@ fn write(
     let Some([taught, new]) = corrector.fanuc(corrected, &pose(printed), frames)? else { return Ok(edits) };
     let written: Option<FanucConfiguration> =
         if let Content::Text(config) = &config.content { config.parse().ok() } else { None };
-    // On a line the controller ignores the turns, and some programs have dummies there.
+    // On a line the controller ignores the turns, and some programs have dummy values there.
     let is_dummy = matches!(point.branch, Branch::OnLine(_)) && written != Some(taught);
     if written.is_some() && written != Some(new) && !is_dummy {
         edits.push((config.span.clone(), format!("'{new}'")));

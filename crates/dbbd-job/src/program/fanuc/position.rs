@@ -15,21 +15,22 @@ pub(super) fn pose([x, y, z, w, p, r]: [f64; 6]) -> Pose {
     Pose::from_kuka([x, y, z], [r, p, w])
 }
 
-/// X, Y, Z, W, P, R of X, Y, Z, A, B, C, and the other way round.
+/// Converts X, Y, Z, A, B, C into X, Y, Z, W, P, R, and the other way round.
 pub(super) fn swapped([x, y, z, a, b, c]: [f64; 6]) -> [f64; 6] {
     [x, y, z, c, b, a]
 }
 
-/// What a position says of its target.
+/// The target of a position, with its configuration and frame numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Taught {
     pub(super) target: Target,
     pub(super) configuration: Option<FanucConfiguration>,
-    /// The numbers of its tool and user frame; `None` for the one that is selected when the robot moves there.
+    /// The numbers of the position's tool and user frame; `None` for the frame that is selected when the robot moves
+    /// there.
     pub(super) frames: [Option<u32>; 2],
 }
 
-/// Of a position as it is parsed: `[[user frame, tool], config, numbers, external axes]`.
+/// Reads a position as it is parsed: `[[user frame, tool], config, numbers, external axes]`.
 pub(super) fn taught(value: &Value) -> Option<Taught> {
     let [frames, config, numbers, _] = value.elements()?;
     let [user, tool] = frames.elements()?;
@@ -50,7 +51,7 @@ pub(super) fn frame(value: &Value) -> Option<Pose> {
     matches!(numbers.content, Content::Pose(_)).then(|| numbers.numbers().map(pose))?
 }
 
-/// The extended axes of a position, and those of a second group.
+/// The extended axes of a position, and the axes of a second group.
 pub(super) fn external(value: &Value) -> External {
     let list = value.list().and_then(|parts| parts.last()?.list()).unwrap_or_default();
     std::array::from_fn(|at| list.get(at).and_then(Value::number))
@@ -60,7 +61,7 @@ const POSE: [&str; 6] = ["X", "Y", "Z", "W", "P", "R"];
 const AXES: [&str; 6] = ["J1", "J2", "J3", "J4", "J5", "J6"];
 const EXTENDED: [&str; 3] = ["E1", "E2", "E3"];
 
-/// Parses the positions, each with its name `P[n]`. One that is not read has no value.
+/// Parses the positions, each with its name `P[n]`. A position that cannot be read has no value.
 pub(super) fn positions(tokens: &mut Tokens<'_>, file: usize) -> Vec<(String, Value)> {
     let mut positions = Vec::new();
     while *tokens.peek() != Token::End {
@@ -117,7 +118,7 @@ fn position(tokens: &mut Tokens<'_>, file: usize) -> Result<(String, Value), Dia
         } else {
             tokens.expect("=")?;
             let number = number_value(tokens, file)?;
-            // mm or deg
+            // The unit: mm or deg.
             tokens.name()?;
             if is_first { own.push((word, number)) } else { second.push((word, number)) }
         }
@@ -136,7 +137,7 @@ fn position(tokens: &mut Tokens<'_>, file: usize) -> Result<(String, Value), Dia
     let extended = EXTENDED.iter().filter_map(|name| own.iter().find(|(known, _)| known == name));
     let external = extended.chain(&second).map(|(_, value)| value.clone()).collect();
     let parts = vec![value(Content::List(frames)), config, value(numbers), value(Content::List(external))];
-    // All parts are written between the brackets.
+    // Each position has all its parts between the brackets.
     let parts = parts
         .into_iter()
         .map(|part| if part.span == (0..0) { Value { span: span.clone(), ..part } } else { part });

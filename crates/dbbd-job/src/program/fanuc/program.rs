@@ -42,12 +42,12 @@ pub fn open(first: (String, String), others: Vec<(String, String)>) -> Result<Li
 
 struct Fanuc {
     programs: Vec<TpProgram>,
-    /// What the program has set: registers, frames and what is selected; `None` for what is computed.
+    /// The registers, frames and selections that the program has set; `None` for a computed value.
     registers: HashMap<String, Option<Value>>,
 }
 
 impl Fanuc {
-    /// The frame that is selected by this setting, or that a position names.
+    /// The frame that the setting `select` selects, or the frame `own` that a position names.
     fn frame(&self, array: &'static str, select: &str, own: Option<u32>) -> Result<Pose, ProgramFinding> {
         let setting = self.registers.get(select);
         let selected = setting.and_then(|value| value.as_ref()?.number()).map(|number| number as u32);

@@ -1,4 +1,4 @@
-//! The constants in `.dat` files, and what dbbd and its programs write there.
+//! The constants in `.dat` files, and the data that dbbd and its programs write there.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -34,7 +34,7 @@ pub(super) struct Constant<'a> {
 pub(super) struct Constants<'a>(HashMap<&'a str, BTreeMap<Option<i64>, Constant<'a>>>);
 
 impl<'a> Constants<'a> {
-    /// Adds the constants of a file; they replace those of the same name.
+    /// Adds the constants of a file; they replace known constants of the same name.
     pub(super) fn add(&mut self, items: &'a [DataItem], origin: Origin) {
         for item in items {
             match item {
@@ -67,7 +67,7 @@ impl<'a> Constants<'a> {
         self.0.get(name).into_iter().flat_map(|values| values.keys().copied().flatten())
     }
 
-    /// Whether a name is that of a point or an array of points in the program's own files.
+    /// Whether a name is the name of a point or of an array of points in the program's own files.
     pub(super) fn has_point(&self, name: &str) -> bool {
         let mut values = self.0.get(name).into_iter().flat_map(BTreeMap::values);
         values.any(|constant| constant.origin != Origin::Config && constant_target(constant.value).is_ok())

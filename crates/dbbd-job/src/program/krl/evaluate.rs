@@ -1,4 +1,4 @@
-//! Evaluation of expressions: by the simulated controller, and of the constants in `.dat` files.
+//! Evaluation of expressions: for the simulated controller, and for the constants in `.dat` files.
 
 use std::collections::BTreeMap;
 use std::ops::{Add, Div, Mul, Sub};
@@ -43,7 +43,7 @@ pub(crate) trait Scope {
     fn call(&mut self, name: &str, arguments: &[Expression], span: &Span) -> Result<Value, Fault>;
 }
 
-/// No name has a value: values in a `.dat` file and taught points are constants.
+/// A scope without variables: values in a `.dat` file and taught points are constants.
 struct NoVariables;
 
 impl Scope for NoVariables {
@@ -110,7 +110,7 @@ impl Expression {
     }
 }
 
-/// A commanded position; components that are not written stay what they are.
+/// A commanded position; components that are not written keep their value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Position {
     /// A1 to A6, degrees.
@@ -143,7 +143,7 @@ impl Position {
         Ok(Self::Pose { components: six(POSE_NAMES)?, status: bits("S")?, turn: bits("T")? })
     }
 
-    /// The target, where all components are written.
+    /// The target, if all components are written.
     fn complete(self) -> Result<Target, ProgramFinding> {
         let (names, components) = match self {
             Self::Axes(components) => (AXIS_NAMES, components),
@@ -205,7 +205,7 @@ fn binary(operator: Binary, left: &Value, right: &Value) -> Result<Value, Progra
     }
 }
 
-/// The result of two whole numbers by `whole`, else of two numbers by `real`.
+/// The result for two whole numbers by `whole`, else for two numbers by `real`.
 fn arithmetic(
     left: &Value,
     right: &Value,

@@ -9,7 +9,7 @@ use dbbd_model::diagnostic::Diagnostic;
 /// Most components of an aggregate: more than any structure of the controller has.
 const FIELDS: usize = 100;
 
-/// The binary operator that a token is, and its precedence.
+/// The binary operator of a token, and its precedence.
 fn binary(token: &Token) -> Option<(Binary, u8)> {
     let word = if let Token::Name(name) = token {
         name.as_str()

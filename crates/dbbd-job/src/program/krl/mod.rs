@@ -1,8 +1,8 @@
 //! KRL, the language of KUKA's controllers.
 //!
 //! There are two readers. [`parse_source`] parses whole programs for the simulated controller; it supports the statements
-//! that dbbd emits and those of plain point programs, and refuses any other. [`read`] finds the motions of any program, to
-//! correct their points.
+//! that dbbd emits and the statements of plain point programs, and refuses any other. [`read`] finds the motions of any
+//! program, to correct their points.
 
 mod data;
 pub mod emit;

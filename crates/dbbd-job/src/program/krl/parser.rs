@@ -46,7 +46,7 @@ pub fn parse_data(file: &str, text: &str) -> Result<Data, Diagnostic> {
     Ok(Data { file: file.into(), text: text.into(), name, items })
 }
 
-/// The tokens of a text, and what is counted to keep a damaged or hostile file from exhausting the stack or the memory.
+/// The tokens of a text, with counters that keep a damaged or hostile file from exhausting the stack or the memory.
 pub(super) struct Parser<'a> {
     pub(super) tokens: Tokens<'a>,
     /// Blocks and expressions that are open.
@@ -69,7 +69,7 @@ impl<'a> Parser<'a> {
         Self { tokens, depth: 0, operators: 0, array_values: 0 }
     }
 
-    /// Parses something that may contain others of its kind.
+    /// Parses a block or expression that may contain others.
     pub(super) fn nested<T>(
         &mut self,
         parse: impl FnOnce(&mut Self) -> Result<T, Diagnostic>,
@@ -95,7 +95,7 @@ impl<'a> Parser<'a> {
         Ok(())
     }
 
-    /// Reads the next token, which stands for `parsed`.
+    /// Reads the next token and returns `parsed`, its meaning.
     pub(super) fn token_as<T>(&mut self, parsed: T) -> T {
         self.tokens.advance();
         parsed
@@ -226,13 +226,13 @@ impl<'a> Parser<'a> {
         Ok(Some(kind))
     }
 
-    /// Whether a type and a name follow.
+    /// Whether the line goes on with a type and a name.
     fn is_variable_declaration(&self, has_decl: bool) -> bool {
         matches!(self.tokens.peek(), Token::Name(name) if has_decl || declares_without_decl(name))
             && matches!(self.tokens.ahead(1), Token::Name(_))
     }
 
-    /// The name of a variable with its number of elements, each of so many `values`.
+    /// The name of a variable with its number of elements, each of which holds this number of `values`.
     fn declared(&mut self, values: usize) -> Result<Declared, Diagnostic> {
         let (name, span) = self.name()?;
         let mut elements = None;

@@ -12,7 +12,7 @@ pub const BUILT_IN: &[&str] = &["BAS", "IR_STOPM"];
 
 #[derive(Clone, Debug)]
 pub struct Module {
-    /// In capitals.
+    /// Name of the module, in capitals.
     pub name: String,
     pub source: Source,
     pub data: Option<Data>,
@@ -21,11 +21,11 @@ pub struct Module {
 /// A module and the modules that it calls; execution begins in the first.
 #[derive(Clone, Debug)]
 pub struct Program {
-    /// In the order of their first call.
+    /// The modules, in the order of their first call.
     pub modules: Vec<Module>,
 }
 
-/// A module to read, and the finding if it does not exist, at its first call.
+/// A module to read, with the finding that its first call causes if the module does not exist.
 #[derive(Clone)]
 struct Wanted {
     name: String,
@@ -66,7 +66,8 @@ impl Program {
         Ok(Self { modules })
     }
 
-    /// The routine `name` as seen in `module`, with its module: a local one, else the first of another module.
+    /// The routine `name` as seen in `module`, with the index of its module: a local routine, else the first one in
+    /// another module.
     pub fn routine(&self, module: usize, name: &str) -> Option<(usize, &Routine)> {
         let routines = |at: usize| self.modules.get(at).map(|module| &module.source.routines);
         if let Some(routine) = routines(module)?.iter().find(|routine| routine.name == name) {
@@ -89,7 +90,7 @@ impl Program {
 }
 
 impl Module {
-    /// Refuses a routine or data list with another name than the file, and data of another plan.
+    /// Refuses a routine or data list whose name differs from the file's, and data of another plan.
     fn check_files(&self) -> Result<(), Diagnostic> {
         let file = &self.name;
         if let Some(first) = self.source.routines.first().filter(|first| first.name != *file) {

@@ -19,7 +19,7 @@ pub struct Compensated {
     pub source: String,
     /// The `.dat`, if there was one.
     pub data: Option<String>,
-    /// In the order of their first use.
+    /// The corrected points, in the order of their first use.
     pub moved: Vec<Moved>,
 }
 
@@ -82,7 +82,7 @@ fn rewrite(
     Ok((corrected, u8::try_from(old).ok().map(|old| [old, new])))
 }
 
-/// An integer in the form in which another one was written: decimal, `'B..'` or `'H..'`.
+/// An integer written in the form of another one: decimal, `'B..'` or `'H..'`.
 fn integer_like(written: &str, value: u8) -> String {
     let width = written.len().saturating_sub(3);
     match written.as_bytes() {

@@ -16,7 +16,7 @@ const KEYWORDS: &[&str] = &[
 
 const CLOSING: &[&str] = &["END", "ENDFOR", "ELSE", "ENDIF", "ENDWHILE", "ENDLOOP", "DEF"];
 
-/// Statements of KRL that are not supported, each with what to write in its place.
+/// Statements of KRL that are not supported, each with a replacement.
 const UNSUPPORTED: &[(&str, &str)] = &[
     ("SPLINE", "write LIN or CIRC for each point"),
     ("TRIGGER", "set the output after an exact stop"),
@@ -72,7 +72,8 @@ impl Parser<'_> {
         Ok(true)
     }
 
-    /// After the head of a statement with one block: the end of its line, the block and the word that closes it.
+    /// Reads the rest of a statement with one block after its head: the end of the line, the block and the word that
+    /// closes it.
     fn body(&mut self, closing: &str) -> Result<Block, Diagnostic> {
         self.line_end()?;
         let body = self.block(&[closing])?;
@@ -132,7 +133,7 @@ impl Parser<'_> {
         })
     }
 
-    /// That a line begins with a word which begins no statement.
+    /// The finding that a line begins with a word which begins no statement.
     pub(super) fn unknown_statement(&self, wanted: &str) -> Diagnostic {
         let Token::Name(word) = self.tokens.peek() else { return self.tokens.expected(wanted) };
         if let Some((_, instead)) = UNSUPPORTED.iter().find(|(name, _)| name == word) {

@@ -11,7 +11,7 @@ pub use crate::program::text::{Span, Text};
 pub struct Source {
     pub file: String,
     pub text: String,
-    /// In the order of the text; the first one is the module's own.
+    /// The routines, in the order of the text; the first one is the module's own.
     pub routines: Vec<Routine>,
 }
 
@@ -92,7 +92,7 @@ pub struct Declared {
 
 #[derive(Clone, Debug)]
 pub struct Statement {
-    /// The bytes of its first line.
+    /// The bytes of the first line of the statement.
     pub span: Span,
     pub kind: StatementKind,
 }
@@ -169,9 +169,9 @@ pub struct Move {
 /// A variable, or an element or component of one.
 #[derive(Clone, Debug)]
 pub struct Place {
-    /// With the `$` of a system variable.
+    /// Name of the variable, with the `$` of a system variable.
     pub name: String,
-    /// Outermost first.
+    /// The indices and components, the outermost first.
     pub parts: Vec<Part>,
     pub span: Span,
 }

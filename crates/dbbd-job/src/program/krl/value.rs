@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::program::ProgramFinding;
 
-/// A value. What was never assigned is [`Value::Unset`].
+/// A value. A variable that was never assigned has [`Value::Unset`].
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Value {
     Unset,
@@ -149,7 +149,7 @@ impl Value {
         }
     }
 
-    /// Assigns `value`, converted to `kind`. Components that it does not have keep their value.
+    /// Assigns `value`, converted to `kind`. Components that `value` does not have keep their value.
     pub(crate) fn store(&mut self, kind: Type, value: Value) -> Result<(), ProgramFinding> {
         match (kind, value, &mut *self) {
             (_, Value::Unset, _) => {

@@ -6,7 +6,7 @@ use crate::program::script::value::Evaluated;
 use crate::program::{Frames, MotionKind};
 use dbbd_model::robot::Pose;
 
-/// `MoveAbsJ`, `MoveJ`, `MoveL` or `MoveC`.
+/// A motion: `MoveAbsJ`, `MoveJ`, `MoveL` or `MoveC`.
 pub(super) struct Instruction<'a> {
     pub(super) motion: MotionKind,
     pub(super) through: Option<&'a Evaluated<'a>>,
@@ -15,7 +15,7 @@ pub(super) struct Instruction<'a> {
     zone: Option<&'a Evaluated<'a>>,
     tool: Option<&'a Evaluated<'a>>,
     work_object: Option<&'a Evaluated<'a>>,
-    /// `\T`, s.
+    /// Duration by `\T`, s.
     pub(super) time: Option<&'a Evaluated<'a>>,
 }
 
@@ -26,7 +26,7 @@ const MOTIONS: [(&str, MotionKind); 4] = [
     ("MOVEC", MotionKind::Circ),
 ];
 
-/// Whether an instruction is one of them.
+/// Whether an instruction is one of these motions.
 pub(super) fn is_motion(name: &str) -> bool {
     MOTIONS.iter().any(|(known, _)| *known == name)
 }
@@ -46,7 +46,7 @@ pub(super) fn required<'a>(arguments: &'a [Evaluated<'a>]) -> impl Iterator<Item
 }
 
 impl<'a> Instruction<'a> {
-    /// The motion that a call is, if it is one.
+    /// The motion of a call, if the call is one.
     pub(super) fn new(name: &str, arguments: &'a [Evaluated<'a>]) -> Option<Self> {
         let (_, motion) = *MOTIONS.iter().find(|(known, _)| *known == name)?;
         let mut required = required(arguments);
@@ -67,7 +67,7 @@ impl<'a> Instruction<'a> {
         [self.through, Some(self.to)].into_iter().flatten()
     }
 
-    /// The variables that are its tool and its work object.
+    /// The names of the variables that give the motion its tool and its work object.
     pub(super) fn frame_names(&self) -> impl Iterator<Item = &'a str> {
         [self.tool, self.work_object].into_iter().flatten().filter_map(Evaluated::variable)
     }
@@ -98,8 +98,8 @@ impl<'a> Instruction<'a> {
         }
     }
 
-    /// The finding if the module assigns to one of the points or frames; `assigned_line` is the line of an assignment to a
-    /// name.
+    /// The finding if the module assigns to one of the points or frames; `assigned_line` returns the line of an
+    /// assignment to a name.
     pub(super) fn computed(
         &self,
         assigned_line: impl Fn(&str) -> Option<usize>,
@@ -116,12 +116,12 @@ impl<'a> Instruction<'a> {
         point.or_else(|| frame(TOOL, self.tool)).or_else(|| frame(WORK_OBJECT, self.work_object))
     }
 
-    /// mm/s and degrees/s.
+    /// The speeds in mm/s and degrees/s.
     pub(super) fn speeds(&self) -> Option<[f64; 2]> {
         speed(self.speed?.value.as_ref()?)
     }
 
-    /// Whether it ends in an exact stop.
+    /// Whether the motion ends in an exact stop.
     pub(super) fn stops(&self) -> bool {
         self.zone.and_then(Evaluated::variable).is_some_and(|zone| zone.eq_ignore_ascii_case("fine"))
     }

@@ -20,7 +20,7 @@ pub(super) fn taught(value: &Value) -> Option<(Target, Option<[i32; 4]>)> {
     }
 }
 
-/// The external axes of such a target.
+/// The external axes of a `jointtarget` or `robtarget`.
 pub(super) fn external(target: &Value) -> External {
     /// The value of an axis that the robot does not have.
     const ABSENT: f64 = 9e9;
@@ -58,12 +58,12 @@ fn pose(value: &Value) -> Option<Pose> {
     }
 }
 
-/// What a tool or work object is mounted on.
+/// The part of the cell on which a tool or work object is mounted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Holder {
     Robot,
     World,
-    /// For a work object, such as a positioner.
+    /// A mechanical unit such as a positioner, for a work object.
     MechanicalUnit,
 }
 

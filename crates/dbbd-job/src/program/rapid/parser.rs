@@ -13,17 +13,17 @@ use dbbd_model::diagnostic::Diagnostic;
 /// A declaration with its value.
 #[derive(Clone, Debug)]
 pub(super) struct Declared {
-    /// In capitals.
+    /// Name of the data, in capitals.
     pub(super) name: String,
     pub(super) value: Expression,
-    /// Whether it is invisible in other modules.
+    /// Whether other modules cannot see the data.
     pub(super) is_local: bool,
 }
 
 #[derive(Clone, Debug)]
 pub(super) struct Module {
     pub(super) data: Vec<Declared>,
-    /// Procedures and TRAPs.
+    /// The procedures and TRAPs.
     pub(super) routines: Vec<Routine>,
     pub(super) functions: Vec<Routine>,
 }
@@ -89,7 +89,7 @@ fn item(tokens: &mut Tokens<'_>, module: &mut Module, file: usize) -> Result<(),
     Ok(())
 }
 
-/// After CONST, PERS or VAR: the name with its value, if it has one that can be parsed.
+/// Parses a declaration after CONST, PERS or VAR: the name with its value, if it has one that can be parsed.
 fn declaration(tokens: &mut Tokens<'_>) -> Result<(String, Option<Expression>), Diagnostic> {
     tokens.name()?;
     let (name, _) = tokens.name()?;
@@ -107,12 +107,12 @@ fn skip(tokens: &mut Tokens<'_>) {
     }
 }
 
-/// After PROC, TRAP or the type of a FUNC.
+/// Parses a routine after PROC, TRAP or the type of a FUNC.
 fn routine(tokens: &mut Tokens<'_>, file: usize, is_local: bool) -> Result<Routine, Diagnostic> {
     let (name, _) = tokens.name()?;
     let parameters = if tokens.accept("(") { parameters(tokens)? } else { Vec::new() };
     let mut body = Vec::new();
-    // The IFs without THEN that end after the next statement.
+    // The number of IFs without THEN that end after the next statement.
     let mut compact = 0;
     loop {
         if ENDS.into_iter().any(|end| tokens.accept_name(end)) {
@@ -147,7 +147,7 @@ fn routine(tokens: &mut Tokens<'_>, file: usize, is_local: bool) -> Result<Routi
     }
 }
 
-/// After the opening bracket: the parameters of a routine.
+/// Parses the parameters of a routine after the opening bracket.
 fn parameters(tokens: &mut Tokens<'_>) -> Result<Vec<Parameter>, Diagnostic> {
     let mut parameters = Vec::new();
     let (mut last, mut is_optional, mut is_reference) = (None, false, false);
@@ -203,7 +203,7 @@ fn statement(tokens: &mut Tokens<'_>) -> Result<Option<StatementKind>, Diagnosti
     let control = match name.as_str() {
         "IF" => {
             let condition = tokens.position();
-            // Without THEN the condition is that of one statement, which follows and is parsed by itself.
+            // Without THEN the condition applies to one statement, which follows and is parsed by itself.
             if head(tokens, "THEN").is_err() {
                 tokens.go_to(condition);
                 tokens.expression()?;

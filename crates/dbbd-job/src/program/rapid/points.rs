@@ -31,11 +31,11 @@ const OTHERS: OtherInstructions = OtherInstructions {
     settings: &[],
 };
 
-/// Instructions that displace the motions after them, with the one that ends it.
+/// Instructions that displace the motions after them, each group with the instruction that ends the displacement.
 const DISPLACING: [(&[&str], &str); 2] =
     [(&["PDISPON", "PDISPSET"], "PDISPOFF"), (&["EOFFSON", "EOFFSSET"], "EOFFSOFF")];
 const DISPLACEMENT: &str = "the displacement";
-/// What the names of instructions begin with that measure a tool and write it: `MToolTCPCalib`, `SToolRotCalib`.
+/// Starts of the names of instructions that measure a tool and write it: `MToolTCPCalib`, `SToolRotCalib`.
 const MEASURING: [&str; 2] = ["MTOOL", "STOOL"];
 
 /// The points of a module; `config` is a module with tools and work objects.
@@ -54,7 +54,7 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
         given_away: Vec::new(),
     };
     let all = 0..program.routines.len();
-    // `main` is where the program begins; what it does not reach is called from other modules.
+    // The program begins in `main`; routines that `main` does not reach are called from other modules.
     let (main, others): (Vec<usize>, Vec<usize>) = all.partition(|at| program.routines[*at].name == "MAIN");
     for at in main.into_iter().chain(others) {
         let routine = program.routines[at];
@@ -72,19 +72,19 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
     Ok(points)
 }
 
-/// What is in force at a statement.
+/// The settings in force at a statement.
 #[derive(Clone, PartialEq)]
 struct InRoutine {
     /// The parameters and variables of the routine.
     locals: Scope,
     /// Whether `MoveJ` goes to the configuration of its point.
     conf_j: InForce<bool>,
-    /// For each of [`DISPLACING`], the instruction that displaces.
+    /// The instruction that displaces the motions, for each group of [`DISPLACING`].
     displaced: [InForce<Option<String>>; 2],
 }
 
 impl InRoutine {
-    /// At the begin of a routine that is called from elsewhere.
+    /// The settings at the begin of a routine that is called from elsewhere.
     fn before(routine: &Routine) -> Self {
         let none = || InForce::One { value: None, line: 0 };
         let mut locals = Scope::default();
@@ -106,16 +106,16 @@ impl State for InRoutine {
     }
 }
 
-/// The module of a program and what is known of it before it is followed.
+/// The module of a program, with the results of a first look before it is followed.
 struct InFile<'a> {
     text: Text<'a>,
     module: &'a Module,
     config: Option<&'a Module>,
     routines: Vec<&'a Routine>,
-    /// By routine and statement: the routines that it calls.
+    /// The routines that each statement calls; indexed by routine and statement.
     calls: Calls,
     changing: Changing<'a>,
-    /// The data of the module that a statement changes, with the last line that does.
+    /// The data of the module that a statement changes, with the last line that changes them.
     assigned_lines: HashMap<&'a str, usize>,
     /// A line of a TRAP that displaces motions.
     displaced_beside: Option<(String, usize)>,
@@ -173,10 +173,10 @@ fn is_local(routine: &Routine, name: &str) -> bool {
         )
 }
 
-/// Routines, each with a parameter whose variable it changes.
+/// Pairs of a routine and a parameter of it whose variable the routine changes.
 type Changing<'a> = HashSet<(&'a str, &'a str)>;
 
-/// The parameters that routines change, themselves or by a routine that they give them to.
+/// The parameters that routines change, directly or through a routine to which they pass them.
 fn changing<'a>(routines: &[&'a Routine]) -> Changing<'a> {
     let mut changing = Changing::new();
     loop {
@@ -218,7 +218,7 @@ fn changed<'s>(statement: &'s Statement, routines: &[&Routine], changing: &Chang
     }
 }
 
-/// The variable that is an argument.
+/// The name of an argument that is a variable.
 fn variable(argument: &Argument) -> Option<&str> {
     match &argument.value.as_ref()?.kind {
         ExpressionKind::Name(name) => Some(name),
@@ -232,7 +232,7 @@ fn variable(argument: &Argument) -> Option<&str> {
     }
 }
 
-/// The parameter that an argument (the one at this index) is given to.
+/// The parameter that takes an argument; `at` is the index of the argument.
 fn bound<'r>(
     routine: &'r Routine,
     arguments: &[Argument],
@@ -328,7 +328,7 @@ struct Reader<'a> {
     reached: HashSet<At>,
     /// The tools and work objects of motions.
     used: HashSet<String>,
-    /// Those that routines of other files are given, each with the finding about it.
+    /// Tools and work objects that are passed to routines of other files, each with the finding about it.
     given_away: Vec<(String, Diagnostic)>,
 }
 
@@ -383,7 +383,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Notes the tools and work objects that a routine of another file is given.
+    /// Notes the tools and work objects that are passed to a routine of another file.
     fn note_given_away(&mut self, span: &Span, routine: &str, arguments: &[Evaluated<'_>]) {
         if OTHERS.motions.iter().any(|motion| routine.starts_with(motion)) {
             return;
@@ -405,7 +405,7 @@ impl Reader<'_> {
     fn completed(self) -> Points {
         let mut points = self.points.completed();
         let given_away = self.given_away.into_iter().filter(|(name, _)| self.used.contains(name));
-        points.doubts.extend(given_away.map(|(_, finding)| finding));
+        points.warnings.extend(given_away.map(|(_, finding)| finding));
         points
     }
 }
@@ -440,7 +440,7 @@ fn write(
     let [position, orientation, configuration, _] = elements(&point.value)?;
     let (mut edits, position) = replaced(position, &pose.position.into(), text, DECIMALS_MM)?;
     let taught: [f64; 4] = orientation.numbers().ok_or(CompensationFinding::PointShape { numbers: 4 })?;
-    // Of the two quaternions of an orientation the one nearer to the taught one.
+    // An orientation has two quaternions: the one nearer to the taught quaternion.
     let new = pose.quaternion();
     let cosine: f64 = taught.iter().zip(new).map(|(taught, new)| taught * new).sum();
     let new = new.map(|part| if cosine < 0.0 { -part } else { part });
@@ -449,7 +449,8 @@ fn write(
     let printed =
         Pose::from_quaternion(position, quaternion).ok_or(CompensationFinding::PointShape { numbers: 4 })?;
     let quadrants = corrector.quadrants(corrected, &printed, frames)?;
-    // A configuration that is not the taught one is a dummy: with `ConfJ\Off` and `ConfL\Off` the controller ignores it.
+    // A configuration that differs from the taught one is a dummy: with `ConfJ\Off` and `ConfL\Off` the controller
+    // ignores it.
     let is_taught = configuration.numbers() == Some(corrector.taught_quadrants(corrected).map(f64::from));
     let is_dummy = point.branch == Branch::Nearest && !is_taught;
     for (old, new) in elements::<4>(configuration)?.iter().zip(quadrants).filter(|_| !is_dummy) {

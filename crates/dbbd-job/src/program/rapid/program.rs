@@ -15,13 +15,13 @@ use crate::program::text::Text;
 use crate::program::{Language, Listing, MotionKind, Target};
 use dbbd_model::diagnostic::Diagnostic;
 
-/// The signal that is the strobe.
+/// Name of the signal of the strobe.
 const STROBE: &str = "DBBSTB";
 /// Acceleration along a path unless the program limits it, mm/s^2.
 const ACCELERATION_MM_S2: f64 = 5000.0;
 
 /// Reads the program that begins in `first` (name and text of a module) with its `main`, else with its first routine.
-/// Routines that are not there are looked up in `others`.
+/// Routines that `first` does not have are looked up in `others`.
 pub fn open(first: (String, String), others: Vec<(String, String)>) -> Result<Listing, Diagnostic> {
     let entry = parse(Text { file: &first.0, text: &first.1 }, 0)?;
     let main = entry.routines.iter().find(|routine| routine.name == "MAIN");
@@ -43,7 +43,7 @@ pub fn open(first: (String, String), others: Vec<(String, String)>) -> Result<Li
 /// The value of a name (in capitals) that a module declares.
 pub(super) fn declared(module: &Module, name: &str, file: usize) -> Option<Value> {
     let at = module.data.iter().position(|declared| declared.name == name)?;
-    // A value may use names that are declared before it with a literal.
+    // A value may use names that were declared before it with a literal.
     let lookup = |other: &str| {
         let declared = module.data[..at].iter().find(|declared| declared.name == other)?;
         value::value(&declared.value, file, &|_| None)
@@ -54,11 +54,11 @@ pub(super) fn declared(module: &Module, name: &str, file: usize) -> Option<Value
 
 struct Rapid {
     files: Vec<(String, String)>,
-    /// The modules that were parsed: those of other files when they are first needed.
+    /// The modules that were parsed; the modules of other files are parsed when they are first needed.
     modules: RefCell<Vec<Option<Rc<Module>>>>,
     /// Whether the configuration at the end of a line or an arc is checked (`ConfL`).
     checks_configuration: bool,
-    /// The limit of the acceleration along a path.
+    /// The limit of the acceleration along a path, mm/s^2.
     mm_s2: f64,
 }
 

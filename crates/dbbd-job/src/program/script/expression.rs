@@ -12,9 +12,9 @@ pub(crate) struct Routine {
     pub(crate) name: String,
     /// Index of the file.
     pub(crate) file: usize,
-    /// Whether it is invisible in other files, or inside another routine.
+    /// Whether other files cannot see the routine, or it is inside another routine.
     pub(crate) is_local: bool,
-    /// Whether it runs beside the program: a thread of URScript, a TRAP of RAPID.
+    /// Whether the routine runs beside the program: a thread of URScript, a TRAP of RAPID.
     pub(crate) is_concurrent: bool,
     pub(crate) parameters: Vec<Parameter>,
     pub(crate) body: Vec<Statement>,
@@ -24,9 +24,9 @@ pub(crate) struct Routine {
 pub(crate) struct Parameter {
     pub(crate) name: String,
     pub(crate) default: Option<Expression>,
-    /// Whether it may be left out by name: `\Name` of RAPID.
+    /// Whether the parameter may be left out, and is given by name: `\Name` of RAPID.
     pub(crate) is_optional: bool,
-    /// Whether the routine may change the variable that is given: INOUT, VAR and PERS of RAPID.
+    /// Whether the routine may change the variable that it is given: INOUT, VAR and PERS of RAPID.
     pub(crate) is_reference: bool,
 }
 
@@ -34,7 +34,7 @@ pub(crate) struct Parameter {
 pub(crate) struct Statement {
     pub(crate) span: Span,
     pub(crate) kind: StatementKind,
-    /// The routines and functions that it calls.
+    /// The routines and functions that the statement calls.
     pub(crate) called: Vec<String>,
 }
 
@@ -60,7 +60,7 @@ impl Routine {
     }
 }
 
-/// The routines that the statements of routines call. What runs beside the program is not called.
+/// The routines that the statements of routines call. Routines that run beside the program are not called.
 pub(crate) fn calls<'a>(routines: impl Iterator<Item = &'a Routine> + Clone) -> Calls {
     let index =
         |name: &String| routines.clone().position(|routine| routine.name == *name && !routine.is_concurrent);
@@ -68,7 +68,7 @@ pub(crate) fn calls<'a>(routines: impl Iterator<Item = &'a Routine> + Clone) -> 
     routines.clone().map(|routine| routine.body.iter().map(called).collect()).collect()
 }
 
-/// The statements of routines, each with the index of its routine and its own.
+/// The statements of routines, each with the index of its routine and its own index.
 pub(crate) fn statements<'a>(
     routines: impl IntoIterator<Item = &'a Routine>,
 ) -> impl Iterator<Item = ((usize, usize), &'a Statement)> {
@@ -88,14 +88,14 @@ pub(crate) enum StatementKind {
         name: String,
         value: Expression,
     },
-    /// A variable of the routine, with its value if it has one that can be parsed.
+    /// A variable of the routine, with its value if the value can be parsed.
     Declare {
         name: String,
         value: Option<Expression>,
     },
     /// `while not is_steady()` of URScript.
     UntilSteady,
-    /// A statement that directs which one runs next, with its first word.
+    /// A statement that affects which statement runs next, with its first word.
     Control {
         word: String,
         control: Control,
@@ -209,7 +209,7 @@ impl Tokens<'_> {
         Err(self.wrong(self.span(), ProgramFinding::NestedTooDeeply { most: DEPTH }))
     }
 
-    /// After a name: the variable, constant or pose that it is, or the calls and elements that follow.
+    /// Parses the rest after a name: the name is a variable, a constant or a pose, or calls and elements follow.
     fn named(&mut self, name: String, depth: usize) -> Result<ExpressionKind, Diagnostic> {
         if name == "p" && self.accept("[") {
             return Ok(ExpressionKind::Pose(self.list(depth, "]")?));

@@ -1,4 +1,4 @@
-//! What RAPID and URScript share: expressions, values, the unrolling of a program into its actions, points.
+//! Shared by RAPID and URScript: expressions, values, the unrolling of a program into its actions, points.
 
 pub(super) mod expression;
 pub(super) mod points;

@@ -17,13 +17,13 @@ use dbbd_model::robot::Robot;
 /// A point to which the program moves.
 #[derive(Clone, Debug)]
 pub struct Point {
-    /// Its numbers.
+    /// The numbers of the point.
     pub(crate) value: Value,
-    /// The first statement that moves there.
+    /// The first statement that moves to the point.
     pub(crate) first_use: Span,
     pub(crate) branch: Branch,
     pub target: Target,
-    /// The frames that are active there; `None` for axis angles.
+    /// The frames that are active at the point; `None` for axis angles.
     pub(crate) frames: Option<Frames>,
 }
 
@@ -33,13 +33,13 @@ type Write = fn(&Corrector, &Point, &Corrected, Text<'_>) -> Result<Vec<Edit>, C
 #[derive(Clone, Debug)]
 pub struct Points {
     write: Write,
-    /// In the order of their first use.
+    /// The points, in the order of their first use.
     pub points: Vec<Point>,
-    /// Uses of points that are not corrected: in instructions that are not read, of points that are computed or of another
-    /// file.
+    /// Uses of points that are not corrected: uses in instructions that are not read, and uses of points that are
+    /// computed or in another file.
     pub not_corrected: Vec<Diagnostic>,
-    /// What makes all corrections doubtful.
-    pub doubts: Vec<Diagnostic>,
+    /// Warnings that concern all corrections.
+    pub warnings: Vec<Diagnostic>,
     /// The index of each point by the first byte of its literal.
     by_start: HashMap<usize, usize>,
     /// Uses in calls that are not motions, by the first byte of the point's literal.
@@ -50,22 +50,22 @@ pub struct Points {
 
 /// Names of instructions other than the supported motions that matter for points.
 pub(crate) struct OtherInstructions {
-    /// What the names of motions begin with.
+    /// Starts of the names of motions.
     pub(crate) motions: &'static [&'static str],
     /// Instructions that displace the motions after them.
     pub(crate) displacements: &'static [&'static str],
-    /// What the names of instructions begin with whose poses are not points.
+    /// Starts of the names of instructions whose poses are no points.
     pub(crate) settings: &'static [&'static str],
 }
 
 impl Points {
     pub(crate) fn new(write: Write) -> Self {
-        let (points, not_corrected, doubts) = (Vec::new(), Vec::new(), Vec::new());
+        let (points, not_corrected, warnings) = (Vec::new(), Vec::new(), Vec::new());
         let (by_start, other_uses, reported) = (HashMap::new(), Vec::new(), HashSet::new());
-        Self { write, points, not_corrected, doubts, by_start, other_uses, reported }
+        Self { write, points, not_corrected, warnings, by_start, other_uses, reported }
     }
 
-    /// Adds what stays as it is, once for each place.
+    /// Adds a finding about a use that is not corrected, once for each place.
     pub(crate) fn leave(&mut self, file: Text<'_>, span: &Span, why: CompensationFinding) {
         if self.reported.insert(span.start) {
             self.not_corrected.push(file.wrong(span, why));
@@ -97,11 +97,11 @@ impl Points {
             (name, external(&point.value))
         });
         let moved = external_motion(of_points);
-        self.doubts.extend(moved.map(|(at, finding)| file.wrong(&self.points[at].first_use, finding)));
+        self.warnings.extend(moved.map(|(at, finding)| file.wrong(&self.points[at].first_use, finding)));
     }
 
-    /// Adds the point of a motion, with `frames` if it is a pose. A point that is computed or not written in this file (the
-    /// file 0) is not corrected.
+    /// Adds the point of a motion, with `frames` if it is a pose. A point is not corrected if it is computed or if it
+    /// is not written in this file (file 0).
     pub(crate) fn add(
         &mut self,
         file: Text<'_>,
@@ -180,7 +180,8 @@ impl Points {
         }
     }
 
-    /// After the last statement: reports the points that only calls use which are not motions.
+    /// Completes the points after the last statement: reports the points that are only used by calls that are no
+    /// motions.
     pub(crate) fn completed(mut self) -> Self {
         let other_uses = std::mem::take(&mut self.other_uses).into_iter();
         let only_there = other_uses.filter(|(start, _)| !self.by_start.contains_key(start));
@@ -188,7 +189,7 @@ impl Points {
         self
     }
 
-    /// The program with corrected points, none of them moved by more than `limit_mm`.
+    /// The program with corrected points, none of which is moved by more than `limit_mm`.
     ///
     /// # Errors
     /// One finding for each point that cannot be corrected.
@@ -213,7 +214,7 @@ impl Points {
     }
 }
 
-/// Whether all numbers of a point are written in its own literal: those of a variable may be used elsewhere as well.
+/// Whether all numbers of a point are written in its own literal: numbers of a variable may be used elsewhere as well.
 fn is_literal(value: &Value) -> bool {
     let (Content::List(parts) | Content::Pose(parts)) = &value.content else { return true };
     let is_inside = |part: &Value| {
@@ -227,7 +228,8 @@ pub(crate) fn elements<const N: usize>(value: &Value) -> Result<&[Value; N], Com
     value.elements().ok_or(CompensationFinding::PointShape { numbers: N })
 }
 
-/// Edits that replace the numbers of a list, each with at least `fewest` decimals, and the numbers as they are then written.
+/// Edits that replace the numbers of a list, each with at least `fewest` decimals, and the numbers as they are written
+/// then.
 pub(crate) fn replaced<const N: usize>(
     list: &Value,
     new: &[f64; N],

@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use super::value::Value;
 
-/// Variables by name. One that is known to be of another value on another way is kept without a value.
+/// Variables by name. A variable with another value on another way is kept without a value.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Scope(Rc<BTreeMap<Rc<str>, Option<Rc<Value>>>>);
 
@@ -16,7 +16,7 @@ impl PartialEq for Scope {
 }
 
 impl Scope {
-    /// The value of a variable; `Some(None)` for one that is not known.
+    /// The value of a variable; `Some(None)` if the value is not known.
     pub(crate) fn get(&self, name: &str) -> Option<Option<&Value>> {
         self.0.get(name).map(Option::as_deref)
     }
@@ -49,8 +49,9 @@ impl Scope {
         }
     }
 
-    /// After a call, from the variables before it and at its end: those that `is_shared` have the value of the end, those that
-    /// `is_own` of the routine the one before, others one that both agree on.
+    /// The variables after a call. `self` are the variables before the call, `end` those at the end of the routine. A
+    /// variable for which `is_shared` holds takes its value from the end, a variable of the routine itself (`is_own`)
+    /// from before the call; other variables are known only if both values agree.
     pub(crate) fn after_call(
         mut self,
         end: &Self,

@@ -10,10 +10,10 @@ use dbbd_model::diagnostic::Diagnostic;
 
 /// Most calls inside each other.
 const DEPTH: usize = 50;
-/// Most actions: a program with more is taken to be endless.
+/// Most actions: a program with more is assumed to be endless.
 const ACTIONS: usize = 200_000;
 
-/// The part of a language that its programs are unrolled with.
+/// The part of unrolling that depends on the language.
 pub(crate) trait Dialect {
     /// The routine of the program with this name as seen in a file.
     fn routine(&self, file: usize, name: &str) -> Option<Routine>;

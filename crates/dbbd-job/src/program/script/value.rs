@@ -12,7 +12,7 @@ pub(crate) struct Value {
     pub(crate) file: usize,
     /// The bytes of the literal.
     pub(crate) span: Span,
-    /// The name under which it is declared.
+    /// The name under which the value is declared.
     pub(crate) name: Option<String>,
     pub(crate) content: Content,
 }
@@ -76,7 +76,7 @@ pub(crate) fn value(
     Some(Value { file, span: expression.span.clone(), name: None, content })
 }
 
-/// An argument of a call with its value there.
+/// An argument of a call with its value at the call.
 pub(crate) struct Evaluated<'a> {
     pub(crate) name: Option<&'a str>,
     pub(crate) expression: Option<&'a Expression>,
@@ -88,7 +88,7 @@ impl Evaluated<'_> {
         self.value.as_ref()?.number()
     }
 
-    /// The variable that is the argument.
+    /// The name of an argument that is a variable.
     pub(crate) fn variable(&self) -> Option<&str> {
         if let ExpressionKind::Name(name) = &self.expression?.kind { Some(name) } else { None }
     }

@@ -5,7 +5,7 @@
 //! Programming Language*; FANUC *HandlingTool Setup and Operations Manual*. A program with the wrong answer would be corrected wrongly without a word.
 //!
 //! In a source `|` ends a line, and some words stand for values (see each `text`). An answer has, for each point, the line of
-//! its first motion and its frames by their numbers (`axes` for axis angles), then what stays as it is and the doubts, with
+//! its first motion and its frames by their numbers (`axes` for axis angles), then what stays as it is and the warnings, with
 //! their lines; or the code and the line of the refusal.
 
 use dbbd_job::program::fanuc::{self, GivenFrames};
@@ -66,7 +66,7 @@ fn of_urscript(source: &str, given: Option<Pose>) -> String {
                 let tool = numbers(point.frames.as_ref());
                 (text.line(point.first_use.start), tool.trim_end_matches("/0").to_owned())
             });
-            answer(points.collect(), read.not_corrected.iter().chain(&read.doubts).cloned())
+            answer(points.collect(), read.not_corrected.iter().chain(&read.warnings).cloned())
         }
     }
 }
@@ -234,7 +234,7 @@ fn of_krl(source: &str) -> String {
                 .points
                 .iter()
                 .map(|point| (files.source.line(point.first_use.start), numbers(point.frames.as_ref())));
-            answer(points.collect(), read.not_corrected.iter().chain(&read.doubts).cloned())
+            answer(points.collect(), read.not_corrected.iter().chain(&read.warnings).cloned())
         }
     }
 }
@@ -426,7 +426,7 @@ fn of_rapid(source: &str) -> String {
                 };
                 (text.line(point.first_use.start), numbers(point.frames.as_ref()) + branch)
             });
-            answer(points.collect(), read.not_corrected.iter().chain(&read.doubts).cloned())
+            answer(points.collect(), read.not_corrected.iter().chain(&read.warnings).cloned())
         }
     }
 }
@@ -602,7 +602,7 @@ fn of_fanuc(source: &str, given: GivenFrames<'_>) -> String {
                 };
                 (text.line(point.first_use.start), numbers(point.frames.as_ref()) + branch)
             });
-            answer(points.collect(), read.not_corrected.iter().chain(&read.doubts).cloned())
+            answer(points.collect(), read.not_corrected.iter().chain(&read.warnings).cloned())
         }
     }
 }

@@ -10,19 +10,19 @@ pub(super) struct Instruction<'a> {
     names: &'static [&'static str],
 }
 
-/// Each motion with the names of its arguments in order; the first (of an arc, the first two) are the points.
+/// Each motion with the names of its arguments in order; the first argument (of an arc, the first two) is a point.
 const MOTIONS: [(&str, MotionKind, &[&str]); 3] = [
     ("movej", MotionKind::Ptp, &["q", "a", "v", "t", "r"]),
     ("movel", MotionKind::Lin, &["pose", "a", "v", "t", "r"]),
     ("movec", MotionKind::Circ, &["pose_via", "pose_to", "a", "v", "r", "mode"]),
 ];
 
-/// Whether a function is one of them.
+/// Whether a function is one of these motions.
 pub(super) fn is_motion(name: &str) -> bool {
     MOTIONS.iter().any(|(known, ..)| *known == name)
 }
 
-/// An argument by its name, or by its position among the `names` of all.
+/// An argument by its name, or by its position in `names`, the names of all arguments.
 pub(super) fn argument<'a>(
     arguments: &'a [Evaluated<'a>],
     names: &[&str],
@@ -37,7 +37,7 @@ pub(super) fn argument<'a>(
 }
 
 impl<'a> Instruction<'a> {
-    /// The motion that a call is, if it is one.
+    /// The motion of a call, if the call is one.
     pub(super) fn new(name: &str, arguments: &'a [Evaluated<'a>]) -> Option<Self> {
         let (_, motion, names) = *MOTIONS.iter().find(|(known, ..)| *known == name)?;
         Some(Self { motion, arguments, names })

@@ -10,15 +10,15 @@ use crate::program::text::Text;
 use crate::program::tokens::Tokens;
 use dbbd_model::diagnostic::Diagnostic;
 
-/// A block that is open: what the next `end` ends.
+/// An open block, which the next `end` closes.
 enum Block {
     Routine(Routine),
-    /// With what ends it.
+    /// Any other block, with the control statement of its end.
     Other(Control),
 }
 
-/// Parses the routines of a script. A routine follows those inside it; the last one, without a name, has the lines
-/// outside of any.
+/// Parses the routines of a script. A routine comes after the routines inside it; the last routine, without a name, has
+/// the lines outside of any routine.
 pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
     let mut tokens = Tokens::new(text, Language::Urscript)?;
     let outside = Routine {
@@ -94,7 +94,7 @@ pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
     Err(text.wrong(&(0..0), CompensationFinding::NotUrscript { begins: text.beginning() }))
 }
 
-/// After `def` or `thread`: the name and the parameters of a routine.
+/// Parses the name and the parameters of a routine after `def` or `thread`.
 fn head(tokens: &mut Tokens<'_>) -> Result<(String, Vec<Parameter>), Diagnostic> {
     let (routine, _) = tokens.name()?;
     tokens.expect("(")?;
@@ -117,7 +117,7 @@ fn is_true(tokens: &mut Tokens<'_>) -> bool {
     tokens.accept_name("True") && (!bracket || tokens.accept(")")) && tokens.accept(":")
 }
 
-/// How a line that begins with this word directs which one runs next.
+/// The effect of a line that begins with this word on which line runs next.
 fn control(word: &str) -> Option<Control> {
     Some(match word {
         "if" => Control::If,

@@ -35,7 +35,7 @@ const OTHERS: OtherInstructions = OtherInstructions {
     settings: &["set_", "get_"],
 };
 
-/// The arguments of the function that gives the axis angles of a pose.
+/// The arguments of the function that computes the axis angles of a pose.
 const INVERSE: (&str, [&str; 5]) =
     ("get_inverse_kin", ["x", "qnear", "maxPositionError", "maxOrientationError", "tcp"]);
 
@@ -49,7 +49,7 @@ pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
         Reader { script: &script, given: tool, points: Points::new(write), reached: HashSet::new() };
     let is_called = |routine: &Routine| routine.body.iter().any(|statement| !statement.called.is_empty());
     let outside = routines.len() - 1;
-    // A script runs its lines outside of any routine; a file that has none is a program or a library of routines.
+    // A script runs its lines outside of any routine; a file without such lines is a program or a library of routines.
     for (at, routine) in routines.iter().enumerate().rev() {
         let is_entry = if is_called(&routines[outside]) { at == outside } else { !routine.is_local };
         if is_entry && !follower.has_visited(at) {
@@ -71,12 +71,12 @@ pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Tcp {
     NotSet,
-    /// By a computed pose.
+    /// The TCP was set by a computed pose.
     Computed,
     Known(Pose),
 }
 
-/// What is in force at a statement.
+/// The settings in force at a statement.
 #[derive(Clone, PartialEq)]
 struct InScript {
     tcp: InForce<Tcp>,
@@ -96,17 +96,17 @@ impl State for InScript {
     }
 }
 
-/// The routines of a script and what is known of them before they are followed.
+/// The routines of a script, with the results of a first look before they are followed.
 struct Script<'a> {
     text: Text<'a>,
     routines: &'a [Routine],
-    /// By routine and statement: the routines that it calls.
+    /// The routines that each statement calls; indexed by routine and statement.
     calls: Calls,
     /// The names that are declared as global.
     globals: HashSet<&'a str>,
     /// The threads that are started.
     started: HashSet<String>,
-    /// The variables that threads set, and a line in which one sets the TCP.
+    /// The variables that threads set, and a line in which a thread sets the TCP.
     set_beside: HashSet<&'a str>,
     tcp_beside: Option<usize>,
 }
@@ -150,7 +150,7 @@ impl<'a> Script<'a> {
     }
 }
 
-/// The variable that a statement may set: also by a statement that is not read, such as `p[2] = 0.1`.
+/// The variable that a statement may set, also if the statement is not read, such as `p[2] = 0.1`.
 fn assigned(statement: &Statement) -> Option<&str> {
     match &statement.kind {
         StatementKind::Assign { name, .. } | StatementKind::Other(name) => Some(name),
@@ -172,7 +172,7 @@ impl Followed for Script<'_> {
         let routine = &self.routines[routine];
         let lookup = |name: &str| self.lookup(state, name);
         let statement = self.statement(at);
-        // Of a call inside an expression the arguments are not known.
+        // The arguments of a call inside an expression are not known.
         let calls = statement.called.iter().filter(|called| **called == routine.name).count();
         let arguments = match &statement.kind {
             StatementKind::Call { name, arguments } if *name == routine.name && calls == 1 => {
@@ -246,7 +246,7 @@ fn tcp(arguments: &[Evaluated<'_>]) -> Option<Pose> {
 /// Notes the points of the statements that are visited.
 struct Reader<'a> {
     script: &'a Script<'a>,
-    /// The TCP of the user.
+    /// The TCP given by the user.
     given: Option<Pose>,
     points: Points,
     reached: HashSet<At>,
@@ -284,7 +284,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Refuses a TCP of the user that is not the one that the script sets.
+    /// Refuses a TCP of the user that differs from the TCP that the script sets.
     fn check_given(&self, span: &Span, arguments: &[Evaluated<'_>]) -> Result<(), Diagnostic> {
         match (self.given, tcp(arguments)) {
             (Some(given), Some(tool))
@@ -323,7 +323,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The frames of a motion: with the TCP that the statement names, else the one that the script sets, else that of the user.
+    /// The frames of a motion: the TCP that the statement names, else the TCP that the script sets, else the TCP of the
+    /// user.
     fn frames(
         &self,
         motion: &Span,
@@ -352,7 +353,7 @@ fn near(argument: &Evaluated<'_>) -> Option<Branch> {
     if let Some(axes) = argument.value.as_ref().and_then(Value::numbers::<6>) {
         return Some(Branch::NearestTo(axes));
     }
-    // Where the robot is.
+    // The call returns the present axis angles of the robot.
     let is_here = matches!(&argument.expression?.kind, ExpressionKind::Call { name, .. }
         if ["get_actual_joint_positions", "get_target_joint_positions"].contains(&name.as_str()));
     is_here.then_some(Branch::Nearest)
@@ -370,7 +371,7 @@ fn write(
             let Pose { position, rotation } = Pose::from_xyzabc(corrected.numbers);
             let taught: Option<[f64; 6]> = point.value.numbers();
             let [.., rx, ry, rz] = taught.ok_or(CompensationFinding::PointShape { numbers: 6 })?;
-            // Of the two rotation vectors of an orientation the one nearer to the taught one.
+            // An orientation has two rotation vectors: the one nearer to the taught vector.
             let short = rotation_vector(&rotation);
             let long = short * (1.0 - std::f64::consts::TAU / short.norm());
             let distance = |turn: &Vector3<f64>| (turn - Vector3::new(rx, ry, rz)).norm();

@@ -23,7 +23,7 @@ pub fn open(file: (String, String)) -> Result<Listing, Diagnostic> {
     let routines = parse(Text { file: &file.0, text: &file.1 })?;
     let is_call = |statement: &Statement| matches!(statement.kind, StatementKind::Call { .. });
     let outside = routines.iter().find(|routine| routine.name.is_empty() && routine.body.iter().any(is_call));
-    // A routine ends after those inside it: the outermost one is the last.
+    // A routine ends after the routines inside it: the last one is the outermost.
     let outermost = || routines.iter().rfind(|routine| !routine.name.is_empty());
     let Some(first) = outside.or_else(outermost).cloned() else {
         return Err(Diagnostic::file(&file.0, ProgramFinding::NoDef));
@@ -34,7 +34,7 @@ pub fn open(file: (String, String)) -> Result<Listing, Diagnostic> {
 
 struct Urscript {
     routines: Vec<Routine>,
-    /// The TCP.
+    /// The TCP in force.
     tool: Pose,
 }
 

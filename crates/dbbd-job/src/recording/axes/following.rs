@@ -1,4 +1,4 @@
-//! How the measured axes follow the commanded axes.
+//! Compares the measured axes with the commanded axes.
 
 use serde::Serialize;
 
@@ -9,7 +9,7 @@ use dbbd_model::robot::AXES;
 const MOVES_DEG_S: f64 = 0.1;
 /// An axis has settled within this distance of its rest position, degrees.
 pub const SETTLED_DEG: f64 = 0.005;
-/// Settling is searched this long before a rest, s.
+/// Length of the search for settling before a rest, s.
 const SETTLING_S: f64 = 2.0;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -20,9 +20,9 @@ pub struct FollowingError {
     pub lag_s: f64,
     /// RMS of commanded less measured angle in motion, degrees.
     pub moving_rms_deg: f64,
-    /// Largest of these, degrees.
+    /// Largest difference in motion, degrees.
     pub moving_max_deg: f64,
-    /// Largest mean over a rest, degrees.
+    /// Largest mean difference over a rest, degrees.
     pub rest_max_deg: f64,
     /// Mean time from the end of the command until the axis stays within [`SETTLED_DEG`], s; `None` if no
     /// rest shows it.
@@ -30,7 +30,7 @@ pub struct FollowingError {
 }
 
 impl AxisTrack {
-    /// `None` if the commanded axes are unknown.
+    /// The following error of each axis; `None` if the commanded axes are unknown.
     pub fn following(&self, rests: &[RestInterval]) -> Option<[FollowingError; AXES]> {
         (!self.commanded_deg.is_empty()).then(|| std::array::from_fn(|axis| self.follow(axis, rests)))
     }
@@ -41,7 +41,7 @@ impl AxisTrack {
         for at in 1..self.len().saturating_sub(1) {
             let span_s = self.t_s[at + 1] - self.t_s[at - 1];
             let speed = (self.commanded_deg[at + 1][axis] - self.commanded_deg[at - 1][axis]) / span_s;
-            // Across lost packets the difference is a mean speed.
+            // Across lost packets the difference gives only a mean speed.
             if span_s > 3.0 * self.period_of_cycle_s() || speed.abs() < MOVES_DEG_S {
                 continue;
             }
@@ -71,7 +71,7 @@ impl AxisTrack {
         self.counts.cycle_us as f64 * 1e-6
     }
 
-    /// How long the axis moves on after its command stopped before a rest, s; `None` if it did not move.
+    /// Time for which the axis moves on after its command stopped before a rest, s; `None` if it did not move.
     fn settling_s(&self, axis: usize, rest: &RestInterval) -> Option<f64> {
         let (first, last) = (self.at(rest.start_s - SETTLING_S), rest.samples.end.min(self.len()));
         let (commanded, measured) = (&self.commanded_deg, &self.measured_deg);

@@ -9,7 +9,7 @@ use std::ops::Range;
 use crate::recording::{ClockStamp, DeviceClock};
 use dbbd_model::base::units::HostNs;
 
-/// A packet is no later than this, s; an older one belongs to a clock that restarted.
+/// Longest delay of a packet, s; an older packet belongs to a clock that restarted.
 const LATEST_S: f64 = 1.0;
 /// Number of different steps that are counted.
 const MAX_COUNTED_STEPS: usize = 4096;
@@ -17,13 +17,13 @@ const MAX_COUNTED_STEPS: usize = 4096;
 /// The place of a packet in the order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PacketPlace {
-    /// After all others.
+    /// The packet comes after all other packets.
     Next,
-    /// Before packets that were received already: it was overtaken.
+    /// The packet comes before packets that were received already: it was overtaken.
     Late,
     /// A packet of this time came before.
     Doubled,
-    /// Far before or far ahead of all others: used only if the next packet follows it.
+    /// The packet is far before or far ahead of all others: it is used only if the next packet follows it.
     Stray,
     /// The clock restarted with the stray packet before.
     Restart,
@@ -50,7 +50,7 @@ pub struct PacketOrder {
     /// Missing times, in order, no older than [`LATEST_S`].
     gaps: VecDeque<Range<u64>>,
     stray: Option<ClockStamp>,
-    /// How often the clock made each step, in ticks.
+    /// The number of times that the clock made each step, in ticks.
     steps: BTreeMap<u64, u64>,
     late: u64,
 }
@@ -63,7 +63,7 @@ impl PacketOrder {
 
     /// The controller's cycle, ticks; `None` before two packets.
     pub fn cycle(&self) -> Option<u64> {
-        // The shortest of equally frequent steps.
+        // The shortest of the most frequent steps.
         self.steps.iter().rev().max_by_key(|(_, count)| **count).map(|(step, _)| *step)
     }
 
@@ -116,10 +116,10 @@ impl PacketOrder {
         }
     }
 
-    /// A packet at or before the last.
+    /// Places a packet that is not later than the last one.
     fn earlier(&mut self, first: u64, now: u64) -> PacketPlace {
         if now < first {
-            // The first packet received was not the first one sent.
+            // The first packet that was received is not the first one that was sent.
             self.step(first - now);
             self.gaps.push_front(now + 1..first);
             if let Some((first, _)) = &mut self.span {
@@ -158,7 +158,7 @@ mod tests {
 
     use dbbd_model::base::units::DeviceTicks;
 
-    /// Places of packets by a clock of milliseconds that arrive at their time, and the order.
+    /// The places of packets that arrive at their time by a clock of milliseconds, and the order.
     fn placed(ticks: &[u64]) -> (Vec<PacketPlace>, PacketOrder) {
         let mut order = PacketOrder::new(DeviceClock { seconds_per_tick: 1e-3, wrap: None });
         let place = |(at, ticks): (u64, &u64)| {
@@ -181,7 +181,7 @@ mod tests {
     fn lost_packets_are_counted_by_the_cycle() {
         let (places, order) = placed(&[100, 104, 108, 116, 120, 132]);
         assert!(places.iter().all(|place| *place == Next));
-        // One of 112, two of 124 and 128.
+        // One packet is lost at 112, and two are lost at 124 and 128.
         assert_eq!((order.cycle(), order.lost()), (Some(4), 3));
         assert_eq!(order.last(), Some(HostNs(20_000_000)));
         assert_eq!(placed(&[100]).1.cycle(), None);
@@ -216,7 +216,7 @@ mod tests {
         assert_eq!(places, [Next, Next, Stray, Next, Stray]);
         let (places, _) = placed(&[9_000, 90_000, 90_004]);
         assert_eq!(places, [Next, Stray, Restart]);
-        // A second late is late, more is another clock.
+        // A packet that is a second late is late; with more it belongs to another clock.
         assert_eq!(placed(&[9_000, 9_500, 8_500]).0[2], Late);
         assert_eq!(placed(&[9_000, 9_500, 8_499]).0[2], Stray);
     }

@@ -16,13 +16,13 @@ use dbbd_model::base::units::HostNs;
 pub struct PacketCounts {
     pub bytes: u64,
     pub packets: u64,
-    /// Packets in order, with the first after a restart.
+    /// Packets in order, including the first one after a restart.
     pub used: u64,
     /// Packets that were overtaken; they are used as well.
     pub late: u64,
-    /// Packets of a time that came before.
+    /// Packets of a time that a packet had before.
     pub doubled: u64,
-    /// Packets of a time far from all others; the first after a restart of the clock is one.
+    /// Packets of a time far from all others; the first packet after a restart of the clock is one.
     pub stray: u64,
     /// Packets without axes.
     pub control: u64,
@@ -69,7 +69,7 @@ impl AxesRecords {
         }
     }
 
-    /// `None` before a controller was connected.
+    /// The receiver; `None` before a controller was connected.
     pub fn receiver(&self) -> Option<&AxesReceiver> {
         self.receiver.as_ref()
     }
@@ -100,7 +100,7 @@ impl AxesReceiver {
         self.protocol
     }
 
-    /// After a new connection pending bytes will not be completed.
+    /// Drops the pending bytes: after a new connection they will not be completed.
     fn reconnected(&mut self) {
         let pending = self.decoder.pending();
         if pending > 0 {

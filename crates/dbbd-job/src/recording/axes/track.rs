@@ -17,7 +17,7 @@ use dbbd_model::robot::AXES;
 pub struct AxisTrack {
     time: SampleTimeline,
     pub measured_deg: Vec<[f64; AXES]>,
-    /// Empty unless every packet has them.
+    /// The commanded axes, degrees; empty unless every packet has them.
     pub commanded_deg: Vec<[f64; AXES]>,
     pub protocol: AxesProtocol,
     pub counts: PacketCounts,
@@ -44,7 +44,7 @@ impl AxisTrack {
 pub struct AxisTrackBuilder {
     records: AxesRecords,
     samples: Vec<(ClockStamp, AxesSample)>,
-    /// The first sample since the clock started.
+    /// Index of the first sample since the clock started.
     epoch: usize,
 }
 
@@ -89,7 +89,7 @@ const STILL_NOISES: f64 = 10.0;
 const MIN_REST_S: f64 = 0.25;
 /// Longest interruption of one rest, s: a push by hand, missing packets.
 const TORN_S: f64 = 0.12;
-/// After a longer loss of packets the position in between is unknown, s.
+/// Longest loss of packets with a known position in between, s.
 pub(crate) const LOSS_S: f64 = 0.25;
 
 /// An interval at rest.
@@ -98,7 +98,7 @@ pub struct RestInterval {
     pub samples: Range<usize>,
     pub start_s: f64,
     pub end_s: f64,
-    /// Mean of the commanded axes if known, else of the measured ones, degrees.
+    /// Mean of the commanded axes if they are known, else of the measured axes, degrees.
     pub axes_deg: [f64; AXES],
 }
 
@@ -123,7 +123,7 @@ impl AxisTrack {
         rests
     }
 
-    /// Adds a run of samples at one position; merges it into the rest before if that is the same.
+    /// Adds a run of samples at one position, or merges it into the rest before if the position is the same.
     fn add(&self, rests: &mut Vec<RestInterval>, samples: Range<usize>, still_deg: f64) {
         let (Some(start_s), Some(end_s)) = (self.t_s.get(samples.start), self.t_s.get(samples.end - 1))
         else {
@@ -145,7 +145,7 @@ impl AxisTrack {
         rests.push(RestInterval { samples, start_s: *start_s, end_s: *end_s, axes_deg });
     }
 
-    /// The commanded axes if known, else the measured ones.
+    /// The commanded axes if they are known, else the measured axes.
     fn commanded(&self) -> &[[f64; AXES]] {
         if self.commanded_deg.is_empty() { &self.measured_deg } else { &self.commanded_deg }
     }
@@ -160,7 +160,7 @@ impl AxisTrack {
         std::array::from_fn(|axis| rows.iter().map(|row| row[axis]).sum::<f64>() / rows.len() as f64)
     }
 
-    /// Largest distance of measured axes at rest, degrees.
+    /// Largest distance between measured axes at rest, degrees.
     fn still_deg(&self) -> f64 {
         /// Standard deviation of a second difference of independent values.
         const SECOND_DIFFERENCE: f64 = 2.449_489_742_783_178;

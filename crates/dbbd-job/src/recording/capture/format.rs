@@ -106,7 +106,7 @@ pub(super) fn encode(
     Ok(bytes)
 }
 
-/// What is at the start of a buffer.
+/// The record at the start of a buffer.
 pub(super) enum ParsedRecord {
     /// A complete record, its length in bytes, and its number if it has one.
     Complete(StampedRecord, usize, Option<u32>),

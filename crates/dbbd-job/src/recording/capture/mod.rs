@@ -17,7 +17,7 @@
 //! Each record is written by one `write_all`: a killed process loses at most the record being written. The
 //! reader continues after damage and reports it.
 //!
-//! `docs/reference/capture.md` describes it byte by byte.
+//! `docs/reference/capture.md` describes the format byte by byte.
 
 mod format;
 mod pass;
@@ -31,8 +31,8 @@ pub use reader::{CaptureDamage, CapturePart, CaptureReader};
 pub use record::{CaptureRecord, RunEnd, RunEvent, StampedRecord};
 pub use writer::{CaptureWriter, Disk, Interference};
 
-/// Whether the first bytes of a file are those of a capture, damaged or not: they hold a file header, or the start of
-/// a record, which no text contains.
+/// Whether the first bytes of a file are those of a capture, damaged or not: a file header, or the start of a record,
+/// which no text contains.
 pub fn is_capture(bytes: &[u8]) -> bool {
     bytes.starts_with(&format::FILE_MAGIC)
         || bytes.windows(format::MAGIC.len()).any(|some| some == format::MAGIC)

@@ -21,7 +21,7 @@ pub struct CaptureSummary {
     pub damages: Vec<CaptureDamage>,
     pub records: u64,
     pub samples: u64,
-    /// `None` if the run was cut off.
+    /// The end of the run; `None` if the run was cut off.
     pub end: Option<RunEnd>,
 }
 
@@ -70,7 +70,7 @@ impl CaptureSummary {
         }
     }
 
-    /// Damages (the first ones, then their number), a wrong number of samples, a missing end.
+    /// Findings about damages (the first ones, then their number), a wrong number of samples, a missing end.
     pub fn findings(&self) -> Vec<RecordingFinding> {
         let mut findings: Vec<RecordingFinding> =
             self.damages.iter().take(REPORTED).map(|damage| damage.finding.clone()).collect();
@@ -85,8 +85,8 @@ impl CaptureSummary {
         findings
     }
 
-    /// [`Self::findings`], and samples that were lost before they reached the file.
-    pub fn doubts(&self) -> Vec<RecordingFinding> {
+    /// The findings of [`Self::findings`], and a finding about samples that were lost before they reached the file.
+    pub fn all_findings(&self) -> Vec<RecordingFinding> {
         let samples = self.end.as_ref().map_or(0, |end| end.lost);
         let lost = (samples > 0).then_some(RecordingFinding::SamplesLost { samples });
         self.findings().into_iter().chain(lost).collect()
@@ -121,7 +121,7 @@ impl Capture {
         })
     }
 
-    /// The last attachment of that name.
+    /// The last attachment with this name.
     pub fn attachment(&self, wanted: &str) -> Option<&[u8]> {
         self.records.iter().rev().find_map(|stamped| {
             if let CaptureRecord::Attachment { name, content } = &stamped.record
@@ -134,7 +134,7 @@ impl Capture {
         })
     }
 
-    /// Whether the run ended properly; one that was cut off has no such record.
+    /// Whether the run ended properly; a run that was cut off has no record of its end.
     pub fn ended(&self) -> bool {
         self.events().any(|event| matches!(event, RunEvent::Ended(_)))
     }

@@ -10,8 +10,8 @@ use crate::recording::RecordingFinding;
 const CHUNK: usize = 1 << 18;
 /// A candidate for a record of at most this length is always checked.
 const SHORT: usize = 1 << 10;
-/// Bytes that may be checked for records in vain: a fixed number, and more for each byte of the file. The limit
-/// bounds the time for a file of forged record heads.
+/// Number of bytes that may be checked for records in vain: a fixed number, and more for each byte of the file. The
+/// limit bounds the time for a file of forged record heads.
 const WASTE: u64 = format::MAX_PAYLOAD_BYTES as u64;
 const WASTE_PER_BYTE: u64 = 4;
 
@@ -34,14 +34,14 @@ pub struct CaptureDamage {
 #[derive(Debug)]
 pub struct CaptureReader<R> {
     source: R,
-    /// Bytes that were read; those from `at` on are not delivered yet.
+    /// Bytes that were read; the bytes from `at` on are not delivered yet.
     buffer: Vec<u8>,
     at: usize,
     /// File offset of the next byte.
     offset: u64,
     ended: bool,
     version: Option<u32>,
-    /// The file has no valid header, and this is not reported yet.
+    /// Whether the file has no valid header, and this is not reported yet.
     headless: bool,
     /// Number expected for the next record; `None` after damage, which explains the gap.
     number: Option<u32>,
@@ -49,12 +49,12 @@ pub struct CaptureReader<R> {
     wasted_bytes: u64,
 }
 
-/// Position of a record by its number.
+/// Position of a record according to its number.
 enum RecordPlace {
     Next,
-    /// This many records before it are missing.
+    /// This many records before the record are missing.
     Ahead(u32),
-    /// It was read before.
+    /// The record was read before.
     Behind,
 }
 
@@ -107,7 +107,7 @@ impl<R: Read> CaptureReader<R> {
         }
         self.buffer.drain(..self.at);
         self.at = 0;
-        // In proportion to the buffer, because the buffer is moved each time.
+        // The size is in proportion to the buffer, because the buffer is moved each time.
         let more = (bytes - self.buffer.len()).max(CHUNK).max(self.buffer.len() / 4) as u64;
         let got = self.source.by_ref().take(more).read_to_end(&mut self.buffer)?;
         self.ended = (got as u64) < more;
@@ -153,7 +153,7 @@ impl<R: Read> CaptureReader<R> {
         })
     }
 
-    /// Delivers the record at the next byte, after what its number says about those before it.
+    /// Delivers the record at the next byte. Before it comes a finding if its number shows missing or repeated records.
     fn record(&mut self, stamped: StampedRecord, len: usize, number: Option<u32>) -> io::Result<CapturePart> {
         let offset = self.offset;
         let damage = |finding| Ok(CapturePart::Damage(CaptureDamage { offset, bytes: 0, finding }));

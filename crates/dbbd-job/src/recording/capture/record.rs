@@ -32,7 +32,7 @@ pub enum CaptureRecord {
     Event(RunEvent),
 }
 
-/// What happened during the run besides data.
+/// An event of the run, besides the data.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum RunEvent {

@@ -1,6 +1,6 @@
 //! Packed samples of a capture: an hour at 1 kHz stays small.
 //!
-//! A record holds one or more samples, each as below. "Before" starts anew with each record (numbers at 0, no
+//! A record holds one or more samples, each as below. "Before" starts again with each record (numbers at 0, no
 //! temperature), so that a lost record does not affect the next.
 //!
 //! | bytes | what |

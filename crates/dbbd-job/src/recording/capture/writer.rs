@@ -88,8 +88,8 @@ impl CaptureWriter {
         &self.path
     }
 
-    /// Checks that the file is still in place and unchanged. If not, recording continues in a new file with a copy
-    /// of all that was written, or with the opening records where that is gone.
+    /// Checks that the file is still in place and unchanged. If not, recording continues in a new file with a copy of
+    /// all that was written, or with the opening records if the written data are gone.
     pub fn look_after(&mut self) -> Result<Option<Diagnostic>, Diagnostic> {
         let Some(interference) = self.disk.interference(&self.path, self.bytes) else { return Ok(None) };
         let elsewhere = std::env::temp_dir().join(self.path.file_name().unwrap_or_default());
@@ -192,12 +192,12 @@ pub trait Disk: Write + Send {
     /// Truncates to `bytes`.
     fn cut(&mut self, bytes: u64) -> io::Result<()>;
 
-    /// What another process did to the file at `path`, to which `bytes` were written; `None` if it is unchanged.
+    /// The change by another process of the file at `path`, to which `bytes` were written; `None` if it is unchanged.
     fn interference(&self, _path: &Path, _bytes: u64) -> Option<Interference> {
         None
     }
 
-    /// Copies what was written, even if no path leads to it any more.
+    /// Copies the written data, even if no path leads to the file any more.
     fn copy(&mut self, _bytes: u64, _to: &mut File) -> io::Result<()> {
         Err(ErrorKind::Unsupported.into())
     }
@@ -218,7 +218,7 @@ impl Disk for io::Sink {
     }
 }
 
-/// What another process did to a file that is being written.
+/// A change by another process of a file that is being written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Interference {
     /// Removed, renamed or replaced: the path no longer leads to it.

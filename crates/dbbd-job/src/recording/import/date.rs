@@ -18,7 +18,7 @@ pub(super) fn unix_ns(text: &str) -> Option<i128> {
     };
     let mut parts: Vec<&str> = date.split('-').collect();
     if parts.len() == 1 {
-        // With points the day comes first.
+        // In a date with points the day comes first.
         parts = date.rsplit('.').collect();
     }
     let &[year, month, day] = parts.as_slice() else { return None };

@@ -9,7 +9,7 @@ use dbbd_model::base::parse::from_toml;
 use dbbd_model::base::table::{Delimiter, TableLayout};
 use dbbd_model::diagnostic::Diagnostic;
 
-/// Without any key the trace has the columns `t_s` and `length_mm`.
+/// The layout of a trace. Without any key the trace has the columns `t_s` and `length_mm`.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TraceMapping {
@@ -21,7 +21,7 @@ pub struct TraceMapping {
     pub(super) temperature: Option<ColumnKey>,
 }
 
-/// Lines and cells; what is absent is detected.
+/// The layout of lines and cells; values that are absent are detected.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct TraceFileTable {
@@ -47,7 +47,7 @@ impl Default for TraceFileTable {
 #[serde(deny_unknown_fields, default)]
 pub(super) struct TraceTimeTable {
     pub(super) column: TraceColumn,
-    /// Without it: seconds, or dates if the first row has one.
+    /// Unit of the times; if it is absent, seconds, or dates if the first row has a date.
     pub(super) unit: Option<TraceTimeUnit>,
     /// Readings per second, instead of a column.
     pub(super) rate_hz: Option<f64>,
@@ -66,7 +66,7 @@ pub(super) enum TraceTimeUnit {
     Ms,
     Us,
     Ns,
-    /// Date and time.
+    /// Date and time as text.
     Iso,
 }
 
@@ -87,7 +87,7 @@ impl TraceTimeUnit {
 pub(super) struct TraceLengthTable {
     pub(super) column: TraceColumn,
     pub(super) unit: LengthUnit,
-    /// Without it: detected from the first row and the length of the bar.
+    /// Kind of the lengths; if it is absent, detected from the first row and the length of the bar.
     pub(super) kind: Option<LengthKind>,
 }
 
@@ -120,7 +120,7 @@ impl LengthUnit {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum LengthKind {
-    /// Between the ball centres.
+    /// Distance between the ball centres.
     Distance,
     /// Deviation from the length of the bar, positive when it is longer.
     Reading,

@@ -14,7 +14,7 @@ const FAR_OFF: f64 = 0.2;
 /// The bar that recorded the trace.
 #[derive(Clone, Copy, Debug)]
 pub struct TraceBar {
-    /// Distance of the ball centres at reading zero.
+    /// Distance of the ball centres at reading zero, mm.
     pub length_mm: f64,
     pub stroke_mm: [f64; 2],
 }
@@ -49,7 +49,7 @@ pub struct TraceCounts {
     /// Number of gaps of more than a second, and the longest, s.
     pub holes: u64,
     pub longest_s: f64,
-    /// Readings with the time of the one before.
+    /// Number of readings with the same time as the reading before.
     same_times: u64,
     /// Wall clock of the first row, ns since 1970, if the trace has dates.
     pub unix_ns: u64,
@@ -65,8 +65,8 @@ impl TraceCounts {
         self.longest_s = self.longest_s.max(after_s);
     }
 
-    /// Why the dwells of a plan may not be found in the readings of `seconds`.
-    pub fn doubts(&self, seconds: f64, dwell_s: f64) -> impl Iterator<Item = ImportFinding> {
+    /// Warnings: why the dwells of a plan may not be found in the readings of `seconds`.
+    pub fn findings(&self, seconds: f64, dwell_s: f64) -> impl Iterator<Item = ImportFinding> {
         const MIN_SAMPLES_IN_DWELL: f64 = 5.0;
         const MAX_SAME_SHARE: f64 = 0.5;
         let [low, high] = self.range_mm.unwrap_or_default();
@@ -85,11 +85,11 @@ impl TraceCounts {
     }
 }
 
-/// A row, with the text since the row before.
+/// A row of the trace, with the text since the row before.
 #[derive(Debug)]
 pub struct TraceRow {
     pub text: String,
-    /// `None` after the last row.
+    /// The sample of the row; `None` after the last row.
     pub sample: Option<(HostNs, Sample)>,
 }
 
@@ -123,7 +123,7 @@ impl<'a> TraceReader<'a> {
             Some(places) => places,
             None => {
                 let places = self.find();
-                // An empty file lacks rows, not a column.
+                // An empty file has no rows: a missing column would be a misleading finding.
                 if places.is_err() && self.table.names().is_empty() && self.table.row()?.is_none() {
                     return Err(Diagnostic::file(self.table.file(), ImportFinding::Empty));
                 }

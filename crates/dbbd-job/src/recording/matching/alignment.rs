@@ -6,7 +6,7 @@
 //! nearly certain. The best (Viterbi) path does not suffice: it exists even if nothing can be identified.
 //!
 //! A commanded dwell lasts as long as the program waits, unless it is split in two, merges with the next ones, or the
-//! operator pauses in it. A pause leaves a still interval of its own duration. All these are weighed against a
+//! operator pauses in it. A pause leaves a still interval of its own duration. All these causes are weighed against a
 //! spurious interval, which a fast robot leaves between moves.
 
 use std::cell::Cell;
@@ -35,11 +35,11 @@ pub struct DwellEvidence {
 #[derive(Clone, Copy, Debug)]
 pub struct ExpectedLengths<'a> {
     pub length_mm: &'a [f64],
-    /// Their standard deviation, mm.
+    /// Standard deviation of the predicted lengths, mm.
     pub sigma_mm: f64,
 }
 
-/// The dwell of a pose (index from 0) and its posterior; of an ambiguous pose the most probable dwell.
+/// The pairing of a pose: the dwell (index from 0) and its posterior; for an ambiguous pose the most probable dwell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pairing {
     Dwell { dwell: usize, posterior: f64 },
@@ -49,7 +49,7 @@ pub enum Pairing {
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseAlignment {
-    /// One for each pose.
+    /// One pairing for each pose.
     pub pairings: Vec<Pairing>,
     /// Speed override of the moves, 0..1.
     pub override_factor: f64,
@@ -94,8 +94,9 @@ pub fn align(
     PoseAlignment { pairings, override_factor: (1.0 / likeliest.stretch).min(1.0) }
 }
 
-/// Natural logarithm of the odds that the dwells are of a program with the time code of these poses, against one with another
-/// code. If they are of another code, a program has odds of `n` or more with a probability of at most `1 / n`.
+/// Natural logarithm of the odds that the dwells are from a program with the time code of these poses, against a
+/// program with another code. If the dwells are from another code, the odds are `n` or more with a probability of at
+/// most `1 / n`.
 pub(super) fn code_log_odds(poses: &[CommandedDwell], dwells: &[DwellEvidence]) -> f64 {
     if poses.is_empty() || dwells.is_empty() {
         return 0.0;
@@ -114,7 +115,7 @@ fn middle(dwells: &[DwellEvidence]) -> &[DwellEvidence] {
     &dwells[from..dwells.len().min(from + SEARCH_DWELLS)]
 }
 
-/// The ratios of durations of a move to the planned one, in steps that [`SEARCH_SLACK`] contains.
+/// Ratios of the duration of a move to the planned duration, in steps that [`SEARCH_SLACK`] contains.
 fn stretches() -> Vec<f64> {
     let steps = ((MAX_OVERRIDE / MIN_OVERRIDE).ln() / STEP.ln()).ceil() as i32;
     (0..=steps).map(|step| 1.0 / (MIN_OVERRIDE * STEP.powi(step))).collect()
@@ -163,7 +164,7 @@ const OUTAGE: f64 = 1e-6;
 const OUTAGE_GOES_ON: f64 = 0.8;
 /// Most spurious dwells in a row.
 const SPURIOUS_RUN: usize = 8;
-/// The same between two modules, where the operator handles the bar, and the most poses missed there.
+/// The same limit between two modules, where the operator handles the bar, and the most poses missed there.
 const SPURIOUS_BY_HAND: usize = 60;
 const LOST_BY_HAND: usize = 4;
 /// Most missed poses in a row where time does not limit them.
@@ -173,7 +174,7 @@ const BEAM: f64 = 45.0;
 /// Range of the override.
 const MIN_OVERRIDE: f64 = 0.27;
 const MAX_OVERRIDE: f64 = 1.03;
-/// Standard deviation of the duration of a move, as a share of it.
+/// Standard deviation of the duration of a move, as a share of the duration.
 pub(super) const SLACK: f64 = 0.01;
 /// The same during the search; it contains the step of the grid.
 const SEARCH_SLACK: f64 = 0.03;
@@ -185,19 +186,19 @@ pub(super) fn interval_variance_s2(start_sd_s: [f64; 2]) -> f64 {
     start_sd_s.iter().map(|sd_s| sd_s.max(MIN_TRELLIS_START_SD_S).powi(2)).sum()
 }
 
-/// The dwell belongs to the pose.
+/// State of the model: the dwell belongs to the pose.
 #[derive(Clone, Copy)]
 struct TrellisState {
     dwell: usize,
     pose: usize,
 }
 
-/// Terms of a transition that depend on its origin only.
+/// Terms of a transition that depend only on its origin.
 struct TransitionOrigin {
     from: TrellisState,
     pace: ProgramPace,
     next_module: usize,
-    /// Odds that the next dwell is the rest of this one, and that this one ran into the next poses.
+    /// Odds that the next dwell is the rest of this dwell, and odds that this dwell merged with the next poses.
     split: f64,
     merged: f64,
 }
@@ -222,7 +223,7 @@ struct BackwardSums {
     stretch: f64,
 }
 
-/// Everything that does not depend on the override.
+/// The data of the model that do not depend on the override.
 struct Trellis<'a> {
     program: CommandedTimes,
     poses: usize,
@@ -234,7 +235,8 @@ struct Trellis<'a> {
     /// Log weight of each state by duration and length of the dwell, by dwell, then pose.
     emissions: Vec<f64>,
     most_emission: f64,
-    /// The program may start at any time of the run, and any number of poses may be missing at both ends.
+    /// Logarithm of the number of ways to begin and end: the program may start at any time of the run, and any number
+    /// of poses may be missing at both ends.
     log_prior: f64,
     /// Log weight of skipping 0, 1, .. poses.
     passed: Vec<f64>,
@@ -346,7 +348,7 @@ impl<'a> Trellis<'a> {
     /// Density of the transition, 1/s.
     fn density(&self, departure: &TransitionOrigin, to: TrellisState, interval: &DwellInterval) -> f64 {
         let &TransitionOrigin { from, pace, split, merged, .. } = departure;
-        // By the duration of the first: the rest of it comes next, or poses that it ran into.
+        // By the duration of the first dwell: the rest of it comes next, or it merged with the poses between.
         let lasting = 1.0
             + if to.dwell > from.dwell + 1 { split } else { 0.0 }
             + if interval.passed > 0 { merged } else { 0.0 };
@@ -357,14 +359,14 @@ impl<'a> Trellis<'a> {
         running * lasting + paused * self.pause_evidence(departure, to.dwell, interval).unwrap_or(lasting)
     }
 
-    /// Odds that the next dwell is the rest of this one against that it is spurious.
+    /// Odds that the next dwell is the rest of this dwell, against odds that the next dwell is spurious.
     fn split(&self, TrellisState { dwell, pose }: TrellisState) -> f64 {
         let Some(spans) = &self.spans else { return 0.0 };
         let (Some(here), Some(next)) = (spans.get(dwell), spans.get(dwell + 1)) else { return 0.0 };
         here.split(next, self.program.wait_s(pose))
     }
 
-    /// Odds that this dwell ran into the next poses against that they were missed.
+    /// Odds that this dwell merged with the next poses, against odds that these poses were missed.
     fn merged(
         &self,
         TrellisState { dwell, pose }: TrellisState,
@@ -376,7 +378,7 @@ impl<'a> Trellis<'a> {
         here.merged(self.program.wait_s(pose), ends_s)
     }
 
-    /// Evidence for a pause that fills the interval, from the durations; `None` if they are unknown.
+    /// Evidence for a pause that fills the interval, from the durations of the dwells; `None` if they are unknown.
     fn pause_evidence(
         &self,
         departure: &TransitionOrigin,
@@ -420,7 +422,7 @@ impl<'a> Trellis<'a> {
         let mut sums: Vec<f64> = states.map(|state| self.first(state)).collect();
         let most = |row: &[f64]| row.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mut best: Vec<f64> = sums.chunks(self.poses).map(most).collect();
-        // The hypothesis that no dwell belongs to the program.
+        // Evidence of the hypothesis that no dwell belongs to the program.
         let mut evidence = self.dwells.len() as f64 * SPURIOUS.ln();
         for dwell in 0..self.dwells.len() {
             let best = Cell::from_mut(&mut best[..]).as_slice_of_cells();
@@ -442,7 +444,8 @@ impl<'a> Trellis<'a> {
         ForwardSums { sums, best, evidence }
     }
 
-    /// Also fits the override: least squares of observed over commanded move times, weighted with the posteriors.
+    /// The backward sums. Also fits the override: least squares of observed over commanded move times, weighted with
+    /// the posteriors.
     fn backward(&self, forward: &ForwardSums, pace: ProgramPace) -> BackwardSums {
         let mut sums = vec![f64::NEG_INFINITY; forward.sums.len()];
         let (mut products, mut squares) = (0.0, 0.0);
@@ -479,10 +482,10 @@ impl<'a> Trellis<'a> {
         BackwardSums { sums, stretch }
     }
 
-    /// Refines the override from `stretch` and gives the posterior there.
+    /// Refines the override from `stretch`, and returns the posterior at the refined override.
     fn answer(&self, stretch: f64) -> TrellisPosterior {
         const ROUNDS: usize = 5;
-        // The grid may be several narrow standard deviations off, where nothing would pull the override closer.
+        // The grid may be several narrow standard deviations off: there, nothing would pull the override closer.
         let mut pace = ProgramPace { stretch, slack: SEARCH_SLACK };
         let mut round = 1;
         loop {
@@ -525,7 +528,7 @@ fn emissions(
     weights
 }
 
-/// Log ratio of the density of a length at its pose to that of a length anywhere in the stroke.
+/// Logarithm of the ratio of two densities of a length: at its pose, and anywhere in the stroke.
 fn length_weight(difference_mm: f64, sigma_mm: f64) -> f64 {
     const STROKE_MM: f64 = 2.0;
     const BAD: f64 = 0.02;
@@ -579,7 +582,8 @@ impl StillInterval {
         duration(self.lasts_s, wait_s) / self.spurious
     }
 
-    /// Likelihood ratio of one split dwell of `wait_s` (this and `next`) to a dwell followed by a spurious interval.
+    /// Likelihood ratio of one dwell of `wait_s` that is split into this interval and `next`, to a dwell followed by a
+    /// spurious interval.
     fn split(&self, next: &Self, wait_s: f64) -> f64 {
         let gap_s = next.start_s - self.start_s - self.lasts_s;
         if self.lasts_s > wait_s || gap_s > SPLIT_GAP_S {
@@ -590,8 +594,8 @@ impl StillInterval {
         if split > 0.0 { split / (SPURIOUS * next.spurious * duration(self.lasts_s, wait_s)) } else { 0.0 }
     }
 
-    /// Likelihood ratio of a dwell of `wait_s` that merged with some of the next poses to one after which they
-    /// were missed. `spans_s` are the times from its start to the end of each of them.
+    /// Likelihood ratio of a dwell of `wait_s` that merged with some of the next poses, to a dwell after which these
+    /// poses were missed. `spans_s` are the times from the start of the dwell to the end of each of these poses.
     fn merged(&self, wait_s: f64, spans_s: impl Iterator<Item = f64>) -> f64 {
         if self.lasts_s < wait_s + SIGMA_S {
             return 0.0;
@@ -607,8 +611,8 @@ impl StillInterval {
         merged / duration(self.lasts_s, wait_s)
     }
 
-    /// Likelihood ratio of a pause of `pause_s` after the start of this dwell of `wait_s` that left a trace here
-    /// or in a span `between`, to a pause without a trace.
+    /// Likelihood ratio of a pause of `pause_s` that leaves a trace, to a pause without a trace. The pause comes after
+    /// the start of this dwell of `wait_s`; the trace is in this interval or in an interval `between`.
     fn paused(&self, wait_s: f64, pause_s: f64, move_s: f64, between: &[Self]) -> f64 {
         let trace = |span: &Self| normal(span.lasts_s - pause_s) / span.spurious;
         let between = between.iter().map(trace).sum::<f64>() / (SPURIOUS * move_s.max(1.0));
@@ -618,7 +622,7 @@ impl StillInterval {
     }
 }
 
-/// Density of the duration of a spurious interval, 1/s: about that of a move, or very long.
+/// Density of the duration of a spurious interval, 1/s: about as long as a move, or very long.
 fn spurious(lasts_s: f64) -> f64 {
     const MIN_SPURIOUS_S: f64 = 0.5;
     const MEAN_S: f64 = 1.2;
@@ -628,7 +632,7 @@ fn spurious(lasts_s: f64) -> f64 {
     short + LONG / LONG_S * (-lasts_s / LONG_S).exp().max(1e-6)
 }
 
-/// Density of the duration of a commanded dwell, 1/s, with all other causes.
+/// Density of the duration of a commanded dwell, 1/s, including splits, merges and pauses.
 fn duration(lasts_s: f64, wait_s: f64) -> f64 {
     const LONGER_S: f64 = 10.0;
     let longer_s = lasts_s - wait_s;
@@ -692,7 +696,7 @@ mod tests {
         let trellis = Trellis::new(&poses, &dwells, None);
         let evidence = |stretch: f64| trellis.evidence(ProgramPace { stretch, slack: SLACK }, BEAM);
         assert!(evidence(1.0) > evidence(1.2) && evidence(1.0) > evidence(1.5));
-        // From values between two steps of the grid.
+        // The search starts from values between two steps of the grid.
         for stretch in [0.953, 1.03, 1.049] {
             assert!((trellis.answer(stretch).stretch - 1.0).abs() < 0.001);
         }
@@ -714,8 +718,8 @@ mod tests {
         near(from_its_end, forward.evidence);
     }
 
-    /// Moves at an override of 99.5 %, fitted from 100 %. Neither an interval across a break of the clock nor one that lasts
-    /// more than four standard deviations too long has a part in it.
+    /// Moves at an override of 99.5 %, fitted from 100 %. Intervals across a break of the clock, and intervals that
+    /// last more than four standard deviations too long, have no part in the fit.
     #[test]
     fn the_override_is_fitted_to_the_moves() {
         let (poses, mut dwells) = (poses(), dwells(&[]));
@@ -755,7 +759,7 @@ mod tests {
         assert!(normal(1.19) > 0.0 && normal(1.21) == 0.0 && normal(-1.21) == 0.0);
     }
 
-    /// By the formulas in Python: shares, normal density, and the tails of the other causes.
+    /// Values by the formulas in Python: shares, normal density, and the tails of the other causes.
     #[test]
     fn density_of_a_duration() {
         near(duration(1.0, 1.0), 1.703_004_691_706_089);

@@ -1,4 +1,4 @@
-//! Matches poses by the axes that the controller published: where the robot rested, and which pose of the plan is
+//! Matches poses by the axes that the controller published: finds where the robot rested, and which pose of the plan is
 //! there.
 //!
 //! Neither strobe nor time code nor sync marker is needed: the positions of the rests and their order identify
@@ -23,16 +23,17 @@ const NEAR: f64 = 0.25;
 const FAR_DEG: f64 = 1.0;
 /// Poses closer than this have one position, degrees.
 const SAME_DEG: f64 = 0.01;
-/// Kept clear of the end of a rest, s.
+/// Time kept clear of the end of a rest, s.
 const GUARD_S: f64 = 0.03;
-/// A rest that exceeds the wait of its program by more than this contains something else, s.
+/// A rest that is longer than the wait of its program by more than this contains something else, s.
 const LONGER_S: f64 = 1.0;
-/// Rests of one pose are alike if the errors of their durations differ by less than this, s.
+/// The durations of rests of one pose are alike if their errors differ by less than this, s.
 const ALIKE_S: f64 = 0.15;
 /// Readings at both ends of a long rest that differ by less belong to one mounting of the bar, mm.
 const SAME_MM: f64 = 0.003;
 
-/// `None` without published axes, or if they cannot be put on the time axis of the bar.
+/// Detects the dwells by the published axes. `None` without published axes, or if their times cannot be put on the time
+/// axis of the bar.
 pub(super) fn detect_by_axes(input: &MatchingInput<'_>, poses: &DwellPoses<'_>) -> Option<DwellDetection> {
     let PublishedAxes { track, geometry } = input.published?;
     let mut published = AlignedTrack::of(track, input.stream)?;
@@ -56,7 +57,7 @@ pub(super) fn detect_by_axes(input: &MatchingInput<'_>, poses: &DwellPoses<'_>) 
     Some(detection)
 }
 
-/// When the bar is on which ball, by the rests and passes.
+/// The intervals in which the bar is on each ball, by the rests and passes.
 fn on_ball(
     plan: &Plan,
     poses: &DwellPoses<'_>,
@@ -91,7 +92,7 @@ fn on_ball(
     places.chunk_by(|a, b| a.1 == b.1).filter_map(stretch).collect()
 }
 
-/// Radius of each pose within which a rest is at it, degrees.
+/// Distance from each pose within which a rest belongs to it, degrees.
 fn reach_deg(poses: &[[f64; AXES]]) -> Vec<f64> {
     let nearest = |pose: &[f64; AXES]| {
         let others = poses.iter().map(|other| max_axis_difference(pose, other)).filter(|deg| *deg > SAME_DEG);
@@ -108,7 +109,7 @@ fn assign(poses: &DwellPoses<'_>, published: &AlignedTrack<'_>) -> Vec<Vec<PoseV
         let near = |pose: &usize| max_axis_difference(&rest.axes_deg, &places[*pose]) <= reach[*pose];
         (0..places.len()).filter(near).collect()
     };
-    // A rest at no pose says nothing about the order.
+    // A rest at no pose says nothing about the order of the poses.
     let (mut rests, mut seen): (Vec<usize>, Vec<RestEvidence>) = (Vec::new(), Vec::new());
     for (rest, interval) in published.rests.iter().enumerate() {
         let poses = at(interval);
@@ -132,8 +133,9 @@ fn assign(poses: &DwellPoses<'_>, published: &AlignedTrack<'_>) -> Vec<Vec<PoseV
     visits.into_iter().zip(&poses.commanded).map(of_pose).collect()
 }
 
-/// The visits of a pose that are certain, else the most probable one, best first. Of the rests of one visit the
-/// one whose duration fits the program (by `off_s`), of equal ones the last; and so for the visits.
+/// The visits of a pose that are certain, the best first; without a certain visit, the most probable one. A visit has
+/// one rest or more. It is represented by the rest whose duration fits the program best (`off_s`); of equally good
+/// rests the last one. The visits are sorted by the same rule.
 fn by_preference(visits: Vec<PoseVisit>, off_s: impl Fn(&PoseVisit) -> f64) -> Vec<PoseVisit> {
     let least_s = |visits: &[PoseVisit]| visits.iter().map(&off_s).fold(f64::INFINITY, f64::min);
     let mut certain = visits.clone();
@@ -154,7 +156,7 @@ fn by_preference(visits: Vec<PoseVisit>, off_s: impl Fn(&PoseVisit) -> f64) -> V
     chosen
 }
 
-/// The dwells of the poses, in the time of the bar, and which pose has which.
+/// The dwells of the poses, in the time of the bar, and the pairing of each pose with its dwell.
 fn pairings(
     input: &MatchingInput<'_>,
     poses: &DwellPoses<'_>,
@@ -209,7 +211,7 @@ fn times_past(published: &AlignedTrack<'_>, points: &[[f64; AXES]], from: usize)
         let mut times = vec![time_at(published, first, start)];
         let (mut here, mut last) = (start, start);
         for (point, reach) in points.iter().zip(&reach).skip(1) {
-            // A few times the step before; more for the first step.
+            // The limit is a few times the step before, and more for the first step.
             let patience = (20 * (here - last)).clamp(500, 5000);
             let Some(next) = next_nearest(published, point, *reach, here + 1..here + patience) else { break };
             times.push(time_at(published, point, next));
@@ -258,7 +260,7 @@ fn time_at(published: &AlignedTrack<'_>, point: &[f64; AXES], at: usize) -> f64 
     track.t_s[at] + if square > 0.0 { (along / square).clamp(-span_s, span_s) } else { 0.0 }
 }
 
-/// The dwell of a rest; `Err` with the whole rest if the reading differs between its ends.
+/// The dwell of a rest; `Err` with the dwell over the whole rest if the reading differs between the ends of the rest.
 fn dwell(
     input: &MatchingInput<'_>,
     published: &AlignedTrack<'_>,
@@ -277,7 +279,7 @@ fn dwell(
     if end_s - start_s < wait_s + LONGER_S {
         return Ok(whole);
     }
-    // A HALT before the dwell or a pause after it: the bar may have been handled.
+    // The rest contains a HALT before the dwell or a pause after it: the bar may have been handled.
     let last_s = whole.until_s - motion.dwell_s;
     let first = reading_between(input.stream, whole.settled_s, whole.settled_s + motion.dwell_s);
     let last = reading_between(input.stream, last_s, whole.until_s);

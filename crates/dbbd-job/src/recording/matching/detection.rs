@@ -1,5 +1,5 @@
-//! Detects the dwells of a run, and decides which belongs to which pose: by the controller's reports, else its strobe,
-//! else stillness.
+//! Detects the dwells of a run, and decides which dwell belongs to which pose: by the controller's reports, else by its
+//! strobe, else by stillness.
 
 use std::collections::BTreeMap;
 
@@ -18,16 +18,16 @@ use crate::recording::matching::MatchingFinding as Finding;
 use crate::recording::reports::reported_dwells;
 use crate::recording::strobe_decoder::{has_strobe, strobed_dwells};
 
-/// Kept clear of the end of a still interval, s: the start of the next move is detected late.
+/// Time kept clear of the end of a still interval, s: the start of the next move is detected late.
 const GUARD_S: f64 = 0.15;
-/// Least share of a dwell that must have been read.
+/// Least share of a dwell that must have readings.
 const MIN_READ_SHARE: f64 = 0.3;
 
 /// Everything that was detected in a run.
 pub(super) struct DwellDetection {
     pub(super) source: DwellSource,
     dwells: Vec<Dwell>,
-    /// One for each pose at which the robot stops.
+    /// One pairing for each pose at which the robot stops.
     pairings: Vec<Pairing>,
     pub(super) override_factor: Option<f64>,
     pub(super) passes: MatchedPasses,
@@ -76,8 +76,8 @@ impl DwellDetection {
             .collect()
     }
 
-    /// How likely the dwells are of a program with this plan's time code. Empty for a plan of an earlier version, whose code
-    /// other plans share.
+    /// The odds that the dwells are from a program with this plan's time code. Empty for a plan of an earlier version,
+    /// because other plans share its code.
     pub(super) fn code_odds(&self, input: &MatchingInput<'_>, poses: &DwellPoses<'_>) -> CodeOdds {
         if !input.plan.identifies_its_poses() {
             return CodeOdds::default();
@@ -95,12 +95,13 @@ impl DwellDetection {
         let (mut by_module, mut first) = (Vec::new(), 0);
         for module in poses.commanded.chunk_by(|a, b| a.module == b.module) {
             let end = first + module.len();
-            // A module that was run from another plan has no pairs: its dwells are between those of its neighbours.
+            // A module that was run from another plan has no pairs: its dwells are between the dwells of its
+            // neighbours.
             let after = kept[..first].iter().flatten().max().map_or(0, |last| last + 1);
             let until = kept[end..].iter().flatten().min().copied().unwrap_or(evidence.len());
             let log_odds = code_log_odds(module, evidence.get(after..until).unwrap_or_default());
             let matched = kept[first..end].iter().flatten().count();
-            // By stillness the dwells of a module may be undetectable: then only the whole run shows its plan.
+            // With stillness the dwells of a module may be undetectable: then only the whole run shows its plan.
             let dwells = if self.source == DwellSource::Stillness { 0 } else { module.len() };
             by_module.push(ModuleOdds { log_odds, dwells, matched });
             first = end;
@@ -121,7 +122,7 @@ impl DwellDetection {
     }
 }
 
-/// Detection by the controller's reports, else its strobe, else stillness.
+/// Detects dwells by the controller's reports, else by its strobe, else by stillness.
 pub(super) fn detect_dwells(input: &MatchingInput<'_>, poses: &DwellPoses<'_>) -> DwellDetection {
     let passes = read_passes(input);
     let mut detection = if let Some(reported) = reported_dwells(input.reports, input.stream) {
@@ -136,7 +137,7 @@ pub(super) fn detect_dwells(input: &MatchingInput<'_>, poses: &DwellPoses<'_>) -
     DwellDetection { passes, axes_deg: input.axes_deg.cloned().unwrap_or_default(), ..detection }
 }
 
-/// The reading in the dwell of a row; `None` if too little was read.
+/// The reading in the dwell of a row; `None` if it has too few readings.
 pub(super) fn reading(input: &MatchingInput<'_>, dwell: &Dwell, row: &PlanRow) -> Option<DwellReading> {
     let period_s = input.stream.period_s();
     let whole = if period_s > 0.0 { row.dwell_s / period_s } else { 0.0 };
@@ -148,7 +149,7 @@ pub(super) fn reading(input: &MatchingInput<'_>, dwell: &Dwell, row: &PlanRow) -
     reading_between(input.stream, dwell.settled_s, to_s).filter(suffices)
 }
 
-/// Reports carry the index of the pose.
+/// Pairs dwells with poses by reports, which carry the index of the pose.
 fn by_reports(poses: &DwellPoses<'_>, reported: &BTreeMap<u32, Dwell>) -> DwellDetection {
     let mut dwells = Vec::new();
     let pairing = |row: &&PlanRow| match reported.get(&row.index) {
@@ -206,7 +207,8 @@ fn by_strobe(input: &MatchingInput<'_>, poses: &DwellPoses<'_>, passes: &Matched
     DwellDetection { override_factor, findings, ..DwellDetection::new(DwellSource::Strobe, dwells, pairings) }
 }
 
-/// The module of the plan with which the run began: most of the pairs that the durations show have this difference.
+/// The module of the plan with which the run began: most of the pairs found by the durations have this difference of
+/// modules.
 fn first_module(pairings: &[Pairing], pose_modules: &[usize], dwell_modules: &[usize]) -> usize {
     let mut counts: BTreeMap<usize, usize> = BTreeMap::new();
     for (pairing, pose_module) in pairings.iter().zip(pose_modules) {
@@ -241,7 +243,7 @@ fn by_stillness(input: &MatchingInput<'_>, poses: &DwellPoses<'_>) -> DwellDetec
     }
 }
 
-/// The dwells as the alignment takes them.
+/// The dwells as evidence for the alignment.
 fn evidence(input: &MatchingInput<'_>, dwells: &[Dwell], source: DwellSource) -> Vec<DwellEvidence> {
     let job = &input.plan.header.job;
     let mut before_s = f64::NEG_INFINITY;
@@ -249,14 +251,15 @@ fn evidence(input: &MatchingInput<'_>, dwells: &[Dwell], source: DwellSource) ->
         .iter()
         .map(|dwell| {
             let to_s = dwell.until_s.min(dwell.settled_s + job.motion.dwell_s);
-            // Needed only for expected lengths; a dwell without a reading is far from all of them.
+            // The reading is needed only for expected lengths; a dwell without a reading is far from all expected
+            // lengths.
             let reading = input.expected.and_then(|_| reading_between(input.stream, dwell.settled_s, to_s));
             let after_break = input.stream.broken_between(before_s, dwell.start_s);
             before_s = dwell.start_s;
             DwellEvidence {
                 start_s: dwell.start_s,
                 start_sd_s: dwell.start_sd_s,
-                // A strobe is high while the program reads, not as long as it waits.
+                // A strobe is high while the program reads; this is shorter than its wait.
                 duration_s: (source == DwellSource::Stillness).then(|| dwell.duration_s()),
                 length_mm: reading.map_or(0.0, |reading| job.bar.length_mm + reading.reading_mm),
                 after_break,

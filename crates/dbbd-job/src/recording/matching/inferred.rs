@@ -1,7 +1,7 @@
 //! Dwells that are too faint to be detected, but whose time is known.
 //!
-//! If a move hardly changes the length, two dwells look like one. If the time between the certain dwells on both
-//! sides is what the program takes, it did not pause, and the times of the poses between them are known.
+//! If a move hardly changes the length, two dwells look like one. If the time between the certain dwells on both sides
+//! is the time that the program needs, the program did not pause, and the times of the poses between them are known.
 
 use super::alignment::{MIN_PAIR_POSTERIOR, Pairing, PoseAlignment, SLACK, interval_variance_s2};
 use super::program::{AFTER_S, CommandedTimes, DwellInterval, DwellPoses, ElapsedTime, ProgramPace};
@@ -11,9 +11,9 @@ use crate::recording::stream::SampleStream;
 /// Largest residual of the interval between the certain dwells, and largest standard deviation of their starts, s.
 const AGREES_S: f64 = 0.25;
 const BEGIN_KNOWN_S: f64 = 0.15;
-/// Kept clear of the end of a dwell whose start is known no better, s.
+/// Time kept clear of the end of a dwell, s, because its start is known no better.
 const MARGIN_S: f64 = 0.15;
-/// Most inferred poses in a row: no dead reckoning.
+/// Most inferred poses in a row; a longer row would be dead reckoning.
 const MAX_INFERRED_IN_A_ROW: usize = 4;
 
 #[derive(Clone, Copy)]
@@ -95,8 +95,8 @@ fn bridge(
     };
     let interval = program.interval(from.pose, to.pose, elapsed);
     let residual_s = interval.residual_s(pace);
-    // Both neighbours belong to their poses, and the program did not pause between them. An error of a detected
-    // start does not make it another pose if the interval agrees.
+    // Both neighbours belong to their poses, and the program did not pause between them. An error of a detected start
+    // does not change the pose if the interval agrees.
     let posterior = from.posterior * to.posterior * interval.unpaused(pace);
     let off = interval.by_hand || interval.passed > MAX_INFERRED_IN_A_ROW || residual_s.abs() > AGREES_S;
     (!off && posterior > MIN_PAIR_POSTERIOR).then_some(BridgedInterval { interval, residual_s, posterior })

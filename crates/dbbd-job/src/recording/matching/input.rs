@@ -1,4 +1,4 @@
-//! What the matching takes.
+//! The input of the matching.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use dbbd_model::robot::AXES;
 /// Measured axis angles, degrees, by the plan's index.
 pub type MeasuredAxes = BTreeMap<u32, [f64; AXES]>;
 
-/// A plan with what was recorded while it was driven.
+/// A plan with the data that were recorded while it was driven.
 #[derive(Clone, Copy, Debug)]
 pub struct MatchingInput<'a> {
     pub plan: &'a Plan,
@@ -21,11 +21,11 @@ pub struct MatchingInput<'a> {
     pub reports: &'a [DwellReport],
     /// Lengths that a model predicts for the dwells of the plan, in order.
     pub expected: Option<ExpectedLengths<'a>>,
-    /// Standard deviation of the bar, mm, the least of any measurement; 0 if unknown.
+    /// Standard deviation of the bar, mm: the least standard deviation of any measurement; 0 if unknown.
     pub bar_sigma_mm: f64,
-    /// Replace the commanded angles.
+    /// Measured angles that replace the commanded angles.
     pub axes_deg: Option<&'a MeasuredAxes>,
-    /// Show the dwells, and replace all other angles.
+    /// Published axes: they show the dwells, and replace all other angles.
     pub published: Option<PublishedAxes<'a>>,
 }
 

@@ -1,6 +1,6 @@
-//! Checks that the reading follows the sync markers. Their height is commanded, so they show sign and scale of the
-//! bar. The lengths at the poses do not: a worse robot would explain them as well. Their times show whether the
-//! reading comes later than the signals of the dwells.
+//! Checks that the reading follows the sync markers. Their height is commanded, so they show sign and scale of the bar.
+//! The lengths at the poses do not show them: a worse robot would explain the same lengths. The times of the markers
+//! show whether the reading comes later than the signals of the dwells.
 
 use super::outcome::PoseOutcome;
 use super::pose_matching::PoseMatching;
@@ -27,7 +27,7 @@ const SURE: f64 = 5.0;
 /// Allowed error of a marker, in repeatabilities of the robot: too short (by backlash), and too long.
 const LESS: f64 = 2.0;
 const MORE: f64 = 1.0;
-/// A reading that comes later by less is not late, s.
+/// Least delay of the reading that counts as late, s.
 const MIN_LATE_S: f64 = 0.2;
 /// Repeatability of a robot that states none, mm.
 const REPEATABILITY_MM: f64 = 0.1;
@@ -40,24 +40,24 @@ pub struct MarkerFit {
     pub sd: f64,
     /// Mean absolute height as commanded, mm.
     pub height_mm: f64,
-    /// How much later than by the dwells beside them all waves come at least, s. Another speed or pauses of the controller
-    /// move waves after a dwell and before one in opposite senses. 0 if waves of one kind are not seen.
+    /// Least delay of all waves against the dwells beside them, s. Another speed or pauses of the controller move waves
+    /// after a dwell and waves before a dwell in opposite senses. 0 if waves of one kind are not seen.
     pub late_s: f64,
     pub waves: usize,
 }
 
 /// The markers at the start or end of a module: the length over time at full override.
 struct Wave {
-    /// Start by the dwell beside it, s of the stream.
+    /// Start of the wave by the dwell beside it, s of the stream.
     begins_s: f64,
-    /// Whether that dwell is the one before it.
+    /// Whether the dwell beside the wave is before it.
     follows_dwell: bool,
     moves_s: Vec<f64>,
     /// Length at its corners less the length before, mm.
     corners_mm: Vec<f64>,
 }
 
-/// How well the reading follows a wave.
+/// Quality of the fit of the reading to a wave.
 #[derive(Clone, Copy)]
 struct WaveFit {
     begins_s: f64,
@@ -88,7 +88,7 @@ impl MarkerFit {
         Some(Self { scale, sd, height_mm, late_s, waves: seen.len() })
     }
 
-    /// A wrong sign or scale, beyond chance and beyond the error of the robot.
+    /// The finding about a wrong sign or scale that exceeds chance and the error of the robot.
     pub fn finding(&self, repeatability_mm: Option<f64>) -> Option<Finding> {
         let &Self { scale, sd, height_mm, waves, .. } = self;
         let off = scale - 1.0;
@@ -103,7 +103,8 @@ impl MarkerFit {
         })
     }
 
-    /// A reading that is so late that within the dwells it is one of the motion. `settle_s` is between motion and dwell.
+    /// The finding about a reading that is so late that within the dwells it is still a reading of the motion.
+    /// `settle_s` is the time between motion and dwell.
     pub fn late(&self, settle_s: f64) -> Option<Finding> {
         let &Self { late_s, waves, .. } = self;
         (late_s > settle_s.max(MIN_LATE_S)).then_some(Finding::ReadingLate { waves, late_s })
@@ -259,7 +260,7 @@ mod tests {
     fn straight_line_is_removed() {
         let rest = detrended([(0.0, 1.0), (1.0, 3.0), (2.0, 5.0)].into_iter()).unwrap();
         assert!(rest.iter().all(|rest| rest.abs() < 1e-12));
-        // 1, 0, 1 about its mean.
+        // The values 1, 0, 1 less their mean.
         let rest = detrended([(0.0, 1.0), (1.0, 0.0), (2.0, 1.0)].into_iter()).unwrap();
         assert!(rest.iter().zip([1.0 / 3.0, -2.0 / 3.0, 1.0 / 3.0]).all(|(a, b)| (a - b).abs() < 1e-12));
     }
@@ -280,8 +281,9 @@ mod tests {
         assert!(found.share > 0.99);
     }
 
-    /// Both less their straight lines: the wave 0, 1, 0, 1, .. and readings of a quarter of it with as much of 0, 0, 1, 1, ..
-    /// have 1 : 1 of equal squares, so the wave explains half of the readings. Without a motion there is nothing to fit.
+    /// The wave 0, 1, 0, 1, .. and readings of a quarter of it with as much of 0, 0, 1, 1, .., both less their straight
+    /// lines: both parts have equal squares, so the wave explains half of the readings. Without a motion there is
+    /// nothing to fit.
     #[test]
     fn share_is_the_squared_correlation() {
         let wave = |at: u32| f64::from(at % 2);
@@ -315,7 +317,7 @@ mod tests {
         assert_eq!([fit(0.51).finding(None), fit(0.49).finding(None)], [None, scaled(0.49)]);
         assert_eq!([fit(1.24).finding(None), fit(1.26).finding(None)], [None, scaled(1.26)]);
         assert_eq!(fit(1.24).finding(Some(0.05)), scaled(1.24));
-        // Beyond five standard deviations.
+        // The deviation must exceed five standard deviations.
         assert_eq!(MarkerFit { sd: 0.1, ..fit(1.49) }.finding(None), None);
     }
 

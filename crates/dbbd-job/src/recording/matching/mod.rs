@@ -47,8 +47,8 @@ use passes::PassPoint;
 use pose_matching::{axes_deviation, detect_frozen_reading, largest_drift, run_findings};
 use program::DwellPoses;
 
-/// Lengths that a model predicts for the dwells of the plan, in order, mm. `length_mm` takes the base ball and the
-/// axis angles in degrees: measured ones if there are any.
+/// Lengths that a model predicts for the dwells of the plan, in order, mm. `length_mm` takes the base ball and the axis
+/// angles in degrees: measured angles if there are any.
 pub fn expected_lengths(
     plan: &Plan,
     axes_deg: Option<&MeasuredAxes>,
@@ -111,7 +111,7 @@ const COLUMNS: [ContextColumn; 6] = [
     ContextColumn::AngleDeg,
 ];
 
-/// The measurements of the poses at which the robot stopped, and of those that it passed.
+/// The measurements of the poses at which the robot stopped, and of the poses that it passed.
 fn measurements(
     input: &MatchingInput<'_>,
     axes_deg: &MeasuredAxes,
@@ -158,7 +158,7 @@ fn measurements(
     Measurements {
         rows,
         columns: COLUMNS.into_iter().chain(taught).chain(force).collect(),
-        // The first name is the one of rows that name none.
+        // The first name is the payload of rows that name none.
         payloads: plan.header.job.payload.iter().flat_map(|name| [String::new(), name.clone()]).collect(),
     }
 }

@@ -1,4 +1,4 @@
-//! The match outcome of each commanded pose, and why it has no reading.
+//! The match outcome of each commanded pose, and the reason if it has no reading.
 
 use super::alignment::Pairing;
 use super::program::{DwellPoses, ProgramPace};
@@ -6,7 +6,7 @@ use crate::recording::dwell::{Dwell, DwellReading};
 use crate::recording::matching::MatchingFinding as Finding;
 use crate::recording::stream::SampleStream;
 
-/// How the dwells were detected.
+/// The way in which the dwells were detected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DwellSource {
     Reports,
@@ -28,9 +28,9 @@ pub struct PoseOutcome {
 pub enum MatchOutcome {
     /// `posterior` is the probability that the dwell belongs to this pose.
     Matched { reading: DwellReading, posterior: f64 },
-    /// Without a length.
+    /// The pose has no length.
     Missing { reason: Finding },
-    /// Dropped, because it is not certain which dwell belongs to it.
+    /// The pose is left out, because it is not certain which dwell belongs to it.
     Ambiguous { reason: Finding },
 }
 

@@ -21,7 +21,7 @@ impl Parabola {
         let (first, last) = points
             .clone()
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (x, _)| (low.min(x), high.max(x)));
-        // The sums are of differences, which keep their digits.
+        // The sums use differences, which keep their digits.
         let origin = points.clone().next()?.1;
         let (mut powers, mut products, mut count) = ([0.0; 5], [0.0; 3], 0);
         for (x, y) in points {

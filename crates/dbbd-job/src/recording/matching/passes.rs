@@ -1,9 +1,9 @@
 //! Lengths at the points of a pass without stops, by the commanded path over time.
 //!
 //! Strobe or reports show when the motion started and ended; its duration against the plan gives the override. The
-//! reading is late by the lag of the drives and the delays of output and line. At constant speed these are one
-//! number, which a pass in each direction determines: the length at an angle is read too early on one and too late
-//! on the other.
+//! reading is late by the lag of the drives and the delays of output and line. At constant speed they add up to one
+//! number, which a pass in each direction determines: the length at an angle is read too early in one direction and too
+//! late in the other.
 
 use std::ops::Range;
 
@@ -19,7 +19,7 @@ use crate::recording::stream::SampleStream;
 use crate::recording::{reports, strobe_decoder};
 use dbbd_model::math::straight_line::RegressionLine;
 
-/// The lag that the passes over one circle in both directions show.
+/// The lag shown by the passes over one circle in both directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PassLag {
     pub circle: u32,
@@ -48,7 +48,7 @@ pub(super) struct MatchedPasses {
 #[derive(Clone, Debug)]
 pub(super) struct PassPoint {
     pub(super) pose: PoseOutcome,
-    /// Uncertainty of the length by the lag, mm.
+    /// Uncertainty of the length due to the lag, mm.
     pub(super) timing_mm: f64,
 }
 
@@ -61,8 +61,8 @@ const SAME_DEG: f64 = 0.01;
 
 struct DrivenPass<'a> {
     pass: &'a PlannedPass,
-    /// When each of its points was passed, s: by the command, or by the measured axes in the time of the bar
-    /// without lag.
+    /// Times at which the points of the pass were passed, s: by the command, or by the measured axes in the time of the
+    /// bar without lag.
     times_s: Vec<f64>,
 }
 
@@ -159,7 +159,7 @@ impl MatchedPasses {
         };
         let (mut lag_s, mut sd_s) = (0.0, LAG_SD_S);
         let mut points = read(lag_s);
-        // Each round reads at the lag of the one before; the fit is linear in the remaining lag.
+        // Each round reads at the lag of the round before; the fit is linear in the remaining lag.
         for round in 0..3 {
             let Some(left) = remaining_lag(input.plan, found, &points) else { break };
             // The prior counts as one more observation.
@@ -218,8 +218,8 @@ fn remaining_lag(plan: &Plan, found: &[DrivenPass<'_>], points: &[Vec<PointReadi
     })
 }
 
-/// At each angle passed in both directions: slope counter-clockwise less clockwise (mm/s), and reading clockwise less
-/// counter-clockwise (mm).
+/// Pairs of differences at each angle that was passed in both directions: slope counter-clockwise less clockwise
+/// (mm/s), and reading clockwise less counter-clockwise (mm).
 fn sense_pairs(plan: &Plan, found: &[DrivenPass<'_>], points: &[Vec<PointReading>]) -> Option<Vec<[f64; 2]>> {
     let places = plan.circle_places();
     let sense = |clockwise: bool| {
@@ -246,7 +246,7 @@ fn at_same_angles(counter: &[(f64, &PassingReading)], clockwise: &[(f64, &Passin
     counter.iter().filter_map(pair).collect()
 }
 
-/// When each pass started and ended, s of the stream, or why this is unknown.
+/// The start and end of each pass, s of the stream, or the reason why they are unknown.
 fn spans(input: &MatchingInput<'_>) -> Vec<Result<Range<f64>, Finding>> {
     let passes = &input.plan.header.passes;
     if let Some(reported) = reports::spans(input.reports, input.stream) {
@@ -259,7 +259,7 @@ fn spans(input: &MatchingInput<'_>) -> Vec<Result<Range<f64>, Finding>> {
     if !strobe_decoder::has_strobe(input.stream) {
         return vec![Err(Finding::PassWithoutSignal); passes.len()];
     }
-    // The n-th strobe is that of the n-th dwell or pass.
+    // The n-th strobe belongs to the n-th dwell or pass.
     let is_end = |index: u32| passes.iter().any(|pass| pass.end == index);
     let commanded = input.plan.rows.iter().filter(|row| program::stops(row) || is_end(row.index));
     let commanded: Vec<u32> = commanded.map(|row| row.index).collect();
@@ -298,17 +298,18 @@ fn check_driven_pass<'a>(
     Ok(DrivenPass { pass, times_s: (pass.points[0]..=pass.points[1]).map(time).collect() })
 }
 
-/// The reading as the robot passed a point.
+/// The reading at a point that the robot passed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct PassingReading {
-    /// `u_mm` is that of the parabola at the point, with the effective number of samples as for a dwell.
+    /// The reading; its `u_mm` is the uncertainty of the parabola at the point, with the effective number of samples as
+    /// for a dwell.
     reading: DwellReading,
     slope_mm_s: f64,
     /// Effective number of samples.
     effective: f64,
 }
 
-/// The reading at `at_s` by the samples within `half_s`.
+/// The reading at `at_s`, from the samples within `half_s`.
 fn passing(stream: &SampleStream, at_s: f64, half_s: f64) -> Option<PassingReading> {
     let range = stream.at(at_s - half_s)..stream.at(at_s + half_s);
     let valid: Vec<(f64, f64)> = range
@@ -357,7 +358,7 @@ mod tests {
         assert!((reading.reading_mm - 2.0).abs() < 1e-9 && (slope_mm_s - 3.0).abs() < 1e-9);
         assert_eq!((reading.samples, reading.invalid, reading.gaps), (41, 0, 0));
         assert!((reading.from_s - 0.795).abs() < 1e-12 && (reading.to_s - 1.205).abs() < 1e-12);
-        // Of exact readings the resolution remains.
+        // With exact readings only the uncertainty by the resolution remains.
         assert_eq!(reading.u_mm, least_u_mm());
         assert!(passing(&stream, 0.0, 0.2).is_none());
     }

@@ -1,5 +1,5 @@
-//! The result of a matching, and what it shows of the run: lost poses, drift of the reference pose, a frozen reading,
-//! other axes than commanded.
+//! The result of a matching, and the findings that it shows about the run: lost poses, drift of the reference pose, a
+//! frozen reading, other axes than commanded.
 
 use std::ops::Range;
 
@@ -22,8 +22,8 @@ pub struct PoseMatching {
     /// ones are `kind,t_s,samples,creep,circle,angle_deg`: `creep` is 1 if the reading drifted within the dwell;
     /// `circle` and `angle_deg` are empty for a pose of no circle.
     ///
-    /// `sigma_mm` is the standard uncertainty of the mean of the dwell, at least that of the bar. It does not
-    /// contain the robot's repeatability, which only the residuals of an identification show.
+    /// `sigma_mm` is the standard uncertainty of the mean of the dwell, at least the bar's. It does not contain the
+    /// robot's repeatability, which only the residuals of an identification show.
     pub observations: Measurements,
     /// One outcome for each dwell of the plan, in order.
     pub outcomes: Vec<PoseOutcome>,
@@ -31,11 +31,11 @@ pub struct PoseMatching {
     pub source: DwellSource,
     /// Speed override of the moves, 0..1, if it was estimated.
     pub override_factor: Option<f64>,
-    /// Lag of the reading behind the command on each continuous circle that shows it.
+    /// Lag of the reading behind the command, for each continuous circle that shows it.
     pub lags: Vec<PassLag>,
     /// Drift of the length at the reference pose, if it was read twice or more.
     pub drift: Option<LengthDrift>,
-    /// Whether the program that ran is this plan's.
+    /// The odds that the program that ran is the program of this plan.
     pub code: CodeOdds,
     /// Results from the published axes, if they were used.
     pub axes: Option<AxesReport>,
@@ -43,14 +43,14 @@ pub struct PoseMatching {
 }
 
 impl PoseMatching {
-    /// Whether both match the same dwells to the same poses.
+    /// Whether both results match the same dwells to the same poses.
     pub fn same_pairs(&self, other: &Self) -> bool {
         let pair = |pose: &PoseOutcome| pose.reading().map(|reading| (reading.from_s, reading.to_s));
         self.outcomes.iter().map(pair).eq(other.outcomes.iter().map(pair))
     }
 }
 
-/// Whether the intervals between the dwells are those of this plan's time code, against those of another plan's.
+/// The odds that the intervals between the dwells follow this plan's time code, against the time code of another plan.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CodeOdds {
     pub by_module: Vec<ModuleOdds>,
@@ -61,17 +61,18 @@ pub struct CodeOdds {
 pub struct ModuleOdds {
     /// Natural logarithm of the odds of this plan's code against another one.
     pub log_odds: f64,
-    /// Number of commanded dwells, 0 where the module alone shows nothing, and of those that were matched.
+    /// Number of commanded dwells (0 if the module alone shows nothing), and number of matched dwells.
     pub dwells: usize,
     pub matched: usize,
 }
 
 impl ModuleOdds {
-    /// An interval between matched dwells of this plan's program makes its code about six times as likely as another one, an
-    /// interval of another plan's at most 1.8 times (`cargo test foreign_programs`).
+    /// Least odds for each interval. An interval between matched dwells of this plan's program makes its code about six
+    /// times as likely as another code, an interval of another plan's program at most 1.8 times (`cargo test
+    /// foreign_programs`).
     const LEAST_OF_AN_INTERVAL: f64 = 2.0;
-    /// Whatever was matched, a module counts as another plan's from these odds. Where hardly anything was detected they are
-    /// about 1.
+    /// A module with odds below this counts as a module of another plan, whatever was matched. If hardly anything was
+    /// detected, the odds are about 1.
     const FOREIGN: f64 = 0.2;
 
     fn is_foreign(self) -> bool {
@@ -83,11 +84,12 @@ impl ModuleOdds {
 }
 
 impl CodeOdds {
-    /// The odds at which a program counts as this plan's: one of another plan reaches them once in a million runs.
+    /// The odds at which a program counts as this plan's: a program of another plan reaches them once in a million
+    /// runs.
     const OWN: f64 = 1e6;
 
-    /// The first module (from 1) that was run by a program of another plan. One with fewer dwells than show a plan counts
-    /// only together with the others.
+    /// The first module (from 1) that was run by a program of another plan. A module with fewer dwells than are needed
+    /// to show a plan counts only together with the others.
     pub fn foreign_module(&self) -> Option<usize> {
         let suffices = |module: &ModuleOdds| module.dwells >= MIN_CODED_DWELLS;
         let alone = self.by_module.iter().position(|module| suffices(module) && module.is_foreign());
@@ -109,10 +111,10 @@ impl CodeOdds {
     }
 }
 
-/// Change of the length at the reference pose over the run, by a line through its readings.
+/// Change of the length at the reference pose over the run, from a line through its readings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LengthDrift {
-    /// From the first reading to the last, mm.
+    /// Change from the first reading to the last, mm.
     pub change_mm: f64,
     /// Standard deviation from the scatter of the readings about the line, mm; `None` for two readings.
     pub sd_mm: Option<f64>,
@@ -121,7 +123,7 @@ pub struct LengthDrift {
     pub significant: bool,
 }
 
-/// Why no pose was matched, as far as the stream shows it.
+/// The reason why no pose was matched, as far as the stream shows it.
 pub fn nothing_matched(plan: &Plan, stream: &SampleStream) -> Finding {
     /// Least range of the reading while a robot moves the bar, mm.
     const STILL_MM: f64 = 0.005;
@@ -198,8 +200,8 @@ pub(super) fn run_findings(matching: &PoseMatching, input: &MatchingInput<'_>) -
     findings
 }
 
-/// Whether the measured axes differ from the commanded ones: everywhere by a little in absolute-accuracy mode, at
-/// single poses or by far if something is wrong.
+/// The finding if the measured axes differ from the commanded axes: everywhere by a little in absolute-accuracy mode,
+/// or at single poses or by far if something is wrong.
 pub(super) fn axes_deviation(matching: &PoseMatching, plan: &Plan) -> Option<Finding> {
     /// Largest deviation of a controller in position, degrees.
     const IN_POSITION_DEG: f64 = 0.05;
@@ -231,7 +233,7 @@ pub(super) fn axes_deviation(matching: &PoseMatching, plan: &Plan) -> Option<Fin
     })
 }
 
-/// Student's t, two-sided 95 %, for 1, 2, .. degrees of freedom; then that of the normal distribution.
+/// Student's t, two-sided 95 %, for 1, 2, .. degrees of freedom; then the value of the normal distribution.
 const STUDENT: [f64; 10] = [12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23];
 const NORMAL: f64 = 2.0;
 
@@ -265,7 +267,7 @@ pub(super) fn largest_drift(
     })
 }
 
-/// Points are times, s, and readings, mm, in order of time.
+/// The drift by a line through points; these are times, s, and readings, mm, in order of time.
 fn drift_line(points: &[[f64; 2]]) -> Option<LengthDrift> {
     let readings = points.len();
     let span_s = points.last()?[0] - points.first()?[0];
@@ -279,11 +281,12 @@ fn drift_line(points: &[[f64; 2]]) -> Option<LengthDrift> {
 
 /// Least number of dwells that show whether the reading changes at rest, and between dwells.
 const MIN_DWELLS: usize = 5;
-/// Share of other dwells, or of moves between them, within which the reading changes if the bar does not freeze.
+/// Least share of the other dwells, or of the moves between them, in which the reading changes if the bar does not
+/// freeze.
 const ALIVE: f64 = 0.95;
-/// Longest constant reading of a bar whose reading changes at rest, in dwells,
+/// Longest constant reading of a bar whose reading changes at rest, in dwells.
 const DWELLS: f64 = 5.0;
-/// and of a coarse bar, in poses.
+/// Longest constant reading of a coarse bar, in poses.
 const MAX_CONSTANT_POSES: usize = 3;
 
 /// The longest interval of constant reading that holds the motion between two poses, unless the scale of the bar
@@ -392,7 +395,7 @@ mod tests {
     #[test]
     fn odds_of_a_module_grow_with_its_dwells() {
         let is_foreign = |log_odds, matched| ModuleOdds { log_odds, dwells: 20, matched }.is_foreign();
-        // Seven intervals ask for 7 ln 2 = 4.85; without a pair only odds of 1 : 5 count.
+        // Seven intervals need 7 ln 2 = 4.85; without a pair only odds of 1 : 5 count.
         assert!(is_foreign(4.8, 8) && !is_foreign(4.9, 8));
         assert!(is_foreign(-1.7, 0) && !is_foreign(-1.5, 0) && !is_foreign(-1.5, 1));
         // Odds of a million suffice however many dwells there are.
@@ -402,7 +405,7 @@ mod tests {
         };
         assert!(odds(12, [7.0, 7.0]).is_own() && !odds(12, [7.0, 6.0]).is_own());
         assert_eq!(odds(12, [20.0, -7.0]).foreign_module(), Some(2));
-        // Small modules count together: nine intervals ask for 6.2.
+        // Small modules count together: nine intervals need 6.2.
         assert_eq!(odds(8, [20.0, -7.0]).foreign_module(), None);
         assert_eq!(odds(8, [9.0, -7.0]).foreign_module(), Some(2));
     }

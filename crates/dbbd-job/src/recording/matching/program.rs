@@ -1,5 +1,5 @@
 //! The program as the alignment sees it: dwells with the moves before them, and the probability of a time between two
-//! of them.
+//! dwells.
 
 use crate::plan::timing::SPREAD_S;
 use crate::plan::{MODULE_DWELLS, Plan, PlanRow, PoseKind};
@@ -67,14 +67,16 @@ pub(super) struct CommandedTimes {
     modules: Vec<usize>,
 }
 
-/// Which time code the program is assumed to have.
+/// The time code that the program is assumed to have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum TimeCode {
-    /// That of the plan.
+    /// The time code of the plan.
     Own,
-    /// That of the plan but for some intervals, in which something else happened (a stop, another override).
+    /// The time code of the plan except for some intervals, in which something else happened (a stop, another
+    /// override).
     Mostly,
-    /// That of another plan: the durations of the moves are those of this plan plus any change that a code can make.
+    /// The time code of another plan: the durations of the moves are those of this plan plus any change that a code can
+    /// make.
     Other,
 }
 
@@ -85,7 +87,7 @@ const CODE_SD_S: f64 = SPREAD_S * 0.408_248_290_463_863; // 1 / sqrt(6)
 const CODED: f64 = 0.9;
 
 impl TimeCode {
-    /// An interval may be shorter than commanded by this, s.
+    /// Time by which an interval may be shorter than commanded, s.
     pub(super) fn early_s(self) -> f64 {
         match self {
             Self::Own => 1.5,
@@ -93,8 +95,8 @@ impl TimeCode {
         }
     }
 
-    /// Density of a duration that differs by `residual_s` from the one that the plan commands, 1/s. `sigma_s` is its standard
-    /// deviation, `code_sd_s` that of the difference between two codes.
+    /// Density of a duration that differs by `residual_s` from the duration that the plan commands, 1/s. `sigma_s` is
+    /// the standard deviation of the duration, `code_sd_s` the standard deviation of the difference between two codes.
     fn density(self, residual_s: f64, sigma_s: f64, code_sd_s: f64) -> f64 {
         let other = || normal(residual_s, sigma_s.hypot(code_sd_s));
         match self {
@@ -119,7 +121,7 @@ fn normal(residual: f64, sigma: f64) -> f64 {
 pub(super) struct ProgramPace {
     /// Ratio of the duration of a move to the planned one: 1 / override.
     pub(super) stretch: f64,
-    /// Standard deviation of a duration about that, as a share of it.
+    /// Standard deviation of a duration about the stretched one, as a share of it.
     pub(super) slack: f64,
 }
 
@@ -127,22 +129,22 @@ pub(super) struct ProgramPace {
 #[derive(Clone, Copy, Default)]
 pub(super) struct ElapsedTime {
     pub(super) seen_s: f64,
-    /// Variance by the detection of both starts, s2.
+    /// Variance due to the detection of both starts, s2.
     pub(super) variance_s2: f64,
-    /// Whether the clock broke within, so that `seen_s` is meaningless.
+    /// Whether the clock broke in the interval, so that `seen_s` is meaningless.
     pub(super) clock_broke: bool,
 }
 
 /// An interval between the starts of two dwells, commanded and observed.
 #[derive(Clone, Copy)]
 pub(super) struct DwellInterval {
-    /// Moves at full override, s.
+    /// Duration of the moves at full override, s.
     pub(super) move_s: f64,
     pub(super) wait_s: f64,
-    /// Number of poses skipped.
+    /// Number of poses that are skipped.
     pub(super) passed: usize,
     pub(super) code: TimeCode,
-    /// Whether a module ends within.
+    /// Whether a module ends in the interval: the operator starts the next one.
     pub(super) by_hand: bool,
     pub(super) elapsed: ElapsedTime,
 }
@@ -162,7 +164,7 @@ pub(super) const BROKEN: f64 = 1.0 / 120.0;
 /// (two starts known to 20 ms).
 pub(super) const MAX_LOG_DENSITY: f64 = 3.0;
 
-/// Densities of an interval, 1/s: without and with a pause.
+/// Densities of an interval without and with a pause, 1/s.
 #[derive(Clone, Copy)]
 pub(super) struct Densities {
     pub(super) running: f64,
@@ -200,12 +202,12 @@ impl CommandedTimes {
 
     /// Time from the start of one pose's dwell to the start of another's, s.
     pub(super) fn takes_s(&self, from: usize, to: usize, pace: ProgramPace) -> f64 {
-        // The residual of an interval observed as 0 is minus the commanded time.
+        // The residual of an interval that is observed as 0 is minus the commanded time.
         -self.interval(from, to, ElapsedTime::default()).residual_s(pace)
     }
 
     pub(super) fn interval(&self, from: usize, to: usize, elapsed: ElapsedTime) -> DwellInterval {
-        // A wait precedes the moves that follow it: those of `from` up to the one before `to`.
+        // A wait comes before the moves that follow it: the waits from `from` up to the pose before `to` count.
         let wait = |at: usize| if at == 0 { 0.0 } else { self.waits_s[at - 1] };
         DwellInterval {
             move_s: self.moves_s[to] - self.moves_s[from],
@@ -219,7 +221,7 @@ impl CommandedTimes {
 }
 
 impl DwellInterval {
-    /// Observed less commanded, s.
+    /// Observed less commanded time, s.
     pub(super) fn residual_s(&self, pace: ProgramPace) -> f64 {
         self.elapsed.seen_s - self.wait_s - pace.stretch * self.move_s
     }
@@ -302,7 +304,7 @@ mod tests {
 
     const PACE: ProgramPace = ProgramPace { stretch: 1.2, slack: 0.01 };
 
-    /// By the formulas in Python: 50 ms late of 6 s of moves in two steps.
+    /// Values by the formulas in Python: 50 ms late of 6 s of moves in two steps.
     #[test]
     fn densities_of_an_interval() {
         let seen = interval(10.05, false);
@@ -325,8 +327,9 @@ mod tests {
         assert!(interval(24.99, false).densities(PACE).running > 0.0);
     }
 
-    /// Two codes add times that are uniform within 2.2 s: their difference is triangular with the variance 2.2^2 / 6, of two
-    /// moves twice that, at a pace of 1.2 times 1.2^2. With the sigma of the interval: sqrt(2 (1.2 * 0.898146)^2 + 0.05099^2).
+    /// Two codes add times that are uniform within 2.2 s: their difference is triangular with the variance 2.2^2 / 6.
+    /// For two moves the variance is twice that, at a pace of 1.2 times 1.2^2. With the sigma of the interval: sqrt(2
+    /// (1.2 * 0.898146)^2 + 0.05099^2).
     #[test]
     fn another_code_makes_any_duration_as_likely() {
         let density = |code: TimeCode, seen_s: f64| {

@@ -37,17 +37,17 @@ pub struct AxesReport {
     pub packets: PacketCounts,
     /// Skew of the controller's clock against the host's, host seconds per controller second less 1.
     pub drift: Option<f64>,
-    /// Bound on the error of its times beyond the least delay of the line, s.
+    /// Bound on the error of the controller's times beyond the least delay of the line, s.
     pub bound_s: Option<f64>,
     /// Lag of the bar's reading behind the axes; `None` if no motion shows it.
     pub lag: Option<BarLag>,
-    /// `None` if the controller does not send the commanded axes.
+    /// The following errors; `None` if the controller does not send the commanded axes.
     pub following: Option<[FollowingError; AXES]>,
     /// Number of intervals at rest.
     pub rests: usize,
     /// Number of measurements with measured axes.
     pub measured: usize,
-    /// Number of pairs of axes and length in motion behind the measurements on passes, and of independent ones.
+    /// Number of pairs of axes and length in motion behind the measurements on passes, and number of independent pairs.
     pub pairs: usize,
     pub effective_pairs: f64,
 }
@@ -66,20 +66,21 @@ impl AxesReport {
 
 pub(super) struct AlignedTrack<'a> {
     pub(super) track: &'a AxisTrack,
-    /// Offset from the time of the track to that of the bar's stream, s.
+    /// Offset from the time of the track to the time of the bar's stream, s.
     shift_s: f64,
     pub(super) rests: Vec<RestInterval>,
     lag: Option<BarLag>,
 }
 
 impl<'a> AlignedTrack<'a> {
-    /// `None` without a packet, or if one of the clocks does not run at the host's pace.
+    /// The axes in the time of the bar. `None` without a packet, or if one of the clocks does not run at the host's
+    /// pace.
     pub(super) fn of(track: &'a AxisTrack, stream: &SampleStream) -> Option<Self> {
         let shift_s = if track.is_empty() { None } else { track.shift_to(stream) }?;
         Some(Self { track, shift_s, rests: track.rests(), lag: None })
     }
 
-    /// Determines the lag of the bar by the motion while it is on its balls.
+    /// Determines the lag of the bar from the motion while the bar is on its balls.
     pub(super) fn determine_lag(
         &mut self,
         stream: &SampleStream,
@@ -89,7 +90,7 @@ impl<'a> AlignedTrack<'a> {
         self.lag = lag_by_motion(self, stream, geometry, on_ball);
     }
 
-    /// What is reported of the axes of a run with `measured` poses.
+    /// The report about the axes of a run with `measured` poses.
     pub(super) fn report(&self, measured: usize, pairs: usize, effective_pairs: f64) -> AxesReport {
         let clock = self.track.clock();
         AxesReport {
@@ -115,7 +116,7 @@ impl<'a> AlignedTrack<'a> {
         t_s + self.shift_s
     }
 
-    /// Time of the track of a reading, s.
+    /// Time of the track at a time of the bar, s.
     fn track_s(&self, bar_s: f64) -> f64 {
         bar_s - self.bar_s(0.0)
     }
@@ -142,8 +143,8 @@ impl<'a> AlignedTrack<'a> {
         sound.then(|| self.track.mean_deg(&samples, &self.track.measured_deg))
     }
 
-    /// Measured axes at a moment of a motion, degrees, by a parabola through the samples within `half_s`, and the
-    /// number of these; `None` if packets are missing.
+    /// Measured axes at a moment of a motion, degrees, from a parabola through the samples within `half_s`, and the
+    /// number of these samples; `None` if packets are missing.
     pub(super) fn passing_deg(&self, t_s: f64, half_s: f64) -> Option<([f64; AXES], usize)> {
         let samples = self.track.at(t_s - half_s)..self.track.at(t_s + half_s);
         if !self.bridged(samples.clone()) {
@@ -165,11 +166,11 @@ impl<'a> AlignedTrack<'a> {
 pub struct BarLag {
     pub lag_s: f64,
     pub sd_s: f64,
-    /// Windows of motion that show it.
+    /// Number of windows of motion that show the lag.
     pub windows: usize,
 }
 
-/// When the bar is on a ball, in the time of the track.
+/// An interval in which the bar is on a ball, in the time of the track.
 #[derive(Clone, Debug)]
 pub(super) struct BallInterval {
     pub(super) from_s: f64,
@@ -183,7 +184,7 @@ const MIN_RMS_SPEED_MM_S: f64 = 0.05;
 const MIN_LAG_WINDOWS: usize = 5;
 /// Largest lag, s.
 const MAX_LAG_S: f64 = 0.5;
-/// A lag with a larger standard deviation is rejected: these lengths do not belong to these axes, s.
+/// Largest standard deviation of a lag, s: with a larger one the lengths do not belong to the axes.
 const WORST_SD_S: f64 = 0.005;
 const ROUNDS: usize = 6;
 
@@ -272,7 +273,7 @@ fn lag_windows(published: &AlignedTrack<'_>, geometry: &Geometry, on: &BallInter
 }
 
 impl LagWindow {
-    /// The remaining lag by this window.
+    /// The remaining lag that this window shows.
     fn lag(&self, stream: &SampleStream, lag_s: f64) -> Option<WindowLag> {
         let mut left = Vec::with_capacity(self.t_s.len());
         for (t_s, length) in self.t_s.iter().zip(&self.length_mm) {
@@ -296,7 +297,7 @@ impl LagWindow {
         let weight = slopes.iter().map(|slope| slope * slope).sum::<f64>();
         let products: f64 = slopes.iter().zip(&left).map(|(slope, left)| slope * left).sum();
         let shows = (weight / slopes.len() as f64).sqrt() > MIN_RMS_SPEED_MM_S;
-        // Later readings belong to earlier axes.
+        // A reading that comes later belongs to earlier axes.
         shows.then_some(WindowLag { lag_s: -products / weight, weight })
     }
 }
@@ -361,7 +362,7 @@ mod tests {
             1.001 * 5.0 * (8.0 * moved).sin() + 0.2 + 0.1 * t
         });
         let first = window().lag(&read, 0.0).unwrap();
-        // The second order of the lag is left.
+        // The second order of the lag remains.
         assert!((first.lag_s - 0.003).abs() < 1e-4, "{}", first.lag_s);
         let last = window().lag(&read, 0.003).unwrap();
         assert!(last.lag_s.abs() < 2e-6, "{}", last.lag_s);

@@ -6,10 +6,10 @@
 //! run, finds the rests.
 //!
 //! The noise at rest is taken from an interval in which the robot is surely at rest: the first HALT, at which the bar
-//! is mounted and the program waits. A run without such a start (an imported trace) takes it from the quietest of its
-//! still intervals. The measure is the slope itself, so that correlated noise and slow wander count as they are; its
-//! lower limit is the white part, which adjacent blocks show much better. For a bar that stays on a step of its
-//! scale, the step is the noise.
+//! is mounted and the program waits. For a run without such a start (an imported trace) it is taken from the quietest
+//! still intervals. The measure is the slope itself, so that correlated noise and slow wander are included; its lower
+//! limit is the white part, which adjacent blocks show much better. For a bar that stays on a step of its scale, the
+//! step is the noise.
 
 use std::ops::RangeInclusive;
 
@@ -46,7 +46,7 @@ pub fn still_dwells(stream: &SampleStream, least_s: f64) -> Vec<Dwell> {
     }
 }
 
-/// The dwells by these thresholds.
+/// Detects the dwells with these thresholds.
 fn detect_still_dwells(fine: &WindowScale<'_>, coarse: &WindowScale<'_>, least_s: f64) -> Vec<Dwell> {
     let block_s = fine.windows.block_s;
     let reach = (0.5 * coarse.windows.window_s / block_s).ceil() as usize + 2;
@@ -87,7 +87,7 @@ fn quiet_runs(fine: &WindowScale<'_>, coarse: &WindowScale<'_>) -> Vec<RangeIncl
     runs
 }
 
-/// A still run of fine blocks, both ends included, with its level.
+/// A still run of fine blocks, from its first to its last block, with its level.
 #[derive(Clone, Copy)]
 struct StillRun {
     from: usize,
@@ -250,7 +250,7 @@ fn joined(runs: Vec<StillRun>, fine: &WindowScale<'_>) -> Vec<StillRun> {
 struct ReadingBlock {
     t_s: f64,
     mean_mm: f64,
-    /// Number of clock breaks before it.
+    /// Number of clock breaks before the block.
     epoch: usize,
 }
 
@@ -259,7 +259,7 @@ struct ReadingBlock {
 struct WindowWidth {
     count: usize,
     block_s: f64,
-    /// Longest window as a share of the shortest dwell to be detected.
+    /// Longest window, as a share of the shortest dwell to be detected.
     share: f64,
 }
 
@@ -276,7 +276,7 @@ struct ReadingWindows {
 }
 
 impl ReadingWindows {
-    /// Windows for dwells of at least `least_s`; at least four blocks each.
+    /// The windows for dwells of at least `least_s`, with at least four blocks each.
     fn of(stream: &SampleStream, width: WindowWidth, least_s: f64) -> Self {
         let block_s = width.block_s.max(1.001 * stream.period_s());
         let count = width.count.min((width.share * least_s / block_s) as usize).max(4);
@@ -312,7 +312,7 @@ impl ReadingWindows {
     }
 }
 
-/// Trimmed means of the valid readings in blocks of `block_s`; blocks without one are left out.
+/// Trimmed means of the valid readings in blocks of `block_s`; blocks without a valid reading are left out.
 fn blocks(stream: &SampleStream, block_s: f64) -> Vec<ReadingBlock> {
     let mut blocks = Vec::new();
     let mut values: Vec<f64> = Vec::new();
@@ -349,7 +349,8 @@ const START_S: f64 = 2.0;
 const INSET_S: f64 = 0.1;
 /// Ratio of the lower quartile of the slopes' RMS to the true one, in dwells of a second or two.
 const QUARTILE: f64 = 0.75;
-/// Limit for the noise at the start, as a multiple of the quiet quarter: with more the bar was still being handled.
+/// Limit of the noise at the start, as a multiple of the noise of the quiet quarter: with more noise the bar was still
+/// being handled.
 const UNQUIET: f64 = 2.0;
 
 /// Noise at rest for windows of one width.
@@ -364,7 +365,7 @@ struct RestNoise {
 }
 
 impl RestNoise {
-    /// First pass: by the bulk of the whole run, which contains slow moves.
+    /// Noise for the first pass, from the bulk of the whole run, which contains slow moves.
     fn of_bulk(windows: &ReadingWindows, rests: f64, least_mm: f64) -> Self {
         let finite = windows.slopes.iter().filter(|slope| slope.is_finite());
         let slope_sigma = robust::bulk_scale(&mut finite.map(|slope| slope.abs()).collect::<Vec<_>>());
@@ -380,7 +381,7 @@ impl RestNoise {
         Self { slope_sigma, scatter_sigma, slope_floor }
     }
 
-    /// By the dwells of the first pass; `None` if no window lies within any.
+    /// Noise from the dwells of the first pass; `None` if no window lies in a dwell.
     fn at_rest(windows: &ReadingWindows, first_pass: &[Dwell], least_mm: f64) -> Option<Self> {
         let mut rms: Vec<f64> = Vec::new();
         let mut scatters: Vec<f64> = Vec::new();
@@ -420,7 +421,7 @@ fn within(windows: &ReadingWindows, dwell: &Dwell) -> Option<[f64; 2]> {
     Some([mean_square.sqrt(), robust::median(&mut scatters)?])
 }
 
-/// Standard deviation of a block mean by differences of neighbours within a dwell, mm.
+/// Standard deviation of a block mean, mm, from differences of neighbouring blocks in a dwell.
 fn block_noise(windows: &ReadingWindows, dwell: &Dwell) -> f64 {
     let inside = |t_s: f64| t_s >= dwell.start_s + INSET_S && t_s <= dwell.end_s - INSET_S;
     let inside = windows.blocks.iter().filter(|block| inside(block.t_s));

@@ -1,4 +1,4 @@
-//! Which pose of the plan the robot was at in each of its rests.
+//! Decides at which pose of the plan the robot was in each of its rests.
 //!
 //! A hidden Markov model over the rests in order of time; its state is the next pose. A program proceeds from pose
 //! to pose. It can rest twice at one pose, leave a pose without a rest (mostly where packets are missing), restart
@@ -9,10 +9,11 @@ use super::program::CommandedDwell;
 
 /// Probability of another rest at the same pose: a HALT, a push by hand, missing packets.
 const AGAIN: f64 = 0.1;
-/// Probability that a pose left no rest, and the same if packets are missing.
+/// Probability that a pose left no rest, and the same probability if packets are missing.
 const PASSED: f64 = 1e-4;
 const PASSED_UNSEEN: f64 = 0.8;
-/// Probability that a rest at the position of a pose is no visit of it, and the same at the start of a module.
+/// Probability that a rest at the position of a pose is no visit of this pose, and the same probability at the start of
+/// a module.
 const OTHER: f64 = 1e-6;
 const HALT: f64 = 3e-3;
 /// Probability that a module restarts before a rest. Less than [`OTHER`]: a single rest at its start proves nothing.
@@ -39,7 +40,7 @@ pub(super) struct PoseVisit {
 /// The rests at the position of each pose, in order of time.
 pub(super) fn visits(seen: &[RestEvidence], poses: &[CommandedDwell]) -> Vec<Vec<PoseVisit>> {
     let chain = VisitWeights::new(poses);
-    // Nothing is known of the time before the first rest and after the last.
+    // The states before the first rest and after the last one are unknown.
     let mut next = vec![1.0; chain.other.len()];
     let mut before = Vec::with_capacity(seen.len());
     for (at, rest) in seen.iter().enumerate() {
@@ -74,7 +75,8 @@ fn normalise(weights: &mut [f64]) {
 
 /// Weights of the events at a rest and between two rests.
 struct VisitWeights {
-    /// Weight of a rest that is no visit, by the next pose; after the last pose there is none.
+    /// Weight of a rest that is no visit, by the next pose; the last entry is for the end, after which there is no
+    /// pose.
     other: Vec<f64>,
     /// The first pose of each module.
     begins: Vec<usize>,

@@ -1,4 +1,4 @@
-//! Faults of the mounting of a bar, from its readings alone and as they happen.
+//! Detects faults of the mounting of a bar, from its readings alone and as the faults happen.
 //!
 //! Readings are averaged over 5 ms. A jump is the mismatch of two straight lines, through the 40 ms before and
 //! after a moment. While the robot rests, the scatter of means over 50 ms about a straight line, its slope and its
@@ -31,11 +31,11 @@ pub struct DetectedFault {
     pub fault: MountingFault,
     /// Time, s.
     pub t_s: f64,
-    /// Height, mm; of a creep its rate, mm/s.
+    /// Height, mm; for a creep its rate, mm/s.
     pub size: f64,
 }
 
-/// When the robot is known to rest.
+/// The condition under which the robot is known to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RestCondition {
     /// No program runs, until a strobe shows one.
@@ -47,7 +47,7 @@ pub enum RestCondition {
     UnderWay,
 }
 
-/// Expectation for a well-mounted bar.
+/// The readings that are expected of a well-mounted bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExpectedMounting {
     /// Standard deviation of a reading, mm.
@@ -62,7 +62,7 @@ pub struct MountedReading {
     /// Time, s.
     pub t_s: f64,
     pub reading_mm: f64,
-    /// Whether it is valid and within the stroke.
+    /// Whether the reading is valid and within the stroke.
     pub mounted: bool,
     pub strobe: Option<bool>,
 }
@@ -70,12 +70,12 @@ pub struct MountedReading {
 /// State of the mounting, for the operator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MountingState {
-    /// Not between its balls.
+    /// The bar is not between its balls.
     #[default]
     Off,
-    /// It moves more than a mounted bar does: hands are on it.
+    /// The bar moves more than a mounted bar does: hands are on it.
     Handled,
-    /// At rest, for less than a second.
+    /// The bar has been at rest for less than a second.
     Settling,
     Stable,
     /// The robot moves, or may move.
@@ -95,18 +95,18 @@ impl MountingState {
 }
 
 impl ExpectedMounting {
-    /// For a bar that is read without a run.
+    /// The expectation for a bar that is read without a run.
     pub fn standing(sigma_um: f64) -> Self {
         Self { noise_mm: 1e-3 * sigma_um, speed_mm_s: f64::INFINITY, rest: RestCondition::Standing }
     }
 
-    /// For unknown motion of the robot: jumps are detected at rest only.
+    /// The expectation for unknown motion of the robot: jumps are detected at rest only.
     pub fn unplanned(sigma_um: f64) -> Self {
         Self { noise_mm: 1e-3 * sigma_um, speed_mm_s: f64::INFINITY, rest: RestCondition::Program }
     }
 
-    /// For a robot that follows a plan. The reading changes with the feed across a bar whose ball is off by at
-    /// most half a stroke, and with the sync markers.
+    /// The expectation for a robot that follows a plan. The reading changes with the feed across a bar whose ball is
+    /// off by at most half a stroke, and with the sync markers.
     pub fn of(plan: &Plan, rest: RestCondition) -> Self {
         let job = &plan.header.job;
         let [low_mm, high_mm] = job.bar.stroke_mm;
@@ -115,13 +115,13 @@ impl ExpectedMounting {
         Self { noise_mm: 1e-3 * job.bar.sigma_um, speed_mm_s, rest }
     }
 
-    /// With the resolution of the bar as the least noise.
+    /// The same expectation, with the resolution of the bar as the least noise.
     pub fn with_resolution(self, resolution_mm: f64) -> Self {
         Self { noise_mm: self.noise_mm.max(resolution_mm), ..self }
     }
 }
 
-/// The faults of a recorded run with a bar of this stroke (mm), of each kind the largest.
+/// The faults of a recorded run with a bar of this stroke (mm): the largest fault of each kind.
 pub fn worst(
     expected: ExpectedMounting,
     stream: &SampleStream,

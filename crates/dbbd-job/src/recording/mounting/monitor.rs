@@ -14,8 +14,8 @@ const SIDE_S: f64 = 0.04;
 const SIDE_GRAINS: [usize; 2] = [3, 8];
 /// Longest duration of a jump, s.
 const JUMP_S: f64 = 0.01;
-/// A sudden change of speed looks like a jump of this share of the distance travelled in the time of a side: the
-/// largest mismatch of two lines through a bend, computed.
+/// A sudden change of speed looks like a jump by this share of the distance travelled in the time of a side. It is
+/// computed as the largest mismatch of two lines through a bend.
 const BEND: f64 = 0.25;
 /// Vibration of a bar on a robot that moves or has just stopped, mm: 1 mm/s, stopped at once, at 12 Hz.
 const VIBRATION_MM: f64 = 0.013;
@@ -23,7 +23,7 @@ const VIBRATION_MM: f64 = 0.013;
 const BLOCK_S: f64 = 0.05;
 /// Least and largest number of blocks compared. The least fits into a dwell of half a second.
 const BLOCKS: [usize; 2] = [8, 24];
-/// Hands hold a bar still within this, mm, for less than this time, s.
+/// Hands hold a bar within this distance, mm, but only for less than this time, s.
 const HANDS_MM: f64 = 0.3;
 const HANDS_S: f64 = 0.4;
 /// Changes below this number of standard deviations of a reading do not matter.
@@ -33,17 +33,17 @@ const MATTERS: f64 = 2.0;
 const ROUGH: f64 = 0.25;
 /// Comparisons until a pull has started.
 const BEGIN: u32 = 6;
-/// A slipping magnet returns within this time, s, and is quiet for this time after.
+/// A slipping magnet returns within this time, s, and is quiet for this time afterwards.
 const RETURN_S: f64 = 1.0;
 const QUIET_S: f64 = 0.4;
-/// A rocking bar jumps this often within this time, s.
+/// Number of jumps of a rocking bar, and the time in which they come, s.
 const ROCKING: usize = 3;
 const ROCKING_S: f64 = 1.5;
 /// A fault is reported again after this time, s.
 const AGAIN_S: f64 = 10.0;
-/// A bar that is off for longer was taken off, s; a shorter time is an invalid reading.
+/// Longest time of an invalid reading, s: a bar that is off for longer was taken off.
 const TAKEN_OFF_S: f64 = 2.0;
-/// A longer gap between samples restarts the comparison, s and in samples.
+/// Longest gap between samples, s and in samples: a longer one restarts the comparison.
 const GAP_S: f64 = 0.25;
 const GAP_SAMPLES: f64 = 3.0;
 
@@ -78,10 +78,10 @@ pub struct MountingMonitor {
     /// Latest grains, the oldest first.
     grains: VecDeque<AveragedReading>,
     since_block: usize,
-    /// Since when only magnets hold the bar, s.
+    /// Time since which only magnets hold the bar, s.
     settled_s: Option<f64>,
     strobe_seen: bool,
-    /// Since when the bar is off, s.
+    /// Time since which the bar is off, s.
     off_s: Option<f64>,
     /// Grains before this time are not compared, s.
     compare_from_s: f64,
@@ -149,7 +149,7 @@ impl MountingMonitor {
         self.grain(AveragedReading { t_s, mean_mm: sum_mm / f64::from(readings), readings, rests })
     }
 
-    /// Discards all grains. A bar that was off for long was taken off, and its robot rests.
+    /// Discards all grains. A bar that was off for a long time was taken off, and its robot rests.
     fn interrupt(&mut self, now: MountedReading) {
         let off_s = (!now.mounted).then(|| self.off_s.unwrap_or(now.t_s));
         let taken_off = off_s.is_some_and(|since_s| now.t_s - since_s >= TAKEN_OFF_S);
@@ -177,7 +177,7 @@ impl MountingMonitor {
         self.still.map(|still| [still.scatter_mm, still.slope_mm_s])
     }
 
-    /// Time between grains, s; that of 200 readings per second before there are any.
+    /// Time between grains, s; before there are grains, the time for 200 readings per second.
     fn grain_s(&self) -> f64 {
         let span = self.grains.back().zip(self.grains.front()).map(|(last, first)| last.t_s - first.t_s);
         let steps = self.grains.len().saturating_sub(1);

@@ -15,10 +15,10 @@ pub(super) struct StillStatistics {
     pub(super) blocks: usize,
     pub(super) span_s: f64,
     pub(super) slope_mm_s: f64,
-    /// About the line, mm.
+    /// Scatter about the line, mm.
     pub(super) scatter_mm: f64,
     pub(super) roughness: f64,
-    /// Standard deviation of a block mean by the noise, mm.
+    /// Standard deviation of a block mean due to the noise, mm.
     noise_mm: f64,
 }
 
@@ -31,7 +31,7 @@ impl StillStatistics {
         let squares: f64 = blocks.iter().enumerate().map(|(at, value)| (value - about(at)).powi(2)).sum();
         let variance = squares / (n - 2.0);
         let steps: f64 = blocks.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum();
-        // About the mean: about a line the start of a pull is as rough as rocking.
+        // Squares about the mean: about a line, the start of a pull is as rough as rocking.
         let total: f64 = blocks.iter().map(|value| (value - mean).powi(2)).sum();
         Some(Self {
             blocks: blocks.len(),
@@ -47,7 +47,7 @@ impl StillStatistics {
     pub(super) fn is_scattered(&self) -> bool {
         let freedom = self.blocks as f64 - 2.0;
         let ratio = (self.scatter_mm / self.noise_mm).powi(2);
-        // Far out the tail underflows.
+        // For such large ratios the tail underflows.
         ratio > SURELY || chi_square_tail(freedom * ratio, freedom) < FALSE_ALARM
     }
 

@@ -13,7 +13,7 @@ use dbbd_model::robot::{AXES, Robot};
 /// A circle of the plan with its measurements.
 #[derive(Clone, Debug)]
 pub struct MeasuredCircle {
-    /// Number in the plan, from 1.
+    /// Number of the circle in the plan, from 1.
     pub number: u32,
     pub radius_mm: f64,
     /// Lengths (mm, as read) by direction.
@@ -24,13 +24,13 @@ pub struct MeasuredCircle {
 
 /// The circles of a run, and the findings of its matching.
 pub struct MeasuredCircles {
-    /// In the plan's order.
+    /// The circles, in the plan's order.
     pub circles: Vec<MeasuredCircle>,
     pub findings: Vec<MatchingFinding>,
 }
 
 impl RecordedRun {
-    /// The lengths as read: the circular test corrects them itself and reports both.
+    /// The circles with their lengths as read: the circular test corrects the lengths itself and reports both.
     pub fn circles(&self) -> Result<MeasuredCircles, Diagnostic> {
         let matching = self.matching_as_read(None)?;
         let robot = self.robot()?;
@@ -51,7 +51,7 @@ impl RecordedRun {
             };
             let point = CirclePoint {
                 angle_deg: place.angle_deg,
-                // The printed pose is off the circle by up to a micrometre, which is no error of the robot.
+                // The printed pose is up to a micrometre off the circle, which is no error of the robot.
                 length_mm: observation.length_mm - (row.length_mm - place.radius_mm),
                 sigma_mm: observation.sigma_mm,
                 t_s: None,

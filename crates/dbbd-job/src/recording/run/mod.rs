@@ -25,13 +25,13 @@ use crate::plan::Plan;
 use crate::recording::RecordingFinding;
 use crate::recording::matching::MatchingFinding;
 use dbbd_device::port::PortFinding;
-use dbbd_model::circular::ThermalExpansion;
+use dbbd_model::base::expansion::ThermalExpansion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::{BallId, BaseBall, ContextColumn};
 use dbbd_model::provenance::{self, ArtefactRole, Identity, Provenance, TracedArtefact};
 use dbbd_model::robot::{AXES, Robot};
 
-/// The content of a capture to be matched.
+/// The content of a capture that is to be matched.
 pub struct RecordedRun {
     /// The attached plan, unless another one was named. Its header holds the job with the base balls, and the robot.
     pub plan: Plan,
@@ -42,34 +42,34 @@ pub struct RecordedRun {
     /// The axes that the controller published, if they were recorded.
     pub track: Option<AxisTrack>,
     /// Whether data of the run were lost, or it may belong to another plan.
-    pub doubtful: bool,
-    /// From EthernetKRL; angles of a `.dat` take precedence.
+    pub has_warnings: bool,
+    /// Axis angles reported over EthernetKRL; angles of a `.dat` take precedence.
     pub axes_deg: MeasuredAxes,
     /// Owner of the run, and when it was recorded.
     identity: Identity,
 }
 
-/// A model of the lengths: evidence for the matching, like the times.
+/// Lengths that a model predicts: evidence for the matching, like the times.
 #[derive(Clone, Copy)]
 pub struct PredictedLengths<'a> {
     /// Length in mm by base ball and axis angles in degrees.
     pub length_mm: &'a dyn Fn(BallId, &[f64; AXES]) -> f64,
-    /// Standard deviation, mm.
+    /// Standard deviation of a predicted length, mm.
     pub sigma_mm: f64,
 }
 
 impl RecordedRun {
-    /// The measurements, their lengths corrected by the bar's certificate for the temperature at which they
-    /// were read.
+    /// The measurements, with their lengths corrected by the bar's certificate for the temperature at which they were
+    /// read.
     ///
     /// To use predicted lengths: match, identify, and match again until [`PoseMatching::same_pairs`] shows no change.
     ///
     /// # Errors
-    /// The program is that of another plan, or the reading runs against the motion.
+    /// The program belongs to another plan, or the reading runs against the motion.
     pub fn matching(&self, predicted: Option<PredictedLengths<'_>>) -> Result<PoseMatching, Diagnostic> {
-        let certificate = self.certificate();
-        let warm = certificate.zip(self.temperatures.mean());
-        let factor = warm.map_or(1.0, |(certificate, mean_c)| certificate.referred_mm(1.0, mean_c));
+        let expansion = self.bar_expansion();
+        let warm = expansion.zip(self.temperatures.mean());
+        let factor = warm.map_or(1.0, |(expansion, mean_c)| expansion.referred_mm(1.0, mean_c));
         // The alignment compares lengths as read.
         let mut matching = match predicted {
             Some(PredictedLengths { length_mm, sigma_mm }) => {
@@ -84,8 +84,8 @@ impl RecordedRun {
             let observations = &mut matching.observations;
             observations.columns.push(ContextColumn::TemperatureC);
             for (row, temp_c) in observations.rows.iter_mut().zip(temperatures) {
-                if let (Some(certificate), Some(temp_c)) = (certificate, temp_c) {
-                    row.length_mm = certificate.referred_mm(row.length_mm, temp_c);
+                if let (Some(expansion), Some(temp_c)) = (expansion, temp_c) {
+                    row.length_mm = expansion.referred_mm(row.length_mm, temp_c);
                 }
                 Arc::make_mut(row.context.get_or_insert_default()).temperature_c = temp_c;
             }
@@ -96,7 +96,7 @@ impl RecordedRun {
     /// The measurements without a correction for temperature.
     ///
     /// # Errors
-    /// The program is that of another plan, or the reading runs against the motion.
+    /// The program belongs to another plan, or the reading runs against the motion.
     pub fn matching_as_read(
         &self,
         predicted: Option<PredictedLengths<'_>>,
@@ -133,11 +133,9 @@ impl RecordedRun {
         }
     }
 
-    /// The certificate's correction of a length; `None` if it gives no expansion.
-    pub fn certificate(&self) -> Option<ThermalExpansion> {
-        let bar = &self.plan.header.job.bar;
-        let certified_c = bar.temperature_c.unwrap_or(ThermalExpansion::default().certified_c);
-        Some(ThermalExpansion { bar_per_k: Some(bar.expansion_per_k?), certified_c, machine_per_k: None })
+    /// The correction of a length for temperature; `None` if the job gives no expansion of the bar.
+    pub fn bar_expansion(&self) -> Option<ThermalExpansion> {
+        self.plan.header.job.identity().bar.expansion()
     }
 
     /// Temperature of the bar at a time of the stream, degrees Celsius.
@@ -145,8 +143,8 @@ impl RecordedRun {
         self.temperatures.at(self.stream.at(t_s))
     }
 
-    /// Findings of the mounting monitor, of each kind the largest. Only readings at rest count, which needs a
-    /// strobe: in motion, backlash of a joint makes jumps.
+    /// Findings of the mounting monitor: the largest of each kind. Only readings at rest count, which needs a strobe:
+    /// in motion, backlash of a joint makes jumps.
     pub fn mounting(&self) -> Vec<PortFinding> {
         if !(self.reports.is_empty() && has_strobe(&self.stream)) {
             return Vec::new();
@@ -158,9 +156,9 @@ impl RecordedRun {
     /// The finding about the correction for temperature.
     fn temperature_finding(&self) -> Option<Diagnostic> {
         let length_mm = self.plan.header.job.bar.length_mm;
-        match (self.certificate(), self.temperatures.mean()) {
-            (Some(certificate), Some(mean_c)) => {
-                let correction_um = 1e3 * (certificate.referred_mm(length_mm, mean_c) - length_mm);
+        match (self.bar_expansion(), self.temperatures.mean()) {
+            (Some(expansion), Some(mean_c)) => {
+                let correction_um = 1e3 * (expansion.referred_mm(length_mm, mean_c) - length_mm);
                 Some(RecordingFinding::TemperatureCorrected { mean_c, correction_um, length_mm }.into())
             }
             (Some(_), None) => Some(RecordingFinding::TemperatureUnknown.into()),

@@ -46,8 +46,8 @@ pub fn open_run(
     let mut report = |finding: Diagnostic| report(finding.in_file(&name));
     let mut gathered = GatheredCapture::default();
     let pass = CaptureSummary::over(path, |stamped| gathered.add(stamped, &name))?;
-    let lacks = pass.doubts();
-    let mut doubtful = !lacks.is_empty();
+    let lacks = pass.all_findings();
+    let mut has_warnings = !lacks.is_empty();
     lacks.into_iter().map(Diagnostic::from).for_each(&mut report);
     let GatheredCapture { attachments, stream, temperatures, reports, axes: track, started } = gathered;
     let track = track.build();
@@ -66,46 +66,47 @@ pub fn open_run(
             report(RecordingFinding::AbsoluteAccuracy.into());
         }
         if logged.is_empty() {
-            doubtful = true;
+            has_warnings = true;
             report(RecordingFinding::NoAxesLogged { data: path.display().to_string() }.into());
         }
         axes_deg.extend(logged);
     }
     let other = other_plan(attachments.get("plan.json"), &plan);
-    for doubt in incomplete_axes(&plan, &axes_deg).into_iter().chain(other) {
-        doubtful = true;
-        report(doubt.into());
+    for finding in incomplete_axes(&plan, &axes_deg).into_iter().chain(other) {
+        has_warnings = true;
+        report(finding.into());
     }
     let identity = identity(&name, Some(&plan), &attachments, started)?;
-    if let Some(doubt) = unlikely_date(&identity) {
-        report(doubt.into());
+    if let Some(finding) = unlikely_date(&identity) {
+        report(finding.into());
     }
-    let mut run = RecordedRun { plan, stream, temperatures, reports, track, doubtful, axes_deg, identity };
-    let of_temperature = run.temperatures.doubt().into_iter().chain(run.temperature_finding());
+    let mut run =
+        RecordedRun { plan, stream, temperatures, reports, track, has_warnings, axes_deg, identity };
+    let of_temperature = run.temperatures.finding().into_iter().chain(run.temperature_finding());
     of_temperature.for_each(&mut report);
-    for doubt in run.mounting() {
-        run.doubtful = true;
-        report(doubt.into());
+    for finding in run.mounting() {
+        run.has_warnings = true;
+        report(finding.into());
     }
     Ok(run)
 }
 
-/// A finding if the date of a run, by the clock of a computer, cannot be right.
+/// The finding if the date of a run, by the clock of a computer, cannot be right.
 fn unlikely_date(identity: &Identity) -> Option<RecordingFinding> {
     let wrong = identity.check_all().and_then(|()| identity.check_dates(clock::unix_ns()));
     wrong.err().map(|(_, why)| RecordingFinding::UnlikelyDate { why: why.message() })
 }
 
-/// Reads the capture at `path` back and returns what is damaged in it.
+/// Reads the capture at `path` back and returns the damages in it.
 pub fn damages(path: &Path) -> Result<Vec<RecordingFinding>, Diagnostic> {
     Ok(CaptureSummary::over(path, |_| Ok(()))?.findings())
 }
 
-/// Samples that are compared with a plan when a run ends: an hour at 1 kHz and what comes before and after it. They take
-/// 60 MB.
+/// Most samples that are compared with a plan when a run ends: an hour at 1 kHz, and the samples before and after it.
+/// They take 60 MB.
 pub const MAX_COMPARED: u64 = 4_000_000;
 
-/// [`losses`] of a run that has just ended, unless it has more than `most` samples.
+/// The [`losses`] of a run that has just ended, unless it has more than `most` samples.
 pub fn losses_at_end(path: &Path, samples: u64, most: u64) -> Result<Vec<Diagnostic>, Diagnostic> {
     if samples > most {
         return Ok(vec![Diagnostic::file(
@@ -137,10 +138,10 @@ fn read_data(path: &Path, plan: &Plan) -> Result<krl::syntax::Data, Diagnostic> 
     }
 }
 
-/// Axes further from the commanded ones than this do not follow the nominal robot, degrees.
+/// Largest difference between axes that follow the nominal robot and the commanded axes, degrees.
 const APART_DEG: f64 = 0.005;
 
-/// A finding if known axis angles differ from the commanded ones, while those of other poses are unknown.
+/// The finding if known axis angles differ from the commanded angles while the angles of other poses are unknown.
 fn incomplete_axes(plan: &Plan, axes_deg: &MeasuredAxes) -> Option<RecordingFinding> {
     let (mut worst_deg, mut poses) = (0.0_f64, 0);
     for row in plan.rows.iter().filter(|row| row.dwell_s > 0.0) {
@@ -155,7 +156,7 @@ fn incomplete_axes(plan: &Plan, axes_deg: &MeasuredAxes) -> Option<RecordingFind
     (worst_deg > APART_DEG && poses > 0).then_some(RecordingFinding::AxesIncomplete { worst_deg, poses })
 }
 
-/// A finding if the capture was recorded with another plan than the one named.
+/// The finding if the capture was recorded with another plan than the named one.
 fn other_plan(attached: Option<&Vec<u8>>, plan: &Plan) -> Option<RecordingFinding> {
     let header = serde_json::from_slice::<Value>(attached?).unwrap_or_default();
     let recorded = header.get("hash").and_then(Value::as_str).unwrap_or("that cannot be read");
@@ -163,7 +164,7 @@ fn other_plan(attached: Option<&Vec<u8>>, plan: &Plan) -> Option<RecordingFindin
     (recorded != named).then(|| RecordingFinding::OtherPlan { recorded: recorded.into(), named })
 }
 
-/// Collected in one pass over a capture.
+/// The data collected in one pass over a capture.
 #[derive(Default)]
 struct GatheredCapture {
     attachments: BTreeMap<String, Vec<u8>>,
@@ -171,7 +172,7 @@ struct GatheredCapture {
     temperatures: SampleTemperatures,
     reports: Vec<DwellReport>,
     axes: AxisTrackBuilder,
-    /// By the clock of the recording computer, ns since the Unix epoch.
+    /// Start of the run by the clock of the recording computer, ns since the Unix epoch.
     started: Option<u64>,
 }
 
@@ -208,7 +209,7 @@ impl GatheredCapture {
     }
 }
 
-/// A stream with clock and sequence numbers of the attached protocol, if it has them.
+/// An empty stream, with the clock and the sequence numbers of the attached protocol if it has them.
 fn stream(attachments: &BTreeMap<String, Vec<u8>>, run: &str) -> Result<StreamBuilder, Diagnostic> {
     let Some(text) = attached_text(run, attachments, "protocol.toml")? else {
         return Ok(StreamBuilder::new(None));

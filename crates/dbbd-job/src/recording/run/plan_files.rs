@@ -18,7 +18,7 @@ const ATTACHED_ROBOT: &str = "robot.toml";
 /// The identity stated at the start of a run.
 pub const ATTACHED_IDENTITY: &str = "identity.toml";
 
-/// Longer than the files of any plan: 1000 poses take a few hundred kB.
+/// Size limit of a plan's files, bytes: 1000 poses take a few hundred kB.
 const MAX_PLAN_FILE_BYTES: u64 = 8 << 20;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -29,7 +29,7 @@ pub struct PlanFiles {
 }
 
 impl PlanFiles {
-    /// The plan whose rows are in `csv`, with the .json beside it.
+    /// Reads the plan whose rows are in `csv`, with the .json beside it.
     pub fn read(csv: &Path) -> Result<Self, Diagnostic> {
         let json = csv.with_extension("json");
         let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
@@ -62,8 +62,8 @@ pub fn attached_plan(run: &str, attachments: &BTreeMap<String, Vec<u8>>) -> Resu
     Plan::from_files(&name(ATTACHED_CSV), csv, &name(ATTACHED_JSON), json).map(Some)
 }
 
-/// The identity of a run: that of its plan, with what was stated at its start. `started` is the clock of the
-/// recording computer, ns since the Unix epoch.
+/// The identity of a run: the identity of its plan, completed by what was stated at the start of the run. `started` is
+/// the start by the clock of the recording computer, ns since the Unix epoch.
 pub fn identity(
     run: &str,
     plan: Option<&Plan>,
@@ -78,7 +78,7 @@ pub fn identity(
     Ok(identity)
 }
 
-/// Why the attached plan or identity of a capture cannot be read.
+/// The reason why the attached plan or identity of a capture cannot be read.
 pub fn unread(
     run: &str,
     attachments: &BTreeMap<String, Vec<u8>>,
@@ -90,8 +90,8 @@ pub fn unread(
     plan.err().or(identity)
 }
 
-/// The plan of a capture and its provenance, as far as its attachments can be read. Unreadable ones are refused
-/// where the run is used.
+/// The plan of a capture and its provenance, as far as its attachments can be read. Attachments that cannot be read are
+/// refused where the run is used.
 pub fn sources(
     attachments: &BTreeMap<String, Vec<u8>>,
     started: Option<u64>,

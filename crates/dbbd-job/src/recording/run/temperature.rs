@@ -20,7 +20,7 @@ struct TemperatureBlock {
 pub(super) struct SampleTemperatures {
     blocks: Vec<TemperatureBlock>,
     samples: usize,
-    /// Lowest and highest.
+    /// Lowest and highest temperature, degrees Celsius.
     range_c: Option<[f64; 2]>,
     last_c: Option<f64>,
     /// Largest change between consecutive temperatures, K.
@@ -44,7 +44,7 @@ impl SampleTemperatures {
         }
     }
 
-    /// Mean of the block of a sample, or of the nearest block with a temperature.
+    /// Mean temperature of the block of a sample, or of the nearest block with a temperature.
     pub(super) fn at(&self, sample: usize) -> Option<f64> {
         let block = sample / BLOCK;
         let mean = |at: usize| {
@@ -54,8 +54,8 @@ impl SampleTemperatures {
         (0..=NEAR).find_map(|off| block.checked_sub(off).and_then(mean).or_else(|| mean(block + off)))
     }
 
-    /// A finding if no bar can have these temperatures in a workshop.
-    pub(super) fn doubt(&self) -> Option<Diagnostic> {
+    /// The warning if no bar can have these temperatures in a workshop.
+    pub(super) fn finding(&self) -> Option<Diagnostic> {
         const KEY: &str = "temperature of the bar";
         /// Largest change of a bar between consecutive readings, K.
         const MAX_STEP_K: f64 = 3.0;
@@ -102,15 +102,15 @@ mod tests {
     #[test]
     fn nearest_block_with_a_temperature_counts() {
         let bar = temperatures(&[(256, Some(20.0)), (3 * 256, None), (256, Some(23.0))]);
-        // Of two as near the one before.
+        // If two blocks are equally near, the one before counts.
         assert_eq!([256, 512, 768, 1024].map(|sample| bar.at(sample)), [20.0, 20.0, 23.0, 23.0].map(Some));
         assert_eq!([204, 205].map(|block| bar.at(256 * block)), [Some(23.0), None]);
     }
 
     #[test]
-    fn temperatures_of_no_workshop_are_doubted() {
+    fn temperatures_of_no_workshop_have_a_warning() {
         let code = |readings: &[f64]| {
-            temperatures(&readings.iter().map(|c| (1, Some(*c))).collect::<Vec<_>>()).doubt()
+            temperatures(&readings.iter().map(|c| (1, Some(*c))).collect::<Vec<_>>()).finding()
         };
         let jumps = |step_k| Some(RecordingFinding::TemperatureJumps { step_k }.into());
         const KEY: &str = "temperature of the bar";

@@ -28,7 +28,7 @@ struct Trouble {
 const STUDY: Trouble =
     Trouble { missed: 0.1, spurious: 0.1, lost_first: 6, split: 0.03, merged: 0.0, pauses: 1 };
 
-/// Disturbances of a difficult run, drawn anew for each run.
+/// Disturbances of a difficult run, drawn again for each run.
 fn drawn(seed: u64) -> Trouble {
     let mut rng = Pcg64::seed_from_u64(seed ^ 0x5eed);
     let mut share = |most: f64| rng.random_range(0.0..=most);

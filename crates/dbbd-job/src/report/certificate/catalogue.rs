@@ -4,7 +4,7 @@ use dbbd_model::diagnostic::Names;
 use dbbd_model::findings;
 
 findings! {
-    /// What a certificate refuses, doubts or leaves empty.
+    /// What a certificate refuses, warns of or leaves empty.
     CertificateFinding "Certificates" {
         E2001 "a certificate cannot be made from a file",
         cause: "The file is not the result.json of `dbbd identify`, is not complete, or is of a version that did not compute an uncertainty budget.",
@@ -34,7 +34,7 @@ findings! {
         W2005 "a certificate of a result with warnings",
         cause: "The result or its check has warnings, or the estimate did not converge.",
         cure: "Resolve the warnings first; `report.html` and `check.html` show them." {
-            Doubtful { warnings: usize } => "the result and its check have {warnings} warnings; the certificate lists them";
+            WithWarnings { warnings: usize } => "the result and its check have {warnings} warnings; the certificate lists them";
         }
         W2007 "an identity contradicts the result",
         cause: "The file of the identity states another robot, controller, load, day, bar, certificate of the bar, ball or temperature than the result carries, or a base ball that the measurement has not. The certificate states what the file states; the numbers are those of the measurement.",

@@ -10,7 +10,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::Identity;
 use dbbd_model::robot::ParamUnit;
 
-/// Where a DCC needs a date or a country and none is stated; ISO 3166-1 leaves ZZ to users.
+/// Stand-ins where a DCC needs a date or a country and none is stated; ISO 3166-1 leaves ZZ to users.
 const NO_DATE: &str = "0001-01-01";
 const NO_COUNTRY: &str = "ZZ";
 const MM: &str = "\\milli\\metre";
@@ -36,7 +36,7 @@ struct Document<'a> {
     results: [(&'static str, Vec<Quantity>); 4],
 }
 
-/// Numbers are written in full.
+/// A quantity whose numbers are written in full.
 #[derive(Serialize)]
 struct Quantity {
     name: String,
@@ -85,7 +85,7 @@ pub(super) fn write(certificate: &Certificate) -> Result<Vec<u8>, Diagnostic> {
         results: results(certificate),
     };
     let text = fill(&[("dcc.xml", include_str!("dcc.xml"))], &document)?;
-    // XML 1.0 has no control characters but the end of a line.
+    // XML 1.0 has no control characters except the end of a line.
     let text = text.replace(|c: char| c.is_control() && c != '\n', " ");
     Ok(format!("{}\n", text.trim()).into_bytes())
 }

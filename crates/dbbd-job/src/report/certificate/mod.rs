@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 
 use super::page::render;
 use crate::report::certificate::CertificateFinding::{
-    CheckOfAnother, CheckOfOtherFile, CheckOfOtherResult, Doubtful, NoBudget, NoCheck, NoResult, NoSuchBall,
-    NotStated, OtherThanCarried,
+    CheckOfAnother, CheckOfOtherFile, CheckOfOtherResult, NoBudget, NoCheck, NoResult, NoSuchBall, NotStated,
+    OtherThanCarried, WithWarnings,
 };
 use dbbd_model::base::hash::sha256;
 use dbbd_model::conformity::UncertaintyBudget;
@@ -32,7 +32,7 @@ use super::page::capitalised;
 
 const DRAFT: &str = "Draft, not accredited, not signed";
 
-/// `result.json` with budget and provenance.
+/// The content of `result.json` with budget and provenance.
 #[derive(Deserialize)]
 struct ResultRead {
     #[serde(flatten)]
@@ -66,7 +66,7 @@ pub struct Certificate {
     budget: UncertaintyBudget,
     provenance: Provenance,
     check: Option<Check>,
-    /// Between what is stated now and what the result carries.
+    /// Contradictions between the identity that is stated now and the identity in the result.
     contradictions: Vec<CertificateFinding>,
     /// First digits of the SHA-256 of `result.json`.
     number: String,
@@ -93,8 +93,8 @@ impl Certificate {
         Ok(Self { result, budget, provenance, check: None, contradictions: Vec::new(), number })
     }
 
-    /// With the decision in the text of `check.json`; `robot` is the file that was written with the result. Refuses a check of
-    /// another robot or another calibration.
+    /// Adds the decision in the text of `check.json`; `robot` is the file that was written with the result. Refuses a
+    /// check of another robot or another calibration.
     pub fn with_check(self, text: &str, robot: Option<&Artefact>) -> Result<Self, CertificateFinding> {
         let check: Check = serde_json::from_str(text).map_err(|error| NoCheck { why: error.to_string() })?;
         if check.robot != self.result.robot {
@@ -112,7 +112,7 @@ impl Certificate {
         Ok(Self { check: Some(check), ..self })
     }
 
-    /// With this identity in place of what the result carries.
+    /// Replaces the identity in the result by this identity.
     pub fn with_identity(mut self, identity: &Identity) -> Self {
         let found = self.provenance.identity.contradictions(identity).into_iter();
         self.contradictions = found
@@ -140,7 +140,7 @@ impl Certificate {
         self.identity().measured.as_deref().unwrap_or("not stated")
     }
 
-    /// What the certificate lacks, and doubts about it.
+    /// Findings about missing data of the certificate, and warnings about it.
     pub fn findings(&self) -> Vec<CertificateFinding> {
         let Identity { robot, laboratory, country, operator, customer, measured, bar, temperatures, .. } =
             self.identity();
@@ -159,14 +159,19 @@ impl Certificate {
         let empty = (!lacking.is_empty()).then(|| NotStated { what: Names::of(lacking) });
         let is_warning = |found: &&RecordedFinding| found.severity() == Severity::Warning;
         let of_check = self.check.iter().flat_map(|check| &check.findings).filter(is_warning).count();
-        let doubts = self.result.warnings().count() + usize::from(!self.result.converged) + of_check;
+        let warnings = self.result.warnings().count() + usize::from(!self.result.converged) + of_check;
         let is_ball = |found: &&ParameterResult| matches!(found.name, ParamId::Ball(_, Coordinate::X));
         let balls = self.result.parameters.iter().filter(is_ball).count();
         let other =
             self.identity().balls.keys().find(|ball| ball.parse().is_ok_and(|ball: usize| ball > balls));
         let other = other.map(|ball| NoSuchBall { ball: ball.clone(), balls });
-        let doubtful = (doubts > 0).then_some(Doubtful { warnings: doubts });
-        empty.into_iter().chain(self.contradictions.iter().cloned()).chain(other).chain(doubtful).collect()
+        let with_warnings = (warnings > 0).then_some(WithWarnings { warnings });
+        empty
+            .into_iter()
+            .chain(self.contradictions.iter().cloned())
+            .chain(other)
+            .chain(with_warnings)
+            .collect()
     }
 
     pub fn html(&self) -> Result<String, Diagnostic> {
@@ -192,7 +197,7 @@ impl Certificate {
         Ok(Some(pdf::write(self, dcc)?))
     }
 
-    /// This build has no PDF.
+    /// Returns `None`: this build has no PDF.
     #[cfg(not(feature = "pdf"))]
     pub fn pdf(&self, _: &[u8]) -> Result<Option<Vec<u8>>, Diagnostic> {
         Ok(None)

@@ -19,7 +19,7 @@ use super::sections::{Block, Section, Table};
 use super::{Certificate, DRAFT};
 use crate::report::certificate::CertificateFinding;
 
-/// A4 and its margins, points.
+/// Size of A4 and its margins, points.
 const PAGE: [f32; 2] = [595.28, 841.89];
 const LEFT: f32 = 51.0;
 const RIGHT: f32 = PAGE[0] - 51.0;
@@ -59,7 +59,7 @@ enum Mark {
 /// text is the sum of its advances.
 struct Typeface {
     charmap: Charmap<'static>,
-    /// In units of the font.
+    /// The metrics of the glyphs, in units of the font.
     metrics: GlyphMetrics<'static>,
     units_per_em: f32,
 }
@@ -151,7 +151,7 @@ struct TableRows {
     widths: Vec<f32>,
     head: Row,
     rows: Vec<Row>,
-    /// Height that stays on one page, points: that of the whole table if it is short.
+    /// Height that stays on one page, points: the height of the whole table if it is short.
     together: f32,
 }
 
@@ -162,7 +162,7 @@ struct Layout {
 }
 
 impl Layout {
-    /// Begins a new page if fewer points than `height` are left; whether it did.
+    /// Begins a new page if fewer points than `height` are left; returns whether it did.
     fn room(&mut self, height: f32) -> bool {
         let full = self.pages.is_empty() || self.y + height > BOTTOM;
         if full {

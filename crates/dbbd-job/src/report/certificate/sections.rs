@@ -65,7 +65,7 @@ fn or_dash(text: Option<String>) -> String {
     text.unwrap_or_else(|| "–".to_owned())
 }
 
-/// What lengths to base balls never determine.
+/// Quantities that lengths to base balls never determine.
 pub(super) const NEVER_DETERMINED: [&str; 4] = [
     "Position and orientation of the robot base in the cell: lengths do not change when robot and balls are moved together. The position uncertainty is after the best rigid alignment.",
     "The orientation of the tool: the tool ball is a point.",
@@ -233,6 +233,7 @@ impl Certificate {
             number("identified"),
             number("correction"),
             number("U (k = 2)"),
+            text("determined by"),
         ];
         let combined = self.result.combinations.iter().map(|group| Block::Text(typeset(group.to_string())));
         [Block::Table(Table { head, rows, sum: false })].into_iter().chain(combined).collect()
@@ -264,7 +265,7 @@ impl Certificate {
     }
 }
 
-/// Who left out a length, and why.
+/// The person who left out a length, and the reason.
 fn left_out(excluded: &ExcludedMeasurement) -> Fact {
     let stated = |text: &Option<String>| text.clone().unwrap_or_else(|| "not stated".into());
     let ExcludedMeasurement { index, residual_mm, by, reason, .. } = excluded;
@@ -302,12 +303,14 @@ fn decision(check: &Check) -> Vec<Fact> {
     facts
 }
 
-/// In mm and degrees, with two figures of the uncertainty.
+/// A row of the table of parameters, in mm, degrees and µrad/Nm, with two figures of the uncertainty.
 fn parameter_row(parameter: &ParameterResult) -> Vec<String> {
     let (unit, factor) = match parameter.unit {
         ParamUnit::Rad => ("deg", 180.0 / std::f64::consts::PI),
-        unit @ (ParamUnit::Mm | ParamUnit::RadPerNm) => (unit.name(), 1.0),
+        ParamUnit::RadPerNm => ("µrad/Nm", 1e6),
+        ParamUnit::Mm => ("mm", 1.0),
     };
+    let has_prior = parameter.status == Status::SupportedByPrior;
     let u = parameter.sd.map(|sd| 2.0 * factor * sd).filter(|u| *u > 0.0);
     let places = u.map_or(4, |u| decimals(u) + 1);
     vec![
@@ -317,5 +320,6 @@ fn parameter_row(parameter: &ParameterResult) -> Vec<String> {
         fixed(factor * parameter.identified, places),
         signed(factor * parameter.correction, places),
         or_dash(u.map(|u| fixed(u, places))),
+        (if has_prior { "lengths and prior" } else { "lengths" }).to_owned(),
     ]
 }

@@ -10,25 +10,25 @@ use dbbd_model::robot::{BallId, Coordinate, ParamId};
 
 /// Name of the data list.
 const MODULE: &str = "DBB_RESULT";
-/// Name of its file.
+/// Name of the file of the data list.
 pub(super) const FILE: &str = "DBB_RESULT.dat";
 
-/// Characters of a comment line.
+/// Longest comment line, characters.
 const LINE: usize = 110;
 
-/// A ball in a frame: the tool ball in the flange's, or a base ball in the robot base.
+/// A ball in a frame: the tool ball in the flange frame, or a base ball in the robot base.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BallInFrame {
     /// Variable in the data list.
     pub variable: String,
-    /// What it is, such as `tool ball in $FLANGE`.
+    /// The ball in words, such as `tool ball in $FLANGE`.
     pub what: String,
     pub nominal_mm: [f64; 3],
     pub identified_mm: [f64; 3],
     corrections_mm: [f64; 3],
-    /// Of each coordinate.
+    /// Status of each coordinate.
     statuses: [Status; 3],
-    /// On each coordinate.
+    /// Remark on each coordinate.
     pub remarks: [String; 3],
 }
 

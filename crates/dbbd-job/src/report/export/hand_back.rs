@@ -1,4 +1,5 @@
-//! An identified robot in the files of another program or of its controller, with what these files leave out.
+//! Writes an identified robot into files for another program or for its controller, and states the error that these
+//! files leave.
 
 use super::kuka::MachineDataProposal;
 use super::ros_calibration::ros_calibration;
@@ -12,16 +13,16 @@ use dbbd_model::estimation::{CalibrationResult, SimplifiedModelError};
 use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::{DhRow, Geometry, Robot};
 
-/// Whom the files are for.
+/// The program or controller that reads the files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandBackTarget {
     /// A URDF, as ROS, MuJoCo, Drake and others read it.
     Urdf,
-    /// A URDF, and of a Universal Robots arm the file of its ROS description.
+    /// A URDF; for a Universal Robots arm also the file of its ROS description.
     Ros,
     /// Machine data and mastering of a KUKA controller.
     Kuka,
-    /// A controller that takes only the zeros of its axes, with its language if dbbd writes it.
+    /// A controller that takes only the zeros of its axes; its language if dbbd writes this language.
     ZerosOnly(Option<Language>),
     /// The DH table, as RoboDK has it.
     RoboDk,
@@ -30,15 +31,17 @@ pub enum HandBackTarget {
 /// The files for a target: name and content.
 pub struct HandBack {
     pub files: Vec<(&'static str, Vec<u8>)>,
-    /// What the target computes with the files, against the identified robot; `None` if nothing is left out.
+    /// The position errors of the model in the files, compared with the identified robot; `None` if the files contain
+    /// everything.
     pub left_out: Option<SimplifiedModelError>,
 }
 
 impl HandBack {
-    /// Of a robot, with its result where the target takes zeros. `provenance` is what the files are made from.
+    /// The files for a robot; its result is needed where the target takes zeros of axes. `provenance` names the sources
+    /// of the files.
     ///
     /// # Errors
-    /// The robot is not identified, its result is missing, or it is not a robot of the target's make.
+    /// The robot is not identified, its result is missing, or its make is not the make of the target.
     pub fn of(
         target: HandBackTarget,
         robot: &Robot,
@@ -99,10 +102,10 @@ const URDF: &str = "robot-identified.urdf";
 /// The file that `ur_description` takes as `kinematics_params`.
 const ROS_CALIBRATION: &str = "robot_calibration.yaml";
 const MASTERING: &str = "mastering.csv";
-/// Rounding of a table that holds all.
+/// Largest error of rounding in a table that contains everything, mm.
 const SAME_MM: f64 = 1e-6;
 
-/// The table in modified DH. RoboDK has no beta: where a column is not zero, the finding says what is lost without it.
+/// The table in modified DH. RoboDK has no beta: if a beta is not zero, the finding states the error without it.
 fn dh_table(robot: &Robot) -> Result<Vec<u8>, InternalFinding> {
     let columns = ["joint", "alpha_deg", "a_mm", "theta_deg", "d_mm", "beta_deg", "sense"];
     let rows = robot.geometry.rows.iter().zip(1..).map(|(row, joint)| {

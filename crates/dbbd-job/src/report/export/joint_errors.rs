@@ -1,9 +1,10 @@
-//! The errors of the joints as a table, for post-processors: what most targets leave out.
+//! The errors of the joints as a table for post-processors: most targets leave them out.
 
 use dbbd_model::estimation::{JointPoint, joint_curve};
 use dbbd_model::robot::{Joint, Robot};
 
-/// `joint-errors.csv`: the correction of each axis in its own sense, by the sense of approach, with its standard deviation.
+/// `joint-errors.csv`: the correction of each axis in the axis's own sense, by the sense of approach, with its standard
+/// deviation.
 pub fn csv(robot: &Robot) -> String {
     let row = |joint: Joint, JointPoint { angle_deg, rising, falling, sd }: JointPoint| {
         let [rising, falling, sd] = [rising, falling, sd].map(f64::to_degrees);

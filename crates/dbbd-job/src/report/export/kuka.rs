@@ -17,24 +17,24 @@ const POSES: usize = 200;
 const SEED: u64 = 2;
 /// Points of the flange whose places are fitted, mm: they show its orientation as well.
 const ON_FLANGE_MM: [[f64; 3]; 3] = [[0.0; 3], [300.0, 0.0, 0.0], [0.0, 300.0, 0.0]];
-/// Where the arm is in the room is not identified: six unknowns of the fit.
+/// Unknowns of the fit that are not identified: the place of the arm in the room, with six of them.
 const RIGID: usize = 6;
 /// A degree at a metre, mm: the unit of angles in the fit.
 const MM_PER_DEG: f64 = 17.45;
-/// Weight of the nominal value beside the data: what the flange does not depend on stays as it is.
+/// Weight of the nominal value beside the data: a value on which the flange does not depend stays nominal.
 const DAMPING: f64 = 1e-9;
-/// The errors of an arm are small: every step has at least three digits more.
+/// Number of steps. The errors of an arm are small: every step gains at least three digits.
 const STEPS: usize = 6;
 /// Step of the differences, mm.
 const STEP_MM: f64 = 1e-3;
 
-/// A value that may be entered: how it is reached, and mm for its unit.
+/// A value that may be entered: the access to it, and its unit in mm.
 struct MachineValue {
     of: fn(&mut MachineData) -> &mut f64,
     mm: f64,
 }
 
-/// At B = 90 degrees C turns as A does, and the turn about axis 4 is its zero.
+/// The values of the fit. At B = 90 degrees C turns as A does, and the turn about axis 4 is its zero.
 const VALUES: [MachineValue; 13] = [
     MachineValue { of: |data| &mut data.length_a, mm: 1.0 },
     MachineValue { of: |data| &mut data.length_b, mm: 1.0 },
@@ -51,14 +51,14 @@ const VALUES: [MachineValue; 13] = [
     MachineValue { of: |data| &mut data.tflwp[2], mm: 1.0 },
 ];
 
-/// The nominal values and those proposed.
+/// The nominal values and the proposed values.
 pub(super) struct MachineDataProposal {
     nominal: MachineData,
     proposed: MachineData,
 }
 
 impl MachineDataProposal {
-    /// `None` if the nominal robot is not a KUKA with a central wrist.
+    /// The proposal for a robot; `None` if the nominal robot is not a KUKA with a central wrist.
     pub(super) fn of(robot: &Robot) -> Option<Self> {
         let nominal = MachineData::of(&robot.controller().geometry)?;
         let mut fit = MachineDataFit::new(robot);
@@ -69,7 +69,7 @@ impl MachineDataProposal {
         Some(Self { nominal, proposed })
     }
 
-    /// The arm that the controller computes with once values and zeros are entered, with the tool ball of `robot`.
+    /// The arm with which the controller computes once values and zeros are entered, with the tool ball of `robot`.
     pub(super) fn geometry(&self, robot: &Robot) -> Geometry {
         let zeros = zeros(robot);
         let table = self.proposed.table();
@@ -81,7 +81,7 @@ impl MachineDataProposal {
         Geometry { rows, tool, ..robot.geometry.rigid() }
     }
 
-    /// `machine-data.txt`: the values as KRL declares them, the nominal ones as comments.
+    /// `machine-data.txt`: the values as KRL declares them, with the nominal values as comments.
     pub(super) fn text(&self, robot: &str) -> String {
         let mut text = format!(
             "; Proposal for the machine data of {robot}: mm and degrees, with the zeros of mastering.csv.\n\
@@ -119,11 +119,11 @@ fn number(value: f64) -> String {
     if text == "-0.00000" { "0.00000".into() } else { text }
 }
 
-/// Where the points of the identified flange are, and the axis angles that the mastered controller shows there.
+/// The places of the points of the identified flange, and the axis angles that the mastered controller shows there.
 struct MachineDataFit {
     shown: Vec<[f64; AXES]>,
     places: Vec<Vector3<f64>>,
-    /// Of the base of the controller's model in that of the robot: shifts (mm), then turns (rad).
+    /// Base of the controller's model in the robot's base: shifts (mm), then turns (rad).
     base: [f64; RIGID],
 }
 
@@ -207,7 +207,8 @@ mod tests {
         SimplifiedModelError::by(robot, &proposal.geometry(robot))
     }
 
-    /// What the machine data have a value for is entered as it is; the zeros are mastered. A fit of the same values in numpy leaves 2e-8 mm.
+    /// Errors for which the machine data have a value are entered completely; the zeros are mastered. A fit of the same
+    /// values in numpy leaves 2e-8 mm.
     #[test]
     fn what_machine_data_hold_is_entered_wholly() {
         let robot = with_errors(&[
@@ -235,7 +236,7 @@ mod tests {
         assert!((proposal.proposed.length_a - 350.4).abs() < 1e-6, "{:?}", proposal.proposed);
         assert!((proposal.proposed.length_b - 849.3).abs() < 1e-6);
         assert!((proposal.proposed.tflwp[2] - 170.3).abs() < 1e-6);
-        // What is not identified by anything stays nominal.
+        // Values that no data identify stay nominal.
         assert_eq!(proposal.proposed.tiroro, proposal.nominal.tiroro);
         let text = proposal.text("KUKA KR 60 HA");
         assert!(

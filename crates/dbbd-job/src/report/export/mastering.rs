@@ -12,19 +12,19 @@ use dbbd_model::robot::{AXES, Joint, ParamId, Payload, Robot};
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AxisOffset {
-    /// From 1.
+    /// Number of the axis, from 1.
     pub axis: usize,
-    /// True angle minus the controller's, degrees; 0 if nothing is known of it.
+    /// True angle minus the controller's angle, degrees; 0 if the offset is not known.
     pub offset_deg: f64,
     pub sd_deg: Option<f64>,
-    /// Of the joint's theta: by the data alone only if this is `Identified`.
+    /// Status of the joint's theta. Only with `Identified` the data alone determine the offset.
     pub status: Status,
     pub remark: String,
-    /// What the flange carried while it was measured: with another load a joint bends otherwise.
+    /// The payloads on the flange during the measurement: with another load a joint bends by another angle.
     pub payload: String,
 }
 
-/// True angle minus the controller's of each axis, rad, by the tables of an identified robot.
+/// True angle minus the controller's angle of each axis, rad, from the tables of an identified robot.
 pub(super) fn zeros(robot: &Robot) -> [f64; AXES] {
     let nominal = &robot.controller().geometry;
     std::array::from_fn(|at| {
@@ -51,7 +51,8 @@ pub fn offsets(result: &CalibrationResult, robot: &Robot) -> Vec<AxisOffset> {
         .filter_map(|joint| {
             let found = result.parameter(ParamId::Theta(joint))?;
             let sign = robot.geometry.rows.get(joint.index())?.sign;
-            // With the prior's help the most probable angle is known too; its standard deviation says how well.
+            // With the help of the prior the most probable angle is known as well; its standard deviation states how
+            // well.
             let is_known = matches!(found.status, Status::Identified | Status::SupportedByPrior);
             Some(AxisOffset {
                 axis: joint.number(),
@@ -68,7 +69,7 @@ pub fn offsets(result: &CalibrationResult, robot: &Robot) -> Vec<AxisOffset> {
         .collect()
 }
 
-/// A remark on a parameter's value by itself.
+/// A remark on a parameter's value, without reference to others.
 pub(super) fn remark(found: &ParameterResult) -> String {
     let reason = &found.reason;
     match found.status {

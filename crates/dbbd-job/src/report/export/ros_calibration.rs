@@ -1,7 +1,8 @@
-//! The calibration file of ROS for a Universal Robots arm (`kinematics` of `ur_description`): each segment in the one before, where its
-//! joint is at zero. Each joint turns about the z of its segment.
+//! The calibration file of ROS for a Universal Robots arm (`kinematics` of `ur_description`): the place of each segment
+//! in the segment before it, with its joint at zero. Each joint turns about the z of its segment.
 //!
-//! Row i of the table, `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`, is such a segment: its joint may be moved along its own axis.
+//! Row i of the table, `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`, is such a segment: its joint may be moved along the
+//! joint's axis.
 
 use std::fmt::Write;
 
@@ -15,7 +16,8 @@ use dbbd_model::robot::Robot;
 /// Hexadecimal digits of a hash of 64 bits.
 const HASH_DIGITS: usize = 16;
 
-/// The YAML of a robot; `None` where the form does not hold it: another make, or an axis against its sense.
+/// The YAML of a robot; `None` if the form cannot hold the robot: it is of another make, or an axis turns against its
+/// sense.
 pub(super) fn ros_calibration(robot: &Robot) -> Option<String> {
     let is_universal = robot.controller_language() == Some(Language::Urscript.name());
     let has_senses = robot.geometry.rows.iter().all(|row| row.sign > 0.0);
@@ -29,11 +31,11 @@ pub(super) fn ros_calibration(robot: &Robot) -> Option<String> {
         let values = place.into_iter().chain(roll_pitch_yaw(&pose.rotation));
         let _ = writeln!(segments, "  {name}:");
         for (coordinate, value) in COORDINATES.iter().zip(values) {
-            // With its point: a whole number would be read as another type.
+            // Numbers are written with a decimal point: a whole number would be read as another type.
             let _ = writeln!(segments, "    {coordinate}: {:?}", value + 0.0);
         }
     }
-    // The driver compares it with that of the controller's own calibration, of which this is another.
+    // The driver compares this hash with the hash of the controller's own calibration, which differs.
     let hash = sha256(segments.as_bytes());
     let hash = u64::from_str_radix(hash.get(..HASH_DIGITS)?, 16).ok()?;
     Some(format!(

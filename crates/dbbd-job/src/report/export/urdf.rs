@@ -1,13 +1,13 @@
-//! The robot as a URDF, in metres and radians. A joint variable is the controller's axis angle; that of a coupled joint, for
-//! which URDF has no form, is the joint's own angle, a sum of axis angles.
+//! The robot as a URDF, in metres and radians. A joint variable is the controller's axis angle. URDF has no form for a
+//! coupled joint: its variable is the joint's own angle, a sum of axis angles.
 //!
 //! Row i is `Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d)`. A URDF joint is a fixed origin followed by a turn about its axis, so
 //! that joint i's origin is the shift d of the row before, then `Ry(beta) Rx(alpha) Tx(a) Rz(offset)`, and its axis is z with
 //! the sense of the controller's angle. URDF has no compliance and no errors of joints: a comment states the position error
 //! without them.
 //!
-//! One file for every reader. Drake wants a link `world`, efforts and transmissions, MuJoCo masses and inertias above zero: where these
-//! are not known they are placeholders, and comments say so.
+//! One file for every reader. Drake needs a link `world`, efforts and transmissions, MuJoCo needs masses and inertias
+//! above zero. Values that are not known are placeholders, and comments say so.
 
 use std::fmt::Write;
 
@@ -17,11 +17,11 @@ use dbbd_model::estimation::SimplifiedModelError;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
 use dbbd_model::robot::{AXES, Joint, Mass, Payload, Pose, Robot};
 
-/// Stands for efforts that are not known, N m: a joint without effort has no actuator.
+/// Placeholder for efforts that are not known, N m: a joint without effort has no actuator.
 const PLACEHOLDER_EFFORT_NM: f64 = 1000.0;
-/// Stands for masses that are not known, kg.
+/// Placeholder for masses that are not known, kg.
 const PLACEHOLDER_KG: f64 = 1.0;
-/// Added to every inertia, kg m^2: those of points are zero about some axis.
+/// Added to every inertia, kg m^2: inertias of point masses are zero about some axis.
 const PLACEHOLDER_INERTIA_KG_M2: f64 = 0.01;
 
 /// The URDF of a robot: links `world`, `base_link`, `link_1` to `link_6`, `flange` and `ball`.
@@ -67,7 +67,7 @@ pub fn urdf(robot: &Robot) -> String {
     }
     text.push_str(&fixed("flange", &format!("link_{AXES}"), &Vector3::new(0.0, 0.0, before_mm)));
     text.push_str(&fixed("ball", "flange", &robot.geometry.tool));
-    // Drake makes actuators of them.
+    // Drake makes actuators of the transmissions.
     for number in 1..=AXES {
         let _ = writeln!(
             text,
@@ -102,9 +102,9 @@ pub(super) fn link_frames(robot: &Robot, axes: &[f64; AXES]) -> Vec<(String, Pos
 
 /// A joint whose variable is not the angle that the controller shows.
 pub struct CoupledJoint {
-    /// From 1.
+    /// Number of the joint, from 1.
     pub number: usize,
-    /// Of axes, such as `A3 + A2`.
+    /// Sum of axes, such as `A3 + A2`.
     pub sum: String,
 }
 
@@ -158,8 +158,8 @@ pub(super) fn origin_tag(place_mm: &Vector3<f64>, rotation: &Matrix3<f64>) -> St
     format!("<origin xyz=\"{x} {y} {z}\" rpy=\"{roll} {pitch} {yaw}\"/>")
 }
 
-/// R = Rz(yaw) Ry(pitch) Rx(roll). The yaw is removed before the roll is computed, so that the three give R to rounding also
-/// at a pitch of a right angle.
+/// R = Rz(yaw) Ry(pitch) Rx(roll). The yaw is removed before the roll is computed, so that the three angles give R to
+/// rounding also at a pitch of a right angle.
 pub(super) fn roll_pitch_yaw(r: &Matrix3<f64>) -> [f64; 3] {
     let yaw = r[(1, 0)].atan2(r[(0, 0)]);
     let level = rot_z(-yaw) * r;
@@ -184,7 +184,7 @@ mod tests {
     use super::*;
     use dbbd_model::estimation::Workspace;
 
-    /// Also of an arm whose third axis is coupled with the second.
+    /// The same holds for an arm whose third axis is coupled with the second.
     #[test]
     fn the_ball_of_the_links_is_that_of_the_table() {
         for name in ["kr60ha", "m10id12", "ur10e"] {

@@ -19,7 +19,7 @@ use dbbd_model::robot::DhRow;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
 use dbbd_model::robot::{AXES, Geometry, Pose, Robot};
 
-/// A larger deviation from the nominal robot's joint means another robot or another zero position.
+/// Largest deviation from the nominal robot's joint: a larger one means another robot or another zero position.
 const OTHER_ROBOT_MM: f64 = 5.0;
 const OTHER_ROBOT_DEG: f64 = 0.5;
 
@@ -34,14 +34,15 @@ pub struct PatchedUrdf {
 #[derive(Debug, Serialize)]
 pub struct PatchedJoint {
     pub name: String,
-    /// Deviation of its axis from the nominal robot's, before the patch.
+    /// Deviation of the joint's axis from the nominal robot's axis, before the patch.
     pub from_nominal_mm: f64,
     pub from_nominal_deg: f64,
     pub moved_mm: f64,
     pub turned_deg: f64,
 }
 
-/// Puts the identified geometry of `robot` into a URDF; `names` are its six joints, in order, where the file has more.
+/// Puts the identified geometry of `robot` into a URDF; `names` are its six joints, in order, if the file has more
+/// joints.
 pub fn patch(file: &str, text: &str, robot: &Robot, names: &[String]) -> Result<PatchedUrdf, Diagnostic> {
     let document = urdf::parse(file, text)?;
     let joints = UrdfReader::new(file, text, &document).six(names)?;
@@ -83,7 +84,7 @@ fn rewritten(text: &str, changes: &[(Node<'_, '_>, Pose)]) -> String {
             let tag = origin_tag(&origin.position, &origin.rotation);
             match urdf::child(*joint, "origin") {
                 Some(old) => (old.range(), tag),
-                // Before the first child; a joint always has children, its links.
+                // The new element goes before the first child; a joint always has children, its links.
                 None => {
                     let at =
                         joint.first_element_child().map_or(joint.range().end, |first| first.range().start);
@@ -116,7 +117,7 @@ fn frames(geometry: &Geometry) -> [Pose; AXES] {
     })
 }
 
-/// The URDF's joints and those of the nominal robot.
+/// The URDF's joints and the joints of the nominal robot.
 struct Placement<'a> {
     nominal: &'a [Pose; AXES],
     signs: [f64; AXES],
@@ -141,7 +142,7 @@ impl Placement<'_> {
         self.nominal[at].rotation.column(2) * self.signs[at]
     }
 
-    /// Deviation of a joint's axis from the nominal robot's, with the root link at `root`.
+    /// Deviation of a joint's axis from the nominal robot's axis, with the root link at `root`.
     fn deviation(&self, root: &Pose, at: usize) -> AxisDeviation {
         let frame = root.then(&self.joint_frame(at));
         let z = self.direction(at);

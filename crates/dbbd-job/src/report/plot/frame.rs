@@ -37,7 +37,7 @@ pub(super) struct Labels<'a> {
     pub(super) y: &'a str,
 }
 
-/// How an axis shows its ticks.
+/// The form of the ticks of an axis.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Grid {
     /// Lines across the area.

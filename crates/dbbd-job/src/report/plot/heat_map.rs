@@ -30,7 +30,7 @@ pub struct HeatMap {
     /// First and last edge of the grid along x and along y.
     pub extent: [[f64; 2]; 2],
     pub columns: usize,
-    /// Row by row from the lowest y; not finite in an empty cell.
+    /// Values row by row from the lowest y, mm; not finite in an empty cell.
     pub values_mm: Vec<f64>,
     pub overlay: Overlay,
 }
@@ -39,7 +39,7 @@ pub struct HeatMap {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Overlay {
     pub arm: Vec<[f64; 2]>,
-    /// Name and place.
+    /// Name and place of each base ball.
     pub balls: Vec<(String, [f64; 2])>,
 }
 
@@ -62,7 +62,7 @@ impl HeatMap {
         Self::binned_from_two_sides(quantity, points).iter().map(Self::to_svg).collect()
     }
 
-    /// From above and from the side.
+    /// Two maps: from above and from the side.
     fn binned_from_two_sides(quantity: &str, points: &[MapPoint]) -> Vec<Self> {
         let above = points.iter().map(|point| (point.position.xy().into(), point.rms_mm)).collect();
         let from_axis_1 = |point: &MapPoint| [point.position.xy().norm(), point.position.z];
@@ -106,7 +106,7 @@ impl HeatMap {
         })
     }
 
-    /// x and y to the same scale.
+    /// The picture, with x and y to the same scale.
     pub fn to_svg(&self) -> String {
         let drawn = |axis: usize| {
             let balls = self.overlay.balls.iter().map(move |(_, ball)| ball[axis]);

@@ -22,7 +22,7 @@ pub(super) use view::{Projection, View};
 
 use super::svg::{Anchor, Svg};
 
-/// How a series is drawn; the three differ in colour and in form.
+/// The style of a series; the three styles differ in colour and in form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Series {
     /// Vermilion, hollow dots: before, or the first direction.

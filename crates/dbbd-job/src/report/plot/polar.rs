@@ -42,9 +42,9 @@ pub struct PolarTrace {
 /// The rings about the ring of zero deviation.
 struct Rings {
     unit: Unit,
-    /// Between two rings, in the unit.
+    /// Distance between two rings, in the unit.
     spacing: f64,
-    /// On each side.
+    /// Number of rings on each side.
     count: i32,
     px_per_unit: f64,
 }
@@ -108,7 +108,7 @@ impl PolarPlot {
 }
 
 impl PolarTrace {
-    /// Lines between neighbours and a dot each.
+    /// Draws lines between neighbours, and a dot for each point.
     fn draw(&self, svg: &mut Svg, rings: &Rings) {
         let mut points: Vec<[f64; 2]> = self
             .points
@@ -147,7 +147,7 @@ impl PolarTrace {
     }
 }
 
-/// Lines each 30 degrees, names each 90.
+/// Draws a spoke each 30 degrees, with a name each 90 degrees.
 fn spokes(svg: &mut Svg) {
     for number in 0..12 {
         svg.line("grid", CENTRE, polar(f64::from(number) * 30.0, OUTER));
@@ -175,7 +175,7 @@ fn ring_labels(svg: &mut Svg, rings: &Rings) {
     }
 }
 
-/// Ticks across the outermost ring, with their labels outside.
+/// Draws ticks across the outermost ring, with their labels outside.
 fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
     let mut sorted: Vec<(f64, &str)> =
         marks.iter().map(|(angle, word)| (angle.rem_euclid(360.0), word.as_str())).collect();
@@ -191,7 +191,7 @@ fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
     for (angle, mut words) in groups {
         words.sort_unstable();
         words.dedup();
-        // Beside the labels of the quarters, not on them.
+        // The labels go beside the labels of the quarters, not on them.
         let off = (angle + 45.0).rem_euclid(90.0) - 45.0;
         let beside = if off.abs() < NAME_DEG { NAME_DEG.copysign(off) - off } else { 1.0 };
         let [x, y] = polar(angle + beside, OUTER + 15.0);
@@ -199,7 +199,7 @@ fn mark(svg: &mut Svg, marks: &[(f64, String)]) {
     }
 }
 
-/// Pixels of an angle (counter-clockwise from the right) and a radius.
+/// Position in pixels of an angle (counter-clockwise from the right) and a radius.
 fn polar(angle_deg: f64, radius: f64) -> [f64; 2] {
     let (sin, cos) = angle_deg.to_radians().sin_cos();
     [CENTRE[0] + radius * cos, CENTRE[1] - radius * sin]

@@ -10,8 +10,8 @@ const SIZE: [f64; 2] = [NARROW, 270.0];
 const HISTOGRAM: [f64; 2] = [NARROW, 250.0];
 /// Most bars of a histogram; with outliers the last bars hold the rest.
 const MOST_BARS: usize = 41;
-/// With more points than this a plot shows only the least and the greatest in each of `BINS` strips: a plot of a million
-/// points does not open.
+/// With more points than this a plot shows only the least and the greatest point in each of `BINS` strips: a plot of a
+/// million points does not open.
 const MOST_POINTS: usize = 4000;
 const BINS: usize = 1000;
 
@@ -22,11 +22,11 @@ pub(crate) struct ResidualPoint {
     pub(crate) axes_deg: [f64; AXES],
     /// Sense in which each axis approached its angle: -1, 1, or 0 if it is not known.
     pub(crate) senses: [i8; AXES],
-    /// With the nominal robot, mm.
+    /// Residual with the nominal robot, mm.
     pub(crate) before_mm: f64,
-    /// With the identified robot, mm.
+    /// Residual with the identified robot, mm.
     pub(crate) after_mm: f64,
-    /// Its circle and its angle there, degrees.
+    /// Circle of the measurement and angle on it, degrees.
     pub(crate) on_circle: Option<(CircleId, f64)>,
     pub(crate) outlier: bool,
 }
@@ -34,14 +34,14 @@ pub(crate) struct ResidualPoint {
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum ResidualSet {
     BeforeAndAfter,
-    /// On their own scale, with a band of twice this standard deviation.
+    /// Residuals after the identification on their own scale, with a band of twice this standard deviation.
     After {
         sigma_mm: f64,
     },
 }
 
-/// Residuals against the measurement's index. Outliers do not set the scale: one beyond it is drawn at the edge, with its
-/// value.
+/// Residuals against the measurement's index. Outliers do not set the scale: an outlier beyond the scale is drawn at
+/// the edge, with its value.
 pub(crate) fn residuals(title: &str, points: &[ResidualPoint], set: ResidualSet) -> String {
     let inliers = || points.iter().filter(|point| !point.outlier);
     let largest_mm = match set {
@@ -88,7 +88,7 @@ pub(crate) fn residuals(title: &str, points: &[ResidualPoint], set: ResidualSet)
     frame.svg.finish()
 }
 
-/// The residuals before are the first series.
+/// Draws a dot for each point. The residuals before the identification are the first series.
 fn dots(frame: &mut Frame, points: Vec<&ResidualPoint>, unit: Unit, series: Series) {
     let digits = if unit == Unit::MM { 3 } else { 1 };
     let radius = if points.len() > 150 { 1.9 } else { 2.6 };
@@ -104,7 +104,7 @@ fn dots(frame: &mut Frame, points: Vec<&ResidualPoint>, unit: Unit, series: Seri
     }
 }
 
-/// A cross each, within the frame, with index and value.
+/// Draws a cross for each outlier, within the frame, with index and value.
 fn outliers(frame: &mut Frame, points: &[ResidualPoint], unit: Unit) {
     let middle = 0.5 * (frame.x.pixels[0] + frame.x.pixels[1]);
     let edge = 0.95 * frame.y.values[1];
@@ -119,8 +119,8 @@ fn outliers(frame: &mut Frame, points: &[ResidualPoint], unit: Unit) {
     }
 }
 
-/// The residuals afterwards against axis `axis` (from 0), by the sense of approach; `largest_mm` is the same for all axes, so
-/// that they compare.
+/// The residuals after the identification against axis `axis` (from 0), by the sense of approach; `largest_mm` is the
+/// same for all axes, so that they compare.
 pub(crate) fn against_axis(axis: usize, points: &[&ResidualPoint], largest_mm: f64) -> String {
     let largest_mm = magnitude([largest_mm].into_iter());
     let unit = Unit::length(largest_mm);
@@ -155,7 +155,7 @@ pub(crate) fn against_axis(axis: usize, points: &[&ResidualPoint], largest_mm: f
     frame.svg.finish()
 }
 
-/// The points to draw: all, or if they are too many, those of least and greatest y in each strip along x.
+/// The points to draw: all points, or if they are too many, the points of least and greatest y in each strip along x.
 fn thinned<T>(points: Vec<&T>, place: impl Fn(&T) -> [f64; 2]) -> Vec<&T> {
     if points.len() <= MOST_POINTS {
         return points;

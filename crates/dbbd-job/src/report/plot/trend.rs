@@ -29,7 +29,7 @@ pub struct TrendPoint {
     pub value: f64,
     /// Half width of the 95 % interval; 0 if there is none.
     pub u95: f64,
-    pub doubtful: bool,
+    pub has_warnings: bool,
 }
 
 /// The straight line through the values.
@@ -53,7 +53,7 @@ pub struct TrendPlot<'a> {
 }
 
 impl<'a> TrendPlot<'a> {
-    /// Lengths against dates (days since 1970-01-01), across the page.
+    /// A plot of lengths against dates (days since 1970-01-01), across the page.
     pub fn against_dates(
         title: &'a str,
         points: &'a [TrendPoint],
@@ -97,14 +97,14 @@ impl<'a> TrendPlot<'a> {
         if let Some(limit) = self.limit {
             frame.level("limit", limit * factor);
         }
-        for &TrendPoint { time, value, u95, doubtful } in self.points {
+        for &TrendPoint { time, value, u95, has_warnings } in self.points {
             let [bottom, top] = [-u95, u95].map(|off| frame.at(time, (value + off) * factor));
             let mut tip = signed(value * factor, 4);
             if u95 > 0.0 {
                 frame.svg.line("l-bar", bottom, top);
                 tip += &format!(" ± {}", significant(u95 * factor, 2));
             }
-            let series = if doubtful { Series::First } else { Series::Second };
+            let series = if has_warnings { Series::First } else { Series::Second };
             let tip = format!("{tip} {}", self.unit.sign);
             frame.svg.circle(series.dot(), frame.at(time, value * factor), 3.0, &tip);
         }
@@ -128,7 +128,7 @@ fn draw(frame: &mut Frame, TrendLine { line, coverage, until }: TrendLine, [firs
     frame.svg.line(Series::Third.line(), from, to);
 }
 
-/// The axes of a plot against dates: a mark at the first day of every so many months.
+/// Draws the axes of a plot against dates: a mark at the first day of every few months.
 fn dates(frame: &mut Frame) {
     frame.y_axis_lines();
     let [first, last] = frame.x.values;

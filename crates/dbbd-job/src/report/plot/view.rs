@@ -15,11 +15,11 @@ const TALL: f64 = 400.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Projection {
-    /// From above: X to the right, Y up.
+    /// The view from above: X to the right, Y up.
     Xy,
-    /// From the robot's right side: X to the right, Z up.
+    /// The view from the robot's right side: X to the right, Z up.
     Xz,
-    /// From the front, against X: Y to the right, Z up.
+    /// The view from the front, against X: Y to the right, Z up.
     Yz,
 }
 
@@ -42,7 +42,7 @@ pub(crate) struct View<'a> {
     pub(crate) rows: &'a [PlanRow],
     /// Polylines through the robot's joints, base first.
     pub(crate) skeletons: &'a [Vec<[f64; 3]>],
-    /// Edges of the obstacles, clipped to the extent of the rest.
+    /// Edges of the obstacles, clipped to the extent of the other parts.
     pub(crate) obstacles: &'a [Vec<[f64; 3]>],
 }
 
@@ -65,7 +65,7 @@ fn clipped([from, to]: [[f64; 2]; 2], area: [[f64; 2]; 2]) -> Option<[[f64; 2]; 
 }
 
 impl View<'_> {
-    /// Both axes to the same scale.
+    /// The picture, with both axes to the same scale.
     pub(crate) fn to_svg(&self, projection: Projection) -> String {
         let axes = projection.axes();
         let [x_name, y_name] = axes.map(|axis| ["X", "Y", "Z"][axis]);

@@ -85,7 +85,7 @@ fn place(html: &str, part: &str) -> usize {
 const HOSTILE: &str = "<b>& \"KR\" '60'</b>";
 const HOSTILE_ESCAPED: &str = "&lt;b&gt;&amp; ";
 
-/// A calibration with an outlier and a doubt.
+/// A calibration with an outlier and a warning.
 fn found(robot: &Robot) -> (CompletedCalibration, Measurements) {
     let mut observations = measure(&with_errors(DESIGNED), &three_planes(1, CENTRE), 27, 25.0);
     for (at, row) in observations.rows.iter_mut().enumerate() {
@@ -138,7 +138,7 @@ fn the_report_shows_every_parameter_finding_and_figure() {
         );
     }
     // The verdict says that there are warnings; they follow, before all that is folded.
-    let order = ["data-verdict=\"undecided\"", "class=\"doubt\"", "class=\"contents\"", "class=\"part\""];
+    let order = ["data-verdict=\"undecided\"", "class=\"warning\"", "class=\"contents\"", "class=\"part\""];
     assert!(order.map(|part| place(&html, part)).is_sorted());
     assert!(!report(&without_findings(found.clone()), &observations).contains("data-verdict=\"undecided\""));
     assert_eq!(found.result.outliers.len(), 1);
@@ -187,7 +187,7 @@ fn the_plan_shows_every_check_and_parameter() {
         checks.len()
     );
     assert_eq!(html.matches("class=\"failed\"").count(), 1);
-    assert!(place(&html, "class=\"doubt\"") < place(&html, "aria-label=\"Summary\""));
+    assert!(place(&html, "class=\"warning\"") < place(&html, "aria-label=\"Summary\""));
     for parameter in &plan.header.predictions.as_ref().unwrap().parameters {
         assert!(html.contains(&format!("<td class=\"mono\">{}</td>", parameter.name)), "{}", parameter.name);
     }

@@ -23,7 +23,7 @@ pub struct Exclusion {
 impl FromStr for Exclusion {
     type Err = String;
 
-    /// Reads `3,7-9` or `3,7-9:why`.
+    /// Reads rows with or without a reason: `3,7-9` or `3,7-9:why`.
     fn from_str(text: &str) -> Result<Self, String> {
         let (rows, reason) = text.split_once(':').unwrap_or((text, ""));
         let reason = Some(reason.trim()).filter(|reason| !reason.is_empty()).map(str::to_owned);
@@ -31,17 +31,17 @@ impl FromStr for Exclusion {
     }
 }
 
-/// What is left out of the observations.
+/// The rows that were left out of the observations.
 pub(super) struct AppliedExclusion {
     asked: Vec<Exclusion>,
     rows: Vec<Measurement>,
 }
 
 impl AppliedExclusion {
-    /// Takes the rows that are asked for out of the observations.
+    /// Takes the requested rows out of the observations.
     ///
     /// # Errors
-    /// There is no such row, or no other one.
+    /// There is no such row, or no other row would be left.
     pub(super) fn of(
         observations: &mut Measurements,
         asked: &[Exclusion],
@@ -58,7 +58,7 @@ impl AppliedExclusion {
         }
     }
 
-    /// The same rows of observations that were read again.
+    /// Takes the same rows out of observations that were read again.
     pub(super) fn again(&self, observations: &mut Measurements) -> Result<Self, EstimationFinding> {
         Self::of(observations, &self.asked)
     }
@@ -71,7 +71,7 @@ impl AppliedExclusion {
         (!indices.is_empty()).then(|| EstimationFinding::Excluded { count: indices.len(), rows }.into())
     }
 
-    /// Lists the rows in the result. `operator` left out those for which nobody is named.
+    /// Lists the rows in the result. `operator` is named for rows for which nobody else is named.
     pub(super) fn listed_in(
         &self,
         calibration: CompletedCalibration,

@@ -15,19 +15,19 @@ use dbbd_model::measurement::Measurements;
 use dbbd_model::provenance::{Artefact, ArtefactRole};
 use dbbd_model::robot::Robot;
 
-/// The lengths that the result rests on.
+/// Name of the file of the lengths from which the result was computed.
 pub const LENGTHS: &str = "lengths.csv";
-/// The positions that the result rests on.
+/// Name of the file of the positions from which the result was computed.
 pub const POSITIONS: &str = "positions.csv";
 pub(super) const RESULT: &str = "result.json";
-/// The identified robot.
+/// Name of the file of the identified robot.
 pub const ROBOT: &str = "robot-identified.toml";
 
 const PARAMETER_COLUMNS: &str =
     "name,unit,start,nominal,identified,correction,sd,status,reason,low95,high95,mc_sd,mc_low95,mc_high95";
 
-/// Writes all files of a result, and removes those of an earlier result that this one lacks. Returns the result, to whose
-/// provenance the tables of the measurements are added, and the names of the files.
+/// Writes all files of a result, and removes files of an earlier result that this result does not have. Returns the
+/// result, to whose provenance the tables of the measurements are added, and the names of the files.
 pub(super) fn write_results(
     dir: &Path,
     replaced: EarlierFiles,
@@ -68,7 +68,7 @@ pub(super) fn write_results(
 }
 
 fn parameters_csv(parameters: &[ParameterResult]) -> Result<String, InternalFinding> {
-    // Two cells, empty if there is no interval.
+    // Two cells, which are empty if there is no interval.
     let ends = |interval: Option<[f64; 2]>| interval.map_or([None; 2], |ends| ends.map(Some));
     let rows = parameters.iter().map(|parameter| {
         (

@@ -15,7 +15,9 @@ use dbbd_model::base::date;
 use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::diagnostic::{Diagnostic, Severity};
 use dbbd_model::estimation::EstimationFinding;
-use dbbd_model::estimation::{AngleSource, CompletedCalibration, Options, check_measurements, doubts};
+use dbbd_model::estimation::{
+    AngleSource, CompletedCalibration, Options, check_measurements, measurement_findings,
+};
 use dbbd_model::measurement::{BaseBall, Measurements};
 use dbbd_model::provenance::IdentityFinding;
 use dbbd_model::provenance::ProvenanceFinding;
@@ -51,12 +53,12 @@ pub(crate) struct LoadedInputs {
     pub(crate) robot: Robot,
     pub(crate) centres: Vec<BaseBall>,
     pub(crate) observations: Measurements,
-    /// The positions from a table of their own, which are among the observations too.
+    /// The positions from a separate table, which are also among the observations.
     positions: Option<Measurements>,
-    /// As the request states it.
+    /// Standard uncertainty of the bar's length as the request states it, mm.
     stated_bar_u_mm: Option<f64>,
     pub(crate) provenance: Provenance,
-    /// When the lengths were measured, and how warm it was.
+    /// Date and temperature of the measurement of the lengths.
     pub(crate) measured: MeasurementConditions,
     findings: Vec<Diagnostic>,
     pub(crate) axes: AngleSource,
@@ -114,7 +116,7 @@ impl LoadedInputs {
             .map_err(|finding| Diagnostic::file(&input, finding))?;
         findings.extend(left_out.finding());
         check_measurements(&input, &observations, &robot, &centres)?;
-        findings.extend(doubts(&input, &observations, &robot, &centres));
+        findings.extend(measurement_findings(&input, &observations, &robot, &centres));
         let mut positions = None;
         if let Some(path) = named.positions {
             sources.push(read_further(path, lengths, &mut findings)?);
@@ -142,12 +144,14 @@ impl LoadedInputs {
         })
     }
 
-    /// Standard uncertainty of the bar's length, mm, if known: as stated, else by its certificate, and by its temperature.
+    /// Standard uncertainty of the bar's length, mm, if known: the stated one, else the one of its certificate, and the
+    /// one due to its temperature.
     pub(crate) fn bar_u_mm(&self) -> Option<f64> {
         self.provenance.identity.bar_u_mm(self.stated_bar_u_mm)
     }
 
-    /// With what is known of the robot when the lengths were measured: on the day that they or `stated` tell, else today.
+    /// Ages the robot to the day on which the lengths were measured: the day that the lengths or `stated` tell, else
+    /// today.
     pub(crate) fn age_robot(&mut self, stated: Option<&Identity>) {
         if let Some(stated) = stated {
             self.measured.date = stated.measured.clone().or(self.measured.date.take());
@@ -184,7 +188,7 @@ impl LoadedInputs {
         planned.map_or(Ok(()), |planned| Err(ConformityFinding::PlanOfAnother { planned, given: given() }))
     }
 
-    /// Lists what was left out in the result.
+    /// Adds the rows that were left out to the result.
     pub(super) fn with_excluded(&self, calibration: CompletedCalibration) -> CompletedCalibration {
         self.left_out.listed_in(calibration, self.provenance.identity.operator.as_deref())
     }
@@ -193,7 +197,8 @@ impl LoadedInputs {
         [self.findings.clone(), run_findings(&self.parts, &self.robot)].concat()
     }
 
-    /// The options of an identification, whose prior is of the file `prior`. Reports that the robot file has lost its posterior.
+    /// The options of an identification; `prior` is the file of its prior. Reports that the robot file has lost its
+    /// posterior.
     pub(super) fn options(
         &mut self,
         asked: AskedIdentification<'_>,
@@ -207,7 +212,8 @@ impl LoadedInputs {
         Ok(options)
     }
 
-    /// How many of the observations are among those beside a file of an earlier result, from which it was identified.
+    /// The number of observations from which an earlier result was identified: those in the tables beside the file of
+    /// that result.
     pub(crate) fn known_lengths(
         &self,
         result: Option<&Path>,
@@ -258,7 +264,7 @@ impl LoadedInputs {
     }
 }
 
-/// The last day of the parts and their temperature: of the robot, else of the air, else of the rows.
+/// The last day of the parts, and their temperature: of the robot, else of the air, else of the rows.
 fn conditions(parts: &[InputPart], observations: &Measurements) -> MeasurementConditions {
     let identities = || parts.iter().map(|part| &part.lengths.provenance.identity);
     MeasurementConditions {
@@ -277,7 +283,7 @@ fn run_findings(parts: &[InputPart], robot: &Robot) -> Vec<Diagnostic> {
     let runs = parts.iter().filter_map(|part| Some((part, part.matched.as_ref()?)));
     let in_part = |(part, matched): (&InputPart, &MatchedRun)| {
         let findings = matched.findings(robot).into_iter();
-        // With one capture it is clear which one is meant.
+        // With one capture it is clear which capture is meant.
         let file = (parts.len() > 1).then(|| part.path.display().to_string());
         findings.map(move |finding| match &file {
             Some(file) => finding.in_file(file),
@@ -295,7 +301,8 @@ fn angle_source(parts: &[InputPart]) -> AngleSource {
     if parts.iter().any(commanded) { AngleSource::Commanded } else { AngleSource::Given }
 }
 
-/// A finding if the bar of a table was warm or cold and nothing says that its lengths are referred to its certificate.
+/// The finding if the bar of a table was warm or cold and nothing states that its lengths are referred to its
+/// certificate.
 fn uncorrected_bar(observations: &Measurements, bar: &BarIdentity) -> Option<IdentityFinding> {
     let lengths = observations.rows.iter().filter(|row| row.datum.bar().is_some());
     let longest_mm = lengths.map(|row| row.length_mm).reduce(f64::max)?;
@@ -304,8 +311,8 @@ fn uncorrected_bar(observations: &Measurements, bar: &BarIdentity) -> Option<Ide
     bar.uncorrected(bar.length_mm.unwrap_or(longest_mm), mean_c)
 }
 
-/// Reads the chain of a further table of measurements. Refuses another robot than that of `lengths`; another bar or ball
-/// is a finding.
+/// Reads the chain of a further table of measurements. Refuses another robot than in `lengths`; another bar or ball is
+/// a finding.
 fn read_further(
     path: &Path,
     lengths: &TracedArtefact,
@@ -318,7 +325,7 @@ fn read_further(
     Ok(table)
 }
 
-/// Refuses a part of another robot; another bar or ball than that of `lengths` is a finding.
+/// Refuses a part of another robot; another bar or ball than in `lengths` is a finding.
 fn check_further(
     part: &InputPart,
     lengths: &TracedArtefact,
@@ -363,8 +370,8 @@ fn read_positions(
     let positions =
         positions.carrying(&robot.geometry.load).map_err(|finding| Diagnostic::file(&name, finding))?;
     check_measurements(&name, &positions, robot, &[])?;
-    let doubts = doubts(&name, &positions, robot, &[]).into_iter();
-    findings.extend(doubts.filter(|doubt| doubt.severity() != Severity::Info));
+    let of_positions = measurement_findings(&name, &positions, robot, &[]).into_iter();
+    findings.extend(of_positions.filter(|finding| finding.severity() != Severity::Info));
     Ok(positions)
 }
 
@@ -378,7 +385,7 @@ fn with_positions(
     }
 }
 
-/// The robot of the request, else that of the run's plan. Refuses another robot than that of the lengths.
+/// The robot of the request, else the robot of the run's plan. Refuses another robot than the one of the lengths.
 fn read_robot(
     named: Option<&str>,
     run: Option<&RecordedRun>,
@@ -407,7 +414,7 @@ fn read_robot(
         let (lengths, robot) = (lengths.artefact.to_string(), given.artefact.to_string());
         session.finding(ProvenanceFinding::UsedBefore { lengths, robot });
     } else {
-        session.findings(lengths.outdated_by(given));
+        session.findings(lengths.other_calibration_than(given));
     }
     Ok(read)
 }

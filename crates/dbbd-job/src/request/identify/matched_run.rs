@@ -1,4 +1,4 @@
-//! A capture with the poses that its dwells were matched to.
+//! A capture with the poses to which its dwells were matched.
 
 use std::path::Path;
 
@@ -27,7 +27,7 @@ impl MatchedRun {
         Ok(Some(Self { run: Box::new(run), matching }))
     }
 
-    /// Whether the axis angles were measured by the controller.
+    /// The source of the axis angles: measured by the controller or commanded.
     pub(super) fn axes(&self) -> AngleSource {
         let published = self.matching.axes.as_ref().is_some_and(|axes| axes.measured > 0);
         if published || !self.run.axes_deg.is_empty() { AngleSource::Given } else { AngleSource::Commanded }
@@ -39,7 +39,7 @@ impl MatchedRun {
     }
 
     pub(super) fn findings(&self, robot: &Robot) -> Vec<Diagnostic> {
-        let lost = self.run.doubtful.then(|| EstimationFinding::PartOfRunLost.into());
+        let lost = self.run.has_warnings.then(|| EstimationFinding::PartOfRunLost.into());
         let is_reported = |finding: &&MatchingFinding| {
             let is_of_axes = matches!(
                 finding,

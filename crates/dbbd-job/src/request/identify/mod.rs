@@ -32,10 +32,10 @@ pub use parts::SetUpRelation;
 pub use tables::plausible_deviation;
 use tables::read_prior;
 
-/// How often a capture is matched again with the identified robot.
+/// Most repetitions of the matching of a capture with the identified robot.
 const MAX_MATCHINGS: usize = 5;
 
-/// What shall be identified, and from what.
+/// The request of an identification: the robot, and the measurements.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IdentifyRequest {
@@ -56,13 +56,13 @@ pub struct IdentifyRequest {
     pub hold: Option<String>,
     /// A table of positions beside the lengths of the input.
     pub positions: Option<PathBuf>,
-    /// A table of the base balls; `None` for those of the capture's plan.
+    /// A table of the base balls; `None` for the base balls of the capture's plan.
     pub centres: Option<PathBuf>,
-    /// Tool ball in the flange frame, in place of that in the robot file.
+    /// Tool ball in the flange frame, in place of the one in the robot file.
     pub tool_mm: Option<[f64; 3]>,
-    /// Standard deviation of every length and coordinate; `None` for that of the data.
+    /// Standard deviation of every length and coordinate; `None` for the values in the data.
     pub sigma_mm: Option<f64>,
-    /// Standard uncertainty (k = 1) of each bar's length; `None` for that of the certificate, if known.
+    /// Standard uncertainty (k = 1) of each bar's length; `None` for the value in the certificate, if known.
     pub bar_u_mm: Option<f64>,
     /// A table of measurements that only check the result.
     pub validate: Option<PathBuf>,
@@ -74,7 +74,7 @@ pub struct IdentifyRequest {
     pub model: ErrorModel,
     /// Trials of a Monte Carlo of the uncertainties; `None` for none.
     pub monte_carlo: Option<usize>,
-    /// A file with the identity of robot and bar, in place of that of the capture.
+    /// A file with the identity of robot and bar, in place of the identity in the capture.
     pub identity: Option<PathBuf>,
     /// A table of poses over which the position uncertainty is predicted.
     pub workspace: Option<PathBuf>,
@@ -86,7 +86,8 @@ pub struct IdentifyRequest {
     pub replace: bool,
 }
 
-/// What is known of the robot before. `T` is a table of standard deviations: the path of one, or what was read.
+/// The knowledge of the robot before the identification. `T` is a table of standard deviations: its path, or its
+/// content.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RequestedPrior<T = PathBuf> {
@@ -100,7 +101,7 @@ pub enum RequestedPrior<T = PathBuf> {
 }
 
 impl RequestedPrior {
-    /// The prior of this name, else the table of this path.
+    /// The prior with this name, else the table with this path.
     pub fn named(name: &str) -> Self {
         match name {
             "none" => Self::None,
@@ -150,7 +151,7 @@ pub struct ResultDocument<'a> {
 }
 
 impl<'a> ResultDocument<'a> {
-    /// Of a result that was made from no file.
+    /// The document of a result that was made from no file.
     pub fn without_files(calibration: &'a CompletedCalibration, budget: &'a UncertaintyBudget) -> Self {
         Self { result: &calibration.result, budget, provenance: None }
     }
@@ -183,7 +184,7 @@ impl IdentifyRequest {
             &observations,
         )?;
         Ok(RequestResult {
-            outcome: if document.calibration.result.is_doubtful() {
+            outcome: if document.calibration.result.has_warnings() {
                 AnswerOutcome::Warned
             } else {
                 AnswerOutcome::Done
@@ -262,8 +263,10 @@ impl IdentifyRequest {
             _ => self.robot.as_deref().map(Path::new),
         };
         let mut options = given.options(asked, prior, set_up, session)?;
-        // A doubtful earlier identification matters only if it is the prior.
-        session.findings(given.robot.doubtful().filter(|_| matches!(options.prior, Prior::Posterior)));
+        // A warning about the earlier identification matters only if this identification is the prior.
+        session.findings(
+            given.robot.calibration_warnings().filter(|_| matches!(options.prior, Prior::Posterior)),
+        );
         let workspace = self.workspace.as_deref();
         options.workspace = workspace.map(|path| read_workspace(path, &given.robot, session)).transpose()?;
         Ok(options)
@@ -278,7 +281,7 @@ fn calibrate_and_match(
     session: &RequestSession<'_>,
 ) -> Result<CompletedCalibration, Diagnostic> {
     session.done(20);
-    // If nothing can be computed, the findings about the inputs may say why.
+    // If nothing can be computed, the findings about the inputs may explain why.
     let mut calibrated =
         calibrate(given, validation, options).inspect_err(|_| session.findings(given.findings()))?;
     session.done(60);

@@ -1,4 +1,4 @@
-//! What an identification is asked for, whatever its measurements come from.
+//! The options of an identification, independent of the source of its measurements.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use dbbd_model::robot::{ParamId, Robot};
 
 use super::RequestedPrior;
 
-/// What a caller asks of an identification, its tables read.
+/// The options that a caller requests; their tables are already read.
 pub struct AskedIdentification<'a> {
     /// The parameters to estimate: names, ranges, groups. `None` for all that are identifiable.
     pub estimate: Option<&'a str>,
@@ -17,17 +17,16 @@ pub struct AskedIdentification<'a> {
     pub hold: Option<&'a str>,
     /// `None` for the posterior of the robot if it has one, else its tolerance; with a list of parameters for none.
     pub prior: Option<RequestedPrior<BTreeMap<ParamId, f64>>>,
-    /// The options without these.
+    /// The other options.
     pub rest: Options,
 }
 
 impl AskedIdentification<'_> {
-    /// The options for a robot and so many measured rows. `known` counts those of the rows from which the
-    /// prior was identified.
-    /// The finding says why the posterior of the robot is not used.
+    /// The options for a robot and this number of measured rows. `known` counts the rows from which the prior was
+    /// identified. The finding tells why the posterior of the robot is not used.
     ///
     /// # Errors
-    /// Those of `known`, or something is asked for that robot, set-up or rows do not have.
+    /// The errors of `known`, or an option requests something that robot, set-up or rows do not have.
     pub fn options(
         self,
         robot: &Robot,
@@ -37,7 +36,7 @@ impl AskedIdentification<'_> {
     ) -> Result<(Options, Option<EstimationFinding>), Diagnostic> {
         let Self { estimate, hold, prior, rest } = self;
         let (prior, lost) = match prior {
-            // A list is followed as it is.
+            // A requested list of parameters is used without a prior.
             None if estimate.is_some() => (Prior::None, None),
             None => Prior::continued(robot, rows, known)?,
             Some(RequestedPrior::None) => (Prior::None, None),

@@ -1,7 +1,8 @@
 //! The parts of one measurement: captures and tables of one robot that are evaluated together, each with its set-up.
 //!
-//! Two parts of one set-up share the base balls and the zero of the bar; whether one of them moved between the parts is tested
-//! like any change within a run. In another set-up the base balls are anywhere and the bar has a zero of its own.
+//! Two parts with one set-up share the base balls and the zero of the bar; whether a ball or the zero moved between the
+//! parts is tested like any change within a run. In another set-up the base balls may be anywhere, and the bar has
+//! another zero.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -18,7 +19,7 @@ use dbbd_model::measurement::{BaseBall, Measurement, MeasurementFinding, Measure
 use dbbd_model::provenance::{ArtefactRole, Identity, TracedArtefact};
 use dbbd_model::robot::{BallId, BarId, Datum};
 
-/// How the set-ups of consecutive parts belong together.
+/// The relation between the set-ups of consecutive parts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SetUpRelation {
@@ -29,7 +30,7 @@ pub enum SetUpRelation {
     New,
 }
 
-/// The numbers that a set-up adds to those of its part.
+/// The numbers that a set-up adds to the numbers of its part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct SetUpNumbers {
     pub(super) first_ball: usize,
@@ -57,7 +58,7 @@ impl SetUpNumbers {
 pub(super) struct InputPart {
     pub(super) path: PathBuf,
     pub(super) lengths: TracedArtefact,
-    /// As they were read.
+    /// The measurements as they were read.
     pub(super) measurements: Measurements,
     pub(super) matched: Option<MatchedRun>,
     pub(super) set_up: SetUpNumbers,
@@ -98,7 +99,7 @@ impl InputPart {
         Ok(Self::new(path.into(), lengths, measurements, matched))
     }
 
-    /// Whether a part that was measured after `before` has the same set-up, by what both state.
+    /// Whether a part that was measured after `before` has the same set-up, by the data that both state.
     fn follows(&self, before: &Self) -> bool {
         let [earlier, later] = [before, self].map(|part| &part.lengths.provenance.identity);
         let day = |identity: &Identity| {
@@ -119,8 +120,8 @@ impl InputPart {
     }
 }
 
-/// Sorts parts by the times of day at which they were measured, if all have one: a pose that was measured again replaces
-/// the one before, in whatever order the files were given.
+/// Sorts parts by the times of day at which they were measured, if all have one: a pose that was measured again
+/// replaces the earlier one, in whatever order the files were given.
 pub(super) fn sort_by_time(parts: &mut [InputPart]) {
     let time = |part: &InputPart| part.lengths.provenance.identity.measured.clone();
     if parts.iter().all(|part| time(part).is_some_and(|time| time.contains('T'))) {
@@ -135,7 +136,7 @@ pub(super) struct JoinedParts {
 }
 
 impl JoinedParts {
-    /// Gives each part its set-up. `centres` are the base balls of the first.
+    /// Gives each part its set-up. `centres` are the base balls of the first part.
     pub(super) fn of(
         parts: &mut [InputPart],
         centres: Vec<BaseBall>,
@@ -157,7 +158,7 @@ impl JoinedParts {
                 part.set_up.first_ball = all.len();
                 part.set_up.first_bar += before.measurements.bars();
             }
-            // A part of the same set-up may have a ball more.
+            // A part with the same set-up may have one more ball.
             let first_ball = part.set_up.first_ball;
             let own = part.matched.as_ref().map(|matched| matched.run.centres());
             let own = own.unwrap_or_else(|| of_first.clone()).into_iter();
@@ -182,14 +183,14 @@ impl JoinedParts {
     }
 }
 
-/// The measurements of all parts, the indices and times of each going on from those before; and the indices of those that a
-/// later part measured again on request, which are left out.
+/// The measurements of all parts: the indices and times of each part continue those of the part before. Also returns
+/// the indices of measurements that a later part measured again on request; they are left out.
 pub(super) fn joined(parts: &[InputPart]) -> Result<(Measurements, Vec<u32>), MeasurementFinding> {
     let (mut all, mut superseded) = (Measurements::default(), Vec::new());
     let (mut last_index, mut last_s) = (0, 0.0);
     for (at, part) in parts.iter().enumerate() {
         let mut own = part.measurements.clone();
-        // The balls of two parts are compared as their own files number them.
+        // The balls of two parts are compared by the numbers in their own files.
         let again = |row: &Measurement| {
             let later = parts[at + 1..].iter().filter(|later| later.supersedes);
             later.flat_map(|later| &later.measurements.rows).any(|new| is_same_pose(row, new))

@@ -15,7 +15,7 @@ use dbbd_model::robot::RobotFinding;
 use dbbd_model::robot::parameter::SetUpCounts;
 use dbbd_model::robot::{ParamId, ParamUnit};
 
-/// Reads a prior from a table name,unit,sd, such as the parameters.csv of an earlier identification.
+/// Reads a prior from a table with the columns name,unit,sd, such as the parameters.csv of an earlier identification.
 pub(super) fn read_prior(
     table: &mut TableReader<'_>,
     set_up: SetUpCounts,
@@ -49,7 +49,7 @@ pub fn plausible_deviation(id: ParamId, sd: f64) -> Result<(), PlausibilityFindi
     if id.is_geometric() { quantity.check(id.to_string(), sd) } else { Ok(()) }
 }
 
-/// Reads a table of measurements with `read`. Reports rows that are there twice, and uses them once.
+/// Reads a table of measurements with `read`. Reports rows that occur twice, and uses them once.
 pub(crate) fn measurements(
     path: &Path,
     read: impl FnOnce(&mut TableReader<'_>) -> Result<Measurements, Diagnostic>,

@@ -24,14 +24,14 @@ pub enum RepeatedRows {
     All,
     /// The outliers of a result.
     Outliers,
-    /// By their index.
+    /// The rows with these indices.
     Indices(RowIndices),
 }
 
 impl FromStr for RepeatedRows {
     type Err = String;
 
-    /// Reads `outliers` or indices as `3,7-9`.
+    /// Reads `outliers`, or indices such as `3,7-9`.
     fn from_str(text: &str) -> Result<Self, String> {
         if text == "outliers" {
             return Ok(Self::Outliers);
@@ -60,7 +60,7 @@ struct RunPose {
     pose: GivenPose,
 }
 
-/// The poses of the plans of these captures that have no length in any of them.
+/// The poses of the plans of these captures that have no length in any of the captures.
 pub(super) fn remaining<'a>(
     runs: impl Iterator<Item = &'a Path>,
     session: &RequestSession<'_>,
@@ -82,7 +82,7 @@ pub(super) fn remaining<'a>(
     if planned.is_empty() { Err(PlanFinding::NothingRemains.into()) } else { Ok(planned) }
 }
 
-/// The poses to be measured of the capture's plan, and those of them that have a length.
+/// The poses of the capture's plan that are to be measured, and the poses among them that have a length.
 fn of_capture(path: &Path, session: &RequestSession<'_>) -> Result<(Vec<RunPose>, Vec<RunPose>), Diagnostic> {
     let run = run::open_run(path, None, &[], &mut |finding| session.finding(finding))?;
     let matching = run.matching(None)?;

@@ -1,4 +1,5 @@
-//! The poses of a short run of a calibrated robot in a new set-up: to see whether it changed, or to renew its calibration.
+//! The poses of a short run of a calibrated robot in a new set-up: they show whether the robot changed, or renew its
+//! calibration.
 
 use super::{CheckPoses, PlanningKnowledge};
 use crate::plan::{Job, Plan, PlanningPrior, PoseKind};
@@ -83,8 +84,8 @@ impl<'a> PlannedCheck<'a> {
         })
     }
 
-    /// Refuses kept base balls that are farther from their places in the job, about which the poses are, than the stroke
-    /// allows.
+    /// Refuses kept base balls that are too far from their places in the job, for which the poses are planned: farther
+    /// than the stroke allows.
     fn check_kept_balls(&self, job: &Job) -> Result<(), Diagnostic> {
         let known = self.robot.posterior.as_ref();
         let [low_mm, high_mm] = job.bar.stroke_mm;
@@ -101,7 +102,7 @@ impl<'a> PlannedCheck<'a> {
         Ok(())
     }
 
-    /// Writes what the run can tell into the header. A check has no map of the remaining error.
+    /// Writes the predicted result of the run into the header. A check has no map of the remaining error.
     pub(super) fn predict(
         &self,
         plan: &mut Plan,

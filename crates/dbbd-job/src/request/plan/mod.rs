@@ -11,7 +11,7 @@ use dbbd_device::clock;
 use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::change::CheckPower;
-use dbbd_model::estimation::{check_measurements, doubts};
+use dbbd_model::estimation::{check_measurements, measurement_findings};
 use dbbd_model::measurement::MeasurementFinding;
 use dbbd_model::measurement::{BaseBall, PreparedMeasurement};
 use dbbd_model::provenance::ProvenanceFinding;
@@ -32,7 +32,7 @@ use crate::program::ProgramFinding;
 use crate::recording::dwell;
 use crate::report;
 
-/// What shall be planned.
+/// The request of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanRequest {
@@ -56,18 +56,18 @@ pub struct PlanRequest {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PlannedPoses {
-    /// Those of the job.
+    /// The poses of the job.
     #[default]
     Job,
-    /// So many safe poses about the base balls, to be measured first.
+    /// This number of safe poses about the base balls, to be measured first.
     Stage { poses: u32 },
-    /// Those of a check of a calibrated robot.
+    /// The poses of a check of a calibrated robot.
     Check(CheckPoses),
-    /// Those that renew the calibration of a robot best.
+    /// The poses that renew the calibration of a robot best.
     Renew { poses: u32 },
-    /// Those of the plans of these captures that have no length in any of them.
+    /// The poses of the plans of these captures that have no length in any of the captures.
     Remaining { runs: Vec<PathBuf> },
-    /// Those of a capture, a table or a result that are measured again.
+    /// The poses of a capture, a table or a result that are measured again.
     Repeat { run: PathBuf, rows: RepeatedRows },
 }
 
@@ -86,12 +86,12 @@ pub struct CheckPoses {
 }
 
 impl CheckPoses {
-    /// How many if nothing is asked.
+    /// Number of poses of a check if no number is requested.
     pub const COUNT: u32 = 18;
 }
 
 impl PlannedPoses {
-    /// How many renew a calibration if nothing is asked.
+    /// Number of poses that renew a calibration if no number is requested.
     pub const RENEWAL: u32 = 20;
 }
 
@@ -133,7 +133,7 @@ pub struct PlanDocument {
 }
 
 impl PlanDocument {
-    /// How many poses of the plan are of this kind.
+    /// Number of poses of the plan that are of this kind.
     pub fn count(&self, kind: PoseKind) -> usize {
         self.plan.rows.iter().filter(|row| row.kind == kind).count()
     }
@@ -189,7 +189,7 @@ impl PlanRequest {
         Ok(RequestResult { outcome: AnswerOutcome::Done, files, document })
     }
 
-    /// Plans without writing, for `robot` in place of the named one; the findings of the inputs.
+    /// Plans without writing, for `robot` in place of the named robot. Also returns the findings of the inputs.
     pub fn unwritten(
         &self,
         robot: Option<LoadedRobot>,
@@ -200,7 +200,7 @@ impl PlanRequest {
         Ok((unwritten, session.into_findings()))
     }
 
-    /// Plans for the robot that is given, else for the named one; the robot after the earlier measurements.
+    /// Plans for the given robot, else for the named robot. Also returns the robot after the earlier measurements.
     fn plan(
         &self,
         given: Option<LoadedRobot>,
@@ -208,7 +208,7 @@ impl PlanRequest {
     ) -> Result<(Robot, UnwrittenPlan), Diagnostic> {
         let name = self.job.display().to_string();
         let (job, made_from) = self.read_job(session)?;
-        // A robot that is given without a name is in no file, and no lengths are beside it.
+        // A robot that is given without a name is in no file, so no lengths are beside it.
         let file = self.robot.as_deref().or(given.is_none().then_some(job.robot.as_str()));
         let robot_name = file.unwrap_or(given.as_ref().map_or("", |given| &given.robot.name)).to_owned();
         let read = given.map_or_else(|| robot_for_measurement(&robot_name, session), Ok)?;
@@ -301,7 +301,7 @@ impl PlanRequest {
     }
 }
 
-/// A finding if the job beside a plan, or in the directory above, is not the one that the plan was made from.
+/// The finding if the job beside a plan, or in the directory above, is not the job from which the plan was made.
 pub fn changed_job(plan: &Plan, csv: &Path) -> Option<ProgramFinding> {
     let job = plan.header.provenance.from.iter().rev().find(|source| source.role == ArtefactRole::Job)?;
     let directory = files::directory_of(csv);
@@ -312,7 +312,7 @@ pub fn changed_job(plan: &Plan, csv: &Path) -> Option<ProgramFinding> {
     changed.then(|| ProgramFinding::JobChanged { job: file.display().to_string() })
 }
 
-/// The robot with the serial number of the job. Refuses a robot with another one.
+/// The robot with the serial number of the job. Refuses a robot that has another serial number.
 fn with_serial(job: &Job, read: LoadedRobot) -> Result<LoadedRobot, Diagnostic> {
     let LoadedRobot { mut robot, mut source, findings } = read;
     if let (Some(of_job), Some(of_robot)) = (&job.serial, &robot.serial)
@@ -337,7 +337,7 @@ struct EarlierMeasurements {
 }
 
 impl EarlierMeasurements {
-    /// The tables of the request, and the lengths.csv beside an identified robot. Refuses one of another result.
+    /// The tables of the request, and the lengths.csv beside an identified robot. Refuses a table of another result.
     fn find(
         request: &PlanRequest,
         robot_file: Option<&str>,
@@ -379,7 +379,7 @@ impl EarlierMeasurements {
     }
 }
 
-/// Job and robot after the earlier measurements, with what is known of them.
+/// Job, robot and prior after the earlier measurements.
 struct PlanningKnowledge {
     job: Job,
     robot: Robot,
@@ -402,7 +402,7 @@ impl PlanningKnowledge {
             let observations = measurements(path, lengths, &mut findings, session)?;
             let name = path.display().to_string();
             check_measurements(&name, &observations, &robot, &job.balls())?;
-            findings.extend(doubts(&name, &observations, &robot, &job.balls()));
+            findings.extend(measurement_findings(&name, &observations, &robot, &job.balls()));
             let rows = observations.rows.len();
             if tables.contains(&observations) {
                 findings.push(Diagnostic::file(&name, MeasurementFinding::Repeated { repeated: rows, rows }));
@@ -413,7 +413,8 @@ impl PlanningKnowledge {
         session.findings(findings);
         let rows = || tables.iter().flat_map(|table| &table.rows);
         let lengths: Vec<PreparedMeasurement> = rows().map(PreparedMeasurement::from).collect();
-        // If the job does not say where a ball was taught for an earlier stage, its lengths do.
+        // If the job does not state where a ball was taught for an earlier stage, the lengths of that stage tell its
+        // place.
         let mut job = job;
         for row in rows() {
             let taught_deg = row.context.as_ref().and_then(|context| context.taught_deg.as_deref());
@@ -424,7 +425,7 @@ impl PlanningKnowledge {
         }
         job.check_against(robot.controller()).map_err(Diagnostic::new)?;
         let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
-        session.findings(prior.doubts(&job, &robot, &lengths));
+        session.findings(prior.lengths_findings(&job, &robot, &lengths));
         let (job, robot) = prior.applied(&job, &robot);
         Ok(Self { job, robot, prior })
     }

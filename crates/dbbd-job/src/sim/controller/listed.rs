@@ -1,9 +1,9 @@
 //! Executes a list of actions: programs of RAPID and URScript, and TP programs.
 //!
-//! Unlike the interpreter of KRL it has an arm that lags behind its command: for the program a motion ends when the command is
-//! at its end, and the arm comes to rest later. So a program that does not wait for standstill measures a moving robot. Lag,
-//! band and speed reproduce what one project found on its virtual controller of a maker whose `fine` ends a motion this way:
-//! an error of 1.3 mm without a wait, of 0.28 mm in position, and none at zero speed and 0.2 s later.
+//! Unlike the interpreter of KRL it has an arm that lags behind its command: for the program a motion ends when the
+//! command ends, and the arm comes to rest later. So a program that does not wait for standstill measures a moving
+//! robot. Lag, band and speed reproduce the errors that one project found on a virtual controller of a maker whose
+//! `fine` ends a motion this way: 1.3 mm without a wait, 0.28 mm in position, and none at zero speed and 0.2 s later.
 
 use super::{
     CommandedMotion, CommandedPath, FixedAxisTurn, ProgramExecutor, SimulatedArm, SpeedProfile, ToolArc,
@@ -27,7 +27,7 @@ const SETTLING_S: f64 = 0.004;
 const MOVING_S: f64 = 0.02;
 /// Acceleration of the orientation, degrees/s^2, which a program cannot set.
 const TURN_DEG_S2: f64 = 500.0;
-/// In a joint motion, a speed of the tool is taken for that of a point at this distance from each axis, mm.
+/// In a joint motion, the speed of the tool is taken as the speed of a point at this distance from each axis, mm.
 const LEVER_MM: f64 = 1000.0;
 
 #[derive(Clone, Debug)]
@@ -41,7 +41,7 @@ enum ListingActivity {
         /// Whether the program waits until the arm is in position.
         ends_in_position: bool,
     },
-    /// Until this time, s.
+    /// Waits until this time, s.
     Waiting(f64),
     Settling(Standstill),
     Halted,
@@ -67,7 +67,7 @@ pub(super) struct ListingExecutor {
 /// The arm that lags behind its command.
 #[derive(Clone, Debug)]
 struct LaggingArm {
-    /// Where it is, rad.
+    /// The present axis angles of the arm, rad.
     axes: [f64; AXES],
     /// The speed of each axis, rad/s.
     speed: [f64; AXES],
@@ -76,15 +76,15 @@ struct LaggingArm {
 /// The output that marks the dwells.
 #[derive(Clone, Debug)]
 struct ListedStrobe {
-    /// Whether the program has one.
+    /// Whether the program uses a strobe.
     is_used: bool,
     is_high: bool,
-    /// When a pulse ends, s.
+    /// The time at which a pulse ends, s.
     pulse_end_s: Option<f64>,
 }
 
 impl LaggingArm {
-    /// Moves the arm after a command that went at constant speed from `from` to `to`, rad, within `took_s`.
+    /// Moves the arm after a command that went at constant speed from `from` to `to`, rad, in `took_s`.
     fn follow(&mut self, from: &[f64; AXES], to: &[f64; AXES], took_s: f64) {
         if took_s <= 0.0 {
             return;
@@ -99,7 +99,7 @@ impl LaggingArm {
         }
     }
 
-    /// Whether it is at rest at the command, rad.
+    /// Whether the arm is at rest at the command, rad.
     fn is_at_rest(&self, command: &[f64; AXES], standstill: Standstill) -> bool {
         (0..AXES).all(|i| match standstill {
             Standstill::InPosition => (command[i] - self.axes[i]).abs() <= IN_POSITION,
@@ -138,7 +138,7 @@ impl ListingExecutor {
         }
     }
 
-    /// Continues for a time in which the speed of the command is taken for constant.
+    /// Continues for a time in which the speed of the command is assumed to be constant.
     fn slice(&mut self, slice_s: f64) -> Result<(), ProgramFinding> {
         let end_s = self.t_s + slice_s;
         loop {
@@ -160,7 +160,7 @@ impl ListingExecutor {
         }
     }
 
-    /// Continues the current activity for at most `left_s`; the time it took if it ended.
+    /// Continues the current activity for at most `left_s`. Returns the time that it took if it ended.
     fn proceed(&mut self, left_s: f64) -> Result<Option<f64>, ProgramFinding> {
         while matches!(self.activity, ListingActivity::Ready) {
             self.begin_action()?;

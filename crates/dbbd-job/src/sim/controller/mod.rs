@@ -1,9 +1,9 @@
 //! A controller that executes a program in virtual time; the program is its only source of motion.
 //!
-//! It knows only the NOMINAL robot: like a real controller it converts Cartesian positions to axis angles by the nominal
-//! inverse kinematics. KRL is interpreted (`krl`). Of other languages the list of actions is executed (`listed`), with the
-//! stopping behaviour of their controllers. What both share is here: the arm and its motions. Its fields are private to the
-//! files below it.
+//! It knows only the NOMINAL robot: like a real controller it converts Cartesian positions to axis angles by the
+//! nominal inverse kinematics. KRL is interpreted (`krl`). For other languages the list of actions is executed
+//! (`listed`), with the stopping behaviour of their controllers. The common parts are here: the arm and its motions.
+//! Its fields are private to the files below it.
 
 mod krl;
 mod listed;
@@ -23,7 +23,7 @@ use dbbd_model::robot::inverse::{self, Unsolved};
 use dbbd_model::robot::pose::rotation_vector;
 use dbbd_model::robot::{AXES, Geometry, Pose, Robot};
 
-/// What executes a program. The default implementations are those of a controller without `.dat` files and EthernetKRL.
+/// Executes a program. The default implementations are those of a controller without `.dat` files and EthernetKRL.
 pub trait ProgramExecutor: Debug + Send {
     /// Continues for `dt_s` seconds of device time.
     fn step(&mut self, dt_s: f64) -> Result<ControllerMoment, Diagnostic>;
@@ -36,20 +36,20 @@ pub trait ProgramExecutor: Debug + Send {
     /// File and line (from 1) of the statement that was begun last.
     fn position(&self) -> (&str, usize);
 
-    /// Number of dwells so far: how often the strobe went high and low again. In a program without a strobe, how often the
-    /// measured axes were logged, or the robot settled and waited.
+    /// Number of dwells so far: the number of times that the strobe went high and low again. In a program without a
+    /// strobe, the number of times that the measured axes were logged, or that the robot settled and waited.
     fn dwells(&self) -> u32;
 
     /// Switches to absolute-accuracy mode: the robot of the controller is the calibrated one, and in KRL `$ABS_ACCUR` is TRUE.
     fn set_absolute_accuracy(&mut self) {}
 
-    /// Name and text of each `.dat` file with what the program has assigned: scalars in their declarations, elements of arrays
-    /// in lines before `ENDDAT`.
+    /// Name and text of each `.dat` file with the values that the program assigned: scalars in their declarations,
+    /// elements of arrays in lines before `ENDDAT`.
     fn saved(&self) -> Vec<(String, String)> {
         Vec::new()
     }
 
-    /// Connects EthernetKRL: telegrams are carried to a server. Without that a program cannot open a channel.
+    /// Connects EthernetKRL: telegrams are carried to a server. Without a connection a program cannot open a channel.
     fn link_ekrl(&mut self) {}
 
     /// Whether the program holds the channel open.
@@ -82,7 +82,7 @@ fn unsolved(why: Unsolved) -> ProgramFinding {
 }
 
 impl SimulatedArm {
-    /// At the home position for a language, or as near to it as the limits of the robot allow.
+    /// An arm at the home position for a language, or as near to it as the limits of the robot allow.
     fn at_home(robot: &Robot, language: Language) -> Self {
         let mut home = language.home_deg();
         for i in 0..AXES {
@@ -102,7 +102,8 @@ impl SimulatedArm {
         inverse::nearest(geometry, pose, &self.axes).map_err(unsolved)
     }
 
-    /// Continues a motion for at most `left_s`, at the share `rate` of its speed; the time it took if it ended.
+    /// Continues a motion for at most `left_s`, at the share `rate` of its speed. Returns the time that it took if it
+    /// ended.
     fn advance(
         &mut self,
         motion: &mut CommandedMotion,
@@ -120,7 +121,7 @@ impl SimulatedArm {
         Ok(None)
     }
 
-    /// Commands a place on the path, `elapsed_s` after the last one; `geometry` has the tool of the program.
+    /// Commands a place on the path, `elapsed_s` after the last place; `geometry` has the tool of the program.
     fn command(
         &mut self,
         place: &CommandedPlace,
@@ -185,7 +186,7 @@ impl SpeedProfile {
         Self { speed, acceleration, duration_s: 1.0 / speed + speed / acceleration }
     }
 
-    /// The profile of the limit that alone takes longest.
+    /// The profile of the limit that takes longest by itself.
     fn slowest<const N: usize>(limits: [(f64, f64, f64); N]) -> Self {
         let profiles = limits.map(|limit| Self::within([limit]));
         profiles
@@ -203,7 +204,7 @@ impl SpeedProfile {
         Self { speed, acceleration: 4.0 * speed / seconds, duration_s: seconds }
     }
 
-    /// This profile, or if it is shorter, one with this duration.
+    /// This profile, or if it is shorter, a profile with this duration.
     fn not_before(self, seconds: f64) -> Self {
         if self.duration_s < seconds && self.duration_s > 0.0 { Self::lasting(seconds) } else { self }
     }
@@ -267,8 +268,8 @@ struct ToolArc {
 }
 
 impl ToolArc {
-    /// The arc from `start` through `via` to `end` and its length (mm); `sweep` (rad, negative against the taught direction)
-    /// replaces the taught one. `None` if the points are on a line.
+    /// The arc from `start` through `via` to `end` and its length (mm); `sweep` (rad, negative against the taught
+    /// direction) replaces the taught sweep. `None` if the points are on a line.
     fn through(
         start: Vector3<f64>,
         via: Vector3<f64>,
@@ -477,7 +478,7 @@ mod motion_tests {
         assert!((arc.at(&start, 2.0 / 3.0) - via).norm() < 1e-9);
         assert!((arc.at(&start, 1.0) - end).norm() < 1e-9);
         assert!((arc.at(&start, 1.0 / 3.0) - Vector3::new(100.0, 70.0, 7.0)).norm() < 1e-9);
-        // A sweep that is programmed replaces that of the points, also against their order.
+        // A programmed sweep replaces the sweep of the points, also against their order.
         let (back, length_mm) =
             ToolArc::through(start, via, end, Some(-FRAC_PI_2)).expect("they are on no line");
         assert_near(length_mm, 50.0 * FRAC_PI_2);
@@ -500,7 +501,7 @@ mod motion_tests {
         assert_eq!(axes, [0.7, 0.1, -0.5, 0.1, 0.1, 0.1]);
     }
 
-    /// From Rx(90) by Rz(60) of the base: a sixth of the path is 10 degrees about the base's Z.
+    /// The tool turns from Rx(90) by Rz(60) of the base: a sixth of the path is 10 degrees about the base's Z.
     #[test]
     fn tool_turns_about_a_fixed_axis_of_the_base() {
         let pose = |x: f64, turn_deg: f64| Pose {

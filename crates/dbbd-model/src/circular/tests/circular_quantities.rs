@@ -1,8 +1,7 @@
 //! The quantities of the circular test against an independent fit and linear programme.
 
-use dbbd_model::circular::{
-    CircleSense, CircleTrace, CircularSettings, DriveId, ThermalExpansion, circular, traces_from_csv,
-};
+use dbbd_model::base::expansion::ThermalExpansion;
+use dbbd_model::circular::{CircleSense, CircleTrace, CircularSettings, DriveId, circular, traces_from_csv};
 use dbbd_model::diagnostic::Finding;
 
 use crate::test_support::circular_cases::{CASES, Case, GOLDEN, exactly, trace};

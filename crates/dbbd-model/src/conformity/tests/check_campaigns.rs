@@ -86,7 +86,7 @@ impl Bench {
     }
 }
 
-/// One robot drawn from the posterior of a calibration, mounted anew, with the lengths of its check.
+/// One robot drawn from the posterior of a calibration, mounted again, with the lengths of its check.
 struct Drawn {
     /// Before the change, and after it.
     calibrated: LengthModel,
@@ -363,7 +363,7 @@ fn wrong_decisions_are_as_rare_as_stated() {
     }
 }
 
-/// A robot whose change is identified anew predicts the true position again.
+/// A robot whose change is identified again predicts the true position again.
 #[test]
 fn a_change_is_repaired() {
     let bench = Bench::new(MOUNTING);

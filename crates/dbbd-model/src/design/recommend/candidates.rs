@@ -222,7 +222,7 @@ fn turn(t: f64, amplitude_deg: f64) -> Matrix3<f64> {
         * rot_x(amplitude * (5.0 * t).sin())
 }
 
-/// At most `count` of the readings, evenly spaced.
+/// Selects at most `count` of the readings, evenly spaced.
 fn evenly(readings: &[PreparedMeasurement], count: usize) -> Vec<PreparedMeasurement> {
     let take = count.min(readings.len());
     (0..take).filter_map(|at| readings.get(at * readings.len() / take).copied()).collect()

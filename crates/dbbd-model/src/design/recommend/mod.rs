@@ -134,7 +134,7 @@ impl<'a> Trial<'a> {
         pivots.iter().filter(|pivot| pivot.abs() > 1e-8 * pivots[0].abs()).count() > rank
     }
 
-    /// The best of each kind that lowers the error; `None` if a number is not finite.
+    /// The best candidate of each kind that lowers the error; `None` if a number is not finite.
     fn recommendations(&self, by: &Measured, before_mm: f64) -> Option<Vec<Recommendation>> {
         let now = by.error(&by.posterior);
         let identified_now = self.identified(&by.rows, self.ids)?;
@@ -156,7 +156,7 @@ impl<'a> Trial<'a> {
         Some(recommendations)
     }
 
-    /// Sorted, best first.
+    /// The best candidate of each kind, best first.
     fn best_of_each_kind(&self, by: &Measured) -> Option<Vec<Tried>> {
         let mut best: Vec<Tried> = Vec::new();
         for candidate in candidates::all(self) {
@@ -194,7 +194,7 @@ impl<'a> Trial<'a> {
         BallId::at(self.model.balls.len())
     }
 
-    /// The measured rows and those of a candidate; the columns of a further ball are last.
+    /// The measured rows and the rows of a candidate; the columns of a further ball are last.
     fn rows_with(&self, candidate: &Candidate, by: &Measured) -> DMatrix<f64> {
         let ids = self.with_ball(candidate);
         let mut model = self.model.clone();

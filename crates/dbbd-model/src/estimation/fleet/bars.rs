@@ -13,12 +13,12 @@ const JUMP_MM: f64 = 1.0;
 pub(super) enum Column {
     Offset(usize),
     Drift(usize),
-    /// From an epoch on.
+    /// A jump of a bar that acts from an epoch on.
     Jump(usize, i64),
 }
 
 impl Column {
-    /// Its coefficient in the offset of a bar at an epoch; `first` is the plant's first epoch.
+    /// Coefficient of the unknown in the offset of a bar at an epoch; `first` is the plant's first epoch.
     fn value(self, (bar, epoch): Knot, first: i64) -> f64 {
         match self {
             Self::Offset(own) => f64::from(u8::from(own == bar)),

@@ -9,7 +9,7 @@ use crate::math::distributions::chi_square_exceeded;
 
 /// Standard deviation of a bar's offset at the start of the filter, mm. Its information is subtracted at the end.
 const OPEN_MM: f64 = 10.0;
-/// The same for a robot, in units of its prior.
+/// Standard deviation of a robot's parameters at the start of the filter, in units of their prior.
 const OPEN: f64 = 30.0;
 /// Significance level of a contradiction.
 const CRASH: f64 = 1e-6;

@@ -22,7 +22,7 @@ pub(super) struct Kind {
     pub(super) name: String,
     pub(super) ids: Vec<ParamId>,
     pub(super) scale: DVector<f64>,
-    /// Of a robot about the mean of its type.
+    /// Covariance of a robot about the mean of its type.
     pub(super) covariance: DMatrix<f64>,
 }
 

@@ -23,7 +23,7 @@ use super::catalogue::FleetFinding;
 use crate::math::distributions::COVERAGE_95;
 use crate::robot::{ParamId, Robot, RobotPosterior};
 
-/// The offset of a bar is constant within so many days.
+/// The offset of a bar is constant within this number of days.
 const EPOCH_DAYS: f64 = 10.0;
 const YEAR_DAYS: f64 = 365.25;
 /// Most iterations, and the relative change of the types' covariances that ends them.
@@ -81,11 +81,11 @@ impl ValueWithSd {
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct BarHistory {
     pub bar: String,
-    /// At the plant's first run, mm.
+    /// Offset at the plant's first run, mm.
     pub offset_mm: ValueWithSd,
     pub drift_mm_a_year: ValueWithSd,
     pub jumps: Vec<Jump>,
-    /// At the plant's last run, mm.
+    /// Offset at the plant's last run, mm.
     pub offset_now_mm: ValueWithSd,
 }
 
@@ -115,7 +115,7 @@ pub struct FleetType {
     pub kind: String,
     pub ids: Vec<ParamId>,
     pub mean: DVector<f64>,
-    /// Of a new robot about `mean`, including the uncertainty of the mean.
+    /// Covariance of a new robot about `mean`, including the uncertainty of the mean.
     pub covariance: DMatrix<f64>,
     pub robots: usize,
 }

@@ -23,7 +23,7 @@ pub(super) struct Plant {
     assumed: Assumptions,
     knots: Vec<Knot>,
     columns: Vec<Column>,
-    /// Index of the mean of each type among the unknowns, then that of the first column of the bars.
+    /// Index of the mean of each type among the unknowns, then the index of the first column of the bars.
     begins: Vec<usize>,
 }
 

@@ -110,10 +110,10 @@ fn far_starts(circles: &[Circle], points: usize, starts: u64, angle: f64, length
             Options { estimate: Some(list), sigma_mm: Some(0.001), folds: Some(0), ..Options::default() };
         let Ok(found) = calibrated(&start, &data, &centres, &options) else { continue };
         let worst = aligned_distances(&ball(&truth), &ball(&found.robot)).into_iter().fold(0.0, f64::max);
-        let doubted = found.result.is_doubtful();
+        let warned = found.result.has_warnings();
         if worst < 1e-3 {
             right += 1;
-        } else if !doubted {
+        } else if !warned {
             silent += 1;
         }
     }

@@ -8,7 +8,7 @@ use dbbd_model::estimation::result::{ParameterResult, Status};
 use dbbd_model::estimation::{CompletedCalibration, Options, Prior};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::BaseBall;
-use dbbd_model::robot::{Joint, ParamId, ParamUnit, Robot};
+use dbbd_model::robot::{BarId, Joint, ParamId, ParamUnit, PriorRule, Robot};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -104,7 +104,12 @@ fn without_a_prior_an_open_direction_has_the_tolerance() {
 }
 
 /// Prior standard deviation of a bar without certificate, mm.
-const BAR_MM: f64 = 0.05;
+fn bar_sd_mm() -> f64 {
+    match ParamId::BarOffset(BarId::FIRST).prior() {
+        PriorRule::Certificate { uncertified } => uncertified,
+        rule => panic!("{rule:?}"),
+    }
+}
 
 /// Mean 3-D error over the workspace of robots and bars drawn by their tolerance: true, and as predicted, mm.
 fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: u64) -> [f64; 2] {
@@ -121,7 +126,7 @@ fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: 
             };
             *truth.geometry.value_mut(id).unwrap() += tolerance * normal(&mut random);
         }
-        let bar_mm = BAR_MM * normal(&mut random);
+        let bar_mm = bar_sd_mm() * normal(&mut random);
         let found = find(&truth, circles, points, sigma_mm, bar_mm, Prior::Datasheet, seed);
         let balls = |robot: &Robot| -> Vec<_> {
             poses.iter().map(|axes| robot.geometry.ball(axes).position).collect()

@@ -1,10 +1,10 @@
 //! The closed forms: shoulder, two parallel axes, and a spherical wrist or a third parallel axis.
 //!
-//! The point where axes 5 and 6 meet follows from the pose. Seen in frame 1, its side offset is that of
-//! the arm, which leaves two angles of joint 1. With a spherical wrist joints 2 and 3 are a planar
-//! two-link arm to that point (two elbows), and what rotation is left is that of the wrist (two flips).
-//! With axis 4 parallel to axes 2 and 3 the rotation gives joints 5, 6 and the sum of 2, 3 and 4 first
-//! (two flips); then joints 2 and 3 are the two-link arm to axis 4 (two elbows).
+//! The point where axes 5 and 6 meet follows from the pose. Its side offset in frame 1 is the side offset of the arm,
+//! which leaves two angles of joint 1. With a spherical wrist joints 2 and 3 are a planar two-link arm to that point
+//! (two elbows), and the remaining rotation is made by the wrist (two flips). If axis 4 is parallel to axes 2 and 3,
+//! the rotation gives joints 5, 6 and the sum of 2, 3 and 4 first (two flips); then joints 2 and 3 are the two-link arm
+//! to axis 4 (two elbows).
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -14,15 +14,15 @@ use super::Unsolved;
 use crate::robot::pose::{Pose, rot_x, rot_z};
 use crate::robot::{AXES, Coupling, DhRow, Geometry};
 
-/// How far a twist may be from a right angle, rad, and axes that shall meet from meeting, mm, for the arm to
-/// count as near one with a closed form: far above any real robot's errors, far below a design.
+/// Largest deviation of a twist from a right angle, rad, and largest distance of axes that shall meet, mm, for the arm
+/// to count as near one with a closed form: far above any real robot's errors, far below a design.
 const NEAR_RAD: f64 = 0.3;
 const NEAR_MM: f64 = 10.0;
 
 /// Below this sine the wrist is straight: axes 4 and 6 are parallel.
 const STRAIGHT: f64 = 1e-9;
 
-/// What axis 4 is to the axes around it.
+/// The relation of axis 4 to the axes around it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum FourthAxis {
     /// It meets axes 5 and 6 in one point.
@@ -262,7 +262,7 @@ pub(super) fn elbow(rows: &[DhRow; AXES], joints: &[f64; AXES]) -> f64 {
     super::wrapped(row.sign * joint + if row.a < 0.0 { PI } else { 0.0 })
 }
 
-/// How many right angles an angle is nearest to.
+/// The number of right angles that is nearest to an angle.
 fn quarters(angle: f64) -> f64 {
     (angle / FRAC_PI_2).round()
 }

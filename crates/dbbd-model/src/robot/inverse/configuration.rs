@@ -1,5 +1,5 @@
-//! Status and turn, by KUKA's rules, ABB's quadrants and FANUC's CONFIG, which tell the branches and turns of one pose
-//! apart; how far from singular.
+//! Status and turn by KUKA's rules, ABB's quadrants and FANUC's CONFIG, which distinguish the branches and turns of one
+//! pose; and the distance from singular positions.
 
 use std::f64::consts::TAU;
 use std::fmt;
@@ -17,7 +17,7 @@ const ZERO_RAD: f64 = 1e-6 * std::f64::consts::PI / 180.0;
 /// The digits of a pose move an axis by less than this, rad (0.005 degrees).
 const BORDER_RAD: f64 = 0.005 * std::f64::consts::PI / 180.0;
 
-/// How far the wrist centre, where axes 5 and 6 meet, is in front of axis 1: x in axis 1's frame, mm.
+/// The distance of the wrist centre, where axes 5 and 6 meet, in front of axis 1: x in axis 1's frame, mm.
 fn forward(geometry: &Geometry, axes: &[f64; AXES]) -> f64 {
     let [shoulder, .., wrist, _] = geometry.frames(&geometry.joint_angles(axes));
     shoulder.rotation.column(0).dot(&(wrist.position - shoulder.position))
@@ -25,8 +25,8 @@ fn forward(geometry: &Geometry, axes: &[f64; AXES]) -> f64 {
 
 /// The status bits of the branch at axis angles in rad, which are KUKA's: bit 0 wrist centre behind axis 1 (x < 0 in
 /// axis 1's frame), bit 1 elbow (A3 at or above the angle at which the arm is stretched), bit 2 A5 < 0.
-/// Without a closed form the arm is stretched where the line of joint 4 goes on from the upper arm, and bit 2 is a negative
-/// determinant of the Jacobian.
+/// An arm without a closed form is stretched where the line of joint 4 goes on from the upper arm, and its bit 2 is a
+/// negative determinant of the Jacobian.
 pub fn status(geometry: &Geometry, axes: &[f64; AXES]) -> u8 {
     let behind = forward(geometry, axes) < 0.0;
     let (elbow, wrist) = match closed::ClosedFormArm::near(geometry) {
@@ -46,19 +46,20 @@ fn determinant(geometry: &Geometry, axes: &[f64; AXES]) -> f64 {
     Matrix6::from_fn(|row, i| if row < 3 { columns[i].0[row] } else { columns[i].1[row - 3] }).determinant()
 }
 
-/// How far an arm is from its singular positions.
+/// The distance of an arm from its singular positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SingularityClearance {
-    /// Of the wrist: |A5| from straight or folded back, rad.
+    /// Distance of the wrist: |A5| from straight or folded back, rad.
     pub wrist: f64,
-    /// Of the elbow: angle between upper arm and forearm from stretched or folded, rad.
+    /// Distance of the elbow: angle between upper arm and forearm from stretched or folded, rad.
     pub elbow: f64,
-    /// Of the shoulder: distance of the wrist centre from the plane through axis 1 that is square to the arm's, mm.
+    /// Distance of the shoulder: of the wrist centre from the plane through axis 1 that is square to the plane of the
+    /// arm, mm.
     pub overhead: f64,
 }
 
-/// How far an arm is from its singular positions at axis angles in rad; `None` for an arm that is not
-/// near one with a closed form, whose singular positions are others.
+/// The distance of an arm from its singular positions at axis angles in rad; `None` for an arm that is not near one
+/// with a closed form, because it has other singular positions.
 pub fn clearance(geometry: &Geometry, axes: &[f64; AXES]) -> Option<SingularityClearance> {
     let arm = closed::ClosedFormArm::near(geometry)?;
     // Distance of an angle from the nearest multiple of half a turn.
@@ -164,7 +165,7 @@ pub struct FanucConfiguration {
     down: bool,
     /// B: the wrist centre is behind axis 1; else T.
     back: bool,
-    /// Of axes 1, 4 and 6: 0 within half a turn of zero, 1 from 180 to 539 degrees, -1 from -539 to -180.
+    /// Turns of axes 1, 4 and 6: 0 within half a turn of zero, 1 from 180 to 539 degrees, -1 from -539 to -180.
     turns: [i32; 3],
 }
 
@@ -172,7 +173,8 @@ pub struct FanucConfiguration {
 const COUNTED: [usize; 3] = [0, 3, 5];
 
 impl FanucConfiguration {
-    /// At axis angles in rad; `None` where the rule is not known: for an arm without a spherical wrist.
+    /// The configuration at axis angles in rad; `None` where the rule is not known: for an arm without a spherical
+    /// wrist.
     pub fn at(geometry: &Geometry, axes: &[f64; AXES]) -> Option<Self> {
         let arm = closed::ClosedFormArm::near(geometry).filter(closed::ClosedFormArm::has_wrist)?;
         let turns = COUNTED.map(|axis| (axes[axis] / TAU).round() as i32);

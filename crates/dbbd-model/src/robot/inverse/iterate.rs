@@ -6,7 +6,7 @@ use super::Unsolved;
 use crate::robot::pose::{Pose, rotation_vector};
 use crate::robot::{AXES, Geometry};
 
-/// Where the iteration stops: distance in mm and turn in rad from the pose.
+/// The iteration stops at this distance (mm) and rotation (rad) from the pose.
 const NEAR_MM: f64 = 0.9e-9;
 const NEAR_RAD: f64 = 1e-11;
 
@@ -16,8 +16,8 @@ const LEVER_MM: f64 = 1000.0;
 /// Steps before the iteration gives up.
 const MAX_INVERSE_STEPS: usize = 100;
 
-/// Of two branches that meet: powers of the inverse that give their direction, step of a difference and largest distance,
-/// rad.
+/// For two branches that meet: number of multiplications by the inverse that give their direction, step of a difference
+/// and largest distance, rad.
 const POWERS: usize = 6;
 const DIFFERENCE: f64 = 1e-4;
 const MAX_BRANCH_DISTANCE_RAD: f64 = 1.0;
@@ -57,8 +57,8 @@ pub fn numeric(geometry: &Geometry, ball: &Pose, start: &[f64; AXES]) -> Result<
     Err(Unsolved::NotConverged { distance_mm: error.fixed_rows::<3>(0).norm() })
 }
 
-/// Where the other of two branches is that meet near `axes`, to second order: along the direction in which the pose hardly
-/// changes, as far as its curvature undoes its slope.
+/// The other one of two branches that meet near `axes`, to second order. It lies along the direction in which the pose
+/// hardly changes, where the curvature of the pose undoes its slope.
 pub(super) fn twin(geometry: &Geometry, axes: &[f64; AXES]) -> Option<[f64; AXES]> {
     let here = jacobian(geometry, axes);
     let inverse = here.try_inverse()?;
@@ -85,8 +85,8 @@ fn jacobian(geometry: &Geometry, axes: &[f64; AXES]) -> Matrix6<f64> {
     jacobian
 }
 
-/// From the pose at `axes` to `ball`: the shift in mm, then the turn times the lever; not finite values
-/// count as far away.
+/// The difference from the pose at `axes` to `ball`: the shift in mm, then the rotation times the lever. Values that
+/// are not finite count as far away.
 fn miss(geometry: &Geometry, ball: &Pose, axes: &[f64; AXES]) -> Vector6<f64> {
     let there = geometry.ball(axes);
     let shift = ball.position - there.position;

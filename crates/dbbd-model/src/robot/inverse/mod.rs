@@ -1,9 +1,8 @@
 //! Axis angles for a pose: closed forms for a spherical wrist and for three parallel axes, a search for any other arm,
 //! damped least squares from a neighbour.
 //!
-//! An identified robot is not exact in any closed form's sense: its twists are not quite right
-//! angles, its wrist axes do not quite meet. Its branches are those of the ideal arm nearby, each
-//! carried over by the damped iteration.
+//! An identified robot has no exact closed form: its twists are not quite right angles, and its wrist axes do not quite
+//! meet. Its branches start from those of the ideal arm nearby; the damped iteration carries each over to the real arm.
 
 mod closed;
 mod configuration;
@@ -22,7 +21,8 @@ pub use configuration::{
 };
 pub use iterate::numeric;
 
-/// Without a closed form, what the damped iteration reaches with no axis turned by more has stayed in its branch, rad.
+/// For an arm without a closed form: if the damped iteration turned no axis by more than this, it stayed in its branch,
+/// rad.
 const FOLLOWED: f64 = 0.3;
 
 /// All branches (up to eight with a closed form) that put the tool ball at `ball` with the flange's orientation; axis
@@ -63,7 +63,7 @@ pub fn nearest(geometry: &Geometry, ball: &Pose, near: &[f64; AXES]) -> Result<[
     match ideal.and_then(|ideal| nearest_of(&ideal, near)) {
         ideal if arm.is_exact() => ideal,
         Ok(axes) => numeric(geometry, ball, &axes).or_else(|_| numeric(geometry, ball, near)),
-        // The true arm may just reach what the ideal one does not.
+        // The true arm may just reach a pose that the ideal one does not reach.
         Err(_) => numeric(geometry, ball, near),
     }
 }

@@ -1,9 +1,9 @@
 //! All branches of an arm without a closed form.
 //!
-//! Where axes 2 and 3 are parallel and axes 5 and 6 meet, whatever offset the wrist has, an angle of joint 4
-//! fixes the arm: the point where axes 5 and 6 meet follows from the pose, joints 1 to 3 bring it there (two
-//! shoulders, two elbows), and axes 5 and 6 must then be at their angle. The branches are the zeros of that
-//! condition over a turn of joint 4. Any other arm is searched by damped iteration from many starts.
+//! If axes 2 and 3 are parallel and axes 5 and 6 meet, an angle of joint 4 fixes the arm, whatever offset the wrist
+//! has: the point where axes 5 and 6 meet follows from the pose, joints 1 to 3 bring it there (two shoulders, two
+//! elbows), and axes 5 and 6 must then be at their angle. The branches are the zeros of that condition over a turn of
+//! joint 4. Any other arm is searched by damped iteration from many starts.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -13,7 +13,8 @@ use super::iterate::{numeric, twin};
 use crate::robot::pose::{Pose, rot_x, rot_z};
 use crate::robot::{AXES, Coupling, DhRow, Geometry};
 
-/// How far twists 2 and 3 may be from a right angle and from none, rad, and axes 5 and 6 from meeting, mm.
+/// Largest deviation of twist 2 from a right angle and of twist 3 from zero, rad, and largest distance of axes 5 and 6,
+/// mm.
 const NEAR_RAD: f64 = 0.3;
 const NEAR_MM: f64 = 10.0;
 /// Least sine of the angle between axes 5 and 6.
@@ -22,13 +23,13 @@ const MIN_SINE: f64 = 0.1;
 const TRIED: usize = 90;
 const MIN_TRIED: usize = 8;
 const HALVINGS: usize = 30;
-/// A condition that comes so near to zero without a sample beyond is searched for two zeros.
+/// A condition that comes this near to zero without a change of sign is searched for two zeros.
 const NEAR_ZERO: f64 = 0.3;
-/// By how much conditions of an arm differ from those of the ideal one nearby, and how long an interval beyond its reach
-/// may be that the arm reaches, rad.
+/// Largest difference of the conditions of an arm from those of the ideal arm nearby, and the largest interval beyond
+/// the ideal arm's reach that the arm may reach, rad.
 const TOUCHING: f64 = 0.05;
 const BEYOND: f64 = 0.3;
-/// Starts of the search for an arm with nothing to go by.
+/// Number of starts of the search for an arm without any special form.
 const STARTS: usize = 400;
 /// Axis angles nearer than this are one branch, rad.
 const SAME_RAD: f64 = 1e-6;
@@ -37,14 +38,14 @@ const SAME_RAD: f64 = 1e-6;
 struct OffsetArm {
     rows: [DhRow; AXES],
     coupling: Coupling,
-    /// Where axes 5 and 6 meet, and the direction of axis 5, in frame 4.
+    /// The point where axes 5 and 6 meet, and the direction of axis 5, in frame 4.
     wrist: Vector3<f64>,
     fifth: Vector3<f64>,
     fold: f64,
     twist: f64,
     /// Sine and cosine of twist 4.
     fourth: (f64, f64),
-    /// A condition that turns back so near to zero may have two zeros in the arm that was given.
+    /// A condition that turns back this near to zero may have two zeros for the given arm.
     touching: f64,
 }
 
@@ -96,7 +97,7 @@ struct Shoulder {
 
 /// Joints 1 to 3 for one angle of joint 4.
 struct WristReach {
-    /// By how much the angle between axes 5 and 6 is missed, as a cosine.
+    /// Error of the angle between axes 5 and 6, as a difference of cosines.
     miss: f64,
     first: CosSin,
     second: CosSin,
@@ -243,7 +244,7 @@ impl OffsetArm {
     }
 }
 
-/// Where the ends of the searched interval are.
+/// The kind of ends of the searched interval.
 #[derive(Clone, Copy, PartialEq)]
 enum IntervalEnds {
     Apart,
@@ -274,7 +275,7 @@ struct ZeroSearch {
     ends: IntervalEnds,
     /// An extremum between samples is looked for where the function is nearer to zero than this.
     near: f64,
-    /// As of the arm.
+    /// The value of `touching` of the arm.
     touching: f64,
 }
 
@@ -311,8 +312,8 @@ impl ZeroSearch {
     }
 }
 
-/// The two zeros about the minimum of a function that is positive at both ends; where it has none and the minimum is less than `touching`,
-/// two points beside the minimum.
+/// The two zeros about the minimum of a function that is positive at both ends. If it has no zero and the minimum is
+/// less than `touching`, two points next to the minimum.
 fn turned([low, high]: [f64; 2], touching: f64, f: impl Fn(f64) -> f64, add: &mut impl FnMut(f64)) {
     let (lowest, value) = lowest(low, high, &f);
     if value <= 0.0 {
@@ -324,7 +325,7 @@ fn turned([low, high]: [f64; 2], touching: f64, f: impl Fn(f64) -> f64, add: &mu
     }
 }
 
-/// Where a function with one minimum between `low` and `high` is least, or not positive, by golden sections.
+/// The place where a function with one minimum between `low` and `high` is least, or not positive, by golden sections.
 fn lowest(mut low: f64, mut high: f64, f: impl Fn(f64) -> f64) -> (f64, f64) {
     const SECTION: f64 = 0.381_966_011_250_105_2;
     let (mut a, mut b) = (low + SECTION * (high - low), high - SECTION * (high - low));

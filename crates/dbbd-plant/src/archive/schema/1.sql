@@ -55,7 +55,7 @@ CREATE TABLE result (
     version TEXT NOT NULL,
     made_at BIGINT NOT NULL,
     worker TEXT NOT NULL,
-    doubtful BIGINT NOT NULL,
+    has_warnings BIGINT NOT NULL,
     lengths BIGINT NOT NULL,
     sigma_mm DOUBLE PRECISION,
     rms_before_mm DOUBLE PRECISION,
@@ -80,7 +80,7 @@ CREATE TABLE result_file (
 -- For dashboards: a line a result, with the run that it belongs to.
 CREATE VIEW history AS
 SELECT run.sha256, run.cell, run.robot, run.type, run.bar, run.operator, run.measured, run.decision, run.bytes,
-       result.settings, result.version, result.doubtful, result.lengths, result.sigma_mm, result.rms_before_mm,
+       result.settings, result.version, result.has_warnings, result.lengths, result.sigma_mm, result.rms_before_mm,
        result.rms_after_mm, result.error_nominal_mm, result.error_identified_mm, result.made_at
 FROM run LEFT JOIN result ON result.run = run.sha256;
 

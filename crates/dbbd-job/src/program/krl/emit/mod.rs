@@ -8,7 +8,7 @@
 //! With [`Sync::Ekrl`] the controller is a client of dbbd: it sends `<Dbb>` with the run, the row of the plan, the phase (1:
 //! the robot is at rest, 2: the dwell is over) and the measured axes, and waits for `<Ack Id=".."/>`.
 //!
-//! The text of the files is in the templates beside this file; what KRL cannot express is refused here.
+//! The text of the files is in the templates beside this file; data that KRL cannot express are refused here.
 
 use minijinja::context;
 use minijinja::value::{Serde, Value};
@@ -46,14 +46,14 @@ pub enum Controller {
     Krc4,
     /// KSS 8.7, the same language.
     Krc5,
-    /// That of `dbbd simulate`, for robots of any make.
+    /// The controller of `dbbd simulate`, for robots of any make.
     Simulated,
 }
 
 impl Controller {
     pub const ALL: [Self; 4] = [Self::Krc2, Self::Krc4, Self::Krc5, Self::Simulated];
 
-    /// As on the command line.
+    /// The name of the controller on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Krc2 => "krc2",
@@ -70,8 +70,8 @@ pub struct Options {
     pub controller: Controller,
 }
 
-/// The number by which a server recognises the run of the plan with this hash: its first 24 bits, which an INT of KRL holds;
-/// `None` if it is no hash.
+/// The number by which a server recognises the run of the plan with this hash: the first 24 bits of the hash, which an
+/// INT of KRL holds; `None` if the text is no hash.
 pub fn run_number(hash: &str) -> Option<u32> {
     u32::from_str_radix(hash.get(..6)?, 16).ok()
 }
@@ -157,7 +157,7 @@ impl Writer<'_> {
 fn point_variables(timed: &Timed<'_>, frames: &PlanFrames) -> Value {
     let Timed { row, time, .. } = timed;
     let ([x, y, z], [a, b, c]) = frames.printed(row);
-    // Along the path, m/s, and of the orientation, deg/s.
+    // Speeds along the path, m/s, and of the orientation, deg/s.
     let speeds = || Value::from_iter([time.feed_mm_s * 1e-3, time.turn_deg_s]);
     let has_speeds = row.motion != MotionKind::Ptp && !timed.is_auxiliary();
     context! {

@@ -1,4 +1,4 @@
-//! The values of `$TOOL` and `$BASE` at each motion, and what else its place depends on.
+//! The values of `$TOOL` and `$BASE` at each motion, and the other settings on which its place depends.
 
 use std::collections::HashMap;
 
@@ -48,12 +48,12 @@ impl FrameKind {
 /// A frame, or why it is unknown. Frames that are unknown for the same reason are taken for one frame.
 pub(super) type Frame = Result<Pose, CompensationFinding>;
 
-/// Both unknown, for the same reason.
+/// Both frames unknown, for the same reason.
 fn unknown(why: impl Fn(&'static str) -> CompensationFinding) -> [Frame; 2] {
     [FrameKind::Tool, FrameKind::Base].map(|kind| Err(why(kind.name())))
 }
 
-/// What makes the controller move otherwise than by the frames alone.
+/// A setting with which the controller does not move by the frames alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Obstacle {
     /// `$IPO_MODE=#TCP`: the tool is fixed.
@@ -76,7 +76,7 @@ impl Obstacle {
     }
 }
 
-/// What a line does to what is in force.
+/// The effect of a line on the settings in force.
 #[derive(Clone, Debug)]
 pub(super) enum Effect {
     Frame(FrameKind, Frame),
@@ -94,22 +94,22 @@ pub(super) enum Effect {
 /// A call of a routine of another file, with its line.
 type Called = Option<(String, usize)>;
 
-/// What is in force at a line.
+/// The settings in force at a line.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct InRoutine {
-    /// `$TOOL` and `$BASE`, by [`FrameKind`].
+    /// `$TOOL` and `$BASE`, indexed by [`FrameKind`].
     pub(super) frames: [InForce<Frame>; 2],
-    /// By [`FrameKind`], the first call of another file since it was set.
+    /// The first call of another file since each frame was set, indexed by [`FrameKind`].
     pub(super) called: [Called; 2],
     frame_data: InForce<Option<[Frame; 2]>>,
     /// The frames of a spline block.
     spline: Option<[InForce<Frame>; 2]>,
-    /// By [`Obstacle`].
+    /// The obstacles, indexed by [`Obstacle`].
     obstacles: [InForce<Option<CompensationFinding>>; 3],
 }
 
 impl InRoutine {
-    /// At the begin of a routine that is called from elsewhere.
+    /// The settings at the begin of a routine that is called from elsewhere.
     pub(super) fn before() -> Self {
         let none = || InForce::One { value: None, line: 0 };
         Self {
@@ -122,12 +122,12 @@ impl InRoutine {
         }
     }
 
-    /// The frames of the motions here.
+    /// The frames of the motions at this line.
     pub(super) fn active(&self) -> &[InForce<Frame>; 2] {
         self.spline.as_ref().unwrap_or(&self.frames)
     }
 
-    /// Why no pose can be corrected here.
+    /// The reason why no pose can be corrected at this line.
     pub(super) fn obstacle(&self) -> Option<CompensationFinding> {
         Obstacle::ALL.iter().zip(&self.obstacles).find_map(|(obstacle, in_force)| match in_force {
             InForce::One { value, .. } => value.clone(),
@@ -152,7 +152,7 @@ impl InRoutine {
         self.set(FrameKind::Base, base, line);
     }
 
-    /// Runs a line of this effect.
+    /// Applies the effect of a line.
     pub(super) fn apply(&mut self, effect: &Effect, line: usize) {
         match effect {
             Effect::Frame(kind, value) => self.set(*kind, value.clone(), line),
@@ -179,7 +179,7 @@ impl InRoutine {
         }
     }
 
-    /// The frames of a motion with those of its `WITH`.
+    /// The frames of a motion: the frames of its `WITH`, else the active ones.
     pub(super) fn with(&self, with: [Option<Frame>; 2], line: usize) -> [InForce<Frame>; 2] {
         let [tool, base] = self.active().clone();
         let [with_tool, with_base] = with.map(|with| with.map(|value| InForce::One { value, line }));
@@ -203,7 +203,7 @@ impl State for InRoutine {
     }
 }
 
-/// Routines of the controller and of its options that leave the frames alone, by what their names begin with.
+/// Starts of the names of routines of the controller and its options that do not change the frames.
 const HARMLESS: &[&str] = &[
     "CWRITE", "CREAD", "COPEN", "CCLOSE", "SREAD", "SWRITE", "CAST_", "MBX_", "EKI_", "CLEAR", "CANCEL",
     "SYNC", "PULSE", "LOCK", "UNLOCK",
@@ -213,12 +213,12 @@ const HARMLESS: &[&str] = &[
 pub(super) struct Definitions<'a> {
     pub(super) file: Text<'a>,
     pub(super) constants: Constants<'a>,
-    /// The names to which the `.src` assigns a computed value or a second one, with that assignment.
+    /// The names to which the `.src` assigns a computed value or a second value, with that assignment.
     pub(super) variables: HashMap<String, Span>,
 }
 
 impl Definitions<'_> {
-    /// What a line that is no motion does; `None` if it sets nothing that matters here.
+    /// The effect of a line that is no motion; `None` if it sets nothing that matters here.
     pub(super) fn effect(&self, line: &Line<'_>) -> Result<Option<Effect>, Diagnostic> {
         Ok(Some(match line.word.as_str() {
             "$TOOL" => Effect::Frame(FrameKind::Tool, self.assigned(FrameKind::Tool, line)?),
@@ -244,7 +244,7 @@ impl Definitions<'_> {
         }))
     }
 
-    /// A line that sets an obstacle, unless to the value that removes it.
+    /// The effect of a line that sets an obstacle; `without` is the value that removes the obstacle.
     fn obstacle(&self, obstacle: Obstacle, line: &Line<'_>, without: &str) -> Effect {
         let code = line.code().to_ascii_uppercase();
         let value = code.split_once('=').map_or("", |(_, value)| value.trim());
@@ -277,7 +277,7 @@ impl Definitions<'_> {
         let kind = match command.as_str() {
             "TOOL" => FrameKind::Tool,
             "BASE" | "EX_BASE" => FrameKind::Base,
-            // The frames that it sets depend on the version of the controller.
+            // The frames that INITMOV sets depend on the version of the controller.
             "INITMOV" => {
                 let not_set = unknown(|frame| CompensationFinding::FrameNotSet { frame });
                 return Ok(Some(Effect::FrameData(not_set)));
@@ -395,7 +395,7 @@ impl Definitions<'_> {
         }
     }
 
-    /// The frame of a constant; an error is reported at `span`, where it is used.
+    /// The frame of a constant; an error is reported at `span`, where the constant is used.
     fn known(&self, value: &Expression, name: &str, span: &Span) -> Result<Pose, Diagnostic> {
         let why = match constant_target(value) {
             Ok(Target::Pose { xyz_mm, abc_deg, .. }) => return Ok(Pose::from_kuka(xyz_mm, abc_deg)),

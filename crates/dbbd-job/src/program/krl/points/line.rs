@@ -9,9 +9,9 @@ use dbbd_model::diagnostic::Diagnostic;
 /// A line with code.
 #[derive(Clone, Debug)]
 pub(super) struct Line<'a> {
-    /// Without indent and line end.
+    /// The bytes of the line, without indent and line end.
     pub(super) span: Span,
-    /// The name that it begins with, in capitals; empty if it begins with something else.
+    /// The first name of the line, in capitals; empty if the line begins with something else.
     pub(super) word: String,
     text: &'a str,
 }
@@ -42,7 +42,7 @@ fn is_in_name(c: char) -> bool {
 const TYPES: &[&str] = &["E6POS", "POS", "FRAME", "E6AXIS", "AXIS", "FDAT"];
 
 impl Line<'_> {
-    /// A parser of the line; spans are those of the file.
+    /// A parser of the line; its spans are bytes of the file.
     pub(super) fn parser<'a>(&self, file: Text<'a>) -> Result<Parser<'a>, Diagnostic> {
         Ok(Parser::new(Tokens::of_line(file, &self.span)?))
     }
@@ -99,7 +99,7 @@ impl Line<'_> {
             && !OTHERS.contains(&self.word.as_str())
     }
 
-    /// The names on the line after which a bracket opens, in capitals: what it calls.
+    /// The names on the line after which a bracket opens, in capitals: the called routines.
     pub(super) fn called(&self) -> impl Iterator<Item = String> {
         let code = self.code();
         self.words().filter_map(move |(word, span)| {
@@ -108,7 +108,7 @@ impl Line<'_> {
         })
     }
 
-    /// How the line directs which one runs next.
+    /// The effect of the line on which line runs next.
     pub(super) fn control(&self) -> Option<Control> {
         Some(match self.word.as_str() {
             "IF" => Control::If,
@@ -143,7 +143,7 @@ impl Line<'_> {
         }
     }
 
-    /// The name of the routine that begins here, in capitals.
+    /// The name of the routine that this line begins, in capitals.
     pub(super) fn routine(&self) -> Option<String> {
         let code = self.code().to_ascii_uppercase();
         let head = code.split('(').next().unwrap_or("");

@@ -1,9 +1,9 @@
 //! The motions of a program made on a controller (inline forms, taught points) or by dbbd, in order, with their points and
 //! frames.
 //!
-//! A program is corrected, not executed, so only motions and what sets `$TOOL` and `$BASE` matter here. The text is read
-//! line by line and other statements are skipped: unlike the parser, this reader must accept any program that a controller
-//! accepts.
+//! A program is corrected, not executed, so only motions and the lines that set `$TOOL` and `$BASE` matter here. The
+//! text is read line by line and other statements are skipped: unlike the parser, this reader must accept any program
+//! that a controller accepts.
 
 mod frames;
 mod line;
@@ -39,32 +39,32 @@ pub struct Files<'a> {
 /// `$TOOL` and `$BASE` as the user gives them, for a program that does not set them.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Given {
-    /// In the flange frame.
+    /// `$TOOL` in the flange frame.
     pub tool: Option<Pose>,
-    /// In the robot base.
+    /// `$BASE` in the robot base.
     pub base: Option<Pose>,
 }
 
 /// A point to which the program moves.
 #[derive(Clone, Debug)]
 pub struct TaughtPoint {
-    /// `inline` if it has no name.
+    /// Name of the point; `inline` if it has no name.
     pub name: String,
-    /// The file that holds its numbers.
+    /// The file that holds the numbers of the point.
     pub origin: Origin,
-    /// Its bytes there.
+    /// The bytes of the point in that file.
     pub span: Span,
-    /// The first statement in the `.src` that moves there.
+    /// The first statement in the `.src` that moves to the point.
     pub first_use: Span,
-    /// Whether a PTP or SPTP moves there: only these obey status and turn.
+    /// Whether a PTP or SPTP moves to the point: only these motions obey status and turn.
     pub by_ptp: bool,
     pub target: Target,
-    /// The bytes of its six numbers.
+    /// The bytes of the six numbers.
     pub numbers: [Span; 6],
-    /// The bytes of its turn bits.
+    /// The bytes of the turn bits.
     pub turn: Option<Span>,
     external: External,
-    /// The frames that are active there; `None` for axis angles.
+    /// The frames that are active at the point; `None` for axis angles.
     pub frames: Option<Frames>,
 }
 
@@ -82,20 +82,20 @@ pub struct ProgramMotion {
 
 #[derive(Clone, Debug, Default)]
 pub struct PointProgram {
-    /// In the order of the text.
+    /// The motions, in the order of the text.
     pub motions: Vec<ProgramMotion>,
     /// The points of the program's own files, each once, in the order of their first use.
     pub points: Vec<TaughtPoint>,
     /// Uses of points that are not corrected: relative motions, points declared elsewhere, arguments of routines.
     pub not_corrected: Vec<Diagnostic>,
-    /// What makes all corrections doubtful.
-    pub doubts: Vec<Diagnostic>,
+    /// Warnings that concern all corrections.
+    pub warnings: Vec<Diagnostic>,
 }
 
-/// A tool or base of the user that differs by more (mm, or of the rotation matrix) from the program's is another one.
+/// Largest difference (mm, or of the rotation matrix) at which a tool or base of the user is the same as the program's.
 const SAME: f64 = 1e-6;
 
-/// What begins the lines that set a frame: they use no point.
+/// First words of the lines that set a frame: they use no point.
 const SETTING: [&str; 4] = ["BAS", "FDAT_ACT", "SPLINE", "PTP_SPLINE"];
 
 pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> {
@@ -167,7 +167,7 @@ struct Routine<'a> {
     lines: Vec<Line<'a>>,
 }
 
-/// The routines of a file; the first one has the lines before any as well.
+/// The routines of a file, each with its lines. Lines before the first routine are left out.
 fn routines<'a>(file: Text<'a>) -> Vec<Routine<'a>> {
     let mut routines: Vec<Routine<'a>> = Vec::new();
     for line in lines(file) {
@@ -181,11 +181,11 @@ fn routines<'a>(file: Text<'a>) -> Vec<Routine<'a>> {
     routines
 }
 
-/// The routines of a program and what is known of them before they are followed.
+/// The routines of a program, with the results of a first look before they are followed.
 struct InFile<'a> {
     file: Text<'a>,
     routines: Vec<Routine<'a>>,
-    /// By routine and line: the routines that it calls, and what it does.
+    /// The routines that each line calls, and the effect of the line; indexed by routine and line.
     calls: Calls,
     effects: Vec<Vec<Option<Effect>>>,
     /// The routines that run beside the program, each with the line that names it.
@@ -193,10 +193,10 @@ struct InFile<'a> {
     set_beside: SetBeside,
 }
 
-/// What routines do that run beside the program.
+/// The settings changed by routines that run beside the program.
 #[derive(Clone, Default)]
 struct SetBeside {
-    /// By [`FrameKind`], a line that sets it.
+    /// A line that sets each frame, indexed by [`FrameKind`].
     lines: [Option<usize>; 2],
     /// Why no pose can be corrected.
     obstacle: Option<CompensationFinding>,
@@ -271,7 +271,8 @@ impl Followed for InFile<'_> {
 /// The frames that the user gives.
 struct UserFrames {
     given: Given,
-    /// By [`FrameKind`], why it is used: the reason for which the program's own is unknown.
+    /// The reason why each frame of the user is used, indexed by [`FrameKind`]: the program's own frame is unknown for
+    /// this reason.
     used_for: [Option<CompensationFinding>; 2],
 }
 
@@ -301,7 +302,7 @@ struct Current<'l> {
     frames: [InForce<Frame>; 2],
     /// The calls of other files since each frame was set.
     called: [Option<(String, usize)>; 2],
-    /// Why no pose can be corrected here.
+    /// The reason why no pose can be corrected at this motion.
     obstacle: Option<CompensationFinding>,
     by_ptp: bool,
 }
@@ -341,7 +342,7 @@ impl<'a> Reader<'a> {
                 self.program.not_corrected.push(file.wrong(&line.span, CompensationFinding::NeverReached));
             }
         }
-        // A point to which a motion goes as well is corrected, and a frame is no point.
+        // A point to which a motion also goes is corrected, and a frame is no point.
         let is_corrected = |name: &String| self.by_name.keys().any(|(corrected, _)| corrected == name);
         self.named.retain(|(name, _)| !is_corrected(name) && !self.frame_names.contains(name));
         let in_statements = self
@@ -353,15 +354,15 @@ impl<'a> Reader<'a> {
             self.frame_names.contains(name) && self.definitions.constants.get((name, None)).is_some()
         };
         let given_away = self.given_away.into_iter().filter(|(name, _)| is_frame(name));
-        self.program.doubts.extend(given_away.map(|(_, finding)| finding));
+        self.program.warnings.extend(given_away.map(|(_, finding)| finding));
         let points = &self.program.points;
         let external = external_motion(points.iter().map(|point| (point.name.as_str(), point.external)));
         let external = external.map(|(at, finding)| file.wrong(&points[at].first_use, finding));
-        self.program.doubts.extend(external);
+        self.program.warnings.extend(external);
         Ok(self.program)
     }
 
-    /// Reads a line in one of the states that are possible before it.
+    /// Reads a line in one of the states that are possible before the line.
     fn line(&mut self, line: &Line<'_>, state: &InRoutine) -> Result<(), Diagnostic> {
         let is_first = self.reached.insert(line.span.start);
         if motion_of(&line.word).is_some() {
@@ -383,7 +384,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// Notes the variables that a routine is given, which it may change.
+    /// Notes the variables that are passed to a routine, which may change them.
     fn note_given_away(&mut self, line: &Line<'_>) {
         if !line.is_call() {
             return;
@@ -434,7 +435,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// Adds the point or points that a target may mean; their indices.
+    /// Adds the point or points that a target may mean, and returns their indices.
     fn target(&mut self, target: &Expression, current: &Current<'_>) -> Result<Vec<usize>, Diagnostic> {
         let file = self.files.source;
         let place = match &target.kind {
@@ -480,7 +481,7 @@ impl<'a> Reader<'a> {
         Ok(indices)
     }
 
-    /// Adds a named point, unless it must not be rewritten (home positions, `$config.dat`); its index.
+    /// Adds a named point, unless it must not be rewritten (home positions, `$config.dat`), and returns its index.
     fn named_point(
         &mut self,
         place: &Place,
@@ -502,7 +503,7 @@ impl<'a> Reader<'a> {
         Ok(Some(self.add((place.name.clone(), element), point, &place.span)?))
     }
 
-    /// Adds a point that a motion uses at `span`, unless it is known; its index.
+    /// Adds a point that a motion uses at `span`, unless it is known, and returns its index.
     fn add(
         &mut self,
         key: (String, Option<i64>),
@@ -523,7 +524,7 @@ impl<'a> Reader<'a> {
         Ok(at)
     }
 
-    /// Adds what stays as it is, once for each place.
+    /// Adds a finding about a point that is not corrected, once for each place.
     fn leave(&mut self, span: &Span, why: CompensationFinding) {
         let left = self.files.source.wrong(span, why);
         if !self.program.not_corrected.contains(&left) {
@@ -605,7 +606,7 @@ impl<'a> Reader<'a> {
         {
             let (frame, routine) = (kind.name(), routine.clone());
             let after = wrong(CompensationFinding::FrameAfterCall { frame, routine, line: *line });
-            self.program.doubts.push(after);
+            self.program.warnings.push(after);
         }
         let UserFrames { given, used_for } = &mut self.user;
         let (given, used_for) = ([given.tool, given.base][at], &mut used_for[at]);
@@ -619,7 +620,7 @@ impl<'a> Reader<'a> {
                 }
                 Ok(*pose)
             }
-            // No frame stands still for one that a mechanical unit moves.
+            // A fixed frame cannot replace a frame that a mechanical unit moves.
             (Err(why @ CompensationFinding::MovedWorkObject { .. }), _) | (Err(why), None) => {
                 Err(wrong(why.clone()))
             }

@@ -1,10 +1,10 @@
 //! Emits the RAPID modules of a plan: one for each circle, and a main module that calls them.
 //!
-//! A module does the same as one of KRL (see [`crate::program::krl::emit`]), with the signals `DBBSTB` (a digital output) and
-//! `DBBIDX` (a group of eight), which the configuration of the controller must define. A dwell waits until the robot is in
-//! position and at zero speed, because a motion to `fine` ends with its command, before the robot has stopped. Targets of
-//! joint motions are axis angles; the other targets have the configuration (`confdata`) of the plan's axis angles, and
-//! `ConfL\Off` keeps lines and arcs in the solution branch of their start.
+//! A module does the same as a module of KRL (see [`crate::program::krl::emit`]), with the signals `DBBSTB` (a digital
+//! output) and `DBBIDX` (a group of eight), which the configuration of the controller must define. A dwell waits until
+//! the robot is in position and at zero speed, because a motion to `fine` ends with its command, before the robot has
+//! stopped. Targets of joint motions are axis angles; the other targets have the configuration (`confdata`) of the
+//! plan's axis angles, and `ConfL\Off` keeps lines and arcs in the solution branch of their start.
 
 use minijinja::context;
 use minijinja::value::{Serde, Value};

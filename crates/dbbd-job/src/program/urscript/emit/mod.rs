@@ -2,8 +2,8 @@
 //!
 //! A routine does the same as a module of KRL (see [`crate::program::krl::emit`]), with the strobe on a standard output and
 //! the index on the configurable outputs. Poses are in metres with a rotation vector, in the robot base: the language has no
-//! base frame. A motion without blend ends before the robot is at rest, so a dwell waits for `is_steady()`. Lines and joint
-//! motions have a duration, which takes precedence over speed and acceleration; arcs cannot have one.
+//! base frame. A motion without blend ends before the robot is at rest, so a dwell waits for `is_steady()`. Lines and
+//! joint motions have a duration, which takes precedence over speed and acceleration; arcs cannot have a duration.
 
 use minijinja::context;
 use minijinja::value::{Serde, Value};
@@ -50,7 +50,8 @@ pub fn emit(plan: &Plan, sync: Sync) -> Result<Written, Diagnostic> {
     let plan = context! {
         tool => metres(&tool),
         payload => payload,
-        // A controller with a table of its own is elsewhere at a Cartesian target: a short joint motion ends at the planned axes.
+        // A controller with its own kinematic table moves a Cartesian target to another place: a short joint motion
+        // ends at the planned axes.
         to_axes => controller.controller_model == ControllerModel::Unknown,
         acceleration_mm_s2 => ACCELERATION_MM_S2,
         ..plan_variables(plan, Language::Urscript, sync)?

@@ -29,7 +29,7 @@ enum Kind {
     DataEnd = 0x0F,
 }
 
-/// What the messages of a channel are.
+/// The form of the messages of a channel.
 #[derive(Clone, Copy)]
 pub(super) enum MessageEncoding {
     Json,
@@ -37,7 +37,7 @@ pub(super) enum MessageEncoding {
 }
 
 impl MessageEncoding {
-    /// Of the schema, and of the messages.
+    /// The names of the encodings of the schema and of the messages.
     fn names(self) -> (&'static str, &'static str) {
         match self {
             Self::Json => ("jsonschema", "json"),
@@ -66,7 +66,7 @@ impl Fields {
         self
     }
 
-    /// Bytes after their count.
+    /// Adds the number of bytes, then the bytes.
     fn bytes(self, bytes: &[u8]) -> Self {
         let mut fields = self.u32(bytes.len() as u32);
         fields.0.extend(bytes);
@@ -145,7 +145,7 @@ pub(super) struct Container<W> {
     check: Digest<'static, u32, Table<16>>,
     chunk: Chunk,
     span: Span,
-    /// Messages of each channel that has any.
+    /// Number of messages of each channel that has messages.
     messages: BTreeMap<u16, u64>,
     schemas: Group,
     channels: Group,
@@ -257,7 +257,7 @@ impl<W: Write> Container<W> {
         fields.u32(self.chunk_indexes.count).u64(first).u64(last).bytes(&counts.0)
     }
 
-    /// Writes what is left, and the summary.
+    /// Writes the rest of the records, and the summary.
     pub(super) fn finish(mut self) -> io::Result<()> {
         self.finish_chunk()?;
         let check = self.check.clone().finalize();

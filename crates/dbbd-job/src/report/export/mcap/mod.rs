@@ -54,7 +54,7 @@ pub struct McapFile<W> {
 }
 
 impl<W: Write> McapFile<W> {
-    /// With the scene of the run, if its poses are known.
+    /// Starts a file, with the scene of the run if its poses are known.
     pub fn new(to: W, scene: Option<RunScene>) -> Result<Self, Diagnostic> {
         let library = concat!("dbbd ", env!("CARGO_PKG_VERSION"));
         let mut file = Container::new(to, library).map_err(unwritable)?;
@@ -67,7 +67,7 @@ impl<W: Write> McapFile<W> {
         Ok(Self { file, channels, counts: [0; CHANNELS.len()], began: None, axes, scene })
     }
 
-    /// Appends a record of the capture; an error also if a record that must be JSON is not.
+    /// Appends a record of the capture. An error if a record that must be JSON is not JSON.
     pub fn add(&mut self, stamped: &StampedRecord) -> Result<(), Diagnostic> {
         let host = stamped.host;
         self.show_dwells(host)?;
@@ -111,7 +111,7 @@ impl<W: Write> McapFile<W> {
         }
     }
 
-    /// Ends the file; the number of messages in each of [`CHANNELS`].
+    /// Ends the file; returns the number of messages in each of [`CHANNELS`].
     pub fn finish(mut self) -> Result<[u32; CHANNELS.len()], Diagnostic> {
         self.show_dwells(HostNs(u64::MAX))?;
         self.file.finish().map_err(unwritable)?;

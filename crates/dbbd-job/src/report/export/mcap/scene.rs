@@ -1,8 +1,8 @@
 //! The cell of a run in three dimensions: the links of the robot as it was commanded or measured, the balls and the bar, in Foxglove's
 //! messages `foxglove.FrameTransforms` and `foxglove.SceneUpdate` (Protobuf, m).
 //!
-//! Field numbers are those of <https://docs.foxglove.dev/docs/sdk/schemas>. The structs have the fields that are written here, the
-//! descriptor has all that a reader expects of a message.
+//! The field numbers are from <https://docs.foxglove.dev/docs/sdk/schemas>. The structs have only the fields that are
+//! written here; the descriptor has all fields that a reader expects of a message.
 
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use prost::Message;
@@ -23,7 +23,7 @@ use dbbd_model::robot::{AXES, Pose, Robot};
 const BASE: &str = "base_link";
 /// Axes that are published faster are drawn at this interval, ns: 20 times a second.
 const AXES_INTERVAL_NS: u64 = 50_000_000;
-/// A ball of the bar, and the bar, m: what they look like, not what they are.
+/// Drawn sizes of a ball of the bar and of the bar, m; they are not the real sizes.
 const BALL_M: f64 = 0.025;
 const BAR_M: f64 = 0.008;
 
@@ -32,11 +32,11 @@ const BAR_M: f64 = 0.008;
 struct ShownPose {
     host: HostNs,
     axes_deg: [f64; AXES],
-    /// The base ball that the bar is on.
+    /// The base ball on which the bar is.
     ball: BallId,
 }
 
-/// What a run shows: its robot as its controller knows it, its balls, and where it dwelt.
+/// The content of a scene: the robot as its controller knows it, the balls, and the dwells.
 pub struct RunScene {
     robot: Robot,
     balls: Vec<BaseBall>,
@@ -55,7 +55,7 @@ pub(super) struct SceneMessages {
 }
 
 impl RunScene {
-    /// Of a run whose poses were matched.
+    /// The scene of a run whose poses were matched.
     pub fn of(run: &RecordedRun, robot: &Robot, matching: &PoseMatching) -> Self {
         let of_index = |index: u32| run.plan.rows.iter().find(|row| row.index == index);
         let mut dwells: Vec<ShownPose> = Vec::new();
@@ -77,7 +77,7 @@ impl RunScene {
         urdf(&self.robot)
     }
 
-    /// The dwells up to a time that were not asked for yet.
+    /// The dwells up to a time that were not returned yet.
     pub(super) fn dwells_until(&mut self, host: HostNs) -> Vec<(HostNs, [f64; AXES])> {
         let due: Vec<ShownPose> =
             self.dwells[self.shown..].iter().copied().take_while(|pose| pose.host <= host).collect();
@@ -193,7 +193,7 @@ struct ScenePose {
     orientation: Option<SceneRotation>,
 }
 
-/// 0 to 1.
+/// A colour; each part is 0 to 1.
 #[derive(Clone, PartialEq, Message)]
 struct SceneColour {
     #[prost(double, tag = "1")]
@@ -236,7 +236,7 @@ struct SpherePrimitive {
     colour: Option<SceneColour>,
 }
 
-/// Its type is 0: a strip from point to point.
+/// A line. Its field `type` is 0: a strip from point to point.
 #[derive(Clone, PartialEq, Message)]
 struct LinePrimitive {
     #[prost(message, optional, tag = "2")]
@@ -269,7 +269,7 @@ struct SceneUpdate {
     entities: Vec<SceneEntity>,
 }
 
-/// What a field holds.
+/// The content of a field.
 #[derive(Clone, Copy)]
 enum FieldKind {
     Double,
@@ -415,7 +415,7 @@ const MESSAGES: &[MessageType] = &[
     ),
 ];
 
-/// The types of both channels, as MCAP keeps them: a serialised set of files, each after those that it needs.
+/// The types of both channels, as MCAP keeps them: a serialised set of files, each after the files that it needs.
 pub(super) fn schema() -> Vec<u8> {
     let of_google = |name: &str, message: &str| {
         let field = |(name, number, kind): (&str, i32, Type)| FieldDescriptorProto {

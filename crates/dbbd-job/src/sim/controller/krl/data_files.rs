@@ -1,4 +1,4 @@
-//! The `.dat` files: loaded before the program starts, saved with what it has assigned.
+//! The `.dat` files: loaded before the program starts, and saved with the values that the program assigned.
 
 use super::{Interpreter, KrlSignal, KrlVariable, SIGNALS};
 use crate::program::ProgramFinding;
@@ -61,8 +61,8 @@ impl Interpreter {
         Ok(())
     }
 
-    /// Name and text of each `.dat` file with what the program has assigned: scalars in their declarations, elements of arrays
-    /// in lines before `ENDDAT`. The rest of the text stays as it is.
+    /// Name and text of each `.dat` file with the values that the program assigned: scalars in their declarations,
+    /// elements of arrays in lines before `ENDDAT`. The other text stays as it is.
     pub(super) fn saved_files(&self) -> Vec<(String, String)> {
         let modules = self.program.modules.iter().zip(&self.memory);
         let saved = modules.filter_map(|(module, memory)| {
@@ -141,7 +141,7 @@ fn has_value(expression: &Expression, value: &Value) -> bool {
     }
 }
 
-/// A value as KRL writes it; `None` if it has none.
+/// A value as KRL writes it; `None` if KRL cannot write it.
 fn literal(value: &Value, kind: Type) -> Option<String> {
     Some(match (value, kind) {
         (Value::Int(value), _) => value.to_string(),

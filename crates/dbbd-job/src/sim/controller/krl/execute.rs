@@ -13,7 +13,7 @@ use crate::program::krl::syntax::{
 };
 use crate::program::krl::value::{Type, Value};
 
-/// Most statements in sequence that take no time: a program with more is taken to hang.
+/// Most statements in sequence that take no time: a program with more is assumed to hang.
 const IMMEDIATE: usize = 100_000;
 /// Most calls and blocks inside each other.
 const DEPTH: usize = 200;
@@ -116,7 +116,7 @@ impl Interpreter {
                 }
             }
             StatementKind::Loop(body) => self.push(ExecutionLevel::block(body, LevelKind::Loop)).at(span)?,
-            // The interrupt on stop messages in the head of every program: it never occurs here.
+            // The interrupt on stop messages in the head of every program never occurs here.
             StatementKind::InterruptDeclaration { condition } if mentions(condition, "$STOPMESS") => {}
             StatementKind::InterruptDeclaration { .. } => {
                 let instead = "the simulator supports only the interrupt on $STOPMESS".into();

@@ -30,7 +30,7 @@ pub(super) fn system() -> KrlVariables {
         ("$VEL", (PATH, path(0.25, 200.0))),
         ("$ACC", (PATH, path(2.3, 1000.0))),
         ("$APO", (APPROXIMATE, APPROXIMATE.unset())),
-        // INT: assigned percents are rounded.
+        // The percents are INT: assigned values are rounded.
         ("$VEL_AXIS", (Type::Int, percents())),
         ("$ACC_AXIS", (Type::Int, percents())),
         ("$IPO_MODE", mode("BASE")),
@@ -193,7 +193,7 @@ impl Interpreter {
         signals.get(&place.name).copied().filter(|_| place.parts.is_empty())
     }
 
-    /// One output is a BOOL, several are an INT with the first one as its lowest bit.
+    /// The value of a SIGNAL: one output is a BOOL, several are an INT with the first output as its lowest bit.
     fn read_signal(&self, signal: KrlSignal) -> Value {
         let level = |at: usize| signal.is_output && self.output(at); // no input is ever high
         if signal.first == signal.last {

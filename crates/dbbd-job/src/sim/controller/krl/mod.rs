@@ -1,6 +1,6 @@
 //! An interpreter of KRL. Statements take effect when they are reached: there is no advance run, and all stops are exact.
 //!
-//! This file has the state of the interpreter; its fields are private to the files below it, which have what it does.
+//! This file has the state of the interpreter. The fields are private to the files below it, which have its functions.
 
 mod data_files;
 mod ekrl;
@@ -17,17 +17,17 @@ use crate::program::krl::Program;
 use crate::program::krl::syntax::{Block, Expression, Place, Routine, Span};
 use crate::program::krl::value::{Type, Value};
 
-/// What the controller is doing.
+/// The present activity of the controller.
 #[derive(Clone, Debug)]
 enum KrlActivity {
     /// The next statement is to be executed.
     Ready,
     Moving(Box<CommandedMotion>),
-    /// Until this time, s.
+    /// Waits until this time, s.
     Waiting(f64),
-    /// Until this condition is true.
+    /// Waits until this condition is true.
     Until(Expression),
-    /// Until the operator presses START.
+    /// Waits until the operator presses START.
     Halted,
     Done,
 }
@@ -51,7 +51,7 @@ pub(super) struct Interpreter {
     activity: KrlActivity,
     calls: KrlCallStack,
     system: KrlVariables,
-    /// By module.
+    /// The variables of each module, by the index of the module.
     memory: Vec<ModuleMemory>,
     pulses: Vec<OutputPulse>,
     ekrl: EkrlChannel,
@@ -64,14 +64,14 @@ impl Interpreter {
     }
 }
 
-/// The dwells, by the output that is the strobe if the program has one.
+/// Counts the dwells, by the strobe output if the program has one.
 #[derive(Clone, Copy, Debug, Default)]
 struct DwellCounter {
     strobe: Option<usize>,
     count: u32,
 }
 
-/// Where the program is.
+/// The position in the program.
 #[derive(Clone, Debug)]
 struct KrlCallStack {
     levels: Vec<ExecutionLevel>,
@@ -84,7 +84,7 @@ const SIGNALS: usize = 4096;
 
 #[derive(Clone, Debug)]
 struct KrlVariable {
-    /// Of an array, the type of its elements.
+    /// Type of the value; for an array, the type of its elements.
     kind: Type,
     value: Value,
 }
@@ -112,7 +112,7 @@ struct KrlSignal {
     last: usize,
 }
 
-/// What the `.dat` of a module declares.
+/// The variables that the `.dat` of a module declares.
 #[derive(Clone, Debug, Default)]
 struct ModuleMemory {
     variables: KrlVariables,
@@ -127,18 +127,18 @@ struct ExecutionLevel {
     kind: LevelKind,
 }
 
-/// What follows the end of a block.
+/// The continuation after the end of a block.
 #[derive(Clone, Debug)]
 enum LevelKind {
-    /// The caller.
+    /// Goes on in the caller.
     Routine { module: usize, locals: KrlVariables },
-    /// The statement after the block.
+    /// Goes on with the statement after the block.
     Plain,
-    /// The start of the block.
+    /// Goes on at the start of the block.
     Loop,
-    /// The start of the block while the condition is true.
+    /// Goes on at the start of the block while the condition is true.
     While(Expression),
-    /// The start of the block until the counter is past `last`.
+    /// Goes on at the start of the block until the counter is past `last`.
     For { counter: Place, last: i64, step: i64 },
 }
 

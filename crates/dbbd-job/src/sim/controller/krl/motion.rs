@@ -10,7 +10,7 @@ use dbbd_model::robot::inverse;
 use dbbd_model::robot::pose::Pose;
 use dbbd_model::robot::{AXES, Geometry};
 
-/// A higher speed, m/s, is probably in another unit.
+/// Highest plausible speed, m/s: a higher one is probably in another unit.
 const FASTEST_M_S: f64 = 3.0;
 
 impl Interpreter {
@@ -31,8 +31,8 @@ impl Interpreter {
         self.frame("$BASE").inverse().then(&tool).xyzabc()
     }
 
-    /// The tool point in the robot base, with the orientation of the flange, at a commanded pose. Missing components are those
-    /// of the current pose.
+    /// The tool point in the robot base, with the orientation of the flange, at a commanded pose. Missing components
+    /// are taken from the current pose.
     fn pose(&self, components: [Option<f64>; 6]) -> Pose {
         let current = self.current_pose();
         let commanded = std::array::from_fn(|i| components[i].unwrap_or(current[i]));

@@ -14,7 +14,7 @@ use crate::sim::controller::{ProgramExecutor, SimulatedArm};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Robot;
 
-/// Most waits and motions in one step of time: a program with more is taken to hang.
+/// Most waits and motions in one step of time: a program with more is assumed to hang.
 const ACTIVITIES: usize = 10_000;
 
 impl Interpreter {
@@ -66,7 +66,8 @@ impl Interpreter {
         Err(Fault::new(&self.calls.at.1, ProgramFinding::NeverWaits))
     }
 
-    /// Continues the current activity up to `end_s`; whether it ended before, so that the next statement is due.
+    /// Continues the current activity up to `end_s`. Returns whether the activity ended before, so that the next
+    /// statement is due.
     fn proceed(&mut self, end_s: f64) -> Result<bool, Fault> {
         let left_s = end_s - self.t_s;
         match std::mem::replace(&mut self.activity, KrlActivity::Ready) {

@@ -1,4 +1,4 @@
-//! The doubts of a calibration are reported wherever its robot file is used; requests that a circle, a table or a file cannot
+//! The warnings of a calibration are reported wherever its robot file is used; requests that a circle, a table or a file cannot
 //! meet are reported.
 
 use std::fs;
@@ -15,7 +15,7 @@ const PRIOR: [&str; 2] = ["--prior", "datasheet"];
 const RUN: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/captures/run.dbbd");
 
 #[test]
-fn doubtful_robot_is_reported_by_every_command() {
+fn warnings_of_a_robot_are_reported_by_every_command() {
     let (dir, data) = cell();
     let at = dir.path();
     fs::write(at.join("again.csv"), data.to_csv().replacen("\n1,", "\n101,", 1)).unwrap();
@@ -33,7 +33,7 @@ fn doubtful_robot_is_reported_by_every_command() {
         &["check", "again.csv", "--robot", robot, "--centres", "C.csv", "--out", "check"],
         &["robots", "check", robot],
     ];
-    let doubted = || {
+    let warned = || {
         verbs.map(|args| {
             let output = dbbd(at, args);
             assert_ne!(output.status.code(), Some(1), "{args:?}: {}", stderr(&output));
@@ -43,7 +43,7 @@ fn doubtful_robot_is_reported_by_every_command() {
     assert_eq!(identify(at, &data.to_csv(), &PRIOR).status.code(), Some(0));
     assert_eq!(dbbd(at, &["export", "out", "--for", "urdf", "--out", "back"]).status.code(), Some(0));
     fs::copy(at.join("back/robot-identified.urdf"), at.join("arm.urdf")).unwrap();
-    assert_eq!(doubted(), [false; 6]);
+    assert_eq!(warned(), [false; 6]);
     // Sorted lengths at the same poses fit no robot.
     let mut sorted = data.clone();
     let mut lengths: Vec<f64> = data.rows.iter().map(|row| row.length_mm).collect();
@@ -52,16 +52,16 @@ fn doubtful_robot_is_reported_by_every_command() {
     let poor = identify(at, &sorted.to_csv(), &PRIOR);
     says(&poor, 3, "W1333");
     let file: toml::Table = fs::read_to_string(at.join(robot)).unwrap().parse().unwrap();
-    let doubts: Vec<&str> =
-        file["doubts"].as_array().unwrap().iter().map(|code| code.as_str().unwrap()).collect();
+    let warnings: Vec<&str> =
+        file["warnings"].as_array().unwrap().iter().map(|code| code.as_str().unwrap()).collect();
     let said = codes(&poor);
-    assert!(doubts.contains(&"W1333") && doubts.iter().all(|code| said.contains(&(*code).to_owned())));
+    assert!(warnings.contains(&"W1333") && warnings.iter().all(|code| said.contains(&(*code).to_owned())));
     let result: Value =
         serde_json::from_str(&fs::read_to_string(at.join("out/result.json")).unwrap()).unwrap();
     let of_result =
         result["findings"].as_array().unwrap().iter().filter(|found| found["severity"] == "warning");
-    assert!(of_result.into_iter().all(|found| doubts.contains(&found["code"].as_str().unwrap())));
-    assert_eq!(doubted(), [true; 6]);
+    assert!(of_result.into_iter().all(|found| warnings.contains(&found["code"].as_str().unwrap())));
+    assert_eq!(warned(), [true; 6]);
     assert_eq!(dbbd(at, &["robots", "check", robot]).status.code(), Some(3));
     // More lengths are the cure.
     let plan = dbbd(at, &["plan", "job.toml", "--robot", robot, "--out", "second"]);

@@ -70,10 +70,10 @@ fn a_ball_that_moved_is_an_unknown() {
     let table = fs::read_to_string(at.join("moved/lengths.csv")).unwrap();
     assert!(!table.contains("zero_mm"), "{table}");
     assert!(after.parameters.iter().all(|parameter| !parameter.name.to_string().starts_with("centre4")));
-    // The robot is as accurate as without the motion, and its file has the doubt.
+    // The robot is as accurate as without the motion, and its file has the warning.
     let [before, moved] = ["plain", "moved"].map(|out| mean_error(&truth, &robot_of(&at.join(out)), 9000));
     assert!(moved.mean < 1.2 * before.mean, "{} mm, {} mm", moved.mean, before.mean);
-    assert!(robot_of(&at.join("moved")).doubts.contains(&"W1331".to_owned()));
+    assert!(robot_of(&at.join("moved")).warnings.contains(&"W1331".to_owned()));
 }
 
 #[test]

@@ -64,7 +64,7 @@ fn frozen_traces() {
     fs::write(at.join("frozen.csv"), of_readings(&samples, holding(samples.lines().count()))).unwrap();
     fs::write(at.join("strobe.toml"), mapping("[strobe]\ncolumn = \"trigger\"\n")).unwrap();
     fs::write(at.join("still.toml"), mapping("")).unwrap();
-    for (name, how, doubt) in
+    for (name, how, warning) in
         [("sound", "still", None), ("sound", "strobe", None), ("frozen", "strobe", Some("W1008"))]
     {
         let [table, mapping, run] =
@@ -73,7 +73,7 @@ fn frozen_traces() {
         let output = step(at, &["sync", &run, "--out", "o.csv"]);
         let mut said = codes(&output);
         said.retain(|code| ["W1008"].contains(&code.as_str()));
-        assert_eq!(said.first().map(String::as_str), doubt, "{name} {how}: {}", stderr(&output));
+        assert_eq!(said.first().map(String::as_str), warning, "{name} {how}: {}", stderr(&output));
     }
 }
 
