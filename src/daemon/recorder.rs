@@ -597,9 +597,12 @@ impl Recorder {
 
     /// Completes the capture.
     pub fn finish(&mut self, now: HostNs, reason: &str) -> Result<RunProgress, Diagnostic> {
-        // Shorter silence may be caused by the end of the run itself.
-        self.silent(now, SILENT_S)?;
-        self.progress.silent_s += self.stream.silence.of_bar(None);
+        // After the end of the program the bar may be silent, and the host may wait for its disk.
+        if !self.over() {
+            // Shorter silence may be caused by the end of the run itself.
+            self.silent(now, SILENT_S)?;
+            self.progress.silent_s += self.stream.silence.of_bar(None);
+        }
         self.interrupted(now)?;
         self.capture.flush_fault()?;
         if let Some(withheld) = self.rate.withheld() {
@@ -672,6 +675,21 @@ mod tests {
         assert_eq!(SilenceLimit { last_bytes: None, ..silence }.exceeded_s(at(99.0), 0.0), None);
         let patient = SilenceLimit { limit_s: None, ..silence };
         assert_eq!(patient.exceeded_s(at(99.0), 0.0), None);
+    }
+
+    /// The last bytes came at 10 s, and the run ends at 15 s.
+    #[test]
+    fn silence_after_the_end_of_the_program_is_no_loss() {
+        let directory = tempfile::tempdir().unwrap();
+        let definition = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap();
+        for (modules_over, silent_s, gaps) in [(0, 5.0, 1), (1, 0.0, 0)] {
+            let writer = CaptureWriter::create(&directory.path().join(format!("{gaps}.dbbd"))).unwrap();
+            let mut recorder = Recorder::new(writer, &definition, Some(1), 0.2, at(0.0));
+            recorder.stream.silence.last_bytes = Some(at(10.0));
+            recorder.program.modules_over = modules_over;
+            let progress = recorder.finish(at(15.0), "over").unwrap();
+            assert_eq!((progress.silent_s, progress.counts.gaps), (silent_s, gaps));
+        }
     }
 
     /// 3 s without a byte: the host stood still if the bar's clock went on by one sample; the bar was silent if it has
