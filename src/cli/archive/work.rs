@@ -257,7 +257,7 @@ pub(super) fn compare(
         changes.iter().copied().fold(0.0_f64, |worst, one| if one.abs() > worst.abs() { one } else { worst });
     out.document(&json!({ "compared": compared, "mean_change_mm": mean, "largest_change_mm": worst }))?;
     out.result(format!(
-        "{count} runs compared: predicted position error changes by {mean:+.4} mm on average, by {worst:+.4} mm at most"
+        "{count} runs compared: predicted position uncertainty changes by {mean:+.4} mm on average, by {worst:+.4} mm at most"
     ));
     report_failures(archive.failed(selection, settings, VERSION)?, out);
     Ok(CommandOutcome::Done)

@@ -43,7 +43,7 @@ pub(crate) struct IdentifyArgs {
     robot: Option<String>,
     /// Parameters to estimate: names, ranges, groups (`alpha1-5,a1-5,d4-6`; geometric, tool, targets, centres, bar, tracker,
     /// all; compliance, gear) [default: all that are identifiable, and errors of the joints, see --model]. Without a prior
-    /// exactly this list is estimated. Other parameters count as exact, also in the predicted 3-D error.
+    /// exactly this list is estimated. Other parameters count as exact, also in the predicted position uncertainty.
     #[arg(long, value_name = "LIST")]
     estimate: Option<String>,
     /// Parameters to fix at their start values (--hold).

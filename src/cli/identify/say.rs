@@ -73,7 +73,7 @@ fn position(result: &CalibrationResult) -> Vec<String> {
     let mut lines: Vec<String> = result.observability.iter().map(output::observability).collect();
     let predicted = &result.predicted_position_uncertainty_mm;
     lines.push(format!(
-        "predicted position error over the workspace: mean {} -> {}, 95 % {} -> {}",
+        "predicted position uncertainty over the workspace: mean {} -> {}, 95 % {} -> {}",
         mm(predicted.nominal.mean),
         mm(predicted.identified.mean),
         mm(predicted.nominal.p95),

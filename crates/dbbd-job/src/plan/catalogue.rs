@@ -102,7 +102,7 @@ findings! {
             MoreHelp { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "{planned} lengths leave {planned_error_mm:.3} mm; twice as many would leave {doubled_error_mm:.3} mm";
         }
         I0715 "how far from the base balls a result is valid",
-        cause: "The predicted error grows with the distance from the base balls.",
+        cause: "The predicted uncertainty grows with the distance from the base balls.",
         cure: "Put a base ball where the robot works, or give `workspace_mm`." {
             ValidNear { within_mm: f64, least_mm: f64, most_mm: f64, farther_mm: f64 } => "the result is valid up to {within_mm} mm from the base balls, where {least_mm:.3} to {most_mm:.3} mm are left; farther out up to {farther_mm:.3} mm";
             ValidEverywhere { least_mm: f64, most_mm: f64 } => "the result is valid over the whole workspace, with {least_mm:.3} to {most_mm:.3} mm left";

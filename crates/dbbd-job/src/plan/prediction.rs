@@ -231,7 +231,7 @@ pub struct ErrorShell {
     beyond_mm: f64,
     /// Greatest distance, absent for the outermost shell.
     within_mm: Option<f64>,
-    /// Root mean square of the predicted 3-D error, mm.
+    /// Root mean square of the predicted position uncertainty, mm.
     error_mm: f64,
 }
 

@@ -115,16 +115,16 @@ findings! {
             BelowSigma { times: f64 } => "the residuals are only {times:.2} times the sigma of the lengths";
         }
         W1319 "the lengths fit, but the position is not determined",
-        cause: "A small residual proves nothing: the predicted position error over the workspace is hardly smaller than that of the nominal robot, or larger.",
+        cause: "A small residual proves nothing: the predicted position uncertainty over the workspace is hardly smaller than that of the nominal robot, or larger.",
         cure: "Measure what the line `next:` recommends: a further ball or other circles.",
         asks: [Prior] {
-            PositionUndetermined { residual_rms_mm: f64, identified_mm: f64, nominal_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, but the predicted position error is {identified_mm:.2} mm, the nominal robot's {nominal_mm:.2} mm";
+            PositionUndetermined { residual_rms_mm: f64, identified_mm: f64, nominal_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, but the predicted position uncertainty is {identified_mm:.2} mm, the nominal robot's {nominal_mm:.2} mm";
         }
         I1320 "the parameters listed improve the position only a little",
         cause: "Few parameters are to be estimated; the others keep their nominal values.",
         cure: "Leave the list out, or measure what the line `next:` recommends.",
         asks: [Estimated] {
-            ListImprovesLittle { residual_rms_mm: f64, identified_mm: f64, nominal_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, and the predicted position error is {identified_mm:.2} mm, the nominal robot's {nominal_mm:.2} mm";
+            ListImprovesLittle { residual_rms_mm: f64, identified_mm: f64, nominal_mm: f64 } => "the lengths fit to {residual_rms_mm:.3} mm, and the predicted position uncertainty is {identified_mm:.2} mm, the nominal robot's {nominal_mm:.2} mm";
         }
         I1321 "coordinates of the set-up are poorly observable",
         cause: "These poses leave a coordinate of the tool ball open by more than 50 mm, or that of a base ball by more than 500 mm, as where the tool never turns or every bar lies in one plane. It keeps its start value.",
@@ -161,7 +161,7 @@ findings! {
             BeyondTable { left_out_mm: f64 } => "robot-identified.toml contains joint errors: a program that reads only lengths and angles leaves out {left_out_mm:.3} mm on average over the workspace";
         }
         I1341 "a bar without a certificate is fixed",
-        cause: "The offset is fixed of a bar whose uncertainty neither the job (length_u_mm) nor anything else states. Its length then counts as exact, in the standard deviations and in the predicted error too.",
+        cause: "The offset is fixed of a bar whose uncertainty neither the job (length_u_mm) nor anything else states. Its length then counts as exact, in the standard deviations and in the predicted uncertainty too.",
         cure: "State the uncertainty of its length, or let the offset be estimated.",
         asks: [Fixed, BarUncertainty] {
             UncertifiedHeld => "the bar has no certificate, and its offset is fixed: its length counts as exact";
@@ -198,7 +198,7 @@ findings! {
             WrongBall { ball: u32, indices: Names } => "the rows {indices} fit ball {ball}: they were used as lengths to it";
         }
         W1332 "the covariance of an earlier identification is lost",
-        cause: "The robot was identified before, but its file has no covariance of the result: an older version wrote it, or its values were changed since. Only the new lengths are then used, so the predicted position error can increase.",
+        cause: "The robot was identified before, but its file has no covariance of the result: an older version wrote it, or its values were changed since. Only the new lengths are then used, so the predicted position uncertainty can increase.",
         cure: "Give the robot-identified.toml as it was written; or identify the earlier lengths together with these. Without a prior it starts again without this warning.",
         asks: [Prior] {
             PosteriorLost => "the robot was identified before, but its file has no [posterior]: what these lengths do not determine is fixed as if it were exact or known by the tolerance alone";

@@ -240,7 +240,7 @@ fn approach_unknown(of: &Calibration<'_>) -> Option<EstimationFinding> {
         .then_some(EstimationFinding::ApproachUnknown { backlash_mm, identified_mm })
 }
 
-/// A part of the predicted error that is worth a message.
+/// A part of the predicted uncertainty that is worth a message.
 const WORTH_ASKING: f64 = 0.2;
 
 fn poorly_observable(parameters: &[ParameterResult]) -> Option<EstimationFinding> {

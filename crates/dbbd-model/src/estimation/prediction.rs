@@ -19,7 +19,7 @@ use crate::robot::{
 
 /// Number of poses of the workspace, and of measured poses, for which the uncertainty is compressed.
 const COMPRESSING: usize = 150;
-/// The predicted error of the identified robot must be at most this fraction of the predicted error with the
+/// The predicted uncertainty of the identified robot must be at most this fraction of the predicted uncertainty with the
 /// manufacturer's tolerance.
 const BETTER: f64 = 0.5;
 
@@ -41,7 +41,7 @@ pub(crate) struct Prediction {
     pub(super) orientation: PredictedPair,
     pub(super) parts: PositionParts,
     pub(super) map: Vec<MapPoint>,
-    /// Predicted position error of the robot with its manufacturer's tolerance, independent of an earlier
+    /// Predicted position uncertainty of the robot with its manufacturer's tolerance, independent of an earlier
     /// identification.
     pub(super) maker: ErrorSummary,
     /// The uncertainty of the identified robot, for its file.

@@ -310,7 +310,7 @@ pub enum DriftBasis {
     History,
 }
 
-/// A position of the tool ball (robot base, mm) and its predicted position error (root mean square, mm).
+/// A position of the tool ball (robot base, mm) and its predicted position uncertainty (root mean square, mm).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapPoint {
     pub position: Vector3<f64>,

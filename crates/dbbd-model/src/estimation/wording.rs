@@ -235,7 +235,7 @@ impl Recommendation {
 impl fmt::Display for Recommendation {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { before_mm, after_mm, identifies, .. } = self;
-        write!(out, "{}: predicted position error {before_mm:.3} -> {after_mm:.3} mm", self.what())?;
+        write!(out, "{}: predicted position uncertainty {before_mm:.3} -> {after_mm:.3} mm", self.what())?;
         if !identifies.is_empty() {
             let names: Vec<String> = identifies.iter().map(ToString::to_string).collect();
             write!(out, ", and it identifies {}", names.join(", "))

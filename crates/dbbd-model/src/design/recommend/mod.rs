@@ -69,7 +69,7 @@ struct Tried {
 /// is determined, and no lengths could separate dependent parameters.
 ///
 /// # Errors
-/// A predicted error is not finite.
+/// A predicted uncertainty is not finite.
 pub fn recommend(of: &Calibration<'_>) -> Result<Vec<Recommendation>, EstimationFinding> {
     let (setting, estimate, pair) = (&of.setting, &of.estimate, &of.prediction.pair);
     let identified = of.identified();

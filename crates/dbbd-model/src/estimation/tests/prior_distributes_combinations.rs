@@ -1,5 +1,5 @@
 //! With a prior all parameters of the robot are estimated: an identifiable combination is distributed among its members by
-//! their variances, and the predicted error is right.
+//! their variances, and the predicted uncertainty is right.
 
 use std::collections::BTreeMap;
 
