@@ -169,5 +169,10 @@ fn remounted_balls_of_a_hundred_robots() {
         eprintln!(
             "step of {size_mm} mm: {right} found, {near} at another row, {other} of another ball, of 100"
         );
+        if size_mm == 0.0 {
+            assert!(right + near + other <= 1, "{right} {near} {other}");
+        } else {
+            assert!(right >= 80 && right + near >= 88 && other <= 1, "{size_mm}: {right} {near} {other}");
+        }
     }
 }

@@ -387,6 +387,7 @@ fn coverage_of_400_plants() {
         [("robots", coverage.robots), ("bars", coverage.offsets), ("bars now", coverage.now)]
     {
         eprintln!("{name}: {:.4} of {} covered", covered.share(), covered.all);
+        assert!((0.92..=0.99).contains(&covered.share()), "{name}");
     }
 }
 
@@ -409,6 +410,7 @@ fn fleet_of_200_robots() {
     eprintln!(
         "3-D error, mean of 200: prior of the type and 20 poses {known:.4} mm, tolerance and 80 poses {many:.4} mm, tolerance and 20 poses {unknown:.4} mm"
     );
+    assert!(robots > 0.92 && known < 0.49 && many < 0.21 && 2.0 * known < unknown, "{robots} {known} {many}");
     for known in [0.1, WITHIN, WITHIN.hypot(BETWEEN)] {
         let bounds = [10, 20, 30, 40, 60, 80].map(|count| (count, bound_mm(&mut world, known, count)));
         eprintln!("bound, parameters known to {known:.2} tolerances: {bounds:.3?}");

@@ -160,9 +160,11 @@ fn calibrated_over_400_robots() {
         ("three planes, one ball", three_planes(1, CENTRE).to_vec(), 27, 0.02),
         ("three planes, two balls", two_balls(), 20, 0.02),
     ];
-    for (name, circles, points, sigma_mm) in sets {
+    let ratio = |(name, circles, points, sigma_mm): (&str, Vec<Circle>, usize, f64)| {
         let [truth, predicted] = true_and_predicted(&circles, points, sigma_mm, 400);
         println!("{name}: true {truth:.3} mm, predicted {predicted:.3} mm, ratio {:.3}", predicted / truth);
-        assert!((0.9..1.1).contains(&(predicted / truth)));
-    }
+        predicted / truth
+    };
+    let ratios = sets.map(ratio);
+    assert!(ratios.iter().all(|ratio| (0.9..1.1).contains(ratio)), "{ratios:?}");
 }
