@@ -32,7 +32,7 @@ for stage in 1 2 3 4 5 6; do
     awk 'BEGIN { FS = OFS = "," } FNR == 1 && NR > 1 { next } NR > 1 { $1 = ++rows } { print }' $lengths \
         > "stage$stage/all.csv"
     # A table does not carry the bar's certificate: half of the job's length_u_mm.
-    # Exit code 3 is a warning, which the report tells; few poses leave some.
+    # Exit code 3 is a warning, which the report shows; few poses leave some.
     "$dbbd" identify "stage$stage/all.csv" --robot kr60ha --centres stage1/plan/centres.csv --prior datasheet \
         --bar-u 0.001 --out "stage$stage/result" --quiet || [ $? -eq 3 ]
     grep -q '"stage"' "stage$stage/plan/plan.json" || break

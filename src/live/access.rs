@@ -89,7 +89,7 @@ impl Access {
     }
 
     /// The address of the client: the address of the connection, or what a trusted proxy says. Each proxy adds the
-    /// address that it sees at the end, so the last one that is no trusted proxy is the client, whatever stands before
+    /// address that it sees at the end, so the last one that is no trusted proxy is the client, whatever is before
     /// it.
     pub(super) fn client(&self, headers: &HeaderMap, connected: IpAddr) -> IpAddr {
         let named = headers.get_all(FORWARDED_FOR).iter().rev();

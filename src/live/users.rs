@@ -86,7 +86,7 @@ impl std::fmt::Debug for Token {
     }
 }
 
-/// Fewest characters of a token: a shorter one can be guessed.
+/// Minimum number of characters of a token: a shorter one can be guessed.
 const SHORTEST_TOKEN: usize = 16;
 
 impl Token {

@@ -30,7 +30,7 @@ struct Arm {
     /// Position of the base ball, mm.
     centre: [f64; 3],
     /// Largest remaining mean 3-D error, mm: more for an arm of 2 m.
-    most_mm: f64,
+    max_mm: f64,
     /// Axis angles of its production program, degrees.
     range_deg: [[f64; 2]; 6],
 }
@@ -42,7 +42,7 @@ const KUKA: Arm = Arm {
     language: Language::Krl,
     name: "kr16r2010-2",
     centre: [1300.0, 0.0, 800.0],
-    most_mm: 0.1,
+    max_mm: 0.1,
     range_deg: KUKA_DEG,
 };
 const OFFSET: Arm = Arm { name: OFFSET_WRIST, centre: [1400.0, -300.0, 700.0], ..KUKA };
@@ -50,7 +50,7 @@ const FANUC: Arm = Arm {
     language: Language::Fanuc,
     name: "m10id12",
     centre: [900.0, 0.0, 300.0],
-    most_mm: 0.05,
+    max_mm: 0.05,
     range_deg: [[-40.0, 40.0], [-20.0, 40.0], [-40.0, 20.0], [-60.0, 60.0], [-100.0, -40.0], [-60.0, 60.0]],
 };
 const CRX: Arm = Arm { name: "crx10ia", centre: [650.0, -150.0, 200.0], ..FANUC };
@@ -58,14 +58,14 @@ const ABB: Arm = Arm {
     language: Language::Rapid,
     name: "irb1600-10-145",
     centre: [900.0, 0.0, 850.0],
-    most_mm: 0.05,
+    max_mm: 0.05,
     range_deg: [[-40.0, 40.0], [-20.0, 40.0], [-20.0, 30.0], [-60.0, 60.0], [20.0, 80.0], [-60.0, 60.0]],
 };
 const UR: Arm = Arm {
     language: Language::Urscript,
     name: "ur10",
     centre: [700.0, 0.0, 300.0],
-    most_mm: 0.05,
+    max_mm: 0.05,
     range_deg: [
         [-40.0, 40.0],
         [-110.0, -60.0],
@@ -388,7 +388,7 @@ fn chosen_poses_of_each_make() {
             eprintln!(
                 "{name}, robot {seed}: {lengths} of {dwells} dwells; {before:.3} mm before, {after:.4} mm after"
             );
-            assert!(lengths == dwells && after < arm.most_mm, "{name}, robot {seed}");
+            assert!(lengths == dwells && after < arm.max_mm, "{name}, robot {seed}");
         }
     }
 }

@@ -246,11 +246,10 @@ fn kept_poses_in_twelve_splits() {
     ]);
 }
 
-/// The error of each case is at most this, mm. The places that judge it are trilaterated, and have an error of their own,
-/// which is not in the prediction.
+/// The error of each case is at most this, mm.
 fn twelve_splits(cases: &[(Case, f64)]) {
     let robot = Robot60::read();
-    for &(case, most_mm) in cases {
+    for &(case, max_mm) in cases {
         let split = |seed: u64| {
             let order = robot.shuffled(seed);
             robot.kept(case, &order[..SEEN], &order[SEEN..])
@@ -264,7 +263,7 @@ fn twelve_splits(cases: &[(Case, f64)]) {
         eprintln!(
             "{name}: mean {average:.4} (sd {scatter:.4}), largest {largest:.3} mm, predicted/true {ratio:.2}"
         );
-        assert!(average < most_mm && (0.55..1.5).contains(&ratio), "{name}: {average} {ratio}");
+        assert!(average < max_mm && (0.7..1.5).contains(&ratio), "{name}: {average} {ratio}");
     }
 }
 

@@ -228,11 +228,9 @@ fn found_in(seeds: u64, errors: &[(&str, f64)], group: &str) -> [f64; 2] {
 #[test]
 #[ignore = "200 identifications: see docs/evidence/README.md"]
 fn joint_errors_are_found_in_100_seeds() {
-    // The masses of these robots are exact. The intervals of the sag contain that masses are known to a tenth, and cover more.
-    let cases = [("sag", &SAG[..], "compliance", 1.0), ("first harmonics", &GEAR, "harmonic", 0.98)];
-    for (name, errors, group, most) in cases {
+    for (name, errors, group) in [("sag", &SAG[..], "compliance"), ("first harmonics", &GEAR, "harmonic")] {
         let [right, covered] = found_in(100, errors, group);
         eprintln!("{name}: found in {:.1} %, intervals cover {:.1} %", right * 100.0, covered * 100.0);
-        assert!(right >= 0.95 && (0.92..=most).contains(&covered));
+        assert!(right >= 0.95 && (0.92..=0.98).contains(&covered));
     }
 }

@@ -92,7 +92,7 @@ impl PortLine for Tty {
     }
 }
 
-/// Tells the cause of a refusal by the words of the system, which has no kind of error for a port in use.
+/// Finds the cause of a refusal by the words of the system, which has no kind of error for a port in use.
 #[expect(
     clippy::wildcard_enum_match_arm,
     reason = "the kinds of errors of the system and of the crate are open"

@@ -177,7 +177,7 @@ struct PoseChooser<'a> {
 }
 
 impl<'a> PoseChooser<'a> {
-    /// The safe poses: for all requested poses; else for a stage, whose number of poses is halved down to the fewest.
+    /// The safe poses: for all requested poses; else for a stage, whose number of poses is halved down to the minimum.
     fn safe(&self, scans: &[ReachablePoses], wanted: &OptimiseTable) -> Result<SafePoseSearch<'a>, Refusal> {
         let halves = std::iter::successors(Some(wanted.stage_points), |points| Some(points / 2));
         let stages =

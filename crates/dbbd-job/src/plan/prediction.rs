@@ -31,7 +31,7 @@ const HELPS: f64 = 0.85;
 const WITHIN_MM: [f64; 5] = [300.0, 600.0, 1000.0, 1500.0, f64::INFINITY];
 /// A result is valid in shells with an error of up to this many times the least one.
 const ALIKE: f64 = 2.0;
-/// Fewest poses of a shell.
+/// Minimum number of poses of a shell.
 const MIN_SHELL_POSES: usize = 10;
 
 /// Predicted result of the poses of a plan, with the bar's sigma and the robot's repeatability as noise.

@@ -55,7 +55,7 @@ impl Job {
     /// The job with `poses` given poses in place of its circles.
     #[must_use]
     pub fn as_given(&self, poses: usize) -> Self {
-        /// Fewest poses that a job may request.
+        /// Minimum number of poses that a job may request.
         const MIN_POINTS: u32 = 6;
         let points = u32::try_from(poses).unwrap_or(u32::MAX).max(MIN_POINTS);
         let before = self.optimise.clone().unwrap_or_default();

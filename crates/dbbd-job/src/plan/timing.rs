@@ -28,7 +28,7 @@ const AXIS_SHARE: f64 = 0.5;
 /// Shortest coded move, and the range of the durations, s.
 const SHORTEST_S: f64 = 0.8;
 pub(crate) const SPREAD_S: f64 = 2.2;
-/// Fewest dwells of a plan whose time code distinguishes its program from any other program: each of the eleven
+/// Minimum number of dwells of a plan whose time code distinguishes its program from any other program: each of the eleven
 /// intervals makes the right code some eight times as likely as another one, which gives odds of 10^9 (`cargo test
 /// few_dwells_show`).
 pub(crate) const MIN_CODED_DWELLS: usize = 12;

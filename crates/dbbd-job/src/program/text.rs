@@ -53,12 +53,12 @@ pub(crate) fn rewritten(text: &str, mut edits: Vec<Edit>) -> String {
     edited
 }
 
-/// A number with as many decimals as `written`, but at least `fewest`.
-pub(crate) fn number_like(written: &str, value: f64, fewest: usize) -> String {
+/// A number with as many decimals as `written`, but at least `min_decimals`.
+pub(crate) fn number_like(written: &str, value: f64, min_decimals: usize) -> String {
     let decimals = written
         .split_once('.')
         .map_or(0, |(_, tail)| tail.find(|c: char| !c.is_ascii_digit()).unwrap_or(tail.len()));
-    fixed(value, decimals.clamp(fewest, 9))
+    fixed(value, decimals.clamp(min_decimals, 9))
 }
 
 /// A number with a fixed number of decimals; zero has no sign.

@@ -32,7 +32,7 @@ pub fn checked_workspace(
     poses: &[AxisAngles],
     robot: &Robot,
 ) -> Result<(Vec<[f64; AXES]>, Option<MeasurementFinding>), EstimationFinding> {
-    /// Fewest poses: with fewer, the rigid alignment would absorb the robot's error.
+    /// Minimum number of poses: with fewer, the rigid alignment would absorb the robot's error.
     const MIN_ALIGNED_POSES: usize = 10;
     let different: HashSet<_> = poses.iter().map(|axes| axes.degrees().map(f64::to_bits)).collect();
     if different.len() < MIN_ALIGNED_POSES {

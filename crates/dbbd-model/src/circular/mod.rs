@@ -31,7 +31,7 @@ use reference_circle::{RadialMeasurement, fit_circle};
 use reversal::Reversal;
 use trace::CoveredArc;
 
-/// Fewest points that determine centre, radius and a deviation.
+/// Minimum number of points that determine centre, radius and a deviation.
 const MIN_CIRCLE_POINTS: usize = 5;
 /// Largest relative difference of a length from the radius.
 const FAR_OFF: f64 = 0.2;

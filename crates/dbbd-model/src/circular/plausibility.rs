@@ -21,7 +21,7 @@ const MAX_RADIUS_DEVIATION: f64 = 0.01;
 const MAX_TURNED_DEG: f64 = 750.0;
 /// Largest change of the bar's temperature during a test, K.
 const MAX_WARMED_K: f64 = 8.0;
-/// Fewest points whose neighbours are near.
+/// Minimum number of points whose neighbours are near.
 const MIN_TESTED_POINTS: usize = 12;
 
 pub(super) fn check_plausibility(traces: &[CircleTrace], radius_mm: f64) -> Vec<Diagnostic> {

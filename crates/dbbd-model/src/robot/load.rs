@@ -88,7 +88,7 @@ pub struct ArmLoad {
 }
 
 impl ArmLoad {
-    /// Gravity for an arm that stands on the floor.
+    /// Gravity for an arm on the floor.
     pub const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);
 
     /// A load with known masses.

@@ -8,7 +8,7 @@ use dbbd_model::conformity::SIGNIFICANCE_LEVEL;
 use dbbd_model::math::distributions::{coverage_95, two_sided_tail};
 use dbbd_model::math::straight_line::{LevelCrossing, StraightLine, WeightedPoint};
 
-/// Fewest values for a line.
+/// Minimum number of values for a line.
 pub(super) const MIN_TREND_VALUES: usize = 4;
 /// A forecast is drawn this far beyond the last value, and later days than the second number have no date.
 const AHEAD_DAYS: f64 = 365.0;

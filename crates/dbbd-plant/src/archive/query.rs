@@ -14,7 +14,7 @@ use dbbd_job::files;
 use dbbd_model::base::date;
 use dbbd_model::diagnostic::Diagnostic;
 
-/// Fewest digits of a SHA-256 that identify a run.
+/// Minimum number of digits of a SHA-256 that identify a run.
 const MIN_HASH_DIGITS: usize = 6;
 
 /// The row of a run. Texts are empty if unknown.

@@ -9,7 +9,7 @@ use crate::program::text::{Edit, Text, number_like, rewritten};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::{Pose, Robot};
 
-/// Fewest decimals of a corrected length and angle.
+/// Minimum number of decimals of a corrected length and angle.
 const DECIMALS_MM: usize = 3;
 const DECIMALS_DEG: usize = 4;
 
@@ -63,8 +63,8 @@ fn rewrite(
     let lengths = if matches!(point.target, Target::Axes(_)) { 0 } else { 3 };
     let mut values = corrected.numbers;
     for (at, (span, value)) in point.numbers.iter().zip(&mut values).enumerate() {
-        let fewest = if at < lengths { DECIMALS_MM } else { DECIMALS_DEG };
-        let new = number_like(text.text.get(span.clone()).unwrap_or(""), *value, fewest);
+        let min_decimals = if at < lengths { DECIMALS_MM } else { DECIMALS_DEG };
+        let new = number_like(text.text.get(span.clone()).unwrap_or(""), *value, min_decimals);
         *value = new.parse().unwrap_or(*value);
         edits.push((span.clone(), new));
     }

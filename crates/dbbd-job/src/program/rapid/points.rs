@@ -20,7 +20,7 @@ use crate::program::text::{Edit, Span, Text};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Pose;
 
-/// Fewest decimals of a length, an axis angle and a component of a quaternion.
+/// Minimum number of decimals of a length, an axis angle and a component of a quaternion.
 const DECIMALS_MM: usize = 3;
 const DECIMALS_DEG: usize = 5;
 const DECIMALS_QUATERNION: usize = 8;

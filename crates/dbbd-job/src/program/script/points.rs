@@ -228,18 +228,18 @@ pub(crate) fn elements<const N: usize>(value: &Value) -> Result<&[Value; N], Com
     value.elements().ok_or(CompensationFinding::PointShape { numbers: N })
 }
 
-/// Edits that replace the numbers of a list, each with at least `fewest` decimals, and the numbers as they are written
+/// Edits that replace the numbers of a list, each with at least `min_decimals` decimals, and the numbers as they are written
 /// then.
 pub(crate) fn replaced<const N: usize>(
     list: &Value,
     new: &[f64; N],
     file: Text<'_>,
-    fewest: usize,
+    min_decimals: usize,
 ) -> Result<(Vec<Edit>, [f64; N]), CompensationFinding> {
     let mut written = *new;
     let mut edits = Vec::with_capacity(N);
     for ((old, new), written) in elements::<N>(list)?.iter().zip(new).zip(&mut written) {
-        let text = number_like(file.text.get(old.span.clone()).unwrap_or("0"), *new, fewest);
+        let text = number_like(file.text.get(old.span.clone()).unwrap_or("0"), *new, min_decimals);
         *written = text.parse().map_err(|_| CompensationFinding::PointShape { numbers: N })?;
         edits.push((old.span.clone(), text));
     }

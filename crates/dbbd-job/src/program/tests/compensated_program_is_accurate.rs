@@ -67,7 +67,7 @@ fn compensated_program_is_more_accurate() {
 #[ignore = "200 identifications: see docs/evidence/README.md"]
 fn closed_loop_over_twenty_robots() {
     // The largest mean error after the correction, mm: without sag and with it.
-    for (balls, points, cube, most_mm) in [
+    for (balls, points, cube, max_mm) in [
         (1, 80, true, [0.035, 0.039]),
         (1, 320, true, [0.026, 0.029]),
         (3, 240, false, [0.098, 0.176]),
@@ -75,7 +75,7 @@ fn closed_loop_over_twenty_robots() {
         (1, 80, false, [0.203, 0.249]),
     ] {
         let plan = chosen(balls, points, cube);
-        for (sag, most_mm) in [false, true].into_iter().zip(most_mm) {
+        for (sag, max_mm) in [false, true].into_iter().zip(max_mm) {
             let mut factors = campaign(&plan, cube, 20, sag);
             let mean = |at: usize| factors.iter().map(|f| f[at]).sum::<f64>() / factors.len() as f64;
             let (before, after) = (mean(1), mean(2));
@@ -90,7 +90,7 @@ fn closed_loop_over_twenty_robots() {
                 factors[0][0],
                 factors[factors.len() / 2][0],
             );
-            assert!(after < most_mm && factors[0][0] > 2.0, "{after} {factors:?}");
+            assert!(after < max_mm && factors[0][0] > 2.0, "{after} {factors:?}");
         }
     }
 }

@@ -93,13 +93,13 @@ fn points_read_back_to_a_micrometre() {
                 (commanded(&motion.to, &motion.frames, &robot), Pose::from_kuka(row.xyz_mm, row.abc_deg));
             let (off_mm, turn) = ((is.position - wanted.position).norm(), is.angle_to(&wanted));
             // A listing has three decimals: 0.0005 mm for a pose, 0.0005 degrees of an angle at a lever of up to a metre each.
-            let (most_mm, most) = match (language, &motion.to) {
+            let (max_mm, most) = match (language, &motion.to) {
                 (Language::Fanuc, Target::Pose { .. }) => (1e-3, 3e-5),
                 (Language::Fanuc, Target::Axes(_)) => (0.04, 6e-5),
                 _ => (1e-3, 1e-6),
             };
             assert!(
-                off_mm < most_mm && turn < most,
+                off_mm < max_mm && turn < most,
                 "{language:?} row {}: {off_mm} mm, {turn} rad",
                 row.index
             );
@@ -120,9 +120,9 @@ fn strobes_are_at_their_poses() {
         for ([first, last], row) in dwells.iter().zip(&rows) {
             // The remaining lag after the settling time: two micrometres of more than a millimetre.
             let rounded_mm = if robot.name.contains("CRX") { 0.04 } else { 0.0 };
-            for (moment, most_mm) in [(first, 0.02 + rounded_mm), (last, 1e-3 + rounded_mm)] {
+            for (moment, max_mm) in [(first, 0.02 + rounded_mm), (last, 1e-3 + rounded_mm)] {
                 let off = robot.geometry.ball(&moment.axes).position - Vector3::from(row.xyz_mm);
-                assert!(off.norm() < most_mm, "{language:?} row {}: {} mm", row.index, off.norm());
+                assert!(off.norm() < max_mm, "{language:?} row {}: {} mm", row.index, off.norm());
             }
         }
         // Markers: 3 pulses at the start and 2 at the end.

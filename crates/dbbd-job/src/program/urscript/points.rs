@@ -19,7 +19,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Pose;
 use dbbd_model::robot::pose::rotation_vector;
 
-/// Fewest decimals of a number: in metres 0.1 um, in radians less than 0.1 um at a distance of a metre.
+/// Minimum number of decimals of a number: in metres 0.1 um, in radians less than 0.1 um at a distance of a metre.
 const DECIMALS: usize = 7;
 
 /// The name of the TCP in findings.

@@ -23,7 +23,7 @@ pub struct AskedIdentification<'a> {
 
 impl AskedIdentification<'_> {
     /// The options for a robot and this number of measured rows. `known` counts the rows from which the prior was
-    /// identified. The finding tells why the posterior of the robot is not used.
+    /// identified. The finding says why the posterior of the robot is not used.
     ///
     /// # Errors
     /// The errors of `known`, or an option requests something that robot, set-up or rows do not have.
