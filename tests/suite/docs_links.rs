@@ -125,6 +125,21 @@ fn broken(document: &Path, target: &str) -> Option<String> {
     None
 }
 
+/// The book has at most 25 000 words, without its table of contents and the pages that are generated: a page that is added replaces one.
+#[test]
+fn the_book_stays_small() {
+    const OTHERS: [&str; 4] = [
+        "docs/SUMMARY.md",
+        "docs/evidence/README.md",
+        "docs/reference/commands.md",
+        "docs/troubleshooting.md",
+    ];
+    let others = OTHERS.map(|page| root().join(page));
+    let pages = pages().into_iter().filter(|page| !others.contains(page));
+    let words: usize = pages.map(|page| read(&page).split_whitespace().count()).sum();
+    assert!((20_000..=25_000).contains(&words), "{words}");
+}
+
 #[test]
 fn every_link_and_anchor_resolves() {
     let documents = DOCUMENTS.map(|name| root().join(name));

@@ -672,7 +672,7 @@ pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Opti
     known
         .into_iter()
         .map(|candidate| (distance(candidate), candidate))
-        .filter(|(distance, _)| *distance <= 1 + word.len() / 4)
+        .filter(|(distance, _)| *distance <= ((word.len() + 2) / 4).max(1))
         .min_by_key(|(distance, _)| *distance)
         .map(|(_, candidate)| candidate)
 }
@@ -718,6 +718,21 @@ mod tests {
         assert!(diagnostic.finding::<OtherFinding>().is_none());
         let replaced = diagnostic.replaced_by(OtherFinding::Empty);
         assert_eq!((replaced.finding(), replaced.file_name()), (Some(&OtherFinding::Empty), "a.csv"));
+    }
+
+    /// One mistake in five letters, two in six.
+    #[test]
+    fn a_mistyped_word_means_the_nearest_one() {
+        let known = ["ur10", "length", "kr60ha"];
+        for (word, meant) in [
+            ("lenght", Some("length")),
+            ("kr6ah", None),
+            ("KR60AH", Some("kr60ha")),
+            ("kr210", None),
+            ("u10", Some("ur10")),
+        ] {
+            assert_eq!(nearest(word, known), meant, "{word}");
+        }
     }
 
     #[test]

@@ -10,6 +10,7 @@ use minijinja::{Environment, UndefinedBehavior, context};
 use super::sequence::{Bar, Module, Step, Timed};
 use super::text::fixed;
 use super::{Language, header};
+use crate::plan::timing::MARKER_MM_S;
 use crate::plan::{MODULE_DWELLS, MotionKind, Plan, PlanRow, PoseKind};
 use crate::program::ProgramFinding;
 use dbbd_model::base::InternalFinding;
@@ -142,6 +143,8 @@ fn step_variables(step: &Step<'_>) -> Value {
             index => pose.index,
             kind => Serde(pose.kind),
             motion => Serde(pose.motion),
+            // A dwell and a sync marker begin and end at rest; between them the robot need not be in position.
+            rests => pose.kind != PoseKind::Transit || time.feed_mm_s <= MARKER_MM_S,
             dwell_s => pose.dwell_s,
             axis_percent => time.axis_percent,
             duration_s => time.duration_s,

@@ -100,9 +100,13 @@ impl<'a> Instruction<'a> {
             .filter(|number| *number > 0.0)
     }
 
-    /// Whether the motion ends in an exact stop.
-    pub(super) fn stops(&self) -> bool {
-        self.arguments.iter().any(|argument| argument.name == Some("FINE"))
+    /// Whether the motion ends with a wait until the robot is in position; `None` if the robot does not stop at the point.
+    pub(super) fn ends_in_position(&self) -> Option<bool> {
+        self.arguments.iter().find_map(|argument| match argument.name? {
+            "FINE" => Some(true),
+            "CNT0" => Some(false),
+            _ => None,
+        })
     }
 
     /// The speed of the motion, with an acceleration of the tool, mm/s^2, that a program cannot set.

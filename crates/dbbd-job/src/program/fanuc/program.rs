@@ -76,9 +76,9 @@ impl Fanuc {
             what: what.to_owned(),
             instead: instead.to_owned(),
         };
-        if !instruction.stops() {
-            return Err(unsupported("a motion that does not end in FINE", "every point is an exact stop"));
-        }
+        let Some(ends_in_position) = instruction.ends_in_position() else {
+            return Err(unsupported("a motion that does not end in FINE or CNT0", "every point is a stop"));
+        };
         if instruction.effect().is_some() {
             return Err(unsupported("an option of a motion", "only motions to their points are simulated"));
         }
@@ -107,7 +107,7 @@ impl Fanuc {
             configuration: to.configuration.map(ProgrammedConfiguration::Fanuc),
             frames,
             pace,
-            ends_in_position: true,
+            ends_in_position,
         })
     }
 }

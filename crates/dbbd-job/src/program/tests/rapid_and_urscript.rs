@@ -262,3 +262,24 @@ fn dwells_wait_for_standstill() {
         assert!(plan.rows.iter().any(|row| row.motion == MotionKind::Circ));
     }
 }
+
+/// A FANUC is in position at the start of a program, at dwells and at both ends of sync markers (1 mm/s). At the transits between chosen poses it
+/// stops without the wait, which takes a quarter of a second.
+#[test]
+fn fanuc_is_in_position_where_it_rests() {
+    let (_, name, centre) = ALL[2];
+    let text = job(name, centre, 8);
+    let text =
+        format!("{}[optimise]\npoints = 12\ncandidates = 200\n", text.split("[[circle]]").next().unwrap());
+    let plan = Plan::build(&Job::from_toml("job.toml", &text).unwrap(), &robot(name)).unwrap();
+    let listing = listing(&plan, Language::Fanuc, Sync::Marker);
+    let waits = listing.actions.iter().filter_map(|action| match &action.kind {
+        ActionKind::Move(motion) => Some(motion.ends_in_position),
+        _ => None,
+    });
+    let [rests, goes_on]: [Vec<bool>; 2] = waits.partition(|waits| *waits).into();
+    let dwells = plan.rows.iter().filter(|row| row.kind != RowKind::Transit).count();
+    let markers = plan.header.moves.iter().filter(|time| time.feed_mm_s == 1.0).count();
+    assert_eq!((rests.len(), markers), (1 + dwells + markers, 10));
+    assert!(goes_on.len() > dwells, "{}", goes_on.len());
+}

@@ -266,8 +266,7 @@ impl MountingMonitor {
         let n = side as f64;
         let leverage = 1.0 / n + reach * reach * 12.0 / (n * (n * n - 1.0));
         let noise_mm = self.noise_mm;
-        // The pulses of a sync mark come while the robot still vibrates.
-        let rests = !self.strobe_seen && newest.iter().all(|grain| grain.rests);
+        let rests = newest.iter().all(|grain| grain.rests);
         let moved_mm = if rests { 0.0 } else { self.expected.speed_mm_s * BEND * n * dt };
         let threshold_mm = (DEVIATE * noise_mm * (2.0 * leverage).sqrt()).max(2.0 * MATTERS * noise_mm)
             + moved_mm

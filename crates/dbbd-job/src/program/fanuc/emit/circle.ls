@@ -58,13 +58,14 @@ P[{{ number }}]{
 {% set point = points[step.row - 1] %}
 {% set ms = (step.duration_s * 1000)|percent|int %}
 {% set time %}{% if ms >= 1 and ms <= 32000 %}{{ ms }}msec{% elif ms > 32000 %}{{ step.duration_s|tenths }}sec{% elif step.motion == "ptp" %}{{ step.axis_percent|percent }}%{% else %}{{ point.feed_mm_s|ceiling }}mm/sec{% endif %}{% endset %}
+{% set end = "FINE" if step.rests else "CNT0" %}
 {% if step.motion == "ptp" %}
-   0:J P[{{ step.row + 3 }}] {{ time }} FINE    ;
+   0:J P[{{ step.row + 3 }}] {{ time }} {{ end }}    ;
 {% elif step.through %}
    0:C P[{{ step.through + 3 }}]    
-    :  P[{{ step.row + 3 }}] {{ time }} FINE    ;
+    :  P[{{ step.row + 3 }}] {{ time }} {{ end }}    ;
 {% else %}
-   0:L P[{{ step.row + 3 }}] {{ time }} FINE    ;
+   0:L P[{{ step.row + 3 }}] {{ time }} {{ end }}    ;
 {% endif %}
 {% if step.number %}
    0:  WAIT {{ plan.settle_s|hundredths }}(sec) ;
