@@ -228,6 +228,18 @@ fn lengths_and_positions_side_by_side() {
     twelve_splits(&[(lengths, 0.138), (tracked, 0.078), (few, 0.098), (both, 0.080)]);
 }
 
+/// The cases that `tests/independent/real_robots.py` does not have.
+#[test]
+#[ignore = "36 identifications: see docs/evidence/README.md"]
+fn kept_poses_in_twelve_splits() {
+    let geometric = &["--model", "geometric", "--prior", "datasheet"];
+    twelve_splits(&[
+        (Case::of("three balls, geometric", 3, true, geometric), 0.143),
+        (Case::of("two balls, approach", 2, true, &[]), 0.077),
+        (Case::of("one ball, geometric", 1, true, geometric), 0.170),
+    ]);
+}
+
 /// The error of each case is at most this, mm.
 fn twelve_splits(cases: &[(Case, f64)]) {
     let robot = Robot60::read();

@@ -100,7 +100,7 @@ impl<'a> Instruction<'a> {
             .filter(|number| *number > 0.0)
     }
 
-    /// Whether the motion ends with a wait until the robot is in position; `None` if the robot does not stop at the point.
+    /// Whether the motion ends with a wait until the robot is in position; `None` if the robot need not reach the point.
     pub(super) fn ends_in_position(&self) -> Option<bool> {
         self.arguments.iter().find_map(|argument| match argument.name? {
             "FINE" => Some(true),

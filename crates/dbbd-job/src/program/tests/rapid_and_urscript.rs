@@ -264,7 +264,7 @@ fn dwells_wait_for_standstill() {
 }
 
 /// A FANUC is in position at the start of a program, at dwells and at both ends of sync markers (1 mm/s). At the transits between chosen poses it
-/// stops without the wait, which takes a quarter of a second.
+/// does not wait: in the simulator each wait takes a quarter of a second.
 #[test]
 fn fanuc_is_in_position_where_it_rests() {
     let (_, name, centre) = ALL[2];

@@ -239,3 +239,20 @@ fn moved_ball_is_detected() {
     assert!((named[0].size - 0.2).abs() < 0.01, "{named:?}");
     assert_eq!(named[0].finding().code().as_str(), "W0284");
 }
+
+/// A dwell of 3 s, in which the reading is off by 0.2 mm for 0.2 s: at the strobe the robot rests, and the speed of the program is no excuse.
+#[test]
+fn magnet_that_slips_in_a_dwell_is_named() {
+    let (plan, _) = prepared();
+    let mut monitor = monitor(&plan);
+    let mut dice = Pcg64::seed_from_u64(5);
+    let readings = (0..1600).map(|at| {
+        let t_s = f64::from(at) / RATE_HZ;
+        let off_mm = if (2.0..2.2).contains(&t_s) { 0.2 } else { 0.0 };
+        let reading_mm = off_mm + 0.002 * dice.random_range(-1.0..1.0);
+        MountedReading { t_s, reading_mm, mounted: true, strobe: Some((1.0..4.0).contains(&t_s)) }
+    });
+    let named: Vec<DetectedFault> = readings.filter_map(|reading| monitor.push(reading)).collect();
+    assert_eq!(named.iter().map(|named| named.fault).collect::<Vec<_>>(), [MountingFault::Slip], "{named:?}");
+    assert!((named[0].size - 0.2).abs() < 0.01, "{named:?}");
+}

@@ -3,11 +3,12 @@
 
 use std::collections::BTreeMap;
 
+use dbbd_model::estimation::Workspace;
 use dbbd_model::estimation::result::{ParameterResult, Status};
-use dbbd_model::estimation::{CompletedCalibration, ErrorModel, Options, Positions, Prior, Workspace};
+use dbbd_model::estimation::{CompletedCalibration, Options, Prior};
 use dbbd_model::math::aligned_distances;
-use dbbd_model::measurement::{ApproachedPose, BaseBall};
-use dbbd_model::robot::{Approach, AxisAngles, BarId, Joint, ParamId, ParamUnit, PriorRule, Robot};
+use dbbd_model::measurement::BaseBall;
+use dbbd_model::robot::{BarId, Joint, ParamId, ParamUnit, PriorRule, Robot};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -21,8 +22,7 @@ fn normal(random: &mut Pcg64) -> f64 {
     StandardNormal.sample(random)
 }
 
-/// Lengths of `truth` with this noise, by a bar that is longer by `bar_mm` than given, identified with `prior`. The robots have no errors of their
-/// joints, and neither has the model.
+/// Lengths of `truth` with this noise, by a bar that is longer by `bar_mm` than given, identified with `prior`.
 fn find(
     truth: &Robot,
     circles: &[Circle],
@@ -40,11 +40,18 @@ fn find(
         .map(|circle| BaseBall { id: circle.ball(), position: Vector3::from(circle.centre) })
         .collect();
     centres.dedup_by_key(|centre| centre.id);
+    let hold = vec![
+        ParamId::Compliance(Joint::J2),
+        ParamId::Compliance(Joint::J3),
+        ParamId::Compliance(Joint::J4),
+        ParamId::Compliance(Joint::J5),
+    ];
+    let gear = Joint::ALL.into_iter().flat_map(|j| [ParamId::GearCos(j), ParamId::GearSin(j)]);
     let options = Options {
         prior,
-        model: ErrorModel::Geometric,
         sigma_mm: Some(sigma_mm),
         folds: Some(0),
+        hold: hold.into_iter().chain(gear).collect(),
         ..Options::default()
     };
     calibrated(&kr60(), &data, &centres, &options).unwrap()
@@ -104,15 +111,10 @@ fn bar_sd_mm() -> f64 {
     }
 }
 
-/// Root mean square 3-D error over the workspace of robots and bars drawn by their tolerance: true, and as predicted, mm.
+/// Mean 3-D error over the workspace of robots and bars drawn by their tolerance: true, and as predicted, mm.
 fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: u64) -> [f64; 2] {
     let nominal = kr60();
     let poses = Workspace::uniform(&nominal, 300, 5);
-    let pose = |axes: &[f64; 6]| ApproachedPose {
-        axes: AxisAngles::from_degrees(axes.map(f64::to_degrees)),
-        approach: Approach::default(),
-    };
-    let kept: Vec<ApproachedPose> = poses.iter().map(pose).collect();
     let mut sums = [0.0; 2];
     for seed in 0..robots {
         let mut random = Pcg64::seed_from_u64(100 + seed);
@@ -130,11 +132,10 @@ fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: 
             poses.iter().map(|axes| robot.geometry.ball(axes).position).collect()
         };
         let errors = aligned_distances(&balls(&truth), &balls(&found.robot));
-        let predicted = Positions::new(&found.robot.geometry, &found.robot.known_uncertainty(), &kept);
-        sums[0] += errors.iter().map(|error| error * error).sum::<f64>();
-        sums[1] += (0..kept.len()).map(|at| predicted.sd_mm(at).powi(2)).sum::<f64>();
+        sums[0] += errors.iter().sum::<f64>() / errors.len() as f64;
+        sums[1] += found.result.predicted_position_uncertainty_mm.identified.mean;
     }
-    sums.map(|sum| (sum / (robots as f64 * kept.len() as f64)).sqrt())
+    sums.map(|sum| sum / robots as f64)
 }
 
 fn two_balls() -> Vec<Circle> {
