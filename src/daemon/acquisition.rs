@@ -14,7 +14,7 @@ use super::OpenedBar;
 use super::axes::{AxesArrival, AxesSource};
 use super::ekrl::{BarLineState, EkrlServer, TelegramRecorder};
 use super::live_state::LiveFeed;
-use super::recorder::{Recorder, RunProgress};
+use super::recorder::{EndReason, Recorder, RunProgress};
 use super::schedule::{ALARM_SHARE, Schedule};
 use super::session::{self, BarPolling};
 use crate::live::ServiceFinding;
@@ -63,18 +63,6 @@ pub struct AcquisitionOptions {
     pub sync_s: f64,
 }
 
-/// The reason for the end of a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum EndReason {
-    /// The program's end mark.
-    Mark,
-    Duration,
-    Stopped,
-    /// The port was absent for too long.
-    Gone,
-}
-
 /// The result of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AcquisitionSummary {
@@ -97,17 +85,6 @@ struct AcquisitionShared {
     /// Findings about interference with the capture file.
     findings: Mutex<Vec<Diagnostic>>,
     stop: Arc<AtomicBool>,
-}
-
-impl EndReason {
-    pub fn reason(self) -> &'static str {
-        match self {
-            EndReason::Mark => "the program's end mark",
-            EndReason::Duration => "the time was up",
-            EndReason::Stopped => "stopped",
-            EndReason::Gone => "the port stayed away",
-        }
-    }
 }
 
 impl Acquisition {
@@ -269,7 +246,7 @@ impl RecorderThread {
         };
         self.write_notes()?;
         self.record_controller(BarLineState::Idle)?;
-        let progress = self.recorder.finish(clock::now(), ending.reason());
+        let progress = self.recorder.finish(clock::now(), ending);
         self.publish_findings();
         Ok(AcquisitionSummary { capture: self.recorder.path().into(), ending, progress: progress? })
     }

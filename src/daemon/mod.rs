@@ -15,15 +15,13 @@ mod signals;
 use dbbd_device::port::Port;
 use dbbd_model::base::units::HostNs;
 
-pub use acquisition::{
-    Acquisition, AcquisitionOptions, AcquisitionSummary, ControllerConnections, EndReason,
-};
+pub use acquisition::{Acquisition, AcquisitionOptions, AcquisitionSummary, ControllerConnections};
 pub use axes::AxesSource;
 pub use ekrl::EkrlServer;
 pub use identify::{ProbeAttempt, ProtocolSearch};
 pub use live_state::{LiveFeed, LiveRun, LiveState};
 pub use mount_detector::{MountDetector, MountReading};
-pub use recorder::{Recorder, RunProgress};
+pub use recorder::{EndReason, Recorder, RunProgress};
 pub use schedule::{ALARM_SHARE, Schedule};
 #[cfg(feature = "archive")]
 pub use service::serve_plant;

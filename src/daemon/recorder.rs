@@ -30,6 +30,29 @@ const MAX_EVENTS: u32 = 200;
 /// Without a plan the program is over when the strobe stays low for this time after an end mark, s.
 const OVER_S: f64 = 20.0;
 
+/// The reason for the end of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EndReason {
+    /// The program's end mark.
+    Mark,
+    Duration,
+    Stopped,
+    /// The port was absent for too long.
+    Gone,
+}
+
+impl EndReason {
+    pub fn reason(self) -> &'static str {
+        match self {
+            EndReason::Mark => "the program's end mark",
+            EndReason::Duration => "the time was up",
+            EndReason::Stopped => "stopped",
+            EndReason::Gone => "the port stayed away",
+        }
+    }
+}
+
 /// The counts and readings of a run so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct RunProgress {
@@ -596,9 +619,9 @@ impl Recorder {
     }
 
     /// Completes the capture.
-    pub fn finish(&mut self, now: HostNs, reason: &str) -> Result<RunProgress, Diagnostic> {
+    pub fn finish(&mut self, now: HostNs, ending: EndReason) -> Result<RunProgress, Diagnostic> {
         // After the end of the program the bar may be silent, and the host may wait for its disk.
-        if !self.over() {
+        if ending != EndReason::Mark {
             // Shorter silence may be caused by the end of the run itself.
             self.silent(now, SILENT_S)?;
             self.progress.silent_s += self.stream.silence.of_bar(None);
@@ -613,7 +636,7 @@ impl Recorder {
         self.progress.counts.elapsed_s = now.seconds_since(self.upkeep.began);
         self.progress.axes = self.axes.receiver().map(AxesReceiver::counts);
         self.check_file()?;
-        self.capture.writer.finish(now, reason, self.progress.counts.missing)?;
+        self.capture.writer.finish(now, ending.reason(), self.progress.counts.missing)?;
         self.check_file()?;
         Ok(self.progress)
     }
@@ -682,12 +705,11 @@ mod tests {
     fn silence_after_the_end_of_the_program_is_no_loss() {
         let directory = tempfile::tempdir().unwrap();
         let definition = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap();
-        for (modules_over, silent_s, gaps) in [(0, 5.0, 1), (1, 0.0, 0)] {
+        for (ending, silent_s, gaps) in [(EndReason::Stopped, 5.0, 1), (EndReason::Mark, 0.0, 0)] {
             let writer = CaptureWriter::create(&directory.path().join(format!("{gaps}.dbbd"))).unwrap();
             let mut recorder = Recorder::new(writer, &definition, Some(1), 0.2, at(0.0));
             recorder.stream.silence.last_bytes = Some(at(10.0));
-            recorder.program.modules_over = modules_over;
-            let progress = recorder.finish(at(15.0), "over").unwrap();
+            let progress = recorder.finish(at(15.0), ending).unwrap();
             assert_eq!((progress.silent_s, progress.counts.gaps), (silent_s, gaps));
         }
     }

@@ -7,7 +7,7 @@ use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use dbbd::daemon::{Recorder, RunProgress};
+use dbbd::daemon::{EndReason, Recorder, RunProgress};
 use dbbd_device::protocol::{self, DecodedItem, LineFaultKind, ProtocolDefinition};
 use dbbd_job::recording::capture::{self, Capture, CaptureRecord, CaptureWriter, Disk, RunEvent};
 use dbbd_job::recording::{ClockStamp, DeviceClock, DeviceTime, StreamBuilder};
@@ -137,7 +137,7 @@ fn recorded(
         }
         recorder.tick(last)?;
     }
-    recorder.finish(last, "the time was up")
+    recorder.finish(last, EndReason::Duration)
 }
 
 /// A recording with a fault.

@@ -72,7 +72,7 @@ impl<'a> PlanningCell<'a> {
         Some(StrokeMargin { room, design_row, risk })
     }
 
-    /// Whether all limits are kept, with a stroke risk of at most `risk`.
+    /// Whether all limits are kept with their reserves, with a stroke risk of at most `risk`.
     pub(super) fn allows(&self, axes: &[f64; AXES], centre: u32, risk: f64) -> bool {
         let kept = |quantity: CheckQuantity, value: f64| {
             let limit = if matches!(quantity, CheckQuantity::StrokeRisk) {
@@ -80,7 +80,8 @@ impl<'a> PlanningCell<'a> {
             } else {
                 quantity.limit(self.rig.job, centre)
             };
-            (if quantity.at_least() { value >= limit } else { value <= limit }).then_some(())
+            let slack = if quantity.at_least() { value - limit } else { limit - value };
+            (slack >= quantity.reserve()).then_some(())
         };
         self.evaluate(axes, centre, BarPresence::Yes, &mut { kept }).is_some()
     }
@@ -282,6 +283,23 @@ mod tests {
         assert!(!cell.allows(&pose(&rig, 310.0).axes, 1, 1.0));
         assert!(cell.allows(&start.axes, 1, 1.0));
         assert!(!cell.allows(&start.axes, 1, 0.0));
+    }
+
+    /// The reserve is 0.1 degrees, and 0.5 mm about axis 1.
+    #[test]
+    fn a_chosen_pose_keeps_a_reserve_from_each_limit() {
+        let (job, robot) = (job(""), robot());
+        let start = pose(&PlanKinematics::new(&job, &robot), 300.0).axes;
+        let clear = clearance(&robot.geometry, &start).expect("the wrist is spherical");
+        let allows = |wrist_slack_deg: f64, overhead_slack_mm: f64| {
+            let mut job = job.clone();
+            job.limits.min_a5_deg = clear.wrist.to_degrees() - wrist_slack_deg;
+            job.limits.min_overhead_mm = clear.overhead - overhead_slack_mm;
+            let rig = PlanKinematics::new(&job, &robot);
+            PlanningCell::new(rig, &PlanningPrior::datasheet(&job, &robot), 1, &start).allows(&start, 1, 1.0)
+        };
+        assert_eq!([allows(0.08, 9.0), allows(0.12, 9.0)], [false, true]);
+        assert_eq!([allows(9.0, 0.4), allows(9.0, 0.6)], [false, true]);
     }
 
     #[test]

@@ -58,8 +58,7 @@ pub(super) fn module(
     let mut chain = ModulePath { walk, router, start, here: poses.remove(0), began, dwells: 1, missed: 0 };
     chain.markers(MarkerPosition::Start);
     // The start is the first pose to be measured, and the reference.
-    let here = chain.here.pose;
-    chain.walk.lines(vec![aside(&here, &chain.router.ball), here], PoseKind::Measure);
+    chain.step_aside(PoseKind::Measure);
     chain.visit(&mut poses);
     chain.reference();
     chain.revisit(&visited);
@@ -150,19 +149,27 @@ impl ModulePath<'_, '_> {
 
     /// The sync markers of an end of the module, at the current pose.
     fn markers(&mut self, end: MarkerPosition) {
-        let RoutePlanner { cell, ball, radius, risk, .. } = self.router;
-        let length = safe_marker(&cell.rig.job.bar, radius, risk, |out| cell.risk_out(&self.here, out));
-        let rest = self.here.pose;
-        let along = (rest.position - ball).normalize();
-        let out = Pose { rotation: rest.rotation, position: rest.position + along * length };
-        self.walk.markers(end, rest, out);
+        let (router, rest) = (&self.router, self.here.pose);
+        let along = router.direction(&rest);
+        let out = |length: f64| Pose { rotation: rest.rotation, position: rest.position + along * length };
+        let bar = &router.cell.rig.job.bar;
+        let length = safe_marker(bar, router.radius, |length| router.has_line(&self.here, &out(length)));
+        self.walk.markers(end, rest, out(length));
+    }
+
+    /// Goes to a pose nearby and back, with a dwell at the current pose. Where there is no such way, the plan's check names
+    /// the limit that prevents it.
+    fn step_aside(&mut self, kind: PoseKind) {
+        let pose = self.here.pose;
+        let asides = asides(&pose, &self.router.ball);
+        let aside = asides.iter().find(|aside| self.router.has_line(&self.here, aside)).unwrap_or(&asides[0]);
+        self.walk.lines(vec![*aside, pose], kind);
     }
 
     /// Visits the reference pose. If the robot is there already, it steps aside and comes back.
     fn reference(&mut self) {
         if self.here == *self.start {
-            let pose = self.here.pose;
-            self.walk.lines(vec![aside(&pose, &self.router.ball), pose], PoseKind::Reference);
+            self.step_aside(PoseKind::Reference);
         } else if let Some(way) = self.router.way(&self.here, self.start) {
             self.walk.go(way, self.start, PoseKind::Reference);
         } else {
@@ -174,12 +181,16 @@ impl ModulePath<'_, '_> {
     }
 }
 
-/// A pose nearby on the sphere, with the same orientation.
-fn aside(pose: &Pose, ball: &Vector3<f64>) -> Pose {
+/// Four poses nearby on the sphere, with the same orientation.
+fn asides(pose: &Pose, ball: &Vector3<f64>) -> [Pose; 4] {
     let along = pose.position - ball;
     let across = if along.x.abs() < 0.9 * along.norm() { Vector3::x() } else { Vector3::y() };
-    let turn = Rotation3::from_scaled_axis(along.cross(&across).normalize() * DETOUR);
-    Pose { rotation: pose.rotation, position: ball + turn * along }
+    let first = along.cross(&across).normalize();
+    let second = along.normalize().cross(&first);
+    [first, -first, second, -second].map(|axis| {
+        let turn = Rotation3::from_scaled_axis(axis * DETOUR);
+        Pose { rotation: pose.rotation, position: ball + turn * along }
+    })
 }
 
 /// Finds ways about one base ball.
@@ -253,6 +264,14 @@ impl<'a> RoutePlanner<'a> {
             here = end;
         }
         (max_axis_difference(&axes, &to.axes) < ASTRAY).then_some(poses)
+    }
+
+    /// Whether the straight line to a pose nearby keeps all limits and its branch.
+    fn has_line(&self, from: &Candidate, to: &Pose) -> bool {
+        let rig = self.cell.rig;
+        let start = rig.controller.geometry.ball(&from.axes);
+        let end = rig.commanded(to, &from.axes);
+        end.is_ok_and(|to| self.passes(&ToolBallPath::Line { from: start, to }, &from.axes).is_some())
     }
 
     /// The axis angles at the end of a path, if it keeps all limits and its branch.
@@ -400,10 +419,18 @@ mod tests {
         let ball = Vector3::new(5.0, 6.0, 7.0);
         for along in [Vector3::x(), Vector3::y(), Vector3::z()] {
             let pose = Pose { position: ball + along * 300.0, ..Pose::identity() };
-            let beside = aside(&pose, &ball);
-            assert!(((beside.position - ball).norm() - 300.0).abs() < 1e-9);
-            assert!(((beside.position - ball).angle(&along) - 0.035).abs() < 1e-9);
-            assert_eq!(beside.rotation, pose.rotation);
+            let beside = asides(&pose, &ball);
+            for aside in &beside {
+                assert!(((aside.position - ball).norm() - 300.0).abs() < 1e-9);
+                assert!(((aside.position - ball).angle(&along) - 0.035).abs() < 1e-9);
+                assert_eq!(aside.rotation, pose.rotation);
+            }
+            // Two opposite pairs at right angles; the chords of the sphere lean inwards by half of the angle.
+            let moved = beside.map(|aside| aside.position - pose.position);
+            for pair in [[0, 1], [2, 3]] {
+                assert!((moved[pair[0]].angle(&moved[pair[1]]) - (PI - 0.035)).abs() < 1e-9);
+            }
+            assert!((moved[0].angle(&moved[2]) - FRAC_PI_2).abs() < 0.001);
         }
     }
 }

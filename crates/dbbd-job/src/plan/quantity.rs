@@ -92,6 +92,16 @@ impl CheckQuantity {
         }
     }
 
+    /// What a chosen pose keeps from the limit: the rounding of the poses and the finer steps of the plan's own check find
+    /// slightly other values than those by which the pose was chosen.
+    pub(super) fn reserve(self) -> f64 {
+        match self {
+            Self::AxisMarginDeg | Self::WristDeg | Self::ElbowDeg | Self::CupDeg | Self::ToolCupDeg => 0.1,
+            Self::OverheadMm | Self::ClearanceMm => 0.5,
+            _ => 0.0,
+        }
+    }
+
     /// The limit in a job, for a pose about base ball `ball` (from 1).
     pub(super) fn limit(self, job: &Job, ball: u32) -> f64 {
         let (limits, bar) = (&job.limits, &job.bar);

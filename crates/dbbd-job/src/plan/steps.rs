@@ -102,10 +102,10 @@ pub(super) fn least_marker(bar: &JobBar, radius: f64) -> f64 {
     marker(bar, radius) * SMALLER[SMALLER.len() - 1]
 }
 
-/// The longest marker at a radius with a risk of at most `most`, mm; the shortest marker where all have a larger risk.
-pub(super) fn safe_marker(bar: &JobBar, radius: f64, most: f64, risk: impl Fn(f64) -> f64) -> f64 {
+/// The longest marker at a radius that `is_safe` accepts, mm; the shortest marker where it accepts none.
+pub(super) fn safe_marker(bar: &JobBar, radius: f64, is_safe: impl Fn(f64) -> bool) -> f64 {
     let markers = SMALLER.map(|share| marker(bar, radius) * share);
-    markers.into_iter().find(|out| risk(*out) <= most).unwrap_or(least_marker(bar, radius))
+    markers.into_iter().find(|out| is_safe(*out)).unwrap_or(least_marker(bar, radius))
 }
 
 /// Length of the stroke that is left inwards at a radius, mm.
@@ -304,9 +304,8 @@ mod tests {
     #[test]
     fn marker_shrinks_until_it_is_safe() {
         let bar = bar([-2.0, 6.0], 0.5);
-        let risk = |out: f64| out / 100.0;
-        for (most, expected) in [(1.0, 0.3), (0.0025, 0.21), (0.0015, 0.12), (0.0, 0.12)] {
-            assert!((safe_marker(&bar, 300.0, most, risk) - expected).abs() < 1e-9, "{most}");
+        for (most, expected) in [(1.0, 0.3), (0.25, 0.21), (0.15, 0.12), (0.0, 0.12)] {
+            assert!((safe_marker(&bar, 300.0, |out| out <= most) - expected).abs() < 1e-9, "{most}");
         }
     }
 

@@ -298,6 +298,20 @@ fn robots_are_renewed_for_three_years() {
     assert_eq!((years.found, years.named), (years.crashes, years.crashes));
 }
 
+/// Poses are chosen at the ends of what a robot can reach: the plan's own check must not refuse them.
+#[test]
+#[ignore = "a campaign: plans of the checks and renewals of 24 robots"]
+fn every_check_and_renewal_has_a_plan() {
+    for seed in 1..=24 {
+        let mut wearing = WearingRobot::new(seed);
+        let first = wearing.day();
+        let robot = calibration(&wearing.truth, 1000 + seed, first);
+        for criterion in [Criterion::I, Criterion::Change] {
+            planned(&robot, &day(INTERVAL, 20.0), criterion);
+        }
+    }
+}
+
 /// A robot that carries 50 kg in its check and carried nothing in its calibration: what the load does is not a change of an axis.
 #[test]
 #[ignore = "a campaign: checks of 20 robots with another payload"]

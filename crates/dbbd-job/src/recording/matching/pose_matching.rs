@@ -12,6 +12,7 @@ use crate::plan::{Plan, PlanRow, PoseKind};
 use crate::recording::dwell::{Dwell, DwellReading};
 use crate::recording::matching::MatchingFinding as Finding;
 use crate::recording::stream::SampleStream;
+use dbbd_model::math::distributions::two_sided_tail;
 use dbbd_model::math::robust::median;
 use dbbd_model::math::straight_line::RegressionLine;
 use dbbd_model::measurement::Measurements;
@@ -119,8 +120,16 @@ pub struct LengthDrift {
     /// Standard deviation from the scatter of the readings about the line, mm; `None` for two readings.
     pub sd_mm: Option<f64>,
     pub readings: usize,
-    /// Whether the change is significant (95 %) and exceeds the bar's standard deviation.
+    /// Whether the change is significant (95 %, of all repeated poses together) and exceeds the bar's standard deviation.
     pub significant: bool,
+}
+
+impl LengthDrift {
+    /// Probability that a length without drift changes by as much; 1 where there is no standard deviation.
+    fn by_chance(&self) -> f64 {
+        let tail = |sd_mm: f64| two_sided_tail(self.change_mm / sd_mm, Some(self.readings as f64 - 2.0));
+        self.sd_mm.map_or(1.0, tail)
+    }
 }
 
 /// The reason why no pose was matched, as far as the stream shows it.
@@ -233,11 +242,10 @@ pub(super) fn axes_deviation(matching: &PoseMatching, plan: &Plan) -> Option<Fin
     })
 }
 
-/// Student's t, two-sided 95 %, for 1, 2, .. degrees of freedom; then the value of the normal distribution.
-const STUDENT: [f64; 10] = [12.71, 4.30, 3.18, 2.78, 2.57, 2.45, 2.36, 2.31, 2.26, 2.23];
-const NORMAL: f64 = 2.0;
+/// Probability of a warning about drift in a run without drift.
+const DRIFT_RISK: f64 = 0.05;
 
-/// The largest drift (in standard deviations, or in mm if none has one) of the repeated poses.
+/// The drift of the repeated poses that is least likely by chance; the largest, if none has a standard deviation.
 pub(super) fn largest_drift(
     rows: &[&PlanRow],
     outcomes: &[PoseOutcome],
@@ -255,16 +263,16 @@ pub(super) fn largest_drift(
             None => groups.push((row, vec![point])),
         }
     }
-    let weight = |drift: &LengthDrift| drift.change_mm.abs() / drift.sd_mm.unwrap_or(f64::INFINITY);
-    let lines = groups.iter().filter_map(|(_, points)| drift_line(points));
-    let worth = |drift: LengthDrift| LengthDrift {
-        significant: drift.significant && drift.change_mm.abs() > bar_sigma_mm,
-        ..drift
-    };
-    lines.map(worth).max_by(|a, b| {
-        let by_size = a.change_mm.abs().total_cmp(&b.change_mm.abs());
-        weight(a).total_cmp(&weight(b)).then(by_size)
-    })
+    let drifts: Vec<LengthDrift> = groups.iter().filter_map(|(_, points)| drift_line(points)).collect();
+    // The risk is of the whole run: each pose that can show a drift has its share.
+    let judged = drifts.iter().filter(|drift| drift.sd_mm.is_some()).count().max(1);
+    let most = drifts.into_iter().min_by(|a, b| {
+        let by_size = b.change_mm.abs().total_cmp(&a.change_mm.abs());
+        a.by_chance().total_cmp(&b.by_chance()).then(by_size)
+    })?;
+    let is_rare = most.by_chance() < DRIFT_RISK / judged as f64;
+    let significant = is_rare && most.change_mm.abs() > bar_sigma_mm;
+    Some(LengthDrift { significant, ..most })
 }
 
 /// The drift by a line through points; these are times, s, and readings, mm, in order of time.
@@ -274,9 +282,7 @@ fn drift_line(points: &[[f64; 2]]) -> Option<LengthDrift> {
     let line = RegressionLine::through(points).filter(|_| span_s > 0.0)?;
     let change_mm = line.slope * span_s;
     let sd_mm = (readings > 2).then_some(line.slope_sd * span_s);
-    let factor = STUDENT.get(readings.saturating_sub(3)).copied().unwrap_or(NORMAL);
-    let significant = sd_mm.is_some_and(|sd_mm| change_mm.abs() > factor * sd_mm);
-    Some(LengthDrift { change_mm, sd_mm, readings, significant })
+    Some(LengthDrift { change_mm, sd_mm, readings, significant: false })
 }
 
 /// Least number of dwells that show whether the reading changes at rest, and between dwells.
@@ -348,9 +354,11 @@ fn is_constant(stream: &SampleStream, samples: Range<usize>) -> bool {
 mod tests {
     use super::*;
 
+    use crate::plan::MotionKind;
     use crate::recording::stream::StreamBuilder;
     use dbbd_model::base::units::HostNs;
     use dbbd_model::measurement::sample::Sample;
+    use dbbd_model::robot::BallId;
 
     /// The line through 0, 0.1, 0.2, 0.34 rises by 0.112 a second (residuals 0.008, -0.004, -0.016, 0.012 squared
     /// sum to 0.00048, over 2 degrees of freedom and sum of squares 5): sd sqrt(0.00024 / 5) a second.
@@ -359,18 +367,68 @@ mod tests {
         let drift = drift_line(&[[0.0, 0.0], [1.0, 0.1], [2.0, 0.2], [3.0, 0.34]]).unwrap();
         assert!((drift.change_mm - 0.336).abs() < 1e-12, "{drift:?}");
         assert!((drift.sd_mm.unwrap() - 3.0 * 0.000_048_f64.sqrt()).abs() < 1e-12, "{drift:?}");
-        assert_eq!((drift.readings, drift.significant), (4, true));
+        assert_eq!(drift.readings, 4);
     }
 
-    /// Three readings have one degree of freedom: Student's t is 12.71. The line through 0, a, b has the change b
-    /// and the standard deviation |a - b / 2| 2 / sqrt(3).
+    /// A visit of a reference pose.
+    fn reference(index: u32) -> PlanRow {
+        PlanRow {
+            index,
+            circle: 1,
+            centre: BallId::FIRST,
+            kind: PoseKind::Reference,
+            motion: MotionKind::Lin,
+            xyz_mm: [0.0; 3],
+            abc_deg: [0.0; 3],
+            axes_deg: [0.0; 6],
+            status: 0,
+            turn: 0,
+            length_mm: 300.0,
+            dwell_s: 2.0,
+        }
+    }
+
+    fn read(row: &PlanRow, middle_s: f64, reading_mm: f64) -> PoseOutcome {
+        let (from_s, to_s) = (middle_s - 0.25, middle_s + 0.25);
+        let reading = DwellReading {
+            from_s,
+            to_s,
+            reading_mm,
+            u_mm: 0.001,
+            samples: 100,
+            invalid: 0,
+            gaps: 0,
+            creep_mm: None,
+        };
+        PoseOutcome { index: row.index, outcome: MatchOutcome::Matched { reading, posterior: 1.0 } }
+    }
+
+    /// Three readings have one degree of freedom: the tail beyond t is 2 atan(1 / t) / pi, so that t is 12.71 for one pose in
+    /// twenty, and 38.19 for one of three. The line through 0, a, 1 has the change 1 and the standard deviation
+    /// |a - 1 / 2| 2 / sqrt(3).
     #[test]
-    fn drift_of_three_readings_must_be_large() {
-        let significant =
-            |middle: f64| drift_line(&[[0.0, 0.0], [1.0, middle], [2.0, 1.0]]).unwrap().significant;
-        assert!(significant(0.567) && !significant(0.569));
+    fn drift_of_several_poses_must_be_larger() {
+        let largest = |middles: &[f64], bar_sigma_mm: f64| {
+            let rows: Vec<PlanRow> = (0..3 * middles.len())
+                .map(|at| PlanRow { axes_deg: [(at / 3) as f64; 6], ..reference(at as u32) })
+                .collect();
+            let outcomes: Vec<PoseOutcome> = rows
+                .iter()
+                .zip(middles.iter().flat_map(|middle| [0.0, *middle, 1.0]))
+                .enumerate()
+                .map(|(at, (row, reading_mm))| read(row, at as f64, reading_mm))
+                .collect();
+            largest_drift(&rows.iter().collect::<Vec<_>>(), &outcomes, bar_sigma_mm).unwrap()
+        };
+        let significant = |middles: &[f64]| largest(middles, 0.01).significant;
+        assert!(significant(&[0.567]) && !significant(&[0.569]));
+        assert!(significant(&[0.9, 0.5226, 0.1]) && !significant(&[0.9, 0.5228, 0.1]));
+        // A bar that scatters by more explains it.
+        assert!(largest(&[0.51], 0.99).significant && !largest(&[0.51], 1.01).significant);
+        // Of several poses the one with the least scatter counts; two readings have none.
+        assert!((largest(&[0.9, 0.55, 0.1], 0.01).sd_mm.unwrap() - 0.1 / 3.0_f64.sqrt()).abs() < 1e-12);
         let two = drift_line(&[[0.0, 0.0], [1.0, 1.0]]).unwrap();
-        assert_eq!((two.sd_mm, two.significant, two.readings), (None, false, 2));
+        assert_eq!((two.sd_mm, two.by_chance(), two.readings), (None, 1.0, 2));
         assert_eq!(drift_line(&[[1.0, 0.0], [1.0, 1.0]]), None);
         assert_eq!(drift_line(&[]), None);
     }
