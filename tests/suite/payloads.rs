@@ -198,14 +198,15 @@ fn a_run_names_its_payload_and_the_pull_of_its_bar() {
              [[circle]]\nplane = \"XY\"\npoints = 12\ntilt_deg = 30.0\namplitude_deg = 25.0\n"
         )
     };
-    for payload in ["bar", "gripper"] {
+    for (payload, seed) in [("bar", "1"), ("gripper", "2")] {
         let text = job(&format!("payload = \"{payload}\"\n"), "force_n = 20.0\n");
         fs::write(at.join(format!("{payload}.toml")), text).unwrap();
         let plan = dbbd(at, &["plan", &format!("{payload}.toml"), "--out", payload]);
         assert!(matches!(plan.status.code(), Some(0 | 3)), "{}", stderr(&plan));
         assert!(String::from_utf8_lossy(&plan.stdout).contains(&format!("carries `{payload}`")));
         let (plan, run) = (format!("{payload}/plan.csv"), format!("{payload}.dbbd"));
-        let measured = dbbd(at, &["acquire", "--port", "sim", "--plan", &plan, "--out", &run]);
+        let measured =
+            dbbd(at, &["acquire", "--port", "sim", "--seed", seed, "--plan", &plan, "--out", &run]);
         assert!(matches!(measured.status.code(), Some(0 | 3)), "{}", stderr(&measured));
     }
     let args =

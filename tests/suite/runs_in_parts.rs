@@ -83,8 +83,13 @@ fn a_stopped_run_is_completed() {
     // Nothing remains.
     let output = dbbd(at, &["plan", "job.toml", "--remaining", "whole.dbbd", "--out", "none"]);
     assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0722".to_owned()]));
-    let output = dbbd(at, &["identify", "whole.dbbd", "whole.dbbd", "--out", "twice"]);
-    assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1306".to_owned()]));
+    // Lengths that are given twice are recognised by themselves: in the same file, in a table of it, in its first part.
+    done(at, &["sync", "whole.dbbd", "--out", "whole.csv"]);
+    for other in ["whole.dbbd", "whole.csv", "first.dbbd"] {
+        let output = dbbd(at, &["identify", "whole.dbbd", other, "--out", "twice"]);
+        assert_eq!(output.status.code(), Some(1), "{other}");
+        assert_eq!(codes(&output).last().map(String::as_str), Some("E1306"), "{other}");
+    }
 }
 
 #[test]

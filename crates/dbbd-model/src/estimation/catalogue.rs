@@ -39,10 +39,10 @@ findings! {
             NotAPoint => "three numbers in mm are needed, as 30,20,10";
         }
         E1306 "parts of a measurement cannot be joined",
-        cause: "A capture or a table is given twice, or a part has positions of a tracker.",
+        cause: "A capture or a table is given twice, also under another name or as a copy, or a part has positions of a tracker.",
         cure: "Give each capture and table once, and positions by their own option.",
         asks: [Positions] {
-            PartTwice { lengths: String } => "{lengths} is given twice";
+            PartTwice { other: String } => "its lengths are those of {other}: they would count twice";
             PartOfPositions => "positions of a tracker are not a part of a measurement with a bar";
         }
         I1342 "how the parts of a measurement belong together",

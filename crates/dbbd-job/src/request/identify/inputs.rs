@@ -73,7 +73,7 @@ impl LoadedInputs {
         let mut parts = vec![InputPart::read(named.input, session, &mut findings)?];
         for path in named.further {
             let part = InputPart::read(path, session, &mut findings)?;
-            check_further(&part, &parts[0].lengths, &mut findings)?;
+            check_further(&part, &parts, &mut findings)?;
             parts.push(part);
         }
         sort_by_time(&mut parts);
@@ -325,21 +325,22 @@ fn read_further(
     Ok(table)
 }
 
-/// Refuses a part of another robot; another bar or ball than in `lengths` is a finding.
+/// Refuses a part of another robot than the first, and one whose lengths are there already; another bar or ball is a
+/// finding.
 fn check_further(
     part: &InputPart,
-    lengths: &TracedArtefact,
+    others: &[InputPart],
     findings: &mut Vec<Diagnostic>,
 ) -> Result<(), Diagnostic> {
     let name = part.path.display().to_string();
-    if part.lengths.artefact.sha256 == lengths.artefact.sha256 {
-        let lengths = lengths.artefact.to_string();
-        return Err(Diagnostic::file(&name, EstimationFinding::PartTwice { lengths }));
-    }
     if part.measurements.rows.iter().any(|row| row.datum.bar().is_none()) {
         return Err(Diagnostic::file(&name, EstimationFinding::PartOfPositions));
     }
-    check_one_set_up(&name, lengths, &part.lengths, findings)
+    if let Some(other) = others.iter().find(|other| part.counts_twice(other)) {
+        let other = other.lengths.artefact.to_string();
+        return Err(Diagnostic::file(&name, EstimationFinding::PartTwice { other }));
+    }
+    others.first().map_or(Ok(()), |first| check_one_set_up(&name, &first.lengths, &part.lengths, findings))
 }
 
 fn check_one_set_up(
