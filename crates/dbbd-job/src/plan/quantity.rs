@@ -98,7 +98,13 @@ impl CheckQuantity {
         match self {
             Self::AxisMarginDeg | Self::WristDeg | Self::ElbowDeg | Self::CupDeg | Self::ToolCupDeg => 0.1,
             Self::OverheadMm | Self::ClearanceMm => 0.5,
-            _ => 0.0,
+            Self::AxisJumpDeg
+            | Self::AxisSpeedPercent
+            | Self::AxisAccelerationPercent
+            | Self::ReadingLowMm
+            | Self::ReadingHighMm
+            | Self::StrokeRisk
+            | Self::RunRisk => 0.0,
         }
     }
 
