@@ -184,7 +184,7 @@ struct PlanningCell<'a> {
 
 /// A robot, a job and a row for the tests of the module.
 #[cfg(test)]
-mod example {
+pub(crate) mod example {
     use super::{Job, MotionKind, PlanRow, PoseKind};
     use dbbd_model::robot::{BallId, Robot};
 
@@ -204,7 +204,7 @@ mod example {
         Job::from_toml("job.toml", &text).expect("the job is possible")
     }
 
-    pub(super) fn row(kind: PoseKind) -> PlanRow {
+    pub(crate) fn row(kind: PoseKind) -> PlanRow {
         PlanRow {
             index: 1,
             circle: 1,

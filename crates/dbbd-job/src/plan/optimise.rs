@@ -7,7 +7,7 @@ use super::module::module;
 use super::prior::length_sigma_mm;
 use super::refusal::Refusal;
 use super::stage::Stage;
-use super::steps::least_marker;
+use super::steps::min_marker;
 use super::workspace::workspace;
 use super::{CandidateConditions, PlanKinematics, PlanStep, PlanningCell, PlanningPrior, StepBuilder};
 use crate::plan::PlanFinding;
@@ -235,7 +235,7 @@ impl<'a> PoseChooser<'a> {
             let mut sd: Vec<f64> = scan.near.iter().chain(&scan.reach).map(|pose| cell.sd_mm(pose)).collect();
             sd.sort_by(f64::total_cmp);
             let most = sd.get(MIN_STAGE_POSES as usize)?.max(cell.sd_mm(start));
-            Some(normal_deviate(least_risk.ln()) * most + least_marker(&job.bar, job.bar.length_mm))
+            Some(normal_deviate(least_risk.ln()) * most + min_marker(&job.bar, job.bar.length_mm))
         };
         let starts = scan.starts(&self.rig).take(STARTS).filter_map(needed);
         let half_mm = starts.fold(f64::INFINITY, f64::min);
@@ -317,7 +317,7 @@ impl<'a> PoseChooser<'a> {
     /// The start from which most of the poses are safe.
     fn start(&self, scan: &ReachablePoses, risk: f64) -> Option<Candidate> {
         let bar = &self.rig.job.bar;
-        let marker = least_marker(bar, bar.length_mm);
+        let marker = min_marker(bar, bar.length_mm);
         scan.starts(&self.rig)
             .filter(|start| self.cell(start).risk_out(start, marker) <= risk)
             .take(STARTS)

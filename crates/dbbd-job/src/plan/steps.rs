@@ -98,14 +98,14 @@ fn marker(bar: &JobBar, radius: f64) -> f64 {
 }
 
 /// The shortest marker that [`safe_marker`] tries at a radius, mm.
-pub(super) fn least_marker(bar: &JobBar, radius: f64) -> f64 {
+pub(super) fn min_marker(bar: &JobBar, radius: f64) -> f64 {
     marker(bar, radius) * SMALLER[SMALLER.len() - 1]
 }
 
 /// The longest marker at a radius that `is_safe` accepts, mm; the shortest marker where it accepts none.
 pub(super) fn safe_marker(bar: &JobBar, radius: f64, is_safe: impl Fn(f64) -> bool) -> f64 {
     let markers = SMALLER.map(|share| marker(bar, radius) * share);
-    markers.into_iter().find(|out| is_safe(*out)).unwrap_or(least_marker(bar, radius))
+    markers.into_iter().find(|out| is_safe(*out)).unwrap_or(min_marker(bar, radius))
 }
 
 /// Length of the stroke that is left inwards at a radius, mm.
@@ -296,7 +296,7 @@ mod tests {
         ] {
             let bar = bar(stroke_mm, margin_mm);
             assert!((marker(&bar, radius) - expected).abs() < 1e-9, "{stroke_mm:?} {radius}");
-            assert!((least_marker(&bar, radius) - 0.4 * expected).abs() < 1e-9);
+            assert!((min_marker(&bar, radius) - 0.4 * expected).abs() < 1e-9);
         }
         assert!((room(&bar([-2.0, 6.0], 0.5), 301.25) - 2.75).abs() < 1e-9);
     }

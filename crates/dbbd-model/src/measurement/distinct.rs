@@ -52,6 +52,11 @@ impl Measurements {
         Ok(DistinctMeasurements { measurements: self, repeated: count })
     }
 
+    /// Whether all rows of one of two tables are in the other: no robot measures twice alike.
+    pub fn repeats(&self, other: &Self) -> bool {
+        self.holds(other) == other.rows.len() || other.holds(self) == self.rows.len()
+    }
+
     /// The number of rows of `other` that are in this table too. The index, a subtracted change of the bar's zero and
     /// rounding of one of the two tables do not matter. A pose that was measured again agrees by chance about once in
     /// fifty times.
@@ -152,5 +157,9 @@ mod tests {
             [0; 4]
         );
         assert_eq!(known.holds(&known), 3);
+        // A copy may have a share of the rows; one of two may agree by chance.
+        let (copy, by_chance) = (table(&[(9, 20.0, 301.0)]), table(&[(1, 10.0, 300.2), (2, 20.0, 301.0)]));
+        assert!(known.repeats(&copy) && copy.repeats(&known));
+        assert!(!known.repeats(&by_chance) && !by_chance.repeats(&known));
     }
 }

@@ -354,11 +354,10 @@ fn is_constant(stream: &SampleStream, samples: Range<usize>) -> bool {
 mod tests {
     use super::*;
 
-    use crate::plan::MotionKind;
+    use crate::plan::example::row;
     use crate::recording::stream::StreamBuilder;
     use dbbd_model::base::units::HostNs;
     use dbbd_model::measurement::sample::Sample;
-    use dbbd_model::robot::BallId;
 
     /// The line through 0, 0.1, 0.2, 0.34 rises by 0.112 a second (residuals 0.008, -0.004, -0.016, 0.012 squared
     /// sum to 0.00048, over 2 degrees of freedom and sum of squares 5): sd sqrt(0.00024 / 5) a second.
@@ -368,24 +367,6 @@ mod tests {
         assert!((drift.change_mm - 0.336).abs() < 1e-12, "{drift:?}");
         assert!((drift.sd_mm.unwrap() - 3.0 * 0.000_048_f64.sqrt()).abs() < 1e-12, "{drift:?}");
         assert_eq!(drift.readings, 4);
-    }
-
-    /// A visit of a reference pose.
-    fn reference(index: u32) -> PlanRow {
-        PlanRow {
-            index,
-            circle: 1,
-            centre: BallId::FIRST,
-            kind: PoseKind::Reference,
-            motion: MotionKind::Lin,
-            xyz_mm: [0.0; 3],
-            abc_deg: [0.0; 3],
-            axes_deg: [0.0; 6],
-            status: 0,
-            turn: 0,
-            length_mm: 300.0,
-            dwell_s: 2.0,
-        }
     }
 
     fn read(row: &PlanRow, middle_s: f64, reading_mm: f64) -> PoseOutcome {
@@ -410,7 +391,7 @@ mod tests {
     fn drift_of_several_poses_must_be_larger() {
         let largest = |middles: &[f64], bar_sigma_mm: f64| {
             let rows: Vec<PlanRow> = (0..3 * middles.len())
-                .map(|at| PlanRow { axes_deg: [(at / 3) as f64; 6], ..reference(at as u32) })
+                .map(|at| PlanRow { axes_deg: [(at / 3) as f64; 6], ..row(PoseKind::Reference) })
                 .collect();
             let outcomes: Vec<PoseOutcome> = rows
                 .iter()

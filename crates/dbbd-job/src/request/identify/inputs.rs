@@ -174,7 +174,8 @@ impl LoadedInputs {
         check_measurements(&name, &set, &self.robot, &self.centres)?;
         set.check(&name, self.observations.set_up(self.centres.len()))?;
         let TracedArtefact { artefact, .. } = read_further(path, &self.parts[0].lengths, &mut self.findings)?;
-        if self.provenance.has(&artefact) {
+        let mut used = self.parts.iter().map(|part| &part.measurements).chain(&self.positions);
+        if used.any(|used| used.repeats(&set)) {
             session.finding(ProvenanceFinding::GivenTwice { lengths: artefact.to_string() });
         }
         Ok(set)
