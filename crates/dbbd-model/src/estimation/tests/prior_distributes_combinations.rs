@@ -111,11 +111,14 @@ fn bar_sd_mm() -> f64 {
     }
 }
 
-/// Mean 3-D error over the workspace of robots and bars drawn by their tolerance: true, and as predicted, mm.
+/// 3-D error of robots and bars drawn by their tolerance: true, and as predicted, mm. The prediction is a root mean square at
+/// each pose and its mean over the workspace, so that the true errors are taken together in the same way: the root of their
+/// mean square over the robots at each pose, then the mean over the poses.
 fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: u64) -> [f64; 2] {
     let nominal = kr60();
     let poses = Workspace::uniform(&nominal, 300, 5);
-    let mut sums = [0.0; 2];
+    let mut squares = vec![0.0; poses.len()];
+    let mut predicted = 0.0;
     for seed in 0..robots {
         let mut random = Pcg64::seed_from_u64(100 + seed);
         let mut truth = nominal.clone();
@@ -132,10 +135,12 @@ fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: 
             poses.iter().map(|axes| robot.geometry.ball(axes).position).collect()
         };
         let errors = aligned_distances(&balls(&truth), &balls(&found.robot));
-        sums[0] += errors.iter().sum::<f64>() / errors.len() as f64;
-        sums[1] += found.result.predicted_position_uncertainty_mm.identified.mean;
+        squares.iter_mut().zip(&errors).for_each(|(sum, error)| *sum += error * error);
+        predicted += found.result.predicted_position_uncertainty_mm.identified.mean;
     }
-    sums.map(|sum| sum / robots as f64)
+    let robots = robots as f64;
+    let errors = squares.iter().map(|sum| (sum / robots).sqrt());
+    [errors.sum::<f64>() / poses.len() as f64, predicted / robots]
 }
 
 fn two_balls() -> Vec<Circle> {
