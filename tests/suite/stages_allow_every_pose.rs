@@ -80,8 +80,8 @@ struct Staged {
     plans: usize,
     /// Greatest |reading| in each, mm.
     worst: Vec<f64>,
-    /// Whether the last one still barred poses.
-    barred: bool,
+    /// Share of the poses that the last one still barred.
+    barred: f64,
 }
 
 fn stages(seed: u64) -> Staged {
@@ -98,7 +98,11 @@ fn stages(seed: u64) -> Staged {
         worst.push(most);
         lengths.extend(measured);
         if plan.header.stage.is_none() || worst.len() == 6 {
-            let barred = plan.header.notes.iter().any(|note| matches!(note, PlanFinding::Barred { .. }));
+            let share = |note: &PlanFinding| match note {
+                PlanFinding::Barred { barred, reachable } => Some(*barred as f64 / *reachable as f64),
+                _ => None,
+            };
+            let barred = plan.header.notes.iter().find_map(share).unwrap_or(0.0);
             return Staged { plans: worst.len(), worst, barred };
         }
         let prior = PlanningPrior::after_lengths(&job, &nominal, &lengths).unwrap();
@@ -129,7 +133,8 @@ fn the_example_needs_three_stages() {
 fn robots_of_the_tolerance_keep_the_stroke() {
     for seed in 1..=2 {
         let staged = stages(seed);
-        assert!(staged.plans <= 3 && !staged.barred, "{staged:?}");
+        // A plan that bars a hundredth of the poses is the last one.
+        assert!(staged.plans <= 3 && staged.barred <= 0.01, "{staged:?}");
         assert!(staged.worst.iter().all(|worst| *worst < 1.0), "{staged:?}");
     }
 }
@@ -147,9 +152,9 @@ fn a_thousand_robots_in_stages() {
         let staged = stages(seed);
         outside += usize::from(staged.worst.iter().any(|worst| *worst > 1.0));
         more += usize::from(staged.plans > 3);
-        barred += usize::from(staged.barred);
+        barred += usize::from(staged.barred > 0.01);
         staged.worst.iter().enumerate().for_each(|(at, mm)| worst[at].push(*mm));
-        if staged.plans > 3 || staged.barred || staged.worst.iter().any(|worst| *worst > 1.0) {
+        if staged.plans > 3 || staged.barred > 0.01 || staged.worst.iter().any(|worst| *worst > 1.0) {
             eprintln!("seed {seed}: {staged:.3?}");
         }
     }
@@ -159,8 +164,14 @@ fn a_thousand_robots_in_stages() {
     };
     let p99: Vec<f64> = worst.iter_mut().map(p99).collect();
     eprintln!(
-        "{} robots: {outside} outside +-1 mm at some moment, {more} needed more than 3 plans, {barred} with poses left \
-         barred; 99 % of the greatest |reading| per stage: {p99:.3?} mm",
+        "{} robots: {outside} outside +-1 mm at some moment, {more} needed more than 3 plans, {barred} with more \
+         than 1 % of the poses left barred; 99 % of the greatest |reading| per stage: {p99:.3?} mm",
         past - first
+    );
+    // Three runs, each with a risk of 1e-3: 3 robots of a thousand are expected, 10 or more with a probability of 1e-3.
+    let robots = past - first;
+    assert!(
+        outside as u64 * 100 < robots && more as u64 * 20 < robots && barred == 0,
+        "{outside} {more} {barred}"
     );
 }

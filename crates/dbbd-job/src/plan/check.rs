@@ -16,10 +16,6 @@ use crate::plan::PlanFinding;
 use dbbd_model::robot::inverse::{nearest, status};
 use dbbd_model::robot::{AXES, Pose, Robot};
 
-/// Finest step along a path: of the ball in mm, of the tool's orientation or (PTP) of an axis in degrees.
-const STEP_MM: f64 = 1.0;
-const STEP_DEG: f64 = 1.0;
-
 /// The worst value of each quantity on the way to one row.
 struct WorstOfRow {
     row: u32,
@@ -201,13 +197,8 @@ struct MotionStepper {
 }
 
 impl MotionStepper {
-    fn new(path: &ToolBallPath, row: &PlanRow, start: [f64; AXES]) -> Self {
-        let turn = if row.motion == MotionKind::Ptp {
-            widest_deg(&row.axes_deg.map(f64::to_radians), &start)
-        } else {
-            path.turn_deg()
-        };
-        let parts = (path.length_mm() / STEP_MM).max(turn / STEP_DEG).ceil().clamp(1.0, 1e5) as u32;
+    fn new(path: &ToolBallPath, start: [f64; AXES]) -> Self {
+        let parts = path.steps();
         Self { parts, start, last: start, before: None, axis_s: 0.0, slope_s2: 0.0, bend_s2: 0.0 }
     }
 
@@ -254,7 +245,7 @@ impl Inspector<'_> {
         };
         let PlanKinematics { controller, robot, .. } = self.cell.rig;
         let mounted = if row.motion == MotionKind::Ptp { BarPresence::No } else { BarPresence::Yes };
-        let mut stepper = MotionStepper::new(&path, row, from.axes_deg.map(f64::to_radians));
+        let mut stepper = MotionStepper::new(&path, from.axes_deg.map(f64::to_radians));
         let mut least: Option<StrokeMargin> = None;
         for part in 1..=stepper.parts {
             let share = f64::from(part) / f64::from(stepper.parts);
@@ -323,8 +314,7 @@ pub fn path(from: &PlanRow, aux: Option<&PlanRow>, row: &PlanRow) -> ToolBallPat
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::PoseKind;
-    use crate::plan::example::{job, robot, row};
+    use crate::plan::example::{job, robot};
 
     fn worst() -> WorstOfRow {
         WorstOfRow { row: 1, values: [None; CheckQuantity::COUNT] }
@@ -386,8 +376,7 @@ mod tests {
     fn derivatives_of_the_axes_are_taken_from_the_steps() {
         let mut robot = robot();
         robot.max_acceleration_deg_s2[0] = Some(200.0);
-        let lin = PlanRow { motion: MotionKind::Lin, ..row(PoseKind::Measure) };
-        let mut stepper = MotionStepper::new(&line(3.6, 0.0), &lin, [0.0; AXES]);
+        let mut stepper = MotionStepper::new(&line(3.6, 0.0), [0.0; AXES]);
         assert_eq!(stepper.parts, 4);
         let mut worst = worst();
         for deg in [1.0, 3.0, 3.5] {
@@ -399,17 +388,6 @@ mod tests {
         assert_near(Some(stepper.slope_s2), 8.0 / 200.0);
         assert_near(Some(stepper.bend_s2), 24.0 / 200.0);
         assert_near(worst.values[CheckQuantity::AxisJumpDeg as usize], 2.0);
-    }
-
-    #[test]
-    fn path_is_followed_in_steps_of_a_millimetre_or_a_degree() {
-        let lin = PlanRow { motion: MotionKind::Lin, ..row(PoseKind::Measure) };
-        let parts = |path: &ToolBallPath| MotionStepper::new(path, &lin, [0.0; AXES]).parts;
-        assert_eq!([parts(&line(7.5, 3.0)), parts(&line(7.5, 19.5)), parts(&line(0.0, 0.0))], [8, 20, 1]);
-        // The duration of a motion of the axes follows from its widest turn.
-        let ptp = PlanRow { axes_deg: [0.0, -12.5, 3.0, 0.0, 0.0, 0.0], ..row(PoseKind::Transit) };
-        let path = ToolBallPath::Axes { from: [0.0; AXES], to: [0.0; AXES] };
-        assert_eq!(MotionStepper::new(&path, &ptp, [0.0; AXES]).parts, 13);
     }
 
     #[test]

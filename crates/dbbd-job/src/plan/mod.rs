@@ -97,8 +97,8 @@ struct PlanStep {
 enum RouteLeg {
     /// One arc through this auxiliary pose.
     Arc(Pose),
-    /// Straight lines from pose to pose; the last one is the end.
-    Chords(Vec<Pose>),
+    /// Straight lines past these poses, with the axis angles (rad) at each.
+    Chords(Vec<(Pose, [f64; AXES])>),
 }
 
 /// A path with the derivatives of the axis angles along it, by the share of the path from 0 to 1.

@@ -19,7 +19,7 @@ use super::{PlanningCell, PoseKind, RouteLeg, StepBuilder};
 use crate::plan::PlanFinding;
 use dbbd_model::design::Candidate;
 use dbbd_model::robot::inverse::{nearest, status};
-use dbbd_model::robot::{AXES, Pose, max_axis_difference};
+use dbbd_model::robot::{AXES, BallId, Pose, max_axis_difference};
 
 /// Poses that are tried in order when the next one cannot be reached.
 const AHEAD: usize = 12;
@@ -27,9 +27,6 @@ const AHEAD: usize = 12;
 pub const MODULE_DWELLS: u32 = 255;
 /// After this number of steps another module begins: a controller limits the lines of one module.
 const MAX_MODULE_STEPS: usize = 400;
-/// Steps in which a way is tried, mm and degrees; the plan's own check is finer.
-const ROUTE_STEP_MM: f64 = 2.0;
-const ROUTE_STEP_DEG: f64 = 2.0;
 /// Greatest turn of an axis in one chord, rad.
 const CHORD_TURN: f64 = 0.2;
 /// Greatest turn of an axis in one arc, rad: after a larger one the full turns are ambiguous.
@@ -37,21 +34,42 @@ const ARC_TURN: f64 = 1.5;
 /// Greatest deviation of an axis at the end of a way, rad: a larger one is another turn of the axis.
 const ASTRAY: f64 = 0.01;
 
+/// What a module visits.
+pub(super) struct ModuleVisits {
+    /// The start, and the chosen poses to which there is a path.
+    pub(super) visited: Vec<Candidate>,
+    /// The chosen poses to which there is no path.
+    pub(super) left_out: Vec<Candidate>,
+    /// Visits of the reference to which there is no path.
+    missed: usize,
+}
+
+impl ModuleVisits {
+    /// Findings about poses that were left out.
+    pub(super) fn notes(&self, ball: BallId) -> impl Iterator<Item = PlanFinding> {
+        let (ball, left_out) = (ball.number(), self.left_out.len());
+        let chosen = self.visited.len() + left_out;
+        let poses = PlanFinding::PosesLeftOut { ball, left_out, chosen };
+        let references = PlanFinding::ReferencesLeftOut { ball, left_out: self.missed };
+        [(left_out, poses), (self.missed, references)]
+            .into_iter()
+            .filter_map(|(count, finding)| (count > 0).then_some(finding))
+    }
+}
+
 /// Appends one module, or several where it grows long: sync markers, the poses in order with visits of the reference pose,
-/// sync markers. `risk` is the greatest stroke risk of a pose. Returns findings about poses that were left out.
+/// sync markers. `risk` is the greatest stroke risk of a pose. `None` if the job has no such ball.
 pub(super) fn module(
     walk: &mut StepBuilder,
     cell: &PlanningCell<'_>,
     start: &Candidate,
     mut poses: Vec<Candidate>,
     risk: f64,
-) -> Vec<PlanFinding> {
-    let Some(router) = RoutePlanner::new(cell, start.ball.number(), risk) else {
-        return vec![PlanFinding::NothingChosen { ball: start.ball.number() }];
-    };
+) -> Option<ModuleVisits> {
+    let router = RoutePlanner::new(cell, start.ball.number(), risk)?;
     poses.insert(0, start.clone());
     order(&mut poses);
-    let (chosen, visited) = (poses.len(), poses.clone());
+    let mut visited = poses.clone();
     (walk.circle, walk.centre) = (walk.circle + 1, start.ball.number());
     let began = walk.steps.len();
     walk.ptp(start.pose, start.axes);
@@ -63,15 +81,9 @@ pub(super) fn module(
     chain.reference();
     chain.revisit(&visited);
     chain.markers(MarkerPosition::Finish);
-    let (ball, missed) = (start.ball.number(), chain.missed);
-    let mut notes = Vec::new();
-    if !poses.is_empty() {
-        notes.push(PlanFinding::PosesLeftOut { ball, left_out: poses.len(), chosen });
-    }
-    if missed > 0 {
-        notes.push(PlanFinding::ReferencesLeftOut { ball, left_out: missed });
-    }
-    notes
+    let missed = chain.missed;
+    visited.retain(|pose| !poses.contains(pose));
+    Some(ModuleVisits { visited, left_out: poses, missed })
 }
 
 /// The path through chosen poses about one base ball.
@@ -92,14 +104,18 @@ impl ModulePath<'_, '_> {
     fn visit(&mut self, poses: &mut Vec<Candidate>) {
         let (mut count, mut skipped) = (1_u32, 0);
         while !poses.is_empty() {
-            let ahead = 0..poses.len().min(AHEAD);
-            let next = ahead.into_iter().find_map(|at| Some((at, self.router.way(&self.here, &poses[at])?)));
+            let ahead = poses.len().min(AHEAD);
+            let next = (0..ahead).find_map(|at| Some((at, self.router.way(&self.here, &poses[at])?)));
             let Some((at, way)) = next else {
-                // Nothing ahead can be reached from here: try the first pose again at the end.
-                skipped += 1;
-                poses.rotate_left(1);
-                if skipped > poses.len() {
-                    return;
+                // Nothing ahead can be reached from here: try these poses again at the end.
+                skipped += ahead;
+                poses.rotate_left(ahead);
+                if skipped >= poses.len() {
+                    // Most poses have a way from the start.
+                    if self.here == *self.start || !self.reference() {
+                        return;
+                    }
+                    skipped = 0;
                 }
                 continue;
             };
@@ -163,21 +179,23 @@ impl ModulePath<'_, '_> {
         let pose = self.here.pose;
         let asides = asides(&pose, &self.router.ball);
         let aside = asides.iter().find(|aside| self.router.has_line(&self.here, aside)).unwrap_or(&asides[0]);
-        self.walk.lines(vec![*aside, pose], kind);
+        self.walk.line(PoseKind::Transit, *aside);
+        self.walk.line(kind, pose);
     }
 
-    /// Visits the reference pose. If the robot is there already, it steps aside and comes back.
-    fn reference(&mut self) {
+    /// Visits the reference pose; whether there is a way to it. If the robot is there already, it steps aside and comes back.
+    fn reference(&mut self) -> bool {
         if self.here == *self.start {
             self.step_aside(PoseKind::Reference);
         } else if let Some(way) = self.router.way(&self.here, self.start) {
             self.walk.go(way, self.start, PoseKind::Reference);
         } else {
             self.missed += 1;
-            return;
+            return false;
         }
         self.here = self.start.clone();
         self.dwells += 1;
+        true
     }
 }
 
@@ -194,7 +212,7 @@ fn asides(pose: &Pose, ball: &Vector3<f64>) -> [Pose; 4] {
 }
 
 /// Finds ways about one base ball.
-struct RoutePlanner<'a> {
+pub(super) struct RoutePlanner<'a> {
     cell: &'a PlanningCell<'a>,
     centre: u32,
     ball: Vector3<f64>,
@@ -207,14 +225,14 @@ struct RoutePlanner<'a> {
 
 impl<'a> RoutePlanner<'a> {
     /// `None` if the job has no such ball.
-    fn new(cell: &'a PlanningCell<'a>, centre: u32, risk: f64) -> Option<Self> {
+    pub(super) fn new(cell: &'a PlanningCell<'a>, centre: u32, risk: f64) -> Option<Self> {
         let (bar, ball) = (&cell.rig.job.bar, Vector3::from(cell.rig.job.ball(centre)?.xyz_mm));
         let sagitta = (0.25 * room(bar, bar.length_mm)).clamp(0.02, 0.2);
         Some(Self { cell, centre, ball, radius: bar.length_mm, risk, sagitta })
     }
 
     /// The way from one pose to another, if there is one.
-    fn way(&self, from: &Candidate, to: &Candidate) -> Option<RouteLeg> {
+    pub(super) fn way(&self, from: &Candidate, to: &Candidate) -> Option<RouteLeg> {
         let (u, v) = (self.direction(&from.pose), self.direction(&to.pose));
         let bend = arc_angle(&u, &v);
         let turn = max_axis_difference(&from.axes, &to.axes);
@@ -238,7 +256,12 @@ impl<'a> RoutePlanner<'a> {
     }
 
     /// Chords along great circles past these directions, with an orientation that follows the axes.
-    fn chords(&self, from: &Candidate, to: &Candidate, past: &[Vector3<f64>]) -> Option<Vec<Pose>> {
+    fn chords(
+        &self,
+        from: &Candidate,
+        to: &Candidate,
+        past: &[Vector3<f64>],
+    ) -> Option<Vec<(Pose, [f64; AXES])>> {
         let widest = 2.0 * (1.0 - self.sagitta / self.radius).clamp(-1.0, 1.0).acos();
         let legs: Vec<f64> = past.windows(2).map(|pair| arc_angle(&pair[0], &pair[1])).collect();
         let whole: f64 = legs.iter().sum();
@@ -246,11 +269,12 @@ impl<'a> RoutePlanner<'a> {
             .max(max_axis_difference(&from.axes, &to.axes) / CHORD_TURN)
             .ceil()
             .clamp(1.0, 200.0);
-        let mut poses = Vec::with_capacity(count as usize);
+        let mut between = Vec::with_capacity(count as usize);
         let (mut here, mut axes) = (self.cell.rig.controller.geometry.ball(&from.axes), from.axes);
         for chord in 1..=count as u32 {
             let share = f64::from(chord) / count;
-            let next = if chord == count as u32 {
+            let is_last = chord == count as u32;
+            let next = if is_last {
                 to.pose
             } else {
                 let guide: [f64; AXES] =
@@ -260,10 +284,12 @@ impl<'a> RoutePlanner<'a> {
             };
             let end = self.cell.rig.commanded(&next, &axes).ok()?;
             axes = self.passes(&ToolBallPath::Line { from: here, to: end }, &axes)?;
-            poses.push(next);
+            if !is_last {
+                between.push((next, axes));
+            }
             here = end;
         }
-        (max_axis_difference(&axes, &to.axes) < ASTRAY).then_some(poses)
+        (max_axis_difference(&axes, &to.axes) < ASTRAY).then_some(between)
     }
 
     /// Whether the straight line to a pose nearby keeps all limits and its branch.
@@ -278,10 +304,7 @@ impl<'a> RoutePlanner<'a> {
     fn passes(&self, path: &ToolBallPath, start: &[f64; AXES]) -> Option<[f64; AXES]> {
         let arm = &self.cell.rig.controller.geometry;
         let began = status(arm, start);
-        let parts = (path.length_mm() / ROUTE_STEP_MM)
-            .max(path.turn_deg() / ROUTE_STEP_DEG)
-            .ceil()
-            .clamp(1.0, 1000.0) as u32;
+        let parts = path.steps();
         let mut axes = *start;
         for part in 1..=parts {
             let next = nearest(arm, &path.pose(f64::from(part) / f64::from(parts))?, &axes).ok()?;
@@ -358,7 +381,6 @@ mod tests {
     use std::f64::consts::FRAC_PI_2;
 
     use super::*;
-    use dbbd_model::robot::BallId;
 
     fn unit(angle_deg: f64) -> Vector3<f64> {
         let (sine, cosine) = angle_deg.to_radians().sin_cos();

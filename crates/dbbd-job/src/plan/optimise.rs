@@ -1,9 +1,10 @@
 //! Steps to poses that are chosen among the poses that can be reached: one module for each base ball.
 
+use std::cmp::Reverse;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use super::job::{BaseBallTable, OptimiseTable};
-use super::module::module;
+use super::job::{BaseBallTable, Job, OptimiseTable};
+use super::module::{ModuleVisits, RoutePlanner, module};
 use super::prior::length_sigma_mm;
 use super::refusal::Refusal;
 use super::stage::Stage;
@@ -16,16 +17,21 @@ use dbbd_model::design::{Candidate, Criterion, Exchange, Near, change_rows, desi
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::Posterior;
 use dbbd_model::math::distributions::normal_deviate;
-use dbbd_model::robot::BallId;
+use dbbd_model::math::map_items;
 use dbbd_model::robot::inverse::status;
 use dbbd_model::robot::parameter;
 use dbbd_model::robot::pose::{rot_x, rot_z};
+use dbbd_model::robot::{BallId, max_axis_difference};
 
 /// Poses of the workspace over which the 3-D error is minimised.
 const OPTIMISE_WORKSPACE_POSES: usize = 400;
 /// Start poses that are tried about a ball, and poses by which they are compared.
 const STARTS: usize = 40;
 const COMPARED: usize = 150;
+/// Starts that are compared by their ways, and poses to which each has ways or none: the number of ways has a standard
+/// deviation of 3, and a part with a third of the poses has one of the starts with a probability of 96 %.
+const RESTARTS: usize = 8;
+const WAYS: usize = 40;
 /// Poses of the smallest stage.
 const MIN_STAGE_POSES: u32 = 6;
 
@@ -75,6 +81,19 @@ impl SafePoses<'_> {
     fn others(&self) -> impl Iterator<Item = &Candidate> {
         self.allowed.iter().filter(|pose| **pose != self.start)
     }
+
+    /// Keeps the poses to which there is a path from the nearest of those that a module visits.
+    fn retain_reached(&mut self, visits: &ModuleVisits, risk: f64) {
+        let Some(router) = RoutePlanner::new(&self.cell, self.start.ball.number(), risk) else { return };
+        let is_reached = |pose: &Candidate| {
+            let turn = |from: &&Candidate| max_axis_difference(&from.axes, &pose.axes);
+            let nearest = visits.visited.iter().min_by(|a, b| turn(a).total_cmp(&turn(b)));
+            let has_way = nearest.is_some_and(|from| router.way(from, pose).is_some());
+            has_way && !visits.left_out.contains(pose)
+        };
+        let mut reached = map_items(&self.allowed, is_reached).into_iter();
+        self.allowed.retain(|_| reached.next() == Some(true));
+    }
 }
 
 /// The safe poses about all base balls, for a number of poses to choose.
@@ -83,7 +102,8 @@ struct SafePoseSearch<'a> {
     /// Greatest risk of one pose: an equal share of the risk of the whole run.
     risk: f64,
     abouts: Vec<SafePoses<'a>>,
-    stage: Stage,
+    /// Number of lengths that were measured before.
+    lengths: usize,
 }
 
 impl SafePoseSearch<'_> {
@@ -92,9 +112,45 @@ impl SafePoseSearch<'_> {
         (self.points as usize).saturating_sub(self.abouts.len())
     }
 
+    /// The steps to chosen poses, in a module for each ball.
+    fn route(&self, chosen: &[Candidate], job: &Job) -> Route {
+        let mut walk = StepBuilder::new(job);
+        walk.circle = job.circles.len() as u32;
+        let mut modules = Vec::with_capacity(self.abouts.len());
+        for SafePoses { cell, start, .. } in &self.abouts {
+            let poses: Vec<Candidate> =
+                chosen.iter().filter(|pose| pose.ball == start.ball).cloned().collect();
+            let visits =
+                if poses.is_empty() { None } else { module(&mut walk, cell, start, poses, self.risk) };
+            modules.push(visits);
+        }
+        Route { steps: walk.steps, modules }
+    }
+
+    fn stage(&self) -> Stage {
+        Stage {
+            lengths: self.lengths,
+            reachable: self.abouts.iter().map(|about| about.reachable).sum(),
+            barred: self.abouts.iter().map(|about| about.barred).sum(),
+        }
+    }
+
     /// Number of poses to choose from.
     fn pool(&self) -> usize {
         self.abouts.iter().map(|about| about.others().count()).sum()
+    }
+}
+
+/// The steps to chosen poses, and what the module of each ball visits; `None` where nothing was chosen.
+struct Route {
+    steps: Vec<PlanStep>,
+    modules: Vec<Option<ModuleVisits>>,
+}
+
+impl Route {
+    /// Whether there is no path to a chosen pose.
+    fn is_incomplete(&self) -> bool {
+        self.modules.iter().flatten().any(|visits| !visits.left_out.is_empty())
     }
 }
 
@@ -115,25 +171,43 @@ pub(super) fn choose_steps(
         findings: vec![finding.into()],
         recommendations: vec![PlanFinding::FewInReach { reachable: 0, wanted: wanted.points }.into()],
     })?;
-    let survey = chooser.safe(&scans, &wanted)?;
+    let mut survey = chooser.safe(&scans, &wanted)?;
     let staged = survey.points < wanted.points;
-    let mut notes = chooser.notes(&survey, staged);
-    let chosen = chooser.choose(&survey)?;
-    let mut walk = StepBuilder::new(job);
-    walk.circle = job.circles.len() as u32;
-    for about in &survey.abouts {
-        let ball = about.start.ball.number();
-        let poses: Vec<Candidate> = chosen.iter().filter(|c| c.ball.number() == ball).cloned().collect();
-        if poses.is_empty() {
-            notes.push(PlanFinding::NothingChosen { ball });
-            continue;
-        }
-        notes.extend(module(&mut walk, &about.cell, &about.start, poses, survey.risk));
+    let mut route = survey.route(&chooser.choose(&survey)?, job);
+    // To look for ways among all poses takes seconds: only where a chosen pose has none.
+    if route.is_incomplete() {
+        survey.abouts = scans
+            .iter()
+            .zip(survey.abouts)
+            .map(|(scan, about)| chooser.restarted(scan, about, survey.risk))
+            .collect();
+        route = survey.route(&chooser.choose(&survey)?, job);
     }
-    if walk.steps.is_empty() {
+    if route.is_incomplete() {
+        for (about, visits) in survey.abouts.iter_mut().zip(&route.modules) {
+            visits.iter().for_each(|visits| about.retain_reached(visits, survey.risk));
+        }
+        route = survey.route(&chooser.choose(&survey)?, job);
+    }
+    let mut notes = chooser.notes(&survey, staged);
+    for (about, visits) in survey.abouts.iter().zip(&route.modules) {
+        notes.extend(visit_notes(about.start.ball, visits.as_ref()));
+        if survey.pool() < survey.count() {
+            notes.push(chooser.few_candidates(about.start.ball, about.allowed.len()));
+        }
+    }
+    if route.steps.is_empty() {
         return Err(Diagnostic::from(PlanFinding::NoPath).into());
     }
-    Ok(ChosenSteps { steps: walk.steps, notes, stage: staged.then_some(survey.stage) })
+    Ok(ChosenSteps { steps: route.steps, notes, stage: staged.then_some(survey.stage()) })
+}
+
+/// Findings about poses about a ball that were left out.
+fn visit_notes(ball: BallId, visits: Option<&ModuleVisits>) -> Vec<PlanFinding> {
+    match visits {
+        Some(visits) => visits.notes(ball).collect(),
+        None => vec![PlanFinding::NothingChosen { ball: ball.number() }],
+    }
 }
 
 /// The steps to given poses, in modules of one base ball and one branch each.
@@ -159,7 +233,8 @@ pub(super) fn given_steps(
         let touches = |pose: &Candidate| rig.touching(ball.number(), &pose.axes).is_some();
         let start = group.remove(group.iter().position(touches).unwrap_or(0));
         let cell = PlanningCell::new(*rig, prior, ball.number(), &start.axes);
-        notes.extend(module(&mut walk, &cell, &start, group, risk));
+        let visits = module(&mut walk, &cell, &start, group, risk);
+        notes.extend(visit_notes(ball, visits.as_ref()));
     }
     if walk.steps.is_empty() {
         return Err(Diagnostic::from(PlanFinding::NoPath).into());
@@ -193,13 +268,13 @@ impl<'a> PoseChooser<'a> {
             };
             let whole = points == wanted.points;
             let enough = survey.pool() >= survey.count();
-            if enough && !(whole && survey.stage.bars_many() && wanted.stage_points < points) {
+            if enough && !(whole && survey.stage().bars_many() && wanted.stage_points < points) {
                 return Ok(survey);
             }
             let few = PlanFinding::TooFewPoses { allowed: survey.pool(), wanted: points as usize };
             // If the risk bars no pose, choosing fewer does not help.
-            if survey.stage.barred == 0 {
-                let reach = PlanFinding::FewInReach { reachable: survey.stage.reachable, wanted: points };
+            if survey.stage().barred == 0 {
+                let reach = PlanFinding::FewInReach { reachable: survey.stage().reachable, wanted: points };
                 return Err(Refusal { findings: vec![few.into()], recommendations: vec![reach.into()] });
             }
             refused = Some(few);
@@ -212,13 +287,7 @@ impl<'a> PoseChooser<'a> {
     fn survey(&self, scans: &[ReachablePoses], points: u32) -> Result<SafePoseSearch<'a>, PlanFinding> {
         let risk = self.risk / f64::from(points.max(1));
         let abouts: Result<Vec<_>, _> = scans.iter().map(|scan| self.about(scan, risk)).collect();
-        let abouts = abouts?;
-        let stage = Stage {
-            lengths: self.prior.lengths,
-            reachable: abouts.iter().map(|about| about.reachable).sum(),
-            barred: abouts.iter().map(|about| about.barred).sum(),
-        };
-        Ok(SafePoseSearch { points, risk, abouts, stage })
+        Ok(SafePoseSearch { points, risk, abouts: abouts?, lengths: self.prior.lengths })
     }
 
     /// A remedy if even the smallest stage about a ball is not safe: teach the ball, or use a bar with a longer stroke.
@@ -250,14 +319,9 @@ impl<'a> PoseChooser<'a> {
 
     fn notes(&self, survey: &SafePoseSearch<'_>, staged: bool) -> Vec<PlanFinding> {
         let few = survey.abouts.iter().filter(|about| about.reachable < self.candidates);
-        let mut notes: Vec<PlanFinding> = few
-            .map(|about| PlanFinding::FewCandidates {
-                ball: about.start.ball.number(),
-                found: about.reachable,
-                wanted: self.candidates,
-            })
-            .collect();
-        let Stage { lengths, barred, reachable } = survey.stage;
+        let mut notes: Vec<PlanFinding> =
+            few.map(|about| self.few_candidates(about.start.ball, about.reachable)).collect();
+        let Stage { lengths, barred, reachable } = survey.stage();
         notes.extend(match (staged, lengths, barred) {
             (true, 0, _) => Some(PlanFinding::FirstStage { barred, reachable }),
             (true, ..) => Some(PlanFinding::FurtherStage { lengths, barred, reachable }),
@@ -265,6 +329,10 @@ impl<'a> PoseChooser<'a> {
             (false, ..) => Some(PlanFinding::Barred { barred, reachable }),
         });
         notes
+    }
+
+    fn few_candidates(&self, ball: BallId, found: usize) -> PlanFinding {
+        PlanFinding::FewCandidates { ball: ball.number(), found, wanted: self.candidates }
     }
 
     fn scan(&self, table: &BaseBallTable) -> Result<ReachablePoses, PlanFinding> {
@@ -299,8 +367,13 @@ impl<'a> PoseChooser<'a> {
 
     /// Start and candidates about one base ball with a risk of at most `risk` each.
     fn about(&self, scan: &ReachablePoses, risk: f64) -> Result<SafePoses<'a>, PlanFinding> {
+        let start = self.start(scan, risk).ok_or(PlanFinding::NoSafeStart { ball: scan.ball.number() })?;
+        Ok(self.safe_poses(scan, risk, start))
+    }
+
+    /// The candidates about one base ball with a risk of at most `risk` each in a run from `start`.
+    fn safe_poses(&self, scan: &ReachablePoses, risk: f64, start: Candidate) -> SafePoses<'a> {
         let ball = scan.ball.number();
-        let start = self.start(scan, risk).ok_or(PlanFinding::NoSafeStart { ball })?;
         let cell = self.cell(&start);
         let reachable = scan.reach.len();
         let mut allowed = scan.reach.clone();
@@ -311,23 +384,44 @@ impl<'a> PoseChooser<'a> {
             let near = Some(Near::about(start.pose.rotation));
             allowed = cell.candidates(ball, self.candidates, &CandidateConditions { risk, branch, near });
         }
-        Ok(SafePoses { cell, start, reachable, barred, allowed })
+        SafePoses { cell, start, reachable, barred, allowed }
     }
 
     /// The start from which most of the poses are safe.
     fn start(&self, scan: &ReachablePoses, risk: f64) -> Option<Candidate> {
+        self.starts(scan, risk).max_by_key(|(_, count)| *count).map(|(start, _)| start.clone())
+    }
+
+    /// Safe starts, each with the number of poses that are safe from there.
+    fn starts<'c>(
+        &'c self,
+        scan: &'c ReachablePoses,
+        risk: f64,
+    ) -> impl Iterator<Item = (&'c Candidate, usize)> {
         let bar = &self.rig.job.bar;
         let marker = min_marker(bar, bar.length_mm);
         scan.starts(&self.rig)
-            .filter(|start| self.cell(start).risk_out(start, marker) <= risk)
+            .filter(move |start| self.cell(start).risk_out(start, marker) <= risk)
             .take(STARTS)
-            .map(|start| {
+            .map(move |start| {
                 let cell = self.cell(start);
                 let others = scan.near.iter().take(COMPARED).chain(scan.reach.iter().take(COMPARED));
                 (start, others.filter(|other| cell.risk(other) <= risk).count())
             })
-            .max_by_key(|(_, count)| *count)
-            .map(|(start, _)| start.clone())
+    }
+
+    /// The safe poses in a run from the start with ways to most of them: ways that keep the limits connect only a part of the
+    /// poses, and a start may belong to a small part.
+    fn restarted(&self, scan: &ReachablePoses, about: SafePoses<'a>, risk: f64) -> SafePoses<'a> {
+        let mut starts: Vec<_> = self.starts(scan, risk).collect();
+        starts.sort_by_key(|(_, safe)| Reverse(*safe));
+        let ways = |start: &Candidate| {
+            let cell = self.cell(start);
+            let router = RoutePlanner::new(&cell, scan.ball.number(), risk)?;
+            Some(about.others().take(WAYS).filter(|pose| router.way(start, pose).is_some()).count())
+        };
+        let best = starts.iter().take(RESTARTS).max_by_key(|(start, _)| ways(start));
+        best.map(|(start, _)| self.safe_poses(scan, risk, (*start).clone())).unwrap_or(about)
     }
 
     /// The most informative poses besides the starts; the starts are measured as well.

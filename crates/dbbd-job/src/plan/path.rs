@@ -3,7 +3,11 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use dbbd_model::robot::pose::rotation_vector;
-use dbbd_model::robot::{AXES, Pose};
+use dbbd_model::robot::{AXES, Pose, max_axis_difference};
+
+/// Finest step along a path: of the ball in mm, of the tool's orientation or of an axis in degrees.
+const STEP_MM: f64 = 1.0;
+const STEP_DEG: f64 = 1.0;
 
 /// A motion of the tool ball from one pose to the next.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,6 +54,16 @@ impl ToolBallPath {
         }
     }
 
+    /// Number of steps in which the path is followed when it is planned and checked: at most a millimetre of the ball, and a
+    /// degree of the tool's orientation or of an axis of [`ToolBallPath::Axes`].
+    pub(super) fn steps(&self) -> u32 {
+        let turn_deg = match self {
+            Self::Axes { from, to } => max_axis_difference(from, to).to_degrees(),
+            Self::Line { .. } | Self::Arc { .. } => self.turn_deg(),
+        };
+        (self.length_mm() / STEP_MM).max(turn_deg / STEP_DEG).ceil().clamp(1.0, 1e5) as u32
+    }
+
     /// The pose at `share` (0..=1) of a line or an arc: the orientation turns about one axis in proportion to the path.
     /// `None` for [`ToolBallPath::Axes`].
     pub fn pose(&self, share: f64) -> Option<Pose> {
@@ -88,6 +102,18 @@ mod tests {
     fn assert_at(path: &ToolBallPath, share: f64, expected: [f64; 3]) {
         let found = path.pose(share).expect("a line or an arc has poses").position;
         assert!((found - Vector3::from(expected)).norm() < 1e-9, "{share}: {found}, not {expected:?}");
+    }
+
+    #[test]
+    fn path_is_followed_in_steps_of_a_millimetre_or_a_degree() {
+        let line = |length_mm: f64, turn_deg: f64| {
+            let to = Pose { rotation: rot_z(turn_deg.to_radians()), ..at([length_mm, 0.0, 0.0]) };
+            ToolBallPath::Line { from: at([0.0; 3]), to }.steps()
+        };
+        assert_eq!([line(7.5, 3.0), line(7.5, 19.5), line(0.0, 0.0)], [8, 20, 1]);
+        // The duration of a motion of the axes follows from its widest turn.
+        let to = [0.0, -12.5, 3.0, 0.0, 0.0, 0.0].map(f64::to_radians);
+        assert_eq!(ToolBallPath::Axes { from: [0.0; AXES], to }.steps(), 13);
     }
 
     /// A circle of 50 mm about (100, 20, 7) parallel to XY; 30 degrees have the sine 1/2.

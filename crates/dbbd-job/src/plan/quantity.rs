@@ -92,7 +92,7 @@ impl CheckQuantity {
         }
     }
 
-    /// What a chosen pose keeps from the limit: the rounding of the poses and the finer steps of the plan's own check find
+    /// What a chosen pose keeps from the limit: the rounding of the poses lets the plan's own check find
     /// slightly other values than those by which the pose was chosen.
     pub(super) fn reserve(self) -> f64 {
         match self {

@@ -127,9 +127,7 @@ impl StepBuilder {
     /// Adds a PTP motion to a pose with these axis angles, rad.
     pub(super) fn ptp(&mut self, pose: Pose, axes: [f64; AXES]) {
         self.push(PoseKind::Transit, MotionKind::Ptp, pose);
-        if let Some(step) = self.steps.last_mut() {
-            step.axes = Some(axes);
-        }
+        self.at(axes);
     }
 
     /// Adds the motions along a way, with a dwell at its end.
@@ -139,18 +137,26 @@ impl StepBuilder {
                 self.push(PoseKind::Transit, MotionKind::Circ, aux);
                 self.push(kind, MotionKind::Circ, to.pose);
             }
-            RouteLeg::Chords(poses) => self.lines(poses, kind),
+            RouteLeg::Chords(between) => {
+                for (pose, axes) in between {
+                    self.line(PoseKind::Transit, pose);
+                    self.at(axes);
+                }
+                self.line(kind, to.pose);
+            }
         }
-        if let Some(step) = self.steps.last_mut() {
-            step.axes = Some(to.axes);
-        }
+        self.at(to.axes);
     }
 
-    /// Adds straight lines from pose to pose, with a dwell at the last pose.
-    pub(super) fn lines(&mut self, poses: Vec<Pose>, kind: PoseKind) {
-        let last = poses.len().saturating_sub(1);
-        for (at, pose) in poses.into_iter().enumerate() {
-            self.push(if at == last { kind } else { PoseKind::Transit }, MotionKind::Lin, pose);
+    /// Adds a straight line to a pose.
+    pub(super) fn line(&mut self, kind: PoseKind, pose: Pose) {
+        self.push(kind, MotionKind::Lin, pose);
+    }
+
+    /// The axis angles (rad) of the last step are known.
+    fn at(&mut self, axes: [f64; AXES]) {
+        if let Some(step) = self.steps.last_mut() {
+            step.axes = Some(axes);
         }
     }
 
@@ -166,8 +172,8 @@ impl StepBuilder {
             MarkerPosition::Finish => END_MARKERS,
         };
         for _ in 0..count {
-            self.push(PoseKind::Transit, MotionKind::Lin, out);
-            self.push(PoseKind::Transit, MotionKind::Lin, rest);
+            self.line(PoseKind::Transit, out);
+            self.line(PoseKind::Transit, rest);
         }
     }
 
@@ -432,11 +438,12 @@ mod tests {
         let pose = Pose::identity();
         builder.ptp(pose, [0.1; AXES]);
         let candidate = Candidate { ball: dbbd_model::robot::BallId::FIRST, axes: [0.2; AXES], pose };
-        builder.go(RouteLeg::Chords(vec![pose; 3]), &candidate, PoseKind::Measure);
+        builder.go(RouteLeg::Chords(vec![(pose, [0.15; AXES]); 2]), &candidate, PoseKind::Measure);
         builder.go(RouteLeg::Arc(pose), &candidate, PoseKind::Reference);
         let dwells: Vec<f64> = builder.steps.iter().map(|step| step.dwell_s).collect();
         assert_eq!(dwells, [0.0, 0.0, 0.0, 0.7, 0.0, 0.7]);
-        let known: Vec<bool> = builder.steps.iter().map(|step| step.axes.is_some()).collect();
-        assert_eq!(known, [true, false, false, true, false, true]);
+        let first: Vec<Option<f64>> =
+            builder.steps.iter().map(|step| step.axes.map(|axes| axes[0])).collect();
+        assert_eq!(first, [Some(0.1), Some(0.15), Some(0.15), Some(0.2), None, Some(0.2)]);
     }
 }

@@ -17,8 +17,7 @@ pub use alignment::{RigidAlignment, aligned_distances};
 pub use base_set::rank;
 pub(crate) use base_set::{BaseSet, base_set};
 pub(crate) use orthonormal::OrthonormalBasis;
-pub(crate) use parallel::map_items;
-pub use parallel::map_pieces;
+pub use parallel::{map_items, map_pieces};
 pub use svd::{Svd, svd};
 pub(crate) use triangle::Triangle;
 

@@ -13,7 +13,7 @@ pub fn map_pieces<T: Sync, R: Send>(items: &[T], work: impl Fn(usize, &[T]) -> R
 }
 
 /// Applies `work` to each item, on all cores: for items that take long. The results are in order.
-pub(crate) fn map_items<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
+pub fn map_items<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
     in_pieces(items, 1, |_, piece| work(&piece[0]))
 }
 
