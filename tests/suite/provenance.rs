@@ -210,8 +210,23 @@ fn lengths_are_used_once_with_their_result() {
         dbbd(at, &["plan", "job.toml", "--measured", "obs.csv", "--measured", "obs.csv", "--out", "twice"]);
     assert_eq!(said(&twice, "W1805"), (Some(3), true), "{}", stderr(&twice));
     step(at, &["plan", "job.toml", "--measured", "obs.csv", "--out", "once"]);
-    let [once, twice] = ["once", "twice"].map(|out| fs::read(at.join(out).join("plan.json")).unwrap());
-    assert_eq!(once, twice);
+    // Neither a copy nor a part of a table adds lengths, in whatever order they are given.
+    let table = fs::read_to_string(at.join("obs.csv")).unwrap();
+    fs::write(at.join("copy.csv"), table.replace('\n', "\r\n")).unwrap();
+    fs::write(
+        at.join("part.csv"),
+        table.lines().take(9).fold(String::new(), |text, line| text + line + "\n"),
+    )
+    .unwrap();
+    for tables in [["obs.csv", "copy.csv"], ["obs.csv", "part.csv"], ["part.csv", "obs.csv"]] {
+        let [first, second] = tables;
+        let twice =
+            ["plan", "job.toml", "--measured", first, "--measured", second, "--out", "twice", "--replace"];
+        let twice = dbbd(at, &twice);
+        assert_eq!(said(&twice, "W1805"), (Some(3), true), "{tables:?}: {}", stderr(&twice));
+        let [once, twice] = ["once", "twice"].map(|out| fs::read(at.join(out).join("plan.json")).unwrap());
+        assert_eq!(once, twice, "{tables:?}");
+    }
     // The lengths of another result beside the robot.
     let lengths = fs::read_to_string(at.join("result/lengths.csv")).unwrap();
     let fewer: Vec<&str> = lengths.lines().take(20).collect();

@@ -12,7 +12,7 @@ use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::change::CheckPower;
 use dbbd_model::estimation::{check_measurements, measurement_findings};
-use dbbd_model::measurement::MeasurementFinding;
+use dbbd_model::measurement::Measurements;
 use dbbd_model::measurement::{BaseBall, PreparedMeasurement};
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact, one_robot};
@@ -249,16 +249,16 @@ impl PlanRequest {
             Some(_) => EarlierMeasurements::default(),
             None => EarlierMeasurements::find(self, file, &source, session)?,
         };
-        let files = measured.files.iter().map(|path| path.display().to_string());
-        one_robot(files.zip(&measured.sources).chain([(robot_name, &source)]))?;
+        let earlier = measured.tables.iter().map(|table| (table.name.clone(), &table.source));
+        one_robot(earlier.clone().chain([(robot_name, &source)]))?;
         // With lengths measured before, their own findings report this.
-        session.findings(robot.asked_repeatability().filter(|_| measured.files.is_empty()));
-        let provenance =
-            crate::artefact::made_from([&made_from, &source].into_iter().chain(&measured.sources));
+        session.findings(robot.asked_repeatability().filter(|_| measured.tables.is_empty()));
+        let sources = earlier.map(|(_, source)| source);
+        let provenance = crate::artefact::made_from([&made_from, &source].into_iter().chain(sources));
         let job = given.as_ref().map_or_else(|| job.clone(), |given| job.as_given(given.len()));
         let PlanningKnowledge { job, robot, prior } = match &check {
             Some(check) => check.known(&job)?,
-            None => PlanningKnowledge::after(job, robot, &measured.files, session)?,
+            None => PlanningKnowledge::after(job, robot, measured, session)?,
         };
         let built = match &given {
             Some(poses) => Plan::build_again(&job, &robot, &prior, poses),
@@ -329,11 +329,19 @@ fn with_serial(job: &Job, read: LoadedRobot) -> Result<LoadedRobot, Diagnostic> 
     Ok(LoadedRobot { robot, source, findings })
 }
 
-/// Tables of lengths measured before, each once.
+/// A table of lengths measured before.
+struct EarlierTable {
+    /// The file.
+    name: String,
+    source: TracedArtefact,
+    measurements: Measurements,
+}
+
+/// The lengths measured before, each once.
 #[derive(Default)]
 struct EarlierMeasurements {
-    files: Vec<PathBuf>,
-    sources: Vec<TracedArtefact>,
+    tables: Vec<EarlierTable>,
+    findings: Vec<Diagnostic>,
 }
 
 impl EarlierMeasurements {
@@ -367,14 +375,20 @@ impl EarlierMeasurements {
     }
 
     fn add(&mut self, path: &Path, session: &RequestSession<'_>) -> Result<(), Diagnostic> {
-        let (lengths, changed) = crate::artefact::of_table(ArtefactRole::Measurements, path)?;
+        let (source, changed) = crate::artefact::of_table(ArtefactRole::Measurements, path)?;
         session.findings(changed);
-        if self.sources.iter().any(|source| source.artefact.sha256 == lengths.artefact.sha256) {
-            session.finding(ProvenanceFinding::GivenTwice { lengths: lengths.artefact.to_string() });
-            return Ok(());
+        let measurements = measurements(path, lengths, &mut self.findings, session)?;
+        let table = EarlierTable { name: path.display().to_string(), source, measurements };
+        match self.tables.iter_mut().find(|known| known.measurements.repeats(&table.measurements)) {
+            // Of a table and a part of it the whole table counts.
+            Some(known) => {
+                session.finding(ProvenanceFinding::GivenTwice { lengths: table.source.artefact.to_string() });
+                if table.measurements.rows.len() > known.measurements.rows.len() {
+                    *known = table;
+                }
+            }
+            None => self.tables.push(table),
         }
-        self.files.push(path.into());
-        self.sources.push(lengths);
         Ok(())
     }
 }
@@ -390,28 +404,20 @@ impl PlanningKnowledge {
     fn after(
         job: Job,
         robot: Robot,
-        measured: &[PathBuf],
+        measured: EarlierMeasurements,
         session: &RequestSession<'_>,
     ) -> Result<Self, Diagnostic> {
-        if measured.is_empty() {
+        let EarlierMeasurements { tables, mut findings } = measured;
+        if tables.is_empty() {
             let prior = PlanningPrior::datasheet(&job, &robot);
             return Ok(Self { job, robot, prior });
         }
-        let (mut tables, mut findings) = (Vec::new(), Vec::new());
-        for path in measured {
-            let observations = measurements(path, lengths, &mut findings, session)?;
-            let name = path.display().to_string();
-            check_measurements(&name, &observations, &robot, &job.balls())?;
-            findings.extend(measurement_findings(&name, &observations, &robot, &job.balls()));
-            let rows = observations.rows.len();
-            if tables.contains(&observations) {
-                findings.push(Diagnostic::file(&name, MeasurementFinding::Repeated { repeated: rows, rows }));
-            } else {
-                tables.push(observations);
-            }
+        for EarlierTable { name, measurements, .. } in &tables {
+            check_measurements(name, measurements, &robot, &job.balls())?;
+            findings.extend(measurement_findings(name, measurements, &robot, &job.balls()));
         }
         session.findings(findings);
-        let rows = || tables.iter().flat_map(|table| &table.rows);
+        let rows = || tables.iter().flat_map(|table| &table.measurements.rows);
         let lengths: Vec<PreparedMeasurement> = rows().map(PreparedMeasurement::from).collect();
         // If the job does not state where a ball was taught for an earlier stage, the lengths of that stage tell its
         // place.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use dbbd_model::estimation::Workspace;
 use dbbd_model::estimation::result::{ParameterResult, Status};
-use dbbd_model::estimation::{CompletedCalibration, Options, Prior};
+use dbbd_model::estimation::{CompletedCalibration, ErrorModel, Options, Prior};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::BaseBall;
 use dbbd_model::robot::{BarId, Joint, ParamId, ParamUnit, PriorRule, Robot};
@@ -40,18 +40,12 @@ fn find(
         .map(|circle| BaseBall { id: circle.ball(), position: Vector3::from(circle.centre) })
         .collect();
     centres.dedup_by_key(|centre| centre.id);
-    let hold = vec![
-        ParamId::Compliance(Joint::J2),
-        ParamId::Compliance(Joint::J3),
-        ParamId::Compliance(Joint::J4),
-        ParamId::Compliance(Joint::J5),
-    ];
-    let gear = Joint::ALL.into_iter().flat_map(|j| [ParamId::GearCos(j), ParamId::GearSin(j)]);
     let options = Options {
+        // The robots have no errors of their joints.
+        model: ErrorModel::Geometric,
         prior,
         sigma_mm: Some(sigma_mm),
         folds: Some(0),
-        hold: hold.into_iter().chain(gear).collect(),
         ..Options::default()
     };
     calibrated(&kr60(), &data, &centres, &options).unwrap()
