@@ -8,7 +8,7 @@ use dbbd_model::estimation::result::{ParameterResult, Status};
 use dbbd_model::estimation::{CompletedCalibration, ErrorModel, Options, Prior};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::BaseBall;
-use dbbd_model::robot::{BarId, Joint, ParamId, ParamUnit, PriorRule, Robot};
+use dbbd_model::robot::{BarId, Coordinate, Joint, ParamId, PriorRule, Robot};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -105,23 +105,31 @@ fn bar_sd_mm() -> f64 {
     }
 }
 
-/// 3-D error of robots and bars drawn by their tolerance: true, and as predicted, mm. The prediction is a root mean square at
-/// each pose and its mean over the workspace, so that the true errors are taken together in the same way: the root of their
-/// mean square over the robots at each pose, then the mean over the poses.
+/// Prior standard deviation of a parameter of the robot or of the tool ball, mm or rad.
+fn prior_sd(robot: &Robot, id: ParamId) -> f64 {
+    match id.prior() {
+        PriorRule::LengthTolerance => robot.tolerance.length_mm,
+        PriorRule::AngleTolerance => robot.tolerance.angle_deg.to_radians(),
+        PriorRule::FlangeLength => robot.tolerance.flange_mm,
+        PriorRule::FlangeAngle => robot.tolerance.flange_deg.to_radians(),
+        PriorRule::Free(sd) => sd,
+        rule => panic!("{rule:?}"),
+    }
+}
+
+/// 3-D error over the workspace of robots and bars drawn by their tolerance, mm: true, and by the posterior of the geometry. The
+/// prediction of a result has errors of the joints besides, which these robots do not have. Both are the root mean square over
+/// the robots at each pose, and its mean over the poses.
 fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: u64) -> [f64; 2] {
     let nominal = kr60();
     let poses = Workspace::uniform(&nominal, 300, 5);
-    let mut squares = vec![0.0; poses.len()];
-    let mut predicted = 0.0;
+    let mut squares = [vec![0.0; poses.len()], vec![0.0; poses.len()]];
     for seed in 0..robots {
         let mut random = Pcg64::seed_from_u64(100 + seed);
         let mut truth = nominal.clone();
-        for id in ParamId::denavit_hartenberg().chain([ParamId::Beta(Joint::J3)]) {
-            let tolerance = match id.unit() {
-                ParamUnit::Mm => nominal.tolerance.length_mm,
-                _ => nominal.tolerance.angle_deg.to_radians(),
-            };
-            *truth.geometry.value_mut(id).unwrap() += tolerance * normal(&mut random);
+        let of_tool = Coordinate::ALL.map(ParamId::Tool);
+        for id in ParamId::denavit_hartenberg().chain([ParamId::Beta(Joint::J3)]).chain(of_tool) {
+            *truth.geometry.value_mut(id).unwrap() += prior_sd(&nominal, id) * normal(&mut random);
         }
         let bar_mm = bar_sd_mm() * normal(&mut random);
         let found = find(&truth, circles, points, sigma_mm, bar_mm, Prior::Datasheet, seed);
@@ -129,12 +137,17 @@ fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: 
             poses.iter().map(|axes| robot.geometry.ball(axes).position).collect()
         };
         let errors = aligned_distances(&balls(&truth), &balls(&found.robot));
-        squares.iter_mut().zip(&errors).for_each(|(sum, error)| *sum += error * error);
-        predicted += found.result.predicted_position_uncertainty_mm.identified.mean;
+        squares[0].iter_mut().zip(&errors).for_each(|(sum, error)| *sum += error * error);
+        let workspace = Workspace::new(&found.robot.geometry, &poses, found.posterior.ids());
+        let covariance =
+            workspace.jacobian() * found.posterior.covariance() * workspace.jacobian().transpose();
+        let variances = covariance.diagonal();
+        squares[1].iter_mut().enumerate().for_each(|(at, sum)| *sum += variances.rows(3 * at, 3).sum());
     }
-    let robots = robots as f64;
-    let errors = squares.iter().map(|sum| (sum / robots).sqrt());
-    [errors.sum::<f64>() / poses.len() as f64, predicted / robots]
+    squares.map(|of_poses| {
+        let rms = of_poses.iter().map(|sum| (sum / robots as f64).sqrt());
+        rms.sum::<f64>() / poses.len() as f64
+    })
 }
 
 fn two_balls() -> Vec<Circle> {
