@@ -78,7 +78,7 @@ pub(super) fn module(
     // The start is the first pose to be measured, and the reference.
     chain.step_aside(PoseKind::Measure);
     chain.visit(&mut poses);
-    chain.reference();
+    chain.missed += usize::from(!chain.reference());
     chain.revisit(&visited);
     chain.markers(MarkerPosition::Finish);
     let missed = chain.missed;
@@ -131,7 +131,7 @@ impl ModulePath<'_, '_> {
                 self.next_module();
             }
             if count % REFERENCE_EVERY == 0 && !poses.is_empty() {
-                self.reference();
+                self.missed += usize::from(!self.reference());
             }
         }
     }
@@ -190,7 +190,6 @@ impl ModulePath<'_, '_> {
         } else if let Some(way) = self.router.way(&self.here, self.start) {
             self.walk.go(way, self.start, PoseKind::Reference);
         } else {
-            self.missed += 1;
             return false;
         }
         self.here = self.start.clone();

@@ -1,6 +1,5 @@
 //! Steps to poses that are chosen among the poses that can be reached: one module for each base ball.
 
-use std::cmp::Reverse;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::job::{BaseBallTable, Job, OptimiseTable};
@@ -298,13 +297,13 @@ impl<'a> PoseChooser<'a> {
         if let Some(axes_deg) = untaught.then(|| scan.touching(&self.rig)).flatten() {
             return Some(PlanFinding::TeachFirst { ball, axes_deg });
         }
-        let least_risk = self.risk / f64::from(MIN_STAGE_POSES);
+        let min_risk = self.risk / f64::from(MIN_STAGE_POSES);
         let needed = |start: &Candidate| {
             let cell = self.cell(start);
             let mut sd: Vec<f64> = scan.near.iter().chain(&scan.reach).map(|pose| cell.sd_mm(pose)).collect();
             sd.sort_by(f64::total_cmp);
             let most = sd.get(MIN_STAGE_POSES as usize)?.max(cell.sd_mm(start));
-            Some(normal_deviate(least_risk.ln()) * most + min_marker(&job.bar, job.bar.length_mm))
+            Some(normal_deviate(min_risk.ln()) * most + min_marker(&job.bar, job.bar.length_mm))
         };
         let starts = scan.starts(&self.rig).take(STARTS).filter_map(needed);
         let half_mm = starts.fold(f64::INFINITY, f64::min);
@@ -411,17 +410,19 @@ impl<'a> PoseChooser<'a> {
     }
 
     /// The safe poses in a run from the start with ways to most of them: ways that keep the limits connect only a part of the
-    /// poses, and a start may belong to a small part.
+    /// poses, and a start may belong to a small part. No more poses are barred than in the run `about`.
     fn restarted(&self, scan: &ReachablePoses, about: SafePoses<'a>, risk: f64) -> SafePoses<'a> {
         let mut starts: Vec<_> = self.starts(scan, risk).collect();
-        starts.sort_by_key(|(_, safe)| Reverse(*safe));
+        let most = starts.iter().map(|(_, safe)| *safe).max();
+        starts.retain(|(_, safe)| Some(*safe) == most);
         let ways = |start: &Candidate| {
             let cell = self.cell(start);
             let router = RoutePlanner::new(&cell, scan.ball.number(), risk)?;
             Some(about.others().take(WAYS).filter(|pose| router.way(start, pose).is_some()).count())
         };
         let best = starts.iter().take(RESTARTS).max_by_key(|(start, _)| ways(start));
-        best.map(|(start, _)| self.safe_poses(scan, risk, (*start).clone())).unwrap_or(about)
+        let restarted = best.map(|(start, _)| self.safe_poses(scan, risk, (*start).clone()));
+        restarted.filter(|other| other.barred <= about.barred).unwrap_or(about)
     }
 
     /// The most informative poses besides the starts; the starts are measured as well.

@@ -92,8 +92,8 @@ impl CheckQuantity {
         }
     }
 
-    /// What a chosen pose keeps from the limit: the rounding of the poses lets the plan's own check find
-    /// slightly other values than those by which the pose was chosen.
+    /// What a chosen pose keeps from the limit: with rounded poses the plan's own check finds slightly other values than those by
+    /// which the pose was chosen.
     pub(super) fn reserve(self) -> f64 {
         match self {
             Self::AxisMarginDeg | Self::WristDeg | Self::ElbowDeg | Self::CupDeg | Self::ToolCupDeg => 0.1,

@@ -69,12 +69,18 @@ fn chosen_poses_are_those_that_the_robot_can_go_to() {
     assert!(found.iter().all(|(measured, mean_mm)| *measured >= 57 && *mean_mm < 0.16), "{found:?}");
 }
 
+/// Three seeds have other candidates, and nearly the same information.
 #[test]
 #[ignore = "a campaign: plans of all robots"]
 fn chosen_poses_of_every_robot() {
     for (name, _) in Robot::built_in() {
         let found: Vec<(usize, f64)> = (1..=3).map(|seed| chosen(name, seed, 4000)).collect();
         eprintln!("{name}: {found:?}");
-        assert!(found.iter().all(|(measured, _)| *measured >= 54), "{name}: {found:?}");
+        let [min_mm, max_mm] =
+            found.iter().fold([f64::INFINITY, 0.0], |[low, high], (_, mm)| [mm.min(low), mm.max(high)]);
+        assert!(
+            found.iter().all(|(measured, _)| *measured >= 57) && max_mm < 1.25 * min_mm,
+            "{name}: {found:?}"
+        );
     }
 }

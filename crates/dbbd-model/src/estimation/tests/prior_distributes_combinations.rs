@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 
 use dbbd_model::estimation::Workspace;
 use dbbd_model::estimation::result::{ParameterResult, Status};
-use dbbd_model::estimation::{CompletedCalibration, ErrorModel, Options, Prior};
+use dbbd_model::estimation::{CompletedCalibration, Options, Prior};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::BaseBall;
-use dbbd_model::robot::{BarId, Coordinate, Joint, ParamId, PriorRule, Robot};
+use dbbd_model::robot::{BarId, Joint, ParamId, ParamUnit, PriorRule, Robot};
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -40,12 +40,18 @@ fn find(
         .map(|circle| BaseBall { id: circle.ball(), position: Vector3::from(circle.centre) })
         .collect();
     centres.dedup_by_key(|centre| centre.id);
+    let hold = vec![
+        ParamId::Compliance(Joint::J2),
+        ParamId::Compliance(Joint::J3),
+        ParamId::Compliance(Joint::J4),
+        ParamId::Compliance(Joint::J5),
+    ];
+    let gear = Joint::ALL.into_iter().flat_map(|j| [ParamId::GearCos(j), ParamId::GearSin(j)]);
     let options = Options {
-        // The robots have no errors of their joints.
-        model: ErrorModel::Geometric,
         prior,
         sigma_mm: Some(sigma_mm),
         folds: Some(0),
+        hold: hold.into_iter().chain(gear).collect(),
         ..Options::default()
     };
     calibrated(&kr60(), &data, &centres, &options).unwrap()
@@ -105,31 +111,20 @@ fn bar_sd_mm() -> f64 {
     }
 }
 
-/// Prior standard deviation of a parameter of the robot or of the tool ball, mm or rad.
-fn prior_sd(robot: &Robot, id: ParamId) -> f64 {
-    match id.prior() {
-        PriorRule::LengthTolerance => robot.tolerance.length_mm,
-        PriorRule::AngleTolerance => robot.tolerance.angle_deg.to_radians(),
-        PriorRule::FlangeLength => robot.tolerance.flange_mm,
-        PriorRule::FlangeAngle => robot.tolerance.flange_deg.to_radians(),
-        PriorRule::Free(sd) => sd,
-        rule => panic!("{rule:?}"),
-    }
-}
-
-/// 3-D error over the workspace of robots and bars drawn by their tolerance, mm: true, and by the posterior of the geometry. The
-/// prediction of a result has errors of the joints besides, which these robots do not have. Both are the root mean square over
-/// the robots at each pose, and its mean over the poses.
+/// Mean 3-D error over the workspace of robots and bars drawn by their tolerance: true, and as predicted, mm.
 fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: u64) -> [f64; 2] {
     let nominal = kr60();
     let poses = Workspace::uniform(&nominal, 300, 5);
-    let mut squares = [vec![0.0; poses.len()], vec![0.0; poses.len()]];
+    let mut sums = [0.0; 2];
     for seed in 0..robots {
         let mut random = Pcg64::seed_from_u64(100 + seed);
         let mut truth = nominal.clone();
-        let of_tool = Coordinate::ALL.map(ParamId::Tool);
-        for id in ParamId::denavit_hartenberg().chain([ParamId::Beta(Joint::J3)]).chain(of_tool) {
-            *truth.geometry.value_mut(id).unwrap() += prior_sd(&nominal, id) * normal(&mut random);
+        for id in ParamId::denavit_hartenberg().chain([ParamId::Beta(Joint::J3)]) {
+            let tolerance = match id.unit() {
+                ParamUnit::Mm => nominal.tolerance.length_mm,
+                _ => nominal.tolerance.angle_deg.to_radians(),
+            };
+            *truth.geometry.value_mut(id).unwrap() += tolerance * normal(&mut random);
         }
         let bar_mm = bar_sd_mm() * normal(&mut random);
         let found = find(&truth, circles, points, sigma_mm, bar_mm, Prior::Datasheet, seed);
@@ -137,17 +132,10 @@ fn true_and_predicted(circles: &[Circle], points: usize, sigma_mm: f64, robots: 
             poses.iter().map(|axes| robot.geometry.ball(axes).position).collect()
         };
         let errors = aligned_distances(&balls(&truth), &balls(&found.robot));
-        squares[0].iter_mut().zip(&errors).for_each(|(sum, error)| *sum += error * error);
-        let workspace = Workspace::new(&found.robot.geometry, &poses, found.posterior.ids());
-        let covariance =
-            workspace.jacobian() * found.posterior.covariance() * workspace.jacobian().transpose();
-        let variances = covariance.diagonal();
-        squares[1].iter_mut().enumerate().for_each(|(at, sum)| *sum += variances.rows(3 * at, 3).sum());
+        sums[0] += errors.iter().sum::<f64>() / errors.len() as f64;
+        sums[1] += found.result.predicted_position_uncertainty_mm.identified.mean;
     }
-    squares.map(|of_poses| {
-        let rms = of_poses.iter().map(|sum| (sum / robots as f64).sqrt());
-        rms.sum::<f64>() / poses.len() as f64
-    })
+    sums.map(|sum| sum / robots as f64)
 }
 
 fn two_balls() -> Vec<Circle> {
