@@ -1,10 +1,12 @@
 //! `Capture`: what a run recorded, and its lengths at the poses of its plan.
 
 use std::collections::BTreeMap;
+use std::iter;
 use std::path::PathBuf;
 
 use dbbd_job::recording::capture::{CaptureRecord, CaptureSummary, RunEvent};
 use dbbd_job::recording::run;
+use dbbd_job::request::identify::measured_conditions;
 use dbbd_model::diagnostic::Diagnostic;
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
@@ -131,17 +133,20 @@ impl PyCapture {
         to_python(py, &self.findings)
     }
 
-    /// The lengths at the poses of the plan, as `identify` takes them: a dictionary with its arguments `axes_deg`,
-    /// `lengths_mm`, `ball`, `sigma_mm`, `approach`, `index` and `balls_mm`; the findings of the matching.
+    /// The lengths at the poses of the plan, as `identify` and `check` take them: a dictionary with their arguments
+    /// `axes_deg`, `lengths_mm`, `ball`, `sigma_mm`, `approach`, `index`, `balls_mm`, `payload`, `force_n`, `t_s`, `measured`
+    /// and `temperature_c`, None where the run does not tell; the findings of the matching.
     fn lengths<'py>(&self, py: Python<'py>) -> Result<(Bound<'py, PyDict>, Py<PyAny>), Failure> {
-        let (matching, balls, found) = py.detach(|| {
+        let (matching, balls, measured, found) = py.detach(|| {
             let mut found = Vec::new();
             let run = run::open_run(&self.path, None, &[], &mut |finding| found.push(finding))?;
             let matching = run.matching(None)?;
             found.extend(matching.findings.iter().cloned().map(Diagnostic::from));
-            Ok::<_, Diagnostic>((matching, run.centres(), found))
+            let identity = run.traced(&self.path)?.provenance.identity;
+            let measured = measured_conditions(iter::once(&identity), &matching.observations);
+            Ok::<_, Diagnostic>((matching, run.centres(), measured, found))
         })?;
-        Ok((table(py, &matching.observations, &BallPlaces(&balls))?, to_python(py, &found)?))
+        Ok((table(py, &matching.observations, &BallPlaces(&balls), &measured)?, to_python(py, &found)?))
     }
 
     fn __repr__(&self) -> String {

@@ -1,6 +1,8 @@
 //! `check` and `Check`.
 
+use dbbd_job::request::aged;
 use dbbd_job::request::check::{CheckSigma, CheckedLengths};
+use dbbd_job::request::identify::{known_lengths, stated_conditions};
 use dbbd_model::conformity::{CheckInput, DecisionRule};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::Options;
@@ -10,7 +12,7 @@ use pyo3::prelude::*;
 
 use crate::arrays::{Numbers, Wholes};
 use crate::error::{Failure, failed, to_python};
-use crate::lengths::{Given, balls, checked, workspace};
+use crate::lengths::{Given, PayloadGiven, balls, checked, workspace};
 use crate::robot::PyRobot;
 
 /// The result of an interim check.
@@ -58,11 +60,14 @@ impl PyCheck {
 }
 
 /// Checks whether a calibrated robot is still what it was, from lengths (mm) at axis angles (degrees) to base balls.
+///
+/// `payload`, `force_n`, `t_s`, `measured` and `temperature_c` are those of `identify`. What is known of the robot fades from its
+/// own day to the day `measured`. Lengths that identified a robot that was read from a file are no check of it.
 #[pyfunction]
 #[pyo3(signature = (
-    axes_deg, lengths_mm, ball, *, robot, balls_mm, sigma_mm=None, bar=None, approach=None, index=None,
-    tolerance_mm=None, risk=Some(0.05), tool_repeat_mm=Mounting::SEAT_REPEAT_MM, ball_repeat_mm=None, bar_u_mm=None,
-    workspace_deg=None
+    axes_deg, lengths_mm, ball, *, robot, balls_mm, sigma_mm=None, bar=None, approach=None, index=None, payload=None,
+    force_n=None, t_s=None, tolerance_mm=None, risk=Some(0.05), tool_repeat_mm=Mounting::SEAT_REPEAT_MM,
+    ball_repeat_mm=None, bar_u_mm=None, workspace_deg=None, measured=None, temperature_c=None
 ))]
 #[allow(clippy::too_many_arguments)] // keywords of a Python function
 pub(crate) fn check<'py>(
@@ -76,12 +81,17 @@ pub(crate) fn check<'py>(
     bar: Option<Wholes<'py>>,
     approach: Option<Wholes<'py>>,
     index: Option<Wholes<'py>>,
+    payload: Option<PayloadGiven>,
+    force_n: Option<Numbers<'py>>,
+    t_s: Option<Numbers<'py>>,
     tolerance_mm: Option<f64>,
     risk: Option<f64>,
     tool_repeat_mm: f64,
     ball_repeat_mm: Option<f64>,
     bar_u_mm: Option<f64>,
     workspace_deg: Option<Numbers<'py>>,
+    measured: Option<String>,
+    temperature_c: Option<f64>,
 ) -> Result<PyCheck, Failure> {
     use numpy::PyUntypedArrayMethods as _;
     let (all, each) = match &sigma_mm {
@@ -96,12 +106,16 @@ pub(crate) fn check<'py>(
         bar: bar.as_ref(),
         approach: approach.as_ref(),
         index: index.as_ref(),
+        payload: payload.as_ref(),
+        force_n: force_n.as_ref(),
+        t_s: t_s.as_ref(),
     };
-    let (lengths, mut findings) = given.measurements()?;
+    let (lengths, mut findings) = given.measurements(robot.robot())?;
     let balls = balls(&balls_mm)?;
-    let (of, file) = (robot.robot(), robot.file.as_ref().map(|file| file.to_string_lossy()));
-    findings.extend(checked(&lengths, of, &balls)?);
-    let noise = CheckSigma::of(all, &lengths, file.as_deref(), of)?;
+    findings.extend(checked(&lengths, robot.robot(), &balls)?);
+    let of = &aged(robot.robot(), &mut stated_conditions(measured, temperature_c)?);
+    let (file, name) = (robot.file.as_deref(), robot.file.as_ref().map(|file| file.to_string_lossy()));
+    let noise = CheckSigma::of(all, &lengths, name.as_deref(), of)?;
     findings.extend(noise.finding.map(Diagnostic::from));
     let workspace = Options { workspace: workspace(py, workspace_deg.as_ref(), of)?, ..Options::default() };
     let start = LengthModel::new(of.geometry.clone(), &balls);
@@ -120,8 +134,10 @@ pub(crate) fn check<'py>(
             rule: risk.map_or(DecisionRule::SimpleAcceptance, |risk| DecisionRule::GuardBand { risk }),
             workspace: &workspace.workspace_poses(of),
         };
-        let found = CheckedLengths::of(&input, &lengths).map_err(failed)?;
+        let mut found = CheckedLengths::of(&input, &lengths).map_err(failed)?;
         findings.extend(found.findings().into_iter().map(Diagnostic::from));
+        let no_check = found.of_known_lengths(known_lengths(file, &lengths)?);
+        findings.extend(no_check.map(Diagnostic::from));
         Ok(PyCheck { found, findings })
     })
 }

@@ -2,7 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use dbbd_job::request::identify::{AskedIdentification, RequestedPrior, ResultDocument, plausible_deviation};
+use dbbd_job::request::aged;
+use dbbd_job::request::identify::{
+    AskedIdentification, RequestedPrior, ResultDocument, known_lengths, plausible_deviation,
+    stated_conditions,
+};
 use dbbd_model::base::serialised;
 use dbbd_model::conformity::UncertaintyBudget;
 use dbbd_model::design::calibrate;
@@ -17,7 +21,7 @@ use pyo3::prelude::*;
 
 use crate::arrays::{Floats, Numbers, Rows, Wholes, approaches, array};
 use crate::error::{Failure, Outcome, failed, to_python};
-use crate::lengths::{Given, GivenPositions, balls, checked, workspace};
+use crate::lengths::{Given, GivenPositions, PayloadGiven, balls, checked, workspace};
 use crate::robot::PyRobot;
 
 /// What is known of a robot beforehand, as a caller gives it.
@@ -165,13 +169,21 @@ fn error_model(name: &str) -> PyResult<ErrorModel> {
 /// `estimate` and `hold` are lists as the command takes them ("alpha1-5,a1-5,d4-6"); `prior` is 'none', 'datasheet',
 /// 'posterior' or a dictionary of standard deviations (mm, rad) by names.
 ///
+/// As in a table of lengths: `payload` (names of payloads in the robot's file, one for all or N; '': the first), `force_n` (N, with
+/// which the bar pulls) and `t_s` (s since the start; both N or one number, NaN: not known).
+///
+/// `measured` is the day of the measurement, 'YYYY-MM-DD' with or without a time, and `temperature_c` the robot's temperature
+/// then. What is known of an identified robot fades until that day, without `measured` until today. The robot of the result has
+/// this day; without `measured` a robot that was not identified before has none, and what is known of it never fades.
+///
 /// Positions: `positions_mm` (M x 3, in the frame of a tracker, whose place is estimated) at `positions_deg` (M x 6), of `target`
 /// (M or one number, from 1: the tool ball), with `positions_sigma_mm` of each coordinate and `positions_approach`.
 #[pyfunction]
 #[pyo3(signature = (
     axes_deg=None, lengths_mm=None, ball=None, *, robot, balls_mm=None, positions_deg=None, positions_mm=None, target=None,
-    positions_sigma_mm=None, positions_approach=None, sigma_mm=None, bar=None, approach=None, index=None, tool_mm=None,
-    estimate=None, hold=None, prior=None, model="joints", bar_u_mm=None, folds=None, monte_carlo=None, workspace_deg=None
+    positions_sigma_mm=None, positions_approach=None, sigma_mm=None, bar=None, approach=None, index=None, payload=None,
+    force_n=None, t_s=None, tool_mm=None, estimate=None, hold=None, prior=None, model="joints", bar_u_mm=None, folds=None,
+    monte_carlo=None, workspace_deg=None, measured=None, temperature_c=None
 ))]
 #[allow(clippy::too_many_arguments)] // keywords of a Python function
 pub(crate) fn identify<'py>(
@@ -190,6 +202,9 @@ pub(crate) fn identify<'py>(
     bar: Option<Wholes<'py>>,
     approach: Option<Wholes<'py>>,
     index: Option<Wholes<'py>>,
+    payload: Option<PayloadGiven>,
+    force_n: Option<Numbers<'py>>,
+    t_s: Option<Numbers<'py>>,
     tool_mm: Option<[f64; 3]>,
     estimate: Option<&str>,
     hold: Option<&str>,
@@ -199,6 +214,8 @@ pub(crate) fn identify<'py>(
     folds: Option<usize>,
     monte_carlo: Option<usize>,
     workspace_deg: Option<Numbers<'py>>,
+    measured: Option<String>,
+    temperature_c: Option<f64>,
 ) -> std::result::Result<PyResult_, Failure> {
     use numpy::PyUntypedArrayMethods as _;
     // One number for all is the user's word; an array is that of the data.
@@ -217,9 +234,19 @@ pub(crate) fn identify<'py>(
     };
     let (lengths, mut findings) = match (&axes_deg, &lengths_mm, &ball) {
         (Some(axes_deg), Some(lengths_mm), Some(ball)) => {
-            let (bar, approach, index) = (bar.as_ref(), approach.as_ref(), index.as_ref());
-            let given = Given { axes_deg, lengths_mm, ball, sigma_mm: each, bar, approach, index };
-            let (lengths, findings) = given.measurements()?;
+            let given = Given {
+                axes_deg,
+                lengths_mm,
+                ball,
+                sigma_mm: each,
+                bar: bar.as_ref(),
+                approach: approach.as_ref(),
+                index: index.as_ref(),
+                payload: payload.as_ref(),
+                force_n: force_n.as_ref(),
+                t_s: t_s.as_ref(),
+            };
+            let (lengths, findings) = given.measurements(robot.robot())?;
             let joined = tracked.map_or(Ok(lengths.clone()), |tracked| lengths.and(&tracked));
             (joined.map_err(failed)?, findings)
         }
@@ -229,12 +256,14 @@ pub(crate) fn identify<'py>(
         }
         _ => return Err(PyValueError::new_err("axes_deg, lengths_mm and ball belong together").into()),
     };
-    let mut robot = robot.robot().clone();
+    let (mut robot, file) = (robot.robot().clone(), robot.file.as_deref());
     if let Some(tool_mm) = tool_mm {
         robot.set_tool(tool_mm);
     }
     let balls = balls_mm.as_ref().map_or(Ok(Vec::new()), balls)?;
     findings.extend(checked(&lengths, &robot, &balls)?);
+    let mut measured = stated_conditions(measured, temperature_c)?;
+    let robot = aged(&robot, &mut measured);
     let rest = Options {
         model: error_model(model)?,
         sigma_mm: all,
@@ -242,13 +271,16 @@ pub(crate) fn identify<'py>(
         folds,
         monte_carlo,
         workspace: workspace(py, workspace_deg.as_ref(), &robot)?,
+        measured,
         ..Options::default()
     };
     let set_up = lengths.set_up(balls.len());
     let prior = prior.map(|given| self::prior(given, set_up)).transpose()?;
+    // Nothing says from which lengths a dictionary of standard deviations was identified.
+    let file = file.filter(|_| !matches!(prior, Some(RequestedPrior::Table(_))));
     let asked = AskedIdentification { estimate, hold, prior, rest };
-    // Nothing says from which lengths a robot in memory was identified.
-    let (options, lost) = asked.options(&robot, lengths.rows.len(), set_up, || Ok(0))?;
+    let known = || known_lengths(file, &lengths);
+    let (options, lost) = asked.options(&robot, lengths.rows.len(), set_up, known)?;
     findings.extend(lost.map(Diagnostic::from));
     let start = LengthModel::before(robot.geometry.clone(), &balls, &lengths);
     py.detach(|| {

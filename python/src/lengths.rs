@@ -1,20 +1,35 @@
 //! Lengths and positions at poses, as arrays.
 
+use std::sync::Arc;
+
 use dbbd_job::request::checked_workspace;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{check_measurements, measurement_findings};
-use dbbd_model::measurement::MeasurementFinding;
-use dbbd_model::measurement::{BaseBall, DistinctMeasurements, Measurement, Measurements};
-use dbbd_model::robot::{AXES, AxisAngles, BallId, BarId, Coordinate, Datum, PayloadId, Robot, TargetId};
+use dbbd_model::measurement::{
+    BaseBall, ContextColumn, DistinctMeasurements, Measurement, MeasurementContext, MeasurementFinding,
+    Measurements,
+};
+use dbbd_model::plausibility::Quantity;
+use dbbd_model::robot::{
+    AXES, AxisAngles, BallId, BarId, Coordinate, Datum, MeasurementConditions, PayloadId, Robot, TargetId,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Floats, Numbers, Rows, Wholes, approaches, array, column};
+use crate::arrays::{Floats, Numbers, Rows, Wholes, approaches, array, column, shape_error};
 use crate::error::{Outcome, failed, warn};
 
 /// Where the lengths of a call are, as a message names it.
 pub(crate) const ARRAYS: &str = "measurements";
+const FORCE: &str = "force_n";
+
+/// The payload of each length by its name, as a caller gives it.
+#[derive(FromPyObject)]
+pub(crate) enum PayloadGiven {
+    All(String),
+    Each(Vec<String>),
+}
 
 /// The arrays of a call with lengths.
 pub(crate) struct Given<'a, 'py> {
@@ -25,11 +40,14 @@ pub(crate) struct Given<'a, 'py> {
     pub(crate) bar: Option<&'a Wholes<'py>>,
     pub(crate) approach: Option<&'a Wholes<'py>>,
     pub(crate) index: Option<&'a Wholes<'py>>,
+    pub(crate) payload: Option<&'a PayloadGiven>,
+    pub(crate) force_n: Option<&'a Numbers<'py>>,
+    pub(crate) t_s: Option<&'a Numbers<'py>>,
 }
 
 impl Given<'_, '_> {
-    /// The table, its rows once; what was found in it.
-    pub(crate) fn measurements(&self) -> Outcome<(Measurements, Vec<Diagnostic>)> {
+    /// The table, its rows once, with the payloads of the robot; what was found in it.
+    pub(crate) fn measurements(&self, robot: &Robot) -> Outcome<(Measurements, Vec<Diagnostic>)> {
         let axes = Rows::<AXES>::of(self.axes_deg, "axes_deg")?.rows;
         let count = axes.len();
         let lengths = column(self.lengths_mm, "lengths_mm", count)?;
@@ -44,6 +62,17 @@ impl Given<'_, '_> {
             Some(index) => whole(index, "index", count, 0, Some)?,
             None => (1..=count as u32).collect(),
         };
+        let (carried, names) = payloads(self.payload, count)?;
+        let (times, forces) = (known(self.t_s, "t_s", count)?, known(self.force_n, FORCE, count)?);
+        let plausible = |force_n: &f64| Quantity::BarForce.check(FORCE, *force_n);
+        let mut given = forces.iter().flatten();
+        given.try_for_each(plausible).map_err(|finding| Diagnostic::file(ARRAYS, finding))?;
+        let context = |at: usize| {
+            let (time_s, force_n) = (times[at], forces[at]);
+            let is_known = time_s.is_some() || force_n.is_some();
+            is_known
+                .then(|| Arc::new(MeasurementContext { time_s, force_n, ..MeasurementContext::default() }))
+        };
         let row = |at: usize| Measurement {
             index: indices[at],
             datum: Datum::Ball(balls[at], bars[at]),
@@ -52,15 +81,53 @@ impl Given<'_, '_> {
             approach: approaches[at],
             length_mm: lengths[at],
             sigma_mm: sigmas[at],
-            payload: PayloadId::FIRST,
-            context: None,
+            payload: carried[at],
+            context: context(at),
         };
-        let table = Measurements::new((0..count).map(row).collect(), Vec::new()).map_err(failed)?;
+        let time = self.t_s.map(|_| ContextColumn::TimeS);
+        let columns = time.into_iter().chain(self.force_n.map(|_| ContextColumn::ForceN)).collect();
+        let table = Measurements::new((0..count).map(row).collect(), columns).map_err(failed)?;
+        let table = Measurements { payloads: names, ..table };
         let DistinctMeasurements { measurements, repeated } = table.distinct().map_err(failed)?;
         let found = (repeated > 0)
             .then(|| Diagnostic::file(ARRAYS, MeasurementFinding::Repeated { repeated, rows: count }));
+        let carrying = measurements.carrying(&robot.geometry.load);
+        let measurements = carrying.map_err(|finding| Diagnostic::file(ARRAYS, finding))?;
         Ok((measurements, found.into_iter().collect()))
     }
+}
+
+/// The payloads of the rows, and the names to which their numbers belong, as in a table that was read.
+fn payloads(given: Option<&PayloadGiven>, count: usize) -> PyResult<(Vec<PayloadId>, Vec<String>)> {
+    let each: Vec<&str> = match given {
+        None => return Ok((vec![PayloadId::FIRST; count], Vec::new())),
+        Some(PayloadGiven::All(name)) => vec![name.as_str(); count],
+        Some(PayloadGiven::Each(names)) if names.len() == count => names.iter().map(String::as_str).collect(),
+        Some(PayloadGiven::Each(names)) => {
+            return Err(shape_error("payload", &format!("({count},) or a name"), &[names.len()]));
+        }
+    };
+    // The first name is the one of rows that name none.
+    let mut names = vec![String::new()];
+    let mut carried = Vec::new();
+    for name in each {
+        let place = names.iter().position(|known| known == name).unwrap_or(names.len());
+        if place == names.len() {
+            names.push(name.to_owned());
+        }
+        carried.push(PayloadId::at(place));
+    }
+    Ok((carried, names))
+}
+
+/// A column of numbers; NaN where one is not known.
+fn known(array: Option<&Numbers<'_>>, name: &str, count: usize) -> PyResult<Vec<Option<f64>>> {
+    let Some(array) = array else { return Ok(vec![None; count]) };
+    let numbers = column(array, name, count)?;
+    if numbers.iter().any(|number| number.is_infinite()) {
+        return Err(PyValueError::new_err(format!("{name} must be finite, or NaN where it is not known")));
+    }
+    Ok(numbers.into_iter().map(|number| Some(number).filter(|number| !number.is_nan())).collect())
 }
 
 /// The arrays of a call with positions.
@@ -174,11 +241,12 @@ impl BallPlaces<'_> {
     }
 }
 
-/// A table as the arguments of `identify`.
+/// A table as the arguments of `identify` and `check`; None where an argument is not known.
 pub(crate) fn table<'py>(
     py: Python<'py>,
     lengths: &Measurements,
     balls: &BallPlaces<'_>,
+    measured: &MeasurementConditions,
 ) -> PyResult<Bound<'py, PyDict>> {
     let (rows, count) = (&lengths.rows, lengths.rows.len());
     let ball = |row: &Measurement| row.datum.ball().map_or(0, |ball| i64::from(ball.number()));
@@ -195,5 +263,18 @@ pub(crate) fn table<'py>(
     let sigma: Option<Vec<f64>> = rows.iter().map(|row| row.sigma_mm).collect();
     table.set_item("sigma_mm", sigma.map(|sigma| array(py, sigma, &[count])).transpose()?)?;
     table.set_item("balls_mm", balls.array(py)?)?;
+    let name = |row: &Measurement| lengths.payloads.get(row.payload.index()).cloned().unwrap_or_default();
+    let names = (!lengths.payloads.is_empty()).then(|| rows.iter().map(name).collect::<Vec<String>>());
+    table.set_item("payload", names)?;
+    let of_context = |of: fn(&MeasurementContext) -> Option<f64>| {
+        let numbers = rows.iter().map(|row| row.context.as_deref().and_then(of).unwrap_or(f64::NAN));
+        let numbers: Vec<f64> = numbers.collect();
+        let is_known = numbers.iter().any(|number| !number.is_nan());
+        is_known.then(|| array(py, numbers, &[count])).transpose()
+    };
+    table.set_item(FORCE, of_context(|context| context.force_n)?)?;
+    table.set_item("t_s", of_context(|context| context.time_s)?)?;
+    table.set_item("measured", measured.date.as_deref())?;
+    table.set_item("temperature_c", measured.temperature_c)?;
     Ok(table)
 }

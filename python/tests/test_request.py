@@ -115,20 +115,34 @@ def test_arrays_have_the_answer_of_the_request(tmp_path, monkeypatch):
         dbbd.plan("job.toml", robot=identified)
     assert raised.value.code == second["refusal"]["code"]
     answer = dbbd.request({**REQUESTS[3][0], "input": "identify/lengths.csv", "centres": "plan/centres.csv"})
-    check = lengths_of(tmp_path / "python", identified)
+    check = dbbd.check(**lengths_of(tmp_path / "python"), robot=identified, tolerance_mm=1.0)
     expected = answer["result"]["document"]
-    del expected["provenance"]
+    # Those of the files are with the answer.
+    del expected["provenance"], expected["findings"]
     assert json.dumps(check.to_dict(), sort_keys=True) == json.dumps(expected, sort_keys=True)
     found = {finding["code"] for finding in check.findings}
     assert found <= {finding["code"] for finding in answer["findings"]}
+    # The lengths identified this robot.
+    assert "W1918" in found and check.decision != "pass"
+    answer = dbbd.request({"request": "identify", "input": "identify/lengths.csv", "robot": IDENTIFIED,
+                           "centres": "plan/centres.csv", "out": "twice"})
+    result = dbbd.identify(**lengths_of(tmp_path / "python"), robot=identified)
+    for findings in (answer["findings"], result.findings):
+        assert "W1334" in {finding["code"] for finding in findings}
 
 
-def lengths_of(folder, robot):
+def lengths_of(folder):
     axes = [f"a{axis}_deg" for axis in range(1, 7)]
     senses = [f"approach{axis}" for axis in range(1, 7)]
-    names = ["index", "centre", *axes, "length_mm", "sigma_mm", *senses]
+    names = ["index", "centre", *axes, "length_mm", "sigma_mm", "t_s", *senses]
     table = numbers(folder / "identify" / "lengths.csv", names)
-    return dbbd.check(
-        table[:, 2:8], table[:, 8], table[:, 1].astype(int), index=table[:, 0].astype(int), robot=robot,
-        sigma_mm=table[:, 9], approach=table[:, 10:].astype(int),
-        balls_mm=numbers(folder / "plan" / "centres.csv", ["x_mm", "y_mm", "z_mm"]), tolerance_mm=1.0)
+    return {
+        "index": table[:, 0].astype(int),
+        "ball": table[:, 1].astype(int),
+        "axes_deg": table[:, 2:8],
+        "lengths_mm": table[:, 8],
+        "sigma_mm": table[:, 9],
+        "t_s": table[:, 10],
+        "approach": table[:, 11:].astype(int),
+        "balls_mm": numbers(folder / "plan" / "centres.csv", ["x_mm", "y_mm", "z_mm"]),
+    }

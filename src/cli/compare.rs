@@ -241,7 +241,12 @@ fn subject(
     let robot = robot(args, &documents[0], out)?;
     of_robot(&results, &robot.name)
         .map_err(|finding| Diagnostic::file(args.robot.as_deref().unwrap_or(ROBOT), finding))?;
-    Ok(ComparisonSubject::Results(Box::new(compare_results(&robot, &results, timeline, args.tolerance)?)))
+    let compared = compare_results(&robot, &results, timeline, args.tolerance)?;
+    let with = results.iter().filter(|result| result.has_joint_errors()).count();
+    if with > 0 {
+        out.finding(ConformityFinding::JointErrorsNotCompared { with, results: results.len() });
+    }
+    Ok(ComparisonSubject::Results(Box::new(compared)))
 }
 
 fn robot(args: &CompareArgs, first: &ComparedFile, out: &CommandOutput) -> Result<Robot, Diagnostic> {

@@ -1,10 +1,13 @@
-//! The schedule of a run according to its plan: dwells, modules, stroke, and removals of the bar.
+//! The schedule of a run according to its plan: counted stops, modules, stroke, and removals of the bar.
+//!
+//! A counted stop is a dwell or the end of a pass: the program raises the strobe once for each. The live state calls both a
+//! dwell.
 
 use std::collections::BTreeSet;
 
 use super::TelegramMismatch;
 use crate::live::{Alarm, NextPose, Point};
-use dbbd_job::plan::{MotionKind, Plan, PoseKind};
+use dbbd_job::plan::{Plan, PoseKind};
 use dbbd_job::recording::{Telegram, run_number};
 
 /// Share of the half stroke beyond which the alarm is raised.
@@ -18,7 +21,8 @@ pub struct Schedule {
     pub stroke_mm: Option<[f64; 2]>,
     /// Share of the half stroke beyond which the alarm is raised.
     pub alarm_share: f64,
-    dwells: Vec<PlannedDwell>,
+    /// The counted stops of the plan, in order.
+    stops: Vec<PlannedStop>,
     /// Time of the whole plan, s.
     duration_s: Option<f64>,
     /// Completed dwells at each removal of the bar.
@@ -27,34 +31,32 @@ pub struct Schedule {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct PlannedDwell {
+struct PlannedStop {
+    /// The row of the plan; of a pass the row at which it ends.
     index: u32,
     circle: u32,
     angle_deg: Option<f64>,
     clockwise: bool,
-    length_mm: f64,
-    /// Remaining time of the plan after the dwell, s.
+    /// `None` for a pass: the mean of its readings is no length of a pose.
+    length_mm: Option<f64>,
+    /// Remaining time of the plan after the stop, s.
     left_s: f64,
 }
 
 /// The program of the plan.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct ScheduledProgram {
     /// Number of modules: one per circle of the plan.
     modules: usize,
     /// The run number in the telegrams of the program.
     run: Option<u32>,
-    /// The rows whose end the program reports: dwells, and ends of passes without stops.
-    reported: BTreeSet<u32>,
 }
 
 impl ScheduledProgram {
     fn of(plan: &Plan) -> Self {
         let circles: BTreeSet<u32> =
             plan.rows.iter().map(|row| row.circle).filter(|circle| *circle != 0).collect();
-        let dwells = plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).map(|row| row.index);
-        let reported = dwells.chain(plan.header.passes.iter().map(|pass| pass.end)).collect();
-        Self { modules: circles.len(), run: run_number(&plan.header.hash), reported }
+        Self { modules: circles.len(), run: run_number(&plan.header.hash) }
     }
 }
 
@@ -71,32 +73,31 @@ impl Schedule {
             *left_s -= row_s;
             Some(left_s.max(0.0))
         });
-        let rows =
-            plan.rows.iter().zip(&places).zip(left).filter(|((row, _), _)| row.kind != PoseKind::Transit);
-        let dwells = rows.map(|((row, place), left_s)| PlannedDwell {
-            index: row.index,
-            circle: row.circle,
-            // A reference pose is not drawn on the circle.
-            angle_deg: place.filter(|_| row.kind == PoseKind::Measure).map(|place| place.angle_deg),
-            clockwise: place.is_some_and(|place| place.clockwise),
-            length_mm: row.length_mm,
-            left_s,
+        let left: Vec<f64> = left.collect();
+        let stops = plan.counted_stops().map(|stop| {
+            let (row, pass) = (stop.row, stop.pass);
+            // Rows are numbered from 1.
+            let at = (row.index as usize).saturating_sub(1);
+            let place = places.get(at).copied().flatten();
+            PlannedStop {
+                index: row.index,
+                circle: row.circle,
+                // A reference pose is not drawn on the circle.
+                angle_deg: place.filter(|_| row.kind == PoseKind::Measure).map(|place| place.angle_deg),
+                clockwise: pass.map_or(place.is_some_and(|place| place.clockwise), |pass| pass.clockwise),
+                length_mm: pass.is_none().then_some(row.length_mm),
+                left_s: left.get(at).copied().unwrap_or(0.0),
+            }
         });
-        // The bar is off during every PTP motion, and after the end.
-        let off = plan.rows.iter().filter(|row| row.motion == MotionKind::Ptp).map(|row| row.index);
-        let over = |index: u32| {
-            plan.rows.iter().filter(|row| row.kind != PoseKind::Transit && row.index < index).count() as u32
-        };
-        let mut taken_off: Vec<u32> = off.chain([u32::MAX]).map(over).filter(|dwells| *dwells > 0).collect();
-        taken_off.dedup();
         let bar = &plan.header.job.bar;
         Self {
             bar_length_mm: Some(bar.length_mm),
             stroke_mm: Some(bar.stroke_mm),
             alarm_share,
-            dwells: dwells.collect(),
+            stops: stops.collect(),
             duration_s: Some(duration_s),
-            taken_off,
+            // A plan without a program is not driven.
+            taken_off: plan.removals().unwrap_or_default(),
             program: Some(ScheduledProgram::of(plan)),
         }
     }
@@ -110,31 +111,34 @@ impl Schedule {
         let program = self.program.as_ref()?;
         match program.run {
             Some(expected) if expected != telegram.run => Some(TelegramMismatch::Run { expected }),
-            _ => (!program.reported.contains(&telegram.index)).then_some(TelegramMismatch::NoDwell),
+            _ => {
+                let is_reported = self.stops.iter().any(|stop| stop.index == telegram.index);
+                (!is_reported).then_some(TelegramMismatch::NoDwell)
+            }
         }
     }
 
     /// Whether the row is the last one that the program reports.
     pub(super) fn is_last(&self, index: u32) -> bool {
-        self.program.as_ref().is_some_and(|program| program.reported.last() == Some(&index))
+        self.stops.last().is_some_and(|stop| stop.index == index)
     }
 
-    /// Number of dwells of the plan.
+    /// Number of counted stops of the plan.
     pub fn poses(&self) -> Option<u32> {
-        self.bar_length_mm.and_then(|_| u32::try_from(self.dwells.len()).ok())
+        self.bar_length_mm.and_then(|_| u32::try_from(self.stops.len()).ok())
     }
 
     /// Remaining time of the plan after so many dwells, at full override, s.
     pub(super) fn left_s(&self, dwells: u32) -> Option<f64> {
         match (dwells as usize).checked_sub(1) {
             None => self.duration_s,
-            Some(last) => self.duration_s.map(|_| self.dwells.get(last).map_or(0.0, |dwell| dwell.left_s)),
+            Some(last) => self.duration_s.map(|_| self.stops.get(last).map_or(0.0, |stop| stop.left_s)),
         }
     }
 
     /// The pose of the next dwell.
     pub(super) fn next(&self, dwells: u32) -> Option<NextPose> {
-        let PlannedDwell { index, circle, angle_deg, .. } = *self.dwells.get(dwells as usize)?;
+        let PlannedStop { index, circle, angle_deg, .. } = *self.stops.get(dwells as usize)?;
         Some(NextPose { index, circle, angle_deg })
     }
 
@@ -151,10 +155,10 @@ impl Schedule {
         }
     }
 
-    /// The dwell of number `dwell` (from 1) with its mean reading.
+    /// The dwell or pass of number `dwell` (from 1) with its mean reading.
     pub(super) fn point(&self, dwell: u32, reading_mm: f64) -> Point {
-        let planned = (dwell as usize).checked_sub(1).and_then(|at| self.dwells.get(at));
-        let lengths_mm = planned.map(|planned| planned.length_mm).zip(self.bar_length_mm);
+        let planned = (dwell as usize).checked_sub(1).and_then(|at| self.stops.get(at));
+        let lengths_mm = planned.and_then(|planned| planned.length_mm).zip(self.bar_length_mm);
         Point {
             dwell,
             index: planned.map(|planned| planned.index),
@@ -169,7 +173,11 @@ impl Schedule {
 
 #[cfg(test)]
 mod tests {
+    use dbbd_job::plan::Job;
+    use dbbd_model::robot::{BallId, Robot};
+
     use super::*;
+    use crate::daemon::mount_detector::{MountDetector, MountReading};
 
     #[test]
     fn alarms_depend_on_the_share_of_the_stroke() {
@@ -189,23 +197,23 @@ mod tests {
 
     /// Two circles with a module each: dwells of the rows 3, 5 and 9, after which 30, 20 and 2 s are left.
     fn schedule() -> Schedule {
-        let dwell = |index, circle, angle_deg, length_mm, left_s| PlannedDwell {
+        let dwell = |index, circle, angle_deg, length_mm, left_s| PlannedStop {
             index,
             circle,
             angle_deg,
             clockwise: index == 5,
-            length_mm,
+            length_mm: Some(length_mm),
             left_s,
         };
         Schedule {
             bar_length_mm: Some(300.0),
-            dwells: vec![
+            stops: vec![
                 dwell(3, 1, Some(10.0), 300.5, 30.0),
                 dwell(5, 1, Some(20.0), 299.0, 20.0),
                 dwell(9, 2, None, 301.0, 2.0),
             ],
             duration_s: Some(42.0),
-            program: Some(ScheduledProgram { modules: 2, run: Some(77), reported: [3, 5, 9].into() }),
+            program: Some(ScheduledProgram { modules: 2, run: Some(77) }),
             ..Schedule::bare(Some([-2.0, 6.0]), 0.9)
         }
     }
@@ -252,5 +260,117 @@ mod tests {
         assert_eq!(Schedule::bare(None, 0.9).mismatch(&telegram(1, 1)), None);
         assert_eq!([5, 9].map(|index| schedule().is_last(index)), [false, true]);
         assert_eq!(schedule().modules(), Some(2));
+    }
+
+    /// A continuous circle out and back, with 36 points in each pass.
+    fn plan_of_passes() -> Plan {
+        let text = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
+                    xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 36\n\
+                    orientation = \"fixed\"\ntilt_deg = 20.0\ndirection = \"both\"\nmode = \"continuous\"\n\
+                    [motion]\nfeed_mm_s = 60.0\n";
+        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        Plan::build(&Job::from_toml("job.toml", text).unwrap(), &robot)
+            .unwrap_or_else(|refused| panic!("{refused}"))
+    }
+
+    /// The same circle twice. The second one begins where the first one ends, about the ball of this number.
+    fn plan_of_two_circles(ball: u32) -> Plan {
+        let mut plan = plan_of_passes();
+        let again = plan.clone();
+        let (shift, end) = (again.rows.len() as u32, again.rows[again.rows.len() - 1].axes_deg);
+        plan.header.job.circles.extend(again.header.job.circles);
+        plan.rows.extend(again.rows);
+        let second = &mut plan.rows[shift as usize..];
+        second[0].axes_deg = end;
+        for row in second {
+            row.index += shift;
+            row.circle = 2;
+            row.centre = BallId::new(ball).unwrap();
+        }
+        plan.header.moves.extend(again.header.moves);
+        for mut pass in again.header.passes {
+            pass.circle = 2;
+            pass.end += shift;
+            plan.header.passes.push(pass);
+        }
+        plan
+    }
+
+    #[test]
+    fn a_pass_is_one_stop() {
+        let plan = plan_of_passes();
+        let schedule = Schedule::of(&plan, ALARM_SHARE);
+        let [out, back] = plan.header.passes[..] else { panic!("there are two passes") };
+        assert_eq!((schedule.poses(), schedule.taken_off.as_slice()), (Some(2), [2].as_slice()));
+        let next = |dwells| schedule.next(dwells).map(|pose| (pose.index, pose.circle, pose.angle_deg));
+        let expected = [Some((out.end, 1, None)), Some((back.end, 1, None)), None];
+        assert_eq!([next(0), next(1), next(2)], expected);
+        let telegram = |index| Telegram {
+            run: run_number(&plan.header.hash).unwrap(),
+            index,
+            phase: 2,
+            axes_deg: [0.0; 6],
+        };
+        let mismatch = |index| schedule.mismatch(&telegram(index));
+        assert_eq!([out.end, back.end].map(mismatch), [None, None]);
+        assert_eq!([out.points[0], back.points[1]].map(mismatch), [Some(TelegramMismatch::NoDwell); 2]);
+        assert_eq!([out.end, back.end].map(|index| schedule.is_last(index)), [false, true]);
+    }
+
+    /// What is left after a pass is the time of the rows after its end: after the last pass only the end mark.
+    #[test]
+    fn time_is_left_until_the_last_pass() {
+        let plan = plan_of_passes();
+        let schedule = Schedule::of(&plan, ALARM_SHARE);
+        let after = |end: u32| plan.row_times_s().skip(end as usize).sum::<f64>();
+        for (dwells, end) in [(0, 0), (1, plan.header.passes[0].end), (2, plan.header.passes[1].end)] {
+            let left_s = schedule.left_s(dwells).unwrap();
+            assert!((left_s - after(end)).abs() < 1e-6, "{left_s} {}", after(end));
+        }
+        assert!(schedule.left_s(1).unwrap() > plan.header.passes[1].duration_s);
+        assert!(schedule.left_s(2).unwrap() < plan.header.passes[1].duration_s);
+    }
+
+    /// The mean of a circle of readings is no length of a pose.
+    #[test]
+    fn a_pass_has_no_deviation() {
+        let plan = plan_of_passes();
+        let schedule = Schedule::of(&plan, ALARM_SHARE);
+        for (dwell, pass) in (1..).zip(&plan.header.passes) {
+            let point = schedule.point(dwell, 0.2);
+            let shown = (point.index, point.circle, point.angle_deg, point.clockwise, point.deviation_mm);
+            assert_eq!(shown, (Some(pass.end), Some(1), None, pass.clockwise, None));
+            assert_eq!(point.reading_mm, 0.2);
+        }
+    }
+
+    /// Readings in the middle of the stroke and beyond it, with the bar mounted at first. Between two circles about one ball
+    /// it stays on; before another ball it is taken off.
+    #[test]
+    fn bar_is_over_its_stroke_in_every_pass() {
+        for (ball, taken_off, between) in [(1, vec![4], Some(Alarm::Over)), (2, vec![2, 4], None)] {
+            let schedule = Schedule::of(&plan_of_two_circles(ball), ALARM_SHARE);
+            assert_eq!(schedule.taken_off, taken_off);
+            let mut mount = MountDetector::default();
+            for (t_s, reading_mm, dwells, alarm) in [
+                (0.0, 0.0, 0, Some(Alarm::None)),
+                (2.0, 0.0, 0, Some(Alarm::None)),
+                (3.0, 7.0, 0, Some(Alarm::Over)), // in the first pass
+                (4.0, 0.0, 1, Some(Alarm::None)),
+                (5.0, 7.0, 1, Some(Alarm::Over)),
+                (6.0, 0.0, 2, Some(Alarm::None)),
+                (7.0, 7.0, 2, between),
+                (8.0, 0.0, 2, Some(Alarm::None)),
+                (10.0, 0.0, 2, Some(Alarm::None)),
+                (11.0, 7.0, 2, Some(Alarm::Over)), // in the first pass of the second circle
+                (12.0, 0.0, 3, Some(Alarm::None)),
+                (13.0, 7.0, 3, Some(Alarm::Over)),
+                (14.0, 0.0, 4, Some(Alarm::None)),
+                (15.0, 7.0, 4, None), // taken off at the end
+            ] {
+                let now = MountReading { t_s, reading_mm, valid: true, dwells };
+                assert_eq!(mount.alarm(&schedule, now), alarm, "ball {ball} at {t_s} s");
+            }
+        }
     }
 }

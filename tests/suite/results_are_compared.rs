@@ -137,7 +137,8 @@ fn no_change_is_found_without_one_and_inputs_are_checked() {
     assert_eq!(one.status.code(), Some(2));
     edited("few.json", &|json| json["parameters"][8]["sd"] = Value::Null);
     let few = dbbd(at, &["compare", "r0", "few.json", "--out", "out"]);
-    assert_eq!((few.status.code(), codes(&few)), (Some(0), vec!["I1906".to_owned()]));
+    // Errors of the joints are not compared, and one parameter is not.
+    assert_eq!((few.status.code(), codes(&few)), (Some(0), vec!["I1906".to_owned(); 2]));
 }
 
 /// Radius 150 mm in both senses; an ellipse that grows.

@@ -119,6 +119,38 @@ fn poses_are_measured_again() {
     assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E0722".to_owned()]));
 }
 
+/// A length that the fit left out, or the user, is not in the table of the result: its pose is measured again all the same.
+#[test]
+fn outliers_are_measured_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    fs::write(at.join("job.toml"), JOB).unwrap();
+    done(at, &["plan", "job.toml", "--out", "plan"]);
+    done(at, &["acquire", "--port", "sim", "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
+    done(at, &["sync", "run.dbbd", "--out", "run.csv"]);
+    let mut table = Measurements::from_csv("t", &fs::read_to_string(at.join("run.csv")).unwrap()).unwrap();
+    table.rows[20].length_mm += 2.0;
+    let [outlier, excluded] = [20, 30].map(|place| table.rows[place].clone());
+    fs::write(at.join("slipped.csv"), table.to_csv()).unwrap();
+    let left_out = excluded.index.to_string();
+    let of_table = ["identify", "slipped.csv", "--robot", "kr60ha", "--centres", "plan/centres.csv"];
+    done(at, &[&of_table[..], &["--prior", "datasheet", "--exclude", &left_out, "--out", "o"]].concat());
+    let found: Vec<u32> = result(at, "o").outliers.iter().map(|outlier| outlier.index).collect();
+    assert_eq!(found, [outlier.index]);
+    assert!(
+        lengths(at, "o").rows.iter().all(|row| row.index != outlier.index && row.index != excluded.index)
+    );
+    for (rows, again) in [("o:outliers", &outlier), (&*format!("o:{left_out}"), &excluded)] {
+        done(at, &["plan", "job.toml", "--repeat", rows, "--out", "again", "--replace"]);
+        let plan = read_plan(&at.join("again/plan.csv")).unwrap();
+        let poses = plan.rows.iter().filter(|row| row.kind == PoseKind::Measure).map(|row| row.axes_deg);
+        let poses: Vec<[f64; 6]> = poses.collect();
+        assert_eq!(poses.len(), 1, "{rows}");
+        let off = poses[0].iter().zip(again.axes.degrees()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 1e-3, "{rows}: {off}");
+    }
+}
+
 /// A part of the same set-up has a second ball, with so few lengths that a fold may have none.
 #[test]
 fn a_part_of_the_same_set_up_may_have_another_ball() {

@@ -129,6 +129,9 @@ def identify(
     bar: ArrayLike | None = None,
     approach: ArrayLike | None = None,
     index: ArrayLike | None = None,
+    payload: str | Sequence[str] | None = None,
+    force_n: ArrayLike | None = None,
+    t_s: ArrayLike | None = None,
     tool_mm: Sequence[float] | None = None,
     estimate: str | None = None,
     hold: str | None = None,
@@ -138,6 +141,8 @@ def identify(
     folds: int | None = None,
     monte_carlo: int | None = None,
     workspace_deg: ArrayLike | None = None,
+    measured: str | None = None,
+    temperature_c: float | None = None,
 ) -> Result: ...
 def check(
     axes_deg: ArrayLike,
@@ -150,12 +155,17 @@ def check(
     bar: ArrayLike | None = None,
     approach: ArrayLike | None = None,
     index: ArrayLike | None = None,
+    payload: str | Sequence[str] | None = None,
+    force_n: ArrayLike | None = None,
+    t_s: ArrayLike | None = None,
     tolerance_mm: float | None = None,
     risk: float | None = ...,  # 0.05
     tool_repeat_mm: float = ...,  # 0.01
     ball_repeat_mm: float | None = None,
     bar_u_mm: float | None = None,
     workspace_deg: ArrayLike | None = None,
+    measured: str | None = None,
+    temperature_c: float | None = None,
 ) -> Check: ...
 def plan(job: _Path, *, robot: Robot | None = None) -> Plan: ...
 def request(request: Mapping[str, Any] | str) -> _Dict: ...

@@ -5,7 +5,7 @@ use crate::program::ProgramFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::AXES;
 
-/// A row with its time.
+/// A row at which the robot stops, with its time.
 #[derive(Clone, Copy, Debug)]
 pub struct Timed<'a> {
     pub row: &'a PlanRow,
@@ -15,7 +15,7 @@ pub struct Timed<'a> {
 }
 
 impl Timed<'_> {
-    /// Whether the row is numbered in its module: a dwell, or the end of a pass.
+    /// Whether the row is a counted stop: a dwell, or the end of a pass.
     fn is_counted(&self) -> bool {
         self.row.kind != PoseKind::Transit || self.pass.is_some()
     }
@@ -23,6 +23,43 @@ impl Timed<'_> {
     /// Whether the row is an auxiliary point of an arc or a pass.
     pub fn is_auxiliary(&self) -> bool {
         self.row.is_auxiliary() && self.pass.is_none()
+    }
+}
+
+impl Plan {
+    /// The rows at which the robot stops, in order. It does not stop at the points of a pass.
+    fn stops(&self) -> impl Iterator<Item = Timed<'_>> {
+        let rows = self.rows.iter().zip(&self.header.moves).filter(|(row, _)| !row.is_passed());
+        rows.map(|(row, time)| {
+            let pass = self.header.passes.iter().find(|pass| pass.end == row.index);
+            Timed { row, time, pass }
+        })
+    }
+
+    /// The stops that the program counts, in order: the dwells and the ends of the passes. For each the program raises the
+    /// strobe once, sets the next index, and reports the row of the stop.
+    pub fn counted_stops(&self) -> impl Iterator<Item = Timed<'_>> {
+        self.stops().filter(|stop| stop.is_counted())
+    }
+
+    /// How many counted stops are complete each time the bar is taken off: before a module for which it is mounted again, and
+    /// at the end.
+    ///
+    /// # Errors
+    /// The plan has no program.
+    pub fn removals(&self) -> Result<Vec<u32>, Diagnostic> {
+        let mut counted = 0;
+        let mut removals = Vec::new();
+        for module in modules(self)? {
+            if module.bar == Bar::ToBeMounted {
+                removals.push(counted);
+            }
+            counted += module.counted().count() as u32;
+        }
+        removals.push(counted);
+        removals.retain(|counted| *counted > 0);
+        removals.dedup();
+        Ok(removals)
     }
 }
 
@@ -87,19 +124,18 @@ pub fn modules(plan: &Plan) -> Result<Vec<Module<'_>>, Diagnostic> {
 fn groups(plan: &Plan) -> Result<Vec<(u32, Vec<Timed<'_>>)>, Diagnostic> {
     let mut groups: Vec<(u32, Vec<Timed<'_>>)> = Vec::new();
     let mut leading: Vec<Timed<'_>> = Vec::new();
-    for (row, time) in plan.rows.iter().zip(&plan.header.moves).filter(|(row, _)| !row.is_passed()) {
-        let pass = plan.header.passes.iter().find(|pass| pass.end == row.index);
-        let timed = Timed { row, time, pass };
+    for timed in plan.stops() {
+        let circle = timed.row.circle;
         match groups.last_mut() {
-            _ if row.circle == 0 => leading.push(timed),
-            Some((last, rows)) if *last == row.circle => {
+            _ if circle == 0 => leading.push(timed),
+            Some((last, rows)) if *last == circle => {
                 rows.append(&mut leading);
                 rows.push(timed);
             }
             _ => {
                 let mut rows = std::mem::take(&mut leading);
                 rows.push(timed);
-                groups.push((row.circle, rows));
+                groups.push((circle, rows));
             }
         }
     }
@@ -176,7 +212,7 @@ impl<'a> Module<'a> {
         }
     }
 
-    /// The rows that are numbered.
+    /// The counted stops of the module.
     pub fn counted(&self) -> impl Iterator<Item = &Timed<'a>> {
         self.rows.iter().filter(|timed| timed.is_counted())
     }
@@ -199,4 +235,76 @@ impl<'a> Module<'a> {
 /// Whether the axis angles of two rows are the same.
 fn same_place(a: Timed<'_>, b: Timed<'_>) -> bool {
     (0..AXES).all(|axis| (a.row.axes_deg[axis] - b.row.axes_deg[axis]).abs() < 1e-3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_support::circle_plan;
+
+    /// The stops that all modules count, by their rows.
+    fn of_modules(plan: &Plan) -> Vec<u32> {
+        let modules = modules(plan).unwrap();
+        modules.iter().flat_map(Module::counted).map(|timed| timed.row.index).collect()
+    }
+
+    fn of_plan(plan: &Plan) -> Vec<u32> {
+        plan.counted_stops().map(|stop| stop.row.index).collect()
+    }
+
+    /// Two circles of three dwells and a visit of the reference.
+    #[test]
+    fn dwells_are_counted() {
+        let plan = circle_plan::plan(2, 3);
+        let dwells = plan.rows.iter().filter(|row| row.dwell_s > 0.0).map(|row| row.index);
+        assert_eq!(of_plan(&plan), dwells.collect::<Vec<u32>>());
+        assert_eq!((of_plan(&plan).len(), of_modules(&plan)), (8, of_plan(&plan)));
+    }
+
+    /// The rows of the second circle as a pass: its points are not counted, its end is.
+    #[test]
+    fn a_pass_is_counted_once_at_its_end() {
+        let mut plan = circle_plan::plan(2, 3);
+        let points = plan.rows.iter_mut().filter(|row| row.circle == 2 && row.kind != PoseKind::Transit);
+        let passed: Vec<u32> = points
+            .map(|row| {
+                row.dwell_s = 0.0;
+                row.index
+            })
+            .collect();
+        let (first, last) = (passed[0], passed[passed.len() - 1]);
+        plan.header.passes.push(PlannedPass {
+            circle: 2,
+            clockwise: false,
+            through: [first - 2, first - 1],
+            points: [first, last],
+            end: last + 1,
+            sweep_deg: 60.0,
+            length_mm: 300.0,
+            feed_mm_s: 20.0,
+            acceleration_mm_s2: 200.0,
+            duration_s: 16.0,
+        });
+        let counted = of_plan(&plan);
+        assert_eq!(
+            (counted.len(), counted.last(), of_modules(&plan)),
+            (5, Some(&(last + 1)), counted.clone())
+        );
+        let ends: Vec<bool> = plan.counted_stops().map(|stop| stop.pass.is_some()).collect();
+        assert_eq!(ends, [false, false, false, false, true]);
+    }
+
+    #[test]
+    fn bar_is_taken_off_before_a_module_that_begins_elsewhere() {
+        let mut plan = circle_plan::plan(2, 3);
+        assert_eq!(plan.removals().unwrap(), [4, 8]);
+        let start = plan.rows.iter().position(|row| row.circle == 2).unwrap();
+        plan.rows[start].axes_deg = plan.rows[start - 1].axes_deg;
+        assert_eq!(plan.removals().unwrap(), [8]);
+        // The same place about another ball.
+        for row in &mut plan.rows[start..] {
+            row.centre = dbbd_model::robot::BallId::at(1);
+        }
+        assert_eq!(plan.removals().unwrap(), [4, 8]);
+    }
 }

@@ -22,20 +22,32 @@ pub struct DwellReport {
     pub axes_deg: [f64; AXES],
 }
 
-/// Measured axis angles of each reported dwell, degrees, by index: the mean of start and end. If a pose was driven
-/// twice, the last dwell counts.
-pub fn reported_axes(reports: &[DwellReport]) -> BTreeMap<u32, [f64; AXES]> {
-    let mut axes: BTreeMap<u32, [f64; AXES]> = BTreeMap::new();
-    let mut begin: Option<&DwellReport> = None;
+/// The reports of start and end of each dwell that has both, by index. If a pose was driven twice, the last such dwell
+/// counts.
+fn pairs(reports: &[DwellReport]) -> BTreeMap<u32, [&DwellReport; 2]> {
+    let mut pairs = BTreeMap::new();
+    let mut open: Option<&DwellReport> = None;
     for report in reports {
-        let before = begin.filter(|before| report.phase == 2 && before.index == report.index);
-        let mean = before.map_or(report.axes_deg, |before| {
-            std::array::from_fn(|axis| 0.5 * (before.axes_deg[axis] + report.axes_deg[axis]))
-        });
-        axes.insert(report.index, mean);
-        begin = (report.phase == 1).then_some(report);
+        match (report.phase, open) {
+            (1, _) => open = Some(report),
+            (2, Some(start)) if start.index == report.index => {
+                pairs.insert(report.index, [start, report]);
+                open = None;
+            }
+            _ => {}
+        }
     }
-    axes
+    pairs
+}
+
+/// Measured axis angles of each reported dwell, degrees, by index: the mean of start and end. Of a dwell without such a pair
+/// the last report counts.
+pub fn reported_axes(reports: &[DwellReport]) -> BTreeMap<u32, [f64; AXES]> {
+    let lone = reports.iter().map(|report| (report.index, report.axes_deg));
+    let mean = |[start, end]: [&DwellReport; 2]| {
+        std::array::from_fn(|axis| 0.5 * (start.axes_deg[axis] + end.axes_deg[axis]))
+    };
+    lone.chain(pairs(reports).into_iter().map(|(index, pair)| (index, mean(pair)))).collect()
 }
 
 /// Largest delay of a report, s.
@@ -54,22 +66,13 @@ pub(super) fn unused(reports: &[DwellReport], stream: &SampleStream) -> Option<M
     })
 }
 
-/// Intervals between the reports of start and end, by index, s of the stream. If a pose was driven twice, the last
-/// interval counts. `None` without an interval, or if the device clock cannot be compared with the host's.
+/// Intervals between the reports of start and end, by index, s of the stream. `None` without an interval, or if the device
+/// clock cannot be compared with the host's.
 pub(super) fn spans(reports: &[DwellReport], stream: &SampleStream) -> Option<BTreeMap<u32, Range<f64>>> {
-    let mut spans = BTreeMap::new();
-    let mut open: Option<(u32, f64)> = None;
-    for report in reports {
-        let t_s = stream.time_of(report.host)?;
-        match (report.phase, open) {
-            (1, _) => open = Some((report.index, t_s)),
-            (2, Some((index, start_s))) if index == report.index => {
-                spans.insert(index, start_s..t_s);
-                open = None;
-            }
-            _ => {}
-        }
-    }
+    let span = |(index, [start, end]): (u32, [&DwellReport; 2])| {
+        Some((index, stream.time_of(start.host)?..stream.time_of(end.host)?))
+    };
+    let spans: BTreeMap<u32, Range<f64>> = pairs(reports).into_iter().map(span).collect::<Option<_>>()?;
     (!spans.is_empty()).then_some(spans)
 }
 

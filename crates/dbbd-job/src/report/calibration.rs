@@ -123,7 +123,8 @@ fn points(found: &CompletedCalibration, observations: &Measurements, stride: usi
     let rows = observations.rows.iter();
     let along = Approach::along(rows.clone().map(|row| row.axes.radians()));
     let senses = along.map(|approach| approach.senses()).step_by(stride);
-    let drawn = rows.clone().enumerate().step_by(stride).zip(found.residuals(rows.step_by(stride)));
+    let drawn = rows.enumerate().step_by(stride);
+    let drawn = drawn.clone().zip(found.residuals(drawn));
     drawn
         .zip(senses)
         .map(|(((at, row), residual), senses)| ResidualPoint {

@@ -9,7 +9,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::estimation::{DistanceQuantities, Options, Priors};
-use dbbd_model::measurement::{LengthModel, Measurements, PreparedMeasurement};
+use dbbd_model::measurement::{LengthModel, Measurements, PreparedMeasurement, are_known};
 use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::{Coordinate, ParamId, Robot};
 use serde::{Deserialize, Serialize};
@@ -128,6 +128,15 @@ impl CheckedLengths {
         }
         findings
     }
+
+    /// Decides nothing if lengths of the check identified the robot, and says so. `known` counts these.
+    pub fn of_known_lengths(&mut self, known: usize) -> Option<ConformityFinding> {
+        let lengths = self.check.lengths;
+        are_known(known, lengths).then(|| {
+            self.check.decide_nothing();
+            ConformityFinding::LengthsOfCalibration { known, lengths }
+        })
+    }
 }
 
 impl CheckRequest {
@@ -157,13 +166,10 @@ impl CheckRequest {
         };
         let mut checked = CheckedLengths::of(&input, &given.observations)
             .map_err(|finding| Diagnostic::file(&self.robot, finding))?;
-        let (known, lengths) = (given.known_lengths(Some(Path::new(&self.robot)), session)?, readings.len());
+        let known = given.known_lengths(Some(Path::new(&self.robot)), session)?;
         session.findings(given.findings());
         session.findings(checked.findings());
-        if 2 * known > lengths {
-            session.finding(ConformityFinding::LengthsOfCalibration { known, lengths });
-            checked.check.decide_nothing();
-        }
+        session.findings(checked.of_known_lengths(known));
         if self.update && checked.check.update().is_none() && checked.check.is_explained() {
             session.finding(ConformityFinding::NothingToUpdate);
         }

@@ -27,7 +27,7 @@ pub use catalogue::RequestFinding;
 pub use child::{RequestChild, read_answer};
 pub use earlier::{other_run, read_identity};
 pub use protocols::{read_protocol, read_protocol_file};
-pub use robots::{carrying, edited};
+pub use robots::{aged, carrying, edited};
 pub use row_indices::RowIndices;
 pub use watch::{BusyIndicator, RequestWatch, WatchedFile, read_table};
 pub use workspace::checked_workspace;

@@ -37,8 +37,16 @@ pub fn carrying(
 
 /// The robot with what is known of it today.
 pub(super) fn today(robot: &Robot) -> Robot {
-    let date = Some(date::utc(clock::unix_ns()));
-    robot.under(&MeasurementConditions { date, temperature_c: None })
+    aged(robot, &mut MeasurementConditions::default())
+}
+
+/// The robot with what is known of it on the day on which lengths were measured. If that day is not known it is today, which
+/// the conditions of an identified robot then state: from this day on its uncertainty grows.
+pub fn aged(robot: &Robot, measured: &mut MeasurementConditions) -> Robot {
+    let day = measured.date.clone().unwrap_or_else(|| date::utc(clock::unix_ns()));
+    let aged = robot.under(&MeasurementConditions { date: Some(day), ..measured.clone() });
+    measured.date = measured.date.take().or_else(|| aged.measured.date.clone());
+    aged
 }
 
 /// The finding if the file of an identified robot lacks its posterior, or has values to which the posterior does not

@@ -3,17 +3,19 @@
 use std::path::Path;
 
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::estimation::result::ExcludedMeasurement;
-use dbbd_model::estimation::{CalibrationResult, Positions};
-use dbbd_model::measurement::{ApproachedPose, Measurement, Measurements, PoseKind};
-use dbbd_model::robot::{AXES, Approach, AxisAngles, BallId, BarId, Coordinate, Datum, ParamId, Robot};
+use dbbd_model::measurement::{LengthModel, Measurement, Measurements, PoseKind, PreparedMeasurement};
+use dbbd_model::robot::{
+    AXES, BallId, BarId, Coordinate, Datum, Geometry, ParamId, PayloadId, Robot, TargetId,
+};
 use nalgebra::Vector3;
 use serde::Serialize;
 
 use super::identify::{LENGTHS, ROBOT};
 use crate::files;
+use crate::plan::Plan;
 use crate::plan::job::ObstacleTable;
-use crate::plan::{Plan, PlanRow};
 use crate::recording::run::read_plan;
 
 /// A longer move of an axis is drawn with positions in between, degrees.
@@ -62,6 +64,7 @@ pub struct SceneResidual {
     /// Row of the plan.
     pub index: u32,
     pub ball: u32,
+    /// The target on the tool, which is the tool ball by default.
     pub at: [f64; 3],
     pub residual_mm: f64,
 }
@@ -150,6 +153,23 @@ fn path(plan: &Plan, robot: &Robot) -> Vec<ScenePosition> {
     path
 }
 
+/// The model of a result: its robot with the identified base balls, bars and targets.
+fn identified_model(geometry: Geometry, result: &CalibrationResult) -> LengthModel {
+    let value = |id: ParamId| result.parameter(id).map(|parameter| parameter.identified);
+    let place = |[x, y, z]: [ParamId; 3]| Some(Vector3::new(value(x)?, value(y)?, value(z)?));
+    let ball = |ball| place(Coordinate::ALL.map(|axis| ParamId::Ball(ball, axis)));
+    let target = |target| place(Coordinate::ALL.map(|axis| ParamId::Target(target, axis)));
+    LengthModel {
+        geometry,
+        balls: (0..).map_while(|at| ball(BallId::at(at))).collect(),
+        bar_offsets: (0..).map_while(|at| value(ParamId::BarOffset(BarId::at(at)))).collect(),
+        // The first target is the tool ball.
+        targets: (1..).map_while(|at| target(TargetId::at(at))).collect(),
+        // The scene shows lengths, no positions of a tracker.
+        tracker: None,
+    }
+}
+
 impl ResultAtPoses {
     fn read(directory: &Path, plan: &Plan) -> Result<Self, Diagnostic> {
         let [robot_file, lengths, result] = [ROBOT, LENGTHS, "result.json"].map(|name| directory.join(name));
@@ -158,34 +178,157 @@ impl ResultAtPoses {
         }
         let robot = Robot::from_toml(&robot_file.display().to_string(), &files::read_text(&robot_file)?)?;
         let table = Measurements::from_csv(&lengths.display().to_string(), &files::read_text(&lengths)?)?;
+        let table = table
+            .carrying(&robot.geometry.load)
+            .map_err(|finding| Diagnostic::file(lengths.display(), finding))?;
         let result =
             CalibrationResult::from_json(&result.display().to_string(), &files::read_text(&result)?)?;
-        let value = |id: ParamId| result.parameter(id).map_or(0.0, |parameter| parameter.identified);
-        let length = |place: &Vector3<f64>, ball: BallId, bar: BarId| {
-            let centre = Vector3::from(Coordinate::ALL.map(|axis| value(ParamId::Ball(ball, axis))));
-            (place - centre).norm() + value(ParamId::BarOffset(bar))
-        };
-        let places = |poses: &[ApproachedPose]| Positions::of(&robot, poses).balls;
-        let poses: Vec<ApproachedPose> =
-            table.rows.iter().map(|row| ApproachedPose { axes: row.axes, approach: row.approach }).collect();
-        let of_row = |(row, place): (&Measurement, &Vector3<f64>)| {
+        let model = identified_model(robot.geometry, &result);
+        Ok(Self { excluded: result.excluded, ..Self::of(&model, &table.rows, plan) })
+    }
+
+    /// What the model predicts for measured rows and for the rows of a plan.
+    fn of(model: &LengthModel, rows: &[Measurement], plan: &Plan) -> Self {
+        let prepared = model.prepare();
+        let residual = |row: &Measurement| {
             let Datum::Ball(ball, bar) = row.datum else { return None };
-            let residual_mm = row.length_mm - length(place, ball, bar);
-            Some(SceneResidual { index: row.index, ball: ball.number(), at: rounded(*place), residual_mm })
+            let identified = prepared.row(&PreparedMeasurement::from(row));
+            let distance_mm = identified.length - model.bar_offset(bar);
+            let at = rounded(model.balls.get(ball.index())? + identified.unit() * distance_mm);
+            let residual_mm = row.length_mm - identified.length;
+            Some(SceneResidual { index: row.index, ball: ball.number(), at, residual_mm })
         };
-        let residuals = table.rows.iter().zip(&places(&poses)).filter_map(of_row).collect();
-        let approaches = Approach::along(plan.rows.iter().map(|row| row.axes_deg.map(f64::to_radians)));
-        let measured = plan.rows.iter().zip(approaches).filter(|(row, _)| row.kind != PoseKind::Transit);
-        let pose = |(row, approach): (_, Approach)| {
-            let row: &PlanRow = row;
-            (row, ApproachedPose { axes: AxisAngles::from_degrees(row.axes_deg), approach })
+        let job = &plan.header.job;
+        let payloads = &model.geometry.load.payloads;
+        let carried = payloads.iter().position(|payload| job.payload.as_ref() == Some(&payload.name));
+        let payload = carried.map_or(PayloadId::FIRST, PayloadId::at);
+        let force_n = job.bar.force_n.unwrap_or(0.0);
+        let measured =
+            plan.rows.iter().zip(plan.approaches()).filter(|(row, _)| row.kind != PoseKind::Transit);
+        let expected = measured.map(|(row, approach)| {
+            let axes = row.axes_deg.map(f64::to_radians);
+            let planned = PreparedMeasurement::new(axes, row.centre, row.length_mm);
+            let planned = PreparedMeasurement { approach, payload, force_n, ..planned };
+            let deviation_mm = prepared.length(&planned) - row.length_mm;
+            ExpectedDeviation { index: row.index, deviation_mm }
+        });
+        Self {
+            residuals: rows.iter().filter_map(residual).collect(),
+            // A length from a base ball that the result does not know is NaN.
+            expected: expected.filter(|expected| expected.deviation_mm.is_finite()).collect(),
+            excluded: Vec::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use dbbd_model::measurement::MeasurementContext;
+    use dbbd_model::robot::{Approach, AxisAngles, Joint, Payload};
+
+    use super::*;
+    use crate::test_support::cell::kr60;
+    use crate::test_support::circle_plan;
+
+    const AXES_DEG: [f64; AXES] = [10.0, -60.0, 90.0, 5.0, 57.0, 20.0];
+    const FORCE_N: f64 = 100.0;
+
+    /// A robot without links' masses whose third joint gives way, with an empty flange and a gripper of 50 kg; a base ball
+    /// 300 mm below its tool ball, a bar that is 0.2 mm too long, and a second target.
+    fn model() -> LengthModel {
+        let mut geometry = kr60().geometry;
+        geometry.load.masses.clear();
+        let payload = |name: &str, kg| Payload { name: name.into(), kg, ..Payload::default() };
+        geometry.load.payloads = vec![payload("", 0.0), payload("gripper", 50.0)];
+        geometry.compliance = [0.0; AXES];
+        geometry.compliance[Joint::J3.index()] = 1e-6;
+        let ball = geometry.ball(&axes()).position - Vector3::new(0.0, 0.0, 300.0);
+        let target = Vector3::new(-80.0, 30.0, 150.0);
+        LengthModel {
+            geometry,
+            balls: vec![ball],
+            bar_offsets: vec![0.2],
+            targets: vec![target],
+            tracker: None,
+        }
+    }
+
+    fn axes() -> [f64; AXES] {
+        AXES_DEG.map(f64::to_radians)
+    }
+
+    fn row(length_mm: f64) -> Measurement {
+        Measurement {
+            index: 7,
+            datum: Datum::Ball(BallId::FIRST, BarId::FIRST),
+            target: TargetId::FIRST,
+            axes: AxisAngles::from_degrees(AXES_DEG),
+            approach: Approach::default(),
+            length_mm,
+            sigma_mm: None,
+            payload: PayloadId::FIRST,
+            context: None,
+        }
+    }
+
+    /// The residual of an exact row, and the distance of the place where it is drawn from the place of the target.
+    fn residual(row: Measurement, target: Vector3<f64>) -> [f64; 2] {
+        let plan = circle_plan::plan(1, 3);
+        let found = ResultAtPoses::of(&model(), &[row], &plan).residuals;
+        assert_eq!((found.len(), found[0].index, found[0].ball), (1, 7, 1));
+        [found[0].residual_mm.abs(), (Vector3::from(found[0].at) - target).norm()]
+    }
+
+    /// The tool ball under 50 kg, another target, and a pull that turns joint 3 by its compliance times the torque.
+    #[test]
+    fn residual_of_an_exact_length_is_zero_whatever_it_was_measured_with() {
+        let model = model();
+        let ball = model.balls[0];
+        let plain = model.geometry.ball(&axes()).position;
+        let length = |place: Vector3<f64>| (place - ball).norm() + 0.2;
+        let mut loaded = model.geometry.clone();
+        loaded.load.payloads.swap(0, 1);
+        let sagged = loaded.ball(&axes()).position;
+        let flange = model.geometry.flange(&axes());
+        let target = flange.position + flange.rotation * model.targets[0];
+        let (shift, _) = model.geometry.axis_jacobian(&axes())[Joint::J3.index()];
+        let torque_nm = 1e-3 * shift.dot(&((ball - plain).normalize() * FORCE_N));
+        let pulled = plain + shift * (1e-6 * torque_nm);
+        let context = MeasurementContext { force_n: Some(FORCE_N), ..MeasurementContext::default() };
+        for (place, measured, least_mm) in [
+            (plain, row(length(plain)), 0.0),
+            (sagged, Measurement { payload: PayloadId::at(1), ..row(length(sagged)) }, 0.1),
+            (target, Measurement { target: TargetId::at(1), ..row(length(target)) }, 1.0),
+            (pulled, Measurement { context: Some(Arc::new(context)), ..row(length(pulled)) }, 0.01),
+        ] {
+            // The rigid distance of the tool ball is another length.
+            assert!((measured.length_mm - length(plain)).abs() >= least_mm, "{measured:?}");
+            let [residual_mm, beside_mm] = residual(measured, place);
+            assert!(residual_mm < 1e-4 && beside_mm < 0.3, "{residual_mm} {beside_mm}");
+        }
+    }
+
+    /// The plan is exact for a robot that carries nothing and a bar that does not pull.
+    #[test]
+    fn expected_length_has_the_pull_of_the_bar_and_the_payload_of_the_job() {
+        let ball = Vector3::from(circle_plan::BALL_MM);
+        let model = LengthModel { balls: vec![ball], bar_offsets: vec![], ..model() };
+        let deviations = |change: fn(&mut Plan)| -> Vec<f64> {
+            let mut plan = circle_plan::plan(1, 4);
+            change(&mut plan);
+            let expected = ResultAtPoses::of(&model, &[], &plan).expected;
+            expected.iter().map(|expected| expected.deviation_mm).collect()
         };
-        let (rows, poses): (Vec<&PlanRow>, Vec<ApproachedPose>) = measured.map(pose).unzip();
-        let expected = |(row, place): (&&PlanRow, &Vector3<f64>)| ExpectedDeviation {
-            index: row.index,
-            deviation_mm: length(place, row.centre, BarId::FIRST) - row.length_mm,
-        };
-        let expected = rows.iter().zip(&places(&poses)).map(expected).collect();
-        Ok(Self { residuals, expected, excluded: result.excluded })
+        let plain = deviations(|_| {});
+        assert_eq!(plain.len(), 5);
+        assert!(plain.iter().all(|mm| mm.abs() < 0.002), "{plain:?}");
+        let pulled = deviations(|plan| plan.header.job.bar.force_n = Some(FORCE_N));
+        assert!(pulled.iter().all(|mm| *mm < 0.001) && pulled.iter().any(|mm| *mm < -0.002), "{pulled:?}");
+        let loaded = deviations(|plan| plan.header.job.payload = Some("gripper".into()));
+        assert!(loaded.iter().any(|mm| mm.abs() > 0.02), "{loaded:?}");
+        // A base ball that the result does not know.
+        assert_eq!(deviations(|plan| plan.rows[7].centre = BallId::at(1)).len(), 4);
     }
 }

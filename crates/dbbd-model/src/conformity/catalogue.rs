@@ -49,9 +49,10 @@ findings! {
             NoRobotBeside { looked_for: String } => "there is no {looked_for} beside it";
         }
         I1906 "the results estimate different parameters",
-        cause: "A parameter was estimated in one result and not in another one. What was not estimated acts on the others, so that their changes need not be changes of the robot.",
+        cause: "A parameter was estimated in one result and not in another one, or a result has errors of the joints. What was not estimated acts on the others, so that their changes need not be changes of the robot.",
         cure: "Identify all results with the same options from like poses." {
             DifferentlyEstimated { parameters: Names } => "{parameters} are not estimated in all results and are not compared";
+            JointErrorsNotCompared { with: usize, results: usize } => "{with} of {results} results have errors of the joints: they are not compared, and the position change is of the parameters alone";
         }
         E1910 "the robot cannot be checked",
         cause: "A check compares with what the calibration left unknown, the table [posterior] of robot-identified.toml. The file has none, its values were changed since, or it is the file of another robot than the plan's.",

@@ -25,6 +25,7 @@ pub struct StoredResult {
     pub file: String,
     robot: String,
     parameters: BTreeMap<ParamId, EstimatedParameter>,
+    has_joint_errors: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -91,7 +92,13 @@ impl StoredResult {
             let sd = parameter.sd.filter(|sd| *sd > 0.0 && sd.is_finite());
             parameters.insert(id, EstimatedParameter { nominal, identified, value: sd.map(value) });
         }
-        Ok(Self { file: file.into(), robot: result.robot, parameters })
+        let has_joint_errors = result.joint_errors.is_some();
+        Ok(Self { file: file.into(), robot: result.robot, parameters, has_joint_errors })
+    }
+
+    /// Whether it identified errors of the joints. The comparison is of the parameters alone.
+    pub fn has_joint_errors(&self) -> bool {
+        self.has_joint_errors
     }
 }
 
@@ -178,7 +185,11 @@ struct ComparedWorkspace {
 impl ComparedWorkspace {
     fn new(robot: &Robot, first: &StoredResult, last: &StoredResult) -> Self {
         let moves = |id: &ParamId| id.moves_tool_ball();
-        let ids: Vec<ParamId> = first.parameters.keys().copied().filter(moves).collect();
+        let all: BTreeMap<ParamId, f64> = [last, first]
+            .iter()
+            .flat_map(|result| result.parameters.iter().map(|(id, found)| (*id, found.nominal)))
+            .collect();
+        let ids: Vec<ParamId> = all.keys().copied().filter(moves).collect();
         let mut geometry = robot.geometry.clone();
         for id in &ids {
             if let (Some(value), Some(found)) = (geometry.value_mut(*id), first.parameters.get(id)) {
@@ -186,8 +197,10 @@ impl ComparedWorkspace {
             }
         }
         let change = |id: &ParamId| {
-            let value = |result: &StoredResult| result.parameters.get(id).map(|found| found.identified);
-            value(last).zip(value(first)).map_or(0.0, |(last, first)| last - first)
+            // What a result does not list is at its nominal value there.
+            let value =
+                |result: &StoredResult| result.parameters.get(id).map_or(all[id], |found| found.identified);
+            value(last) - value(first)
         };
         let whole = DMatrix::from_iterator(ids.len(), 1, ids.iter().map(change));
         let poses = Options::default().workspace_poses(robot).into_owned();

@@ -201,7 +201,11 @@ impl<'a> Calibration<'a> {
             residual_mm: checks.residual_mm,
             folds: checks.folds,
             validation: checks.validation,
-            distance: DistanceQuantities::of(&self.observations.rows, &estimate.fit.model),
+            distance: DistanceQuantities::of_used(
+                &self.observations.rows,
+                estimate.used(&self.lengths),
+                &estimate.fit.model,
+            ),
             groups: estimate.groups.clone(),
             joint_errors,
             hypotheses,
@@ -225,6 +229,8 @@ impl<'a> Calibration<'a> {
             position_parts: prediction.parts,
             map: prediction.map,
             excluded_rows,
+            event_mm: estimate.event_mm,
+            wrong_balls: estimate.wrong_balls,
             of_estimate,
         }
     }
@@ -305,7 +311,8 @@ impl<'a> Calibration<'a> {
                 Datum::Ball(..) => residual(place),
                 Datum::Plane(_) => places.clone().map(|at| residual(at).powi(2)).sum::<f64>().sqrt(),
             };
-            (places, Outlier { index: row.index, ball: row.datum.ball(), residual_mm })
+            let (ball, axes_deg) = (row.datum.ball(), row.axes.degrees());
+            (places, Outlier { index: row.index, ball, axes_deg, residual_mm })
         };
         let is_first = move |place: &usize| self.observations.rows[*place].datum.is_first();
         self.estimate.fit.outliers.iter().copied().filter(is_first).map(outlier)

@@ -39,10 +39,10 @@ findings! {
             NotAPoint => "three numbers in mm are needed, as 30,20,10";
         }
         E1306 "parts of a measurement cannot be joined",
-        cause: "A capture or a table is given twice, also under another name or as a copy, or a part has positions of a tracker.",
+        cause: "A capture or a table is given twice, also under another name, as a copy or in part, or a part has positions of a tracker.",
         cure: "Give each capture and table once, and positions by their own option.",
         asks: [Positions] {
-            PartTwice { other: String } => "its lengths are those of {other}: they would count twice";
+            PartTwice { other: String } => "it has lengths of {other}: they would count twice";
             PartOfPositions => "positions of a tracker are not a part of a measurement with a bar";
         }
         I1342 "how the parts of a measurement belong together",
@@ -220,7 +220,7 @@ findings! {
             CouldBeFrom { event: &'static str, index: u32, size: f64, unit: &'static str, probability: f64, rivals: String } => "could be {event} from index {index} on, {size:.4} {unit} (probability {probability:.2}){rivals}";
         }
         W1334 "lengths that identified the robot are used again",
-        cause: "Most of these lengths are in the lengths.csv beside the robot's file or the table of the prior, which holds them already. Counted twice, they would state an accuracy that they do not have.",
+        cause: "More of these lengths than by chance are in the lengths.csv beside the robot's file or the table of the prior, which holds them already. Counted twice, they would state an accuracy that they do not have.",
         cure: "Nothing: the prior of the data sheet was used. To identify again, give the nominal robot; to go on, give only new lengths." {
             KnownLengths { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot already: what they showed is not used as a prior";
         }

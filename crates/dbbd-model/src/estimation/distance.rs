@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
+use super::lengths::Weighted;
 use crate::math::distributions::{chi_square_exceeded, coverage_95};
 use crate::math::straight_line::RegressionLine;
 use crate::measurement::{LengthModel, Measurement, PreparedMeasurement};
@@ -47,9 +48,24 @@ struct Visit {
 }
 
 impl DistanceQuantities {
-    /// `None` if no pose was measured more than once. `model` has the base balls of the lengths.
+    /// Of all rows as they were measured. `None` if no pose was measured more than once. `model` has the base balls of the
+    /// lengths.
     pub fn of(rows: &[Measurement], model: &LengthModel) -> Option<Self> {
-        let visits = visits(rows, model);
+        Self::of_places(rows, 0..rows.len(), |at| PreparedMeasurement::from(&rows[at]), model)
+    }
+
+    /// As [`Self::of`], of the lengths that a fit used, without what certain events added.
+    pub(super) fn of_used(rows: &[Measurement], used: Weighted<'_>, model: &LengthModel) -> Option<Self> {
+        Self::of_places(rows, used.used_places(), |at| used.lengths().reading(at), model)
+    }
+
+    fn of_places(
+        rows: &[Measurement],
+        places: impl Iterator<Item = usize>,
+        reading: impl Fn(usize) -> PreparedMeasurement,
+        model: &LengthModel,
+    ) -> Option<Self> {
+        let visits = visits(rows, places, reading, model);
         let pooled = Pooled::of(&visits)?;
         Some(Self {
             poses: pooled.means.len(),
@@ -63,20 +79,25 @@ impl DistanceQuantities {
 }
 
 /// The lengths at poses with the same commanded angles, ball and bar.
-fn visits(rows: &[Measurement], model: &LengthModel) -> Vec<Visit> {
+fn visits(
+    rows: &[Measurement],
+    places: impl Iterator<Item = usize>,
+    reading: impl Fn(usize) -> PreparedMeasurement,
+    model: &LengthModel,
+) -> Vec<Visit> {
     let model = model.prepare();
-    let key = |row: &Measurement| (row.datum, row.target, row.axes.degrees().map(f64::to_bits));
-    let mut places: Vec<usize> = (0..rows.len()).filter(|at| !rows[*at].datum.is_plane()).collect();
-    places.sort_by_key(|at| key(&rows[*at]));
-    let repeated = places.chunk_by(|a, b| key(&rows[*a]) == key(&rows[*b])).filter(|group| group.len() > 1);
-    let visit = |pose: usize, row: &Measurement| {
-        let deviation_mm = model.residual(&PreparedMeasurement::from(row));
+    let key = |at: usize| (reading(at).datum, rows[at].target, rows[at].axes.degrees().map(f64::to_bits));
+    let mut places: Vec<usize> = places.filter(|at| !rows[*at].datum.is_plane()).collect();
+    places.sort_by_cached_key(|at| key(*at));
+    let repeated = places.chunk_by(|a, b| key(*a) == key(*b)).filter(|group| group.len() > 1);
+    let visit = |pose: usize, at: usize| {
+        let (row, deviation_mm) = (&rows[at], model.residual(&reading(at)));
         let time_s = row.context.as_ref().and_then(|context| context.time_s);
         Visit { pose, deviation_mm, time_h: time_s.map(|time_s| (time_s * 1e6).round() / 3.6e9) }
     };
     let mut visits = Vec::new();
     for (pose, group) in repeated.enumerate() {
-        visits.extend(group.iter().map(|at| visit(pose, &rows[*at])));
+        visits.extend(group.iter().map(|at| visit(pose, *at)));
     }
     visits
 }
@@ -189,6 +210,7 @@ fn repeatability_drift(visits: &[Visit]) -> Option<DistanceQuantity> {
 mod tests {
     use nalgebra::Vector3;
 
+    use super::super::lengths::{Lengths, Sigma};
     use super::*;
     use crate::measurement::{AxisAngles, BallId, BarId, BaseBall, Datum, MeasurementContext, TargetId};
     use crate::robot::{Approach, PayloadId, Robot};
@@ -237,6 +259,15 @@ mod tests {
         assert!(drift.interval95[0] < 0.0 && drift.interval95[1] > 0.0);
         assert!(found.repeatability_drift.is_none());
         assert!(DistanceQuantities::of(&rows[..3], &model).is_none());
+        // An outlier and a step of the bar that the fit has taken away are no properties of the robot.
+        let mut disturbed = rows.clone();
+        disturbed.iter_mut().for_each(|row| row.length_mm += 0.3);
+        disturbed.push(Measurement { index: 13, length_mm: rows[0].length_mm + 2.0, ..rows[0].clone() });
+        let readings = rows.iter().chain(&disturbed[12..]).map(PreparedMeasurement::from).collect();
+        let corrected = Lengths::few(readings, vec![1.0; 13]);
+        let used = corrected.weighted(Sigma::All(1.0), &[12]);
+        let used = DistanceQuantities::of_used(&disturbed, used, &model);
+        assert_eq!(used, DistanceQuantities::of(&rows, &model));
     }
 
     /// Six visits with deviations of +-0.01 mm, then six with +-0.03 mm: variances of 6e-4 / 5 and 54e-4 / 5 about the means.

@@ -111,7 +111,7 @@ pub(crate) struct Estimate {
     /// Events that happened while the lengths were measured, or could have happened.
     pub(super) events: Vec<JudgedEvent>,
     /// The effect of the certain events on each length, mm; empty without such events.
-    event_mm: Vec<f64>,
+    pub(super) event_mm: Vec<f64>,
     /// The errors that a result of the geometry alone leaves out.
     pub(super) left_out: Option<GeometryRemainder>,
     /// Rows that belong to another ball than the table says.

@@ -108,8 +108,9 @@ pub(super) struct SupposedEvent {
     pub(super) joint: Option<Joint>,
     /// Elapsed time of the first row that the event concerns, and the place of that row; `None` for all rows.
     pub(super) from: Option<(f64, usize)>,
-    /// Whether a drift is proportional to the length, as of a bar that warms up, or the same for all lengths.
-    pub(super) grows: bool,
+    /// The length, mm, that a drift in proportion to the length changes by the event's size, as of a bar that warms up;
+    /// `None` if the drift is the same for all lengths.
+    pub(super) grown_mm: Option<f64>,
     /// Prior standard deviation of the event's size, mm; for the zero of an axis mrad.
     pub(super) size: f64,
 }
@@ -143,8 +144,6 @@ impl SupposedEvent {
     /// The columns of the event at the rows, mm per unit of its size.
     pub(super) fn of_rows(&self, rows: &PoseRows, lengths: &Lengths) -> DMatrix<f64> {
         let mut columns = DMatrix::zeros(rows.lengths.len(), self.columns());
-        let sum: f64 = rows.lengths.iter().map(|length| lengths.reading(length.place).length_mm).sum();
-        let mean_mm = sum / rows.lengths.len().max(1) as f64;
         for (row, length) in rows.lengths.iter().enumerate() {
             let elapsed = lengths.elapsed(length.place).unwrap_or(0.0);
             let is_before = self.from.is_some_and(|(from, _)| elapsed < from);
@@ -153,10 +152,10 @@ impl SupposedEvent {
             }
             let along: [f64; 3] = match self.kind {
                 SupposedEventKind::BarZeroStep | SupposedEventKind::BallOffset => [1.0, 0.0, 0.0],
-                SupposedEventKind::BarZeroDrift if self.grows => {
-                    [elapsed * lengths.reading(length.place).length_mm / mean_mm, 0.0, 0.0]
+                SupposedEventKind::BarZeroDrift => {
+                    let length_mm = lengths.reading(length.place).length_mm;
+                    [elapsed * self.grown_mm.map_or(1.0, |grown_mm| length_mm / grown_mm), 0.0, 0.0]
                 }
-                SupposedEventKind::BarZeroDrift => [elapsed, 0.0, 0.0],
                 SupposedEventKind::BaseBallMoved => rows.lengths[row].unit.map(|part| -part),
                 SupposedEventKind::ToolBallMoved => rows.lengths[row].target,
                 SupposedEventKind::JointZeroStep => {
@@ -331,7 +330,7 @@ impl<'a> EventSearch<'a> {
         balls.sort_unstable();
         balls.dedup();
         let event =
-            SupposedEvent { kind, bar: None, ball: None, joint: None, from: None, grows: false, size: 0.0 };
+            SupposedEvent { kind, bar: None, ball: None, joint: None, from: None, grown_mm: None, size: 0.0 };
         let of_bars = || bars.iter().map(|bar| SupposedEvent { bar: Some(*bar), ..event });
         let of_balls = || balls.iter().map(|ball| SupposedEvent { ball: Some(*ball), ..event });
         let whole: Vec<SupposedEvent> = match kind {
@@ -367,8 +366,14 @@ impl<'a> EventSearch<'a> {
             return Vec::new();
         };
         if matches!(event.kind, SupposedEventKind::BarZeroDrift | SupposedEventKind::TrackerDrift) {
-            let grown = SupposedEvent { grows: event.kind == SupposedEventKind::BarZeroDrift, ..event };
-            return if inner.is_empty() { Vec::new() } else { vec![event, grown] };
+            if inner.is_empty() {
+                return Vec::new();
+            }
+            let rows = &self.rows.lengths;
+            let sum_mm: f64 = rows.iter().map(|length| self.lengths.reading(length.place).length_mm).sum();
+            let grown_mm =
+                (event.kind == SupposedEventKind::BarZeroDrift).then(|| sum_mm / rows.len() as f64);
+            return vec![event, SupposedEvent { grown_mm, ..event }];
         }
         let mut first: Vec<(f64, usize)> = inner.to_vec();
         first.dedup_by(|next, before| next.0 == before.0);
@@ -528,6 +533,8 @@ mod tests {
         PoseRows::at(model, &lengths.plain(), ids, |_| None)
     }
 
+    const GROWN_MM: f64 = 400.0;
+
     fn event(kind: SupposedEventKind, from: Option<(f64, usize)>) -> SupposedEvent {
         SupposedEvent {
             kind,
@@ -535,7 +542,7 @@ mod tests {
             ball: None,
             joint: None,
             from,
-            grows: kind == SupposedEventKind::BarZeroDrift,
+            grown_mm: (kind == SupposedEventKind::BarZeroDrift).then_some(GROWN_MM),
             size: 0.5,
         }
     }
@@ -601,7 +608,6 @@ mod tests {
         }
         let bar = moved(ParamId::BarOffset(BarId::FIRST));
         let step_of_bar = event(SupposedEventKind::BarZeroStep, from).of_rows(&at, &lengths);
-        let mean_mm = all.iter().map(|one| one.length_mm).sum::<f64>() / 40.0;
         let drift = event(SupposedEventKind::BarZeroDrift, None).of_rows(&at, &lengths);
         let drifted = event(SupposedEventKind::TrackerDrift, None).of_rows(&at, &lengths);
         let mut second = event(SupposedEventKind::BallOffset, None);
@@ -610,7 +616,7 @@ mod tests {
         for row in 0..40 {
             let elapsed = row as f64 / 39.0;
             assert!((step_of_bar[row] - if row < 10 { 0.0 } else { bar[row] }).abs() < 1e-6, "{row}");
-            assert!((drift[row] - elapsed * bar[row] * all[row].length_mm / mean_mm).abs() < 1e-6, "{row}");
+            assert!((drift[row] - elapsed * bar[row] * all[row].length_mm / GROWN_MM).abs() < 1e-6, "{row}");
             let is_second = all[row].datum.ball() == Some(BallId::at(1));
             assert_eq!(offset[row], if is_second { 1.0 } else { 0.0 });
             let own = all[row].datum.is_plane();

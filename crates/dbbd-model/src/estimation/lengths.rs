@@ -110,9 +110,7 @@ impl<'a> Lengths<'a> {
     /// The same measurements, some of them to another ball.
     pub(super) fn relabelled(&self, balls: &[(usize, BallId)]) -> Self {
         let mut other = self.clone();
-        let relabel = |datum: &mut Datum, ball: BallId| {
-            *datum = datum.bar().map_or(*datum, |bar| Datum::Ball(ball, bar))
-        };
+        let relabel = |datum: &mut Datum, ball: BallId| *datum = datum.to_ball(ball);
         match &mut other.rows {
             Rows::Few(readings, _) => {
                 balls.iter().for_each(|(at, ball)| relabel(&mut readings[*at].datum, *ball))

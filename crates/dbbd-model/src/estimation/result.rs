@@ -17,7 +17,7 @@ use crate::base::serialised::Seal;
 use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
 use crate::estimation::ResultFinding;
 use crate::measurement::{LengthModel, Measurement, Measurements, PreparedMeasurement};
-use crate::robot::{BallId, ParamId, ParamUnit, Robot};
+use crate::robot::{AXES, BallId, ParamId, ParamUnit, Robot};
 
 /// The schema of `result.json`.
 pub(super) const RESULT_SCHEMA: u32 = 2;
@@ -159,6 +159,10 @@ pub struct CompletedCalibration {
     pub map: Vec<MapPoint>,
     /// Rows of the observations that are not used: a range for each outlier, in their order.
     pub excluded_rows: Vec<Range<usize>>,
+    /// What certain events added to each length, mm; empty if there was none.
+    pub(super) event_mm: Vec<f64>,
+    /// Rows whose ball number is wrong, ascending, with their own ball.
+    pub(super) wrong_balls: Vec<(usize, BallId)>,
     /// Number of the findings of the estimate. They are the first ones of the result; the others are about the inputs.
     pub(super) of_estimate: usize,
 }
@@ -174,15 +178,20 @@ impl CompletedCalibration {
         self.diagnostics().skip(self.of_estimate).collect()
     }
 
-    /// The residuals of observations, measured minus predicted.
+    /// The residuals of rows of the observations, measured minus predicted, as the fit has them: without what certain
+    /// events added, and each to its own ball.
     pub fn residuals<'a>(
         &'a self,
-        rows: impl IntoIterator<Item = &'a Measurement>,
+        rows: impl IntoIterator<Item = (usize, &'a Measurement)>,
     ) -> impl Iterator<Item = ResidualPair> {
         let (before, after) = (self.before.prepare(), self.posterior.model.prepare());
-        rows.into_iter().map(PreparedMeasurement::from).map(move |reading| ResidualPair {
-            before: before.residual(&reading),
-            after: after.residual(&reading),
+        rows.into_iter().map(move |(place, row)| {
+            let mut reading = PreparedMeasurement::from(row);
+            reading.length_mm -= self.event_mm.get(place).copied().unwrap_or(0.0);
+            if let Ok(wrong) = self.wrong_balls.binary_search_by_key(&place, |(place, _)| *place) {
+                reading.datum = reading.datum.to_ball(self.wrong_balls[wrong].1);
+            }
+            ResidualPair { before: before.residual(&reading), after: after.residual(&reading) }
         })
     }
 
@@ -192,6 +201,7 @@ impl CompletedCalibration {
         let excluded = |row: &Measurement| ExcludedMeasurement {
             index: row.index,
             ball: row.datum.ball(),
+            axes_deg: row.axes.degrees(),
             residual_mm: after.residual(&PreparedMeasurement::from(row)),
             by: by.map(str::to_owned),
             reason: reason.map(str::to_owned),
@@ -447,6 +457,7 @@ pub struct Outlier {
     pub index: u32,
     /// `None` for a position.
     pub ball: Option<BallId>,
+    pub axes_deg: [f64; AXES],
     /// Residual of the length; for a position the 3-D distance.
     pub residual_mm: f64,
 }
@@ -458,6 +469,7 @@ pub struct ExcludedMeasurement {
     pub index: u32,
     /// `None` for a position.
     pub ball: Option<BallId>,
+    pub axes_deg: [f64; AXES],
     /// Residual with the identified robot, which was fitted without this measurement.
     pub residual_mm: f64,
     /// Who left the measurement out; `None` if nobody is stated.

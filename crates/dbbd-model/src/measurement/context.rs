@@ -40,8 +40,6 @@ pub struct MeasurementContext {
     pub temperature_c: Option<f64>,
     /// The controller's axis angles at which the tool ball touched the place of the base ball, degrees.
     pub taught_deg: Option<Box<[f64; AXES]>>,
-    /// The change of the bar's zero that was subtracted from the length, mm.
-    pub zero_mm: Option<f64>,
     /// Force with which the bar pulled the tool ball towards the base ball, N.
     pub force_n: Option<f64>,
     /// Cells by their column's number that the fields do not reproduce: the user's own columns, and other spellings of a
@@ -60,14 +58,13 @@ pub enum ContextColumn {
     AngleDeg,
     TemperatureC,
     TaughtDeg,
-    ZeroMm,
     ForceN,
     /// A column of the user.
     Other(String),
 }
 
 impl ContextColumn {
-    const NAMED: [(Self, &'static str); 10] = [
+    const NAMED: [(Self, &'static str); 9] = [
         (Self::Kind, "kind"),
         (Self::TimeS, "t_s"),
         (Self::Samples, "samples"),
@@ -76,7 +73,6 @@ impl ContextColumn {
         (Self::AngleDeg, "angle_deg"),
         (Self::TemperatureC, "temp_c"),
         (Self::TaughtDeg, "taught_deg"),
-        (Self::ZeroMm, "zero_mm"),
         (Self::ForceN, "force_n"),
     ];
 
@@ -114,7 +110,6 @@ impl MeasurementContext {
                 ContextColumn::AngleDeg => context.angle_deg = cell.parse().ok(),
                 ContextColumn::TemperatureC => context.temperature_c = cell.parse().ok(),
                 ContextColumn::TaughtDeg => context.taught_deg = angles(cell).map(Box::new),
-                ContextColumn::ZeroMm => context.zero_mm = cell.parse().ok(),
                 ContextColumn::ForceN => context.force_n = cell.parse().ok(),
                 ContextColumn::Other(_) => {}
             }
@@ -146,11 +141,16 @@ impl MeasurementContext {
             ContextColumn::TaughtDeg => {
                 self.taught_deg.as_ref().map(|axes| axes.map(|deg| deg.to_string()).join(" "))
             }
-            ContextColumn::ZeroMm => self.zero_mm.map(|mm| mm.to_string()),
             ContextColumn::ForceN => self.force_n.map(|newtons| newtons.to_string()),
             ContextColumn::Other(_) => None,
         };
         text.unwrap_or_default()
+    }
+
+    /// The same in a table in which column number `at` has the number `places[at]`.
+    pub(super) fn in_columns(&self, places: &[usize]) -> Self {
+        let texts = self.texts.iter().map(|(at, text)| (places[*at], text.clone()));
+        Self { texts: texts.collect(), ..self.clone() }
     }
 
     /// Appends the cells of all columns, each after a comma.

@@ -215,8 +215,20 @@ impl Measurements {
         Ok(self)
     }
 
-    /// Appends the rows of a further table of the same robot. Of its further columns only the pull of the bar is kept,
-    /// because the lengths depend on it.
+    /// Adds seconds to the times of all rows.
+    pub fn delay(&mut self, by_s: f64) {
+        if by_s == 0.0 {
+            return;
+        }
+        for context in self.rows.iter_mut().filter_map(|row| row.context.as_mut()) {
+            let context = Arc::make_mut(context);
+            context.time_s = context.time_s.map(|time_s| time_s + by_s);
+            // The spelling of the time that was read.
+            context.texts.retain(|(at, _)| self.columns[*at] != ContextColumn::TimeS);
+        }
+    }
+
+    /// Appends the rows of a further table of the same robot, with the columns of both.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -233,20 +245,21 @@ impl Measurements {
             if are_named { known.unwrap_or_else(appended) } else { at }
         };
         let places: Vec<usize> = further.payloads.iter().enumerate().map(place).collect();
+        let mut columns = self.columns;
+        let column = |column: &ContextColumn| {
+            columns.iter().position(|known| known == column).unwrap_or_else(|| {
+                columns.push(column.clone());
+                columns.len() - 1
+            })
+        };
+        let column_places: Vec<usize> = further.columns.iter().map(column).collect();
         let appended = further.rows.iter().map(|row| {
-            let force_n = row.context.as_ref().and_then(|context| context.force_n);
-            let context =
-                force_n.map(|_| Arc::new(MeasurementContext { force_n, ..MeasurementContext::default() }));
+            let context = row.context.as_deref().map(|context| Arc::new(context.in_columns(&column_places)));
             let payload = places.get(row.payload.index()).map_or(row.payload, |at| PayloadId::at(*at));
             Measurement { context, payload, ..row.clone() }
         });
         self.rows.extend(appended);
-        let has_force =
-            self.rows.iter().any(|row| row.context.as_ref().is_some_and(|it| it.force_n.is_some()));
-        if has_force && !self.columns.contains(&ContextColumn::ForceN) {
-            self.columns.push(ContextColumn::ForceN);
-        }
-        let all = Self::new(self.rows, self.columns)?;
+        let all = Self::new(self.rows, columns)?;
         let payloads = if are_named { payloads } else { further.payloads.clone() };
         Ok(Self { payloads, ..all })
     }
@@ -590,7 +603,7 @@ mod tests {
         ));
         assert!(read.check("t.csv", read.set_up(2)).is_ok() && read.check("t.csv", read.set_up(1)).is_err());
         let both = read.clone().and(&read).unwrap();
-        assert_eq!((both.rows.len(), both.rows[2].context.is_none()), (4, true));
+        assert_eq!((both.rows.len(), both.rows[2].context == read.rows[0].context), (4, true));
     }
 
     /// Tables that name payloads in another order, and one that names none.

@@ -90,6 +90,11 @@ impl Datum {
         }
     }
 
+    /// The length to another ball; a plane stays as it is.
+    pub(crate) fn to_ball(self, ball: BallId) -> Self {
+        self.bar().map_or(self, |bar| Self::Ball(ball, bar))
+    }
+
     pub(crate) fn is_plane(self) -> bool {
         matches!(self, Self::Plane(_))
     }

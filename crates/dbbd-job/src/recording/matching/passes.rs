@@ -10,7 +10,6 @@ use std::ops::Range;
 use super::input::{MatchingInput, MeasuredAxes};
 use super::outcome::{MatchOutcome, PoseOutcome};
 use super::parabola::Parabola;
-use super::program;
 use super::published::AlignedTrack;
 use crate::plan::{Plan, PlannedPass};
 use crate::recording::dwell::{Dwell, DwellReading, ResidualScatter, least_u_mm};
@@ -259,10 +258,8 @@ fn spans(input: &MatchingInput<'_>) -> Vec<Result<Range<f64>, Finding>> {
     if !strobe_decoder::has_strobe(input.stream) {
         return vec![Err(Finding::PassWithoutSignal); passes.len()];
     }
-    // The n-th strobe belongs to the n-th dwell or pass.
-    let is_end = |index: u32| passes.iter().any(|pass| pass.end == index);
-    let commanded = input.plan.rows.iter().filter(|row| program::stops(row) || is_end(row.index));
-    let commanded: Vec<u32> = commanded.map(|row| row.index).collect();
+    // The n-th strobe belongs to the n-th counted stop.
+    let commanded: Vec<u32> = input.plan.counted_stops().map(|stop| stop.row.index).collect();
     let strobed = strobe_decoder::strobed_dwells(input.stream);
     if strobed.len() != commanded.len() {
         let reason = Finding::PassStrobes { strobes: strobed.len(), commanded: commanded.len() };

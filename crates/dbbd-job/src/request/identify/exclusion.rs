@@ -46,21 +46,26 @@ impl AppliedExclusion {
         observations: &mut Measurements,
         asked: &[Exclusion],
     ) -> Result<Self, EstimationFinding> {
-        let is_asked = |row: &Measurement| asked.iter().any(|one| one.rows.contains(row.index));
-        let (rows, used): (Vec<_>, Vec<_>) =
-            std::mem::take(&mut observations.rows).into_iter().partition(is_asked);
-        observations.rows = used;
         let mut indices = asked.iter().flat_map(|one| one.rows.iter());
-        match indices.find(|index| !rows.iter().any(|row| row.index == *index)) {
+        match indices.find(|index| !observations.rows.iter().any(|row| row.index == *index)) {
             Some(index) => Err(EstimationFinding::NoRowToExclude { index }),
-            None if observations.rows.is_empty() => Err(EstimationFinding::NoLength),
-            None => Ok(Self { asked: asked.to_vec(), rows }),
+            None => Self { asked: asked.to_vec(), rows: Vec::new() }.again(observations),
         }
     }
 
-    /// Takes the same rows out of observations that were read again.
+    /// Takes the same rows out of observations that were matched again. A row that has no length any more is left out, too.
+    ///
+    /// # Errors
+    /// No other row would be left.
     pub(super) fn again(&self, observations: &mut Measurements) -> Result<Self, EstimationFinding> {
-        Self::of(observations, &self.asked)
+        let is_asked = |row: &Measurement| self.asked.iter().any(|one| one.rows.contains(row.index));
+        let (rows, used): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut observations.rows).into_iter().partition(is_asked);
+        observations.rows = used;
+        match observations.rows.is_empty() {
+            true => Err(EstimationFinding::NoLength),
+            false => Ok(Self { asked: self.asked.clone(), rows }),
+        }
     }
 
     /// The finding about rows that are left out.

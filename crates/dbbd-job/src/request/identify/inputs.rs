@@ -9,9 +9,7 @@ use super::tables::{lengths_or_positions, measurements};
 use super::{AskedIdentification, LENGTHS, POSITIONS};
 use crate::recording::run::{PredictedLengths, RecordedRun};
 use crate::request::RequestSession;
-use crate::request::robots::robot_for_measurement;
-use dbbd_device::clock;
-use dbbd_model::base::date;
+use crate::request::robots::{aged, robot_for_measurement};
 use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::diagnostic::{Diagnostic, Severity};
 use dbbd_model::estimation::EstimationFinding;
@@ -22,8 +20,8 @@ use dbbd_model::measurement::{BaseBall, Measurements};
 use dbbd_model::provenance::IdentityFinding;
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{
-    ArtefactDifference, ArtefactRole, BarIdentity, Contradiction, Identity, Provenance, TracedArtefact,
-    one_robot,
+    ArtefactDifference, ArtefactRole, BarIdentity, Contradiction, Identity, MeasuredTemperature, Provenance,
+    TracedArtefact, one_robot,
 };
 use dbbd_model::robot::parameter::SetUpCounts;
 use dbbd_model::robot::{AXES, BallId, LoadedRobot, MeasurementConditions, Robot};
@@ -125,7 +123,8 @@ impl LoadedInputs {
         let observations = with_positions(observations, positions.as_ref())?;
         let lengths = parts.iter().map(|part| &part.lengths);
         let provenance = crate::artefact::made_from([&source].into_iter().chain(&sources).chain(lengths));
-        let measured = conditions(&parts, &observations);
+        let identities = parts.iter().map(|part| &part.lengths.provenance.identity);
+        let measured = measured_conditions(identities, &observations);
         let bar = &provenance.identity.bar;
         let uncorrected = uncorrected_bar(&observations, bar).filter(|_| matched.is_none());
         findings.extend(uncorrected.map(|finding| Diagnostic::file(&input, finding)));
@@ -157,8 +156,7 @@ impl LoadedInputs {
             self.measured.date = stated.measured.clone().or(self.measured.date.take());
             self.measured.temperature_c = temperature_c(stated).or(self.measured.temperature_c);
         }
-        let day = self.measured.date.clone().unwrap_or_else(|| date::utc(clock::unix_ns()));
-        self.robot = self.robot.under(&MeasurementConditions { date: Some(day), ..self.measured.clone() });
+        self.robot = aged(&self.robot, &mut self.measured);
     }
 
     /// Reads measurements that only check the result. They must be of the same robot in the same set-up.
@@ -220,21 +218,15 @@ impl LoadedInputs {
         result: Option<&Path>,
         session: &RequestSession<'_>,
     ) -> Result<usize, Diagnostic> {
-        let Some(result) = result else { return Ok(0) };
-        let tables = [LENGTHS, POSITIONS].map(|name| result.with_file_name(name));
-        let known = tables.iter().filter(|path| path.is_file()).map(|path| {
-            let table = measurements(path, lengths_or_positions, &mut Vec::new(), session)?;
-            Ok(table.holds(&self.observations))
-        });
-        known.sum()
+        result.map_or(Ok(0), |result| lengths_beside(result, &self.observations, session))
     }
 
     /// Matches the captures again with the lengths that the identified robot predicts. Returns whether the pairs changed.
     pub(super) fn match_again(&mut self, calibration: &CompletedCalibration) -> bool {
         let model = &calibration.posterior.model;
         let sigma_mm = (3.0 * calibration.result.noise_mm.length).max(MIN_PREDICTED_SIGMA_MM);
-        let mut changed = false;
-        for part in &mut self.parts {
+        let mut replaced = Vec::new();
+        for (at, part) in self.parts.iter_mut().enumerate() {
             let (first_ball, bar) = (part.set_up.first_ball, part.set_up.bar());
             let length =
                 |ball: BallId, axes_deg: &[f64; AXES]| match model.balls.get(first_ball + ball.index()) {
@@ -251,27 +243,78 @@ impl LoadedInputs {
                 continue;
             }
             part.measurements = matching.observations.clone();
-            *before = matching;
-            changed = true;
+            replaced.push((at, std::mem::replace(before, matching)));
         }
-        let joined = changed.then(|| parts::joined(&self.parts)).and_then(Result::ok);
-        let Some((lengths, _)) = joined else { return false };
-        let Ok(mut lengths) = lengths.carrying(&self.robot.geometry.load) else { return false };
-        let Ok(left_out) = self.left_out.again(&mut lengths) else { return false };
-        let Ok(observations) = with_positions(lengths, self.positions.as_ref()) else { return false };
-        self.left_out = left_out;
-        self.observations = observations;
-        true
+        if replaced.is_empty() {
+            return false;
+        }
+        if let Some((left_out, observations)) = self.joined_again() {
+            (self.left_out, self.observations) = (left_out, observations);
+            return true;
+        }
+        for (at, before) in replaced {
+            self.parts[at].measurements = before.observations.clone();
+            self.parts[at].matched.iter_mut().for_each(|matched| matched.matching = before.clone());
+        }
+        false
+    }
+
+    /// The observations of the parts as they are now matched; `None` if nothing can be estimated from them.
+    fn joined_again(&self) -> Option<(AppliedExclusion, Measurements)> {
+        let (lengths, _) = parts::joined(&self.parts).ok()?;
+        let mut lengths = lengths.carrying(&self.robot.geometry.load).ok()?;
+        let left_out = self.left_out.again(&mut lengths).ok()?;
+        Some((left_out, with_positions(lengths, self.positions.as_ref()).ok()?))
     }
 }
 
-/// The last day of the parts, and their temperature: of the robot, else of the air, else of the rows.
-fn conditions(parts: &[InputPart], observations: &Measurements) -> MeasurementConditions {
-    let identities = || parts.iter().map(|part| &part.lengths.provenance.identity);
+/// The observations that are in the tables beside the file of an earlier result.
+fn lengths_beside(
+    result: &Path,
+    observations: &Measurements,
+    session: &RequestSession<'_>,
+) -> Result<usize, Diagnostic> {
+    let tables = [LENGTHS, POSITIONS].map(|name| result.with_file_name(name));
+    let known = tables.iter().filter(|path| path.is_file()).map(|path| {
+        let table = measurements(path, lengths_or_positions, &mut Vec::new(), session)?;
+        Ok(table.holds(observations))
+    });
+    known.sum()
+}
+
+/// The number of observations in memory from which a robot was identified, as a request counts them. A robot that was
+/// read from no file has no tables beside it.
+pub fn known_lengths(robot_file: Option<&Path>, observations: &Measurements) -> Result<usize, Diagnostic> {
+    let session = RequestSession::new(&());
+    robot_file.map_or(Ok(0), |file| lengths_beside(file, observations, &session))
+}
+
+/// The last day of the parts of a measurement, and their temperature: of the robot, else of the air, else of the rows.
+pub fn measured_conditions<'a>(
+    parts: impl Iterator<Item = &'a Identity> + Clone,
+    observations: &Measurements,
+) -> MeasurementConditions {
+    let temperature_c = parts.clone().find_map(temperature_c);
     MeasurementConditions {
-        date: identities().filter_map(|identity| identity.measured.clone()).max(),
-        temperature_c: identities().find_map(temperature_c).or_else(|| observations.mean_temperature_c()),
+        date: parts.filter_map(|identity| identity.measured.clone()).max(),
+        temperature_c: temperature_c.or_else(|| observations.mean_temperature_c()),
     }
+}
+
+/// The conditions that a caller states of lengths in memory. The day may be after today: it may be that of a capture, whose
+/// clock was ahead.
+///
+/// # Errors
+/// The day is not a date, or the temperature is not plausible.
+pub fn stated_conditions(
+    measured: Option<String>,
+    temperature_c: Option<f64>,
+) -> Result<MeasurementConditions, Diagnostic> {
+    let of_robot = |celsius| MeasuredTemperature { of: "robot".into(), celsius, u_k: None, device: None };
+    let temperatures = temperature_c.map(of_robot).into_iter().collect();
+    let identity = Identity { measured, temperatures, ..Identity::default() };
+    identity.check_all().map_err(|(_, finding)| finding)?;
+    Ok(MeasurementConditions { date: identity.measured, temperature_c })
 }
 
 fn temperature_c(identity: &Identity) -> Option<f64> {

@@ -27,6 +27,7 @@ use crate::file_set::EarlierFiles;
 pub use exclusion::Exclusion;
 pub use files::{LENGTHS, POSITIONS, ROBOT};
 use inputs::{LoadedInputs, NamedInputs};
+pub use inputs::{known_lengths, measured_conditions, stated_conditions};
 pub use options::AskedIdentification;
 pub use parts::SetUpRelation;
 pub use tables::plausible_deviation;

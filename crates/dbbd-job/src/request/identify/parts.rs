@@ -4,8 +4,8 @@
 //! parts is tested like any change within a run. In another set-up the base balls may be anywhere, and the bar has
 //! another zero.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +17,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::measurement::{BaseBall, Measurement, MeasurementFinding, Measurements};
 use dbbd_model::provenance::{ArtefactRole, Identity, TracedArtefact};
-use dbbd_model::robot::{BallId, BarId, Datum};
+use dbbd_model::robot::{AXES, BallId, BarId, Datum};
 
 /// The relation between the set-ups of consecutive parts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,6 +62,8 @@ pub(super) struct InputPart {
     pub(super) measurements: Measurements,
     pub(super) matched: Option<MatchedRun>,
     pub(super) set_up: SetUpNumbers,
+    /// The commanded axis angles by the index of their row, rad; empty for a table.
+    commanded: BTreeMap<u32, [f64; AXES]>,
     /// Whether the part measures poses again.
     supersedes: bool,
 }
@@ -73,8 +75,11 @@ impl InputPart {
         measurements: Measurements,
         matched: Option<MatchedRun>,
     ) -> Self {
-        let supersedes = matched.as_ref().is_some_and(|matched| matched.run.plan.header.again);
-        Self { path, lengths, measurements, matched, set_up: SetUpNumbers::default(), supersedes }
+        let plan = matched.as_ref().map(|matched| &matched.run.plan);
+        let supersedes = plan.is_some_and(|plan| plan.header.again);
+        let rows = plan.iter().flat_map(|plan| &plan.rows);
+        let commanded = rows.map(|row| (row.index, row.axes_deg.map(f64::to_radians))).collect();
+        Self { path, lengths, measurements, matched, set_up: SetUpNumbers::default(), commanded, supersedes }
     }
 
     pub(super) fn read(
@@ -198,34 +203,25 @@ pub(super) fn joined(parts: &[InputPart]) -> Result<(Measurements, Vec<u32>), Me
         let mut own = part.measurements.clone();
         // The balls of two parts are compared by the numbers in their own files.
         let again = |row: &Measurement| {
-            let later = parts[at + 1..].iter().filter(|later| later.supersedes);
-            later.flat_map(|later| &later.measurements.rows).any(|new| is_same_pose(row, new))
+            let mut later = parts[at + 1..].iter().filter(|later| later.supersedes);
+            later.any(|later| {
+                later.measurements.rows.iter().any(|new| is_same_pose((part, row), (later, new)))
+            })
         };
         superseded.extend(own.rows.iter().filter(|row| again(row)).map(|row| row.index + last_index));
         own.rows.retain(|row| !again(row));
         for row in &mut own.rows {
             row.index += last_index;
             row.datum = part.set_up.datum(row.datum);
-            if let Some(context) = &mut row.context
-                && let Some(time_s) = &mut Arc::make_mut(context).time_s
-            {
-                *time_s += last_s;
-            }
         }
+        own.delay(last_s);
         last_index += part.measurements.rows.iter().map(|row| row.index).max().unwrap_or(0);
         last_s += part.measurements.rows.iter().filter_map(time_s).fold(0.0, f64::max);
         if at == 0 {
             all = own;
             continue;
         }
-        let (count, same_columns) = (all.rows.len(), all.columns == own.columns);
-        let mut both = all.and(&own)?;
-        if same_columns {
-            for (row, own) in both.rows[count..].iter_mut().zip(own.rows) {
-                row.context = own.context;
-            }
-        }
-        all = both;
+        all = all.and(&own)?;
     }
     Ok((all, superseded))
 }
@@ -234,8 +230,17 @@ fn time_s(row: &Measurement) -> Option<f64> {
     row.context.as_ref()?.time_s
 }
 
-fn is_same_pose(a: &Measurement, b: &Measurement) -> bool {
-    (a.target, a.datum) == (b.target, b.datum) && is_same_planned_pose(&a.axes.radians(), &b.axes.radians())
+/// Whether two lengths are of one pose. A plan that measures again has the commanded poses of the earlier plan or, made from
+/// a table or a result, the axes of its rows, which may be measured ones.
+fn is_same_pose((earlier, a): (&InputPart, &Measurement), (later, b): (&InputPart, &Measurement)) -> bool {
+    let poses = |part: &InputPart, row: &Measurement| {
+        [Some(row.axes.radians()), part.commanded.get(&row.index).copied()]
+    };
+    (a.target, a.datum) == (b.target, b.datum)
+        && poses(earlier, a)
+            .iter()
+            .flatten()
+            .any(|a| poses(later, b).iter().flatten().any(|b| is_same_planned_pose(a, b)))
 }
 
 #[cfg(test)]
@@ -304,5 +309,40 @@ mod tests {
         assert_eq!(superseded, [2]);
         let rows: Vec<_> = joined.rows.iter().map(|row| (row.index, row.length_mm)).collect();
         assert_eq!(rows, [(1, 300.0), (3, 301.5), (4, 299.0)]);
+    }
+
+    /// Measured angles differ from visit to visit by some thousandths of a degree. The second plan has the commanded pose, or
+    /// that of a table with the measured angles.
+    #[test]
+    fn a_pose_that_is_measured_again_is_recognised_by_its_commanded_angles() {
+        let superseded_by = |commanded_deg: f64| {
+            let mut parts = [
+                part(&[(1, 1, 5.003, 300.0), (2, 1, 7.0, 301.0)], 0, 0),
+                part(&[(1, 1, 4.998, 300.1)], 0, 0),
+            ];
+            let commanded = |deg: f64| BTreeMap::from([(1, [deg.to_radians(), 0.0, 0.0, 0.0, 0.0, 0.0])]);
+            parts[0].commanded = commanded(5.0);
+            (parts[1].commanded, parts[1].supersedes) = (commanded(commanded_deg), true);
+            joined(&parts).unwrap().1
+        };
+        assert_eq!([5.0, 5.003, 5.01].map(superseded_by), [vec![1], vec![1], vec![]]);
+    }
+
+    /// One part has columns that the other one lacks: its times count on, and what only one part states is kept.
+    #[test]
+    fn parts_with_other_columns_keep_their_times() {
+        let text = "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm,note,temp_c,t_s\n\
+                    1,1,9,0,0,0,0,0,303,late,21.50,2\n";
+        let second = InputPart {
+            measurements: Measurements::from_csv("t.csv", text).unwrap(),
+            ..part(&[(1, 1, 9.0, 303.0)], 0, 0)
+        };
+        let first = part(&[(1, 1, 5.0, 300.0), (2, 1, 7.0, 301.0)], 0, 0);
+        let (joined, _) = joined(&[first, second]).unwrap();
+        assert_eq!(joined.rows.iter().filter_map(time_s).collect::<Vec<f64>>(), [1.0, 2.0, 4.0]);
+        assert_eq!(joined.mean_temperature_c(), Some(21.5));
+        let written = joined.to_csv();
+        assert!(written.ends_with(",4.0000,late,21.50\n"), "{written}");
+        assert_eq!(Measurements::from_csv("t.csv", &written).unwrap(), joined);
     }
 }

@@ -14,6 +14,7 @@ use crate::request::identify::tables::{lengths, measurements};
 use crate::request::{RequestSession, RowIndices};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
+use dbbd_model::measurement::Measurement;
 use dbbd_model::robot::{AXES, BallId};
 
 /// The rows of a plan or a table that are measured again.
@@ -60,6 +61,13 @@ struct RunPose {
     pose: GivenPose,
 }
 
+impl RunPose {
+    /// `None` for a position of a tracker, which has no ball.
+    fn of(index: u32, ball: Option<BallId>, axes_deg: [f64; AXES]) -> Option<Self> {
+        Some(Self { index, pose: (ball?, axes_deg.map(f64::to_radians)) })
+    }
+}
+
 /// The poses of the plans of these captures that have no length in any of the captures.
 pub(super) fn remaining<'a>(
     runs: impl Iterator<Item = &'a Path>,
@@ -104,26 +112,36 @@ pub(super) fn repeated(
 ) -> Result<Vec<GivenPose>, Diagnostic> {
     let name = path.display().to_string();
     let of_result = if path.is_dir() { Some(path.to_owned()) } else { None };
-    let poses: Vec<RunPose> = match &of_result {
+    let mut poses: Vec<RunPose> = match &of_result {
         None if run::is_capture(path)? => of_capture(path, session)?.0,
         _ => {
             let table = of_result.as_ref().map_or(path.to_owned(), |result| result.join(LENGTHS));
             let read = measurements(&table, lengths, &mut Vec::new(), session)?;
-            let pose = |row: &dbbd_model::measurement::Measurement| {
-                Some(RunPose { index: row.index, pose: (row.datum.ball()?, row.axes.radians()) })
-            };
+            let pose = |row: &Measurement| RunPose::of(row.index, row.datum.ball(), row.axes.degrees());
             read.rows.iter().filter_map(pose).collect()
         }
     };
-    let wanted: Vec<u32> = match (rows, &of_result) {
-        (RepeatedRows::All, _) => poses.iter().map(|pose| pose.index).collect(),
-        (RepeatedRows::Indices(indices), _) => indices.iter().collect(),
-        (RepeatedRows::Outliers, Some(result)) => {
+    let outliers = match &of_result {
+        Some(result) => {
             let file = result.join("result.json");
             let result =
                 CalibrationResult::from_json(&file.display().to_string(), &files::read_text(&file)?)?;
-            result.outliers.iter().map(|outlier| outlier.index).collect()
+            // The table of a result has only what was used.
+            let excluded = result.excluded.iter();
+            poses.extend(excluded.filter_map(|row| RunPose::of(row.index, row.ball, row.axes_deg)));
+            let outliers = result.outliers.iter();
+            let outliers: Vec<RunPose> =
+                outliers.filter_map(|row| RunPose::of(row.index, row.ball, row.axes_deg)).collect();
+            let indices: Vec<u32> = outliers.iter().map(|pose| pose.index).collect();
+            poses.extend(outliers);
+            Some(indices)
         }
+        None => None,
+    };
+    let wanted: Vec<u32> = match (rows, outliers) {
+        (RepeatedRows::All, _) => poses.iter().map(|pose| pose.index).collect(),
+        (RepeatedRows::Indices(indices), _) => indices.iter().collect(),
+        (RepeatedRows::Outliers, Some(outliers)) => outliers,
         (RepeatedRows::Outliers, None) => {
             return Err(Diagnostic::file(&name, PlanFinding::OutliersWithoutResult));
         }
