@@ -98,3 +98,23 @@ impl OneBall<'_> {
         Some(exchange.rms_error_mm()).filter(|error| error.is_finite())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ball at a radius of 1500 mm, 500 mm further out, 100 mm lower and a quarter turn about axis 1.
+    #[test]
+    fn place_is_moved_outwards_upwards_and_about_axis_1() {
+        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let ball = Vector3::new(900.0, 1200.0, 600.0);
+        let (workspace, sigma_mm) = (&[][..], 0.01);
+        let plan =
+            OneBall { robot: &robot, ball, radius_mm: 300.0, lengths: 60, sigma_mm, workspace, seed: 1 };
+        let moved = plan.moved([500.0, -100.0, 90.0]);
+        assert!((moved - Vector3::new(-1600.0, 1200.0, 500.0)).norm() < 1e-9, "{moved}");
+        // A ball on axis 1 stays there.
+        let above = OneBall { ball: Vector3::new(0.0, 0.0, 2000.0), ..plan };
+        assert_eq!(above.moved([500.0, 0.0, 60.0]), above.ball);
+    }
+}

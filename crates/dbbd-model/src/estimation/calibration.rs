@@ -25,7 +25,7 @@ use crate::estimation::EstimationFinding;
 use crate::math::distributions::coverage_95;
 use crate::math::rank;
 use crate::measurement::{LengthModel, Measurements};
-use crate::robot::{BallId, Datum, Geometry, ParamId, Robot};
+use crate::robot::{BallId, Datum, Geometry, ParamId, Robot, RobotUncertainty};
 
 /// The input of a calibration.
 #[derive(Clone, Copy)]
@@ -170,7 +170,13 @@ impl<'a> Calibration<'a> {
             posterior: prediction.posterior,
             geometry: with_measured_payloads(estimate.fit.model.geometry.clone(), self.observations),
             nominal: Some(nominal),
-            uncertainty: Some(Box::new(prediction.uncertainty)),
+            uncertainty: Some(Box::new(RobotUncertainty {
+                shared_mm: estimate
+                    .shape
+                    .sought_own_sd()
+                    .map(|own| (sigma.mm.powi(2) - own.powi(2)).max(0.0).sqrt()),
+                ..prediction.uncertainty
+            })),
             measured: setting.options.measured.clone(),
             drift: drift_after(&setting, &estimate),
             ..setting.robot.clone()

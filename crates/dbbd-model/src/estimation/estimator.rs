@@ -839,6 +839,7 @@ impl Estimate {
             parameters: own.iter().map(|&k| self.kept[k]).collect(),
             root: self.root.select_rows(&rows),
             pose_mm,
+            shared_mm: None,
             smooth,
             smooth_of_joints,
             scatter_rad: self.scatter_rad,

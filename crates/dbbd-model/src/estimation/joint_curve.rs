@@ -73,3 +73,42 @@ fn sds(robot: &Robot, joint: Joint, angles_deg: &[f64]) -> Vec<f64> {
     let sd = |(row, outside): (usize, f64)| (moved.row(row).norm_squared() + outside.max(0.0)).sqrt();
     outside.into_iter().enumerate().map(sd).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{JointErrorModel, JointErrors, RobotUncertainty};
+
+    /// The cosine acts at 0 degrees, both alike at 45, and with the other sign at 180; backlash is added in the sense of
+    /// approach. The standard deviations of both parts are independent.
+    #[test]
+    fn curve_has_the_harmonic_and_backlash_with_their_uncertainty() {
+        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let joint = Joint::J1;
+        robot.geometry.gear[0] = [2e-4, -1e-4];
+        let mut errors = [(); AXES].map(|()| JointErrorModel::default());
+        errors[0].backlash = 3e-5;
+        robot.geometry.joint_errors = JointErrors::new(errors);
+        let sign = robot.geometry.row(joint).sign;
+        let half = 0.5f64.sqrt();
+        for (angle_deg, of_angle) in [(0.0, 2e-4), (45.0, 1e-4 * half), (90.0, -1e-4), (180.0, -2e-4)] {
+            let found = point(&robot, joint, angle_deg, 0.0);
+            let expected = [of_angle + 3e-5, of_angle - 3e-5].map(|error| sign * error);
+            for (found, expected) in [found.rising, found.falling].into_iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-16, "{angle_deg}: {found} {expected}");
+            }
+        }
+        let rows = 2 + robot.geometry.joint_errors.count();
+        let root = DMatrix::from_partial_diagonal(rows, 2, &[3e-6, 4e-6]);
+        let parameters = vec![ParamId::GearCos(joint), ParamId::GearSin(joint)];
+        let uncertainty = RobotUncertainty { parameters, root, ..robot.known_uncertainty() };
+        robot.uncertainty = Some(Box::new(uncertainty));
+        let found = sds(&robot, joint, &[0.0, 45.0, 90.0]);
+        for (found, expected) in found.iter().zip([3e-6, 5e-6 * half, 4e-6]) {
+            assert!((found - expected).abs() < 1e-18, "{found} {expected}");
+        }
+        let curve = joint_curve(&robot, joint);
+        let range = robot.joint_range_deg(joint);
+        assert_eq!((curve.len(), [curve[0].angle_deg, curve[360].angle_deg]), (361, range));
+    }
+}

@@ -64,6 +64,14 @@ impl OwnNoise {
 const STATED_LN_SD: f64 = 1.0;
 
 impl NoiseShape {
+    /// The independent noise of a length, mm, if several lengths of a visit tell it apart from what they share.
+    pub(super) fn sought_own_sd(&self) -> Option<f64> {
+        match self.own {
+            OwnNoise::Sought { sd, .. } => Some(sd),
+            OwnNoise::Stated(_) => None,
+        }
+    }
+
     /// Whether no part of the noise is estimated.
     pub(super) fn is_known(&self) -> bool {
         self.joints.sought() == [0.0; AXES] && matches!(self.own, OwnNoise::Stated(_))

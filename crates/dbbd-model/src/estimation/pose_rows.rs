@@ -44,11 +44,15 @@ impl From<f64> for LengthNoise<'_> {
 }
 
 impl<'a> LengthNoise<'a> {
-    /// The noise of lengths with this standard deviation (mm), for a robot with the uncertainty `joints`.
+    /// The noise of lengths with this standard deviation (mm), for a robot with the uncertainty `joints`. What the lengths of
+    /// a visit shared in the identification is not their own: the pose and its joints have it again. The error of the pose is
+    /// no larger than what is shared, although the robot's file foresees more at poses that are unlike the measured ones.
     pub fn of(sigma_mm: f64, joints: Option<&'a RobotUncertainty>) -> Self {
-        let of_pose = |joints: &RobotUncertainty| joints.pose_mm.min(MAX_OF_POSE * sigma_mm);
-        let pose_mm = joints.map_or(0.0, of_pose);
-        Self { pose_mm, length_mm: (sigma_mm * sigma_mm - pose_mm * pose_mm).sqrt(), joints }
+        let pose_mm = joints.map_or(0.0, |joints| joints.pose_mm);
+        let shared_mm = joints.and_then(|joints| joints.shared_mm).unwrap_or(pose_mm);
+        let variance = sigma_mm.powi(2);
+        let own = (variance - shared_mm.powi(2)).max(MIN_OWN * variance);
+        Self { pose_mm: pose_mm.min((variance - own).sqrt()), length_mm: own.sqrt(), joints }
     }
 
     /// Standard deviation of a length, mm.
@@ -57,9 +61,7 @@ impl<'a> LengthNoise<'a> {
     }
 }
 
-/// Largest share of the pose in the standard deviation of a length: each length has some independent noise.
-const MAX_OF_POSE: f64 = 0.995;
-/// Least share of the independent noise in the variance that a length has besides the pose.
+/// Least share of the independent noise in the variance of a length.
 const MIN_OWN: f64 = 0.01;
 
 /// Design rows at a model.
@@ -172,14 +174,15 @@ impl PoseRows {
         10 * oblique > self.poses.len()
     }
 
-    /// The noise of the rows of a robot at `model`. The standard deviation of the lengths is a mean over the rows, and
-    /// it contains the random errors of the joints and backlash of unknown sense. Their mean variance is therefore
-    /// subtracted from the independent noise of the lengths that they move.
+    /// The noise of the rows of a robot at `model`. Where it is not known what the lengths of a visit share, their standard
+    /// deviation is a mean over the rows that contains the random errors of the joints and backlash of unknown sense. Their
+    /// mean variance is then subtracted from the independent noise of the lengths that they move.
     pub(super) fn noise(&self, noise: &LengthNoise<'_>, model: &LengthModel) -> RowNoise {
         let rows = self.values.nrows();
+        let unshared = noise.joints.filter(|unknown| unknown.shared_mm.is_none());
         let moved = |row: usize| -> f64 {
             let LengthAtPose { senses, by_joint, .. } = &self.lengths[row];
-            let sds = noise.joints.map_or([0.0; AXES], |unknown| unknown.of_visit(*senses));
+            let sds = unshared.map_or([0.0; AXES], |unknown| unknown.of_visit(*senses));
             sds.iter().zip(by_joint).map(|(sd, by_angle)| (sd * by_angle).powi(2)).sum()
         };
         let moved: Vec<f64> = (0..rows).map(moved).collect();
@@ -277,6 +280,31 @@ mod tests {
         let mut visits = rows(model, readings, times).poses;
         visits.sort();
         visits
+    }
+
+    /// A length of 13 um of which the lengths of a visit shared 12 um has 5 um of its own, whatever is assumed of new poses.
+    #[test]
+    fn own_noise_is_what_the_lengths_of_a_visit_did_not_share() {
+        let robot = crate::robot::Robot::by_name("kr60ha").unwrap().unwrap();
+        let unknown = |shared_mm| RobotUncertainty { pose_mm: 0.014, shared_mm, ..robot.known_uncertainty() };
+        let of = |sigma_mm, shared_mm| {
+            let unknown = unknown(shared_mm);
+            let noise = LengthNoise::of(sigma_mm, Some(&unknown));
+            (noise.pose_mm, noise.length_mm)
+        };
+        let near = |found: (f64, f64), [pose_mm, length_mm]: [f64; 2]| {
+            let off = (found.0 - pose_mm).abs().max((found.1 - length_mm).abs());
+            assert!(off < 1e-12, "{found:?}, not {pose_mm} {length_mm}");
+        };
+        near(of(0.013, Some(0.012)), [0.012, 0.005]);
+        near(of(0.017, Some(0.015)), [0.014, 0.008]);
+        // Without a statement the pose is shared; a tenth of the length's noise is always its own.
+        near(of(0.0175, None), [0.014, 0.0105]);
+        near(of(0.013, None), [0.013 * 0.99f64.sqrt(), 0.0013]);
+        assert_eq!(
+            LengthNoise::of(0.013, None),
+            LengthNoise { pose_mm: 0.0, length_mm: 0.013, joints: None }
+        );
     }
 
     #[test]

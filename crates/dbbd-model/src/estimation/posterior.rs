@@ -270,7 +270,7 @@ impl Posterior {
         readings: &[PreparedMeasurement],
         noise: LengthNoise<'_>,
     ) -> Option<Triangle> {
-        if self.coefficients() > 0 {
+        if self.coefficients() > 0 || noise.pose_mm > 0.0 {
             return linear_system_by_pose(model, readings, noise, &self.ids);
         }
         let sigma = vec![noise.sigma_mm(); readings.len()];

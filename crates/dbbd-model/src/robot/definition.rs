@@ -281,6 +281,7 @@ impl Robot {
             parameters,
             root: known.clone().resize_vertically(rows, 0.0),
             pose_mm: self.repeatability_sd_mm().unwrap_or(0.0),
+            shared_mm: None,
             smooth: Vec::new(),
             smooth_of_joints: [1.0; AXES],
             scatter_rad: [0.0; AXES],

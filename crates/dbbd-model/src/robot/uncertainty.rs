@@ -25,6 +25,10 @@ pub struct GaussianProcess {
 pub struct RobotUncertainty {
     /// Standard deviation with which a pose repeats in each direction, mm.
     pub pose_mm: f64,
+    /// What the lengths of a visit shared in the identification, root mean square, mm: errors of the pose and of its joints.
+    /// `None` if no visit had several lengths that show it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shared_mm: Option<f64>,
     /// Gaussian processes whose sum is the prior of the smooth function of a joint's angle. It still holds at angles
     /// that were not measured.
     pub smooth: Vec<GaussianProcess>,
@@ -51,6 +55,7 @@ impl RobotUncertainty {
         self.root.nrows() == self.parameters.len() + geometry.joint_errors.count()
             && self.root.iter().all(|value| value.is_finite())
             && self.pose_mm.is_finite()
+            && self.shared_mm.is_none_or(|mm| mm >= 0.0 && mm.is_finite())
             && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.length_scale_rad > 0.0)
     }
 
@@ -144,6 +149,7 @@ mod tests {
         }
         let unknown = RobotUncertainty {
             pose_mm: 0.0,
+            shared_mm: None,
             smooth: vec![process, GaussianProcess { sd_rad: 0.1, ..process }],
             smooth_of_joints: [1.0, 2.0, 1.0, 1.0, 1.0, 1.0],
             scatter_rad: [0.0; AXES],
@@ -161,6 +167,7 @@ mod tests {
     fn a_visit_has_backlash_where_its_sense_is_not_known() {
         let unknown = RobotUncertainty {
             pose_mm: 0.0,
+            shared_mm: None,
             smooth: Vec::new(),
             smooth_of_joints: [1.0; AXES],
             scatter_rad: [3e-6; AXES],

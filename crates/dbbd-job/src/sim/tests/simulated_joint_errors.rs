@@ -85,7 +85,7 @@ fn four_hundred_drawn_robots() {
 /// Standard deviations with which tool ball and bar are mounted again, mm.
 const MOUNTED: Mounting = Mounting { tool_mm: 0.01, balls: BallMounting::Anywhere, bar_mm: 0.005 };
 
-/// Checks of a calibrated robot with joint errors at new poses: `checks` of them without a change, as many with an offset of joint 3
+/// Checks of a calibrated robot at new poses: `checks` of them without a change, as many with an offset of joint 3
 /// by 0.03 degrees. Returns how many of each report a change.
 fn checked(seed: u64, checks: u64, balls: usize) -> [u64; 2] {
     let truth = drawn(seed);
@@ -134,14 +134,10 @@ fn check_includes_the_uncertainty_of_joint_errors() {
 #[ignore = "a campaign: see docs/evidence/README.md"]
 fn checks_of_robots_with_errors_of_joints() {
     for balls in [1, 3] {
-        let robots: Vec<u64> = (1..=40).filter(|seed: &u64| !seed.is_multiple_of(4)).collect();
-        let found: Vec<[u64; 2]> = robots.iter().map(|seed| checked(*seed, 10, balls)).collect();
-        let sum = |at: usize| found.iter().map(|of| of[at]).sum::<u64>();
-        eprintln!(
-            "{balls} balls: of {} checks each {} false alarms, {} changes found",
-            10 * robots.len(),
-            sum(0),
-            sum(1)
-        );
+        let found: Vec<[u64; 2]> = (1..=40).map(|seed| checked(seed, 10, balls)).collect();
+        let [alarms, changes] = [0, 1].map(|at| found.iter().map(|of| of[at]).sum::<u64>());
+        eprintln!("{balls} balls: of 400 checks each {alarms} false alarms, {changes} changes found");
+        // Of 1 %, four are expected; more than ten occur by chance once in 400 campaigns.
+        assert!(alarms <= 10 && changes >= 392, "{alarms} {changes}");
     }
 }
