@@ -227,3 +227,36 @@ fn evenly(readings: &[PreparedMeasurement], count: usize) -> Vec<PreparedMeasure
     let take = count.min(readings.len());
     (0..take).filter_map(|at| readings.get(at * readings.len() / take).copied()).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// On a circle of 300 mm the tool ball keeps the radius, and the wrist turns. More rotation of the wrist keeps the places
+    /// of the tool ball, and turns the flange there by more than the circle did.
+    #[test]
+    fn wrist_turns_at_the_measured_places() {
+        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let (ball, home) = (Vector3::new(1300.0, 0.0, 800.0), BallId::FIRST);
+        let start =
+            PreparedMeasurement::new([0.0, -90.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians), home, 300.0);
+        let geometry = robot.geometry.clone();
+        let cell = Cell { geometry, controller: &robot, ball, home, radius: 300.0, measured: vec![start] };
+        let measured = cell.about(ball, home, 300.0, &[rotation(CirclePlane::Xy)]).unwrap();
+        assert_eq!(measured.len(), POSES);
+        let cell = Cell { measured, ..cell };
+        let turned = cell.wrist().unwrap();
+        assert_eq!(turned.len(), POSES);
+        let mut largest: f64 = 0.0;
+        for (before, after) in cell.measured.iter().zip(&turned) {
+            let [before, after] = [before, after].map(|reading| cell.geometry.ball(&reading.axes));
+            let off = before.position - ball;
+            assert!((off.norm() - 300.0).abs() < 1e-6 && off.z.abs() < 1e-6, "{off}");
+            assert!((after.position - before.position).norm() < 1e-6);
+            let by: Matrix3<f64> = after.rotation * before.rotation.transpose();
+            largest = largest.max((0.5 * (by.trace() - 1.0)).clamp(-1.0, 1.0).acos().to_degrees());
+        }
+        // Three rotations of at most 45 degrees.
+        assert!((MORE_DEG..=78.0).contains(&largest), "{largest}");
+    }
+}
