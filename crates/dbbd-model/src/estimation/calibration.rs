@@ -207,9 +207,10 @@ impl<'a> Calibration<'a> {
             residual_mm: checks.residual_mm,
             folds: checks.folds,
             validation: checks.validation,
-            distance: DistanceQuantities::of_used(
+            distance: DistanceQuantities::of_places(
                 &self.observations.rows,
-                estimate.used(&self.lengths),
+                estimate.used(&self.lengths).used_places(),
+                |place| self.lengths.reading(place),
                 &estimate.fit.model,
             ),
             groups: estimate.groups.clone(),

@@ -4,7 +4,6 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
-use super::lengths::Weighted;
 use crate::math::distributions::{chi_square_exceeded, coverage_95};
 use crate::math::straight_line::RegressionLine;
 use crate::measurement::{LengthModel, Measurement, PreparedMeasurement};
@@ -54,12 +53,8 @@ impl DistanceQuantities {
         Self::of_places(rows, 0..rows.len(), |at| PreparedMeasurement::from(&rows[at]), model)
     }
 
-    /// As [`Self::of`], of the lengths that a fit used, without what certain events added.
-    pub(super) fn of_used(rows: &[Measurement], used: Weighted<'_>, model: &LengthModel) -> Option<Self> {
-        Self::of_places(rows, used.used_places(), |at| used.lengths().reading(at), model)
-    }
-
-    fn of_places(
+    /// As [`Self::of`], of the rows at these places; `reading` has their lengths without what certain events added.
+    pub(super) fn of_places(
         rows: &[Measurement],
         places: impl Iterator<Item = usize>,
         reading: impl Fn(usize) -> PreparedMeasurement,
@@ -210,7 +205,6 @@ fn repeatability_drift(visits: &[Visit]) -> Option<DistanceQuantity> {
 mod tests {
     use nalgebra::Vector3;
 
-    use super::super::lengths::{Lengths, Sigma};
     use super::*;
     use crate::measurement::{AxisAngles, BallId, BarId, BaseBall, Datum, MeasurementContext, TargetId};
     use crate::robot::{Approach, PayloadId, Robot};
@@ -263,10 +257,7 @@ mod tests {
         let mut disturbed = rows.clone();
         disturbed.iter_mut().for_each(|row| row.length_mm += 0.3);
         disturbed.push(Measurement { index: 13, length_mm: rows[0].length_mm + 2.0, ..rows[0].clone() });
-        let readings = rows.iter().chain(&disturbed[12..]).map(PreparedMeasurement::from).collect();
-        let corrected = Lengths::few(readings, vec![1.0; 13]);
-        let used = corrected.weighted(Sigma::All(1.0), &[12]);
-        let used = DistanceQuantities::of_used(&disturbed, used, &model);
+        let used = DistanceQuantities::of_places(&disturbed, 0..12, |at| (&rows[at]).into(), &model);
         assert_eq!(used, DistanceQuantities::of(&rows, &model));
     }
 
