@@ -47,6 +47,8 @@ pub struct RecordedRun {
     pub axes_deg: MeasuredAxes,
     /// Owner of the run, and when it was recorded.
     identity: Identity,
+    /// Start of the recording by the clock of the host, ns since 1970.
+    pub started: Option<u64>,
 }
 
 /// Lengths that a model predicts: evidence for the matching, like the times.

@@ -81,7 +81,7 @@ pub fn open_run(
         report(finding.into());
     }
     let mut run =
-        RecordedRun { plan, stream, temperatures, reports, track, has_warnings, axes_deg, identity };
+        RecordedRun { plan, stream, temperatures, reports, track, has_warnings, axes_deg, identity, started };
     let of_temperature = run.temperatures.finding().into_iter().chain(run.temperature_finding());
     of_temperature.for_each(&mut report);
     for finding in run.mounting() {

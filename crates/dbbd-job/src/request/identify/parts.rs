@@ -132,11 +132,12 @@ impl InputPart {
 }
 
 /// Sorts parts by the times of day at which they were measured, if all have one: a pose that was measured again
-/// replaces the earlier one, in whatever order the files were given.
+/// replaces the earlier one, in whatever order the files were given. Captures of one second are sorted by their clock.
 pub(super) fn sort_by_time(parts: &mut [InputPart]) {
     let time = |part: &InputPart| part.lengths.provenance.identity.measured.clone();
+    let started = |part: &InputPart| part.matched.as_ref().and_then(|matched| matched.run.started);
     if parts.iter().all(|part| time(part).is_some_and(|time| time.contains('T'))) {
-        parts.sort_by_key(time);
+        parts.sort_by_key(|part| (time(part), started(part)));
     }
 }
 
