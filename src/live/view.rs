@@ -106,7 +106,7 @@ pub struct RunStatus {
     pub stroke_mm: Option<[f64; 2]>,
     /// Share of the half stroke beyond which the alarm is raised.
     pub alarm_share: f64,
-    /// Dwells of the plan.
+    /// Dwells and passes of the plan.
     pub poses: Option<u32>,
 }
 

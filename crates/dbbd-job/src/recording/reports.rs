@@ -116,6 +116,18 @@ mod tests {
         assert_eq!(first, [(3, 10.5), (4, 7.0), (5, 5.0), (6, 9.0)]);
     }
 
+    /// The second visit was broken off: length and axes are of the first one. A third one replaces it.
+    #[test]
+    fn a_pose_that_is_driven_twice_has_length_and_axes_of_one_visit() {
+        let mut reports = vec![report(1500, 3, 1, 10.0), report(2500, 3, 2, 11.0), report(3000, 3, 1, 20.0)];
+        let found = |reports: &[DwellReport]| {
+            (reported_axes(reports)[&3][0], reported_dwells(reports, &stream()).unwrap()[&3].start_s)
+        };
+        assert_eq!(found(&reports), (10.5, 0.5));
+        reports.extend([report(4000, 3, 1, 30.0), report(5000, 3, 2, 31.0)]);
+        assert_eq!(found(&reports), (30.5, 3.0));
+    }
+
     /// The stream begins at 1 s of the host; the report of the end may be 50 ms late.
     #[test]
     fn dwell_lasts_from_start_to_end() {

@@ -9,13 +9,13 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::estimation::{DistanceQuantities, Options, Priors};
-use dbbd_model::measurement::{LengthModel, Measurements, PreparedMeasurement, are_known};
+use dbbd_model::measurement::{LengthModel, Measurements, PreparedMeasurement, are_lengths_known};
 use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::{Coordinate, ParamId, Robot};
 use serde::{Deserialize, Serialize};
 
 use super::identify::SetUpRelation;
-use super::identify::inputs::{LoadedInputs, NamedInputs};
+use super::identify::inputs::{LoadedInputs, NamedInputs, known_lengths};
 use super::identify::{LENGTHS, ROBOT};
 use super::workspace::read_workspace;
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
@@ -132,7 +132,7 @@ impl CheckedLengths {
     /// Decides nothing if lengths of the check identified the robot, and says so. `known` counts these.
     pub fn of_known_lengths(&mut self, known: usize) -> Option<ConformityFinding> {
         let lengths = self.check.lengths;
-        are_known(known, lengths).then(|| {
+        are_lengths_known(known, lengths).then(|| {
             self.check.decide_nothing();
             ConformityFinding::LengthsOfCalibration { known, lengths }
         })
@@ -166,7 +166,7 @@ impl CheckRequest {
         };
         let mut checked = CheckedLengths::of(&input, &given.observations)
             .map_err(|finding| Diagnostic::file(&self.robot, finding))?;
-        let known = given.known_lengths(Some(Path::new(&self.robot)), session)?;
+        let known = known_lengths(Some(Path::new(&self.robot)), &given.observations)?;
         session.findings(given.findings());
         session.findings(checked.findings());
         session.findings(checked.of_known_lengths(known));

@@ -297,14 +297,14 @@ mod tests {
         let torque_nm = 1e-3 * shift.dot(&((ball - plain).normalize() * FORCE_N));
         let pulled = plain + shift * (1e-6 * torque_nm);
         let context = MeasurementContext { force_n: Some(FORCE_N), ..MeasurementContext::default() };
-        for (place, measured, least_mm) in [
+        for (place, measured, min_mm) in [
             (plain, row(length(plain)), 0.0),
             (sagged, Measurement { payload: PayloadId::at(1), ..row(length(sagged)) }, 0.1),
             (target, Measurement { target: TargetId::at(1), ..row(length(target)) }, 1.0),
             (pulled, Measurement { context: Some(Arc::new(context)), ..row(length(pulled)) }, 0.01),
         ] {
             // The rigid distance of the tool ball is another length.
-            assert!((measured.length_mm - length(plain)).abs() >= least_mm, "{measured:?}");
+            assert!((measured.length_mm - length(plain)).abs() >= min_mm, "{measured:?}");
             let [residual_mm, beside_mm] = residual(measured, place);
             assert!(residual_mm < 1e-4 && beside_mm < 0.3, "{residual_mm} {beside_mm}");
         }

@@ -257,3 +257,36 @@ impl ComparedWorkspace {
         Some(StraightLine { centre: 0.0, level: 0.0, level_sd: 0.0, slope, slope_sd: variance.sqrt() })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::Joint;
+
+    /// d4 is listed in one result only, 0.5 mm from its nominal value; a3 is listed in both.
+    #[test]
+    fn what_a_result_does_not_list_is_nominal() {
+        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let (a3, d4) = (ParamId::A(Joint::J4), ParamId::D(Joint::J4));
+        let result = |identified: &[(ParamId, f64)]| {
+            let estimated = |(id, by): &(ParamId, f64)| {
+                let nominal = robot.geometry.value(*id).unwrap();
+                (*id, EstimatedParameter { nominal, identified: nominal + by, value: None })
+            };
+            StoredResult {
+                file: "result.json".into(),
+                robot: robot.name.clone(),
+                parameters: identified.iter().map(estimated).collect(),
+                has_joint_errors: false,
+            }
+        };
+        let (few, all) = (result(&[(a3, 0.1)]), result(&[(a3, 0.3), (d4, 0.5)]));
+        for (first, last, changes) in [(&few, &all, [0.2, 0.5]), (&all, &few, [-0.2, -0.5])] {
+            let compared = ComparedWorkspace::new(&robot, first, last);
+            assert_eq!(compared.workspace.ids(), [a3, d4]);
+            for (found, expected) in compared.whole.iter().zip(changes) {
+                assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+            }
+        }
+    }
+}

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimation::EstimationFinding;
-use crate::measurement::are_known;
+use crate::measurement::are_lengths_known;
 use crate::robot::{AXES, BarId, ParamGroup, ParamId, PriorRule, Robot, RobotPosterior};
 
 /// A parameter counts as identified if its standard deviation is at most this number of tolerances.
@@ -62,7 +62,7 @@ impl Prior {
     /// This prior, unless so many of the lengths are among the `known` ones from which it was identified that these would
     /// count twice; then the datasheet's.
     pub fn of_other_lengths(self, lengths: usize, known: usize) -> (Self, Option<EstimationFinding>) {
-        match are_known(known, lengths) {
+        match are_lengths_known(known, lengths) {
             true => (Self::Datasheet, Some(EstimationFinding::KnownLengths { known, lengths })),
             false => (self, None),
         }
@@ -410,10 +410,10 @@ mod tests {
     fn posterior_of_an_earlier_identification_is_continued_with_new_lengths() {
         let known = |count: usize| move || Ok::<usize, ()>(count);
         let robot = identified();
-        assert_eq!(Prior::continued(&robot, 100, known(22)).unwrap(), (Prior::Posterior, None));
-        let (prior, finding) = Prior::continued(&robot, 100, known(23)).unwrap();
+        assert_eq!(Prior::continued(&robot, 100, known(20)).unwrap(), (Prior::Posterior, None));
+        let (prior, finding) = Prior::continued(&robot, 100, known(21)).unwrap();
         assert_eq!(prior, Prior::Datasheet);
-        assert!(matches!(finding, Some(EstimationFinding::KnownLengths { known: 23, lengths: 100 })));
+        assert!(matches!(finding, Some(EstimationFinding::KnownLengths { known: 21, lengths: 100 })));
         assert_eq!(Prior::continued(&robot, 100, || Err("unread")), Err("unread"));
         let mut edited = robot.clone();
         edited.geometry.rows[1].a += 1e-6;

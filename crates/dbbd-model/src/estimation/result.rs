@@ -538,6 +538,26 @@ mod tests {
         }
     }
 
+    /// An event added 0.3 mm to each length, and one length is of the other ball.
+    #[test]
+    fn residuals_are_those_of_the_fit() {
+        let (mut found, data) = crate::test_support::checked_robot::calibrated_from_two_balls();
+        let after = |found: &CompletedCalibration, rows: &[Measurement]| -> Vec<f64> {
+            found.residuals(rows.iter().enumerate()).map(|pair| pair.after).collect()
+        };
+        let plain = after(&found, &data.rows);
+        found.event_mm = vec![0.3; data.rows.len()];
+        let corrected = after(&found, &data.rows);
+        assert!(plain.iter().zip(&corrected).all(|(plain, mm)| (plain - mm - 0.3).abs() < 1e-9));
+        found.event_mm.clear();
+        let (own, at) = (data.rows[4].datum.ball().unwrap(), 4);
+        let mut wrong = data.rows.clone();
+        wrong[at].datum = wrong[at].datum.to_ball(BallId::at(1 - own.index()));
+        assert!((after(&found, &wrong)[at] - plain[at]).abs() > 1.0);
+        found.wrong_balls = vec![(at, own)];
+        assert_eq!(after(&found, &wrong), plain);
+    }
+
     /// The members keep their order: it is the order of the sum in words.
     #[test]
     fn a_combination_is_written_by_the_names_of_its_members() {

@@ -184,6 +184,15 @@ pub fn coverage_95(freedom: Option<f64>) -> f64 {
     crossing(NORMAL, |t| outside(t) > 0.05)
 }
 
+/// Probability of at least this number of successes in independent trials (DLMF 8.17.5).
+pub fn binomial_tail(successes: usize, trials: usize, chance: f64) -> f64 {
+    match successes {
+        0 => 1.0,
+        _ if successes > trials => 0.0,
+        _ => beta(chance, successes as f64, (trials - successes + 1) as f64),
+    }
+}
+
 /// The regularised incomplete beta function I_x(a, b) (DLMF 8.17), for 0 <= x <= 1 and positive a, b.
 fn beta(x: f64, a: f64, b: f64) -> f64 {
     if x <= 0.0 {
@@ -234,6 +243,22 @@ fn ln_gamma(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Sums of C(n, k) p^k (1 - p)^(n - k) in exact arithmetic: 1 - 0.9^2 for one of two.
+    #[test]
+    fn tail_of_the_binomial_distribution() {
+        for (successes, trials, chance, expected) in [
+            (1, 2, 0.1, 0.19),
+            (5, 12, 0.1, 0.004_329_343_27),
+            (7, 24, 0.1, 0.007_456_146_938_263),
+            (3, 3, 0.5, 0.125),
+            (0, 3, 0.1, 1.0),
+            (4, 3, 0.1, 0.0),
+        ] {
+            let found = binomial_tail(successes, trials, chance);
+            assert!((found - expected).abs() < 1e-14, "{successes} of {trials}: {found}");
+        }
+    }
 
     /// Values of scipy.stats.f.sf.
     #[test]

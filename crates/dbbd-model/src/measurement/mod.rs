@@ -15,7 +15,7 @@ mod tracker;
 pub use crate::robot::{AxisAngles, BallId, BarId, CircleId, Datum, TargetId};
 pub use base_ball::BaseBall;
 pub use context::{ContextColumn, MeasurementContext, PoseKind};
-pub use distinct::{DistinctMeasurements, are_known};
+pub use distinct::{DistinctMeasurements, are_lengths_known};
 pub use model::{ColumnSelection, LengthModel, MeasurementPieces, PreparedMeasurement, PreparedModel};
 pub use positions::MeasuredPosition;
 pub use sample::Sample;

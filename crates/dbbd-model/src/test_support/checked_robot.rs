@@ -1,7 +1,7 @@
 //! A robot whose calibration is checked later.
 
-use dbbd_model::estimation::{Options, Workspace};
-use dbbd_model::measurement::BaseBall;
+use dbbd_model::estimation::{CompletedCalibration, Options, Workspace};
+use dbbd_model::measurement::{BaseBall, Measurements};
 use dbbd_model::robot::{BallId, Robot};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -15,8 +15,8 @@ pub(crate) fn normal(random: &mut Pcg64) -> f64 {
     StandardNormal.sample(random)
 }
 
-/// A calibration from two balls.
-pub(crate) fn calibration() -> Robot {
+/// A calibration from two balls, and its lengths.
+pub(crate) fn calibrated_from_two_balls() -> (CompletedCalibration, Measurements) {
     let circles = [three_planes(1, CENTRE), three_planes(2, SECOND)].concat();
     let mut data = measure(&with_errors(DESIGNED), &circles, 27, 40.0);
     let mut random = Pcg64::seed_from_u64(5);
@@ -33,5 +33,9 @@ pub(crate) fn calibration() -> Robot {
         workspace: Some(Workspace::uniform(&kr60(), 50, 1)),
         ..Options::default()
     };
-    calibrated(&kr60(), &data, &balls, &options).unwrap().robot
+    (calibrated(&kr60(), &data, &balls, &options).unwrap(), data)
+}
+
+pub(crate) fn calibration() -> Robot {
+    calibrated_from_two_balls().0.robot
 }

@@ -4,7 +4,7 @@
 
 use super::outcome::PoseOutcome;
 use super::pose_matching::PoseMatching;
-use super::program::AFTER_S;
+use super::program::{self, AFTER_S};
 use crate::plan::{MotionKind, Plan, PoseKind};
 use crate::recording::matching::MatchingFinding as Finding;
 use crate::recording::stream::SampleStream;
@@ -135,7 +135,7 @@ fn waves(plan: &Plan, matching: &PoseMatching, stretch: f64) -> Vec<Wave> {
         let moves_s: Vec<f64> = (first..end).map(duration_s).collect();
         let base_mm = rows[first - 1].length_mm;
         let corners_mm = (first - 1..end).map(|at| rows[at].length_mm - base_mm).collect();
-        let stops = |at: &usize| rows[*at].kind != PoseKind::Transit && !rows[*at].is_passed();
+        let stops = |at: &usize| program::stops(&rows[*at]);
         // The duration of a PTP move is not planned.
         let timed = |at: &usize| rows[*at].motion != MotionKind::Ptp;
         let after = (end..rows.len()).take_while(timed).find(stops);

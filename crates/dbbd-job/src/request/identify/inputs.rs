@@ -203,22 +203,11 @@ impl LoadedInputs {
         asked: AskedIdentification<'_>,
         prior: Option<&Path>,
         set_up: SetUpCounts,
-        session: &RequestSession<'_>,
     ) -> Result<Options, Diagnostic> {
-        let (known, rows) = (|| self.known_lengths(prior, session), self.observations.rows.len());
+        let (known, rows) = (|| known_lengths(prior, &self.observations), self.observations.rows.len());
         let (options, lost) = asked.options(&self.robot, rows, set_up, known)?;
         self.findings.extend(lost.map(Diagnostic::from));
         Ok(options)
-    }
-
-    /// The number of observations from which an earlier result was identified: those in the tables beside the file of
-    /// that result.
-    pub(crate) fn known_lengths(
-        &self,
-        result: Option<&Path>,
-        session: &RequestSession<'_>,
-    ) -> Result<usize, Diagnostic> {
-        result.map_or(Ok(0), |result| lengths_beside(result, &self.observations, session))
     }
 
     /// Matches the captures again with the lengths that the identified robot predicts. Returns whether the pairs changed.
@@ -268,25 +257,17 @@ impl LoadedInputs {
     }
 }
 
-/// The observations that are in the tables beside the file of an earlier result.
-fn lengths_beside(
-    result: &Path,
-    observations: &Measurements,
-    session: &RequestSession<'_>,
-) -> Result<usize, Diagnostic> {
-    let tables = [LENGTHS, POSITIONS].map(|name| result.with_file_name(name));
+/// The number of observations from which a robot or a prior was identified: those in the tables beside its file. What was read
+/// from no file has no tables beside it.
+pub fn known_lengths(file: Option<&Path>, observations: &Measurements) -> Result<usize, Diagnostic> {
+    let Some(file) = file else { return Ok(0) };
+    let session = RequestSession::new(&());
+    let tables = [LENGTHS, POSITIONS].map(|name| file.with_file_name(name));
     let known = tables.iter().filter(|path| path.is_file()).map(|path| {
-        let table = measurements(path, lengths_or_positions, &mut Vec::new(), session)?;
+        let table = measurements(path, lengths_or_positions, &mut Vec::new(), &session)?;
         Ok(table.holds(observations))
     });
     known.sum()
-}
-
-/// The number of observations in memory from which a robot was identified, as a request counts them. A robot that was
-/// read from no file has no tables beside it.
-pub fn known_lengths(robot_file: Option<&Path>, observations: &Measurements) -> Result<usize, Diagnostic> {
-    let session = RequestSession::new(&());
-    robot_file.map_or(Ok(0), |file| lengths_beside(file, observations, &session))
 }
 
 /// The last day of the parts of a measurement, and their temperature: of the robot, else of the air, else of the rows.

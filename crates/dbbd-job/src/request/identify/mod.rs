@@ -263,7 +263,7 @@ impl IdentifyRequest {
             Some(RequestedPrior::Table(file)) => Some(file.as_path()),
             _ => self.robot.as_deref().map(Path::new),
         };
-        let mut options = given.options(asked, prior, set_up, session)?;
+        let mut options = given.options(asked, prior, set_up)?;
         // A warning about the earlier identification matters only if this identification is the prior.
         session.findings(
             given.robot.calibration_warnings().filter(|_| matches!(options.prior, Prior::Posterior)),
