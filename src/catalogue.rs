@@ -84,7 +84,8 @@ pub fn explanation(entry: &Entry) -> String {
     let Entry { code, title, cause, cure, sentences, asks } = entry;
     let sentences: String =
         sentences.iter().map(|sentence| format!("    {}\n", without_names(sentence))).collect();
-    let options = options_of(asks).map_or_else(String::new, |options| format!("Options: {options}\n\n"));
+    let options =
+        options_of(asks, |_| true).map_or_else(String::new, |options| format!("Options: {options}\n\n"));
     format!("{code}: {title}\n\nCause: {cause}\n\nCure: {cure}\n\n{options}{sentences}")
 }
 

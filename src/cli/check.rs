@@ -106,15 +106,23 @@ fn check_lines(check: &InterimCheck) -> Vec<String> {
     const MAX_PRINTED_CHANGES: usize = 3;
     let (test, decision) = (&check.test, &check.decision);
     let mut lines = vec![format!(
-        "{}: {} lengths, sigma {:.4} mm; innovation chi-square {:.1} of {} degrees of freedom, p {:.1e}",
-        check.robot, check.lengths, check.sigma_mm, test.chi_square, test.freedom, test.p
+        "{}: {} lengths, sigma {:.4} mm; innovation chi-square {:.1} of {} degrees of freedom, p {}{:.1e}",
+        check.robot,
+        check.lengths,
+        check.sigma_mm,
+        test.chi_square,
+        test.freedom,
+        if test.p <= ChangeTest::MIN_P { "<= " } else { "" },
+        test.p
     )];
     if test.changed && !check.is_explained() {
         lines.push(
             "changed, but no single hypothesis explains it; the most likely ones are in check.json".into(),
         );
     } else if test.changed {
-        lines.extend(check.changes.iter().take(MAX_PRINTED_CHANGES).map(change));
+        let words = ["changed: "].into_iter().chain(std::iter::repeat("     or: "));
+        let likeliest = check.changes.iter().take(MAX_PRINTED_CHANGES);
+        lines.extend(words.zip(likeliest).map(|(word, likely)| format!("{word}{}", change(likely))));
     } else {
         lines.push(format!("nothing changed (probability {:.3})", check.unchanged_probability));
     }
@@ -140,6 +148,7 @@ fn check_lines(check: &InterimCheck) -> Vec<String> {
         (Some(tolerance), Some(risk)) => {
             format!("{word} against {tolerance} mm ({}), risk {risk:.3}", decision.rule)
         }
+        (Some(tolerance), None) => format!("{word} against {tolerance} mm: these lengths decide nothing"),
         _ => format!("{word} (no tolerance given: by the change alone)"),
     });
     lines
@@ -150,13 +159,13 @@ fn change(hypothesis: &Hypothesis) -> String {
     let parts: Vec<String> = parts
         .map(|((id, change), sd)| {
             if matches!(id.unit(), ParamUnit::Rad) {
-                format!("{id} {:+.4} +- {:.4} deg", change.to_degrees(), sd.to_degrees())
+                format!("{id} {:+.4} deg (u {:.4})", change.to_degrees(), sd.to_degrees())
             } else {
-                format!("{id} {change:+.4} +- {sd:.4} mm")
+                format!("{id} {change:+.4} mm (u {sd:.4})")
             }
         })
         .collect();
     let alike: Vec<String> = hypothesis.alike.iter().map(ToString::to_string).collect();
     let alike = if alike.is_empty() { String::new() } else { format!(" (or {})", alike.join(", ")) };
-    format!("changed: {}{alike}, probability {:.3}", parts.join(" and "), hypothesis.probability)
+    format!("{}{alike}, probability {:.3}", parts.join(" and "), hypothesis.probability)
 }

@@ -372,7 +372,7 @@ fn significant<N: std::fmt::Display>(tracked: &[TrackedQuantity<N>]) -> Vec<Stri
         .map(|tracked| {
             let change = tracked.change;
             let (name, unit) = (&tracked.name, tracked.unit);
-            format!("  {name} {:+.3e} +- {:.1e} {unit} (p {:.1e})", change.change, change.sd, change.p_holm)
+            format!("  {name} {:+.3e} {unit} (u {:.1e}, p {:.1e})", change.change, change.sd, change.p_holm)
         })
         .collect();
     if changed.is_empty() {

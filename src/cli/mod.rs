@@ -44,7 +44,7 @@ use std::process::ExitCode;
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use dbbd_model::diagnostic::Diagnostic;
-pub(crate) use options::options_of;
+pub(crate) use options::{long_options, options_of};
 pub(crate) use output::CommandOutput;
 
 /// The heading of the options that every command takes.
@@ -146,14 +146,18 @@ pub fn main() -> ExitCode {
 /// Runs the program. The first argument is its name.
 pub fn main_with(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     crate::daemon::abort_on_panic();
-    let parsed =
-        command().try_get_matches_from(arguments).and_then(|matches| Cli::from_arg_matches(&matches));
-    let cli = match parsed {
-        Ok(cli) => cli,
+    let mut command = command();
+    let parsed = command.try_get_matches_from_mut(arguments).and_then(|matches| {
+        let options = long_options(&command, &matches);
+        Ok((Cli::from_arg_matches(&matches)?, options))
+    });
+    let (cli, options) = match parsed {
+        Ok(parsed) => parsed,
         Err(usage) => return output::wrong_usage(&usage),
     };
     let is_request = matches!(cli.verb, Verb::Request(_));
-    let out = if is_request { CommandOutput::of_request(cli.common) } else { CommandOutput::new(cli.common) };
+    let out = CommandOutput::new(cli.common, options);
+    let out = if is_request { out.of_request() } else { out };
     // `dbbd request` reads its request from stdin first.
     let begun = if is_request { Ok(()) } else { out.end_with_stdin() };
     output::finish(&out, begun.and_then(|()| run(&cli.verb, &out)))

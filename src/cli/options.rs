@@ -1,14 +1,29 @@
 //! The option of each input that a finding asks for.
 
+use std::collections::BTreeSet;
+
+use clap::{Arg, ArgMatches, Command};
 use dbbd_model::diagnostic::Input;
 
-/// The options for the inputs that a finding asks for, with what they give; `None` if it asks for none.
-pub(crate) fn options_of(asks: &[Input]) -> Option<String> {
+/// The options for the inputs that a finding asks for, with what they give, if `is_option` has their names; `None` if there
+/// are none.
+pub(crate) fn options_of(asks: &[Input], is_option: impl Fn(&str) -> bool) -> Option<String> {
     let named = |input: &Input| {
         let (option, what) = option(*input);
-        format!("{option} ({what})")
+        let name = option.trim_start_matches('-').split([' ', ',']).next()?;
+        is_option(name).then(|| format!("{option} ({what})"))
     };
-    (!asks.is_empty()).then(|| asks.iter().map(named).collect::<Vec<_>>().join(", "))
+    let named: Vec<String> = asks.iter().filter_map(named).collect();
+    (!named.is_empty()).then(|| named.join(", "))
+}
+
+/// The names of the long options that the called command has.
+pub(crate) fn long_options(command: &Command, called: &ArgMatches) -> BTreeSet<String> {
+    let inner = called.subcommand().and_then(|(name, called)| Some((command.find_subcommand(name)?, called)));
+    match inner {
+        Some((command, called)) => long_options(command, called),
+        None => command.get_arguments().filter_map(Arg::get_long).map(str::to_owned).collect(),
+    }
 }
 
 /// The option, and what it gives.

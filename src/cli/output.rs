@@ -1,5 +1,6 @@
 //! Prints results on stdout, and progress, warnings and errors on stderr. Determines the exit code.
 
+use std::collections::BTreeSet;
 use std::error::Error;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
@@ -34,6 +35,8 @@ const TICK: Duration = Duration::from_millis(100);
 #[derive(Clone)]
 pub(crate) struct CommandOutput {
     common: CommonOptions,
+    /// Names of the command's long options.
+    options: Arc<BTreeSet<String>>,
     results: ResultStream,
     reported: Arc<Mutex<Vec<Diagnostic>>>,
     /// Whether a command that this one started ended with a warning, which it printed itself.
@@ -62,9 +65,11 @@ impl Drop for ProgressIndicator {
 }
 
 impl CommandOutput {
-    pub(super) fn new(common: CommonOptions) -> Self {
+    /// `options` are the names of the command's long options.
+    pub(super) fn new(common: CommonOptions, options: BTreeSet<String>) -> Self {
         Self {
             common,
+            options: options.into(),
             results: ResultStream::Stdout,
             reported: Arc::default(),
             child_warned: Arc::default(),
@@ -73,11 +78,9 @@ impl CommandOutput {
     }
 
     /// The output of `dbbd request`: stdout has the answer alone.
-    pub(super) fn of_request(common: CommonOptions) -> Self {
-        Self {
-            results: ResultStream::Stderr,
-            ..Self::new(CommonOptions { json: false, strict: false, ..common })
-        }
+    pub(super) fn of_request(self) -> Self {
+        let common = CommonOptions { json: false, strict: false, ..self.common };
+        Self { results: ResultStream::Stderr, common, ..self }
     }
 
     /// Ends this process when its standard input closes, if it is a child process that was asked to.
@@ -175,9 +178,16 @@ impl CommandOutput {
     pub(crate) fn finding(&self, finding: impl Into<Diagnostic>) {
         let finding = finding.into();
         if finding.severity() > Severity::Info || !self.common.quiet {
-            write_line(&mut io::stderr(), &labelled(&finding));
+            write_line(&mut io::stderr(), &self.labelled(&finding));
         }
         lock(&self.reported).push(finding);
+    }
+
+    /// A finding as a line `warning[W0123]: FILE:LINE: ..`, with the options of this command that its cure is about.
+    fn labelled(&self, finding: &Diagnostic) -> String {
+        let options = options_of(finding.asks(), |name| self.options.contains(name));
+        let options = options.map_or_else(String::new, |options| format!("\n  options: {options}"));
+        format!("{}{options}", finding.labelled())
     }
 
     pub(crate) fn findings<F: Into<Diagnostic>>(&self, findings: impl IntoIterator<Item = F>) {
@@ -265,13 +275,6 @@ fn write_line(to: &mut impl Write, line: &str) {
     let _ = to.write_all(format!("{}\n", escape_controls(line)).as_bytes());
 }
 
-/// A finding as a line `warning[W0123]: FILE:LINE: ..`, with the options that its cure is about.
-fn labelled(finding: &Diagnostic) -> String {
-    let options = options_of(finding.asks());
-    let options = options.map_or_else(String::new, |options| format!("\n  options: {options}"));
-    format!("{}{options}", finding.labelled())
-}
-
 /// Reports a wrong command line, with the code of the finding if a value was refused. Returns the exit code.
 pub(super) fn wrong_usage(usage: &clap::Error) -> ExitCode {
     match usage.source().and_then(code) {
@@ -312,7 +315,7 @@ pub(super) fn finish(out: &CommandOutput, result: Result<CommandOutcome, Diagnos
         Ok(CommandOutcome::Failed) => ExitCode::from(4),
         Ok(_) => ExitCode::from(if out.common.strict { 1 } else { 3 }),
         Err(error) => {
-            write_line(&mut io::stderr(), &labelled(&error));
+            write_line(&mut io::stderr(), &out.labelled(&error));
             if out.common.json {
                 let document = serde_json::json!({ "error": error });
                 out.print(&escape_controls(&format!("{document:#}")));

@@ -107,7 +107,7 @@ fn show_matching(matching: &PoseMatching, out: &CommandOutput) {
     for PassLag { circle, lag_s, sd_s, hysteresis_mm } in &matching.lags {
         let [lag_ms, sd_ms] = [lag_s, sd_s].map(|s| 1000.0 * s);
         out.result(format!(
-            "circle {circle}: the reading comes {lag_ms:.1} +- {sd_ms:.1} ms after the command; the senses differ by {:.1} um",
+            "circle {circle}: the reading comes {lag_ms:.1} ms (u {sd_ms:.1}) after the command; the senses differ by {:.1} um",
             1000.0 * hysteresis_mm
         ));
     }
@@ -115,9 +115,9 @@ fn show_matching(matching: &PoseMatching, out: &CommandOutput) {
         show_axes(axes, out);
     }
     if let Some(drift) = matching.drift {
-        let spread = drift.sd_mm.map_or(String::new(), |sd| format!(" +- {:.1}", 1000.0 * sd));
+        let spread = drift.sd_mm.map_or(String::new(), |sd| format!(" (u {:.1})", 1000.0 * sd));
         let (um, readings) = (1000.0 * drift.change_mm, drift.readings);
-        out.result(format!("drift at the reference pose: {um:.1}{spread} um over {readings} readings"));
+        out.result(format!("drift at the reference pose: {um:.1} um{spread} over {readings} readings"));
     }
 }
 
@@ -126,7 +126,7 @@ fn show_axes(axes: &AxesReport, out: &CommandOutput) {
     if let Some(BarLag { lag_s, sd_s, windows }) = axes.lag {
         let [lag_ms, sd_ms] = [lag_s, sd_s].map(|s| 1000.0 * s);
         out.result(format!(
-            "the reading comes {lag_ms:.2} +- {sd_ms:.2} ms after the axes ({windows} windows of motion)"
+            "the reading comes {lag_ms:.2} ms (u {sd_ms:.2}) after the axes ({windows} windows of motion)"
         ));
     }
     for FollowingError { axis, lag_s, moving_rms_deg, moving_max_deg, rest_max_deg, settling_s } in

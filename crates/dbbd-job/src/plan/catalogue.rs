@@ -97,15 +97,15 @@ findings! {
         I0714 "how many lengths are enough",
         cause: "The remaining error over the workspace is predicted for parts of the plan (the most informative lengths first) and for the plan measured twice.",
         cure: "Measure fewer lengths where fewer are enough. Where more do not help, choose other poses, another base ball or a better known bar." {
-            Enough { lengths: usize, error_mm: f64, repeatability_mm: f64, planned: usize, planned_error_mm: f64, doubled: usize, doubled_error_mm: f64 } => "{lengths} lengths are enough: the remaining 3-D error is {error_mm:.3} mm, less than the robot's repeatability of {repeatability_mm} mm; {planned} leave {planned_error_mm:.3} mm, {doubled} leave {doubled_error_mm:.3} mm";
-            OthersNeeded { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "{planned} lengths leave {planned_error_mm:.3} mm, twice as many {doubled_error_mm:.3} mm: only other poses, another base ball or a better known bar (length_u_mm) would help";
-            MoreHelp { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "{planned} lengths leave {planned_error_mm:.3} mm; twice as many would leave {doubled_error_mm:.3} mm";
+            Enough { lengths: usize, error_mm: f64, repeatability_mm: f64, planned: usize, planned_error_mm: f64, doubled: usize, doubled_error_mm: f64 } => "{lengths} lengths are enough: the remaining 3-D error without errors of the joints is {error_mm:.3} mm, less than the robot's repeatability of {repeatability_mm} mm; {planned} leave {planned_error_mm:.3} mm, {doubled} leave {doubled_error_mm:.3} mm";
+            OthersNeeded { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "without errors of the joints {planned} lengths leave {planned_error_mm:.3} mm, twice as many {doubled_error_mm:.3} mm: only other poses, another base ball or a better known bar (length_u_mm) would help";
+            MoreHelp { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "without errors of the joints {planned} lengths leave {planned_error_mm:.3} mm; twice as many would leave {doubled_error_mm:.3} mm";
         }
         I0715 "how far from the base balls a result is valid",
         cause: "The predicted uncertainty grows with the distance from the base balls.",
         cure: "Put a base ball where the robot works, or give `workspace_mm`." {
-            ValidNear { within_mm: f64, least_mm: f64, most_mm: f64, farther_mm: f64 } => "the result is valid up to {within_mm} mm from the base balls, where {least_mm:.3} to {most_mm:.3} mm are left; farther out up to {farther_mm:.3} mm";
-            ValidEverywhere { least_mm: f64, most_mm: f64 } => "the result is valid over the whole workspace, with {least_mm:.3} to {most_mm:.3} mm left";
+            ValidNear { within_mm: f64, least_mm: f64, most_mm: f64, farther_mm: f64 } => "the result is valid up to {within_mm} mm from the base balls, where {least_mm:.3} to {most_mm:.3} mm are left without errors of the joints; farther out up to {farther_mm:.3} mm";
+            ValidEverywhere { least_mm: f64, most_mm: f64 } => "the result is valid over the whole workspace, with {least_mm:.3} to {most_mm:.3} mm left without errors of the joints";
         }
         I0716 "whether a second base ball would help",
         cause: "The best poses were chosen again about this ball and with a second one at several places.",
@@ -128,7 +128,7 @@ findings! {
         cause: "They belong to other base balls, or they are of another robot or another bar.",
         cure: "Give only lengths that were measured to the base balls of this job." {
             NoFiniteRobot => "the lengths measured before give no finite robot";
-            OtherBar { off_mm: f64, sd_mm: f64, low_mm: f64, high_mm: f64 } => "the lengths measured before are those of a bar that is {off_mm:+.2} +- {sd_mm:.2} mm longer than the job's, whose stroke is {low_mm} to {high_mm} mm", help: "is length_mm of the job that of this bar, and were the lengths computed with it?";
+            OtherBar { off_mm: f64, sd_mm: f64, low_mm: f64, high_mm: f64 } => "the lengths measured before are those of a bar whose length is {off_mm:+.2} mm (u {sd_mm:.2}) off the job's, whose stroke is {low_mm} to {high_mm} mm", help: "is length_mm of the job that of this bar, and were the lengths computed with it?";
         }
         E0730 "plan.csv and plan.json do not belong together",
         cause: "One of them was edited, copied from elsewhere, or is of another version.",

@@ -10,7 +10,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Frames, Language, Target};
+use super::{Frames, Target};
 use crate::program::CompensationFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::{ApproachedPose, ToolPoint};
@@ -71,8 +71,9 @@ pub struct Corrector {
     /// The true robot, with the tool point at the flange as well.
     identified: Geometry,
     limit_mm: f64,
-    /// The nominal axis angles at the last target, rad, and the sense in which each axis approached it.
-    last: [f64; AXES],
+    /// The nominal axis angles at the last target, rad, and the sense in which each axis approached it. Before the first
+    /// target the robot may be anywhere.
+    last: Option<[f64; AXES]>,
     approach: Approach,
 }
 
@@ -96,7 +97,7 @@ impl Corrector {
             nominal: Robot { geometry: flange(&controller.geometry, Vector3::zeros()), ..controller.clone() },
             identified: flange(&robot.geometry, Vector3::zeros()),
             limit_mm,
-            last: Language::of_robot(robot).home_deg().map(f64::to_radians),
+            last: None,
             approach: Approach::default(),
         }
     }
@@ -140,26 +141,26 @@ impl Corrector {
             }
             Target::Pose { xyz_mm, abc_deg, status, turn } => {
                 let flange = frames.flange(&Pose::from_kuka(xyz_mm, abc_deg));
-                let axes = match (commanded.branch, status.zip(turn)) {
-                    (Branch::ByQuadrants(wanted), _) => {
-                        inverse::from_quadrants(&self.nominal, &flange, wanted)
-                    }
-                    (Branch::ByFanuc(wanted), _) if self.knows_fanuc() => {
+                let axes = match commanded.branch {
+                    Branch::ByQuadrants(wanted) => inverse::from_quadrants(&self.nominal, &flange, wanted),
+                    Branch::ByFanuc(wanted) if self.knows_fanuc() => {
                         inverse::from_fanuc(&self.nominal, &flange, wanted, None)
                     }
-                    (Branch::ByFanuc(_), _) => return Err(CompensationFinding::NoFanucRule),
-                    (Branch::OnLine(wanted), _) if self.knows_fanuc() => {
-                        inverse::from_fanuc(&self.nominal, &flange, wanted, Some(&self.last))
+                    Branch::ByFanuc(_) => return Err(CompensationFinding::NoFanucRule),
+                    Branch::OnLine(wanted) if self.knows_fanuc() => {
+                        inverse::from_fanuc(&self.nominal, &flange, wanted, self.last.as_ref())
                     }
-                    (Branch::ByStatusAndTurn, Some((status, turn))) => {
-                        let bits = (u8::try_from(status & 7), u8::try_from(turn));
-                        let (Ok(status), Ok(turn)) = bits else {
-                            return Err(CompensationFinding::StatusOutOfRange);
-                        };
-                        self.branch(&flange, status, turn)
+                    Branch::NearestTo(near) => self.nearest(&flange, &near),
+                    Branch::ByStatusAndTurn | Branch::Nearest | Branch::OnLine(_) => {
+                        // On a line the controller keeps the branch that it has. A point that was taught tells its own.
+                        let told = status.zip(turn);
+                        let keeps = commanded.branch != Branch::ByStatusAndTurn || told.is_none();
+                        match (self.last.filter(|_| keeps), told) {
+                            (Some(last), _) => self.nearest(&flange, &last),
+                            (None, Some((status, turn))) => self.by_status(&flange, status, turn)?,
+                            (None, None) => return Err(CompensationFinding::NothingBefore),
+                        }
                     }
-                    (Branch::NearestTo(near), _) => self.nearest(&flange, &near),
-                    _ => self.nearest(&flange, &self.last),
                 };
                 let unreached =
                     |why: Unsolved| CompensationFinding::NominalDoesNotReach { why: why.to_string() };
@@ -186,6 +187,20 @@ impl Corrector {
         Ok(within.min_by(|a, b| turn(a).total_cmp(&turn(b))).unwrap_or(nearest))
     }
 
+    /// As [`Self::branch`], for numbers of a program.
+    fn by_status(
+        &self,
+        flange: &Pose,
+        status: i64,
+        turn: i64,
+    ) -> Result<Result<[f64; AXES], Unsolved>, CompensationFinding> {
+        let bits = (u8::try_from(status & 7), u8::try_from(turn));
+        let (Ok(status), Ok(turn)) = bits else {
+            return Err(CompensationFinding::StatusOutOfRange);
+        };
+        Ok(self.branch(flange, status, turn))
+    }
+
     /// The nominal axis angles by status and turn. If rounding the pose to its digits moves an axis that was taught at zero
     /// to the other side of zero, its turn bit is ignored.
     fn branch(&self, flange: &Pose, status: u8, turn: u8) -> Result<[f64; AXES], Unsolved> {
@@ -203,8 +218,9 @@ impl Corrector {
 
     /// The axis angles of the identified robot at a pose of its flange, in the branch of `start`.
     fn solve(&mut self, flange: &Pose, start: &[f64; AXES]) -> Result<[f64; AXES], CompensationFinding> {
-        self.approach = self.approach.after(&self.last, start);
-        self.last = *start;
+        if let Some(last) = self.last.replace(*start) {
+            self.approach = self.approach.after(&last, start);
+        }
         let axes = inverse::numeric(&self.identified.approached(self.approach), flange, start)
             .map_err(|unsolved| CompensationFinding::IdentifiedDoesNotReach { why: unsolved.to_string() })?;
         let limits_deg = self.nominal.limits_at_deg(&axes.map(f64::to_degrees));

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::estimation::Validity;
+
 /// The decision rule.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -88,6 +90,15 @@ pub fn decide(
 }
 
 impl ConformityDecision {
+    /// How many times as large the position uncertainty may become until the robot does not pass any more; `None` if it does
+    /// not pass now. Without a tolerance [`Validity::GROWTH`].
+    pub(super) fn growth(&self) -> Option<f64> {
+        let decides_mm =
+            if self.rule == "simple_acceptance" { self.position_error_mm } else { self.upper_mm };
+        let growth = self.tolerance_mm.map_or(Validity::GROWTH, |tolerance| tolerance / decides_mm);
+        (self.decision == ConformityOutcome::Pass).then_some(growth)
+    }
+
     /// Turns a failure into `undecided`, if lengths that agree with the robot would fail as well.
     pub(super) fn failure_as_undecided(self) -> Self {
         if self.decision != ConformityOutcome::Fail {
@@ -121,6 +132,22 @@ mod tests {
         assert_eq!((shared.decision, shared.guard_band_mm), (ConformityOutcome::Pass, None));
         assert_eq!(decide(&sizes, None, rule, true).decision, ConformityOutcome::Fail);
         assert_eq!(decide(&sizes, None, rule, false).decision, ConformityOutcome::Pass);
+    }
+
+    /// A robot passes until the size that decides has grown to the tolerance: the 95th of 100 draws, or their median.
+    #[test]
+    fn uncertainty_may_grow_until_the_robot_does_not_pass() {
+        let sizes: Vec<f64> = (1..=100).map(f64::from).collect();
+        let guarded = DecisionRule::GuardBand { risk: 0.05 };
+        for (tolerance, rule, growth) in [
+            (Some(190.0), guarded, Some(2.0)),
+            (Some(94.0), guarded, None),
+            (Some(75.0), DecisionRule::SimpleAcceptance, Some(1.5)),
+            (Some(40.0), DecisionRule::SimpleAcceptance, None),
+            (None, guarded, Some(1.5)),
+        ] {
+            assert_eq!(decide(&sizes, tolerance, rule, false).growth(), growth, "{tolerance:?} {rule:?}");
+        }
     }
 
     /// JCGM 106: the specific risk is the probability that the decision is wrong; of an undecided one, that the tolerance is

@@ -131,6 +131,11 @@ impl CheckInput<'_> {
         if undecidable && !test.changed {
             decision = decision.failure_as_undecided();
         }
+        let growth = decision.growth().filter(|_| !test.changed);
+        let validity = match growth {
+            Some(growth) => self.validity(&expected, &known, growth, &map)?,
+            None => None,
+        };
         Ok(InterimCheck {
             schema: 1,
             robot: self.robot.name.clone(),
@@ -146,7 +151,7 @@ impl CheckInput<'_> {
                 now: of_workspace(&now),
                 updated: updated.as_ref().map(|posterior| of_workspace(&position.of(posterior, 1.0))),
             },
-            validity: if test.changed { None } else { self.validity(&expected, &known, &map)? },
+            validity,
             detectable: innovation.detectable(),
             map,
             update: updated.and_then(|posterior| self.robot_of(&posterior, &known)),
@@ -200,16 +205,18 @@ impl CheckInput<'_> {
         Some(if self.rule == DecisionRule::SimpleAcceptance { best.position_error_mm } else { best.upper_mm })
     }
 
-    /// The validity of the robot with the information of the check's lengths.
+    /// The validity of the robot with the information of the check's lengths, until its uncertainty is `growth` times as
+    /// large.
     fn validity(
         &self,
         expected: &Expected,
         known: &Posterior,
+        growth: f64,
         map: &[MapPoint],
     ) -> Result<Option<Validity>, ConformityFinding> {
         let after =
             expected.posterior.after(self.readings, self.noise()).ok_or(ConformityFinding::NotFinite)?;
-        Ok(self.robot_of(&after, known).and_then(|robot| Validity::of(&robot, self.tolerance_mm, map)))
+        Ok(self.robot_of(&after, known).and_then(|robot| Validity::of(&robot, growth, map)))
     }
 
     /// The posterior of the calibration.
@@ -300,6 +307,7 @@ impl InterimCheck {
     pub fn decide_nothing(&mut self) {
         if self.decision.decision == ConformityOutcome::Pass {
             self.decision.decision = ConformityOutcome::Undecided;
+            self.decision.specific_risk = None;
         }
         self.validity = None;
     }

@@ -219,7 +219,7 @@ impl<'a> Calibration<'a> {
             monte_carlo: checks.monte_carlo,
             predicted_position_uncertainty_mm: prediction.pair,
             predicted_orientation_uncertainty_mrad: Some(prediction.orientation),
-            validity: Validity::of(&robot, None, &prediction.map),
+            validity: Validity::of(&robot, Validity::GROWTH, &prediction.map),
             parameters: self.parameters,
             combinations: estimate.analysis.combinations(),
             correlated,

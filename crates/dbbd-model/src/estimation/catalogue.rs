@@ -82,7 +82,7 @@ findings! {
         asks: [Robot, Fixed] {
             ImplausibleWithFixed { fixed: Names, parameters: Names, times: f64 } => "with {fixed} fixed, the corrections of {parameters} are more than {times:.0} times the robot's tolerance";
             PlaceContradicted { fixed: Names, held_mm: f64, free_mm: f64 } => "with {fixed} fixed the lengths fit to {held_mm:.3} mm, and to {free_mm:.3} mm if these are estimated: they are not where they were given";
-            BarContradicted { off_mm: f64, sd_mm: f64 } => "within the tolerance of the robot, the lengths belong to a bar that is {off_mm:+.3} +- {sd_mm:.3} mm longer than stated: is its length right?";
+            BarContradicted { off_mm: f64, sd_mm: f64 } => "within the tolerance of the robot, the lengths belong to a bar whose length is {off_mm:+.3} mm (u {sd_mm:.3}) off what is stated: is its length right?";
             Implausible { parameters: Names, times: f64 } => "the corrections of {parameters} are more than {times:.0} times the robot's tolerance: no robot is so far off";
             Displaced { parameters: Names } => "{parameters} came out far from where they were given";
         }

@@ -109,6 +109,11 @@ pub struct CheckPower {
     pub least_tolerance_mm: f64,
 }
 
+impl ChangeTest {
+    /// The least p that the draws can tell: none of them was as extreme.
+    pub const MIN_P: f64 = 1.0 / (DRAWS as f64 + 1.0);
+}
+
 impl Innovation {
     /// `None` if a number is not finite, or there are no more lengths than free coordinates.
     pub fn of(expected: &Expected, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Self> {

@@ -17,7 +17,7 @@ use super::hypotheses::{
 use super::lengths::{Lengths, Sigma, Weighted};
 use super::noise_shape::{JointNoise, NoiseScore, NoiseShape, OwnNoise};
 use super::options::{ErrorModel, Setting};
-use super::pose_rows::{LengthNoise, PoseRows};
+use super::pose_rows::{LengthAtPose, LengthNoise, PoseRows};
 use super::position::BallMotion;
 use super::priors::uncertified_variance;
 use super::ripple::{Candidate, RippleSearch, ln_candidates};
@@ -37,13 +37,16 @@ use crate::robot::{
 
 /// Rounds in which the set of outliers may change.
 const OUTLIER_ROUNDS: usize = 3;
-/// Linearisations.
+/// Linearisations in which the variances settle.
 const ROUNDS: usize = 4;
-/// Least and largest number of linearisations with known variances. They end when no parameter moves by more than this
-/// share of its standard deviation.
-const REFIT_ROUNDS: usize = 2;
-const MAX_REFIT_ROUNDS: usize = 12;
+/// Least number of linearisations with known variances for other lengths, and the largest number of them.
+const MIN_REFIT_ROUNDS: usize = 2;
+const MAX_REFIT_ROUNDS: usize = 20;
+/// A model is at rest if its last step was shorter, in standard deviations of the posterior. No parameter moves by more than
+/// this share of its own standard deviation in such a step.
 const REST: f64 = 0.02;
+/// Halvings of a step that does not make the unknowns more probable.
+const MAX_HALVINGS: usize = 20;
 /// Steps towards the most probable noise in each linearisation.
 const SCORES: usize = 2;
 /// More lengths than this are summed a piece at a time, with the variances from an even sample.
@@ -55,9 +58,6 @@ const TOGETHER: usize = 8;
 const PROJECTED: usize = 400;
 /// With fewer degrees of freedom the residuals say nothing about the noise.
 const MIN_FREEDOM: f64 = 0.5;
-/// A linearisation that makes the residuals this many times as large, and this much larger (mm), does not hold.
-const DIVERGED: f64 = 10.0;
-const DIVERGED_MM: f64 = 1.0;
 /// Noise that is larger by less than this factor counts as the same.
 const SAME_NOISE: f64 = 1.5;
 /// Largest number of ripples that are searched.
@@ -283,10 +283,8 @@ fn from_start(
     loop {
         let first = usize::from(state.is_some());
         let mut search = Search::new(&unknowns, used, model.clone(), state.take());
-        let mut step = search.round(first)?;
-        for round in first + 1..ROUNDS {
-            step = search.round(round)?;
-        }
+        let step = search.round(first)?;
+        let mut step = search.settled(step, first + 1)?;
         let has_room = unknowns.events().len() < MAX_CERTAIN;
         let event = if with_errors && seeks_events && has_room { search.event(&step) } else { None };
         let certain = event.as_ref().filter(|event| event.is_certain).map(|event| event.event);
@@ -298,8 +296,9 @@ fn from_start(
         }
         if with_errors && !unknowns.has_coefficients() && used.count() >= start.base.len() + REDUNDANT {
             step = search.with_ripple(step)?;
+            step = search.settled(step, ROUNDS)?;
         }
-        if sample.is_some() {
+        if sample.is_some() && step.is_at_rest() {
             search.streamed(&mut step, &all)?;
         }
         // An event that was found in the sample gets its row among all lengths.
@@ -325,16 +324,10 @@ pub(super) fn refit(lengths: &Lengths, estimate: &Estimate) -> Option<[LengthMod
     };
     let mut search = Search { unknowns, used, state, ln_sd: [0.0; HYPERS] };
     let mut first = None;
-    for round in 0..MAX_REFIT_ROUNDS {
-        let before = search.state.model.clone();
-        let system = search.linearised();
-        let whitened = system.whitened(search.state.shape, search.state.hypers.sigma_mm())?;
-        search.move_to(&whitened.equations.posterior(&search.state.hypers)?);
+    for round in 1..=MAX_REFIT_ROUNDS {
+        let step = search.stepped(search.linearised())?;
         let first = first.get_or_insert_with(|| search.state.model.clone());
-        let moved = |id: &ParamId| (search.state.model.value(*id) - before.value(*id)).abs();
-        let is_at_rest =
-            estimate.kept.iter().enumerate().all(|(k, id)| moved(id) <= REST * estimate.root.row(k).norm());
-        if round + 1 >= REFIT_ROUNDS && is_at_rest {
+        if round >= MIN_REFIT_ROUNDS && step.is_at_rest() {
             return Some([first.clone(), search.state.model]);
         }
     }
@@ -367,6 +360,14 @@ struct Step {
     system: System,
     whitened: Whitened,
     ln_evidence: f64,
+    /// The step of the model, in standard deviations of the posterior.
+    moved_sds: f64,
+}
+
+impl Step {
+    fn is_at_rest(&self) -> bool {
+        self.moved_sds < REST
+    }
 }
 
 impl<'a> Search<'a> {
@@ -423,6 +424,21 @@ impl<'a> Search<'a> {
         search.strongest(candidates)
     }
 
+    /// Finds the hyper-parameters in the rounds that are left from the round `from` on after a step, and then keeps them until the
+    /// model is at rest. Returns the last step.
+    fn settled(&mut self, mut step: Step, from: usize) -> Option<Step> {
+        for round in from..ROUNDS {
+            step = self.round(round)?;
+        }
+        for _ in 0..MAX_REFIT_ROUNDS {
+            if step.is_at_rest() {
+                break;
+            }
+            step = self.stepped(self.linearised())?;
+        }
+        Some(step)
+    }
+
     /// Linearises, finds the hyper-parameters and moves the model to the most probable unknowns.
     fn round(&mut self, round: usize) -> Option<Step> {
         if let JointNoise::Approached { backlash, .. } = &mut self.state.shape.joints {
@@ -444,20 +460,27 @@ impl<'a> Search<'a> {
             whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
             self.state.shape = self.scored(&system, &whitened)?;
         }
-        whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
+        let step = self.stepped(system)?;
+        self.state.bar_sds = self.bar_sds(&step)?;
+        Some(step)
+    }
+
+    /// Moves the model to the most probable unknowns of a system, with the hyper-parameters as they are.
+    fn stepped(&mut self, system: System) -> Option<Step> {
+        let whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
         let posterior = whitened.equations.posterior(&self.state.hypers)?;
-        self.state.bar_sds = self.bar_sds(&posterior)?;
-        self.move_to(&posterior);
+        let moved_sds = self.move_to(&system, &whitened, &posterior);
         let ln_evidence = posterior.ln_evidence(&self.state.hypers) + self.state.shape.joints.ln_prior();
-        Some(Step { system, whitened, ln_evidence })
+        Some(Step { system, whitened, ln_evidence, moved_sds })
     }
 
     /// The prior standard deviations of bars without a certificate, from the posterior of their lengths.
-    fn bar_sds(&self, posterior: &SystemPosterior<'_>) -> Option<Vec<f64>> {
+    fn bar_sds(&self, step: &Step) -> Option<Vec<f64>> {
         let mut columns = self.unknowns.bar_columns().peekable();
         if columns.peek().is_none() {
             return Some(Vec::new());
         }
+        let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
         let root = posterior.root()?;
         let mean_square = |k: usize| posterior.mean[k].powi(2) + root.row(k).norm_squared();
         Some(columns.map(|k| uncertified_variance(mean_square(k)).sqrt()).collect())
@@ -490,23 +513,47 @@ impl<'a> Search<'a> {
         )
     }
 
-    /// Root mean square of the residuals of a model, mm.
-    fn residual_mm(&self, model: &LengthModel) -> f64 {
-        let prepared = model.prepare();
-        let squares = self.used.by(Sigma::All(1.0)).sum(|reading, _| prepared.residual(reading).powi(2));
-        (squares / self.used.count().max(1) as f64).sqrt()
+    /// Moves the model to the most probable unknowns. Lengths are not linear in the model: the step is halved until it makes
+    /// the unknowns more probable. Returns its length in standard deviations of the posterior.
+    fn move_to(&mut self, system: &System, whitened: &Whitened, posterior: &SystemPosterior<'_>) -> f64 {
+        let now = self.unknowns.at(&self.state.model, &self.state.z);
+        let own = self.unknowns.of_model(&self.state.model);
+        let mut step = &posterior.mean * 0.0;
+        step.rows_mut(0, own).copy_from(&(posterior.mean.rows(0, own) - now.rows(0, own)));
+        let by_step = &system.rows.values * &step;
+        // The other unknowns are exactly linear: they have their most probable values at each model.
+        let cost = |z: &DVector<f64>, curved: Option<DVector<f64>>| {
+            let mut left = &system.right - &system.rows.values * z;
+            left += curved.unwrap_or_else(|| &left * 0.0);
+            whitened.whitening.apply(&mut left);
+            let of_prior = z
+                .iter()
+                .zip(&system.variances)
+                .filter_map(|(z, variance)| Some(z * z / variance.as_ref()?.value(&self.state.hypers)));
+            left.norm_squared() / self.state.hypers.sigma_mm().powi(2) + of_prior.sum::<f64>()
+        };
+        let here = cost(&(&posterior.mean - &step), None);
+        let whole_sds = (here - cost(&posterior.mean, None)).max(0.0).sqrt();
+        for share in (0..=MAX_HALVINGS).map(|halvings| 0.5f64.powi(halvings as i32)) {
+            let z = &posterior.mean - &step * (1.0 - share);
+            let mut model = self.state.model.clone();
+            self.unknowns.move_to(&now, &z, &mut model);
+            let curved = self.residuals(&model, system) - &system.rows.residual + &by_step * share;
+            // At rest only rounding is left.
+            if cost(&z, Some(curved)) <= here * (1.0 + 1e-9) {
+                self.state.model = model;
+                self.state.z = self.unknowns.rested(z);
+                return share * whole_sds;
+            }
+        }
+        whole_sds
     }
 
-    fn move_to(&mut self, posterior: &SystemPosterior<'_>) {
-        let now = self.unknowns.at(&self.state.model, &self.state.z);
-        let mut there = self.state.model.clone();
-        self.unknowns.move_to(&now, &posterior.mean, &mut there);
-        // Lengths that fit no robot lead far beyond the range of the linearisation: then the model stays.
-        let [here_mm, there_mm] = [&self.state.model, &there].map(|model| self.residual_mm(model));
-        if there_mm < DIVERGED * here_mm + DIVERGED_MM {
-            self.state.model = there;
-            self.state.z = self.unknowns.rested(posterior.mean.clone());
-        }
+    /// Measured minus predicted length of a model for each row of a system, mm.
+    fn residuals(&self, model: &LengthModel, system: &System) -> DVector<f64> {
+        let (prepared, lengths) = (model.prepare(), self.used.lengths());
+        let of = |row: &LengthAtPose| prepared.residual(&lengths.reading(row.place));
+        DVector::from_iterator(system.rows.lengths.len(), system.rows.lengths.iter().map(of))
     }
 
     /// Computes the equations of all lengths, a piece at a time, with the variances that were found.
@@ -538,7 +585,9 @@ impl<'a> Search<'a> {
         }
         step.whitened.equations = Equations::of(&step.system, sums?)?;
         let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
-        self.move_to(&posterior);
+        let now = self.unknowns.at(&self.state.model, &self.state.z);
+        self.unknowns.move_to(&now, &posterior.mean, &mut self.state.model);
+        self.state.z = self.unknowns.rested(posterior.mean.clone());
         Some(())
     }
 
@@ -684,7 +733,7 @@ impl<'a> Search<'a> {
             events,
             left_out: None,
             wrong_balls: Vec::new(),
-            fit: Fit { model, ..start.fit.clone() },
+            fit: Fit { model, converged: step.is_at_rest(), ..start.fit.clone() },
             unknowns: unknowns.clone(),
         })
     }

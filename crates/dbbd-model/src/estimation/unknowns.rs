@@ -127,6 +127,11 @@ impl Unknowns {
         self.before.variances.len()
     }
 
+    /// Number of the unknowns that change the model: parameters and coefficients. They are the first ones.
+    pub(super) fn of_model(&self, model: &LengthModel) -> usize {
+        self.own() + if self.before.has_coefficients { 0 } else { model.geometry.joint_errors.count() }
+    }
+
     /// The places of the backlash coefficients of a model among all unknowns; none if T mixes them with others.
     pub(super) fn backlash_places(&self, model: &LengthModel) -> [Option<usize>; AXES] {
         if self.before.has_coefficients {
@@ -257,8 +262,7 @@ impl Unknowns {
 
     /// Moves a model from the unknowns `now` to the unknowns `then`.
     pub(super) fn move_to(&self, now: &DVector<f64>, then: &DVector<f64>, model: &mut LengthModel) {
-        let own =
-            self.own() + if self.before.has_coefficients { 0 } else { model.geometry.joint_errors.count() };
+        let own = self.of_model(model);
         let mut steps = then.rows(0, own) - now.rows(0, own);
         if let Some(transform) = &self.before.transform {
             let mixed = transform * steps.rows(0, transform.ncols());

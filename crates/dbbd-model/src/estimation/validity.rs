@@ -12,16 +12,18 @@ use crate::robot::{Drift, Payload, Robot};
 /// Number and seed of the poses over which the growth of the uncertainty is taken, uniform within the axis limits.
 const POSES: usize = 300;
 const SEED: u64 = 1;
-/// Without a tolerance of the user the calibration holds until its uncertainty is this many times that on the day of
-/// the measurements.
-const GROWTH: f64 = 1.5;
 /// Resolution of the time that is sought, months.
 const MONTHS_RESOLUTION: f64 = 0.02;
 
 impl Validity {
-    /// The validity of a robot's calibration. `map` is the predicted position uncertainty today; it grows with the
-    /// drift of the months to come. `None` without a posterior, or if the uncertainty is not finite.
-    pub fn of(robot: &Robot, tolerance_mm: Option<f64>, map: &[MapPoint]) -> Option<Self> {
+    /// Without a tolerance of the user the calibration holds until its uncertainty is this many times as large as on the day
+    /// of the measurements.
+    pub const GROWTH: f64 = 1.5;
+
+    /// The validity of a robot's calibration, until its uncertainty is `growth` times as large as today. `map` is the
+    /// predicted position uncertainty today; it grows with the drift of the months to come. `None` without a posterior, or
+    /// if the uncertainty is not finite.
+    pub fn of(robot: &Robot, growth: f64, map: &[MapPoint]) -> Option<Self> {
         if !robot.has_posterior() {
             return None;
         }
@@ -34,7 +36,7 @@ impl Validity {
         let (today, known) = (MapPoint::root_mean_square_mm(map).powi(2), mean_square(0.0));
         let expanded = |months| COVERAGE_FACTOR * (today + mean_square(months) - known).max(today).sqrt();
         let now_mm = expanded(0.0);
-        let limit_mm = tolerance_mm.unwrap_or(GROWTH * now_mm);
+        let limit_mm = growth * now_mm;
         if !now_mm.is_finite() {
             return None;
         }
@@ -86,8 +88,7 @@ impl fmt::Display for Validity {
         write!(
             out,
             ": U = {:.2} mm (k = 2) at first, at most {:.2} mm until then",
-            self.expanded_uncertainty_mm,
-            self.limit_mm.max(self.expanded_uncertainty_mm)
+            self.expanded_uncertainty_mm, self.limit_mm
         )?;
         match self.basis {
             DriftBasis::HyperPrior => {
@@ -142,19 +143,22 @@ mod tests {
     fn without_a_tolerance_it_holds_until_u_has_grown_by_half() {
         let robot = identified(40e-6);
         let map = map(&robot);
-        let found = Validity::of(&robot, None, &map).unwrap();
+        let found = Validity::of(&robot, Validity::GROWTH, &map).unwrap();
         assert!((found.expanded_uncertainty_mm / (2.0 * map[0].rms_mm) - 1.0).abs() < 1e-12);
         let months = 1.25 * (40e-6 / robot.drift.rms_zero_rad()).powi(2);
         assert!((found.months.unwrap() - months).abs() < 0.03, "{found:?} {months}");
         assert!((found.limit_mm / found.expanded_uncertainty_mm - 1.5).abs() < 1e-12);
         assert_eq!(found.until, date::after_months("2026-03-01", found.months.unwrap()));
         assert_eq!(found.basis, DriftBasis::HyperPrior);
-        // A tolerance that is reached already, and one that is far away.
-        assert_eq!(Validity::of(&robot, Some(0.01), &map).unwrap().until.as_deref(), Some("2026-03-01"));
-        assert_eq!(Validity::of(&robot, Some(50.0), &map).unwrap().months, None);
+        // A limit that is reached already, and one that is far away.
+        assert_eq!(Validity::of(&robot, 1.0, &map).unwrap().until.as_deref(), Some("2026-03-01"));
+        assert_eq!(Validity::of(&robot, 1e3, &map).unwrap().months, None);
         let undated = Robot { measured: MeasurementConditions::default(), ..robot.clone() };
-        let undated = Validity::of(&undated, None, &map).unwrap();
+        let undated = Validity::of(&undated, Validity::GROWTH, &map).unwrap();
         assert!(undated.until.is_none() && undated.months == found.months);
-        assert!(Validity::of(&Robot { uncertainty: None, posterior: None, ..robot }, None, &map).is_none());
+        assert!(
+            Validity::of(&Robot { uncertainty: None, posterior: None, ..robot }, Validity::GROWTH, &map)
+                .is_none()
+        );
     }
 }

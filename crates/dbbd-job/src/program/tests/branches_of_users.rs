@@ -89,6 +89,25 @@ fn dummy_configurations_stay() {
     assert_eq!(corrected(&program("", "MoveJ")).unwrap_err()[0].code().as_str(), "E0906");
 }
 
+/// A program that begins with a pose does not tell the branch: where the arm was before is not known. A motion to axis angles
+/// tells it.
+#[test]
+fn first_pose_without_a_branch_is_refused() {
+    let robot = identified("ur10");
+    let start = "  movej([0.3, -1.4, 1.8, -1.9, -1.5, 0.4])\n";
+    let corrected = |start: &str, motion: &str| {
+        let text =
+            format!("def f():\n  set_tcp(p[0,0,0,0,0,0])\n{start}  {motion}(p[0.6,0.1,0.4,3.14,0,0])\nend\n");
+        let file = Text { file: "P.script", text: &text };
+        urscript::read(file, None).unwrap().compensate(file, &robot, 20.0)
+    };
+    for motion in ["movej", "movel"] {
+        let refused = corrected("", motion).unwrap_err();
+        assert_eq!(refused.iter().map(|one| one.code().as_str()).collect::<Vec<_>>(), ["E0923"]);
+        assert!(corrected(start, motion).is_ok(), "{motion}");
+    }
+}
+
 /// Away from the singularity of the wrist.
 const START_DEG: [f64; 6] = [0.0, 0.0, 0.0, 0.0, 30.0, 0.0];
 

@@ -138,7 +138,10 @@ const REFUSED: &[(&str, &str, usize, usize)] = &[
     ("$TOOL=F1\n$BASE=F1\nLIN {X 10,Y 5\n", "E0803", 4, 14),
     ("$TOOL=F1\n$BASE=F1\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nPTP XP1\n", "E0904", 6, 5),
     // The nominal robot does not reach it.
-    ("$TOOL=F1\n$BASE=F1\nLIN {X 9000,Y 0,Z 0,A 0,B 0,C 0}\n", "E0906", 4, 5),
+    ("$TOOL=F1\n$BASE=F1\nPTP XP1\nLIN {X 9000,Y 0,Z 0,A 0,B 0,C 0}\n", "E0906", 5, 5),
+    // Nothing tells the branch.
+    ("$TOOL=F1\n$BASE=F1\nLIN {X 1300,Y 0,Z 900,A 0,B 90,C 0}\n", "E0923", 4, 5),
+    ("$TOOL=F1\n$BASE=F1\nPTP {X 1300,Y 0,Z 900,A 0,B 90,C 0}\n", "E0923", 4, 5),
 ];
 
 /// The first finding about a program.

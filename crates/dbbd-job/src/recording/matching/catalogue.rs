@@ -22,7 +22,7 @@ findings! {
         W1081 "the reading is not to scale",
         cause: "The sync markers have a commanded height, and the reading has another: the sensor's scale, its decoding (2x, 4x) or its unit is another than the protocol or the mapping says. A robot whose backlash exceeds twice its repeatability also moves less than commanded.",
         cure: "Check the scale with a gauge block or a known move of the robot (`dbbd bar check`), correct protocol or mapping, and measure again." {
-            ReadingScaled { waves: usize, scale: f64, sd: f64 } => "at {waves} sync marks the reading changes by {scale:.3} +- {sd:.3} times the motion of the robot";
+            ReadingScaled { waves: usize, scale: f64, sd: f64 } => "at {waves} sync marks the reading changes by {scale:.3} (u {sd:.3}) times the motion of the robot";
         }
         W1083 "the reading comes too late for the signals of the dwells",
         cause: "Strobe and length came by different ways: a filter, a buffer or a network delays the reading, or a column of the trace was shifted. Lengths at the dwells are then those of the motion before.",
@@ -99,7 +99,7 @@ findings! {
         I2221 "lengths are taken at measured axes",
         cause: "The controller published its axes, and they were recorded.",
         cure: "Nothing to do: poses are matched by the axes' own motion, and lengths are identified at the measured angles." {
-            AxesMeasured { measured: usize, protocol: &'static str, lag_ms: f64, sd_ms: f64 } => "{measured} lengths are at axes that the controller measured ({protocol}); the reading comes {lag_ms:.2} +- {sd_ms:.2} ms after them";
+            AxesMeasured { measured: usize, protocol: &'static str, lag_ms: f64, sd_ms: f64 } => "{measured} lengths are at axes that the controller measured ({protocol}); the reading comes {lag_ms:.2} ms (u {sd_ms:.2}) after them";
             AxesMeasuredLagUnknown { measured: usize, protocol: &'static str } => "{measured} lengths are at axes that the controller measured ({protocol}); no motion shows how late the reading comes";
         }
         I1010 "the measured axis angles are corrected ones",
@@ -122,7 +122,7 @@ findings! {
         I1013 "the lag of a continuous circle is not known",
         cause: "The circle was not passed in both directions, so that its lag cannot be estimated.",
         cure: "Plan the circle with direction = \"both\"." {
-            OneWayCircle { circle: u32, lag_sd_ms: f64 } => "circle {circle} was not passed both ways: its lag is taken as 0 +- {lag_sd_ms:.0} ms";
+            OneWayCircle { circle: u32, lag_sd_ms: f64 } => "circle {circle} was not passed both ways: its lag is taken as 0 ms (u {lag_sd_ms:.0})";
         }
         I1014 "the run has not all modules of the plan",
         cause: "The program was started at a later module, or was ended before the last one.",
