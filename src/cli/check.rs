@@ -6,7 +6,7 @@ use super::{CommandOutput, value};
 use dbbd_job::request::Request;
 use dbbd_job::request::check::{CheckDocument, CheckRequest};
 use dbbd_model::conformity::{ConformityOutcome, DecisionRule, InterimCheck};
-use dbbd_model::estimation::change::Hypothesis;
+use dbbd_model::estimation::change::{ChangeTest, Hypothesis};
 use dbbd_model::estimation::expected::Mounting;
 use dbbd_model::robot::ParamUnit;
 
