@@ -265,3 +265,40 @@ fn the_seed_decides_what_the_simulated_bar_reads() {
     let output = dbbd(at, &["acquire", "--port", "tcp://127.0.0.1:1", "--seed", "1", "--out", "d"]);
     assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1601".to_owned()]));
 }
+
+/// A second stage is planned on the identified robot, which knows the base ball better, and with one ball more: on the day of the
+/// first run it goes on in its set-up. A run of another robot is refused.
+#[test]
+fn a_further_stage_goes_on_in_the_set_up() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    let second = JOB.replace(
+        "[[circle]]",
+        "[[centre]]\nid = 2\nxyz_mm = [950.0, 700.0, 1100.0]\n[[circle]]\ncentre = 2\nplane = \"XY\"\npoints = 40\n\
+         amplitude_deg = 25.0\ntilt_deg = 15.0\n[[circle]]",
+    );
+    for (name, job) in
+        [("first", JOB), ("second", &second), ("other", &JOB.replace("kr60ha", "irb1600-10-145"))]
+    {
+        fs::write(at.join(format!("{name}.toml")), job).unwrap();
+    }
+    let acquire = |name: &str, seed: &str| {
+        let (plan, run) = (format!("{name}/plan.csv"), format!("{name}.dbbd"));
+        done(at, &["acquire", "--port", "sim", "--seed", seed, "--plan", &plan, "--out", &run]);
+    };
+    done(at, &["plan", "first.toml", "--out", "first"]);
+    acquire("first", "3");
+    done(at, &["identify", "first.dbbd", "--prior", "datasheet", "--out", "o"]);
+    done(at, &["plan", "second.toml", "--robot", "o/robot-identified.toml", "--out", "second"]);
+    acquire("second", "3");
+    let places = ["first", "second"]
+        .map(|name| read_plan(&at.join(name).join("plan.csv")).unwrap().header.job.balls()[0].position);
+    assert_ne!(places[0], places[1]);
+    done(at, &["identify", "first.dbbd", "second.dbbd", "--robot", "kr60ha", "--out", "joined"]);
+    let balls = |name: &str| result(at, "joined").parameters.iter().any(|one| one.name.to_string() == name);
+    assert!(balls("centre2_x") && !balls("centre3_x"));
+    done(at, &["plan", "other.toml", "--out", "other"]);
+    acquire("other", "3");
+    let output = dbbd(at, &["identify", "first.dbbd", "other.dbbd", "--out", "none"]);
+    assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1802".to_owned()]));
+}

@@ -177,6 +177,19 @@ impl Plan {
             tables.filter_map(|table| Some(TaughtBall { centre: table.id, axes_deg: table.taught_deg? }));
         before.chain(self.header.taught.iter().copied())
     }
+
+    /// Whether the base balls that an earlier plan has as well are at the same places. A ball that was taught at the same
+    /// axis angles is: on an identified robot a plan knows its place better than the plan before.
+    pub fn has_balls_of(&self, earlier: &Self) -> bool {
+        let taught =
+            |plan: &Self, id: u32| plan.taught().find(|ball| ball.centre == id).map(|ball| ball.axes_deg);
+        self.header.job.centres.iter().all(|own| {
+            let Some(other) = earlier.header.job.ball(own.id) else { return true };
+            let is_taught_alike =
+                taught(self, own.id).is_some() && taught(self, own.id) == taught(earlier, own.id);
+            is_taught_alike || own.xyz_mm == other.xyz_mm
+        })
+    }
 }
 
 impl Plan {

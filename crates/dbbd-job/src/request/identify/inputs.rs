@@ -365,7 +365,11 @@ fn check_further(
         let other = other.lengths.artefact.to_string();
         return Err(Diagnostic::file(&name, EstimationFinding::PartTwice { other }));
     }
-    others.first().map_or(Ok(()), |first| check_one_set_up(&name, &first.lengths, &part.lengths, findings))
+    let Some(first) = others.first() else { return Ok(()) };
+    if let Some(robot) = first.lengths.robot() {
+        part.lengths.check_made_for(robot).map_err(|other| Diagnostic::file(&name, other))?;
+    }
+    check_one_set_up(&name, &first.lengths, &part.lengths, findings)
 }
 
 fn check_one_set_up(

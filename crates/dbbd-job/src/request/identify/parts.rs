@@ -116,10 +116,9 @@ impl InputPart {
         let day = |identity: &Identity| {
             identity.measured.as_deref().and_then(|date| date.split('T').next()).map(str::to_owned)
         };
-        let places = |part: &Self| part.matched.as_ref().map(|matched| matched.run.centres());
         let (days, contradictions) = ([day(earlier), day(later)], earlier.contradictions(later));
-        let same_places = match (places(before), places(self)) {
-            (Some(before), Some(own)) => before == own,
+        let same_places = match (&before.matched, &self.matched) {
+            (Some(before), Some(own)) => own.run.plan.has_balls_of(&before.run.plan),
             _ => true,
         };
         days[0].is_some()
