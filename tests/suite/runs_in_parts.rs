@@ -277,9 +277,11 @@ fn a_further_stage_goes_on_in_the_set_up() {
         "[[centre]]\nid = 2\nxyz_mm = [950.0, 700.0, 1100.0]\n[[circle]]\ncentre = 2\nplane = \"XY\"\npoints = 40\n\
          amplitude_deg = 25.0\ntilt_deg = 15.0\n[[circle]]",
     );
-    for (name, job) in
-        [("first", JOB), ("second", &second), ("other", &JOB.replace("kr60ha", "irb1600-10-145"))]
-    {
+    let other = JOB
+        .replace("kr60ha", "irb1600-10-145")
+        .replace("1300.0", "900.0")
+        .replace("tilt_deg = 30.0", "tilt_deg = 0.0");
+    for (name, job) in [("first", JOB), ("second", &second), ("other", &other)] {
         fs::write(at.join(format!("{name}.toml")), job).unwrap();
     }
     let acquire = |name: &str, seed: &str| {

@@ -41,12 +41,10 @@ const OUTLIER_ROUNDS: usize = 3;
 const ROUNDS: usize = 4;
 /// Least number of linearisations with known variances for other lengths, and the largest number of them.
 const MIN_REFIT_ROUNDS: usize = 2;
-const MAX_REFIT_ROUNDS: usize = 20;
-/// A model is at rest if its last step was shorter, in standard deviations of the posterior. No parameter moves by more than
-/// this share of its own standard deviation in such a step.
-const REST: f64 = 0.02;
-/// Halvings of a step that does not make the unknowns more probable.
-const MAX_HALVINGS: usize = 20;
+const MAX_REFIT_ROUNDS: usize = 30;
+/// A model is at rest if its step is shorter, in standard deviations of the posterior: no parameter moves by more than this
+/// share of its own standard deviation, and the unknowns become more probable by a factor of 1.02 at most.
+const REST: f64 = 0.2;
 /// Steps towards the most probable noise in each linearisation.
 const SCORES: usize = 2;
 /// More lengths than this are summed a piece at a time, with the variances from an even sample.
@@ -360,13 +358,13 @@ struct Step {
     system: System,
     whitened: Whitened,
     ln_evidence: f64,
-    /// The step of the model, in standard deviations of the posterior.
-    moved_sds: f64,
+    /// The step to the most probable unknowns, in standard deviations of the posterior.
+    step_sds: f64,
 }
 
 impl Step {
     fn is_at_rest(&self) -> bool {
-        self.moved_sds < REST
+        self.step_sds < REST
     }
 }
 
@@ -469,9 +467,9 @@ impl<'a> Search<'a> {
     fn stepped(&mut self, system: System) -> Option<Step> {
         let whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
         let posterior = whitened.equations.posterior(&self.state.hypers)?;
-        let moved_sds = self.move_to(&system, &whitened, &posterior);
+        let step_sds = self.move_to(&system, &whitened, &posterior)?;
         let ln_evidence = posterior.ln_evidence(&self.state.hypers) + self.state.shape.joints.ln_prior();
-        Some(Step { system, whitened, ln_evidence, moved_sds })
+        Some(Step { system, whitened, ln_evidence, step_sds })
     }
 
     /// The prior standard deviations of bars without a certificate, from the posterior of their lengths.
@@ -513,40 +511,63 @@ impl<'a> Search<'a> {
         )
     }
 
-    /// Moves the model to the most probable unknowns. Lengths are not linear in the model: the step is halved until it makes
-    /// the unknowns more probable. Returns its length in standard deviations of the posterior.
-    fn move_to(&mut self, system: &System, whitened: &Whitened, posterior: &SystemPosterior<'_>) -> f64 {
+    /// Moves the model towards the most probable unknowns. Lengths are not linear in the model: if the whole step makes the
+    /// unknowns less probable, it follows the curve of equal lengths to second order (Transtrum and Sethna, "Improvements to
+    /// the Levenberg-Marquardt algorithm", arXiv 1201.5885), and is halved until it makes them more probable, or is none.
+    /// Returns the length of the step in standard deviations of the posterior: its square is twice the logarithm of the factor
+    /// by which the unknowns became more probable.
+    fn move_to(
+        &mut self,
+        system: &System,
+        whitened: &Whitened,
+        posterior: &SystemPosterior<'_>,
+    ) -> Option<f64> {
+        /// The share of the step over which the curve is measured.
+        const PROBE: f64 = 0.1;
+        let (values, variance) = (&system.rows.values, self.state.hypers.sigma_mm().powi(2));
         let now = self.unknowns.at(&self.state.model, &self.state.z);
         let own = self.unknowns.of_model(&self.state.model);
-        let mut step = &posterior.mean * 0.0;
-        step.rows_mut(0, own).copy_from(&(posterior.mean.rows(0, own) - now.rows(0, own)));
-        let by_step = &system.rows.values * &step;
-        // The other unknowns are exactly linear: they have their most probable values at each model.
-        let cost = |z: &DVector<f64>, curved: Option<DVector<f64>>| {
-            let mut left = &system.right - &system.rows.values * z;
-            left += curved.unwrap_or_else(|| &left * 0.0);
+        let is_known = self.state.z.len() == posterior.mean.len();
+        let mut from = if is_known { self.state.z.clone() } else { &posterior.mean * 0.0 };
+        from.rows_mut(0, own).copy_from(&now.rows(0, own));
+        let step = &posterior.mean - &from;
+        // The model at unknowns, and its lengths beyond the linear ones.
+        let at = |z: &DVector<f64>| {
+            let mut model = self.state.model.clone();
+            self.unknowns.move_to(&now, z, &mut model);
+            let beyond = self.residuals(&model, system) - &system.rows.residual
+                + values.columns(0, own) * (z - &from).rows(0, own);
+            (model, beyond)
+        };
+        let cost = |z: &DVector<f64>, beyond: &DVector<f64>| {
+            let mut left = &system.right - values * z + beyond;
             whitened.whitening.apply(&mut left);
             let of_prior = z
                 .iter()
                 .zip(&system.variances)
                 .filter_map(|(z, variance)| Some(z * z / variance.as_ref()?.value(&self.state.hypers)));
-            left.norm_squared() / self.state.hypers.sigma_mm().powi(2) + of_prior.sum::<f64>()
+            left.norm_squared() / variance + of_prior.sum::<f64>()
         };
-        let here = cost(&(&posterior.mean - &step), None);
-        let whole_sds = (here - cost(&posterior.mean, None)).max(0.0).sqrt();
-        for share in (0..=MAX_HALVINGS).map(|halvings| 0.5f64.powi(halvings as i32)) {
-            let z = &posterior.mean - &step * (1.0 - share);
-            let mut model = self.state.model.clone();
-            self.unknowns.move_to(&now, &z, &mut model);
-            let curved = self.residuals(&model, system) - &system.rows.residual + &by_step * share;
-            // At rest only rounding is left.
-            if cost(&z, Some(curved)) <= here * (1.0 + 1e-9) {
-                self.state.model = model;
-                self.state.z = self.unknowns.rested(z);
-                return share * whole_sds;
+        let here = cost(&from, &(&system.right * 0.0));
+        let mut z = posterior.mean.clone();
+        let (mut model, beyond) = at(&z);
+        let mut there = cost(&z, &beyond);
+        if there > here {
+            let (_, mut bend) = at(&(&from + &step * PROBE));
+            whitened.whitening.apply(&mut bend);
+            let root = posterior.root()?;
+            let bend = &root * root.tr_mul(&whitened.rows.tr_mul(&bend)) / (variance * PROBE * PROBE);
+            let mut share = 1.0;
+            while there > here && share > f64::EPSILON {
+                z = &from + &step * share + &bend * (share * share);
+                let (moved, beyond) = at(&z);
+                (model, there) = (moved, cost(&z, &beyond));
+                share *= 0.5;
             }
         }
-        whole_sds
+        self.state.model = model;
+        self.state.z = self.unknowns.rested(z);
+        Some((here - there).max(0.0).sqrt())
     }
 
     /// Measured minus predicted length of a model for each row of a system, mm.
