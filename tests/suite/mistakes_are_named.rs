@@ -217,7 +217,7 @@ const OF_RAPID: &[(&str, &str, i32, &str)] = &[
     ("[FALSE,TRUE,\"\"", "[FALSE,FALSE,\"STN1\"", 1, "E0901"),
     ("MoveJ", "SearchL di1,p10,v100,tGun;\nMoveJ", 0, ""),
 ];
-const URSCRIPT: &str = "def prog():\n  set_tcp(p[0.03,0.02,0.15,0,0,0])\n  movel(p[0.7,0.1,0.3,0,3.14159,0], a=1.2, v=0.25)\nend\n";
+const URSCRIPT: &str = "def prog():\n  set_tcp(p[0.03,0.02,0.15,0,0,0])\n  movej([0,-1.57,1.57,-1.57,-1.57,0])\n  movel(p[0.7,0.1,0.3,0,3.14159,0], a=1.2, v=0.25)\nend\n";
 const OF_URSCRIPT: &[(&str, &str, i32, &str)] = &[
     ("end\n", "  movep(p[0.7,0.1,0.3,0,3.14159,0], a=1.2, v=0.25)\nend\n", 3, "W0905"),
     ("end\n", "  servoj([0,-1.57,1.57,-1.57,-1.57,0])\nend\n", 3, "W0905"),
@@ -229,6 +229,7 @@ const OF_URSCRIPT: &[(&str, &str, i32, &str)] = &[
         "E0901",
     ),
     ("p[0.03,0.02,0.15,0,0,0]", "p[0.03,0.02,0.25,0,0,0]", 1, "E0902"),
+    ("  movej([0,-1.57,1.57,-1.57,-1.57,0])\n", "", 1, "E0923"),
     ("  movel", "  set_gravity([0,0,9.82])\n  movel", 0, ""),
 ];
 

@@ -20,7 +20,7 @@ fn passes_are_evaluated_end_to_end() {
     dbbd(&["acquire", "--port", "sim", "--plan", "plan/plan.csv", "--out", "run"]);
     let said = dbbd(&["sync", "run", "--out", "obs.csv"]);
     assert!(said.contains("144 of 144 poses have a length (dwells by the strobe)"), "{said}");
-    assert!(said.contains("circle 1: the reading comes") && said.contains("ms after the command"), "{said}");
+    assert!(said.contains("circle 1: the reading comes") && said.contains(") after the command"), "{said}");
     let said = dbbd(&["identify", "run", "--out", "id"]);
     assert!(said.contains("144 lengths"), "{said}");
     let said = dbbd(&["circle", "run", "--out", "circle"]);
