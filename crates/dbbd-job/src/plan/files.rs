@@ -180,7 +180,7 @@ impl Plan {
 
     /// Whether the base balls that an earlier plan has as well are at the same places. A ball that was taught at the same
     /// axis angles is: on an identified robot a plan knows its place better than the plan before.
-    pub fn has_balls_of(&self, earlier: &Self) -> bool {
+    pub fn keeps_base_balls_of(&self, earlier: &Self) -> bool {
         let taught =
             |plan: &Self, id: u32| plan.taught().find(|ball| ball.centre == id).map(|ball| ball.axes_deg);
         self.header.job.centres.iter().all(|own| {

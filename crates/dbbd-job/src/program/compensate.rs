@@ -152,13 +152,18 @@ impl Corrector {
                     }
                     Branch::NearestTo(near) => self.nearest(&flange, &near),
                     Branch::ByStatusAndTurn | Branch::Nearest | Branch::OnLine(_) => {
-                        // On a line the controller keeps the branch that it has. A point that was taught tells its own.
-                        let told = status.zip(turn);
-                        let keeps = commanded.branch != Branch::ByStatusAndTurn || told.is_none();
-                        match (self.last.filter(|_| keeps), told) {
+                        // On a line the controller keeps the branch that it has. A taught point has its own in S and T.
+                        let taught = status.zip(turn);
+                        let keeps = commanded.branch != Branch::ByStatusAndTurn || taught.is_none();
+                        match (self.last.filter(|_| keeps), taught) {
                             (Some(last), _) => self.nearest(&flange, &last),
-                            (None, Some((status, turn))) => self.by_status(&flange, status, turn)?,
-                            (None, None) => return Err(CompensationFinding::NothingBefore),
+                            (None, Some((status, turn))) => {
+                                match (u8::try_from(status & 7), u8::try_from(turn)) {
+                                    (Ok(status), Ok(turn)) => self.branch(&flange, status, turn),
+                                    _ => return Err(CompensationFinding::StatusOutOfRange),
+                                }
+                            }
+                            (None, None) => return Err(CompensationFinding::NoBranchBefore),
                         }
                     }
                 };
@@ -185,20 +190,6 @@ impl Corrector {
         let branches = inverse::branches(geometry, flange).unwrap_or_default();
         let within = branches.iter().flat_map(|axes| inverse::turns_within(axes, &self.nominal));
         Ok(within.min_by(|a, b| turn(a).total_cmp(&turn(b))).unwrap_or(nearest))
-    }
-
-    /// As [`Self::branch`], for numbers of a program.
-    fn by_status(
-        &self,
-        flange: &Pose,
-        status: i64,
-        turn: i64,
-    ) -> Result<Result<[f64; AXES], Unsolved>, CompensationFinding> {
-        let bits = (u8::try_from(status & 7), u8::try_from(turn));
-        let (Ok(status), Ok(turn)) = bits else {
-            return Err(CompensationFinding::StatusOutOfRange);
-        };
-        Ok(self.branch(flange, status, turn))
     }
 
     /// The nominal axis angles by status and turn. If rounding the pose to its digits moves an axis that was taught at zero

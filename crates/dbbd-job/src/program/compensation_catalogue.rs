@@ -91,9 +91,9 @@ findings! {
             StatusOutOfRange => "S or T is out of range";
         }
         E0923 "the configuration of a point selects no branch",
-        cause: "The point is a pose, which an arm reaches in several branches, and nothing in the program tells in which one: it begins with this point, without S and T in KRL or qnear in URScript. How a FANUC counts CONFIG on an arm whose wrist axes do not meet (CRX) is not known.",
+        cause: "The point is a pose, which an arm reaches in several branches, and nothing in the program selects one: the program begins with this point, without S and T in KRL or qnear in URScript. Or a FANUC's point has no CONFIG, or the arm is one whose wrist axes do not meet (CRX): how CONFIG counts there is not known.",
         cure: "Begin the program with a motion to axis angles in the branch of the point; for a FANUC write the point as axis angles (J1 to J6)." {
-            NothingBefore => "no motion before this pose tells the branch in which the arm reaches it";
+            NoBranchBefore => "no motion before this pose selects the branch in which the arm reaches it";
             NoFanucRule => "what CONFIG means for this arm is not known";
             NoFanucConfiguration { name: String } => "{name} has no CONFIG that can be read";
         }

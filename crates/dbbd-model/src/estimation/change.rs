@@ -110,7 +110,7 @@ pub struct CheckPower {
 }
 
 impl ChangeTest {
-    /// The least p that the draws can tell: none of them was as extreme.
+    /// The least p-value of the test: none of the draws was as extreme.
     pub const MIN_P: f64 = 1.0 / (DRAWS as f64 + 1.0);
 }
 

@@ -89,8 +89,8 @@ fn dummy_configurations_stay() {
     assert_eq!(corrected(&program("", "MoveJ")).unwrap_err()[0].code().as_str(), "E0906");
 }
 
-/// A program that begins with a pose does not tell the branch: where the arm was before is not known. A motion to axis angles
-/// tells it.
+/// A program that begins with a pose selects no branch: where the arm was before is not known. A motion to axis angles selects
+/// it.
 #[test]
 fn first_pose_without_a_branch_is_refused() {
     let robot = identified("ur10");

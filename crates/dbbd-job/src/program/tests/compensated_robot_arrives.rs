@@ -139,7 +139,7 @@ const REFUSED: &[(&str, &str, usize, usize)] = &[
     ("$TOOL=F1\n$BASE=F1\nPTP XP1\n$BASE={X 1,Y 0,Z 0,A 0,B 0,C 0}\nPTP XP1\n", "E0904", 6, 5),
     // The nominal robot does not reach it.
     ("$TOOL=F1\n$BASE=F1\nPTP XP1\nLIN {X 9000,Y 0,Z 0,A 0,B 0,C 0}\n", "E0906", 5, 5),
-    // Nothing tells the branch.
+    // Nothing selects the branch.
     ("$TOOL=F1\n$BASE=F1\nLIN {X 1300,Y 0,Z 900,A 0,B 90,C 0}\n", "E0923", 4, 5),
     ("$TOOL=F1\n$BASE=F1\nPTP {X 1300,Y 0,Z 900,A 0,B 90,C 0}\n", "E0923", 4, 5),
 ];
@@ -163,6 +163,8 @@ fn points_and_frames_unknown_before_the_run_are_refused() {
         refusal(&format!("DEF P()\n{body}END\n"), given).map(|wrong| wrong.code().as_str())
     };
     assert_eq!(code(&format!("{frames}PTP XP1\n"), Given::default()), None);
+    // A line that begins the program has the branch in which its point was taught.
+    assert_eq!(code(&format!("{frames}LIN XP1\n"), Given::default()), None);
     let zero = Given { tool: Some(Pose::identity()), base: Some(Pose::identity()) };
     assert_eq!(code("PTP XP1\n", zero), None);
     for (body, code, line, column) in REFUSED {

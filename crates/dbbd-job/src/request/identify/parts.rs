@@ -118,7 +118,7 @@ impl InputPart {
         };
         let (days, contradictions) = ([day(earlier), day(later)], earlier.contradictions(later));
         let same_places = match (&before.matched, &self.matched) {
-            (Some(before), Some(own)) => own.run.plan.has_balls_of(&before.run.plan),
+            (Some(before), Some(own)) => own.run.plan.keeps_base_balls_of(&before.run.plan),
             _ => true,
         };
         days[0].is_some()
