@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::{CommandOutcome, CommandOutput};
+use dbbd_job::file_set::EarlierFiles;
 use dbbd_job::files;
 use dbbd_job::request;
 use dbbd_job::robot_description::{self, CHECKED_POSES, DescriptionFinding, FactoryTable, ImportedRobot};
@@ -34,15 +35,16 @@ enum RobotsVerb {
         #[arg(value_name = "NAME|FILE")]
         name: String,
     },
-    /// Make a robot file from a URDF, or from the factory calibration of a controller.
+    /// Make a robot file from a built-in robot, a URDF, or the factory calibration of a controller.
     ///
+    /// The file of a built-in robot is written as it is, for example to state the tool ball of your own robot in it.
     /// A URDF is read as a chain of six rotary joints. The factory calibration of a Universal Robots controller is its file
     /// calibration.conf, the YAML that the ROS driver extracts, or what the controller itself sends; the robot file then has
     /// `[controller] model = "calibrated"`, and plans and corrections are computed with this table. Limits, speeds and
     /// masses are those of --robot or of the URDF; tool ball, tolerance and repeatability are to be added by hand.
     Import {
-        /// The file, or ur://HOST[:30001].
-        #[arg(value_name = "FILE|URL")]
+        /// A built-in name, the file, or ur://HOST[:30001].
+        #[arg(value_name = "NAME|FILE|URL")]
         from: String,
         /// The type of a calibrated robot: a built-in name or a robot file.
         #[arg(long, value_name = "NAME|FILE")]
@@ -53,6 +55,9 @@ enum RobotsVerb {
         /// The robot file to write.
         #[arg(long, value_name = "ROBOT.toml")]
         out: PathBuf,
+        /// Replace the file if it exists [default: refuse].
+        #[arg(long)]
+        replace: bool,
     },
     /// Check a robot file, and report a mistake with its line.
     Check {
@@ -99,8 +104,12 @@ pub(crate) fn run(args: &RobotsArgs, out: &CommandOutput) -> Result<CommandOutco
     match &args.what {
         None | Some(RobotsVerb::List) => list_robots(out),
         Some(RobotsVerb::Show { name }) => show_robot(name, out),
-        Some(RobotsVerb::Import { from, robot, joints, out: path }) => {
-            import_robot(from, robot.as_deref(), joints, path, out)
+        Some(RobotsVerb::Import { from, robot, joints, out: path, replace }) => {
+            EarlierFiles::refused_unless(*replace).check(path)?;
+            match Robot::built_in_file(from) {
+                Some(text) => copy_built_in(from, text, path, out),
+                None => import_robot(from, robot.as_deref(), joints, path, out),
+            }
         }
         Some(RobotsVerb::Check { name }) => {
             let robot = named(name, out)?;
@@ -117,6 +126,13 @@ pub(crate) fn run(args: &RobotsArgs, out: &CommandOutput) -> Result<CommandOutco
 struct ImportDocument<'a> {
     name: &'a str,
     out: String,
+    /// How far the robot is off the description: absent for a copy.
+    #[serde(flatten)]
+    difference: Option<ImportDifference>,
+}
+
+#[derive(Serialize)]
+struct ImportDifference {
     largest_difference_mm: f64,
     poses: usize,
 }
@@ -152,13 +168,25 @@ fn import_robot(
     out.document(&ImportDocument {
         name,
         out: path.display().to_string(),
-        largest_difference_mm: largest_mm,
-        poses,
+        difference: Some(ImportDifference { largest_difference_mm: largest_mm, poses }),
     })?;
     out.result(format!(
         "{name}: its flange differs by {largest_mm:.1e} mm at most over {poses} poses; written to {}",
         path.display()
     ));
+    Ok(CommandOutcome::Done)
+}
+
+fn copy_built_in(
+    name: &str,
+    text: &str,
+    path: &Path,
+    out: &CommandOutput,
+) -> Result<CommandOutcome, Diagnostic> {
+    files::write_file(path, text)?;
+    let (name, path) = (&Robot::from_toml(name, text)?.name, path.display().to_string());
+    out.result(format!("{name}: written to {path}"));
+    out.document(&ImportDocument { name, out: path, difference: None })?;
     Ok(CommandOutcome::Done)
 }
 

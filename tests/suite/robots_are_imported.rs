@@ -65,7 +65,7 @@ fn a_urdf_becomes_a_robot_with_the_same_flange() {
                    <axis xyz='0 0 1'/></joint></robot>";
     fs::write(at.join("more.urdf"), urdf().replace("</robot>", seventh)).unwrap();
     says(&dbbd(at, &["robots", "import", "more.urdf", "--out", "no.toml"]), 1, "E1720");
-    let named = ["robots", "import", "more.urdf", "--joints", "j1,j2,j3,j4,j5,j6", "--out", "arm.toml"];
+    let named = ["robots", "import", "more.urdf", "--joints", "j1,j2,j3,j4,j5,j6", "--out", "more.toml"];
     assert_eq!(dbbd(at, &named).status.code(), Some(0));
     for (from, to) in
         [("revolute", "prismatic"), ("<robot", "<model"), ("velocity='2.09'", "velocity='fast'")]
@@ -76,8 +76,21 @@ fn a_urdf_becomes_a_robot_with_the_same_flange() {
         fs::write(at.join("wrong.urdf"), wrong).unwrap();
         says(&dbbd(at, &["robots", "import", "wrong.urdf", "--out", "no.toml"]), 1, "E1720");
     }
-    says(&dbbd(at, &["robots", "import", "arm.urdf", "--out", "arm.urdf"]), 1, "E0180");
+    says(&dbbd(at, &["robots", "import", "arm.urdf", "--out", "arm.urdf", "--replace"]), 1, "E0180");
     assert!(!at.join("no.toml").exists() && fs::read_to_string(at.join("arm.urdf")).unwrap() == urdf());
+}
+
+#[test]
+fn a_built_in_robot_becomes_a_file() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let import = || dbbd(at, &["robots", "import", "kr60ha", "--out", "mine.toml"]);
+    assert_eq!(import().status.code(), Some(0));
+    assert_eq!(read(&at.join("mine.toml")), named("kr60ha"));
+    // A file that somebody has changed since is kept.
+    fs::write(at.join("mine.toml"), "serial = \"4711\"").unwrap();
+    says(&import(), 1, "E0182");
+    assert_eq!(fs::read_to_string(at.join("mine.toml")).unwrap(), "serial = \"4711\"");
 }
 
 const CONF: &str = "[mounting]\ndelta_theta = [0.0004, 0, 0, 0, 0, 0]\ndelta_a = [0, 0.0009, 0, 0, 0, 0]\n\
@@ -89,7 +102,7 @@ fn a_factory_calibration_is_the_table_of_the_controller() {
     let at = dir.path();
     fs::write(at.join("calibration.conf"), CONF).unwrap();
     let import = |from: &str, more: &[&str]| {
-        dbbd(at, &[&["robots", "import", from, "--out", "mine.toml"][..], more].concat())
+        dbbd(at, &[&["robots", "import", from, "--out", "mine.toml", "--replace"][..], more].concat())
     };
     says(&import("calibration.conf", &[]), 1, "E0591");
     let like = ["--robot", "ur10"];

@@ -44,6 +44,7 @@ pub use circle::REFERENCE_EVERY;
 pub use dbbd_model::measurement::PoseKind;
 pub use files::{CirclePlace, Plan, PlanHeader};
 pub use frames::PlanFrames;
+pub(crate) use job::JobTable;
 pub use job::{DEFAULT_PROTOCOL, Job, MotionTable, SIGMA_UM};
 pub use module::MODULE_DWELLS;
 pub use pass::PlannedPass;

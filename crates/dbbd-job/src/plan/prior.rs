@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Job, PlanKinematics};
 use crate::plan::PlanFinding;
-use crate::plan::job::JobFinding;
+use crate::plan::job::{JobCheck, JobFinding, JobTable};
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::expected::Expected;
 use dbbd_model::estimation::{Posterior, Priors, beyond_repeatability, largest_plausible, length_sd_mm};
@@ -204,21 +204,23 @@ pub(super) struct RunStart {
 impl Job {
     /// Checks that each ball's `taught_deg` brings the controller's tool ball to its `xyz_mm`, and that the program's tool is
     /// at the tool ball.
-    pub fn check_against(&self, controller: &Robot) -> Result<(), JobFinding> {
-        for table in &self.centres {
+    pub(crate) fn check_against(&self, controller: &Robot) -> JobCheck {
+        for (at, table) in self.centres.iter().enumerate() {
             let Some(taught) = table.taught_deg else { continue };
             let ball = controller.geometry.ball(&taught.map(f64::to_radians)).position;
             let off_mm = (ball - Vector3::from(table.xyz_mm)).norm();
             if off_mm > TAUGHT_MM {
                 let [x_mm, y_mm, z_mm] = ball.into();
-                return Err(JobFinding::TaughtElsewhere { ball: table.id, x_mm, y_mm, z_mm, off_mm });
+                let finding = JobFinding::TaughtElsewhere { ball: table.id, x_mm, y_mm, z_mm, off_mm };
+                return Err(JobTable::nth("[[centre]]", at).wrong("taught_deg", finding));
             }
         }
         let Some([x_mm, y_mm, z_mm, ..]) = self.motion.tool else { return Ok(()) };
         let ball = controller.geometry.tool;
         if (ball - Vector3::new(x_mm, y_mm, z_mm)).norm() > TOOL_MM {
             let [ball_x_mm, ball_y_mm, ball_z_mm] = ball.into();
-            return Err(JobFinding::ToolElsewhere { x_mm, y_mm, z_mm, ball_x_mm, ball_y_mm, ball_z_mm });
+            let finding = JobFinding::ToolElsewhere { x_mm, y_mm, z_mm, ball_x_mm, ball_y_mm, ball_z_mm };
+            return Err(JobTable::new("[motion]").wrong("tool", finding));
         }
         Ok(())
     }

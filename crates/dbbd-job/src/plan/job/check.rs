@@ -23,18 +23,12 @@ const OUTPUTS: std::ops::RangeInclusive<u32> = 1..=4096;
 const OF_ROBOT: [&str; 7] =
     ["ball_mm", "joint", "tolerance", "mass", "mounting", "payload", "repeatability_mm"];
 
-type JobCheck = Result<(), MisplacedFinding>;
+pub(crate) type JobCheck = Result<(), MisplacedFinding>;
 
 impl Job {
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
         let job: Self = from_toml(file, text).map_err(key_of_robot)?;
-        job.check().map_err(|wrong| match wrong.line(text) {
-            Some(line) => {
-                let column = text.lines().nth(line - 1).map_or(0, |l| l.len() - l.trim_start().len()) + 1;
-                wrong.finding.at(file, text, line, column)
-            }
-            None => wrong.finding.in_file(file),
-        })?;
+        job.check().map_err(|wrong| wrong.in_text(file, text))?;
         Ok(job)
     }
 

@@ -11,12 +11,14 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+pub(crate) use check::JobCheck;
 use dbbd_model::base::fixed_array::fixed_array;
 use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::{Artefact, ArtefactRole, BarIdentity, Identity, Provenance, TracedArtefact};
 use dbbd_model::robot::AXES;
 pub use obstacle::ObstacleTable;
+pub(crate) use values::JobTable;
 
 /// Standard deviation of a length where the job gives none, micrometres.
 pub const SIGMA_UM: f64 = 2.0;

@@ -5,13 +5,14 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::plausibility::Quantity;
 
 /// A table of the job: its header, and the number of the table among those with this header, from 0.
-#[derive(Clone, Copy)]
-pub(super) struct JobTable {
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct JobTable {
     header: &'static str,
     at: usize,
 }
 
 /// A finding about a key of a table; it concerns the table itself if the key is empty.
+#[derive(Debug)]
 pub(crate) struct MisplacedFinding {
     pub(crate) finding: Box<Diagnostic>,
     table: JobTable,
@@ -21,15 +22,15 @@ pub(crate) struct MisplacedFinding {
 type ValueCheck = Result<(), MisplacedFinding>;
 
 impl JobTable {
-    pub(super) const fn new(header: &'static str) -> Self {
+    pub(crate) const fn new(header: &'static str) -> Self {
         Self { header, at: 0 }
     }
 
-    pub(super) const fn nth(header: &'static str, at: usize) -> Self {
+    pub(crate) const fn nth(header: &'static str, at: usize) -> Self {
         Self { header, at }
     }
 
-    pub(super) fn wrong(self, key: &'static str, finding: impl Into<Diagnostic>) -> MisplacedFinding {
+    pub(crate) fn wrong(self, key: &'static str, finding: impl Into<Diagnostic>) -> MisplacedFinding {
         MisplacedFinding { finding: Box::new(finding.into()), table: self, key }
     }
 
@@ -91,22 +92,41 @@ impl JobTable {
 }
 
 impl MisplacedFinding {
-    /// The line (from 1) of the key, else of the table's header; a table whose header has no bracket is an inline
-    /// table of `[motion]`.
-    pub(super) fn line(&self, text: &str) -> Option<usize> {
+    /// The finding in the line of its value. A finding in a file that the value names stays there, and its help names the
+    /// line.
+    pub(crate) fn in_text(self, file: &str, text: &str) -> Diagnostic {
+        let Some(line) = self.line(text) else { return self.finding.in_file(file) };
+        if !self.finding.file_name().is_empty() {
+            let names =
+                || format!("`{}` in {file}:{line} names this file, from the working directory", self.key);
+            let help = self.finding.help_line().unwrap_or_else(names);
+            return self.finding.help(help);
+        }
+        let column = text.lines().nth(line - 1).map_or(0, |l| l.len() - l.trim_start().len()) + 1;
+        self.finding.at(file, text, line, column)
+    }
+
+    /// The line (from 1) of the key, else of the table's header. An empty header is the part before the first table; a
+    /// header without bracket is an inline table of `[motion]`.
+    fn line(&self, text: &str) -> Option<usize> {
         let &Self { table: JobTable { header, at }, key, .. } = self;
         let starts = |line: &str, key: &str| {
             let rest = line.trim_start().strip_prefix(key);
             rest.is_some_and(|rest| rest.trim_start().starts_with(['=', '.']))
         };
         let mut lines = (1..).zip(text.lines());
+        let is_other = |line: &str| line.trim_start().starts_with('[');
+        if header.is_empty() {
+            let mut before = lines.take_while(|(_, line)| !is_other(line));
+            return before.find(|(_, line)| starts(line, key)).map(|(n, _)| n);
+        }
         if !header.starts_with('[') {
             let table = format!("[motion.{header}]");
             return lines.find(|(_, line)| starts(line, header) || line.trim() == table).map(|(n, _)| n);
         }
         let is_header = |line: &str| line.split('#').next().unwrap_or("").trim() == header;
         let (found, _) = lines.by_ref().filter(|(_, line)| is_header(line)).nth(at)?;
-        let mut within = lines.take_while(|(_, line)| !line.trim_start().starts_with('['));
+        let mut within = lines.take_while(|(_, line)| !is_other(line));
         Some(within.find(|(_, line)| starts(line, key)).map_or(found, |(n, _)| n))
     }
 }

@@ -158,7 +158,11 @@ fn a_taught_ball_or_tool_at_another_place_is_refused() {
     let robot = Robot::by_name("kr60ha").unwrap().unwrap();
     for (from, to, code) in ELSEWHERE {
         assert!(EXAMPLES[3].1.contains(from));
-        let job = Job::from_toml("stages.toml", &EXAMPLES[3].1.replace(from, to)).unwrap();
-        assert_eq!(job.check_against(&robot).unwrap_err().code().as_str(), *code);
+        let text = EXAMPLES[3].1.replace(from, to);
+        let job = Job::from_toml("stages.toml", &text).unwrap();
+        let error = job.check_against(&robot).unwrap_err().in_text("stages.toml", &text);
+        let key = if to.starts_with('[') { "tool = " } else { "taught_deg = " };
+        assert!(text.lines().nth(error.line_number() - 1).unwrap().starts_with(key), "{error}");
+        assert_eq!(error.code().as_str(), *code);
     }
 }

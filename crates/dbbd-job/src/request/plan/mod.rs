@@ -27,7 +27,9 @@ use super::{AnswerOutcome, RequestResult, RequestSession, RequestWatch, read_pro
 use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
 use crate::plan::PlanFinding;
-use crate::plan::{Job, Plan, PlanCheck, PlanPrediction, PlanningPrior, PoseKind, Stage, TaughtBall};
+use crate::plan::{
+    Job, JobTable, Plan, PlanCheck, PlanPrediction, PlanningPrior, PoseKind, Stage, TaughtBall,
+};
 use crate::program::ProgramFinding;
 use crate::recording::dwell;
 use crate::report;
@@ -207,15 +209,19 @@ impl PlanRequest {
         session: &RequestSession<'_>,
     ) -> Result<(Robot, UnwrittenPlan), Diagnostic> {
         let name = self.job.display().to_string();
-        let (job, made_from) = self.read_job(session)?;
+        let (job, made_from, text) = self.read_job(session)?;
+        let in_job = |header, key, why| JobTable::new(header).wrong(key, why).in_text(&name, &text);
         // A robot that is given without a name is in no file, so no lengths are beside it.
         let file = self.robot.as_deref().or(given.is_none().then_some(job.robot.as_str()));
         let robot_name = file.unwrap_or(given.as_ref().map_or("", |given| &given.robot.name)).to_owned();
-        let read = given.map_or_else(|| robot_for_measurement(&robot_name, session), Ok)?;
-        let LoadedRobot { mut robot, source, .. } = with_serial(&job, read)?;
+        let read = given.map_or_else(|| robot_for_measurement(&robot_name, session), Ok);
+        let is_of_job = self.robot.is_none();
+        let read = read.map_err(|why| if is_of_job { in_job("", "robot", why) } else { why })?;
+        let with_serial = with_serial(&job, read).map_err(|why| in_job("", "serial", why));
+        let LoadedRobot { mut robot, source, .. } = with_serial?;
         let carried = job.payload.as_ref().map(|payload| robot.geometry.load.carry(payload));
-        carried.transpose().map_err(|why| why.in_file(&name))?;
-        job.check_against(robot.controller()).map_err(|why| Diagnostic::file(&name, why))?;
+        carried.transpose().map_err(|why| in_job("", "payload", why))?;
+        job.check_against(robot.controller()).map_err(|wrong| wrong.in_text(&name, &text))?;
         session.findings_in(&name, job.without_effect(&robot));
         session.findings_in(&name, job.in_robot(&robot));
         let check = match &self.poses {
@@ -278,10 +284,11 @@ impl PlanRequest {
         Ok((robot, UnwrittenPlan { plan, page }))
     }
 
-    /// The job, or its stage, and the job's file.
-    fn read_job(&self, session: &RequestSession<'_>) -> Result<(Job, TracedArtefact), Diagnostic> {
+    /// The job, or its stage, and the job's file with its text.
+    fn read_job(&self, session: &RequestSession<'_>) -> Result<(Job, TracedArtefact, String), Diagnostic> {
         let name = self.job.display().to_string();
-        let job = Job::from_toml(&name, &files::read_text(&self.job)?)?;
+        let text = files::read_text(&self.job)?;
+        let job = Job::from_toml(&name, &text)?;
         job.identity().check_dates(clock::unix_ns()).map_err(|(_, why)| why.in_file(&name))?;
         let made_from = job.traced(&self.job)?;
         let job = match self.poses {
@@ -294,10 +301,12 @@ impl PlanRequest {
         };
         // The file of a definition may exist only on the computer that records.
         if !job.bar.protocol.ends_with(".toml") {
-            let bar = read_protocol(&job.bar.protocol, &[]).map_err(|why| why.in_file(&name))?;
+            let bar = read_protocol(&job.bar.protocol, &[]);
+            let bar =
+                bar.map_err(|why| JobTable::new("[bar]").wrong("protocol", why).in_text(&name, &text))?;
             session.findings_in(&name, dwell::too_short(job.motion.dwell_s, &bar));
         }
-        Ok((job, made_from))
+        Ok((job, made_from, text))
     }
 }
 
@@ -429,7 +438,7 @@ impl PlanningKnowledge {
                 table.taught_deg.get_or_insert(*axes_deg);
             }
         }
-        job.check_against(robot.controller()).map_err(Diagnostic::new)?;
+        job.check_against(robot.controller()).map_err(|wrong| *wrong.finding)?;
         let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
         session.findings(prior.lengths_findings(&job, &robot, &lengths));
         let (job, robot) = prior.applied(&job, &robot);
