@@ -28,7 +28,7 @@ const SIZES: usize = 6;
 pub(super) const MRAD: f64 = 1e3;
 /// Least number of rows before and after a place.
 pub(super) const MIN_LENGTHS: usize = 8;
-/// Largest number of places that are tried, evenly spread.
+/// Largest number of places of one part that are tried first, evenly spread. Around the best of them every place is tried.
 const MAX_PLACES: usize = 128;
 /// Largest number of certain hypotheses.
 pub(super) const MAX_CERTAIN: usize = 8;
@@ -277,14 +277,32 @@ impl<'a> EventSearch<'a> {
     pub(super) fn candidates(&self, among: &[SupposedEvent]) -> Vec<EventCandidate> {
         let kinds = SupposedEventKind::OF_COLUMNS.len() as f64;
         let best = |kind: SupposedEventKind| {
-            let events = self.events(kind);
-            let ln_prior = (ANYTHING / kinds / events.len().max(1) as f64 / (1.0 - ANYTHING)).ln();
-            let is_new = |event: &SupposedEvent| !among.iter().any(|known| known.is_of_place(event));
-            let judged = events.into_iter().filter(is_new).filter_map(|event| self.judged(event));
-            let (event, ln_bayes) = judged.max_by(|a, b| a.1.total_cmp(&b.1))?;
+            let parts = self.events(kind);
+            let count = parts.iter().map(Vec::len).sum::<usize>().max(1);
+            let ln_prior = (ANYTHING / kinds / count as f64 / (1.0 - ANYTHING)).ln();
+            let of_parts = parts.iter().filter_map(|places| self.best_place(places, among));
+            let (event, ln_bayes) = of_parts.max_by(|a, b| a.1.total_cmp(&b.1))?;
             Some(EventCandidate { event, ln_prior, ln_bayes })
         };
         SupposedEventKind::OF_COLUMNS.into_iter().filter_map(best).collect()
+    }
+
+    /// The most probable of the events at successive places, which is not one of those `among` the unknowns. An event that
+    /// begins a row early or late is explained by two, so that the last step is one place.
+    fn best_place(&self, places: &[SupposedEvent], among: &[SupposedEvent]) -> Option<(SupposedEvent, f64)> {
+        let judged = |at: usize| {
+            let event = places[at];
+            let is_known = among.iter().any(|known| known.is_of_place(&event));
+            let (event, ln_bayes) = if is_known { None } else { self.judged(event) }?;
+            Some((at, event, ln_bayes))
+        };
+        let best = |places: &mut dyn Iterator<Item = usize>| {
+            places.filter_map(judged).max_by(|a, b| a.2.total_cmp(&b.2))
+        };
+        let step = places.len().div_ceil(MAX_PLACES).max(1);
+        let (near, ..) = best(&mut (0..places.len()).step_by(step))?;
+        let around = near.saturating_sub(step - 1)..(near + step).min(places.len());
+        best(&mut around.into_iter()).map(|(_, event, ln_bayes)| (event, ln_bayes))
     }
 
     /// The most probable event, if it is more probable than no event. The offset of a ball is not an event; if it
@@ -320,8 +338,8 @@ impl<'a> EventSearch<'a> {
         })
     }
 
-    /// All hypotheses of a kind.
-    fn events(&self, kind: SupposedEventKind) -> Vec<SupposedEvent> {
+    /// All hypotheses of a kind: for each part that it may concern the places, in their order.
+    fn events(&self, kind: SupposedEventKind) -> Vec<Vec<SupposedEvent>> {
         let mut bars: Vec<BarId> = self.rows.lengths.iter().filter_map(|length| length.datum.bar()).collect();
         let mut balls: Vec<BallId> =
             self.rows.lengths.iter().filter_map(|length| length.datum.ball()).collect();
@@ -347,7 +365,7 @@ impl<'a> EventSearch<'a> {
                 vec![event]
             }
         };
-        whole.into_iter().flat_map(|event| self.places(event)).collect()
+        whole.into_iter().map(|event| self.places(event)).collect()
     }
 
     /// A hypothesis at all places where it may begin.
@@ -377,8 +395,7 @@ impl<'a> EventSearch<'a> {
         }
         let mut first: Vec<(f64, usize)> = inner.to_vec();
         first.dedup_by(|next, before| next.0 == before.0);
-        let step = first.len().div_ceil(MAX_PLACES).max(1);
-        first.into_iter().step_by(step).map(|from| SupposedEvent { from: Some(from), ..event }).collect()
+        first.into_iter().map(|from| SupposedEvent { from: Some(from), ..event }).collect()
     }
 
     /// Columns of unit noise.
@@ -631,10 +648,14 @@ mod tests {
     }
 
     impl Bench {
-        /// Lengths with a step of the bar's zero at a row.
+        /// 80 lengths with a step of the bar's zero at a row.
         fn new(step: Option<(usize, f64)>) -> Self {
+            Self::of_poses(40, step)
+        }
+
+        fn of_poses(poses: usize, step: Option<(usize, f64)>) -> Self {
             let model = model(2);
-            let mut readings = readings(&model, 40, 1);
+            let mut readings = readings(&model, poses, 1);
             let noise = normals(readings.len(), 9) * SIGMA_MM;
             for (at, (reading, noise)) in readings.iter_mut().zip(&noise).enumerate() {
                 reading.length_mm += noise + step.filter(|(from, _)| at >= *from).map_or(0.0, |(_, mm)| mm);
@@ -727,6 +748,18 @@ mod tests {
             assert!(again.is_none_or(|other| other.event.from != found.event.from));
         });
         assert!(Bench::new(None).with(|search, _| search.strongest(search.candidates(&[])).is_none()));
+    }
+
+    /// Of the 224 places of 240 lengths every second one is tried first.
+    #[test]
+    fn a_step_is_found_at_each_of_more_places_than_are_tried_first() {
+        for place in [8, 9, 120, 121, 230, 231] {
+            Bench::of_poses(120, Some((place, 0.3))).with(|search, _| {
+                let found = search.strongest(search.candidates(&[])).unwrap();
+                assert_eq!(found.event.from.map(|(_, found)| found), Some(place));
+                assert!((found.coefficients[0] - 0.3).abs() < 4.0 * found.sd, "{found:?}");
+            });
+        }
     }
 
     /// One ball after the other: a step between them adds the column of an offset of the second ball.
