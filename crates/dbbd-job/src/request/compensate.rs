@@ -150,8 +150,8 @@ struct CorrectedProgram {
     /// The files of the program with their chains.
     sources: Vec<TracedArtefact>,
     moved: Vec<Moved>,
-    /// The points that are not corrected, with the reasons.
-    left: Vec<Diagnostic>,
+    /// The number of points that are not corrected.
+    left: usize,
 }
 
 impl CompensateRequest {
@@ -189,7 +189,7 @@ impl CompensateRequest {
             program.write(&mut set, &stamped(language, text, &provenance)?)?;
         }
         let files = set.finish()?;
-        report(&corrected, session);
+        report(&corrected.moved, session);
         let tool_points: Vec<_> = corrected.moved.iter().filter_map(|moved| moved.tool_point).collect();
         let predicted =
             robot.has_posterior().then(|| ProgramUncertainty::of(&robot, &tool_points, &datum)).flatten();
@@ -201,7 +201,7 @@ impl CompensateRequest {
             predicted,
             datum: self.datum.name(),
             points: corrected.moved,
-            left: corrected.left.len(),
+            left: corrected.left,
             out: self.out.display().to_string(),
         };
         Ok(RequestResult { outcome: AnswerOutcome::Done, files, document })
@@ -284,11 +284,11 @@ impl CorrectionContext<'_> {
         };
         let points = krl::read(program, Given { tool: request.tool(), base: request.base() })?;
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
-        session.findings(points.warnings.iter().cloned());
+        session.findings(points.warnings.iter().chain(&points.not_corrected).cloned());
         let corrected = krl::compensate(program, &points, robot, request.limit_mm)
             .map_err(|refused| self.refused(&source, &refused))?;
         let texts = [(source, corrected.source)].into_iter().chain(data.zip(corrected.data)).collect();
-        Ok(CorrectedProgram { texts, sources, moved: corrected.moved, left: points.not_corrected })
+        Ok(CorrectedProgram { texts, sources, moved: corrected.moved, left: points.not_corrected.len() })
     }
 
     /// A program in a language whose points are in one file.
@@ -311,14 +311,14 @@ impl CorrectionContext<'_> {
             Language::Fanuc => fanuc::read(text, GivenFrames { config, tool, base })?,
         };
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
-        session.findings(points.warnings.iter().cloned());
+        session.findings(points.warnings.iter().chain(&points.not_corrected).cloned());
         let corrected = points.compensate(text, robot, request.limit_mm);
         let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
         Ok(CorrectedProgram {
             texts: vec![(source, corrected)],
             sources: vec![traced],
             moved,
-            left: points.not_corrected,
+            left: points.not_corrected.len(),
         })
     }
 
@@ -369,10 +369,8 @@ fn check_robot(
     Ok(())
 }
 
-/// Reports the points that are not corrected, and the points at which an axis moved through zero.
-fn report(corrected: &CorrectedProgram, session: &RequestSession<'_>) {
-    let CorrectedProgram { moved, left, .. } = corrected;
-    session.findings(left.iter().cloned());
+/// Reports the points at which an axis moved through zero.
+fn report(moved: &[Moved], session: &RequestSession<'_>) {
     if moved.is_empty() {
         session.finding(CompensationFinding::NothingCorrected);
     }
