@@ -1,7 +1,6 @@
 //! Every key of a job is documented in the examples, every documented example plans, and bad values name their line.
 
 use dbbd_job::plan::{Job, Plan, job};
-use dbbd_model::diagnostic::Finding;
 use dbbd_model::provenance::{Identity, MeasuredTemperature};
 use dbbd_model::robot::Robot;
 use serde::de::{self, DeserializeOwned, Visitor, value};
