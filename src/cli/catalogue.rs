@@ -20,5 +20,11 @@ findings! {
             NotNameAndValue => "must be NAME=VALUE";
             NotARisk => "a probability between 0 and 0.5 is needed";
         }
+        E1982 "an input has no effect here",
+        cause: "The input applies only to others: a robot to results and to factory calibrations, the repeatability of a test to circles, a risk with a tolerance, joints to a URDF.",
+        cure: "Leave it out, or give the inputs that it applies to.",
+        asks: [Robot, CircleRepeatability, Risk, Tolerance, UrdfJoints] {
+            Unused { option: &'static str } => "{option} has no effect on these inputs";
+        }
     }
 }

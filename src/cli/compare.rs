@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::Value as Json;
 
+use super::catalogue::CliFinding;
 use super::{CommandOutcome, CommandOutput, artefact, robots, value};
 use dbbd_device::clock;
 use dbbd_job::file_set::{EarlierFiles, FileSet};
@@ -226,7 +227,7 @@ fn subject(
         ComparedKind::Result => args.repeat_u.map(|_| "--repeat-u"),
     };
     if let Some(option) = unused {
-        return Err(ConformityFinding::Unused { option }.into());
+        return Err(CliFinding::Unused { option }.into());
     }
     if kinds[0] == ComparedKind::Circle {
         let files = documents.iter().map(|document| CircleFile::from_json(&document.name, &document.json));

@@ -4,11 +4,14 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::catalogue::CliFinding;
 use super::{CommandOutcome, CommandOutput};
 use dbbd_job::file_set::EarlierFiles;
 use dbbd_job::files;
 use dbbd_job::request;
-use dbbd_job::robot_description::{self, CHECKED_POSES, DescriptionFinding, FactoryTable, ImportedRobot};
+use dbbd_job::robot_description::{
+    self, CHECKED_POSES, DescriptionFinding, DescriptionKind, FactoryTable, ImportedRobot,
+};
 use dbbd_job::robot_files::named_robot;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Tolerance;
@@ -41,7 +44,7 @@ enum RobotsVerb {
     /// A URDF is read as a chain of six rotary joints. The factory calibration of a Universal Robots controller is its file
     /// calibration.conf, the YAML that the ROS driver extracts, or what the controller itself sends; the robot file then has
     /// `[controller] model = "calibrated"`, and plans and corrections are computed with this table. Limits, speeds and
-    /// masses are those of --robot or of the URDF; tool ball, tolerance and repeatability are to be added by hand.
+    /// masses are from --robot for a factory calibration, else from the URDF; tool ball, tolerance and repeatability are to be added by hand.
     Import {
         /// A built-in name, the file, or ur://HOST[:30001].
         #[arg(value_name = "NAME|FILE|URL")]
@@ -107,7 +110,10 @@ pub(crate) fn run(args: &RobotsArgs, out: &CommandOutput) -> Result<CommandOutco
         Some(RobotsVerb::Import { from, robot, joints, out: path, replace }) => {
             EarlierFiles::refused_unless(*replace).check(path)?;
             match Robot::built_in_file(from) {
-                Some(text) => copy_built_in(from, text, path, out),
+                Some(text) => {
+                    refuse_unused(robot.is_some(), !joints.is_empty())?;
+                    copy_built_in(from, text, path, out)
+                }
                 None => import_robot(from, robot.as_deref(), joints, path, out),
             }
         }
@@ -137,6 +143,12 @@ struct ImportDifference {
     poses: usize,
 }
 
+/// Refuses options that are given and do not apply to what is imported.
+fn refuse_unused(robot: bool, joints: bool) -> Result<(), Diagnostic> {
+    let unused = robot.then_some("--robot").or(joints.then_some("--joints"));
+    unused.map_or(Ok(()), |option| Err(CliFinding::Unused { option }.into()))
+}
+
 fn import_robot(
     from: &str,
     like: Option<&str>,
@@ -147,6 +159,7 @@ fn import_robot(
     let like = like.map(|name| named(name, out)).transpose()?;
     let imported = match from.strip_prefix("ur://") {
         Some(host) => {
+            refuse_unused(false, !joints.is_empty())?;
             let like = like
                 .as_ref()
                 .ok_or(DescriptionFinding::TypeNeeded)
@@ -154,8 +167,18 @@ fn import_robot(
             FactoryTable::ask(host)?.imported(like)
         }
         None => {
-            files::keeps(path, [Path::new(from)])?;
-            robot_description::import(from, &files::read_text(Path::new(from))?, like.as_ref(), joints)?
+            let file = Path::new(from);
+            if file.extension().is_none() && !file.exists() {
+                return Err(Robot::unknown(from));
+            }
+            files::keeps(path, [file])?;
+            let text = files::read_text(file)?;
+            let kind = DescriptionKind::of(&text);
+            refuse_unused(
+                like.is_some() && kind != DescriptionKind::FactoryCalibration,
+                !joints.is_empty() && kind != DescriptionKind::Urdf,
+            )?;
+            robot_description::import(from, &text, like.as_ref(), joints)?
         }
     };
     let ImportedRobot { robot, findings, largest_mm } = imported;

@@ -421,8 +421,11 @@ def changes(judge):
                 bench.lengths(q, sense, k, t, L, .015)
                 found = [c for c in reported(bench.identify("out", "lengths.csv")) if c[0] in CHANGES]
                 right = [c for c in found if c[0] == kind and c[1] is not None and abs(c[1] - at - 1) <= 10]
-                certain = sorted(c[0] for c in found if c[2])  # one change is one, not two that begin a row early and late
+                certain = sorted(c[0] for c in found if c[2])
+                if kind == "wrong_ball":  # one for each ball that was named wrongly
+                    certain = sorted(set(certain))
                 named = any(c[2] for c in right)
+                # One change is one, not two that begin a row early and late.
                 return named, bool(right), named and certain == [kind], ", ".join(certain) or "nothing"
             about = f"{kind} {size}, {balls} balls"
             results = judge.each("changes", work, about)

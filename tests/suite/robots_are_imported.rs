@@ -8,7 +8,7 @@ use std::path::Path;
 use dbbd_model::robot::{ControllerModel, Pose, Robot, max_axis_difference};
 use tempfile::tempdir;
 
-use crate::cell::{codes, dbbd, named};
+use crate::cell::{codes, dbbd, named, stderr};
 use crate::nothing_wrong_is_silent::says;
 
 /// The joints of a UR10 in a URDF, with the base that turns by half a turn as in those of its maker.
@@ -87,6 +87,15 @@ fn a_built_in_robot_becomes_a_file() {
     let import = || dbbd(at, &["robots", "import", "kr60ha", "--out", "mine.toml"]);
     assert_eq!(import().status.code(), Some(0));
     assert_eq!(read(&at.join("mine.toml")), named("kr60ha"));
+    // What applies to others is not ignored, and a mistyped name is not taken for a file.
+    for more in [["--robot", "ur10"], ["--joints", "a,b"]] {
+        let import = ["robots", "import", "kr60ha", "--out", "other.toml"];
+        says(&dbbd(at, &[&import[..], &more].concat()), 1, "E1982");
+    }
+    let mistyped = dbbd(at, &["robots", "import", "kr60a", "--out", "other.toml"]);
+    says(&mistyped, 1, "E0503");
+    assert!(stderr(&mistyped).contains("did you mean `kr60ha`?"), "{}", stderr(&mistyped));
+    assert!(!at.join("other.toml").exists());
     // A file that somebody has changed since is kept.
     fs::write(at.join("mine.toml"), "serial = \"4711\"").unwrap();
     says(&import(), 1, "E0182");
@@ -115,6 +124,11 @@ fn a_factory_calibration_is_the_table_of_the_controller() {
     fs::write(at.join("short.conf"), CONF.replace("delta_d = [0,", "delta_d = [")).unwrap();
     says(&import("short.conf", &like), 1, "E0590");
     says(&import("ur://127.0.0.1:1", &like), 1, "E0592");
+    let joints = ["--robot", "ur10", "--joints", "a,b,c,d,e,f"];
+    says(&import("calibration.conf", &joints), 1, "E1982");
+    says(&import("ur://127.0.0.1:1", &joints), 1, "E1982");
+    fs::write(at.join("arm.urdf"), urdf()).unwrap();
+    says(&import("arm.urdf", &like), 1, "E1982");
 }
 
 /// The state of a robot as the primary interface sends it, with the table of the UR10 e as it is made.

@@ -17,6 +17,27 @@ pub use universal::FactoryTable;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Robot;
 
+/// What describes the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DescriptionKind {
+    Urdf,
+    MachineData,
+    FactoryCalibration,
+}
+
+impl DescriptionKind {
+    /// The kind of a text. A text that is neither of the others is read as a factory calibration.
+    pub fn of(text: &str) -> Self {
+        if text.trim_start().starts_with('<') {
+            Self::Urdf
+        } else if MachineData::is_in(text) {
+            Self::MachineData
+        } else {
+            Self::FactoryCalibration
+        }
+    }
+}
+
 /// A robot from the text of a URDF, of a `$machine.dat`, or of the factory calibration of a controller. `like` is the
 /// nominal robot of the type, which a calibration needs; `joints` names the six joints of a URDF that has several
 /// chains.
@@ -29,14 +50,14 @@ pub fn import(
     like: Option<&Robot>,
     joints: &[String],
 ) -> Result<ImportedRobot, Diagnostic> {
-    if text.trim_start().starts_with('<') {
-        return urdf::import(file, text, joints);
-    }
     let in_file = |finding: DescriptionFinding| Diagnostic::file(file, finding);
-    if MachineData::is_in(text) {
-        return machine_data::import(text).map_err(in_file);
+    match DescriptionKind::of(text) {
+        DescriptionKind::Urdf => urdf::import(file, text, joints),
+        DescriptionKind::MachineData => machine_data::import(text).map_err(in_file),
+        DescriptionKind::FactoryCalibration => {
+            let table = FactoryTable::read(text).map_err(in_file)?;
+            let like = like.ok_or_else(|| in_file(DescriptionFinding::TypeNeeded))?;
+            Ok(table.imported(like))
+        }
     }
-    let table = FactoryTable::read(text).map_err(in_file)?;
-    let like = like.ok_or_else(|| in_file(DescriptionFinding::TypeNeeded))?;
-    Ok(table.imported(like))
 }

@@ -36,12 +36,6 @@ findings! {
             MeasuredBefore { measured: String, before: String } => "was measured on {measured}, and the result before it on {before}";
             OtherDate { date: String, measured: String } => "was measured on {measured}, and the date given is {date}";
         }
-        E1982 "an input has no effect here",
-        cause: "The input applies only to others: a robot to results, the repeatability of a test to circles, a risk with a tolerance.",
-        cure: "Leave it out, or give the inputs that it applies to.",
-        asks: [Robot, CircleRepeatability, Risk, Tolerance] {
-            Unused { option: &'static str } => "{option} has no effect on these inputs";
-        }
         E1905 "the robot of a result is not known",
         cause: "The change of the position needs the robot's axes and limits, which robot-identified.toml beside result.json has.",
         cure: "Keep robot-identified.toml beside result.json, or give the robot.",

@@ -1,11 +1,11 @@
 //! Hypotheses of events while the lengths were measured: a table of kinds, compared with each other and with the errors
 //! that the model has anyway, at one shared rate of false alarms.
 //!
-//! A hypothesis adds columns H to the design rows, whose coefficients are N(0, s^2). With P the projection that
-//! eliminates the other unknowns and e the residuals, for rows of unit noise, G = H'P H and g = H'e. The Bayes factor
-//! is ln B = g'(G + I/s^2)^-1 g / 2 - ln|I + s^2 G| / 2, the best of six sizes s less ln 6. All kinds and places
-//! together have a prior probability of 1 %. The data are never changed: an event that is certain and has no rival
-//! becomes an unknown of the model, others are reported with their rivals.
+//! A hypothesis adds columns H to the design rows, whose coefficients are N(0, s^2). With L the inverse of the rows'
+//! covariance, P the projection that eliminates the other unknowns and e the residuals, G = H'L P H and g = H'L e. The
+//! Bayes factor is ln B = g'(G + I/s^2)^-1 g / 2 - ln|I + s^2 G| / 2, the best of six sizes s less ln 6. All kinds and
+//! places together have a prior probability of 1 %. The data are never changed: an event that is certain and has no
+//! rival becomes an unknown of the model, others are reported with their rivals.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::{Deserialize, Serialize};
@@ -28,8 +28,6 @@ const SIZES: usize = 6;
 pub(super) const MRAD: f64 = 1e3;
 /// Least number of rows before and after a place.
 pub(super) const MIN_LENGTHS: usize = 8;
-/// Largest number of places of one part that are tried first, evenly spread. Around the best of them every place is tried.
-const MAX_PLACES: usize = 128;
 /// Largest number of certain hypotheses.
 pub(super) const MAX_CERTAIN: usize = 8;
 
@@ -252,25 +250,94 @@ impl EventCandidate {
 
 /// A posterior to which hypotheses are added to judge them.
 pub(super) struct EventSearch<'a> {
-    pub(super) rows: &'a PoseRows,
-    pub(super) whitened: &'a Whitened,
-    pub(super) sigma_mm: f64,
-    pub(super) lengths: &'a Lengths<'a>,
+    rows: &'a PoseRows,
+    lengths: &'a Lengths<'a>,
+    /// The inverse of the rows' covariance, 1/mm^2: for each row the rows of its pose.
+    weights: Vec<Vec<(usize, f64)>>,
+    /// The other unknowns: G = H'L H - (K'H)'(K'H) for these columns K.
     known: DMatrix<f64>,
+    /// The weighted residuals L e, 1/mm.
     residual: DVector<f64>,
+}
+
+/// Sums over the rows of a hypothesis. An event that begins a row earlier has the same sums and one row more.
+struct EventSums<'a> {
+    search: &'a EventSearch<'a>,
+    columns: &'a DMatrix<f64>,
+    /// Whether a row is in the sums.
+    is_in: Vec<bool>,
+    gram: DMatrix<f64>,
+    /// K'H.
+    explained: DMatrix<f64>,
+    /// H'L e.
+    gradient: DVector<f64>,
+}
+
+impl<'a> EventSums<'a> {
+    /// No row yet of these columns.
+    fn none(search: &'a EventSearch<'a>, columns: &'a DMatrix<f64>) -> Self {
+        Self {
+            search,
+            columns,
+            is_in: vec![false; columns.nrows()],
+            gram: DMatrix::zeros(columns.ncols(), columns.ncols()),
+            explained: DMatrix::zeros(search.known.ncols(), columns.ncols()),
+            gradient: DVector::zeros(columns.ncols()),
+        }
+    }
+
+    fn of(search: &'a EventSearch<'a>, columns: &'a DMatrix<f64>) -> Self {
+        let mut sums = Self::none(search, columns);
+        (0..columns.nrows()).for_each(|row| sums.add(row));
+        sums
+    }
+
+    fn add(&mut self, row: usize) {
+        let own = self.columns.row(row);
+        if own.iter().all(|value| *value == 0.0) {
+            return;
+        }
+        for (other, weight) in &self.search.weights[row] {
+            if *other == row {
+                self.gram.ger(*weight, &own.transpose(), &own.transpose(), 1.0);
+            } else if self.is_in[*other] {
+                let other = self.columns.row(*other).transpose();
+                self.gram.ger(*weight, &own.transpose(), &other, 1.0);
+                self.gram.ger(*weight, &other, &own.transpose(), 1.0);
+            }
+        }
+        self.explained.ger(1.0, &self.search.known.row(row).transpose(), &own.transpose(), 1.0);
+        self.gradient += own.transpose() * self.search.residual[row];
+        self.is_in[row] = true;
+    }
+
+    /// The matrix G.
+    fn information(&self) -> DMatrix<f64> {
+        &self.gram - self.explained.tr_mul(&self.explained)
+    }
 }
 
 impl<'a> EventSearch<'a> {
     pub(super) fn new(
         rows: &'a PoseRows,
-        whitened: &'a Whitened,
+        whitened: &Whitened,
         posterior: &SystemPosterior<'_>,
         lengths: &'a Lengths<'a>,
         sigma_mm: f64,
     ) -> Option<Self> {
-        let known = &whitened.rows * posterior.root()? / sigma_mm;
-        let residual = (&whitened.right - &whitened.rows * &posterior.mean) / sigma_mm;
-        Some(Self { rows, whitened, sigma_mm, lengths, known, residual })
+        let variance = sigma_mm * sigma_mm;
+        let mut known = &whitened.rows * posterior.root()? / variance;
+        let mut residual = (&whitened.right - &whitened.rows * &posterior.mean) / variance;
+        whitened.whitening.apply_transpose(&mut known);
+        whitened.whitening.apply_transpose(&mut residual);
+        let mut weights = vec![Vec::new(); rows.lengths.len()];
+        for (rows, of_pose) in whitened.whitening.weights() {
+            for (row, of_row) in rows.iter().zip(of_pose.row_iter()) {
+                weights[*row] =
+                    rows.iter().copied().zip(of_row.iter().map(|weight| weight / variance)).collect();
+            }
+        }
+        Some(Self { rows, lengths, weights, known, residual })
     }
 
     /// The best place of each kind.
@@ -287,22 +354,24 @@ impl<'a> EventSearch<'a> {
         SupposedEventKind::OF_COLUMNS.into_iter().filter_map(best).collect()
     }
 
-    /// The most probable of the events at successive places, which is not one of those `among` the unknowns. An event that
-    /// begins a row early or late is explained by two, so that the last step is one place.
+    /// The most probable of the events that differ by their beginning, without those `among` the unknowns.
     fn best_place(&self, places: &[SupposedEvent], among: &[SupposedEvent]) -> Option<(SupposedEvent, f64)> {
-        let judged = |at: usize| {
-            let event = places[at];
-            let is_known = among.iter().any(|known| known.is_of_place(&event));
-            let (event, ln_bayes) = if is_known { None } else { self.judged(event) }?;
-            Some((at, event, ln_bayes))
+        let is_known = |event: &SupposedEvent| among.iter().any(|known| known.is_of_place(event));
+        let whole = SupposedEvent { from: None, ..*places.first()? };
+        let columns = whole.of_rows(self.rows, self.lengths);
+        let elapsed = |row: usize| self.lengths.elapsed(self.rows.lengths[row].place).unwrap_or(0.0);
+        let mut later: Vec<(f64, usize)> = (0..columns.nrows()).map(|row| (elapsed(row), row)).collect();
+        later.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut sums = EventSums::none(self, &columns);
+        let judged = |event: &SupposedEvent| {
+            while let Some((_, row)) =
+                later.pop_if(|(elapsed, _)| event.from.is_none_or(|(from, _)| *elapsed >= from))
+            {
+                sums.add(row);
+            }
+            if is_known(event) { None } else { of_best_size(*event, &sums) }
         };
-        let best = |places: &mut dyn Iterator<Item = usize>| {
-            places.filter_map(judged).max_by(|a, b| a.2.total_cmp(&b.2))
-        };
-        let step = places.len().div_ceil(MAX_PLACES).max(1);
-        let (near, ..) = best(&mut (0..places.len()).step_by(step))?;
-        let around = near.saturating_sub(step - 1)..(near + step).min(places.len());
-        best(&mut around.into_iter()).map(|(_, event, ln_bayes)| (event, ln_bayes))
+        places.iter().rev().filter_map(judged).max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// The most probable event, if it is more probable than no event. The offset of a ball is not an event; if it
@@ -352,7 +421,13 @@ impl<'a> EventSearch<'a> {
         let of_bars = || bars.iter().map(|bar| SupposedEvent { bar: Some(*bar), ..event });
         let of_balls = || balls.iter().map(|ball| SupposedEvent { ball: Some(*ball), ..event });
         let whole: Vec<SupposedEvent> = match kind {
-            SupposedEventKind::BarZeroStep | SupposedEventKind::BarZeroDrift => of_bars().collect(),
+            SupposedEventKind::BarZeroStep => of_bars().collect(),
+            SupposedEventKind::BarZeroDrift => {
+                let sum_mm: f64 =
+                    self.rows.lengths.iter().map(|length| self.lengths.reading(length.place).length_mm).sum();
+                let grown_mm = Some(sum_mm / self.rows.lengths.len() as f64);
+                of_bars().flat_map(|event| [event, SupposedEvent { grown_mm, ..event }]).collect()
+            }
             SupposedEventKind::BaseBallMoved => of_balls().collect(),
             SupposedEventKind::BallOffset if balls.len() > 1 => of_balls().collect(),
             SupposedEventKind::JointZeroStep => {
@@ -384,67 +459,51 @@ impl<'a> EventSearch<'a> {
             return Vec::new();
         };
         if matches!(event.kind, SupposedEventKind::BarZeroDrift | SupposedEventKind::TrackerDrift) {
-            if inner.is_empty() {
-                return Vec::new();
-            }
-            let rows = &self.rows.lengths;
-            let sum_mm: f64 = rows.iter().map(|length| self.lengths.reading(length.place).length_mm).sum();
-            let grown_mm =
-                (event.kind == SupposedEventKind::BarZeroDrift).then(|| sum_mm / rows.len() as f64);
-            return vec![event, SupposedEvent { grown_mm, ..event }];
+            return if inner.is_empty() { Vec::new() } else { vec![event] };
         }
         let mut first: Vec<(f64, usize)> = inner.to_vec();
         first.dedup_by(|next, before| next.0 == before.0);
         first.into_iter().map(|from| SupposedEvent { from: Some(from), ..event }).collect()
     }
 
-    /// Columns of unit noise.
-    fn columns(&self, event: &SupposedEvent) -> DMatrix<f64> {
-        let mut columns = event.of_rows(self.rows, self.lengths);
-        self.whitened.whitening.apply(&mut columns);
-        columns / self.sigma_mm
-    }
-
-    /// The event with its best size, and the logarithm of its Bayes factor.
-    fn judged(&self, event: SupposedEvent) -> Option<(SupposedEvent, f64)> {
-        let columns = self.columns(&event);
-        let explained = self.known.tr_mul(&columns);
-        let gram = columns.tr_mul(&columns) - explained.tr_mul(&explained);
-        let gradient = columns.tr_mul(&self.residual);
-        let [least, most] = event.kind.sizes().map(f64::ln);
-        let of_size = |at: usize| {
-            let size = (least + (most - least) * at as f64 / (SIZES - 1) as f64).exp();
-            let precision = DMatrix::identity(gram.nrows(), gram.nrows()) / (size * size);
-            let factor = Cholesky::new(&gram + precision)?;
-            let ln_determinant =
-                2.0 * factor.l_dirty().diagonal().map(f64::ln).sum() + 2.0 * gram.nrows() as f64 * size.ln();
-            let ln_bayes = 0.5 * gradient.dot(&factor.solve(&gradient)) - 0.5 * ln_determinant;
-            ln_bayes.is_finite().then_some((SupposedEvent { size, ..event }, ln_bayes))
-        };
-        let best = (0..SIZES).filter_map(of_size).max_by(|a, b| a.1.total_cmp(&b.1))?;
-        Some((best.0, best.1 - (SIZES as f64).ln()))
-    }
-
     /// The coefficients of the event's columns with their covariance.
     fn coefficients(&self, event: &SupposedEvent) -> Option<(DVector<f64>, DMatrix<f64>)> {
-        let columns = self.columns(event);
-        let explained = self.known.tr_mul(&columns);
-        let gram = columns.tr_mul(&columns) - explained.tr_mul(&explained);
-        let precision = &gram + DMatrix::identity(gram.nrows(), gram.nrows()) / event.size.powi(2);
-        let covariance = Cholesky::new(precision)?.inverse();
-        Some((&covariance * columns.tr_mul(&self.residual), covariance))
+        let columns = event.of_rows(self.rows, self.lengths);
+        let sums = EventSums::of(self, &columns);
+        let prior = DMatrix::identity(event.columns(), event.columns()) / event.size.powi(2);
+        let covariance = Cholesky::new(sums.information() + prior)?.inverse();
+        Some((&covariance * &sums.gradient, covariance))
     }
 
     /// Cosine of the angle between the effects of two hypotheses on the lengths, each along its best direction, with
     /// all other unknowns eliminated.
     fn cosine(&self, one: &SupposedEvent, other: &SupposedEvent) -> f64 {
-        let direction = |event: &SupposedEvent| -> Option<DVector<f64>> {
-            let along = self.columns(event) * self.coefficients(event)?.0;
-            let apart = &along - &self.known * self.known.tr_mul(&along);
-            (apart.norm() > 0.0).then(|| apart.normalize())
+        let along = |event: &SupposedEvent| {
+            let (coefficients, _) = self.coefficients(event)?;
+            Some(event.of_rows(self.rows, self.lengths) * coefficients)
         };
-        direction(one).zip(direction(other)).map_or(0.0, |(one, other)| one.dot(&other).abs())
+        let Some((one, other)) = along(one).zip(along(other)) else { return 0.0 };
+        let information = EventSums::of(self, &DMatrix::from_columns(&[one, other])).information();
+        let cosine = information[(0, 1)].abs() / (information[(0, 0)] * information[(1, 1)]).sqrt();
+        if cosine.is_finite() { cosine } else { 0.0 }
     }
+}
+
+/// The event with its best size, and the logarithm of its Bayes factor.
+fn of_best_size(event: SupposedEvent, sums: &EventSums<'_>) -> Option<(SupposedEvent, f64)> {
+    let information = sums.information();
+    let [least, most] = event.kind.sizes().map(f64::ln);
+    let of_size = |at: usize| {
+        let size = (least + (most - least) * at as f64 / (SIZES - 1) as f64).exp();
+        let precision = DMatrix::identity(event.columns(), event.columns()) / (size * size);
+        let factor = Cholesky::new(&information + precision)?;
+        let ln_determinant =
+            2.0 * factor.l_dirty().diagonal().map(f64::ln).sum() + 2.0 * event.columns() as f64 * size.ln();
+        let ln_bayes = 0.5 * sums.gradient.dot(&factor.solve(&sums.gradient)) - 0.5 * ln_determinant;
+        ln_bayes.is_finite().then_some((SupposedEvent { size, ..event }, ln_bayes))
+    };
+    let best = (0..SIZES).filter_map(of_size).max_by(|a, b| a.1.total_cmp(&b.1))?;
+    Some((best.0, best.1 - (SIZES as f64).ln()))
 }
 
 /// Standard deviation along a vector.
@@ -691,6 +750,11 @@ mod tests {
         }
     }
 
+    fn judged(search: &EventSearch<'_>, event: SupposedEvent) -> (SupposedEvent, f64) {
+        let columns = event.of_rows(search.rows, search.lengths);
+        of_best_size(event, &EventSums::of(search, &columns)).unwrap()
+    }
+
     /// ln N(y; 0, V + s^2 H H') - ln N(y; 0, V), with V the covariance of noise and all unknowns: the best of six sizes.
     #[test]
     fn bayes_factor_is_that_of_the_dense_covariances() {
@@ -718,7 +782,7 @@ mod tests {
                 SupposedEventKind::BarZeroDrift,
                 SupposedEventKind::ToolBallMoved,
             ] {
-                let (event, found) = search.judged(event(kind, from)).unwrap();
+                let (event, found) = judged(search, event(kind, from));
                 let h = event.of_rows(rows, search.lengths);
                 let [least, most] = kind.sizes().map(f64::ln);
                 let of_size = |at: usize| {
@@ -731,6 +795,24 @@ mod tests {
                     "{kind:?}: {found} {best}"
                 );
                 assert!((event.size / size - 1.0).abs() < 1e-12);
+            }
+        });
+    }
+
+    /// The sums that grow by a row have the evidence of the event's own columns, between the rows of a pose too.
+    #[test]
+    fn evidence_of_each_place_is_that_of_the_event_alone() {
+        Bench::new(Some((41, 0.05))).with(|search, _| {
+            for kind in [SupposedEventKind::BarZeroStep, SupposedEventKind::ToolBallMoved] {
+                for places in search.events(kind) {
+                    assert_eq!(places.len(), 64);
+                    for place in &places {
+                        let (found, ln_bayes) = search.best_place(&[*place], &[]).unwrap();
+                        let (alone, ln_bayes_alone) = judged(search, *place);
+                        assert_eq!(found, alone);
+                        assert!((ln_bayes - ln_bayes_alone).abs() < 1e-9 * ln_bayes_alone.abs().max(1.0));
+                    }
+                }
             }
         });
     }
@@ -750,9 +832,8 @@ mod tests {
         assert!(Bench::new(None).with(|search, _| search.strongest(search.candidates(&[])).is_none()));
     }
 
-    /// Of the 224 places of 240 lengths every second one is tried first.
     #[test]
-    fn a_step_is_found_at_each_of_more_places_than_are_tried_first() {
+    fn a_step_is_found_at_its_row_of_many() {
         for place in [8, 9, 120, 121, 230, 231] {
             Bench::of_poses(120, Some((place, 0.3))).with(|search, _| {
                 let found = search.strongest(search.candidates(&[])).unwrap();
@@ -779,7 +860,7 @@ mod tests {
             };
             let offset =
                 SupposedEvent { ball: Some(BallId::at(1)), ..event(SupposedEventKind::BallOffset, None) };
-            let [of_step, of_offset] = [step, offset].map(|event| search.judged(event).unwrap());
+            let [of_step, of_offset] = [step, offset].map(|event| judged(search, event));
             assert!(
                 (of_step.1 - of_offset.1).abs() < 1e-9 && of_step.1 > 10.0,
                 "{} {}",

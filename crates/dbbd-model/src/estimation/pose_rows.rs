@@ -249,6 +249,29 @@ impl Whitening {
         }
     }
 
+    /// Multiplies by the transpose of the transformation to unit noise.
+    pub(super) fn apply_transpose<C: Dim, S: StorageMut<f64, Dyn, C>>(
+        &self,
+        matrix: &mut Matrix<f64, Dyn, C, S>,
+    ) {
+        for mut column in matrix.column_iter_mut() {
+            for (rows, factor) in &self.poses {
+                for i in (0..rows.len()).rev() {
+                    let behind: f64 = (i + 1..rows.len()).map(|j| factor[(j, i)] * column[rows[j]]).sum();
+                    column[rows[i]] = (column[rows[i]] - behind) / factor[(i, i)];
+                }
+            }
+        }
+    }
+
+    /// The inverse of the covariance: of each pose its rows, with their matrix.
+    pub(super) fn weights(&self) -> impl Iterator<Item = (&[usize], DMatrix<f64>)> {
+        self.poses.iter().enumerate().map(|(pose, (rows, _))| {
+            let inverse = self.inverse_factor(pose);
+            (rows.as_slice(), inverse.tr_mul(&inverse))
+        })
+    }
+
     /// The inverse of the Cholesky factor of a pose's covariance.
     pub(super) fn inverse_factor(&self, pose: usize) -> DMatrix<f64> {
         let (rows, factor) = &self.poses[pose];
