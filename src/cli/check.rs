@@ -17,7 +17,7 @@ use dbbd_model::robot::ParamUnit;
 /// --tolerance: changed). More: docs/explanation/check.md.
 #[derive(clap::Args)]
 pub(crate) struct CheckArgs {
-    /// Measurements CSV, or a capture, as for `dbbd identify`; 12 to 24 poses per ball suffice.
+    /// Measurements CSV, or a capture, as for `dbbd identify`; 12 to 24 poses suffice.
     #[arg(value_name = "RUN|CSV")]
     input: PathBuf,
     /// The robot-identified.toml of the calibration, with its table [posterior].

@@ -15,7 +15,7 @@ use dbbd_model::estimation::ProgramUncertainty;
 /// relative motions.
 ///
 /// Lengths do not determine the robot's base frame. The points are corrected in the robot's own frame, so that they are right
-/// with respect to each other; measure $BASE again afterwards if a place in the room matters. $BASE is taken in the robot's
+/// with respect to each other; shift $BASE by what corrected points miss if a place in the room matters. $BASE is taken in the robot's
 /// own base ($ROBROOT null). What is flange and what is a ball that was mounted beside its place,
 /// the identification decides by [tool] ball_u_mm and [tolerance] flange_mm, flange_deg of the robot file. $TOOL is that of the
 /// program, never the ball.

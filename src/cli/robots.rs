@@ -38,7 +38,7 @@ enum RobotsVerb {
         #[arg(value_name = "NAME|FILE")]
         name: String,
     },
-    /// Make a robot file from a built-in robot, a URDF, or the factory calibration of a controller.
+    /// Make a robot file from a built-in robot, a URDF, KUKA's `$machine.dat`, or the factory calibration of a controller.
     ///
     /// The file of a built-in robot is written as it is, for example to state the tool ball of your own robot in it.
     /// A URDF is read as a chain of six rotary joints. The factory calibration of a Universal Robots controller is its file

@@ -117,7 +117,7 @@ impl Reason {
                 format!("the data alone leave {}; the prior carries it", with_unit(*data_sd, id))
             }
             Reason::ByEvidence { determined } => format!(
-                "its group's variance is that of the greatest evidence; the lengths determine {:.0} % of it",
+                "the lengths determine {:.0} % of it, and the prior of its group the rest",
                 determined * 100.0
             ),
             Reason::Dependent { combination } => text(combination),

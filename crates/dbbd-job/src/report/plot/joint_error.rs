@@ -15,10 +15,16 @@ pub(crate) fn joint_error(axis: usize, curve: &[JointPoint], measured_deg: &[f64
         curve.iter().filter(|point| point.angle_deg >= low - 5.0 && point.angle_deg <= high + 5.0).collect();
     let middle = |point: &JointPoint| 0.5 * (point.rising + point.falling);
     let mean = seen.iter().map(|point| middle(point)).sum::<f64>() / seen.len().max(1) as f64;
-    let ends = seen.iter().flat_map(|point| [point.rising - mean, point.falling - mean]);
+    // Between the poses the scale has the whole band: a curve within its band shows no error.
+    let is_measured = |point: &JointPoint| (low..=high).contains(&point.angle_deg);
+    let ends = seen.iter().flat_map(|point| {
+        let half = if is_measured(point) { COVERAGE_95 * point.sd } else { 0.0 };
+        let band = [middle(point) - half, middle(point) + half];
+        [[point.rising, point.falling], band].concat().into_iter().map(move |value| value - mean)
+    });
     let largest = magnitude(ends);
     let unit = Unit::angle(largest);
-    let top = 1.4 * largest * unit.factor;
+    let top = 1.1 * largest * unit.factor;
     let labels = Labels {
         title: &format!("Axis {}", axis + 1),
         description: "Error of the joint against its angle, with its 95 % band",
@@ -58,4 +64,38 @@ pub(crate) fn joint_error(axis: usize, curve: &[JointPoint], measured_deg: &[f64
         frame.svg.line("rule", [x, bottom - 5.0], [x, bottom]);
     }
     frame.svg.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The heights of the points of the first path with a class, in pixels.
+    fn heights(svg: &str, class: &str) -> Vec<f64> {
+        let (_, path) = svg.split_once(&format!("<path class=\"{class}\" d=\"M")).unwrap();
+        let (path, _) = path.split_once('"').unwrap();
+        let points = path.trim_end_matches('Z').split('L');
+        points.map(|point| point.split_once(' ').unwrap().1.parse().unwrap()).collect()
+    }
+
+    /// A curve of 5 urad with a standard deviation of 100 urad: the band ends within the picture, and the curve is flat.
+    #[test]
+    fn a_curve_without_meaning_is_flat_within_its_band() {
+        let point = |at: i32| {
+            let value = 5e-6 * f64::from(at) / 20.0;
+            let sd = if at.abs() <= 20 { 100e-6 } else { 1e-3 };
+            JointPoint { angle_deg: f64::from(at), rising: value, falling: value, sd }
+        };
+        let curve: Vec<JointPoint> = (-24..=24).map(point).collect();
+        let svg = joint_error(0, &curve, &[-20.0, 20.0]);
+        let span = |heights: &[f64]| {
+            let ends =
+                heights.iter().fold([f64::MAX, f64::MIN], |[low, high], at| [low.min(*at), high.max(*at)]);
+            ends[1] - ends[0]
+        };
+        let (band, line) = (heights(&svg, "band"), heights(&svg, "l-after"));
+        // The upper edge at a measured angle lies below that of the prior, which ends at the edge of the picture.
+        assert!(band[24] > band[0] + 5.0, "{} {}", band[24], band[0]);
+        assert!(span(&line) < 0.05 * span(&band), "{} {}", span(&line), span(&band));
+    }
 }
