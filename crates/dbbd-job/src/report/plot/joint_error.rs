@@ -97,5 +97,8 @@ mod tests {
         // The upper edge at a measured angle lies below that of the prior, which ends at the edge of the picture.
         assert!(band[24] > band[0] + 5.0, "{} {}", band[24], band[0]);
         assert!(span(&line) < 0.05 * span(&band), "{} {}", span(&line), span(&band));
+        // A rule for all paths of a plot would be stronger than the class, and hide the band.
+        let css = crate::report::svg::plot_css();
+        assert!(css.contains(".band{fill:") && !css.contains("svg.plot path"), "{css}");
     }
 }
