@@ -1,6 +1,7 @@
 //! `dbbd acquire` without a port, without a bar, or after the bar disappeared.
 #![cfg(unix)]
 
+use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -10,6 +11,7 @@ use dbbd_device::protocol::ProtocolDefinition;
 use dbbd_job::recording::capture::RunEvent;
 use dbbd_job::sim::bar::Terminal;
 use dbbd_model::provenance::Identity;
+use rustix::pty::{self, OpenptFlags};
 
 use crate::cell::{codes, stderr};
 use crate::played_bar::{definition, endless, play, read, reading, wait_for};
@@ -99,20 +101,18 @@ fn bar_that_disappears_ends_the_run() {
 /// In this process too: the line disappears while the bar is queried.
 #[test]
 fn port_that_disappears_during_a_command() {
-    let (mut line, host) = serialport::TTYPort::pair().unwrap();
+    // A program that another test starts meanwhile must not hold the line open.
+    let line = pty::openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+    pty::grantpt(&line).unwrap();
+    pty::unlockpt(&line).unwrap();
     // Another test may get the same terminal: this name is gone before it.
     let directory = tempfile::tempdir().unwrap();
     let link = directory.path().join("bar");
-    std::os::unix::fs::symlink(serialport::SerialPort::name(&host).unwrap(), &link).unwrap();
-    drop(host);
+    let terminal = pty::ptsname(&line, Vec::new()).unwrap();
+    std::os::unix::fs::symlink(terminal.to_str().unwrap(), &link).unwrap();
     let name = link.display().to_string();
     let pulled = std::thread::spawn(move || {
-        // At first the line is not open.
-        let came =
-            |line: &mut serialport::TTYPort| std::io::Read::read(line, &mut [0; 1]).is_ok_and(|n| n > 0);
-        while !came(&mut line) {
-            clock::sleep(0.001);
-        }
+        std::fs::File::from(line).read_exact(&mut [0; 1]).unwrap();
         std::fs::remove_file(link).unwrap();
     });
     let definition = ProtocolDefinition::by_name("microepsilon-ild1420").unwrap().unwrap();

@@ -155,6 +155,8 @@ pub fn reading_between(stream: &SampleStream, from_s: f64, to_s: f64) -> Option<
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
 
     use crate::recording::stream::StreamBuilder;
@@ -171,6 +173,24 @@ mod tests {
             );
         }
         builder.build()
+    }
+
+    #[test]
+    fn three_readings_are_enough_for_a_dwell() {
+        let of = |mode, nominal_hz, dwell_s| {
+            let mut bar = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap();
+            (bar.mode, bar.nominal_hz) = (mode, nominal_hz);
+            too_short(dwell_s, &bar)
+        };
+        let polled = ProtocolMode::Poll { hz: 4.0, timeout: Duration::ZERO };
+        for (mode, nominal_hz) in [(polled, None), (ProtocolMode::Stream, Some(4.0))] {
+            assert!(of(mode, nominal_hz, 0.75).is_none());
+            let short = of(mode, nominal_hz, 0.74);
+            assert!(matches!(short, Some(JobFinding::ShortDwell { hz: 4.0, least: 3, .. })));
+        }
+        for mode in [ProtocolMode::Stream, ProtocolMode::Push] {
+            assert!(of(mode, None, 0.0).is_none());
+        }
     }
 
     fn alternating(count: usize) -> impl Iterator<Item = f64> {

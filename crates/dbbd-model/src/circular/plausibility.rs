@@ -270,3 +270,31 @@ fn spike(trace: &CircleTrace) -> Option<Finding> {
     let is_spike = off_mm.abs() > MIN_SPIKE_MM.max(SPIKE * usual_mm);
     is_spike.then(|| Finding::Spike { run: trace.run.clone(), angle_deg, off_mm })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bar_that_warms_by_more_than_8_kelvin_is_found() {
+        let trace = |temperatures_c: [f64; 2]| {
+            let point = |temp_c| CirclePoint {
+                angle_deg: 0.0,
+                length_mm: 100.0,
+                sigma_mm: None,
+                t_s: None,
+                temp_c: Some(temp_c),
+                axes_deg: None,
+                drives: None,
+            };
+            let points = temperatures_c.map(point).into();
+            CircleTrace { run: "1".into(), sense: CircleSense::CounterClockwise, points }
+        };
+        assert!(warm(&[trace([18.0, 25.9])]).is_none());
+        let found = warm(&[trace([18.0, 22.0]), trace([20.0, 26.1])]);
+        assert_eq!(
+            found.map(|found| found.to_string()),
+            Some(Finding::WarmedBar { span_k: 8.1 }.to_string())
+        );
+    }
+}

@@ -258,6 +258,9 @@ mod tests {
         let [length, unknown] = bar_lines(BudgetBasis::Certificate, Some(0.005), None, 0.025);
         assert_eq!((length.position_mm, unknown.position_mm), (Some(0.025), None));
         assert_eq!(unknown.basis, BudgetBasis::NotDetermined);
+        // The temperature alone is more than the whole: nothing is left for the certificate.
+        let [length, warm] = bar_lines(BudgetBasis::Certificate, Some(0.005), Some(0.006), 0.025);
+        assert_eq!([length, warm].map(|line| line.position_mm), [Some(0.0), Some(0.025)]);
     }
 
     /// 0.05^2 = 0.03^2 + 0.02^2 + 0.0012; a contribution is 2 times the root of its share of the variance.

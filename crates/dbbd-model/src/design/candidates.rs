@@ -136,3 +136,24 @@ pub(super) fn columns(rows: usize, columns: impl ExactSizeIterator<Item = DVecto
 pub fn workspace_rows(posterior: &Posterior, poses: &[[f64; AXES]]) -> DMatrix<f64> {
     posterior.workspace(poses).jacobian() * posterior.root()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_support::cell::{CENTRE, kr60};
+
+    /// Axes 4 and 6 of the KR 60 HA reach 350 degrees to both sides.
+    #[test]
+    fn an_axis_does_not_turn_further_than_it_must() {
+        let robot = kr60();
+        let (arm, controller, id) = (&robot.geometry, &robot, BallId::FIRST);
+        let sphere = Sphere { arm, controller, id, ball: CENTRE.into(), radius_mm: 300.0, near: None };
+        let found = sphere.candidates(20, 1, |_| true);
+        assert_eq!(found.len(), 20);
+        let turns: Vec<_> = found.iter().map(|one| (one, turns_within(&one.axes, controller))).collect();
+        assert!(turns.iter().any(|(_, others)| others.len() > 1));
+        for (one, others) in turns {
+            assert!(others.iter().all(|other| largest(&one.axes) <= largest(other) + 1e-12), "{one:?}");
+        }
+    }
+}

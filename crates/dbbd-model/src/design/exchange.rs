@@ -121,7 +121,7 @@ impl<'a> Exchange<'a> {
             for place in 0..self.chosen.len() {
                 exchanged += usize::from(self.exchange(place, 0..self.taken.len(), criterion));
             }
-            if exchanged * SETTLED < self.chosen.len().max(1) {
+            if exchanged * SETTLED < self.chosen.len() {
                 return;
             }
         }

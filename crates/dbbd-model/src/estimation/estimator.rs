@@ -1017,6 +1017,17 @@ mod tests {
         Lengths::few(axes.into_iter().map(reading).collect(), vec![SIGMA_MM; COUNT])
     }
 
+    /// The root mean square of the joints that moved: 3 and 4 of the unit have (25 / 2)^1/2.
+    #[test]
+    fn backlash_of_joints_that_rest_does_not_count() {
+        let of = |sds: [f64; AXES]| {
+            let shape = NoiseShape { own: OwnNoise::Stated(SIGMA_MM), joints: JointNoise::Unapproached(sds) };
+            sd_of(Group::Backlash, &Hypers::usual(), shape)
+        };
+        assert!((of([3e-5, 0.0, 4e-5, 0.0, 0.0, 0.0]) - 12.5f64.sqrt() * 1e-5).abs() < 1e-18);
+        assert_eq!(of([0.0; AXES]), 0.0);
+    }
+
     /// The bar has this prior standard deviation; the height of the ball, if it is unknown, is free.
     fn unknowns(ids: &[ParamId], used: &Weighted, bar_sd_mm: f64) -> Unknowns {
         let (ids, means) = (ids.to_vec(), vec![0.0; ids.len()]);

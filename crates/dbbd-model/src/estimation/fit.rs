@@ -213,3 +213,19 @@ fn exceeding_rows(
     });
     pieces.concat()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Normal quantiles of 1 - 0.005 / n, by `NormalDist` of Python. Mills' bound is less than 1 % beyond them.
+    #[test]
+    fn one_normal_set_in_a_hundred_has_a_residual_beyond_the_limit() {
+        for (readings, quantile) in [(10_000, 4.8916), (1_000_000, 5.7307)] {
+            let beyond = limit(readings) - quantile;
+            assert!(beyond > 0.0 && beyond < 0.01 * quantile, "{readings}: {beyond}");
+        }
+        // Few lengths say too little of their scale.
+        assert_eq!([limit(0), limit(10), limit(1000)], [4.5; 3]);
+    }
+}

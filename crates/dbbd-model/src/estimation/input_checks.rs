@@ -323,10 +323,43 @@ mod tests {
             with_angles(|at, deg| if at as f64 >= share * count as f64 { deg } else { deg.to_radians() })
         };
         assert!(mistake(&some(0.3), 0.0).is_some() && mistake(&some(0.1), 0.0).is_none());
+        // Nine of ten rows that are off agree in radians; eight of nine do not show a unit.
+        let one_foreign = |rows: usize| {
+            let mut table = with_angles(|at, deg| if at < rows { deg.to_radians() } else { deg });
+            table.rows[count - 1].length_mm *= 3.0;
+            mistake(&table, 0.0).map(|found| found.2)
+        };
+        assert_eq!([one_foreign(9), one_foreign(8)], [Some(10), None]);
         // Some lengths to a ball that is elsewhere agree about as well in gon; a whole table in gon agrees far better.
         assert_eq!(mistake(&lengths(), 90.0), None);
         let gon = with_angles(|_, deg| deg / 0.9);
         assert_eq!(mistake(&gon, 20.0).map(|found| found.1), Some("gon"));
+    }
+
+    /// `off_mm` is the error of the first `rows` lengths.
+    fn far(rows: usize, off_mm: f64) -> Option<MeasurementFinding> {
+        let mut table = lengths();
+        table.rows[..rows].iter_mut().for_each(|row| row.length_mm += off_mm);
+        far_rows(&table, &kr60(), &ball(0.0))
+    }
+
+    #[test]
+    fn single_lengths_that_are_far_are_mistakes_and_all_of_them_another_cell() {
+        let (index, count) = (lengths().rows[0].index, lengths().rows.len());
+        let is_far = |rows: usize, mm: f64| match far(rows, mm) {
+            Some(MeasurementFinding::FarLengths { rows: found, index: first, off_mm }) => {
+                (found, first) == (rows, index) && (off_mm - mm.abs()).abs() < 1e-6
+            }
+            _ => false,
+        };
+        assert!(is_far(1, 101.0) && is_far(9, -150.0) && far(1, 99.0).is_none());
+        // A quarter of the rows that are less than a cell off may belong to another ball.
+        assert!(far(count / 4, 150.0).is_none() && is_far(count / 4, 251.0));
+        assert!(far(count, 249.0).is_none());
+        let Some(MeasurementFinding::FarFromAll { off_mm }) = far(count, -251.0) else {
+            panic!("another cell is not found")
+        };
+        assert!((off_mm - 251.0).abs() < 1e-6);
     }
 
     #[test]

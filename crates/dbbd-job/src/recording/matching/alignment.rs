@@ -690,6 +690,14 @@ mod tests {
         }
     }
 
+    /// Each of 5 poses may be the first and the last, and the program may start at any second between the first dwell and the last.
+    #[test]
+    fn every_start_and_end_of_a_program_is_as_probable() {
+        let log_prior = |dwells: &[DwellEvidence]| Trellis::new(&poses(), dwells, None).log_prior;
+        assert!((log_prior(&dwells(&[])) - (10.0 * 25f64).ln()).abs() < 1e-12);
+        assert!((log_prior(&dwells(&[1, 2, 3, 4])) - 25f64.ln()).abs() < 1e-12);
+    }
+
     #[test]
     fn evidence_is_largest_at_the_driven_override() {
         let (poses, dwells) = (poses(), dwells(&[]));

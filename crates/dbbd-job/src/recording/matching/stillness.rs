@@ -512,6 +512,16 @@ mod tests {
         assert!((windows.white_slope(0.001) - expected).abs() < 1e-12);
     }
 
+    /// Seven of ten slopes are at most 2.5 x 0.1 + 0.05.
+    #[test]
+    fn a_run_is_still_if_most_of_it_does_not_slope() {
+        let mut windows = ReadingWindows::of(&stream(&[(0.0, 1.0)], 1.0), SHORT, 1.0);
+        windows.slopes = [-0.31, 0.31, 0.31, 0.29, -0.29, 0.29, 0.0, 0.0, 0.0, 0.0].into();
+        let quiet = RestNoise { slope_sigma: 0.1, scatter_sigma: 1.0, slope_floor: 0.05 };
+        let scale = WindowScale { windows: &windows, quiet };
+        assert!(scale.is_still(&(0..=9)) && !scale.is_still(&(0..=8)));
+    }
+
     #[test]
     fn windows_show_the_slope_of_a_ramp() {
         let windows = ReadingWindows::of(&stream(&[(0.0, 0.0), (2.0, 0.0)], 4.0), LONG, 1.0);

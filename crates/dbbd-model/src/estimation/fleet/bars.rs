@@ -91,3 +91,24 @@ pub(super) fn histories(
     };
     bars.iter().enumerate().map(history).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A drift begins at the plant's first epoch, a jump acts from its epoch on; other bars have neither.
+    #[test]
+    fn offset_of_a_bar_at_a_knot() {
+        let columns = [Column::Offset(0), Column::Drift(0), Column::Jump(0, 9), Column::Drift(1)];
+        let years = |epochs: f64| epochs * EPOCH_DAYS / YEAR_DAYS;
+        let design = Column::design(&columns, &[(0, 9), (1, 5), (0, 3)]);
+        let expected = [[1.0, years(6.0), 1.0, 0.0], [0.0, 0.0, 0.0, years(2.0)], [1.0, 0.0, 0.0, 0.0]];
+        assert_eq!(design, DMatrix::from_fn(3, 4, |row, column| expected[row][column]));
+    }
+
+    #[test]
+    fn a_bar_may_jump_at_each_epoch_but_its_first() {
+        let jumps = Column::jumps(&[(0, 9), (1, 5), (0, 3), (0, 4)]);
+        assert!(jumps == [Column::Jump(0, 9), Column::Jump(0, 4)]);
+    }
+}

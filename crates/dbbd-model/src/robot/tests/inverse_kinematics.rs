@@ -108,6 +108,27 @@ fn pose_out_of_reach_has_no_solution() {
     }
 }
 
+/// Axis 3 or axis 4 of an arm with three parallel axes may point against axis 2.
+#[test]
+fn parallel_axes_may_point_against_each_other() {
+    let axes = rad([20.0, -70.0, 80.0, -40.0, 60.0, 15.0]);
+    for [third, fourth] in [[PI, 0.0], [0.0, PI], [PI, PI], [PI, -PI]] {
+        let mut geometry = Robot::by_name("ur10e").unwrap().unwrap().geometry;
+        *geometry.value_mut(ParamId::Alpha(Joint::J3)).unwrap() += third;
+        *geometry.value_mut(ParamId::Alpha(Joint::J4)).unwrap() += fourth;
+        let ball = geometry.ball(&axes);
+        let found = branches(&geometry, &ball).unwrap();
+        for branch in &found {
+            let (mm, turn) = miss(&geometry, branch, &ball);
+            assert!(mm < 1e-6 && turn < 1e-9, "{third} {fourth}: {branch:?} misses by {mm} mm");
+        }
+        let is_original = |branch: &[f64; AXES]| {
+            branch.iter().zip(&axes).all(|(a, b)| ((a - b + PI).rem_euclid(TAU) - PI).abs() < 1e-9)
+        };
+        assert!(found.iter().any(is_original), "{third} {fourth}: {found:?}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
