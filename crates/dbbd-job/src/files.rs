@@ -216,7 +216,7 @@ fn lock(directory: &Path) -> Option<File> {
         match options.open(directory.join(".dbbd-lock")) {
             // Another process has it open, or it is being deleted.
             Err(error) if matches!(error.raw_os_error(), Some(SHARING_VIOLATION | ACCESS_DENIED)) => {
-                super::clock::sleep(0.02);
+                dbbd_device::clock::sleep(0.02);
             }
             opened => return opened.ok(),
         }
