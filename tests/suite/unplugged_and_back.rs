@@ -10,7 +10,7 @@ use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 
 use dbbd::daemon::{Acquisition, AcquisitionOptions, ControllerConnections};
@@ -163,11 +163,16 @@ fn network(own: u16, server: u16, length: Length, seed: u64, ready: &AtomicBool)
     away
 }
 
-/// A port that nobody is given while the network is cut: below those from which the system chooses.
-fn port_that_stays_free(seed: u64) -> u16 {
-    let mut dice = Pcg64::seed_from_u64(seed + (u64::from(std::process::id()) << 16));
+/// A port that nobody is given while the network is cut: below those from which the system chooses, and another one at
+/// each call, since campaigns run beside each other.
+fn port_that_stays_free() -> u16 {
+    static CALLS: AtomicU32 = AtomicU32::new(0);
     let is_free = |port: &u16| TcpListener::bind(("127.0.0.1", *port)).is_ok();
-    std::iter::repeat_with(|| dice.random_range(12_000..32_000)).find(is_free).unwrap()
+    let next = || {
+        let call = CALLS.fetch_add(1, Ordering::Relaxed);
+        (12_000 + (64 * std::process::id() + call) % 20_000) as u16
+    };
+    std::iter::repeat_with(next).find(is_free).unwrap()
 }
 
 /// Passes received bytes on; `false` if an end disappeared.
@@ -207,7 +212,7 @@ fn session(directory: &Path, wire: Wire, length: Length, seed: u64) -> Seen {
         Wire::Network(scheme) => {
             let bar = simulate(&directory, "1", &["--listen", &format!("{scheme}://127.0.0.1:0")]);
             let server = bar.port.rsplit_once(':').unwrap().1.parse().unwrap();
-            let own = port_that_stays_free(seed);
+            let own = port_that_stays_free();
             let cut = move || network(own, server, length, seed, &plugged);
             (format!("{scheme}://127.0.0.1:{own}"), std::thread::spawn(cut), Some(bar))
         }

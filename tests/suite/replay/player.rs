@@ -92,11 +92,7 @@ fn plays() {
         let _ = std::io::stdin().read_line(&mut String::new());
         ended.store(true, Ordering::Relaxed);
     });
-    let settle_s = recording.definition().line.settle.as_secs_f64();
-    let pieces = pieces(&recording, Cuts::of(word, seed.parse().unwrap()));
-    let behind = pieces.iter().skip_while(|piece| **piece != What::Unplugged).skip(1 + recording.opening());
-    let bytes = |piece: &What| if let What::Bar(bytes) = piece { bytes.len() } else { 0 };
-    player.play(&pieces, settle_s, recording.stream.saturating_sub(behind.map(bytes).sum()));
+    player.play(&recording, Cuts::of(word, seed.parse().unwrap()));
     while !over.load(Ordering::Relaxed) {
         player.listen();
     }
@@ -148,6 +144,14 @@ fn unplugged(recording: &Recording, seed: u64) -> Vec<What> {
     opening.iter().chain(before).map(what).chain(again).chain(behind.iter().map(what)).collect()
 }
 
+/// Number of bytes of the stream; each time that it is plugged in, the bar is opened with `opening` pieces, which are not
+/// of the stream.
+fn stream(plugged_in: &[What], opening: usize) -> usize {
+    let said =
+        plugged_in.split(|piece| *piece == What::Unplugged).flat_map(|pieces| pieces.iter().skip(opening));
+    said.map(|piece| if let What::Bar(bytes) = piece { bytes.len() } else { 0 }).sum()
+}
+
 struct Player {
     line: TTYPort,
     link: String,
@@ -170,10 +174,11 @@ impl Player {
         Self { line, link: link.into(), plug: Some(plug), heard: Vec::new(), reads: Arc::default() }
     }
 
-    /// `before` is the number of bytes of the stream before the bar is unplugged.
-    fn play(&mut self, pieces: &[What], settle_s: f64, before: usize) {
+    fn play(&mut self, recording: &Recording, cuts: Cuts) {
+        let settle_s = recording.definition().line.settle.as_secs_f64();
+        let (pieces, opening) = (pieces(recording, cuts), recording.opening());
         let mut spoken_to = false;
-        for what in pieces {
+        for (at, what) in pieces.iter().enumerate() {
             match what {
                 What::Host(word) => {
                     spoken_to = true;
@@ -190,6 +195,7 @@ impl Player {
                 }
                 What::Unplugged => {
                     // A terminal throws away what nobody has read yet.
+                    let before = recording.stream - stream(&pieces[at + 1..], opening);
                     let run = Path::new(&self.link).with_file_name("run").display().to_string();
                     let begun = clock::now();
                     while received(&run) < before && clock::now().seconds_since(begun) < PATIENCE_S {
