@@ -100,7 +100,7 @@ fn benches(c: &mut Criterion) {
         b.iter(|| {
             let prepared = model.prepare();
             for reading in &readings {
-                prepared.row_into(reading, &mut derivatives);
+                prepared.row_into(reading, &selection, &mut derivatives);
                 selection.pick(&derivatives, &mut row);
                 black_box(&row);
             }

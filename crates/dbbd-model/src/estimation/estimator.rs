@@ -24,7 +24,7 @@ use super::ripple::{Candidate, RippleSearch, ln_candidates};
 use super::selection::{is_bar, is_place};
 use super::shifted_rows::shifted_rows;
 use super::start::EstimateStart;
-use super::system::{Equations, NormalSums, System, SystemPosterior, Whitened};
+use super::system::{NormalSums, System, SystemPosterior, Whitened};
 use super::unknowns::Unknowns;
 use super::workspace::take_out_rigid_motion;
 use crate::estimation::EstimationFinding;
@@ -46,8 +46,6 @@ const MAX_REFIT_ROUNDS: usize = 30;
 /// share of its own standard deviation, which adds 2 % to it, and the unknowns become more probable by a factor of 1.02 at
 /// most.
 const REST: f64 = 0.2;
-/// Steps towards the most probable noise in each linearisation.
-const SCORES: usize = 2;
 /// More lengths than this are summed a piece at a time, with the variances from an even sample.
 const MAX_WHOLE: usize = 4800;
 /// Rows of a piece of many lengths, and pieces whose sums are in memory together.
@@ -59,6 +57,8 @@ const PROJECTED: usize = 400;
 const MIN_FREEDOM: f64 = 0.5;
 /// Noise that is larger by less than this factor counts as the same.
 const SAME_NOISE: f64 = 1.5;
+/// The variances are settled if a round changes the logarithm of the evidence by less.
+const SETTLED: f64 = 1e-3;
 /// Largest number of ripples that are searched.
 const MAX_RIPPLES: usize = 8;
 /// Ripple is searched only if there are this many more lengths than parameters.
@@ -427,7 +427,15 @@ impl<'a> Search<'a> {
     /// model is at rest. Returns the last step.
     fn settled(&mut self, mut step: Step, from: usize) -> Option<Step> {
         for round in from..ROUNDS {
+            let before = step.ln_evidence;
             step = self.round(round)?;
+            if step.is_at_rest() && (step.ln_evidence - before).abs() < SETTLED {
+                break;
+            }
+        }
+        // A round changes the noise after its step.
+        if !self.state.shape.is_known() {
+            step = self.stepped(self.linearised())?;
         }
         for _ in 0..MAX_REFIT_ROUNDS {
             if step.is_at_rest() {
@@ -454,14 +462,20 @@ impl<'a> Search<'a> {
         let mut whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
         let best = whitened.equations.maximise(self.state.hypers)?;
         self.ln_sd = best.ln_sd;
+        whitened.shape = self.state.shape.scaled(best.hypers.sigma_mm() / self.state.hypers.sigma_mm());
         self.rescale(best.hypers);
-        for _ in 0..SCORES {
-            whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
-            self.state.shape = self.scored(&system, &whitened)?;
+        if !self.state.shape.is_known() {
+            let posterior = whitened.equations.posterior(&best.hypers)?;
+            self.state.shape = self.scored(&system, &whitened, &posterior)?;
         }
-        let step = self.stepped(system)?;
-        self.state.bar_sds = self.bar_sds(&step)?;
-        Some(step)
+        let whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
+        let posterior = whitened.equations.posterior(&self.state.hypers)?;
+        let ln_evidence = self.ln_evidence(&posterior);
+        let scored = self.scored(&system, &whitened, &posterior)?;
+        self.state.bar_sds = self.bar_sds(&posterior)?;
+        let step_sds = self.move_to(&system, &whitened, &posterior)?;
+        self.state.shape = scored;
+        Some(Step { system, whitened, ln_evidence, step_sds })
     }
 
     /// Moves the model to the most probable unknowns of a system, with the hyper-parameters as they are.
@@ -469,20 +483,20 @@ impl<'a> Search<'a> {
         let whitened = system.whitened(self.state.shape, self.state.hypers.sigma_mm())?;
         let posterior = whitened.equations.posterior(&self.state.hypers)?;
         let step_sds = self.move_to(&system, &whitened, &posterior)?;
-        let ln_evidence = posterior.ln_evidence(&self.state.hypers) + self.state.shape.joints.ln_prior();
+        let ln_evidence = self.ln_evidence(&posterior);
         Some(Step { system, whitened, ln_evidence, step_sds })
     }
 
+    /// The logarithm of the evidence for all that is sought.
+    fn ln_evidence(&self, posterior: &SystemPosterior<'_>) -> f64 {
+        posterior.ln_evidence(&self.state.hypers) + self.state.shape.joints.ln_prior()
+    }
+
     /// The prior standard deviations of bars without a certificate, from the posterior of their lengths.
-    fn bar_sds(&self, step: &Step) -> Option<Vec<f64>> {
-        let mut columns = self.unknowns.bar_columns().peekable();
-        if columns.peek().is_none() {
-            return Some(Vec::new());
-        }
-        let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
-        let root = posterior.root()?;
-        let mean_square = |k: usize| posterior.mean[k].powi(2) + root.row(k).norm_squared();
-        Some(columns.map(|k| uncertified_variance(mean_square(k)).sqrt()).collect())
+    fn bar_sds(&self, posterior: &SystemPosterior<'_>) -> Option<Vec<f64>> {
+        let columns = self.unknowns.bar_columns();
+        let mean_square = |k: usize| Some(posterior.mean[k].powi(2) + posterior.variance(k)?);
+        columns.map(|k| Some(uncertified_variance(mean_square(k)?).sqrt())).collect()
     }
 
     /// Takes over hyper-parameters, whose sigma scales the whole noise; a stated part of the noise stays.
@@ -523,6 +537,8 @@ impl<'a> Search<'a> {
         whitened: &Whitened,
         posterior: &SystemPosterior<'_>,
     ) -> Option<f64> {
+        /// Rounding of the sum of squares, as a share of it.
+        const ROUNDING: f64 = 1e-12;
         /// The share of the step over which the curve is measured.
         const PROBE: f64 = 0.1;
         let (values, variance) = (&system.rows.values, self.state.hypers.sigma_mm().powi(2));
@@ -549,7 +565,8 @@ impl<'a> Search<'a> {
                 .filter_map(|(z, variance)| Some(z * z / variance.as_ref()?.value(&self.state.hypers)));
             left.norm_squared() / variance + of_prior.sum::<f64>()
         };
-        let here = cost(&from, &(&system.right * 0.0));
+        // An increase by rounding is none.
+        let here = cost(&from, &(&system.right * 0.0)) * (1.0 + ROUNDING);
         let mut z = posterior.mean.clone();
         let (mut model, beyond) = at(&z);
         let mut there = cost(&z, &beyond);
@@ -605,7 +622,7 @@ impl<'a> Search<'a> {
                 });
             }
         }
-        step.whitened.equations = Equations::of(&step.system, sums?)?;
+        step.whitened.equations = sums?.equations(&step.system)?;
         let posterior = step.whitened.equations.posterior(&self.state.hypers)?;
         let now = self.unknowns.at(&self.state.model, &self.state.z);
         self.unknowns.move_to(&now, &posterior.mean, &mut self.state.model);
@@ -637,30 +654,30 @@ impl<'a> Search<'a> {
         let search = RippleSearch {
             rows: &step.system.rows,
             whitened: &whitened,
-            sigma_mm: self.state.hypers.sigma_mm(),
-            mean: &posterior.mean,
-            root: &posterior.root()?,
+            posterior: &posterior,
             sd_rad: self.state.hypers.sd(Group::Ripple),
             joints: &joints.collect::<Vec<Joint>>(),
         };
         search.strongest()
     }
 
-    /// The noise after a step towards its most probable value.
-    fn scored(&self, system: &System, whitened: &Whitened) -> Option<NoiseShape> {
+    /// The noise after a step towards its most probable value; what is not sought stays.
+    fn scored(
+        &self,
+        system: &System,
+        whitened: &Whitened,
+        posterior: &SystemPosterior<'_>,
+    ) -> Option<NoiseShape> {
         if self.state.shape.is_known() {
             return Some(self.state.shape);
         }
-        let posterior = whitened.equations.posterior(&self.state.hypers)?;
         let score = NoiseScore {
             rows: &system.rows,
             whitened,
-            sigma_mm: self.state.hypers.sigma_mm(),
-            mean: &posterior.mean,
-            root: &posterior.root()?,
+            posterior,
             backlash_places: self.unknowns.backlash_places(&self.state.model),
         };
-        score.step()
+        Some(self.state.shape.with_sought(score.step()?))
     }
 
     fn estimate(
@@ -679,14 +696,7 @@ impl<'a> Search<'a> {
         let coefficients = model.geometry.joint_errors.count();
         let root = unknowns.rows_of_parameters(&all, coefficients);
         let backlash_places = unknowns.backlash_places(&model);
-        let score = NoiseScore {
-            rows: &system.rows,
-            whitened,
-            sigma_mm: cautious.sigma_mm(),
-            mean: &posterior.mean,
-            root: &all,
-            backlash_places,
-        };
+        let score = NoiseScore { rows: &system.rows, whitened, posterior: &posterior, backlash_places };
         let of_coefficient = |place: Option<usize>| place.map_or(0.0, |place| all.row(place).norm());
         let (scatter_rad, unapproached_rad) = match shape.joints {
             // If the scatter is larger than estimated, sigma is smaller.

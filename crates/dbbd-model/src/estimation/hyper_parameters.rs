@@ -227,6 +227,31 @@ impl Variance {
         }
     }
 
+    /// Gives the second derivatives of the variance's logarithm, as [`Self::slopes`] gives the first, with the places of both
+    /// hyper-parameters. Of a sum of densities with the shares s_k the slopes are sum s_k l_k and the second derivatives
+    /// sum s_k (l_k l_k' + l_k,') less the product of the slopes.
+    pub(super) fn curvatures(self, hypers: &Hypers, mut each: impl FnMut(usize, usize, f64)) {
+        let Self::Spectral(_, frequency) = self else { return };
+        let processes = hypers.processes();
+        let whole: f64 = processes.iter().map(|part| part.spectral_density(frequency)).sum();
+        let parts = processes.map(|part| {
+            let a2 = 5.0 / part.length_scale_rad.powi(2);
+            let near = a2 / (a2 + frequency * frequency);
+            let share = part.spectral_density(frequency) / whole;
+            (share, [2.0, 6.0 * near - 5.0], -12.0 * near * (1.0 - near))
+        });
+        for (k, (share, slopes, bend)) in parts.iter().enumerate() {
+            for (l, (other_share, other_slopes, _)) in parts.iter().enumerate() {
+                for (i, j) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                    let own = if k == l { share * slopes[i] * slopes[j] } else { 0.0 };
+                    let product = share * slopes[i] * other_share * other_slopes[j];
+                    each(Hypers::PROCESSES[k][i], Hypers::PROCESSES[l][j], own - product);
+                }
+            }
+            each(Hypers::PROCESSES[k][1], Hypers::PROCESSES[k][1], share * bend);
+        }
+    }
+
     /// One standard deviation.
     pub(super) fn sd(self, hypers: &Hypers) -> f64 {
         self.value(hypers).sqrt()
@@ -267,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn slopes_of_a_variance_are_its_derivatives() {
+    fn slopes_and_curvatures_of_a_variance_are_its_derivatives() {
         let priors = HyperPrior::all(0.02);
         let hypers = Hypers::start(&priors, 0.01);
         for variance in [
@@ -286,6 +311,21 @@ mod tests {
                 };
                 let numeric = (moved(1e-5) - moved(-1e-5)) / 2e-5;
                 assert!((slope - numeric).abs() < 1e-8, "{variance:?} {at}: {slope} {numeric}");
+                let slopes_at = |step: f64| {
+                    let (mut moved, mut slopes) = (hypers, [0.0; HYPERS]);
+                    moved.0[at] += step;
+                    variance.slopes(&moved, |at, slope| slopes[at] += slope);
+                    slopes
+                };
+                let mut curvatures = [0.0; HYPERS];
+                variance.curvatures(&hypers, |one, other, curvature| {
+                    curvatures[other] += if one == at { curvature } else { 0.0 };
+                });
+                for (other, [high, low]) in
+                    slopes_at(1e-5).into_iter().zip(slopes_at(-1e-5)).map(|(a, b)| [a, b]).enumerate()
+                {
+                    assert!((curvatures[other] - (high - low) / 2e-5).abs() < 1e-8, "{at} {other}");
+                }
             }
         }
     }

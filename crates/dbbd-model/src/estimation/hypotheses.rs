@@ -326,7 +326,7 @@ impl<'a> EventSearch<'a> {
         sigma_mm: f64,
     ) -> Option<Self> {
         let variance = sigma_mm * sigma_mm;
-        let mut known = &whitened.rows * posterior.root()? / variance;
+        let mut known = posterior.rows_by_root(&whitened.rows)? / sigma_mm;
         let mut residual = (&whitened.right - &whitened.rows * &posterior.mean) / variance;
         whitened.whitening.apply_transpose(&mut known);
         whitened.whitening.apply_transpose(&mut residual);

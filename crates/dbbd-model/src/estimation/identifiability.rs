@@ -7,8 +7,8 @@
 use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
-use super::linear_system::factor;
-use crate::math::{BaseSet, base_set, svd};
+use super::linear_system::linear_system;
+use crate::math::{BaseSet, Triangle, base_set, svd};
 use crate::measurement::{LengthModel, MeasurementPieces};
 use crate::robot::Joint::J1;
 use crate::robot::{ParamGroup, ParamId, ParamUnit};
@@ -81,6 +81,12 @@ pub struct Analysis {
 }
 
 impl Analysis {
+    /// The analysis of rows by parameters in canonical order; `None` if a number is not finite.
+    pub(super) fn of(ids: Vec<ParamId>, rows: &mut Triangle) -> Option<Self> {
+        let base = base_set(&rows.factor(), &order_of_choice(&ids))?;
+        Some(Self { ids, base })
+    }
+
     /// The parameters of the base set, in canonical order.
     pub fn kept(&self) -> Vec<ParamId> {
         let mut kept: Vec<ParamId> = self.base.kept.iter().map(|&k| self.ids[k]).collect();
@@ -131,8 +137,8 @@ pub fn analyse<L: MeasurementPieces + ?Sized>(
 ) -> Option<Analysis> {
     let mut ids = ids.to_vec();
     ids.sort();
-    let base = base_set(&factor(model, readings, &ids), &order_of_choice(&ids))?;
-    Some(Analysis { ids, base })
+    let mut rows = linear_system(model, readings, &ids);
+    Analysis::of(ids, &mut rows)
 }
 
 /// The order of preference for a base set.

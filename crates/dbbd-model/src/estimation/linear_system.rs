@@ -49,7 +49,7 @@ impl Rows<'_> {
             let mut derivatives = LengthRow::default();
             for (at, reading) in readings.iter().enumerate() {
                 let weight = sigma.get(at).map_or(1.0, |sigma| sigma.recip());
-                prepared.row_into(reading, &mut derivatives);
+                prepared.row_into(reading, &selection, &mut derivatives);
                 selection.pick(&derivatives, &mut values);
                 values[..self.ids.len()].iter_mut().for_each(|value| *value *= weight);
                 let residual = (reading.length_mm - derivatives.length) * weight;

@@ -14,11 +14,11 @@
 //! more such variance, with W^2 in place of l l'. If it cannot be separated from the noise of the pose, it keeps the
 //! stated value.
 
-use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
+use nalgebra::{Cholesky, DMatrix, SMatrix, SVector};
 
 use super::hyper_parameters::{Group, HyperPrior};
 use super::pose_rows::{PoseRows, RowNoise};
-use super::system::Whitened;
+use super::system::{SystemPosterior, Whitened};
 use crate::robot::AXES;
 
 /// Largest change of the logarithm of a standard deviation in a step.
@@ -77,10 +77,38 @@ impl NoiseShape {
         self.joints.sought() == [0.0; AXES] && matches!(self.own, OwnNoise::Stated(_))
     }
 
+    /// The noise `factor` times as large.
+    pub(super) fn scaled(self, factor: f64) -> Self {
+        let times = |sds: [f64; AXES]| sds.map(|sd| sd * factor);
+        let joints = match self.joints {
+            JointNoise::Approached { backlash, scatter } => {
+                JointNoise::Approached { backlash: times(backlash), scatter: times(scatter) }
+            }
+            JointNoise::Unapproached(sds) => JointNoise::Unapproached(times(sds)),
+        };
+        let own = match self.own {
+            OwnNoise::Stated(sd) => OwnNoise::Stated(sd * factor),
+            OwnNoise::Sought { sd, stated } => OwnNoise::Sought { sd: sd * factor, stated },
+        };
+        Self { own, joints }
+    }
+
+    /// This noise with what is sought of another.
+    pub(super) fn with_sought(self, other: Self) -> Self {
+        let own = if matches!(self.own, OwnNoise::Sought { .. }) { other.own } else { self.own };
+        Self { own, joints: self.joints.with_sought(other.joints.sought()) }
+    }
+
     /// The noise of rows in units of sigma; `weights` are factors on the independent noise of each row.
     pub(super) fn of_rows(&self, rows: &PoseRows, weights: &[f64], sigma_mm: f64) -> RowNoise {
         let own = self.own.sd() / sigma_mm;
-        let joints = |senses: &[i8; AXES]| self.joints.sds(senses).map(|sd| sd / sigma_mm);
+        let [approached, unapproached] =
+            [1, 0].map(|sense| self.joints.sds(&[sense; AXES]).map(|sd| sd / sigma_mm));
+        let joints = |senses: &[i8; AXES]| {
+            std::array::from_fn(
+                |joint| if senses[joint] == 0 { unapproached[joint] } else { approached[joint] },
+            )
+        };
         RowNoise {
             pose: 1.0,
             own: weights.iter().map(|weight| own * weight).collect(),
@@ -172,10 +200,7 @@ impl JointNoise {
 pub(super) struct NoiseScore<'a> {
     pub(super) rows: &'a PoseRows,
     pub(super) whitened: &'a Whitened,
-    pub(super) sigma_mm: f64,
-    /// Mean of all unknowns, and a root of their covariance.
-    pub(super) mean: &'a DVector<f64>,
-    pub(super) root: &'a DMatrix<f64>,
+    pub(super) posterior: &'a SystemPosterior<'a>,
     /// Places of the backlash coefficients among the unknowns.
     pub(super) backlash_places: [Option<usize>; AXES],
 }
@@ -216,7 +241,8 @@ impl NoiseScore<'_> {
     }
 
     fn slopes(&self) -> Option<Slopes> {
-        let Self { rows, whitened, sigma_mm, .. } = *self;
+        let Self { rows, whitened, posterior, .. } = *self;
+        let sigma_mm = posterior.sigma_mm;
         let NoiseShape { own, joints } = whitened.shape;
         let sds = joints.sought();
         let mut by_joint = DMatrix::from_fn(rows.lengths.len(), AXES, |row, joint| {
@@ -225,8 +251,9 @@ impl NoiseScore<'_> {
         });
         whitened.whitening.apply(&mut by_joint);
         by_joint /= sigma_mm;
-        let known = &whitened.rows * self.root / sigma_mm;
-        let residual = (&whitened.right - &whitened.rows * self.mean) / sigma_mm;
+        // Transposed, so that what belongs to a row is together.
+        let known = posterior.rows_by_root(&whitened.rows)?.transpose();
+        let residual = (&whitened.right - &whitened.rows * &posterior.mean) / sigma_mm;
         let variances = sds.map(|sd| sd * sd);
         let mut gradient = SVector::<f64, { AXES + 1 }>::zeros();
         let mut information = SMatrix::<f64, { AXES + 1 }, { AXES + 1 }>::zeros();
@@ -235,11 +262,15 @@ impl NoiseScore<'_> {
             OwnNoise::Stated(_) => 0.0,
         };
         for (pose, of_pose) in rows.poses.iter().enumerate() {
+            // What the unknowns leave of the covariance of the rows.
+            let unexplained = DMatrix::from_fn(of_pose.len(), of_pose.len(), |i, j| {
+                let explained = known.column(of_pose[i]).dot(&known.column(of_pose[j]));
+                if i == j { 1.0 - explained } else { -explained }
+            });
             let by_joint = by_joint.select_rows(of_pose);
-            let known = known.select_rows(of_pose);
             let residual = residual.select_rows(of_pose);
-            let explained = known.tr_mul(&by_joint);
-            let left = by_joint.tr_mul(&by_joint) - explained.tr_mul(&explained);
+            let left_by_joint = &unexplained * &by_joint;
+            let left = by_joint.tr_mul(&left_by_joint);
             let scores = by_joint.tr_mul(&residual);
             for k in 0..AXES {
                 gradient[k] += variances[k] * (scores[k].powi(2) - left[(k, k)]);
@@ -253,12 +284,11 @@ impl NoiseScore<'_> {
                 for (mut column, row) in owns.column_iter_mut().zip(of_pose) {
                     column *= whitened.weights[*row] / sigma_mm;
                 }
-                let explained_owns = known.tr_mul(&owns);
-                let left_owns = owns.tr_mul(&owns) - explained_owns.tr_mul(&explained_owns);
+                let left_owns = owns.tr_mul(&(unexplained * &owns));
                 let scores = owns.tr_mul(&residual);
                 gradient[OWN] += own_variance * (scores.norm_squared() - left_owns.trace());
                 information[(OWN, OWN)] += 2.0 * own_variance.powi(2) * left_owns.norm_squared();
-                let across = owns.tr_mul(&by_joint) - explained_owns.tr_mul(&explained);
+                let across = owns.tr_mul(&left_by_joint);
                 for k in 0..AXES {
                     let both = 2.0 * variances[k] * own_variance * across.column(k).norm_squared();
                     information[(OWN, k)] += both;
@@ -274,8 +304,8 @@ impl NoiseScore<'_> {
         for k in 0..AXES {
             let is_of_sense = |_: &usize| !joints.is_approached() && sds[k] > 0.0;
             if let Some(place) = self.backlash_places[k].filter(is_of_sense) {
-                let left = self.root.row(place).norm_squared() / variances[k];
-                gradient[k] += self.mean[place].powi(2) / variances[k] + left - 1.0;
+                let left = posterior.variance(place)? / variances[k];
+                gradient[k] += posterior.mean[place].powi(2) / variances[k] + left - 1.0;
                 information[(k, k)] += 2.0 * (1.0 - left).powi(2);
             }
             if sds[k] > 0.0 {
@@ -326,9 +356,7 @@ mod tests {
         of(NoiseScore {
             rows: &system.rows,
             whitened: &whitened,
-            sigma_mm: SIGMA_MM,
-            mean: &posterior.mean,
-            root: &posterior.root().unwrap(),
+            posterior: &posterior,
             backlash_places: [None; AXES],
         })
     }
@@ -413,8 +441,8 @@ mod tests {
         };
         let gradients: Vec<f64> = (0..SETS)
             .map(|set| {
-                let of_unknowns =
-                    normals(2, 90_000 + set as u64).component_mul(&DVector::from_row_slice(&[0.5, 0.05]));
+                let of_unknowns = normals(2, 90_000 + set as u64)
+                    .component_mul(&nalgebra::DVector::from_row_slice(&[0.5, 0.05]));
                 system.right =
                     &root * normals(count, 10_000 + set as u64) + &system.rows.values * of_unknowns;
                 scored(&system, shape, |score| score.slopes().unwrap().gradient[OWN])

@@ -5,8 +5,6 @@
 //! their covariance is s^2 U U', plus a part from the random errors of the joints' angles, plus the independent noise
 //! of each length. Coordinates of a position are lengths along the axes of the tracker.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Cholesky, DMatrix, DVector, Dim, Dyn, Matrix, StorageMut};
 
 use super::linear_system::Rows;
@@ -98,6 +96,38 @@ pub(super) struct LengthAtPose {
     pub(super) target: [f64; 3],
 }
 
+/// The rows of a piece of the lengths.
+#[derive(Default)]
+struct Made {
+    /// Row after row.
+    values: Vec<f64>,
+    residual: Vec<f64>,
+    lengths: Vec<LengthAtPose>,
+}
+
+/// The rows of each visit to a pose, in the order of poses and visits. A second length to the same ball belongs to another
+/// visit.
+fn visits(lengths: &[LengthAtPose], time: impl Fn(usize) -> Option<f64>) -> Vec<Vec<usize>> {
+    let pose = |row: &LengthAtPose| {
+        (row.axes.map(f64::to_bits), row.approach.senses(), time(row.place).map(f64::to_bits))
+    };
+    let mut sorted: Vec<usize> = (0..lengths.len()).collect();
+    sorted.sort_by_key(|at| pose(&lengths[*at]));
+    let mut visits: Vec<Vec<usize>> = Vec::with_capacity(lengths.len());
+    for of_pose in sorted.chunk_by(|one, other| pose(&lengths[*one]) == pose(&lengths[*other])) {
+        let first = visits.len();
+        for at in of_pose {
+            let has_room =
+                |visit: &Vec<usize>| visit.iter().all(|own| lengths[*own].datum != lengths[*at].datum);
+            match visits[first..].iter_mut().find(|visit| has_room(visit)) {
+                Some(visit) => visit.push(*at),
+                None => visits.push(vec![*at]),
+            }
+        }
+    }
+    visits
+}
+
 impl PoseRows {
     /// The rows of lengths with a standard deviation of 1 mm; lengths with an infinite standard deviation are left out.
     pub(super) fn at<L: MeasurementPieces + ?Sized>(
@@ -111,7 +141,7 @@ impl PoseRows {
         let links =
             [ParamId::A, ParamId::D].into_iter().flat_map(|of: fn(Joint) -> ParamId| Joint::ALL.map(of));
         let links: Vec<(ParamId, f64)> = links.map(|id| (id, model.value(id))).collect();
-        let pieces = Rows { model, ids, further }.fold(lengths, Vec::new, |made: &mut Vec<_>, row| {
+        let pieces = Rows { model, ids, further }.fold(lengths, Made::default, |made: &mut Made, row| {
             if row.weight == 0.0 {
                 return;
             }
@@ -129,27 +159,22 @@ impl PoseRows {
                 target: Coordinate::ALL.map(|axis| by.derivative(ParamId::Tool(axis))),
                 growth: links.iter().map(|(id, mm)| by.derivative(*id) * mm).sum(),
             };
-            made.push((row.values.to_vec(), row.residual, length));
+            made.values.extend_from_slice(row.values);
+            made.residual.push(row.residual);
+            made.lengths.push(length);
         });
-        let rows: Vec<(Vec<f64>, f64, LengthAtPose)> = pieces.into_iter().flatten().collect();
-        let mut visits: BTreeMap<_, Vec<usize>> = BTreeMap::new();
-        for (at, (.., row)) in rows.iter().enumerate() {
-            let pose = (row.axes.map(f64::to_bits), row.approach.senses(), time(row.place).map(f64::to_bits));
-            // A second length to the same ball belongs to another visit.
-            let mut visit = 0;
-            while visits
-                .get(&(pose, visit))
-                .is_some_and(|own| own.iter().any(|at| rows[*at].2.datum == row.datum))
-            {
-                visit += 1;
-            }
-            visits.entry((pose, visit)).or_default().push(at);
+        let mut whole = Made::default();
+        for piece in pieces {
+            whole.values.extend(piece.values);
+            whole.residual.extend(piece.residual);
+            whole.lengths.extend(piece.lengths);
         }
+        let Made { values, residual, lengths } = whole;
         Self {
-            values: DMatrix::from_fn(rows.len(), own + further, |row, column| rows[row].0[column]),
-            residual: DVector::from_iterator(rows.len(), rows.iter().map(|row| row.1)),
-            lengths: rows.into_iter().map(|row| row.2).collect(),
-            poses: visits.into_values().collect(),
+            values: DMatrix::from_row_slice(lengths.len(), own + further, &values),
+            residual: residual.into(),
+            poses: visits(&lengths, time),
+            lengths,
         }
     }
 
@@ -214,36 +239,76 @@ impl PoseRows {
 
     /// The transformation of these rows to unit noise. `None` if their covariance has no inverse.
     pub(super) fn whitening(&self, noise: &RowNoise) -> Option<Whitening> {
-        let factor = |rows: &Vec<usize>| {
-            let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
-                let [u, v] = [rows[i], rows[j]].map(|row| self.lengths[row].unit);
-                let mut shared = (u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * (noise.pose * noise.pose);
-                let [u, v] = [rows[i], rows[j]].map(|row| self.lengths[row].by_joint);
-                for (joint, sd) in noise.joints[rows[i]].iter().enumerate() {
-                    shared += u[joint] * v[joint] * sd * sd;
-                }
-                let own = if i == j { noise.own[rows[i]].powi(2) } else { 0.0 };
-                shared + own
-            });
-            Some((rows.clone(), Cholesky::new(covariance)?.unpack()))
+        let covariance = |i: usize, j: usize| {
+            let [u, v] = [i, j].map(|row| self.lengths[row].unit);
+            let mut shared = (u[0] * v[0] + u[1] * v[1] + u[2] * v[2]) * (noise.pose * noise.pose);
+            let [u, v] = [i, j].map(|row| self.lengths[row].by_joint);
+            for (joint, sd) in noise.joints[i].iter().enumerate() {
+                shared += u[joint] * v[joint] * sd * sd;
+            }
+            let own = if i == j { noise.own[i].powi(2) } else { 0.0 };
+            shared + own
         };
-        Some(Whitening { poses: self.poses.iter().map(factor).collect::<Option<_>>()? })
+        let factor = |rows: &Vec<usize>| match rows.as_slice() {
+            [row] => {
+                let variance = covariance(*row, *row);
+                (variance > 0.0).then(|| VisitFactor::Alone(*row, variance.sqrt()))
+            }
+            rows => {
+                let covariance =
+                    DMatrix::from_fn(rows.len(), rows.len(), |i, j| covariance(rows[i], rows[j]));
+                Some(VisitFactor::Together(rows.to_vec(), Cholesky::new(covariance)?.unpack()))
+            }
+        };
+        Some(Whitening { visits: self.poses.iter().map(factor).collect::<Option<_>>()? })
     }
 }
 
-/// The Cholesky factor of the covariance of each pose's rows.
+/// The transformation to unit noise, visit by visit.
 pub(super) struct Whitening {
-    poses: Vec<(Vec<usize>, DMatrix<f64>)>,
+    visits: Vec<VisitFactor>,
+}
+
+/// The Cholesky factor of the covariance of a visit's rows.
+enum VisitFactor {
+    /// A visit with one length, and its standard deviation.
+    Alone(usize, f64),
+    Together(Vec<usize>, DMatrix<f64>),
+}
+
+impl VisitFactor {
+    fn rows(&self) -> &[usize] {
+        match self {
+            Self::Alone(row, _) => std::slice::from_ref(row),
+            Self::Together(rows, _) => rows,
+        }
+    }
+
+    /// The inverse of the factor.
+    fn inverse(&self) -> DMatrix<f64> {
+        match self {
+            Self::Alone(_, sd) => DMatrix::from_element(1, 1, sd.recip()),
+            Self::Together(rows, factor) => {
+                let identity = DMatrix::identity(rows.len(), rows.len());
+                factor.solve_lower_triangular(&identity).unwrap_or(identity)
+            }
+        }
+    }
 }
 
 impl Whitening {
     /// Brings rows to unit noise.
     pub(super) fn apply<C: Dim, S: StorageMut<f64, Dyn, C>>(&self, matrix: &mut Matrix<f64, Dyn, C, S>) {
         for mut column in matrix.column_iter_mut() {
-            for (rows, factor) in &self.poses {
-                for i in 0..rows.len() {
-                    let before: f64 = (0..i).map(|j| factor[(i, j)] * column[rows[j]]).sum();
-                    column[rows[i]] = (column[rows[i]] - before) / factor[(i, i)];
+            for visit in &self.visits {
+                match visit {
+                    VisitFactor::Alone(row, sd) => column[*row] /= sd,
+                    VisitFactor::Together(rows, factor) => {
+                        for i in 0..rows.len() {
+                            let before: f64 = (0..i).map(|j| factor[(i, j)] * column[rows[j]]).sum();
+                            column[rows[i]] = (column[rows[i]] - before) / factor[(i, i)];
+                        }
+                    }
                 }
             }
         }
@@ -255,34 +320,41 @@ impl Whitening {
         matrix: &mut Matrix<f64, Dyn, C, S>,
     ) {
         for mut column in matrix.column_iter_mut() {
-            for (rows, factor) in &self.poses {
-                for i in (0..rows.len()).rev() {
-                    let behind: f64 = (i + 1..rows.len()).map(|j| factor[(j, i)] * column[rows[j]]).sum();
-                    column[rows[i]] = (column[rows[i]] - behind) / factor[(i, i)];
+            for visit in &self.visits {
+                match visit {
+                    VisitFactor::Alone(row, sd) => column[*row] /= sd,
+                    VisitFactor::Together(rows, factor) => {
+                        for i in (0..rows.len()).rev() {
+                            let behind: f64 =
+                                (i + 1..rows.len()).map(|j| factor[(j, i)] * column[rows[j]]).sum();
+                            column[rows[i]] = (column[rows[i]] - behind) / factor[(i, i)];
+                        }
+                    }
                 }
             }
         }
     }
 
-    /// The inverse of the covariance: of each pose its rows, with their matrix.
+    /// The inverse of the covariance: of each visit its rows, with their matrix.
     pub(super) fn weights(&self) -> impl Iterator<Item = (&[usize], DMatrix<f64>)> {
-        self.poses.iter().enumerate().map(|(pose, (rows, _))| {
-            let inverse = self.inverse_factor(pose);
-            (rows.as_slice(), inverse.tr_mul(&inverse))
+        self.visits.iter().map(|visit| {
+            let inverse = visit.inverse();
+            (visit.rows(), inverse.tr_mul(&inverse))
         })
     }
 
-    /// The inverse of the Cholesky factor of a pose's covariance.
-    pub(super) fn inverse_factor(&self, pose: usize) -> DMatrix<f64> {
-        let (rows, factor) = &self.poses[pose];
-        let identity = DMatrix::identity(rows.len(), rows.len());
-        factor.solve_lower_triangular(&identity).unwrap_or(identity)
+    /// The inverse of the Cholesky factor of a visit's covariance.
+    pub(super) fn inverse_factor(&self, visit: usize) -> DMatrix<f64> {
+        self.visits[visit].inverse()
     }
 
     /// The logarithm of the determinant of the covariance of all rows.
     pub(super) fn ln_determinant(&self) -> f64 {
-        let of_pose = |factor: &DMatrix<f64>| 2.0 * factor.diagonal().map(f64::ln).sum();
-        self.poses.iter().map(|(_, factor)| of_pose(factor)).sum()
+        let of_visit = |visit: &VisitFactor| match visit {
+            VisitFactor::Alone(_, sd) => 2.0 * sd.ln(),
+            VisitFactor::Together(_, factor) => 2.0 * factor.diagonal().map(f64::ln).sum(),
+        };
+        self.visits.iter().map(of_visit).sum()
     }
 }
 

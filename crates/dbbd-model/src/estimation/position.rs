@@ -12,7 +12,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::workspace::{ErrorSummary, Workspace, take_out_rigid_motion, take_out_rigid_motion_of};
-use crate::math::{beside, stacked};
+use crate::math::{beside, gram, stacked};
 use crate::measurement::{ApproachedPose, LengthModel};
 use crate::robot::{
     AXES, Approach, AxesAtPose, Geometry, Joint, JointSinCos, JointTerm, KinematicChain, ParamId, Payload,
@@ -397,7 +397,7 @@ pub(super) fn compressed(
             rows /= norm;
         }
     }
-    let gram = moved.transpose() * &moved;
+    let gram = gram(&moved);
     let mut random = Pcg64::seed_from_u64(1);
     let mut space = DMatrix::from_fn(gram.ncols(), COLUMNS, |_, _| StandardNormal.sample(&mut random));
     for _ in 0..ITERATIONS {

@@ -11,7 +11,7 @@ use super::priors::Prior;
 use super::result::{MapPoint, PredictedPair};
 use super::selection::is_bar;
 use super::workspace::{ErrorSummary, take_out_rigid_motion};
-use crate::measurement::{ApproachedPose, PreparedMeasurement};
+use crate::measurement::{ApproachedPose, LengthModel, PreparedMeasurement};
 use crate::robot::{
     AXES, Approach, AxisAngles, Drift, Geometry, Joint, ParamId, RobotPosterior, RobotUncertainty, ZeroSteps,
     parameter,
@@ -60,9 +60,13 @@ impl Prediction {
         let own = estimate.uncertainty(setting.robot);
         let by: Vec<ApproachedPose> = of_workspace.iter().copied().chain(measured).collect();
         let uncertainty = compressed(model, &own, &by).with_digits_of_file();
+        // What a result states is what its robot file says later.
         let (whole, unknown) = match &estimate.left_out {
-            Some(left_out) => (&left_out.whole, &left_out.uncertainty),
-            None => (&model.geometry, &own),
+            Some(left_out) => {
+                let whole = LengthModel { geometry: left_out.whole.clone(), ..model.clone() };
+                (&left_out.whole, &compressed(&whole, &left_out.uncertainty, &by))
+            }
+            None => (&model.geometry, &uncertainty),
         };
         let positions = Positions::new(whole, unknown, &poses);
         let mut moved = positions.draws(unexplained_mm(setting, estimate, lengths));
@@ -74,14 +78,12 @@ impl Prediction {
         let rms = |pose: usize| (moved.rows(3 * pose, 3).norm_squared() / moved.ncols() as f64).sqrt();
         let point =
             |(pose, ball): (usize, &nalgebra::Vector3<f64>)| MapPoint { position: *ball, rms_mm: rms(pose) };
-        let (before, maker) = nominal(setting, &poses);
+        let Before { start: (start, of_start), nominal, maker } = Before::of(setting, &poses);
         let turned = |geometry: &Geometry, unknown: &RobotUncertainty| {
             Orientations::new(geometry, unknown, setting.robot.reach_mm(), &of_workspace).summary_mrad()
         };
-        let (start, of_start) = &before;
         let orientation =
-            PredictedPair { nominal: turned(start, of_start), identified: turned(whole, unknown) };
-        let nominal = position_summary(start, of_start, &poses);
+            PredictedPair { nominal: turned(&start, &of_start), identified: turned(whole, unknown) };
         Self {
             pair: PredictedPair { nominal, identified: ErrorSummary::of(&moved) },
             orientation,
@@ -99,27 +101,36 @@ impl Prediction {
     }
 }
 
-/// The robot before the lengths with its uncertainty, and the position uncertainty of a robot with its manufacturer's
-/// tolerance.
-fn nominal(setting: &Setting<'_>, poses: &[ApproachedPose]) -> ((Geometry, RobotUncertainty), ErrorSummary) {
-    let geometry = &setting.start.geometry;
-    let ids = setting.all_and(0.into(), &[]);
-    let ids: Vec<ParamId> = ids.into_iter().filter(|id| id.is_geometric()).collect();
-    let has_errors = !setting.options.follows_list();
-    let of_usual = |root: &DMatrix<f64>| (geometry.rigid(), with_usual_joint_errors(&ids, root, has_errors));
-    let tolerances = ids.iter().map(|id| setting.priors.geometric(*id).unwrap_or(0.0));
-    let tolerances = DVector::from_iterator(ids.len(), tolerances);
-    let maker = of_usual(&DMatrix::from_diagonal(&tolerances));
-    let of_maker = position_summary(&maker.0, &maker.1, poses);
-    let before = match setting.options.prior {
-        Prior::Posterior => (geometry.clone(), setting.robot.known_uncertainty()),
-        Prior::Given(_) => {
-            let sds: Vec<f64> = ids.iter().map(|id| setting.priors.bound(*id).unwrap_or(0.0)).collect();
-            of_usual(&setting.priors.root(&ids, &sds))
-        }
-        Prior::None | Prior::Datasheet => maker,
-    };
-    (before, of_maker)
+/// The robot before the lengths.
+struct Before {
+    start: (Geometry, RobotUncertainty),
+    /// Its predicted position uncertainty, and that of a robot with its manufacturer's tolerance.
+    nominal: ErrorSummary,
+    maker: ErrorSummary,
+}
+
+impl Before {
+    fn of(setting: &Setting<'_>, poses: &[ApproachedPose]) -> Self {
+        let geometry = &setting.start.geometry;
+        let ids = setting.all_and(0.into(), &[]);
+        let ids: Vec<ParamId> = ids.into_iter().filter(|id| id.is_geometric()).collect();
+        let has_errors = !setting.options.follows_list();
+        let of_usual =
+            |root: &DMatrix<f64>| (geometry.rigid(), with_usual_joint_errors(&ids, root, has_errors));
+        let tolerances = ids.iter().map(|id| setting.priors.geometric(*id).unwrap_or(0.0));
+        let tolerances = DVector::from_iterator(ids.len(), tolerances);
+        let of_maker = of_usual(&DMatrix::from_diagonal(&tolerances));
+        let maker = position_summary(&of_maker.0, &of_maker.1, poses);
+        let start = match setting.options.prior {
+            Prior::Posterior => (geometry.clone(), setting.robot.known_uncertainty()),
+            Prior::Given(_) => {
+                let sds: Vec<f64> = ids.iter().map(|id| setting.priors.bound(*id).unwrap_or(0.0)).collect();
+                of_usual(&setting.priors.root(&ids, &sds))
+            }
+            Prior::None | Prior::Datasheet => return Self { start: of_maker, nominal: maker, maker },
+        };
+        Self { nominal: position_summary(&start.0, &start.1, poses), start, maker }
+    }
 }
 
 /// The position errors of a robot over poses, mm, without the repeatability of a pose.

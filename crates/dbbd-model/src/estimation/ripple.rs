@@ -4,10 +4,10 @@
 //! present fit. With the precision D of its two coefficients by the lengths, all other unknowns eliminated, and the
 //! gradient g, ln B = g'(D + I/s^2)^-1 g / 2 - ln|I + s^2 D| / 2.
 
-use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use nalgebra::{Complex, DMatrix, Matrix2, Vector2};
 
 use super::pose_rows::PoseRows;
-use super::system::Whitened;
+use super::system::{SystemPosterior, Whitened};
 use crate::robot::{AXES, Joint};
 
 /// Cycles a turn that are tried.
@@ -41,54 +41,70 @@ pub(super) fn ln_candidates() -> f64 {
 pub(super) struct RippleSearch<'a> {
     pub(super) rows: &'a PoseRows,
     pub(super) whitened: &'a Whitened,
-    pub(super) sigma_mm: f64,
-    pub(super) mean: &'a DVector<f64>,
-    /// A root of the covariance of all unknowns.
-    pub(super) root: &'a DMatrix<f64>,
+    pub(super) posterior: &'a SystemPosterior<'a>,
     /// Prior standard deviation of a coefficient, rad.
     pub(super) sd_rad: f64,
     /// Joints that moved.
     pub(super) joints: &'a [Joint],
 }
 
+/// Cosine and sine of the multiples of a joint's angle, one order after the other: e^i(k+1)q = e^ikq e^iq.
+struct Turns {
+    by_joint: Vec<f64>,
+    once: Vec<Complex<f64>>,
+    now: Vec<Complex<f64>>,
+}
+
+impl Turns {
+    fn new(rows: &PoseRows, joint: Joint) -> Self {
+        let at = joint.index();
+        let turned = |order: f64| rows.lengths.iter().map(move |row| Complex::cis(order * row.joints[at]));
+        Self {
+            by_joint: rows.lengths.iter().map(|row| row.by_joint[at]).collect(),
+            once: turned(1.0).collect(),
+            now: turned(f64::from(*ORDERS.start())).collect(),
+        }
+    }
+}
+
 impl RippleSearch<'_> {
     /// The candidate of the largest Bayes factor.
     pub(super) fn strongest(&self) -> Option<Candidate> {
-        let Self { whitened, sigma_mm, .. } = *self;
-        let residual = (&whitened.right - &whitened.rows * self.mean) / sigma_mm;
-        let known = (&whitened.rows * self.root).transpose() / sigma_mm;
-        let candidates: Vec<(u32, Joint)> =
-            ORDERS.flat_map(|order| self.joints.iter().map(move |joint| (order, *joint))).collect();
-        let judged = candidates.chunks(TOGETHER).flat_map(|candidates| {
-            let columns = self.columns(candidates);
-            let explained = &known * &columns;
-            let judge = |(at, &(order, joint)): (usize, &(u32, Joint))| {
-                let [own, explained] = [&columns, &explained].map(|all| all.fixed_columns::<2>(2 * at));
-                let information = own.tr_mul(&own) - explained.tr_mul(&explained);
-                let ln_bayes = self.ln_bayes(information, own.tr_mul(&residual))?;
-                Some(Candidate { joint, order, ln_bayes })
-            };
-            candidates.iter().enumerate().filter_map(judge).collect::<Vec<Candidate>>()
-        });
-        judged.max_by(|a, b| a.ln_bayes.total_cmp(&b.ln_bayes))
+        let Self { whitened, posterior, .. } = *self;
+        let residual = (&whitened.right - &whitened.rows * &posterior.mean) / posterior.sigma_mm;
+        let known = posterior.rows_by_root(&whitened.rows)?.transpose();
+        let orders: Vec<u32> = ORDERS.collect();
+        let of_joint = |joint: &Joint| {
+            let mut turns = Turns::new(self.rows, *joint);
+            let judged = orders.chunks(TOGETHER).flat_map(|orders| {
+                let columns = self.columns(&mut turns, orders.len());
+                let explained = &known * &columns;
+                let judge = |(at, order): (usize, &u32)| {
+                    let [own, explained] = [&columns, &explained].map(|all| all.fixed_columns::<2>(2 * at));
+                    let information = own.tr_mul(&own) - explained.tr_mul(&explained);
+                    let ln_bayes = self.ln_bayes(information, own.tr_mul(&residual))?;
+                    Some(Candidate { joint: *joint, order: *order, ln_bayes })
+                };
+                orders.iter().enumerate().filter_map(judge).collect::<Vec<Candidate>>()
+            });
+            judged.max_by(|a, b| a.ln_bayes.total_cmp(&b.ln_bayes))
+        };
+        self.joints.iter().filter_map(of_joint).max_by(|a, b| a.ln_bayes.total_cmp(&b.ln_bayes))
     }
 
-    /// The whitened columns of cosine and sine of each candidate.
-    fn columns(&self, candidates: &[(u32, Joint)]) -> DMatrix<f64> {
-        let rows = self.rows;
-        let mut columns = DMatrix::zeros(rows.lengths.len(), 2 * candidates.len());
-        for (at, &(order, joint)) in candidates.iter().enumerate() {
-            let joint = joint.index();
-            for of_pose in &rows.poses {
-                let (sin, cos) = (f64::from(order) * rows.lengths[of_pose[0]].joints[joint]).sin_cos();
-                for &row in of_pose {
-                    columns[(row, 2 * at)] = rows.lengths[row].by_joint[joint] * cos;
-                    columns[(row, 2 * at + 1)] = rows.lengths[row].by_joint[joint] * sin;
-                }
+    /// The whitened columns of cosine and sine of the next orders.
+    fn columns(&self, turns: &mut Turns, orders: usize) -> DMatrix<f64> {
+        let mut columns = DMatrix::zeros(turns.by_joint.len(), 2 * orders);
+        for at in 0..orders {
+            for (row, by_joint) in turns.by_joint.iter().enumerate() {
+                let turned = turns.now[row];
+                columns[(row, 2 * at)] = by_joint * turned.re;
+                columns[(row, 2 * at + 1)] = by_joint * turned.im;
             }
+            turns.now.iter_mut().zip(&turns.once).for_each(|(now, once)| *now *= once);
         }
         self.whitened.whitening.apply(&mut columns);
-        columns / self.sigma_mm
+        columns / self.posterior.sigma_mm
     }
 
     fn ln_bayes(&self, own: Matrix2<f64>, gradient: Vector2<f64>) -> Option<f64> {

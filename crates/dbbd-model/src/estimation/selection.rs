@@ -28,6 +28,9 @@ pub fn without_open_places(
 ) -> Option<Vec<ParamId>> {
     let is_judged = |id: &ParamId| is_place(id) && !priors.is_of_posterior(*id);
     let mut places: Vec<ParamId> = asked.iter().copied().filter(is_judged).collect();
+    if places.is_empty() {
+        return Some(asked.to_vec());
+    }
     places.sort_by_key(|id| matches!(id, ParamId::Tool(_)));
     let order: Vec<usize> = (0..places.len()).collect();
     let set = base_set(&factor(start, &lengths.by(Sigma::All(1.0)), &places), &order)?;

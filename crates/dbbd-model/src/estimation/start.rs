@@ -3,6 +3,7 @@
 
 use nalgebra::{DMatrix, SymmetricEigen};
 
+use super::Analysis;
 use super::fit::{self, Fit};
 use super::hyper_parameters::{Group, Variance};
 use super::lengths::{Lengths, Sigma};
@@ -12,9 +13,8 @@ use super::prior_rows;
 use super::priors::{FAR_BAR_MM, Prior, WEAK, largest_plausible};
 use super::selection::{is_bar, is_place, open_places, without_open_places};
 use super::unknowns::KnownBefore;
-use super::{Analysis, analyse};
 use crate::estimation::EstimationFinding;
-use crate::math::stacked;
+use crate::math::{Triangle, stacked};
 use crate::measurement::LengthModel;
 use crate::robot::{ParamGroup, ParamId, parameter};
 
@@ -66,17 +66,19 @@ impl EstimateStart {
             false => before.clone(),
         };
         let mut open = Vec::new();
-        let analysis = loop {
-            let judged: Vec<ParamId> = asked.iter().copied().filter(|id| !open.contains(id)).collect();
-            let analysis = analyse(&set_up.model, &lengths.plain(), &judged).ok_or(NOT_FINITE)?;
+        let (analysis, rows) = loop {
+            let mut judged: Vec<ParamId> = asked.iter().copied().filter(|id| !open.contains(id)).collect();
+            judged.sort();
+            let mut rows = linear_system(&set_up.model, &lengths.plain(), &judged);
+            let analysis = Analysis::of(judged, &mut rows).ok_or(NOT_FINITE)?;
             if follows_list {
-                break analysis;
+                break (analysis, rows);
             }
             let mut places = analysis.kept();
             places.retain(|id| is_place(id) && !priors.is_of_posterior(*id));
             let more = open_places(priors, &set_up.model, &lengths.plain(), places);
             if more.is_empty() {
-                break analysis;
+                break (analysis, rows);
             }
             open.extend(more);
         };
@@ -89,7 +91,7 @@ impl EstimateStart {
             kept.extend(prior_rows::sharing(priors, &analysis));
             kept.sort();
         }
-        let sigma = start_sigma(lengths, &set_up, &base);
+        let sigma = start_sigma(lengths, &set_up, &analysis, rows);
         let prior = prior_rows::prior_rows(setting, &kept);
         let fit = fit::all(lengths, sigma, &kept, base.len(), prior.as_ref(), follows_list, &set_up.model);
         let iterations = set_up.iterations + fit.iterations;
@@ -272,18 +274,23 @@ fn continued(setting: &Setting<'_>, known: KnownBefore) -> Option<KnownBefore> {
 }
 
 /// The standard deviation of the lengths from the residuals of a linearised fit of the base set, with which a fit begins.
-fn start_sigma(lengths: &Lengths, set_up: &Fit, base: &[ParamId]) -> Sigma {
+/// `rows` are those of all lengths at the fitted set-up, by the analysed parameters.
+fn start_sigma(lengths: &Lengths, set_up: &Fit, analysis: &Analysis, mut rows: Triangle) -> Sigma {
     let repeatability = lengths.repeatability_mm.unwrap_or(0.0).powi(2);
     if lengths.is_sigma_given {
         return Sigma::Given;
     }
+    let used = lengths.weighted(Sigma::All(1.0), &set_up.outliers);
+    if !set_up.outliers.is_empty() {
+        rows = linear_system(&set_up.model, &used, &analysis.ids);
+    }
+    let freedom = used.count() as f64 - analysis.base.rank as f64;
     // Equal lengths determine the bar and the scale of the robot only together. With a free bar a robot of size zero
     // would fit them with any angles.
-    let sized: Vec<ParamId> = base.iter().copied().filter(|id| !is_bar(id)).collect();
-    let used = lengths.weighted(Sigma::All(1.0), &set_up.outliers);
-    let freedom = used.count() as f64 - base.len() as f64;
+    let sized: Vec<usize> =
+        analysis.base.kept.iter().copied().filter(|at| !is_bar(&analysis.ids[*at])).collect();
     let scatter = match freedom > 0.0 {
-        true => linear_system(&set_up.model, &used, &sized).residual_sum().max(0.0) / freedom,
+        true => rows.of_unknowns(&sized).residual_sum().max(0.0) / freedom,
         false => repeatability,
     };
     match lengths.known {

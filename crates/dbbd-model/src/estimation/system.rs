@@ -3,10 +3,11 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-use super::evidence::{Coefficients, Evidence, NormalEquations, Optimum};
+use super::evidence::{Coefficients, Evidence, NormalEquations, Optimum, Products};
 use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, Variance};
 use super::noise_shape::NoiseShape;
 use super::pose_rows::{PoseRows, Whitening};
+use crate::math::{beside, gram};
 
 /// Design rows at a model.
 pub(super) struct System {
@@ -51,7 +52,7 @@ pub(super) struct Equations {
 pub(super) struct SystemPosterior<'a> {
     equations: &'a Equations,
     coefficients: Coefficients,
-    sigma_mm: f64,
+    pub(super) sigma_mm: f64,
     /// The posterior mean of all unknowns; for a free unknown the step.
     pub(super) mean: DVector<f64>,
 }
@@ -80,7 +81,14 @@ impl System {
         let (mut rows, mut right) = (self.rows.values.clone(), self.right.clone());
         whitening.apply(&mut rows);
         whitening.apply(&mut right);
-        let equations = Equations::of(self, NormalSums::of(&rows, &right, whitening.ln_determinant()))?;
+        let ln_whitening = whitening.ln_determinant();
+        let equations = if rows.nrows() < rows.ncols() {
+            let totals = RowTotals { squares: right.norm_squared(), rows: rows.nrows(), ln_whitening };
+            let products = Products::OfRows { rows: rows.clone(), right: right.clone() };
+            Equations::of(self, &products, totals)?
+        } else {
+            NormalSums::of(&rows, &right, ln_whitening).equations(self)?
+        };
         Some(Whitened { shape, whitening, rows, right, weights: self.weights.clone(), equations })
     }
 
@@ -99,6 +107,12 @@ impl System {
 pub(super) struct NormalSums {
     gram: DMatrix<f64>,
     right: DVector<f64>,
+    totals: RowTotals,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct RowTotals {
+    /// Sum of the squared right-hand sides.
     squares: f64,
     rows: usize,
     ln_whitening: f64,
@@ -106,13 +120,10 @@ pub(super) struct NormalSums {
 
 impl NormalSums {
     fn of(rows: &DMatrix<f64>, right: &DVector<f64>, ln_whitening: f64) -> Self {
-        let transposed = rows.transpose();
         Self {
-            gram: &transposed * rows,
-            right: transposed * right,
-            squares: right.norm_squared(),
-            rows: rows.nrows(),
-            ln_whitening,
+            gram: gram(rows),
+            right: rows.tr_mul(right),
+            totals: RowTotals { squares: right.norm_squared(), rows: rows.nrows(), ln_whitening },
         }
     }
 
@@ -120,10 +131,17 @@ impl NormalSums {
         Self {
             gram: self.gram + &other.gram,
             right: self.right + &other.right,
-            squares: self.squares + other.squares,
-            rows: self.rows + other.rows,
-            ln_whitening: self.ln_whitening + other.ln_whitening,
+            totals: RowTotals {
+                squares: self.totals.squares + other.totals.squares,
+                rows: self.totals.rows + other.totals.rows,
+                ln_whitening: self.totals.ln_whitening + other.totals.ln_whitening,
+            },
         }
+    }
+
+    /// The normal equations of rows that have the unknowns of the system.
+    pub(super) fn equations(self, system: &System) -> Option<Equations> {
+        Equations::of(system, &Products::OfUnknowns { gram: self.gram, rhs: self.right }, self.totals)
     }
 }
 
@@ -131,39 +149,49 @@ impl NormalSums {
 const SINGULAR: f64 = 1e-12;
 
 impl Equations {
-    /// The normal equations from sums over rows that have the unknowns of the system.
-    pub(super) fn of(system: &System, sums: NormalSums) -> Option<Self> {
-        let NormalSums { gram: mut whole, right: mut whole_right, squares, rows, mut ln_whitening } = sums;
+    fn of(system: &System, whole: &Products, totals: RowTotals) -> Option<Self> {
+        let RowTotals { squares, rows, mut ln_whitening } = totals;
         let unknowns = system.variances.len();
         let (free, bound): (Vec<usize>, Vec<usize>) =
             (0..unknowns).partition(|&k| system.variances[k].is_none());
+        let (mut of_free, mut free_right) = whole.of_unknowns(&free);
         // Free unknowns in units in which their columns have unit norm: mm and rad differ by orders of magnitude.
-        let units = DVector::from_iterator(
-            free.len(),
-            free.iter().map(|&k| {
-                let norm = whole[(k, k)].sqrt();
-                if norm > 0.0 { norm.recip() } else { 1.0 }
-            }),
-        );
-        for (&k, unit) in free.iter().zip(&units) {
-            whole.row_mut(k).scale_mut(*unit);
-            whole.column_mut(k).scale_mut(*unit);
-            whole_right[k] *= unit;
+        let unit = |(at, &k): (usize, &usize)| {
+            let norm = of_free[(at, k)].sqrt();
+            if norm > 0.0 { norm.recip() } else { 1.0 }
+        };
+        let units = DVector::from_iterator(free.len(), free.iter().enumerate().map(unit));
+        for (at, (&k, unit)) in free.iter().zip(&units).enumerate() {
+            of_free.row_mut(at).scale_mut(*unit);
+            of_free.column_mut(k).scale_mut(*unit);
+            free_right[at] *= unit;
             ln_whitening -= 2.0 * unit.ln();
         }
-        let of_free = whole.select_rows(&free);
         let mut of_both = of_free.select_columns(&free);
         // A list of the user may have a direction that only rounding determines.
         (0..free.len()).for_each(|k| of_both[(k, k)] += SINGULAR);
         let factor = Cholesky::new(of_both)?;
         let across = of_free.select_columns(&bound);
-        let free_right = whole_right.select_rows(&free);
         let explained = factor.l().solve_lower_triangular(&across)?;
         let explained_right = factor.l().solve_lower_triangular(&free_right)?;
         ln_whitening += 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
+        let products = match whole {
+            Products::OfUnknowns { gram, rhs } => Products::OfUnknowns {
+                gram: gram.select_rows(&bound).select_columns(&bound) - explained.transpose() * &explained,
+                rhs: rhs.select_rows(&bound) - explained.tr_mul(&explained_right),
+            },
+            Products::OfRows { rows, right } => {
+                let scaled = rows.select_columns(&free) * DMatrix::from_diagonal(&units);
+                // An orthonormal basis of the columns of the free unknowns, transposed.
+                let basis = factor.l().solve_lower_triangular(&scaled.transpose())?;
+                Products::OfRows {
+                    rows: rows.select_columns(&bound) - basis.transpose() * &explained,
+                    right: right - basis.tr_mul(&explained_right),
+                }
+            }
+        };
         let normal = NormalEquations {
-            gram: whole.select_rows(&bound).select_columns(&bound) - explained.transpose() * &explained,
-            rhs: whole_right.select_rows(&bound) - explained.tr_mul(&explained_right),
+            products,
             squares: squares - explained_right.norm_squared(),
             freedom: rows as f64 - free.len() as f64,
             ln_whitening,
@@ -179,14 +207,10 @@ impl Equations {
         let Evidence { normal, variances, .. } = &self.evidence;
         let is_kept = |at: &usize| variances[*at].group().is_none_or(|group| groups.contains(&group));
         let kept: Vec<usize> = (0..variances.len()).filter(is_kept).collect();
-        let normal = NormalEquations {
-            gram: normal.gram.select_rows(&kept).select_columns(&kept),
-            rhs: normal.rhs.select_rows(&kept),
-            ..normal.clone()
-        };
+        let normal = NormalEquations { products: normal.products.with(&kept), ..*normal };
         let variances = kept.iter().map(|&at| variances[at]).collect();
         Self {
-            evidence: Evidence { normal, variances, ..self.evidence.clone() },
+            evidence: Evidence { normal, variances, ..self.evidence },
             bound: kept.iter().map(|&at| self.bound[at]).collect(),
             across: self.across.select_columns(&kept),
             free: self.free.clone(),
@@ -240,6 +264,23 @@ impl SystemPosterior<'_> {
             root.view_mut((*k, b), (1, f)).copy_from(&own.row(at));
         }
         root.iter().all(|value| value.is_finite()).then_some(root)
+    }
+
+    /// Whitened rows A of the system times a root of the covariance of all unknowns, in units of sigma: K K' is the covariance
+    /// that the unknowns give to the rows.
+    pub(super) fn rows_by_root(&self, rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        let Equations { bound, free, units, factor, across, .. } = self.equations;
+        let scaled = rows.select_columns(free) * DMatrix::from_diagonal(units);
+        let basis = factor.l().solve_lower_triangular(&scaled.transpose())?.transpose();
+        let explained = factor.l().solve_lower_triangular(across)?;
+        let left = rows.select_columns(bound) - &basis * explained;
+        Some(beside(self.coefficients.rows_by_root(&left) / self.sigma_mm, &basis))
+    }
+
+    /// The posterior variance of an unknown that has a prior.
+    pub(super) fn variance(&self, place: usize) -> Option<f64> {
+        let at = self.equations.bound.binary_search(&place).ok()?;
+        Some(self.coefficients.variance(at))
     }
 
     /// Logarithm of the marginal likelihood under the priors of the hyper-parameters.
@@ -391,7 +432,7 @@ mod tests {
             piece.normal_sums(SHAPE, SIGMA_MM).unwrap()
         };
         let sums = piece(0, 24).and(&piece(24, 36));
-        let equations = Equations::of(&whole, sums).unwrap();
+        let equations = sums.equations(&whole).unwrap();
         let hypers = hypers(SIGMA_MM);
         let posterior = equations.posterior(&hypers).unwrap();
         assert_alike(&posterior.mean, &posterior.root().unwrap(), &dense(&whole, &hypers));

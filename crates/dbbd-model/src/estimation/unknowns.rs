@@ -94,7 +94,8 @@ impl Unknowns {
             warms,
             events: Vec::new(),
         };
-        Self { before, ranges, visited: angles.map(VisitedAngles::of), approached, errors }
+        let visited = if with_errors { angles.map(VisitedAngles::of) } else { Default::default() };
+        Self { before, ranges, visited, approached, errors }
     }
 
     /// The same unknowns, and an event as further ones.

@@ -7,7 +7,7 @@ use super::{Positions, Workspace};
 use crate::base::date;
 use crate::math::distributions::COVERAGE_FACTOR;
 use crate::measurement::ApproachedPose;
-use crate::robot::{Drift, Payload, Robot};
+use crate::robot::{Drift, Payload, Robot, season_k};
 
 /// Number and seed of the poses over which the growth of the uncertainty is taken, uniform within the axis limits.
 const POSES: usize = 300;
@@ -29,12 +29,18 @@ impl Validity {
         }
         let poses = Workspace::uniform(robot.controller(), POSES, SEED);
         let poses: Vec<ApproachedPose> = poses.iter().map(ApproachedPose::unapproached).collect();
-        let mean_square = |months: f64| {
-            let positions = Positions::of(&robot.after_months(months), &poses);
+        let mean_square = |robot: &Robot| {
+            let positions = Positions::of(robot, &poses);
             (0..poses.len()).map(|pose| positions.sd_mm(pose).powi(2)).sum::<f64>() / poses.len() as f64
         };
-        let (today, known) = (MapPoint::root_mean_square_mm(map).powi(2), mean_square(0.0));
-        let expanded = |months| COVERAGE_FACTOR * (today + mean_square(months) - known).max(today).sqrt();
+        let (today, known) = (MapPoint::root_mean_square_mm(map).powi(2), mean_square(robot));
+        // The steps of the months are independent of what is known, and of each other.
+        let [by_month, by_square_kelvin] = [(1.0, 0.0), (0.0, 1.0)]
+            .map(|(months, kelvin)| mean_square(&robot.widened(months, kelvin)) - known);
+        let expanded = |months: f64| {
+            let grown = months * by_month + season_k(months).powi(2) * by_square_kelvin;
+            COVERAGE_FACTOR * (today + grown.max(0.0)).sqrt()
+        };
         let now_mm = expanded(0.0);
         let limit_mm = growth * now_mm;
         if !now_mm.is_finite() {

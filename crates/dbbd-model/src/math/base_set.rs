@@ -33,8 +33,12 @@ fn rank_of_unit_columns(unit: &[DVector<f64>]) -> Option<usize> {
     if unit.is_empty() {
         return Some(0);
     }
-    let values = svd(&DMatrix::from_columns(unit))?.values;
-    Some(values.iter().filter(|value| **value > RANK_TOLERANCE * values[0]).count())
+    Some(rank_by(&svd(&DMatrix::from_columns(unit))?.values))
+}
+
+/// The rank by singular values, largest first.
+fn rank_by(values: &DVector<f64>) -> usize {
+    values.iter().filter(|value| **value > RANK_TOLERANCE * values[0]).count()
 }
 
 /// Chooses a base set among the columns of `r` (a triangular factor, or any matrix with the same Gram matrix). Columns
@@ -44,10 +48,11 @@ pub(crate) fn base_set(r: &DMatrix<f64>, order: &[usize]) -> Option<BaseSet> {
     let norms: Vec<f64> = r.column_iter().map(|column| column.norm()).collect();
     let (zero, live): (Vec<usize>, Vec<usize>) = order.iter().partition(|&&j| norms[j] < ZERO_COLUMN);
     let unit: Vec<DVector<f64>> = live.iter().map(|&j| r.column(j) / norms[j]).collect();
-    let rank = rank_of_unit_columns(&unit)?;
     if unit.is_empty() {
-        return Some(BaseSet { rank, kept: vec![], zero, dependent: vec![], condition: 1.0 });
+        return Some(BaseSet { rank: 0, kept: vec![], zero, dependent: vec![], condition: 1.0 });
     }
+    let values = svd(&DMatrix::from_columns(&unit))?.values;
+    let rank = rank_by(&values);
     // The residuals of the sequential choice are not singular values. Where the two disagree on the number of columns, the
     // singular values decide.
     let (taken, rejected) = [1.0, 10.0, 0.1, 100.0, 1e3, 1e4, 1e-2, 1e-3]
@@ -56,7 +61,8 @@ pub(crate) fn base_set(r: &DMatrix<f64>, order: &[usize]) -> Option<BaseSet> {
         .find(|(taken, _)| taken.len() == rank)
         .unwrap_or_else(|| choose(&unit, RANK_TOLERANCE));
     let kept_columns = DMatrix::from_columns(&taken.iter().map(|&i| unit[i].clone()).collect::<Vec<_>>());
-    let kept_values = svd(&kept_columns)?.values;
+    // The order of columns does not change their singular values.
+    let kept_values = if rejected.is_empty() { values } else { svd(&kept_columns)?.values };
     let qr = kept_columns.qr();
     let dependent = rejected
         .iter()

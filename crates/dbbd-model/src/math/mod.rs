@@ -8,6 +8,7 @@ mod base_set;
 pub mod distributions;
 mod orthonormal;
 mod parallel;
+mod products;
 pub mod robust;
 pub mod straight_line;
 mod svd;
@@ -18,6 +19,7 @@ pub use base_set::rank;
 pub(crate) use base_set::{BaseSet, base_set};
 pub(crate) use orthonormal::OrthonormalBasis;
 pub use parallel::{map_items, map_pieces};
+pub(crate) use products::{cholesky_with_inverse, gram, gram_of_lower, times_transposed_lower};
 pub use svd::{Svd, svd};
 pub(crate) use triangle::Triangle;
 

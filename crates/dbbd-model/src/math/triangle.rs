@@ -100,6 +100,19 @@ impl Triangle {
         self.waiting = 0;
     }
 
+    /// The problem of some of the unknowns, in this order; the others are zero.
+    pub(crate) fn of_unknowns(&mut self, some: &[usize]) -> Self {
+        self.fold();
+        let width = self.n + 1;
+        let mut part = Self::new(some.len());
+        for i in 0..width {
+            let at = |column: usize| if column >= i { self.r[column * width + i] } else { 0.0 };
+            let row: Vec<f64> = some.iter().map(|unknown| at(*unknown)).collect();
+            part.push(&row, at(self.n));
+        }
+        part
+    }
+
     /// The factor R, n x n upper triangular: R'R is the Gram matrix of the rows.
     pub(crate) fn factor(&mut self) -> DMatrix<f64> {
         self.fold();

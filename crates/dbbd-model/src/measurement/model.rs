@@ -6,8 +6,8 @@ use nalgebra::Vector3;
 use super::{BaseBall, MeasuredPosition, Measurement, Measurements, Tracker};
 use crate::math::map_pieces;
 use crate::robot::{
-    AXES, Approach, AxesAtPose, BallId, BarId, Datum, Geometry, JointSinCos, KinematicChain, LengthRow,
-    ParamId, ParamOwner, PayloadId, TargetId, TrackerPlane,
+    AXES, Approach, AxesAtPose, BallId, BarId, Datum, FurtherColumns, Geometry, JointSinCos, KinematicChain,
+    LengthRow, ParamId, ParamOwner, PayloadId, TargetId, TrackerPlane,
 };
 
 /// The position of a ball, target or tracker that the model does not have.
@@ -134,22 +134,35 @@ impl PreparedModel<'_> {
     /// The length and its derivatives; NaN as [`Self::length`].
     pub fn row(&self, measurement: &PreparedMeasurement) -> LengthRow {
         let mut row = LengthRow::default();
-        self.row_into(measurement, &mut row);
+        self.fill(measurement, FurtherColumns::ALL, &mut row);
         row
     }
 
-    /// As [`Self::row`], into a row that is new or was filled by this model before.
+    /// As [`Self::row`], with the columns of a selection, into a row that is new or was filled by this model with this selection
+    /// before.
     #[inline]
-    pub fn row_into(&self, measurement: &PreparedMeasurement, row: &mut LengthRow) {
+    pub fn row_into(
+        &self,
+        measurement: &PreparedMeasurement,
+        selection: &ColumnSelection,
+        row: &mut LengthRow,
+    ) {
+        self.fill(measurement, selection.further, row);
+    }
+
+    #[inline]
+    fn fill(&self, measurement: &PreparedMeasurement, further: FurtherColumns, row: &mut LengthRow) {
         let at = self.at(measurement);
         match measurement.datum {
             Datum::Ball(ball, bar) => {
-                self.chain.row(&at, &self.model.ball(ball), self.model.bar_offset(bar), row);
+                self.chain.row(&at, &self.model.ball(ball), self.model.bar_offset(bar), further, row);
                 if measurement.force_n != 0.0 {
-                    row.pulled(&self.model.geometry, measurement.force_n);
+                    row.pulled(&self.model.geometry, measurement.force_n, further);
                 }
             }
-            Datum::Plane(coordinate) => self.chain.plane_row(&at, &self.planes[coordinate.index()], row),
+            Datum::Plane(coordinate) => {
+                self.chain.plane_row(&at, &self.planes[coordinate.index()], further, row);
+            }
         }
         (row.datum, row.target) = (measurement.datum, measurement.target);
     }
@@ -160,6 +173,7 @@ impl PreparedModel<'_> {
 pub struct ColumnSelection {
     /// Column of the row, and the measurements whose derivative is not zero.
     columns: Vec<(usize, RowFilter)>,
+    further: FurtherColumns,
 }
 
 /// The measurements that depend on a parameter.
@@ -185,7 +199,7 @@ impl ColumnSelection {
             };
             (id.column(), rows)
         };
-        Self { columns: ids.iter().map(column).collect() }
+        Self { columns: ids.iter().map(column).collect(), further: FurtherColumns::of(ids) }
     }
 
     /// Copies the selected derivatives of a row to `out`, in the order of the parameters.

@@ -11,8 +11,10 @@
 
 use nalgebra::Vector3;
 
+use super::load::GravityTorques;
 use super::{
-    AXES, Approach, BallId, BarId, Coordinate, Datum, Geometry, Joint, ParamId, PayloadId, TargetId,
+    AXES, Approach, BallId, BarId, Coordinate, Datum, Geometry, Joint, ParamGroup, ParamId, PayloadId,
+    TargetId,
 };
 
 /// A length and its derivatives with respect to all parameters (mm per mm, mm per rad, mm per rad/(N m)); the default is zero.
@@ -53,8 +55,11 @@ impl LengthRow {
 
     /// Changes the length to that of a bar that pulls. The effect on derivatives by other parameters than the
     /// compliances is of second order.
-    pub(crate) fn pulled(&mut self, geometry: &Geometry, force_n: f64) {
+    pub(crate) fn pulled(&mut self, geometry: &Geometry, force_n: f64, further: FurtherColumns) {
         self.length -= self.shortened_mm(geometry, force_n);
+        if !further.compliance {
+            return;
+        }
         for joint in 0..AXES {
             let by_compliance = self.by_compliance(joint, force_n);
             self.columns[COMPLIANCE_COLUMN + joint] += by_compliance;
@@ -110,8 +115,27 @@ impl Geometry {
         let sin_cos = JointSinCos::of(axes);
         let (approach, payload) = (Approach::default(), PayloadId::FIRST);
         let at = AxesAtPose { axes, sin_cos: &sin_cos, approach, target: &self.tool, payload };
-        KinematicChain::new(self).row(&at, ball, bar_offset, &mut row);
+        KinematicChain::new(self).row(&at, ball, bar_offset, FurtherColumns::ALL, &mut row);
         row
+    }
+}
+
+/// The columns of a row that are made only if they are wanted: they cost more than all others.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FurtherColumns {
+    /// By the compliances of the joints.
+    compliance: bool,
+    /// By the first harmonics of the transmissions.
+    gear: bool,
+}
+
+impl FurtherColumns {
+    pub(crate) const ALL: Self = Self { compliance: true, gear: true };
+
+    /// Those of some parameters.
+    pub(crate) fn of(ids: &[ParamId]) -> Self {
+        let has = |group| ids.iter().any(|id| id.group() == group);
+        Self { compliance: has(ParamGroup::Compliance), gear: has(ParamGroup::Gear) }
     }
 }
 
@@ -158,6 +182,16 @@ pub(crate) struct KinematicChain<'a> {
     /// Whether the joint angles are those of the axes: no compliance, no joint errors.
     is_rigid: bool,
     is_coupled: bool,
+    /// The mass that moves with each row, kg, and its first moment about the origin of the row's frame, kg mm.
+    masses: [(f64, Vector3<f64>); AXES],
+}
+
+/// The angle by which each joint turns for a unit of its compliance, of that of the payload, and of the cosine and sine of its
+/// transmission error, rad.
+#[derive(Default)]
+struct JointTurns {
+    torques: GravityTorques,
+    gear: [[f64; 2]; AXES],
 }
 
 /// The pass from the flange to the base.
@@ -180,6 +214,7 @@ impl<'a> KinematicChain<'a> {
             beta: std::array::from_fn(|i| rows[i].beta.sin_cos()),
             is_rigid: geometry.is_rigid(),
             is_coupled: !geometry.coupling.is_none(),
+            masses: geometry.load.of_rows(),
         }
     }
 
@@ -187,7 +222,8 @@ impl<'a> KinematicChain<'a> {
     #[inline]
     fn joints(&self, at: &AxesAtPose<'_>) -> [(f64, f64); AXES] {
         if !self.is_rigid {
-            return self.geometry.joint_angles_carrying(at.axes, at.approach, at.payload).map(f64::sin_cos);
+            let torques = |angles: &[f64; AXES]| self.torques(&angles.map(f64::sin_cos), at.payload);
+            return self.geometry.joint_angles_under(at.axes, at.approach, torques).map(f64::sin_cos);
         }
         let own_angles = self.own_angles(at);
         std::array::from_fn(|i| {
@@ -212,17 +248,54 @@ impl<'a> KinematicChain<'a> {
         let mut point = *at.target;
         for i in (0..AXES).rev() {
             let row = &self.geometry.rows[i];
-            let (s, c) = joints[i];
-            let (x, y, z) = (point.x * c - point.y * s + row.a, point.x * s + point.y * c, point.z + row.d);
-            points[i] = Vector3::new(x, y, z);
-            let (s, c) = self.alpha[i];
-            point = Vector3::new(x, y * c - z * s, y * s + z * c);
-            if row.beta != 0.0 {
-                let (s, c) = self.beta[i];
-                point = Vector3::new(point.x * c + point.z * s, point.y, point.z * c - point.x * s);
-            }
+            point = about_z(joints[i], point) + Vector3::new(row.a, 0.0, row.d);
+            points[i] = point;
+            point = self.twisted(i, point);
         }
         InwardPass { joints, points, ball: point }
+    }
+
+    /// A vector in the frame of a row after its twist, in the frame of the row before.
+    #[inline]
+    fn twisted(&self, row: usize, vector: Vector3<f64>) -> Vector3<f64> {
+        let vector = about_x(self.alpha[row], vector);
+        if self.geometry.rows[row].beta == 0.0 { vector } else { about_y(self.beta[row], vector) }
+    }
+
+    /// Gravity torques at joint angles. From the flange to the base the masses beyond each row become one mass M with the
+    /// first moment h about the row's origin; the torque about the row's axis z is z . (h x g).
+    pub(super) fn torques(&self, joints: &[(f64, f64); AXES], payload: PayloadId) -> GravityTorques {
+        let load = &self.geometry.load;
+        let mut gravity = [Vector3::zeros(); AXES];
+        let mut outward = load.gravity_by_mm();
+        for i in 0..AXES {
+            if self.geometry.rows[i].beta != 0.0 {
+                outward = about_y(back(self.beta[i]), outward);
+            }
+            outward = about_z(back(joints[i]), about_x(back(self.alpha[i]), outward));
+            gravity[i] = outward;
+        }
+        let torques = |own: &dyn Fn(usize) -> (f64, Vector3<f64>)| {
+            let (mut mass, mut moment) = (0.0, Vector3::zeros());
+            let mut torques = [0.0; AXES];
+            for i in (0..AXES).rev() {
+                let (of_row, at_row) = own(i);
+                (mass, moment) = (mass + of_row, moment + at_row);
+                torques[i] = moment.x * gravity[i].y - moment.y * gravity[i].x;
+                let row = &self.geometry.rows[i];
+                moment = self.twisted(i, about_z(joints[i], moment) + Vector3::new(row.a, 0.0, row.d) * mass);
+            }
+            torques
+        };
+        let mut all = torques(&|row| self.masses[row]);
+        let Some(carried) = load.payloads.get(payload.index()).map(|payload| payload.mass()) else {
+            return GravityTorques { all, payload: [0.0; AXES] };
+        };
+        let of_payload =
+            |row| if row == carried.joint.index() { carried.moments() } else { Default::default() };
+        let payload = torques(&of_payload);
+        all.iter_mut().zip(payload).for_each(|(all, payload)| *all += payload);
+        GravityTorques { all, payload }
     }
 
     /// The pass from the base to the flange: the derivatives of the target's position along the unit vector `u` (robot
@@ -231,19 +304,17 @@ impl<'a> KinematicChain<'a> {
     fn derivatives(&self, inward: &InwardPass, mut u: Vector3<f64>, columns: &mut DerivativeColumns) {
         for i in 0..AXES {
             if self.geometry.rows[i].beta != 0.0 {
-                let (s, c) = self.beta[i];
-                u = Vector3::new(u.x * c - u.z * s, u.y, u.z * c + u.x * s);
+                u = about_y(back(self.beta[i]), u);
             }
             let p = &inward.points[i];
             let (s, c) = self.alpha[i];
             columns[BETA_COLUMN + i] = (p.y * s + p.z * c) * u.x - p.x * u.z;
-            u = Vector3::new(u.x, u.y * c + u.z * s, u.z * c - u.y * s);
+            u = about_x(back((s, c)), u);
             columns[ALPHA_COLUMN + i] = p.y * u.z - p.z * u.y;
             columns[A_COLUMN + i] = u.x;
             columns[THETA_COLUMN + i] = (p.x - self.geometry.rows[i].a) * u.y - p.y * u.x;
             columns[D_COLUMN + i] = u.z;
-            let (s, c) = inward.joints[i];
-            u = Vector3::new(u.x * c + u.y * s, u.y * c - u.x * s, u.z);
+            u = about_z(back(inward.joints[i]), u);
         }
         columns[TOOL_COLUMN..TOOL_COLUMN + 3].copy_from_slice(u.as_slice());
     }
@@ -254,16 +325,24 @@ impl<'a> KinematicChain<'a> {
     }
 
     /// Writes the distance from a base ball at `ball` plus `bar_offset` (mm) and its derivatives to `row`, which is new or was
-    /// written for this robot. If the balls coincide, the length has no derivative, and the columns are zero.
+    /// written for this robot with the same further columns. If the balls coincide, the length has no derivative, and the
+    /// columns are zero.
     #[inline]
-    pub(crate) fn row(&self, at: &AxesAtPose<'_>, ball: &Vector3<f64>, bar_offset: f64, row: &mut LengthRow) {
+    pub(crate) fn row(
+        &self,
+        at: &AxesAtPose<'_>,
+        ball: &Vector3<f64>,
+        bar_offset: f64,
+        further: FurtherColumns,
+        row: &mut LengthRow,
+    ) {
         let inward = self.inward(at);
         let bar = inward.ball - ball;
         let distance = bar.norm();
         row.length = distance + bar_offset;
         let columns = &mut row.columns;
         if distance > 0.0 {
-            self.along(bar / distance, at, &inward, columns);
+            self.along(bar / distance, at, &inward, further, columns);
             columns[BAR_COLUMN] = 1.0;
         } else {
             *columns = [0.0; ParamId::COLUMNS];
@@ -271,11 +350,17 @@ impl<'a> KinematicChain<'a> {
     }
 
     /// Writes the distance from a plane and its derivatives to a row, as [`Self::row`] does.
-    pub(crate) fn plane_row(&self, at: &AxesAtPose<'_>, plane: &TrackerPlane, row: &mut LengthRow) {
+    pub(crate) fn plane_row(
+        &self,
+        at: &AxesAtPose<'_>,
+        plane: &TrackerPlane,
+        further: FurtherColumns,
+        row: &mut LengthRow,
+    ) {
         let inward = self.inward(at);
         let from = inward.ball - plane.origin;
         row.length = plane.normal.dot(&from);
-        self.along(plane.normal, at, &inward, &mut row.columns);
+        self.along(plane.normal, at, &inward, further, &mut row.columns);
         row.columns[BAR_COLUMN] = 0.0;
         for (axis, by_turn) in plane.normal_by_turn.iter().enumerate() {
             row.columns[TURN_COLUMN + axis] = by_turn.dot(&from);
@@ -290,27 +375,44 @@ impl<'a> KinematicChain<'a> {
         u: Vector3<f64>,
         at: &AxesAtPose<'_>,
         inward: &InwardPass,
+        further: FurtherColumns,
         columns: &mut DerivativeColumns,
     ) {
         self.derivatives(inward, u, columns);
         for axis in 0..3 {
             columns[BALL_COLUMN + axis] = -u[axis];
         }
-        self.non_geometric(at, columns);
+        Self::non_geometric(&self.turns(at, inward, further), further, columns);
     }
 
-    /// Compliance and transmission errors rotate the joints: their columns are multiples of those of theta.
+    /// The angles by which compliance and transmission errors turn the joints, as far as their columns are wanted.
     #[inline]
-    fn non_geometric(&self, at: &AxesAtPose<'_>, columns: &mut DerivativeColumns) {
-        let angles = self.geometry.joint_angles_carrying(at.axes, at.approach, at.payload);
-        let torques = self.geometry.torques(&angles, at.payload);
-        for j in 0..AXES {
-            columns[COMPLIANCE_COLUMN + j] = columns[THETA_COLUMN + j] * torques.all[j];
-            columns[PAYLOAD_COMPLIANCE_COLUMN + j] = columns[THETA_COLUMN + j] * torques.payload[j];
+    fn turns(&self, at: &AxesAtPose<'_>, inward: &InwardPass, further: FurtherColumns) -> JointTurns {
+        let mut turns = JointTurns::default();
+        if further.compliance {
+            turns.torques = self.torques(&inward.joints, at.payload);
         }
-        for (j, [sin, cos]) in self.own_angles(at).into_iter().enumerate() {
-            columns[GEAR_COS_COLUMN + j] = columns[THETA_COLUMN + j] * cos;
-            columns[GEAR_SIN_COLUMN + j] = columns[THETA_COLUMN + j] * sin;
+        if further.gear {
+            turns.gear = self.own_angles(at).map(|[sin, cos]| [cos, sin]);
+        }
+        turns
+    }
+
+    /// The columns of what turns the joints are multiples of those of theta.
+    #[inline]
+    fn non_geometric(turns: &JointTurns, further: FurtherColumns, columns: &mut DerivativeColumns) {
+        let JointTurns { torques, gear } = turns;
+        if further.compliance {
+            for j in 0..AXES {
+                columns[COMPLIANCE_COLUMN + j] = columns[THETA_COLUMN + j] * torques.all[j];
+                columns[PAYLOAD_COMPLIANCE_COLUMN + j] = columns[THETA_COLUMN + j] * torques.payload[j];
+            }
+        }
+        if further.gear {
+            for (j, [cos, sin]) in gear.iter().enumerate() {
+                columns[GEAR_COS_COLUMN + j] = columns[THETA_COLUMN + j] * cos;
+                columns[GEAR_SIN_COLUMN + j] = columns[THETA_COLUMN + j] * sin;
+            }
         }
     }
 
@@ -327,10 +429,12 @@ impl<'a> KinematicChain<'a> {
         let (approach, payload) = (Approach::default(), PayloadId::FIRST);
         let at = AxesAtPose { axes, sin_cos: &sin_cos, approach, target, payload };
         let inward = self.inward(&at);
+        let further = FurtherColumns::of(ids);
+        let turns = self.turns(&at, &inward, further);
         let along = [0, 1, 2].map(|axis| {
             let mut columns = [0.0; ParamId::COLUMNS];
             self.derivatives(&inward, Vector3::ith(axis, 1.0), &mut columns);
-            self.non_geometric(&at, &mut columns);
+            Self::non_geometric(&turns, further, &mut columns);
             columns
         });
         for (at, id) in ids.iter().enumerate() {
@@ -339,6 +443,28 @@ impl<'a> KinematicChain<'a> {
         }
         inward.ball
     }
+}
+
+/// A vector turned about an axis by the angle with this sine and cosine.
+#[inline]
+fn about_x((s, c): (f64, f64), v: Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(v.x, v.y * c - v.z * s, v.y * s + v.z * c)
+}
+
+#[inline]
+fn about_y((s, c): (f64, f64), v: Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(v.x * c + v.z * s, v.y, v.z * c - v.x * s)
+}
+
+#[inline]
+fn about_z((s, c): (f64, f64), v: Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(v.x * c - v.y * s, v.x * s + v.y * c, v.z)
+}
+
+/// Sine and cosine of the opposite angle.
+#[inline]
+fn back((s, c): (f64, f64)) -> (f64, f64) {
+    (-s, c)
 }
 
 #[cfg(test)]
@@ -426,7 +552,7 @@ mod tests {
         let chain = KinematicChain::new(&geometry);
         let here = chain.ball(&at);
         assert!((here - ball).norm() < 1e-9);
-        chain.row(&at, &here, 0.5, &mut row);
+        chain.row(&at, &here, 0.5, FurtherColumns::ALL, &mut row);
         assert_eq!((row.length, row.columns.iter().all(|column| *column == 0.0)), (0.5, true));
     }
 
@@ -444,7 +570,7 @@ mod tests {
         let origin = Vector3::new(10.0, 20.0, 30.0);
         let plane = TrackerPlane { origin, normal, normal_by_turn: by_turn };
         let mut row = LengthRow::default();
-        chain.plane_row(&at, &plane, &mut row);
+        chain.plane_row(&at, &plane, FurtherColumns::ALL, &mut row);
         let from = chain.ball(&at) - origin;
         assert!((row.length - normal.dot(&from)).abs() < 1e-10);
         let turned = Coordinate::ALL.map(|axis| row.derivative(ParamId::TrackerTurn(axis)));
@@ -490,7 +616,7 @@ mod tests {
             let (axes, payload) = (&AXES_AT, PayloadId::FIRST);
             let at = AxesAtPose { axes, sin_cos: &sin_cos, approach, target: &geometry.tool, payload };
             let mut row = LengthRow::default();
-            KinematicChain::new(geometry).row(&at, &ball, 0.0, &mut row);
+            KinematicChain::new(geometry).row(&at, &ball, 0.0, FurtherColumns::ALL, &mut row);
             row
         };
         let mut terms = vec![0.0; count];

@@ -3,8 +3,7 @@
 use nalgebra::Vector3;
 
 use super::dh_row::DhRow;
-use super::pose::Pose;
-use super::{AXES, Joint, PayloadId, RobotFinding};
+use super::{AXES, Joint, RobotFinding};
 use crate::diagnostic::Diagnostic;
 use crate::plausibility::Quantity;
 
@@ -19,6 +18,13 @@ pub struct Mass {
     pub kg: f64,
     /// Centre of mass in that joint's frame, mm.
     pub centre: Vector3<f64>,
+}
+
+impl Mass {
+    /// The mass, kg, and its first moment about the origin of the frame, kg mm.
+    pub(super) fn moments(&self) -> (f64, Vector3<f64>) {
+        (self.kg, self.centre * self.kg)
+    }
 }
 
 /// A payload on the flange.
@@ -81,7 +87,7 @@ pub struct ArmLoad {
     pub masses: Vec<Mass>,
     /// Whether the masses follow from the size of the arm, because its file states none.
     pub is_assumed: bool,
-    /// The possible payloads, by [`PayloadId::index`]; the first one is the default.
+    /// The possible payloads, by [`super::PayloadId::index`]; the first one is the default.
     pub payloads: Vec<Payload>,
     /// Unit vector of gravity in the robot base.
     pub gravity: Vector3<f64>,
@@ -156,24 +162,20 @@ impl ArmLoad {
         (carried_kg > heaviest_kg + HOLDER_KG).then_some([carried_kg, heaviest_kg])
     }
 
-    /// Torques with a payload of the list, with the frames of all rows in the robot base.
-    pub(super) fn torques(&self, frames: &[Pose; AXES], payload: PayloadId) -> GravityTorques {
-        let mut torques = GravityTorques::default();
-        let add = |mass: &Mass, to: &mut [f64; AXES]| {
-            let carrier = &frames[mass.joint.index()];
-            let centre = carrier.position + carrier.rotation * mass.centre;
-            let weight = self.gravity * (GRAVITY * mass.kg);
-            for joint in 0..mass.joint.number() {
-                let lever = (centre - frames[joint].position) * 1e-3;
-                to[joint] += frames[joint].rotation.column(2).dot(&lever.cross(&weight));
-            }
-        };
-        self.masses.iter().for_each(|mass| add(mass, &mut torques.all));
-        if let Some(payload) = self.payloads.get(payload.index()) {
-            add(&payload.mass(), &mut torques.payload);
+    /// The mass that moves with each row of the table, kg, and its first moment about the origin of the row's frame, kg mm.
+    pub(super) fn of_rows(&self) -> [(f64, Vector3<f64>); AXES] {
+        let mut of_rows = [(0.0, Vector3::zeros()); AXES];
+        for mass in &self.masses {
+            let (kg, moment) = &mut of_rows[mass.joint.index()];
+            let (of_mass, at_mass) = mass.moments();
+            (*kg, *moment) = (*kg + of_mass, *moment + at_mass);
         }
-        torques.all.iter_mut().zip(torques.payload).for_each(|(all, payload)| *all += payload);
-        torques
+        of_rows
+    }
+
+    /// Gravity in the robot base, N m per kg mm.
+    pub(super) fn gravity_by_mm(&self) -> Vector3<f64> {
+        self.gravity * (1e-3 * GRAVITY)
     }
 
     /// The approximate payload for which such an arm is made.

@@ -28,7 +28,7 @@ pub mod pose;
 mod posterior;
 mod uncertainty;
 
-pub(crate) use chain::{AxesAtPose, KinematicChain, TrackerPlane};
+pub(crate) use chain::{AxesAtPose, FurtherColumns, KinematicChain, TrackerPlane};
 pub use chain::{JointSinCos, LengthRow};
 pub use controller::ControllerModel;
 pub use coupling::{CoupledAxis, Coupling};
@@ -46,6 +46,7 @@ pub use joint_error::{
 pub use joint_table::{CouplingTable, JointTable};
 pub use kinematics::Geometry;
 pub use load::{ArmLoad, Mass, Payload};
+pub(crate) use months::season_k;
 pub use parameter::{ParamGroup, ParamId, ParamOwner, ParamUnit, PriorRule};
 pub use pose::Pose;
 pub use posterior::RobotPosterior;

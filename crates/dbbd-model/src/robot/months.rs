@@ -71,7 +71,8 @@ impl Robot {
         }
     }
 
-    fn widened(&self, months: f64, kelvin: f64) -> Self {
+    /// The robot after steps of this many months, at a temperature that is uncertain by `kelvin`.
+    pub(crate) fn widened(&self, months: f64, kelvin: f64) -> Self {
         let steps = self.steps(months, kelvin);
         let mut later = self.clone();
         later.drift.since_months += months;
@@ -104,7 +105,7 @@ impl Robot {
 /// Standard deviation of the temperature difference between two days in a hall where nobody measured it, K: for a
 /// yearly wave of amplitude S and any phase it is S (1 - cos)^(1/2) of the time between the days. It does not fall
 /// after half a year: no year is like another.
-fn season_k(months: f64) -> f64 {
+pub(crate) fn season_k(months: f64) -> f64 {
     let turn = std::f64::consts::TAU * (months.abs() / MONTHS_OF_YEAR).min(0.5);
     SEASON_K * (1.0 - turn.cos()).sqrt()
 }
