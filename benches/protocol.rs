@@ -1,30 +1,17 @@
 //! Decoding speed of every definition, beside a bare COBS and CRC loop over the same bytes.
 #![allow(missing_docs, clippy::unwrap_used)]
 
+#[path = "support/stream.rs"]
+mod stream;
+
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use dbbd_device::protocol::ProtocolDefinition;
-use dbbd_model::base::units::DeviceTicks;
-use dbbd_model::measurement::sample::Sample;
+
+use stream::stream;
 
 const FRAMES: u32 = 10_000;
-
-fn stream(definition: &ProtocolDefinition) -> Vec<u8> {
-    let (encoder, mut bytes) = (definition.encoder(), Vec::new());
-    for frame in 0..FRAMES {
-        let sample = Sample {
-            sequence: Some(frame % definition.sequence_modulo.unwrap_or(65536)),
-            ticks: Some(DeviceTicks(u64::from(frame) * 1000)),
-            trigger: Some(false),
-            temperature_c: Some(20.0),
-            status: 1,
-            ..Sample::of(definition.sim.at_mm + f64::from(frame % 2000) / 1000.0 - 1.0)
-        };
-        encoder.encode(&sample, &mut bytes).unwrap();
-    }
-    bytes
-}
 
 /// The least that has to be done: find the zeros, undo the stuffing, take the CRC by table.
 fn bare(bytes: &[u8], crc: &crc::Crc<u16, crc::Table<1>>) -> u64 {
@@ -53,14 +40,14 @@ fn bare(bytes: &[u8], crc: &crc::Crc<u16, crc::Table<1>>) -> u64 {
 
 fn decoding(c: &mut Criterion) {
     let mut group = c.benchmark_group("decode");
-    let cobs = stream(&ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap());
+    let cobs = stream(&ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap(), FRAMES);
     let crc = crc::Crc::<u16, crc::Table<1>>::new(&crc::CRC_16_IBM_3740);
     assert_eq!(bare(&cobs, &crc), u64::from(FRAMES));
     group.throughput(Throughput::Bytes(cobs.len() as u64));
     group.bench_function("bare COBS and CRC", |b| b.iter(|| bare(black_box(&cobs), &crc)));
     for (name, _) in ProtocolDefinition::built_in() {
         let definition = ProtocolDefinition::by_name(name).unwrap().unwrap();
-        let bytes = stream(&definition);
+        let bytes = stream(&definition, FRAMES);
         group.throughput(Throughput::Bytes(bytes.len() as u64));
         let mut out = Vec::new();
         group.bench_function(*name, |b| {

@@ -2,12 +2,17 @@
 """Times of other programs on the problem of benches/identify.rs: 13 parameters from lengths to one ball.
 
     python3 -m venv venv && venv/bin/pip install numpy scipy pin pybotics
-    OPENBLAS_NUM_THREADS=1 venv/bin/python benches/peers/times.py
+    OPENBLAS_NUM_THREADS=1 venv/bin/python benches/peers/times.py            times of the others
+    OPENBLAS_NUM_THREADS=1 venv/bin/python benches/peers/times.py --assert   and of dbbd, beside them; fails if it lost its lead
 
 Random poses within the limits, errors of 0.05 deg and 0.5 mm, sigma 0.01 mm; medians of 5 runs in ms.
 """
 import math
+import pathlib
+import re
 import statistics
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -173,8 +178,49 @@ def regressor_per_pose(q):
     return [median_ms(work, 21)[0] * 1e3 / len(signed) for work in (regressors, calls)]
 
 
+# The row of `benches/identify.rs`, the peer, and how many times as long as dbbd the peer must take; a full report may take this many fits
+# of 80 poses by numpy. Machines differ in what they do well: the limits are two thirds of what was measured on two of them.
+NUMPY, PINOCCHIO, ROW = "numpy, own Gauss-Newton", "Pinocchio regressor + Gauss-Newton", "a row by Pinocchio's regressor"
+LEADS = [
+    ("fit 13 parameters, 80 poses", (80, NUMPY), 4),
+    ("fit 13 parameters, 80 poses", (80, PINOCCHIO), 18),
+    ("fit 13 parameters, 1000 poses", (1000, NUMPY), 2),
+    ("fit 13 parameters, 1000 poses", (1000, PINOCCHIO), 26),
+    ("1000 Jacobian rows of all columns, from axis angles", ROW, 1.5),
+    ("1000 Jacobian rows of 32 columns, in the solver", ROW, 5),
+]
+REPORTS = [
+    ("all parameters with the full report, 80 poses", 110),
+    ("all parameters with the full report, 1000 poses", 350),
+]
+
+
+def own_times():
+    """Medians of `benches/identify.rs` in ms."""
+    units = {"ns": 1e-6, "\u00b5s": 1e-3, "us": 1e-3, "ms": 1.0, "s": 1e3}
+    command = ["cargo", "bench", "--bench", "identify"]
+    said = subprocess.run(command, cwd=pathlib.Path(__file__).parents[2], check=True, stdout=subprocess.PIPE, text=True).stdout
+    found = re.findall(r"^(\S.*?)\s+time:\s+\[\S+ \S+ (\S+) (\S+) ", said, re.MULTILINE)
+    return {name: float(value) * units[unit] for name, value, unit in found}
+
+
+def compare(times):
+    """Prints how many times as long as dbbd the others take; whether every lead is kept."""
+    own, lost = own_times(), 0
+    for name, peer, least in LEADS:
+        lead = times[peer] / own[name]
+        lost += lead < least
+        print(f"{name:52} {own[name]:9.3f} ms   {lead:6.1f} times faster than {peer if peer == ROW else peer[1]}, at least {least}")
+    for name, most in REPORTS:
+        cost = own[name] / times[80, NUMPY]
+        lost += cost > most
+        print(f"{name:52} {own[name]:9.3f} ms   {cost:6.1f} fits of 80 poses by numpy, at most {most}")
+    print(f"{lost} of {len(LEADS) + len(REPORTS)} limits violated")
+    return lost == 0
+
+
 def main():
-    random = np.random.default_rng(1)
+    random, times = np.random.default_rng(1), {}
     truth = np.concatenate([random.normal(0, math.radians(0.05), 5), random.normal(0, 0.5, 8)])
     for n in (80, 1000):
         q = np.radians(random.uniform(LIMITS[:, 0], LIMITS[:, 1], (n, 6)))
@@ -189,9 +235,13 @@ def main():
         for name, work in variants.items():
             ms, x = median_ms(work, 1 if "pybotics" in name else 5)
             reference = x if reference is None else reference
+            times[n, name] = ms
             print(f"{n:5} poses  {name:36} {ms:10.2f} ms   differs from the first by {np.abs(x - reference).max():.1e}")
     regressor, call = regressor_per_pose(q)
+    times[ROW] = regressor - 2 * call
     print(f"one Jacobian row: Pinocchio's C++ kinematic regressor {regressor:.2f} us a pose, of which two calls of {call:.2f} us")
+    if "--assert" in sys.argv and not compare(times):
+        sys.exit(1)
 
 
 def jacobian_for(_lengths):

@@ -13,7 +13,7 @@ use crate::math::{cholesky_with_inverse, gram, gram_of_lower, times_transposed_l
 /// Steps after which the variances are taken as they are.
 const MAX_STEPS: usize = 60;
 /// The search ends where the gradient predicts a smaller gain of the logarithm of the evidence.
-const REST: f64 = 1e-3;
+const REST: f64 = 1e-2;
 /// Largest change of the logarithm of a standard deviation in a step.
 const LONGEST_STEP: f64 = 1.0;
 /// A step is accepted if it gains at least this share of the gain that the gradient predicts (Armijo's rule).

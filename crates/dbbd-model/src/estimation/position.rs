@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{Cholesky, DMatrix, Matrix3, Vector3};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -51,8 +51,12 @@ struct JointDisplacement {
 impl PoseErrors {
     fn covariance(&self, pose: usize) -> Matrix3<f64> {
         let moved = self.moved.rows(3 * pose, 3);
-        let mut covariance = Matrix3::identity() * self.repeated[pose].powi(2);
-        covariance += moved * moved.transpose();
+        moved * moved.transpose() + self.covariance_of_pose(pose, self.repeated[pose])
+    }
+
+    /// The covariance of what no other pose has: its repeatability, and the joints' errors that are not in the root.
+    fn covariance_of_pose(&self, pose: usize, repeated: f64) -> Matrix3<f64> {
+        let mut covariance = Matrix3::identity() * repeated.powi(2);
         for by_angle in &self.joints[pose] {
             covariance += by_angle.column * by_angle.column.transpose() * (by_angle.sd_rad * by_angle.sd_rad);
         }
@@ -64,21 +68,23 @@ impl PoseErrors {
     fn draws(&self, repeated: impl Fn(usize) -> f64) -> DMatrix<f64> {
         let mut drawn = &self.moved * unit_draws(self.moved.ncols());
         let mut random = Pcg64::seed_from_u64(2);
-        let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
-        for mut column in drawn.column_iter_mut() {
-            for (pose, by_joint) in self.joints.iter().enumerate() {
-                let sd = repeated(pose);
-                let mut error = Vector3::from_fn(|_, _| sd * normal());
-                for by_angle in by_joint {
-                    error += by_angle.column * (by_angle.sd_rad * normal());
-                }
+        for pose in 0..self.joints.len() {
+            let covariance = self.covariance_of_pose(pose, repeated(pose));
+            // Where nothing moves the pose in a direction, the substitute is far below any error.
+            let Some(root) = Cholesky::new_with_substitute(covariance, NO_ERROR) else { continue };
+            let root = root.l();
+            for mut column in drawn.column_iter_mut() {
+                let unit = Vector3::from_fn(|_, _| StandardNormal.sample(&mut random));
                 let mut there = column.fixed_rows_mut::<3>(3 * pose);
-                there += error;
+                there += root * unit;
             }
         }
         drawn
     }
 }
+
+/// Variance in a direction in which nothing moves, mm^2 or rad^2.
+const NO_ERROR: f64 = 1e-24;
 
 impl Positions {
     /// The tool ball of a robot at `poses`, with the uncertainty in the robot's file.

@@ -8,6 +8,7 @@ use nalgebra::{Complex, DMatrix, Matrix2, Vector2};
 
 use super::pose_rows::PoseRows;
 use super::system::{SystemPosterior, Whitened};
+use crate::math::map_items;
 use crate::robot::{AXES, Joint};
 
 /// Cycles a turn that are tried.
@@ -89,7 +90,8 @@ impl RippleSearch<'_> {
             });
             judged.max_by(|a, b| a.ln_bayes.total_cmp(&b.ln_bayes))
         };
-        self.joints.iter().filter_map(of_joint).max_by(|a, b| a.ln_bayes.total_cmp(&b.ln_bayes))
+        let of_joints = map_items(self.joints, of_joint).into_iter().flatten();
+        of_joints.max_by(|a, b| a.ln_bayes.total_cmp(&b.ln_bayes))
     }
 
     /// The whitened columns of cosine and sine of the next orders.

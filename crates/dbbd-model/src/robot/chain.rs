@@ -109,6 +109,11 @@ impl LengthRow {
 }
 
 impl Geometry {
+    /// Gravity torques at joint angles in the sense of the table.
+    pub(super) fn torques(&self, angles: &[f64; AXES], payload: PayloadId) -> GravityTorques {
+        KinematicChain::new(self).torques(&angles.map(f64::sin_cos), payload)
+    }
+
     /// The length and its derivatives with respect to all parameters: see `KinematicChain::row`.
     pub fn length_row(&self, axes: &[f64; AXES], ball: &Vector3<f64>, bar_offset: f64) -> LengthRow {
         let mut row = LengthRow::default();
@@ -264,7 +269,7 @@ impl<'a> KinematicChain<'a> {
 
     /// Gravity torques at joint angles. From the flange to the base the masses beyond each row become one mass M with the
     /// first moment h about the row's origin; the torque about the row's axis z is z . (h x g).
-    pub(super) fn torques(&self, joints: &[(f64, f64); AXES], payload: PayloadId) -> GravityTorques {
+    fn torques(&self, joints: &[(f64, f64); AXES], payload: PayloadId) -> GravityTorques {
         let load = &self.geometry.load;
         let mut gravity = [Vector3::zeros(); AXES];
         let mut outward = load.gravity_by_mm();

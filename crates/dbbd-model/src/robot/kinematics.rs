@@ -2,7 +2,6 @@
 
 use nalgebra::Vector3;
 
-use super::chain::KinematicChain;
 use super::dh_row::DhRow;
 use super::load::{ArmLoad, GravityTorques};
 use super::pose::{Pose, rot_x, rot_y, rot_z};
@@ -170,11 +169,6 @@ impl Geometry {
             frames[i] = frame;
         }
         frames
-    }
-
-    /// Gravity torques at joint angles in the sense of the table.
-    pub(super) fn torques(&self, angles: &[f64; AXES], payload: PayloadId) -> GravityTorques {
-        KinematicChain::new(self).torques(&angles.map(f64::sin_cos), payload)
     }
 
     /// An upper bound of the gravity torque about each joint in any pose, N m.
