@@ -179,7 +179,7 @@ def regressor_per_pose(q):
 
 
 # The row of `benches/identify.rs`, the peer, and how many times as long as dbbd the peer must take; a full report may take this many fits
-# of 80 poses by numpy. Machines differ in what they do well: the limits are two thirds of what was measured on two of them.
+# of 80 poses by numpy. Machines differ in what they do well: the limits are two thirds of what was measured on one (AMD EPYC, two cores).
 NUMPY, PINOCCHIO, ROW = "numpy, own Gauss-Newton", "Pinocchio regressor + Gauss-Newton", "a row by Pinocchio's regressor"
 LEADS = [
     ("fit 13 parameters, 80 poses", (80, NUMPY), 4),

@@ -12,7 +12,8 @@ use crate::math::{cholesky_with_inverse, gram, gram_of_lower, times_transposed_l
 
 /// Steps after which the variances are taken as they are.
 const MAX_STEPS: usize = 60;
-/// The search ends where the gradient predicts a smaller gain of the logarithm of the evidence.
+/// The search ends where the gradient predicts a smaller gain of the logarithm of the evidence: there the hyper-parameters are
+/// within a tenth of their standard deviation of the most probable ones.
 const REST: f64 = 1e-2;
 /// Largest change of the logarithm of a standard deviation in a step.
 const LONGEST_STEP: f64 = 1.0;
