@@ -212,7 +212,8 @@ pub(super) fn record(
     };
     let acquisition = Acquisition::start(options, stop)?;
     if args.zero {
-        acquisition.mark(ZEROED.into());
+        // Of a run that is over already nothing is needed.
+        _ = acquisition.mark(ZEROED.into());
     }
     out.progress(format!("reading {} into {}", args.port, args.out.display()));
     show_progress(&acquisition, &schedule, out);
@@ -306,7 +307,7 @@ fn run_warnings(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<PortFin
     const FEW_IN: u64 = 100;
     let AcquisitionSummary { ending, progress, .. } = *summary;
     let RunCounts { missing, lost_bytes, gaps, .. } = progress.counts;
-    let (counts, silent_s) = (progress.counts, progress.silent_s);
+    let RunProgress { counts, silent_s, stood_still_s, .. } = progress;
     let valid = counts.samples.saturating_sub(progress.invalid);
     let found = [
         (
@@ -318,6 +319,7 @@ fn run_warnings(summary: &AcquisitionSummary, args: &AcquireArgs) -> Vec<PortFin
         (counts.samples == 0 && counts.rejected > 0, PortFinding::NoLength { refusals: counts.rejected }),
         (counts.samples > FEW_IN * valid, PortFinding::FewValid { valid, samples: counts.samples }),
         (silent_s > 0.0, PortFinding::FellSilent { silent_s, gaps }),
+        (stood_still_s > 0.0, PortFinding::StoodStill { seconds: stood_still_s, gaps }),
         (missing > 0 || lost_bytes > 0, PortFinding::SamplesMissing { missing, lost_bytes, gaps }),
         (counts.unanswered > 0, PortFinding::Unanswered { requests: counts.unanswered }),
         (progress.refused > 0, PortFinding::TelegramsRefused { telegrams: progress.refused }),

@@ -19,7 +19,7 @@ use super::schedule::{ALARM_SHARE, Schedule};
 use super::session::{self, BarPolling};
 use crate::live::ServiceFinding;
 use dbbd_device::clock;
-use dbbd_device::port::{self, Arrival, Port, PortAddress, PortReader};
+use dbbd_device::port::{self, Arrival, Port, PortAddress, PortReader, Received};
 use dbbd_device::protocol::{ProtocolDefinition, ProtocolMode};
 use dbbd_device::sync::lock;
 use dbbd_job::recording::RecordingFinding;
@@ -32,6 +32,10 @@ use dbbd_model::provenance::Identity;
 
 /// Longest pause between two attempts to reopen a port, s.
 const LONGEST_BACKOFF_S: f64 = 0.5;
+/// A reader that ends has reported its last bytes by then.
+const LONGEST_WAIT: Duration = Duration::from_secs(5);
+/// Arrivals that are recorded before the controller, clients and the disk have their turn.
+const MAX_AT_ONCE: usize = 64;
 
 /// Connections to the robot controller.
 #[derive(Debug, Default)]
@@ -80,8 +84,8 @@ pub struct Acquisition {
 
 struct AcquisitionShared {
     progress: Mutex<RunProgress>,
-    /// Events of other threads that are to be written.
-    notes: Mutex<Vec<RunEvent>>,
+    /// Events of other threads that are to be written; `None` once the last ones were taken.
+    notes: Mutex<Option<Vec<RunEvent>>>,
     /// Findings about interference with the capture file.
     findings: Mutex<Vec<Diagnostic>>,
     stop: Arc<AtomicBool>,
@@ -111,7 +115,7 @@ impl Acquisition {
     }
 
     fn record(
-        writer: CaptureWriter,
+        mut writer: CaptureWriter,
         mut options: AcquisitionOptions,
         opened: OpenedBar,
         stop: Arc<AtomicBool>,
@@ -119,8 +123,8 @@ impl Acquisition {
         let began = opened.began;
         let plan = options.plan.take();
         let schedule = plan.as_ref().map(|files| Schedule::of(&files.plan, ALARM_SHARE)).unwrap_or_default();
-        let mut recorder =
-            Recorder::new(writer, &options.definition, schedule.modules(), options.sync_s, began);
+        writer.sync_every(Duration::from_secs_f64(options.sync_s))?;
+        let mut recorder = Recorder::new(writer, &options.definition, schedule.modules(), began);
         if let Some(feed) = options.feed.take() {
             recorder.show(feed);
         }
@@ -136,7 +140,7 @@ impl Acquisition {
         let port = record_opened(&mut recorder, &options.port, opened)?;
         let shared = Arc::new(AcquisitionShared {
             progress: Mutex::default(),
-            notes: Mutex::default(),
+            notes: Mutex::new(Some(Vec::new())),
             findings: Mutex::default(),
             stop,
         });
@@ -155,14 +159,14 @@ impl Acquisition {
         *lock(&self.shared.progress)
     }
 
-    /// Writes a remark into the capture.
-    pub fn mark(&self, text: String) {
-        self.note(RunEvent::Mark { text });
+    /// Writes a remark into the capture, and returns whether the run still takes one.
+    pub fn mark(&self, text: String) -> bool {
+        self.note(RunEvent::Mark { text })
     }
 
-    /// Writes an event into the capture.
-    pub fn note(&self, event: RunEvent) {
-        lock(&self.shared.notes).push(event);
+    /// Writes an event into the capture, and returns whether the run still takes one.
+    pub fn note(&self, event: RunEvent) -> bool {
+        lock(&self.shared.notes).as_mut().map(|notes| notes.push(event)).is_some()
     }
 
     /// The findings about the capture file since the last call.
@@ -193,7 +197,7 @@ fn record_opened(
         recorder.event(now, RunEvent::Mark { text })?;
     }
     if !first.is_empty() {
-        recorder.bytes(now, first)?;
+        recorder.bytes(Received { host: now, watched_s: 0.0, bytes: first })?;
     }
     Ok(port)
 }
@@ -244,20 +248,57 @@ impl RecorderThread {
                 Err(ending) => break ending,
             }
         };
-        self.write_notes()?;
         self.record_controller(BarLineState::Idle)?;
+        let last = lock(&self.shared.notes).take();
+        self.write(last.unwrap_or_default())?;
         let progress = self.recorder.finish(clock::now(), ending);
         self.publish_findings();
         Ok(AcquisitionSummary { capture: self.recorder.path().into(), ending, progress: progress? })
     }
 
-    /// Records from an open port until it is gone or the run is over.
+    /// Records from an open port until it is gone or the run is over, and all that was received by then.
     fn session(&mut self, port: &Port) -> Result<PortSessionEnd, Diagnostic> {
-        let (_reader, arrivals) = PortReader::start(port.handle()?)?;
+        let reader = PortReader::start(port.handle()?)?;
         let mut polling = match self.options.definition.mode {
             ProtocolMode::Poll { hz, timeout } => Some(BarPolling::new(port.handle()?, hz, timeout)),
             ProtocolMode::Stream | ProtocolMode::Push => None,
         };
+        let ended = self.read(&reader, &mut polling);
+        reader.end();
+        match ended {
+            Ok(ended) => {
+                while let Ok(arrival) = reader.next(LONGEST_WAIT) {
+                    _ = self.arrived(arrival, &mut polling)?;
+                }
+                Ok(ended)
+            }
+            Err(refused) => {
+                self.count_refused(&reader);
+                Err(refused)
+            }
+        }
+    }
+
+    /// Counts what was received, and what the disk did not take any more.
+    fn count_refused(&mut self, reader: &PortReader) {
+        let mut bytes = self.recorder.unwritten();
+        while let Ok(arrival) = reader.next(LONGEST_WAIT) {
+            bytes += match arrival {
+                Arrival::Bytes(received) => received.bytes.len() as u64,
+                Arrival::Lost(_, bytes) => bytes,
+                Arrival::Ended(..) | Arrival::Gone(..) => 0,
+            };
+        }
+        let name = self.recorder.path().display().to_string();
+        lock(&self.shared.findings).push(Diagnostic::file(name, RecordingFinding::Refused { bytes }));
+    }
+
+    /// Records until the port is gone or the run is to end.
+    fn read(
+        &mut self,
+        reader: &PortReader,
+        polling: &mut Option<BarPolling>,
+    ) -> Result<PortSessionEnd, Diagnostic> {
         let idle = self.options.definition.idle;
         let has_controller = self.telegrams.is_some() || self.options.controller.axes.is_some();
         let longest = if has_controller { TelegramRecorder::PATIENCE } else { Duration::from_millis(50) };
@@ -266,38 +307,59 @@ impl RecorderThread {
                 return Ok(PortSessionEnd::Over(ending));
             }
             let mut patience = idle.unwrap_or(longest);
-            if let Some(polling) = &mut polling {
+            if let Some(polling) = polling {
                 match polling.step(&self.options.definition, &mut self.recorder)? {
                     Ok(wait) => patience = patience.min(wait),
                     Err(gone) => return Ok(PortSessionEnd::Gone(clock::now(), gone.to_string())),
                 }
             }
-            let arrival = arrivals.recv_timeout(patience);
-            let line = if arrival.is_err() { BarLineState::Idle } else { BarLineState::Busy };
-            match arrival {
-                Ok(Arrival::Bytes(host, bytes)) => {
-                    let before = self.recorder.answers();
-                    self.recorder.bytes(host, bytes)?;
-                    if let Some(polling) = &mut polling
-                        && self.recorder.answers() > before
-                    {
-                        polling.answered();
+            let mut line = BarLineState::Idle;
+            // Of a slow disk many arrivals wait, which are written at once.
+            for _ in 0..MAX_AT_ONCE {
+                match reader.next(patience) {
+                    Ok(arrival) => {
+                        if let Some(gone) = self.arrived(arrival, polling)? {
+                            return Ok(gone);
+                        }
+                    }
+                    Err(RecvTimeoutError::Timeout) => {
+                        if idle.is_some() && line == BarLineState::Idle {
+                            self.recorder.idle(clock::now())?;
+                        }
+                        break;
+                    }
+                    Err(RecvTimeoutError::Disconnected) => {
+                        return Ok(PortSessionEnd::Gone(clock::now(), "the reading thread ended".into()));
                     }
                 }
-                Ok(Arrival::Lost(host, bytes)) => self.recorder.lost(host, bytes)?,
-                Ok(Arrival::Gone(host, why)) => return Ok(PortSessionEnd::Gone(host, why)),
-                Err(RecvTimeoutError::Timeout) => {
-                    if idle.is_some() {
-                        self.recorder.silence(clock::now())?;
-                    }
-                }
-                Err(RecvTimeoutError::Disconnected) => {
-                    return Ok(PortSessionEnd::Gone(clock::now(), "the reading thread ended".into()));
-                }
+                (line, patience) = (BarLineState::Busy, Duration::ZERO);
             }
             self.record_controller(line)?;
             self.publish()?;
         }
+    }
+
+    /// Records an arrival; returns the end of the session if the port is gone.
+    fn arrived(
+        &mut self,
+        arrival: Arrival,
+        polling: &mut Option<BarPolling>,
+    ) -> Result<Option<PortSessionEnd>, Diagnostic> {
+        match arrival {
+            Arrival::Bytes(received) => {
+                let before = self.recorder.answers();
+                self.recorder.bytes(received)?;
+                if let Some(polling) = polling
+                    && self.recorder.answers() > before
+                {
+                    polling.answered();
+                }
+            }
+            Arrival::Lost(host, bytes) => self.recorder.lost(host, bytes)?,
+            Arrival::Ended(_, watched_s) => self.recorder.watched_to_the_end(watched_s),
+            Arrival::Gone(host, why) => return Ok(Some(PortSessionEnd::Gone(host, why))),
+        }
+        Ok(None)
     }
 
     /// Records the axes and telegrams of the controller.
@@ -356,13 +418,13 @@ impl RecorderThread {
         lock(&self.shared.findings).append(&mut self.recorder.take_findings());
     }
 
-    fn write_notes(&mut self) -> Result<(), Diagnostic> {
-        let notes = std::mem::take(&mut *lock(&self.shared.notes));
+    fn write(&mut self, notes: Vec<RunEvent>) -> Result<(), Diagnostic> {
         notes.into_iter().try_for_each(|event| self.recorder.event(clock::now(), event))
     }
 
     fn publish(&mut self) -> Result<(), Diagnostic> {
-        self.write_notes()?;
+        let notes = lock(&self.shared.notes).as_mut().map(std::mem::take);
+        self.write(notes.unwrap_or_default())?;
         self.recorder.tick(clock::now())?;
         self.publish_findings();
         *lock(&self.shared.progress) = self.recorder.progress;

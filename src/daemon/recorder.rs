@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::live_state::LiveFeed;
 use crate::live::RunCounts;
+use dbbd_device::port::Received;
 use dbbd_device::protocol::{DecodedItem, LineFault, LineFaultKind, ProtocolDecoder, ProtocolDefinition};
 use dbbd_job::recording::RecordingFinding;
 use dbbd_job::recording::axes::{AxesReceiver, AxesRecords, PacketCounts};
@@ -16,10 +17,10 @@ use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::sample::Sample;
 
-/// Shorter silence is not recorded where sequence numbers show losses, s: radio links deliver the samples of a second
+/// A shorter silence is not recorded where sequence numbers show losses, s: radio links deliver the samples of a second
 /// together.
-const SILENCE_S: f64 = 2.5;
-/// Shorter silence may be caused by a busy host, s.
+const NUMBERED_SILENT_S: f64 = 2.5;
+/// A shorter silence, or standstill of this computer, is no finding, s.
 const SILENT_S: f64 = 1.0;
 /// The first faults in a row have one record each. Further faults of the same kind share one record.
 const ONE_BY_ONE: u32 = 16;
@@ -62,8 +63,10 @@ pub struct RunProgress {
     pub invalid: u64,
     /// Whether the device flags the last reading as valid.
     pub valid: bool,
-    /// Time in which nothing came for more than a second, or the port was absent.
+    /// Time in which the line was watched and nothing came for more than a second, or the port was absent.
     pub silent_s: f64,
+    /// Time in which this computer did not watch the line for more than a second.
+    pub stood_still_s: f64,
     /// Recorded telegrams of the program.
     pub telegrams: u64,
     /// Telegrams of another plan, or of a row without a dwell.
@@ -212,41 +215,82 @@ impl EventRate {
 
 /// The state of the stream of the bar.
 struct BarStream {
-    silence: SilenceLimit,
+    silent: SilentTime,
     sequence: SequenceNumbers,
     sync: FrameSync,
     requests: PollRequests,
+    /// For how long the line was watched since the last bytes when its reader ended, s.
+    watched_at_end_s: f64,
 }
 
-/// The longest silence that is not recorded as a gap.
+/// What the times between the bytes of the bar show: whether it was silent, or this computer stood still.
 #[derive(Clone, Copy)]
-struct SilenceLimit {
-    /// Seconds; `None` for a device that may be silent.
+struct SilentTime {
+    /// The longest silence that is not recorded as a gap, s; `None` for a device that may be silent.
     limit_s: Option<f64>,
     last_bytes: Option<HostNs>,
-    /// Seconds without a byte. The next sample shows whether the bar was silent or its host stood still.
-    unexplained_s: f64,
+    /// Seconds without a byte since the last sample: in which the line was watched, and in which it was not. The next sample
+    /// shows whether anything was lost.
+    unexplained: Times,
 }
 
-impl SilenceLimit {
+/// Seconds without a byte.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Times {
+    of_bar_s: f64,
+    of_computer_s: f64,
+}
+
+/// How a sample follows the one before.
+#[derive(Clone, Copy)]
+struct Continuity {
+    /// The times of the bar's clock before and at the sample, s.
+    device_s: Option<(f64, f64)>,
+    /// Whether its sequence number is the next one.
+    is_next: bool,
+}
+
+impl SilentTime {
     fn new(definition: &ProtocolDefinition) -> Self {
         let numbered = definition.sequence_modulo.is_some();
         let stall_s = definition.stall.map(|stall| stall.as_secs_f64());
-        let limit_s = stall_s.map(|s| if numbered { s.max(SILENCE_S) } else { s });
-        Self { limit_s, last_bytes: None, unexplained_s: 0.0 }
+        let limit_s = stall_s.map(|s| if numbered { s.max(NUMBERED_SILENT_S) } else { s });
+        Self { limit_s, last_bytes: None, unexplained: Times::default() }
     }
 
-    /// The silence since the last bytes, s, if it exceeds the limit of the device and `least_s`.
-    fn exceeded_s(&self, host: HostNs, least_s: f64) -> Option<f64> {
-        let silent_s = host.seconds_since(self.last_bytes?);
-        (silent_s > self.limit_s?.max(least_s)).then_some(silent_s)
+    /// Notes the time since the last bytes, of which the line was watched for `watched_s`. Returns the gap if it is to be
+    /// recorded: longer than the device's limit and `least_s`.
+    fn until(&mut self, host: HostNs, watched_s: f64, least_s: f64) -> Option<RunEvent> {
+        let since_s = host.seconds_since(self.last_bytes?);
+        let of_bar_s = watched_s.min(since_s);
+        let of_computer_s = since_s - of_bar_s;
+        let limit_s = self.limit_s.unwrap_or(f64::INFINITY).max(least_s);
+        if of_bar_s > limit_s.max(SILENT_S) {
+            self.unexplained.of_bar_s += of_bar_s;
+        }
+        if of_computer_s > SILENT_S {
+            self.unexplained.of_computer_s += of_computer_s;
+        }
+        let reason = if of_computer_s > SILENT_S {
+            format!("this computer stood still for {of_computer_s:.1} s")
+        } else {
+            "nothing was received".to_owned()
+        };
+        (since_s > limit_s).then_some(RunEvent::Gap { seconds: Some(since_s), missing: None, reason })
     }
 
-    /// The seconds for which the bar itself was silent before a sample, by the times of its clock before and at the sample.
-    fn of_bar(&mut self, device_s: Option<(f64, f64)>) -> f64 {
-        let silent_s = std::mem::take(&mut self.unexplained_s);
-        let went_on = device_s.is_some_and(|(before, now)| now - before < SILENT_S);
-        if went_on { 0.0 } else { silent_s }
+    /// The seconds that a sample leaves unexplained: none if the bar's clock shows that it goes on, and none of the computer if
+    /// its sequence number does.
+    fn explained_by(&mut self, sample: Continuity) -> Times {
+        let unexplained = std::mem::take(&mut self.unexplained);
+        let went_on = sample.device_s.is_some_and(|(before, now)| now - before < SILENT_S);
+        if went_on {
+            Times::default()
+        } else if sample.is_next {
+            Times { of_computer_s: 0.0, ..unexplained }
+        } else {
+            unexplained
+        }
     }
 }
 
@@ -300,8 +344,6 @@ impl PollRequests {
 /// The times and counts of the work that is done at intervals during a run.
 struct CaptureUpkeep {
     began: HostNs,
-    sync_s: f64,
-    last_sync: HostNs,
     last_check: HostNs,
     rate_since: HostNs,
     /// Number of samples when the rate was last computed.
@@ -360,14 +402,14 @@ impl ProgramEnd {
 }
 
 impl Recorder {
-    /// `modules` is the number of modules of the plan's program. The capture is synced to the disk every `sync_s` seconds.
+    /// `modules` is the number of modules of the plan's program.
     pub fn new(
-        writer: CaptureWriter,
+        mut writer: CaptureWriter,
         definition: &ProtocolDefinition,
         modules: Option<usize>,
-        sync_s: f64,
         now: HostNs,
     ) -> Self {
+        writer.hold_back();
         Self {
             capture: PendingCapture {
                 writer,
@@ -379,7 +421,7 @@ impl Recorder {
             decoder: definition.decoder(),
             decoded: Vec::new(),
             stream: BarStream {
-                silence: SilenceLimit::new(definition),
+                silent: SilentTime::new(definition),
                 sequence: SequenceNumbers { modulo: definition.sequence_modulo, last: None },
                 sync: FrameSync { in_a_row: 0, needed: definition.sync_frames },
                 requests: PollRequests {
@@ -387,11 +429,10 @@ impl Recorder {
                     is_latched: definition.latch_at_request,
                     latch_delay_ns: u64::try_from(definition.latch_delay.as_nanos()).unwrap_or(0),
                 },
+                watched_at_end_s: 0.0,
             },
             upkeep: CaptureUpkeep {
                 began: now,
-                sync_s,
-                last_sync: now,
                 last_check: now,
                 rate_since: now,
                 rate_samples: 0,
@@ -451,9 +492,10 @@ impl Recorder {
     }
 
     /// Records bytes of the bar: they are written before they are decoded.
-    pub fn bytes(&mut self, host: HostNs, bytes: Vec<u8>) -> Result<(), Diagnostic> {
-        self.silent(host, 0.0)?;
-        self.stream.silence.last_bytes = Some(host);
+    pub fn bytes(&mut self, received: Received) -> Result<(), Diagnostic> {
+        let Received { host, watched_s, bytes } = received;
+        self.silent_until(host, watched_s, 0.0)?;
+        self.stream.silent.last_bytes = Some(host);
         self.progress.counts.bytes += bytes.len() as u64;
         let record = CaptureRecord::Raw(bytes);
         self.capture.write(host, &record)?;
@@ -463,14 +505,18 @@ impl Recorder {
         self.decoded(host)
     }
 
-    /// Records a silence since the last bytes, if it exceeds the limit of the device and `least_s`.
-    fn silent(&mut self, host: HostNs, least_s: f64) -> Result<(), Diagnostic> {
-        let Some(silent_s) = self.stream.silence.exceeded_s(host, least_s) else { return Ok(()) };
-        if silent_s > SILENT_S {
-            self.stream.silence.unexplained_s += silent_s;
+    /// Records the time without bytes, of which the line was watched for `watched_s`, if it exceeds the limit of the device and
+    /// `least_s`.
+    fn silent_until(&mut self, host: HostNs, watched_s: f64, least_s: f64) -> Result<(), Diagnostic> {
+        match self.stream.silent.until(host, watched_s, least_s) {
+            Some(gap) => self.event(host, gap),
+            None => Ok(()),
         }
-        let reason = "nothing was received".into();
-        self.event(host, RunEvent::Gap { seconds: Some(silent_s), missing: None, reason })
+    }
+
+    /// Notes how long the line was watched since the last bytes when its reader ended.
+    pub(super) fn watched_to_the_end(&mut self, watched_s: f64) {
+        self.stream.watched_at_end_s = watched_s;
     }
 
     /// Notes a request to a polled device.
@@ -491,8 +537,8 @@ impl Recorder {
     }
 
     /// The line was idle for long enough to end a frame.
-    pub(super) fn silence(&mut self, host: HostNs) -> Result<(), Diagnostic> {
-        self.decoder.silence(&mut self.decoded);
+    pub(super) fn idle(&mut self, host: HostNs) -> Result<(), Diagnostic> {
+        self.decoder.idle(&mut self.decoded);
         self.decoded(host)
     }
 
@@ -507,7 +553,7 @@ impl Recorder {
     /// The stream was interrupted: a pending frame will not be completed.
     pub fn interrupted(&mut self, host: HostNs) -> Result<(), Diagnostic> {
         self.decoder.interrupt(&mut self.decoded);
-        self.stream.silence.last_bytes = None;
+        self.stream.silent.last_bytes = None;
         self.decoded(host)
     }
 
@@ -540,7 +586,7 @@ impl Recorder {
         let host = self.stream.requests.time_of_reading(host);
         self.capture.flush_fault()?;
         self.capture.faults_in_a_row = 0;
-        self.missing(host, sample)?;
+        let is_next = self.missing(host, sample)?;
         self.capture.sample(host, sample)?;
         self.stream.sync.in_a_row = self.stream.sync.in_a_row.saturating_add(1);
         self.progress.counts.in_step |= self.stream.sync.in_a_row >= self.stream.sync.needed;
@@ -552,7 +598,7 @@ impl Recorder {
         let device_s = device.map(|(time, ticks)| time.seconds(ClockStamp { host, ticks }));
         self.program.push(device_s.unwrap_or_else(|| host.seconds_since(self.upkeep.began)), sample);
         let before_s = self.progress.counts.device_s;
-        self.progress.silent_s += self.stream.silence.of_bar(before_s.zip(device_s));
+        self.add_silent(Continuity { device_s: before_s.zip(device_s), is_next });
         self.progress.counts.device_s = device_s;
         self.progress.counts.dwells = self.progress.counts.dwells.max(self.program.dwells);
         self.progress.counts.modules = self.program.modules_over;
@@ -566,11 +612,19 @@ impl Recorder {
         }
     }
 
-    /// Records a gap in the sequence numbers.
-    fn missing(&mut self, host: HostNs, sample: &Sample) -> Result<(), Diagnostic> {
-        let Some((missing, reason)) = self.stream.sequence.gap(sample) else { return Ok(()) };
+    fn add_silent(&mut self, sample: Continuity) {
+        let Times { of_bar_s, of_computer_s } = self.stream.silent.explained_by(sample);
+        self.progress.silent_s += of_bar_s;
+        self.progress.stood_still_s += of_computer_s;
+    }
+
+    /// Records a gap in the sequence numbers. Returns whether the sample's number is the next one.
+    fn missing(&mut self, host: HostNs, sample: &Sample) -> Result<bool, Diagnostic> {
+        let is_numbered = self.stream.sequence.last.is_some() && sample.sequence.is_some();
+        let Some((missing, reason)) = self.stream.sequence.gap(sample) else { return Ok(is_numbered) };
         self.progress.counts.missing += missing.unwrap_or(0);
-        self.event(host, RunEvent::Gap { seconds: None, missing, reason })
+        self.event(host, RunEvent::Gap { seconds: None, missing, reason })?;
+        Ok(false)
     }
 
     /// The device was restarted: its sequence numbers may begin again.
@@ -598,15 +652,17 @@ impl Recorder {
                 (self.progress.counts.samples - upkeep.rate_samples) as f64 / since_s;
             (upkeep.rate_since, upkeep.rate_samples) = (now, self.progress.counts.samples);
         }
-        if now.seconds_since(upkeep.last_sync) >= upkeep.sync_s {
-            self.capture.writer.sync()?;
-            upkeep.last_sync = now;
-        }
+        self.capture.writer.flush()?;
         if now.seconds_since(upkeep.last_check) >= CHECK_S {
             upkeep.last_check = now;
             self.check_file()?;
         }
         Ok(())
+    }
+
+    /// Number of received bytes that the disk did not take yet.
+    pub(super) fn unwritten(&self) -> u64 {
+        self.progress.counts.bytes.saturating_sub(self.capture.writer.raw_bytes())
     }
 
     fn check_file(&mut self) -> Result<(), Diagnostic> {
@@ -623,8 +679,8 @@ impl Recorder {
         // After the end of the program the bar may be silent, and the host may wait for its disk.
         if ending != EndReason::Mark {
             // Shorter silence may be caused by the end of the run itself.
-            self.silent(now, SILENT_S)?;
-            self.progress.silent_s += self.stream.silence.of_bar(None);
+            self.silent_until(now, self.stream.watched_at_end_s, SILENT_S)?;
+            self.add_silent(Continuity { device_s: None, is_next: false });
         }
         self.interrupted(now)?;
         self.capture.flush_fault()?;
@@ -689,15 +745,27 @@ mod tests {
         HostNs((s * 1e9) as u64)
     }
 
+    fn silent(limit_s: Option<f64>, last_bytes: Option<HostNs>) -> SilentTime {
+        SilentTime { limit_s, last_bytes, unexplained: Times::default() }
+    }
+
     #[test]
     fn silence_is_recorded_beyond_the_limit_of_the_device() {
-        let silence = SilenceLimit { limit_s: Some(0.5), last_bytes: Some(at(10.0)), unexplained_s: 0.0 };
-        assert_eq!(silence.exceeded_s(at(10.5), 0.0), None);
-        assert_eq!(silence.exceeded_s(at(10.75), 0.0), Some(0.75));
-        assert_eq!([silence.exceeded_s(at(11.0), 1.0), silence.exceeded_s(at(11.5), 1.0)], [None, Some(1.5)]);
-        assert_eq!(SilenceLimit { last_bytes: None, ..silence }.exceeded_s(at(99.0), 0.0), None);
-        let patient = SilenceLimit { limit_s: None, ..silence };
-        assert_eq!(patient.exceeded_s(at(99.0), 0.0), None);
+        let gap_s = |limit_s, last_bytes, now_s, least_s| match silent(limit_s, last_bytes).until(
+            at(now_s),
+            99.0,
+            least_s,
+        ) {
+            Some(RunEvent::Gap { seconds, .. }) => seconds,
+            _ => None,
+        };
+        let last = Some(at(10.0));
+        assert_eq!(
+            [gap_s(Some(0.5), last, 10.5, 0.0), gap_s(Some(0.5), last, 10.75, 0.0)],
+            [None, Some(0.75)]
+        );
+        assert_eq!([gap_s(Some(0.5), last, 11.0, 1.0), gap_s(Some(0.5), last, 11.5, 1.0)], [None, Some(1.5)]);
+        assert_eq!([gap_s(Some(0.5), None, 99.0, 0.0), gap_s(None, last, 99.0, 0.0)], [None, None]);
     }
 
     /// The last bytes came at 10 s, and the run ends at 15 s.
@@ -707,24 +775,38 @@ mod tests {
         let definition = ProtocolDefinition::by_name("dbb-cobs-1").unwrap().unwrap();
         for (ending, silent_s, gaps) in [(EndReason::Stopped, 5.0, 1), (EndReason::Mark, 0.0, 0)] {
             let writer = CaptureWriter::create(&directory.path().join(format!("{gaps}.dbbd"))).unwrap();
-            let mut recorder = Recorder::new(writer, &definition, Some(1), 0.2, at(0.0));
-            recorder.stream.silence.last_bytes = Some(at(10.0));
+            let mut recorder = Recorder::new(writer, &definition, Some(1), at(0.0));
+            recorder.stream.silent.last_bytes = Some(at(10.0));
+            recorder.watched_to_the_end(5.0);
             let progress = recorder.finish(at(15.0), ending).unwrap();
             assert_eq!((progress.silent_s, progress.counts.gaps), (silent_s, gaps));
         }
     }
 
-    /// 3 s without a byte: the host stood still if the bar's clock went on by one sample; the bar was silent if it has
-    /// no clock.
+    /// 3 s without a byte, of which the line was watched for all or 0.1 s. Nothing is lost if the bar's clock went on by one
+    /// sample; a sequence number that is the next one acquits this computer, and not a bar that paused.
     #[test]
-    fn a_host_that_stood_still_is_no_silent_bar() {
-        let mut silence = SilenceLimit { limit_s: Some(0.5), last_bytes: None, unexplained_s: 3.0 };
-        assert_eq!(silence.of_bar(Some((10.0, 10.005))), 0.0);
-        assert_eq!(silence.of_bar(None), 0.0);
-        for device_s in [Some((10.0, 13.0)), None] {
-            silence.unexplained_s = 3.0;
-            assert_eq!((silence.of_bar(device_s), silence.unexplained_s), (3.0, 0.0));
+    fn only_watched_time_is_silence_of_the_bar() {
+        let after = |watched_s: f64, device_s: Option<(f64, f64)>, is_next: bool| {
+            let mut silent = silent(Some(0.5), Some(at(10.0)));
+            silent.until(at(13.0), watched_s, 0.0);
+            let Times { of_bar_s, of_computer_s } = silent.explained_by(Continuity { device_s, is_next });
+            assert_eq!(silent.unexplained, Times::default());
+            [of_bar_s, of_computer_s]
+        };
+        for device_s in [None, Some((10.0, 13.0))] {
+            assert_eq!(after(3.0, device_s, false), [3.0, 0.0]);
+            assert_eq!(after(0.1, device_s, false), [0.0, 2.9]);
+            assert_eq!(after(3.0, device_s, true), [3.0, 0.0]);
+            assert_eq!(after(0.1, device_s, true), [0.0, 0.0]);
         }
+        for watched_s in [3.0, 0.1] {
+            assert_eq!(after(watched_s, Some((10.0, 10.005)), false), [0.0, 0.0]);
+        }
+        // Half of it each is neither: a second is usual for both.
+        let mut both = silent(Some(0.5), Some(at(10.0)));
+        both.until(at(11.9), 0.95, 0.0);
+        assert_eq!(both.unexplained, Times::default());
     }
 
     #[test]

@@ -23,7 +23,7 @@ fn all() -> impl Iterator<Item = ProtocolDefinition> {
 fn decode(definition: &ProtocolDefinition, bytes: &[u8]) -> Vec<DecodedItem> {
     let (mut decoder, mut out) = (definition.decoder(), Vec::new());
     decoder.push(bytes, &mut out);
-    decoder.silence(&mut out);
+    decoder.idle(&mut out);
     out
 }
 
@@ -330,7 +330,7 @@ fn silence_ends_a_frame() {
     frame.push(frame[2..].iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)));
     decoder.push(&frame, &mut out);
     assert_eq!(out, []);
-    decoder.silence(&mut out);
+    decoder.idle(&mut out);
     assert!(
         matches!(out[..], [DecodedItem::Sample(Sample { reading_mm: 0.5, sequence: Some(7), .. }, 14)]),
         "{out:?}"

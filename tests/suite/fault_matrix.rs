@@ -8,6 +8,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use dbbd::daemon::{EndReason, Recorder, RunProgress};
+use dbbd_device::port::Received;
 use dbbd_device::protocol::{self, DecodedItem, LineFaultKind, ProtocolDefinition};
 use dbbd_job::recording::capture::{self, Capture, CaptureRecord, CaptureWriter, Disk, RunEvent};
 use dbbd_job::recording::{ClockStamp, DeviceClock, DeviceTime, StreamBuilder};
@@ -124,13 +125,13 @@ fn recorded(
 ) -> Result<RunProgress, Diagnostic> {
     let begin = host(0.0);
     let writer = CaptureWriter::on(Box::new(disk.clone()), Path::new("run"))?;
-    let mut recorder = Recorder::new(writer, definition, None, 0.2, begin);
+    let mut recorder = Recorder::new(writer, definition, None, begin);
     recorder.event(begin, RunEvent::Started { unix_ns: 1, version: "0".into() })?;
     let mut last = begin;
     for given in given {
         match given {
             Given::Bytes(at, bytes) => {
-                recorder.bytes(*at, bytes.clone())?;
+                recorder.bytes(Received { host: *at, watched_s: f64::INFINITY, bytes: bytes.clone() })?;
                 last = *at;
             }
             Given::Lost(at, bytes) => recorder.lost(*at, *bytes)?,

@@ -5,6 +5,7 @@
 // `codes.rs`, which asks the modules for what they provoke, is for Unix: there all of them are.
 #![cfg_attr(not(unix), allow(dead_code))]
 
+mod acquire_ends_whole;
 mod acquire_reads_the_bar;
 mod agrees_with_pinocchio;
 mod any_bytes_are_taken;
@@ -64,6 +65,7 @@ mod passes_are_evaluated;
 mod payloads;
 mod plan_command;
 mod plan_is_refused_with_a_reason;
+mod plans_keep_the_stroke;
 mod positions_identify;
 mod programs_of_other_makes;
 mod protocols_command;

@@ -50,7 +50,8 @@ pub(crate) fn execute(plan: &Plan, cell: &Cell, seed: u64) -> (f64, Vec<Prepared
             worst = worst.max(reading.abs());
         }
         if moment.halted {
-            mounted = true;
+            // The program halts for the bar to be mounted, and between two balls for it to be taken off.
+            mounted = !mounted;
             controller.go_on();
         }
         if moment.strobe

@@ -61,8 +61,9 @@ impl Supervisor {
         let unix_ms = clock::unix_ns() / 1_000_000;
         let event = RunEvent::Operator { unix_ms, action: action.into(), detail: detail.into() };
         let mut inner = self.inner();
-        if let LineUse::On(running) = &inner.run {
-            running.acquisition.note(event);
+        if let LineUse::On(running) = &inner.run
+            && running.acquisition.note(event.clone())
+        {
             return;
         }
         if inner.notes.len() >= MAX_NOTES {
@@ -214,7 +215,7 @@ impl Service for Supervisor {
         match begun {
             Ok(running) => {
                 self.log.event(LogLevel::Info, "run_started", &[("run", &name), ("plan", &plan)]);
-                std::mem::take(&mut inner.notes).into_iter().for_each(|note| running.acquisition.note(note));
+                inner.notes.retain(|note| !running.acquisition.note(note.clone()));
                 inner.run = LineUse::On(Box::new(running));
                 inner.failed = None;
                 drop(inner);
@@ -248,10 +249,9 @@ impl Service for Supervisor {
 
     fn mark(&self, text: String) -> Result<(), Diagnostic> {
         match &self.inner().run {
-            LineUse::On(running) => running.acquisition.mark(text),
-            LineUse::None | LineUse::Starting | LineUse::Reading(_) => return Err(NoRunIsOn.into()),
+            LineUse::On(running) if running.acquisition.mark(text) => Ok(()),
+            LineUse::On(_) | LineUse::None | LineUse::Starting | LineUse::Reading(_) => Err(NoRunIsOn.into()),
         }
-        Ok(())
     }
 
     fn runs(&self) -> Result<Vec<RunEntry>, Diagnostic> {

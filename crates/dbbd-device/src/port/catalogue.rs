@@ -134,6 +134,11 @@ findings! {
         cure: "`dbbd export` shows each silence among the gaps, `dbbd sync` names the affected poses. Check cable and supply, and measure again where poses are missing." {
             FellSilent { silent_s: f64, gaps: u64 } => "the bar was silent for {silent_s:.1} s in all ({gaps} gaps)";
         }
+        W0226 "this computer stood still",
+        cause: "The computer was suspended or too busy to read the line, for longer than its driver keeps bytes. The bar is not to blame.",
+        cure: "`dbbd export` shows the time among the gaps, `dbbd sync` names the affected poses. Switch the saving of power off, close other programs, and measure again where poses are missing." {
+            StoodStill { seconds: f64, gaps: u64 } => "this computer stood still for {seconds:.1} s in all ({gaps} gaps)";
+        }
         W0280 "the bar is not seated",
         cause: "A ball lies on the rim of its cup or on a chip, so that the bar rocks at rest.",
         cure: "Take the bar off, wipe balls and cups, and mount it again until the page shows *stable*." {

@@ -24,7 +24,7 @@ pub use adapter::{blur, identity};
 pub use address::{NetworkAddress, PortAddress};
 pub use line::{LineTransport, StampAccuracy};
 pub use list::{PortInfo, list_ports};
-pub use reader::{Arrival, PortReader};
+pub use reader::{Arrival, PortReader, Received};
 pub(crate) use settings::ms;
 pub use settings::{Flow, LineSettings, Parity};
 

@@ -80,7 +80,7 @@ impl ProtocolDecoder {
     }
 
     /// The line was silent for the time that terminates a frame.
-    pub fn silence(&mut self, out: &mut Vec<DecodedItem>) {
+    pub fn idle(&mut self, out: &mut Vec<DecodedItem>) {
         if matches!(self.engine.framing, Framing::Idle { .. }) && self.pending() > 0 {
             self.close(out);
         }
@@ -88,7 +88,7 @@ impl ProtocolDecoder {
 
     /// The stream was interrupted: the pending bytes become a fault.
     pub fn interrupt(&mut self, out: &mut Vec<DecodedItem>) {
-        self.silence(out);
+        self.idle(out);
         if let Some((kind, bytes)) = self.junk.take() {
             self.fault(kind, bytes + self.frame.len() as u64, out);
             self.frame.clear();

@@ -42,7 +42,7 @@ impl EvidenceCount {
     fn of(definition: &ProtocolDefinition, bytes: &[u8]) -> Self {
         let (mut decoder, mut out) = (definition.decoder(), Vec::new());
         decoder.push(bytes, &mut out);
-        decoder.silence(&mut out);
+        decoder.idle(&mut out);
         let mut count = Self::default();
         for one in &out {
             match one {

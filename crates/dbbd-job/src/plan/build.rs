@@ -75,8 +75,8 @@ impl Plan {
         match plan {
             Err(refusal) if refusal.is_for_place() && prior.lengths == 0 && taught => {
                 let job = job.untaught();
-                let mut plan = Self::cautious(&job, robot, &PlanningPrior::datasheet(&job, robot), given)
-                    .map_err(|_| refusal)?;
+                let mut plan =
+                    Self::cautious(&job, robot, &prior.before_teaching(), given).map_err(|_| refusal)?;
                 let again =
                     plan.header.taught.iter().map(|ball| PlanFinding::TeachAgain { ball: ball.centre });
                 plan.header.notes.extend(again);

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Job, PlanKinematics};
 use crate::plan::PlanFinding;
-use crate::plan::job::{JobCheck, JobFinding, JobTable};
+use crate::plan::job::{BaseBallTable, JobCheck, JobFinding, JobTable};
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::expected::Expected;
 use dbbd_model::estimation::{Posterior, Priors, beyond_repeatability, largest_plausible, length_sd_mm};
@@ -23,8 +23,10 @@ pub struct PlanningPrior {
     pub posterior: Posterior,
     /// Number of lengths from which the posterior was determined.
     pub lengths: usize,
+    /// The posterior without what was taught.
+    untaught: Posterior,
     /// Whether each base ball was measured or taught. A ball that was not is taught before its first run: it is put
-    /// where the controller has the tool ball, so that its error is the error of the robot there.
+    /// where the arm has the tool ball, so that its error is the error of the robot there.
     located: Vec<bool>,
     /// Present if a check of a calibrated robot in a new set-up is planned.
     pub(super) calibrated: Option<Expected>,
@@ -52,21 +54,34 @@ impl PlanningPrior {
     }
 
     /// Knowledge before a check: the posterior of the calibration, the changes by mounting again, the balls that were
-    /// taught.
+    /// taught, or that stayed where the calibration had them.
     pub fn of_check(job: &Job, robot: &Robot, expected: Expected) -> Self {
-        let known = Self::with_taught(job, robot, expected.posterior.clone());
+        let posterior = expected.posterior.clone();
+        let known = if expected.are_balls_kept() {
+            let located = vec![true; job.centres.len()];
+            Self { untaught: posterior.clone(), posterior, lengths: 0, located, calibrated: None }
+        } else {
+            Self::with_taught(job, robot, posterior)
+        };
         Self { calibrated: Some(expected), ..known }
     }
 
-    fn with_taught(job: &Job, robot: &Robot, mut posterior: Posterior) -> Self {
-        let sd_mm = length_sigma_mm(job, robot.controller());
+    fn with_taught(job: &Job, robot: &Robot, untaught: Posterior) -> Self {
+        let mut posterior = untaught.clone();
         for (at, table) in job.centres.iter().enumerate() {
-            if let Some(taught) = table.taught_deg {
-                posterior = posterior.touched(BallId::at(at), &taught.map(f64::to_radians), sd_mm);
+            if let Some(taught) = table.taught() {
+                let sd_mm = length_sigma_mm(job, robot.controller()).hypot(table.off_taught_mm(robot));
+                posterior = posterior.touched(BallId::at(at), &taught, sd_mm);
             }
         }
         let located = job.centres.iter().map(|table| table.taught_deg.is_some()).collect();
-        Self { posterior, lengths: 0, located, calibrated: None }
+        Self { posterior, lengths: 0, untaught, located, calibrated: None }
+    }
+
+    /// The knowledge if no ball was taught yet.
+    pub(super) fn before_teaching(&self) -> Self {
+        let located = vec![false; self.located.len()];
+        Self { posterior: self.untaught.clone(), located, ..self.clone() }
     }
 
     /// Knowledge after lengths were measured: the most probable robot (with the given one as its nominal robot) and
@@ -120,10 +135,8 @@ impl PlanningPrior {
 
     /// The job and the robot with the most probable base balls and geometry.
     pub fn applied(&self, job: &Job, robot: &Robot) -> (Job, Robot) {
-        let (mut job, nominal) = (job.clone(), robot.controller());
-        for (table, centre) in job.centres.iter_mut().zip(&self.posterior.model.balls) {
-            table.xyz_mm = (*centre).into();
-        }
+        let nominal = robot.controller();
+        let job = job.with_balls(self.posterior.model.balls.iter().copied().map(Some));
         let robot = Robot {
             geometry: self.posterior.model.geometry.clone(),
             nominal: Some(Box::new(nominal.clone())),
@@ -201,16 +214,50 @@ pub(super) struct RunStart {
     taught: Option<TaughtBall>,
 }
 
+impl BaseBallTable {
+    /// `taught_deg` in rad.
+    fn taught(&self) -> Option<[f64; AXES]> {
+        self.taught_deg.map(|deg| deg.map(f64::to_radians))
+    }
+
+    /// How far `xyz_mm` is from the tool ball at `taught_deg`, mm; 0 for a ball without them. The place is that of the
+    /// controller, or of the identified robot if a plan on it had asked for the angles.
+    fn off_taught_mm(&self, robot: &Robot) -> f64 {
+        let Some(taught) = self.taught() else { return 0.0 };
+        let off_mm = |arm: &Robot| (arm.geometry.ball(&taught).position - Vector3::from(self.xyz_mm)).norm();
+        off_mm(robot.controller()).min(off_mm(robot))
+    }
+}
+
 impl Job {
-    /// Checks that each ball's `taught_deg` brings the controller's tool ball to its `xyz_mm`, and that the program's tool is
-    /// at the tool ball.
-    pub(crate) fn check_against(&self, controller: &Robot) -> JobCheck {
+    /// The job with each base ball where it is in the frame of the arm of `robot`: where its tool ball is at `taught_deg`, or
+    /// where the calibration had the ball if it is kept. Else `xyz_mm` is where the ball is to be put.
+    #[must_use]
+    pub(crate) fn mounted(&self, robot: &Robot, are_balls_kept: bool) -> Self {
+        let known = robot.posterior.as_ref().filter(|_| are_balls_kept);
+        self.with_balls(self.centres.iter().enumerate().map(|(at, table)| {
+            let kept = known.and_then(|known| known.ball(BallId::at(at)));
+            kept.or_else(|| Some(robot.geometry.ball(&table.taught()?).position))
+        }))
+    }
+
+    fn with_balls(&self, places: impl Iterator<Item = Option<Vector3<f64>>>) -> Self {
+        let mut job = self.clone();
+        for (table, place) in job.centres.iter_mut().zip(places) {
+            table.xyz_mm = place.map_or(table.xyz_mm, Into::into);
+        }
+        job
+    }
+
+    /// Checks that each ball's `taught_deg` brings the tool ball to its `xyz_mm`, and that the program's tool is at the tool
+    /// ball.
+    pub(crate) fn check_against(&self, robot: &Robot) -> JobCheck {
+        let controller = robot.controller();
         for (at, table) in self.centres.iter().enumerate() {
-            let Some(taught) = table.taught_deg else { continue };
-            let ball = controller.geometry.ball(&taught.map(f64::to_radians)).position;
-            let off_mm = (ball - Vector3::from(table.xyz_mm)).norm();
+            let Some(taught) = table.taught() else { continue };
+            let off_mm = table.off_taught_mm(robot);
             if off_mm > TAUGHT_MM {
-                let [x_mm, y_mm, z_mm] = ball.into();
+                let [x_mm, y_mm, z_mm] = controller.geometry.ball(&taught).position.into();
                 let finding = JobFinding::TaughtElsewhere { ball: table.id, x_mm, y_mm, z_mm, off_mm };
                 return Err(JobTable::nth("[[centre]]", at).wrong("taught_deg", finding));
             }

@@ -63,10 +63,10 @@ impl<'a> PlanKinematics<'a> {
         Ok(self.controller.geometry.ball(&nearest(self.arm, pose, near)?))
     }
 
-    /// The controller's axis angles, rad, at which the tool ball is at the job's place of base ball `ball` (from 1),
-    /// with the orientation that the tool has at `start`.
+    /// The axis angles, rad, at which the arm has its tool ball at the job's place of base ball `ball` (from 1), with the
+    /// orientation that the tool has at `start`.
     pub(super) fn touching(&self, ball: u32, start: &[f64; AXES]) -> Option<[f64; AXES]> {
-        let geometry = &self.controller.geometry;
+        let geometry = self.arm;
         let position = Vector3::from(self.job.ball(ball)?.xyz_mm);
         let pose = Pose { rotation: geometry.ball(start).rotation, position };
         nearest(geometry, &pose, start).ok()

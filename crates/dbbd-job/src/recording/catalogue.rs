@@ -125,6 +125,11 @@ findings! {
         cure: "`dbbd sync RUN` compares it; it takes 20 bytes of memory for each sample." {
             TooLongToCompare { samples: u64, most: u64 } => "{samples} samples were recorded and are not compared with the plan: `dbbd sync` does it ({most} at most are compared at the end of a run)";
         }
+        W0418 "received bytes were not recorded",
+        cause: "Writing the capture failed, while the bar went on.",
+        cure: "Make room on the file system and begin a new run: what came after the failure is not in the capture." {
+            Refused { bytes: u64 } => "{bytes} bytes that were received are not in the capture";
+        }
         I0420 "the controller was in its absolute-accuracy mode",
         cause: "The controller corrects its motions by a model of its own ($ABS_ACCUR), so its axes are not at the commanded angles.",
         cure: "Nothing is wrong while the logged axis angles of all modules are given (by file, or by EthernetKRL).",

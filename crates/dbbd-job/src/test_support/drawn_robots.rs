@@ -25,9 +25,14 @@ pub(crate) const POSE_MM: f64 = 0.015;
 const KEPT: usize = 100;
 const CHI_95: f64 = 7.815;
 
-/// A robot within its tolerance; every fourth has no joint errors.
+/// A robot well within its tolerance; every fourth has no joint errors.
 pub(crate) fn drawn(seed: u64) -> Robot {
-    let mut robot = truth::draw_true_robot(&kr60(), seed, 0.5);
+    drawn_at(seed, 0.5)
+}
+
+/// As [`drawn`], with errors of this share of the tolerance.
+pub(crate) fn drawn_at(seed: u64, scale: f64) -> Robot {
+    let mut robot = truth::draw_true_robot(&kr60(), seed, scale);
     if seed.is_multiple_of(4) {
         return robot;
     }

@@ -87,10 +87,15 @@ impl Expected {
         Self { posterior, free: free.collect(), balls: mounting.balls }
     }
 
+    /// Whether the base balls are where the calibration had them.
+    pub fn are_balls_kept(&self) -> bool {
+        matches!(self.balls, BallMounting::Kept(_))
+    }
+
     /// Indices of the parameters of the posterior that are tested for changes: not remounted base balls, and not optional
     /// parameters, which no check determines.
     pub(super) fn changeable(&self) -> impl Iterator<Item = usize> {
-        let kept = matches!(self.balls, BallMounting::Kept(_));
+        let kept = self.are_balls_kept();
         let is_changeable =
             move |id: &ParamId| !id.is_optional() && (kept || !matches!(id, ParamId::Ball(..)));
         let ids = self.posterior.ids().iter().enumerate();

@@ -89,7 +89,7 @@ impl Posterior {
     /// All parameters of the robot and its set-up before any length.
     pub fn prior(robot: &Robot, model: LengthModel, priors: &Priors) -> Self {
         let ids = parameter::all_parameters(&robot.parallel_joints(), model.balls.len());
-        let sd: Vec<f64> = ids.iter().map(|id| priors.sd(*id)).collect();
+        let sd: Vec<f64> = ids.iter().map(|id| priors.bound(*id).unwrap_or_else(|| priors.sd(*id))).collect();
         Self::new(model, &ids, &sd)
     }
 
@@ -150,15 +150,26 @@ impl Posterior {
 
     /// The derivative of the length from a base ball at `axes` (rad) by the rows of the root; zero for an unknown ball.
     pub fn derivative(&self, axes: &[f64; AXES], ball: BallId) -> DVector<f64> {
-        let mut picked = DVector::zeros(self.root.nrows());
-        if let Some(place) = self.model.balls.get(ball.index()) {
-            let geometry = &self.model.geometry;
-            let mut row = geometry.length_row(axes, place, 0.0);
-            row.datum = Datum::Ball(ball, BarId::FIRST);
-            let (own, coefficients) = picked.as_mut_slice().split_at_mut(self.ids.len());
-            self.selection.pick(&row, own);
-            row.joint_terms(geometry, axes, Approach::default(), coefficients);
+        match self.model.balls.get(ball.index()) {
+            Some(place) => self.derivative_from(axes, place, Some(Datum::Ball(ball, BarId::FIRST))),
+            None => DVector::zeros(self.root.nrows()),
         }
+    }
+
+    /// The derivative of the distance of the tool ball from a place, of a datum if it has one.
+    fn derivative_from(
+        &self,
+        axes: &[f64; AXES],
+        place: &Vector3<f64>,
+        datum: Option<Datum>,
+    ) -> DVector<f64> {
+        let mut picked = DVector::zeros(self.root.nrows());
+        let geometry = &self.model.geometry;
+        let mut row = geometry.length_row(axes, place, 0.0);
+        row.datum = datum.unwrap_or(row.datum);
+        let (own, coefficients) = picked.as_mut_slice().split_at_mut(self.ids.len());
+        self.selection.pick(&row, own);
+        row.joint_terms(geometry, axes, Approach::default(), coefficients);
         picked
     }
 
@@ -168,6 +179,9 @@ impl Posterior {
     pub fn touched(&self, touched_ball: BallId, axes: &[f64; AXES], sd_mm: f64) -> Self {
         let mut touched = self.clone();
         let ball = self.model.geometry.ball(axes).position;
+        if let Some(place) = touched.model.balls.get_mut(touched_ball.index()) {
+            *place = ball;
+        }
         for axis in Coordinate::ALL {
             let Some(at) = self.ids.iter().position(|id| *id == ParamId::Ball(touched_ball, axis)) else {
                 continue;
@@ -175,13 +189,13 @@ impl Posterior {
             // The derivative of the length from a point along an axis is that of the coordinate.
             let mut far = ball;
             far[axis.index()] -= 1.0;
-            let row = self.model.geometry.length_row(axes, &far, 0.0);
-            let mut there = self.root.row(at) * 0.0;
-            for (parameter, id) in self.ids.iter().enumerate() {
-                if id.moves_tool_ball() {
-                    there += self.root.row(parameter) * row.derivative(*id);
+            let mut derivative = self.derivative_from(axes, &far, None);
+            for (own, id) in derivative.iter_mut().zip(&self.ids) {
+                if !id.moves_tool_ball() {
+                    *own = 0.0;
                 }
             }
+            let mut there = derivative.transpose() * &self.root;
             // Without lengths this coordinate of the base ball has a column of its own in the root.
             there[self.root.row(at).iamax_full().1] += sd_mm;
             touched.root.set_row(at, &there);
@@ -396,6 +410,7 @@ mod tests {
         let mut moved = posterior.model.geometry.clone();
         *moved.value_mut(id).unwrap() += 1.0;
         let by = moved.ball(&AXIS_ANGLES).position - posterior.model.geometry.ball(&AXIS_ANGLES).position;
+        assert_eq!(touched.model.balls, [posterior.model.geometry.ball(&AXIS_ANGLES).position]);
         let covariance = touched.covariance();
         for axis in 0..3 {
             assert!((covariance[(0, 1 + axis)] - 0.49 * by[axis]).abs() < 1e-9, "{axis}");

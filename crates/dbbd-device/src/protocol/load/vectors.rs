@@ -82,7 +82,7 @@ fn round_trip(definition: &ProtocolDefinition, sample: &Sample) -> Option<Sample
     let mut out = Vec::new();
     let mut decoder = definition.decoder();
     decoder.push(&bytes, &mut out);
-    decoder.silence(&mut out);
+    decoder.idle(&mut out);
     match &out[..] {
         [DecodedItem::Sample(again, _)] => Some(Sample { offset: sample.offset, ..*again }),
         _ => None,

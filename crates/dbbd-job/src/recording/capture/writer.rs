@@ -3,11 +3,15 @@
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
 
 use super::format;
 use super::record::{CaptureRecord, RunEnd, RunEvent};
 use crate::files;
 use crate::recording::RecordingFinding;
+use dbbd_device::sync::lock;
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
 
@@ -21,6 +25,21 @@ pub struct CaptureWriter {
     /// The file up to the first raw record: header and attachments, without which the rest cannot be read.
     opening: Vec<u8>,
     opened: bool,
+    /// Whether records wait for [`Self::flush`].
+    holds_back: bool,
+    /// The records that wait, and what each of them is.
+    waiting: Vec<u8>,
+    waiting_records: Vec<EncodedRecord>,
+    /// The bar's bytes that were written.
+    raw_bytes: u64,
+    sync: Option<SyncThread>,
+}
+
+/// The size of a record, the bar's bytes and the samples in it.
+struct EncodedRecord {
+    bytes: usize,
+    raw: u64,
+    samples: u64,
 }
 
 impl CaptureWriter {
@@ -50,9 +69,63 @@ impl CaptureWriter {
             number: 0,
             opening: format::header(),
             opened: false,
+            holds_back: false,
+            waiting: Vec::new(),
+            waiting_records: Vec::new(),
+            raw_bytes: 0,
+            sync: None,
         };
         writer.append(&format::header())?;
         Ok(writer)
+    }
+
+    /// From now on records wait for [`Self::flush`], so that a slow disk takes many at once.
+    pub fn hold_back(&mut self) {
+        self.holds_back = true;
+    }
+
+    /// Writes the records that wait. If the disk refuses one, the capture ends with the record before.
+    pub fn flush(&mut self) -> Result<(), Diagnostic> {
+        if let Some(error) = self.sync.as_ref().and_then(SyncThread::failed) {
+            return Err(self.refusal(&error));
+        }
+        if self.waiting.is_empty() {
+            return Ok(());
+        }
+        let (waiting, records) =
+            (std::mem::take(&mut self.waiting), std::mem::take(&mut self.waiting_records));
+        if self.append(&waiting).is_ok() {
+            records.iter().for_each(|record| self.count(record));
+        } else {
+            // One by one, so that every record is kept for which there is room.
+            let mut rest = waiting.as_slice();
+            for record in &records {
+                let (bytes, after) = rest.split_at(record.bytes.min(rest.len()));
+                self.append(bytes)?;
+                self.count(record);
+                rest = after;
+            }
+        }
+        if let Some(sync) = &self.sync {
+            sync.written();
+        }
+        (self.waiting, self.waiting_records) = (waiting, records);
+        self.waiting.clear();
+        self.waiting_records.clear();
+        Ok(())
+    }
+
+    fn count(&mut self, written: &EncodedRecord) {
+        self.raw_bytes += written.raw;
+        self.samples += written.samples;
+    }
+
+    /// Syncs the capture to the disk in a thread of its own, so long after each sync. A slow disk delays the next sync, not the
+    /// recording.
+    pub fn sync_every(&mut self, interval: Duration) -> Result<(), Diagnostic> {
+        let second = self.disk.second().map_err(|error| self.refusal(&error))?;
+        self.sync = second.map(|disk| SyncThread::start(disk, interval));
+        Ok(())
     }
 
     /// Appends a whole record. If the disk refuses it, the capture ends with the record before.
@@ -62,25 +135,34 @@ impl CaptureWriter {
         if bytes.len() > format::MAX_PAYLOAD_BYTES {
             return Err(self.wrong(RecordingFinding::RecordTooLong { bytes: bytes.len() }));
         }
-        self.append(&bytes)?;
+        let raw = if let CaptureRecord::Raw(raw) = record { raw.len() as u64 } else { 0 };
+        let samples = if let CaptureRecord::Samples(samples) = record { samples.len() as u64 } else { 0 };
+        let encoded = EncodedRecord { bytes: bytes.len(), raw, samples };
+        if self.holds_back {
+            self.waiting.extend(&bytes);
+            self.waiting_records.push(encoded);
+        } else {
+            self.append(&bytes)?;
+            self.count(&encoded);
+        }
         self.number = self.number.wrapping_add(1);
         self.opened |= matches!(record, CaptureRecord::Raw(_));
         if !self.opened {
             self.opening.extend(&bytes);
-        }
-        if let CaptureRecord::Samples(samples) = record {
-            self.samples += samples.len() as u64;
         }
         Ok(())
     }
 
     /// Appends the record that marks a proper end.
     pub fn finish(&mut self, host: HostNs, reason: &str, lost: u64) -> Result<(), Diagnostic> {
+        self.flush()?;
         let samples = self.samples;
         self.write(
             host,
             &CaptureRecord::Event(RunEvent::Ended(RunEnd { reason: reason.into(), samples, lost })),
         )?;
+        self.flush()?;
+        self.sync = None;
         self.sync()
     }
 
@@ -91,6 +173,7 @@ impl CaptureWriter {
     /// Checks that the file is still in place and unchanged. If not, recording continues in a new file with a copy of
     /// all that was written, or with the opening records if the written data are gone.
     pub fn look_after(&mut self) -> Result<Option<Diagnostic>, Diagnostic> {
+        self.flush()?;
         let Some(interference) = self.disk.interference(&self.path, self.bytes) else { return Ok(None) };
         let elsewhere = std::env::temp_dir().join(self.path.file_name().unwrap_or_default());
         let made = free_file(&self.path)
@@ -117,7 +200,15 @@ impl CaptureWriter {
             Interference::Resized(found) => RecordingFinding::Resized { new, bytes, found },
         });
         (self.disk, self.path) = (Box::new(file), path);
+        if let Some(before) = self.sync.take() {
+            self.sync_every(before.interval)?;
+        }
         Ok(Some(finding))
+    }
+
+    /// Number of the bar's bytes that were written.
+    pub fn raw_bytes(&self) -> u64 {
+        self.raw_bytes
     }
 
     pub fn samples(&self) -> u64 {
@@ -160,6 +251,68 @@ impl CaptureWriter {
     }
 }
 
+/// The thread that syncs a capture. It ends when it is dropped, after the sync that it is in.
+struct SyncThread {
+    interval: Duration,
+    shared: Arc<(Mutex<SyncState>, Condvar)>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Default)]
+struct SyncState {
+    /// Whether something was written since the last sync.
+    is_written: bool,
+    ends: bool,
+    failed: Option<io::Error>,
+}
+
+impl SyncThread {
+    fn start(mut disk: Box<dyn Disk>, interval: Duration) -> Self {
+        let shared: Arc<(Mutex<SyncState>, Condvar)> = Arc::default();
+        let of_thread = Arc::clone(&shared);
+        let thread = std::thread::spawn(move || {
+            let (state, changed) = &*of_thread;
+            loop {
+                let idle = |state: &mut SyncState| !state.ends && !state.is_written;
+                let mut now = changed.wait_while(lock(state), idle).unwrap_or_else(PoisonError::into_inner);
+                if now.ends {
+                    return;
+                }
+                now.is_written = false;
+                drop(now);
+                let failed = disk.sync().err();
+                let mut now = lock(state);
+                if failed.is_some() {
+                    now.failed = failed;
+                    return;
+                }
+                drop(changed.wait_timeout_while(now, interval, |state| !state.ends));
+            }
+        });
+        Self { interval, shared, thread: Some(thread) }
+    }
+
+    fn written(&self) {
+        lock(&self.shared.0).is_written = true;
+        self.shared.1.notify_one();
+    }
+
+    fn failed(&self) -> Option<io::Error> {
+        lock(&self.shared.0).failed.take()
+    }
+}
+
+impl Drop for SyncThread {
+    fn drop(&mut self) {
+        lock(&self.shared.0).ends = true;
+        self.shared.1.notify_one();
+        if let Some(thread) = self.thread.take() {
+            // A panic of the thread was already reported on stderr.
+            let _ = thread.join();
+        }
+    }
+}
+
 /// Creates the file at `wanted`, or beside it at the first free name with a number. A missing directory is created.
 fn free_file(wanted: &Path) -> io::Result<(File, PathBuf)> {
     /// Limit of the search.
@@ -188,6 +341,11 @@ fn free_file(wanted: &Path) -> io::Result<(File, PathBuf)> {
 pub trait Disk: Write + Send {
     /// Flushes to stable storage, so that the data survive a power failure.
     fn sync(&mut self) -> io::Result<()>;
+
+    /// A second handle of the file, through which another thread syncs it; `None` if a sync takes no time.
+    fn second(&self) -> io::Result<Option<Box<dyn Disk>>> {
+        Ok(None)
+    }
 
     /// Truncates to `bytes`.
     fn cut(&mut self, bytes: u64) -> io::Result<()>;
@@ -231,6 +389,10 @@ pub enum Interference {
 impl Disk for File {
     fn sync(&mut self) -> io::Result<()> {
         self.sync_data()
+    }
+
+    fn second(&self) -> io::Result<Option<Box<dyn Disk>>> {
+        Ok(Some(Box::new(self.try_clone()?)))
     }
 
     fn cut(&mut self, bytes: u64) -> io::Result<()> {

@@ -15,11 +15,13 @@ use dbbd_model::estimation::result::MapPoint;
 use dbbd_model::estimation::{Options, length_sd_mm};
 use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
 use dbbd_model::robot::{AXES, BallId, Robot};
+use nalgebra::Vector3;
 
 /// The run that is planned, without its poses.
 pub(super) struct PlannedCheck<'a> {
     file: &'a str,
-    poses: u32,
+    /// The job with the poses of the check, and the base balls where they are.
+    job: Job,
     criterion: Criterion,
     robot: Robot,
     start: LengthModel,
@@ -45,17 +47,24 @@ impl<'a> PlannedCheck<'a> {
         if poses.balls_kept {
             mounting.balls = BallMounting::Kept(Mounting::SEAT_REPEAT_MM);
         }
+        let (robot, job) = (today(robot), job.mounted(robot, false));
+        let job = if poses.balls_kept {
+            check_kept_balls(file, &job, &robot)?;
+            job.mounted(&robot, true)
+        } else {
+            job
+        };
         Ok(Self {
             file,
-            poses: poses.poses,
             criterion,
-            robot: today(robot),
             start: LengthModel::new(robot.geometry.clone(), &job.balls()),
             sigma_mm: noise.sigma_mm,
             mounting,
             tolerance_mm: poses.tolerance_mm,
             rule: DecisionRule::GuardBand { risk: poses.risk },
-            workspace: Options::default().workspace_poses(robot).into_owned(),
+            workspace: Options::default().workspace_poses(&robot).into_owned(),
+            job: job.as_check(poses.poses, criterion),
+            robot,
         })
     }
 
@@ -73,33 +82,10 @@ impl<'a> PlannedCheck<'a> {
         }
     }
 
-    pub(super) fn known(&self, job: &Job) -> Result<PlanningKnowledge, Diagnostic> {
-        self.check_kept_balls(job)?;
+    pub(super) fn known(&self) -> Result<PlanningKnowledge, Diagnostic> {
         let expected = self.input(&[]).expected().map_err(|finding| Diagnostic::file(self.file, finding))?;
-        let prior = PlanningPrior::of_check(job, &self.robot, expected);
-        Ok(PlanningKnowledge {
-            job: job.as_check(self.poses, self.criterion),
-            robot: self.robot.clone(),
-            prior,
-        })
-    }
-
-    /// Refuses kept base balls that are too far from their places in the job, for which the poses are planned: farther
-    /// than the stroke allows.
-    fn check_kept_balls(&self, job: &Job) -> Result<(), Diagnostic> {
-        let known = self.robot.posterior.as_ref();
-        let [low_mm, high_mm] = job.bar.stroke_mm;
-        let stays = matches!(self.mounting.balls, BallMounting::Kept(_));
-        for (at, place) in self.start.balls.iter().enumerate().filter(|_| stays) {
-            let ball = BallId::at(at);
-            let Some(kept) = known.and_then(|known| known.ball(ball)) else { continue };
-            let away_mm = (place - kept).norm();
-            if away_mm > 0.5 * (high_mm - low_mm) {
-                let elsewhere = ConformityFinding::BallElsewhere { ball: ball.number(), away_mm };
-                return Err(Diagnostic::file(self.file, elsewhere));
-            }
-        }
-        Ok(())
+        let prior = PlanningPrior::of_check(&self.job, &self.robot, expected);
+        Ok(PlanningKnowledge { job: self.job.clone(), robot: self.robot.clone(), prior })
     }
 
     /// Writes the predicted result of the run into the header. A check has no map of the remaining error.
@@ -123,4 +109,20 @@ impl<'a> PlannedCheck<'a> {
         plan.header.check = Some(power);
         Ok(Vec::new())
     }
+}
+
+/// Refuses kept base balls that were taught farther from where the calibration had them than the stroke allows.
+fn check_kept_balls(file: &str, job: &Job, robot: &Robot) -> Result<(), Diagnostic> {
+    let known = robot.posterior.as_ref();
+    let [low_mm, high_mm] = job.bar.stroke_mm;
+    for (at, table) in job.centres.iter().enumerate().filter(|(_, table)| table.taught_deg.is_some()) {
+        let ball = BallId::at(at);
+        let Some(kept) = known.and_then(|known| known.ball(ball)) else { continue };
+        let away_mm = (Vector3::from(table.xyz_mm) - kept).norm();
+        if away_mm > 0.5 * (high_mm - low_mm) {
+            let elsewhere = ConformityFinding::BallElsewhere { ball: ball.number(), away_mm };
+            return Err(Diagnostic::file(file, elsewhere));
+        }
+    }
+    Ok(())
 }

@@ -221,7 +221,7 @@ impl PlanRequest {
         let LoadedRobot { mut robot, source, .. } = with_serial?;
         let carried = job.payload.as_ref().map(|payload| robot.geometry.load.carry(payload));
         carried.transpose().map_err(|why| in_job("", "payload", why))?;
-        job.check_against(robot.controller()).map_err(|wrong| wrong.in_text(&name, &text))?;
+        job.check_against(&robot).map_err(|wrong| wrong.in_text(&name, &text))?;
         session.findings_in(&name, job.without_effect(&robot));
         session.findings_in(&name, job.in_robot(&robot));
         let check = match &self.poses {
@@ -263,7 +263,7 @@ impl PlanRequest {
         let provenance = crate::artefact::made_from([&made_from, &source].into_iter().chain(sources));
         let job = given.as_ref().map_or_else(|| job.clone(), |given| job.as_given(given.len()));
         let PlanningKnowledge { job, robot, prior } = match &check {
-            Some(check) => check.known(&job)?,
+            Some(check) => check.known()?,
             None => PlanningKnowledge::after(job, robot, measured, session)?,
         };
         let built = match &given {
@@ -418,6 +418,7 @@ impl PlanningKnowledge {
     ) -> Result<Self, Diagnostic> {
         let EarlierMeasurements { tables, mut findings } = measured;
         if tables.is_empty() {
+            let job = job.mounted(&robot, false);
             let prior = PlanningPrior::datasheet(&job, &robot);
             return Ok(Self { job, robot, prior });
         }
@@ -438,7 +439,8 @@ impl PlanningKnowledge {
                 table.taught_deg.get_or_insert(*axes_deg);
             }
         }
-        job.check_against(robot.controller()).map_err(|wrong| *wrong.finding)?;
+        job.check_against(&robot).map_err(|wrong| *wrong.finding)?;
+        let job = job.mounted(robot.controller(), false);
         let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
         session.findings(prior.lengths_findings(&job, &robot, &lengths));
         let (job, robot) = prior.applied(&job, &robot);
