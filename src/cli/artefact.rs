@@ -1,7 +1,5 @@
 //! Recognises the artefacts that dbbd reads and writes by their content.
 
-use dbbd_model::base::text::unreadable;
-use std::fs;
 use std::path::Path;
 
 use serde_json::{Map, Value};
@@ -20,7 +18,7 @@ use dbbd_model::robot::Robot;
 /// An artefact with its chain; `None` if the file is of another kind. Captures are not recognised here.
 pub(super) fn read_traced(path: &Path, out: &CommandOutput) -> Result<Option<TracedArtefact>, Diagnostic> {
     let name = path.display().to_string();
-    let bytes = fs::read(path).map_err(unreadable(&name))?;
+    let bytes = files::read_bytes(path, files::MAX_TEXT_BYTES)?;
     // A program may be in an old code page. What is read of it here is ASCII.
     let text = String::from_utf8_lossy(&bytes);
     let first_line = text.lines().next().unwrap_or_default();

@@ -172,7 +172,7 @@ fn import_robot(
                 return Err(Robot::unknown(from));
             }
             files::keeps(path, [file])?;
-            let text = files::read_text(file)?;
+            let text = files::read_definition(file)?;
             let kind = DescriptionKind::of(&text);
             refuse_unused(
                 like.is_some() && kind != DescriptionKind::FactoryCalibration,

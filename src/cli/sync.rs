@@ -15,7 +15,7 @@ use dbbd_job::recording::matching::{
 use dbbd_job::recording::run;
 use dbbd_job::request::RequestWatch as _;
 use dbbd_model::diagnostic::{Diagnostic, Finding};
-use dbbd_model::provenance::ArtefactRole;
+use dbbd_model::provenance::{ArtefactRole, ProvenanceFinding};
 
 /// Match the lengths of a capture to the commanded poses.
 ///
@@ -59,6 +59,10 @@ pub(crate) fn run(args: &SyncArgs, out: &CommandOutput) -> Result<CommandOutcome
         provenance.add(&dbbd_job::artefact::of_file(ArtefactRole::Program, path)?);
     }
     let table = matching.observations.to_csv();
+    if let Some(aside) = dbbd_job::artefact::move_edited_aside(&args.out)? {
+        let (table, aside) = (args.out.display().to_string(), aside.display().to_string());
+        out.finding(ProvenanceFinding::EditedMovedAside { table, aside });
+    }
     dbbd_job::artefact::write_beside(&provenance, &args.out, &table)?;
     files::write_file(&args.out, table)?;
     out.result(format!("{}: {} observations", args.out.display(), matching.observations.rows.len()));

@@ -123,7 +123,10 @@ impl Acquisition {
         let began = opened.began;
         let plan = options.plan.take();
         let schedule = plan.as_ref().map(|files| Schedule::of(&files.plan, ALARM_SHARE)).unwrap_or_default();
-        writer.sync_every(Duration::from_secs_f64(options.sync_s))?;
+        // Readings that are not kept are never synced.
+        if let Ok(interval) = Duration::try_from_secs_f64(options.sync_s) {
+            writer.sync_every(interval)?;
+        }
         let mut recorder = Recorder::new(writer, &options.definition, schedule.modules(), began);
         if let Some(feed) = options.feed.take() {
             recorder.show(feed);

@@ -104,6 +104,17 @@ findings! {
             WrongToken => "the token is wrong";
             RoleTooLow { role: &'static str, needed: &'static str } => "this needs the role `{needed}`, and this user has `{role}`", help: "sign in as another user, or change `role` in the configuration";
         }
+        E1510 "a job names a file outside of its directory",
+        cause: "`robot` or `[bar] protocol` of the job names a file of the server that is not in the directory of the robot.",
+        cure: "Copy the file into the directory of the robot, and name it without a path; or name a built-in robot or protocol." {
+            NamedOutside { file: String } => "{file} is not in the directory of the robot";
+        }
+        E1511 "a job was ended",
+        cause: "It took more time or memory than a job of the service may.",
+        cure: "Compute it with the command line, or with less: fewer candidates, a smaller table." {
+            JobTooLong { most_s: f64 } => "the job was ended after {most_s:.0} s";
+            JobEnded { most_bytes: u64 } => "the job ended without an answer: it may have needed more than {most_bytes} bytes of memory";
+        }
         E1509 "a request's form is not valid",
         cause: "The method, the path, the type or the size of a request is not what the API takes.",
         cure: "/api/v1/openapi.json describes every request." {
@@ -151,6 +162,7 @@ impl ServiceFinding {
             | Self::OptionOfAnotherJob { .. }
             | Self::OptionValue { .. }
             | Self::RemarkLength { .. }
+            | Self::NamedOutside { .. }
             | Self::BodyContent { .. } => StatusCode::UNPROCESSABLE_ENTITY,
             Self::TooManyJobs | Self::TooManyGuesses => StatusCode::TOO_MANY_REQUESTS,
             Self::WorkerLost { .. }

@@ -8,12 +8,12 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
 
 use dbbd::daemon::{Acquisition, AcquisitionOptions, AcquisitionSummary, ControllerConnections, EndReason};
 use dbbd_device::clock;
 use dbbd_device::protocol::ProtocolDefinition;
 use dbbd_job::recording::capture::{self, CaptureRecord, CaptureWriter, Disk};
+use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::Identity;
 
@@ -58,23 +58,26 @@ impl Disk for SlowDisk {
     }
 }
 
+/// Lines, and when the port took them.
+type SentLines = Vec<(HostNs, Vec<u8>)>;
+
 /// A bar at a TCP port that sends 1000 lines a second, without regard to its reader, until `over` or for `lines`. Returns its
 /// address, and the time and the bytes of each line that the port took.
-fn bar(lines: u64, over: &Arc<AtomicBool>) -> (String, JoinHandle<Vec<(Instant, Vec<u8>)>>) {
+fn bar(lines: u64, over: &Arc<AtomicBool>) -> (String, JoinHandle<SentLines>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("tcp://{}", listener.local_addr().unwrap());
     let over = Arc::clone(over);
     let sender = std::thread::spawn(move || {
         let (mut line, _) = listener.accept().unwrap();
-        let began = Instant::now();
+        let began = clock::now();
         let mut sent = Vec::new();
         for number in 0..lines {
-            std::thread::sleep((began + Duration::from_millis(number)).duration_since(Instant::now()));
+            clock::sleep((1e-3 * number as f64 - clock::now().seconds_since(began)).max(0.0));
             let text = format!("{},{:.4}\r\n", 1000 * number, 1e-3 * (number % 7) as f64).into_bytes();
             if over.load(Ordering::Relaxed) || line.write_all(&text).is_err() {
                 break;
             }
-            sent.push((Instant::now(), text));
+            sent.push((clock::now(), text));
         }
         sent
     });
@@ -82,8 +85,8 @@ fn bar(lines: u64, over: &Arc<AtomicBool>) -> (String, JoinHandle<Vec<(Instant, 
 }
 
 /// A run ends so long after its beginning, or after the bar was opened.
-const DURATION: Duration = Duration::from_millis(3500);
-const STOPPED: Duration = Duration::from_millis(1500);
+const DURATION_S: f64 = 3.5;
+const STOPPED_S: f64 = 1.5;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Ends {
@@ -126,18 +129,18 @@ fn run(disk: SlowDisk, sync_s: f64, ends: Ends) -> Ended {
         plan: None,
         identity: Identity::default(),
         controller: ControllerConnections::default(),
-        duration_s: (ends == Ends::Duration).then_some(DURATION.as_secs_f64()),
+        duration_s: (ends == Ends::Duration).then_some(DURATION_S),
         gone_s: 0.3,
         feed: None,
         sync_s,
     };
     // The opening, in which the bar is stopped, counts.
-    let began = Instant::now();
+    let began = clock::now();
     let acquisition = Acquisition::start_on(writer, options, Arc::clone(&stop)).unwrap();
-    let ends_after = if ends == Ends::Duration { began + DURATION } else { Instant::now() + STOPPED };
-    let end = ends_after - Duration::from_millis(100);
+    let (since, after_s) =
+        if ends == Ends::Duration { (began, DURATION_S) } else { (clock::now(), STOPPED_S) };
     if ends == Ends::Stop {
-        clock::sleep(STOPPED.as_secs_f64());
+        clock::sleep(STOPPED_S);
         assert!(acquisition.mark("before the end".into()));
         stop.store(true, Ordering::Relaxed);
     }
@@ -148,8 +151,8 @@ fn run(disk: SlowDisk, sync_s: f64, ends: Ends) -> Ended {
     let summary = acquisition.join();
     over.store(true, Ordering::Relaxed);
     let sent = sender.join().unwrap();
-    let bytes = |lines: &[(Instant, Vec<u8>)]| lines.iter().flat_map(|(_, line)| line.clone()).collect();
-    let sent_before = sent.iter().filter(|(at, _)| *at < end);
+    let bytes = |lines: &[(HostNs, Vec<u8>)]| lines.iter().flat_map(|(_, line)| line.clone()).collect();
+    let sent_before = sent.iter().filter(|(at, _)| at.seconds_since(since) < after_s - 0.1);
     let sent_before = sent_before.map(|(_, line)| line.len()).sum();
     let capture = capture::read_capture(&disk.taken.lock().unwrap());
     assert!(capture.damages.is_empty());

@@ -1,7 +1,8 @@
 //! `dbbd acquire` without a port, without a bar, or after the bar disappeared.
 #![cfg(unix)]
 
-use std::io::Read;
+use std::io::{Read, Write};
+use std::net::TcpListener;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -178,4 +179,47 @@ fn occupied_port_is_reported() {
     first.wait().unwrap();
     assert_eq!(second.status.code(), Some(1));
     assert_eq!(codes(&second), [PORT_BUSY]);
+}
+
+/// A bar without a clock never pauses; the recording process is stopped for 1.6 s. The computer is named, not the bar.
+#[test]
+fn computer_that_stands_still_is_no_silent_bar() {
+    let directory = tempfile::tempdir().unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = format!("tcp://{}", listener.local_addr().unwrap());
+    let out = directory.path().join("run");
+    let child = dbbd(&[
+        "acquire",
+        "--port",
+        &port,
+        "--protocol",
+        "touchdro",
+        "--out",
+        out.to_str().unwrap(),
+        "--duration",
+        "5",
+        "--json",
+    ])
+    .spawn()
+    .unwrap();
+    let (mut line, _) = listener.accept().unwrap();
+    let bar = std::thread::spawn(move || {
+        for number in 0.. {
+            clock::sleep(0.04);
+            if line.write_all(format!("X{};", 100 + number % 7).as_bytes()).is_err() {
+                return;
+            }
+        }
+    });
+    clock::sleep(2.0);
+    signal(&child, "STOP");
+    clock::sleep(1.6);
+    signal(&child, "CONT");
+    let output = child.wait_with_output().unwrap();
+    bar.join().unwrap();
+    let warnings: Vec<String> = codes(&output).into_iter().filter(|code| code.starts_with('W')).collect();
+    assert_eq!((output.status.code(), warnings), (Some(3), vec!["W0226".to_owned()]));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let stood_still_s = summary["progress"]["stood_still_s"].as_f64().unwrap();
+    assert!((1.0..2.5).contains(&stood_still_s) && summary["progress"]["silent_s"] == 0.0, "{summary}");
 }

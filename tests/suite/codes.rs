@@ -16,6 +16,7 @@ const NOT_HERE: &[(&str, &str)] = &[
     ("I0210", "an adapter with a latency timer"),
     ("I0212", "a computer without serial ports"),
     ("I1380", "no input leads to it"),
+    ("E1511", "a job of an hour, or of 2 GB"),
     ("E2401", "a program without the archive: `.ci/night` runs the tests without features"),
     ("I2003", "a program without the PDF: `.ci/night` runs the tests without features"),
 ];

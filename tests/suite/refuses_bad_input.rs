@@ -295,3 +295,64 @@ fn runs_of_another_robot() {
     let said = stderr(&output);
     assert!(output.status.code() == Some(3) && said.contains("W1312"), "{said}");
 }
+
+/// A pipe that nobody writes into, a device that never ends and a directory are refused at once.
+#[cfg(unix)]
+#[test]
+fn what_is_no_file_is_refused_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let pipe = dir.path().join("pipe.toml");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let begun = dbbd_device::clock::now();
+    for path in [pipe.to_str().unwrap(), "/dev/zero", "/dev/tty", "."] {
+        for args in [
+            &["plan", path, "--out", "out"][..],
+            &["identify", path, "--robot", "kr60ha", "--out", "out"],
+            &["identify", "none.csv", "--robot", path, "--out", "out"],
+            &["info", path],
+            &["sync", path, "--out", "out.csv"],
+            &["serve", "--check", "--config", path],
+            &["robots", "check", path],
+        ] {
+            let output = crate::cell::dbbd(dir.path(), args);
+            let codes = crate::cell::codes(&output);
+            assert_eq!(output.status.code(), Some(1), "{args:?}: {}", crate::cell::stderr(&output));
+            assert!(codes.iter().any(|code| code.starts_with("E0")), "{args:?}: {codes:?}");
+        }
+    }
+    assert!(dbbd_device::clock::now().seconds_since(begun) < 30.0);
+}
+
+/// A table that a person typed, or edited, is moved aside; unedited output is replaced.
+#[test]
+fn sync_replaces_only_its_own_unedited_table() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    let done = |args: &str| {
+        let output = crate::cell::dbbd(at, &args.split_whitespace().collect::<Vec<_>>());
+        assert!(matches!(output.status.code(), Some(0 | 3)), "{args}: {}", crate::cell::stderr(&output));
+        crate::cell::codes(&output)
+    };
+    let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n[[centre]]\nid = 1\n\
+        xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 12\namplitude_deg = 25.0\ntilt_deg = 30.0\n";
+    std::fs::write(at.join("job.toml"), job).unwrap();
+    done("plan job.toml --out plan --quiet");
+    done("acquire --port sim --plan plan/plan.csv --out run.dbbd --quiet");
+    let read = |name: &str| std::fs::read_to_string(at.join(name)).unwrap();
+    let moved = "I1849".to_owned();
+    let typed = "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm\n1,1,1,2,3,4,5,6,300\n";
+    std::fs::write(at.join("lengths.csv"), typed).unwrap();
+    assert!(done("sync run.dbbd --out lengths.csv").contains(&moved));
+    assert_eq!(read("previous-1-lengths.csv"), typed);
+    let own = read("lengths.csv");
+    assert!(!done("sync run.dbbd --out lengths.csv").contains(&moved));
+    assert_eq!(read("lengths.csv"), own);
+    let edited = format!("{own}\n");
+    std::fs::write(at.join("lengths.csv"), &edited).unwrap();
+    assert!(done("sync run.dbbd --out lengths.csv").contains(&moved));
+    assert_eq!((read("previous-2-lengths.csv"), read("lengths.csv")), (edited, own));
+    assert!(
+        at.join("previous-2-lengths.provenance.json").is_file()
+            && !at.join("previous-3-lengths.csv").exists()
+    );
+}

@@ -267,3 +267,43 @@ fn a_trial_plans_a_changed_job_and_leaves_nothing() {
     assert_eq!(fs::read_to_string(cell.join("job.toml")).unwrap(), JOB);
     assert_eq!(fs::read_dir(&cell).unwrap().count(), 1);
 }
+
+/// A client that may plan writes the job: no file of the server outside of the robot's directory is read by it, and nothing
+/// that is no file keeps anybody waiting.
+#[test]
+fn a_job_names_no_file_outside_of_its_directory() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::write(dir.path().join("secret.toml"), "main-token-0123456789abcdef\n").unwrap();
+    let server = Server::start(dir.path(), "");
+    let plans = dir.path().join("a");
+    fs::create_dir(&plans).unwrap();
+    fs::write(plans.join("job.toml"), JOB).unwrap();
+    let secret = dir.path().join("secret.toml").display().to_string();
+    symlink(&secret, plans.join("link.toml")).unwrap();
+    for name in
+        ["../../secret.toml", &secret, "/proc/self/environ", "/dev/zero", "../a/link.toml", "link.toml"]
+    {
+        for keys in [json!({ "robot": name }), json!({ "bar": { "protocol": name } })] {
+            for path in ["/api/v1/workbench/a/job", "/api/v1/workbench/a/trial"] {
+                let method = if path.ends_with("job") { "PUT" } else { "POST" };
+                let answer =
+                    server.ask(method, path, "Content-Type: application/json\r\n", &keys.to_string());
+                let said = String::from_utf8_lossy(&answer.body).into_owned();
+                assert_eq!(
+                    (answer.status, answer.json()["code"].as_str()),
+                    (422, Some("E1510")),
+                    "{path} {keys}: {said}"
+                );
+                assert!(!said.contains("main-token"), "{said}");
+            }
+        }
+    }
+    // However the file came there, a pipe keeps nobody waiting.
+    assert!(Command::new("mkfifo").arg(plans.join("pipe.toml")).status().unwrap().success());
+    let text = fs::read_to_string(plans.join("job.toml")).unwrap();
+    fs::write(plans.join("job.toml"), text.replace("\"kr60ha\"", "\"pipe.toml\"")).unwrap();
+    let begun = dbbd_device::clock::now();
+    assert_eq!(server.get("/api/v1/workbench").status, 200);
+    assert_eq!(server.get("/api/v1/workbench/a").status, 200);
+    assert!(dbbd_device::clock::now().seconds_since(begun) < 5.0);
+}

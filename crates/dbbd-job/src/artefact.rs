@@ -58,6 +58,29 @@ pub fn made_from<'a>(inputs: impl IntoIterator<Item = &'a TracedArtefact>) -> Pr
     Provenance::made_by(VERSION, inputs)
 }
 
+/// Moves a table at `path` aside, with the record beside it, unless the record proves that nobody changed it since it was
+/// written. Returns where it is then.
+pub fn move_edited_aside(path: &Path) -> Result<Option<PathBuf>, Diagnostic> {
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let record = record_of(path);
+    let is_own = record.is_file() && matches!(of_table(ArtefactRole::Measurements, path), Ok((_, None)));
+    if is_own {
+        return Ok(None);
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let mut aside = (1_u32..).map(|number| path.with_file_name(format!("previous-{number}-{name}")));
+    let free = aside.find(|aside| !aside.exists() && !record_of(aside).exists());
+    let Some(aside) = free else { return Ok(None) };
+    std::fs::rename(path, &aside).map_err(files::unwritable(&aside))?;
+    if record.is_file() {
+        let beside = record_of(&aside);
+        std::fs::rename(&record, &beside).map_err(files::unwritable(&beside))?;
+    }
+    Ok(Some(aside))
+}
+
 /// Writes the chain of the table at `path`, whose text is `content`, into the file beside it.
 pub fn write_beside(provenance: &Provenance, path: &Path, content: &str) -> Result<(), Diagnostic> {
     let table = path.file_name().unwrap_or_default().to_string_lossy().into_owned();

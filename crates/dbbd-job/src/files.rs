@@ -32,10 +32,49 @@ pub fn same_place(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
+/// The largest text that is read whole, bytes: the largest results and programs are a tenth of it.
+pub const MAX_TEXT_BYTES: u64 = 256 << 20;
+/// The largest job, robot, protocol or configuration, bytes.
+pub const MAX_DEFINITION_BYTES: u64 = 4 << 20;
+
+/// Opens a file to read it. A pipe, a device or a directory is refused without opening it: it may block, or never end.
+pub fn open(path: &Path) -> Result<File, Diagnostic> {
+    let wrong = unreadable(path.display());
+    if !fs::metadata(path).map_err(&wrong)?.is_file() {
+        return Err(Diagnostic::file(path.display(), NotAFile));
+    }
+    File::open(path).map_err(wrong)
+}
+
+/// Reads a file of at most `most` bytes. The size that the system states is not trusted: that of some is 0.
+pub fn read_bytes(path: &Path, most: u64) -> Result<Vec<u8>, Diagnostic> {
+    let wrong = unreadable(path.display());
+    let file = open(path)?;
+    let bytes = file.metadata().map_err(&wrong)?.len();
+    let mut content = Vec::new();
+    if bytes <= most {
+        file.take(most + 1).read_to_end(&mut content).map_err(wrong)?;
+    }
+    let bytes = bytes.max(content.len() as u64);
+    if bytes > most {
+        return Err(Diagnostic::file(path.display(), TooLarge { bytes, most }));
+    }
+    Ok(content)
+}
+
 /// Reads a UTF-8 text.
 pub fn read_text(path: &Path) -> Result<String, Diagnostic> {
-    let bytes = fs::read(path).map_err(unreadable(path.display()))?;
-    String::from_utf8(bytes).map_err(|error| {
+    read_at_most(path, MAX_TEXT_BYTES)
+}
+
+/// Reads a UTF-8 text that people write: a job, a robot, a protocol, a configuration.
+pub fn read_definition(path: &Path) -> Result<String, Diagnostic> {
+    read_at_most(path, MAX_DEFINITION_BYTES)
+}
+
+/// Reads a UTF-8 text of at most `most` bytes.
+pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
+    String::from_utf8(read_bytes(path, most)?).map_err(|error| {
         let byte = error.utf8_error().valid_up_to();
         Diagnostic::file(path.display(), NotUtf8At { byte })
     })
@@ -51,21 +90,10 @@ pub fn read_if_file(path: &Path) -> Option<Result<String, Diagnostic>> {
     path.is_file().then(|| read_text(path))
 }
 
-/// Reads a file of at most `most` bytes. A pipe or a device is refused without opening it.
-pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
-    match fs::metadata(path) {
-        Ok(data) if !data.is_file() => Err(Diagnostic::file(path.display(), NotAFile)),
-        Ok(data) if data.len() > most => {
-            Err(Diagnostic::file(path.display(), TooLarge { bytes: data.len(), most }))
-        }
-        _ => read_text(path),
-    }
-}
-
 /// The SHA-256 of a file of any size.
 pub fn sha256(path: &Path) -> Result<String, Diagnostic> {
     let wrong = unreadable(path.display());
-    let mut file = File::open(path).map_err(&wrong)?;
+    let mut file = open(path)?;
     let (mut hash, mut piece) = (Sha256::default(), vec![0; 1 << 16]);
     loop {
         match file.read(&mut piece).map_err(&wrong)? {

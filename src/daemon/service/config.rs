@@ -225,7 +225,7 @@ impl Endpoint {
 impl ServiceConfig {
     /// Reads a file.
     pub fn read(path: &Path) -> Result<Self, Diagnostic> {
-        Self::from_toml(path, &files::read_text(path)?)
+        Self::from_toml(path, &files::read_definition(path)?)
     }
 
     /// Reads the text of a configuration file. Relative paths in it start at the directory of the file.

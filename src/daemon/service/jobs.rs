@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
 use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 use std::{io, thread};
@@ -12,7 +13,8 @@ use tokio::sync::broadcast;
 
 use super::runs::CAPTURE;
 use crate::live::ServiceFinding::{
-    CommandFailed, NoJob, OptionOfAnotherJob, OptionValue, TooManyJobs, WorkerLost,
+    self, CommandFailed, JobEnded, JobTooLong, NoJob, OptionOfAnotherJob, OptionValue, TooManyJobs,
+    WorkerLost,
 };
 use crate::live::{EvaluationJob, ExplainedFinding, JobKind, JobRequest, JobState, Message, WorkStep};
 use dbbd_device::clock;
@@ -281,6 +283,12 @@ impl JobsShared {
         }
     }
 
+    /// Adds a finding of the service itself.
+    fn found(&self, id: u64, finding: ServiceFinding) {
+        let finding = explained(self.explain, FindingRecord::from(&Diagnostic::new(finding)));
+        self.change(id, |job| job.findings.push(finding));
+    }
+
     fn publish(&self, id: u64) {
         if let Some(mut job) = self.get(id) {
             // The stream carries the newest lines. The API gives the whole log.
@@ -363,11 +371,13 @@ fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
                 let findings: Vec<_> = all.map(|finding| explained(shared.explain, finding)).collect();
                 shared.change(task.id, |job| job.findings = findings);
             }
+            fail_if_ended(shared, task.id, status);
             Ok(state_of(status))
         }
         JobWork::Request(request) => {
             let RequestChild { child, stdin: _stdin } = RequestChild::start(request, set_up)?;
-            let (_, answer) = follow(shared, task.id, child, io::read_to_string)?;
+            let (status, answer) = follow(shared, task.id, child, io::read_to_string)?;
+            fail_if_ended(shared, task.id, status);
             let answer = answer.transpose()?.as_deref().and_then(read_answer);
             let Some(mut answer) = answer else { return Ok(JobState::Failed) };
             if let AnswerResult::Refusal(refusal) = &answer.result {
@@ -391,6 +401,14 @@ fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
     }
 }
 
+/// Adds the finding of a job that the system ended.
+fn fail_if_ended(shared: &JobsShared, id: u64, status: ExitStatus) {
+    let state = shared.get(id).map(|job| job.state);
+    if status.code().is_none() && state == Some(JobState::Running) {
+        shared.found(id, JobEnded { most_bytes: MAX_JOB_BYTES });
+    }
+}
+
 /// The state of a job whose child ended: all commands have the same exit codes.
 fn state_of(status: ExitStatus) -> JobState {
     match status.code() {
@@ -409,6 +427,7 @@ fn follow<T: Send>(
     read: impl FnOnce(ChildStdout) -> T + Send,
 ) -> io::Result<(ExitStatus, Option<T>)> {
     prefer_for_oom_kill(&child);
+    limit_memory(&child);
     let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
     *lock(&shared.child) = Some((id, child));
     // The job may have been cancelled while its process was starting.
@@ -417,18 +436,55 @@ fn follow<T: Send>(
     {
         let _ = child.kill();
     }
+    let is_over = AtomicBool::new(false);
     let output = thread::scope(|scope| {
+        scope.spawn(|| end_in_time(shared, id, &is_over));
         let reader = stdout.map(|stdout| scope.spawn(move || read(stdout)));
         if let Some(stderr) = stderr {
             listen(shared, id, stderr);
         }
-        reader.and_then(|reader| reader.join().ok())
+        let output = reader.and_then(|reader| reader.join().ok());
+        is_over.store(true, Ordering::Relaxed);
+        output
     });
     // The outputs of the child are closed, so it ends.
     let Some((_, mut child)) = lock(&shared.child).take() else {
         return Err(io::Error::other("the child process was lost"));
     };
     Ok((child.wait()?, output))
+}
+
+/// The address space of a job, bytes, and its longest time, s.
+const MAX_JOB_BYTES: u64 = 2 << 30;
+const MAX_JOB_S: f64 = 3600.0;
+
+/// Ends the child of a job that takes too long.
+fn end_in_time(shared: &JobsShared, id: u64, is_over: &AtomicBool) {
+    let began = clock::now();
+    while !is_over.load(Ordering::Relaxed) {
+        clock::sleep(0.05);
+        if clock::now().seconds_since(began) > MAX_JOB_S {
+            shared.found(id, JobTooLong { most_s: MAX_JOB_S });
+            shared.change(id, |job| job.state = JobState::Failed);
+            if let Some((_, child)) = &mut *lock(&shared.child) {
+                // Fails if the child has just ended.
+                let _ = child.kill();
+            }
+            return;
+        }
+    }
+}
+
+/// Limits the memory of a child process. Only Linux can limit another process.
+#[cfg_attr(not(target_os = "linux"), expect(unused_variables, reason = "see above"))]
+pub(super) fn limit_memory(child: &Child) {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::process::{Pid, Resource, Rlimit, prlimit};
+        let most = Rlimit { current: Some(MAX_JOB_BYTES), maximum: Some(MAX_JOB_BYTES) };
+        // Fails if the child has just ended.
+        let _ = prlimit(Pid::from_child(child).into(), Resource::As, most);
+    }
 }
 
 /// Makes the system kill this evaluation and not the recorder if memory runs out.

@@ -164,5 +164,10 @@ findings! {
         cure: "Clean balls and cups, mount the bar again, and repeat the run: lengths before and after do not belong together." {
             BallMoved { jump_um: f64 } => "a ball moved in its cup: the reading jumped by {jump_um:.0} micrometres and did not come back";
         }
+        W0285 "the bar was out of its stroke",
+        cause: "The robot measured where the bar is longer or shorter than its stroke, or the bar was off: a ball is not where it was taught, the tool ball or the robot is another one, or the program is of another plan.",
+        cure: "Stop: the bar may leave its cups. Put the ball where the tool ball is at `taught_deg`, check tool ball and plan, and measure again; or plan again with a longer stroke." {
+            OutOfStroke { dwells: f64 } => "the bar was out of its stroke, or off, when {dwells:.0} dwells began";
+        }
     }
 }

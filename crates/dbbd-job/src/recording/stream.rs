@@ -233,7 +233,16 @@ impl StreamBuilder {
 }
 
 impl SampleStream {
-    /// Whether the device marked the reading of sample `at` as valid.
+    /// Readings beyond these ends of a stroke (mm) are not valid either, whatever the device marks.
+    pub(super) fn limit_to(&mut self, [low_mm, high_mm]: [f64; 2]) {
+        for at in 0..self.flags.len() {
+            if !(low_mm..=high_mm).contains(&self.reading_mm[at]) {
+                self.flags[at] &= !VALID;
+            }
+        }
+    }
+
+    /// Whether the device marked the reading of sample `at` as valid, and the bar was in its stroke.
     pub fn valid(&self, at: usize) -> bool {
         self.flags.get(at).is_some_and(|flags| flags & VALID != 0)
     }

@@ -1,10 +1,8 @@
 //! Corrects the points of a program for an identified robot.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use dbbd_model::base::hash::sha256;
-use dbbd_model::base::text::unreadable;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{EstimationFinding, ProgramUncertainty, Workspace};
 use dbbd_model::plausibility::Quantity;
@@ -382,6 +380,9 @@ fn report(moved: &[Moved], session: &RequestSession<'_>) {
     }
 }
 
+/// The largest file of a program, bytes.
+const MAX_PROGRAM_BYTES: u64 = 64 << 20;
+
 /// A file of a program. Its comments may be in any old code page: each byte is then read as the character with the
 /// number of the byte, and written back unchanged.
 struct ProgramFile {
@@ -397,7 +398,7 @@ struct ProgramFile {
 impl ProgramFile {
     fn open(path: &Path) -> Result<Self, Diagnostic> {
         let name = path.display().to_string();
-        let bytes = fs::read(path).map_err(unreadable(&name))?;
+        let bytes = files::read_bytes(path, MAX_PROGRAM_BYTES)?;
         let sha256 = sha256(&bytes);
         let file_name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let (content, is_utf8) = match String::from_utf8(bytes) {

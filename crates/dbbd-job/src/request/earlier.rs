@@ -14,7 +14,7 @@ use crate::files;
 /// Reads the identity of a measurement from a TOML file.
 pub fn read_identity(path: &Path) -> Result<Identity, Diagnostic> {
     let file = path.display().to_string();
-    let identity = Identity::from_toml(&file, &files::read_text(path)?)?;
+    let identity = Identity::from_toml(&file, &files::read_definition(path)?)?;
     identity.check_dates(clock::unix_ns()).map_err(|(_, finding)| finding.in_file(&file))?;
     Ok(identity)
 }

@@ -27,5 +27,5 @@ pub fn read_protocol_file(
     path: &Path,
     params: &[(String, String)],
 ) -> Result<ProtocolDefinition, Diagnostic> {
-    ProtocolDefinition::from_toml_with(&path.display().to_string(), &files::read_text(path)?, params)
+    ProtocolDefinition::from_toml_with(&path.display().to_string(), &files::read_definition(path)?, params)
 }

@@ -6,6 +6,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
+use crate::files;
 use dbbd_model::base::table::{TableLayout, TableReader};
 use dbbd_model::base::text::unreadable;
 use dbbd_model::diagnostic::{Diagnostic, Finding};
@@ -49,7 +50,7 @@ impl WatchedFile {
     pub fn open(path: &Path, watch: &dyn RequestWatch) -> Result<Self, Diagnostic> {
         let name = path.display().to_string();
         let unreadable = unreadable(&name);
-        let file = File::open(path).map_err(&unreadable)?;
+        let file = files::open(path)?;
         let bytes = file.metadata().map_err(&unreadable)?.len();
         Ok(Self { file: BufReader::new(file), busy: watch.busy(&format!("reading {name}"), Some(bytes)) })
     }

@@ -27,7 +27,7 @@ const UNCERTAINTY_DRAWS_SEED: u64 = 1;
 const BADLY_EXPLAINED: f64 = 1e-3;
 /// A base ball that is farther from its calibrated position is not the same mounting, mm: positions are stated to
 /// centimetres.
-const MAX_BALL_SHIFT_MM: f64 = 50.0;
+pub const MAX_BALL_SHIFT_MM: f64 = 50.0;
 /// An innovation that is this improbably small contradicts the standard deviation of the lengths.
 const TOO_GOOD: f64 = 1e-4;
 

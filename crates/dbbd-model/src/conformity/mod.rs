@@ -21,7 +21,9 @@ pub use circles::{
     CircleFile, ComparedCircle, StoredCircle, StoredTrace, compare_circles, unlike as unlike_circles,
 };
 pub use decision::{ConformityDecision, ConformityOutcome, DecisionRule, decide};
-pub use interim::{CheckInput, CheckUncertainty, InterimCheck, MIN_DOF, own_sigma_mm, sigma_mm};
+pub use interim::{
+    CheckInput, CheckUncertainty, InterimCheck, MAX_BALL_SHIFT_MM, MIN_DOF, own_sigma_mm, sigma_mm,
+};
 pub use results::{
     ComparedResults, PositionChange, StoredResult, UncomparedParameter, compare_results, of_robot, same_robot,
 };

@@ -90,6 +90,11 @@ findings! {
         cure: "Take the table as dbbd wrote it. Give a changed table another name: then its origin is not stated." {
             TableChanged { record: String } => "was changed since {record} was written; its robot, bar and date may be others";
         }
+        I1849 "a table that was not written by dbbd, or edited since, was moved aside",
+        cause: "The table that was to be written was there, and nothing proves that it was unedited output of dbbd.",
+        cure: "Nothing is lost: it is under the name that is stated. Name another file to keep both in place." {
+            EditedMovedAside { table: String, aside: String } => "{table} was there and is now {aside}";
+        }
     }
 }
 

@@ -2,9 +2,10 @@
 //! can be continued on the page, and the other way round.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use dbbd_device::protocol::ProtocolDefinition;
 use dbbd_job::files;
 use dbbd_job::plan::{Job, PoseKind};
 use dbbd_job::recording::run::PlanFiles;
@@ -15,6 +16,7 @@ use serde_json::Value;
 
 use crate::daemon::service::run_plans::{RunPlan, RunPlans};
 use crate::daemon::service::runs::{CAPTURE, entry_of, is_plain_directory, is_sound, list_recorded_runs};
+use crate::live::ServiceFinding::NamedOutside;
 
 /// The number of newest runs whose plan is looked for.
 const MAX_RUNS: usize = 100;
@@ -216,7 +218,7 @@ impl WorkFiles {
         let mut found = Self { name, prefix, ..Self::default() };
         found.simulated = TRUTH.iter().all(|name| directory.join(name).is_file());
         if let Some(name) = job_name(&directory) {
-            let text = files::read_text(&directory.join(&name));
+            let text = files::read_definition(&directory.join(&name));
             let job = text.and_then(|text| Job::from_toml(&name, &text));
             found.job = Some(WorkJob {
                 robot: job.as_ref().ok().map(|job| robot_name(&directory, &job.robot)),
@@ -297,11 +299,38 @@ fn keep_newest(place: &mut Option<FoundDocument>, path: &Path, directory: FoundD
     }
 }
 
+/// Refuses a file that a job names and that is not in the directory of the robot: a client may write the job, and must not
+/// read other files of the server by it.
+pub(super) fn check_inside(directory: &Path, name: &str) -> Result<(), Diagnostic> {
+    let outside = || Diagnostic::from(NamedOutside { file: name.into() });
+    let is_plain = Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+    match (directory.join(name).canonicalize(), directory.canonicalize()) {
+        _ if !is_plain => Err(outside()),
+        // A link may lead out.
+        (Ok(file), Ok(directory)) if !file.starts_with(&directory) => Err(outside()),
+        _ => Ok(()),
+    }
+}
+
+/// Refuses a job that names a file outside of the directory of its robot.
+pub(super) fn check_named_files(directory: &Path, job: &Job) -> Result<(), Diagnostic> {
+    if Robot::built_in_file(&job.robot).is_none() {
+        check_inside(directory, &job.robot)?;
+    }
+    if ProtocolDefinition::by_name(&job.bar.protocol).is_none() {
+        check_inside(directory, &job.bar.protocol)?;
+    }
+    Ok(())
+}
+
 /// The name of a robot that a job names: built in, or a file beside the job.
 fn robot_name(directory: &Path, name: &str) -> Result<String, Diagnostic> {
     let robot = match Robot::built_in_file(name) {
         Some(text) => Robot::from_toml(name, text)?,
-        None if name.ends_with(".toml") => Robot::from_toml(name, &files::read_text(&directory.join(name))?)?,
+        None if name.ends_with(".toml") => {
+            check_inside(directory, name)?;
+            Robot::from_toml(name, &files::read_definition(&directory.join(name))?)?
+        }
         None => return Err(Robot::unknown(name)),
     };
     Ok(robot.name)

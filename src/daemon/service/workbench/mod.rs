@@ -87,11 +87,19 @@ impl Supervisor {
         Err(RobotIsMeasured { robot: files.name.clone(), run: running.name.clone(), by }.into())
     }
 
+    /// Refuses to compute with a job that names a file outside of its directory, however the job came there.
+    fn check_job_of(&self, files: &WorkFiles) -> Result<(), Diagnostic> {
+        let Some(WorkJob { file, .. }) = &files.job else { return Ok(()) };
+        let text = dbbd_job::files::read_definition(&files.directory.join(file))?;
+        Job::from_toml(file, &text).map_or(Ok(()), |job| files::check_named_files(&files.directory, &job))
+    }
+
     /// Checks the job after a change, and writes it.
     fn write_job(&self, path: &Path, document: &DocumentMut) -> Result<(), Diagnostic> {
         let text = document.to_string();
         let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        Job::from_toml(name, &text)?;
+        let job = Job::from_toml(name, &text)?;
+        files::check_named_files(dbbd_job::files::directory_of(path), &job)?;
         dbbd_job::files::write_file(path, text)
     }
 }
@@ -99,7 +107,8 @@ impl Supervisor {
 /// The file of the job, and its text with these keys set.
 fn edited_job(files: &WorkFiles, keys: &Value) -> Result<(PathBuf, DocumentMut), Diagnostic> {
     let path = files.directory.join(files.job.as_ref().map_or("job.toml", |job| &job.file));
-    let text = if path.exists() { dbbd_job::files::read_text(&path)? } else { job_file::HEAD.to_owned() };
+    let text =
+        if path.exists() { dbbd_job::files::read_definition(&path)? } else { job_file::HEAD.to_owned() };
     let mut document: DocumentMut = text.parse().map_err(|error| not_written(&error))?;
     job_file::set_keys(&mut document, keys)?;
     Ok((path, document))
@@ -275,7 +284,8 @@ impl Workbench for Supervisor {
         }
         let mut document: DocumentMut = job_file::HEAD.parse().map_err(|error| not_written(&error))?;
         job_file::set_keys(&mut document, &job)?;
-        Job::from_toml("job.toml", &document.to_string())?;
+        let made = Job::from_toml("job.toml", &document.to_string())?;
+        files::check_named_files(&directory, &made)?;
         dbbd_job::files::directory(&directory)?;
         self.write_job(&directory.join("job.toml"), &document)?;
         self.log.event(LogLevel::Info, "robot_created", &[("robot", &name)]);
@@ -293,7 +303,7 @@ impl Workbench for Supervisor {
     fn job_of(&self, robot: &str) -> Result<Value, Diagnostic> {
         let files = self.files_of(robot)?;
         let Some(WorkJob { file: name, .. }) = &files.job else { return Ok(Value::Null) };
-        let text = dbbd_job::files::read_text(&files.directory.join(name))?;
+        let text = dbbd_job::files::read_definition(&files.directory.join(name))?;
         dbbd_model::base::parse::from_toml(name, &text)
     }
 
@@ -309,6 +319,10 @@ impl Workbench for Supervisor {
     fn try_job(&self, robot: &str, keys: &Value) -> Result<Value, Diagnostic> {
         let files = self.files_of(robot)?;
         let document = edited_job(&files, keys)?.1;
+        // What is wrong with the job itself, the trial says.
+        if let Ok(job) = Job::from_toml("job.toml", &document.to_string()) {
+            files::check_named_files(&files.directory, &job)?;
+        }
         // A trial must not take the processor from a recording or from another trial.
         if matches!(self.inner().run, LineUse::On(_) | LineUse::Starting) {
             return Err(RunIsOn.into());
@@ -377,6 +391,7 @@ impl Workbench for Supervisor {
         }
         let (work, out) = work_of(&files, step, &options)?;
         check_plain(&files.directory, &out)?;
+        self.check_job_of(&files)?;
         let kind = match &work {
             JobWork::Command(_) | JobWork::Document(_) => "program",
             JobWork::Request(request) => match **request {

@@ -1,10 +1,10 @@
 //! Reads a whole capture: in one pass over a file, or from memory.
 
-use std::fs::File;
 use std::path::Path;
 
 use super::reader::{CaptureDamage, CapturePart, CaptureReader};
 use super::record::{CaptureRecord, RunEnd, RunEvent, StampedRecord};
+use crate::files;
 use crate::recording::RecordingFinding;
 use dbbd_model::base::text::unreadable;
 use dbbd_model::base::units::HostNs;
@@ -33,7 +33,7 @@ impl CaptureSummary {
     ) -> Result<Self, Diagnostic> {
         let name = path.display().to_string();
         let unreadable = unreadable(&name);
-        let reader = CaptureReader::new(File::open(path).map_err(&unreadable)?).map_err(&unreadable)?;
+        let reader = CaptureReader::new(files::open(path)?).map_err(&unreadable)?;
         if let Some(other) = reader.other_format() {
             return Err(Diagnostic::file(&name, other));
         }

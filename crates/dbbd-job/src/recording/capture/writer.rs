@@ -25,14 +25,18 @@ pub struct CaptureWriter {
     /// The file up to the first raw record: header and attachments, without which the rest cannot be read.
     opening: Vec<u8>,
     opened: bool,
-    /// Whether records wait for [`Self::flush`].
-    holds_back: bool,
-    /// The records that wait, and what each of them is.
-    waiting: Vec<u8>,
-    waiting_records: Vec<EncodedRecord>,
     /// The bar's bytes that were written.
     raw_bytes: u64,
+    /// Present if records wait for [`Self::flush`].
+    waiting: Option<WaitingRecords>,
     sync: Option<SyncThread>,
+}
+
+/// Encoded records, and what each of them is.
+#[derive(Default)]
+struct WaitingRecords {
+    bytes: Vec<u8>,
+    records: Vec<EncodedRecord>,
 }
 
 /// The size of a record, the bar's bytes and the samples in it.
@@ -69,10 +73,8 @@ impl CaptureWriter {
             number: 0,
             opening: format::header(),
             opened: false,
-            holds_back: false,
-            waiting: Vec::new(),
-            waiting_records: Vec::new(),
             raw_bytes: 0,
+            waiting: None,
             sync: None,
         };
         writer.append(&format::header())?;
@@ -81,7 +83,7 @@ impl CaptureWriter {
 
     /// From now on records wait for [`Self::flush`], so that a slow disk takes many at once.
     pub fn hold_back(&mut self) {
-        self.holds_back = true;
+        self.waiting.get_or_insert_default();
     }
 
     /// Writes the records that wait. If the disk refuses one, the capture ends with the record before.
@@ -89,29 +91,32 @@ impl CaptureWriter {
         if let Some(error) = self.sync.as_ref().and_then(SyncThread::failed) {
             return Err(self.refusal(&error));
         }
-        if self.waiting.is_empty() {
-            return Ok(());
-        }
-        let (waiting, records) =
-            (std::mem::take(&mut self.waiting), std::mem::take(&mut self.waiting_records));
-        if self.append(&waiting).is_ok() {
-            records.iter().for_each(|record| self.count(record));
-        } else {
-            // One by one, so that every record is kept for which there is room.
-            let mut rest = waiting.as_slice();
-            for record in &records {
-                let (bytes, after) = rest.split_at(record.bytes.min(rest.len()));
-                self.append(bytes)?;
-                self.count(record);
-                rest = after;
+        let Some(mut waiting) = self.waiting.take() else { return Ok(()) };
+        if !waiting.bytes.is_empty() {
+            self.append_all(&waiting)?;
+            waiting.bytes.clear();
+            waiting.records.clear();
+            if let Some(sync) = &self.sync {
+                sync.written();
             }
         }
-        if let Some(sync) = &self.sync {
-            sync.written();
+        self.waiting = Some(waiting);
+        Ok(())
+    }
+
+    fn append_all(&mut self, WaitingRecords { bytes, records }: &WaitingRecords) -> Result<(), Diagnostic> {
+        if self.append(bytes).is_ok() {
+            records.iter().for_each(|record| self.count(record));
+            return Ok(());
         }
-        (self.waiting, self.waiting_records) = (waiting, records);
-        self.waiting.clear();
-        self.waiting_records.clear();
+        // One by one, so that every record is kept for which there is room.
+        let mut rest = bytes.as_slice();
+        for record in records {
+            let (bytes, after) = rest.split_at(record.bytes.min(rest.len()));
+            self.append(bytes)?;
+            self.count(record);
+            rest = after;
+        }
         Ok(())
     }
 
@@ -138,12 +143,15 @@ impl CaptureWriter {
         let raw = if let CaptureRecord::Raw(raw) = record { raw.len() as u64 } else { 0 };
         let samples = if let CaptureRecord::Samples(samples) = record { samples.len() as u64 } else { 0 };
         let encoded = EncodedRecord { bytes: bytes.len(), raw, samples };
-        if self.holds_back {
-            self.waiting.extend(&bytes);
-            self.waiting_records.push(encoded);
-        } else {
-            self.append(&bytes)?;
-            self.count(&encoded);
+        match &mut self.waiting {
+            Some(waiting) => {
+                waiting.bytes.extend(&bytes);
+                waiting.records.push(encoded);
+            }
+            None => {
+                self.append(&bytes)?;
+                self.count(&encoded);
+            }
         }
         self.number = self.number.wrapping_add(1);
         self.opened |= matches!(record, CaptureRecord::Raw(_));

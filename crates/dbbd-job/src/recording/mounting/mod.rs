@@ -23,6 +23,8 @@ pub enum MountingFault {
     Slip,
     CablePull,
     Moved,
+    /// The bar is out of its stroke, or off, while the robot measures.
+    OutOfStroke,
 }
 
 /// A detected fault.
@@ -31,7 +33,7 @@ pub struct DetectedFault {
     pub fault: MountingFault,
     /// Time, s.
     pub t_s: f64,
-    /// Height, mm; for a creep its rate, mm/s.
+    /// Height, mm; for a creep its rate, mm/s; for a bar out of its stroke the number of dwells so far.
     pub size: f64,
 }
 
@@ -139,6 +141,11 @@ pub fn worst(
             *known = named;
         }
     }
+    if let Some(out) = worst.get_mut(&MountingFault::OutOfStroke) {
+        // A bar that leaves its stroke explains whatever else it seems to do.
+        out.size = f64::from(monitor.out_of_stroke());
+        return vec![out.finding()];
+    }
     worst.values().map(DetectedFault::finding).collect()
 }
 
@@ -151,6 +158,7 @@ impl DetectedFault {
             MountingFault::Slip => PortFinding::MagnetSlipped { jump_um: size_um },
             MountingFault::CablePull => PortFinding::CablePulls { change_um: size_um },
             MountingFault::Moved => PortFinding::BallMoved { jump_um: size_um },
+            MountingFault::OutOfStroke => PortFinding::OutOfStroke { dwells: self.size },
         }
     }
 }

@@ -83,6 +83,9 @@ pub struct MountingMonitor {
     strobe_seen: bool,
     /// Time since which the bar is off, s.
     off_s: Option<f64>,
+    /// Whether the strobe was high at the last reading, and the number of dwells that began without a valid reading.
+    was_strobe: bool,
+    out_of_stroke: u32,
     /// Grains before this time are not compared, s.
     compare_from_s: f64,
     /// Largest mismatch of the jump in progress.
@@ -108,6 +111,8 @@ impl MountingMonitor {
             settled_s: None,
             strobe_seen: expected.rest == RestCondition::UnderWay,
             off_s: None,
+            was_strobe: false,
+            out_of_stroke: 0,
             compare_from_s: f64::NEG_INFINITY,
             passing: None,
             jumps: Vec::new(),
@@ -121,10 +126,12 @@ impl MountingMonitor {
     /// Takes a reading; times must not decrease. Returns a fault that it completes.
     pub fn push(&mut self, now: MountedReading) -> Option<DetectedFault> {
         let gap_s = self.last_s.replace(now.t_s).map_or(0.0, |last| now.t_s - last);
+        let begins =
+            now.strobe == Some(true) && !std::mem::replace(&mut self.was_strobe, now.strobe == Some(true));
         if !now.mounted || gap_s > GAP_S.max(GAP_SAMPLES * self.grain_s()) || gap_s < 0.0 {
             self.interrupt(now);
             if !now.mounted {
-                return None;
+                return begins.then(|| self.dwell_without_reading(now.t_s)).flatten();
             }
         }
         self.off_s = None;
@@ -149,9 +156,24 @@ impl MountingMonitor {
         self.grain(AveragedReading { t_s, mean_mm: sum_mm / f64::from(readings), readings, rests })
     }
 
-    /// Discards all grains. A bar that was off for a long time was taken off, and its robot rests.
+    /// The number of dwells that began without a valid reading: the program goes on, but the bar is out of its stroke.
+    pub fn out_of_stroke(&self) -> u32 {
+        self.out_of_stroke
+    }
+
+    fn dwell_without_reading(&mut self, t_s: f64) -> Option<DetectedFault> {
+        self.out_of_stroke += 1;
+        self.name(DetectedFault {
+            fault: MountingFault::OutOfStroke,
+            t_s,
+            size: f64::from(self.out_of_stroke),
+        })
+    }
+
+    /// Discards all grains. A bar that was off for a long time, in which no dwell began, was taken off, and its robot rests.
     fn interrupt(&mut self, now: MountedReading) {
-        let off_s = (!now.mounted).then(|| self.off_s.unwrap_or(now.t_s));
+        let since_s = self.off_s.filter(|_| now.strobe != Some(true));
+        let off_s = (!now.mounted).then(|| since_s.unwrap_or(now.t_s));
         let taken_off = off_s.is_some_and(|since_s| now.t_s - since_s >= TAKEN_OFF_S);
         let mut expected = self.expected;
         if taken_off && expected.rest == RestCondition::UnderWay {
@@ -159,7 +181,15 @@ impl MountingMonitor {
         }
         let strobe_seen = self.strobe_seen && !taken_off;
         let named = std::mem::take(&mut self.named);
-        *self = Self { named, off_s, strobe_seen, last_s: Some(now.t_s), ..Self::new(expected) };
+        *self = Self {
+            named,
+            off_s,
+            strobe_seen,
+            was_strobe: self.was_strobe,
+            out_of_stroke: self.out_of_stroke,
+            last_s: Some(now.t_s),
+            ..Self::new(expected)
+        };
     }
 
     pub fn state(&self) -> MountingState {
@@ -357,6 +387,10 @@ impl MountingMonitor {
     /// Reports a fault unless it was reported a moment ago.
     fn name(&mut self, named: DetectedFault) -> Option<DetectedFault> {
         self.compare_from_s = named.t_s;
+        // A bar that leaves its stroke explains whatever else it seems to do.
+        if self.out_of_stroke > 0 && named.fault != MountingFault::OutOfStroke {
+            return None;
+        }
         let before = self.named.iter_mut().find(|before| before.fault == named.fault);
         match before {
             Some(before) if named.t_s - before.t_s < AGAIN_S => return None,

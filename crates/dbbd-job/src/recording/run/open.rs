@@ -29,7 +29,7 @@ pub fn is_capture(path: &Path) -> Result<bool, Diagnostic> {
     /// A record starts within this many bytes, even if the header and the first records are damaged.
     const GLIMPSE: u64 = 1 << 16;
     let mut first = Vec::new();
-    let read = std::fs::File::open(path).and_then(|file| file.take(GLIMPSE).read_to_end(&mut first));
+    let read = files::open(path)?.take(GLIMPSE).read_to_end(&mut first);
     read.map_err(unreadable(path.display()))?;
     Ok(capture::is_capture(&first))
 }
@@ -57,7 +57,8 @@ pub fn open_run(
             .ok_or_else(|| Diagnostic::file(&name, RecordingFinding::NoPlan))?,
     };
     let stream = stream.map(StreamBuilder::build);
-    let stream = stream.ok_or_else(|| Diagnostic::file(&name, RecordingFinding::NoSample))?;
+    let mut stream = stream.ok_or_else(|| Diagnostic::file(&name, RecordingFinding::NoSample))?;
+    stream.limit_to(plan.header.job.bar.stroke_mm);
     let mut axes_deg = reported_axes(&reports);
     for path in axes {
         let data = read_data(path, &plan)?;

@@ -7,7 +7,7 @@ use crate::request::RequestSession;
 use crate::request::check::CheckSigma;
 use crate::request::robots::today;
 use dbbd_model::conformity::ConformityFinding;
-use dbbd_model::conformity::{CheckInput, DecisionRule};
+use dbbd_model::conformity::{CheckInput, DecisionRule, MAX_BALL_SHIFT_MM};
 use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::expected::{BallMounting, Mounting};
@@ -111,15 +111,17 @@ impl<'a> PlannedCheck<'a> {
     }
 }
 
-/// Refuses kept base balls that were taught farther from where the calibration had them than the stroke allows.
+/// Refuses kept base balls that were taught farther from where the calibration had them than the stroke allows, or that the
+/// job has elsewhere.
 fn check_kept_balls(file: &str, job: &Job, robot: &Robot) -> Result<(), Diagnostic> {
     let known = robot.posterior.as_ref();
     let [low_mm, high_mm] = job.bar.stroke_mm;
-    for (at, table) in job.centres.iter().enumerate().filter(|(_, table)| table.taught_deg.is_some()) {
+    for (at, table) in job.centres.iter().enumerate() {
         let ball = BallId::at(at);
         let Some(kept) = known.and_then(|known| known.ball(ball)) else { continue };
         let away_mm = (Vector3::from(table.xyz_mm) - kept).norm();
-        if away_mm > 0.5 * (high_mm - low_mm) {
+        let is_taught = table.taught_deg.is_some();
+        if away_mm > if is_taught { 0.5 * (high_mm - low_mm) } else { MAX_BALL_SHIFT_MM } {
             let elsewhere = ConformityFinding::BallElsewhere { ball: ball.number(), away_mm };
             return Err(Diagnostic::file(file, elsewhere));
         }

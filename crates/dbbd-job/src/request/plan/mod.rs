@@ -287,7 +287,7 @@ impl PlanRequest {
     /// The job, or its stage, and the job's file with its text.
     fn read_job(&self, session: &RequestSession<'_>) -> Result<(Job, TracedArtefact, String), Diagnostic> {
         let name = self.job.display().to_string();
-        let text = files::read_text(&self.job)?;
+        let text = files::read_definition(&self.job)?;
         let job = Job::from_toml(&name, &text)?;
         job.identity().check_dates(clock::unix_ns()).map_err(|(_, why)| why.in_file(&name))?;
         let made_from = job.traced(&self.job)?;
