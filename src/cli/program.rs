@@ -58,7 +58,7 @@ pub(super) enum SyncChoice {
 
 pub(crate) fn run(args: &ProgramArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let plan = run::read_plan(&args.plan)?;
-    out.findings(request::plan::changed_job(&plan, &args.plan));
+    out.findings(request::plan::changed_sources(&plan, &args.plan));
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
     let language = args.language.unwrap_or_else(|| Language::of_robot(&robot));
     check_language(args, &robot, language, out)?;

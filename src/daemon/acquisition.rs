@@ -224,7 +224,14 @@ enum PortSessionEnd {
 }
 
 impl RecorderThread {
-    fn record(mut self, mut port: Port) -> Result<AcquisitionSummary, Diagnostic> {
+    fn record(mut self, port: Port) -> Result<AcquisitionSummary, Diagnostic> {
+        let recorded = self.recorded(port);
+        // A run that failed takes no remark either.
+        *lock(&self.shared.notes) = None;
+        recorded
+    }
+
+    fn recorded(&mut self, mut port: Port) -> Result<AcquisitionSummary, Diagnostic> {
         let ending = loop {
             let (since, why) = match self.session(&port)? {
                 PortSessionEnd::Over(ending) => {
@@ -268,18 +275,17 @@ impl RecorderThread {
         };
         let ended = self.read(&reader, &mut polling);
         reader.end();
-        match ended {
-            Ok(ended) => {
-                while let Ok(arrival) = reader.next(LONGEST_WAIT) {
-                    _ = self.arrived(arrival, &mut polling)?;
-                }
-                Ok(ended)
+        let drained = ended.and_then(|ended| {
+            while let Ok(arrival) = reader.next(LONGEST_WAIT) {
+                _ = self.arrived(arrival, &mut polling)?;
             }
-            Err(refused) => {
-                self.count_refused(&reader);
-                Err(refused)
-            }
+            self.publish()?;
+            Ok(ended)
+        });
+        if drained.is_err() {
+            self.count_refused(&reader);
         }
+        drained
     }
 
     /// Counts what was received, and what the disk did not take any more.

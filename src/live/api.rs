@@ -22,6 +22,7 @@ use super::{downloads, metrics, stream, workbench};
 use crate::live::ServiceFinding::{NoResultKind, RemarkLength};
 use dbbd_job::page::PageFile;
 use dbbd_job::report::page::CODES;
+use dbbd_model::base::text::is_control;
 use dbbd_model::diagnostic::Diagnostic;
 
 /// The description of the API. A test compares it with the routes.
@@ -226,7 +227,7 @@ struct Remark {
 async fn mark(State(app): State<App>, Body(Remark { text }): Body<Remark>) -> Answer {
     let trimmed = text.trim();
     let length = trimmed.chars().count();
-    if length == 0 || length > LONGEST_REMARK || trimmed.contains(char::is_control) {
+    if length == 0 || length > LONGEST_REMARK || trimmed.contains(is_control) {
         return Err(Diagnostic::new(RemarkLength { most: LONGEST_REMARK }).into());
     }
     accept(app, move |service| service.mark(text)).await

@@ -116,6 +116,7 @@ fn identity_is_in_capture_and_result() {
 const WRONG: &[(&str, &str, &str, usize)] = &[
     ("certified_on = \"2026-03-01\"", "certified_on = \"2026-02-29\"", "E0680", 11),
     ("serial = \"S-21\"", "serial = \"\"", "E0680", 16),
+    ("serial = \"S-21\"", "serial = \"S\\u202e21\"", "E0680", 16),
     ("operator = \"Operator of the job\"", "measured = \"yesterday\"", "E0680", 24),
     ("celsius = 20.1", "celsius = 2010", "E0130", 28),
     ("load_kg = 12.5", "load_kg = -1", "E0130", 25),

@@ -194,6 +194,14 @@ fn nothing_is_overwritten() {
     fs::write(at.join("job.toml"), JOB.replace("tilt_deg = 30.0", "tilt_deg = 31.0")).unwrap();
     // The program would be that of the earlier job.
     assert!(done(at, &["krl", "plan/plan.csv", "--out", "old"]).contains(&"W0885".to_owned()));
+    // The same for a robot file beside it.
+    assert!(dbbd(at, &["robots", "import", "kr60ha", "--out", "own.toml"]).status.success());
+    fs::write(at.join("own-job.toml"), JOB.replace("\"kr60ha\"", "\"own.toml\"")).unwrap();
+    done(at, &["plan", "own-job.toml", "--out", "own-plan"]);
+    assert!(!done(at, &["krl", "own-plan/plan.csv", "--out", "own-krl"]).contains(&"W0885".to_owned()));
+    let own = fs::read_to_string(at.join("own.toml")).unwrap();
+    fs::write(at.join("own.toml"), format!("{own}# another tool ball\n")).unwrap();
+    assert!(done(at, &["krl", "own-plan/plan.csv", "--out", "own-old"]).contains(&"W0885".to_owned()));
     // The warning of a command that another one starts.
     let output = dbbd(at, &["acquire", "--port", "sim", "--plan", "plan/plan.csv", "--out", "old.dbbd"]);
     let is_named = codes(&output).contains(&"W0885".to_owned());

@@ -23,6 +23,7 @@ use dbbd_device::protocol::ProtocolDefinition;
 use dbbd_job::files;
 use dbbd_model::base::fixed_array::FixedArray;
 use dbbd_model::base::parse::from_toml;
+use dbbd_model::base::text::is_control;
 use dbbd_model::diagnostic::{Diagnostic, Finding};
 use dbbd_model::provenance::Identity;
 
@@ -364,7 +365,7 @@ fn definition(
 /// Checks a user of the file. `all` are the names of all users, and the hashes of their tokens.
 fn known_user(user: UserTable, all: &[(String, String)]) -> Result<KnownUser, ServiceFinding> {
     let UserTable { name, role, token_hash } = user;
-    if name.trim().is_empty() || name.len() > LONGEST_USER || name.contains(char::is_control) {
+    if name.trim().is_empty() || name.len() > LONGEST_USER || name.contains(is_control) {
         return Err(NotAUser { why: "its name is empty, too long or not printable" });
     }
     if all.iter().filter(|(other, _)| *other == name).count() > 1 {

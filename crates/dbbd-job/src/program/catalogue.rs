@@ -200,10 +200,10 @@ findings! {
         cure: "Remove the modules that are named, or write into an empty directory: load only those of one plan." {
             StaleModules { modules: String } => "the directory holds modules that are not of this plan: {modules}";
         }
-        W0885 "the job was changed after its plan was made",
-        cause: "The file of the job is not the one that the plan was made from: the program is one of the earlier job.",
-        cure: "Plan the job again, and write the program of that plan; or go on, if the program shall be that of the earlier job." {
-            JobChanged { job: String } => "{job} was changed after the plan was made: the program is that of the earlier job";
+        W0885 "the job or the robot file was changed after the plan was made",
+        cause: "The file is not the one that the plan was made from: the program is one of the earlier job or robot.",
+        cure: "Plan the job again, and write the program of that plan; or go on, if the program shall be that of the earlier file." {
+            SourceChanged { source: String } => "{source} was changed after the plan was made: the program is that of the earlier file";
         }
         E0884 "a module has the name of its routine",
         cause: "In RAPID modules and routines share their names, and a controller refuses to load such a module.",

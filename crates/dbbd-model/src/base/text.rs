@@ -18,15 +18,20 @@ pub fn without_end_zeros(number: &str) -> &str {
     if number.contains('.') { number.trim_end_matches('0').trim_end_matches('.') } else { number }
 }
 
+/// Whether a character controls a terminal, the lines of a text or the order in which it is read.
+pub fn is_control(c: char) -> bool {
+    let is_bidirectional = matches!(
+        c,
+        '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}'
+    );
+    is_bidirectional || c.is_control()
+}
+
 /// Escapes, as JSON does, what would control a terminal or the order in which a text is read: control characters but line
 /// feed and tab, bidirectional controls, and the other separators of lines. Text from files, devices and clients is
 /// printed through this.
 pub fn escape_controls(text: &str) -> Cow<'_, str> {
-    let steers = |c: char| match c {
-        '\n' | '\t' => false,
-        '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => true,
-        other => other.is_control(),
-    };
+    let steers = |c: char| !matches!(c, '\n' | '\t') && is_control(c);
     if !text.contains(steers) {
         return text.into();
     }

@@ -104,7 +104,9 @@ findings! {
         E0680 "a text or a date of an identity cannot be used",
         cause: "A text of [identity], [bar] or [[centre]] is empty, too long or has control characters, a date does not exist or is impossible, a country is not an ISO code, or balls or temperatures are given twice.",
         cure: "Write texts in one line of at most 200 characters, and dates as \"2026-03-31\"." {
-            NotAText { key: String, length: usize, most: usize } => "{key} must be a text of 1 to {most} characters in one line, it has {length}";
+            EmptyText { key: String } => "{key} is empty";
+            LongText { key: String, length: usize, most: usize } => "{key} has {length} characters, at most {most} are allowed";
+            ControlInText { key: String, code: String } => "{key} holds the control character {code}: write one line of plain text";
             NotACountry { code: String } => "country = \"{code}\" must be two capital letters of ISO 3166-1, such as DE, or GB for the United Kingdom";
             CertifiedLater { date: String } => "certified_on = \"{date}\" is after the day of the measurement";
             InFuture { key: String, date: String } => "{key} = \"{date}\" is in the future, by the clock of this computer";

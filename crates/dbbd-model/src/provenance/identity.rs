@@ -4,10 +4,13 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::catalogue::IdentityFinding::{self, NotACountry, NotADate, NotAText, TooEarly};
+use super::catalogue::IdentityFinding::{
+    self, ControlInText, EmptyText, LongText, NotACountry, NotADate, TooEarly,
+};
 use crate::base::date::{day_number, is_after, is_moment};
 use crate::base::expansion::{REFERENCE_C, ThermalExpansion};
 use crate::base::parse::from_toml;
+use crate::base::text::is_control;
 use crate::diagnostic::Diagnostic;
 use crate::plausibility::Quantity;
 use crate::provenance::ProvenanceFinding;
@@ -110,14 +113,20 @@ pub struct MeasuredTemperature {
 /// A key, and what is wrong with its value.
 pub type IdentityError = (&'static str, Diagnostic);
 
-/// Refuses a text that is empty, longer than 200 characters, or has control characters.
+/// Refuses a text that is empty, longer than 200 characters, or has control characters or bidirectional controls.
 pub fn check_text(key: &'static str, text: Option<&String>) -> Result<(), IdentityError> {
     let Some(text) = text else { return Ok(()) };
     let length = text.trim().chars().count();
-    if (1..=MAX_TEXT_CHARACTERS).contains(&length) && !text.chars().any(char::is_control) {
+    let wrong = if let Some(control) = text.chars().find(|c| is_control(*c)) {
+        ControlInText { key: key.into(), code: format!("U+{:04X}", u32::from(control)) }
+    } else if length == 0 {
+        EmptyText { key: key.into() }
+    } else if length > MAX_TEXT_CHARACTERS {
+        LongText { key: key.into(), length, most: MAX_TEXT_CHARACTERS }
+    } else {
         return Ok(());
-    }
-    Err((key, NotAText { key: key.into(), length, most: MAX_TEXT_CHARACTERS }.into()))
+    };
+    Err((key, wrong.into()))
 }
 
 /// The day number of a date with or without a time.

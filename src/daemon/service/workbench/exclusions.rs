@@ -2,6 +2,7 @@
 
 use dbbd_job::request::RowIndices;
 use dbbd_job::request::identify::Exclusion;
+use dbbd_model::base::text::is_control;
 use dbbd_model::diagnostic::Diagnostic;
 use serde_json::Value;
 
@@ -39,7 +40,7 @@ pub(super) fn asked(
     let Some(rows) = rows else { return Ok(known) };
     let exclusion = |asked: &ExcludedRows| {
         let reason = asked.reason.as_deref().map(str::trim).filter(|reason| !reason.is_empty());
-        let is_long = |text: &str| text.chars().count() > LONGEST_REASON || text.contains(char::is_control);
+        let is_long = |text: &str| text.chars().count() > LONGEST_REASON || text.contains(is_control);
         if reason.is_some_and(is_long) {
             return Err(Diagnostic::new(RemarkLength { most: LONGEST_REASON }));
         }

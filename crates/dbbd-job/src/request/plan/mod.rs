@@ -310,15 +310,21 @@ impl PlanRequest {
     }
 }
 
-/// The finding if the job beside a plan, or in the directory above, is not the job from which the plan was made.
-pub fn changed_job(plan: &Plan, csv: &Path) -> Option<ProgramFinding> {
-    let job = plan.header.provenance.from.iter().rev().find(|source| source.role == ArtefactRole::Job)?;
+/// A finding for the job and for the robot file beside a plan, or in the directory above, if it is not the one from which the
+/// plan was made.
+pub fn changed_sources(plan: &Plan, csv: &Path) -> impl Iterator<Item = ProgramFinding> {
     let directory = files::directory_of(csv);
-    let file = [directory.join(&job.name), directory.join("..").join(&job.name)]
-        .into_iter()
-        .find(|file| file.is_file())?;
-    let changed = files::sha256(&file).ok()? != job.sha256;
-    changed.then(|| ProgramFinding::JobChanged { job: file.display().to_string() })
+    let changed = move |role: ArtefactRole| {
+        let source = plan.header.provenance.from.iter().rev().find(|source| source.role == role)?;
+        // A robot has a name of its own; the job names its file.
+        let name = if role == ArtefactRole::Robot { &plan.header.job.robot } else { &source.name };
+        let file = [directory.join(name), directory.join("..").join(name)]
+            .into_iter()
+            .find(|file| file.is_file())?;
+        let changed = files::sha256(&file).ok()? != source.sha256;
+        changed.then(|| ProgramFinding::SourceChanged { source: file.display().to_string() })
+    };
+    [ArtefactRole::Job, ArtefactRole::Robot].into_iter().filter_map(changed)
 }
 
 /// The robot with the serial number of the job. Refuses a robot that has another serial number.
