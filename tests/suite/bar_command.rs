@@ -63,7 +63,10 @@ fn each_virtual_bar_is_identified_over_its_line() {
         for definition in built_in() {
             scope.spawn(move || {
                 let port = served(&definition, 100.0, |t_s: f64| at_rest(0.01 * t_s.sin()));
-                let output = run(&["bar", "identify", "--port", &port, "--json"]);
+                let identify = || run(&["bar", "identify", "--port", &port, "--json"]);
+                // On a busy machine a simulated bar may answer after its time.
+                let first = identify();
+                let output = if json(&first)["protocol"].is_null() { identify() } else { first };
                 let said = json(&output);
                 assert_eq!(said["protocol"], *definition.id, "{said}");
                 assert_eq!(output.status.code(), Some(0));
