@@ -92,7 +92,8 @@ pub(crate) struct AcquireArgs {
     /// End when the port has been away for this many seconds (exit code 3; the run is kept).
     #[arg(long, value_name = "S", default_value = "10", value_parser = value::seconds)]
     gone: f64,
-    /// Interval at which the data is flushed to the disk, s, 0 to 3600. A loss of power loses at most this much.
+    /// Time from one flush of the data to the disk to the next, s, 0 to 3600. A loss of power loses at most this much, and
+    /// what arrives while a slow disk flushes.
     #[arg(long, value_name = "S", default_value = "1", value_parser = value::sync_seconds)]
     sync_every: f64,
 }

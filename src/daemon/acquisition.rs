@@ -63,7 +63,7 @@ pub struct AcquisitionOptions {
     pub gone_s: f64,
     /// Shows the run to clients.
     pub feed: Option<LiveFeed>,
-    /// Interval between syncs of the capture to the disk: a power failure costs at most this time.
+    /// Time from one sync of the capture to the next, s: a power failure costs this time, and that of a sync on a slow disk.
     pub sync_s: f64,
 }
 
@@ -365,7 +365,7 @@ impl RecorderThread {
                 }
             }
             Arrival::Lost(host, bytes) => self.recorder.lost(host, bytes)?,
-            Arrival::Ended(_, watched_s) => self.recorder.watched_to_the_end(watched_s),
+            Arrival::Ended(host, watched_s) => self.recorder.watched_to_the_end(host, watched_s),
             Arrival::Gone(host, why) => return Ok(Some(PortSessionEnd::Gone(host, why))),
         }
         Ok(None)

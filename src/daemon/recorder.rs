@@ -219,8 +219,8 @@ struct BarStream {
     sequence: SequenceNumbers,
     sync: FrameSync,
     requests: PollRequests,
-    /// For how long the line was watched since the last bytes when its reader ended, s.
-    watched_at_end_s: f64,
+    /// When the reader of the line ended, and for how long it had watched the line since the last bytes, s.
+    watched_to: Option<(HostNs, f64)>,
 }
 
 /// What the times between the bytes of the bar show: whether it was silent, or this computer stood still.
@@ -259,12 +259,12 @@ impl SilentTime {
     }
 
     /// Notes the time since the last bytes, of which the line was watched for `watched_s`. Returns the gap if it is to be
-    /// recorded: longer than the device's limit and `least_s`.
-    fn until(&mut self, host: HostNs, watched_s: f64, least_s: f64) -> Option<RunEvent> {
+    /// recorded: longer than the device's limit and `min_s`.
+    fn until(&mut self, host: HostNs, watched_s: f64, min_s: f64) -> Option<RunEvent> {
         let since_s = host.seconds_since(self.last_bytes?);
         let of_bar_s = watched_s.min(since_s);
         let of_computer_s = since_s - of_bar_s;
-        let limit_s = self.limit_s.unwrap_or(f64::INFINITY).max(least_s);
+        let limit_s = self.limit_s.unwrap_or(f64::INFINITY).max(min_s);
         if of_bar_s > limit_s.max(SILENT_S) {
             self.unexplained.of_bar_s += of_bar_s;
         }
@@ -429,7 +429,7 @@ impl Recorder {
                     is_latched: definition.latch_at_request,
                     latch_delay_ns: u64::try_from(definition.latch_delay.as_nanos()).unwrap_or(0),
                 },
-                watched_at_end_s: 0.0,
+                watched_to: None,
             },
             upkeep: CaptureUpkeep {
                 began: now,
@@ -506,17 +506,17 @@ impl Recorder {
     }
 
     /// Records the time without bytes, of which the line was watched for `watched_s`, if it exceeds the limit of the device and
-    /// `least_s`.
-    fn silent_until(&mut self, host: HostNs, watched_s: f64, least_s: f64) -> Result<(), Diagnostic> {
-        match self.stream.silent.until(host, watched_s, least_s) {
+    /// `min_s`.
+    fn silent_until(&mut self, host: HostNs, watched_s: f64, min_s: f64) -> Result<(), Diagnostic> {
+        match self.stream.silent.until(host, watched_s, min_s) {
             Some(gap) => self.event(host, gap),
             None => Ok(()),
         }
     }
 
-    /// Notes how long the line was watched since the last bytes when its reader ended.
-    pub(super) fn watched_to_the_end(&mut self, watched_s: f64) {
-        self.stream.watched_at_end_s = watched_s;
+    /// Notes when the reader of the line ended, and for how long it had watched the line since the last bytes.
+    pub(super) fn watched_to_the_end(&mut self, host: HostNs, watched_s: f64) {
+        self.stream.watched_to = Some((host, watched_s));
     }
 
     /// Notes a request to a polled device.
@@ -679,7 +679,9 @@ impl Recorder {
         // After the end of the program the bar may be silent, and the host may wait for its disk.
         if ending != EndReason::Mark {
             // Shorter silence may be caused by the end of the run itself.
-            self.silent_until(now, self.stream.watched_at_end_s, SILENT_S)?;
+            // Stopping the bar afterwards takes its time, which nobody watches.
+            let (ended, watched_s) = self.stream.watched_to.unwrap_or((now, 0.0));
+            self.silent_until(ended, watched_s, SILENT_S)?;
             self.add_silent(Continuity { device_s: None, is_next: false });
         }
         self.interrupted(now)?;
@@ -751,10 +753,10 @@ mod tests {
 
     #[test]
     fn silence_is_recorded_beyond_the_limit_of_the_device() {
-        let gap_s = |limit_s, last_bytes, now_s, least_s| match silent(limit_s, last_bytes).until(
+        let gap_s = |limit_s, last_bytes, now_s, min_s| match silent(limit_s, last_bytes).until(
             at(now_s),
             99.0,
-            least_s,
+            min_s,
         ) {
             Some(RunEvent::Gap { seconds, .. }) => seconds,
             _ => None,
@@ -768,7 +770,7 @@ mod tests {
         assert_eq!([gap_s(Some(0.5), None, 99.0, 0.0), gap_s(None, last, 99.0, 0.0)], [None, None]);
     }
 
-    /// The last bytes came at 10 s, and the run ends at 15 s.
+    /// The last bytes came at 10 s, and the run ends at 15 s; the bar is stopped until 19 s.
     #[test]
     fn silence_after_the_end_of_the_program_is_no_loss() {
         let directory = tempfile::tempdir().unwrap();
@@ -777,9 +779,10 @@ mod tests {
             let writer = CaptureWriter::create(&directory.path().join(format!("{gaps}.dbbd"))).unwrap();
             let mut recorder = Recorder::new(writer, &definition, Some(1), at(0.0));
             recorder.stream.silent.last_bytes = Some(at(10.0));
-            recorder.watched_to_the_end(5.0);
-            let progress = recorder.finish(at(15.0), ending).unwrap();
-            assert_eq!((progress.silent_s, progress.counts.gaps), (silent_s, gaps));
+            recorder.watched_to_the_end(at(15.0), 5.0);
+            let progress = recorder.finish(at(19.0), ending).unwrap();
+            let found = (progress.silent_s, progress.stood_still_s, progress.counts.gaps);
+            assert_eq!(found, (silent_s, 0.0, gaps));
         }
     }
 

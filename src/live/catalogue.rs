@@ -112,8 +112,8 @@ findings! {
         E1511 "a job was ended",
         cause: "It took more time or memory than a job of the service may.",
         cure: "Compute it with the command line, or with less: fewer candidates, a smaller table." {
-            JobTooLong { most_s: f64 } => "the job was ended after {most_s:.0} s";
-            JobEnded { most_bytes: u64 } => "the job ended without an answer: it may have needed more than {most_bytes} bytes of memory";
+            JobTooLong { max_s: f64 } => "the job was ended after {max_s:.0} s";
+            JobEnded { max_bytes: u64 } => "the job ended without an answer: it may have needed more than {max_bytes} bytes of memory";
         }
         E1509 "a request's form is not valid",
         cause: "The method, the path, the type or the size of a request is not what the API takes.",

@@ -284,7 +284,12 @@ fn a_bar_out_of_its_stroke_is_named() {
     done("acquire --port link --plan plan/plan.csv --out run.dbbd --quiet");
     // It warns of the readings that are out of its stroke.
     assert_eq!(simulator.finished().status.code(), Some(3));
-    let said = done("sync run.dbbd --out lengths.csv");
+    let output = dbbd(at, &["sync", "run.dbbd", "--out", "lengths.csv"]);
+    let (said, text) = (codes(&output), stderr(&output));
     assert!(said.contains(&"W0285".to_owned()), "{said:?}");
     assert!(!said.iter().any(|code| ("W0280".."W0285").contains(&code.as_str())), "{said:?}");
+    // Each dwell counts: of 26 with a ball that is 5 mm off in one direction about a third is beyond 3 mm on either side.
+    let dwells =
+        text.split("or off, when ").nth(1).and_then(|rest| rest.split(' ').next()?.parse::<u32>().ok());
+    assert!(dwells.is_some_and(|dwells| (4..=22).contains(&dwells)), "{text}");
 }

@@ -163,7 +163,7 @@ fn push(archive: &ArchiveTarget, run: Option<&Path>) -> io::Result<PushAttempt> 
     }
     command.envs(Secrets::variables()).stdout(Stdio::piped()).stderr(Stdio::null());
     let mut child = command.spawn()?;
-    jobs::prefer_for_oom_kill(&child);
+    jobs::confine(&child);
     let _stdin = child.stdin.take();
     let report = child.stdout.take().map(io::read_to_string).transpose()?.unwrap_or_default();
     let status = child.wait()?;

@@ -405,7 +405,7 @@ fn run(shared: &Arc<JobsShared>, task: &JobTask) -> io::Result<JobState> {
 fn fail_if_ended(shared: &JobsShared, id: u64, status: ExitStatus) {
     let state = shared.get(id).map(|job| job.state);
     if status.code().is_none() && state == Some(JobState::Running) {
-        shared.found(id, JobEnded { most_bytes: MAX_JOB_BYTES });
+        shared.found(id, JobEnded { max_bytes: MAX_JOB_BYTES });
     }
 }
 
@@ -426,8 +426,7 @@ fn follow<T: Send>(
     mut child: Child,
     read: impl FnOnce(ChildStdout) -> T + Send,
 ) -> io::Result<(ExitStatus, Option<T>)> {
-    prefer_for_oom_kill(&child);
-    limit_memory(&child);
+    confine(&child);
     let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
     *lock(&shared.child) = Some((id, child));
     // The job may have been cancelled while its process was starting.
@@ -464,7 +463,7 @@ fn end_in_time(shared: &JobsShared, id: u64, is_over: &AtomicBool) {
     while !is_over.load(Ordering::Relaxed) {
         clock::sleep(0.05);
         if clock::now().seconds_since(began) > MAX_JOB_S {
-            shared.found(id, JobTooLong { most_s: MAX_JOB_S });
+            shared.found(id, JobTooLong { max_s: MAX_JOB_S });
             shared.change(id, |job| job.state = JobState::Failed);
             if let Some((_, child)) = &mut *lock(&shared.child) {
                 // Fails if the child has just ended.
@@ -475,9 +474,10 @@ fn end_in_time(shared: &JobsShared, id: u64, is_over: &AtomicBool) {
     }
 }
 
-/// Limits the memory of a child process. Only Linux can limit another process.
-#[cfg_attr(not(target_os = "linux"), expect(unused_variables, reason = "see above"))]
-pub(super) fn limit_memory(child: &Child) {
+/// Limits the memory of a child process, and makes the system kill it and not the recorder if memory runs out. Only Linux can
+/// do this to another process.
+pub(super) fn confine(child: &Child) {
+    let _ = std::fs::write(format!("/proc/{}/oom_score_adj", child.id()), "1000");
     #[cfg(target_os = "linux")]
     {
         use rustix::process::{Pid, Resource, Rlimit, prlimit};
@@ -485,12 +485,6 @@ pub(super) fn limit_memory(child: &Child) {
         // Fails if the child has just ended.
         let _ = prlimit(Pid::from_child(child).into(), Resource::As, most);
     }
-}
-
-/// Makes the system kill this evaluation and not the recorder if memory runs out.
-pub(super) fn prefer_for_oom_kill(child: &Child) {
-    // Only Linux has this file.
-    let _ = std::fs::write(format!("/proc/{}/oom_score_adj", child.id()), "1000");
 }
 
 fn listen(shared: &JobsShared, id: u64, output: impl Read) {

@@ -13,7 +13,7 @@ use dbbd_model::base::InternalFinding::NoSystem;
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
 use serde_json::{Value, json};
 
-use crate::daemon::service::jobs::prefer_for_oom_kill;
+use crate::daemon::service::jobs::confine;
 use crate::live::ServiceFinding::{TooManyJobs, WorkerLost};
 
 /// Longest time of a trial, s: a job that takes longer is not tried.
@@ -76,7 +76,7 @@ fn plan(request: &Request, directory: &Path) -> Result<Option<dbbd_job::request:
     };
     let RequestChild { mut child, stdin } =
         RequestChild::start(request, set_up).map_err(|error| failed(&error))?;
-    prefer_for_oom_kill(&child);
+    confine(&child);
     let stdout = child.stdout.take();
     let began = clock::now();
     thread::scope(|scope| {

@@ -126,8 +126,9 @@ impl MountingMonitor {
     /// Takes a reading; times must not decrease. Returns a fault that it completes.
     pub fn push(&mut self, now: MountedReading) -> Option<DetectedFault> {
         let gap_s = self.last_s.replace(now.t_s).map_or(0.0, |last| now.t_s - last);
-        let begins =
-            now.strobe == Some(true) && !std::mem::replace(&mut self.was_strobe, now.strobe == Some(true));
+        let is_high = now.strobe == Some(true);
+        let was_high = std::mem::replace(&mut self.was_strobe, is_high);
+        let begins = is_high && !was_high;
         if !now.mounted || gap_s > GAP_S.max(GAP_SAMPLES * self.grain_s()) || gap_s < 0.0 {
             self.interrupt(now);
             if !now.mounted {
