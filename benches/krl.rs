@@ -9,6 +9,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dbbd_job::plan::{Job, Plan, PoseKind};
+use dbbd_job::program::Correction;
 use dbbd_job::program::krl::{
     Controller, Files, Given, Options, Sync, Text, compensate, emit, parse_data, parse_source, read,
 };
@@ -18,7 +19,7 @@ use dbbd_model::robot::Robot;
 use production::production;
 
 const POINTS: usize = 100_000;
-const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
+const JOB: &str = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
                    xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 200\norientation = \"fixed\"\n\
                    tilt_deg = 20.0";
 
@@ -43,7 +44,7 @@ fn plan(robot: &Robot) -> Plan {
 }
 
 fn benches(c: &mut Criterion) {
-    let robot = Robot::by_name("kr60ha").expect("built in").expect("reads");
+    let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).expect("built in").expect("reads");
     let plan = plan(&robot);
     let options = Options { sync: Sync::Output, controller: Controller::Krc4 };
     let files = emit(&plan, options).expect("a program");
@@ -78,7 +79,12 @@ fn benches(c: &mut Criterion) {
         b.iter(|| read(files, Given::default()).expect("points").points.len())
     });
     group.bench_function("compensate", |b| {
-        b.iter(|| compensate(files, black_box(&points), &identified, 50.0).expect("compensated").moved.len());
+        b.iter(|| {
+            compensate(files, black_box(&points), Correction::of(&identified, 50.0))
+                .expect("compensated")
+                .moved
+                .len()
+        });
     });
     group.finish();
 }

@@ -11,6 +11,7 @@ mod stream;
 use std::hint::black_box;
 
 use dbbd_device::protocol::ProtocolDefinition;
+use dbbd_job::program::Correction;
 use dbbd_job::program::krl::{Files, Given, Text, compensate, read};
 use dbbd_job::sim::truth;
 use dbbd_model::design::calibrate;
@@ -90,7 +91,7 @@ fn all_branches() {
 }
 
 fn compensate_program() {
-    let robot = Robot::by_name("kr60ha").expect("built in").expect("reads");
+    let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).expect("built in").expect("reads");
     let (source, data) = production::production(&robot, 1000);
     let files = Files {
         source: Text { file: "P.src", text: &source },
@@ -100,7 +101,10 @@ fn compensate_program() {
     let points = read(files, Given::default()).expect("points");
     let identified =
         Robot { nominal: Some(Box::new(robot.clone())), ..truth::draw_true_robot(&robot, 1, 1.0) };
-    assert_eq!(compensate(files, &points, &identified, 50.0).expect("compensated").moved.len(), 1000);
+    assert_eq!(
+        compensate(files, &points, Correction::of(&identified, 50.0)).expect("compensated").moved.len(),
+        1000
+    );
 }
 
 /// A table of 20 000 lengths.

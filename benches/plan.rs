@@ -12,7 +12,7 @@ use dbbd_model::robot::{BallId, Robot};
 use nalgebra::Vector3;
 
 fn benches(c: &mut Bench) {
-    let robot = Robot::by_name("kr60ha").expect("built in").expect("reads");
+    let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).expect("built in").expect("reads");
     let ball = Vector3::new(1300.0, 0.0, 800.0);
     let model = LengthModel::new(robot.geometry.clone(), &[BaseBall { id: BallId::FIRST, position: ball }]);
     let belief = Posterior::prior(&robot, model, &Priors::datasheet(&robot, None));

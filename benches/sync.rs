@@ -23,7 +23,11 @@ const SAMPLES: u64 = 3_600_000;
 fn run() -> (Plan, SampleStream) {
     let text = include_str!("../examples/demo.toml").replace("points = 80", "points = 240");
     let job = Job::from_toml("demo.toml", &text).expect("reads");
-    let plan = Plan::build(&job, &Robot::by_name("kr60ha").expect("built in").expect("reads")).expect("safe");
+    let plan = Plan::build(
+        &job,
+        &Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).expect("built in").expect("reads"),
+    )
+    .expect("safe");
     let mut random = Pcg64::seed_from_u64(1);
     // Time at which each row is left, and whether it is a dwell.
     let (mut edges, mut t_s, mut level) = (Vec::new(), 5.0, 0.0);

@@ -10,6 +10,7 @@ use dbbd::live::{JobRequest, StartRequest};
 use dbbd_device::axes::{AxesDecoder, AxesProtocol, rsi, rtde};
 use dbbd_device::protocol::{DecodedItem, ProtocolDefinition};
 use dbbd_job::plan::{Job, Plan};
+use dbbd_job::program::Correction;
 use dbbd_job::program::fanuc::GivenFrames;
 use dbbd_job::program::krl::{self, Files, Given};
 use dbbd_job::program::{self, Language, Moved, Program, Text, fanuc, rapid, urscript};
@@ -197,7 +198,10 @@ fn krl_reader(data: &[u8]) {
         config: (!config.is_empty()).then(|| file("config.dat", config)),
     };
     let Ok(points) = krl::read(files, Given::default()) else { return };
-    let Ok(corrected) = krl::compensate(files, &points, &identified("kr60ha"), LIMIT_MM) else { return };
+    let Ok(corrected) = krl::compensate(files, &points, Correction::of(&identified("kr60ha"), LIMIT_MM))
+    else {
+        return;
+    };
     let data = corrected.data.as_deref().map(|data| file("M.dat", data));
     let again =
         krl::read(Files { source: file("M.src", &corrected.source), data, ..files }, Given::default());
@@ -229,7 +233,7 @@ fn script(robot: &str, data: &[u8]) {
         }
     };
     let Ok(points) = read(source) else { return };
-    let corrected = points.compensate(file("M", source), &identified(robot), LIMIT_MM);
+    let corrected = points.compensate(file("M", source), Correction::of(&identified(robot), LIMIT_MM));
     let Ok((corrected, moved)) = corrected else { return };
     let again = read(&corrected).expect("a program that was corrected is read again");
     check_corrected(&moved, [points.points.len(), again.points.len()]);

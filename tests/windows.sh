@@ -44,8 +44,8 @@ dbbd demo --out demo
 
 step "identify the paper's experiment, against Linux"
 estimate=alpha1-5,a1-5,d4-6
-dbbd identify 'paper\observations.csv' --robot kr60ha --centres 'paper\centres.csv' --estimate $estimate --out windows
-"$linux" identify paper/observations.csv --robot kr60ha --centres paper/centres.csv --estimate $estimate --out linux >/dev/null 2>&1 || [ $? = 3 ]
+dbbd identify 'paper\observations.csv' --robot kr60ha --tool 30,20,10 --centres 'paper\centres.csv' --estimate $estimate --out windows
+"$linux" identify paper/observations.csv --robot kr60ha --tool 30,20,10 --centres paper/centres.csv --estimate $estimate --out linux >/dev/null 2>&1 || [ $? = 3 ]
 python3 - <<'PY'
 import json
 here, there = (json.load(open(f"{name}/result.json"))["parameters"] for name in ("linux", "windows"))
@@ -106,12 +106,12 @@ dbbd recover killed.dbbd --out recovered.dbbd
 
 step "a result that another program has open, reserved names, a long path, lines that end with CR LF"
 refused() { wine 'C:\cell\dbbd.exe' "$@" >"$work/out" 2>"$work/err" </dev/null && { echo "NOT REFUSED: dbbd $*"; exit 1; }; grep -q '^error\[E' "$work/err" || { cat "$work/err"; exit 1; }; }
-identify=(identify 'paper\observations.csv' --robot kr60ha --centres 'paper\centres.csv' --estimate $estimate)
+identify=(identify 'paper\observations.csv' --robot kr60ha --tool 30,20,10 --centres 'paper\centres.csv' --estimate $estimate)
 others() { find windows -type f ! -name result.json | sort | xargs sha256sum; }
 before=$(others)
 wine cmd /c 'ping -n 8 127.0.0.1 >windows\result.json' >/dev/null 2>&1 </dev/null &
 sleep 2
-refused identify 'paper\observations.csv' --robot kr60ha --centres 'paper\centres.csv' --estimate a1-3 --out windows
+refused identify 'paper\observations.csv' --robot kr60ha --tool 30,20,10 --centres 'paper\centres.csv' --estimate a1-3 --out windows
 [ "$before" = "$(others)" ]
 wait $!
 for name in NUL con.csv aux; do refused "${identify[@]}" --out "$name"; done
@@ -119,7 +119,7 @@ long=$(printf 'l%.0s' $(seq 120))
 dbbd "${identify[@]}" --out "$long\\$long\\$long"
 cmp "$long/$long/$long/parameters.csv" linux/parameters.csv
 sed 's/$/\r/' paper/observations.csv >'paper/crlf.csv'
-dbbd identify 'paper\crlf.csv' --robot kr60ha --centres 'paper\centres.csv' --estimate $estimate --out crlf
+dbbd identify 'paper\crlf.csv' --robot kr60ha --tool 30,20,10 --centres 'paper\centres.csv' --estimate $estimate --out crlf
 cmp crlf/parameters.csv linux/parameters.csv
 
 step "serve, asked from outside"

@@ -14,7 +14,7 @@ use rand_pcg::Pcg64;
 /// Lengths of a robot with errors of its tolerance at random poses, sigma 0.01 mm, one ball.
 pub(crate) fn problem(poses: usize) -> (Robot, Measurements, Vec<BaseBall>) {
     let mut random = Pcg64::seed_from_u64(1);
-    let robot = Robot::by_name("kr60ha").expect("built in").expect("reads");
+    let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).expect("built in").expect("reads");
     let mut truth = robot.geometry.clone();
     for id in parameter::parse_list("alpha1-5,a1-5,d4-6", &[], 1).expect("a list") {
         let sd = if id.unit() == ParamUnit::Mm { 0.5 } else { 0.05f64.to_radians() };

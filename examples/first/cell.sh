@@ -4,7 +4,7 @@
 # what it says is in cell.log. It waits until the bar is read.
 here=$(cd "$(dirname "$0")" && pwd)
 rm -f bar
-"${DBBD:-dbbd}" simulate --program "$1" --world "$here/world.toml" ${2:+--robot "$2"} --speed 0 --link bar --quiet > /dev/null 2> cell.log &
+"${DBBD:-dbbd}" simulate --program "$1" --world "$here/world.toml" --tool 30,20,10 ${2:+--robot "$2"} --speed 0 --link bar --quiet > /dev/null 2> cell.log &
 until [ -e bar ]; do
     kill -0 $! 2> /dev/null || exit 1
     sleep 0.1

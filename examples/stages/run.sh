@@ -17,8 +17,8 @@ for stage in 1 2 3 4 5 6; do
     "$dbbd" plan "$here/../stages.toml" "$@" --out "stage$stage/plan"
     "$dbbd" krl "stage$stage/plan/plan.csv" --out "stage$stage/krl" --quiet
     # The robot executes it, and the bar is read meanwhile. The true robot is drawn from the tolerance by the seed.
-    "$dbbd" simulate --program "stage$stage/krl/DBB_MAIN.src" --world "$here/world.toml" --seed "$seed" --speed 0 \
-        --link bar --quiet > /dev/null &
+    "$dbbd" simulate --program "stage$stage/krl/DBB_MAIN.src" --world "$here/world.toml" --tool 30,20,10 --seed "$seed" \
+        --speed 0 --link bar --quiet > /dev/null &
     robot=$!
     until [ -e bar ]; do
         kill -0 "$robot" 2> /dev/null || exit 1
@@ -33,7 +33,7 @@ for stage in 1 2 3 4 5 6; do
         > "stage$stage/all.csv"
     # A table does not carry the bar's certificate: half of the job's length_u_mm.
     # Exit code 3 is a warning, which the report shows; few poses leave some.
-    "$dbbd" identify "stage$stage/all.csv" --robot kr60ha --centres stage1/plan/centres.csv --prior datasheet \
+    "$dbbd" identify "stage$stage/all.csv" --robot kr60ha --tool 30,20,10 --centres stage1/plan/centres.csv --prior datasheet \
         --bar-u 0.001 --out "stage$stage/result" --quiet || [ $? -eq 3 ]
     grep -q '"stage"' "stage$stage/plan/plan.json" || break
     set -- --robot "stage$stage/result/robot-identified.toml"

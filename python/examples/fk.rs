@@ -6,7 +6,7 @@ use std::time::Instant;
 use dbbd_model::robot::{Pose, Robot};
 
 fn main() {
-    let Some(Ok(robot)) = Robot::by_name("kr60ha") else { return };
+    let Some(Ok(robot)) = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]) else { return };
     let axes: Vec<[f64; 6]> =
         (0..100_000).map(|at| std::array::from_fn(|axis| (0.37 * at as f64 + axis as f64).sin())).collect();
     let one = || {

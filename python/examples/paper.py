@@ -14,7 +14,7 @@ with open(folder / "observations.csv", newline="") as file:
 q = np.array([[float(row[f"a{axis}_deg"]) for axis in range(1, 7)] for row in rows])
 lengths = np.array([float(row["length_mm"]) for row in rows])
 balls = np.loadtxt(folder / "centres.csv", delimiter=",", skiprows=1, ndmin=2)[:, 1:]
-robot = dbbd.Robot.load("kr60ha")
+robot = dbbd.Robot.load("kr60ha", tool_mm=[30, 20, 10])
 
 # %% Thirteen parameters
 result = dbbd.identify(q, lengths, 1, robot=robot, balls_mm=balls, estimate="alpha1-5,a1-5,d4-6")

@@ -4,7 +4,7 @@ import numpy as np
 
 import dbbd
 
-nominal = dbbd.Robot.load("kr60ha")
+nominal = dbbd.Robot.load("kr60ha", tool_mm=[30, 20, 10])
 balls = [[1300.0, -300.0, 600.0], [1100.0, 500.0, 900.0]]
 home, turns = np.array([0, -90, 90, 0, 60, 0]), np.array([60, 30, 30, 90, 50, 120])
 others = home + np.random.default_rng(0).uniform(-1, 1, (300, 6)) * turns

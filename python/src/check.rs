@@ -8,6 +8,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::Options;
 use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
+use dbbd_model::plausibility::Quantity;
 use pyo3::prelude::*;
 
 use crate::arrays::{Numbers, Wholes};
@@ -94,6 +95,13 @@ pub(crate) fn check<'py>(
     temperature_c: Option<f64>,
 ) -> Result<PyCheck, Failure> {
     use numpy::PyUntypedArrayMethods as _;
+    for (key, value, quantity) in [
+        ("tolerance_mm", tolerance_mm, Quantity::PositionTolerance),
+        ("risk", risk, Quantity::DecisionRisk),
+        ("bar_u_mm", bar_u_mm, Quantity::StandardLengthUncertainty),
+    ] {
+        value.map_or(Ok(()), |value| quantity.check(key, value)).map_err(failed)?;
+    }
     let (all, each) = match &sigma_mm {
         Some(sigma) if sigma.shape().is_empty() => (sigma.as_array().iter().copied().next(), None),
         each => (None, each.as_ref()),

@@ -260,6 +260,7 @@ pub(crate) fn identify<'py>(
     if let Some(tool_mm) = tool_mm {
         robot.set_tool(tool_mm);
     }
+    robot.check_tool().map_err(failed)?;
     let balls = balls_mm.as_ref().map_or(Ok(Vec::new()), balls)?;
     findings.extend(checked(&lengths, &robot, &balls)?);
     let mut measured = stated_conditions(measured, temperature_c)?;

@@ -136,10 +136,15 @@ fn pieces<T: Sync, const W: usize>(items: &[T], work: impl Fn(&T) -> [f64; W] + 
 impl PyRobot {
     /// A robot by built-in name (`built_in` lists them) or by its TOML file, such as robot-identified.toml. What is wrong in
     /// the file, or was in its identification, is a DbbdWarning.
+    /// `tool_mm` states the tool ball in the frame of the flange: a built-in robot has none.
     #[staticmethod]
-    fn load(py: Python<'_>, name_or_path: PathBuf) -> Result<Self, Failure> {
+    #[pyo3(signature = (name_or_path, *, tool_mm=None))]
+    fn load(py: Python<'_>, name_or_path: PathBuf, tool_mm: Option<[f64; 3]>) -> Result<Self, Failure> {
         let name = name_or_path.to_string_lossy();
-        let read = named_robot(&name)?;
+        let mut read = named_robot(&name)?;
+        if let Some(tool_mm) = tool_mm {
+            read.robot.set_tool(tool_mm);
+        }
         let warnings = read.robot.calibration_warnings().map(|warnings| Diagnostic::file(&name, warnings));
         read.findings.iter().chain(&warnings).try_for_each(|finding| warn(py, finding))?;
         let file = Robot::built_in_file(&name).is_none().then_some(name_or_path.clone());

@@ -25,7 +25,7 @@ def poses(robot, count):
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_poses_and_derivatives_are_pinocchios(name, tmp_path):
-    robot = dbbd.Robot.load(name).drawn(7)
+    robot = dbbd.Robot.load(name, tool_mm=[30, 20, 10]).drawn(7)
     robot.to_urdf(tmp_path / "robot.urdf")
     model = pin.buildModelFromUrdf(str(tmp_path / "robot.urdf"))
     data, flange, ball = model.createData(), model.getFrameId("flange"), model.getFrameId("ball")
@@ -50,7 +50,7 @@ def offset_wrist(folder):
     joints[5] = joints[5].replace("d_mm = 0.0", "d_mm = 150.0", 1)
     path = folder / "offset.toml"
     path.write_text("[[joint]]".join(joints))
-    return dbbd.Robot.load(path)
+    return dbbd.Robot.load(path, tool_mm=[30, 20, 10])
 
 
 def numeric_ik(pin, model, frame, wanted, q):
@@ -72,7 +72,7 @@ def numeric_ik(pin, model, frame, wanted, q):
 @pytest.mark.parametrize("drawn", [False, True])
 def test_axis_angles_are_pinocchios(kind, drawn, tmp_path):
     """What Pinocchio finds from any start is one of the branches, for the nominal and for an identified robot."""
-    nominal = offset_wrist(tmp_path) if kind == "offset wrist" else dbbd.Robot.load(kind)
+    nominal = offset_wrist(tmp_path) if kind == "offset wrist" else dbbd.Robot.load(kind, tool_mm=[30, 20, 10])
     robot = nominal.drawn(7) if drawn else nominal
     robot.to_urdf(tmp_path / "robot.urdf")
     model = pin.buildModelFromUrdf(str(tmp_path / "robot.urdf"))
@@ -102,7 +102,7 @@ def test_axis_angles_are_pinocchios(kind, drawn, tmp_path):
 
 
 def test_axis_angles_lead_back_to_their_pose():
-    robot = dbbd.Robot.load("kr60ha").drawn(3)
+    robot = dbbd.Robot.load("kr60ha", tool_mm=[30, 20, 10]).drawn(3)
     q = poses("kr60ha", 300)
     pose = robot.fk_deg(q)
     found = robot.ik_deg(pose, near=q)
@@ -118,7 +118,7 @@ def test_axis_angles_lead_back_to_their_pose():
 
 
 def test_units_agree():
-    robot, q = dbbd.Robot.load("kr60ha"), poses("kr60ha", 5)
+    robot, q = dbbd.Robot.load("kr60ha", tool_mm=[30, 20, 10]), poses("kr60ha", 5)
     assert np.allclose(robot.fk_deg(q), robot.fk_rad(np.radians(q)), rtol=0, atol=1e-12 * 3000)
     per = np.array([np.pi / 180] * 3 + [1.0] * 3)[:, None]
     assert np.allclose(robot.jacobian_deg(q), per * robot.jacobian_rad(np.radians(q)), rtol=1e-12, atol=1e-12)
@@ -129,7 +129,7 @@ def test_units_agree():
 
 def test_a_batch_takes_at_most_twice_the_time_of_rust():
     rust = os.environ["DBBD_RUST_FK_S"]  # python/test.sh measures it
-    robot = dbbd.Robot.load("kr60ha")
+    robot = dbbd.Robot.load("kr60ha", tool_mm=[30, 20, 10])
     q = np.sin(0.37 * np.arange(100_000)[:, None] + np.arange(6))
 
     def one():
@@ -143,7 +143,7 @@ def test_a_batch_takes_at_most_twice_the_time_of_rust():
 
 
 def test_calls_leave_no_memory_behind():
-    robot, q = dbbd.Robot.load("kr60ha"), poses("kr60ha", 1000)
+    robot, q = dbbd.Robot.load("kr60ha", tool_mm=[30, 20, 10]), poses("kr60ha", 1000)
     pose = robot.fk_deg(q[0])
 
     def calls(count):
@@ -153,7 +153,7 @@ def test_calls_leave_no_memory_behind():
             robot.jacobian_deg(q[0])
             with pytest.raises(dbbd.DbbdError):
                 dbbd.Robot.load("kr61")
-            dbbd.Robot.load("kr60ha")
+            dbbd.Robot.load("kr60ha", tool_mm=[30, 20, 10])
         gc.collect()
 
     def resident():
@@ -170,7 +170,7 @@ def test_calls_leave_no_memory_behind():
 
 
 def test_other_threads_run_during_a_computation(paper):
-    robot, counted, stop = dbbd.Robot.load("kr60ha"), [0], threading.Event()
+    robot, counted, stop = dbbd.Robot.load("kr60ha", tool_mm=[30, 20, 10]), [0], threading.Event()
 
     def count():
         while not stop.is_set():

@@ -31,7 +31,7 @@ assert URDFS, "no public URDFs: DBBD_URDFS and example-robot-data are absent"
 @pytest.mark.parametrize("name, path", URDFS, ids=[name for name, _ in URDFS])
 def test_the_last_link_moves_as_the_identified_flange(tmp_path, name, path):
     # As an identification leaves it: an identified robot has its nominal one inside.
-    nominal = dbbd.Robot.load(name)
+    nominal = dbbd.Robot.load(name, tool_mm=[0, 0, 0])
     identified = identify(nominal)
     text, joints = identified.patch_urdf(path)
     (tmp_path / "patched.urdf").write_text(text)

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::{Map, Value};
 
-use super::CommandOutput;
+use super::{CommandOutput, output};
 use dbbd_job::files;
 use dbbd_job::plan::Job;
 use dbbd_job::program::{self, Language};
@@ -107,6 +107,9 @@ pub(super) fn show_artefact(traced: &TracedArtefact, out: &CommandOutput) {
     out.field("SHA-256", &artefact.sha256);
     if let Some(serial) = &artefact.serial {
         out.field("serial number", serial);
+    }
+    if let Some(origin) = artefact.origin.or(provenance.origin()) {
+        out.field("readings are", output::origin(Some(origin)));
     }
     show_chain(provenance, out);
 }

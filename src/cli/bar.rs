@@ -22,7 +22,7 @@ use dbbd_job::request;
 use dbbd_job::sim::{self, bar::Terminal};
 use dbbd_model::base::serialised;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::provenance::{ArtefactRole, Identity};
+use dbbd_model::provenance::{Artefact, ArtefactRole, Identity};
 
 /// Readings per second of the simulated bar.
 const RATE_HZ: f64 = 1000.0;
@@ -166,7 +166,7 @@ fn run_bar_check(args: &BarCheckArgs, out: &CommandOutput) -> Result<CommandOutc
     let definition = request::read_protocol(protocol, params)?;
     let mut builder =
         StreamBuilder::new(definition.clock.map(Into::into)).sequence(definition.sequence_modulo);
-    CaptureSummary::over(&capture, |stamped| {
+    let pass = CaptureSummary::over(&capture, |stamped| {
         if let CaptureRecord::Samples(samples) = &stamped.record {
             samples.iter().for_each(|sample| builder.push(stamped.host, sample));
         }
@@ -174,10 +174,10 @@ fn run_bar_check(args: &BarCheckArgs, out: &CommandOutput) -> Result<CommandOutc
     })?;
     let check = BarCheck::of(&builder.build(), &definition)?;
     out.findings(check.findings.iter().cloned());
-    let provenance =
-        dbbd_job::artefact::made_from(
-            [&dbbd_job::artefact::of_file(ArtefactRole::Capture, &capture)?.into()],
-        );
+    let artefact =
+        Artefact { origin: pass.origin, ..dbbd_job::artefact::of_file(ArtefactRole::Capture, &capture)? };
+    let provenance = dbbd_job::artefact::made_from([&artefact.into()]);
+    out.findings(provenance.of_origin());
     let mut set = FileSet::begin(&args.out, EarlierFiles::Keep)?;
     set.write("bar.toml", check.to_toml())?;
     set.write("bar.json", serialised::json(&check)? + "\n")?;

@@ -18,7 +18,6 @@ findings! {
             NotDraws { least: usize, most: usize } => "a number of draws from {least} to {most}, or 0, is needed";
             NotSeconds => "a number of seconds, 0 or more, is needed";
             NotNameAndValue => "must be NAME=VALUE";
-            NotARisk => "a probability between 0 and 0.5 is needed";
         }
         E1982 "an input has no effect here",
         cause: "The input applies only to others: a robot to results and to factory calibrations, the repeatability of a test to circles, a risk with a tolerance, joints to a URDF.",

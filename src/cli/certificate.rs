@@ -20,13 +20,18 @@ pub(crate) struct CertificateArgs {
     /// Directory for certificate.html, dcc.xml and certificate.pdf.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// check.json of `dbbd check`, or its directory: adds its decision and decision rule.
+    /// check.json of `dbbd check`, or its directory: adds its decision and decision rule [default: the newest check of this
+    /// calibration in a directory beside RESULT, if there is one].
     #[arg(long, value_name = "CHECK.json")]
     check: Option<PathBuf>,
     /// Serial numbers, laboratory, customer, operator, date and so on, in place of those in the result: a TOML file with the
     /// keys of a job's table [identity].
     #[arg(long, value_name = "FILE")]
     identity: Option<PathBuf>,
+    /// Write a specimen, which states on each page that it is none and has neither number nor traceability: how a certificate
+    /// looks. A certificate of simulated readings is refused.
+    #[arg(long)]
+    specimen: bool,
     /// Replace an earlier result in DIR [default: its files move to DIR/previous-1, DIR/previous-2 and so on].
     #[arg(long)]
     replace: bool,
@@ -39,6 +44,7 @@ pub(super) fn request(args: &CertificateArgs) -> Request {
         out: args.out.clone(),
         check: args.check.clone(),
         identity: args.identity.clone(),
+        specimen: args.specimen,
         replace: args.replace,
     })
 }

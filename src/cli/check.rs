@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{CommandOutput, value};
 use dbbd_job::request::Request;
 use dbbd_job::request::check::{CheckDocument, CheckRequest};
-use dbbd_model::conformity::{ConformityOutcome, DecisionRule, InterimCheck};
+use dbbd_model::conformity::{DecisionRule, InterimCheck};
 use dbbd_model::estimation::change::{ChangeTest, Hypothesis};
 use dbbd_model::estimation::expected::Mounting;
 use dbbd_model::robot::ParamUnit;
@@ -139,17 +139,13 @@ fn check_lines(check: &InterimCheck) -> Vec<String> {
         lines.push(format!("with what changed identified again (--update): {:.3} mm", updated.p95));
     }
     lines.extend(check.validity.iter().map(|validity| format!("valid {validity}")));
-    let word = match decision.decision {
-        ConformityOutcome::Pass => "pass",
-        ConformityOutcome::Fail => "fail",
-        ConformityOutcome::Undecided => "undecided",
-    };
+    let word = decision.decision.name();
     lines.push(match (decision.tolerance_mm, decision.specific_risk) {
         (Some(tolerance), Some(risk)) => {
             format!("{word} against {tolerance} mm ({}), risk {risk:.3}", decision.rule)
         }
         (Some(tolerance), None) => format!("{word} against {tolerance} mm: these lengths decide nothing"),
-        _ => format!("{word} (no tolerance given: by the change alone)"),
+        _ => format!("{word} (no tolerance is given: neither pass nor fail)"),
     });
     lines
 }

@@ -56,6 +56,10 @@ pub(crate) struct CompensateArgs {
     /// Refuse the program if a commanded point would move by more than this, mm.
     #[arg(long, value_name = "MM", default_value_t = DEFAULT_LIMIT_MM)]
     limit: f64,
+    /// The plan of a program that `dbbd krl` or `dbbd program` wrote: it is corrected about the base balls as they are mounted
+    /// [default: the plan of the program in a directory beside it].
+    #[arg(long, value_name = "PLAN.csv")]
+    plan: Option<PathBuf>,
     /// Replace files that exist in DIR [default: refuse].
     #[arg(long)]
     replace: bool,
@@ -71,6 +75,7 @@ pub(super) fn request(args: &CompensateArgs) -> Request {
         tool_mm_deg: args.tool,
         base_mm_deg: args.base,
         payload: args.payload.clone(),
+        plan: args.plan.clone(),
         nominal_controller: args.controller_model.is_some(),
         datum: match args.datum.as_str() {
             "program" => ProgramDatum::Program,

@@ -14,9 +14,11 @@ use dbbd_job::recording::RecordingFinding;
 use dbbd_job::recording::axes::{AxesRecords, PacketCounts};
 use dbbd_job::recording::capture::{CaptureRecord, CaptureSummary, RunEvent, StampedRecord};
 use dbbd_job::recording::run;
+use dbbd_job::robot_files::standing_of;
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::{Diagnostic, Finding, FindingCode};
-use dbbd_model::provenance::Provenance;
+use dbbd_model::provenance::{ArtefactRole, DataOrigin, Provenance};
+use dbbd_model::robot::Robot;
 
 /// Show what a file is and what it was made from.
 ///
@@ -38,6 +40,8 @@ struct CaptureInfo {
     stamps: Option<StampAccuracy>,
     started_unix_ns: Option<u64>,
     dbbd: Option<String>,
+    /// Where the readings come from; null where it is not stated.
+    origin: Option<DataOrigin>,
     ended: Option<String>,
     duration_s: f64,
     raw_bytes: u64,
@@ -81,6 +85,13 @@ pub(crate) fn run(args: &InfoArgs, out: &CommandOutput) -> Result<CommandOutcome
     if let Some(traced) = if run::is_capture(path)? { None } else { artefact::read_traced(path, out)? } {
         out.document(&traced)?;
         artefact::show_artefact(&traced, out);
+        if traced.artefact.role == ArtefactRole::IdentifiedRobot {
+            let robot = Robot::from_toml(&path.display().to_string(), &files::read_text(path)?)?;
+            if let Some(standing) = standing_of(path, &robot)? {
+                out.field("standing", &standing);
+                out.findings_in(path.display(), standing.finding(&robot.name));
+            }
+        }
         return Ok(CommandOutcome::Done);
     }
     let mut collected = CollectedInfo::default();
@@ -173,6 +184,7 @@ impl CollectedInfo {
             CaptureRecord::Axes(_)
             | CaptureRecord::Event(
                 RunEvent::AxesOpened { .. }
+                | RunEvent::Origin { .. }
                 | RunEvent::Gap { .. }
                 | RunEvent::Withheld { .. }
                 | RunEvent::Ended(_),
@@ -183,6 +195,7 @@ impl CollectedInfo {
     fn finish(self, pass: &CaptureSummary) -> Result<CaptureInfo, Diagnostic> {
         let mut info = self.info;
         info.format = pass.version;
+        info.origin = pass.origin;
         info.samples = pass.samples;
         info.ended = pass.end.as_ref().map(|end| end.reason.clone());
         info.lost = pass.end.as_ref().map_or(0, |end| end.lost);
@@ -234,6 +247,7 @@ fn show_capture(path: &Path, info: &CaptureInfo, out: &CommandOutput) {
         let held = held_ms.map_or(String::new(), |ms| format!(", bytes held back for {ms:.1} ms or more"));
         out.field("line", format!("{transport}{held}"));
     }
+    out.field("readings are", output::origin(info.origin));
     out.field("ended", info.ended.as_deref().unwrap_or("cut off"));
     out.field("duration", format!("{:.1} s of host time", info.duration_s));
     let invalid = if info.invalid > 0 { format!(", {} not valid", info.invalid) } else { String::new() };

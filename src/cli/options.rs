@@ -80,6 +80,7 @@ fn option(input: Input) -> (&'static str, &'static str) {
         Input::SetUpRelation => ("--same-setup, --new-setup", "set-up of the parts"),
         Input::Sigma => ("--sigma MM", "standard deviation of a length"),
         Input::Since => ("--since DATE", "begin"),
+        Input::Specimen => ("--specimen", "specimen"),
         Input::Spool => ("--spool DIR", "spool"),
         Input::Stage => ("--stage N", "poses of a stage"),
         Input::Store => ("--store URL", "store of the archive"),

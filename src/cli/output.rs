@@ -27,6 +27,7 @@ use dbbd_model::base::table::TableReader;
 use dbbd_model::base::text::escape_controls;
 use dbbd_model::diagnostic::{Diagnostic, Finding, FindingCode, Severity};
 use dbbd_model::estimation::Observability;
+use dbbd_model::provenance::DataOrigin;
 
 /// The period of the progress indicator.
 const TICK: Duration = Duration::from_millis(100);
@@ -322,6 +323,15 @@ pub(super) fn finish(out: &CommandOutput, result: Result<CommandOutcome, Diagnos
             }
             ExitCode::FAILURE
         }
+    }
+}
+
+/// Where readings come from, in a word.
+pub(super) fn origin(origin: Option<DataOrigin>) -> &'static str {
+    match origin {
+        Some(DataOrigin::Measured) => "measured",
+        Some(DataOrigin::Simulated) => "simulated: of no real bar",
+        None => "not stated whether measured or simulated",
     }
 }
 

@@ -83,6 +83,7 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
     if let Some(tool) = args.tool {
         robot = robot.with_exact_tool(tool);
     }
+    robot.check_tool().map_err(|why| Diagnostic::file(&args.robot, why))?;
     let positions = Positions::of(&robot, &poses);
     let table = args.model.is_some().then(|| robot.geometry.rigid());
     let ball = |at: usize| match &table {

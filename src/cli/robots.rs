@@ -96,7 +96,8 @@ struct RobotDocument<'a> {
     #[serde(flatten)]
     entry: RobotEntry<'a>,
     joints: Vec<JointTable>,
-    tool_ball_mm: [f64; 3],
+    /// Null where it is not stated.
+    tool_ball_mm: Option<[f64; 3]>,
     tolerance: Tolerance,
     repeatability_mm: Option<f64>,
     identified: bool,
@@ -234,7 +235,7 @@ fn show_robot(name: &str, out: &CommandOutput) -> Result<CommandOutcome, Diagnos
     let shown = RobotDocument {
         entry: RobotEntry { id: name, name: &robot.name, reach_mm: robot.reach_mm() },
         joints: robot.joint_tables(),
-        tool_ball_mm: robot.geometry.tool.into(),
+        tool_ball_mm: robot.has_tool.then(|| robot.geometry.tool.into()),
         tolerance: robot.tolerance,
         repeatability_mm: robot.repeatability_mm,
         identified: robot.nominal.is_some(),
@@ -267,8 +268,8 @@ fn show_robot(name: &str, out: &CommandOutput) -> Result<CommandOutcome, Diagnos
         let sign = if factor < 0 { '-' } else { '+' };
         out.result(format!("joint {joint} turns by A{joint} {sign} A{axis}{within}"));
     }
-    let [x, y, z] = shown.tool_ball_mm;
-    out.result(format!("tool ball in the flange: {x}, {y}, {z} mm"));
+    let ball = shown.tool_ball_mm.map_or("not stated".into(), |[x, y, z]| format!("{x}, {y}, {z} mm"));
+    out.result(format!("tool ball in the flange: {ball}"));
     let tolerance = shown.tolerance;
     out.result(format!("tolerance (1 sd): {} mm, {} deg", tolerance.length_mm, tolerance.angle_deg));
     if let Some(repeatability) = shown.repeatability_mm {

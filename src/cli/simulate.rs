@@ -29,13 +29,17 @@ use dbbd_job::sim::{ControllerMoment, SimulatedController, World, truth};
 use dbbd_model::base::FileFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact};
-use dbbd_model::robot::LoadedRobot;
+use dbbd_model::robot::{LoadedRobot, Robot};
 
 /// How long the bar streams after the end of the program, s, so that the end mark is complete.
 const AFTER_END_S: f64 = 3.0;
 
 /// The clock of the controller at the start, ticks, as if it had run for some days.
 const FIRST_TICKS: u64 = 300_000_000;
+
+/// The robot and the tool ball of the examples, where nothing is named.
+const EXAMPLE_ROBOT: &str = "kr60ha";
+const EXAMPLE_TOOL_MM: [f64; 3] = [30.0, 20.0, 10.0];
 
 /// Execute a robot program on a simulated robot with a virtual ball-bar.
 ///
@@ -51,11 +55,15 @@ pub(crate) struct SimulateArgs {
     #[arg(long, value_name = "FILE")]
     program: PathBuf,
     /// The controller's robot: a built-in name or a file.
-    #[arg(long, value_name = "NAME|FILE", default_value = "kr60ha")]
+    #[arg(long, value_name = "NAME|FILE", default_value = EXAMPLE_ROBOT)]
     nominal: String,
     /// The true robot [default: drawn from the tolerance of the nominal robot with the seed].
     #[arg(long, value_name = "TRUTH.toml")]
     robot: Option<String>,
+    /// The tool ball of a robot that states none, in the frame of the flange, mm: of --nominal and of --robot [default: without
+    /// --nominal and --robot 30,20,10, that of the examples].
+    #[arg(long, value_name = "X,Y,Z", value_parser = value::tool_ball, allow_hyphen_values = true)]
+    tool: Option<[f64; 3]>,
     /// The robot with which a controller in absolute-accuracy mode ($ABS_ACCUR TRUE) computes its axis angles [default: no
     /// absolute-accuracy mode].
     #[arg(long, value_name = "NAME|FILE")]
@@ -323,12 +331,20 @@ impl ReadingSource for &mut CellSimulation<'_> {
 impl<'a> CellSimulation<'a> {
     fn new(args: &SimulateArgs, faults: &InjectedFaults, out: &'a CommandOutput) -> Result<Self, Diagnostic> {
         let LoadedRobot { robot: nominal, source, .. } = robots::read_named_robot(&args.nominal, out)?;
+        let is_example = args.nominal == EXAMPLE_ROBOT && args.robot.is_none();
+        let tool_mm = args.tool.or(is_example.then_some(EXAMPLE_TOOL_MM));
+        let with_tool = |robot: Robot| match tool_mm.filter(|_| !robot.has_tool) {
+            Some(tool_mm) => robot.with_tool(tool_mm),
+            None => robot,
+        };
+        let nominal = with_tool(nominal);
         let robot = match &args.robot {
-            Some(name) => robots::named(name, out)?,
+            Some(name) => with_tool(robots::named(name, out)?),
             None => truth::draw_true_robot(&nominal, args.seed, 1.0),
         };
         let program = open_program(&args.program)?;
         traced(&program)?.check_made_for(&source.artefact)?;
+        robot.check_tool()?;
         let world_text = args.world.as_deref().map(files::read_text).transpose()?;
         let world_name = args.world.as_ref().map(|path| path.display().to_string());
         let setup = WorldSetup::new(&program.setups(), world_name.as_deref().zip(world_text.as_deref()))?;

@@ -59,8 +59,8 @@ pub(super) fn length_sd(text: &str) -> Result<f64, Diagnostic> {
 }
 
 /// The largest probability of a wrong decision.
-pub(super) fn risk(text: &str) -> Result<f64, CliFinding> {
-    number(text, |risk| risk > 0.0 && risk < 0.5, CliFinding::NotARisk)
+pub(super) fn risk(text: &str) -> Result<f64, Diagnostic> {
+    of(text, Quantity::DecisionRisk)
 }
 
 /// A thermal expansion, 1/K.

@@ -28,7 +28,7 @@ use dbbd_job::recording::run::{ATTACHED_IDENTITY, PlanFiles};
 use dbbd_model::base::serialised;
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::provenance::Identity;
+use dbbd_model::provenance::{DataOrigin, Identity};
 
 /// Longest pause between two attempts to reopen a port, s.
 const LONGEST_BACKOFF_S: f64 = 0.5;
@@ -195,6 +195,7 @@ fn record_opened(
     let now = clock::now();
     let OpenedBar { port, stale, first, .. } = opened;
     recorder.event(now, RunEvent::Opened { port: address.to_string(), stamps: Some(port.stamps()) })?;
+    record_origin(recorder, now, port.is_simulated())?;
     if stale > 0 {
         let text = format!("{stale} bytes of an earlier stream were discarded before the start");
         recorder.event(now, RunEvent::Mark { text })?;
@@ -203,6 +204,12 @@ fn record_opened(
         recorder.bytes(Received { host: now, watched_s: 0.0, bytes: first })?;
     }
     Ok(port)
+}
+
+/// Records where the readings come from.
+fn record_origin(recorder: &mut Recorder, now: HostNs, is_simulated: bool) -> Result<(), Diagnostic> {
+    let origin = if is_simulated { DataOrigin::Simulated } else { DataOrigin::Measured };
+    recorder.event(now, RunEvent::Origin { origin })
 }
 
 /// The state of the recorder thread.
@@ -295,7 +302,7 @@ impl RecorderThread {
             bytes += match arrival {
                 Arrival::Bytes(received) => received.bytes.len() as u64,
                 Arrival::Lost(_, bytes) => bytes,
-                Arrival::Ended(..) | Arrival::Gone(..) => 0,
+                Arrival::Simulated(_) | Arrival::Ended(..) | Arrival::Gone(..) => 0,
             };
         }
         let name = self.recorder.path().display().to_string();
@@ -364,6 +371,7 @@ impl RecorderThread {
                     polling.answered();
                 }
             }
+            Arrival::Simulated(host) => record_origin(&mut self.recorder, host, true)?,
             Arrival::Lost(host, bytes) => self.recorder.lost(host, bytes)?,
             Arrival::Ended(host, watched_s) => self.recorder.watched_to_the_end(host, watched_s),
             Arrival::Gone(host, why) => return Ok(Some(PortSessionEnd::Gone(host, why))),

@@ -16,6 +16,7 @@ use dbbd_job::recording::{ClockStamp, DeviceTime, SequenceStep, StrobeDecoder, S
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::sample::Sample;
+use dbbd_model::provenance::DataOrigin;
 
 /// A shorter silence is not recorded where sequence numbers show losses, s: radio links deliver the samples of a second
 /// together.
@@ -44,7 +45,7 @@ pub enum EndReason {
 }
 
 impl EndReason {
-    pub fn reason(self) -> &'static str {
+    pub const fn reason(self) -> &'static str {
         match self {
             EndReason::Mark => "the program's end mark",
             EndReason::Duration => "the time was up",
@@ -197,6 +198,7 @@ impl EventRate {
             RunEvent::Mark { .. } | RunEvent::Operator { .. } | RunEvent::Finding { .. } => [0, 0, 1],
             RunEvent::Started { .. }
             | RunEvent::Opened { .. }
+            | RunEvent::Origin { .. }
             | RunEvent::AxesOpened { .. }
             | RunEvent::Withheld { .. }
             | RunEvent::Controller { .. }
@@ -466,6 +468,7 @@ impl Recorder {
         if matches!(event, RunEvent::Gap { .. }) {
             self.progress.counts.gaps += 1;
         }
+        self.progress.counts.simulated |= event == RunEvent::Origin { origin: DataOrigin::Simulated };
         if let Some(withheld) = self.rate.due(host) {
             self.capture.flush()?;
             self.capture.write(host, &CaptureRecord::Event(withheld))?;

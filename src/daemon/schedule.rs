@@ -264,11 +264,11 @@ mod tests {
 
     /// A continuous circle out and back, with 36 points in each pass.
     fn plan_of_passes() -> Plan {
-        let text = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
+        let text = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
                     xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 36\n\
                     orientation = \"fixed\"\ntilt_deg = 20.0\ndirection = \"both\"\nmode = \"continuous\"\n\
                     [motion]\nfeed_mm_s = 60.0\n";
-        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         Plan::build(&Job::from_toml("job.toml", text).unwrap(), &robot)
             .unwrap_or_else(|refused| panic!("{refused}"))
     }

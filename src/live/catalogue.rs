@@ -109,6 +109,11 @@ findings! {
         cure: "Copy the file into the directory of the robot, and name it without a path; or name a built-in robot or protocol." {
             NamedOutside { file: String } => "{file} is not in the directory of the robot";
         }
+        E1512 "the job was changed meanwhile",
+        cause: "Somebody else, or the command line, has changed the file of the job since it was read: saving now would undo that change.",
+        cure: "Open the form again: it shows the job as it is now. What was typed is still there until it is closed." {
+            JobChanged => "the job was changed by somebody else since it was opened: nothing was saved";
+        }
         E1511 "a job was ended",
         cause: "It took more time or memory than a job of the service may.",
         cure: "Compute it with the command line, or with less: fewer candidates, a smaller table." {

@@ -18,6 +18,7 @@ use dbbd_device::port::PortFinding;
 use dbbd_device::protocol::ProtocolFinding;
 use dbbd_model::base::InternalFinding;
 use dbbd_model::diagnostic::{Diagnostic, FindingCode};
+use dbbd_model::plausibility::PlausibilityFinding;
 use dbbd_plant::ArchiveFinding;
 
 /// Longest body, bytes.
@@ -58,6 +59,9 @@ impl Problem {
 fn http_status(finding: &Diagnostic) -> StatusCode {
     if let Some(finding) = finding.finding::<ServiceFinding>() {
         return finding.http_status();
+    }
+    if finding.finding::<PlausibilityFinding>().is_some() {
+        return StatusCode::UNPROCESSABLE_ENTITY;
     }
     if let Some(finding) = finding.finding::<ArchiveFinding>() {
         return match finding {

@@ -48,9 +48,9 @@ pub use view::{
 };
 
 pub use work::{
-    EvaluationJob, ExcludedRows, ExplainedFinding, JobState, NewRobot, ProgramUpload, RobotSummary,
-    RobotWork, StepAction, StepOptions, StepReport, StepState, StepVerdict, UploadedFile, WorkStep,
-    Workbench,
+    EvaluationJob, ExcludedRows, ExplainedFinding, JobEdit, JobInForce, JobState, NewRobot, ProgramUpload,
+    RobotSummary, RobotWork, RunChoice, StepAction, StepOptions, StepReport, StepState, StepVerdict,
+    UploadedFile, WorkStep, Workbench,
 };
 
 /// A path, its methods as `GET` or `GET, POST`, and its handlers.

@@ -65,7 +65,7 @@ pub struct StartRequest {
     pub plan: Option<String>,
     /// The run ends after this time, s.
     pub duration_s: Option<f64>,
-    /// Speed of a simulated cell: device time per host time.
+    /// Reads a simulated cell in place of the bar, at this speed: device time per host time.
     pub speed: Option<f64>,
     /// The items that the operator checked at the cell.
     #[serde(default)]
@@ -81,7 +81,7 @@ pub struct StartRequest {
 pub struct ConnectRequest {
     /// The plan whose stroke is shown.
     pub plan: Option<String>,
-    /// Speed of a simulated cell: device time per host time.
+    /// Reads a simulated cell in place of the bar, at this speed: device time per host time.
     pub speed: Option<f64>,
 }
 

@@ -119,6 +119,8 @@ pub struct RunCounts {
     pub device_s: Option<f64>,
     /// Whether the port is absent at this moment.
     pub gone: bool,
+    /// Whether the bar is the virtual one of dbbd.
+    pub simulated: bool,
     /// Whether consecutive frames were decoded without a fault.
     pub in_step: bool,
     /// Samples per second over the last second.

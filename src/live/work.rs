@@ -82,6 +82,15 @@ pub struct ExplainedFinding {
     pub cure: &'static str,
 }
 
+/// A run from which a step can be computed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunChoice {
+    pub name: String,
+    /// Whether it reached the end of its program.
+    pub complete: bool,
+    pub samples: Option<u64>,
+}
+
 /// The state of a step as a page shows it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StepReport {
@@ -100,6 +109,8 @@ pub struct StepReport {
     pub command: String,
     /// The plan that is measured next.
     pub plan: Option<String>,
+    /// The runs from which the step can be computed, the preferred one first.
+    pub runs: Vec<RunChoice>,
     /// Directory of the files that the step made, and their names.
     pub directory: String,
     pub files: Vec<String>,
@@ -119,6 +130,8 @@ pub struct RobotWork {
     pub directory: String,
     /// Whether the cell is simulated: its true robot is beside the job.
     pub simulated: bool,
+    /// Whether the readings of its result are simulated.
+    pub simulated_readings: bool,
     pub steps: Vec<StepReport>,
 }
 
@@ -127,6 +140,8 @@ pub struct RobotWork {
 pub struct RobotSummary {
     pub name: String,
     pub robot: Option<String>,
+    /// Whether the readings of its result are simulated.
+    pub simulated_readings: bool,
     /// The step that made the last decision: certificate, check, result, ..
     pub step: WorkStep,
     pub state: StepState,
@@ -147,6 +162,22 @@ pub struct NewRobot {
     pub job: Value,
 }
 
+/// The job of a robot, and the hash of its file.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct JobInForce {
+    pub job: Value,
+    pub sha256: Option<String>,
+}
+
+/// A change of the keys of a job.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JobEdit {
+    /// The hash of the file that the client read; null where there is none.
+    pub sha256: Option<String>,
+    pub keys: Value,
+}
+
 /// The options of a step, beside its files.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -157,6 +188,8 @@ pub struct StepOptions {
     pub program: Option<String>,
     /// Option of an identification: all rows that are left out; `None` for the rows that the last result left out.
     pub exclude: Option<Vec<ExcludedRows>>,
+    /// Option of an identification and of a check: the run; `None` for the newest complete one.
+    pub run: Option<String>,
     /// The user of the token who asks.
     #[serde(skip)]
     pub by: Option<String>,
@@ -193,10 +226,10 @@ pub trait Workbench {
     fn create(&self, new: NewRobot) -> Result<(), Diagnostic>;
     /// Makes a simulated cell with its job; returns its name.
     fn demo(&self) -> Result<String, Diagnostic>;
-    /// The job as JSON; null if there is none.
-    fn job_of(&self, robot: &str) -> Result<Value, Diagnostic>;
-    /// Sets keys of the job; all others, and comments, stay.
-    fn edit_job(&self, robot: &str, keys: &Value) -> Result<(), Diagnostic>;
+    /// The job as JSON, null if there is none.
+    fn job_of(&self, robot: &str) -> Result<JobInForce, Diagnostic>;
+    /// Sets keys of the job; all others, and comments, stay. Refused if the file is not the one that the client read.
+    fn edit_job(&self, robot: &str, edit: &JobEdit) -> Result<(), Diagnostic>;
     /// Plans the job with changed keys and keeps nothing: findings, checks, predictions, and the view in three dimensions.
     fn try_job(&self, robot: &str, keys: &Value) -> Result<Value, Diagnostic>;
     /// Robot, poses, obstacles and residuals for the view in three dimensions.

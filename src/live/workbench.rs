@@ -12,7 +12,7 @@ use super::asking::{Answer, App, Parts, ask, job_number, parts, reply};
 use super::guard::Asking;
 use super::json::{Body, LongBody, json};
 use super::server::Peer;
-use super::work::{NewRobot, ProgramUpload, StepOptions, WorkStep};
+use super::work::{JobEdit, NewRobot, ProgramUpload, StepOptions, WorkStep};
 use super::{Route, downloads};
 
 /// Third-party scripts, as the renewing script made them, compressed; they are loaded when they are needed.
@@ -71,12 +71,12 @@ async fn work(State(app): State<App>, robot: Parts<String>) -> Answer {
 
 async fn job_of(State(app): State<App>, robot: Parts<String>) -> Answer {
     let robot = parts(robot)?;
-    reply(app, move |service| Ok(json!({ "job": service.job_of(&robot)? }))).await
+    reply(app, move |service| service.job_of(&robot)).await
 }
 
-async fn edit_job(State(app): State<App>, robot: Parts<String>, Body(keys): Body<Value>) -> Answer {
+async fn edit_job(State(app): State<App>, robot: Parts<String>, Body(edit): Body<JobEdit>) -> Answer {
     let robot = parts(robot)?;
-    ask(app, move |service| service.edit_job(&robot, &keys)).await?;
+    ask(app, move |service| service.edit_job(&robot, &edit)).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }
 

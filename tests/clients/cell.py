@@ -27,7 +27,7 @@ def served(dbbd, port, token=None):
         for step in (["plan", "job.toml", "--out", "plan"], ["krl", "plan/plan.csv", "--out", "krl"]):
             subprocess.run([dbbd, "--quiet", *step], cwd=cell, check=True, stdout=subprocess.DEVNULL)
         robot = subprocess.Popen(
-            [dbbd, "simulate", "--program", "krl/DBB_MAIN.src", "--link", "bar", "--world", "world.toml"],
+            [dbbd, "simulate", "--program", "krl/DBB_MAIN.src", "--tool", "30,20,10", "--link", "bar", "--world", "world.toml"],
             cwd=cell, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         service = subprocess.Popen([dbbd, "serve", "--config", "dbbd.toml"], cwd=cell, stderr=subprocess.DEVNULL)
         try:

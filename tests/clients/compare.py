@@ -22,7 +22,7 @@ AT_MM = {"microepsilon-ild1420": 25.0, "riftek-rf60x": 25.0}
 def simulate(dbbd, program, protocol, world):
     rate_hz = 0.5 if protocol in POLLED else 200
     pathlib.Path(world).write_text(f"[bar]\nrate_hz = {rate_hz}\n")
-    bar = subprocess.Popen([dbbd, "simulate", "--program", program, "--protocol", protocol, "--quiet",
+    bar = subprocess.Popen([dbbd, "simulate", "--program", program, "--tool", "30,20,10", "--protocol", protocol, "--quiet",
                             "--speed", "0", "--halt", "0", "--world", world],
                            stdout=subprocess.PIPE, text=True)
     return bar, bar.stdout.readline().strip()

@@ -41,7 +41,7 @@ def prepare(cell):
 
 def simulate(cell, *more):
     # Every run needs a cell of its own: the program ends with it.
-    args = [DBBD, "simulate", "--program", "krl/DBB_MAIN.src", "--link", "bar", "--quiet", *more]
+    args = [DBBD, "simulate", "--program", "krl/DBB_MAIN.src", "--tool", "30,20,10", "--link", "bar", "--quiet", *more]
     return subprocess.Popen(args, cwd=cell, stdout=subprocess.DEVNULL)
 
 

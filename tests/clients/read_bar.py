@@ -12,6 +12,26 @@ import time
 
 import serial
 
+# What a virtual bar sends before its first frame.
+MARK = b"dbbd simulate: not a real bar\r\n"
+
+
+class Port(serial.Serial):
+    """A port without the mark that its first bytes may be."""
+    first, is_begun = b"", False
+
+    def read(self, size=1):
+        while not self.is_begun:
+            got = super().read(len(MARK) - len(self.first))
+            if not got:
+                return b""
+            self.first += got
+            if self.first == MARK:
+                self.first = b""
+            self.is_begun = not self.first or not MARK.startswith(self.first)
+        given, self.first = self.first[:size], self.first[size:]
+        return given or super().read(size)
+
 
 def lines(port, end, deadline):
     pending = b""
@@ -170,7 +190,7 @@ def modbus_rtu(port, deadline):
 def main():
     name, path = sys.argv[1], sys.argv[2]
     seconds = float(sys.argv[3]) if len(sys.argv) > 3 else 5.0
-    with serial.Serial(path, timeout=0.2) as port:
+    with Port(path, timeout=0.2) as port:
         for reading in globals()[name.replace("-", "_")](port, time.monotonic() + seconds):
             print(f"{reading:.6f}", flush=True)
 

@@ -35,7 +35,7 @@ def main():
     run("krl", "plan/plan.csv", "--out", "krl")
     program = next(p for p in sorted((home / "krl").glob("*.src")) if "HALT" in p.read_text())
     bar = subprocess.Popen(
-        [DBBD, "simulate", "--program", program, "--world", "world.toml", "--link", "bar", "--halt", str(SECONDS + 600)],
+        [DBBD, "simulate", "--program", program, "--tool", "30,20,10", "--world", "world.toml", "--link", "bar", "--halt", str(SECONDS + 600)],
         cwd=home, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while not (home / "bar").exists():
         time.sleep(0.1)

@@ -16,13 +16,14 @@ BALL = np.array([1300.0, 0.0, 800.0])
 OFF = np.array([0.8, -0.5, 0.3])              # where the ball truly stands, against the job
 ROBOTS = 60
 
+TOOL = [30.0, 20.0, 10.0]                     # the ball on the flange, in the job
 robot = tomllib.load(open(sys.argv[2] if len(sys.argv) > 2 else "robots/kr60ha.toml", "rb"))
 joints = robot["joint"]
 column = lambda key, default=0.0: np.array([j.get(key, default) for j in joints], float)
 SIGN, LIMITS = column("sign", 1), np.array([j["limits_deg"] for j in joints])
 # alpha0-5, a0-5, theta1-6, d1-6, beta2, tool
 NOMINAL = np.concatenate([np.radians(column("alpha_deg")), column("a_mm"), np.radians(column("theta_offset_deg")),
-                          column("d_mm"), [0.0], robot["tool"]["ball_mm"]])
+                          column("d_mm"), [0.0], TOOL])
 MM, RAD = robot["tolerance"]["length_mm"], np.radians(robot["tolerance"]["angle_deg"])
 SD = np.array([RAD] * 6 + [MM] * 6 + [RAD] * 6 + [MM] * 6 + [RAD] + [0.1] * 3)
 

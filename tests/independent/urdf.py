@@ -36,6 +36,7 @@ import golden
 
 LIMIT_MM = 1e-6
 AXES = [f"a{axis}_deg" for axis in range(1, 7)]
+TOOL = [30.0, 20.0, 10.0]  # the ball of a built-in robot, which states none
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 
@@ -137,12 +138,13 @@ def predicted(dbbd, folder, robot, file, *tool):
         return axes, np.array([[float(row[key]) for key in ("x_mm", "y_mm", "z_mm")] for row in csv.DictReader(rows)])
 
 
-def definition(name):
-    """The robot of a result, of a file or of a built-in name, and how it is named for dbbd."""
-    path = Path(name)
-    named = path / "robot-identified.toml" if path.is_dir() else path if path.is_file() else name
-    file = REPOSITORY / "robots" / f"{name}.toml" if named == name else named
-    return tomllib.loads(Path(file).read_text()), named
+def definition(name, folder):
+    """The robot of a result, of a file or of a built-in name, which gets a tool ball, and its file."""
+    file = Path(name) / "robot-identified.toml" if Path(name).is_dir() else Path(name)
+    if not file.is_file():
+        file = folder / f"{name}.toml"
+        file.write_text((REPOSITORY / "robots" / file.name).read_text() + f"\n[tool]\nball_mm = {TOOL}\n")
+    return tomllib.loads(file.read_text()), file
 
 
 def joints_of(robot, axes_deg):
@@ -155,8 +157,8 @@ def joints_of(robot, axes_deg):
 
 
 def read_by_all(dbbd, name, folder):
-    robot, file = definition(name)
-    run(dbbd, "export", name, "--for", "urdf", "--replace", "--out", folder)
+    robot, file = definition(name, folder)
+    run(dbbd, "export", file, "--for", "urdf", "--replace", "--out", folder)
     axes, expected = predicted(dbbd, folder, robot, file)
     for reader in READERS:
         ball = reader(str(folder / "robot-identified.urdf"))

@@ -37,7 +37,7 @@ CODE = re.compile(r"^(?:\S+: )?(?:error|warning|note)\[([EWI]\d{4})\]: (.*)", re
 AXES = [f"a{i}_deg" for i in range(1, 7)]
 # What the sound files raise: notes that are normal.
 USUAL = {"I0210", "I0240", "I0510", "I0714", "I0715", "I0716", "I1317", "I1320", "I1321", "I1326", "I1340", "I1412", "I1416", "I1413", "I1924",
-         "I1906", "I2003", "I2004", "I0711", "I0712", "I1111", "I1342", "I1343", "I1722"}
+         "I1850", "I1906", "I2003", "I2004", "I0711", "I0712", "I1111", "I1342", "I1343", "I1722"}
 # Lengths, poses, balls and robot do not belong together: these say what to compare, not which column or axis is wrong.
 OTHER = ("W1311", "W1312", "W1282", "W1322", "W1381", "W1281")
 
@@ -89,7 +89,7 @@ class Bench:
     def cell(self, options, pace="0"):
         """Starts a simulated cell; the address of its bar."""
         with open(self.dir / "cell.log", "w") as log:
-            cell = subprocess.Popen([self.dbbd] + shlex.split(f"simulate --speed {pace} --listen tcp://127.0.0.1:0 {options}"), cwd=self.dir, text=True,
+            cell = subprocess.Popen([self.dbbd] + shlex.split(f"simulate --speed {pace} --listen tcp://127.0.0.1:0 {TOOL} {options}"), cwd=self.dir, text=True,
                                     stdout=subprocess.PIPE, stderr=log)
         self.cells.append(cell)
         return (cell.stdout.readline().split() or [""])[-1]
@@ -245,10 +245,13 @@ def job(*changes, options=""):
 
 
 def robot_file(*changes):
-    return does("job.toml kr60.toml", "plan job.toml --robot kr60.toml --out plan", change=text("kr60.toml", *changes))
+    """A robot file that is wrong, which states the tool ball in place of the job."""
+    return does("job.toml kr60.toml", "plan job.toml --robot kr60.toml --out plan", change=both(text("job.toml", NO_TOOL), text("kr60.toml", *changes)))
 
 
-OWN = "identify own.csv --robot kr60ha --centres centres.csv --bar-u 0.001 --out out"
+# A robot of the catalogue states no tool ball.
+TOOL = "--tool 30,20,10"
+OWN = f"identify own.csv --robot kr60ha {TOOL} --centres centres.csv --bar-u 0.001 --out out"
 
 
 def own(change=None, options="--prior datasheet", balls=None, same=False, replace=("", ""), take="", **more):
@@ -263,14 +266,14 @@ def raw(change, same=False):
 
 
 def tracked(change, options="--prior datasheet", robot="kr60ha"):
-    return does("positions.csv", f"identify positions.csv --robot {robot} --out out {options}", change=rows("positions.csv", change))
+    return does("positions.csv", f"identify positions.csv --robot {robot} {TOOL} --out out {options}", change=rows("positions.csv", change))
 
 
 CHECK = "check check.dbbd --robot result/robot-identified.toml --out out "
 
 
 def check_own(change=lambda rows: None, options="", balls=lambda rows: None):
-    return does("check.csv centres.csv result", f"check check.csv --robot result/robot-identified.toml --centres centres.csv --bar-u 0.001 --out out {options}",
+    return does("check.csv centres.csv own", f"check check.csv --robot own/robot-identified.toml --centres centres.csv --bar-u 0.001 --out out {options}",
                 change=both(rows("check.csv", change), rows("centres.csv", balls)))
 
 
@@ -286,7 +289,7 @@ def compensate(change=None, options="", config="--config config.dat", take=GLUE,
 
 
 def certify(options="", change=None, take="result checked"):
-    return does(take, f"certificate result --out out {options}", change=change)
+    return does(take, f"certificate result --specimen --out out {options}", change=change)
 
 
 def identity(toml):
@@ -335,9 +338,8 @@ def handed_back(options, take="result", change=None):
 
 
 def imported_and_planned(b):
-    """A robot from machine data, with the tool ball that these do not have."""
-    b.run("robots import machine.dat --out imported.toml").text("imported.toml", ("ball_mm = [0.0, 0.0, 0.0]", "ball_mm = [30.0, 20.0, 10.0]"))
-    b.run("plan job.toml --robot imported.toml --out imported-plan")
+    """A robot from machine data, which have no tool ball, with that of the job."""
+    b.run("robots import machine.dat --out imported.toml", "plan job.toml --robot imported.toml --out imported-plan")
 
 
 def machine(*changes, change=None):
@@ -447,18 +449,18 @@ def make_files(b):
     for name, robot, ball in (("ur", "ur10e", "[600.0, 300.0, 300.0]"), ("irb", "irb1600-10-145", "[850.0, 0.0, 700.0]"), ("kr16", "kr16-2", "[1000.0, 0.0, 800.0]"),
                               ("fanuc", "m10id12", "[900.0, 0.0, 300.0]")):
         b.write(f"{name}.toml", f'robot = "{robot}"\n[bar]\nlength_mm = 300.0\nlength_u_mm = 0.002\nstroke_mm = [-8.0, 8.0]\nmargin_mm = 0.5\n'
-                f'[[centre]]\nid = 1\nxyz_mm = {ball}\n[optimise]\npoints = 40\ncandidates = 600\n[motion]\nsettle_s = 0.4\ndwell_s = 0.5\n')
-    shutil.copy(ROOT / "robots/kr60ha.toml", b.dir / "kr60.toml")
+                f'[tool]\nball_mm = [0.0, 0.0, 0.0]\n[[centre]]\nid = 1\nxyz_mm = {ball}\n[optimise]\npoints = 40\ncandidates = 600\n[motion]\nsettle_s = 0.4\ndwell_s = 0.5\n')
+    b.write("kr60.toml", (ROOT / "robots/kr60ha.toml").read_text() + "\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n")
     b.run("plan job.toml --out plan", "krl plan/plan.csv --out krl", "acquire --port sim --plan plan/plan.csv --out run.dbbd", "info run.dbbd",
           "sync run.dbbd --out observations.csv", "identify run.dbbd --prior datasheet --out result", "info result/robot-identified.toml",
           "plan --check job.toml --robot result/robot-identified.toml --out check-plan", "krl check-plan/plan.csv --out check-krl",
           "acquire --port sim --plan check-plan/plan.csv --out check.dbbd", "sync check.dbbd --out check-observations.csv",
-          "check check.dbbd --robot result/robot-identified.toml --tolerance 2 --out checked",
+          "check check.dbbd --robot result/robot-identified.toml --tolerance 2.5 --out checked",
           "check check.dbbd --robot result/robot-identified.toml --balls-kept --out kept",
           "plan check.toml --out circ", "krl circ/plan.csv --out circ-krl", "acquire --port sim --plan circ/plan.csv --out circ.dbbd",
           "circle circ.dbbd --out circle", "compensate circ-krl/DBB_C001.src --robot result/robot-identified.toml --out corrected",
           "compensate GLUE01.src --config config.dat --robot result/robot-identified.toml --limit 8 --out glue",
-          "certificate result --check checked --out certificate", "export run.dbbd --out exported",
+          "certificate result --check checked --specimen --out certificate", "export run.dbbd --out exported",
           "predict observations.csv --robot result/robot-identified.toml --out predicted.csv")
     # another robot of the same type, in another cell
     shutil.copytree(b.dir / "krl", b.dir / "krl-b")
@@ -482,7 +484,7 @@ def make_files(b):
     shutil.copy(b.dir / "own.csv", b.dir / "poses.csv")
     b.rows("poses.csv", lambda rows: None, fields=AXES)
     b.run(f"{OWN.replace('--out out', '--out own')} --prior datasheet", OWN.replace("--out out", "--out own-default"), "info own/result.json",
-          "check check.csv --robot result/robot-identified.toml --centres centres.csv --bar-u 0.001 --out checked-own",
+          "check check.csv --robot own/robot-identified.toml --centres centres.csv --bar-u 0.001 --out checked-own",
           "predict poses.csv --robot result/robot-identified.toml --out p.csv")
     # positions of a tracker: of robot b, in a frame turned by 30 degrees about Z
     b.run("predict own.csv --robot result-b/robot-identified.toml --out positions.csv")
@@ -493,8 +495,8 @@ def make_files(b):
             x, y, z = (float(row[k]) + noise.gauss(0, 0.02) for k in ("x_mm", "y_mm", "z_mm"))
             row.update(x_mm=repr(cos * x - sin * y - 2500), y_mm=repr(sin * x + cos * y + 300), z_mm=repr(z - 900))
     b.rows("positions.csv", tracker, fields=AXES + ["x_mm", "y_mm", "z_mm"])
-    b.run("identify positions.csv --robot kr60ha --prior datasheet --out tracked",
-          "identify own-b.csv --centres centres.csv --positions positions.csv --robot kr60ha --prior datasheet --bar-u 0.001 --out both")
+    b.run(f"identify positions.csv --robot kr60ha {TOOL} --prior datasheet --out tracked",
+          f"identify own-b.csv --centres centres.csv --positions positions.csv --robot kr60ha {TOOL} --prior datasheet --bar-u 0.001 --out both")
     # a circular test of other software, and a trace of another instrument
     noise = random.Random(2)
 
@@ -513,7 +515,7 @@ def make_files(b):
           "identify traced.dbbd --prior datasheet --out traced", "export result --for urdf --out result",
           "export kr16-result --for urdf --out kr16-result", "export result/robot-identified.toml --urdf-in result/robot-identified.urdf --out urdf")
     b.run("plan job.toml --renew --robot result/robot-identified.toml --out renewal", "export result --for kuka --out handed-back",
-          "export fanuc-result --for fanuc --out fanuc-handed-back", "identify own.csv --robot kr60ha --centres centres.csv --bar-u 0.001 --exclude 9,13:slammed --out excluded",
+          "export fanuc-result --for fanuc --out fanuc-handed-back", f"{OWN} --exclude 9,13:slammed".replace("--out out", "--out excluded"),
           f"{PREDICT} --temperature 24 --tool 0,0,150 --date {TODAY}",
           "compensate GLUE01.src --config config.dat --robot result/robot-identified.toml --limit 8 --datum poses.csv --out glue-datum",
           "identify run.dbbd check.dbbd --prior datasheet --out joined")
@@ -525,7 +527,7 @@ def make_files(b):
     shutil.copy(b.dir / "own.csv", b.dir / "loaded.csv")
     b.rows("loaded.csv", some(half, put(payload="gripper")), fields=lean + ["payload"])
     b.run(LOADED)
-    b.write("identity.toml", 'laboratory = "Laboratory"\noperator = "A. Example"\n').run("certificate result --identity identity.toml --out certificate-2")
+    b.write("identity.toml", 'laboratory = "Laboratory"\noperator = "A. Example"\n').run("certificate result --identity identity.toml --specimen --out certificate-2")
 
 
 # ---- the cases: (name, verb, what is done, codes that name the mistake[, why the result is the same])
@@ -533,6 +535,7 @@ def make_files(b):
 
 UNIT = ("E0130", "E0602")
 TAUGHT = [-2.8178, -61.2356, 116.7537, 13.6265, 57.4349, -206.6011]
+NO_TOOL = (re.compile(r"\[tool\]\nball_mm = .*\n"), "")
 BALL_2, MOTION, BOX = "xyz_mm = [950.0, 700.0, 1100.0]", "[motion]\nfeed", '\n[[obstacle]]\nshape = "box"\n'
 ROBOT_EDITED = text("result/robot-identified.toml", (re.compile(r"d_mm = 8(\d\d)"), r"d_mm = 9\1"))
 RESULT_EDITED = text("result/result.json", ('"converged": true', '"converged": false'))
@@ -580,7 +583,9 @@ CASES = [
     ("base ball mistyped by 10 mm", "plan", job((BALL_2, "xyz_mm = [960.0, 700.0, 1100.0]")), ("E0607",)),
     ("taught_deg in radians", "plan", taught(lambda q: [math.radians(v) for v in q]), ("E0607",)),
     ("taught_deg reversed", "plan", taught(lambda q: q[::-1]), ("E0607", "E0703")),
-    ("taught with the tool of the gripper", "plan", robot_file(("[30.0, 20.0, 10.0]", "[0.0, 0.0, 180.0]")), ("E0607",)),
+    ("taught with the tool of the gripper", "plan", job(("[30.0, 20.0, 10.0]", "[0.0, 0.0, 180.0]")), ("E0607",)),
+    ("no tool ball", "plan", job(NO_TOOL), ("E0507",)),
+    ("tool ball in metres", "plan", job(("[30.0, 20.0, 10.0]", "[0.03, 0.02, 0.01]")), UNIT),
     ("another robot type", "plan", job(('"kr60ha"', '"kr16-2"')), ("E0607",)),
     ("name of the robot mistyped", "plan", job(('"kr60ha"', '"kr60hs"')), ("E0503",)),
     ("key mistyped", "plan", job(("stroke_mm", "strok_mm")), ("E0120",)),
@@ -686,9 +691,10 @@ CASES = [
     # ---- identify: robot, balls, tool, options
     ("no base balls", "identify", own(replace=("--centres centres.csv ", "")), ("E1302",)),
     ("another robot type", "identify", own(replace=("kr60ha", "kr16-2")), ("W1282 robot", "W1281")),
-    ("tool ball forgotten", "identify", own(options="--prior datasheet --tool 0,0,0"), OTHER),
-    ("tool ball in metres", "identify", own(options="--prior datasheet --tool 0.03,0.02,0.01"), ("E1305 metres", "usage metres")),
-    ("tool ball in another order", "identify", own(options="--prior datasheet --tool 10,20,30"), OTHER),
+    ("tool ball forgotten", "identify", own(replace=(TOOL, "--tool 0,0,0")), OTHER),
+    ("no tool ball", "identify", own(replace=(f"{TOOL} ", "")), ("E0507",)),
+    ("tool ball in metres", "identify", own(replace=(TOOL, "--tool 0.03,0.02,0.01")), ("E1305 metres", "usage metres")),
+    ("tool ball in another order", "identify", own(replace=(TOOL, "--tool 10,20,30")), OTHER),
     ("sigma in um", "identify", own(options="--prior datasheet --sigma 14"), ("W1335", "W1280", "E0003", "E0130", "W0131")),
     ("uncertainty of the bar in um", "identify", own(replace=("--bar-u 0.001", "--bar-u 1")), ("E0003", "E0130",)),
     ("another length of the bar", "identify", own(lengthened(lambda at, row: 0.5)), ("W1312 bar",)),
@@ -702,15 +708,15 @@ CASES = [
     ("capture with another robot type", "identify", does("run.dbbd", "identify run.dbbd --robot kr16-2 --out out"), ("W1328", "E1802")),
     ("capture with the balls of another job", "identify", does("run.dbbd paper-centres.csv", "identify run.dbbd --centres paper-centres.csv --out out"), ("E1203", "W1282")),
     ("the lengths of the result again", "identify", does("run.dbbd result", "identify run.dbbd --robot result/robot-identified.toml --out out"), ("W1334", "W1805")),
-    ("identified robot of another cell", "identify", own(options="", replace=("kr60ha", "result-b/robot-identified.toml"), take="result-b"), OTHER + ("I1323",)),
-    ("identified robot edited", "identify", does("own-b.csv centres.csv result", OWN.replace("own.csv", "own-b.csv").replace("kr60ha", "result/robot-identified.toml"), change=ROBOT_EDITED),
+    ("identified robot of another cell", "identify", own(options="", replace=(f"kr60ha {TOOL}", "result-b/robot-identified.toml"), take="result-b"), OTHER + ("I1323",)),
+    ("identified robot edited", "identify", does("own-b.csv centres.csv result", OWN.replace("own.csv", "own-b.csv").replace(f"kr60ha {TOOL}", "result/robot-identified.toml"), change=ROBOT_EDITED),
      ("W1840",)),
     ("parameters.csv of these lengths as the prior", "identify", own(options="--prior result/parameters.csv", take="result"), ("E1304", "W1805", "W1334")),
     ("validation with the lengths themselves", "identify", own(options="--prior datasheet --validate own.csv"), ("W1805", "W1334")),
     ("validation with another robot", "identify", own(options="--prior datasheet --validate own-b.csv", take="own-b.csv"), ("W1382",)),
     ("ten lengths", "identify", own(lambda table: table[::15]), ("W1315", "W1319", "E1301")),
     ("one circle only", "identify", own(lambda table: table[:38], options="--prior none", balls=lambda table: table[:1]), ("W1319", "I1321")),
-    ("result over its input", "identify", does("result centres.csv", "identify result/lengths.csv --robot kr60ha --centres centres.csv --out result"), ("E0180",)),
+    ("result over its input", "identify", does("result centres.csv", f"identify result/lengths.csv --robot kr60ha {TOOL} --centres centres.csv --out result"), ("E0180",)),
     ("table of sync edited", "identify", does("observations.csv observations.provenance.json centres.csv", OWN.replace("own.csv", "observations.csv"),
         change=rows("observations.csv", some(one, moved("length_mm", 0.002)))), ("W1809",)),
     # ---- identify: lengths
@@ -791,7 +797,13 @@ CASES = [
     ("nominal robot", "check", does("check.dbbd", "check check.dbbd --robot kr60ha --out out"), ("E1910",)),
     ("calibration of another robot type", "check", does("check.dbbd kr16-result", CHECK.replace("result", "kr16-result")), ("E1910", "E1802")),
     ("calibration of another cell", "check", does("check.dbbd result-b", CHECK.replace("result", "result-b")), ("exit4", "W1916")),
+    ("calibration of simulated readings", "check", does("check.csv centres.csv result", "check check.csv --robot result/robot-identified.toml --centres centres.csv --out out"),
+     ("W1851",)),
     ("lengths of the calibration", "check", does("run.dbbd result", CHECK.replace("check.dbbd", "run.dbbd")), ("W1918", "W1805")),
+    ("tolerance below zero", "check", does("check.dbbd result", CHECK + "--tolerance -1"), ("usage plausible",)),
+    ("tolerance of zero", "check", does("check.dbbd result", CHECK + "--tolerance 0"), ("usage plausible",)),
+    ("tolerance with its unit", "check", does("check.dbbd result", CHECK + "--tolerance '0.5 mm'"), ("usage unit",)),
+    ("tolerance beyond every number", "check", does("check.dbbd result", CHECK + "--tolerance 1e400"), ("usage plausible",)),
     ("sigma in um", "check", does("check.dbbd result", CHECK + "--sigma 14"), ("W1921", "E0003", "E0130")),
     ("repeatability of the tool in um", "check", does("check.dbbd result", CHECK + "--tool-repeat 10"), ("E0003", "E0130", "usage")),
     ("ball elsewhere, said to be kept", "check", check_own(options="--balls-kept", balls=each(lambda v: v + 80, "x_mm")), ("E1923",)),
@@ -876,8 +888,11 @@ CASES = [
     # ---- certificate
     ("a circle", "certificate", does("circle", "certificate circle --out out"), ("E2001", "E0101 result.json")),
     ("result edited", "certificate", certify(change=RESULT_EDITED), ("E1808",)),
-    ("check of another robot", "certificate", does("kr16-result checked", "certificate kr16-result --check checked --out out"), ("E2002",)),
-    ("check of another calibration", "certificate", does("result-b checked", "certificate result-b --check checked --out out"), ("E2002",)),
+    ("simulated readings", "certificate", does("result", "certificate result --out out"), ("E2008",)),
+    ("simulated readings of the check", "certificate", does("own check.dbbd", "check check.dbbd --robot own/robot-identified.toml --out c", "certificate own --check c --out out"),
+     ("E2008",)),
+    ("check of another robot", "certificate", does("kr16-result checked", "certificate kr16-result --check checked --specimen --out out"), ("E2002",)),
+    ("check of another calibration", "certificate", does("result-b checked", "certificate result-b --check checked --specimen --out out"), ("E2002",)),
     ("identity dated in the future", "certificate", identity('measured = "2062-01-01"\n'), ("E0680",)),
     ("identity of another day", "certificate", identity('measured = "2024-01-01"\n'), ("W2007",)),
     ("bar of another length", "certificate", identity("[bar]\nlength_mm = 150.0\n"), ("W2007",)),

@@ -7,6 +7,7 @@ use std::process::{Command, Stdio};
 use dbbd_device::protocol::ProtocolDefinition;
 use dbbd_job::recording::capture::{self, CaptureRecord, RunEnd, RunEvent};
 use dbbd_job::sim::bar::{self, ReadingSource, SimulatedReading, Terminal, VirtualBarOptions};
+use dbbd_model::provenance::DataOrigin;
 
 use crate::cell::{codes, stderr};
 use crate::played_bar::{RATE_HZ, endless, play, read, reading, reading_mm, samples, wait_for};
@@ -88,7 +89,14 @@ fn a_program_is_recorded_to_its_end_mark() {
     assert!(
         matches!(
             events[..],
-            [RunEvent::Started { .. }, RunEvent::Opened { .. }, RunEvent::Ended(RunEnd { lost: 0, .. })]
+            [
+                RunEvent::Started { .. },
+                RunEvent::Opened { .. },
+                // The mark of the virtual bar comes with its first frame.
+                RunEvent::Origin { origin: DataOrigin::Measured },
+                RunEvent::Origin { origin: DataOrigin::Simulated },
+                RunEvent::Ended(RunEnd { lost: 0, .. })
+            ]
         ),
         "{events:?}"
     );

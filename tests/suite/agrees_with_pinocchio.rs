@@ -20,7 +20,7 @@ fn identify(observations: &str, extra: &[&str]) -> CalibrationResult {
     let observations = root().join(observations);
     let centres = root().join("examples/paper/centres.csv");
     let mut args = vec!["identify", observations.to_str().unwrap(), "--centres", centres.to_str().unwrap()];
-    args.extend(["--robot", "kr60ha", "--out", "out"]);
+    args.extend(["--robot", "kr60ha", "--tool", "30,20,10", "--out", "out"]);
     args.extend(extra);
     let output = dbbd(dir.path(), &args);
     assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));

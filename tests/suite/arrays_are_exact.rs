@@ -6,7 +6,7 @@ use tempfile::tempdir;
 
 use crate::cell::{codes, dbbd, stderr};
 
-const ROBOT: &str = include_str!("../../robots/kr60ha.toml");
+const ROBOT: &str = crate::cell::KR60HA;
 const STAGES: &str = include_str!("../../examples/stages.toml");
 const BAR: &str = include_str!("../../protocols/microepsilon-ild1420.toml");
 const SERVICE: &str = "[alarm]\nstroke_mm = [-1.0, 1.0]\n";
@@ -53,7 +53,21 @@ fn every_array_of_every_file() {
     let files: [(&str, &str, &[&str]); 5] = [
         ("bad.toml", ROBOT, &["robots", "check", "bad.toml"]),
         ("bad.toml", &job, &["plan", "bad.toml", "--out", "plan"]),
-        ("bad.toml", WORLD, &["simulate", "--program", "P.src", "--robot", "kr60ha", "--world", "bad.toml"]),
+        (
+            "bad.toml",
+            WORLD,
+            &[
+                "simulate",
+                "--program",
+                "P.src",
+                "--robot",
+                "kr60ha",
+                "--tool",
+                "30,20,10",
+                "--world",
+                "bad.toml",
+            ],
+        ),
         ("bad.toml", SERVICE, &["serve", "--check", "--config", "bad.toml"]),
         ("bad.toml", BAR, &["protocols", "check", "bad.toml"]),
     ];

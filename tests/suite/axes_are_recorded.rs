@@ -183,7 +183,7 @@ fn restarts_and_stray_packets_are_distinguished() {
 
 /// A robot that waits for its operator, as a child process that is ready.
 fn waiting(dir: &Path, more: &[&str]) -> Simulator {
-    let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
+    let job = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
                [[circle]]\nplane = \"XY\"\npoints = 3\narc_deg = 10.0\norientation = \"fixed\"\ntilt_deg = 30.0\n";
     std::fs::write(dir.join("job.toml"), job).unwrap();
     dbbd(dir, &["plan", "job.toml", "--out", "plan"]);
@@ -333,7 +333,7 @@ fn unusable_addresses_are_refused_with_a_code() {
 #[test]
 fn simulated_controller_is_recorded_matched_and_identified() {
     let dir = tempfile::tempdir().unwrap();
-    let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
+    let job = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
                [[circle]]\nplane = \"XY\"\npoints = 3\narc_deg = 10.0\norientation = \"fixed\"\ntilt_deg = 30.0\n[motion]\n\
                settle_s = 0.2\ndwell_s = 0.4\n";
     std::fs::write(dir.path().join("job.toml"), job).unwrap();

@@ -38,7 +38,21 @@ pub(crate) fn identified(
         text += &format!("{ball},{},{},{}\n", x + 3.0, y - 2.0, z + 1.0);
     }
     fs::write(at.join("C.csv"), text).unwrap();
-    let output = dbbd(at, &["identify", "obs.csv", "--centres", "C.csv", "--robot", "kr60ha", "--out", out]);
+    let output = dbbd(
+        at,
+        &[
+            "identify",
+            "obs.csv",
+            "--centres",
+            "C.csv",
+            "--robot",
+            "kr60ha",
+            "--tool",
+            "30,20,10",
+            "--out",
+            out,
+        ],
+    );
     assert!(output.status.code() != Some(1), "{}", stderr(&output));
     let result = serde_json::from_slice(&fs::read(at.join(out).join("result.json")).unwrap()).unwrap();
     (output.status.code(), codes(&output), result)

@@ -40,7 +40,18 @@ fn run(csv: &str, extra: &[&str]) -> (i32, Option<CalibrationResult>, String) {
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("obs.csv"), csv).unwrap();
     fs::write(dir.path().join("C.csv"), centres_csv(&circles(300.0))).unwrap();
-    let mut args = vec!["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "out"];
+    let mut args = vec![
+        "identify",
+        "obs.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+        "C.csv",
+        "--out",
+        "out",
+    ];
     args.extend(["--folds", "0"]);
     args.extend(extra);
     let output = dbbd(dir.path(), &args);

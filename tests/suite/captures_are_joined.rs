@@ -82,7 +82,9 @@ fn capture_becomes_observations() {
 fn circle_plan() -> Plan {
     let job = r#"
         robot = "kr60ha"
-        [bar]
+        [tool]
+ball_mm = [30.0, 20.0, 10.0]
+[bar]
         length_mm = 300.0
         stroke_mm = [-5.0, 5.0]
         [[centre]]
@@ -100,7 +102,7 @@ fn circle_plan() -> Plan {
         dwell_s = 1.0
     "#;
     let job = Job::from_toml("job.toml", job).unwrap();
-    Plan::build(&job, &Robot::by_name("kr60ha").unwrap().unwrap()).unwrap()
+    Plan::build(&job, &Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap()).unwrap()
 }
 
 /// The loss in a run has its code and its share in every command that reads it.

@@ -165,6 +165,8 @@ fn the_command_decides_and_refuses() {
 const JOB: &str = r#"
 robot = "kr60ha"
 optimise = { points = 60, candidates = 600 }
+[tool]
+ball_mm = [30.0, 20.0, 10.0]
 [bar]
 length_mm = 500.0
 stroke_mm = [-5.0, 5.0]

@@ -25,8 +25,18 @@ fn joint_backlash_is_recovered_from_a_capture() {
     };
     step(&["plan", "job.toml", "--out", "plan"]);
     step(&["krl", "plan/plan.csv", "--out", "krl"]);
-    let program =
-        ["--program", "krl/DBB_MAIN.src", "--robot", "kr60ha", "--world", "world.toml", "--speed", "0"];
+    let program = [
+        "--program",
+        "krl/DBB_MAIN.src",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--world",
+        "world.toml",
+        "--speed",
+        "0",
+    ];
     let simulator = Simulator::start(dir.path(), &program);
     step(&["acquire", "--port", &simulator.port, "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
     simulator.finished();

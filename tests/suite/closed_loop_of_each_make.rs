@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::Path;
 
+use dbbd_job::program::Correction;
 use dbbd_job::program::fanuc::{self, GivenFrames};
 use dbbd_job::program::{Language, Program, Text, krl, rapid, urscript};
 use dbbd_job::robot_description;
@@ -240,11 +241,13 @@ fn corrected_programs_reach_the_nominal_positions() {
         let (text, wanted) = production(&arm, &nominal, 20);
         let file = Text { file: "P", text: &text };
         let (corrected, moved) = match language {
-            Language::Rapid => rapid::read(file, None).unwrap().compensate(file, &found, 50.0),
-            Language::Fanuc => {
-                fanuc::read(file, GivenFrames::default()).unwrap().compensate(file, &found, 50.0)
+            Language::Rapid => {
+                rapid::read(file, None).unwrap().compensate(file, Correction::of(&found, 50.0))
             }
-            _ => urscript::read(file, None).unwrap().compensate(file, &found, 50.0),
+            Language::Fanuc => fanuc::read(file, GivenFrames::default())
+                .unwrap()
+                .compensate(file, Correction::of(&found, 50.0)),
+            _ => urscript::read(file, None).unwrap().compensate(file, Correction::of(&found, 50.0)),
         }
         .unwrap();
         assert_eq!(moved.len(), if language == Language::Urscript { 40 } else { 20 });
@@ -281,7 +284,7 @@ fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
     let write = |file: &str, text: String| fs::write(at.join(file), text).unwrap();
     write("nominal.toml", nominal.to_toml().unwrap());
     write("truth.toml", robot.to_toml().unwrap());
-    write("job.toml", job.replace(arm.name, "nominal.toml"));
+    write("job.toml", job.into());
     write("world.toml", WORLD.into());
     step(at, "plan job.toml --out plan --quiet");
     step(at, "program plan/plan.csv --out program --sync output --quiet");
@@ -296,7 +299,8 @@ fn closed_loop(arm: &Arm, job: &str, seed: u64) -> ([usize; 2], [f64; 2]) {
     let bar = ["--link", "link", "--quiet"];
     let simulator = Simulator::start(at, &[&program[..], &truth, &bar].concat());
     step(at, "acquire --port link --plan plan/plan.csv --out run.dbbd --quiet");
-    assert!(simulator.finished().status.success());
+    let simulated = simulator.finished();
+    assert!(simulated.status.success(), "{}", stderr(&simulated));
     step(at, "sync run.dbbd --out obs.csv --quiet");
     step(
         at,
@@ -367,7 +371,7 @@ fn dwells_of_an_unknown_controller_are_at_the_planned_axes() {
 #[cfg(unix)]
 fn every_dwell_of_each_make_is_matched() {
     for arm in [KUKA, OFFSET, FANUC, CRX, ABB, UR, FACTORY] {
-        let ([lengths, dwells], _) = closed_loop(&arm, &job(arm.name, arm.centre, 8), 1);
+        let ([lengths, dwells], _) = closed_loop(&arm, &job("nominal.toml", arm.centre, 8), 1);
         assert_eq!((lengths, dwells > 0), (dwells, true), "{}", arm.name);
     }
 }
@@ -380,7 +384,7 @@ fn chosen_poses_of_each_make() {
     let mut wrong: Vec<String> = Vec::new();
     for arm in [KUKA, OFFSET, FANUC, CRX, ABB, UR, FACTORY] {
         let [low, high] = [-250.0, 250.0].map(|side| arm.centre.map(|middle| middle + side));
-        let text = job(arm.name, arm.centre, 8);
+        let text = job("nominal.toml", arm.centre, 8);
         let text = text.split("[[circle]]").next().unwrap_or_default();
         let text = format!("{text}[optimise]\npoints = 60\nworkspace_mm = [{low:?}, {high:?}]\n");
         for seed in 1..=3 {

@@ -79,7 +79,7 @@ fn loop_closed(dir: &Path, robot: &Robot, seed: u64) -> ClosedLoop {
     step(dir, &["acquire", "--port", "link", "--plan", "plan/plan.csv", "--out", "run.dbbd", "--quiet"]);
     assert!(simulator.finished().status.success());
     step(dir, &["sync", "run.dbbd", "--out", "obs.csv", "--quiet"]);
-    let identify = "identify obs.csv --robot kr60ha --centres plan/centres.csv --sigma 0.02 --hold bar --prior datasheet \
+    let identify = "identify obs.csv --robot kr60ha --tool 30,20,10 --centres plan/centres.csv --sigma 0.02 --hold bar --prior datasheet \
                     --folds 0 --out result --quiet";
     let has_warnings =
         step(dir, &identify.split(' ').filter(|word| !word.is_empty()).collect::<Vec<_>>()) == Some(3);

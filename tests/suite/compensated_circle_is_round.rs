@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use dbbd_job::program::Correction;
 use dbbd_job::program::krl::{Files, Given, Program, Text, compensate, read};
 use dbbd_job::sim::{SimulatedController, truth};
 use dbbd_model::robot::{Geometry, Pose, Robot, inverse};
@@ -86,7 +87,7 @@ fn deviations(seeds: std::ops::RangeInclusive<u64>) -> [Vec<[f64; 2]>; 2] {
             let program = circle(arcs);
             let files = Files { source: Text { file: "P.src", text: &program }, data: None, config: None };
             let points = read(files, Given::default()).unwrap();
-            let corrected = compensate(files, &points, &found.robot, 10.0).unwrap().source;
+            let corrected = compensate(files, &points, Correction::of(&found.robot, 10.0)).unwrap().source;
             pairs.push([&program, &corrected].map(|program| deviation(program, &robot)));
         }
     }

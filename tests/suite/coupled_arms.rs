@@ -69,7 +69,10 @@ fn limits_of_a_coupled_axis_depend_on_the_second_axis() {
     for (a3, expected) in [(-180.0, (Some(0), vec![])), (-195.0, (Some(3), vec!["W1281".to_owned()]))] {
         let table = format!("a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n0,100,{a3},0,30,0\n");
         fs::write(dir.path().join("axes.csv"), table).unwrap();
-        let output = dbbd(dir.path(), &["predict", "axes.csv", "--robot", "m10id12", "--out", "p.csv"]);
+        let output = dbbd(
+            dir.path(),
+            &["predict", "axes.csv", "--robot", "m10id12", "--tool", "0,0,0", "--out", "p.csv"],
+        );
         assert_eq!((output.status.code(), codes(&output)), expected, "{}", stderr(&output));
     }
     // The poses of a workspace are within the limits.

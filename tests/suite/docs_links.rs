@@ -306,7 +306,15 @@ fn tests_in_commands_exist() {
 fn every_key_of_a_result_is_described() {
     let out = tempdir().unwrap();
     let dir = out.path().to_string_lossy();
-    let args = ["identify", "examples/paper/observations.csv", "--robot", "kr60ha", "--centres"];
+    let args = [
+        "identify",
+        "examples/paper/observations.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+    ];
     let more = ["examples/paper/centres.csv", "--estimate", "alpha1-5,a1-5,d4-6", "--out", &*dir];
     let identified = dbbd(root(), &[&args[..], &more].concat());
     assert!(identified.status.success());

@@ -128,7 +128,7 @@ fn telegram_variants_and_errors() {
 
 /// A plan of a few dwells on a short arc, and its files.
 fn small_plan(dir: &Path) -> u32 {
-    let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
+    let job = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
                [[circle]]\nplane = \"XY\"\npoints = 3\narc_deg = 10.0\norientation = \"fixed\"\ntilt_deg = 30.0\n[motion]\n\
                settle_s = 0.2\ndwell_s = 0.4\n";
     std::fs::write(dir.join("job.toml"), job).unwrap();

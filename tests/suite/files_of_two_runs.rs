@@ -2,8 +2,6 @@
 
 use std::fs;
 
-use dbbd_model::robot::Robot;
-
 use crate::cell::{codes, dbbd, stderr};
 use crate::nothing_wrong_is_silent::{JOB, cell, identify, says};
 
@@ -15,9 +13,10 @@ fn modules_of_two_plans() {
     let at = dir.path();
     assert_eq!(identify(at, &data.to_csv(), &PRIOR).status.code(), Some(0));
     fs::write(at.join("other.toml"), JOB.replace("points = 3", "points = 4")).unwrap();
-    for (job, krl) in [("job.toml", "krl"), ("other.toml", "krl2")] {
-        assert_eq!(dbbd(at, &["plan", job, "--out", "plan"]).status.code(), Some(0));
-        assert_ne!(dbbd(at, &["krl", "--replace", "plan/plan.csv", "--out", krl]).status.code(), Some(1));
+    for (job, plan, krl) in [("job.toml", "plan", "krl"), ("other.toml", "plan2", "krl2")] {
+        assert_eq!(dbbd(at, &["plan", job, "--out", plan]).status.code(), Some(0));
+        let plan = format!("{plan}/plan.csv");
+        assert_ne!(dbbd(at, &["krl", "--replace", &plan, "--out", krl]).status.code(), Some(1));
     }
     let correct = || {
         let robot = "out/robot-identified.toml";
@@ -96,7 +95,9 @@ fn existing_files_that_are_no_results() {
     let at = dir.path();
     let poses = "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n10,-60,90,0,60,0\n";
     fs::write(at.join("poses.csv"), poses).unwrap();
-    let predict = |out: &str| dbbd(at, &["predict", "poses.csv", "--robot", "kr60ha", "--out", out]);
+    let predict = |out: &str| {
+        dbbd(at, &["predict", "poses.csv", "--robot", "kr60ha", "--tool", "30,20,10", "--out", out])
+    };
     says(&predict("obs.csv"), 1, "E0181");
     assert_eq!(fs::read_to_string(at.join("obs.csv")).unwrap(), data.to_csv());
     for _ in 0..2 {
@@ -132,12 +133,26 @@ fn rows_of_tables() {
     fs::write(at.join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,900.0,700.0,1100.0\n").unwrap();
     let far = identify(at, &data.to_csv(), &PRIOR);
     assert!(codes(&far).contains(&"W1282".to_owned()), "{}", stderr(&far));
-    let signs = Robot::built_in_file("kr60ha").unwrap().replacen("sign = -1", "sign = 1", 1);
+    let signs = crate::cell::KR60HA.replacen("sign = -1", "sign = 1", 1);
     fs::write(at.join("bad.toml"), signs).unwrap();
     says(&dbbd(at, &["robots", "check", "bad.toml"]), 3, "W0581");
     fs::write(at.join("empty.csv"), "").unwrap();
     says(
-        &dbbd(at, &["identify", "empty.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "o"]),
+        &dbbd(
+            at,
+            &[
+                "identify",
+                "empty.csv",
+                "--robot",
+                "kr60ha",
+                "--tool",
+                "30,20,10",
+                "--centres",
+                "C.csv",
+                "--out",
+                "o",
+            ],
+        ),
         1,
         "E0110",
     );
@@ -145,7 +160,7 @@ fn rows_of_tables() {
     for (from, to) in [
         ("length_u_mm = 0.002", "length_u_mm = 0.000002"),
         ("stroke_mm", "radius_mm = 0.015\nstroke_mm"),
-        ("[motion]", "[tool]\narm_radius_mm = 0.15\n[motion]"),
+        ("[tool]", "[tool]\narm_radius_mm = 0.15"),
     ] {
         fs::write(at.join("bad.toml"), JOB.replacen(from, to, 1)).unwrap();
         says(&dbbd(at, &["plan", "bad.toml", "--out", "plan"]), 1, "E0130");
@@ -234,7 +249,7 @@ fn traces_definitions_and_the_service() {
 fn robots_frames_and_rows_in_other_units() {
     let (dir, data) = cell();
     let at = dir.path();
-    let sound = Robot::built_in_file("kr60ha").unwrap();
+    let sound = crate::cell::KR60HA;
     for (from, to) in [
         ("angle_deg = 0.05", "angle_deg = 0.000873"),
         ("length_mm = 0.5", "length_mm = 0.0005"),
@@ -252,7 +267,11 @@ fn robots_frames_and_rows_in_other_units() {
         deg.map(|deg| deg.to_string()).join(",") + "\n"
     });
     fs::write(at.join("mixed.csv"), header.to_owned() + &rows.collect::<String>()).unwrap();
-    says(&dbbd(at, &["predict", "mixed.csv", "--robot", "kr60ha", "--out", "p.csv"]), 3, "W1281");
+    says(
+        &dbbd(at, &["predict", "mixed.csv", "--robot", "kr60ha", "--tool", "30,20,10", "--out", "p.csv"]),
+        3,
+        "W1281",
+    );
     assert_eq!(identify(at, &data.to_csv(), &PRIOR).status.code(), Some(0));
     let program = "DEF P()\n$TOOL={X 0.03,Y 0.0,Z 0.15,A 0.0,B 0.0,C 0.0}\n$BASE=$NULLFRAME\nPTP XP1\nEND\n";
     let points = "DEFDAT P\nDECL E6POS XP1={X 1300.0,Y 0.0,Z 900.0,A 0.0,B 90.0,C 0.0,S 2,T 10}\nENDDAT\n";

@@ -107,6 +107,8 @@ fn mastering_offsets_have_the_sense_of_the_axes() {
         "obs.csv",
         "--robot",
         "kr60ha",
+        "--tool",
+        "30,20,10",
         "--centres",
         "centres.csv",
         "--out",

@@ -30,8 +30,18 @@ fn identify_robot(
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("obs.csv"), measure(truth, circles, 80, amplitude_deg).to_csv()).unwrap();
     fs::write(dir.path().join("centres.csv"), centres_csv(circles)).unwrap();
-    let mut args =
-        vec!["identify", "obs.csv", "--robot", "kr60ha", "--centres", "centres.csv", "--out", "out"];
+    let mut args = vec![
+        "identify",
+        "obs.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+        "centres.csv",
+        "--out",
+        "out",
+    ];
     args.extend(["--folds", "0"]);
     args.extend(extra);
     let output = dbbd(dir.path(), &args);

@@ -30,7 +30,18 @@ fn identify(csv: &str, args: &[&str]) -> Run {
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("obs.csv"), csv).unwrap();
     fs::write(dir.path().join("c.csv"), centres_csv(&[horizontal(1, CENTRE)])).unwrap();
-    let fixed = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "c.csv", "--out", "out"];
+    let fixed = [
+        "identify",
+        "obs.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+        "c.csv",
+        "--out",
+        "out",
+    ];
     let output = dbbd(dir.path(), &[&fixed[..], args].concat());
     let result = fs::read_to_string(dir.path().join("out/result.json")).ok();
     let result = result.map(|text| serde_json::from_str(&text).expect("finite numbers, or null"));
@@ -211,8 +222,20 @@ fn one_core_or_all_give_the_same_bytes() {
     fs::write(dir.path().join("obs.csv"), data.to_csv()).unwrap();
     fs::write(dir.path().join("c.csv"), centres_csv(&[horizontal(1, CENTRE)])).unwrap();
     let identify = |out: &str, one_core: bool| {
-        let args =
-            ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "c.csv", "--folds", "0", "--out", out];
+        let args = [
+            "identify",
+            "obs.csv",
+            "--robot",
+            "kr60ha",
+            "--tool",
+            "30,20,10",
+            "--centres",
+            "c.csv",
+            "--folds",
+            "0",
+            "--out",
+            out,
+        ];
         if one_core {
             let mut command = std::process::Command::new("taskset");
             command.args(["-c", "0", env!("CARGO_BIN_EXE_dbbd")]).args(args).current_dir(dir.path());

@@ -76,8 +76,20 @@ fn identify(dir: &Path, data: &Measurements, more: &[&str]) -> serde_json::Value
         writeln!(centres, "{},{},{},{}", at + 1, x + 3.0, y - 2.0, z + 1.0).unwrap();
     }
     fs::write(dir.join("c.csv"), centres).unwrap();
-    let given =
-        ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "c.csv", "--out", "out", "--folds", "0"];
+    let given = [
+        "identify",
+        "obs.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+        "c.csv",
+        "--out",
+        "out",
+        "--folds",
+        "0",
+    ];
     let output = dbbd(dir, &[&given[..], more].concat());
     assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
     serde_json::from_str(&fs::read_to_string(dir.join("out/result.json")).unwrap()).unwrap()

@@ -128,7 +128,7 @@ impl Robot60 {
 
     /// The places at these poses as positions in the frame of the balls.
     fn positions(&self, poses: &[usize], case: Case) -> Option<String> {
-        let mut arm = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut arm = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         arm.set_tool([0.0, 0.0, 104.0]);
         let rows = poses.iter().filter_map(|pose| {
             let row = &self.poses[*pose][0];

@@ -75,6 +75,8 @@ fn logged_axes_replace_those_of_the_plan() {
             "obs.csv",
             "--robot",
             "kr60ha",
+            "--tool",
+            "30,20,10",
             "--centres",
             "centres.csv",
             "--hold",

@@ -86,6 +86,7 @@ mod service_answers_as_documented;
 mod service_holds_out;
 mod service_refuses_strangers;
 mod service_runs;
+mod simulated_data;
 mod simulator_refuses;
 mod stages_allow_every_pose;
 mod stdout_and_terminals;

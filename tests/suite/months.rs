@@ -22,7 +22,9 @@ fn identify(at: &Path, lengths: &str, robot: &str, out: &str, day: &str, celsius
     fs::write(at.join("identity.toml"), identity).unwrap();
     let args =
         ["identify", lengths, "--robot", robot, "--centres", "C.csv", "--bar-u", "0.002", "--folds", "0"];
-    let done = dbbd(at, &[&args[..], &["--identity", "identity.toml", "--out", out]].concat());
+    // The file of an identified robot has its tool.
+    let tool = if robot == "kr60ha" { &["--tool", "30,20,10"][..] } else { &[] };
+    let done = dbbd(at, &[&args[..], tool, &["--identity", "identity.toml", "--out", out]].concat());
     assert!(matches!(done.status.code(), Some(0 | 3)), "{}", stderr(&done));
     json(at, &format!("{out}/result.json"))
 }
@@ -32,7 +34,7 @@ pub(crate) fn calibrated_on(at: &Path, day: &str) -> (Robot, Value) {
     let balls = (1..).zip(BALLS).map(|(ball, [x, y, z])| format!("{ball},{x},{y},{z}\n"));
     fs::write(at.join("C.csv"), format!("centre,x_mm,y_mm,z_mm\n{}", balls.collect::<String>())).unwrap();
     let mut job = String::from(
-        "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 10.0\nlength_u_mm = 0.004\n",
+        "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 10.0\nlength_u_mm = 0.004\n",
     );
     for (id, place) in (1..).zip(BALLS) {
         job += &format!("[[centre]]\nid = {id}\nxyz_mm = {place:?}\n");

@@ -57,14 +57,14 @@ fn draw(seed: u64) -> Drawn {
     let kind = &KINDS[seed as usize % 2];
     let stroke = 0.7 * (5.0_f64 / 0.7).powf(random.random_range(0.0..1.0));
     let tolerance = 0.2 * 10_f64.powf(random.random_range(0.0..1.0));
-    let mut nominal = Robot::by_name(kind.name).unwrap().unwrap();
+    let mut nominal = Robot::by_name_with_tool(kind.name, [30.0, 20.0, 10.0]).unwrap().unwrap();
     nominal.tolerance.length_mm = tolerance;
     nominal.tolerance.angle_deg = 0.1 * tolerance;
     let ball = kind.ball_mm.map(|mm| mm + random.random_range(-1.0..1.0) * kind.about_mm);
     let is_taught = random.random_bool(0.5);
     let obstacles = random.random_bool(0.5);
     let mut text = format!(
-        "robot = \"{}\"\n[bar]\nlength_mm = {:?}\nstroke_mm = [{:?}, {stroke:?}]\nmargin_mm = {:?}\nlength_u_mm = 0.002\n\
+        "robot = \"{}\"\ntool.ball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = {:?}\nstroke_mm = [{:?}, {stroke:?}]\nmargin_mm = {:?}\nlength_u_mm = 0.002\n\
          [optimise]\npoints = 40\nstage_points = 20\ncandidates = 600\n[motion]\nsettle_s = 0.4\ndwell_s = 0.5\n",
         kind.name,
         kind.bar_mm,
@@ -83,7 +83,7 @@ fn draw(seed: u64) -> Drawn {
             text,
             "[[obstacle]]\nshape = \"floor\"\nz_mm = {below:?}\n[[obstacle]]\nshape = \"box\"\n\
              low_mm = [{:?}, {low:?}, 0.0]\nhigh_mm = [{:?}, {high:?}, {:?}]\n\
-             [tool]\nradius_mm = 10.0\narm_radius_mm = {:?}",
+             tool.radius_mm = 10.0\ntool.arm_radius_mm = {:?}",
             ball[0],
             ball[0] + 2.0 * kind.bar_mm,
             ball[2] + 2.0 * kind.bar_mm,
@@ -212,7 +212,7 @@ fn some_random_cells() {
     campaign(3..4);
 }
 
-const JOB: &str = "robot = \"robot.toml\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-2.5, 2.5]\nmargin_mm = 0.2\nlength_u_mm = 0.002\n\
+const JOB: &str = "robot = \"robot.toml\"\ntool.ball_mm = [0.0, 0.0, 0.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-2.5, 2.5]\nmargin_mm = 0.2\nlength_u_mm = 0.002\n\
                    [[centre]]\nid = 1\nxyz_mm = [1000.0, 0.0, 700.0]\n\
                    [optimise]\npoints = 30\nstage_points = 12\ncandidates = 400\n[motion]\nsettle_s = 0.4\ndwell_s = 0.5\n";
 
@@ -230,7 +230,7 @@ fn teaching_a_ball_never_bars_poses() {
     use crate::cell::{codes, dbbd, stderr};
     let dir = tempfile::tempdir().unwrap();
     let at = dir.path();
-    let mut robot = Robot::by_name("kr16-2").unwrap().unwrap();
+    let mut robot = Robot::by_name_with_tool("kr16-2", [0.0; 3]).unwrap().unwrap();
     (robot.tolerance.length_mm, robot.tolerance.angle_deg) = (1.0, 0.1);
     std::fs::write(at.join("robot.toml"), robot.to_toml().unwrap()).unwrap();
     std::fs::write(at.join("job.toml"), JOB).unwrap();

@@ -13,7 +13,7 @@ use crate::cell::{centres_csv, codes, dbbd, kr60, measure, stderr, three_planes,
 /// The errors of the robot in rad and mm: some tenths of a millimetre at the ball.
 pub(crate) const ERRORS: [(&str, f64); 4] =
     [("alpha1", 0.001), ("theta2", 0.0008), ("a2", 0.3), ("d4", -0.2)];
-pub(crate) const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\nlength_u_mm = 0.002\ntemperature_c = 20.0\n\
+pub(crate) const JOB: &str = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\nlength_u_mm = 0.002\ntemperature_c = 20.0\n\
                    expansion_per_k = 12e-6\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 3\n\
                    arc_deg = 10.0\norientation = \"fixed\"\ntilt_deg = 30.0\n[motion]\nfeed_mm_s = 40.0\nsettle_s = 0.2\ndwell_s = 0.4\n\
                    [[obstacle]]\nshape = \"box\"\nlow_mm = [0.0, 900.0, 0.0]\nhigh_mm = [400.0, 1500.0, 1000.0]\n";
@@ -51,7 +51,11 @@ pub(crate) fn identify(dir: &Path, table: &str, more: &[&str]) -> Output {
     fs::write(dir.join("bad.csv"), table).unwrap();
     let given = ["identify", "bad.csv", "--centres", "C.csv", "--out", "out", "--folds", "0"];
     let robot = if more.contains(&"--robot") { &[][..] } else { &["--robot", "kr60ha"] };
-    dbbd(dir, &[&given[..], robot, more].concat())
+    // A robot file has its tool.
+    let is_file = more.windows(2).any(|pair| pair[0] == "--robot" && pair[1].ends_with(".toml"));
+    let is_stated = more.contains(&"--tool") || is_file;
+    let tool = if is_stated { &[][..] } else { &["--tool", "30,20,10"] };
+    dbbd(dir, &[&given[..], robot, tool, more].concat())
 }
 
 #[test]
@@ -106,13 +110,27 @@ fn tables_of_lengths() {
     says(&identified(&data, &[&prior[..], &["--robot", "narrow.toml"]].concat()), 3, "W1281");
     let far = "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n500,-60,90,0,60,0\n";
     fs::write(dir.path().join("far.csv"), far).unwrap();
-    says(&dbbd(dir.path(), &["predict", "far.csv", "--robot", "kr60ha", "--out", "p.csv"]), 3, "W1281");
+    says(
+        &dbbd(
+            dir.path(),
+            &["predict", "far.csv", "--robot", "kr60ha", "--tool", "30,20,10", "--out", "p.csv"],
+        ),
+        3,
+        "W1281",
+    );
     let radians: String = data.rows.iter().fold(far.lines().next().unwrap().to_owned(), |table, row| {
         let angles = row.axes.degrees().map(|deg| deg.to_radians().to_string());
         format!("{table}\n{}", angles.join(","))
     });
     fs::write(dir.path().join("rad.csv"), radians).unwrap();
-    says(&dbbd(dir.path(), &["predict", "rad.csv", "--robot", "kr60ha", "--out", "p.csv"]), 3, "W1281");
+    says(
+        &dbbd(
+            dir.path(),
+            &["predict", "rad.csv", "--robot", "kr60ha", "--tool", "30,20,10", "--out", "p.csv"],
+        ),
+        3,
+        "W1281",
+    );
     for (options, exit, code) in [
         (&["--folds", "1"][..], 2, ""),
         (&["--bar-u", "1"], 2, ""),
@@ -127,8 +145,20 @@ fn tables_of_lengths() {
             stderr(&output)
         );
     }
-    let once =
-        ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "out", "--folds", "1"];
+    let once = [
+        "identify",
+        "obs.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+        "C.csv",
+        "--out",
+        "out",
+        "--folds",
+        "1",
+    ];
     says(&dbbd(dir.path(), &once), 1, "E1301");
 }
 
@@ -162,7 +192,7 @@ fn jobs_and_robots() {
         fs::write(dir.path().join("bad.toml"), bad).unwrap();
         says(&dbbd(dir.path(), &["plan", "bad.toml", "--out", "plan"]), 1, code);
     }
-    let sound = Robot::built_in_file("kr60ha").unwrap();
+    let sound = crate::cell::KR60HA;
     for (from, to, code) in ROBOTS {
         let bad = sound.replacen(from, to, 1);
         assert_ne!(bad, sound, "{from}");

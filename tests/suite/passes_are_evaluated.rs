@@ -6,7 +6,7 @@ use crate::cell::{dbbd, stderr};
 #[test]
 fn passes_are_evaluated_end_to_end() {
     let dir = tempfile::tempdir().unwrap();
-    let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
+    let job = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
                xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\norientation = \"fixed\"\ntilt_deg = 25.0\n\
                points = 72\ndirection = \"both\"\nmode = \"continuous\"\n[motion]\nfeed_mm_s = 60.0\n";
     std::fs::write(dir.path().join("job.toml"), job).unwrap();

@@ -29,7 +29,7 @@ centre_mm = [0.0, 0.0, 150.0]
 
 /// The kr60ha that carries nothing or 50 kg, whose joints 2 and 3 give way.
 fn truth() -> Robot {
-    let text = format!("{}{PAYLOADS}", include_str!("../../robots/kr60ha.toml"));
+    let text = format!("{}{PAYLOADS}", crate::cell::KR60HA);
     let mut robot = Robot::from_toml("robot.toml", &text).unwrap();
     let errors = [("a1", 0.3), ("d4", -0.2), ("theta2", 5e-4), ("theta3", -6e-4), ("alpha4", 4e-4)];
     for (name, error) in errors.into_iter().chain([("compliance2", 2e-7), ("compliance3", 3e-7)]) {
@@ -74,7 +74,7 @@ fn identify(at: &Path, loaded: bool) {
     }
     let payloads = if loaded { vec!["bar".into(), "gripper".into()] } else { Vec::new() };
     let data = Measurements { rows, payloads, ..Measurements::default() };
-    let robot = format!("{}{PAYLOADS}", include_str!("../../robots/kr60ha.toml"));
+    let robot = format!("{}{PAYLOADS}", crate::cell::KR60HA);
     fs::write(at.join("robot.toml"), robot).unwrap();
     fs::write(at.join("obs.csv"), data.to_csv()).unwrap();
     let [[x, y, z], [u, v, w]] = BALLS;
@@ -189,7 +189,7 @@ fn any_point_of_a_tool_is_predicted() {
 fn a_run_names_its_payload_and_the_pull_of_its_bar() {
     let dir = tempdir().unwrap();
     let at = dir.path();
-    let robot = format!("{}{PAYLOADS}", include_str!("../../robots/kr60ha.toml"));
+    let robot = format!("{}{PAYLOADS}", crate::cell::KR60HA);
     fs::write(at.join("robot.toml"), robot).unwrap();
     let job = |payload: &str, force: &str| {
         format!(
@@ -249,8 +249,7 @@ fn payloads_in_other_units_are_refused() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     let check = |payload: &str| {
-        let text =
-            format!("{}[payload]\nname = \"gripper\"\n{payload}\n", include_str!("../../robots/kr60ha.toml"));
+        let text = format!("{}[payload]\nname = \"gripper\"\n{payload}\n", crate::cell::KR60HA);
         fs::write(at.join("robot.toml"), text).unwrap();
         let checked = dbbd(at, &["robots", "check", "robot.toml"]);
         (checked.status.code(), codes(&checked))

@@ -11,7 +11,7 @@ use crate::cell::codes;
 fn the_command_writes_the_pair_and_commands_an_identified_robot_through_its_nominal_one() {
     let dir = tempfile::tempdir().unwrap();
     let job = format!("{}/examples/seed-experiment.toml", env!("CARGO_MANIFEST_DIR"));
-    let mut identified = Robot::by_name("kr60ha").unwrap().unwrap();
+    let mut identified = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
     identified.nominal = Some(Box::new(identified.clone()));
     identified.geometry.rows[2].a += 0.5;
     identified.geometry.rows[3].theta += 0.001;

@@ -20,6 +20,8 @@ points = 12
 orientation = "fixed"
 [motion]
 feed_mm_s = 40.0
+[tool]
+ball_mm = [30.0, 20.0, 10.0]
 "#;
 
 /// Jobs that are refused: what is replaced, the line that is named, the code.
@@ -46,8 +48,9 @@ const JOBS: &[(&str, &str, usize, &str)] = &[
     ),
     ("plane = \"XY\"", "", 10, "E0603"),
     ("points = 12", "points = 12\namplitude_deg = 10.0", 13, "E0603"),
-    ("[motion]", "[tool]\ncup_limit_deg = 10.0\n[motion]", 15, "E0603"),
-    ("[motion]", "[tool]\nball_mm = [30.0, 20.0, 10.0]\n[motion]", 15, "E0603"),
+    ("[tool]", "[tool]\ncup_limit_deg = 10.0", 17, "E0603"),
+    ("[tool]", "[[joint]]\n[tool]", 16, "E0603"),
+    ("[30.0, 20.0, 10.0]", "[0.03, 0.02, 0.01]", 17, "E0130"),
     ("id = 1", "id = 2", 8, "E0604"),
     ("plane", "centre = 2\nplane", 11, "E0604"),
     ("points = 12", "points = 250", 12, "E0605"),
@@ -76,11 +79,7 @@ const PLANS: &[PlanCase] = &[
     ),
     (&[("800.0]", "800.0]\ncup_axis = [0.0, 0.0, 1.0]\ncup_limit_deg = 60.0")], "E0707", "cup_deg"),
     // The tool points down, the bar goes sideways from its ball.
-    (
-        &[("[motion]", "[tool]\ncup_axis = [0.0, 0.0, 1.0]\ncup_limit_deg = 60.0\n[motion]")],
-        "E0707",
-        "tool_cup_deg",
-    ),
+    (&[("[tool]", "[tool]\ncup_axis = [0.0, 0.0, 1.0]\ncup_limit_deg = 60.0")], "E0707", "tool_cup_deg"),
     (
         &[(
             "[motion]",
@@ -144,7 +143,7 @@ fn replaced(changes: &[(&str, &str)]) -> String {
 }
 
 fn robot() -> Robot {
-    Robot::by_name("kr60ha").unwrap().unwrap()
+    Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap()
 }
 
 fn refusal(text: &str, robot: &Robot) -> Refusal {

@@ -39,7 +39,7 @@ fn job(stroke_mm: f64, balls: usize, taught: bool, poses: &str) -> String {
         format!("[[centre]]\nid = {}\nxyz_mm = {:?}\n{angles}", at + 1, XYZ_MM[at])
     };
     format!(
-        "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nlength_u_mm = 0.002\nstroke_mm = [-{stroke_mm}, {stroke_mm}]\n\
+        "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nlength_u_mm = 0.002\nstroke_mm = [-{stroke_mm}, {stroke_mm}]\n\
          margin_mm = 0.1\n{}{poses}",
         (0..balls).map(centre).collect::<String>()
     )
@@ -167,7 +167,7 @@ impl DrawnCell<'_> {
         }
         self.run("circle", "circle.toml", "circle");
         let Some(tables) = self.stages() else { return };
-        self.done(&format!("identify {tables} --same-setup --robot kr60ha --centres stage1/centres.csv --prior datasheet --folds 0 --quiet --out result")).unwrap();
+        self.done(&format!("identify {tables} --same-setup --robot kr60ha --tool 30,20,10 --centres stage1/centres.csv --prior datasheet --folds 0 --quiet --out result")).unwrap();
         let identified = "--robot result/robot-identified.toml";
         for (kind, plan) in [
             ("check", "--check chosen.toml"),
@@ -292,4 +292,67 @@ fn a_bar_out_of_its_stroke_is_named() {
     let dwells =
         text.split("or off, when ").nth(1).and_then(|rest| rest.split(' ').next()?.parse::<u32>().ok());
     assert!(dwells.is_some_and(|dwells| (4..=22).contains(&dwells)), "{text}");
+}
+
+/// A program of a plan is corrected about the ball as it is mounted: with a bar of ±1 mm every pose of the corrected circle has its
+/// length, which the circle about the ball where the nominal robot has it would leave by millimetres.
+#[test]
+fn a_corrected_circle_keeps_the_stroke() {
+    for seed in [1, 2, 3] {
+        let dir = tempdir().unwrap();
+        let at = dir.path();
+        let run = |args: &str| {
+            let output = dbbd(at, &args.split_whitespace().collect::<Vec<_>>());
+            (output.status.code(), codes(&output), stderr(&output))
+        };
+        let done = |args: &str| {
+            let (code, said, text) = run(args);
+            assert!(matches!(code, Some(0 | 3)), "{args}: {text}");
+            said
+        };
+        // What is identified is the truth: what is left is the correction.
+        let truth = drawn_at(seed, 1.0);
+        let nominal = Some(Box::new(kr60()));
+        let identified = Robot { name: kr60().name, nominal, ..truth.clone() };
+        let off_mm = {
+            let taught = TAUGHT_DEG[0].map(f64::to_radians);
+            (truth.geometry.ball(&taught).position - kr60().geometry.ball(&taught).position).norm()
+        };
+        assert!(off_mm > 0.5, "{off_mm}");
+        fs::write(at.join("identified.toml"), identified.to_toml().unwrap()).unwrap();
+        fs::write(at.join("truth.toml"), truth.to_toml().unwrap()).unwrap();
+        let taught = TAUGHT_DEG[0];
+        fs::write(at.join("world.toml"), format!("[[centre]]\nid = 1\ntaught_deg = {taught:?}\n")).unwrap();
+        // Planned with a long bar: nothing is known of the robot. The corrected program is for a short one.
+        fs::write(at.join("job.toml"), job(9.0, 1, true, CIRCLE)).unwrap();
+        done("plan job.toml --out plan --quiet");
+        done("krl plan/plan.csv --out krl --quiet");
+        done("compensate krl/DBB_C001.src --robot identified.toml --out corrected --quiet");
+        for name in ["DBB_MAIN.src", "DBB_MAIN.dat"] {
+            fs::copy(at.join("krl").join(name), at.join("corrected").join(name)).unwrap();
+        }
+        let program =
+            ["--program", "corrected/DBB_MAIN.src", "--robot", "truth.toml", "--world", "world.toml"];
+        let simulator = Simulator::start(at, &[&program[..], &["--speed", "0", "--link", "link"]].concat());
+        done("acquire --port link --plan plan/plan.csv --out run.dbbd --quiet");
+        simulator.finished();
+        done("sync run.dbbd --out lengths.csv");
+        let lengths = fs::read_to_string(at.join("lengths.csv")).unwrap();
+        let mut table = csv::Reader::from_reader(lengths.as_bytes());
+        let column = table.headers().unwrap().iter().position(|name| name == "length_mm").unwrap();
+        let readings: Vec<f64> =
+            table.records().map(|row| row.unwrap()[column].parse::<f64>().unwrap() - 300.0).collect();
+        let worst_mm = readings.iter().fold(0.0, |worst: f64, reading| worst.max(reading.abs()));
+        // Backlash is corrected for the way to a target as it was planned.
+        assert!(readings.len() >= 24 && worst_mm < 0.5, "seed {seed}: {off_mm} mm off, {readings:.3?}");
+        // Without its plan the program is refused.
+        fs::create_dir_all(at.join("alone/krl")).unwrap();
+        for name in ["DBB_C001.src", "DBB_C001.dat"] {
+            fs::copy(at.join("krl").join(name), at.join("alone/krl").join(name)).unwrap();
+        }
+        let alone = "compensate alone/krl/DBB_C001.src --robot identified.toml --out new --quiet";
+        let (code, said, text) = run(alone);
+        assert_eq!((code, said), (Some(1), vec!["E0924".to_owned()]), "{text}");
+        done(&format!("{alone} --plan plan/plan.csv"));
+    }
 }

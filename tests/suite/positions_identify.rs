@@ -76,7 +76,10 @@ fn lengths(truth: &Robot, poses: &[[f64; 6]], noise_mm: f64) -> String {
 
 /// Runs `identify` in a directory with `--out o`; its exit code and the result.
 fn identify(at: &Path, arguments: &[&str]) -> (Option<i32>, Option<CalibrationResult>, String) {
-    let output = dbbd(at, &[&["identify"], arguments, &["--robot", "kr60ha", "--out", "o"]].concat());
+    let output = dbbd(
+        at,
+        &[&["identify"], arguments, &["--robot", "kr60ha", "--tool", "30,20,10", "--out", "o"]].concat(),
+    );
     let result = fs::read_to_string(at.join("o/result.json")).ok();
     (output.status.code(), result.map(|text| serde_json::from_str(&text).unwrap()), stderr(&output))
 }
@@ -258,6 +261,9 @@ fn contradictory_inputs_are_found() {
         assert!(said.contains(code), "{code}: {arguments:?}: {said}");
         assert_eq!(exit, Some(if code.starts_with('E') { 1 } else { 3 }), "{code}: {said}");
     }
-    let check = dbbd(at, &["check", "p.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "o"]);
+    let check = dbbd(
+        at,
+        &["check", "p.csv", "--robot", "kr60ha", "--tool", "30,20,10", "--centres", "C.csv", "--out", "o"],
+    );
     assert!(stderr(&check).contains("E1361"), "{}", stderr(&check));
 }

@@ -12,7 +12,7 @@ use crate::cell::named;
 use crate::cell::{codes, dbbd, kr60, stderr};
 
 /// One short circle.
-const JOB: &str = "robot = 'kr60ha'\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\
+const JOB: &str = "robot = 'kr60ha'\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\
                    [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = 'XY'\npoints = 8\ntilt_deg = 30.0\n";
 
 /// A directory with the plan of a job.

@@ -28,13 +28,13 @@ fn binary_observations() {
     let refused = |row: &[u8], code: &str, place: &str| {
         let bytes = [HEADER.as_bytes(), ROW.as_bytes(), row].concat();
         fs::write(dir.path().join("bytes.csv"), bytes).unwrap();
-        let output = identify_file(dir.path(), "bytes.csv", &["--robot", "kr60ha"]);
+        let output = identify_file(dir.path(), "bytes.csv", &["--robot", "kr60ha", "--tool", "30,20,10"]);
         assert_eq!((output.status.code(), codes(&output)), (Some(1), vec![code.to_owned()]));
         assert!(stderr(&output).contains(place), "{}", stderr(&output));
     };
     refused(b"2,1,0,-60,90,0,60,0,30\xff,0.01\n", "E0111", "bytes.csv:3:21:");
     refused(b"2,1,0,-60,90,0,60,0,300,0.0\0\n", "E0103", "bytes.csv:3:");
-    let absent = identify_file(dir.path(), "absent.csv", &["--robot", "kr60ha"]);
+    let absent = identify_file(dir.path(), "absent.csv", &["--robot", "kr60ha", "--tool", "30,20,10"]);
     assert_eq!(codes(&absent), ["E0101"]);
 }
 
@@ -61,7 +61,16 @@ fn plans_and_tables_in_other_units() {
         let dir = tempdir().unwrap();
         fs::write(dir.path().join("bad.csv"), table).unwrap();
         fs::write(dir.path().join("obs.csv"), &text).unwrap();
-        let given = ["--robot", "kr60ha", "--centres", centres.to_str().unwrap(), "--out", "out"];
+        let given = [
+            "--robot",
+            "kr60ha",
+            "--tool",
+            "30,20,10",
+            "--centres",
+            centres.to_str().unwrap(),
+            "--out",
+            "out",
+        ];
         let output = dbbd(dir.path(), &[&["identify"], more, &given].concat());
         let said = stderr(&output);
         assert_eq!((output.status.code(), codes(&output)), (Some(1), vec!["E1204".to_owned()]), "{said}");
@@ -109,9 +118,9 @@ const TABLES: &[(&str, &str, usize)] = &[
 const ARGUMENTS: &[(&[&str], &str)] = &[
     (&["--robot", "kr60"], "E0503"),
     (&["--robot", "nowhere.toml"], "E0101"),
-    (&["--robot", "kr60ha", "--estimate", "alpha9"], "E0501"),
-    (&["--robot", "kr60ha", "--estimate", "centre2_x"], "E0502"),
-    (&["--robot", "kr60ha", "--prior", "nowhere.csv"], "E0101"),
+    (&["--robot", "kr60ha", "--tool", "30,20,10", "--estimate", "alpha9"], "E0501"),
+    (&["--robot", "kr60ha", "--tool", "30,20,10", "--estimate", "centre2_x"], "E0502"),
+    (&["--robot", "kr60ha", "--tool", "30,20,10", "--prior", "nowhere.csv"], "E0101"),
 ];
 
 /// Robot files that are refused: replacements in a valid one.
@@ -141,7 +150,7 @@ fn refused(observations: &str, more: &[&str], code: &str, place: &str) {
 
 #[test]
 fn observations() {
-    let robot = ["--robot", "kr60ha"];
+    let robot = ["--robot", "kr60ha", "--tool", "30,20,10"];
     for (rows, code, line) in TABLES {
         let place = if *line > 0 { format!("obs.csv:{line}") } else { "obs.csv".into() };
         refused(&format!("{HEADER}{rows}"), &robot, code, &place);
@@ -168,25 +177,27 @@ fn robots_parameter_lists_and_numbers() {
     let dir = tempdir().unwrap();
     // Twenty times the same pose cannot be held out.
     let same: String = (0..20).map(|i| ROW.replacen("1", &(i + 1).to_string(), 1)).collect();
-    let output = identify(dir.path(), &format!("{HEADER}{same}"), &["--robot", "kr60ha"]);
+    let output =
+        identify(dir.path(), &format!("{HEADER}{same}"), &["--robot", "kr60ha", "--tool", "30,20,10"]);
     assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
     // One length is not an error of the file: the result has a warning.
-    let output = identify(dir.path(), &good, &["--robot", "kr60ha", "--estimate", "geometric"]);
+    let output =
+        identify(dir.path(), &good, &["--robot", "kr60ha", "--tool", "30,20,10", "--estimate", "geometric"]);
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(3), "{said}");
     assert!(said.contains("W1315"), "{said}");
-    let output = identify(dir.path(), &good, &["--robot", "kr60ha", "--sigma", "-1"]);
+    let output = identify(dir.path(), &good, &["--robot", "kr60ha", "--tool", "30,20,10", "--sigma", "-1"]);
     assert_eq!(output.status.code(), Some(2), "{}", stderr(&output));
 }
 
 #[test]
 fn robot_files() {
     let dir = tempdir().unwrap();
-    let text = include_str!("../../robots/kr60ha.toml");
+    let text = crate::cell::KR60HA;
     let cut = (text[..text.len() / 2].to_owned(), &"E0120");
     // SCARA, a palletiser without axis 6, an arm with seven axes.
     let (head, joints) = text.split_at(text.find("[[joint]]").unwrap());
-    let (joints, tail) = joints.split_at(joints.find("# The tool ball").unwrap());
+    let (joints, tail) = joints.split_at(joints.find("[tolerance]").unwrap());
     let joints: Vec<&str> = joints.split_inclusive("\n\n").collect();
     assert_eq!(joints.len(), 6);
     let with = |count: usize| {
@@ -279,7 +290,7 @@ fn bar_checks() {
     let truth = with_errors(DESIGNED);
     let text = measure(&truth, &[horizontal(1, CENTRE)], 40, 25.0).to_csv();
     for list in ["bar", "tool", "centres", "gear"] {
-        let more = ["--robot", "kr60ha", "--prior", "datasheet", "--estimate", list];
+        let more = ["--robot", "kr60ha", "--tool", "30,20,10", "--prior", "datasheet", "--estimate", list];
         let output = identify(dir.path(), &text, &more);
         let (code, said) = (output.status.code(), stderr(&output));
         assert!(matches!(code, Some(0 | 3)) && !said.contains("panicked"), "{list}: {code:?} {said}");
@@ -291,7 +302,7 @@ fn bar_checks() {
 fn runs_of_another_robot() {
     let dir = tempdir().unwrap();
     let text = measure(&with_errors(DESIGNED), &three_planes(1, CENTRE), 27, 25.0).to_csv();
-    let output = identify(dir.path(), &text, &["--robot", "kr16-2"]);
+    let output = identify(dir.path(), &text, &["--robot", "kr16-2", "--tool", "0,0,0"]);
     let said = stderr(&output);
     assert!(output.status.code() == Some(3) && said.contains("W1312"), "{said}");
 }
@@ -307,7 +318,7 @@ fn what_is_no_file_is_refused_at_once() {
     for path in [pipe.to_str().unwrap(), "/dev/zero", "/dev/tty", "."] {
         for args in [
             &["plan", path, "--out", "out"][..],
-            &["identify", path, "--robot", "kr60ha", "--out", "out"],
+            &["identify", path, "--robot", "kr60ha", "--tool", "30,20,10", "--out", "out"],
             &["identify", "none.csv", "--robot", path, "--out", "out"],
             &["info", path],
             &["sync", path, "--out", "out.csv"],
@@ -333,7 +344,7 @@ fn sync_replaces_only_its_own_unedited_table() {
         assert!(matches!(output.status.code(), Some(0 | 3)), "{args}: {}", crate::cell::stderr(&output));
         crate::cell::codes(&output)
     };
-    let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n[[centre]]\nid = 1\n\
+    let job = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n[[centre]]\nid = 1\n\
         xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 12\namplitude_deg = 25.0\ntilt_deg = 30.0\n";
     std::fs::write(at.join("job.toml"), job).unwrap();
     done("plan job.toml --out plan --quiet");

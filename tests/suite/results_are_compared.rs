@@ -29,7 +29,18 @@ fn calibrations(count: u32, step: f64) -> TempDir {
         }
         fs::write(dir.path().join("obs.csv"), data.to_csv()).unwrap();
         let name = format!("r{number}");
-        let args = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", &name];
+        let args = [
+            "identify",
+            "obs.csv",
+            "--robot",
+            "kr60ha",
+            "--tool",
+            "30,20,10",
+            "--centres",
+            "C.csv",
+            "--out",
+            &name,
+        ];
         let output = dbbd(dir.path(), &[&args[..], &["--sigma", "0.002", "--folds", "0"]].concat());
         assert!(output.status.success(), "{}", stderr(&output));
     }

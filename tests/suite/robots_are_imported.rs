@@ -86,7 +86,7 @@ fn a_built_in_robot_becomes_a_file() {
     let at = dir.path();
     let import = || dbbd(at, &["robots", "import", "kr60ha", "--out", "mine.toml"]);
     assert_eq!(import().status.code(), Some(0));
-    assert_eq!(read(&at.join("mine.toml")), named("kr60ha"));
+    assert_eq!(read(&at.join("mine.toml")), Robot::by_name("kr60ha").unwrap().unwrap());
     // What applies to others is not ignored, and a mistyped name is not taken for a file.
     for more in [["--robot", "ur10"], ["--joints", "a,b"]] {
         let import = ["robots", "import", "kr60ha", "--out", "other.toml"];

@@ -30,7 +30,18 @@ fn identify_with(data: &Measurements, more: &[&str]) -> (TempDir, Output) {
     let dir = tempdir().unwrap();
     fs::write(dir.path().join("obs.csv"), data.to_csv()).unwrap();
     fs::write(dir.path().join("C.csv"), centres_csv(&three_planes(1, CENTRE))).unwrap();
-    let args = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "out"];
+    let args = [
+        "identify",
+        "obs.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+        "C.csv",
+        "--out",
+        "out",
+    ];
     let output = dbbd(dir.path(), &[&args[..], &["--folds", "0"], more].concat());
     (dir, output)
 }
@@ -127,8 +138,20 @@ fn a_row_is_left_out_on_request() {
     assert!(read("certificate/certificate.html").contains("door slammed"));
     // Who: the operator of the measurement.
     fs::write(dir.path().join("identity.toml"), "operator = 'A. Example'\n").unwrap();
-    let args =
-        ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "named", "--folds", "0"];
+    let args = [
+        "identify",
+        "obs.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+        "C.csv",
+        "--out",
+        "named",
+        "--folds",
+        "0",
+    ];
     let more = ["--identity", "identity.toml", "--exclude", "3,7-8", "--exclude", "5:twice"];
     dbbd(dir.path(), &[&args[..], &more].concat());
     let named: CalibrationResult = serde_json::from_str(&read("named/result.json")).unwrap();

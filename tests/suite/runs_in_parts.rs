@@ -10,7 +10,7 @@ use dbbd_model::measurement::Measurements;
 
 use crate::cell::{codes, dbbd, stderr};
 
-const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\
+const JOB: &str = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\
     length_u_mm = 0.002\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
     [[circle]]\nplane = \"XY\"\npoints = 40\namplitude_deg = 25.0\ntilt_deg = 30.0\n\
     [identity]\nmeasured = \"2026-11-20\"\n";
@@ -133,7 +133,16 @@ fn outliers_are_measured_again() {
     let [outlier, excluded] = [20, 30].map(|place| table.rows[place].clone());
     fs::write(at.join("slipped.csv"), table.to_csv()).unwrap();
     let left_out = excluded.index.to_string();
-    let of_table = ["identify", "slipped.csv", "--robot", "kr60ha", "--centres", "plan/centres.csv"];
+    let of_table = [
+        "identify",
+        "slipped.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+        "plan/centres.csv",
+    ];
     done(at, &[&of_table[..], &["--prior", "datasheet", "--exclude", &left_out, "--out", "o"]].concat());
     let found: Vec<u32> = result(at, "o").outliers.iter().map(|outlier| outlier.index).collect();
     assert_eq!(found, [outlier.index]);
@@ -304,7 +313,20 @@ fn a_further_stage_goes_on_in_the_set_up() {
     let places = ["first", "second"]
         .map(|name| read_plan(&at.join(name).join("plan.csv")).unwrap().header.job.balls()[0].position);
     assert_ne!(places[0], places[1]);
-    done(at, &["identify", "first.dbbd", "second.dbbd", "--robot", "kr60ha", "--out", "joined"]);
+    done(
+        at,
+        &[
+            "identify",
+            "first.dbbd",
+            "second.dbbd",
+            "--robot",
+            "kr60ha",
+            "--tool",
+            "30,20,10",
+            "--out",
+            "joined",
+        ],
+    );
     let balls = |name: &str| result(at, "joined").parameters.iter().any(|one| one.name.to_string() == name);
     assert!(balls("centre2_x") && !balls("centre3_x"));
     done(at, &["plan", "other.toml", "--out", "other"]);

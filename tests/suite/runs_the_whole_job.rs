@@ -67,11 +67,33 @@ fn missing_inputs_are_refused() {
         (&["simulate", "--program", "krl/DBB_MAIN.src"], "krl/DBB_MAIN.src"),
         (&["sync", "run.dbbd", "--out", "obs.csv"], "run.dbbd"),
         (
-            &["identify", "obs.csv", "--robot", "kr60ha", "--centres", "plan/centres.csv", "--out", "result"],
+            &[
+                "identify",
+                "obs.csv",
+                "--robot",
+                "kr60ha",
+                "--tool",
+                "30,20,10",
+                "--centres",
+                "plan/centres.csv",
+                "--out",
+                "result",
+            ],
             "obs.csv",
         ),
         (
-            &["identify", "obs.csv", "--robot", "kr60ha", "--centres", "plan/centres.csv", "--out", "result"],
+            &[
+                "identify",
+                "obs.csv",
+                "--robot",
+                "kr60ha",
+                "--tool",
+                "30,20,10",
+                "--centres",
+                "plan/centres.csv",
+                "--out",
+                "result",
+            ],
             "plan/centres.csv",
         ),
     ];
@@ -94,7 +116,17 @@ fn missing_inputs_are_refused() {
 
 /// Simulates in one process and acquires in another, over the pseudo-terminal that the first one prints.
 fn measure(dir: &Path) {
-    let program = ["--program", "krl/DBB_MAIN.src", "--robot", "kr60ha", "--speed", "0", "--quiet"];
+    let program = [
+        "--program",
+        "krl/DBB_MAIN.src",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--speed",
+        "0",
+        "--quiet",
+    ];
     let simulator = Simulator::start(dir, &program);
     step(dir, &["acquire", "--port", &simulator.port, "--plan", "plan/plan.csv", "--out", "run.dbbd"]);
     assert!(simulator.finished().status.success());
@@ -133,6 +165,8 @@ fn capture_alone_suffices() {
             "obs.csv",
             "--robot",
             "kr60ha",
+            "--tool",
+            "30,20,10",
             "--centres",
             "plan/centres.csv",
             "--prior",

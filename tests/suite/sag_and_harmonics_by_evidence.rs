@@ -19,7 +19,7 @@ const NOISE_MM: f64 = 0.005;
 
 /// The kr60ha as a file with the masses of its arms and a payload.
 fn loaded() -> String {
-    let robot = include_str!("../../robots/kr60ha.toml");
+    let robot = crate::cell::KR60HA;
     let masses = "
         [[mass]]
         joint = 2

@@ -47,7 +47,18 @@ fn cell(prior: &str) -> (TempDir, CalibrationResult) {
     write("C.csv", centres_csv(&first_circles()));
     write("check.csv", lengths(&[horizontal(1, CENTRE)], 16, 2).to_csv());
     write("ball.csv", centres_csv(&[horizontal(1, CENTRE)]));
-    let args = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--folds", "0"];
+    let args = [
+        "identify",
+        "obs.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+        "C.csv",
+        "--folds",
+        "0",
+    ];
     let output = dbbd(dir.path(), &[&args[..], &["--out", "first", "--prior", prior]].concat());
     assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
     let first = result(dir.path(), "first");
@@ -99,8 +110,20 @@ fn repeated_measurement_does_not_raise_the_predicted_error() {
 fn a_table_of_the_same_lengths_is_no_prior() {
     let (dir, _) = cell("none");
     let identify = |lengths: &str, balls: &str| {
-        let args =
-            ["identify", lengths, "--robot", "kr60ha", "--centres", balls, "--folds", "0", "--out", "again"];
+        let args = [
+            "identify",
+            lengths,
+            "--robot",
+            "kr60ha",
+            "--tool",
+            "30,20,10",
+            "--centres",
+            balls,
+            "--folds",
+            "0",
+            "--out",
+            "again",
+        ];
         dbbd(dir.path(), &[&args[..], &["--prior", "first/parameters.csv"]].concat())
     };
     let same = identify("obs.csv", "C.csv");

@@ -10,7 +10,18 @@ use crate::cell::{codes, dbbd, stderr};
 
 fn identify(dir: &Path, table: &[u8]) -> Output {
     fs::write(dir.join("obs.csv"), table).unwrap();
-    let args = ["identify", "obs.csv", "--robot", "kr60ha", "--centres", "centres.csv", "--out", "out"];
+    let args = [
+        "identify",
+        "obs.csv",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--centres",
+        "centres.csv",
+        "--out",
+        "out",
+    ];
     dbbd(dir, &[&args[..], &["--prior", "datasheet", "--folds", "0"]].concat())
 }
 
@@ -84,7 +95,7 @@ fn large_tables_show_progress() {
     let (mut screen, terminal) = TTYPort::pair().unwrap();
     let name = serialport::SerialPort::name(&terminal).unwrap();
     let mut child = Command::new(env!("CARGO_BIN_EXE_dbbd"))
-        .args(["identify", "obs.csv", "--robot", "kr60ha", "--centres"])
+        .args(["identify", "obs.csv", "--robot", "kr60ha", "--tool", "30,20,10", "--centres"])
         .arg(example.join("centres.csv"))
         .args(["--out", "out"])
         .current_dir(dir.path())

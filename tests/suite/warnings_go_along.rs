@@ -73,7 +73,7 @@ fn export_takes_a_robot_or_a_capture() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     fs::copy(RUN, at.join("run.dbbd")).unwrap();
-    fs::write(at.join("robot.toml"), dbbd_model::robot::Robot::built_in_file("kr60ha").unwrap()).unwrap();
+    fs::write(at.join("robot.toml"), crate::cell::KR60HA).unwrap();
     for robot in ["robot.toml", "kr60ha"] {
         says(&dbbd(at, &["export", robot, "--out", "e"]), 1, "E1724");
     }

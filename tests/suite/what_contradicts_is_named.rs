@@ -11,7 +11,7 @@ use crate::cell::{codes, dbbd, stderr};
 use crate::nothing_wrong_is_silent::{cell, identify, says};
 
 const PRIOR: [&str; 2] = ["--prior", "datasheet"];
-const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\nlength_u_mm = 0.002\nexpansion_per_k = 12e-6\n\
+const JOB: &str = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\nlength_u_mm = 0.002\nexpansion_per_k = 12e-6\n\
     [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
     [[circle]]\nplane = \"XY\"\npoints = 6\narc_deg = 40.0\norientation = \"fixed\"\ntilt_deg = 30.0\n\
     [[circle]]\nplane = \"XY\"\npoints = 6\narc_deg = 40.0\norientation = \"fixed\"\ntilt_deg = 30.0\n\
@@ -242,7 +242,8 @@ fn jobs_definitions_and_options() {
     let own = include_str!("../../protocols/dbb-csv-1.toml").replacen("title = \"", "title = \"Own: ", 1);
     fs::write(at.join("own.toml"), own).unwrap();
     says(&dbbd(at, &["protocols", "check", "own.toml"]), 3, "W0391");
-    let check = ["check", "obs.csv", "--robot", "kr60ha", "--centres", "C.csv", "--out", "c"];
+    let check =
+        ["check", "obs.csv", "--robot", "kr60ha", "--tool", "30,20,10", "--centres", "C.csv", "--out", "c"];
     for option in [&["--simple-acceptance"][..], &["--risk", "0.1"]] {
         assert_eq!(dbbd(at, &[&check[..], option].concat()).status.code(), Some(2));
     }

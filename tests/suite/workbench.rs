@@ -2,16 +2,17 @@
 #![cfg(unix)]
 
 use std::fs;
+use std::io::Write as _;
 use std::os::unix::fs::symlink;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 
 use crate::months::calibrated_on;
 use crate::service::{Answer, Server};
 
-const JOB: &str = "# by hand\nrobot = \"kr60ha\" # ours\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\
+const JOB: &str = "# by hand\nrobot = \"kr60ha\" # ours\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n\
     [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 12\namplitude_deg = 25.0\ntilt_deg = 30.0\n";
 
 fn put(server: &Server, path: &str, body: &Value) -> Answer {
@@ -29,6 +30,13 @@ fn compute(server: &Server, robot: &str, name: &str) -> Value {
     let id = answer.json()["id"].clone();
     let over = |job: &Value| !["waiting", "running"].contains(&job["state"].as_str().unwrap());
     server.wait(&format!("/api/v1/jobs/{id}"), over)
+}
+
+/// Saves keys of a job that was read just before.
+fn edit(server: &Server, robot: &str, keys: &Value) -> Answer {
+    let path = format!("/api/v1/workbench/{robot}/job");
+    let sha256 = server.get(&path).json()["sha256"].clone();
+    put(server, &path, &json!({ "sha256": sha256, "keys": keys }))
 }
 
 fn dbbd(directory: &Path, command: &str) {
@@ -83,7 +91,7 @@ fn a_step_makes_the_files_of_the_command_beside_it() {
         assert!((ball[axis].as_f64().unwrap() - row[3 + axis]).abs() < 0.06, "{ball} {row:?}");
     }
     // An edit of the job asks for a new plan, and keeps what was written by hand.
-    let edited = put(&server, "/api/v1/workbench/cell-1/job", &json!({ "circle": [{ "points": 16 }] }));
+    let edited = edit(&server, "cell-1", &json!({ "circle": [{ "row": 0, "points": 16 }] }));
     assert_eq!(edited.status, 204, "{edited:?}");
     assert_eq!(fs::read_to_string(cell.join("job.toml")).unwrap(), JOB.replace("points = 12", "points = 16"));
     let work = server.get("/api/v1/workbench/cell-1").json();
@@ -155,13 +163,14 @@ fn a_job_is_checked_as_on_the_command_line() {
     let create = |name: &str, length_mm: f64| {
         let job = json!({
             "robot": "kr60ha", "bar": { "length_mm": length_mm, "stroke_mm": [-5, 5] },
+            "tool": { "ball_mm": [30, 20, 10] },
             "centre": [{ "id": 1, "xyz_mm": [9300, 0, 800] }], "circle": [{ "plane": "XY", "points": 8 }],
         });
         server.post("/api/v1/workbench", &json!({ "name": name, "job": job }).to_string())
     };
     // Metres in place of millimetres.
     let refused = create("a", 0.3);
-    assert_eq!(refused.status, 409, "{refused:?}");
+    assert_eq!(refused.status, 422, "{refused:?}");
     assert!(refused.json()["code"].as_str().unwrap().starts_with('E'));
     assert!(!dir.path().join("a").exists());
     for name in ["", "..", "../a", "a/b", ".a", "con", "a b"] {
@@ -181,8 +190,61 @@ fn a_job_is_checked_as_on_the_command_line() {
     assert_eq!(server.post("/api/v1/workbench/a/steps/programs", "{}").status, 409);
     assert_eq!(server.post("/api/v1/workbench/a/steps/nothing", "{}").status, 400);
     assert_eq!(server.get("/api/v1/workbench/nobody").status, 404);
-    let wrong = put(&server, "/api/v1/workbench/a/job", &json!({ "robot": { "name": "x" } }));
+    let wrong = edit(&server, "a", &json!({ "robot": { "name": "x" } }));
     assert_eq!((wrong.status, wrong.json()["code"].as_str()), (422, Some("E1505")));
+}
+
+/// Of two who opened the same job, the second one who saves is told that it was changed, and changes nothing.
+#[test]
+fn the_last_of_two_people_does_not_win() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Server::start(dir.path(), "");
+    let cell = dir.path().join("a");
+    fs::create_dir(&cell).unwrap();
+    fs::write(cell.join("job.toml"), JOB).unwrap();
+    let read = server.get("/api/v1/workbench/a/job").json();
+    let saved = |keys: Value| {
+        put(&server, "/api/v1/workbench/a/job", &json!({ "sha256": read["sha256"], "keys": keys }))
+    };
+    assert_eq!(saved(json!({ "bar": { "length_u_mm": 0.009 } })).status, 204);
+    let second = saved(json!({ "bar": { "serial": "DBB-17" } }));
+    assert_eq!((second.status, second.json()["code"].as_str()), (409, Some("E1512")));
+    let text = fs::read_to_string(cell.join("job.toml")).unwrap();
+    assert!(text.contains("length_u_mm = 0.009") && !text.contains("DBB-17"), "{text}");
+    assert_eq!(edit(&server, "a", &json!({ "bar": { "serial": "DBB-17" } })).status, 204);
+    let without = put(&server, "/api/v1/workbench/a/job", &json!({ "keys": {} }));
+    assert_eq!(without.status, 409, "{without:?}");
+}
+
+/// A tolerance is in its range or refused, whoever asks: none becomes "no tolerance".
+#[test]
+fn a_tolerance_is_refused_alike_by_everybody() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Server::start(dir.path(), "");
+    let cell = dir.path().join("cell-1");
+    fs::create_dir(&cell).unwrap();
+    calibrated_on(&cell, "2026-02-28");
+    for tolerance in ["-1", "0", "1e400", "25", "1500"] {
+        let asked = format!("{{\"tolerance_mm\":{tolerance}}}");
+        let answer = server.post("/api/v1/workbench/cell-1/steps/check", &asked);
+        assert!([400, 422].contains(&answer.status), "{tolerance}: {answer:?}");
+        let check = ["check", "o.csv", "--robot", "r.toml", "--out", "c", "--tolerance", tolerance];
+        let refused =
+            Command::new(env!("CARGO_BIN_EXE_dbbd")).args(check).current_dir(&cell).output().unwrap();
+        assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+        let request = json!({
+            "request": "check", "input": "o.csv", "robot": "r.toml", "out": "c", "tolerance_mm": -1.0,
+            "rule": { "guard_band": { "risk": 0.05 } }, "tool_repeat_mm": 0.01,
+        });
+        let mut asked = Command::new(env!("CARGO_BIN_EXE_dbbd"));
+        let asked = asked.arg("request").current_dir(&cell).stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut asked = asked.spawn().unwrap();
+        asked.stdin.take().unwrap().write_all(request.to_string().as_bytes()).unwrap();
+        let said = String::from_utf8(asked.wait_with_output().unwrap().stdout).unwrap();
+        assert!(said.contains("E0130"), "{said}");
+    }
+    let text = server.post("/api/v1/workbench/cell-1/steps/check", "{\"tolerance_mm\":\"0.5 mm\"}");
+    assert_eq!(text.status, 422, "{text:?}");
 }
 
 #[test]
@@ -242,7 +304,7 @@ fn a_trial_plans_a_changed_job_and_leaves_nothing() {
     fs::create_dir(&cell).unwrap();
     fs::write(cell.join("job.toml"), JOB).unwrap();
     let moved = |x: f64| {
-        let keys = json!({ "centre": [{ "xyz_mm": [x, 0.0, 800.0] }] });
+        let keys = json!({ "centre": [{ "row": 0, "xyz_mm": [x, 0.0, 800.0] }] });
         server.post("/api/v1/workbench/cell-1/trial", &keys.to_string())
     };
     let far = moved(9300.0);
@@ -285,9 +347,11 @@ fn a_job_names_no_file_outside_of_its_directory() {
     {
         for keys in [json!({ "robot": name }), json!({ "bar": { "protocol": name } })] {
             for path in ["/api/v1/workbench/a/job", "/api/v1/workbench/a/trial"] {
-                let method = if path.ends_with("job") { "PUT" } else { "POST" };
-                let answer =
-                    server.ask(method, path, "Content-Type: application/json\r\n", &keys.to_string());
+                let answer = if path.ends_with("job") {
+                    edit(&server, "a", &keys)
+                } else {
+                    server.post(path, &keys.to_string())
+                };
                 let said = String::from_utf8_lossy(&answer.body).into_owned();
                 assert_eq!(
                     (answer.status, answer.json()["code"].as_str()),

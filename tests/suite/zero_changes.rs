@@ -114,7 +114,8 @@ fn a_motion_of_the_tracker_is_an_unknown() {
     ];
     for (off_mm, expected) in of {
         fs::write(dir.path().join("p.csv"), moved_tracker(off_mm)).unwrap();
-        let output = dbbd(dir.path(), &["identify", "p.csv", "--robot", "kr60ha", "--out", "o"]);
+        let output =
+            dbbd(dir.path(), &["identify", "p.csv", "--robot", "kr60ha", "--tool", "30,20,10", "--out", "o"]);
         assert_eq!(codes(&output).contains(&"W1333".to_owned()), expected.is_some(), "{}", stderr(&output));
         let result = fs::read(dir.path().join("o/result.json")).unwrap();
         let result: CalibrationResult = serde_json::from_slice(&result).unwrap();

@@ -28,7 +28,7 @@ struct TableRecord {
 /// A file as an artefact.
 pub fn of_file(role: ArtefactRole, path: &Path) -> Result<Artefact, Diagnostic> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(Artefact { role, name, serial: None, sha256: files::sha256(path)? })
+    Ok(Artefact { role, name, serial: None, sha256: files::sha256(path)?, origin: None })
 }
 
 /// The path of the file that records the chain of a table.
@@ -50,6 +50,7 @@ pub fn of_table(role: ArtefactRole, path: &Path) -> Result<(TracedArtefact, Opti
         let record = beside.display().to_string();
         Diagnostic::file(path.display(), ProvenanceFinding::TableChanged { record })
     });
+    let artefact = Artefact { origin: provenance.origin(), ..artefact };
     Ok((TracedArtefact { artefact, provenance }, changed))
 }
 

@@ -5,7 +5,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::files::{self, DirectoryLock, UnfinishedFile};
+use super::files::{self, DirectoryLock, SetCommit, UnfinishedFile};
 use dbbd_model::base::FileFinding;
 use dbbd_model::diagnostic::Diagnostic;
 
@@ -104,6 +104,7 @@ impl FileSet {
     pub fn finish(self) -> Result<Vec<String>, Diagnostic> {
         let (mut backups, mut placed) = (Vec::new(), 0);
         let kept = (self.earlier == EarlierFiles::Keep).then(|| self.next_previous());
+        self.commit(kept.as_deref()).begin(&self.directory)?;
         let done = self.replace(&mut backups, &mut placed, kept.as_deref());
         if done.is_err() {
             let is_new = |path: &Path| backups.iter().all(|one: &Backup| one.path != path);
@@ -125,7 +126,20 @@ impl FileSet {
             // The directory remains if it holds a file that could not be renamed back.
             let _ = fs::remove_dir(kept);
         }
+        SetCommit::end(&self.directory);
         done.map(|()| self.names)
+    }
+
+    /// The renames of [`Self::replace`] in the directory; those of a file behind a link are not among them.
+    fn commit(&self, kept: Option<&Path>) -> SetCommit {
+        let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+        let is_here = |path: &Path| files::same_place(files::directory_of(path), &self.directory);
+        let here = self.written.iter().filter(|file| is_here(&file.target));
+        SetCommit {
+            files: here.filter_map(|file| name(&file.part).zip(name(&file.target))).collect(),
+            removed: self.removed.iter().filter_map(|path| name(path)).collect(),
+            kept: kept.and_then(name),
+        }
     }
 
     /// The first directory for an earlier result that does not exist.
@@ -233,6 +247,58 @@ mod tests {
         assert_eq!(refused.code().to_string(), "E0182");
         assert_eq!(read(at, "a").as_deref(), Some("first"));
         assert_eq!(fs::read_dir(at).unwrap().count(), 1);
+    }
+
+    /// After a kill at any rename the next reader finds the new set, and before the first one the old set.
+    #[test]
+    fn a_set_that_was_killed_is_the_old_or_the_new_one() {
+        for renamed in 0..=3 {
+            for earlier in [EarlierFiles::Keep, EarlierFiles::Replace] {
+                let dir = tempfile::tempdir().unwrap();
+                let at = dir.path();
+                write(at, earlier, &[("a", "first"), ("b", "first"), ("c", "first")], &[]).unwrap();
+                let mut set = FileSet::begin(at, earlier).unwrap();
+                ["a", "b"].into_iter().try_for_each(|name| set.write(name, "second")).unwrap();
+                set.remove("c");
+                let kept = (earlier == EarlierFiles::Keep).then(|| set.next_previous());
+                if renamed > 0 {
+                    set.commit(kept.as_deref()).begin(at).unwrap();
+                    for file in &set.written[..renamed - 1] {
+                        fs::rename(&file.part, &file.target).unwrap();
+                    }
+                }
+                // The process is gone, and with it its lock.
+                let FileSet { written, _lock: lock, .. } = set;
+                drop(lock);
+                let is_new = renamed > 0;
+                let text = files::read_text(&at.join("b")).unwrap();
+                assert_eq!(text, if is_new { "second" } else { "first" }, "{renamed}");
+                assert_eq!(read(at, "a").unwrap(), text, "{renamed}");
+                assert_eq!(read(at, "c").is_some(), !is_new, "{renamed}");
+                if let Some(kept) = kept.filter(|_| is_new) {
+                    assert_eq!(fs::read_to_string(kept.join("c")).unwrap(), "first");
+                }
+                std::mem::forget(written);
+            }
+        }
+    }
+
+    /// What names a file elsewhere was not written here, and moves nothing.
+    #[test]
+    fn a_set_reaches_nothing_outside_of_its_directory() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = dir.path().join("in");
+        fs::create_dir(&at).unwrap();
+        for (name, text) in [("secret", "secret"), ("in/part", "new"), ("in/a", "old")] {
+            fs::write(dir.path().join(name), text).unwrap();
+        }
+        for name in ["../secret", "/etc/hostname", "..", "x/y"] {
+            let commit = SetCommit { files: vec![("part".into(), name.into())], ..SetCommit::default() };
+            commit.begin(&at).unwrap();
+            assert_eq!(files::read_text(&at.join("a")).unwrap(), "old");
+            assert_eq!(fs::read_to_string(dir.path().join("secret")).unwrap(), "secret");
+            assert!(at.join("part").is_file());
+        }
     }
 
     /// A file of the set cannot be placed, because its name has become the name of a directory.

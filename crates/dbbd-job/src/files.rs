@@ -8,8 +8,10 @@ use dbbd_model::base::FileFinding::{
     IsInput, NoDirectory, NoResult, NotAFile, NotUtf8At, OtherContent, TooLarge, Unwritable,
 };
 use dbbd_model::base::hash::Sha256;
+use dbbd_model::base::serialised;
 use dbbd_model::base::text::unreadable;
 use dbbd_model::diagnostic::Diagnostic;
+use serde::{Deserialize, Serialize};
 
 pub fn unwritable(path: &Path) -> impl Fn(io::Error) -> Diagnostic + use<> {
     let name = path.display().to_string();
@@ -40,10 +42,83 @@ pub const MAX_DEFINITION_BYTES: u64 = 4 << 20;
 /// Opens a file to read it. A pipe, a device or a directory is refused without opening it: it may block, or never end.
 pub fn open(path: &Path) -> Result<File, Diagnostic> {
     let wrong = unreadable(path.display());
+    complete_set(directory_of(path));
     if !fs::metadata(path).map_err(&wrong)?.is_file() {
         return Err(Diagnostic::file(path.display(), NotAFile));
     }
     File::open(path).map_err(wrong)
+}
+
+/// The file that says which renames complete a set of files. It is there while they are done, and afterwards only if the process
+/// was killed meanwhile.
+const COMMIT: &str = ".dbbd-set.json";
+
+/// The renames that give a set of files its names, all in one directory.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub(super) struct SetCommit {
+    /// Temporary and final name of each file.
+    pub(super) files: Vec<(String, String)>,
+    pub(super) removed: Vec<String>,
+    /// The directory to which earlier files go.
+    pub(super) kept: Option<String>,
+}
+
+impl SetCommit {
+    /// From now on the set is the new one, whatever happens to this process.
+    pub(super) fn begin(&self, directory: &Path) -> Result<(), Diagnostic> {
+        write_file(&directory.join(COMMIT), serialised::json(self)?)
+    }
+
+    /// All is renamed.
+    pub(super) fn end(directory: &Path) {
+        // Fails if there was none.
+        let _ = fs::remove_file(directory.join(COMMIT));
+    }
+
+    /// Whether all names are of files in the directory: the file may have come from elsewhere.
+    fn is_inside(&self) -> bool {
+        let names = self
+            .files
+            .iter()
+            .flat_map(|(part, target)| [part, target])
+            .chain(&self.removed)
+            .chain(&self.kept);
+        let is_name = |name: &String| Path::new(name).file_name().is_some_and(|own| own == name.as_str());
+        names.into_iter().all(is_name)
+    }
+
+    fn complete(&self, directory: &Path) -> io::Result<()> {
+        let keep = |name: &str| -> io::Result<()> {
+            let (Some(kept), true) = (&self.kept, directory.join(name).is_file()) else { return Ok(()) };
+            fs::create_dir_all(directory.join(kept))?;
+            let backup = directory.join(kept).join(name);
+            if backup.exists() { Ok(()) } else { fs::copy(directory.join(name), backup).map(drop) }
+        };
+        for (part, target) in self.files.iter().filter(|(part, _)| directory.join(part).is_file()) {
+            keep(target)?;
+            fs::rename(directory.join(part), directory.join(target))?;
+        }
+        for name in self.removed.iter().filter(|name| directory.join(name).is_file()) {
+            keep(name)?;
+            fs::remove_file(directory.join(name))?;
+        }
+        Ok(())
+    }
+}
+
+/// Completes a set of files whose process was killed between two renames, so that nobody reads a part of it.
+fn complete_set(directory: &Path) {
+    let path = directory.join(COMMIT);
+    if !path.exists() {
+        return;
+    }
+    // Whoever writes the set has the lock until it is complete.
+    let Ok(_lock) = exclusive(directory) else { return };
+    let commit = fs::read(&path).ok().and_then(|text| serde_json::from_slice::<SetCommit>(&text).ok());
+    // What cannot be completed, for instance in a directory that may only be read, stays as it is.
+    if commit.is_some_and(|commit| commit.is_inside() && commit.complete(directory).is_ok()) {
+        SetCommit::end(directory);
+    }
 }
 
 /// Reads a file of at most `most` bytes. The size that the system states is not trusted: that of some is 0.

@@ -1,10 +1,14 @@
-//! Reads the robot that the user names, by its built-in name or file, and the result beside it.
+//! Reads the robot that the user names, by its built-in name or file, and the result and the checks beside it.
 //!
 //! This module knows where these files are. It knows neither what is measured with the robot nor what is computed from
 //! the result.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
+use dbbd_device::clock;
+use dbbd_model::base::date;
+use dbbd_model::conformity::{Standing, StatedCheck, StatedResult, standing};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::robot::{LoadedRobot, Robot};
@@ -52,4 +56,79 @@ pub fn result_beside(robot_file: &Path, robot: &Robot) -> Result<(PathBuf, Resul
     let is_other = !known.is_empty() && chain.is_some_and(|chain| chain != json!(known));
     let is_own = result.robot == robot.name && !is_other;
     Ok((path, if is_own { ResultBeside::Own(Box::new(result)) } else { ResultBeside::Another }))
+}
+
+/// The file of a check.
+const CHECK: &str = "check.json";
+/// Directories beside a result that are looked into for checks.
+const MAX_DIRECTORIES: usize = 200;
+/// A check.json with the largest number of hypotheses is smaller.
+const MAX_CHECK_BYTES: u64 = 16 << 20;
+
+/// The standing today of the calibration in a robot file, by the result and the checks beside it. `None` if its result is
+/// not beside it and it has no check.
+pub fn standing_of(file: &Path, robot: &Robot) -> Result<Option<Standing>, Diagnostic> {
+    let check = last_check(file)?.map(|(_, check)| check);
+    let result = match result_beside(file, robot) {
+        Ok((_, ResultBeside::Own(result))) => StatedResult::from(&*result),
+        // A result that was edited states nothing.
+        Ok((_, ResultBeside::Another | ResultBeside::Nothing)) | Err(_) if check.is_some() => {
+            StatedResult::default()
+        }
+        Ok((_, ResultBeside::Another | ResultBeside::Nothing)) | Err(_) => return Ok(None),
+    };
+    Ok(Some(standing(&result, check.as_ref(), Some(&date::utc(clock::unix_ns())))))
+}
+
+/// The newest check of a robot file, in its directory and in the directories beside it.
+pub fn last_check(robot_file: &Path) -> Result<Option<(PathBuf, StatedCheck)>, Diagnostic> {
+    if !robot_file.is_file() {
+        return Ok(None);
+    }
+    let sha256 = files::sha256(robot_file)?;
+    let own = files::directory_of(robot_file);
+    let beside = own.canonicalize().ok().and_then(|own| own.parent().map(Path::to_owned));
+    let entries = beside.and_then(|parent| fs::read_dir(parent).ok()).into_iter().flatten().flatten();
+    let directories = entries.map(|entry| entry.path()).filter(|path| path.is_dir()).take(MAX_DIRECTORIES);
+    let found = directories.filter_map(|directory| {
+        let path = directory.join(CHECK);
+        let changed = fs::metadata(&path).and_then(|data| data.modified()).ok()?;
+        let text = files::read_at_most(&path, MAX_CHECK_BYTES).ok()?;
+        let check: StatedCheck = serde_json::from_str(&text).ok()?;
+        check.is_of(&sha256).then_some((changed, path, check))
+    });
+    Ok(found.max_by_key(|(changed, ..)| *changed).map(|(_, path, check)| (path, check)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dbbd_model::conformity::ConformityOutcome;
+
+    #[test]
+    fn the_newest_check_of_the_same_robot_file_counts() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        fs::create_dir(at("result")).unwrap();
+        let robot = at("result").join("robot-identified.toml");
+        fs::write(&robot, "robot").unwrap();
+        assert_eq!(last_check(&robot).unwrap(), None);
+        let sha256 = files::sha256(&robot).unwrap();
+        let write = |name: &str, decision: &str, sha256: &str| {
+            fs::create_dir(at(name)).unwrap();
+            let from = json!([{ "role": "identified_robot", "name": "r", "sha256": sha256 }]);
+            let check = json!({ "decision": decision, "provenance": { "from": from } });
+            fs::write(at(name).join(CHECK), check.to_string()).unwrap();
+        };
+        write("a", "pass", &sha256);
+        clock::sleep(0.02);
+        write("b", "fail", &sha256);
+        clock::sleep(0.02);
+        write("c", "pass", "of another");
+        let (path, found) = last_check(&robot).unwrap().unwrap();
+        assert_eq!(
+            (path.parent().unwrap().file_name().unwrap().to_str(), found.decision()),
+            (Some("b"), ConformityOutcome::Fail)
+        );
+    }
 }

@@ -192,6 +192,7 @@ pub enum Input {
     /// The standard deviation of a length.
     Sigma,
     Since,
+    Specimen,
     Spool,
     Stage,
     Store,

@@ -148,7 +148,7 @@ findings! {
         cause: "The plan, the identity or the check that belongs to it cannot be read, so that robot, bar or decision are missing in the lists.",
         cure: "The files are stored as they are. The message says what is wrong in them; `dbbd info RUN` shows the capture." {
             NotRegistered { why: String } => "not all of the run is registered: {why}";
-            NotACheck => "no decision in it is pass, fail or undecided";
+            NotACheck => "its decision is no word that dbbd writes";
         }
         W2423 "the store had lost objects of a run",
         cause: "The store lost or changed them, or somebody deleted them.",

@@ -12,9 +12,12 @@ pub(super) fn progress_lines(
     schedule: &Schedule,
     mount: &mut MountDetector,
 ) -> String {
-    let Some(reading_mm) = progress.counts.reading_mm.filter(|_| !progress.counts.gone) else {
-        return super::status(progress);
-    };
+    let Some(reading_mm) = progress.counts.reading_mm else { return super::status(progress) };
+    if progress.counts.gone {
+        // The last value is struck out: it is not that of the bar any more.
+        let away = format!("\x1b[9m{reading_mm:+9.4} mm\x1b[0m\x1b[1;31m  THE BAR IS AWAY\x1b[0m");
+        return format!("{away}\n  {}", super::status(progress));
+    }
     let poses = match schedule.poses() {
         Some(poses) => format!("{} of {poses} poses", progress.counts.dwells),
         None => format!("{} dwells", progress.counts.dwells),
@@ -72,5 +75,16 @@ mod tests {
         assert!(at(0.0).contains("50 % of the stroke"));
         assert!(at(-1.2).contains("[#---") && at(-1.2).contains("OVER THE STROKE"));
         assert!(at(0.95).contains("NEAR ITS END") && at(0.95).ends_with("\n  7 s, 0 dwells, 0 Hz"));
+    }
+
+    #[test]
+    fn the_last_reading_of_a_bar_that_is_away_is_struck_out() {
+        let counts = RunCounts { reading_mm: Some(0.25), gone: true, ..RunCounts::default() };
+        let progress = RunProgress { counts, valid: true, ..RunProgress::default() };
+        let shown = progress_lines(&progress, &Schedule::default(), &mut MountDetector::default());
+        assert!(
+            shown.starts_with("\x1b[9m  +0.2500 mm\x1b[0m") && shown.contains("THE BAR IS AWAY"),
+            "{shown}"
+        );
     }
 }

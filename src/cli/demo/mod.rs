@@ -55,8 +55,11 @@ pub(crate) fn run(args: &DemoArgs, out: &CommandOutput) -> Result<CommandOutcome
     steps.say("4. Match the lengths to the commanded poses");
     steps.run(&["sync", "run.dbbd", "--out", "observations.csv"])?;
     steps.say("5. Identify the robot");
-    let inputs = ["identify", "observations.csv", "--robot", "kr60ha", "--centres", "plan/centres.csv"];
-    steps.run(&[&inputs[..], &["--out", "result", "--prior", "datasheet", "--replace"]].concat())?;
+    let [x, y, z] = truth.tool_mm();
+    let (tool, centres) = (format!("{x},{y},{z}"), ["--centres", "plan/centres.csv"]);
+    let robot = ["identify", "observations.csv", "--robot", "kr60ha", "--tool", &tool];
+    let rest = ["--out", "result", "--prior", "datasheet", "--replace"];
+    steps.run(&[&robot[..], &centres, &rest].concat())?;
 
     let path = dir.join("result/result.json");
     let result = CalibrationResult::from_json(&path.display().to_string(), &files::read_text(&path)?)?;

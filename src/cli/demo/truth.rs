@@ -29,6 +29,8 @@ const TRUTH_POSES_SEED: u64 = 1;
 
 /// The true robot and base balls.
 pub(super) struct Truth {
+    /// The tool ball that the job states, mm.
+    tool_mm: [f64; 3],
     robot: Robot,
     centres: Vec<BaseBall>,
 }
@@ -57,9 +59,10 @@ struct ComparedParameter {
 impl Truth {
     /// Draws the true robot and the true places of the balls. Writes `truth.toml` and `world.toml`.
     pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Diagnostic> {
-        let nominal = named_robot("kr60ha")?.robot;
-        let robot = truth::draw_true_robot(&nominal, seed, 1.0);
         let job = Job::from_toml("job.toml", super::JOB)?;
+        let mut nominal = named_robot(&job.robot)?.robot;
+        job.tool.state_in(&mut nominal);
+        let robot = truth::draw_true_robot(&nominal, seed, 1.0);
         let mut centres = job.balls();
         let mut random = Pcg64::seed_from_u64(seed);
         let mut world = truth::noise(&nominal, job.bar.sigma_um);
@@ -73,7 +76,11 @@ impl Truth {
         }
         files::write_file(&dir.join("world.toml"), world)?;
         files::write_file(&dir.join("truth.toml"), robot.to_toml()?)?;
-        Ok(Self { robot, centres })
+        Ok(Self { tool_mm: nominal.geometry.tool.into(), robot, centres })
+    }
+
+    pub(super) fn tool_mm(&self) -> [f64; 3] {
+        self.tool_mm
     }
 
     pub(super) fn compare(

@@ -15,7 +15,7 @@ use dbbd_job::report::export::hand_back::{HandBack, HandBackTarget};
 use dbbd_job::report::export::urdf::{CoupledJoint, coupled};
 use dbbd_job::report::export::urdf_patch::{PatchedUrdf, patch};
 use dbbd_job::request::identify::ROBOT;
-use dbbd_job::robot_files::{ResultBeside, result_beside};
+use dbbd_job::robot_files::{ResultBeside, result_beside, standing_of};
 use dbbd_model::base::FileFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::SimplifiedModelError;
@@ -78,6 +78,8 @@ pub(super) fn hand_back(
 ) -> Result<CommandOutcome, Diagnostic> {
     let file = robot_file(args);
     let LoadedRobot { robot, source, .. } = robots::read_named_robot(&file.to_string_lossy(), out)?;
+    let standing = standing_of(&file, &robot)?;
+    out.findings_in(file.display(), standing.and_then(|standing| standing.finding(&robot.name)));
     let result = match result_beside(&file, &robot)? {
         (_, ResultBeside::Own(result)) => Some(result),
         (_, ResultBeside::Another | ResultBeside::Nothing) => None,

@@ -106,7 +106,8 @@ impl Service for Supervisor {
     }
 
     fn catalogue(&self, which: Catalogue) -> Result<Value, Diagnostic> {
-        catalogue::list_catalogue(which, &self.known.plans, &self.config.plans)
+        let configured = self.config.port.as_ref();
+        catalogue::list_catalogue(which, &self.known.plans, &self.config.plans, configured)
     }
 
     fn choose(&self, port: Option<String>, protocol: Option<String>) -> Result<(), Diagnostic> {
@@ -119,10 +120,10 @@ impl Service for Supervisor {
         }
         let address = port.as_deref().map(str::parse::<PortAddress>).transpose()?;
         if let Some((port, address)) = port.as_ref().zip(address.as_ref()) {
-            // Clients may open listed serial ports and the configured port, nothing else.
-            let listed =
-                port::list_ports()?.iter().any(|one| one.port == *port || one.by_id.as_ref() == Some(port));
-            if !listed && !self.is_simulated(address) && self.config.port.as_ref() != Some(address) {
+            // Clients may choose listed serial ports and the configured port, nothing else. A simulated cell is no device of
+            // the service: a run asks for it.
+            let is_listed = port::list_ports()?.iter().any(|one| one.is(port));
+            if !is_listed && self.config.port.as_ref() != Some(address) {
                 return Err(NoSuchPort { port: port.clone() }.into());
             }
         }
@@ -279,7 +280,7 @@ impl Service for Supervisor {
         if request.kind == JobKind::Sync {
             dbbd_job::files::directory(&directory.join(request.kind.name()))?;
         }
-        let subject = JobSubject { kind: request.kind.name(), run: request.run, step: None };
+        let subject = JobSubject { kind: request.kind.name(), run: request.run, step: None, results: None };
         let job = self.jobs.submit(subject, work, directory)?;
         let fields: &[(&str, &dyn Display)] = &[("job", &job.id), ("kind", &job.kind), ("run", &job.run)];
         self.log.event(LogLevel::Info, "job_taken", fields);

@@ -38,6 +38,16 @@ pub(super) enum ReadPurpose {
     },
 }
 
+impl ReadPurpose {
+    /// The speed of the simulated cell that is asked for in place of the bar.
+    fn speed(&self) -> Option<f64> {
+        match self {
+            Self::Run(request) => request.speed,
+            Self::Reading { speed, .. } => *speed,
+        }
+    }
+}
+
 impl Supervisor {
     /// Reserves the line to the bar. Returns the reading that uses it, which the caller must end.
     pub(super) fn reserve_line(&self) -> Result<Option<ActiveRun>, Diagnostic> {
@@ -77,6 +87,8 @@ impl Supervisor {
             let inner = self.inner();
             (inner.port.clone(), inner.protocol.clone())
         };
+        // A run of a simulated cell leaves the bar of the service as it is.
+        let port = if purpose.speed().is_some() { Some(PortAddress::Sim) } else { port };
         let line = self.line(&purpose, port.ok_or(NoPortChosen)?, protocol)?;
         self.open(purpose, line)
     }
@@ -91,15 +103,17 @@ impl Supervisor {
         let find = |name: &String| {
             catalogue::plan_file(&self.config.plans, name).ok_or_else(|| NoPlan { plan: name.clone() })
         };
-        let (plan, halt, speed) = match purpose {
-            ReadPurpose::Run(request) => (&request.plan, HaltBehaviour::Continue, request.speed),
-            ReadPurpose::Reading { plan, speed } => (plan, HaltBehaviour::Wait, *speed),
+        let (plan, halt) = match purpose {
+            ReadPurpose::Run(request) => (&request.plan, HaltBehaviour::Continue),
+            ReadPurpose::Reading { plan, .. } => (plan, HaltBehaviour::Wait),
         };
         let mut plan = plan.as_ref().map(find).transpose()?;
         let cell = match &self.simulated.make_cell {
-            Some(make_cell) if port == PortAddress::Sim => {
-                Some(make_cell(&CellRequest { plan: plan.as_deref(), halt, speed: speed.unwrap_or(1.0) })?)
-            }
+            Some(make_cell) if port == PortAddress::Sim => Some(make_cell(&CellRequest {
+                plan: plan.as_deref(),
+                halt,
+                speed: purpose.speed().unwrap_or(1.0),
+            })?),
             _ => None,
         };
         if let Some(cell) = &cell {

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use super::runs::{is_plain_directory, is_sound};
 use crate::live::Catalogue;
-use dbbd_device::port;
+use dbbd_device::port::{self, PortAddress, PortInfo};
 use dbbd_device::protocol::ProtocolDefinition;
 use dbbd_device::sync::lock;
 use dbbd_job::plan::PoseKind;
@@ -23,9 +23,10 @@ pub(super) fn list_catalogue(
     which: Catalogue,
     plans: &PlanCache,
     directory: &Path,
+    configured: Option<&PortAddress>,
 ) -> Result<Value, Diagnostic> {
     Ok(match which {
-        Catalogue::Ports => json!({ "ports": port::list_ports()? }),
+        Catalogue::Ports => json!({ "ports": ports(configured)? }),
         Catalogue::Protocols => json!({ "protocols": protocols() }),
         Catalogue::Robots => {
             let names: Vec<&str> = Robot::built_in().iter().map(|(name, _)| *name).collect();
@@ -33,6 +34,14 @@ pub(super) fn list_catalogue(
         }
         Catalogue::Plans => json!({ "plans": plans.list(directory) }),
     })
+}
+
+/// The ports of this computer, and that of the configuration, which stays in the list whatever is chosen.
+fn ports(configured: Option<&PortAddress>) -> Result<Vec<PortInfo>, Diagnostic> {
+    let mut ports = port::list_ports()?;
+    let missing = configured.filter(|port| !ports.iter().any(|one| one.is(&port.to_string())));
+    ports.extend(missing.map(PortInfo::named));
+    Ok(ports)
 }
 
 fn protocols() -> Vec<Value> {

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -21,9 +21,11 @@ use dbbd_device::clock;
 use dbbd_device::sync::lock;
 use dbbd_job::child_process;
 use dbbd_job::child_process::{PROGRESS, PROGRESS_VARIABLE};
+use dbbd_job::files;
 use dbbd_job::request::circle::{CircleRequest, DEFAULT_DRAWS};
 use dbbd_job::request::identify::{IdentifyRequest, RequestedPrior};
 use dbbd_job::request::{AnswerOutcome, AnswerResult, Request, RequestChild, RequestResult, read_answer};
+use dbbd_model::base::serialised;
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
 use serde::Deserialize;
@@ -32,6 +34,8 @@ use serde_json::Value;
 /// Cause and cure of a code.
 pub type Explain = fn(&str) -> Option<(&'static str, &'static str)>;
 
+/// The file of the findings of a job, beside its results.
+pub(super) const FINDINGS: &str = "findings.json";
 const MAX_WAITING_JOBS: usize = 16;
 const MAX_KEPT_JOBS: usize = 100;
 /// Output lines that are kept per job, and their longest length in characters.
@@ -70,6 +74,8 @@ pub(super) struct JobSubject {
     pub(super) run: String,
     /// Robot and step of the workbench, if the job computes a step.
     pub(super) step: Option<(String, WorkStep)>,
+    /// The directory of the results, in which the findings are kept.
+    pub(super) results: Option<PathBuf>,
 }
 
 struct JobTask {
@@ -77,6 +83,7 @@ struct JobTask {
     /// The directory in which the job runs.
     directory: PathBuf,
     work: JobWork,
+    results: Option<PathBuf>,
 }
 
 /// The computation of a job.
@@ -181,7 +188,8 @@ impl JobQueue {
             jobs.pop_front();
         }
         drop(jobs);
-        self.queue.send(JobTask { id, directory, work }).map_err(|_| WorkerLost { worker: "jobs".into() })?;
+        let task = JobTask { id, directory, work, results: subject.results };
+        self.queue.send(task).map_err(|_| WorkerLost { worker: "jobs".into() })?;
         self.shared.publish(id);
         Ok(job)
     }
@@ -289,6 +297,17 @@ impl JobsShared {
         self.change(id, |job| job.findings.push(finding));
     }
 
+    /// Writes the findings of a job beside its results, so that they outlive this process.
+    fn write_findings(&self, id: u64, directory: &Path) {
+        let findings = self.get(id).map(|job| job.findings).unwrap_or_default();
+        let records: Vec<&FindingRecord> = findings.iter().map(|one| &one.finding).collect();
+        let written = serialised::json(&records).map_err(Diagnostic::from);
+        let written = written.and_then(|json| files::write_file(&directory.join(FINDINGS), json));
+        if let Err(error) = written {
+            self.line(id, &error.labelled());
+        }
+    }
+
     fn publish(&self, id: u64) {
         if let Some(mut job) = self.get(id) {
             // The stream carries the newest lines. The API gives the whole log.
@@ -327,6 +346,9 @@ fn work(shared: &Arc<JobsShared>, tasks: &Receiver<JobTask>) {
             shared.line(id, &Diagnostic::new(finding).labelled());
             JobState::Failed
         });
+        if let Some(directory) = task.results.as_deref().filter(|directory| directory.is_dir()) {
+            shared.write_findings(id, directory);
+        }
         let elapsed_s = shared.get(id).map_or(0.0, |job| job.elapsed_s);
         shared.change(id, |job| {
             job.ended_unix_ms = Some(clock::unix_ns() / 1_000_000);

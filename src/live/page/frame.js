@@ -32,8 +32,8 @@ export async function attempt(work) {
     say("");
     await work();
   } catch (error) {
-    // A 401 opens the sign-in.
-    if (error.status === 401) return;
+    // A 401 opens the sign-in; a wrong field shows its reason itself.
+    if (error.status === 401 || error.shown) return;
     if (error.status) say(error.message, "en");
     else say(error instanceof TypeError ? t("link.none") : String(error));
   }

@@ -12,7 +12,7 @@ import { may } from "/users.js";
 function row(robot) {
   const item = make("li", null);
   const link = make("a", robot.name, { href: `/robot/${encodeURIComponent(robot.name)}`, class: "name" });
-  const about = make("p", robot.robot ?? "", { class: "small" });
+  const about = make("p", [robot.robot, robot.simulated_readings && t("simulated.result")].filter(Boolean).join(" · "), { class: "small" });
   const decision = verdictLine(robot);
   decision.prepend(make("span", `${t(`step.${robot.step}`)}: `));
   const when = robot.changed_unix_ms ? make("p", age(robot.changed_unix_ms), { class: "small" }) : "";
@@ -42,11 +42,11 @@ $("new").addEventListener("click", () =>
     $("new").setAttribute("aria-expanded", String(!form.hidden));
     if (form.hidden) return;
     await jobForm(form, {
+      robot: null,
       job: null,
-      save: async (name, job) => {
-        await ask("POST", "/workbench", { name, job });
-        location.href = `/robot/${encodeURIComponent(name)}`;
-      },
+      sha256: null,
+      send: (keys, name) => ask("POST", "/workbench", { name, job: keys }),
+      saved: (name) => (location.href = `/robot/${encodeURIComponent(name)}`),
     });
   }),
 );

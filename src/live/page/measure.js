@@ -21,6 +21,8 @@ let seenState = null;
 let connected = false;
 // The run whose bar was reported as mounted.
 let mountedIn = null;
+// Why what is shown is old: the service cannot be reached, the bar is away.
+let stale = { down: false, away: false };
 
 function set(id, text, bad = false) {
   if ($(id).textContent !== text) $(id).textContent = text;
@@ -33,8 +35,21 @@ function clockText(run) {
   return t("run.clock_bar", { ahead: Math.abs(ahead) < 1000 ? `${signed(ahead, 1)} ms` : `${signed(ahead / 1000, 0)} s` });
 }
 
+/** Whether the bar is away. */
+const isAway = (now) => !!(now?.run ?? now?.reading)?.gone;
+
+/** @param {{ down?: boolean, away?: boolean }} changed */
+function showStale(changed) {
+  const now = { ...stale, ...changed };
+  if (now.away && !stale.away) gauge.beep(880);
+  stale = now;
+  document.body.classList.toggle("stale", now.down || now.away);
+  set("link", now.down ? t("link.down") : "");
+  set("away", now.away ? t("alarm.away") : "");
+}
+
 function stateText(now) {
-  if (now.run?.gone || now.reading?.gone) return t("state.gone");
+  if (isAway(now)) return t("state.gone");
   if (now.reading) return t("state.reading");
   if (now.state === "no_device") {
     const { port } = now.device;
@@ -86,7 +101,9 @@ function showStatus(now) {
   const before = status;
   status = now;
   const { run, reading, last } = now;
-  $("state").dataset.state = (run ?? reading)?.gone ? "gone" : now.state;
+  $("state").dataset.state = isAway(now) ? "gone" : now.state;
+  showStale({ away: isAway(now) });
+  $("simulated").hidden = !(run ?? reading)?.simulated;
   set("state", stateText(now));
   set("version", t("version", { version: now.version }));
   gauge.setup(run ?? reading);
@@ -144,14 +161,17 @@ async function connect() {
   connected = true;
 }
 
+/** Whether the next run of this page reads a simulated cell; the bar of the service stays as it is. */
+let simulates = false;
+
 /** The speed of the simulated cell; null for a real one. */
-const speed = () => (status?.device.port === "sim" ? Number($("speed").value) : null);
+const speed = () => (simulates || status?.device.port === "sim" ? Number($("speed").value) : null);
 
 function choosePort() {
   const { port, protocol } = status.device;
   if (port && ![...$("port").options].some((o) => o.value === port)) $("port").add(new Option(port, port));
-  if (document.activeElement !== $("port")) $("port").value = port ?? "";
-  $("sim-speed").hidden = port !== "sim";
+  if (document.activeElement !== $("port")) $("port").value = simulates ? "sim" : (port ?? "");
+  $("sim-speed").hidden = speed() === null;
   if (protocol && ![...$("protocol").options].some((o) => o.value === protocol)) $("protocol").add(new Option(protocol, protocol));
   if (document.activeElement !== $("protocol")) $("protocol").value = protocol ?? "";
 }
@@ -201,14 +221,12 @@ const reopen = hear({
     ask("GET", "/points").then(({ points }) => polar.all(points), () => {});
   },
   up() {
-    document.body.classList.remove("stale");
-    set("link", "");
+    showStale({ down: false });
     greet();
     window.dispatchEvent(new Event("dbbd:up"));
   },
   down() {
-    document.body.classList.add("stale");
-    set("link", t("link.down"));
+    showStale({ down: true });
     // A refusal opens the sign-in.
     ask("GET", "/status").catch(() => {});
   },
@@ -217,7 +235,7 @@ const reopen = hear({
 runs.start(say);
 async function begin(checked) {
   // A simulated cell ends with its program.
-  connected = !!status?.reading && status.device.port !== "sim";
+  connected = !!status?.reading && speed() === null;
   await ask("POST", "/run", { name: $("name").value, plan: $("plan").value || null, checked, speed: speed() });
   // Each run has a new check list.
   checks().forEach((box) => (box.checked = false));
@@ -266,7 +284,11 @@ $("zero").addEventListener("click", () =>
   }),
 );
 for (const id of ["port", "protocol"]) {
-  $(id).addEventListener("change", () => $(id).value && attempt(() => ask("PUT", "/device", { [id]: $(id).value })));
+  $(id).addEventListener("change", () => {
+    if (id === "port") simulates = $(id).value === "sim";
+    choosePort();
+    if ($(id).value && $(id).value !== "sim") attempt(() => ask("PUT", "/device", { [id]: $(id).value }));
+  });
 }
 afterSignIn(reopen);
 window.addEventListener("dbbd:user", () => (status ? showStatus(status) : permit()));
@@ -307,10 +329,11 @@ export const refreshLists = () => lists();
 /** Connects to the bar. */
 export { connect };
 
-/** Chooses the simulated cell at a speed. @param {number} value */
-export async function simulate(value) {
+/** Chooses a simulated cell at a speed for the next run of this page. @param {number} value */
+export function simulate(value) {
   $("speed").value = String(value);
-  if (status?.device.port !== "sim") await ask("PUT", "/device", { port: "sim" });
+  simulates = true;
+  choosePort();
 }
 
 /** The bar of the simulated cell is mounted: its program goes on, and the run begins. */

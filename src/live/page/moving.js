@@ -2,7 +2,9 @@
 // its checks are shown. What is kept is written into the job.
 
 import { $, attempt, make, say } from "/frame.js";
+import { changedKeys } from "/job_changes.js";
 import { ask } from "/link.js";
+import { readNumber, right } from "/number_field.js";
 import { fixed, significant } from "/numbers.js";
 import { t } from "/texts.js";
 import { may } from "/users.js";
@@ -16,14 +18,16 @@ const WAIT_MS = 350;
 /** A cylinder whose end is so near below a ball is its post, mm. */
 const POST_MM = 5;
 const AXES = ["x", "y", "z"];
+const PLACE = { unit: "mm" };
 
 /** @typedef {{ name: string, at: number[], moveBy: (by: number[]) => void }} Movable */
 
 /** @type {{ robot: string, place: (movable: number, by: number[]) => void, planned: (scene: any) => void, restore: () => void }} */
 let context;
-/** @type {any} the keys of the job that can be moved */
+/** @type {{ job: any, sha256: string }} the file that was read */
+let read;
+/** @type {any} the job with what was moved */
 let job = null;
-let saved = "";
 /** @type {Movable[]} */
 let movables = [];
 let waiting = 0;
@@ -35,35 +39,44 @@ function list() {
   const balls = job.centre.map((ball, i) => ({
     name: `${t("scene.ball")} ${ball.id ?? i + 1}`,
     at: ball.xyz_mm,
-    moveBy: (by) => (ball.xyz_mm = ball.xyz_mm.map((value, axis) => value + by[axis])),
+    moveBy: (by) => (ball.xyz_mm = moved(ball.xyz_mm, by)),
   }));
   const points = { box: ["low_mm", "high_mm"], cylinder: ["from_mm", "to_mm"] };
   const obstacles = (job.obstacle ?? []).map((one, i) => ({
     name: `${t("move.obstacle")} ${i + 1}: ${one.name ?? one.shape}`,
     at: one.shape === "floor" ? [0, 0, one.z_mm] : one[points[one.shape]?.[0] ?? "from_mm"],
     moveBy(by) {
-      if (one.shape === "floor") one.z_mm += by[2];
-      for (const key of points[one.shape] ?? []) one[key] = one[key].map((value, axis) => value + by[axis]);
+      if (one.shape === "floor") [one.z_mm] = moved([one.z_mm], [by[2]]);
+      for (const key of points[one.shape] ?? []) one[key] = moved(one[key], by);
     },
   }));
   return [...balls, ...obstacles];
 }
 
+/** What is not moved stays as it is in the file; a sum is written without its noise. @param {number[]} place @param {number[]} by */
+const moved = (place, by) => place.map((value, axis) => (by[axis] ? Math.round(1e6 * (value + by[axis])) / 1e6 : value));
+
 /** @param {typeof context} now */
 export async function open(now) {
   context = now;
-  job = (await ask("GET", `/workbench/${now.robot}/job`)).job;
+  read = await ask("GET", `/workbench/${now.robot}/job`);
+  job = structuredClone(read.job);
   $("move").hidden = !job?.centre || !may("plan");
   if (!job?.centre) return;
-  saved = keys();
   const chosen = $("move-what").value;
   refresh();
   if (chosen) $("move-what").value = chosen;
   show();
 }
 
-const keys = () => JSON.stringify({ centre: job.centre.map((ball) => ({ xyz_mm: ball.xyz_mm.map(rounded) })), obstacle: job.obstacle });
-const rounded = (value) => Math.round(10 * value) / 10;
+/** The keys of the job that were changed. */
+function keys() {
+  const rows = (list) => (list ?? []).map((one, row) => ({ row, ...one }));
+  return changedKeys(read.job, { centre: rows(job.centre), obstacle: rows(job.obstacle) });
+}
+
+/** A coordinate with all its decimals, and at least one. */
+const written = (mm) => fixed(mm, Math.max(1, (String(mm).split(".")[1] ?? "").length));
 
 function refresh() {
   movables = list();
@@ -75,11 +88,17 @@ function refresh() {
 function show() {
   const one = movables[Number($("move-what").value)];
   if (!one) return;
-  AXES.forEach((axis, i) => ($(`move-${axis}`).value = fixed(one.at[i], 1)));
-  const changed = keys() !== saved;
+  AXES.forEach((axis, i) => {
+    right($(`move-${axis}`));
+    $(`move-${axis}`).value = written(one.at[i]);
+  });
+  const changed = Object.keys(keys()).length > 0;
   $("move-save").disabled = !changed;
   $("move-reset").disabled = !changed;
 }
+
+/** The place in the fields; while one of them is wrong nothing is moved or saved. */
+const typed = () => AXES.map((axis) => readNumber($(`move-${axis}`), PLACE));
 
 /** The post under a ball stays under it. @param {number} at */
 function together(at) {
@@ -108,7 +127,7 @@ async function tryIt() {
   trying = true;
   $("move-found").replaceChildren(make("li", t("move.trying")));
   try {
-    const found = await ask("POST", `/workbench/${context.robot}/trial`, JSON.parse(keys()));
+    const found = await ask("POST", `/workbench/${context.robot}/trial`, keys());
     results(found);
     if (found.scene) context.planned(found.scene);
   } finally {
@@ -145,23 +164,26 @@ function results(found) {
 }
 
 $("move-what").addEventListener("change", show);
-for (const [i, axis] of AXES.entries()) {
-  $(`move-${axis}`).addEventListener("change", () => {
-    const at = Number($("move-what").value);
-    const wanted = Number($(`move-${axis}`).value.replace(",", ".").replace("−", "-"));
-    if (!Number.isFinite(wanted) || !movables[at]) return show();
-    moveBy(at, AXES.map((_, own) => (own === i ? wanted - movables[at].at[i] : 0)));
-  });
+for (const axis of AXES) {
+  $(`move-${axis}`).addEventListener("change", () =>
+    attempt(async () => {
+      const wanted = typed();
+      const at = Number($("move-what").value);
+      if (movables[at]) moveBy(at, wanted.map((mm, axis) => mm - movables[at].at[axis]));
+    }),
+  );
 }
 $("move-save").addEventListener("click", () =>
   attempt(async () => {
-    await ask("PUT", `/workbench/${context.robot}/job`, JSON.parse(keys()));
-    saved = keys();
-    show();
-    say(t("form.saved"));
+    typed();
+    await ask("PUT", `/workbench/${context.robot}/job`, { sha256: read.sha256, keys: keys() });
+    await open(context);
     window.dispatchEvent(new Event("focus"));
+    say(t("form.saved"));
   }),
 );
+// The form has saved another job: it is read again unless something is moved.
+window.addEventListener("dbbd:job-saved", () => $("move-save").disabled && attempt(() => open(context)));
 $("move-reset").addEventListener("click", () =>
   attempt(async () => {
     $("move-found").replaceChildren();

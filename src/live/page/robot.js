@@ -7,6 +7,7 @@ import { finding } from "/findings.js";
 import { jobForm } from "/job_form.js";
 import { ask } from "/link.js";
 import * as measure from "/measure.js";
+import { readNumber } from "/number_field.js";
 import * as residuals from "/residuals.js";
 import { after, verdictLine } from "/sentence.js";
 import { spoken, t } from "/texts.js";
@@ -16,6 +17,8 @@ const STEPS = ["robot", "cell", "plan", "programs", "measure", "result", "correc
 const MARKS = { todo: "○", ready: "▶", running: "◔", done: "✓", attention: "!" };
 /** How often the files are looked at while the page is seen, ms: the command line may change them. */
 const LOOK_MS = 15_000;
+/** The tolerance of a check. */
+const TOLERANCE = { unit: "mm", optional: true, range: { low: 0, high: 20, aboveLow: true } };
 
 /** The robot of the page; null at /live. */
 const robot = location.pathname.startsWith("/robot/") ? location.pathname.slice("/robot/".length) : null;
@@ -59,19 +62,17 @@ function findings(report) {
   const serious = report.findings.filter((one) => one.severity !== "info");
   const info = report.findings.filter((one) => one.severity === "info");
   const nodes = [];
-  // A refusal shows its cause at once; warnings and what is only to know are folded.
-  const refused = report.state === "attention" ? serious : [];
-  if (refused.length) {
+  // Only what is no warning is folded.
+  if (serious.length) {
     const list = make("ul", null, { class: "findings" });
-    fill(list, refused);
+    fill(list, serious);
     nodes.push(list);
   }
-  const folded = refused.length ? info : [...serious, ...info];
-  if (folded.length) {
+  if (info.length) {
     const fold = make("details", null, { class: "fold" });
     const list = make("ul", null, { class: "findings" });
-    fill(list, folded);
-    fold.append(make("summary", t("findings", { count: folded.length })), list);
+    fill(list, info);
+    fold.append(make("summary", t("findings", { count: info.length })), list);
     nodes.push(fold);
   }
   return nodes;
@@ -101,9 +102,22 @@ function files(report) {
 function measureLabel(report) {
   const now = measure.now();
   if (report.state === "running" || now?.run) return t("act.watch");
-  if (!now?.device.port) return work?.simulated ? t("act.simulate") : t("act.choose_port");
   if (isRead(report)) return work?.simulated ? t("act.halt") : t("act.start");
+  if (work?.simulated) return t("act.simulate");
+  if (!now?.device.port) return t("act.choose_port");
   return t(report.label);
+}
+
+/** Which run a step is computed from; what was chosen before stays. */
+function runChoice({ step, runs }) {
+  const chosen = part(step, "[data-run]")?.value;
+  const label = make("label", t("run.choose"));
+  const select = make("select", null, { "data-run": "" });
+  const text = ({ name, complete, samples }) => `${name}: ${t(complete ? "run.complete" : "run.incomplete", { samples: samples ?? "?" })}`;
+  select.append(...runs.map((run) => new Option(text(run), run.name)));
+  if (runs.some(({ name }) => name === chosen)) select.value = chosen;
+  label.append(" ", select);
+  return label;
 }
 
 /** Whether the bar is read against the plan of a step. */
@@ -137,6 +151,7 @@ function drawStep(report) {
     button.disabled = !may(report.action === "measure" ? "measure" : "plan") || isLocked(step);
     row.push(button);
   }
+  if (report.action === "compute" && report.runs.length > 1) row.push(runChoice(report));
   if (report.command) row.push(make("code", report.command, { class: "command", "aria-label": t("command") }));
   part(step, ".act").replaceChildren(...row);
   part(step, ".more").replaceChildren(...findings(report), ...files(report));
@@ -167,6 +182,7 @@ function draw() {
   work.steps.forEach(drawStep);
   for (const one of folds("")) one.open = opened.has(nameOf(one));
   if (focused) part(focused, "[data-action=next]")?.focus();
+  $("simulated-readings").hidden = !work.simulated_readings;
   $("robot-name").textContent = work.robot ? `${work.name} · ${work.robot}` : work.name;
   document.title = `${work.name} · dbbd`;
   $("scene").hidden = !work.steps.some((one) => one.plan);
@@ -217,8 +233,9 @@ async function act(report) {
 }
 
 async function compute(step, options = {}) {
-  const tolerance = $("tolerance").value.trim().replace(",", ".");
-  if (step === "check" && tolerance) options.tolerance_mm = Number(tolerance);
+  // An empty one is left out.
+  if (step === "check") options.tolerance_mm = readNumber($("tolerance"), TOLERANCE) ?? undefined;
+  options.run = part(step, "[data-run]")?.value;
   await ask("POST", `/workbench/${robot}/steps/${step}`, options);
   await refresh();
 }
@@ -227,12 +244,15 @@ async function edit() {
   const form = $("job-form");
   form.hidden = !form.hidden;
   if (form.hidden) return;
-  const { job } = await ask("GET", `/workbench/${robot}/job`);
+  const { job, sha256 } = await ask("GET", `/workbench/${robot}/job`);
   await jobForm(form, {
+    robot,
     job,
-    save: async (_, keys) => {
-      await ask("PUT", `/workbench/${robot}/job`, keys);
+    sha256,
+    send: (keys) => ask("PUT", `/workbench/${robot}/job`, { sha256, keys }),
+    saved: async () => {
       form.hidden = true;
+      window.dispatchEvent(new Event("dbbd:job-saved"));
       say(t("form.saved"));
       await refresh();
       part("plan", "h2").scrollIntoView();
@@ -247,8 +267,8 @@ async function record(report) {
   const now = measure.now();
   if (now?.run) return $("length").focus();
   if (pilot && !isRead(report)) return (mountedEarly = true);
-  if (work.simulated && now?.device.port !== "sim") {
-    await measure.simulate(pilot?.speed ?? 20);
+  if (work.simulated && !isRead(report)) {
+    measure.simulate(pilot?.speed ?? 20);
     return measure.connect();
   }
   if (!now?.device.port) return $("port").focus();
@@ -289,7 +309,7 @@ async function goOn() {
     // The program begins and halts for the bar: the operator goes on.
     await measure.refreshLists();
     measure.open(next.plan);
-    await measure.simulate(pilot.speed);
+    measure.simulate(pilot.speed);
     await measure.connect();
   } catch (error) {
     // The operator goes on by hand.

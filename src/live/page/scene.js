@@ -232,7 +232,7 @@ function drag(canvas) {
     // The job moves it as a whole.
     place(from.map((value) => -value));
     held = -1;
-    if (from.some((value) => Math.abs(value) > 0.1)) moving.moveBy(at, from);
+    if (from.some((value) => Math.abs(value) > 0.1)) moving.moveBy(at, from.map((value) => Math.round(10 * value) / 10));
     redraw();
   });
 }

@@ -66,8 +66,17 @@ fn record(name: &str, words: &str, faults: &[&str]) {
     let lasts_s = if matches!(definition.mode, ProtocolMode::Poll { .. }) { 2.5 } else { 5.5 };
     let seconds = (definition.line.settle.as_secs_f64() + lasts_s).to_string();
     let protocol = recording.protocol().to_owned();
-    let mut simulate =
-        vec!["simulate", "--program", "MODULE.src", "--robot", "kr60ha", "--world", "world.toml"];
+    let mut simulate = vec![
+        "simulate",
+        "--program",
+        "MODULE.src",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--world",
+        "world.toml",
+    ];
     simulate.extend(["--protocol", &protocol, "--seed", "7"]);
     simulate.extend(faults.iter().flat_map(|fault| ["--fault", *fault]));
     let acquire = ["acquire", "--protocol", &protocol, "--duration", &seconds];

@@ -6,6 +6,10 @@ use std::process::{Command, Output};
 
 pub(crate) use super::simulated_cell::*;
 
+/// The file of the KUKA KR 60 HA with the tool ball of the paper.
+pub(crate) const KR60HA: &str =
+    concat!("tool.ball_mm = [30.0, 20.0, 10.0]\n", include_str!("../../../robots/kr60ha.toml"));
+
 /// Runs the binary in a directory.
 pub(crate) fn dbbd(dir: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_dbbd")).args(args).current_dir(dir).output().unwrap()

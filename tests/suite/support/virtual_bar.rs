@@ -27,7 +27,12 @@ pub(crate) fn simulate(directory: &Path, speed: &str, rest: &[&str]) -> Simulato
 /// The same at another mean reading, mm.
 pub(crate) fn simulate_at(reading_mm: f64, directory: &Path, speed: &str, rest: &[&str]) -> Simulator {
     let axes = AXES_DEG.map(f64::to_radians);
-    let ball = Robot::by_name("kr60ha").unwrap().unwrap().geometry.ball(&axes).position;
+    let ball = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0])
+        .unwrap()
+        .unwrap()
+        .geometry
+        .ball(&axes)
+        .position;
     let world = format!(
         "[[centre]]\nid = 1\nxyz_mm = [{}, {}, {}]\n[bar]\nlength_mm = {:?}\nstroke_mm = [-2.0, 2.0]\n\
          noise_um = 100.0\nrate_hz = {RATE_HZ:.1}\n",
@@ -41,7 +46,17 @@ pub(crate) fn simulate_at(reading_mm: f64, directory: &Path, speed: &str, rest: 
     let target = format!("PTP {{A1 {a1:.1},A2 {a2:.1},A3 {a3:.1},A4 {a4:.1},A5 {a5:.1},A6 {a6:.1}}}");
     std::fs::write(directory.join("STILL.src"), format!("DEF STILL ( )\n{target}\nWAIT SEC 3000\nEND\n"))
         .unwrap();
-    let fixed = ["--program", "STILL.src", "--robot", "kr60ha", "--world", "world.toml", "--quiet"];
+    let fixed = [
+        "--program",
+        "STILL.src",
+        "--robot",
+        "kr60ha",
+        "--tool",
+        "30,20,10",
+        "--world",
+        "world.toml",
+        "--quiet",
+    ];
     Simulator::start(directory, &[&fixed[..], &["--speed", speed], rest].concat())
 }
 

@@ -17,6 +17,11 @@ pub(super) trait PortLine: Send {
     fn set_dtr(&mut self, level: bool) -> io::Result<()>;
     fn handle(&self) -> io::Result<Box<dyn PortLine>>;
     fn stamps(&self) -> StampAccuracy;
+
+    /// Whether the mark of a simulated bar was read.
+    fn is_simulated(&self) -> bool {
+        false
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serialport::SerialPortType;
 
+use crate::port::PortAddress;
 use crate::port::PortFinding::{self, NoPortList};
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -22,6 +23,27 @@ pub struct PortInfo {
     serial_number: Option<String>,
     /// Latency timer of the adapter, ms, if known: more than 1 makes time stamps inaccurate.
     pub latency_ms: Option<u32>,
+}
+
+impl PortInfo {
+    /// A port that is named by an address, such as that of a serial server.
+    pub fn named(port: &PortAddress) -> Self {
+        Self {
+            port: port.to_string(),
+            by_id: None,
+            description: String::new(),
+            usb_id: None,
+            vendor: None,
+            product: None,
+            serial_number: None,
+            latency_ms: None,
+        }
+    }
+
+    /// Whether this is the port with a name or a permanent name.
+    pub fn is(&self, name: &str) -> bool {
+        self.port == name || self.by_id.as_deref() == Some(name)
+    }
 }
 
 /// The ports, sorted by name; on Linux only those with a device.

@@ -10,6 +10,7 @@ mod list;
 mod network;
 mod reader;
 mod settings;
+mod simulated;
 pub mod telnet;
 mod tty;
 
@@ -27,6 +28,7 @@ pub use list::{PortInfo, list_ports};
 pub use reader::{Arrival, PortReader, Received};
 pub(crate) use settings::ms;
 pub use settings::{Flow, LineSettings, Parity};
+pub use simulated::SIMULATED_MARK;
 
 /// Timeout of a read, after which the thread checks whether to stop. On Windows a write to a serial port waits for
 /// the read, and a request must not be late.
@@ -54,7 +56,12 @@ impl Port {
                 Box::new(tty::Tty::open(&name, &device, settings)?)
             }
         };
-        Ok(Self { line, name })
+        Ok(Self { line: Box::new(simulated::UnmarkedLine::new(line)), name })
+    }
+
+    /// Whether the bar is a simulated one: whether it has sent the mark by now.
+    pub fn is_simulated(&self) -> bool {
+        self.line.is_simulated()
     }
 
     pub fn stamps(&self) -> StampAccuracy {

@@ -33,6 +33,8 @@ pub struct Received {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Arrival {
     Bytes(Received),
+    /// The bar is a simulated one: its mark was read.
+    Simulated(HostNs),
     /// Number of bytes dropped since, because the recorder was too slow.
     Lost(HostNs, u64),
     /// The thread has ended as it was asked to, and for how long the line was watched since the last bytes, s.
@@ -100,6 +102,7 @@ fn read_port(mut port: Port, mut outbox: ArrivalOutbox) {
     let waits = port.stamps().transport.waits();
     let mut buffer = [0; 4096];
     let (mut watched_s, mut ends) = (0.0_f64, None::<HostNs>);
+    let mut is_simulated = port.is_simulated();
     let gone = loop {
         let asked = clock::now();
         if outbox.stop.load(Ordering::Relaxed) && asked.seconds_since(*ends.get_or_insert(asked)) > REST_S {
@@ -109,6 +112,11 @@ fn read_port(mut port: Port, mut outbox: ArrivalOutbox) {
         let host = clock::now();
         // A read that takes longer than its timeout was held up: this computer stood still.
         watched_s += host.seconds_since(asked).min(PORT_READ_TIMEOUT.as_secs_f64());
+        if port.is_simulated() && !is_simulated {
+            is_simulated = true;
+            // Fails if the receiver was dropped.
+            let _ = outbox.sender.send(Arrival::Simulated(host));
+        }
         match read {
             Ok(0) => break Some("the line ended".to_owned()),
             Ok(count) => {

@@ -178,6 +178,15 @@ impl Plan {
         before.chain(self.header.taught.iter().copied())
     }
 
+    /// The job with the angles of [`Self::taught`].
+    pub(crate) fn job_as_taught(&self) -> Job {
+        let mut job = self.header.job.clone();
+        for table in &mut job.centres {
+            table.taught_deg = self.taught().find(|ball| ball.centre == table.id).map(|ball| ball.axes_deg);
+        }
+        job
+    }
+
     /// Whether the base balls that an earlier plan has as well are at the same places. A ball that was taught at the same
     /// axis angles is: on an identified robot a plan knows its place better than the plan before.
     pub fn keeps_base_balls_of(&self, earlier: &Self) -> bool {

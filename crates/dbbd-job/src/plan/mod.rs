@@ -190,7 +190,9 @@ pub(crate) mod example {
     use dbbd_model::robot::{BallId, Robot};
 
     pub(super) fn robot() -> Robot {
-        Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read")
+        Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0])
+            .expect("it is built in")
+            .expect("its file can be read")
     }
 
     /// A base ball in front of the KR 60, and a bar whose stroke reaches farther outwards than inwards. The job has a

@@ -1,7 +1,7 @@
 //! Correction of the targets of a program. With the corrected targets, the identified robot under a controller that
 //! knows the nominal robot moves to where the nominal robot would move with the original targets.
 //!
-//! For each target: P is the nominal pose of the flange; q are the axis angles at which the flange of the identified robot is
+//! For each target: P is the nominal pose of the flange, moved with the base ball if the program holds the bar; q are the axis angles at which the flange of the identified robot is
 //! at P; the corrected target is the nominal pose of the flange at q. Each robot is taken in its own base frame.
 //!
 //! A longer last link and a tool ball further out have the same effect on the lengths. The priors of both decide in the
@@ -10,7 +10,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Frames, Target};
+use super::{Frames, MountedBalls, Target};
 use crate::program::CompensationFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::{ApproachedPose, ToolPoint};
@@ -64,13 +64,38 @@ pub struct Corrected {
     tool_point: Option<ToolPoint>,
 }
 
+/// How the points of a program are corrected.
+#[derive(Clone, Copy)]
+pub struct Correction<'a> {
+    /// An identified robot with its nominal one.
+    robot: &'a Robot,
+    /// No commanded point may move by more, mm.
+    limit_mm: f64,
+    /// The base balls about which the program moves the bar, if it holds one.
+    mounted: Option<&'a MountedBalls>,
+}
+
+impl<'a> Correction<'a> {
+    /// The correction of a program that holds no bar, for an identified robot with its nominal one.
+    pub fn of(robot: &'a Robot, limit_mm: f64) -> Self {
+        Self { robot, limit_mm, mounted: None }
+    }
+
+    /// The correction of a program that holds the bar.
+    #[must_use]
+    pub fn about(self, mounted: Option<&'a MountedBalls>) -> Self {
+        Self { mounted, ..self }
+    }
+}
+
 /// Corrects targets one after the other, in the order in which the robot moves to them.
-pub struct Corrector {
+pub struct Corrector<'a> {
     /// The robot as the controller knows it, with the tool point at the flange.
     nominal: Robot,
     /// The true robot, with the tool point at the flange as well.
     identified: Geometry,
     limit_mm: f64,
+    mounted: Option<&'a MountedBalls>,
     /// The nominal axis angles at the last target, rad, and the sense in which each axis approached it. Before the first
     /// target the robot may be anywhere.
     last: Option<[f64; AXES]>,
@@ -87,16 +112,16 @@ fn other_unit(frames: &Frames) -> Option<CompensationFinding> {
     })
 }
 
-impl Corrector {
-    /// A corrector for `robot`, an identified robot with its nominal one; no tool point may move by more than
-    /// `limit_mm`.
-    pub fn new(robot: &Robot, limit_mm: f64) -> Self {
+impl<'a> Corrector<'a> {
+    pub fn new(correction: Correction<'a>) -> Self {
+        let Correction { robot, limit_mm, mounted } = correction;
         let controller = robot.controller();
         let flange = |geometry: &Geometry, tool| Geometry { tool, ..geometry.clone() };
         Self {
             nominal: Robot { geometry: flange(&controller.geometry, Vector3::zeros()), ..controller.clone() },
             identified: flange(&robot.geometry, Vector3::zeros()),
             limit_mm,
+            mounted,
             last: None,
             approach: Approach::default(),
         }
@@ -109,7 +134,9 @@ impl Corrector {
             return Err(wrong);
         }
         let (flange, taught) = self.taught(commanded, frames)?;
-        let axes = self.solve(&flange, &taught)?;
+        let shift = self.mounted.map(|mounted| mounted.shift(&flange)).transpose()?.unwrap_or_default();
+        let wanted = Pose { position: flange.position + shift, ..flange };
+        let axes = self.solve(&wanted, &taught)?;
         let (before, after) = (frames.tool(&flange), frames.tool(&self.nominal.geometry.ball(&axes)));
         let numbers = match commanded.target {
             Target::Axes(_) => axes.map(f64::to_degrees),
@@ -361,17 +388,16 @@ pub(crate) fn external_motion<'a>(
     None
 }
 
-/// Corrects all points for `robot`, in the order of their first use; `rewrite` writes the new numbers of a point.
+/// Corrects all points, in the order of their first use; `rewrite` writes the new numbers of a point.
 ///
 /// # Errors
 /// One finding for each point that cannot be corrected.
 pub(super) fn correct_points<P>(
-    robot: &Robot,
-    limit_mm: f64,
+    correction: Correction<'_>,
     points: &[P],
-    mut rewrite: impl FnMut(&mut Corrector, &P) -> Result<Moved, Diagnostic>,
+    mut rewrite: impl FnMut(&mut Corrector<'_>, &P) -> Result<Moved, Diagnostic>,
 ) -> Result<Vec<Moved>, Vec<Diagnostic>> {
-    let mut corrector = Corrector::new(robot, limit_mm);
+    let mut corrector = Corrector::new(correction);
     let (mut moved, mut refused) = (Vec::with_capacity(points.len()), Vec::new());
     for point in points {
         match rewrite(&mut corrector, point) {

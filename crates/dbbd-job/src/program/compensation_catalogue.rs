@@ -155,6 +155,19 @@ findings! {
             ControllerUnknown { robot: String } => "{robot}: [controller] model = \"unknown\": with which table the controller computes is not known";
             ControllerCalibrated => "the robot file has the controller's table: the nominal table cannot be meant as well", help: "leave the option out, or take the file of another robot";
         }
+        E0924 "it is not known how the bar of a program is mounted",
+        cause: "The program is that of a plan and moves the bar. A corrected program moves about the base balls as they are mounted: for that the plan is needed, with the axis angles at which each ball was taught.",
+        cure: "Keep plan.csv and plan.json in a directory beside the program, or name the plan. State `taught_deg` of each ball in the job, and plan again.",
+        asks: [Plan] {
+            NoPlanBeside { plan: String } => "the program holds the bar of plan {plan}, which is not in a directory beside it";
+            OtherPlan { plan: String, given: String } => "the program is of plan {plan}, and {given} is given";
+            BallNotTaught { ball: u32 } => "base ball {ball} of the plan has no taught_deg, and the robot was not identified with it: where it is mounted is not known";
+        }
+        E0925 "a corrected program leaves the stroke of the bar",
+        cause: "At this row of the plan the bar would be longer or shorter than its stroke allows: the tool ball is not where the controller has it.",
+        cure: "Plan again with the identified robot, or with a bar of a longer stroke. Do not run the program with the bar mounted." {
+            LeavesStroke { row: u32, reading_mm: f64, low_mm: f64, high_mm: f64 } => "row {row} of the plan: the reading would be {reading_mm:.3} mm, and the stroke is {low_mm} to {high_mm} mm";
+        }
         W0918 "a correction does not make the program better",
         cause: "What the identification leaves unknown is as large as the correction, at the points and with the tool of this program.",
         cure: "Measure more poses near these points (`dbbd identify` proposes some), then correct the program again." {

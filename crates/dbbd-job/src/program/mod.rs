@@ -18,6 +18,7 @@ pub mod krl;
 mod language;
 mod lexer;
 pub mod listing;
+mod mounted;
 pub mod rapid;
 mod script;
 pub mod sequence;
@@ -27,11 +28,12 @@ mod tokens;
 pub mod urscript;
 
 pub use crate::plan::MotionKind;
-pub use compensate::Moved;
+pub use compensate::{Correction, Moved};
 pub use emission::{Sync, Written};
 pub use header::{check_one_plan, provenance, stamped};
 pub use language::Language;
 pub use listing::{Listing, Program};
+pub use mounted::MountedBalls;
 pub use target::{Frames, Setup, Target};
 pub use text::{Span, Text};
 

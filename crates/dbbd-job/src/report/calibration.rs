@@ -14,7 +14,7 @@ use super::plot::{
 };
 use super::scene::{BallMark, Scene, ScenePose, skeleton};
 use super::verdict::Verdict;
-use dbbd_model::conformity::{BudgetLine, UncertaintyBudget};
+use dbbd_model::conformity::{BudgetLine, UncertaintyBudget, standing};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::result::Recommendation;
 use dbbd_model::estimation::{CalibrationResult, Combination, CompletedCalibration, joint_curve};
@@ -94,7 +94,7 @@ pub fn html(
         zeros: offsets(&found.result, &found.robot),
         balls: frames(result),
         budget,
-        verdict: Verdict::of_calibration(result, budget),
+        verdict: Verdict::of_calibration(result, budget, &standing(&result.into(), None, None)),
         contributions: budget.lines.iter().map(|l| (l.source.words(), l.basis.words(), l)).collect(),
         identity: provenance.identity.facts(),
         scene: scene(found, &points).json()?,

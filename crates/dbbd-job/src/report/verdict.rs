@@ -2,7 +2,9 @@
 //! same words (`say.result.*` and `say.check.*` of their texts).
 
 use dbbd_model::conformity::UncertaintyBudget;
-use dbbd_model::conformity::{ComparisonSubject, ConformityOutcome, InterimCheck, ResultComparison};
+use dbbd_model::conformity::{
+    ComparisonSubject, ConformityOutcome, InterimCheck, ResultComparison, Standing,
+};
 use dbbd_model::estimation::{CalibrationResult, Validity};
 use serde::Serialize;
 
@@ -42,7 +44,11 @@ fn holds(validity: &Validity) -> String {
 }
 
 impl Verdict {
-    pub(crate) fn of_calibration(result: &CalibrationResult, budget: &UncertaintyBudget) -> Self {
+    pub(crate) fn of_calibration(
+        result: &CalibrationResult,
+        budget: &UncertaintyBudget,
+        standing: &Standing,
+    ) -> Self {
         let (expanded, k) = (mm(budget.expanded_mm), plain(budget.coverage_factor, 1));
         let residual = &result.residual_mm;
         let lengths = format!(
@@ -50,16 +56,39 @@ impl Verdict {
             um(residual.after.rms),
             um(residual.before.rms)
         );
-        if result.has_warnings() || !result.converged {
-            return Self {
-                kind: VerdictKind::Undecided,
-                word: "With warnings.",
-                sentence: format!(
-                    "Use it only if you have judged them harmless: U = {expanded} (k = {k}). {lengths}"
+        let not_usable = match standing {
+            Standing::Usable { .. } => None,
+            Standing::Warned => Some((
+                VerdictKind::Undecided,
+                "With warnings.",
+                format!("Use it only if you have judged them harmless: U = {expanded} (k = {k}). {lengths}"),
+                "Read the warnings, and do what they say before you use this result.",
+            )),
+            Standing::Undecided => Some((
+                VerdictKind::Undecided,
+                "Undecided.",
+                format!(
+                    "The last check of the robot decided nothing: U = {expanded} (k = {k}) on the day of the measurement."
                 ),
-                validity: None,
-                next: "Read the warnings, and do what they say before you use this result.".into(),
-            };
+                "Check the robot again with more poses, or state a tolerance that they can decide.",
+            )),
+            Standing::Over { until } => Some((
+                VerdictKind::Undecided,
+                "Ended.",
+                format!(
+                    "The validity ended on {until}: U = {expanded} (k = {k}) on the day of the measurement."
+                ),
+                "Check the robot, or renew its calibration.",
+            )),
+            Standing::Failed => Some((
+                VerdictKind::Fail,
+                "Not valid.",
+                "The last check of the robot failed: the calibration is not to be used.".into(),
+                "Look at what changed, repair it or identify the robot again.",
+            )),
+        };
+        if let Some((kind, word, sentence, next)) = not_usable {
+            return Self { kind, word, sentence, validity: None, next: next.into() };
         }
         let further = result.recommendations.iter().find(|one| one.adds);
         let next = match further {
@@ -100,14 +129,14 @@ impl Verdict {
             tolerance.unwrap_or_default()
         );
         let (kind, word, next) = match decision.decision {
-            ConformityOutcome::Pass => (
+            outcome @ (ConformityOutcome::Pass | ConformityOutcome::Unchanged) => (
                 VerdictKind::Pass,
-                "Pass.",
+                if outcome == ConformityOutcome::Pass { "Pass." } else { "Unchanged." },
                 "Go on using the calibration. Check the robot again after a collision or a repair.",
             ),
-            ConformityOutcome::Fail => (
+            outcome @ (ConformityOutcome::Fail | ConformityOutcome::Changed) => (
                 VerdictKind::Fail,
-                "Fail.",
+                if outcome == ConformityOutcome::Fail { "Fail." } else { "Changed." },
                 "Do not use the calibration. Look at what changed, repair it or identify the robot again, and then correct \
                  its programs.",
             ),

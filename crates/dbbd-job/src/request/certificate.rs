@@ -14,6 +14,7 @@ use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
 use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
 use crate::report::certificate::{Certificate, CertificateFinding};
+use crate::robot_files::last_check;
 
 /// Which results a certificate states.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,10 +24,13 @@ pub struct CertificateRequest {
     pub result: PathBuf,
     /// The directory of the certificate.
     pub out: PathBuf,
-    /// `check.json`, or its directory, whose decision is added.
+    /// `check.json`, or its directory, whose decision is added; `None` for the newest check of this calibration beside it.
     pub check: Option<PathBuf>,
     /// A file with the identity of robot, bar and laboratory, in place of the identity in the result.
     pub identity: Option<PathBuf>,
+    /// A specimen in place of a certificate; only this may state simulated readings.
+    #[serde(default)]
+    pub specimen: bool,
     /// Replace the files of an earlier result; otherwise they are kept beside it.
     #[serde(default)]
     pub replace: bool,
@@ -43,9 +47,11 @@ impl CertificateRequest {
         &self,
         session: &RequestSession<'_>,
     ) -> Result<RequestResult<CertificateDocument>, Diagnostic> {
-        let certificate = self.certificate()?;
+        let today = date::utc(clock::unix_ns());
+        let certificate = self.certificate(&today)?;
+        session.findings_in(self.result.display(), certificate.standing().finding(certificate.robot()));
         session.findings(certificate.findings());
-        session.findings(certificate.identity().old_certificate(&date::utc(clock::unix_ns())));
+        session.findings(certificate.identity().old_certificate(&today));
         let dcc = certificate.dcc()?;
         let pdf = certificate.pdf(&dcc)?;
         let mut set = FileSet::begin(&self.out, EarlierFiles::kept_unless(self.replace))?;
@@ -60,13 +66,15 @@ impl CertificateRequest {
         Ok(RequestResult { outcome: AnswerOutcome::Done, files, document })
     }
 
-    fn certificate(&self) -> Result<Certificate, Diagnostic> {
+    fn certificate(&self, today: &str) -> Result<Certificate, Diagnostic> {
         let (certificate_of, text) = read_named_file(&self.result, "result.json")?;
         let mut certificate =
-            Certificate::read(&text).map_err(|why| Diagnostic::file(&certificate_of, why))?;
-        if let Some(path) = &self.check {
+            Certificate::read(&text, today).map_err(|why| Diagnostic::file(&certificate_of, why))?;
+        let robot = Path::new(&certificate_of).with_file_name(ROBOT);
+        let last_check = || Ok::<_, Diagnostic>(last_check(&robot)?.map(|(path, _)| path));
+        let check = self.check.clone().map_or_else(last_check, |path| Ok(Some(path)))?;
+        if let Some(path) = &check {
             let (file, text) = read_named_file(path, "check.json")?;
-            let robot = Path::new(&certificate_of).with_file_name(ROBOT);
             let robot = robot
                 .is_file()
                 .then(|| crate::artefact::of_file(ArtefactRole::IdentifiedRobot, &robot))
@@ -77,6 +85,10 @@ impl CertificateRequest {
         if let Some(path) = &self.identity {
             certificate = certificate.with_identity(&earlier::read_identity(path)?);
         }
+        if self.specimen {
+            certificate = certificate.specimen();
+        }
+        certificate.check_origin().map_err(|why| Diagnostic::file(&certificate_of, why))?;
         Ok(certificate)
     }
 }

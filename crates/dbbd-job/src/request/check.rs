@@ -176,10 +176,10 @@ impl CheckRequest {
         let document =
             CheckDocument { checked, findings: session.so_far(), provenance: given.provenance.clone() };
         let files = write_check(self, &document, &given)?;
-        let outcome = match document.checked.check.decision.decision {
-            ConformityOutcome::Pass => AnswerOutcome::Done,
-            ConformityOutcome::Undecided => AnswerOutcome::Undecided,
-            ConformityOutcome::Fail => AnswerOutcome::Failed,
+        let outcome = match document.checked.check.decision.decision.confirms() {
+            Some(true) => AnswerOutcome::Done,
+            Some(false) => AnswerOutcome::Failed,
+            None => AnswerOutcome::Undecided,
         };
         Ok(RequestResult { outcome, files, document })
     }

@@ -100,6 +100,7 @@ impl CircleRequest {
             return Err(unused.into());
         }
         let provenance = crate::artefact::made_from(&sources);
+        session.findings(provenance.of_origin());
         let robot = provenance.robot().map(|robot| robot.name.as_str());
         earlier::check_replaced(&self.out.join("circle.json"), robot, &provenance)?;
         let (mut tests, count) = (Vec::new(), circles.len());

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use dbbd_model::base::hash::sha256;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{EstimationFinding, ProgramUncertainty, Workspace};
-use dbbd_model::plausibility::Quantity;
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact};
 use dbbd_model::robot::{AXES, ControllerModel, LoadedRobot, Pose, Robot};
@@ -17,12 +16,18 @@ use super::workspace::read_workspace;
 use super::{AnswerOutcome, RequestResult, RequestSession};
 use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
+use crate::plan::Plan;
 use crate::program::CompensationFinding;
 use crate::program::ProgramFinding;
 use crate::program::compensate::in_metres;
 use crate::program::fanuc::{self, GivenFrames};
 use crate::program::krl::{self, Files, Given};
-use crate::program::{Language, Moved, Target, Text, check_one_plan, provenance, rapid, stamped, urscript};
+use crate::program::{
+    Correction, Language, MountedBalls, Moved, Target, Text, check_one_plan, provenance, rapid, stamped,
+    urscript,
+};
+use crate::recording::run::read_plan;
+use crate::robot_files::standing_of;
 
 /// Which program shall be corrected, and for which robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,6 +56,9 @@ pub struct CompensateRequest {
     /// The program is refused if a commanded point would move by more than this.
     #[serde(default = "default_limit_mm")]
     pub limit_mm: f64,
+    /// The plan of a program that holds the bar; `None` for the one in a directory beside the program.
+    #[serde(default)]
+    pub plan: Option<PathBuf>,
     /// Replace the files of an earlier result; otherwise it is refused.
     #[serde(default)]
     pub replace: bool,
@@ -157,14 +165,16 @@ impl CompensateRequest {
         &self,
         session: &RequestSession<'_>,
     ) -> Result<RequestResult<CompensateDocument>, Diagnostic> {
-        Quantity::CorrectionLimit.check("limit", self.limit_mm)?;
         let LoadedRobot { mut robot, source: identified, .. } = robot_for_measurement(&self.robot, session)?;
         robot = today(&robot);
         session.findings_in(&self.robot, carrying(&self.robot, &mut robot, self.payload.as_deref())?);
         session.findings_in(&self.robot, robot.calibration_warnings());
+        let standing = standing_of(Path::new(&self.robot), &robot)?;
+        session.findings_in(&self.robot, standing.and_then(|standing| standing.finding(&robot.name)));
         if robot.nominal.is_none() {
             return Err(Diagnostic::file(&self.robot, CompensationFinding::NotIdentified));
         }
+        robot.check_tool().map_err(|why| Diagnostic::file(&self.robot, why))?;
         let edited = edited(&robot).filter(|finding| *finding == EstimationFinding::PosteriorOfOtherValues);
         session.findings_in(&self.robot, edited);
         let language = program_language(&self.program)?;
@@ -182,6 +192,7 @@ impl CompensateRequest {
         };
         self.check_controller(&robot)?;
         let provenance = crate::artefact::made_from(corrected.sources.iter().chain([&identified]));
+        session.findings(identified.provenance.of_origin());
         let mut set = FileSet::begin(&self.out, EarlierFiles::refused_unless(self.replace))?;
         for (program, text) in &corrected.texts {
             program.write(&mut set, &stamped(language, text, &provenance)?)?;
@@ -283,7 +294,9 @@ impl CorrectionContext<'_> {
         let points = krl::read(program, Given { tool: request.tool(), base: request.base() })?;
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
         session.findings(points.warnings.iter().chain(&points.not_corrected).cloned());
-        let corrected = krl::compensate(program, &points, robot, request.limit_mm)
+        let mounted = self.mounted(&sources[0])?;
+        let correction = Correction::of(robot, request.limit_mm).about(mounted.as_ref());
+        let corrected = krl::compensate(program, &points, correction)
             .map_err(|refused| self.refused(&source, &refused))?;
         let texts = [(source, corrected.source)].into_iter().chain(data.zip(corrected.data)).collect();
         Ok(CorrectedProgram { texts, sources, moved: corrected.moved, left: points.not_corrected.len() })
@@ -310,7 +323,9 @@ impl CorrectionContext<'_> {
         };
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
         session.findings(points.warnings.iter().chain(&points.not_corrected).cloned());
-        let corrected = points.compensate(text, robot, request.limit_mm);
+        let mounted = self.mounted(&traced)?;
+        let correction = Correction::of(robot, request.limit_mm).about(mounted.as_ref());
+        let corrected = points.compensate(text, correction);
         let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
         Ok(CorrectedProgram {
             texts: vec![(source, corrected)],
@@ -318,6 +333,26 @@ impl CorrectionContext<'_> {
             moved,
             left: points.not_corrected.len(),
         })
+    }
+
+    /// The base balls of the plan that a program was made from: it holds the bar.
+    fn mounted(&self, program: &TracedArtefact) -> Result<Option<MountedBalls>, Diagnostic> {
+        let Self { request, robot, identified, .. } = *self;
+        let is_plan = |source: &&Artefact| source.role == ArtefactRole::Plan;
+        let Some(made_from) = program.provenance.from.iter().rev().find(is_plan) else { return Ok(None) };
+        let refused = |why: CompensationFinding| Diagnostic::file(&program.artefact.name, why);
+        let plan = made_from.name.clone();
+        let found = match &request.plan {
+            Some(csv) => read_plan(csv)?,
+            None => plan_beside(&request.program, &plan)
+                .ok_or_else(|| refused(CompensationFinding::NoPlanBeside { plan: plan.clone() }))?,
+        };
+        if found.header.hash != plan {
+            let given = found.header.hash.clone();
+            return Err(refused(CompensationFinding::OtherPlan { plan, given }));
+        }
+        let are_kept = identified.provenance.from.iter().any(|source| source.name == plan);
+        MountedBalls::of(&found, robot, are_kept).map(Some).map_err(refused)
     }
 
     /// Refuses an output directory where a file of the program would be overwritten.
@@ -335,6 +370,18 @@ impl CorrectionContext<'_> {
         self.session.findings(points.iter().cloned());
         Diagnostic::file(&source.name, CompensationFinding::PointsRefused { points: points.len() })
     }
+}
+
+/// The plan with this hash, in the directory of the program or the one above it, or in a directory of these.
+fn plan_beside(program: &Path, hash: &str) -> Option<Plan> {
+    let own = files::directory_of(program).canonicalize().ok()?;
+    let around = [Some(own.as_path()), own.parent()];
+    let inside = around.into_iter().flatten().flat_map(|directory| {
+        let entries = std::fs::read_dir(directory).into_iter().flatten().flatten();
+        entries.map(|entry| entry.path()).take(MAX_DIRECTORIES).chain([directory.to_owned()])
+    });
+    let mut plans = inside.map(|directory| directory.join("plan.csv")).filter(|csv| csv.is_file());
+    plans.find_map(|csv| read_plan(&csv).ok().filter(|plan| plan.header.hash == hash))
 }
 
 /// Refuses a program whose points are in metres.
@@ -380,6 +427,8 @@ fn report(moved: &[Moved], session: &RequestSession<'_>) {
     }
 }
 
+/// Entries of a directory that are looked into for a plan.
+const MAX_DIRECTORIES: usize = 200;
 /// The largest file of a program, bytes.
 const MAX_PROGRAM_BYTES: u64 = 64 << 20;
 
@@ -410,7 +459,7 @@ impl ProgramFile {
 
     fn traced(&self) -> Result<TracedArtefact, Diagnostic> {
         let (name, sha256) = (self.file_name.clone(), self.sha256.clone());
-        let artefact = Artefact { role: ArtefactRole::Program, name, serial: None, sha256 };
+        let artefact = Artefact { role: ArtefactRole::Program, name, serial: None, sha256, origin: None };
         Ok(TracedArtefact { artefact, provenance: provenance(&self.name, &self.content)? })
     }
 

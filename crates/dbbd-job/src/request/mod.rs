@@ -39,9 +39,11 @@ use check::{CheckDocument, CheckRequest};
 use circle::{CircleDocument, CircleRequest};
 use compensate::{CompensateDocument, CompensateRequest};
 use dbbd_model::base::serialised;
+use dbbd_model::conformity::DecisionRule;
 use dbbd_model::diagnostic::{Diagnostic, Severity};
+use dbbd_model::plausibility::{POSITIVE, PlausibilityFinding, PlausibleRange, Quantity};
 use identify::{IdentifyDocument, IdentifyRequest};
-use plan::{PlanDocument, PlanRequest};
+use plan::{PlanDocument, PlanRequest, PlannedPoses};
 use serde::{Deserialize, Serialize};
 use watch::RequestSession;
 
@@ -67,6 +69,9 @@ impl Request {
     /// Reads the inputs, computes, and writes the files.
     pub fn answer(&self, watch: &dyn RequestWatch) -> Answer {
         let session = RequestSession::new(watch);
+        if let Err(wrong) = self.check_numbers() {
+            return Answer::of(Err(wrong.into()), session.into_findings());
+        }
         let result = match self {
             Self::Identify(request) => request
                 .result(&session)
@@ -88,6 +93,49 @@ impl Request {
             }
         };
         Answer::of(result, session.into_findings())
+    }
+
+    /// Refuses numbers that their quantities cannot have, whoever asks.
+    ///
+    /// # Errors
+    /// The first such number, by the name of its key.
+    pub fn check_numbers(&self) -> Result<(), PlausibilityFinding> {
+        let point = |mm: &[f64; 3]| mm.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
+        let tool = |mm: &Option<[f64; 3]>| mm.as_ref().map(point).filter(|mm| *mm > 0.0);
+        let numbers: Vec<(&str, Option<f64>, PlausibleRange)> = match self {
+            Self::Identify(request) => vec![
+                ("tool_mm", tool(&request.tool_mm), Quantity::ToolBallDistance.range()),
+                ("bar_u_mm", request.bar_u_mm, Quantity::StandardLengthUncertainty.range()),
+            ],
+            Self::Plan(PlanRequest { poses: PlannedPoses::Check(check), .. }) => vec![
+                ("tolerance_mm", check.tolerance_mm, Quantity::PositionTolerance.range()),
+                ("risk", Some(check.risk), Quantity::DecisionRisk.range()),
+            ],
+            Self::Check(request) => {
+                let risk =
+                    if let DecisionRule::GuardBand { risk } = request.rule { Some(risk) } else { None };
+                vec![
+                    ("tolerance_mm", request.tolerance_mm, Quantity::PositionTolerance.range()),
+                    ("risk", risk, Quantity::DecisionRisk.range()),
+                    ("tool_mm", tool(&request.tool_mm), Quantity::ToolBallDistance.range()),
+                    ("sigma_mm", request.sigma_mm, Quantity::LengthSd.range().from(POSITIVE)),
+                    ("bar_u_mm", request.bar_u_mm, Quantity::StandardLengthUncertainty.range()),
+                ]
+            }
+            Self::Compensate(request) => {
+                vec![("limit_mm", Some(request.limit_mm), Quantity::CorrectionLimit.range())]
+            }
+            Self::Circle(request) => vec![
+                ("bar_u_mm", request.bar_u_mm, Quantity::StandardLengthUncertainty.range()),
+                ("expansion_per_k", request.expansion_per_k, Quantity::Expansion.range()),
+                ("certified_c", request.certified_c, Quantity::CertificateTemperature.range()),
+                ("machine_expansion_per_k", request.machine_expansion_per_k, Quantity::Expansion.range()),
+            ],
+            Self::Plan(_) | Self::Certificate(_) => Vec::new(),
+        };
+        numbers
+            .into_iter()
+            .try_for_each(|(key, value, range)| value.map_or(Ok(()), |value| range.check(key, value)))
     }
 
     /// The directory into which the files are written.

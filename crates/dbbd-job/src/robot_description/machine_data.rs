@@ -226,7 +226,7 @@ mod tests {
     #[test]
     fn machine_data_are_the_arm_of_the_table() {
         let ImportedRobot { robot, findings, largest_mm } = import(KR60HA).unwrap();
-        let nominal = Robot::by_name("kr60ha").unwrap().unwrap();
+        let nominal = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         for axes in Workspace::uniform(&nominal, 200, 1) {
             let (expected, found) = (nominal.geometry.flange(&axes), robot.geometry.flange(&axes));
             assert!((found.position - expected.position).norm() < 1e-9 && found.angle_to(&expected) < 1e-12);

@@ -20,6 +20,7 @@ pub use super::terminal::Terminal;
 pub use super::terminal::TerminalLink;
 use crate::sim::SimulationFinding;
 use dbbd_device::clock;
+use dbbd_device::port::SIMULATED_MARK;
 use dbbd_device::protocol::ProtocolFinding;
 use dbbd_device::protocol::{CommandStep, ProtocolDefinition, ProtocolEncoder, ProtocolMode};
 use dbbd_model::base::units::{DeviceTicks, HostNs};
@@ -226,6 +227,9 @@ impl<S: ReadingSource> VirtualBar<S> {
     }
 
     fn begin(&mut self) {
+        if !self.running {
+            self.device.before_frame.extend(SIMULATED_MARK);
+        }
         self.running = true;
         self.first_start.get_or_insert_with(clock::now);
     }
@@ -249,7 +253,7 @@ impl<S: ReadingSource> VirtualBar<S> {
                     self.requests -= 1;
                     clock::sleep(self.device.reply_delay_s);
                 }
-                batch.extend(std::mem::take(&mut self.device.banner));
+                batch.extend(std::mem::take(&mut self.device.before_frame));
                 batch.extend(frame);
                 self.frames.sent += 1;
             }
@@ -377,8 +381,8 @@ struct VirtualDevice {
     received: Vec<u8>,
     sends: SendTiming,
     reply_delay_s: f64,
-    /// The text that is sent once, at the beginning.
-    banner: Vec<u8>,
+    /// What is sent before the next frame: at the beginning the banner, and before each stream the mark of a simulated bar.
+    before_frame: Vec<u8>,
     at_mm: f64,
     /// The reading that becomes zero, mm; `None` for the next reading.
     zero_mm: Option<f64>,
@@ -439,7 +443,7 @@ impl VirtualDevice {
             received: Vec::new(),
             sends,
             reply_delay_s: sim.reply_delay.as_secs_f64(),
-            banner,
+            before_frame: banner,
             at_mm: sim.at_mm,
             zero_mm: Some(0.0),
         }

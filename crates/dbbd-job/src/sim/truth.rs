@@ -50,7 +50,9 @@ mod tests {
     /// 200 robots: the standard deviation of a standard deviation is 5 %.
     #[test]
     fn errors_have_the_tolerance_as_standard_deviation() {
-        let nominal = Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read");
+        let nominal = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0])
+            .expect("it is built in")
+            .expect("its file can be read");
         let errors = |of: fn(&Robot) -> f64, scale: f64| {
             let squares =
                 (0..200).map(|seed| (of(&draw_true_robot(&nominal, seed, scale)) - of(&nominal)).powi(2));
@@ -79,7 +81,9 @@ mod tests {
     /// The KR 60 repeats to 0.05 mm by ISO 9283: 0.05 / 3.616 of each coordinate.
     #[test]
     fn world_has_the_repeatability_of_the_robot() {
-        let nominal = Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read");
+        let nominal = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0])
+            .expect("it is built in")
+            .expect("its file can be read");
         assert_eq!(noise(&nominal, 2.5), "repeatability_um = 13.827\n\n[bar]\nnoise_um = 2.5\n");
     }
 }

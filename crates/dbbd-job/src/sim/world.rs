@@ -364,7 +364,10 @@ mod tests {
     const HOME: [f64; AXES] = [0.1, -1.0, 1.6, 0.2, 1.0, 0.3];
 
     fn robot() -> Geometry {
-        Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read").geometry
+        Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0])
+            .expect("it is built in")
+            .expect("its file can be read")
+            .geometry
     }
 
     /// A base ball 300 mm below the tool ball at home, and a bar without noise that reads -2 to 6 mm.

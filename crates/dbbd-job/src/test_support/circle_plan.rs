@@ -8,7 +8,7 @@ pub(crate) const BALL_MM: [f64; 3] = [1300.0, 0.0, 800.0];
 pub(crate) const BAR_MM: f64 = 300.0;
 
 pub(crate) fn robot() -> Robot {
-    Robot::by_name("kr60ha").unwrap().unwrap()
+    Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap()
 }
 
 /// Values as in `plan.csv`: rounded to the digits that KRL prints.
@@ -96,7 +96,7 @@ pub(crate) fn plan(circles: u32, points: u32) -> Plan {
         builder.knocks(circle, 2, turn);
     }
     let job = format!(
-        "robot = 'kr60ha'\n[bar]\nlength_mm = {BAR_MM:?}\nstroke_mm = [-1.0, 1.0]\n\
+        "robot = 'kr60ha'\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = {BAR_MM:?}\nstroke_mm = [-1.0, 1.0]\n\
          [[centre]]\nid = 1\nxyz_mm = {BALL_MM:?}\n[[circle]]\npoints = {points}\nplane = 'XY'"
     );
     let header = PlanHeader {

@@ -26,7 +26,7 @@ pub(crate) const OFF_MM: [f64; 3] = [0.8, -0.5, 0.3];
 /// A job of poses chosen for the smallest error in a cube, or in the whole workspace.
 pub(crate) fn job(bar_mm: f64, balls: usize, points: usize, cube: bool) -> String {
     let mut text = format!(
-        "robot = \"kr60ha\"\n[bar]\nlength_mm = {bar_mm:?}\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 20.0\n\
+        "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = {bar_mm:?}\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 20.0\n\
          length_u_mm = 0.002\n"
     );
     for (at, xyz_mm) in BALLS.iter().enumerate().take(balls) {

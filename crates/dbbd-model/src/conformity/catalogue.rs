@@ -107,6 +107,12 @@ findings! {
         cure: "Measure new lengths." {
             LengthsOfCalibration { known: usize, lengths: usize } => "{known} of {lengths} lengths identified this robot: they are no check of it";
         }
+        W1925 "the robot was driven to where the nominal robot would be",
+        cause: "The lengths agree with the nominal robot and not with the identified one: the program of the check was corrected, or the controller computes with a calibrated model of its own. The robot need not have changed.",
+        cure: "Run the program of the check as it was written, and in the mode of the calibration.",
+        asks: [LoggedAxes] {
+            DrivenAsNominal { rms_mm: f64 } => "the lengths agree with the nominal robot to {rms_mm:.3} mm: was a corrected program run?";
+        }
         W1921 "the lengths agree too well",
         cause: "The lengths agree with the robot far better than their standard deviation allows: sigma is too large (the column sigma_mm, the one given, repeatability_mm of the robot file), or the lengths were computed. A check with too large a sigma finds no change.",
         cure: "Give the standard deviation that the lengths have, and measured lengths.",

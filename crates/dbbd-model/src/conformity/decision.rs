@@ -15,12 +15,38 @@ pub enum DecisionRule {
     SimpleAcceptance,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+/// The outcome of a check. Only a tolerance can be passed or failed; without one the robot is unchanged or changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ConformityOutcome {
     Pass,
     Fail,
     Undecided,
+    Unchanged,
+    Changed,
+}
+
+impl ConformityOutcome {
+    pub const ALL: [Self; 5] = [Self::Pass, Self::Fail, Self::Undecided, Self::Unchanged, Self::Changed];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pass => "pass",
+            Self::Fail => "fail",
+            Self::Undecided => "undecided",
+            Self::Unchanged => "unchanged",
+            Self::Changed => "changed",
+        }
+    }
+
+    /// Whether the check confirms the calibration; `None` if it decides nothing.
+    pub fn confirms(self) -> Option<bool> {
+        match self {
+            Self::Pass | Self::Unchanged => Some(true),
+            Self::Fail | Self::Changed => Some(false),
+            Self::Undecided => None,
+        }
+    }
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -59,7 +85,7 @@ pub fn decide(
     };
     let (median, upper) = (at(0.5), at(1.0 - risk));
     let by_change = ConformityDecision {
-        decision: if changed { ConformityOutcome::Fail } else { ConformityOutcome::Pass },
+        decision: if changed { ConformityOutcome::Changed } else { ConformityOutcome::Unchanged },
         rule: "change",
         tolerance_mm,
         position_error_mm: median,
@@ -96,12 +122,12 @@ impl ConformityDecision {
         let decides_mm =
             if self.rule == "simple_acceptance" { self.position_error_mm } else { self.upper_mm };
         let growth = self.tolerance_mm.map_or(Validity::GROWTH, |tolerance| tolerance / decides_mm);
-        (self.decision == ConformityOutcome::Pass).then_some(growth)
+        (self.decision.confirms() == Some(true)).then_some(growth)
     }
 
     /// Turns a failure into `undecided`, if lengths that agree with the robot would fail as well.
     pub(super) fn failure_as_undecided(self) -> Self {
-        if self.decision != ConformityOutcome::Fail {
+        if self.decision.confirms() != Some(false) {
             return self;
         }
         let specific_risk = self.specific_risk.map(|conforms| 1.0 - conforms);
@@ -130,8 +156,8 @@ mod tests {
         }
         let shared = decide(&sizes, Some(60.0), DecisionRule::SimpleAcceptance, false);
         assert_eq!((shared.decision, shared.guard_band_mm), (ConformityOutcome::Pass, None));
-        assert_eq!(decide(&sizes, None, rule, true).decision, ConformityOutcome::Fail);
-        assert_eq!(decide(&sizes, None, rule, false).decision, ConformityOutcome::Pass);
+        assert_eq!(decide(&sizes, None, rule, true).decision, ConformityOutcome::Changed);
+        assert_eq!(decide(&sizes, None, rule, false).decision, ConformityOutcome::Unchanged);
     }
 
     /// A robot passes until the size that decides has grown to the tolerance: the 95th of 100 draws, or their median.

@@ -20,6 +20,9 @@ use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, RobotPosteri
 
 /// Least number of lengths beyond those that determine the base balls.
 pub const MIN_DOF: usize = 4;
+/// Lengths of the nominal robot leave of it no more than so many standard deviations, as a root of the mean square: with the
+/// fewest lengths that are checked in 997 of 1000 checks.
+const NOMINAL_SIGMAS: f64 = 2.0;
 /// Monte Carlo draws of the robot for the position uncertainty, and their seed.
 const DRAWS: usize = 400;
 const UNCERTAINTY_DRAWS_SEED: u64 = 1;
@@ -115,8 +118,12 @@ impl CheckInput<'_> {
         let calibrated = position.of(&known, 1.0);
         let nothing = |hypothesis: &&Hypothesis| hypothesis.parameters.is_empty();
         let unchanged = hypotheses.iter().find(nothing).map_or(0.0, |hypothesis| hypothesis.probability);
+        // A robot that was driven to where the nominal robot would be did not change.
+        let nominal_rms_mm =
+            self.nominal_rms_mm().filter(|rms_mm| test.changed && *rms_mm < NOMINAL_SIGMAS * self.sigma_mm);
+        let changed = test.changed && nominal_rms_mm.is_none();
         let mut changes = hypotheses;
-        changes.retain(|hypothesis| test.changed && !hypothesis.parameters.is_empty());
+        changes.retain(|hypothesis| changed && !hypothesis.parameters.is_empty());
         let updated = match changes.first() {
             Some(likeliest) => Some(self.updated(&expected, likeliest).ok_or(ConformityFinding::NotFinite)?),
             None => None,
@@ -128,7 +135,7 @@ impl CheckInput<'_> {
         let position_errors_mm = position.sizes(&now);
         let mut decision = decide(&position_errors_mm, self.tolerance_mm, self.rule, test.changed);
         // If lengths that agree with the robot would fail as well, only a change is evidence of failure.
-        if undecidable && !test.changed {
+        if undecidable && !test.changed || nominal_rms_mm.is_some() {
             decision = decision.failure_as_undecided();
         }
         let growth = decision.growth().filter(|_| !test.changed);
@@ -141,7 +148,7 @@ impl CheckInput<'_> {
             robot: self.robot.name.clone(),
             lengths: self.readings.len(),
             sigma_mm: self.sigma_mm,
-            findings: self.findings(undecidable.then_some(least_mm), &test, &changes),
+            findings: self.findings(undecidable.then_some(least_mm), &test, &changes, nominal_rms_mm),
             decision,
             test,
             position_errors_mm,
@@ -196,6 +203,22 @@ impl CheckInput<'_> {
         let (ids, sd): (Vec<ParamId>, Vec<f64>) = balls.chain(bars).unzip();
         let found = Posterior::new(self.start.clone(), &ids, &sd).learn(self.readings, self.sigma_mm)?;
         Some(found.model)
+    }
+
+    /// What the lengths leave of the nominal robot with base balls and bar fitted, mm: the root of the mean square. `None` for
+    /// lengths that they would explain whatever the robot is.
+    fn nominal_rms_mm(&self) -> Option<f64> {
+        let geometry = self.robot.nominal.as_ref()?.geometry.clone();
+        let start = LengthModel { geometry, ..self.start.clone() };
+        let found = CheckInput { start: &start, ..*self }.set_up()?;
+        let prepared = found.prepare();
+        let left = |reading: &PreparedMeasurement| (prepared.length(reading) - reading.length_mm).powi(2);
+        let dof = self
+            .readings
+            .len()
+            .checked_sub(3 * self.start.balls.len() + self.bars)
+            .filter(|dof| *dof >= MIN_DOF)?;
+        Some((self.readings.iter().map(left).sum::<f64>() / dof as f64).sqrt())
     }
 
     /// The smallest tolerance at which lengths that agree with the calibrated robot pass.
@@ -282,6 +305,7 @@ impl CheckInput<'_> {
         undecidable: Option<f64>,
         test: &ChangeTest,
         changes: &[Hypothesis],
+        nominal_rms_mm: Option<f64>,
     ) -> Vec<ConformityFinding> {
         let mut findings = Vec::new();
         if self.mounting.balls == BallMounting::Anywhere {
@@ -295,7 +319,9 @@ impl CheckInput<'_> {
             let ChangeTest { chi_square, freedom, .. } = *test;
             findings.push(ConformityFinding::TooGood { chi_square, freedom });
         }
-        if test.changed && unexplained {
+        if let Some(rms_mm) = nominal_rms_mm {
+            findings.push(ConformityFinding::DrivenAsNominal { rms_mm });
+        } else if test.changed && unexplained {
             findings.push(ConformityFinding::NotExplained { p: test.p });
         }
         findings
@@ -305,7 +331,7 @@ impl CheckInput<'_> {
 impl InterimCheck {
     /// The lengths cannot check this robot: without a tolerance exceeded, nothing is decided.
     pub fn decide_nothing(&mut self) {
-        if self.decision.decision == ConformityOutcome::Pass {
+        if self.decision.decision.confirms() == Some(true) {
             self.decision.decision = ConformityOutcome::Undecided;
             self.decision.specific_risk = None;
         }

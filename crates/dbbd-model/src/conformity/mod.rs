@@ -11,6 +11,7 @@ mod circles;
 mod decision;
 mod interim;
 mod results;
+mod standing;
 mod timeline;
 mod tracked;
 
@@ -27,6 +28,7 @@ pub use interim::{
 pub use results::{
     ComparedResults, PositionChange, StoredResult, UncomparedParameter, compare_results, of_robot, same_robot,
 };
+pub use standing::{Standing, StatedCheck, StatedResult, standing};
 pub use timeline::{ResultTimeline, TimelineUnit};
 pub use tracked::{QuantityTrend, SIGNIFICANCE_LEVEL, TrackedChange, TrackedQuantity, TrackedValue};
 

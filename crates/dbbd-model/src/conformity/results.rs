@@ -266,7 +266,7 @@ mod tests {
     /// d4 is listed in one result only, 0.5 mm from its nominal value; a3 is listed in both.
     #[test]
     fn what_a_result_does_not_list_is_nominal() {
-        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let (a3, d4) = (ParamId::A(Joint::J4), ParamId::D(Joint::J4));
         let result = |identified: &[(ParamId, f64)]| {
             let estimated = |(id, by): &(ParamId, f64)| {

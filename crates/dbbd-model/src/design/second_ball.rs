@@ -106,7 +106,7 @@ mod tests {
     /// A ball at a radius of 1500 mm, 500 mm further out, 100 mm lower and a quarter turn about axis 1.
     #[test]
     fn place_is_moved_outwards_upwards_and_about_axis_1() {
-        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let ball = Vector3::new(900.0, 1200.0, 600.0);
         let (workspace, sigma_mm) = (&[][..], 0.01);
         let plan =

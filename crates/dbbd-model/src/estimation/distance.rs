@@ -212,7 +212,7 @@ mod tests {
     /// Three poses in turn, four times. From tables: t(0.975; 9), chi-square(0.025 and 0.975; 9).
     #[test]
     fn quantities_of_known_deviations() {
-        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let ball = BaseBall { id: BallId::FIRST, position: Vector3::new(1200.0, 0.0, 600.0) };
         let model = LengthModel::new(robot.geometry, &[ball]);
         let deviations = [0.01, -0.02, 0.03, 0.02, -0.01, 0.03, 0.0, -0.03, 0.04, 0.01, -0.02, 0.02];

@@ -83,7 +83,7 @@ mod tests {
     /// approach. The standard deviations of both parts are independent.
     #[test]
     fn curve_has_the_harmonic_and_backlash_with_their_uncertainty() {
-        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let joint = Joint::J1;
         robot.geometry.gear[0] = [2e-4, -1e-4];
         let mut errors = [(); AXES].map(|()| JointErrorModel::default());

@@ -131,7 +131,7 @@ mod tests {
     use nalgebra::{DVector, Vector3};
 
     fn model() -> LengthModel {
-        let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
+        let geometry = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap().geometry;
         LengthModel::new(
             geometry,
             &[BaseBall { id: BallId::FIRST, position: Vector3::new(1300.0, 0.0, 800.0) }],

@@ -380,7 +380,7 @@ mod tests {
     /// A length of 13 um of which the lengths of a visit shared 12 um has 5 um of its own, whatever is assumed of new poses.
     #[test]
     fn own_noise_is_what_the_lengths_of_a_visit_did_not_share() {
-        let robot = crate::robot::Robot::by_name("kr60ha").unwrap().unwrap();
+        let robot = crate::robot::Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let unknown = |shared_mm| RobotUncertainty { pose_mm: 0.014, shared_mm, ..robot.known_uncertainty() };
         let of = |sigma_mm, shared_mm| {
             let unknown = unknown(shared_mm);

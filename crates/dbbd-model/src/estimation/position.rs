@@ -462,7 +462,7 @@ mod tests {
     /// An error of theta6 alone turns the flange about its own axis by as much at every pose, and moves it nowhere.
     #[test]
     fn the_flange_turns_by_the_error_of_the_last_joint() {
-        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let poses: Vec<ApproachedPose> = Workspace::uniform(&robot, 40, 3)
             .iter()
             .map(|axes| ApproachedPose {
@@ -486,7 +486,7 @@ mod tests {
     }
 
     fn identified(pose_mm: f64) -> (Robot, Vec<ApproachedPose>) {
-        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let unknown = RobotUncertainty {
             parameters: Vec::new(),
             root: DMatrix::zeros(0, 0),

@@ -343,7 +343,7 @@ mod tests {
     const BAR: ParamId = ParamId::BarOffset(BarId::FIRST);
 
     fn model() -> LengthModel {
-        let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
+        let geometry = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap().geometry;
         let ball = BaseBall { id: BallId::FIRST, position: Vector3::new(1300.0, 0.0, 800.0) };
         LengthModel::new(geometry, &[ball])
     }

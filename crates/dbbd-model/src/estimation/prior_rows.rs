@@ -92,7 +92,7 @@ mod tests {
         [ParamId::A(Joint::J2), ParamId::Tool(Coordinate::X), ParamId::BarOffset(BarId::FIRST)];
 
     fn model() -> LengthModel {
-        let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
+        let geometry = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap().geometry;
         let ball = BaseBall { id: BallId::FIRST, position: Vector3::new(1300.0, 0.0, 800.0) };
         LengthModel::new(geometry, &[ball])
     }
@@ -106,7 +106,7 @@ mod tests {
     /// The tolerance of a1 is 0.5 mm, a certificate of 0.05 mm; the ball is free.
     #[test]
     fn rows_divide_by_the_standard_deviation_and_leave_free_parameters_out() {
-        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let (start, options) = (model(), Options { bar_u_mm: Some(0.05), ..Options::default() });
         let setting = Setting::new(&robot, &start, &Measurements::default(), &options);
         let ids = [IDS[0], ParamId::Ball(BallId::FIRST, Coordinate::X), IDS[2]];

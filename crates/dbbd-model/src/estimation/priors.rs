@@ -272,7 +272,7 @@ mod tests {
     use crate::robot::{BallId, BarId, Coordinate, Joint, TargetId};
 
     fn priors(bar_u_mm: Option<f64>, prior: Prior) -> Priors {
-        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         Priors::of(&robot, bar_u_mm, &prior)
     }
 
@@ -308,7 +308,7 @@ mod tests {
 
     #[test]
     fn prior_of_compliance_follows_from_the_greatest_torque() {
-        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let id = ParamId::Compliance(Joint::J2);
         robot.geometry.load.masses =
             vec![crate::robot::Mass { joint: Joint::J2, kg: 100.0, centre: nalgebra::Vector3::x() * 500.0 }];
@@ -375,7 +375,7 @@ mod tests {
 
     /// A robot whose posterior has the root [[0.1, 0], [0.02, 0.03]] of the covariance of a1 and theta3.
     fn identified() -> Robot {
-        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let ids = [ParamId::A(Joint::J2), ParamId::Theta(Joint::J3)];
         let root = DMatrix::from_row_slice(2, 2, &[0.1, 0.0, 0.02, 0.03]);
         robot.posterior = RobotPosterior::new(&ids, &robot.geometry, &root);

@@ -99,7 +99,7 @@ mod tests {
 
     /// A robot whose second arm is 1 mm longer than nominal, known to 0.1 mm.
     fn identified() -> Robot {
-        let nominal = Robot::by_name("kr60ha").unwrap().unwrap();
+        let nominal = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let unknown = RobotUncertainty {
             parameters: vec![ParamId::A(Joint::J3)],
             root: DMatrix::from_element(1, 1, 0.1),

@@ -122,7 +122,7 @@ mod tests {
     }
 
     fn identified(sd_rad: f64) -> Robot {
-        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let unknown = RobotUncertainty {
             parameters: vec![ParamId::Theta(Joint::J3)],
             root: DMatrix::from_element(1, 1, sd_rad),

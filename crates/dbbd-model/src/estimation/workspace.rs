@@ -216,7 +216,7 @@ mod tests {
     use crate::robot::{Coordinate, Joint};
 
     fn robot() -> Robot {
-        Robot::by_name("kr60ha").unwrap().unwrap()
+        Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap()
     }
 
     /// Displacements of 5, 1 mm of one robot at two poses, and of 2, 10 mm of another.

@@ -330,7 +330,7 @@ mod tests {
     use crate::robot::{Coordinate, Robot};
 
     fn model() -> LengthModel {
-        let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
+        let geometry = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap().geometry;
         LengthModel {
             geometry,
             balls: vec![Vector3::new(1200.0, -300.0, 500.0), Vector3::new(1000.0, 600.0, 300.0)],

@@ -579,7 +579,7 @@ mod tests {
     }
 
     fn robot() -> Robot {
-        Robot::by_name("kr60ha").unwrap().unwrap()
+        Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap()
     }
 
     #[test]

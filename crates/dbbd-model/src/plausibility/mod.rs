@@ -301,6 +301,8 @@ quantities! {
 
     /// A robot is accepted to millimetres; a larger number is one in micrometres.
     PositionTolerance => range("a tolerance", "mm", POSITIVE, 20.0).not_in(IN_MICROMETRES);
+    /// With half or more a decision is as good as its contrary.
+    DecisionRisk => range("the risk of a wrong decision", "", POSITIVE, 0.49);
     /// No calibration moves a point this far.
     CorrectionLimit => range("the largest correction of a point", "mm", POSITIVE, 100.0).not_in(IN_MICROMETRES);
     /// Robots are checked between each day and each decade.

@@ -90,6 +90,26 @@ findings! {
         cure: "Take the table as dbbd wrote it. Give a changed table another name: then its origin is not stated." {
             TableChanged { record: String } => "was changed since {record} was written; its robot, bar and date may be others";
         }
+        I1850 "readings are simulated",
+        cause: "They come from `dbbd simulate` or the port `sim`, whose virtual bar marks its stream. What is computed from them is of a simulated robot.",
+        cure: "Nothing, to try dbbd. For a real robot, record its bar." {
+            Simulated { simulated: String } => "{simulated} is simulated: the results are of no real robot";
+        }
+        W1851 "simulated readings are used together with others",
+        cause: "One of the captures or tables is of the virtual bar of dbbd, and another one is not, or does not state it: a real robot is calibrated or checked with readings that are not of it.",
+        cure: "Give the capture of the real bar. `dbbd info` shows which readings are simulated." {
+            OriginsMixed { simulated: String, other: String } => "{simulated} is simulated, and {other} is not or does not state it";
+        }
+        W1852 "a calibration failed its last check",
+        cause: "The newest check.json of this robot file, beside it or in a directory beside it, found that the robot changed or exceeds its tolerance. The identified values are not those of the robot any more.",
+        cure: "Identify the robot again, or have it repaired and check it again." {
+            CheckFailed { robot: String } => "`{robot}` failed its last check: it is not to be used";
+        }
+        W1853 "the validity of a calibration is over",
+        cause: "The day has passed until which the calibration, or its last check, holds.",
+        cure: "Check the robot, or renew its calibration." {
+            ValidityOver { robot: String, until: String } => "the validity of `{robot}` ended on {until}";
+        }
         I1849 "a table that was not written by dbbd, or edited since, was moved aside",
         cause: "The table that was to be written was there, and nothing proves that it was unedited output of dbbd.",
         cure: "Nothing is lost: it is under the name that is stated. Name another file to keep both in place." {

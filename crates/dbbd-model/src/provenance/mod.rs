@@ -56,6 +56,16 @@ impl fmt::Display for ArtefactRole {
     }
 }
 
+/// Where readings come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DataOrigin {
+    /// A bar whose line has no mark of a simulated one.
+    Measured,
+    /// The virtual bar of dbbd.
+    Simulated,
+}
+
 /// A file, identified by its content.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Artefact {
@@ -67,12 +77,15 @@ pub struct Artefact {
     pub serial: Option<String>,
     /// SHA-256 of the content of the file, in hexadecimal digits.
     pub sha256: String,
+    /// Where its readings come from, if these are readings and it is stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub origin: Option<DataOrigin>,
 }
 
 impl Artefact {
     /// An artefact whose content is in memory.
     pub fn new(role: ArtefactRole, name: impl Into<String>, content: impl AsRef<[u8]>) -> Self {
-        Self { role, name: name.into(), serial: None, sha256: sha256(content) }
+        Self { role, name: name.into(), serial: None, sha256: sha256(content), origin: None }
     }
 
     /// The first digits of the artefact's hash.
@@ -243,6 +256,40 @@ impl Provenance {
         own.filter(|source| [ArtefactRole::Measurements, ArtefactRole::Capture].contains(&source.role))
     }
 
+    /// The captures and tables of readings in the whole chain.
+    fn data(&self) -> impl Iterator<Item = &Artefact> {
+        let is_data =
+            |source: &&Artefact| [ArtefactRole::Measurements, ArtefactRole::Capture].contains(&source.role);
+        self.from.iter().filter(is_data)
+    }
+
+    /// Where the readings in the chain come from: simulated if any of them is, measured if all of them are; `None` if it is
+    /// not stated, or there are none.
+    pub fn origin(&self) -> Option<DataOrigin> {
+        let mut origins = self.data().map(|source| source.origin);
+        let first = origins.next()?;
+        origins.fold(first, |all, one| match (all, one) {
+            (Some(DataOrigin::Simulated), _) | (_, Some(DataOrigin::Simulated)) => {
+                Some(DataOrigin::Simulated)
+            }
+            (all, one) => all.and(one),
+        })
+    }
+
+    pub fn is_simulated(&self) -> bool {
+        self.origin() == Some(DataOrigin::Simulated)
+    }
+
+    /// The finding about simulated readings in the chain: they are all simulated, or some are and some are not.
+    pub fn of_origin(&self) -> Option<ProvenanceFinding> {
+        let is_simulated = |source: &&Artefact| source.origin == Some(DataOrigin::Simulated);
+        let simulated = self.data().find(is_simulated)?.to_string();
+        Some(match self.data().find(|source| !is_simulated(source)) {
+            Some(other) => ProvenanceFinding::OriginsMixed { simulated, other: other.to_string() },
+            None => ProvenanceFinding::Simulated { simulated },
+        })
+    }
+
     /// The measured artefact with which a program was corrected, if it was.
     pub fn corrected_by(&self) -> Option<&Artefact> {
         let measured = [ArtefactRole::IdentifiedRobot, ArtefactRole::Measurements, ArtefactRole::Capture];
@@ -253,6 +300,7 @@ impl Provenance {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::diagnostic::Finding as _;
 
     fn artefact(role: ArtefactRole, name: &str, serial: Option<&str>) -> Artefact {
         Artefact {
@@ -309,6 +357,33 @@ mod tests {
         assert!(matches!(other, Some(ProvenanceFinding::OtherCalibration { .. })));
         assert!(plan.check_made_for(&artefact(ArtefactRole::Robot, "r", Some("5"))).is_ok());
         assert!(plan.check_made_for(&artefact(ArtefactRole::Robot, "s", None)).is_err());
+    }
+
+    #[test]
+    fn simulated_readings_are_found_in_the_whole_chain() {
+        use DataOrigin::{Measured, Simulated};
+        let of = |origins: &[Option<DataOrigin>]| {
+            let data = origins.iter().zip(["a", "b", "c"]).map(|(origin, name)| Artefact {
+                origin: *origin,
+                ..artefact(ArtefactRole::Capture, name, None)
+            });
+            let robot = artefact(ArtefactRole::Robot, "r", None);
+            Provenance { from: data.chain([robot]).collect(), ..Provenance::default() }
+        };
+        let found = |origins: &[Option<DataOrigin>]| {
+            let made = of(origins);
+            (made.origin(), made.of_origin().map(|finding| finding.code().as_str()))
+        };
+        assert_eq!(found(&[]), (None, None));
+        assert_eq!(found(&[None]), (None, None));
+        assert_eq!(found(&[Some(Measured), Some(Measured)]), (Some(Measured), None));
+        assert_eq!(found(&[Some(Measured), None]), (None, None));
+        assert_eq!(found(&[Some(Simulated)]), (Some(Simulated), Some("I1850")));
+        // What does not state its origin may be of a real robot.
+        for other in [None, Some(Measured)] {
+            assert_eq!(found(&[other, Some(Simulated)]), (Some(Simulated), Some("W1851")));
+            assert_eq!(found(&[Some(Simulated), other, other]), (Some(Simulated), Some("W1851")));
+        }
     }
 
     #[test]

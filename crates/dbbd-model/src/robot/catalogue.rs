@@ -71,6 +71,12 @@ findings! {
         cure: "Correct the value that is named, or give the robot a name of its own." {
             UnlikeBuiltIn { robot: String, joint: usize, key: &'static str, value: f64, built_in: f64 } => "joint {joint}: {key} is {value}, and the built-in `{robot}` has {built_in}";
         }
+        E0507 "nobody has stated where the tool ball is",
+        cause: "Neither the robot file nor the job has [tool] ball_mm, the place of the ball on the tool in the frame of the flange. Programs would be driven and lengths computed with another tool than yours.",
+        cure: "Measure it from the flange, X, Y and Z in mm, and state it in the job: [tool] ball_mm = [30.0, 20.0, 10.0]. A few tenths of a millimetre are enough, the lengths determine the rest; [tool] ball_u_mm says how well it is known (0.5 mm). A ball in the middle of the flange is [0.0, 0.0, 0.0].",
+        asks: [ToolBall] {
+            NoToolBall { robot: String } => "nobody has stated where the tool ball of `{robot}` is: state [tool] ball_mm, in mm from the flange";
+        }
         E0506 "a pose has no axis angles",
         cause: "The pose is beyond the arm, or only another branch or turn of the axes reaches it.",
         cure: "Move the pose nearer to the robot, or give it a status and turn that the arm can take there." {

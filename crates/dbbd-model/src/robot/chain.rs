@@ -484,7 +484,7 @@ mod tests {
 
     /// An arm with every effect: beta, compliance under load, transmission errors, a coupled joint, joint errors.
     fn arm() -> Geometry {
-        let mut geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
+        let mut geometry = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap().geometry;
         let mut errors: [JointErrorModel; AXES] = Default::default();
         errors[1].backlash = 3e-4;
         errors[4].ripple = vec![Ripple { order: 5, cos: 2e-4, sin: -1e-4 }];

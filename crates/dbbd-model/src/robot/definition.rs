@@ -65,6 +65,9 @@ pub struct Robot {
     pub max_speed_deg_s: [f64; AXES],
     pub max_acceleration_deg_s2: [Option<f64>; AXES],
     pub tolerance: Tolerance,
+    /// Whether it is stated where the tool ball is. A robot of the catalogue has no tool, and its ball is at the flange until it
+    /// is stated.
+    pub has_tool: bool,
     /// Standard uncertainty of each coordinate of the tool ball on the flange, mm.
     pub ball_u_mm: f64,
     /// Pose repeatability by ISO 9283.
@@ -172,6 +175,7 @@ impl Robot {
             max_speed_deg_s,
             max_acceleration_deg_s2: [None; AXES],
             tolerance: Tolerance::default(),
+            has_tool: false,
             ball_u_mm: USUAL_BALL_U_MM,
             repeatability_mm: None,
             nominal: None,
@@ -205,6 +209,11 @@ impl Robot {
     /// A built-in robot by its name.
     pub fn by_name(name: &str) -> Option<Result<Self, Diagnostic>> {
         Self::built_in_file(name).map(|text| Self::from_toml(name, text))
+    }
+
+    /// A built-in robot by its name, with a tool ball (flange frame, mm).
+    pub fn by_name_with_tool(name: &str, tool_mm: [f64; 3]) -> Option<Result<Self, Diagnostic>> {
+        Self::by_name(name).map(|robot| robot.map(|robot| robot.with_tool(tool_mm)))
     }
 
     /// The robot as an artefact with the text of its file.
@@ -323,6 +332,7 @@ impl Robot {
     /// Replaces the tool ball (flange frame, mm); the posterior of the old tool ball is dropped.
     pub fn set_tool(&mut self, tool_mm: [f64; 3]) {
         self.geometry.tool = tool_mm.into();
+        self.has_tool = true;
         self.posterior =
             self.posterior.take().and_then(|known| known.keeping(|id| !matches!(id, ParamId::Tool(_))));
     }
@@ -338,7 +348,20 @@ impl Robot {
     pub fn with_exact_tool(mut self, tool_mm: [f64; 3]) -> Self {
         self.uncertainty = Some(Box::new(self.known_uncertainty().without_tool()));
         self.geometry.tool = tool_mm.into();
+        self.has_tool = true;
         self
+    }
+
+    /// The same robot with a tool ball (flange frame, mm).
+    #[must_use]
+    pub fn with_tool(mut self, tool_mm: [f64; 3]) -> Self {
+        self.set_tool(tool_mm);
+        self
+    }
+
+    /// Refuses a robot whose tool ball nobody has stated: programs and lengths are about the ball.
+    pub fn check_tool(&self) -> Result<(), RobotFinding> {
+        if self.has_tool { Ok(()) } else { Err(RobotFinding::NoToolBall { robot: self.name.clone() }) }
     }
 
     /// The robot as its controller knows it: of an identified robot, the nominal one.

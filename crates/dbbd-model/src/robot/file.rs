@@ -62,15 +62,16 @@ struct RobotFile {
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RobotToolTable {
-    #[serde(deserialize_with = "fixed_array")]
-    ball_mm: [f64; 3],
+    /// Missing where nobody has stated it: a robot of the catalogue has no tool.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
+    ball_mm: Option<[f64; 3]>,
     #[serde(default = "usual_ball_u_mm")]
     ball_u_mm: f64,
 }
 
 impl Default for RobotToolTable {
     fn default() -> Self {
-        Self { ball_mm: [0.0; 3], ball_u_mm: usual_ball_u_mm() }
+        Self { ball_mm: None, ball_u_mm: usual_ball_u_mm() }
     }
 }
 
@@ -171,7 +172,7 @@ impl Robot {
 impl RobotFile {
     /// Checks the values that do not belong to a joint or a mass.
     fn check_values(&self) -> Result<(), PlausibilityFinding> {
-        let ball_mm = self.tool.ball_mm.into_iter().map(f64::abs).fold(0.0, f64::max);
+        let ball_mm = self.tool.ball_mm.into_iter().flatten().map(f64::abs).fold(0.0, f64::max);
         // If the nominal ball is at the flange, the identified one may be very near to it.
         let ball_mm = (ball_mm > 0.0 && self.nominal.is_none()).then_some(ball_mm);
         let values = [
@@ -184,7 +185,8 @@ impl RobotFile {
             ("temperature_c", self.temperature_c, Quantity::Temperature),
             ("[tool] ball_mm", ball_mm, Quantity::ToolBallDistance),
         ];
-        let coordinates = self.tool.ball_mm.map(|mm| ("[tool] ball_mm", Some(mm), Quantity::ArmLength));
+        let coordinates =
+            self.tool.ball_mm.unwrap_or_default().map(|mm| ("[tool] ball_mm", Some(mm), Quantity::ArmLength));
         coordinates
             .into_iter()
             .chain(values)
@@ -294,7 +296,7 @@ impl RobotFile {
             geometry: Geometry {
                 rows,
                 coupling,
-                tool: self.tool.ball_mm.into(),
+                tool: self.tool.ball_mm.unwrap_or_default().into(),
                 load,
                 compliance: joints.map(|joint| joint.compliance_rad_per_nm),
                 payload_compliance: joints.map(|joint| joint.payload_compliance_rad_per_nm),
@@ -306,6 +308,7 @@ impl RobotFile {
             max_speed_deg_s: joints.map(|joint| joint.max_speed_deg_s),
             max_acceleration_deg_s2: joints.map(|joint| joint.max_acceleration_deg_s2),
             tolerance: self.tolerance,
+            has_tool: self.tool.ball_mm.is_some(),
             ball_u_mm: self.tool.ball_u_mm,
             repeatability_mm: self.repeatability_mm,
             source: self.source,
@@ -376,7 +379,10 @@ impl RobotFile {
             temperature_c: robot.measured.temperature_c,
             controller: is_stated.then(|| ControllerTable::of(robot.controller_model, &robot.geometry.rows)),
             joint: robot.joint_tables(),
-            tool: RobotToolTable { ball_mm: robot.geometry.tool.into(), ball_u_mm: robot.ball_u_mm },
+            tool: RobotToolTable {
+                ball_mm: robot.has_tool.then(|| robot.geometry.tool.into()),
+                ball_u_mm: robot.ball_u_mm,
+            },
             tolerance: robot.tolerance,
             mounting: (*gravity != ArmLoad::DOWN).then(|| MountingTable { gravity: (*gravity).into() }),
             mass: masses.iter().filter(|_| is_written).map(mass).collect(),
@@ -434,7 +440,7 @@ mod tests {
 
     #[test]
     fn joint_errors_read_back() {
-        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let error = JointErrorModel {
             visited: VisitedAngles { middle: 0.2, scale: 0.4 },
             smooth: SmoothJointError { centre: 0.25, half_width: 3.0, coefficients: vec![1e-4, -2e-5] },

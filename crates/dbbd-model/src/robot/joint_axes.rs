@@ -176,7 +176,10 @@ mod tests {
 
     /// The flange of a table at angles that are added to those of the table.
     fn flange(rows: [DhRow; AXES], angles: [f64; AXES]) -> Pose {
-        let geometry = Geometry { rows, ..Robot::by_name("kr60ha").unwrap().unwrap().geometry };
+        let geometry = Geometry {
+            rows,
+            ..Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap().geometry
+        };
         geometry.frames(&std::array::from_fn(|at| rows[at].theta + angles[at]))[AXES - 1]
     }
 
@@ -232,9 +235,12 @@ mod tests {
     /// An axis that is inclined to the base has no place in a row: base and flange of the table are elsewhere, and say where.
     #[test]
     fn a_base_or_flange_that_no_row_expresses_is_returned() {
-        let rows = Robot::by_name("kr60ha").unwrap().unwrap().geometry.rows;
+        let rows = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap().geometry.rows;
         let moved = Pose::from_kuka([10.0, 20.0, 30.0], [40.0, 50.0, 60.0]);
-        let arm = Geometry { rows, ..Robot::by_name("kr60ha").unwrap().unwrap().geometry };
+        let arm = Geometry {
+            rows,
+            ..Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap().geometry
+        };
         let axes = arm.joint_axes().map(|axis| JointAxis {
             point: moved.position + moved.rotation * axis.point,
             direction: moved.rotation * axis.direction,

@@ -213,7 +213,7 @@ mod tests {
     /// Python from the table of the KR 60 HA: rows 3 to 6 are 850, 832.7, 0 and 170 mm long.
     #[test]
     fn masses_of_a_usual_arm_are_in_the_middle_of_its_links() {
-        let geometry = Robot::by_name("kr60ha").unwrap().unwrap().geometry;
+        let geometry = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap().geometry;
         let ArmLoad { masses, is_assumed, payloads, gravity } = geometry.load;
         assert!(is_assumed && payloads.is_empty() && gravity == ArmLoad::DOWN);
         let expected = [

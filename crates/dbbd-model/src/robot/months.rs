@@ -117,7 +117,7 @@ mod tests {
     use nalgebra::DMatrix;
 
     fn identified(ids: &[ParamId], sd: f64) -> Robot {
-        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let root = DMatrix::identity(ids.len(), ids.len()) * sd;
         robot.posterior = RobotPosterior::new(ids, &robot.geometry, &root);
         robot.uncertainty =

@@ -172,7 +172,7 @@ mod tests {
 
     #[test]
     fn posteriors_read_back_and_compare_their_values() {
-        let mut robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let mut robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let ids = [ParamId::A(Joint::J2), ParamId::Theta(Joint::J3), ParamId::D(Joint::J4)];
         let root = DMatrix::from_fn(3, 5, |i, j| ((5 * i + j) as f64).sin() * 1e-3);
         let posterior = RobotPosterior::new(&ids, &robot.geometry, &root).unwrap();
@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn base_balls_follow_the_parameters_of_the_robot() {
-        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let ball = |axis| ParamId::Ball(BallId::at(1), axis);
         let [x, y, z] = Coordinate::ALL.map(ball);
         let ids = [ParamId::A(Joint::J2), x, y, z];
@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn unsound_posteriors_are_recognised() {
-        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let ids = [ParamId::A(Joint::J2), ParamId::D(Joint::J4)];
         let sound = RobotPosterior::new(&ids, &robot.geometry, &DMatrix::identity(2, 2)).unwrap();
         assert!(sound.is_sound());

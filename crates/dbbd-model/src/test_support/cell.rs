@@ -31,8 +31,10 @@ pub(crate) const DESIGNED: [(&str, f64); 13] = [
     ("d6", -0.1091),
 ];
 
+/// A robot of the catalogue, with the tool ball of the paper or, of another one, at the flange.
 pub(crate) fn named(name: &str) -> Robot {
-    Robot::by_name(name).unwrap().unwrap()
+    let tool_mm = if name == "kr60ha" { [30.0, 20.0, 10.0] } else { [0.0; 3] };
+    Robot::by_name_with_tool(name, tool_mm).unwrap().unwrap()
 }
 
 pub(crate) fn kr60() -> Robot {

@@ -16,14 +16,14 @@ use dbbd_job::recording::run;
 use dbbd_model::base::date;
 use dbbd_model::base::hash::sha256;
 use dbbd_model::base::serialised;
+use dbbd_model::conformity::ConformityOutcome;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::{ArtefactRole, Identity, Provenance};
 
 /// The name of the capture among the files of a run.
 const CAPTURE: &str = "run.dbbd";
-/// The result of an interim check, and its decisions.
+/// The result of an interim check.
 const CHECK: &str = "check/check.json";
-const DECISIONS: [&str; 3] = ["pass", "fail", "undecided"];
 
 /// A file of a run.
 pub(super) struct LocalFile {
@@ -213,7 +213,8 @@ fn decision(kept: &[LocalFile], findings: &mut Vec<Diagnostic>) -> Option<String
     let text = files::read_at_most(&check.path, MAX_CHECK_FILE_BYTES).ok();
     let json = text.and_then(|text| serde_json::from_str::<Value>(&text).ok());
     let decision = json.and_then(|json| json.get("decision").and_then(Value::as_str).map(str::to_owned));
-    let decision = decision.filter(|decision| DECISIONS.contains(&decision.as_str()));
+    let is_known = |word: &String| ConformityOutcome::ALL.iter().any(|one| one.name() == word);
+    let decision = decision.filter(is_known);
     if decision.is_none() {
         findings.push(Diagnostic::file(check.path.display().to_string(), NotACheck));
     }

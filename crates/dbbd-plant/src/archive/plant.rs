@@ -9,6 +9,7 @@ use super::query::{ArchivedRun, like};
 use super::question::{Decided, Filter, Order};
 use super::work::{ArchivedResult, IdentifySettings, QueueCounts};
 use crate::ArchiveFinding::{NoSuchBar, NoSuchRobot};
+use dbbd_model::conformity::ConformityOutcome;
 use dbbd_model::diagnostic::Diagnostic;
 
 /// Rows of a page.
@@ -28,7 +29,10 @@ pub(super) struct RobotState {
 
 impl RobotState {
     pub(super) fn checked(&self) -> LastCheck<'_> {
-        LastCheck { on: self.checked.as_deref(), failed: self.decision.as_deref() == Some("fail") }
+        LastCheck {
+            on: self.checked.as_deref(),
+            failed: matches!(self.decision.as_deref(), Some("fail" | "changed")),
+        }
     }
 }
 
@@ -126,6 +130,8 @@ impl Archive {
             Decided::Any => "1 = 1",
             Decided::Pass => "decision = 'pass'",
             Decided::Fail => "decision = 'fail'",
+            Decided::Unchanged => "decision = 'unchanged'",
+            Decided::Changed => "decision = 'changed'",
             Decided::Undecided => "decision = 'undecided'",
             Decided::None => "decision IS NULL",
         };
@@ -173,18 +179,19 @@ impl Archive {
 
     /// Counts the robots by decision, and those that failed or were checked before the date `cutoff`.
     pub(super) fn totals(&mut self, cutoff: &str) -> Result<PlantTotals, Diagnostic> {
-        let sql = "SELECT coalesce(decision, 'none'), count(*), count(CASE WHEN checked < $1 OR decision = 'fail' THEN 1 END) \
+        let sql = "SELECT coalesce(decision, 'none'), count(*), count(CASE WHEN checked < $1 OR decision IN ('fail', 'changed') THEN 1 END) \
             FROM robot_state GROUP BY coalesce(decision, 'none')";
         let mut totals = PlantTotals::default();
-        let mut counts = [("pass", 0), ("fail", 0), ("undecided", 0), ("none", 0)];
+        let words = ConformityOutcome::ALL.map(ConformityOutcome::name);
+        let mut counts: Vec<(&str, u64)> = words.into_iter().chain(["none"]).map(|word| (word, 0)).collect();
         for (word, count, overdue) in self.database.tuples::<(String, u64, u64)>(sql, cutoff)? {
             totals.robots += count;
             totals.overdue += overdue;
             // An unknown decision counts as none.
-            let at = counts.iter().position(|(known, _)| *known == word).unwrap_or(3);
+            let at = counts.iter().position(|(known, _)| *known == word).unwrap_or(words.len());
             counts[at].1 += count;
         }
-        totals.decisions = counts.to_vec();
+        totals.decisions = counts;
         Ok(totals)
     }
 

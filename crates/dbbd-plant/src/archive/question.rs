@@ -35,6 +35,8 @@ pub enum Decided {
     Any,
     Pass,
     Fail,
+    Unchanged,
+    Changed,
     Undecided,
     /// The robot was never checked.
     None,

@@ -9,19 +9,29 @@ use dbbd_device::protocol::ProtocolDefinition;
 use dbbd_job::files;
 use dbbd_job::plan::{Job, PoseKind};
 use dbbd_job::recording::run::PlanFiles;
-use dbbd_model::diagnostic::Diagnostic;
+use dbbd_job::request::identify;
+use dbbd_model::base::date;
+use dbbd_model::conformity::StatedCheck;
+use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
 use dbbd_model::provenance::ArtefactRole;
 use dbbd_model::robot::Robot;
 use serde_json::Value;
 
+use crate::daemon::EndReason;
+use crate::daemon::service::jobs::FINDINGS;
 use crate::daemon::service::run_plans::{RunPlan, RunPlans};
 use crate::daemon::service::runs::{CAPTURE, entry_of, is_plain_directory, is_sound, list_recorded_runs};
+use crate::live::RunEntry;
 use crate::live::ServiceFinding::NamedOutside;
 
+/// Reason of the end of a complete run.
+pub(super) const END_MARK: &str = EndReason::Mark.reason();
 /// The number of newest runs whose plan is looked for.
 const MAX_RUNS: usize = 100;
 /// Directories of one robot that are looked into.
 const MAX_DIRECTORIES: usize = 200;
+/// A file of findings is smaller.
+const MAX_FINDINGS_BYTES: u64 = 1 << 20;
 /// The main module of a program.
 const MAIN: [&str; 5] = ["DBB_MAIN.dat", "DBB_MAIN.src", "DBB_MAIN.mod", "DBB_MAIN.script", "DBB_MAIN.ls"];
 /// Directory in which the page keeps a program that shall be corrected.
@@ -40,6 +50,8 @@ pub(super) struct FoundDirectory {
     pub times_ms: Vec<u64>,
     /// Time at which the newest file was written, ms since the Unix epoch.
     pub changed_ms: u64,
+    /// The findings of the job that wrote the files.
+    pub findings: Vec<FindingRecord>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -65,6 +77,8 @@ pub(super) struct FoundRun {
     pub path: String,
     pub plan_hash: String,
     pub changed_ms: u64,
+    /// When it began, as the results of it state it.
+    pub started: Option<String>,
     /// Reason of the end; `None` for a run that was cut off.
     pub reason: Option<String>,
     pub samples: Option<u64>,
@@ -88,10 +102,26 @@ pub(super) struct WorkFiles {
     pub plans: Vec<FoundPlan>,
     pub runs: Vec<FoundRun>,
     pub result: Option<FoundDocument>,
-    pub check: Option<FoundDocument>,
+    pub check: FoundCheck,
     pub certificate: Option<FoundDirectory>,
     pub programs: UserPrograms,
     pub simulated: bool,
+}
+
+/// The newest check of the calibration in `result`.
+#[derive(Default)]
+pub(super) enum FoundCheck {
+    #[default]
+    None,
+    /// There are only checks of other calibrations.
+    OfOther,
+    Of(FoundDocument),
+}
+
+impl FoundCheck {
+    pub(super) fn document(&self) -> Option<&FoundDocument> {
+        if let Self::Of(document) = self { Some(document) } else { None }
+    }
 }
 
 /// The programs that the user uploaded, and their corrected files.
@@ -136,7 +166,13 @@ impl FoundDirectory {
         let files: Vec<String> = names(&path).into_iter().filter(|file| path.join(file).is_file()).collect();
         let times_ms: Vec<u64> = files.iter().map(|file| changed_ms(&path.join(file))).collect();
         let changed_ms = times_ms.iter().copied().max().unwrap_or(0);
-        Self { name: name.into(), files, times_ms, changed_ms }
+        let mut read = Self { name: name.into(), files, times_ms, changed_ms, findings: Vec::new() };
+        // Files that the command line wrote since have other findings.
+        if read.written_ms(FINDINGS) == Some(changed_ms) {
+            let text = files::read_at_most(&path.join(FINDINGS), MAX_FINDINGS_BYTES).ok();
+            read.findings = text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+        }
+        read
     }
 
     pub(super) fn has(&self, file: &str) -> bool {
@@ -227,7 +263,7 @@ impl WorkFiles {
                 job,
             });
         }
-        let mut programs = Vec::new();
+        let (mut programs, mut checks) = (Vec::new(), Vec::new());
         let inner = names(&directory).into_iter().filter(|name| is_plain_directory(&directory.join(name)));
         for name in inner.take(MAX_DIRECTORIES) {
             let inside = FoundDirectory::read(&directory, &name);
@@ -240,9 +276,13 @@ impl WorkFiles {
                 };
                 *place = (!inside.files.is_empty()).then_some(inside);
             } else if inside.has("result.json") {
-                keep_newest(&mut found.result, &path.join("result.json"), inside);
+                let is_newest = |one: &FoundDocument| one.directory.changed_ms < inside.changed_ms;
+                if found.result.as_ref().is_none_or(is_newest) {
+                    let read = FoundDocument::read(&path.join("result.json"), inside);
+                    found.result = read.or(found.result);
+                }
             } else if inside.has("check.json") {
-                keep_newest(&mut found.check, &path.join("check.json"), inside);
+                checks.extend(FoundDocument::read(&path.join("check.json"), inside));
             } else if inside.has("certificate.html") {
                 if found.certificate.as_ref().is_none_or(|one| one.changed_ms < inside.changed_ms) {
                     found.certificate = Some(inside);
@@ -255,6 +295,16 @@ impl WorkFiles {
                 programs.push((inside, texts.collect::<String>()));
             }
         }
+        let robot =
+            found.result.as_ref().map(|result| directory.join(&result.directory.name).join(identify::ROBOT));
+        let sha256 = robot.and_then(|robot| files::sha256(&robot).ok());
+        let is_own = |check: &FoundDocument| {
+            let stated: Option<StatedCheck> = serde_json::from_value(check.content.clone()).ok();
+            stated.zip(sha256.as_ref()).is_some_and(|(check, robot)| check.is_of(robot))
+        };
+        let without_own = if checks.is_empty() { FoundCheck::None } else { FoundCheck::OfOther };
+        let own = checks.into_iter().filter(is_own);
+        found.check = own.max_by_key(|check| check.directory.changed_ms).map_or(without_own, FoundCheck::Of);
         found.plans.sort_by_key(|plan| std::cmp::Reverse(plan.directory.changed_ms));
         for plan in &mut found.plans {
             // The provenance of a program may name other plans too.
@@ -284,18 +334,18 @@ impl WorkFiles {
     pub(super) fn changed_ms(&self) -> Option<u64> {
         let job = self.job.as_ref().map(|job| changed_ms(&self.directory.join(&job.file)));
         let directories = self.plans.iter().map(|plan| &plan.directory);
-        let documents = [&self.result, &self.check].into_iter().flatten().map(|one| &one.directory);
+        let documents =
+            [self.result.as_ref(), self.check.document()].into_iter().flatten().map(|one| &one.directory);
         let others = [&self.certificate, &self.programs.corrected].into_iter().flatten();
         let changed = directories.chain(documents).chain(others).map(|one| one.changed_ms);
         changed.chain(self.runs.iter().map(|run| run.changed_ms)).chain(job).max()
     }
 }
 
-fn keep_newest(place: &mut Option<FoundDocument>, path: &Path, directory: FoundDirectory) {
-    let is_newest = place.as_ref().is_none_or(|one| one.directory.changed_ms < directory.changed_ms);
-    let content = files::read_text(path).ok().and_then(|text| serde_json::from_str(&text).ok());
-    if let Some(content) = content.filter(|_| is_newest) {
-        *place = Some(FoundDocument { directory, content });
+impl FoundDocument {
+    fn read(path: &Path, directory: FoundDirectory) -> Option<Self> {
+        let content = serde_json::from_str(&files::read_text(path).ok()?).ok()?;
+        Some(Self { directory, content })
     }
 }
 
@@ -363,7 +413,7 @@ fn found_runs(directory: &Path, data: &Path, running: Option<&str>, run_plans: &
         let path = directory.join(&name);
         let Ok(entry) = entry_of(&name, &path, None, Vec::new()) else { continue };
         if let Some(RunPlan { hash: plan_hash, .. }) = run_plans.of(&path, entry.started_unix_ms) {
-            found.push(FoundRun::new(name.clone(), name, plan_hash, changed_ms(&path), entry.ended));
+            found.push(FoundRun::new(name.clone(), name, plan_hash, changed_ms(&path), entry));
         }
     }
     let of_service = list_recorded_runs(data, running).unwrap_or_default();
@@ -371,7 +421,7 @@ fn found_runs(directory: &Path, data: &Path, running: Option<&str>, run_plans: &
         let path = data.join(&entry.name).join(CAPTURE);
         if let Some(RunPlan { hash: plan_hash, .. }) = run_plans.of(&path, entry.started_unix_ms) {
             let shown = relative(directory, &path).display().to_string();
-            found.push(FoundRun::new(entry.name, shown, plan_hash, changed_ms(&path), entry.ended));
+            found.push(FoundRun::new(entry.name.clone(), shown, plan_hash, changed_ms(&path), entry));
         }
     }
     found
@@ -389,14 +439,15 @@ fn relative(directory: &Path, path: &Path) -> PathBuf {
 }
 
 impl FoundRun {
-    fn new(
-        name: String,
-        path: String,
-        plan_hash: String,
-        changed_ms: u64,
-        ended: Option<crate::live::Ended>,
-    ) -> Self {
+    /// Whether it reached the end of its program.
+    pub(super) fn is_complete(&self) -> bool {
+        self.reason.as_deref() == Some(END_MARK)
+    }
+
+    fn new(name: String, path: String, plan_hash: String, changed_ms: u64, entry: RunEntry) -> Self {
+        let RunEntry { started_unix_ms, ended, .. } = entry;
+        let started = started_unix_ms.map(|ms| date::utc(ms * 1_000_000));
         let (reason, samples) = ended.map(|ended| (ended.reason, ended.samples)).unzip();
-        Self { name, path, plan_hash, changed_ms, reason, samples }
+        Self { name, path, plan_hash, changed_ms, started, reason, samples }
     }
 }

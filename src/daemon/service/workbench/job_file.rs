@@ -9,8 +9,12 @@ use crate::live::ServiceFinding::{self, JobKey};
 pub(super) const HEAD: &str =
     "# A job for `dbbd plan`: lengths in mm, angles in degrees. examples/demo.toml explains every key.\n";
 
+/// The key that says which table of the file an object of a list is: its place from 0. An object without it is new.
+const ROW: &str = "row";
+
 /// Sets the keys of `keys` in a table. Null removes a key; an object is set in the table of that name; a list of
-/// objects is a list of tables: the first ones are kept and edited, and surplus ones are removed.
+/// objects is the whole list of tables: each object names its table by [`ROW`], which keeps its other keys and comments.
+/// Tables that no object names are removed.
 pub(super) fn set_keys(document: &mut DocumentMut, keys: &Value) -> Result<(), ServiceFinding> {
     set_in(document.as_table_mut(), keys, "job")
 }
@@ -32,15 +36,7 @@ fn set_in(table: &mut Table, keys: &Value, at: &str) -> Result<(), ServiceFindin
             Value::Array(all) if is_tables(all) => {
                 let list = table.entry(key).or_insert_with(|| Item::ArrayOfTables(ArrayOfTables::new()));
                 let list = list.as_array_of_tables_mut().ok_or_else(|| wrong(key))?;
-                while list.len() > all.len() {
-                    list.remove(list.len() - 1);
-                }
-                for (place, wanted) in all.iter().enumerate() {
-                    if list.len() == place {
-                        list.push(Table::new());
-                    }
-                    set_in(list.get_mut(place).ok_or_else(|| wrong(key))?, wanted, key)?;
-                }
+                *list = edited_tables(list, all, key)?;
             }
             // An empty list removes a list of tables.
             Value::Array(all) if all.is_empty() && table.get(key).is_some_and(Item::is_array_of_tables) => {
@@ -53,6 +49,27 @@ fn set_in(table: &mut Table, keys: &Value, at: &str) -> Result<(), ServiceFindin
         }
     }
     Ok(())
+}
+
+/// The tables of a list that objects name, with their keys set, and new ones.
+fn edited_tables(before: &ArrayOfTables, all: &[Value], key: &str) -> Result<ArrayOfTables, ServiceFinding> {
+    let wrong = || JobKey { key: key.into() };
+    let mut left: Vec<Option<&Table>> = before.iter().map(Some).collect();
+    let mut after = ArrayOfTables::new();
+    for wanted in all {
+        let mut keys = wanted.as_object().cloned().ok_or_else(wrong)?;
+        let mut table = match keys.remove(ROW) {
+            None => Table::new(),
+            Some(row) => {
+                let row = row.as_u64().and_then(|row| usize::try_from(row).ok()).ok_or_else(wrong)?;
+                // No two objects are the same table.
+                left.get_mut(row).and_then(Option::take).ok_or_else(wrong)?.clone()
+            }
+        };
+        set_in(&mut table, &Value::Object(keys), key)?;
+        after.push(table);
+    }
+    Ok(after)
 }
 
 /// Sets a value unless it is there already, and keeps the comment behind the old one.
@@ -113,6 +130,8 @@ mod tests {
 # My cell.
 robot = \"kr60ha\"  # the new one
 
+[tool]
+ball_mm = [30.0, 20.0, 10.0]
 [bar]
 length_mm = 300.0 # certificate of May
 stroke_mm = [-5.0, 5.0]
@@ -138,18 +157,36 @@ points = 80
     fn the_same_values_leave_the_file_as_it_is() {
         let keys = json!({
             "robot": "kr60ha", "bar": { "length_mm": 300, "stroke_mm": [-5, 5] },
-            "centre": [{ "id": 1, "xyz_mm": [1300, 0, 800] }], "circle": [{ "plane": "XY", "points": 80 }],
+            "centre": [{ "row": 0, "id": 1, "xyz_mm": [1300, 0, 800] }], "circle": [{ "row": 0 }],
         });
         assert_eq!(edited(&keys), HAND_WRITTEN);
     }
 
     #[test]
     fn a_changed_value_keeps_comments_and_unknown_keys() {
-        let text =
-            edited(&json!({ "bar": { "length_mm": 299.5 }, "circle": [{ "points": 40 }, { "points": 12 }] }));
+        let text = edited(
+            &json!({ "bar": { "length_mm": 299.5 }, "circle": [{ "row": 0, "points": 40 }, { "points": 12 }] }),
+        );
         let wanted = HAND_WRITTEN.replace("300.0 #", "299.5 #").replace("points = 80", "points = 40");
         assert!(text.starts_with(&wanted), "{text}");
         assert!(text.trim_end().ends_with("[[circle]]\npoints = 12"), "{text}");
+    }
+
+    /// A ball that is removed takes its own keys and comments with it, not those of its neighbour.
+    #[test]
+    fn a_removed_table_leaves_the_others_as_they_are() {
+        let second =
+            "\n# the shelf\n[[centre]]\nid = 2\nxyz_mm = [950.0, 700.0, 1100.0]\ncup_axis = [1, 0, 0]\n";
+        let text = HAND_WRITTEN.replace("\n[[circle]]", &format!("{second}\n[[circle]]"));
+        let mut document: DocumentMut = text.parse().unwrap();
+        set_keys(&mut document, &json!({ "centre": [{ "row": 1 }] })).unwrap();
+        let first = "\n# the post\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n";
+        assert_eq!(document.to_string(), text.replace(first, ""));
+        for rows in [json!([{ "row": 0 }, { "row": 0 }]), json!([{ "row": 2 }]), json!([{ "row": -1 }])] {
+            let mut document: DocumentMut = text.parse().unwrap();
+            let refused = set_keys(&mut document, &json!({ "centre": rows }));
+            assert!(matches!(refused, Err(JobKey { key }) if key == "centre"));
+        }
     }
 
     #[test]

@@ -11,8 +11,10 @@ mod steps;
 mod trial;
 
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 
 use dbbd_device::clock;
+use dbbd_device::sync::lock;
 use dbbd_job::page::Download;
 use dbbd_job::plan::Job;
 use dbbd_job::request::Request;
@@ -23,23 +25,25 @@ use dbbd_job::request::identify::IdentifyRequest;
 use dbbd_job::request::plan::{CheckPoses, PlanRequest, PlannedPoses};
 use dbbd_job::request::scene::CellScene;
 use dbbd_model::base::date;
+use dbbd_model::base::hash::sha256;
+use dbbd_model::conformity::Standing;
 use dbbd_model::diagnostic::Diagnostic;
 use serde_json::{Value, json};
 use toml_edit::DocumentMut;
 
-use self::files::{CORRECTED, FoundPlan, UPLOADED, WorkFiles, WorkJob, WorkPlace};
+use self::files::{CORRECTED, FoundPlan, FoundRun, UPLOADED, WorkFiles, WorkJob, WorkPlace};
 use self::steps::{Activity, CheckPart};
 use super::jobs::{JobSubject, JobWork};
 use super::log::LogLevel;
 use super::runs::{is_plain_directory, is_sound, open_plain};
 use super::{LineUse, Supervisor};
 use crate::live::ServiceFinding::{
-    LinkedDirectory, NoResult, NoRobot, ProgramName, RobotIsMeasured, RobotName, RobotTaken, RunIsOn,
-    StepTooEarly, Unwritten,
+    JobChanged, LinkedDirectory, NoResult, NoRobot, NoRun, ProgramName, RobotIsMeasured, RobotName,
+    RobotTaken, RunIsOn, StepTooEarly, Unwritten,
 };
 use crate::live::{
-    EvaluationJob, NewRobot, ProgramUpload, RobotSummary, RobotWork, StepOptions, StepReport, StepState,
-    WorkStep, Workbench,
+    EvaluationJob, JobEdit, JobInForce, NewRobot, ProgramUpload, RobotSummary, RobotWork, StepOptions,
+    StepReport, StepState, WorkStep, Workbench,
 };
 
 /// The name of the simulated cell.
@@ -50,6 +54,8 @@ const PROGRAM_ENDS: [&str; 6] = [".src", ".dat", ".mod", ".pgf", ".script", ".ls
 const MAX_UPLOADED: usize = 50;
 /// The declarations of a controller, as the page names them (`$config.dat` is no plain name).
 const CONFIG: &str = "config.dat";
+/// Locked while the file of a job is edited.
+static EDITED: Mutex<()> = Mutex::new(());
 
 impl Supervisor {
     /// The files of a robot.
@@ -123,6 +129,22 @@ fn too_early(step: WorkStep) -> Diagnostic {
     StepTooEarly { step: step.name() }.into()
 }
 
+/// The run that a client chose, else the newest complete one.
+fn chosen_run<'a>(
+    files: &'a WorkFiles,
+    plan: &FoundPlan,
+    options: &StepOptions,
+) -> Result<&'a FoundRun, Diagnostic> {
+    let usable = steps::usable_runs(files, plan);
+    match &options.run {
+        None => usable.first().copied().ok_or_else(|| too_early(WorkStep::Result)),
+        Some(name) => {
+            let chosen = usable.into_iter().find(|run| run.name == *name);
+            chosen.ok_or_else(|| NoRun { run: name.clone() }.into())
+        }
+    }
+}
+
 /// The computation of a step, and the name of the directory of its results.
 fn work_of(
     files: &WorkFiles,
@@ -143,7 +165,7 @@ fn work_of(
         }
         WorkStep::Programs => return Ok(programs_of(plan(false)?)),
         WorkStep::Result => {
-            let run = steps::usable_run(files, plan(false)?).ok_or_else(early)?;
+            let run = chosen_run(files, plan(false)?, options)?;
             let request = IdentifyRequest {
                 input: run.path.clone().into(),
                 out: result.clone().into(),
@@ -166,6 +188,7 @@ fn work_of(
                 tool_mm_deg: None,
                 base_mm_deg: None,
                 payload: None,
+                plan: None,
                 nominal_controller: false,
                 datum: ProgramDatum::Program,
                 limit_mm: DEFAULT_LIMIT_MM,
@@ -185,8 +208,8 @@ fn work_of(
             CheckPart::Programs => return Ok(programs_of(plan(true)?)),
             CheckPart::Measure => return Err(early()),
             CheckPart::Decide => {
-                let run = steps::usable_run(files, plan(true)?).ok_or_else(early)?;
-                let out = files.check.as_ref().map_or("check", |check| &check.directory.name).to_owned();
+                let run = chosen_run(files, plan(true)?, options)?;
+                let out = files.check.document().map_or("check", |check| &check.directory.name).to_owned();
                 let request = CheckRequest::new(
                     run.path.clone().into(),
                     identified,
@@ -199,12 +222,13 @@ fn work_of(
         WorkStep::Certificate => {
             files.result.as_ref().ok_or_else(early)?;
             let out = files.certificate.as_ref().map_or("certificate", |made| &made.name).to_owned();
-            let check = files.check.as_ref().map(|check| PathBuf::from(&check.directory.name));
+            let check = files.check.document().map(|check| PathBuf::from(&check.directory.name));
             let request = CertificateRequest {
                 result: result.into(),
                 out: out.clone().into(),
                 check,
                 identity: None,
+                specimen: steps::is_simulated(files),
                 replace: false,
             };
             (Request::Certificate(request), out)
@@ -267,6 +291,7 @@ impl Workbench for Supervisor {
         let directory = files.directory.display().to_string();
         Ok(RobotWork {
             robot: robot_of(&files),
+            simulated_readings: steps::is_simulated(&files),
             name: files.name,
             directory,
             simulated: files.simulated,
@@ -300,17 +325,26 @@ impl Workbench for Supervisor {
         Ok(DEMO.into())
     }
 
-    fn job_of(&self, robot: &str) -> Result<Value, Diagnostic> {
+    fn job_of(&self, robot: &str) -> Result<JobInForce, Diagnostic> {
         let files = self.files_of(robot)?;
-        let Some(WorkJob { file: name, .. }) = &files.job else { return Ok(Value::Null) };
+        let Some(WorkJob { file: name, .. }) = &files.job else {
+            return Ok(JobInForce { job: Value::Null, sha256: None });
+        };
         let text = dbbd_job::files::read_definition(&files.directory.join(name))?;
-        dbbd_model::base::parse::from_toml(name, &text)
+        let job = dbbd_model::base::parse::from_toml(name, &text)?;
+        Ok(JobInForce { job, sha256: Some(sha256(text)) })
     }
 
-    fn edit_job(&self, robot: &str, keys: &Value) -> Result<(), Diagnostic> {
+    fn edit_job(&self, robot: &str, edit: &JobEdit) -> Result<(), Diagnostic> {
+        // One edit after the other: of two with the same hash the second one is refused.
+        let _one = lock(&EDITED);
         let files = self.files_of(robot)?;
         self.check_unlocked(&files)?;
-        let (path, document) = edited_job(&files, keys)?;
+        let (path, document) = edited_job(&files, &edit.keys)?;
+        let present = path.exists().then(|| dbbd_job::files::sha256(&path)).transpose()?;
+        if present != edit.sha256 {
+            return Err(JobChanged.into());
+        }
         self.write_job(&path, &document)?;
         self.log.event(LogLevel::Info, "job_edited", &[("robot", &robot)]);
         Ok(())
@@ -390,6 +424,9 @@ impl Workbench for Supervisor {
             | WorkStep::Certificate => {}
         }
         let (work, out) = work_of(&files, step, &options)?;
+        if let JobWork::Request(request) = &work {
+            request.check_numbers()?;
+        }
         check_plain(&files.directory, &out)?;
         self.check_job_of(&files)?;
         let kind = match &work {
@@ -403,7 +440,8 @@ impl Workbench for Supervisor {
                 Request::Certificate(_) => "certificate",
             },
         };
-        let subject = JobSubject { kind, run: String::new(), step: Some((files.name, step)) };
+        let results = Some(files.directory.join(&out));
+        let subject = JobSubject { kind, run: String::new(), step: Some((files.name, step)), results };
         let job = self.jobs.submit(subject, work, files.directory)?;
         self.log.event(LogLevel::Info, "job_taken", &[("job", &job.id), ("kind", &kind), ("robot", &robot)]);
         Ok(job)
@@ -438,18 +476,23 @@ fn robot_of(files: &WorkFiles) -> Option<String> {
     of_job.or_else(of_result)
 }
 
-/// The summary of a robot, which shows its last decision: the result if its validity is over; else the check, if there
-/// is one; else the result; else the next step.
+/// The summary of a robot, which shows what decides on its standing: a check of its calibration, unless the validity is over;
+/// else the result; else the next step.
 fn summary(files: &WorkFiles, steps: &[StepReport], changed_unix_ms: Option<u64>) -> RobotSummary {
     let is_done = |step: &&StepReport| step.state == StepState::Done;
-    let decision = |wanted| steps.iter().find(|step| step.step == wanted).filter(is_done);
-    let over = decision(WorkStep::Result).filter(|result| result.text == "result.over");
-    let decided = over.or_else(|| decision(WorkStep::Check)).or_else(|| decision(WorkStep::Result));
+    let of = |wanted| steps.iter().find(|step| step.step == wanted);
+    let decided = match steps::standing_of(files, &today()) {
+        Some(Standing::Over { .. }) => of(WorkStep::Result),
+        Some(_) if files.check.document().is_some() => of(WorkStep::Check),
+        Some(_) => of(WorkStep::Result).filter(is_done),
+        None => None,
+    };
     let open = steps.iter().find(|step| !is_done(step));
     let shown = decided.or(open).or(steps.first());
     RobotSummary {
         name: files.name.clone(),
         robot: robot_of(files),
+        simulated_readings: steps::is_simulated(files),
         step: shown.map_or(WorkStep::Robot, |step| step.step),
         state: shown.map_or(StepState::Todo, |step| step.state),
         verdict: shown.map_or(crate::live::StepVerdict::None, |step| step.verdict),

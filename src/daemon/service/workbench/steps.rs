@@ -2,19 +2,21 @@
 
 use dbbd_job::request::identify;
 use dbbd_model::base::date;
+use dbbd_model::conformity::{ConformityOutcome, Standing, StatedCheck, StatedResult, standing};
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord, Severity};
+use dbbd_model::provenance::Provenance;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use super::exclusions;
 use super::files::{
-    CORRECTED, FoundDirectory, FoundDocument, FoundPlan, FoundRun, UPLOADED, WorkFiles, WorkJob,
+    CORRECTED, FoundCheck, FoundDirectory, FoundDocument, FoundPlan, FoundRun, UPLOADED, WorkFiles, WorkJob,
 };
 use crate::live::{
-    EvaluationJob, ExplainedFinding, JobState, StepAction, StepReport, StepState, StepVerdict, WorkStep,
+    EvaluationJob, ExplainedFinding, JobState, RunChoice, StepAction, StepReport, StepState, StepVerdict,
+    WorkStep,
 };
 
-/// Reason of the end of a complete run.
-const END_MARK: &str = "the program's end mark";
 /// Number of findings that are shown of a result.
 const MAX_FINDINGS: usize = 40;
 /// A renewal is offered this many months before a calibration ends.
@@ -53,6 +55,7 @@ struct Drafted {
     label: &'static str,
     command: String,
     plan: Option<String>,
+    runs: Vec<RunChoice>,
     directory: Option<FoundDirectory>,
 }
 
@@ -68,6 +71,7 @@ impl Drafted {
             label: "act.none",
             command: String::new(),
             plan: None,
+            runs: Vec::new(),
             directory: None,
         }
     }
@@ -115,9 +119,9 @@ pub(super) fn steps(files: &WorkFiles, now: &Activity<'_>) -> Vec<StepReport> {
         (WorkStep::Programs, programs(files)),
         (WorkStep::Measure, measure(files, now)),
         (WorkStep::Result, result(files, now)),
-        (WorkStep::Correct, correct(files)),
+        (WorkStep::Correct, correct(files, now)),
         (WorkStep::Check, check(files, now)),
-        (WorkStep::Certificate, certificate(files)),
+        (WorkStep::Certificate, certificate(files, now)),
     ]
     .map(|(step, drafted)| report(step, drafted, now))
     .into()
@@ -143,8 +147,12 @@ fn report(step: WorkStep, mut drafted: Drafted, now: &Activity<'_>) -> StepRepor
         }
         Some(JobState::Failed | JobState::Done | JobState::Warned | JobState::Cancelled) | None => {}
     }
-    if let Some(job) = job.filter(|_| findings.is_empty()) {
-        findings.clone_from(&job.findings);
+    let directory = drafted.directory.unwrap_or_default();
+    if findings.is_empty() {
+        findings = match job {
+            Some(job) if job.state != JobState::Done && job.state != JobState::Warned => job.findings.clone(),
+            _ => directory.findings.iter().cloned().map(now.explain).collect(),
+        };
     }
     findings.sort_by_key(|one| match one.finding.severity {
         Severity::Error => 0,
@@ -152,7 +160,6 @@ fn report(step: WorkStep, mut drafted: Drafted, now: &Activity<'_>) -> StepRepor
         Severity::Info => 2,
     });
     findings.truncate(MAX_FINDINGS);
-    let directory = drafted.directory.unwrap_or_default();
     StepReport {
         step,
         state: drafted.state,
@@ -164,6 +171,7 @@ fn report(step: WorkStep, mut drafted: Drafted, now: &Activity<'_>) -> StepRepor
         label: drafted.label,
         command: drafted.command,
         plan: drafted.plan,
+        runs: drafted.runs,
         changed_unix_ms: (!directory.files.is_empty()).then_some(directory.changed_ms),
         directory: directory.name,
         files: directory.files,
@@ -229,18 +237,28 @@ pub(super) fn planned<'a>(files: &'a WorkFiles, is_check: bool, today: &str) -> 
 /// Whether the next plan renews the calibration: its validity is over or nearly over, and the job was not changed since
 /// it was planned.
 fn is_renewed(files: &WorkFiles, today: &str) -> bool {
-    let left = files.result.as_ref().and_then(|result| months_left(result, today));
+    let left = months_left(files, today);
     let is_current = files.plan(false).is_none_or(|plan| !is_stale(files, plan));
     left.is_some_and(|months| months < RENEWAL_MONTHS) && is_current
 }
 
 /// Months until the end of the validity; `None` if the end is not known.
-fn months_left(result: &FoundDocument, today: &str) -> Option<f64> {
-    date::months_between(today, result.content["validity"]["until"].as_str()?)
+fn months_left(files: &WorkFiles, today: &str) -> Option<f64> {
+    let check: Option<StatedCheck> = files.check.document().and_then(stated);
+    let result: StatedResult = stated(files.result.as_ref()?)?;
+    date::months_between(today, result.until(check.as_ref())?)
 }
 
-fn is_over(result: &FoundDocument, today: &str) -> bool {
-    months_left(result, today).is_some_and(|months| months < 0.0)
+/// Whether the calibration of the newest result may be used.
+pub(super) fn standing_of(files: &WorkFiles, today: &str) -> Option<Standing> {
+    let result = stated(files.result.as_ref()?)?;
+    let check: Option<StatedCheck> = files.check.document().and_then(stated);
+    Some(standing(&result, check.as_ref(), Some(today)))
+}
+
+/// What a document states.
+fn stated<T: DeserializeOwned>(document: &FoundDocument) -> Option<T> {
+    serde_json::from_value(document.content.clone()).ok()
 }
 
 /// The file of the identified robot.
@@ -263,7 +281,8 @@ fn plan(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
         (plan, Some(result))
             if plan.is_none_or(|plan| plan.directory.changed_ms < result.directory.changed_ms) =>
         {
-            let text = if is_over(result, now.today) { "plan.over" } else { "plan.ends" };
+            let is_over = matches!(standing_of(files, now.today), Some(Standing::Over { .. }));
+            let text = if is_over { "plan.over" } else { "plan.ends" };
             let values = json!({ "until": result.content["validity"]["until"] });
             let ready = Drafted::new(StepState::Ready, StepVerdict::None, text, values);
             ready.acting(StepAction::Compute, "act.renew")
@@ -349,15 +368,23 @@ fn of_run(run: &FoundRun) -> Drafted {
     let values = json!({ "run": run.name, "samples": run.samples, "reason": run.reason });
     match (run.samples, run.reason.as_deref()) {
         (Some(0), _) => Drafted::new(StepState::Attention, StepVerdict::Fail, "measure.empty", values),
-        (Some(_), Some(END_MARK)) => Drafted::done(StepVerdict::Pass, "measure.done", values),
+        (Some(_), Some(_)) if run.is_complete() => Drafted::done(StepVerdict::Pass, "measure.done", values),
         (Some(_), _) => Drafted::new(StepState::Attention, StepVerdict::Undecided, "measure.early", values),
         (None, _) => Drafted::new(StepState::Attention, StepVerdict::Undecided, "measure.cut_off", values),
     }
 }
 
-/// The run that a result is made from: one with samples.
+/// The runs of a plan with samples, those that reached the end of their program first, then by their times.
+pub(super) fn usable_runs<'a>(files: &'a WorkFiles, plan: &FoundPlan) -> Vec<&'a FoundRun> {
+    let of_plan = files.runs.iter().filter(|run| run.plan_hash == plan.hash && run.samples != Some(0));
+    let (mut usable, others): (Vec<_>, Vec<_>) = of_plan.partition(|run| run.is_complete());
+    usable.extend(others);
+    usable
+}
+
+/// The run that a result is made from: the newest complete one. A run that was cut off never replaces it.
 pub(super) fn usable_run<'a>(files: &'a WorkFiles, plan: &FoundPlan) -> Option<&'a FoundRun> {
-    files.run(plan).filter(|run| run.samples != Some(0))
+    usable_runs(files, plan).first().copied()
 }
 
 /// The directory of the newest result, or the directory for a new one.
@@ -377,20 +404,39 @@ fn result(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
             Drafted::ready("result.stale").acting(StepAction::Compute, "act.result")
         }
         (Some(result), run) => {
-            let done = of_result(result, is_over(result, now.today));
+            let done = of_result(files, result, now.today);
             if run.is_some() { done.acting(StepAction::Compute, "act.result_again") } else { done }
         }
     };
-    drafted.command(command).made(files.result.as_ref().map(|result| &result.directory))
+    let mut drafted = drafted.command(command).made(files.result.as_ref().map(|result| &result.directory));
+    drafted.runs = choices(files, files.plan(false));
+    drafted
 }
 
-fn of_result(result: &FoundDocument, is_over: bool) -> Drafted {
+/// The runs of a plan to choose from.
+fn choices(files: &WorkFiles, plan: Option<&FoundPlan>) -> Vec<RunChoice> {
+    let usable = plan.map(|plan| usable_runs(files, plan)).unwrap_or_default();
+    let choice = |run: &FoundRun| RunChoice {
+        name: run.name.clone(),
+        complete: run.is_complete(),
+        samples: run.samples,
+    };
+    usable.into_iter().map(choice).collect()
+}
+
+fn of_result(files: &WorkFiles, result: &FoundDocument, today: &str) -> Drafted {
+    let standing = standing_of(files, today);
     let content = &result.content;
     let found: Vec<FindingRecord> =
         content["findings"].as_array().into_iter().flatten().filter_map(recorded).collect();
-    let has_warnings = found.iter().any(|finding| finding.severity != Severity::Info);
-    let verdict = if has_warnings || is_over { StepVerdict::Undecided } else { StepVerdict::Pass };
-    let validity = &content["validity"];
+    let run = files
+        .runs
+        .iter()
+        .find(|run| run.started.as_deref() == content["provenance"]["identity"]["measured"].as_str());
+    let until = match &standing {
+        Some(Standing::Usable { until: Some(until) } | Standing::Over { until }) => Some(until.clone()),
+        _ => None,
+    };
     let values = json!({
         "robot": content["robot"], "measurements": content["measurements"],
         "u_mm": content["budget"]["expanded_mm"], "k": content["budget"]["coverage_factor"],
@@ -398,15 +444,18 @@ fn of_result(result: &FoundDocument, is_over: bool) -> Drafted {
         "after_um": micrometres(&content["residual_mm"]["after"]["rms"]),
         "nominal_mm": content["predicted_position_uncertainty_mm"]["nominal"]["p95"],
         "identified_mm": content["predicted_position_uncertainty_mm"]["identified"]["p95"],
-        "rank": content["rank"], "until": validity["until"],
+        "rank": content["rank"], "until": until, "run": run.map(|run| &run.name),
     });
-    let text = match (has_warnings, &validity["until"]) {
-        _ if is_over => "result.over",
-        (true, _) => "result.warned",
-        (false, Value::String(_)) => "result.valid",
-        (false, _) => "result.found",
+    let mut drafted = match standing {
+        Some(Standing::Usable { until: Some(_) }) => Drafted::done(StepVerdict::Pass, "result.valid", values),
+        Some(Standing::Usable { until: None }) => Drafted::done(StepVerdict::Pass, "result.found", values),
+        Some(Standing::Undecided) => Drafted::done(StepVerdict::Undecided, "result.undecided", values),
+        Some(Standing::Over { .. }) => Drafted::done(StepVerdict::Undecided, "result.over", values),
+        Some(Standing::Failed) => {
+            Drafted::new(StepState::Attention, StepVerdict::Fail, "result.failed", values)
+        }
+        Some(Standing::Warned) | None => Drafted::done(StepVerdict::Undecided, "result.warned", values),
     };
-    let mut drafted = Drafted::done(verdict, text, values);
     drafted.findings = found;
     drafted
 }
@@ -419,7 +468,7 @@ fn micrometres(mm: &Value) -> Option<f64> {
     mm.as_f64().map(|mm| 1e3 * mm)
 }
 
-fn correct(files: &WorkFiles) -> Drafted {
+fn correct(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
     let robot = identified_robot(files);
     let next = uncorrected(files).first().copied().or(programs_in(files.programs.uploaded.as_ref()).next());
     let program = next.unwrap_or("PROGRAM.src");
@@ -427,6 +476,7 @@ fn correct(files: &WorkFiles) -> Drafted {
     if files.result.is_none() {
         return Drafted::todo("correct.no_result").command(command);
     }
+    let is_failed = standing_of(files, now.today) == Some(Standing::Failed);
     let left = uncorrected(files);
     let all = programs_in(files.programs.uploaded.as_ref()).count();
     let drafted = match &files.programs.corrected {
@@ -438,8 +488,14 @@ fn correct(files: &WorkFiles) -> Drafted {
         }
         Some(_) | None => {
             let values = json!({ "left": left.len(), "all": all });
-            let ready = Drafted::new(StepState::Ready, StepVerdict::None, "correct.uploaded", values);
-            ready.acting(StepAction::Compute, "act.correct")
+            if is_failed {
+                let attention =
+                    Drafted::new(StepState::Attention, StepVerdict::Fail, "correct.failed", values);
+                attention.acting(StepAction::Compute, "act.correct_anyway")
+            } else {
+                let ready = Drafted::new(StepState::Ready, StepVerdict::None, "correct.uploaded", values);
+                ready.acting(StepAction::Compute, "act.correct")
+            }
         }
     };
     drafted.command(command).made(files.programs.corrected.as_ref())
@@ -479,7 +535,7 @@ pub(super) fn check_part(files: &WorkFiles) -> Option<CheckPart> {
 
 fn check(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
     let robot = identified_robot(files);
-    let directory = files.check.as_ref().map_or("check", |check| &check.directory.name);
+    let directory = files.check.document().map_or("check", |check| &check.directory.name);
     let plan_command = format!(
         "dbbd plan --check {} --robot {robot} --out {}",
         job_file(files),
@@ -506,13 +562,17 @@ fn check(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
         (Some(CheckPart::Decide), _) => {
             let is_decided =
                 |check: &&FoundDocument| run.is_none_or(|run| run.changed_ms <= check.directory.changed_ms);
-            let decided = match files.check.as_ref().filter(is_decided) {
+            let decided = match files.check.document().filter(is_decided) {
                 Some(check) => of_check(check).acting(StepAction::Compute, "act.check_again"),
+                None if matches!(files.check, FoundCheck::OfOther) => {
+                    Drafted::ready("check.stale").acting(StepAction::Compute, "act.check_again")
+                }
                 None => Drafted::ready("check.none").acting(StepAction::Compute, "act.check"),
             };
             decided.command(decide_command(run.map_or("check.dbbd", |run| &run.path)))
         }
-        (Some(CheckPart::Plan | CheckPart::Programs | CheckPart::Measure), _) => match &files.check {
+        (Some(CheckPart::Plan | CheckPart::Programs | CheckPart::Measure), _) => match files.check.document()
+        {
             // The check was made on the command line, and its plan is not here.
             Some(check) => of_check(check).command(decide_command("check.dbbd")),
             None => {
@@ -521,40 +581,65 @@ fn check(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
             }
         },
     };
-    let mut drafted = drafted.made(files.check.as_ref().map(|check| &check.directory));
+    let mut drafted = drafted.made(files.check.document().map(|check| &check.directory));
     drafted.plan = served;
+    drafted.runs = choices(files, plan);
     drafted
 }
 
 fn of_check(check: &FoundDocument) -> Drafted {
     let content = &check.content;
     let is_bare = content["tolerance_mm"].is_null();
-    let (verdict, text) = match (content["decision"].as_str(), is_bare) {
-        (Some("pass"), false) => (StepVerdict::Pass, "check.pass"),
-        (Some("pass"), true) => (StepVerdict::Pass, "check.pass_bare"),
-        (Some("fail"), false) => (StepVerdict::Fail, "check.fail"),
-        (Some("fail"), true) => (StepVerdict::Fail, "check.fail_bare"),
-        (_, false) => (StepVerdict::Undecided, "check.undecided"),
-        (_, true) => (StepVerdict::Undecided, "check.undecided_bare"),
+    let decision =
+        serde_json::from_value(content["decision"].clone()).unwrap_or(ConformityOutcome::Undecided);
+    let (state, verdict, text) = match decision {
+        ConformityOutcome::Pass => (StepState::Done, StepVerdict::Pass, "check.pass"),
+        ConformityOutcome::Unchanged => (StepState::Done, StepVerdict::Pass, "check.unchanged"),
+        ConformityOutcome::Fail => (StepState::Attention, StepVerdict::Fail, "check.fail"),
+        ConformityOutcome::Changed => (StepState::Attention, StepVerdict::Fail, "check.changed"),
+        ConformityOutcome::Undecided if is_bare => {
+            (StepState::Attention, StepVerdict::Undecided, "check.undecided_bare")
+        }
+        ConformityOutcome::Undecided => (StepState::Attention, StepVerdict::Undecided, "check.undecided"),
     };
     let values = json!({
         "error_mm": content["position_error_mm"], "upper_mm": content["upper_mm"],
         "tolerance_mm": content["tolerance_mm"], "risk": content["specific_risk"],
         "lengths": content["lengths"], "until": content["validity"]["until"],
     });
-    Drafted::done(verdict, text, values)
+    Drafted::new(state, verdict, text, values)
 }
 
-fn certificate(files: &WorkFiles) -> Drafted {
+/// Whether the readings of the result are simulated.
+pub(super) fn is_simulated(files: &WorkFiles) -> bool {
+    let provenance = |result: &FoundDocument| serde_json::from_value(result.content["provenance"].clone());
+    let made = files.result.as_ref().map(provenance).and_then(Result::ok);
+    made.is_some_and(|made: Provenance| made.is_simulated())
+}
+
+fn certificate(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
     let directory = files.certificate.as_ref().map_or("certificate", |made| &made.name);
-    let check = files.check.as_ref().map(|check| format!(" --check {}", check.directory.name));
+    let check = files.check.document().map(|check| format!(" --check {}", check.directory.name));
     let check = check.unwrap_or_default();
-    let command = format!("dbbd certificate {}{check} --out {directory}", result_directory(files));
+    let specimen = if is_simulated(files) { " --specimen" } else { "" };
+    let command = format!("dbbd certificate {}{check}{specimen} --out {directory}", result_directory(files));
     let Some(result) = &files.result else { return Drafted::todo("certificate.no_result").command(command) };
+    let is_failed = standing_of(files, now.today) == Some(Standing::Failed);
+    // What a certificate states is older than the check.
+    let checked_ms = files.check.document().map_or(0, |check| check.directory.changed_ms);
+    let label = if is_simulated(files) { "act.specimen" } else { "act.certificate" };
     let drafted = match &files.certificate {
+        made if is_failed && made.as_ref().is_none_or(|made| made.changed_ms < checked_ms) => {
+            let failed =
+                Drafted::new(StepState::Attention, StepVerdict::Fail, "certificate.failed", Value::Null);
+            failed.acting(StepAction::Compute, "act.certificate_anyway")
+        }
+        None if is_simulated(files) => {
+            Drafted::ready("certificate.simulated").acting(StepAction::Compute, label)
+        }
         None => Drafted::ready("certificate.none").acting(StepAction::Compute, "act.certificate"),
-        Some(made) if made.changed_ms < result.directory.changed_ms => {
-            Drafted::ready("certificate.stale").acting(StepAction::Compute, "act.certificate")
+        Some(made) if made.changed_ms < result.directory.changed_ms.max(checked_ms) => {
+            Drafted::ready("certificate.stale").acting(StepAction::Compute, label)
         }
         Some(made) => {
             let values = json!({ "files": made.files.len() });
@@ -569,16 +654,18 @@ fn certificate(files: &WorkFiles) -> Drafted {
 mod tests {
     use dbbd_job::plan::Job;
 
+    use super::super::files::END_MARK;
     use super::*;
 
     const TODAY: &str = "2026-05-01T12:00:00Z";
 
     fn directory(name: &str, changed_ms: u64) -> FoundDirectory {
-        FoundDirectory { name: name.into(), files: vec!["a".into()], times_ms: vec![changed_ms], changed_ms }
+        let (files, times_ms) = (vec!["a".into()], vec![changed_ms]);
+        FoundDirectory { name: name.into(), files, times_ms, changed_ms, ..FoundDirectory::default() }
     }
 
     fn job() -> WorkFiles {
-        let text = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\n[[centre]]\nid = 1\n\
+        let text = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\n[[centre]]\nid = 1\n\
                     xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 8\n";
         WorkFiles {
             job: Some(WorkJob {
@@ -608,6 +695,7 @@ mod tests {
             path: format!("../dbbd-runs/run-{hash}/run.dbbd"),
             plan_hash: hash.into(),
             changed_ms,
+            started: None,
             reason: Some(END_MARK.into()),
             samples: Some(1000),
         }
@@ -755,7 +843,7 @@ mod tests {
         let of = |files: [(&str, u64); 2]| {
             let (files, times_ms): (Vec<String>, Vec<u64>) =
                 files.map(|(name, ms)| (name.to_owned(), ms)).into_iter().unzip();
-            Some(FoundDirectory { name: String::new(), files, changed_ms: 0, times_ms })
+            Some(FoundDirectory { files, times_ms, ..FoundDirectory::default() })
         };
         let mut files = WorkFiles { result: identified(30), ..job() };
         assert_eq!(seen(&files, &[], None)[6].text, "correct.none");
@@ -774,18 +862,71 @@ mod tests {
         assert_eq!(uncorrected(&files), ["a.src", "b.SRC"]);
     }
 
+    /// A check that does not confirm the calibration is shown at every step that would use it.
     #[test]
-    fn a_decision_is_shown_as_it_was_made() {
+    fn a_decision_travels_to_every_step() {
         let mut files = WorkFiles { plans: vec![planned(true), planned(false)], ..job() };
         (files.runs, files.result) = (vec![run("c", 50)], identified(30));
-        for (word, verdict) in
-            [("pass", StepVerdict::Pass), ("fail", StepVerdict::Fail), ("undecided", StepVerdict::Undecided)]
+        files.programs.uploaded = Some(FoundDirectory {
+            files: vec!["a.src".into()],
+            times_ms: vec![40],
+            ..FoundDirectory::default()
+        });
+        let texts = |files: &WorkFiles| [5, 6, 7, 8].map(|at| seen(files, &[], None)[at].text);
+        let states = |files: &WorkFiles| [5, 6, 7, 8].map(|at| seen(files, &[], None)[at].state);
+        let usable = ["result.found", "correct.uploaded", "check.none", "certificate.none"];
+        assert_eq!(texts(&files), usable);
+        let mut checked = |decision: &str, tolerance_mm: Option<f64>| {
+            let content = json!({ "decision": decision, "tolerance_mm": tolerance_mm });
+            files.check = FoundCheck::Of(FoundDocument { directory: directory("check", 60), content });
+            (texts(&files), states(&files))
+        };
+        use StepState::{Attention as A, Done as D, Ready as R};
+        for (decision, tolerance_mm, text) in
+            [("pass", Some(1.0), "check.pass"), ("unchanged", None, "check.unchanged")]
         {
-            let content = json!({ "decision": word });
-            files.check = Some(FoundDocument { directory: directory("check", 60), content });
-            let check = &seen(&files, &[], None)[7];
-            assert_eq!((check.state, check.verdict), (StepState::Done, verdict));
+            let [.., certificate] = usable;
+            let expected = ["result.found", "correct.uploaded", text, certificate];
+            assert_eq!(checked(decision, tolerance_mm), (expected, [D, R, D, R]));
         }
+        for (decision, tolerance_mm, text) in
+            [("fail", Some(1.0), "check.fail"), ("changed", None, "check.changed")]
+        {
+            let expected = ["result.failed", "correct.failed", text, "certificate.failed"];
+            assert_eq!(checked(decision, tolerance_mm), (expected, [A, A, A, A]));
+        }
+        let expected = ["result.undecided", "correct.uploaded", "check.undecided", "certificate.none"];
+        assert_eq!(checked("undecided", Some(1.0)), (expected, [D, R, A, R]));
+        // A certificate that was made before the check does not state it.
+        files.certificate = Some(directory("certificate", 55));
+        assert_eq!(seen(&files, &[], None)[8].text, "certificate.stale");
+        // A check of another calibration does not count.
+        (files.check, files.certificate) = (FoundCheck::OfOther, None);
+        assert_eq!(texts(&files), ["result.found", "correct.uploaded", "check.stale", "certificate.none"]);
+    }
+
+    #[test]
+    fn a_run_that_was_cut_off_never_replaces_a_complete_one() {
+        let mut files = WorkFiles { plans: vec![planned(false)], ..job() };
+        let short = FoundRun { reason: None, samples: None, name: "short".into(), ..run("p", 40) };
+        files.runs = vec![short.clone(), run("p", 20)];
+        let names = |files: &WorkFiles| {
+            seen(files, &[], None)[5].runs.iter().map(|run| run.name.clone()).collect::<Vec<_>>()
+        };
+        assert_eq!(names(&files), ["run-p", "short"]);
+        assert!(seen(&files, &[], None)[5].command.contains("run-p"));
+        files.result = identified(30);
+        assert_eq!(seen(&files, &[], None)[5].text, "result.found");
+        files.runs = vec![short];
+        assert_eq!(names(&files), ["short"]);
+    }
+
+    #[test]
+    fn the_findings_of_a_step_outlive_the_process() {
+        let warning = FindingRecord::from(&Diagnostic::new(crate::live::ServiceFinding::NoRunIsOn));
+        let mut files = WorkFiles { plans: vec![planned(false)], ..job() };
+        files.plans[0].directory.findings = vec![warning];
+        assert_eq!(seen(&files, &[], None)[2].findings.len(), 1);
     }
 
     #[test]

@@ -15,7 +15,7 @@ findings! {
         }
         E0603 "a table or a key of the job is missing or one too many",
         cause: "Two keys exclude each other, or one needs another one beside it.",
-        cure: "A circle has `plane` or `normal`. `cup_axis` and `cup_limit_deg` need each other. The tool ball (`[tool] ball_mm`) and all else of the arm are in the robot file. Only the orientations seed, random and optimal have `amplitude_deg`." {
+        cure: "A circle has `plane` or `normal`. `cup_axis` and `cup_limit_deg` need each other. The table, the masses and all else of the arm are in the robot file. Only the orientations seed, random and optimal have `amplitude_deg`." {
             MissingTable { table: String } => "there is no {table} table: a job needs at least one";
             PlaneAndNormal { circle: usize } => "circle {circle}: has both `plane` and `normal`";
             NoPlane { circle: usize } => "circle {circle}: has neither `plane` nor `normal`";
@@ -43,10 +43,10 @@ findings! {
             StrobeInIndex { strobe: u32 } => "outputs: the strobe {strobe} is one of the index";
         }
         E0607 "the job's frames contradict the robot file",
-        cause: "`taught_deg` and `xyz_mm` of a base ball were not taken at one pose with the tool ball as $TOOL, or the tool ball in the robot file is another one.",
-        cure: "Take both from the controller at one pose, with the tool ball as its tool, and measure `ball_mm` of the robot file again." {
+        cause: "`taught_deg` and `xyz_mm` of a base ball were not taken at one pose with the tool ball as $TOOL, or the tool ball is another one than [tool] ball_mm states.",
+        cure: "Take both from the controller at one pose, with the tool ball as its tool, and measure [tool] `ball_mm` again." {
             TaughtElsewhere { ball: u32, x_mm: f64, y_mm: f64, z_mm: f64, off_mm: f64 } => "[[centre]] {ball}: taught_deg brings the tool ball to ({x_mm:.2}, {y_mm:.2}, {z_mm:.2}) mm, {off_mm:.2} mm from xyz_mm";
-            ToolElsewhere { x_mm: f64, y_mm: f64, z_mm: f64, ball_x_mm: f64, ball_y_mm: f64, ball_z_mm: f64 } => "[motion] tool: its origin ({x_mm}, {y_mm}, {z_mm}) mm is not the tool ball of the robot file ({ball_x_mm}, {ball_y_mm}, {ball_z_mm}) mm";
+            ToolElsewhere { x_mm: f64, y_mm: f64, z_mm: f64, ball_x_mm: f64, ball_y_mm: f64, ball_z_mm: f64 } => "[motion] tool: its origin ({x_mm}, {y_mm}, {z_mm}) mm is not the tool ball ({ball_x_mm}, {ball_y_mm}, {ball_z_mm}) mm";
         }
         E0608 "the list of parameters in [optimise] cannot be used",
         cause: "A name is unknown, or the parameter is one for which no poses can be chosen (compliance, gear).",

@@ -20,8 +20,7 @@ const MIN_BALL_DISTANCE_MM: f64 = 10.0;
 /// Digital outputs that a controller has.
 const OUTPUTS: std::ops::RangeInclusive<u32> = 1..=4096;
 /// Keys and tables of the robot file that no table of the job has.
-const OF_ROBOT: [&str; 7] =
-    ["ball_mm", "joint", "tolerance", "mass", "mounting", "payload", "repeatability_mm"];
+const OF_ROBOT: [&str; 6] = ["joint", "tolerance", "mass", "mounting", "payload", "repeatability_mm"];
 
 pub(crate) type JobCheck = Result<(), MisplacedFinding>;
 
@@ -108,6 +107,11 @@ impl Job {
         let Self { bar, motion, limits, tool, .. } = self;
         let [bar_table, motion_table] = ["[bar]", "[motion]"].map(JobTable::new);
         let optimise = self.optimise.as_ref();
+        tool.ball_mm
+            .iter()
+            .flatten()
+            .try_for_each(|mm| JobTable::new("[tool]").check("ball_mm", *mm, Quantity::ArmLength))?;
+        let ball_mm = tool.ball_mm.map(|mm| mm.into_iter().map(f64::abs).fold(0.0, f64::max));
         let count = |of: fn(&super::OptimiseTable) -> u32| optimise.map(|optimise| f64::from(of(optimise)));
         let values = [
             ("[bar]", "length_mm", Some(bar.length_mm), Quantity::BarLength),
@@ -125,6 +129,8 @@ impl Job {
             ("[limits]", "min_overhead_mm", Some(limits.min_overhead_mm), Quantity::LimitDistance),
             ("[limits]", "max_stroke_risk", Some(limits.max_stroke_risk), Quantity::Probability),
             ("[limits]", "min_clearance_mm", Some(limits.min_clearance_mm), Quantity::LimitDistance),
+            ("[tool]", "ball_mm", ball_mm.filter(|mm| *mm > 0.0), Quantity::ToolBallDistance),
+            ("[tool]", "ball_u_mm", tool.ball_u_mm, Quantity::LengthTolerance),
             ("[tool]", "radius_mm", Some(tool.radius_mm), Quantity::BodyRadius),
             ("[tool]", "arm_radius_mm", Some(tool.arm_radius_mm), Quantity::BodyRadius),
             ("[optimise]", "points", count(|o| o.points), Quantity::PoseCount),

@@ -9,6 +9,7 @@ mod values;
 
 use std::path::Path;
 
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use check::JobCheck;
@@ -16,7 +17,7 @@ use dbbd_model::base::fixed_array::fixed_array;
 use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::{Artefact, ArtefactRole, BarIdentity, Identity, Provenance, TracedArtefact};
-use dbbd_model::robot::AXES;
+use dbbd_model::robot::{AXES, Robot};
 pub use obstacle::ObstacleTable;
 pub(crate) use values::JobTable;
 
@@ -237,6 +238,12 @@ fn default_stage_points() -> u32 {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct JobToolTable {
+    /// The tool ball in the frame of the flange, mm; when absent that of the robot file.
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
+    pub ball_mm: Option<[f64; 3]>,
+    /// Standard uncertainty of each of its coordinates, mm; when absent that of the robot file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ball_u_mm: Option<f64>,
     /// The axis of the tool ball's cup, out of the cup, in the flange frame.
     #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
     pub cup_axis: Option<[f64; 3]>,
@@ -249,9 +256,32 @@ pub struct JobToolTable {
     pub arm_radius_mm: f64,
 }
 
+impl JobToolTable {
+    /// Gives a robot the tool ball that the job states. One that is identified keeps what is known of the same ball.
+    pub fn state_in(&self, robot: &mut Robot) {
+        /// Two statements of one ball do not differ by more, mm.
+        const ALIKE_MM: f64 = 1e-9;
+        let Some(ball_mm) = self.ball_mm else { return };
+        robot.ball_u_mm = self.ball_u_mm.unwrap_or(robot.ball_u_mm);
+        let known = robot.controller();
+        if known.has_tool && (known.geometry.tool - Vector3::from(ball_mm)).norm() < ALIKE_MM {
+            return;
+        }
+        robot.set_tool(ball_mm);
+        robot.nominal.iter_mut().for_each(|nominal| nominal.set_tool(ball_mm));
+    }
+}
+
 impl Default for JobToolTable {
     fn default() -> Self {
-        Self { cup_axis: None, cup_limit_deg: None, radius_mm: 20.0, arm_radius_mm: 150.0 }
+        Self {
+            ball_mm: None,
+            ball_u_mm: None,
+            cup_axis: None,
+            cup_limit_deg: None,
+            radius_mm: 20.0,
+            arm_radius_mm: 150.0,
+        }
     }
 }
 

@@ -73,12 +73,14 @@ impl Circle {
 
     /// The job, with keys for `[bar]`, `[[centre]]`, `[[circle]]`, and tables.
     fn job(&self, bar: &str, centre: &str, circle: &str, tables: &str) -> String {
+        // Keys of the table of the tool.
+        let (tables, tool) = tables.split_once("[tool]").unwrap_or((tables, ""));
         let Self { ball, radius, points } = self;
         let stroke =
             if bar.contains("stroke_mm") { "" } else { "stroke_mm = [-6.0, 6.0]\nmargin_mm = 0.5\n" };
         format!(
             "robot = \"kr60ha\"\n[bar]\nlength_mm = {radius:?}\n{stroke}{bar}\n[[centre]]\nid = 1\nxyz_mm = {ball:?}\n{centre}\n\
-             [[circle]]\nplane = \"XY\"\npoints = {points}\norientation = \"fixed\"\n{circle}\n{tables}\n"
+             [[circle]]\nplane = \"XY\"\npoints = {points}\norientation = \"fixed\"\n{circle}\n{tables}\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n{tool}\n"
         )
     }
 }

@@ -27,7 +27,7 @@ fn entry(line: &str) -> Option<(&str, &str)> {
 
 #[test]
 fn every_example_plans() {
-    let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+    let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
     for (name, text) in EXAMPLES {
         let job = Job::from_toml(name, text).unwrap_or_else(|error| panic!("{error}"));
         job.check_against(&robot).unwrap();
@@ -154,7 +154,7 @@ const ELSEWHERE: &[(&str, &str, &str)] = &[
 
 #[test]
 fn a_taught_ball_or_tool_at_another_place_is_refused() {
-    let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+    let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
     for (from, to, code) in ELSEWHERE {
         assert!(EXAMPLES[3].1.contains(from));
         let text = EXAMPLES[3].1.replace(from, to);

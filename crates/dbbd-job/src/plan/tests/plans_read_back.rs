@@ -13,7 +13,8 @@ fn example(name: &str) -> Plan {
     let text = std::fs::read_to_string(format!("{}/../../examples/{name}.toml", env!("CARGO_MANIFEST_DIR")))
         .unwrap();
     let job = Job::from_toml(name, &text).unwrap();
-    let robot = Robot::by_name(&job.robot).unwrap().unwrap();
+    let mut robot = Robot::by_name(&job.robot).unwrap().unwrap();
+    job.tool.state_in(&mut robot);
     Plan::build(&job, &robot).unwrap_or_else(|refused| panic!("{refused}"))
 }
 
@@ -24,7 +25,7 @@ fn count(plan: &Plan, kind: PoseKind) -> usize {
 #[test]
 fn the_demo_plans_without_findings() {
     let plan = example("demo");
-    let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+    let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
     assert_eq!((count(&plan, PoseKind::Measure), count(&plan, PoseKind::Reference)), (240, 12));
     assert!(plan.header.checks.iter().all(dbbd_job::plan::PlanCheck::holds));
     // The base ball's cup stands on a post: no circle goes through it, and none below what the cup allows.
@@ -78,7 +79,8 @@ fn the_chosen_poses_plan_without_findings() {
     let text =
         text.replace("points = 80 ", "points = 30 ").replace("candidates = 4000 ", "candidates = 400 ");
     let job = Job::from_toml("optimal", &text).unwrap();
-    let robot = Robot::by_name(&job.robot).unwrap().unwrap();
+    let mut robot = Robot::by_name(&job.robot).unwrap().unwrap();
+    job.tool.state_in(&mut robot);
     let plan = Plan::build(&job, &robot).unwrap_or_else(|refused| panic!("{refused}"));
     assert!(count(&plan, PoseKind::Measure) >= 24, "{:?}", plan.header.notes);
     assert!(plan.header.checks.iter().all(dbbd_job::plan::PlanCheck::holds));
@@ -114,12 +116,14 @@ fn a_ramped_move_takes_its_time() {
 
 #[test]
 fn both_directions_pass_every_point_twice() {
-    let text = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\n[[centre]]\nid = 1\n\
+    let text = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\n[[centre]]\nid = 1\n\
         xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 20\norientation = \"fixed\"\n\
         direction = \"both\"\n";
     for text in [text.to_owned(), text.replace("points = 20", "points = 20\narc_deg = 200.0")] {
-        let plan =
-            Plan::build(&Job::from_toml("job", &text).unwrap(), &Robot::by_name("kr60ha").unwrap().unwrap());
+        let plan = Plan::build(
+            &Job::from_toml("job", &text).unwrap(),
+            &Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap(),
+        );
         let plan = plan.unwrap();
         let points: Vec<_> =
             plan.rows.iter().filter(|r| r.kind == PoseKind::Measure).map(|r| r.xyz_mm).collect();

@@ -155,7 +155,7 @@ fn calibration(truth: &Robot, seed: u64, measured: MeasurementConditions) -> Rob
 /// The plan of a check (24 poses), or of the lengths that renew a calibration.
 fn planned(robot: &Robot, then: &MeasurementConditions, criterion: Criterion) -> Plan {
     let mut text = String::from(
-        "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 15.0\n",
+        "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-15.0, 15.0]\nmargin_mm = 0.5\nsigma_um = 15.0\n",
     );
     // One on either side: what turns about axis 2 is then no tilt of the base.
     for (id, place) in (1..).zip([BALLS[1], BALLS[2]]) {

@@ -4,10 +4,12 @@ use super::data::Origin;
 use super::points::{Files, PointProgram, TaughtPoint};
 use crate::program::CompensationFinding;
 use crate::program::Target;
-use crate::program::compensate::{Branch, Commanded, Corrected, Corrector, Moved, correct_points};
+use crate::program::compensate::{
+    Branch, Commanded, Corrected, Correction, Corrector, Moved, correct_points,
+};
 use crate::program::text::{Edit, Text, number_like, rewritten};
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::robot::{Pose, Robot};
+use dbbd_model::robot::Pose;
 
 /// Minimum number of decimals of a corrected length and angle.
 const DECIMALS_MM: usize = 3;
@@ -23,19 +25,17 @@ pub struct Compensated {
     pub moved: Vec<Moved>,
 }
 
-/// Corrects a program for `robot`, an identified robot with its nominal one. No commanded point may move by more than
-/// `limit_mm`.
+/// Corrects the points of a program.
 ///
 /// # Errors
 /// One finding for each point that cannot be corrected.
 pub fn compensate(
     files: Files<'_>,
     program: &PointProgram,
-    robot: &Robot,
-    limit_mm: f64,
+    correction: Correction<'_>,
 ) -> Result<Compensated, Vec<Diagnostic>> {
     let (mut source_edits, mut data_edits) = (Vec::new(), Vec::new());
-    let moved = correct_points(robot, limit_mm, &program.points, |corrector, point| {
+    let moved = correct_points(correction, &program.points, |corrector, point| {
         let (text, edits) = match (point.origin, files.data) {
             (Origin::Data, Some(data)) => (data, &mut data_edits),
             _ => (files.source, &mut source_edits),
@@ -52,7 +52,7 @@ pub fn compensate(
 
 /// Adds the edits of a point. Returns its correction, and its turn bits before and after if they change.
 fn rewrite(
-    corrector: &mut Corrector,
+    corrector: &mut Corrector<'_>,
     point: &TaughtPoint,
     text: Text<'_>,
     edits: &mut Vec<Edit>,

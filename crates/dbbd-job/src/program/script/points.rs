@@ -6,13 +6,12 @@ use super::expression::{ExpressionKind, Routine, StatementKind, statements};
 use super::value::{Content, Evaluated, Value};
 use crate::program::CompensationFinding;
 use crate::program::compensate::{
-    Branch, Commanded, Corrected, Corrector, External, Moved, correct_points, external_motion,
+    Branch, Commanded, Corrected, Correction, Corrector, External, Moved, correct_points, external_motion,
 };
 use crate::program::flow::At;
 use crate::program::text::{Edit, Span, Text, number_like, rewritten};
 use crate::program::{Frames, Target};
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::robot::Robot;
 
 /// A point to which the program moves.
 #[derive(Clone, Debug)]
@@ -189,18 +188,17 @@ impl Points {
         self
     }
 
-    /// The program with corrected points, none of which is moved by more than `limit_mm`.
+    /// The program with corrected points.
     ///
     /// # Errors
     /// One finding for each point that cannot be corrected.
     pub fn compensate(
         &self,
         file: Text<'_>,
-        robot: &Robot,
-        limit_mm: f64,
+        correction: Correction<'_>,
     ) -> Result<(String, Vec<Moved>), Vec<Diagnostic>> {
         let mut edits = Vec::new();
-        let moved = correct_points(robot, limit_mm, &self.points, |corrector, point| {
+        let moved = correct_points(correction, &self.points, |corrector, point| {
             let wrong = |why: CompensationFinding| file.wrong(&point.value.span, why);
             let frames = point.frames.as_ref();
             let commanded = Commanded { target: &point.target, frames, branch: point.branch };

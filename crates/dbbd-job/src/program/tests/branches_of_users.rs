@@ -1,6 +1,7 @@
 //! Programs that leave the branch of the arm to the controller, as PolyScope and users of `ConfJ\Off` write them: the corrected
 //! point is that of the branch in which the controller goes there.
 
+use dbbd_job::program::Correction;
 use dbbd_job::program::{Target, Text, rapid, urscript};
 use dbbd_job::sim::truth;
 use dbbd_model::robot::{Geometry, Pose, Robot, inverse};
@@ -47,7 +48,7 @@ fn inverse_kinematics_keep_their_branch() {
         let read = |text| urscript::read(Text { file: "P.script", text }, None).unwrap();
         let before = read(&text);
         let (corrected, moved) =
-            before.compensate(Text { file: "P.script", text: &text }, &robot, 20.0).unwrap();
+            before.compensate(Text { file: "P.script", text: &text }, Correction::of(&robot, 20.0)).unwrap();
         assert_eq!(moved.len(), 1);
         let lines = |text: &str| text.lines().map(str::to_owned).collect::<Vec<_>>();
         let changed: Vec<usize> =
@@ -77,7 +78,7 @@ fn dummy_configurations_stay() {
     };
     let corrected = |text: &str| {
         let file = Text { file: "M.mod", text };
-        rapid::read(file, None).unwrap().compensate(file, &robot, 20.0)
+        rapid::read(file, None).unwrap().compensate(file, Correction::of(&robot, 20.0))
     };
     for motion in ["MoveJ", "MoveL"] {
         let (text, _) = corrected(&program("ConfJ\\Off; ConfL\\Off;", motion)).unwrap();
@@ -99,7 +100,7 @@ fn first_pose_without_a_branch_is_refused() {
         let text =
             format!("def f():\n  set_tcp(p[0,0,0,0,0,0])\n{start}  {motion}(p[0.6,0.1,0.4,3.14,0,0])\nend\n");
         let file = Text { file: "P.script", text: &text };
-        urscript::read(file, None).unwrap().compensate(file, &robot, 20.0)
+        urscript::read(file, None).unwrap().compensate(file, Correction::of(&robot, 20.0))
     };
     for motion in ["movej", "movel"] {
         let refused = corrected("", motion).unwrap_err();
@@ -138,7 +139,7 @@ fn branches_beyond_the_limits_are_none() {
         );
         let file = Text { file: "M.mod", text: &text };
         cases += 1;
-        match rapid::read(file, None).unwrap().compensate(file, &robot, 20.0) {
+        match rapid::read(file, None).unwrap().compensate(file, Correction::of(&robot, 20.0)) {
             Ok(_) => corrected += 1,
             Err(refused) => codes.extend(refused.iter().map(ToString::to_string)),
         }

@@ -2,6 +2,7 @@
 //! production program before and after its compensation.
 
 use dbbd_job::plan::{Plan, PoseKind};
+use dbbd_job::program::Correction;
 use dbbd_job::program::krl::{Files, Given, Text, compensate, read};
 use dbbd_model::estimation::{ErrorModel, Options, Prior};
 use dbbd_model::math::aligned_distances;
@@ -76,7 +77,7 @@ fn errors(plan: &Plan, program: &str, seed: u64) -> [f64; 3] {
     let points = read(files, Given::default()).unwrap();
     let [geometric, joints] = [ErrorModel::Geometric, ErrorModel::Joints].map(|model| {
         let found = identified(&lengths, plan, model);
-        error(&truth, &compensate(files, &points, &found, 50.0).unwrap().source, &wanted)
+        error(&truth, &compensate(files, &points, Correction::of(&found, 50.0)).unwrap().source, &wanted)
     });
     [error(&truth, program, &wanted), geometric, joints]
 }

@@ -2,6 +2,7 @@
 //! before and after its compensation.
 
 use dbbd_job::plan::Plan;
+use dbbd_job::program::Correction;
 use dbbd_job::program::krl::{Files, Given, Text, compensate, read};
 use dbbd_job::sim::truth;
 use dbbd_model::diagnostic::Severity;
@@ -23,7 +24,7 @@ fn reached(program: &str, robot: &Robot) -> Vec<Vector3<f64>> {
 fn errors(true_robot: &Robot, found: &Robot, program: &str) -> [f64; 2] {
     let files = Files { source: Text { file: "P.src", text: program }, data: None, config: None };
     let points = read(files, Given::default()).unwrap();
-    let corrected = compensate(files, &points, found, 50.0).unwrap();
+    let corrected = compensate(files, &points, Correction::of(found, 50.0)).unwrap();
     let wanted: Vec<_> = taught(program).into_iter().map(|(ball, _)| ball.position).collect();
     [program, corrected.source.as_str()].map(|program| {
         let off = aligned_distances(&reached(program, true_robot), &wanted);

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use dbbd_job::program::Correction;
 use dbbd_job::program::krl::{Compensated, Files, Given, PointProgram, Text, compensate, read};
 use dbbd_job::program::{Frames, Target};
 use dbbd_job::sim::truth;
@@ -73,7 +74,7 @@ fn reached(program: &PointProgram, robot: &Robot) -> Vec<(Pose, Pose)> {
 
 fn compensated(files: Files<'_>, given: Given, robot: &Robot) -> (PointProgram, Compensated) {
     let program = read(files, given).unwrap();
-    let done = compensate(files, &program, robot, 20.0).unwrap();
+    let done = compensate(files, &program, Correction::of(robot, 20.0)).unwrap();
     (program, done)
 }
 
@@ -152,7 +153,9 @@ fn refusal(source: &str, given: Given) -> Option<Diagnostic> {
     let files = files(source, &data, None);
     match read(files, given) {
         Err(diagnostic) => Some(diagnostic),
-        Ok(program) => compensate(files, &program, &identified(1), 5.0).err()?.into_iter().next(),
+        Ok(program) => {
+            compensate(files, &program, Correction::of(&identified(1), 5.0)).err()?.into_iter().next()
+        }
     }
 }
 
@@ -201,7 +204,7 @@ fn emitted_programs_are_compensated() {
     let program = read(given, Given::default()).unwrap();
     assert!(program.not_corrected.is_empty() && program.points.len() > 6);
     let robot = identified(2);
-    compensate(given, &program, &robot, 20.0).unwrap();
+    compensate(given, &program, Correction::of(&robot, 20.0)).unwrap();
 }
 
 /// A point that was taught with axes at zero has the turn bits of zero, although rounding moves the axes off zero. A degree off
@@ -214,7 +217,8 @@ fn rounding_about_zero_does_not_change_the_turn() {
         );
         let files = Files { source: Text { file: "P.src", text: &text }, data: None, config: None };
         let program = read(files, Given::default()).unwrap();
-        compensate(files, &program, &identified(1), 20.0).map_err(|refused| refused[0].code().as_str())
+        compensate(files, &program, Correction::of(&identified(1), 20.0))
+            .map_err(|refused| refused[0].code().as_str())
     };
     assert!(corrected(0.0).is_ok());
     assert!(corrected(0.001).is_ok(), "{:?}", corrected(0.001));
@@ -232,7 +236,7 @@ fn turn_bit_follows_an_axis_through_zero() {
         let files = Files { source: Text { file: "P.src", text: &text }, data: None, config: None };
         let program = read(files, Given::default()).unwrap();
         let robot = identified(seed);
-        let corrected = compensate(files, &program, &robot, 20.0).unwrap();
+        let corrected = compensate(files, &program, Correction::of(&robot, 20.0)).unwrap();
         let again = Files { source: Text { file: "P.src", text: &corrected.source }, ..files };
         let points = read(again, Given::default()).unwrap().points;
         let Target::Pose { xyz_mm, abc_deg, status, turn } = points[0].target else { panic!("no pose") };

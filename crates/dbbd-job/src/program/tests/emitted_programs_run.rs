@@ -16,7 +16,7 @@ fn job(seed: u64) -> String {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut between = |low: f64, high: f64| random.random_range(low..high);
     let mut text = format!(
-        "robot = \"kr60ha\"\nseed = {seed}\n[bar]\nlength_mm = {:.1}\nstroke_mm = [-6.0, 6.0]\nmargin_mm = 0.5\n",
+        "robot = \"kr60ha\"\nseed = {seed}\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = {:.1}\nstroke_mm = [-6.0, 6.0]\nmargin_mm = 0.5\n",
         between(150.0, 450.0)
     );
     let balls = if between(0.0, 1.0) < 0.3 { 2 } else { 1 };

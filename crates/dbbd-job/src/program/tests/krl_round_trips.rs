@@ -1,6 +1,7 @@
 //! Properties of emitting and reading KRL, on random plans and programs.
 
 use dbbd_job::plan::{Job, MotionKind, Plan};
+use dbbd_job::program::Correction;
 use dbbd_job::program::Target;
 use dbbd_job::program::krl::{
     Controller, Files, Given, Options, Sync, Text, compensate, emit, logged_axes, parse_data, plan_hash, read,
@@ -21,7 +22,7 @@ fn random_plan(seed: u64) -> Plan {
     let mut plan = if seed.is_multiple_of(2) {
         circle_plan::plan(random.random_range(1..4), random.random_range(3..30))
     } else {
-        let job = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
+        let job = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
                    xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nmode = \"continuous\"\nplane = \"XY\"\npoints = 12\n\
                    orientation = \"fixed\"\ntilt_deg = 20.0\ndirection = \"both\"";
         Plan::build(&Job::from_toml("job.toml", job).unwrap(), &kr60()).unwrap()
@@ -120,7 +121,7 @@ proptest! {
         let corrected = |text: &str| {
             let files = Files { source: Text { file: "P.src", text }, data: None, config: None };
             let points = read(files, Given::default()).unwrap();
-            compensate(files, &points, &robot, 20.0).unwrap().source
+            compensate(files, &points, Correction::of(&robot, 20.0)).unwrap().source
         };
         let plain = corrected(bare);
         let ends: Vec<usize> = plain.match_indices("\r\n").map(|(at, _)| at + 2).collect();

@@ -7,6 +7,8 @@ use dbbd_model::robot::Robot;
 
 const JOB: &str = r#"
 robot = "kr60ha"
+[tool]
+ball_mm = [30.0, 20.0, 10.0]
 [bar]
 length_mm = 300.0
 stroke_mm = [-5.0, 5.0]
@@ -24,7 +26,7 @@ dwell_s = 0.2
 
 /// The program of a job, and the largest difference of an axis from the plan at a dwell, degrees.
 fn executed(text: &str) -> (String, f64) {
-    let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+    let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
     let job = Job::from_toml("job.toml", text).unwrap();
     job.check_against(&robot).unwrap();
     let plan = Plan::build(&job, &robot).unwrap();
@@ -70,11 +72,11 @@ fn tool_and_base_of_the_job_are_used() {
 /// The optimal orientations of the tool leave a smaller uncertainty than random ones of any seed.
 #[test]
 fn optimal_orientation_is_better_than_random_ones() {
-    let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+    let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
     let error = |orientation: &str, seed: u32| {
         let text = JOB
             .replace("points = 8", &format!("points = 40\norientation = \"{orientation}\""))
-            .replace("[bar]", &format!("seed = {seed}\n[bar]"));
+            .replace("[tool]", &format!("seed = {seed}\n[tool]"));
         let job = Job::from_toml("job.toml", &text).unwrap();
         let mut plan = Plan::build(&job, &robot).unwrap_or_else(|refused| panic!("{refused}"));
         let prior = plan::PlanningPrior::datasheet(&job, &robot);

@@ -10,6 +10,7 @@ use dbbd_model::base::text::unreadable;
 use dbbd_model::base::units::HostNs;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::sample::Sample;
+use dbbd_model::provenance::DataOrigin;
 
 /// Number of damages that are reported individually.
 const REPORTED: usize = 20;
@@ -23,6 +24,8 @@ pub struct CaptureSummary {
     pub samples: u64,
     /// The end of the run; `None` if the run was cut off.
     pub end: Option<RunEnd>,
+    /// Where the readings come from; `None` in captures of older versions and of imported traces.
+    pub origin: Option<DataOrigin>,
 }
 
 impl CaptureSummary {
@@ -38,7 +41,7 @@ impl CaptureSummary {
             return Err(Diagnostic::file(&name, other));
         }
         let version = reader.version();
-        let mut pass = Self { version, damages: Vec::new(), records: 0, samples: 0, end: None };
+        let mut pass = Self { version, damages: Vec::new(), records: 0, samples: 0, end: None, origin: None };
         for part in reader {
             match part.map_err(&unreadable)? {
                 CapturePart::Record(stamped) => {
@@ -62,6 +65,11 @@ impl CaptureSummary {
         match record {
             CaptureRecord::Samples(samples) => self.samples += samples.len() as u64,
             CaptureRecord::Event(RunEvent::Ended(end)) => self.end = Some(end.clone()),
+            CaptureRecord::Event(RunEvent::Origin { origin })
+                if self.origin != Some(DataOrigin::Simulated) =>
+            {
+                self.origin = Some(*origin);
+            }
             CaptureRecord::Attachment { .. }
             | CaptureRecord::Raw(_)
             | CaptureRecord::Fault(_)

@@ -6,6 +6,7 @@ use dbbd_device::axes::AxesProtocol;
 use dbbd_device::port::StampAccuracy;
 use dbbd_model::base::units::HostNs;
 use dbbd_model::measurement::sample::Sample;
+use dbbd_model::provenance::DataOrigin;
 
 /// A record with the host's monotonic time.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +48,9 @@ pub enum RunEvent {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         stamps: Option<StampAccuracy>,
     },
+    /// Where the readings come from, as the line shows by now: written at each opening, and when the mark of a simulated bar
+    /// comes. Missing in captures of older versions.
+    Origin { origin: DataOrigin },
     /// A connection to the controller that publishes its axes.
     AxesOpened { address: String, protocol: AxesProtocol },
     /// Nothing was received for a while, or sequence numbers are missing.
@@ -95,6 +99,7 @@ impl RunEvent {
             Self::Withheld { gaps, missing, .. } => (*gaps, *missing),
             Self::Started { .. }
             | Self::Opened { .. }
+            | Self::Origin { .. }
             | Self::AxesOpened { .. }
             | Self::Controller { .. }
             | Self::Mark { .. }

@@ -28,7 +28,9 @@ use dbbd_device::port::PortFinding;
 use dbbd_model::base::expansion::ThermalExpansion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::measurement::{BallId, BaseBall, ContextColumn};
-use dbbd_model::provenance::{self, ArtefactRole, Identity, Provenance, TracedArtefact};
+use dbbd_model::provenance::{
+    self, Artefact, ArtefactRole, DataOrigin, Identity, Provenance, TracedArtefact,
+};
 use dbbd_model::robot::{AXES, Robot};
 
 /// The content of a capture that is to be matched.
@@ -49,6 +51,8 @@ pub struct RecordedRun {
     identity: Identity,
     /// Start of the recording by the clock of the host, ns since 1970.
     pub started: Option<u64>,
+    /// Where its readings come from, if it is stated.
+    origin: Option<DataOrigin>,
 }
 
 /// Lengths that a model predicts: evidence for the matching, like the times.
@@ -173,7 +177,8 @@ impl RecordedRun {
 
     /// The capture at `path` as an artefact of its plan.
     pub fn traced(&self, path: &Path) -> Result<TracedArtefact, Diagnostic> {
-        let artefact = crate::artefact::of_file(ArtefactRole::Capture, path)?;
+        let artefact =
+            Artefact { origin: self.origin, ..crate::artefact::of_file(ArtefactRole::Capture, path)? };
         let mut identity = self.identity.clone();
         if let Some(celsius) = self.temperatures.mean()
             && identity.temperatures.iter().all(|stated| stated.of != "bar")

@@ -81,8 +81,18 @@ pub fn open_run(
     if let Some(finding) = unlikely_date(&identity) {
         report(finding.into());
     }
-    let mut run =
-        RecordedRun { plan, stream, temperatures, reports, track, has_warnings, axes_deg, identity, started };
+    let mut run = RecordedRun {
+        plan,
+        stream,
+        temperatures,
+        reports,
+        track,
+        has_warnings,
+        axes_deg,
+        identity,
+        started,
+        origin: pass.origin,
+    };
     let of_temperature = run.temperatures.finding().into_iter().chain(run.temperature_finding());
     of_temperature.for_each(&mut report);
     for finding in run.mounting() {

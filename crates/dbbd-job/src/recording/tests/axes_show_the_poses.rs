@@ -44,7 +44,7 @@ fn plan(circles: &[[f64; 3]], points: usize, mode: &str) -> Plan {
     };
     let circles: String = circles.iter().map(circle).collect();
     let job = format!(
-        "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
+        "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
          xyz_mm = {CENTRE:?}\n{circles}[motion]\nsettle_s = 0.4\ndwell_s = 0.5\nfeed_mm_s = 60.0\n"
     );
     Plan::build(&Job::from_toml("job.toml", &job).unwrap(), &kr60()).unwrap()

@@ -16,7 +16,7 @@ const RADIUS_MM: f64 = 300.0;
 
 fn text(circle: &str) -> String {
     format!(
-        "robot = \"kr60ha\"\n[bar]\nlength_mm = {RADIUS_MM:?}\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
+        "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = {RADIUS_MM:?}\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
          xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nmode = \"continuous\"\n{circle}\n[motion]\nfeed_mm_s = 60.0\n"
     )
 }
@@ -166,10 +166,10 @@ fn pass_of_unknown_time_or_lag_has_a_code() {
 #[test]
 fn impossible_continuous_motion_is_refused() {
     for (circle, line, code) in [
-        ("plane = \"XY\"\npoints = 72", 8, "E0605"),
-        ("plane = \"XY\"\npoints = 5\norientation = \"fixed\"", 11, "E0130"),
-        ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 0.5", 13, "E0605"),
-        ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 200.0", 13, "E0130"),
+        ("plane = \"XY\"\npoints = 72", 10, "E0605"),
+        ("plane = \"XY\"\npoints = 5\norientation = \"fixed\"", 13, "E0130"),
+        ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 0.5", 15, "E0605"),
+        ("plane = \"XY\"\npoints = 72\norientation = \"fixed\"\novershoot_deg = 200.0", 15, "E0130"),
     ] {
         let wrong = Job::from_toml("job.toml", &text(circle)).unwrap_err();
         assert_eq!((wrong.line_number(), wrong.code().as_str()), (line, code), "{wrong}");

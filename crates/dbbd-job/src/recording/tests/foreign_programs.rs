@@ -22,14 +22,14 @@ const JOBS: [&str; 4] = [
 
 fn job(tables: &str) -> Job {
     let text = format!(
-        "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-8.0, 8.0]\nmargin_mm = 0.5\n\
+        "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-8.0, 8.0]\nmargin_mm = 0.5\n\
          [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n{tables}"
     );
     Job::from_toml("job.toml", &text).unwrap()
 }
 
 fn robot() -> Robot {
-    Robot::by_name("kr60ha").unwrap().unwrap()
+    Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap()
 }
 
 /// Changes one key that moves a pose or its program. The amounts go down to a tenth of the smallest that a tape shows.

@@ -26,7 +26,7 @@ const WITHIN_S: f64 = 2.0;
 /// Hands are on the bar for this time after the robot halts, s.
 const HANDS_S: f64 = 3.0;
 
-const JOB: &str = "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\nsigma_um = 2.0\n\
+const JOB: &str = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\nsigma_um = 2.0\n\
     [[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
     [[circle]]\nplane = \"XY\"\npoints = 12\norientation = \"seed\"\namplitude_deg = 25.0\ntilt_deg = 30.0\n\
     [[circle]]\nplane = \"XZ\"\npoints = 12\norientation = \"seed\"\namplitude_deg = 25.0\ntilt_deg = 30.0\nstart_deg = -18.0\n\

@@ -33,7 +33,7 @@ fn plan(continuous: bool) -> Plan {
     let circles =
         ["[0.0, 0.0, 1.0]", "[0.6, 0.0, 0.8]", "[0.0, -0.6, 0.8]"].map(|normal| circle(normal, mode));
     let job = format!(
-        "robot = \"kr60ha\"\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
+        "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-6.0, 6.0]\n[[centre]]\nid = 1\n\
          xyz_mm = [1300.0, 0.0, 800.0]\n{}[motion]\nsettle_s = 0.4\ndwell_s = 0.5\nfeed_mm_s = 60.0\n",
         circles.concat()
     );

@@ -43,6 +43,13 @@ findings! {
             OtherThanCarried { key: String, carried: String, stated: String } => "{key} is stated as {stated}; the result has {carried}";
             NoSuchBall { ball: String, balls: usize } => "a serial number is stated of base ball {ball}, and {balls} were measured";
         }
+        E2008 "a certificate of simulated readings",
+        cause: "The result, or the check that is added, was computed from readings of the virtual bar of dbbd. A certificate of them would state the calibration of a robot that nobody measured.",
+        cure: "Measure the robot. To see how a certificate looks, make a specimen.",
+        asks: [Specimen] {
+            OfSimulated => "the readings are simulated: no certificate is made of them",
+                help: "a specimen shows how a certificate looks";
+        }
         E2006 "the PDF cannot be made",
         cause: "The text has a character that the PDF's font lacks, or a fault of dbbd.",
         cure: "Use letters of European scripts in [identity], or print certificate.html." {

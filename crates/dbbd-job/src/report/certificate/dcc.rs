@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
+use super::Certificate;
 use super::sections::{METHOD, NEVER_DETERMINED};
-use super::{Certificate, DRAFT};
 use crate::artefact::VERSION;
 use crate::report::page::fill;
 use dbbd_model::diagnostic::Diagnostic;
@@ -22,6 +22,7 @@ struct Document<'a> {
     never_determined: [&'static str; 4],
     release: &'a str,
     number: &'a str,
+    is_specimen: bool,
     robot: &'a str,
     country: &'a str,
     date: &'a str,
@@ -53,15 +54,16 @@ impl Quantity {
 }
 
 pub(super) fn write(certificate: &Certificate) -> Result<Vec<u8>, Diagnostic> {
-    let Certificate { provenance, check, number, result, .. } = certificate;
+    let Certificate { provenance, check, result, .. } = certificate;
     let identity = certificate.identity();
     let bar = &identity.bar;
     let document = Document {
-        draft: DRAFT,
+        draft: certificate.draft(),
         method: METHOD,
         never_determined: NEVER_DETERMINED,
         release: if provenance.dbbd.is_empty() { VERSION } else { &provenance.dbbd },
-        number,
+        number: certificate.number(),
+        is_specimen: certificate.is_specimen(),
         robot: &result.robot,
         country: identity.country.as_deref().unwrap_or(NO_COUNTRY),
         date: identity.measured.as_deref().and_then(|date| date.get(..10)).unwrap_or(NO_DATE),

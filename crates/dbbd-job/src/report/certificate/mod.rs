@@ -15,10 +15,10 @@ use serde::{Deserialize, Serialize};
 use super::page::render;
 use crate::report::certificate::CertificateFinding::{
     CheckOfAnother, CheckOfOtherFile, CheckOfOtherResult, NoBudget, NoCheck, NoResult, NoSuchBall, NotStated,
-    OtherThanCarried, WithWarnings,
+    OfSimulated, OtherThanCarried, WithWarnings,
 };
 use dbbd_model::base::hash::sha256;
-use dbbd_model::conformity::UncertaintyBudget;
+use dbbd_model::conformity::{Standing, StatedCheck, UncertaintyBudget, standing};
 use dbbd_model::diagnostic::Names;
 use dbbd_model::diagnostic::{Diagnostic, RecordedFinding, Severity};
 use dbbd_model::estimation::CalibrationResult;
@@ -31,6 +31,7 @@ use sections::Section;
 use super::page::capitalised;
 
 const DRAFT: &str = "Draft, not accredited, not signed";
+const SPECIMEN: &str = "SPECIMEN, not a certificate";
 
 /// The content of `result.json` with budget and provenance.
 #[derive(Deserialize)]
@@ -66,16 +67,20 @@ pub struct Certificate {
     budget: UncertaintyBudget,
     provenance: Provenance,
     check: Option<Check>,
+    /// What the check states about the calibration, and the day of the certificate.
+    stated_check: Option<StatedCheck>,
+    today: String,
     /// Contradictions between the identity that is stated now and the identity in the result.
     contradictions: Vec<CertificateFinding>,
-    /// First digits of the SHA-256 of `result.json`.
-    number: String,
+    /// First digits of the SHA-256 of `result.json`; `None` for a specimen, which has no number.
+    number: Option<String>,
 }
 
 #[derive(Serialize)]
 struct Page<'a> {
     title: String,
     draft: &'static str,
+    is_specimen: bool,
     robot: &'a str,
     number: &'a str,
     measured: &'a str,
@@ -84,19 +89,32 @@ struct Page<'a> {
 }
 
 impl Certificate {
-    pub fn read(text: &str) -> Result<Self, CertificateFinding> {
+    /// The certificate of the text of `result.json`, on a day.
+    pub fn read(text: &str, today: &str) -> Result<Self, CertificateFinding> {
         let read: ResultRead =
             serde_json::from_str(text).map_err(|error| NoResult { why: error.to_string() })?;
         let ResultRead { result, budget, provenance } = read;
-        let number = sha256(text).chars().take(16).collect();
+        let number = Some(sha256(text).chars().take(16).collect());
         let budget = budget.ok_or(NoBudget)?;
-        Ok(Self { result, budget, provenance, check: None, contradictions: Vec::new(), number })
+        let (check, stated_check, contradictions) = (None, None, Vec::new());
+        Ok(Self {
+            result,
+            budget,
+            provenance,
+            check,
+            stated_check,
+            today: today.into(),
+            contradictions,
+            number,
+        })
     }
 
     /// Adds the decision in the text of `check.json`; `robot` is the file that was written with the result. Refuses a
     /// check of another robot or another calibration.
     pub fn with_check(self, text: &str, robot: Option<&Artefact>) -> Result<Self, CertificateFinding> {
-        let check: Check = serde_json::from_str(text).map_err(|error| NoCheck { why: error.to_string() })?;
+        let no_check = |error: serde_json::Error| NoCheck { why: error.to_string() };
+        let check: Check = serde_json::from_str(text).map_err(no_check)?;
+        let stated_check: StatedCheck = serde_json::from_str(text).map_err(no_check)?;
         if check.robot != self.result.robot {
             return Err(CheckOfAnother { robot: self.result.robot, checked: check.robot });
         }
@@ -109,7 +127,38 @@ impl Certificate {
         if let Some(robot) = robot.filter(|robot| known && !check.provenance.has(robot)) {
             return Err(CheckOfOtherFile { robot: robot.to_string() });
         }
-        Ok(Self { check: Some(check), ..self })
+        Ok(Self { check: Some(check), stated_check: Some(stated_check), ..self })
+    }
+
+    /// Whether the calibration may be used on the day of the certificate.
+    pub fn standing(&self) -> Standing {
+        standing(&(&self.result).into(), self.stated_check.as_ref(), Some(&self.today))
+    }
+
+    /// A specimen: it shows how a certificate looks, and has neither a number nor traceability.
+    pub fn specimen(self) -> Self {
+        Self { number: None, ..self }
+    }
+
+    fn is_specimen(&self) -> bool {
+        self.number.is_none()
+    }
+
+    fn number(&self) -> &str {
+        self.number.as_deref().unwrap_or("none")
+    }
+
+    /// What is at the head of each page.
+    fn draft(&self) -> &'static str {
+        if self.is_specimen() { SPECIMEN } else { DRAFT }
+    }
+
+    /// Refuses a certificate of simulated readings. A specimen may have them.
+    pub fn check_origin(&self) -> Result<(), CertificateFinding> {
+        let of_check = self.check.iter().map(|check| &check.provenance);
+        let mut all = of_check.chain([&self.provenance]);
+        let refused = !self.is_specimen() && all.any(Provenance::is_simulated);
+        if refused { Err(OfSimulated) } else { Ok(()) }
     }
 
     /// Replaces the identity in the result by this identity.
@@ -129,7 +178,11 @@ impl Certificate {
     /// Whether the bar's length has a certificate with its uncertainty.
     fn is_traceable(&self) -> bool {
         let bar = &self.identity().bar;
-        bar.certificate.is_some() && bar.length_u_mm.is_some()
+        !self.is_specimen() && bar.certificate.is_some() && bar.length_u_mm.is_some()
+    }
+
+    pub fn robot(&self) -> &str {
+        &self.result.robot
     }
 
     fn title(&self) -> String {
@@ -177,9 +230,10 @@ impl Certificate {
     pub fn html(&self) -> Result<String, Diagnostic> {
         let page = Page {
             title: self.title(),
-            draft: DRAFT,
+            draft: self.draft(),
+            is_specimen: self.is_specimen(),
             robot: &self.result.robot,
-            number: &self.number,
+            number: self.number(),
             measured: self.measured(),
             sections: self.sections(),
             provenance: &self.provenance,

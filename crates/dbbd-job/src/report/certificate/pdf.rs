@@ -15,8 +15,8 @@ use skrifa::instance::{LocationRef, Size};
 use skrifa::metrics::GlyphMetrics;
 use skrifa::{FontRef, MetadataProvider};
 
+use super::Certificate;
 use super::sections::{Block, Section, Table};
-use super::{Certificate, DRAFT};
 use crate::report::certificate::CertificateFinding;
 
 /// Size of A4 and its margins, points.
@@ -304,14 +304,14 @@ impl Layout {
         let count = self.pages.len();
         for (at, page) in self.pages.iter_mut().enumerate() {
             let number = format!("Page {} of {count}", at + 1);
-            let foot = format!("Draft {}, measured {}", certificate.number, certificate.measured());
+            let foot = format!("Draft {}, measured {}", certificate.number(), certificate.measured());
             let mut put = |text: &str, right: bool, y: f32| {
                 let shift = if right { self.letters.width(text, SMALL) } else { 0.0 };
                 let x = if right { RIGHT - shift } else { LEFT };
                 page.push(Mark::Text { at: [x, y], style: SMALL, text: text.to_owned() });
             };
             put(&certificate.result.robot, false, 44.0);
-            put(DRAFT, true, 44.0);
+            put(certificate.draft(), true, 44.0);
             put(&foot, false, PAGE[1] - 34.0);
             put(&number, true, PAGE[1] - 34.0);
             page.push(Mark::Rule { y: 50.0, from: LEFT, to: RIGHT });
@@ -332,7 +332,7 @@ pub(super) fn write(certificate: &Certificate, dcc: &[u8]) -> Result<Vec<u8>, Ce
     let mut layout = Layout { letters: Letters::new()?, pages: Vec::new(), y: TOP };
     layout.room(0.0);
     layout.paragraph(&certificate.title(), TITLE);
-    layout.paragraph(DRAFT, STRONG);
+    layout.paragraph(certificate.draft(), STRONG);
     for (at, section) in certificate.sections().iter().enumerate() {
         layout.section(at + 1, section);
     }

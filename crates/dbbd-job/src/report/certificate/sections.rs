@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{Certificate, Check, DRAFT};
+use super::{Certificate, Check};
 use crate::report::parameters::not_estimated;
 use crate::report::scale::{decimals, fixed, signed, significant, typeset};
 use crate::report::verdict::Verdict;
@@ -95,14 +95,17 @@ impl Certificate {
 
     /// The verdict in the words of the report.
     fn statement(&self) -> Vec<Block> {
-        Verdict::of_calibration(&self.result, &self.budget).statement().map(Block::Text).collect()
+        Verdict::of_calibration(&self.result, &self.budget, &self.standing())
+            .statement()
+            .map(Block::Text)
+            .collect()
     }
 
     fn object(&self) -> Vec<Fact> {
         let identity = self.identity();
         let stated = |text: &Option<String>| text.clone().unwrap_or_else(|| "not stated".into());
         let mut facts = vec![
-            fact("Number of the draft", &self.number),
+            fact("Number of the draft", self.number()),
             fact("Robot", &self.result.robot),
             fact("Serial number", stated(&identity.robot)),
             fact("Serial number of the controller", stated(&identity.controller)),
@@ -118,7 +121,9 @@ impl Certificate {
     }
 
     fn traceability(&self) -> Vec<Block> {
-        let statement = if self.is_traceable() {
+        let statement = if self.is_specimen() {
+            "A specimen states no traceability."
+        } else if self.is_traceable() {
             "The lengths are traceable to the SI through the certificate of the bar's length."
         } else {
             "The lengths are not traceable to the SI: the certificate of the bar, or the uncertainty of its length, is not stated."
@@ -255,9 +260,14 @@ impl Certificate {
     }
 
     fn signatures(&self) -> Vec<Block> {
-        let by = format!("Made by dbbd {} from result.json {}.", self.provenance.dbbd, self.number);
-        let draft =
-            format!("{DRAFT}. A laboratory that issues it takes responsibility for it by its signature.");
+        let by = format!("Made by dbbd {} from result.json {}.", self.provenance.dbbd, self.number());
+        if self.is_specimen() {
+            return vec![Block::Text(format!("{}: nobody signs it.", self.draft()))];
+        }
+        let draft = format!(
+            "{}. A laboratory that issues it takes responsibility for it by its signature.",
+            self.draft()
+        );
         vec![
             Block::Text(format!("{draft} {by}")),
             Block::Signatures(vec!["Performed by, date", "Approved by, date"]),
@@ -282,7 +292,9 @@ fn decision(check: &Check) -> Vec<Fact> {
         "simple_acceptance" => {
             "simple acceptance (JCGM 106:2012, 8.2): by the most probable value alone, shared risk"
         }
-        "change" => "no tolerance: pass if the check finds no change since the calibration",
+        "change" => {
+            "no tolerance is stated: neither pass nor fail, but unchanged or changed since the calibration"
+        }
         other => other,
     };
     let mut facts = vec![

@@ -193,7 +193,7 @@ mod tests {
     use dbbd_model::robot::ParamId;
 
     fn with_errors(errors: &[(&str, f64)]) -> Robot {
-        let nominal = Robot::by_name("kr60ha").unwrap().unwrap();
+        let nominal = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let mut robot = Robot { nominal: Some(Box::new(nominal.clone())), ..nominal };
         for (name, error) in errors {
             let id: ParamId = name.parse().unwrap();

@@ -46,6 +46,7 @@ pub(super) fn write_results(
         if table.is_file() {
             let table = Artefact {
                 name: name.into(),
+                origin: document.provenance.origin(),
                 ..crate::artefact::of_file(ArtefactRole::Measurements, &table)?
             };
             match written {

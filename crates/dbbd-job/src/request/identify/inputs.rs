@@ -92,7 +92,13 @@ impl LoadedInputs {
         let LoadedRobot { mut robot, source, .. } = read_robot(named.robot, run, &first.lengths, session)?;
         if let Some(tool) = named.tool_mm {
             robot.set_tool(tool);
+        } else if !robot.has_tool
+            && let Some(planned) = run.and_then(|run| run.robot().ok())
+        {
+            // The robot of the catalogue was measured with the tool of the plan.
+            robot.set_tool(planned.controller().geometry.tool.into());
         }
+        robot.check_tool()?;
         let mut sources = Vec::new();
         let centres = match (named.centres, run) {
             (Some(path), _) => {
@@ -123,6 +129,7 @@ impl LoadedInputs {
         let observations = with_positions(observations, positions.as_ref())?;
         let lengths = parts.iter().map(|part| &part.lengths);
         let provenance = crate::artefact::made_from([&source].into_iter().chain(&sources).chain(lengths));
+        findings.extend(provenance.of_origin().map(Diagnostic::from));
         let identities = parts.iter().map(|part| &part.lengths.provenance.identity);
         let measured = measured_conditions(identities, &observations);
         let bar = &provenance.identity.bar;

@@ -219,6 +219,8 @@ impl PlanRequest {
         let read = read.map_err(|why| if is_of_job { in_job("", "robot", why) } else { why })?;
         let with_serial = with_serial(&job, read).map_err(|why| in_job("", "serial", why));
         let LoadedRobot { mut robot, source, .. } = with_serial?;
+        job.tool.state_in(&mut robot);
+        robot.check_tool().map_err(|why| in_job("[tool]", "ball_mm", why.into()))?;
         let carried = job.payload.as_ref().map(|payload| robot.geometry.load.carry(payload));
         carried.transpose().map_err(|why| in_job("", "payload", why))?;
         job.check_against(&robot).map_err(|wrong| wrong.in_text(&name, &text))?;

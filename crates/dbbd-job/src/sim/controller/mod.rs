@@ -342,7 +342,9 @@ mod arm_tests {
     use dbbd_model::diagnostic::Finding;
 
     fn arm() -> SimulatedArm {
-        let robot = Robot::by_name("kr60ha").expect("it is built in").expect("its file can be read");
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0])
+            .expect("it is built in")
+            .expect("its file can be read");
         SimulatedArm::at_home(&robot, Language::Krl)
     }
 

@@ -241,6 +241,36 @@ fn as_stated(mounting: Mounting) {
     assert!(counts.repaired_mm < 1.5 * counts.calibrated_mm, "{counts:?}");
 }
 
+/// The lengths of a corrected program are those of the nominal robot: they are no change of the robot. A changed robot is not taken
+/// for one that ran a corrected program.
+#[test]
+fn lengths_of_a_corrected_program_are_no_change() {
+    let bench = Bench::new(MOUNTING);
+    let nominal = bench.robot.nominal.as_deref().unwrap();
+    let truth = LengthModel { geometry: nominal.geometry.clone(), ..bench.start.clone() };
+    let mut random = Pcg64::seed_from_u64(7);
+    let of_nominal = |sds: f64, random: &mut Pcg64| {
+        let mut readings = bench.readings();
+        for reading in &mut readings {
+            reading.length_mm = truth.prepare().length(reading) + sds * SIGMA * normal(random);
+        }
+        readings
+    };
+    let corrected = of_nominal(1.0, &mut random);
+    let too_far_off = of_nominal(3.0, &mut random);
+    let changed = Drawn::new(&bench, &[("theta2".parse().unwrap(), 2e-3)], &mut random).readings;
+    for (readings, was_corrected) in [(corrected, true), (too_far_off, false), (changed, false)] {
+        let input = CheckInput { tolerance_mm: Some(1.0), ..bench.input(&readings) };
+        let found = input.check().unwrap();
+        assert!(found.test.changed, "{:?}", found.test);
+        let is_named = found.findings.iter().any(|finding| finding.code().as_str() == "W1925");
+        assert_eq!(is_named, was_corrected, "{:?}", found.findings);
+        let outcome = if was_corrected { ConformityOutcome::Undecided } else { ConformityOutcome::Fail };
+        assert_eq!(found.decision.decision, outcome);
+        assert!(!was_corrected || found.changes.is_empty() && found.update().is_none());
+    }
+}
+
 /// A base ball that moved by three tenths of a millimetre is named, where it should have stayed; else it is no change.
 #[test]
 fn a_moved_ball_is_found_if_it_was_kept() {
@@ -336,6 +366,7 @@ fn decisions(robots: usize, seed: u64) -> [(f64, Decisions); 5] {
                     counts.wrong_fail += usize::from(truth_mm <= tolerance);
                 }
                 ConformityOutcome::Undecided => counts.undecided += 1,
+                ConformityOutcome::Unchanged | ConformityOutcome::Changed => panic!("a tolerance is given"),
             }
         }
     }

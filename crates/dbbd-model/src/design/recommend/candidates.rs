@@ -236,7 +236,7 @@ mod tests {
     /// of the tool ball, and turns the flange there by more than the circle did.
     #[test]
     fn wrist_turns_at_the_measured_places() {
-        let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
         let (ball, home) = (Vector3::new(1300.0, 0.0, 800.0), BallId::FIRST);
         let start =
             PreparedMeasurement::new([0.0, -90.0, 90.0, 0.0, 60.0, 0.0].map(f64::to_radians), home, 300.0);

@@ -12,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 fn kr60ha() -> Robot {
-    Robot::by_name("kr60ha").unwrap().unwrap()
+    Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap()
 }
 
 fn rad(deg: [f64; AXES]) -> [f64; AXES] {
