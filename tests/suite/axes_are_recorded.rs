@@ -154,8 +154,13 @@ fn campaign_of_ten_million_packets() {
 #[test]
 fn restarts_and_stray_packets_are_distinguished() {
     let packet = |ticks: u64| {
-        let sample =
-            AxesSample { ticks: DeviceTicks(ticks), measured_deg: [1.0; 6], commanded_deg: None, late: None };
+        let sample = AxesSample {
+            ticks: DeviceTicks(ticks),
+            measured_deg: [1.0; 6],
+            commanded_deg: None,
+            external: None,
+            late: None,
+        };
         rsi::write_datagram(&sample).into_bytes()
     };
     let mut receiver = AxesReceiver::new(AxesProtocol::Rsi);
@@ -233,6 +238,7 @@ fn rsi_is_answered_only_on_request() {
             ticks: DeviceTicks(ticks),
             measured_deg: [1.0, -90.5, 90.25, 0.0, -0.125, 7.0],
             commanded_deg: Some([1.0, -90.5, 90.25, 0.0, -0.125, 7.01]),
+            external: None,
             late: Some(late),
         };
         rsi::write_datagram(&sample).into_bytes()

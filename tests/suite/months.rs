@@ -60,6 +60,16 @@ fn predicted_mm(at: &Path, more: &[&str]) -> f64 {
 }
 
 #[test]
+fn the_validity_of_an_old_calibration_is_over() {
+    let dir = tempdir().unwrap();
+    let (_, result) = calibrated_on(dir.path(), "1999-03-01");
+    let until = result["validity"]["until"].as_str().unwrap();
+    assert!(until < "2026", "{until}");
+    let info = dbbd(dir.path(), &["info", "first/robot-identified.toml"]);
+    assert_eq!((info.status.code(), codes(&info)), (Some(3), vec!["W1853".to_owned()]), "{}", stderr(&info));
+}
+
+#[test]
 fn a_calibration_fades_and_is_renewed() {
     let dir = tempdir().unwrap();
     let at = dir.path();
@@ -148,6 +158,20 @@ fn a_calibration_fades_and_is_renewed() {
     let checked = dbbd(at, &[&args[..], &["--out", "check"]].concat());
     assert_eq!(checked.status.code(), Some(0), "{}", stderr(&checked));
     assert!(json(at, "check/check.json")["validity"]["until"].is_string());
+    let standing = || {
+        let info = dbbd(at, &["info", "first/robot-identified.toml"]);
+        (info.status.code(), codes(&info))
+    };
+    assert_eq!(standing(), (Some(0), Vec::new()));
+    // A zero that is lost fails the check, and the robot file is not to be used.
+    let mut lost = later.clone();
+    *lost.geometry.value_mut(zero).unwrap() += 5e-3;
+    fs::write(at.join("lost.csv"), lengths(&lost, 8, 3, 3).to_csv()).unwrap();
+    let mut of_lost = args;
+    of_lost[1] = "lost.csv";
+    let failed = dbbd(at, &[&of_lost[..], &["--out", "check"]].concat());
+    assert_eq!(failed.status.code(), Some(4), "{}", stderr(&failed));
+    assert_eq!(standing(), (Some(3), vec!["W1852".to_owned()]));
     let second = identify(at, "later.csv", "first/robot-identified.toml", "second", "2026-02-28", 20.0);
     assert_eq!(second["prior"], "posterior");
     let renewed = robot_of(&at.join("second"));

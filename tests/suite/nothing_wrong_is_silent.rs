@@ -131,6 +131,10 @@ fn tables_of_lengths() {
         3,
         "W1281",
     );
+    let without_tool = ["predict", "far.csv", "--robot", "kr60ha", "--out", "p.csv"];
+    says(&dbbd(dir.path(), &without_tool), 1, "E0507");
+    let to_dash = ["predict", "far.csv", "--robot", "kr60ha", "--tool", "30,20,10", "--out", "-"];
+    says(&dbbd(dir.path(), &to_dash), 1, "E0102");
     for (options, exit, code) in [
         (&["--folds", "1"][..], 2, ""),
         (&["--bar-u", "1"], 2, ""),
@@ -168,6 +172,7 @@ const JOBS: &[(&str, &str, &str)] = &[
     ("temperature_c = 20.0", "temperature_c = 68.0", "E0130"),
     ("expansion_per_k = 12e-6", "expansion_per_k = -12e-6", "E0130"),
     ("feed_mm_s = 40.0", "feed_mm_s = 0.04", "E0130"),
+    ("feed_mm_s = 40.0", "feed_mm_s = 40.0\nturn_deg_s = 4000.0", "E0130"),
     ("dwell_s = 0.4", "dwell_s = 0.001", "E0130"),
     ("arc_deg = 10.0", "arc_deg = 6.283", "E0130"),
     ("high_mm = [400.0, 1500.0, 1000.0]", "high_mm = [0.4, 900.6, 1.0]", "E0130"),

@@ -345,6 +345,13 @@ fn a_corrected_circle_keeps_the_stroke() {
         let worst_mm = readings.iter().fold(0.0, |worst: f64, reading| worst.max(reading.abs()));
         // Backlash is corrected for the way to a target as it was planned.
         assert!(readings.len() >= 24 && worst_mm < 0.5, "seed {seed}: {off_mm} mm off, {readings:.3?}");
+        // With a tool ball that is 12 mm away the bar would leave its stroke.
+        let mut away = identified.clone();
+        away.geometry.tool.x += 12.0;
+        fs::write(at.join("away.toml"), away.to_toml().unwrap()).unwrap();
+        let (code, said, text) =
+            run("compensate krl/DBB_C001.src --robot away.toml --limit 50 --out away --quiet");
+        assert!(code == Some(1) && said.contains(&"E0925".to_owned()), "{text}");
         // Without its plan the program is refused.
         fs::create_dir_all(at.join("alone/krl")).unwrap();
         for name in ["DBB_C001.src", "DBB_C001.dat"] {

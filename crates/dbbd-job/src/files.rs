@@ -5,7 +5,7 @@ use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 use dbbd_model::base::FileFinding::{
-    IsInput, NoDirectory, NoResult, NotAFile, NotUtf8At, OtherContent, TooLarge, Unwritable,
+    IsInput, NoDirectory, NoResult, NotAFile, NotUtf8At, OtherContent, StandardOutput, TooLarge, Unwritable,
 };
 use dbbd_model::base::hash::Sha256;
 use dbbd_model::base::serialised;
@@ -192,6 +192,9 @@ pub struct UnfinishedFile {
 
 impl UnfinishedFile {
     pub fn create(path: &Path) -> Result<(Self, File), Diagnostic> {
+        if path.as_os_str() == "-" {
+            return Err(Diagnostic::file(path.display(), StandardOutput));
+        }
         let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
         let part = beside(&target, "part");
         let file = File::create(&part).map_err(unwritable(path))?;

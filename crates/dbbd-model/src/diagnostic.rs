@@ -451,9 +451,14 @@ impl Diagnostic {
     #[must_use]
     pub fn at_span(self, file: &str, text: &str, span: Range<usize>) -> Self {
         let before = text.get(..span.start).unwrap_or(text);
-        let line = before.matches('\n').count() + 1;
-        let column = before.rsplit('\n').next().map_or(0, |tail| tail.chars().count()) + 1;
-        self.at(file, text, line, column)
+        let line = before.bytes().filter(|byte| *byte == b'\n').count() + 1;
+        let start = before.rfind('\n').map_or(0, |end| end + 1);
+        let column = before.get(start..).map_or(0, |tail| tail.chars().count()) + 1;
+        let placed = Self { line, column, ..self.in_file(file) };
+        match text.get(start..).and_then(|rest| rest.lines().next()) {
+            Some(excerpt) => placed.in_line(excerpt, column),
+            None => placed,
+        }
     }
 
     /// Another finding at the same place.

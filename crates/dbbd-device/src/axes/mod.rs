@@ -34,9 +34,14 @@ pub struct AxesSample {
     pub measured_deg: [f64; AXES],
     /// Axis angles commanded by the controller, degrees, if it sends them.
     pub commanded_deg: Option<[f64; AXES]>,
+    /// Measured positions of the external axes E1 to E6, mm or degrees, if the controller sends them; 0 for one that is not there.
+    pub external: Option<[f64; EXTERNAL_AXES]>,
     /// Number of late answers as counted by the controller (RSI `Delay`).
     pub late: Option<u32>,
 }
+
+/// The rails and tables that a controller moves beside the robot, at most.
+pub const EXTERNAL_AXES: usize = 6;
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum PacketContent {

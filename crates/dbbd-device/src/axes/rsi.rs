@@ -2,11 +2,11 @@
 //!
 //! `<Rob Type="KUKA"><AIPos A1=".." .. A6=".."/><ASPos ../><Delay D="0"/><IPOC>123</IPOC></Rob>`, one UDP datagram per cycle,
 //! with the elements of the Ethernet configuration in any order. `AIPos` are the measured axes, `ASPos` the
-//! commanded ones, degrees; `IPOC` is the time stamp in ms, which an answer repeats.
+//! commanded ones, degrees; `EIPos` are the measured external axes, `E1` to `E6`; `IPOC` is the time stamp in ms, which an answer repeats.
 
 use roxmltree::{Document, Node};
 
-use super::{AxesFault, AxesSample, possible};
+use super::{AxesFault, AxesSample, EXTERNAL_AXES, possible};
 use dbbd_model::base::units::DeviceTicks;
 use dbbd_model::robot::AXES;
 
@@ -29,8 +29,9 @@ pub fn read_datagram(bytes: &[u8]) -> Result<AxesSample, AxesFault> {
     let ticks = DeviceTicks(ticks.trim().parse().map_err(|_| AxesFault::NotANumber)?);
     let measured_deg = angles(child("AIPos").ok_or(AxesFault::Incomplete)?)?;
     let commanded_deg = child("ASPos").map(angles).transpose()?;
+    let external = child("EIPos").map(external).transpose()?;
     let late = child("Delay").and_then(|node| node.attribute("D")?.trim().parse().ok());
-    Ok(AxesSample { ticks, measured_deg, commanded_deg, late })
+    Ok(AxesSample { ticks, measured_deg, commanded_deg, external, late })
 }
 
 fn angles(node: Node<'_, '_>) -> Result<[f64; AXES], AxesFault> {
@@ -40,6 +41,16 @@ fn angles(node: Node<'_, '_>) -> Result<[f64; AXES], AxesFault> {
         *angle = text.trim().parse().map_err(|_| AxesFault::NotANumber)?;
     }
     if possible(&angles_deg) { Ok(angles_deg) } else { Err(AxesFault::NotANumber) }
+}
+
+fn external(node: Node<'_, '_>) -> Result<[f64; EXTERNAL_AXES], AxesFault> {
+    let mut positions = [0.0_f64; EXTERNAL_AXES];
+    for (position, number) in positions.iter_mut().zip(1..) {
+        if let Some(text) = node.attribute(format!("E{number}").as_str()) {
+            *position = text.trim().parse().map_err(|_| AxesFault::NotANumber)?;
+        }
+    }
+    if positions.into_iter().all(f64::is_finite) { Ok(positions) } else { Err(AxesFault::NotANumber) }
 }
 
 /// A datagram as a controller writes it, with its digits.
@@ -71,6 +82,7 @@ mod tests {
         ticks: DeviceTicks(4_208_163),
         measured_deg: [1.5, -90.0, 90.0, 0.25, -45.125, 180.0],
         commanded_deg: Some([1.25, -90.5, 90.5, 0.5, -45.0, 179.5]),
+        external: None,
         late: Some(3),
     };
 
@@ -89,8 +101,19 @@ mod tests {
     fn commanded_axes_and_delay_may_be_missing() {
         let text = "<Rob><IPOC> 12 </IPOC><AIPos A6='6' A5='5' A4='4' A3='3' A2='2' A1='1'/></Rob>";
         let measured_deg = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
-        let sample = AxesSample { ticks: DeviceTicks(12), measured_deg, commanded_deg: None, late: None };
+        let sample = AxesSample {
+            ticks: DeviceTicks(12),
+            measured_deg,
+            commanded_deg: None,
+            external: None,
+            late: None,
+        };
         assert_eq!(read_datagram(text.as_bytes()), Ok(sample));
+        // The elements of the file of KUKA's examples and of clients that ask for everything.
+        let with_rail = text.replace("<IPOC>", "<EIPos E1=\"499.5\" E2=\"-1.0E1\"/><IPOC>");
+        let external = Some([499.5, -10.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(read_datagram(with_rail.as_bytes()), Ok(AxesSample { external, ..sample }));
+        assert_eq!(read_datagram(with_rail.replace("499.5", "inf").as_bytes()), Err(AxesFault::NotANumber));
     }
 
     #[test]

@@ -131,7 +131,7 @@ fn data_of(recipe: Option<u8>, content: &[u8]) -> Result<AxesSample, AxesFault> 
         return Err(AxesFault::NotANumber);
     }
     let ticks = DeviceTicks((seconds * 1e6).round() as u64);
-    Ok(AxesSample { ticks, measured_deg, commanded_deg: Some(commanded_deg), late: None })
+    Ok(AxesSample { ticks, measured_deg, commanded_deg: Some(commanded_deg), external: None, late: None })
 }
 
 #[cfg(test)]
@@ -142,6 +142,7 @@ mod tests {
         ticks: DeviceTicks(1_500_000),
         measured_deg: [10.0, -20.0, 30.0, -40.0, 50.0, -60.0],
         commanded_deg: Some([11.0, -21.0, 31.0, -41.0, 51.0, -61.0]),
+        external: None,
         late: None,
     };
 

@@ -15,6 +15,7 @@ use crate::plan::{MODULE_DWELLS, MotionKind, Plan, PlanRow, PoseKind};
 use crate::program::ProgramFinding;
 use dbbd_model::base::InternalFinding;
 use dbbd_model::diagnostic::Diagnostic;
+use dbbd_model::plausibility::Quantity;
 use dbbd_model::robot::Robot;
 
 /// The files of a program, names and texts; the program begins in the first.
@@ -208,7 +209,9 @@ fn check_row(timed: &Timed<'_>) -> Result<(), ProgramFinding> {
         MotionKind::Ptp => Ok(()),
         _ if timed.is_auxiliary() => Ok(()),
         _ if !(0.01..=2000.0).contains(&feed_mm_s) => Err(ProgramFinding::RowFeed { row, feed_mm_s }),
-        _ if !(0.01..=1000.0).contains(&turn_deg_s) => Err(ProgramFinding::RowTurn { row, turn_deg_s }),
+        _ if Quantity::TurnSpeed.check("", turn_deg_s).is_err() => {
+            Err(ProgramFinding::RowTurn { row, turn_deg_s })
+        }
         MotionKind::Lin | MotionKind::Circ => Ok(()),
     }
 }

@@ -70,6 +70,7 @@ impl AxesPublisher {
             ticks: DeviceTicks(self.first_ticks + ticks),
             measured_deg: measured.map(f64::to_degrees),
             commanded_deg: Some(commanded.map(f64::to_degrees)),
+            external: None,
             late: Some(0),
         };
         self.sent.cycles += 1;

@@ -18,6 +18,7 @@ findings! {
         asks: [Out] {
             Unwritable { why: String } => "cannot be written: {why}";
             NoDirectory { why: String } => "cannot be made: {why}";
+            StandardOutput => "is no file: results are not written to standard output";
             IsRead => "is read by this command: name another directory for the result";
         }
         E0182 "a file of an earlier result would be replaced",
@@ -27,10 +28,11 @@ findings! {
             Exists => "exists, and is not replaced";
         }
         E0103 "a file is not text",
-        cause: "The file is binary, or in an encoding that is not read here: tables are UTF-8, UTF-16 behind a byte order mark or Windows-1252, other files UTF-8.",
-        cure: "Save it as UTF-8. A capture is read by `dbbd info`, `sync`, `identify`, `circle` and `export` only." {
+        cause: "The file is binary, or in an encoding that is not read here: tables are UTF-8, UTF-16 or Windows-1252, other files UTF-8; lines end with a line feed, with or without a carriage return before it.",
+        cure: "Save it as UTF-8 (a table: \"CSV UTF-8\"). A capture is read by `dbbd info`, `sync`, `identify`, `circle` and `export` only." {
             NotUtf8 => "is not UTF-8 text";
             NotText { encoding: String } => "is not text in {encoding}";
+            CarriageReturns => "its lines end with a carriage return alone";
             NotUtf8At { byte: usize } => "is not UTF-8 text (byte {byte})";
         }
         E0110 "a table lacks a column",

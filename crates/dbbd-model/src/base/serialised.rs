@@ -33,8 +33,10 @@ impl Seal {
         format!("{open}{before}{}{after}", sha256(text))
     }
 
-    /// Refuses a text that was edited after [`Self::append`] made it. A text without a hash is accepted.
+    /// Refuses a text that was edited after [`Self::append`] made it. A text without a hash is accepted, and so are the line ends
+    /// and the byte order mark that an editor or a version control of Windows adds.
     pub fn check(self, text: &str) -> Result<(), ProvenanceFinding> {
+        let text = text.trim_start_matches('\u{feff}').replace("\r\n", "\n");
         let [end, before, after] = self.marks();
         let Some((open, hash)) = text.rsplit_once(before) else { return Ok(()) };
         let expected = format!("{}{after}", sha256(format!("{open}{end}")));
@@ -119,6 +121,7 @@ mod tests {
             // An editor adds or removes a newline at the end of a file.
             seal.check(&format!("{sealed}\n")).unwrap();
             seal.check(sealed.trim_end()).unwrap();
+            seal.check(&format!("\u{feff}{}", sealed.replace('\n', "\r\n"))).unwrap();
             for edited in [sealed.replacen('1', "2", 1), sealed.replacen('a', "b", 1), format!("{sealed}x")] {
                 assert!(seal.check(&edited).is_err(), "{edited}");
             }

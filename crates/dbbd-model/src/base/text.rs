@@ -1,11 +1,11 @@
-//! Reads text files line by line in the encoding that their bytes suggest: UTF-16 with a byte order mark, UTF-8, else
-//! Windows-1252.
+//! Reads text files line by line in the encoding that their bytes suggest: UTF-16 with a byte order mark or an ASCII
+//! character at the beginning, UTF-8, else Windows-1252.
 
 use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::{self, BufRead};
 
-use super::catalogue::FileFinding::{NotText, Unreadable};
+use super::catalogue::FileFinding::{CarriageReturns, NotText, Unreadable};
 use crate::diagnostic::Diagnostic;
 
 /// The error that a source cannot be read.
@@ -83,12 +83,15 @@ impl<R: BufRead> LineReader<R> {
 
     /// Appends the next line to `text`, with its line end and, in the first line, the byte order mark. Returns false at the
     /// end of the file.
+    ///
+    /// # Errors
+    /// The file cannot be read, its bytes are not text, or its lines end with a carriage return alone.
     pub fn next(&mut self, text: &mut String) -> Result<bool, Diagnostic> {
         if self.number == 0 {
             let first = self.source.fill_buf().map_err(unreadable(&self.file))?;
             self.encoding = match first {
-                [0xff, 0xfe, ..] => Encoding::Utf16Le,
-                [0xfe, 0xff, ..] => Encoding::Utf16Be,
+                [0xff, 0xfe, ..] | [_, 0, ..] => Encoding::Utf16Le,
+                [0xfe, 0xff, ..] | [0, _, ..] => Encoding::Utf16Be,
                 _ => Encoding::Utf8,
             };
         }
@@ -108,6 +111,9 @@ impl<R: BufRead> LineReader<R> {
         self.decode(text).ok_or_else(|| {
             Diagnostic::line(&self.file, self.number, NotText { encoding: encoding.into() })
         })?;
+        if self.number == 1 && text.trim_end_matches(['\r', '\n']).contains('\r') {
+            return Err(Diagnostic::file(&self.file, CarriageReturns));
+        }
         Ok(true)
     }
 
@@ -214,9 +220,14 @@ mod tests {
                 (expected.clone(), encoding)
             );
         }
+        // Without the mark.
+        for (bytes, encoding) in [(&le[2..], Encoding::Utf16Le), (&be[2..], Encoding::Utf16Be)] {
+            let (found, as_read) = lines(bytes).unwrap();
+            assert_eq!((found.concat().as_str(), as_read), (&text[3..], encoding));
+        }
         let (found, encoding) = lines(b"a\n\xb5m \x80 \xdf\n").unwrap();
         assert_eq!((found[1].as_str(), encoding), ("µm € ß\n", Encoding::Windows1252));
-        for none in [&b"a\0b"[..], b"\xff\xfea", b"\xff\xfe\x00\xd8", b"\x81"] {
+        for none in [&b"a\0b"[..], b"\xff\xfea", b"\xff\xfe\x00\xd8", b"\x81", b"a,b\r1,2\r"] {
             assert_eq!(lines(none).unwrap_err().code().as_str(), "E0103", "{none:?}");
         }
     }

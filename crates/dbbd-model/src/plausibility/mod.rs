@@ -238,8 +238,8 @@ quantities! {
     PayloadDistance => range("the distance of a payload's centre from the flange", "mm", 3.0, MAX_ARM_MM).usually(5.0, 2e3).not_in(IN_METRES);
     /// The largest speed with a mounted bar is that of a controller's test mode; a speed below the least is in m/s.
     Feed => range("a feed with a mounted bar", "mm/s", 0.5, 250.0).not_in(IN_METRES_PER_SECOND);
-    /// Any speed that a job can name.
-    TurnSpeed => range("a turning speed", "degrees/s", POSITIVE, MAX_NUMBER);
+    /// Nothing turns slower in a program, and no axis of a robot turns faster.
+    TurnSpeed => range("a turning speed", "degrees/s", 0.01, 1000.0);
     /// No bar sends enough readings in a shorter dwell; a longer wait is a mistake.
     DwellTime => range("a dwell", "s", 0.05, 60.0).not_in(IN_MILLISECONDS);
     /// A longer wait is a mistake.

@@ -308,24 +308,35 @@ impl Robot {
     fn unlike_built_in(&self) -> Option<RobotFinding> {
         /// Rounding of published tables, mm and degrees.
         const ALIKE: f64 = 1.0;
+        /// Only an axis that is parallel to the one before has a beta, degrees.
+        const NO_BETA: f64 = 1e-6;
         if self.nominal.is_some() || self.controller_model == ControllerModel::Calibrated {
             return None;
         }
         let all = BUILT_IN.iter().filter_map(|(name, text)| Self::from_toml(name, text).ok());
         let built_in = all.into_iter().find(|robot| robot.name == self.name)?;
-        let rows = self.geometry.rows.iter().zip(&built_in.geometry.rows).zip(1..);
-        rows.into_iter().find_map(|((row, known), joint)| {
+        let parallel = built_in.parallel_joints();
+        Joint::ALL.into_iter().zip(1..).find_map(|(joint, number)| {
+            let [row, known] = [self, &built_in].map(|robot| robot.geometry.row(joint));
             let deg = f64::to_degrees;
+            let beta_alike = if parallel.contains(&joint) { ALIKE } else { NO_BETA };
             let values = [
-                ("alpha_deg", deg(row.alpha), deg(known.alpha)),
-                ("a_mm", row.a, known.a),
-                ("theta_offset_deg", deg(row.theta), deg(known.theta)),
-                ("d_mm", row.d, known.d),
-                ("sign", row.sign, known.sign),
+                ("alpha_deg", deg(row.alpha), deg(known.alpha), ALIKE),
+                ("a_mm", row.a, known.a, ALIKE),
+                ("theta_offset_deg", deg(row.theta), deg(known.theta), ALIKE),
+                ("d_mm", row.d, known.d, ALIKE),
+                ("sign", row.sign, known.sign, ALIKE),
+                ("beta_deg", deg(row.beta), deg(known.beta), beta_alike),
             ];
-            let (key, value, built_in) =
-                values.into_iter().find(|(_, value, known)| (value - known).abs() > ALIKE)?;
-            Some(RobotFinding::UnlikeBuiltIn { robot: self.name.clone(), joint, key, value, built_in })
+            let (key, value, built_in, _) =
+                values.into_iter().find(|(_, value, known, alike)| (value - known).abs() > *alike)?;
+            Some(RobotFinding::UnlikeBuiltIn {
+                robot: self.name.clone(),
+                joint: number,
+                key,
+                value,
+                built_in,
+            })
         })
     }
 
@@ -538,5 +549,13 @@ mod tests {
             other.unlike_built_in(),
             Some(RobotFinding::UnlikeBuiltIn { joint: 3, key: "a_mm", .. })
         ));
+        // Axis 3 is parallel to axis 2, and axis 4 is not parallel to axis 3.
+        let with_beta = |row: usize| {
+            let mut other = robot("irb120");
+            other.geometry.rows[row].beta = 0.1_f64.to_radians();
+            other.unlike_built_in()
+        };
+        assert!(with_beta(2).is_none());
+        assert!(matches!(with_beta(3), Some(RobotFinding::UnlikeBuiltIn { joint: 4, key: "beta_deg", .. })));
     }
 }

@@ -283,3 +283,18 @@ fn fanuc_is_in_position_where_it_rests() {
     assert_eq!((rests.len(), markers), (1 + dwells + markers, 10));
     assert!(goes_on.len() > dwells, "{}", goes_on.len());
 }
+
+/// Blocks are nested as deep as a file can be long, in a time that grows with its length.
+#[test]
+fn blocks_of_a_script_are_nested_deep() {
+    const DEEP: usize = 100_000;
+    let text = format!(
+        "def p():\n{}movej([0, -1, 1, 0, 1, 0])\n{}end\n",
+        "if n > 0:\n".repeat(DEEP),
+        "end\n".repeat(DEEP)
+    );
+    let read = |text: &str| urscript::read(Text { file: "p.script", text }, None).map(drop);
+    assert_eq!(read(&text), Ok(()));
+    let unclosed = text.replacen("end\n", "", 1);
+    assert_eq!(read(&unclosed).unwrap_err().code().as_str(), "E0803");
+}

@@ -1,5 +1,7 @@
 //! Parser of the routines of a script.
 
+use std::mem;
+
 use crate::program::CompensationFinding;
 use crate::program::Language;
 use crate::program::ProgramFinding;
@@ -10,11 +12,11 @@ use crate::program::text::Text;
 use crate::program::tokens::Tokens;
 use dbbd_model::diagnostic::Diagnostic;
 
-/// An open block, which the next `end` closes.
-enum Block {
-    Routine(Routine),
-    /// Any other block, with the control statement of its end.
-    Other(Control),
+/// A routine whose `end` has not come.
+struct OpenRoutine {
+    routine: Routine,
+    /// Its open blocks, by the control statement of their end; the next `end` closes the last one.
+    blocks: Vec<Control>,
 }
 
 /// Parses the routines of a script. A routine comes after the routines inside it; the last routine, without a name, has
@@ -29,8 +31,8 @@ pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
         parameters: Vec::new(),
         body: Vec::new(),
     };
-    let mut open = vec![Block::Routine(outside)];
-    let mut routines = Vec::new();
+    let mut innermost = OpenRoutine { routine: outside, blocks: Vec::new() };
+    let (mut around, mut routines) = (Vec::new(), Vec::new());
     while *tokens.peek() != Token::End {
         if *tokens.peek() == Token::LineEnd {
             tokens.advance();
@@ -39,24 +41,25 @@ pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
         let start = tokens.position();
         if let Some(word) = ["def", "thread", "sec"].into_iter().find(|word| tokens.accept_name(word)) {
             let (name, parameters) = head(&mut tokens)?;
-            let (is_local, is_concurrent) = (open.len() > 1, word == "thread");
+            let (is_local, is_concurrent) = (!around.is_empty(), word == "thread");
             let body = Vec::new();
-            open.push(Block::Routine(Routine { name, file: 0, is_local, is_concurrent, parameters, body }));
+            let routine = Routine { name, file: 0, is_local, is_concurrent, parameters, body };
+            around.push(mem::replace(&mut innermost, OpenRoutine { routine, blocks: Vec::new() }));
             continue;
         }
         if tokens.accept_name("end") {
-            match open.pop() {
-                Some(Block::Routine(routine)) if !open.is_empty() => routines.push(routine),
-                Some(Block::Other(control)) => {
-                    let kind = StatementKind::Control { word: "end".into(), control };
-                    add(&mut open, Statement::new(&tokens, start, kind));
-                }
-                _ => return Err(text.wrong(&tokens.since(start), ProgramFinding::NoBlock)),
+            if let Some(control) = innermost.blocks.pop() {
+                let kind = StatementKind::Control { word: "end".into(), control };
+                innermost.routine.body.push(Statement::new(&tokens, start, kind));
+            } else if let Some(outer) = around.pop() {
+                routines.push(mem::replace(&mut innermost, outer).routine);
+            } else {
+                return Err(text.wrong(&tokens.since(start), ProgramFinding::NoBlock));
             }
             continue;
         }
         // A line that is not supported is skipped here, and refused if the program is executed.
-        let kind = line(&mut tokens).unwrap_or_else(|_| {
+        let kind = line(&mut tokens).unwrap_or_else(|| {
             tokens.go_to(start);
             let mut first = tokens.next();
             if matches!(&first, Token::Name(word) if word == "global" || word == "local") {
@@ -80,13 +83,13 @@ pub(super) fn parse(text: Text<'_>) -> Result<Vec<Routine>, Diagnostic> {
         } else {
             None
         };
-        add(&mut open, Statement::new(&tokens, start, kind));
-        open.extend(end.map(Block::Other));
+        innermost.routine.body.push(Statement::new(&tokens, start, kind));
+        innermost.blocks.extend(end);
     }
-    match (open.pop(), open.is_empty()) {
-        (Some(Block::Routine(routine)), true) => routines.push(routine),
-        _ => return Err(tokens.expected("end")),
+    if !around.is_empty() || !innermost.blocks.is_empty() {
+        return Err(tokens.expected("end"));
     }
+    routines.push(innermost.routine);
     let is_script = routines.len() > 1 || routines.iter().any(|routine| routine.body.iter().any(is_call));
     if is_script {
         return Ok(routines);
@@ -136,67 +139,49 @@ fn is_call(statement: &Statement) -> bool {
     matches!(statement.kind, StatementKind::Call { .. })
 }
 
-/// Adds a statement to the innermost routine.
-fn add(open: &mut [Block], statement: Statement) {
-    let routine = open.iter_mut().rev().find_map(|block| match block {
-        Block::Routine(routine) => Some(routine),
-        Block::Other(_) => None,
-    });
-    if let Some(routine) = routine {
-        routine.body.push(statement);
-    }
-}
-
-/// A line that neither begins a routine nor ends a block.
-fn line(tokens: &mut Tokens<'_>) -> Result<StatementKind, Diagnostic> {
+/// A line that neither begins a routine nor ends a block, if it is supported.
+fn line(tokens: &mut Tokens<'_>) -> Option<StatementKind> {
     if tokens.is_name("while") {
         return until_steady(tokens);
     }
     if matches!(tokens.peek(), Token::Name(word) if control(word).is_some()) {
-        return Err(tokens.expected("a statement"));
+        return None;
     }
     let scoped = tokens.accept_name("global") || tokens.accept_name("local");
-    let (name, _) = tokens.name()?;
+    let (name, _) = tokens.name().ok()?;
     if tokens.accept("=") {
-        let value = tokens.expression()?;
-        line_end(tokens)?;
-        return Ok(StatementKind::Assign { name, value });
+        let value = tokens.expression().ok()?;
+        return tokens.is_line_end().then_some(StatementKind::Assign { name, value });
     }
-    if scoped {
-        return Err(tokens.expected("`=`"));
+    if scoped || !tokens.accept("(") {
+        return None;
     }
-    tokens.expect("(")?;
-    let arguments = tokens.arguments(")", 0)?;
-    line_end(tokens)?;
-    Ok(StatementKind::Call { name, arguments })
+    let arguments = tokens.arguments(")", 0).ok()?;
+    tokens.is_line_end().then_some(StatementKind::Call { name, arguments })
 }
 
-fn line_end(tokens: &Tokens<'_>) -> Result<(), Diagnostic> {
-    if tokens.is_line_end() { Ok(()) } else { Err(tokens.expected("the end of the line")) }
-}
-
-/// `while not is_steady(): sync() end`, a wait for standstill. Any other loop is an error.
-fn until_steady(tokens: &mut Tokens<'_>) -> Result<StatementKind, Diagnostic> {
+/// `while not is_steady(): sync() end`, a wait for standstill; `None` for any other loop.
+fn until_steady(tokens: &mut Tokens<'_>) -> Option<StatementKind> {
     tokens.advance();
     let bracket = tokens.accept("(");
-    if !(tokens.accept_name("not") && tokens.accept_name("is_steady")) {
-        return Err(tokens.expected("not is_steady()"));
+    let is_wait = tokens.accept_name("not")
+        && tokens.accept_name("is_steady")
+        && tokens.accept("(")
+        && tokens.accept(")")
+        && (!bracket || tokens.accept(")"))
+        && tokens.accept(":");
+    if !is_wait {
+        return None;
     }
-    tokens.expect("(")?;
-    tokens.expect(")")?;
-    if bracket {
-        tokens.expect(")")?;
-    }
-    tokens.expect(":")?;
     loop {
         while *tokens.peek() == Token::LineEnd {
             tokens.advance();
         }
         if tokens.accept_name("end") {
-            return Ok(StatementKind::UntilSteady);
+            return Some(StatementKind::UntilSteady);
         }
         if !(tokens.accept_name("sync") && tokens.accept("(") && tokens.accept(")")) {
-            return Err(tokens.expected("sync()"));
+            return None;
         }
     }
 }

@@ -209,7 +209,7 @@ impl Followed for Script<'_> {
     fn apply(&self, at: At, state: &mut InScript) {
         let Statement { span, kind, called } = self.statement(at);
         let lookup = |name: &str| self.lookup(state, name);
-        let line = self.text.line(span.start);
+        let line = || self.text.line(span.start);
         match kind {
             StatementKind::Assign { name, value } => {
                 let value = value::value(value, 0, &lookup);
@@ -218,7 +218,7 @@ impl Followed for Script<'_> {
             }
             StatementKind::Call { name, arguments } if name == SET_TCP => {
                 let value = tcp(&evaluated(arguments, 0, &lookup)).map_or(Tcp::Computed, Tcp::Known);
-                state.tcp = InForce::One { value, line };
+                state.tcp = InForce::One { value, line: line() };
             }
             StatementKind::Other(name) => state.variables.set(name, None),
             StatementKind::Call { .. }
@@ -226,7 +226,7 @@ impl Followed for Script<'_> {
             | StatementKind::UntilSteady
             | StatementKind::Control { .. } => {
                 if called.iter().any(|name| name == SET_TCP) {
-                    state.tcp = InForce::One { value: Tcp::Computed, line };
+                    state.tcp = InForce::One { value: Tcp::Computed, line: line() };
                 }
             }
         }

@@ -9,4 +9,4 @@ pub use following::{FollowingError, SETTLED_DEG};
 pub use order::{PacketOrder, PacketPlace};
 pub use receiver::{AxesReceiver, AxesRecords, PacketCounts};
 pub(crate) use track::LOSS_S;
-pub use track::{AxisTrack, AxisTrackBuilder, RestInterval};
+pub use track::{AxisTrack, AxisTrackBuilder, ExternalMotion, RestInterval};

@@ -7,7 +7,7 @@ use super::receiver::{AxesRecords, PacketCounts, clock};
 use crate::recording::ClockStamp;
 use crate::recording::capture::CaptureRecord;
 use crate::recording::stream::SampleTimeline;
-use dbbd_device::axes::{AxesProtocol, AxesSample};
+use dbbd_device::axes::{AxesProtocol, AxesSample, EXTERNAL_AXES};
 use dbbd_model::base::units::HostNs;
 use dbbd_model::math::robust;
 use dbbd_model::robot::AXES;
@@ -19,8 +19,38 @@ pub struct AxisTrack {
     pub measured_deg: Vec<[f64; AXES]>,
     /// The commanded axes, degrees; empty unless every packet has them.
     pub commanded_deg: Vec<[f64; AXES]>,
+    /// The external axis that moved farthest, if one moved.
+    pub external: Option<ExternalMotion>,
     pub protocol: AxesProtocol,
     pub counts: PacketCounts,
+}
+
+/// The motion of an external axis in a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExternalMotion {
+    /// 1 for E1.
+    pub number: usize,
+    /// From the least to the largest position, mm or degrees.
+    pub range: f64,
+}
+
+impl ExternalMotion {
+    /// An axis at rest reads its noise, mm or degrees: a rail's encoder has some hundredths of a millimetre.
+    const AT_REST: f64 = 0.1;
+
+    /// The axis that moved farthest.
+    fn of<'a>(samples: impl Iterator<Item = &'a AxesSample> + Clone) -> Option<Self> {
+        let positions = samples.filter_map(|sample| sample.external.as_ref());
+        let range = |at: usize| {
+            let ends = positions.clone().filter_map(|all| all.get(at));
+            let [low, high] = ends.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], position| {
+                [position.min(low), position.max(high)]
+            });
+            Self { number: at + 1, range: high - low }
+        };
+        let moved = (0..EXTERNAL_AXES).map(range).max_by(|a, b| a.range.total_cmp(&b.range));
+        moved.filter(|moved| moved.range > Self::AT_REST)
+    }
 }
 
 impl Deref for AxisTrack {
@@ -76,6 +106,7 @@ impl AxisTrackBuilder {
             time: SampleTimeline::new(stamps.into_iter().collect(), Some(clock(protocol))),
             measured_deg: samples.iter().map(|sample| sample.measured_deg).collect(),
             commanded_deg: commanded.unwrap_or_default(),
+            external: ExternalMotion::of(samples.iter()),
             protocol,
             counts,
         })

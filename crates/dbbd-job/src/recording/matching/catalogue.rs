@@ -96,6 +96,11 @@ findings! {
         asks: [Pace] {
             AxesUnused { packets: usize } => "{packets} axes of the controller cannot be placed on the time axis of the bar and are not used";
         }
+        W2222 "an external axis moved during the run",
+        cause: "The controller published the positions of a rail or of a table, and they change. The base balls count as standing still in the base of the robot, and on a rail the base of the robot moves.",
+        cure: "Measure at one position of the external axes, each position with base balls of its own." {
+            ExternalAxisMoved { number: usize, range: f64 } => "external axis E{number} moved by {range:.2} mm or degrees";
+        }
         I2221 "lengths are taken at measured axes",
         cause: "The controller published its axes, and they were recorded.",
         cure: "Nothing to do: poses are matched by the axes' own motion, and lengths are identified at the measured angles." {

@@ -79,6 +79,10 @@ pub fn match_poses(input: &MatchingInput<'_>) -> PoseMatching {
     let one_way = |circle| Finding::OneWayCircle { circle, lag_sd_ms: 1000.0 * passes::LAG_SD_S };
     findings.extend(frozen);
     findings.extend(passes.one_way.into_iter().map(one_way));
+    let external = input.published.and_then(|axes| axes.track.external);
+    findings.extend(
+        external.map(|moved| Finding::ExternalAxisMoved { number: moved.number, range: moved.range }),
+    );
     findings.extend(match &report {
         Some(report) => Some(report.finding()),
         None => reports::unused(input.reports, input.stream),

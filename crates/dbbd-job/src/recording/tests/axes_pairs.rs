@@ -211,7 +211,8 @@ fn score(seed: u64, distinct: bool, trouble: Trouble) -> Score {
         if step.is_multiple_of(2) && !dropped && !lost.iter().any(|range| range.contains(&t_s)) {
             let measured_deg = axes_deg.map(|deg| deg + noise_deg * rng.random_range(-1.7..1.7));
             let ticks = DeviceTicks((t_s * 1e6).round() as u64);
-            let sample = AxesSample { ticks, measured_deg, commanded_deg: Some(axes_deg), late: None };
+            let sample =
+                AxesSample { ticks, measured_deg, commanded_deg: Some(axes_deg), external: None, late: None };
             track.add(host(rng.random_range(0.001..0.004)), &CaptureRecord::Axes(rtde::data(1, &sample)));
         }
         if !silent.iter().any(|range| range.contains(&t_s)) {

@@ -16,6 +16,7 @@ use dbbd_job::sim::fault::InjectedFaults;
 use dbbd_job::sim::world::WorldSetup;
 use dbbd_job::sim::{SimulatedController, World};
 use dbbd_model::base::units::{DeviceTicks, HostNs};
+use dbbd_model::diagnostic::Finding;
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::sample::Sample;
 use dbbd_model::robot::Robot;
@@ -185,12 +186,32 @@ fn dwells_are_detected_without_strobe_and_time_code() {
         let apart = here.axes.degrees().into_iter().zip(there.axes.degrees()).map(|(a, b)| (a - b).abs());
         assert!(apart.fold(0.0, f64::max) < 0.002, "{here:?} {there:?}");
     }
-    assert!(
-        matching
-            .findings
-            .iter()
-            .any(|finding| dbbd_model::diagnostic::Finding::code(finding).as_str() == "I2221")
-    );
+    assert!(matching.findings.iter().any(|finding| finding.code().as_str() == "I2221"));
+}
+
+/// The elements `EIPos` are those that a controller adds to its datagram where they are in its Ethernet configuration.
+#[test]
+fn a_rail_that_moves_meanwhile_is_found() {
+    let plan = plan(&PLANES[..1], 8, "");
+    let run = driven(&plan, Sync::Marker, &InjectedFaults::default(), 3);
+    let robot = kr60();
+    for (way_mm, is_found) in [(499.0, true), (0.15, true), (0.05, false)] {
+        let mut rail = AxisTrackBuilder::default();
+        let opened = RunEvent::AxesOpened { address: "rsi://[::]:1".into(), protocol: AxesProtocol::Rsi };
+        rail.add(HostNs(0), &CaptureRecord::Event(opened));
+        for at in 0..10_u32 {
+            let e1 = 400.0 + way_mm * f64::from(at) / 9.0;
+            let axes = "<AIPos A1='0' A2='-90' A3='90' A4='0' A5='0' A6='0'/>";
+            let packet = format!("<Rob>{axes}<EIPos E1='{e1}' E2='0.0'/><IPOC>{}</IPOC></Rob>", 4 * at);
+            rail.add(HostNs(u64::from(at) * 4_000_000), &CaptureRecord::Axes(packet.into_bytes()));
+        }
+        let mut track = run.track.clone();
+        track.external = rail.build().unwrap().external;
+        let published = Some(PublishedAxes { track: &track, geometry: &robot.geometry });
+        let matching = match_poses(&MatchingInput { published, ..MatchingInput::new(&plan, &run.stream) });
+        let moved = matching.findings.iter().find(|finding| finding.code().as_str() == "W2222");
+        assert_eq!(moved.is_some(), is_found, "{way_mm} {moved:?}");
+    }
 }
 
 #[test]
@@ -231,12 +252,7 @@ fn axes_with_an_inconsistent_clock_are_not_used() {
     let run = Driven { stream: fast.build(), ..run };
     let matching = run.by_axes(&plan);
     assert!(matching.axes.is_none());
-    assert!(
-        matching
-            .findings
-            .iter()
-            .any(|finding| dbbd_model::diagnostic::Finding::code(finding).as_str() == "W2220")
-    );
+    assert!(matching.findings.iter().any(|finding| finding.code().as_str() == "W2220"));
 }
 
 #[test]
