@@ -283,6 +283,20 @@ mod tests {
         }
     }
 
+    /// The next writer of the directory completes the set under its own lock, and reads with the lock in its hands.
+    #[test]
+    fn the_next_set_completes_a_killed_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = dir.path();
+        write(at, EarlierFiles::Replace, &[("a", "first")], &[]).unwrap();
+        fs::write(at.join("a.part"), "second").unwrap();
+        let files = vec![("a.part".to_owned(), "a".to_owned())];
+        SetCommit { files, ..SetCommit::default() }.begin(at).unwrap();
+        let set = FileSet::begin(at, EarlierFiles::Replace).unwrap();
+        assert_eq!(files::read_text(&at.join("a")).unwrap(), "second");
+        drop(set);
+    }
+
     /// What names a file elsewhere was not written here, and moves nothing.
     #[test]
     fn a_set_reaches_nothing_outside_of_its_directory() {

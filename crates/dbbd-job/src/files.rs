@@ -1,5 +1,6 @@
 //! Reads and writes whole files. Every message names the path.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -23,6 +24,16 @@ pub fn directory_of(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
+/// The directory of a file, the one above it, and the directories in these two: where the files lie that belong to it.
+pub fn directories_around(file: &Path) -> Vec<PathBuf> {
+    let Ok(own) = directory_of(file).canonicalize() else { return Vec::new() };
+    let both = [Some(own.as_path()), own.parent()].into_iter().flatten();
+    let inside = both.clone().flat_map(|directory| fs::read_dir(directory).into_iter().flatten().flatten());
+    let inside = inside.map(|entry| entry.path()).filter(|path| path.is_dir());
+    let all: BTreeSet<PathBuf> = both.map(Path::to_owned).chain(inside).collect();
+    all.into_iter().collect()
+}
+
 /// Creates a directory for results.
 pub fn directory(path: &Path) -> Result<(), Diagnostic> {
     fs::create_dir_all(path)
@@ -42,7 +53,11 @@ pub const MAX_DEFINITION_BYTES: u64 = 4 << 20;
 /// Opens a file to read it. A pipe, a device or a directory is refused without opening it: it may block, or never end.
 pub fn open(path: &Path) -> Result<File, Diagnostic> {
     let wrong = unreadable(path.display());
-    complete_set(directory_of(path));
+    let directory = directory_of(path);
+    if directory.join(COMMIT).exists() {
+        // Nobody reads a part of a set.
+        drop(exclusive(directory));
+    }
     if !fs::metadata(path).map_err(&wrong)?.is_file() {
         return Err(Diagnostic::file(path.display(), NotAFile));
     }
@@ -106,15 +121,11 @@ impl SetCommit {
     }
 }
 
-/// Completes a set of files whose process was killed between two renames, so that nobody reads a part of it.
+/// Completes a set of files whose process was killed between two renames. The directory must be locked: whoever writes a
+/// set has the lock until it is complete.
 fn complete_set(directory: &Path) {
-    let path = directory.join(COMMIT);
-    if !path.exists() {
-        return;
-    }
-    // Whoever writes the set has the lock until it is complete.
-    let Ok(_lock) = exclusive(directory) else { return };
-    let commit = fs::read(&path).ok().and_then(|text| serde_json::from_slice::<SetCommit>(&text).ok());
+    let text = fs::read(directory.join(COMMIT)).ok();
+    let commit = text.and_then(|text| serde_json::from_slice::<SetCommit>(&text).ok());
     // What cannot be completed, for instance in a directory that may only be read, stays as it is.
     if commit.is_some_and(|commit| commit.is_inside() && commit.complete(directory).is_ok()) {
         SetCommit::end(directory);
@@ -294,10 +305,13 @@ pub struct DirectoryLock {
     _lock: Option<File>,
 }
 
-/// Creates a directory and waits for its lock, so that two sets of results are never mixed.
+/// Creates a directory and waits for its lock, so that two sets of results are never mixed, and completes a set whose process
+/// was killed.
 pub fn exclusive(path: &Path) -> Result<DirectoryLock, Diagnostic> {
     directory(path)?;
-    Ok(DirectoryLock { _lock: lock(path) })
+    let lock = lock(path);
+    complete_set(path);
+    Ok(DirectoryLock { _lock: lock })
 }
 
 /// Locks a directory. `None` on a file system where directories cannot be locked: sets are then written unprotected.

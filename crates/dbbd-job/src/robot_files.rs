@@ -60,8 +60,6 @@ pub fn result_beside(robot_file: &Path, robot: &Robot) -> Result<(PathBuf, Resul
 
 /// The file of a check.
 const CHECK: &str = "check.json";
-/// Directories beside a result that are looked into for checks.
-const MAX_DIRECTORIES: usize = 200;
 /// A check.json with the largest number of hypotheses is smaller.
 const MAX_CHECK_BYTES: u64 = 16 << 20;
 
@@ -80,17 +78,13 @@ pub fn standing_of(file: &Path, robot: &Robot) -> Result<Option<Standing>, Diagn
     Ok(Some(standing(&result, check.as_ref(), Some(&date::utc(clock::unix_ns())))))
 }
 
-/// The newest check of a robot file, in its directory and in the directories beside it.
+/// The newest check of a robot file in the [`files::directories_around`] it.
 pub fn last_check(robot_file: &Path) -> Result<Option<(PathBuf, StatedCheck)>, Diagnostic> {
     if !robot_file.is_file() {
         return Ok(None);
     }
     let sha256 = files::sha256(robot_file)?;
-    let own = files::directory_of(robot_file);
-    let beside = own.canonicalize().ok().and_then(|own| own.parent().map(Path::to_owned));
-    let entries = beside.and_then(|parent| fs::read_dir(parent).ok()).into_iter().flatten().flatten();
-    let directories = entries.map(|entry| entry.path()).filter(|path| path.is_dir()).take(MAX_DIRECTORIES);
-    let found = directories.filter_map(|directory| {
+    let found = files::directories_around(robot_file).into_iter().filter_map(|directory| {
         let path = directory.join(CHECK);
         let changed = fs::metadata(&path).and_then(|data| data.modified()).ok()?;
         let text = files::read_at_most(&path, MAX_CHECK_BYTES).ok()?;
@@ -126,6 +120,10 @@ mod tests {
         clock::sleep(0.02);
         write("c", "pass", "of another");
         let (path, found) = last_check(&robot).unwrap().unwrap();
+        // The robot file in the directory above, where a user works.
+        let above = at("robot-identified.toml");
+        fs::copy(&robot, &above).unwrap();
+        assert_eq!(last_check(&above).unwrap().unwrap().0, path);
         assert_eq!(
             (path.parent().unwrap().file_name().unwrap().to_str(), found.decision()),
             (Some("b"), ConformityOutcome::Fail)

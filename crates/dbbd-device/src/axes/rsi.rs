@@ -2,7 +2,8 @@
 //!
 //! `<Rob Type="KUKA"><AIPos A1=".." .. A6=".."/><ASPos ../><Delay D="0"/><IPOC>123</IPOC></Rob>`, one UDP datagram per cycle,
 //! with the elements of the Ethernet configuration in any order. `AIPos` are the measured axes, `ASPos` the
-//! commanded ones, degrees; `EIPos` are the measured external axes, `E1` to `E6`; `IPOC` is the time stamp in ms, which an answer repeats.
+//! commanded ones, degrees; `EIPos` are the measured external axes, `E1` to `E6`; `IPOC` is the time stamp in ms, which an
+//! answer repeats.
 
 use roxmltree::{Document, Node};
 
@@ -109,7 +110,7 @@ mod tests {
             late: None,
         };
         assert_eq!(read_datagram(text.as_bytes()), Ok(sample));
-        // The elements of the file of KUKA's examples and of clients that ask for everything.
+        // `DEF_EIPos` of the Ethernet configuration sends as many external axes as the controller has.
         let with_rail = text.replace("<IPOC>", "<EIPos E1=\"499.5\" E2=\"-1.0E1\"/><IPOC>");
         let external = Some([499.5, -10.0, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(read_datagram(with_rail.as_bytes()), Ok(AxesSample { external, ..sample }));

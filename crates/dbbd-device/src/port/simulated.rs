@@ -27,14 +27,16 @@ impl UnmarkedLine {
         Self { line, is_simulated: Arc::default(), held: Vec::new(), read: 0 }
     }
 
-    /// Takes the mark out of the first `count` bytes of `room`. Returns how many of them are to be given on.
-    fn unmark(&mut self, room: &mut [u8], count: usize) -> usize {
-        let bytes = &room[..count];
-        if let Some(at) = bytes.windows(SIMULATED_MARK.len()).position(|part| part == SIMULATED_MARK) {
+    /// Takes the marks out of the first `count` bytes of `room`. Returns how many of them are to be given on.
+    fn unmark(&mut self, room: &mut [u8], mut count: usize) -> usize {
+        let marked =
+            |bytes: &[u8]| bytes.windows(SIMULATED_MARK.len()).position(|part| part == SIMULATED_MARK);
+        while let Some(at) = marked(&room[..count]) {
             self.is_simulated.store(true, Ordering::Relaxed);
             room.copy_within(at + SIMULATED_MARK.len()..count, at);
-            return count - SIMULATED_MARK.len();
+            count -= SIMULATED_MARK.len();
         }
+        let bytes = &room[..count];
         let longest = SIMULATED_MARK.len().min(count + 1);
         let begun = (1..longest).rev().find(|len| bytes.ends_with(&SIMULATED_MARK[..*len])).unwrap_or(0);
         self.held.extend(&bytes[count - begun..]);
@@ -44,7 +46,9 @@ impl UnmarkedLine {
 
 impl PortLine for UnmarkedLine {
     fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
-        if self.is_simulated() || self.read > MAX_BEFORE || room.len() <= SIMULATED_MARK.len() {
+        // A simulated bar marks each of its streams.
+        let is_real = self.read > MAX_BEFORE && !self.is_simulated();
+        if is_real || room.len() <= SIMULATED_MARK.len() {
             return self.line.read(room);
         }
         let held = std::mem::take(&mut self.held);
@@ -159,6 +163,11 @@ mod tests {
         }
         let bytewise: Vec<&[u8]> = SIMULATED_MARK.chunks(1).chain([&b"x"[..]]).collect();
         assert_eq!(read(&bytewise), (b"x".to_vec(), true));
+        // A bar that is stopped and started again marks both streams.
+        let twice = [SIMULATED_MARK, b"1\r\n", SIMULATED_MARK, b"2\r\n"];
+        let all = (b"1\r\n2\r\n".to_vec(), true);
+        assert_eq!(read(&twice), all);
+        assert_eq!(read(&[&twice.concat()]), all);
     }
 
     #[test]

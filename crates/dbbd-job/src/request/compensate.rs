@@ -372,15 +372,10 @@ impl CorrectionContext<'_> {
     }
 }
 
-/// The plan with this hash, in the directory of the program or the one above it, or in a directory of these.
+/// The plan with this hash in the [`files::directories_around`] the program.
 fn plan_beside(program: &Path, hash: &str) -> Option<Plan> {
-    let own = files::directory_of(program).canonicalize().ok()?;
-    let around = [Some(own.as_path()), own.parent()];
-    let inside = around.into_iter().flatten().flat_map(|directory| {
-        let entries = std::fs::read_dir(directory).into_iter().flatten().flatten();
-        entries.map(|entry| entry.path()).take(MAX_DIRECTORIES).chain([directory.to_owned()])
-    });
-    let mut plans = inside.map(|directory| directory.join("plan.csv")).filter(|csv| csv.is_file());
+    let around = files::directories_around(program).into_iter();
+    let mut plans = around.map(|directory| directory.join("plan.csv")).filter(|csv| csv.is_file());
     plans.find_map(|csv| read_plan(&csv).ok().filter(|plan| plan.header.hash == hash))
 }
 
@@ -427,8 +422,6 @@ fn report(moved: &[Moved], session: &RequestSession<'_>) {
     }
 }
 
-/// Entries of a directory that are looked into for a plan.
-const MAX_DIRECTORIES: usize = 200;
 /// The largest file of a program, bytes.
 const MAX_PROGRAM_BYTES: u64 = 64 << 20;
 

@@ -101,7 +101,7 @@ findings! {
             OriginsMixed { simulated: String, other: String } => "{simulated} is simulated, and {other} is not or does not state it";
         }
         W1852 "a calibration failed its last check",
-        cause: "The newest check.json of this robot file, beside it or in a directory beside it, found that the robot changed or exceeds its tolerance. The identified values are not those of the robot any more.",
+        cause: "The newest check.json of this robot file, in its directory, above it or in a directory of these, found that the robot changed or exceeds its tolerance. The identified values are not those of the robot any more.",
         cure: "Identify the robot again, or have it repaired and check it again." {
             CheckFailed { robot: String } => "`{robot}` failed its last check: it is not to be used";
         }
