@@ -119,8 +119,8 @@ impl CheckInput<'_> {
         let nothing = |hypothesis: &&Hypothesis| hypothesis.parameters.is_empty();
         let unchanged = hypotheses.iter().find(nothing).map_or(0.0, |hypothesis| hypothesis.probability);
         // A robot that was driven to where the nominal robot would be did not change.
-        let nominal_rms_mm =
-            self.nominal_rms_mm().filter(|rms_mm| test.changed && *rms_mm < NOMINAL_SIGMAS * self.sigma_mm);
+        let nominal_rms_mm = if test.changed { self.nominal_rms_mm() } else { None }
+            .filter(|rms_mm| *rms_mm < NOMINAL_SIGMAS * self.sigma_mm);
         let changed = test.changed && nominal_rms_mm.is_none();
         let mut changes = hypotheses;
         changes.retain(|hypothesis| changed && !hypothesis.parameters.is_empty());
