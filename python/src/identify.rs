@@ -182,7 +182,7 @@ fn error_model(name: &str) -> PyResult<ErrorModel> {
 #[pyo3(signature = (
     axes_deg=None, lengths_mm=None, ball=None, *, robot, balls_mm=None, positions_deg=None, positions_mm=None, target=None,
     positions_sigma_mm=None, positions_approach=None, sigma_mm=None, bar=None, approach=None, index=None, payload=None,
-    force_n=None, t_s=None, tool_mm=None, estimate=None, hold=None, prior=None, model="joints", bar_u_mm=None, folds=None,
+    force_n=None, t_s=None, tool_mm=None, estimate=None, hold=None, prior=None, model="joints", bar_u_mm=None, tolerance_mm=None, folds=None,
     monte_carlo=None, workspace_deg=None, measured=None, temperature_c=None
 ))]
 #[allow(clippy::too_many_arguments)] // keywords of a Python function
@@ -211,6 +211,7 @@ pub(crate) fn identify<'py>(
     prior: Option<PriorGiven>,
     model: &str,
     bar_u_mm: Option<f64>,
+    tolerance_mm: Option<f64>,
     folds: Option<usize>,
     monte_carlo: Option<usize>,
     workspace_deg: Option<Numbers<'py>>,
@@ -269,6 +270,7 @@ pub(crate) fn identify<'py>(
         model: error_model(model)?,
         sigma_mm: all,
         bar_u_mm,
+        tolerance_mm,
         folds,
         monte_carlo,
         workspace: workspace(py, workspace_deg.as_ref(), &robot)?,

@@ -106,7 +106,7 @@ fn check_lines(check: &InterimCheck) -> Vec<String> {
     const MAX_PRINTED_CHANGES: usize = 3;
     let (test, decision) = (&check.test, &check.decision);
     let mut lines = vec![format!(
-        "{}: {} lengths, sigma {:.4} mm; innovation chi-square {:.1} of {} degrees of freedom, p {}{:.1e}",
+        "{}: {} lengths, sigma {:.4} mm; innovation chi-square {:.1} of {} degrees of freedom; that nothing changed: p {}{:.1e}",
         check.robot,
         check.lengths,
         check.sigma_mm,

@@ -121,7 +121,7 @@ pub(crate) fn run(args: &CompareArgs, out: &CommandOutput) -> Result<CommandOutc
 fn read_document(path: &Path) -> Result<ComparedFile, Diagnostic> {
     let mut path = path.to_path_buf();
     if path.is_dir() {
-        let known = KNOWN.iter().map(|name| path.join(name)).find(|file| file.exists());
+        let known = KNOWN.iter().map(|name| path.join(name)).find(|file| files::is_there(file));
         path = known.ok_or_else(|| Diagnostic::file(path.display(), ResultFinding::NoFileInDirectory))?;
     }
     let name = path.display().to_string();

@@ -144,7 +144,7 @@ fn prediction_lines(prediction: &PlanPrediction) -> Vec<String> {
             count(Identifiability::PoorlyObservable)
         ),
         format!(
-            "predicted position uncertainty over the workspace, without errors of the joints: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
+            "predicted position uncertainty over the workspace: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
             now.mean, then.mean, now.p95, then.p95
         ),
     ];

@@ -231,23 +231,33 @@ struct SilentTime {
     /// The longest silence that is not recorded as a gap, s; `None` for a device that may be silent.
     limit_s: Option<f64>,
     last_bytes: Option<HostNs>,
-    /// Seconds without a byte since the last sample: in which the line was watched, and in which it was not. The next sample
-    /// shows whether anything was lost.
-    unexplained: Times,
+    unexplained: Option<UnexplainedTime>,
 }
 
-/// Seconds without a byte.
+/// Seconds without a byte, in which the line was watched, and in which it was not.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Times {
     of_bar_s: f64,
     of_computer_s: f64,
 }
 
+/// Time without a byte. The samples after it show whether anything was lost: a driver keeps bytes for a while and loses the ones
+/// after them, so that the first samples go on, and the step of the bar's clock comes behind them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct UnexplainedTime {
+    /// When the last bytes before it came.
+    since: HostNs,
+    times: Times,
+    /// For how long the bar's clock went on without a step since, s; `None` before the first sample.
+    went_on_s: Option<f64>,
+}
+
 /// How a sample follows the one before.
 #[derive(Clone, Copy)]
 struct Continuity {
-    /// The times of the bar's clock before and at the sample, s.
-    device_s: Option<(f64, f64)>,
+    host: HostNs,
+    /// The step of the bar's clock, s.
+    step_s: Option<f64>,
     /// Whether its sequence number is the next one.
     is_next: bool,
 }
@@ -257,22 +267,25 @@ impl SilentTime {
         let numbered = definition.sequence_modulo.is_some();
         let stall_s = definition.stall.map(|stall| stall.as_secs_f64());
         let limit_s = stall_s.map(|s| if numbered { s.max(NUMBERED_SILENT_S) } else { s });
-        Self { limit_s, last_bytes: None, unexplained: Times::default() }
+        Self { limit_s, last_bytes: None, unexplained: None }
     }
 
     /// Notes the time since the last bytes, of which the line was watched for `watched_s`. Returns the gap if it is to be
     /// recorded: longer than the device's limit and `min_s`.
     fn until(&mut self, host: HostNs, watched_s: f64, min_s: f64) -> Option<RunEvent> {
-        let since_s = host.seconds_since(self.last_bytes?);
+        let last = self.last_bytes?;
+        let since_s = host.seconds_since(last);
         let of_bar_s = watched_s.min(since_s);
         let of_computer_s = since_s - of_bar_s;
         let limit_s = self.limit_s.unwrap_or(f64::INFINITY).max(min_s);
-        if of_bar_s > limit_s.max(SILENT_S) {
-            self.unexplained.of_bar_s += of_bar_s;
-        }
-        if of_computer_s > SILENT_S {
-            self.unexplained.of_computer_s += of_computer_s;
-        }
+        let beyond = |s: f64, least_s: f64| if s > least_s { s } else { 0.0 };
+        self.add(
+            last,
+            Times {
+                of_bar_s: beyond(of_bar_s, limit_s.max(SILENT_S)),
+                of_computer_s: beyond(of_computer_s, SILENT_S),
+            },
+        );
         let reason = if of_computer_s > SILENT_S {
             format!("this computer stood still for {of_computer_s:.1} s")
         } else {
@@ -281,18 +294,39 @@ impl SilentTime {
         (since_s > limit_s).then_some(RunEvent::Gap { seconds: Some(since_s), missing: None, reason })
     }
 
-    /// The seconds that a sample leaves unexplained: none if the bar's clock shows that it goes on, and none of the computer if
-    /// its sequence number does.
-    fn explained_by(&mut self, sample: Continuity) -> Times {
-        let unexplained = std::mem::take(&mut self.unexplained);
-        let went_on = sample.device_s.is_some_and(|(before, now)| now - before < SILENT_S);
-        if went_on {
-            Times::default()
-        } else if sample.is_next {
-            Times { of_computer_s: 0.0, ..unexplained }
-        } else {
-            unexplained
+    fn add(&mut self, since: HostNs, times: Times) {
+        match &mut self.unexplained {
+            _ if times == Times::default() => {}
+            Some(UnexplainedTime { times: before, went_on_s: None, .. }) => {
+                before.of_bar_s += times.of_bar_s;
+                before.of_computer_s += times.of_computer_s;
+            }
+            // What the line held of the time before was read meanwhile, and went on.
+            Some(_) | None => self.unexplained = Some(UnexplainedTime { since, times, went_on_s: None }),
         }
+    }
+
+    /// The seconds that a sample shows to be lost: none while the bar's clock goes on, and none of the computer if the sequence
+    /// number is the next one.
+    fn explained_by(&mut self, sample: Continuity) -> Times {
+        let Some(unexplained) = &mut self.unexplained else { return Times::default() };
+        if let Some(step_s) = sample.step_s.filter(|step_s| (0.0..SILENT_S).contains(step_s)) {
+            let went_on_s = unexplained.went_on_s.unwrap_or(0.0) + step_s;
+            unexplained.went_on_s = Some(went_on_s);
+            let behind_s = sample.host.seconds_since(unexplained.since) - went_on_s;
+            if behind_s < SILENT_S {
+                self.unexplained = None;
+            }
+            return Times::default();
+        }
+        let times = unexplained.times;
+        self.unexplained = None;
+        if sample.is_next { Times { of_computer_s: 0.0, ..times } } else { times }
+    }
+
+    /// The seconds that no sample explains to the end: the bar's clock has not come up to that of the host.
+    fn left(&mut self) -> Times {
+        self.unexplained.take().map(|unexplained| unexplained.times).unwrap_or_default()
     }
 }
 
@@ -600,8 +634,9 @@ impl Recorder {
         let device = self.time.as_mut().zip(sample.ticks);
         let device_s = device.map(|(time, ticks)| time.seconds(ClockStamp { host, ticks }));
         self.program.push(device_s.unwrap_or_else(|| host.seconds_since(self.upkeep.began)), sample);
-        let before_s = self.progress.counts.device_s;
-        self.add_silent(Continuity { device_s: before_s.zip(device_s), is_next });
+        let step_s = device_s.and_then(|_| self.time.as_ref()?.step_s());
+        let lost = self.stream.silent.explained_by(Continuity { host, step_s, is_next });
+        self.add_silent(lost);
         self.progress.counts.device_s = device_s;
         self.progress.counts.dwells = self.progress.counts.dwells.max(self.program.dwells);
         self.progress.counts.modules = self.program.modules_over;
@@ -615,8 +650,7 @@ impl Recorder {
         }
     }
 
-    fn add_silent(&mut self, sample: Continuity) {
-        let Times { of_bar_s, of_computer_s } = self.stream.silent.explained_by(sample);
+    fn add_silent(&mut self, Times { of_bar_s, of_computer_s }: Times) {
         self.progress.silent_s += of_bar_s;
         self.progress.stood_still_s += of_computer_s;
     }
@@ -685,7 +719,8 @@ impl Recorder {
             // Stopping the bar afterwards takes its time, which nobody watches.
             let (ended, watched_s) = self.stream.watched_to.unwrap_or((now, 0.0));
             self.silent_until(ended, watched_s, SILENT_S)?;
-            self.add_silent(Continuity { device_s: None, is_next: false });
+            let left = self.stream.silent.left();
+            self.add_silent(left);
         }
         self.interrupted(now)?;
         self.capture.flush_fault()?;
@@ -751,7 +786,7 @@ mod tests {
     }
 
     fn silent(limit_s: Option<f64>, last_bytes: Option<HostNs>) -> SilentTime {
-        SilentTime { limit_s, last_bytes, unexplained: Times::default() }
+        SilentTime { limit_s, last_bytes, unexplained: None }
     }
 
     #[test]
@@ -789,30 +824,62 @@ mod tests {
         }
     }
 
+    /// A sample of 13.0 s, its step of the bar's clock, and whether its number is the next one.
+    fn lost(silent: &mut SilentTime, step_s: Option<f64>, is_next: bool) -> [f64; 2] {
+        let Times { of_bar_s, of_computer_s } =
+            silent.explained_by(Continuity { host: at(13.0), step_s, is_next });
+        [of_bar_s, of_computer_s]
+    }
+
     /// 3 s without a byte, of which the line was watched for all or 0.1 s. Nothing is lost if the bar's clock went on by one
     /// sample; a sequence number that is the next one acquits this computer, and not a bar that paused.
     #[test]
     fn only_watched_time_is_silence_of_the_bar() {
-        let after = |watched_s: f64, device_s: Option<(f64, f64)>, is_next: bool| {
+        let after = |watched_s: f64, step_s: Option<f64>, is_next: bool| {
             let mut silent = silent(Some(0.5), Some(at(10.0)));
             silent.until(at(13.0), watched_s, 0.0);
-            let Times { of_bar_s, of_computer_s } = silent.explained_by(Continuity { device_s, is_next });
-            assert_eq!(silent.unexplained, Times::default());
-            [of_bar_s, of_computer_s]
+            lost(&mut silent, step_s, is_next)
         };
-        for device_s in [None, Some((10.0, 13.0))] {
-            assert_eq!(after(3.0, device_s, false), [3.0, 0.0]);
-            assert_eq!(after(0.1, device_s, false), [0.0, 2.9]);
-            assert_eq!(after(3.0, device_s, true), [3.0, 0.0]);
-            assert_eq!(after(0.1, device_s, true), [0.0, 0.0]);
+        for step_s in [None, Some(3.0)] {
+            assert_eq!(after(3.0, step_s, false), [3.0, 0.0]);
+            assert_eq!(after(0.1, step_s, false), [0.0, 2.9]);
+            assert_eq!(after(3.0, step_s, true), [3.0, 0.0]);
+            assert_eq!(after(0.1, step_s, true), [0.0, 0.0]);
         }
         for watched_s in [3.0, 0.1] {
-            assert_eq!(after(watched_s, Some((10.0, 10.005)), false), [0.0, 0.0]);
+            assert_eq!(after(watched_s, Some(0.9), false), [0.0, 0.0]);
         }
         // Half of it each is neither: a second is usual for both.
         let mut both = silent(Some(0.5), Some(at(10.0)));
         both.until(at(11.9), 0.95, 0.0);
-        assert_eq!(both.unexplained, Times::default());
+        assert_eq!(both.unexplained, None);
+    }
+
+    /// The driver kept 0.7 s of the 3 s in which this computer stood still: samples go on first, and the step comes then.
+    #[test]
+    fn a_step_behind_what_the_driver_kept_is_lost_time() {
+        let mut silent = silent(Some(0.5), Some(at(10.0)));
+        silent.until(at(13.0), 0.0, 0.0);
+        for _ in 0..7 {
+            assert_eq!(lost(&mut silent, Some(0.1), false), [0.0, 0.0]);
+        }
+        assert_eq!(lost(&mut silent, Some(2.3), false), [0.0, 3.0]);
+        assert_eq!(silent.unexplained, None);
+        // Where all of it was kept the bar's clock catches up, and a later step is another matter.
+        silent.until(at(13.0), 0.0, 0.0);
+        for _ in 0..21 {
+            assert_eq!(lost(&mut silent, Some(0.1), false), [0.0, 0.0]);
+        }
+        assert_eq!(lost(&mut silent, Some(2.3), false), [0.0, 0.0]);
+        // What the line held was read, and then the bar was silent.
+        silent.until(at(13.0), 0.0, 0.0);
+        assert_eq!(lost(&mut silent, Some(0.1), false), [0.0, 0.0]);
+        silent.until(at(13.0), 3.0, 0.0);
+        assert_eq!(silent.left(), Times { of_bar_s: 3.0, of_computer_s: 0.0 });
+        // The run is over when what the driver kept was read: what it lost did not come any more.
+        silent.until(at(13.0), 0.0, 0.0);
+        assert_eq!(lost(&mut silent, Some(0.7), false), [0.0, 0.0]);
+        assert_eq!(silent.left(), Times { of_bar_s: 0.0, of_computer_s: 3.0 });
     }
 
     #[test]

@@ -249,7 +249,8 @@ class Story:
             form.locator(f"[data-name=tool_{axis}_mm]").fill(mm)
         form.locator("[data-name=length_mm]").fill("0.3")
         form.locator("[data-action=save]").click()
-        expect(form.locator("[role=alert]")).not_to_be_empty(timeout=10_000)
+        # The message of the service stands beside the field that it names.
+        expect(form.get_by_role("alert").filter(has_text="length_mm")).to_be_visible(timeout=10_000)
         self.look("units")
         form.locator("[data-name=length_mm]").fill("300")
         form.locator("[data-name=x_mm]").fill("9300")

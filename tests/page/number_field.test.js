@@ -155,3 +155,9 @@ test("a list has its count of numbers, each read as one", () => {
     ["0; -90; 90 mm; 0; 45.5; 180", "wrong.unit"],
   ]);
 });
+
+test("a field for whole numbers takes no part of one, and no field a number beyond what a message shows", () => {
+  rows({ unit: "", whole: true }, [["12", 12], ["12.0", 12], ["1e2", 100], ["12.5", "wrong.whole"], ["0,5", "wrong.whole"], ["-3", -3]]);
+  rows({ unit: "", whole: true, range: { low: 3, high: 255 } }, [["3", 3], ["255", 255], ["2", "wrong.range"], ["-3", "wrong.range"], ["40.5", "wrong.whole"]]);
+  rows({ unit: "mm" }, [["1e305", "wrong.large"], ["-1e16", "wrong.large"], ["1e13 m", "wrong.large"], ["1e15", 1e15]]);
+});

@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use crate::stages_allow_every_pose::{Cell, execute};
+use crate::stages_allow_every_pose::{Cell, execute, table};
 
 /// Plans until the last one.
 const MOST_PLANS: usize = 8;
@@ -158,7 +158,7 @@ fn run(drawn: &Drawn, seed: u64) -> Ending {
         }
         worst = worst.max(reading_mm / job.bar.stroke_mm[1]);
         lengths.extend(measured);
-        let prior = PlanningPrior::after_lengths(&job, nominal, &lengths).unwrap();
+        let prior = PlanningPrior::after_lengths(&job, nominal, &table(&lengths)).unwrap();
         if plan.header.stage.is_none() {
             let error = |model| error_mm(&cell.true_robot.geometry, model, nominal);
             let share = error(&prior.posterior.model.geometry) / error(&nominal.geometry);

@@ -48,7 +48,12 @@ fn a_stopped_run_is_completed() {
     done(at, &["acquire", "--port", "sim", "--seed", "4", "--plan", "rest/plan.csv", "--out", "second.dbbd"]);
     done(at, &["identify", "whole.dbbd", "--out", "o"]);
     let joined = ["identify", "first.dbbd", "second.dbbd", "--same-setup", "--out", "parts"];
-    assert!(done(at, &joined).contains(&"I1342".to_owned()));
+    let said = done(at, &joined);
+    assert!(said.contains(&"I1342".to_owned()));
+    // The second run makes the first one whole; alone it lacks half of its poses.
+    let of_a_cut_run = ["W1003", "W1004", "W1085"];
+    assert!(!said.iter().any(|code| of_a_cut_run.contains(&code.as_str())), "{said:?}");
+    assert!(done(at, &["identify", "first.dbbd", "--out", "half"]).contains(&"W1003".to_owned()));
     // Each pose has one length.
     let (whole, parts) = (lengths(at, "o"), lengths(at, "parts"));
     let measured = |table: &Measurements| {

@@ -9,7 +9,7 @@ use dbbd_job::sim::truth;
 use dbbd_model::diagnostic::Severity;
 use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::estimation::result::{PriorSource, StartRobot};
-use dbbd_model::measurement::{Measurements, PreparedMeasurement};
+use dbbd_model::measurement::Measurements;
 use dbbd_model::robot::Robot;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -162,8 +162,7 @@ fn a_plan_starts_from_the_posterior() {
     let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/first/check.toml")).unwrap();
     let job = Job::from_toml("check.toml", &text).unwrap();
     let data = lengths(&[horizontal(1, CENTRE)], 30, 5);
-    let readings: Vec<PreparedMeasurement> = data.rows.iter().map(PreparedMeasurement::from).collect();
-    let known = PlanningPrior::after_lengths(&job, &kr60(), &readings).unwrap();
+    let known = PlanningPrior::after_lengths(&job, &kr60(), &data).unwrap();
     let (_, robot) = known.applied(&job, &kr60());
     let posterior = robot.posterior.as_ref().unwrap();
     assert!(posterior.is_of(&robot.geometry) && robot.nominal.is_some());

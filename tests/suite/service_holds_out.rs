@@ -86,7 +86,7 @@ fn connect_from(server: &Server, source: [u8; 4]) -> std::io::Result<TcpStream> 
 
 /// Memory of the service that is in use, kB.
 #[cfg(target_os = "linux")]
-fn memory_kb(server: &Server) -> u64 {
+pub(crate) fn memory_kb(server: &Server) -> u64 {
     let status = fs::read_to_string(format!("/proc/{}/status", server.child.id())).unwrap();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
     line.trim().trim_end_matches(" kB").parse().unwrap()

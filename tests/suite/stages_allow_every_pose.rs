@@ -8,8 +8,8 @@ use dbbd_job::plan::{Job, Plan, PlanningPrior, PoseKind};
 use dbbd_job::program::krl::{self, Options, Program};
 use dbbd_job::sim::world::WorldSetup;
 use dbbd_job::sim::{SimulatedController, World, truth};
-use dbbd_model::measurement::PreparedMeasurement;
-use dbbd_model::robot::Robot;
+use dbbd_model::measurement::{Measurement, Measurements, PreparedMeasurement};
+use dbbd_model::robot::{AxisAngles, PayloadId, Robot, TargetId};
 use tempfile::tempdir;
 
 use crate::cell::{codes, kr60};
@@ -74,6 +74,22 @@ pub(crate) fn execute(plan: &Plan, cell: &Cell, seed: u64) -> (f64, Vec<Prepared
     (worst, lengths.collect())
 }
 
+/// Readings as a table has them, measured one after the other.
+pub(crate) fn table(readings: &[PreparedMeasurement]) -> Measurements {
+    let row = |(index, reading): (u32, &PreparedMeasurement)| Measurement {
+        index,
+        datum: reading.datum,
+        target: TargetId::FIRST,
+        axes: AxisAngles::from_degrees(reading.axes.map(f64::to_degrees)),
+        approach: reading.approach,
+        length_mm: reading.length_mm,
+        sigma_mm: None,
+        payload: PayloadId::FIRST,
+        context: None,
+    };
+    Measurements { rows: (1..).zip(readings).map(row).collect(), ..Measurements::default() }
+}
+
 /// What became of one robot.
 #[derive(Debug)]
 struct Staged {
@@ -106,7 +122,7 @@ fn stages(seed: u64) -> Staged {
             let barred = plan.header.notes.iter().find_map(share).unwrap_or(0.0);
             return Staged { plans: worst.len(), worst, barred };
         }
-        let prior = PlanningPrior::after_lengths(&job, &nominal, &lengths).unwrap();
+        let prior = PlanningPrior::after_lengths(&job, &nominal, &table(&lengths)).unwrap();
         let (job, robot) = prior.applied(&job, &nominal);
         plan =
             Plan::build_with(&job, &robot, &prior).unwrap_or_else(|refused| panic!("seed {seed}: {refused}"));

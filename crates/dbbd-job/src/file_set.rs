@@ -163,7 +163,7 @@ impl FileSet {
     ) -> Result<(), Diagnostic> {
         let backup_of = |path: &Path| match (kept, path.file_name()) {
             (Some(kept), Some(name)) => fs::create_dir_all(kept).map(|()| kept.join(name)),
-            _ => Ok(files::beside(path, "old.part")),
+            _ => Ok(files::beside(path, files::OLD_PART)),
         };
         for UnfinishedFile { part, target, .. } in &self.written {
             let wrong = files::unwritable(target);
@@ -281,6 +281,21 @@ mod tests {
                 std::mem::forget(written);
             }
         }
+    }
+
+    /// Also of the first set of a directory, whose files are looked for before they are opened; no backup is left of the one before.
+    #[test]
+    fn who_looks_for_a_file_completes_the_set() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = dir.path();
+        for name in ["a.7.part", "a.7.old.part", "b.7.part"] {
+            fs::write(at.join(name), "second").unwrap();
+        }
+        let files = vec![("a.7.part".to_owned(), "a".to_owned()), ("b.7.part".to_owned(), "b".to_owned())];
+        SetCommit { files, ..SetCommit::default() }.begin(at).unwrap();
+        fs::rename(at.join("a.7.part"), at.join("a")).unwrap();
+        assert!(files::is_there(&at.join("b")) && !files::is_there(&at.join("c")));
+        assert_eq!(fs::read_dir(at).unwrap().count(), 2);
     }
 
     /// The next writer of the directory completes the set under its own lock, and reads with the lock in its hands.

@@ -53,15 +53,25 @@ pub const MAX_DEFINITION_BYTES: u64 = 4 << 20;
 /// Opens a file to read it. A pipe, a device or a directory is refused without opening it: it may block, or never end.
 pub fn open(path: &Path) -> Result<File, Diagnostic> {
     let wrong = unreadable(path.display());
-    let directory = directory_of(path);
-    if directory.join(COMMIT).exists() {
-        // Nobody reads a part of a set.
-        drop(exclusive(directory));
-    }
+    complete_set_of(path);
     if !fs::metadata(path).map_err(&wrong)?.is_file() {
         return Err(Diagnostic::file(path.display(), NotAFile));
     }
     File::open(path).map_err(wrong)
+}
+
+/// Whether there is this file, when the set that it may belong to is complete: for whoever looks for a file before it opens one.
+pub fn is_there(path: &Path) -> bool {
+    complete_set_of(path);
+    path.is_file()
+}
+
+/// Completes a set whose process was killed, or waits for it, so that nobody reads a part of a set.
+fn complete_set_of(file: &Path) {
+    let directory = directory_of(file);
+    if directory.join(COMMIT).exists() {
+        drop(exclusive(directory));
+    }
 }
 
 /// The file that says which renames complete a set of files. It is there while they are done, and afterwards only if the process
@@ -112,6 +122,10 @@ impl SetCommit {
         for (part, target) in self.files.iter().filter(|(part, _)| directory.join(part).is_file()) {
             keep(target)?;
             fs::rename(directory.join(part), directory.join(target))?;
+        }
+        // The backups of the process that was killed. Where the earlier set is kept there are none.
+        for name in self.files.iter().filter_map(|(part, _)| part.strip_suffix(PART)) {
+            let _ = fs::remove_file(directory.join(name.to_owned() + OLD_PART));
         }
         for name in self.removed.iter().filter(|name| directory.join(name).is_file()) {
             keep(name)?;
@@ -168,12 +182,12 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<String, Diagnostic> {
 
 /// Reads a file if it exists. A path with this ending must be a file: if it does not exist, that is an error.
 pub fn if_there(path: &Path, ending: &str) -> Option<Result<String, Diagnostic>> {
-    (path.exists() || path.to_string_lossy().ends_with(ending)).then(|| read_text(path))
+    (is_there(path) || path.exists() || path.to_string_lossy().ends_with(ending)).then(|| read_text(path))
 }
 
 /// Reads a file if it exists.
 pub fn read_if_file(path: &Path) -> Option<Result<String, Diagnostic>> {
-    path.is_file().then(|| read_text(path))
+    is_there(path).then(|| read_text(path))
 }
 
 /// The SHA-256 of a file of any size.
@@ -207,7 +221,7 @@ impl UnfinishedFile {
             return Err(Diagnostic::file(path.display(), StandardOutput));
         }
         let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-        let part = beside(&target, "part");
+        let part = beside(&target, PART);
         let file = File::create(&part).map_err(unwritable(path))?;
         Ok((Self { part, target, path: path.into() }, file))
     }
@@ -251,10 +265,14 @@ pub(super) fn write_unfinished(
     }
 }
 
+/// The end of the name of a file that is being written, and of the earlier file that it replaces.
+const PART: &str = ".part";
+pub(super) const OLD_PART: &str = ".old.part";
+
 /// A name in the same directory that no other process uses.
 pub(super) fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut beside = path.as_os_str().to_owned();
-    beside.push(format!(".{}.{ending}", std::process::id()));
+    beside.push(format!(".{}{ending}", std::process::id()));
     beside.into()
 }
 

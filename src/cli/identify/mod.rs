@@ -63,6 +63,10 @@ pub(crate) struct IdentifyArgs {
     /// Standard deviation of every length and coordinate, mm, in place of the column sigma_mm.
     #[arg(long, value_name = "MM", value_parser = value::positive)]
     sigma: Option<f64>,
+    /// Largest expanded uncertainty (k = 2) with which the calibration is still used, mm: the result states until when, at most
+    /// twelve months. Without it the result states its uncertainty and no date.
+    #[arg(long, value_name = "MM", value_parser = value::tolerance)]
+    tolerance: Option<f64>,
     /// Standard uncertainty (k = 1) of each bar's length by its certificate, mm [default: half of length_u_mm in a capture's
     /// job]. It is the prior of each bar's offset; without it a bar counts as known to about 0.1 mm, but may be far off.
     #[arg(long, value_name = "MM", value_parser = value::bar_u)]
@@ -131,6 +135,7 @@ pub(super) fn request(args: &IdentifyArgs) -> Request {
         centres: args.centres.clone(),
         tool_mm: args.tool,
         sigma_mm: args.sigma,
+        tolerance_mm: args.tolerance,
         bar_u_mm: args.bar_u,
         validate: args.validate.clone(),
         folds: args.folds,

@@ -116,6 +116,8 @@ impl Supervisor {
             })?),
             _ => None,
         };
+        // The bar of a cell speaks the protocol of its plan, whatever the bar of the service speaks.
+        let protocol = protocol.filter(|_| cell.is_none());
         if let Some(cell) = &cell {
             (port, plan) = (cell.port().clone(), Some(cell.plan().into()));
         }

@@ -8,7 +8,7 @@ use std::time::SystemTime;
 
 use serde_json::{Value, json};
 
-use super::runs::{is_plain_directory, is_sound};
+use super::runs::{is_plain_directory, is_plain_file, is_sound};
 use crate::live::Catalogue;
 use dbbd_device::port::{self, PortAddress, PortInfo};
 use dbbd_device::protocol::ProtocolDefinition;
@@ -56,10 +56,19 @@ fn protocols() -> Vec<Value> {
         .collect()
 }
 
-/// The file of a plan `NAME` or `ROBOT/NAME`; `None` for an invalid name.
+/// The file of a plan `NAME` or `ROBOT/NAME`; `None` for an invalid name, and where a link may lead out of `plans`.
 pub(super) fn plan_file(plans: &Path, name: &str) -> Option<PathBuf> {
-    let mut parts = name.splitn(2, '/');
-    Some(plans.join(name).join("plan.csv")).filter(|path| parts.all(is_sound) && path.is_file())
+    let mut directory = plans.to_owned();
+    for part in name.splitn(2, '/') {
+        directory.push(part);
+        if !is_sound(part) || !is_plain_directory(&directory) {
+            return None;
+        }
+    }
+    let csv = directory.join("plan.csv");
+    let is_there = dbbd_job::files::is_there(&csv) && is_plain_file(&csv);
+    let is_link = fs::symlink_metadata(csv.with_extension("json")).is_ok_and(|data| data.is_symlink());
+    (is_there && !is_link).then_some(csv)
 }
 
 /// The names of the directories in a directory.

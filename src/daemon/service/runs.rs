@@ -58,6 +58,10 @@ pub(super) fn is_plain_directory(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|data| data.is_dir())
 }
 
+pub(super) fn is_plain_file(path: &Path) -> bool {
+    fs::symlink_metadata(path).is_ok_and(|data| data.is_file())
+}
+
 /// Opens a regular file: no link, which could lead out of the data directory, and no pipe, which could block.
 pub(super) fn open_plain(path: &Path) -> io::Result<File> {
     let no_file = || io::Error::other("is no plain file");

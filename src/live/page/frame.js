@@ -27,15 +27,36 @@ export function say(text, lang = language) {
 }
 
 /** Does something, and shows why it cannot be done. @param {() => Promise<unknown>} work */
-export async function attempt(work) {
+async function show(work) {
   try {
-    say("");
     await work();
+    return true;
   } catch (error) {
     // A 401 opens the sign-in; a wrong field shows its reason itself.
-    if (error.status === 401 || error.shown) return;
+    if (error.status === 401 || error.shown) return false;
     if (error.status) say(error.message, "en");
     else say(error instanceof TypeError ? t("link.none") : String(error));
+    return false;
+  }
+}
+
+/** Does what the user asked for: what was said before is over. @param {() => Promise<unknown>} work */
+export async function attempt(work) {
+  say("");
+  await show(work);
+}
+
+/** What the page said last without being asked. */
+let unasked = "";
+
+/** Does what nobody asked for: an answer to the user stays, and its own complaint goes when it succeeds. @param {() => Promise<unknown>} work */
+export async function quietly(work) {
+  const before = $("message").textContent;
+  if (await show(work)) {
+    if (unasked && $("message").textContent === unasked) say("");
+    unasked = "";
+  } else if ($("message").textContent !== before) {
+    unasked = $("message").textContent;
   }
 }
 

@@ -1,6 +1,6 @@
 // The first page: the robots of the working directory with their last decisions; a new robot; the demo.
 
-import { $, afterSignIn, attempt, make } from "/frame.js";
+import { $, afterSignIn, attempt, make, quietly } from "/frame.js";
 import { jobForm } from "/job_form.js";
 import { ask } from "/link.js";
 import { age } from "/numbers.js";
@@ -38,9 +38,11 @@ $("demo").addEventListener("click", () =>
 $("new").addEventListener("click", () =>
   attempt(async () => {
     const form = $("new-form");
-    form.hidden = !form.hidden;
-    $("new").setAttribute("aria-expanded", String(!form.hidden));
-    if (form.hidden) return;
+    const open = (is) => {
+      form.hidden = !is;
+      $("new").setAttribute("aria-expanded", String(is));
+    };
+    if (!form.hidden) return open(false);
     await jobForm(form, {
       robot: null,
       job: null,
@@ -48,11 +50,13 @@ $("new").addEventListener("click", () =>
       send: (keys, name) => ask("POST", "/workbench", { name, job: keys }),
       saved: (name) => (location.href = `/robot/${encodeURIComponent(name)}`),
     });
+    // Not before: what is typed into the old fields would be lost.
+    open(true);
   }),
 );
 window.addEventListener("dbbd:user", () => {
   for (const id of ["new", "demo"]) $(id).disabled = !may("plan");
 });
-afterSignIn(() => attempt(refresh));
-window.addEventListener("focus", () => attempt(refresh));
-attempt(refresh);
+afterSignIn(() => quietly(refresh));
+window.addEventListener("focus", () => quietly(refresh));
+quietly(refresh);

@@ -10,7 +10,7 @@ import { t } from "/texts.js";
 /**
  * A field with a unit is for numbers, one without for a text or one of its choices. Its key in the job is its name, or place `at` of
  * the list `key`.
- * @typedef {{ name: string, unit?: string, count?: number, choices?: string[], optional?: boolean, key?: string, at?: number }} Field
+ * @typedef {{ name: string, unit?: string, whole?: boolean, range?: { low: number, high: number }, count?: number, choices?: string[], optional?: boolean, key?: string, at?: number }} Field
  */
 
 /** @type {Field[]} */
@@ -42,11 +42,13 @@ const BALL = [
   { name: "z_mm", unit: "mm", key: "xyz_mm", at: 2 },
   { name: "taught_deg", unit: "°", count: 6, optional: true },
 ];
+/** What the points of a circle can be: fewer are no circle, and a dwell has a number of one byte. */
+const POINTS = { low: 3, high: 255 };
 /** @type {Field[]} */
 const CIRCLE = [
-  { name: "centre", unit: "", optional: true },
+  { name: "centre", unit: "", whole: true, optional: true },
   { name: "plane", choices: ["XY", "XZ", "YZ"], optional: true },
-  { name: "points", unit: "" },
+  { name: "points", unit: "", whole: true, range: POINTS },
   { name: "orientation", choices: ["seed", "fixed", "random", "turning", "optimal"], optional: true },
   { name: "amplitude_deg", unit: "°", optional: true },
   { name: "tilt_deg", unit: "°", optional: true },
@@ -91,7 +93,7 @@ function field({ name, unit, count, choices, optional }, text) {
     input.append(...[...all].map((one) => new Option(one || "–", one, false, one === text)));
   } else {
     input = make("input", null, { id, type: "text", autocomplete: "off", inputmode: unit === undefined || count ? undefined : "decimal" });
-    input.value = text;
+    input.defaultValue = text;
   }
   input.dataset.name = name;
   label.append(input);
@@ -99,8 +101,8 @@ function field({ name, unit, count, choices, optional }, text) {
 }
 
 /** The value of a field; null if it is empty and may be. @param {any} input @param {Field} of */
-function value(input, { unit, count, optional }) {
-  if (unit !== undefined) return readNumber(input, { unit, count, optional });
+function value(input, { unit, whole, range, count, optional }) {
+  if (unit !== undefined) return readNumber(input, { unit, whole, range, count, optional });
   right(input);
   const text = input.value.trim();
   if (!text && !optional) wrong(input, t("wrong.missing"));
@@ -113,6 +115,7 @@ function group(fields, texts) {
   return {
     labels: all.map(({ label }) => label),
     input: (name) => all.find(({ of }) => of.name === name).input,
+    of: (wanted) => all.filter(({ of: { name, key = name } }) => key === wanted).map(({ input }) => input),
     typed: () => Object.fromEntries(all.map(({ of, input }) => [of.name, input.value])),
     keys() {
       /** @type {any} */
@@ -121,6 +124,13 @@ function group(fields, texts) {
         const { name, key = name, at } = of;
         if (at === undefined) keys[key] = value(input, of);
         else (keys[key] ??= [])[at] = value(input, of);
+      }
+      // An optional list is there as a whole, or not at all.
+      for (const { of, input } of all) {
+        const numbers = of.at === undefined ? null : keys[of.key ?? of.name];
+        if (!numbers) continue;
+        if (numbers.every((number) => number === null)) keys[of.key ?? of.name] = null;
+        else if (numbers[of.at] === null) wrong(input, t("wrong.missing"));
       }
       return keys;
     },
@@ -197,6 +207,9 @@ export async function jobForm(form, { robot, job, sha256, send, saved }) {
   const headFields = [...(robot ? [] : [{ name: "name" }]), { name: "robot", choices: robots }, { name: "serial", optional: true }];
   /** @type {Field[]} */
   const barFields = [...BAR, { name: "protocol", choices: protocols.map((one) => one.id), optional: true }];
+  // The tool ball of a job that has none is in its robot file.
+  /** @type {Field[]} */
+  const toolFields = job && !job.tool?.ball_mm ? TOOL.map((one) => ({ ...one, optional: true })) : TOOL;
   const first = job ?? NEW_JOB;
   const row = (at) => (job ? at : undefined);
   const begin = {
@@ -214,7 +227,7 @@ export async function jobForm(form, { robot, job, sha256, send, saved }) {
 
   const head = group(headFields, now.head);
   const bar = group(barFields, now.bar);
-  const tool = group(TOOL, now.tool);
+  const tool = group(toolFields, now.tool);
   const keep = () => {
     const typed = { head: head.typed(), bar: bar.typed(), tool: tool.typed(), centre: balls.typed(), circle: circles.typed() };
     unsaved = JSON.stringify(typed) !== JSON.stringify(begin);
@@ -223,7 +236,7 @@ export async function jobForm(form, { robot, job, sha256, send, saved }) {
   };
   const balls = list("form.balls", BALL, now.centre, (ids) => ({ id: freeId(ids), typed: textsOf(BALL, NEW_BALL) }), keep);
   const circles = list("form.circles", CIRCLE, now.circle, () => ({ typed: textsOf(CIRCLE, NEW_CIRCLE) }), keep);
-  const problem = make("p", "", { role: "alert", class: "problem" });
+  const problem = make("p", "", { role: "alert", class: "problem", lang: "en" });
   const before = make("p", unsaved ? t("form.unsaved") : kept ? t("form.outdated") : "", { role: "status", class: "note" });
   const note = make("p", "", { role: "status", class: "note" });
   const submit = make("button", t(job ? "form.save" : "form.create"), { class: "main", "data-action": "save" });
@@ -235,6 +248,13 @@ export async function jobForm(form, { robot, job, sha256, send, saved }) {
     unsaved = false;
     before.textContent = "";
     sessionStorage.removeItem(store);
+  };
+  /** The field of the key that a refusal begins with; of several one that was changed. @param {string} text */
+  const refused = (text) => {
+    const [, circle, key] = /^(?:circle (\d+): )?(\w+)(?: in \w+)? = /.exec(text) ?? [];
+    const groups = [head, bar, tool, ...balls.lines(), ...(circle ? circles.lines().slice(Number(circle) - 1, Number(circle)) : circles.lines())];
+    const inputs = groups.flatMap((group) => group.of(key));
+    return inputs.find((input) => input.value !== input.defaultValue) ?? inputs[0];
   };
   form.oninput = keep;
   form.onsubmit = async (event) => {
@@ -259,7 +279,15 @@ export async function jobForm(form, { robot, job, sha256, send, saved }) {
         note.textContent = t("form.unchanged");
       }
     } catch (error) {
-      if (!error.shown) problem.textContent = error.message;
+      if (error.shown) return;
+      // The service speaks English, and names the key that it refuses: its field has the message.
+      const input = refused(error.message);
+      if (!input) return (problem.textContent = error.message);
+      try {
+        wrong(input, error.message, "en");
+      } catch {
+        // It is said.
+      }
     }
   };
 }

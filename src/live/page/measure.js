@@ -1,6 +1,6 @@
 // The step Measure: reads the stream, shows the state, connects, starts and stops.
 
-import { $, afterSignIn, attempt, say, turnTheme } from "/frame.js";
+import { $, afterSignIn, attempt, quietly, say, turnTheme } from "/frame.js";
 import { known, t } from "/texts.js";
 import { ask, hear } from "/link.js";
 import { may } from "/users.js";
@@ -124,7 +124,7 @@ function showStatus(now) {
   set("last", over || "", last?.failed);
   set("archive", now.archive ? archiveText(now.archive) : "", now.archive?.waiting > 0);
   if (run) showRun(run);
-  if (before?.run && !run && connected) attempt(connect);
+  if (before?.run && !run && connected) quietly(connect);
   if (before?.run?.plan !== run?.plan) expect(expectation.plan, expectation.list);
   if (now.state !== seenState) {
     seenState = now.state;
@@ -190,7 +190,7 @@ async function lists() {
   if (status) choosePort();
 }
 
-const greet = () => attempt(() => Promise.all([lists(), runs.refresh(), runs.refreshJobs()]));
+const greet = () => quietly(() => Promise.all([lists(), runs.refresh(), runs.refreshJobs()]));
 
 const reopen = hear({
   status: showStatus,
@@ -329,9 +329,9 @@ export const refreshLists = () => lists();
 /** Connects to the bar. */
 export { connect };
 
-/** Chooses a simulated cell at a speed for the next run of this page. @param {number} value */
+/** Chooses a simulated cell for the next run of this page, at a speed or at the one that is chosen. @param {number} [value] */
 export function simulate(value) {
-  $("speed").value = String(value);
+  if (value) $("speed").value = String(value);
   simulates = true;
   choosePort();
 }

@@ -1,7 +1,7 @@
 // Moves a base ball or an obstacle of the job, in the view or by typing. Each change is tried: the service plans the changed job, and
 // its checks are shown. What is kept is written into the job.
 
-import { $, attempt, make, say } from "/frame.js";
+import { $, attempt, make, quietly, say } from "/frame.js";
 import { changedKeys } from "/job_changes.js";
 import { ask } from "/link.js";
 import { readNumber, right } from "/number_field.js";
@@ -183,7 +183,7 @@ $("move-save").addEventListener("click", () =>
   }),
 );
 // The form has saved another job: it is read again unless something is moved.
-window.addEventListener("dbbd:job-saved", () => $("move-save").disabled && attempt(() => open(context)));
+window.addEventListener("dbbd:job-saved", () => $("move-save").disabled && quietly(() => open(context)));
 $("move-reset").addEventListener("click", () =>
   attempt(async () => {
     $("move-found").replaceChildren();

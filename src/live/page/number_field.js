@@ -11,12 +11,12 @@ export function right(input) {
   document.getElementById(`${input.id}-wrong`)?.remove();
 }
 
-/** Says beside a field why it is wrong, and throws. @param {any} input @param {string} text @returns {never} */
-export function wrong(input, text) {
+/** Says beside a field why it is wrong, and throws. @param {any} input @param {string} text @param {string} [lang] @returns {never} */
+export function wrong(input, text, lang) {
   right(input);
   const id = `${input.id}-wrong`;
   // Beside the label: in it, the text would be part of the field's name.
-  input.closest("label").after(make("span", text, { id, role: "alert", class: "problem" }));
+  input.closest("label").after(make("span", text, { id, role: "alert", class: "problem", lang }));
   input.setAttribute("aria-invalid", "true");
   input.setAttribute("aria-describedby", id);
   input.addEventListener("input", () => right(input), { once: true });
@@ -34,7 +34,7 @@ export function wrong(input, text) {
 export function readNumber(input, field) {
   const { value, reason } = parseNumber(input.value, field);
   const { unit, count, range } = field;
-  if (reason) wrong(input, t(reason, { unit, count, low: range?.low, high: range && `${range.high} ${unit}` }));
+  if (reason) wrong(input, t(reason, { unit, count, low: range?.low, high: range && `${range.high} ${unit}`.trim() }));
   right(input);
   return value;
 }

@@ -9,10 +9,13 @@ const UNITS = {
   "°C": { "°C": 0, C: 0 },
   "1/K": { "1/K": 0, "/K": 0 },
 };
+/** Beyond it a number does not hold each whole one; nothing here is so large, and no message shows so many digits. */
+const MAX_SIZE = 2 ** 53;
 const NUMBER = /^([+\-−]?)(\d+(?:[.,]\d+)?|[.,]\d+)(?:e([+\-−]?\d+))?\s*(.*)$/i;
 
-/** What a field takes: its unit ("" for none), whether it may be empty, how many numbers if it is a list, and the range in that unit.
- * @typedef {{ unit: string, optional?: boolean, count?: number, range?: { low: number, high: number, aboveLow?: boolean } }} NumberField */
+/** What a field takes: its unit ("" for none), whether it may be empty, whether only whole numbers, how many numbers if it is a list, and
+ * the range in that unit.
+ * @typedef {{ unit: string, optional?: boolean, whole?: boolean, count?: number, range?: { low: number, high: number, aboveLow?: boolean } }} NumberField */
 
 /**
  * Reads the text of a field; an empty one is null.
@@ -30,7 +33,7 @@ export function parseNumber(text, field) {
 }
 
 /** @param {string} text @param {NumberField} field @returns {{ value?: number, reason?: string }} */
-function one(text, { unit, range }) {
+function one(text, { unit, whole, range }) {
   // A keyboard has either of the two signs for micro.
   const parts = NUMBER.exec(text.replace("μ", "µ"));
   if (!parts) return { reason: "wrong.number" };
@@ -49,6 +52,8 @@ function one(text, { unit, range }) {
   const value = Number(`${ascii(sign)}${digits.replace(",", ".")}e${power}`);
   // Too large for a number, or so small that it would become nothing.
   if (!Number.isFinite(value) || (value === 0 && /[1-9]/.test(digits))) return { reason: "wrong.number" };
+  if (Math.abs(value) > MAX_SIZE) return { reason: "wrong.large" };
+  if (whole && !Number.isInteger(value)) return { reason: "wrong.whole" };
   if (range && (value < range.low || value > range.high || (range.aboveLow && value === range.low))) {
     return { reason: range.aboveLow ? "wrong.range_above" : "wrong.range" };
   }

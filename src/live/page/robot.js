@@ -1,7 +1,7 @@
 // The page of a robot: nine steps, each with its state, what it found, one next action and its command.
 // At /live there is no robot: only the step Measure is shown.
 
-import { $, afterSignIn, attempt, make, say } from "/frame.js";
+import { $, afterSignIn, attempt, make, quietly, say } from "/frame.js";
 import * as correct from "/correct.js";
 import { finding } from "/findings.js";
 import { jobForm } from "/job_form.js";
@@ -187,17 +187,27 @@ function draw() {
   document.title = `${work.name} · dbbd`;
   $("scene").hidden = !work.steps.some((one) => one.plan);
   const of = (step) => work.steps.find((one) => one.step === step);
-  attempt(() => correct.show(of("correct")));
+  quietly(() => correct.show(of("correct")));
+  offerTolerance(of("check").values);
   const made = of("result");
   $("residuals").hidden = !made.directory;
   if (made.state === "done" && made.changed_unix_ms !== shownResult) {
     shownResult = made.changed_unix_ms;
-    attempt(residuals.open);
-    attempt(async () => {
+    quietly(residuals.open);
+    quietly(async () => {
       const cell = await ask("GET", `/workbench/${robot}/scene`);
       measure.expect(cell.plan, cell.expected);
     });
   }
+}
+
+/** Where this tab keeps the tolerance that was typed: a reload must not make none of it. */
+const TYPED_TOLERANCE = `tolerance:${robot}`;
+$("tolerance").addEventListener("input", () => sessionStorage.setItem(TYPED_TOLERANCE, $("tolerance").value));
+
+/** Shows the tolerance that was typed, else that of the last decision: to decide again is not to drop it. @param {any} values */
+function offerTolerance(values) {
+  if (document.activeElement !== $("tolerance")) $("tolerance").value = sessionStorage.getItem(TYPED_TOLERANCE) ?? values?.tolerance_mm ?? "";
 }
 
 /** When the result was written whose residuals are shown. */
@@ -242,8 +252,7 @@ async function compute(step, options = {}) {
 
 async function edit() {
   const form = $("job-form");
-  form.hidden = !form.hidden;
-  if (form.hidden) return;
+  if (!form.hidden) return (form.hidden = true);
   const { job, sha256 } = await ask("GET", `/workbench/${robot}/job`);
   await jobForm(form, {
     robot,
@@ -258,6 +267,8 @@ async function edit() {
       part("plan", "h2").scrollIntoView();
     },
   });
+  // Not before: what is typed into the old fields would be lost.
+  form.hidden = false;
   form.querySelector("select, input").focus();
 }
 
@@ -267,13 +278,13 @@ async function record(report) {
   const now = measure.now();
   if (now?.run) return $("length").focus();
   if (pilot && !isRead(report)) return (mountedEarly = true);
-  if (work.simulated && !isRead(report)) {
-    measure.simulate(pilot?.speed ?? 20);
-    return measure.connect();
+  if (work.simulated) {
+    // Its run never reads the bar of the service: not after a reload, not on the page of another person, not without a port.
+    measure.simulate(pilot?.speed);
+    return isRead(report) ? measure.confirmHalt() : measure.connect();
   }
   if (!now?.device.port) return $("port").focus();
   if (!isRead(report)) return measure.connect();
-  if (work.simulated) return measure.confirmHalt();
   const open = measure.openCheck();
   if (open) return open.focus();
   measure.startRun();
@@ -304,6 +315,8 @@ async function goOn() {
   if (next.state !== "ready" || begun.has(next.step)) return;
   if (next.step === "measure" && !now) return;
   begun.add(next.step);
+  // After a reload the bar may be read already: to connect again would begin the program again.
+  if (next.step === "measure" && isRead(next)) return;
   try {
     if (next.step !== "measure") return await compute(next.step);
     // The program begins and halts for the bar: the operator goes on.
@@ -323,7 +336,7 @@ window.addEventListener("dbbd:user", () => {
   drawn = "";
   if (work) draw();
 });
-const look = () => attempt(refresh);
+const look = () => quietly(refresh);
 let barBefore = "";
 window.addEventListener("dbbd:job", (/** @type {any} */ { detail: job }) => {
   if (job.robot !== robot || !work) return;

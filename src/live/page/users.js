@@ -1,6 +1,6 @@
 // Who is signed in, what the role allows, and what users changed.
 
-import { $, afterSignIn, attempt, make } from "/frame.js";
+import { $, afterSignIn, attempt, make, quietly } from "/frame.js";
 import { ask } from "/link.js";
 import { dateAndTime } from "/numbers.js";
 import { known, t } from "/texts.js";
@@ -39,6 +39,6 @@ $("sign-out").addEventListener("click", () =>
     location.reload();
   }),
 );
-window.addEventListener("dbbd:changed", () => attempt(events));
-afterSignIn(() => attempt(refresh));
-attempt(refresh);
+window.addEventListener("dbbd:changed", () => quietly(events));
+afterSignIn(() => quietly(refresh));
+quietly(refresh);

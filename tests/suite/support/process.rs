@@ -70,3 +70,43 @@ impl Drop for Simulator {
         let _ = self.child.wait();
     }
 }
+
+/// The calls of the system that a process of [`delayed`] makes take the time that the variables state: a sync, which does nothing
+/// else, and a rename.
+#[cfg(target_os = "linux")]
+const DELAYS: &str = "
+#include <fcntl.h>
+#include <stdlib.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+static void wait_for(const char *name) {
+    const char *text = getenv(name);
+    double s = text ? atof(text) : 0;
+    struct timespec time = { (time_t)s, (long)(1e9 * (s - (time_t)s)) };
+    nanosleep(&time, 0);
+}
+int fdatasync(int file) { (void)file; wait_for(\"DBBD_TEST_SYNC_S\"); return 0; }
+int fsync(int file) { return fdatasync(file); }
+int rename(const char *from, const char *to) {
+    int done = (int)syscall(SYS_renameat2, AT_FDCWD, from, AT_FDCWD, to, 0);
+    wait_for(\"DBBD_TEST_RENAME_S\");
+    return done;
+}
+";
+
+/// Compiles the library of [`delayed`] in a directory, and returns its path. Where Rust links, there is a C compiler.
+#[cfg(target_os = "linux")]
+pub(crate) fn delays(directory: &Path) -> String {
+    let [source, library] = ["delays.c", "delays.so"].map(|name| directory.join(name));
+    std::fs::write(&source, DELAYS).unwrap();
+    let cc = Command::new("cc").args(["-shared", "-fPIC", "-o"]).args([&library, &source]).status().unwrap();
+    assert!(cc.success());
+    library.display().to_string()
+}
+
+/// The command with slow calls of the system: `DBBD_TEST_SYNC_S` or `DBBD_TEST_RENAME_S` is the time, s.
+#[cfg(target_os = "linux")]
+pub(crate) fn delayed(command: &mut Command, library: &str, variable: &str, s: f64) {
+    command.env("LD_PRELOAD", library).env(variable, s.to_string());
+}

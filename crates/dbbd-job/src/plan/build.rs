@@ -73,7 +73,7 @@ impl Plan {
         // Before the first length a ball can still be taught from elsewhere: try without `taught_deg`.
         let taught = job.centres.iter().any(|table| table.taught_deg.is_some());
         match plan {
-            Err(refusal) if refusal.is_for_place() && prior.lengths == 0 && taught => {
+            Err(refusal) if refusal.is_for_place() && prior.lengths() == 0 && taught => {
                 let job = job.untaught();
                 let mut plan =
                     Self::cautious(&job, robot, &prior.before_teaching(), given).map_err(|_| refusal)?;

@@ -97,21 +97,21 @@ findings! {
         I0714 "how many lengths are enough",
         cause: "The remaining error over the workspace is predicted for parts of the plan (the most informative lengths first) and for the plan measured twice.",
         cure: "Measure fewer lengths where fewer are enough. Where more do not help, choose other poses, another base ball or a better known bar." {
-            Enough { lengths: usize, error_mm: f64, repeatability_mm: f64, planned: usize, planned_error_mm: f64, doubled: usize, doubled_error_mm: f64 } => "{lengths} lengths are enough: the remaining 3-D error without errors of the joints is {error_mm:.3} mm, less than the robot's repeatability of {repeatability_mm} mm; {planned} leave {planned_error_mm:.3} mm, {doubled} leave {doubled_error_mm:.3} mm";
-            OthersNeeded { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "without errors of the joints {planned} lengths leave {planned_error_mm:.3} mm, twice as many {doubled_error_mm:.3} mm: only other poses, another base ball or a better known bar (length_u_mm) would help";
-            MoreHelp { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "without errors of the joints {planned} lengths leave {planned_error_mm:.3} mm; twice as many would leave {doubled_error_mm:.3} mm";
+            Enough { lengths: usize, error_mm: f64, repeatability_mm: f64, planned: usize, planned_error_mm: f64, doubled: usize, doubled_error_mm: f64 } => "{lengths} lengths are enough: the remaining 3-D error is {error_mm:.3} mm, less than the robot's repeatability of {repeatability_mm} mm; {planned} leave {planned_error_mm:.3} mm, {doubled} leave {doubled_error_mm:.3} mm";
+            OthersNeeded { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "{planned} lengths leave {planned_error_mm:.3} mm, twice as many {doubled_error_mm:.3} mm: only other poses, another base ball or a better known bar (length_u_mm) would help";
+            MoreHelp { planned: usize, planned_error_mm: f64, doubled_error_mm: f64 } => "{planned} lengths leave {planned_error_mm:.3} mm; twice as many would leave {doubled_error_mm:.3} mm";
         }
         I0715 "how far from the base balls a result is valid",
         cause: "The predicted uncertainty grows with the distance from the base balls.",
         cure: "Put a base ball where the robot works, or give `workspace_mm`." {
-            ValidNear { within_mm: f64, least_mm: f64, most_mm: f64, farther_mm: f64 } => "the result is valid up to {within_mm} mm from the base balls, where {least_mm:.3} to {most_mm:.3} mm are left without errors of the joints; farther out up to {farther_mm:.3} mm";
-            ValidEverywhere { least_mm: f64, most_mm: f64 } => "the result is valid over the whole workspace, with {least_mm:.3} to {most_mm:.3} mm left without errors of the joints";
+            ValidNear { within_mm: f64, least_mm: f64, most_mm: f64, farther_mm: f64 } => "the result is valid up to {within_mm} mm from the base balls, where {least_mm:.3} to {most_mm:.3} mm are left; farther out up to {farther_mm:.3} mm";
+            ValidEverywhere { least_mm: f64, most_mm: f64 } => "the result is valid over the whole workspace, with {least_mm:.3} to {most_mm:.3} mm left";
         }
         I0716 "whether a second base ball would help",
         cause: "The best poses were chosen again about this ball and with a second one at several places.",
         cure: "Where a place helps, put a second ball near it and add its [[centre]] table." {
-            SecondBall { place: &'static str, x_mm: f64, y_mm: f64, z_mm: f64, percent: f64, alone_mm: f64, turned_percent: f64 } => "a second base ball {place}, near ({x_mm:.0}, {y_mm:.0}, {z_mm:.0}) mm, would leave {percent:.0} % of the 3-D error of as many poses chosen freely about this one ({alone_mm:.3} mm); one turned about axis 1 alone leaves {turned_percent:.0} % of the error";
-            NoSecondBall { places: usize, percent: f64, alone_mm: f64, turned_percent: f64 } => "no second base ball of {places} places tried would leave less than {percent:.0} % of the 3-D error of as many poses chosen freely about this one ({alone_mm:.3} mm); one turned about axis 1 alone leaves {turned_percent:.0} % of the error";
+            SecondBall { place: &'static str, x_mm: f64, y_mm: f64, z_mm: f64, percent: f64, turned_percent: f64 } => "a second base ball {place}, near ({x_mm:.0}, {y_mm:.0}, {z_mm:.0}) mm, would leave {percent:.0} % of the 3-D error of as many poses chosen freely about this one; one turned about axis 1 alone leaves {turned_percent:.0} % of the error";
+            NoSecondBall { places: usize, percent: f64, turned_percent: f64 } => "no second base ball of {places} places tried would leave less than {percent:.0} % of the 3-D error of as many poses chosen freely about this one; one turned about axis 1 alone leaves {turned_percent:.0} % of the error";
         }
         I0717 "teach a base ball again",
         cause: "No pose is safe enough from where `taught_deg` says that the ball was taught; from another place there is one.",

@@ -66,10 +66,14 @@ impl<'a> PlanningCell<'a> {
         }
         self.obstacles(axes, Some(base), &ball.position, note)?;
         let room = [reading - bar.stroke_mm[0], bar.stroke_mm[1] - reading];
-        let design_row = self.posterior.design_row(axes, BallId::new(centre)?);
-        let risk = self.leaves(room, &design_row);
-        note(CheckQuantity::StrokeRisk, risk)?;
-        Some(StrokeMargin { room, design_row, risk })
+        let ball = BallId::new(centre)?;
+        let design_row = self.posterior.design_row(axes, ball);
+        // At the start itself only the bar's own noise is left.
+        let own_sd_mm = self.posterior.own_sd_mm(axes, ball).max(bar.sigma_um * 1e-3);
+        let mut margin = StrokeMargin { room, design_row, own_sd_mm, risk: 0.0 };
+        margin.risk = margin.leaves(0.0);
+        note(CheckQuantity::StrokeRisk, margin.risk)?;
+        Some(margin)
     }
 
     /// Whether all limits are kept with their reserves, with a stroke risk of at most `risk`.
@@ -123,14 +127,7 @@ impl<'a> PlanningCell<'a> {
     /// The probability that the length leaves the stroke if the pose is moved `out` mm away from the ball.
     pub(super) fn risk_out(&self, pose: &Candidate, out: f64) -> f64 {
         let margin = self.evaluate(&pose.axes, pose.ball.number(), BarPresence::Yes, &mut |_, _| Some(()));
-        margin.map_or(1.0, |one| self.leaves([one.room[0] + out, one.room[1] - out], &one.design_row))
-    }
-
-    /// The probability that a length with this distance to the ends of the stroke (`room`, mm) leaves the stroke.
-    fn leaves(&self, room: [f64; 2], design_row: &DVector<f64>) -> f64 {
-        // At the start itself only the bar's own noise is left.
-        let sd = design_row.norm().max(self.rig.job.bar.sigma_um * 1e-3);
-        (normal_tail(room[1] / sd) + normal_tail(room[0] / sd)).min(1.0)
+        margin.map_or(1.0, |margin| margin.leaves(out))
     }
 
     fn obstacles(
@@ -161,6 +158,15 @@ impl<'a> PlanningCell<'a> {
             job.obstacles.iter().map(move |obstacle| obstacle.from_segment(segment) - radius)
         });
         note(CheckQuantity::ClearanceMm, distances.fold(f64::INFINITY, f64::min))
+    }
+}
+
+impl StrokeMargin {
+    /// The probability that the length leaves the stroke if the pose is moved `out_mm` away from the ball.
+    fn leaves(&self, out_mm: f64) -> f64 {
+        let sd_mm = self.design_row.norm().hypot(self.own_sd_mm);
+        let [low_mm, high_mm] = [self.room[0] + out_mm, self.room[1] - out_mm];
+        (normal_tail(high_mm / sd_mm) + normal_tail(low_mm / sd_mm)).min(1.0)
     }
 }
 
@@ -205,11 +211,12 @@ pub(super) fn over_run(poses: &[StrokeMargin]) -> f64 {
     let mut leave = 0_u32;
     for _ in 0..ROBOTS {
         robot.iter_mut().for_each(|value| *value = StandardNormal.sample(&mut random));
-        let leaves = |pose: &&StrokeMargin| {
-            let moved = pose.design_row.dot(&robot);
+        let mut leaves = |pose: &&StrokeMargin| {
+            let own: f64 = StandardNormal.sample(&mut random);
+            let moved = pose.design_row.dot(&robot) + pose.own_sd_mm * own;
             moved > pose.room[1] || moved < -pose.room[0]
         };
-        leave += u32::from(critical.iter().any(leaves));
+        leave += u32::from(critical.iter().any(&mut leaves));
     }
     (f64::from(leave) / ROBOTS as f64).min(sum)
 }
@@ -259,6 +266,8 @@ mod tests {
         assert!((margin.room[0] - 3.5).abs() < 1e-6 && (margin.room[1] - 4.5).abs() < 1e-6);
         let sd_mm = cell.sd_mm(&pose);
         assert!((sd_mm - margin.design_row.norm()).abs() < 1e-12);
+        // The sigma of the bar is 2 um where the job gives none.
+        let sd_mm = sd_mm.hypot(0.002);
         let expected = normal_tail(3.5 / sd_mm) + normal_tail(4.5 / sd_mm);
         assert!((margin.risk / expected - 1.0).abs() < 1e-6);
         // Farther out there is less room above, farther in there is less room below.
@@ -275,11 +284,15 @@ mod tests {
         let prior = PlanningPrior::datasheet(&job, &robot);
         let start = pose(&rig, 300.0);
         let cell = PlanningCell::new(rig, &prior, 1, &start.axes);
-        let none = DVector::zeros(3);
-        // The sigma of the bar is 2 um where the job gives none.
-        assert!((cell.leaves([0.002, 1.0], &none) / normal_tail(1.0) - 1.0).abs() < 1e-9);
-        assert!((cell.leaves([1.0, 0.004], &none) / normal_tail(2.0) - 1.0).abs() < 1e-9);
-        assert_eq!(cell.leaves([-1.0, -1.0], &none), 1.0);
+        let bar = |room: [f64; 2]| StrokeMargin {
+            room,
+            design_row: DVector::zeros(3),
+            own_sd_mm: 0.002,
+            risk: 0.0,
+        };
+        assert!((bar([0.002, 1.0]).leaves(0.0) / normal_tail(1.0) - 1.0).abs() < 1e-9);
+        assert!((bar([1.0, 0.004]).leaves(0.0) / normal_tail(2.0) - 1.0).abs() < 1e-9);
+        assert_eq!(bar([-1.0, -1.0]).leaves(0.0), 1.0);
         assert!(!cell.allows(&pose(&rig, 310.0).axes, 1, 1.0));
         assert!(cell.allows(&start.axes, 1, 1.0));
         assert!(!cell.allows(&start.axes, 1, 0.0));
@@ -323,7 +336,7 @@ mod tests {
 
     /// A pose that leaves its stroke outwards or inwards where the only unknown passes a bound.
     fn margin(room: [f64; 2], derivative: f64, risk: f64) -> StrokeMargin {
-        StrokeMargin { room, design_row: DVector::from_vec(vec![derivative]), risk }
+        StrokeMargin { room, design_row: DVector::from_vec(vec![derivative]), own_sd_mm: 0.0, risk }
     }
 
     /// P(x > 1) = 0.158655 by the table of the normal distribution; 20 000 draws have a standard deviation of 0.0026.

@@ -8,6 +8,7 @@ use super::path::ToolBallPath;
 use super::prediction::PlanPrediction;
 use super::prior::TaughtBall;
 use super::quantity::PlanCheck;
+use super::rows::approaches;
 use super::stage::Stage;
 use super::timing::MoveTime;
 use super::{Job, MotionKind, PlanRow, PlannedCircle, PoseKind};
@@ -278,10 +279,6 @@ impl Plan {
         }
         Ok(Self { rows, header })
     }
-}
-
-fn approaches(rows: &[PlanRow]) -> impl Iterator<Item = Approach> {
-    Approach::along(rows.iter().map(|row| row.axes_deg.map(f64::to_radians)))
 }
 
 fn rows_to_csv(rows: &[PlanRow]) -> Result<String, InternalFinding> {

@@ -134,6 +134,8 @@ struct StrokeMargin {
     room: [f64; 2],
     /// The reading's derivative with respect to the coordinates of the prior, mm.
     design_row: DVector<f64>,
+    /// Standard deviation of the reading by what this pose has alone, mm.
+    own_sd_mm: f64,
     /// Probability that the reading leaves the stroke at this pose.
     risk: f64,
 }

@@ -286,14 +286,14 @@ impl<'a> PoseChooser<'a> {
     fn survey(&self, scans: &[ReachablePoses], points: u32) -> Result<SafePoseSearch<'a>, PlanFinding> {
         let risk = self.risk / f64::from(points.max(1));
         let abouts: Result<Vec<_>, _> = scans.iter().map(|scan| self.about(scan, risk)).collect();
-        Ok(SafePoseSearch { points, risk, abouts: abouts?, lengths: self.prior.lengths })
+        Ok(SafePoseSearch { points, risk, abouts: abouts?, lengths: self.prior.lengths() })
     }
 
     /// A remedy if even the smallest stage about a ball is not safe: teach the ball, or use a bar with a longer stroke.
     fn help(&self, scan: &ReachablePoses) -> Option<PlanFinding> {
         let (job, ball) = (self.rig.job, scan.ball.number());
         // After lengths were measured, it matters whether the ball was taught.
-        let untaught = self.prior.lengths > 0 && job.ball(ball)?.taught_deg.is_none();
+        let untaught = self.prior.lengths() > 0 && job.ball(ball)?.taught_deg.is_none();
         if let Some(axes_deg) = untaught.then(|| scan.touching(&self.rig)).flatten() {
             return Some(PlanFinding::TeachFirst { ball, axes_deg });
         }

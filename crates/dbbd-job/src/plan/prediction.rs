@@ -5,6 +5,7 @@ use serde::Serialize;
 
 use super::job::{BaseBallTable, Job, JobBar};
 use super::prior::length_sigma_mm;
+use super::rows::approaches;
 use super::workspace::workspace;
 use super::{PlanRow, PlanningPrior, PoseKind};
 use crate::plan::PlanFinding;
@@ -15,11 +16,11 @@ use dbbd_model::estimation::priors::WEAK;
 use dbbd_model::estimation::result::MapPoint;
 use dbbd_model::estimation::wording;
 use dbbd_model::estimation::{
-    DesignPrediction, ErrorSummary, Observability, ParameterPrediction, predict_design,
+    DesignPrediction, ErrorSummary, Observability, ParameterPrediction, PlannedLengths,
 };
-use dbbd_model::measurement::PreparedMeasurement;
+use dbbd_model::measurement::{LengthModel, Measurement, PreparedMeasurement};
 use dbbd_model::robot::inverse::clearance;
-use dbbd_model::robot::{AXES, Robot};
+use dbbd_model::robot::{AXES, Approach, AxisAngles, PayloadId, Robot, TargetId};
 
 /// Poses over which the 3-D error is taken, as in an identification.
 const PREDICTION_WORKSPACE_POSES: usize = 2000;
@@ -111,23 +112,36 @@ impl PlanPrediction {
         robot: &Robot,
         prior: &PlanningPrior,
     ) -> Option<(Self, Vec<MapPoint>)> {
-        let dwells = rows.iter().filter(|row| row.kind != PoseKind::Transit);
-        let readings: Vec<PreparedMeasurement> = dwells.map(|row| row.reading(&job.bar)).collect();
+        let planned = planned_lengths(job, rows, &prior.posterior.model);
         let poses = workspace(job, robot, PREDICTION_WORKSPACE_POSES);
+        let few = poses.get(..FEW_POSES).unwrap_or(&poses).to_vec();
         let sigma_mm = length_sigma_mm(job, robot);
-        let seen = predict_design(&prior.posterior, &readings, sigma_mm, &poses)?;
-        let few = poses.get(..FEW_POSES).unwrap_or(&poses);
-        let against = by_count(&prior.posterior, &readings, sigma_mm, few);
-        let regions = regions(job, &seen.map);
+        // A robot that was not identified is identified from its nominal geometry.
+        let start = match prior.calibrated {
+            Some(_) => prior.posterior.model.clone(),
+            None => {
+                LengthModel { geometry: robot.controller().geometry.clone(), ..prior.posterior.model.clone() }
+            }
+        };
+        let [of_all, of_few] = [poses, few.clone()].map(|poses| prior.options(job, Some(poses)));
+        let whole = PlannedLengths::new(prior.identification(robot, &start, &of_all), &planned).ok()?;
+        let seen = whole.predict(&prior.posterior, 0..planned.len(), sigma_mm)?;
+        let now_mm = whole.stated_before();
+        // Few poses of the workspace compare numbers of lengths; that of the plan has the error that the plan states.
+        let mut against = by_count(&prior.posterior, &whole.over(&of_few), sigma_mm);
+        let all = against.iter().find(|count| count.lengths == planned.len());
+        let scale = all.map_or(1.0, |count| seen.forecast.position_mm.mean / count.error_mm);
+        against.iter_mut().for_each(|count| count.error_mm *= scale);
+        let regions = regions(job, &seen.forecast.map);
         let recommendations = if is_stage {
             Vec::new()
         } else {
             let count = sufficiency(&against, robot.repeatability_mm).map(PlanFinding::from);
-            let ball = second_ball(job, robot.controller(), readings.len(), few);
+            let ball = second_ball(job, robot.controller(), planned.len(), &few);
             count.into_iter().chain(validity(&regions)).chain(ball).map(Diagnostic::from).collect()
         };
         let prediction = Self {
-            lengths: readings.len(),
+            lengths: planned.len(),
             sigma_mm,
             rank: seen.analysis.base.rank,
             of: seen.analysis.ids.len(),
@@ -135,15 +149,36 @@ impl PlanPrediction {
             parameters: seen.parameters.iter().map(|known| predicted(&seen, known)).collect(),
             dependent_in_short: wording::in_short(&seen.analysis.combinations()),
             dependent: seen.analysis.combinations().iter().map(ToString::to_string).collect(),
-            now_mm: seen.error_mm[0],
-            identified_mm: seen.error_mm[1],
+            now_mm,
+            identified_mm: seen.forecast.position_mm,
             observability: seen.observability,
             against,
             regions,
             recommendations,
         };
-        Some((prediction, seen.map))
+        Some((prediction, seen.forecast.map))
     }
+}
+
+/// The rows of a plan as a table of lengths that agree with the model.
+fn planned_lengths(job: &Job, rows: &[PlanRow], model: &LengthModel) -> Vec<Measurement> {
+    let model = model.prepare();
+    let length = |(row, approach): (&PlanRow, Approach)| {
+        let reading = PreparedMeasurement { approach, ..row.reading(&job.bar) };
+        Measurement {
+            index: row.index,
+            datum: reading.datum,
+            target: TargetId::FIRST,
+            axes: AxisAngles::from_degrees(row.axes_deg),
+            approach,
+            length_mm: model.length(&reading),
+            sigma_mm: Some(job.bar.sigma_um * 1e-3),
+            payload: PayloadId::FIRST,
+            context: None,
+        }
+    };
+    let with_approach = rows.iter().zip(approaches(rows));
+    with_approach.filter(|(row, _)| row.kind != PoseKind::Transit).map(length).collect()
 }
 
 /// Whether a second ball would help; `None` for a job with several balls, or if no pose can be chosen.
@@ -174,13 +209,13 @@ fn second_ball(job: &Job, robot: &Robot, lengths: usize, workspace: &[[f64; AXES
                 && clear.overhead > limits.min_overhead_mm
         })
     })?;
-    let SecondBall { place, ball, alone_mm, share, turned_share, places } = best;
+    let SecondBall { place, ball, share, turned_share, places } = best;
     let turned_percent = 100.0 * turned_share.min(1.0);
     Some(if share < HELPS {
         let ([x_mm, y_mm, z_mm], percent) = (ball.into(), 100.0 * share);
-        PlanFinding::SecondBall { place, x_mm, y_mm, z_mm, percent, alone_mm, turned_percent }
+        PlanFinding::SecondBall { place, x_mm, y_mm, z_mm, percent, turned_percent }
     } else {
-        PlanFinding::NoSecondBall { places, percent: 100.0 * HELPS, alone_mm, turned_percent }
+        PlanFinding::NoSecondBall { places, percent: 100.0 * HELPS, turned_percent }
     })
 }
 

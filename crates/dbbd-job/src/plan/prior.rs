@@ -8,8 +8,11 @@ use crate::plan::PlanFinding;
 use crate::plan::job::{BaseBallTable, JobCheck, JobFinding, JobTable};
 use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::expected::Expected;
-use dbbd_model::estimation::{Posterior, Priors, beyond_repeatability, largest_plausible, length_sd_mm};
-use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
+use dbbd_model::estimation::{
+    AngleSource, Input, Options, Posterior, Prior, Priors, beyond_repeatability, largest_plausible,
+    length_sd_mm,
+};
+use dbbd_model::measurement::{LengthModel, Measurements, PreparedMeasurement};
 use dbbd_model::robot::{AXES, BallId, BarId, ParamId, Robot, RobotPosterior};
 
 /// Greatest distance between `xyz_mm` of a ball and the tool ball at its `taught_deg`, mm: more is a mistake in one of them.
@@ -21,8 +24,8 @@ const TOOL_MM: f64 = 1e-3;
 #[derive(Clone, Debug)]
 pub struct PlanningPrior {
     pub posterior: Posterior,
-    /// Number of lengths from which the posterior was determined.
-    pub lengths: usize,
+    /// The lengths from which the posterior was determined.
+    measured: Measurements,
     /// The posterior without what was taught.
     untaught: Posterior,
     /// Whether each base ball was measured or taught. A ball that was not is taught before its first run: it is put
@@ -59,7 +62,13 @@ impl PlanningPrior {
         let posterior = expected.posterior.clone();
         let known = if expected.are_balls_kept() {
             let located = vec![true; job.centres.len()];
-            Self { untaught: posterior.clone(), posterior, lengths: 0, located, calibrated: None }
+            Self {
+                untaught: posterior.clone(),
+                posterior,
+                measured: Measurements::default(),
+                located,
+                calibrated: None,
+            }
         } else {
             Self::with_taught(job, robot, posterior)
         };
@@ -75,7 +84,31 @@ impl PlanningPrior {
             }
         }
         let located = job.centres.iter().map(|table| table.taught_deg.is_some()).collect();
-        Self { posterior, lengths: 0, untaught, located, calibrated: None }
+        Self { posterior, measured: Measurements::default(), untaught, located, calibrated: None }
+    }
+
+    /// Number of lengths from which the posterior was determined.
+    pub(super) fn lengths(&self) -> usize {
+        self.measured.rows.len()
+    }
+
+    /// The options of the identification of a plan's lengths, with the position error over `workspace` (axis angles, rad), else
+    /// over that of the robot.
+    pub(super) fn options(&self, job: &Job, workspace: Option<Vec<[f64; AXES]>>) -> Options {
+        let prior = if self.calibrated.is_some() { Prior::Posterior } else { Prior::Datasheet };
+        Options { prior, bar_u_mm: job.bar.u_mm(), workspace, ..Options::default() }
+    }
+
+    /// The identification of the lengths that were measured before the plan, from `start`.
+    pub(super) fn identification<'a>(
+        &'a self,
+        robot: &'a Robot,
+        start: &'a LengthModel,
+        options: &'a Options,
+    ) -> Input<'a> {
+        let robot = if self.calibrated.is_some() { robot } else { robot.controller() };
+        let (observations, axes) = (&self.measured, AngleSource::Commanded);
+        Input { robot, observations, start, validation: None, options, axes }
     }
 
     /// The knowledge if no ball was taught yet.
@@ -84,34 +117,33 @@ impl PlanningPrior {
         Self { posterior: self.untaught.clone(), located, ..self.clone() }
     }
 
-    /// Knowledge after lengths were measured: the most probable robot (with the given one as its nominal robot) and
-    /// base balls, and their covariance.
+    /// Knowledge after lengths were measured, as an identification has it: the most probable robot (with the given one as its
+    /// nominal robot) and base balls, and their covariance, with the balls where they were taught.
     ///
     /// # Errors
     /// A number is not finite, a length is to a ball that the job does not have, or the bar of the lengths is longer or
     /// shorter than the job's bar by more than its stroke.
-    pub fn after_lengths(
-        job: &Job,
-        robot: &Robot,
-        readings: &[PreparedMeasurement],
-    ) -> Result<Self, PlanFinding> {
+    pub fn after_lengths(job: &Job, robot: &Robot, lengths: &Measurements) -> Result<Self, PlanFinding> {
         let nominal = robot.controller();
-        let before = Self::datasheet(job, nominal);
-        let posterior = before.posterior.learn(readings, length_sigma_mm(job, nominal));
-        let posterior = posterior.ok_or(PlanFinding::NoFiniteRobot)?;
-        let bar = BarLengthError::by_lengths(job, nominal, readings).filter(|bar| bar.is_contradicted(job));
+        let readings: Vec<PreparedMeasurement> = lengths.rows.iter().map(PreparedMeasurement::from).collect();
+        let bar = BarLengthError::by_lengths(job, nominal, &readings).filter(|bar| bar.is_contradicted(job));
         let [low_mm, high_mm] = job.bar.stroke_mm;
         if let Some(BarLengthError { off_mm, sd_mm }) = bar
             && !(low_mm..=high_mm).contains(&off_mm)
         {
             return Err(PlanFinding::OtherBar { off_mm, sd_mm, low_mm, high_mm });
         }
-        let mut located = before.located;
-        for reading in readings {
+        let before = Self { measured: lengths.clone(), ..Self::datasheet(job, nominal) };
+        let (start, options) =
+            (LengthModel::new(nominal.geometry.clone(), &job.balls()), before.options(job, None));
+        let untaught = before.identification(nominal, &start, &options).posterior();
+        let known = Self::with_taught(job, nominal, untaught.map_err(|_| PlanFinding::NoFiniteRobot)?);
+        let Self { mut located, measured, .. } = before;
+        for reading in &readings {
             let ball = reading.datum.ball().and_then(|ball| located.get_mut(ball.index()));
             *ball.ok_or(PlanFinding::NoFiniteRobot)? = true;
         }
-        Ok(Self { posterior, lengths: readings.len(), located, ..before })
+        Ok(Self { measured, located, ..known })
     }
 
     /// Warnings about the lengths: their residual far exceeds the robot's repeatability, or another bar fits far
@@ -120,13 +152,14 @@ impl PlanningPrior {
         &self,
         job: &Job,
         robot: &Robot,
-        lengths: &[PreparedMeasurement],
+        lengths: &Measurements,
     ) -> Vec<EstimationFinding> {
+        let lengths: Vec<PreparedMeasurement> = lengths.rows.iter().map(PreparedMeasurement::from).collect();
         let model = self.posterior.model.prepare();
         let squares = lengths.iter().map(|one| (one.length_mm - model.length(one)).powi(2));
         let rms_mm = (squares.sum::<f64>() / lengths.len().max(1) as f64).sqrt();
         let worse = beyond_repeatability(rms_mm, job.bar.sigma_um * 1e-3, robot.controller());
-        let bar = BarLengthError::by_lengths(job, robot.controller(), lengths);
+        let bar = BarLengthError::by_lengths(job, robot.controller(), &lengths);
         let bar = bar.filter(|bar| bar.is_contradicted(job));
         let other =
             bar.map(|BarLengthError { off_mm, sd_mm }| EstimationFinding::BarContradicted { off_mm, sd_mm });

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use dbbd_model::measurement::PoseKind;
-use dbbd_model::robot::{AXES, BallId};
+use dbbd_model::robot::{AXES, Approach, BallId};
 
 /// The kind of motion to a row's pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,4 +47,9 @@ impl PlanRow {
     pub fn is_auxiliary(&self) -> bool {
         self.kind == PoseKind::Transit && self.motion == MotionKind::Circ
     }
+}
+
+/// The sense in which each axis approaches each row.
+pub(super) fn approaches(rows: &[PlanRow]) -> impl Iterator<Item = Approach> {
+    Approach::along(rows.iter().map(|row| row.axes_deg.map(f64::to_radians)))
 }

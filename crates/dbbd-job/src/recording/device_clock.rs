@@ -147,11 +147,17 @@ pub struct DeviceTime {
     clock: DeviceClock,
     last: Option<ClockStamp>,
     seconds: f64,
+    step_s: Option<f64>,
 }
 
 impl DeviceTime {
     pub fn new(clock: DeviceClock) -> Self {
-        Self { clock, last: None, seconds: 0.0 }
+        Self { clock, last: None, seconds: 0.0, step_s: None }
+    }
+
+    /// The last step of the counter as it was sent, s, also if it is a break.
+    pub fn step_s(&self) -> Option<f64> {
+        self.step_s
     }
 
     /// The time of the next stamp of a live stream.
@@ -163,6 +169,7 @@ impl DeviceTime {
         if let Some(last) = self.last.replace(stamp) {
             let step = self.clock.step(last, stamp);
             self.seconds += if is_break(&step) { step.host_s.max(0.0) } else { step.device_s };
+            self.step_s = Some(step.device_s);
         }
         self.seconds
     }

@@ -28,6 +28,8 @@ enum VerdictKind {
     Pass,
     Fail,
     Undecided,
+    /// Nothing was to be decided.
+    None,
 }
 
 /// A quantity with two significant digits (JCGM 100:2008, 7.2.6).
@@ -101,13 +103,14 @@ impl Verdict {
             ),
             None => "Correct the programs of the robot, and check it after a collision or a repair.".into(),
         };
+        let is_limited = result.validity.as_ref().is_some_and(|validity| validity.limit_mm.is_some());
         let holds_for = match &result.validity {
             Some(validity) => validity.to_string(),
             None => format!("for this tool: U = {expanded} (k = {k})"),
         };
         Self {
-            kind: VerdictKind::Pass,
-            word: "Valid",
+            kind: if is_limited { VerdictKind::Pass } else { VerdictKind::None },
+            word: if is_limited { "Valid" } else { "Identified" },
             sentence: format!("{holds_for}. {lengths}"),
             validity: None,
             next,

@@ -375,7 +375,7 @@ impl CorrectionContext<'_> {
 /// The plan with this hash in the [`files::directories_around`] the program.
 fn plan_beside(program: &Path, hash: &str) -> Option<Plan> {
     let around = files::directories_around(program).into_iter();
-    let mut plans = around.map(|directory| directory.join("plan.csv")).filter(|csv| csv.is_file());
+    let mut plans = around.map(|directory| directory.join("plan.csv")).filter(|csv| files::is_there(csv));
     plans.find_map(|csv| read_plan(&csv).ok().filter(|plan| plan.header.hash == hash))
 }
 

@@ -106,6 +106,7 @@ impl Request {
             Self::Identify(request) => vec![
                 ("tool_mm", tool(&request.tool_mm), Quantity::ToolBallDistance.range()),
                 ("bar_u_mm", request.bar_u_mm, Quantity::StandardLengthUncertainty.range()),
+                ("tolerance_mm", request.tolerance_mm, Quantity::PositionTolerance.range()),
             ],
             Self::Plan(PlanRequest { poses: PlannedPoses::Check(check), .. }) => vec![
                 ("tolerance_mm", check.tolerance_mm, Quantity::PositionTolerance.range()),

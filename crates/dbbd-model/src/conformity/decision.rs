@@ -2,8 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::estimation::Validity;
-
 /// The decision rule.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -117,11 +115,11 @@ pub fn decide(
 
 impl ConformityDecision {
     /// How many times as large the position uncertainty may become until the robot does not pass any more; `None` if it does
-    /// not pass now. Without a tolerance [`Validity::GROWTH`].
+    /// not pass now, or without a tolerance.
     pub(super) fn growth(&self) -> Option<f64> {
         let decides_mm =
             if self.rule == "simple_acceptance" { self.position_error_mm } else { self.upper_mm };
-        let growth = self.tolerance_mm.map_or(Validity::GROWTH, |tolerance| tolerance / decides_mm);
+        let growth = self.tolerance_mm? / decides_mm;
         (self.decision.confirms() == Some(true)).then_some(growth)
     }
 
@@ -170,7 +168,7 @@ mod tests {
             (Some(94.0), guarded, None),
             (Some(75.0), DecisionRule::SimpleAcceptance, Some(1.5)),
             (Some(40.0), DecisionRule::SimpleAcceptance, None),
-            (None, guarded, Some(1.5)),
+            (None, guarded, None),
         ] {
             assert_eq!(decide(&sizes, tolerance, rule, false).growth(), growth, "{tolerance:?} {rule:?}");
         }

@@ -13,7 +13,9 @@ use crate::estimation::change::{
 };
 use crate::estimation::expected::{BallMounting, Expected, FREE_BALL_MM, Mounting};
 use crate::estimation::result::MapPoint;
-use crate::estimation::{ErrorSummary, LengthNoise, Posterior, Validity, Workspace, length_sd_mm};
+use crate::estimation::{
+    ErrorSummary, LengthNoise, Posterior, Validity, ValidityLimit, Workspace, length_sd_mm,
+};
 use crate::math::distributions::chi_square_tail;
 use crate::measurement::{LengthModel, Measurements, PreparedMeasurement};
 use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, RobotPosterior, RobotUncertainty};
@@ -138,6 +140,7 @@ impl CheckInput<'_> {
         if undecidable && !test.changed || nominal_rms_mm.is_some() {
             decision = decision.failure_as_undecided();
         }
+        let is_undecidable = undecidable && decision.decision == ConformityOutcome::Undecided;
         let growth = decision.growth().filter(|_| !test.changed);
         let validity = match growth {
             Some(growth) => self.validity(&expected, &known, growth, &map)?,
@@ -148,7 +151,7 @@ impl CheckInput<'_> {
             robot: self.robot.name.clone(),
             lengths: self.readings.len(),
             sigma_mm: self.sigma_mm,
-            findings: self.findings(undecidable.then_some(least_mm), &test, &changes, nominal_rms_mm),
+            findings: self.findings(is_undecidable.then_some(least_mm), &test, &changes, nominal_rms_mm),
             decision,
             test,
             position_errors_mm,
@@ -239,7 +242,9 @@ impl CheckInput<'_> {
     ) -> Result<Option<Validity>, ConformityFinding> {
         let after =
             expected.posterior.after(self.readings, self.noise()).ok_or(ConformityFinding::NotFinite)?;
-        Ok(self.robot_of(&after, known).and_then(|robot| Validity::of(&robot, growth, map)))
+        Ok(self
+            .robot_of(&after, known)
+            .and_then(|robot| Validity::of(&robot, Some(ValidityLimit::Growth(growth)), map)))
     }
 
     /// The posterior of the calibration.

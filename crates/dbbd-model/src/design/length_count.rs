@@ -7,12 +7,12 @@ use serde::Serialize;
 
 use super::candidates::columns;
 use super::{Criterion, Exchange};
-use crate::estimation::{Observability, Posterior, predict_design};
-use crate::measurement::PreparedMeasurement;
-use crate::robot::AXES;
+use crate::estimation::{Observability, PlannedLengths, Posterior};
+use crate::math::map_items;
+use crate::measurement::Measurement;
 
 /// Fractions of the planned lengths; 2 is all of them measured twice.
-const SHARES: [f64; 6] = [0.15, 0.25, 0.5, 0.75, 1.0, 2.0];
+const SHARES: [f64; 4] = [0.25, 0.5, 1.0, 2.0];
 /// Least number of lengths.
 const MIN_LENGTHS: usize = 6;
 /// Twice as many lengths are worthwhile if they reduce the error below this fraction.
@@ -32,37 +32,31 @@ pub struct LengthCount {
     pub error_mm: f64,
 }
 
-/// Growing subsets of `readings` of standard deviation `sigma_mm`, with the position error over `poses` (axis angles, rad).
-pub fn by_count(
-    posterior: &Posterior,
-    readings: &[PreparedMeasurement],
-    sigma_mm: f64,
-    poses: &[[f64; AXES]],
-) -> Vec<LengthCount> {
+/// Growing subsets of the planned lengths, of standard deviation `sigma_mm`, and all of them measured twice.
+pub fn by_count(posterior: &Posterior, lengths: &PlannedLengths<'_>, sigma_mm: f64) -> Vec<LengthCount> {
     let size = posterior.root().ncols();
-    let row = |reading: &PreparedMeasurement| match reading.datum.ball() {
-        Some(ball) => posterior.design_row(&reading.axes, ball) / sigma_mm,
+    let row = |row: &Measurement| match row.datum.ball() {
+        Some(ball) => posterior.design_row(&row.axes.radians(), ball) / sigma_mm,
         None => DVector::zeros(size),
     };
-    let rows = columns(size, readings.iter().map(row));
+    let count = lengths.planned().len();
+    let rows = columns(size, lengths.planned().iter().map(row));
     let mut order = Exchange::new(&rows, &DMatrix::zeros(0, size));
-    order.extend(readings.len(), Criterion::D);
-    let ordered: Vec<PreparedMeasurement> = order.chosen().iter().map(|&at| readings[at]).collect();
-    let mut counts =
-        SHARES.map(|share| ((readings.len() as f64 * share).round() as usize).max(MIN_LENGTHS)).to_vec();
+    order.extend(count, Criterion::D);
+    let mut counts = SHARES.map(|share| ((count as f64 * share).round() as usize).max(MIN_LENGTHS)).to_vec();
     counts.dedup();
-    let predicted = counts.into_iter().filter_map(|lengths| {
-        let subset: Vec<PreparedMeasurement> = ordered.iter().cycle().take(lengths).copied().collect();
-        let predicted = predict_design(posterior, &subset, sigma_mm, poses)?;
+    let predicted = map_items(&counts, |&part| {
+        let places = order.chosen().iter().copied().cycle().take(part);
+        let predicted = lengths.predict(posterior, places, sigma_mm)?;
         Some(LengthCount {
-            lengths,
+            lengths: part,
             rank: predicted.analysis.base.rank,
             observability: predicted.observability,
             sd: predicted.parameters.iter().map(|known| (known.id.to_string(), known.after)).collect(),
-            error_mm: predicted.error_mm[1].mean,
+            error_mm: predicted.forecast.position_mm.mean,
         })
     });
-    predicted.collect()
+    predicted.into_iter().flatten().collect()
 }
 
 /// Whether the planned lengths are enough; `doubled` are all of them measured twice.

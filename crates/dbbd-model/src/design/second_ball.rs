@@ -35,9 +35,7 @@ pub struct OneBall<'a> {
 pub struct SecondBall {
     pub place: &'static str,
     pub ball: Vector3<f64>,
-    /// Root mean square of the position error with the best poses about the first ball, mm.
-    pub alone_mm: f64,
-    /// The error with as many poses about both balls, as a fraction of `alone_mm`.
+    /// The position error with as many poses about both balls, as a fraction of the error with the best poses about the first.
     pub share: f64,
     /// The same fraction for a ball that is only rotated about axis 1.
     pub turned_share: f64,
@@ -62,7 +60,7 @@ impl OneBall<'_> {
         let tried: Vec<(f64, Vector3<f64>, &str)> = tried.collect();
         let turned_share = tried.first().map_or(1.0, |(share, ..)| *share);
         let (share, ball, place) = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some(SecondBall { place, ball, alone_mm, share, turned_share, places: PLACES.len() })
+        Some(SecondBall { place, ball, share, turned_share, places: PLACES.len() })
     }
 
     fn moved(&self, [out, up, turn_deg]: [f64; 3]) -> Vector3<f64> {

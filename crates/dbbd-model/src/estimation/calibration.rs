@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-use super::estimator::{Estimate, estimate, refit};
+use super::estimator::{Estimate, estimate, forecast, refit};
 use super::findings::findings;
 use super::hypotheses::{EventPlace, EventTreatment, RunHypothesis, SupposedEventKind};
 use super::identifiability::{correlations, observability};
@@ -11,15 +11,19 @@ use super::lengths::Lengths;
 use super::monte_carlo::Draws;
 use super::options::Setting;
 use super::parameters::ParameterTable;
+use super::position::compressed;
 use super::posterior::Posterior;
-use super::prediction::{Prediction, drift_after};
+use super::prediction::{IdentifiedPositions, Prediction, compressing_poses, drift_after, position_before};
 use super::result::{
-    BeforeAfter, CalibrationResult, CompletedCalibration, Folds, MadeFrom, MonteCarlo, NoiseSummary, Outlier,
-    ParameterResult, RESULT_SCHEMA, Recommendation, SigmaSource, StartRobot, Status,
+    BeforeAfter, CalibrationResult, CompletedCalibration, Folds, MadeFrom, MapPoint, MonteCarlo,
+    NoiseSummary, Outlier, ParameterResult, RESULT_SCHEMA, Recommendation, SigmaSource, StartRobot, Status,
 };
 use super::selection::data_sd;
 use super::validation::{self, residual_of, residual_of_used};
-use super::{Correlation, DistanceQuantities, ErrorModel, Observability, Options, Validity, factor};
+use super::validity::ValidityLimit;
+use super::{
+    Correlation, DistanceQuantities, ErrorModel, ErrorSummary, Observability, Options, Validity, factor,
+};
 use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::coverage_95;
@@ -41,6 +45,16 @@ pub struct Input<'a> {
     pub axes: AngleSource,
 }
 
+/// The expected statement of an identification about lengths that are planned.
+pub struct Forecast {
+    /// The position uncertainty over the workspace after the lengths, mm.
+    pub position_mm: ErrorSummary,
+    /// The position uncertainty over the workspace after the lengths.
+    pub map: Vec<MapPoint>,
+    /// The robot, its set-up and the bars after the lengths.
+    pub(super) posterior: Posterior,
+}
+
 /// The source of the axis angles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AngleSource {
@@ -59,6 +73,63 @@ impl<'a> Input<'a> {
         let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
         let setting = self.setting();
         Ok(estimate(&setting, &lengths, &setting.asked())?.fit.model)
+    }
+
+    /// The posterior of the robot, its set-up and the bars, with the prior of what the lengths do not show.
+    ///
+    /// # Errors
+    /// A number is not finite, or there is nothing to estimate.
+    pub fn posterior(&self) -> Result<Posterior, EstimationFinding> {
+        let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
+        let setting = self.setting();
+        let found = estimate(&setting, &lengths, &setting.asked())?;
+        // A parameter that no length shows is as before, and so is a further ball. The place of the robot's base, which only the
+        // balls show, is where it is stated: its error is that of the balls.
+        let is_unseen = |id: &ParamId| matches!(id, ParamId::Ball(..)) || found.analysis.zero().contains(id);
+        let mut all = Posterior::parameters_of_prior(self.robot, self.start.balls.len(), &setting.priors);
+        all.retain(|(id, _)| is_unseen(id));
+        let known = RobotUncertainty {
+            parameters: found.kept.clone(),
+            root: found.root.clone(),
+            ..found.uncertainty(self.robot)
+        };
+        let known = compressed(
+            &found.fit.model,
+            &known,
+            &compressing_poses(&self.options.workspace_poses(self.robot), &lengths),
+        );
+        let posterior = Posterior::with_root(found.fit.model, &known.parameters, known.root.clone());
+        Ok(posterior.with_errors_of_pose(&known).with_parameters(&all))
+    }
+
+    /// The estimate of the lengths that were measured; `None` without any.
+    pub(super) fn estimate(&self) -> Result<Option<Estimate>, EstimationFinding> {
+        if self.observations.rows.is_empty() {
+            return Ok(None);
+        }
+        let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
+        let setting = self.setting();
+        estimate(&setting, &lengths, &setting.asked()).map(Some)
+    }
+
+    /// The position uncertainty over the workspace that an identification of these lengths states with an estimate of them, mm;
+    /// without an estimate that before any length.
+    pub(super) fn stated_position_mm(&self, found: Option<&Estimate>) -> ErrorSummary {
+        let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
+        match found {
+            Some(found) => IdentifiedPositions::of(&self.setting(), found, &lengths).summary,
+            None => position_before(&self.setting()),
+        }
+    }
+
+    /// What an identification of these lengths is expected to state after the estimate `before` of some of them.
+    pub(super) fn forecast(&self, before: Option<&Estimate>) -> Result<Forecast, EstimationFinding> {
+        let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
+        let setting = self.setting();
+        let expected = forecast(&setting, &lengths, &setting.asked(), before)?;
+        let IdentifiedPositions { summary, map, .. } = IdentifiedPositions::of(&setting, &expected, &lengths);
+        let posterior = Posterior::with_root(expected.fit.model, &expected.kept, expected.root);
+        Ok(Forecast { position_mm: summary, map, posterior })
     }
 
     pub(super) fn setting(&self) -> Setting<'a> {
@@ -219,7 +290,10 @@ impl<'a> Calibration<'a> {
             monte_carlo: checks.monte_carlo,
             predicted_position_uncertainty_mm: prediction.pair,
             predicted_orientation_uncertainty_mrad: Some(prediction.orientation),
-            validity: Validity::of(&robot, Validity::GROWTH, &prediction.map),
+            validity: {
+                let limit = setting.options.tolerance_mm.map(ValidityLimit::Tolerance);
+                Validity::of(&robot, limit, &prediction.map)
+            },
             parameters: self.parameters,
             combinations: estimate.analysis.combinations(),
             correlated,

@@ -1,11 +1,21 @@
 //! The predicted outcome of planned lengths: rank, standard deviations, observability indices, position uncertainty.
 
-use super::position::unit_draws;
+use super::estimator::Estimate;
 use super::priors::WEAK;
-use super::result::MapPoint;
-use super::{Analysis, ErrorSummary, Observability, Posterior, analyse, factor, inverse_root, observability};
-use crate::measurement::PreparedMeasurement;
-use crate::robot::{AXES, ParamId};
+use super::{
+    Analysis, ErrorSummary, EstimationFinding, Forecast, Input, Observability, Options, Posterior, analyse,
+    factor, inverse_root, observability,
+};
+use crate::measurement::{Measurement, Measurements, PreparedMeasurement};
+use crate::robot::ParamId;
+
+/// Lengths that are planned, beside those that were measured before.
+pub struct PlannedLengths<'a> {
+    /// The identification of the lengths that were measured before, with its estimate.
+    measured: Input<'a>,
+    estimate: Option<Estimate>,
+    planned: &'a [Measurement],
+}
 
 pub struct DesignPrediction {
     /// Rank and linearly dependent parameters.
@@ -13,10 +23,8 @@ pub struct DesignPrediction {
     /// The indices of the identifiable parameters, in units of their prior standard deviations.
     pub observability: Option<Observability>,
     pub parameters: Vec<ParameterPrediction>,
-    /// Position error before and after the lengths, mm.
-    pub error_mm: [ErrorSummary; 2],
-    /// Position error over the workspace after the lengths.
-    pub map: Vec<MapPoint>,
+    /// What an identification will state.
+    pub forecast: Forecast,
 }
 
 /// Standard deviations of a parameter, mm or rad.
@@ -29,41 +37,67 @@ pub struct ParameterPrediction {
     pub alone: Option<f64>,
 }
 
-/// Predicts the effect of lengths at `readings` of standard deviation `sigma_mm` on `prior`, with the position error over
-/// `poses` (axis angles, rad). `None` if a number is not finite.
-pub fn predict_design(
-    prior: &Posterior,
-    readings: &[PreparedMeasurement],
-    sigma_mm: f64,
-    poses: &[[f64; AXES]],
-) -> Option<DesignPrediction> {
-    let ids = prior.ids();
-    let analysis = analyse(&prior.model, readings, ids)?;
-    let after = prior.after(readings, sigma_mm)?;
-    let kept = analysis.kept();
-    let mut scaled = factor(&prior.model, readings, &kept);
-    for (at, id) in kept.iter().enumerate() {
-        scaled.column_mut(at).scale_mut(prior.sd(*id).unwrap_or(1.0));
+impl<'a> PlannedLengths<'a> {
+    /// # Errors
+    /// The measured lengths have no estimate.
+    pub fn new(measured: Input<'a>, planned: &'a [Measurement]) -> Result<Self, EstimationFinding> {
+        Ok(Self { estimate: measured.estimate()?, measured, planned })
     }
-    let inverse = inverse_root(&scaled);
-    let alone = |id: ParamId| {
-        let at = kept.iter().position(|other| *other == id)?;
-        Some(inverse.as_ref()?.row(at).norm() * prior.sd(id)? * sigma_mm)
-    };
-    let sds = prior.sds().zip(after.sds());
-    let parameter = |(&id, (before, after))| ParameterPrediction { id, before, after, alone: alone(id) };
-    // A combination that is determined only by rounding would dominate all indices.
-    let is_identifiable =
-        |id: ParamId| alone(id).is_some_and(|alone| alone <= WEAK * prior.sd(id).unwrap_or(0.0));
-    let identifiable: Vec<usize> = (0..kept.len()).filter(|&at| is_identifiable(kept[at])).collect();
-    let workspace = prior.workspace(poses);
-    let [now, then] =
-        [prior.root(), after.root()].map(|root| workspace.displacements(&(root * unit_draws(root.ncols()))));
-    Some(DesignPrediction {
-        observability: observability(&scaled.select_columns(&identifiable), readings.len()),
-        parameters: ids.iter().zip(sds).map(parameter).collect(),
-        error_mm: [ErrorSummary::of(&now), ErrorSummary::of(&then)],
-        map: workspace.map(&then),
-        analysis,
-    })
+
+    /// The same lengths, with the position error over other poses by these options.
+    #[must_use]
+    pub fn over(&self, options: &'a Options) -> Self {
+        Self { measured: Input { options, ..self.measured }, estimate: self.estimate.clone(), ..*self }
+    }
+
+    pub fn planned(&self) -> &'a [Measurement] {
+        self.planned
+    }
+
+    /// The position error as an identification of the measured lengths states it, mm; without any, as the robot's file has it.
+    pub fn stated_before(&self) -> ErrorSummary {
+        self.measured.stated_position_mm(self.estimate.as_ref())
+    }
+
+    /// Predicts the effect of these planned lengths (places among the planned ones), of standard deviation `sigma_mm`, on `prior`.
+    /// `None` if a number is not finite.
+    pub fn predict(
+        &self,
+        prior: &Posterior,
+        places: impl Iterator<Item = usize>,
+        sigma_mm: f64,
+    ) -> Option<DesignPrediction> {
+        let rows: Vec<Measurement> = places.map(|at| self.planned[at].clone()).collect();
+        let readings: Vec<PreparedMeasurement> = rows.iter().map(PreparedMeasurement::from).collect();
+        let Measurements { rows: measured, .. } = self.measured.observations;
+        let observations =
+            Measurements { rows: measured.iter().cloned().chain(rows).collect(), ..Measurements::default() };
+        let forecast =
+            Input { observations: &observations, ..self.measured }.forecast(self.estimate.as_ref()).ok()?;
+        let analysis = analyse(&prior.model, readings.as_slice(), prior.ids())?;
+        let kept = analysis.kept();
+        let mut scaled = factor(&prior.model, readings.as_slice(), &kept);
+        for (at, id) in kept.iter().enumerate() {
+            scaled.column_mut(at).scale_mut(prior.sd(*id).unwrap_or(1.0));
+        }
+        let inverse = inverse_root(&scaled);
+        let alone = |id: ParamId| {
+            let at = kept.iter().position(|other| *other == id)?;
+            Some(inverse.as_ref()?.row(at).norm() * prior.sd(id)? * sigma_mm)
+        };
+        let parameter = |(&id, before): (&ParamId, f64)| {
+            let after = forecast.posterior.sd(id).unwrap_or(before);
+            ParameterPrediction { id, before, after, alone: alone(id) }
+        };
+        // A combination that is determined only by rounding would dominate all indices.
+        let is_identifiable =
+            |id: ParamId| alone(id).is_some_and(|alone| alone <= WEAK * prior.sd(id).unwrap_or(0.0));
+        let identifiable: Vec<usize> = (0..kept.len()).filter(|&at| is_identifiable(kept[at])).collect();
+        Some(DesignPrediction {
+            observability: observability(&scaled.select_columns(&identifiable), readings.len()),
+            parameters: prior.ids().iter().zip(prior.sds()).map(parameter).collect(),
+            analysis,
+            forecast,
+        })
+    }
 }

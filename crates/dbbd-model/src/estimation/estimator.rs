@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Analysis;
 use super::fit::{Fit, outliers};
-use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, Variance};
+use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, SIGMA, Variance};
 use super::hypotheses::{
     EventSearch, JudgedEvent, MAX_CERTAIN, MIN_LENGTHS, SupposedEvent, are_wrong_balls, sd_along, wrong_balls,
 };
@@ -25,7 +25,7 @@ use super::selection::{is_bar, is_place};
 use super::shifted_rows::shifted_rows;
 use super::start::EstimateStart;
 use super::system::{NormalSums, System, SystemPosterior, Whitened};
-use super::unknowns::Unknowns;
+use super::unknowns::{USUAL_SIGMA_MM, Unknowns};
 use super::workspace::take_out_rigid_motion;
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::ChiSquareOutcome;
@@ -92,6 +92,8 @@ pub(crate) struct Estimate {
     /// The identity minus this product is the part of the noise.
     pub(super) of_prior: DMatrix<f64>,
     pub(super) groups: Vec<GroupEvidence>,
+    /// How far the data determine each unknown, from 0 to 1.
+    determined: Vec<f64>,
     /// Number of unknowns that the data determine.
     pub(super) effective_parameters: f64,
     pub(super) noise: LengthNoise<'static>,
@@ -304,8 +306,55 @@ fn from_start(
         for (_, place) in events.iter_mut().filter_map(|judged| judged.event.from.as_mut()) {
             *place = places.as_ref().map_or(*place, |places| places[*place]);
         }
-        return search.estimate(&step, &all, start, events);
+        let found = search.estimate(&step, &all, start, events)?;
+        let groups = groups(&step.system, &step.whitened, &found.hypers, &found.determined)?;
+        return Some(Estimate { groups, ..found });
     }
+}
+
+/// The estimate that is expected of lengths, of which those that are still to be measured agree with the model. The variances are
+/// those that were found `before`. Without lengths before, the variances have the means of their priors: the mean over all robots
+/// of a standard deviation that is stated after the lengths is its mean before them.
+///
+/// # Errors
+/// A number is not finite, or there is nothing to estimate.
+pub(super) fn forecast(
+    setting: &Setting<'_>,
+    lengths: &Lengths,
+    asked: &[ParamId],
+    before: Option<&Estimate>,
+) -> Result<Estimate, EstimationFinding> {
+    let start = EstimateStart::of(setting, lengths, asked)?;
+    forecast_from(setting, lengths, &start, before).ok_or(EstimationFinding::NotFinite)
+}
+
+fn forecast_from(
+    setting: &Setting<'_>,
+    lengths: &Lengths,
+    start: &EstimateStart,
+    before: Option<&Estimate>,
+) -> Option<Estimate> {
+    let used = &lengths.weighted(Sigma::Given, &start.fit.outliers);
+    let known = start.known_before(setting, lengths)?;
+    let model = if known.has_coefficients { &start.at_start } else { &start.fit.model };
+    let unknowns = Unknowns::new(known, model, used, setting.options.seeks_joint_errors());
+    let mut search = Search::new(&unknowns, used, model.clone(), None);
+    if let Some(before) = before {
+        search.state.hypers = before.cautious.with_sigma(before.hypers.sigma_mm());
+        search.state.shape = before.shape;
+    } else {
+        let priors = HyperPrior::all(lengths.repeatability_mm.unwrap_or(USUAL_SIGMA_MM));
+        search.state.hypers = search.state.hypers.with_sigma(priors[SIGMA].median);
+        search.ln_sd = priors.map(|prior| prior.ln_sd);
+        // The maker's tolerance and the tool ball are as stated until lengths contradict them.
+        for group in [Group::Tolerance, Group::Tool] {
+            search.ln_sd[group as usize] = 0.0;
+        }
+    }
+    let SearchState { model, hypers, .. } = &mut search.state;
+    model.geometry.joint_errors = unknowns.errors(&model.geometry.joint_errors, hypers);
+    let step = search.stepped(search.linearised())?;
+    search.estimate(&step, used, start, Vec::new())
 }
 
 /// The model that is fitted to other lengths with the same variances: after the first linearisation, and when it has
@@ -751,7 +800,8 @@ impl<'a> Search<'a> {
             prior_sds: unknowns.prior_sds(&cautious),
             root,
             of_prior: of_prior(system, &all, &cautious),
-            groups: groups(system, whitened, &hypers, &determined)?,
+            groups: Vec::new(),
+            determined,
             effective_parameters,
             noise: LengthNoise { pose_mm: sigma_mm, length_mm: shape.own.sd(), joints: None },
             hypers,

@@ -83,7 +83,7 @@ impl Expected {
             }
         }
         let free = if mounting.balls == BallMounting::Anywhere { bound..root.ncols() } else { 0..0 };
-        let posterior = Posterior::with_root(known.model.clone(), &ids, root);
+        let posterior = Posterior::with_root(known.model.clone(), &ids, root).with_errors_of_pose_of(known);
         Self { posterior, free: free.collect(), balls: mounting.balls }
     }
 

@@ -42,6 +42,7 @@ pub mod priors;
 mod program_uncertainty;
 pub mod result;
 mod ripple;
+mod robot_draw;
 mod selection;
 mod shifted_rows;
 mod solver;
@@ -53,8 +54,8 @@ mod validity;
 pub mod wording;
 mod workspace;
 
-pub use calibration::{AngleSource, Calibration, Input};
-pub use design_prediction::{DesignPrediction, ParameterPrediction, predict_design};
+pub use calibration::{AngleSource, Calibration, Forecast, Input};
+pub use design_prediction::{DesignPrediction, ParameterPrediction, PlannedLengths};
 pub use distance::DistanceQuantities;
 pub use estimator::{GroupEvidence, JointSummary};
 pub use findings::beyond_repeatability;
@@ -74,7 +75,9 @@ pub use prediction::PositionParts;
 pub use priors::{Prior, Priors, largest_plausible, length_sd_mm};
 pub use program_uncertainty::{PointUncertainty, ProgramUncertainty};
 pub use result::{CalibrationResult, CompletedCalibration, DriftBasis, Validity};
+pub use robot_draw::with_drawn_joint_errors;
 pub use selection::{is_place, without_open_places};
+pub use validity::ValidityLimit;
 pub use workspace::{ErrorSummary, SimplifiedModelError, Workspace};
 
 #[cfg(test)]

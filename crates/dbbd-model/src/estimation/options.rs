@@ -42,6 +42,8 @@ pub struct Options {
     pub monte_carlo: Option<usize>,
     /// Axis vectors (rad) over which the position error is predicted; by default uniform within the axis limits.
     pub workspace: Option<Vec<[f64; AXES]>>,
+    /// The largest expanded uncertainty with which the calibration is still used, mm: it ends the validity of the result.
+    pub tolerance_mm: Option<f64>,
     /// Date and temperature of the measurement.
     pub measured: MeasurementConditions,
 }

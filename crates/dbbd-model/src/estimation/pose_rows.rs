@@ -218,8 +218,8 @@ impl PoseRows {
         let own = moved.iter().map(|moved| if *moved > 0.0 { scattered } else { noise.length_mm }).collect();
         let remaining = noise.joints.map(|unknown| RemainingErrors::new(&model.geometry, unknown));
         let of_joints = |row: usize| {
-            let sds = |remaining: &RemainingErrors<'_>| {
-                remaining.sds(&self.lengths[row].axes, self.lengths[row].approach)
+            let sds = |remaining: &RemainingErrors| {
+                remaining.sds(&model.geometry, &self.lengths[row].axes, self.lengths[row].approach)
             };
             remaining.as_ref().map_or([0.0; AXES], sds)
         };

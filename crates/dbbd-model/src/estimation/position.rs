@@ -116,7 +116,7 @@ impl Positions {
         let motion = BallMotion::new(geometry, &all, &unknown.parameters);
         let remaining = RemainingErrors::new(geometry, unknown);
         let joints = all.iter().zip(&motion.by_joint).map(|((axes, approach), by_joint)| {
-            let sds = remaining.sds(axes, *approach);
+            let sds = remaining.sds(geometry, axes, *approach);
             std::array::from_fn(|i| JointDisplacement { column: by_joint[i], sd_rad: sds[i] })
         });
         let joints = joints.collect();
@@ -215,7 +215,7 @@ impl Orientations {
                 let ends = [1, 2, 3].map(|of| (point(of) - point(0)) / arm_mm);
                 turn.fixed_rows_mut::<3>(3 * pose).copy_from(&rotation(&units, &ends));
             }
-            let sds = remaining.sds(axes, *approach);
+            let sds = remaining.sds(geometry, axes, *approach);
             std::array::from_fn(|joint| {
                 let end = |of: usize| {
                     (motions[of].by_joint[pose][joint] - motions[0].by_joint[pose][joint]) / arm_mm
@@ -333,32 +333,38 @@ impl BallMotion {
 }
 
 /// The errors of joints that are not in the root of an uncertainty.
-pub(super) struct RemainingErrors<'a> {
-    geometry: &'a Geometry,
-    uncertainty: &'a RobotUncertainty,
+#[derive(Clone, Debug)]
+pub(super) struct RemainingErrors {
+    /// The uncertainty, without its root.
+    uncertainty: RobotUncertainty,
     /// Prior variance of each coefficient of the smooth functions; 0 for the other coefficients.
     variances: Vec<f64>,
 }
 
-impl<'a> RemainingErrors<'a> {
-    pub(super) fn new(geometry: &'a Geometry, uncertainty: &'a RobotUncertainty) -> Self {
+impl RemainingErrors {
+    pub(super) fn new(geometry: &Geometry, uncertainty: &RobotUncertainty) -> Self {
         let variance = |term: &JointTerm| match term.kind {
             TermKind::Smooth { frequency } => uncertainty.spectral_density(term.joint, frequency),
             TermKind::Backlash | TermKind::Ripple { .. } => 0.0,
         };
         let variances = geometry.joint_errors.terms().iter().map(variance).collect();
-        Self { geometry, uncertainty, variances }
+        Self { uncertainty: uncertainty.rootless(), variances }
+    }
+
+    /// Standard deviation with which a pose repeats in each direction, mm.
+    pub(super) fn pose_mm(&self) -> f64 {
+        self.uncertainty.pose_mm
     }
 
     /// The standard deviation of each joint's remaining error at axis angles (rad), rad.
-    pub(super) fn sds(&self, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
-        let Self { geometry, uncertainty, .. } = self;
+    pub(super) fn sds(&self, geometry: &Geometry, axes: &[f64; AXES], approach: Approach) -> [f64; AXES] {
+        let uncertainty = &self.uncertainty;
         let joints = geometry.coupling.joints(axes);
         let errors = &geometry.joint_errors;
         let nearest = |place: usize| Some(errors.at(place)?.smooth.nearest_measured(joints[place]));
         let nearest: [f64; AXES] = std::array::from_fn(|place| nearest(place).unwrap_or(joints[place]));
-        let here = self.smooth_variance(&joints);
-        let measured = if nearest == joints { here } else { self.smooth_variance(&nearest) };
+        let here = self.smooth_variance(geometry, &joints);
+        let measured = if nearest == joints { here } else { self.smooth_variance(geometry, &nearest) };
         let of_visit = uncertainty.of_visit(geometry.coupling.senses(approach).senses());
         std::array::from_fn(|place| {
             // Within the measured angles the noise of the lengths already contains what the basis functions lack.
@@ -369,10 +375,10 @@ impl<'a> RemainingErrors<'a> {
 
     /// The variance that the basis functions of each joint's smooth function have at joint angles (rad) before any
     /// length, rad^2.
-    fn smooth_variance(&self, joints: &[f64; AXES]) -> [f64; AXES] {
+    fn smooth_variance(&self, geometry: &Geometry, joints: &[f64; AXES]) -> [f64; AXES] {
         let mut variance = [0.0; AXES];
         let mut of_term = self.variances.iter();
-        self.geometry.joint_errors.derivatives(joints, Approach::default(), |place, value| {
+        geometry.joint_errors.derivatives(joints, Approach::default(), |place, value| {
             variance[place] += of_term.next().map_or(0.0, |prior| prior * value * value);
         });
         variance

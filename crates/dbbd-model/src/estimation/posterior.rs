@@ -11,6 +11,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 use super::expected::FREE_BALL_MM;
 use super::linear_system::{linear_system, linear_system_by_pose};
 use super::pose_rows::LengthNoise;
+use super::position::RemainingErrors;
 use super::priors::Priors;
 use super::workspace::Workspace;
 use crate::math::{Triangle, stacked};
@@ -31,6 +32,8 @@ pub struct Posterior {
     ids: Vec<ParamId>,
     selection: ColumnSelection,
     root: DMatrix<f64>,
+    /// What the root does not have: the repeatability of a pose, and errors of the joints that no length showed.
+    of_pose: Option<RemainingErrors>,
 }
 
 /// A posterior after lengths.
@@ -48,7 +51,32 @@ impl Posterior {
 
     /// `root` has a row for each of `ids`, then for each coefficient of the joint errors.
     pub(super) fn with_root(model: LengthModel, ids: &[ParamId], root: DMatrix<f64>) -> Self {
-        Self { model, ids: ids.to_vec(), selection: ColumnSelection::new(ids), root }
+        Self { model, ids: ids.to_vec(), selection: ColumnSelection::new(ids), root, of_pose: None }
+    }
+
+    /// The posterior with the errors of a single pose that an uncertainty has beside its root.
+    pub(super) fn with_errors_of_pose(self, unknown: &RobotUncertainty) -> Self {
+        let of_pose = Some(RemainingErrors::new(&self.model.geometry, unknown));
+        Self { of_pose, ..self }
+    }
+
+    /// The posterior with the errors of a single pose that another one has.
+    pub(super) fn with_errors_of_pose_of(self, other: &Self) -> Self {
+        Self { of_pose: other.of_pose.clone(), ..self }
+    }
+
+    /// The posterior with these further parameters, independent of all others, with standard deviations in mm or rad; those
+    /// that it has stay.
+    pub fn with_parameters(&self, further: &[(ParamId, f64)]) -> Self {
+        let further: Vec<_> = further.iter().filter(|(id, _)| !self.ids.contains(id)).collect();
+        let (own, columns) = (self.ids.len(), self.root.ncols());
+        let mut root = self.root.clone().insert_rows(own, further.len(), 0.0);
+        root.resize_horizontally_mut(columns + further.len(), 0.0);
+        for (at, (_, sd)) in further.iter().enumerate() {
+            root[(own + at, columns + at)] = *sd;
+        }
+        let ids: Vec<ParamId> = self.ids.iter().copied().chain(further.iter().map(|(id, _)| *id)).collect();
+        Self::with_root(self.model.clone(), &ids, root).with_errors_of_pose_of(self)
     }
 
     /// The posterior of an identification about `model`, with the coefficients of the joint errors if their covariance is
@@ -83,14 +111,22 @@ impl Posterior {
         let parameters = unknown.parameters.iter().enumerate().filter(|(_, id)| is_known(id));
         let (mut rows, ids): (Vec<usize>, Vec<ParamId>) = parameters.map(|(row, id)| (row, *id)).unzip();
         rows.extend(unknown.parameters.len()..unknown.root.nrows());
-        Self::with_root(model, &ids, unknown.root.select_rows(&rows))
+        Self::with_root(model, &ids, unknown.root.select_rows(&rows)).with_errors_of_pose(unknown)
     }
 
     /// All parameters of the robot and its set-up before any length.
     pub fn prior(robot: &Robot, model: LengthModel, priors: &Priors) -> Self {
-        let ids = parameter::all_parameters(&robot.parallel_joints(), model.balls.len());
-        let sd: Vec<f64> = ids.iter().map(|id| priors.bound(*id).unwrap_or_else(|| priors.sd(*id))).collect();
-        Self::new(model, &ids, &sd)
+        let all = Self::parameters_of_prior(robot, model.balls.len(), priors);
+        Self::with_root(model, &[], DMatrix::zeros(0, 0)).with_parameters(&all)
+    }
+
+    /// The parameters of the robot and a set-up with base balls, with their standard deviations before any length, mm or rad.
+    pub fn parameters_of_prior(robot: &Robot, balls: usize, priors: &Priors) -> Vec<(ParamId, f64)> {
+        let sd = |id: ParamId| priors.bound(id).unwrap_or_else(|| priors.sd(id));
+        parameter::all_parameters(&robot.parallel_joints(), balls)
+            .into_iter()
+            .map(|id| (id, sd(id)))
+            .collect()
     }
 
     /// The parameters, in the order of the rows of [`Posterior::root`].
@@ -173,48 +209,60 @@ impl Posterior {
         picked
     }
 
-    /// The posterior after the tool ball touched a base ball at `axes` (rad) with the standard deviation `sd_mm`. The
-    /// base ball then has the position of the tool ball, so that its error is correlated with that of the robot at this
-    /// pose. No length to this base ball may be in the posterior.
+    /// Standard deviation of a length from a base ball at `axes` (rad) by the errors that this pose has alone, mm.
+    pub fn own_sd_mm(&self, axes: &[f64; AXES], ball: BallId) -> f64 {
+        let (Some(of_pose), Some(place)) = (&self.of_pose, self.model.balls.get(ball.index())) else {
+            return 0.0;
+        };
+        let geometry = &self.model.geometry;
+        let row = geometry.length_row(axes, place, 0.0);
+        let sds = of_pose.sds(geometry, axes, Approach::default());
+        let squares = row.by_joint().iter().zip(sds).map(|(by, sd)| (by * sd).powi(2));
+        squares.sum::<f64>().sqrt().hypot(of_pose.pose_mm())
+    }
+
+    /// The posterior after the tool ball touched a base ball at `axes` (rad), with the standard deviation `sd_mm` of each
+    /// coordinate: their positions are the same there, so that the error of the base ball is correlated with that of the robot
+    /// at this pose.
+    ///
+    /// Each coordinate is one measurement of the difference, by which mean and root are updated (J. Potter's square-root
+    /// update, in G. Bierman, "Factorization Methods for Discrete Sequential Estimation", 1977, chapter II.3): with the row a of
+    /// the difference in the coordinates of the root and s = a'a + sd^2, the mean moves by root a / s times the measured minus
+    /// the expected difference, and root becomes root (I - a a' / (s + sd s^1/2)).
     pub fn touched(&self, touched_ball: BallId, axes: &[f64; AXES], sd_mm: f64) -> Self {
         let mut touched = self.clone();
-        let ball = self.model.geometry.ball(axes).position;
-        if let Some(place) = touched.model.balls.get_mut(touched_ball.index()) {
-            *place = ball;
-        }
         for axis in Coordinate::ALL {
             let Some(at) = self.ids.iter().position(|id| *id == ParamId::Ball(touched_ball, axis)) else {
                 continue;
             };
+            let Some(place) = touched.model.balls.get(touched_ball.index()) else { continue };
+            let ball = touched.model.geometry.ball(axes).position;
+            let apart_mm = ball[axis.index()] - place[axis.index()];
             // The derivative of the length from a point along an axis is that of the coordinate.
             let mut far = ball;
             far[axis.index()] -= 1.0;
-            let mut derivative = self.derivative_from(axes, &far, None);
+            let mut derivative = touched.derivative_from(axes, &far, None);
             for (own, id) in derivative.iter_mut().zip(&self.ids) {
                 if !id.moves_tool_ball() {
                     *own = 0.0;
                 }
             }
-            let mut there = derivative.transpose() * &self.root;
-            // Without lengths this coordinate of the base ball has a column of its own in the root.
-            there[self.root.row(at).iamax_full().1] += sd_mm;
-            touched.root.set_row(at, &there);
+            derivative[at] = -1.0;
+            let row = touched.root.tr_mul(&derivative);
+            let variance = row.norm_squared() + sd_mm * sd_mm;
+            let gain = &touched.root * &row;
+            touched.model = touched.moved(&(&gain * (-apart_mm / variance)));
+            touched.root.ger(-1.0 / (variance + sd_mm * variance.sqrt()), &gain, &row, 1.0);
         }
         touched
     }
 
     /// The posterior with a further base ball, whose position is free.
     pub fn with_ball(&self, ball: Vector3<f64>) -> Self {
+        let mut further = self.clone();
+        further.model.balls.push(ball);
         let new = BallId::at(self.model.balls.len());
-        let own = self.ids.len();
-        let mut ids = self.ids.clone();
-        ids.extend(Coordinate::ALL.map(|axis| ParamId::Ball(new, axis)));
-        let mut model = self.model.clone();
-        model.balls.push(ball);
-        let columns = self.root.ncols();
-        let mut root = self.root.clone().insert_rows(own, 3, 0.0).resize_horizontally(columns + 3, 0.0);
-        (0..3).for_each(|axis| root[(own + axis, columns + axis)] = FREE_BALL_MM);
-        Self::with_root(model, &ids, root)
+        further.with_parameters(&Coordinate::ALL.map(|axis| (ParamId::Ball(new, axis), FREE_BALL_MM)))
     }
 
     /// The posterior after lengths at these poses that agree with the model. `None` if a number is not finite.
@@ -400,26 +448,94 @@ mod tests {
         assert_eq!(posterior.design_row(&AXIS_ANGLES, BallId::at(1)).norm(), 0.0);
     }
 
-    /// The ball is where the tool ball is: it has the error that a1 gives the tool ball there (by differences), and 0.3 mm more.
+    const A2: ParamId = ParamId::A(Joint::J2);
+    const BALL: [ParamId; 3] = [
+        ParamId::Ball(BallId::FIRST, Coordinate::X),
+        ParamId::Ball(BallId::FIRST, Coordinate::Y),
+        ParamId::Ball(BallId::FIRST, Coordinate::Z),
+    ];
+
+    /// How the tool ball moves by 1 mm of a1, by differences.
+    fn moved_by_a(posterior: &Posterior) -> Vector3<f64> {
+        let mut moved = posterior.model.geometry.clone();
+        *moved.value_mut(A2).unwrap() += 1.0;
+        moved.ball(&AXIS_ANGLES).position - posterior.model.geometry.ball(&AXIS_ANGLES).position
+    }
+
+    /// A free ball is where the tool ball is: it has the error that a1 gives the tool ball there, and 0.3 mm more.
     #[test]
     fn touched_ball_shares_the_error_of_the_robot() {
-        let id = ParamId::A(Joint::J2);
-        let balls = Coordinate::ALL.map(|axis| ParamId::Ball(BallId::FIRST, axis));
-        let posterior = Posterior::new(model(), &[&[id][..], &balls].concat(), &[0.7, 10.0, 10.0, 10.0]);
+        const FREE_MM: f64 = 1e4;
+        let posterior =
+            Posterior::new(model(), &[&[A2][..], &BALL].concat(), &[0.7, FREE_MM, FREE_MM, FREE_MM]);
         let touched = posterior.touched(BallId::FIRST, &AXIS_ANGLES, 0.3);
-        let mut moved = posterior.model.geometry.clone();
-        *moved.value_mut(id).unwrap() += 1.0;
-        let by = moved.ball(&AXIS_ANGLES).position - posterior.model.geometry.ball(&AXIS_ANGLES).position;
-        assert_eq!(touched.model.balls, [posterior.model.geometry.ball(&AXIS_ANGLES).position]);
+        let by = moved_by_a(&posterior);
+        let off = touched.model.balls[0] - posterior.model.geometry.ball(&AXIS_ANGLES).position;
+        assert!(off.norm() < 1e-5, "{off}");
         let covariance = touched.covariance();
         for axis in 0..3 {
-            assert!((covariance[(0, 1 + axis)] - 0.49 * by[axis]).abs() < 1e-9, "{axis}");
+            assert!((covariance[(0, 1 + axis)] - 0.49 * by[axis]).abs() < 1e-6, "{axis}");
             assert!(
-                (covariance[(1 + axis, 1 + axis)] - 0.49 * by[axis].powi(2) - 0.09).abs() < 1e-9,
+                (covariance[(1 + axis, 1 + axis)] - 0.49 * by[axis].powi(2) - 0.09).abs() < 1e-6,
                 "{axis}"
             );
         }
-        assert!((touched.sd(id).unwrap() - 0.7).abs() < 1e-15);
+        assert!((touched.sd(A2).unwrap() - 0.7).abs() < 1e-6);
+    }
+
+    /// A ball that is already known says as much about the robot: mean and covariance of the normal equations, with the
+    /// difference of tool ball and base ball as three measurements.
+    #[test]
+    fn touching_a_known_ball_moves_the_robot_too() {
+        const SD_MM: f64 = 0.2;
+        let sds = [0.7, 0.5, 0.1, 2.0];
+        let tool_ball = model().geometry.ball(&AXIS_ANGLES).position;
+        let (mut start, apart) = (model(), Vector3::new(0.3, -0.2, 0.4));
+        start.balls[0] = tool_ball - apart;
+        let posterior = Posterior::new(start.clone(), &[&[A2][..], &BALL].concat(), &sds);
+        let by = moved_by_a(&posterior);
+        let rows = DMatrix::from_fn(3, 4, |axis, column| match column {
+            0 => by[axis],
+            column => -f64::from(u8::from(column == axis + 1)),
+        });
+        let prior = DMatrix::from_diagonal(&DVector::from_row_slice(&sds.map(|sd| 1.0 / (sd * sd))));
+        let information = prior + rows.tr_mul(&rows) / (SD_MM * SD_MM);
+        let covariance = information.try_inverse().unwrap();
+        let mean = -&covariance * rows.tr_mul(&apart) / (SD_MM * SD_MM);
+        let touched = posterior.touched(BallId::FIRST, &AXIS_ANGLES, SD_MM);
+        assert!((touched.covariance() - &covariance).norm() < 1e-5 * covariance.norm());
+        assert!((touched.model.value(A2) - start.value(A2) - mean[0]).abs() < 1e-4);
+        for axis in 0..3 {
+            assert!((touched.model.balls[0][axis] - start.balls[0][axis] - mean[1 + axis]).abs() < 1e-4);
+        }
+    }
+
+    /// Rows of further parameters come before those of the coefficients; a parameter that is there stays.
+    #[test]
+    fn further_parameters_are_independent() {
+        let root = DMatrix::from_row_slice(2, 2, &[0.3, 0.0, 5.0, 6.0]);
+        let posterior = Posterior::with_root(model(), &[BAR], root);
+        let wider = posterior.with_parameters(&[(BAR, 9.0), (A2, 0.5)]);
+        assert_eq!((wider.ids(), wider.coefficients()), (&[BAR, A2][..], 1));
+        let expected = DMatrix::from_row_slice(3, 3, &[0.3, 0.0, 0.0, 0.0, 0.0, 0.5, 5.0, 6.0, 0.0]);
+        assert_eq!(wider.root(), &expected);
+    }
+
+    /// A pose that repeats to 0.3 mm, with joint 1 off by 0.4 mm at the ball.
+    #[test]
+    fn a_pose_has_errors_of_its_own() {
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
+        let row = robot.geometry.length_row(&AXIS_ANGLES, &model().balls[0], 0.0);
+        let mut unapproached_rad = [0.0; AXES];
+        unapproached_rad[0] = 0.4 / row.by_joint()[0];
+        let unknown = RobotUncertainty { pose_mm: 0.3, unapproached_rad, ..robot.known_uncertainty() };
+        let posterior = Posterior::new(model(), &[BAR], &[0.1]);
+        assert_eq!(posterior.own_sd_mm(&AXIS_ANGLES, BallId::FIRST), 0.0);
+        let posterior = posterior.with_errors_of_pose(&unknown);
+        assert!((posterior.own_sd_mm(&AXIS_ANGLES, BallId::FIRST) - 0.5).abs() < 1e-12);
+        // An update keeps them.
+        let touched = posterior.with_ball(Vector3::zeros()).touched(BallId::FIRST, &AXIS_ANGLES, 0.1);
+        assert!((touched.own_sd_mm(&AXIS_ANGLES, BallId::FIRST) - 0.5).abs() < 1e-12);
     }
 
     /// (A'A)^-1 of a straight line through abscissae 0, 1, 2: [[5, -3], [-3, 3]] / 6.

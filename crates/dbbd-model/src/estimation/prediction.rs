@@ -50,25 +50,34 @@ pub(crate) struct Prediction {
     pub(super) posterior: Option<RobotPosterior>,
 }
 
-impl Prediction {
+/// The predicted positions of the identified robot over the workspace.
+pub(super) struct IdentifiedPositions {
+    /// The uncertainty of the identified robot, for its file.
+    uncertainty: RobotUncertainty,
+    /// The robot with all its errors, and its uncertainty.
+    whole: Geometry,
+    of_whole: RobotUncertainty,
+    pub(super) summary: ErrorSummary,
+    pub(super) map: Vec<MapPoint>,
+}
+
+impl IdentifiedPositions {
     pub(super) fn of(setting: &Setting<'_>, estimate: &Estimate, lengths: &Lengths) -> Self {
         let model = &estimate.fit.model;
         let axes = setting.options.workspace_poses(setting.robot);
         let poses: Vec<ApproachedPose> = axes.iter().map(ApproachedPose::unapproached).collect();
-        let of_workspace: Vec<ApproachedPose> = thinned(poses.len()).map(|at| poses[at]).collect();
-        let measured = thinned(lengths.len()).map(|at| measured_pose(&lengths.reading(at)));
-        let own = estimate.uncertainty(setting.robot);
-        let by: Vec<ApproachedPose> = of_workspace.iter().copied().chain(measured).collect();
-        let uncertainty = compressed(model, &own, &by).with_digits_of_file();
+        let by = compressing_poses(&axes, lengths);
+        let uncertainty = compressed(model, &estimate.uncertainty(setting.robot), &by).with_digits_of_file();
         // What a result states is what its robot file says later.
-        let (whole, unknown) = match &estimate.left_out {
+        let (whole, of_whole) = match &estimate.left_out {
             Some(left_out) => {
                 let whole = LengthModel { geometry: left_out.whole.clone(), ..model.clone() };
-                (&left_out.whole, &compressed(&whole, &left_out.uncertainty, &by))
+                let of_whole = compressed(&whole, &left_out.uncertainty, &by);
+                (whole.geometry, of_whole)
             }
-            None => (&model.geometry, &uncertainty),
+            None => (model.geometry.clone(), uncertainty.clone()),
         };
-        let positions = Positions::new(whole, unknown, &poses);
+        let positions = Positions::new(&whole, &of_whole, &poses);
         let mut moved = positions.draws(unexplained_mm(setting, estimate, lengths));
         if let Some(left_out) = &estimate.left_out {
             let poses: Vec<_> = axes.iter().map(|axes| (*axes, Approach::default())).collect();
@@ -78,17 +87,36 @@ impl Prediction {
         let rms = |pose: usize| (moved.rows(3 * pose, 3).norm_squared() / moved.ncols() as f64).sqrt();
         let point =
             |(pose, ball): (usize, &nalgebra::Vector3<f64>)| MapPoint { position: *ball, rms_mm: rms(pose) };
+        let map = positions.balls.iter().enumerate().map(point).collect();
+        Self { uncertainty, whole, of_whole, summary: ErrorSummary::of(&moved), map }
+    }
+}
+
+/// The predicted position uncertainty over the workspace before any length, mm.
+pub(super) fn position_before(setting: &Setting<'_>) -> ErrorSummary {
+    let axes = setting.options.workspace_poses(setting.robot);
+    let poses: Vec<ApproachedPose> = axes.iter().map(ApproachedPose::unapproached).collect();
+    Before::of(setting, &poses).nominal
+}
+
+impl Prediction {
+    pub(super) fn of(setting: &Setting<'_>, estimate: &Estimate, lengths: &Lengths) -> Self {
+        let identified = IdentifiedPositions::of(setting, estimate, lengths);
+        let IdentifiedPositions { uncertainty, whole, of_whole, summary, map } = identified;
+        let axes = setting.options.workspace_poses(setting.robot);
+        let poses: Vec<ApproachedPose> = axes.iter().map(ApproachedPose::unapproached).collect();
+        let of_workspace: Vec<ApproachedPose> = thinned(poses.len()).map(|at| poses[at]).collect();
         let Before { start: (start, of_start), nominal, maker } = Before::of(setting, &poses);
         let turned = |geometry: &Geometry, unknown: &RobotUncertainty| {
             Orientations::new(geometry, unknown, setting.robot.reach_mm(), &of_workspace).summary_mrad()
         };
         let orientation =
-            PredictedPair { nominal: turned(&start, &of_start), identified: turned(whole, unknown) };
+            PredictedPair { nominal: turned(&start, &of_start), identified: turned(&whole, &of_whole) };
         Self {
-            pair: PredictedPair { nominal, identified: ErrorSummary::of(&moved) },
+            pair: PredictedPair { nominal, identified: summary },
             orientation,
             parts: parts(estimate, &axes),
-            map: positions.balls.iter().enumerate().map(point).collect(),
+            map,
             maker,
             posterior: robot_posterior(estimate),
             uncertainty,
@@ -223,6 +251,12 @@ pub(super) fn drift_after(setting: &Setting<'_>, estimate: &Estimate) -> Drift {
     let zeros = Joint::ALL.map(|joint| ids.iter().position(|id| *id == ParamId::Theta(joint)));
     let steps = ZeroSteps::of(&known.root_of(&ids), zeros, &root.select_rows(&own), &moved);
     steps.map_or(before, |steps| before.after(&steps))
+}
+
+/// The poses for which an uncertainty is compressed: some of the workspace, and some that were measured.
+pub(super) fn compressing_poses(axes: &[[f64; AXES]], lengths: &Lengths) -> Vec<ApproachedPose> {
+    let of_workspace = thinned(axes.len()).map(|at| ApproachedPose::unapproached(&axes[at]));
+    of_workspace.chain(thinned(lengths.len()).map(|at| measured_pose(&lengths.reading(at)))).collect()
 }
 
 /// At most [`COMPRESSING`] indices of `count`, evenly spread.

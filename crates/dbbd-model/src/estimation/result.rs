@@ -300,12 +300,11 @@ pub struct Validity {
     pub measured: Option<String>,
     /// Expanded uncertainty U (k = 2) on that day: twice the root of the mean square of the 3-D error over the workspace, mm.
     pub expanded_uncertainty_mm: f64,
-    /// The expanded uncertainty at which the validity ends, mm: the user's tolerance, else 1.5 times that on the day of
-    /// the measurements.
-    pub limit_mm: f64,
-    /// Months from the day of the measurements until U reaches the limit; `None` if it is more than 120.
+    /// The expanded uncertainty at which the validity ends, mm, which follows from the user's tolerance; `None` without one.
+    pub limit_mm: Option<f64>,
+    /// Months from the day of the measurements until U reaches the limit, at most twelve.
     pub months: Option<f64>,
-    /// The day on which U reaches the limit, if the day of the measurements is known.
+    /// The day on which the validity ends, if there is a limit and the day of the measurements is known.
     pub until: Option<String>,
     pub basis: DriftBasis,
 }

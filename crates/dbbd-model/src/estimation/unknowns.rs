@@ -303,7 +303,7 @@ impl Unknowns {
 }
 
 /// Standard deviation of a robot's repeatability along a length where it is not stated, mm.
-const USUAL_SIGMA_MM: f64 = 0.03;
+pub(super) const USUAL_SIGMA_MM: f64 = 0.03;
 
 impl ModelErrors {
     /// The columns of these errors, with a row for each design row, and the prior of each column.

@@ -7,7 +7,7 @@ use super::{Positions, Workspace};
 use crate::base::date;
 use crate::math::distributions::COVERAGE_FACTOR;
 use crate::measurement::ApproachedPose;
-use crate::robot::{Drift, Payload, Robot, season_k};
+use crate::robot::{Payload, Robot, season_k};
 
 /// Number and seed of the poses over which the growth of the uncertainty is taken, uniform within the axis limits.
 const POSES: usize = 300;
@@ -15,15 +15,24 @@ const SEED: u64 = 1;
 /// Resolution of the time that is sought, months.
 const MONTHS_RESOLUTION: f64 = 0.02;
 
-impl Validity {
-    /// Without a tolerance of the user the calibration holds until its uncertainty is this many times as large as on the day
-    /// of the measurements.
-    pub const GROWTH: f64 = 1.5;
+/// What ends the validity of a calibration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ValidityLimit {
+    /// The user's tolerance for the expanded uncertainty, mm.
+    Tolerance(f64),
+    /// So many times the expanded uncertainty of today.
+    Growth(f64),
+}
 
-    /// The validity of a robot's calibration, until its uncertainty is `growth` times as large as today. `map` is the
-    /// predicted position uncertainty today; it grows with the drift of the months to come. `None` without a posterior, or
-    /// if the uncertainty is not finite.
-    pub fn of(robot: &Robot, growth: f64, map: &[MapPoint]) -> Option<Self> {
+impl Validity {
+    /// No calibration is valid for longer, months: a year is the usual interval between calibrations of measuring equipment, and
+    /// no drift foretells a collision.
+    pub const LONGEST_MONTHS: f64 = 12.0;
+
+    /// The validity of a robot's calibration until a limit, which only a tolerance gives: without it there is the uncertainty
+    /// with its day. `map` is the predicted position uncertainty today; it grows with the drift of the months to come. `None`
+    /// without a posterior, or if the uncertainty is not finite.
+    pub fn of(robot: &Robot, limit: Option<ValidityLimit>, map: &[MapPoint]) -> Option<Self> {
         if !robot.has_posterior() {
             return None;
         }
@@ -42,11 +51,14 @@ impl Validity {
             COVERAGE_FACTOR * (today + grown.max(0.0)).sqrt()
         };
         let now_mm = expanded(0.0);
-        let limit_mm = growth * now_mm;
         if !now_mm.is_finite() {
             return None;
         }
-        let months = crossing(limit_mm, now_mm, expanded);
+        let limit_mm = limit.map(|limit| match limit {
+            ValidityLimit::Tolerance(mm) => mm,
+            ValidityLimit::Growth(growth) => growth * now_mm,
+        });
+        let months = limit_mm.map(|limit_mm| crossing(limit_mm, now_mm, expanded));
         let measured = robot.measured.date.clone();
         let until = measured.as_deref().zip(months).and_then(|(day, months)| date::after_months(day, months));
         Some(Self {
@@ -62,20 +74,20 @@ impl Validity {
     }
 }
 
-/// The months until a growing uncertainty reaches a limit; `None` if they are more than [`Drift::MAX_MONTHS`].
-fn crossing(limit_mm: f64, now_mm: f64, expanded_mm: impl Fn(f64) -> f64) -> Option<f64> {
+/// The months until a growing uncertainty reaches a limit, at most [`Validity::LONGEST_MONTHS`].
+fn crossing(limit_mm: f64, now_mm: f64, expanded_mm: impl Fn(f64) -> f64) -> f64 {
     if now_mm >= limit_mm {
-        return Some(0.0);
+        return 0.0;
     }
-    let (mut before, mut after) = (0.0, Drift::MAX_MONTHS);
+    let (mut before, mut after) = (0.0, Validity::LONGEST_MONTHS);
     if expanded_mm(after) < limit_mm {
-        return None;
+        return after;
     }
     while after - before > MONTHS_RESOLUTION {
         let middle = 0.5 * (before + after);
         if expanded_mm(middle) < limit_mm { before = middle } else { after = middle }
     }
-    Some(before)
+    before
 }
 
 impl fmt::Display for Validity {
@@ -89,13 +101,16 @@ impl fmt::Display for Validity {
         match (&self.until, self.months) {
             (Some(until), _) => write!(out, ", until {until}")?,
             (None, Some(months)) => write!(out, ", for {months:.1} months")?,
-            (None, None) => write!(out, ", for 10 years or more")?,
+            (None, None) => {}
         }
-        write!(
-            out,
-            ": U = {:.2} mm (k = 2) at first, at most {:.2} mm until then",
-            self.expanded_uncertainty_mm, self.limit_mm
-        )?;
+        let now_mm = self.expanded_uncertainty_mm;
+        match (self.limit_mm, &self.measured) {
+            (Some(limit_mm), _) => {
+                write!(out, ": U = {now_mm:.2} mm (k = 2) at first, at most {limit_mm:.2} mm until then")?
+            }
+            (None, Some(day)) => return write!(out, ": U = {now_mm:.2} mm (k = 2) on {day}"),
+            (None, None) => return write!(out, ": U = {now_mm:.2} mm (k = 2) on the day of the measurement"),
+        }
         match self.basis {
             DriftBasis::HyperPrior => {
                 write!(out, "; the drift is assumed, this robot has no history of three runs")
@@ -115,10 +130,9 @@ mod tests {
     #[test]
     fn the_limit_is_reached_where_the_uncertainty_crosses_it() {
         let expanded = |months: f64| 0.1 * (1.0 + months).sqrt();
-        let found = crossing(0.3, 0.1, expanded).unwrap();
+        let found = crossing(0.3, 0.1, expanded);
         assert!((found - 8.0).abs() <= MONTHS_RESOLUTION, "{found}");
-        assert_eq!(crossing(0.1, 0.1, expanded), Some(0.0));
-        assert_eq!(crossing(1.2, 0.1, expanded), None);
+        assert_eq!([crossing(0.1, 0.1, expanded), crossing(0.4, 0.1, expanded)], [0.0, 12.0]);
     }
 
     fn identified(sd_rad: f64) -> Robot {
@@ -146,25 +160,34 @@ mod tests {
     /// If only the zero of one joint is uncertain, U is proportional to its standard deviation: it has grown by half
     /// when the walk has added 1.25 times the variance, after 1.25 (s / rate)^2 months.
     #[test]
-    fn without_a_tolerance_it_holds_until_u_has_grown_by_half() {
+    fn it_holds_until_u_has_grown_to_its_limit() {
         let robot = identified(40e-6);
         let map = map(&robot);
-        let found = Validity::of(&robot, Validity::GROWTH, &map).unwrap();
+        let found = Validity::of(&robot, Some(ValidityLimit::Growth(1.5)), &map).unwrap();
         assert!((found.expanded_uncertainty_mm / (2.0 * map[0].rms_mm) - 1.0).abs() < 1e-12);
         let months = 1.25 * (40e-6 / robot.drift.rms_zero_rad()).powi(2);
         assert!((found.months.unwrap() - months).abs() < 0.03, "{found:?} {months}");
-        assert!((found.limit_mm / found.expanded_uncertainty_mm - 1.5).abs() < 1e-12);
+        assert!((found.limit_mm.unwrap() / found.expanded_uncertainty_mm - 1.5).abs() < 1e-12);
         assert_eq!(found.until, date::after_months("2026-03-01", found.months.unwrap()));
         assert_eq!(found.basis, DriftBasis::HyperPrior);
-        // A limit that is reached already, and one that is far away.
-        assert_eq!(Validity::of(&robot, 1.0, &map).unwrap().until.as_deref(), Some("2026-03-01"));
-        assert_eq!(Validity::of(&robot, 1e3, &map).unwrap().months, None);
+        let same = Some(ValidityLimit::Tolerance(found.limit_mm.unwrap()));
+        assert_eq!(Validity::of(&robot, same, &map).unwrap(), found);
+        // A limit that is reached already, one that is far away, and none.
+        let of = |limit| Validity::of(&robot, limit, &map).unwrap();
+        assert_eq!(of(Some(ValidityLimit::Growth(1.0))).until.as_deref(), Some("2026-03-01"));
+        assert_eq!(of(Some(ValidityLimit::Growth(1e3))).until.as_deref(), Some("2027-03-01"));
+        let bare = of(None);
+        assert_eq!((bare.limit_mm, bare.months, &bare.until), (None, None, &None));
+        assert!(bare.to_string().ends_with("mm (k = 2) on 2026-03-01"), "{bare}");
+        // A better calibration is valid for as long or longer.
+        let better = identified(30e-6);
+        let tolerance = Some(ValidityLimit::Tolerance(found.limit_mm.unwrap()));
+        let of_better = Validity::of(&better, tolerance, &self::map(&better)).unwrap();
+        assert!(of_better.months.unwrap() > found.months.unwrap() && of_better.months.unwrap() <= 12.0);
         let undated = Robot { measured: MeasurementConditions::default(), ..robot.clone() };
-        let undated = Validity::of(&undated, Validity::GROWTH, &map).unwrap();
+        let undated = Validity::of(&undated, same, &map).unwrap();
         assert!(undated.until.is_none() && undated.months == found.months);
-        assert!(
-            Validity::of(&Robot { uncertainty: None, posterior: None, ..robot }, Validity::GROWTH, &map)
-                .is_none()
-        );
+        let unknown = Robot { uncertainty: None, posterior: None, ..robot.clone() };
+        assert!(Validity::of(&unknown, same, &map).is_none());
     }
 }

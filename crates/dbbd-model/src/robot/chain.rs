@@ -91,9 +91,14 @@ impl LengthRow {
         -Vector3::from_fn(|axis, _| self.columns[BALL_COLUMN + axis])
     }
 
+    /// The derivatives with respect to the angles of the joints, mm/rad.
+    pub(crate) fn by_joint(&self) -> &[f64] {
+        &self.columns[THETA_COLUMN..THETA_COLUMN + AXES]
+    }
+
     /// The derivatives with respect to the coefficients of the joint errors, mm per unit, for a row at these axis angles (rad).
     pub fn joint_terms(&self, geometry: &Geometry, axes: &[f64; AXES], approach: Approach, out: &mut [f64]) {
-        let by_joint = &self.columns[THETA_COLUMN..THETA_COLUMN + AXES];
+        let by_joint = self.by_joint();
         let mut out = out.iter_mut();
         geometry.error_derivatives(axes, approach, |joint, value| {
             if let Some(out) = out.next() {

@@ -66,6 +66,11 @@ impl RobotUncertainty {
         std::array::from_fn(|joint| self.scatter_rad[joint].hypot(of_sense(joint)))
     }
 
+    /// The uncertainty without its root: what it says of a single pose.
+    pub(crate) fn rootless(&self) -> Self {
+        Self { parameters: Vec::new(), smooth: self.smooth.clone(), root: DMatrix::zeros(0, 0), ..*self }
+    }
+
     /// The uncertainty with a tool whose place on the flange is known exactly.
     pub(crate) fn without_tool(mut self) -> Self {
         for (row, id) in self.parameters.iter().enumerate() {

@@ -11,6 +11,7 @@ use dbbd_job::plan::{Job, PoseKind};
 use dbbd_job::recording::run::PlanFiles;
 use dbbd_job::request::identify;
 use dbbd_model::base::date;
+use dbbd_model::base::hash::sha256;
 use dbbd_model::conformity::StatedCheck;
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
 use dbbd_model::provenance::ArtefactRole;
@@ -20,7 +21,9 @@ use serde_json::Value;
 use crate::daemon::EndReason;
 use crate::daemon::service::jobs::FINDINGS;
 use crate::daemon::service::run_plans::{RunPlan, RunPlans};
-use crate::daemon::service::runs::{CAPTURE, entry_of, is_plain_directory, is_sound, list_recorded_runs};
+use crate::daemon::service::runs::{
+    CAPTURE, entry_of, is_plain_directory, is_plain_file, is_sound, list_recorded_runs,
+};
 use crate::live::RunEntry;
 use crate::live::ServiceFinding::NamedOutside;
 
@@ -64,6 +67,8 @@ pub(super) struct FoundPlan {
     pub duration_s: f64,
     /// Position uncertainty that the plan will leave, 95 % of the poses, mm.
     pub predicted_mm: Option<f64>,
+    /// The tolerance with which a check was planned, mm.
+    pub tolerance_mm: Option<f64>,
     /// The hash of the job that the plan was made from.
     pub job_sha256: Option<String>,
     /// A program that carries the hash of the plan.
@@ -163,7 +168,9 @@ fn names(directory: &Path) -> Vec<String> {
 impl FoundDirectory {
     fn read(parent: &Path, name: &str) -> Self {
         let path = parent.join(name);
-        let files: Vec<String> = names(&path).into_iter().filter(|file| path.join(file).is_file()).collect();
+        // A link may lead out.
+        let files: Vec<String> =
+            names(&path).into_iter().filter(|file| is_plain_file(&path.join(file))).collect();
         let times_ms: Vec<u64> = files.iter().map(|file| changed_ms(&path.join(file))).collect();
         let changed_ms = times_ms.iter().copied().max().unwrap_or(0);
         let mut read = Self { name: name.into(), files, times_ms, changed_ms, findings: Vec::new() };
@@ -254,11 +261,12 @@ impl WorkFiles {
         let mut found = Self { name, prefix, ..Self::default() };
         found.simulated = TRUTH.iter().all(|name| directory.join(name).is_file());
         if let Some(name) = job_name(&directory) {
-            let text = files::read_definition(&directory.join(&name));
+            let text = read_job(&directory, &name);
+            let sha256 = text.as_ref().ok().map(sha256);
             let job = text.and_then(|text| Job::from_toml(&name, &text));
             found.job = Some(WorkJob {
                 robot: job.as_ref().ok().map(|job| robot_name(&directory, &job.robot)),
-                sha256: files::sha256(&directory.join(&name)).ok(),
+                sha256,
                 file: name,
                 job,
             });
@@ -349,6 +357,12 @@ impl FoundDocument {
     }
 }
 
+/// The text of the file of a job, which must be in the directory of the robot: a link may lead out.
+pub(super) fn read_job(directory: &Path, name: &str) -> Result<String, Diagnostic> {
+    check_inside(directory, name)?;
+    files::read_definition(&directory.join(name))
+}
+
 /// Refuses a file that a job names and that is not in the directory of the robot: a client may write the job, and must not
 /// read other files of the server by it.
 pub(super) fn check_inside(directory: &Path, name: &str) -> Result<(), Diagnostic> {
@@ -400,6 +414,7 @@ impl FoundPlan {
             poses: plan.rows.iter().filter(|row| row.kind != PoseKind::Transit).count(),
             duration_s: plan.duration_s(),
             predicted_mm: header["predictions"]["identified_mm"]["p95"].as_f64(),
+            tolerance_mm: header["check"]["tolerance_mm"].as_f64(),
             job_sha256: job.map(|job| job.sha256.clone()),
             program: None,
         })

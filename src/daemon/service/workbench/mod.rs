@@ -96,7 +96,7 @@ impl Supervisor {
     /// Refuses to compute with a job that names a file outside of its directory, however the job came there.
     fn check_job_of(&self, files: &WorkFiles) -> Result<(), Diagnostic> {
         let Some(WorkJob { file, .. }) = &files.job else { return Ok(()) };
-        let text = dbbd_job::files::read_definition(&files.directory.join(file))?;
+        let text = files::read_job(&files.directory, file)?;
         Job::from_toml(file, &text).map_or(Ok(()), |job| files::check_named_files(&files.directory, &job))
     }
 
@@ -112,9 +112,10 @@ impl Supervisor {
 
 /// The file of the job, and its text with these keys set.
 fn edited_job(files: &WorkFiles, keys: &Value) -> Result<(PathBuf, DocumentMut), Diagnostic> {
-    let path = files.directory.join(files.job.as_ref().map_or("job.toml", |job| &job.file));
+    let name = files.job.as_ref().map_or("job.toml", |job| &job.file);
+    let path = files.directory.join(name);
     let text =
-        if path.exists() { dbbd_job::files::read_definition(&path)? } else { job_file::HEAD.to_owned() };
+        if path.exists() { files::read_job(&files.directory, name)? } else { job_file::HEAD.to_owned() };
     let mut document: DocumentMut = text.parse().map_err(|error| not_written(&error))?;
     job_file::set_keys(&mut document, keys)?;
     Ok((path, document))
@@ -330,7 +331,7 @@ impl Workbench for Supervisor {
         let Some(WorkJob { file: name, .. }) = &files.job else {
             return Ok(JobInForce { job: Value::Null, sha256: None });
         };
-        let text = dbbd_job::files::read_definition(&files.directory.join(name))?;
+        let text = files::read_job(&files.directory, name)?;
         let job = dbbd_model::base::parse::from_toml(name, &text)?;
         Ok(JobInForce { job, sha256: Some(sha256(text)) })
     }

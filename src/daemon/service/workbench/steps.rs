@@ -151,6 +151,8 @@ fn report(step: WorkStep, mut drafted: Drafted, now: &Activity<'_>) -> StepRepor
     if findings.is_empty() {
         findings = match job {
             Some(job) if job.state != JobState::Done && job.state != JobState::Warned => job.findings.clone(),
+            // What was found in files that are to be made again is no longer about these files.
+            _ if drafted.state == StepState::Ready => Vec::new(),
             _ => directory.findings.iter().cloned().map(now.explain).collect(),
         };
     }
@@ -448,7 +450,7 @@ fn of_result(files: &WorkFiles, result: &FoundDocument, today: &str) -> Drafted 
     });
     let mut drafted = match standing {
         Some(Standing::Usable { until: Some(_) }) => Drafted::done(StepVerdict::Pass, "result.valid", values),
-        Some(Standing::Usable { until: None }) => Drafted::done(StepVerdict::Pass, "result.found", values),
+        Some(Standing::Usable { until: None }) => Drafted::done(StepVerdict::None, "result.found", values),
         Some(Standing::Undecided) => Drafted::done(StepVerdict::Undecided, "result.undecided", values),
         Some(Standing::Over { .. }) => Drafted::done(StepVerdict::Undecided, "result.over", values),
         Some(Standing::Failed) => {
@@ -480,8 +482,13 @@ fn correct(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
     let left = uncorrected(files);
     let all = programs_in(files.programs.uploaded.as_ref()).count();
     let drafted = match &files.programs.corrected {
+        _ if all == 0 && is_failed => {
+            let values = json!({ "left": 0, "all": 0 });
+            let attention = Drafted::new(StepState::Attention, StepVerdict::Fail, "correct.failed", values);
+            attention.acting(StepAction::Upload, "act.upload")
+        }
         _ if all == 0 => Drafted::ready("correct.none").acting(StepAction::Upload, "act.upload"),
-        Some(made) if left.is_empty() => {
+        Some(made) if left.is_empty() && !is_failed => {
             let values = json!({ "files": made.files.len(), "directory": made.name });
             let done = Drafted::done(StepVerdict::None, "correct.found", values);
             done.acting(StepAction::Upload, "act.upload_again")
@@ -536,15 +543,19 @@ pub(super) fn check_part(files: &WorkFiles) -> Option<CheckPart> {
 fn check(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
     let robot = identified_robot(files);
     let directory = files.check.document().map_or("check", |check| &check.directory.name);
+    let plan = files.plan(true);
+    // The tolerance of the decision, else that with which the check was planned.
+    let decided_mm = files.check.document().and_then(|check| check.content["tolerance_mm"].as_f64());
+    let tolerance_mm = decided_mm.or_else(|| plan?.tolerance_mm);
+    let tolerance = tolerance_mm.map_or_else(String::new, |mm| format!(" --tolerance {mm}"));
     let plan_command = format!(
-        "dbbd plan --check {} --robot {robot} --out {}",
+        "dbbd plan --check {} --robot {robot}{tolerance} --out {}",
         job_file(files),
         plan_directory(files, true)
     );
-    let plan = files.plan(true);
     let run = plan.and_then(|plan| usable_run(files, plan));
     let served = plan.map(|plan| served_plan(files, plan));
-    let decide_command = |run: &str| format!("dbbd check {run} --robot {robot} --out {directory}");
+    let decide_command = |run: &str| format!("dbbd check {run} --robot {robot}{tolerance} --out {directory}");
     let drafted = match (check_part(files), plan) {
         (None, _) => return Drafted::todo("check.no_result").command(plan_command),
         _ if served.is_some() && served.as_deref() == now.recording => {
@@ -582,6 +593,9 @@ fn check(files: &WorkFiles, now: &Activity<'_>) -> Drafted {
         },
     };
     let mut drafted = drafted.made(files.check.document().map(|check| &check.directory));
+    if drafted.values.is_null() && tolerance_mm.is_some() {
+        drafted.values = json!({ "tolerance_mm": tolerance_mm });
+    }
     drafted.plan = served;
     drafted.runs = choices(files, plan);
     drafted
@@ -610,11 +624,12 @@ fn of_check(check: &FoundDocument) -> Drafted {
     Drafted::new(state, verdict, text, values)
 }
 
-/// Whether the readings of the result are simulated.
+/// Whether any readings of the result or of its check are simulated.
 pub(super) fn is_simulated(files: &WorkFiles) -> bool {
-    let provenance = |result: &FoundDocument| serde_json::from_value(result.content["provenance"].clone());
-    let made = files.result.as_ref().map(provenance).and_then(Result::ok);
-    made.is_some_and(|made: Provenance| made.is_simulated())
+    let provenance =
+        |made: &FoundDocument| serde_json::from_value::<Provenance>(made.content["provenance"].clone()).ok();
+    let documents = files.result.iter().chain(files.check.document());
+    documents.filter_map(provenance).any(|made| made.is_simulated())
 }
 
 fn certificate(files: &WorkFiles, now: &Activity<'_>) -> Drafted {

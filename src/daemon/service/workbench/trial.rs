@@ -14,10 +14,10 @@ use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
 use serde_json::{Value, json};
 
 use crate::daemon::service::jobs::confine;
-use crate::live::ServiceFinding::{TooManyJobs, WorkerLost};
+use crate::live::ServiceFinding::{JobTooLong, WorkerLost};
 
-/// Longest time of a trial, s: a job that takes longer is not tried.
-const MAX_S: f64 = 20.0;
+/// Longest time of a trial, s: a job that takes longer is not tried. Who asks has an answer within 10 s, also on a busy computer.
+const MAX_S: f64 = 8.0;
 /// Interval between checks whether the child has ended, s.
 const LOOK_S: f64 = 0.02;
 
@@ -89,7 +89,7 @@ fn plan(request: &Request, directory: &Path) -> Result<Option<dbbd_job::request:
             if clock::now().seconds_since(began) > MAX_S {
                 let _ = child.kill();
                 let _ = child.wait();
-                return Err(TooManyJobs.into());
+                return Err(JobTooLong { max_s: MAX_S }.into());
             }
             clock::sleep(LOOK_S);
         }

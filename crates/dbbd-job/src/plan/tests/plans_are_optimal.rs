@@ -4,7 +4,7 @@ use dbbd_job::plan::PoseKind;
 use dbbd_job::plan::workspace::in_box;
 use dbbd_job::program::krl;
 use dbbd_model::design::{Candidate, Criterion, Exchange, Sphere, design_rows, workspace_rows};
-use dbbd_model::estimation::{Posterior, Priors, Workspace, factor, predict_design};
+use dbbd_model::estimation::{Posterior, Priors, Workspace, factor};
 use dbbd_model::measurement::{BaseBall, LengthModel, PreparedMeasurement};
 use dbbd_model::robot::inverse::clearance;
 use dbbd_model::robot::{BallId, BarId, ParamId, Robot, parameter};
@@ -67,9 +67,13 @@ fn thirteen(robot: &Robot, readings: &[PreparedMeasurement]) -> [f64; 2] {
     [mean("rad", 1e6), mean("mm", 1e3)]
 }
 
-/// Predicted mean 3-D error in the cube, before and after, mm.
+/// Root mean square of the 3-D error of the geometry in the cube, before and after, mm.
 fn in_cube(robot: &Robot, readings: &[PreparedMeasurement], poses: &[[f64; 6]]) -> [f64; 2] {
-    predict_design(&datasheet(robot), readings, SIGMA_MM, poses).unwrap().error_mm.map(|error| error.mean)
+    let before = datasheet(robot);
+    let after = before.after(readings, SIGMA_MM).unwrap();
+    let workspace = before.workspace(poses);
+    [before, after]
+        .map(|known| ((workspace.jacobian() * known.root()).norm_squared() / poses.len() as f64).sqrt())
 }
 
 struct Figures {

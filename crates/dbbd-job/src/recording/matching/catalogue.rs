@@ -53,7 +53,8 @@ findings! {
         }
         W1003 "poses have no length",
         cause: "The capture does not cover the run, the bar sent no usable length, or the plan is not the one that was driven.",
-        cure: "`dbbd sync` gives the reason at each pose; start `dbbd acquire` before the program and let it end by itself." {
+        cure: "Plan the poses that remain, measure them, and give both runs to `identify`: together they are one run. `dbbd sync` gives the reason at each pose.",
+        asks: [Remaining] {
             PosesLost { lost: usize, poses: usize, percent: f64 } => "{lost} of {poses} poses ({percent:.1} %) have no length";
         }
         W1004 "a module has more or fewer strobes than dwells",

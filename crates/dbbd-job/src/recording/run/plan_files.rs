@@ -33,7 +33,7 @@ impl PlanFiles {
     pub fn read(csv: &Path) -> Result<Self, Diagnostic> {
         let json = csv.with_extension("json");
         let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
-        if csv.is_file() && !json.is_file() {
+        if files::is_there(csv) && !json.is_file() {
             return Err(Diagnostic::file(&csv_name, PlanFinding::NoHeader { json: json_name }));
         }
         let (csv, json) = (

@@ -314,7 +314,10 @@ fn temperature_c(identity: &Identity) -> Option<f64> {
 fn run_findings(parts: &[InputPart], robot: &Robot) -> Vec<Diagnostic> {
     let runs = parts.iter().filter_map(|part| Some((part, part.matched.as_ref()?)));
     let in_part = |(part, matched): (&InputPart, &MatchedRun)| {
-        let findings = matched.findings(robot).into_iter();
+        // A run that other parts complete is not incomplete.
+        let is_completed =
+            parts.len() > 1 && matched.lost_poses().all(|pose| parts.iter().any(|of| of.has(&pose)));
+        let findings = matched.findings(robot, is_completed).into_iter();
         // With one capture it is clear which capture is meant.
         let file = (parts.len() > 1).then(|| part.path.display().to_string());
         findings.map(move |finding| match &file {

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use dbbd_model::diagnostic::{Diagnostic, Finding, Severity};
 use dbbd_model::estimation::{AngleSource, EstimationFinding};
-use dbbd_model::robot::Robot;
+use dbbd_model::robot::{AXES, BallId, Robot};
 
+use crate::plan::PoseKind;
 use crate::recording::matching::{MatchingFinding, PoseMatching};
 use crate::recording::run::{self, RecordedRun};
 use crate::request::RequestSession;
@@ -38,14 +39,30 @@ impl MatchedRun {
         self.run.robot().ok().map(|planned| planned.name).filter(|name| *name != robot.name)
     }
 
-    pub(super) fn findings(&self, robot: &Robot) -> Vec<Diagnostic> {
+    /// The poses of the plan that have no length, with their base ball and commanded axis angles, rad.
+    pub(super) fn lost_poses(&self) -> impl Iterator<Item = (BallId, [f64; AXES])> {
+        let measured = &self.matching.observations.rows;
+        let rows = self.run.plan.rows.iter();
+        let planned = rows.filter(|row| row.kind == PoseKind::Measure && !row.is_passed());
+        let lost = planned.filter(|row| !measured.iter().any(|length| length.index == row.index));
+        lost.map(|row| (row.centre, row.axes_deg.map(f64::to_radians)))
+    }
+
+    /// The findings of the run. If other runs measured the poses that this one lost (`is_completed`), nothing is lacking.
+    pub(super) fn findings(&self, robot: &Robot, is_completed: bool) -> Vec<Diagnostic> {
         let lost = self.run.has_warnings.then(|| EstimationFinding::PartOfRunLost.into());
         let is_reported = |finding: &&MatchingFinding| {
             let is_of_axes = matches!(
                 finding,
                 MatchingFinding::AxesMeasured { .. } | MatchingFinding::AxesMeasuredLagUnknown { .. }
             );
-            is_of_axes || finding.code().severity() == Severity::Warning
+            let is_of_a_cut_run = matches!(
+                finding,
+                MatchingFinding::PosesLost { .. }
+                    | MatchingFinding::StrobeCount { .. }
+                    | MatchingFinding::PlanNotShown { .. }
+            );
+            is_of_axes || finding.code().severity() == Severity::Warning && !(is_completed && is_of_a_cut_run)
         };
         let of_matching = self.matching.findings.iter().filter(is_reported).cloned().map(Diagnostic::from);
         let given = || robot.name.clone();

@@ -63,6 +63,10 @@ pub struct IdentifyRequest {
     pub tool_mm: Option<[f64; 3]>,
     /// Standard deviation of every length and coordinate; `None` for the values in the data.
     pub sigma_mm: Option<f64>,
+    /// The largest expanded uncertainty (k = 2) with which the calibration is still used: the result states until when. `None`:
+    /// it states its uncertainty and no date.
+    #[serde(default)]
+    pub tolerance_mm: Option<f64>,
     /// Standard uncertainty (k = 1) of each bar's length; `None` for the value in the certificate, if known.
     pub bar_u_mm: Option<f64>,
     /// A table of measurements that only check the result.
@@ -252,6 +256,7 @@ impl IdentifyRequest {
             rest: Options {
                 model: self.model,
                 sigma_mm: self.sigma_mm,
+                tolerance_mm: self.tolerance_mm,
                 bar_u_mm: given.bar_u_mm(),
                 folds: self.folds,
                 monte_carlo: self.monte_carlo,

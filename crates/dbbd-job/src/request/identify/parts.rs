@@ -69,6 +69,14 @@ pub(super) struct InputPart {
 }
 
 impl InputPart {
+    /// Whether the part has a length at a pose: base ball, and commanded axis angles in rad.
+    pub(super) fn has(&self, (ball, axes): &(BallId, [f64; AXES])) -> bool {
+        self.measurements.rows.iter().any(|row| {
+            row.datum.ball() == Some(*ball)
+                && self.commanded.get(&row.index).is_some_and(|own| is_same_planned_pose(own, axes))
+        })
+    }
+
     fn new(
         path: PathBuf,
         lengths: TracedArtefact,

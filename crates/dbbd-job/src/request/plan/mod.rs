@@ -12,8 +12,8 @@ use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::change::CheckPower;
 use dbbd_model::estimation::{check_measurements, measurement_findings};
+use dbbd_model::measurement::BaseBall;
 use dbbd_model::measurement::Measurements;
-use dbbd_model::measurement::{BaseBall, PreparedMeasurement};
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact, one_robot};
 use dbbd_model::robot::{LoadedRobot, Robot};
@@ -435,12 +435,14 @@ impl PlanningKnowledge {
             findings.extend(measurement_findings(name, measurements, &robot, &job.balls()));
         }
         session.findings(findings);
-        let rows = || tables.iter().flat_map(|table| &table.measurements.rows);
-        let lengths: Vec<PreparedMeasurement> = rows().map(PreparedMeasurement::from).collect();
+        let mut lengths = Measurements::default();
+        for EarlierTable { name, measurements, .. } in &tables {
+            lengths = lengths.and(measurements).map_err(|finding| Diagnostic::file(name, finding))?;
+        }
         // If the job does not state where a ball was taught for an earlier stage, the lengths of that stage tell its
         // place.
         let mut job = job;
-        for row in rows() {
+        for row in &lengths.rows {
             let taught_deg = row.context.as_ref().and_then(|context| context.taught_deg.as_deref());
             let ball = row.datum.ball().and_then(|ball| job.centres.get_mut(ball.index()));
             if let Some((table, axes_deg)) = ball.zip(taught_deg) {

@@ -1,7 +1,10 @@
 //! One estimate of everything that is unknown: few lengths do no harm, nothing depends on the order of the rows, a list is
 //! followed exactly, and a second run goes on where the first ended.
 
-use dbbd_model::estimation::{CompletedCalibration, ErrorModel, Options, Prior, Priors, Workspace, factor};
+use dbbd_model::estimation::{
+    AngleSource, CompletedCalibration, ErrorModel, Input, Options, PlannedLengths, Posterior, Prior, Priors,
+    Workspace, factor,
+};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::{BaseBall, LengthModel, Measurements, PreparedMeasurement};
 use dbbd_model::robot::{BallId, BarId, Joint, ParamId, Robot, parameter};
@@ -227,4 +230,53 @@ fn the_error_of_eccentric_robots_is_as_predicted() {
 fn the_error_of_the_geometry_alone_is_as_predicted() {
     let [truth, predicted] = true_and_predicted(ErrorModel::Geometric);
     assert!((0.67..1.5).contains(&(predicted / truth)), "{predicted} predicted, {truth} true");
+}
+
+/// With hardly a length that is planned a forecast is what the result of the measured lengths states; as many lengths again at the
+/// same poses leave less.
+#[test]
+fn a_forecast_begins_with_what_the_result_states() {
+    let (robot, data) = (kr60(), lengths(&eccentric(3), 20, 0.01, 3));
+    let options = Options { prior: Prior::Datasheet, ..options() };
+    let start = LengthModel::new(robot.geometry.clone(), &balls());
+    let (observations, axes) = (&data, AngleSource::Commanded);
+    let input =
+        Input { robot: &robot, observations, start: &start, validation: None, options: &options, axes };
+    let found = find(&robot, &data, &options).result;
+    let stated = found.predicted_position_uncertainty_mm.identified.mean;
+    let planned = PlannedLengths::new(input, &data.rows).unwrap();
+    let before = planned.stated_before().mean;
+    assert!((before / stated - 1.0).abs() < 1e-9, "{before} {stated}");
+    let prior = input.posterior().unwrap();
+    let after = |count: usize| planned.predict(&prior, 0..count, 0.02).unwrap().forecast.position_mm.mean;
+    let [one, all] = [1, data.rows.len()].map(after);
+    assert!((one / stated - 1.0).abs() < 0.03 && all < 0.95 * stated, "{one} {all} {stated}");
+}
+
+/// What an estimate knows of a length is what it states of the tool ball, with the prior of a ball that no length shows. The
+/// place of the robot's base, which four parameters of its first row describe, is that of the balls.
+#[test]
+fn a_posterior_has_what_the_lengths_show_and_the_prior_of_the_rest() {
+    let (robot, data) = (kr60(), lengths(&drawn(&kr60(), 2), 10, 0.01, 2));
+    let options = Options { prior: Prior::Datasheet, ..options() };
+    let further = BaseBall { id: BallId::at(2), position: Vector3::new(900.0, -600.0, 700.0) };
+    let start = LengthModel::new(robot.geometry.clone(), &[balls(), vec![further]].concat());
+    let (observations, axes) = (&data, AngleSource::Commanded);
+    let input =
+        Input { robot: &robot, observations, start: &start, validation: None, options: &options, axes };
+    let known = input.posterior().unwrap();
+    let priors = Priors::datasheet(&robot, Some(0.005));
+    let before = Posterior::prior(&robot, start.clone(), &priors);
+    let lacking = before.ids().iter().filter(|id| !known.ids().contains(id));
+    let base =
+        [ParamId::Alpha(Joint::J1), ParamId::A(Joint::J1), ParamId::Theta(Joint::J1), ParamId::D(Joint::J1)];
+    assert_eq!(lacking.copied().collect::<Vec<_>>(), base);
+    // At a measured pose the length is known to a few times its noise, at the base of the prior to millimetres.
+    let reading = PreparedMeasurement::from(&data.rows[17]);
+    let ball = reading.datum.ball().unwrap();
+    let [then, now] = [&before, &known].map(|one| one.design_row(&reading.axes, ball).norm());
+    assert!(now < 0.05 && then > 1.0, "{then} {now}");
+    let of_further = known.design_row(&reading.axes, BallId::at(2)).norm();
+    assert!((of_further / before.design_row(&reading.axes, BallId::at(2)).norm() - 1.0).abs() < 0.02);
+    assert!(known.own_sd_mm(&reading.axes, ball) > 0.0 && before.own_sd_mm(&reading.axes, ball) == 0.0);
 }
