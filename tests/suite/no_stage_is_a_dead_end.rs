@@ -63,8 +63,14 @@ fn draw(seed: u64) -> Drawn {
     let ball = kind.ball_mm.map(|mm| mm + random.random_range(-1.0..1.0) * kind.about_mm);
     let is_taught = random.random_bool(0.5);
     let obstacles = random.random_bool(0.5);
+    // Beside obstacles the arm is as thick as it is usual for its size.
+    let arm = if obstacles {
+        format!("tool.radius_mm = 10.0\ntool.arm_radius_mm = {:?}\n", 0.25 * kind.bar_mm)
+    } else {
+        String::new()
+    };
     let mut text = format!(
-        "robot = \"{}\"\ntool.ball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = {:?}\nstroke_mm = [{:?}, {stroke:?}]\nmargin_mm = {:?}\nlength_u_mm = 0.002\n\
+        "robot = \"{}\"\ntool.ball_mm = [30.0, 20.0, 10.0]\n{arm}[bar]\nlength_mm = {:?}\nstroke_mm = [{:?}, {stroke:?}]\nmargin_mm = {:?}\nlength_u_mm = 0.002\n\
          [optimise]\npoints = 40\nstage_points = 20\ncandidates = 600\n[motion]\nsettle_s = 0.4\ndwell_s = 0.5\n",
         kind.name,
         kind.bar_mm,
@@ -82,12 +88,10 @@ fn draw(seed: u64) -> Drawn {
         writeln!(
             text,
             "[[obstacle]]\nshape = \"floor\"\nz_mm = {below:?}\n[[obstacle]]\nshape = \"box\"\n\
-             low_mm = [{:?}, {low:?}, 0.0]\nhigh_mm = [{:?}, {high:?}, {:?}]\n\
-             tool.radius_mm = 10.0\ntool.arm_radius_mm = {:?}",
+             low_mm = [{:?}, {low:?}, 0.0]\nhigh_mm = [{:?}, {high:?}, {:?}]",
             ball[0],
             ball[0] + 2.0 * kind.bar_mm,
-            ball[2] + 2.0 * kind.bar_mm,
-            0.25 * kind.bar_mm
+            ball[2] + 2.0 * kind.bar_mm
         )
         .unwrap();
     }

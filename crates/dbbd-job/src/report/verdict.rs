@@ -103,7 +103,9 @@ impl Verdict {
             ),
             None => "Correct the programs of the robot, and check it after a collision or a repair.".into(),
         };
-        let is_limited = result.validity.as_ref().is_some_and(|validity| validity.limit_mm.is_some());
+        // A check with a tolerance limits it too.
+        let is_limited = matches!(standing, Standing::Usable { until: Some(_) })
+            || result.validity.as_ref().is_some_and(|validity| validity.limit_mm.is_some());
         let holds_for = match &result.validity {
             Some(validity) => validity.to_string(),
             None => format!("for this tool: U = {expanded} (k = {k})"),

@@ -12,6 +12,8 @@ use crate::robot::{Payload, Robot, season_k};
 /// Number and seed of the poses over which the growth of the uncertainty is taken, uniform within the axis limits.
 const POSES: usize = 300;
 const SEED: u64 = 1;
+/// Characters of a day without its time, as in 2026-03-01.
+const DAY: usize = 10;
 /// Resolution of the time that is sought, months.
 const MONTHS_RESOLUTION: f64 = 0.02;
 
@@ -108,7 +110,10 @@ impl fmt::Display for Validity {
             (Some(limit_mm), _) => {
                 write!(out, ": U = {now_mm:.2} mm (k = 2) at first, at most {limit_mm:.2} mm until then")?
             }
-            (None, Some(day)) => return write!(out, ": U = {now_mm:.2} mm (k = 2) on {day}"),
+            (None, Some(measured)) => {
+                let day = measured.get(..DAY).unwrap_or(measured);
+                return write!(out, ": U = {now_mm:.2} mm (k = 2) on {day}");
+            }
             (None, None) => return write!(out, ": U = {now_mm:.2} mm (k = 2) on the day of the measurement"),
         }
         match self.basis {
@@ -179,6 +184,8 @@ mod tests {
         let bare = of(None);
         assert_eq!((bare.limit_mm, bare.months, &bare.until), (None, None, &None));
         assert!(bare.to_string().ends_with("mm (k = 2) on 2026-03-01"), "{bare}");
+        let at_noon = Validity { measured: Some("2026-03-01T12:00:00Z".into()), ..bare.clone() };
+        assert_eq!(at_noon.to_string(), bare.to_string());
         // A better calibration is valid for as long or longer.
         let better = identified(30e-6);
         let tolerance = Some(ValidityLimit::Tolerance(found.limit_mm.unwrap()));
