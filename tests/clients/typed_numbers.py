@@ -747,11 +747,11 @@ def home_row(person, robot):
 # What each decision makes of the other steps and documents: the verdict of the check and of the result, the states of the steps
 # Correct and Certificate before a certificate is made, and the words of `dbbd info` for the identified robot.
 DECIDED = {
-    "pass": ("pass", "pass", None), "unchanged": ("pass", "pass", None), "undecided": ("undecided", "undecided", "its last check decided nothing"),
+    "pass": ("pass", "pass", None), "unchanged": ("pass", "none", None), "undecided": ("undecided", "undecided", "its last check decided nothing"),
     "fail": ("fail", "fail", "its last check failed"), "changed": ("fail", "fail", "its last check failed"),
 }
 # The shapes of the verdicts in the reports.
-WORDS = {"pass": "✓", "fail": "✕", "undecided": "?"}
+WORDS = {"pass": "✓", "none": "•", "fail": "✕", "undecided": "?"}
 
 
 def states(browser):
@@ -814,7 +814,7 @@ def decided(english, german, at, tolerance, decision):
     certificate = (at / "certificate/certificate.html").read_text()
     assert certificate.count("SPECIMEN") >= 4 and "traceable to the SI" not in certificate
     statement = re.sub(r"<[^>]+>", " ", certificate.partition("Statement</h2>")[2])[:400]
-    assert {"pass": "Valid", "undecided": "Undecided", "fail": "Not valid"}[of_result] in statement, (decision, statement)
+    assert {"pass": "Valid", "none": "Identified", "undecided": "Undecided", "fail": "Not valid"}[of_result] in statement, (decision, statement)
     # Without being asked for a specimen the command line refuses.
     refused = dbbd(at, "certificate", "result", "--check", "check", "--out", "never", allowed=(1,))
     assert "E2008" in refused.stderr and not (at / "never").exists()
