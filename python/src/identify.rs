@@ -13,6 +13,7 @@ use dbbd_model::design::calibrate;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{AngleSource, CompletedCalibration, ErrorModel, Input, Options, Positions};
 use dbbd_model::measurement::{ApproachedPose, LengthModel};
+use dbbd_model::plausibility::Quantity;
 use dbbd_model::robot::RobotFinding;
 use dbbd_model::robot::parameter::SetUpCounts;
 use dbbd_model::robot::{AXES, AxisAngles, ParamId};
@@ -264,6 +265,12 @@ pub(crate) fn identify<'py>(
     robot.check_tool().map_err(failed)?;
     let balls = balls_mm.as_ref().map_or(Ok(Vec::new()), balls)?;
     findings.extend(checked(&lengths, &robot, &balls)?);
+    for (key, value, quantity) in [
+        ("bar_u_mm", bar_u_mm, Quantity::StandardLengthUncertainty),
+        ("tolerance_mm", tolerance_mm, Quantity::PositionTolerance),
+    ] {
+        value.map_or(Ok(()), |value| quantity.check(key, value)).map_err(failed)?;
+    }
     let mut measured = stated_conditions(measured, temperature_c)?;
     let robot = aged(&robot, &mut measured);
     let rest = Options {

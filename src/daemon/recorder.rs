@@ -278,7 +278,7 @@ impl SilentTime {
         let of_bar_s = watched_s.min(since_s);
         let of_computer_s = since_s - of_bar_s;
         let limit_s = self.limit_s.unwrap_or(f64::INFINITY).max(min_s);
-        let beyond = |s: f64, least_s: f64| if s > least_s { s } else { 0.0 };
+        let beyond = |s: f64, min_s: f64| if s > min_s { s } else { 0.0 };
         self.add(
             last,
             Times {

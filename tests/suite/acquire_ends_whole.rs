@@ -395,15 +395,7 @@ fn is_counted(name: &str, refused: usize, recorded_to: usize, sent: usize) {
 /// A machine whose threads wake up so late stood still itself, s: then its reader may be as late, and the verdict that it did is right.
 const STOOD_STILL_S: f64 = 0.5 * BEFORE_END_S;
 /// A case is begun so often where the machine stood still.
-const TRIES: u32 = 10;
-
-/// Whether more threads want to run than there are processors: then another process may wait longer than this one.
-fn is_busy() -> bool {
-    let load = fs::read_to_string("/proc/loadavg").unwrap_or_default();
-    let load: Option<f64> = load.split(' ').next().and_then(|load| load.parse().ok());
-    let processors = std::thread::available_parallelism().map_or(1.0, |processors| processors.get() as f64);
-    load.is_some_and(|load| load > processors)
-}
+const TRIES: u32 = 3;
 
 /// Runs each case, so many at a time: a case sleeps for most of its time. One that fails on a machine that is busy or stood still says
 /// nothing, and is begun again.
@@ -414,7 +406,7 @@ fn side_by_side<T: Sync>(at_once: usize, cases: &[T], case: impl Fn(&T) + Sync) 
         for tried in 1.. {
             let begun = clock::now();
             let failed = catch_unwind(AssertUnwindSafe(|| case(one))).err();
-            let stood_still = *last_still.lock().unwrap() > begun || is_busy();
+            let stood_still = *last_still.lock().unwrap() > begun;
             match failed {
                 Some(failed) if !stood_still || tried == TRIES => return Some(failed),
                 Some(_) => {}

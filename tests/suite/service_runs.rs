@@ -130,6 +130,26 @@ fn resting(name: &str) -> String {
     port
 }
 
+/// A simulated cell in place of the service's own bar: its bar speaks the protocol of its plan, and its run is simulated.
+#[test]
+fn a_simulated_cell_has_a_bar_of_its_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    plan(at);
+    let port = resting("usdigital-qsb");
+    let config = format!("[device]\nport = \"{port}\"\nprotocol = \"usdigital-qsb\"\n");
+    let server = Server::start(at, &config);
+    server.wait("/api/v1/status", |status| status["state"] == "idle");
+    let start = "{\"name\":\"demo\",\"plan\":\"plan\",\"speed\":50}";
+    assert_eq!(server.post("/api/v1/run", start).status, 201);
+    server.wait("/api/v1/status", |status| status["run"]["samples"].as_u64() > Some(100));
+    assert_eq!(server.post("/api/v1/run/stop", "").status, 202);
+    server.wait("/api/v1/status", |status| status["run"].is_null());
+    let info = cell::dbbd(at, &["info", "dbbd-runs/demo/run.dbbd", "--json"]);
+    let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
+    assert_eq!(info["origin"], "simulated", "{info}");
+}
+
 #[test]
 fn operator_actions_before_a_run_are_in_its_capture() {
     let dir = tempfile::tempdir().unwrap();

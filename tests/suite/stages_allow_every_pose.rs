@@ -9,7 +9,7 @@ use dbbd_job::program::krl::{self, Options, Program};
 use dbbd_job::sim::world::WorldSetup;
 use dbbd_job::sim::{SimulatedController, World, truth};
 use dbbd_model::measurement::{Measurement, Measurements, PreparedMeasurement};
-use dbbd_model::robot::{AxisAngles, PayloadId, Robot, TargetId};
+use dbbd_model::robot::Robot;
 use tempfile::tempdir;
 
 use crate::cell::{codes, kr60};
@@ -76,18 +76,8 @@ pub(crate) fn execute(plan: &Plan, cell: &Cell, seed: u64) -> (f64, Vec<Prepared
 
 /// Readings as a table has them, measured one after the other.
 pub(crate) fn table(readings: &[PreparedMeasurement]) -> Measurements {
-    let row = |(index, reading): (u32, &PreparedMeasurement)| Measurement {
-        index,
-        datum: reading.datum,
-        target: TargetId::FIRST,
-        axes: AxisAngles::from_degrees(reading.axes.map(f64::to_degrees)),
-        approach: reading.approach,
-        length_mm: reading.length_mm,
-        sigma_mm: None,
-        payload: PayloadId::FIRST,
-        context: None,
-    };
-    Measurements { rows: (1..).zip(readings).map(row).collect(), ..Measurements::default() }
+    let rows = (1..).zip(readings).map(|(index, one)| Measurement::of_prepared(index, one)).collect();
+    Measurements { rows, ..Measurements::default() }
 }
 
 /// What became of one robot.

@@ -87,7 +87,10 @@ fn position(result: &CalibrationResult) -> Vec<String> {
         format!("predicted orientation error of the flange: mean {before:.2} -> {after:.2} mrad")
     }));
     let validity = result.validity.iter().filter(|_| !result.has_warnings() && result.converged);
-    lines.extend(validity.map(|validity| format!("valid {validity}")));
+    lines.extend(validity.map(|validity| {
+        let word = if validity.limit_mm.is_some() { "valid" } else { "identified" };
+        format!("{word} {validity}")
+    }));
     lines
 }
 

@@ -20,7 +20,7 @@ use dbbd_model::estimation::{
 };
 use dbbd_model::measurement::{LengthModel, Measurement, PreparedMeasurement};
 use dbbd_model::robot::inverse::clearance;
-use dbbd_model::robot::{AXES, Approach, AxisAngles, PayloadId, Robot, TargetId};
+use dbbd_model::robot::{AXES, Approach, Robot};
 
 /// Poses over which the 3-D error is taken, as in an identification.
 const PREDICTION_WORKSPACE_POSES: usize = 2000;
@@ -164,18 +164,10 @@ impl PlanPrediction {
 fn planned_lengths(job: &Job, rows: &[PlanRow], model: &LengthModel) -> Vec<Measurement> {
     let model = model.prepare();
     let length = |(row, approach): (&PlanRow, Approach)| {
-        let reading = PreparedMeasurement { approach, ..row.reading(&job.bar) };
-        Measurement {
-            index: row.index,
-            datum: reading.datum,
-            target: TargetId::FIRST,
-            axes: AxisAngles::from_degrees(row.axes_deg),
-            approach,
-            length_mm: model.length(&reading),
-            sigma_mm: Some(job.bar.sigma_um * 1e-3),
-            payload: PayloadId::FIRST,
-            context: None,
-        }
+        let mut reading = PreparedMeasurement { approach, force_n: 0.0, ..row.reading(&job.bar) };
+        reading.length_mm = model.length(&reading);
+        let sigma_mm = Some(job.bar.sigma_um * 1e-3);
+        Measurement { sigma_mm, ..Measurement::of_prepared(row.index, &reading) }
     };
     let with_approach = rows.iter().zip(approaches(rows));
     with_approach.filter(|(row, _)| row.kind != PoseKind::Transit).map(length).collect()

@@ -70,9 +70,7 @@ impl<'a> Input<'a> {
     /// # Errors
     /// A number is not finite, or there is nothing to estimate.
     pub fn fit(&self) -> Result<LengthModel, EstimationFinding> {
-        let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
-        let setting = self.setting();
-        Ok(estimate(&setting, &lengths, &setting.asked())?.fit.model)
+        Ok(self.estimate()?.fit.model)
     }
 
     /// The posterior of the robot, its set-up and the bars, with the prior of what the lengths do not show.
@@ -80,52 +78,45 @@ impl<'a> Input<'a> {
     /// # Errors
     /// A number is not finite, or there is nothing to estimate.
     pub fn posterior(&self) -> Result<Posterior, EstimationFinding> {
-        let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
-        let setting = self.setting();
-        let found = estimate(&setting, &lengths, &setting.asked())?;
+        let found = self.estimate()?;
         // A parameter that no length shows is as before, and so is a further ball. The place of the robot's base, which only the
         // balls show, is where it is stated: its error is that of the balls.
         let is_unseen = |id: &ParamId| matches!(id, ParamId::Ball(..)) || found.analysis.zero().contains(id);
-        let mut all = Posterior::parameters_of_prior(self.robot, self.start.balls.len(), &setting.priors);
+        let priors = self.setting().priors;
+        let mut all = Posterior::parameters_of_prior(self.robot, self.start.balls.len(), &priors);
         all.retain(|(id, _)| is_unseen(id));
         let known = RobotUncertainty {
             parameters: found.kept.clone(),
             root: found.root.clone(),
             ..found.uncertainty(self.robot)
         };
-        let known = compressed(
-            &found.fit.model,
-            &known,
-            &compressing_poses(&self.options.workspace_poses(self.robot), &lengths),
-        );
+        let by = compressing_poses(&self.options.workspace_poses(self.robot), &self.lengths());
+        let known = compressed(&found.fit.model, &known, &by);
         let posterior = Posterior::with_root(found.fit.model, &known.parameters, known.root.clone());
         Ok(posterior.with_errors_of_pose(&known).with_parameters(&all))
     }
 
-    /// The estimate of the lengths that were measured; `None` without any.
-    pub(super) fn estimate(&self) -> Result<Option<Estimate>, EstimationFinding> {
-        if self.observations.rows.is_empty() {
-            return Ok(None);
-        }
-        let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
+    pub(super) fn estimate(&self) -> Result<Estimate, EstimationFinding> {
         let setting = self.setting();
-        estimate(&setting, &lengths, &setting.asked()).map(Some)
+        estimate(&setting, &self.lengths(), &setting.asked())
+    }
+
+    fn lengths(&self) -> Lengths<'a> {
+        Lengths::of(&self.observations.rows, self.options, self.robot)
     }
 
     /// The position uncertainty over the workspace that an identification of these lengths states with an estimate of them, mm;
     /// without an estimate that before any length.
     pub(super) fn stated_position_mm(&self, found: Option<&Estimate>) -> ErrorSummary {
-        let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
         match found {
-            Some(found) => IdentifiedPositions::of(&self.setting(), found, &lengths).summary,
+            Some(found) => IdentifiedPositions::of(&self.setting(), found, &self.lengths()).summary,
             None => position_before(&self.setting()),
         }
     }
 
     /// What an identification of these lengths is expected to state after the estimate `before` of some of them.
     pub(super) fn forecast(&self, before: Option<&Estimate>) -> Result<Forecast, EstimationFinding> {
-        let lengths = Lengths::of(&self.observations.rows, self.options, self.robot);
-        let setting = self.setting();
+        let (setting, lengths) = (self.setting(), self.lengths());
         let expected = forecast(&setting, &lengths, &setting.asked(), before)?;
         let IdentifiedPositions { summary, map, .. } = IdentifiedPositions::of(&setting, &expected, &lengths);
         let posterior = Posterior::with_root(expected.fit.model, &expected.kept, expected.root);
@@ -290,10 +281,11 @@ impl<'a> Calibration<'a> {
             monte_carlo: checks.monte_carlo,
             predicted_position_uncertainty_mm: prediction.pair,
             predicted_orientation_uncertainty_mrad: Some(prediction.orientation),
-            validity: {
-                let limit = setting.options.tolerance_mm.map(ValidityLimit::Tolerance);
-                Validity::of(&robot, limit, &prediction.map)
-            },
+            validity: Validity::of(
+                &robot,
+                setting.options.tolerance_mm.map(ValidityLimit::Tolerance),
+                &prediction.map,
+            ),
             parameters: self.parameters,
             combinations: estimate.analysis.combinations(),
             correlated,

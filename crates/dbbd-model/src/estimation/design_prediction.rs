@@ -41,7 +41,9 @@ impl<'a> PlannedLengths<'a> {
     /// # Errors
     /// The measured lengths have no estimate.
     pub fn new(measured: Input<'a>, planned: &'a [Measurement]) -> Result<Self, EstimationFinding> {
-        Ok(Self { estimate: measured.estimate()?, measured, planned })
+        let is_first = measured.observations.rows.is_empty();
+        let estimate = if is_first { None } else { Some(measured.estimate()?) };
+        Ok(Self { measured, estimate, planned })
     }
 
     /// The same lengths, with the position error over other poses by these options.

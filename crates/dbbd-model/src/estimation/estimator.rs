@@ -94,8 +94,6 @@ pub(crate) struct Estimate {
     pub(super) groups: Vec<GroupEvidence>,
     /// How far the data determine each unknown, from 0 to 1.
     determined: Vec<f64>,
-    /// Number of unknowns that the data determine.
-    pub(super) effective_parameters: f64,
     pub(super) noise: LengthNoise<'static>,
     pub(super) hypers: Hypers,
     /// The hyper-parameters with which the uncertainty is computed.
@@ -247,7 +245,7 @@ fn with_outliers(
         // With errors of the joints the residuals are smaller: outliers appear that the geometry alone hides.
         let corrected = found.corrected(lengths);
         let all = corrected.weighted(Sigma::Given, &[]);
-        let out = outliers(&all, &found.fit.model, found.effective_parameters as usize);
+        let out = outliers(&all, &found.fit.model, found.effective_parameters() as usize);
         if round == OUTLIER_ROUNDS || out == found.fit.outliers || lengths.len() > MAX_WHOLE {
             return Ok(found);
         }
@@ -802,7 +800,6 @@ impl<'a> Search<'a> {
             of_prior: of_prior(system, &all, &cautious),
             groups: Vec::new(),
             determined,
-            effective_parameters,
             noise: LengthNoise { pose_mm: sigma_mm, length_mm: shape.own.sd(), joints: None },
             hypers,
             cautious,
@@ -901,6 +898,11 @@ fn sd_of(group: Group, hypers: &Hypers, shape: NoiseShape) -> f64 {
 }
 
 impl Estimate {
+    /// Number of unknowns that the data determine.
+    pub(super) fn effective_parameters(&self) -> f64 {
+        self.determined.iter().sum()
+    }
+
     /// The prior standard deviation of a parameter; `None` if it is free or not estimated.
     pub(super) fn prior_sd(&self, id: ParamId) -> Option<f64> {
         self.prior_sds[self.kept.iter().position(|kept| *kept == id)?]

@@ -166,7 +166,7 @@ fn outliers(outliers: usize, lengths: usize) -> Option<EstimationFinding> {
 fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
     let (estimate, lengths) = (&of.estimate, &of.lengths);
     let used = lengths.weighted(Sigma::Given, &estimate.fit.outliers);
-    let parameters = of.estimate.effective_parameters;
+    let parameters = of.estimate.effective_parameters();
     let freedom = used.count() as f64 - parameters;
     if freedom < 1.0 {
         return Some(EstimationFinding::NoFreedom { lengths: used.count(), parameters });

@@ -582,8 +582,8 @@ mod tests {
     use super::super::tests::cell_of_poses::{hypers, model, normals, readings};
     use super::*;
     use crate::estimation::Options;
-    use crate::measurement::{Measurement, PreparedMeasurement, TargetId, Tracker};
-    use crate::robot::{AxisAngles, Coordinate, ParamId, PayloadId};
+    use crate::measurement::{Measurement, PreparedMeasurement, Tracker};
+    use crate::robot::{Coordinate, ParamId};
     use crate::test_support::cell::kr60;
 
     const SIGMA_MM: f64 = 0.03;
@@ -591,18 +591,7 @@ mod tests {
 
     /// Rows of readings as a table has them, measured one after the other.
     fn table(readings: &[PreparedMeasurement]) -> Vec<Measurement> {
-        let row = |(index, reading): (u32, &PreparedMeasurement)| Measurement {
-            index,
-            datum: reading.datum,
-            target: TargetId::FIRST,
-            axes: AxisAngles::from_degrees(reading.axes.map(f64::to_degrees)),
-            approach: reading.approach,
-            length_mm: reading.length_mm,
-            sigma_mm: None,
-            payload: PayloadId::FIRST,
-            context: None,
-        };
-        (1..).zip(readings).map(row).collect()
+        (1..).zip(readings).map(|(index, one)| Measurement::of_prepared(index, one)).collect()
     }
 
     fn pose_rows(model: &LengthModel, lengths: &Lengths, ids: &[ParamId]) -> PoseRows {

@@ -62,6 +62,7 @@ pub(super) struct IdentifiedPositions {
 }
 
 impl IdentifiedPositions {
+    /// With the uncertainty as the robot's file will have it, over the workspace of the options.
     pub(super) fn of(setting: &Setting<'_>, estimate: &Estimate, lengths: &Lengths) -> Self {
         let model = &estimate.fit.model;
         let axes = setting.options.workspace_poses(setting.robot);

@@ -397,8 +397,8 @@ mod tests {
     use super::super::options::Options;
     use super::super::tests::cell_of_poses::{base_balls, hypers, model, normals, pose, readings};
     use super::*;
-    use crate::measurement::{Measurement, PreparedMeasurement, TargetId};
-    use crate::robot::{AxisAngles, BallId, Coordinate, Joint, PayloadId};
+    use crate::measurement::{Measurement, PreparedMeasurement};
+    use crate::robot::{BallId, Coordinate, Joint};
     use crate::test_support::cell::kr60;
 
     fn poses(count: usize) -> Vec<[f64; AXES]> {
@@ -432,18 +432,7 @@ mod tests {
 
     /// Rows of readings as a table has them, measured one after the other.
     fn table(readings: &[PreparedMeasurement]) -> Vec<Measurement> {
-        let row = |(index, reading): (u32, &PreparedMeasurement)| Measurement {
-            index,
-            datum: reading.datum,
-            target: TargetId::FIRST,
-            axes: AxisAngles::from_degrees(reading.axes.map(f64::to_degrees)),
-            approach: reading.approach,
-            length_mm: reading.length_mm,
-            sigma_mm: None,
-            payload: PayloadId::FIRST,
-            context: None,
-        };
-        (1..).zip(readings).map(row).collect()
+        (1..).zip(readings).map(|(index, one)| Measurement::of_prepared(index, one)).collect()
     }
 
     fn known(

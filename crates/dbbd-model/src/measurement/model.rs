@@ -6,8 +6,8 @@ use nalgebra::Vector3;
 use super::{BaseBall, MeasuredPosition, Measurement, Measurements, Tracker};
 use crate::math::map_pieces;
 use crate::robot::{
-    AXES, Approach, AxesAtPose, BallId, BarId, Datum, FurtherColumns, Geometry, JointSinCos, KinematicChain,
-    LengthRow, ParamId, ParamOwner, PayloadId, TargetId, TrackerPlane,
+    AXES, Approach, AxesAtPose, AxisAngles, BallId, BarId, Datum, FurtherColumns, Geometry, JointSinCos,
+    KinematicChain, LengthRow, ParamId, ParamOwner, PayloadId, TargetId, TrackerPlane,
 };
 
 /// The position of a ball, target or tracker that the model does not have.
@@ -49,6 +49,15 @@ impl PreparedMeasurement {
         let (datum, target) = (Datum::Ball(ball, BarId::FIRST), TargetId::FIRST);
         let (approach, payload) = (Approach::default(), PayloadId::FIRST);
         Self { axes, sin_cos, approach, datum, target, payload, length_mm, force_n: 0.0 }
+    }
+}
+
+impl Measurement {
+    /// A prepared length as a row of a table, without a standard deviation of its own, a time or the pull of the bar.
+    pub fn of_prepared(index: u32, length: &PreparedMeasurement) -> Self {
+        let &PreparedMeasurement { datum, target, payload, length_mm, approach, .. } = length;
+        let axes = AxisAngles::from_degrees(length.axes.map(f64::to_degrees));
+        Self { index, datum, target, axes, approach, length_mm, sigma_mm: None, payload, context: None }
     }
 }
 

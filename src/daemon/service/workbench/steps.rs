@@ -882,19 +882,16 @@ mod tests {
     fn a_decision_travels_to_every_step() {
         let mut files = WorkFiles { plans: vec![planned(true), planned(false)], ..job() };
         (files.runs, files.result) = (vec![run("c", 50)], identified(30));
-        files.programs.uploaded = Some(FoundDirectory {
-            files: vec!["a.src".into()],
-            times_ms: vec![40],
-            ..FoundDirectory::default()
-        });
+        let uploaded =
+            FoundDirectory { files: vec!["a.src".into()], times_ms: vec![40], ..FoundDirectory::default() };
+        files.programs.uploaded = Some(uploaded.clone());
         let texts = |files: &WorkFiles| [5, 6, 7, 8].map(|at| seen(files, &[], None)[at].text);
         let states = |files: &WorkFiles| [5, 6, 7, 8].map(|at| seen(files, &[], None)[at].state);
         let usable = ["result.found", "correct.uploaded", "check.none", "certificate.none"];
         assert_eq!(texts(&files), usable);
-        let mut checked = |decision: &str, tolerance_mm: Option<f64>| {
-            let content = json!({ "decision": decision, "tolerance_mm": tolerance_mm });
-            files.check = FoundCheck::Of(FoundDocument { directory: directory("check", 60), content });
-            (texts(&files), states(&files))
+        let checked = |files: &mut WorkFiles, decision: &str, tolerance_mm: Option<f64>| {
+            files.check = found_check(json!({ "decision": decision, "tolerance_mm": tolerance_mm }));
+            (texts(files), states(files))
         };
         use StepState::{Attention as A, Done as D, Ready as R};
         for (decision, tolerance_mm, text) in
@@ -902,22 +899,69 @@ mod tests {
         {
             let [.., certificate] = usable;
             let expected = ["result.found", "correct.uploaded", text, certificate];
-            assert_eq!(checked(decision, tolerance_mm), (expected, [D, R, D, R]));
+            assert_eq!(checked(&mut files, decision, tolerance_mm), (expected, [D, R, D, R]));
         }
         for (decision, tolerance_mm, text) in
             [("fail", Some(1.0), "check.fail"), ("changed", None, "check.changed")]
         {
             let expected = ["result.failed", "correct.failed", text, "certificate.failed"];
-            assert_eq!(checked(decision, tolerance_mm), (expected, [A, A, A, A]));
+            assert_eq!(checked(&mut files, decision, tolerance_mm), (expected, [A, A, A, A]));
         }
+        // Also where no program was uploaded yet, and where each was corrected before the check.
+        files.programs.corrected = Some(FoundDirectory { times_ms: vec![55], ..uploaded.clone() });
+        assert_eq!(seen(&files, &[], None)[6].text, "correct.failed");
+        (files.programs.uploaded, files.programs.corrected) = (None, None);
+        let correct = &seen(&files, &[], None)[6];
+        assert_eq!((correct.text, correct.label), ("correct.failed", "act.upload"));
+        files.programs.uploaded = Some(uploaded);
         let expected = ["result.undecided", "correct.uploaded", "check.undecided", "certificate.none"];
-        assert_eq!(checked("undecided", Some(1.0)), (expected, [D, R, A, R]));
+        assert_eq!(checked(&mut files, "undecided", Some(1.0)), (expected, [D, R, A, R]));
         // A certificate that was made before the check does not state it.
         files.certificate = Some(directory("certificate", 55));
         assert_eq!(seen(&files, &[], None)[8].text, "certificate.stale");
         // A check of another calibration does not count.
         (files.check, files.certificate) = (FoundCheck::OfOther, None);
         assert_eq!(texts(&files), ["result.found", "correct.uploaded", "check.stale", "certificate.none"]);
+    }
+
+    fn found_check(content: Value) -> FoundCheck {
+        FoundCheck::Of(FoundDocument { directory: directory("check", 60), content })
+    }
+
+    /// A check with simulated readings of a robot with measured ones makes the certificate a specimen.
+    #[test]
+    fn a_simulated_check_makes_a_specimen() {
+        let mut files = WorkFiles { result: identified(30), ..job() };
+        let certificate = |files: &WorkFiles| {
+            let step = seen(files, &[], None).swap_remove(8);
+            (step.text, step.command.contains("--specimen"))
+        };
+        assert_eq!(certificate(&files), ("certificate.none", false));
+        for (origin, expected) in
+            [("simulated", ("certificate.simulated", true)), ("measured", ("certificate.none", false))]
+        {
+            let capture = json!({ "role": "capture", "name": "c.dbbd", "sha256": "aa", "origin": origin });
+            let provenance = json!({ "from": [capture] });
+            files.check = found_check(json!({ "decision": "unchanged", "provenance": provenance }));
+            assert_eq!(certificate(&files), expected, "{origin}");
+        }
+    }
+
+    /// The tolerance of a check is that of its plan until it is decided, and then that of the decision.
+    #[test]
+    fn commands_of_a_check_have_its_tolerance() {
+        let of_plan = FoundPlan { tolerance_mm: Some(0.8), ..planned(true) };
+        let mut files = WorkFiles { plans: vec![of_plan, planned(false)], ..job() };
+        files.result = identified(30);
+        let check = |files: &WorkFiles| seen(files, &[], None).swap_remove(7);
+        assert_eq!(check(&files).values["tolerance_mm"].as_f64(), Some(0.8));
+        files.runs = vec![run("c", 50)];
+        assert!(check(&files).command.contains(" --tolerance 0.8 --out check"), "{}", check(&files).command);
+        files.check = found_check(json!({ "decision": "pass", "tolerance_mm": 1.5 }));
+        assert!(check(&files).command.contains(" --tolerance 1.5 "));
+        files.check = found_check(json!({ "decision": "unchanged" }));
+        files.plans[0].tolerance_mm = None;
+        assert!(!check(&files).command.contains("--tolerance"));
     }
 
     #[test]
@@ -942,6 +986,10 @@ mod tests {
         let mut files = WorkFiles { plans: vec![planned(false)], ..job() };
         files.plans[0].directory.findings = vec![warning];
         assert_eq!(seen(&files, &[], None)[2].findings.len(), 1);
+        // Of a plan that is to be made again they say nothing any more.
+        files.job.as_mut().unwrap().sha256 = Some("bb".into());
+        let plan = &seen(&files, &[], None)[2];
+        assert_eq!((plan.text, plan.findings.len()), ("plan.stale", 0));
     }
 
     #[test]
