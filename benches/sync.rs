@@ -21,8 +21,8 @@ const SAMPLES: u64 = 3_600_000;
 
 /// The demonstration's circles with 240 points each, driven once: 750 dwells fill most of the hour.
 fn run() -> (Plan, SampleStream) {
-    let text = include_str!("../examples/demo.toml").replace("points = 80", "points = 240");
-    let job = Job::from_toml("demo.toml", &text).expect("reads");
+    let text = include_str!("../examples/circles.toml").replace("points = 80", "points = 240");
+    let job = Job::from_toml("circles.toml", &text).expect("reads");
     let plan = Plan::build(
         &job,
         &Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).expect("built in").expect("reads"),

@@ -28,14 +28,14 @@ fi
 rm -f "$WINEPREFIX/dosdevices/z:"
 cell=$WINEPREFIX/drive_c/cell
 mkdir "$cell"
-cp -r target/$target/release/dbbd.exe examples/demo.toml examples/paper "$cell/"
+cp -r target/$target/release/dbbd.exe examples/circles.toml examples/paper "$cell/"
 cd "$cell"
 # Output goes to files: wine holds pipes open.
 dbbd() { wine 'C:\cell\dbbd.exe' "$@" >"$work/out" 2>"$work/err" </dev/null || { code=$?; [ $code = 3 ] || { cat "$work/err"; echo "FAILED ($code): dbbd $*"; exit 1; }; }; }
 step() { echo "$(date +%T) $*"; }
 
 step "plan, krl"
-dbbd plan demo.toml --out plan
+dbbd plan circles.toml --out plan
 dbbd krl 'plan\plan.csv' --out krl
 grep -q "DEF DBB_MAIN" krl/DBB_MAIN.src
 

@@ -114,7 +114,7 @@ fn measured(arguments: &[&str]) -> [f64; 3] {
 /// Writes a capture of so many samples into `directory`, with the plan that it was recorded with.
 fn record(directory: &Path, samples: u64) -> String {
     let path = |name: &str| directory.join(name).to_str().unwrap().to_owned();
-    let job = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/demo.toml");
+    let job = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/circles.toml");
     measured(&["plan", job, "--out", &path("plan")]);
     write(Path::new(&path("run")), &directory.join("plan/plan.csv"), samples);
     path("run")

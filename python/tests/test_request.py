@@ -52,7 +52,7 @@ REQUESTS = [
 def filled(folder):
     folder.mkdir()
     shutil.copy(ROOT / "fixtures" / "captures" / "run.dbbd", folder)
-    job = (ROOT / "examples" / "demo.toml").read_text().replace("points = 80", "points = 12")
+    job = (ROOT / "examples" / "circles.toml").read_text().replace("points = 80", "points = 12")
     (folder / "job.toml").write_text(job)
     (folder / "P.src").write_text(PROGRAM)
     return folder

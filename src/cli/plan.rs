@@ -100,9 +100,10 @@ pub(super) fn request(args: &PlanArgs) -> Request {
 
 pub(super) fn show(out: &CommandOutput, document: &PlanDocument, directory: &Path) {
     let plan = &document.plan;
-    out.result(format!("plan {} for {}", plan.header.hash, document.robot));
     out.result(format!(
-        "{} poses to measure, {} visits of a reference pose, {} module(s); {:.1} min at full override",
+        "plan {} for {}: {} poses to measure, {} visits of a reference pose, {} module(s); {:.1} min at full override",
+        plan.header.hash,
+        document.robot,
         document.count(PoseKind::Measure),
         document.count(PoseKind::Reference),
         plan.rows.last().map_or(0, |row| row.circle),
@@ -113,9 +114,10 @@ pub(super) fn show(out: &CommandOutput, document: &PlanDocument, directory: &Pat
             "the flange carries `{payload}` during the run: mount it, and tell the controller"
         ));
     }
-    out.result("worst of what was checked along the whole path:");
+    plan.header.predictions.iter().map(headline).for_each(|line| out.result(line));
+    out.detail("worst of what was checked along the whole path:");
     for check in &plan.header.checks {
-        out.result(format!("  {check}"));
+        out.detail(format!("  {check}"));
     }
     for ball in &plan.header.taught {
         let angles = ball.axes_deg.map(|angle| format!("{angle:.4}")).join(", ");
@@ -124,12 +126,20 @@ pub(super) fn show(out: &CommandOutput, document: &PlanDocument, directory: &Pat
             ball.centre
         ));
     }
-    plan.header.predictions.iter().flat_map(prediction_lines).for_each(|line| out.result(line));
+    plan.header.predictions.iter().flat_map(prediction_lines).for_each(|line| out.detail(line));
     plan.header.check.iter().flat_map(check_power_lines).for_each(|line| out.result(line));
     out.progress(format!("wrote plan.csv, plan.json, plan.html and centres.csv to {}", directory.display()));
 }
 
-/// A prediction on the terminal.
+/// How far off the tool ball is now, and is expected to be after the identification.
+fn headline(prediction: &PlanPrediction) -> String {
+    format!(
+        "mean error of the tool ball over the workspace: {:.3} mm now, {:.3} mm expected after",
+        prediction.now_mm.mean, prediction.identified_mm.mean
+    )
+}
+
+/// What else a prediction states.
 fn prediction_lines(prediction: &PlanPrediction) -> Vec<String> {
     let count =
         |of: Identifiability| prediction.parameters.iter().filter(|p| p.identifiability == of).count();
@@ -144,8 +154,8 @@ fn prediction_lines(prediction: &PlanPrediction) -> Vec<String> {
             count(Identifiability::PoorlyObservable)
         ),
         format!(
-            "predicted position uncertainty over the workspace: mean {:.3} mm -> {:.3} mm, 95 % {:.3} -> {:.3} mm",
-            now.mean, then.mean, now.p95, then.p95
+            "predicted position uncertainty over the workspace: 95 % {:.3} mm -> {:.3} mm",
+            now.p95, then.p95
         ),
     ];
     lines.extend(

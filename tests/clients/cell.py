@@ -7,7 +7,7 @@ import subprocess
 import tempfile
 import time
 
-JOB = pathlib.Path(__file__).parents[2] / "examples" / "demo.toml"
+JOB = pathlib.Path(__file__).parents[2] / "examples" / "circles.toml"
 WORLD = "[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nrate_hz = 1000.0\n"
 
 

@@ -32,7 +32,7 @@ STORIES = [("desktop", "en", "light"), ("phone", "de", "dark"), ("desktop", "de"
 def prepare(cell):
     shutil.rmtree(cell, ignore_errors=True)
     cell.mkdir(parents=True)
-    job = (ROOT / "examples/demo.toml").read_text().replace("points = 80", "points = 24")
+    job = (ROOT / "examples/circles.toml").read_text().replace("points = 80", "points = 24")
     (cell / "job.toml").write_text(job)
     (cell / "dbbd.toml").write_text('address = "127.0.0.1:0"\n[device]\nport = "bar"\n')
     for step in (["plan", "job.toml", "--out", "plan"], ["krl", "plan/plan.csv", "--out", "krl"]):

@@ -17,7 +17,7 @@ import time
 
 DBBD = pathlib.Path(sys.argv[1]).resolve()
 SECONDS = float(sys.argv[2]) if len(sys.argv) > 2 else 3600.0
-JOB = pathlib.Path(__file__).parents[2] / "examples" / "demo.toml"
+JOB = pathlib.Path(__file__).parents[2] / "examples" / "circles.toml"
 WORLD = "[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nrate_hz = 1000.0\n"
 
 

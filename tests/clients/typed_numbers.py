@@ -402,7 +402,7 @@ def scene(person, cell):
 def demo(cell, name="demo", truth=None):
     """A calibrated robot with its run, by the command line."""
     if not (OUT / "kept-demo").exists():
-        dbbd(OUT, "demo", "--out", "kept-demo")
+        dbbd(OUT, "demo", "--circles", "--out", "kept-demo")
         at = OUT / "kept-demo"
         dbbd(at, "plan", "--check", "job.toml", "--robot", "result/robot-identified.toml", "--out", "check-plan")
         dbbd(at, "program", "check-plan/plan.csv", "--out", "check-program")

@@ -326,7 +326,7 @@ def few(judge):
     counts = (30, 60, 100, 250)
     def work(i, bench):
         seed, shuffle = i % 8 + 1, i % 8 + 1 + 100 * (i // 8)
-        bench.call("demo", "--seed", seed, "--out", "demo")
+        bench.call("demo", "--circles", "--seed", seed, "--out", "demo")
         demo = bench.dir / "demo"
         header, *lines = (demo / "observations.csv").read_text().splitlines()
         random.Random(shuffle).shuffle(lines)

@@ -288,7 +288,7 @@ fn a_torn_capture_is_recovered_with_a_warning() {
 fn the_plan_goes_into_the_capture_and_its_last_module_ends_the_run() {
     let directory = tempfile::tempdir().unwrap();
     let path = |name: &str| directory.path().join(name).to_str().unwrap().to_owned();
-    let demo = include_str!("../../examples/demo.toml").replace("points = 80", "points = 12");
+    let demo = include_str!("../../examples/circles.toml").replace("points = 80", "points = 12");
     let (first, others) = demo.split_at(demo.rfind("[[circle]]").unwrap());
     let (first, _) = first.split_at(first.rfind("[[circle]]").unwrap());
     let (_, rest) = others.split_at(others.find("[[obstacle]]").unwrap());

@@ -7,7 +7,7 @@ use crate::process::Simulator;
 #[test]
 fn joint_backlash_is_recovered_from_a_capture() {
     let dir = tempfile::tempdir().unwrap();
-    let job = include_str!("../../examples/demo.toml");
+    let job = include_str!("../../examples/circles.toml");
     let (head, rest) = job.split_once("[[circle]]").unwrap();
     let tail = &rest[rest.find("[[obstacle]]").unwrap()..];
     let circle = "[[circle]]\ncentre = 1\nplane = \"XY\"\npoints = 72\norientation = \"fixed\"\ntilt_deg = 30.0\n\

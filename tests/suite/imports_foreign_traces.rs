@@ -16,7 +16,7 @@ fn step(dir: &Path, args: &[&str]) {
 }
 
 fn short_plan(dir: &Path) {
-    let job = include_str!("../../examples/demo.toml").replace("points = 80", "points = 12");
+    let job = include_str!("../../examples/circles.toml").replace("points = 80", "points = 12");
     fs::write(dir.join("job.toml"), job).unwrap();
     step(dir, &["plan", "job.toml", "--out", "plan"]);
 }

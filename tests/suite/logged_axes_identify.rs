@@ -32,7 +32,7 @@ fn run(at: &Path, extra: &[&str]) {
 fn logged_axes_replace_those_of_the_plan() {
     let dir = tempdir().unwrap();
     let at = dir.path();
-    let mut plan = chosen(1, 40, true);
+    let mut plan = chosen(1, 60, true);
     plan.header.job.motion.dwell_s = 0.6;
     plan.header.job.motion.settle_s = 0.3;
     plan.rows.iter_mut().filter(|row| row.dwell_s > 0.0).for_each(|row| row.dwell_s = 0.6);

@@ -229,7 +229,7 @@ fn captures_ports_and_programs() {
         "DEF P ( )\r\nPTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}\r\nFROBNICATE 3\r\nEND\r\n",
     )
     .unwrap();
-    let demo = include_str!("../../examples/demo.toml");
+    let demo = include_str!("../../examples/circles.toml");
     for (name, from, to) in [
         ("job.toml", "\"dbb-cobs-1\"", "\"dbb-cops-1\""),
         ("mistyped.toml", "robot = \"kr60ha\"", "robot = \"kr60hb\""),
@@ -242,7 +242,7 @@ fn captures_ports_and_programs() {
     fs::write(at.join("C.csv"), "centre,x_mm,y_mm,z_mm\n1,1300,0,800\n").unwrap();
     let huge: String = (0..20).map(|at| format!("{at},1,0,-60,{at},0,60,0,1e300,0.01\n")).collect();
     fs::write(at.join("huge.csv"), format!("{HEADER}{huge}")).unwrap();
-    fs::write(at.join("demo.toml"), include_str!("../../examples/demo.toml")).unwrap();
+    fs::write(at.join("circles.toml"), include_str!("../../examples/circles.toml")).unwrap();
     // Command, code, and a word of the message.
     let cases: &[(&[&str], &str, &str)] = &[
         (&["plan", "job.toml", "--out", "p"], "E0301", "did you mean `dbb-cobs-1`"),
@@ -250,7 +250,7 @@ fn captures_ports_and_programs() {
         (&["plan", "mistyped.toml", "--out", "p"], "E0503", "mistyped.toml:4:"),
         (&["plan", "elsewhere.toml", "--out", "p"], "E0101", "`robot` in elsewhere.toml:4 names this file"),
         (&["plan", "loaded.toml", "--out", "p"], "E0582", "loaded.toml:5:"),
-        (&["plan", "demo.toml", "--out", "p", "--measured", "huge.csv"], "E0721", ""),
+        (&["plan", "circles.toml", "--out", "p", "--measured", "huge.csv"], "E0721", ""),
         (&["sync", "torn.dbbd", "--out", "o.csv"], "E0405", "torn.dbbd"),
         (&["info", "nowhere.dbbd"], "E0101", "nowhere.dbbd"),
         (&["acquire", "--port", "/dev/nowhere0", "--out", "r.dbbd"], "E0201", "/dev/nowhere0"),

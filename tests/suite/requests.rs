@@ -67,7 +67,7 @@ fn requests() -> [(&'static [&'static str], Value, i32); 6] {
 fn directory() -> TempDir {
     let dir = tempdir().unwrap();
     fs::copy("fixtures/captures/run.dbbd", dir.path().join("run.dbbd")).unwrap();
-    let job = include_str!("../../examples/demo.toml").replace("points = 80", "points = 12");
+    let job = include_str!("../../examples/circles.toml").replace("points = 80", "points = 12");
     fs::write(dir.path().join("job.toml"), job).unwrap();
     fs::write(dir.path().join("P.src"), PROGRAM).unwrap();
     dir

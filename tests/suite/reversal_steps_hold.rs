@@ -21,7 +21,7 @@ const SIGMA_MM: f64 = 0.005;
 
 /// The demo with one circle: its orientation pattern and direction.
 fn job(orientation: &str, direction: &str) -> String {
-    let demo = include_str!("../../examples/demo.toml");
+    let demo = include_str!("../../examples/circles.toml");
     let (head, rest) = demo.split_once("[[circle]]").unwrap();
     let tail = &rest[rest.find("[[obstacle]]").unwrap()..];
     let circle = format!(

@@ -83,11 +83,11 @@ fn run(data: &Measurements, extra: &[&str]) -> (CalibrationResult, String, Strin
     fs::write(at("C.csv"), centres_csv(&balls())).unwrap();
     let mut args =
         vec!["identify", "obs.csv", "--robot", "loaded.toml", "--centres", "C.csv", "--out", "out"];
-    args.extend(["--folds", "0"]);
+    args.extend(["--folds", "0", "--verbose"]);
     args.extend(extra);
     let output = dbbd(dir.path(), &args);
     assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let said = stderr(&output);
     let result = serde_json::from_str(&fs::read_to_string(at("out/result.json")).unwrap()).unwrap();
     (result, said, fs::read_to_string(at("out/report.html")).unwrap())
 }

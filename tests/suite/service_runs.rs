@@ -246,7 +246,7 @@ fn a_missing_device_does_not_end_the_service() {
 
 /// The demo's plan with few points, and its programs.
 fn plan(dir: &Path) {
-    let job = include_str!("../../examples/demo.toml").replace("points = 80", "points = 12");
+    let job = include_str!("../../examples/circles.toml").replace("points = 80", "points = 12");
     fs::write(dir.join("job.toml"), job).unwrap();
     for args in [["plan", "job.toml", "--out", "plan"], ["krl", "plan/plan.csv", "--out", "krl"]] {
         let output = cell::dbbd(dir, &args);

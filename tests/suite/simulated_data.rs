@@ -29,7 +29,7 @@ fn origin(at: &Path, capture: &str) -> Value {
 fn simulated_readings_are_stated_wherever_they_lead() {
     let dir = tempdir().unwrap();
     let at = dir.path();
-    assert!(done(at, "demo --out . --quiet").iter().all(|code| code != "W1851"));
+    assert!(done(at, "demo --circles --out . --quiet").iter().all(|code| code != "W1851"));
     assert_eq!(origin(at, "run.dbbd"), "simulated");
     for file in ["observations.provenance.json", "result/result.json", "result/robot-identified.toml"] {
         assert!(fs::read_to_string(at.join(file)).unwrap().contains("simulated"), "{file}");

@@ -38,8 +38,19 @@ fn cell(data: &Measurements) -> TempDir {
     dir
 }
 
-const BASE: [&str; 10] =
-    ["identify", "obs.csv", "--robot", "kr60ha", "--tool", "30,20,10", "--centres", "C.csv", "--out", "out"];
+const BASE: [&str; 11] = [
+    "identify",
+    "--verbose",
+    "obs.csv",
+    "--robot",
+    "kr60ha",
+    "--tool",
+    "30,20,10",
+    "--centres",
+    "C.csv",
+    "--out",
+    "out",
+];
 
 /// Exit code, result and output.
 fn run(dir: &Path, extra: &[&str]) -> (i32, Option<CalibrationResult>, String) {

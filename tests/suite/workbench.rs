@@ -132,7 +132,7 @@ fn a_calibration_that_is_over_is_renewed() {
 #[test]
 fn what_the_demo_of_the_command_line_left_is_shown_to_its_end() {
     let dir = tempfile::tempdir().unwrap();
-    dbbd(dir.path(), "dbbd --quiet demo --out shown");
+    dbbd(dir.path(), "dbbd --quiet demo --circles --out shown");
     let server = Server::start(dir.path(), "");
     let work = server.get("/api/v1/workbench/shown").json();
     assert_eq!(work["simulated"], true);

@@ -98,7 +98,7 @@ impl PlanSimulator {
         let plan = match plan {
             Some(plan) => absolute(plan)?,
             None => {
-                files::write_file(&inside.join("job.toml"), demo::JOB)?;
+                files::write_file(&inside.join("job.toml"), demo::CIRCLES)?;
                 steps.run(&["plan", "job.toml", "--out", "plan"])?;
                 inside.join("plan/plan.csv")
             }

@@ -8,17 +8,18 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
+use super::{PAPER, SimulatedDemo, TrueErrors};
 use dbbd_job::files;
 use dbbd_job::plan::Job;
 use dbbd_job::robot_files::named_robot;
 use dbbd_job::sim::truth;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
-use dbbd_model::estimation::Workspace;
 use dbbd_model::estimation::result::{ParameterResult, Residual, Status};
+use dbbd_model::estimation::{Workspace, with_drawn_joint_errors};
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::{BaseBall, LengthModel};
-use dbbd_model::robot::{Geometry, ParamId, ParamUnit, Robot};
+use dbbd_model::robot::{Geometry, ParamId, ParamUnit, Robot, parameter};
 
 /// The standard deviation of the true places of the base balls about the plan's, mm.
 const CENTRE_MM: f64 = 0.5;
@@ -44,6 +45,8 @@ pub(super) struct TruthComparison {
     nominal_error_mm: [f64; 2],
     /// The same of the identified robot.
     identified_error_mm: [f64; 2],
+    /// Mean error of the identified robot by its result, mm.
+    predicted_error_mm: f64,
 }
 
 #[derive(Debug, Serialize)]
@@ -57,22 +60,38 @@ struct ComparedParameter {
 }
 
 impl Truth {
-    /// Draws the true robot and the true places of the balls. Writes `truth.toml` and `world.toml`.
-    pub(super) fn draw(dir: &Path, seed: u64) -> Result<Self, Diagnostic> {
-        let job = Job::from_toml("job.toml", super::JOB)?;
+    /// Draws the true robot, and the true places of the balls where no ball was taught: a ball that was taught is where the true
+    /// tool ball was. Writes `truth.toml` and `world.toml`.
+    pub(super) fn draw(dir: &Path, demo: &SimulatedDemo, seed: u64) -> Result<Self, Diagnostic> {
+        let job = Job::from_toml("job.toml", demo.job)?;
         let mut nominal = named_robot(&job.robot)?.robot;
         job.tool.state_in(&mut nominal);
-        let robot = truth::draw_true_robot(&nominal, seed, 1.0);
+        let drawn = truth::draw_true_robot(&nominal, seed, 1.0);
+        let robot = match demo.errors {
+            TrueErrors::Joints => with_drawn_joint_errors(&drawn, seed),
+            TrueErrors::Geometry => drawn,
+            TrueErrors::Paper => of_paper(&nominal, &drawn)?,
+        };
         let mut centres = job.balls();
         let mut random = Pcg64::seed_from_u64(seed);
         let mut world = truth::noise(&nominal, job.bar.sigma_um);
-        for centre in &mut centres {
-            centre.position += Vector3::from_fn(|_, _| {
-                let z: f64 = StandardNormal.sample(&mut random);
-                z * CENTRE_MM
-            });
-            let [x, y, z]: [f64; 3] = centre.position.into();
-            world.push_str(&format!("\n[[centre]]\nid = {}\nxyz_mm = [{x}, {y}, {z}]\n", centre.id));
+        for (centre, table) in centres.iter_mut().zip(&job.centres) {
+            let place = match table.taught_deg {
+                Some(axes_deg) => {
+                    centre.position = robot.geometry.ball(&axes_deg.map(f64::to_radians)).position;
+                    format!("taught_deg = {axes_deg:?}")
+                }
+                None => {
+                    let is_exact = matches!(demo.errors, TrueErrors::Paper);
+                    centre.position += Vector3::from_fn(|_, _| {
+                        let z: f64 = StandardNormal.sample(&mut random);
+                        if is_exact { 0.0 } else { z * CENTRE_MM }
+                    });
+                    let [x, y, z]: [f64; 3] = centre.position.into();
+                    format!("xyz_mm = [{x}, {y}, {z}]")
+                }
+            };
+            world.push_str(&format!("\n[[centre]]\nid = {}\n{place}\n", centre.id));
         }
         files::write_file(&dir.join("world.toml"), world)?;
         files::write_file(&dir.join("truth.toml"), robot.to_toml()?)?;
@@ -111,8 +130,21 @@ impl Truth {
             residual_after_mm: result.residual_mm.after,
             nominal_error_mm: error(&nominal.geometry),
             identified_error_mm: error(&identified.geometry),
+            predicted_error_mm: result.predicted_position_uncertainty_mm.identified.mean,
         })
     }
+}
+
+/// The nominal robot with the errors that a drawn one has in the paper's parameters.
+fn of_paper(nominal: &Robot, drawn: &Robot) -> Result<Robot, Diagnostic> {
+    let mut robot = drawn.clone();
+    robot.geometry = nominal.geometry.clone();
+    for id in parameter::parse_list(PAPER, &nominal.parallel_joints(), 1)? {
+        if let (Some(value), Some(own)) = (drawn.geometry.value(id), robot.geometry.value_mut(id)) {
+            *own = value;
+        }
+    }
+    Ok(robot)
 }
 
 fn compared(
@@ -166,7 +198,8 @@ impl TruthComparison {
         let ([mean, max], [mean_after, max_after]) = (self.nominal_error_mm, self.identified_error_mm);
         lines.push(format!(
             "True 3-D error over the whole workspace: mean {mean:.3} mm (largest {max:.3}) before, {mean_after:.3} mm \
-             ({max_after:.3}) after"
+             ({max_after:.3}) after; the result predicted a mean of {:.3} mm",
+            self.predicted_error_mm
         ));
         lines
     }

@@ -3,35 +3,65 @@
 use std::path::Path;
 
 use crate::cli::{CommandOutput, output};
-use dbbd_model::estimation::result::{SigmaSource, Status};
+use dbbd_model::estimation::result::{PredictedPair, SigmaSource, Status};
 use dbbd_model::estimation::{CalibrationResult, Combination, CompletedCalibration, is_place, wording};
 
 /// The largest number of recommendations. More are in the report.
 const RECOMMENDATIONS: usize = 2;
 
+/// The result on stdout; with `--verbose` what else it states on stderr.
 pub(in crate::cli) fn show(out: &CommandOutput, calibration: &CompletedCalibration, dir: &Path) {
     let result = &calibration.result;
-    for lines in [fit(result), choices(result), position(result), parameters(result)] {
-        lines.into_iter().for_each(|line| out.result(line));
-    }
+    out.result(headline(result));
     for recommendation in result.recommendations.iter().filter(|one| one.adds).take(RECOMMENDATIONS) {
         out.result(format!("next: {recommendation}"));
+    }
+    out.result(fit(result));
+    out.result(counts(result));
+    monte_carlo(result).into_iter().for_each(|line| out.result(line));
+    for lines in [search(result), groups(result), position(result), parameters(result)] {
+        lines.into_iter().for_each(|line| out.detail(line));
     }
     out.findings(calibration.diagnostics());
     out.result(format!("results in {}", dir.display()));
 }
 
-fn fit(result: &CalibrationResult) -> Vec<String> {
+/// How far off the tool ball is before and after, for which tool and until when, with U.
+fn headline(result: &CalibrationResult) -> String {
+    let PredictedPair { nominal, identified } = &result.predicted_position_uncertainty_mm;
+    let error = format!(
+        "mean error of the tool ball over the workspace: {:.3} mm before, {:.3} mm after",
+        nominal.mean, identified.mean
+    );
+    match &result.validity {
+        Some(validity) if !result.has_warnings() && result.converged => {
+            let word = if validity.limit_mm.is_some() { "valid" } else { "identified" };
+            format!("{error}; {word} {validity}")
+        }
+        _ => error,
+    }
+}
+
+fn fit(result: &CalibrationResult) -> String {
+    let residual = &result.residual_mm;
+    format!(
+        "{}: {}, residual rms {} -> {}",
+        result.robot,
+        result.made_from,
+        mm(residual.before.rms),
+        mm(residual.after.rms)
+    )
+}
+
+fn search(result: &CalibrationResult) -> Vec<String> {
     let residual = &result.residual_mm;
     let mut lines = vec![
         format!(
-            "{}: {}, rank {} of the parameters asked for, condition {:.0}, {} steps; before is {}",
-            result.robot, result.made_from, result.rank, result.condition, result.iterations, result.start
+            "rank {} of the parameters asked for, condition {:.0}, {} steps; before is {}",
+            result.rank, result.condition, result.iterations, result.start
         ),
         format!(
-            "residual rms {} -> {}, largest {} -> {}, sigma {} ({})",
-            mm(residual.before.rms),
-            mm(residual.after.rms),
+            "residual largest {} -> {}, sigma {} ({})",
             mm(residual.before.max),
             mm(residual.after.max),
             mm(result.noise_mm.length),
@@ -48,34 +78,32 @@ fn fit(result: &CalibrationResult) -> Vec<String> {
     lines
 }
 
-/// Errors of the joints, Monte Carlo.
-fn choices(result: &CalibrationResult) -> Vec<String> {
-    let mut lines = Vec::new();
-    if let Some(pose_mm) = result.noise_mm.pose {
-        lines.push(format!("a pose repeats to {} in each direction; by the evidence:", mm(pose_mm)));
-        lines.extend(result.groups.iter().map(|group| format!("  {group}")));
-    }
-    if let Some(drawn) = &result.monte_carlo {
-        let names: Vec<String> = drawn.disagree.iter().map(ToString::to_string).collect();
-        lines.push(match names.as_slice() {
-            [] => format!("Monte Carlo, {} trials: the linear 95 % intervals hold", drawn.used),
-            names => format!(
-                "Monte Carlo, {} trials: the linear 95 % intervals do not hold for {}",
-                drawn.used,
-                names.join(", ")
-            ),
-        });
-    }
-    lines
+/// Errors of the joints and of a pose.
+fn groups(result: &CalibrationResult) -> Vec<String> {
+    let Some(pose_mm) = result.noise_mm.pose else { return Vec::new() };
+    let first = format!("a pose repeats to {} in each direction; by the evidence:", mm(pose_mm));
+    std::iter::once(first).chain(result.groups.iter().map(|group| format!("  {group}"))).collect()
+}
+
+/// What the user asked to be drawn.
+fn monte_carlo(result: &CalibrationResult) -> Option<String> {
+    let drawn = result.monte_carlo.as_ref()?;
+    let names: Vec<String> = drawn.disagree.iter().map(ToString::to_string).collect();
+    Some(match names.as_slice() {
+        [] => format!("Monte Carlo, {} trials: the linear 95 % intervals hold", drawn.used),
+        names => format!(
+            "Monte Carlo, {} trials: the linear 95 % intervals do not hold for {}",
+            drawn.used,
+            names.join(", ")
+        ),
+    })
 }
 
 fn position(result: &CalibrationResult) -> Vec<String> {
     let mut lines: Vec<String> = result.observability.iter().map(output::observability).collect();
     let predicted = &result.predicted_position_uncertainty_mm;
     lines.push(format!(
-        "predicted position uncertainty over the workspace: mean {} -> {}, 95 % {} -> {}",
-        mm(predicted.nominal.mean),
-        mm(predicted.identified.mean),
+        "predicted position uncertainty over the workspace: 95 % {} -> {}",
         mm(predicted.nominal.p95),
         mm(predicted.identified.p95)
     ));
@@ -86,23 +114,22 @@ fn position(result: &CalibrationResult) -> Vec<String> {
         let [before, after] = [turned.nominal.mean, turned.identified.mean];
         format!("predicted orientation error of the flange: mean {before:.2} -> {after:.2} mrad")
     }));
-    let validity = result.validity.iter().filter(|_| !result.has_warnings() && result.converged);
-    lines.extend(validity.map(|validity| {
-        let word = if validity.limit_mm.is_some() { "valid" } else { "identified" };
-        format!("{word} {validity}")
-    }));
     lines
 }
 
-fn parameters(result: &CalibrationResult) -> Vec<String> {
-    let mut lines = vec![format!(
+fn counts(result: &CalibrationResult) -> String {
+    format!(
         "{} identified, {} with the prior's help, {} dependent, {} poorly observable, {} fixed",
         result.count(Status::Identified),
         result.count(Status::SupportedByPrior),
         result.count(Status::Dependent),
         result.count(Status::PoorlyObservable),
         result.count(Status::Fixed)
-    )];
+    )
+}
+
+fn parameters(result: &CalibrationResult) -> Vec<String> {
+    let mut lines = Vec::new();
     let (places, own): (Vec<&Combination>, Vec<&Combination>) =
         result.combinations.iter().partition(|combination| is_place(&combination.kept));
     lines.extend(wording::in_short(own).into_iter().map(|line| format!("  {line}")));

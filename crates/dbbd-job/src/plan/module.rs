@@ -268,26 +268,35 @@ impl<'a> RoutePlanner<'a> {
             .max(max_axis_difference(&from.axes, &to.axes) / CHORD_TURN)
             .ceil()
             .clamp(1.0, 200.0);
-        let mut between = Vec::with_capacity(count as usize);
-        let (mut here, mut axes) = (self.cell.rig.controller.geometry.ball(&from.axes), from.axes);
+        let (rig, arm) = (self.cell.rig, &self.cell.rig.controller.geometry);
+        let mut ends = Vec::with_capacity(count as usize);
+        let mut axes = from.axes;
         for chord in 1..=count as u32 {
             let share = f64::from(chord) / count;
-            let is_last = chord == count as u32;
-            let next = if is_last {
+            let next = if chord == count as u32 {
                 to.pose
             } else {
                 let guide: [f64; AXES] =
                     std::array::from_fn(|i| from.axes[i] + (to.axes[i] - from.axes[i]) * share);
-                let rotation = self.cell.rig.arm.ball(&guide).rotation;
+                let rotation = rig.arm.ball(&guide).rotation;
                 Pose { rotation, position: self.ball + along(past, &legs, share * whole) * self.radius }
             };
-            let end = self.cell.rig.commanded(&next, &axes).ok()?;
+            let end = rig.commanded(&next, &axes).ok()?;
+            axes = nearest(arm, &end, &axes).ok().filter(|axes| self.allows(axes))?;
+            ends.push((next, end));
+        }
+        // The ends of the chords alone show most ways that fail.
+        if max_axis_difference(&axes, &to.axes) >= ASTRAY {
+            return None;
+        }
+        let (mut here, mut axes) = (arm.ball(&from.axes), from.axes);
+        let mut between = Vec::with_capacity(ends.len());
+        for (next, end) in ends {
             axes = self.passes(&ToolBallPath::Line { from: here, to: end }, &axes)?;
-            if !is_last {
-                between.push((next, axes));
-            }
+            between.push((next, axes));
             here = end;
         }
+        between.pop();
         (max_axis_difference(&axes, &to.axes) < ASTRAY).then_some(between)
     }
 
@@ -309,12 +318,16 @@ impl<'a> RoutePlanner<'a> {
             let next = nearest(arm, &path.pose(f64::from(part) / f64::from(parts))?, &axes).ok()?;
             // A larger turn in one step means that the wrist flips.
             let fits = max_axis_difference(&next, &axes) < 0.3 && status(arm, &next) == began;
-            if !(fits && self.cell.allows(&next, self.centre, self.risk)) {
+            if !(fits && self.allows(&next)) {
                 return None;
             }
             axes = next;
         }
         Some(axes)
+    }
+
+    fn allows(&self, axes: &[f64; AXES]) -> bool {
+        self.cell.allows(axes, self.centre, self.risk)
     }
 
     fn direction(&self, pose: &Pose) -> Vector3<f64> {

@@ -14,13 +14,12 @@ use crate::plan::PlanFinding;
 use crate::plan::job::JobFinding;
 use dbbd_model::design::{Candidate, Criterion, Exchange, Near, change_rows, design_rows, workspace_rows};
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::Posterior;
+use dbbd_model::estimation::{Posterior, with_usual_joint_errors};
 use dbbd_model::math::distributions::normal_deviate;
-use dbbd_model::math::map_items;
+use dbbd_model::robot::BallId;
 use dbbd_model::robot::inverse::status;
 use dbbd_model::robot::parameter;
 use dbbd_model::robot::pose::{rot_x, rot_z};
-use dbbd_model::robot::{BallId, max_axis_difference};
 
 /// Poses of the workspace over which the 3-D error is minimised.
 const OPTIMISE_WORKSPACE_POSES: usize = 400;
@@ -31,6 +30,8 @@ const COMPARED: usize = 150;
 /// deviation of 3, and a part with a third of the poses has one of the starts with a probability of 96 %.
 const RESTARTS: usize = 8;
 const WAYS: usize = 40;
+/// Rounds in which poses without a path are replaced by others: where a fifth has none, all but one in 600 have one then.
+const ROUNDS: usize = 3;
 /// Poses of the smallest stage.
 const MIN_STAGE_POSES: u32 = 6;
 
@@ -80,19 +81,6 @@ impl SafePoses<'_> {
     fn others(&self) -> impl Iterator<Item = &Candidate> {
         self.allowed.iter().filter(|pose| **pose != self.start)
     }
-
-    /// Keeps the poses to which there is a path from the nearest of those that a module visits.
-    fn retain_reached(&mut self, visits: &ModuleVisits, risk: f64) {
-        let Some(router) = RoutePlanner::new(&self.cell, self.start.ball.number(), risk) else { return };
-        let is_reached = |pose: &Candidate| {
-            let turn = |from: &&Candidate| max_axis_difference(&from.axes, &pose.axes);
-            let nearest = visits.visited.iter().min_by(|a, b| turn(a).total_cmp(&turn(b)));
-            let has_way = nearest.is_some_and(|from| router.way(from, pose).is_some());
-            has_way && !visits.left_out.contains(pose)
-        };
-        let mut reached = map_items(&self.allowed, is_reached).into_iter();
-        self.allowed.retain(|_| reached.next() == Some(true));
-    }
 }
 
 /// The safe poses about all base balls, for a number of poses to choose.
@@ -124,6 +112,14 @@ impl SafePoseSearch<'_> {
             modules.push(visits);
         }
         Route { steps: walk.steps, modules }
+    }
+
+    /// Leaves out the poses to which a route has no path.
+    fn leave_out(&mut self, route: &Route) {
+        for (about, visits) in self.abouts.iter_mut().zip(&route.modules) {
+            let left_out = visits.iter().flat_map(|visits| &visits.left_out).collect::<Vec<_>>();
+            about.allowed.retain(|pose| !left_out.contains(&pose));
+        }
     }
 
     fn stage(&self) -> Stage {
@@ -173,20 +169,23 @@ pub(super) fn choose_steps(
     let mut survey = chooser.safe(&scans, &wanted)?;
     let staged = survey.points < wanted.points;
     let mut route = survey.route(&chooser.choose(&survey)?, job);
-    // To look for ways among all poses takes seconds: only where a chosen pose has none.
-    if route.is_incomplete() {
-        survey.abouts = scans
-            .iter()
-            .zip(survey.abouts)
-            .map(|(scan, about)| chooser.restarted(scan, about, survey.risk))
-            .collect();
-        route = survey.route(&chooser.choose(&survey)?, job);
-    }
-    if route.is_incomplete() {
-        for (about, visits) in survey.abouts.iter_mut().zip(&route.modules) {
-            visits.iter().for_each(|visits| about.retain_reached(visits, survey.risk));
+    for is_restart in [false, true] {
+        // Ways that keep the limits connect only a part of the poses, and a start may belong to a small part.
+        if is_restart && route.is_incomplete() {
+            survey.abouts = scans
+                .iter()
+                .zip(survey.abouts)
+                .map(|(scan, about)| chooser.restarted(scan, about, survey.risk))
+                .collect();
+            route = survey.route(&chooser.choose(&survey)?, job);
         }
-        route = survey.route(&chooser.choose(&survey)?, job);
+        for _ in 0..ROUNDS {
+            if !route.is_incomplete() {
+                break;
+            }
+            survey.leave_out(&route);
+            route = survey.route(&chooser.choose(&survey)?, job);
+        }
     }
     let mut notes = chooser.notes(&survey, staged);
     for (about, visits) in survey.abouts.iter().zip(&route.modules) {
@@ -409,8 +408,7 @@ impl<'a> PoseChooser<'a> {
             })
     }
 
-    /// The safe poses in a run from the start with ways to most of them: ways that keep the limits connect only a part of the
-    /// poses, and a start may belong to a small part. No more poses are barred than in the run `about`.
+    /// The safe poses in a run from the start with ways to most of them. No more poses are barred than in the run `about`.
     fn restarted(&self, scan: &ReachablePoses, about: SafePoses<'a>, risk: f64) -> SafePoses<'a> {
         let mut starts: Vec<_> = self.starts(scan, risk).collect();
         let most = starts.iter().map(|(_, safe)| *safe).max();
@@ -447,12 +445,13 @@ impl<'a> PoseChooser<'a> {
         Ok(chosen.iter().filter_map(|&at| pool.get(at).cloned()).collect())
     }
 
-    /// The unknown parameters that the poses are to determine: all parameters, or those that the job lists, with the
-    /// maker's tolerances as their prior.
+    /// The unknowns that the poses are to determine: those of an identification, with the errors of the joints; or the parameters
+    /// that the job lists, with the maker's tolerances as their prior.
     fn unknown(&self) -> Result<Posterior, JobFinding> {
         let (PlanKinematics { job, controller, .. }, prior) = (self.rig, &self.prior.posterior);
         let Some(list) = job.optimise.as_ref().and_then(|wanted| wanted.parameters.clone()) else {
-            return Ok(prior.clone());
+            let is_known = self.prior.calibrated.is_some() || prior.coefficients() > 0;
+            return Ok(if is_known { prior.clone() } else { with_usual_joint_errors(prior, controller) });
         };
         let ids = parameter::parse_list(&list, &controller.parallel_joints(), job.centres.len())
             .map_err(|why| JobFinding::Parameters { list: list.clone(), why: why.to_string() })?;

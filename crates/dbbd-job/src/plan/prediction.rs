@@ -17,6 +17,7 @@ use dbbd_model::estimation::result::MapPoint;
 use dbbd_model::estimation::wording;
 use dbbd_model::estimation::{
     DesignPrediction, ErrorSummary, Observability, ParameterPrediction, PlannedLengths,
+    with_usual_joint_errors,
 };
 use dbbd_model::measurement::{LengthModel, Measurement, PreparedMeasurement};
 use dbbd_model::robot::inverse::clearance;
@@ -192,7 +193,7 @@ fn second_ball(job: &Job, robot: &Robot, lengths: usize, workspace: &[[f64; AXES
             .zip(balls)
             .map(|(id, ball)| BaseBallTable { id, xyz_mm: ball.into(), taught_deg: None, ..table.clone() })
             .collect();
-        PlanningPrior::of_maker(&two, robot)
+        with_usual_joint_errors(&PlanningPrior::of_maker(&two, robot), robot)
     };
     let best = one.second(prior, |axes| {
         clearance(&robot.geometry, axes).is_none_or(|clear| {

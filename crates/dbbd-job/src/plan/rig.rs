@@ -64,12 +64,12 @@ impl<'a> PlanKinematics<'a> {
     }
 
     /// The axis angles, rad, at which the arm has its tool ball at the job's place of base ball `ball` (from 1), with the
-    /// orientation that the tool has at `start`.
+    /// orientation that the tool has at `start`; `None` if they are beyond the limits.
     pub(super) fn touching(&self, ball: u32, start: &[f64; AXES]) -> Option<[f64; AXES]> {
         let geometry = self.arm;
         let position = Vector3::from(self.job.ball(ball)?.xyz_mm);
         let pose = Pose { rotation: geometry.ball(start).rotation, position };
-        nearest(geometry, &pose, start).ok()
+        nearest(geometry, &pose, start).ok().filter(|axes| self.controller.limit_margin_deg(axes) >= 0.0)
     }
 
     /// Axis angles of the first step in each branch that has a turn within the limits.

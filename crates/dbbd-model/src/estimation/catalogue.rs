@@ -194,7 +194,8 @@ findings! {
         cure: "Check the seats of the balls and the column `centre`. Measure again where it matters.",
         asks: [BaseBalls] {
             BaseBallMoved { ball: u32, index: u32, size_mm: f64, sd_mm: f64 } => "from index {index} on ball {ball} is {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from where it was";
-            ToolBallMoved { index: u32, size_mm: f64, sd_mm: f64 } => "from index {index} on the tool ball is {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from where it was on the flange";
+            ToolBallMoved { index: u32, size_mm: f64, sd_mm: f64 } => "from index {index} on the tool ball is {size_mm:.4} mm (standard uncertainty {sd_mm:.4} mm) from where it was on the flange",
+                help: "the result is as if it had not moved, with this place as a further unknown: fasten the tool ball, and measure again if its own place matters";
             WrongBall { ball: u32, indices: Names } => "the rows {indices} fit ball {ball}: they were used as lengths to it";
         }
         W1332 "the covariance of an earlier identification is lost",

@@ -75,7 +75,7 @@ pub use prediction::PositionParts;
 pub use priors::{Prior, Priors, largest_plausible, length_sd_mm};
 pub use program_uncertainty::{PointUncertainty, ProgramUncertainty};
 pub use result::{CalibrationResult, CompletedCalibration, DriftBasis, Validity};
-pub use robot_draw::with_drawn_joint_errors;
+pub use robot_draw::{with_drawn_joint_errors, with_usual_joint_errors};
 pub use selection::{is_place, without_open_places};
 pub use validity::ValidityLimit;
 pub use workspace::{ErrorSummary, SimplifiedModelError, Workspace};

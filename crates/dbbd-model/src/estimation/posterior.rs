@@ -17,8 +17,8 @@ use super::workspace::Workspace;
 use crate::math::{Triangle, stacked};
 use crate::measurement::{ColumnSelection, LengthModel, PreparedMeasurement};
 use crate::robot::{
-    AXES, Approach, BallId, BarId, Coordinate, Datum, ParamId, ParamOwner, Robot, RobotPosterior,
-    RobotUncertainty, parameter,
+    AXES, Approach, BallId, BarId, Coordinate, Datum, JointErrors, ParamId, ParamOwner, Robot,
+    RobotPosterior, RobotUncertainty, parameter,
 };
 
 /// Gauss-Newton steps of [`Posterior::learn`]. The model is near the truth, so they converge at once.
@@ -77,6 +77,17 @@ impl Posterior {
         }
         let ids: Vec<ParamId> = self.ids.iter().copied().chain(further.iter().map(|(id, _)| *id)).collect();
         Self::with_root(self.model.clone(), &ids, root).with_errors_of_pose_of(self)
+    }
+
+    /// The posterior with errors of the joints in place of those of its model, independent of all parameters, with the standard
+    /// deviations of their coefficients.
+    pub(super) fn with_joint_errors(&self, errors: JointErrors, sds: &[f64]) -> Self {
+        let (own, columns) = (self.ids.len(), self.root.ncols());
+        let mut root = self.root.rows(0, own).into_owned().resize(own + sds.len(), columns + sds.len(), 0.0);
+        sds.iter().enumerate().for_each(|(at, sd)| root[(own + at, columns + at)] = *sd);
+        let mut model = self.model.clone();
+        model.geometry.joint_errors = errors;
+        Self::with_root(model, &self.ids, root)
     }
 
     /// The posterior of an identification about `model`, with the coefficients of the joint errors if their covariance is

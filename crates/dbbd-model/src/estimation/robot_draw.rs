@@ -1,16 +1,23 @@
-//! The errors of a robot's joints, drawn from the priors with which an identification begins.
+//! The errors of a robot's joints before any length: drawn from the priors with which an identification begins, and as unknowns
+//! by which poses are chosen.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::hyper_parameters::{Group, HyperPrior, Hypers, Variance};
+use super::posterior::Posterior;
 use super::priors::Priors;
-use crate::robot::{JointErrorModel, JointErrors, ParamGroup, Robot, SmoothJointError, TermKind, parameter};
+use crate::robot::{
+    JointErrorModel, JointErrors, JointTerm, ParamGroup, ParamId, Robot, SmoothJointError, TermKind,
+    parameter,
+};
 
 /// Basis functions of a drawn smooth function: over the whole range of a joint they reach the frequencies of a process with a
 /// length scale of 0.1 rad.
 const FUNCTIONS: usize = 120;
+/// Basis functions of each joint by which poses are chosen: with four times as many the chosen poses leave the same error.
+const DESIGN_FUNCTIONS: usize = 12;
 /// The interval of a drawn function is this many times as wide as the range of the axis, so that the function does not vanish at
 /// its ends.
 const WIDER: f64 = 1.2;
@@ -34,17 +41,7 @@ pub fn with_drawn_joint_errors(robot: &Robot, seed: u64) -> Robot {
             *value += error;
         }
     }
-    let [low, high] = [0, 1]
-        .map(|end| robot.geometry.coupling.joints(&robot.limits_deg.map(|limits| limits[end].to_radians())));
-    let joint = |at: usize| JointErrorModel {
-        smooth: SmoothJointError::new(
-            0.5 * (low[at] + high[at]),
-            WIDER * 0.5 * (high[at] - low[at]).abs(),
-            FUNCTIONS,
-        ),
-        ..JointErrorModel::default()
-    };
-    let errors = JointErrors::new(std::array::from_fn(joint));
+    let errors = smooth_errors(robot, FUNCTIONS);
     let coefficients = errors.terms().into_iter().map(|term| match term.kind {
         TermKind::Smooth { frequency } => Variance::Spectral(term.joint, frequency).sd(&hypers) * normal(),
         TermKind::Backlash => hypers.sd(Group::Backlash) * normal(),
@@ -54,11 +51,44 @@ pub fn with_drawn_joint_errors(robot: &Robot, seed: u64) -> Robot {
     drawn
 }
 
+/// Errors of the joints with `count` basis functions over the whole range of each axis, all zero.
+fn smooth_errors(robot: &Robot, count: usize) -> JointErrors {
+    let [low, high] = [0, 1]
+        .map(|end| robot.geometry.coupling.joints(&robot.limits_deg.map(|limits| limits[end].to_radians())));
+    let joint = |at: usize| JointErrorModel {
+        smooth: SmoothJointError::new(
+            0.5 * (low[at] + high[at]),
+            WIDER * 0.5 * (high[at] - low[at]).abs(),
+            count,
+        ),
+        ..JointErrorModel::default()
+    };
+    JointErrors::new(std::array::from_fn(joint))
+}
+
+/// The knowledge of a robot, with the errors of joints that no length has shown yet: harmonics, and smooth functions over the whole
+/// range of each axis, by the medians of their priors. Backlash is left out: its sense changes from pose to pose.
+pub fn with_usual_joint_errors(known: &Posterior, robot: &Robot) -> Posterior {
+    let usual = Hypers::usual();
+    let harmonics: Vec<(ParamId, f64)> =
+        parameter::gear().map(|id| (id, usual.sd(Group::Harmonic))).collect();
+    let errors = smooth_errors(robot, DESIGN_FUNCTIONS);
+    let sd = |term: JointTerm| match term.kind {
+        TermKind::Smooth { frequency } => Variance::Spectral(term.joint, frequency).sd(&usual),
+        TermKind::Backlash | TermKind::Ripple { .. } => 0.0,
+    };
+    let sds: Vec<f64> = errors.terms().into_iter().map(sd).collect();
+    known.with_parameters(&harmonics).with_joint_errors(errors, &sds)
+}
+
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
-    use crate::robot::{Approach, Joint, ParamId};
-    use crate::test_support::cell::kr60;
+    use crate::measurement::{BaseBall, LengthModel};
+    use crate::robot::{Approach, BallId, Joint, ParamId};
+    use crate::test_support::cell::{CENTRE, kr60};
 
     /// Medians of log-normal priors: the harmonics have 0.5 mrad. The smooth functions have two processes with 0.1 mrad each and the
     /// factor of a joint, whose product has a median of 0.193 mrad by 200 001 draws of Python's `random`. Of 400 robots the median of
@@ -89,5 +119,22 @@ mod tests {
         let ball = |robot: &Robot| robot.geometry.approached(Approach::new([1; 6])).ball(&axes).position;
         assert!((ball(&one) - ball(&other)).norm() > 0.01);
         assert_eq!(one.geometry.value(ParamId::A(Joint::J2)), kr60().geometry.value(ParamId::A(Joint::J2)));
+    }
+
+    /// Where only the joints err, a length has the squares of its derivatives by the angles times the variance of a joint: half a
+    /// milliradian of the harmonic (a sine and a cosine at any angle), 0.1 mrad of each of two smooth processes. Twelve functions
+    /// leave out the quickest part of a smooth process, at most half of its variance.
+    #[test]
+    fn unknown_errors_of_joints_move_a_length_by_their_prior() {
+        let robot = kr60();
+        let ball = BaseBall { id: BallId::FIRST, position: Vector3::from(CENTRE) };
+        let nothing = Posterior::new(LengthModel::new(robot.geometry.clone(), &[ball]), &[], &[]);
+        let known = with_usual_joint_errors(&nothing, &robot);
+        let axes = [0.2, -1.1, 1.4, 0.5, 0.8, -0.3];
+        let row = robot.geometry.length_row(&axes, &Vector3::from(CENTRE), 0.0);
+        let arms: f64 = row.by_joint().iter().map(|by| by * by).sum();
+        let variance = known.design_row(&axes, BallId::FIRST).norm_squared() / arms;
+        let [harmonic, smooth] = [2.5e-7, 2.0 * 1e-8];
+        assert!((harmonic + 0.5 * smooth..harmonic + 1.05 * smooth).contains(&variance), "{variance}");
     }
 }

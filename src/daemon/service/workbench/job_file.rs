@@ -7,7 +7,7 @@ use crate::live::ServiceFinding::{self, JobKey};
 
 /// First line of a new file.
 pub(super) const HEAD: &str =
-    "# A job for `dbbd plan`: lengths in mm, angles in degrees. examples/demo.toml explains every key.\n";
+    "# A job for `dbbd plan`: lengths in mm, angles in degrees. examples/circles.toml explains every key.\n";
 
 /// The key that says which table of the file an object of a list is: its place from 0. An object without it is new.
 const ROW: &str = "row";

@@ -7,7 +7,7 @@ use serde::de::{self, DeserializeOwned, Visitor, value};
 use serde::{Deserializer, forward_to_deserialize_any};
 
 const EXAMPLES: [(&str, &str); 5] = [
-    ("demo.toml", include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/demo.toml"))),
+    ("circles.toml", include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/circles.toml"))),
     ("optimal.toml", include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/optimal.toml"))),
     (
         "seed-experiment.toml",

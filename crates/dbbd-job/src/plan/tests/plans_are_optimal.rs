@@ -4,7 +4,7 @@ use dbbd_job::plan::PoseKind;
 use dbbd_job::plan::workspace::in_box;
 use dbbd_job::program::krl;
 use dbbd_model::design::{Candidate, Criterion, Exchange, Sphere, design_rows, workspace_rows};
-use dbbd_model::estimation::{Posterior, Priors, Workspace, factor};
+use dbbd_model::estimation::{Posterior, Priors, Workspace, factor, with_usual_joint_errors};
 use dbbd_model::measurement::{BaseBall, LengthModel, PreparedMeasurement};
 use dbbd_model::robot::inverse::clearance;
 use dbbd_model::robot::{BallId, BarId, ParamId, Robot, parameter};
@@ -65,6 +65,27 @@ fn thirteen(robot: &Robot, readings: &[PreparedMeasurement]) -> [f64; 2] {
         of.iter().sum::<f64>() / of.len() as f64
     };
     [mean("rad", 1e6), mean("mm", 1e3)]
+}
+
+/// Poses that are chosen for errors of joints too leave less of the position error that these make, over the whole workspace.
+#[test]
+fn poses_for_errors_of_joints_leave_less_of_them() {
+    let robot = cell::kr60();
+    let pool = reachable(&robot, 1000);
+    let workspace = Workspace::uniform(&robot, 200, 1);
+    let geometry = datasheet(&robot);
+    let all = with_usual_joint_errors(&geometry, &robot);
+    let chosen_for = |known: &Posterior| {
+        let rows = design_rows(known, &pool, SIGMA_MM);
+        Exchange::new(&rows, &workspace_rows(known, &workspace)).choose(100, Criterion::I).to_vec()
+    };
+    let left_mm = |chosen: &[usize]| {
+        let readings: Vec<PreparedMeasurement> = chosen.iter().map(|&at| reading(&pool[at].axes)).collect();
+        let after = all.after(&readings, SIGMA_MM).unwrap();
+        ((all.workspace(&workspace).jacobian() * after.root()).norm_squared() / 200.0).sqrt()
+    };
+    let [by_geometry, by_all] = [&geometry, &all].map(|known| left_mm(&chosen_for(known)));
+    assert!(by_all < 0.97 * by_geometry, "{by_all} mm, {by_geometry} mm by the geometry");
 }
 
 /// Root mean square of the 3-D error of the geometry in the cube, before and after, mm.

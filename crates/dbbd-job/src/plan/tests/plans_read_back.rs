@@ -24,7 +24,7 @@ fn count(plan: &Plan, kind: PoseKind) -> usize {
 
 #[test]
 fn the_demo_plans_without_findings() {
-    let plan = example("demo");
+    let plan = example("circles");
     let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
     assert_eq!((count(&plan, PoseKind::Measure), count(&plan, PoseKind::Reference)), (240, 12));
     assert!(plan.header.checks.iter().all(dbbd_job::plan::PlanCheck::holds));

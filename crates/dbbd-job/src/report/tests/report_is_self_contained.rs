@@ -160,8 +160,8 @@ fn the_report_shows_every_parameter_finding_and_figure() {
 
 fn demo_plan() -> (Plan, Robot, String) {
     let job = Job::from_toml(
-        "demo.toml",
-        include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/demo.toml")),
+        "circles.toml",
+        include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/circles.toml")),
     )
     .unwrap();
     let robot = kr60();
