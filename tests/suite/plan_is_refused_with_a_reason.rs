@@ -38,6 +38,12 @@ const JOBS: &[(&str, &str, usize, &str)] = &[
     ("margin_mm = 0.5", "expansion_per_k = nan", 6, "E0130"),
     ("[motion]", "[optimise]\npoints = 3\n[motion]", 15, "E0130"),
     ("[motion]", "[optimise]\npoints = 20\ncandidates = 30\n[motion]", 16, "E0130"),
+    (
+        "[motion]",
+        "[optimise]\npoints = 20\nworkspace_mm = [[0.5, -0.5, 0.2], [1.5, 0.5, 1.2]]\n[motion]",
+        16,
+        "E0130",
+    ),
     ("[-5.0, 5.0]", "[5.0, -5.0]", 5, "E0602"),
     ("margin_mm = 0.5", "margin_mm = 5.0", 6, "E0602"),
     (
@@ -116,6 +122,8 @@ const COMMANDS: &[Command] = &[
     (few, &["--robot", "loose.toml"], 0, &["I0711", "I0712", "I0714", "I0715", "I0716"]),
     (|| JOB.into(), &["--robot", "identified.toml"], 3, &["W0720", "I0714", "I0715"]),
     (|| JOB.into(), &["--measured", "elsewhere.csv"], 1, &["E1203"]),
+    (|| replaced(&[("[1300.0, 0.0, 800.0]", "[1.3, 0.0, 0.8]")]), &[], 1, &["E0130"]),
+    (|| replaced(&[("[1300.0, 0.0, 800.0]", "[4100.0, 0.0, 800.0]")]), &[], 1, &["E0130"]),
 ];
 const SLOW_ROBOT: &str = "E0704";
 

@@ -282,10 +282,11 @@ impl Job {
         job
     }
 
-    /// Checks that each ball's `taught_deg` brings the tool ball to its `xyz_mm`, and that the program's tool is at the tool
-    /// ball.
+    /// Checks that each ball is where a bar can reach it, that its `taught_deg` brings the tool ball to its `xyz_mm`, and that
+    /// the program's tool is at the tool ball.
     pub(crate) fn check_against(&self, robot: &Robot) -> JobCheck {
         let controller = robot.controller();
+        self.check_places(controller)?;
         for (at, table) in self.centres.iter().enumerate() {
             let Some(taught) = table.taught() else { continue };
             let off_mm = table.off_taught_mm(robot);

@@ -12,6 +12,8 @@ use crate::robot::{AXES, BallId, Geometry, Pose, Robot};
 
 /// Drawn poses per candidate after which the search ends.
 const PATIENCE: u32 = 30;
+/// Drawn poses after which the search ends if none of them is allowed: where one of so many can be reached, no run can be made.
+const HOPELESS: u32 = 120_000;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct Candidate {
@@ -67,7 +69,11 @@ impl Sphere<'_> {
         let mut random = Pcg64::seed_from_u64(seed);
         let mut by_branch: [Vec<Candidate>; 8] = Default::default();
         let mut left = PATIENCE.saturating_mul(u32::try_from(count).unwrap_or(u32::MAX));
+        let hopeless = left.saturating_sub(HOPELESS);
         while left > 0 && by_branch.iter().all(|found| found.len() < count) {
+            if left == hopeless && by_branch.iter().all(Vec::is_empty) {
+                break;
+            }
             left -= 1;
             let pose = self.draw(&mut random, left.is_multiple_of(2));
             for axes in branches(self.arm, &pose).unwrap_or_default() {
@@ -141,6 +147,20 @@ pub fn workspace_rows(posterior: &Posterior, poses: &[[f64; AXES]]) -> DMatrix<f
 mod tests {
     use super::*;
     use crate::test_support::cell::{CENTRE, kr60};
+
+    /// A pose has at most eight branches.
+    #[test]
+    fn the_search_for_poses_that_nothing_allows_ends_early() {
+        let robot = kr60();
+        let (arm, controller, id) = (&robot.geometry, &robot, BallId::FIRST);
+        let sphere = Sphere { arm, controller, id, ball: CENTRE.into(), radius_mm: 300.0, near: None };
+        let asked = std::cell::Cell::new(0);
+        let found = sphere.candidates(100_000, 1, |_| {
+            asked.set(asked.get() + 1);
+            false
+        });
+        assert!(found.is_empty() && (1..=8 * HOPELESS).contains(&asked.get()), "{}", asked.get());
+    }
 
     /// Axes 4 and 6 of the KR 60 HA reach 350 degrees to both sides.
     #[test]

@@ -100,6 +100,12 @@ impl PlausibleRange {
         Self { least, ..self }
     }
 
+    /// The same quantity with a greatest value that another part of the input gives.
+    #[must_use]
+    pub fn to(self, most: f64) -> Self {
+        Self { most, ..self }
+    }
+
     /// Refuses a value outside of the range, which NaN is.
     pub fn check(self, key: impl Into<ValueKey>, value: f64) -> Result<(), PlausibilityFinding> {
         let key = key.into();
@@ -227,8 +233,10 @@ quantities! {
     DirectionLength => range("the length of a direction", "", 1e-6, MAX_NUMBER);
     /// Bars, tools and arms are thicker.
     BodyRadius => range("the radius of a bar, a tool or an arm", "mm", 1.0, MAX_NUMBER).usually(5.0, 1e3).not_in(IN_METRES);
+    /// A ball is not in the foot of the robot, and no farther away than arm and bar reach: the robot gives both ends.
+    BaseBallDistance => range("the distance of a base ball from the robot", "mm", POSITIVE, 2.0 * MAX_ARM_MM).usually(100.0, MAX_ARM_MM).not_in(IN_METRES_OR_MICROMETRES);
     /// A smaller box, cylinder or height is one in metres.
-    ObstacleSize => range("the size of an obstacle", "mm", 3.0, 1e6).usually(10.0, MAX_NUMBER).not_in(IN_METRES);
+    BodySize => range("the size of an obstacle or of a workspace", "mm", 3.0, 1e6).usually(10.0, MAX_NUMBER).not_in(IN_METRES);
     /// The distance of a frame that is not 0 from the one before: tools and bases are larger than a few millimetres, and
     /// inside of a cell.
     FrameDistance => range("the distance of a tool or a base", "mm", 3.0, 1e4).usually(5.0, 1e4).not_in(LENGTH_UNITS);
@@ -383,7 +391,7 @@ mod tests {
         (Load, 60.0, 60_000.0, "grams"),
         (Mass, 150.0, 150_000.0, "grams"),
         (BodyRadius, 20.0, 0.02, "metres"),
-        (ObstacleSize, 600.0, 0.6, "metres"),
+        (BodySize, 600.0, 0.6, "metres"),
         (FrameDistance, 210.0, 0.21, "metres"),
         (ToolBallDistance, 210.0, 0.21, "metres"),
         (Feed, 40.0, 0.04, "m/s"),

@@ -398,6 +398,12 @@ impl Robot {
         upper + rows[3].a.hypot(rows[3].d)
     }
 
+    /// An upper bound of the distance from the shoulder to the tool ball, mm: all that is between them, stretched.
+    pub fn ball_reach_mm(&self) -> f64 {
+        let links = self.geometry.rows.iter().skip(1).map(|row| row.a.hypot(row.d));
+        links.sum::<f64>() + self.geometry.tool.norm()
+    }
+
     /// The limits of each axis at axis angles, all in degrees. The axis of a coupled joint has the limits that those of the
     /// joint leave at the angle of the second axis.
     pub fn limits_at_deg(&self, axes_deg: &[f64; AXES]) -> [[f64; 2]; AXES] {
@@ -455,6 +461,8 @@ mod tests {
     fn reach_accelerations_and_parallel_joints_follow_the_table() {
         let robot = robot("kr60ha");
         assert!((robot.reach_mm() - (350.0 + 850.0 + 145f64.hypot(820.0))).abs() < 1e-9);
+        let with_tool = robot.clone().with_tool([30.0, 40.0, 0.0]);
+        assert!((with_tool.ball_reach_mm() - (robot.reach_mm() + 170.0 + 50.0)).abs() < 1e-9);
         assert_eq!(robot.acceleration_deg_s2()[1], 102.0 / 0.4);
         assert_eq!(robot.parallel_joints(), [Joint::J3]);
         assert_eq!(super::tests::robot("ur10e").parallel_joints(), [Joint::J3, Joint::J4]);

@@ -51,8 +51,7 @@ impl Job {
         let is_used = |ball: u32| self.circles.iter().any(|circle| circle.centre == ball);
         let given = self.optimise.is_none() && !self.circles.is_empty();
         let unused = self.centres.iter().map(|table| table.id).filter(|ball| given && !is_used(*ball));
-        let hand_mm = robot.geometry.rows[5].d.abs() + robot.geometry.tool.norm();
-        let lowest_mm = -(robot.reach_mm() + hand_mm);
+        let lowest_mm = -robot.ball_reach_mm();
         let floors = self.obstacles.iter().filter_map(|obstacle| {
             if let ObstacleTable::Floor { z_mm } = *obstacle
                 && z_mm < lowest_mm
@@ -77,6 +76,27 @@ impl Job {
         inside.map(|(_, obstacle)| JobFinding::ObstacleInRobot { obstacle, z_mm }).collect()
     }
 
+    /// Refuses a base ball in the foot of the robot, or farther away than arm and bar reach together.
+    pub(crate) fn check_places(&self, robot: &Robot) -> JobCheck {
+        /// The foot of every robot has at least this share of the reach as its radius: that of a small robot 7 %.
+        const FOOT_RADIUS: f64 = 0.05;
+        let bar_mm = self.bar.length_mm + self.bar.stroke_mm[1];
+        let range = Quantity::BaseBallDistance
+            .range()
+            .from((FOOT_RADIUS * robot.reach_mm()).floor())
+            .to((robot.ball_reach_mm() + bar_mm).ceil());
+        let [shoulder, ..] = robot.geometry.skeleton(&[0.0; AXES]);
+        self.centres.iter().enumerate().try_for_each(|(at, table)| {
+            // The distance from axis 1 between foot and shoulder.
+            let place = Vector3::from(table.xyz_mm);
+            let height_mm = place.z.clamp(shoulder.z.min(0.0), shoulder.z.max(0.0));
+            let away_mm = (place - Vector3::z() * height_mm).norm();
+            // With the decimals of a controller.
+            let wrong = |finding| JobTable::nth("[[centre]]", at).wrong("xyz_mm", finding);
+            range.check("distance of xyz_mm from axis 1", (1e3 * away_mm).round() / 1e3).map_err(wrong)
+        })
+    }
+
     /// Checks what the types do not ensure.
     pub(crate) fn check(&self) -> JobCheck {
         self.check_ranges()?;
@@ -92,7 +112,9 @@ impl Job {
             return Err(JobTable::new("").wrong("", JobFinding::MissingTable { table: table.into() }));
         }
         if let Some([low, high]) = self.optimise.as_ref().and_then(|optimise| optimise.workspace_mm) {
-            JobTable::new("[optimise]").corners("workspace_mm", low, high)?;
+            let table = JobTable::new("[optimise]");
+            table.corners("workspace_mm", low, high)?;
+            table.large("workspace_mm", std::array::from_fn(|axis| high[axis] - low[axis]))?;
         }
         JobTable::new("[tool]").cup(self.tool.cup_axis, self.tool.cup_limit_deg)?;
         for (at, obstacle) in self.obstacles.iter().enumerate() {
@@ -309,5 +331,43 @@ fn key_of_robot(unread: Diagnostic) -> Diagnostic {
     match known.filter(|key| OF_ROBOT.contains(key)).map(str::to_owned) {
         Some(key) => unread.replaced_by(JobFinding::KeyOfRobot { key }),
         None => unread,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::plan::example::{job, robot};
+    use dbbd_model::plausibility::PlausibilityFinding;
+
+    /// The KR 60 has its shoulder at 815 mm and reaches 350 + 850 + hypot(145, 820) = 2032.7 mm from it, to the flange 170 mm
+    /// more, and to the ball at (30, 20, 10) mm 37.4 mm more: 2240.1 mm, and 2546.1 mm with a bar of 300 mm and a stroke of 6 mm.
+    /// A twentieth of the reach is 101.6 mm.
+    #[test]
+    fn a_base_ball_is_where_a_bar_can_reach_it() {
+        let refusal = |xyz_mm: [f64; 3]| {
+            let mut job = job("");
+            job.centres[0].xyz_mm = xyz_mm;
+            job.check_places(&robot()).err().map(|wrong| {
+                match wrong.finding.finding::<PlausibilityFinding>() {
+                    Some(PlausibilityFinding::InOtherUnit { meant, .. }) => *meant,
+                    Some(PlausibilityFinding::Outside { .. }) => "",
+                    other => panic!("{other:?}"),
+                }
+            })
+        };
+        for (xyz_mm, expected) in [
+            ([1150.0, -350.0, 750.0], None),
+            ([1.150, -0.350, 0.750], Some("metres")),
+            ([0.0, 101.5, 800.0], None),
+            ([0.0, 100.5, 800.0], Some("")),
+            // Below the foot, and above the shoulder.
+            ([0.0, 0.0, -90.0], Some("")),
+            ([0.0, 0.0, 815.0 + 90.0], Some("")),
+            ([0.0, 0.0, 815.0 + 2546.0], None),
+            ([2547.0, 0.0, 815.0], None),
+            ([2547.1, 0.0, 815.0], Some("")),
+        ] {
+            assert_eq!(refusal(xyz_mm), expected, "{xyz_mm:?}");
+        }
     }
 }

@@ -67,9 +67,9 @@ impl JobTable {
         self.ensure(key, ordered, || JobFinding::CornersSwapped { key: key.into() })
     }
 
-    /// Checks the size of an obstacle, mm: a tiny one was given in metres.
+    /// Checks the size of an obstacle or a workspace, mm: a tiny one was given in metres.
     pub(super) fn large(self, key: &'static str, size: [f64; 3]) -> ValueCheck {
-        self.check(key, size.into_iter().map(f64::abs).fold(0.0, f64::max), Quantity::ObstacleSize)
+        self.check(key, size.into_iter().map(f64::abs).fold(0.0, f64::max), Quantity::BodySize)
     }
 
     /// Checks the axis of a cup and its limit: both or none must be given.
