@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 use super::{CommandOutput, output};
 use dbbd_job::files;
@@ -21,65 +21,60 @@ pub(super) fn read_traced(path: &Path, out: &CommandOutput) -> Result<Option<Tra
     let bytes = files::read_bytes(path, files::MAX_TEXT_BYTES)?;
     // A program may be in an old code page. What is read of it here is ASCII.
     let text = String::from_utf8_lossy(&bytes);
-    let first_line = text.lines().next().unwrap_or_default();
     if Seal::Toml.check(&text).is_err() {
         out.finding(Diagnostic::file(&name, ProvenanceFinding::RobotEdited));
     }
-    match serde_json::from_str(&text) {
-        Ok(Value::Object(json)) => return of_json(path, &text, &json, out),
+    let json = match serde_json::from_str(&text) {
+        Ok(json) => json,
         Err(error) if path.extension().is_some_and(|extension| extension == "json") => {
             return Err(damaged(path, &error));
         }
-        _ => {}
-    }
-    if let Ok(table) = toml::from_str::<toml::Table>(&text) {
-        if table.contains_key("joint") {
+        Err(_) => Value::Null,
+    };
+    let kind = dbbd_job::artefact::kind_of(&text);
+    match kind {
+        Some(ArtefactRole::Plan) => run::read_plan(path)?.traced().map(Some).map_err(Diagnostic::from),
+        Some(ArtefactRole::Robot | ArtefactRole::IdentifiedRobot) => {
             let text = files::read_text(path)?;
-            return Ok(Some(Robot::from_toml(&name, &text)?.traced(&text)));
+            Ok(Some(Robot::from_toml(&name, &text)?.traced(&text)))
         }
-        if table.contains_key("bar") && table.contains_key("robot") {
-            return Job::from_toml(&name, &text)?.traced(path).map(Some);
+        Some(ArtefactRole::Job) => Job::from_toml(&name, &text)?.traced(path).map(Some),
+        Some(ArtefactRole::Measurements) => {
+            let (table, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, path)?;
+            out.findings(changed);
+            Ok(Some(table))
         }
-    } else if first_line.starts_with("index,circle,centre,kind,move") {
-        return plan(path);
-    } else if first_line.split(',').any(|column| column == "length_mm") {
-        let (table, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, path)?;
-        out.findings(changed);
-        return Ok(Some(table));
-    } else if Language::of_text(&text).is_some() {
-        return with(ArtefactRole::Program, path, program::provenance(&name, &text)?);
+        Some(
+            ArtefactRole::Program
+            | ArtefactRole::Capture
+            | ArtefactRole::BaseBalls
+            | ArtefactRole::Prior
+            | ArtefactRole::Result
+            | ArtefactRole::Check
+            | ArtefactRole::Comparison,
+        )
+        | None => match (json.get("table").and_then(Value::as_str), json.get("provenance")) {
+            // The record beside a table.
+            (Some(table), Some(_)) => read_traced(&path.with_file_name(table), out),
+            (_, recorded) if json.is_object() => of_json(kind, path, &text, recorded),
+            _ if Language::of_text(&text).is_some() => {
+                with(ArtefactRole::Program, path, program::provenance(&name, &text)?)
+            }
+            _ => Ok(None),
+        },
     }
-    Ok(None)
 }
 
+/// A file that ends with its own hash, with the provenance that it records.
 fn of_json(
+    kind: Option<ArtefactRole>,
     path: &Path,
     text: &str,
-    json: &Map<String, Value>,
-    out: &CommandOutput,
+    recorded: Option<&Value>,
 ) -> Result<Option<TracedArtefact>, Diagnostic> {
-    let has = |key: &str| json.contains_key(key);
-    if has("job") && has("hash") && has("moves") {
-        return plan(path);
-    }
-    if let Some(table) = json.get("table").and_then(Value::as_str)
-        && has("provenance")
-    {
-        return read_traced(&path.with_file_name(table), out);
-    }
-    // The files above have a `sha256` of their own kind.
     Seal::Json.check(text).map_err(|finding| Diagnostic::file(path.display(), finding))?;
-    if !has("provenance") && !has("parameters") {
-        return Ok(None);
-    }
-    let role = if has("decision") {
-        ArtefactRole::Check
-    } else if has("inputs") {
-        ArtefactRole::Comparison
-    } else {
-        ArtefactRole::Result
-    };
-    let recorded = json.get("provenance").cloned().map(serde_json::from_value).transpose();
+    let Some(role) = kind else { return Ok(None) };
+    let recorded = recorded.cloned().map(serde_json::from_value).transpose();
     with(role, path, recorded.map_err(|error| damaged(path, &error))?.unwrap_or_default())
 }
 
@@ -93,11 +88,6 @@ fn with(
     provenance: Provenance,
 ) -> Result<Option<TracedArtefact>, Diagnostic> {
     Ok(Some(TracedArtefact { artefact: dbbd_job::artefact::of_file(role, path)?, provenance }))
-}
-
-/// `plan.csv` and `plan.json` are one artefact.
-fn plan(path: &Path) -> Result<Option<TracedArtefact>, Diagnostic> {
-    Ok(Some(run::read_plan(&path.with_extension("csv"))?.traced()?))
 }
 
 /// Prints an artefact and its chain.

@@ -12,7 +12,7 @@ use dbbd_job::plan::Plan;
 use dbbd_job::program::ProgramFinding;
 use dbbd_job::program::krl::{self, Controller, Options};
 use dbbd_job::program::{self, Language, Written, fanuc, rapid, urscript};
-use dbbd_job::recording::run;
+use dbbd_job::recording::run::PlanFiles;
 use dbbd_job::request;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Robot;
@@ -57,8 +57,8 @@ pub(super) enum SyncChoice {
 }
 
 pub(crate) fn run(args: &ProgramArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
-    let plan = run::read_plan(&args.plan)?;
-    out.findings(request::plan::changed_sources(&plan, &args.plan));
+    let PlanFiles { path, plan, .. } = PlanFiles::read(&args.plan)?;
+    out.findings(request::plan::changed_sources(&plan, &path));
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
     let language = args.language.unwrap_or_else(|| Language::of_robot(&robot));
     check_language(args, &robot, language, out)?;

@@ -64,7 +64,7 @@ pub(crate) const CRATES: &[(&str, &[Room])] = &[
             room("child_process", &[]),
             room("artefact", &["provenance"]),
             room("page", &[]),
-            room("robot_files", &["robot", "estimation", "conformity"]),
+            room("robot_files", &["provenance", "robot", "estimation", "conformity"]),
             room("robot_description", &["robot", "estimation"]),
             room("plan", &["provenance", "robot", "measurement", "estimation", "design"]),
             room("program", &["provenance", "robot", "measurement", "plan"]),

@@ -367,3 +367,38 @@ fn sync_replaces_only_its_own_unedited_table() {
             && !at.join("previous-3-lengths.csv").exists()
     );
 }
+
+/// A plan is named by its directory or one of its two files; another file of ours is named for what it is.
+#[test]
+fn a_file_of_another_kind_is_recognised() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    let run = |args: &str| crate::cell::dbbd(at, &args.split_whitespace().collect::<Vec<_>>());
+    let job = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nstroke_mm = [-5.0, 5.0]\nmargin_mm = 0.5\n[[centre]]\nid = 1\n\
+        xyz_mm = [1300.0, 0.0, 800.0]\n[[circle]]\nplane = \"XY\"\npoints = 12\namplitude_deg = 25.0\ntilt_deg = 30.0\n";
+    std::fs::write(at.join("job.toml"), job).unwrap();
+    std::fs::write(at.join("other.toml"), "key = 1\n").unwrap();
+    for args in ["plan job.toml --out plan", "robots import kr60ha --out robot.toml"] {
+        assert_eq!(run(args).status.code(), Some(0), "{args}");
+    }
+    for plan in ["plan", "plan/plan.csv", "plan/plan.json"] {
+        let output = run(&format!("krl {plan} --out krl --replace"));
+        assert!(matches!(output.status.code(), Some(0 | 3)), "{plan}: {}", crate::cell::stderr(&output));
+    }
+    for (args, code) in [
+        ("krl job.toml --out krl", "E0104"),
+        ("krl robot.toml --out krl", "E0104"),
+        ("krl other.toml --out krl", "E0730"),
+        ("acquire --port sim --plan job.toml --out run.dbbd", "E0104"),
+        ("plan plan/plan.json --out other", "E0104"),
+        ("plan plan/plan.csv --out other", "E0104"),
+        ("plan robot.toml --out other", "E0104"),
+        ("plan other.toml --out other", "E0120"),
+        ("plan job.toml --robot job.toml --out other", "E0104"),
+    ] {
+        let output = run(args);
+        assert_eq!(output.status.code(), Some(1), "{args}");
+        let found = crate::cell::codes(&output);
+        assert!(found.iter().any(|found| found == code), "{args}: {}", crate::cell::stderr(&output));
+    }
+}

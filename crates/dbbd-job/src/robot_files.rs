@@ -11,9 +11,11 @@ use dbbd_model::base::date;
 use dbbd_model::conformity::{Standing, StatedCheck, StatedResult, standing};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
+use dbbd_model::provenance::ArtefactRole;
 use dbbd_model::robot::{LoadedRobot, Robot};
 use serde_json::{Value, json};
 
+use crate::artefact::read_as;
 use crate::files;
 
 /// The robot with a built-in name, or in a file. A name with the ending `.toml` must be a file.
@@ -25,7 +27,7 @@ pub fn named_robot(name: &str) -> Result<LoadedRobot, Diagnostic> {
         Some(text) => LoadedRobot::from_toml(name, text),
         None => {
             let text = files::if_there(Path::new(name), ".toml").ok_or_else(|| Robot::unknown(name))??;
-            LoadedRobot::from_toml(name, &text)
+            read_as(Path::new(name), ArtefactRole::Robot, LoadedRobot::from_toml(name, &text))
         }
     }
 }

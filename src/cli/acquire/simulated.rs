@@ -11,7 +11,7 @@ use crate::cli::{CommandOutput, demo};
 use dbbd_device::port::PortAddress;
 use dbbd_job::files;
 use dbbd_job::plan::{Plan, TaughtBall};
-use dbbd_job::recording::run::read_plan;
+use dbbd_job::recording::run::{PlanFiles, read_plan};
 use dbbd_job::request;
 use dbbd_job::sim::truth;
 use dbbd_model::base::FileFinding;
@@ -96,7 +96,7 @@ impl PlanSimulator {
         let inside = directory.path();
         let steps = ChildCommands::new(inside, out);
         let plan = match plan {
-            Some(plan) => absolute(plan)?,
+            Some(plan) => PlanFiles::read(&absolute(plan)?)?.path,
             None => {
                 files::write_file(&inside.join("job.toml"), demo::CIRCLES)?;
                 steps.run(&["plan", "job.toml", "--out", "plan"])?;

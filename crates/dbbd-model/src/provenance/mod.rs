@@ -37,6 +37,40 @@ pub enum ArtefactRole {
     Comparison,
 }
 
+impl ArtefactRole {
+    /// What to give where a file of this kind is needed.
+    pub fn file_to_give(self) -> &'static str {
+        match self {
+            Self::Job => "give the job.toml",
+            Self::Robot => {
+                "give the name of a built-in robot, the file of a robot, or the directory of a result"
+            }
+            Self::IdentifiedRobot => "give a robot-identified.toml, or the directory of its result",
+            Self::Plan => "give the plan.csv that `dbbd plan` wrote, or its directory",
+            Self::Program => "give a program of the robot",
+            Self::Capture => "give a capture",
+            Self::Measurements => "give a capture, or a table of lengths such as the lengths.csv of a result",
+            Self::BaseBalls => "give the centres.csv of a plan",
+            Self::Prior => "give the parameters.csv of a result",
+            Self::Result => "give a result.json, or its directory",
+            Self::Check => "give a check.json, or its directory",
+            Self::Comparison => "give a compare.json",
+        }
+    }
+
+    /// Whether a file of this kind is one of the kind `wanted`.
+    fn serves_as(self, wanted: Self) -> bool {
+        let robots = [Self::Robot, Self::IdentifiedRobot];
+        self == wanted || (robots.contains(&self) && robots.contains(&wanted))
+    }
+
+    /// The finding about a file of this kind where one of another kind is needed.
+    pub fn instead_of(self, wanted: Self) -> Option<ProvenanceFinding> {
+        let file = wanted.file_to_give();
+        (!self.serves_as(wanted)).then_some(ProvenanceFinding::OtherKind { found: self, wanted, file })
+    }
+}
+
 impl fmt::Display for ArtefactRole {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.pad(match self {

@@ -1,15 +1,16 @@
 //! Loads a plan from its two files, or from the attachments of a capture.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use crate::artefact::{kind_of, read_as};
 use crate::files;
 use crate::plan::Plan;
 use crate::plan::PlanFinding;
 use dbbd_model::base::FileFinding;
 use dbbd_model::base::date;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::provenance::{Identity, Provenance};
+use dbbd_model::provenance::{ArtefactRole, Identity, Provenance};
 
 /// Names of a plan's files among the attachments of a capture.
 const ATTACHED_CSV: &str = "plan.csv";
@@ -23,14 +24,30 @@ const MAX_PLAN_FILE_BYTES: u64 = 8 << 20;
 
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanFiles {
+    /// The plan.csv.
+    pub path: PathBuf,
     pub plan: Plan,
     pub csv: String,
     pub json: String,
 }
 
 impl PlanFiles {
+    /// Reads the plan that is named by its directory or by one of its two files.
+    pub fn read(named: &Path) -> Result<Self, Diagnostic> {
+        if named.is_dir() {
+            return Self::of_rows(&named.join(ATTACHED_CSV));
+        }
+        let is_json = named.extension().is_some_and(|extension| extension == "json");
+        let is_header = is_json
+            && files::read_at_most(named, MAX_PLAN_FILE_BYTES)
+                .is_ok_and(|text| kind_of(&text) == Some(ArtefactRole::Plan));
+        let csv = if is_header { named.with_extension("csv") } else { named.to_owned() };
+        read_as(named, ArtefactRole::Plan, Self::of_rows(&csv))
+    }
+
     /// Reads the plan whose rows are in `csv`, with the .json beside it.
-    pub fn read(csv: &Path) -> Result<Self, Diagnostic> {
+    fn of_rows(csv: &Path) -> Result<Self, Diagnostic> {
+        let path = csv.to_owned();
         let json = csv.with_extension("json");
         let (csv_name, json_name) = (csv.display().to_string(), json.display().to_string());
         if files::is_there(csv) && !json.is_file() {
@@ -41,7 +58,7 @@ impl PlanFiles {
             files::read_at_most(&json, MAX_PLAN_FILE_BYTES)?,
         );
         let plan = Plan::from_files(&csv_name, &csv, &json_name, &json)?;
-        Ok(Self { plan, csv, json })
+        Ok(Self { path, plan, csv, json })
     }
 
     /// The files that a capture of a run of the plan contains, by name.
@@ -50,8 +67,9 @@ impl PlanFiles {
     }
 }
 
-pub fn read_plan(csv: &Path) -> Result<Plan, Diagnostic> {
-    PlanFiles::read(csv).map(|files| files.plan)
+/// The plan that is named by its directory or by one of its two files.
+pub fn read_plan(named: &Path) -> Result<Plan, Diagnostic> {
+    PlanFiles::read(named).map(|files| files.plan)
 }
 
 /// The plan among the attachments of the capture `run`, if there is one.

@@ -24,6 +24,7 @@ use super::identify::LENGTHS;
 use super::identify::tables::{lengths, measurements};
 use super::robots::robot_for_measurement;
 use super::{AnswerOutcome, RequestResult, RequestSession, RequestWatch, read_protocol};
+use crate::artefact::read_as;
 use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
 use crate::plan::PlanFinding;
@@ -290,7 +291,7 @@ impl PlanRequest {
     fn read_job(&self, session: &RequestSession<'_>) -> Result<(Job, TracedArtefact, String), Diagnostic> {
         let name = self.job.display().to_string();
         let text = files::read_definition(&self.job)?;
-        let job = Job::from_toml(&name, &text)?;
+        let job = read_as(&self.job, ArtefactRole::Job, Job::from_toml(&name, &text))?;
         job.identity().check_dates(clock::unix_ns()).map_err(|(_, why)| why.in_file(&name))?;
         let made_from = job.traced(&self.job)?;
         let job = match self.poses {
