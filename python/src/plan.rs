@@ -112,7 +112,7 @@ pub(crate) fn plan(py: Python<'_>, job: PathBuf, robot: Option<&PyRobot>) -> Res
     let request = PlanRequest {
         job,
         out: PathBuf::new(),
-        robot: robot.and_then(|robot| robot.file.as_ref()).map(|file| file.display().to_string()),
+        robot: robot.and_then(|robot| robot.file.as_ref()).map(|file| file.display().to_string().into()),
         measured: Vec::new(),
         poses: PlannedPoses::Job,
         replace: false,

@@ -1,10 +1,10 @@
 //! `Robot`: positions, axis angles, derivatives, URDF.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use dbbd_job::files;
 use dbbd_job::report::export::{urdf, urdf_patch};
-use dbbd_job::robot_files::named_robot;
+use dbbd_job::robot_files::RobotName;
 use dbbd_job::sim::truth;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::math::map_pieces;
@@ -134,21 +134,20 @@ fn pieces<T: Sync, const W: usize>(items: &[T], work: impl Fn(&T) -> [f64; W] + 
 
 #[pymethods]
 impl PyRobot {
-    /// A robot by built-in name (`built_in` lists them) or by its TOML file, such as robot-identified.toml. What is wrong in
+    /// A robot by built-in name (`built_in` lists them), by its TOML file, or by the directory of a result. What is wrong in
     /// the file, or was in its identification, is a DbbdWarning.
     /// `tool_mm` states the tool ball in the frame of the flange: a built-in robot has none.
     #[staticmethod]
     #[pyo3(signature = (name_or_path, *, tool_mm=None))]
     fn load(py: Python<'_>, name_or_path: PathBuf, tool_mm: Option<[f64; 3]>) -> Result<Self, Failure> {
-        let name = name_or_path.to_string_lossy();
-        let mut read = named_robot(&name)?;
+        let name = RobotName::from(&*name_or_path.to_string_lossy());
+        let mut read = name.read()?;
         if let Some(tool_mm) = tool_mm {
             read.robot.set_tool(tool_mm);
         }
-        let warnings = read.robot.calibration_warnings().map(|warnings| Diagnostic::file(&name, warnings));
+        let warnings = read.robot.calibration_warnings().map(|warnings| Diagnostic::file(&*name, warnings));
         read.findings.iter().chain(&warnings).try_for_each(|finding| warn(py, finding))?;
-        let file = Robot::built_in_file(&name).is_none().then_some(name_or_path.clone());
-        Ok(Self { read, file })
+        Ok(Self { read, file: name.file().map(Path::to_owned) })
     }
 
     /// Names of the robots that are built in.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use super::{CommandOutput, value};
 use dbbd_job::request::Request;
 use dbbd_job::request::check::{CheckDocument, CheckRequest};
+use dbbd_job::robot_files::RobotName;
 use dbbd_model::conformity::{DecisionRule, InterimCheck};
 use dbbd_model::estimation::change::{ChangeTest, Hypothesis};
 use dbbd_model::estimation::expected::Mounting;
@@ -21,8 +22,8 @@ pub(crate) struct CheckArgs {
     #[arg(value_name = "RUN|CSV")]
     input: PathBuf,
     /// The robot-identified.toml of the calibration, with its table [posterior].
-    #[arg(long, value_name = "FILE")]
-    robot: String,
+    #[arg(long, value_name = "NAME|FILE|DIR")]
+    robot: RobotName,
     /// Directory for check.json and check.html.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,

@@ -14,6 +14,7 @@ use dbbd_job::file_set::{EarlierFiles, FileSet};
 use dbbd_job::files;
 use dbbd_job::report::compare;
 use dbbd_job::request::identify::ROBOT;
+use dbbd_job::robot_files::RobotName;
 use dbbd_model::base::date::{day_number, is_after};
 use dbbd_model::base::serialised::{self, Seal};
 use dbbd_model::conformity::ConformityFinding;
@@ -49,8 +50,8 @@ pub(crate) struct CompareArgs {
     #[arg(long, value_name = "MM", value_parser = value::tolerance)]
     tolerance: Option<f64>,
     /// Robot with the axes and limits of the results [default: robot-identified.toml beside the first].
-    #[arg(long, value_name = "NAME|FILE")]
-    robot: Option<String>,
+    #[arg(long, value_name = "NAME|FILE|DIR")]
+    robot: Option<RobotName>,
     /// Standard uncertainty of the repeatability of a circle's quantities from run to run, mm [default: 0].
     #[arg(long, value_name = "MM", value_parser = value::length_sd)]
     repeat_u: Option<f64>,
@@ -257,9 +258,9 @@ fn robot(args: &CompareArgs, first: &ComparedFile, out: &CommandOutput) -> Resul
     let beside = first.path.with_file_name(ROBOT);
     if !beside.exists() {
         let finding = ConformityFinding::NoRobotBeside { looked_for: ROBOT.into() };
-        return Err(Diagnostic::file(&first.name, finding).help("give --robot NAME|FILE"));
+        return Err(Diagnostic::file(&first.name, finding));
     }
-    robots::named(&beside.display().to_string(), out)
+    robots::named(&beside.display().to_string().into(), out)
 }
 
 /// `compare.json`.

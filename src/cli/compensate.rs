@@ -6,6 +6,7 @@ use super::{CommandOutput, value};
 use dbbd_job::program::Moved;
 use dbbd_job::request::Request;
 use dbbd_job::request::compensate::{CompensateDocument, CompensateRequest, DEFAULT_LIMIT_MM, ProgramDatum};
+use dbbd_job::robot_files::RobotName;
 use dbbd_model::estimation::ProgramUncertainty;
 
 /// Correct the points of a program for an identified robot.
@@ -26,8 +27,8 @@ pub(crate) struct CompensateArgs {
     #[arg(value_name = "PROGRAM")]
     program: PathBuf,
     /// The identified robot: robot-identified.toml.
-    #[arg(long, value_name = "FILE")]
-    robot: String,
+    #[arg(long, value_name = "NAME|FILE|DIR")]
+    robot: RobotName,
     /// Directory for the corrected program; not that of the program itself.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,

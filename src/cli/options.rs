@@ -73,7 +73,7 @@ fn option(input: Input) -> (&'static str, &'static str) {
         Input::Repeat => ("--repeat RUN[:ROWS]", "poses that are measured again"),
         Input::Replace => ("--replace", "replace earlier files"),
         Input::Risk => ("--risk P", "risk of a wrong decision"),
-        Input::Robot => ("--robot NAME|FILE", "robot"),
+        Input::Robot => ("--robot NAME|FILE|DIR", "robot"),
         Input::Save => ("--save DIR", "what was received"),
         Input::Search => ("--search TEXT", "part of a name"),
         Input::ServiceCheck => ("--check", "check of the configuration"),

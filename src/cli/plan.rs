@@ -7,6 +7,7 @@ use dbbd_job::plan::prediction::Identifiability;
 use dbbd_job::plan::{PlanPrediction, PoseKind};
 use dbbd_job::request::Request;
 use dbbd_job::request::plan::{CheckPoses, PlanDocument, PlanRequest, PlannedPoses, RepeatedRows};
+use dbbd_job::robot_files::RobotName;
 use dbbd_model::estimation::change::CheckPower;
 use dbbd_model::robot::ParamUnit;
 
@@ -26,8 +27,8 @@ pub(crate) struct PlanArgs {
     out: PathBuf,
     /// Robot by built-in name or file, in place of the job's. With a robot-identified.toml the plan uses the identified robot:
     /// the lengths.csv beside it counts as --measured; the commanded poses are those of the nominal robot.
-    #[arg(long, value_name = "NAME|FILE")]
-    robot: Option<String>,
+    #[arg(long, value_name = "NAME|FILE|DIR")]
+    robot: Option<RobotName>,
     /// Measurements CSV of lengths measured before to the same base balls (may be repeated). The plan uses the robot that is
     /// most likely given these lengths and its tolerance; risks and predictions use its posterior.
     #[arg(long, value_name = "OBS.csv")]

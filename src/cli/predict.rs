@@ -8,6 +8,7 @@ use super::{CommandOutcome, CommandOutput, robots, value};
 use dbbd_device::clock;
 use dbbd_job::files;
 use dbbd_job::request;
+use dbbd_job::robot_files::RobotName;
 use dbbd_model::base::date::utc;
 use dbbd_model::base::serialised;
 use dbbd_model::diagnostic::Diagnostic;
@@ -26,8 +27,8 @@ pub(crate) struct PredictArgs {
     /// move of each axis (1: rising angle, -1: falling angle, 0 or absent: unknown).
     axes: PathBuf,
     /// Robot: a built-in name or a TOML file, such as robot-identified.toml.
-    #[arg(long, value_name = "NAME|FILE")]
-    robot: String,
+    #[arg(long, value_name = "NAME|FILE|DIR")]
+    robot: RobotName,
     /// Predict this point in place of the tool ball: mm in the flange frame, where it is known exactly.
     #[arg(long, value_name = "X,Y,Z[,A,B,C]", value_parser = value::tool, allow_hyphen_values = true)]
     tool: Option<[f64; 3]>,
@@ -65,25 +66,25 @@ struct PredictedBall {
 }
 
 pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
-    files::keeps(&args.out, [args.axes.as_path(), Path::new(&args.robot)])?;
+    files::keeps(&args.out, [args.axes.as_path(), Path::new(&*args.robot)])?;
     files::is_earlier(&args.out, (columns().join(",") + "\n").as_bytes())?;
     let LoadedRobot { mut robot, source, .. } = robots::read_named_robot(&args.robot, out)?;
     let date = args.date.clone().unwrap_or_else(|| utc(clock::unix_ns()));
-    out.findings_in(&args.robot, robot.far_day(&date));
+    out.findings_in(&*args.robot, robot.far_day(&date));
     robot = robot.under(&MeasurementConditions { date: Some(date), temperature_c: args.temperature });
-    out.findings_in(&args.robot, request::carrying(&args.robot, &mut robot, args.payload.as_deref())?);
+    out.findings_in(&*args.robot, request::carrying(&args.robot, &mut robot, args.payload.as_deref())?);
     let (table, changed) = dbbd_job::artefact::of_table(ArtefactRole::Measurements, &args.axes)?;
     out.findings(changed);
     table.check_made_for(&source.artefact)?;
     let poses = out.table(&args.axes, Measurements::poses_from_table)?;
-    out.findings_in(&args.robot, request::edited(&robot));
+    out.findings_in(&*args.robot, request::edited(&robot));
     let angles = poses.iter().zip(1..).map(|(pose, number)| (number, pose.axes));
     out.findings_in(args.axes.display(), measurement::beyond(angles, robot.controller()));
     let orientations = Orientations::of(&robot, &poses);
     if let Some(tool) = args.tool {
         robot = robot.with_exact_tool(tool);
     }
-    robot.check_tool().map_err(|why| Diagnostic::file(&args.robot, why))?;
+    robot.check_tool().map_err(|why| Diagnostic::file(&*args.robot, why))?;
     let positions = Positions::of(&robot, &poses);
     let table = args.model.is_some().then(|| robot.geometry.rigid());
     let ball = |at: usize| match &table {

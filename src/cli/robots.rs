@@ -12,7 +12,7 @@ use dbbd_job::request;
 use dbbd_job::robot_description::{
     self, CHECKED_POSES, DescriptionFinding, DescriptionKind, FactoryTable, ImportedRobot,
 };
-use dbbd_job::robot_files::named_robot;
+use dbbd_job::robot_files::RobotName;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Tolerance;
 use dbbd_model::robot::{CouplingTable, JointTable};
@@ -34,9 +34,9 @@ enum RobotsVerb {
     List,
     /// Show a robot's table, limits and speeds: mm, degrees, degrees/s.
     Show {
-        /// Built-in name or robot file.
-        #[arg(value_name = "NAME|FILE")]
-        name: String,
+        /// Built-in name, robot file, or directory of a result.
+        #[arg(value_name = "NAME|FILE|DIR")]
+        name: RobotName,
     },
     /// Make a robot file from a built-in robot, a URDF, KUKA's `$machine.dat`, or the factory calibration of a controller.
     ///
@@ -50,8 +50,8 @@ enum RobotsVerb {
         #[arg(value_name = "NAME|FILE|URL")]
         from: String,
         /// The type of a calibrated robot: a built-in name or a robot file.
-        #[arg(long, value_name = "NAME|FILE")]
-        robot: Option<String>,
+        #[arg(long, value_name = "NAME|FILE|DIR")]
+        robot: Option<RobotName>,
         /// The six joints of a URDF that has several chains, base to flange, with commas.
         #[arg(long, value_name = "NAMES", value_delimiter = ',')]
         joints: Vec<String>,
@@ -64,22 +64,22 @@ enum RobotsVerb {
     },
     /// Check a robot file, and report a mistake with its line.
     Check {
-        /// Built-in name or robot file.
-        #[arg(value_name = "NAME|FILE")]
-        name: String,
+        /// Built-in name, robot file, or directory of a result.
+        #[arg(value_name = "NAME|FILE|DIR")]
+        name: RobotName,
     },
 }
 
-/// Reads a robot by built-in name or file, and reports the warnings of its identification.
-pub(crate) fn read_named_robot(name: &str, out: &CommandOutput) -> Result<LoadedRobot, Diagnostic> {
-    let mut read = named_robot(name)?;
+/// Reads a robot, and reports the warnings of its identification.
+pub(crate) fn read_named_robot(name: &RobotName, out: &CommandOutput) -> Result<LoadedRobot, Diagnostic> {
+    let mut read = name.read()?;
     out.findings(std::mem::take(&mut read.findings));
-    out.findings_in(name, read.robot.calibration_warnings());
+    out.findings_in(&**name, read.robot.calibration_warnings());
     Ok(read)
 }
 
 /// As [`read_named_robot`], without the provenance.
-pub(crate) fn named(name: &str, out: &CommandOutput) -> Result<Robot, Diagnostic> {
+pub(crate) fn named(name: &RobotName, out: &CommandOutput) -> Result<Robot, Diagnostic> {
     read_named_robot(name, out).map(|read| read.robot)
 }
 
@@ -115,14 +115,19 @@ pub(crate) fn run(args: &RobotsArgs, out: &CommandOutput) -> Result<CommandOutco
                     refuse_unused(robot.is_some(), !joints.is_empty())?;
                     copy_built_in(from, text, path, out)
                 }
-                None => import_robot(from, robot.as_deref(), joints, path, out),
+                None => import_robot(from, robot.as_ref(), joints, path, out),
             }
         }
         Some(RobotsVerb::Check { name }) => {
             let robot = named(name, out)?;
-            out.findings_in(name, request::edited(&robot));
+            out.findings_in(&**name, request::edited(&robot));
             out.document(&RobotEntry { id: name, name: &robot.name, reach_mm: robot.reach_mm() })?;
-            out.result(format!("{name}: {}, reach {:.1} mm: no mistake found", robot.name, robot.reach_mm()));
+            out.result(format!(
+                "{}: {}, reach {:.1} mm: no mistake found",
+                &**name,
+                robot.name,
+                robot.reach_mm()
+            ));
             Ok(CommandOutcome::Done)
         }
     }
@@ -152,7 +157,7 @@ fn refuse_unused(robot: bool, joints: bool) -> Result<(), Diagnostic> {
 
 fn import_robot(
     from: &str,
-    like: Option<&str>,
+    like: Option<&RobotName>,
     joints: &[String],
     path: &Path,
     out: &CommandOutput,
@@ -230,7 +235,7 @@ fn list_robots(out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     Ok(CommandOutcome::Done)
 }
 
-fn show_robot(name: &str, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
+fn show_robot(name: &RobotName, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
     let robot = named(name, out)?;
     let shown = RobotDocument {
         entry: RobotEntry { id: name, name: &robot.name, reach_mm: robot.reach_mm() },
@@ -242,7 +247,7 @@ fn show_robot(name: &str, out: &CommandOutput) -> Result<CommandOutcome, Diagnos
         source: robot.source.as_deref(),
     };
     out.document(&shown)?;
-    out.result(format!("{} ({name}), reach {:.1} mm", shown.entry.name, shown.entry.reach_mm));
+    out.result(format!("{} ({}), reach {:.1} mm", shown.entry.name, &**name, shown.entry.reach_mm));
     out.result("row i: Ry(beta) Rx(alpha) Tx(a) Rz(theta) Tz(d), theta = sign * A + offset (modified DH)");
     out.result(format!(
         "{:>5} {:>10} {:>10} {:>10} {:>10} {:>5} {:>9} {:>16} {:>9}",

@@ -17,6 +17,7 @@ use dbbd_job::plan::DEFAULT_PROTOCOL;
 use dbbd_job::program::{Language, Program, Text, fanuc, krl, provenance, rapid, urscript};
 use dbbd_job::request;
 use dbbd_job::request::compensate::program_language;
+use dbbd_job::robot_files::RobotName;
 use dbbd_job::sim::SimulationFinding;
 use dbbd_job::sim::axes::{AxesLine, AxesPublisher};
 #[cfg(unix)]
@@ -56,10 +57,10 @@ pub(crate) struct SimulateArgs {
     program: PathBuf,
     /// The controller's robot: a built-in name or a file.
     #[arg(long, value_name = "NAME|FILE", default_value = EXAMPLE_ROBOT)]
-    nominal: String,
+    nominal: RobotName,
     /// The true robot [default: drawn from the tolerance of the nominal robot with the seed].
     #[arg(long, value_name = "TRUTH.toml")]
-    robot: Option<String>,
+    robot: Option<RobotName>,
     /// The tool ball of a robot that states none, in the frame of the flange, mm: of --nominal and of --robot [default: without
     /// --nominal and --robot 30,20,10, that of the examples].
     #[arg(long, value_name = "X,Y,Z", value_parser = value::tool_ball, allow_hyphen_values = true)]
@@ -67,7 +68,7 @@ pub(crate) struct SimulateArgs {
     /// The robot with which a controller in absolute-accuracy mode ($ABS_ACCUR TRUE) computes its axis angles [default: no
     /// absolute-accuracy mode].
     #[arg(long, value_name = "NAME|FILE")]
-    accuracy: Option<String>,
+    accuracy: Option<RobotName>,
     /// Directory for the program's .dat files as the controller leaves them, with the logged axes.
     #[arg(long, value_name = "DIR")]
     save: Option<PathBuf>,
@@ -331,7 +332,7 @@ impl ReadingSource for &mut CellSimulation<'_> {
 impl<'a> CellSimulation<'a> {
     fn new(args: &SimulateArgs, faults: &InjectedFaults, out: &'a CommandOutput) -> Result<Self, Diagnostic> {
         let LoadedRobot { robot: nominal, source, .. } = robots::read_named_robot(&args.nominal, out)?;
-        let is_example = args.nominal == EXAMPLE_ROBOT && args.robot.is_none();
+        let is_example = *args.nominal == *EXAMPLE_ROBOT && args.robot.is_none();
         let tool_mm = args.tool.or(is_example.then_some(EXAMPLE_TOOL_MM));
         let with_tool = |robot: Robot| match tool_mm.filter(|_| !robot.has_tool) {
             Some(tool_mm) => robot.with_tool(tool_mm),
@@ -348,7 +349,7 @@ impl<'a> CellSimulation<'a> {
         let world_text = args.world.as_deref().map(files::read_text).transpose()?;
         let world_name = args.world.as_ref().map(|path| path.display().to_string());
         let setup = WorldSetup::new(&program.setups(), world_name.as_deref().zip(world_text.as_deref()))?;
-        let accuracy = args.accuracy.as_deref().map(|name| robots::named(name, out)).transpose()?;
+        let accuracy = args.accuracy.as_ref().map(|name| robots::named(name, out)).transpose()?;
         let mut controller =
             SimulatedController::new(program, accuracy.as_ref().unwrap_or(&nominal), args.override_percent)?;
         if accuracy.is_some() {

@@ -295,3 +295,48 @@ fn urdfs_and_joints() {
     let sdf = urdf.replace("<robot ", "<sdf ").replace("</robot>", "</sdf>");
     says(&export(&sdf, &[]), 1, "E1720");
 }
+
+/// Every command takes the directory of a result for its robot, and a built-in name; where an identified robot is needed, a
+/// built-in one is refused as such.
+#[test]
+fn a_robot_is_named_alike_in_every_command() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    done(&identify(at, &data.to_csv(), &PRIOR));
+    fs::write(at.join("axes.csv"), "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n0,-60,90,0,60,0\n").unwrap();
+    fs::write(
+        at.join("P.src"),
+        "DEF P( )\nBAS(#INITMOV,0)\n$TOOL={X 30,Y 20,Z 10,A 0,B 0,C 0}\n$BASE=$NULLFRAME\n\
+         PTP {X 1300,Y 0,Z 800,A 0,B 90,C 180,S 2,T 2}\nEND\n",
+    )
+    .unwrap();
+    let ended = |args: &str| {
+        let output = dbbd(at, &args.split_whitespace().collect::<Vec<_>>());
+        (output.status.code(), codes(&output))
+    };
+    for robot in ["out", "out/robot-identified.toml"] {
+        for args in [
+            format!("robots show {robot}"),
+            format!("robots check {robot}"),
+            format!("predict axes.csv --robot {robot} --out P.csv"),
+            format!("export {robot} --for urdf --out urdf --replace"),
+            format!("plan job.toml --robot {robot} --out plan --replace"),
+            format!("identify obs.csv --robot {robot} --centres C.csv --folds 0 --out again --replace"),
+            format!("check obs.csv --robot {robot} --centres C.csv --out check --replace"),
+            format!("compensate P.src --robot {robot} --out corrected --replace"),
+        ] {
+            let (exit, found) = ended(&args);
+            assert!(
+                !found.iter().any(|code| ["E0101", "E0503"].contains(&code.as_str())),
+                "{args}: {found:?}"
+            );
+            assert_ne!(exit, Some(2), "{args}");
+        }
+    }
+    for (args, code) in [
+        ("check obs.csv --robot kr60ha --centres C.csv --out check", "E1910"),
+        ("compensate P.src --robot kr60ha --out corrected", "E0909"),
+    ] {
+        assert_eq!(ended(args), (Some(1), vec![code.to_owned()]), "{args}");
+    }
+}

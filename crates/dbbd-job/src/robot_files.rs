@@ -4,6 +4,7 @@
 //! the result.
 
 use std::fs;
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use dbbd_device::clock;
@@ -13,21 +14,68 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
 use dbbd_model::provenance::ArtefactRole;
 use dbbd_model::robot::{LoadedRobot, Robot};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::artefact::read_as;
 use crate::files;
 
-/// The robot with a built-in name, or in a file. A name with the ending `.toml` must be a file.
-///
-/// # Errors
-/// There is no such robot and no such file, or the file is not a robot.
-pub fn named_robot(name: &str) -> Result<LoadedRobot, Diagnostic> {
-    match Robot::built_in_file(name) {
-        Some(text) => LoadedRobot::from_toml(name, text),
-        None => {
-            let text = files::if_there(Path::new(name), ".toml").ok_or_else(|| Robot::unknown(name))??;
-            read_as(Path::new(name), ArtefactRole::Robot, LoadedRobot::from_toml(name, &text))
+/// The name of the file of an identified robot in the directory of its result.
+pub const ROBOT: &str = "robot-identified.toml";
+
+/// A robot as a user names it: by the name of a built-in robot, by its file, or by the directory of a result. The directory is
+/// replaced by the file of the identified robot in it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "String", into = "String")]
+pub struct RobotName(String);
+
+impl From<String> for RobotName {
+    fn from(name: String) -> Self {
+        let is_directory = Robot::built_in_file(&name).is_none() && Path::new(&name).is_dir();
+        let file = is_directory.then(|| Path::new(&name).join(ROBOT).display().to_string());
+        Self(file.unwrap_or(name))
+    }
+}
+
+impl From<&str> for RobotName {
+    fn from(name: &str) -> Self {
+        name.to_owned().into()
+    }
+}
+
+impl From<RobotName> for String {
+    fn from(RobotName(name): RobotName) -> Self {
+        name
+    }
+}
+
+/// The built-in name, or the path of the file.
+impl Deref for RobotName {
+    type Target = str;
+
+    fn deref(&self) -> &str {
+        &self.0
+    }
+}
+
+impl RobotName {
+    /// The robot's file; `None` of a built-in robot.
+    pub fn file(&self) -> Option<&Path> {
+        Robot::built_in_file(self).is_none().then_some(Path::new(&self.0))
+    }
+
+    /// Reads the robot. A name with the ending `.toml` must be a file.
+    ///
+    /// # Errors
+    /// There is no such robot and no such file, or the file is not a robot.
+    pub fn read(&self) -> Result<LoadedRobot, Diagnostic> {
+        match Robot::built_in_file(self) {
+            Some(text) => LoadedRobot::from_toml(self, text),
+            None => {
+                let path = Path::new(&self.0);
+                let text = files::if_there(path, ".toml").ok_or_else(|| Robot::unknown(self))??;
+                read_as(path, ArtefactRole::Robot, LoadedRobot::from_toml(self, &text))
+            }
         }
     }
 }
@@ -100,6 +148,24 @@ pub fn last_check(robot_file: &Path) -> Result<Option<(PathBuf, StatedCheck)>, D
 mod tests {
     use super::*;
     use dbbd_model::conformity::ConformityOutcome;
+
+    #[test]
+    fn a_robot_is_named_by_built_in_name_file_or_directory_of_its_result() {
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join(ROBOT);
+        let named = |path: &Path| RobotName::from(path.display().to_string());
+        assert_eq!(named(directory.path()).file(), Some(file.as_path()));
+        // Without a robot in it the file is missing, not the directory.
+        assert_eq!(named(directory.path()).read().err().unwrap().code().as_str(), "E0101");
+        fs::write(&file, Robot::built_in_file("kr60ha").unwrap()).unwrap();
+        assert_eq!(named(directory.path()), named(&file));
+        let built_in = RobotName::from("kr60ha");
+        assert_eq!((built_in.file(), &*built_in), (None, "kr60ha"));
+        let robots = [named(&file), built_in].map(|name| name.read().unwrap().robot);
+        assert_eq!(robots[0], robots[1]);
+        let json = serde_json::to_string(directory.path()).unwrap();
+        assert_eq!(serde_json::from_str::<RobotName>(&json).unwrap(), named(&file));
+    }
 
     #[test]
     fn the_newest_check_of_the_same_robot_file_counts() {

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use super::child::{ChildCommands, LOOPBACK};
 use super::{CommandOutcome, CommandOutput};
 use dbbd_job::files;
-use dbbd_job::robot_files::named_robot;
+use dbbd_job::robot_files::RobotName;
 use dbbd_model::base::hash::sha256;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
@@ -147,7 +147,7 @@ fn identify_real(
     out: &CommandOutput,
 ) -> Result<CommandOutcome, Diagnostic> {
     let (name, dir) = (robot.name(), &dir.join(robot.name()));
-    let nominal = named_robot(name)?.robot;
+    let nominal = RobotName::from(name).read()?.robot;
     files::directory(dir)?;
     robot.write(dir, &nominal)?;
     let steps = ChildCommands::new(dir, out);

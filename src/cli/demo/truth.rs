@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::{PAPER, SimulatedDemo, TrueErrors};
 use dbbd_job::files;
 use dbbd_job::plan::Job;
-use dbbd_job::robot_files::named_robot;
+use dbbd_job::robot_files::RobotName;
 use dbbd_job::sim::truth;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
@@ -64,7 +64,7 @@ impl Truth {
     /// tool ball was. Writes `truth.toml` and `world.toml`.
     pub(super) fn draw(dir: &Path, demo: &SimulatedDemo, seed: u64) -> Result<Self, Diagnostic> {
         let job = Job::from_toml("job.toml", demo.job)?;
-        let mut nominal = named_robot(&job.robot)?.robot;
+        let mut nominal = RobotName::from(job.robot.as_str()).read()?.robot;
         job.tool.state_in(&mut nominal);
         let drawn = truth::draw_true_robot(&nominal, seed, 1.0);
         let robot = match demo.errors {

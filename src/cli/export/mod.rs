@@ -15,10 +15,8 @@ use dbbd_job::recording::capture::CaptureSummary;
 use dbbd_job::recording::run;
 use dbbd_job::report::ReportFinding;
 use dbbd_job::report::export::mcap::{CHANNELS, McapFile, RunScene};
-use dbbd_job::robot_files::named_robot;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::robot::Robot;
-use robot::{TargetName, robot_file};
+use robot::{TargetName, robot_name};
 use tables::{CaptureTables, WrittenTable};
 
 /// Export a capture as CSV or MCAP, or an identified robot for another program or its controller.
@@ -107,16 +105,14 @@ fn scene(run: &Path) -> Option<RunScene> {
 
 /// Refuses a capture where a robot is exported, and a robot where nothing says for whom.
 fn check_kind(args: &ExportArgs) -> Result<(), Diagnostic> {
-    let file = robot_file(args);
-    let name = file.to_string_lossy();
+    let name = robot_name(args);
     let is_capture = args.run.is_file() && run::is_capture(&args.run)?;
-    let is_named = Robot::built_in_file(&name).is_some() || file.is_file();
-    let is_robot = || is_named && named_robot(&name).is_ok();
+    let is_robot = || name.file().is_none_or(Path::is_file) && name.read().is_ok();
     let wants_robot = args.target.is_some() || args.urdf_in.is_some();
     let finding = match wants_robot {
         true if is_capture => ReportFinding::CaptureAsRobot,
         false if !is_capture && is_robot() => ReportFinding::RobotWithoutTarget,
         true | false => return Ok(()),
     };
-    Err(Diagnostic::file(&name, finding))
+    Err(Diagnostic::file(&*name, finding))
 }

@@ -1,6 +1,6 @@
 //! `dbbd export` of a robot: `--for` and `--urdf-in`.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Serialize;
 
@@ -14,8 +14,7 @@ use dbbd_job::report::ReportFinding::{CoupledInUrdf, LeftOut};
 use dbbd_job::report::export::hand_back::{HandBack, HandBackTarget};
 use dbbd_job::report::export::urdf::{CoupledJoint, coupled};
 use dbbd_job::report::export::urdf_patch::{PatchedUrdf, patch};
-use dbbd_job::request::identify::ROBOT;
-use dbbd_job::robot_files::{ResultBeside, result_beside, standing_of};
+use dbbd_job::robot_files::{ResultBeside, RobotName, result_beside, standing_of};
 use dbbd_model::base::FileFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::SimplifiedModelError;
@@ -66,9 +65,9 @@ struct HandBackDocument {
     left_out: Option<SimplifiedModelError>,
 }
 
-/// The robot's file: in the directory of a result, or the one named.
-pub(super) fn robot_file(args: &ExportArgs) -> PathBuf {
-    if args.run.is_dir() { args.run.join(ROBOT) } else { args.run.clone() }
+/// The robot that is named.
+pub(super) fn robot_name(args: &ExportArgs) -> RobotName {
+    args.run.display().to_string().into()
 }
 
 pub(super) fn hand_back(
@@ -76,11 +75,12 @@ pub(super) fn hand_back(
     target: TargetName,
     out: &CommandOutput,
 ) -> Result<CommandOutcome, Diagnostic> {
-    let file = robot_file(args);
-    let LoadedRobot { robot, source, .. } = robots::read_named_robot(&file.to_string_lossy(), out)?;
-    let standing = standing_of(&file, &robot)?;
+    let name = robot_name(args);
+    let file = Path::new(&*name);
+    let LoadedRobot { robot, source, .. } = robots::read_named_robot(&name, out)?;
+    let standing = standing_of(file, &robot)?;
     out.findings_in(file.display(), standing.and_then(|standing| standing.finding(&robot.name)));
-    let result = match result_beside(&file, &robot)? {
+    let result = match result_beside(file, &robot)? {
         (_, ResultBeside::Own(result)) => Some(result),
         (_, ResultBeside::Another | ResultBeside::Nothing) => None,
     };
@@ -117,7 +117,7 @@ pub(super) fn patch_urdf(
     urdf: &Path,
     out: &CommandOutput,
 ) -> Result<CommandOutcome, Diagnostic> {
-    let robot = robots::named(&robot_file(args).to_string_lossy(), out)?;
+    let robot = robots::named(&robot_name(args), out)?;
     let to = args.out.join(urdf.file_name().unwrap_or_default());
     if files::same_place(&to, urdf) {
         return Err(Diagnostic::file(to.display(), FileFinding::IsRead));

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use super::value;
 use dbbd_job::request::Request;
 use dbbd_job::request::identify::{Exclusion, IdentifyRequest, RequestedPrior, SetUpRelation};
+use dbbd_job::robot_files::RobotName;
 use dbbd_model::estimation::ErrorModel;
 pub(super) use say::show;
 
@@ -39,8 +40,8 @@ pub(crate) struct IdentifyArgs {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Robot: a built-in name or a TOML file.
-    #[arg(long, value_name = "NAME|FILE")]
-    robot: Option<String>,
+    #[arg(long, value_name = "NAME|FILE|DIR")]
+    robot: Option<RobotName>,
     /// Parameters to estimate: names, ranges, groups (`alpha1-5,a1-5,d4-6`; geometric, tool, targets, centres, bar, tracker,
     /// all; compliance, gear) [default: all that are identifiable, and errors of the joints, see --model]. Without a prior
     /// exactly this list is estimated. Other parameters count as exact, also in the predicted position uncertainty.

@@ -110,9 +110,10 @@ findings! {
             TooFar { shift_mm: f64, limit_mm: f64 } => "it would move by {shift_mm:.3} mm, allowed are {limit_mm:.3}";
         }
         E0909 "the robot file is not of an identified robot",
-        cause: "The file has no [nominal] table: it is a nominal robot.",
-        cure: "Give the robot-identified.toml that `dbbd identify` wrote." {
-            NotIdentified => "the file has no [nominal] table";
+        cause: "The file has no [nominal] table: it is a nominal robot, as built-in robots are.",
+        cure: "Give the robot-identified.toml that `dbbd identify` wrote, or its directory.",
+        asks: [Robot] {
+            NotIdentified => "the robot is not an identified one";
         }
         E0980 "a program is cut off",
         cause: "The file ends before the routine or the data list does: a copy broke off, or it was cut by an editor.",

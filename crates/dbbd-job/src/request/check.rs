@@ -11,18 +11,18 @@ use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::estimation::{DistanceQuantities, Options, Priors};
 use dbbd_model::measurement::{LengthModel, Measurements, PreparedMeasurement, are_lengths_known};
 use dbbd_model::provenance::Provenance;
-use dbbd_model::robot::{Coordinate, ParamId, Robot};
+use dbbd_model::robot::{Coordinate, LoadedRobot, ParamId, Robot};
 use serde::{Deserialize, Serialize};
 
+use super::identify::LENGTHS;
 use super::identify::SetUpRelation;
 use super::identify::inputs::{LoadedInputs, NamedInputs, known_lengths};
-use super::identify::{LENGTHS, ROBOT};
 use super::workspace::read_workspace;
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
 use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
 use crate::report;
-use crate::robot_files::{ResultBeside, result_beside};
+use crate::robot_files::{ROBOT, ResultBeside, RobotName, result_beside};
 
 /// Which robot shall be checked, with which lengths.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,8 +30,8 @@ use crate::robot_files::{ResultBeside, result_beside};
 pub struct CheckRequest {
     /// A table of lengths, or a capture.
     pub input: PathBuf,
-    /// The file of the calibrated robot, with its posterior.
-    pub robot: String,
+    /// The calibrated robot, with its posterior.
+    pub robot: RobotName,
     /// The directory of the result.
     pub out: PathBuf,
     /// A table of the base balls; `None` for the base balls of the capture's plan.
@@ -69,7 +69,7 @@ impl CheckRequest {
     pub const RISK: f64 = 0.05;
 
     /// A check with the defaults of everything else.
-    pub fn new(input: PathBuf, robot: String, out: PathBuf, tolerance_mm: Option<f64>) -> Self {
+    pub fn new(input: PathBuf, robot: RobotName, out: PathBuf, tolerance_mm: Option<f64>) -> Self {
         Self {
             input,
             robot,
@@ -165,8 +165,8 @@ impl CheckRequest {
             workspace: &workspace.workspace_poses(&given.robot),
         };
         let mut checked = CheckedLengths::of(&input, &given.observations)
-            .map_err(|finding| Diagnostic::file(&self.robot, finding))?;
-        let known = known_lengths(Some(Path::new(&self.robot)), &given.observations)?;
+            .map_err(|finding| Diagnostic::file(&*self.robot, finding))?;
+        let known = known_lengths(self.robot.file(), &given.observations)?;
         session.findings(given.findings());
         session.findings(checked.findings());
         session.findings(checked.of_known_lengths(known));
@@ -185,8 +185,13 @@ impl CheckRequest {
     }
 
     fn read_inputs(&self, session: &RequestSession<'_>) -> Result<LoadedInputs, Diagnostic> {
+        let LoadedRobot { robot, .. } = self.robot.read()?;
+        if robot.posterior.is_none() {
+            let finding = ConformityFinding::NoPosterior { robot: robot.name };
+            return Err(Diagnostic::file(&*self.robot, finding));
+        }
         if self.update {
-            files::keeps(&self.out.join(ROBOT), [Path::new(&self.robot)])?;
+            files::keeps(&self.out.join(ROBOT), [Path::new(&*self.robot)])?;
         }
         let named = NamedInputs {
             exclude: &[],
@@ -207,7 +212,7 @@ impl CheckRequest {
         given.check_planned_robot()?;
         let replaced = self.out.join("check.json");
         earlier::check_replaced(&replaced, Some(&given.robot.name), &given.provenance)?;
-        session.findings_in(&self.robot, given.robot.calibration_warnings());
+        session.findings_in(&*self.robot, given.robot.calibration_warnings());
         Ok(given)
     }
 }

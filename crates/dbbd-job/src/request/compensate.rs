@@ -27,7 +27,7 @@ use crate::program::{
     urscript,
 };
 use crate::recording::run::read_plan;
-use crate::robot_files::standing_of;
+use crate::robot_files::{RobotName, standing_of};
 
 /// Which program shall be corrected, and for which robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,7 +36,7 @@ pub struct CompensateRequest {
     /// The program; its extension is the extension of its language.
     pub program: PathBuf,
     /// The identified robot.
-    pub robot: String,
+    pub robot: RobotName,
     /// The directory of the corrected program.
     pub out: PathBuf,
     /// The file that declares tools and bases.
@@ -167,22 +167,22 @@ impl CompensateRequest {
     ) -> Result<RequestResult<CompensateDocument>, Diagnostic> {
         let LoadedRobot { mut robot, source: identified, .. } = robot_for_measurement(&self.robot, session)?;
         robot = today(&robot);
-        session.findings_in(&self.robot, carrying(&self.robot, &mut robot, self.payload.as_deref())?);
-        session.findings_in(&self.robot, robot.calibration_warnings());
-        let standing = standing_of(Path::new(&self.robot), &robot)?;
-        session.findings_in(&self.robot, standing.and_then(|standing| standing.finding(&robot.name)));
+        session.findings_in(&*self.robot, carrying(&self.robot, &mut robot, self.payload.as_deref())?);
+        session.findings_in(&*self.robot, robot.calibration_warnings());
+        let standing = standing_of(Path::new(&*self.robot), &robot)?;
+        session.findings_in(&*self.robot, standing.and_then(|standing| standing.finding(&robot.name)));
         if robot.nominal.is_none() {
-            return Err(Diagnostic::file(&self.robot, CompensationFinding::NotIdentified));
+            return Err(Diagnostic::file(&*self.robot, CompensationFinding::NotIdentified));
         }
-        robot.check_tool().map_err(|why| Diagnostic::file(&self.robot, why))?;
+        robot.check_tool().map_err(|why| Diagnostic::file(&*self.robot, why))?;
         let edited = edited(&robot).filter(|finding| *finding == EstimationFinding::PosteriorOfOtherValues);
-        session.findings_in(&self.robot, edited);
+        session.findings_in(&*self.robot, edited);
         let language = program_language(&self.program)?;
         let wanted = language.name();
         if let Some(other) = robot.controller_language().filter(|other| *other != wanted) {
             let (robot, language) = (robot.name.clone(), other.to_owned());
             let finding = ProgramFinding::OtherLanguage { robot, language, wanted };
-            return Err(Diagnostic::file(&self.robot, finding));
+            return Err(Diagnostic::file(&*self.robot, finding));
         }
         let datum = self.datum.poses(&robot, session)?;
         let context = CorrectionContext { request: self, robot: &robot, identified: &identified, session };
@@ -227,7 +227,7 @@ impl CompensateRequest {
             (ControllerModel::Unknown | ControllerModel::Nominal, true)
             | (ControllerModel::Nominal | ControllerModel::Calibrated, false) => return Ok(()),
         };
-        Err(Diagnostic::file(&self.robot, wrong))
+        Err(Diagnostic::file(&*self.robot, wrong))
     }
 
     /// The stated frame of the tool in the flange frame.

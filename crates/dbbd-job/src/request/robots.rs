@@ -7,15 +7,15 @@ use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::robot::{LoadedRobot, MeasurementConditions, Robot, RobotFinding};
 
 use super::RequestSession;
-use crate::robot_files::named_robot;
+use crate::robot_files::RobotName;
 
 /// Reads a robot, and reports the findings about its file. A warning about its identification is not reported: a
 /// further measurement is its cure.
 pub(super) fn robot_for_measurement(
-    name: &str,
+    name: &RobotName,
     session: &RequestSession<'_>,
 ) -> Result<LoadedRobot, Diagnostic> {
-    let mut read = named_robot(name)?;
+    let mut read = name.read()?;
     session.findings(std::mem::take(&mut read.findings));
     Ok(read)
 }

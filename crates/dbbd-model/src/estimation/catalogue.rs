@@ -19,7 +19,7 @@ findings! {
         cause: "A capture carries the robot and the base balls of its plan; a table of lengths carries neither. A run whose lengths match no pose contains no measurement.",
         cure: "Give the robot and the base balls with a table. For a run, `dbbd sync` reports for each pose why it has no length.",
         asks: [Robot, BaseBalls] {
-            NoRobot => "a table of lengths needs a robot";
+            NoRobot => "a table of lengths needs a robot", help: "name a built-in robot, the file of a robot, or the directory of a result";
             NoBalls => "a table of lengths needs the base balls";
             NoLength => "no length matches a pose";
         }

@@ -183,7 +183,7 @@ fn work_of(
             let in_upload = |name: &str| Path::new(UPLOADED).join(name);
             let request = CompensateRequest {
                 program: in_upload(program),
-                robot: identified,
+                robot: identified.into(),
                 out: CORRECTED.into(),
                 config: uploaded.has(CONFIG).then(|| in_upload(CONFIG)),
                 tool_mm_deg: None,
@@ -213,7 +213,7 @@ fn work_of(
                 let out = files.check.document().map_or("check", |check| &check.directory.name).to_owned();
                 let request = CheckRequest::new(
                     run.path.clone().into(),
-                    identified,
+                    identified.into(),
                     out.clone().into(),
                     options.tolerance_mm,
                 );
@@ -246,7 +246,14 @@ fn plan_request(
     out: &str,
 ) -> Option<(Request, String)> {
     let job = files.job.as_ref()?.file.as_str().into();
-    let request = PlanRequest { job, out: out.into(), robot, measured: Vec::new(), poses, replace: false };
+    let request = PlanRequest {
+        job,
+        out: out.into(),
+        robot: robot.map(Into::into),
+        measured: Vec::new(),
+        poses,
+        replace: false,
+    };
     Some((Request::Plan(request), out.to_owned()))
 }
 

@@ -7,6 +7,7 @@ use super::IdentifyDocument;
 use crate::file_set::{EarlierFiles, FileSet};
 use crate::report;
 use crate::request::earlier::EarlierResult;
+use crate::robot_files::ROBOT;
 use dbbd_model::base::serialised::{self, Seal};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::Posterior;
@@ -20,8 +21,6 @@ pub const LENGTHS: &str = "lengths.csv";
 /// Name of the file of the positions from which the result was computed.
 pub const POSITIONS: &str = "positions.csv";
 pub(super) const RESULT: &str = "result.json";
-/// Name of the file of the identified robot.
-pub const ROBOT: &str = "robot-identified.toml";
 
 const PARAMETER_COLUMNS: &str =
     "name,unit,start,nominal,identified,correction,sd,status,reason,low95,high95,mc_sd,mc_low95,mc_high95";

@@ -10,6 +10,7 @@ use super::{AskedIdentification, LENGTHS, POSITIONS};
 use crate::recording::run::{PredictedLengths, RecordedRun};
 use crate::request::RequestSession;
 use crate::request::robots::{aged, robot_for_measurement};
+use crate::robot_files::RobotName;
 use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::diagnostic::{Diagnostic, Severity};
 use dbbd_model::estimation::EstimationFinding;
@@ -38,7 +39,7 @@ pub(crate) struct NamedInputs<'a> {
     pub(crate) set_ups: SetUpRelation,
     /// Positions beside the lengths of the input.
     pub(crate) positions: Option<&'a Path>,
-    pub(crate) robot: Option<&'a str>,
+    pub(crate) robot: Option<&'a RobotName>,
     pub(crate) tool_mm: Option<[f64; 3]>,
     pub(crate) centres: Option<&'a Path>,
     pub(crate) bar_u_mm: Option<f64>,
@@ -427,7 +428,7 @@ fn with_positions(
 
 /// The robot of the request, else the robot of the run's plan. Refuses another robot than the one of the lengths.
 fn read_robot(
-    named: Option<&str>,
+    named: Option<&RobotName>,
     run: Option<&RecordedRun>,
     lengths: &TracedArtefact,
     session: &RequestSession<'_>,

@@ -24,8 +24,10 @@ use serde::{Deserialize, Serialize, Serializer};
 use super::workspace::read_workspace;
 use super::{AnswerOutcome, RequestResult, RequestSession, earlier};
 use crate::file_set::EarlierFiles;
+pub use crate::robot_files::ROBOT;
+use crate::robot_files::RobotName;
 pub use exclusion::Exclusion;
-pub use files::{LENGTHS, POSITIONS, ROBOT};
+pub use files::{LENGTHS, POSITIONS};
 use inputs::{LoadedInputs, NamedInputs};
 pub use inputs::{known_lengths, measured_conditions, stated_conditions};
 pub use options::AskedIdentification;
@@ -50,7 +52,7 @@ pub struct IdentifyRequest {
     /// The directory of the result.
     pub out: PathBuf,
     /// A built-in name or a file; `None` for the robot of the capture's plan.
-    pub robot: Option<String>,
+    pub robot: Option<RobotName>,
     /// The parameters to estimate: names, ranges, groups. `None` for all that are identifiable.
     pub estimate: Option<String>,
     /// The parameters to fix at their start values.
@@ -215,7 +217,7 @@ impl IdentifyRequest {
             further: &self.further,
             set_ups: self.set_ups,
             positions: self.positions.as_deref(),
-            robot: self.robot.as_deref(),
+            robot: self.robot.as_ref(),
             tool_mm: self.tool_mm,
             centres: self.centres.as_deref(),
             bar_u_mm: self.bar_u_mm,
@@ -266,7 +268,7 @@ impl IdentifyRequest {
         };
         let prior = match &self.prior {
             Some(RequestedPrior::Table(file)) => Some(file.as_path()),
-            _ => self.robot.as_deref().map(Path::new),
+            _ => self.robot.as_ref().and_then(RobotName::file),
         };
         let mut options = given.options(asked, prior, set_up)?;
         // A warning about the earlier identification matters only if this identification is the prior.

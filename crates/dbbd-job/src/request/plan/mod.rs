@@ -34,6 +34,7 @@ use crate::plan::{
 use crate::program::ProgramFinding;
 use crate::recording::dwell;
 use crate::report;
+use crate::robot_files::RobotName;
 
 /// The request of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -44,7 +45,7 @@ pub struct PlanRequest {
     /// The directory of the plan.
     pub out: PathBuf,
     /// A built-in name or a file, in place of the robot of the job.
-    pub robot: Option<String>,
+    pub robot: Option<RobotName>,
     /// Tables of lengths measured before to the same base balls.
     #[serde(default)]
     pub measured: Vec<PathBuf>,
@@ -213,9 +214,15 @@ impl PlanRequest {
         let (job, made_from, text) = self.read_job(session)?;
         let in_job = |header, key, why| JobTable::new(header).wrong(key, why).in_text(&name, &text);
         // A robot that is given without a name is in no file, so no lengths are beside it.
-        let file = self.robot.as_deref().or(given.is_none().then_some(job.robot.as_str()));
+        let named = given.is_none().then(|| RobotName::from(job.robot.as_str()));
+        let named = self.robot.clone().or(named);
+        let file = named.as_deref();
         let robot_name = file.unwrap_or(given.as_ref().map_or("", |given| &given.robot.name)).to_owned();
-        let read = given.map_or_else(|| robot_for_measurement(&robot_name, session), Ok);
+        let read = match (given, &named) {
+            (Some(given), _) => Ok(given),
+            (None, Some(named)) => robot_for_measurement(named, session),
+            (None, None) => Err(Robot::unknown("")),
+        };
         let is_of_job = self.robot.is_none();
         let read = read.map_err(|why| if is_of_job { in_job("", "robot", why) } else { why })?;
         let with_serial = with_serial(&job, read).map_err(|why| in_job("", "serial", why));
