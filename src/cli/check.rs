@@ -116,7 +116,9 @@ fn check_lines(check: &InterimCheck) -> Vec<String> {
         if test.p <= ChangeTest::MIN_P { "<= " } else { "" },
         test.p
     )];
-    if test.changed && !check.is_explained() {
+    if check.is_of_another() {
+        lines.push("the lengths are of no change of this robot: another robot or tool?".into());
+    } else if test.changed && !check.is_explained() {
         lines.push(
             "changed, but no single hypothesis explains it; the most likely ones are in check.json".into(),
         );
@@ -128,14 +130,16 @@ fn check_lines(check: &InterimCheck) -> Vec<String> {
         lines.push(format!("nothing changed (probability {:.3})", check.unchanged_probability));
     }
     let position = &check.predicted_position_uncertainty_mm;
-    lines.push(format!(
-        "position error over the workspace, 95 % of the poses of all likely robots: calibrated {:.3} mm, now {:.3} mm",
-        position.calibrated.p95, position.now.p95
-    ));
-    lines.push(format!(
-        "position error that one of them keeps at 95 % of its poses: median {:.3} mm, upper limit {:.3} mm",
-        decision.position_error_mm, decision.upper_mm
-    ));
+    if !check.is_of_another() {
+        lines.push(format!(
+            "position error over the workspace, 95 % of the poses of all likely robots: calibrated {:.3} mm, now {:.3} mm",
+            position.calibrated.p95, position.now.p95
+        ));
+        lines.push(format!(
+            "position error that one of them keeps at 95 % of its poses: median {:.3} mm, upper limit {:.3} mm",
+            decision.position_error_mm, decision.upper_mm
+        ));
+    }
     if let Some(updated) = position.updated {
         lines.push(format!("with what changed identified again (--update): {:.3} mm", updated.p95));
     }

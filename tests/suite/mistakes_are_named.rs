@@ -296,6 +296,37 @@ fn urdfs_and_joints() {
     says(&export(&sdf, &[]), 1, "E1720");
 }
 
+/// An arm of other lengths is no change of the robot: the check decides nothing, and updates nothing. A
+/// zero that was lost by a degree is a change.
+#[test]
+fn a_check_of_another_robot_decides_nothing() {
+    let (dir, data) = cell();
+    let at = dir.path();
+    done(&identify(at, &data.to_csv(), &PRIOR));
+    let check = |errors: &[(&str, f64)]| {
+        let truth = with_errors(ERRORS.iter().chain(errors).copied());
+        let lengths = measure(&truth, &three_planes(1, [1300.0, 0.0, 800.0]), 8, 20.0);
+        fs::write(at.join("again.csv"), lengths.to_csv()).unwrap();
+        let given = ["check", "again.csv", "--robot", "out", "--centres", "C.csv", "--out", "check"];
+        dbbd(at, &[&given[..], &["--tolerance", "1", "--update", "--replace"]].concat())
+    };
+    let decision = || {
+        let text = fs::read_to_string(at.join("check/check.json")).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        json["decision"].as_str().unwrap().to_owned()
+    };
+    for errors in
+        [[("a1", 60.0), ("a2", 120.0), ("d4", -80.0)], [("a1", -90.0), ("a2", -250.0), ("d4", 150.0)]]
+    {
+        says(&check(&errors), 3, "W1926");
+        assert_eq!(decision(), "undecided");
+        assert!(!at.join("check/robot-identified.toml").exists());
+    }
+    let lost = check(&[("theta2", 1f64.to_radians())]);
+    assert_eq!(lost.status.code(), Some(4), "{}", stderr(&lost));
+    assert!(!codes(&lost).contains(&"W1926".to_owned()) && decision() == "fail");
+}
+
 /// Every command takes the directory of a result for its robot, and a built-in name; where an identified robot is needed, a
 /// built-in one is refused as such.
 #[test]

@@ -123,6 +123,11 @@ impl ConformityDecision {
         (self.decision.confirms() == Some(true)).then_some(growth)
     }
 
+    /// Decides nothing: the lengths are not of this robot.
+    pub(super) fn nothing(self) -> Self {
+        Self { decision: ConformityOutcome::Undecided, specific_risk: None, ..self }
+    }
+
     /// Turns a failure into `undecided`, if lengths that agree with the robot would fail as well.
     pub(super) fn failure_as_undecided(self) -> Self {
         if self.decision.confirms() != Some(false) {

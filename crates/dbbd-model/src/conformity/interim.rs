@@ -8,13 +8,15 @@ use serde::Serialize;
 
 use super::decision::{ConformityDecision, DecisionRule, decide};
 use crate::conformity::{ConformityFinding, ConformityOutcome};
+use crate::diagnostic::Names;
 use crate::estimation::change::{
     ChangeTest, CheckPower, Detectable, FALSE_ALARM, Hypothesis, Innovation, POWER,
 };
 use crate::estimation::expected::{BallMounting, Expected, FREE_BALL_MM, Mounting};
 use crate::estimation::result::MapPoint;
 use crate::estimation::{
-    ErrorSummary, LengthNoise, Posterior, Validity, ValidityLimit, Workspace, length_sd_mm,
+    ErrorSummary, LengthNoise, Posterior, Priors, Validity, ValidityLimit, Workspace, fits_no_robot,
+    largest_plausible, length_sd_mm, of_maker,
 };
 use crate::math::distributions::chi_square_tail;
 use crate::measurement::{LengthModel, Measurements, PreparedMeasurement};
@@ -130,6 +132,8 @@ impl CheckInput<'_> {
             Some(likeliest) => Some(self.updated(&expected, likeliest).ok_or(ConformityFinding::NotFinite)?),
             None => None,
         };
+        let another = changes.first().and_then(|likeliest| self.another_robot(likeliest));
+        let updated = updated.filter(|_| another.is_none());
         let of_workspace = |errors: &DMatrix<f64>| ErrorSummary::of(&position.moved(errors));
         let least_mm = self.least_tolerance(&expected, &position).ok_or(ConformityFinding::NotFinite)?;
         let map = position.workspace.map(&position.moved(&now));
@@ -140,7 +144,11 @@ impl CheckInput<'_> {
         if undecidable && !test.changed || nominal_rms_mm.is_some() {
             decision = decision.failure_as_undecided();
         }
-        let is_undecidable = undecidable && decision.decision == ConformityOutcome::Undecided;
+        if another.is_some() {
+            decision = decision.nothing();
+        }
+        let is_undecidable =
+            another.is_none() && undecidable && decision.decision == ConformityOutcome::Undecided;
         let growth = decision.growth().filter(|_| !test.changed);
         let validity = match growth {
             Some(growth) => self.validity(&expected, &known, growth, &map)?,
@@ -151,7 +159,12 @@ impl CheckInput<'_> {
             robot: self.robot.name.clone(),
             lengths: self.readings.len(),
             sigma_mm: self.sigma_mm,
-            findings: self.findings(is_undecidable.then_some(least_mm), &test, &changes, nominal_rms_mm),
+            findings: self.findings(
+                is_undecidable.then_some(least_mm),
+                &test,
+                &changes,
+                another.or(nominal_rms_mm.map(|rms_mm| ConformityFinding::DrivenAsNominal { rms_mm })),
+            ),
             decision,
             test,
             position_errors_mm,
@@ -213,7 +226,33 @@ impl CheckInput<'_> {
     fn nominal_rms_mm(&self) -> Option<f64> {
         let geometry = self.robot.nominal.as_ref()?.geometry.clone();
         let start = LengthModel { geometry, ..self.start.clone() };
-        let found = CheckInput { start: &start, ..*self }.set_up()?;
+        self.rms_mm(&CheckInput { start: &start, ..*self }.set_up()?)
+    }
+
+    /// The finding if the lengths are of no change of this robot: the most likely one is of a part that cannot change so far, or
+    /// it explains nothing, and the lengths fit worse than the nominal robot could.
+    fn another_robot(&self, likeliest: &Hypothesis) -> Option<ConformityFinding> {
+        let Hypothesis { parameters, change, sd, p_rest, .. } = likeliest;
+        let (priors, times) = (Priors::datasheet(self.robot, None), largest_plausible(false));
+        // A zero may be lost by any angle.
+        let changed = parameters.iter().zip(change).zip(sd);
+        let parts = changed.filter(|((id, _), _)| !matches!(id, ParamId::Theta(_)));
+        let excess = |((id, change), sd): &((&ParamId, &f64), &f64)| priors.excess(**id, **change, **sd);
+        let impossible = parts.filter(|part| excess(part).is_some_and(|excess| excess > times));
+        let impossible: Vec<&ParamId> = impossible.map(|((id, _), _)| id).collect();
+        if !impossible.is_empty() {
+            let parameters = Names::of(impossible);
+            return Some(ConformityFinding::ImpossibleChange { parameters, times });
+        }
+        let maker = of_maker(self.robot, self.workspace);
+        let residual_rms_mm = self.rms_mm(&self.set_up()?)?;
+        (*p_rest < BADLY_EXPLAINED && fits_no_robot(residual_rms_mm, &maker))
+            .then_some(ConformityFinding::AnotherRobot { residual_rms_mm, predicted_max_mm: maker.max })
+    }
+
+    /// What the lengths leave of a model whose base balls and bar were fitted to them, mm: the root of the mean square. `None`
+    /// for lengths that it would explain whatever the robot is.
+    fn rms_mm(&self, found: &LengthModel) -> Option<f64> {
         let prepared = found.prepare();
         let left = |reading: &PreparedMeasurement| (prepared.length(reading) - reading.length_mm).powi(2);
         let dof = self
@@ -310,7 +349,7 @@ impl CheckInput<'_> {
         undecidable: Option<f64>,
         test: &ChangeTest,
         changes: &[Hypothesis],
-        nominal_rms_mm: Option<f64>,
+        other: Option<ConformityFinding>,
     ) -> Vec<ConformityFinding> {
         let mut findings = Vec::new();
         if self.mounting.balls == BallMounting::Anywhere {
@@ -324,11 +363,8 @@ impl CheckInput<'_> {
             let ChangeTest { chi_square, freedom, .. } = *test;
             findings.push(ConformityFinding::TooGood { chi_square, freedom });
         }
-        if let Some(rms_mm) = nominal_rms_mm {
-            findings.push(ConformityFinding::DrivenAsNominal { rms_mm });
-        } else if test.changed && unexplained {
-            findings.push(ConformityFinding::NotExplained { p: test.p });
-        }
+        let not_explained = || ConformityFinding::NotExplained { p: test.p };
+        findings.extend(other.or_else(|| (test.changed && unexplained).then(not_explained)));
         findings
     }
 }
@@ -353,7 +389,17 @@ impl InterimCheck {
     pub fn is_explained(&self) -> bool {
         let is_unexplained =
             |finding: &ConformityFinding| matches!(finding, ConformityFinding::NotExplained { .. });
-        !self.findings.iter().any(is_unexplained)
+        !self.is_of_another() && !self.findings.iter().any(is_unexplained)
+    }
+
+    /// Whether the lengths are of no change of this robot.
+    pub fn is_of_another(&self) -> bool {
+        self.findings.iter().any(|finding| {
+            matches!(
+                finding,
+                ConformityFinding::AnotherRobot { .. } | ConformityFinding::ImpossibleChange { .. }
+            )
+        })
     }
 }
 

@@ -8,7 +8,7 @@ use super::linear_system::factor;
 use super::priors::{Prior, largest_plausible};
 use super::result::{MonteCarlo, ParameterResult, Status};
 use super::shifted_rows::shifted_rows;
-use super::workspace::SimplifiedModelError;
+use super::workspace::{ErrorSummary, SimplifiedModelError};
 use crate::diagnostic::Names;
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::ChiSquareOutcome;
@@ -39,7 +39,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
         found.push(EstimationFinding::NotConverged { iterations: fit.iterations });
     }
     let (residual_rms_mm, predicted_max_mm) = (of.checks.residual_mm.after.rms, of.prediction.maker.max);
-    if residual_rms_mm > predicted_max_mm {
+    if fits_no_robot(residual_rms_mm, &of.prediction.maker) {
         found.push(EstimationFinding::FitsWorseThanNominal { residual_rms_mm, predicted_max_mm });
     }
     found.extend(of.hypotheses().iter().filter_map(happened));
@@ -193,6 +193,12 @@ fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
         }
         ChiSquareOutcome::AsExpected => None,
     }
+}
+
+/// Whether a fit leaves more than the nominal robot could be off, whose predicted position errors are `maker`: lengths and poses
+/// do not belong to one robot.
+pub fn fits_no_robot(residual_rms_mm: f64, maker: &ErrorSummary) -> bool {
+    residual_rms_mm > maker.max
 }
 
 /// A finding if the residuals are far above the repeatability of the robot and the standard deviation `sigma_mm` of the

@@ -58,7 +58,7 @@ pub use calibration::{AngleSource, Calibration, Forecast, Input};
 pub use design_prediction::{DesignPrediction, ParameterPrediction, PlannedLengths};
 pub use distance::DistanceQuantities;
 pub use estimator::{GroupEvidence, JointSummary};
-pub use findings::beyond_repeatability;
+pub use findings::{beyond_repeatability, fits_no_robot};
 pub use hyper_parameters::Group;
 pub use hypotheses::{EventPlace, EventTreatment, RunHypothesis, SupposedEventKind};
 pub use identifiability::{
@@ -71,7 +71,7 @@ pub use options::{ErrorModel, Options};
 pub use pose_rows::LengthNoise;
 pub use position::{Orientations, Positions};
 pub use posterior::{Posterior, inverse_root, root_after};
-pub use prediction::PositionParts;
+pub use prediction::{PositionParts, of_maker};
 pub use priors::{Prior, Priors, largest_plausible, length_sd_mm};
 pub use program_uncertainty::{PointUncertainty, ProgramUncertainty};
 pub use result::{CalibrationResult, CompletedCalibration, DriftBasis, Validity};

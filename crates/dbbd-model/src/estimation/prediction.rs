@@ -7,14 +7,14 @@ use super::hyper_parameters::{Group, Hypers};
 use super::lengths::Lengths;
 use super::options::Setting;
 use super::position::{BallMotion, Orientations, Positions, compressed};
-use super::priors::Prior;
+use super::priors::{Prior, Priors};
 use super::result::{MapPoint, PredictedPair};
 use super::selection::is_bar;
 use super::workspace::{ErrorSummary, take_out_rigid_motion};
 use crate::measurement::{ApproachedPose, LengthModel, PreparedMeasurement};
 use crate::robot::{
-    AXES, Approach, AxisAngles, Drift, Geometry, Joint, ParamId, RobotPosterior, RobotUncertainty, ZeroSteps,
-    parameter,
+    AXES, Approach, AxisAngles, Drift, Geometry, Joint, ParamId, Robot, RobotPosterior, RobotUncertainty,
+    ZeroSteps, parameter,
 };
 
 /// Number of poses of the workspace, and of measured poses, for which the uncertainty is compressed.
@@ -146,9 +146,7 @@ impl Before {
         let has_errors = !setting.options.follows_list();
         let of_usual =
             |root: &DMatrix<f64>| (geometry.rigid(), with_usual_joint_errors(&ids, root, has_errors));
-        let tolerances = ids.iter().map(|id| setting.priors.geometric(*id).unwrap_or(0.0));
-        let tolerances = DVector::from_iterator(ids.len(), tolerances);
-        let of_maker = of_usual(&DMatrix::from_diagonal(&tolerances));
+        let of_maker = of_usual(&tolerances(&ids, &setting.priors));
         let maker = position_summary(&of_maker.0, &of_maker.1, poses);
         let start = match setting.options.prior {
             Prior::Posterior => (geometry.clone(), setting.robot.known_uncertainty()),
@@ -160,6 +158,21 @@ impl Before {
         };
         Self { nominal: position_summary(&start.0, &start.1, poses), start, maker }
     }
+}
+
+/// The root of the covariance of parameters that are known to the maker's tolerance.
+fn tolerances(ids: &[ParamId], priors: &Priors) -> DMatrix<f64> {
+    let tolerances = ids.iter().map(|id| priors.geometric(*id).unwrap_or(0.0));
+    DMatrix::from_diagonal(&DVector::from_iterator(ids.len(), tolerances))
+}
+
+/// The predicted position errors over axis angles (rad) of a robot that is as its maker promises, mm.
+pub fn of_maker(robot: &Robot, axes: &[[f64; AXES]]) -> ErrorSummary {
+    let ids: Vec<ParamId> = robot.posterior.iter().flat_map(|known| known.ids().iter().copied()).collect();
+    let ids: Vec<ParamId> = ids.into_iter().filter(|id| id.is_geometric()).collect();
+    let unknown = with_usual_joint_errors(&ids, &tolerances(&ids, &Priors::datasheet(robot, None)), true);
+    let poses: Vec<ApproachedPose> = axes.iter().map(ApproachedPose::unapproached).collect();
+    position_summary(&robot.geometry.rigid(), &unknown, &poses)
 }
 
 /// The position errors of a robot over poses, mm, without the repeatability of a pose.
