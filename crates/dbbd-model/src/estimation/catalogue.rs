@@ -109,9 +109,9 @@ findings! {
             BeyondSigmaOfFew { times: f64 } => "the residuals are {times:.1} times the sigma of the lengths; so few lengths cannot estimate another, so the standard deviations are computed from that sigma";
         }
         I1317 "the residuals do not agree with the sigma in the data",
-        cause: "Larger: the robot's repeatability or what the model lacks comes on top of the bar's noise. Smaller: sigma is too large, or lengths repeat each other.",
+        cause: "Larger: what the model lacks, or a worse repeatability than that of the robot file, comes on top of the bar's noise and that repeatability. Smaller: sigma is too large, or lengths repeat each other.",
         cure: "Nothing: larger residuals are counted in the standard deviations. Correct sigma_mm if the standard deviations shall be as small as the residuals." {
-            AboveSigma { times: f64 } => "the residuals are {times:.1} times the sigma of the lengths; the standard deviations are computed from the residuals";
+            AboveSigma { times: f64 } => "the residuals are {times:.1} times the sigma of the lengths and the repeatability of the robot together; the standard deviations are computed from the residuals";
             BelowSigma { times: f64 } => "the residuals are only {times:.2} times the sigma of the lengths";
         }
         W1319 "the lengths fit, but the position is not determined",

@@ -175,15 +175,22 @@ fn consistency(of: &Calibration<'_>) -> Option<EstimationFinding> {
         return None;
     }
     let prepared = estimate.fit.model.prepare();
-    let chi = used.sum(|reading, sigma| (prepared.residual(reading) / sigma).powi(2));
-    let ratio = chi / freedom;
+    let ratio_to = |shared_mm: f64| {
+        used.sum(|reading, sigma| (prepared.residual(reading) / sigma.hypot(shared_mm)).powi(2)) / freedom
+    };
+    let ratio = ratio_to(0.0);
     let times = ratio.sqrt();
     match ChiSquareOutcome::of(ratio, freedom) {
         ChiSquareOutcome::Greater if lengths.is_sigma_given => Some(EstimationFinding::BeyondSigma { times }),
         ChiSquareOutcome::Greater if estimate.freedom.is_none() => {
             Some(EstimationFinding::BeyondSigmaOfFew { times })
         }
-        ChiSquareOutcome::Greater => Some(EstimationFinding::AboveSigma { times }),
+        ChiSquareOutcome::Greater => {
+            // The sigma of a bar does not contain how the robot repeats.
+            let ratio = ratio_to(of.setting.robot.repeatability_sd_mm().unwrap_or(0.0));
+            let is_more = matches!(ChiSquareOutcome::of(ratio, freedom), ChiSquareOutcome::Greater);
+            is_more.then_some(EstimationFinding::AboveSigma { times: ratio.sqrt() })
+        }
         ChiSquareOutcome::Less => {
             let sigma_mm = used.rms_sigma();
             Some(match times < FAR_BELOW && sigma_mm > LARGE_MM {
