@@ -69,6 +69,7 @@ const PLANS: &[PlanCase] = &[
     (&[("1300.0, 0.0", "3300.0, 0.0")], "E0702", ""),
     (&[("[1300.0, 0.0, 800.0]", "[700.0, 0.0, 1400.0]")], "E0703", ""),
     (&[("[motion]", "[limits]\nmin_a5_deg = 80.0\n[motion]")], "E0703", "wrist_deg"),
+    (&[("[motion]", "[limits]\nmin_axis_margin_deg = 80.0\n[motion]")], "E0703", "axis_margin_deg"),
     (&[("[motion]", "[limits]\nmin_overhead_mm = 2000.0\n[motion]")], "E0703", "overhead_mm"),
     (&[("points = 12", "points = 12\nradius_mm = 304.8")], "E0705", "reading_high_mm"),
     (&[("points = 12", "points = 12\nradius_mm = 295.4")], "E0705", "reading_low_mm"),

@@ -112,7 +112,7 @@ impl CheckQuantity {
     pub(super) fn limit(self, job: &Job, ball: u32) -> f64 {
         let (limits, bar) = (&job.limits, &job.bar);
         match self {
-            Self::AxisMarginDeg => 0.0,
+            Self::AxisMarginDeg => limits.min_axis_margin_deg,
             Self::WristDeg => limits.min_a5_deg,
             Self::ElbowDeg => limits.min_elbow_deg,
             Self::OverheadMm => limits.min_overhead_mm,
@@ -197,10 +197,11 @@ mod tests {
         let mut job = job("");
         job.centres[0].cup_limit_deg = Some(70.0);
         job.limits.min_clearance_mm = 12.0;
+        job.limits.min_axis_margin_deg = 2.5;
         for (quantity, limit) in [
             (CheckQuantity::ReadingLowMm, -1.5),
             (CheckQuantity::ReadingHighMm, 5.5),
-            (CheckQuantity::AxisMarginDeg, 0.0),
+            (CheckQuantity::AxisMarginDeg, 2.5),
             (CheckQuantity::AxisSpeedPercent, 100.0),
             (CheckQuantity::AxisAccelerationPercent, 100.0),
             (CheckQuantity::StrokeRisk, 1e-3),

@@ -83,7 +83,10 @@ fn passes(rig: &PlanKinematics<'_>) -> bool {
         starts.iter().any(|start| {
             rig.follow(run, 1, start).is_ok_and(|branch| {
                 let began = branch.rows.first().map(|row| row.status);
-                branch.starts.iter().any(|(margin_deg, _)| *margin_deg >= MARGIN_DEG)
+                branch
+                    .starts
+                    .iter()
+                    .any(|(margin_deg, _)| *margin_deg >= MARGIN_DEG.max(rig.job.limits.min_axis_margin_deg))
                     && branch.rows.iter().all(|row| Some(row.status) == began)
             })
         })

@@ -146,6 +146,7 @@ impl Job {
             ("[motion]", "turn_deg_s", Some(motion.turn_deg_s), Quantity::TurnSpeed),
             ("[motion]", "dwell_s", Some(motion.dwell_s), Quantity::DwellTime),
             ("[motion]", "settle_s", Some(motion.settle_s), Quantity::SettleTime),
+            ("[limits]", "min_axis_margin_deg", Some(limits.min_axis_margin_deg), Quantity::LimitAngle),
             ("[limits]", "min_a5_deg", Some(limits.min_a5_deg), Quantity::LimitAngle),
             ("[limits]", "min_elbow_deg", Some(limits.min_elbow_deg), Quantity::LimitAngle),
             ("[limits]", "min_overhead_mm", Some(limits.min_overhead_mm), Quantity::LimitDistance),

@@ -448,6 +448,9 @@ impl Default for MarkerOutputs {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct JobLimits {
+    /// Least distance of each axis from its limits in the robot file, degrees: the software limits of a controller, offsets of
+    /// its mastering and corrections of a program differ from the file by tenths.
+    pub min_axis_margin_deg: f64,
     /// Least |A5|, degrees: at 0 the wrist is singular.
     pub min_a5_deg: f64,
     /// Least angle of the elbow from stretched, degrees.
@@ -464,6 +467,7 @@ pub struct JobLimits {
 impl Default for JobLimits {
     fn default() -> Self {
         Self {
+            min_axis_margin_deg: 0.0,
             min_a5_deg: 5.0,
             min_elbow_deg: 5.0,
             min_overhead_mm: 100.0,

@@ -70,6 +70,24 @@ fn chosen_poses_are_those_that_the_robot_can_go_to() {
     assert!(found.iter().all(|(measured, mean_mm)| *measured >= 57 && *mean_mm < 0.9), "{found:?}");
 }
 
+/// Poses to measure, references and the ends of all ways between them.
+#[test]
+fn every_axis_keeps_its_margin() {
+    let robot = Robot::by_name("kr60ha").unwrap().unwrap();
+    let margin_deg = |min_axis_margin_deg: f64| {
+        let mut job = chosen_job(&robot, 1, 600);
+        job.limits.min_axis_margin_deg = min_axis_margin_deg;
+        let plan = Plan::build(&job, &robot).unwrap_or_else(|refusal| panic!("{refusal:?}"));
+        let margins = plan.rows.iter().flat_map(|row| {
+            let limits = robot.limits_deg.iter().zip(row.axes_deg);
+            limits.map(|([low, high], deg)| (deg - low).min(high - deg)).collect::<Vec<_>>()
+        });
+        margins.fold(f64::INFINITY, f64::min)
+    };
+    let [free, kept] = [0.0, 5.0].map(margin_deg);
+    assert!((0.0..5.0).contains(&free) && kept >= 5.0, "{free}, {kept}");
+}
+
 /// Three seeds have other candidates, and nearly the same information.
 #[test]
 #[ignore = "a campaign: plans of all robots"]
