@@ -164,7 +164,7 @@ fn a_job_is_checked_as_on_the_command_line() {
         let job = json!({
             "robot": "kr60ha", "bar": { "length_mm": length_mm, "stroke_mm": [-5, 5] },
             "tool": { "ball_mm": [30, 20, 10] },
-            "centre": [{ "id": 1, "xyz_mm": [9300, 0, 800] }], "circle": [{ "plane": "XY", "points": 8 }],
+            "centre": [{ "id": 1, "xyz_mm": [2500, 0, 800] }], "circle": [{ "plane": "XY", "points": 8 }],
         });
         server.post("/api/v1/workbench", &json!({ "name": name, "job": job }).to_string())
     };
@@ -307,7 +307,7 @@ fn a_trial_plans_a_changed_job_and_leaves_nothing() {
         let keys = json!({ "centre": [{ "row": 0, "xyz_mm": [x, 0.0, 800.0] }] });
         server.post("/api/v1/workbench/cell-1/trial", &keys.to_string())
     };
-    let far = moved(9300.0);
+    let far = moved(2500.0);
     assert_eq!(far.status, 200, "{far:?}");
     let codes = far.json();
     let codes: Vec<_> =

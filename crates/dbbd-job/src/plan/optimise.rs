@@ -16,10 +16,11 @@ use dbbd_model::design::{Candidate, Criterion, Exchange, Near, change_rows, desi
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{Posterior, with_usual_joint_errors};
 use dbbd_model::math::distributions::normal_deviate;
-use dbbd_model::robot::BallId;
+use dbbd_model::math::map_items;
 use dbbd_model::robot::inverse::status;
 use dbbd_model::robot::parameter;
 use dbbd_model::robot::pose::{rot_x, rot_z};
+use dbbd_model::robot::{BallId, max_axis_difference};
 
 /// Poses of the workspace over which the 3-D error is minimised.
 const OPTIMISE_WORKSPACE_POSES: usize = 400;
@@ -80,6 +81,19 @@ impl SafePoses<'_> {
     /// The poses that are allowed besides the start.
     fn others(&self) -> impl Iterator<Item = &Candidate> {
         self.allowed.iter().filter(|pose| **pose != self.start)
+    }
+
+    /// Keeps the poses to which there is a path from the nearest of those that a module visits.
+    fn retain_reached(&mut self, visits: &ModuleVisits, risk: f64) {
+        let Some(router) = RoutePlanner::new(&self.cell, self.start.ball.number(), risk) else { return };
+        let is_reached = |pose: &Candidate| {
+            let turn = |from: &&Candidate| max_axis_difference(&from.axes, &pose.axes);
+            let nearest = visits.visited.iter().min_by(|a, b| turn(a).total_cmp(&turn(b)));
+            let has_way = nearest.is_some_and(|from| router.way(from, pose).is_some());
+            has_way && !visits.left_out.contains(pose)
+        };
+        let mut reached = map_items(&self.allowed, is_reached).into_iter();
+        self.allowed.retain(|_| reached.next() == Some(true));
     }
 }
 
@@ -169,23 +183,28 @@ pub(super) fn choose_steps(
     let mut survey = chooser.safe(&scans, &wanted)?;
     let staged = survey.points < wanted.points;
     let mut route = survey.route(&chooser.choose(&survey)?, job);
-    for is_restart in [false, true] {
-        // Ways that keep the limits connect only a part of the poses, and a start may belong to a small part.
-        if is_restart && route.is_incomplete() {
-            survey.abouts = scans
-                .iter()
-                .zip(survey.abouts)
-                .map(|(scan, about)| chooser.restarted(scan, about, survey.risk))
-                .collect();
-            route = survey.route(&chooser.choose(&survey)?, job);
+    // Ways that keep the limits connect only a part of the poses, and a start may belong to a small part.
+    if route.is_incomplete() {
+        survey.abouts = scans
+            .iter()
+            .zip(survey.abouts)
+            .map(|(scan, about)| chooser.restarted(scan, about, survey.risk))
+            .collect();
+        route = survey.route(&chooser.choose(&survey)?, job);
+    }
+    for _ in 0..ROUNDS {
+        if !route.is_incomplete() {
+            break;
         }
-        for _ in 0..ROUNDS {
-            if !route.is_incomplete() {
-                break;
-            }
-            survey.leave_out(&route);
-            route = survey.route(&chooser.choose(&survey)?, job);
+        survey.leave_out(&route);
+        route = survey.route(&chooser.choose(&survey)?, job);
+    }
+    // To look for ways among all poses takes long.
+    if route.is_incomplete() {
+        for (about, visits) in survey.abouts.iter_mut().zip(&route.modules) {
+            visits.iter().for_each(|visits| about.retain_reached(visits, survey.risk));
         }
+        route = survey.route(&chooser.choose(&survey)?, job);
     }
     let mut notes = chooser.notes(&survey, staged);
     for (about, visits) in survey.abouts.iter().zip(&route.modules) {
