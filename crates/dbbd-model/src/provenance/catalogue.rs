@@ -2,7 +2,6 @@
 
 use crate::diagnostic::Names;
 use crate::findings;
-use crate::provenance::ArtefactRole;
 
 findings! {
     /// Artefacts that do not belong together, or whose chain is not known.
@@ -10,7 +9,7 @@ findings! {
         E0104 "a file is of another kind",
         cause: "The file is one that dbbd reads or writes, but it is not of the kind that is needed here.",
         cure: "Give the file that the help names." {
-            OtherKind { found: ArtefactRole, wanted: ArtefactRole, file: &'static str } => "is of the kind `{found}`, and one of the kind `{wanted}` is needed", help: "{file}";
+            OtherKind { found: String, wanted: String, file: &'static str } => "is of the kind `{found}`, and one of the kind `{wanted}` is needed", help: "{file}";
         }
         E1801 "a program is corrected already",
         cause: "The program was corrected before, or its plan was made on an identified robot. A second correction moves every point by the correction once more.",

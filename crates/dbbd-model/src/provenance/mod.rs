@@ -66,8 +66,12 @@ impl ArtefactRole {
 
     /// The finding about a file of this kind where one of another kind is needed.
     pub fn instead_of(self, wanted: Self) -> Option<ProvenanceFinding> {
-        let file = wanted.file_to_give();
-        (!self.serves_as(wanted)).then_some(ProvenanceFinding::OtherKind { found: self, wanted, file })
+        let (found, file) = (self.to_string(), wanted.file_to_give());
+        (!self.serves_as(wanted)).then(|| ProvenanceFinding::OtherKind {
+            found,
+            wanted: wanted.to_string(),
+            file,
+        })
     }
 }
 
