@@ -10,8 +10,8 @@ use dbbd_job::artefact;
 use dbbd_job::file_set::{EarlierFiles, FileSet};
 use dbbd_job::files;
 use dbbd_job::program::Language;
-use dbbd_job::report::ReportFinding::{CoupledInUrdf, LeftOut};
-use dbbd_job::report::export::hand_back::{HandBack, HandBackTarget};
+use dbbd_job::report::ReportFinding::{CoupledInUrdf, DoesNotHelp, LeftOut};
+use dbbd_job::report::export::hand_back::{EnteredFiles, HandBack, HandBackTarget};
 use dbbd_job::report::export::urdf::{CoupledJoint, coupled};
 use dbbd_job::report::export::urdf_patch::{PatchedUrdf, patch};
 use dbbd_job::robot_files::{ResultBeside, RobotName, result_beside, standing_of};
@@ -60,8 +60,9 @@ impl TargetName {
 }
 
 #[derive(Serialize)]
-struct HandBackDocument {
+struct HandBackDocument<'a> {
     files: Vec<String>,
+    steps: &'a [EnteredFiles],
     left_out: Option<SimplifiedModelError>,
 }
 
@@ -85,8 +86,9 @@ pub(super) fn hand_back(
         (_, ResultBeside::Another | ResultBeside::Nothing) => None,
     };
     let provenance = artefact::made_from([&source]);
-    let HandBack { files, left_out } = HandBack::of(target.target(), &robot, result.as_deref(), &provenance)
-        .map_err(|refused| refused.in_file(file.display()))?;
+    let HandBack { files, steps, left_out } =
+        HandBack::of(target.target(), &robot, result.as_deref(), &provenance)
+            .map_err(|refused| refused.in_file(file.display()))?;
     let mut set = FileSet::begin(&args.out, EarlierFiles::refused_unless(args.replace))?;
     for (name, content) in files {
         set.write(name, content)?;
@@ -99,8 +101,19 @@ pub(super) fn hand_back(
         HandBackTarget::Urdf | HandBackTarget::Ros => report_coupled(&robot, out),
         HandBackTarget::Kuka | HandBackTarget::ZerosOnly(_) | HandBackTarget::RoboDk => {}
     }
+    for step in &steps {
+        let EnteredFiles { before_mm, after_mm, .. } = *step;
+        let files = step.files.join(" and ");
+        if step.helps() {
+            out.result(format!(
+                "{files} entered: mean error of the tool ball over the workspace {before_mm:.3} -> {after_mm:.3} mm"
+            ));
+        } else {
+            out.finding(DoesNotHelp { files, before_mm, after_mm });
+        }
+    }
     report_left_out(left_out, out);
-    out.document(&HandBackDocument { files, left_out })?;
+    out.document(&HandBackDocument { files, steps: &steps, left_out })?;
     Ok(CommandOutcome::Done)
 }
 

@@ -34,6 +34,12 @@ findings! {
             NotKuka => "its table is not that of a KUKA with a central wrist";
             OtherMake { robot: String, language: String } => "{robot} has a controller of another make, whose language is {language}";
         }
+        W1726 "a file of a hand-back makes the controller worse",
+        cause: "An error of an angle and an error of a length are nearly opposite at the tool ball. A controller that takes only one of them is farther from the robot than before.",
+        cure: "Enter the files together, or none of them; correct programs with `dbbd compensate`." {
+            DoesNotHelp { files: String, before_mm: f64, after_mm: f64 } => "{files} entered without the others: mean error of the tool ball over the workspace {before_mm:.3} -> {after_mm:.3} mm",
+                help: "do not enter this";
+        }
         I1722 "a target cannot hold all that was identified",
         cause: "A URDF, a DH table and machine data describe rigid links. They cannot represent gear errors, compliance, backlash and smooth joint errors; machine data and zeros hold only a part of the table.",
         cure: "Nothing to do, if the accuracy suffices. Else correct programs with `dbbd compensate`, compute positions with `dbbd predict`, or use joint-errors.csv in your own post-processor." {

@@ -12,6 +12,7 @@ use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{CalibrationResult, SimplifiedModelError};
 use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::{DhRow, Geometry, Robot};
+use serde::Serialize;
 
 /// The program or controller that reads the files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,9 +32,41 @@ pub enum HandBackTarget {
 /// The files for a target: name and content.
 pub struct HandBack {
     pub files: Vec<(&'static str, Vec<u8>)>,
+    /// What each step of entering the files brings.
+    pub steps: Vec<EnteredFiles>,
     /// The position errors of the model in the files, compared with the identified robot; `None` if the files contain
     /// everything.
     pub left_out: Option<SimplifiedModelError>,
+}
+
+/// The mean distance of the tool ball from the identified robot's over the workspace, aligned, mm, where only these files are entered.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EnteredFiles {
+    pub files: Vec<&'static str>,
+    /// Of the nominal robot.
+    pub before_mm: f64,
+    pub after_mm: f64,
+}
+
+impl EnteredFiles {
+    fn of(files: &[&'static str], robot: &Robot, entered: &Geometry) -> Self {
+        let nominal = Geometry { rows: robot.controller().geometry.rows, ..robot.geometry.rigid() };
+        let [before_mm, after_mm] =
+            [&nominal, entered].map(|geometry| SimplifiedModelError::by(robot, geometry).mean_mm);
+        Self { files: files.to_vec(), before_mm, after_mm }
+    }
+
+    /// Whether the controller is nearer to the robot with these files than without.
+    pub fn helps(&self) -> bool {
+        self.after_mm < self.before_mm
+    }
+}
+
+/// The nominal robot with the zeros of the identified one, and its tool ball.
+fn mastered(robot: &Robot) -> Geometry {
+    let nominal = &robot.controller().geometry;
+    let rows = std::array::from_fn(|at| DhRow { theta: robot.geometry.rows[at].theta, ..nominal.rows[at] });
+    Geometry { rows, ..robot.geometry.rigid() }
 }
 
 impl HandBack {
@@ -54,11 +87,13 @@ impl HandBack {
         };
         let with_errors = SimplifiedModelError::of(robot);
         let by = |geometry: &Geometry| Some(SimplifiedModelError::by(robot, geometry));
-        let (mut files, left_out) = match target {
-            HandBackTarget::Urdf => (vec![(URDF, urdf::urdf(robot).into_bytes())], with_errors),
-            HandBackTarget::Ros => {
-                let yaml = ros_calibration(robot).map(|text| (ROS_CALIBRATION, text.into_bytes()));
-                ([(URDF, urdf::urdf(robot).into_bytes())].into_iter().chain(yaml).collect(), with_errors)
+        let entered = |files: &[&'static str], geometry: &Geometry| EnteredFiles::of(files, robot, geometry);
+        let (mut files, steps, left_out) = match target {
+            HandBackTarget::Urdf | HandBackTarget::Ros => {
+                let yaml = if target == HandBackTarget::Ros { ros_calibration(robot) } else { None };
+                let yaml = yaml.map(|text| (ROS_CALIBRATION, text.into_bytes()));
+                let files = [(URDF, urdf::urdf(robot).into_bytes())].into_iter().chain(yaml).collect();
+                (files, vec![entered(&[URDF], &robot.geometry.rigid())], with_errors)
             }
             HandBackTarget::Kuka => {
                 let (offsets, result) = (zeros()?, result.ok_or(ReportFinding::NoResult)?);
@@ -66,10 +101,15 @@ impl HandBack {
                 let frames = frames::data_list(&robot.name, &frames::frames(result), &offsets);
                 let files = vec![
                     (MASTERING, mastering::csv(&offsets)?),
-                    ("machine-data.txt", proposal.text(&robot.name).into_bytes()),
+                    (MACHINE_DATA, proposal.text(&robot.name).into_bytes()),
                     (frames::FILE, stamped(Language::Krl, &frames, provenance)?.into_bytes()),
                 ];
-                (files, by(&proposal.geometry(robot)))
+                let whole = proposal.geometry(robot);
+                let steps = vec![
+                    entered(&[MASTERING], &mastered(robot)),
+                    entered(&[MASTERING, MACHINE_DATA], &whole),
+                ];
+                (files, steps, by(&whole))
             }
             HandBackTarget::ZerosOnly(language) => {
                 let wanted = language.map(Language::name);
@@ -77,23 +117,22 @@ impl HandBack {
                     let (robot, language) = (robot.name.clone(), own.to_owned());
                     return Err(ReportFinding::OtherMake { robot, language }.into());
                 }
-                let nominal = &robot.controller().geometry;
-                let rows = std::array::from_fn(|at| DhRow {
-                    theta: robot.geometry.rows[at].theta,
-                    ..nominal.rows[at]
-                });
-                let mastered = Geometry { rows, ..robot.geometry.rigid() };
-                (vec![(MASTERING, mastering::csv(&zeros()?)?)], by(&mastered))
+                let mastered = mastered(robot);
+                let steps = vec![entered(&[MASTERING], &mastered)];
+                (vec![(MASTERING, mastering::csv(&zeros()?)?)], steps, by(&mastered))
             }
             HandBackTarget::RoboDk => {
                 let rows = robot.geometry.rows.map(|row| DhRow { beta: 0.0, ..row });
-                (vec![("robodk.csv", dh_table(robot)?)], by(&Geometry { rows, ..robot.geometry.rigid() }))
+                let table = Geometry { rows, ..robot.geometry.rigid() };
+                (vec![(ROBODK, dh_table(robot)?)], vec![entered(&[ROBODK], &table)], by(&table))
             }
         };
         if with_errors.is_some() {
             files.push(("joint-errors.csv", joint_errors::csv(robot).into_bytes()));
         }
-        Ok(Self { files, left_out: left_out.filter(|left_out| left_out.max_mm > SAME_MM) })
+        // Of a robot that was not identified nothing is entered.
+        let steps = if robot.nominal.is_some() { steps } else { Vec::new() };
+        Ok(Self { files, steps, left_out: left_out.filter(|left_out| left_out.max_mm > SAME_MM) })
     }
 }
 
@@ -102,6 +141,8 @@ const URDF: &str = "robot-identified.urdf";
 /// The file that `ur_description` takes as `kinematics_params`.
 const ROS_CALIBRATION: &str = "robot_calibration.yaml";
 const MASTERING: &str = "mastering.csv";
+const MACHINE_DATA: &str = "machine-data.txt";
+const ROBODK: &str = "robodk.csv";
 /// Largest error of rounding in a table that contains everything, mm.
 const SAME_MM: f64 = 1e-6;
 
