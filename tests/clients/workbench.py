@@ -289,7 +289,7 @@ class Story:
         assert 20_000 < weight < MAX_FIRST_VIEW, weight
         self.state("programs", "done")
         self.halt("measure")
-        self.go_on("measure", lambda: self.step("result").get_attribute("data-state") == "done")
+        self.state("result", "done", 180)
         self.look("result")
 
     def leave_out(self, cell):
@@ -321,16 +321,6 @@ class Story:
         self.state("result", "running", 10)
         self.state("result", "done")
         expect(fold.locator("[data-action=again]")).to_be_disabled(timeout=20_000)
-
-    def go_on(self, step, is_over, seconds=400):
-        """Goes on at each further halt, where the bar moves from ball to ball, until the run is over."""
-        button = self.step(step).locator("[data-action=next]")
-        began = time.monotonic()
-        while not is_over():
-            assert time.monotonic() < began + seconds, self.step(step).inner_text()
-            if button.count() and self.text("act.halt") in button.inner_text() and button.is_enabled():
-                button.click()
-            self.page.wait_for_timeout(500)
 
     def halt(self, step):
         button = self.step(step).locator("[data-action=next]")
@@ -434,7 +424,7 @@ class Story:
             check.click()
         # A run of the check leads to the check, and is no run of the calibration.
         self.halt("check")
-        self.go_on("check", lambda: check.inner_text() == self.texts["act.check"])
+        expect(check).to_have_text(self.texts["act.check"], timeout=180_000)
         self.state("result", "done")
         expect(self.step("programs")).to_have_attribute("data-state", "done")
         check.click()
