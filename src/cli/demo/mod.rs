@@ -165,11 +165,12 @@ fn identify_real(
 /// The seed of the true robot where none is given.
 const SEED: u64 = 1;
 
-/// Writes the job of the demo with its true robot and base balls, for a cell that is simulated later.
+/// Writes the job of the circles with its true robot and base balls, for a cell that is simulated later: the page shows its circles while
+/// they are measured.
 pub(crate) fn write_cell(dir: &Path) -> Result<(), Diagnostic> {
     files::directory(dir)?;
-    SimulatedDemo::BALLS.write_job(dir)?;
-    truth::Truth::draw(dir, &SimulatedDemo::BALLS, SEED).map(drop)
+    SimulatedDemo::CIRCLES.write_job(dir)?;
+    truth::Truth::draw(dir, &SimulatedDemo::CIRCLES, SEED).map(drop)
 }
 
 /// Simulates the program and records the bar.
