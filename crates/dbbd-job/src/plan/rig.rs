@@ -69,10 +69,8 @@ impl<'a> PlanKinematics<'a> {
         let geometry = self.arm;
         let position = Vector3::from(self.job.ball(ball)?.xyz_mm);
         let pose = Pose { rotation: geometry.ball(start).rotation, position };
-        let least_deg = self.job.limits.min_axis_margin_deg;
-        nearest(geometry, &pose, start)
-            .ok()
-            .filter(|axes| self.controller.limit_margin_deg(axes) >= least_deg)
+        let min_deg = self.job.limits.min_axis_margin_deg;
+        nearest(geometry, &pose, start).ok().filter(|axes| self.controller.limit_margin_deg(axes) >= min_deg)
     }
 
     /// Axis angles of the first step in each branch that has a turn within the limits.

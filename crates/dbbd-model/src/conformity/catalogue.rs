@@ -104,7 +104,7 @@ findings! {
         }
         W1926 "the lengths are of no change of this robot",
         cause: "The most likely change is one of a length or an angle between axes that no robot undergoes; or none explains the lengths, and they fit worse than a robot as its maker promises could. They are of another robot or with another tool ball, or lengths and poses do not belong together. The check then decides nothing.",
-        cure: "Check the robot, the tool ball, the plan and the base balls, and measure again. After a crash identify anew.",
+        cure: "Check the robot, the tool ball, the plan and the base balls, and measure again. After a crash identify again.",
         asks: [Robot, ToolBall] {
             ImpossibleChange { parameters: Names, times: f64 } => "the most likely change of {parameters} is more than {times:.0} times the robot's tolerance: another robot or tool?";
             AnotherRobot { residual_rms_mm: f64, predicted_max_mm: f64 } => "the lengths fit only to {residual_rms_mm:.1} mm, and the nominal robot is predicted to be off by at most {predicted_max_mm:.1} mm: another robot or tool?";

@@ -56,9 +56,9 @@ impl EnteredFiles {
         Self { files: files.to_vec(), before_mm, after_mm }
     }
 
-    /// Whether the controller is nearer to the robot with these files than without.
+    /// Whether the controller is no farther from the robot with these files than without.
     pub fn helps(&self) -> bool {
-        self.after_mm < self.before_mm
+        self.after_mm <= self.before_mm
     }
 }
 
