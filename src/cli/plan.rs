@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use super::{CommandOutput, output, value};
+use dbbd_job::plan::goal::outcome::{GoalOutcome, GoalPoint};
 use dbbd_job::plan::prediction::Identifiability;
-use dbbd_job::plan::{PlanPrediction, PoseKind};
+use dbbd_job::plan::{Plan, PlanPrediction, PoseKind};
 use dbbd_job::request::Request;
 use dbbd_job::request::plan::{CheckPoses, PlanDocument, PlanRequest, PlannedPoses, RepeatedRows};
 use dbbd_job::robot_files::RobotName;
@@ -115,6 +116,7 @@ pub(super) fn show(out: &CommandOutput, document: &PlanDocument, directory: &Pat
             "the flange carries `{payload}` during the run: mount it, and tell the controller"
         ));
     }
+    plan.header.goal.iter().map(|goal| goal_line(goal, plan)).for_each(|line| out.result(line));
     plan.header.predictions.iter().map(headline).for_each(|line| out.result(line));
     out.detail("worst of what was checked along the whole path:");
     for check in &plan.header.checks {
@@ -127,9 +129,36 @@ pub(super) fn show(out: &CommandOutput, document: &PlanDocument, directory: &Pat
             ball.centre
         ));
     }
+    plan.header.goal.iter().flat_map(curve_lines).for_each(|line| out.detail(line));
     plan.header.predictions.iter().flat_map(prediction_lines).for_each(|line| out.detail(line));
     plan.header.check.iter().flat_map(check_power_lines).for_each(|line| out.result(line));
     out.progress(format!("wrote plan.csv, plan.json, plan.html and centres.csv to {}", directory.display()));
+}
+
+/// What the run reaches of the goal, and what it takes.
+fn goal_line(goal: &GoalOutcome, plan: &Plan) -> String {
+    let job = &plan.header.job;
+    format!(
+        "goal of {} mm ({}): 90 % of such robots keep {:.3} mm after {:.0} min with a bar of {} mm and {} ball(s)",
+        goal.position_mm,
+        goal.of.name(),
+        goal.reached_mm,
+        goal.minutes,
+        job.bar.length_mm,
+        job.centres.len()
+    )
+}
+
+/// What less and more time would reach.
+fn curve_lines(goal: &GoalOutcome) -> Vec<String> {
+    let line = |point: &GoalPoint| {
+        let GoalPoint { minutes, position_mm, bar_mm, balls, poses } = point;
+        format!(
+            "  {minutes:.0} min: {position_mm:.3} mm, {poses} poses about {balls} ball(s), bar of {bar_mm} mm"
+        )
+    };
+    let lines = goal.curve.iter().map(line);
+    [String::from("what 90 % of such robots keep after other times:")].into_iter().chain(lines).collect()
 }
 
 /// How far off the tool ball is now, and is expected to be after the identification.

@@ -44,6 +44,7 @@ mod files_of_two_runs;
 mod first_calibration;
 mod floods_are_bounded;
 mod floor_plan;
+mod goals_are_reached;
 mod hands_the_robot_back;
 mod help_is_the_manual;
 mod identifies_real_robots;

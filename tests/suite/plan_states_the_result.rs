@@ -57,7 +57,11 @@ struct Stated {
 }
 
 fn mean_error_mm(truth: &Geometry, found: &Geometry, robot: &Robot) -> f64 {
-    let poses = Workspace::uniform(robot, 1000, 7);
+    mean_error_at_mm(truth, found, &Workspace::uniform(robot, 1000, 7))
+}
+
+/// The mean distance of the tool ball at poses (axis angles, rad), aligned over these.
+pub(crate) fn mean_error_at_mm(truth: &Geometry, found: &Geometry, poses: &[[f64; 6]]) -> f64 {
     let balls = |geometry: &Geometry| -> Vec<Vector3<f64>> {
         poses.iter().map(|axes| geometry.ball(axes).position).collect()
     };
@@ -92,6 +96,35 @@ fn measured(plan: &Plan, robot: &Robot, truth: &Robot, random: &mut Pcg64) -> Me
     Measurements { rows, ..Measurements::default() }
 }
 
+/// A robot that is drawn from the priors of an identification, what an identification of the plan's lengths finds, and the mean error
+/// that it states, mm.
+pub(crate) fn identified(plan: &Plan, robot: &Robot, seed: u64) -> (Geometry, Geometry, f64) {
+    let job = &plan.header.job;
+    let mut random = Pcg64::seed_from_u64(seed);
+    let mut truth = with_drawn_joint_errors(&truth::draw_true_robot(robot, seed, 1.0), seed);
+    let off = Vector3::from_fn(|_, _| {
+        robot.ball_u_mm * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut random)
+    });
+    truth.geometry.tool += off;
+    let lengths = measured(plan, robot, &truth, &mut random);
+    let input = Input {
+        robot,
+        observations: &lengths,
+        start: &LengthModel::new(robot.geometry.clone(), &job.balls()),
+        validation: None,
+        options: &Options {
+            folds: Some(0),
+            prior: Prior::Datasheet,
+            bar_u_mm: job.bar.u_mm(),
+            ..Options::default()
+        },
+        axes: AngleSource::Commanded,
+    };
+    let found = Calibration::new(&input).unwrap().complete(Vec::new(), Vec::new());
+    let stated_mm = found.result.predicted_position_uncertainty_mm.identified.mean;
+    (truth.geometry, found.robot.geometry, stated_mm)
+}
+
 fn kind(name: &str, balls: usize, is_chosen: bool, seeds: std::ops::Range<u64>) -> Vec<Stated> {
     let robot = Robot::by_name_with_tool(name, [30.0, 20.0, 10.0]).unwrap().unwrap();
     // Of these tilts each robot has one with which it reaches all poses.
@@ -101,32 +134,8 @@ fn kind(name: &str, balls: usize, is_chosen: bool, seeds: std::ops::Range<u64>) 
     plan.predict(&robot, &PlanningPrior::datasheet(&job, &robot));
     let planned = plan.header.predictions.as_ref().unwrap().identified_mm.mean;
     let run = |seed: u64| {
-        let mut random = Pcg64::seed_from_u64(seed);
-        let mut truth = with_drawn_joint_errors(&truth::draw_true_robot(&robot, seed, 1.0), seed);
-        let off = Vector3::from_fn(|_, _| {
-            robot.ball_u_mm * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut random)
-        });
-        truth.geometry.tool += off;
-        let lengths = measured(&plan, &robot, &truth, &mut random);
-        let input = Input {
-            robot: &robot,
-            observations: &lengths,
-            start: &LengthModel::new(robot.geometry.clone(), &job.balls()),
-            validation: None,
-            options: &Options {
-                folds: Some(0),
-                prior: Prior::Datasheet,
-                bar_u_mm: job.bar.u_mm(),
-                ..Options::default()
-            },
-            axes: AngleSource::Commanded,
-        };
-        let found = Calibration::new(&input).unwrap().complete(Vec::new(), Vec::new());
-        Stated {
-            planned,
-            result: found.result.predicted_position_uncertainty_mm.identified.mean,
-            truth: mean_error_mm(&truth.geometry, &found.robot.geometry, &robot),
-        }
+        let (truth, found, result) = identified(&plan, &robot, seed);
+        Stated { planned, result, truth: mean_error_mm(&truth, &found, &robot) }
     };
     seeds.map(run).collect()
 }

@@ -155,6 +155,7 @@ impl Plan {
             stage,
             taught,
             stroke_risk,
+            goal: None,
             predictions: None,
             check: None,
             job,

@@ -118,6 +118,20 @@ findings! {
         cure: "Put the ball where the tool ball is at the axis angles that the plan prints, and write these into `taught_deg`." {
             TeachAgain { ball: u32 } => "base ball {ball}: no run is safe from where it was taught: the plan gives a new place to teach it";
         }
+        E0750 "a goal is not reached",
+        cause: "The position error that 90 % of the robots would keep after the best run of the search is greater than the goal, it takes longer than `minutes`, or no ball at a [[place]] is in reach.",
+        cure: "State more places and bars, a better certificate, more minutes, or a greater goal. I0751 says what limits it." {
+            GoalTooSmall { goal_mm: f64, of: &'static str, least_mm: f64, minutes: f64, poses: usize, balls: usize, bar_mm: f64 } => "the goal of {goal_mm} mm ({of}) is not reached: the best run, {poses} poses about {balls} ball(s) with a bar of {bar_mm} mm in {minutes:.0} min, leaves {least_mm:.3} mm";
+            NoPlaceForBall => "at no [[centre]] and [[place]] has a ball enough poses within the limits";
+            NoTimeForPoses => "`minutes` do not suffice to mount a bar and a ball and to measure 12 poses";
+        }
+        I0751 "what limits a goal",
+        cause: "The best run was judged again without each source of its uncertainty.",
+        cure: "Improve the first one that is named; or give the run more time." {
+            GoalTakesLonger { minutes: f64, poses: usize, balls: usize, bar_mm: f64 } => "{poses} poses about {balls} ball(s) with a bar of {bar_mm} mm reach it in {minutes:.0} min";
+            GoalLimited { source: &'static str, left_mm: f64 } => "without {source} the best run leaves {left_mm:.3} mm";
+            GoalLimitedByPlaces => "no single source limits it: a longer bar, or balls at other places and heights would help";
+        }
         W0720 "the covariance of the identification is not known",
         cause: "The robot file was identified, but the lengths.csv that `identify` wrote beside it is not there.",
         cure: "Keep the two files together, or give the lengths that were measured. Until then the risk is that of the maker's tolerance about the identified robot.",

@@ -3,6 +3,7 @@
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::goal::outcome::GoalOutcome;
 use super::pass::{self, PlannedPass};
 use super::path::ToolBallPath;
 use super::prediction::PlanPrediction;
@@ -83,6 +84,9 @@ pub struct PlanHeader {
     /// Present if not every pose that can be reached is allowed yet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage: Option<Stage>,
+    /// What the run reaches of the job's goal.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub goal: Option<GoalOutcome>,
     /// Predicted result of an identification with this plan; for people, not read back.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "not_read")]
     pub predictions: Option<PlanPrediction>,

@@ -8,11 +8,11 @@ use super::prior::length_sigma_mm;
 use super::refusal::Refusal;
 use super::stage::Stage;
 use super::steps::min_marker;
-use super::workspace::workspace;
+use super::workspace::goal_poses;
 use super::{CandidateConditions, PlanKinematics, PlanStep, PlanningCell, PlanningPrior, StepBuilder};
 use crate::plan::PlanFinding;
 use crate::plan::job::JobFinding;
-use dbbd_model::design::{Candidate, Criterion, Exchange, Near, change_rows, design_rows, workspace_rows};
+use dbbd_model::design::{Candidate, Criterion, Exchange, Near, change_rows, design_rows, tool_rows};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{Posterior, with_usual_joint_errors};
 use dbbd_model::math::distributions::normal_deviate;
@@ -456,8 +456,8 @@ impl<'a> PoseChooser<'a> {
                 Exchange::for_changes(&rows, change_rows(expected, &pool, sigma_mm))
             }
             (Criterion::D | Criterion::I, _) => {
-                let poses = workspace(job, self.rig.controller, OPTIMISE_WORKSPACE_POSES);
-                Exchange::new(&rows, &workspace_rows(&unknown, &poses))
+                let tools = goal_poses(job, self.rig.controller, OPTIMISE_WORKSPACE_POSES);
+                Exchange::new(&rows, &tool_rows(&unknown, &tools))
             }
         };
         let chosen = exchange.choose(survey.count(), criterion);

@@ -9,6 +9,7 @@ use super::rows::approaches;
 use super::workspace::workspace;
 use super::{PlanRow, PlanningPrior, PoseKind};
 use crate::plan::PlanFinding;
+use dbbd_model::design::Candidate;
 use dbbd_model::design::length_count::{LengthCount, Sufficiency, by_count, sufficiency};
 use dbbd_model::design::second_ball::{OneBall, SecondBall};
 use dbbd_model::diagnostic::Diagnostic;
@@ -117,13 +118,7 @@ impl PlanPrediction {
         let poses = workspace(job, robot, PREDICTION_WORKSPACE_POSES);
         let few = poses.get(..FEW_POSES).unwrap_or(&poses).to_vec();
         let sigma_mm = length_sigma_mm(job, robot);
-        // A robot that was not identified is identified from its nominal geometry.
-        let start = match prior.calibrated {
-            Some(_) => prior.posterior.model.clone(),
-            None => {
-                LengthModel { geometry: robot.controller().geometry.clone(), ..prior.posterior.model.clone() }
-            }
-        };
+        let start = first_model(robot, prior);
         let [of_all, of_few] = [poses, few.clone()].map(|poses| prior.options(job, Some(poses)));
         let whole = PlannedLengths::new(prior.identification(robot, &start, &of_all), &planned).ok()?;
         let seen = whole.predict(&prior.posterior, 0..planned.len(), sigma_mm)?;
@@ -161,17 +156,45 @@ impl PlanPrediction {
     }
 }
 
+/// The model from which an identification begins: a robot that was not identified is identified from its nominal geometry.
+pub(super) fn first_model(robot: &Robot, prior: &PlanningPrior) -> LengthModel {
+    let model = prior.posterior.model.clone();
+    match prior.calibrated {
+        Some(_) => model,
+        None => LengthModel { geometry: robot.controller().geometry.clone(), ..model },
+    }
+}
+
 /// The rows of a plan as a table of lengths that agree with the model.
-fn planned_lengths(job: &Job, rows: &[PlanRow], model: &LengthModel) -> Vec<Measurement> {
-    let model = model.prepare();
-    let length = |(row, approach): (&PlanRow, Approach)| {
-        let mut reading = PreparedMeasurement { approach, force_n: 0.0, ..row.reading(&job.bar) };
-        reading.length_mm = model.length(&reading);
-        let sigma_mm = Some(job.bar.sigma_um * 1e-3);
-        Measurement { sigma_mm, ..Measurement::of_prepared(row.index, &reading) }
-    };
+pub(super) fn planned_lengths(job: &Job, rows: &[PlanRow], model: &LengthModel) -> Vec<Measurement> {
     let with_approach = rows.iter().zip(approaches(rows));
-    with_approach.filter(|(row, _)| row.kind != PoseKind::Transit).map(length).collect()
+    let dwells = with_approach.filter(|(row, _)| row.kind != PoseKind::Transit);
+    let readings = dwells.map(|(row, approach)| {
+        (row.index, PreparedMeasurement { approach, force_n: 0.0, ..row.reading(&job.bar) })
+    });
+    lengths(job, readings, model)
+}
+
+/// Poses as a table of lengths that agree with the model, in the order in which they are given.
+pub(super) fn lengths_at(job: &Job, poses: &[Candidate], model: &LengthModel) -> Vec<Measurement> {
+    let with_approach = poses.iter().zip(Approach::along(poses.iter().map(|pose| pose.axes)));
+    let readings = (1..).zip(with_approach).map(|(index, (pose, approach))| {
+        (index, PreparedMeasurement { approach, ..PreparedMeasurement::new(pose.axes, pose.ball, 0.0) })
+    });
+    lengths(job, readings, model)
+}
+
+fn lengths(
+    job: &Job,
+    readings: impl Iterator<Item = (u32, PreparedMeasurement)>,
+    model: &LengthModel,
+) -> Vec<Measurement> {
+    let (model, sigma_mm) = (model.prepare(), Some(job.bar.sigma_um * 1e-3));
+    let length = |(index, mut reading): (u32, PreparedMeasurement)| {
+        reading.length_mm = model.length(&reading);
+        Measurement { sigma_mm, ..Measurement::of_prepared(index, &reading) }
+    };
+    readings.map(length).collect()
 }
 
 /// Whether a second ball would help; `None` for a job with several balls, or if no pose can be chosen.
@@ -187,13 +210,13 @@ fn second_ball(job: &Job, robot: &Robot, lengths: usize, workspace: &[[f64; AXES
         workspace,
         seed: u64::from(job.seed),
     };
-    let prior = |balls: [Vector3<f64>; 2]| {
-        let mut two = job.clone();
-        two.centres = (1..)
-            .zip(balls)
-            .map(|(id, ball)| BaseBallTable { id, xyz_mm: ball.into(), taught_deg: None, ..table.clone() })
-            .collect();
-        with_usual_joint_errors(&PlanningPrior::of_maker(&two, robot), robot)
+    let prior = |balls: &[Vector3<f64>]| {
+        let about = job.with_centres(balls.iter().map(|ball| BaseBallTable {
+            xyz_mm: (*ball).into(),
+            taught_deg: None,
+            ..table.clone()
+        }));
+        with_usual_joint_errors(&PlanningPrior::of_maker(&about, robot), robot)
     };
     let best = one.second(prior, |axes| {
         clearance(&robot.geometry, axes).is_none_or(|clear| {

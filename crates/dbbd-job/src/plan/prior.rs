@@ -35,6 +35,14 @@ pub struct PlanningPrior {
     pub(super) calibrated: Option<Expected>,
 }
 
+/// Job and robot with what is known of them.
+#[derive(Clone, Debug)]
+pub struct KnownCell {
+    pub job: Job,
+    pub robot: Robot,
+    pub prior: PlanningPrior,
+}
+
 /// The pose at which a base ball is to be taught.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

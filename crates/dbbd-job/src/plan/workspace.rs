@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::Job;
-use dbbd_model::estimation::Workspace;
+use dbbd_model::estimation::{ToolPoses, Workspace};
 use dbbd_model::robot::inverse::nearest;
 use dbbd_model::robot::pose::{rot_x, rot_y, rot_z};
 use dbbd_model::robot::{AXES, Pose, Robot};
@@ -16,10 +16,37 @@ const WORKSPACE_POSES_SEED: u64 = 1;
 /// Axis vectors (rad) over which an error is computed: in the job's box if it has one, else uniform within the limits.
 pub fn workspace(job: &Job, robot: &Robot, count: usize) -> Vec<[f64; AXES]> {
     let limits = robot.controller();
-    let Some([low, high]) = job.optimise.as_ref().and_then(|optimise| optimise.workspace_mm) else {
+    let of_goal = job.goal.as_ref().and_then(|goal| goal.region_mm);
+    let of_poses = job.optimise.as_ref().and_then(|optimise| optimise.workspace_mm);
+    let Some([low, high]) = of_goal.or(of_poses) else {
         return Workspace::uniform(limits, count, WORKSPACE_POSES_SEED);
     };
     in_box(robot, low, high, count)
+}
+
+/// The tools whose position matters by the job's goal, each at about `count` poses: the points of its program, else each tool in the
+/// workspace. A job without a goal has the tool ball in its workspace.
+pub(super) fn goal_poses(job: &Job, robot: &Robot, count: usize) -> Vec<ToolPoses> {
+    let goal = job.goal.as_ref();
+    if let Some(goal) = goal.filter(|goal| !goal.of_program.is_empty()) {
+        let every = |poses: usize| poses.div_ceil(count.max(1)).max(1);
+        let thinned = |ToolPoses { tool_mm, poses }: &ToolPoses| ToolPoses {
+            tool_mm: *tool_mm,
+            poses: poses.iter().step_by(every(poses.len())).copied().collect(),
+        };
+        return goal.of_program.iter().map(thinned).collect();
+    }
+    let tools = goal.iter().flat_map(|goal| &goal.tools).map(|tool| Vector3::from(tool.xyz_mm));
+    let of_tool = |tool: Vector3<f64>| {
+        let poses = workspace(job, &robot.clone().with_tool(tool.into()), count);
+        ToolPoses { tool_mm: Some(tool), poses }
+    };
+    let found: Vec<ToolPoses> = tools.map(of_tool).collect();
+    if found.is_empty() {
+        vec![ToolPoses { tool_mm: None, poses: workspace(job, robot, count) }]
+    } else {
+        found
+    }
 }
 
 /// Axis vectors (rad) of up to `count` poses with the ball uniform in a box (mm), the tool down and turned by up to 45 degrees

@@ -4,7 +4,7 @@ use nalgebra::Matrix6;
 use serde::Serialize;
 
 use super::page::render;
-use super::plot::{HeatMap, NARROW, Projection, Trace, View, WIDE};
+use super::plot::{HeatMap, NARROW, Projection, Trace, View, WIDE, error_after_minutes};
 use super::scale::plain;
 use super::scene::{BallMark, Scene, ScenePose, skeleton, wireframe};
 use crate::plan::{Plan, PlanCheck, PlanHeader, PlanRow};
@@ -26,6 +26,8 @@ struct Page<'a> {
     reference: usize,
     duration_min: f64,
     checks: Vec<CheckLine>,
+    /// The picture of what more time would reach, for a plan with a goal.
+    curve: Option<String>,
     figures: Figures,
     /// Data of the viewer.
     scene: String,
@@ -63,6 +65,7 @@ pub fn html(plan: &Plan, robot: &Robot, map: &[MapPoint]) -> Result<String, Diag
         reference: count(PoseKind::Reference),
         duration_min: plan.duration_s() / 60.0,
         checks: plan.header.checks.iter().map(check).collect(),
+        curve: plan.header.goal.as_ref().map(error_after_minutes),
         figures: figures(plan, robot, map),
         scene: scene(plan, robot).json()?,
         identity: plan.header.provenance.identity.facts(),

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use dbbd_model::base::hash::sha256;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::{EstimationFinding, ProgramUncertainty, Workspace};
+use dbbd_model::estimation::{EstimationFinding, ProgramUncertainty, ToolPoses, Workspace};
+use dbbd_model::measurement::ToolPoint;
 use dbbd_model::provenance::ProvenanceFinding;
 use dbbd_model::provenance::{Artefact, ArtefactRole, TracedArtefact};
 use dbbd_model::robot::{AXES, ControllerModel, LoadedRobot, Pose, Robot};
@@ -239,6 +240,50 @@ impl CompensateRequest {
     fn base(&self) -> Option<Pose> {
         self.base_mm_deg.map(Pose::from_xyzabc)
     }
+}
+
+/// The tools of a program at the axis angles of its points, as its controller moves there; without points that are axis angles.
+///
+/// # Errors
+/// Those of a program that is corrected.
+pub(super) fn points_of_program(
+    program: &Path,
+    robot: &LoadedRobot,
+    session: &RequestSession<'_>,
+) -> Result<Vec<ToolPoses>, Diagnostic> {
+    let controller = robot.robot.controller().clone();
+    let request = CompensateRequest {
+        program: program.to_owned(),
+        robot: RobotName::from(controller.name.as_str()),
+        // Nothing is written.
+        out: program.join("corrected"),
+        config: None,
+        tool_mm_deg: None,
+        base_mm_deg: None,
+        payload: None,
+        nominal_controller: false,
+        datum: ProgramDatum::Program,
+        limit_mm: DEFAULT_LIMIT_MM,
+        plan: None,
+        replace: false,
+    };
+    // Where a robot is as its controller has it, no point moves.
+    let unchanged = Robot { nominal: Some(Box::new(controller.clone())), ..controller };
+    let context =
+        CorrectionContext { request: &request, robot: &unchanged, identified: &robot.source, session };
+    let corrected = context.one_file(program_language(program)?)?;
+    let mut tools: Vec<ToolPoses> = Vec::new();
+    for ToolPoint { tool, pose } in corrected.moved.iter().filter_map(|moved| moved.tool_point) {
+        let axes = pose.axes.radians();
+        match tools.iter_mut().find(|of| of.tool_mm == Some(tool)) {
+            Some(of_tool) => of_tool.poses.push(axes),
+            None => tools.push(ToolPoses { tool_mm: Some(tool), poses: vec![axes] }),
+        }
+    }
+    if tools.is_empty() {
+        return Err(Diagnostic::file(program.display(), CompensationFinding::NothingCorrected));
+    }
+    Ok(tools)
 }
 
 /// The language of a program, by its extension.

@@ -115,6 +115,7 @@ pub(crate) fn plan(circles: u32, points: u32) -> Plan {
         again: false,
         stage: None,
         stroke_risk: 0.0,
+        goal: None,
         predictions: None,
         check: None,
     };

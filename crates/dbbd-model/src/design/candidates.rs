@@ -5,8 +5,9 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::estimation::Posterior;
 use crate::estimation::expected::Expected;
+use crate::estimation::{Posterior, ToolPoses};
+use crate::math::stacked;
 use crate::robot::inverse::{branches, status, turns_within};
 use crate::robot::{AXES, BallId, Geometry, Pose, Robot};
 
@@ -141,6 +142,16 @@ pub(super) fn columns(rows: usize, columns: impl ExactSizeIterator<Item = DVecto
 /// The Jacobian of the tool ball over a workspace, three rows a pose, in the coordinates of the posterior's root.
 pub fn workspace_rows(posterior: &Posterior, poses: &[[f64; AXES]]) -> DMatrix<f64> {
     posterior.workspace(poses).jacobian() * posterior.root()
+}
+
+/// The Jacobian of tools at their poses, three rows a pose, in the coordinates of the posterior's root.
+pub fn tool_rows(posterior: &Posterior, tools: &[ToolPoses]) -> DMatrix<f64> {
+    let of_tool = |ToolPoses { tool_mm, poses }: &ToolPoses| match tool_mm {
+        Some(tool) => workspace_rows(&posterior.with_exact_tool(tool), poses),
+        None => workspace_rows(posterior, poses),
+    };
+    let none = DMatrix::zeros(0, posterior.root().ncols());
+    tools.iter().map(of_tool).reduce(|above, below| stacked(&above, &below)).unwrap_or(none)
 }
 
 #[cfg(test)]

@@ -142,7 +142,7 @@ impl<'a> Exchange<'a> {
     }
 
     /// Computes the quantities of a criterion that the D-optimal exchange does not update.
-    fn renew(&mut self, criterion: Criterion) {
+    pub(super) fn renew(&mut self, criterion: Criterion) {
         match criterion {
             Criterion::D => {}
             Criterion::I => {

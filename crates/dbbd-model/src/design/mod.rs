@@ -5,11 +5,12 @@ mod calibrate;
 pub mod candidates;
 pub mod exchange;
 pub mod length_count;
+pub mod placement;
 mod recommend;
 pub mod second_ball;
 
 pub use calibrate::calibrate;
-pub use candidates::{Candidate, Near, Sphere, change_rows, design_rows, workspace_rows};
+pub use candidates::{Candidate, Near, Sphere, change_rows, design_rows, tool_rows, workspace_rows};
 pub use exchange::{Criterion, Exchange};
 pub use recommend::recommend;
 

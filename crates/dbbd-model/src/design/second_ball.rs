@@ -2,7 +2,8 @@
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::{Candidate, Criterion, Exchange, Sphere, design_rows, workspace_rows};
+use super::placement::{BallPlace, Placement};
+use super::{Sphere, workspace_rows};
 use crate::estimation::Posterior;
 use crate::robot::{AXES, BallId, Robot};
 
@@ -44,18 +45,20 @@ pub struct SecondBall {
 }
 
 impl OneBall<'_> {
-    /// `prior` returns the prior with balls at two places. `None` if no place has enough poses.
+    /// `prior` returns the prior with balls at places. `None` if no place has enough poses.
     pub fn second(
         &self,
-        prior: impl Fn([Vector3<f64>; 2]) -> Posterior,
+        prior: impl Fn(&[Vector3<f64>]) -> Posterior + Sync,
         allows: impl Fn(&[f64; AXES]) -> bool,
     ) -> Option<SecondBall> {
-        let pool = self.reached(BallId::at(0), self.ball, &allows);
-        let alone_mm = self.left_mm(&prior([self.ball; 2]), &pool)?;
+        let errors = |known: &Posterior| workspace_rows(known, self.workspace);
+        let placement = Placement { prior: &prior, errors: &errors, sigma_mm: self.sigma_mm };
+        let first = self.reached(self.ball, &allows);
+        let alone_mm = placement.error_mm(&[&first], self.lengths)?;
         let tried = PLACES.iter().filter_map(|(shift, place)| {
-            let ball = self.moved(*shift);
-            let both = [pool.clone(), self.reached(BallId::at(1), ball, &allows)].concat();
-            Some((self.left_mm(&prior([self.ball, ball]), &both)? / alone_mm, ball, *place))
+            let other = self.reached(self.moved(*shift), &allows);
+            let left_mm = placement.error_mm(&[&first, &other], self.lengths)?;
+            Some((left_mm / alone_mm, other.position, *place))
         });
         let tried: Vec<(f64, Vector3<f64>, &str)> = tried.collect();
         let turned_share = tried.first().map_or(1.0, |(share, ..)| *share);
@@ -74,26 +77,12 @@ impl OneBall<'_> {
     }
 
     /// Candidate poses about a ball. Obstacles at a new place are not known.
-    fn reached(
-        &self,
-        id: BallId,
-        ball: Vector3<f64>,
-        allows: impl Fn(&[f64; AXES]) -> bool,
-    ) -> Vec<Candidate> {
+    fn reached(&self, position: Vector3<f64>, allows: impl Fn(&[f64; AXES]) -> bool) -> BallPlace {
         let Self { robot, radius_mm, .. } = *self;
-        Sphere { arm: &robot.geometry, controller: robot, id, ball, radius_mm, near: None }
-            .candidates(CANDIDATES, self.seed, allows)
-    }
-
-    /// Root mean square of the position error with the best of the poses, mm.
-    fn left_mm(&self, prior: &Posterior, pool: &[Candidate]) -> Option<f64> {
-        if pool.len() < self.lengths {
-            return None;
-        }
-        let rows = design_rows(prior, pool, self.sigma_mm);
-        let mut exchange = Exchange::new(&rows, &workspace_rows(prior, self.workspace));
-        exchange.choose(self.lengths, Criterion::I);
-        Some(exchange.rms_error_mm()).filter(|error| error.is_finite())
+        let id = BallId::FIRST;
+        let sphere =
+            Sphere { arm: &robot.geometry, controller: robot, id, ball: position, radius_mm, near: None };
+        BallPlace { position, poses: sphere.candidates(CANDIDATES, self.seed, allows) }
     }
 }
 

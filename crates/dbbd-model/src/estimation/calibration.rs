@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-use super::estimator::{Estimate, estimate, forecast, refit};
+use super::estimator::{Estimate, ForecastStart, ForecastVariances, estimate, refit};
 use super::findings::findings;
 use super::hypotheses::{EventPlace, EventTreatment, RunHypothesis, SupposedEventKind};
 use super::identifiability::{correlations, observability};
@@ -11,7 +11,7 @@ use super::lengths::Lengths;
 use super::monte_carlo::Draws;
 use super::options::Setting;
 use super::parameters::ParameterTable;
-use super::position::compressed;
+use super::position::{ToolPoses, compressed, drawn_errors};
 use super::posterior::Posterior;
 use super::prediction::{IdentifiedPositions, Prediction, compressing_poses, drift_after, position_before};
 use super::result::{
@@ -27,7 +27,7 @@ use super::{
 use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
 use crate::estimation::EstimationFinding;
 use crate::math::distributions::coverage_95;
-use crate::math::rank;
+use crate::math::{map_items, rank};
 use crate::measurement::{LengthModel, Measurements};
 use crate::robot::{BallId, Datum, Geometry, ParamId, Robot, RobotUncertainty};
 
@@ -117,10 +117,36 @@ impl<'a> Input<'a> {
     /// What an identification of these lengths is expected to state after the estimate `before` of some of them.
     pub(super) fn forecast(&self, before: Option<&Estimate>) -> Result<Forecast, EstimationFinding> {
         let (setting, lengths) = (self.setting(), self.lengths());
-        let expected = forecast(&setting, &lengths, &setting.asked(), before)?;
+        let variances = before.map_or(ForecastVariances::Expected, ForecastVariances::Found);
+        let start = ForecastStart::new(&setting, &lengths, &setting.asked())?;
+        let expected = start.forecast(variances).ok_or(EstimationFinding::NotFinite)?;
         let IdentifiedPositions { summary, map, .. } = IdentifiedPositions::of(&setting, &expected, &lengths);
         let posterior = Posterior::with_root(expected.fit.model, &expected.kept, expected.root);
         Ok(Forecast { position_mm: summary, map, posterior })
+    }
+
+    /// The position errors at poses of tools that identifications of these lengths are expected to leave: those of robots that are
+    /// drawn, with variances of each seed, after the estimate `before` of some of the lengths.
+    pub(super) fn drawn_errors(
+        &self,
+        before: Option<&Estimate>,
+        tools: &[ToolPoses],
+        seeds: Range<u64>,
+    ) -> Result<Vec<ErrorSummary>, EstimationFinding> {
+        let (setting, lengths) = (self.setting(), self.lengths());
+        // Variances that were found are not drawn.
+        let seeds: Vec<u64> = if before.is_some() { vec![seeds.start] } else { seeds.collect() };
+        let start = ForecastStart::new(&setting, &lengths, &setting.asked())?;
+        let robots = |seed: &u64| {
+            let expected =
+                start.forecast(before.map_or(ForecastVariances::Drawn(*seed), ForecastVariances::Found))?;
+            let unknown = expected.uncertainty(self.robot);
+            let errors = drawn_errors(&expected.fit.model.geometry, &unknown, tools, *seed);
+            let of_robot = |column| ErrorSummary::of(&errors.columns(column, 1).into_owned());
+            Some((0..errors.ncols()).map(of_robot).collect::<Vec<_>>())
+        };
+        let robots: Option<Vec<Vec<ErrorSummary>>> = map_items(&seeds, robots).into_iter().collect();
+        Ok(robots.ok_or(EstimationFinding::NotFinite)?.concat())
     }
 
     pub(super) fn setting(&self) -> Setting<'a> {

@@ -1,6 +1,7 @@
 //! The predicted outcome of planned lengths: rank, standard deviations, observability indices, position uncertainty.
 
 use super::estimator::Estimate;
+use super::position::ToolPoses;
 use super::priors::WEAK;
 use super::{
     Analysis, ErrorSummary, EstimationFinding, Forecast, Input, Observability, Options, Posterior, analyse,
@@ -59,6 +60,16 @@ impl<'a> PlannedLengths<'a> {
     /// The position error as an identification of the measured lengths states it, mm; without any, as the robot's file has it.
     pub fn stated_before(&self) -> ErrorSummary {
         self.measured.stated_position_mm(self.estimate.as_ref())
+    }
+
+    /// The position errors at poses of tools that an identification of all these lengths leaves, of robots that are drawn from what is
+    /// known: the variances of their errors of `variances` kinds first, then the errors. `None` if a number is not finite.
+    pub fn drawn_errors(&self, tools: &[ToolPoses], variances: u64) -> Option<Vec<ErrorSummary>> {
+        let measured = &self.measured.observations.rows;
+        let rows = measured.iter().chain(self.planned).cloned().collect();
+        let observations = Measurements { rows, ..Measurements::default() };
+        let input = Input { observations: &observations, ..self.measured };
+        input.drawn_errors(self.estimate.as_ref(), tools, 0..variances).ok()
     }
 
     /// Predicts the effect of these planned lengths (places among the planned ones), of standard deviation `sigma_mm`, on `prior`.

@@ -6,6 +6,9 @@
 //! it settles. A group that the lengths do not support shrinks: nothing is chosen by a threshold.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use super::Analysis;
@@ -310,43 +313,71 @@ fn from_start(
     }
 }
 
-/// The estimate that is expected of lengths, of which those that are still to be measured agree with the model. The variances are
-/// those that were found `before`. Without lengths before, the variances have the means of their priors: the mean over all robots
-/// of a standard deviation that is stated after the lengths is its mean before them.
-///
-/// # Errors
-/// A number is not finite, or there is nothing to estimate.
-pub(super) fn forecast(
-    setting: &Setting<'_>,
-    lengths: &Lengths,
-    asked: &[ParamId],
-    before: Option<&Estimate>,
-) -> Result<Estimate, EstimationFinding> {
-    let start = EstimateStart::of(setting, lengths, asked)?;
-    forecast_from(setting, lengths, &start, before).ok_or(EstimationFinding::NotFinite)
+/// The variances with which an estimate is expected.
+pub(super) enum ForecastVariances<'a> {
+    /// Those that were found before.
+    Found(&'a Estimate),
+    /// The means of their priors: the mean over all robots of a standard deviation that is stated after the lengths is its mean before
+    /// them.
+    Expected,
+    /// Drawn from their priors with a seed.
+    Drawn(u64),
+}
+
+/// Lengths of which an estimate is expected; those that are still to be measured agree with the model.
+pub(super) struct ForecastStart<'a> {
+    setting: &'a Setting<'a>,
+    lengths: &'a Lengths<'a>,
+    start: EstimateStart,
+}
+
+impl<'a> ForecastStart<'a> {
+    /// # Errors
+    /// A number is not finite, or there is nothing to estimate.
+    pub(super) fn new(
+        setting: &'a Setting<'a>,
+        lengths: &'a Lengths<'a>,
+        asked: &[ParamId],
+    ) -> Result<Self, EstimationFinding> {
+        Ok(Self { setting, lengths, start: EstimateStart::of(setting, lengths, asked)? })
+    }
+
+    /// The estimate that is expected. `None` if a number is not finite.
+    pub(super) fn forecast(&self, variances: ForecastVariances<'_>) -> Option<Estimate> {
+        forecast_from(self.setting, self.lengths, &self.start, variances)
+    }
 }
 
 fn forecast_from(
     setting: &Setting<'_>,
     lengths: &Lengths,
     start: &EstimateStart,
-    before: Option<&Estimate>,
+    variances: ForecastVariances<'_>,
 ) -> Option<Estimate> {
     let used = &lengths.weighted(Sigma::Given, &start.fit.outliers);
     let known = start.known_before(setting, lengths)?;
     let model = if known.has_coefficients { &start.at_start } else { &start.fit.model };
     let unknowns = Unknowns::new(known, model, used, setting.options.seeks_joint_errors());
     let mut search = Search::new(&unknowns, used, model.clone(), None);
-    if let Some(before) = before {
-        search.state.hypers = before.cautious.with_sigma(before.hypers.sigma_mm());
-        search.state.shape = before.shape;
-    } else {
-        let priors = HyperPrior::all(lengths.repeatability_mm.unwrap_or(USUAL_SIGMA_MM));
-        search.state.hypers = search.state.hypers.with_sigma(priors[SIGMA].median);
-        search.ln_sd = priors.map(|prior| prior.ln_sd);
-        // The maker's tolerance and the tool ball are as stated until lengths contradict them.
-        for group in [Group::Tolerance, Group::Tool] {
-            search.ln_sd[group as usize] = 0.0;
+    let priors = HyperPrior::all(lengths.repeatability_mm.unwrap_or(USUAL_SIGMA_MM));
+    match variances {
+        ForecastVariances::Found(before) => {
+            search.state.hypers = before.cautious.with_sigma(before.hypers.sigma_mm());
+            search.state.shape = before.shape;
+        }
+        ForecastVariances::Expected => {
+            search.state.hypers = search.state.hypers.with_sigma(priors[SIGMA].median);
+            search.ln_sd = priors.map(|prior| prior.ln_sd);
+            // The maker's tolerance and the tool ball are as stated until lengths contradict them.
+            for group in [Group::Tolerance, Group::Tool] {
+                search.ln_sd[group as usize] = 0.0;
+            }
+        }
+        ForecastVariances::Drawn(seed) => {
+            let mut random = Pcg64::seed_from_u64(seed);
+            let drawn = Hypers::drawn(&priors, || StandardNormal.sample(&mut random));
+            let stated = [Group::Tolerance, Group::Tool].map(|group| (group, search.state.hypers.sd(group)));
+            search.state.hypers = drawn.with_sigma(priors[SIGMA].median).with_sds(stated);
         }
     }
     let SearchState { model, hypers, .. } = &mut search.state;

@@ -131,9 +131,23 @@ impl Hypers {
         start
     }
 
+    /// Hyper-parameters that are drawn from their priors; `normal` gives standard normal numbers.
+    pub(super) fn drawn(priors: &[HyperPrior; HYPERS], mut normal: impl FnMut() -> f64) -> Self {
+        Self(priors.map(|prior| prior.clamp(prior.median.ln() + prior.ln_sd * normal())))
+    }
+
     /// The hyper-parameters of joints before any length.
     pub(super) fn usual() -> Self {
         Self::start(&HyperPrior::all(1.0), 1.0)
+    }
+
+    /// The hyper-parameters of joints before any length, with the root of the mean square of each standard deviation over its prior:
+    /// of a log-normal distribution the median times exp(variance).
+    pub(super) fn root_mean_square() -> Self {
+        let priors = HyperPrior::all(1.0);
+        let is_sd = |at: usize| at < Group::ALL.len() || at == SLOW || at >= OF_JOINT;
+        let ln = |at: usize| priors[at].median.ln() + if is_sd(at) { priors[at].ln_sd.powi(2) } else { 0.0 };
+        Self(std::array::from_fn(ln))
     }
 
     /// One standard deviation of a group, in its unit; for smooth functions that of the quick part, before the factor
@@ -144,6 +158,11 @@ impl Hypers {
 
     pub(super) fn with_sigma(mut self, sigma_mm: f64) -> Self {
         self.0[SIGMA] = sigma_mm.ln();
+        self
+    }
+
+    pub(super) fn with_sds(mut self, sds: impl IntoIterator<Item = (Group, f64)>) -> Self {
+        sds.into_iter().for_each(|(group, sd)| self.0[group as usize] = sd.ln());
         self
     }
 

@@ -66,7 +66,12 @@ impl PoseErrors {
     /// Errors of robots that are drawn from this uncertainty, a column for each robot and 3 rows for each pose. Every
     /// pose gets a random error of the repeatability `repeated`.
     fn draws(&self, repeated: impl Fn(usize) -> f64) -> DMatrix<f64> {
-        let mut drawn = &self.moved * unit_draws(self.moved.ncols());
+        self.of_robots(&unit_draws(self.moved.ncols()), repeated)
+    }
+
+    /// The errors of robots with these coordinates in the columns of the root: standard normal numbers, a column for each robot.
+    fn of_robots(&self, robots: &DMatrix<f64>, repeated: impl Fn(usize) -> f64) -> DMatrix<f64> {
+        let mut drawn = &self.moved * robots;
         let mut random = Pcg64::seed_from_u64(2);
         for pose in 0..self.joints.len() {
             let covariance = self.covariance_of_pose(pose, repeated(pose));
@@ -143,6 +148,41 @@ impl Positions {
     pub(super) fn draws(&self, pose_mm: f64) -> DMatrix<f64> {
         self.errors.draws(|_| pose_mm)
     }
+}
+
+/// Poses (axis angles, rad) at which the position of a tool matters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ToolPoses {
+    /// An exactly known point in the flange frame, mm; the tool ball if absent.
+    pub tool_mm: Option<Vector3<f64>>,
+    pub poses: Vec<[f64; AXES]>,
+}
+
+/// The position errors of robots that are drawn with a seed, at poses of tools, mm: a column for each robot, 3 rows for each pose of
+/// each tool. The poses of each tool are aligned by themselves.
+pub(super) fn drawn_errors(
+    geometry: &Geometry,
+    unknown: &RobotUncertainty,
+    tools: &[ToolPoses],
+    seed: u64,
+) -> DMatrix<f64> {
+    let errors = |positions: Positions| {
+        let mut random = Pcg64::seed_from_u64(seed);
+        let columns = positions.errors.moved.ncols();
+        let robots = DMatrix::from_fn(columns, ROBOTS, |_, _| StandardNormal.sample(&mut random));
+        positions.errors.of_robots(&robots, |_| 0.0)
+    };
+    let of_tool = |ToolPoses { tool_mm, poses }: &ToolPoses| {
+        let poses: Vec<ApproachedPose> = poses.iter().map(ApproachedPose::unapproached).collect();
+        match tool_mm {
+            Some(tool) => {
+                let geometry = Geometry { tool: *tool, ..geometry.clone() };
+                errors(Positions::new(&geometry, &unknown.clone().without_tool(), &poses))
+            }
+            None => errors(Positions::new(geometry, unknown, &poses)),
+        }
+    };
+    tools.iter().map(of_tool).reduce(|above, below| stacked(&above, &below)).unwrap_or(DMatrix::zeros(0, 0))
 }
 
 /// Poses, with the poses over which the robot's base is aligned (the datum).

@@ -181,6 +181,19 @@ impl Posterior {
         }
     }
 
+    /// The posterior for an exactly known point in the flange frame, mm, in place of the tool ball.
+    #[must_use]
+    pub fn with_exact_tool(&self, tool_mm: &Vector3<f64>) -> Self {
+        let mut known = self.clone();
+        known.model.geometry.tool = *tool_mm;
+        for (row, id) in known.ids.iter().enumerate() {
+            if matches!(id, ParamId::Tool(_)) {
+                known.root.row_mut(row).fill(0.0);
+            }
+        }
+        known
+    }
+
     /// The posterior with the covariance `columns columns'` added.
     pub(super) fn widened(self, columns: &DMatrix<f64>) -> Self {
         let own = self.root.ncols();

@@ -27,8 +27,7 @@ const WIDER: f64 = 1.2;
 pub fn with_drawn_joint_errors(robot: &Robot, seed: u64) -> Robot {
     let mut random = Pcg64::seed_from_u64(seed ^ 0x6a6f_696e_7473_0000);
     let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
-    let priors = HyperPrior::all(1.0);
-    let hypers = Hypers(priors.map(|prior| prior.clamp(prior.median.ln() + prior.ln_sd * normal())));
+    let hypers = Hypers::drawn(&HyperPrior::all(1.0), &mut normal);
     let mut drawn = robot.clone();
     let sds = Priors::datasheet(robot, None);
     for id in parameter::optional() {
@@ -69,12 +68,21 @@ fn smooth_errors(robot: &Robot, count: usize) -> JointErrors {
 /// The knowledge of a robot, with the errors of joints that no length has shown yet: harmonics, and smooth functions over the whole
 /// range of each axis, by the medians of their priors. Backlash is left out: its sense changes from pose to pose.
 pub fn with_usual_joint_errors(known: &Posterior, robot: &Robot) -> Posterior {
-    let usual = Hypers::usual();
+    with_joint_errors(known, robot, &Hypers::usual(), DESIGN_FUNCTIONS)
+}
+
+/// As [`with_usual_joint_errors`], with the mean of each variance over its prior, as robots with large errors need it, and with half
+/// as many functions, for a search that asks often.
+pub fn with_mean_joint_errors(known: &Posterior, robot: &Robot) -> Posterior {
+    with_joint_errors(known, robot, &Hypers::root_mean_square(), DESIGN_FUNCTIONS / 2)
+}
+
+fn with_joint_errors(known: &Posterior, robot: &Robot, usual: &Hypers, functions: usize) -> Posterior {
     let harmonics: Vec<(ParamId, f64)> =
         parameter::gear().map(|id| (id, usual.sd(Group::Harmonic))).collect();
-    let errors = smooth_errors(robot, DESIGN_FUNCTIONS);
+    let errors = smooth_errors(robot, functions);
     let sd = |term: JointTerm| match term.kind {
-        TermKind::Smooth { frequency } => Variance::Spectral(term.joint, frequency).sd(&usual),
+        TermKind::Smooth { frequency } => Variance::Spectral(term.joint, frequency).sd(usual),
         TermKind::Backlash | TermKind::Ripple { .. } => 0.0,
     };
     let sds: Vec<f64> = errors.terms().into_iter().map(sd).collect();

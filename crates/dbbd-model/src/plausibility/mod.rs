@@ -266,6 +266,14 @@ quantities! {
     Amplitude => range("the amplitude of an orientation", "degrees", 0.0, 180.0);
     /// Fewer poses determine no robot; with more the run takes hours, in which everything drifts.
     PoseCount => range("a number of poses", "", 6.0, 1000.0);
+    /// No robot is calibrated to a micrometre, and none needs a calibration for a centimetre.
+    PositionGoal => range("a position error to reach", "mm", 1e-3, 10.0).usually(0.01, 3.0).not_in(IN_METRES_OR_MICROMETRES);
+    /// A shorter time measures nothing; with more than a week the robot has changed.
+    RunMinutes => range("the time of a run", "min", 1.0, 1e4);
+    /// Nobody mounts anything for longer than a shift.
+    MountingMinutes => range("the time to mount a ball or a bar", "min", 0.0, 500.0);
+    /// A dwell at least, and less than a coffee break.
+    PoseSeconds => range("the time of a pose", "s", 0.1, 600.0);
     /// Ten for each pose; the exchange of more takes hours.
     CandidateCount => range("a number of candidates", "", 0.0, 1e5);
     /// Fewer show no form of a circle; more are nearer to each other than a tenth of a degree.

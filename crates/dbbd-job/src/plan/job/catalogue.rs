@@ -15,8 +15,13 @@ findings! {
         }
         E0603 "a table or a key of the job is missing or one too many",
         cause: "Two keys exclude each other, or one needs another one beside it.",
-        cure: "A circle has `plane` or `normal`. `cup_axis` and `cup_limit_deg` need each other. The table, the masses and all else of the arm are in the robot file. Only the orientations seed, random and optimal have `amplitude_deg`." {
+        cure: "A goal has chosen poses; where they are measured is a point or a box. A circle has `plane` or `normal`. `cup_axis` and `cup_limit_deg` need each other. The table, the masses and all else of the arm are in the robot file. Only the orientations seed, random and optimal have `amplitude_deg`." {
             MissingTable { table: String } => "there is no {table} table: a job needs at least one";
+            NoBarLength => "[bar] has no length_mm: the distance between the ball centres at reading zero";
+            OnlyWithGoal => "places and bars to choose from need a [goal]", help: "give [goal] with position_mm, or give the balls as [[centre]] and the bar as [bar]";
+            PointOrBox => "a [[place]] has either xyz_mm or box_mm";
+            GoalTwice { other: String } => "[goal] has a program and {other}: a program has its own points and tools";
+            GoalWithCircles => "a job with a [goal] has no [[circle]]: its poses are chosen";
             PlaneAndNormal { circle: usize } => "circle {circle}: has both `plane` and `normal`";
             NoPlane { circle: usize } => "circle {circle}: has neither `plane` nor `normal`";
             KeyOfRobot { key: String } => "`{key}` is a key of the robot file", help: "write it there: `robot` of the job names the file, and `dbbd robots show NAME` a built-in one";

@@ -26,9 +26,20 @@ pub(crate) type JobCheck = Result<(), MisplacedFinding>;
 
 impl Job {
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Diagnostic> {
-        let job: Self = from_toml(file, text).map_err(key_of_robot)?;
+        let mut job: Self = from_toml(file, text).map_err(key_of_robot)?;
+        job.complete();
         job.check().map_err(|wrong| wrong.in_text(file, text))?;
         Ok(job)
+    }
+
+    /// States what the job leaves open: a length of the bar if bars are listed, and chosen poses if it asks for nothing else.
+    fn complete(&mut self) {
+        if let Some(first) = self.bar_choices.first().filter(|_| self.bar.length_mm == 0.0) {
+            self.bar.length_mm = first.length_mm;
+        }
+        if self.circles.is_empty() {
+            self.optimise.get_or_insert_default();
+        }
     }
 
     pub fn balls(&self) -> Vec<BaseBall> {
@@ -99,18 +110,15 @@ impl Job {
 
     /// Checks what the types do not ensure.
     pub(crate) fn check(&self) -> JobCheck {
+        self.check_goal()?;
         self.check_ranges()?;
         self.check_bar()?;
         self.check_identity()?;
         self.check_outputs()?;
-        let missing = if self.centres.is_empty() {
-            Some("[[centre]]")
-        } else {
-            (self.circles.is_empty() && self.optimise.is_none()).then_some("[[circle]] or [optimise]")
-        };
-        if let Some(table) = missing {
-            return Err(JobTable::new("").wrong("", JobFinding::MissingTable { table: table.into() }));
-        }
+        let has_balls = !self.centres.is_empty() || (self.goal.is_some() && !self.places.is_empty());
+        let table = if self.goal.is_some() { "[[place]] or [[centre]]" } else { "[[centre]]" };
+        let missing = || JobFinding::MissingTable { table: table.into() };
+        JobTable::new("").ensure("", has_balls, missing)?;
         if let Some([low, high]) = self.optimise.as_ref().and_then(|optimise| optimise.workspace_mm) {
             let table = JobTable::new("[optimise]");
             table.corners("workspace_mm", low, high)?;
@@ -135,6 +143,7 @@ impl Job {
             .try_for_each(|mm| JobTable::new("[tool]").check("ball_mm", *mm, Quantity::ArmLength))?;
         let ball_mm = tool.ball_mm.map(|mm| mm.into_iter().map(f64::abs).fold(0.0, f64::max));
         let count = |of: fn(&super::OptimiseTable) -> u32| optimise.map(|optimise| f64::from(of(optimise)));
+        bar_table.ensure("", bar.length_mm != 0.0, || JobFinding::NoBarLength)?;
         let values = [
             ("[bar]", "length_mm", Some(bar.length_mm), Quantity::BarLength),
             ("[bar]", "radius_mm", Some(bar.radius_mm), Quantity::BodyRadius),

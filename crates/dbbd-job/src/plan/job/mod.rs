@@ -4,6 +4,8 @@ mod catalogue;
 pub use catalogue::JobFinding;
 
 mod check;
+mod check_goal;
+mod goal;
 mod obstacle;
 mod values;
 
@@ -18,6 +20,7 @@ use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::provenance::{Artefact, ArtefactRole, BarIdentity, Identity, Provenance, TracedArtefact};
 use dbbd_model::robot::{AXES, Robot};
+pub use goal::{BarChoiceTable, GoalStatistic, GoalTable, GoalTool, PlaceTable};
 pub use obstacle::ObstacleTable;
 pub(crate) use values::JobTable;
 
@@ -45,7 +48,7 @@ pub struct Job {
     pub seed: u32,
     pub bar: JobBar,
     /// The base balls, numbered from 1 in this order.
-    #[serde(rename = "centre")]
+    #[serde(rename = "centre", default)]
     pub centres: Vec<BaseBallTable>,
     /// The circles, in the order in which they are measured.
     #[serde(rename = "circle", default, skip_serializing_if = "Vec::is_empty")]
@@ -53,6 +56,15 @@ pub struct Job {
     /// Chosen poses, measured after the circles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub optimise: Option<OptimiseTable>,
+    /// What the run is to reach: balls, bar and number of poses are then chosen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub goal: Option<GoalTable>,
+    /// Where further balls can stand.
+    #[serde(rename = "place", default, skip_serializing_if = "Vec::is_empty")]
+    pub places: Vec<PlaceTable>,
+    /// The bars that exist.
+    #[serde(rename = "bar_choice", default, skip_serializing_if = "Vec::is_empty")]
+    pub bar_choices: Vec<BarChoiceTable>,
     #[serde(rename = "obstacle", default, skip_serializing_if = "Vec::is_empty")]
     pub obstacles: Vec<ObstacleTable>,
     #[serde(default)]
@@ -82,6 +94,26 @@ impl Job {
         identity
     }
 
+    /// The bars of which a goal takes one: those that are listed, else that of the job.
+    pub(crate) fn bars(&self) -> Vec<JobBar> {
+        if self.bar_choices.is_empty() {
+            return vec![self.bar.clone()];
+        }
+        let bar = |choice: &BarChoiceTable| JobBar {
+            length_mm: choice.length_mm,
+            length_u_mm: choice.length_u_mm.or(self.bar.length_u_mm),
+            ..self.bar.clone()
+        };
+        self.bar_choices.iter().map(bar).collect()
+    }
+
+    /// The job with base balls, numbered in this order.
+    #[must_use]
+    pub(crate) fn with_centres(&self, centres: impl IntoIterator<Item = BaseBallTable>) -> Self {
+        let numbered = (1..).zip(centres).map(|(id, table)| BaseBallTable { id, ..table });
+        Self { centres: numbered.collect(), ..self.clone() }
+    }
+
     /// The job as an artefact, `path` being its file.
     pub fn traced(&self, path: &Path) -> Result<TracedArtefact, Diagnostic> {
         let artefact = Artefact {
@@ -98,7 +130,8 @@ impl Job {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JobBar {
-    /// Distance between the ball centres at reading zero, mm.
+    /// Distance between the ball centres at reading zero, mm; that of the first bar in the list of bars when absent.
+    #[serde(default)]
     pub length_mm: f64,
     /// Lowest and highest reading, mm.
     #[serde(deserialize_with = "fixed_array")]
@@ -216,7 +249,7 @@ pub struct OptimiseTable {
 impl Default for OptimiseTable {
     fn default() -> Self {
         Self {
-            points: 80,
+            points: DEFAULT_POINTS,
             criterion: Criterion::default(),
             parameters: None,
             stage_points: default_stage_points(),
@@ -225,6 +258,9 @@ impl Default for OptimiseTable {
         }
     }
 }
+
+/// Poses of a job that states no number: about three balls more of them hardly help.
+const DEFAULT_POINTS: u32 = 210;
 
 fn default_candidates() -> u32 {
     4000

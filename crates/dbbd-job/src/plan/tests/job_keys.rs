@@ -1,12 +1,13 @@
 //! Every key of a job is documented in the examples, every documented example plans, and bad values name their line.
 
-use dbbd_job::plan::{Job, Plan, job};
+use dbbd_job::plan::goal::plan_for_goal;
+use dbbd_job::plan::{Job, KnownCell, Plan, PlanningPrior, job};
 use dbbd_model::provenance::{Identity, MeasuredTemperature};
 use dbbd_model::robot::Robot;
 use serde::de::{self, DeserializeOwned, Visitor, value};
 use serde::{Deserializer, forward_to_deserialize_any};
 
-const EXAMPLES: [(&str, &str); 5] = [
+const EXAMPLES: [(&str, &str); 6] = [
     ("circles.toml", include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/circles.toml"))),
     ("optimal.toml", include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/optimal.toml"))),
     (
@@ -14,6 +15,7 @@ const EXAMPLES: [(&str, &str); 5] = [
         include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/seed-experiment.toml")),
     ),
     ("stages.toml", include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/stages.toml"))),
+    ("goal.toml", include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/goal.toml"))),
     ("continuous.toml", include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/continuous.toml"))),
 ];
 
@@ -31,7 +33,15 @@ fn every_example_plans() {
     for (name, text) in EXAMPLES {
         let job = Job::from_toml(name, text).unwrap_or_else(|error| panic!("{error}"));
         job.check_against(&robot).unwrap();
-        Plan::build(&job, &robot).unwrap_or_else(|refused| panic!("{name}: {refused}"));
+        let cell = |job: Job| {
+            let prior = PlanningPrior::datasheet(&job, &robot);
+            Ok(KnownCell { job, robot: robot.clone(), prior })
+        };
+        let planned = match &job.goal {
+            Some(goal) => plan_for_goal(goal, &cell(job.clone()).unwrap(), &cell).map(|(plan, _)| plan),
+            None => Plan::build(&job, &robot),
+        };
+        planned.unwrap_or_else(|refused| panic!("{name}: {refused}"));
     }
 }
 
@@ -73,13 +83,18 @@ fn every_key_is_documented() {
     let shown: Vec<&str> =
         EXAMPLES.iter().flat_map(|(_, text)| text.lines().filter_map(entry)).map(|e| e.0).collect();
     let tables = ["bar", "centre", "circle", "optimise", "obstacle", "tool", "motion", "limits", "outputs"];
-    let tables = [&tables[..], &["identity", "temperature", "balls", "robot"]].concat();
+    let tables =
+        [&tables[..], &["goal", "place", "bar_choice", "identity", "temperature", "balls", "robot"]].concat();
     let keys = [
         keys_of::<Job>(),
         keys_of::<job::JobBar>(),
         keys_of::<job::BaseBallTable>(),
         keys_of::<job::CircleTable>(),
         keys_of::<job::OptimiseTable>(),
+        keys_of::<job::GoalTable>(),
+        keys_of::<job::GoalTool>(),
+        keys_of::<job::PlaceTable>(),
+        keys_of::<job::BarChoiceTable>(),
         keys_of::<job::ObstacleTable>(),
         keys_of::<job::JobToolTable>(),
         keys_of::<job::MotionTable>(),
@@ -123,7 +138,7 @@ fn a_bad_value_of_every_key_names_its_line() {
             let mut bad = vec![if value.starts_with('"') { "7".into() } else { "\"word\"".to_owned() }];
             if value.starts_with('"') {
                 // Names of robots, payloads and protocols are looked up later, lists of parameters with the robot; texts are free.
-                let later = ["robot", "payload", "protocol", "parameters"];
+                let later = ["robot", "payload", "protocol", "parameters", "program"];
                 let texts = ["serial", "certificate", "certified_by", "laboratory", "cell", "operator"];
                 let more = ["customer", "controller", "of", "device"];
                 if ![&later[..], &texts, &more].concat().contains(&key) {

@@ -185,7 +185,7 @@ proptest! {
             index: 1, feed_mm_s: values[1], turn_deg_s: values[2], axis_percent: values[3], duration_s: values[4],
         };
         let header = dbbd_job::plan::PlanHeader {
-            schema: 1, hash: String::new(), text_hash: String::new(), pose_hash: String::new(), job, robot: "text".into(), provenance: Provenance::default(), moves: vec![time], passes: Vec::new(), checks: Vec::new(), notes: Vec::new(), taught: Vec::new(), again: false, stage: None, stroke_risk: 0.0, predictions: None,
+            schema: 1, hash: String::new(), text_hash: String::new(), pose_hash: String::new(), job, robot: "text".into(), provenance: Provenance::default(), moves: vec![time], passes: Vec::new(), checks: Vec::new(), notes: Vec::new(), taught: Vec::new(), again: false, stage: None, stroke_risk: 0.0, goal: None, predictions: None,
         check: None,
         };
         let (csv, json) = Plan { rows: vec![row.clone()], header }.to_files().unwrap();

@@ -1,8 +1,8 @@
 //! The poses of a short run of a calibrated robot in a new set-up: they show whether the robot changed, or renew its
 //! calibration.
 
-use super::{CheckPoses, PlanningKnowledge};
-use crate::plan::{Job, Plan, PlanningPrior, PoseKind};
+use super::CheckPoses;
+use crate::plan::{Job, KnownCell, Plan, PlanningPrior, PoseKind};
 use crate::request::RequestSession;
 use crate::request::check::CheckSigma;
 use crate::request::robots::today;
@@ -82,10 +82,10 @@ impl<'a> PlannedCheck<'a> {
         }
     }
 
-    pub(super) fn known(&self) -> Result<PlanningKnowledge, Diagnostic> {
+    pub(super) fn known(&self) -> Result<KnownCell, Diagnostic> {
         let expected = self.input(&[]).expected().map_err(|finding| Diagnostic::file(self.file, finding))?;
         let prior = PlanningPrior::of_check(&self.job, &self.robot, expected);
-        Ok(PlanningKnowledge { job: self.job.clone(), robot: self.robot.clone(), prior })
+        Ok(KnownCell { job: self.job.clone(), robot: self.robot.clone(), prior })
     }
 
     /// Writes the predicted result of the run into the header. A check has no map of the remaining error.

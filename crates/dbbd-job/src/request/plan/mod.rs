@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 pub use again::RepeatedRows;
 use check::PlannedCheck;
 use dbbd_device::clock;
+use dbbd_model::base::serialised;
 use dbbd_model::design::Criterion;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::change::CheckPower;
@@ -20,6 +21,7 @@ use dbbd_model::robot::{LoadedRobot, Robot};
 use serde::{Deserialize, Serialize, Serializer};
 
 use super::check::CheckRequest;
+use super::compensate::points_of_program;
 use super::identify::LENGTHS;
 use super::identify::tables::{lengths, measurements};
 use super::robots::robot_for_measurement;
@@ -28,8 +30,11 @@ use crate::artefact::read_as;
 use crate::file_set::{EarlierFiles, FileSet};
 use crate::files;
 use crate::plan::PlanFinding;
+use crate::plan::goal::outcome::GoalOutcome;
+use crate::plan::goal::plan_for_goal;
 use crate::plan::{
-    Job, JobTable, Plan, PlanCheck, PlanPrediction, PlanningPrior, PoseKind, Stage, TaughtBall,
+    Job, JobTable, KnownCell, Plan, PlanCheck, PlanPrediction, PlanningPrior, PoseKind, Refusal, Stage,
+    TaughtBall,
 };
 use crate::program::ProgramFinding;
 use crate::recording::dwell;
@@ -124,7 +129,12 @@ impl UnwrittenPlan {
         if let Some(page) = &self.page {
             set.write("plan.html", page)?;
         }
-        set.write("centres.csv", BaseBall::to_csv(&self.plan.header.job.balls()))?;
+        let job = &self.plan.header.job;
+        set.write("centres.csv", BaseBall::to_csv(&job.balls()))?;
+        // The job with the balls and the bar that were chosen: for a later stage, a check and another plan.
+        if self.plan.header.goal.is_some() {
+            set.write("job.toml", serialised::toml(job)?)?;
+        }
         set.finish()
     }
 }
@@ -156,6 +166,8 @@ impl Serialize for PlanDocument {
             checks: &'a [PlanCheck],
             stage: Option<Stage>,
             taught: &'a [TaughtBall],
+            #[serde(skip_serializing_if = "Option::is_none")]
+            goal: Option<&'a GoalOutcome>,
             predictions: Option<&'a PlanPrediction>,
             #[serde(skip_serializing_if = "Option::is_none")]
             check: Option<&'a CheckPower>,
@@ -171,6 +183,7 @@ impl Serialize for PlanDocument {
             checks: &plan.header.checks,
             stage: plan.header.stage,
             taught: &plan.header.taught,
+            goal: plan.header.goal.as_ref(),
             predictions: plan.header.predictions.as_ref(),
             check: plan.header.check.as_ref(),
         };
@@ -226,7 +239,15 @@ impl PlanRequest {
         let is_of_job = self.robot.is_none();
         let read = read.map_err(|why| if is_of_job { in_job("", "robot", why) } else { why })?;
         let with_serial = with_serial(&job, read).map_err(|why| in_job("", "serial", why));
-        let LoadedRobot { mut robot, source, .. } = with_serial?;
+        let loaded = with_serial?;
+        let mut job = job;
+        if let Some(goal) = &mut job.goal
+            && let Some(program) = &goal.program
+        {
+            let file = files::directory_of(&self.job).join(program);
+            goal.of_program = points_of_program(&file, &loaded, session)?;
+        }
+        let LoadedRobot { mut robot, source, .. } = loaded;
         job.tool.state_in(&mut robot);
         robot.check_tool().map_err(|why| in_job("[tool]", "ball_mm", why.into()))?;
         let carried = job.payload.as_ref().map(|payload| robot.geometry.load.carry(payload));
@@ -272,26 +293,40 @@ impl PlanRequest {
         let sources = earlier.map(|(_, source)| source);
         let provenance = crate::artefact::made_from([&made_from, &source].into_iter().chain(sources));
         let job = given.as_ref().map_or_else(|| job.clone(), |given| job.as_given(given.len()));
-        let PlanningKnowledge { job, robot, prior } = match &check {
+        let known = match &check {
             Some(check) => check.known()?,
-            None => PlanningKnowledge::after(job, robot, measured, session)?,
+            None => {
+                let (known, findings) = measured.cell(job, &robot)?;
+                session.findings(findings);
+                known
+            }
         };
-        let built = match &given {
-            Some(poses) => Plan::build_again(&job, &robot, &prior, poses),
-            None => Plan::build_with(&job, &robot, &prior),
-        };
-        let mut plan = built.map_err(|refusal| {
+        let refused = |refusal: Refusal| {
             session.findings(refusal.printed().cloned());
             Diagnostic::from(refusal).in_file(&name)
-        })?;
+        };
+        let (mut plan, known) =
+            match (&given, known.job.goal.as_ref().filter(|_| self.poses == PlannedPoses::Job)) {
+                (Some(poses), _) => (
+                    Plan::build_again(&known.job, &known.robot, &known.prior, poses).map_err(refused)?,
+                    known,
+                ),
+                (None, Some(goal)) => {
+                    let cell = |job| measured.cell(job, &robot).map(|(known, _)| known);
+                    plan_for_goal(goal, &known, &cell).map_err(refused)?
+                }
+                (None, None) => {
+                    (Plan::build_with(&known.job, &known.robot, &known.prior).map_err(refused)?, known)
+                }
+            };
         plan.header.provenance = provenance;
         plan.header.again = matches!(self.poses, PlannedPoses::Repeat { .. });
         let map = match &check {
-            Some(check) => check.predict(&mut plan, &prior, session)?,
-            None => plan.predict(&robot, &prior),
+            Some(check) => check.predict(&mut plan, &known.prior, session)?,
+            None => plan.predict(&known.robot, &known.prior),
         };
-        let page = Some(report::plan::html(&plan, &robot, &map)?);
-        Ok((robot, UnwrittenPlan { plan, page }))
+        let page = Some(report::plan::html(&plan, &known.robot, &map)?);
+        Ok((known.robot, UnwrittenPlan { plan, page }))
     }
 
     /// The job, or its stage, and the job's file with its text.
@@ -416,35 +451,21 @@ impl EarlierMeasurements {
         }
         Ok(())
     }
-}
 
-/// Job, robot and prior after the earlier measurements.
-struct PlanningKnowledge {
-    job: Job,
-    robot: Robot,
-    prior: PlanningPrior,
-}
-
-impl PlanningKnowledge {
-    fn after(
-        job: Job,
-        robot: Robot,
-        measured: EarlierMeasurements,
-        session: &RequestSession<'_>,
-    ) -> Result<Self, Diagnostic> {
-        let EarlierMeasurements { tables, mut findings } = measured;
-        if tables.is_empty() {
-            let job = job.mounted(&robot, false);
-            let prior = PlanningPrior::datasheet(&job, &robot);
-            return Ok(Self { job, robot, prior });
+    /// What is known of a job and a robot after the measurements, with findings about these.
+    fn cell(&self, job: Job, robot: &Robot) -> Result<(KnownCell, Vec<Diagnostic>), Diagnostic> {
+        if self.tables.is_empty() {
+            let job = job.mounted(robot, false);
+            let prior = PlanningPrior::datasheet(&job, robot);
+            return Ok((KnownCell { job, robot: robot.clone(), prior }, Vec::new()));
         }
-        for EarlierTable { name, measurements, .. } in &tables {
-            check_measurements(name, measurements, &robot, &job.balls())?;
-            findings.extend(measurement_findings(name, measurements, &robot, &job.balls()));
+        let mut findings = self.findings.clone();
+        for EarlierTable { name, measurements, .. } in &self.tables {
+            check_measurements(name, measurements, robot, &job.balls())?;
+            findings.extend(measurement_findings(name, measurements, robot, &job.balls()));
         }
-        session.findings(findings);
         let mut lengths = Measurements::default();
-        for EarlierTable { name, measurements, .. } in &tables {
+        for EarlierTable { name, measurements, .. } in &self.tables {
             lengths = lengths.and(measurements).map_err(|finding| Diagnostic::file(name, finding))?;
         }
         // If the job does not state where a ball was taught for an earlier stage, the lengths of that stage tell its
@@ -457,11 +478,11 @@ impl PlanningKnowledge {
                 table.taught_deg.get_or_insert(*axes_deg);
             }
         }
-        job.check_against(&robot).map_err(|wrong| *wrong.finding)?;
+        job.check_against(robot).map_err(|wrong| *wrong.finding)?;
         let job = job.mounted(robot.controller(), false);
-        let prior = PlanningPrior::after_lengths(&job, &robot, &lengths).map_err(Diagnostic::from)?;
-        session.findings(prior.lengths_findings(&job, &robot, &lengths));
-        let (job, robot) = prior.applied(&job, &robot);
-        Ok(Self { job, robot, prior })
+        let prior = PlanningPrior::after_lengths(&job, robot, &lengths).map_err(Diagnostic::from)?;
+        findings.extend(prior.lengths_findings(&job, robot, &lengths).into_iter().map(Diagnostic::from));
+        let (job, robot) = prior.applied(&job, robot);
+        Ok((KnownCell { job, robot, prior }, findings))
     }
 }
