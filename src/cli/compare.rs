@@ -14,13 +14,14 @@ use dbbd_job::file_set::{EarlierFiles, FileSet};
 use dbbd_job::files;
 use dbbd_job::report::compare;
 use dbbd_job::request::identify::ROBOT;
-use dbbd_job::robot_files::RobotName;
+use dbbd_job::robot_files::{RobotName, robot_of_result};
 use dbbd_model::base::date::{day_number, is_after};
 use dbbd_model::base::serialised::{self, Seal};
 use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::conformity::{
-    CircleFile, ComparedInput, ComparisonSubject, ResultComparison, ResultTimeline, SIGNIFICANCE_LEVEL,
-    StoredResult, TrackedQuantity, compare_circles, compare_results, of_robot, same_robot, unlike_circles,
+    CircleFile, ComparedInput, ComparisonSubject, PositionChange, ResultComparison, ResultTimeline,
+    SIGNIFICANCE_LEVEL, StoredResult, TrackedQuantity, compare_circles, compare_results, of_robot,
+    same_robot, unlike_circles,
 };
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::diagnostic::Names;
@@ -32,14 +33,17 @@ use dbbd_model::robot::Robot;
 /// Compare calibrations of a robot, or circular tests, over time.
 ///
 /// Shows the change of each parameter or quantity with its uncertainty and significance (Holm correction over all of them),
-/// a map of the change of position over the workspace, overlaid circles, and a trend with the time at which a tolerance is
-/// reached.
+/// how far the robot moved over the workspace and how much of it the uncertainties explain, overlaid circles, and a trend with
+/// the time at which a tolerance is reached.
 #[derive(clap::Args)]
 pub(crate) struct CompareArgs {
     /// result.json of `dbbd identify` or circle.json of `dbbd circle`, or their directories, the oldest first.
     #[arg(required = true, num_args = 2.., value_name = "RESULT|CIRCLE")]
     inputs: Vec<PathBuf>,
-    /// Directory for compare.json, compare.csv and compare.html.
+    /// Directory for compare.json, compare.csv and compare.html. position_change_mm is the difference of the predictions of the first
+    /// and the last result at the tool ball of the last (tool), after one best rigid alignment (whole), beside what both
+    /// uncertainties let expect of a robot that did not change (expected: mean, p95, max, sd, and p, the probability of a mean as
+    /// large as the one found). is_significant: p is below level.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// The date YYYY-MM-DD of each result. Trends are then per day, else per result.
@@ -49,7 +53,8 @@ pub(crate) struct CompareArgs {
     /// A significant trend is extrapolated to it.
     #[arg(long, value_name = "MM", value_parser = value::tolerance)]
     tolerance: Option<f64>,
-    /// Robot with the axes and limits of the results [default: robot-identified.toml beside the first].
+    /// Robot with the axes and limits of the results [default: robot-identified.toml beside the first]. Positions are those of the
+    /// robot-identified.toml beside the first and the last result.
     #[arg(long, value_name = "NAME|FILE|DIR")]
     robot: Option<RobotName>,
     /// Standard uncertainty of the repeatability of a circle's quantities from run to run, mm [default: 0].
@@ -89,7 +94,7 @@ pub(crate) fn run(args: &CompareArgs, out: &CommandOutput) -> Result<CommandOutc
     } else {
         ResultTimeline::dated(&args.dates, documents.len()).map_err(Diagnostic::from)?
     };
-    let subject = subject(args, &documents, &timeline, out)?;
+    let subject = subject(args, &documents, &sources, &timeline, out)?;
     let dates = args.dates.iter().cloned().map(Some).chain(std::iter::repeat(None));
     let input = |(document, date): (&ComparedFile, Option<String>)| ComparedInput {
         file: document.name.clone(),
@@ -215,6 +220,7 @@ fn kind(document: &ComparedFile) -> Result<ComparedKind, Diagnostic> {
 fn subject(
     args: &CompareArgs,
     documents: &[ComparedFile],
+    sources: &[TracedArtefact],
     timeline: &ResultTimeline,
     out: &CommandOutput,
 ) -> Result<ComparisonSubject, Diagnostic> {
@@ -237,18 +243,30 @@ fn subject(
         let circles = compare_circles(&files, timeline, args.tolerance, args.repeat_u.unwrap_or(0.0))?;
         return Ok(ComparisonSubject::Circles { circles });
     }
-    let read = |document: &ComparedFile| StoredResult::from_json(&document.name, document.json.clone());
-    let results: Vec<StoredResult> = documents.iter().map(read).collect::<Result<_, _>>()?;
+    let results = documents.iter().zip(sources).map(|(document, source)| stored(document, source));
+    let results: Vec<StoredResult> = results.collect::<Result<_, _>>()?;
     same_robot(&results)?;
     let robot = robot(args, &documents[0], out)?;
     of_robot(&results, &robot.name)
         .map_err(|finding| Diagnostic::file(args.robot.as_deref().unwrap_or(ROBOT), finding))?;
     let compared = compare_results(&robot, &results, timeline, args.tolerance)?;
-    let with = results.iter().filter(|result| result.has_joint_errors()).count();
-    if with > 0 {
-        out.finding(ConformityFinding::JointErrorsNotCompared { with, results: results.len() });
+    // The position is compared between the first and the last.
+    let ends = [results.first(), results.last()].into_iter().flatten();
+    let without: Vec<&str> =
+        ends.filter(|result| !result.has_robot()).map(|result| result.file.as_str()).collect();
+    if !without.is_empty() {
+        out.finding(ConformityFinding::PositionByParameters { results: Names::of(without) });
     }
     Ok(ComparisonSubject::Results(Box::new(compared)))
+}
+
+/// A result with its robot, as far as that is beside it.
+fn stored(document: &ComparedFile, source: &TracedArtefact) -> Result<StoredResult, Diagnostic> {
+    let result = StoredResult::from_json(&document.name, document.json.clone())?;
+    Ok(match robot_of_result(&document.path, &source.provenance)? {
+        Some(robot) => result.with_robot(robot),
+        None => result,
+    })
 }
 
 fn robot(args: &CompareArgs, first: &ComparedFile, out: &CommandOutput) -> Result<Robot, Diagnostic> {
@@ -344,11 +362,11 @@ fn comparison_lines(comparison: &ResultComparison) -> Vec<String> {
     match &comparison.subject {
         ComparisonSubject::Results(results) => {
             let position = &results.position_change_mm;
-            let (mean, p95) = (position.whole.mean, position.whole.p95);
             lines.push(format!("{}: {} results", results.robot, comparison.inputs.len()));
-            lines.push(format!(
-                "position changed by {mean:.4} mm in the mean, 95 % of the poses by {p95:.4} mm"
-            ));
+            lines.push(moved(position));
+            let own = results.predicted_position_uncertainty_mm.iter();
+            let own: Vec<String> = own.map(|summary| format!("{:.3}", summary.mean)).collect();
+            lines.push(format!("predicted position uncertainty of the results: {} mm", own.join(", ")));
             lines.extend(significant(&results.parameters));
             if let Some(drift) = position.drift {
                 lines.push(format!("drift {:.2e} mm per {word} (95 % of the poses)", drift.slope));
@@ -365,6 +383,23 @@ fn comparison_lines(comparison: &ResultComparison) -> Vec<String> {
         }
     }
     lines
+}
+
+/// How far the robot moved, and how much of it its uncertainty explains.
+fn moved(position: &PositionChange) -> String {
+    let (mean, of) = (position.whole.mean, &position.tool.of);
+    let at = format!("mean over the workspace, at the tool ball of {of}");
+    match position.expected.zip(position.is_significant) {
+        Some((expected, true)) => format!(
+            "the robot moved by {mean:.3} mm ({at}; {:.3} mm expected from the uncertainty alone: significant, p {:.1e})",
+            expected.summary.mean, expected.p
+        ),
+        Some((expected, false)) => format!(
+            "the predictions differ by {mean:.3} mm ({at}; {:.3} mm expected from the uncertainty alone: not significant)",
+            expected.summary.mean
+        ),
+        None => format!("by the parameters alone the positions differ by {mean:.3} mm ({at})"),
+    }
 }
 
 fn significant<N: std::fmt::Display>(tracked: &[TrackedQuantity<N>]) -> Vec<String> {

@@ -12,7 +12,7 @@ use dbbd_model::base::date;
 use dbbd_model::conformity::{Standing, StatedCheck, StatedResult, standing};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::CalibrationResult;
-use dbbd_model::provenance::ArtefactRole;
+use dbbd_model::provenance::{ArtefactRole, Provenance};
 use dbbd_model::robot::{LoadedRobot, Robot};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -106,6 +106,21 @@ pub fn result_beside(robot_file: &Path, robot: &Robot) -> Result<(PathBuf, Resul
     let is_other = !known.is_empty() && chain.is_some_and(|chain| chain != json!(known));
     let is_own = result.robot == robot.name && !is_other;
     Ok((path, if is_own { ResultBeside::Own(Box::new(result)) } else { ResultBeside::Another }))
+}
+
+/// The robot in the file beside a result, with what is not known of it. `None` without a file, or if it is of another
+/// calibration than one that was made from the same sources as the result.
+///
+/// # Errors
+/// The file is not a robot.
+pub fn robot_of_result(result: &Path, made_from: &Provenance) -> Result<Option<LoadedRobot>, Diagnostic> {
+    let file = result.with_file_name(ROBOT);
+    if !files::is_there(&file) {
+        return Ok(None);
+    }
+    let read = RobotName::from(file.display().to_string()).read()?;
+    let is_own = read.robot.has_posterior() && read.robot.provenance.from == made_from.from;
+    Ok(is_own.then_some(read))
 }
 
 /// The file of a check.

@@ -163,9 +163,24 @@ impl Verdict {
             ),
             ComparisonSubject::Circles { .. } => (None, "Find out why it changed: calibrate the robot."),
         };
-        let moved = moved_mm.map(|moved| format!(" 95 % of the poses moved by less than {}.", mm(moved)));
-        let moved = moved.unwrap_or_default();
-        if changed.is_empty() {
+        let (expected_mm, is_moved) = match &comparison.subject {
+            ComparisonSubject::Results(results) => {
+                let position = &results.position_change_mm;
+                let is_moved = position.is_significant == Some(true);
+                (position.expected.filter(|_| !is_moved).map(|expected| expected.summary.p95), is_moved)
+            }
+            ComparisonSubject::Circles { .. } => (None, false),
+        };
+        let moved = match (moved_mm, expected_mm) {
+            (Some(moved), Some(expected)) => format!(
+                " At 95 % of the poses the predictions differ by less than {}; {} are expected from their uncertainties alone.",
+                mm(moved),
+                mm(expected)
+            ),
+            (Some(moved), None) => format!(" 95 % of the poses moved by less than {}.", mm(moved)),
+            (None, _) => String::new(),
+        };
+        if changed.is_empty() && !is_moved {
             return Self {
                 kind: VerdictKind::Pass,
                 word: "Unchanged.",
@@ -174,12 +189,15 @@ impl Verdict {
                 next: "Nothing: go on using it.".into(),
             };
         }
-        let exceeded =
-            moved_mm.zip(comparison.tolerance_mm).is_some_and(|(moved, tolerance)| moved > tolerance);
+        let exceeded = moved_mm.filter(|_| expected_mm.is_none()).zip(comparison.tolerance_mm);
+        let exceeded = exceeded.is_some_and(|(moved, tolerance)| moved > tolerance);
         Self {
             kind: if exceeded { VerdictKind::Fail } else { VerdictKind::Undecided },
             word: "Changed.",
-            sentence: format!("Changed significantly: {}.{moved}", changed.join(", ")),
+            sentence: match changed {
+                [] => format!("The position changed significantly.{moved}"),
+                changed => format!("Changed significantly: {}.{moved}", changed.join(", ")),
+            },
             validity: None,
             next: next.into(),
         }

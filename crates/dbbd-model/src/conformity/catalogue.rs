@@ -43,10 +43,14 @@ findings! {
             NoRobotBeside { looked_for: String } => "there is no {looked_for} beside it";
         }
         I1906 "the results estimate different parameters",
-        cause: "A parameter was estimated in one result and not in another one, or a result has errors of the joints. What was not estimated acts on the others, so that their changes need not be changes of the robot.",
+        cause: "A parameter was estimated in one result and not in another one. What was not estimated acts on the others, so that their changes need not be changes of the robot.",
         cure: "Identify all results with the same options from like poses." {
             DifferentlyEstimated { parameters: Names } => "{parameters} are not estimated in all results and are not compared";
-            JointErrorsNotCompared { with: usize, results: usize } => "{with} of {results} results have errors of the joints: they are not compared, and the position change is of the parameters alone";
+        }
+        I1927 "positions are compared by parameters alone",
+        cause: "The robot-identified.toml of a compared result is not beside it, or it is of another calibration. Errors of the joints and the uncertainty are then not known, and the difference of the positions need not be a change of the robot.",
+        cure: "Keep robot-identified.toml beside result.json." {
+            PositionByParameters { results: Names } => "the position is compared by the parameters alone, without uncertainty: no robot-identified.toml of their own is beside {results}";
         }
         E1910 "the robot cannot be checked",
         cause: "A check compares with what the calibration left unknown, the table [posterior] of robot-identified.toml. The file has none, its values were changed since, or it is the file of another robot than the plan's.",

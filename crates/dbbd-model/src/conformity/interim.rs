@@ -1,9 +1,6 @@
 //! The interim check of a calibrated robot: what changed, the position uncertainty now, and the decision.
 
-use nalgebra::{DMatrix, DVector};
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
-use rand_pcg::Pcg64;
+use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
 
 use super::decision::{ConformityDecision, DecisionRule, decide};
@@ -15,11 +12,11 @@ use crate::estimation::change::{
 use crate::estimation::expected::{BallMounting, Expected, FREE_BALL_MM, Mounting};
 use crate::estimation::result::MapPoint;
 use crate::estimation::{
-    ErrorSummary, LengthNoise, Posterior, Priors, Validity, ValidityLimit, Workspace, fits_no_robot,
-    largest_plausible, length_sd_mm, of_maker,
+    ErrorSummary, LengthNoise, Positions, Posterior, Priors, Validity, ValidityLimit, displacement,
+    fits_no_robot, largest_plausible, length_sd_mm, of_maker, tool_balls,
 };
 use crate::math::distributions::chi_square_tail;
-use crate::measurement::{LengthModel, Measurements, PreparedMeasurement};
+use crate::measurement::{ApproachedPose, LengthModel, Measurements, PreparedMeasurement};
 use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, Robot, RobotPosterior, RobotUncertainty};
 
 /// Least number of lengths beyond those that determine the base balls.
@@ -27,9 +24,8 @@ pub const MIN_DOF: usize = 4;
 /// Lengths of the nominal robot leave of it no more than so many standard deviations, as a root of the mean square: with the
 /// fewest lengths that are checked in 997 of 1000 checks.
 const NOMINAL_SIGMAS: f64 = 2.0;
-/// Monte Carlo draws of the robot for the position uncertainty, and their seed.
+/// Monte Carlo draws of the robot for a decision.
 const DRAWS: usize = 400;
-const UNCERTAINTY_DRAWS_SEED: u64 = 1;
 /// A hypothesis explains the innovation badly if the rest has a smaller p-value.
 const BADLY_EXPLAINED: f64 = 1e-3;
 /// A base ball that is farther from its calibrated position is not the same mounting, mm: positions are stated to
@@ -119,7 +115,7 @@ impl CheckInput<'_> {
         let (test, hypotheses) = (innovation.test(), innovation.hypotheses());
         let position = CheckWorkspace::new(self, &known);
         let now = position.now(&expected, &hypotheses, self).ok_or(ConformityFinding::NotFinite)?;
-        let calibrated = position.of(&known, 1.0);
+        let calibrated = position.positions(&known).summary();
         let nothing = |hypothesis: &&Hypothesis| hypothesis.parameters.is_empty();
         let unchanged = hypotheses.iter().find(nothing).map_or(0.0, |hypothesis| hypothesis.probability);
         // A robot that was driven to where the nominal robot would be did not change.
@@ -134,11 +130,10 @@ impl CheckInput<'_> {
         };
         let another = changes.first().and_then(|likeliest| self.another_robot(likeliest));
         let updated = updated.filter(|_| another.is_none());
-        let of_workspace = |errors: &DMatrix<f64>| ErrorSummary::of(&position.moved(errors));
         let least_mm = self.least_tolerance(&expected, &position).ok_or(ConformityFinding::NotFinite)?;
-        let map = position.workspace.map(&position.moved(&now));
+        let map = MapPoint::map(&position.calibrated, &now);
         let undecidable = self.tolerance_mm.is_some_and(|tolerance| tolerance < least_mm);
-        let position_errors_mm = position.sizes(&now);
+        let position_errors_mm = sizes(&now);
         let mut decision = decide(&position_errors_mm, self.tolerance_mm, self.rule, test.changed);
         // If lengths that agree with the robot would fail as well, only a change is evidence of failure.
         if undecidable && !test.changed || nominal_rms_mm.is_some() {
@@ -170,9 +165,9 @@ impl CheckInput<'_> {
             position_errors_mm,
             unchanged_probability: unchanged,
             predicted_position_uncertainty_mm: CheckUncertainty {
-                calibrated: of_workspace(&calibrated),
-                now: of_workspace(&now),
-                updated: updated.as_ref().map(|posterior| of_workspace(&position.of(posterior, 1.0))),
+                calibrated,
+                now: ErrorSummary::of(&now),
+                updated: updated.as_ref().map(|posterior| position.positions(posterior).summary()),
             },
             validity,
             detectable: innovation.detectable(),
@@ -266,7 +261,7 @@ impl CheckInput<'_> {
     /// The smallest tolerance at which lengths that agree with the calibrated robot pass.
     fn least_tolerance(&self, expected: &Expected, position: &CheckWorkspace) -> Option<f64> {
         let best = expected.posterior.after(self.readings, self.noise())?;
-        let best = decide(&position.sizes(&position.of(&best, 1.0)), None, self.rule, false);
+        let best = decide(&sizes(&position.positions(&best).draws(DRAWS)), None, self.rule, false);
         Some(if self.rule == DecisionRule::SimpleAcceptance { best.position_error_mm } else { best.upper_mm })
     }
 
@@ -413,69 +408,68 @@ fn places(posterior: &Posterior, ids: &[ParamId]) -> impl Iterator<Item = usize>
     ids.iter().filter_map(|id| posterior.ids().iter().position(|other| other == id))
 }
 
-/// The values of these parameters in a model, then of the joint error coefficients that the posterior has.
-fn values(posterior: &Posterior, ids: &[ParamId], model: &LengthModel) -> DVector<f64> {
-    let coefficients = model.geometry.joint_errors.coefficients().into_iter().take(posterior.coefficients());
-    DVector::from_vec(ids.iter().map(|id| model.value(*id)).chain(coefficients).collect())
-}
-
-/// The workspace over which position errors are evaluated.
+/// The poses over which position errors are evaluated.
 struct CheckWorkspace {
-    workspace: Workspace,
-    start: LengthModel,
+    poses: Vec<ApproachedPose>,
+    /// What the robot file says of a single pose.
+    of_pose: RobotUncertainty,
+    /// The tool ball of the calibrated robot, mm.
+    calibrated: Vec<Vector3<f64>>,
+    /// The tool point, if it is not the tool ball of the calibration: the place of another ball is no error of the robot.
+    exact_tool: Option<Vector3<f64>>,
 }
 
 impl CheckWorkspace {
     fn new(check: &CheckInput<'_>, known: &Posterior) -> Self {
-        Self { workspace: known.workspace(check.workspace), start: known.model.clone() }
+        let poses: Vec<ApproachedPose> = check.workspace.iter().map(ApproachedPose::unapproached).collect();
+        let calibrated = tool_balls(&known.model.geometry, &poses);
+        let has_tool = known.ids().iter().any(|id| matches!(id, ParamId::Tool(_)));
+        let exact_tool = (!has_tool).then_some(known.model.geometry.tool);
+        Self { poses, of_pose: check.robot.known_uncertainty().rootless(), calibrated, exact_tool }
     }
 
-    /// Draws of the parameter errors of `posterior`, a column each; `share` of all draws.
-    fn of(&self, posterior: &Posterior, share: f64) -> DMatrix<f64> {
-        let ids: &[ParamId] = self.workspace.ids();
-        let rows = rows_of(posterior, ids);
-        let draws = (share * DRAWS as f64).round() as usize;
-        let mut random = Pcg64::seed_from_u64(UNCERTAINTY_DRAWS_SEED);
-        let root = posterior.root().select_rows(&rows);
-        let normal = DMatrix::from_fn(root.ncols(), draws, |_, _| StandardNormal.sample(&mut random));
-        root * normal
+    /// The predicted positions of a robot with this posterior.
+    fn positions(&self, posterior: &Posterior) -> Positions {
+        let (mut geometry, parameters) = (posterior.model.geometry.clone(), posterior.ids().to_vec());
+        // Coefficients of joint errors that the posterior does not have are exact.
+        let rows = parameters.len() + geometry.joint_errors.count();
+        let root = posterior.root().clone().resize_vertically(rows, 0.0);
+        let mut unknown = RobotUncertainty { parameters, root, ..self.of_pose.clone() };
+        if let Some(tool) = self.exact_tool {
+            (geometry.tool, unknown) = (tool, unknown.without_tool());
+        }
+        Positions::new(&geometry, &unknown, &self.poses)
     }
 
-    /// Draws of the parameter errors of the robot file after the check, over all hypotheses by their probability.
+    /// Draws of the position errors of the robot file after the check, over all hypotheses by their probability, mm.
     fn now(
         &self,
         expected: &Expected,
         hypotheses: &[Hypothesis],
         of: &CheckInput<'_>,
     ) -> Option<DMatrix<f64>> {
-        let ids = self.workspace.ids();
         let mut columns = Vec::new();
         for hypothesis in hypotheses {
-            if hypothesis.probability * (DRAWS as f64) < 0.5 {
+            let draws = (hypothesis.probability * DRAWS as f64).round() as usize;
+            if draws == 0 {
                 continue;
             }
             let posterior =
                 expected.changed(&hypothesis.parameters).posterior.learn(of.readings, of.noise())?;
-            let mean = values(&posterior, ids, &posterior.model) - values(&posterior, ids, &self.start);
-            let drawn = self.of(&posterior, hypothesis.probability);
-            columns.extend(drawn.column_iter().map(|column| column + &mean));
+            let found = self.positions(&posterior);
+            let moved = displacement(&self.calibrated, &found.balls);
+            columns.extend(found.draws(draws).column_iter().take(draws).map(|column| column + &moved));
         }
         Some(DMatrix::from_columns(&columns))
     }
+}
 
-    fn moved(&self, errors: &DMatrix<f64>) -> DMatrix<f64> {
-        self.workspace.displacements(errors)
-    }
-
-    /// The 95th percentile of the position error over the poses, for each draw, ascending, mm.
-    fn sizes(&self, errors: &DMatrix<f64>) -> Vec<f64> {
-        let moved = self.moved(errors);
-        let mut sizes: Vec<f64> = (0..moved.ncols())
-            .map(|draw| ErrorSummary::of(&moved.columns(draw, 1).into_owned()).p95)
-            .collect();
-        sizes.sort_by(f64::total_cmp);
-        sizes
-    }
+/// The 95th percentile of the position error over the poses, for each draw, ascending, mm.
+fn sizes(errors: &DMatrix<f64>) -> Vec<f64> {
+    let mut sizes: Vec<f64> =
+        (0..errors.ncols()).map(|draw| ErrorSummary::of(&errors.columns(draw, 1).into_owned()).p95).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes
 }
 
 #[cfg(test)]

@@ -26,7 +26,8 @@ pub use interim::{
     CheckInput, CheckUncertainty, InterimCheck, MAX_BALL_SHIFT_MM, MIN_DOF, own_sigma_mm, sigma_mm,
 };
 pub use results::{
-    ComparedResults, PositionChange, StoredResult, UncomparedParameter, compare_results, of_robot, same_robot,
+    ComparedResults, ComparedTool, PositionChange, StoredResult, UncomparedParameter, compare_results,
+    of_robot, same_robot,
 };
 pub use standing::{Standing, StatedCheck, StatedResult, standing};
 pub use timeline::{ResultTimeline, TimelineUnit};

@@ -3,35 +3,42 @@
 use crate::estimation::ResultFinding;
 use std::collections::BTreeMap;
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector, Vector3};
 use serde::Serialize;
 
 use super::ResultTimeline;
-use super::tracked::{TrackedQuantity, TrackedValue, ValueSeries, track};
+use super::tracked::{SIGNIFICANCE_LEVEL, TrackedQuantity, TrackedValue, ValueSeries, track};
 use crate::conformity::ConformityFinding;
 use crate::diagnostic::Diagnostic;
-use crate::estimation::result::MapPoint;
-use crate::estimation::{CalibrationResult, ErrorSummary, Options, Workspace};
+use crate::estimation::result::{MapPoint, PriorSource};
+use crate::estimation::{
+    CalibrationResult, CommonKnowledge, ErrorSummary, ExpectedDifference, Options, PredictedDifference,
+    displacement, tool_balls,
+};
 use crate::math::distributions::COVERAGE_95;
 use crate::math::straight_line::{LevelCrossing, StraightLine};
-use crate::robot::{ParamId, Robot};
+use crate::measurement::ApproachedPose;
+use crate::robot::{Geometry, LoadedRobot, ParamId, ParamOwner, Payload, Robot};
 
 /// Relative difference below which nominal values are equal.
 const SAME: f64 = 1e-9;
 
-/// The parameters of a result.json.
-#[derive(Clone, Debug)]
+/// A result.json, with the robot file beside it.
 pub struct StoredResult {
     pub file: String,
     robot: String,
     parameters: BTreeMap<ParamId, EstimatedParameter>,
-    has_joint_errors: bool,
+    prior: PriorSource,
+    predicted_mm: ErrorSummary,
+    identified: Option<Box<LoadedRobot>>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct EstimatedParameter {
     nominal: f64,
     identified: f64,
+    /// Standard deviation of the prior; `None` without one, or exactly known.
+    prior_sd: Option<f64>,
     /// `None` if it was not estimated.
     value: Option<TrackedValue>,
 }
@@ -44,6 +51,8 @@ pub struct ComparedResults {
     /// Tool ball, base balls and bar, which mounting changes.
     pub set_up: Vec<TrackedQuantity<ParamId>>,
     pub not_compared: Vec<UncomparedParameter>,
+    /// The predicted position uncertainty of each result, as it states it, mm.
+    pub predicted_position_uncertainty_mm: Vec<ErrorSummary>,
     pub position_change_mm: PositionChange,
 }
 
@@ -55,11 +64,31 @@ pub struct UncomparedParameter {
     estimated_in: Vec<usize>,
 }
 
-/// Change of the identified robot's position over the workspace, after the best rigid alignment, mm.
+/// The point of both robots whose positions are compared.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ComparedTool {
+    /// The last result, whose tool ball it is.
+    pub of: String,
+    /// In the flange frame, mm.
+    pub at_mm: [f64; 3],
+}
+
+impl ComparedTool {
+    fn of(result: &StoredResult, geometry: &Geometry) -> Self {
+        Self { of: result.file.clone(), at_mm: geometry.tool.into() }
+    }
+}
+
+/// Change of the predicted position of one tool point over the workspace, after the best rigid alignment, mm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PositionChange {
-    /// Change of the position between the first and the last result.
+    pub tool: ComparedTool,
+    /// Difference of the predictions of the first and the last result.
     pub whole: ErrorSummary,
+    /// What the uncertainties of both let expect of a robot that did not change; `None` without their robot files.
+    pub expected: Option<ExpectedDifference>,
+    /// Whether the difference exceeds what is expected, at the level of a family of quantities; `None` if that is not known.
+    pub is_significant: Option<bool>,
     /// Change of the position by the significant changes only.
     pub significant: ErrorSummary,
     #[serde(skip)]
@@ -90,15 +119,24 @@ impl StoredResult {
             let value =
                 |sd| TrackedValue { value: identified, sd, freedom: result.noise_mm.degrees_of_freedom };
             let sd = parameter.sd.filter(|sd| *sd > 0.0 && sd.is_finite());
-            parameters.insert(id, EstimatedParameter { nominal, identified, value: sd.map(value) });
+            let prior_sd = parameter.prior_sd.filter(|sd| *sd > 0.0);
+            let value = sd.map(value);
+            parameters.insert(id, EstimatedParameter { nominal, identified, prior_sd, value });
         }
-        let has_joint_errors = result.joint_errors.is_some();
-        Ok(Self { file: file.into(), robot: result.robot, parameters, has_joint_errors })
+        let predicted_mm = result.predicted_position_uncertainty_mm.identified;
+        let (file, robot, prior) = (file.into(), result.robot, result.prior);
+        Ok(Self { file, robot, parameters, prior, predicted_mm, identified: None })
     }
 
-    /// Whether it identified errors of the joints. The comparison is of the parameters alone.
-    pub fn has_joint_errors(&self) -> bool {
-        self.has_joint_errors
+    /// Whether the robot of its robot-identified.toml is known.
+    pub fn has_robot(&self) -> bool {
+        self.identified.is_some()
+    }
+
+    /// The result with the robot of its robot-identified.toml.
+    #[must_use]
+    pub fn with_robot(self, identified: LoadedRobot) -> Self {
+        Self { identified: Some(Box::new(identified)), ..self }
     }
 }
 
@@ -172,39 +210,45 @@ pub fn compare_results(
         parameters,
         set_up,
         not_compared,
+        predicted_position_uncertainty_mm: results.iter().map(|result| result.predicted_mm).collect(),
     })
 }
 
-/// The workspace over which the position is compared.
+/// The robots whose positions are compared, by the results between which the change is.
 struct ComparedWorkspace {
-    workspace: Workspace,
-    /// Change of each parameter that moves the tool ball.
-    whole: DMatrix<f64>,
+    poses: Vec<ApproachedPose>,
+    /// The first robot with the tool of the last one.
+    geometry: Geometry,
+    balls: Vec<Vector3<f64>>,
+    /// 3 rows for each pose, mm.
+    moved: DVector<f64>,
+    expected: Option<ExpectedDifference>,
+    tool: ComparedTool,
 }
 
 impl ComparedWorkspace {
+    /// By the robot files of both results; without them by their parameters in the table of `robot`, without uncertainty.
     fn new(robot: &Robot, first: &StoredResult, last: &StoredResult) -> Self {
-        let moves = |id: &ParamId| id.moves_tool_ball();
-        let all: BTreeMap<ParamId, f64> = [last, first]
-            .iter()
-            .flat_map(|result| result.parameters.iter().map(|(id, found)| (*id, found.nominal)))
-            .collect();
-        let ids: Vec<ParamId> = all.keys().copied().filter(moves).collect();
-        let mut geometry = robot.geometry.clone();
-        for id in &ids {
-            if let (Some(value), Some(found)) = (geometry.value_mut(*id), first.parameters.get(id)) {
-                *value = found.identified;
+        let options = Options::default();
+        let axes = options.workspace_poses(robot);
+        let poses: Vec<ApproachedPose> = axes.iter().map(ApproachedPose::unapproached).collect();
+        match (&first.identified, &last.identified) {
+            (Some(one), Some(two)) => {
+                let [one, two] = [one, two].map(|known| with_tool_of(&known.robot, &two.robot));
+                let common = common_knowledge(first, last);
+                let difference = PredictedDifference::of(&one, &two, &common, &poses);
+                let expected = Some(difference.expected());
+                let tool = ComparedTool::of(last, &two.geometry);
+                let PredictedDifference { balls, moved, .. } = difference;
+                Self { poses, geometry: one.geometry, balls, moved, expected, tool }
+            }
+            _ => {
+                let [before, after] = by_parameters(&robot.geometry, first, last);
+                let [balls, there] = [&before, &after].map(|geometry| tool_balls(geometry, &poses));
+                let (moved, tool) = (displacement(&balls, &there), ComparedTool::of(last, &after));
+                Self { poses, geometry: before, balls, moved, expected: None, tool }
             }
         }
-        let change = |id: &ParamId| {
-            // What a result does not list is at its nominal value there.
-            let value =
-                |result: &StoredResult| result.parameters.get(id).map_or(all[id], |found| found.identified);
-            value(last) - value(first)
-        };
-        let whole = DMatrix::from_iterator(ids.len(), 1, ids.iter().map(change));
-        let poses = Options::default().workspace_poses(robot).into_owned();
-        Self { workspace: Workspace::new(&geometry, &poses, &ids), whole }
     }
 
     fn change(
@@ -213,27 +257,34 @@ impl ComparedWorkspace {
         timeline: &ResultTimeline,
         tolerance_mm: Option<f64>,
     ) -> PositionChange {
-        let moved = self.workspace.displacements(&self.whole);
         let changed = parameters.iter().filter(|parameter| parameter.change.significant);
         let changed: Vec<(ParamId, f64)> = changed.map(|found| (found.name, found.change.change)).collect();
         let drift = self.drift(parameters);
         let reached =
             |(drift, tolerance): (StraightLine, f64)| drift.reaches(tolerance, timeline.last(), COVERAGE_95);
+        let moved = DMatrix::from_columns(std::slice::from_ref(&self.moved));
         PositionChange {
+            tool: self.tool.clone(),
             whole: ErrorSummary::of(&moved),
+            expected: self.expected,
+            is_significant: self.expected.map(|expected| expected.p < SIGNIFICANCE_LEVEL),
             significant: self.summary(&changed),
-            map: self.workspace.map(&moved),
+            map: MapPoint::map(&self.balls, &moved),
             reaches_tolerance: drift.zip(tolerance_mm).and_then(reached),
             drift,
         }
     }
 
+    /// The change of the position by changes of parameters of the first robot.
     fn summary(&self, changes: &[(ParamId, f64)]) -> ErrorSummary {
-        let ids = self.workspace.ids();
-        let of =
-            |id: &ParamId| changes.iter().find(|(name, _)| name == id).map_or(0.0, |(_, change)| *change);
-        let column = DMatrix::from_iterator(ids.len(), 1, ids.iter().map(of));
-        ErrorSummary::of(&self.workspace.displacements(&column))
+        let mut changed = self.geometry.clone();
+        for (id, change) in changes {
+            if let Some(value) = changed.value_mut(*id) {
+                *value += change;
+            }
+        }
+        let moved = displacement(&self.balls, &tool_balls(&changed, &self.poses));
+        ErrorSummary::of(&DMatrix::from_columns(&[moved]))
     }
 
     /// The significant trends combined, as a line from the first result. The slopes count as independent.
@@ -258,6 +309,55 @@ impl ComparedWorkspace {
     }
 }
 
+/// A robot with the tool point and the payload of another one, which are then no difference between them.
+fn with_tool_of(robot: &Robot, other: &Robot) -> Robot {
+    let mut robot = robot.clone().with_exact_tool(other.geometry.tool.into());
+    let exact = |payload: &Payload| Payload { u_kg: 0.0, u_mm: 0.0, ..payload.clone() };
+    robot.geometry.load.payloads = other.geometry.load.payloads.iter().map(exact).collect();
+    robot
+}
+
+/// The geometry with the parameters of each result, and the tool of the last one. What a result does not list is at its
+/// nominal value there.
+fn by_parameters(geometry: &Geometry, first: &StoredResult, last: &StoredResult) -> [Geometry; 2] {
+    let nominal: BTreeMap<ParamId, f64> = [last, first]
+        .iter()
+        .flat_map(|result| result.parameters.iter().map(|(id, found)| (*id, found.nominal)))
+        .collect();
+    let listed = nominal.iter().filter(|(id, _)| id.moves_tool_ball());
+    let mut both = [geometry.clone(), geometry.clone()];
+    for (id, nominal) in listed {
+        for (geometry, result) in both.iter_mut().zip([first, last]) {
+            let of_tool = matches!(id.owner(), ParamOwner::ToolBall);
+            let found = if of_tool { last } else { result }.parameters.get(id);
+            if let Some(value) = geometry.value_mut(*id) {
+                *value = found.map_or(*nominal, |found| found.identified);
+            }
+        }
+    }
+    both
+}
+
+/// What the estimates of two results rest on together. Two with a prior of independent parameters share it, as far as both
+/// use it: they have the nominal robot in common.
+fn common_knowledge(first: &StoredResult, last: &StoredResult) -> CommonKnowledge {
+    let is_earlier =
+        |(first, last): (&LoadedRobot, &LoadedRobot)| last.source.provenance.has(&first.source.artefact);
+    let of_maker = |result: &StoredResult| matches!(result.prior, PriorSource::Datasheet | PriorSource::File);
+    if first.identified.as_deref().zip(last.identified.as_deref()).is_some_and(is_earlier) {
+        CommonKnowledge::Earlier
+    } else if of_maker(first) && of_maker(last) {
+        let sds = |(id, found): (&ParamId, &EstimatedParameter)| {
+            let other = last.parameters.get(id)?;
+            Some((*id, [found.prior_sd?, other.prior_sd?]))
+        };
+        let own = first.parameters.iter().filter(|(id, _)| matches!(id.owner(), ParamOwner::Robot));
+        CommonKnowledge::Prior(own.filter_map(sds).collect())
+    } else {
+        CommonKnowledge::Nothing
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -271,20 +371,23 @@ mod tests {
         let result = |identified: &[(ParamId, f64)]| {
             let estimated = |(id, by): &(ParamId, f64)| {
                 let nominal = robot.geometry.value(*id).unwrap();
-                (*id, EstimatedParameter { nominal, identified: nominal + by, value: None })
+                let identified = nominal + by;
+                (*id, EstimatedParameter { nominal, identified, prior_sd: None, value: None })
             };
             StoredResult {
                 file: "result.json".into(),
                 robot: robot.name.clone(),
                 parameters: identified.iter().map(estimated).collect(),
-                has_joint_errors: false,
+                prior: PriorSource::None,
+                predicted_mm: ErrorSummary::default(),
+                identified: None,
             }
         };
         let (few, all) = (result(&[(a3, 0.1)]), result(&[(a3, 0.3), (d4, 0.5)]));
         for (first, last, changes) in [(&few, &all, [0.2, 0.5]), (&all, &few, [-0.2, -0.5])] {
-            let compared = ComparedWorkspace::new(&robot, first, last);
-            assert_eq!(compared.workspace.ids(), [a3, d4]);
-            for (found, expected) in compared.whole.iter().zip(changes) {
+            let [before, after] = by_parameters(&robot.geometry, first, last);
+            for (id, expected) in [a3, d4].into_iter().zip(changes) {
+                let found = after.value(id).unwrap() - before.value(id).unwrap();
                 assert!((found - expected).abs() < 1e-9, "{found} {expected}");
             }
         }

@@ -12,6 +12,7 @@ use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
 use super::Analysis;
+use super::ball_motion::BallMotion;
 use super::fit::{Fit, outliers};
 use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, SIGMA, Variance};
 use super::hypotheses::{
@@ -21,7 +22,6 @@ use super::lengths::{Lengths, Sigma, Weighted};
 use super::noise_shape::{JointNoise, NoiseScore, NoiseShape, OwnNoise};
 use super::options::{ErrorModel, Setting};
 use super::pose_rows::{LengthAtPose, LengthNoise, PoseRows};
-use super::position::BallMotion;
 use super::priors::uncertified_variance;
 use super::ripple::{Candidate, RippleSearch, ln_candidates};
 use super::selection::{is_bar, is_place};
@@ -1004,6 +1004,8 @@ impl Estimate {
             root: self.root.select_rows(&rows),
             pose_mm,
             shared_mm: None,
+            unexplained_mm: self.left_out.as_ref().map_or(0.0, |left_out| left_out.rms_mm),
+            degrees_of_freedom: self.freedom,
             smooth,
             smooth_of_joints,
             scatter_rad: self.scatter_rad,

@@ -1,4 +1,5 @@
-//! The predicted position uncertainty of the tool ball at poses, from all uncertainties of a robot.
+//! The predicted position uncertainty of the tool ball at poses, from all uncertainties of a robot: whoever states how sure a point
+//! is, or an arm over its workspace, asks [`Positions`].
 //!
 //! The covariance at a pose is J C J' of parameters and joint errors, after a rigid motion of all poses (six degrees of
 //! freedom) was removed. Each joint adds the variance that its smooth function keeps outside the measured angles (far
@@ -6,20 +7,20 @@
 
 use std::ops::Range;
 
-use nalgebra::{Cholesky, DMatrix, Matrix3, Vector3};
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
+use super::ball_motion::BallMotion;
 use super::workspace::{ErrorSummary, Workspace, take_out_rigid_motion, take_out_rigid_motion_of};
-use crate::math::{beside, gram, stacked};
+use crate::math::{aligned_differences, beside, gram, stacked};
 use crate::measurement::{ApproachedPose, LengthModel};
 use crate::robot::{
-    AXES, Approach, AxesAtPose, Geometry, Joint, JointSinCos, JointTerm, KinematicChain, ParamId, Payload,
-    PayloadId, Robot, RobotUncertainty, TermKind,
+    AXES, Approach, Geometry, Joint, JointTerm, ParamId, Payload, Robot, RobotUncertainty, TermKind,
 };
 
-/// Least number of robots that are drawn.
+/// Least number of robots that are drawn for a summary.
 const ROBOTS: usize = 100;
 /// Fewer poses determine the place of the robot's base too poorly: poses of the workspace are added.
 const MIN_POSES: usize = 10;
@@ -29,6 +30,8 @@ pub struct Positions {
     /// Positions of the tool ball in the robot base, mm.
     pub balls: Vec<Vector3<f64>>,
     errors: PoseErrors,
+    /// The part of the repeatability of a pose that counts as an error of the robot, mm.
+    unexplained_mm: f64,
 }
 
 /// The uncertainty of a vector at poses: the position of the tool ball (mm), or the rotation of the flange (rad).
@@ -63,18 +66,18 @@ impl PoseErrors {
         covariance
     }
 
-    /// Errors of robots that are drawn from this uncertainty, a column for each robot and 3 rows for each pose. Every
-    /// pose gets a random error of the repeatability `repeated`.
-    fn draws(&self, repeated: impl Fn(usize) -> f64) -> DMatrix<f64> {
-        self.of_robots(&unit_draws(self.moved.ncols()), repeated)
+    /// Errors of at least `robots` robots that are drawn from this uncertainty, a column for each robot and 3 rows for
+    /// each pose. Every pose gets a random error of the repeatability `repeated` in each direction.
+    fn draws(&self, repeated: f64, robots: usize) -> DMatrix<f64> {
+        self.of_numbers(&unit_draws(self.moved.ncols(), robots), repeated, POSES_SEED)
     }
 
-    /// The errors of robots with these coordinates in the columns of the root: standard normal numbers, a column for each robot.
-    fn of_robots(&self, robots: &DMatrix<f64>, repeated: impl Fn(usize) -> f64) -> DMatrix<f64> {
-        let mut drawn = &self.moved * robots;
-        let mut random = Pcg64::seed_from_u64(2);
+    /// As [`Self::draws`], with the robots of these unit normal numbers (a row for each column of the root).
+    fn of_numbers(&self, numbers: &DMatrix<f64>, repeated: f64, seed: u64) -> DMatrix<f64> {
+        let mut drawn = &self.moved * numbers;
+        let mut random = Pcg64::seed_from_u64(seed);
         for pose in 0..self.joints.len() {
-            let covariance = self.covariance_of_pose(pose, repeated(pose));
+            let covariance = self.covariance_of_pose(pose, repeated);
             // Where nothing moves the pose in a direction, the substitute is far below any error.
             let Some(root) = Cholesky::new_with_substitute(covariance, NO_ERROR) else { continue };
             let root = root.l();
@@ -88,6 +91,8 @@ impl PoseErrors {
     }
 }
 
+/// Seed of what each pose has by itself.
+const POSES_SEED: u64 = 2;
 /// Variance in a direction in which nothing moves, mm^2 or rad^2.
 const NO_ERROR: f64 = 1e-24;
 
@@ -130,7 +135,8 @@ impl Positions {
         let mut moved = beside(jacobian * &unknown.root, &by_payload);
         take_out_rigid_motion_of(&mut moved, &balls, datum);
         let repeated = vec![unknown.pose_mm; balls.len()];
-        Self { balls, errors: PoseErrors { moved, joints, repeated } }
+        let errors = PoseErrors { moved, joints, repeated };
+        Self { balls, errors, unexplained_mm: unknown.unexplained_mm }
     }
 
     /// The covariance of the tool ball's position at a pose, with the repeatability of the pose, mm^2.
@@ -143,11 +149,39 @@ impl Positions {
         self.covariance(pose).trace().sqrt()
     }
 
-    /// Errors of robots that are drawn from this uncertainty, a column for each robot and 3 rows for each pose, mm. The
-    /// repeatability of a pose is `pose_mm`.
-    pub(super) fn draws(&self, pose_mm: f64) -> DMatrix<f64> {
-        self.errors.draws(|_| pose_mm)
+    /// Errors of at least `robots` robots that are drawn from this uncertainty, a column for each robot and 3 rows for each
+    /// pose of [`Self::new`], mm. Of the repeatability of a pose they contain what the bar and the stated repeatability do
+    /// not explain.
+    pub fn draws(&self, robots: usize) -> DMatrix<f64> {
+        self.errors.draws(self.unexplained_mm, robots)
     }
+
+    /// The displacement by each column of the root of the uncertainty, then by the uncertain payload: 3 rows for each pose, mm.
+    pub(super) fn by_column(&self) -> &DMatrix<f64> {
+        &self.errors.moved
+    }
+
+    /// The errors as [`Self::draws`] of the robots of these unit normal numbers, a row for each of [`Self::by_column`].
+    pub(super) fn of_numbers(&self, numbers: &DMatrix<f64>, seed: u64) -> DMatrix<f64> {
+        self.errors.of_numbers(numbers, self.unexplained_mm, seed)
+    }
+
+    /// The errors from which a predicted position uncertainty is stated, as [`Self::draws`].
+    pub(super) fn stated_errors(&self) -> DMatrix<f64> {
+        self.draws(ROBOTS)
+    }
+
+    /// The predicted position uncertainty over the poses of [`Self::new`], mm: `predicted_position_uncertainty_mm` of
+    /// every document.
+    pub fn summary(&self) -> ErrorSummary {
+        ErrorSummary::of(&self.stated_errors())
+    }
+}
+
+/// The displacement of tool balls (mm) from `before` to `after`, whose best rigid motion is removed: 3 rows for each pose.
+pub fn displacement(before: &[Vector3<f64>], after: &[Vector3<f64>]) -> DVector<f64> {
+    let moved = aligned_differences(after, before);
+    DVector::from_iterator(3 * moved.len(), moved.iter().flat_map(|moved| moved.iter().copied()))
 }
 
 /// Poses (axis angles, rad) at which the position of a tool matters.
@@ -170,7 +204,7 @@ pub(super) fn drawn_errors(
         let mut random = Pcg64::seed_from_u64(seed);
         let columns = positions.errors.moved.ncols();
         let robots = DMatrix::from_fn(columns, ROBOTS, |_, _| StandardNormal.sample(&mut random));
-        positions.errors.of_robots(&robots, |_| 0.0)
+        positions.errors.of_numbers(&robots, 0.0, seed)
     };
     let of_tool = |ToolPoses { tool_mm, poses }: &ToolPoses| {
         let poses: Vec<ApproachedPose> = poses.iter().map(ApproachedPose::unapproached).collect();
@@ -280,7 +314,7 @@ impl Orientations {
 
     /// The errors over all poses and many robots, mrad, without the repeatability of a pose.
     pub(super) fn summary_mrad(&self) -> ErrorSummary {
-        ErrorSummary::of(&(self.errors.draws(|_| 0.0) * 1e3))
+        ErrorSummary::of(&(self.errors.draws(0.0, ROBOTS) * 1e3))
     }
 }
 
@@ -320,56 +354,13 @@ fn by_payload(
     moved
 }
 
-/// Standard normal numbers from seed 1, a column for each robot, transformed so that their sample covariance is exactly
-/// the identity: the sample covariance of so few robots could be wrong by a tenth in one direction.
-pub(super) fn unit_draws(rows: usize) -> DMatrix<f64> {
+/// Standard normal numbers from seed 1, a column for each of at least `robots` robots, transformed so that their sample
+/// covariance is exactly the identity: the sample covariance of so few robots could be wrong by a tenth in one direction.
+pub(super) fn unit_draws(rows: usize, robots: usize) -> DMatrix<f64> {
     let mut random = Pcg64::seed_from_u64(1);
-    let robots = ROBOTS.max(rows);
+    let robots = robots.max(rows);
     let drawn = DMatrix::from_fn(robots, rows, |_, _| StandardNormal.sample(&mut random));
     drawn.qr().q().transpose() * (robots as f64).sqrt()
-}
-
-/// Derivatives of the tool ball's position at poses.
-pub(super) struct BallMotion {
-    /// Derivatives by parameters, then by coefficients of the joints' errors: 3 rows for each pose, mm per unit.
-    pub(super) jacobian: DMatrix<f64>,
-    /// Positions of the tool ball in the robot base, mm.
-    pub(super) balls: Vec<Vector3<f64>>,
-    /// Derivatives by the angle of each joint, mm/rad.
-    pub(super) by_joint: Vec<[Vector3<f64>; AXES]>,
-}
-
-impl BallMotion {
-    /// The derivatives at axis angles (rad) with the sense of approach.
-    pub(super) fn new(geometry: &Geometry, poses: &[([f64; AXES], Approach)], ids: &[ParamId]) -> Self {
-        let chain = KinematicChain::new(geometry);
-        let own = ids.len();
-        let mut jacobian = DMatrix::zeros(3 * poses.len(), own + geometry.joint_errors.count());
-        let (mut balls, mut joints) = (Vec::new(), Vec::new());
-        let ids: Vec<ParamId> = ids.iter().copied().chain(Joint::ALL.map(ParamId::Theta)).collect();
-        for (at, (axes, approach)) in poses.iter().enumerate() {
-            let mut by_joint = [Vector3::zeros(); AXES];
-            chain.ball_jacobian(axes, &ids, |column, moved| match column.checked_sub(own) {
-                None => jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&moved),
-                Some(joint) => by_joint[joint] = moved,
-            });
-            let mut column = own;
-            geometry.error_derivatives(axes, *approach, |place, value| {
-                jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&(by_joint[place] * value));
-                column += 1;
-            });
-            joints.push(by_joint);
-            let (sin_cos, approach, target) = (&JointSinCos::of(axes), *approach, &geometry.tool);
-            balls.push(chain.ball(&AxesAtPose {
-                axes,
-                sin_cos,
-                approach,
-                target,
-                payload: PayloadId::FIRST,
-            }));
-        }
-        Self { jacobian, balls, by_joint: joints }
-    }
 }
 
 /// The errors of joints that are not in the root of an uncertainty.
@@ -494,6 +485,7 @@ fn moved_with_balls(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimation::tool_balls;
 
     /// A frame that is turned by 0.2 mrad about an axis moves its unit vectors by the cross product.
     #[test]
@@ -528,6 +520,46 @@ mod tests {
         // directions.
         for pose in 0..poses.len() {
             assert!((found.sd_rad(pose) / 3e-4 - 1.0).abs() < 0.35, "{}", found.sd_rad(pose));
+        }
+    }
+
+    /// Two parameters with the root [[0.2 mm, 0], [3e-4, 1e-4 rad]]: each column moves the ball by its part of the displacements,
+    /// which differences of aligned positions give. The repeatability adds its square on the diagonal.
+    #[test]
+    fn a_covariance_is_that_of_displacements() {
+        let mut robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
+        let (arm, wrist) = (ParamId::A(Joint::J3), ParamId::Theta(Joint::J5));
+        let unknown = RobotUncertainty {
+            parameters: vec![arm, wrist],
+            root: DMatrix::from_row_slice(2, 2, &[0.2, 0.0, 3e-4, 1e-4]),
+            pose_mm: 0.03,
+            ..robot.known_uncertainty()
+        };
+        robot.uncertainty = Some(Box::new(unknown));
+        let poses: Vec<ApproachedPose> =
+            Workspace::uniform(&robot, 40, 3).iter().map(ApproachedPose::unapproached).collect();
+        let moved = |id: ParamId, step: f64| {
+            let [low, high] = [-step, step].map(|step| {
+                let mut geometry = robot.geometry.clone();
+                *geometry.value_mut(id).unwrap() += step;
+                tool_balls(&geometry, &poses)
+            });
+            displacement(&low, &high) / (2.0 * step)
+        };
+        let (by_arm, by_wrist) = (moved(arm, 1e-2), moved(wrist, 1e-5));
+        let columns = [&by_arm * 0.2 + &by_wrist * 3e-4, &by_wrist * 1e-4];
+        let found = Positions::of(&robot, &poses);
+        for pose in 0..poses.len() {
+            let mut expected = Matrix3::identity() * 0.03 * 0.03;
+            for column in &columns {
+                let there = column.fixed_rows::<3>(3 * pose);
+                expected += there * there.transpose();
+            }
+            let covariance = found.covariance(pose);
+            assert!((covariance - expected).norm() < 1e-4 * expected.norm(), "{covariance} {expected}");
+            assert_eq!(covariance, covariance.transpose());
+            assert!(covariance.symmetric_eigenvalues().min() > 0.03 * 0.03 * (1.0 - 1e-9));
+            assert!((covariance.trace() - found.sd_mm(pose).powi(2)).abs() < 1e-15);
         }
     }
 
@@ -581,7 +613,7 @@ mod tests {
     #[test]
     fn draws_have_unit_covariance() {
         for rows in [3, 64, 120] {
-            let draws = unit_draws(rows);
+            let draws = unit_draws(rows, ROBOTS);
             let covariance = &draws * draws.transpose() / draws.ncols() as f64;
             assert!((covariance - DMatrix::identity(rows, rows)).norm() < 1e-12);
         }

@@ -2,13 +2,14 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::ball_motion::BallMotion;
 use super::estimator::Estimate;
 use super::hyper_parameters::{Group, Hypers};
 use super::lengths::Lengths;
 use super::options::Setting;
-use super::position::{BallMotion, Orientations, Positions, compressed};
+use super::position::{Orientations, Positions, compressed};
 use super::priors::{Prior, Priors};
-use super::result::{MapPoint, PredictedPair};
+use super::result::{MapPoint, PositionParts, PredictedPair};
 use super::selection::is_bar;
 use super::workspace::{ErrorSummary, take_out_rigid_motion};
 use crate::measurement::{ApproachedPose, LengthModel, PreparedMeasurement};
@@ -22,17 +23,6 @@ const COMPRESSING: usize = 150;
 /// The predicted uncertainty of the identified robot must be at most this fraction of the predicted uncertainty with the
 /// manufacturer's tolerance.
 const BETTER: f64 = 0.5;
-
-/// Contributions to the position error of the identified robot: root mean square over robots and poses, mm.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PositionParts {
-    /// The error of the bar's length.
-    pub bar_mm: f64,
-    /// The noise of the lengths.
-    pub noise_mm: f64,
-    /// Backlash, where no sense of approach is known.
-    pub backlash_mm: f64,
-}
 
 /// The predicted position uncertainty of the nominal and the identified robot.
 pub(crate) struct Prediction {
@@ -68,27 +58,30 @@ impl IdentifiedPositions {
         let axes = setting.options.workspace_poses(setting.robot);
         let poses: Vec<ApproachedPose> = axes.iter().map(ApproachedPose::unapproached).collect();
         let by = compressing_poses(&axes, lengths);
-        let uncertainty = compressed(model, &estimate.uncertainty(setting.robot), &by).with_digits_of_file();
         // What a result states is what its robot file says later.
+        let unexplained_mm = unexplained_mm(setting, estimate, lengths);
+        let uncertainty = estimate.uncertainty(setting.robot);
+        // A file of the geometry alone has what it leaves out as scatter of its poses.
+        let with_left_out_mm = unexplained_mm.hypot(uncertainty.unexplained_mm);
+        let uncertainty = RobotUncertainty { unexplained_mm: with_left_out_mm, ..uncertainty };
+        let uncertainty = compressed(model, &uncertainty, &by).with_digits_of_file();
         let (whole, of_whole) = match &estimate.left_out {
             Some(left_out) => {
                 let whole = LengthModel { geometry: left_out.whole.clone(), ..model.clone() };
-                let of_whole = compressed(&whole, &left_out.uncertainty, &by);
+                let of_whole = RobotUncertainty { unexplained_mm, ..left_out.uncertainty.clone() };
+                let of_whole = compressed(&whole, &of_whole, &by);
                 (whole.geometry, of_whole)
             }
             None => (model.geometry.clone(), uncertainty.clone()),
         };
         let positions = Positions::new(&whole, &of_whole, &poses);
-        let mut moved = positions.draws(unexplained_mm(setting, estimate, lengths));
+        let mut moved = positions.stated_errors();
         if let Some(left_out) = &estimate.left_out {
             let poses: Vec<_> = axes.iter().map(|axes| (*axes, Approach::default())).collect();
             let off = left_out.displacements(&model.geometry, &poses);
             moved.column_iter_mut().for_each(|mut robot| robot += &off);
         }
-        let rms = |pose: usize| (moved.rows(3 * pose, 3).norm_squared() / moved.ncols() as f64).sqrt();
-        let point =
-            |(pose, ball): (usize, &nalgebra::Vector3<f64>)| MapPoint { position: *ball, rms_mm: rms(pose) };
-        let map = positions.balls.iter().enumerate().map(point).collect();
+        let map = MapPoint::map(&positions.balls, &moved);
         Self { uncertainty, whole, of_whole, summary: ErrorSummary::of(&moved), map }
     }
 }
@@ -147,7 +140,7 @@ impl Before {
         let of_usual =
             |root: &DMatrix<f64>| (geometry.rigid(), with_usual_joint_errors(&ids, root, has_errors));
         let of_maker = of_usual(&tolerances(&ids, &setting.priors));
-        let maker = position_summary(&of_maker.0, &of_maker.1, poses);
+        let maker = Positions::new(&of_maker.0, &of_maker.1, poses).summary();
         let start = match setting.options.prior {
             Prior::Posterior => (geometry.clone(), setting.robot.known_uncertainty()),
             Prior::Given(_) => {
@@ -156,7 +149,7 @@ impl Before {
             }
             Prior::None | Prior::Datasheet => return Self { start: of_maker, nominal: maker, maker },
         };
-        Self { nominal: position_summary(&start.0, &start.1, poses), start, maker }
+        Self { nominal: Positions::new(&start.0, &start.1, poses).summary(), start, maker }
     }
 }
 
@@ -172,16 +165,7 @@ pub fn of_maker(robot: &Robot, axes: &[[f64; AXES]]) -> ErrorSummary {
     let ids: Vec<ParamId> = ids.into_iter().filter(|id| id.is_geometric()).collect();
     let unknown = with_usual_joint_errors(&ids, &tolerances(&ids, &Priors::datasheet(robot, None)), true);
     let poses: Vec<ApproachedPose> = axes.iter().map(ApproachedPose::unapproached).collect();
-    position_summary(&robot.geometry.rigid(), &unknown, &poses)
-}
-
-/// The position errors of a robot over poses, mm, without the repeatability of a pose.
-fn position_summary(
-    geometry: &Geometry,
-    unknown: &RobotUncertainty,
-    poses: &[ApproachedPose],
-) -> ErrorSummary {
-    ErrorSummary::of(&Positions::new(geometry, unknown, poses).draws(0.0))
+    Positions::new(&robot.geometry.rigid(), &unknown, &poses).summary()
 }
 
 /// The uncertainty of a robot whose geometry has this root of its covariance, with the usual errors of joints. If the
@@ -193,6 +177,8 @@ fn with_usual_joint_errors(ids: &[ParamId], root: &DMatrix<f64>, has_errors: boo
             root: root.clone(),
             pose_mm: 0.0,
             shared_mm: None,
+            unexplained_mm: 0.0,
+            degrees_of_freedom: None,
             smooth: Vec::new(),
             smooth_of_joints: [1.0; AXES],
             scatter_rad: [0.0; AXES],
@@ -209,6 +195,8 @@ fn with_usual_joint_errors(ids: &[ParamId], root: &DMatrix<f64>, has_errors: boo
         root: whole,
         pose_mm: 0.0,
         shared_mm: None,
+        unexplained_mm: 0.0,
+        degrees_of_freedom: None,
         smooth: usual.processes().to_vec(),
         smooth_of_joints: usual.of_joints(),
         scatter_rad: [0.0; AXES],

@@ -3,16 +3,14 @@
 
 use std::ops::Range;
 
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::estimator::{GroupEvidence, JointSummary};
 use super::hypotheses::RunHypothesis;
 use super::options::ErrorModel;
 use super::priors::Prior;
-use super::{
-    Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, PositionParts, Posterior,
-};
+use super::{Combination, Correlation, DistanceQuantities, ErrorSummary, Observability, Posterior};
 use crate::base::serialised::Seal;
 use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
 use crate::estimation::ResultFinding;
@@ -282,6 +280,17 @@ pub struct Folds {
     pub rms: f64,
 }
 
+/// Contributions to the position error of the identified robot: root mean square over robots and poses, mm.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PositionParts {
+    /// The error of the bar's length.
+    pub bar_mm: f64,
+    /// The noise of the lengths.
+    pub noise_mm: f64,
+    /// Backlash, where no sense of approach is known.
+    pub backlash_mm: f64,
+}
+
 /// A predicted uncertainty over the workspace: of the nominal robot with its tolerance, and of the identified robot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PredictedPair {
@@ -327,6 +336,15 @@ pub struct MapPoint {
 }
 
 impl MapPoint {
+    /// The root mean square over the robots of displacements (3 rows for each place, a column for each robot, mm).
+    pub fn map(places: &[Vector3<f64>], displacements: &DMatrix<f64>) -> Vec<Self> {
+        let robots = displacements.ncols().max(1) as f64;
+        let rms = |pose: usize| (displacements.rows(3 * pose, 3).norm_squared() / robots).sqrt();
+        let point =
+            |(pose, position): (usize, &Vector3<f64>)| Self { position: *position, rms_mm: rms(pose) };
+        places.iter().enumerate().map(point).collect()
+    }
+
     /// Root mean square over all points of a map, mm.
     pub fn root_mean_square_mm(map: &[Self]) -> f64 {
         let square: f64 = map.iter().map(|point| point.rms_mm.powi(2)).sum();

@@ -7,8 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
 
-use super::position::BallMotion;
-use super::result::MapPoint;
+use super::ball_motion::BallMotion;
 use crate::math::aligned_distances;
 use crate::robot::{
     AXES, Approach, AxesAtPose, Geometry, JointSinCos, KinematicChain, ParamId, PayloadId, Robot,
@@ -25,10 +24,8 @@ pub struct ErrorSummary {
     pub max: f64,
 }
 
-/// Poses over which the position error is predicted, with the Jacobian of the tool ball.
+/// The Jacobian of the tool ball at the poses of a workspace, for designs. What is predicted there, `Positions` says.
 pub struct Workspace {
-    /// Ball positions, mm.
-    pub positions: Vec<Vector3<f64>>,
     ids: Vec<ParamId>,
     jacobian: DMatrix<f64>,
 }
@@ -57,35 +54,20 @@ impl Workspace {
                 jacobian.fixed_view_mut::<3, 1>(3 * at, column).copy_from(&derivative);
             })
         };
-        let positions = poses.iter().enumerate().map(position).collect();
-        Self::aligned(positions, ids, jacobian)
+        let positions: Vec<Vector3<f64>> = poses.iter().enumerate().map(position).collect();
+        Self::aligned(&positions, ids, jacobian)
     }
 
     /// The Jacobian by `ids`, then by the coefficients of the joint errors.
     pub fn with_joint_errors(geometry: &Geometry, poses: &[[f64; AXES]], ids: &[ParamId]) -> Self {
         let poses: Vec<_> = poses.iter().map(|axes| (*axes, Approach::default())).collect();
         let BallMotion { jacobian, balls, .. } = BallMotion::new(geometry, &poses, ids);
-        Self::aligned(balls, ids, jacobian)
+        Self::aligned(&balls, ids, jacobian)
     }
 
-    fn aligned(positions: Vec<Vector3<f64>>, ids: &[ParamId], mut jacobian: DMatrix<f64>) -> Self {
-        take_out_rigid_motion(&mut jacobian, &positions);
-        Self { positions, ids: ids.to_vec(), jacobian }
-    }
-
-    /// The displacements of the tool ball by parameter errors (a row for each parameter, a column for each robot): 3
-    /// rows for each pose, a column for each robot, mm.
-    pub fn displacements(&self, errors: &DMatrix<f64>) -> DMatrix<f64> {
-        &self.jacobian * errors
-    }
-
-    /// Root mean square over the robots of the displacement at each pose.
-    pub fn map(&self, displacements: &DMatrix<f64>) -> Vec<MapPoint> {
-        let robots = displacements.ncols().max(1) as f64;
-        let rms = |pose: usize| (displacements.rows(3 * pose, 3).norm_squared() / robots).sqrt();
-        let point =
-            |(pose, position): (usize, &Vector3<f64>)| MapPoint { position: *position, rms_mm: rms(pose) };
-        self.positions.iter().enumerate().map(point).collect()
+    fn aligned(positions: &[Vector3<f64>], ids: &[ParamId], mut jacobian: DMatrix<f64>) -> Self {
+        take_out_rigid_motion(&mut jacobian, positions);
+        Self { ids: ids.to_vec(), jacobian }
     }
 
     /// The Jacobian: three rows for each pose, a column for each parameter, without rigid motions of all poses.
@@ -213,6 +195,7 @@ impl SimplifiedModelError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimation::result::MapPoint;
     use crate::robot::{Coordinate, Joint};
 
     fn robot() -> Robot {
@@ -246,8 +229,10 @@ mod tests {
     /// sqrt((5^2 + 2^2) / 2) and sqrt((1^2 + 10^2) / 2).
     #[test]
     fn map_is_the_rms_over_the_robots() {
-        let workspace = Workspace::new(&robot().geometry, &[[0.0; AXES], [0.1; AXES]], &[]);
-        let rms: Vec<f64> = workspace.map(&displacements()).iter().map(|point| point.rms_mm).collect();
+        let rms: Vec<f64> = MapPoint::map(&[Vector3::zeros(); 2], &displacements())
+            .iter()
+            .map(|point| point.rms_mm)
+            .collect();
         assert!((rms[0] - 14.5f64.sqrt()).abs() < 1e-14 && (rms[1] - 50.5f64.sqrt()).abs() < 1e-14);
     }
 

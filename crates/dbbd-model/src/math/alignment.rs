@@ -69,13 +69,18 @@ fn rotation(s: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
 
 /// Pairwise distances between `measured` and the best rigid motion of `model`, in their unit; NaN if a coordinate is NaN.
 pub fn aligned_distances(measured: &[Vector3<f64>], model: &[Vector3<f64>]) -> Vec<f64> {
+    aligned_differences(measured, model).iter().map(Vector3::norm).collect()
+}
+
+/// `measured` minus the best rigid motion of `model`, in their unit; NaN if a coordinate is NaN.
+pub fn aligned_differences(measured: &[Vector3<f64>], model: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let pairs = measured.iter().zip(model);
     match RigidAlignment::of(model, measured) {
-        Some(motion) => pairs.map(|(to, from)| (to - motion.apply(from)).norm()).collect(),
+        Some(motion) => pairs.map(|(to, from)| to - motion.apply(from)).collect(),
         None => {
             let [to, from] =
                 [measured, model].map(|set| set.iter().sum::<Vector3<f64>>() / set.len().max(1) as f64);
-            pairs.map(|(a, b)| ((a - to) - (b - from)).norm()).collect()
+            pairs.map(|(a, b)| (a - to) - (b - from)).collect()
         }
     }
 }

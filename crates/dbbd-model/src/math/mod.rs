@@ -14,7 +14,7 @@ pub mod straight_line;
 mod svd;
 mod triangle;
 
-pub use alignment::{RigidAlignment, aligned_distances};
+pub use alignment::{RigidAlignment, aligned_differences, aligned_distances};
 pub use base_set::rank;
 pub(crate) use base_set::{BaseSet, base_set};
 pub(crate) use orthonormal::OrthonormalBasis;

@@ -22,7 +22,7 @@ use crate::robot::RobotFinding;
 const BUILT_IN: &[(&str, &str)] = include!("../../../../robots/built-in.rs");
 
 /// A robot with its file.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub struct LoadedRobot {
     pub robot: Robot,
     pub source: TracedArtefact,
@@ -291,6 +291,8 @@ impl Robot {
             root: known.clone().resize_vertically(rows, 0.0),
             pose_mm: self.repeatability_sd_mm().unwrap_or(0.0),
             shared_mm: None,
+            unexplained_mm: 0.0,
+            degrees_of_freedom: None,
             smooth: Vec::new(),
             smooth_of_joints: [1.0; AXES],
             scatter_rad: [0.0; AXES],

@@ -148,10 +148,12 @@ pub(super) fn with_steps(
     ids: &[ParamId],
     steps: &[Vec<(ParamId, f64)>],
 ) -> DMatrix<f64> {
+    // A step of no size adds no column, so that nothing that is drawn from the root changes either.
+    let steps: Vec<_> = steps.iter().filter(|step| step.iter().any(|(_, size)| *size != 0.0)).collect();
     let own = root.ncols();
     let mut wider = root.clone().resize_horizontally(own + steps.len(), 0.0);
     for (at, step) in steps.iter().enumerate() {
-        for (id, size) in step {
+        for (id, size) in *step {
             if let Some(row) = ids.iter().position(|own| own == id) {
                 wider[(row, own + at)] = *size;
             }

@@ -29,6 +29,13 @@ pub struct RobotUncertainty {
     /// `None` if no visit had several lengths that show it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shared_mm: Option<f64>,
+    /// The part of `pose_mm` that neither the bar nor the stated repeatability explains, mm: the predicted position uncertainty over a
+    /// workspace contains it.
+    #[serde(default)]
+    pub unexplained_mm: f64,
+    /// Degrees of freedom of the standard deviation of a length, which the covariance follows; `None` if it was not estimated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub degrees_of_freedom: Option<f64>,
     /// Gaussian processes whose sum is the prior of the smooth function of a joint's angle. It still holds at angles
     /// that were not measured.
     pub smooth: Vec<GaussianProcess>,
@@ -56,6 +63,8 @@ impl RobotUncertainty {
             && self.root.iter().all(|value| value.is_finite())
             && self.pose_mm.is_finite()
             && self.shared_mm.is_none_or(|mm| mm >= 0.0 && mm.is_finite())
+            && (0.0..f64::INFINITY).contains(&self.unexplained_mm)
+            && self.degrees_of_freedom.is_none_or(|freedom| freedom > 0.0)
             && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.length_scale_rad > 0.0)
     }
 
@@ -155,6 +164,8 @@ mod tests {
         let unknown = RobotUncertainty {
             pose_mm: 0.0,
             shared_mm: None,
+            unexplained_mm: 0.0,
+            degrees_of_freedom: None,
             smooth: vec![process, GaussianProcess { sd_rad: 0.1, ..process }],
             smooth_of_joints: [1.0, 2.0, 1.0, 1.0, 1.0, 1.0],
             scatter_rad: [0.0; AXES],
@@ -173,6 +184,8 @@ mod tests {
         let unknown = RobotUncertainty {
             pose_mm: 0.0,
             shared_mm: None,
+            unexplained_mm: 0.0,
+            degrees_of_freedom: None,
             smooth: Vec::new(),
             smooth_of_joints: [1.0; AXES],
             scatter_rad: [3e-6; AXES],

@@ -1,11 +1,13 @@
 //! Simulated checks: rates of false alarms, detection, right hypotheses, repair and wrong decisions.
 
-use dbbd_model::conformity::{CheckInput, ConformityOutcome, DecisionRule, InterimCheck, decide};
+use dbbd_model::conformity::{
+    CheckInput, CheckUncertainty, ConformityOutcome, DecisionRule, InterimCheck, decide,
+};
 use dbbd_model::diagnostic::Finding;
 use dbbd_model::estimation::change::Innovation;
 use dbbd_model::estimation::expected::{BallMounting, Mounting};
-use dbbd_model::estimation::{ErrorSummary, Posterior, Workspace};
-use dbbd_model::measurement::{BaseBall, LengthModel, Measurements, PreparedMeasurement};
+use dbbd_model::estimation::{ErrorSummary, Posterior, Workspace, displacement, tool_balls};
+use dbbd_model::measurement::{ApproachedPose, BaseBall, LengthModel, Measurements, PreparedMeasurement};
 use dbbd_model::robot::{BallId, Coordinate, ParamId, Robot};
 use nalgebra::{DMatrix, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -77,11 +79,10 @@ impl Bench {
 
     /// 3-D errors over the workspace of a robot file: mean, and not exceeded by 95 % of the poses, mm.
     fn errors_mm(&self, file: &Robot, truth: &LengthModel) -> [f64; 2] {
-        let ids = self.robot.posterior.as_ref().unwrap().ids();
-        let workspace = Workspace::new(&self.robot.geometry, &self.workspace, ids);
-        let wrong = |id: &ParamId| truth.value(*id) - file.geometry.value(*id).unwrap();
-        let column = DMatrix::from_iterator(ids.len(), 1, ids.iter().map(wrong));
-        let found = ErrorSummary::of(&workspace.displacements(&column));
+        let poses: Vec<ApproachedPose> = self.workspace.iter().map(ApproachedPose::unapproached).collect();
+        let [file, truth] = [&file.geometry, &truth.geometry].map(|geometry| tool_balls(geometry, &poses));
+        let moved = displacement(&file, &truth);
+        let found = ErrorSummary::of(&DMatrix::from_columns(&[moved]));
         [found.mean, found.p95]
     }
 }
@@ -302,6 +303,22 @@ fn a_moved_ball_is_found_if_it_was_kept() {
     }
     // The robot is what it was.
     assert!(now_mm < 1.2 * before_mm, "{now_mm} {before_mm}");
+}
+
+/// Another tool ball, 0.7 mm from where it is stated: the lengths place it, and the position of the robot is known as before.
+#[test]
+fn the_place_of_another_tool_ball_is_no_error_of_the_robot() {
+    let other = [80.0, -30.0, 60.0];
+    let mut bench = Bench::new(Mounting { tool_mm: 0.5, ..MOUNTING });
+    bench.robot.set_tool(other);
+    bench.start.geometry.tool = other.into();
+    let ids = Coordinate::ALL.map(ParamId::Tool);
+    let change: Vec<(ParamId, f64)> = ids.into_iter().zip([0.4, -0.4, 0.4]).collect();
+    let drawn = Drawn::new(&bench, &change, &mut Pcg64::seed_from_u64(8));
+    let found = bench.input(&drawn.readings).check().unwrap();
+    assert!(!found.test.changed, "{:?}", found.test);
+    let CheckUncertainty { calibrated, now, .. } = found.predicted_position_uncertainty_mm;
+    assert!(now.p95 < 1.2 * calibrated.p95, "{now:?} {calibrated:?}");
 }
 
 /// A change as the hypotheses of a check have them before the lengths: none, one, or two.

@@ -292,7 +292,7 @@ fn bound_mm(world: &mut World, known: f64, count: usize) -> f64 {
     let drawn = DMatrix::from_fn(ids.len(), 100, |_, _| StandardNormal.sample(&mut world.rng));
     let mut mean_mm = || {
         let after = prior.after(&world.lengths(&geometry, count, 0.0), NOISE_MM).unwrap();
-        ErrorSummary::of(&workspace.displacements(&(after.root() * &drawn))).mean
+        ErrorSummary::of(&(workspace.jacobian() * after.root() * &drawn)).mean
     };
     (0..DRAWS).map(|_| mean_mm()).sum::<f64>() / DRAWS as f64
 }
