@@ -106,13 +106,7 @@ impl PyResult_ {
         approach: Option<Wholes<'py>>,
     ) -> PyResult<(Floats<'py>, Floats<'py>)> {
         let q = Rows::<AXES>::of(&q, "q")?;
-        let senses = approaches(approach.as_ref(), q.rows.len())?;
-        let poses: Vec<ApproachedPose> = q
-            .rows
-            .iter()
-            .zip(senses)
-            .map(|(axes, approach)| ApproachedPose { axes: AxisAngles::from_degrees(*axes), approach })
-            .collect();
+        let poses = poses(&q, approach.as_ref())?;
         let (balls, sd) = py.detach(|| {
             let positions = Positions::of(&self.found.robot, &poses);
             let sd: Vec<f64> = (0..poses.len()).map(|at| positions.sd_mm(at)).collect();
@@ -122,10 +116,40 @@ impl PyResult_ {
         Ok((array(py, balls, &q.shape(&[3]))?, array(py, sd, &q.shape(&[]))?))
     }
 
+    /// The covariances (mm^2, N x 3 x 3 or 3 x 3) of the places that `predict_deg` returns; each has the square of the standard deviation
+    /// as its trace.
+    #[pyo3(signature = (q, *, approach=None))]
+    fn covariance_deg<'py>(
+        &self,
+        py: Python<'py>,
+        q: Numbers<'py>,
+        approach: Option<Wholes<'py>>,
+    ) -> PyResult<Floats<'py>> {
+        let q = Rows::<AXES>::of(&q, "q")?;
+        let poses = poses(&q, approach.as_ref())?;
+        let covariances = py.detach(|| {
+            let positions = Positions::of(&self.found.robot, &poses);
+            (0..poses.len())
+                .flat_map(|at| positions.covariance(at).iter().copied().collect::<Vec<_>>())
+                .collect()
+        });
+        array(py, covariances, &q.shape(&[3, 3]))
+    }
+
     fn __repr__(&self) -> String {
         let (robot, made_from) = (&self.found.robot.name, self.found.result.made_from);
         format!("<dbbd.Result of {robot:?} from {made_from}>")
     }
+}
+
+/// Poses with the sense of each axis's last move.
+fn poses(q: &Rows<AXES>, approach: Option<&Wholes<'_>>) -> PyResult<Vec<ApproachedPose>> {
+    let senses = approaches(approach, q.rows.len())?;
+    let pose = |(axes, approach): (&[f64; AXES], _)| ApproachedPose {
+        axes: AxisAngles::from_degrees(*axes),
+        approach,
+    };
+    Ok(q.rows.iter().zip(senses).map(pose).collect())
 }
 
 /// The prior that is given. Its standard deviations are checked as those of a table are.

@@ -152,6 +152,12 @@ def test_prediction_is_that_of_the_command(tmp_path, paper):
     # The robot's file has its angles in degrees.
     assert np.allclose(places, np.stack([expected["x_mm"], expected["y_mm"], expected["z_mm"]], 1), atol=1e-9, rtol=0)
     assert np.allclose(sd, expected["sd_mm"], rtol=1e-6)
+    covariance = found.covariance_deg(q)
+    assert covariance.shape == (20, 3, 3) and found.covariance_deg(q[0]).shape == (3, 3)
+    assert np.allclose(np.trace(covariance, axis1=1, axis2=2), sd**2, rtol=1e-9)
+    for at, name in enumerate(["cxx", "cxy", "cxz", "cyy", "cyz", "czz"]):
+        row, column = np.triu_indices(3)
+        assert np.allclose(covariance[:, row[at], column[at]], expected[name], rtol=1e-6, atol=1e-9), name
 
 
 def test_a_check_finds_the_changed_joint(paper):

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
 use super::{CommandOutcome, CommandOutput, robots, value};
@@ -13,7 +14,7 @@ use dbbd_model::base::date::utc;
 use dbbd_model::base::serialised;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::{Orientations, Positions};
-use dbbd_model::measurement::{self, APPROACH, Measurements};
+use dbbd_model::measurement::{self, APPROACH, ApproachedPose, Measurements};
 use dbbd_model::provenance::ArtefactRole;
 use dbbd_model::robot::{LoadedRobot, MeasurementConditions};
 
@@ -51,7 +52,9 @@ pub(crate) struct PredictArgs {
     /// Table to write: the columns of the poses, the position of the tool ball in the robot base x_mm,y_mm,z_mm, and sd_mm,
     /// its 3-D standard deviation (root of the mean square distance). This includes the repeatability of a pose, and is
     /// taken after the best rigid alignment over the poses (of fewer than 10, over the workspace too). sd_mrad is the
-    /// standard deviation of the orientation of the flange; the turn that all poses have in common is taken out.
+    /// standard deviation of the orientation of the flange; the turn that all poses have in common is taken out. cxx,cxy,cxz,cyy,cyz,czz
+    /// are the covariance of the position in the robot base, mm^2, whose trace is the square of sd_mm; nu are the degrees of freedom of
+    /// the standard deviation of a length that it follows, inf where that was given.
     #[arg(long, value_name = "P.csv")]
     out: PathBuf,
 }
@@ -63,6 +66,44 @@ struct PredictedBall {
     ball_mm: [f64; 3],
     sd_mm: f64,
     sd_mrad: f64,
+    /// Upper triangle of the covariance of the position, row by row.
+    covariance_mm2: [f64; 6],
+    /// Degrees of freedom of the standard deviation of a length; `None` if it was not estimated.
+    degrees_of_freedom: Option<f64>,
+}
+
+impl PredictedBall {
+    /// The position as it is written, with the covariance about it. A displacement that the written position leaves out adds its square.
+    fn of(
+        pose: &ApproachedPose,
+        written: Vector3<f64>,
+        (positions, at): (&Positions, usize),
+        sd_mrad: f64,
+        degrees_of_freedom: Option<f64>,
+    ) -> Self {
+        let off = written - positions.balls[at];
+        let covariance = positions.covariance(at) + off * off.transpose();
+        Self {
+            axes_deg: pose.axes.degrees(),
+            approach: pose.approach.senses(),
+            ball_mm: written.into(),
+            sd_mm: covariance.trace().sqrt(),
+            sd_mrad,
+            covariance_mm2: upper_triangle(&covariance),
+            degrees_of_freedom,
+        }
+    }
+
+    /// The columns after the position. Degrees of freedom without a number are those of a known variance.
+    fn uncertainties(&self) -> [f64; 9] {
+        let [xx, xy, xz, yy, yz, zz] = self.covariance_mm2;
+        let nu = self.degrees_of_freedom.unwrap_or(f64::INFINITY);
+        [self.sd_mm, self.sd_mrad, xx, xy, xz, yy, yz, zz, nu]
+    }
+}
+
+fn upper_triangle(symmetric: &Matrix3<f64>) -> [f64; 6] {
+    [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|at| symmetric[at])
 }
 
 pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutcome, Diagnostic> {
@@ -91,16 +132,12 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
         Some(table) => table.ball(&poses[at].axes.radians()).position,
         None => positions.balls[at],
     };
-    let predicted: Vec<PredictedBall> = (0..poses.len())
-        .map(|at| PredictedBall {
-            axes_deg: poses[at].axes.degrees(),
-            approach: poses[at].approach.senses(),
-            ball_mm: ball(at).into(),
-            sd_mm: positions.sd_mm(at).hypot((ball(at) - positions.balls[at]).norm()),
-            sd_mrad: 1e3 * orientations.sd_rad(at),
-        })
-        .collect();
-    let rows = predicted.iter().map(|row| (row.axes_deg, row.approach, row.ball_mm, row.sd_mm, row.sd_mrad));
+    let freedom = robot.known_uncertainty().degrees_of_freedom;
+    let row = |(at, pose): (usize, &ApproachedPose)| {
+        PredictedBall::of(pose, ball(at), (&positions, at), 1e3 * orientations.sd_rad(at), freedom)
+    };
+    let predicted: Vec<PredictedBall> = poses.iter().enumerate().map(row).collect();
+    let rows = predicted.iter().map(|row| (row.axes_deg, row.approach, row.ball_mm, row.uncertainties()));
     files::write_file(&args.out, serialised::csv_table(columns(), rows)?)?;
     out.document(&predicted)?;
     let mean = predicted.iter().map(|row| row.sd_mm).sum::<f64>() / predicted.len() as f64;
@@ -116,6 +153,6 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
 
 fn columns() -> Vec<String> {
     let angles = (1..=6).map(|axis| format!("a{axis}_deg"));
-    let places = ["x_mm", "y_mm", "z_mm", "sd_mm", "sd_mrad"];
+    let places = ["x_mm", "y_mm", "z_mm", "sd_mm", "sd_mrad", "cxx", "cxy", "cxz", "cyy", "cyz", "czz", "nu"];
     angles.chain(APPROACH.into_iter().chain(places).map(str::to_owned)).collect()
 }

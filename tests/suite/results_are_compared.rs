@@ -260,6 +260,36 @@ fn one_uncertainty_is_stated_by_result_check_and_comparison() {
     }
 }
 
+/// The table of a prediction has the covariance of each position, which belongs to its standard deviation, and the degrees of freedom
+/// of the result.
+#[test]
+fn predictions_have_covariances() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    write_balls(at);
+    identify_drawn(at, &drawn(4), 1, "kr60ha", "first");
+    let poses: String = (0..12).map(|at| format!("{},-60,90,{},40,0\n", 5 * at, 7 * at)).collect();
+    fs::write(at.join("axes.csv"), format!("a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg\n{poses}")).unwrap();
+    let freedom = number(&result(at, "first")["noise_mm"]["degrees_of_freedom"]);
+    for more in [&[][..], &["--tool", "0,0,100"], &["--model", "geometric"]] {
+        let args = ["predict", "axes.csv", "--robot", "first", "--out", "p.csv"];
+        let done = dbbd(at, &[&args[..], more].concat());
+        assert!(matches!(done.status.code(), Some(0 | 3)), "{}", stderr(&done));
+        let text = fs::read_to_string(at.join("p.csv")).unwrap();
+        let names: Vec<&str> = text.lines().next().unwrap().split(',').collect();
+        assert_eq!(names[17..], ["cxx", "cxy", "cxz", "cyy", "cyz", "czz", "nu"]);
+        for row in text.lines().skip(1) {
+            let values: Vec<f64> = row.split(',').map(|value| value.parse().unwrap()).collect();
+            let [xx, xy, xz, yy, yz, zz] = [17, 18, 19, 20, 21, 22].map(|column| values[column]);
+            assert!(((xx + yy + zz) / values[15].powi(2) - 1.0).abs() < 1e-12, "{row}");
+            // Positive semidefinite: no principal minor is negative.
+            let whole = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+            assert!(xx > 0.0 && xx * yy >= xy * xy && whole >= 0.0, "{row}");
+            assert_eq!(values[23], freedom);
+        }
+    }
+}
+
 /// Radius 150 mm in both senses; an ellipse that grows.
 fn circle_csv(ellipse_mm: f64, seed: u64) -> String {
     let mut random = Pcg64::seed_from_u64(seed);
