@@ -9,6 +9,9 @@ use dbbd_job::request::compensate::{CompensateDocument, CompensateRequest, DEFAU
 use dbbd_job::robot_files::RobotName;
 use dbbd_model::estimation::ProgramUncertainty;
 
+/// A share of an uncertainty that is named: a tenth of its square.
+const NAMED_SHARE: f64 = 0.3;
+
 /// Correct the points of a program for an identified robot.
 ///
 /// Corrects the points of a program in KRL (PROGRAM.src and the PROGRAM.dat beside it), RAPID, URScript or of a FANUC; the
@@ -100,9 +103,17 @@ pub(super) fn show(out: &CommandOutput, document: &CompensateDocument, directory
         points.len(),
         directory.display()
     ));
-    if let Some(ProgramUncertainty { before, after }) = document.predicted {
+    if let Some(ProgramUncertainty { before, after, flange }) = document.predicted {
+        let of_flange = if flange.mean > NAMED_SHARE * after.mean {
+            format!(
+                "; of the mean {:.3} mm are the flange's, whose tolerance is not stated (flange_mm, flange_deg)",
+                flange.mean
+            )
+        } else {
+            String::new()
+        };
         out.result(format!(
-            "predicted position uncertainty of the program's tool at its points (datum: {}): mean {:.3} mm before, {:.3} after; largest {:.3} mm before, {:.3} after",
+            "predicted position uncertainty of the program's tool at its points (datum: {}): mean {:.3} mm before, {:.3} after{of_flange}; largest {:.3} mm before, {:.3} after",
             document.datum, before.mean, after.mean, before.max, after.max
         ));
     }

@@ -12,7 +12,7 @@ use super::plan_states_the_result::{identified, mean_error_at_mm};
 use crate::cell::{codes, dbbd, stderr};
 
 /// Robots on which each plan is measured.
-const ROBOTS_OF_GOAL: u64 = 20;
+const ROBOTS_OF_GOAL: u64 = 4;
 
 const ROBOTS: [&str; 3] = ["kr60ha", "ur10", "irb4600-60-205"];
 
@@ -25,14 +25,15 @@ fn drawn_job(seed: u64) -> Job {
     let mut random = Pcg64::seed_from_u64(seed);
     let name = ROBOTS[random.random_range(0..ROBOTS.len())];
     let reach = robot(name).reach_mm();
-    // Evenly on a logarithmic scale.
-    let goal_mm = 0.12 * f64::powf(8.0, random.random_range(0.0..1.0));
+    // Evenly on a logarithmic scale, in a box or in all of the reach.
+    let in_box = random.random_bool(0.5);
+    let goal_mm = if in_box { 0.15 } else { 0.5 } * f64::powf(8.0, random.random_range(0.0..1.0));
     let mut text = format!(
         "robot = \"{name}\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nstroke_mm = [-25.0, 25.0]\nlength_u_mm = 0.004\n\
          [motion]\nfeed_mm_s = 150.0\n[limits]\nmin_overhead_mm = 50.0\n\
          [goal]\nposition_mm = {goal_mm:.3}\nminutes_per_ball = 4.0\nminutes_per_bar = 6.0\nseconds_per_pose = 12.0\n"
     );
-    if random.random_bool(0.5) {
+    if in_box {
         let [x, z] =
             [random.random_range(0.45..0.6), random.random_range(0.2..0.4)].map(|share| share * reach);
         let half = 0.12 * reach;

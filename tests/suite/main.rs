@@ -42,6 +42,7 @@ mod every_fault_is_accounted_for;
 mod fault_matrix;
 mod files_of_two_runs;
 mod first_calibration;
+mod flange_is_uncertain;
 mod floods_are_bounded;
 mod floor_plan;
 mod goals_are_reached;

@@ -221,7 +221,7 @@ fn the_command_reports_every_finding() {
         std::fs::write(dir.path().join("identified.toml"), identified.to_toml().unwrap()).unwrap();
         // A flange that is no better than the arm.
         let mut loose = robot();
-        (loose.tolerance.flange_mm, loose.tolerance.flange_deg) = (0.5, 0.05);
+        (loose.tolerance.flange_mm, loose.tolerance.flange_deg) = (Some(0.5), Some(0.05));
         std::fs::write(dir.path().join("loose.toml"), loose.to_toml().unwrap()).unwrap();
         let elsewhere =
             "index,centre,a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,length_mm\n1,2,0,-60,90,0,60,0,300\n";

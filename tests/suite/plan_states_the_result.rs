@@ -6,7 +6,7 @@
 use dbbd_job::plan::{Job, Plan, PlanningPrior, PoseKind};
 use dbbd_job::sim::truth;
 use dbbd_model::estimation::{
-    AngleSource, Calibration, Input, Options, Prior, Workspace, with_drawn_joint_errors,
+    AngleSource, Calibration, CompletedCalibration, Input, Options, Prior, Workspace, with_drawn_joint_errors,
 };
 use dbbd_model::math::aligned_distances;
 use dbbd_model::measurement::{Datum, LengthModel, Measurement, Measurements};
@@ -23,7 +23,7 @@ const ROBOTS: [&str; 3] = ["kr60ha", "ur10", "irb4600-60-205"];
 const BALLS: [[f64; 3]; 3] = [[0.62, 0.0, 0.38], [0.45, 0.33, 0.52], [0.48, -0.43, 0.24]];
 
 /// A job of circles, with the tool tilted by this angle, or of chosen poses about the first balls.
-fn job(robot: &Robot, balls: usize, is_chosen: bool, tilt_deg: f64) -> Job {
+pub(crate) fn job(robot: &Robot, balls: usize, is_chosen: bool, tilt_deg: f64) -> Job {
     let reach = robot.reach_mm();
     let mut text = format!(
         "robot = \"any\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nlength_u_mm = 0.002\nstroke_mm = [-25.0, 25.0]\n\
@@ -99,14 +99,25 @@ fn measured(plan: &Plan, robot: &Robot, truth: &Robot, random: &mut Pcg64) -> Me
 /// A robot that is drawn from the priors of an identification, what an identification of the plan's lengths finds, and the mean error
 /// that it states, mm.
 pub(crate) fn identified(plan: &Plan, robot: &Robot, seed: u64) -> (Geometry, Geometry, f64) {
-    let job = &plan.header.job;
     let mut random = Pcg64::seed_from_u64(seed);
     let mut truth = with_drawn_joint_errors(&truth::draw_true_robot(robot, seed, 1.0), seed);
     let off = Vector3::from_fn(|_, _| {
         robot.ball_u_mm * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut random)
     });
     truth.geometry.tool += off;
-    let lengths = measured(plan, robot, &truth, &mut random);
+    let found = identified_from(plan, robot, &truth, &mut random);
+    let stated_mm = found.result.predicted_position_uncertainty_mm.identified.mean;
+    (truth.geometry, found.robot.geometry, stated_mm)
+}
+
+/// What an identification of the plan's lengths on a true robot finds.
+pub(crate) fn identified_from(
+    plan: &Plan,
+    robot: &Robot,
+    truth: &Robot,
+    random: &mut Pcg64,
+) -> CompletedCalibration {
+    let (job, lengths) = (&plan.header.job, measured(plan, robot, truth, random));
     let input = Input {
         robot,
         observations: &lengths,
@@ -120,9 +131,7 @@ pub(crate) fn identified(plan: &Plan, robot: &Robot, seed: u64) -> (Geometry, Ge
         },
         axes: AngleSource::Commanded,
     };
-    let found = Calibration::new(&input).unwrap().complete(Vec::new(), Vec::new());
-    let stated_mm = found.result.predicted_position_uncertainty_mm.identified.mean;
-    (truth.geometry, found.robot.geometry, stated_mm)
+    Calibration::new(&input).unwrap().complete(Vec::new(), Vec::new())
 }
 
 fn kind(name: &str, balls: usize, is_chosen: bool, seeds: std::ops::Range<u64>) -> Vec<Stated> {

@@ -203,7 +203,8 @@ impl CompensateRequest {
         let tool_points: Vec<_> = corrected.moved.iter().filter_map(|moved| moved.tool_point).collect();
         let predicted =
             robot.has_posterior().then(|| ProgramUncertainty::of(&robot, &tool_points, &datum)).flatten();
-        if let Some(ProgramUncertainty { before, after }) = predicted.filter(|errors| !errors.is_better()) {
+        if let Some(ProgramUncertainty { before, after, .. }) = predicted.filter(|errors| !errors.is_better())
+        {
             let [before_mm, after_mm] = [before.mean, after.mean];
             session.finding(CompensationFinding::NoBetter { before_mm, after_mm });
         }

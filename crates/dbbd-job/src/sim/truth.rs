@@ -4,7 +4,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use dbbd_model::robot::{Joint, Robot, Tolerance};
+use dbbd_model::robot::{Joint, Robot};
 
 /// The first keys of a WORLD.toml: a robot with the repeatability of its file, and a bar with the noise `sigma_um`.
 pub fn noise(robot: &Robot, sigma_um: f64) -> String {
@@ -23,8 +23,9 @@ pub fn draw_true_robot(nominal: &Robot, seed: u64, scale: f64) -> Robot {
         let normal: f64 = StandardNormal.sample(&mut random);
         scale * sd * normal
     };
-    let Tolerance { length_mm: length, angle_deg, flange_mm, flange_deg } = nominal.tolerance;
-    let [angle, flange_rad] = [angle_deg, flange_deg].map(f64::to_radians);
+    let tolerance = nominal.tolerance;
+    let (length, angle) = (tolerance.length_mm, tolerance.angle_deg.to_radians());
+    let (flange_mm, flange_rad) = (tolerance.flange_prior_mm(), tolerance.flange_prior_rad());
     let parallel = nominal.parallel_joints();
     let mut robot = nominal.clone();
     for (joint, row) in Joint::ALL.into_iter().zip(&mut robot.geometry.rows) {

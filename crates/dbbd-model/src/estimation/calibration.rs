@@ -141,7 +141,8 @@ impl<'a> Input<'a> {
             let expected =
                 start.forecast(before.map_or(ForecastVariances::Drawn(*seed), ForecastVariances::Found))?;
             let unknown = expected.uncertainty(self.robot);
-            let errors = drawn_errors(&expected.fit.model.geometry, &unknown, tools, *seed);
+            let errors =
+                drawn_errors(&expected.fit.model.geometry, &unknown, &self.robot.tolerance, tools, *seed);
             let of_robot = |column| ErrorSummary::of(&errors.columns(column, 1).into_owned());
             Some((0..errors.ncols()).map(of_robot).collect::<Vec<_>>())
         };

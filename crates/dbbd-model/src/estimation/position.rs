@@ -18,6 +18,7 @@ use crate::math::{aligned_differences, beside, gram, stacked};
 use crate::measurement::{ApproachedPose, LengthModel};
 use crate::robot::{
     AXES, Approach, Geometry, Joint, JointTerm, ParamId, Payload, Robot, RobotUncertainty, TermKind,
+    Tolerance,
 };
 
 /// Least number of robots that are drawn for a summary.
@@ -197,6 +198,7 @@ pub struct ToolPoses {
 pub(super) fn drawn_errors(
     geometry: &Geometry,
     unknown: &RobotUncertainty,
+    tolerance: &Tolerance,
     tools: &[ToolPoses],
     seed: u64,
 ) -> DMatrix<f64> {
@@ -211,7 +213,7 @@ pub(super) fn drawn_errors(
         match tool_mm {
             Some(tool) => {
                 let geometry = Geometry { tool: *tool, ..geometry.clone() };
-                errors(Positions::new(&geometry, &unknown.clone().without_tool(), &poses))
+                errors(Positions::new(&geometry, &unknown.clone().at_exact_tool(tolerance), &poses))
             }
             None => errors(Positions::new(geometry, unknown, &poses)),
         }
@@ -421,8 +423,8 @@ const COLUMNS: usize = 60;
 /// Iterations that find these columns. A scale makes up for the variance that they leave out.
 const ITERATIONS: usize = 4;
 
-/// The same uncertainty with few columns. They are the directions that most move the tool ball at these poses, another
-/// tool ball with another payload, and the base balls, relative to each other. Each position counts in units of its own
+/// The same uncertainty with few columns. They are the directions that most move the tool ball at these poses, an
+/// exactly known tool with another payload, and the base balls, relative to each other. Each position counts in units of its own
 /// standard deviation, so that small uncertainties are kept too.
 pub(super) fn compressed(
     model: &LengthModel,
@@ -451,7 +453,7 @@ pub(super) fn compressed(
     RobotUncertainty { root: &unknown.root * space * scale, ..unknown.clone() }
 }
 
-/// Displacements by the columns of the root, 3 rows for each position: the tool ball at the poses, another tool ball
+/// Displacements by the columns of the root, 3 rows for each position: the tool ball at the poses, an exactly known tool
 /// with another payload at the poses, then the base balls. Rigid motions of all are removed.
 fn moved_with_balls(
     model: &LengthModel,
@@ -466,7 +468,9 @@ fn moved_with_balls(
     other.tool += Vector3::repeat(payload.centre.norm());
     other.load.payloads.insert(0, payload);
     let other = BallMotion::new(&other, &poses, &unknown.parameters);
-    let jacobian = stacked(&jacobian, &other.jacobian);
+    // What flange and tool ball have in common moves a tool whose place on the flange is known.
+    let at_other = &other.jacobian * unknown.clone().without_tool().root;
+    let moved_tools = stacked(&(&jacobian * &unknown.root), &at_other);
     places.extend(&other.balls);
     let is_ball = |id: &ParamId| matches!(id, ParamId::Ball(..));
     let rows: Vec<usize> =
@@ -474,9 +478,7 @@ fn moved_with_balls(
     // A base ball with an exact coordinate does not move freely: then no base ball is used.
     let whole = rows.len() == 3 * model.balls.len();
     let rows = if whole { rows } else { Vec::new() };
-    let mut moved = DMatrix::zeros(jacobian.nrows() + rows.len(), unknown.root.ncols());
-    moved.rows_mut(0, jacobian.nrows()).copy_from(&(&jacobian * &unknown.root));
-    moved.rows_mut(jacobian.nrows(), rows.len()).copy_from(&unknown.root.select_rows(&rows));
+    let mut moved = stacked(&moved_tools, &unknown.root.select_rows(&rows));
     places.extend(model.balls.iter().take(rows.len() / 3));
     take_out_rigid_motion(&mut moved, &places);
     moved

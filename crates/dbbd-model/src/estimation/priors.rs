@@ -92,8 +92,8 @@ impl Priors {
         Self {
             length_mm: robot.tolerance.length_mm,
             angle_rad: robot.tolerance.angle_deg.to_radians(),
-            flange_mm: robot.tolerance.flange_mm,
-            flange_rad: robot.tolerance.flange_deg.to_radians(),
+            flange_mm: robot.tolerance.flange_prior_mm(),
+            flange_rad: robot.tolerance.flange_prior_rad(),
             greatest_torques: robot.geometry.greatest_torques(),
             mass_error: if robot.geometry.load.is_assumed { ASSUMED_MASS_ERROR } else { STATED_MASS_ERROR },
             bar_u_mm,

@@ -32,6 +32,8 @@ pub struct ProgramUncertainty {
     pub before: PointUncertainty,
     /// Uncertainty of the corrected program: that of the identified robot, with the repeatability of a pose.
     pub after: PointUncertainty,
+    /// The share of the flange's tolerance in `after`.
+    pub flange: PointUncertainty,
 }
 
 impl ProgramUncertainty {
@@ -49,10 +51,11 @@ impl ProgramUncertainty {
             let own = points.iter().filter(|point| point.tool == *tool);
             errors(robot, tool, &own.map(|point| point.pose).collect::<Vec<_>>(), datum)
         };
-        let errors: Vec<[f64; 2]> = tools.iter().flat_map(of_tool).collect();
+        let errors: Vec<[f64; 3]> = tools.iter().flat_map(of_tool).collect();
         (!errors.is_empty()).then(|| Self {
-            before: PointUncertainty::of(errors.iter().map(|[before, _]| *before)),
-            after: PointUncertainty::of(errors.iter().map(|[_, after]| *after)),
+            before: PointUncertainty::of(errors.iter().map(|[before, ..]| *before)),
+            after: PointUncertainty::of(errors.iter().map(|[_, after, _]| *after)),
+            flange: PointUncertainty::of(errors.iter().map(|[.., flange]| *flange)),
         })
     }
 
@@ -63,14 +66,16 @@ impl ProgramUncertainty {
     }
 }
 
-/// The errors before and after at each pose of one tool, mm.
+/// The errors before and after at each pose of one tool, and the share of the flange in the latter, mm.
 fn errors(
     robot: &Robot,
     tool: &Vector3<f64>,
     poses: &[ApproachedPose],
     datum: &[[f64; AXES]],
-) -> Vec<[f64; 2]> {
-    let robot = robot.clone().with_exact_tool((*tool).into());
+) -> Vec<[f64; 3]> {
+    let mut known_flange = robot.clone();
+    known_flange.tolerance.state_flange();
+    let [robot, known_flange] = [robot.clone(), known_flange].map(|one| one.with_exact_tool((*tool).into()));
     let mut controller = robot.controller().geometry.clone();
     controller.tool = *tool;
     let aligned = AlignedPoses::of(&robot, poses, datum);
@@ -83,12 +88,13 @@ fn errors(
         places.push(commanded);
     }
     take_out_rigid_motion_of(&mut off, &places, aligned.datum.clone());
-    let positions = Positions::aligned(&robot, &aligned);
-    let pair = |at: usize| {
-        let after = positions.sd_mm(at);
-        [off.rows(3 * at, 3).norm().hypot(after), after]
+    let [all, rest] = [&robot, &known_flange].map(|robot| Positions::aligned(robot, &aligned));
+    let of_pose = |at: usize| {
+        let (after, without_flange) = (all.sd_mm(at), rest.sd_mm(at));
+        let flange = (after * after - without_flange * without_flange).max(0.0).sqrt();
+        [off.rows(3 * at, 3).norm().hypot(after), after, flange]
     };
-    (0..poses.len()).map(pair).collect()
+    (0..poses.len()).map(of_pose).collect()
 }
 
 #[cfg(test)]

@@ -462,7 +462,7 @@ pub struct ApproachedPose {
 
 impl ApproachedPose {
     /// A pose at axis angles (rad) with an unknown sense of approach.
-    pub(crate) fn unapproached(axes: &[f64; AXES]) -> Self {
+    pub fn unapproached(axes: &[f64; AXES]) -> Self {
         let axes = AxisAngles::from_degrees(axes.map(f64::to_degrees));
         Self { axes, approach: Approach::default() }
     }

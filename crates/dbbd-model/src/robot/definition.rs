@@ -98,27 +98,52 @@ pub struct Tolerance {
     /// Tolerance of alpha, theta and beta.
     pub angle_deg: f64,
     /// Tolerance of d6: the position of the flange on the last axis.
-    #[serde(default = "Tolerance::usual_flange_mm")]
-    pub flange_mm: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flange_mm: Option<f64>,
     /// Tolerance of theta6: the rotation of the flange about the last axis.
-    #[serde(default = "Tolerance::usual_flange_deg")]
-    pub flange_deg: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flange_deg: Option<f64>,
 }
 
+/// The tolerances of a flange, which is turned on a lathe and marked by a pin.
+const USUAL_FLANGE_MM: f64 = 0.05;
+const USUAL_FLANGE_DEG: f64 = 0.02;
+
 impl Tolerance {
-    /// The tolerance of lengths and angles, with the usual tolerance of the flange.
+    /// The tolerance of lengths and angles, with none stated for the flange.
     pub fn of(length_mm: f64, angle_deg: f64) -> Self {
-        let (flange_mm, flange_deg) = (Self::usual_flange_mm(), Self::usual_flange_deg());
-        Self { length_mm, angle_deg, flange_mm, flange_deg }
+        Self { length_mm, angle_deg, flange_mm: None, flange_deg: None }
     }
 
-    /// The usual tolerance of d6, mm: a flange is turned on a lathe.
-    fn usual_flange_mm() -> f64 {
-        0.05
+    /// The prior standard deviation of d6, mm, by which an identification decides what is flange and what is a ball beside its
+    /// place. If it is not stated, an offset is that of the ball: a flange is turned on a lathe.
+    pub fn flange_prior_mm(&self) -> f64 {
+        self.flange_mm.unwrap_or(USUAL_FLANGE_MM)
     }
 
-    fn usual_flange_deg() -> f64 {
-        0.02
+    /// As [`Self::flange_prior_mm`] for theta6, rad.
+    pub fn flange_prior_rad(&self) -> f64 {
+        self.flange_deg.unwrap_or(USUAL_FLANGE_DEG).to_radians()
+    }
+
+    /// States the tolerances of the flange that an identification assumes.
+    pub fn state_flange(&mut self) {
+        self.flange_mm.get_or_insert(USUAL_FLANGE_MM);
+        self.flange_deg.get_or_insert(USUAL_FLANGE_DEG);
+    }
+
+    /// The standard deviations that d6 (mm) and theta6 (rad) may have beyond those of the prior: if they are not stated, the
+    /// tolerances of the other lengths and angles hold for them too.
+    pub(super) fn flange_beyond_prior(&self) -> [(ParamId, f64); 2] {
+        let beyond = |stated: Option<f64>, tolerance: f64, prior: f64| match stated {
+            Some(_) => 0.0,
+            None => (tolerance * tolerance - prior * prior).max(0.0).sqrt(),
+        };
+        let angle_rad = self.angle_deg.to_radians();
+        [
+            (ParamId::D(Joint::J6), beyond(self.flange_mm, self.length_mm, self.flange_prior_mm())),
+            (ParamId::Theta(Joint::J6), beyond(self.flange_deg, angle_rad, self.flange_prior_rad())),
+        ]
     }
 }
 
@@ -265,8 +290,8 @@ impl Robot {
             let sd = |id: &ParamId| match id.prior() {
                 PriorRule::LengthTolerance => self.tolerance.length_mm,
                 PriorRule::AngleTolerance => angle_rad,
-                PriorRule::FlangeLength => self.tolerance.flange_mm,
-                PriorRule::FlangeAngle => self.tolerance.flange_deg.to_radians(),
+                PriorRule::FlangeLength => self.tolerance.flange_prior_mm(),
+                PriorRule::FlangeAngle => self.tolerance.flange_prior_rad(),
                 PriorRule::DeflectionOverTorque(_)
                 | PriorRule::MassErrorOverTorque(_)
                 | PriorRule::Certificate { .. }
@@ -357,9 +382,10 @@ impl Robot {
             .then(|| ProvenanceFinding::RobotWithWarnings { robot: self.name.clone(), warnings })
     }
 
-    /// The same robot with another tool, whose place on the flange is known exactly (flange frame, mm).
+    /// The same robot with another tool, whose place on the flange is known exactly (flange frame, mm): what the flange and the tool
+    /// ball have in common is uncertain by the flange.
     pub fn with_exact_tool(mut self, tool_mm: [f64; 3]) -> Self {
-        self.uncertainty = Some(Box::new(self.known_uncertainty().without_tool()));
+        self.uncertainty = Some(Box::new(self.known_uncertainty().at_exact_tool(&self.tolerance)));
         self.geometry.tool = tool_mm.into();
         self.has_tool = true;
         self

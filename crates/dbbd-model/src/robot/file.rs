@@ -178,8 +178,8 @@ impl RobotFile {
         let values = [
             ("[tolerance] length_mm", Some(self.tolerance.length_mm), Quantity::LengthTolerance),
             ("[tolerance] angle_deg", Some(self.tolerance.angle_deg), Quantity::AngleTolerance),
-            ("[tolerance] flange_mm", Some(self.tolerance.flange_mm), Quantity::LengthTolerance),
-            ("[tolerance] flange_deg", Some(self.tolerance.flange_deg), Quantity::AngleTolerance),
+            ("[tolerance] flange_mm", self.tolerance.flange_mm, Quantity::LengthTolerance),
+            ("[tolerance] flange_deg", self.tolerance.flange_deg, Quantity::AngleTolerance),
             ("[tool] ball_u_mm", Some(self.tool.ball_u_mm), Quantity::LengthTolerance),
             ("repeatability_mm", self.repeatability_mm, Quantity::Repeatability),
             ("temperature_c", self.temperature_c, Quantity::Temperature),

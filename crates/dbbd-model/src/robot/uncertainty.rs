@@ -1,9 +1,10 @@
 //! The uncertainty of a robot: the covariance of its parameters and of the errors of its joints, as the robot file
 //! holds it.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use super::definition::Tolerance;
 use super::posterior::with_steps;
 use super::{AXES, Geometry, Joint, ParamId};
 use crate::base::fixed_array::fixed_array;
@@ -90,6 +91,27 @@ impl RobotUncertainty {
         self
     }
 
+    /// The uncertainty at a tool whose place on the flange is known exactly. Lengths to the tool ball do not show whether an offset is
+    /// that of the ball or of the flange: the prior of the identification decides it. If the flange is off by more than this prior
+    /// with the standard deviation s, the estimates are off by C e s / p^2, with their posterior covariance C, the unit vector e
+    /// of the flange's parameter and the standard deviation p of its prior (the bias of a Bayes estimate by a wrong prior mean).
+    pub(crate) fn at_exact_tool(mut self, tolerance: &Tolerance) -> Self {
+        let priors = [tolerance.flange_prior_mm(), tolerance.flange_prior_rad()];
+        let columns =
+            tolerance.flange_beyond_prior().into_iter().zip(priors).filter_map(|((id, beyond), prior)| {
+                let row = self.parameters.iter().position(|other| *other == id)?;
+                (beyond > 0.0)
+                    .then(|| &self.root * self.root.row(row).transpose() * (beyond / (prior * prior)))
+            });
+        let columns: Vec<DVector<f64>> = columns.collect();
+        for column in columns {
+            let at = self.root.ncols();
+            self.root = self.root.insert_column(at, 0.0);
+            self.root.set_column(at, &column);
+        }
+        self.without_tool()
+    }
+
     /// Adds the variances of independent steps. A step moves several parameters together (mm or rad).
     pub(super) fn widen(&mut self, steps: &[Vec<(ParamId, f64)>]) {
         self.root = with_steps(&self.root, &self.parameters, steps);
@@ -149,6 +171,39 @@ fn rounded(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::Coordinate;
+
+    /// One length shows the sum of flange and ball. With the priors p = 0.05 and b = 0.5 mm the flange takes the share
+    /// g = p^2 / (p^2 + b^2), and its estimate is off by (1 - g) of the flange and g of the ball: with a flange of t = 0.4 mm the
+    /// variance is (1 - g)^2 t^2 + g^2 b^2.
+    #[test]
+    fn exact_tool_is_as_uncertain_as_a_flange_that_nobody_stated() {
+        let (p, b, t) = (0.05_f64, 0.5_f64, 0.4_f64);
+        let g = p * p / (p * p + b * b);
+        let parameters = vec![ParamId::D(Joint::J6), ParamId::Tool(Coordinate::Z)];
+        // What the sum leaves open: flange and ball move against each other.
+        let open = (p * p * (1.0 - g)).sqrt();
+        let unknown = RobotUncertainty {
+            parameters,
+            root: DMatrix::from_row_slice(2, 1, &[open, -open]),
+            pose_mm: 0.0,
+            shared_mm: None,
+            unexplained_mm: 0.0,
+            degrees_of_freedom: None,
+            smooth: Vec::new(),
+            smooth_of_joints: [1.0; AXES],
+            scatter_rad: [0.0; AXES],
+            unapproached_rad: [0.0; AXES],
+        };
+        let variance =
+            |tolerance: Tolerance| unknown.clone().at_exact_tool(&tolerance).root.row(0).norm_squared();
+        let expected = (1.0 - g).powi(2) * t * t + g * g * b * b;
+        let found = variance(Tolerance::of(t, 0.05));
+        assert!((found / expected - 1.0).abs() < 1e-12, "{found} {expected}");
+        let stated = Tolerance { flange_mm: Some(p), ..Tolerance::of(t, 0.05) };
+        assert!((variance(stated) / (open * open) - 1.0).abs() < 1e-12);
+        assert_eq!(unknown.clone().at_exact_tool(&stated).root.row(1).norm(), 0.0);
+    }
 
     /// 2 times the integral of k(t) cos(w t) from 0 by scipy.integrate.quad; k is the Matern-5/2 covariance
     /// sd^2 (1 + a + a^2 / 3) e^-a with a = sqrt(5) t / l, sd = 0.7, l = 0.8.

@@ -1,6 +1,7 @@
 //! What limits a goal: the sources of the uncertainty that is left.
 
 use crate::plan::prior::KnownCell;
+use dbbd_model::robot::Tolerance;
 
 /// A source of the uncertainty that is left after a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,8 +45,9 @@ impl GoalLimit {
                 Self::Bar => {}
                 Self::ToolBall => robot.ball_u_mm *= REST,
                 Self::Flange => {
-                    robot.tolerance.flange_mm *= REST;
-                    robot.tolerance.flange_deg *= REST;
+                    let Tolerance { length_mm, angle_deg, .. } = robot.tolerance;
+                    robot.tolerance.flange_mm = Some(REST * length_mm);
+                    robot.tolerance.flange_deg = Some(REST * angle_deg);
                 }
                 Self::Load => robot.geometry.load.payloads.iter_mut().for_each(|payload| {
                     payload.u_kg *= REST;
