@@ -309,9 +309,11 @@ impl ComparedWorkspace {
     }
 }
 
-/// A robot with the tool point and the payload of another one, which are then no difference between them.
+/// A robot with the tool point and the payload of another one, which are then no difference between them. Both have the same flange.
 fn with_tool_of(robot: &Robot, other: &Robot) -> Robot {
-    let mut robot = robot.clone().with_exact_tool(other.geometry.tool.into());
+    let mut robot = robot.clone();
+    robot.tolerance.state_flange();
+    let mut robot = robot.with_exact_tool(other.geometry.tool.into());
     let exact = |payload: &Payload| Payload { u_kg: 0.0, u_mm: 0.0, ..payload.clone() };
     robot.geometry.load.payloads = other.geometry.load.payloads.iter().map(exact).collect();
     robot

@@ -419,7 +419,7 @@ impl RemainingErrors {
 }
 
 /// Largest number of columns of a root in a robot file.
-const COLUMNS: usize = 60;
+const COLUMNS: usize = 66;
 /// Iterations that find these columns. A scale makes up for the variance that they leave out.
 const ITERATIONS: usize = 4;
 

@@ -59,10 +59,11 @@ impl ProgramUncertainty {
         })
     }
 
-    /// Whether a correction makes the uncertainty smaller by more than a tenth. Otherwise the correction is smaller
-    /// than its own uncertainty.
+    /// Whether a correction makes the uncertainty smaller by more than a tenth, without the share of the flange, which it leaves as it
+    /// is. Otherwise the correction is smaller than its own uncertainty.
     pub fn is_better(&self) -> bool {
-        self.after.mean < 0.9 * self.before.mean
+        let rest = |mean: f64| (mean * mean - self.flange.mean * self.flange.mean).max(0.0).sqrt();
+        rest(self.after.mean) < 0.9 * rest(self.before.mean)
     }
 }
 

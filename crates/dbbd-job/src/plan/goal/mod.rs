@@ -94,13 +94,18 @@ impl GoalPlanner<'_> {
             let GoalOutcome { reached_mm, minutes, .. } = found.outcome;
             judged.add(JudgedRun { run, search_mm: self.search.error_mm(&run), kept_mm: reached_mm });
             let is_close = found.plan.header.stage.is_some() || reached_mm > MUCH_BETTER * goal_mm;
-            let is_reached = reached_mm <= goal_mm;
+            let is_reached = self.is_reached(&found.outcome);
             if is_reached && shortest.as_ref().is_none_or(|other| minutes < other.outcome.minutes) {
                 shortest = Some(found);
             }
             if is_reached && is_close {
                 break;
             }
+        }
+        if shortest.is_none() && refused.is_empty() {
+            let most = self.search.best_in(self.goal.minutes, |_| true);
+            let most = most.and_then(|run| self.planned(&run, &judged).ok());
+            shortest = most.filter(|found| self.is_reached(&found.outcome));
         }
         match (shortest, refused.pop()) {
             (Some(GoalPlan { mut plan, outcome, known }), _) => {
@@ -110,6 +115,11 @@ impl GoalPlanner<'_> {
             (None, Some((_, refusal))) => Err(refusal),
             (None, None) => Err(self.refusal(&judged)?),
         }
+    }
+
+    fn is_reached(&self, outcome: &GoalOutcome) -> bool {
+        outcome.reached_mm <= outcome.position_mm
+            && self.goal.minutes.is_none_or(|minutes| outcome.minutes <= minutes)
     }
 
     fn is_in_time(&self, run: &GoalRun) -> bool {

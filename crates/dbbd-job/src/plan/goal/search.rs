@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::kept::{GoalRun, KeptErrors, RunClass};
 use super::outcome::GoalPoint;
+use crate::plan::circle::REFERENCE_EVERY;
 use crate::plan::job::{BaseBallTable, GoalTable, Job, JobBar, PlaceTable};
 use crate::plan::prior::length_sigma_mm;
 use crate::plan::workspace::goal_poses;
@@ -38,6 +39,8 @@ const CUP_LIMIT_DEG: f64 = 90.0;
 /// Way of the tool ball from one chosen pose to the next, in lengths of the bar: 2.8 m in the plan of examples/demo.toml, whose bar
 /// has 0.9 m.
 const WAY_PER_LENGTH: f64 = 3.0;
+/// Poses for each visit of a reference pose.
+const REFERENCES: f64 = REFERENCE_EVERY as f64;
 /// A longer run is worth a point of the curve if it leaves at most this share of the error.
 const WORTH: f64 = 0.97;
 /// Points of the curve of minutes and uncertainty.
@@ -128,9 +131,9 @@ impl<'a> GoalSearch<'a> {
         RunPrices { pose_s, ..bar.prices }.time_s(set.places.len() - self.job.centres.len(), poses)
     }
 
-    /// By how much a pose takes longer than it was estimated, if a plan has this time for each.
+    /// By how much a pose takes longer than it was estimated, if a plan has this time for it and for its share of the references.
     pub(super) fn slower(&self, run: &GoalRun, pose_s: f64) -> f64 {
-        pose_s / self.of(run).0.prices.pose_s
+        pose_s * (1.0 + 1.0 / REFERENCES) / self.of(run).0.prices.pose_s
     }
 
     /// The job of a run: with its bar, its balls and its number of poses.
@@ -227,7 +230,7 @@ fn prices(job: &Job, goal: &GoalTable) -> RunPrices {
     RunPrices {
         bar_s: 60.0 * goal.minutes_per_bar,
         ball_s: 60.0 * goal.minutes_per_ball,
-        pose_s: goal.seconds_per_pose.unwrap_or(estimated_s),
+        pose_s: goal.seconds_per_pose.unwrap_or(estimated_s) * (1.0 + 1.0 / REFERENCES),
     }
 }
 
