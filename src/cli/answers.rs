@@ -23,7 +23,7 @@ pub(super) fn show(
     out.document(&document)?;
     let directory = request.out();
     match &document {
-        AnswerDocument::Identify(document) => identify::show(out, &document.calibration, directory),
+        AnswerDocument::Identify(document) => identify::show(out, document, directory),
         AnswerDocument::Plan(document) => plan::show(out, document, directory),
         AnswerDocument::Check(document) => check::show(out, document, directory),
         AnswerDocument::Compensate(document) => compensate::show(out, document, directory),

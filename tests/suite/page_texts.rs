@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use serde_json::{Map, Value};
+use dbbd_model::conformity::{Headline, Standing};
+use serde_json::{Map, Value, json};
 
 fn page(name: &str) -> String {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/live/page");
@@ -113,5 +114,47 @@ fn codes_of_the_workbench_are_translated() {
         assert!(known.contains(&**code), "{code} is not in the catalogue");
         let texts = texts.as_array().unwrap();
         assert!(texts.len() == 2 && texts.iter().all(|text| text.as_str().unwrap().len() > 3), "{code}");
+    }
+}
+
+/// The page makes the first line about a result of the same parts as the terminal and the report.
+#[test]
+fn a_result_is_said_as_by_the_terminal() {
+    let error = |mean: f64| json!({ "mean": mean, "p95": 3.0, "max": 4.0 });
+    let content = json!({
+        "predicted_position_uncertainty_mm": { "nominal": error(2.4), "identified": error(0.74) },
+        "budget": { "lines": [], "combined_mm": 0.8, "coverage_factor": 2.0, "expanded_mm": 1.6 },
+        "validity": {
+            "tool_mm": [30.0, 20.0, 10.0], "payload_kg": 50.0, "measured": "2026-03-01", "basis": "history",
+            "expanded_uncertainty_mm": 1.6, "limit_mm": null, "months": null, "until": null,
+        },
+    });
+    let day = || "2026-03-01".to_owned();
+    let english = texts("en");
+    let text = |key: &str| english[key].as_str().unwrap();
+    for (key, standing) in [
+        ("valid", Standing::Usable { until: Some(day()) }),
+        ("found", Standing::Usable { until: None }),
+        ("over", Standing::Over { until: day() }),
+        ("warned", Standing::Warned),
+        ("undecided", Standing::Undecided),
+        ("failed", Standing::Failed),
+    ] {
+        let headline = Headline::of_json(&content, &standing).unwrap();
+        let parts = [
+            ("{headline}", text("headline").to_owned()),
+            ("{payload}", text("headline.payload").to_owned()),
+            ("{before_mm}", headline.before_mm.to_string()),
+            ("{after_mm}", headline.after_mm.to_string()),
+            ("{u_mm}", headline.u_mm.to_string()),
+            ("{k}", headline.k.to_string()),
+            ("{tool_mm}", "(30.0, 20.0, 10.0)".to_owned()),
+            ("{payload_kg}", headline.payload_kg.unwrap().to_string()),
+            ("{until}", day()),
+            ("{measured}", day()),
+        ];
+        let sentence = text(&format!("say.result.{key}")).to_owned();
+        let said = parts.iter().fold(sentence, |said, (name, value)| said.replace(name, value));
+        assert_eq!(said, headline.to_string(), "{key}");
     }
 }

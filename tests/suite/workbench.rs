@@ -142,7 +142,7 @@ fn what_the_demo_of_the_command_line_left_is_shown_to_its_end() {
     let result: Value =
         serde_json::from_str(&fs::read_to_string(dir.path().join("shown/result/result.json")).unwrap())
             .unwrap();
-    let shown = &step(&work, "result")["values"];
+    let shown = &step(&work, "result")["values"]["headline"];
     assert_eq!(
         (&shown["u_mm"], &shown["k"]),
         (&result["budget"]["expanded_mm"], &result["budget"]["coverage_factor"])

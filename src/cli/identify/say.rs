@@ -3,43 +3,27 @@
 use std::path::Path;
 
 use crate::cli::{CommandOutput, output};
-use dbbd_model::estimation::result::{PredictedPair, SigmaSource, Status};
-use dbbd_model::estimation::{CalibrationResult, Combination, CompletedCalibration, is_place, wording};
-
-/// The largest number of recommendations. More are in the report.
-const RECOMMENDATIONS: usize = 2;
+use dbbd_job::report::Verdict;
+use dbbd_job::request::identify::IdentifyDocument;
+use dbbd_model::conformity::standing;
+use dbbd_model::estimation::result::{SigmaSource, Status};
+use dbbd_model::estimation::{CalibrationResult, Combination, is_place, wording};
 
 /// The result on stdout; with `--verbose` what else it states on stderr.
-pub(in crate::cli) fn show(out: &CommandOutput, calibration: &CompletedCalibration, dir: &Path) {
+pub(in crate::cli) fn show(out: &CommandOutput, document: &IdentifyDocument, dir: &Path) {
+    let IdentifyDocument { calibration, budget, .. } = document;
     let result = &calibration.result;
-    out.result(headline(result));
-    for recommendation in result.recommendations.iter().filter(|one| one.adds).take(RECOMMENDATIONS) {
-        out.result(format!("next: {recommendation}"));
-    }
+    let verdict = Verdict::of_calibration(result, budget, &standing(&result.into(), None, None));
+    out.result(verdict.sentence());
+    verdict.next().iter().for_each(|next| out.result(format!("next: {next}")));
     out.result(fit(result));
     out.result(counts(result));
     monte_carlo(result).into_iter().for_each(|line| out.result(line));
-    for lines in [search(result), groups(result), position(result), parameters(result)] {
+    for lines in [search(result), groups(result), position(result), parameters(result), further(result)] {
         lines.into_iter().for_each(|line| out.detail(line));
     }
     out.findings(calibration.diagnostics());
     out.result(format!("results in {}", dir.display()));
-}
-
-/// How far off the tool ball is before and after, for which tool and until when, with U.
-fn headline(result: &CalibrationResult) -> String {
-    let PredictedPair { nominal, identified } = &result.predicted_position_uncertainty_mm;
-    let error = format!(
-        "mean error of the tool ball over the workspace: {:.3} mm before, {:.3} mm after",
-        nominal.mean, identified.mean
-    );
-    match &result.validity {
-        Some(validity) if !result.has_warnings() && result.converged => {
-            let word = if validity.limit_mm.is_some() { "valid" } else { "identified" };
-            format!("{error}; {word} {validity}")
-        }
-        _ => error,
-    }
 }
 
 fn fit(result: &CalibrationResult) -> String {
@@ -146,6 +130,12 @@ fn parameters(result: &CalibrationResult) -> Vec<String> {
         lines.push(format!("  nearly collinear: {one} and {other}, correlation {:.3}{more}", worst.r));
     }
     lines
+}
+
+/// Validity with its assumptions, and every further measurement with its predicted effect.
+fn further(result: &CalibrationResult) -> Vec<String> {
+    let validity = result.validity.iter().map(|validity| format!("identified {validity}"));
+    validity.chain(result.recommendations.iter().map(|one| format!("could be measured: {one}"))).collect()
 }
 
 fn source(source: SigmaSource) -> &'static str {

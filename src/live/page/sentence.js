@@ -9,12 +9,14 @@ export const SPEEDS = [1, 5, 20, 50];
 
 const SHAPES = { pass: "✓", fail: "✕", undecided: "?", none: "•" };
 
-const TWO_DIGITS = ["u_mm", "error_mm", "upper_mm", "tolerance_mm", "predicted_mm"];
+const TWO_DIGITS = ["u_mm", "before_mm", "after_mm", "error_mm", "upper_mm", "tolerance_mm", "predicted_mm"];
 
 /** Digits after the point of a value by the unit in its name. */
 function shown(name, value) {
   if (value === null || value === undefined) return "–";
-  if (name === "until") return day(value);
+  if (name === "until" || name === "measured") return day(value);
+  if (name === "headline") return headline(value);
+  if (name === "tool_mm") return `(${value.map((mm) => fixed(mm, 1)).join(fixed(0.5, 1).includes(",") ? "; " : ", ")})`;
   if (typeof value !== "number") return String(value);
   // An uncertainty and what is decided have two digits, as in the reports.
   if (TWO_DIGITS.includes(name)) return significant(value, 2);
@@ -25,6 +27,13 @@ function shown(name, value) {
   if (name === "risk") return value < 0.001 ? `< ${fixed(0.001, 3)}` : fixed(value, 3);
   if (name === "minutes") return fixed(value, 1);
   return Number.isInteger(value) ? count(value) : fixed(value, 1);
+}
+
+/** Error, uncertainty and tool of a calibration, with which every sentence about its result begins. @param {Record<string, any>} parts */
+function headline(parts) {
+  const shownParts = Object.fromEntries(Object.entries(parts).map(([name, value]) => [name, shown(name, value)]));
+  const payload = t(parts.payload_kg === null ? "headline.no_payload" : "headline.payload", shownParts);
+  return t("headline", { ...shownParts, payload });
 }
 
 /** @param {{ text: string, values: Record<string, unknown> | null }} report */

@@ -13,7 +13,7 @@ use super::plot::{
     residuals,
 };
 use super::scene::{BallMark, Scene, ScenePose, skeleton};
-use super::verdict::Verdict;
+use super::verdict::{Verdict, holds};
 use dbbd_model::conformity::{BudgetLine, UncertaintyBudget, standing};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::result::Recommendation;
@@ -45,6 +45,8 @@ struct Page<'a> {
     balls: Vec<BallInFrame>,
     budget: &'a UncertaintyBudget,
     verdict: Verdict,
+    /// How its uncertainty grows until the validity ends.
+    holds: Option<String>,
     /// Source and basis of each line of the budget, in words.
     contributions: Vec<(&'static str, &'static str, &'a BudgetLine)>,
     identity: Vec<(String, String)>,
@@ -95,6 +97,7 @@ pub fn html(
         balls: frames(result),
         budget,
         verdict: Verdict::of_calibration(result, budget, &standing(&result.into(), None, None)),
+        holds: result.validity.as_ref().filter(|validity| validity.limit_mm.is_some()).map(holds),
         contributions: budget.lines.iter().map(|l| (l.source.words(), l.basis.words(), l)).collect(),
         identity: provenance.identity.facts(),
         scene: scene(found, &points).json()?,

@@ -22,6 +22,7 @@ mod scale;
 mod scene;
 pub mod svg;
 mod verdict;
+pub use verdict::Verdict;
 
 #[cfg(test)]
 mod tests;

@@ -1,5 +1,6 @@
 //! Scales, ticks at 1-2-5 steps, display units, and numbers as text.
 
+pub(crate) use dbbd_model::base::number::{decimals, fixed, significant};
 use dbbd_model::base::text;
 
 /// A linear map from values to pixels.
@@ -112,24 +113,6 @@ impl Unit {
     }
 }
 
-/// Decimals that show a value of this size to one figure.
-pub(crate) fn decimals(size: f64) -> usize {
-    if size.is_finite() && size > 0.0 { (-(size.log10() + 1e-9).floor()).clamp(0.0, 9.0) as usize } else { 0 }
-}
-
-/// A number with fixed decimals, a minus sign (U+2212) and no negative zero; a dash if it is not finite.
-pub(crate) fn fixed(value: f64, decimals: usize) -> String {
-    if !value.is_finite() {
-        return "–".to_owned();
-    }
-    let text = format!("{value:.decimals$}");
-    match text.strip_prefix('-') {
-        Some(zero) if zero.chars().all(|digit| matches!(digit, '0' | '.')) => zero.to_owned(),
-        Some(digits) => format!("−{digits}"),
-        None => text,
-    }
-}
-
 /// A text for pages: minus signs (U+2212) in place of the hyphens before its numbers, ± and µ for what a terminal has as
 /// `+-` and `u`.
 pub(crate) fn typeset(text: String) -> String {
@@ -169,17 +152,6 @@ pub(crate) fn rounded(value: f64, figures: usize) -> String {
     significant((value / place).round() * place, figures)
 }
 
-/// A number with the decimals of `figures` significant figures; in powers of ten only if it is extreme.
-pub(crate) fn significant(value: f64, figures: usize) -> String {
-    let extra = figures.saturating_sub(1);
-    let size = value.abs();
-    if value.is_finite() && (size >= 1e7 || (size > 0.0 && size < 1e-7)) {
-        return format!("{value:.extra$e}");
-    }
-    let scaled = size / 10f64.powi(extra as i32);
-    fixed(value, decimals(scaled))
-}
-
 /// An index without a unit, of any size.
 pub(crate) fn index(value: f64) -> String {
     if value > 0.0 && value < 1e-3 {
@@ -204,10 +176,6 @@ mod tests {
 
     #[test]
     fn numbers_are_formatted_for_readers() {
-        assert_eq!(fixed(-0.0004, 2), "0.00");
-        assert_eq!(fixed(f64::NAN, 2), "–");
-        assert_eq!(significant(0.041234, 3), "0.0412");
-        assert_eq!(significant(1234.6, 2), "1235");
         assert_eq!(signed(0.25, 2), "+0.25");
         assert_eq!((index(4.7134e-6), index(0.041234)), ("4.71e−6".into(), "0.0412".into()));
         assert_eq!(plain(-185.0, 2), "−185");

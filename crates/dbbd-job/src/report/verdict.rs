@@ -1,25 +1,26 @@
 //! The first lines of a page: a verdict in one sentence, and the next action. The pages of the workbench say it in the
 //! same words (`say.result.*` and `say.check.*` of their texts).
 
-use dbbd_model::conformity::UncertaintyBudget;
 use dbbd_model::conformity::{
-    ComparisonSubject, ConformityOutcome, InterimCheck, ResultComparison, Standing,
+    ComparisonSubject, ConformityOutcome, Headline, InterimCheck, ResultComparison, Standing,
+    UncertaintyBudget,
 };
 use dbbd_model::estimation::{CalibrationResult, Validity};
 use serde::Serialize;
 
-use super::scale::{plain, significant};
+use super::scale::significant;
 
 /// A verdict with its sentences. The template gives each kind a colour and a shape.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Verdict {
+pub struct Verdict {
     kind: VerdictKind,
     /// The verdict in one word; the sentence goes on behind it.
     word: &'static str,
     sentence: String,
-    /// The time and the conditions for which the result may be used, if they are known.
+    /// The time and the conditions for which a checked calibration may be used, if they are known.
     validity: Option<String>,
-    next: String,
+    /// What to do next, a sentence each.
+    next: Vec<String>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -37,91 +38,80 @@ fn mm(value: f64) -> String {
     format!("{} mm", significant(value, 2))
 }
 
-fn um(value_mm: f64) -> String {
-    format!("{} µm", significant(1e3 * value_mm, 3))
-}
-
-fn holds(validity: &Validity) -> String {
+/// For how long, under which conditions, and on which assumption of the drift a calibration is valid.
+pub(super) fn holds(validity: &Validity) -> String {
     format!("Valid {validity}.")
 }
 
 impl Verdict {
-    pub(crate) fn of_calibration(
+    /// The verdict on a calibration as it stands: its headline, and what to do next.
+    pub fn of_calibration(
         result: &CalibrationResult,
         budget: &UncertaintyBudget,
         standing: &Standing,
     ) -> Self {
-        let (expanded, k) = (mm(budget.expanded_mm), plain(budget.coverage_factor, 1));
-        let residual = &result.residual_mm;
-        let lengths = format!(
-            "The lengths agree to {} rms, {} before.",
-            um(residual.after.rms),
-            um(residual.before.rms)
-        );
-        let not_usable = match standing {
-            Standing::Usable { .. } => None,
-            Standing::Warned => Some((
-                VerdictKind::Undecided,
-                "With warnings.",
-                format!("Use it only if you have judged them harmless: U = {expanded} (k = {k}). {lengths}"),
-                "Read the warnings, and do what they say before you use this result.",
-            )),
-            Standing::Undecided => Some((
-                VerdictKind::Undecided,
-                "Undecided.",
-                format!(
-                    "The last check of the robot decided nothing: U = {expanded} (k = {k}) on the day of the measurement."
-                ),
-                "Check the robot again with more poses, or state a tolerance that they can decide.",
-            )),
-            Standing::Over { until } => Some((
-                VerdictKind::Undecided,
-                "Ended.",
-                format!(
-                    "The validity ended on {until}: U = {expanded} (k = {k}) on the day of the measurement."
-                ),
-                "Check the robot, or renew its calibration.",
-            )),
-            Standing::Failed => Some((
-                VerdictKind::Fail,
-                "Not valid.",
-                "The last check of the robot failed: the calibration is not to be used.".into(),
-                "Look at what changed, repair it or identify the robot again.",
-            )),
-        };
-        if let Some((kind, word, sentence, next)) = not_usable {
-            return Self { kind, word, sentence, validity: None, next: next.into() };
-        }
-        let further = result.recommendations.iter().find(|one| one.adds);
-        let next = match further {
-            Some(one) => format!(
-                "Correct the programs of the robot, and check it after a collision or a repair. To be better than that, \
-                 measure {}: the mean position uncertainty is predicted to fall from {} to {}.",
-                one.what(),
-                mm(one.before_mm),
-                mm(one.after_mm)
-            ),
-            None => "Correct the programs of the robot, and check it after a collision or a repair.".into(),
-        };
         // A check with a tolerance limits it too.
         let is_limited = matches!(standing, Standing::Usable { until: Some(_) })
             || result.validity.as_ref().is_some_and(|validity| validity.limit_mm.is_some());
-        let holds_for = match &result.validity {
-            Some(validity) => validity.to_string(),
-            None => format!("for this tool: U = {expanded} (k = {k})"),
+        let (kind, word, next) = match standing {
+            Standing::Usable { .. } => (
+                if is_limited { VerdictKind::Pass } else { VerdictKind::None },
+                if is_limited { "Valid." } else { "Identified." },
+                "Correct the programs of the robot, and check it after a collision or a repair.",
+            ),
+            Standing::Warned => (
+                VerdictKind::Undecided,
+                "With warnings.",
+                "Read the warnings, and do what they say before you use this result.",
+            ),
+            Standing::Undecided => (
+                VerdictKind::Undecided,
+                "Undecided.",
+                "Check the robot again with more poses, or state a tolerance that they can decide.",
+            ),
+            Standing::Over { .. } => {
+                (VerdictKind::Undecided, "Ended.", "Check the robot, or renew its calibration.")
+            }
+            Standing::Failed => (
+                VerdictKind::Fail,
+                "Not valid.",
+                "Look at what changed, repair it or identify the robot again.",
+            ),
         };
+        let better = match standing {
+            Standing::Usable { .. } | Standing::Warned => result.recommendations.iter().find(|one| one.adds),
+            Standing::Undecided | Standing::Over { .. } | Standing::Failed => None,
+        };
+        let better = better.map(|one| {
+            format!(
+                "To be better, measure {}: the mean error is predicted to fall from {} to {}.",
+                one.what(),
+                mm(one.before_mm),
+                mm(one.after_mm)
+            )
+        });
         Self {
-            kind: if is_limited { VerdictKind::Pass } else { VerdictKind::None },
-            word: if is_limited { "Valid" } else { "Identified" },
-            sentence: format!("{holds_for}. {lengths}"),
+            kind,
+            word,
+            sentence: Headline::of(result, budget, standing).to_string(),
             validity: None,
-            next,
+            next: std::iter::once(next.to_owned()).chain(better).collect(),
         }
     }
 
-    /// The verdict without the next action, a paragraph each.
-    pub(crate) fn statement(self) -> impl Iterator<Item = String> {
-        [format!("{} {}", self.word, self.sentence)].into_iter().chain(self.validity)
+    /// The verdict in one sentence, without its word.
+    pub fn sentence(&self) -> &str {
+        &self.sentence
+    }
+
+    /// What to do next, a sentence each.
+    pub fn next(&self) -> &[String] {
+        &self.next
+    }
+
+    /// The verdict without the next action.
+    pub(crate) fn statement(&self) -> String {
+        format!("{} {}", self.word, self.sentence)
     }
 
     pub(crate) fn of_check(check: &InterimCheck) -> Self {
@@ -151,7 +141,7 @@ impl Verdict {
                 "These lengths cannot decide. Measure more poses, or state a tolerance that they can decide.",
             ),
         };
-        Self { kind, word, sentence, validity: check.validity.as_ref().map(holds), next: next.into() }
+        Self { kind, word, sentence, validity: check.validity.as_ref().map(holds), next: vec![next.into()] }
     }
 
     /// The verdict of a comparison; `changed` are the names of parameters that changed significantly.
@@ -186,7 +176,7 @@ impl Verdict {
                 word: "Unchanged.",
                 sentence: format!("Nothing changed significantly.{moved}"),
                 validity: None,
-                next: "Nothing: go on using it.".into(),
+                next: vec!["Nothing: go on using it.".into()],
             };
         }
         let exceeded = moved_mm.filter(|_| expected_mm.is_none()).zip(comparison.tolerance_mm);
@@ -199,7 +189,7 @@ impl Verdict {
                 changed => format!("Changed significantly: {}.{moved}", changed.join(", ")),
             },
             validity: None,
-            next: next.into(),
+            next: vec![next.into()],
         }
     }
 }

@@ -5,6 +5,7 @@ pub mod date;
 pub mod expansion;
 pub mod fixed_array;
 pub mod hash;
+pub mod number;
 pub mod parse;
 pub mod serialised;
 pub mod table;

@@ -9,6 +9,7 @@ pub use catalogue::ConformityFinding;
 mod budget;
 mod circles;
 mod decision;
+mod headline;
 mod interim;
 mod results;
 mod standing;
@@ -22,6 +23,7 @@ pub use circles::{
     CircleFile, ComparedCircle, StoredCircle, StoredTrace, compare_circles, unlike as unlike_circles,
 };
 pub use decision::{ConformityDecision, ConformityOutcome, DecisionRule, decide};
+pub use headline::Headline;
 pub use interim::{
     CheckInput, CheckUncertainty, InterimCheck, MAX_BALL_SHIFT_MM, MIN_DOF, own_sigma_mm, sigma_mm,
 };

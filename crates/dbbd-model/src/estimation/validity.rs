@@ -92,28 +92,38 @@ fn crossing(limit_mm: f64, now_mm: f64, expanded_mm: impl Fn(f64) -> f64) -> f64
     before
 }
 
+impl Validity {
+    /// The tool and the payload for which the calibration is valid.
+    pub fn conditions(&self) -> String {
+        let [x, y, z] = self.tool_mm;
+        let payload = match self.payload_kg {
+            Some(kg) => format!("up to {kg} kg"),
+            None => "payload not stated".into(),
+        };
+        format!("for the tool at ({x:.1}, {y:.1}, {z:.1}) mm, {payload}")
+    }
+
+    /// The day of the measurements without its time, if it is known.
+    pub fn day(&self) -> Option<&str> {
+        let measured = self.measured.as_deref()?;
+        Some(measured.get(..DAY).unwrap_or(measured))
+    }
+}
+
 impl fmt::Display for Validity {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [x, y, z] = self.tool_mm;
-        write!(out, "for the tool at ({x:.1}, {y:.1}, {z:.1}) mm")?;
-        match self.payload_kg {
-            Some(kg) => write!(out, ", up to {kg} kg")?,
-            None => write!(out, ", payload not stated")?,
-        }
+        out.write_str(&self.conditions())?;
         match (&self.until, self.months) {
             (Some(until), _) => write!(out, ", until {until}")?,
             (None, Some(months)) => write!(out, ", for {months:.1} months")?,
             (None, None) => {}
         }
         let now_mm = self.expanded_uncertainty_mm;
-        match (self.limit_mm, &self.measured) {
+        match (self.limit_mm, self.day()) {
             (Some(limit_mm), _) => {
                 write!(out, ": U = {now_mm:.2} mm (k = 2) at first, at most {limit_mm:.2} mm until then")?
             }
-            (None, Some(measured)) => {
-                let day = measured.get(..DAY).unwrap_or(measured);
-                return write!(out, ": U = {now_mm:.2} mm (k = 2) on {day}");
-            }
+            (None, Some(day)) => return write!(out, ": U = {now_mm:.2} mm (k = 2) on {day}"),
             (None, None) => return write!(out, ": U = {now_mm:.2} mm (k = 2) on the day of the measurement"),
         }
         match self.basis {

@@ -2,7 +2,7 @@
 
 use dbbd_job::request::identify;
 use dbbd_model::base::date;
-use dbbd_model::conformity::{ConformityOutcome, Standing, StatedCheck, StatedResult, standing};
+use dbbd_model::conformity::{ConformityOutcome, Headline, Standing, StatedCheck, StatedResult, standing};
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord, Severity};
 use dbbd_model::provenance::Provenance;
 use serde::de::DeserializeOwned;
@@ -435,18 +435,12 @@ fn of_result(files: &WorkFiles, result: &FoundDocument, today: &str) -> Drafted 
         .runs
         .iter()
         .find(|run| run.started.as_deref() == content["provenance"]["identity"]["measured"].as_str());
-    let until = match &standing {
-        Some(Standing::Usable { until: Some(until) } | Standing::Over { until }) => Some(until.clone()),
-        _ => None,
-    };
+    let headline = standing.as_ref().and_then(|standing| Headline::of_json(content, standing));
+    let [until, measured] = [|one: &Headline| one.until.clone(), |one: &Headline| one.measured.clone()]
+        .map(|of| headline.as_ref().and_then(of));
     let values = json!({
-        "robot": content["robot"], "measurements": content["measurements"],
-        "u_mm": content["budget"]["expanded_mm"], "k": content["budget"]["coverage_factor"],
-        "before_um": micrometres(&content["residual_mm"]["before"]["rms"]),
-        "after_um": micrometres(&content["residual_mm"]["after"]["rms"]),
-        "nominal_mm": content["predicted_position_uncertainty_mm"]["nominal"]["p95"],
-        "identified_mm": content["predicted_position_uncertainty_mm"]["identified"]["p95"],
-        "rank": content["rank"], "until": until, "run": run.map(|run| &run.name),
+        "robot": content["robot"], "measurements": content["measurements"], "headline": headline,
+        "rank": content["rank"], "until": until, "measured": measured, "run": run.map(|run| &run.name),
     });
     let mut drafted = match standing {
         Some(Standing::Usable { until: Some(_) }) => Drafted::done(StepVerdict::Pass, "result.valid", values),
@@ -464,10 +458,6 @@ fn of_result(files: &WorkFiles, result: &FoundDocument, today: &str) -> Drafted 
 
 fn recorded(finding: &Value) -> Option<FindingRecord> {
     serde_json::from_value(finding.clone()).ok()
-}
-
-fn micrometres(mm: &Value) -> Option<f64> {
-    mm.as_f64().map(|mm| 1e3 * mm)
 }
 
 fn correct(files: &WorkFiles, now: &Activity<'_>) -> Drafted {

@@ -95,10 +95,8 @@ impl Certificate {
 
     /// The verdict in the words of the report.
     fn statement(&self) -> Vec<Block> {
-        Verdict::of_calibration(&self.result, &self.budget, &self.standing())
-            .statement()
-            .map(Block::Text)
-            .collect()
+        let verdict = Verdict::of_calibration(&self.result, &self.budget, &self.standing());
+        vec![Block::Text(verdict.statement())]
     }
 
     fn object(&self) -> Vec<Fact> {
