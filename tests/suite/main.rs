@@ -97,6 +97,7 @@ mod stages_allow_every_pose;
 mod stdout_and_terminals;
 mod support;
 mod tables_as_people_have_them;
+mod ten_questions;
 mod uncertainties_hold;
 mod units_and_mixed_files;
 mod unplugged_and_back;

@@ -4,9 +4,11 @@ use std::path::Path;
 
 use crate::cli::{CommandOutput, output};
 use dbbd_job::report::Verdict;
+use dbbd_job::report::export::mastering::offsets;
 use dbbd_job::request::identify::IdentifyDocument;
+use dbbd_model::base::number::significant;
 use dbbd_model::conformity::standing;
-use dbbd_model::estimation::result::{SigmaSource, Status};
+use dbbd_model::estimation::result::{LeastCertain, SigmaSource, Status};
 use dbbd_model::estimation::{CalibrationResult, Combination, is_place, wording};
 
 /// The result on stdout; with `--verbose` what else it states on stderr.
@@ -19,6 +21,7 @@ pub(in crate::cli) fn show(out: &CommandOutput, document: &IdentifyDocument, dir
     out.result(fit(result));
     out.result(counts(result));
     monte_carlo(result).into_iter().for_each(|line| out.result(line));
+    answers(document, dir).into_iter().for_each(|line| out.detail(line));
     for lines in [search(result), groups(result), position(result), parameters(result), further(result)] {
         lines.into_iter().for_each(|line| out.detail(line));
     }
@@ -128,6 +131,67 @@ fn parameters(result: &CalibrationResult) -> Vec<String> {
         let [one, other] = worst.pair;
         let more = if others.is_empty() { "" } else { ", and others in result.json" };
         lines.push(format!("  nearly collinear: {one} and {other}, correlation {:.3}{more}", worst.r));
+    }
+    lines
+}
+
+/// What a customer asks about the result: its cost, what limits it and where, an hour more, another payload, and what the
+/// controller gets.
+fn answers(document: &IdentifyDocument, dir: &Path) -> Vec<String> {
+    let IdentifyDocument { calibration, budget, .. } = document;
+    let result = &calibration.result;
+    let mm = |value: f64| format!("{} mm", significant(value, 2));
+    let mut lines = Vec::new();
+    if let Some(effort) = &result.effort {
+        let minutes = effort.minutes.map(|minutes| format!(" in {minutes:.1} minutes"));
+        let minutes = minutes.unwrap_or_default();
+        lines.push(format!("measured: {} at {} poses{minutes}", result.made_from, effort.poses));
+    }
+    lines.extend(budget.largest().map(|line| {
+        format!(
+            "limited by {}, {} of {}; by the bar {}, by the robot and its model {}",
+            line.source.words(),
+            mm(line.position_mm.unwrap_or(0.0)),
+            mm(budget.combined_mm),
+            mm(budget.by_bar_mm()),
+            mm(budget.by_robot_mm())
+        )
+    }));
+    lines.extend(result.least_certain.map(
+        |LeastCertain { position_mm: [x, y, z], expanded_uncertainty_mm }| {
+            format!(
+                "least certain at ({x:.0}, {y:.0}, {z:.0}) mm: U = {} (k = 2)",
+                mm(expanded_uncertainty_mm)
+            )
+        },
+    ));
+    lines.extend(result.effort.and_then(|effort| effort.hour_more).map(|more| {
+        format!(
+            "an hour more of the same poses, {} measurements, leaves at most U = {} (k = 2)",
+            more.measurements,
+            mm(more.expanded_uncertainty_mm)
+        )
+    }));
+    lines.extend(result.validity.as_ref().and_then(|validity| validity.rated_payload).map(|rated| {
+        format!(
+            "with the usual payload of such an arm, {:.0} kg, which was not measured: U = {} (k = 2); `dbbd predict --payload` \
+             states it of others",
+            rated.kg,
+            mm(rated.expanded_uncertainty_mm)
+        )
+    }));
+    let zeros = offsets(result, &calibration.robot);
+    let known = zeros.iter().filter(|zero| zero.sd_deg.is_some());
+    // A zero has no minus sign.
+    let digits = |deg: f64| (1e4 * deg).round() / 1e4 + 0.0;
+    let zeros: Vec<String> =
+        known.map(|zero| format!("A{} {:+.4}", zero.axis, digits(zero.offset_deg))).collect();
+    if !zeros.is_empty() {
+        lines.push(format!(
+            "zero errors for the controller: {} deg, valid only with all parameters; `dbbd export {} --for ..` writes its files",
+            zeros.join(", "),
+            dir.display()
+        ));
     }
     lines
 }

@@ -69,6 +69,14 @@ pub enum BudgetBasis {
 }
 
 impl BudgetSource {
+    /// Whether the bar is the source, not the robot or its model.
+    pub fn is_of_bar(self) -> bool {
+        match self {
+            Self::Bar | Self::Temperature | Self::Noise => true,
+            Self::Repeatability | Self::Model | Self::Geometry => false,
+        }
+    }
+
     pub fn words(self) -> &'static str {
         match self {
             Self::Bar => "length of the bar",
@@ -109,6 +117,26 @@ impl UncertaintyBudget {
         lines.extend(scatter(found, lengths));
         lines.push(geometry(found));
         Self::with_lines(lines)
+    }
+
+    /// The line with the largest contribution to the position: what limits the result.
+    pub fn largest(&self) -> Option<&BudgetLine> {
+        let known = self.lines.iter().filter(|line| line.position_mm.is_some());
+        known.max_by(|one, other| one.position_mm.unwrap_or(0.0).total_cmp(&other.position_mm.unwrap_or(0.0)))
+    }
+
+    /// Root sum of squares of the contributions of the bar, mm.
+    pub fn by_bar_mm(&self) -> f64 {
+        self.lines
+            .iter()
+            .filter(|line| line.source.is_of_bar())
+            .filter_map(|line| line.position_mm)
+            .fold(0.0, f64::hypot)
+    }
+
+    /// Root sum of squares of the contributions of the robot and its model, mm.
+    pub fn by_robot_mm(&self) -> f64 {
+        (self.combined_mm.powi(2) - self.by_bar_mm().powi(2)).max(0.0).sqrt()
     }
 
     /// Adds the squares of the known contributions.
@@ -279,6 +307,9 @@ mod tests {
         // The squares of the contributions add up to the whole, and the coverage factor is 2.
         let budget = UncertaintyBudget::with_lines(found);
         assert!((budget.combined_mm - 2.0).abs() < 1e-12 && (budget.expanded_mm - 4.0).abs() < 1e-12);
+        // 1.2 mm are of the bar; 1.6 mm of the robot and its model, of which the model has most.
+        assert!((budget.by_bar_mm() - 1.2).abs() < 1e-12 && (budget.by_robot_mm() - 1.6).abs() < 1e-12);
+        assert_eq!(budget.largest().unwrap().source, BudgetSource::Model);
     }
 
     #[test]

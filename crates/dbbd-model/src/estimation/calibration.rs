@@ -15,7 +15,7 @@ use super::position::{ToolPoses, compressed, drawn_errors};
 use super::posterior::Posterior;
 use super::prediction::{IdentifiedPositions, Prediction, compressing_poses, drift_after, position_before};
 use super::result::{
-    BeforeAfter, CalibrationResult, CompletedCalibration, Folds, MadeFrom, MapPoint, MonteCarlo,
+    BeforeAfter, CalibrationResult, CompletedCalibration, Effort, Folds, MadeFrom, MapPoint, MonteCarlo,
     NoiseSummary, Outlier, ParameterResult, RESULT_SCHEMA, Recommendation, SigmaSource, StartRobot, Status,
 };
 use super::selection::data_sd;
@@ -279,6 +279,12 @@ impl<'a> Calibration<'a> {
             prior_scale: (!setting.options.follows_list()).then(|| estimate.tolerance_scale()),
             measurements: self.observations.count() - outliers.len(),
             made_from: MadeFrom::of(self.observations, &outliers),
+            effort: Some(Effort::of(
+                &self.observations.rows,
+                self.observations.count() - outliers.len(),
+                &prediction.map,
+                &prediction.parts,
+            )),
             rank: estimate.analysis.base.rank,
             rank_at_solution: self.rank_at_solution,
             condition: estimate.analysis.base.condition,
@@ -308,6 +314,7 @@ impl<'a> Calibration<'a> {
             monte_carlo: checks.monte_carlo,
             predicted_position_uncertainty_mm: prediction.pair,
             predicted_orientation_uncertainty_mrad: Some(prediction.orientation),
+            least_certain: MapPoint::least_certain(&prediction.map),
             validity: Validity::of(
                 &robot,
                 setting.options.tolerance_mm.map(ValidityLimit::Tolerance),

@@ -18,6 +18,7 @@ mod contradiction;
 mod design_prediction;
 mod difference;
 mod distance;
+mod effort;
 mod estimator;
 mod evidence;
 pub mod expected;

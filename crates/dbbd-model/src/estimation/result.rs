@@ -14,6 +14,7 @@ use super::{Combination, Correlation, DistanceQuantities, ErrorSummary, Observab
 use crate::base::serialised::Seal;
 use crate::diagnostic::{Diagnostic, RecordedFinding, Severity};
 use crate::estimation::ResultFinding;
+use crate::math::distributions::COVERAGE_FACTOR;
 use crate::measurement::{LengthModel, Measurement, Measurements, PreparedMeasurement};
 use crate::robot::{AXES, BallId, ParamId, ParamUnit, Robot};
 
@@ -37,6 +38,9 @@ pub struct CalibrationResult {
     /// Number of used measurements; a position counts once.
     pub measurements: usize,
     pub made_from: MadeFrom,
+    /// What the measurements cost; absent in results of earlier versions, as `least_certain`.
+    #[serde(default)]
+    pub effort: Option<Effort>,
     /// Rank of the scaled Jacobian of the parameters asked for, at the nominal geometry with the fitted set-up.
     pub rank: usize,
     pub rank_at_solution: usize,
@@ -71,6 +75,9 @@ pub struct CalibrationResult {
     /// versions.
     #[serde(default)]
     pub predicted_orientation_uncertainty_mrad: Option<PredictedPair>,
+    /// Where the tool ball is least certain.
+    #[serde(default)]
+    pub least_certain: Option<LeastCertain>,
     /// For which tool, payload and time the result holds.
     pub validity: Option<Validity>,
     /// Every parameter of the model.
@@ -316,6 +323,48 @@ pub struct Validity {
     /// The day on which the validity ends, if there is a limit and the day of the measurements is known.
     pub until: Option<String>,
     pub basis: DriftBasis,
+    /// The same day's expanded uncertainty with the payload for which such an arm is made, if that was not measured. Absent in
+    /// results of earlier versions.
+    #[serde(default)]
+    pub rated_payload: Option<PayloadUncertainty>,
+}
+
+/// The expanded uncertainty with a payload that the robot did not carry when it was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PayloadUncertainty {
+    /// Mass of the payload.
+    pub kg: f64,
+    /// U (k = 2), as [`Validity::expanded_uncertainty_mm`].
+    pub expanded_uncertainty_mm: f64,
+}
+
+/// What the measurements cost.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Effort {
+    /// Poses one after the other; those that are visited again count again.
+    pub poses: usize,
+    /// From the first to the last pose of each run, in sum; `None` if no times are known.
+    pub minutes: Option<f64>,
+    /// What an hour more of the same poses would give.
+    pub hour_more: Option<MoreOfTheSame>,
+}
+
+/// The prediction for more measurements of the same poses.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MoreOfTheSame {
+    /// Number of further measurements.
+    pub measurements: usize,
+    /// An upper bound of the expanded uncertainty (k = 2) with them, mm.
+    pub expanded_uncertainty_mm: f64,
+}
+
+/// The place of the workspace with the largest predicted position uncertainty.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LeastCertain {
+    /// The tool ball in the robot base, mm.
+    pub position_mm: [f64; 3],
+    /// Expanded uncertainty there (k = 2): twice the root of the mean square of the 3-D error, mm.
+    pub expanded_uncertainty_mm: f64,
 }
 
 /// The source of the drift of a robot.
@@ -343,6 +392,15 @@ impl MapPoint {
         let point =
             |(pose, position): (usize, &Vector3<f64>)| Self { position: *position, rms_mm: rms(pose) };
         places.iter().enumerate().map(point).collect()
+    }
+
+    /// The point with the largest uncertainty.
+    pub fn least_certain(map: &[Self]) -> Option<LeastCertain> {
+        let worst = map.iter().max_by(|one, other| one.rms_mm.total_cmp(&other.rms_mm))?;
+        Some(LeastCertain {
+            position_mm: worst.position.into(),
+            expanded_uncertainty_mm: COVERAGE_FACTOR * worst.rms_mm,
+        })
     }
 
     /// Root mean square over all points of a map, mm.

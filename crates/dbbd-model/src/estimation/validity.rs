@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::result::{DriftBasis, MapPoint, Validity};
+use super::result::{DriftBasis, MapPoint, PayloadUncertainty, Validity};
 use super::{Positions, Workspace};
 use crate::base::date;
 use crate::math::distributions::COVERAGE_FACTOR;
@@ -71,9 +71,27 @@ impl Validity {
             limit_mm,
             months,
             until,
+            rated_payload: rated_payload(robot).map(|(rated, kg)| {
+                let by_payload = mean_square(&rated) - known;
+                let square = today + by_payload.max(0.0);
+                PayloadUncertainty { kg, expanded_uncertainty_mm: COVERAGE_FACTOR * square.sqrt() }
+            }),
             basis: if robot.drift.has_history() { DriftBasis::History } else { DriftBasis::HyperPrior },
         })
     }
+}
+
+/// The robot with the payload for which such an arm is made, and its mass, kg; `None` if it carried as much when it was measured.
+fn rated_payload(robot: &Robot) -> Option<(Robot, f64)> {
+    let load = &robot.geometry.load;
+    let rated = load.rated(&robot.geometry.rows);
+    let has_carried = |payload: &Payload| payload.is_measured && payload.kg >= rated.kg;
+    if load.payloads.iter().any(has_carried) {
+        return None;
+    }
+    let (mut robot, kg) = (robot.clone(), rated.kg);
+    robot.geometry.load.payloads.insert(0, rated);
+    Some((robot, kg))
 }
 
 /// The months until a growing uncertainty reaches a limit, at most [`Validity::LONGEST_MONTHS`].
