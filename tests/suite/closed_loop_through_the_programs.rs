@@ -135,7 +135,7 @@ fn one_robot_is_more_accurate_after_correction() {
         corrected["predicted_position_uncertainty_mm"]["after"]["mean"].as_f64().unwrap()
     };
     let [program, workspace, table] = ["program", "workspace", "poses.csv"].map(in_datum);
-    assert!(program == predicted[1] && workspace > 1.2 * program, "{program} {workspace}");
+    assert!(program >= predicted[1] && workspace > 1.2 * program, "{program} {workspace}");
     // The same poses, with the digits of a table.
     assert!((table / workspace - 1.0).abs() < 1e-6, "{table} {workspace}");
 }
