@@ -1,9 +1,9 @@
 //! The shortest run that reaches a goal: about which balls, with which bar, with how many poses.
 //!
 //! A search compares bars and sets of balls by the root mean square of the position error that poses about them leave, with the usual
-//! errors of joints ([`GoalSearch`]). What a plan leaves is then taken from robots that are drawn from what is known, as an
+//! errors of joints (`search.rs`). What a plan leaves is then taken from robots that are drawn from what is known, as an
 //! identification would find them: the goal is reached if 90 % of them keep it. How the two depend on each other is learnt from the runs
-//! that were judged ([`KeptErrors`]), until a plan and its goal agree.
+//! that were judged (`kept.rs`), until a plan and its goal agree.
 
 mod kept;
 mod limits;
