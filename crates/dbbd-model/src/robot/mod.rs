@@ -26,13 +26,14 @@ mod months;
 pub mod parameter;
 pub mod pose;
 mod posterior;
+mod tolerance;
 mod uncertainty;
 
 pub(crate) use chain::{AxesAtPose, FurtherColumns, KinematicChain, TrackerPlane};
 pub use chain::{JointSinCos, LengthRow};
 pub use controller::ControllerModel;
 pub use coupling::{CoupledAxis, Coupling};
-pub use definition::{LoadedRobot, Robot, Tolerance};
+pub use definition::{LoadedRobot, Robot};
 pub use dh_row::DhRow;
 pub use drift::{Drift, MeasurementConditions, ZeroSteps};
 pub use ids::{
@@ -50,6 +51,7 @@ pub(crate) use months::season_k;
 pub use parameter::{ParamGroup, ParamId, ParamOwner, ParamUnit, PriorRule};
 pub use pose::Pose;
 pub use posterior::RobotPosterior;
+pub use tolerance::Tolerance;
 pub use uncertainty::{GaussianProcess, RobotUncertainty};
 
 /// Number of axes of a robot.

@@ -4,8 +4,8 @@
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::definition::Tolerance;
 use super::posterior::with_steps;
+use super::tolerance::Tolerance;
 use super::{AXES, Geometry, Joint, ParamId};
 use crate::base::fixed_array::fixed_array;
 
