@@ -259,15 +259,21 @@ fn lengths_of_a_corrected_program_are_no_change() {
     };
     let corrected = of_nominal(1.0, &mut random);
     let too_far_off = of_nominal(3.0, &mut random);
-    let changed = Drawn::new(&bench, &[("theta2".parse().unwrap(), 2e-3)], &mut random).readings;
-    for (readings, was_corrected) in [(corrected, true), (too_far_off, false), (changed, false)] {
+    let changed = Drawn::new(&bench, &[("theta2".parse().unwrap(), 4e-3)], &mut random).readings;
+    // Lengths that scatter about the nominal robot do not show how far off a changed one is.
+    let [undecided, fail] = [ConformityOutcome::Undecided, ConformityOutcome::Fail];
+    let cases = [
+        (corrected, true, &[undecided][..]),
+        (too_far_off, false, &[undecided, fail]),
+        (changed, false, &[fail]),
+    ];
+    for (readings, was_corrected, outcomes) in cases {
         let input = CheckInput { tolerance_mm: Some(1.0), ..bench.input(&readings) };
         let found = input.check().unwrap();
         assert!(found.test.changed, "{:?}", found.test);
         let is_named = found.findings.iter().any(|finding| finding.code().as_str() == "W1925");
         assert_eq!(is_named, was_corrected, "{:?}", found.findings);
-        let outcome = if was_corrected { ConformityOutcome::Undecided } else { ConformityOutcome::Fail };
-        assert_eq!(found.decision.decision, outcome);
+        assert!(outcomes.contains(&found.decision.decision), "{:?}", found.decision);
         assert!(!was_corrected || found.changes.is_empty() && found.update().is_none());
     }
 }
@@ -305,7 +311,8 @@ fn a_moved_ball_is_found_if_it_was_kept() {
     assert!(now_mm < 1.2 * before_mm, "{now_mm} {before_mm}");
 }
 
-/// Another tool ball, 0.7 mm from where it is stated: the lengths place it, and the position of the robot is known as before.
+/// Another tool ball, 0.7 mm from where it is stated: the lengths place it, and the position of the robot is known as before. Of twelve
+/// checks with 1 % of false alarms two would have one with a probability of 0.6 %.
 #[test]
 fn the_place_of_another_tool_ball_is_no_error_of_the_robot() {
     let other = [80.0, -30.0, 60.0];
@@ -314,11 +321,19 @@ fn the_place_of_another_tool_ball_is_no_error_of_the_robot() {
     bench.start.geometry.tool = other.into();
     let ids = Coordinate::ALL.map(ParamId::Tool);
     let change: Vec<(ParamId, f64)> = ids.into_iter().zip([0.4, -0.4, 0.4]).collect();
-    let drawn = Drawn::new(&bench, &change, &mut Pcg64::seed_from_u64(8));
-    let found = bench.input(&drawn.readings).check().unwrap();
-    assert!(!found.test.changed, "{:?}", found.test);
-    let CheckUncertainty { calibrated, now, .. } = found.predicted_position_uncertainty_mm;
-    assert!(now.p95 < 1.2 * calibrated.p95, "{now:?} {calibrated:?}");
+    let (mut false_alarms, mut now_mm, mut calibrated_mm) = (0, 0.0, 0.0);
+    for seed in 1..=12 {
+        let drawn = Drawn::new(&bench, &change, &mut Pcg64::seed_from_u64(seed));
+        let found = bench.input(&drawn.readings).check().unwrap();
+        if found.test.changed {
+            false_alarms += 1;
+        }
+        let CheckUncertainty { calibrated, now, .. } = found.predicted_position_uncertainty_mm;
+        now_mm += now.p95;
+        calibrated_mm += calibrated.p95;
+    }
+    assert!(false_alarms <= 1, "{false_alarms}");
+    assert!(now_mm < 1.2 * calibrated_mm, "{now_mm} {calibrated_mm}");
 }
 
 /// A change as the hypotheses of a check have them before the lengths: none, one, or two.
