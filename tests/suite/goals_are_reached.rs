@@ -70,9 +70,9 @@ fn cell(job: Job, robot: &Robot) -> Result<KnownCell, Diagnostic> {
 
 /// The plan of a job with a goal, or the codes of its refusal.
 fn planned(job: &Job, robot: &Robot) -> Result<Plan, Vec<String>> {
-    let standing = cell(job.clone(), robot).unwrap();
+    let mounted = cell(job.clone(), robot).unwrap();
     let goal = job.goal.as_ref().unwrap();
-    let found = plan_for_goal(goal, &standing, &|job| cell(job, robot));
+    let found = plan_for_goal(goal, &mounted, &|job| cell(job, robot));
     found.map(|(plan, _)| plan).map_err(|refusal| refusal.printed().map(|one| one.to_string()).collect())
 }
 
@@ -133,6 +133,18 @@ fn a_wish_becomes_a_plan_or_a_reason() {
         stderr(&small)
     );
     assert!(!dir.join("small.toml.plan").exists());
+    // What is wrong is said of what is wrong.
+    let near = "[[900.0, -300.0, 500.0], [1500.0, 300.0, 1100.0]]";
+    let far = plan("far.toml", &WISH.replace(near, "[[9000.0, -300.0, 500.0], [9500.0, 300.0, 1100.0]]"));
+    assert_eq!(far.status.code(), Some(1));
+    assert!(stderr(&far).contains("no pose with the tool in `region_mm`"), "{}", stderr(&far));
+    let stage = dbbd(dir, &["plan", "wish.toml", "--stage", "20", "--out", "stage"]);
+    assert_eq!(
+        (stage.status.code(), codes(&stage)),
+        (Some(1), vec!["E0603".to_owned()]),
+        "{}",
+        stderr(&stage)
+    );
     let short = plan(
         "short.toml",
         &WISH.replace(

@@ -48,12 +48,12 @@ const QUESTIONS: [Question; 10] = [
     Question {
         asks: "where is it bad?",
         values: &[
-            "/least_certain/position_mm/0",
-            "/least_certain/position_mm/1",
-            "/least_certain/position_mm/2",
-            "/least_certain/expanded_uncertainty_mm",
+            "/max_uncertainty/position_mm/0",
+            "/max_uncertainty/position_mm/1",
+            "/max_uncertainty/position_mm/2",
+            "/max_uncertainty/expanded_uncertainty_mm",
         ],
-        line: "least certain at ",
+        line: "largest uncertainty at ",
     },
     // Bar: its length, temperature and noise; the rest is the robot and its model.
     Question { asks: "is it the bar or the robot?", values: &["/budget/combined_mm"], line: "limited by " },

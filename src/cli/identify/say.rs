@@ -8,7 +8,7 @@ use dbbd_job::report::export::mastering::offsets;
 use dbbd_job::request::identify::IdentifyDocument;
 use dbbd_model::base::number::significant;
 use dbbd_model::conformity::standing;
-use dbbd_model::estimation::result::{LeastCertain, SigmaSource, Status};
+use dbbd_model::estimation::result::{MaxUncertainty, SigmaSource, Status};
 use dbbd_model::estimation::{CalibrationResult, Combination, is_place, wording};
 
 /// The result on stdout; with `--verbose` what else it states on stderr.
@@ -157,10 +157,10 @@ fn answers(document: &IdentifyDocument, dir: &Path) -> Vec<String> {
             mm(budget.by_robot_mm())
         )
     }));
-    lines.extend(result.least_certain.map(
-        |LeastCertain { position_mm: [x, y, z], expanded_uncertainty_mm }| {
+    lines.extend(result.max_uncertainty.map(
+        |MaxUncertainty { position_mm: [x, y, z], expanded_uncertainty_mm }| {
             format!(
-                "least certain at ({x:.0}, {y:.0}, {z:.0}) mm: U = {} (k = 2)",
+                "largest uncertainty at ({x:.0}, {y:.0}, {z:.0}) mm: U = {} (k = 2)",
                 mm(expanded_uncertainty_mm)
             )
         },

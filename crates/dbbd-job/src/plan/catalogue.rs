@@ -121,7 +121,8 @@ findings! {
         E0750 "a goal is not reached",
         cause: "The position error that 90 % of the robots would keep after the best run of the search is greater than the goal, it takes longer than `minutes`, or no ball at a [[place]] is in reach.",
         cure: "State more places and bars, a better certificate, more minutes, or a greater goal. I0751 says what limits it." {
-            GoalTooSmall { goal_mm: f64, of: &'static str, least_mm: f64, minutes: f64, poses: usize, balls: usize, bar_mm: f64 } => "the goal of {goal_mm} mm ({of}) is not reached: the best run, {poses} poses about {balls} ball(s) with a bar of {bar_mm} mm in {minutes:.0} min, leaves {least_mm:.3} mm";
+            GoalNotReached { goal_mm: f64, of: &'static str, best_mm: f64, minutes: f64, poses: usize, balls: usize, bar_mm: f64 } => "the goal of {goal_mm} mm ({of}) is not reached: the best run, {poses} poses about {balls} ball(s) with a bar of {bar_mm} mm in {minutes:.0} min, leaves {best_mm:.3} mm";
+            NoPoseOfRegion => "no pose with the tool in `region_mm` is within the limits of the axes", help: "region_mm is in the robot base, mm, and the tool points down within 45 degrees";
             NoPlaceForBall => "at no [[centre]] and [[place]] has a ball enough poses within the limits";
             NoTimeForPoses => "`minutes` do not suffice to mount a bar and a ball and to measure 12 poses";
         }

@@ -43,9 +43,9 @@ impl Placement<'_> {
         Some(exchange.rms_error_mm()).filter(|error| error.is_finite())
     }
 
-    /// The poses about these places as they are chosen one after the other, at most `most` and until they leave `enough_mm`, by their
+    /// The poses about these places as they are chosen one after the other, at most `max` and until they leave `enough_mm`, by their
     /// number among the poses of all places, with the root mean square of the position error after each, mm.
-    pub fn chosen(&self, places: &[&BallPlace], most: usize, enough_mm: f64) -> (Vec<usize>, Vec<f64>) {
+    pub fn chosen(&self, places: &[&BallPlace], max: usize, enough_mm: f64) -> (Vec<usize>, Vec<f64>) {
         let (rows, errors) = self.rows(places);
         let mut exchange = Exchange::new(&rows, &errors);
         // The first poses about a ball only show where the ball is.
@@ -59,7 +59,7 @@ impl Placement<'_> {
             (exchange.chosen().len() == count).then(|| exchange.rms_error_mm())
         };
         let mut errors_mm = Vec::new();
-        for error in (1..=most).map_while(error_with).take_while(|error| error.is_finite()) {
+        for error in (1..=max).map_while(error_with).take_while(|error| error.is_finite()) {
             errors_mm.push(error);
             if error <= enough_mm {
                 break;
@@ -114,13 +114,13 @@ pub struct PlacedBalls {
 }
 
 impl PlacedBalls {
-    /// The least number of poses that leave at most this error.
+    /// The smallest number of poses that leave at most this error.
     pub fn poses_for(&self, error_mm: f64) -> Option<usize> {
         self.errors_mm.iter().position(|error| *error <= error_mm).map(|at| at + 1)
     }
 
-    /// The least error that is left, mm.
-    pub fn least_mm(&self) -> f64 {
+    /// The smallest error that is left, mm.
+    pub fn min_error_mm(&self) -> f64 {
         self.errors_mm.iter().copied().fold(f64::INFINITY, f64::min)
     }
 }
@@ -131,10 +131,10 @@ pub struct PlacementSearch<'a> {
     pub places: &'a [BallPlace],
     /// This many of the first places have a ball already.
     pub given: usize,
-    /// Most balls of a run.
-    pub most_balls: usize,
-    /// Most poses of a run.
-    pub most_poses: usize,
+    /// Largest number of balls of a run.
+    pub max_balls: usize,
+    /// Largest number of poses of a run.
+    pub max_poses: usize,
     /// Root mean square of the position error that is better than any goal, mm.
     pub enough_mm: f64,
     pub prices: RunPrices,
@@ -155,7 +155,7 @@ impl PlacementSearch<'_> {
         if self.given > 0 {
             found.extend(self.tried(&smaller));
         }
-        while smaller.first().is_some_and(|set| set.len() < self.most_balls) {
+        while smaller.first().is_some_and(|set| set.len() < self.max_balls) {
             let mut larger: Vec<Vec<usize>> =
                 smaller.iter().flat_map(|set| self.with_one_more(set)).collect();
             larger.sort();
@@ -183,7 +183,7 @@ impl PlacementSearch<'_> {
     fn tried(&self, sets: &[Vec<usize>]) -> Vec<PlacedBalls> {
         let tried = |set: &Vec<usize>| {
             let places: Vec<&BallPlace> = set.iter().filter_map(|at| self.places.get(*at)).collect();
-            let (chosen, errors_mm) = self.placement.chosen(&places, self.most_poses, self.enough_mm);
+            let (chosen, errors_mm) = self.placement.chosen(&places, self.max_poses, self.enough_mm);
             PlacedBalls { places: set.clone(), chosen, errors_mm }
         };
         map_items(sets, tried)
@@ -194,7 +194,7 @@ impl PlacementSearch<'_> {
         match set.poses_for(error_mm) {
             Some(poses) => self.prices.time_s(set.places.len() - self.given, poses),
             None => {
-                self.prices.time_s(self.places.len(), self.most_poses) * (1.0 + set.least_mm() / error_mm)
+                self.prices.time_s(self.places.len(), self.max_poses) * (1.0 + set.min_error_mm() / error_mm)
             }
         }
     }
@@ -286,8 +286,8 @@ mod tests {
             placement: Placement { prior: &prior, errors: &errors, sigma_mm: SIGMA_MM },
             places: &places,
             given: 0,
-            most_balls: 3,
-            most_poses: 80,
+            max_balls: 3,
+            max_poses: 80,
             enough_mm: 0.0,
             prices: PRICES,
         };
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn balls_that_stand_belong_to_every_set_and_cost_nothing() {
+    fn mounted_balls_belong_to_every_set_and_cost_nothing() {
         let robot = kr60();
         let at = [[1500.0, 0.0, 800.0], [300.0, 1300.0, 500.0], [200.0, -1200.0, 1500.0]];
         let places = at.map(|position| place(&robot, position, 6));
@@ -325,8 +325,8 @@ mod tests {
             placement: Placement { prior: &prior, errors: &errors, sigma_mm: SIGMA_MM },
             places: &places,
             given: 1,
-            most_balls: 2,
-            most_poses: 6,
+            max_balls: 2,
+            max_poses: 6,
             enough_mm: 0.0,
             prices: PRICES,
         };

@@ -314,7 +314,7 @@ impl<'a> Calibration<'a> {
             monte_carlo: checks.monte_carlo,
             predicted_position_uncertainty_mm: prediction.pair,
             predicted_orientation_uncertainty_mrad: Some(prediction.orientation),
-            least_certain: MapPoint::least_certain(&prediction.map),
+            max_uncertainty: MapPoint::max_uncertainty(&prediction.map),
             validity: Validity::of(
                 &robot,
                 setting.options.tolerance_mm.map(ValidityLimit::Tolerance),

@@ -313,6 +313,9 @@ fn from_start(
     }
 }
 
+/// Groups whose standard deviations are multiples of what is stated.
+const AS_STATED: [Group; 2] = [Group::Tolerance, Group::Tool];
+
 /// The variances with which an estimate is expected.
 pub(super) enum ForecastVariances<'a> {
     /// Those that were found before.
@@ -360,24 +363,23 @@ fn forecast_from(
     let unknowns = Unknowns::new(known, model, used, setting.options.seeks_joint_errors());
     let mut search = Search::new(&unknowns, used, model.clone(), None);
     let priors = HyperPrior::all(lengths.repeatability_mm.unwrap_or(USUAL_SIGMA_MM));
+    // The maker's tolerance and the tool ball are as stated until lengths contradict them.
+    let as_stated = |hypers: Hypers| {
+        hypers.with_sigma(priors[SIGMA].median).with_groups(AS_STATED.map(|group| (group, 1.0)))
+    };
     match variances {
         ForecastVariances::Found(before) => {
             search.state.hypers = before.cautious.with_sigma(before.hypers.sigma_mm());
             search.state.shape = before.shape;
         }
         ForecastVariances::Expected => {
-            search.state.hypers = search.state.hypers.with_sigma(priors[SIGMA].median);
+            search.state.hypers = as_stated(search.state.hypers);
             search.ln_sd = priors.map(|prior| prior.ln_sd);
-            // The maker's tolerance and the tool ball are as stated until lengths contradict them.
-            for group in [Group::Tolerance, Group::Tool] {
-                search.ln_sd[group as usize] = 0.0;
-            }
+            AS_STATED.into_iter().for_each(|group| search.ln_sd[group as usize] = 0.0);
         }
         ForecastVariances::Drawn(seed) => {
             let mut random = Pcg64::seed_from_u64(seed);
-            let drawn = Hypers::drawn(&priors, || StandardNormal.sample(&mut random));
-            let stated = [Group::Tolerance, Group::Tool].map(|group| (group, search.state.hypers.sd(group)));
-            search.state.hypers = drawn.with_sigma(priors[SIGMA].median).with_sds(stated);
+            search.state.hypers = as_stated(Hypers::drawn(&priors, || StandardNormal.sample(&mut random)));
         }
     }
     let SearchState { model, hypers, .. } = &mut search.state;

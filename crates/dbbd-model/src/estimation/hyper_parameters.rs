@@ -161,7 +161,8 @@ impl Hypers {
         self
     }
 
-    pub(super) fn with_sds(mut self, sds: impl IntoIterator<Item = (Group, f64)>) -> Self {
+    /// With these standard deviations of groups, in their units.
+    pub(super) fn with_groups(mut self, sds: impl IntoIterator<Item = (Group, f64)>) -> Self {
         sds.into_iter().for_each(|(group, sd)| self.0[group as usize] = sd.ln());
         self
     }

@@ -172,18 +172,7 @@ pub fn of_maker(robot: &Robot, axes: &[[f64; AXES]]) -> ErrorSummary {
 /// user gave a list of parameters, there are no errors of joints, neither before nor after the estimate.
 fn with_usual_joint_errors(ids: &[ParamId], root: &DMatrix<f64>, has_errors: bool) -> RobotUncertainty {
     if !has_errors {
-        return RobotUncertainty {
-            parameters: ids.to_vec(),
-            root: root.clone(),
-            pose_mm: 0.0,
-            shared_mm: None,
-            unexplained_mm: 0.0,
-            degrees_of_freedom: None,
-            smooth: Vec::new(),
-            smooth_of_joints: [1.0; AXES],
-            scatter_rad: [0.0; AXES],
-            unapproached_rad: [0.0; AXES],
-        };
+        return RobotUncertainty::of_root(ids.to_vec(), root.clone());
     }
     let (usual, own) = (Hypers::usual(), ids.len());
     let harmonics: Vec<ParamId> = parameter::gear().collect();
@@ -191,16 +180,10 @@ fn with_usual_joint_errors(ids: &[ParamId], root: &DMatrix<f64>, has_errors: boo
     let mut whole = root.clone().resize(all, all, 0.0);
     (own..all).for_each(|at| whole[(at, at)] = usual.sd(Group::Harmonic));
     RobotUncertainty {
-        parameters: [ids, &harmonics].concat(),
-        root: whole,
-        pose_mm: 0.0,
-        shared_mm: None,
-        unexplained_mm: 0.0,
-        degrees_of_freedom: None,
         smooth: usual.processes().to_vec(),
         smooth_of_joints: usual.of_joints(),
-        scatter_rad: [0.0; AXES],
         unapproached_rad: [usual.sd(Group::Backlash); AXES],
+        ..RobotUncertainty::of_root([ids, &harmonics].concat(), whole)
     }
 }
 

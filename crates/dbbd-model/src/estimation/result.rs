@@ -38,7 +38,7 @@ pub struct CalibrationResult {
     /// Number of used measurements; a position counts once.
     pub measurements: usize,
     pub made_from: MadeFrom,
-    /// What the measurements cost; absent in results of earlier versions, as `least_certain`.
+    /// What the measurements cost; absent in results of earlier versions, as `max_uncertainty`.
     #[serde(default)]
     pub effort: Option<Effort>,
     /// Rank of the scaled Jacobian of the parameters asked for, at the nominal geometry with the fitted set-up.
@@ -75,9 +75,9 @@ pub struct CalibrationResult {
     /// versions.
     #[serde(default)]
     pub predicted_orientation_uncertainty_mrad: Option<PredictedPair>,
-    /// Where the tool ball is least certain.
+    /// Where the uncertainty of the tool ball is largest.
     #[serde(default)]
-    pub least_certain: Option<LeastCertain>,
+    pub max_uncertainty: Option<MaxUncertainty>,
     /// For which tool, payload and time the result holds.
     pub validity: Option<Validity>,
     /// Every parameter of the model.
@@ -360,7 +360,7 @@ pub struct MoreOfTheSame {
 
 /// The place of the workspace with the largest predicted position uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct LeastCertain {
+pub struct MaxUncertainty {
     /// The tool ball in the robot base, mm.
     pub position_mm: [f64; 3],
     /// Expanded uncertainty there (k = 2): twice the root of the mean square of the 3-D error, mm.
@@ -395,9 +395,9 @@ impl MapPoint {
     }
 
     /// The point with the largest uncertainty.
-    pub fn least_certain(map: &[Self]) -> Option<LeastCertain> {
+    pub fn max_uncertainty(map: &[Self]) -> Option<MaxUncertainty> {
         let worst = map.iter().max_by(|one, other| one.rms_mm.total_cmp(&other.rms_mm))?;
-        Some(LeastCertain {
+        Some(MaxUncertainty {
             position_mm: worst.position.into(),
             expanded_uncertainty_mm: COVERAGE_FACTOR * worst.rms_mm,
         })

@@ -247,16 +247,8 @@ impl Robot {
     fn rigid_uncertainty(&self, parameters: Vec<ParamId>, known: &DMatrix<f64>) -> RobotUncertainty {
         let rows = known.nrows() + self.geometry.joint_errors.count();
         RobotUncertainty {
-            parameters,
-            root: known.clone().resize_vertically(rows, 0.0),
             pose_mm: self.repeatability_sd_mm().unwrap_or(0.0),
-            shared_mm: None,
-            unexplained_mm: 0.0,
-            degrees_of_freedom: None,
-            smooth: Vec::new(),
-            smooth_of_joints: [1.0; AXES],
-            scatter_rad: [0.0; AXES],
-            unapproached_rad: [0.0; AXES],
+            ..RobotUncertainty::of_root(parameters, known.clone().resize_vertically(rows, 0.0))
         }
     }
 

@@ -76,6 +76,22 @@ impl RobotUncertainty {
         std::array::from_fn(|joint| self.scatter_rad[joint].hypot(of_sense(joint)))
     }
 
+    /// Parameters with this root of their covariance, and nothing else that is unknown.
+    pub(crate) fn of_root(parameters: Vec<ParamId>, root: DMatrix<f64>) -> Self {
+        Self {
+            parameters,
+            root,
+            pose_mm: 0.0,
+            shared_mm: None,
+            unexplained_mm: 0.0,
+            degrees_of_freedom: None,
+            smooth: Vec::new(),
+            smooth_of_joints: [1.0; AXES],
+            scatter_rad: [0.0; AXES],
+            unapproached_rad: [0.0; AXES],
+        }
+    }
+
     /// The uncertainty without its root: what it says of a single pose.
     pub(crate) fn rootless(&self) -> Self {
         Self { parameters: Vec::new(), smooth: self.smooth.clone(), root: DMatrix::zeros(0, 0), ..*self }
@@ -183,18 +199,7 @@ mod tests {
         let parameters = vec![ParamId::D(Joint::J6), ParamId::Tool(Coordinate::Z)];
         // What the sum leaves open: flange and ball move against each other.
         let open = (p * p * (1.0 - g)).sqrt();
-        let unknown = RobotUncertainty {
-            parameters,
-            root: DMatrix::from_row_slice(2, 1, &[open, -open]),
-            pose_mm: 0.0,
-            shared_mm: None,
-            unexplained_mm: 0.0,
-            degrees_of_freedom: None,
-            smooth: Vec::new(),
-            smooth_of_joints: [1.0; AXES],
-            scatter_rad: [0.0; AXES],
-            unapproached_rad: [0.0; AXES],
-        };
+        let unknown = RobotUncertainty::of_root(parameters, DMatrix::from_row_slice(2, 1, &[open, -open]));
         let variance =
             |tolerance: Tolerance| unknown.clone().at_exact_tool(&tolerance).root.row(0).norm_squared();
         let expected = (1.0 - g).powi(2) * t * t + g * g * b * b;
@@ -217,16 +222,9 @@ mod tests {
             assert!((found / expected - 1.0).abs() < 1e-9, "{frequency}: {found}");
         }
         let unknown = RobotUncertainty {
-            pose_mm: 0.0,
-            shared_mm: None,
-            unexplained_mm: 0.0,
-            degrees_of_freedom: None,
             smooth: vec![process, GaussianProcess { sd_rad: 0.1, ..process }],
             smooth_of_joints: [1.0, 2.0, 1.0, 1.0, 1.0, 1.0],
-            scatter_rad: [0.0; AXES],
-            unapproached_rad: [0.0; AXES],
-            parameters: Vec::new(),
-            root: DMatrix::zeros(0, 0),
+            ..RobotUncertainty::of_root(Vec::new(), DMatrix::zeros(0, 0))
         };
         assert!((unknown.smooth_variance(Joint::J1) - 0.5).abs() < 1e-15);
         let sum = process.spectral_density(2.0) * (1.0 + 1.0 / 49.0);

@@ -1,6 +1,7 @@
 //! What limits a goal: the sources of the uncertainty that is left.
 
 use crate::plan::prior::KnownCell;
+use dbbd_model::estimation::Priors;
 use dbbd_model::robot::Tolerance;
 
 /// A source of the uncertainty that is left after a run.
@@ -34,7 +35,7 @@ impl GoalLimit {
         let bar = &mut cell.job.bar;
         match self {
             Self::Scatter => bar.sigma_um *= REST,
-            Self::Bar => bar.length_u_mm = Some(REST * 2.0 * bar.u_mm().unwrap_or(UNCERTIFIED_MM)),
+            Self::Bar => bar.length_u_mm = Some(REST * 2.0 * Priors::certified_bar_mm(bar.u_mm())),
             Self::ToolBall | Self::Flange | Self::Load => {}
         }
         let KnownCell { robot, .. } = &mut cell;
@@ -59,6 +60,3 @@ impl GoalLimit {
         cell
     }
 }
-
-/// A bar without a certificate is known to this, mm.
-const UNCERTIFIED_MM: f64 = 0.1;

@@ -27,7 +27,7 @@ use dbbd_model::measurement::Measurement;
 /// The share of the drawn robots that keep the goal.
 const SHARE: f64 = 0.9;
 /// Kinds of robots that are drawn: each has variances of its own, and is drawn a hundred times.
-const KINDS: u64 = 24;
+const ROBOT_KINDS: u64 = 24;
 /// Poses of each tool over which the error of a plan is taken.
 const GOAL_POSES: usize = 300;
 /// Plans that are made until one reaches the goal without being much better.
@@ -37,7 +37,7 @@ const MUCH_BETTER: f64 = 0.93;
 /// A source of uncertainty without which more than this share is left does not limit a goal.
 const LIMITS: f64 = 0.97;
 /// Runs of a class that are judged by the poses of the search before a plan is made.
-const SKETCHES: usize = 4;
+const MAX_JUDGED: usize = 4;
 
 /// What is known of the cell of a job.
 type CellOfJob<'a> = dyn Fn(Job) -> Result<KnownCell, Diagnostic> + 'a;
@@ -49,17 +49,20 @@ struct GoalPlan {
     outcome: GoalOutcome,
 }
 
-/// The shortest plan that reaches a goal, with its cell. `standing` is the cell with the balls that stand already, `cell` returns what is
+/// The shortest plan that reaches a goal, with its cell. `mounted` is the cell with the balls that are mounted already, `cell` returns what is
 /// known of a job with further balls.
 ///
 /// # Errors
 /// The goal is below what any run reaches, or takes longer than the time that is available; or the plans are refused.
 pub fn plan_for_goal(
     goal: &GoalTable,
-    standing: &KnownCell,
+    mounted: &KnownCell,
     cell: &CellOfJob<'_>,
 ) -> Result<(Plan, KnownCell), Refusal> {
-    let search = GoalSearch::new(&standing.job, goal, &standing.robot, &standing.prior);
+    if goal_poses(&mounted.job, &mounted.robot, GOAL_POSES).iter().any(|tool| tool.poses.is_empty()) {
+        return Err(Diagnostic::from(PlanFinding::NoPoseOfRegion).into());
+    }
+    let search = GoalSearch::new(&mounted.job, goal, &mounted.robot, &mounted.prior);
     GoalPlanner { goal, search, cell }.plan()
 }
 
@@ -74,7 +77,7 @@ impl GoalPlanner<'_> {
         if self.search.best_in(None, |_| true).is_none() {
             return Err(Diagnostic::from(PlanFinding::NoPlaceForBall).into());
         }
-        let mut judged = self.sketches()?;
+        let mut judged = self.judged_runs()?;
         let goal_mm = self.goal.position_mm;
         let (mut shortest, mut refused) = (None::<GoalPlan>, Vec::<(GoalRun, Refusal)>::new());
         let mut tried = Vec::new();
@@ -128,22 +131,22 @@ impl GoalPlanner<'_> {
 
     /// Runs that are judged by the poses of the search, before a plan is made: of each class the shortest one, as long as it can be
     /// shorter than those that reach the goal.
-    fn sketches(&self) -> Result<KeptErrors, Refusal> {
+    fn judged_runs(&self) -> Result<KeptErrors, Refusal> {
         let (mut judged, mut shortest_s) = (KeptErrors::default(), f64::INFINITY);
         // Robots keep no less than the error of the search.
-        let least_s = |class: &RunClass| {
+        let min_s = |class: &RunClass| {
             let of_class = |run: &GoalRun| (run.class() == *class).then_some(self.goal.position_mm);
             self.search.shortest(of_class).map_or(f64::INFINITY, |run| self.search.time_s(&run))
         };
         let mut classes: Vec<(f64, RunClass)> =
-            self.search.classes().into_iter().map(|class| (least_s(&class), class)).collect();
+            self.search.classes().into_iter().map(|class| (min_s(&class), class)).collect();
         classes.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for (least_s, class) in classes {
-            let is_hopeless = least_s.is_infinite() && !judged.is_empty();
-            if least_s >= shortest_s || is_hopeless {
+        for (min_s, class) in classes {
+            let is_hopeless = min_s.is_infinite() && !judged.is_empty();
+            if min_s >= shortest_s || is_hopeless {
                 continue;
             }
-            for _ in 0..SKETCHES {
+            for _ in 0..MAX_JUDGED {
                 let wanted = |run: &GoalRun| {
                     (run.class() == class).then(|| judged.wanted_mm(run, self.goal.position_mm))
                 };
@@ -151,7 +154,9 @@ impl GoalPlanner<'_> {
                 let run = run.or_else(|| self.search.best_in(self.goal.minutes, |run| run.class() == class));
                 let Some(run) = run.filter(|run| !judged.has(run)) else { break };
                 let known = (self.cell)(self.search.job(&run))?;
-                let Some(kept_mm) = self.reached_mm(&known, &self.sketched(&run, &known)) else { break };
+                let Some(kept_mm) = self.reached_mm(&known, &self.lengths_of_search(&run, &known)) else {
+                    break;
+                };
                 judged.add(JudgedRun { run, search_mm: self.search.error_mm(&run), kept_mm });
                 if kept_mm <= self.goal.position_mm {
                     shortest_s = shortest_s.min(self.search.time_s(&run));
@@ -162,7 +167,7 @@ impl GoalPlanner<'_> {
     }
 
     /// The lengths of a run at the poses of the search, in place of a plan.
-    fn sketched(&self, run: &GoalRun, known: &KnownCell) -> Vec<Measurement> {
+    fn lengths_of_search(&self, run: &GoalRun, known: &KnownCell) -> Vec<Measurement> {
         lengths_at(&known.job, &self.search.poses(run), &known.prior.posterior.model)
     }
 
@@ -197,7 +202,7 @@ impl GoalPlanner<'_> {
         let KnownCell { job, robot, prior } = known;
         let (start, options) = (first_model(robot, prior), prior.options(job, None));
         let lengths = PlannedLengths::new(prior.identification(robot, &start, &options), planned).ok()?;
-        let robots = lengths.drawn_errors(&goal_poses(job, robot, GOAL_POSES), KINDS)?;
+        let robots = lengths.drawn_errors(&goal_poses(job, robot, GOAL_POSES), ROBOT_KINDS)?;
         let mut errors: Vec<f64> = robots.iter().map(|error| self.goal.of.of(error)).collect();
         errors.sort_by(f64::total_cmp);
         let kept = (SHARE * errors.len() as f64).ceil() as usize;
@@ -210,12 +215,12 @@ impl GoalPlanner<'_> {
             return Ok(Diagnostic::from(PlanFinding::NoTimeForPoses).into());
         };
         let known = (self.cell)(self.search.job(&best))?;
-        let left = |known: &KnownCell| self.reached_mm(known, &self.sketched(&best, known));
+        let left = |known: &KnownCell| self.reached_mm(known, &self.lengths_of_search(&best, known));
         let point = self.search.point(&best, judged, 1.0);
-        let least_mm = left(&known).unwrap_or(point.position_mm);
+        let best_mm = left(&known).unwrap_or(point.position_mm);
         let (goal_mm, of) = (self.goal.position_mm, self.goal.of.name());
         let GoalPoint { minutes, poses, balls, bar_mm, .. } = point;
-        let too_small = PlanFinding::GoalTooSmall { goal_mm, of, least_mm, minutes, poses, balls, bar_mm };
+        let not_reached = PlanFinding::GoalNotReached { goal_mm, of, best_mm, minutes, poses, balls, bar_mm };
         let longer = self.search.shortest(|run| Some(judged.wanted_mm(run, goal_mm))).map(|run| {
             let GoalPoint { minutes, poses, balls, bar_mm, .. } = self.search.point(&run, judged, 1.0);
             PlanFinding::GoalTakesLonger { minutes, poses, balls, bar_mm }
@@ -223,7 +228,7 @@ impl GoalPlanner<'_> {
         let mut limits: Vec<(GoalLimit, f64)> = GoalLimit::ALL
             .into_iter()
             .filter_map(|limit| Some((limit, left(&limit.removed(&known))?)))
-            .filter(|(_, left_mm)| *left_mm < LIMITS * least_mm)
+            .filter(|(_, left_mm)| *left_mm < LIMITS * best_mm)
             .collect();
         limits.sort_by(|a, b| a.1.total_cmp(&b.1));
         let mut further: Vec<PlanFinding> = longer.into_iter().collect();
@@ -234,7 +239,7 @@ impl GoalPlanner<'_> {
             further.push(PlanFinding::GoalLimitedByPlaces);
         }
         Ok(Refusal {
-            findings: vec![too_small.into()],
+            findings: vec![not_reached.into()],
             recommendations: further.into_iter().map(Diagnostic::from).collect(),
         })
     }

@@ -24,15 +24,15 @@ const CANDIDATES: usize = 150;
 /// A place with fewer candidates is hardly in reach.
 const MIN_CANDIDATES: usize = 40;
 /// Places that are compared.
-const MOST_PLACES: usize = 9;
+const MAX_PLACES: usize = 9;
 /// Points along each edge of a box of which places are taken.
 const ALONG_EDGE: usize = 5;
-/// Most balls and poses of a run.
-const MOST_BALLS: usize = 4;
-const MOST_POSES: usize = 360;
+/// Largest numbers of balls and poses of a run.
+const MAX_BALLS: usize = 4;
+const MAX_POSES: usize = 360;
 /// Less than this share of a goal is better than any run needs: drawn robots keep two to five times the error of the search.
 const ENOUGH: f64 = 0.2;
-/// Fewest poses of a run.
+/// Smallest number of poses of a run.
 const MIN_POSES: usize = 12;
 /// A ball in an open cup leans to the side by at most this, degrees.
 const CUP_LIMIT_DEG: f64 = 90.0;
@@ -62,7 +62,7 @@ struct BarRuns {
 }
 
 impl<'a> GoalSearch<'a> {
-    /// `known` is what is known of the robot and of the balls that stand already.
+    /// `known` is what is known of the robot and of the balls that are mounted already.
     pub(super) fn new(job: &'a Job, goal: &'a GoalTable, robot: &Robot, known: &PlanningPrior) -> Self {
         let bars = job.bars().into_iter().map(|bar| BarRuns::new(job, goal, bar, robot, known)).collect();
         Self { job, bars }
@@ -179,10 +179,10 @@ impl<'a> GoalSearch<'a> {
         };
         let mut points: Vec<GoalPoint> = self.sets().flat_map(with_poses).collect();
         points.sort_by(|a, b| a.minutes.total_cmp(&b.minutes));
-        let mut least_mm = f64::INFINITY;
+        let mut best_mm = f64::INFINITY;
         points.retain(|point| {
-            let helps = point.position_mm < WORTH * least_mm;
-            least_mm = if helps { point.position_mm } else { least_mm };
+            let helps = point.position_mm < WORTH * best_mm;
+            best_mm = if helps { point.position_mm } else { best_mm };
             helps
         });
         let (step, last) = (points.len().div_ceil(CURVE_POINTS).max(1), points.len().saturating_sub(1));
@@ -213,8 +213,8 @@ impl BarRuns {
             },
             places: &places,
             given: job.centres.len(),
-            most_balls: MOST_BALLS,
-            most_poses: MOST_POSES,
+            max_balls: MAX_BALLS,
+            max_poses: MAX_POSES,
             enough_mm: ENOUGH * goal.position_mm,
             prices,
         };
@@ -234,15 +234,15 @@ fn prices(job: &Job, goal: &GoalTable) -> RunPrices {
     }
 }
 
-/// The balls that stand already, then balls at places of the job that have enough poses, with these poses.
+/// The balls that are mounted already, then balls at places of the job that have enough poses, with these poses.
 fn places(job: &Job, robot: &Robot) -> Vec<(BaseBallTable, BallPlace)> {
     let with_poses = |table: &BaseBallTable| (table.clone(), ball_place(job, robot, table));
-    let standing = map_items(&job.centres, with_poses);
+    let mounted = map_items(&job.centres, with_poses);
     let free: Vec<BaseBallTable> = job.places.iter().flat_map(points).collect();
     let mut free = map_items(&free, with_poses);
     free.retain(|(_, place)| place.poses.len() >= MIN_CANDIDATES);
-    let free = spread(free, MOST_PLACES.saturating_sub(standing.len()));
-    standing.into_iter().chain(free).collect()
+    let free = spread(free, MAX_PLACES.saturating_sub(mounted.len()));
+    mounted.into_iter().chain(free).collect()
 }
 
 /// A ball with poses about it that keep the limits of the job, whatever their risk.

@@ -18,6 +18,7 @@ findings! {
         cure: "A goal has chosen poses; where they are measured is a point or a box. A circle has `plane` or `normal`. `cup_axis` and `cup_limit_deg` need each other. The table, the masses and all else of the arm are in the robot file. Only the orientations seed, random and optimal have `amplitude_deg`." {
             MissingTable { table: String } => "there is no {table} table: a job needs at least one";
             NoBarLength => "[bar] has no length_mm: the distance between the ball centres at reading zero";
+            BallsAreOpen => "the base balls of this job are still to be chosen: only its goal can be planned", help: "plan the goal first; job.toml beside that plan has the balls";
             OnlyWithGoal => "places and bars to choose from need a [goal]", help: "give [goal] with position_mm, or give the balls as [[centre]] and the bar as [bar]";
             PointOrBox => "a [[place]] has either xyz_mm or box_mm";
             GoalTwice { other: String } => "[goal] has a program and {other}: a program has its own points and tools";

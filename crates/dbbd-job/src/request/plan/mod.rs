@@ -32,6 +32,7 @@ use crate::files;
 use crate::plan::PlanFinding;
 use crate::plan::goal::outcome::GoalOutcome;
 use crate::plan::goal::plan_for_goal;
+use crate::plan::job::JobFinding;
 use crate::plan::{
     Job, JobTable, KnownCell, Plan, PlanCheck, PlanPrediction, PlanningPrior, PoseKind, Refusal, Stage,
     TaughtBall,
@@ -255,6 +256,9 @@ impl PlanRequest {
         job.check_against(&robot).map_err(|wrong| wrong.in_text(&name, &text))?;
         session.findings_in(&name, job.without_effect(&robot));
         session.findings_in(&name, job.in_robot(&robot));
+        if job.centres.is_empty() && self.poses != PlannedPoses::Job {
+            return Err(in_job("[goal]", "", JobFinding::BallsAreOpen.into()));
+        }
         let check = match &self.poses {
             PlannedPoses::Check(poses) => {
                 // Without a file of the robot there is no posterior: the check refuses that.
