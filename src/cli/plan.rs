@@ -17,13 +17,15 @@ use dbbd_model::robot::ParamUnit;
 /// Plans circles in any plane about a base ball, with dwells or in continuous motion in both directions, or poses chosen by
 /// optimal design. Checks every pose and the path between them: reach, axis limits, singularities, stroke, cup, obstacles, and
 /// the risk that a robot within its tolerance leaves the stroke. Refuses an unsafe plan with the row, the quantity and the
-/// limit. If only the risk is too great, plans a few safe poses to be measured first. plan.html shows the poses and what they
-/// identify. More: docs/explanation/planning.md.
+/// limit. If only the risk is too great, plans a few safe poses to be measured first. A job with a `[goal]` gets the base balls,
+/// the bar and the number of poses that reach it soonest. plan.html shows the poses and what they identify. More:
+/// docs/explanation/planning.md.
 #[derive(clap::Args)]
 pub(crate) struct PlanArgs {
     /// The job: bar, base balls, circles, motion, limits (examples/*.toml explain every key).
     job: PathBuf,
-    /// Directory for plan.csv, plan.json, plan.html and centres.csv (the base balls, for `identify --centres`).
+    /// Directory for plan.csv, plan.json, plan.html and centres.csv (the base balls, for `identify --centres`); with a goal also
+    /// for job.toml, which has what was chosen.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Robot by built-in name or file, in place of the job's. With a robot-identified.toml the plan uses the identified robot:
@@ -132,7 +134,11 @@ pub(super) fn show(out: &CommandOutput, document: &PlanDocument, directory: &Pat
     plan.header.goal.iter().flat_map(curve_lines).for_each(|line| out.detail(line));
     plan.header.predictions.iter().flat_map(prediction_lines).for_each(|line| out.detail(line));
     plan.header.check.iter().flat_map(check_power_lines).for_each(|line| out.result(line));
-    out.progress(format!("wrote plan.csv, plan.json, plan.html and centres.csv to {}", directory.display()));
+    let job = if plan.header.goal.is_some() { ", job.toml" } else { "" };
+    out.progress(format!(
+        "wrote plan.csv, plan.json, plan.html{job} and centres.csv to {}",
+        directory.display()
+    ));
 }
 
 /// What the run reaches of the goal, and what it takes.

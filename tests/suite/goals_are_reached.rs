@@ -10,6 +10,7 @@ use rand_pcg::Pcg64;
 
 use super::plan_states_the_result::{identified, mean_error_at_mm};
 use crate::cell::{codes, dbbd, stderr};
+use crate::support::spoken::assert_spoken;
 
 /// Robots on which each plan is measured.
 const ROBOTS_OF_GOAL: u64 = 4;
@@ -116,7 +117,7 @@ fn a_wish_becomes_a_plan_or_a_reason() {
     let of = |key: &str| curve.iter().map(|point| point[key].as_f64().unwrap()).collect::<Vec<f64>>();
     let (minutes, errors) = (of("minutes"), of("position_mm"));
     assert!(minutes.is_sorted() && errors.iter().rev().is_sorted() && curve.len() >= 4, "{first}");
-    assert!(dir.join("wish.toml.plan/plan.html").is_file());
+    assert_spoken(&std::fs::read_to_string(dir.join("wish.toml.plan/plan.html")).unwrap());
     // The chosen job is a job: the balls stand, and only the number of poses is open.
     let chosen = std::fs::read_to_string(dir.join("wish.toml.plan/job.toml")).unwrap();
     assert!(chosen.contains("[[centre]]") && !chosen.contains("[[place]]"), "{chosen}");

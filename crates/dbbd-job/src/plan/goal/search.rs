@@ -30,8 +30,8 @@ const ALONG_EDGE: usize = 5;
 /// Largest numbers of balls and poses of a run.
 const MAX_BALLS: usize = 4;
 const MAX_POSES: usize = 360;
-/// Less than this share of a goal is better than any run needs: drawn robots keep two to five times the error of the search.
-const ENOUGH: f64 = 0.2;
+/// Less than this share of a goal is better than any run needs: drawn robots keep one to six times the error of the search.
+const ENOUGH: f64 = 0.1;
 /// Smallest number of poses of a run.
 const MIN_POSES: usize = 12;
 /// A ball in an open cup leans to the side by at most this, degrees.
