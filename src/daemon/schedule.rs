@@ -34,6 +34,7 @@ pub struct Schedule {
 struct PlannedStop {
     /// The row of the plan; of a pass the row at which it ends.
     index: u32,
+    /// 0: a chosen pose.
     circle: u32,
     angle_deg: Option<f64>,
     clockwise: bool,
@@ -81,7 +82,7 @@ impl Schedule {
             let place = places.get(at).copied().flatten();
             PlannedStop {
                 index: row.index,
-                circle: row.circle,
+                circle: if pass.is_some() || place.is_some() { row.circle } else { 0 },
                 // A reference pose is not drawn on the circle.
                 angle_deg: place.filter(|_| row.kind == PoseKind::Measure).map(|place| place.angle_deg),
                 clockwise: pass.map_or(place.is_some_and(|place| place.clockwise), |pass| pass.clockwise),
@@ -329,6 +330,23 @@ mod tests {
         }
         assert!(schedule.left_s(1).unwrap() > plan.header.passes[1].duration_s);
         assert!(schedule.left_s(2).unwrap() < plan.header.passes[1].duration_s);
+    }
+
+    /// Poses that were chosen are on no circle, whatever module drives to them.
+    #[test]
+    fn a_chosen_pose_is_on_no_circle() {
+        let text = "robot = \"kr60ha\"\n[tool]\nball_mm = [30.0, 20.0, 10.0]\n[bar]\nlength_mm = 300.0\nlength_u_mm = 0.002\n\
+                    stroke_mm = [-8.0, 8.0]\n[[centre]]\nid = 1\nxyz_mm = [1300.0, 0.0, 800.0]\n\
+                    [optimise]\npoints = 12\ncandidates = 200\n";
+        let robot = Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
+        let plan = Plan::build(&Job::from_toml("job.toml", text).unwrap(), &robot);
+        let schedule = Schedule::of(&plan.unwrap_or_else(|refused| panic!("{refused}")), ALARM_SHARE);
+        assert!(schedule.poses() > Some(11));
+        for dwell in 1..=12 {
+            let point = schedule.point(dwell, 0.2);
+            assert_eq!((point.circle, point.angle_deg), (Some(0), None));
+            assert!(point.deviation_mm.is_some());
+        }
     }
 
     /// The mean of a circle of readings is no length of a pose.

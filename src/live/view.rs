@@ -149,6 +149,7 @@ pub struct RunCounts {
 pub struct NextPose {
     /// Row of the plan.
     pub index: u32,
+    /// 0: a chosen pose, which is on no circle.
     pub circle: u32,
     pub angle_deg: Option<f64>,
 }
@@ -240,6 +241,7 @@ pub struct Point {
     pub dwell: u32,
     /// Row of the plan by count. The pose matching after the run decides which row it really is.
     pub index: Option<u32>,
+    /// 0: a chosen pose, which is on no circle.
     pub circle: Option<u32>,
     pub angle_deg: Option<f64>,
     pub clockwise: bool,

@@ -442,7 +442,7 @@ def make_sound(b, report):
 
 
 def make_files(b):
-    for source in ("examples/first/job.toml", "examples/first/check.toml", "examples/first/world.toml", "fixtures/krl/GLUE01.src", "fixtures/krl/GLUE01.dat",
+    for source in ("fixtures/two-balls/job.toml", "examples/first/check.toml", "fixtures/two-balls/world.toml", "fixtures/krl/GLUE01.src", "fixtures/krl/GLUE01.dat",
                    "fixtures/krl/config.dat", "examples/paper/observations.csv", "examples/paper/centres.csv"):
         shutil.copy(ROOT / source, b.dir / (("paper-" if "paper" in source else "") + pathlib.Path(source).name))
     b.text("GLUE01.src", ("LIN_REL {Z 50.0}\n", ""))

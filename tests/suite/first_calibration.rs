@@ -77,7 +77,7 @@ fn run(steps: &[Step]) {
     let path = format!("{program}:{}", std::env::var("PATH").unwrap_or_default());
     for Step { commands, output } in steps {
         let run = Command::new("timeout")
-            .args(["60", "sh", "-c", &format!("set -e; exec 2>&1\n{commands}")])
+            .args(["180", "sh", "-c", &format!("set -e; exec 2>&1\n{commands}")])
             .current_dir(dir.path())
             .env_clear()
             .env("PATH", &path)

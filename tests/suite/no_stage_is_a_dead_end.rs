@@ -263,13 +263,13 @@ fn teaching_a_ball_never_bars_poses() {
 /// A ball to be taught again.
 const ANEW: &str = "I0717";
 
-/// From where the example's ball was taught no run keeps a stroke of 0.7 mm; from elsewhere one does.
+/// From where the example's ball was taught no run keeps a stroke of 0.9 mm; from elsewhere one does.
 #[test]
 fn a_ball_that_bars_all_is_taught_anew() {
     use crate::cell::{codes, dbbd, stderr};
     let dir = tempfile::tempdir().unwrap();
     let job = std::fs::read_to_string("examples/stages.toml").unwrap();
-    let short = job.replace("stroke_mm = [-1.0, 1.0]", "stroke_mm = [-0.7, 0.7]");
+    let short = job.replace("stroke_mm = [-1.0, 1.0]", "stroke_mm = [-0.9, 0.9]");
     assert_ne!(job, short);
     std::fs::write(dir.path().join("job.toml"), &short).unwrap();
     let output = dbbd(dir.path(), &["plan", "job.toml", "--out", "plan"]);

@@ -140,7 +140,7 @@ fn risky() -> String {
 fn few() -> String {
     replaced(&[
         ("[1300.0, 0.0, 800.0]", "[450.0, 0.0, 300.0]"),
-        (CIRCLE, "[optimise]\npoints = 16\ncandidates = 200\n[limits]\nmin_a5_deg = 82.0\n"),
+        (CIRCLE, "[optimise]\npoints = 16\ncandidates = 200\n[limits]\nmin_a5_deg = 76.0\n"),
     ])
 }
 

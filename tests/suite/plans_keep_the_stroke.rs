@@ -7,6 +7,8 @@ use std::path::Path;
 
 use dbbd_job::plan::{CheckQuantity, Plan};
 use dbbd_job::recording::run::read_plan;
+use dbbd_job::sim::truth;
+use dbbd_model::estimation::with_drawn_joint_errors;
 use dbbd_model::measurement::PreparedMeasurement;
 use dbbd_model::robot::Robot;
 use nalgebra::Vector3;
@@ -200,7 +202,7 @@ fn campaign(seeds: std::ops::Range<u64>) -> BTreeMap<String, Executed> {
     for seed in seeds {
         for stroke_mm in [1.0, 5.0] {
             let dir = tempdir().unwrap();
-            let mut true_robot = drawn_at(seed, 1.0);
+            let mut true_robot = with_drawn_joint_errors(&truth::draw_true_robot(&kr60(), seed, 1.0), seed);
             let mut random = Pcg64::seed_from_u64(seed);
             let off = Vector3::from_fn(|_, _| {
                 kr60().ball_u_mm * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut random)

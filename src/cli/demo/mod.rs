@@ -165,12 +165,11 @@ fn identify_real(
 /// The seed of the true robot where none is given.
 const SEED: u64 = 1;
 
-/// Writes the job of the circles with its true robot and base balls, for a cell that is simulated later: the page shows its circles while
-/// they are measured.
+/// Writes the job with its true robot and base balls, for a cell that is simulated later.
 pub(crate) fn write_cell(dir: &Path) -> Result<(), Diagnostic> {
     files::directory(dir)?;
-    SimulatedDemo::CIRCLES.write_job(dir)?;
-    truth::Truth::draw(dir, &SimulatedDemo::CIRCLES, SEED).map(drop)
+    SimulatedDemo::BALLS.write_job(dir)?;
+    truth::Truth::draw(dir, &SimulatedDemo::BALLS, SEED).map(drop)
 }
 
 /// Simulates the program and records the bar.

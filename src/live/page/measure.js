@@ -67,7 +67,7 @@ function showNext(run) {
   set("time-left", left_s === null ? "–" : t("run.left_value", { time: clock(left_s) }));
   if (next) {
     const angle = next.angle_deg === null ? null : fixed(next.angle_deg, 0);
-    set("next", t(angle === null ? "run.next_value" : "run.next_angle", { index: next.index, circle: next.circle, angle }));
+    set("next", angle === null ? t("run.next_value", { index: next.index }) : t("run.next_angle", { index: next.index, circle: next.circle, angle }));
   } else {
     set("next", run.poses ? t("run.next_none") : "–");
   }

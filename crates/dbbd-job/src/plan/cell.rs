@@ -244,7 +244,7 @@ mod tests {
         }
     }
 
-    /// The pose with the tool ball beside the ball of the example, along Y, in the orientation of the job in `examples/first`.
+    /// The pose with the tool ball beside the ball of the example, along Y, in the orientation of the job in `fixtures/two-balls`.
     fn pose(rig: &PlanKinematics<'_>, distance_mm: f64) -> Candidate {
         let near = [-2.8178, -61.2356, 116.7537, 13.6265, 57.4349, -206.6011].map(f64::to_radians);
         let position = Vector3::new(1300.0, distance_mm, 800.0);

@@ -14,7 +14,7 @@ use crate::plan::PlanFinding;
 use crate::plan::job::JobFinding;
 use dbbd_model::design::{Candidate, Criterion, Exchange, Near, change_rows, design_rows, tool_rows};
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::{Posterior, with_usual_joint_errors};
+use dbbd_model::estimation::Posterior;
 use dbbd_model::math::distributions::normal_deviate;
 use dbbd_model::math::map_items;
 use dbbd_model::robot::inverse::status;
@@ -469,8 +469,7 @@ impl<'a> PoseChooser<'a> {
     fn unknown(&self) -> Result<Posterior, JobFinding> {
         let (PlanKinematics { job, controller, .. }, prior) = (self.rig, &self.prior.posterior);
         let Some(list) = job.optimise.as_ref().and_then(|wanted| wanted.parameters.clone()) else {
-            let is_known = self.prior.calibrated.is_some() || prior.coefficients() > 0;
-            return Ok(if is_known { prior.clone() } else { with_usual_joint_errors(prior, controller) });
+            return Ok(prior.clone());
         };
         let ids = parameter::parse_list(&list, &controller.parallel_joints(), job.centres.len())
             .map_err(|why| JobFinding::Parameters { list: list.clone(), why: why.to_string() })?;

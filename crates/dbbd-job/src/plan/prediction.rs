@@ -18,7 +18,6 @@ use dbbd_model::estimation::result::MapPoint;
 use dbbd_model::estimation::wording;
 use dbbd_model::estimation::{
     DesignPrediction, ErrorSummary, Observability, ParameterPrediction, PlannedLengths,
-    with_usual_joint_errors,
 };
 use dbbd_model::measurement::{LengthModel, Measurement, PreparedMeasurement};
 use dbbd_model::robot::inverse::clearance;
@@ -216,7 +215,7 @@ fn second_ball(job: &Job, robot: &Robot, lengths: usize, workspace: &[[f64; AXES
             taught_deg: None,
             ..table.clone()
         }));
-        with_usual_joint_errors(&PlanningPrior::of_maker(&about, robot), robot)
+        PlanningPrior::before_lengths(&about, robot)
     };
     let best = one.second(prior, |axes| {
         clearance(&robot.geometry, axes).is_none_or(|clear| {

@@ -10,7 +10,7 @@ use dbbd_model::estimation::EstimationFinding;
 use dbbd_model::estimation::expected::Expected;
 use dbbd_model::estimation::{
     AngleSource, Input, Options, Posterior, Prior, Priors, beyond_repeatability, largest_plausible,
-    length_sd_mm,
+    length_sd_mm, with_usual_joint_errors,
 };
 use dbbd_model::measurement::{LengthModel, Measurements, PreparedMeasurement};
 use dbbd_model::robot::{AXES, BallId, BarId, ParamId, Robot, RobotPosterior};
@@ -59,9 +59,15 @@ impl PlanningPrior {
         Posterior::prior(robot, model, &Priors::datasheet(robot, job.bar.u_mm()))
     }
 
-    /// Knowledge before anything is measured: the robot's tolerance, the bar's certificate, the balls that were taught.
+    /// As [`Self::of_maker`], with the usual errors of joints.
+    pub(super) fn before_lengths(job: &Job, robot: &Robot) -> Posterior {
+        with_usual_joint_errors(&Self::of_maker(job, robot), robot.controller())
+    }
+
+    /// Knowledge before anything is measured: the robot's tolerance, the usual errors of its joints, the bar's certificate, the
+    /// balls that were taught.
     pub fn datasheet(job: &Job, robot: &Robot) -> Self {
-        Self::with_taught(job, robot, Self::of_maker(job, robot))
+        Self::with_taught(job, robot, Self::before_lengths(job, robot))
     }
 
     /// Knowledge before a check: the posterior of the calibration, the changes by mounting again, the balls that were

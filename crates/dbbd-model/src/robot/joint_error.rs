@@ -89,14 +89,14 @@ pub struct JointTerm {
 }
 
 impl VisitedAngles {
-    /// The distribution that has the median and the middle two thirds of these angles (rad).
+    /// The distribution that has the median and the middle two thirds of these angles (rad); not known if those are one angle.
     pub fn of(mut angles: Vec<f64>) -> Self {
         /// F(x) = 5/6 at x = scale ln 5.
         const SIXTH: f64 = 1.0 / 6.0;
         angles.sort_by(f64::total_cmp);
         let at = |share: f64| angles.get((share * angles.len() as f64) as usize).copied().unwrap_or(0.0);
         let width = at(1.0 - SIXTH) - at(SIXTH);
-        Self { middle: at(0.5), scale: width / (2.0 * 5f64.ln()) }
+        if width > 0.0 { Self { middle: at(0.5), scale: width / (2.0 * 5f64.ln()) } } else { Self::default() }
     }
 
     /// The mean sense of an axis that comes to an angle (rad) from another pose of the program: F - (1 - F), with F the
