@@ -159,7 +159,8 @@ fn a_lost_posterior_is_reported() {
 /// The plan contains the posterior of an identified robot, so that its run needs no other file.
 #[test]
 fn a_plan_starts_from_the_posterior() {
-    let text = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/first/check.toml")).unwrap();
+    let text =
+        fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/fixtures/two-balls/job.toml")).unwrap();
     let job = Job::from_toml("check.toml", &text).unwrap();
     let data = lengths(&[horizontal(1, CENTRE)], 30, 5);
     let known = PlanningPrior::after_lengths(&job, &kr60(), &data).unwrap();
