@@ -247,9 +247,11 @@ fn assert_stated(found: &BTreeMap<String, Executed>) {
     assert!(left <= most(risk), "{left} left the stroke, {risk:.4} were stated");
 }
 
+/// The joints of this robot are so wrong that plans by the tolerance of its geometry alone leave a stroke of 1 mm three times, by up to
+/// 0.81 mm.
 #[test]
 fn every_kind_of_plan_keeps_the_stroke() {
-    let found = campaign(5..6);
+    let found = campaign(106..107);
     assert_stated(&found);
     let runs: usize = found.values().map(|one| one.runs).sum();
     assert!(found.len() >= 20 && runs >= 20, "{found:?}");

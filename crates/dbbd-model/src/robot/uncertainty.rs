@@ -235,16 +235,9 @@ mod tests {
     #[test]
     fn a_visit_has_backlash_where_its_sense_is_not_known() {
         let unknown = RobotUncertainty {
-            pose_mm: 0.0,
-            shared_mm: None,
-            unexplained_mm: 0.0,
-            degrees_of_freedom: None,
-            smooth: Vec::new(),
-            smooth_of_joints: [1.0; AXES],
             scatter_rad: [3e-6; AXES],
             unapproached_rad: [4e-6; AXES],
-            parameters: Vec::new(),
-            root: DMatrix::zeros(0, 0),
+            ..RobotUncertainty::of_root(Vec::new(), DMatrix::zeros(0, 0))
         };
         let found = unknown.of_visit([1, -1, 0, 0, 0, 0]);
         let expected = [3e-6, 3e-6, 5e-6, 5e-6, 5e-6, 5e-6];
