@@ -131,9 +131,10 @@ fn the_example_needs_three_stages() {
         .unwrap();
     let said = String::from_utf8_lossy(&run.stdout);
     assert!(run.status.success(), "{said}{}", String::from_utf8_lossy(&run.stderr));
+    // Stage 1 and 2 say what they exclude; the last plan may still exclude a few poses far from all that was measured.
     let narrow = codes(&run).iter().filter(|code| *code == "I0712").count();
     let stage = |stage: u32| dir.path().join(format!("stage{stage}/result/result.json")).is_file();
-    assert!(stage(2) && !stage(4) && (1..=2).contains(&narrow), "{said}");
+    assert!(stage(3) && !stage(4) && (2..=3).contains(&narrow), "{said}");
 }
 
 #[test]
