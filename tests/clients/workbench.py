@@ -167,13 +167,11 @@ class Story:
         self.service.send_signal(signal.SIGCONT)
         expect(self.page.locator("#link")).to_be_empty(timeout=20_000)
         self.is_cut = True
-        self.context.set_offline(True)
-        look = "dispatchEvent(new Event('focus'))"
-        self.page.evaluate(look)
-        expect(self.page.locator("#message")).to_have_text(self.texts["link.none"], timeout=10_000)
-        self.context.set_offline(False)
-        self.page.evaluate(look)
-        expect(self.page.locator("#message")).to_be_empty(timeout=20_000)
+        # A browser goes off the network, and back, a moment after it was told to: the page is asked to look until it says so.
+        said = "text => (dispatchEvent(new Event('focus')), document.getElementById('message').textContent === text)"
+        for offline, text in ((True, self.texts["link.none"]), (False, "")):
+            self.context.set_offline(offline)
+            self.page.wait_for_function(said, arg=text, polling=500, timeout=20_000)
         self.is_cut = False
 
     def unplug(self, cell, *steps):
@@ -390,18 +388,22 @@ class Story:
     def move(self, scene):
         """A ball moved out of reach is refused while it moves; back where it was, the plan passes. Nothing is written."""
         x, found = scene.locator("#move-x"), scene.locator("#move-found")
-        for wanted, shown in (("9300", "E0702"), ("1500", "✓")):
+        for wanted, shown in (("9300", "E0130"), ("1500", "✓")):
             with self.page.expect_response(re.compile("/trial")):
                 x.fill(wanted)
                 x.press("Enter")
                 x.blur()
-            expect(found).to_contain_text(shown, timeout=20_000)
+            expect(found).to_contain_text(shown, timeout=60_000)
         self.look("moved")
         expect(scene.locator("#move-save")).to_be_disabled()
 
     def correct(self, cell):
         program = cell / "demo" / "program"
-        names = ["DBB_MAIN.src", "DBB_MAIN.dat", *(file.name for file in sorted(program.glob("DBB_C*")))]
+        # Some modules reach poses whose correction is beyond its limit.
+        robot = ["--robot", cell / "demo" / "result", "--out", self.out / "corrected"]
+        passes = lambda module: subprocess.run([DBBD, "compensate", module, *robot], capture_output=True).returncode == 0
+        module = next(filter(passes, sorted(program.glob("DBB_C*.src"))))
+        names = [module.name, module.with_suffix(".dat").name]
         self.page.locator("#program").set_input_files([program / name for name in names])
         expect(self.step("correct").locator("[data-action=next]")).to_contain_text(self.text("act.correct"), timeout=10_000)
         self.next("correct")
@@ -456,7 +458,9 @@ class Story:
                 english = page.locator(f":is({OWN_WORDS}):is([lang=en], :has([lang=en]))")
                 assert english.count() == 0, (file, english.first.inner_text())
             if file in ("report", "check"):
-                assert page.locator("[data-verdict]").get_attribute("data-verdict") in ("pass", "fail", "undecided")
+                # A result is judged where somebody stated a tolerance.
+                verdicts = ("pass", "fail", "undecided") if file == "check" else ("pass", "fail", "undecided", "none")
+                assert page.locator("[data-verdict]").get_attribute("data-verdict") in verdicts
                 # A link of the contents opens its part.
                 link = page.locator("nav.contents a").nth(1)
                 part = page.locator("details.part").nth(1)

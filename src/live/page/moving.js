@@ -130,6 +130,9 @@ async function tryIt() {
     const found = await ask("POST", `/workbench/${context.robot}/trial`, keys());
     results(found);
     if (found.scene) context.planned(found.scene);
+  } catch (error) {
+    $("move-found").replaceChildren();
+    throw error;
   } finally {
     trying = false;
     if (again) {

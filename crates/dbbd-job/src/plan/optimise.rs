@@ -432,13 +432,20 @@ impl<'a> PoseChooser<'a> {
         let mut starts: Vec<_> = self.starts(scan, risk).collect();
         let most = starts.iter().map(|(_, safe)| *safe).max();
         starts.retain(|(_, safe)| Some(*safe) == most);
-        let ways = |start: &Candidate| {
+        // A start that lost more ways than the best one so far is not looked at further.
+        let mut best: Option<(&Candidate, usize)> = None;
+        for (start, _) in starts.into_iter().take(RESTARTS) {
             let cell = self.cell(start);
-            let router = RoutePlanner::new(&cell, scan.ball.number(), risk)?;
-            Some(about.others().take(WAYS).filter(|pose| router.way(start, pose).is_some()).count())
-        };
-        let best = starts.iter().take(RESTARTS).max_by_key(|(start, _)| ways(start));
-        let restarted = best.map(|(start, _)| self.safe_poses(scan, risk, (*start).clone()));
+            let Some(router) = RoutePlanner::new(&cell, scan.ball.number(), risk) else { continue };
+            let most = best.map_or(usize::MAX, |(_, lost)| lost);
+            let others = about.others().take(WAYS);
+            let lost =
+                others.filter(|pose| router.way(start, pose).is_none()).take(most.saturating_add(1)).count();
+            if lost <= most {
+                best = Some((start, lost));
+            }
+        }
+        let restarted = best.map(|(start, _)| self.safe_poses(scan, risk, start.clone()));
         restarted.filter(|other| other.barred <= about.barred).unwrap_or(about)
     }
 

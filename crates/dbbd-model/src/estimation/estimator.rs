@@ -18,6 +18,7 @@ use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, SIGMA, Variance
 use super::hypotheses::{
     EventSearch, JudgedEvent, MAX_CERTAIN, MIN_LENGTHS, SupposedEvent, are_wrong_balls, sd_along, wrong_balls,
 };
+use super::leave_one_out;
 use super::lengths::{Lengths, Sigma, Weighted};
 use super::noise_shape::{JointNoise, NoiseScore, NoiseShape, OwnNoise};
 use super::options::{ErrorModel, Setting};
@@ -772,7 +773,18 @@ impl<'a> Search<'a> {
         let SearchState { model, z, hypers, shape, bar_sds } = state;
         let cautious = hypers.mean_sds(whitened.equations.hyper_priors(), &ln_sd);
         let posterior = whitened.equations.posterior(&cautious)?;
-        let (all, determined) = (posterior.root()?, posterior.determined());
+        let determined = posterior.determined();
+        // Whoever lists parameters without a prior asks for least squares, and for its covariance.
+        let free = |(id, variance): (&ParamId, &Option<Variance>)| is_bar(id) || variance.is_none();
+        let is_list = unknowns.ids().len() == system.variances.len()
+            && unknowns.ids().iter().zip(&system.variances).all(free);
+        // What no unknown describes makes the visits that are left out worse than predicted, and so all other poses.
+        let factor = if is_list { 1.0 } else { leave_one_out::noise_factor(whitened, &posterior)? };
+        let all = if factor > 1.0 {
+            whitened.equations.posterior(&cautious.with_sigma(factor * posterior.sigma_mm))?.root()?
+        } else {
+            posterior.root()?
+        };
         let coefficients = model.geometry.joint_errors.count();
         let root = unknowns.rows_of_parameters(&all, coefficients);
         let backlash_places = unknowns.backlash_places(&model);
@@ -808,9 +820,6 @@ impl<'a> Search<'a> {
         let stated_mm = used.by(Sigma::Given).rms_sigma();
         let dof = whole.count() as f64 - effective_parameters;
         let ratio = (whole_mm / stated_mm).powi(2);
-        let free = |(id, variance): (&ParamId, &Option<Variance>)| is_bar(id) || variance.is_none();
-        let is_list = unknowns.ids().len() == system.variances.len()
-            && unknowns.ids().iter().zip(&system.variances).all(free);
         let agrees = is_list
             && used.lengths().known
             && ChiSquareOutcome::of(ratio, dof.max(1.0)) != ChiSquareOutcome::Greater;

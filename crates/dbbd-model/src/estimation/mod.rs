@@ -30,6 +30,7 @@ mod hypotheses;
 mod identifiability;
 mod input_checks;
 mod joint_curve;
+mod leave_one_out;
 mod lengths;
 pub mod linear_system;
 mod monte_carlo;

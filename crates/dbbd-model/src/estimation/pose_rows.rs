@@ -284,6 +284,13 @@ impl VisitFactor {
         }
     }
 
+    fn factor(&self) -> DMatrix<f64> {
+        match self {
+            Self::Alone(_, sd) => DMatrix::from_element(1, 1, *sd),
+            Self::Together(_, factor) => factor.clone(),
+        }
+    }
+
     /// The inverse of the factor.
     fn inverse(&self) -> DMatrix<f64> {
         match self {
@@ -333,6 +340,11 @@ impl Whitening {
                 }
             }
         }
+    }
+
+    /// Of each visit its rows, with the lower Cholesky factor of the covariance.
+    pub(super) fn factors(&self) -> impl Iterator<Item = (&[usize], DMatrix<f64>)> {
+        self.visits.iter().map(|visit| (visit.rows(), visit.factor()))
     }
 
     /// The inverse of the covariance: of each visit its rows, with their matrix.

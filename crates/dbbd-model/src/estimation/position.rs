@@ -420,21 +420,36 @@ impl RemainingErrors {
 
 /// Largest number of columns of a root in a robot file.
 const COLUMNS: usize = 66;
-/// Iterations that find these columns. A scale makes up for the variance that they leave out.
+/// Iterations that find these columns.
 const ITERATIONS: usize = 4;
 
-/// The same uncertainty with few columns. They are the directions that most move the tool ball at these poses, an
-/// exactly known tool with another payload, and the base balls, relative to each other. Each position counts in units of its own
-/// standard deviation, so that small uncertainties are kept too.
+/// Poses for which an uncertainty is compressed.
+pub(super) struct CompressingPoses {
+    pub(super) workspace: Vec<ApproachedPose>,
+    pub(super) measured: Vec<ApproachedPose>,
+    /// Poses whose angles lie between those of the measured ones.
+    pub(super) between: Vec<ApproachedPose>,
+}
+
+/// The same uncertainty with few columns. They are the directions that most move, relative to each other, the tool ball at the poses of
+/// the workspace and at the measured ones, an exactly known tool with another payload there, and the base balls; and the tool ball
+/// between the measured poses, where it is known best. Each position counts in units of its own standard deviation, so that small
+/// uncertainties are kept too. What the columns lack between the measured poses becomes an error of each pose: quick functions of many
+/// joints make it, which poses hardly share.
 pub(super) fn compressed(
     model: &LengthModel,
     unknown: &RobotUncertainty,
-    poses: &[ApproachedPose],
+    by: &CompressingPoses,
 ) -> RobotUncertainty {
     if unknown.root.ncols() <= COLUMNS {
         return unknown.clone();
     }
-    let mut moved = moved_with_balls(model, unknown, poses);
+    let all: Vec<ApproachedPose> = by.workspace.iter().chain(&by.measured).copied().collect();
+    let between = moved_relatively(model, unknown, &by.between);
+    // Columns that are best at some poses lack more at others: every second pose says how much.
+    let [even, odd]: [Vec<usize>; 2] =
+        [0, 1].map(|part| (0..between.nrows()).filter(|row| row / 3 % 2 == part).collect());
+    let mut moved = stacked(&moved_with_balls(model, unknown, &all), &between.select_rows(&even));
     for pose in 0..moved.nrows() / 3 {
         let mut rows = moved.rows_mut(3 * pose, 3);
         let norm = rows.norm();
@@ -448,9 +463,28 @@ pub(super) fn compressed(
     for _ in 0..ITERATIONS {
         space = (&gram * space).qr().q();
     }
-    let covered = (space.transpose() * &gram * &space).trace() / gram.trace();
-    let scale = if covered > 0.0 { covered.sqrt().recip() } else { 1.0 };
-    RobotUncertainty { root: &unknown.root * space * scale, ..unknown.clone() }
+    let others = between.select_rows(&odd);
+    let lacking = others.norm_squared() - (&others * &space).norm_squared();
+    let lacking_mm = (lacking.max(0.0) / odd.len().max(1) as f64).sqrt();
+    RobotUncertainty {
+        root: &unknown.root * space,
+        pose_mm: unknown.pose_mm.hypot(lacking_mm),
+        unexplained_mm: unknown.unexplained_mm.hypot(lacking_mm),
+        ..unknown.clone()
+    }
+}
+
+/// Displacements of the tool ball at the poses by the columns of the root, 3 rows for each pose, without their rigid motions.
+fn moved_relatively(
+    model: &LengthModel,
+    unknown: &RobotUncertainty,
+    poses: &[ApproachedPose],
+) -> DMatrix<f64> {
+    let poses: Vec<_> = poses.iter().map(|pose| (pose.axes.radians(), pose.approach)).collect();
+    let BallMotion { jacobian, balls, .. } = BallMotion::new(&model.geometry, &poses, &unknown.parameters);
+    let mut moved = jacobian * &unknown.root;
+    take_out_rigid_motion(&mut moved, &balls);
+    moved
 }
 
 /// Displacements by the columns of the root, 3 rows for each position: the tool ball at the poses, an exactly known tool

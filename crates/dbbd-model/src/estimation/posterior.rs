@@ -32,8 +32,46 @@ pub struct Posterior {
     ids: Vec<ParamId>,
     selection: ColumnSelection,
     root: DMatrix<f64>,
+    /// The root as a product, where it has few factors.
+    factors: Option<RootFactors>,
     /// What the root does not have: the repeatability of a pose, and errors of the joints that no length showed.
     of_pose: Option<RemainingErrors>,
+}
+
+/// The root of independent unknowns that a few measurements were added to: diag(sds) times I - weight row row' for each of them.
+/// A plan asks for the standard deviation of millions of lengths: this product with a vector is quicker than that of the root.
+#[derive(Clone, Debug)]
+struct RootFactors {
+    sds: DVector<f64>,
+    updates: Vec<RootUpdate>,
+}
+
+/// Multiplies a root by I - weight row row'.
+#[derive(Clone, Debug)]
+struct RootUpdate {
+    row: DVector<f64>,
+    weight: f64,
+}
+
+impl RootFactors {
+    /// The factors of a root that is diagonal; `None` for any other.
+    fn of_diagonal(root: &DMatrix<f64>) -> Option<Self> {
+        if !root.is_square() {
+            return None;
+        }
+        let sds = root.diagonal();
+        (DMatrix::from_diagonal(&sds) == *root).then_some(Self { sds, updates: Vec::new() })
+    }
+
+    /// The product of the transposed root with a vector.
+    fn tr_mul(&self, vector: &DVector<f64>) -> DVector<f64> {
+        let mut product = self.sds.component_mul(vector);
+        for RootUpdate { row, weight } in &self.updates {
+            let along = weight * row.dot(&product);
+            product.axpy(-along, row, 1.0);
+        }
+        product
+    }
 }
 
 /// A posterior after lengths.
@@ -51,7 +89,8 @@ impl Posterior {
 
     /// `root` has a row for each of `ids`, then for each coefficient of the joint errors.
     pub(super) fn with_root(model: LengthModel, ids: &[ParamId], root: DMatrix<f64>) -> Self {
-        Self { model, ids: ids.to_vec(), selection: ColumnSelection::new(ids), root, of_pose: None }
+        let factors = RootFactors::of_diagonal(&root);
+        Self { model, ids: ids.to_vec(), selection: ColumnSelection::new(ids), root, factors, of_pose: None }
     }
 
     /// The posterior with the errors of a single pose that an uncertainty has beside its root.
@@ -186,6 +225,7 @@ impl Posterior {
     pub fn with_exact_tool(&self, tool_mm: &Vector3<f64>) -> Self {
         let mut known = self.clone();
         known.model.geometry.tool = *tool_mm;
+        known.factors = None;
         for (row, id) in known.ids.iter().enumerate() {
             if matches!(id, ParamId::Tool(_)) {
                 known.root.row_mut(row).fill(0.0);
@@ -199,13 +239,21 @@ impl Posterior {
         let own = self.root.ncols();
         let mut root = self.root.resize_horizontally(own + columns.ncols(), 0.0);
         root.columns_mut(own, columns.ncols()).copy_from(columns);
-        Self { root, ..self }
+        Self { root, factors: None, ..self }
     }
 
     /// The derivative of the length from a base ball at `axes` (rad) in the coordinates of the root, mm: its norm is the
     /// length's standard deviation.
     pub fn design_row(&self, axes: &[f64; AXES], ball: BallId) -> DVector<f64> {
-        self.root.tr_mul(&self.derivative(axes, ball))
+        self.in_coordinates(&self.derivative(axes, ball))
+    }
+
+    /// A derivative by the rows of the root in the coordinates of the root.
+    fn in_coordinates(&self, derivative: &DVector<f64>) -> DVector<f64> {
+        match &self.factors {
+            Some(factors) => factors.tr_mul(derivative),
+            None => self.root.tr_mul(derivative),
+        }
     }
 
     /// The derivative of the length from a base ball at `axes` (rad) by the rows of the root; zero for an unknown ball.
@@ -272,11 +320,15 @@ impl Posterior {
                 }
             }
             derivative[at] = -1.0;
-            let row = touched.root.tr_mul(&derivative);
+            let row = touched.in_coordinates(&derivative);
             let variance = row.norm_squared() + sd_mm * sd_mm;
             let gain = &touched.root * &row;
             touched.model = touched.moved(&(&gain * (-apart_mm / variance)));
-            touched.root.ger(-1.0 / (variance + sd_mm * variance.sqrt()), &gain, &row, 1.0);
+            let weight = (variance + sd_mm * variance.sqrt()).recip();
+            touched.root.ger(-weight, &gain, &row, 1.0);
+            if let Some(factors) = &mut touched.factors {
+                factors.updates.push(RootUpdate { row, weight });
+            }
         }
         touched
     }
@@ -297,7 +349,7 @@ impl Posterior {
     ) -> Option<Self> {
         let mut system = self.system(&self.model, readings, noise.into())?;
         let root = root_after(&self.root, &system.factor())?;
-        Some(Self { root, ..self.clone() })
+        Some(Self { root, factors: None, ..self.clone() })
     }
 
     /// The posterior after these lengths. `None` if a number is not finite.
@@ -313,7 +365,7 @@ impl Posterior {
     pub(super) fn learnt(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Learnt> {
         let unknowns = self.root.ncols();
         let identity = DMatrix::identity(unknowns, unknowns);
-        let mut posterior = self.clone();
+        let mut posterior = Self { factors: None, ..self.clone() };
         let mut w = DVector::zeros(unknowns);
         for _ in 0..STEPS {
             let mut system = self.system(&posterior.model, readings, noise)?;
@@ -532,6 +584,21 @@ mod tests {
         for axis in 0..3 {
             assert!((touched.model.balls[0][axis] - start.balls[0][axis] - mean[1 + axis]).abs() < 1e-4);
         }
+    }
+
+    /// The quick product is that with the whole root, also where a ball was touched twice.
+    #[test]
+    fn factors_multiply_as_their_root() {
+        let ids: Vec<ParamId> =
+            Coordinate::ALL.iter().map(|axis| ParamId::Ball(BallId::FIRST, *axis)).chain([A2, BAR]).collect();
+        let start = Posterior::new(model(), &ids, &[20.0, 20.0, 30.0, 0.5, 0.01]);
+        let touched =
+            start.touched(BallId::FIRST, &AXIS_ANGLES, 0.1).touched(BallId::FIRST, &[0.3; AXES], 0.2);
+        assert_eq!(touched.factors.as_ref().map(|factors| factors.updates.len()), Some(6));
+        let derivative = touched.derivative(&[0.2; AXES], BallId::FIRST);
+        let found = touched.design_row(&[0.2; AXES], BallId::FIRST);
+        assert!((found - touched.root.tr_mul(&derivative)).norm() < 1e-9);
+        assert!(touched.with_exact_tool(&Vector3::x()).factors.is_none());
     }
 
     /// Rows of further parameters come before those of the coefficients; a parameter that is there stays.

@@ -1,13 +1,15 @@
 //! The predicted position uncertainty of the tool ball over a workspace, before and after the lengths.
 
 use nalgebra::{DMatrix, DVector};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
 
 use super::ball_motion::BallMotion;
 use super::estimator::Estimate;
 use super::hyper_parameters::{Group, Hypers};
 use super::lengths::Lengths;
 use super::options::Setting;
-use super::position::{Orientations, Positions, compressed};
+use super::position::{CompressingPoses, Orientations, Positions, compressed};
 use super::priors::{Prior, Priors};
 use super::result::{MapPoint, PositionParts, PredictedPair};
 use super::selection::is_bar;
@@ -239,9 +241,24 @@ pub(super) fn drift_after(setting: &Setting<'_>, estimate: &Estimate) -> Drift {
 }
 
 /// The poses for which an uncertainty is compressed: some of the workspace, and some that were measured.
-pub(super) fn compressing_poses(axes: &[[f64; AXES]], lengths: &Lengths) -> Vec<ApproachedPose> {
-    let of_workspace = thinned(axes.len()).map(|at| ApproachedPose::unapproached(&axes[at]));
-    of_workspace.chain(thinned(lengths.len()).map(|at| measured_pose(&lengths.reading(at)))).collect()
+pub(super) fn compressing_poses(axes: &[[f64; AXES]], lengths: &Lengths) -> CompressingPoses {
+    CompressingPoses {
+        workspace: thinned(axes.len()).map(|at| ApproachedPose::unapproached(&axes[at])).collect(),
+        measured: thinned(lengths.len()).map(|at| measured_pose(&lengths.reading(at))).collect(),
+        between: poses_between(lengths),
+    }
+}
+
+/// Poses among those that were measured, and at most as many: each angle lies anywhere between the angles of two of them.
+fn poses_between(lengths: &Lengths) -> Vec<ApproachedPose> {
+    let mut random = Pcg64::seed_from_u64(1);
+    let mut pose = |_| {
+        let [one, other] = [0, 1].map(|_| lengths.reading(random.random_range(0..lengths.len())));
+        let angle = |axis: usize, share: f64| one.axes[axis] + share * (other.axes[axis] - one.axes[axis]);
+        let axes = std::array::from_fn(|axis| angle(axis, random.random()));
+        measured_pose(&PreparedMeasurement { axes, ..one })
+    };
+    (0..lengths.len().min(COMPRESSING)).map(&mut pose).collect()
 }
 
 /// At most [`COMPRESSING`] indices of `count`, evenly spread.

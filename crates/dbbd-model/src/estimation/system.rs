@@ -298,15 +298,16 @@ impl SystemPosterior<'_> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::super::noise_shape::{JointNoise, OwnNoise};
     use super::super::tests::cell_of_poses::{hypers, model, normals, readings};
     use super::*;
     use crate::measurement::PreparedMeasurement;
     use crate::robot::{BallId, BarId, Coordinate, Joint, ParamId};
 
-    const SIGMA_MM: f64 = 0.03;
-    const SHAPE: NoiseShape = NoiseShape { own: OwnNoise::Stated(0.01), joints: JointNoise::NONE };
+    pub(in crate::estimation) const SIGMA_MM: f64 = 0.03;
+    pub(in crate::estimation) const SHAPE: NoiseShape =
+        NoiseShape { own: OwnNoise::Stated(0.01), joints: JointNoise::NONE };
 
     /// Two bound parameters of the robot, a bar, and two free balls.
     fn ids() -> Vec<ParamId> {
@@ -318,7 +319,7 @@ mod tests {
         ids
     }
 
-    fn system(readings: &[PreparedMeasurement]) -> System {
+    pub(in crate::estimation) fn system(readings: &[PreparedMeasurement]) -> System {
         let unit = vec![1.0; readings.len()];
         let rows = PoseRows::at(&model(2), &(readings, unit.as_slice()), &ids(), |_| None);
         let variance = |id: &ParamId| match id {
@@ -339,7 +340,7 @@ mod tests {
     }
 
     /// The covariance of the noise: sigma^2 u'v of the lengths of a pose, and the independent noise of each.
-    fn noise(system: &System) -> DMatrix<f64> {
+    pub(in crate::estimation) fn noise(system: &System) -> DMatrix<f64> {
         let rows = &system.rows;
         let mut noise = DMatrix::zeros(rows.lengths.len(), rows.lengths.len());
         for pose in &rows.poses {
@@ -352,7 +353,7 @@ mod tests {
     }
 
     /// Mean and covariance of A'S^-1 A + P by dense normal equations, columns in units of their norm.
-    fn dense(system: &System, hypers: &Hypers) -> (DVector<f64>, DMatrix<f64>) {
+    pub(in crate::estimation) fn dense(system: &System, hypers: &Hypers) -> (DVector<f64>, DMatrix<f64>) {
         let a = &system.rows.values;
         let units = DVector::from_iterator(a.ncols(), a.column_iter().map(|column| column.norm().recip()));
         let scaled = a * DMatrix::from_diagonal(&units);

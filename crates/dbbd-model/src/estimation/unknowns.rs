@@ -25,7 +25,7 @@ const MIN_RANGE: f64 = 0.05;
 /// and their limits.
 const FUNCTIONS: f64 = 2.65;
 const MIN_FUNCTIONS: usize = 10;
-const MAX_FUNCTIONS: usize = 48;
+const MAX_FUNCTIONS: usize = 96;
 /// Largest number of clusters of poses, and least number of poses in each. The poses of a cluster share a displacement
 /// of the tool ball.
 const CLUSTERS: usize = 24;

@@ -107,8 +107,10 @@ impl VisitedAngles {
 }
 
 impl SmoothJointError {
-    /// The interval of the smooth function is this many times as wide as the range of the measured angles.
-    const WIDER: f64 = 1.5;
+    /// The interval of the smooth function is this many times as wide as the range of the measured angles, and wider by this margin on
+    /// each side, rad: the functions are zero at its ends, which must be a length scale or so away from what was measured.
+    const WIDER: f64 = 1.15;
+    const MARGIN: f64 = 0.3;
 
     /// A function that is zero, with `count` basis functions.
     pub fn new(centre: f64, half_width: f64, count: usize) -> Self {
@@ -117,12 +119,12 @@ impl SmoothJointError {
 
     /// Half of the width of the interval for angles measured from `low` to `high`, rad.
     pub(crate) fn half_width_for([low, high]: [f64; 2]) -> f64 {
-        Self::WIDER * 0.5 * (high - low)
+        Self::WIDER * 0.5 * (high - low) + Self::MARGIN
     }
 
     /// The angle in the range of the measured angles that is nearest to `angle`, rad.
     pub(crate) fn nearest_measured(&self, angle: f64) -> f64 {
-        let reach = self.half_width / Self::WIDER;
+        let reach = ((self.half_width - Self::MARGIN) / Self::WIDER).max(0.0);
         self.centre + (angle - self.centre).clamp(-reach, reach)
     }
 
@@ -393,13 +395,14 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_is_half_again_as_wide_as_that_of_the_angles() {
-        assert_eq!(SmoothJointError::half_width_for([-1.0, 3.0]), 3.0);
-        let smooth = SmoothJointError::new(1.0, 3.0, 2);
-        assert_eq!([-5.0, 0.5, 4.0].map(|angle| smooth.nearest_measured(angle)), [-1.0, 0.5, 3.0]);
-        assert!(smooth.is_alike(&SmoothJointError::new(1.0, 3.0, 5)));
+    fn the_interval_is_wider_than_that_of_the_angles() {
+        assert!((SmoothJointError::half_width_for([-1.0, 3.0]) - 2.6).abs() < 1e-15);
+        let smooth = SmoothJointError::new(1.0, 2.6, 2);
+        let nearest = [-5.0, 0.5, 4.0].map(|angle| smooth.nearest_measured(angle));
+        assert!(nearest.iter().zip([-1.0, 0.5, 3.0]).all(|(one, other)| (one - other).abs() < 1e-15));
+        assert!(smooth.is_alike(&SmoothJointError::new(1.0, 2.6, 5)));
         assert!(!smooth.is_alike(&SmoothJointError::new(1.0, 3.1, 2)));
-        assert!(!smooth.is_alike(&SmoothJointError::new(1.1, 3.0, 2)));
+        assert!(!smooth.is_alike(&SmoothJointError::new(1.1, 2.6, 2)));
     }
 
     #[test]

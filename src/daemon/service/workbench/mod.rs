@@ -371,7 +371,7 @@ impl Workbench for Supervisor {
         }
         let _one = self.jobs.begin_trial()?;
         let explained = |finding| json!(self.jobs.explained(finding));
-        trial::try_job(&files.directory, &document.to_string(), explained)
+        trial::try_job(&files.directory, document, explained)
     }
 
     fn scene(&self, robot: &str) -> Result<Value, Diagnostic> {

@@ -12,12 +12,15 @@ use dbbd_job::request::{AnswerResult, Request, RequestChild, read_answer};
 use dbbd_model::base::InternalFinding::NoSystem;
 use dbbd_model::diagnostic::{Diagnostic, FindingRecord};
 use serde_json::{Value, json};
+use toml_edit::{DocumentMut, value};
 
 use crate::daemon::service::jobs::confine;
 use crate::live::ServiceFinding::{JobTooLong, WorkerLost};
 
 /// Longest time of a trial, s: a job that takes longer is not tried. Who asks has an answer within 10 s, also on a busy computer.
 const MAX_S: f64 = 8.0;
+/// Number of chosen poses of a trial: they show reach, limits and risk about each ball, and take less time than those of a run.
+const POINTS: i64 = 30;
 /// Interval between checks whether the child has ended, s.
 const LOOK_S: f64 = 0.02;
 
@@ -26,22 +29,23 @@ fn failed(error: &io::Error) -> Diagnostic {
 }
 
 /// Plans a job whose file would be in `directory`: returns `findings`, and with a plan also `checks`, `predictions` and
-/// the `scene`.
+/// the `scene`. Of chosen poses only a few are planned; then there are no `predictions`.
 ///
 /// # Errors
 /// The directory cannot be written, or planning takes too long.
 pub(super) fn try_job(
     directory: &Path,
-    job: &str,
+    mut job: DocumentMut,
     explained: impl Fn(FindingRecord) -> Value,
 ) -> Result<Value, Diagnostic> {
+    let is_whole = !has_fewer_points(&mut job);
     // Robot files beside the job are found from its directory; the page does not see names with a leading dot.
     let mut file = tempfile::Builder::new()
         .prefix(".trial-")
         .suffix(".toml")
         .tempfile_in(directory)
         .map_err(|error| failed(&error))?;
-    file.write_all(job.as_bytes()).map_err(|error| failed(&error))?;
+    file.write_all(job.to_string().as_bytes()).map_err(|error| failed(&error))?;
     let out = tempfile::tempdir().map_err(|error| failed(&error))?;
     let request = Request::Plan(PlanRequest {
         job: file.path().to_owned(),
@@ -62,11 +66,17 @@ pub(super) fn try_job(
             json!({
                 "findings": findings(answer.findings),
                 "checks": result.document["checks"],
-                "predictions": result.document["predictions"],
+                "predictions": is_whole.then(|| &result.document["predictions"]),
                 "scene": scene,
             })
         }
     })
+}
+
+/// Takes the chosen poses beyond those of a trial from a job; whether it had more.
+fn has_fewer_points(job: &mut DocumentMut) -> bool {
+    let points = job.get_mut("optimise").and_then(|optimise| optimise.get_mut("points"));
+    points.filter(|points| points.as_integer() > Some(POINTS)).map(|points| *points = value(POINTS)).is_some()
 }
 
 /// The answer of a child process; `None` if it ended without one.
@@ -97,4 +107,19 @@ fn plan(request: &Request, directory: &Path) -> Result<Option<dbbd_job::request:
         let _ = child.wait();
         Ok(answer.join().ok().flatten())
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_trial_plans_few_of_many_chosen_poses() {
+        for (points, expected) in [("230", "30"), ("30", "30"), ("12", "12")] {
+            let mut job: DocumentMut = format!("[optimise]\npoints = {points}\n").parse().unwrap();
+            assert_eq!(has_fewer_points(&mut job), points != expected);
+            assert_eq!(job.to_string(), format!("[optimise]\npoints = {expected}\n"));
+        }
+        assert!(!has_fewer_points(&mut "[[circle]]\nid = 1\n".parse().unwrap()));
+    }
 }
