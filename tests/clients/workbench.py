@@ -393,7 +393,7 @@ class Story:
                 x.fill(wanted)
                 x.press("Enter")
                 x.blur()
-            expect(found).to_contain_text(shown, timeout=60_000)
+            expect(found).to_contain_text(shown, timeout=20_000)
         self.look("moved")
         expect(scene.locator("#move-save")).to_be_disabled()
 
