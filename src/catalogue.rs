@@ -23,13 +23,13 @@ use dbbd_model::base::{FileFinding, InternalFinding};
 use dbbd_model::circular::CircularFinding;
 use dbbd_model::conformity::ConformityFinding;
 use dbbd_model::diagnostic::{Entry, Family};
-use dbbd_model::estimation::{EstimationFinding, FleetFinding, ResultFinding};
+use dbbd_model::estimation::{EstimationFinding, ResultFinding};
 use dbbd_model::measurement::MeasurementFinding;
 use dbbd_model::plausibility::PlausibilityFinding;
 use dbbd_model::provenance::{IdentityFinding, ProvenanceFinding};
 use dbbd_model::robot::RobotFinding;
 
-use dbbd_plant::ArchiveFinding;
+use dbbd_plant::{ArchiveFinding, FleetFinding};
 
 use crate::cli::{CliFinding, options_of};
 use crate::live::ServiceFinding;

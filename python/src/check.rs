@@ -3,10 +3,10 @@
 use dbbd_job::request::aged;
 use dbbd_job::request::check::{CheckSigma, CheckedLengths};
 use dbbd_job::request::identify::{known_lengths, stated_conditions};
+use dbbd_model::conformity::expected::{BallMounting, Mounting};
 use dbbd_model::conformity::{CheckInput, DecisionRule};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::Options;
-use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::measurement::{LengthModel, PreparedMeasurement};
 use dbbd_model::plausibility::Quantity;
 use pyo3::prelude::*;

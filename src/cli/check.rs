@@ -6,9 +6,9 @@ use super::{CommandOutput, value};
 use dbbd_job::request::Request;
 use dbbd_job::request::check::{CheckDocument, CheckRequest};
 use dbbd_job::robot_files::RobotName;
+use dbbd_model::conformity::change::{ChangeTest, Hypothesis};
+use dbbd_model::conformity::expected::Mounting;
 use dbbd_model::conformity::{DecisionRule, InterimCheck};
-use dbbd_model::estimation::change::{ChangeTest, Hypothesis};
-use dbbd_model::estimation::expected::Mounting;
 use dbbd_model::robot::ParamUnit;
 
 /// Check whether a calibrated robot has changed.

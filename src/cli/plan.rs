@@ -9,7 +9,7 @@ use dbbd_job::plan::{Plan, PlanPrediction, PoseKind};
 use dbbd_job::request::Request;
 use dbbd_job::request::plan::{CheckPoses, PlanDocument, PlanRequest, PlannedPoses, RepeatedRows};
 use dbbd_job::robot_files::RobotName;
-use dbbd_model::estimation::change::CheckPower;
+use dbbd_model::conformity::change::CheckPower;
 use dbbd_model::robot::ParamUnit;
 
 /// Plan the poses of a calibration from a job, and check them.

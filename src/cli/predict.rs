@@ -53,8 +53,8 @@ pub(crate) struct PredictArgs {
     /// its 3-D standard deviation (root of the mean square distance). This includes the repeatability of a pose, and is
     /// taken after the best rigid alignment over the poses (of fewer than 10, over the workspace too). sd_mrad is the
     /// standard deviation of the orientation of the flange; the turn that all poses have in common is taken out. cxx,cxy,cxz,cyy,cyz,czz
-    /// are the covariance of the position in the robot base, mm^2, whose trace is the square of sd_mm; nu are the degrees of freedom of
-    /// the standard deviation of a length that it follows, inf where that was given.
+    /// are the covariance of the position in the robot base, mm^2, whose trace is the square of sd_mm; 95 % of the errors e
+    /// have e' C^-1 e / 3 <= F(0.95; 3, nu) with this covariance C; nu is inf for normal errors of known covariance.
     #[arg(long, value_name = "P.csv")]
     out: PathBuf,
 }
@@ -68,7 +68,7 @@ struct PredictedBall {
     sd_mrad: f64,
     /// Upper triangle of the covariance of the position, row by row.
     covariance_mm2: [f64; 6],
-    /// Degrees of freedom of the standard deviation of a length; `None` if it was not estimated.
+    /// Degrees of freedom of the 95 % region; `None` for a normal error of known covariance.
     degrees_of_freedom: Option<f64>,
 }
 
@@ -94,7 +94,7 @@ impl PredictedBall {
         }
     }
 
-    /// The columns after the position. Degrees of freedom without a number are those of a known variance.
+    /// The columns after the position.
     fn uncertainties(&self) -> [f64; 9] {
         let [xx, xy, xz, yy, yz, zz] = self.covariance_mm2;
         let nu = self.degrees_of_freedom.unwrap_or(f64::INFINITY);
@@ -132,7 +132,7 @@ pub(super) fn run(args: &PredictArgs, out: &CommandOutput) -> Result<CommandOutc
         Some(table) => table.ball(&poses[at].axes.radians()).position,
         None => positions.balls[at],
     };
-    let freedom = robot.known_uncertainty().degrees_of_freedom;
+    let freedom = robot.known_uncertainty().region_degrees_of_freedom();
     let row = |(at, pose): (usize, &ApproachedPose)| {
         PredictedBall::of(pose, ball(at), (&positions, at), 1e3 * orientations.sd_rad(at), freedom)
     };

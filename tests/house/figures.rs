@@ -6,8 +6,6 @@ use crate::imports::{ChildImports, circles};
 use crate::lexer::Token;
 use crate::sources::{SourceFile, SourceTree, closing, starts_with};
 
-/// Rooms that are about to be replaced; a room is a directory or file directly in a `src`.
-pub(crate) const REPLACED_LATER: &[&str] = &["estimation", "design", "program", "report", "live"];
 /// From here on a struct is too wide to be read at a glance.
 pub(crate) const MANY_FIELDS: usize = 12;
 
@@ -44,16 +42,6 @@ pub(crate) fn shared_names(tree: &SourceTree) -> f64 {
 /// Types whose name is one word of CamelCase, percent of all types.
 pub(crate) fn one_word_names(tree: &SourceTree) -> f64 {
     percent_one_word(&definitions(tree))
-}
-
-/// As [`shared_names`], where neither type is in a room that is replaced later.
-pub(crate) fn shared_names_that_stay(tree: &SourceTree) -> f64 {
-    percent_shared(&definitions_that_stay(tree))
-}
-
-/// As [`one_word_names`], without the rooms that are replaced later.
-pub(crate) fn one_word_names_that_stay(tree: &SourceTree) -> f64 {
-    percent_one_word(&definitions_that_stay(tree))
 }
 
 /// `pub(super)`, `pub(crate)` and `pub(in ..)` per 1000 lines of product code.
@@ -153,11 +141,6 @@ pub(crate) fn wide(tree: &SourceTree, wanted: StructUse) -> Vec<TypeDefinition> 
 
 fn definitions(tree: &SourceTree) -> Vec<TypeDefinition> {
     tree.files.iter().flat_map(definitions_in).collect()
-}
-
-fn definitions_that_stay(tree: &SourceTree) -> Vec<TypeDefinition> {
-    let stays = |file: &&SourceFile| !REPLACED_LATER.contains(&file.room());
-    tree.files.iter().filter(stays).flat_map(definitions_in).collect()
 }
 
 fn definitions_in(file: &SourceFile) -> Vec<TypeDefinition> {

@@ -55,12 +55,6 @@ impl SourceFile {
     pub(crate) fn crate_and_place(&self) -> (&str, &str) {
         crate_and_place(&self.path).expect("a source file is in a crate")
     }
-
-    /// The directory or file directly in `src` to which it belongs.
-    pub(crate) fn room(&self) -> &str {
-        let (_, place) = self.crate_and_place();
-        place.split('/').next().unwrap_or(place).trim_end_matches(".rs")
-    }
 }
 
 /// `src` or `crates/NAME/src`, and the path below it.

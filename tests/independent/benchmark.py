@@ -159,7 +159,7 @@ def by_dbbd(split, kind, at):
     at.mkdir(parents=True)
     identify(robot.dbbd, at, *robot.observations(at, learned, Case("", len(learned), kind, True)))
     both = np.concatenate([learned, kept])
-    there, _ = predict(robot.dbbd, at, AXES + SENSE, robot.axes[both], robot.sense[both])
+    there, *_ = predict(robot.dbbd, at, AXES + SENSE, robot.axes[both], robot.sense[both])
     return aligned(there[:len(learned)], robot.places[learned])(there[len(learned):])
 
 

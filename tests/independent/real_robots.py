@@ -1,4 +1,4 @@
-"""How accurate and how honest `dbbd identify` is on data of real robots, at poses that it did not see. Needs numpy.
+"""How accurate and how honest `dbbd identify` is on data of real robots, at poses that it did not see. Needs numpy and scipy.
 
     python3 tests/independent/real_robots.py DBBD --shared DIR [--jobs N] [--only NAME] [--splits K..] [--assert]
         [--keep DIR]
@@ -13,8 +13,12 @@ poses, and has twelve splits; the others have three. `dbbd predict`
 says where the ball is at the kept poses; after one best rigid alignment of a split this is compared with where it was.
     error     mean 3-D error, mm
     p/t       predicted over true: root of the sum of sd^2 over that of error^2, all splits together
-    coverage  share of the poses with error^2 <= 7.815 sd^2 / 3 (95 % of chi-squared with 3 degrees of freedom)
+    coverage  share of the poses whose error e is in the 95 % ellipsoid of its covariance C with nu degrees of freedom:
+              e' C^-1 e / 3 <= F(0.95; 3, nu)
     seconds   wall time of one `identify`, without cross-validation
+Checks: after the same identification `dbbd check` of 24 other poses, which 20 splits draw; the robot did not change.
+    changed   checks that find a change although there is none; of all together at most the 99 % quantile of the rate that
+              they state
 Draw-wire: row i is kept in fold i mod 12.
     rms       of the residuals of the kept lengths, mm; `worst` is that of the worst fold (10 lengths)
     zeros     folds in which a zero changed or something was subtracted (W1333, W1331)
@@ -35,6 +39,7 @@ import tempfile
 import time
 
 import numpy as np
+from scipy.stats import binom, f as fisher
 
 # The limits of --assert.
 ERROR = {                      # mean 3-D error at most, mm: with the sense of approach, without
@@ -48,6 +53,7 @@ ERROR = {                      # mean 3-D error at most, mm: with the sense of a
 RATIO = (0.7, 1.5)             # p/t of each case
 MEAN_RATIO = (0.9, 1.15)       # geometric mean of p/t over all cases; not with --only
 COVERAGE = (0.85, 1.0)
+CHECKED, CHECKS = 24, range(21, 41)  # poses of a check, and its splits
 WIRE_RMS = 0.31                # mm, in every mode, and no zero changed
 
 Source = collections.namedtuple("Source", "files robot tool learn frame splits")
@@ -103,12 +109,12 @@ def write(path, columns, *parts):
         csv.writer(file).writerows([columns] + [[int(x) if x == int(x) else repr(x) for x in row] for row in rows])
 
 
-def run(dbbd, at, *arguments):
+def run(dbbd, at, *arguments, known=(0, 3)):
     """Runs a command in a directory; a warning (exit code 3) is no failure. The wall time, s."""
     begin = time.monotonic()
     done = subprocess.run([dbbd, *arguments], cwd=at, capture_output=True, text=True, errors="replace",
                           stdin=subprocess.DEVNULL, env={**os.environ, "NO_COLOR": "1"})
-    if done.returncode not in (0, 3):
+    if done.returncode not in known:
         said = (done.stderr.strip() or "nothing said").splitlines()
         raise RuntimeError(f"{arguments[0]} in {at.name}: exit code {done.returncode}: {' | '.join(said[:3])}")
     return time.monotonic() - begin
@@ -121,11 +127,11 @@ def identify(dbbd, at, *arguments):
 
 
 def predict(dbbd, at, columns, *parts, robot="o/robot-identified.toml"):
-    """Places of the tool ball at these axis angles, and their 3-D standard deviations."""
+    """Places of the tool ball at these axis angles, their covariances, and the degrees of freedom of these."""
     write(at / "axes.csv", columns, *parts)
     run(dbbd, at, "predict", "axes.csv", "--robot", robot, "--out", "p.csv")
-    table = read(at / "p.csv", XYZ + ["sd_mm"])
-    return table[:, :3], table[:, 3]
+    table = read(at / "p.csv", XYZ + ["cxx", "cxy", "cxz", "cyy", "cyz", "czz", "nu"])
+    return table[:, :3], table[:, 3:9][:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]], table[:, 9]
 
 
 # ---- geometry
@@ -180,7 +186,7 @@ class Robot:
             nominal = pathlib.Path(__file__).resolve().parents[2] / f"robots/{source.robot}.toml"
             at.mkdir(parents=True)
             (at / "nominal.toml").write_text(nominal.read_text() + f"\n[tool]\nball_mm = [{source.tool}]\n")
-            there, _ = predict(self.dbbd, at, AXES, self.axes, robot="nominal.toml")
+            there, *_ = predict(self.dbbd, at, AXES, self.axes, robot="nominal.toml")
             balls = aligned(self.places, there)(balls)
         self.start = balls.round(-1)
 
@@ -199,28 +205,50 @@ class Robot:
         return ["obs.csv", *self.options, "--centres", "C.csv"]
 
     def kept(self, at, case, split):
-        """Learns a split: errors and standard deviations at the kept poses, seconds."""
+        """Learns a split: errors at the kept poses, their predicted squares, whether they are inside their regions, seconds."""
         at.mkdir(parents=True)
         order = np.random.default_rng(split).permutation(len(self.axes))
         poses = order[case.learn:case.learn + KEPT]
         _, seconds = identify(self.dbbd, at, *self.observations(at, order[:case.learn], case))
         given = [self.axes[poses]] + [self.sense[poses]] * case.sense
-        there, sds = predict(self.dbbd, at, AXES + SENSE * case.sense, *given)
+        there, covariances, freedom = predict(self.dbbd, at, AXES + SENSE * case.sense, *given)
         places = trilaterated(self.lengths[poses], there) if self.places is None else self.places[poses]
-        return np.linalg.norm(aligned(there, places)(there) - places, axis=1), sds, seconds
+        off = aligned(places, there)(places) - there
+        deviates = np.einsum("ni,ni->n", off, np.linalg.solve(covariances, off[..., None])[..., 0])
+        squares = np.trace(covariances, axis1=1, axis2=2)
+        return np.linalg.norm(off, axis=1), squares, deviates / 3 <= fisher.ppf(0.95, 3, freedom), seconds
+
+
+    def checked(self, at, case, split):
+        """Learns a split and checks other poses of the unchanged robot: whether it is said to have changed, and the stated rate."""
+        at.mkdir(parents=True)
+        order = np.random.default_rng(split).permutation(len(self.axes))
+        identify(self.dbbd, at, *self.observations(at, order[:case.learn], case))
+        observations, *_ = self.observations(at, order[case.learn:case.learn + CHECKED], case)
+        run(self.dbbd, at, "check", observations, "--robot", "o/robot-identified.toml", "--centres", "C.csv", "--out", "c",
+            known=(0, 1, 3))
+        test = json.loads((at / "c/check.json").read_text())["test"]
+        return test["changed"], test["false_alarm"]
 
 
 def tracked_line(case, splits):
     """The line of a case, its p/t, and what is beyond the limits."""
-    errors, sds = (np.concatenate([split[part] for split in splits]) for part in (0, 1))
-    mean, ratio = errors.mean(), math.sqrt((sds ** 2).sum() / (errors ** 2).sum())
-    coverage = (errors ** 2 <= 7.815 * sds ** 2 / 3).mean()
+    errors, squares, inside = (np.concatenate([split[part] for split in splits]) for part in range(3))
+    mean, ratio, coverage = errors.mean(), math.sqrt(squares.sum() / (errors ** 2).sum()), inside.mean()
     most = ERROR.get(f"{case.robot} {case.learn} {case.input}", (math.inf, math.inf))[0 if case.sense else 1]
     beyond = [f"{name} {value:.4f}, limits {low} to {high}" for name, value, (low, high) in
               [("error", mean, (0, most)), ("p/t", ratio, RATIO), ("coverage", coverage, COVERAGE)]
               if not low <= value <= high]
-    seconds = np.mean([split[2] for split in splits])
+    seconds = np.mean([split[3] for split in splits])
     return f"{mean:8.4f}{ratio:8.3f}{coverage:10.3f}{seconds:9.2f}{len(errors):8d}", [ratio], beyond
+
+
+def false_alarms(checks):
+    """Prints how many checks of unchanged robots find a change, and says if they are too many."""
+    changed, rate = sum(changed for changed, _ in checks), checks[0][1]
+    most = int(binom.ppf(0.99, len(checks), rate))
+    print(f"{'all checks':32}{changed:8d}{len(checks):8d}  at most {most} at the stated {rate:.0%}")
+    return [f"{changed} of {len(checks)} checks of unchanged robots find a change, at most {most}"] * (changed > most)
 
 
 # ---- the draw-wire
@@ -235,7 +263,7 @@ def wire_fold(dbbd, data, at, mode, fold):
     write(at / "obs.csv", columns, rows[~is_kept])
     write(at / "C.csv", ["centre"] + XYZ, [1], WIRE_END)
     result, _ = identify(dbbd, at, "obs.csv", "--robot", "irb120.toml", "--centres", "C.csv", *WIRE_MODES[mode])
-    there, _ = predict(dbbd, at, AXES, rows[is_kept, 2:8])
+    there, *_ = predict(dbbd, at, AXES, rows[is_kept, 2:8])
     found = {p["name"]: p["identified"] for p in result["parameters"]}
     away = np.linalg.norm(there - [found[f"centre1_{axis}"] for axis in "xyz"], axis=1)
     codes = {finding["code"] for finding in result["findings"]} & {"W1333", "W1331"}
@@ -261,9 +289,12 @@ def campaign(args, work):
              for kind in ["three balls", "one ball"] + ["positions"] * (robot != "kr60") for sense in (True, False)}
     cases = {name: case for name, case in cases.items() if args.only in name}
     modes = {f"irb120 draw-wire, {mode}": mode for mode in WIRE_MODES if args.only in f"irb120 draw-wire, {mode}"}
-    if not cases and not modes:
+    checked = {f"{robot} {min(source.learn[-1], 400)} {kind}, checks": Case(robot, min(source.learn[-1], 400), kind, True)
+               for robot, source in SOURCES.items() for kind in ("three balls", "one ball")}
+    checked = {name: case for name, case in checked.items() if args.only in name}
+    if not cases and not modes and not checked:
         sys.exit(f"no case has {args.only} in its name")
-    robots = {name: Robot(args.dbbd, SOURCES[name], data, work / name) for name in {case.robot for case in cases.values()}}
+    robots = {name: Robot(args.dbbd, SOURCES[name], data, work / name) for name in {case.robot for case in (cases | checked).values()}}
 
     def directory(name):
         return name.replace(",", "").replace(" ", "-")
@@ -284,6 +315,8 @@ def campaign(args, work):
                           for k in args.splits or SOURCES[case.robot].splits] for name, case in cases.items()}
         wire = {name: [pool.submit(wire_fold, args.dbbd, data, work / directory(name) / str(fold), mode, fold)
                        for fold in range(WIRE_FOLDS)] for name, mode in modes.items()}
+        checks = {name: [pool.submit(robots[case.robot].checked, work / directory(name) / str(k), case, k) for k in CHECKS]
+                  for name, case in checked.items()}
         if cases:
             print(f"{'':32}{'error':>8}{'p/t':>8}{'coverage':>10}{'seconds':>9}{'poses':>8}")
         for name, parts in tracked.items():
@@ -293,6 +326,12 @@ def campaign(args, work):
             print(f"{'geometric mean':32}{mean:16.3f}")
             if not args.only and not MEAN_RATIO[0] <= mean <= MEAN_RATIO[1]:
                 beyond.append(f"geometric mean of p/t {mean:.3f}, limits {MEAN_RATIO[0]} to {MEAN_RATIO[1]}")
+        if checks:
+            print(f"\n{'':32}{'changed':>8}{'checks':>8}")
+        for name, parts in checks.items():
+            line(name, parts, lambda found: (f"{sum(changed for changed, _ in found):8d}{len(found):8d}", [], []))
+        if checks:
+            beyond.extend(false_alarms([part.result() for parts in checks.values() for part in parts]))
         if wire:
             print(f"\n{'':32}{'rms':>8}{'worst':>8}{'zeros':>8}")
         for name, parts in wire.items():

@@ -41,9 +41,9 @@ pub(crate) const CRATES: &[(&str, &[Room])] = &[
             room("robot", &["provenance"]),
             room("measurement", &["robot"]),
             room("estimation", &["robot", "measurement"]),
-            room("design", &["robot", "measurement", "estimation"]),
             room("circular", &[]),
             room("conformity", &["provenance", "robot", "measurement", "estimation", "circular"]),
+            room("design", &["robot", "measurement", "estimation", "conformity"]),
         ],
     ),
     (
@@ -66,7 +66,7 @@ pub(crate) const CRATES: &[(&str, &[Room])] = &[
             room("page", &[]),
             room("robot_files", &["provenance", "robot", "estimation", "conformity"]),
             room("robot_description", &["robot", "estimation"]),
-            room("plan", &["provenance", "robot", "measurement", "estimation", "design"]),
+            room("plan", &["provenance", "robot", "measurement", "estimation", "conformity", "design"]),
             room("program", &["provenance", "robot", "measurement", "plan"]),
             room(
                 "recording",
@@ -123,6 +123,7 @@ pub(crate) const CRATES: &[(&str, &[Room])] = &[
         "crates/dbbd-plant",
         &[
             room("catalogue", &[]),
+            room("fleet", &["robot", "catalogue"]),
             room(
                 "archive",
                 &[

@@ -260,8 +260,8 @@ fn one_uncertainty_is_stated_by_result_check_and_comparison() {
     }
 }
 
-/// The table of a prediction has the covariance of each position, which belongs to its standard deviation, and the degrees of freedom
-/// of the result.
+/// The table of a prediction has the covariance of each position, which belongs to its standard deviation, and degrees of freedom
+/// below those of the result.
 #[test]
 fn predictions_have_covariances() {
     let dir = tempdir().unwrap();
@@ -285,7 +285,8 @@ fn predictions_have_covariances() {
             // Positive semidefinite: no principal minor is negative.
             let whole = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
             assert!(xx > 0.0 && xx * yy >= xy * xy && whole >= 0.0, "{row}");
-            assert_eq!(values[23], freedom);
+            // Tails of visits make a 95 % region larger than the noise of a length alone.
+            assert!(values[23] > 4.0 && values[23] < freedom, "{row}");
         }
     }
 }

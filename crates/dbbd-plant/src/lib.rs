@@ -9,7 +9,13 @@
 #[cfg(feature = "archive")]
 mod archive;
 mod catalogue;
+#[cfg(all(test, feature = "archive"))]
+#[allow(dead_code, clippy::unwrap_used, reason = "the crates below use the rest; a test may fail")]
+#[path = "../../dbbd-model/src/test_support/cell.rs"]
+mod cell;
+#[cfg(feature = "archive")]
+pub mod fleet;
 
 #[cfg(feature = "archive")]
 pub use archive::*;
-pub use catalogue::ArchiveFinding;
+pub use catalogue::{ArchiveFinding, FleetFinding};

@@ -11,9 +11,9 @@ use dbbd_job::files;
 use dbbd_model::base::date;
 use dbbd_model::base::serialised;
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::estimation::fleet::{Assumptions, RunPosterior, fleet};
 use dbbd_model::robot::Robot;
 use dbbd_plant::ArchiveFinding;
+use dbbd_plant::fleet::{Assumptions, RunPosterior, fleet};
 use dbbd_plant::{Archive, ArchivedResult, IdentifySettings, RunSelection, WrittenPosterior};
 
 /// A result as the estimation of the fleet takes it; `None` if it has no posterior or no date.

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::{Job, PlanKinematics};
 use crate::plan::PlanFinding;
 use crate::plan::job::{BaseBallTable, JobCheck, JobFinding, JobTable};
+use dbbd_model::conformity::expected::Expected;
 use dbbd_model::estimation::EstimationFinding;
-use dbbd_model::estimation::expected::Expected;
 use dbbd_model::estimation::{
     AngleSource, Input, Options, Posterior, Prior, Priors, beyond_repeatability, largest_plausible,
     length_sd_mm, with_usual_joint_errors,

@@ -7,9 +7,9 @@ use super::plot::HeatMap;
 use super::scale::Unit;
 use super::verdict::Verdict;
 use dbbd_model::conformity::InterimCheck;
+use dbbd_model::conformity::change::Hypothesis;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::DistanceQuantities;
-use dbbd_model::estimation::change::Hypothesis;
 use dbbd_model::provenance::Provenance;
 use dbbd_model::robot::ParamUnit;
 

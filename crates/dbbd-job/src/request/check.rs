@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use dbbd_model::base::serialised::{self, Seal};
 use dbbd_model::conformity::ConformityFinding;
+use dbbd_model::conformity::expected::{BallMounting, Mounting};
 use dbbd_model::conformity::{self, CheckInput, ConformityOutcome, DecisionRule, InterimCheck};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
-use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::estimation::{DistanceQuantities, Options, Priors};
 use dbbd_model::measurement::{LengthModel, Measurements, PreparedMeasurement, are_lengths_known};
 use dbbd_model::provenance::Provenance;

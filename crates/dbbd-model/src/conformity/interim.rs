@@ -3,13 +3,12 @@
 use nalgebra::{DMatrix, Vector3};
 use serde::Serialize;
 
+use super::change::{ChangeTest, CheckPower, Detectable, FALSE_ALARM, Hypothesis, Innovation, POWER};
 use super::decision::{ConformityDecision, DecisionRule, decide};
+use super::expected::{BallMounting, Expected, Mounting};
 use crate::conformity::{ConformityFinding, ConformityOutcome};
 use crate::diagnostic::Names;
-use crate::estimation::change::{
-    ChangeTest, CheckPower, Detectable, FALSE_ALARM, Hypothesis, Innovation, POWER,
-};
-use crate::estimation::expected::{BallMounting, Expected, FREE_BALL_MM, Mounting};
+use crate::estimation::priors::FREE_BALL_MM;
 use crate::estimation::result::MapPoint;
 use crate::estimation::{
     ErrorSummary, LengthNoise, Positions, Posterior, Priors, Validity, ValidityLimit, displacement,

@@ -7,8 +7,10 @@ mod catalogue;
 pub use catalogue::ConformityFinding;
 
 mod budget;
+pub mod change;
 mod circles;
 mod decision;
+pub mod expected;
 mod headline;
 mod interim;
 mod results;

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::estimation::expected::Expected;
+use crate::conformity::expected::Expected;
 use crate::estimation::{Posterior, ToolPoses};
 use crate::math::stacked;
 use crate::robot::inverse::{branches, status, turns_within};

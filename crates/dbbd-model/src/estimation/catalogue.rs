@@ -277,18 +277,6 @@ findings! {
 }
 
 findings! {
-    /// What the runs of a plant show together.
-    FleetFinding "The runs of a plant together" {
-        W2416 "a bar jumped, or a robot changed suddenly",
-        cause: "A bar was dropped or its ends were exchanged; a robot crashed, or was repaired or mastered again. Runs before and after disagree by more than drift and noise allow.",
-        cure: "Have the bar certified again before its next run. Calibrate the robot again, and check what it did in between." {
-            BarJumped { bar: String, um: f64, sd_um: f64 } => "bar {bar} jumped by {um:+.1} um (standard deviation {sd_um:.1} um)";
-            RobotChanged { robot: String, times: usize } => "robot {robot} changed suddenly, {times} times";
-        }
-    }
-}
-
-findings! {
     /// A file that is not a result.
     ResultFinding "Results as files" {
         E1901 "a file is not a result that can be compared",

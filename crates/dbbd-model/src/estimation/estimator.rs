@@ -18,15 +18,16 @@ use super::hyper_parameters::{Group, HYPERS, HyperPrior, Hypers, SIGMA, Variance
 use super::hypotheses::{
     EventSearch, JudgedEvent, MAX_CERTAIN, MIN_LENGTHS, SupposedEvent, are_wrong_balls, sd_along, wrong_balls,
 };
-use super::leave_one_out;
+use super::leave_one_out::LeftOutVisits;
 use super::lengths::{Lengths, Sigma, Weighted};
-use super::noise_shape::{JointNoise, NoiseScore, NoiseShape, OwnNoise};
+use super::noise_score::NoiseScore;
+use super::noise_shape::{JointNoise, NoiseShape, OwnNoise};
 use super::options::{ErrorModel, Setting};
 use super::pose_rows::{LengthAtPose, LengthNoise, PoseRows};
 use super::priors::uncertified_variance;
 use super::ripple::{Candidate, RippleSearch, ln_candidates};
 use super::selection::{is_bar, is_place};
-use super::shifted_rows::shifted_rows;
+use super::shifted_rows::ShiftedRowSearch;
 use super::start::EstimateStart;
 use super::system::{NormalSums, System, SystemPosterior, Whitened};
 use super::unknowns::{USUAL_SIGMA_MM, Unknowns};
@@ -76,7 +77,7 @@ const MIN_POSE: f64 = 0.05;
 pub(crate) struct Estimate {
     /// The nominal robot with the free part of the set-up fitted, and the same with bars as stated.
     pub(crate) before: LengthModel,
-    pub(super) at_start: LengthModel,
+    at_start: LengthModel,
     pub(crate) analysis: Analysis,
     /// The estimated parameters, in canonical order.
     pub(crate) kept: Vec<ParamId>,
@@ -88,6 +89,8 @@ pub(crate) struct Estimate {
     /// The weights of the lengths, and the degrees of freedom if the residuals were used.
     pub(super) sigma: Sigma,
     pub(super) freedom: Option<f64>,
+    /// The degrees of freedom of the errors of a visit; `None` for normal ones.
+    visit_freedom: Option<f64>,
     /// Prior standard deviations of the estimated parameters; `None` for a free one.
     pub(super) prior_sds: Vec<Option<f64>>,
     /// A root of the covariance of parameters and coefficients, a row for each.
@@ -219,7 +222,7 @@ fn with_events(
         return Ok(found);
     }
     let plain = with_outliers(setting, lengths, asked, false)?;
-    Ok(if shifted_rows(&plain, lengths).is_some() { plain } else { found })
+    Ok(if plain.shifted_rows(lengths).is_some() { plain } else { found })
 }
 
 fn with_outliers(
@@ -779,7 +782,8 @@ impl<'a> Search<'a> {
         let is_list = unknowns.ids().len() == system.variances.len()
             && unknowns.ids().iter().zip(&system.variances).all(free);
         // What no unknown describes makes the visits that are left out worse than predicted, and so all other poses.
-        let factor = if is_list { 1.0 } else { leave_one_out::noise_factor(whitened, &posterior)? };
+        let left_out = if is_list { None } else { Some(LeftOutVisits::of(whitened, &posterior)?) };
+        let factor = left_out.map_or(1.0, |visits| visits.noise_factor);
         let all = if factor > 1.0 {
             whitened.equations.posterior(&cautious.with_sigma(factor * posterior.sigma_mm))?.root()?
         } else {
@@ -837,6 +841,7 @@ impl<'a> Search<'a> {
             open: start.open.clone(),
             sigma: if is_given { Sigma::Given } else { Sigma::All(whole_mm) },
             freedom: (!is_given && freedom > MIN_FREEDOM).then_some(freedom),
+            visit_freedom: left_out.map(|visits| visits.degrees_of_freedom),
             prior_sds: unknowns.prior_sds(&cautious),
             root,
             of_prior: of_prior(system, &all, &cautious),
@@ -950,6 +955,12 @@ impl Estimate {
         self.prior_sds[self.kept.iter().position(|kept| *kept == id)?]
     }
 
+    /// The shift of the rows with which the lengths fit decisively better.
+    pub(super) fn shifted_rows(&self, lengths: &Lengths) -> Option<EstimationFinding> {
+        let search = ShiftedRowSearch { start: &self.at_start, base: &self.base, sigma: self.sigma };
+        search.shift_of(lengths)
+    }
+
     /// Whether backlash is noise, because no sense of approach is known.
     pub(super) fn lacks_approach(&self) -> bool {
         !self.shape.joints.is_approached()
@@ -1017,6 +1028,7 @@ impl Estimate {
             shared_mm: None,
             unexplained_mm: self.left_out.as_ref().map_or(0.0, |left_out| left_out.rms_mm),
             degrees_of_freedom: self.freedom,
+            visit_degrees_of_freedom: self.visit_freedom,
             smooth,
             smooth_of_joints,
             scatter_rad: self.scatter_rad,
@@ -1035,12 +1047,12 @@ impl Estimate {
         let poses: Vec<([f64; AXES], Approach)> =
             measured.map(|at| lengths.reading(at)).map(|reading| (reading.axes, reading.approach)).collect();
         let moves = |id: &ParamId| id.is_geometric() || matches!(id, ParamId::Tool(_));
-        let ids: Vec<ParamId> = self.kept.iter().copied().filter(moves).collect();
+        let moving: Vec<usize> = (0..self.kept.len()).filter(|at| moves(&self.kept[*at])).collect();
+        let ids: Vec<ParamId> = moving.iter().map(|at| self.kept[*at]).collect();
         let rigid = whole.rigid();
         let alone = BallMotion::new(&rigid, &poses, &ids);
         let mut jacobian = alone.jacobian.columns(0, ids.len()).into_owned();
         take_out_rigid_motion(&mut jacobian, &alone.balls);
-        // The uncertainty of the errors that are left out is left out too.
         let (optional, geometric): (Vec<usize>, Vec<usize>) =
             (0..self.kept.len()).partition(|at| self.kept[*at].is_optional());
         let rows: Vec<usize> = optional.iter().copied().chain(self.kept.len()..self.root.nrows()).collect();
@@ -1056,11 +1068,17 @@ impl Estimate {
         for (at, id) in ids.iter().enumerate() {
             normal[(at, at)] += setting.priors.bound(*id).map_or(0.0, |sd| mean_square / (sd * sd));
         }
-        let Some(step) = Cholesky::new(normal).map(|factor| factor.solve(&jacobian.tr_mul(&off))) else {
-            return self;
-        };
-        let left = off - jacobian * &step;
-        left_out.rms_mm = ((left.norm_squared() + unknown.norm_squared()) / left.len() as f64).sqrt();
+        let Some(factor) = Cholesky::new(normal) else { return self };
+        // The geometry takes over the same part of the errors and of their uncertainty, which is correlated with its own.
+        let step = factor.solve(&jacobian.tr_mul(&off));
+        let of_unknown = factor.solve(&jacobian.tr_mul(&unknown));
+        let left = off - &jacobian * &step;
+        let left_unknown = unknown - jacobian * &of_unknown;
+        left_out.rms_mm = ((left.norm_squared() + left_unknown.norm_squared()) / left.len() as f64).sqrt();
+        for (own, row) in moving.iter().zip(of_unknown.row_iter()) {
+            let sum = self.root.row(*own) + row;
+            self.root.set_row(*own, &sum);
+        }
         self.left_out = Some(left_out);
         self.fit.model.geometry = rigid;
         ids.iter().zip(&step).for_each(|(id, step)| self.fit.model.shift(*id, *step));

@@ -7,7 +7,6 @@ use super::lengths::Sigma;
 use super::linear_system::factor;
 use super::priors::{Prior, largest_plausible};
 use super::result::{MonteCarlo, ParameterResult, Status};
-use super::shifted_rows::shifted_rows;
 use super::workspace::{ErrorSummary, SimplifiedModelError};
 use crate::diagnostic::Names;
 use crate::estimation::EstimationFinding;
@@ -47,7 +46,7 @@ pub(super) fn findings(of: &Calibration<'_>) -> Vec<EstimationFinding> {
     found.extend(implausible(of));
     found.extend(displaced(of));
     found.extend(contradicted(of));
-    found.extend(shifted_rows(&of.estimate, &of.lengths));
+    found.extend(of.estimate.shifted_rows(&of.lengths));
     found.extend(kinds_disagree(&of.estimate, &of.lengths));
     found.extend(outliers(fit.outliers.len(), of.lengths.len()));
     found.extend(consistency(of));

@@ -7,38 +7,105 @@
 use nalgebra::DMatrix;
 
 use super::system::{SystemPosterior, Whitened};
+use crate::math::distributions::ln_gamma;
 
 /// The factor 1 before any visit counts as much as this number of visits.
 const PRIOR_VISITS: f64 = 10.0;
+/// The reciprocal degrees of freedom of a visit: the mean of its exponential prior, and the values of which the mean is taken.
+const USUAL_RECIPROCAL: f64 = 0.05;
+const RECIPROCALS: std::ops::RangeInclusive<u32> = 0..=20;
+const RECIPROCAL_STEP: f64 = 0.01;
 
-/// The factor on the noise with which the posterior predicts visits that are left out as they are found, at least 1; `None` if a
-/// visit cannot be left out. The noise itself stays as it is: the factor is that of what the posterior adds to it.
-pub(super) fn noise_factor(whitened: &Whitened, posterior: &SystemPosterior<'_>) -> Option<f64> {
-    let by_root = posterior.rows_by_root(&whitened.rows)?;
-    let residual = &whitened.right - &whitened.rows * &posterior.mean;
-    let variance = posterior.sigma_mm.powi(2);
-    let (mut found, mut predicted, mut squares) = (0.0, 0.0, 0.0);
-    for (rows, factor) in whitened.whitening.factors() {
-        let noise = factor.norm_squared() * variance;
-        // Most visits have one length, which needs no matrices.
-        let (off, beyond) = if let [row] = rows {
-            let left_out = (1.0 - by_root.row(*row).norm_squared()).recip();
-            (noise / variance * (left_out * residual[*row]).powi(2), noise * (left_out - 1.0))
-        } else {
-            let by_root = by_root.select_rows(rows);
-            let identity = DMatrix::identity(rows.len(), rows.len());
-            let left_out = (&identity - &by_root * by_root.transpose()).try_inverse()?;
-            let off = &factor * (&left_out * residual.select_rows(rows));
-            (off.norm_squared(), (&factor * (left_out - identity)).dot(&factor) * variance)
-        };
-        found += off - noise;
-        predicted += beyond;
-        squares += beyond * beyond;
+/// What the visits that are left out show of any other pose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LeftOutVisits {
+    /// The factor on the noise with which the posterior predicts them as they are found, at least 1. The noise itself stays as it
+    /// is: the factor is that of what the posterior adds to it.
+    pub(super) noise_factor: f64,
+    /// The degrees of freedom of the t-distribution of their errors: few mean that large errors are less rare than normal ones.
+    pub(super) degrees_of_freedom: f64,
+}
+
+/// The error of a visit that is left out.
+struct LeftOutError {
+    lengths: f64,
+    /// Its square in units of the predicted covariance: chi-square of its lengths if all is normal.
+    deviate: f64,
+}
+
+impl LeftOutVisits {
+    /// `None` if a visit cannot be left out.
+    pub(super) fn of(whitened: &Whitened, posterior: &SystemPosterior<'_>) -> Option<Self> {
+        let by_root = posterior.rows_by_root(&whitened.rows)?;
+        let residual = &whitened.right - &whitened.rows * &posterior.mean;
+        let variance = posterior.sigma_mm.powi(2);
+        let (mut found, mut predicted, mut squares) = (0.0, 0.0, 0.0);
+        let mut errors = Vec::new();
+        for (rows, factor) in whitened.whitening.factors() {
+            let noise = factor.norm_squared() * variance;
+            // Most visits have one length, which needs no matrices.
+            let (off, beyond, deviate) = if let [row] = rows {
+                let left_out = (1.0 - by_root.row(*row).norm_squared()).recip();
+                let square = left_out * residual[*row].powi(2) / variance;
+                (noise * left_out * square, noise * (left_out - 1.0), square)
+            } else {
+                let (by_root, residual) = (by_root.select_rows(rows), residual.select_rows(rows));
+                let identity = DMatrix::identity(rows.len(), rows.len());
+                let left_out = (&identity - &by_root * by_root.transpose()).try_inverse()?;
+                let off = &left_out * &residual;
+                let beyond = (&factor * (left_out - identity)).dot(&factor) * variance;
+                ((&factor * &off).norm_squared(), beyond, residual.dot(&off) / variance)
+            };
+            found += off - noise;
+            predicted += beyond;
+            squares += beyond * beyond;
+            errors.push(LeftOutError { lengths: rows.len() as f64, deviate });
+        }
+        // The number of visits on which the sums rest.
+        let visits = if squares > 0.0 { predicted * predicted / squares } else { 0.0 };
+        let ratio = if predicted > 0.0 { found / predicted } else { 0.0 };
+        let square = (PRIOR_VISITS + visits * ratio) / (PRIOR_VISITS + visits);
+        let noise_factor = square.max(1.0).sqrt();
+        noise_factor
+            .is_finite()
+            .then(|| Self { noise_factor, degrees_of_freedom: degrees_of_freedom(&errors) })
     }
-    // The number of visits on which the sums rest.
-    let visits = if squares > 0.0 { predicted * predicted / squares } else { return Some(1.0) };
-    let square = (PRIOR_VISITS + visits * found / predicted) / (PRIOR_VISITS + visits);
-    square.is_finite().then(|| square.max(1.0).sqrt())
+}
+
+/// The degrees of freedom of t-distributed errors, by the posterior mean of their reciprocal. Only the shape is judged: the errors
+/// are divided by their root mean square.
+fn degrees_of_freedom(errors: &[LeftOutError]) -> f64 {
+    let sum = |of: fn(&LeftOutError) -> f64| errors.iter().map(of).sum::<f64>();
+    let mean_square = sum(|error| error.deviate) / sum(|error| error.lengths);
+    let candidates = RECIPROCALS.map(|step| f64::from(step) * RECIPROCAL_STEP);
+    let weighted: Vec<(f64, f64)> = candidates
+        .map(|reciprocal| {
+            let of_error =
+                |error: &LeftOutError| ln_density(error.lengths, error.deviate / mean_square, reciprocal);
+            (reciprocal, errors.iter().map(of_error).sum::<f64>() - reciprocal / USUAL_RECIPROCAL)
+        })
+        .collect();
+    let most = weighted.iter().fold(f64::NEG_INFINITY, |most, (_, weight)| most.max(*weight));
+    let [mean, all] = weighted.iter().fold([0.0; 2], |[mean, all], (reciprocal, weight)| {
+        let weight = (weight - most).exp();
+        [mean + weight * reciprocal, all + weight]
+    });
+    all / mean
+}
+
+/// The logarithm of the density of t-distributed numbers of the unit covariance whose squares add to `square`, relative to normal
+/// ones at 0; `reciprocal` is that of their degrees of freedom (Kotz and Nadarajah, "Multivariate t Distributions and Their
+/// Applications", 2004, section 1.1).
+fn ln_density(count: f64, square: f64, reciprocal: f64) -> f64 {
+    if reciprocal == 0.0 {
+        return -0.5 * square;
+    }
+    let freedom = reciprocal.recip();
+    let scale = freedom - 2.0;
+    ln_gamma(0.5 * (freedom + count))
+        - ln_gamma(0.5 * freedom)
+        - 0.5 * count * (0.5 * scale).ln()
+        - 0.5 * (freedom + count) * (square / scale).ln_1p()
 }
 
 #[cfg(test)]
@@ -46,6 +113,9 @@ mod tests {
     use super::super::system::tests::{SHAPE, SIGMA_MM, dense, noise, system};
     use super::super::tests::cell_of_poses::{hypers, model, readings};
     use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_distr::{ChiSquared, Distribution, StandardNormal};
+    use rand_pcg::Pcg64;
 
     /// Each visit is left out of the dense equations, and predicted by the others: 30 visits, of which every second one has two lengths,
     /// with residuals that are three times as large as their noise.
@@ -74,7 +144,7 @@ mod tests {
         let expected = ((10.0 + visits * found / predicted) / (10.0 + visits)).sqrt();
         let whitened = whole.whitened(SHAPE, SIGMA_MM).unwrap();
         let posterior = whitened.equations.posterior(&hypers).unwrap();
-        let factor = noise_factor(&whitened, &posterior).unwrap();
+        let factor = LeftOutVisits::of(&whitened, &posterior).unwrap().noise_factor;
         assert!(expected > 1.5 && (factor / expected - 1.0).abs() < 1e-6, "{factor} {expected}");
     }
 
@@ -88,9 +158,50 @@ mod tests {
             let right = std::mem::replace(&mut system.right, right);
             let whitened = system.whitened(SHAPE, SIGMA_MM).unwrap();
             let posterior = whitened.equations.posterior(&hypers).unwrap();
-            let factor = noise_factor(&whitened, &posterior).unwrap();
+            let factor = LeftOutVisits::of(&whitened, &posterior).unwrap().noise_factor;
             assert!((1.0..=most).contains(&factor), "{share}: {factor}");
             system.right = right;
+        }
+    }
+
+    /// Drawn errors: normal ones, and visits of three lengths that are divided by the root of a gamma variable of 6 degrees of
+    /// freedom. 2000 visits tell the reciprocal to sqrt(24 / 2000) / 6 = 0.02.
+    #[test]
+    fn tails_of_drawn_visits() {
+        let mut random = Pcg64::seed_from_u64(5);
+        let mut errors = |freedom: Option<f64>, count: usize| -> Vec<LeftOutError> {
+            let of_visit = |_| {
+                let scale = freedom
+                    .map_or(1.0, |freedom| ChiSquared::new(freedom).unwrap().sample(&mut random) / freedom);
+                let square = |_| -> f64 { random.sample::<f64, _>(StandardNormal).powi(2) };
+                LeftOutError { lengths: 3.0, deviate: (0..3).map(square).sum::<f64>() / scale }
+            };
+            (0..count).map(of_visit).collect()
+        };
+        assert!(degrees_of_freedom(&errors(None, 2000)) > 40.0);
+        let found = degrees_of_freedom(&errors(Some(6.0), 2000));
+        assert!((5.0..7.5).contains(&found), "{found}");
+        // Without visits it is the prior's: the mean of an exponential density of mean 0.05 that ends at 0.2.
+        let none = degrees_of_freedom(&[]);
+        let weights = (0..=20).map(|step| f64::from(step) * 0.01).map(|x| (x, (-x / 0.05).exp()));
+        let [mean, all] =
+            weights.fold([0.0; 2], |sums, (x, weight)| [sums[0] + x * weight, sums[1] + weight]);
+        assert!((none - all / mean).abs() < 1e-9, "{none}");
+    }
+
+    /// Values of scipy.stats.multivariate_t.logpdf with the shape (freedom - 2) / freedom, plus 1.5 ln(2 pi).
+    #[test]
+    fn density_of_three_numbers() {
+        for (square, reciprocal, expected) in [
+            (0.0, 0.1, 0.40506668782935895),
+            (2.0, 0.1, -1.0453663957130046),
+            (30.0, 0.1, -9.722873329473217),
+            (30.0, 0.2, -8.692702154600592),
+            (9.0, 0.01, -4.487105389762586),
+            (4.0, 0.0, -2.0),
+        ] {
+            let found = ln_density(3.0, square, reciprocal);
+            assert!((found - expected).abs() < 1e-9, "{square} {reciprocal}: {found}");
         }
     }
 }

@@ -6,8 +6,6 @@
 
 use nalgebra::DMatrix;
 
-use super::pose_rows::{LengthNoise, PoseRows};
-use super::prior_rows::PriorRows;
 use crate::math::Triangle;
 use crate::measurement::{ColumnSelection, LengthModel, MeasurementPieces, PreparedMeasurement};
 use crate::robot::{LengthRow, ParamId};
@@ -84,45 +82,6 @@ pub fn factor<L: MeasurementPieces + ?Sized>(
     linear_system(model, lengths, ids).factor()
 }
 
-/// As [`linear_system`], by `ids` and then by the coefficients of the joint errors, with noise that the lengths of a pose
-/// share. `None` if the covariance of the noise is singular.
-pub(super) fn linear_system_by_pose(
-    model: &LengthModel,
-    readings: &[PreparedMeasurement],
-    noise: LengthNoise<'_>,
-    ids: &[ParamId],
-) -> Option<Triangle> {
-    let unit = vec![1.0; readings.len()];
-    let lines = PoseRows::at(model, &(readings, unit.as_slice()), ids, |_| None);
-    let unknowns = lines.values.ncols();
-    let mut rows = lines.values.clone().insert_column(unknowns, 0.0);
-    rows.set_column(unknowns, &lines.residual);
-    lines.whitening(&lines.noise(&noise, model))?.apply(&mut rows);
-    let mut triangle = Triangle::new(unknowns);
-    for row in rows.row_iter() {
-        let values: Vec<f64> = row.iter().copied().collect();
-        triangle.push(&values[..unknowns], values[unknowns]);
-    }
-    Some(triangle)
-}
-
-/// Adds the rows of the prior to a system of `ids` and perhaps more parameters at `model`. Returns the sum of squares of
-/// their right-hand sides.
-pub(super) fn add_prior(
-    system: &mut Triangle,
-    prior: &PriorRows,
-    model: &LengthModel,
-    ids: &[ParamId],
-) -> f64 {
-    let deviates = prior.deviates(model, ids);
-    let mut values = vec![0.0; system.unknowns()];
-    for (row, deviate) in prior.matrix().row_iter().zip(&deviates) {
-        values.iter_mut().zip(row.iter()).for_each(|(value, own)| *value = *own);
-        system.push(&values, -deviate);
-    }
-    deviates.norm_squared()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -188,15 +147,5 @@ mod tests {
         assert!((system.solve().unwrap()[0] - 0.08).abs() < 1e-9);
         // Ten lengths of 0.5 mm: the information is 10 / 0.25.
         assert!((system.factor()[(0, 0)].abs() - 40f64.sqrt()).abs() < 1e-9);
-    }
-
-    #[test]
-    fn independent_noise_by_pose_is_that_of_the_lengths() {
-        let (model, readings) = (model(), readings(12));
-        let ids = [ParamId::Theta(Joint::J2), ParamId::A(Joint::J2)];
-        let sigma = vec![0.5; readings.len()];
-        let expected = factor(&model, &(readings.as_slice(), sigma.as_slice()), &ids);
-        let found = linear_system_by_pose(&model, &readings, 0.5.into(), &ids).unwrap().factor();
-        assert!((found.tr_mul(&found) - expected.tr_mul(&expected)).norm() < 1e-9 * expected.norm_squared());
     }
 }

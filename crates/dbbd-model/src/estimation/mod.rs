@@ -9,11 +9,10 @@
 //! holds a covariance, and [`Calibration::complete`] alone makes a result.
 
 mod catalogue;
-pub use catalogue::{EstimationFinding, FleetFinding, ResultFinding};
+pub use catalogue::{EstimationFinding, ResultFinding};
 
 mod ball_motion;
 mod calibration;
-pub mod change;
 mod contradiction;
 mod design_prediction;
 mod difference;
@@ -21,10 +20,8 @@ mod distance;
 mod effort;
 mod estimator;
 mod evidence;
-pub mod expected;
 mod findings;
 mod fit;
-pub mod fleet;
 mod hyper_parameters;
 mod hypotheses;
 mod identifiability;
@@ -34,6 +31,7 @@ mod leave_one_out;
 mod lengths;
 pub mod linear_system;
 mod monte_carlo;
+mod noise_score;
 mod noise_shape;
 mod options;
 mod parameters;

@@ -9,7 +9,8 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dim, Dyn, Matrix, StorageMut};
 
 use super::linear_system::Rows;
 use super::position::RemainingErrors;
-use crate::measurement::{LengthModel, MeasurementPieces};
+use crate::math::Triangle;
+use crate::measurement::{LengthModel, MeasurementPieces, PreparedMeasurement};
 use crate::robot::{AXES, Approach, Coordinate, Datum, Joint, ParamId, RobotUncertainty};
 
 /// The noise of a length.
@@ -51,6 +52,22 @@ impl<'a> LengthNoise<'a> {
         let variance = sigma_mm.powi(2);
         let own = (variance - shared_mm.powi(2)).max(MIN_OWN * variance);
         Self { pose_mm: pose_mm.min((variance - own).sqrt()), length_mm: own.sqrt(), joints }
+    }
+
+    /// The degrees of freedom of a t-distribution of all lengths together whose sum of squares scatters as much as that of visits
+    /// which are t-distributed one by one; `None` for normal errors. With v degrees of freedom the sum of n squares has the
+    /// variance 2 n + 2 n (n + 2) / (v - 4).
+    pub(crate) fn degrees_of_freedom_together(
+        self,
+        model: &LengthModel,
+        readings: &[PreparedMeasurement],
+    ) -> Option<f64> {
+        let of_visit = self.joints?.visit_degrees_of_freedom?;
+        let unit = vec![1.0; readings.len()];
+        let visits = PoseRows::at(model, &(readings, unit.as_slice()), &[], |_| None).poses;
+        let excess = |count: usize| (count * (count + 2)) as f64;
+        let of_visits: f64 = visits.iter().map(|visit| excess(visit.len())).sum();
+        Some(4.0 + (of_visit - 4.0) * excess(readings.len()) / of_visits)
     }
 
     /// Standard deviation of a length, mm.
@@ -370,8 +387,31 @@ impl Whitening {
     }
 }
 
+/// As [`linear_system()`](super::linear_system()), by `ids` and then by the coefficients of the joint errors, with noise that the lengths of a pose
+/// share. `None` if the covariance of the noise is singular.
+pub(super) fn linear_system_by_pose(
+    model: &LengthModel,
+    readings: &[PreparedMeasurement],
+    noise: LengthNoise<'_>,
+    ids: &[ParamId],
+) -> Option<Triangle> {
+    let unit = vec![1.0; readings.len()];
+    let lines = PoseRows::at(model, &(readings, unit.as_slice()), ids, |_| None);
+    let unknowns = lines.values.ncols();
+    let mut rows = lines.values.clone().insert_column(unknowns, 0.0);
+    rows.set_column(unknowns, &lines.residual);
+    lines.whitening(&lines.noise(&noise, model))?.apply(&mut rows);
+    let mut triangle = Triangle::new(unknowns);
+    for row in rows.row_iter() {
+        let values: Vec<f64> = row.iter().copied().collect();
+        triangle.push(&values[..unknowns], values[unknowns]);
+    }
+    Some(triangle)
+}
+
 #[cfg(test)]
 mod tests {
+    use super::super::linear_system::factor;
     use super::super::tests::cell_of_poses::{model, readings};
     use super::*;
     use crate::measurement::{PreparedMeasurement, Tracker};
@@ -412,6 +452,21 @@ mod tests {
             LengthNoise::of(0.013, None),
             LengthNoise { pose_mm: 0.0, length_mm: 0.013, joints: None }
         );
+    }
+
+    /// One visit of three lengths has the freedom of the visit; 24 such visits 4 + (10 - 4) (72 74) / (24 15).
+    #[test]
+    fn visits_together_are_more_normal_than_each() {
+        let model = model(3);
+        let robot = crate::robot::Robot::by_name_with_tool("kr60ha", [30.0, 20.0, 10.0]).unwrap().unwrap();
+        let tails = |visit_degrees_of_freedom, count: usize| {
+            let unknown = RobotUncertainty { visit_degrees_of_freedom, ..robot.known_uncertainty() };
+            LengthNoise::of(0.01, Some(&unknown))
+                .degrees_of_freedom_together(&model, &readings(&model, count, 1))
+        };
+        assert_eq!(tails(None, 24), None);
+        assert!((tails(Some(10.0), 1).unwrap() - 10.0).abs() < 1e-12);
+        assert!((tails(Some(10.0), 24).unwrap() - 92.8).abs() < 1e-9);
     }
 
     #[test]
@@ -462,5 +517,16 @@ mod tests {
             self::rows(&model, &some, &[]).tell_noise_apart()
         };
         assert_eq!([2, 3].map(few), [false, true]);
+    }
+
+    #[test]
+    fn independent_noise_by_pose_is_that_of_the_lengths() {
+        let model = model(3);
+        let readings = readings(&model, 12, 1);
+        let ids = [ParamId::Theta(Joint::J2), ParamId::A(Joint::J2)];
+        let sigma = vec![0.5; readings.len()];
+        let expected = factor(&model, &(readings.as_slice(), sigma.as_slice()), &ids);
+        let found = linear_system_by_pose(&model, &readings, 0.5.into(), &ids).unwrap().factor();
+        assert!((found.tr_mul(&found) - expected.tr_mul(&expected)).norm() < 1e-9 * expected.norm_squared());
     }
 }

@@ -8,11 +8,10 @@
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use super::expected::FREE_BALL_MM;
-use super::linear_system::{linear_system, linear_system_by_pose};
-use super::pose_rows::LengthNoise;
+use super::linear_system::linear_system;
+use super::pose_rows::{LengthNoise, linear_system_by_pose};
 use super::position::RemainingErrors;
-use super::priors::Priors;
+use super::priors::{FREE_BALL_MM, Priors};
 use super::workspace::Workspace;
 use crate::math::{Triangle, stacked};
 use crate::measurement::{ColumnSelection, LengthModel, PreparedMeasurement};
@@ -75,10 +74,10 @@ impl RootFactors {
 }
 
 /// A posterior after lengths.
-pub(super) struct Learnt {
-    pub(super) posterior: Posterior,
+pub(crate) struct Learnt {
+    pub(crate) posterior: Posterior,
     /// The model of the posterior in the coordinates of the prior's root: x = x0 + root w.
-    pub(super) w: DVector<f64>,
+    pub(crate) w: DVector<f64>,
 }
 
 impl Posterior {
@@ -88,7 +87,7 @@ impl Posterior {
     }
 
     /// `root` has a row for each of `ids`, then for each coefficient of the joint errors.
-    pub(super) fn with_root(model: LengthModel, ids: &[ParamId], root: DMatrix<f64>) -> Self {
+    pub(crate) fn with_root(model: LengthModel, ids: &[ParamId], root: DMatrix<f64>) -> Self {
         let factors = RootFactors::of_diagonal(&root);
         Self { model, ids: ids.to_vec(), selection: ColumnSelection::new(ids), root, factors, of_pose: None }
     }
@@ -100,7 +99,7 @@ impl Posterior {
     }
 
     /// The posterior with the errors of a single pose that another one has.
-    pub(super) fn with_errors_of_pose_of(self, other: &Self) -> Self {
+    pub(crate) fn with_errors_of_pose_of(self, other: &Self) -> Self {
         Self { of_pose: other.of_pose.clone(), ..self }
     }
 
@@ -235,7 +234,7 @@ impl Posterior {
     }
 
     /// The posterior with the covariance `columns columns'` added.
-    pub(super) fn widened(self, columns: &DMatrix<f64>) -> Self {
+    pub(crate) fn widened(self, columns: &DMatrix<f64>) -> Self {
         let own = self.root.ncols();
         let mut root = self.root.resize_horizontally(own + columns.ncols(), 0.0);
         root.columns_mut(own, columns.ncols()).copy_from(columns);
@@ -362,7 +361,7 @@ impl Posterior {
     }
 
     /// As [`Self::learn`], and also returns the coordinates w.
-    pub(super) fn learnt(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Learnt> {
+    pub(crate) fn learnt(&self, readings: &[PreparedMeasurement], noise: LengthNoise<'_>) -> Option<Learnt> {
         let unknowns = self.root.ncols();
         let identity = DMatrix::identity(unknowns, unknowns);
         let mut posterior = Self { factors: None, ..self.clone() };
@@ -402,7 +401,7 @@ impl Posterior {
     }
 
     /// The linearised problem of the lengths. `None` if the covariance of the noise is singular.
-    pub(super) fn system(
+    pub(crate) fn system(
         &self,
         model: &LengthModel,
         readings: &[PreparedMeasurement],

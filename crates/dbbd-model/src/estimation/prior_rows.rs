@@ -11,6 +11,7 @@ use super::Analysis;
 use super::options::Setting;
 use super::priors::Priors;
 use super::selection::is_bar;
+use crate::math::Triangle;
 use crate::measurement::LengthModel;
 use crate::robot::ParamId;
 
@@ -23,9 +24,16 @@ pub(super) struct PriorRows {
 }
 
 impl PriorRows {
-    /// The coefficients, a row for each equation.
-    pub(super) fn matrix(&self) -> &DMatrix<f64> {
-        &self.rows
+    /// Adds the rows to a system of `ids` and perhaps more parameters at `model`. Returns the sum of squares of their
+    /// right-hand sides.
+    pub(super) fn add_to(&self, system: &mut Triangle, model: &LengthModel, ids: &[ParamId]) -> f64 {
+        let deviates = self.deviates(model, ids);
+        let mut values = vec![0.0; system.unknowns()];
+        for (row, deviate) in self.rows.row_iter().zip(&deviates) {
+            values.iter_mut().zip(row.iter()).for_each(|(value, own)| *value = *own);
+            system.push(&values, -deviate);
+        }
+        deviates.norm_squared()
     }
 
     /// The residuals of the equations at a model, whose values of `ids` are p: deviates of unit variance.
@@ -112,7 +120,7 @@ mod tests {
         let ids = [IDS[0], ParamId::Ball(BallId::FIRST, Coordinate::X), IDS[2]];
         let prior = prior_rows(&setting, &ids).unwrap();
         let expected = DMatrix::from_row_slice(2, 3, &[2.0, 0.0, 0.0, 0.0, 0.0, 20.0]);
-        assert!((prior.matrix() - expected).norm() < 1e-12);
+        assert!((&prior.rows - expected).norm() < 1e-12);
     }
 
     /// a1 is 1.5 mm above its mean, 3 standard deviations; the offset 0.1 mm below, 2 standard deviations.

@@ -17,6 +17,8 @@ pub const WEAK: f64 = 3.0;
 const IMPLAUSIBLE: f64 = 5.0;
 /// and beyond this number in any case.
 const IMPOSSIBLE: f64 = 20.0;
+/// Standard deviation that stands for a free coordinate of a base ball, mm.
+pub(crate) const FREE_BALL_MM: f64 = 1000.0;
 /// A joint deflects by about this angle under the greatest torque of gravity: 2 to 6e-7 rad/(N m) for an arm that
 /// carries 60 kg.
 const DEFLECTION_RAD: f64 = 4e-4;

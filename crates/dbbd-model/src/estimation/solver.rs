@@ -6,7 +6,7 @@
 use nalgebra::DVector;
 
 use super::lengths::Weighted;
-use super::linear_system::{Rows, add_prior};
+use super::linear_system::Rows;
 use super::prior_rows::PriorRows;
 use crate::math::{Triangle, robust};
 use crate::measurement::LengthModel;
@@ -196,7 +196,7 @@ impl Equations {
         }
         let mut system = Triangle::merged(triangles, problem.ids.len());
         if let Some(prior) = problem.prior {
-            cost += add_prior(&mut system, prior, model, problem.ids);
+            cost += prior.add_to(&mut system, model, problem.ids);
         }
         Self { system, residuals, cost }
     }

@@ -20,6 +20,18 @@ pub fn ln_f_tail(f: f64, upper: f64, lower: f64) -> f64 {
     }
 }
 
+/// The value that F with `upper` and `lower` degrees of freedom exceeds with probability `p`.
+pub fn f_exceeded(p: f64, upper: f64, lower: f64) -> f64 {
+    crossing(10.0, |f| f_tail(f, upper, lower) > p)
+}
+
+/// The lower degrees of freedom with which F exceeds `f` with probability `p`; `None` if chi-square over its freedom exceeds `f`
+/// as often.
+pub fn lower_freedom(p: f64, upper: f64, f: f64) -> Option<f64> {
+    let is_normal = chi_square_tail(upper * f, upper) >= p;
+    (!is_normal).then(|| crossing(100.0, |lower| f_tail(f, upper, lower) > p))
+}
+
 /// The standard normal deviate whose two-sided tail probability has the natural logarithm `ln_p`; at least 1.
 pub fn normal_deviate(ln_p: f64) -> f64 {
     // Mills' ratio by Laplace's continued fraction (DLMF 7.9.3), evaluated from its end.
@@ -227,7 +239,7 @@ fn fraction(x: f64, a: f64, b: f64) -> f64 {
 }
 
 /// Logarithm of the gamma function for x > 0 (Stirling's series after shifting x above 10, DLMF 5.11.1).
-fn ln_gamma(x: f64) -> f64 {
+pub(crate) fn ln_gamma(x: f64) -> f64 {
     let (mut x, mut shift) = (x, 0.0);
     while x < 10.0 {
         shift -= x.ln();
@@ -277,6 +289,21 @@ mod tests {
             assert!((found / expected - 1.0).abs() < 1e-10, "{f}, {upper}, {lower}: {found} for {expected}");
         }
         assert_eq!(f_tail(0.0, 3.0, 4.0), 1.0);
+    }
+
+    /// Values of scipy.stats.f.isf.
+    #[test]
+    fn quantile_of_f_and_its_degrees_of_freedom() {
+        for (lower, expected) in
+            [(5.0, 5.409451318056488), (20.0, 3.098391212140781), (700.0, 2.6176267081914637)]
+        {
+            let found = f_exceeded(0.05, 3.0, lower);
+            assert!((found / expected - 1.0).abs() < 1e-9, "{lower}: {found}");
+            let back = lower_freedom(0.05, 3.0, found).unwrap();
+            assert!((back / lower - 1.0).abs() < 1e-6, "{lower}: {back}");
+        }
+        let normal = chi_square_exceeded(0.05, 3.0) / 3.0;
+        assert_eq!(lower_freedom(0.05, 3.0, 0.999 * normal), None);
     }
 
     #[test]

@@ -8,6 +8,7 @@ use super::posterior::with_steps;
 use super::tolerance::Tolerance;
 use super::{AXES, Geometry, Joint, ParamId};
 use crate::base::fixed_array::fixed_array;
+use crate::math::distributions::{chi_square_exceeded, f_exceeded, lower_freedom};
 
 /// Significant digits of the root in a robot file.
 const DIGITS: usize = 4;
@@ -37,6 +38,10 @@ pub struct RobotUncertainty {
     /// Degrees of freedom of the standard deviation of a length, which the covariance follows; `None` if it was not estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub degrees_of_freedom: Option<f64>,
+    /// Degrees of freedom of the t-distribution of the errors of a visit, whose covariance is what is predicted; `None` for normal
+    /// ones.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub visit_degrees_of_freedom: Option<f64>,
     /// Gaussian processes whose sum is the prior of the smooth function of a joint's angle. It still holds at angles
     /// that were not measured.
     pub smooth: Vec<GaussianProcess>,
@@ -66,7 +71,24 @@ impl RobotUncertainty {
             && self.shared_mm.is_none_or(|mm| mm >= 0.0 && mm.is_finite())
             && (0.0..f64::INFINITY).contains(&self.unexplained_mm)
             && self.degrees_of_freedom.is_none_or(|freedom| freedom > 0.0)
+            && self.visit_degrees_of_freedom.is_none_or(|freedom| freedom > 4.0)
             && self.smooth.iter().all(|part| part.sd_rad.is_finite() && part.length_scale_rad > 0.0)
+    }
+
+    /// The degrees of freedom nu with which e' C^-1 e / 3 <= F(0.95; 3, nu) is a 95 % region of the error e of a pose of covariance C:
+    /// a visit is t-distributed, and the standard deviation of a length is known to its own degrees of freedom. `None` for a normal
+    /// error of known covariance.
+    pub fn region_degrees_of_freedom(&self) -> Option<f64> {
+        const DIMENSIONS: f64 = 3.0;
+        const OUTSIDE: f64 = 0.05;
+        let normal = chi_square_exceeded(OUTSIDE, DIMENSIONS) / DIMENSIONS;
+        let quantile =
+            |freedom: Option<f64>| freedom.map_or(normal, |freedom| f_exceeded(OUTSIDE, DIMENSIONS, freedom));
+        // The scale of a t-distribution is a smaller matrix than its covariance.
+        let scale = self.visit_degrees_of_freedom.map_or(1.0, |freedom| (freedom - 2.0) / freedom);
+        let radius =
+            scale * quantile(self.visit_degrees_of_freedom) * quantile(self.degrees_of_freedom) / normal;
+        lower_freedom(OUTSIDE, DIMENSIONS, radius)
     }
 
     /// Random error of each joint's angle on a visit with these senses of approach, one standard deviation, rad. It
@@ -85,6 +107,7 @@ impl RobotUncertainty {
             shared_mm: None,
             unexplained_mm: 0.0,
             degrees_of_freedom: None,
+            visit_degrees_of_freedom: None,
             smooth: Vec::new(),
             smooth_of_joints: [1.0; AXES],
             scatter_rad: [0.0; AXES],
@@ -208,6 +231,25 @@ mod tests {
         let stated = Tolerance { flange_mm: Some(p), ..Tolerance::of(t, 0.05) };
         assert!((variance(stated) / (open * open) - 1.0).abs() < 1e-12);
         assert_eq!(unknown.clone().at_exact_tool(&stated).root.row(1).norm(), 0.0);
+    }
+
+    /// scipy.stats.f.isf(0.05, 3, nu) is (8 / 10) f.isf(0.05, 3, 10), times f.isf(0.05, 3, 100) / (chi2.isf(0.05, 3) / 3).
+    #[test]
+    fn region_of_t_distributed_visits() {
+        let none = RobotUncertainty::of_root(Vec::new(), DMatrix::zeros(0, 0));
+        let of = |visit_degrees_of_freedom, degrees_of_freedom| {
+            RobotUncertainty { visit_degrees_of_freedom, degrees_of_freedom, ..none.clone() }
+                .region_degrees_of_freedom()
+        };
+        assert_eq!(of(None, None), None);
+        for (visit, length, expected) in [
+            (Some(10.0), None, 26.567093399698155),
+            (Some(10.0), Some(100.0), 21.10834475293512),
+            (None, Some(100.0), 100.0),
+        ] {
+            let found = of(visit, length).unwrap();
+            assert!((found / expected - 1.0).abs() < 1e-6, "{visit:?} {length:?}: {found}");
+        }
     }
 
     /// 2 times the integral of k(t) cos(w t) from 0 by scipy.integrate.quad; k is the Matern-5/2 covariance

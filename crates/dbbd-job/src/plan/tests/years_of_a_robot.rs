@@ -2,9 +2,9 @@
 //! calibration. What was crashed in between is found with its axis.
 
 use dbbd_model::base::date::after_months;
+use dbbd_model::conformity::expected::{Expected, Mounting};
 use dbbd_model::conformity::{CheckInput, DecisionRule, InterimCheck};
 use dbbd_model::design::Criterion;
-use dbbd_model::estimation::expected::{Expected, Mounting};
 use dbbd_model::estimation::{ErrorModel, Options, Posterior, Prior, Workspace};
 use dbbd_model::measurement::{BaseBall, Datum, LengthModel, Measurement, Measurements, PreparedMeasurement};
 use dbbd_model::robot::{

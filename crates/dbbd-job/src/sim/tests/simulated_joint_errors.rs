@@ -1,10 +1,10 @@
 //! Robots with random joint errors: whether the predicted position uncertainty is right, and what the estimation of joint errors costs
 //! a robot without them. Campaigns; figures in docs/evidence/README.md.
 
+use dbbd_model::conformity::change::Innovation;
+use dbbd_model::conformity::expected::{BallMounting, Mounting};
 use dbbd_model::conformity::{CheckInput, DecisionRule};
 use dbbd_model::estimation::CompletedCalibration;
-use dbbd_model::estimation::change::Innovation;
-use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::estimation::{ErrorModel, Options, Prior};
 use dbbd_model::measurement::{BaseBall, LengthModel, Measurements, PreparedMeasurement};
 use dbbd_model::robot::{Approach, BallId, Joint, ParamId};

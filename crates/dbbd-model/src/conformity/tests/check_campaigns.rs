@@ -1,11 +1,11 @@
 //! Simulated checks: rates of false alarms, detection, right hypotheses, repair and wrong decisions.
 
+use dbbd_model::conformity::change::Innovation;
+use dbbd_model::conformity::expected::{BallMounting, Mounting};
 use dbbd_model::conformity::{
     CheckInput, CheckUncertainty, ConformityOutcome, DecisionRule, InterimCheck, decide,
 };
 use dbbd_model::diagnostic::Finding;
-use dbbd_model::estimation::change::Innovation;
-use dbbd_model::estimation::expected::{BallMounting, Mounting};
 use dbbd_model::estimation::{ErrorSummary, Posterior, Workspace, displacement, tool_balls};
 use dbbd_model::measurement::{ApproachedPose, BaseBall, LengthModel, Measurements, PreparedMeasurement};
 use dbbd_model::robot::{BallId, Coordinate, ParamId, Robot};

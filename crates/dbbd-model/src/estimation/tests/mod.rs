@@ -2,7 +2,6 @@
 
 pub(super) mod cell_of_poses;
 mod finds_what_happened;
-mod fleet_is_estimated;
 mod identifies_to_the_limit;
 mod one_estimate_of_all;
 mod prior_distributes_combinations;

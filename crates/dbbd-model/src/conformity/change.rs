@@ -13,8 +13,8 @@ use rand_pcg::Pcg64;
 use serde::Serialize;
 
 use super::expected::{Expected, typical};
-use super::pose_rows::LengthNoise;
-use super::posterior::Learnt;
+use crate::estimation::LengthNoise;
+use crate::estimation::posterior::Learnt;
 use crate::math::Triangle;
 use crate::math::distributions::{
     COVERAGE_95, chi_square_exceeded, chi_square_tail, noncentral_tail, noncentrality,
@@ -163,7 +163,7 @@ impl Innovation {
         let changeable: Vec<ParamId> = changeable.into_iter().map(|at| posterior.ids()[at]).collect();
         let candidates = candidates(&changeable, &effects);
         let mut found = Self { changeable, candidates, effects, innovation, rest, freedom, null: Vec::new() };
-        found.null = found.drawn();
+        found.null = found.drawn(noise.degrees_of_freedom_together(&posterior.model, readings));
         Some(found)
     }
 
@@ -217,8 +217,8 @@ impl Innovation {
         self.candidates.iter().map(part).collect()
     }
 
-    /// The test statistic without a change, drawn and sorted.
-    fn drawn(&self) -> Vec<f64> {
+    /// The test statistic without a change, drawn and sorted. `tails` are the degrees of freedom of t-distributed lengths.
+    fn drawn(&self, tails: Option<f64>) -> Vec<f64> {
         let mut random = Pcg64::seed_from_u64(SEED);
         let rank = self.rank();
         let mut drawn = DMatrix::zeros(self.effects.nrows(), DRAWS);
@@ -229,10 +229,19 @@ impl Innovation {
         }
         let beyond = (self.freedom - content.len().min(self.freedom)) as f64;
         let beyond = (beyond > 0.0).then(|| ChiSquared::new(beyond).ok()).flatten();
+        // A t-distributed innovation of the same covariance: the root of a gamma variable divides all of it.
+        let scales: Vec<f64> = match tails.and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)))
+        {
+            Some((freedom, gamma)) => {
+                (0..DRAWS).map(|_| (freedom - 2.0) / gamma.sample(&mut random)).collect()
+            }
+            None => vec![1.0; DRAWS],
+        };
+        drawn.column_iter_mut().zip(&scales).for_each(|(mut column, scale)| column *= scale.sqrt());
         let parts = self.projections(&drawn);
         let mut null: Vec<f64> = (0..DRAWS)
             .map(|draw| {
-                let rest = beyond.map_or(0.0, |beyond| beyond.sample(&mut random));
+                let rest = beyond.map_or(0.0, |beyond| scales[draw] * beyond.sample(&mut random));
                 self.statistic(&parts, draw, drawn.column(draw).norm_squared() + rest)
             })
             .collect();

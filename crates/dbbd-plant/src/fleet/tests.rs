@@ -1,8 +1,8 @@
 //! Runs of many robots and bars together determine what none determines alone: the bar that was dropped, and the prior of a new
 //! robot of a known type.
 
+use super::{Assumptions, Fleet, RunPosterior, fleet};
 use dbbd_model::diagnostic::Finding as _;
-use dbbd_model::estimation::fleet::{Assumptions, Fleet, RunPosterior, fleet};
 use dbbd_model::estimation::posterior::Posterior;
 use dbbd_model::estimation::priors::Priors;
 use dbbd_model::estimation::{AngleSource, ErrorModel, ErrorSummary, Input, Options, Prior, Workspace};
@@ -14,7 +14,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Normal, StandardNormal};
 use rand_pcg::Pcg64;
 
-use crate::test_support::cell::{CENTRE, kr60, poses, three_planes};
+use crate::cell::{CENTRE, kr60, poses, three_planes};
 
 /// Standard deviation of a length, mm, and of a bar's offset, mm.
 const NOISE_MM: f64 = 0.01;

@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::kind::{Kind, information};
 use super::{Assumptions, EPOCH_DAYS, Knot, RunPosterior, YEAR_DAYS, inverse};
-use crate::math::distributions::chi_square_exceeded;
+use dbbd_model::math::distributions::chi_square_exceeded;
 
 /// Standard deviation of a bar's offset at the start of the filter, mm. Its information is subtracted at the end.
 const OPEN_MM: f64 = 10.0;

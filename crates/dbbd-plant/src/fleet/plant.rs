@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use super::bars::{Column, histories};
 use super::kind::Moments;
 use super::{Assumptions, Fleet, FleetRobot, Folded, ITERATIONS, Kind, Knot, SETTLED, inverse};
-use crate::math::distributions::chi_square_exceeded;
+use dbbd_model::math::distributions::chi_square_exceeded;
 
 /// Significance level of a jump.
 const JUMP: f64 = 1e-4;

@@ -19,9 +19,9 @@ use nalgebra::{DMatrix, DVector};
 use self::fold::{Folded, fold};
 use self::kind::{Kind, kinds};
 use self::plant::Plant;
-use super::catalogue::FleetFinding;
-use crate::math::distributions::COVERAGE_95;
-use crate::robot::{ParamId, Robot, RobotPosterior};
+use crate::catalogue::FleetFinding;
+use dbbd_model::math::distributions::COVERAGE_95;
+use dbbd_model::robot::{ParamId, Robot, RobotPosterior};
 
 /// The offset of a bar is constant within this number of days.
 const EPOCH_DAYS: f64 = 10.0;
@@ -194,3 +194,6 @@ pub fn fleet(runs: &[RunPosterior], assumed: &Assumptions) -> Option<Fleet> {
     }
     Some(Fleet { unusable, ..plant.fleet()? })
 }
+
+#[cfg(test)]
+mod tests;

@@ -2,8 +2,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::posterior::Posterior;
-use super::priors::Priors;
+use crate::estimation::posterior::Posterior;
+use crate::estimation::priors::{FREE_BALL_MM, Priors};
 use crate::robot::{AXES, BallId, BarId, Coordinate, ParamId, ParamUnit, Robot};
 
 /// Possible changes by mounting since the calibration, as standard deviations.
@@ -46,9 +46,6 @@ pub struct Expected {
     pub(super) free: Vec<usize>,
     balls: BallMounting,
 }
-
-/// Standard deviation that stands for a free coordinate of a base ball, mm.
-pub(crate) const FREE_BALL_MM: f64 = 1000.0;
 
 impl Expected {
     /// `known` is the posterior of the calibration (parameters, tool ball, and base balls that were kept). Its model has the

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use nalgebra::{DMatrix, DVector};
 
 use super::{FleetType, RunPosterior, inverse};
-use crate::robot::ParamId;
+use dbbd_model::robot::ParamId;
 
 /// Weight of the prior scatter of one tolerance, as a number of values.
 const SCATTER_WEIGHT: f64 = 4.0;
