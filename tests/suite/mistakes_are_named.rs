@@ -229,8 +229,8 @@ const OF_URSCRIPT: &[(&str, &str, i32, &str)] = &[
     (
         "  movel",
         "  if get_standard_digital_in(1):\n    set_tcp(get_tcp_offset())\n  end\n  movel",
-        1,
-        "E0901",
+        3,
+        "W0905",
     ),
     ("p[0.03,0.02,0.15,0,0,0]", "p[0.03,0.02,0.25,0,0,0]", 1, "E0902"),
     ("  movej([0,-1.57,1.57,-1.57,-1.57,0])\n", "", 1, "E0923"),

@@ -36,6 +36,8 @@ pub enum Branch {
     OnLine(FanucConfiguration),
     /// The branch nearest to the position before.
     Nearest,
+    /// The branch nearest to the position before; for a first motion, that of ABB's configuration.
+    NearestElse([i32; 4]),
     /// The branch nearest to these axis angles, rad.
     NearestTo([f64; AXES]),
 }
@@ -170,6 +172,10 @@ impl<'a> Corrector<'a> {
                 let flange = frames.flange(&Pose::from_kuka(xyz_mm, abc_deg));
                 let axes = match commanded.branch {
                     Branch::ByQuadrants(wanted) => inverse::from_quadrants(&self.nominal, &flange, wanted),
+                    Branch::NearestElse(wanted) => match self.last {
+                        Some(last) => self.nearest(&flange, &last),
+                        None => inverse::from_quadrants(&self.nominal, &flange, wanted),
+                    },
                     Branch::ByFanuc(wanted) if self.knows_fanuc() => {
                         inverse::from_fanuc(&self.nominal, &flange, wanted, None)
                     }

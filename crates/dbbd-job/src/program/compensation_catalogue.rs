@@ -23,6 +23,7 @@ findings! {
             RootSet { line: usize } => "line {line} moves the robot away from the origin of $BASE ($ROBROOT)", help: "put the place of the robot into $BASE";
             MovedWorkObject { name: String } => "{name} is moved by a mechanical unit";
             Displaced { word: String, line: usize } => "{word} in line {line} displaces this motion", help: "put the displacement into the work object";
+            OptionUnknown { word: String, line: usize } => "whether the option {word} in line {line} displaces this motion is not known";
             FixedTool { name: String } => "{name} moves the workpiece against a fixed tool",
                 help: "only a tool on the flange can be compensated";
         }
@@ -40,7 +41,13 @@ findings! {
         E0922 "the controller corrects the program by itself",
         cause: "The program switches on the absolute accuracy of the controller, which then corrects each pose by its own model: a corrected point would be corrected twice.",
         cure: "Switch absolute accuracy off in the program, identify the robot with it off, and correct again; or leave the program to the controller." {
+            ControllerCorrectsTaught { name: String } => "{name} was taught with the controller's own correction, which the robot file has: the controller corrects this point itself";
             ControllerCorrects { line: usize } => "line {line} switches absolute accuracy on: the controller corrects this point itself";
+        }
+        W0926 "points were taught under absolute accuracy",
+        cause: "Bit 4 of their S says that the controller corrected the arm by a model of its own when they were taught. If it does so when the program runs, a corrected point is corrected twice; no line of the program says whether it does.",
+        cure: "Look into the controller's absolute accuracy. If it is on, leave the program to the controller, or identify the robot with it off and run the program with it off." {
+            TaughtUnderAccuracy { points: usize, name: String } => "{points} points were taught with the controller's own correction, {name} first";
         }
         W0921 "a routine of another file may change a frame",
         cause: "The program calls a routine that is not in its file between setting a frame and a motion with it, or gives it a tool or a work object. The correction takes it that the frame stays what it was.",
@@ -70,8 +77,10 @@ findings! {
             PointTwice { name: String, line: usize } => "{name} is used with another tool or base in line {line}";
         }
         W0905 "a motion stays as it is",
-        cause: "It is relative and starts from a corrected point, its point is declared in a file that is not rewritten, another instruction or a routine of the user's own moves there, or an instruction displaces it.",
+        cause: "Its point or one of its frames is computed or not known, it is relative and starts from a corrected point, its point is declared in a file that is not rewritten, another instruction or a routine of the user's own moves there, or an instruction displaces it.",
         cure: "Check that the place does not matter, or teach the point in the program's own .dat." {
+            MotionLeft { why: String } => "this motion stays as it is: {why}";
+            PointShared { name: String, line: usize } => "{name} stays as it is: the motion in line {line} uses it too, and stays as it is";
             RelativeMotion => "a relative motion stays as it is: it starts from a corrected point";
             PointInStatement { name: String } => "{name} stays as it is: this statement is not a known KRL motion";
             PointOfOtherCall { name: String, call: String } => "{name} stays as it is: {call} is not a motion that is corrected";
@@ -101,6 +110,7 @@ findings! {
         cause: "A small correction of the pose turns an axis far, or changes the branch of the arm.",
         cure: "Teach the point further away from the singularity, or go there by LIN." {
             LargeTurn { axis: usize, turn_deg: f64 } => "axis {axis} would have to turn by {turn_deg:.1} deg";
+            SharedConfiguration => "it would need another configuration than the named one, which other points may use";
             OtherStatus { taught: u8, corrected: u8 } => "it would need S {corrected} in place of S {taught}";
         }
         E0908 "a correction is larger than its limit",

@@ -16,6 +16,7 @@ mod flow;
 mod header;
 pub mod krl;
 mod language;
+mod left_motions;
 mod lexer;
 pub mod listing;
 mod mounted;

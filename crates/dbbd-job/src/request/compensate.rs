@@ -339,6 +339,11 @@ impl CorrectionContext<'_> {
         };
         let points = krl::read(program, Given { tool: request.tool(), base: request.base() })?;
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
+        let accurate = points.points.iter().find(|point| point.is_absolutely_accurate());
+        if let Some(point) = accurate.filter(|_| robot.controller_model == ControllerModel::Calibrated) {
+            let corrects = CompensationFinding::ControllerCorrectsTaught { name: point.name.clone() };
+            return Err(source.text().wrong(&point.first_use, corrects));
+        }
         session.findings(points.warnings.iter().chain(&points.not_corrected).cloned());
         let mounted = self.mounted(&sources[0])?;
         let correction = Correction::of(robot, request.limit_mm).about(mounted.as_ref());
@@ -490,7 +495,8 @@ impl ProgramFile {
         let sha256 = sha256(&bytes);
         let file_name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let (content, is_utf8) = match String::from_utf8(bytes) {
-            Ok(text) => (text, true),
+            // A controller does not read a byte order mark, which editors write: the corrected file has none.
+            Ok(text) => (text.trim_start_matches('\u{feff}').to_owned(), true),
             Err(error) => (error.into_bytes().into_iter().map(char::from).collect(), false),
         };
         Ok(Self { path: path.into(), name, file_name, sha256, content, is_utf8 })

@@ -17,10 +17,18 @@ const MOTIONS: [(&str, MotionKind); 3] =
 /// The first words of motions that are not read: arcs of three instructions and splines.
 pub(super) const OTHER_MOTIONS: [&str; 2] = ["A", "S"];
 
-/// The units of speeds, and options that leave the end of the motion where it is.
-const HARMLESS: [&str; 29] = [
+/// The units of speeds, and options that leave the end of the motion where it is. Public programs of car makers write MAX_SPEED, P-SPS
+/// (sub-lines at the end of a motion) and PRESS_MOTN (a press robot's path), controllers set to German MM/SEK.
+const HARMLESS: [&str; 36] = [
     "%",
     "MM/SEC",
+    "MM/SEK",
+    "MAX_SPEED",
+    "P-SPS",
+    "SPS",
+    "PRESS_MOTN",
+    "IND.EV",
+    "GRAD/SEK",
     "CM/MIN",
     "INCH/MIN",
     "DEG/SEC",
@@ -49,6 +57,8 @@ const HARMLESS: [&str; 29] = [
     "END",
     "SPOT",
 ];
+/// Options that move the end of a motion: offsets, and the motion of another group or of a conveyor.
+const DISPLACING: [&str; 6] = ["OFFSET", "TOOL_OFFSET", "VOFFSET", "COORD", "TRACK", "LINE_TRACK"];
 /// Options of a relative motion.
 const RELATIVE: [&str; 2] = ["INC", "INCREMENTAL"];
 /// Option of a fixed tool: the robot moves the work.
@@ -58,8 +68,8 @@ const FIXED: &str = "RTCP";
 pub(super) enum OptionEffect<'a> {
     Relative,
     FixedTool(&'a str),
-    /// Any other option: an offset, the motion of another group, tracking, or one that is not known.
     Displaced(&'a str),
+    Unknown(&'a str),
 }
 
 /// Whether an instruction is a motion.
@@ -88,7 +98,8 @@ impl<'a> Instruction<'a> {
         Some(match word {
             FIXED => OptionEffect::FixedTool(word),
             _ if RELATIVE.contains(&word) => OptionEffect::Relative,
-            _ => OptionEffect::Displaced(word),
+            _ if DISPLACING.contains(&word) => OptionEffect::Displaced(word),
+            _ => OptionEffect::Unknown(word),
         })
     }
 

@@ -115,7 +115,7 @@ impl ListingLayout {
                 _ => {}
             }
             let is_known =
-                is_text || c.is_ascii_alphanumeric() || "_$'()[]{},;:.=<>+-*/%&|@ \t\r\n".contains(c);
+                is_text || c.is_ascii_alphanumeric() || "_$'()[]{},;:.=<>+-*/%|@ \t\r\n".contains(c);
             if is_comment && c != '\n' {
                 self.push_blank(line.get(at..at + c.len_utf8()).unwrap_or(""));
             } else if (is_known || c == '\'') && c.is_ascii() && (c != '\'' || can_quote) {

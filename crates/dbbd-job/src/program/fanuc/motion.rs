@@ -88,21 +88,59 @@ pub(super) fn without_number(word: &str) -> &str {
     word.trim_end_matches(|c: char| c.is_ascii_digit())
 }
 
-/// The next word of the options, if it names an option. Text after a comma, `=` or a number belongs to the option
+/// The next word of the options, if it names an option. Text in brackets, after a comma, `=` or a number belongs to the option
 /// before.
 fn option(tokens: &mut Tokens<'_>) -> Option<Argument> {
     const REGISTERS: [&str; 5] = ["R", "AR", "PR", "SR", "VR"];
     let found = tokens.next();
+    if matches!(found, Token::Sign("[")) {
+        skip_brackets(tokens);
+        return None;
+    }
     if matches!(found, Token::Sign("," | "=") | Token::Real(_)) {
         if !matches!(found, Token::Real(_)) {
             tokens.accept_name("CALL");
         }
         if matches!(tokens.peek(), Token::Name(_)) {
-            tokens.advance();
+            word(tokens);
         }
         return None;
     }
-    let Token::Name(word) = found else { return None };
-    let is_register = *tokens.peek() == Token::Sign("[") && REGISTERS.contains(&word.as_str());
-    (!is_register).then_some(Argument { name: Some(word), value: None })
+    let Token::Name(first) = found else { return None };
+    let is_register = *tokens.peek() == Token::Sign("[") && REGISTERS.contains(&first.as_str());
+    let name = joined(tokens, first);
+    (!is_register).then_some(Argument { name: Some(name), value: None })
+}
+
+/// Skips the text up to the bracket that closes the one that was read.
+fn skip_brackets(tokens: &mut Tokens<'_>) {
+    let mut depth = 1;
+    while depth > 0 && !matches!(tokens.peek(), Token::End | Token::Sign(";")) {
+        if tokens.accept("[") {
+            depth += 1;
+        } else if tokens.accept("]") {
+            depth -= 1;
+        } else {
+            tokens.advance();
+        }
+    }
+}
+
+/// Reads a word.
+fn word(tokens: &mut Tokens<'_>) -> String {
+    let Token::Name(first) = tokens.next() else { return String::new() };
+    joined(tokens, first)
+}
+
+/// A word with its further parts: `P-SPS`, `Ind.EV`.
+fn joined(tokens: &mut Tokens<'_>, first: String) -> String {
+    let mut name = first;
+    while let (Token::Sign(sign @ ("-" | ".")), Token::Name(next)) =
+        (tokens.peek().clone(), tokens.ahead(1).clone())
+    {
+        tokens.advance();
+        tokens.advance();
+        name = format!("{name}{sign}{next}");
+    }
+    name
 }

@@ -63,13 +63,13 @@ pub fn read(text: Text<'_>, given: GivenFrames<'_>) -> Result<Points, Diagnostic
         controller: given.config.map(controller_frames).unwrap_or_default(),
         given: [given.tool, given.base],
         used: [None, None],
-        points: Points::new(write),
+        points: Points::new(write, |parts| parts),
         reached: HashSet::new(),
         copied: Vec::new(),
     };
     follower.visit(0, InProgram::before(), &mut |at, state| reader.statement(at, state))?;
     reader.points.leave_unreached(text, [&program.routine], is_motion, &reader.reached);
-    let mut points = reader.completed();
+    let mut points = reader.completed()?;
     points.warn_of_external_axes(text, external);
     Ok(points)
 }
@@ -252,7 +252,10 @@ impl Reader<'_> {
         };
         let arguments = evaluated(arguments, 0, &|name| listed.lookup(state, name));
         match Instruction::new(name, &arguments) {
-            Some(instruction) => self.motion(span, &instruction, state),
+            Some(instruction) => {
+                let read = self.motion(span, &instruction, state);
+                read.or_else(|why| self.points.leave_motion(text, span, why))
+            }
             None => {
                 self.note_copied(span, name, &arguments);
                 Ok(())
@@ -278,7 +281,13 @@ impl Reader<'_> {
             }
             Some(OptionEffect::Displaced(word)) => {
                 let word = word.to_owned();
+                self.share(instruction, line);
                 return Err(text.wrong(span, CompensationFinding::Displaced { word, line }));
+            }
+            Some(OptionEffect::Unknown(word)) => {
+                let word = word.to_owned();
+                self.share(instruction, line);
+                return Err(text.wrong(span, CompensationFinding::OptionUnknown { word, line }));
             }
             None => {}
         }
@@ -312,6 +321,12 @@ impl Reader<'_> {
             self.points.add(text, span, argument, target, frames)?;
         }
         Ok(())
+    }
+
+    /// Leaves the points of a motion, which stays as it is.
+    fn share(&mut self, instruction: &Instruction<'_>, line: usize) {
+        let values = instruction.points().filter_map(|argument| argument.value.as_ref());
+        values.for_each(|value| self.points.share(value, line));
     }
 
     /// The frames of a motion; `own` are the frame numbers of its position.
@@ -411,13 +426,13 @@ impl Reader<'_> {
         }
     }
 
-    fn completed(self) -> Points {
-        let mut points = self.points.completed();
+    fn completed(self) -> Result<Points, Diagnostic> {
+        let mut points = self.points.completed(self.listed.text)?;
         let is_corrected = |start: usize| points.points.iter().any(|point| point.value.span.start == start);
         let left = self.copied.into_iter().filter(|(start, _)| !is_corrected(*start));
         let left: Vec<Diagnostic> = left.map(|(_, finding)| finding).collect();
         points.not_corrected.extend(left);
-        points
+        Ok(points)
     }
 }
 

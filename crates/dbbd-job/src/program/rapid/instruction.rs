@@ -9,6 +9,8 @@ use dbbd_model::robot::Pose;
 /// A motion: `MoveAbsJ`, `MoveJ`, `MoveL` or `MoveC`.
 pub(super) struct Instruction<'a> {
     pub(super) motion: MotionKind,
+    /// Whether the point is axis angles, which need no frame.
+    is_to_axes: bool,
     pub(super) through: Option<&'a Evaluated<'a>>,
     pub(super) to: &'a Evaluated<'a>,
     speed: Option<&'a Evaluated<'a>>,
@@ -52,6 +54,7 @@ impl<'a> Instruction<'a> {
         let mut required = required(arguments);
         Some(Self {
             motion,
+            is_to_axes: name == "MOVEABSJ",
             through: if motion == MotionKind::Circ { Some(required.next()?) } else { None },
             to: required.next()?,
             speed: required.next(),
@@ -113,6 +116,9 @@ impl<'a> Instruction<'a> {
         let frame = |frame: &'static str, argument: Option<&Evaluated<'_>>| {
             assigned(argument).map(|(_, line)| CompensationFinding::FrameComputed { frame, line })
         };
+        if self.is_to_axes {
+            return point;
+        }
         point.or_else(|| frame(TOOL, self.tool)).or_else(|| frame(WORK_OBJECT, self.work_object))
     }
 

@@ -38,6 +38,16 @@ const DISPLACEMENT: &str = "the displacement";
 /// Starts of the names of instructions that measure a tool and write it: `MToolTCPCalib`, `SToolRotCalib`.
 const MEASURING: [&str; 2] = ["MTOOL", "STOOL"];
 
+/// The parts of a target that a correction rewrites: the axes, or position and orientation. Configuration and external axes may be
+/// those of a variable.
+fn rewritten(target: &[Value]) -> &[Value] {
+    match target {
+        [axes, _] => std::slice::from_ref(axes),
+        [_, _, _, _] => &target[..2],
+        _ => target,
+    }
+}
+
 /// The points of a module; `config` is a module with tools and work objects.
 pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnostic> {
     let module = parse(text, 0)?;
@@ -48,7 +58,7 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
     let mut follower = Follower::new(&program, &ways);
     let mut reader = Reader {
         program: &program,
-        points: Points::new(write),
+        points: Points::new(write, rewritten),
         reached: HashSet::new(),
         used: HashSet::new(),
         given_away: Vec::new(),
@@ -67,7 +77,7 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
         }
     }
     reader.points.leave_unreached(text, program.routines.iter().copied(), is_motion, &reader.reached);
-    let mut points = reader.completed();
+    let mut points = reader.completed()?;
     points.warn_of_external_axes(text, external);
     Ok(points)
 }
@@ -79,6 +89,8 @@ struct InRoutine {
     locals: Scope,
     /// Whether `MoveJ` goes to the configuration of its point.
     conf_j: InForce<bool>,
+    /// Whether `MoveL` and `MoveC` check it.
+    conf_l: InForce<bool>,
     /// The instruction that displaces the motions, for each group of [`DISPLACING`].
     displaced: [InForce<Option<String>>; 2],
 }
@@ -89,11 +101,13 @@ impl InRoutine {
         let none = || InForce::One { value: None, line: 0 };
         let mut locals = Scope::default();
         routine.parameters.iter().for_each(|parameter| locals.set(&parameter.name, None));
-        Self { locals, conf_j: InForce::One { value: true, line: 0 }, displaced: [none(), none()] }
+        let [conf_j, conf_l] = [true, true].map(|value| InForce::One { value, line: 0 });
+        Self { locals, conf_j, conf_l, displaced: [none(), none()] }
     }
 
     fn forget_modes(&mut self, line: usize) {
         self.conf_j.forget(line);
+        self.conf_l.forget(line);
         self.displaced.iter_mut().for_each(|displaced| displaced.forget(line));
     }
 }
@@ -102,6 +116,7 @@ impl State for InRoutine {
     fn join(&mut self, other: &Self) {
         self.locals.join(&other.locals);
         self.conf_j.join(&other.conf_j);
+        self.conf_l.join(&other.conf_l);
         self.displaced.iter_mut().zip(&other.displaced).for_each(|(known, other)| known.join(other));
     }
 }
@@ -300,11 +315,12 @@ impl Followed for InFile<'_> {
         }
         let StatementKind::Call { name, arguments } = kind else { return };
         let line = self.text.line(span.start);
-        if name == "CONFJ" {
+        if name == "CONFJ" || name == "CONFL" {
             let is_off = arguments.iter().any(|argument| {
                 argument.name.as_deref().is_some_and(|switch| switch.eq_ignore_ascii_case("Off"))
             });
-            state.conf_j = InForce::One { value: !is_off, line };
+            let conf = if name == "CONFJ" { &mut state.conf_j } else { &mut state.conf_l };
+            *conf = InForce::One { value: !is_off, line };
         }
         for ((on, off), displaced) in DISPLACING.into_iter().zip(&mut state.displaced) {
             if on.contains(&name.as_str()) {
@@ -350,6 +366,18 @@ impl Reader<'_> {
             }
             return Ok(());
         };
+        self.used.extend(instruction.frame_names().map(str::to_owned));
+        let read = self.motion(span, &instruction, state);
+        read.or_else(|why| self.points.leave_motion(text, span, why))
+    }
+
+    fn motion(
+        &mut self,
+        span: &Span,
+        instruction: &Instruction<'_>,
+        state: &InRoutine,
+    ) -> Result<(), Diagnostic> {
+        let (program, text) = (self.program, self.program.text);
         // A parameter or variable of the routine is not data of the module.
         let assigned_line = |name: &str| match state.locals.get(name) {
             Some(_) => None,
@@ -358,7 +386,6 @@ impl Reader<'_> {
         if let Some(why) = instruction.computed(assigned_line) {
             return Err(text.wrong(span, why));
         }
-        self.used.extend(instruction.frame_names().map(str::to_owned));
         for argument in instruction.points() {
             if let Some(why) = argument.value.as_ref().and_then(not_of_unit_length) {
                 return Err(text.wrong(span, why));
@@ -371,6 +398,10 @@ impl Reader<'_> {
                     };
                     let nearest = Branch::Nearest;
                     Some((target, if to_configuration { Branch::ByQuadrants(quadrants) } else { nearest }))
+                }
+                Some((target, Some(quadrants))) => {
+                    let is_on = matches!(state.conf_l, InForce::One { value: true, .. });
+                    Some((target, if is_on { Branch::NearestElse(quadrants) } else { Branch::Nearest }))
                 }
                 taught => taught.map(|(target, _)| (target, Branch::Nearest)),
             };
@@ -402,11 +433,11 @@ impl Reader<'_> {
         }
     }
 
-    fn completed(self) -> Points {
-        let mut points = self.points.completed();
+    fn completed(self) -> Result<Points, Diagnostic> {
+        let mut points = self.points.completed(self.program.text)?;
         let given_away = self.given_away.into_iter().filter(|(name, _)| self.used.contains(name));
         points.warnings.extend(given_away.map(|(_, finding)| finding));
-        points
+        Ok(points)
     }
 }
 
@@ -452,7 +483,12 @@ fn write(
     // A configuration that differs from the taught one is a dummy: with `ConfJ\Off` and `ConfL\Off` the controller
     // ignores it.
     let is_taught = configuration.numbers() == Some(corrector.taught_quadrants(corrected).map(f64::from));
-    let is_dummy = point.branch == Branch::Nearest && !is_taught;
+    let is_dummy = matches!(point.branch, Branch::Nearest | Branch::NearestElse(_)) && !is_taught;
+    if !is_dummy && !configuration.is_inside(&point.value) {
+        let written: Option<[f64; 4]> = configuration.numbers();
+        let is_same = written.is_some_and(|written| written == quadrants.map(f64::from));
+        return if is_same { Ok(edits) } else { Err(CompensationFinding::SharedConfiguration) };
+    }
     for (old, new) in elements::<4>(configuration)?.iter().zip(quadrants).filter(|_| !is_dummy) {
         if old.number() != Some(f64::from(new)) {
             edits.push((old.span.clone(), new.to_string()));

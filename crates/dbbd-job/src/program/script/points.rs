@@ -9,6 +9,7 @@ use crate::program::compensate::{
     Branch, Commanded, Corrected, Correction, Corrector, External, Moved, correct_points, external_motion,
 };
 use crate::program::flow::At;
+use crate::program::left_motions::LeftMotions;
 use crate::program::text::{Edit, Span, Text, number_like, rewritten};
 use crate::program::{Frames, Target};
 use dbbd_model::diagnostic::Diagnostic;
@@ -45,6 +46,9 @@ pub struct Points {
     other_uses: Vec<(usize, Diagnostic)>,
     /// The first bytes of the statements and arguments that were reported: several ways may lead to one.
     reported: HashSet<usize>,
+    /// The motions that stay as they are; a point is the first byte of its literal.
+    left: LeftMotions<usize>,
+    rewritten: fn(&[Value]) -> &[Value],
 }
 
 /// Names of instructions other than the supported motions that matter for points.
@@ -58,16 +62,42 @@ pub(crate) struct OtherInstructions {
 }
 
 impl Points {
-    pub(crate) fn new(write: Write) -> Self {
+    /// `rewritten` are the parts of a point that a correction rewrites: they must be numbers of the point itself.
+    pub(crate) fn new(write: Write, rewritten: fn(&[Value]) -> &[Value]) -> Self {
         let (points, not_corrected, warnings) = (Vec::new(), Vec::new(), Vec::new());
         let (by_start, other_uses, reported) = (HashMap::new(), Vec::new(), HashSet::new());
-        Self { write, points, not_corrected, warnings, by_start, other_uses, reported }
+        let left = LeftMotions::none();
+        Self { write, points, not_corrected, warnings, by_start, other_uses, reported, left, rewritten }
     }
 
     /// Adds a finding about a use that is not corrected, once for each place.
     pub(crate) fn leave(&mut self, file: Text<'_>, span: &Span, why: CompensationFinding) {
         if self.reported.insert(span.start) {
             self.not_corrected.push(file.wrong(span, why));
+        }
+    }
+
+    /// Leaves a motion as it is, with the points that it alone uses so far.
+    ///
+    /// # Errors
+    /// What the user stated contradicts the program.
+    pub(crate) fn leave_motion(
+        &mut self,
+        file: Text<'_>,
+        motion: &Span,
+        why: Diagnostic,
+    ) -> Result<(), Diagnostic> {
+        self.not_corrected.extend(self.left.leave(file, motion, why)?);
+        let own = self.points.iter().filter(|point| point.first_use == *motion);
+        let line = file.line(motion.start);
+        own.for_each(|point| self.left.share(point.value.span.start, line));
+        Ok(())
+    }
+
+    /// Leaves a point that a motion which stays as it is uses, in this line.
+    pub(crate) fn share(&mut self, value: &Value, line: usize) {
+        if value.file == 0 {
+            self.left.share(value.span.start, line);
         }
     }
 
@@ -109,7 +139,8 @@ impl Points {
         taught: Option<(Target, Branch)>,
         frames: impl FnOnce() -> Result<Frames, Diagnostic>,
     ) -> Result<(), Diagnostic> {
-        let value = argument.value.clone().filter(|value| value.file == 0 && is_literal(value));
+        let value =
+            argument.value.clone().filter(|value| value.file == 0 && is_literal(value, self.rewritten));
         let (Some(value), Some((target, branch))) = (value, taught) else {
             let name = match argument.expression.map(|expression| &expression.kind) {
                 Some(ExpressionKind::Name(name) | ExpressionKind::Call { name, .. }) => name.clone(),
@@ -121,18 +152,22 @@ impl Points {
         };
         let frames = match target {
             Target::Axes(_) => None,
-            Target::Pose { .. } => Some(frames()?),
+            Target::Pose { .. } => {
+                let line = file.line(motion.start);
+                Some(frames().inspect_err(|_| self.left.share(value.span.start, line))?)
+            }
         };
         let at = *self.by_start.entry(value.span.start).or_insert(self.points.len());
         match self.points.get_mut(at) {
             None => self.points.push(Point { value, first_use: motion.clone(), branch, target, frames }),
             Some(known) if known.frames == frames => {
-                if known.branch == Branch::Nearest {
+                if matches!(known.branch, Branch::Nearest | Branch::NearestElse(_)) {
                     known.branch = branch;
                 }
             }
             Some(known) => {
                 let line = file.line(known.first_use.start);
+                self.left.share(value.span.start, file.line(motion.start));
                 let name = value.name.unwrap_or_else(|| "inline".into());
                 return Err(file.wrong(motion, CompensationFinding::PointTwice { name, line }));
             }
@@ -180,12 +215,27 @@ impl Points {
     }
 
     /// Completes the points after the last statement: reports the points that are only used by calls that are no
-    /// motions.
-    pub(crate) fn completed(mut self) -> Self {
+    /// motions, and leaves those that motions which stay as they are use too.
+    ///
+    /// # Errors
+    /// Nothing of the program would be right.
+    pub(crate) fn completed(mut self, file: Text<'_>) -> Result<Self, Diagnostic> {
+        for (start, line) in self.left.shared() {
+            let Some(at) = self.points.iter().position(|point| point.value.span.start == *start) else {
+                continue;
+            };
+            let Point { value, first_use, .. } = self.points.remove(at);
+            let name = value.name.unwrap_or_else(|| "inline".into());
+            self.not_corrected.push(file.wrong(&first_use, CompensationFinding::PointShared { name, line }));
+        }
+        let has_pose = self.points.iter().any(|point| point.frames.is_some());
+        if let Some(why) = self.left.nothing_right(!self.points.is_empty(), has_pose) {
+            return Err(why.clone());
+        }
         let other_uses = std::mem::take(&mut self.other_uses).into_iter();
         let only_there = other_uses.filter(|(start, _)| !self.by_start.contains_key(start));
         self.not_corrected.extend(only_there.map(|(_, finding)| finding));
-        self
+        Ok(self)
     }
 
     /// The program with corrected points.
@@ -212,13 +262,10 @@ impl Points {
     }
 }
 
-/// Whether all numbers of a point are written in its own literal: numbers of a variable may be used elsewhere as well.
-fn is_literal(value: &Value) -> bool {
+/// Whether the numbers of a point that are rewritten stand in its own literal: numbers of a variable may be used elsewhere as well.
+fn is_literal(value: &Value, rewritten: fn(&[Value]) -> &[Value]) -> bool {
     let (Content::List(parts) | Content::Pose(parts)) = &value.content else { return true };
-    let is_inside = |part: &Value| {
-        part.file == value.file && part.span.start >= value.span.start && part.span.end <= value.span.end
-    };
-    parts.iter().all(|part| is_inside(part) && is_literal(part))
+    rewritten(parts).iter().all(|part| part.is_inside(value) && is_literal(part, |parts| parts))
 }
 
 /// The elements of a point's value, of which there must be `N`.

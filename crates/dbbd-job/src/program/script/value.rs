@@ -27,6 +27,11 @@ pub(crate) enum Content {
 }
 
 impl Value {
+    /// Whether the literal stands inside that of another value.
+    pub(crate) fn is_inside(&self, outer: &Self) -> bool {
+        self.file == outer.file && self.span.start >= outer.span.start && self.span.end <= outer.span.end
+    }
+
     pub(crate) fn number(&self) -> Option<f64> {
         if let Content::Number(value) = self.content { Some(value) } else { None }
     }

@@ -269,7 +269,7 @@ const KRL: &[(&str, &str)] = &[
     ),
     ("DEF P()|FDAT_ACT=FP1|$BASE=B2|BAS(#CP_PARAMS,0.2)|LIN PT|END", "5=1/1"),
     ("DEF P()|FDAT_ACT=FP1|$BASE=B2|LIN PT|END", "4=1/2"),
-    ("DEF P()|FDAT_ACT=FTCP|BAS(#CP_PARAMS,0.2)|LIN PT|END", "E0901 2"),
+    ("DEF P()|FDAT_ACT=FTCP|BAS(#CP_PARAMS,0.2)|LIN PT|END", "E0901 4"),
     ("DEF P()|FDAT_ACT=FNONE|BAS(#CP_PARAMS,0.2)|LIN PT|END", "E0901 4"),
     // Splines.
     ("DEF P()|SLIN PT WITH $TOOL=T1, $BASE=B2|END", "2=1/2"),
@@ -332,7 +332,7 @@ const KRL: &[(&str, &str)] = &[
     ("DEF P()|$TOOL=T1|$BASE=B1|$BASE=F()|LIN PT|END|DEFFCT FRAME F()|RETURN B2|ENDFCT", "E0901 5"),
     ("DEF P()|$TOOL=T1|$BASE=B1|A()|LIN PT|END|DEF A()|B()|END|DEF B()|$BASE=B2|END", "5=1/2"),
     ("DEF P()|$TOOL=T1|$BASE=B1|S()|END|DEF S()|LIN PT|$BASE=B2|S()|END", "E0901 7"),
-    ("DEF P()|$TOOL=T1|$BASE=B1|LIN PT|END|DEF S()|LIN PT|END", "E0901 7"),
+    ("DEF P()|$TOOL=T1|$BASE=B1|LIN PT|END|DEF S()|LIN PT|END", "4=1/1 W0905@7"),
     ("DEF P()|$TOOL=T1|$BASE=B1|S()|END|GLOBAL DEF S()|LIN PT|END", "E0901 7"),
     // Routines that run at any time.
     (
@@ -349,7 +349,7 @@ const KRL: &[(&str, &str)] = &[
     ),
     (
         "DEF P()|INTERRUPT DECL 5 WHEN $IN[1] DO S()|$TOOL=T1|$BASE=B1|LIN PT|END|DEF S()|LIN PT|END",
-        "E0901 8",
+        "5=1/1 W0905@8",
     ),
     (
         "DEF P()|$TOOL=T1|$BASE=B1|TRIGGER WHEN DISTANCE=0 DELAY=0 DO S() PRIO=-1|LIN PT|END|DEF S()|$TOOL=T2|END",
@@ -421,7 +421,13 @@ fn of_rapid(source: &str) -> String {
                 let branch = match (&point.frames, point.branch) {
                     (None, _) => "",
                     (_, Branch::ByQuadrants(_)) => "q",
-                    (_, Branch::Nearest | Branch::NearestTo(_) | Branch::ByStatusAndTurn) => "n",
+                    (
+                        _,
+                        Branch::Nearest
+                        | Branch::NearestElse(_)
+                        | Branch::NearestTo(_)
+                        | Branch::ByStatusAndTurn,
+                    ) => "n",
                     (_, Branch::ByFanuc(_) | Branch::OnLine(_)) => "?",
                 };
                 (text.line(point.first_use.start), numbers(point.frames.as_ref()) + branch)
@@ -598,7 +604,7 @@ fn of_fanuc(source: &str, given: GivenFrames<'_>) -> String {
                     (_, Branch::ByFanuc(_)) => "q",
                     (_, Branch::OnLine(_)) => "l",
                     (_, Branch::Nearest | Branch::NearestTo(_)) => "n",
-                    (_, Branch::ByQuadrants(_) | Branch::ByStatusAndTurn) => "?",
+                    (_, Branch::ByQuadrants(_) | Branch::NearestElse(_) | Branch::ByStatusAndTurn) => "?",
                 };
                 (text.line(point.first_use.start), numbers(point.frames.as_ref()) + branch)
             });
@@ -654,7 +660,7 @@ const FANUC: &[(&str, &str)] = &[
     ),
     ("UTOOL_NUM=1|UFRAME_NUM=1|SELECT R[1]=1,CALL A|ELSE,CALL B|L P[4] @L", "7=1/1l W0921@7 W0921@7"),
     ("UTOOL_NUM=1|UFRAME_NUM=1|WAIT DI[1]=ON,TIMEOUT,LBL[1]|UFRAME_NUM=2|LBL[1]|L P[4] @L", "E0901 8"),
-    ("UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L Skip,LBL[1]|UFRAME_NUM=2|LBL[1]|L P[6] @L", "E0901 8"),
+    ("UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L Skip,LBL[1]|UFRAME_NUM=2|LBL[1]|L P[6] @L", "5=1/1l W0905@8"),
     ("UTOOL_NUM=1|UFRAME_NUM=1|L P[4] @L Skip,LBL[1],PR[9]=LPOS|LBL[1]|L P[6] @L", "5=1/1l 7=1/1l"),
     // Loops and jumps.
     ("UFRAME_NUM=1|UTOOL_NUM=1|LBL[1]|L P[4] @L|UFRAME_NUM=2|JMP LBL[1]", "E0901 6"),

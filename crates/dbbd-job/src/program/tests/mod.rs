@@ -8,6 +8,7 @@ mod emitted_programs_run;
 mod frame_variants;
 mod krl_reads_back;
 mod krl_round_trips;
+mod partly_corrected;
 mod program_frames;
 mod rapid;
 mod rapid_and_urscript;

@@ -45,8 +45,12 @@ pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
     let script = Script::new(text, &routines);
     let ways: Vec<Ways> = routines.iter().map(Routine::ways).collect();
     let mut follower = Follower::new(&script, &ways);
-    let mut reader =
-        Reader { script: &script, given: tool, points: Points::new(write), reached: HashSet::new() };
+    let mut reader = Reader {
+        script: &script,
+        given: tool,
+        points: Points::new(write, |numbers| numbers),
+        reached: HashSet::new(),
+    };
     let is_called = |routine: &Routine| routine.body.iter().any(|statement| !statement.called.is_empty());
     let outside = routines.len() - 1;
     // A script runs its lines outside of any routine; a file without such lines is a program or a library of routines.
@@ -64,7 +68,7 @@ pub fn read(text: Text<'_>, tool: Option<Pose>) -> Result<Points, Diagnostic> {
         }
     }
     reader.points.leave_unreached(text, &routines, is_motion, &reader.reached);
-    Ok(reader.points.completed())
+    reader.points.completed(text)
 }
 
 /// The TCP that the script has set.
@@ -265,7 +269,8 @@ impl Reader<'_> {
             }
             let is_own = script.routines.iter().any(|routine| routine.name == *name);
             if let Some(instruction) = Instruction::new(name, &arguments).filter(|_| !is_own) {
-                return self.motion(span, &instruction, state);
+                let read = self.motion(span, &instruction, state);
+                return read.or_else(|why| self.points.leave_motion(script.text, span, why));
             }
             if script.calls(at).is_empty() {
                 let is_point = |value: &Value| target(value).is_some();

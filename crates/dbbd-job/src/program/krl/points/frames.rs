@@ -82,6 +82,8 @@ pub(super) enum Effect {
     Frame(FrameKind, Frame),
     /// `FDAT_ACT`: both frames, which `BAS (#PTP_PARAMS, ..)` and its like set again.
     FrameData([Frame; 2]),
+    /// `FDAT_ACT.TOOL_NO` or `FDAT_ACT.BASE_NO`.
+    FrameDataPart(FrameKind, Frame),
     SetFrameData,
     Obstacle(Obstacle, Option<CompensationFinding>),
     /// `SPLINE` with the frames of its `WITH`.
@@ -161,6 +163,14 @@ impl InRoutine {
                 self.frame_data = InForce::One { value: Some(frames.clone()), line };
                 self.obstacles[Obstacle::Mode as usize] = InForce::One { value: None, line };
             }
+            Effect::FrameDataPart(kind, value) => {
+                self.set(*kind, value.clone(), line);
+                if let InForce::One { value: frames, line: set } = &mut self.frame_data {
+                    let not_set = || unknown(|frame| CompensationFinding::FrameNotSet { frame });
+                    frames.get_or_insert_with(not_set)[*kind as usize] = value.clone();
+                    *set = line;
+                }
+            }
             Effect::SetFrameData => match &self.frame_data {
                 InForce::One { value: Some(frames), line } => self.set_both(frames.clone(), *line),
                 InForce::One { value: None, .. } => {}
@@ -218,30 +228,80 @@ pub(super) struct Definitions<'a> {
 }
 
 impl Definitions<'_> {
-    /// The effect of a line that is no motion; `None` if it sets nothing that matters here.
-    pub(super) fn effect(&self, line: &Line<'_>) -> Result<Option<Effect>, Diagnostic> {
-        Ok(Some(match line.word.as_str() {
-            "$TOOL" => Effect::Frame(FrameKind::Tool, self.assigned(FrameKind::Tool, line)?),
-            "$BASE" => Effect::Frame(FrameKind::Base, self.assigned(FrameKind::Base, line)?),
-            "BAS" => return self.bas(line),
+    /// The effect of a line that is no motion; `None` if it sets nothing that matters here. A line that cannot be read leaves its
+    /// frames unknown.
+    pub(super) fn effect(&self, line: &Line<'_>) -> Option<Effect> {
+        let computed = |kind: FrameKind| self.computed(kind, &line.span);
+        let frame = |kind| Effect::Frame(kind, self.assigned(kind, line).unwrap_or_else(|_| computed(kind)));
+        Some(match line.word.as_str() {
+            "$TOOL" => frame(FrameKind::Tool),
+            "$BASE" => frame(FrameKind::Base),
+            "BAS" => {
+                let unread = |_| Some(Effect::FrameData([FrameKind::Tool, FrameKind::Base].map(computed)));
+                return self.bas(line).unwrap_or_else(unread);
+            }
             "FDAT_ACT" => {
-                let mut parser = line.parser(self.file)?;
-                parser.tokens.advance();
-                parser.tokens.expect("=")?;
-                let (name, span) = parser.name()?;
-                Effect::FrameData(self.frame_data(&name, &span)?)
+                let unread = |_| Some(Effect::FrameData([FrameKind::Tool, FrameKind::Base].map(computed)));
+                return self.frame_data_assigned(line).unwrap_or_else(unread);
             }
             "$IPO_MODE" => self.obstacle(Obstacle::Mode, line, "#BASE"),
             "$ABS_ACCUR" => self.obstacle(Obstacle::Accuracy, line, "FALSE"),
             "$DEACTIVATE_ABS_ACCUR" => self.obstacle(Obstacle::Accuracy, line, "TRUE"),
             "$ROBROOT" => self.obstacle(Obstacle::Root, line, "$NULLFRAME"),
-            "SPLINE" | "PTP_SPLINE" => Effect::Spline(self.with(&mut line.parser(self.file)?)?),
+            "SPLINE" | "PTP_SPLINE" => {
+                let with = line.parser(self.file).and_then(|mut parser| self.with(&mut parser));
+                let unread = |_| [FrameKind::Tool, FrameKind::Base].map(|kind| Some(computed(kind)));
+                Effect::Spline(with.unwrap_or_else(unread))
+            }
             "ENDSPLINE" => Effect::EndSpline,
             word if line.is_call() && !HARMLESS.iter().any(|start| word.starts_with(start)) => {
                 Effect::Call(word.to_owned())
             }
-            _ => return Ok(None),
-        }))
+            _ => return None,
+        })
+    }
+
+    /// `FDAT_ACT=FP1`, `FDAT_ACT={TOOL_NO 1,BASE_NO 0,IPO_FRAME #BASE}` or `FDAT_ACT.TOOL_NO=1`.
+    fn frame_data_assigned(&self, line: &Line<'_>) -> Result<Option<Effect>, Diagnostic> {
+        let mut parser = line.parser(self.file)?;
+        parser.tokens.advance();
+        if parser.tokens.accept(".") {
+            let (component, _) = parser.name()?;
+            parser.tokens.expect("=")?;
+            let value = parser.expression()?;
+            let numbered = |kind| {
+                let number = value.index();
+                number.map_or_else(|| self.computed(kind, &value.span), |number| self.numbered(kind, number))
+            };
+            return Ok(match component.as_str() {
+                "TOOL_NO" => Some(Effect::FrameDataPart(FrameKind::Tool, numbered(FrameKind::Tool))),
+                "BASE_NO" => Some(Effect::FrameDataPart(FrameKind::Base, numbered(FrameKind::Base))),
+                "IPO_FRAME" => Some(self.obstacle(Obstacle::Mode, line, "#BASE")),
+                _ => None,
+            });
+        }
+        parser.tokens.expect("=")?;
+        let value = parser.expression()?;
+        Ok(Some(Effect::FrameData(self.frame_data_value(&value))))
+    }
+
+    /// The frames of an FDAT; those of an element of an array are computed.
+    fn frame_data_value(&self, value: &Expression) -> [Frame; 2] {
+        match &value.kind {
+            ExpressionKind::Aggregate(_) => self.frame_data_of(value, "FDAT_ACT"),
+            ExpressionKind::Place(place) if place.parts.is_empty() => self.frame_data(&place.name),
+            ExpressionKind::Place(_)
+            | ExpressionKind::Int(_)
+            | ExpressionKind::Real(_)
+            | ExpressionKind::Bool(_)
+            | ExpressionKind::Enum(_)
+            | ExpressionKind::Text(_)
+            | ExpressionKind::Call { .. }
+            | ExpressionKind::Unary(..)
+            | ExpressionKind::Binary(..) => {
+                [FrameKind::Tool, FrameKind::Base].map(|kind| self.computed(kind, &value.span))
+            }
+        }
     }
 
     /// The effect of a line that sets an obstacle; `without` is the value that removes the obstacle.
@@ -273,7 +333,10 @@ impl Definitions<'_> {
         let mut parser = line.parser(self.file)?;
         parser.tokens.advance();
         parser.tokens.expect("(")?;
-        let Token::Enum(command) = parser.tokens.peek().clone() else { return Ok(None) };
+        // A command that is computed may set either frame.
+        let Token::Enum(command) = parser.tokens.peek().clone() else {
+            return Err(parser.tokens.expected("a command"));
+        };
         let kind = match command.as_str() {
             "TOOL" => FrameKind::Tool,
             "BASE" | "EX_BASE" => FrameKind::Base,
@@ -292,7 +355,7 @@ impl Definitions<'_> {
             Some(number) if command == "EX_BASE" => {
                 Err(CompensationFinding::MovedWorkObject { name: format!("EX_BASE {number}") })
             }
-            Some(number) => self.numbered(kind, number, &index.span)?,
+            Some(number) => self.numbered(kind, number),
             None => self.computed(kind, &index.span),
         };
         Ok(Some(Effect::Frame(kind, frame)))
@@ -300,13 +363,12 @@ impl Definitions<'_> {
 
     /// `WITH $TOOL=..` after a spline motion: frames for this motion only.
     pub(super) fn with(&self, parser: &mut Parser<'_>) -> Result<[Option<Frame>; 2], Diagnostic> {
-        let mut frames = [None, None];
+        let mut frames: [Option<Frame>; 2] = [None, None];
         while !parser.tokens.is_line_end() {
             let kind = [FrameKind::Tool, FrameKind::Base]
                 .into_iter()
                 .find(|kind| parser.tokens.is_name(kind.name()));
             let is_mode = parser.tokens.is_name(Obstacle::Mode.name());
-            let span = parser.tokens.span();
             parser.tokens.advance();
             if (kind.is_none() && !is_mode) || !parser.tokens.accept("=") {
                 continue;
@@ -314,9 +376,7 @@ impl Definitions<'_> {
             if let Some(kind) = kind {
                 frames[kind as usize] = Some(self.value(kind, parser)?);
             } else if matches!(parser.tokens.peek(), Token::Enum(mode) if mode != "BASE") {
-                return Err(self
-                    .file
-                    .wrong(&span, CompensationFinding::FixedTool { name: "$IPO_MODE".into() }));
+                return Ok(unknown(|_| CompensationFinding::FixedTool { name: "$IPO_MODE".into() }).map(Some));
             }
         }
         Ok(frames)
@@ -338,9 +398,9 @@ impl Definitions<'_> {
             return Ok(self.computed(kind, &expression.span));
         }
         match &expression.kind {
-            ExpressionKind::Aggregate(_) => self.known(&expression, kind.name(), &expression.span).map(Ok),
+            ExpressionKind::Aggregate(_) => Ok(known(&expression, kind.name())),
             ExpressionKind::Place(place) if place.name == "$NULLFRAME" => Ok(Ok(Pose::identity())),
-            ExpressionKind::Place(place) => self.named(kind, place),
+            ExpressionKind::Place(place) => Ok(self.named(kind, place)),
             ExpressionKind::Int(_)
             | ExpressionKind::Real(_)
             | ExpressionKind::Bool(_)
@@ -365,8 +425,8 @@ impl Definitions<'_> {
         if !matches!(function, "STOOL" | "STOOL2" | "SBASE") {
             return Ok(self.computed(kind, &start));
         }
-        let (frame_data, span) = parser.name()?;
-        let [tool, base] = self.frame_data(&frame_data, &span)?;
+        let (frame_data, _) = parser.name()?;
+        let [tool, base] = self.frame_data(&frame_data);
         while !parser.tokens.accept(")") {
             if parser.tokens.is_line_end() {
                 return Err(parser.tokens.expected("`)`"));
@@ -377,75 +437,75 @@ impl Definitions<'_> {
     }
 
     /// The frame of a variable.
-    fn named(&self, kind: FrameKind, place: &Place) -> Result<Frame, Diagnostic> {
-        let Some(key) = key(place) else { return Ok(self.computed(kind, &place.span)) };
+    fn named(&self, kind: FrameKind, place: &Place) -> Frame {
+        let Some(key) = key(place) else { return self.computed(kind, &place.span) };
         if let (array @ ("TOOL_DATA" | "BASE_DATA"), Some(index)) = key {
             let kind = if array == "TOOL_DATA" { FrameKind::Tool } else { FrameKind::Base };
-            return self.numbered(kind, index, &place.span);
+            return self.numbered(kind, index);
         }
         if let Some(assignment) = self.variables.get(key.0) {
-            return Ok(self.computed(kind, assignment));
+            return self.computed(kind, assignment);
         }
         match self.constants.get(key) {
-            Some(constant) => self.known(constant.value, key.0, &place.span).map(Ok),
+            Some(constant) => known(constant.value, key.0),
             None => {
                 let name = place.name.clone();
-                Ok(Err(CompensationFinding::FrameElsewhere { frame: kind.name(), name }))
+                Err(CompensationFinding::FrameElsewhere { frame: kind.name(), name })
             }
         }
-    }
-
-    /// The frame of a constant; an error is reported at `span`, where the constant is used.
-    fn known(&self, value: &Expression, name: &str, span: &Span) -> Result<Pose, Diagnostic> {
-        let why = match constant_target(value) {
-            Ok(Target::Pose { xyz_mm, abc_deg, .. }) => return Ok(Pose::from_kuka(xyz_mm, abc_deg)),
-            Ok(Target::Axes(_)) => "these are axis angles".into(),
-            Err(fault) => fault.finding.to_string(),
-        };
-        Err(self.file.wrong(span, CompensationFinding::PointIncomplete { name: name.into(), why }))
     }
 
     /// `TOOL_DATA[n]`, `BASE_DATA[n]`; number 0 is the null frame.
-    fn numbered(&self, kind: FrameKind, index: i64, span: &Span) -> Result<Frame, Diagnostic> {
+    fn numbered(&self, kind: FrameKind, index: i64) -> Frame {
         if index == 0 {
-            return Ok(Ok(Pose::identity()));
+            return Ok(Pose::identity());
         }
         if let Some(assignment) = self.variables.get(kind.array()) {
-            return Ok(self.computed(kind, assignment));
+            return self.computed(kind, assignment);
         }
         let name = format!("{}[{index}]", kind.array());
         match self.constants.get((kind.array(), Some(index))) {
-            Some(constant) if constant.origin != Origin::Source => {
-                self.known(constant.value, &name, span).map(Ok)
-            }
-            _ => Ok(Err(CompensationFinding::FrameElsewhere { frame: kind.name(), name })),
+            Some(constant) if constant.origin != Origin::Source => known(constant.value, &name),
+            _ => Err(CompensationFinding::FrameElsewhere { frame: kind.name(), name }),
         }
     }
 
     /// The frames of an FDAT, which belongs to the point of an inline form.
-    fn frame_data(&self, name: &str, span: &Span) -> Result<[Frame; 2], Diagnostic> {
+    fn frame_data(&self, name: &str) -> [Frame; 2] {
         if let Some(assignment) = self.variables.get(name) {
-            return Ok([FrameKind::Tool, FrameKind::Base].map(|kind| self.computed(kind, assignment)));
+            return [FrameKind::Tool, FrameKind::Base].map(|kind| self.computed(kind, assignment));
         }
-        let Some(constant) = self.constants.get((name, None)) else {
-            return Ok(unknown(|frame| CompensationFinding::FrameElsewhere { frame, name: name.into() }));
-        };
-        let wrong = |why: String| {
-            self.file.wrong(span, CompensationFinding::PointIncomplete { name: name.into(), why })
-        };
-        let ExpressionKind::Aggregate(fields) = &constant.value.kind else {
-            return Err(wrong("this is not an FDAT".into()));
+        match self.constants.get((name, None)) {
+            Some(constant) => self.frame_data_of(constant.value, name),
+            None => unknown(|frame| CompensationFinding::FrameElsewhere { frame, name: name.into() }),
+        }
+    }
+
+    /// The frames of the aggregate of an FDAT.
+    fn frame_data_of(&self, value: &Expression, name: &str) -> [Frame; 2] {
+        let wrong = |why: &str| CompensationFinding::PointIncomplete { name: name.into(), why: why.into() };
+        let ExpressionKind::Aggregate(fields) = &value.kind else {
+            return unknown(|_| wrong("this is not an FDAT"));
         };
         let component = |name: &str| fields.iter().find(|field| field.name == name);
         let mode = component("IPO_FRAME").map(|field| &field.value.kind);
         if matches!(mode, Some(ExpressionKind::Enum(mode)) if mode != "BASE") {
-            return Err(self.file.wrong(span, CompensationFinding::FixedTool { name: name.into() }));
+            return unknown(|_| CompensationFinding::FixedTool { name: name.into() });
         }
-        let number = |name: &str| {
-            let index = component(name).and_then(|field| field.value.index());
-            index.ok_or_else(|| wrong(format!("{name} is missing")))
-        };
-        let tool = self.numbered(FrameKind::Tool, number("TOOL_NO")?, span)?;
-        Ok([tool, self.numbered(FrameKind::Base, number("BASE_NO")?, span)?])
+        [(FrameKind::Tool, "TOOL_NO"), (FrameKind::Base, "BASE_NO")].map(|(kind, number)| {
+            let index = component(number).and_then(|field| field.value.index());
+            let index = index.ok_or_else(|| wrong(&format!("{number} is missing")))?;
+            self.numbered(kind, index)
+        })
     }
+}
+
+/// The frame of a constant.
+fn known(value: &Expression, name: &str) -> Frame {
+    let why = match constant_target(value) {
+        Ok(Target::Pose { xyz_mm, abc_deg, .. }) => return Ok(Pose::from_kuka(xyz_mm, abc_deg)),
+        Ok(Target::Axes(_)) => "these are axis angles".into(),
+        Err(fault) => fault.finding.to_string(),
+    };
+    Err(CompensationFinding::PointIncomplete { name: name.into(), why })
 }

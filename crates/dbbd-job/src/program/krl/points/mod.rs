@@ -21,6 +21,7 @@ use crate::program::CompensationFinding;
 use crate::program::ProgramFinding;
 use crate::program::compensate::{External, external_motion, mixed};
 use crate::program::flow::{At, Calls, Control, Followed, Follower, InForce, Ways, reached_from};
+use crate::program::left_motions::LeftMotions;
 use crate::program::lexer::Token;
 use crate::program::{Frames, Target};
 use dbbd_model::diagnostic::Diagnostic;
@@ -80,6 +81,14 @@ pub struct ProgramMotion {
     pub sweep_deg: Option<f64>,
 }
 
+impl TaughtPoint {
+    /// Whether the controller corrected the arm by its own model when the point was taught (bit 4 of S).
+    pub fn is_absolutely_accurate(&self) -> bool {
+        const ABSOLUTELY_ACCURATE: i64 = 1 << 4;
+        matches!(self.target, Target::Pose { status: Some(status), .. } if status & ABSOLUTELY_ACCURATE != 0)
+    }
+}
+
 #[derive(Clone, Debug, Default)]
 pub struct PointProgram {
     /// The motions, in the order of the text.
@@ -99,8 +108,8 @@ const SAME: f64 = 1e-6;
 const SETTING: [&str; 4] = ["BAS", "FDAT_ACT", "SPLINE", "PTP_SPLINE"];
 
 pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> {
-    let config = files.config.map(data_items).transpose()?.unwrap_or_default();
-    let data = files.data.map(data_items).transpose()?.unwrap_or_default();
+    let config = files.config.map(data_items).unwrap_or_default();
+    let data = files.data.map(data_items).unwrap_or_default();
     let mut constants = Constants::default();
     constants.add(&config, Origin::Config);
     constants.add(&data, Origin::Data);
@@ -129,8 +138,8 @@ pub fn read(files: Files<'_>, given: Given) -> Result<PointProgram, Diagnostic> 
         named: Vec::new(),
         reached: HashSet::new(),
         reported_calls: HashSet::new(),
-        frame_names: HashSet::new(),
-        given_away: Vec::new(),
+        frame_variables: FrameVariables::default(),
+        left: LeftMotions::none(),
     }
     .read()
 }
@@ -147,10 +156,10 @@ fn check_is_krl(file: Text<'_>) -> Result<(), Diagnostic> {
     Err(file.wrong(&first.map_or(0..0, |line| line.span), CompensationFinding::NotKrl { begins }))
 }
 
-/// The points and frames of a `.dat` file of any controller; other lines are skipped.
-fn data_items(file: Text<'_>) -> Result<Vec<DataItem>, Diagnostic> {
+/// The points and frames of a `.dat` file of any controller; other lines are skipped, and so is what cannot be read.
+fn data_items(file: Text<'_>) -> Vec<DataItem> {
     let items = lines(file).filter(|line| line.holds_structure());
-    items.map(|line| line.parser(file)?.data_item()).collect()
+    items.filter_map(|line| assignment(file, line).1).collect()
 }
 
 /// An assignment of the `.src`, with its target and value if these can be parsed.
@@ -203,7 +212,7 @@ struct SetBeside {
 }
 
 impl<'a> InFile<'a> {
-    fn new(definitions: &Definitions<'a>) -> Result<Self, Diagnostic> {
+    fn new(definitions: &Definitions<'a>) -> Self {
         let file = definitions.file;
         let routines = routines(file);
         let (mut calls, mut effects, mut beside) = (Vec::new(), Vec::new(), Vec::new());
@@ -220,7 +229,7 @@ impl<'a> InFile<'a> {
                     called_by.push(called);
                 }
                 let is_motion = motion_of(&line.word).is_some() || line.is_relative_motion();
-                let effect = if is_motion { None } else { definitions.effect(line)? };
+                let effect = if is_motion { None } else { definitions.effect(line) };
                 let is_own = |name: &str| routines.iter().any(|routine| routine.name == name);
                 effect_of.push(effect.filter(|effect| !matches!(effect, Effect::Call(name) if is_own(name))));
             }
@@ -242,7 +251,7 @@ impl<'a> InFile<'a> {
                 }
             }
         }
-        Ok(program)
+        program
     }
 
     fn line(&self, (routine, at): At) -> &Line<'a> {
@@ -276,12 +285,24 @@ struct UserFrames {
     used_for: [Option<CompensationFinding>; 2],
 }
 
+/// The variables of frames.
+#[derive(Default)]
+struct FrameVariables {
+    /// The names in lines that set a frame.
+    set: HashSet<String>,
+    /// The arguments of routines, each with the finding if it is a frame.
+    given_away: Vec<(String, Diagnostic)>,
+}
+
+/// The name of a point and the index of its element; no name and the first byte of a point without one.
+type PointKey = (String, Option<i64>);
+
 struct Reader<'a> {
     files: Files<'a>,
     user: UserFrames,
     definitions: Definitions<'a>,
     /// The index of each point in the program's points: by its name, or by its bytes if it has none.
-    by_name: HashMap<(String, Option<i64>), usize>,
+    by_name: HashMap<PointKey, usize>,
     program: PointProgram,
     beside: SetBeside,
     /// The points in statements other than motions.
@@ -290,10 +311,8 @@ struct Reader<'a> {
     reached: HashSet<usize>,
     /// The calls of other files that were reported.
     reported_calls: HashSet<String>,
-    /// The names in lines that set a frame.
-    frame_names: HashSet<String>,
-    /// The frames among the arguments of routines, each with the finding about it.
-    given_away: Vec<(String, Diagnostic)>,
+    frame_variables: FrameVariables,
+    left: LeftMotions<PointKey>,
 }
 
 /// The motion that is being read.
@@ -311,7 +330,7 @@ impl<'a> Reader<'a> {
     fn read(mut self) -> Result<PointProgram, Diagnostic> {
         let file = self.files.source;
         check_is_krl(file)?;
-        let program = InFile::new(&self.definitions)?;
+        let program = InFile::new(&self.definitions);
         self.beside = program.set_beside.clone();
         let controls: Vec<Vec<Option<Control>>> = program
             .routines
@@ -342,20 +361,31 @@ impl<'a> Reader<'a> {
                 self.program.not_corrected.push(file.wrong(&line.span, CompensationFinding::NeverReached));
             }
         }
+        self.leave_shared();
+        let has_pose = self.program.points.iter().any(|point| point.frames.is_some());
+        if let Some(why) = self.left.nothing_right(!self.program.points.is_empty(), has_pose) {
+            return Err(why.clone());
+        }
         // A point to which a motion also goes is corrected, and a frame is no point.
         let is_corrected = |name: &String| self.by_name.keys().any(|(corrected, _)| corrected == name);
-        self.named.retain(|(name, _)| !is_corrected(name) && !self.frame_names.contains(name));
+        self.named.retain(|(name, _)| !is_corrected(name) && !self.frame_variables.set.contains(name));
         let in_statements = self
             .named
             .into_iter()
             .map(|(name, span)| file.wrong(&span, CompensationFinding::PointInStatement { name }));
         self.program.not_corrected.extend(in_statements);
         let is_frame = |name: &String| {
-            self.frame_names.contains(name) && self.definitions.constants.get((name, None)).is_some()
+            self.frame_variables.set.contains(name) && self.definitions.constants.get((name, None)).is_some()
         };
-        let given_away = self.given_away.into_iter().filter(|(name, _)| is_frame(name));
+        let given_away = self.frame_variables.given_away.into_iter().filter(|(name, _)| is_frame(name));
         self.program.warnings.extend(given_away.map(|(_, finding)| finding));
         let points = &self.program.points;
+        let mut accurate = points.iter().filter(|point| point.is_absolutely_accurate());
+        if let Some(TaughtPoint { name, first_use, .. }) = accurate.next() {
+            let (points, name) = (1 + accurate.count(), name.clone());
+            let taught = CompensationFinding::TaughtUnderAccuracy { points, name };
+            self.program.warnings.push(file.wrong(first_use, taught));
+        }
         let external = external_motion(points.iter().map(|point| (point.name.as_str(), point.external)));
         let external = external.map(|(at, finding)| file.wrong(&points[at].first_use, finding));
         self.program.warnings.extend(external);
@@ -366,7 +396,7 @@ impl<'a> Reader<'a> {
     fn line(&mut self, line: &Line<'_>, state: &InRoutine) -> Result<(), Diagnostic> {
         let is_first = self.reached.insert(line.span.start);
         if motion_of(&line.word).is_some() {
-            return self.motion(line, state, is_first);
+            return self.motion(line, state, is_first).or_else(|why| self.leave_motion(line, why));
         }
         if !is_first {
             return Ok(());
@@ -375,13 +405,46 @@ impl<'a> Reader<'a> {
             let relative = self.files.source.wrong(&line.span, CompensationFinding::RelativeMotion);
             self.program.not_corrected.push(relative);
         } else if ["$TOOL", "$BASE"].contains(&line.word.as_str()) {
-            self.frame_names.extend(line.words().skip(1).map(|(name, _)| name));
+            self.frame_variables.set.extend(line.words().skip(1).map(|(name, _)| name));
         } else if !SETTING.contains(&line.word.as_str()) && line.control().is_none() {
             let named = self.points_in(line);
             self.named.extend(named);
             self.note_given_away(line);
         }
         Ok(())
+    }
+
+    /// Leaves a motion as it is, with the points that it alone uses so far.
+    fn leave_motion(&mut self, line: &Line<'_>, why: Diagnostic) -> Result<(), Diagnostic> {
+        let file = self.files.source;
+        self.program.not_corrected.extend(self.left.leave(file, &line.span, why)?);
+        for (key, at) in &self.by_name {
+            if self.program.points[*at].first_use == line.span {
+                self.left.share(key.clone(), file.line(line.span.start));
+            }
+        }
+        Ok(())
+    }
+
+    /// Leaves the points that motions which stay as they are use too.
+    fn leave_shared(&mut self) {
+        let shared: Vec<_> = self.left.shared().map(|(key, line)| (key.clone(), line)).collect();
+        let mut removed = HashSet::new();
+        for (key, line) in shared {
+            let Some(at) = self.by_name.remove(&key) else { continue };
+            let TaughtPoint { name, first_use, .. } = &self.program.points[at];
+            let (name, first_use) = (name.clone(), first_use.clone());
+            self.leave(&first_use, CompensationFinding::PointShared { name, line });
+            removed.insert(at);
+        }
+        let kept: Vec<usize> = (0..self.program.points.len()).filter(|at| !removed.contains(at)).collect();
+        let moved = |at: &usize| kept.binary_search(at).ok();
+        for motion in &mut self.program.motions {
+            motion.through = motion.through.iter().filter_map(moved).collect();
+            motion.to = motion.to.iter().filter_map(moved).collect();
+        }
+        self.by_name.values_mut().for_each(|at| *at = moved(at).unwrap_or_default());
+        self.program.points = kept.iter().map(|at| self.program.points[*at].clone()).collect();
     }
 
     /// Notes the variables that are passed to a routine, which may change them.
@@ -392,7 +455,7 @@ impl<'a> Reader<'a> {
         for (name, span) in line.words().skip(1) {
             let routine = line.word.clone();
             let given_away = CompensationFinding::FrameGivenAway { name: name.clone(), routine };
-            self.given_away.push((name, self.files.source.wrong(&span, given_away)));
+            self.frame_variables.given_away.push((name, self.files.source.wrong(&span, given_away)));
         }
     }
 
@@ -499,8 +562,13 @@ impl<'a> Reader<'a> {
             Some(index) => format!("{}[{index}]", place.name),
             None => place.name.clone(),
         };
-        let point = self.point(&name, constant, current)?;
-        Ok(Some(self.add((place.name.clone(), element), point, &place.span)?))
+        let key = (place.name.clone(), element);
+        let point = self.point(&name, constant, current);
+        let added = point.and_then(|point| self.add(key.clone(), point, &place.span));
+        if added.is_err() {
+            self.left.share(key, self.files.source.line(current.line.span.start));
+        }
+        added.map(Some)
     }
 
     /// Adds a point that a motion uses at `span`, unless it is known, and returns its index.
