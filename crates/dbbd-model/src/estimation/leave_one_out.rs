@@ -28,7 +28,7 @@ pub(super) struct LeftOutVisits {
 
 /// The error of a visit that is left out.
 struct LeftOutError {
-    lengths: f64,
+    lengths: usize,
     /// Its square in units of the predicted covariance: chi-square of its lengths if all is normal.
     deviate: f64,
 }
@@ -59,7 +59,7 @@ impl LeftOutVisits {
             found += off - noise;
             predicted += beyond;
             squares += beyond * beyond;
-            errors.push(LeftOutError { lengths: rows.len() as f64, deviate });
+            errors.push(LeftOutError { lengths: rows.len(), deviate });
         }
         // The number of visits on which the sums rest.
         let visits = if squares > 0.0 { predicted * predicted / squares } else { 0.0 };
@@ -76,12 +76,19 @@ impl LeftOutVisits {
 /// are divided by their root mean square.
 fn degrees_of_freedom(errors: &[LeftOutError]) -> f64 {
     let sum = |of: fn(&LeftOutError) -> f64| errors.iter().map(of).sum::<f64>();
-    let mean_square = sum(|error| error.deviate) / sum(|error| error.lengths);
+    let mean_square = sum(|error| error.deviate) / sum(|error| error.lengths as f64);
+    // Lengths without any error show no tails.
+    let errors = if mean_square > 0.0 { errors } else { &[] };
+    let most_lengths = errors.iter().map(|error| error.lengths).max().unwrap_or(0);
     let candidates = RECIPROCALS.map(|step| f64::from(step) * RECIPROCAL_STEP);
     let weighted: Vec<(f64, f64)> = candidates
         .map(|reciprocal| {
-            let of_error =
-                |error: &LeftOutError| ln_density(error.lengths, error.deviate / mean_square, reciprocal);
+            // The same for all visits with as many lengths.
+            let at_zero: Vec<f64> =
+                (0..=most_lengths).map(|count| ln_density_at_zero(count, reciprocal)).collect();
+            let of_error = |error: &LeftOutError| {
+                at_zero[error.lengths] - ln_fall(error.lengths, error.deviate / mean_square, reciprocal)
+            };
             (reciprocal, errors.iter().map(of_error).sum::<f64>() - reciprocal / USUAL_RECIPROCAL)
         })
         .collect();
@@ -93,19 +100,23 @@ fn degrees_of_freedom(errors: &[LeftOutError]) -> f64 {
     all / mean
 }
 
-/// The logarithm of the density of t-distributed numbers of the unit covariance whose squares add to `square`, relative to normal
-/// ones at 0; `reciprocal` is that of their degrees of freedom (Kotz and Nadarajah, "Multivariate t Distributions and Their
-/// Applications", 2004, section 1.1).
-fn ln_density(count: f64, square: f64, reciprocal: f64) -> f64 {
+/// The logarithm of the density of `count` t-distributed numbers of the unit covariance at 0, relative to normal ones; `reciprocal`
+/// is that of their degrees of freedom (Kotz and Nadarajah, "Multivariate t Distributions and Their Applications", 2004, section 1.1).
+fn ln_density_at_zero(count: usize, reciprocal: f64) -> f64 {
     if reciprocal == 0.0 {
-        return -0.5 * square;
+        return 0.0;
+    }
+    let (freedom, half) = (reciprocal.recip(), 0.5 * count as f64);
+    ln_gamma(0.5 * freedom + half) - ln_gamma(0.5 * freedom) - half * (0.5 * freedom - 1.0).ln()
+}
+
+/// By how much that logarithm falls to where the squares of the numbers add to `square`.
+fn ln_fall(count: usize, square: f64, reciprocal: f64) -> f64 {
+    if reciprocal == 0.0 {
+        return 0.5 * square;
     }
     let freedom = reciprocal.recip();
-    let scale = freedom - 2.0;
-    ln_gamma(0.5 * (freedom + count))
-        - ln_gamma(0.5 * freedom)
-        - 0.5 * count * (0.5 * scale).ln()
-        - 0.5 * (freedom + count) * (square / scale).ln_1p()
+    0.5 * (freedom + count as f64) * (square / (freedom - 2.0)).ln_1p()
 }
 
 #[cfg(test)]
@@ -174,7 +185,7 @@ mod tests {
                 let scale = freedom
                     .map_or(1.0, |freedom| ChiSquared::new(freedom).unwrap().sample(&mut random) / freedom);
                 let square = |_| -> f64 { random.sample::<f64, _>(StandardNormal).powi(2) };
-                LeftOutError { lengths: 3.0, deviate: (0..3).map(square).sum::<f64>() / scale }
+                LeftOutError { lengths: 3, deviate: (0..3).map(square).sum::<f64>() / scale }
             };
             (0..count).map(of_visit).collect()
         };
@@ -200,7 +211,7 @@ mod tests {
             (9.0, 0.01, -4.487105389762586),
             (4.0, 0.0, -2.0),
         ] {
-            let found = ln_density(3.0, square, reciprocal);
+            let found = ln_density_at_zero(3, reciprocal) - ln_fall(3, square, reciprocal);
             assert!((found - expected).abs() < 1e-9, "{square} {reciprocal}: {found}");
         }
     }
