@@ -20,7 +20,7 @@ use dbbd_job::recording::capture;
 use dbbd_job::recording::import::{TraceBar, TraceMapping, TraceReader};
 use dbbd_job::report::export::urdf_patch;
 use dbbd_job::request::Request;
-use dbbd_job::robot_description::{self, FactoryTable};
+use dbbd_job::robot_description::{self, FactoryTable, KnownOfRobot};
 use dbbd_job::sim::world::WorldSetup;
 use dbbd_job::sim::{SimulatedController, truth};
 use dbbd_model::base::table::TableReader;
@@ -347,14 +347,18 @@ fn check_imported(robot: &Robot) {
 /// A robot as others describe it: a URDF, `$machine.dat`, a factory calibration, the messages of a controller.
 fn description(data: &[u8]) {
     if let Ok(table) = FactoryTable::receive(&mut &data[..]) {
-        check_imported(&table.imported(&built_in("ur10e")).robot);
+        if let Ok(imported) = table.imported(&built_in("ur10e")) {
+            check_imported(&imported.robot);
+        }
     }
     let Ok(text) = std::str::from_utf8(data) else { return };
-    if let Ok(imported) = robot_description::import("arm", text, Some(&built_in("ur10e")), &[]) {
+    let like = built_in("ur10e");
+    let known = KnownOfRobot { like: Some(&like), ..KnownOfRobot::default() };
+    if let Ok(imported) = robot_description::import("arm", text, known) {
         check_imported(&imported.robot);
     }
     let robot = identified("kr60ha");
-    let read = |text: &str| robot_description::import("arm", text, None, &[]);
+    let read = |text: &str| robot_description::import("arm", text, KnownOfRobot::default());
     if let Ok(patched) = urdf_patch::patch("arm", text, &robot, &[]) {
         assert!(read(text).is_err() || read(&patched.text).is_ok(), "not read again after the patch");
     }

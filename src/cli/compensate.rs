@@ -45,6 +45,10 @@ pub(crate) struct CompensateArgs {
     /// $BASE (of a FANUC the user frame) if the program does not set it: mm and degrees, in the robot's base.
     #[arg(long, value_name = "X,Y,Z,A,B,C", value_parser = value::frame, allow_hyphen_values = true)]
     base: Option<[f64; 6]>,
+    /// Where the robot stands before the program, degrees: a first pose without S and T, ConfJ or qnear is reached in the branch that is
+    /// nearest.
+    #[arg(long, value_name = "A1,..,A6", value_parser = value::six_angles, allow_hyphen_values = true)]
+    start: Option<[f64; 6]>,
     /// What the flange carries while the program runs: the name of a [[payload]] of the robot file, or its mass in kg and its
     /// centre in the flange frame in mm [default: the first of the robot file].
     #[arg(long, value_name = "NAME|KG,X,Y,Z", allow_hyphen_values = true)]
@@ -78,6 +82,7 @@ pub(super) fn request(args: &CompensateArgs) -> Request {
         config: args.config.clone(),
         tool_mm_deg: args.tool,
         base_mm_deg: args.base,
+        start_deg: args.start,
         payload: args.payload.clone(),
         plan: args.plan.clone(),
         nominal_controller: args.controller_model.is_some(),

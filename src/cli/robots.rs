@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::catalogue::CliFinding;
-use super::{CommandOutcome, CommandOutput};
+use super::{CommandOutcome, CommandOutput, value};
 use dbbd_job::file_set::EarlierFiles;
 use dbbd_job::files;
 use dbbd_job::request;
 use dbbd_job::robot_description::{
-    self, CHECKED_POSES, DescriptionFinding, DescriptionKind, FactoryTable, ImportedRobot,
+    self, CHECKED_POSES, Coupled, DescriptionFinding, DescriptionKind, FactoryTable, ImportedRobot,
+    KnownOfRobot, Maker, PendantPose,
 };
 use dbbd_job::robot_files::RobotName;
 use dbbd_model::diagnostic::Diagnostic;
@@ -55,6 +56,18 @@ enum RobotsVerb {
         /// The six joints of a URDF that has several chains, base to flange, with commas.
         #[arg(long, value_name = "NAMES", value_delimiter = ',')]
         joints: Vec<String>,
+        /// The maker of the arm of a URDF: in what its controller differs from a description [default: by the name of the robot or its
+        /// files].
+        #[arg(long, value_name = "MAKER", value_parser = value::one_of(&Maker::ALL, Maker::name))]
+        maker: Option<Maker>,
+        /// Whether the controller shows axis 3 against the horizontal, as FANUC does and arms with a parallelogram may [default: by the
+        /// maker].
+        #[arg(long, value_name = "yes|no", value_parser = value::one_of(&Coupled::ALL, Coupled::name))]
+        coupled: Option<Coupled>,
+        /// One pose of the flange as the pendant shows it with a null tool and a null base: degrees and mm, with or without KUKA's A, B, C.
+        /// It decides how axis 3 is shown, and proves the rest.
+        #[arg(long, value_name = "A1,..,A6=X,Y,Z[,A,B,C]", value_parser = value::pendant_pose, allow_hyphen_values = true)]
+        at: Option<PendantPose>,
         /// The robot file to write.
         #[arg(long, value_name = "ROBOT.toml")]
         out: PathBuf,
@@ -108,14 +121,16 @@ pub(crate) fn run(args: &RobotsArgs, out: &CommandOutput) -> Result<CommandOutco
     match &args.what {
         None | Some(RobotsVerb::List) => list_robots(out),
         Some(RobotsVerb::Show { name }) => show_robot(name, out),
-        Some(RobotsVerb::Import { from, robot, joints, out: path, replace }) => {
+        Some(RobotsVerb::Import { from, robot, joints, maker, coupled, at, out: path, replace }) => {
             EarlierFiles::refused_unless(*replace).check(path)?;
+            let known =
+                KnownOfRobot { like: None, joints, maker: *maker, coupled: *coupled, shown: at.as_ref() };
             match Robot::built_in_file(from) {
                 Some(text) => {
-                    refuse_unused(robot.is_some(), !joints.is_empty())?;
+                    refuse_unused(robot.is_some(), &known, None)?;
                     copy_built_in(from, text, path, out)
                 }
-                None => import_robot(from, robot.as_ref(), joints, path, out),
+                None => import_robot(from, robot.as_ref(), known, path, out),
             }
         }
         Some(RobotsVerb::Check { name }) => {
@@ -149,28 +164,43 @@ struct ImportDifference {
     poses: usize,
 }
 
-/// Refuses options that are given and do not apply to what is imported.
-fn refuse_unused(robot: bool, joints: bool) -> Result<(), Diagnostic> {
-    let unused = robot.then_some("--robot").or(joints.then_some("--joints"));
-    unused.map_or(Ok(()), |option| Err(CliFinding::Unused { option }.into()))
+/// Refuses options that are given and do not apply to what is imported; `None` for a robot of the catalogue.
+fn refuse_unused(
+    robot: bool,
+    known: &KnownOfRobot<'_>,
+    kind: Option<DescriptionKind>,
+) -> Result<(), Diagnostic> {
+    let is_urdf = kind == Some(DescriptionKind::Urdf);
+    let unused = [
+        ("--robot", robot && kind != Some(DescriptionKind::FactoryCalibration)),
+        ("--joints", !known.joints.is_empty() && !is_urdf),
+        ("--maker", known.maker.is_some() && !is_urdf),
+        ("--coupled", known.coupled.is_some() && !is_urdf),
+        ("--at", known.shown.is_some() && kind.is_none()),
+    ];
+    let unused = unused.into_iter().find(|(_, is_unused)| *is_unused);
+    unused.map_or(Ok(()), |(option, _)| Err(CliFinding::Unused { option }.into()))
 }
 
 fn import_robot(
     from: &str,
     like: Option<&RobotName>,
-    joints: &[String],
+    known: KnownOfRobot<'_>,
     path: &Path,
     out: &CommandOutput,
 ) -> Result<CommandOutcome, Diagnostic> {
     let like = like.map(|name| named(name, out)).transpose()?;
+    let known = KnownOfRobot { like: like.as_ref(), ..known };
     let imported = match from.strip_prefix("ur://") {
         Some(host) => {
-            refuse_unused(false, !joints.is_empty())?;
-            let like = like
-                .as_ref()
-                .ok_or(DescriptionFinding::TypeNeeded)
-                .map_err(|why| Diagnostic::file(from, why))?;
-            FactoryTable::ask(host)?.imported(like)
+            refuse_unused(
+                false,
+                &KnownOfRobot { shown: None, ..known },
+                Some(DescriptionKind::FactoryCalibration),
+            )?;
+            let in_file = |why: DescriptionFinding| Diagnostic::file(from, why);
+            let like = known.like.ok_or(DescriptionFinding::TypeNeeded).map_err(in_file)?;
+            FactoryTable::ask(host)?.imported(like).map_err(in_file)?
         }
         None => {
             let file = Path::new(from);
@@ -179,12 +209,8 @@ fn import_robot(
             }
             files::keeps(path, [file])?;
             let text = files::read_definition(file)?;
-            let kind = DescriptionKind::of(&text);
-            refuse_unused(
-                like.is_some() && kind != DescriptionKind::FactoryCalibration,
-                !joints.is_empty() && kind != DescriptionKind::Urdf,
-            )?;
-            robot_description::import(from, &text, like.as_ref(), joints)?
+            refuse_unused(like.is_some(), &known, Some(DescriptionKind::of(&text)))?;
+            robot_description::import(from, &text, known)?
         }
     };
     let ImportedRobot { robot, findings, largest_mm } = imported;

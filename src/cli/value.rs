@@ -7,6 +7,7 @@ use crate::cli::CliFinding;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use dbbd_job::program::CompensationFinding;
 use dbbd_job::request::plan::RepeatedRows;
+use dbbd_job::robot_description::{DescriptionFinding, PendantPose};
 use dbbd_model::base::date::is_moment;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::estimation::EstimationFinding;
@@ -130,6 +131,22 @@ pub(super) fn tool(text: &str) -> Result<[f64; 3], Diagnostic> {
         5 => frame(text).map(|[x, y, z, ..]| [x, y, z]),
         _ => tool_ball(text),
     }
+}
+
+/// Axis angles A1,..,A6 in degrees.
+pub(super) fn six_angles(text: &str) -> Result<[f64; 6], Diagnostic> {
+    numbers(text).ok_or_else(|| CompensationFinding::NotAxisAngles.into())
+}
+
+/// A pose A1,..,A6=X,Y,Z or A1,..,A6=X,Y,Z,A,B,C in degrees and mm.
+pub(super) fn pendant_pose(text: &str) -> Result<PendantPose, Diagnostic> {
+    let pose = text.split_once('=').and_then(|(axes, place)| {
+        let axes_deg = numbers(axes)?;
+        let of_six = || numbers(place).map(|[x, y, z, a, b, c]| ([x, y, z], Some([a, b, c])));
+        let (xyz_mm, abc_deg) = numbers(place).map(|xyz_mm| (xyz_mm, None)).or_else(of_six)?;
+        Some(PendantPose { axes_deg, xyz_mm, abc_deg })
+    });
+    pose.ok_or_else(|| DescriptionFinding::NoPendantPose.into())
 }
 
 /// A frame X,Y,Z,A,B,C in mm and degrees.

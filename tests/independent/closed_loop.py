@@ -1,4 +1,4 @@
-"""The closed loop of docs/explanation/closed-loop.md computed apart from dbbd, in numpy: robots drawn from the tolerance, lengths with noise at
+"""The closed loop of docs/explanation/accuracy.md computed apart from dbbd, in numpy: robots drawn from the tolerance, lengths with noise at
 the poses of a plan, the likeliest robot, and a production program in a 1 m cube before and after compensation; and what
 a sag of joints 2 and 3 leaves in lengths that a geometric model is fitted to.
 

@@ -87,7 +87,9 @@ const FACTORY_TABLE: &str = "[mounting]\n\
 const FACTORY: Arm = Arm { name: "ur10 with its factory table", ..UR };
 
 fn with_factory_table() -> Robot {
-    let found = robot_description::import("calibration.conf", FACTORY_TABLE, Some(&named(UR.name)), &[]);
+    let like = named(UR.name);
+    let known = robot_description::KnownOfRobot { like: Some(&like), ..Default::default() };
+    let found = robot_description::import("calibration.conf", FACTORY_TABLE, known);
     Robot { name: FACTORY.name.into(), ..found.unwrap().robot }
 }
 

@@ -216,10 +216,12 @@ const OF_RAPID: &[(&str, &str, i32, &str)] = &[
     ("MoveJ", "PickPart tGun;\nMoveJ", 3, "W0921"),
     ("MoveJ", "p10.trans.x:=900;\nMoveJ", 1, "E0903"),
     ("[0.0,0.991444861", "[2.5,0.991444861", 1, "E0903"),
-    ("MoveJ", "tGun.tframe.trans.z:=100;\nMoveJ", 1, "E0901"),
+    ("MoveJ", "tGun.tframe.trans.z:=100;\nMoveJ", 0, ""),
+    ("MoveJ", "tGun.tframe.trans.z:=Wanted();\nMoveJ", 1, "E0901"),
     ("MoveJ", "wFix:=wOther;\nMoveJ", 1, "E0901"),
     ("[FALSE,TRUE,\"\"", "[FALSE,FALSE,\"STN1\"", 1, "E0901"),
     ("MoveJ", "SearchL di1,p10,v100,tGun;\nMoveJ", 0, ""),
+    ("MODULE Weld", "\u{feff}MODULE Weld", 0, ""),
 ];
 const URSCRIPT: &str = "def prog():\n  set_tcp(p[0.03,0.02,0.15,0,0,0])\n  movej([0,-1.57,1.57,-1.57,-1.57,0])\n  movel(p[0.7,0.1,0.3,0,3.14159,0], a=1.2, v=0.25)\nend\n";
 const OF_URSCRIPT: &[(&str, &str, i32, &str)] = &[

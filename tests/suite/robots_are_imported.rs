@@ -45,7 +45,7 @@ fn a_urdf_becomes_a_robot_with_the_same_flange() {
     let dir = tempdir().unwrap();
     let at = dir.path();
     fs::write(at.join("arm.urdf"), urdf()).unwrap();
-    let output = dbbd(at, &["robots", "import", "arm.urdf", "--out", "arm.toml"]);
+    let output = dbbd(at, &["robots", "import", "arm.urdf", "--maker", "other", "--out", "arm.toml"]);
     assert_eq!((output.status.code(), codes(&output)), (Some(0), vec![]));
     let (robot, nominal) = (read(&at.join("arm.toml")), named("ur10"));
     assert!((robot.limits_deg[0][1] - 359.8).abs() < 0.1 && (robot.max_speed_deg_s[3] - 119.7).abs() < 0.1);
@@ -66,7 +66,7 @@ fn a_urdf_becomes_a_robot_with_the_same_flange() {
     fs::write(at.join("more.urdf"), urdf().replace("</robot>", seventh)).unwrap();
     says(&dbbd(at, &["robots", "import", "more.urdf", "--out", "no.toml"]), 1, "E1720");
     let named = ["robots", "import", "more.urdf", "--joints", "j1,j2,j3,j4,j5,j6", "--out", "more.toml"];
-    assert_eq!(dbbd(at, &named).status.code(), Some(0));
+    says(&dbbd(at, &named), 3, "W0594");
     for (from, to) in
         [("revolute", "prismatic"), ("<robot", "<model"), ("velocity='2.09'", "velocity='fast'")]
     {
@@ -78,6 +78,206 @@ fn a_urdf_becomes_a_robot_with_the_same_flange() {
     }
     says(&dbbd(at, &["robots", "import", "arm.urdf", "--out", "arm.urdf", "--replace"]), 1, "E0180");
     assert!(!at.join("no.toml").exists() && fs::read_to_string(at.join("arm.urdf")).unwrap() == urdf());
+}
+
+/// A joint of a URDF: its place in the link before, mm in m, and its axis.
+type UrdfRow = (&'static str, &'static str, &'static str);
+
+/// A URDF as makers write them: `base` is where the controller counts from, `tool0` its flange.
+fn of_maker(name: &str, base: (&str, &str), rows: [UrdfRow; 6], tool0: (&str, &str)) -> String {
+    let fixed = |child: &str, parent: &str, (xyz, rpy): (&str, &str)| {
+        format!(
+            "<link name='{child}'/><joint name='{child}_fixed' type='fixed'><parent link='{parent}'/><child link='{child}'/>\
+             <origin xyz='{xyz}' rpy='{rpy}'/></joint>\n"
+        )
+    };
+    let joint = |(at, (xyz, rpy, axis)): (usize, &UrdfRow)| {
+        let parent = if at == 0 { "base_link".to_owned() } else { format!("l{at}") };
+        format!(
+            "<link name='l{n}'/><joint name='j{n}' type='revolute'><parent link='{parent}'/><child link='l{n}'/><origin xyz='{xyz}' rpy='{rpy}'/>\
+             <axis xyz='{axis}'/><limit lower='-3' upper='3' velocity='2' effort='1'/></joint>\n",
+            n = at + 1
+        )
+    };
+    let joints: String = rows.iter().enumerate().map(joint).collect();
+    let (base, tool0) = (fixed("base", "base_link", base), fixed("tool0", "l6", tool0));
+    format!("<robot name='{name}'><link name='base_link'/>{base}{joints}{tool0}</robot>")
+}
+
+/// The M-20iD/25 by the lengths of its maker's description: World is 425 mm above the foot, and joint 3 turns against axis 2.
+fn fanuc(name: &str) -> String {
+    let rows = [
+        ("0 0 0.425", "0 0 0", "0 0 1"),
+        ("0.075 0 0", "0 0 0", "0 1 0"),
+        ("0 0 0.84", "0 0 0", "0 -1 0"),
+        ("0 0 0.215", "0 0 0", "-1 0 0"),
+        ("0.89 0 0", "0 0 0", "0 -1 0"),
+        ("0 0 0", "0 0 0", "-1 0 0"),
+    ];
+    of_maker(name, ("0 0 0.425", "0 0 0"), rows, ("0.09 0 0", "3.141592653589793 -1.5707963267948966 0"))
+}
+
+/// The UR5e by its maker's default kinematics: the base is turned by half a turn.
+fn universal(name: &str) -> String {
+    let rows = [
+        ("0 0 0.1625", "0 0 3.141592653589793", "0 0 1"),
+        ("0 0 0", "1.5707963267948966 0 0", "0 0 1"),
+        ("-0.425 0 0", "0 0 0", "0 0 1"),
+        ("-0.3922 0 0.1333", "0 0 0", "0 0 1"),
+        ("0 -0.0997 0", "1.5707963267948966 0 0", "0 0 1"),
+        ("0 0.0996 0", "1.5707963267948966 3.141592653589793 3.141592653589793", "0 0 1"),
+    ];
+    of_maker(name, ("0 0 0", "0 0 3.141592653589793"), rows, ("0 0 0", "0 0 0"))
+}
+
+/// Whether two robots show the same flange at the same angles of the pendant.
+fn assert_same_controller(found: &Robot, expected: &Robot) {
+    for axes_deg in
+        [[0.0; 6], [10.0, 40.0, -20.0, 5.0, -60.0, 7.0], [-70.0, -30.0, 35.0, 100.0, 50.0, -120.0]]
+    {
+        let flange = |robot: &Robot| {
+            let table = robot.geometry.rigid().flange(&axes_deg.map(f64::to_radians));
+            robot.frames.base.then(&table).then(&robot.frames.flange)
+        };
+        let (found, expected) = (flange(found), flange(expected));
+        assert!((found.position - expected.position).norm() < 1e-3, "{axes_deg:?}: {found:?} {expected:?}");
+        assert!(found.angle_to(&expected) < 1e-6, "{axes_deg:?}: {found:?} {expected:?}");
+    }
+}
+
+/// A description becomes the robot of its controller: base, flange, coupling, language and model are the maker's.
+#[test]
+fn a_urdf_becomes_the_robot_of_its_controller() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let import = |text: &str, more: &[&str]| {
+        fs::write(at.join("arm.urdf"), text).unwrap();
+        dbbd(at, &[&["robots", "import", "arm.urdf", "--out", "arm.toml", "--replace"], more].concat())
+    };
+    let imported = || read(&at.join("arm.toml"));
+    assert_eq!(import(&fanuc("fanuc_m20id25"), &[]).status.code(), Some(0));
+    assert_same_controller(&imported(), &named("m20id25"));
+    assert_eq!(imported().controller_language(), Some("fanuc"));
+    assert_eq!(import(&universal("ur5e_robot"), &[]).status.code(), Some(0));
+    assert_same_controller(&imported(), &named("ur5e"));
+    assert_eq!(
+        (imported().controller_language(), imported().controller_model),
+        (Some("urscript"), ControllerModel::Unknown)
+    );
+    // Files of the shapes name the maker too.
+    let shape = "<link name='base_link'><visual><geometry><mesh filename='package://fanuc_support/m.stl'/></geometry></visual></link>";
+    assert_eq!(
+        import(&fanuc("m20").replacen("<link name='base_link'/>", shape, 1), &[]).status.code(),
+        Some(0)
+    );
+    assert_same_controller(&imported(), &named("m20id25"));
+    // Who made it is asked where nothing says it; a pose of the pendant decides how axis 3 is shown.
+    says(&import(&fanuc("arm"), &[]), 3, "W0594");
+    assert_eq!(import(&fanuc("arm"), &["--maker", "fanuc"]).status.code(), Some(0));
+    assert_same_controller(&imported(), &named("m20id25"));
+    let shown = "10,40,-20,5,-60,7=1518.31,260.82,452.76";
+    assert_eq!(import(&fanuc("arm"), &["--at", shown]).status.code(), Some(0));
+    assert_same_controller(&imported(), &named("m20id25"));
+    says(&import(&fanuc("arm"), &["--at", "10,40,-20,5,-60,7=1500,260,452"]), 1, "E0595");
+    says(&import(&fanuc("arm"), &["--at", "10,40,-20=1500,260,452"]), 2, "E0595");
+    // What the description lacks is named.
+    says(&import(&universal("ur5e").replace("'base'", "'foot'"), &[]), 3, "W0594");
+    says(
+        &import(
+            &fanuc("abb").replacen("<axis xyz='0 -1 0'/>", "<axis xyz='0 -1 0'/><mimic joint='j2'/>", 1),
+            &[],
+        ),
+        3,
+        "W0594",
+    );
+    let answered = import(
+        &fanuc("abb").replacen("<axis xyz='0 -1 0'/>", "<axis xyz='0 -1 0'/><mimic joint='j2'/>", 1),
+        &["--coupled", "yes"],
+    );
+    assert_eq!(answered.status.code(), Some(0), "{}", stderr(&answered));
+    assert!(!imported().geometry.coupling.is_none());
+    let xacro = import(
+        "<robot xmlns:xacro='http://www.ros.org/wiki/xacro' name='a'><xacro:macro name='m'/></robot>",
+        &[],
+    );
+    says(&xacro, 1, "E1720");
+    assert!(stderr(&xacro).contains("not expanded"), "{}", stderr(&xacro));
+    // A factory calibration belongs to the maker's table, which the maker's URDF gives.
+    assert_eq!(import(&universal("ur5e_robot"), &[]).status.code(), Some(0));
+    fs::write(at.join("calibration.conf"), CONF).unwrap();
+    let of_type = |robot: &str, out: &str| {
+        dbbd(at, &["robots", "import", "calibration.conf", "--robot", robot, "--out", out])
+    };
+    assert_eq!(of_type("arm.toml", "mine.toml").status.code(), Some(0));
+    assert_eq!(of_type("ur5e", "built-in.toml").status.code(), Some(0));
+    assert_same_controller(&read(&at.join("mine.toml")), &read(&at.join("built-in.toml")));
+    says(&of_type("kr60ha", "no.toml"), 1, "E0591");
+}
+
+/// What dbbd exports, it imports: each built-in robot comes back as the same controller.
+#[test]
+fn an_exported_urdf_comes_back() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    for (name, _) in Robot::built_in() {
+        let robot = Robot::by_name_with_tool(name, [30.0, 20.0, 10.0]).unwrap().unwrap();
+        let known = Robot { nominal: Some(Box::new(robot.clone())), ..robot.clone() };
+        fs::write(at.join("id.toml"), known.to_toml().unwrap()).unwrap();
+        let exported = dbbd(at, &["export", "id.toml", "--for", "urdf", "--out", "urdf"]);
+        assert!(
+            exported.status.success() || exported.status.code() == Some(3),
+            "{name}: {}",
+            stderr(&exported)
+        );
+        let urdf = fs::read_dir(at.join("urdf")).unwrap().map(|entry| entry.unwrap().path());
+        let urdf = urdf.into_iter().find(|path| path.extension().is_some_and(|end| end == "urdf")).unwrap();
+        let back = dbbd(at, &["robots", "import", urdf.to_str().unwrap(), "--out", "back.toml", "--replace"]);
+        assert!(matches!(back.status.code(), Some(0 | 3)), "{name}: {}", stderr(&back));
+        assert_same_controller(&read(&at.join("back.toml")), &robot);
+        fs::remove_dir_all(at.join("urdf")).unwrap();
+    }
+}
+
+/// `$ROBROOT` is where the robot stands in its World.
+#[test]
+fn machine_data_say_where_the_robot_stands() {
+    let dir = tempdir().unwrap();
+    let at = dir.path();
+    let data = "DEFDAT $MACHINE PUBLIC\nDECL KINCLASS $KINCLASS=#STANDARD\nDECL MAIN_AXIS $MAIN_AXIS=#NR\nDECL WRIST_AXIS $WRIST_AXIS=#ZEH\n\
+        FRAME $ROBROOT={X 0.0,Y 0.0,Z 500.0,A 90.0,B 0.0,C 0.0}\nFRAME $TIRORO={X 0.0,Y 0.0,Z 815.0,A 0.0,B 0.0,C 0.0}\n\
+        FRAME $TFLWP={X 0.0,Y 0.0,Z 170.0,A 0.0,B 0.0,C 0.0}\nFRAME $TX3P3={X 820.0,Y 0.0,Z 145.0,A 0.0,B 90.0,C 0.0}\n\
+        REAL $LENGTH_A=350.0\nREAL $LENGTH_B=850.0\nDECL DHART $DH_4={DHART_A 0.0,DHART_D 0.0,DHART_ALPHA 90.0}\n\
+        DECL DHART $DH_5={DHART_A 0.0,DHART_D 0.0,DHART_ALPHA -90.0}\n";
+    let of_axis = |axis: usize| {
+        let sense = if [2, 3].contains(&axis) { 1 } else { -1 };
+        format!("$AXIS_DIR[{axis}]={sense}\n$SOFTN_END[{axis}]=-120.0\n$SOFTP_END[{axis}]=120.0\n")
+    };
+    let data = format!("{data}{}ENDDAT\n", (1..=6).map(of_axis).collect::<String>());
+    fs::write(at.join("$machine.dat"), &data).unwrap();
+    says(&dbbd(at, &["robots", "import", "$machine.dat", "--out", "k.toml"]), 3, "W0593");
+    let robot = read(&at.join("k.toml"));
+    let expected = Pose::from_kuka([0.0, 0.0, 500.0], [90.0, 0.0, 0.0]);
+    assert!((robot.frames.base.position - expected.position).norm() < 1e-9);
+    assert!(robot.frames.base.angle_to(&expected) < 1e-9);
+    fs::write(at.join("$machine.dat"), data.replace("Z 500.0,A 90.0", "Z 0.0,A 0.0")).unwrap();
+    let upright = dbbd(at, &["robots", "import", "$machine.dat", "--out", "k.toml", "--replace"]);
+    assert_eq!(upright.status.code(), Some(0), "{}", stderr(&upright));
+    assert_eq!(read(&at.join("k.toml")).frames, dbbd_model::robot::ControllerFrames::default());
+    // A wall: gravity follows from the place, and another one contradicts it.
+    let text = fs::read_to_string(at.join("k.toml")).unwrap();
+    let with = |table: &str| Robot::from_toml("k.toml", &format!("{text}\n[mounting]\n{table}\n"));
+    let wall = with("abc_deg = [0.0, 90.0, 0.0]").unwrap();
+    assert!(
+        (wall.geometry.load.gravity - nalgebra::Vector3::x()).norm() < 1e-9,
+        "{}",
+        wall.geometry.load.gravity
+    );
+    assert!(with("abc_deg = [0.0, 90.0, 0.0]\ngravity = [1.0, 0.0, 0.0]").is_ok());
+    assert_eq!(
+        with("abc_deg = [0.0, 90.0, 0.0]\ngravity = [0.0, 0.0, -1.0]").unwrap_err().code().to_string(),
+        "E0505"
+    );
+    assert_eq!(with("xyz_mm = [0.0, 0.0, 0.5]").unwrap_err().code().to_string(), "E0130");
 }
 
 #[test]

@@ -116,6 +116,8 @@ fn programs_in_metres_and_on_rails() {
     assert!(!codes(&sound).contains(&"W0916".to_owned()), "{}", stderr(&sound));
     let rail = fixture("GLUE01.dat").replacen("S 2,T 11,E1 0.0", "S 2,T 11,E1 500.0", 1);
     says(&krl(rail), 3, "W0916");
+    // A rail that stands still elsewhere is away from 0 as well.
+    says(&krl(fixture("GLUE01.dat").replace("E1 0.0", "E1 400.0")), 3, "W0916");
     let coordinate = |part: &str| -> String {
         match part.split_once(['X', 'Y', 'Z']).and_then(|(_, mm)| mm.trim().parse::<f64>().ok()) {
             Some(mm) if part.len() < 16 => part.replace(&mm.to_string(), &(mm / 1e3).to_string()),

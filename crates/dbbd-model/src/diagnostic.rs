@@ -128,6 +128,8 @@ pub enum Input {
     /// The controller's $config.dat, or a module with tools and work objects.
     ControllerConfig,
     ControllerModel,
+    /// Whether axis 3 is shown against the horizontal.
+    Coupled,
     Dates,
     /// The parameters that are estimated.
     Estimated,
@@ -158,6 +160,7 @@ pub enum Input {
     /// The .dat with the axis angles that a program logged.
     LoggedAxes,
     MachineExpansion,
+    Maker,
     /// Lengths of earlier stages.
     MeasuredLengths,
     Model,
@@ -165,6 +168,8 @@ pub enum Input {
     Out,
     /// Seconds of the simulated bar per second.
     Pace,
+    /// A pose as the pendant of a controller shows it.
+    PendantPose,
     Plan,
     Port,
     Positions,
@@ -195,6 +200,8 @@ pub enum Input {
     Specimen,
     Spool,
     Stage,
+    /// The axis angles before a program.
+    StartAxes,
     Store,
     /// The way in which a program marks its dwells.
     Synchronisation,

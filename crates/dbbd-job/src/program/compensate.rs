@@ -75,12 +75,20 @@ pub struct Correction<'a> {
     limit_mm: f64,
     /// The base balls about which the program moves the bar, if it holds one.
     mounted: Option<&'a MountedBalls>,
+    /// The axis angles at which the program begins, if they are known, rad.
+    start: Option<[f64; AXES]>,
 }
 
 impl<'a> Correction<'a> {
     /// The correction of a program that holds no bar, for an identified robot with its nominal one.
     pub fn of(robot: &'a Robot, limit_mm: f64) -> Self {
-        Self { robot, limit_mm, mounted: None }
+        Self { robot, limit_mm, mounted: None, start: None }
+    }
+
+    /// The correction of a program that begins at these axis angles, degrees: they select the branch of its first pose.
+    #[must_use]
+    pub fn from_start(self, axes_deg: Option<[f64; AXES]>) -> Self {
+        Self { start: axes_deg.map(|axes_deg| axes_deg.map(f64::to_radians)), ..self }
     }
 
     /// The correction of a program that holds the bar.
@@ -99,7 +107,7 @@ pub struct Corrector<'a> {
     limit_mm: f64,
     mounted: Option<&'a MountedBalls>,
     /// The nominal axis angles at the last target, rad, and the sense in which each axis approached it. Before the first
-    /// target the robot may be anywhere.
+    /// target it is the start, without which the robot may be anywhere.
     last: Option<[f64; AXES]>,
     approach: Approach,
 }
@@ -116,7 +124,7 @@ fn other_unit(frames: &Frames) -> Option<CompensationFinding> {
 
 impl<'a> Corrector<'a> {
     pub fn new(correction: Correction<'a>) -> Self {
-        let Correction { robot, limit_mm, mounted } = correction;
+        let Correction { robot, limit_mm, mounted, start } = correction;
         let controller = robot.controller();
         let flange = |geometry: &Geometry, tool| Geometry { tool, ..geometry.clone() };
         Self {
@@ -124,7 +132,7 @@ impl<'a> Corrector<'a> {
             identified: flange(&robot.geometry, Vector3::zeros()),
             limit_mm,
             mounted,
-            last: None,
+            last: start,
             approach: Approach::default(),
         }
     }
@@ -135,6 +143,7 @@ impl<'a> Corrector<'a> {
         if let Some(wrong) = other_unit(frames) {
             return Err(wrong);
         }
+        let frames = &frames.for_table(&self.nominal.frames);
         let (flange, taught) = self.taught(commanded, frames)?;
         let shift = self.mounted.map(|mounted| mounted.shift(&flange)).transpose()?.unwrap_or_default();
         let wanted = Pose { position: flange.position + shift, ..flange };
@@ -153,7 +162,9 @@ impl<'a> Corrector<'a> {
             axes: AxisAngles::from_degrees(taught.map(f64::to_degrees)),
             approach: self.approach,
         };
-        let tool_point = commanded.frames.map(|frames| ToolPoint { tool: frames.tool.position, pose });
+        let tool_point = commanded
+            .frames
+            .map(|frames| ToolPoint { tool: frames.for_table(&self.nominal.frames).tool.position, pose });
         Ok(Corrected { numbers, shift_mm, turn_deg, taught, axes, tool_point })
     }
 
@@ -314,7 +325,8 @@ impl<'a> Corrector<'a> {
         frames: &Frames,
     ) -> Result<[f64; AXES], CompensationFinding> {
         let geometry = &self.nominal.geometry;
-        let axes = inverse::nearest(geometry, &frames.flange(printed), &corrected.axes)
+        let flange = frames.for_table(&self.nominal.frames).flange(printed);
+        let axes = inverse::nearest(geometry, &flange, &corrected.axes)
             .map_err(|unsolved| CompensationFinding::NominalDoesNotReach { why: unsolved.to_string() })?;
         let [taught, corrected] = [&corrected.taught, &axes].map(|axes| inverse::status(geometry, axes));
         if taught != corrected {
@@ -375,23 +387,16 @@ pub fn in_metres<'a>(targets: impl IntoIterator<Item = &'a Target>) -> Option<Co
 /// Positions of external axes; `None` for an axis that the robot does not have.
 pub(crate) type External = [Option<f64>; 6];
 
-/// The first point, by its index, at which an external axis has another position than before.
-pub(crate) fn external_motion<'a>(
+/// The first point, by its index, at which an external axis is not at 0.
+pub(crate) fn external_axis_away<'a>(
     points: impl IntoIterator<Item = (&'a str, External)>,
 ) -> Option<(usize, CompensationFinding)> {
-    let mut before: External = [None; 6];
-    for (place, (name, external)) in points.into_iter().enumerate() {
-        for ((at, before), axis) in external.into_iter().zip(&mut before).zip(1..) {
-            match (at, *before) {
-                (Some(at), Some(before)) if at != before => {
-                    let name = name.to_owned();
-                    return Some((place, CompensationFinding::ExternalAxis { axis, name, at, before }));
-                }
-                _ => *before = at.or(*before),
-            }
-        }
-    }
-    None
+    let away = |(place, (name, external)): (usize, (&str, External))| {
+        let mut axes = (1..).zip(external);
+        let (axis, at) = axes.find_map(|(axis, at)| Some((axis, at.filter(|at| *at != 0.0)?)))?;
+        Some((place, CompensationFinding::ExternalAxis { axis, name: name.to_owned(), at }))
+    };
+    points.into_iter().enumerate().find_map(away)
 }
 
 /// Corrects all points, in the order of their first use; `rewrite` writes the new numbers of a point.

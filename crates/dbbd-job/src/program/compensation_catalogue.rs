@@ -18,7 +18,7 @@ findings! {
             FrameBeside { frame: &'static str, line: usize } => "line {line} sets {frame} in a routine that runs beside the program",
                 help: "let the program itself set it before each motion";
             FrameElsewhere { frame: &'static str, name: String } => "{frame} is {name}, which is in no file given",
-                help: "give $config.dat, or tool and base";
+                help: "give the file with the controller's tools and frames, or tool and base";
             FramesInLoop => "this motion has different frames when the loop repeats", help: "set $TOOL and $BASE at the start of the loop";
             RootSet { line: usize } => "line {line} moves the robot away from the origin of $BASE ($ROBROOT)", help: "put the place of the robot into $BASE";
             MovedWorkObject { name: String } => "{name} is moved by a mechanical unit";
@@ -33,10 +33,10 @@ findings! {
             PointsInMetres { points: usize, size_mm: f64 } => "{points} points are within {size_mm:.3} mm of the origin of their frame: are they in metres?";
             FrameInOtherUnit { frame: &'static str, size_mm: f64 } => "{frame} is {size_mm:.3} mm away: is it in another unit?";
         }
-        W0916 "an external axis moves",
-        cause: "The points of the program have different positions of a rail or a positioner. The model of the robot does not have this axis: its points are corrected as if robot and work stood where they are.",
-        cure: "Check the corrected points, or correct one program for each position of the external axis, with its own base." {
-            ExternalAxis { axis: usize, name: String, at: f64, before: f64 } => "external axis {axis} is at {at} at {name}, and at {before} before: it is not corrected";
+        W0916 "an external axis is not at 0",
+        cause: "Points of the program have a rail or a positioner elsewhere than at 0. The model of the robot does not have this axis: the points are corrected as if robot and work stood where they stand at 0.",
+        cure: "Check the corrected points, or correct one program for each position of the external axis, with the base as the robot has it there." {
+            ExternalAxis { axis: usize, name: String, at: f64 } => "external axis {axis} is at {at} at {name}: the points are corrected as if it were at 0";
         }
         E0922 "the controller corrects the program by itself",
         cause: "The program switches on the absolute accuracy of the controller, which then corrects each pose by its own model: a corrected point would be corrected twice.",
@@ -101,7 +101,8 @@ findings! {
         }
         E0923 "the configuration of a point selects no branch",
         cause: "The point is a pose, which an arm reaches in several branches, and nothing in the program selects one: the program begins with this point, without S and T in KRL or qnear in URScript. Or a FANUC's point has no CONFIG, or the arm is one whose wrist axes do not meet (CRX): how CONFIG counts there is not known.",
-        cure: "Begin the program with a motion to axis angles in the branch of the point; for a FANUC write the point as axis angles (J1 to J6)." {
+        cure: "Say where the robot stands before the program, or begin the program with a motion to axis angles in the branch of the point; for a FANUC write the point as axis angles (J1 to J6).",
+        asks: [StartAxes] {
             NoBranchBefore => "no motion before this pose selects the branch in which the arm reaches it";
             NoFanucRule => "what CONFIG means for this arm is not known";
             NoFanucConfiguration { name: String } => "{name} has no CONFIG that can be read";
@@ -131,14 +132,17 @@ findings! {
             CutOff { end: String } => "the file has no {end}: it is cut off";
         }
         E0910 "the arguments of compensate do not fit",
-        cause: "The program named is a .dat file, the results would replace the program, or a frame is not six numbers.",
-        cure: "Name the .src, another directory for the results, and frames in mm and degrees.",
+        cause: "The program named is a .dat file, the results would replace the program, or a frame or a start is not six numbers, or not of this robot.",
+        cure: "Name the .src, another directory for the results, frames in mm and degrees, and a start in degrees.",
         asks: [Out, ToolFrame, BaseFrame, ControllerConfig] {
             DataNamed => "the file contains the points of a program but no motion", help: "name the .src; the .dat beside it is corrected with it";
             WouldOverwrite { directory: String } => "writing into {directory} would overwrite the program itself";
             FrameUnused { language: &'static str } => "a program in {language} does not take these frames",
                 help: "in RAPID a module with tools and work objects is given, in URScript the TCP as the tool, for a FANUC SYSFRAME.VA, or tool and base";
             NotAFrame => "six numbers in mm and degrees are needed, as 0,0,150,0,0,0";
+            NotAxisAngles => "six axis angles in degrees are needed, as 0,-90,90,0,30,0";
+            StartBeyondLimit { axis: usize, angle_deg: f64, low_deg: f64, high_deg: f64 } =>
+                "the start has axis {axis} at {angle_deg} deg, beyond its limits of {low_deg} and {high_deg}";
         }
         I0911 "an axis passes zero",
         cause: "The correction moves an axis to the other side of zero, so that the point needs another turn bit.",

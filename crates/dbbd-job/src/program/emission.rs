@@ -10,13 +10,14 @@ use minijinja::{Environment, UndefinedBehavior, context};
 use super::sequence::{Bar, Module, Step, Timed};
 use super::text::fixed;
 use super::{Language, header};
+use crate::plan::job::MotionTable;
 use crate::plan::timing::MARKER_MM_S;
 use crate::plan::{MODULE_DWELLS, MotionKind, Plan, PlanRow, PoseKind};
 use crate::program::ProgramFinding;
 use dbbd_model::base::InternalFinding;
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::plausibility::Quantity;
-use dbbd_model::robot::Robot;
+use dbbd_model::robot::{ControllerFrames, Pose, Robot};
 
 /// The files of a program, names and texts; the program begins in the first.
 pub type Written = Vec<(String, String)>;
@@ -64,6 +65,19 @@ pub(super) fn plan_variables(plan: &Plan, language: Language, sync: Sync) -> Res
         bar => Serde(&job.bar),
         settle_s => job.motion.settle_s,
     })
+}
+
+/// The frames of a plan's program for its controller, X, Y, Z, A, B, C: the tool, whose origin is the tool ball, and the base.
+pub(super) fn printed_frames(motion: &MotionTable, robot: &Robot) -> [[f64; 6]; 2] {
+    let [.., a, b, c] = motion.tool.unwrap_or_default();
+    let [x, y, z] = robot.geometry.tool.into();
+    let (tool, base) = ([x, y, z, a, b, c], motion.base.unwrap_or_default());
+    let ControllerFrames { base: robot_base, flange } = &robot.frames;
+    if robot.frames == ControllerFrames::default() {
+        return [tool, base];
+    }
+    let [tool, base] = [tool, base].map(Pose::from_xyzabc);
+    [flange.inverse().then(&tool).xyzabc(), robot_base.then(&base).xyzabc()]
 }
 
 /// The modules that a main module calls, each with whether the bar stays mounted before it.

@@ -1,6 +1,6 @@
 //! The targets of motions and the frames in which they are given.
 
-use dbbd_model::robot::{AXES, Pose};
+use dbbd_model::robot::{AXES, ControllerFrames, Pose};
 
 /// A commanded position as it is written.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,13 +37,18 @@ impl Target {
 /// The frames in which a pose is commanded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frames {
-    /// Tool in the flange frame.
+    /// Tool in the flange of the controller.
     pub tool: Pose,
-    /// Base in the robot base.
+    /// Base in the World of the controller.
     pub base: Pose,
 }
 
 impl Frames {
+    /// These frames of a program for the table of its robot.
+    pub fn for_table(&self, frames: &ControllerFrames) -> Self {
+        Self { tool: frames.on_table_flange(&self.tool), base: frames.in_robot_base(&self.base) }
+    }
+
     /// The pose of the flange in the robot base at a pose of the tool in the base frame.
     pub fn flange(&self, tool: &Pose) -> Pose {
         self.base.then(tool).then(&self.tool.inverse())

@@ -46,6 +46,9 @@ pub struct CompensateRequest {
     pub tool_mm_deg: Option<[f64; 6]>,
     /// The base in the robot's base if the program does not set it: X, Y, Z in mm, A, B, C in degrees.
     pub base_mm_deg: Option<[f64; 6]>,
+    /// The axis angles at which the robot stands before the program, degrees: they select the branch of a first pose without one.
+    #[serde(default)]
+    pub start_deg: Option<[f64; AXES]>,
     /// Payload of the flange while the program runs: a payload of the robot file by its name, or `KG,X,Y,Z`.
     pub payload: Option<String>,
     /// The controller has the nominal model, although its make has another one by default.
@@ -261,6 +264,7 @@ pub(super) fn points_of_program(
         config: None,
         tool_mm_deg: None,
         base_mm_deg: None,
+        start_deg: None,
         payload: None,
         nominal_controller: false,
         datum: ProgramDatum::Program,
@@ -346,7 +350,7 @@ impl CorrectionContext<'_> {
         }
         session.findings(points.warnings.iter().chain(&points.not_corrected).cloned());
         let mounted = self.mounted(&sources[0])?;
-        let correction = Correction::of(robot, request.limit_mm).about(mounted.as_ref());
+        let correction = self.correction(mounted.as_ref())?;
         let corrected = krl::compensate(program, &points, correction)
             .map_err(|refused| self.refused(&source, &refused))?;
         let texts = [(source, corrected.source)].into_iter().chain(data.zip(corrected.data)).collect();
@@ -355,7 +359,7 @@ impl CorrectionContext<'_> {
 
     /// A program in a language whose points are in one file.
     fn one_file(&self, language: Language) -> Result<CorrectedProgram, Diagnostic> {
-        let Self { request, robot, identified, session } = *self;
+        let Self { request, identified, session, .. } = *self;
         let source = ProgramFile::open(&request.program)?;
         self.check_not_overwritten(&[&source])?;
         let traced = source.traced()?;
@@ -375,7 +379,7 @@ impl CorrectionContext<'_> {
         check_unit(&source, points.points.iter().map(|point| &point.target))?;
         session.findings(points.warnings.iter().chain(&points.not_corrected).cloned());
         let mounted = self.mounted(&traced)?;
-        let correction = Correction::of(robot, request.limit_mm).about(mounted.as_ref());
+        let correction = self.correction(mounted.as_ref())?;
         let corrected = points.compensate(text, correction);
         let (corrected, moved) = corrected.map_err(|refused| self.refused(&source, &refused))?;
         Ok(CorrectedProgram {
@@ -384,6 +388,22 @@ impl CorrectionContext<'_> {
             moved,
             left: points.not_corrected.len(),
         })
+    }
+
+    fn correction<'c>(&'c self, mounted: Option<&'c MountedBalls>) -> Result<Correction<'c>, Diagnostic> {
+        let Self { request, robot, .. } = *self;
+        if let Some(axes_deg) = request.start_deg {
+            let limits = robot.controller().limits_at_deg(&axes_deg);
+            let beyond = (1..)
+                .zip(axes_deg.into_iter().zip(limits))
+                .find(|(_, (angle, [low, high]))| !(low..=high).contains(&angle));
+            if let Some((axis, (angle_deg, [low_deg, high_deg]))) = beyond {
+                return Err(
+                    CompensationFinding::StartBeyondLimit { axis, angle_deg, low_deg, high_deg }.into()
+                );
+            }
+        }
+        Ok(Correction::of(robot, request.limit_mm).about(mounted).from_start(request.start_deg))
     }
 
     /// The base balls of the plan that a program was made from: it holds the bar.

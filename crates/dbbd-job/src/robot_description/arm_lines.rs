@@ -1,15 +1,15 @@
 //! The joint axes of an arm as lines in space, and the robot with their table.
 
 use dbbd_model::estimation::Workspace;
-use dbbd_model::robot::{AXES, ArmTable, DhRow, JointAxis, Pose, Robot};
+use dbbd_model::robot::{AXES, ArmLoad, ArmTable, ControllerFrames, DhRow, JointAxis, Pose, Robot};
 
 use super::catalogue::DescriptionFinding;
 
-/// A robot, with the data of its description that the table cannot hold.
+/// A robot as its controller knows it.
 #[derive(Clone, Debug)]
 pub struct ImportedRobot {
     pub robot: Robot,
-    /// Findings about a base or flange of the description that differs from the table's.
+    /// Findings about a base or flange of the controller that differs from the table's, and about what the description does not say.
     pub findings: Vec<DescriptionFinding>,
     /// The largest distance between the flanges of table and description over [`CHECKED_POSES`] poses, mm.
     pub largest_mm: f64,
@@ -49,8 +49,8 @@ impl ArmLines {
         ArmTable { rows, ..table }
     }
 
-    /// The same robot with the table of these lines.
-    pub(super) fn imported(&self, mut robot: Robot) -> ImportedRobot {
+    /// The same robot with the table of these lines. `world` is the frame of the lines in the World of the controller.
+    pub(super) fn imported(&self, mut robot: Robot, world: &Pose) -> ImportedRobot {
         let table = self.table();
         robot.set_rows(table.rows);
         let poses = Workspace::uniform(&robot, CHECKED_POSES, 1);
@@ -59,12 +59,16 @@ impl ArmLines {
             (found.position - self.flange_at(axes).position).norm()
         };
         let largest_mm = poses.iter().map(off).fold(0.0, f64::max);
-        let is_other =
-            |pose: &Pose| pose.position.norm() > SAME_MM || pose.angle_to(&Pose::identity()) > SAME_RAD;
-        let base =
-            is_other(&table.base).then(|| DescriptionFinding::BaseElsewhere { frame: shown(&table.base) });
-        let flange = is_other(&table.flange)
-            .then(|| DescriptionFinding::FlangeElsewhere { frame: shown(&table.flange) });
+        let null = Pose::identity();
+        let same = |pose: Pose| Pose {
+            position: if pose.position.norm() < SAME_MM { null.position } else { pose.position },
+            rotation: if pose.angle_to(&null) < SAME_RAD { null.rotation } else { pose.rotation },
+        };
+        robot.frames = ControllerFrames { base: same(world.then(&table.base)), flange: same(table.flange) };
+        let ControllerFrames { base, flange } = robot.frames;
+        robot.geometry.load.gravity = base.rotation.transpose() * ArmLoad::DOWN;
+        let base = (base != null).then(|| DescriptionFinding::BaseElsewhere { frame: shown(&base) });
+        let flange = (flange != null).then(|| DescriptionFinding::FlangeElsewhere { frame: shown(&flange) });
         ImportedRobot { robot, findings: base.into_iter().chain(flange).collect(), largest_mm }
     }
 }

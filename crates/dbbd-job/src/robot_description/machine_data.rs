@@ -155,9 +155,12 @@ pub(super) fn import(text: &str) -> Result<ImportedRobot, DescriptionFinding> {
     let name = value(text, "$TRAFONAME[]").unwrap_or_default();
     let name = format!("KUKA {}", name.trim_matches(['"', '#', ' ']));
     let mut robot = Robot::rigid(name.trim(), limits, speeds);
-    robot.language = Some("krl".into());
+    robot.set_language(Some("krl"));
     robot.source = Some("Geometry, limits and speeds: the machine data of the controller.".into());
-    Ok(data.lines().imported(robot))
+    // Controllers before KSS 5 may lack it.
+    let root = value(text, "$ROBROOT").map(|_| parts(text, "$ROBROOT", ["X", "Y", "Z", "A", "B", "C"]));
+    let world = root.transpose()?.map_or(Pose::identity(), Pose::from_xyzabc);
+    Ok(data.lines().imported(robot, &world))
 }
 
 fn missing(key: &str) -> DescriptionFinding {

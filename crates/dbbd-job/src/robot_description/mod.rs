@@ -5,17 +5,20 @@
 
 mod arm_lines;
 mod catalogue;
+mod controller;
 mod machine_data;
+mod maker;
 pub(crate) mod universal;
 pub(crate) mod urdf;
 
 pub use arm_lines::{CHECKED_POSES, ImportedRobot};
 pub use catalogue::DescriptionFinding;
+pub use controller::{Coupled, KnownOfRobot, PendantPose};
 pub use machine_data::{MachineData, WristLink};
+pub use maker::Maker;
 pub use universal::FactoryTable;
 
 use dbbd_model::diagnostic::Diagnostic;
-use dbbd_model::robot::Robot;
 
 /// What describes the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,26 +41,23 @@ impl DescriptionKind {
     }
 }
 
-/// A robot from the text of a URDF, of a `$machine.dat`, or of the factory calibration of a controller. `like` is the
-/// nominal robot of the type, which a calibration needs; `joints` names the six joints of a URDF that has several
-/// chains.
+/// A robot as its controller knows it, from the text of a URDF, of a `$machine.dat`, or of the factory calibration of a controller.
 ///
 /// # Errors
-/// The text is none of these, or does not describe an arm of six rotary joints in a chain.
-pub fn import(
-    file: &str,
-    text: &str,
-    like: Option<&Robot>,
-    joints: &[String],
-) -> Result<ImportedRobot, Diagnostic> {
+/// The text is none of these, or does not describe an arm of six rotary joints in a chain; or the controller shows another pose.
+pub fn import(file: &str, text: &str, known: KnownOfRobot<'_>) -> Result<ImportedRobot, Diagnostic> {
     let in_file = |finding: DescriptionFinding| Diagnostic::file(file, finding);
-    match DescriptionKind::of(text) {
-        DescriptionKind::Urdf => urdf::import(file, text, joints),
-        DescriptionKind::MachineData => machine_data::import(text).map_err(in_file),
+    let imported = match DescriptionKind::of(text) {
+        DescriptionKind::Urdf => urdf::import(file, text, known)?,
+        DescriptionKind::MachineData => machine_data::import(text).map_err(in_file)?,
         DescriptionKind::FactoryCalibration => {
             let table = FactoryTable::read(text).map_err(in_file)?;
-            let like = like.ok_or_else(|| in_file(DescriptionFinding::TypeNeeded))?;
-            Ok(table.imported(like))
+            let like = known.like.ok_or_else(|| in_file(DescriptionFinding::TypeNeeded))?;
+            table.imported(like).map_err(in_file)?
         }
+    };
+    match known.shown {
+        Some(shown) => shown.proved(imported).map_err(in_file),
+        None => Ok(imported),
     }
 }

@@ -64,6 +64,18 @@ impl StandardTable {
         }
     }
 
+    /// Whether the table is one of Universal Robots: axes that turn by their angles, and the maker's angles between them.
+    fn is_of_maker(&self, robot: &Robot) -> bool {
+        const ALPHA_DEG: [f64; AXES] = [90.0, 0.0, 0.0, 90.0, -90.0, 0.0];
+        /// Angles of arms differ by less from those of their type, degrees.
+        const SAME_DEG: f64 = 5.0;
+        let is_same = |rad: &[f64; AXES], deg: [f64; AXES]| {
+            rad.iter().zip(deg).all(|(rad, deg)| (rad.to_degrees() - deg).abs() < SAME_DEG)
+        };
+        let is_positive = robot.geometry.rows.iter().all(|row| row.sign > 0.0);
+        is_positive && is_same(&self.alpha, ALPHA_DEG) && is_same(&self.theta, [0.0; AXES])
+    }
+
     fn plus(&self, other: &Self) -> Self {
         let sum = |a: &[f64; AXES], b: &[f64; AXES]| std::array::from_fn(|at| a[at] + b[at]);
         Self {
@@ -153,7 +165,13 @@ impl FactoryTable {
     }
 
     /// The robot of this type with the controller's table.
-    pub fn imported(&self, like: &Robot) -> ImportedRobot {
+    ///
+    /// # Errors
+    /// The type is not one of Universal Robots with the maker's table, to which the differences belong.
+    pub fn imported(&self, like: &Robot) -> Result<ImportedRobot, DescriptionFinding> {
+        if !StandardTable::of(like).is_of_maker(like) {
+            return Err(DescriptionFinding::OtherType { robot: like.name.clone() });
+        }
         let mut robot = Robot { controller_model: ControllerModel::Calibrated, ..like.clone() };
         robot.source = Some("Geometry: the factory calibration of the controller.".into());
         let lines = match self {
@@ -161,7 +179,7 @@ impl FactoryTable {
             Self::Whole(table) => lines_after(&table.links()),
             Self::Segments(segments) => lines_before(segments),
         };
-        lines.imported(robot)
+        Ok(lines.imported(robot, &like.frames.base))
     }
 }
 
@@ -289,13 +307,13 @@ mod tests {
         let FactoryTable::Differences(differences) = table else { panic!("{table:?}") };
         assert_eq!((differences.d[1], differences.a[1]), (121_700.0, -2.1));
         let whole = StandardTable::of(&robot()).plus(&differences);
-        let imported = table.imported(&robot());
+        let imported = table.imported(&robot()).unwrap();
         assert_same(&imported, |axes| flange(&whole, axes));
         assert_eq!(imported.robot.controller_model, ControllerModel::Calibrated);
         assert!(imported.robot.geometry.rows.iter().all(|row| row.d.abs() < 1000.0));
         // Without differences the result is the nominal robot.
         let zero = StandardTable { theta: [0.0; AXES], a: [0.0; AXES], d: [0.0; AXES], alpha: [0.0; AXES] };
-        let same = FactoryTable::Differences(zero).imported(&robot());
+        let same = FactoryTable::Differences(zero).imported(&robot()).unwrap();
         let nominal = robot().geometry.rows;
         for (row, nominal) in same.robot.geometry.rows.iter().zip(nominal) {
             assert!((row.a - nominal.a).abs() < 1e-9 && (row.d - nominal.d).abs() < 1e-9, "{row:?}");
@@ -326,7 +344,7 @@ mod tests {
             \x20 wrist_3: {x: 0, y: 0.0922, z: 0, roll: -1.5707963267948966, pitch: 0, yaw: 0}\n\
             \x20 hash: calib_123\n";
         let nominal = robot().geometry;
-        let imported = FactoryTable::read(yaml).unwrap().imported(&robot());
+        let imported = FactoryTable::read(yaml).unwrap().imported(&robot()).unwrap();
         assert_same(&imported, |axes| nominal.flange(axes));
         let cut = yaml.replace("pitch: 0, yaw: 0}\n  hash", "pitch: 0}\n  hash");
         assert_eq!(FactoryTable::read(&cut), Err(DescriptionFinding::Segment { segment: "wrist_3".into() }));
@@ -346,7 +364,7 @@ mod tests {
         let body = [vec![ROBOT_STATE], with_length(&[0, 1, 2, 3]), with_length(&part)].concat();
         let found = kinematics(&body).unwrap();
         assert!((found.d[3] - 163.941).abs() < 1e-9 && (found.alpha[0] - table.alpha[0]).abs() < 1e-15);
-        let whole = FactoryTable::Whole(found).imported(&robot());
+        let whole = FactoryTable::Whole(found).imported(&robot()).unwrap();
         assert_same(&whole, |axes| robot().geometry.flange(axes));
         for cut in 0..body.len() - 4 {
             assert_eq!(kinematics(&body[..cut]), None, "{cut}");

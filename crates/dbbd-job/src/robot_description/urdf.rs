@@ -13,6 +13,8 @@ use super::catalogue::DescriptionFinding::{
     self, MoreJoints, NoSixJoints, NoSuchJoint, NoUrdf, NotNumbers, NotXml, OtherCount, OtherJoint,
     OtherOrder,
 };
+use super::controller::{Coupled, KnownOfRobot};
+use super::maker::Maker;
 
 /// Links at which makers end an arm, the best first.
 const ENDS: [&str; 2] = ["tool0", "flange"];
@@ -21,15 +23,16 @@ const ENDLESS_DEG: f64 = 360.0;
 /// Speed of a joint that states none or zero, degrees/s.
 pub(super) const USUAL_SPEED_DEG_S: f64 = 180.0;
 
-/// The robot of a URDF, with the limits and speeds of its joints.
-pub(super) fn import(file: &str, text: &str, names: &[String]) -> Result<ImportedRobot, Diagnostic> {
+/// The robot of a URDF as its controller knows it, with the limits and speeds of its joints.
+pub(super) fn import(file: &str, text: &str, known: KnownOfRobot<'_>) -> Result<ImportedRobot, Diagnostic> {
     let document = parse(file, text)?;
     let reader = UrdfReader::new(file, text, &document);
-    let joints = reader.six(names)?;
-    if names.is_empty() {
+    let joints = reader.six(known.joints)?;
+    if known.joints.is_empty() {
         reader.check_ends(&joints)?;
     }
-    let mut frame = Pose::identity();
+    let base = reader.base(&joints)?;
+    let mut frame = base.map_or(Pose::identity(), |base| base.inverse());
     let mut axes = Vec::with_capacity(AXES);
     for joint in &joints {
         frame = frame.then(&joint.fixed_before).then(&joint.origin);
@@ -40,11 +43,32 @@ pub(super) fn import(file: &str, text: &str, names: &[String]) -> Result<Importe
     let six = |_| reader.refused(document.root_element(), NoSixJoints { chains: 0, joints: String::new() });
     let limits: [JointLimits; AXES] =
         limits.try_into().map_err(|limits: Vec<JointLimits>| six(limits.len()))?;
-    let axes = axes.try_into().map_err(|axes: Vec<JointAxis>| six(axes.len()))?;
-    let lines = ArmLines { axes, signs: [1.0; AXES], flange };
+    let mut axes: [JointAxis; AXES] = axes.try_into().map_err(|axes: Vec<JointAxis>| six(axes.len()))?;
+    let mut signs = [1.0; AXES];
+    // The last frame has its z out of the flange, whatever the sense of axis 6.
+    if axes[AXES - 1].direction.dot(&flange.rotation.column(2)) < 0.0 {
+        axes[AXES - 1].direction *= -1.0;
+        signs[AXES - 1] = -1.0;
+    }
+    let lines = ArmLines { axes, signs, flange };
     let name = document.root_element().attribute("name").unwrap_or("arm");
-    let robot = Robot::rigid(name, limits.map(|limits| limits.deg), limits.map(|limits| limits.deg_s));
-    Ok(lines.imported(robot))
+    let maker = known.maker.or_else(|| reader.maker(name));
+    let mut robot = Robot::rigid(name, limits.map(|limits| limits.deg), limits.map(|limits| limits.deg_s));
+    robot.set_language(maker.and_then(Maker::language));
+    let mut imported = lines.imported(robot, &Pose::identity());
+    let mimic = joints.iter().find(|joint| child(joint.node, "mimic").is_some());
+    let coupled = known.coupled.or_else(|| maker.filter(|maker| maker.couples()).map(|_| Coupled::Yes));
+    if let Some(coupled) = coupled {
+        imported.robot = coupled.applied(imported.robot);
+    }
+    let far = maker.filter(|maker| maker.counts_elsewhere() && base.is_none());
+    let parallelogram = mimic.filter(|_| coupled.is_none());
+    imported.findings.extend(maker.is_none().then_some(DescriptionFinding::MakerUnknown));
+    imported.findings.extend(far.map(|maker| DescriptionFinding::NoBaseLink { maker: maker.name() }));
+    imported.findings.extend(
+        parallelogram.map(|joint| DescriptionFinding::Parallelogram { joint: joint.name.to_owned() }),
+    );
+    Ok(imported)
 }
 
 #[derive(Clone, Copy)]
@@ -107,6 +131,13 @@ impl<'a> UrdfReader<'a> {
     /// The six joints of the arm: those with these names, or the first six of every chain.
     pub(crate) fn six(&self, names: &[String]) -> Result<Vec<UrdfJoint<'a>>, Diagnostic> {
         let root = self.document.root_element();
+        if self
+            .document
+            .descendants()
+            .any(|node| node.tag_name().namespace().is_some_and(|space| space.contains("xacro")))
+        {
+            return Err(self.refused(root, DescriptionFinding::Xacro));
+        }
         if !root.has_tag_name("robot") {
             return Err(self.refused(root, NoUrdf { root: root.tag_name().name().into() }));
         }
@@ -209,6 +240,35 @@ fn movable(joint: Node<'_, '_>) -> bool {
 }
 
 impl UrdfReader<'_> {
+    /// The maker that the robot's name, else the files of its shapes name.
+    fn maker(&self, name: &str) -> Option<Maker> {
+        let shapes = self.document.descendants().filter(|node| node.has_tag_name("mesh"));
+        let mut of_shapes = shapes.filter_map(|mesh| Maker::named_in(mesh.attribute("filename")?));
+        let of_shapes = of_shapes.next().filter(|first| of_shapes.all(|other| other == *first));
+        Maker::named_in(name).or(of_shapes)
+    }
+
+    /// The frame from which the controller counts, in the frame of the first link: that of the link `base` (REP 199), which is fixed to a
+    /// link before the first joint.
+    fn base(&self, joints: &[UrdfJoint<'_>]) -> Result<Option<Pose>, Diagnostic> {
+        let Some(first) = joints.first() else { return Ok(None) };
+        let is_base = |joint: &Node<'_, '_>| {
+            let name = link(*joint, "child").unwrap_or_default();
+            !movable(*joint) && (name == "base" || name.ends_with("_base") && !name.ends_with("base_link"))
+        };
+        let root = |joint: Node<'_, '_>| {
+            self.path(joint).first().and_then(|first| link(*first, "parent").map(str::to_owned))
+        };
+        let is_before = |joint: &Node<'_, '_>| {
+            self.path(*joint).into_iter().all(|before| !movable(before)) && root(*joint) == root(first.node)
+        };
+        let Some(base) = all_joints(self.document).filter(is_base).find(is_before) else { return Ok(None) };
+        let origins = self.path(base).into_iter().map(|joint| self.origin(joint));
+        origins
+            .collect::<Result<Vec<_>, _>>()
+            .map(|origins| Some(origins.iter().fold(Pose::identity(), |frame, next| frame.then(next))))
+    }
+
     /// Refuses an arm that has further joints: the first six joints of an arm with seven are another robot. The joints
     /// of a gripper come further as well, and look like those of an arm.
     fn check_ends(&self, joints: &[UrdfJoint<'_>]) -> Result<(), Diagnostic> {

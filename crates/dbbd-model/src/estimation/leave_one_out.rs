@@ -65,10 +65,11 @@ impl LeftOutVisits {
         let visits = if squares > 0.0 { predicted * predicted / squares } else { 0.0 };
         let ratio = if predicted > 0.0 { found / predicted } else { 0.0 };
         let square = (PRIOR_VISITS + visits * ratio) / (PRIOR_VISITS + visits);
-        let noise_factor = square.max(1.0).sqrt();
-        noise_factor
-            .is_finite()
-            .then(|| Self { noise_factor, degrees_of_freedom: degrees_of_freedom(&errors) })
+        // The larger of a number that is none and 1 would be 1.
+        square.is_finite().then(|| Self {
+            noise_factor: square.max(1.0).sqrt(),
+            degrees_of_freedom: degrees_of_freedom(&errors),
+        })
     }
 }
 
@@ -77,15 +78,15 @@ impl LeftOutVisits {
 fn degrees_of_freedom(errors: &[LeftOutError]) -> f64 {
     let sum = |of: fn(&LeftOutError) -> f64| errors.iter().map(of).sum::<f64>();
     let mean_square = sum(|error| error.deviate) / sum(|error| error.lengths as f64);
-    // Lengths without any error show no tails.
-    let errors = if mean_square > 0.0 { errors } else { &[] };
-    let most_lengths = errors.iter().map(|error| error.lengths).max().unwrap_or(0);
+    // Lengths without any error show no tails, and neither do errors that are no numbers.
+    let errors = if mean_square > 0.0 && mean_square.is_finite() { errors } else { &[] };
+    let max_lengths = errors.iter().map(|error| error.lengths).max().unwrap_or(0);
     let candidates = RECIPROCALS.map(|step| f64::from(step) * RECIPROCAL_STEP);
     let weighted: Vec<(f64, f64)> = candidates
         .map(|reciprocal| {
             // The same for all visits with as many lengths.
             let at_zero: Vec<f64> =
-                (0..=most_lengths).map(|count| ln_density_at_zero(count, reciprocal)).collect();
+                (0..=max_lengths).map(|count| ln_density_at_zero(count, reciprocal)).collect();
             let of_error = |error: &LeftOutError| {
                 at_zero[error.lengths] - ln_fall(error.lengths, error.deviate / mean_square, reciprocal)
             };
@@ -192,6 +193,10 @@ mod tests {
         assert!(degrees_of_freedom(&errors(None, 2000)) > 40.0);
         let found = degrees_of_freedom(&errors(Some(6.0), 2000));
         assert!((5.0..7.5).contains(&found), "{found}");
+        for deviate in [0.0, f64::INFINITY, f64::NAN] {
+            let errors = [LeftOutError { lengths: 1, deviate }, LeftOutError { lengths: 3, deviate: 0.0 }];
+            assert_eq!(degrees_of_freedom(&errors), degrees_of_freedom(&[]), "{deviate}");
+        }
         // Without visits it is the prior's: the mean of an exponential density of mean 0.05 that ends at 0.2.
         let none = degrees_of_freedom(&[]);
         let weights = (0..=20).map(|step| f64::from(step) * 0.01).map(|x| (x, (-x / 0.05).exp()));

@@ -43,6 +43,7 @@ findings! {
             PayloadTwice { name: String } => "[[payload]]: `{name}` is there twice: rows of measurements name one of several";
             PayloadUncertainty { kg: f64, u_kg: f64 } => "[[payload]]: u_kg = {u_kg} is more than the mass of {kg} kg", help: "is it in grams?";
             Gravity => "[mounting] gravity must be the direction of gravity in the robot base, as [0, 0, -1] for an arm on the floor";
+            GravityOfMounting { down: [f64; 3] } => "[mounting] gravity is not that of abc_deg, with which it is {down:?}", help: "leave gravity out";
             ControllerRows { rows: usize, needed: usize } => "[controller] has {rows} [[controller.joint]] tables: model = \"calibrated\" needs 6, another model none (here {needed})";
             ControllerOfIdentified => "[controller] of an identified robot belongs to its nominal one: write it as [nominal.controller]";
             MassJoint { joint: usize } => "[[mass]]: joint = {joint} must be 1 to 6";

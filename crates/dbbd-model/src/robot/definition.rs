@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::controller::ControllerModel;
+use super::controller_frames::ControllerFrames;
 use super::joint_axes::PARALLEL;
 use super::kinematics::Geometry;
 use super::load::ArmLoad;
@@ -56,6 +57,8 @@ pub struct Robot {
     pub language: Option<String>,
     /// The model with which the controller computes; an identified robot has that of its nominal robot.
     pub controller_model: ControllerModel,
+    /// The frames from which the controller counts.
+    pub frames: ControllerFrames,
     /// The DH table, the tool ball and the masses that load the joints.
     pub geometry: Geometry,
     /// Limits of the axes of the controller.
@@ -120,6 +123,7 @@ impl Robot {
             controller_serial: None,
             language: None,
             controller_model: ControllerModel::Nominal,
+            frames: ControllerFrames::default(),
             geometry: Geometry {
                 rows,
                 coupling: Coupling::default(),
@@ -192,6 +196,12 @@ impl Robot {
         let by_name =
             || LANGUAGES.iter().find(|(name, _)| name.eq_ignore_ascii_case(maker)).map(|(_, of)| *of);
         self.language.as_deref().or_else(by_name)
+    }
+
+    /// Sets the language of the controller, and the model that controllers of this language have.
+    pub fn set_language(&mut self, language: Option<&str>) {
+        self.language = language.map(str::to_owned);
+        self.controller_model = ControllerModel::usual(self.controller_language());
     }
 
     /// The finding for a name that is neither a built-in robot nor a file.

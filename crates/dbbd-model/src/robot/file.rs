@@ -8,13 +8,14 @@ use serde::de::{MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::controller::{ControllerModel, ControllerTable};
+use super::controller_frames::{ControllerFrames, FrameTable};
 use super::definition::USUAL_BALL_U_MM;
 use super::joint_table::{JointTable, coupling, is_zero};
 use super::kinematics::Geometry;
 use super::load::{ArmLoad, Mass, Payload};
 use super::posterior::RobotPosterior;
 use super::uncertainty::RobotUncertainty;
-use super::{AXES, DhRow, Drift, Joint, JointErrors, MeasurementConditions, Robot, Tolerance};
+use super::{AXES, DhRow, Drift, Joint, JointErrors, MeasurementConditions, Pose, Robot, Tolerance};
 use crate::base::InternalFinding;
 use crate::base::date::is_moment;
 use crate::base::fixed_array::fixed_array;
@@ -47,6 +48,8 @@ struct RobotFile {
     #[serde(default)]
     tolerance: Tolerance,
     mounting: Option<MountingTable>,
+    /// The flange of the controller in that of the table.
+    flange: Option<FrameTable>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     mass: Vec<MassTable>,
     #[serde(default, deserialize_with = "one_or_several", skip_serializing_if = "Vec::is_empty")]
@@ -94,9 +97,18 @@ struct MassTable {
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct MountingTable {
-    /// Direction of gravity in the robot base; its length does not matter.
-    #[serde(deserialize_with = "fixed_array")]
-    gravity: [f64; 3],
+    /// The robot base in the World of the controller, whose Z is up: mm, and KUKA's A, B, C in degrees.
+    #[serde(default, skip_serializing_if = "is_zeros", deserialize_with = "fixed_array")]
+    xyz_mm: [f64; 3],
+    #[serde(default, skip_serializing_if = "is_zeros", deserialize_with = "fixed_array")]
+    abc_deg: [f64; 3],
+    /// Direction of gravity in the robot base; its length does not matter. Without it, it follows from `abc_deg`.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "fixed_array")]
+    gravity: Option<[f64; 3]>,
+}
+
+fn is_zeros(numbers: &[f64; 3]) -> bool {
+    *numbers == [0.0; 3]
 }
 
 #[derive(Clone, Serialize, Deserialize)]
@@ -139,14 +151,40 @@ fn one_or_several<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Payl
 }
 
 impl MountingTable {
-    /// The direction as a unit vector.
-    fn direction(&self) -> Result<Vector3<f64>, RobotFinding> {
-        let gravity = Vector3::from(self.gravity);
-        gravity
-            .try_normalize(0.0)
-            .filter(|unit| unit.iter().all(|part| part.is_finite()))
-            .ok_or(RobotFinding::Gravity)
+    /// The table of a robot that does not stand upright in the origin of its World.
+    fn of(base: &Pose, gravity: &Vector3<f64>) -> Option<Self> {
+        let FrameTable { xyz_mm, abc_deg } = FrameTable::of(base);
+        let gravity = (!is_along(gravity, &down(base))).then(|| (*gravity).into());
+        (*base != Pose::identity() || gravity.is_some()).then_some(Self { xyz_mm, abc_deg, gravity })
     }
+
+    fn base(&self) -> Result<Pose, Diagnostic> {
+        FrameTable { xyz_mm: self.xyz_mm, abc_deg: self.abc_deg }.pose()
+    }
+
+    /// The direction of gravity in the robot base as a unit vector.
+    fn direction(&self) -> Result<Vector3<f64>, Diagnostic> {
+        let down = down(&self.base()?);
+        let Some(gravity) = self.gravity else { return Ok(down) };
+        let unit = Vector3::from(gravity).try_normalize(0.0);
+        let unit =
+            unit.filter(|unit| unit.iter().all(|part| part.is_finite())).ok_or(RobotFinding::Gravity)?;
+        if self.abc_deg != [0.0; 3] && !is_along(&unit, &down) {
+            return Err(RobotFinding::GravityOfMounting { down: down.into() }.into());
+        }
+        Ok(unit)
+    }
+}
+
+/// Down in the robot base.
+fn down(base: &Pose) -> Vector3<f64> {
+    base.rotation.transpose() * ArmLoad::DOWN
+}
+
+fn is_along(one: &Vector3<f64>, other: &Vector3<f64>) -> bool {
+    /// Rounding of angles with four decimals.
+    const ROUNDED: f64 = 1e-5;
+    (one - other).norm() < ROUNDED
 }
 
 impl Robot {
@@ -262,6 +300,12 @@ impl RobotFile {
         })
     }
 
+    fn frames(&self) -> Result<ControllerFrames, Diagnostic> {
+        let base = self.mounting.as_ref().map_or(Ok(Pose::identity()), MountingTable::base)?;
+        let flange = self.flange.as_ref().map_or(Ok(Pose::identity()), FrameTable::pose)?;
+        Ok(ControllerFrames { base, flange })
+    }
+
     /// Checks everything but joints and masses.
     fn check(&self) -> Result<(), Diagnostic> {
         self.check_values()?;
@@ -292,7 +336,9 @@ impl RobotFile {
         let stated = self.controller.as_ref().map(|stated| stated.rows(&rows)).transpose();
         let calibrated = stated.map_err(|finding| (None, finding))?.flatten();
         let load = self.load(&rows).map_err(|finding| (None, finding))?;
+        let frames = self.frames().map_err(|finding| (None, finding))?;
         let mut robot = Robot {
+            frames,
             geometry: Geometry {
                 rows,
                 coupling,
@@ -384,7 +430,8 @@ impl RobotFile {
                 ball_u_mm: robot.ball_u_mm,
             },
             tolerance: robot.tolerance,
-            mounting: (*gravity != ArmLoad::DOWN).then(|| MountingTable { gravity: (*gravity).into() }),
+            mounting: MountingTable::of(&robot.frames.base, gravity),
+            flange: (robot.frames.flange != Pose::identity()).then(|| FrameTable::of(&robot.frames.flange)),
             mass: masses.iter().filter(|_| is_written).map(mass).collect(),
             payload: payloads.iter().map(payload).collect(),
             provenance: robot.provenance.clone(),

@@ -10,6 +10,7 @@ pub use catalogue::RobotFinding;
 
 mod chain;
 mod controller;
+mod controller_frames;
 mod coupling;
 mod definition;
 mod dh_row;
@@ -32,6 +33,7 @@ mod uncertainty;
 pub(crate) use chain::{AxesAtPose, FurtherColumns, KinematicChain, TrackerPlane};
 pub use chain::{JointSinCos, LengthRow};
 pub use controller::ControllerModel;
+pub use controller_frames::ControllerFrames;
 pub use coupling::{CoupledAxis, Coupling};
 pub use definition::{LoadedRobot, Robot};
 pub use dh_row::DhRow;

@@ -187,6 +187,7 @@ fn work_of(
                 out: CORRECTED.into(),
                 config: uploaded.has(CONFIG).then(|| in_upload(CONFIG)),
                 tool_mm_deg: None,
+                start_deg: None,
                 base_mm_deg: None,
                 payload: None,
                 plan: None,

@@ -19,16 +19,14 @@ pub(super) const OTHER_MOTIONS: [&str; 2] = ["A", "S"];
 
 /// The units of speeds, and options that leave the end of the motion where it is. Public programs of car makers write MAX_SPEED, P-SPS
 /// (sub-lines at the end of a motion) and PRESS_MOTN (a press robot's path), controllers set to German MM/SEK.
-const HARMLESS: [&str; 36] = [
+const HARMLESS: [&str; 34] = [
     "%",
     "MM/SEC",
     "MM/SEK",
     "MAX_SPEED",
     "P-SPS",
-    "SPS",
     "PRESS_MOTN",
     "IND.EV",
-    "GRAD/SEK",
     "CM/MIN",
     "INCH/MIN",
     "DEG/SEC",

@@ -2,7 +2,7 @@
 
 use super::data::read_setup;
 use super::parser::{parse_data, parse_source};
-use super::syntax::{Block, Data, Routine, Source, Span, StatementKind};
+use super::syntax::{Block, Data, DataItem, Declaration, Routine, Source, Span, StatementKind};
 use crate::program::ProgramFinding;
 use crate::program::{Setup, Text, check_one_plan};
 use dbbd_model::diagnostic::Diagnostic;
@@ -33,6 +33,17 @@ struct Wanted {
 }
 
 impl Program {
+    /// Whether the program is one for KSS 5 (KR C2), where a module declares each routine of the system that it calls, `BAS` too.
+    pub(crate) fn is_kss5(&self) -> bool {
+        let items =
+            self.modules.iter().filter_map(|module| module.data.as_ref()).flat_map(|data| &data.items);
+        let mut declarations = items.filter_map(|item| match item {
+            DataItem::Declaration(declaration) => Some(declaration),
+            DataItem::Value { .. } => None,
+        });
+        declarations.any(|declaration| matches!(declaration, Declaration::External { name } if name == "BAS"))
+    }
+
     /// Reads the module `name` and all modules that are called from it. `file` returns name and text of `NAME.src` or
     /// `NAME.dat`, whose case it ignores, or `None` if there is no such file.
     pub fn open(

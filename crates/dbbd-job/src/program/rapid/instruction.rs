@@ -2,7 +2,7 @@
 
 use super::literal::{Holder, speed, tool, work_object};
 use crate::program::CompensationFinding;
-use crate::program::script::value::Evaluated;
+use crate::program::script::value::{Evaluated, Value};
 use crate::program::{Frames, MotionKind};
 use dbbd_model::robot::Pose;
 
@@ -101,25 +101,30 @@ impl<'a> Instruction<'a> {
         }
     }
 
-    /// The finding if the module assigns to one of the points or frames; `assigned_line` returns the line of an
-    /// assignment to a name.
+    /// The finding if the module assigns to one of the points or frames so that it is not known here: a point without numbers of its own
+    /// (`is_own`). `assigned_line` returns the line of an assignment to a name.
     pub(super) fn computed(
         &self,
+        is_own: impl Fn(&Value) -> bool,
         assigned_line: impl Fn(&str) -> Option<usize>,
     ) -> Option<CompensationFinding> {
-        let assigned = |argument: Option<&Evaluated<'_>>| {
-            let name = argument?.variable()?;
+        let assigned = |argument: Option<&Evaluated<'_>>, is_known: &dyn Fn(&Value) -> bool| {
+            let argument = argument.filter(|argument| !argument.value.as_ref().is_some_and(is_known))?;
+            let name = argument.variable()?;
             Some((name.to_owned(), assigned_line(name)?))
         };
-        let point = assigned(self.through).or_else(|| assigned(Some(self.to)));
+        let point = assigned(self.through, &is_own).or_else(|| assigned(Some(self.to), &is_own));
         let point = point.map(|(name, line)| CompensationFinding::PointComputed { name, line });
-        let frame = |frame: &'static str, argument: Option<&Evaluated<'_>>| {
-            assigned(argument).map(|(_, line)| CompensationFinding::FrameComputed { frame, line })
-        };
         if self.is_to_axes {
             return point;
         }
-        point.or_else(|| frame(TOOL, self.tool)).or_else(|| frame(WORK_OBJECT, self.work_object))
+        let tool = assigned(self.tool, &|value| tool(value).is_some()).map(|found| (TOOL, found));
+        let frame = tool.or_else(|| {
+            let found = assigned(self.work_object, &|value| work_object(value).is_some());
+            Some((WORK_OBJECT, found?))
+        });
+        let frame = frame.map(|(frame, (_, line))| CompensationFinding::FrameComputed { frame, line });
+        point.or(frame)
     }
 
     /// The speeds in mm/s and degrees/s.

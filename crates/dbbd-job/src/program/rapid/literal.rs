@@ -20,6 +20,69 @@ pub(super) fn taught(value: &Value) -> Option<(Target, Option<[i32; 4]>)> {
     }
 }
 
+/// The components of RAPID's data types: name, number of components of the type, index. No type of one size has two components with
+/// one name elsewhere.
+const COMPONENTS: &[(&str, usize, usize)] = &[
+    // pos, orient, pose
+    ("X", 3, 0),
+    ("Y", 3, 1),
+    ("Z", 3, 2),
+    ("Q1", 4, 0),
+    ("Q2", 4, 1),
+    ("Q3", 4, 2),
+    ("Q4", 4, 3),
+    ("TRANS", 2, 0),
+    ("ROT", 2, 1),
+    // robtarget, jointtarget
+    ("TRANS", 4, 0),
+    ("ROT", 4, 1),
+    ("ROBCONF", 4, 2),
+    ("EXTAX", 4, 3),
+    ("ROBAX", 2, 0),
+    ("EXTAX", 2, 1),
+    // confdata, robjoint, extjoint
+    ("CF1", 4, 0),
+    ("CF4", 4, 1),
+    ("CF6", 4, 2),
+    ("CFX", 4, 3),
+    ("RAX_1", 6, 0),
+    ("RAX_2", 6, 1),
+    ("RAX_3", 6, 2),
+    ("RAX_4", 6, 3),
+    ("RAX_5", 6, 4),
+    ("RAX_6", 6, 5),
+    ("EAX_A", 6, 0),
+    ("EAX_B", 6, 1),
+    ("EAX_C", 6, 2),
+    ("EAX_D", 6, 3),
+    ("EAX_E", 6, 4),
+    ("EAX_F", 6, 5),
+    // tooldata, wobjdata
+    ("ROBHOLD", 3, 0),
+    ("TFRAME", 3, 1),
+    ("TLOAD", 3, 2),
+    ("ROBHOLD", 5, 0),
+    ("UFPROG", 5, 1),
+    ("UFMEC", 5, 2),
+    ("UFRAME", 5, 3),
+    ("OFRAME", 5, 4),
+    // loaddata
+    ("MASS", 6, 0),
+    ("COG", 6, 1),
+    ("AOM", 6, 2),
+    ("IX", 6, 3),
+    ("IY", 6, 4),
+    ("IZ", 6, 5),
+];
+
+/// The place of a component, given by the names after the dots; `None` if the value has no such component.
+pub(super) fn component<'v>(value: &'v mut Value, names: &[String]) -> Option<&'v mut Value> {
+    let Some((name, inner)) = names.split_first() else { return Some(value) };
+    let parts = value.list()?.len();
+    let (_, _, index) = COMPONENTS.iter().find(|(known, of, _)| known == name && *of == parts)?;
+    component(value.part_mut(*index)?, inner)
+}
+
 /// The external axes of a `jointtarget` or `robtarget`.
 pub(super) fn external(target: &Value) -> External {
     /// The value of an axis that the robot does not have.

@@ -28,6 +28,11 @@ pub(super) struct Module {
     pub(super) functions: Vec<Routine>,
 }
 
+/// A call of a routine whose name is computed: `%"name"%`.
+const CALL_BY_NAME: &str = "a call by name";
+/// The calls of routines whose names are computed.
+pub(super) const LATE_BOUND: [&str; 2] = [CALL_BY_NAME, "CALLBYVAR"];
+
 /// The keywords that end a routine.
 const ENDS: [&str; 3] = ["ENDPROC", "ENDFUNC", "ENDTRAP"];
 
@@ -127,10 +132,10 @@ fn routine(tokens: &mut Tokens<'_>, file: usize, is_local: bool) -> Result<Routi
             tokens.go_to(start);
             let first = tokens.next();
             skip(tokens);
-            Some(StatementKind::Other(if let Token::Name(name) = first {
-                name
-            } else {
-                "this statement".into()
+            Some(StatementKind::Other(match first {
+                Token::Name(name) => name,
+                Token::Sign("%") => CALL_BY_NAME.into(),
+                _ => "this statement".into(),
             }))
         });
         let is_if = matches!(&kind, Some(StatementKind::Control { control: Control::If, .. }));
@@ -255,10 +260,15 @@ fn statement(tokens: &mut Tokens<'_>) -> Result<Option<StatementKind>, Diagnosti
             let (name, value) = declaration(tokens)?;
             return Ok(Some(StatementKind::Declare { name, value }));
         }
-        _ if tokens.accept(":=") => {
+        _ if matches!(tokens.peek(), Token::Sign(":=" | ".")) => {
+            let mut components = Vec::new();
+            while tokens.accept(".") {
+                components.push(tokens.name()?.0);
+            }
+            tokens.expect(":=")?;
             let value = tokens.expression()?;
             tokens.expect(";")?;
-            return Ok(Some(StatementKind::Assign { name, value }));
+            return Ok(Some(StatementKind::Assign { name, components, value }));
         }
         _ if tokens.accept(":") => Control::Label(name.clone()),
         _ => {

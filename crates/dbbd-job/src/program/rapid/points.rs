@@ -1,10 +1,10 @@
 //! The points of a RAPID module and their correction.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use super::instruction::{Instruction, is_motion};
-use super::literal::{external, not_of_unit_length, predefined, taught, tool, work_object};
-use super::parser::{Module, parse};
+use super::literal::{component, external, not_of_unit_length, predefined, taught, tool, work_object};
+use super::parser::{LATE_BOUND, Module, parse};
 use super::program::declared;
 use crate::program::CompensationFinding;
 use crate::program::MotionKind;
@@ -15,7 +15,7 @@ use crate::program::script::expression::{
 };
 use crate::program::script::points::{OtherInstructions, Point, Points, elements, replaced};
 use crate::program::script::scope::Scope;
-use crate::program::script::value::{self, Evaluated, Value, evaluated};
+use crate::program::script::value::{self, Content, Evaluated, Value, evaluated};
 use crate::program::text::{Edit, Span, Text};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::Pose;
@@ -69,7 +69,7 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
     for at in main.into_iter().chain(others) {
         let routine = program.routines[at];
         if !follower.has_visited(at) {
-            let mut state = InRoutine::before(routine);
+            let mut state = InRoutine::before(routine, program.data_at_begin());
             if routine.is_concurrent {
                 state.forget_modes(text.line(routine.body.first().map_or(0, |first| first.span.start)));
             }
@@ -87,6 +87,8 @@ pub fn read(text: Text<'_>, config: Option<Text<'_>>) -> Result<Points, Diagnost
 struct InRoutine {
     /// The parameters and variables of the routine.
     locals: Scope,
+    /// The data of the modules to which the program assigns.
+    data: Scope,
     /// Whether `MoveJ` goes to the configuration of its point.
     conf_j: InForce<bool>,
     /// Whether `MoveL` and `MoveC` check it.
@@ -96,13 +98,11 @@ struct InRoutine {
 }
 
 impl InRoutine {
-    /// The settings at the begin of a routine that is called from elsewhere.
-    fn before(routine: &Routine) -> Self {
+    /// The settings at the begin of a routine that is called from elsewhere, with what is known of the data.
+    fn before(routine: &Routine, data: Scope) -> Self {
         let none = || InForce::One { value: None, line: 0 };
-        let mut locals = Scope::default();
-        routine.parameters.iter().for_each(|parameter| locals.set(&parameter.name, None));
         let [conf_j, conf_l] = [true, true].map(|value| InForce::One { value, line: 0 });
-        Self { locals, conf_j, conf_l, displaced: [none(), none()] }
+        Self { locals: parameters(routine), data, conf_j, conf_l, displaced: [none(), none()] }
     }
 
     fn forget_modes(&mut self, line: usize) {
@@ -112,9 +112,17 @@ impl InRoutine {
     }
 }
 
+/// The parameters of a routine without values.
+fn parameters(routine: &Routine) -> Scope {
+    let mut locals = Scope::default();
+    routine.parameters.iter().for_each(|parameter| locals.set(&parameter.name, None));
+    locals
+}
+
 impl State for InRoutine {
     fn join(&mut self, other: &Self) {
         self.locals.join(&other.locals);
+        self.data.join(&other.data);
         self.conf_j.join(&other.conf_j);
         self.conf_l.join(&other.conf_l);
         self.displaced.iter_mut().zip(&other.displaced).for_each(|(known, other)| known.join(other));
@@ -130,8 +138,10 @@ struct InFile<'a> {
     /// The routines that each statement calls; indexed by routine and statement.
     calls: Calls,
     changing: Changing<'a>,
-    /// The data of the module that a statement changes, with the last line that changes them.
+    /// The data of the modules that a statement changes, with the last line that changes them.
     assigned_lines: HashMap<&'a str, usize>,
+    /// Those that a TRAP changes.
+    assigned_beside: HashSet<&'a str>,
     /// A line of a TRAP that displaces motions.
     displaced_beside: Option<(String, usize)>,
 }
@@ -145,22 +155,57 @@ impl<'a> InFile<'a> {
     ) -> Self {
         let calls = calls(routines.iter().copied());
         let changing = changing(&routines);
-        let mut assigned_lines = HashMap::new();
-        for routine in &routines {
-            for statement in &routine.body {
-                let names = changed(statement, &routines, &changing);
-                let names = names.into_iter().filter(|name| !is_local(routine, name));
-                assigned_lines.extend(names.map(|name| (name, text.line(statement.span.start))));
-            }
-        }
         let traps = (0..routines.len()).filter(|at| routines[*at].is_concurrent).collect();
         let beside = reached_from(traps, &calls);
+        let (mut assigned_lines, mut assigned_beside) = (HashMap::new(), HashSet::new());
+        for (at, routine) in routines.iter().enumerate() {
+            for statement in &routine.body {
+                let names = changed(statement, &routines, &changing);
+                for name in names.into_iter().filter(|name| !is_local(routine, name)) {
+                    assigned_lines.insert(name, text.line(statement.span.start));
+                    assigned_beside.extend(beside.contains(&at).then_some(name));
+                }
+            }
+        }
         let displaced_beside = beside.iter().flat_map(|at| &routines[*at].body).find_map(|statement| {
             let StatementKind::Call { name, .. } = &statement.kind else { return None };
             let is_displacing = DISPLACING.iter().any(|(on, _)| on.contains(&name.as_str()));
             is_displacing.then(|| (name.clone(), text.line(statement.span.start)))
         });
-        Self { text, module, config, routines, calls, changing, assigned_lines, displaced_beside }
+        Self {
+            text,
+            module,
+            config,
+            routines,
+            calls,
+            changing,
+            assigned_lines,
+            assigned_beside,
+            displaced_beside,
+        }
+    }
+
+    /// What is known of the data to which the program assigns, at its begin: their components to which it does not assign. An earlier
+    /// run may have left anything in the others.
+    fn data_at_begin(&self) -> Scope {
+        let mut known: BTreeMap<&str, Option<Value>> =
+            self.assigned_lines.keys().map(|name| (*name, self.data(name))).collect();
+        for routine in &self.routines {
+            for statement in &routine.body {
+                let components = match &statement.kind {
+                    StatementKind::Assign { components, .. } => components.as_slice(),
+                    _ => &[],
+                };
+                for name in changed(statement, &self.routines, &self.changing) {
+                    if let Some(value) = known.get_mut(name).filter(|_| !is_local(routine, name)) {
+                        assign(value, components, None);
+                    }
+                }
+            }
+        }
+        let mut data = Scope::default();
+        known.into_iter().for_each(|(name, value)| data.set(name, value));
+        data
     }
 
     fn statement(&self, (routine, at): At) -> &'a Statement {
@@ -174,10 +219,37 @@ impl<'a> InFile<'a> {
     }
 
     fn lookup(&self, state: &InRoutine, name: &str) -> Option<Value> {
-        match state.locals.get(name) {
-            Some(local) => local.cloned(),
-            None => self.data(name).filter(|_| !self.assigned_lines.contains_key(name)),
+        match state.locals.get(name).or_else(|| state.data.get(name)) {
+            Some(variable) => variable.cloned(),
+            None => self.data(name),
         }
+    }
+
+    /// Forgets the data that are given to a parameter which the routine changes: there they have two names.
+    fn forget_given(&self, routine: &Routine, arguments: &[Argument], state: &mut InRoutine) {
+        for (at, argument) in arguments.iter().enumerate() {
+            if let (Some(parameter), Some(name)) =
+                (bound(routine, arguments, at, argument), variable(argument))
+                && self.changing.contains(&(routine.name.as_str(), parameter.name.as_str()))
+                && state.data.get(name).is_some()
+            {
+                state.data.set(name, None);
+            }
+        }
+    }
+}
+
+/// Assigns to a component of a variable; `None` for a value that is not known.
+fn assign(variable: &mut Option<Value>, components: &[String], given: Option<Value>) {
+    let place = if components.is_empty() {
+        None
+    } else {
+        variable.as_mut().and_then(|variable| component(variable, components))
+    };
+    match (place, given) {
+        (Some(place), Some(given)) => *place = given,
+        (Some(place), None) => place.content = Content::Unknown,
+        (None, given) => *variable = given.filter(|_| components.is_empty()),
     }
 }
 
@@ -270,7 +342,7 @@ impl Followed for InFile<'_> {
 
     fn enter(&self, at: At, routine: usize, state: &InRoutine) -> InRoutine {
         let routine = self.routines[routine];
-        let mut entry = InRoutine { locals: InRoutine::before(routine).locals, ..state.clone() };
+        let mut entry = InRoutine { locals: parameters(routine), ..state.clone() };
         if let StatementKind::Call { name, arguments } = &self.statement(at).kind
             && *name == routine.name
         {
@@ -282,6 +354,7 @@ impl Followed for InFile<'_> {
                     entry.locals.set(&parameter.name, value::value(given, 0, &lookup));
                 }
             }
+            self.forget_given(routine, arguments, &mut entry);
         }
         entry
     }
@@ -309,9 +382,19 @@ impl Followed for InFile<'_> {
             return;
         }
         let routine = self.routines[at.0];
-        let changed = changed(statement, &self.routines, &self.changing);
-        for name in changed.into_iter().filter(|name| is_local(routine, name)) {
-            state.locals.set(name, named(name));
+        let components =
+            if let StatementKind::Assign { components, .. } = kind { components.as_slice() } else { &[] };
+        for name in changed(statement, &self.routines, &self.changing) {
+            let given = if components.is_empty() { named(name) } else { given.clone() };
+            let scope = if is_local(routine, name) { &mut state.locals } else { &mut state.data };
+            let mut value = scope.get(name).flatten().cloned();
+            assign(&mut value, components, given.filter(|_| !self.assigned_beside.contains(name)));
+            scope.set(name, value);
+        }
+        // A routine that is called by a name which is computed may be any of them.
+        if matches!(kind, StatementKind::Other(word) | StatementKind::Call { name: word, .. } if LATE_BOUND.contains(&word.as_str()))
+        {
+            state.data.forget();
         }
         let StatementKind::Call { name, arguments } = kind else { return };
         let line = self.text.line(span.start);
@@ -333,6 +416,7 @@ impl Followed for InFile<'_> {
 
     fn forget(&self, at: At, state: &mut InRoutine) {
         state.locals.forget();
+        state.data.forget();
         state.forget_modes(self.text.line(self.statement(at).span.start));
     }
 }
@@ -383,7 +467,7 @@ impl Reader<'_> {
             Some(_) => None,
             None => program.data(name).and(program.assigned_lines.get(name).copied()),
         };
-        if let Some(why) = instruction.computed(assigned_line) {
+        if let Some(why) = instruction.computed(|value| self.points.is_own(value), assigned_line) {
             return Err(text.wrong(span, why));
         }
         for argument in instruction.points() {

@@ -80,26 +80,19 @@ pub(crate) fn statements<'a>(
 #[derive(Clone, Debug)]
 pub(crate) enum StatementKind {
     /// A call of a routine or an instruction.
-    Call {
-        name: String,
-        arguments: Vec<Argument>,
-    },
+    Call { name: String, arguments: Vec<Argument> },
     Assign {
         name: String,
+        /// The names after the dots, of the outer component first; none if the whole variable is assigned.
+        components: Vec<String>,
         value: Expression,
     },
     /// A variable of the routine, with its value if the value can be parsed.
-    Declare {
-        name: String,
-        value: Option<Expression>,
-    },
+    Declare { name: String, value: Option<Expression> },
     /// `while not is_steady()` of URScript.
     UntilSteady,
     /// A statement that affects which statement runs next, with its first word.
-    Control {
-        word: String,
-        control: Control,
-    },
+    Control { word: String, control: Control },
     /// A statement that is not supported, with its first word.
     Other(String),
 }

@@ -6,7 +6,7 @@ use super::expression::{ExpressionKind, Routine, StatementKind, statements};
 use super::value::{Content, Evaluated, Value};
 use crate::program::CompensationFinding;
 use crate::program::compensate::{
-    Branch, Commanded, Corrected, Correction, Corrector, External, Moved, correct_points, external_motion,
+    Branch, Commanded, Corrected, Correction, Corrector, External, Moved, correct_points, external_axis_away,
 };
 use crate::program::flow::At;
 use crate::program::left_motions::LeftMotions;
@@ -119,14 +119,19 @@ impl Points {
         }
     }
 
-    /// Warns of all corrections if the external axes of the points, which `external` reads, move.
+    /// Warns of all corrections if an external axis of the points, which `external` reads, is not at 0.
     pub(crate) fn warn_of_external_axes(&mut self, file: Text<'_>, external: fn(&Value) -> External) {
         let of_points = self.points.iter().map(|point| {
             let name = point.value.name.as_deref().unwrap_or("inline");
             (name, external(&point.value))
         });
-        let moved = external_motion(of_points);
-        self.warnings.extend(moved.map(|(at, finding)| file.wrong(&self.points[at].first_use, finding)));
+        let away = external_axis_away(of_points);
+        self.warnings.extend(away.map(|(at, finding)| file.wrong(&self.points[at].first_use, finding)));
+    }
+
+    /// Whether the numbers of a point are written in this file, and as those of this point.
+    pub(crate) fn is_own(&self, value: &Value) -> bool {
+        value.file == 0 && is_literal(value, self.rewritten)
     }
 
     /// Adds the point of a motion, with `frames` if it is a pose. A point is not corrected if it is computed or if it
@@ -139,8 +144,7 @@ impl Points {
         taught: Option<(Target, Branch)>,
         frames: impl FnOnce() -> Result<Frames, Diagnostic>,
     ) -> Result<(), Diagnostic> {
-        let value =
-            argument.value.clone().filter(|value| value.file == 0 && is_literal(value, self.rewritten));
+        let value = argument.value.clone().filter(|value| self.is_own(value));
         let (Some(value), Some((target, branch))) = (value, taught) else {
             let name = match argument.expression.map(|expression| &expression.kind) {
                 Some(ExpressionKind::Name(name) | ExpressionKind::Call { name, .. }) => name.clone(),

@@ -81,17 +81,23 @@ impl<D: Dialect> Unroller<D> {
         locals: &mut Variables,
     ) -> Result<(), Diagnostic> {
         let Statement { span, kind, .. } = statement;
+        let unsupported = |word: &String| {
+            let instead = "only motions, waits, outputs and calls without conditions are simulated";
+            let unsupported = ProgramFinding::Unsupported { what: word.clone(), instead: instead.into() };
+            self.listing.text(file).wrong(span, unsupported)
+        };
         match kind {
             StatementKind::UntilSteady => {
                 self.push(file, span.clone(), ActionKind::WaitForStandstill(Standstill::ZeroSpeed));
             }
+            StatementKind::Assign { name: word, components, .. } if !components.is_empty() => {
+                return Err(unsupported(word));
+            }
             StatementKind::Control { word, .. } | StatementKind::Other(word) => {
-                let instead = "only motions, waits, outputs and calls without conditions are simulated";
-                let unsupported = ProgramFinding::Unsupported { what: word.clone(), instead: instead.into() };
-                return Err(self.listing.text(file).wrong(span, unsupported));
+                return Err(unsupported(word));
             }
             StatementKind::Declare { name, value: None } => _ = locals.remove(name),
-            StatementKind::Assign { name, value: assigned }
+            StatementKind::Assign { name, value: assigned, .. }
             | StatementKind::Declare { name, value: Some(assigned) } => {
                 match value(assigned, file, &|name| self.lookup(file, locals, name)) {
                     Some(value) => _ = locals.insert(name.clone(), value),

@@ -24,6 +24,8 @@ pub(crate) enum Content {
     Bool(bool),
     List(Vec<Value>),
     Pose(Vec<Value>),
+    /// A part that is not known.
+    Unknown,
 }
 
 impl Value {
@@ -42,6 +44,11 @@ impl Value {
 
     pub(crate) fn list(&self) -> Option<&[Value]> {
         if let Content::List(list) = &self.content { Some(list) } else { None }
+    }
+
+    /// The part of a list with this index.
+    pub(crate) fn part_mut(&mut self, index: usize) -> Option<&mut Self> {
+        if let Content::List(list) = &mut self.content { list.get_mut(index) } else { None }
     }
 
     /// The elements of a list or pose of this length.

@@ -114,6 +114,8 @@ fn frame_data_are_read_as_generators_write_them() {
             format!("FDAT_ACT={{TOOL_NO 0,BASE_NO 0,IPO_FRAME #TCP}}|BAS(#FRAMES)|;|{START}|LIN {POSE}"),
             corrected(&[5], &["W0905 6"]),
         ),
+        // A tool that is fixed in the cell remains so through what cannot be read.
+        (format!("$IPO_MODE=#TCP|BAS(N,1)|{TOOL}|{base}|{START}|LIN {POSE}"), corrected(&[6], &["W0905 7"])),
         // What cannot be read leaves the frames unknown.
         (format!("{TOOL}|{base}|BAS(|{START}|LIN {POSE}"), corrected(&[5], &["W0905 6"])),
     ] {

@@ -11,6 +11,7 @@ use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::frames_of_the_controller::elsewhere;
 use crate::test_support::cell::named;
 use crate::test_support::makes::{job, run};
 
@@ -26,8 +27,12 @@ const FRAMES: &str =
     "[motion]\ntool = [0.0, 0.0, 0.0, 30.0, 10.0, -20.0]\nbase = [100.0, -50.0, 20.0, 15.0, 0.0, 5.0]\n";
 
 fn plan_of((_, name, centre): (Language, &str, [f64; 3]), more: &str) -> Plan {
+    plan_for(&robot(name), name, centre, more)
+}
+
+fn plan_for(robot: &Robot, name: &str, centre: [f64; 3], more: &str) -> Plan {
     let text = format!("{}{more}", job(name, centre, 8));
-    Plan::build(&Job::from_toml("job.toml", &text).unwrap(), &robot(name)).unwrap()
+    Plan::build(&Job::from_toml("job.toml", &text).unwrap(), robot).unwrap()
 }
 
 /// The simulated controller computes with the table of the file.
@@ -58,15 +63,31 @@ fn dwells(moments: &[ControllerMoment]) -> Vec<[ControllerMoment; 2]> {
     ends.filter(|[first, last]| last.t_s - first.t_s > 0.5).collect()
 }
 
-fn plans() -> [(Language, Robot, Plan); 6] {
+fn plans() -> [(Language, Robot, Plan); 9] {
     let [abb, ur, fanuc, crx] = ALL;
+    let standing = |(language, name, centre): (Language, &'static str, [f64; 3]), more: &str| {
+        let robot = elsewhere(robot(name));
+        let plan = plan_for(&robot, name, centre, more);
+        (language, robot, plan)
+    };
     let of =
         |cell: (Language, &'static str, [f64; 3]), more: &str| (cell.0, robot(cell.1), plan_of(cell, more));
-    [of(abb, ""), of(abb, FRAMES), of(ur, ""), of(fanuc, ""), of(fanuc, FRAMES), of(crx, "")]
+    [
+        of(abb, ""),
+        of(abb, FRAMES),
+        of(ur, ""),
+        of(fanuc, ""),
+        of(fanuc, FRAMES),
+        of(crx, ""),
+        standing(abb, FRAMES),
+        standing(ur, ""),
+        standing(fanuc, FRAMES),
+    ]
 }
 
 /// The tool point of a target in the robot base.
 fn commanded(target: &Target, frames: &Frames, robot: &Robot) -> Pose {
+    let frames = frames.for_table(&robot.frames);
     match *target {
         Target::Axes(axes_deg) => robot.geometry.ball(&axes_deg.map(f64::to_radians)),
         Target::Pose { xyz_mm, abc_deg, .. } => {

@@ -151,7 +151,7 @@ fn line(tokens: &mut Tokens<'_>) -> Option<StatementKind> {
     let (name, _) = tokens.name().ok()?;
     if tokens.accept("=") {
         let value = tokens.expression().ok()?;
-        return tokens.is_line_end().then_some(StatementKind::Assign { name, value });
+        return tokens.is_line_end().then_some(StatementKind::Assign { name, components: Vec::new(), value });
     }
     if scoped || !tokens.accept("(") {
         return None;

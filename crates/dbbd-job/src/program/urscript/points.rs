@@ -215,7 +215,7 @@ impl Followed for Script<'_> {
         let lookup = |name: &str| self.lookup(state, name);
         let line = || self.text.line(span.start);
         match kind {
-            StatementKind::Assign { name, value } => {
+            StatementKind::Assign { name, value, .. } => {
                 let value = value::value(value, 0, &lookup);
                 let named = value.map(|value| Value { name: Some(name.clone()), ..value });
                 state.variables.set(name, named);

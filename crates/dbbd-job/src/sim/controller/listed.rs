@@ -233,6 +233,7 @@ impl ListingExecutor {
     }
 
     fn begin_motion(&mut self, motion: &Move) -> Result<ListingActivity, ProgramFinding> {
+        let motion = &Move { frames: motion.frames.for_table(&self.arm.robot.frames), ..motion.clone() };
         let geometry = Geometry { tool: motion.frames.tool.position, ..self.arm.robot.geometry.clone() };
         if motion.motion == program::MotionKind::Ptp {
             let to = self.axes_at(motion, &geometry)?;

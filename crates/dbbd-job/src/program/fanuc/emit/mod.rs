@@ -13,7 +13,8 @@ use super::renumbered;
 use crate::plan::Plan;
 use crate::program::Language;
 use crate::program::emission::{
-    Sync, Templates, Written, module_calls, module_variables, name, plan_variables, refuse_krl_only,
+    Sync, Templates, Written, module_calls, module_variables, name, plan_variables, printed_frames,
+    refuse_krl_only,
 };
 use crate::program::sequence::{Timed, modules};
 use dbbd_model::diagnostic::Diagnostic;
@@ -32,11 +33,10 @@ pub fn emit(plan: &Plan, sync: Sync) -> Result<Written, Diagnostic> {
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
     let geometry = &robot.controller().geometry;
     let motion = &plan.header.job.motion;
-    let [.., a, b, c] = motion.tool.unwrap_or_default();
-    let [x, y, z]: [f64; 3] = geometry.tool.into();
+    let [tool, base] = printed_frames(motion, robot.controller());
     let variables = context! {
-        tool => Serde(swapped([x, y, z, a, b, c])),
-        base => Serde(swapped(motion.base.unwrap_or_default())),
+        tool => Serde(swapped(tool)),
+        base => Serde(swapped(base)),
         ..plan_variables(plan, Language::Fanuc, sync)?
     };
     let templates = Templates::new(&TEMPLATES)?;

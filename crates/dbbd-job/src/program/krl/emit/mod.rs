@@ -20,7 +20,8 @@ use crate::program::Language;
 use crate::program::ProgramFinding;
 pub use crate::program::emission::Sync;
 use crate::program::emission::{
-    Templates, Written, module_calls, module_variables, name, plan_variables, without_rotation,
+    Templates, Written, module_calls, module_variables, name, plan_variables, printed_frames,
+    without_rotation,
 };
 use crate::program::sequence::{Module, Timed, modules};
 use dbbd_model::diagnostic::Diagnostic;
@@ -107,13 +108,12 @@ pub fn emit(plan: &Plan, options: Options) -> Result<Written, Diagnostic> {
 /// The variables of the plan for the templates.
 fn variables(plan: &Plan, robot: &Robot, options: Options) -> Result<Value, Diagnostic> {
     let job = &plan.header.job;
-    let [.., a, b, c] = job.motion.tool.unwrap_or_default();
-    let [x, y, z] = robot.geometry.tool.into();
+    let [tool, base] = printed_frames(&job.motion, robot);
     Ok(context! {
         run => run_number(&plan.header.hash).unwrap_or(0),
         krc2 => options.controller == Controller::Krc2,
-        tool => Serde([x, y, z, a, b, c]),
-        base => Serde(job.motion.base.unwrap_or_default()),
+        tool => Serde(tool),
+        base => Serde(base),
         payload => robot.geometry.load.carried().map(|payload| context! { kg => payload.kg, centre => without_rotation(payload.centre.into()) }),
         ptp_acceleration_percent => PTP_ACCELERATION_PERCENT,
         acceleration_mm_s2 => ACCELERATION_MM_S2,

@@ -161,7 +161,10 @@ impl InRoutine {
             Effect::FrameData(frames) => {
                 self.set_both(frames.clone(), line);
                 self.frame_data = InForce::One { value: Some(frames.clone()), line };
-                self.obstacles[Obstacle::Mode as usize] = InForce::One { value: None, line };
+                // Where neither frame is known, nor is the mode: one that was in force remains.
+                if frames.iter().any(Result::is_ok) {
+                    self.obstacles[Obstacle::Mode as usize] = InForce::One { value: None, line };
+                }
             }
             Effect::FrameDataPart(kind, value) => {
                 self.set(*kind, value.clone(), line);
@@ -246,7 +249,9 @@ impl Definitions<'_> {
             }
             "$IPO_MODE" => self.obstacle(Obstacle::Mode, line, "#BASE"),
             "$ABS_ACCUR" => self.obstacle(Obstacle::Accuracy, line, "FALSE"),
-            "$DEACTIVATE_ABS_ACCUR" => self.obstacle(Obstacle::Accuracy, line, "TRUE"),
+            "$SUPPRESS_ABS_ACCUR" | "$DEACTIVATE_ABS_ACCUR" => {
+                self.obstacle(Obstacle::Accuracy, line, "TRUE")
+            }
             "$ROBROOT" => self.obstacle(Obstacle::Root, line, "$NULLFRAME"),
             "SPLINE" | "PTP_SPLINE" => {
                 let with = line.parser(self.file).and_then(|mut parser| self.with(&mut parser));

@@ -19,7 +19,7 @@ use super::syntax::{DataItem, Expression, ExpressionKind, Part, Place, Span, Tex
 use crate::plan::MotionKind;
 use crate::program::CompensationFinding;
 use crate::program::ProgramFinding;
-use crate::program::compensate::{External, external_motion, mixed};
+use crate::program::compensate::{External, external_axis_away, mixed};
 use crate::program::flow::{At, Calls, Control, Followed, Follower, InForce, Ways, reached_from};
 use crate::program::left_motions::LeftMotions;
 use crate::program::lexer::Token;
@@ -386,7 +386,7 @@ impl<'a> Reader<'a> {
             let taught = CompensationFinding::TaughtUnderAccuracy { points, name };
             self.program.warnings.push(file.wrong(first_use, taught));
         }
-        let external = external_motion(points.iter().map(|point| (point.name.as_str(), point.external)));
+        let external = external_axis_away(points.iter().map(|point| (point.name.as_str(), point.external)));
         let external = external.map(|(at, finding)| file.wrong(&points[at].first_use, finding));
         self.program.warnings.extend(external);
         Ok(self.program)

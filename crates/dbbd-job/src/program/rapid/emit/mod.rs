@@ -14,7 +14,8 @@ use crate::plan::timing::ACCELERATION_MM_S2;
 use crate::plan::{MotionKind, Plan, PlanFrames};
 use crate::program::Language;
 use crate::program::emission::{
-    Sync, Templates, Written, module_calls, module_variables, name, plan_variables, refuse_krl_only,
+    Sync, Templates, Written, module_calls, module_variables, name, plan_variables, printed_frames,
+    refuse_krl_only,
 };
 use crate::program::sequence::{Timed, modules};
 use dbbd_model::diagnostic::Diagnostic;
@@ -57,15 +58,14 @@ pub fn emit(plan: &Plan, sync: Sync) -> Result<Written, Diagnostic> {
 /// The variables of the plan for the templates.
 fn variables(plan: &Plan, robot: &Robot, sync: Sync) -> Result<Value, Diagnostic> {
     let motion = &plan.header.job.motion;
-    let [.., a, b, c] = motion.tool.unwrap_or_default();
-    let [x, y, z, u, v, w] = motion.base.unwrap_or_default();
+    let [tool, base] = printed_frames(motion, robot).map(Pose::from_xyzabc);
     // A controller refuses a tool without mass.
     let least = Payload { kg: 0.001, centre: Vector3::new(0.0, 0.0, 0.001), ..Payload::default() };
     let payload = robot.geometry.load.carried().unwrap_or(&least);
     let centre: [f64; 3] = payload.centre.into();
     Ok(context! {
-        tool => frame(&Pose::from_kuka(robot.geometry.tool.into(), [a, b, c])),
-        base => frame(&Pose::from_kuka([x, y, z], [u, v, w])),
+        tool => frame(&tool),
+        base => frame(&base),
         payload => context! { kg => payload.kg, centre => Serde(centre) },
         acceleration_mm_s2 => ACCELERATION_MM_S2,
         ..plan_variables(plan, Language::Rapid, sync)?

@@ -18,7 +18,7 @@ use crate::program::emission::{
 use crate::program::sequence::{Timed, modules};
 use dbbd_model::diagnostic::Diagnostic;
 use dbbd_model::robot::pose::rotation_vector;
-use dbbd_model::robot::{ControllerModel, Pose, Robot};
+use dbbd_model::robot::{ControllerFrames, ControllerModel, Pose, Robot};
 
 const TEMPLATES: [(&str, &str); 1] = [("program.script", include_str!("program.script"))];
 /// Number of standard outputs, which are numbered from 0.
@@ -32,17 +32,18 @@ pub fn emit(plan: &Plan, sync: Sync) -> Result<Written, Diagnostic> {
         return Err(ProgramFinding::OutputNumber { output }.into());
     }
     let robot = Robot::from_toml("the plan's robot", &plan.header.robot)?;
+    let controller = robot.controller();
     let mut routines = Vec::new();
     for (module, number) in modules(plan)?.iter().zip(1..) {
         routines.push(context! {
             name => name(number),
             start_rad => Serde(module.start.row.axes_deg.map(f64::to_radians)),
-            points => module.rows.iter().map(point_variables).collect::<Value>(),
+            points => module.rows.iter().map(|timed| point_variables(timed, &controller.frames)).collect::<Value>(),
             ..module_variables(plan, module)?
         });
     }
-    let controller = robot.controller();
-    let tool = Pose { position: controller.geometry.tool, ..Pose::identity() };
+    let ball = Pose { position: controller.geometry.tool, ..Pose::identity() };
+    let tool = controller.frames.flange.inverse().then(&ball);
     let payload = controller.geometry.load.carried().map(|payload| {
         let centre: [f64; 3] = (payload.centre * 1e-3).into();
         context! { kg => payload.kg, centre => Serde(centre) }
@@ -67,11 +68,11 @@ fn metres(pose: &Pose) -> Value {
     Serde([place.x, place.y, place.z, turn.x, turn.y, turn.z]).into()
 }
 
-fn point_variables(timed: &Timed<'_>) -> Value {
+fn point_variables(timed: &Timed<'_>, frames: &ControllerFrames) -> Value {
     let Timed { row, time, .. } = timed;
     context! {
         axes => Serde(row.axes_deg.map(f64::to_radians)),
-        pose => metres(&Pose::from_kuka(row.xyz_mm, row.abc_deg)),
+        pose => metres(&frames.base.then(&Pose::from_kuka(row.xyz_mm, row.abc_deg))),
         feed_mm_s => time.feed_mm_s,
     }
 }

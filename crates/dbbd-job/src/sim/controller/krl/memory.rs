@@ -11,8 +11,18 @@ use dbbd_model::robot::AXES;
 /// `$FLAG[n]`
 const FLAGS: usize = 1024;
 
-/// The system variables with their initial values.
-pub(super) fn system() -> KrlVariables {
+/// Whether the controller moves by an accuracy model of its own, as `$ABS_ACCUR` says it: an ENUM from KSS 8.1 on, a BOOL before. Source:
+/// KUKA, System Variables, for KSS 5.5 and 5.6 (2011) and for KSS 8.1 to 8.4 (2016).
+pub(super) fn absolute_accuracy(is_kss5: bool, is_active: bool) -> Value {
+    match (is_kss5, is_active) {
+        (true, _) => Value::Bool(is_active),
+        (false, true) => Value::Enum("ACTIVATED".to_owned()),
+        (false, false) => Value::Enum("NONE".to_owned()),
+    }
+}
+
+/// The system variables of KSS 5 or of KSS 8 with their initial values.
+pub(super) fn system(is_kss5: bool) -> KrlVariables {
     let structure = |fields: &[(&str, f64)]| {
         let fields = fields.iter().map(|(name, value)| ((*name).to_owned(), Value::Real(*value)));
         Value::Struct(fields.collect())
@@ -39,7 +49,7 @@ pub(super) fn system() -> KrlVariables {
         ("$ADVANCE", (Type::Int, Value::Int(3))),
         ("$OV_PRO", (Type::Int, Value::Int(100))),
         ("$STOPMESS", (Type::Bool, Value::Bool(false))),
-        ("$ABS_ACCUR", (Type::Bool, Value::Bool(false))),
+        ("$ABS_ACCUR", (if is_kss5 { Type::Bool } else { Type::Enum }, absolute_accuracy(is_kss5, false))),
         ("$FLAG", (Type::Bool, bools(FLAGS))),
         ("$OUT", (Type::Bool, bools(SIGNALS))),
         ("$IN", (Type::Bool, bools(SIGNALS))),

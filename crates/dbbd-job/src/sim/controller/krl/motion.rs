@@ -1,6 +1,7 @@
 //! Begins motions: evaluates targets, frames and speeds.
 
 use super::{Interpreter, KrlActivity};
+use crate::program::Frames;
 use crate::program::ProgramFinding;
 use crate::program::krl::evaluate::{At, Fault, POSE_NAMES, Position};
 use crate::program::krl::syntax::{Expression, Move, Span};
@@ -19,16 +20,22 @@ impl Interpreter {
         Pose::from_xyzabc(POSE_NAMES.map(|component| self.system_number(name, component).unwrap_or(0.0)))
     }
 
+    /// `$TOOL` and `$BASE` for the table of the robot.
+    fn frames(&self) -> Frames {
+        let [tool, base] = ["$TOOL", "$BASE"].map(|name| self.frame(name));
+        Frames { tool, base }.for_table(&self.arm.robot.frames)
+    }
+
     /// The nominal robot with the tool of the program.
     pub(super) fn geometry(&self) -> Geometry {
-        Geometry { tool: self.frame("$TOOL").position, ..self.arm.robot.geometry.clone() }
+        Geometry { tool: self.frames().tool.position, ..self.arm.robot.geometry.clone() }
     }
 
     /// X, Y, Z, A, B, C of the tool in the base frame.
     pub(super) fn current_pose(&self) -> [f64; 6] {
-        let ball = self.geometry().ball(&self.arm.axes);
-        let tool = Pose { rotation: ball.rotation * self.frame("$TOOL").rotation, position: ball.position };
-        self.frame("$BASE").inverse().then(&tool).xyzabc()
+        let (ball, frames) = (self.geometry().ball(&self.arm.axes), self.frames());
+        let tool = Pose { rotation: ball.rotation * frames.tool.rotation, position: ball.position };
+        frames.base.inverse().then(&tool).xyzabc()
     }
 
     /// The tool point in the robot base, with the orientation of the flange, at a commanded pose. Missing components
@@ -36,8 +43,9 @@ impl Interpreter {
     fn pose(&self, components: [Option<f64>; 6]) -> Pose {
         let current = self.current_pose();
         let commanded = std::array::from_fn(|i| components[i].unwrap_or(current[i]));
-        let tool = self.frame("$BASE").then(&Pose::from_xyzabc(commanded));
-        let rotation = tool.rotation * self.frame("$TOOL").rotation.transpose();
+        let frames = self.frames();
+        let tool = frames.base.then(&Pose::from_xyzabc(commanded));
+        let rotation = tool.rotation * frames.tool.rotation.transpose();
         Pose { rotation, position: tool.position }
     }
 

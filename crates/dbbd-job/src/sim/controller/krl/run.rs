@@ -30,7 +30,7 @@ impl Interpreter {
             dwells: DwellCounter::default(),
             activity: KrlActivity::Ready,
             calls: KrlCallStack { levels: Vec::new(), at: (0, 0..0) },
-            system: memory::system(),
+            system: memory::system(program.is_kss5()),
             memory: vec![ModuleMemory::default(); program.modules.len()],
             pulses: Vec::new(),
             ekrl: EkrlChannel::default(),
@@ -171,7 +171,7 @@ impl ProgramExecutor for Interpreter {
     }
 
     fn set_absolute_accuracy(&mut self) {
-        self.set_system("$ABS_ACCUR", Value::Bool(true));
+        self.set_system("$ABS_ACCUR", memory::absolute_accuracy(self.program.is_kss5(), true));
     }
 
     fn saved(&self) -> Vec<(String, String)> {
