@@ -196,6 +196,12 @@ fn a_urdf_becomes_the_robot_of_its_controller() {
     );
     assert_eq!(answered.status.code(), Some(0), "{}", stderr(&answered));
     assert!(!imported().geometry.coupling.is_none());
+    // ABB's arms with a parallelogram are coupled as well, with axes of equal sense the other way round.
+    let abb = |name: &str| fanuc(name).replacen("<axis xyz='0 -1 0'/>", "<axis xyz='0 1 0'/>", 1);
+    assert_eq!(import(&abb("abb_irb2400"), &[]).status.code(), Some(0));
+    assert_eq!(imported().geometry.coupling.joints(&[0.0, 0.4, 0.3, 0.0, 0.0, 0.0])[2], 0.3 - 0.4);
+    assert_eq!(import(&abb("abb_irb6640"), &[]).status.code(), Some(0));
+    assert!(imported().geometry.coupling.is_none());
     let xacro = import(
         "<robot xmlns:xacro='http://www.ros.org/wiki/xacro' name='a'><xacro:macro name='m'/></robot>",
         &[],
@@ -277,7 +283,7 @@ fn machine_data_say_where_the_robot_stands() {
         with("abc_deg = [0.0, 90.0, 0.0]\ngravity = [0.0, 0.0, -1.0]").unwrap_err().code().to_string(),
         "E0505"
     );
-    assert_eq!(with("xyz_mm = [0.0, 0.0, 0.5]").unwrap_err().code().to_string(), "E0130");
+    assert_eq!(with("xyz_mm = [0.0, 0.0, 500000.0]").unwrap_err().code().to_string(), "E0130");
 }
 
 #[test]

@@ -65,10 +65,13 @@ impl Maker {
         }
     }
 
-    /// Whether axis 3 is shown against the horizontal. Source: FANUC's manuals (J2/J3 interaction); the driver of ROS-Industrial
-    /// (`J23_factor`).
-    pub(super) fn couples(self) -> bool {
-        self == Self::Fanuc
+    /// Whether axis 3 of an arm with one of these names is shown against the horizontal. Source: FANUC's manuals (J2/J3 interaction); for
+    /// ABB's arms with a parallelogram the driver and the launch files of ROS-Industrial (`J23_coupled`).
+    pub(super) fn couples<'n>(self, mut names: impl Iterator<Item = &'n str>) -> bool {
+        const PARALLELOGRAMS: [&str; 3] = ["irb2400", "irb4400", "irb5400"];
+        let is_parallelogram =
+            |name: &str| PARALLELOGRAMS.iter().any(|arm| name.to_lowercase().contains(arm));
+        self == Self::Fanuc || self == Self::Abb && names.any(is_parallelogram)
     }
 
     /// Whether its controller counts from elsewhere than the foot of the arm. FANUC's World is in the height of axis 2, that of Universal

@@ -57,7 +57,8 @@ pub(super) fn import(file: &str, text: &str, known: KnownOfRobot<'_>) -> Result<
     robot.set_language(maker.and_then(Maker::language));
     let mut imported = lines.imported(robot, &Pose::identity());
     let mimic = joints.iter().find(|joint| child(joint.node, "mimic").is_some());
-    let coupled = known.coupled.or_else(|| maker.filter(|maker| maker.couples()).map(|_| Coupled::Yes));
+    let is_coupled = |maker: &Maker| maker.couples([name].into_iter().chain(reader.shapes()));
+    let coupled = known.coupled.or_else(|| maker.filter(is_coupled).map(|_| Coupled::Yes));
     if let Some(coupled) = coupled {
         imported.robot = coupled.applied(imported.robot);
     }
@@ -240,10 +241,15 @@ fn movable(joint: Node<'_, '_>) -> bool {
 }
 
 impl UrdfReader<'_> {
+    /// The files of the shapes.
+    fn shapes(&self) -> impl Iterator<Item = &str> {
+        let shapes = self.document.descendants().filter(|node| node.has_tag_name("mesh"));
+        shapes.filter_map(|mesh| mesh.attribute("filename"))
+    }
+
     /// The maker that the robot's name, else the files of its shapes name.
     fn maker(&self, name: &str) -> Option<Maker> {
-        let shapes = self.document.descendants().filter(|node| node.has_tag_name("mesh"));
-        let mut of_shapes = shapes.filter_map(|mesh| Maker::named_in(mesh.attribute("filename")?));
+        let mut of_shapes = self.shapes().filter_map(Maker::named_in);
         let of_shapes = of_shapes.next().filter(|first| of_shapes.all(|other| other == *first));
         Maker::named_in(name).or(of_shapes)
     }

@@ -240,8 +240,8 @@ quantities! {
     /// The distance of a frame that is not 0 from the one before: tools and bases are larger than a few millimetres, and
     /// inside of a cell.
     FrameDistance => range("the distance of a tool or a base", "mm", 3.0, 1e4).usually(5.0, 1e4).not_in(LENGTH_UNITS);
-    /// Robots stand up to some ten metres from the origin of a cell.
-    WorldDistance => range("the distance of a robot from its World", "mm", 3.0, 1e5).not_in(IN_METRES);
+    /// Robots stand up to some ten metres from the origin of a cell, and also a tenth of a millimetre beside it.
+    WorldCoordinate => range("a coordinate in the World of a cell", "mm", -1e5, 1e5).not_in(IN_MICROMETRES);
     /// The largest coordinate of a tool ball that is not 0: no ball is nearer to the centre of the flange.
     ToolBallDistance => range("the distance of a tool ball from the flange", "mm", 3.0, MAX_ARM_MM).usually(5.0, 2e3).not_in(IN_METRES);
     /// The distance of a centre of mass that is not the centre of the flange; otherwise as a tool ball.

@@ -50,15 +50,10 @@ impl FrameTable {
         Self { xyz_mm: pose.position.into(), abc_deg: pose.abc_deg() }
     }
 
-    /// The frame, if its distance is one of a robot from its World or of two flanges.
     pub(super) fn pose(&self) -> Result<Pose, Diagnostic> {
-        let pose = Pose::from_kuka(self.xyz_mm, self.abc_deg);
-        let mm = pose.position.norm();
-        if mm != 0.0 {
-            Quantity::WorldDistance.check("xyz_mm", mm)?;
-        }
+        self.xyz_mm.into_iter().try_for_each(|mm| Quantity::WorldCoordinate.check("xyz_mm", mm))?;
         self.abc_deg.into_iter().try_for_each(|deg| Quantity::FrameAngle.check("abc_deg", deg))?;
-        Ok(pose)
+        Ok(Pose::from_kuka(self.xyz_mm, self.abc_deg))
     }
 }
 
