@@ -5,11 +5,10 @@
 //! ones, with thresholds from the noise of the bar at rest. A first pass, with thresholds from the bulk of the
 //! run, finds the rests.
 //!
-//! The noise at rest is taken from an interval in which the robot is surely at rest: the first HALT, at which the bar
-//! is mounted and the program waits. For a run without such a start (an imported trace) it is taken from the quietest
-//! still intervals. The measure is the slope itself, so that correlated noise and slow wander are included; its lower
-//! limit is the white part, which adjacent blocks show much better. For a bar that stays on a step of its scale, the
-//! step is the noise.
+//! The noise at rest is that of most dwells of the first pass, weighted alike: no single interval decides, for a bar that
+//! lies on a table before it is mounted is quieter than the robot, and one that is handled is louder. The measure is the
+//! slope itself, so that correlated noise and slow wander are included; its lower limit is the white part, which adjacent
+//! blocks show much better. For a bar that stays on a step of its scale, the step is the noise.
 
 use std::ops::RangeInclusive;
 
@@ -343,16 +342,10 @@ fn blocks(stream: &SampleStream, block_s: f64) -> Vec<ReadingBlock> {
 
 /// Smallest change of the reading within a window that counts, mm.
 const MIN_CHANGE_MM: f64 = 0.0002;
-/// Least duration of the dwell at the start, s.
-const START_S: f64 = 2.0;
 /// The ends of a dwell are not used, s: there the motion is rounded off.
 const INSET_S: f64 = 0.1;
 /// Ratio of the lower quartile of the slopes' RMS to the true one, in dwells of a second or two.
 const QUARTILE: f64 = 0.75;
-/// Limit of the noise at the start, as a multiple of the noise of the quiet quarter: with more noise the bar was still
-/// being handled.
-const UNQUIET: f64 = 2.0;
-
 /// Noise at rest for windows of one width.
 #[derive(Clone, Copy, Debug)]
 struct RestNoise {
@@ -381,31 +374,20 @@ impl RestNoise {
         Self { slope_sigma, scatter_sigma, slope_floor }
     }
 
-    /// Noise from the dwells of the first pass; `None` if no window lies in a dwell.
+    /// Noise from the dwells of the first pass; `None` if no window lies in a dwell. Slow moves are among them: the lower
+    /// quartile of their slopes is that of a rest.
     fn at_rest(windows: &ReadingWindows, first_pass: &[Dwell], least_mm: f64) -> Option<Self> {
-        let mut rms: Vec<f64> = Vec::new();
-        let mut scatters: Vec<f64> = Vec::new();
-        let mut start = None;
-        let mut before_start = true;
+        let (mut slopes, mut scatters, mut whites) = (Vec::new(), Vec::new(), Vec::new());
         for dwell in first_pass {
-            let at_start = before_start && dwell.duration_s() >= START_S;
-            before_start &= !at_start;
             let Some([slope, scatter]) = within(windows, dwell) else { continue };
-            if at_start {
-                start = Some([slope.max(windows.white_slope(block_noise(windows, dwell))), scatter]);
-            }
-            rms.push(slope);
+            slopes.push(slope);
             scatters.push(scatter);
+            whites.push(windows.white_slope(block_noise(windows, dwell)));
         }
-        rms.sort_by(f64::total_cmp);
-        let quarter = *rms.get(rms.len() / 4)?;
-        let [slope_sigma, scatter] = match start {
-            Some([slope, scatter]) if quarter > 0.0 => [slope.clamp(quarter, UNQUIET * quarter), scatter],
-            Some(start) => start,
-            None => [quarter / QUARTILE, robust::median(&mut scatters)?],
-        };
-        let slope_floor = least_mm / windows.window_s;
-        Some(Self { slope_sigma, scatter_sigma: scatter.max(least_mm), slope_floor })
+        slopes.sort_by(f64::total_cmp);
+        let slope_sigma = (slopes.get(slopes.len() / 4)? / QUARTILE).max(robust::median(&mut whites)?);
+        let scatter_sigma = robust::median(&mut scatters)?.max(least_mm);
+        Some(Self { slope_sigma, scatter_sigma, slope_floor: least_mm / windows.window_s })
     }
 }
 
@@ -457,10 +439,17 @@ mod tests {
 
     /// Levels (mm, s) joined by ramps of `move_s`, at 100 Hz, with deterministic noise.
     fn stream(levels: &[(f64, f64)], move_s: f64) -> SampleStream {
+        stream_after_rest(levels, move_s, 0.0005)
+    }
+
+    /// The same; at the first level the noise has another amplitude.
+    fn stream_after_rest(levels: &[(f64, f64)], move_s: f64, first_noise_mm: f64) -> SampleStream {
+        let first = (levels[0].1 * 100.0) as u32;
         let mut builder = StreamBuilder::new(None);
         let mut count = 0_u32;
         let mut push = |reading_mm: f64| {
-            let noise_mm = 0.0005 * (f64::from(count) * 2.4).sin();
+            let amplitude_mm = if count < first { first_noise_mm } else { 0.0005 };
+            let noise_mm = amplitude_mm * (f64::from(count) * 2.4).sin();
             let host = HostNs(u64::from(count) * 10_000_000);
             builder.push(host, &Sample::of(reading_mm + noise_mm));
             count += 1;
@@ -483,6 +472,18 @@ mod tests {
         for ([start_s, end_s], expected) in times.iter().zip([[0.0, 3.0], [4.0, 5.5], [6.5, 8.0]]) {
             let blocks = [start_s - expected[0], end_s - expected[1]].map(|off_s| off_s / SHORT.block_s);
             assert!(blocks.iter().all(|off| off.abs() < 3.5), "{times:?}");
+        }
+    }
+
+    /// A bar that lies on a table or is held in a hand before it is mounted does not set the noise of the run.
+    #[test]
+    fn first_rest_may_be_quieter_or_louder_than_the_others() {
+        let levels: Vec<(f64, f64)> =
+            (0..20).map(|at| (0.3 * f64::from(at % 3), if at == 0 { 8.0 } else { 1.5 })).collect();
+        for first_noise_mm in [0.0, 0.00005, 0.0005, 0.004] {
+            let dwells = still_dwells(&stream_after_rest(&levels, 1.0, first_noise_mm), 0.7);
+            let whole = dwells.iter().filter(|dwell| (dwell.duration_s() - 1.5).abs() < 0.2).count();
+            assert_eq!(whole, 19, "{first_noise_mm}: {dwells:?}");
         }
     }
 
